@@ -31,7 +31,8 @@ setup(
     python_requires=">=3.8",
     packages=find_packages(str(HERE / "src")),
     package_dir={"": "src"},
+    package_data={"car_interface.tools.report": ["templates/*"]},
     data_files=[files("msg", "*.msg"), files("config", "*.yaml"), files("config", "*.csv")],
-    extras_require={"tools": ["matplotlib", "numpy", "PyYAML", ROSBAGS, "scipy", "tqdm"]},
+    extras_require={"tools": ["Jinja2", "matplotlib", "numpy", "PyYAML", ROSBAGS, "scipy", "tqdm"]},
     entry_points={"console_scripts": ["car-interface = car_interface.tools.cli.main:main"]},
 )

@@ -80,8 +80,8 @@ def judge(seed, folder):
     virtual_drive.record(car, path, seed)
     parser = argparse.ArgumentParser()
     command.add_arguments(parser)
-    config = command.config_of(parser.parse_args([str(path), "-o", "unused.csv", "--jobs", "1"]))
-    (recorded_drive,), done = command.calibrate_by(config)
+    options = parser.parse_args([str(path), "-o", "unused.csv", "--jobs", "1"])
+    (recorded_drive,), done = command.calibrate_by(options, command.source_of(options))
     table, drive = done.table, recorded_drive.drive
     stated, true = table.origin <= tables.BETWEEN, truth(car, table)
     stock = load_value_map(str(STOCK_MAP))

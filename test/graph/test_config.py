@@ -85,7 +85,8 @@ REFUSALS = [
 
 
 def read(node, values):
-    return importlib.import_module(full_name(f"nodes.{node}")).read_config(Params(values))
+    module = node if node == "demo_drive" else full_name(f"nodes.{node}")
+    return importlib.import_module(module).read_config(Params(values))
 
 
 def attribute(made, path):

@@ -129,15 +129,17 @@ def _stop_m(record, began, there):
 
 def _has_rolled(record, contact):
     """Whether gravity alone brought the car there: since it was last pushed that way it stood, or it crept at most when
-    that ended and rolled on for a second; and drag was too weak to end that.
+    that ended and rolled on for a second; and from there on drag took no more energy than gravity gave.
     """
     way = _way(contact)
     pushed = max((sample.at_s for sample in record.samples if sample.request * way > 0.02), default=-1.0)
     since = [sample for sample in record.samples if sample.at_s > pushed + SETTLES_S]
-    coasts_mps2 = [_coasts_mps2(record, sample, way) for sample in since]
-    if any(abs(sample.speed_mps) < STANDS_MPS for sample in since):
-        return min(coasts_mps2) <= 0
-    return len(since) * TICK_S > 1.0 and abs(since[0].speed_mps) < CREEPS_MPS and max(coasts_mps2) <= 0
+    stood = [number for number, sample in enumerate(since) if abs(sample.speed_mps) < STANDS_MPS]
+    if stood:
+        since = since[stood[-1]:]
+    elif len(since) * TICK_S <= 1.0 or abs(since[0].speed_mps) >= CREEPS_MPS:
+        return False
+    return sum(_coasts_mps2(record, sample, way) * abs(sample.speed_mps) for sample in since) <= 0.0
 
 
 def _is_sure_to_brake(record, contact):

@@ -32,7 +32,7 @@ MAY_IMPORT = {
         "calibration", "calibration/drive", "calibration/steering"))),
     "tools/recordings": PARTS,
     "tools/report": (*PARTS, "tools/recordings"),
-    "tools/calibration": ("common",),
+    "tools/calibration": ("common", "tools/recordings"),
     "tools/calibration/drive": (*PARTS, *FITS, "tools/calibration/steering"),
     "tools/calibration/esc": (*PARTS, *FITS),
     "tools/calibration/steering": (*PARTS, *FITS),
@@ -49,6 +49,8 @@ ROS = ("nodes/", "ros/", "tools/doctor/probes/")
 ONLY_IN = {
     "rospy": ROS,
     "rosbags": ("tools/recordings/",),
+    "evdev": ("nodes/keyboard_drive/key_events.py",),
+    "jinja2": ("tools/report/html.py",),
     "matplotlib": ("tools/report/",),
     "tqdm": ("tools/recordings/", "tools/cli/"),
     "scipy": ("tools/calibration/",),

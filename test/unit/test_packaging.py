@@ -15,6 +15,7 @@ from mutate import imports
 ROOT = Path(__file__).resolve().parents[2]
 CMAKE = (ROOT / "CMakeLists.txt").read_text(encoding="utf-8")
 SCRIPTS = sorted((ROOT / "scripts").iterdir())
+DEMO = ROOT / "demo"
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch"))
 # Scripts that are run by hand and end by themselves; those for recordings and tables need no ROS.
 OFFLINE = {"bag_report", "calibrate_esc", "calibrate_steering", "calibrate_value_map", "check_map", "drives"}
@@ -23,8 +24,9 @@ TOOLS = {"calibration_drive", "doctor", "keyboard_drive", "setup_hardware", "wai
 NODES = [script for script in SCRIPTS if script.name not in OFFLINE]
 NODE_TESTS = sorted((ROOT / "test" / "process").glob("*.test"))
 # The rosdep keys of libraries that are not called like their key.
-KEYS = {name: f"python3-{name}" for name in ("hypothesis", "matplotlib", "numpy", "pytest", "rospkg", "scipy", "serial",
-                                            "setuptools", "smbus2", "tqdm", "yaml")}
+KEYS = {name: f"python3-{name}" for name in ("evdev", "hypothesis", "jinja2", "matplotlib", "numpy", "pytest", "rospkg",
+                                            "scipy", "serial", "setuptools", "smbus2", "tqdm", "yaml")}
+KEYS["PIL"] = "python3-pil"
 KEYS["rosbags"] = "python3-rosbags-pip"
 
 
@@ -51,14 +53,15 @@ def is_standard(name: str) -> bool:
 def keys_of_imports(paths: list[Path]) -> set[str]:
     """Returns the rosdep keys of the libraries that Python files import from outside the package."""
     found = {name.split(".")[0] for path in paths for name in imports(path)}  # "" of a relative one
-    ours = {"", "car_interface"} | {path.stem for path in paths} | {path.parent.name for path in paths}
+    ours = {"", "car_interface", *(path.stem for path in [*paths, *DEMO.glob("*.py")]),
+            *(path.parent.name for path in paths)}
     return {KEYS.get(name, name) for name in found - ours if not is_standard(name)}
 
 
 def listed_in_cmake(command: str) -> list[str]:
     """Returns the file names that a CMake command lists."""
     (body,) = re.findall(r"\b" + command + r"\(([^)]*)\)", CMAKE)
-    return re.findall(r"[\w/]+\.(?:msg|srv)\b|scripts/\w+", body)
+    return re.findall(r"[\w/]+\.(?:msg|srv)\b|(?:scripts|demo)/\w+", body)
 
 
 def module_of(script: Path) -> str:
@@ -81,7 +84,7 @@ def test_script_is_executable_shadows_no_library_and_only_calls_its_command_or_n
 
 
 def test_cmake_lists_every_script_message_service_and_cfg_file_which_can_be_run():
-    assert listed_in_cmake("catkin_install_python") == [name_of(path) for path in SCRIPTS]
+    assert listed_in_cmake("catkin_install_python") == [*map(name_of, SCRIPTS), "demo/demo_drive"]
     assert listed_in_cmake("add_message_files") == sorted(path.name for path in (ROOT / "msg").iterdir())
     assert listed_in_cmake("add_service_files") == sorted(path.name for path in (ROOT / "srv").iterdir())
     listed = re.findall(r"cfg/\w+\.cfg", CMAKE)
@@ -93,6 +96,8 @@ def test_cmake_installs_everything_that_a_user_needs():
     installed = set(" ".join(re.findall(r"\binstall\((?:DIRECTORY|FILES) ([\w. ]+?) DESTINATION", CMAKE)).split())
     assert installed == {"config", "docs", "launch", "udev", "LICENSE", "README.md"}
     assert [name for name in installed if not (ROOT / name).exists()] == []
+    modules = " ".join(name_of(path) for path in sorted(DEMO.glob("*.py")))
+    assert f"install(FILES {modules} DESTINATION ${{CATKIN_PACKAGE_BIN_DESTINATION}})" in CMAKE
 
 
 def test_setup_finds_every_folder_of_modules_and_none_hides_the_generated_messages():
@@ -102,7 +107,7 @@ def test_setup_finds_every_folder_of_modules_and_none_hides_the_generated_messag
 
 
 @pytest.mark.parametrize("paths, kind", [
-    ([*(ROOT / "src").rglob("*.py"), *SCRIPTS, ROOT / "setup.py"], "buildtool_depend"),
+    ([*(ROOT / "src").rglob("*.py"), *SCRIPTS, *DEMO.glob("*.py"), ROOT / "setup.py"], "buildtool_depend"),
     (list((ROOT / "test").rglob("*.py")), "test_depend"),
 ], ids=["code", "tests"])
 def test_package_declares_what_is_imported(paths, kind):
@@ -115,7 +120,7 @@ def test_launch_file_starts_and_names_only_what_exists(path):
     declared = {key for key, _ in dependencies("exec_depend")}
     for node in launch.iter("node"):
         if node.get("pkg") == "car_interface":
-            assert ROOT / "scripts" / node.get("type") in SCRIPTS
+            assert any(os.access(str(ROOT / folder / node.get("type")), os.X_OK) for folder in ("scripts", "demo"))
         else:
             assert node.get("pkg") in declared
     for test in launch.iter("test"):

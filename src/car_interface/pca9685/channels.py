@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Sequence
 
 from car_interface.common.errors import ConfigError
-from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, UNCHANGED
-from car_interface.common.units import NS_PER_MS
+from car_interface.common.units import CHANNELS, MAX_DUTY, NS_PER_MS, UNCHANGED
 from car_interface.pca9685.registers import counts_of_duty
 
 # An ESC may take a pull, which was a brake, for reverse once the car stands. Whoever commands it sees to it that the
@@ -56,7 +55,7 @@ class Accepted(NamedTuple):
 
 
 class TimedOut(NamedTuple):
-    """Why a channel that was commanded is at its timeout value."""
+    """The reason why a channel that was commanded is at its timeout value."""
 
     since_ns: int  # when its timeout had passed, or when ``make_safe`` was called
     was_made_safe: bool  # by ``make_safe``, and no command has come since
@@ -197,7 +196,7 @@ class Channels:
                 or now_ns - each.since_ns >= self._configs[channel].timeout_ms * NS_PER_MS}
 
     def next_deadline_ns(self) -> float:
-        """When the next command expires; inf = none will."""
+        """Return when the next command expires; inf = none will."""
         return min(self._deadlines_ns.values(), default=math.inf)
 
     @property

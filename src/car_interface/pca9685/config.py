@@ -4,8 +4,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from car_interface.common.errors import ConfigError
-from car_interface.common.servo_channels import CHANNELS, MAX_DUTY
-from car_interface.common.units import NS_PER_S
+from car_interface.common.units import CHANNELS, MAX_DUTY, NS_PER_S
 from car_interface.pca9685.channels import ChannelConfig, Channels
 from car_interface.pca9685.registers import PRESCALE_MAX, PRESCALE_MIN, prescale_for
 

@@ -22,12 +22,12 @@ from car_interface.common.errors import CarInterfaceError
 from car_interface.common.library_warnings import hide_warnings
 
 NODES = "nodes."
-# Of address space, with memory_limit.adapt. In the demo car_nodes took 348 MiB (VmPeak; 55 threads), demo_drive 313,
-# each other node 282 at most.
+# Of address space, with memory_limit.adapt. In the demo car_nodes took 348 MiB (VmPeak; 55 threads), each other node
+# 282 at most.
 NEEDED_MIB = 380
 WITH_ROSPY = (NODES, "tools.doctor.")
 # The nodes with options of their own, and the module whose parse() reads them.
-OPTIONS = {"nodes.calibration_drive": "tools.calibration.drive.options"}
+OPTIONS = {"nodes.calibration_drive": "tools.calibration.drive.config"}
 
 
 def start(module: str) -> None:

@@ -3,12 +3,12 @@
 Pure. A stop that is certain to brake now may not be when it is needed. An ESC that takes a pull for a brake after
 driving forward takes it for reverse after neutral, so a stop trusts that for half a second of coasting only
 (``throttle.esc.STOP_MEMORY_NS``). So here it counts while the car is driven or braked. A car that coasts too long, or
-whose brake is about to be released, is counted with drag alone, which is what is left then. So it is backward, too,
-and where a brake counts only as long as the car is fast: it may not be by the time that it is needed.
+whose brake is about to be released, is counted with what it loses by itself in neutral (``throttle.slope``). So it is
+backward, too, and where a brake counts only as long as the car is fast: it may not be by the time that it is needed.
 
-What the ground takes away (``throttle.slope``) counts, too. Before it is known the car begins slowly, and where its ESC
-may never brake it rolls in neutral for a moment, which shows it. Where the ESC will brake the push lasts until that is
-certain, also on a slope on which nothing else stops the car, and begins only with room for it. A stop is never pushed.
+Where it isn't certain that the car slows down by itself it has to be found out. A car whose ESC may never brake is
+pushed gently, and rolls in neutral until it is known, or it stands. Where the ESC will brake the push lasts until that
+is certain, and begins only with room for it. A stop is never pushed.
 
 A motor goes on pushing after its throttle was cut. So the throttle is given back gradually, and taken away where the
 car, getting faster as it does, will reach the bound anyway.
@@ -18,39 +18,33 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from car_interface.common import causes
 from car_interface.common.measured_speed import UNSEEN_MPS2, MeasuredSpeed
 from car_interface.common.units import NS_PER_S
 from car_interface.throttle.arbiter import PLANNER, TELEOP, Arbitration
 from car_interface.throttle.esc import BRAKING, FORWARD, NEUTRAL, REVERSE, STOP_MEMORY_NS, EscDecision
 from car_interface.throttle.esc_config import BRAKE_THEN_REVERSE, FORWARD_ONLY, EscConfig
 from car_interface.throttle.limits import BAND_MPS, SpeedBound
-from car_interface.throttle.obstacle_stop import STEEP_MPS2, Guarantee, ObstacleStop
+from car_interface.throttle.obstacle_stop import MIN_STOP_MPS2, STEEP_MPS2, Guarantee, ObstacleStop
 from car_interface.throttle.slope import Slope
 
-ROLLS_MPS = 0.1
+ROLLS_MPS, MOVES_MPS = 0.1, 0.05
 # Before the stop's memory of driving forward ends a stop must have begun, and reached the ESC.
 TRUSTED_COASTING_NS = STOP_MEMORY_NS - round(0.2 * NS_PER_S)
-MOTOR_LAG_S = 0.15
+MOTOR_LAG_S = 0.15  # the longest of the cars in test/rooms
 CUT_S = 0.05 + MOTOR_LAG_S  # from a throttle's cut until the car gets no faster: the way to the ESC, a pulse, the lag
-# A throttle counts as what the car needs for its speed when it gets no faster by it, after this time (the second:
-# towards an echo on a slope that isn't known); and no more after the last.
-STEADY_S, CAREFUL_STEADY_S, LET_GO_S = 0.28, 1.0, 0.25
-LATE_STEADY = 4.0  # longer by so many times odometry's age
+STEADY_S, LATE_STEADY = 0.2, 4.0  # the throttle that holds a speed, by a mean over this, and odometry's age so often
 FULL_MPS2 = 2.0 * UNSEEN_MPS2  # half of the throttle may be all that the motor can do
-# An acceleration that odometry may show where there is none, and its share of the speed.
-NOISE_MPS2, NOISE_PER_S = 0.5, 0.1
-# What a slope on which a car stands in neutral may take from its drag, and what is left of that at least.
-UNKNOWN_SLOPE_MPS2, LEFT_MPS2 = 0.25, 0.05
-# As long as it isn't known how the car slows down here: what a car without a brake, on a slope that is steeper than its
-# drag, is left rolling with. From the second on it rolls in neutral, until it is known or it hardly rolls.
-UNKNOWN_SLOPE_MPS, SHOWS_SLOPE_MPS = 0.3, 0.18
-# There its throttle begins with what the ESC takes at least, and rises by as much in so many seconds until the car
-# moves, and while it gets no faster. So the motor's lag and odometry's age add little.
-RISES_S, MOVES_MPS, RISING_MPS2 = 0.8, 0.05, 0.1
+NOISE_MPS2, NOISE_PER_S = 0.5, 0.1  # an acceleration that odometry may show where there is none; for each m/s
+# To begin where nothing is certain to stop it: up to this speed, with a throttle that rises from the least by as much
+# in so many seconds, so that the motor's lag and odometry's age add little.
+PROBE_MPS, RISES_S, RISING_MPS2 = 0.25, 0.8, 0.1
+DOUBT_MPS2 = 0.04  # of how it slows down, beyond which the car rolls in neutral near its bound, until half is left
+NEAR_MPS = 0.15  # so far below a bound, and more, the least throttle may always be given
 PRIME_S, PRIME_MPS = 0.6, 0.35  # a brake is certain after such a push, which makes the car faster by no more
-LEAST_LEFT_MPS = 0.15  # so far below a bound the least throttle may always be given
-UNKNOWN, UNCERTAIN = "before it is known how it slows down here it has", "before its brake is certain it has"
-FREE_MPS = 0.6  # no echo allows so much on an unknown slope
+# How it begins, in the words of the reason.
+PROBES, PRIMES = "before it is known how it slows down here it has", "before its brake is certain it has"
+STEEP = "nothing is certain to stop it on this slope, which allows"
 
 
 class Obstacle(NamedTuple):
@@ -70,149 +64,162 @@ class ObstacleGuard:
         self.sonars = sonars
         self.slope = Slope(esc)
         self._drag_mps2 = esc.drag_deceleration_mps2
-        # It brakes once it has driven for a while: neutral in between would only delay that.
+        self._brake_mps2 = esc.stop_brake * esc.brake_deceleration_mps2
+        # Its brake becomes certain once it has driven forward for a while.
         self._will_brake = bool(esc.profile in (BRAKE_THEN_REVERSE, FORWARD_ONLY) and esc.profile_measured
                                 and esc.stop_brake)
-        self._brake_mps2 = esc.stop_brake * esc.brake_deceleration_mps2
-        self._answer: EscDecision | None = None
-        self._pushed_ns = -math.inf
-        self._answered_ns = -math.inf
         self._least = esc.dead_band_forward, esc.dead_band_reverse
-        self._pushes = 0.0  # the throttle that it has
-        self._steady = 0.0  # the throttle that the car needs for its speed
+        self._answer: EscDecision | None = None
+        self._push_began_ns = self._pushed_ns = self._answered_ns = -math.inf
+        self._throttle = 0.0  # that it has
+        self._steady = 0.0  # that which holds its speed
         self._late_s = 0.0  # odometry's age
-        self._stops = False
-        self._shows_slope = False
-        self._is_careful = False  # towards an echo, where it isn't known how the car slows down
+        self._rolls = False  # in neutral, to show how it slows down
 
     def update_esc(self, answer: EscDecision, now_ns: int) -> None:
-        """What the ESC was given."""
-        self._answer = answer
-        if answer.state == FORWARD and answer.fraction > 0:
-            self._pushed_ns = now_ns
+        """Take what the ESC was given."""
         elapsed_s = (now_ns - self._answered_ns) / NS_PER_S
-        self._answered_ns = now_ns
-        self._pushes = pushes = abs(answer.fraction) if answer.state in (FORWARD, REVERSE) else 0.0
-        if pushes < self._steady:
-            self._steady += (pushes - self._steady) * min(1.0, elapsed_s / LET_GO_S)
-        elif self.slope.acceleration_mps2 < NOISE_MPS2:
-            after_s = (CAREFUL_STEADY_S if self._is_careful else STEADY_S) + LATE_STEADY * self._late_s
-            self._steady += (pushes - self._steady) * min(1.0, elapsed_s / after_s)
+        self._answer, self._answered_ns = answer, now_ns
+        if answer.state == FORWARD and answer.fraction > 0:
+            self._push_began_ns = self._push_began_ns if self._throttle else now_ns
+            self._pushed_ns = now_ns
+        self._throttle = abs(answer.fraction) if answer.state in (FORWARD, REVERSE) else 0.0
+        # What accelerates the car is more than what holds its speed. A roll to measure the ground changes neither.
+        surplus = max(0.0, self.slope.acceleration_mps2) / UNSEEN_MPS2
+        holds = max(0.0, (self._steady if self._rolls else self._throttle) - surplus)
+        self._steady += (holds - self._steady) * min(1.0, elapsed_s / (STEADY_S + LATE_STEADY * self._late_s))
         self.slope.update_esc(answer.fraction, now_ns)
 
     def update_speed(self, speed_mps: float, now_ns: int, age_ns: int, curvature_per_m: float) -> None:
-        """The measured speed, forward positive, how old it was at its arrival, and the arc on which the car drives."""
+        """Take the measured speed, forward positive, how old it was at its arrival, and the arc that the car drives."""
         self.slope.update_speed(speed_mps, now_ns - max(0, age_ns), curvature_per_m)
 
     def check(self, arbitration: Arbitration, speed: MeasuredSpeed, curvature_per_m: float, now_ns: int) -> Obstacle:
-        """What the sonars allow whoever drives, in the direction in which the car drives."""
+        """Return what the sonars allow, whoever drives, in the direction in which the car drives."""
         if not speed.was_received:
             return NONE
         self.sonars.update_motion(speed.last_mps, curvature_per_m, now_ns)
         if arbitration.is_stop or arbitration.source not in (TELEOP, PLANNER):
             return NONE
+        self._late_s = speed.age_s(now_ns)
         is_reverse = self._answer is not None and self._answer.state == REVERSE
         is_backward = speed.last_mps <= -ROLLS_MPS or speed.last_mps < ROLLS_MPS and (
             is_reverse or arbitration.asked < 0)
-        guarantee = self._guarantee(arbitration, is_backward, is_backward or is_reverse, curvature_per_m, now_ns)
-        is_certain = guarantee.stop_mps2 > guarantee.drag_mps2
-        is_known = self.slope.is_known(is_backward) or is_certain
-        self._late_s = speed.age_s(now_ns)
-        late_s = self._late_s + MOTOR_LAG_S
-        highest_mps = self._highest_mps(speed, now_ns)
-        primed = None
-        if not is_certain and (not is_known or guarantee.stop_mps2 < STEEP_MPS2):
-            primed = self._primed(arbitration, is_backward, guarantee, curvature_per_m, highest_mps, now_ns)
-        to_echo = None if is_known else self._on_unknown_slope(guarantee)
-        bound = primed or self.sonars.bound(curvature_per_m, is_backward, guarantee, now_ns, late_s, to_echo=to_echo)
-        self._is_careful = not is_known and bound.speed_mps < FREE_MPS
-        if speed.magnitude_mps >= ROLLS_MPS and self._goes_on_stopping(is_backward):
-            bound = bound._replace(speed_mps=min(ROLLS_MPS, bound.speed_mps), words=UNKNOWN)
-        self._stops = highest_mps > bound.speed_mps and speed.magnitude_mps >= ROLLS_MPS
-        if self._stops:
+        gain_mps2 = self._gain_mps2(speed)
+        highest_mps = self._highest_mps(speed, gain_mps2, now_ns)
+        reaches_mps = highest_mps + gain_mps2 * CUT_S
+        coasting = self.slope.coasting(is_backward, self._turn_rad(reaches_mps, curvature_per_m, is_backward))
+        brake_mps2 = 0.0 if is_backward or is_reverse else self._certain_brake_mps2(arbitration, coasting, now_ns)
+        stop_mps2 = max(coasting.certain_mps2, brake_mps2)
+        begins = self._begins(arbitration, coasting, is_backward) if stop_mps2 < STEEP_MPS2 else ""
+        bound = self._bound(begins, stop_mps2, coasting, reaches_mps, curvature_per_m, is_backward, now_ns)
+        self._rolls = highest_mps >= MOVES_MPS and self._is_in_doubt(coasting, stop_mps2, bound, highest_mps)
+        if highest_mps > bound.speed_mps and speed.magnitude_mps >= ROLLS_MPS:
             return Obstacle(stop=bound)
-        if not is_known or primed:
-            bound = self._begun_slowly(bound, is_known, primed, is_backward, speed, highest_mps, now_ns)
+        if begins == PRIMES:
+            throttle = self._primes(bound, highest_mps, now_ns)
+        elif self._rolls or reaches_mps >= bound.speed_mps:
+            throttle = 0.0
         else:
-            self._shows_slope = False
-            bound = self._approached(bound, is_backward, highest_mps, speed, now_ns)
-        return Obstacle(bounds=(bound,))
+            throttle = self._approach(bound, is_backward, highest_mps)
+            if begins == PROBES:
+                throttle = min(throttle, self._rising(is_backward, highest_mps, now_ns))
+        return Obstacle(bounds=(bound._replace(max_throttle=throttle),))
 
-    def _primed(self, arbitration, is_backward, guarantee, curvature_per_m, highest_mps, now_ns):
-        """The bound of a car whose brake a push will make certain; ``None``: there is no room for that."""
-        brake_mps2 = self._brake_mps2 - self.slope.brake_lacks_mps2(False)
-        if not (self._will_brake and not is_backward and arbitration.asked > 0 and brake_mps2 > STEEP_MPS2
-                and (self._answer is None or self._answer.state in (FORWARD, NEUTRAL))):
-            return None
-        late_s = self._late_s + MOTOR_LAG_S + PRIME_S
-        certain = Guarantee(brake_mps2, 0.0, guarantee.drag_mps2)
-        bound = self.sonars.bound(curvature_per_m, False, certain, now_ns, late_s)
-        return bound if self._pushes or bound.speed_mps >= highest_mps + PRIME_MPS else None
+    def _gain_mps2(self, speed):
+        """The acceleration, where it is more than noise may look like."""
+        gain_mps2 = self.slope.acceleration_mps2
+        return gain_mps2 if gain_mps2 > NOISE_MPS2 + NOISE_PER_S * speed.magnitude_mps else 0.0
 
-    def _goes_on_stopping(self, is_backward):
-        """Whether a stop brakes where it isn't known how the car slows down without that: its brake isn't certain once
-        it was released.
-        """
-        return (self._stops and self._answer is not None and self._answer.state == BRAKING
-                and not self.slope.is_known(is_backward))
-
-    def _guarantee(self, arbitration, is_backward, by_drag, curvature_per_m, now_ns):
-        drag_mps2 = max(0.01, self._drag_mps2 - self.slope.lacks_mps2(is_backward, curvature_per_m))
-        drag = Guarantee(drag_mps2, 0.0, drag_mps2)
-        answer = self._answer
-        if by_drag or answer is None or answer.coasts_below_mps or answer.stop_mps2 <= self._drag_mps2:
-            return drag
-        is_trusted = (answer.state == FORWARD or answer.state == BRAKING and arbitration.asked < 0
-                      or answer.state == NEUTRAL and now_ns - self._pushed_ns <= TRUSTED_COASTING_NS)
-        brake_mps2 = answer.stop_mps2 - self.slope.brake_lacks_mps2(is_backward)
-        return Guarantee(brake_mps2, 0.0, drag_mps2) if is_trusted and brake_mps2 > drag_mps2 else drag
-
-    def _highest_mps(self, speed, now_ns):
+    def _highest_mps(self, speed, gain_mps2, now_ns):
         """The speed that the car may have now, by the age of what was measured."""
         if speed.is_late(now_ns):
             return speed.highest_mps(now_ns)
-        return speed.magnitude_mps + max(0.0, self._gain_mps2(speed)) * speed.age_s(now_ns)
+        return speed.magnitude_mps + gain_mps2 * self._late_s
 
-    def _gain_mps2(self, speed):
-        """The acceleration beyond what noise looks like."""
-        return self.slope.acceleration_mps2 - NOISE_MPS2 - NOISE_PER_S * speed.magnitude_mps
+    def _turn_rad(self, speed_mps, curvature_per_m, is_backward):
+        """By how much the heading will have changed halfway to where drag stops the car.
 
-    def _on_unknown_slope(self, guarantee):
-        drag_mps2 = min(guarantee.drag_mps2, max(LEFT_MPS2, self._drag_mps2 - UNKNOWN_SLOPE_MPS2))
-        return Guarantee(drag_mps2, 0.0, drag_mps2)
+        Gravity's work on an arc is that along its chord, which points as the car does halfway.
+        """
+        halfway_m = speed_mps * speed_mps / (4.0 * self._drag_mps2)
+        return halfway_m * curvature_per_m * (-1.0 if is_backward else 1.0)
 
-    def _begun_slowly(self, allowed, is_known, primed, is_backward, speed, highest_mps, now_ns):
-        """A bound while it isn't known how the car slows down here, or while its brake isn't certain."""
-        will_brake = self._will_brake and not is_backward
-        self._shows_slope = (not will_brake and highest_mps >= MOVES_MPS
-                             and (self._shows_slope or highest_mps >= SHOWS_SLOPE_MPS))
-        most_mps = min(highest_mps, UNKNOWN_SLOPE_MPS) if self._shows_slope else UNKNOWN_SLOPE_MPS
-        words = UNCERTAIN if is_known else UNKNOWN
-        bound = allowed if most_mps >= allowed.speed_mps else allowed._replace(speed_mps=most_mps, words=words)
-        bound = self._approached(bound, is_backward, highest_mps, speed, now_ns)
-        bound = bound._replace(max_throttle=min(bound.max_throttle, self._rising(is_backward, highest_mps, now_ns)))
-        if primed:
-            return self._prolonged(bound, allowed, highest_mps)
-        return bound._replace(max_throttle=0.0) if will_brake and not self._pushes else bound
+    def _certain_brake_mps2(self, arbitration, coasting, now_ns):
+        """The deceleration of a brake that is certain by the time that it is needed; 0: there is none."""
+        answer = self._answer
+        if answer is None or answer.coasts_below_mps or answer.stop_mps2 <= self._drag_mps2:
+            return 0.0
+        is_trusted = (answer.state == FORWARD or answer.state == BRAKING and arbitration.asked < 0
+                      or answer.state == NEUTRAL and now_ns - self._pushed_ns <= TRUSTED_COASTING_NS)
+        return answer.stop_mps2 - self._brake_lacks_mps2(coasting) if is_trusted else 0.0
 
-    def _prolonged(self, bound, allowed, highest_mps):
-        """The same for a car that is pushed: a push that ends too early makes no brake certain."""
-        least = self._least[False]
-        least_mps = min(allowed.speed_mps, highest_mps + BAND_MPS * (least + 0.01))
-        return bound._replace(speed_mps=max(bound.speed_mps, least_mps), max_throttle=max(bound.max_throttle, least))
+    def _brake_lacks_mps2(self, coasting):
+        return max(0.0, self._drag_mps2 - coasting.likely_mps2, self.slope.brake_lacks_mps2)
+
+    def _begins(self, arbitration, coasting, is_backward):
+        """How a car begins that nothing is certain to stop; empty: it doesn't."""
+        if self._will_brake and not is_backward:
+            may_prime = self._answer is None or self._answer.state in (FORWARD, NEUTRAL)
+            return PRIMES if arbitration.asked > 0 and may_prime else ""
+        return PROBES if coasting.likely_mps2 >= STEEP_MPS2 else ""
+
+    def _bound(self, begins, stop_mps2, coasting, reaches_mps, curvature_per_m, is_backward, now_ns):
+        late_s = self._late_s + MOTOR_LAG_S
+        if begins == PRIMES:
+            stop_mps2 = self._brake_mps2 - self._brake_lacks_mps2(coasting)
+            pushed_s = (now_ns - self._push_began_ns) / NS_PER_S if self._throttle else 0.0
+            late_s += max(0.0, PRIME_S - pushed_s)
+        elif begins == PROBES:
+            stop_mps2 = MIN_STOP_MPS2
+        elif stop_mps2 < STEEP_MPS2:
+            return SpeedBound(0.0, causes.OBSTACLE_SLOWED, STEEP)
+        guarantee = Guarantee(stop_mps2, 0.0, stop_mps2)
+        bound = self.sonars.bound(curvature_per_m, is_backward, guarantee, now_ns, late_s)
+        if begins == PRIMES:
+            return bound._replace(words=PRIMES)
+        if begins == PROBES:
+            return bound._replace(speed_mps=PROBE_MPS, words=PROBES) if bound.speed_mps > PROBE_MPS else bound
+        is_by_drag = stop_mps2 == coasting.certain_mps2
+        return self._sustained(bound, stop_mps2, reaches_mps, curvature_per_m, is_backward) if is_by_drag else bound
+
+    def _sustained(self, bound, stop_mps2, reaches_mps, curvature_per_m, is_backward):
+        """The bound that still holds once the car is as fast.
+
+        A faster car stops farther along its arc, on another heading, where less may be certain to stop it. The bound
+        goes with that deceleration's root; where a straight line through its values at the present speed and at the
+        bound itself meets the speed lies what can be kept.
+        """
+        left_mps = bound.speed_mps - reaches_mps
+        if left_mps <= 0.0 or not curvature_per_m:
+            return bound
+        turn_rad = self._turn_rad(bound.speed_mps, curvature_per_m, is_backward)
+        there_mps2 = max(0.0, self.slope.coasting(is_backward, turn_rad).certain_mps2)
+        falls_mps = max(0.0, bound.speed_mps * (1.0 - math.sqrt(there_mps2 / stop_mps2)))
+        return bound._replace(speed_mps=reaches_mps + left_mps * left_mps / (left_mps + falls_mps))
+
+    def _is_in_doubt(self, coasting, stop_mps2, bound, highest_mps):
+        """Whether to roll in neutral: to know better how it slows down would allow more than its bound."""
+        doubt_mps2 = min(self._drag_mps2, coasting.likely_mps2) - max(stop_mps2, coasting.certain_mps2)
+        if self._rolls:
+            return doubt_mps2 > DOUBT_MPS2 / 2.0
+        return doubt_mps2 > DOUBT_MPS2 and highest_mps >= bound.speed_mps - NEAR_MPS
+
+    def _primes(self, bound, highest_mps, now_ns):
+        """The throttle until the brake is certain: a push that ends too early makes it no more so."""
+        if not self._throttle and bound.speed_mps < highest_mps + PRIME_MPS:
+            return 0.0
+        return self._rising(False, highest_mps, now_ns) if highest_mps < PROBE_MPS else self._least[False]
 
     def _rising(self, is_backward, highest_mps, now_ns):
-        """The throttle that may be given there."""
+        """The throttle on ground that isn't known: it rises until the car moves, and while it gets no faster."""
         rises = highest_mps < MOVES_MPS or self.slope.acceleration_mps2 < RISING_MPS2
         elapsed_s = min(0.1, (now_ns - self._answered_ns) / NS_PER_S) if rises else 0.0
-        return max(self._least[is_backward], self._pushes * (1.0 + elapsed_s / RISES_S))
+        return max(self._least[is_backward], self._throttle * (1.0 + elapsed_s / RISES_S))
 
-    def _approached(self, bound, is_backward, highest_mps, speed, now_ns):
-        """A bound with the throttle that may be given on the way to it."""
-        left_mps, age_s = bound.speed_mps - highest_mps, speed.age_s(now_ns)
-        gain_mps2 = self._gain_mps2(speed)
-        if gain_mps2 > 0.0 and left_mps <= gain_mps2 * CUT_S:
-            return bound._replace(max_throttle=0.0)
-        gradual_mps = BAND_MPS + FULL_MPS2 * (CUT_S + age_s)
-        least = self._least[is_backward] if left_mps > LEAST_LEFT_MPS else 0.0
-        return bound._replace(max_throttle=max(least, min(1.0, self._steady + left_mps / gradual_mps)))
+    def _approach(self, bound, is_backward, highest_mps):
+        """The throttle on the way to a bound."""
+        left_mps = bound.speed_mps - highest_mps
+        gradual_mps = BAND_MPS + FULL_MPS2 * (CUT_S + self._late_s)
+        least = self._least[is_backward] if left_mps > NEAR_MPS else 0.0
+        return max(least, min(1.0, self._steady + left_mps / gradual_mps))

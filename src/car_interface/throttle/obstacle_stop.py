@@ -154,7 +154,7 @@ class ObstacleStop:
             timed.mark_stale()
 
     def bound(self, curvature_per_m: float, is_backward: bool, guarantee: Guarantee, now_ns: int,
-              late_s: float = 0.0, counts_sides: bool = True, to_echo: Guarantee | None = None) -> SpeedBound | None:
+              late_s: float = 0.0, counts_sides: bool = True) -> SpeedBound | None:
         """The speed that the car may have on this arc; ``None``: nothing bounds it, which takes ``counts_sides`` false.
 
         Args:
@@ -163,7 +163,6 @@ class ObstacleStop:
             guarantee: the deceleration that a stop is certain of.
             now_ns: the time.
             late_s: by so much longer the car drives on towards an echo: odometry's age, and the motor's lag.
-            to_echo: the deceleration on the way to an echo; ``None`` = the same.
             counts_sides: the fan's sides are an end, too. They aren't to one who knows what is beside the car.
         """
         end = self._fans[is_backward].end(curvature_per_m, self._reaches_m)
@@ -174,15 +173,13 @@ class ObstacleStop:
         for name, met in self._echoes.meets(curvature_per_m, is_backward).items():
             age_s = 0.0 if self._echoes.are_moved else self._ranges[name].age_s(now_ns)
             time_s = age_s + self._cycles_s[name] + self.config.actuation_s + late_s
-            speed_mps = stopping_speed_mps(met.distance_m - self.config.margin_m, time_s, to_echo or guarantee)
+            speed_mps = stopping_speed_mps(met.distance_m - self.config.margin_m, time_s, guarantee)
             if bound is None or speed_mps < bound.speed_mps:
                 bound = SpeedBound(speed_mps, causes.OBSTACLE_SLOWED, self._echo_words(name, met))
         return bound
 
     def _bound_of_unknown(self, end, guarantee, now_ns):
         config = self.config
-        if guarantee.stop_mps2 < STEEP_MPS2:
-            return SpeedBound(0.0, causes.OBSTACLE_SLOWED, "nothing is certain to stop it on this slope, which allows")
         if not end.sonar:
             return SpeedBound(config.creep_mps, causes.OBSTACLE_SLOWED, "no sonar looks along this arc, which allows")
         time_s = max(self._ranges[end.sonar].age_s(now_ns), self._cycles_s[end.sonar]) + config.actuation_s

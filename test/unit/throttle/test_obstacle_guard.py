@@ -21,6 +21,7 @@ AHEAD, BEHIND = Mount(0.42, 0.0, 0.0), Mount(-0.14, 0.0, math.pi)
 CERTAIN, DRAG = Guarantee(1.5, 0.0, 0.3), Guarantee(0.3, 0.0, 0.3)
 BY_BRAKE, BY_DRAG = (pytest.approx(stopping_speed_mps(1.494 - 0.1, 0.4 + 0.1 + MOTOR_LAG_S, guarantee), rel=0.05)
                      for guarantee in (CERTAIN, DRAG))
+ROLLS_MPS2 = 0.45  # of the cars here, more than their files say
 BRAKES = EscConfig(BRAKE_THEN_REVERSE, profile_measured=True)
 
 
@@ -48,7 +49,7 @@ def roll(guard, speeds, from_ns, curvature_per_m=0.0):
 def measured(guard, until_ns, downhill_mps2=0.0, sign=1):
     """It has rolled in neutral for a second, until then, on ground that pulls like that."""
     guard.update_esc(decided(NEUTRAL, 0.0, 0.3), until_ns - 1000 * MS)
-    speeds = [sign * (1.0 + (downhill_mps2 - 0.3) * 0.02 * index) for index in range(50)]
+    speeds = [sign * (1.0 + (downhill_mps2 - ROLLS_MPS2) * 0.02 * index) for index in range(50)]
     roll(guard, speeds, until_ns - 980 * MS)
 
 
@@ -136,39 +137,54 @@ def test_where_nobody_drives_or_without_any_odometry_there_is_nothing_to_bound(a
 # --- the ground ---
 
 def test_downhill_it_counts_on_less_by_drag_and_by_brake():
-    by_drag, _ = allowed(guard_after(downhill_mps2=0.15), asked(0.5), 0.2)
-    by_brake, _ = allowed(guard_after((FORWARD, 0.5, 0.0), downhill_mps2=0.15), asked(0.5), 0.2)
+    by_drag, _ = allowed(guard_after(downhill_mps2=0.25), asked(0.5), 0.2)
+    by_brake, _ = allowed(guard_after((FORWARD, 0.5, 0.0), downhill_mps2=0.25), asked(0.5), 0.2)
     level = allowed(guard_after(), asked(0.5), 0.2)[0], allowed(guard_after((FORWARD, 0.5, 0.0)), asked(0.5), 0.2)[0]
-    assert by_drag < 0.75 * level[0] and 0.85 * level[1] < by_brake < level[1]
+    assert by_drag < 0.85 * level[0] and 0.85 * level[1] < by_brake < level[1]
 
 
-@pytest.mark.parametrize("downhill_mps2", [0.4, 0.2])
+@pytest.mark.parametrize("downhill_mps2", [0.55, 0.37])
 def test_where_it_would_hardly_stop_by_itself_it_is_not_pushed_and_where_it_brakes_it_is(downhill_mps2):
     assert allowed(guard_after(downhill_mps2=downhill_mps2, esc=EscConfig()), asked(0.5), 0.0) == (0.0, False)
     assert allowed(guard_after((FORWARD, 0.5, 0.0), downhill_mps2=downhill_mps2), asked(0.5), 0.5)[0] > 1.0
 
 
 def test_before_it_is_known_how_it_slows_down_here_it_begins_slowly():
-    guard = guard_after(is_measured=False, ahead_m=math.inf)
-    bound, is_stop = check(guard, asked(0.5), moving(0.0))
-    assert (bound.speed_mps, bound.words, is_stop) == (0.3, "before it is known how it slows down here it has", False)
-    assert allowed(guard_after(is_measured=False, ahead_m=1.8), asked(0.5), 0.0)[0] == 0.3
-    near = allowed(guard_after(is_measured=False, ahead_m=0.5), asked(0.5), 0.0)[0]
-    assert near < 0.55 * allowed(guard_after(ahead_m=0.5), asked(0.5), 0.0)[0]
+    unknown = {"is_measured": False, "esc": EscConfig()}
+    bound, is_stop = check(guard_after(**unknown, ahead_m=math.inf), asked(0.5), moving(0.0))
+    assert (bound.speed_mps, bound.words, is_stop) == (0.25, "before it is known how it slows down here it has", False)
+    near = [allowed(guard_after(ahead_m=0.5, **one), asked(0.5), 0.0)[0] for one in (unknown, {"esc": EscConfig()})]
+    assert 0.05 < near[0] < 0.4 * near[1]
 
 
-@pytest.mark.parametrize(("esc", "is_pushed"), [(EscConfig(), False), (BRAKES, True)],
-                         ids=["unverified", "brakes_later"])
-def test_a_car_that_may_never_brake_rolls_in_neutral_for_a_moment_which_shows_the_slope(esc, is_pushed):
-    guard = guard_after(is_measured=False, ahead_m=math.inf, esc=esc)
-    bound, _ = check(guard, asked(0.5), moving(0.2))
-    assert (bound.speed_mps, bound.max_throttle > 0.0) == (0.3 if is_pushed else 0.2, is_pushed)
-    # It goes on rolling until it is known, or it hardly rolls.
-    guard.check(asked(0.5), moving(0.15), 0.0, NOW)
-    assert (check(guard, asked(0.5), moving(0.15))[0].speed_mps == 0.15) == (not is_pushed)
-    assert check(guard, asked(0.5), moving(0.04))[0].speed_mps == 0.3
+def test_a_car_that_may_never_brake_rolls_in_neutral_until_it_is_known_how_it_slows_down():
+    guard = guard_after(is_measured=False, ahead_m=math.inf, esc=EscConfig())
+    assert check(guard, asked(0.5), moving(0.09))[0].max_throttle > 0.0
+    assert check(guard, asked(0.5), moving(0.2))[0].max_throttle == 0.0
+    assert check(guard, asked(0.5), moving(0.06))[0].max_throttle == 0.0  # it goes on, until it hardly rolls
+    assert check(guard, asked(0.5), moving(0.04))[0].max_throttle > 0.0
     measured(guard, NOW)
-    assert check(guard, asked(0.5), moving(0.22))[0].speed_mps > 0.7
+    bound, _ = check(guard, asked(0.5), moving(0.22))
+    assert bound.speed_mps > 0.7 and bound.max_throttle > 0.0
+
+
+def test_it_rolls_again_near_its_bound_where_it_turns_to_a_heading_that_is_not_known():
+    guard = guard_after(esc=EscConfig(), ahead_m=math.inf)
+    near_mps = allowed(guard, asked(0.5), 0.5)[0] - 0.1
+    assert check(guard, asked(0.5), moving(near_mps))[0].max_throttle > 0.0
+    guard.update_esc(decided(FORWARD, 0.2, 0.3), NOW - S)
+    roll(guard, [0.8] * 50, NOW - S, 1.2)
+    assert check(guard, asked(0.5), moving(0.3))[0].max_throttle > 0.0
+    bound, is_stop = check(guard, asked(0.5), moving(check(guard, asked(0.5), moving(0.3))[0].speed_mps - 0.05))
+    assert (bound.max_throttle, is_stop) == (0.0, False)
+
+
+def test_on_an_arc_the_ground_counts_on_which_it_will_stop():
+    guard = guard_after(esc=EscConfig(), ahead_m=math.inf)
+    straight_mps, arc_mps = (allowed(guard, asked(0.5), 0.6, curvature)[0] for curvature in (0.0, 0.1))
+    assert arc_mps == pytest.approx(straight_mps, rel=0.1)
+    guard.slope._yaw_rad += math.pi / 2
+    assert allowed(guard, asked(0.5), 0.2)[0] == 0.25
 
 
 def test_its_throttle_rises_from_the_least_until_the_car_moves():
@@ -212,13 +228,13 @@ def test_a_stop_that_brakes_where_drag_is_not_known_goes_on_until_the_car_hardly
 
 def test_odometry_s_age_counts_with_what_the_car_gains_in_it():
     guard = guard_after((FORWARD, 0.5, 0.0))
-    roll(guard, [0.2 + 0.06 * index for index in range(10)], NOW - 180 * MS)  # 3 m/s²
+    roll(guard, [0.2 + 0.04 * index for index in range(10)], NOW - 180 * MS)  # 2 m/s²
     late = MeasuredSpeed(0.5)
     for index in range(10):
-        late.update(0.2 + 0.06 * index, NOW - 180 * MS + index * 20 * MS, 150 * MS)
+        late.update(0.2 + 0.04 * index, NOW - 180 * MS + index * 20 * MS, 150 * MS)
     bound, is_stop = check(guard, asked(0.5), late)
     assert not is_stop and bound.max_throttle == 0.0
-    assert allowed(guard, asked(0.5), 0.74)[0] > bound.speed_mps  # an echo comes nearer in that time
+    assert allowed(guard, asked(0.5), 0.56)[0] > bound.speed_mps  # an echo comes nearer in that time
     faster = MeasuredSpeed(0.5)
     for index in range(10):
         faster.update(bound.speed_mps - 0.1 + 0.001 * index, NOW - 180 * MS + index * 20 * MS, 150 * MS)

@@ -143,11 +143,6 @@ def test_a_creep_is_left_into_the_unknown_and_none_towards_an_echo():
     assert bound_of({}, names=REAR) == (CREEP, causes.OBSTACLE_SLOWED, "no sonar looks along this arc, which allows")
 
 
-def test_where_nothing_is_certain_to_stop_it_no_creep_is_left_either():
-    speed_mps, _, words = bound_of({"front_middle": math.inf}, guarantee=Guarantee(0.01, 0.0, 0.01))
-    assert (speed_mps, words) == (0.0, "nothing is certain to stop it on this slope, which allows")
-
-
 def test_an_echo_counts_where_it_is_now_and_a_little_later():
     stop = seeing({"front_middle": 1.5})
     stop.update_motion(1.0, 0.0, 10 * S + 500 * MS)

@@ -1,4 +1,4 @@
-"""By how much less than configured a car slows down, as its wheels show it."""
+"""How strongly a car slows down by itself, in each direction, as its rolls in neutral show it."""
 from __future__ import annotations
 
 import math
@@ -38,122 +38,106 @@ class Car:
 
 @pytest.mark.parametrize("late_ms", [0, 150])
 @pytest.mark.parametrize("lag_s", [0.02, 0.15])
-def test_on_level_ground_nothing_is_lacking_whatever_the_motor_s_lag(lag_s, late_ms):
-    car = Car(lag_s=lag_s, late_ms=late_ms)
-    assert not car.slope.is_known(False)
+@pytest.mark.parametrize("downhill_mps2", [-0.4, 0.0, 0.2, 0.49])
+def test_a_roll_shows_how_it_slows_down_whatever_the_motor_s_lag(downhill_mps2, lag_s, late_ms):
+    car = Car(lag_s=lag_s, late_ms=late_ms, downhill_mps2=downhill_mps2)
     car.run(0.5, 0.4, 2.3)
-    slope = car.run(1.0)
-    assert slope.is_known(False)
-    assert slope.lacks_mps2(False) == slope.brake_lacks_mps2(False) == 0.0
-
-
-@pytest.mark.parametrize("downhill_mps2", [0.2, 0.49])
-@pytest.mark.parametrize("lag_s", [0.02, 0.15])
-def test_downhill_the_drag_lacks_what_gravity_pulls_and_a_little_more(downhill_mps2, lag_s):
-    car = Car(downhill_mps2=downhill_mps2, lag_s=lag_s)
-    car.run(0.5, 0.4, 2.3)
-    slope = car.run(1.2)
-    assert downhill_mps2 - 0.01 <= slope.lacks_mps2(False) <= downhill_mps2 + 0.1
-    assert slope.brake_lacks_mps2(False) == slope.lacks_mps2(False)
-
-
-def test_what_the_motor_still_pushes_is_not_taken_for_a_slope():
-    car = Car(lag_s=0.15)
-    car.run(0.6, 1.0, 5.0)
+    truth_mps2 = 0.3 - downhill_mps2
     for _ in range(60):
-        assert car.run(0.02).lacks_mps2(False) == 0.0
+        certain_mps2, likely_mps2 = car.run(0.02).coasting(False)
+        assert certain_mps2 <= min(0.3, truth_mps2) + 0.15  # soon after it began
+    assert certain_mps2 <= min(0.3, truth_mps2)
+    assert likely_mps2 == pytest.approx(truth_mps2, abs=0.06)
+    assert certain_mps2 == pytest.approx(min(0.3, truth_mps2), abs=0.1)
 
 
-def test_where_drag_is_as_strong_as_configured_it_is_known_before_the_motor_has_let_go():
-    car = Car(speed_mps=0.3)
-    car.run(0.2, 0.25, 1.0, drag_mps2=0.45)
-    assert car.run(0.4, drag_mps2=0.45).is_known(False)
+def test_before_the_first_roll_nothing_is_certain_and_a_push_shows_nothing():
+    slope = Car().run(2.0, 0.4, 1.0)
+    assert slope.coasting(False).certain_mps2 < 0.0 and slope.coasting(False).likely_mps2 == pytest.approx(0.3)
 
 
-def test_uphill_nothing_is_gained():
-    slope = Car(speed_mps=2.0, downhill_mps2=-0.4).run(1.0)
-    assert slope.is_known(False) and slope.lacks_mps2(False) == 0.0
-
-
-def test_forward_and_backward_are_measured_each_for_itself():
-    car = Car(speed_mps=-1.0, downhill_mps2=-0.25)  # downhill is backward here
-    slope = car.run(1.2)
-    assert slope.is_known(True) and not slope.is_known(False)
-    assert slope.lacks_mps2(True) == pytest.approx(0.29, abs=0.05)
-    assert slope.lacks_mps2(False) == 0.0
-
-
-def test_a_weak_brake_lacks_what_it_lacks_and_says_nothing_about_drag():
-    car = Car(speed_mps=3.0)
-    slope = car.run(1.2, -0.5, -0.7)
-    assert slope.brake_lacks_mps2(False) == pytest.approx(1.5 - 1.0 + 0.04, abs=0.03)
-    assert slope.lacks_mps2(False) == 0.0 and not slope.is_known(False)
-    assert Car(speed_mps=3.0).run(0.8, -0.5, -2.0).brake_lacks_mps2(False) == 0.0
+def test_the_longer_it_rolls_the_more_is_certain():
+    car = Car(speed_mps=2.0, downhill_mps2=0.1)
+    certain_mps2 = [car.run(0.3).coasting(False).certain_mps2 for _ in range(4)]
+    assert certain_mps2 == sorted(certain_mps2) and certain_mps2[0] < certain_mps2[-1] - 0.1
 
 
 @pytest.mark.parametrize(("speed_mps", "brakes_s"), [(1.6, 0.36), (0.62, 0.3)], ids=["it_rolls_on", "it_stands_soon"])
 def test_what_is_left_of_a_brake_is_not_taken_for_drag(speed_mps, brakes_s):
     car = Car(speed_mps=speed_mps, lag_s=0.15, downhill_mps2=0.25)
     car.run(brakes_s, -0.5, -2.0)
-    for _ in range(20):
-        assert not car.run(0.02).is_known(False)
-    assert speed_mps < 1.0 or car.run(1.0).lacks_mps2(False) == pytest.approx(0.25, abs=0.1)
+    for _ in range(40):
+        assert car.run(0.02).coasting(False).certain_mps2 <= 0.05 + 0.05
 
 
-def test_what_was_lacking_is_given_back_slowly_by_later_measurements():
-    car = Car(downhill_mps2=0.2, speed_mps=2.0)
-    before_mps2 = car.run(1.0).lacks_mps2(False)
-    car.downhill_mps2 = 0.0
-    car.run(2.0, 0.2, 0.3)
-    assert car.run(1.0).lacks_mps2(False) == pytest.approx(before_mps2 - 0.1, abs=0.03)
+def test_a_weak_brake_lacks_what_it_lacks_and_says_nothing_about_drag():
+    slope = Car(speed_mps=3.0).run(1.2, -0.5, -0.7)
+    assert slope.brake_lacks_mps2 == pytest.approx(1.5 - 1.0, abs=0.03)
+    assert slope.coasting(False).certain_mps2 < 0.0
+    assert Car(speed_mps=3.0).run(1.0, -0.5, -2.0).brake_lacks_mps2 == 0.0
 
 
-def test_it_takes_more_than_a_glance_to_find_that_less_is_lacking():
-    car = Car(speed_mps=2.0, downhill_mps2=0.2)
+def turned(downhill_mps2, *turns_rad):
+    """A car that has rolled on a slope (downhill at the heading 0), at each of some headings."""
+    car, heading_rad = Car(), 0.0
+    for turn_rad in turns_rad:
+        car.speed_mps, car.force_mps2 = 1.0, 0.0
+        car.downhill_mps2, car.curvature_per_m = 0.0, turn_rad / 0.5
+        car.run(0.5, 0.3, 0.3)
+        heading_rad += turn_rad
+        car.downhill_mps2, car.curvature_per_m = downhill_mps2 * math.cos(heading_rad), 0.0
+        car.speed_mps, car.force_mps2 = 2.0, 0.0
+        car.run(0.1, 0.2, 0.3)
+        car.run(1.0)
+    return car.slope
+
+
+def test_the_farther_it_turns_the_less_is_certain_and_nothing_for_the_way_back():
+    slope = turned(0.0, 0.0)
+    certain_mps2 = [slope.coasting(False, turn_rad).certain_mps2 for turn_rad in (0.0, 0.3, 0.8, 1.5)]
+    assert certain_mps2 == sorted(certain_mps2, reverse=True) and certain_mps2[0] > 0.2 > 0.0 > certain_mps2[-1]
+    assert slope.coasting(True).certain_mps2 < 0.0
+    assert slope.coasting(True) == pytest.approx(slope.coasting(False, math.pi))
+
+
+def test_what_climbs_one_way_is_expected_to_go_down_the_other_way():
+    slope = turned(-0.45, 0.0)
+    assert slope.coasting(False) == pytest.approx((0.3, 0.75), abs=0.06)
+    assert slope.coasting(True).likely_mps2 < 0.25 and slope.coasting(True).certain_mps2 < 0.0
+
+
+def test_rolls_at_three_headings_show_the_whole_plane():
+    slope = turned(0.4, 0.0, 1.2, 1.2)
+    for turn_rad in (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0):
+        truth_mps2 = 0.3 - 0.4 * math.cos(2.4 + turn_rad)
+        assert slope.coasting(False, turn_rad).likely_mps2 == pytest.approx(truth_mps2, abs=0.12)
+        assert min(0.3, truth_mps2) - 0.3 < slope.coasting(False, turn_rad).certain_mps2 <= truth_mps2
+
+
+def test_other_ground_is_believed_at_once():
+    car = Car(speed_mps=2.0)
+    for _ in range(5):
+        car.speed_mps = 2.0
+        car.run(1.0)
+    car.speed_mps, car.downhill_mps2 = 1.0, 0.4
+    assert car.run(0.6).coasting(False).likely_mps2 == pytest.approx(-0.1, abs=0.06)
+
+
+def test_a_car_that_has_stood_for_long_may_stand_somewhere_else():
+    car = Car()
     car.run(1.0)
-    car.downhill_mps2 = 0.0
-    car.run(3.5, 0.1, 0.3)
-    assert car.run(0.4).lacks_mps2(False) > 0.2 > car.run(0.6).lacks_mps2(False) + 0.1
+    assert car.slope.coasting(False).certain_mps2 > 0.2
+    car.speed_mps = 0.0
+    assert car.run(2.5, 0.0).coasting(False).certain_mps2 > 0.2
+    assert car.run(1.0, 0.0).coasting(False).certain_mps2 < 0.0
 
 
-def test_a_shortfall_is_known_for_three_seconds_and_a_level_drive_for_as_long_as_it_lasts():
-    level, downhill = Car(speed_mps=2.0), Car(speed_mps=2.0, downhill_mps2=0.3)
-    for car in (level, downhill):
-        car.run(1.0)
-        assert car.slope.is_known(False)
-        car.run(3.5, 0.2, 0.3 - car.downhill_mps2)
-    assert level.slope.is_known(False) and not downhill.slope.is_known(False)
-    assert downhill.run(0.8).is_known(False)
-
-
-def test_a_car_that_has_stood_for_long_or_has_turned_before_it_stood_has_to_be_measured_again():
-    stood, turned, straight = Car(), Car(), Car()
-    turned.curvature_per_m = 1.0
-    for car in (stood, turned, straight):
-        car.run(1.0)
-        car.run(2.0, 0.2, 0.3)
-        assert car.slope.is_known(False)
-        car.run(1.0, -0.5, -3.0, drag_mps2=0.0)
-        car.speed_mps = 0.0
-        car.force_mps2 = 0.0
-        car.run(0.5)
-    assert straight.slope.is_known(False) and not turned.slope.is_known(False)
-    assert not stood.run(3.5).is_known(False)
-
-
-def test_what_stands_in_neutral_has_a_little_drag_left():
-    car = Car(downhill_mps2=0.45)
-    assert car.run(1.5).lacks_mps2(False) > 0.3
-    car.speed_mps = car.downhill_mps2 = 0.0
-    slope = car.run(1.5)
-    # It may roll more freely than it stands.
-    assert slope.lacks_mps2(False) == pytest.approx(0.18) and not slope.is_known(False)
-
-
-def test_a_car_that_stops_in_neutral_before_it_could_be_measured_slows_down_well():
-    car = Car(speed_mps=0.3)
-    car.run(0.1, 0.2, 0.3)
-    assert car.run(0.5, drag_mps2=2.0).is_known(False)
+def test_the_slope_may_change_on_the_way():
+    car = Car(speed_mps=2.0)
+    car.run(1.0)
+    before_mps2 = car.slope.coasting(False).certain_mps2
+    car.run(20.0, 0.2, 0.3)
+    assert car.slope.coasting(False).certain_mps2 < before_mps2 - 0.02
 
 
 def test_the_present_acceleration_is_that_of_the_magnitude():
@@ -164,34 +148,13 @@ def test_the_present_acceleration_is_that_of_the_magnitude():
 
 @settings(max_examples=40)
 @given(speeds=st.lists(st.one_of(st.floats(-5.0, 5.0), st.just(math.nan), st.just(math.inf)), max_size=80),
-       fraction=st.sampled_from([0.0, 0.4, -0.5]))
-def test_whatever_it_is_told_it_only_ever_takes_away(speeds, fraction):
+       fraction=st.sampled_from([0.0, 0.4, -0.5]), curvature=st.floats(-2.0, 2.0))
+def test_whatever_it_is_told_it_promises_no_more_than_configured(speeds, fraction, curvature):
     slope = Slope(ESC)
     slope.update_esc(fraction, 10 * S)
     for index, speed_mps in enumerate(speeds):
-        slope.update_speed(speed_mps, 10 * S + index * 20 * MS, 0.5)
+        slope.update_speed(speed_mps, 10 * S + index * 20 * MS, curvature)
         for is_backward in (False, True):
-            assert 0.0 <= slope.lacks_mps2(is_backward) <= slope.brake_lacks_mps2(False) or is_backward
-            assert math.isfinite(slope.lacks_mps2(is_backward)) and math.isfinite(slope.acceleration_mps2)
-
-
-def test_one_that_comes_to_stand_before_it_is_measured_lacks_what_it_lacked_on_the_whole():
-    car = Car(speed_mps=0.2, downhill_mps2=0.1)
-    car.run(0.06, 0.2, 0.2)
-    slope = car.run(0.62)
-    assert slope.is_known(False)
-    assert 0.05 <= slope.lacks_mps2(False) <= 0.2
-
-
-def test_what_climbs_is_expected_to_go_down_after_a_turn_and_has_a_little_drag_left_to_find_out():
-    car = Car(speed_mps=2.0, downhill_mps2=-0.4)
-    slope = car.run(1.0)
-    assert slope.lacks_mps2(False, 0.0) == slope.lacks_mps2(False, 0.2) == 0.0
-    for expected_mps2 in (slope.lacks_mps2(False, 2.0), slope.lacks_mps2(False, -2.0), slope.lacks_mps2(True)):
-        assert expected_mps2 == pytest.approx(0.18)
-    car.curvature_per_m, car.downhill_mps2 = 2.0, 0.0
-    car.run(1.2, 0.2, 0.3)  # about 150° round
-    assert not slope.is_known(False) and slope.lacks_mps2(False) == pytest.approx(0.18)
-    car.curvature_per_m = 0.0
-    car.run(0.8)  # it is level there: that was drag
-    assert slope.is_known(False) and slope.lacks_mps2(False) == 0.0
+            coasting = slope.coasting(is_backward)
+            assert coasting.certain_mps2 <= 0.3 and math.isfinite(coasting.certain_mps2 + coasting.likely_mps2)
+        assert math.isfinite(slope.acceleration_mps2) and slope.brake_lacks_mps2 >= 0.0

@@ -33,30 +33,27 @@ from visualization_msgs.msg import MarkerArray
 
 from car_interface.common.errors import CarInterfaceError, EndedEarly
 from car_interface.common.rate_timer import RateTimer
-from car_interface.common.servo_channels import CHANNELS
 from car_interface.common.staleness import TimedInput
-from car_interface.common.units import NS_PER_S, yaw_rad
+from car_interface.common.units import CHANNELS, NS_PER_S, yaw_rad
 from car_interface.msg import PlannerState, SteeringState, TeleopState, ThrottleState
 from car_interface.nodes.calibration_drive.bag_page import BagPage
+from car_interface.nodes.calibration_drive.bag_recording import BagRecording
 from car_interface.nodes.calibration_drive.drive_markers import drive_markers, no_markers
 from car_interface.nodes.calibration_drive.drive_topics import recorded_topics
 from car_interface.nodes.calibration_drive.live_text import LiveText
 from car_interface.nodes.calibration_drive.work_thread import in_thread
 from car_interface.nodes.keyboard_drive.keyboard import Keys
-from car_interface.ros.bag_recording import BagRecording
-from car_interface.ros.ros_clock import RosClock
+from car_interface.ros.clocks import RosClock
 from car_interface.ros.runtime import run
-from car_interface.ros.topics import advertise, sender_of, subscribe, subscribe_any
-from car_interface.tools.calibration.drive import options, terminal
+from car_interface.ros.topics import advertise, sender_of, subscribe
+from car_interface.tools.calibration.drive import terminal
 from car_interface.tools.calibration.drive.calibration_drive import CalibrationDrive
-from car_interface.tools.calibration.drive.conclusion import conclude
-from car_interface.tools.calibration.drive.grant import Grant, Steering, Throttle
+from car_interface.tools.calibration.drive.conclusion import board_center, conclude, find_table_file
+from car_interface.tools.calibration.drive.config import drive_config, parse, read_base, read_obstacles
+from car_interface.tools.calibration.drive.grant import Grant, Seen, Steering, Throttle, missing, missing_gamepad
 from car_interface.tools.calibration.drive.knowledge import assess
-from car_interface.tools.calibration.drive.params import read_base, read_obstacles
-from car_interface.tools.calibration.drive.readiness import Seen, missing, missing_gamepad
 from car_interface.tools.calibration.drive.step import BLOCKED, DONE, PAUSED, WAITING
 from car_interface.tools.calibration.drive.stick_guide import StickGuide
-from car_interface.tools.calibration.drive.table_file import board_center, find_table_file
 
 NAME = "calibration_drive"
 RATE_HZ, TICKS_PER_SHOW = 50, 10
@@ -83,7 +80,7 @@ class CalibrationDriveNode:
     def __init__(self, wanted, params, inbox, text=None, keys=None, make_recording=BagRecording, make_page=BagPage):
         params.finish()  # it has options instead, which don't stay on the server
         graph, self._clocks = inbox.graph, inbox.clocks
-        config = options.drive_config(wanted)
+        config = drive_config(wanted)
         self._wanted, self._inbox = wanted, inbox
         base = self._base = read_base(graph.parameter("turn_arb", {}))
         self._table = find_table_file(wanted.output, wanted.base, graph.parameter("turn_arb/save_to", None), base)
@@ -122,7 +119,7 @@ class CalibrationDriveNode:
                 *((f"sonar/{name}", Range, partial(self._on_range, name)) for name in self._sonars)):
             subscribe(topic, message_type, inbox, handler, queue_size=50)
         for topic in REQUESTS if not self._wanted.stick else ():
-            subscribe_any(topic, inbox, partial(self._on_request, topic), wakes=False)
+            subscribe(topic, rospy.AnyMsg, inbox, partial(self._on_request, topic), wakes=False)
 
     def _introduce(self):
         self._text.say(terminal.introduction(self._wanted.stick, self._config.radius_m, self._text.width))
@@ -369,4 +366,4 @@ class CalibrationDriveNode:
 
 def main():
     """Run the program."""
-    run(NAME, partial(CalibrationDriveNode, options.parse(rospy.myargv(sys.argv)[1:])))
+    run(NAME, partial(CalibrationDriveNode, parse(rospy.myargv(sys.argv)[1:])))

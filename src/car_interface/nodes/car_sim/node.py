@@ -55,14 +55,13 @@ from std_msgs.msg import Int32, Int32MultiArray
 
 from car_interface.common.errors import ConfigError
 from car_interface.common.rate_timer import RateTimer
-from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, UNCHANGED
-from car_interface.common.units import NS_PER_S
+from car_interface.common.units import CHANNELS, MAX_DUTY, NS_PER_S, UNCHANGED
 from car_interface.nodes.car_sim.chip_follower import ChipFollower
 from car_interface.nodes.car_sim.virtual_line import VirtualLine
 from car_interface.nodes.pca9685.virtual_board import chip_path
-from car_interface.ros.ros_clock import RosClock
+from car_interface.ros.clocks import RosClock
+from car_interface.ros.logs import ThrottledWarnings
 from car_interface.ros.runtime import run
-from car_interface.ros.throttled_warnings import ThrottledWarnings
 from car_interface.ros.topics import advertise, subscribe
 from car_interface.sim.calibrated_car import steering_curve
 from car_interface.sim.collision import Collisions

@@ -23,8 +23,8 @@ from car_interface.common.errors import DeviceError
 from car_interface.common.units import NS_PER_S
 from car_interface.nodes.gamepad_joy.joystick_device import JoystickDevice
 from car_interface.ros.diagnostics import ERROR, OK, Diagnostics
+from car_interface.ros.logs import ThrottledWarnings
 from car_interface.ros.runtime import run
-from car_interface.ros.throttled_warnings import ThrottledWarnings
 from car_interface.ros.topics import advertise
 from car_interface.teleop.joystick import Joystick, Pacing
 

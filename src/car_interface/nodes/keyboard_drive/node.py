@@ -31,7 +31,7 @@ from car_interface.common.params import Params
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import NS_PER_S
 from car_interface.msg import SteeringState
-from car_interface.nodes.keyboard_drive.evdev import Keyboards
+from car_interface.nodes.keyboard_drive.key_events import Keyboards
 from car_interface.nodes.keyboard_drive.keyboard import Keys
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, subscribe

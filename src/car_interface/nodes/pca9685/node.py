@@ -42,8 +42,7 @@ from car_interface.common.causes import FOREIGN_WRITE, NODE_STOOD_STILL
 from car_interface.common.errors import DeviceError
 from car_interface.common.file_lock import lock_byte
 from car_interface.common.rate_timer import RateTimer
-from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, UNCHANGED
-from car_interface.common.units import NS_PER_S
+from car_interface.common.units import CHANNELS, MAX_DUTY, NS_PER_S, UNCHANGED
 from car_interface.nodes.pca9685.guard_link import GuardChild, GuardLink
 from car_interface.nodes.pca9685.virtual_board import VirtualBoardBus, chip_path
 from car_interface.pca9685.board import Board
@@ -55,10 +54,9 @@ from car_interface.pca9685.senders import ChannelSenders, listed
 from car_interface.pca9685.supervisor import DISCONNECTED, FOREIGN, FOUND, MISMATCH, RETRIED, RUNNING, BoardSupervisor
 from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import ERROR, OK, Diagnostics
+from car_interface.ros.logs import ThrottledWarnings
 from car_interface.ros.runtime import run
-from car_interface.ros.servo_messages import duty_vector
-from car_interface.ros.throttled_warnings import ThrottledWarnings
-from car_interface.ros.topics import advertise, sender_of, subscribe
+from car_interface.ros.topics import advertise, duty_vector, sender_of, subscribe
 
 OUTPUT_RATE_HZ = 10
 SWITCH_OFF_TIMEOUT_S = 1.0  # how long a node that ends tries to switch the chip off

@@ -9,7 +9,7 @@ import os
 import signal
 import sys
 
-from car_interface.common.servo_channels import CHANNELS
+from car_interface.common.units import CHANNELS
 from car_interface.pca9685.guard_protocol import HELD, LEFT_TO_NODE, OutputMessage
 
 MODULE = "car_interface.nodes.pca9685.output_relay"

@@ -23,8 +23,8 @@ from car_interface.common import small_process
 from car_interface.common.errors import ConfigError
 from car_interface.common.file_lock import lock_byte
 from car_interface.common.own_files import UnsafeFile, folder_name, make_folder, open_own
+from car_interface.nodes.car_sim.faults import serve_faults
 from car_interface.ros.clocks import SYSTEM
-from car_interface.ros.faults import serve_faults
 from car_interface.sim.chip_link import FAULTS, ChipLink
 
 START_S = 5.0  # for the chip's process

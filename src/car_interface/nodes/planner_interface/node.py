@@ -39,8 +39,7 @@ from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
 from car_interface.msg import Control, PlannerState, SteeringState, ThrottleState
 from car_interface.nodes.planner_interface.ackermann_messages import ackermann_drive_class
-from car_interface.planner.ackermann import from_ackermann
-from car_interface.planner.autoware import from_control
+from car_interface.planner.messages import from_ackermann, from_control, from_twist
 from car_interface.planner.params import WHEELS, PlannerConfig, read_planner
 from car_interface.planner.request import PlannerRequest, not_finite, sane_radius_m
 from car_interface.planner.source_arbiter import (
@@ -51,13 +50,12 @@ from car_interface.planner.source_arbiter import (
     PlannerDecision,
     SourceArbiter,
 )
-from car_interface.planner.twist import from_twist
+from car_interface.ros.clocks import StampedAge, odd_stamp
 from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
+from car_interface.ros.logs import ThrottledWarnings
 from car_interface.ros.runtime import run
-from car_interface.ros.stamps import StampedAge, odd_stamp
-from car_interface.ros.throttled_warnings import ThrottledWarnings
-from car_interface.ros.topics import advertise, md5_of, sender_of, subscribe, subscribe_any
+from car_interface.ros.topics import advertise, md5_of, sender_of, subscribe
 from car_interface.steering.limits import TOO_TIGHT_FOR_NS, TOO_TIGHT_REMEDY
 from car_interface.throttle.params import read_speed_control
 from car_interface.throttle.speed_control import STOP, SpeedControl, SpeedControlConfig, SpeedRequest
@@ -140,8 +138,8 @@ class PlannerInterface:
         subscribe(TOPICS[obeyed], message_type(), inbox, handler)
         for source, topic in TOPICS.items():
             if source != obeyed:
-                subscribe_any(topic, inbox, lambda message, now_ns, source=source:
-                              self._sources.count_other(source, sender_of(message)), wakes=False)
+                subscribe(topic, rospy.AnyMsg, inbox, lambda message, now_ns, source=source:
+                          self._sources.count_other(source, sender_of(message)), wakes=False)
         # The speed is controlled at the timer's ticks alone.
         subscribe("~input/odometry", Odometry, inbox, self._on_odometry, wakes=False)
         subscribe("throttle_arb/state", ThrottleState, inbox, self._on_throttle, wakes=False)

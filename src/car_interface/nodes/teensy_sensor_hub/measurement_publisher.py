@@ -17,11 +17,10 @@ from car_interface.common.errors import ConfigError
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import NS_PER_S
 from car_interface.msg import SteeringState, TeensyClock
+from car_interface.ros.clocks import RosClock
 from car_interface.ros.diagnostics import OK, WARN
-from car_interface.ros.ros_clock import RosClock
-from car_interface.ros.throttled_warnings import ThrottledWarnings
+from car_interface.ros.logs import ThrottledWarnings
 from car_interface.ros.topics import advertise, has_subscribers, subscribe
-from car_interface.steering.monitor import SteeringCheck
 from car_interface.teensy.link.health import CLOCK_REPORT
 from car_interface.teensy.link.protocol import SONARS
 from car_interface.teensy.sensing.clock import ClockConfig
@@ -92,7 +91,6 @@ class MeasurementPublisher:
         self._measurements = Measurements(config, self._on_motion)
         self._clocks = inbox.clocks
         self._ros_clock = RosClock(inbox.clocks)
-        self._steering_check = SteeringCheck()
         self._warnings = ThrottledWarnings(inbox.clocks)
         self._sync = None
         self._counted = (0, 0)
@@ -108,9 +106,10 @@ class MeasurementPublisher:
         self._static_tf = advertise("/tf_static", TFMessage, inbox, queue_size=1, latch=True)
         self._static_tf.publish([_transform(self._clocks.ros_now(), settings.base_frame, frame, *mount)
                                  for frame, mount in zip(settings.sonar_frames, settings.mounts)])
-        inbox.on_overflow(self._on_overflow)
         subscribe("temperature", Temperature, inbox, self._on_temperature)
-        subscribe("turn_arb/state", SteeringState, inbox, self._on_steering)
+        if config.odometry.use_steering:
+            inbox.on_overflow(self._on_overflow)
+            subscribe("turn_arb/state", SteeringState, inbox, self._on_steering)
 
     def _prepare_messages(self):
         """Frequent messages are reused: rospy serialises them as it publishes them."""
@@ -155,7 +154,6 @@ class MeasurementPublisher:
     def _on_motion(self, measured, received_ns):
         motion = measured.motion
         self.speed_mps = motion.speed_mps
-        self._steering_check.update_motion(motion.speed_mps, motion.yaw_rate_radps, received_ns)
         self._pending = measured
 
     @property
@@ -196,8 +194,7 @@ class MeasurementPublisher:
     @property
     def reports(self) -> dict:
         """What goes to /diagnostics, by name."""
-        return {CLOCK_REPORT: self._report_clock, "Teensy records": self._report_records,
-                "steering by the wheels": self._report_steering}
+        return {CLOCK_REPORT: self._report_clock, "Teensy records": self._report_records}
 
     def _report_clock(self, status):
         """The clock's line on /diagnostics."""
@@ -226,18 +223,8 @@ class MeasurementPublisher:
             status.add(reason, count)
         return status
 
-    def _report_steering(self, status):
-        """Whether the car turns as the steering is commanded, on /diagnostics."""
-        judgement = self._steering_check.judge(self._clocks.now_ns())
-        status.summary(WARN if judgement.warning else OK,
-                       judgement.warning or "the car turns as it is told to, or stands")
-        status.add("commanded turn radius", f"{judgement.commanded_m:.2f} m")
-        status.add("estimated_turn_radius", f"{judgement.estimated_m:.2f} m")
-        return status
-
     def _on_overflow(self, now_ns):
         self._measurements.steer(math.nan)
-        self._steering_check.mark_stale()
 
     def _on_temperature(self, message, now_ns):
         try:
@@ -247,7 +234,6 @@ class MeasurementPublisher:
 
     def _on_steering(self, message, now_ns):
         self._measurements.steer(1 / message.turn_radius if message.turn_radius else math.nan)
-        self._steering_check.update_command(message.turn_radius, now_ns)
 
     def _odometry_message(self, motion, stamp):
         message = self._odom_msg

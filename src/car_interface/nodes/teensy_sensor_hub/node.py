@@ -11,7 +11,7 @@ Publishes:
     /diagnostics: the same, the clock, and the records that made no sense; 1 Hz.
 Subscribes:
     temperature (sensor_msgs/Temperature, °C): of the air, for the speed of sound; without it ~temperature counts.
-    turn_arb/state (SteeringState): the commanded turn radius, held against the one that the wheels make.
+    turn_arb/state (SteeringState), with ~use_steering: the commanded turn radius, which helps the heading.
 Services:
     ~ping, ~sonar_start, ~sonar_stop, ~wheel_reset, ~get_counters (std_srvs/Trigger),
     ~set_sonar_sequence (SetSonarSequence), ~set_sonar_wait (SetSonarWait).
@@ -52,8 +52,8 @@ from car_interface.nodes.teensy_sensor_hub.link_status import LinkStatusPublishe
 from car_interface.nodes.teensy_sensor_hub.measurement_publisher import MeasurementPublisher, Settings, read_settings
 from car_interface.nodes.teensy_sensor_hub.teensy_commands import TeensyCommands
 from car_interface.ros.diagnostics import Diagnostics
+from car_interface.ros.logs import ThrottledWarnings
 from car_interface.ros.runtime import run
-from car_interface.ros.throttled_warnings import ThrottledWarnings
 from car_interface.ros.topics import advertise, has_subscribers
 from car_interface.teensy.link import protocol
 from car_interface.teensy.link.framing import CORRECTED, SHIPPED

@@ -17,26 +17,15 @@ MIN_SAMPLES = 200
 
 
 class Delay(NamedTuple):
-    """How an effect follows its cause.
+    """How an effect follows its cause."""
 
-    Attributes:
-        delay_s: the time until a change begins.
-        lag_s: the time from then until 63 % of it are done.
-        explained: the ratio of the effect's variance that the cause explains with these.
-    """
-
-    delay_s: float
-    lag_s: float
-    explained: float
-
-    @property
-    def settled_s(self) -> float:
-        """The time until 95 % of a change are done."""
-        return self.delay_s + 3 * self.lag_s
+    delay_s: float  # the time until a change begins
+    lag_s: float  # the time from then until 63 % of it are done
+    explained: float  # the ratio of the effect's variance that the cause explains with these
 
 
 def held(t_s: np.ndarray, value: np.ndarray, at_s: np.ndarray) -> np.ndarray:
-    """The values at the times ``at_s`` (M,) of a signal (N,) that holds each sample until the next: (M,).
+    """Return the values at the times ``at_s`` (M,) of a signal (N,) that holds each sample until the next: (M,).
 
     Before the first sample its value counts.
     """
@@ -44,7 +33,7 @@ def held(t_s: np.ndarray, value: np.ndarray, at_s: np.ndarray) -> np.ndarray:
 
 
 def lagged(value: np.ndarray, step_s: float, lag_s: float) -> np.ndarray:
-    """An evenly sampled signal (N,) after a first-order lag: (N,)."""
+    """Return an evenly sampled signal (N,) after a first-order lag: (N,)."""
     if lag_s < step_s / 10:
         return np.asarray(value, float)
     decay = np.exp(-step_s / lag_s)

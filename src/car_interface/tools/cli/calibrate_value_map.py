@@ -8,7 +8,6 @@ Writes the map as a CSV for generic_value_converter, and beside it NAME.report.t
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
@@ -16,28 +15,31 @@ from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.lookup_table import check_axis
 from car_interface.common.package_files import package_file
-from car_interface.common.servo_channels import CHANNELS
+from car_interface.common.units import CHANNELS
 from car_interface.throttle.value_map import load_value_map
+from car_interface.tools.calibration.shared import RecordedDrive, written_text
 from car_interface.tools.calibration.value_map.acceleration import WindowConfig
-from car_interface.tools.calibration.value_map.calibrate import Calibrated, MapAxes, NoTable, calibrate
-from car_interface.tools.calibration.value_map.config import FitConfig
+from car_interface.tools.calibration.value_map.calibrate import DUTY, MapResult, NoTable, calibrate, report
 from car_interface.tools.calibration.value_map.recorded import (
-    IMU,
-    ODOM,
-    PULSES,
-    RecordedDrive,
-    Source,
+    BY_IMU,
+    BY_ODOM,
+    BY_PULSES,
+    MapSource,
     is_by_hand,
-    load_drive,
+    load_map_drive,
+    load_throttle_table,
 )
-from car_interface.tools.calibration.value_map.report import DUTY, report
 from car_interface.tools.calibration.value_map.table import csv_text
-from car_interface.tools.calibration.value_map.throttle import load_throttle
-from car_interface.tools.cli.jobs import add_jobs_argument, load_all
-from car_interface.tools.cli.options import add_namespace_argument, finite
-from car_interface.tools.cli.topics import add_topic_arguments, topics_of
+from car_interface.tools.calibration.value_map.windows import MapFitConfig
+from car_interface.tools.cli.jobs import load_all
+from car_interface.tools.cli.options import (
+    add_calibration_arguments,
+    add_recording_arguments,
+    check_channel,
+    finite,
+    topics_of,
+)
 from car_interface.tools.recordings import roles
-from car_interface.tools.recordings.signals import VALUE_TOPIC
 
 ESC_CHANNEL, ESC_NEUTRAL_DUTY = 1, 4915  # as config/throttle.yaml has them
 NO_CHANNEL = -1
@@ -47,55 +49,16 @@ VALUE_TIMEOUT_S, DUTY_TIMEOUT_S = 0.5, 1.2  # a duty that doesn't change is repe
 LIMITS = WindowConfig()
 
 
-@dataclass(frozen=True)
-class Config:
-    """What to calibrate from, and where to write it.
-
-    Attributes:
-        recordings: paths.
-        output: path of the CSV.
-        source: where value and accelerations are from.
-        axes: of the map.
-        fit: how it is fitted.
-        prior: path of an existing map; ``None`` = none.
-        force: write what would be refused.
-        jobs: recordings to read at the same time.
-
-    Raises:
-        ConfigError: naming the option.
-    """
-
-    recordings: tuple[str, ...]
-    output: str
-    source: Source = field(default_factory=Source)
-    axes: MapAxes = field(default_factory=MapAxes)
-    fit: FitConfig = field(default_factory=FitConfig)
-    prior: str | None = None
-    force: bool = False
-    jobs: int = 1
-
-    def __post_init__(self):
-        for name, axis in (("--values", self.axes.values), ("--velocities", self.axes.velocities_mps)):
-            if axis is not None:
-                check_axis(axis, name)
-        esc_channel = self.source.esc_channel
-        if esc_channel is not None and not 0 <= esc_channel < CHANNELS:
-            raise ConfigError("--esc-channel", esc_channel, "a channel of the servo board, 0 to 15, or -1")
-        if self.source.measured_by == IMU and IMU not in self.source.topics:
-            raise ConfigError("--imu", None, f"the IMU's topic, as --acceleration {IMU} needs it")
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of calibrate_value_map."""
-    parser.add_argument("bags", nargs="+", metavar="BAG", help="recordings of drives with one car")
-    parser.add_argument("-o", "--output", required=True, metavar="CSV", help="where to write the map")
+    add_calibration_arguments(parser, "CSV", "map")
     parser.add_argument("--prior", metavar="CSV", help="an existing map: its numbers stay where the drives tell "
                         "nothing, and its axes are used unless others are given")
     parser.add_argument("--force", action="store_true", help="write what would be refused; nothing is made up even so")
     parser.add_argument("--value", metavar="TOPIC|duty:CHANNEL",
                         help="what drives the car: a topic, or the duty of a channel of the servo board, which counts "
-                             f"as the value that --throttle has for it (default: {VALUE_TOPIC}; for a drive by hand "
-                             "the duty of the channel in --throttle)")
+                             f"as the value that --throttle has for it (default: {roles.VALUE.topics[0]}; for a drive "
+                             "by hand the duty of the channel in --throttle)")
     parser.add_argument("--throttle", metavar="YAML", help="for duties: the throttle.yaml with which was driven, its "
                         "value_axis, duty_table and channel (default: the package's)")
     parser.add_argument("--neutral", type=finite, metavar="VALUE", help="the value that neither drives nor brakes "
@@ -104,12 +67,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="the map's values (default: --prior's, or round numbers over what was driven)")
     parser.add_argument("--velocities", type=finite, nargs="+", metavar="M/S",
                         help="the map's velocities (as --values)")
-    parser.add_argument("--acceleration", choices=(PULSES, ODOM, IMU),
+    parser.add_argument("--acceleration", choices=(BY_PULSES, BY_ODOM, BY_IMU),
                         help="measure it by the wheels' pulses, odometry's speed, or the IMU (default: pulses where "
                              "they were recorded, else odometry)")
-    add_topic_arguments(parser, ROLES)
     parser.add_argument("--imu", metavar="TOPIC", help="of an IMU, such as imu/data: its pitch takes gravity off")
-    add_namespace_argument(parser)
     parser.add_argument("--delay", type=finite, metavar="S", help="from value to acceleration (default: estimated)")
     parser.add_argument("--esc-channel", type=int, default=ESC_CHANNEL, metavar="CHANNEL",
                         help="of the servo board: shows whether a value reached the ESC; -1 = don't look "
@@ -122,103 +83,95 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help=f"of the path; tighter is steering (default: {LIMITS.max_curvature_per_m})")
     parser.add_argument("--max-lateral", type=finite, default=LIMITS.max_lateral_mps2, metavar="M/S2",
                         help=f"acceleration sideways; more is steering (default: {LIMITS.max_lateral_mps2})")
-    add_jobs_argument(parser)
+    add_recording_arguments(parser, ROLES)
 
 
-def config_of(options: argparse.Namespace) -> Config:
-    """The parsed options as a checked configuration.
+def source_of(options: argparse.Namespace) -> MapSource:
+    """Return where value and accelerations are from.
 
-    Reads the axes of --prior, the table of --throttle, and without --value whether the recordings are of drives by
-    hand.
+    Reads the table of --throttle, and without --value whether the recordings are of drives by hand.
 
     Raises:
         ConfigError: naming the option or the file.
     """
     value = options.value or topics_of(options).get(roles.VALUE.name) or _recorded_value(options)
     channel = _duty_channel(value)
-    by_duty = channel is not None
-    throttle = _throttle(options) if by_duty else None
-    neutral = options.neutral if options.neutral is not None else throttle.neutral if throttle else 0.0
-    source = Source(
-        topics=topics_of(options, value=None if by_duty else value, imu=options.imu), duty_channel=channel,
-        throttle=throttle, neutral=neutral, measured_by=options.acceleration, namespace=options.namespace,
-        esc_channel=None if options.esc_channel == NO_CHANNEL else options.esc_channel,
+    throttle = None if channel is None else _throttle(options)
+    topics = topics_of(options, value=value if channel is None else None, imu=options.imu)
+    esc_channel = None if options.esc_channel == NO_CHANNEL else options.esc_channel
+    check_channel("--esc-channel", esc_channel, "a channel of the servo board, 0 to 15, or -1")
+    if options.acceleration == BY_IMU and roles.IMU.name not in topics:
+        raise ConfigError("--imu", None, f"the IMU's topic, as --acceleration {BY_IMU} needs it")
+    return MapSource(
+        topics=topics, duty_channel=channel, throttle=throttle,
+        neutral=options.neutral if options.neutral is not None else throttle.neutral if throttle else 0.0,
+        measured_by=options.acceleration, namespace=options.namespace, esc_channel=esc_channel,
         esc_neutral_duty=options.esc_neutral)
-    fit = FitConfig(
-        window=WindowConfig(min_speed_mps=options.min_speed, max_curvature_per_m=options.max_curvature,
-                            max_lateral_mps2=options.max_lateral),
-        neutral=neutral, value_timeout_s=DUTY_TIMEOUT_S if by_duty else VALUE_TIMEOUT_S, delay_s=options.delay,
-        from_imu=options.acceleration == IMU)
-    return Config(tuple(options.bags), options.output, source, _axes(options), fit, options.prior, options.force,
-                  options.jobs)
 
 
 def run(options: argparse.Namespace) -> int:
     """Calibrate, print the report, and write the files."""
     output.check(options.output, options.bags)
-    config = config_of(options)
-    beside = [] if output.is_stream(config.output) else [str(Path(config.output).with_suffix(".report.txt"))]
+    source = source_of(options)
+    beside = [] if output.is_stream(options.output) else [str(Path(options.output).with_suffix(".report.txt"))]
     for path in beside:
-        output.check(path, config.recordings)
+        output.check(path, options.bags)
     try:
-        recorded, calibrated = calibrate_by(config)
+        recorded, found = calibrate_by(options, source)
     except NoTable as error:
         print(error.coverage)
         raise
-    text = "\n".join(report(recorded, config.source, calibrated.fit, calibrated.table, calibrated.problems,
-                            config.prior))
-    if calibrated.problems and not config.force:
+    text = "\n".join(report(recorded, source, found.fit, found.table, found.problems, options.prior))
+    if found.problems and not options.force:
         print(text)
-        raise CarInterfaceError("no map is written: " + "; ".join(calibrated.problems)
+        raise CarInterfaceError("no map is written: " + "; ".join(found.problems)
                                 + ". Drive what is missing, or --force it")
-    csv = csv_text(calibrated.table)
-    load_value_map(config.output, text=csv)
-    backup_paths = {config.output: output.write(config.output, csv, keeps_old=True)}
-    for path in beside:
-        backup_paths[path] = output.write(path, text + "\n", keeps_old=True)
-    print(text)
-    for path, backup_path in backup_paths.items():
-        print(f"written: {path}" + (f"; the old one is {backup_path}" if backup_path else ""))
+    csv = csv_text(found.table)
+    load_value_map(options.output, text=csv)
+    contents = {options.output: csv, **dict.fromkeys(beside, text + "\n")}
+    written = [written_text(path, output.write(path, content, keeps_old=True)) for path, content in contents.items()]
+    print("\n".join([text, *written]))
     return 0
 
 
-def calibrate_by(config: Config) -> tuple[list[RecordedDrive], Calibrated]:
-    """Read all recordings and fit a map to them.
+def calibrate_by(options: argparse.Namespace, source: MapSource) -> tuple[list[RecordedDrive], MapResult]:
+    """Read all recordings and fit a map to them, on the axes that are given, or else on those of --prior.
 
     Raises:
-        CarInterfaceError: a recording or the prior is no good, or there is nothing to fit.
+        CarInterfaceError: an axis, a recording or the prior is no good, or there is nothing to fit.
     """
-    prior = load_value_map(config.prior) if config.prior else None
-    load = partial(load_drive, source=config.source, progress=len(config.recordings) == 1 or config.jobs == 1)
-    recorded = load_all(load, config.recordings, config.jobs)
-    return recorded, calibrate(recorded, config.axes, config.fit, prior)
+    prior = load_value_map(options.prior) if options.prior else None
+    axes = [given or (prior and getattr(prior, name)) for name, given in (
+        ("values", options.values), ("velocities", options.velocities))]
+    for name, axis in zip(("--values", "--velocities"), axes):
+        if axis is not None:
+            check_axis(axis, name)
+    config = MapFitConfig(
+        window=WindowConfig(min_speed_mps=options.min_speed, max_curvature_per_m=options.max_curvature,
+                            max_lateral_mps2=options.max_lateral),
+        neutral=source.neutral, value_timeout_s=VALUE_TIMEOUT_S if source.duty_channel is None else DUTY_TIMEOUT_S,
+        delay_s=options.delay, from_imu=options.acceleration == BY_IMU)
+    load = partial(load_map_drive, source=source, progress=len(options.bags) == 1 or options.jobs == 1)
+    recorded = load_all(load, options.bags, options.jobs)
+    return recorded, calibrate(recorded, *axes, config, prior)
 
 
 def _throttle(options):
-    return load_throttle(options.throttle or str(package_file(THROTTLE)))
+    return load_throttle_table(options.throttle or str(package_file(THROTTLE)))
 
 
 def _recorded_value(options):
     """--value by what the recordings hold."""
-    if any(is_by_hand(path, VALUE_TOPIC, options.namespace) for path in options.bags):
+    if any(is_by_hand(path, roles.VALUE.topics[0], options.namespace) for path in options.bags):
         return f"{DUTY}{_throttle(options).channel}"
-    return VALUE_TOPIC
+    return roles.VALUE.topics[0]
 
 
 def _duty_channel(value):
-    """The channel in --value duty:CHANNEL; ``None`` for a topic."""
+    """Return the channel in --value duty:CHANNEL; ``None`` for a topic."""
     if value is None or not value.startswith(DUTY):
         return None
     text = value[len(DUTY):]
     if not text.isdecimal() or int(text) >= CHANNELS:
         raise ConfigError("--value", value, f"a topic, or {DUTY}CHANNEL with a channel of 0 to 15")
     return int(text)
-
-
-def _axes(options):
-    """The map's axes: those given, or else the prior's."""
-    values, velocities = options.values, options.velocities
-    if options.prior and (values is None or velocities is None):
-        prior = load_value_map(options.prior)
-        values, velocities = values or prior.values, velocities or prior.velocities
-    return MapAxes(None if values is None else tuple(values), None if velocities is None else tuple(velocities))

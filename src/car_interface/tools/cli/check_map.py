@@ -12,6 +12,7 @@ from typing import Iterator, Sequence
 
 from car_interface.common import memory_limit, output
 from car_interface.common.errors import CarInterfaceError, ConfigError
+from car_interface.pca9685.registers import DUTY_PER_COUNT
 from car_interface.steering.calibration import WIDE_M, SteeringCalibration
 from car_interface.steering.params import load_steering
 from car_interface.throttle.converter import ConversionConfig, Converter
@@ -20,7 +21,6 @@ from car_interface.tools.cli.options import finite
 
 STEERING_SUFFIXES = (".yaml", ".yml")
 PICTURE_SUFFIXES = (".svg", ".png", ".pdf")
-COUNT = 16  # duty of one count of the servo board
 BAR = 24  # characters to each side
 MAX_COLUMNS, MAX_ROWS = 11, 21
 LIMITS = ConversionConfig()  # the defaults of generic_value_converter
@@ -106,9 +106,10 @@ def steering_notes(config: SteeringCalibration) -> Iterator[str]:
                        f"{radius_m:g} to {wider_m:g} m")
         same = [f"{radius_m:g} and {wider_m:g} m" for radius_m, wider_m, tight, wide in
                 zip(config.radius_axis_m, config.radius_axis_m[1:], table, table[1:])
-                if round(tight / COUNT) == round(wide / COUNT)]
+                if round(tight / DUTY_PER_COUNT) == round(wide / DUTY_PER_COUNT)]
         if same:
-            yield f"to the {side} the servo board can't tell apart ({COUNT} duty are one count): {', '.join(same)}"
+            yield (f"to the {side} the servo board can't tell apart ({DUTY_PER_COUNT} duty are one count): "
+                   f"{', '.join(same)}")
         if (table[0] - end) * towards_center < 0:
             yield f"to the {side} the table goes to {table[0]:g}, beyond servo_{side} {end}"
     if config.radius_axis_m[-1] < WIDE_M:
@@ -119,7 +120,7 @@ def steering_notes(config: SteeringCalibration) -> Iterator[str]:
 
 
 def map_picture(table: ValueMap, colour: bool = False) -> list[str]:
-    """The accelerations as lines of text: value upwards, velocity to the right; of a large map only some."""
+    """Return the accelerations as lines of text: value upwards, velocity to the right; of a large map only some."""
     rows, columns = _some(table.values, MAX_ROWS), _some(table.velocities, MAX_COLUMNS)
     cells = [[table.acceleration_at(value, velocity) for velocity in columns] for value in rows]
     largest = max(max(map(abs, row)) for row in cells) or 1.0
@@ -169,8 +170,7 @@ def _cell(number, largest, colour):
 
 
 def _some(axis: Sequence[float], count: int) -> list[float]:
-    """An axis, or, if it is longer, ``count`` of its numbers with both ends."""
+    """Return an axis, or, if it is longer, ``count`` of its numbers with both ends."""
     if len(axis) <= count:
         return list(axis)
     return [axis[round(index * (len(axis) - 1) / (count - 1))] for index in range(count)]
-

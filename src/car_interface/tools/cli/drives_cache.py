@@ -1,4 +1,4 @@
-"""Keeps the rows of recordings that were read before, so that only what is new is read again.
+"""Finds the recordings in a folder, and keeps the rows of those that were read before: only what is new is read again.
 
 The file lies in the folder of the recordings, or, where that can't be written, in the user's cache folder. Its first
 line is the checksum of the second one. A damaged file is no error: all recordings are read again. The checksum can be
@@ -12,14 +12,72 @@ import hashlib
 import json
 import os
 import stat
-from typing import Any, Iterable
+from typing import Any, Iterable, NamedTuple
 
 from car_interface.common.atomic_file import replace
-from car_interface.tools.recordings.folder import Fingerprint
+from car_interface.tools.recordings.recording import METADATA, ROS2_SUFFIXES
 from car_interface.tools.report.drives_row import Row, stored_row
 
+# A bag that is being recorded, or whose recorder was killed, has the second one.
+ROS1_SUFFIXES = (".bag", ".bag.active")
+ORIGINAL = ".orig"  # rosbag reindex keeps a damaged a.bag as a.orig.bag
 NAME = ".car_interface_drives.json"
 MAX_BYTES = 64 << 20  # a row has about 1 kB: 60,000 recordings
+
+
+class Fingerprint(NamedTuple):
+    """A recording with another one has changed."""
+
+    size: int  # bytes
+    mtime_ns: int
+
+
+def find_recordings(folder: str) -> list[str]:
+    """Return the paths of all recordings in a folder and below it, relative to it, in order.
+
+    A ROS 2 bag is its folder, or a file that lies in no such folder. Left out are hidden folders, and what rosbag
+    reindex has kept of a recording that it repaired.
+
+    Raises:
+        OSError: the folder can't be read.
+    """
+    found = []
+    for place, folders, files in os.walk(folder, onerror=_raise_for(folder)):
+        if METADATA in files and any(name.endswith(ROS2_SUFFIXES) for name in files):
+            found.append(os.path.relpath(place, folder))
+            folders.clear()
+            continue
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        found += [os.path.relpath(os.path.join(place, name), folder) for name in files
+                  if name.endswith((*ROS1_SUFFIXES, *ROS2_SUFFIXES)) and not _is_original(name, files)]
+    return sorted(found)
+
+
+def fingerprint(path: str) -> Fingerprint:
+    """Return size and time of change of a recording: of a folder those of all its files together.
+
+    Raises:
+        OSError: it is gone.
+    """
+    paths = [path]
+    if os.path.isdir(path):
+        paths = [os.path.join(path, name) for name in sorted(os.listdir(path))]
+    stats = [os.stat(one) for one in paths]
+    return Fingerprint(sum(one.st_size for one in stats), max((one.st_mtime_ns for one in stats), default=0))
+
+
+def _is_original(name, files):
+    """Return whether the repaired recording lies beside it."""
+    stem, suffix = os.path.splitext(name)
+    return stem.endswith(ORIGINAL) and stem[:-len(ORIGINAL)] + suffix in files
+
+
+def _raise_for(folder):
+    """Return what os.walk does on a folder that it can't read: below the first one it goes on with the others."""
+    def on_error(error):
+        if error.filename == folder:
+            raise error
+    return on_error
 
 
 class Cache:
@@ -46,7 +104,7 @@ class Cache:
             self._load(self.path)
 
     def row(self, path: str, state: Fingerprint) -> Row | None:
-        """The row of a recording that hasn't changed since."""
+        """Return the row of a recording that hasn't changed since."""
         before, row = self._rows.get(path, (None, None))
         return row if before == state else None
 
@@ -97,7 +155,7 @@ class Cache:
 
 
 def _read(path):
-    """The text of a regular file, which is not waited for: a pipe of this name may have no writer."""
+    """Return the text of a regular file, which is not waited for: a pipe of this name may have no writer."""
     handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     with open(handle, encoding="ascii") as file:
         status = os.fstat(handle)
@@ -134,7 +192,7 @@ def _stored(path: str, entry: Any) -> tuple[Fingerprint, Row] | None:
 
 
 def _elsewhere(folder):
-    """The file's path for a folder that can't be written."""
+    """Return the file's path for a folder that can't be written."""
     cache = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
     name = hashlib.sha256(os.path.realpath(folder).encode("utf-8", "surrogateescape")).hexdigest()[:16]
     return os.path.join(cache, "car_interface", f"drives-{name}.json")

@@ -1,8 +1,6 @@
-"""Runs the same work on several recordings at once, in processes."""
+"""Does the same work on several recordings at once, in processes."""
 from __future__ import annotations
 
-import os
-from argparse import ArgumentTypeError
 from collections import deque
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -10,13 +8,8 @@ from typing import Any, Callable, Iterator, Sequence
 
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.library_warnings import hide_warnings
+from car_interface.common.memory_limit import describe_shortage
 from car_interface.tools.recordings.overlap import check_no_overlap, check_paths_differ
-
-
-def add_jobs_argument(parser) -> None:
-    """Add the option ``--jobs``."""
-    parser.add_argument("--jobs", type=_count, default=os.cpu_count() or 1, metavar="N",
-                        help="recordings to work on at the same time (default: as many as there are processors)")
 
 
 def for_each(function: Callable[[Any], Any], items: Sequence[Any], jobs: int) -> Iterator[Any]:
@@ -52,8 +45,18 @@ def for_each(function: Callable[[Any], Any], items: Sequence[Any], jobs: int) ->
                                     "try again with --jobs 1") from error
 
 
+def failure_text(error: Exception, path: str, refusal: str) -> str:
+    """Return in one line why the work on a recording failed; the other recordings are worked on all the same."""
+    if isinstance(error, CarInterfaceError):
+        return str(error)
+    if isinstance(error, OSError):
+        return f"{error.filename or path}: {error.strerror}"
+    why = describe_shortage(error) or f"{type(error).__name__}: {' '.join(str(error).split())}"
+    return f"{path}: {refusal} ({why})"
+
+
 def load_all(load: Callable[[str], Any], paths: Sequence[str], jobs: int) -> list[Any]:
-    """``load(path)`` for each recording; each result has a ``trail`` by which it is compared with the others.
+    """Return ``load(path)`` for each recording; each result has a ``trail`` by which it is compared with the others.
 
     Raises:
         NoRecording: two have the same driving in them; besides whatever ``load`` raises.
@@ -62,9 +65,3 @@ def load_all(load: Callable[[str], Any], paths: Sequence[str], jobs: int) -> lis
     loaded = list(for_each(load, paths, jobs))
     check_no_overlap([one.trail for one in loaded])
     return loaded
-
-
-def _count(text):
-    if not text.isdecimal() or int(text) < 1:
-        raise ArgumentTypeError(f"{text!r} is no number of at least 1")
-    return int(text)

@@ -16,17 +16,11 @@ from typing import Sequence
 from car_interface.common import memory_limit
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.library_warnings import hide_warnings
-from car_interface.tools.cli.version import VersionAction
+from car_interface.tools.cli.options import VersionAction
 
 PROGRAM = "car-interface"
-MODULES = {
-    "bag_report": "car_interface.tools.cli.bag_report",
-    "calibrate_esc": "car_interface.tools.cli.calibrate_esc",
-    "calibrate_steering": "car_interface.tools.cli.calibrate_steering",
-    "calibrate_value_map": "car_interface.tools.cli.calibrate_value_map",
-    "check_map": "car_interface.tools.cli.check_map",
-    "drives": "car_interface.tools.cli.drives",
-}
+MODULES = {name: f"car_interface.tools.cli.{name}" for name in (
+    "bag_report", "calibrate_esc", "calibrate_steering", "calibrate_value_map", "check_map", "drives")}
 INSTALL = "see docs/recordings.md, Install the tools"
 # Libraries whose package has another name.
 PACKAGES = {"yaml": "PyYAML", "ruamel": "ruamel.yaml"}
@@ -68,24 +62,19 @@ def main(command: str | None = None, arguments: Sequence[str] | None = None) -> 
     except BrokenPipeError:  # the reader, such as head, has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
-    except OSError as error:
-        shortage = memory_limit.describe_shortage(error)
-        if error.filename is None and shortage is None:
-            raise
-        if shortage is not None:
-            return _failed(command, shortage)
-        return _failed(command, f"{error.filename}: {error.strerror}")
     except KeyboardInterrupt:
         return INTERRUPTED
     except Exception as error:
-        shortage = memory_limit.describe_shortage(error)
-        if shortage is None:
+        why = memory_limit.describe_shortage(error)
+        if why is None and isinstance(error, OSError) and error.filename is not None:
+            why = f"{error.filename}: {error.strerror}"
+        if why is None:
             raise
-        return _failed(command, shortage)
+        return _failed(command, why)
 
 
 def _parser(command, arguments):
-    """The parser for one command; without a name for all of them."""
+    """Return the parser for one command; without a name for all of them."""
     if command is not None:
         parser = argparse.ArgumentParser(prog=command)
         return _describe(parser, command)
@@ -95,7 +84,7 @@ def _parser(command, arguments):
     commands.required = True
     named = next((argument for argument in arguments if argument in MODULES), None)
     for name in [named] if named else MODULES:
-        _describe(commands.add_parser(name, help=_first_line(importlib.import_module(MODULES[name]))), name)
+        _describe(commands.add_parser(name, help=_first_line(name)), name)
     return parser
 
 
@@ -110,12 +99,12 @@ def _describe(parser, name):
 
 
 def _plain(error):
-    """Replaces characters that the output can't encode."""
+    """Replace characters that the output can't encode."""
     return "".join(PLAIN.get(character, "?") for character in error.object[error.start:error.end]), error.end
 
 
-def _first_line(module):
-    return module.__doc__.strip().split("\n")[0]
+def _first_line(name):
+    return importlib.import_module(MODULES[name]).__doc__.split("\n")[0]
 
 
 def _failed(command, error):

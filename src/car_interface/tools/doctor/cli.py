@@ -20,15 +20,14 @@ from typing import Iterator
 
 from car_interface.tools.doctor.checks.board import ADDRESSES
 from car_interface.tools.doctor.checks.findings import BAD, Finding, render, summarise, worst
-from car_interface.tools.doctor.examination import VIRTUAL, Options, examine
-from car_interface.tools.doctor.task import Task
+from car_interface.tools.doctor.examination import VIRTUAL, Options, Task, examine
 
 TOPICS = "car_interface.tools.doctor.probes.topics"  # imported only when there is a master: it imports rospy
 LEAVE_S = 0.5
 
 
 def read_options(arguments: list[str]) -> Options:
-    """The command line; remappings, which roslaunch adds, are left out."""
+    """Return the command line; remappings, which roslaunch adds, are left out."""
     parser = argparse.ArgumentParser(
         prog="doctor", description="Looks for what is wrong with this car. Exit code: 0 ok, 1 warnings, 2 bad.")
     parser.add_argument("--port", help="the Teensy's serial port")

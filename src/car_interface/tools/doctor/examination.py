@@ -5,8 +5,9 @@ All probes run at the same time, each in a ``Task``; their findings come in the 
 from __future__ import annotations
 
 import os
+import threading
 import time
-from typing import Iterator, NamedTuple
+from typing import Any, Callable, Iterator, NamedTuple
 
 from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
@@ -27,7 +28,7 @@ from car_interface.tools.doctor.checks.car import (
     check_steering,
     find_cars,
 )
-from car_interface.tools.doctor.checks.findings import OK, WARN, Finding
+from car_interface.tools.doctor.checks.findings import BAD, OK, WARN, Finding
 from car_interface.tools.doctor.checks.gamepad import check_gamepad
 from car_interface.tools.doctor.checks.port import check_link, check_virtual_port
 from car_interface.tools.doctor.probes.computer import (
@@ -39,7 +40,6 @@ from car_interface.tools.doctor.probes.computer import (
 )
 from car_interface.tools.doctor.probes.devices import is_pseudo_terminal, probe_board, probe_port
 from car_interface.tools.doctor.probes.master import NODES, Graph, Master, read_files, read_parameters
-from car_interface.tools.doctor.task import Task
 
 VIRTUAL = "virtual"
 STABLE_PORT, USUAL_PORT, USUAL_BUS, USUAL_ADDRESS = "/dev/teensy_sensor_hub", "/dev/ttyAMA0", "/dev/i2c-1", 0x40
@@ -51,20 +51,55 @@ REPORTING = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converte
 NO_GRAPH = Graph({}, frozenset())
 
 
-class Options(NamedTuple):
-    """What the command line says; ``None`` = not given.
+class Task:
+    """Runs one probe in a thread of its own, so that one that hangs doesn't block the doctor.
 
-    Attributes:
-        port: the Teensy's serial port.
-        bus: the servo board's: a path, a number, or ``VIRTUAL``.
-        address: the servo board's on it.
-        namespace: the car's, from the root; ``None`` = that of the car that there is.
+    Args:
+        subject: of the finding when it hangs or fails.
+        arguments: what ``probe`` takes.
     """
 
-    port: str | None
-    bus: str | None
-    address: int | None
-    namespace: str | None
+    def __init__(self, subject: str, probe: Callable[..., Any], *arguments: Any):
+        self._subject = subject
+        self._result: Any = None
+        self._fault: Exception | None = None
+        self._probe = lambda: probe(*arguments)
+        self._ended = threading.Event()
+        threading.Thread(target=self._run, name=subject, daemon=True).start()
+
+    def _run(self):
+        try:
+            self._result = self._probe()
+        except Exception as error:  # no fault of one probe may end the others
+            self._fault = error
+        self._ended.set()
+
+    def wait(self, deadline_s: float) -> tuple[Any, list[Finding]]:
+        """Return the result, or ``None`` and what went wrong, at the latest when the monotonic clock reaches the
+        deadline.
+        """
+        while not self._ended.wait(0.02):
+            if time.monotonic() >= deadline_s:
+                return None, [Finding(BAD, self._subject, "no answer in time: given up",
+                                      "See whether this computer is overloaded or a device hangs: top, dmesg")]
+        if self._fault is not None:
+            return None, [Finding(BAD, self._subject, f"the doctor couldn't look at it: {type(self._fault).__name__}: "
+                                                      f"{self._fault}", "See the line of the versions first")]
+        return self._result, []
+
+    def findings(self, deadline_s: float) -> list[Finding]:
+        """Return the result of a probe that returns findings, or what went wrong."""
+        result, trouble = self.wait(deadline_s)
+        return trouble or result
+
+
+class Options(NamedTuple):
+    """What the command line says; ``None`` = not given."""
+
+    port: str | None  # the Teensy's serial port
+    bus: str | None  # the servo board's: a path, a number, or VIRTUAL
+    address: int | None  # the servo board's on it
+    namespace: str | None  # the car's, from the root; None = that of the car that there is
 
 
 class Car(NamedTuple):
@@ -86,11 +121,11 @@ class Car(NamedTuple):
     was_chosen: bool  # False: there are several cars, and no namespace was given
 
     def runs(self, name: str) -> Node | None:
-        """A node that is there and answers."""
+        """Return a node that is there and answers."""
         return next((node for node in self.nodes if node.name == name and node.runs), None)
 
     def state(self, name: str) -> str:
-        """What a node does."""
+        """Return what a node does."""
         return next((node.state for node in self.nodes if node.name == name), ABSENT)
 
     @property
@@ -128,7 +163,7 @@ def survey(master: Master | None, options: Options) -> Car:
 
 
 def _parameters(master, namespace, name, nodes):
-    """A node's parameters; what its launch file gave to its process goes before what the server holds by now."""
+    """Return a node's parameters; what its launch file gave to its process goes before what the server holds by now."""
     values = master.parameter(f"{namespace.rstrip('/')}/{name}") if master else None
     fixed = [master.fixed_parameters(node) for node in nodes if node.name == name]
     given = {key: value for values in fixed for key, value in values.items() if value is not None}
@@ -155,7 +190,7 @@ def _bus(device):
 
 
 def _prescale(board):
-    """The PRE_SCALE and the oscillator that the pca9685 node's parameters ask for; ``None`` = nobody asks."""
+    """Return the PRE_SCALE and the oscillator that the pca9685 node's parameters ask for; ``None`` = nobody asks."""
     try:
         oscillator_hz = board.number("oscillator_hz", 25e6, low=1e6, high=50e6)
         prescale = board.integer("prescale", None)
@@ -167,7 +202,7 @@ def _prescale(board):
 
 
 def examine(options: Options) -> Iterator[Finding]:
-    """All findings, in the order in which they're best cured."""
+    """Yield all findings, in the order in which they're best cured."""
     uri = os.environ.get("ROS_MASTER_URI", "")
     master = Master(uri)
     versions = Task("versions", probe_versions)
@@ -228,7 +263,7 @@ def _or(result_and_trouble, default):
 
 
 def _covered(hub, link):
-    """The names of the reports on /diagnostics whose fault the finding about the link tells."""
+    """Return the names of the reports on /diagnostics whose fault the finding about the link tells."""
     names = [] if hub is None or link is None else [LINK_REPORT] if link.level == OK else [LINK_REPORT, CLOCK_REPORT]
     return [f"{hub.path.strip('/')}: {name}" for name in names]
 
@@ -240,10 +275,10 @@ def _read_all(master, car):
 
 
 def _listen_to_topics(master, car, hub, reporting):
-    from car_interface.tools.doctor.probes.gamepad import (
+    from car_interface.tools.doctor.probes.topics import (
         GamepadListener,  # they need rospy, which may be what is missing
+        listen,
     )
-    from car_interface.tools.doctor.probes.topics import listen
     turn_arb, teleop_logi = car.runs("turn_arb"), car.runs("teleop_logi")
     return listen(hub and hub.path, turn_arb and turn_arb.path, reporting,
                   teleop_logi and GamepadListener(master, teleop_logi))

@@ -19,13 +19,86 @@ import shlex
 import shutil
 import subprocess
 import sys
+from typing import NamedTuple, Sequence
 
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.package_files import package_file
-from car_interface.tools.host_setup.plan import RULES_FOLDER, RULES_NAME, Computer, Step, plan, remarks
 
+RULES_NAME = "70-car-interface.rules"
+RULES_FOLDER = "/etc/udev/rules.d"
+GROUPS = ("dialout", "i2c", "input")  # the Teensy's port, the servo board's bus, the gamepad
+ROOT = "root"
 # A user's PATH often lacks these, where the commands are.
 SYSTEM_PATH = "/usr/sbin:/sbin:/usr/bin:/bin"
+
+
+class Computer(NamedTuple):
+    """How the computer is now."""
+
+    user: str  # whom to give access; root needs none
+    groups: frozenset  # all groups that there are
+    joined: frozenset  # those that /etc/group puts the user in
+    has_udev: bool  # whether udevadm is there; containers have none
+    rules_are_new: bool  # whether the installed rules are the package's
+
+
+class SetupStep(NamedTuple):
+    """One thing to do."""
+
+    what: str  # a description
+    command: tuple  # what does it, as root
+    may_fail: bool = False  # whether what it does comes about without it, too
+    otherwise: str = ""  # what to print when it failed
+
+
+def plan(computer: Computer, rules: str) -> list[SetupStep]:
+    """Return the steps that are left to do, in order.
+
+    Args:
+        computer: how it is now.
+        rules: the path of the package's udev rules.
+    """
+    steps = [SetupStep(f"make the group {group}", ("groupadd", "--system", group))
+             for group in GROUPS if group not in computer.groups]
+    missing = [group for group in GROUPS if group not in computer.joined]
+    if missing and computer.user != ROOT:
+        steps.append(SetupStep(f"add {computer.user} to {', '.join(missing)}",
+                               ("usermod", "--append", "--groups", ",".join(missing), computer.user),
+                               otherwise="a user who isn't in /etc/passwd joins each group by: sudo gpasswd --add "
+                                         f"{computer.user} GROUP"))
+    if computer.has_udev and not computer.rules_are_new:
+        # After the groups: udev looks their names up when it reads the rules.
+        steps += [
+            SetupStep(f"install {RULES_FOLDER}/{RULES_NAME}",
+                      ("install", "-D", "--mode=644", rules, f"{RULES_FOLDER}/{RULES_NAME}")),
+            SetupStep("have udev read it", ("udevadm", "control", "--reload-rules"), True,
+                      "udev reads it at the next boot"),
+            SetupStep("have udev apply it to what is plugged in",
+                      ("udevadm", "trigger", "--subsystem-match=tty", "--subsystem-match=i2c-dev"), True,
+                      "plug the Teensy out and in again, or start the computer anew"),
+        ]
+    return steps
+
+
+def remarks(computer: Computer, steps: Sequence[SetupStep]) -> list[str]:
+    """Return what the user has to know at the end.
+
+    Args:
+        computer: how it was before.
+        steps: what was done.
+    """
+    done = [step.command[0] for step in steps]
+    lines = []
+    if computer.user == ROOT:
+        lines.append("root needs no groups. For the user who will drive: setup_hardware --user NAME")
+    if "usermod" in done:
+        lines.append(f"Groups count from the next log-in: {computer.user} must log out and in again, everywhere.")
+    if not computer.has_udev:
+        lines.append("There is no udevadm here, as in a container: the udev rule was left out. Run this on the "
+                     "computer itself, too; it makes the devices that a container is given.")
+    elif "install" in done:
+        lines.append("The Teensy is now also /dev/teensy_sensor_hub. If ModemManager had it open, plug it in anew.")
+    return lines
 
 
 def read_computer(user: str, rules: str) -> Computer:
@@ -43,13 +116,13 @@ def _same(rules):
     return os.path.exists(installed) and filecmp.cmp(rules, installed, shallow=False)
 
 
-def show_step(step: Step) -> bool:
+def show_step(step: SetupStep) -> bool:
     """Print what a step would do; True, as if that worked."""
     print(f"would {step.what}:\n    {shlex.join(as_root(step.command))}")
     return True
 
 
-def run_step(step: Step) -> bool:
+def run_step(step: SetupStep) -> bool:
     """Run a step's command as root; whether that worked."""
     command = as_root(step.command)
     print(f"{step.what}:\n    {shlex.join(command)}", flush=True)
@@ -64,7 +137,7 @@ def run_step(step: Step) -> bool:
 
 
 def as_root(command) -> list[str]:
-    """The command, by sudo unless this is root."""
+    """Return the command, by sudo unless this is root."""
     return list(command) if os.geteuid() == 0 else ["sudo", *command]
 
 

@@ -12,14 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, UNCHANGED
-from car_interface.common.units import stamp_ns, yaw_rad
+from car_interface.common.units import CHANNELS, MAX_DUTY, NS_PER_S, UNCHANGED, stamp_ns, yaw_rad
 from car_interface.pca9685.registers import counts_of_duty, duty_of_counts
-from car_interface.tools.recordings.gravity import Gravity
 from car_interface.tools.recordings.recording import Recorded
 from car_interface.tools.recordings.series import Ackermann, Imu, Odom, Output, Value
-from car_interface.tools.recordings.timeline import Timeline
 
+STEP_BACK_S = 1.0  # the recorder's own time goes back by more only when the computer's clock was set
+BREAK_S = 10.0  # from what was recorded before such a step to what was recorded after it
+MIN_GRAVITY_MPS2 = 5.0  # less on the average: something has taken it off already
+UPRIGHT = 0.8  # the cosine of the largest tilt of an upright IMU
 MAX_STAMP_OFFSET_S = 2.0  # a stamp farther from when its message was recorded is wrong
 REPEATED_S = 0.5  # how often an output that doesn't change is kept
 MAX_NUMBER = 1e9  # in m, m/s, rad or m/s²: no car's, and the sums of its squares would overflow
@@ -29,12 +30,72 @@ STAMP_BACK, ODD_STAMP, NOT_FINITE, WRONG_LENGTH = (
     "with a number that is none: left out", "that don't have 16 duties: left out")
 
 
-class Column(ABC):
-    """The messages of one topic.
+class Timeline:
+    """Converts ROS time to seconds since the first message.
 
-    Args:
-        topic: its name, for notes.
+    Where the clock was set back, all that follows is moved behind what was recorded before.
+
+    Attributes:
+        start_ns: ROS time of the first message.
+        last_s: of the newest message.
     """
+
+    def __init__(self):
+        self.start_ns = 0
+        self.last_s = 0.0
+        self._shift_s = 0.0
+        self._steps = []  # (time in s, step back in s)
+        self._has_started = False
+
+    def recorded_s(self, time_ns: int) -> float:
+        """Return the time at which a message was recorded; called once for each message, in order."""
+        if not self._has_started:
+            self.start_ns, self._has_started = time_ns, True
+        now_s = (time_ns - self.start_ns) / NS_PER_S + self._shift_s
+        if now_s < self.last_s - STEP_BACK_S:
+            self._steps.append((self.last_s, self.last_s - now_s))
+            self._shift_s += self.last_s - now_s + BREAK_S
+            now_s = self.last_s + BREAK_S
+        self.last_s = max(self.last_s, now_s)
+        return now_s
+
+    def stamped_s(self, time_ns: int) -> float:
+        """Return the time of a stamp in the newest message."""
+        return (time_ns - self.start_ns) / NS_PER_S + self._shift_s
+
+    def notes(self) -> tuple[str, ...]:
+        """Return a line for each time that the clock was set back."""
+        return tuple(f"the computer's clock was set back by {back_s:.1f} s, {at_s:.1f} s after the start: what follows "
+                     "counts as another drive" for at_s, back_s in self._steps)
+
+
+class Gravity:
+    """The mean of an IMU's accelerations: on a drive all but gravity cancels out."""
+
+    def __init__(self):
+        self._count = 0
+        self._sum_mps2 = [0.0, 0.0, 0.0]
+
+    def add(self, acceleration: Any) -> None:
+        """Add the linear_acceleration of a sensor_msgs/Imu."""
+        axes = (acceleration.x, acceleration.y, acceleration.z)
+        if all(map(math.isfinite, axes)):
+            self._count += 1
+            self._sum_mps2 = [before + now for before, now in zip(self._sum_mps2, axes)]
+
+    def note(self, topic: str) -> str:
+        """Return what is wrong with the mounting of the IMU on a topic; empty: nothing, or that can't be told."""
+        mean_mps2 = [total / max(self._count, 1) for total in self._sum_mps2]
+        size_mps2 = math.sqrt(sum(mean**2 for mean in mean_mps2))
+        if size_mps2 < MIN_GRAVITY_MPS2 or abs(mean_mps2[2]) >= UPRIGHT * size_mps2:
+            return ""
+        axis = max(range(3), key=lambda index: abs(mean_mps2[index]))
+        return (f"{topic}: gravity lies along its {'xyz'[axis]} axis, not along z: it is mounted on its side, and its "
+                "turn rate about z isn't the car's")
+
+
+class Column(ABC):
+    """The messages of one topic."""
 
     def __init__(self, topic: str):
         self.topic = topic
@@ -53,13 +114,13 @@ class Column(ABC):
 
     @abstractmethod
     def build(self) -> Any:
-        """The columns; not called when there are none."""
+        """Build the columns; not called when there are none."""
 
     def finish(self, timeline: Timeline) -> None:  # noqa: B027
-        """Called after the last message; most columns have nothing left to do."""
+        """Do what is left after the last message; for most columns nothing."""
 
     def notes(self) -> list[str]:
-        """A line for each reason for which messages were left out."""
+        """Return a line for each reason for which messages were left out."""
         return [f"{self.topic}: {count} message{'s' if count > 1 else ''} {reason}"
                 for reason, count in self._left_out.items()]
 
@@ -90,7 +151,7 @@ class StampedColumn(Column):
 
     @abstractmethod
     def row(self, message) -> tuple:
-        """The numbers of a message that must be finite."""
+        """Return the numbers of a message that must be finite."""
 
     def _add_more(self, message):
         """Add numbers that may be NaN."""
@@ -207,13 +268,13 @@ class CommandColumn(OutputColumn):
 
 
 def message_stamp_ns(message) -> int:
-    """A message's stamp, of its header or its own; 0 when it has none."""
+    """Return a message's stamp, of its header or its own; 0 when it has none."""
     stamp = message.header.stamp if hasattr(message, "header") else getattr(message, "stamp", None)
     return stamp_ns(stamp) if stamp is not None else 0
 
 
 def ackermann_drive(message) -> Any:
-    """The AckermannDrive in a message that may be stamped."""
+    """Return the AckermannDrive in a message that may be stamped."""
     return message.drive if hasattr(message, "drive") else message
 
 

@@ -23,7 +23,7 @@ class Trail(NamedTuple):
 
 
 def trail(signals: Signals) -> Trail:
-    """The trail of a recording with odometry, without the samples at which the car stood still."""
+    """Return the trail of a recording with odometry, without the samples at which the car stood still."""
     odom = signals.odom
     moves = np.concatenate(([False], (np.diff(odom.x_m) != 0) | (np.diff(odom.y_m) != 0)))
     return Trail(signals.path, *(column[moves] for column in (signals.start_s + odom.t_s, odom.x_m, odom.y_m)))

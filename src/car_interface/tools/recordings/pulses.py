@@ -49,7 +49,7 @@ class PulseColumns(Column):
             self._add_wheels(recorded, now_s, timeline)
 
     def finish(self, timeline):
-        """Without a single pong the reports count by their arrival."""
+        """Add the reports that waited for a pong; without a single one they count by their arrival."""
         if self._to_monotonic_ns is None:
             self._to_monotonic_ns = 0
         self._add_pending(timeline)
@@ -103,5 +103,5 @@ class PulseColumns(Column):
 
 
 def wheel(message) -> Wheel:
-    """One wheel of a car_interface/Wheel message as the protocol has it."""
+    """Return one wheel of a car_interface/Wheel message as the protocol has it."""
     return Wheel(message.speed, message.direction, message.when, message.dist, message.dist_abs)

@@ -65,22 +65,12 @@ def contents(path: str) -> Contents:
         NoRecording: it can't be read.
     """
     with _opened(path) as reader:
-        counts = _counts(reader)
         found: dict = {}
         for connection in reader.connections:
-            count = counts[connection.id] + (found[connection.topic].count if connection.topic in found else 0)
+            count = connection.msgcount + (found[connection.topic].count if connection.topic in found else 0)
             found[connection.topic] = Topic(connection.msgtype, count)
-        begin, end = (reader.start_time, reader.end_time) if sum(counts.values()) else (0, 0)
+        begin, end = (reader.start_time, reader.end_time) if any(topic.count for topic in found.values()) else (0, 0)
         return Contents(begin, end, dict(sorted(found.items())), getattr(reader, "clock_steps_back", 0))
-
-
-def topics(path: str) -> dict[str, str]:
-    """The absolute names of what was recorded, with their types, such as ``nav_msgs/msg/Odometry``.
-
-    Raises:
-        NoRecording: it can't be read.
-    """
-    return {name: topic.type for name, topic in contents(path).topics.items()}
 
 
 def read(path: str, topics: Sequence[str] | Mapping[str, str | Sequence[str]], namespace: str = "/",
@@ -92,7 +82,6 @@ def read(path: str, topics: Sequence[str] | Mapping[str, str | Sequence[str]], n
         topics: their names below ``namespace``; those that weren't recorded yield nothing. A name that begins with a
             slash and isn't found below the namespace is looked up as it is. In a dict each name has the accepted type,
             such as ``nav_msgs/Odometry``, or several of them.
-        namespace: the car's.
         progress: show a bar on a terminal's standard error when it takes more than a second.
 
     Raises:
@@ -112,10 +101,9 @@ def read(path: str, topics: Sequence[str] | Mapping[str, str | Sequence[str]], n
                 decoders[connection.id] = definitions.decoder(connection)
             except UnknownType as error:
                 raise NoRecording(f"{path}: {connection.topic} can't be read: {error}") from error
-        counts = _counts(reader)
         messages = reader.messages(connections=connections)
         if progress and sys.stderr.isatty():
-            messages = with_bar(messages, sum(counts[connection.id] for connection in connections), Path(path).name)
+            messages = with_bar(messages, sum(connection.msgcount for connection in connections), Path(path).name)
         for connection, time_ns, data in messages:
             try:
                 message = decoders[connection.id](data)
@@ -142,9 +130,7 @@ def require(path: str, topics: Iterable[str], namespace: str = "/", why: str = "
     """Check that all topics were recorded.
 
     Args:
-        path: of the recording.
         topics: their names, as for ``read``.
-        namespace: the car's.
         why: the purpose, as the end of a sentence.
 
     Raises:
@@ -165,9 +151,7 @@ def check_types(path: str, topics: Mapping[str, str | Sequence[str]], namespace:
     """Check that topics were recorded with accepted types.
 
     Args:
-        path: of the recording.
         topics: the accepted type, or several, by name, as for ``read``; those that weren't recorded are left out.
-        namespace: the car's.
 
     Raises:
         NoRecording: names the first that wasn't.
@@ -178,12 +162,14 @@ def check_types(path: str, topics: Mapping[str, str | Sequence[str]], namespace:
 
 
 def is_of_type(kind: str, accepted: Iterable[str]) -> bool:
-    """Whether a message type, such as ``nav_msgs/msg/Odometry``, is one of those, written as in ROS 1 or in ROS 2."""
+    """Return whether a message type, such as ``nav_msgs/msg/Odometry``, is one of those, written as in ROS 1 or in ROS
+    2.
+    """
     return _short(kind) in map(_short, accepted)
 
 
 def other_version(path: str, recorded: Recorded) -> NoRecording:
-    """The error for a message that lacks a field of its type."""
+    """Return the error for a message that lacks a field of its type."""
     return NoRecording(f"{path}: {recorded.topic} was recorded with another version of "
                        f"{_short(recorded.message.__msgtype__)}")
 
@@ -206,7 +192,7 @@ def with_bar(items: Iterable[Any], total: int, text: str) -> Iterator[Any]:
 
 @contextmanager
 def _opened(path):
-    """A reader of a recording; every error of the file becomes NoRecording."""
+    """Yield a reader of a recording; every error of the file becomes NoRecording."""
     file = Path(path)
     _check_exists(file)
     try:
@@ -248,14 +234,6 @@ def _reader(file):
     return ChunkReader(file)
 
 
-def _counts(reader):
-    """How many messages there are, by the connection's id."""
-    if isinstance(reader, ChunkReader):
-        counts = reader.counts()
-        return {connection.id: counts.get(connection.id, 0) for connection in reader.connections}
-    return {connection.id: connection.msgcount for connection in reader.connections}
-
-
 def _check_type(path, name, kind, accepted):
     accepted = (accepted,) if isinstance(accepted, str) else accepted
     if not is_of_type(kind, accepted):
@@ -263,7 +241,7 @@ def _check_type(path, name, kind, accepted):
 
 
 def _short(name):
-    """A message type's name as ROS 1 has it."""
+    """Return a message type's name as ROS 1 has it."""
     return name.replace("/msg/", "/")
 
 

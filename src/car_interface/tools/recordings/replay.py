@@ -30,7 +30,6 @@ def replay(recorded: Iterable[Recorded],
 
     Args:
         recorded: messages of ``TOPICS``, in order.
-        config: of the car.
     """
     measurements = Measurements(config)
     to_monotonic_ns = None  # from ROS time; known with the first pong

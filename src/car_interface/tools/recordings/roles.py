@@ -14,6 +14,7 @@ VALUE_TYPES = ("car_interface/Float64Stamped", "autoware_internal_debug_msgs/Flo
 DUTY_TYPES, NUMBER_TYPES = ("std_msgs/Int32MultiArray",), ("std_msgs/Float32",)
 # A namespace with one of these is a car of its own: nothing of it is guessed to be another car's.
 CAR_ENDINGS = ("/turn_arb/state", "/servo/output")
+THROTTLE_STATE = {"throttle_arb/state": "car_interface/ThrottleState"}  # who drives, and what the ESC does
 
 
 class Role(NamedTuple):
@@ -57,8 +58,6 @@ def find(recorded: Mapping[str, Topic], role: Role, namespace: str = "/", given:
 
     Args:
         recorded: the topics by absolute name.
-        role: of the topic.
-        namespace: the car's.
         given: by the user, goes before everything else; ``None`` = not given.
     """
     if given is not None and given != role.topics[0]:
@@ -79,13 +78,12 @@ def find(recorded: Mapping[str, Topic], role: Role, namespace: str = "/", given:
 
 def without(recorded: Mapping[str, Topic], given: Mapping[str, str | None], role: Role,
             namespace: str) -> dict[str, Topic]:
-    """The recorded topics that can play a role: those that the user gave to other roles can't.
+    """Return the recorded topics that can play a role: those that the user gave to other roles can't.
 
     Args:
         recorded: the topics by absolute name.
         given: by the user, by role; ``None`` = not given.
         role: to play.
-        namespace: the car's.
     """
     others = [topic for name, topic in given.items() if topic is not None and name != role.name]
     taken = absolute_names(recorded, others, namespace)
@@ -93,19 +91,19 @@ def without(recorded: Mapping[str, Topic], given: Mapping[str, str | None], role
 
 
 def fits(recorded: Mapping[str, Topic], topic: str, role: Role, namespace: str) -> bool:
-    """Whether a topic, as for ``recording.read``, was recorded with a type that its role accepts."""
+    """Return whether a topic, as for ``recording.read``, was recorded with a type that its role accepts."""
     return any(is_of_type(recorded[name].type, role.types)
                for name in absolute_names(recorded, [topic], namespace))
 
 
 def other_cars(recorded: Mapping[str, Topic], namespace: str) -> set[str]:
-    """The namespaces with cars of their own, such as ``/car1``, other than ``namespace``."""
+    """Return the namespaces with cars of their own, such as ``/car1``, other than ``namespace``."""
     spaces = {name[:-len(ending)] for name in recorded for ending in CAR_ENDINGS if name.endswith(ending)}
     return spaces - {"", "/" + namespace.strip("/")}
 
 
 def _candidates(recorded, role, namespace):
-    """The topics with messages of a role's type, below the namespace and not another car's."""
+    """Return the topics with messages of a role's type, below the namespace and not another car's."""
     below = "/" + "/".join([*filter(None, namespace.split("/")), ""])
     others = tuple(space + "/" for space in other_cars(recorded, namespace) if not below.startswith(space + "/"))
     return [name for name, topic in recorded.items() if topic.count and is_of_type(topic.type, role.types)

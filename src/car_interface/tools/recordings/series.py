@@ -9,8 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from car_interface.common.servo_channels import UNCHANGED
-
 
 class Odom(NamedTuple):
     """Pose and speed of the car, by odometry; all columns have the shape (N,)."""
@@ -28,11 +26,6 @@ class Output(NamedTuple):
 
     t_s: np.ndarray  # (N,)
     duties: np.ndarray  # (N, 16), int, a column for each channel; −1 = never set
-
-    def at(self, channel: int, t_s: np.ndarray) -> np.ndarray:
-        """The duties of a channel at the times ``t_s`` (M,): an array (M,), −1 before the first row."""
-        index = np.searchsorted(self.t_s, t_s, side="right") - 1
-        return np.where(index < 0, UNCHANGED, self.duties[np.maximum(index, 0), channel])
 
 
 class Imu(NamedTuple):

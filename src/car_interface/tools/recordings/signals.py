@@ -16,20 +16,20 @@ from car_interface.tools.recordings.columns import (
     ImuColumn,
     OdomColumn,
     OutputColumn,
+    Timeline,
     ValueColumn,
 )
 from car_interface.tools.recordings.pulses import CLOCK_TOPIC, WHEEL_TOPIC, PulseColumns
 from car_interface.tools.recordings.recording import NoRecording
 from car_interface.tools.recordings.series import Ackermann, Imu, Odom, Output, Pulses, Value
-from car_interface.tools.recordings.timeline import Timeline
 
-ODOM, OUTPUT, IMU, VALUE, ACKERMANN, PULSES = PARTS = "odom", "output", "imu", "value", "ackermann", "pulses"
-COMMAND = "command"
-VALUE_TOPIC, IMU_TOPIC, OUTPUT_TOPIC = (role.topics[0] for role in (roles.VALUE, roles.IMU, roles.OUTPUT))
+PULSES = "pulses"  # the only part that plays no role: only this package records it
+PARTS = (*(role.name for role in (roles.ODOM, roles.OUTPUT, roles.IMU, roles.VALUE, roles.ACKERMANN)), PULSES)
 # The parts with a topic of their own.
-KINDS = {ODOM: (roles.ODOM, OdomColumn), IMU: (roles.IMU, ImuColumn), VALUE: (roles.VALUE, ValueColumn),
-         ACKERMANN: (roles.ACKERMANN, AckermannColumn)}
-ROLES = (*(role for role, _ in KINDS.values()), roles.OUTPUT, roles.COMMAND)
+KINDS = {role.name: (role, kind) for role, kind in (
+    (roles.ODOM, OdomColumn), (roles.IMU, ImuColumn), (roles.VALUE, ValueColumn), (roles.ACKERMANN, AckermannColumn))}
+BOARD = ((roles.OUTPUT, OutputColumn), (roles.COMMAND, CommandColumn))
+ROLES = tuple(role for role, _ in (*KINDS.values(), *BOARD))
 PULSE_TYPES = {WHEEL_TOPIC: "car_interface/Wheel", CLOCK_TOPIC: "car_interface/TeensyClock"}
 
 
@@ -64,10 +64,8 @@ def load(path: str, wanted: Collection[str], *, optional: Collection[str] = (), 
     """Read a recording.
 
     Args:
-        path: of the recording.
         wanted: those of ``PARTS`` that the recording must have.
         optional: those of ``PARTS`` that are read if it has them. An ``imu`` that is named must be there.
-        namespace: the car's.
         progress: show a bar.
         topics: named by the user, by role: ``odom``, ``imu``, ``value``, ``ackermann``, ``output``, ``command``.
             ``None``, or one that isn't named: its usual topic, or the only one of its type.
@@ -93,17 +91,17 @@ def load(path: str, wanted: Collection[str], *, optional: Collection[str] = (), 
     notes = (*guesses, *(note for column in columns.values() for note in column.notes()), *timeline.notes())
     built = {part: None if column.is_empty else column.build() for part, column in columns.items()}
     return Signals(str(path), timeline.start_ns / NS_PER_S, timeline.last_s, *(
-        built.get(part) for part in (ODOM, OUTPUT, IMU, VALUE, ACKERMANN, PULSES)),
+        built.get(part) for part in PARTS),
         {part: column.topic for part, column in columns.items() if not column.is_empty}, notes)
 
 
 def _columns(path, wanted, optional, topics, namespace):
-    """An empty column for each part that will be read, the accepted types by topic, and what was guessed."""
+    """Return an empty column for each part that will be read, the accepted types by topic, and what was guessed."""
     recorded = recording.contents(path).topics
     recording.check_types(path, {topics[role.name]: role.types for role in ROLES if topics.get(role.name)}, namespace)
     columns, types, guesses = {}, {}, []
     for part, (role, kind) in KINDS.items():
-        if part not in wanted | optional and (part != IMU or not topics.get(IMU)):
+        if part not in wanted | optional and (part != roles.IMU.name or not topics.get(roles.IMU.name)):
             continue
         free = roles.without(recorded, topics, role, namespace)
         topic, note = roles.find(free, role, namespace, topics.get(part))
@@ -117,9 +115,9 @@ def _columns(path, wanted, optional, topics, namespace):
         elif is_needed:
             hint = _hint(part) if topics.get(part) in (None, *role.topics) else ""
             recording.require(path, [topic], namespace, f"the {part}: {role.what}{hint}")
-    if OUTPUT in wanted | optional:
-        columns.update(_output_column(path, recorded, OUTPUT in wanted, topics, namespace))
-        types.update((column.topic, roles.DUTY_TYPES) for part, column in columns.items() if part == OUTPUT)
+    if roles.OUTPUT.name in wanted | optional:
+        columns.update(_output_column(path, recorded, roles.OUTPUT.name in wanted, topics, namespace))
+        types.update((column.topic, roles.DUTY_TYPES) for part, column in columns.items() if part == roles.OUTPUT.name)
     if PULSES in wanted:
         recording.require(path, [WHEEL_TOPIC], namespace)
     if PULSES in wanted or PULSES in optional and recording.absolute_names(recorded, [WHEEL_TOPIC], namespace):
@@ -128,17 +126,18 @@ def _columns(path, wanted, optional, topics, namespace):
 
 
 def _output_column(path, recorded, is_wanted, topics, namespace):
-    """The board's outputs; without them its commands, which don't show channels that were set before the recording."""
-    given = [(kind, [topics[role]]) for role, kind in ((OUTPUT, OutputColumn), (COMMAND, CommandColumn))
-             if topics.get(role)]
-    usual = [(OutputColumn, roles.OUTPUT.topics), (CommandColumn, roles.COMMAND.topics)]
+    """Return the board's outputs; without them its commands, which don't show channels that were set before the
+    recording.
+    """
+    given = [(kind, [topics[role.name]]) for role, kind in BOARD if topics.get(role.name)]
+    usual = [(kind, role.topics) for role, kind in BOARD]
     for kind, names in given or usual:
         for topic in names:  # one with messages goes before one that was only advertised
             if any(recorded[name].count for name in recording.absolute_names(recorded, [topic], namespace)):
-                return {OUTPUT: kind(topic)}
+                return {roles.OUTPUT.name: kind(topic)}
     if is_wanted or given:
         topic = (given or usual)[0][1][0]
-        recording.require(path, [topic], namespace, "" if given else f"{roles.OUTPUT.what}{_hint(OUTPUT)}")
+        recording.require(path, [topic], namespace, "" if given else f"{roles.OUTPUT.what}{_hint(roles.OUTPUT.name)}")
         raise NoRecording(f"{path} has no messages of {topic}")
     return {}
 

@@ -6,6 +6,7 @@ from typing import Any, Callable, Mapping, NamedTuple
 
 MAX_PAUSE_S = 5.0  # what answers a question is published at 1 Hz or more; a longer pause is a hole in the recording
 DIAGNOSTICS = "/diagnostics"
+Handler = Callable[[float, Any], None]  # of time in s and message
 
 
 class Source(NamedTuple):
@@ -46,12 +47,7 @@ class Gap(NamedTuple):
 
 
 class Coverage:
-    """Follows when the sources of answers were recorded.
-
-    Args:
-        namespace: the car's.
-        duration_s: of the recording.
-    """
+    """Follows when the sources of answers were recorded."""
 
     def __init__(self, namespace: str, duration_s: float):
         self._below = "/" + "/".join([*filter(None, namespace.split("/")), ""])
@@ -63,12 +59,12 @@ class Coverage:
         self._by_topic = {source.topic: source for source in sources if not source.report}
         self._by_report = {source.report.partition(": ")[2]: source for source in sources if source.report}
 
-    def watched(self, handlers: Mapping[str, Callable[[float, Any], None]]) -> dict:
-        """The handlers of time and message by topic; those of sources also note when a message was recorded."""
+    def watched(self, handlers: Mapping[str, Handler]) -> dict:
+        """Return the handlers by topic; those of sources also note when a message was recorded."""
         noting = {topic: (lambda time_s, message, source=source: self._note(source, time_s))
                   for topic, source in self._by_topic.items()}
         noting[DIAGNOSTICS] = self._note_reports
-        return {topic: _both(noting[topic], handler) if topic in noting else handler
+        return {topic: both(noting[topic], handler) if topic in noting else handler
                 for topic, handler in handlers.items()}
 
     @property
@@ -77,7 +73,7 @@ class Coverage:
         return not self._last_s
 
     def gaps(self) -> list[Gap]:
-        """The questions that the recording can't answer, for all of it or for a time."""
+        """Return the questions that the recording can't answer, for all of it or for a time."""
         found = []
         for question in QUESTIONS:
             recorded = [source for source in question.sources if source in self._last_s]
@@ -104,7 +100,7 @@ class Coverage:
         self._last_s[source] = time_s
 
     def _pause(self, source):
-        """The longest time without a message of a source that was recorded, as its start and end."""
+        """Return the longest time without a message of a source that was recorded, as its start and end."""
         return (0.0, 0.0) if source.has_pauses else self._pause_until(source, self._duration_s)
 
     def _pause_until(self, source, time_s):
@@ -117,7 +113,8 @@ class Coverage:
         return source.topic if source.topic == "/rosout" else self._below + source.topic
 
 
-def _both(first, second):
+def both(first: Handler, second: Handler) -> Handler:
+    """Return a handler that calls two."""
     def handle(time_s, message):
         first(time_s, message)
         second(time_s, message)

@@ -46,7 +46,7 @@ class Trace:
         self.minimum, self.maximum = min(self.minimum, value), max(self.maximum, value)
 
     def curve(self, gap_s: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
-        """(times (N,), values (N,)) in order, with a NaN in each gap of more than ``gap_s``."""
+        """Return (times (N,), values (N,)) in order, with a NaN in each gap of more than ``gap_s``."""
         times, values = (np.concatenate([np.frombuffer(low), np.frombuffer(high)])
                          for low, high in zip(self._minima, self._maxima))
         order = np.argsort(times[~np.isnan(values)], kind="stable")
@@ -84,7 +84,7 @@ class Path:
                                               for column in (self.x_m, self.y_m, self.kinds))
 
     def interrupt(self) -> None:
-        """The next point isn't connected with the one before."""
+        """Leave a gap before the next point."""
         if self.kinds:
             self.x_m.append(math.nan)
             self.y_m.append(math.nan)
@@ -117,6 +117,6 @@ class Spots:
                 self._cells[cell] = self._cells.get(cell, 0) + count
 
     def places(self) -> tuple[np.ndarray, np.ndarray]:
-        """The middles of the cells: (x_m (N,), y_m (N,))."""
+        """Return the middles of the cells: (x_m (N,), y_m (N,))."""
         cells = np.array(list(self._cells), dtype=float).reshape(-1, 2) * self.cell_m
         return cells[:, 0], cells[:, 1]

@@ -4,20 +4,12 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from html import escape
 from typing import Sequence
 
 from car_interface.common.units import NS_PER_S
 from car_interface.tools.report.drives_row import Row
-from car_interface.tools.report.html import MIN_DATE_NS, date_text, document, ratio_text, section, span_text, table
+from car_interface.tools.report.html import MIN_DATE_NS, date_text, ratio_text, render, span_text
 
-HEADINGS = ("recording", "date (UTC)", "driven", "who drove", "lost or locked", "steering", "value map", "link",
-            "faults")
-# Wider than other pages, and only the first column is wrapped.
-STYLE = ("<style>main { max-width: 1440px; } #drives th, #drives td { overflow-wrap: normal; }"
-         " #drives td:nth-child(n+2) { white-space: nowrap; }"
-         " #drives td:first-child { min-width: 250px; overflow-wrap: anywhere; }"
-         " @media (max-width: 700px) { #drives td:first-child { min-width: 150px; } }</style>\n")
 CSV_COLUMNS = ("recording", "start_utc", "duration_s", "distance_km", "gamepad_s", "planner_s", "losses",
                "losses_by_cause", "straight_per_m", "left_ratio", "right_ratio", "map_drive_mps2", "map_hold_mps2",
                "map_brake_mps2", "frames", "corrupt_frames", "port_reopened", "teensy_reboots", "pings_unanswered",
@@ -42,31 +34,15 @@ def page(folder: str, rows: Sequence[Row], trends: str) -> str:
         trends: the plots as SVG, empty = none.
     """
     drives = [row for row in rows if not row.error]
+    bad = [row for row in rows if row.error]
     dates = [date_text(row.start_ns) for row in drives if row.start_ns >= MIN_DATE_NS]
-    first_to_last = " to ".join(dict.fromkeys(dates[:1] + dates[-1:]))
-    figures = "".join(f"<div><b>{value}</b><span>{what}</span></div>" for value, what in _figures(rows, drives))
-    body = (f'{STYLE}<header id="summary">\n<h1>Drives in {escape(folder)}</h1>\n'
-            f'<p class="faint">{first_to_last}</p>\n<div class="figures">{figures}</div>\n</header>\n')
-    text = ("A point or a bar for each drive, in order of date; a point on the axis is 0, and where there is neither, "
-            "the recording can't tell.")
-    body += section("trends", "Trends", text, trends) if trends else ""
-    text = ("Newest first. Steering: the curve that the car drove when turn_arb sent it straight on, and how much "
-            "tighter or wider than the tables its turns were, where it was slow enough for its tyres. Value map: by "
-            "how much it accelerated more than the planner requested, where that was to drive, to hold the speed, to "
-            "brake.")
-    cells = [_cells(row) for row in reversed(drives)]
-    body += section("drives", "Drives", text, table(HEADINGS, cells, numbers=0, open_rows=len(cells))) if cells else ""
-    bad = [(escape(row.path), f'<span class="bad">{escape(row.error)}</span>') for row in rows if row.error]
-    body += section("unreadable", "Can't be read", "Not in the table and the trends.", table(
-        ("recording", "why"), bad, numbers=0, open_rows=len(bad))) if bad else ""
-    return document(f"Drives in {folder}", body)
+    return render("drives.html", title=f"Drives in {folder}", dates=dict.fromkeys(dates[:1] + dates[-1:]),
+                  figures=_figures(drives), drives=[(row, _cells(row)) for row in reversed(drives)], bad=bad,
+                  trends=trends)
 
 
-def _figures(rows, drives):
+def _figures(drives):
     """Yield the most important numbers: text, and what it is."""
-    yield str(len(drives)), "drives" if len(drives) != 1 else "drive"
-    if len(drives) != len(rows):
-        yield str(len(rows) - len(drives)), '<a href="#unreadable">can\'t be read</a>'
     known = [row.distance_m for row in drives if row.distance_m is not None]
     if known:
         yield f"{sum(known) / 1000:.2f} km", "driven"
@@ -77,21 +53,12 @@ def _figures(rows, drives):
 
 
 def _cells(row):
-    """A row of the table, in HTML."""
-    name = escape(row.path)
-    lacks = [f"can't tell: no {', no '.join(row.lacks)}"] if row.lacks else []
-    below = _joined([*lacks, *row.notes])
-    return (f'{name}<br><span class="faint">{below}</span>', _date(row),
-            _joined(_distance(row)), _joined(_drivers(row)), _joined(_losses(row)), _joined(_steering(row)),
-            _joined(_map(row)), _joined(_link(row)), _faults(row))
+    """The cells of a row between its recording and its faults, each a list of lines."""
+    return [[_date(row)], *([*lines(row)] for lines in (_distance, _drivers, _losses, _steering, _map, _link))]
 
 
 def _date(row):
     return date_text(row.start_ns)[:-len(":00 UTC")] if row.start_ns >= MIN_DATE_NS else "no date"
-
-
-def _joined(texts):
-    return "<br>".join(map(escape, texts))
 
 
 def _distance(row):
@@ -144,14 +111,6 @@ def _link(row):
                         (row.unanswered, "pings unanswered")):
         if count:
             yield f"{what}: {count}"
-
-
-def _faults(row):
-    if row.faults is None:
-        return "can't tell"
-    if not row.faults and row.lacks:
-        return "0 seen"
-    return f"{row.faults}" + (f', <span class="bad">{row.errors} errors</span>' if row.errors else "")
 
 
 def csv_text(rows: Sequence[Row]) -> str:

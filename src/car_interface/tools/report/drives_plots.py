@@ -35,7 +35,7 @@ CAUSE_COLOURS = ("#c0392b", "#d9822b", "#2f6fb3", "#1b9e77", "#8e5ea2", "#b8bfc7
 
 
 def trends(rows: Sequence[Row]) -> str:
-    """The SVG of at least two drives, in the order of ``rows``; empty where there is nothing to draw."""
+    """Return the SVG of at least two drives, in the order of ``rows``; empty where there is nothing to draw."""
     panels = [draw for draw, is_known in (
         (_distance, lambda row: row.distance_m is not None), (_losses, lambda row: row.losses is not None),
         (_center, lambda row: row.straight_per_m is not None),
@@ -81,7 +81,7 @@ def _losses(axes, rows):
 
 
 def _mark_zeros(axes, heights):
-    """A point where a bar would have no height; without a bar and a point nothing is known (NaN)."""
+    """Draw a point where a bar would have no height; without a bar and a point nothing is known (NaN)."""
     at = np.flatnonzero(heights == 0)
     if at.size:  # not clipped and empty would have no place for the layout
         axes.plot(at, np.zeros(at.size), color=FAINT, marker="o", markersize=3, linestyle="none", clip_on=False)
@@ -117,7 +117,7 @@ def _link(axes, rows):
 
 
 def _line(axes, rows, number, colour, label, least):
-    """A line through what is known; the axis reaches at least as far as ``least`` to both sides of 0."""
+    """Draw a line through what is known; the axis reaches at least as far as ``least`` to both sides of 0."""
     values = _column(rows, number)
     known = np.flatnonzero(~np.isnan(values))
     axes.axhline(0, color=FAINT, linewidth=0.9)
@@ -144,13 +144,13 @@ def _date(row):
 
 
 def _column(rows, number):
-    """A number of each row (N,), NaN where it isn't known."""
+    """Return a number of each row (N,), NaN where it isn't known."""
     values = [number(row) for row in rows]
     return np.array([np.nan if value is None else value for value in values], float)
 
 
 def _tighter_percent(ratio):
-    """By how much the radius is less than the tables'; the table of drives has the same number.
+    """Return by how much the radius is less than the tables'; the table of drives has the same number.
 
     A car that hardly turns is drawn as 100 % wider, for the other drives to be seen.
     """

@@ -119,7 +119,7 @@ def stored_row(values: Any, path: str) -> Row | None:
 
 
 def row(drive: Summary, path: str) -> Row:
-    """The row of a summarized recording, which is shown as ``path``."""
+    """Return the row of a summarized recording, which is shown as ``path``."""
     has_state, has_odom = bool(drive.steering.episodes), "odom" in drive.present
     source_s = drive.steering.source_s
     left, right = map(_median, drive.motion.by_tables.ratios())
@@ -138,13 +138,13 @@ def row(drive: Summary, path: str) -> Row:
 
 
 def _losses(drive):
-    """How often something was lost or locked, by cause."""
+    """Return how often something was lost or locked, by cause."""
     lost = [*drive.steering.losses(), *drive.throttle.losses()]
     return dict(Counter(one.cause or one.reason for one in lost))
 
 
 def _faults(drive):
-    """How many faults there were; nobody knows where nothing was recorded that would tell of any."""
+    """Return how many faults there were; nobody knows where nothing was recorded that would tell of any."""
     found = drive.faults.entries
     if not found and drive.coverage.is_blind:
         return {}
@@ -153,7 +153,7 @@ def _faults(drive):
 
 
 def _link(teensy):
-    """The columns of the Teensy's link."""
+    """Return the columns of the Teensy's link."""
     first, last = teensy.first_link, teensy.link
     if last is None:
         return {}
@@ -166,7 +166,7 @@ def _link(teensy):
 
 
 def _median(found):
-    """A median in five decimals, no -0.0, if there are enough samples."""
+    """Return a median in five decimals, no -0.0, if there are enough samples."""
     return _possible(round(found.median, 5) + 0.0) if found.samples >= MIN_SAMPLES else None
 
 

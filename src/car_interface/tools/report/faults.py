@@ -123,10 +123,10 @@ class NodeReports:
 
 
 def without_numbers(text: str) -> str:
-    """A text with # for its numbers, which may change while what it says stays the same."""
+    """Return a text with # for its numbers, which may change while what it says stays the same."""
     return NUMBER.sub("#", text)
 
 
 def _integer(level):
-    """A message's byte, which rosbags has as a number or as bytes."""
+    """Return a message's byte, which rosbags has as a number or as bytes."""
     return level[0] if isinstance(level, (bytes, bytearray)) else int(level)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
-from car_interface.tools.report.steering_state import UNKNOWN_DRIVER
+from car_interface.tools.report.states import UNKNOWN_DRIVER
 
 # Distinguishable for colour-blind people, too.
 DRIVER_COLOURS = {LOCKED: "#c0392b", NO_HUMAN: "#b8bfc7", NEUTRAL: "#e8c468", TELEOP: "#2f6fb3", PLANNER: "#1b9e77",
@@ -49,7 +49,7 @@ def label_text(text: str) -> str:
 
 @lru_cache(maxsize=None)
 def _glyphs():
-    """The characters that the font has, plain and bold."""
+    """Return the characters that the font has, plain and bold."""
     fonts = [font_manager.FontProperties(family="DejaVu Sans", weight=weight) for weight in ("normal", "bold")]
     return frozenset.intersection(*(frozenset(font_manager.get_font(font_manager.findfont(font)).get_charmap())
                                     for font in fonts))
@@ -61,7 +61,7 @@ def title(axes, text: str) -> None:
 
 
 def stack(drive, panels, heights):
-    """(a figure, its axes) with the wanted panels one above the other over the same time."""
+    """Return (a figure, its axes) with the wanted panels one above the other over the same time."""
     heights = [height for height, wanted in zip(heights, panels) if wanted]
     figure = Figure(figsize=(WIDTH_IN, sum(heights) + 0.45 * len(heights) + 0.25), constrained_layout=True)
     all_axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False,
@@ -90,7 +90,7 @@ def _strip(axes, drive):
 
 
 def bands(drive):
-    """(start, width, source) of episodes; those with the same source, or too short to see, are one."""
+    """Return (start, width, source) of episodes; those with the same source, or too short to see, are one."""
     shortest_s = max(drive.duration_s * SHOWN_S, 1e-9)
     bands = []
     for episode in drive.steering.episodes:
@@ -110,7 +110,7 @@ def curve(axes, trace, colour, label, gap_s=1.0, **style):
 
 
 def usual_magnitude(trace):
-    """The 95th percentile of a trace's magnitude; single larger ones are noise."""
+    """Return the 95th percentile of a trace's magnitude; single larger ones are noise."""
     return float(np.nanpercentile(np.abs(trace.curve()[1]), 95)) if trace.count else 0.0
 
 
@@ -121,12 +121,12 @@ def legend(axes):
 
 
 def above():
-    """The place of a legend above the axes."""
+    """Return the place of a legend above the axes."""
     return {"loc": "lower right", "ncol": 3, "bbox_to_anchor": (1.0, 0.98), "borderaxespad": 0.2}
 
 
 def svg_text(figure, name, description):
-    """The text of an SVG whose ids are unique in a page."""
+    """Return the text of an SVG whose ids are unique in a page."""
     FigureCanvasSVG(figure)
     file = io.StringIO()
     figure.savefig(file, format="svg", metadata={"Date": None})

@@ -39,7 +39,7 @@ class Bins:
         self._counts[min(max(int((number - self._low) / self._width), 0), len(self._counts) - 1)] += 1
 
     def median(self) -> MedianOf:
-        """The median: the middle of its bin."""
+        """Return the median: the middle of its bin."""
         total, seen = sum(self._counts), 0
         for index, count in enumerate(self._counts):
             seen += count
@@ -73,11 +73,11 @@ class Following:
             self._straight.add(curvature_per_m - sent)
 
     def ratios(self) -> tuple[MedianOf, MedianOf]:
-        """(left, right): the driven curvature as a ratio of the sent one."""
+        """Return (left, right): the driven curvature as a ratio of the sent one."""
         return self._left.median(), self._right.median()
 
     def straight_per_m(self) -> MedianOf:
-        """The driven curvature less the sent one where that was straight on, left positive."""
+        """Return the driven curvature less the sent one where that was straight on, left positive."""
         return self._straight.median()
 
 
@@ -92,7 +92,7 @@ class Accelerating:
         self._driving, self._holding, self._braking = (Bins(*OFFSETS_MPS2) for _ in range(3))
 
     def request(self, time_s: float, acceleration_mps2: float) -> None:
-        """The planner's request."""
+        """Take the planner's request."""
         if not math.isfinite(acceleration_mps2):
             return
         self._requests.append((time_s, acceleration_mps2))

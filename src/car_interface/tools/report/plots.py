@@ -32,7 +32,7 @@ from car_interface.tools.report.figures import (
     title,
     usual_magnitude,
 )
-from car_interface.tools.report.steering_state import UNKNOWN_DRIVER
+from car_interface.tools.report.states import UNKNOWN_DRIVER
 from car_interface.tools.report.summary import Summary
 
 ESC_COLOURS = {"ARMING": "#b8bfc7", "BRAKING": "#d9822b", "HOLD": "#e8c468", "REVERSE": "#8e5ea2"}
@@ -47,7 +47,7 @@ class Plot(NamedTuple):
 
 
 def plots(drive: Summary) -> dict[str, Plot]:
-    """The plots for which there are data, by name: who, steering, throttle, path, speed, link."""
+    """Return the plots for which there are data, by name: who, steering, throttle, path, speed, link."""
     made = {}
     with matplotlib.rc_context(STYLE):
         for name, draw, description in (

@@ -6,6 +6,7 @@ from functools import partial
 
 from car_interface.common.units import NS_PER_S
 from car_interface.steering.arbiter import PLANNER
+from car_interface.teensy.link import protocol
 from car_interface.tools.recordings import roles
 from car_interface.tools.recordings.recording import (
     NoRecording,
@@ -17,31 +18,24 @@ from car_interface.tools.recordings.recording import (
     require,
 )
 from car_interface.tools.recordings.roles import find, fits, other_cars, without
-from car_interface.tools.report import asked, imu, motion, planner_state, steering_state, teensy_link, throttle_state
-from car_interface.tools.report.asked import AskedWatch
-from car_interface.tools.report.coverage import Coverage
+from car_interface.tools.report import motion, states, teensy_link
+from car_interface.tools.report.coverage import Coverage, both
 from car_interface.tools.report.downsample import Trace
 from car_interface.tools.report.faults import WARN, FaultLog, NodeReports
-from car_interface.tools.report.gamepad import GamepadWatch
-from car_interface.tools.report.imu import ImuWatch
-from car_interface.tools.report.limits_state import LimitsWatch
-from car_interface.tools.report.motion import MotionWatch
-from car_interface.tools.report.planner_state import PlannerWatch
-from car_interface.tools.report.sonars import SonarWatch
-from car_interface.tools.report.steering_state import SteeringWatch
+from car_interface.tools.report.motion import AskedWatch, ImuWatch, MotionWatch, SonarWatch
+from car_interface.tools.report.states import GamepadWatch, LimitsWatch, PlannerWatch, SteeringWatch, ThrottleWatch
 from car_interface.tools.report.teensy_link import TeensyWatch
-from car_interface.tools.report.throttle_state import ThrottleWatch
 
 # Relative names are below the car's namespace, and so are the others where they are found there.
-SONARS = tuple(f"sonar/{end}_{side}" for end in ("front", "rear") for side in ("right", "middle", "left"))
+SONARS = tuple(f"sonar/{name}" for name in protocol.SONARS)
 ROLES = (roles.ODOM, roles.IMU, roles.OUTPUT, roles.VALUE, roles.ACKERMANN, roles.RADIUS, roles.ACCELERATION,
          roles.STICK)
 ROLE_OF = {role.topics[0]: role for role in ROLES}
 MAY_BE_OTHERS = (roles.IMU, roles.ACKERMANN)  # a topic with such a name may be something else: it is not read then
 TYPES = {
     **{role.topics[0]: role.types for role in ROLES},
+    **roles.THROTTLE_STATE,
     "turn_arb/state": "car_interface/SteeringState",
-    "throttle_arb/state": "car_interface/ThrottleState",
     "planner_interface/state": "car_interface/PlannerState",
     "teleop_logi/state": "car_interface/TeleopState",
     **dict.fromkeys(SONARS, "sensor_msgs/Range"),
@@ -53,8 +47,7 @@ TYPES = {
     "/rosout": ("rosgraph_msgs/Log", "rcl_interfaces/Log"),
 }
 NEEDED = ("odom", "turn_arb/state", "/servo/output")  # at least one of them
-TRACES = (*steering_state.TRACES, *throttle_state.TRACES, *planner_state.TRACES, *motion.TRACES, *asked.TRACES,
-          *imu.TRACES, "requested acceleration", "value", *teensy_link.TRACES)
+TRACES = (*states.TRACES, *motion.TRACES, "requested acceleration", "value", *teensy_link.TRACES)
 
 
 @dataclass
@@ -99,8 +92,6 @@ def summarize(path: str, namespace: str = "/", wheelbase_m: float | None = None,
     """Summarize a recording.
 
     Args:
-        path: of the recording.
-        namespace: the car's.
         wheelbase_m: by which an asked steering angle is a curvature; ``None`` = unknown.
         progress: show a bar on a terminal.
         topics: named by the user, by the names of ROLES; ``None`` = not named.
@@ -137,18 +128,14 @@ def summarize(path: str, namespace: str = "/", wheelbase_m: float | None = None,
     if has.steps_back:
         times = "once" if has.steps_back == 1 else f"{has.steps_back} times"
         summary.faults.add_moment(0.0, WARN, "recording", f"its time went back {times}: the clock was set")
-    summary.steering.finish()
-    summary.throttle.finish()
-    summary.planner.finish()
-    summary.limits.finish()
-    summary.gamepad.finish()
-    summary.faults.finish()
+    for watch in (summary.steering, summary.throttle, summary.planner, summary.limits, summary.gamepad, summary.faults):
+        watch.finish()
     summary.notes += filter(None, [summary.imu.note(found["imu/data"].topic)])
     return summary
 
 
 def _is_read(recorded, free, topic, role, given, namespace):
-    """Whether the topic that was found for a role is read as that."""
+    """Return whether the topic that was found for a role is read as that."""
     if role.name in given:
         return True
     if role in MAY_BE_OTHERS:
@@ -177,13 +164,13 @@ def _empty(path, namespace, has, present, wheelbase_m):
 
 
 def _handlers(summary):
-    """A function of time in s and message for each of TYPES."""
+    """Return a function of time in s and message for each of TYPES."""
     steering, teensy, traces = summary.steering, summary.teensy, summary.traces
     log_type = next((topic.type for name, topic in summary.topics.items() if name.lstrip("/") == "rosout"), "")
     nodes = NodeReports(summary.faults, summary.present, log_type)
     return {
-        "turn_arb/state": _both(steering.on_state, partial(summary.limits.on_state, node="turn_arb")),
-        "throttle_arb/state": _both(summary.throttle.on_state, partial(summary.limits.on_state, node="throttle_arb")),
+        "turn_arb/state": both(steering.on_state, partial(summary.limits.on_state, node="turn_arb")),
+        "throttle_arb/state": both(summary.throttle.on_state, partial(summary.limits.on_state, node="throttle_arb")),
         "planner_interface/state": summary.planner.on_state,
         "teleop_logi/state": summary.gamepad.on_state,
         "/servo/output": steering.on_output,
@@ -205,21 +192,13 @@ def _handlers(summary):
 
 
 def _on_request(summary, time_s, message):
-    """The acceleration that a planner requests."""
+    """Take the acceleration that a planner requests."""
     summary.traces["requested acceleration"].add(time_s, message.longitudinal.acceleration)
     summary.motion.accelerating.request(time_s, message.longitudinal.acceleration)
 
 
-def _both(first, second):
-    """A handler that calls two."""
-    def handle(time_s, message):
-        first(time_s, message)
-        second(time_s, message)
-    return handle
-
-
 def _elsewhere(topics, namespace, note):
-    """A hint at where there is what is missing, or the note on odometry."""
+    """Return a hint at where there is what is missing, or the note on odometry."""
     spaces = other_cars(topics, namespace)
     place = f" below {namespace}" if namespace.strip("/") else ""
     if spaces:

@@ -20,7 +20,7 @@ MAX_LABELS = 12  # below an axis of radii
 
 
 def draw(table: SteeringCalibration | ValueMap, kind: str, name: str) -> bytes:
-    """A picture of a table, as the bytes of a file of that kind: svg, png or pdf."""
+    """Return a picture of a table, as the bytes of a file of that kind: svg, png or pdf."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(9.6, 4.2), constrained_layout=True)
         FigureCanvasAgg(figure)

@@ -21,7 +21,7 @@ import yaml
 from car_interface.common.units import stamp_ns, yaw_rad
 from car_interface.sim.vehicle import Vehicle
 from car_interface.steering.params import load_steering
-from car_interface.tools.calibration.steering.recorded import load_drive
+from car_interface.tools.calibration.steering.recorded import load_steering_drive
 from car_interface.tools.cli.main import main
 from car_interface.tools.recordings.recording import read
 from recorded_drives import recorded
@@ -158,8 +158,8 @@ def test_angles_of_a_planner_give_the_same_table_and_say_what_they_can_not_tell(
 def test_angles_beside_duties_are_not_used_and_not_spoken_of(tmp_path, capsys):
     angles = [Written(0.1, "/planner", ANGLES[1][0], {"header": {"stamp": stamp(0.1)}})]
     path = write_ros1(tmp_path / "a.bag", [odometry(0.0), *angles, *OUTPUT], extra_types=ANGLES)
-    assert load_drive(str(path), 0, angle_table=None).notes == ()
-    assert load_drive(str(path), 0).drive.duty[0] == 5104
+    assert load_steering_drive(str(path), 0, angle_table=None).notes == ()
+    assert load_steering_drive(str(path), 0).drive.duty[0] == 5104
 
 
 @pytest.mark.once

@@ -117,12 +117,18 @@ def test_setup_ships_every_message_definition_and_the_stock_configuration():
                                                                          "share/car_interface/config"}
 
 
+def test_setup_ships_every_template_of_a_page():
+    shipped = {path for package, patterns in setup_arguments()["package_data"].items() for pattern in patterns
+               for path in (ROOT / "src" / package.replace(".", "/")).glob(pattern)}
+    assert shipped == {path for path in (ROOT / "src").rglob("*") if path.suffix in (".html", ".css")} != set()
+
+
 def test_setup_makes_the_command_and_names_what_it_needs():
     found = setup_arguments()
     assert (found["name"], found["package_dir"]) == ("car_interface", {"": "src"})
     assert found["entry_points"] == {"console_scripts": ["car-interface = car_interface.tools.cli.main:main"]}
     tools = {need.split(">")[0]: need for need in found["extras_require"]["tools"]}
-    assert set(tools) == {"matplotlib", "numpy", "PyYAML", "rosbags", "scipy", "tqdm"}
+    assert set(tools) == {"Jinja2", "matplotlib", "numpy", "PyYAML", "rosbags", "scipy", "tqdm"}
     package = ElementTree.parse(str(ROOT / "package.xml")).getroot()
     (depend,) = [item for item in package.iter("exec_depend") if item.text == "python3-rosbags-pip"]
     assert tools["rosbags"] == f"rosbags>={depend.get('version_gte')},<={depend.get('version_lte')}", "as for ROS"

@@ -6,12 +6,21 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from car_interface.tools.recordings.columns import CommandColumn, ImuColumn, OutputColumn, ValueColumn
+from car_interface.common.units import NS_PER_S
+from car_interface.tools.recordings.columns import (
+    BREAK_S,
+    CommandColumn,
+    Gravity,
+    ImuColumn,
+    OutputColumn,
+    Timeline,
+    ValueColumn,
+)
 from car_interface.tools.recordings.recording import Recorded
-from car_interface.tools.recordings.series import Output
-from car_interface.tools.recordings.signals import ODOM, load
-from car_interface.tools.recordings.timeline import Timeline
+from car_interface.tools.recordings.signals import load
 from written_recordings import START_NS, odometry, write_ros1, write_ros2
 
 ODOMETRY = [odometry(0.1 * index, x_m=0.2 * index, yaw_rad=0.5 * index, speed_mps=2.0) for index in range(20)]
@@ -38,7 +47,7 @@ def values(column, *rows):
 @pytest.mark.parametrize("write", (write_ros1, write_ros2), ids=("ROS 1", "ROS 2"))
 def test_odometry_counts_by_its_stamps_and_its_heading_is_unwrapped(tmp_path, write):
     later = [message._replace(time_s=message.time_s + 0.03) for message in ODOMETRY]
-    odom = load(str(write(tmp_path / "a.bag", later)), [ODOM]).odom
+    odom = load(str(write(tmp_path / "a.bag", later)), ["odom"]).odom
     assert odom.t_s == pytest.approx(0.1 * np.arange(20) - 0.03, abs=1e-6)
     assert odom.x_m == pytest.approx(0.2 * np.arange(20))
     assert odom.yaw_rad == pytest.approx(0.5 * np.arange(20))
@@ -127,16 +136,54 @@ def test_command_outside_the_range_leaves_its_channel_unchanged(outside):
     assert output.duties[:, :3].tolist() == [[-1, 1600, -1], [3200, 1600, -1], [3200, 4800, -1]]
 
 
-def test_duty_of_a_channel_is_that_of_the_newest_row():
-    output = Output(np.array([1.0, 2.0, 2.5]), np.array([[first, second, *[-1] * 14] for first, second in (
-        (5104, -1), (3808, -1), (3808, 4912))]))
-    for channel, t_s, duties in (
-            (0, [0.999, 1.0, 1.999, 2.0, 1e9], [-1, 5104, 5104, 3808, 3808]),
-            (1, [2.49, 2.5], [-1, 4912]), (15, [9.0], [-1]), (0, [2.0, 0.0, 1.0], [3808, -1, 5104]), (0, [], [])):
-        found = output.at(channel, np.array(t_s))
-        assert found.tolist() == duties and found.dtype.kind == "i"
+def note(*accelerations):
+    gravity = Gravity()
+    for x, y, z in accelerations:
+        gravity.add(SimpleNamespace(x=x, y=y, z=z))
+    return gravity.note("imu/data")
 
 
-def test_of_rows_with_the_same_time_the_last_one_counts():
-    output = Output(np.array([1.0, 1.0]), np.array([[100] * 16, [200] * 16]))
-    assert output.at(3, np.array([1.0])).tolist() == [200]
+@pytest.mark.parametrize("acceleration, axis", [
+    ((9.8, 0.3, 0.1), "x"), ((0.2, -9.8, 0.5), "y"), ((7.0, 1.0, 6.5), "x"),
+], ids=["nose_up", "on_its_side", "tilted_by_47_degrees"])
+def test_imu_on_its_side_is_said_with_the_axis(acceleration, axis):
+    assert note(acceleration) == (f"imu/data: gravity lies along its {axis} axis, not along z: it is mounted on its "
+                                  "side, and its turn rate about z isn't the car's")
+
+
+@pytest.mark.parametrize("acceleration", [(0, 0, 9.8), (0, 0, -9.8), (4.0, 0, 9.0), (0, 0, 0), (3.0, 3.0, 0)],
+                         ids=["upright", "upside_down", "tilted_by_24_degrees", "nothing", "gravity_taken_off"])
+def test_upright_imu_or_one_without_gravity_needs_no_word(acceleration):
+    assert note(acceleration) == "" and note() == ""
+
+
+def test_driving_cancels_out_and_numbers_that_are_none_do_not_count():
+    assert note(*[(15.0, 0, 9.8), (-15.0, 0, 9.8)] * 5, (math.nan, 99.0, 0), (math.inf, 99.0, 0)) == ""
+
+
+def test_times_count_from_the_first_message_and_a_small_step_back_is_no_set_clock():
+    timeline = Timeline()
+    times_s = [0.0, 0.5, 2.0, 1.5]
+    assert [timeline.recorded_s(START_NS + round(t * NS_PER_S)) for t in times_s] == times_s
+    assert (timeline.start_ns, timeline.last_s, timeline.notes()) == (START_NS, 2.0, ())
+    assert timeline.stamped_s(START_NS + NS_PER_S) == 1.0
+
+
+def test_clock_that_was_set_back_begins_another_drive_behind_the_first_and_is_noted():
+    timeline = Timeline()
+    for t in (0.0, 100.0):
+        timeline.recorded_s(START_NS + round(t * NS_PER_S))
+    assert timeline.recorded_s(START_NS + 40 * NS_PER_S) == pytest.approx(100.0 + BREAK_S)
+    assert timeline.recorded_s(START_NS + 41 * NS_PER_S) == pytest.approx(101.0 + BREAK_S)
+    assert timeline.stamped_s(START_NS + 40 * NS_PER_S) == pytest.approx(100.0 + BREAK_S)
+    (note,) = timeline.notes()
+    assert note.startswith("the computer's clock was set back by 60.0 s, 100.0 s after the start: ")
+
+
+@given(st.lists(st.integers(0, 10**6), min_size=1, max_size=30))
+def test_newest_time_never_falls(times_ms):
+    timeline, last_s = Timeline(), 0.0
+    for time_ms in times_ms:
+        timeline.recorded_s(START_NS + time_ms * 1_000_000)
+        assert timeline.last_s >= last_s
+        last_s = timeline.last_s

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from car_interface.tools.recordings.columns import Timeline
 from car_interface.tools.recordings.pulses import CLOCK_TOPIC, WHEEL_TOPIC, PulseColumns
 from car_interface.tools.recordings.recording import Recorded
 from car_interface.tools.recordings.signals import PULSES, load
-from car_interface.tools.recordings.timeline import Timeline
 from written_recordings import START_NS, Written, stamp, write_ros1
 
 

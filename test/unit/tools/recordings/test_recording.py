@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from car_interface.tools.recordings import recording
-from car_interface.tools.recordings.recording import NoRecording, contents, read, require, topics, with_bar
+from car_interface.tools.recordings.recording import NoRecording, contents, read, require, with_bar
 from written_recordings import START_NS, Written, odometry, write_ros1, write_ros2
 
 MCAP = Path(__file__).resolve().parents[3] / "data" / "autoware_mcap"
@@ -37,8 +37,8 @@ def bag(request, tmp_path):
 
 
 def test_messages_come_in_order_with_their_time_and_the_name_asked_for(bag):
-    assert topics(str(bag)) == {"/generic/output/value": "car_interface/msg/Float64Stamped",
-                                "/odom": "nav_msgs/msg/Odometry"}
+    assert {name: topic.type for name, topic in contents(str(bag)).topics.items()} == {
+        "/generic/output/value": "car_interface/msg/Float64Stamped", "/odom": "nav_msgs/msg/Odometry"}
     recorded = list(read(str(bag), ["odom", "generic/output/value", "never/heard"]))
     assert [message.time_ns for message in recorded] == sorted(2 * [
         START_NS + index * 100_000_000 for index in range(10)])
@@ -62,7 +62,7 @@ def test_mcap_of_autoware_is_read_by_its_folder_and_by_its_file():
     for path in (MCAP, MCAP / "autoware_mcap.mcap"):
         commands = list(read(str(path), {"control/command/control_cmd": "autoware_control_msgs/Control"}))
         assert [command.message.longitudinal.acceleration for command in commands] == [0.25] * 20
-    assert topics(str(MCAP))["/odd"] == "tier4_vehicle_msgs/msg/Unheard"
+    assert contents(str(MCAP)).topics["/odd"].type == "tier4_vehicle_msgs/msg/Unheard"
 
 
 @pytest.mark.parametrize("asked, namespace, found", [
@@ -84,7 +84,7 @@ def test_name_is_looked_up_below_the_namespace_first(asked, namespace, found):
 def test_unknown_type_is_left_alone_unless_it_is_asked_for(write, definitions, tmp_path):
     path = write(tmp_path / "a.bag", [ODD, *VALUES], extra_types=[UNHEARD], **definitions)
     assert len(list(read(str(path), ["generic/output/value"]))) == 10
-    assert topics(str(path))["/odd"] == "unheard_msgs/msg/Of"
+    assert contents(str(path)).topics["/odd"].type == "unheard_msgs/msg/Of"
     if definitions:
         with pytest.raises(NoRecording, match=r"a\.bag: /odd can't be read: .* its type unheard_msgs/msg/Of"):
             list(read(str(path), ["odd"]))

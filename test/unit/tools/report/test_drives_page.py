@@ -59,9 +59,16 @@ def test_row_says_none_where_it_could_tell_and_none_seen_where_it_could_not():
 def test_recording_that_can_not_be_read_says_why_below_the_table_and_its_name_is_escaped():
     text = page("drives", [FULL, BAD], "")
     assert text.index('id="unreadable"') > text.index('id="drives"') and '<a href="#unreadable">' in text
-    assert ("<td>&lt;c&gt;.bag</td><td><span class=\"bad\">c.bag can&#x27;t be read as a recording: it is no bag"
+    assert ("<td>&lt;c&gt;.bag</td><td><span class=\"bad\">c.bag can&#39;t be read as a recording: it is no bag"
             "</span></td>") in text
     assert 'id="drives"' not in page("drives", [BAD], "") and 'id="unreadable"' not in page("drives", [FULL], "")
+
+
+def test_no_text_from_outside_is_anything_but_text():
+    hostile = "</td><script>alert('\"')</script>&amp;{{ 7 * 7 }}"
+    row = FULL._replace(path=hostile, losses={hostile: 2}, lacks=[hostile], notes=[hostile, hostile])
+    text = page(hostile, [row, BAD._replace(path=hostile, error=hostile)], "")
+    assert "<script" not in text and html.unescape(text).count(hostile) == 9  # twice as the folder: title and heading
 
 
 def test_newest_comes_first_and_the_head_has_the_sums():

@@ -11,7 +11,7 @@ from car_interface.common import causes
 from car_interface.tools.report import drives_row
 from car_interface.tools.report.drives_row import Row, row, stored_row
 from car_interface.tools.report.summary import summarize
-from written_recordings import SPEED_MPS, START_NS, Written, drive, odometry, old_steering_state, stamp, write_ros1
+from written_recordings import SPEED_MPS, START_NS, Written, odometry, stamp, write_ros1
 
 PLANNER, NEUTRAL = 4, 2
 
@@ -100,8 +100,3 @@ def test_loss_of_the_throttle_alone_counts_once(tmp_path):
     lost = [message._replace(fields={**message.fields, "source": NEUTRAL, "cause": causes.COMMAND_STALE, "reason": "x"})
             if message.topic == "/throttle_arb/state" and message.time_s > 3 else message for message in accelerating()]
     assert row(summarize(str(write_ros1(tmp_path / "a.bag", lost))), "a.bag").losses == {causes.COMMAND_STALE: 1}
-
-
-def test_old_recording_without_causes_gives_the_same(tmp_path, found):
-    path = write_ros1(tmp_path / "old.bag", drive(with_causes=False), extra_types=[old_steering_state()])
-    assert row(summarize(str(path)), "day/drive.bag") == found

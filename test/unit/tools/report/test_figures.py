@@ -11,13 +11,13 @@ from matplotlib.figure import Figure
 from car_interface.steering.arbiter import LOCKED, NEUTRAL, PLANNER, TELEOP
 from car_interface.tools.report.downsample import Trace
 from car_interface.tools.report.figures import bands, curve, label_text, stack, usual_magnitude
-from car_interface.tools.report.steering_state import UNKNOWN_DRIVER, Episode
+from car_interface.tools.report.states import UNKNOWN_DRIVER, Episode
 
 
 def drive(duration_s, *episodes):
     """A drive with episodes of (start in s, end in s, source)."""
     return SimpleNamespace(duration_s=duration_s, steering=SimpleNamespace(
-        episodes=[Episode(start_s, end_s, source, "", "") for start_s, end_s, source in episodes]))
+        episodes=[Episode(start_s, end_s, "turn_arb", "", "", source) for start_s, end_s, source in episodes]))
 
 
 def trace(*samples):

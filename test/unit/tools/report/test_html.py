@@ -1,55 +1,9 @@
-"""Parts of a page in HTML, and texts for numbers and times."""
+"""Texts for numbers and times."""
 from __future__ import annotations
-
-import re
 
 import pytest
 
-from car_interface.tools.report.html import (
-    MAX_ROWS,
-    OPEN_ROWS,
-    counted,
-    document,
-    moment_text,
-    range_text,
-    span_text,
-    table,
-)
-
-
-def test_document_is_a_page_with_an_escaped_title_and_the_body_as_it_is():
-    text = document("<b> & co", "<p>body</p>\n")
-    assert text.startswith("<!DOCTYPE html>\n<html lang=\"en\">") and text.endswith("</body>\n</html>\n")
-    assert "<title>&lt;b&gt; &amp; co</title>" in text
-    assert "<main>\n<p>body</p>\n</main>" in text
-
-
-def test_table_escapes_names_and_takes_cells_as_html():
-    text = table(["<n>", "what"], [["<b>1</b>", 2]], numbers=0)
-    assert "<th>&lt;n&gt;</th><th>what</th>" in text and "<td><b>1</b></td><td>2</td>" in text
-
-
-@pytest.mark.parametrize("numbers, numbers_from, expected", [
-    (1, None, [True, False, False]), (0, 1, [False, True, True]), (3, 3, [False, False, False]),
-])
-def test_columns_of_numbers_are_marked_in_head_and_rows(numbers, numbers_from, expected):
-    text = table("abc", ["123"], numbers, numbers_from)
-    for tag in ("th", "td"):
-        cells = re.findall(rf"<{tag}([^>]*)>", text)
-        assert cells == [' class="number"' if is_number else "" for is_number in expected]
-
-
-@pytest.mark.parametrize("rows, folded, shown, more", [
-    (0, False, 0, None), (OPEN_ROWS, False, OPEN_ROWS, None), (OPEN_ROWS + 1, True, OPEN_ROWS + 1, None),
-    (MAX_ROWS, True, MAX_ROWS, None), (MAX_ROWS + 3, True, MAX_ROWS, "And 3 more."),
-])
-def test_long_table_is_folded_and_a_very_long_one_ends_early(rows, folded, shown, more):
-    text = table(["a"], [["x"]] * rows, numbers=0)
-    assert text.count("<td>x</td>") == shown
-    assert text.startswith("<details>") == folded and text.endswith("</details>\n") == folded
-    if folded:
-        assert f"<summary>{rows} lines</summary>" in text
-    assert (more in text) if more else "more." not in text
+from car_interface.tools.report.html import counted, moment_text, range_text, span_text
 
 
 @pytest.mark.parametrize("texts, line", [

@@ -8,7 +8,7 @@ import pytest
 from car_interface.tools.report.downsample import Trace
 from car_interface.tools.report.faults import WARN, FaultLog
 from car_interface.tools.report.page import page
-from car_interface.tools.report.planner_state import TRACES, PlannerWatch
+from car_interface.tools.report.states import TRACES, PlannerWatch
 from car_interface.tools.report.summary import summarize
 from written_recordings import Written, drive, write_ros1
 

@@ -10,8 +10,8 @@ from car_interface.tools.report.downsample import Trace
 from car_interface.tools.report.faults import ERROR, WARN, FaultLog
 from car_interface.tools.report.page import page
 from car_interface.tools.report.plots import Plot, _throttle
+from car_interface.tools.report.states import TRACES, ThrottleWatch
 from car_interface.tools.report.summary import summarize
-from car_interface.tools.report.throttle_state import TRACES, ThrottleWatch
 from written_recordings import Written, drive, write_ros1
 
 USUAL = {"source": TELEOP, "cause": "teleop", "reason": "tele_throt_req is 1.000, scaled by 0.3", "asked": 1.0,

@@ -25,19 +25,14 @@ class Pose(NamedTuple):
 
 
 class Turn(NamedTuple):
-    """A tight turn.
+    """A tight turn."""
 
-    Attributes:
-        curvature_per_m: left positive.
-        reaction_m: what the car drives until its wheels are turned for it.
-    """
-
-    curvature_per_m: float
-    reaction_m: float
+    curvature_per_m: float  # left positive
+    reaction_m: float  # what the car drives until its wheels are turned for it
 
 
 def moved(pose: Pose, distance_m: float, curvature_per_m: float) -> Pose:
-    """The pose after an arc."""
+    """Return the pose after an arc."""
     x_m, y_m, yaw_rad = pose
     half_rad = distance_m * curvature_per_m / 2
     chord_m = distance_m * (math.sin(half_rad) / half_rad if abs(half_rad) > 1e-6 else 1.0)
@@ -51,7 +46,6 @@ class Area:
     Args:
         center: x and y in m.
         radius_m: of the circle.
-        outline: of the car.
         stop_radius_m: of the one in which it comes to a stop when it is let go; ``None`` = of the same.
     """
 
@@ -63,11 +57,11 @@ class Area:
         self._front_m, self._rear_m, self._half_m = outline.front_m, outline.rear_m, half_m
 
     def extent_m(self, pose: Pose) -> float:
-        """How far the car's farthest corner is from the center."""
+        """Return how far the car's farthest corner is from the center."""
         return math.sqrt(self._square(self._seen_from(pose)))
 
     def ahead_m(self, pose: Pose, radius_m: float) -> float:
-        """How far the car can go straight on until its front leaves a circle of that radius; 0 = it has."""
+        """Return how far the car can go straight on until its front leaves a circle of that radius; 0 = it has."""
         cos_yaw, sin_yaw = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
         x_m = pose.x_m + self._front_m * cos_yaw - self.center[0]
         y_m = pose.y_m + self._front_m * sin_yaw - self.center[1]
@@ -75,25 +69,26 @@ class Area:
         return max(0.0, -along_m + math.sqrt(along_m * along_m - square)) if square < 0 else 0.0
 
     def inward_rad(self, pose: Pose) -> float:
-        """The angle between the car's heading and the direction to the center, 0 to π."""
+        """Return the angle between the car's heading and the direction to the center, 0 to π."""
         towards_rad = math.atan2(self.center[1] - pose.y_m, self.center[0] - pose.x_m)
         return abs(math.remainder(towards_rad - pose.yaw_rad, 2 * math.pi))
 
     def circle_extent_m(self, pose: Pose, curvature_per_m: float, stop_m: float = 0.0) -> float:
-        """How far the car's farthest corner is from the center anywhere on the whole circle of an arc, or after it went
-        straight on from there for ``stop_m``."""
+        """Return how far the car's farthest corner is from the center anywhere on the whole circle of an arc, or after
+        it went straight on from there for ``stop_m``.
+        """
         radius_m = 1 / curvature_per_m
         x_m = pose.x_m - radius_m * math.sin(pose.yaw_rad) - self.center[0]
         y_m = pose.y_m + radius_m * math.cos(pose.yaw_rad) - self.center[1]
         return math.hypot(x_m, y_m) + math.hypot(abs(radius_m) + self._half_m, self._front_m + stop_m)
 
     def has_circle(self, curvature_per_m: float) -> bool:
-        """Whether the car stays inside on a whole circle around the center."""
+        """Return whether the car stays inside on a whole circle around the center."""
         centered = Pose(self.center[0], self.center[1] - 1 / curvature_per_m, 0.0)
         return self.circle_extent_m(centered, curvature_per_m) <= self.radius_m
 
     def turn_extent_m(self, pose: Pose, curvature_per_m: float, stop_m: float = 0.0) -> float:
-        """The same on a tight turn from here until the car looks inward again."""
+        """Return the same on a tight turn from here until the car looks inward again."""
         whole_m = self.circle_extent_m(pose, curvature_per_m, stop_m)
         if whole_m <= self.radius_m:
             return whole_m
@@ -116,22 +111,23 @@ class Area:
         return farthest_m
 
     def _seen_from(self, pose):
-        """The car's place relative to the center in the car's frame: ahead, and to the left as the imaginary part."""
+        """Return the car's place relative to the center in the car's frame: ahead, and to the left as the imaginary
+        part.
+        """
         return complex(pose.x_m - self.center[0], pose.y_m - self.center[1]) * cmath.rect(1.0, -pose.yaw_rad)
 
     def _square(self, rel):
-        """The square of the farthest corner's distance from the center, m²."""
+        """Return the square of the farthest corner's distance from the center, m²."""
         ahead_m, left_m, front_m, rear_m, half_m = rel.real, abs(rel.imag), self._front_m, self._rear_m, self._half_m
         along_m = max(abs(ahead_m + front_m), abs(ahead_m - rear_m))
         return along_m * along_m + (left_m + half_m) ** 2
 
     def ways_out(self, pose: Pose, curvature_per_m: float, turns: Sequence[Turn]) -> list[float]:
-        """How far the car's corners get from the center on each of the tight turns.
+        """Return how far the car's corners get from the center on each of the tight turns.
 
         Args:
             pose: now.
             curvature_per_m: of the arc on which it goes on until its wheels are turned.
-            turns: the tight turns.
         """
         extents = []
         for turn in turns:
@@ -141,12 +137,12 @@ class Area:
         return extents
 
     def excesses_m(self, pose: Pose, curvature_per_m: float, turns: Sequence[Turn], stop_m: float) -> list[float]:
-        """By how much the car leaves the area on each of the tight turns, or where it stops when it is let go on it.
+        """Return by how much the car leaves the area on each of the tight turns, or where it stops when it is let go on
+        it.
 
         Args:
             pose: now.
             curvature_per_m: as above.
-            turns: the tight turns.
             stop_m: what it takes to stop, straight on, at the speed of those turns.
         """
         excesses = []
@@ -158,7 +154,7 @@ class Area:
 
     def rooms_m(self, pose: Pose, curvature_per_m: float, turns_at: Callable[[Pose], Sequence[Turn]], max_m: float,
                 stop_m: float = 0.0, min_ahead_m: Callable[[float], float] = lambda gone_m: 0.0) -> list[float]:
-        """How far the car can go on an arc to end with each of the tight turns: (T,), at most ``max_m``.
+        """Return how far the car can go on an arc to end with each of the tight turns: (T,), at most ``max_m``.
 
         From everywhere on its way one of them, whichever, keeps it inside; so does that one at its end.
 

@@ -22,25 +22,18 @@ import math
 from typing import NamedTuple
 
 from car_interface.common.staleness import TimedInput
-from car_interface.common.units import NS_PER_S
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.throttle.obstacle_stop import ObstacleStop
 from car_interface.tools.calibration.drive.area import Area, Pose, moved
-from car_interface.tools.calibration.drive.config import DEFAULTS, DriveConfig
-from car_interface.tools.calibration.drive.knowledge import FitTask, Knowledge
-from car_interface.tools.calibration.drive.motion import Motion
+from car_interface.tools.calibration.drive.config import DEFAULTS, CalibrationDriveConfig
 from car_interface.tools.calibration.drive.outlook import Outlook
 from car_interface.tools.calibration.drive.pilot import Pilot
-from car_interface.tools.calibration.drive.samples import Samples
-from car_interface.tools.calibration.drive.step import DONE, PAUSED, WAITING, Progress, Step
+from car_interface.tools.calibration.drive.step import DONE, PAUSED, WAITING, Step
 from car_interface.tools.calibration.drive.stops import Stops
-from car_interface.tools.calibration.drive.survey import Survey
+from car_interface.tools.calibration.drive.survey import MeasuredDrive
 
 GRANT_TIMEOUT_S = 0.5  # the arbiters' states come 10 times a second and more
-ODOM_TIMEOUT_S = 0.5
-DUTY_TIMEOUT_S = 0.5
 MARGIN_M = 0.12  # of the area, for odometry's drift and for what isn't known of the steering
-MAX_STEP_NS = NS_PER_S // 5  # the longest time from step to step that counts as driven
 
 
 class _Grant(NamedTuple):
@@ -48,40 +41,25 @@ class _Grant(NamedTuple):
     reason: str
 
 
-class CalibrationDrive:
+class CalibrationDrive(MeasuredDrive):
     """One drive.
 
     Args:
         base: turn_arb's calibration, by which av_steer_req becomes a duty, with the car's ends and rough center; its
             radii aren't believed.
-        config: of the drive.
     """
 
-    def __init__(self, base: SteeringCalibration, config: DriveConfig = DEFAULTS):
-        self._config = config
-        self._survey = Survey(base, config.max_time_s)
-        self._motion = Motion()
+    def __init__(self, base: SteeringCalibration, config: CalibrationDriveConfig = DEFAULTS):
+        super().__init__(base, config)
         self._stops = Stops()
         self._obstacles = None if config.obstacles is None else ObstacleStop(config.obstacles)
         self._pilot: Pilot | None = None
-        self._base = base
-        self._odom = TimedInput("odom", ODOM_TIMEOUT_S)
-        self._duty = TimedInput("/servo/output", DUTY_TIMEOUT_S)
         self._grant = TimedInput("the arbiters' state", GRANT_TIMEOUT_S)
-        self._stepped_ns: int | None = None
-        self._driven_ns = 0
         self._ranges = {name: TimedInput(name, config.obstacles.timeout_s)
                         for name, mount in (config.obstacles.mounts if config.obstacles else {}).items()
                         if abs(math.remainder(mount.yaw_rad, 2 * math.pi)) < math.pi / 2}  # those that look ahead
-        self._end = ""  # why it is over
         self._drives = False  # the button is held
         self._is_slowed = False  # by more than its own drag, or moved by hands
-        self._now_ns = 0
-
-    @property
-    def samples(self) -> Samples:
-        """All that was measured so far, for ``conclude``."""
-        return self._survey.samples
 
     @property
     def start(self) -> tuple[float, float] | None:
@@ -90,7 +68,7 @@ class CalibrationDrive:
 
     def update_odometry(self, x_m: float, y_m: float, yaw_rad: float, speed_mps: float, measured_ns: int,
                         now_ns: int) -> None:
-        """The car's pose (middle of the rear axle, odometry's frame) and speed, forward positive.
+        """Take the car's pose (middle of the rear axle, odometry's frame) and speed, forward positive.
 
         Args:
             x_m, y_m, yaw_rad, speed_mps: as odom has them; the yaw may be wrapped. One that isn't finite is left out.
@@ -110,19 +88,20 @@ class CalibrationDrive:
             self._pilot.update_motion(*motion, measured_ns)
 
     def update_duty(self, duty: float, now_ns: int) -> None:
-        """What the servo board holds on the steering's channel, by /servo/output."""
+        """Take what the servo board holds on the steering's channel, by /servo/output."""
         self._duty.update(duty, now_ns)
         self.samples.update_duty(duty, now_ns)
 
     def update_range(self, name: str, range_m: float, now_ns: int) -> None:
-        """A sonar's range, as on its topic: inf = no echo, −inf = too near, NaN = nonsense. See ``obstacle_stop``."""
+        """Take a sonar's range, as on its topic: inf = no echo, −inf = too near, NaN = nonsense. See ``obstacle_stop``.
+        """
         if self._obstacles is not None:
             self._obstacles.update_range(name, range_m, now_ns)
         if name in self._ranges:
             self._ranges[name].update(range_m, now_ns)
 
     def update_grant(self, may_drive: bool, reason: str, now_ns: int) -> None:
-        """Whether turn_arb and throttle_arb obey the planner: the autonomous deadman is held, no e-stop, armed.
+        """Take whether turn_arb and throttle_arb obey the planner: the autonomous deadman is held, no e-stop, armed.
 
         Args:
             may_drive: both do, or would if something were asked for. Older than 0.5 s it counts as no.
@@ -132,15 +111,14 @@ class CalibrationDrive:
         self._grant.update(_Grant(may_drive, reason), now_ns)
 
     def update_stopping(self, by_itself: bool) -> None:
-        """Whether nothing but its drag and its ESC in neutral slows it: no hands, and throttle_arb doesn't brake. That
-        brakes only while it is sure that no reverse comes of it: the next time it may not.
+        """Take whether nothing but its drag and its ESC in neutral slows it: no hands, and throttle_arb doesn't brake.
+        That brakes only while it is sure that no reverse comes of it: the next time it may not.
         """
         self._is_slowed = not by_itself
 
     def step(self, now_ns: int) -> Step:
-        """What to ask for now. Call it 20 to 100 times a second; it takes 0.1 to 3 ms on a PC."""
-        since_ns = 0 if self._stepped_ns is None else min(now_ns - self._stepped_ns, MAX_STEP_NS)
-        self._stepped_ns = self._now_ns = now_ns
+        """Return what to ask for now. Call it 20 to 100 times a second; it takes 0.1 to 3 ms on a PC."""
+        since_ns = self._tick(now_ns)
         if self._end:
             return Step(None, 0.0, DONE, self._end)
         trouble = self._trouble(now_ns)
@@ -160,16 +138,13 @@ class CalibrationDrive:
         if self._survey.positions.is_swapped or self._pilot.turns_wrongly:
             self._end = (f"servo_left {self._base.servo_left} turns right: exchange servo_left and servo_right in "
                          "turn_arb's file, and begin again")
-        elif self._survey.is_enough:
-            self._end = f"enough is known after {self.driven_s:.0f} s"
-        elif self.driven_s >= self._config.max_time_s:
-            self._end = f"the time of {self._config.max_time_s:g} s is over"
+        self._end_if_over()
         if self._end:
             return Step(None, 0.0, DONE, self._end)
         return self._pilot.step(self._duty.value, now_ns)
 
     def _trouble(self, now_ns):
-        """Why it can't drive now; empty: it can."""
+        """Return why it can't drive now; empty: it can."""
         for timed in (self._odom, self._duty):
             if timed.is_stale(now_ns):
                 return timed.stale_reason(now_ns)
@@ -185,27 +160,6 @@ class CalibrationDrive:
         verb = "begins" if self._pilot is None else "goes on"
         return f"{grant.reason}; hold the autonomous deadman and it {verb}"
 
-    @property
-    def driven_s(self) -> float:
-        """The time that it drove, or could have: that of the held button."""
-        return self._driven_ns / NS_PER_S
-
-    def take_fit_task(self) -> FitTask | None:
-        """What is to be fitted now, once; ``None`` while one is under way, or when nothing new was measured."""
-        return self._survey.take_task(self._now_ns)
-
-    def update_knowledge(self, knowledge: Knowledge, now_ns: int) -> None:
-        """The answer to a task; the drive goes on with what it knew until it comes."""
-        self._survey.update_knowledge(knowledge)
-
-    def progress(self, now_ns: int) -> Progress:
-        """How far it is."""
-        return self._survey.progress(self.driven_s)
-
-    def finish(self) -> None:
-        """End now, with what there is (the person asks for it): the next step is DONE."""
-        self._end = self._end or f"ended by hand after {self.driven_s:.0f} s"
-
     def expected_path(self) -> list[tuple[float, float]]:
-        """The next seconds' path in odometry's frame, as far as it is known, for rviz: (x, y) in m."""
+        """Return the next seconds' path in odometry's frame, as far as it is known, for rviz: (x, y) in m."""
         return [] if self._pilot is None else self._pilot.expected_path()

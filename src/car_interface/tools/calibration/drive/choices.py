@@ -58,7 +58,7 @@ class Choices:
         self._limits = tuple(float(end) for end in sorted(self._ends))
 
     def all(self, now_ns: int) -> list[Choice]:
-        """The candidates as they could be begun now, without those that can't be the best any more."""
+        """Return the candidates as they could be begun now, without those that can't be the best any more."""
         candidates = self._survey.positions.candidates()
         turns_worth = [TURN_WORTH * need ** NEED_POWER for need in self._turns_needs(candidates)]
         ideals = sorted((self._ideal(candidate, max(turns_worth), now_ns) for candidate in candidates),
@@ -72,12 +72,12 @@ class Choices:
         return found
 
     def turn(self, candidate: Candidate, turn_per_m: float, now_ns: int) -> Choice:
-        """A tight turn at a position, whatever room there is."""
+        """Return a tight turn at a position, whatever room there is."""
         return Choice(0.0, 0.0, wanted_length_m(turn_per_m), self._hold_for(candidate, now_ns))
 
     def missing_in_turn(self, held_duty: int, turn_per_m: float, now_ns: int) -> Choice | None:
-        """The best one to that side, other than what is held, that is refused or a gap by now; ``None``: there is none
-        with room for it.
+        """Return the best one to that side, other than what is held, that is refused or a gap by now; ``None``: there
+        is none with room for it.
         """
         candidates = self._survey.positions.candidates(
             lambda duty: self._outlook.expected_per_m(duty) / turn_per_m > SAME_TURN_RATIO)
@@ -87,7 +87,9 @@ class Choices:
         return best if best is not None and best.score else None
 
     def tight(self, turn_per_m: float, pose: Pose, now_ns: int, least_need: float = 0.0) -> Candidate | None:
-        """The tight position to that side of which least is known, and that stays inside; ``None``: there is none."""
+        """Return the tight position to that side of which least is known, and that stays inside; ``None``: there is
+        none.
+        """
         positions, area = self._survey.positions, self._outlook.area
         for candidate in positions.candidates(lambda duty: positions.least_per_m(duty) / turn_per_m > TIGHT_RATIO):
             curvature = positions.least_per_m(candidate.duty)
@@ -97,7 +99,7 @@ class Choices:
         return None
 
     def turns_needs(self) -> list[float]:
-        """The greatest need of what each of the tight turns would show."""
+        """Return the greatest need of what each of the tight turns would show."""
         return self._turns_needs(self._survey.positions.candidates())
 
     def _turns_needs(self, candidates):
@@ -106,7 +108,7 @@ class Choices:
                 for turn in map(self._outlook.expected_per_m, self._ends)]
 
     def _ideal(self, candidate, turn_worth, now_ns):
-        """What a candidate is worth with all the room that it wants."""
+        """Return what a candidate is worth with all the room that it wants."""
         curvature = self._outlook.expected_per_m(candidate.duty)
         hold = self._hold_for(candidate, now_ns)
         want_m = wanted_length_m(curvature)
@@ -115,7 +117,7 @@ class Choices:
         return Choice(0.0, (worth + turn_worth) / (seconds + TURN_S), want_m, hold, worth=worth)
 
     def _from_here(self, ideal, turns_worth, now_ns):
-        """What it is worth from here, ending with the tight turn that makes it worth most."""
+        """Return what it is worth from here, ending with the tight turn that makes it worth most."""
         hold, want_m = ideal.hold, ideal.want_m
         curvature = self._outlook.expected_per_m(hold.duty)
         seen_mps = self._outlook.sonar_mps(curvature, now_ns)
@@ -146,6 +148,6 @@ class Choices:
 
 
 def wanted_length_m(curvature_per_m):
-    """How long a turn is to be measured."""
+    """Return how long a turn is to be measured."""
     return WANT_WIDE_M if abs(curvature_per_m) < WIDE_PER_M else WANT_TIGHT_M + 0.8 * max(
         0.0, 1 - abs(curvature_per_m) / 0.5)

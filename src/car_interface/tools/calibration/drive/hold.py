@@ -15,7 +15,6 @@ class Hold:
     """One position, from the moment at which it is asked for.
 
     Args:
-        duty: the position.
         from_side: the side from which to come to it, in duty: 1 = higher, −1 = lower; 0 = as it comes.
         servo_duty: where the servo is about now.
         limits: the lowest and the highest duty that may be asked for.
@@ -47,15 +46,15 @@ class Hold:
         self.length_m = self.turned_rad = 0.0
 
     def asked_duty(self, now_ns: int) -> float:
-        """What to ask for now."""
+        """Return what to ask for now."""
         return self._past_duty if now_ns < self._past_ns else float(self.duty)
 
     def is_settled(self, now_ns: int) -> bool:
-        """Whether the wheels are where they are to be."""
+        """Return whether the wheels are where they are to be."""
         return now_ns >= self.settled_ns
 
     def update_motion(self, distance_m: float, turned_rad: float, at_ns: int) -> None:
-        """What odometry saw since the last call."""
+        """Take what odometry saw since the last call."""
         if at_ns >= self.settled_ns:
             self.length_m += distance_m
             self.turned_rad += turned_rad
@@ -65,10 +64,10 @@ class Hold:
         return max(0.0, (self.settled_ns - now_ns) / 1e9)
 
     def measured(self) -> Measured:
-        """The result so far."""
+        """Return the result so far."""
         return Measured(self.duty, self.from_side, self.length_m, self.turned_rad / max(self.length_m, 1e-6))
 
 
 def _time_s(from_duty, to_duty, lag_s):
-    """How long a first-order lag takes from one distance to its target to a smaller one."""
+    """Return how long a first-order lag takes from one distance to its target to a smaller one."""
     return lag_s * math.log(from_duty / to_duty) if from_duty > to_duty > 0 else 0.0

@@ -13,12 +13,12 @@ import numpy as np
 
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.tools.calibration.delay import Delay
-from car_interface.tools.calibration.drive.step import Row
-from car_interface.tools.calibration.steering.drive import COUNT, Drive, FitConfig, NothingToFit
+from car_interface.tools.calibration.drive.step import RadiusRow
+from car_interface.tools.calibration.shared import NothingToFit
+from car_interface.tools.calibration.steering.drive import COUNT, CurveFitConfig, SteeringDrive
 from car_interface.tools.calibration.steering.errors import BAND, unseen
 from car_interface.tools.calibration.steering.fit import Curve, fit
-from car_interface.tools.calibration.steering.problems import find_problems
-from car_interface.tools.calibration.steering.table import LEFT, RIGHT, UNKNOWN, axis, breakpoints
+from car_interface.tools.calibration.steering.table import LEFT, RIGHT, UNKNOWN, axis, breakpoints, find_problems
 
 # Where one count changes much the tool allows an error of half of that. But with less of one the nearest count to a
 # radius is the best one more often.
@@ -37,7 +37,7 @@ class FitTask(NamedTuple):
         backlash_sigma: the standard error of the backlash that is given.
     """
 
-    drive: Drive
+    drive: SteeringDrive
     base: SteeringCalibration
     delay: Delay | None
     backlash_duty: float | None
@@ -66,7 +66,7 @@ class Knowledge(NamedTuple):
     duties: tuple[float, ...] = ()
     curvatures: tuple[float, ...] = ()
     errors: tuple[float, ...] = ()
-    rows: tuple[Row, ...] = ()
+    rows: tuple[RadiusRow, ...] = ()
     missing: tuple[str, ...] = ()
     delay: Delay | None = None
     backlash_duty: float | None = None
@@ -80,8 +80,8 @@ class Knowledge(NamedTuple):
 def assess(task: FitTask) -> Knowledge:
     """Fit what there is. Never raises for what was driven: a drive without a curve is a Knowledge with a reason."""
     base = task.base
-    config = FitConfig(understeer=base.understeer, limits=(base.servo_left, base.servo_right), delay=task.delay,
-                       backlash_duty=task.backlash_duty, backlash_sigma=task.backlash_sigma)
+    config = CurveFitConfig(understeer=base.understeer, limits=(base.servo_left, base.servo_right), delay=task.delay,
+                            backlash_duty=task.backlash_duty, backlash_sigma=task.backlash_sigma)
     try:
         curve = fit([task.drive], config)
     except (NothingToFit, ValueError, IndexError) as error:  # the last two: a handful of samples
@@ -90,8 +90,8 @@ def assess(task: FitTask) -> Knowledge:
         return Knowledge(task.number, "the car turned to one side only so far")
     points = {side: breakpoints(curve, axis(curve), side, config) for side in (LEFT, RIGHT)}
     duties = np.arange(math.ceil(curve.duties[0] / COUNT), math.floor(curve.duties[-1] / COUNT) + 1) * COUNT
-    rows = tuple(Row(side, point.radius_m, point.duty, BAND * point.duty_sigma,
-                     BAND * point.radius_sigma_m / point.radius_m, point.source != UNKNOWN)
+    rows = tuple(RadiusRow(side, point.radius_m, point.duty,
+                           BAND * point.radius_sigma_m / point.radius_m, point.source != UNKNOWN)
                  for side in (LEFT, RIGHT) for point in points[side])
     return Knowledge(task.number, "", tuple(duties.tolist()), tuple(curve.curvature(duties).tolist()),
                      tuple(error_ratios(curve, duties, config).tolist()), rows, tuple(find_problems(curve, points)),
@@ -99,17 +99,18 @@ def assess(task: FitTask) -> Knowledge:
                      curve.understeer.is_known, tuple(needs(curve, duties, config).tolist()))
 
 
-def error_ratios(curve: Curve, duties: np.ndarray, config: FitConfig) -> np.ndarray:
-    """What isn't known of the curvature at the board's counts (N,), as ratios of what the tool allows there: (N,).
+def error_ratios(curve: Curve, duties: np.ndarray, config: CurveFitConfig) -> np.ndarray:
+    """Return what isn't known of the curvature at the board's counts (N,), as ratios of what the tool allows there:
+    (N,).
 
     By the rule of ``table.breakpoints``.
     """
     return BAND * np.interp(duties, curve.duties, curve.sigmas) / _allowed_per_m(curve, duties, config)
 
 
-def needs(curve: Curve, duties: np.ndarray, config: FitConfig) -> np.ndarray:
-    """How much it is worth to measure the board's counts (N,): (N,). As ``error_ratios``, but stricter where one count
-    changes much and between places that are far apart.
+def needs(curve: Curve, duties: np.ndarray, config: CurveFitConfig) -> np.ndarray:
+    """Return how much it is worth to measure the board's counts (N,): (N,). As ``error_ratios``, but stricter where one
+    count changes much and between places that are far apart.
     """
     unseen_per_m = UNSEEN_NEED * unseen(duties, curve.observations, curve.used)
     sigmas = np.maximum(np.interp(duties, curve.duties, curve.sigmas), unseen_per_m)
@@ -117,7 +118,7 @@ def needs(curve: Curve, duties: np.ndarray, config: FitConfig) -> np.ndarray:
 
 
 def _allowed_per_m(curve, duties, config, count_ratio=1.0):
-    """What the tool allows, with so much of what it does for the board's counts."""
+    """Return what the tool allows, with so much of what it does for the board's counts."""
     allowed = np.maximum(config.known_ratio * np.abs(curve.curvature(duties)), config.known_per_m)
     half_count = np.abs(curve.curvature(duties + COUNT) - curve.curvature(duties - COUNT)) / 4
     return allowed + count_ratio * half_count

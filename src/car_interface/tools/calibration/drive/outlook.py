@@ -8,9 +8,9 @@ import math
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.throttle.obstacle_stop import Guarantee, ObstacleStop, stopping_speed_mps
 from car_interface.tools.calibration.drive.area import Area, Pose, Turn, moved
-from car_interface.tools.calibration.drive.config import DriveConfig
+from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
 from car_interface.tools.calibration.drive.hold import Hold
-from car_interface.tools.calibration.drive.motion import Motion
+from car_interface.tools.calibration.drive.samples import Motion
 from car_interface.tools.calibration.drive.stops import Stops
 from car_interface.tools.calibration.drive.survey import Survey
 
@@ -36,8 +36,8 @@ class Outlook:
         servo_duty: what the servo board holds.
     """
 
-    def __init__(self, base: SteeringCalibration, config: DriveConfig, survey: Survey, motion: Motion, area: Area,
-                 obstacles: ObstacleStop | None, stops: Stops):
+    def __init__(self, base: SteeringCalibration, config: CalibrationDriveConfig, survey: Survey, motion: Motion,
+                 area: Area, obstacles: ObstacleStop | None, stops: Stops):
         self.area = area
         self.servo_duty = float(base.servo_center)
         self._config, self._survey, self._motion, self._obstacles = config, survey, motion, obstacles
@@ -53,11 +53,11 @@ class Outlook:
     # --- where it goes ---
 
     def expected_per_m(self, duty: float) -> float:
-        """The curvature to expect at a duty."""
+        """Return the curvature to expect at a duty."""
         return self._survey.positions.expected_per_m(duty)
 
     def live_per_m(self) -> float:
-        """The curvature now; that of the duty that is held, where the car hardly moves."""
+        """Return the curvature now; that of the duty that is held, where the car hardly moves."""
         curvature = self._motion.curvature_per_m()
         return self.expected_per_m(self.servo_duty) if curvature is None else curvature
 
@@ -68,11 +68,11 @@ class Outlook:
         return (self.live_per_m() + 2 * self.expected_per_m(hold.duty)) / 3
 
     def turns(self, from_duty: float, speed_mps: float) -> list[Turn]:
-        """The tight turns to the left and to the right, begun with the servo at a duty."""
+        """Return the tight turns to the left and to the right, begun with the servo at a duty."""
         return [Turn(curvature, speed_mps * reaction_s) for curvature, reaction_s in self._turns(from_duty)]
 
     def _turns(self, from_duty):
-        """(curvature, time until the wheels are turned for it) of each."""
+        """Return (curvature, time until the wheels are turned for it) of each."""
         survey = self._survey
         found = []
         for end in self._ends:
@@ -87,7 +87,7 @@ class Outlook:
         return found
 
     def turns_now(self) -> list[Turn]:
-        """The same from here."""
+        """Return the same from here."""
         return self.turns(self.servo_duty, self.now_mps)
 
     @property
@@ -109,12 +109,13 @@ class Outlook:
         return self.area.ways_out(self._motion.pose, self.path_per_m(hold, now_ns), self.turns_now())
 
     def excesses_m(self, hold: Hold | None, now_ns: int) -> list[float]:
-        """By how much it leaves the area on each of these turns, or where it stops when it is let go on it."""
+        """Return by how much it leaves the area on each of these turns, or where it stops when it is let go on it."""
         return self.area.excesses_m(self._motion.pose, self.path_per_m(hold, now_ns), self.turns_now(), self._stop_m())
 
     def rooms_m(self, duty: float, curvature_per_m: float, speed_mps: float, max_m: float) -> list[float]:
-        """How far the car can go from here, to end with the tight turn to the left and with that to the right, if it
-        steers that duty now and that gives that curvature."""
+        """Return how far the car can go from here, to end with the tight turn to the left and with that to the right,
+        if it steers that duty now and that gives that curvature.
+        """
         lead_m = min(speed_mps, self.now_mps) * (self._survey.servo_delay_s + self._survey.servo_lag_s)
         after = moved(self._motion.pose, lead_m, (self.live_per_m() + curvature_per_m) / 2)
         turns = self._turns(duty)
@@ -132,33 +133,35 @@ class Outlook:
             after, curvature_per_m, turns_at, max_m - lead_m, stop_m, ahead_m)]
 
     def is_outside_soon(self, hold: Hold, now_ns: int) -> bool:
-        """Whether it has to turn now to stay inside, or to stop inside when it is let go."""
+        """Return whether it has to turn now to stay inside, or to stop inside when it is let go."""
         return (min(self.excesses_m(hold, now_ns)) > 0
                 or self.area.ahead_m(self._motion.pose, self.area.radius_m) < self._stop_m())
 
     def _stop_m(self, speed_mps=None):
-        """What it takes to stop when the button is let go, from a speed or from that at the edge."""
+        """Return what it takes to stop when the button is let go, from a speed or from that at the edge."""
         speed_mps = self.slow_mps if speed_mps is None else speed_mps
         return RELEASE_S * speed_mps + speed_mps ** 2 / (2 * self._let_go().stop_mps2)
 
     # --- how fast ---
 
     def cruise_mps(self, curvature_per_m: float) -> float:
-        """The speed in such a turn."""
+        """Return the speed in such a turn."""
         config = self._config
         ratio = min(1.0, abs(curvature_per_m) / TIGHT_PER_M)
         speed_mps = config.speed_mps + (config.tight_speed_mps - config.speed_mps) * ratio
         return min(speed_mps, EARLY_MPS) if self._survey.knowledge is None else speed_mps
 
     def sonar_mps(self, curvature_per_m: float, now_ns: int) -> float:
-        """What the sonars allow on an arc."""
+        """Return what the sonars allow on an arc."""
         if self._obstacles is None:
             return math.inf
         bound = self._obstacles.bound(curvature_per_m, False, self._guarantee, now_ns, counts_sides=False)
         return math.inf if bound is None else bound.speed_mps
 
     def allowed_mps(self, hold: Hold, is_quick: bool, now_ns: int) -> tuple[float, str]:
-        """(the speed for a position, why it stands); ``is_quick``: as fast as the tyres hold, once it is settled."""
+        """Return (the speed for a position, why it stands); ``is_quick``: as fast as the tyres hold, once it is
+        settled.
+        """
         expected, speed_now_mps = self.expected_per_m(hold.duty), self._motion.speed_mps
         speed_mps = self.cruise_mps(expected)
         if is_quick and hold.is_settled(now_ns):
@@ -179,7 +182,7 @@ class Outlook:
         return min(speed_mps, seen_mps), ""
 
     def _slowed_mps(self, ahead_m):
-        """The speed from which it stops within a distance when it is let go, and the slow one at least."""
+        """Return the speed from which it stops within a distance when it is let go, and the slow one at least."""
         return max(self.slow_mps, stopping_speed_mps(ahead_m, RELEASE_S, self._let_go()))
 
     def _way_back(self):

@@ -8,19 +8,20 @@ tight circles at both ends.
 from __future__ import annotations
 
 import math
+from typing import Sequence
 
 from car_interface.common.units import NS_PER_S
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.tools.calibration.drive.area import INWARD_RAD, moved
 from car_interface.tools.calibration.drive.choices import MIN_LENGTH_M, MISSING_NEED, Choices
 from car_interface.tools.calibration.drive.hold import Hold
-from car_interface.tools.calibration.drive.lost_turns import LostTurns
-from car_interface.tools.calibration.drive.motion import Motion
 from car_interface.tools.calibration.drive.outlook import FREE_MPS, REACTION_S, Outlook
 from car_interface.tools.calibration.drive.positions import Candidate
+from car_interface.tools.calibration.drive.samples import Motion
 from car_interface.tools.calibration.drive.step import AVOIDING, BLOCKED, MEASURING, SETTLING, TURNING, Step
 from car_interface.tools.calibration.drive.survey import Survey
 
+LOST_RAD = 3 * 2 * math.pi  # turned to the other side meanwhile
 KEPT_LENGTH_M = 0.5  # one that was cut short counts from here on
 BLIND_M = 0.3  # after a pause
 LITTLE_NEED = 0.3
@@ -30,6 +31,45 @@ PATIENT_RAD = 1.3 * math.pi  # a turn that has lasted this long makes do with an
 CHOICE_NS = NS_PER_S // 10
 WRONG_M, WRONG_PER_M = 0.3, 0.1  # so far, and as tightly to the other side
 STUCK_NS, STUCK_M = 3 * NS_PER_S, 0.15  # so long without moving so far: it can't go on
+
+
+class LostTurns:
+    """Notices when a person has to place the car: turns to one side are missing, and it only ever turns to the other.
+
+    A car that turns widely goes from one turn to the next one to the same side, as no way across the area leads to one
+    to the other side that stays inside. Of the tight turns 0 is the one to the left, 1 that to the right.
+
+    Attributes:
+        asked: the one for which a person is asked to place the car; ``None`` = nobody is.
+    """
+
+    def __init__(self):
+        self.asked: int | None = None
+        self._since_rad = [0.0, 0.0]  # turned to the other side since each was driven last
+
+    def update_motion(self, turned_rad: float) -> None:
+        """Take by how much the heading changed, left positive."""
+        self._since_rad[0] += max(0.0, -turned_rad)
+        self._since_rad[1] += max(0.0, turned_rad)
+
+    def drive(self, side: int) -> int | None:
+        """Return a tight turn to that side is driven now: the other one, if it is lost."""
+        self._since_rad[side] = 0.0
+        return 1 - side if self._since_rad[1 - side] >= LOST_RAD else None
+
+    def ask(self, side: int) -> None:
+        """Ask a person for that one; again after three more turns to the other side."""
+        self.asked, self._since_rad[side] = side, 0.0
+
+    def text(self, turns_per_m: Sequence[float]) -> str:
+        """Return what to do, for a person.
+
+        Args:
+            turns_per_m: the curvatures of the turns, (2,).
+        """
+        name, radius_m = ("left", "right")[self.asked], 1 / abs(turns_per_m[self.asked])
+        return (f"{name} turns are missing, and no way leads to one: place the car so that the middle is about "
+                f"{radius_m:.1f} m to its {name}, by hand or by the manual deadman, then hold the button again")
 
 
 class Pilot:
@@ -56,7 +96,7 @@ class Pilot:
         self._lost = LostTurns()
 
     def pause(self) -> None:
-        """The button was let go: what was half measured is left."""
+        """Leave what was half measured: the button was let go."""
         self._finish_hold()
         self._free_ns = None
         self._avoids = False
@@ -71,7 +111,7 @@ class Pilot:
                 and hold.measured().curvature_per_m * (1 if hold.duty == self._ends[0] else -1) < -WRONG_PER_M)
 
     def update_motion(self, distance_m: float, turned_rad: float, at_ns: int) -> None:
-        """What odometry saw since the last call."""
+        """Take what odometry saw since the last call."""
         if self._hold is not None:
             self._hold.update_motion(distance_m, turned_rad, at_ns)
             self._lost.update_motion(turned_rad)
@@ -79,7 +119,7 @@ class Pilot:
         self._stood_m += abs(distance_m)
 
     def step(self, held_duty: float, now_ns: int) -> Step:
-        """What to ask for, the servo board holding ``held_duty``."""
+        """Return what to ask for, the servo board holding ``held_duty``."""
         self.outlook.servo_duty = held_duty
         if self._free_ns is None or self._stood_m >= STUCK_M:
             self._free_ns, self._stood_m = now_ns, 0.0
@@ -96,7 +136,7 @@ class Pilot:
         return Step(steering, speed_mps, phase, text or self._text(phase, now_ns), hold.duty)
 
     def expected_path(self) -> list[tuple[float, float]]:
-        """The next 2 m, by the position that is held."""
+        """Return the next 2 m, by the position that is held."""
         if self._hold is None:
             return []
         pose, curvature = self._motion.pose, self.outlook.expected_per_m(self._hold.duty)
@@ -131,7 +171,7 @@ class Pilot:
             self._lost.ask(lost)
 
     def _misses_turn(self, now_ns):
-        """Whether the turn with which it is to end would leave the area from now on."""
+        """Return whether the turn with which it is to end would leave the area from now on."""
         if self._side is None:
             return False
         was_free = self._is_side_free
@@ -140,7 +180,7 @@ class Pilot:
                 and self.outlook.sonar_mps(self._turns_per_m()[self._side], now_ns) >= FREE_MPS)
 
     def _is_cut_off(self, now_ns):
-        """Whether the arc ends here: by the area, or by a sonar."""
+        """Return whether the arc ends here: by the area, or by a sonar."""
         look = self.outlook
         if look.sonar_mps(look.path_per_m(self._hold, now_ns), now_ns) < FREE_MPS:
             self._avoids = True
@@ -150,7 +190,7 @@ class Pilot:
         return look.is_outside_soon(self._hold, now_ns)
 
     def _begin_any(self, now_ns):
-        """The best position for which there is room; else a tight turn."""
+        """Begin the best position for which there is room; else a tight turn."""
         self._note_hold()
         self._chosen_ns = now_ns
         choices = self._choices.all(now_ns)
@@ -194,7 +234,8 @@ class Pilot:
         self._begin(self._choices.turn(best, turn_per_m, now_ns), True, now_ns, best.need)
 
     def _measure_in_turn(self, now_ns):
-        """A turn that has to go on, at a position that is known by now: take another one that turns to the same side.
+        """In a turn that has to go on, at a position that is known by now, take another one that turns to the same
+        side.
 
         One that is missing may turn less tightly, where there is room for it; else one that is as tight will do.
         """
@@ -209,11 +250,13 @@ class Pilot:
                 self._begin(self._choices.turn(other, turn_per_m, now_ns), True, now_ns, other.need)
 
     def _turns_per_m(self):
-        """The curvatures of the tight turns to the left and to the right."""
+        """Return the curvatures of the tight turns to the left and to the right."""
         return [self.outlook.expected_per_m(end) for end in self._ends]
 
     def _way_per_m(self, now_ns):
-        """The tight turn to take: the one that stays inside and is free; of two the one about which less is known."""
+        """Return the tight turn to take: the one that stays inside and is free; of two the one about which less is
+        known.
+        """
         turns = self._turns_per_m()
         seen = [self.outlook.sonar_mps(turn, now_ns) for turn in turns]
         if min(seen) < FREE_MPS and max(seen) > min(seen) + 0.1:

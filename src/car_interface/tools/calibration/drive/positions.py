@@ -89,7 +89,7 @@ class Positions:
         return held.get(base.servo_left, 1.0) < -SURELY_PER_M or held.get(base.servo_right, -1.0) > SURELY_PER_M
 
     def update_knowledge(self, knowledge: Knowledge, measured_since: int) -> None:
-        """A fit's result.
+        """Take a fit's result.
 
         Args:
             knowledge: with a curve.
@@ -99,7 +99,7 @@ class Positions:
         self._since_fit = self._since_fit[len(self._since_fit) - measured_since:]
 
     def add(self, measured: Measured) -> None:
-        """A position was held."""
+        """Take what was measured of a position that was held."""
         self.count += 1
         self._since_fit.append(measured)
         insort(self._held, measured.duty)
@@ -114,7 +114,7 @@ class Positions:
                 break
 
     def candidates(self, accepts: Callable[[float], bool] = lambda duty: True) -> list[Candidate]:
-        """What is worth measuring of the duties that ``accepts`` takes, needs falling."""
+        """Return what is worth measuring of the duties that ``accepts`` takes, needs falling."""
         found = [candidate for candidate in self._first if accepts(candidate.duty)]
         if self._knowledge is not None:
             found += [candidate for candidate in self._lost_ends() if accepts(candidate.duty)]
@@ -133,7 +133,7 @@ class Positions:
                 yield Candidate(end, LOST_END_NEED, 0)
 
     def _by_errors(self, count, accepts):
-        """The greatest errors of the fit, apart from each other; of equal needs that of which least is known."""
+        """Return the greatest errors of the fit, apart from each other; of equal needs that of which least is known."""
         known = self._knowledge
         unknown = map(max, known.errors, known.needs or known.errors)
         rows = [(need, much, duty) for need, much, duty in zip(self._needs(), unknown, known.duties) if accepts(duty)]
@@ -153,7 +153,9 @@ class Positions:
         return self._knowledge is not None and any(self._gaps())
 
     def _needs(self):
-        """What remains of the fit's, (K,). Where one count changes much no fit knows what lies between two of them."""
+        """Return what remains of the fit's, (K,). Where one count changes much no fit knows what lies between two of
+        them.
+        """
         known = self._knowledge
         needs = [self._remaining(duty, max(min(error, MAX_NEED), min(need, MAX_NICE_NEED)))
                  for duty, error, need in zip(known.duties, known.errors, known.needs or known.errors)]
@@ -162,7 +164,9 @@ class Positions:
         return needs
 
     def _gaps(self):
-        """The indices of the counts where one count changes much, or that are nearly refused, and that weren't held."""
+        """Yield the indices of the counts where one count changes much, or that are nearly refused, and that weren't
+        held.
+        """
         duties, curvatures = self._knowledge.duties, self._knowledge.curvatures
         low, high = sorted((self._base.servo_left, self._base.servo_right))
         for index in range(1, len(duties) - 1):
@@ -185,7 +189,7 @@ class Positions:
         return error / (1 + REPEATED * near)
 
     def _other_side(self, duty):
-        """The side from which a position wasn't come to last; 0 = it is new, and any will do."""
+        """Return the side from which a position wasn't come to last; 0 = it is new, and any will do."""
         near = [(abs(other - duty), side) for other, side in self._sides.items() if abs(other - duty) <= SIDES_DUTY]
         return -min(near)[1] if near else 0
 
@@ -218,8 +222,9 @@ class Positions:
         return min(found, key=lambda at: abs(at - self._base.servo_center), default=float(end))
 
     def least_per_m(self, duty: float) -> float:
-        """The least curvature, by its magnitude, that a duty can have: that of the next position towards the center
-        that was held, as curves are monotone; 0 = there is none. A fit of few positions may be far off in between.
+        """Return the least curvature, by its magnitude, that a duty can have: that of the next position towards the
+        center that was held, as curves are monotone; 0 = there is none. A fit of few positions may be far off in
+        between.
         """
         outward = 1 if duty >= self._base.servo_center else -1
         inner = [curvature for at, curvature in self._curvatures if (duty - at) * outward >= 0]
@@ -227,7 +232,7 @@ class Positions:
         return sign * max(0.0, sign * (inner[-1] if outward > 0 else inner[0])) if inner else 0.0
 
     def steering(self, duty: float) -> float:
-        """The request, −1 right to 1 left, that turn_arb makes this duty of."""
+        """Return the request, −1 right to 1 left, that turn_arb makes this duty of."""
         base = self._base
         end = base.servo_left if (duty - base.servo_center) * (base.servo_left - base.servo_center) > 0 else (
             base.servo_right)
@@ -236,7 +241,7 @@ class Positions:
 
 
 def nearest_count(duty: float, base: SteeringCalibration) -> int:
-    """The board's nearest count that lies between the ends; an end that isn't a count stays as it is."""
+    """Return the board's nearest count that lies between the ends; an end that isn't a count stays as it is."""
     low, high = sorted((base.servo_left, base.servo_right))
     return int(min(max(math.floor(duty / COUNT + 0.5) * COUNT, low), high))
 

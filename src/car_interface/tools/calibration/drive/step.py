@@ -55,21 +55,20 @@ class Guidance(NamedTuple):
     target_duty: int = 0
 
 
-class Row(NamedTuple):
+class RadiusRow(NamedTuple):
     """How well one radius is known, as a row of the tool's own report.
 
     Attributes:
         side: ``left`` or ``right``.
         radius_m: of the turn.
         duty: for it; NaN = unknown.
-        duty_error, radius_error: two standard errors, the second as a ratio of the radius; inf = unknown.
+        radius_error: two standard errors of the radius, as a ratio of it; inf = unknown.
         is_known: the tool would write this one.
     """
 
     side: str
     radius_m: float
     duty: float
-    duty_error: float
     radius_error: float
     is_known: bool
 
@@ -93,7 +92,7 @@ class Progress(NamedTuple):
     """
 
     fraction: float
-    rows: tuple[Row, ...]
+    rows: tuple[RadiusRow, ...]
     missing: tuple[str, ...]
     driven_s: float
     left_s: float

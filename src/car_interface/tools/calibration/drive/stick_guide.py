@@ -7,64 +7,43 @@ from __future__ import annotations
 
 import math
 
-from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.tools.calibration.drive.area import Pose
-from car_interface.tools.calibration.drive.config import DEFAULTS, DriveConfig
-from car_interface.tools.calibration.drive.knowledge import FitTask, Knowledge
-from car_interface.tools.calibration.drive.motion import Motion
+from car_interface.tools.calibration.drive.config import DEFAULTS, CalibrationDriveConfig
 from car_interface.tools.calibration.drive.positions import Candidate, Measured
-from car_interface.tools.calibration.drive.samples import Samples
-from car_interface.tools.calibration.drive.step import DONE, MEASURING, PAUSED, SETTLING, Guidance, Progress
-from car_interface.tools.calibration.drive.survey import Survey
+from car_interface.tools.calibration.drive.step import DONE, MEASURING, PAUSED, SETTLING, Guidance
+from car_interface.tools.calibration.drive.survey import MeasuredDrive
 
-TIMEOUT_S = 0.5
 HOLD_M = 2.0  # of each position; a person needs no more precision than the fit, which takes what it gets
 NEAR_DUTY = 24.0  # a stick that is held as near as this to the position holds it
 STILL_DUTY = 24.0  # and one that moves by no more than this, as the fit takes a segment: a thumb is on two counts
 SETTLE_NS = NS_PER_S // 2
 SLOW_MPS, MAX_LATERAL_MPS2 = 0.25, 4.0  # as the fit takes a segment
-MAX_STEP_NS = NS_PER_S // 5
 LEAST_COUNTED_M = 0.6
 
 
-class StickGuide:
+class StickGuide(MeasuredDrive):
     """One drive by hand.
 
     A stick is never held exactly where it is asked: what counts is a position that is held still near it. One that is
     held still somewhere else is evidence, too: the fit takes all of it.
     """
 
-    def __init__(self, base: SteeringCalibration, config: DriveConfig = DEFAULTS):
-        self._survey = Survey(base, config.max_time_s)
-        self._config = config
-        self._motion = Motion()
-        self._odom = TimedInput("odom", TIMEOUT_S)
-        self._duty = TimedInput("/servo/output", TIMEOUT_S)
+    OF_DRIVING = " of driving"
+
+    def __init__(self, base: SteeringCalibration, config: CalibrationDriveConfig = DEFAULTS):
+        super().__init__(base, config)
         self._target: Candidate | None = None
         self._low_duty = self._high_duty = math.nan  # between which the stick is held, and since when
         self._still_ns = 0
         self._length_m = self._turned_rad = 0.0  # while it was held
         self._passed = False  # the stick came from the side that was asked for
-        self._driven_ns, self._stepped_ns = 0, None
         self._why_not = ""  # it may not be driven
-        self._end = ""
-        self._now_ns = 0
-
-    @property
-    def samples(self) -> Samples:
-        """All that was measured so far, for ``conclude``."""
-        return self._survey.samples
-
-    @property
-    def driven_s(self) -> float:
-        """The time in which the car moved."""
-        return self._driven_ns / NS_PER_S
 
     def update_odometry(self, x_m: float, y_m: float, yaw_rad: float, speed_mps: float, measured_ns: int,
                         now_ns: int) -> None:
-        """As CalibrationDrive's."""
+        """Take an odometry, as CalibrationDrive does."""
         if not all(map(math.isfinite, (x_m, y_m, yaw_rad, speed_mps))):
             return
         self._odom.update(None, now_ns)
@@ -75,7 +54,7 @@ class StickGuide:
             self._turned_rad += turned_rad * (1 if distance_m > 0 else -1)
 
     def update_duty(self, duty: float, now_ns: int) -> None:
-        """As CalibrationDrive's: it shows where the stick is."""
+        """Take a duty, as CalibrationDrive does: it shows where the stick is."""
         self._duty.update(duty, now_ns)
         self.samples.update_duty(duty, now_ns)
         low_duty, high_duty = min(self._low_duty, duty), max(self._high_duty, duty)  # NaN stays
@@ -88,19 +67,15 @@ class StickGuide:
             self._passed = True
 
     def update_grant(self, may_drive: bool, reason: str, now_ns: int) -> None:
-        """Whether turn_arb obeys the stick: the manual deadman is held; and why not, in its own words."""
+        """Take whether turn_arb obeys the stick: the manual deadman is held; and why not, in its own words."""
         self._why_not = "" if may_drive else reason
 
     def step(self, now_ns: int) -> Guidance:
-        """What to do now; 10 times a second and more."""
-        since_ns = 0 if self._stepped_ns is None else min(now_ns - self._stepped_ns, MAX_STEP_NS)
-        self._stepped_ns = self._now_ns = now_ns
+        """Return what to do now; 10 times a second and more."""
+        since_ns = self._tick(now_ns)
         moves = not self._odom.is_stale(now_ns) and abs(self._motion.speed_mps) >= SLOW_MPS
         self._driven_ns += since_ns if moves else 0
-        if not self._end and self._survey.is_enough:
-            self._end = f"enough is known after {self.driven_s:.0f} s of driving"
-        elif not self._end and self.driven_s >= self._config.max_time_s:
-            self._end = f"the time of {self._config.max_time_s:g} s is over"
+        self._end_if_over()
         if self._end:
             return Guidance(0.0, self._held_steering(), 0.0, DONE, self._end)
         if self._target is None or self._is_held(now_ns) and self._length_m >= HOLD_M:
@@ -135,20 +110,22 @@ class StickGuide:
                         self._target.duty)
 
     def _is_held(self, now_ns):
-        """Whether the stick is held still at the position, come to from the right side, and the servo has followed."""
+        """Return whether the stick is held still at the position, come to from the right side, and the servo has
+        followed.
+        """
         target = self._target
         return (target is not None and abs((self._low_duty + self._high_duty) / 2 - target.duty) <= NEAR_DUTY
                 and (self._passed or not target.from_side or target.duty in self._survey.ends)
                 and now_ns - self._still_ns >= SETTLE_NS)
 
     def _next(self):
-        """The position of which least is known."""
+        """Choose the position of which least is known."""
         self._note()
         candidates = self._survey.positions.candidates()
         self._target, self._passed = candidates[0], False
 
     def _note(self):
-        """What was held, if it was enough."""
+        """Note what was held, if it was enough."""
         if self._target is not None and self._length_m >= LEAST_COUNTED_M:
             self._survey.add(Measured(self._target.duty, self._target.from_side or 1, self._length_m,
                                       self._turned_rad / self._length_m))
@@ -160,25 +137,9 @@ class StickGuide:
     def _held_steering(self):
         return math.nan if self._duty.value is None else self._steering(self._duty.value)
 
-    def take_fit_task(self) -> FitTask | None:
-        """As CalibrationDrive's."""
-        return self._survey.take_task(self._now_ns)
-
-    def update_knowledge(self, knowledge: Knowledge, now_ns: int) -> None:
-        """As CalibrationDrive's."""
-        self._survey.update_knowledge(knowledge)
-
-    def progress(self, now_ns: int) -> Progress:
-        """As CalibrationDrive's; driven_s counts the time in which the car moved."""
-        return self._survey.progress(self.driven_s)
-
-    def finish(self) -> None:
-        """As CalibrationDrive's."""
-        self._end = self._end or f"ended by hand after {self.driven_s:.0f} s of driving"
-
 
 def _words(steering):
-    """A stick's position for a person."""
+    """Return a stick's position for a person."""
     if abs(steering) < 0.005:
         return "the middle"
     return f"{abs(steering):.0%} {'left' if steering > 0 else 'right'}"

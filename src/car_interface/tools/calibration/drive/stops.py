@@ -69,7 +69,7 @@ class Stops:
         self._was_driven, self._speed_mps, self._yaw_rad = is_driven, speed_mps, yaw_rad
 
     def discard(self) -> None:
-        """The stop that is under way shows nothing: hands move the car, or a person drives it."""
+        """Discard the stop that is under way: hands move the car, or a person drives it."""
         self._begin = None
 
     def _roll(self, speed_mps, at_ns):
@@ -110,7 +110,7 @@ class Stops:
         return min(self._sure_mps2, *self._seen_mps2, MAX_MPS2)
 
     def _estimate(self):
-        """What is certain in the worst of the directions: least squares, with a slope that isn't steep."""
+        """Return what is certain in the worst of the directions: least squares, with a slope that isn't steep."""
         units = np.array([(1.0, math.cos(yaw), math.sin(yaw)) for yaw in self._directions_rad])
         seen = np.minimum(self._seen_mps2, MAX_MPS2)
         weights = (NOISE_RATIO * seen + NOISE_MPS2) ** -2

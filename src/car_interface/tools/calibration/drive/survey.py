@@ -1,17 +1,22 @@
-"""What a drive has measured so far: samples, positions, fits, progress. The same for a car that drives itself and for a
-person with the stick.
+"""Keeps what a calibration drive has measured so far: samples, positions, fits, progress, time.
+
+It is the same for a car that drives itself and for a person with the stick.
 """
 from __future__ import annotations
 
 import math
 
+from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
 from car_interface.steering.calibration import SteeringCalibration
+from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
 from car_interface.tools.calibration.drive.knowledge import FitTask, Knowledge
 from car_interface.tools.calibration.drive.positions import Measured, Positions
-from car_interface.tools.calibration.drive.samples import Samples
+from car_interface.tools.calibration.drive.samples import Motion, Samples
 from car_interface.tools.calibration.drive.step import Progress
 
+INPUT_TIMEOUT_S = 0.5  # of odometry and of the board's output
+MAX_STEP_NS = NS_PER_S // 5  # the longest time from step to step that counts as driven
 FULL_FIT_NS = 40 * NS_PER_S  # so often delay and backlash are estimated anew
 MIN_POSITIONS = 5  # before the first fit
 ENOUGH = 0.1  # of what the tool allows: an error below this anywhere ends the drive
@@ -40,12 +45,12 @@ class Survey:
         self._full_ns = -FULL_FIT_NS
 
     def add(self, measured: Measured) -> None:
-        """A position was held for long enough."""
+        """Take what was measured of a position that was held for long enough."""
         self.positions.add(measured)
         self._since_task += 1
 
     def take_task(self, now_ns: int) -> FitTask | None:
-        """What is to be fitted now, once."""
+        """Return what is to be fitted now, once."""
         if self._is_out or not self._since_task or self.positions.count < MIN_POSITIONS:
             return None
         self._is_out, self._since_task = True, 0
@@ -59,7 +64,7 @@ class Survey:
                        0.0 if is_full else known.backlash_sigma)
 
     def update_knowledge(self, knowledge: Knowledge) -> None:
-        """The answer to a task."""
+        """Take the answer to a task."""
         if knowledge.number != self._number:
             return
         self._is_out = False
@@ -92,7 +97,7 @@ class Survey:
         return 0.05 if self.knowledge is None else self.knowledge.delay.delay_s
 
     def progress(self, driven_s: float) -> Progress:
-        """How far it is after so long a drive."""
+        """Return how far it is after so long a drive."""
         left_s = min(max(0.0, self._max_time_s - driven_s), self._left_s(driven_s))
         fraction = driven_s / (driven_s + left_s) if driven_s > 0 else 0.0
         known = self.knowledge
@@ -103,8 +108,9 @@ class Survey:
                         known.center_error)
 
     def _left_s(self, driven_s):
-        """An estimate: an error shrinks with the root of the time that is spent on it, and none has to be smaller than
-        ENOUGH."""
+        """Return an estimate: an error shrinks with the root of the time that is spent on it, and none has to be
+        smaller than ENOUGH.
+        """
         if self.is_enough:
             return 0.0
         if self.knowledge is None:
@@ -112,3 +118,60 @@ class Survey:
         errors = self.knowledge.errors
         ratio = sum(max(1.0, error / ENOUGH) ** 2 for error in errors) / len(errors)
         return max(MIN_LEFT_S, max(1.0, driven_s) * (ratio - 1))
+
+
+class MeasuredDrive:
+    """What both kinds of calibration drive have: evidence, the time that counts, and an end.
+
+    Args:
+        base: turn_arb's calibration.
+    """
+
+    OF_DRIVING = ""  # what the time that counts is, behind its number
+
+    def __init__(self, base: SteeringCalibration, config: CalibrationDriveConfig):
+        self._base, self._config = base, config
+        self._survey, self._motion = Survey(base, config.max_time_s), Motion()
+        self._odom, self._duty = TimedInput("odom", INPUT_TIMEOUT_S), TimedInput("/servo/output", INPUT_TIMEOUT_S)
+        self._driven_ns, self._stepped_ns = 0, None
+        self._now_ns = 0
+        self._end = ""  # why it is over
+
+    @property
+    def samples(self) -> Samples:
+        """All that was measured so far, for ``conclude``."""
+        return self._survey.samples
+
+    @property
+    def driven_s(self) -> float:
+        """The time that counts: that of the held button, or by hand that in which the car moved."""
+        return self._driven_ns / NS_PER_S
+
+    def take_fit_task(self) -> FitTask | None:
+        """Return what is to be fitted now, once; ``None`` while one is under way, or when nothing new was measured."""
+        return self._survey.take_task(self._now_ns)
+
+    def update_knowledge(self, knowledge: Knowledge, now_ns: int) -> None:
+        """Take the answer to a task; the drive goes on with what it knew until it comes."""
+        self._survey.update_knowledge(knowledge)
+
+    def progress(self, now_ns: int) -> Progress:
+        """Return how far it is."""
+        return self._survey.progress(self.driven_s)
+
+    def finish(self) -> None:
+        """End now, with what there is (the person asks for it): the next step is DONE."""
+        self._end = self._end or f"ended by hand after {self.driven_s:.0f} s{self.OF_DRIVING}"
+
+    def _tick(self, now_ns):
+        """Return the time since the last step in ns, as much as counts of it."""
+        since_ns = 0 if self._stepped_ns is None else min(now_ns - self._stepped_ns, MAX_STEP_NS)
+        self._stepped_ns = self._now_ns = now_ns
+        return since_ns
+
+    def _end_if_over(self):
+        """End where enough is known, or the time is over."""
+        if self._survey.is_enough:
+            self._end = self._end or f"enough is known after {self.driven_s:.0f} s{self.OF_DRIVING}"
+        elif self.driven_s >= self._config.max_time_s:
+            self._end = self._end or f"the time of {self._config.max_time_s:g} s is over"

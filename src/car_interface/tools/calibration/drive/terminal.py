@@ -19,7 +19,7 @@ from car_interface.tools.calibration.drive.step import (
     WAITING,
     Guidance,
     Progress,
-    Row,
+    RadiusRow,
     Step,
 )
 
@@ -39,7 +39,7 @@ REFUSED = ("what is missing stands above: drive again, longer or with more room.
 
 
 def introduction(by_stick: bool, radius_m: float, width: int = 80) -> str:
-    """What is about to happen."""
+    """Return what is about to happen."""
     if by_stick:
         text = ("You drive, holding the manual deadman: slowly, about 1 m/s, and away from walls. It says where to "
                 "hold the stick.")
@@ -51,26 +51,26 @@ def introduction(by_stick: bool, radius_m: float, width: int = 80) -> str:
 
 
 def drive_lines(step: Step, progress: Progress, width: int = 80) -> list[str]:
-    """All of a drive's picture, for a terminal that is drawn anew; no line is longer than ``width``."""
+    """Return all of a drive's picture, for a terminal that is drawn anew; no line is longer than ``width``."""
     is_over = step.phase == DONE  # what comes then is printed below
     headline = [] if is_over else [f"{BEFORE.get(step.phase, '')}{step.text}"]
     return wrapped([*headline, *_progress_lines(progress, is_over)], width)
 
 
 def stick_lines(guidance: Guidance, progress: Progress, width: int = 80) -> list[str]:
-    """The same for a drive by hand, with a bar of where to hold the stick."""
+    """Return the same for a drive by hand, with a bar of where to hold the stick."""
     is_over = guidance.phase == DONE
     headline = [] if is_over else [guidance.text, *stick_bar(guidance)]
     return wrapped([*headline, *_progress_lines(progress, is_over)], width)
 
 
 def plain_line(phase: str, text: str, progress: Progress) -> str:
-    """One line for where nothing can be drawn anew: a log, a pipe."""
+    """Return one line for where nothing can be drawn anew: a log, a pipe."""
     return f"{percent(progress.fraction)}, {_times(progress)}; {phase}: {text}"
 
 
 def missing_lines(missing: Iterable[str]) -> list[str]:
-    """What is missing, without the tool's advice for a drive without guidance."""
+    """Return what is missing, without the tool's advice for a drive without guidance."""
     return [f"missing: {text.partition(ADVICE)[0]}" for text in missing]
 
 
@@ -113,8 +113,8 @@ def stick_bar(guidance: Guidance, length: int = STICK_BAR) -> list[str]:
             f"     hold at {steering_text(guidance.steering)}; it is at {steering_text(guidance.held)}"]
 
 
-def radius_marks(rows: Iterable[Row], side: str) -> str:
-    """A mark for each radius of a side, tight first: ``0.9 m ##+... 300 m: 2 of 6, 1.4 m to ±12%``."""
+def radius_marks(rows: Iterable[RadiusRow], side: str) -> str:
+    """Return a mark for each radius of a side, tight first: ``0.9 m ##+... 300 m: 2 of 6, 1.4 m to ±12%``."""
     ours = [row for row in rows if row.side == side]
     if not ours:
         return "nothing known yet"
@@ -152,7 +152,7 @@ def _error_text(row):
 
 
 def _cell(steering, length):
-    """Which cell a steering falls into: left is at the left."""
+    """Return which cell a steering falls into: left is at the left."""
     half = length // 2
     return max(0, min(length - 1, half - round(max(-1.0, min(1.0, steering)) * half)))
 

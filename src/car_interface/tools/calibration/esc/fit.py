@@ -84,7 +84,7 @@ class EscFit:
 
 
 def fit(drive: EscDrive) -> EscFit:
-    """What a drive shows of its ESC."""
+    """Return what a drive shows of its ESC."""
     data = sampled(drive)
     if data is None:
         return EscFit(None, None, None, None, None, None, None, (),
@@ -106,7 +106,7 @@ def fit(drive: EscDrive) -> EscFit:
 
 
 def _profile(found: Sequence[Pull], seen, missing):
-    """The one profile that all pulls fit, or ``None``."""
+    """Return the one profile that all pulls fit, or ``None``."""
     firsts = [pull for pull in found if pull.since_forward_s <= FRESH_S and pull.speed_mps > MOVES_MPS]
     held = [pull for pull in firsts if pull.outcome == HELD]
     turned = [pull for pull in firsts if pull.outcome == BACKWARD]
@@ -161,14 +161,16 @@ def _profile_that_turns(turned, seen, missing):
 
 
 def _is_same_push(turned):
-    """Whether the car is slowed as strongly as it is driven backward: drag helps the first and hinders the second."""
+    """Return whether the car is slowed as strongly as it is driven backward: drag helps the first and hinders the
+    second.
+    """
     push = np.array([pull.backed_mps2 + DRAG_MPS2 for pull in turned])
     slowed = np.array([pull.slowed_mps2 - DRAG_MPS2 for pull in turned])
     return bool(np.median(np.abs(slowed - push) / push) <= SAME_PUSH)
 
 
 def _is_second(before, pull):
-    """Whether a pull from standstill follows a brake, with nothing but neutral in between."""
+    """Return whether a pull from standstill follows a brake, with nothing but neutral in between."""
     return (before.since_forward_s <= FRESH_S and before.outcome == HELD and abs(pull.speed_mps) < STANDS_MPS
             and pull.follows_pull and pull.strong_s > 0)
 
@@ -223,7 +225,7 @@ class _SetOff(NamedTuple):
 
 
 def _set_off(data: Sampled, sign, profile):
-    """Where the car sets off; ``None`` = not seen."""
+    """Return where the car sets off; ``None`` = not seen."""
     if sign < 0 and profile == FORWARD_ONLY:
         return None
     creeps = data.speed_mps * sign > CREEP_MPS
@@ -244,7 +246,7 @@ def _set_off(data: Sampled, sign, profile):
 
 
 def _gain(data, sign, set_off):
-    """The acceleration by each duty beyond where the car sets off; ``None`` = not seen."""
+    """Return the acceleration by each duty beyond where the car sets off; ``None`` = not seen."""
     low, high = PUSHED_MPS
     pushed = (data.fraction * sign > STRONG) & (data.speed_mps * sign > low) & (data.speed_mps * sign < high)
     pushed[1:] &= np.diff(data.duty) == 0  # not while the stick moves
@@ -258,7 +260,8 @@ def _gain(data, sign, set_off):
 
 
 def _dead_band(drive, forward, backward, profile, seen, missing):
-    """(neutral, (forward, reverse)): fractions from that neutral, of the distance that both ends have from the drive's.
+    """Return (neutral, (forward, reverse)): fractions from that neutral, of the distance that both ends have from the
+    drive's.
 
     An ESC without reverse shows nothing behind neutral: it keeps the neutral that it has.
     """
@@ -293,7 +296,7 @@ def _dead_band(drive, forward, backward, profile, seen, missing):
 
 
 def _drag(data, seen, missing):
-    """The least deceleration in neutral at low speed."""
+    """Return the least deceleration in neutral at low speed."""
     neutral = np.abs(np.nan_to_num(data.fraction, nan=1.0)) <= NEUTRAL_BAND
     width = round(DELAY_S / STEP_S)
     settled = np.convolve(neutral, np.ones(width), "full")[:neutral.size] >= width

@@ -71,7 +71,7 @@ class Pull(NamedTuple):
 
 
 def sampled(drive: EscDrive) -> Sampled | None:
-    """The drive each STEP_S; ``None`` where it is too short, or never in neutral."""
+    """Return the drive each STEP_S; ``None`` where it is too short, or never in neutral."""
     if not len(drive.duty_s) or len(drive.speed_s) < 2:
         return None
     begin_s = max(drive.duty_s[0], drive.speed_s[0])
@@ -88,7 +88,7 @@ def sampled(drive: EscDrive) -> Sampled | None:
 
 
 def pulls(drive: Sampled) -> list[Pull]:
-    """The pulls of a drive, in their order."""
+    """Return the pulls of a drive, in their order."""
     side = np.where(drive.fraction > NEUTRAL_BAND, 1, np.where(drive.fraction < -NEUTRAL_BAND, -1, 0))
     side = np.where(np.isnan(drive.fraction), 2, side)
     edges = np.flatnonzero(np.diff(side)) + 1
@@ -133,7 +133,7 @@ _NO_TURN = np.nan, np.nan, np.nan, False
 
 
 def _turn_by_pulses(wheels, begin_s, end_s):
-    """How long it stood between forward and backward, deceleration before, acceleration after, and ``True``.
+    """Return how long it stood between forward and backward, deceleration before, acceleration after, and ``True``.
 
     The deceleration is constant shortly before it stands, and so is the acceleration after: both are parabolas through
     pulses, and their vertices are where it came to stand, and left. ``None`` = too few pulses.
@@ -156,13 +156,13 @@ def _turn_by_pulses(wheels, begin_s, end_s):
 
 
 def _vertex(t_s, distance_m):
-    """(time of the vertex of the parabola through points, deceleration)."""
+    """Return (time of the vertex of the parabola through points, deceleration)."""
     square, linear, _ = np.polyfit(t_s - t_s[0], distance_m, 2)
     return t_s[0] - linear / (2 * square), -2 * square
 
 
 def _turn_by_speed(speed):
-    """The same by odometry, whose filter makes it uncertain by 0.1 s, and ``False``."""
+    """Return the same by odometry, whose filter makes it uncertain by 0.1 s, and ``False``."""
     stop, go = int((speed < MOVES_MPS).argmax()), int((speed < -MOVES_MPS).argmax())
     # Both accelerations over 0.2 s, and from them when it really came to a standstill, and left it.
     width = round(0.2 / STEP_S)
@@ -178,6 +178,6 @@ def _turn_by_speed(speed):
 
 
 def _longest(flags):
-    """The length of the longest run of true."""
+    """Return the length of the longest run of true."""
     edges = np.flatnonzero(np.diff(np.r_[0, flags.astype(int), 0]))
     return int((edges[1::2] - edges[::2]).max()) if edges.size else 0

@@ -2,20 +2,19 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import Mapping, NamedTuple, Sequence
+from typing import Mapping, Sequence
 
 import numpy as np
 
 from car_interface.common import causes
 from car_interface.common.errors import CarInterfaceError
+from car_interface.pca9685.registers import DUTY_PER_COUNT
 from car_interface.throttle.calibration import ThrottleCalibration, trimmed
 from car_interface.tools.calibration.esc.pulls import EscDrive
-from car_interface.tools.recordings import recording, signals
-from car_interface.tools.recordings.overlap import Trail, trail
+from car_interface.tools.calibration.shared import MAX_PULSE, MIN_PULSE, RecordedDrive
+from car_interface.tools.recordings import recording, roles, signals
+from car_interface.tools.recordings.overlap import trail
 
-STATE_TOPIC, STATE_TYPE = "throttle_arb/state", "car_interface/ThrottleState"
-MIN_PULSE, MAX_PULSE = 1638, 8192  # duties that an ESC takes for a pulse: 0.5 and 2.5 ms of 20 ms
-COUNT = 16  # duty of one count of the servo board
 MAX_TUNED_RATIO = 0.05  # of a drive that may have had another neutral, without spoiling what the rest shows
 MAX_ODOM_GAP_S, MAX_OUTPUT_GAP_S = 0.5, 2.5  # odometry comes each 0.2 s at least, the board's output each second
 MIN_PULSES = 200  # of a wheel, from which the length of one is known
@@ -24,43 +23,26 @@ JOIN_S = 5.0  # between two recordings
 CALIBRATION_DRIVE = "roslaunch car_interface car.launch throttle:=true calibration_drive:=true"
 
 
-class RecordedDrive(NamedTuple):
-    """One recording.
-
-    Attributes:
-        path: of the recording.
-        drive: what the fit takes. Where an ESC takes a shorter pulse for forward, its duties are mirrored at neutral.
-        notes: what was left out or is unusual, a line each.
-        duration_s: of the recording.
-        trail: to compare it with others.
-    """
-
-    path: str
-    drive: EscDrive
-    notes: tuple[str, ...]
-    duration_s: float
-    trail: Trail
-
-
-def load_drive(path: str, calibration: ThrottleCalibration, topics: Mapping[str, str] | None = None,
-               namespace: str = "/") -> RecordedDrive:
+def load_esc_drive(path: str, calibration: ThrottleCalibration, topics: Mapping[str, str] | None = None,
+                   namespace: str = "/") -> RecordedDrive:
     """Read one recording.
 
     Args:
-        path: of the recording.
         calibration: the ESC's channel and duties in the drive; its neutral may have been another one, which
             throttle_arb's state tells.
         topics: named by the user, by role: ``odom`` and ``output``.
-        namespace: the car's.
+
+    Returns:
+        The drive; where an ESC takes a shorter pulse for forward, its duties are mirrored at neutral.
 
     Raises:
         NoRecording: it can't be read, or lacks what is needed.
         CarInterfaceError: it is no drive that shows an ESC.
     """
     topics = topics or {}
-    recording.require(path, [topics.get(signals.OUTPUT, signals.OUTPUT_TOPIC)], namespace,
-                      f"which says what the ESC got; name another by --map TOPIC={signals.OUTPUT}")
-    found = signals.load(path, (signals.ODOM, signals.OUTPUT), optional=(signals.PULSES,), namespace=namespace,
+    recording.require(path, [topics.get(roles.OUTPUT.name, roles.OUTPUT.topics[0])], namespace,
+                      f"which says what the ESC got; name another by --map TOPIC={roles.OUTPUT.name}")
+    found = signals.load(path, (roles.ODOM.name, roles.OUTPUT.name), optional=(signals.PULSES,), namespace=namespace,
                          progress=True, **topics)
     neutral, notes = _drive_s_neutral(path, namespace, calibration)
     used = trimmed(calibration, neutral)
@@ -103,7 +85,7 @@ def joined(drives: Sequence[EscDrive]) -> EscDrive:
 
 
 def _wheels(pulses, odom):
-    """(times, distances in m) at each wheel's pulses; the length of one is by odometry."""
+    """Return (times, distances in m) at each wheel's pulses; the length of one is by odometry."""
     rolled_m = float(np.sum(np.diff(odom.t_s) * np.abs(odom.speed_mps[1:] + odom.speed_mps[:-1]) / 2))
     wheels = []
     for wheel in pulses:
@@ -116,14 +98,14 @@ def _wheels(pulses, odom):
 
 
 def _drive_s_neutral(path, namespace, calibration):
-    """(the neutral in the drive, notes).
+    """Return (the neutral in the drive, notes).
 
     Raises:
         CarInterfaceError: throttle_arb withheld the pulls, or its neutral was tuned.
     """
     neutrals: Counter = Counter()
     states = passed = 0
-    for recorded in recording.read(path, {STATE_TOPIC: STATE_TYPE}, namespace):
+    for recorded in recording.read(path, roles.THROTTLE_STATE, namespace):
         message = recorded.message
         try:
             states += 1
@@ -133,14 +115,14 @@ def _drive_s_neutral(path, namespace, calibration):
         except AttributeError as error:
             raise recording.other_version(path, recorded) from error
     if not states:
-        return calibration.neutral, (f"{path} has no {STATE_TOPIC}: who drove, and whether by hand, isn't known",)
+        return calibration.neutral, (f"{path} has no throttle_arb/state: who drove, and whether by hand, isn't known",)
     if not passed:
         raise CarInterfaceError(f"{path} was driven without calibration_drive, so that throttle_arb withheld the pulls "
                                 f"that would show what the ESC makes of them: {CALIBRATION_DRIVE}, and drive again")
     if not neutrals:
         return calibration.neutral, ()
     neutral, _ = neutrals.most_common(1)[0]
-    others = sum(count for duty, count in neutrals.items() if abs(duty - neutral) > COUNT / 2)
+    others = sum(count for duty, count in neutrals.items() if abs(duty - neutral) > DUTY_PER_COUNT / 2)
     if others > MAX_TUNED_RATIO * sum(neutrals.values()):
         raise CarInterfaceError(f"{path}: servo/neutral was tuned during the drive (it was "
                                 f"{min(neutrals)} to {max(neutrals)}): drive again, and leave it as it is")
@@ -148,7 +130,7 @@ def _drive_s_neutral(path, namespace, calibration):
 
 
 def _without_gaps(duty_s, duty, odom_s):
-    """The duties, with no pulse where odometry or the board's output has a gap: nothing is known there."""
+    """Return the duties, with no pulse where odometry or the board's output has a gap: nothing is known there."""
     times, duties = list(duty_s), list(duty)
     for begin, end in zip(odom_s, odom_s[1:]):
         if end - begin > MAX_ODOM_GAP_S:

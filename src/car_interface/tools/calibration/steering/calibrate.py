@@ -8,10 +8,10 @@ from car_interface.common.errors import CarInterfaceError
 from car_interface.common.lookup_table import LookupTable
 from car_interface.common.yaml_edit import rewritten
 from car_interface.steering.calibration import WIDE_M, SteeringCalibration
+from car_interface.tools.calibration.shared import NothingToFit, RecordedDrive
 from car_interface.tools.calibration.steering import fit as fitting
-from car_interface.tools.calibration.steering.drive import FitConfig, NothingToFit, RecordedDrive
+from car_interface.tools.calibration.steering.drive import CurveFitConfig
 from car_interface.tools.calibration.steering.fit import Curve
-from car_interface.tools.calibration.steering.problems import find_problems, radius_text
 from car_interface.tools.calibration.steering.table import (
     LEFT,
     OLD,
@@ -20,15 +20,18 @@ from car_interface.tools.calibration.steering.table import (
     axis,
     breakpoints,
     completed,
+    find_problems,
+    radius_text,
     widened,
 )
 
 STRAIGHT_PER_M = 0.02  # a curvature that is called straight on
 AXIS, LEFT_TABLE, RIGHT_TABLE = "m_turnrad_axis_servo", "k_pwmcmd_left_table_servo", "k_pwmcmd_right_table_servo"
+NOT_LOADED = "no calibration is written, turn_arb would refuse it"
 HEAD = ("Written by calibrate_steering; turn_arb loads it. Duties are 0..65535 of the PWM period.", "")
 
 
-class Calibrated(NamedTuple):
+class SteeringResult(NamedTuple):
     """A steering calibration."""
 
     curve: Curve
@@ -40,11 +43,10 @@ class Calibrated(NamedTuple):
 
 
 def calibrate(recorded: Sequence[RecordedDrive], base: SteeringCalibration, axis_m: Sequence[float] | None = None,
-              accept_disagreement: bool = False) -> Calibrated:
+              accept_disagreement: bool = False) -> SteeringResult:
     """Calibrate by recorded drives.
 
     Args:
-        recorded: drives of one car.
         base: the calibration before: its duties fill in where nothing was driven.
         axis_m: radii for the tables; ``None`` = chosen by what was driven.
         accept_disagreement: use drives that contradict each other, too.
@@ -52,7 +54,7 @@ def calibrate(recorded: Sequence[RecordedDrive], base: SteeringCalibration, axis
     Raises:
         CarInterfaceError: there is nothing to fit, or drives contradict each other, or none was on the axis.
     """
-    config = FitConfig(understeer=base.understeer, limits=(base.servo_left, base.servo_right))
+    config = CurveFitConfig(understeer=base.understeer, limits=(base.servo_left, base.servo_right))
     disagreement = _disagreement(recorded, config)
     if disagreement and not accept_disagreement:
         raise CarInterfaceError(f"no calibration is written: {disagreement}? Give those that belong together")
@@ -77,11 +79,11 @@ def calibrate(recorded: Sequence[RecordedDrive], base: SteeringCalibration, axis
         is_limit = end.is_end and not end.is_stop and (end.duty - center) * (old_end - center) > 0
         keeps_end = tightest.source == OLD or is_limit
         ends[side] = _farther(tightest.duty, old_end, center) if keeps_end else end.duty
-    return Calibrated(curve, center, ends, points, problems, disagreement)
+    return SteeringResult(curve, center, ends, points, problems, disagreement)
 
 
-def yaml_text(calibrated: Calibrated, base_text: str, report: Sequence[str]) -> str:
-    """The text of turn_arb's file: the base with the calibration's values, and the report as its head."""
+def yaml_text(calibrated: SteeringResult, base_text: str, report: Sequence[str]) -> str:
+    """Return the text of turn_arb's file: the base with the calibration's values, and the report as its head."""
     values = {
         "servo_left": round(calibrated.ends[LEFT]), "servo_center": round(calibrated.center),
         "servo_right": round(calibrated.ends[RIGHT]),
@@ -105,12 +107,12 @@ def _check_axis_was_driven(axis_m, curve):
 
 
 def _farther(duty, other, center):
-    """The one that is farther from the center."""
+    """Return the one that is farther from the center."""
     return max(duty, other, key=lambda one: abs(one - center))
 
 
 def _disagreement(recorded, config):
-    """How the first two recordings that can't be of the same steering differ; empty if there are none."""
+    """Return how the first two recordings that can't be of the same steering differ; empty if there are none."""
     curves = []
     for one in recorded if len(recorded) > 1 else ():
         try:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from car_interface.tools.calibration.steering.drive import COUNT, FitConfig
+from car_interface.tools.calibration.steering.drive import COUNT, CurveFitConfig
 
 RISE_LOW, RISE_HIGH = 0.90, 0.97  # of the tightest curvature: between them lies the rise to a stop
 
@@ -23,14 +23,13 @@ class Side(NamedTuple):
 
 
 def find_side(knots: np.ndarray, curvatures: np.ndarray, sigmas: np.ndarray, towards: int, low: float, high: float,
-              config: FitConfig, backlash_duty: float = 0.0) -> Side:
-    """The end of a curve towards lower or higher duties.
+              config: CurveFitConfig, backlash_duty: float = 0.0) -> Side:
+    """Return the end of a curve towards lower or higher duties.
 
     Args:
         knots, curvatures, sigmas: the curve, (K,) each.
         towards: −1 = lower duties, 1 = higher ones.
         low, high: the outermost duties that were driven.
-        config: of the fit.
         backlash_duty: of the linkage: where the servo is at its limit the wheels stay behind it by half of that.
     """
     farthest = float(low if towards < 0 else high)
@@ -53,7 +52,7 @@ def find_side(knots: np.ndarray, curvatures: np.ndarray, sigmas: np.ndarray, tow
 
 
 def find_center(knots: np.ndarray, curvatures: np.ndarray, sigmas: np.ndarray) -> tuple[float, float]:
-    """(the duty that goes straight, its standard error) of a curve (K,); NaN where it never does."""
+    """Return (the duty that goes straight, its standard error) of a curve (K,); NaN where it never does."""
     if curvatures.min() > 0 or curvatures.max() < 0:
         return math.nan, math.nan
     sign = 1.0 if curvatures[-1] > curvatures[0] else -1.0
@@ -70,13 +69,13 @@ def find_center(knots: np.ndarray, curvatures: np.ndarray, sigmas: np.ndarray) -
 
 
 def slope(knots: np.ndarray, curvatures: np.ndarray, duty: float) -> float:
-    """The magnitude of the curve's slope around a duty, over two counts to each side: 1/m per duty."""
+    """Return the magnitude of the curve's slope around a duty, over two counts to each side: 1/m per duty."""
     low, high = max(knots[0], duty - 2 * COUNT), min(knots[-1], duty + 2 * COUNT)
     return abs(float(np.interp(high, knots, curvatures) - np.interp(low, knots, curvatures))) / max(high - low, 1.0)
 
 
 def _corner(duty, curvature, tightest, begin):
-    """Where the rise would meet the level of the stop: the fitted curve is smooth, a stop isn't."""
+    """Return where the rise would meet the level of the stop: the fitted curve is smooth, a stop isn't."""
     outward = math.copysign(2 * COUNT, duty[-1] - duty[0])
     is_rise = ((curvature >= RISE_LOW * tightest) & (curvature <= RISE_HIGH * tightest)
                & (np.arange(len(duty)) < begin))
@@ -90,7 +89,7 @@ def _corner(duty, curvature, tightest, begin):
 
 
 def _count_at_stop(duty, curvature, tightest, corner, ratio):
-    """The first count from a stop's corner on that turns as tight: the board may round a duty back across it."""
+    """Return the first count from a stop's corner on that turns as tight: the board may round a duty back across it."""
     inward = math.copysign(1.0, duty[0] - duty[-1])
     counts = np.arange(round(corner / COUNT) * COUNT, duty[-1] - inward, -inward * COUNT)
     order = np.argsort(duty)

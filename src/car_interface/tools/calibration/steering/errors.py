@@ -18,7 +18,8 @@ UNSEEN_RATIO = 0.05
 
 
 def bends(knots: np.ndarray, found: Observations, used: np.ndarray) -> np.ndarray:
-    """How far the curve may be off the straight line between the places where it was driven, at the knots (K,): (K,).
+    """Return how far the curve may be off the straight line between the places where it was driven, at the knots (K,):
+    (K,).
 
     Between two places the curve may continue as steeply as it came and bend anywhere, as at a mechanical stop.
 
@@ -43,8 +44,8 @@ def bends(knots: np.ndarray, found: Observations, used: np.ndarray) -> np.ndarra
 
 
 def unseen(duties: np.ndarray, found: Observations, used: np.ndarray) -> np.ndarray:
-    """The standard error of a curve at the duties (K,) by bends of its own that show at none of the places where it
-    was driven: (K,). A curve that goes straight on before a gap and behind it needn't do so within.
+    """Return the standard error of a curve at the duties (K,) by bends of its own that show at none of the places where
+    it was driven: (K,). A curve that goes straight on before a gap and behind it needn't do so within.
 
     Args:
         duties: (K,).
@@ -68,13 +69,15 @@ def bounded(curvatures: np.ndarray, sigmas: np.ndarray) -> np.ndarray:
 
 
 def _beyond_noise(difference, sigma):
-    """The magnitude of a difference, reduced as far as it may be noise."""
+    """Return the magnitude of a difference, reduced as far as it may be noise."""
     squared = difference ** 2
     return np.abs(difference) * squared / np.maximum(squared + sigma ** 2, 1e-30)
 
 
 def _places(found, used):
-    """(duty, curvature, standard error) (P,) of the observations, duties rising; within half a count they are one."""
+    """Return (duty, curvature, standard error) (P,) of the observations, duties rising; within half a count they are
+    one.
+    """
     order = np.flatnonzero(used)[np.argsort(found.duty[used], kind="stable")]
     duty, weight = found.duty[order], 1 / found.sigma_per_m[order] ** 2
     begins, begin = [0], duty[0]

@@ -18,12 +18,15 @@ from typing import NamedTuple, Sequence
 import numpy as np
 
 from car_interface.tools.calibration.delay import Delay
-from car_interface.tools.calibration.steering.backlash import estimate_backlash
-from car_interface.tools.calibration.steering.drive import COUNT, DEFAULTS, KNOT, Drive, FitConfig, NothingToFit
+from car_interface.tools.calibration.shared import NothingToFit, rising
+from car_interface.tools.calibration.steering.drive import COUNT, DEFAULTS, KNOT, CurveFitConfig, SteeringDrive
 from car_interface.tools.calibration.steering.ends import Side, find_center, find_side
 from car_interface.tools.calibration.steering.errors import BEND_RATIO, bends, bounded, unseen
 from car_interface.tools.calibration.steering.segments import (
     Observations,
+    Segmentation,
+    all_segments,
+    design,
     knots_of,
     observations,
     segmentation,
@@ -36,6 +39,12 @@ from car_interface.tools.calibration.steering.wheels import estimate_servo_delay
 MIN_WEIGHT = 0.05  # an observation with less is an outlier
 DISAGREES_SIGMAS, DISAGREES_DUTY = 6.0, 2 * COUNT  # tyres and floors may do less
 DISAGREES_COUNTS, DISAGREES_RATIO = 5, 0.25  # at so many counts, and of all where both drove
+STEP_DUTY = 2.0
+MAX_CONTRADICTION = 6.0  # so much more contradiction than with the best backlash is chance
+MIN_SIGMA = 1.0
+PRIOR_SCALE_DUTY = 20.0  # before any data the backlash is exponentially distributed with this mean
+CORRELATION = 4.0  # segments at one position err alike: likelihoods count for so much less
+MAX_SQUARE = 25.0  # what one segment adds to the contradiction at most
 
 
 @dataclass(frozen=True)
@@ -77,11 +86,11 @@ class Curve:
     right: Side
 
     def curvature(self, duty):
-        """The curvature of a duty, a number or an array; that of the ends beyond the knots."""
+        """Return the curvature of a duty, a number or an array; that of the ends beyond the knots."""
         return np.interp(duty, self.duties, self.curvatures)
 
     def duty(self, curvature):
-        """The duty for a curvature, a number or an array; that of the ends beyond what was driven.
+        """Return the duty for a curvature, a number or an array; that of the ends beyond what was driven.
 
         By straight lines from count to count: half way between two counts lies what is half way between their
         curvatures, so that the board's nearest count is the one whose curvature is nearest. Along the curve itself it
@@ -97,7 +106,7 @@ class Curve:
         return np.interp(curvature, curvatures + steps, duties)
 
 
-def fit(drives: Sequence[Drive], config: FitConfig = DEFAULTS) -> Curve:
+def fit(drives: Sequence[SteeringDrive], config: CurveFitConfig = DEFAULTS) -> Curve:
     """Fit the curve.
 
     Raises:
@@ -116,7 +125,7 @@ def fit(drives: Sequence[Drive], config: FitConfig = DEFAULTS) -> Curve:
 
 
 def _curve(segmentations, delay, backlash_duty, backlash_sigma, config):
-    """The curve for one backlash, with its errors and ends."""
+    """Return the curve for one backlash, with its errors and ends."""
     all_knots, found = knots_of(segmentations), observations(segmentations, backlash_duty)
     smooth = Smooth(found)
     slope_per_m = found.weights @ np.gradient(smooth.curvatures, KNOT)
@@ -151,7 +160,7 @@ class Disagreement(NamedTuple):
 
 
 def disagreement(one: Curve, other: Curve) -> Disagreement | None:
-    """How two drives show different steerings; ``None`` if they don't.
+    """Return how two drives show different steerings; ``None`` if they don't.
 
     Only duties within a count of what both drove are compared: in the gaps of a short drive its curve may be far off.
     A few counts don't make a disagreement: a changed linkage shows at many.
@@ -169,3 +178,50 @@ def disagreement(one: Curve, other: Curve) -> Disagreement | None:
     if bad.sum() < max(DISAGREES_COUNTS, DISAGREES_RATIO * len(duties)):
         return None
     return Disagreement(float(np.median(apart[bad])), float(curvatures[np.argmax(np.where(bad, off, 0.0))]))
+
+
+# --- the linkage's backlash ---
+
+
+def estimate_backlash(segmentations: Sequence[Segmentation], config: CurveFitConfig) -> tuple[float, float]:
+    """Return the likeliest backlash and its standard error, both in duty.
+
+    With a wrong backlash positions that were approached from both sides contradict each other: no monotone curve goes
+    through them. Of the values that remain the likeliest is taken, all compared by noise and smoothness as known with
+    one of them: first by a curve that is equally smooth everywhere, because one that may be sharp in places has its
+    places where that value puts them; then, near the truth, by one that may, because the smooth one is too flat where
+    the car's is steep.
+
+    Raises:
+        NothingToFit: no value fits.
+    """
+    candidates = np.arange(0.0, config.max_backlash_duty + 1.0, STEP_DUTY)
+    contradictions = np.array([_contradiction(segmentations, candidate) for candidate in candidates])
+    candidates = candidates[contradictions <= contradictions.min() + MAX_CONTRADICTION]
+    backlash_duty = float(np.median(candidates))
+    for adapts in (False, True):
+        smooth = Smooth(observations(segmentations, backlash_duty), adapts)
+        costs = np.array([smooth.cost(design(segmentations, candidate)[0]) for candidate in candidates])
+        costs = costs + 2 * candidates / PRIOR_SCALE_DUTY
+        if not np.isfinite(costs).any():
+            raise NothingToFit("no backlash of the steering fits the places where it was held: drive more of them")
+        costs = np.where(np.isfinite(costs), costs, np.inf)
+        likelihood = np.exp(-(costs - costs.min()) / 2 / CORRELATION)
+        likelihood /= likelihood.sum()
+        backlash_duty = float(likelihood @ candidates)
+    spread = math.sqrt(float(likelihood @ (candidates - backlash_duty) ** 2))
+    return backlash_duty, math.hypot(spread, MIN_SIGMA)
+
+
+def _contradiction(segmentations, backlash_duty):
+    """Return how far the segments lie off the nearest monotone curve: the sum of bounded squares of standard errors."""
+    _, duties = design(segmentations, backlash_duty)
+    segments = all_segments(segmentations)
+    curvature = np.array([segment.curvature_per_m for segment in segments])
+    sigma = np.hypot([segment.sigma_per_m for segment in segments], 3 * segmentations[0].config.min_sigma_per_m)
+    order = np.argsort(duties, kind="stable")
+    smallest = math.inf
+    for sign in (1.0, -1.0):
+        y, weight = sign * curvature[order], 1 / sigma[order] ** 2
+        smallest = min(smallest, float(np.minimum(weight * (y - rising(y, weight)) ** 2, MAX_SQUARE).sum()))
+    return smallest

@@ -1,22 +1,49 @@
 """Reads a recording as the drive that the fit of a steering curve takes."""
 from __future__ import annotations
 
+import math
 from typing import Mapping, NamedTuple
 
 import numpy as np
 
 from car_interface.common.errors import CarInterfaceError
-from car_interface.tools.calibration.steering.asked import AngleTable
-from car_interface.tools.calibration.steering.distance import distance_m
-from car_interface.tools.calibration.steering.drive import MAX_PULSE, MIN_PULSE, Drive, RecordedDrive
+from car_interface.pca9685.registers import counts_of_duty, duty_of_counts
+from car_interface.steering.calibration import SteeringCalibration
+from car_interface.tools.calibration.shared import MAX_PULSE, MIN_PULSE, RecordedDrive
+from car_interface.tools.calibration.steering.drive import SteeringDrive, distance_m
 from car_interface.tools.recordings import roles, signals
 from car_interface.tools.recordings.overlap import trail
 from car_interface.tools.recordings.recording import NoRecording
-from car_interface.tools.recordings.series import Imu, Odom
+from car_interface.tools.recordings.series import Ackermann, Imu, Odom
 
+STRAIGHT_RAD = 1e-6
 IMU_GAP_S = 0.1
 MIN_IMU_RATIO = 0.95  # of a drive that an IMU must cover to be used
 MAX_YAW_DIFFERENCE = 0.03  # of odometry's and the IMU's yaw, as a ratio, without a note
+
+
+class AngleTable(NamedTuple):
+    """By what a planner's angles became duties on a drive on which only the angles were recorded."""
+
+    calibration: SteeringCalibration
+    wheelbase_m: float
+
+    def duty(self, angle_rad: float) -> int:
+        """Return what the servo board outputs for an angle of the front wheels, left positive."""
+        table = self.calibration
+        duty = (table.servo_center if abs(angle_rad) < STRAIGHT_RAD else
+                table.planner_duty(self.wheelbase_m / math.tan(angle_rad)))
+        return duty_of_counts(counts_of_duty(duty))
+
+    def duties(self, asked: Ackermann) -> np.ndarray:
+        """Return the duty for each row, (N,)."""
+        return np.array([self.duty(angle_rad) for angle_rad in asked.angle_rad.tolist()], float)
+
+    def note(self, topic: str) -> str:
+        """Return a line on what such a calibration rests on, and what it can't know."""
+        return (f"no duties of the servo were recorded: the angles on {topic} count as the duties that --base has for "
+                f"them with a wheelbase of {self.wheelbase_m:g} m. What this recording can't tell: whether --base was "
+                "the table on this drive, and whether anything else steered (a gamepad, a trim, a limit)")
 
 
 class ImuHeading(NamedTuple):
@@ -26,16 +53,14 @@ class ImuHeading(NamedTuple):
     ratio: float  # of odometry's change of yaw to the IMU's
 
 
-def load_drive(path: str, channel: int, topics: Mapping[str, str] | None = None, use_imu: bool = True,
-               namespace: str = "/", angle_table: AngleTable | None = None) -> RecordedDrive:
+def load_steering_drive(path: str, channel: int, topics: Mapping[str, str] | None = None, use_imu: bool = True,
+                        namespace: str = "/", angle_table: AngleTable | None = None) -> RecordedDrive:
     """Read one recording.
 
     Args:
-        path: of the recording.
         channel: of the steering servo, 0..15.
         topics: named by the user, by role: see ``signals.load``.
         use_imu: whether the heading may come from an IMU.
-        namespace: the car's.
         angle_table: makes duties of the angles that a planner asked for, where no duties were recorded; ``None`` =
             such a recording is refused.
 
@@ -43,24 +68,26 @@ def load_drive(path: str, channel: int, topics: Mapping[str, str] | None = None,
         NoRecording: it can't be read, or lacks what is needed.
         CarInterfaceError: the channel never had a pulse.
     """
-    optional = [signals.OUTPUT, signals.ACKERMANN, *([signals.IMU] if use_imu else [])]
-    found = signals.load(path, (signals.ODOM,), optional=optional, namespace=namespace, progress=True,
-                         **{role: topic for role, topic in (topics or {}).items() if use_imu or role != signals.IMU})
+    optional = [roles.OUTPUT.name, roles.ACKERMANN.name, *([roles.IMU.name] if use_imu else [])]
+    found = signals.load(path, (roles.ODOM.name,), optional=optional, namespace=namespace, progress=True,
+                         **{role: topic for role, topic in (topics or {}).items() if use_imu or role != roles.IMU.name})
     odom, notes = found.odom, [note for note in found.notes if found.output is None or not _is_on_angles(note)]
     heading = None if found.imu is None else imu_heading(odom, found.imu)
     if found.imu is not None and heading is None:
-        notes.append(f"{found.topics[signals.IMU]} covers too little of the drive, or doesn't follow the "
+        notes.append(f"{found.topics[roles.IMU.name]} covers too little of the drive, or doesn't follow the "
                      "car's turning: not used")
     if heading is not None and abs(heading.ratio - 1) > MAX_YAW_DIFFERENCE:
         notes.append(f"odometry turns {abs(heading.ratio - 1):.0%} {'more' if heading.ratio > 1 else 'less'} than the "
                      "IMU: measure track and wheel_diameter")
     duty_s, duty = _recorded_duties(found, channel) if found.output else _asked_duties(found, angle_table, notes)
-    drive = Drive(odom.t_s, distance_m(odom), odom.yaw_rad if heading is None else heading.yaw_rad, duty_s, duty)
-    return RecordedDrive(path, drive, tuple(notes), found.duration_s, heading is not None, trail(found))
+    yaw_rad = odom.yaw_rad if heading is None else heading.yaw_rad
+    drive = SteeringDrive(odom.t_s, distance_m(odom), yaw_rad, duty_s, duty)
+    return RecordedDrive(path, drive, tuple(notes), found.duration_s, trail(found),
+                         uses_imu=heading is not None)
 
 
 def _recorded_duties(found, channel):
-    """(times, duties of the channel), NaN where there is no pulse."""
+    """Return (times, duties of the channel), NaN where there is no pulse."""
     duty = found.output.duties[:, channel].astype(float)
     is_pulse = (duty >= MIN_PULSE) & (duty <= MAX_PULSE)
     if not is_pulse.any():
@@ -70,19 +97,19 @@ def _recorded_duties(found, channel):
 
 def _is_on_angles(note):
     """Whether a note says what was taken for a planner's angles; where duties were recorded, they aren't used."""
-    return note.startswith(f"{signals.ACKERMANN}: ")
+    return note.startswith(f"{roles.ACKERMANN.name}: ")
 
 
 def _asked_duties(found, angle_table, notes):
-    """(times, duties) by the angles that a planner asked for."""
+    """Return (times, duties) by the angles that a planner asked for."""
     commands = " or ".join(roles.COMMAND.topics)
-    lacks = f"{found.path} has no topic {signals.OUTPUT_TOPIC}, nor {commands}: the servo's duties can't be told"
+    lacks = f"{found.path} has no topic {roles.OUTPUT.topics[0]}, nor {commands}: the servo's duties can't be told"
     if found.ackermann is None and any(map(_is_on_angles, found.notes)):
         raise NoRecording(f"{lacks}. {next(filter(_is_on_angles, found.notes))}")
     if found.ackermann is None:
         raise NoRecording(f"{lacks}, and no {roles.ACKERMANN.types[0]} that could stand for them. Name a topic of "
                           "another name by --map TOPIC=output")
-    topic = found.topics[signals.ACKERMANN]
+    topic = found.topics[roles.ACKERMANN.name]
     if angle_table is None:
         raise NoRecording(f"{lacks}. The angles that were asked for are on {topic}: with --wheelbase M, and the --base "
                           "that made duties of them on that drive, they are taken")

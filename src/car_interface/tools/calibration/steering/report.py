@@ -7,23 +7,21 @@ from typing import Iterator, Sequence
 
 import numpy as np
 
-from car_interface.tools.calibration.steering.calibrate import Calibrated
-from car_interface.tools.calibration.steering.drive import RecordedDrive
+from car_interface.tools.calibration.shared import RecordedDrive
+from car_interface.tools.calibration.steering.calibrate import SteeringResult
 from car_interface.tools.calibration.steering.errors import BAND
 from car_interface.tools.calibration.steering.fit import Curve
-from car_interface.tools.calibration.steering.problems import radius_text
-from car_interface.tools.calibration.steering.table import DRIVEN, LEFT, OLD, RIGHT, Breakpoint
+from car_interface.tools.calibration.steering.table import DRIVEN, LEFT, OLD, RIGHT, Breakpoint, radius_text
 from car_interface.tools.calibration.steering.understeer import Understeer
 
 SHORT_ROWS = 8
 
 
-def report(calibrated: Calibrated, recorded: Sequence[RecordedDrive], axis_m: Sequence[float] | None) -> Iterator[str]:
+def report(calibrated: SteeringResult, recorded: Sequence[RecordedDrive],
+           axis_m: Sequence[float] | None) -> Iterator[str]:
     """Yield the lines.
 
     Args:
-        calibrated: what was found.
-        recorded: the drives.
         axis_m: the radii that were asked for, if they were.
     """
     points = calibrated.points
@@ -45,7 +43,7 @@ def report(calibrated: Calibrated, recorded: Sequence[RecordedDrive], axis_m: Se
         yield f"  {calibrated.disagreement}?"
 
 
-def short_report(calibrated: Calibrated, recorded: Sequence[RecordedDrive]) -> Iterator[str]:
+def short_report(calibrated: SteeringResult, recorded: Sequence[RecordedDrive]) -> Iterator[str]:
     """Yield the most important of it, for a terminal: a table of few radii that fits 80 columns, and no problems."""
     curve, points = calibrated.curve, calibrated.points
     yield _first_line(curve, recorded)
@@ -103,7 +101,7 @@ def _understeer_line(understeer: Understeer):
 
 
 def _at_all_knots(curve):
-    """The curve at all columns of the observations' weights; 0 beyond what was driven."""
+    """Return the curve at all columns of the observations' weights; 0 beyond what was driven."""
     values = np.zeros(curve.observations.weights.shape[1])
     values[curve.first_knot:curve.first_knot + len(curve.curvatures)] = curve.curvatures
     return values

@@ -12,14 +12,8 @@ import numpy as np
 from scipy import sparse
 
 from car_interface.tools.calibration.delay import Delay
-from car_interface.tools.calibration.steering.drive import (
-    COUNT,
-    KNOT,
-    MAX_BACKLASH_DUTY,
-    Drive,
-    FitConfig,
-    NothingToFit,
-)
+from car_interface.tools.calibration.shared import NothingToFit
+from car_interface.tools.calibration.steering.drive import COUNT, KNOT, MAX_BACKLASH_DUTY, CurveFitConfig, SteeringDrive
 from car_interface.tools.calibration.steering.wheels import WheelPosition
 
 SLOPE_POINTS = 26  # of a segment, from which its slope is taken
@@ -54,7 +48,7 @@ class Segmentation(NamedTuple):
     other_lags: list  # the WheelPosition if the servo's lag were smaller and larger
     segments: list
     counts: dict  # how many intervals were left out, by reason
-    config: FitConfig
+    config: CurveFitConfig
 
 
 class Observations(NamedTuple):
@@ -70,7 +64,7 @@ class Observations(NamedTuple):
     weights: sparse.csr_matrix  # (S, K): the curvatures are weights @ curve
 
 
-def segmentation(drive: Drive, delay: Delay, config: FitConfig) -> Segmentation:
+def segmentation(drive: SteeringDrive, delay: Delay, config: CurveFitConfig) -> Segmentation:
     """Divide one drive into segments."""
     other_lags = [WheelPosition(drive, delay._replace(lag_s=max(0.0, delay.lag_s + off_s)), config.max_gap_s)
                   for off_s in (-LAG_SIGMA_S, LAG_SIGMA_S)]
@@ -87,7 +81,7 @@ def segmentation(drive: Drive, delay: Delay, config: FitConfig) -> Segmentation:
 
 
 def _heading_sigma_rad(segments, config):
-    """The standard error of this drive's heading: as far as it is off the segments' slopes in nine of ten."""
+    """Return the standard error of this drive's heading: as far as it is off the segments' slopes in nine of ten."""
     if len(segments) < MIN_SEGMENTS:
         return config.heading_sigma_rad
     seen_rad = float(np.percentile([segment.wander_rad for segment in segments], MOST_PERCENT))
@@ -95,13 +89,13 @@ def _heading_sigma_rad(segments, config):
 
 
 def _slope_sigma_per_m(length_m, heading_sigma_rad, config):
-    """The standard error of a slope of the heading over a way of that length, in 1/m."""
+    """Return the standard error of a slope of the heading over a way of that length, in 1/m."""
     independent = max(2.0, min(SLOPE_POINTS, length_m / INDEPENDENT_M))
     return math.hypot(heading_sigma_rad * math.sqrt(12 / independent) / length_m, config.min_sigma_per_m)
 
 
 def _usable(wheels, config):
-    """(which samples can be in a segment (N,), how many intervals can't by reason)."""
+    """Return (which samples can be in a segment (N,), how many intervals can't by reason)."""
     is_slow = np.abs(wheels.speed_mps) < config.min_speed_mps
     yaw_rate_radps = np.convolve(np.gradient(wheels.yaw_rad, wheels.STEP_S), np.full(9, 1 / 9), "same")
     slides = np.abs(wheels.speed_mps * yaw_rate_radps) > config.max_lateral_mps2
@@ -130,7 +124,7 @@ def _split(wheels, begin, end, config):
 
 
 def _segment(wheels, first, end, config):
-    """The segment of the samples from ``first`` up to before ``end``; ``None``: too short."""
+    """Return the segment of the samples from ``first`` up to before ``end``; ``None``: too short."""
     if end - first < max(3, config.min_duration_s / wheels.STEP_S):
         return None
     samples = np.arange(first, end)
@@ -154,12 +148,12 @@ def _segment(wheels, first, end, config):
 
 
 def all_segments(segmentations: Sequence[Segmentation]) -> list[Segment]:
-    """The segments of all drives, in order: the rows of all arrays (S,)."""
+    """Return the segments of all drives, in order: the rows of all arrays (S,)."""
     return [segment for one in segmentations for segment in one.segments]
 
 
 def total_counts(segmentations: Sequence[Segmentation]) -> dict:
-    """How many intervals were left out of all drives, by reason."""
+    """Return how many intervals were left out of all drives, by reason."""
     counts: dict = {}
     for one in segmentations:
         for reason, count in one.counts.items():
@@ -168,7 +162,7 @@ def total_counts(segmentations: Sequence[Segmentation]) -> dict:
 
 
 def observations(segmentations: Sequence[Segmentation], backlash_duty: float) -> Observations:
-    """All drives' segments, the wheels being where a linkage with this backlash has them."""
+    """Return all drives' segments, the wheels being where a linkage with this backlash has them."""
     weights, duty = design(segmentations, backlash_duty)
     middle_s, curvature, sigma, length, speed = (
         np.array([getattr(segment, name) for segment in all_segments(segmentations)])
@@ -192,7 +186,7 @@ def design(segmentations: Sequence[Segmentation], backlash_duty: float) -> tuple
 
 
 def knots_of(segmentations: Sequence[Segmentation]) -> np.ndarray:
-    """The curve's knots in duty (K,), the same for each backlash.
+    """Return the curve's knots in duty (K,), the same for each backlash.
 
     Raises:
         NothingToFit: there are too few segments, or they are all at nearly the same duty.
@@ -216,6 +210,6 @@ def _duty_sigmas(segmentations, backlash_duty, duty):
 
 
 def _wheel_duties(one, linkage):
-    """The wheels' positions along each segment of a drive (S, 25)."""
+    """Return the wheels' positions along each segment of a drive (S, 25)."""
     rows = [np.interp(segment.middles_m, segment.distance_m, linkage[segment.samples]) for segment in one.segments]
     return np.array(rows).reshape(-1, SLOPE_POINTS - 1)

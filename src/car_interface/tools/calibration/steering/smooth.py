@@ -11,7 +11,8 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from car_interface.tools.calibration.steering.drive import KNOT, NothingToFit
+from car_interface.tools.calibration.shared import NothingToFit, rising
+from car_interface.tools.calibration.steering.drive import KNOT
 from car_interface.tools.calibration.steering.segments import Observations
 
 NEIGHBOURS, CONTRADICTION_PER_M = 5, 0.03
@@ -63,23 +64,27 @@ class Smooth:
         self._solve(local)
 
     def cost(self, weights: sparse.csr_matrix) -> float:
-        """Twice the negative log likelihood, but for a constant, of other weights (S, K) of the same observations."""
+        """Return twice the negative log likelihood, but for a constant, of other weights (S, K) of the same
+        observations.
+        """
         normal, right = self._normal_equations(weights)
         return self._cost(_banded(normal + self._penalty), right)[0]
 
     def standard_errors(self) -> np.ndarray:
-        """Of the curvatures at the knots, (K,)."""
+        """Return the standard errors of the curvatures at the knots, (K,)."""
         inverse = cho_solve_banded((self._factor, True), np.eye(self._factor.shape[1]))
         return np.sqrt(np.maximum(np.diag(inverse), 0.0))
 
     def monotone(self, sigmas: np.ndarray) -> np.ndarray:
-        """The nearest monotone curve (K,), weighted by standard errors (K,); it rises or falls as the observations."""
+        """Return the nearest monotone curve (K,), weighted by standard errors (K,); it rises or falls as the
+        observations.
+        """
         places = self._h @ np.arange(self._h.shape[1])
         sign = 1.0 if np.polyfit(places, self._y, 1)[0] > 0 else -1.0
         return sign * rising(sign * self.curvatures, 1 / np.maximum(sigmas, 1e-9) ** 2)
 
     def _local(self):
-        """The strength relative to its mean along the duty (K−2,): large where the curve bends, as at a stop."""
+        """Return the strength relative to its mean along the duty (K−2,): large where the curve bends, as at a stop."""
         bend = (self._second @ self.curvatures) ** 2
         kernel = np.hanning(self.SMOOTHED_OVER + 2)[1:-1]
         smoothed = np.convolve(np.pad(bend, self.SMOOTHED_OVER // 2, "edge"), kernel / kernel.sum(), "valid")
@@ -114,7 +119,7 @@ class Smooth:
         return weighted.T @ h, weighted.T @ self._y
 
     def _cost(self, band, right):
-        """(restricted likelihood but for constants, curve, factor) of normal equations in band form."""
+        """Return (restricted likelihood but for constants, curve, factor) of normal equations in band form."""
         try:
             factor = cholesky_banded(band, lower=True)
         except np.linalg.LinAlgError:
@@ -125,7 +130,7 @@ class Smooth:
 
 
 def _contradicted(duty, curvature, sigma):
-    """Which observations (S,) no monotone curve can have beside most of their neighbours on one side."""
+    """Return which observations (S,) no monotone curve can have beside most of their neighbours on one side."""
     order = np.argsort(duty, kind="stable")
     y, slack = curvature[order], 4 * sigma[order] + CONTRADICTION_PER_M
     if np.median(np.sign(y[len(y) // 2:])) > np.median(np.sign(y[:len(y) // 2])):
@@ -140,21 +145,8 @@ def _contradicted(duty, curvature, sigma):
     return found
 
 
-def rising(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """The nearest sequence (N,) in weighted least squares that never falls: pool adjacent violators."""
-    pools: list = []  # (mean, weight, how many), means rising
-    for value, weight in zip(np.asarray(values).tolist(), np.asarray(weights).tolist()):
-        pool = (value, weight, 1)
-        while pools and pools[-1][0] >= pool[0]:
-            mean, before, count = pools.pop()
-            total = before + pool[1]
-            pool = ((mean * before + pool[0] * pool[1]) / total, total, count + pool[2])
-        pools.append(pool)
-    return np.repeat([mean for mean, _, _ in pools], [count for _, _, count in pools])
-
-
 def _banded(matrix, height=None):
-    """A symmetric sparse matrix in lower band form, as scipy's banded solvers take it."""
+    """Return a symmetric sparse matrix in lower band form, as scipy's banded solvers take it."""
     matrix = matrix.tocoo()
     below = matrix.row - matrix.col
     dense = np.zeros((height or int(below.max()) + 1, matrix.shape[0]))

@@ -39,12 +39,12 @@ UNKNOWN = Understeer(0.0, math.inf, 0)
 
 
 def lost_per_m(found: Observations) -> np.ndarray:
-    """The curvature that each segment has lost for q = 1, left positive, (S,)."""
+    """Return the curvature that each segment has lost for q = 1, left positive, (S,)."""
     return found.curvature_per_m * np.abs(found.curvature_per_m) * found.speed_mps ** 4
 
 
 def without_understeer(found: Observations, understeer: float) -> Observations:
-    """The observations as if they had been driven at a crawl."""
+    """Return the observations as if they had been driven at a crawl."""
     if not understeer:
         return found
     return found._replace(curvature_per_m=found.curvature_per_m + understeer * lost_per_m(found))

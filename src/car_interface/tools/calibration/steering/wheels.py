@@ -11,7 +11,8 @@ import numpy as np
 
 from car_interface.tools.calibration import delay as delays
 from car_interface.tools.calibration.delay import Delay
-from car_interface.tools.calibration.steering.drive import Drive, FitConfig, NothingToFit
+from car_interface.tools.calibration.shared import NothingToFit
+from car_interface.tools.calibration.steering.drive import CurveFitConfig, SteeringDrive
 
 AFTER_GAP_S = 1.0  # so soon after a gap the servo may still follow commands that weren't recorded
 CROSSED_DUTY = 40.0  # a servo that has moved this far has crossed any usual backlash
@@ -20,7 +21,7 @@ HALF_SPAN = 3  # samples to either side over which curvature is differenced for 
 BETWEEN_DRIVES_S = 10.0
 
 
-def estimate_servo_delay(drives: Sequence[Drive], config: FitConfig) -> Delay:
+def estimate_servo_delay(drives: Sequence[SteeringDrive], config: CurveFitConfig) -> Delay:
     """Delay and lag from duty to curvature, of all drives together, one behind the other on the time scale.
 
     Raises:
@@ -71,7 +72,7 @@ class WheelPosition:
 
     STEP_S = 0.02
 
-    def __init__(self, drive: Drive, delay: Delay, max_gap_s: float):
+    def __init__(self, drive: SteeringDrive, delay: Delay, max_gap_s: float):
         self.t_s = np.arange(drive.t_s[0], drive.t_s[-1], self.STEP_S)
         self.distance_m = np.interp(self.t_s, drive.t_s, drive.distance_m)
         self.yaw_rad = np.interp(self.t_s, drive.t_s, drive.yaw_rad)
@@ -109,7 +110,7 @@ class WheelPosition:
             self.is_known[settled:end] &= span >= CROSSED_DUTY
 
     def linkage(self, backlash_duty: float) -> np.ndarray:
-        """The wheels' position (N,), which follows the servo once that has crossed the backlash."""
+        """Return the wheels' position (N,), which follows the servo once that has crossed the backlash."""
         if backlash_duty <= 0:
             return self.servo
         half, now, out = backlash_duty / 2, float(self.servo[0]), np.empty(len(self.servo))
@@ -126,13 +127,13 @@ class WheelPosition:
 
 
 def _gap_around_s(t_s, at_s):
-    """The interval between samples ``t_s`` (N,) in which each of ``at_s`` (M,) lies: (M,)."""
+    """Return the interval between samples ``t_s`` (N,) in which each of ``at_s`` (M,) lies: (M,)."""
     index = np.clip(np.searchsorted(t_s, at_s, side="right"), 1, len(t_s) - 1)
     return t_s[index] - t_s[index - 1]
 
 
 def _since_gap_s(t_s, at_s, gap_s):
-    """The time since the last gap between samples ended, for each of ``at_s`` (M,): (M,); 0 within a gap."""
+    """Return the time since the last gap between samples ended, for each of ``at_s`` (M,): (M,); 0 within a gap."""
     starts = np.flatnonzero(np.diff(t_s) >= gap_s)
     last = np.searchsorted(t_s[starts], at_s, side="right") - 1
     ends_s = np.append(t_s[starts + 1], -math.inf)  # index −1: no gap before

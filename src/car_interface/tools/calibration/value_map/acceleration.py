@@ -58,11 +58,10 @@ class Series(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Drive:
+class MapDrive:
     """One recording, on one scale of seconds.
 
     Attributes:
-        name: for messages.
         value: the actuator's commanded value, each sample until the next one.
         speed: m/s, backward negative.
         yaw: rad, unwrapped.
@@ -72,7 +71,6 @@ class Drive:
         driven: 1 where the value reached the actuator, each sample until the next; ``None`` = always.
     """
 
-    name: str
     value: Series
     speed: Series
     yaw: Series
@@ -112,7 +110,7 @@ class Windows:
 
 
 @np.errstate(invalid="ignore")  # NaN, for what wasn't measured, compares as false
-def windows(drive: Drive, config: WindowConfig = WindowConfig()) -> Windows:
+def windows(drive: MapDrive, config: WindowConfig = WindowConfig()) -> Windows:
     """Divide a drive into windows and measure each."""
     speed = speed_of_wheels(drive.wheels) if drive.wheels else drive.speed
     begins, ends = drive.speed.t_s[[0, -1]] if drive.speed.t_s.size else (0.0, 0.0)
@@ -154,7 +152,7 @@ def windows(drive: Drive, config: WindowConfig = WindowConfig()) -> Windows:
 
 
 def speed_of_wheels(wheels: Sequence[Series]) -> Series:
-    """The speed of the axle's middle in m/s: the mean of the wheels', each over SPEED_SPAN_S around its time."""
+    """Return the speed of the axle's middle in m/s: the mean of the wheels', each over SPEED_SPAN_S around its time."""
     usable = [wheel for wheel in wheels if wheel.t_s.size > 1]
     if not usable:
         return Series(np.zeros(0), np.zeros(0))
@@ -173,7 +171,7 @@ class _Regressed(NamedTuple):
 
 
 def _regress(series, middle_s, window_s, order, t_s, min_samples):
-    """The derivative of ``order`` by a polynomial of that order; ``None`` where samples are too few."""
+    """Return the derivative of ``order`` by a polynomial of that order; ``None`` where samples are too few."""
     first, last = np.searchsorted(series.t_s, (middle_s - window_s / 2, middle_s + window_s / 2))
     if last - first < min_samples:
         return None
@@ -199,7 +197,7 @@ def _regress(series, middle_s, window_s, order, t_s, min_samples):
 
 
 def _forces(imu, t_s, weight):
-    """(an IMU's means under φ (W,), their standard errors (W,)); NaN where it has gaps."""
+    """Return (an IMU's means under φ (W,), their standard errors (W,)); NaN where it has gaps."""
     if imu is None or imu.t_s.size < 2:
         return np.full(len(t_s), np.nan), np.full(len(t_s), np.nan)
     # The noise is by how much neighbours differ; an average over many samples reduces it.
@@ -212,7 +210,7 @@ def _forces(imu, t_s, weight):
 
 
 def _states(found, yaw, apart, speed, config):
-    """The state of each window (W,): why it doesn't count."""
+    """Return the state of each window (W,): why it doesn't count."""
     state = np.full(found.middle_s.size, MEASURED)
     slowest, fastest = found.speed_mps.min(axis=1), found.speed_mps.max(axis=1)
     half = config.window_s / 2

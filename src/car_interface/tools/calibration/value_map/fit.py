@@ -17,16 +17,24 @@ from typing import NamedTuple, Sequence
 
 import numpy as np
 
+from car_interface.tools.calibration.shared import NothingToFit
 from car_interface.tools.calibration.value_map import acceleration as windowing
-from car_interface.tools.calibration.value_map.acceleration import Drive
-from car_interface.tools.calibration.value_map.axes import rounded, value_axis, velocity_axis
-from car_interface.tools.calibration.value_map.config import DEFAULTS, FitConfig
-from car_interface.tools.calibration.value_map.delay import estimate_delay
-from car_interface.tools.calibration.value_map.model import Model, solve
-from car_interface.tools.calibration.value_map.quality import coverage, hold_out, rms, standard_errors
-from car_interface.tools.calibration.value_map.surface import Grid
+from car_interface.tools.calibration.value_map.acceleration import MapDrive
+from car_interface.tools.calibration.value_map.model import (
+    HUBER,
+    Model,
+    coverage,
+    hold_out,
+    rms,
+    solve,
+    standard_errors,
+)
+from car_interface.tools.calibration.value_map.surface import Grid, rounded, value_axis, velocity_axis
 from car_interface.tools.calibration.value_map.windows import (
+    DEFAULTS,
     OUTLYING,
+    Data,
+    MapFitConfig,
     by_rule,
     gather,
     manoeuvres,
@@ -36,6 +44,10 @@ from car_interface.tools.calibration.value_map.windows import (
 )
 
 FIRST_DELAY_S = 0.1  # by which the axes are chosen, before the delay is known
+MAX_DELAY_S = 0.6
+COARSE_STEP_S = 0.04
+COARSE_ROWS, COARSE_COLUMNS = 9, 5
+MIN_DIFFERENCE = 9.0  # of the sum of squares between delays, or they can't be told apart: three sigmas
 
 
 class Ground(NamedTuple):
@@ -63,7 +75,7 @@ class Fit:
         values, velocities: its axes, (R,) and (C,).
         accelerations: (R, C), in m/s², rounded to the CSV's decimals; every column rises.
         sigma_mps2: standard errors, (R, C).
-        seconds, manoeuvres: of driving around each node, (R, C).
+        seconds: of driving around each node, (R, C).
         supported: which nodes the drives support, (R, C).
         sure: which nodes have a small standard error, with or without driving around them, (R, C).
         delay_s, delay_sigma_s: from value to acceleration; the second is NaN where the delay was given or doesn't show.
@@ -80,7 +92,6 @@ class Fit:
     accelerations: np.ndarray
     sigma_mps2: np.ndarray
     seconds: np.ndarray
-    manoeuvres: np.ndarray
     supported: np.ndarray
     sure: np.ndarray
     delay_s: float
@@ -93,19 +104,14 @@ class Fit:
     held_out_windows: int
 
 
-class NothingToFit(ValueError):
-    """Drives without a single window that counts; the text says for which reasons windows don't."""
-
-
 @np.errstate(invalid="ignore")  # NaN, for what wasn't measured, compares as false
-def fit(drives: Sequence[Drive], values: np.ndarray | None, velocities: np.ndarray | None,
-        config: FitConfig = DEFAULTS) -> Fit:
+def fit(drives: Sequence[MapDrive], values: np.ndarray | None, velocities: np.ndarray | None,
+        config: MapFitConfig = DEFAULTS) -> Fit:
     """Fit a map to drives.
 
     Args:
         drives: at least one.
         values, velocities: the map's axes; ``None`` = chosen to fit what was driven.
-        config: of the fit.
 
     Raises:
         NothingToFit: no window counts.
@@ -140,7 +146,7 @@ def fit(drives: Sequence[Drive], values: np.ndarray | None, velocities: np.ndarr
     shape = (grid.rows.size, grid.columns.size)
     grounds = tuple(_ground(index, data, solved) for index in range(len(drives)))
     return Fit(grid.rows, grid.columns, rounded(solved.nodes.reshape(shape)), sigma.reshape(shape),
-               seconds.reshape(shape), count.reshape(shape), supported.reshape(shape), sure.reshape(shape),
+               seconds.reshape(shape), supported.reshape(shape), sure.reshape(shape),
                float(delay_s), float(delay_sigma_s), config.delay_s is not None, grounds, by_rule(state),
                rms(solved.residual[used]), held_out_mps2, held_out_windows)
 
@@ -153,3 +159,52 @@ def _ground(index, data, solved):
     sigma = np.sqrt(np.diag(inverse)[at:at + 2])
     above, below = (float(-x) for x in solved.sag[index])
     return Ground(uphill, above, below, (float(sigma[0]), float(sigma[1])), float(data.pitch_offset[index]))
+
+
+# --- the delay ---
+
+
+def estimate_delay(drives: Sequence[MapDrive], data: Data, grid: Grid, speed: np.ndarray,
+                   config: MapFitConfig) -> tuple[float, float]:
+    """Return (the delay in s, its standard error); the latter is NaN where the drives don't show one.
+
+    Args:
+        speed: in m/s, (W, P).
+    """
+    coarse = Grid(_thin(grid.rows, COARSE_ROWS), _thin(grid.columns, COARSE_COLUMNS))
+    # Only windows that count under every delay are compared, or their number would decide.
+    states = [on_grid(sample(drives, data, delay_s, config), speed, grid) for delay_s in (0.0, MAX_DELAY_S)]
+    state = np.where(states[0] == windowing.MEASURED, states[1], states[0])
+    used = state == windowing.MEASURED
+    if used.sum() < 2 * coarse.size:
+        return 0.0, float("nan")
+
+    def ratios(delay_s, grid):
+        value = sample(drives, data, delay_s, config).value
+        solved = solve(Model(grid, data, value, speed, config, sags=False), state, rising=False, passes=2)
+        return np.abs(solved.residual[used] / data.sigma[used])
+
+    best, max_offset, step = 0.0, MAX_DELAY_S, COARSE_STEP_S
+    for over in (coarse, grid, grid):
+        delays_s = np.unique(np.clip(np.arange(best - max_offset, best + max_offset + step / 2, step), 0.0,
+                                     MAX_DELAY_S))
+        found = [ratios(delay_s, over) for delay_s in delays_s]
+        scale = max(1.0, min(float(np.median(ratio)) for ratio in found) / 0.6745)
+        costs = np.array([_cost(ratio / scale) for ratio in found])
+        if np.ptp(costs) < MIN_DIFFERENCE and over is coarse:
+            return 0.0, float("nan")
+        best, max_offset, step = float(delays_s[np.argmin(costs)]), 1.5 * step, step / 4
+    a, b, _ = np.polyfit(delays_s - best, costs, 2)
+    if a <= 0:
+        return best, float("nan")
+    return float(np.clip(best - b / (2 * a), 0.0, best + max_offset)), float(1.0 / np.sqrt(a))
+
+
+def _cost(ratio):
+    """Huber's loss of residuals in sigmas."""
+    return float(np.where(ratio < HUBER, ratio**2, 2 * HUBER * ratio - HUBER**2).sum())
+
+
+def _thin(axis, max_steps):
+    step = -(-(axis.size - 1) // max_steps)
+    return np.unique(np.append(axis[::step], axis[-1]))

@@ -17,10 +17,8 @@ import numpy as np
 from scipy import sparse
 
 from car_interface.tools.calibration.value_map import acceleration as windowing
-from car_interface.tools.calibration.value_map.axes import MIN_STEP_MPS2
-from car_interface.tools.calibration.value_map.config import FitConfig
-from car_interface.tools.calibration.value_map.surface import Grid, penalties, rising_least_squares
-from car_interface.tools.calibration.value_map.windows import TURNING, Data, within_turns
+from car_interface.tools.calibration.value_map.surface import MIN_STEP_MPS2, Grid, penalties, rising_least_squares
+from car_interface.tools.calibration.value_map.windows import BEYOND, TURNING, Data, MapFitConfig, within_turns
 
 SLOPE_SIGMA, SAG_SIGMA = 0.05, 0.15  # expected of a slope, and of a battery in one drive
 HUBER = 2.0  # residuals beyond this many sigmas count less
@@ -28,17 +26,16 @@ OUTLIER = 5.0  # and beyond this many don't count
 PASSES = 6
 BENDS = 0.05  # of the range of values: this near to neutral the map may bend freely
 MAX_SAG = 0.5
+MIN_S = 0.03  # of driving around a node, for a manoeuvre to count there
+HELD_OUT = 5
 
 
 class Model:
     """The model's matrices under one delay.
 
     Args:
-        grid: of the map.
-        data: the windows.
         value: under the delay, (W, P).
         speed: in m/s, (W, P).
-        config: of the fit.
         sags: whether the battery's effect is part of the model.
 
     Attributes:
@@ -47,7 +44,7 @@ class Model:
         penalty: of the map's roughness, (G, G).
     """
 
-    def __init__(self, grid: Grid, data: Data, value: np.ndarray, speed: np.ndarray, config: FitConfig,
+    def __init__(self, grid: Grid, data: Data, value: np.ndarray, speed: np.ndarray, config: MapFitConfig,
                  sags: bool = True):
         self.grid, self.data, self.config = grid, data, config
         weight = np.concatenate([one.weight for one in data.windows])
@@ -91,10 +88,8 @@ def solve(model: Model, state: np.ndarray, rising: bool = True, passes: int = PA
     """Solve by Gauss-Newton steps for the battery's effect, with Huber's weights.
 
     Args:
-        model: under one delay.
         state: of the windows, (W,): MEASURED and TURNING ones are used.
         rising: whether the map must rise with the value.
-        passes: steps.
     """
     data, grid = model.data, model.grid
     used = (state == windowing.MEASURED) | (state == TURNING)
@@ -138,9 +133,64 @@ def solve(model: Model, state: np.ndarray, rising: bool = True, passes: int = PA
 
 
 def _robust(residual, sigma, used):
-    """(the residuals' scatter in sigmas, Huber's weights (W,), which windows are outliers (W,))."""
+    """Return (the residuals' scatter in sigmas, Huber's weights (W,), which windows are outliers (W,))."""
     ratio = np.abs(residual) / sigma
     spread = max(1.0, float(np.median(ratio[used])) / 0.6745) if used.any() else 1.0
     ratio = ratio / spread
     weight = np.where(used, np.minimum(1.0, HUBER / np.maximum(ratio, 1e-12)) / sigma**2, 0.0)
     return spread, weight, used & (ratio > OUTLIER)
+
+
+# --- how well it is known ---
+
+
+def coverage(model: Model, state: np.ndarray, manoeuvre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (seconds of driving around each node (G,), in how many manoeuvres (G,)).
+
+    Args:
+        state, manoeuvre: of each window, (W,).
+    """
+    used = np.flatnonzero(state == windowing.MEASURED)
+    time_s = sparse.diags(model.data.hop_s[used]) @ model.map[used]
+    seconds = np.asarray(time_s.sum(axis=0)).ravel()
+    around = (_membership(manoeuvre, used) @ time_s).toarray()
+    return seconds, (around >= MIN_S).sum(axis=0)
+
+
+def standard_errors(model: Model, solved: Solution, state: np.ndarray, manoeuvre: np.ndarray) -> np.ndarray:
+    """Standard errors of the nodes in m/s² (G,): the larger of those by window and those by manoeuvre (clustered).
+
+    Windows of one manoeuvre have errors in common that the model doesn't know.
+    """
+    grid = model.grid
+    inverse = np.linalg.inv(solved.normal)
+    by_weight = np.diag(inverse)[:grid.size]
+    used = np.flatnonzero((state == windowing.MEASURED) & ~solved.outlying)
+    scores = sparse.diags(solved.weight[used] * solved.residual[used]) @ solved.columns[used]
+    clusters = (_membership(manoeuvre, used) @ scores).toarray()
+    middle = clusters.T @ clusters + solved.prior
+    by_manoeuvre = np.einsum("ij,jk,ik->i", inverse[:grid.size], middle, inverse[:grid.size])
+    return np.sqrt(np.maximum(by_weight, by_manoeuvre))
+
+
+def hold_out(model: Model, state: np.ndarray, manoeuvre: np.ndarray) -> tuple[float, int]:
+    """Return (RMS in m/s² over every 5th manoeuvre from a fit to all others, windows in it); NaN if there are none."""
+    held = (manoeuvre >= 0) & (manoeuvre % HELD_OUT == HELD_OUT - 1) & (state == windowing.MEASURED)
+    if not held.any():
+        return float("nan"), 0
+    solved = solve(model, np.where(held, BEYOND, state))
+    predicted = model.map @ solved.nodes + model.data.slope @ solved.slope
+    for side, push in enumerate(model.push):
+        predicted = predicted + model.data.part * solved.sag[model.data.drive, side] * (push @ solved.nodes)
+    return rms((model.data.acceleration - predicted)[held]), int(held.sum())
+
+
+def rms(x: np.ndarray) -> float:
+    """Return the root mean square; NaN without numbers."""
+    return float(np.sqrt(np.mean(np.square(x)))) if x.size else float("nan")
+
+
+def _membership(manoeuvre, used):
+    """Return a matrix (M, U) that sums the rows of used windows by manoeuvre."""
+    return sparse.csr_matrix((np.ones(used.size), (manoeuvre[used], np.arange(used.size))),
+                             shape=(manoeuvre.max() + 1, used.size))

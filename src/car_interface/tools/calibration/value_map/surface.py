@@ -11,7 +11,15 @@ import numpy as np
 from scipy import sparse
 from scipy.optimize import lsq_linear
 
+from car_interface.tools.calibration.shared import rising
+
 INTERVALS = 10.0  # of the axis for which a second derivative is expected; on a finer grid nodes differ by less
+DECIMALS = 3  # of a map's CSV, as Autoware's calibrators write it
+RESOLUTION_MPS2 = 10.0**-DECIMALS
+# A step of two roundings' width is still one when both of its ends are rounded towards each other.
+MIN_STEP_MPS2 = 2 * RESOLUTION_MPS2
+NEAR = 0.25  # of the step between rows: two more rows lie this far from neutral
+VALUES, VELOCITIES = 10, 8  # about as many
 
 
 @dataclass(frozen=True)
@@ -27,12 +35,12 @@ class Grid:
         return self.rows.size * self.columns.size
 
     def has(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Whether points, of any shape, are on the grid."""
+        """Return whether points, of any shape, are on the grid."""
         rows, columns = self.rows, self.columns
         return (u >= rows[0]) & (u <= rows[-1]) & (v >= columns[0]) & (v <= columns[-1])
 
     def averages(self, u: np.ndarray, v: np.ndarray, weight: np.ndarray) -> sparse.csr_matrix:
-        """The nodes' weights (W, G) in the weighted sums over the points of each row of the arguments (W, P).
+        """Return the nodes' weights (W, G) in the weighted sums over the points of each row of the arguments (W, P).
 
         Points beyond the grid are moved to its edge.
         """
@@ -47,10 +55,6 @@ class Grid:
         data, node = (np.concatenate(column) for column in zip(*parts))
         return sparse.coo_matrix((data, (np.tile(index, 4), node)), shape=(u.shape[0], self.size)).tocsr()
 
-    def at(self, nodes: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """The surface with these nodes (G,) at points (N,): (N,)."""
-        return self.averages(np.reshape(u, (-1, 1)), np.reshape(v, (-1, 1)), np.ones((np.size(u), 1))) @ nodes.ravel()
-
 
 class Roughness(NamedTuple):
     """The expected second derivatives, as standard deviations: along the rows' axis taken as 1, and per unit of the
@@ -61,11 +65,9 @@ class Roughness(NamedTuple):
 
 
 def penalties(grid: Grid, roughness: Roughness, kinks: np.ndarray) -> sparse.csr_matrix:
-    """The second differences of a surface as ratios of the expected ones: a matrix (D, G).
+    """Return the second differences of a surface as ratios of the expected ones: a matrix (D, G).
 
     Args:
-        grid: the grid.
-        roughness: what is expected.
         kinks: (R,), the rows at which the surface may bend freely.
     """
     rows = _second_differences((grid.rows - grid.rows[0]) / np.ptp(grid.rows), roughness.rows)
@@ -105,29 +107,24 @@ def rising_least_squares(grid: Grid, normal: np.ndarray, right: np.ndarray,
 
 
 def rising_column(wanted: np.ndarray, weight: np.ndarray, min_steps: np.ndarray) -> np.ndarray:
-    """The column (R,) nearest to ``wanted`` (R,) that rises by at least ``min_steps`` (R−1,).
+    """Return the column (R,) nearest to ``wanted`` (R,) that rises by at least ``min_steps`` (R−1,).
 
     In least squares weighted by ``weight`` (R,), by pooling adjacent violators.
     """
     offset = np.concatenate(([0.0], np.cumsum(min_steps)))
-    blocks: list[list[float]] = []  # value, weight, count
-    for y, w in zip(wanted - offset, weight):
-        blocks.append([y, w, 1])
-        while len(blocks) > 1 and blocks[-2][0] > blocks[-1][0]:
-            y1, w1, n1 = blocks.pop()
-            y0, w0, n0 = blocks.pop()
-            blocks.append([(y0 * w0 + y1 * w1) / (w0 + w1), w0 + w1, n0 + n1])
-    return np.repeat([block[0] for block in blocks], [int(block[2]) for block in blocks]) + offset
+    return rising(wanted - offset, weight) + offset
 
 
 def _place(axis, x):
-    """(the interval of each point, its position within it, 0..1), of the shape of ``x``."""
+    """Return (the interval of each point, its position within it, 0..1), of the shape of ``x``."""
     index = np.clip(np.searchsorted(axis, x, side="right") - 1, 0, axis.size - 2)
     return index, np.clip((x - axis[index]) / (axis[index + 1] - axis[index]), 0.0, 1.0)
 
 
 def _second_differences(axis, expected):
-    """The slope's change at each inner node as a ratio of the one expected between nodes at that distance: (N−2, N)."""
+    """Return the slope's change at each inner node as a ratio of the one expected between nodes at that distance: (N−2,
+    N).
+    """
     steps = np.diff(axis)
     differences = np.zeros((max(0, axis.size - 2), axis.size))
     for index in range(axis.size - 2):
@@ -137,3 +134,33 @@ def _second_differences(axis, expected):
         factor = 1.0 / (expected * span * (np.ptp(axis) / INTERVALS / span) ** 0.5)
         differences[index, index:index + 3] = (factor / before, -factor / before - factor / after, factor / after)
     return differences
+
+
+def value_axis(value: np.ndarray, neutral: float) -> np.ndarray:
+    """Round numbers over the driven values, of any shape, and two more near neutral, where an ESC's curve bends."""
+    axis = _round_axis(value, neutral, VALUES)
+    near = neutral + np.array([-NEAR, NEAR]) * (axis[1] - axis[0])
+    return np.union1d(axis, near[(near > axis[0]) & (near < axis[-1])])
+
+
+def velocity_axis(speed_mps: np.ndarray) -> np.ndarray:
+    """Round numbers over the driven speeds, of any shape, 0 among them."""
+    return _round_axis(speed_mps, 0.0, VELOCITIES)
+
+
+def rounded(accelerations: np.ndarray) -> np.ndarray:
+    """Round a map (R, C) to the CSV's decimals so that each column still rises from row to row."""
+    counts = np.round(accelerations / RESOLUTION_MPS2).astype(np.int64)
+    for row in range(1, counts.shape[0]):
+        counts[row] = np.maximum(counts[row], counts[row - 1] + 1)
+    return counts / 10.0**DECIMALS
+
+
+def _round_axis(x, zero, wanted):
+    """Round numbers, ``zero`` among them, about as many as wanted, up to a quarter of their step past the data."""
+    low, high = min(float(np.min(x)), zero), max(float(np.max(x)), zero)
+    rough = max(high - low, 1e-6) / wanted
+    power = 10.0 ** np.floor(np.log10(rough))
+    step = power * min((1.0, 2.0, 2.5, 5.0, 10.0), key=lambda factor: abs(factor * power - rough))
+    first, last = int(np.floor((low - zero) / step + 0.25)), int(np.ceil((high - zero) / step - 0.25))
+    return np.round(zero + step * np.arange(first, max(last, first + 1) + 1), 9)

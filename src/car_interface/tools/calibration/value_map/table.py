@@ -5,9 +5,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from car_interface.tools.calibration.value_map.axes import DECIMALS, MIN_STEP_MPS2, RESOLUTION_MPS2, rounded
 from car_interface.tools.calibration.value_map.fit import Fit
-from car_interface.tools.calibration.value_map.surface import rising_column
+from car_interface.tools.calibration.value_map.surface import (
+    DECIMALS,
+    MIN_STEP_MPS2,
+    RESOLUTION_MPS2,
+    rising_column,
+    rounded,
+)
 
 MIN_NODES = 3  # values, and velocities, of a map that is fit to drive with
 BRACKET = 2  # nodes: this near on both sides must be supported ones
@@ -29,7 +34,7 @@ class Table(NamedTuple):
     sigma_mps2: np.ndarray
 
     def driven_ratio(self) -> float:
-        """The ratio of accelerations that come from the drives."""
+        """Return the ratio of accelerations that come from the drives."""
         return float(np.mean(self.origin <= BETWEEN))
 
 
@@ -39,14 +44,13 @@ DRIVEN, BETWEEN, OLD, MOVED = range(4)
 
 
 def table(found: Fit, neutral: float, prior: np.ndarray | None = None) -> Table | None:
-    """The part of a fit that may be written.
+    """Return the part of a fit that may be written.
 
     Where the drives support nothing the prior's accelerations stay; one that contradicts the measured ones of its
     column is moved so that the column rises. Without a prior the axes are limited to the largest part in which every
     node is supported.
 
     Args:
-        found: the fit.
         neutral: the value at which the car coasts: the map should have values on both sides of it.
         prior: an old map's accelerations at the fit's nodes, (R, C), NaN where it has none.
 
@@ -76,7 +80,7 @@ def table(found: Fit, neutral: float, prior: np.ndarray | None = None) -> Table 
 
 
 def _between(found):
-    """Which nodes have supported ones on both sides, and are known as well (R, C)."""
+    """Return which nodes have supported ones on both sides, and are known as well (R, C)."""
     known = found.supported
     between = np.zeros(known.shape, bool)
     for axis in (0, 1):
@@ -118,7 +122,7 @@ def _largest_part(stated, values, velocities, neutral):
 
 
 def csv_text(written: Table) -> str:
-    """The map's CSV, as generic_value_converter loads it."""
+    """Return the map's CSV, as generic_value_converter loads it."""
     lines = ["default," + ",".join(number_text(velocity) for velocity in written.velocities)]
     for value, row in zip(written.values, written.accelerations):
         lines.append(number_text(value) + "," + ",".join(f"{cell:.{DECIMALS}f}" for cell in row))
@@ -126,5 +130,5 @@ def csv_text(written: Table) -> str:
 
 
 def number_text(x: float) -> str:
-    """A number on an axis, without the errors of binary fractions."""
+    """Return a number on an axis, without the errors of binary fractions."""
     return repr(round(float(x), 9))

@@ -5,23 +5,24 @@ delay along each window. W windows of P points each, of D drives.
 """
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple, Sequence
 
 import numpy as np
 from scipy import sparse
 
 from car_interface.tools.calibration.value_map import acceleration as windowing
-from car_interface.tools.calibration.value_map.acceleration import Drive, Windows, windows
-from car_interface.tools.calibration.value_map.config import FitConfig
-from car_interface.tools.calibration.value_map.surface import Grid
+from car_interface.tools.calibration.value_map.acceleration import MapDrive, WindowConfig, Windows, windows
+from car_interface.tools.calibration.value_map.surface import Grid, Roughness
 
+# Rows: a throttle curve's (6·u^1.5 has 9 on the average, over a value axis taken as 1). Columns, per (m/s)²: a motor's
+# that has half its thrust at 9 m/s.
+ROUGHNESS = Roughness(8.0, 0.15)
 GRAVITY_MPS2 = 9.81
 MIN_SPREAD = 0.1  # of headings: the part of a constant that cos and sin of yaw can't explain; 1 for all round
 MIN_TURN = 5  # windows in a row
 VALUE_JUMP = 0.05  # of the range of values: more begins another manoeuvre
 MANOEUVRE_S = 5.0
-
 # Why a window doesn't count.
 RULES = {
     windowing.BACKWARD: "rolling backward",
@@ -33,6 +34,41 @@ RULES = {
 }
 NO_VALUE, NOT_DRIVEN, BEYOND, STEEP, OUTLYING = range(10, 15)
 TURNING = 15  # steering, but good enough to show the slope
+
+
+@dataclass(frozen=True)
+class MapFitConfig:
+    """How a map is fitted, and what supports one.
+
+    Attributes:
+        window: how drives are divided into windows.
+        neutral: the value at which the actuator neither drives nor brakes; the map may bend there.
+        value_timeout_s: a value counts for no longer than this.
+        max_pitch_rad: beyond it a window doesn't count.
+        roughness: the expected second derivatives of the map.
+        min_sigma_mps2: no window's acceleration is known better: floors are uneven, tyres flex.
+        support_s, support_manoeuvres, support_sigma_mps2: a node is supported by at least this much driving around
+            it, in this many manoeuvres, if its standard error is at most this.
+        delay_s: from value to acceleration; ``None`` = estimated.
+        from_imu: accelerations are the IMU's; the wheels' only give its bias.
+    """
+
+    window: WindowConfig = field(default_factory=WindowConfig)
+    neutral: float = 0.0
+    value_timeout_s: float = 0.5
+    max_pitch_rad: float = 0.15
+    roughness: Roughness = ROUGHNESS
+    min_sigma_mps2: float = 0.03
+    support_s: float = 0.1
+    support_manoeuvres: int = 2
+    support_sigma_mps2: float = 0.08
+    delay_s: float | None = None
+    from_imu: bool = False
+
+
+DEFAULTS = MapFitConfig()
+
+
 RULES.update({
     NO_VALUE: "no value, or one that had timed out",
     NOT_DRIVEN: "the value didn't reach the actuator",
@@ -70,7 +106,7 @@ class Data:
     pitch_offset: list[float]
 
 
-class Sampled(NamedTuple):
+class ValuesBefore(NamedTuple):
     """The values under one delay."""
 
     value: np.ndarray  # along each window, (W, P)
@@ -90,7 +126,7 @@ class _Gathered(NamedTuple):
     pitch_offset: float
 
 
-def gather(drives: Sequence[Drive], config: FitConfig) -> Data:
+def gather(drives: Sequence[MapDrive], config: MapFitConfig) -> Data:
     """Divide drives into windows, and find which count by everything but the value."""
     gathered = [_gather(drive, config) for drive in drives]
     counts = [one.state.size for one in gathered]
@@ -136,7 +172,7 @@ def _gather(drive, config):
 
 
 def _spread(cos, sin, counted, turning):
-    """How much headings spread; see MIN_SPREAD."""
+    """Return how much headings spread; see MIN_SPREAD."""
     if counted.sum() < 10:
         return 0.0
     within = within_turns(turning, np.zeros(turning.size, int))
@@ -148,7 +184,7 @@ def _spread(cos, sin, counted, turning):
 
 
 def within_turns(turning: np.ndarray, drive: np.ndarray) -> sparse.csr_matrix:
-    """A matrix (W, W) that subtracts its mean from each turn, clears short turns, and leaves the rest alone.
+    """Return a matrix (W, W) that subtracts its mean from each turn, clears short turns, and leaves the rest alone.
 
     Args:
         turning: which windows are in a turn, (W,).
@@ -168,12 +204,12 @@ def within_turns(turning: np.ndarray, drive: np.ndarray) -> sparse.csr_matrix:
 
 
 def _pitch_offset(one, counted):
-    """The part of the pitch that doesn't turn with the heading: a plane ground's would."""
+    """Return the part of the pitch that doesn't turn with the heading: a plane ground's would."""
     return _constant_part(one.pitch_rad, one, counted)
 
 
 def _bias(one, counted, spreads):
-    """The IMU's bias against the wheels: the part of the difference that isn't the ground's."""
+    """Return the IMU's bias against the wheels: the part of the difference that isn't the ground's."""
     known = counted & np.isfinite(one.force_mps2)
     if not known.any():
         return 0.0
@@ -186,8 +222,8 @@ def _constant_part(y, one, counted):
     return float(np.linalg.lstsq(columns, y[counted], rcond=None)[0][0])
 
 
-def sample(drives: Sequence[Drive], data: Data, delay_s: float, config: FitConfig) -> Sampled:
-    """The values ``delay_s`` earlier, and the windows' states by them."""
+def sample(drives: Sequence[MapDrive], data: Data, delay_s: float, config: MapFitConfig) -> ValuesBefore:
+    """Return the values ``delay_s`` earlier, and the windows' states by them."""
     values, states = [], []
     for index, (drive, one) in enumerate(zip(drives, data.windows)):
         state = data.state[data.drive == index].copy()
@@ -203,11 +239,11 @@ def sample(drives: Sequence[Drive], data: Data, delay_s: float, config: FitConfi
             state[(state == TURNING) & idle] = windowing.STEERING
         values.append(np.where(np.isfinite(value), value, 0.0))
         states.append(state)
-    return Sampled(np.concatenate(values), np.concatenate(states))
+    return ValuesBefore(np.concatenate(values), np.concatenate(states))
 
 
 def _held(series, t_s):
-    """(the newest sample at each time, its age in s), of the shape of ``t_s``; NaN and inf before the first."""
+    """Return (the newest sample at each time, its age in s), of the shape of ``t_s``; NaN and inf before the first."""
     if not series.t_s.size:
         return np.full(t_s.shape, np.nan), np.full(t_s.shape, np.inf)
     last = np.searchsorted(series.t_s, t_s, side="right") - 1
@@ -215,15 +251,15 @@ def _held(series, t_s):
     return np.where(last >= 0, series.y[known], np.nan), np.where(last >= 0, t_s - series.t_s[known], np.inf)
 
 
-def on_grid(sampled: Sampled, speed: np.ndarray, grid: Grid) -> np.ndarray:
-    """The states (W,) with windows left out that lie beyond a grid; speed in m/s, (W, P)."""
+def on_grid(sampled: ValuesBefore, speed: np.ndarray, grid: Grid) -> np.ndarray:
+    """Return the states (W,) with windows left out that lie beyond a grid; speed in m/s, (W, P)."""
     inside = grid.has(sampled.value, np.nan_to_num(speed)).all(axis=1)
     state = np.where((sampled.state == windowing.MEASURED) & ~inside, BEYOND, sampled.state)
     return np.where((state == TURNING) & ~inside, windowing.STEERING, state)
 
 
 def manoeuvres(data: Data, value: np.ndarray, state: np.ndarray, grid: Grid) -> np.ndarray:
-    """The number of each window's manoeuvre (W,), −1 for windows that don't count.
+    """Return the number of each window's manoeuvre (W,), −1 for windows that don't count.
 
     A new one begins where the value jumps, after windows that don't count, and after MANOEUVRE_S.
     """
@@ -243,7 +279,7 @@ def manoeuvres(data: Data, value: np.ndarray, state: np.ndarray, grid: Grid) -> 
 
 
 def by_rule(state: np.ndarray) -> dict[str, int]:
-    """How many windows count, and how many don't for each reason."""
+    """Return how many windows count, and how many don't for each reason."""
     state = np.where(state == TURNING, windowing.STEERING, state)
     counts = {"counted": int((state == windowing.MEASURED).sum())}
     counts.update({text: int((state == rule).sum()) for rule, text in RULES.items()})
@@ -251,6 +287,6 @@ def by_rule(state: np.ndarray) -> dict[str, int]:
 
 
 def why_nothing(state: np.ndarray) -> str:
-    """The reasons for which most windows don't count, as text."""
+    """Return the reasons for which most windows don't count, as text."""
     counts = sorted(((number, text) for text, number in by_rule(state).items() if number), reverse=True)
     return "; ".join(f"{number} × {text}" for number, text in counts[:3]) or "the drive is shorter than a window"

@@ -20,27 +20,18 @@ NOT_ACKNOWLEDGED = (errno.EREMOTEIO, errno.ENXIO, errno.EIO)  # how adapters say
 
 
 class Bus(NamedTuple):
-    """What's known of a bus without using it.
+    """What's known of a bus without using it."""
 
-    Attributes:
-        path: of the device.
-        exists: whether there is anything at that path.
-        is_i2c: whether that is an I²C bus.
-        usable: whether this process may read and write it.
-        group: its group's name.
-        others: the I²C buses that there are.
-    """
-
-    path: str
-    exists: bool
-    is_i2c: bool
-    usable: bool
-    group: str
-    others: tuple = ()
+    path: str  # of the device
+    exists: bool  # whether there is anything at that path
+    is_i2c: bool  # whether that is an I²C bus
+    usable: bool  # whether this process may read and write it
+    group: str  # its group's name
+    others: tuple = ()  # the I²C buses that there are
 
 
 def check_bus(bus: Bus) -> list[Finding]:
-    """Whether it's there, an I²C bus, and open to this user."""
+    """Check whether it's there, an I²C bus, and open to this user."""
     others = f"; there are {', '.join(bus.others)}" if bus.others else ""
     if not bus.exists:
         remedy = (f"Use one of these: --i2c {bus.others[0]}" if bus.others else
@@ -83,7 +74,7 @@ def read_registers(bus, address: int) -> Registers:
 
 
 def find_others(bus, address: int) -> list[tuple[int, Registers]]:
-    """What answers like a PCA9685 at the other ``NEIGHBOURS``; stops where the bus itself fails."""
+    """Return what answers like a PCA9685 at the other ``NEIGHBOURS``; stops where the bus itself fails."""
     found = []
     for other in NEIGHBOURS:
         if other == address:
@@ -101,7 +92,7 @@ def find_others(bus, address: int) -> list[tuple[int, Registers]]:
 
 def check_chip(name: str, registers: Registers, prescale: int | None = None, driven: bool = False,
                oscillator_hz: float = 25e6) -> list[Finding]:
-    """What the registers say.
+    """Judge what the registers say.
 
     Args:
         name: of the chip: its address and bus.
@@ -134,7 +125,7 @@ def check_chip(name: str, registers: Registers, prescale: int | None = None, dri
 
 
 def check_no_answer(name: str, error: OSError, others: Sequence[tuple[int, Registers]]) -> list[Finding]:
-    """A chip that can't be read.
+    """Return the finding about a chip that can't be read.
 
     Args:
         name: of the chip: its address and bus.

@@ -26,19 +26,12 @@ ABSENT, RUNNING, KILLED, SILENT = "absent", "running", "killed", "silent"
 
 
 class Node(NamedTuple):
-    """A node that may run.
+    """A node that may run."""
 
-    Attributes:
-        name: without its namespace.
-        path: with it.
-        state: ABSENT, RUNNING, KILLED or SILENT.
-        process: by which name the master knows it, with the namespace: its own, or that of ONE_PROCESS.
-    """
-
-    name: str
-    path: str
-    state: str
-    process: str
+    name: str  # without its namespace
+    path: str  # with it
+    state: str  # ABSENT, RUNNING, KILLED or SILENT
+    process: str  # by which name the master knows it, with the namespace: its own, or that of ONE_PROCESS
 
     @property
     def runs(self) -> bool:
@@ -47,28 +40,26 @@ class Node(NamedTuple):
 
 
 def restart_remedy(process: str) -> str:
-    """How to have a node that hangs started again."""
+    """Return how to have a node that hangs started again."""
     return f"Stop the car, then rosnode kill {process}: roslaunch starts it again"
 
 
 def find_cars(names: Iterable[str]) -> list[str]:
-    """The namespaces in which nodes of a car are, from the names of all nodes of the ROS graph; sorted."""
+    """Return the namespaces in which nodes of a car are, from the names of all nodes of the ROS graph; sorted."""
     spaces = (name.rpartition("/") for name in names)
     return sorted({space or "/" for space, _, name in spaces if name in NODE_ROLES or name == ONE_PROCESS})
 
 
 def check_several(namespaces: Sequence[str]) -> list[Finding]:
-    """The finding that there are several cars, none of which was asked for."""
+    """Return the finding that there are several cars, none of which was asked for."""
     return [Finding(WARN, "nodes", f"there are {len(namespaces)} cars, in {' and '.join(namespaces)}: none was looked "
                                    "at", f"Look at each: rosrun car_interface doctor --ns {namespaces[0]}")]
 
 
 def check_nodes(nodes: Sequence[Node], namespace: str, others: Sequence[str] = ()) -> list[Finding]:
-    """One finding for those that run, one for each process that doesn't, and one for those that are missing.
+    """Return one finding for those that run, one for each process that doesn't, and one for those that are missing.
 
     Args:
-        nodes: of the car.
-        namespace: the car's.
         others: the namespaces of other cars.
     """
     if all(node.state == ABSENT for node in nodes):
@@ -105,7 +96,7 @@ def _check_running(running, namespace):
 
 
 def _processes(nodes, state):
-    """The processes of the nodes in a state, each once."""
+    """Return the processes of the nodes in a state, each once."""
     return list(dict.fromkeys(node.process for node in nodes if node.state == state))
 
 
@@ -115,7 +106,7 @@ def _launch_command(nodes, namespace):
     return f"roslaunch car_interface {'demo' if is_virtual else 'car'}.launch{in_space}"
 
 
-class Steering(NamedTuple):
+class SteeringReport(NamedTuple):
     """What turn_arb's state says."""
 
     source: str
@@ -124,8 +115,8 @@ class Steering(NamedTuple):
     repeats: bool  # whether it came more than once: a latched message outlives the node that sent it
 
 
-def check_steering(steering: Steering | None, node: Node) -> list[Finding]:
-    """Who drives and why; ``None`` = the node runs, but says nothing."""
+def check_steering(steering: SteeringReport | None, node: Node) -> list[Finding]:
+    """Tell who drives and why; ``None`` = the node runs, but says nothing."""
     if steering is None or not steering.repeats:
         return [Finding(BAD, "steering", f"{node.path} says nothing of who drives; it hangs",
                         restart_remedy(node.process))]
@@ -143,7 +134,7 @@ class Report(NamedTuple):
 
 def check_diagnostics(reports: Sequence[Report], namespace: str, reporting: Sequence[str], reported: Sequence[str] = ()
                       ) -> list[Finding]:
-    """One finding for all that is well, and one for each that is not. Those about command topics are left out.
+    """Return one finding for all that is well, and one for each that is not. Those about command topics are left out.
 
     Args:
         reports: the newest of each name.
@@ -167,7 +158,7 @@ def check_diagnostics(reports: Sequence[Report], namespace: str, reporting: Sequ
 
 
 def check_command_topics(reports: Sequence[Report], namespace: str) -> list[Finding]:
-    """What is wrong with the publishers of the topics that the nodes obey; each fault once, whoever reports it.
+    """Return what is wrong with the publishers of the topics that the nodes obey; each fault once, whoever reports it.
 
     Args:
         reports: the newest of each name.
@@ -187,7 +178,7 @@ def check_command_topics(reports: Sequence[Report], namespace: str) -> list[Find
 
 
 def _reports_of(reports, namespace):
-    """The reports of one car's nodes."""
+    """Return the reports of one car's nodes."""
     prefix = namespace.strip("/") + "/" if namespace.strip("/") else ""
     return [report for report in reports if report.name.startswith(prefix)
             and "/" not in report.name.partition(":")[0][len(prefix):]]
@@ -202,27 +193,21 @@ def _is_of(report, path):
 
 
 class Reading(NamedTuple):
-    """How a node took the parameters that are on the server for it.
+    """How a node took the parameters that are on the server for it."""
 
-    Attributes:
-        path: the node's name, with its namespace.
-        fault: why it refused them; empty when it took them.
-        runs: whether the node runs, with the parameters that it found when it started.
-    """
-
-    path: str
-    fault: str
-    runs: bool
+    path: str  # the node's name, with its namespace
+    fault: str  # why it refused them; empty when it took them
+    runs: bool  # whether the node runs, with the parameters that it found when it started
 
 
 def check_files(faults: Sequence[str]) -> list[Finding]:
-    """One finding for each fault of the files that nodes are launched with."""
+    """Return one finding for each fault of the files that nodes are launched with."""
     return [Finding(WARN, "files", fault, "Correct the file, and start again: roslaunch takes the last of two values "
                                           "without a word, and ~save refuses the file") for fault in faults]
 
 
 def check_parameters(readings: Sequence[Reading]) -> list[Finding]:
-    """One finding for all nodes that take their parameters, and one for each that doesn't."""
+    """Return one finding for all nodes that take their parameters, and one for each that doesn't."""
     if not readings:
         return [Finding(OK, "parameters", "none on the server; launch files bring them")]
     good = [reading.path for reading in readings if not reading.fault]

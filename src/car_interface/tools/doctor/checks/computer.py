@@ -10,21 +10,15 @@ from car_interface.tools.doctor.checks.findings import BAD, OK, WARN, Finding
 
 
 class Need(NamedTuple):
-    """A group that opens a device.
+    """A group that opens a device."""
 
-    Attributes:
-        group: its name.
-        purpose: what it's for.
-        level: how bad it is to be outside.
-    """
-
-    group: str
-    purpose: str
-    level: int
+    group: str  # its name
+    purpose: str  # what it's for
+    level: int  # how bad it is to be outside
 
 
 def check_groups(who: Membership, needs: Sequence[Need]) -> list[Finding]:
-    """One finding for all groups that are as they should be, and one for each that isn't."""
+    """Return one finding for all groups that are as they should be, and one for each that isn't."""
     if who.is_root:
         return [Finding(OK, "groups", "this is root, which needs none; the nodes don't need root")]
     if not needs:
@@ -50,21 +44,15 @@ PLAUSIBLE_YEARS = range(2024, 2100)
 
 
 class ClockReading(NamedTuple):
-    """What the clocks say.
+    """What the clocks say."""
 
-    Attributes:
-        year: of the wall clock.
-        synchronised: whether the kernel knows it to be set by NTP or the like; ``None`` = it doesn't say.
-        uses_sim_time: the parameter /use_sim_time.
-    """
-
-    year: int
-    synchronised: bool | None
-    uses_sim_time: bool
+    year: int  # of the wall clock
+    synchronised: bool | None  # whether the kernel knows it to be set by NTP or the like; None = it doesn't say
+    uses_sim_time: bool  # the parameter /use_sim_time
 
 
 def check_clock(clock: ClockReading) -> list[Finding]:
-    """The clock's findings; the driving itself goes by the monotonic clock and minds none of them."""
+    """Return the clock's findings; the driving itself goes by the monotonic clock and minds none of them."""
     found = []
     if clock.year not in PLAUSIBLE_YEARS:
         found.append(Finding(BAD, "clock", f"it's the year {clock.year}: stamps and bags will be wrong",
@@ -85,21 +73,15 @@ def check_clock(clock: ClockReading) -> list[Finding]:
 # --- versions ---
 
 class Library(NamedTuple):
-    """A library that nodes import.
+    """A library that nodes import."""
 
-    Attributes:
-        name: as it's imported.
-        version: as a text; ``None`` when it can't be imported, empty when it isn't known.
-        remedy: what installs it.
-    """
-
-    name: str
-    version: str | None
-    remedy: str
+    name: str  # as it's imported
+    version: str | None  # as a text; None when it can't be imported, empty when it isn't known
+    remedy: str  # what installs it
 
 
 def check_versions(python: str, libraries: Iterable[Library]) -> list[Finding]:
-    """One finding for Python and all libraries that are there, and one for each that isn't."""
+    """Return one finding for Python and all libraries that are there, and one for each that isn't."""
     found, good = [], [f"Python {python}"]
     for library in libraries:
         if library.version is None:
@@ -115,7 +97,7 @@ INSTALL_TOOLS = "docs/recordings.md, Install the tools"
 
 
 def check_tools(missing: Sequence[str], environment: str) -> list[Finding]:
-    """Whether the commands for recordings can run.
+    """Check whether the commands for recordings can run.
 
     Args:
         missing: the libraries that this Python lacks.
@@ -131,7 +113,7 @@ def check_tools(missing: Sequence[str], environment: str) -> list[Finding]:
 
 
 def check_joy(is_installed: bool, is_published: bool, distribution: str) -> list[Finding]:
-    """Whether a gamepad's messages can come.
+    """Check whether a gamepad's messages can come.
 
     Args:
         is_installed: the ROS package joy, whose joy_node reads the gamepad.

@@ -16,28 +16,21 @@ NARROWEST = 60  # below it a line would be all indentation
 
 
 class Finding(NamedTuple):
-    """What one check found.
+    """What one check found."""
 
-    Attributes:
-        level: OK, WARN (the car may drive) or BAD (it can't, or shouldn't).
-        subject: what was examined, one word.
-        what: what was found.
-        remedy: what to do or type next; empty only when it's OK.
-    """
-
-    level: int
-    subject: str
-    what: str
-    remedy: str = ""
+    level: int  # OK, WARN (the car may drive) or BAD (it can't, or shouldn't)
+    subject: str  # what was examined, one word
+    what: str  # what was found
+    remedy: str = ""  # what to do or type next; empty only when it's OK
 
 
 def worst(findings: Sequence[Finding]) -> int:
-    """The highest level: the exit code."""
+    """Return the highest level: the exit code."""
     return max((finding.level for finding in findings), default=OK)
 
 
 def render(finding: Finding, width: int | None = None, colour: bool = False) -> str:
-    """A finding as text.
+    """Return a finding as text.
 
     Args:
         finding: what to show.
@@ -59,7 +52,7 @@ def render(finding: Finding, width: int | None = None, colour: bool = False) -> 
 
 
 def summarise(findings: Sequence[Finding], colour: bool = False) -> str:
-    """The last line: how many of each kind, and what that means."""
+    """Return the last line: how many of each kind, and what that means."""
     if not findings:
         return "nothing was looked at"
     levels = [finding.level for finding in findings]

@@ -32,7 +32,7 @@ class JoySample(NamedTuple):
     values: dict
 
 
-class Gamepad(NamedTuple):
+class GamepadFacts(NamedTuple):
     """What is known of the gamepad.
 
     Attributes:
@@ -55,8 +55,8 @@ class Gamepad(NamedTuple):
     stick_cause: str = ""
 
 
-def check_gamepad(gamepad: Gamepad) -> list[Finding]:
-    """One finding: the first thing that keeps a deadman from being held, or that all is well."""
+def check_gamepad(gamepad: GamepadFacts) -> list[Finding]:
+    """Return one finding: the first thing that keeps a deadman from being held, or that all is well."""
     sample, topic = gamepad.sample, gamepad.topic
     if not sample.messages:
         return [_nothing_came(gamepad)]
@@ -88,7 +88,7 @@ def _nothing_came(gamepad):
 
 
 def _broken(gamepad):
-    """What is wrong with the messages, or ``None``."""
+    """Return what is wrong with the messages, or ``None``."""
     sample, config, topic = gamepad.sample, gamepad.config, gamepad.topic
     missing = missing_index(config, sample.axes, sample.buttons)
     if missing is not None:

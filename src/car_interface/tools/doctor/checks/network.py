@@ -12,20 +12,13 @@ LISTENING = "0A"  # as /proc/net/tcp has it
 LOCAL_ONLY = "export ROS_IP=127.0.0.1 ROS_MASTER_URI=http://127.0.0.1:{port}"
 
 
-class Master(NamedTuple):
-    """Where the master is, and whether it's there.
+class MasterAddress(NamedTuple):
+    """Where the master is, and whether it's there."""
 
-    Attributes:
-        uri: ROS_MASTER_URI; empty when it isn't set.
-        trouble: why it didn't answer; empty when it did.
-        is_here: whether its host is this one; ``None`` when the host's name can't be resolved.
-        listens_on: the addresses that something on this host listens on at its port.
-    """
-
-    uri: str
-    trouble: str = ""
-    is_here: bool | None = True
-    listens_on: tuple = ()
+    uri: str  # ROS_MASTER_URI; empty when it isn't set
+    trouble: str = ""  # why it didn't answer; empty when it did
+    is_here: bool | None = True  # whether its host is this one; None when the host's name can't be resolved
+    listens_on: tuple = ()  # the addresses that something on this host listens on at its port
 
 
 def host_and_port(uri: str) -> tuple[str, int] | None:
@@ -39,8 +32,8 @@ def host_and_port(uri: str) -> tuple[str, int] | None:
         return None
 
 
-def check_master(master: Master) -> list[Finding]:
-    """Whether it answers, and who else can reach it."""
+def check_master(master: MasterAddress) -> list[Finding]:
+    """Check whether it answers, and who else can reach it."""
     if not master.uri:
         return [Finding(BAD, "master", "ROS_MASTER_URI is not set: no ROS program can run",
                         "Source the workspace: source devel/setup.bash")]
@@ -64,7 +57,7 @@ def check_master(master: Master) -> list[Finding]:
 
 
 def _exposure(master, host, port):
-    """Who can reach a master that answers."""
+    """Return who can reach a master that answers."""
     lock_in = LOCAL_ONLY.format(port=port)
     if not master.is_here:
         return Finding(WARN, "master", f"{master.uri} is on another host: whoever reaches it drives the car",
@@ -87,11 +80,10 @@ def _is_any(address):
 
 
 def listeners(tables: Iterable[str], port: int) -> tuple[str, ...]:
-    """The addresses that something listens on at a TCP port.
+    """Return the addresses that something listens on at a TCP port.
 
     Args:
         tables: the texts of /proc/net/tcp and /proc/net/tcp6, on a little-endian computer.
-        port: the port.
     """
     found = set()
     for table in tables:
@@ -113,28 +105,21 @@ def _address(hexadecimal):
 
 
 class LocalAddress(NamedTuple):
-    """Under which name or address the nodes that are started here tell others to call them.
+    """Under which name or address the nodes that are started here tell others to call them."""
 
-    Attributes:
-        name: ROS_HOSTNAME, ROS_IP or this host's name.
-        resolves: whether it can be looked up from here.
-        is_here: whether it leads to this host.
-        is_loopback: whether it can be reached from this host only.
-    """
-
-    name: str
-    resolves: bool
-    is_here: bool
-    is_loopback: bool
+    name: str  # ROS_HOSTNAME, ROS_IP or this host's name
+    resolves: bool  # whether it can be looked up from here
+    is_here: bool  # whether it leads to this host
+    is_loopback: bool  # whether it can be reached from this host only
 
 
 def local_name(environment: Mapping[str, str], host_name: str) -> str:
-    """The name that ROS would take: ROS_HOSTNAME, else ROS_IP, else the host's."""
+    """Return the name that ROS would take: ROS_HOSTNAME, else ROS_IP, else the host's."""
     return environment.get("ROS_HOSTNAME") or environment.get("ROS_IP") or host_name
 
 
 def check_local_address(environment: Mapping[str, str], own: LocalAddress, master_is_here: bool) -> list[Finding]:
-    """Whether other nodes can reach what is started here."""
+    """Check whether other nodes can reach what is started here."""
     both = [name for name in ("ROS_HOSTNAME", "ROS_IP") if environment.get(name)]
     source = both[0] if both else "this host's name"
     remedy = ("export ROS_IP=127.0.0.1" if master_is_here else

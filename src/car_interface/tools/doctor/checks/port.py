@@ -24,7 +24,7 @@ MAX_TRANSMIT_NS = 3600 * NS_PER_MS  # five unanswered pings at 0.5 s each, and o
 
 
 def check_holders(path: str, holders: Sequence[tuple[int, str]]) -> list[Finding]:
-    """A finding when other programs have the port open; bytes that they read, the hub can't."""
+    """Return a finding when other programs have the port open; bytes that they read, the hub can't."""
     if not holders:
         return []
     names = [f"{name} (process {pid})" for pid, name in holders]
@@ -46,7 +46,7 @@ def check_holders(path: str, holders: Sequence[tuple[int, str]]) -> list[Finding
 
 
 def is_terminal(major: int, minor: int, drivers: str) -> bool:
-    """Whether a device is a serial port or another terminal.
+    """Return whether a device is a serial port or another terminal.
 
     Args:
         major: of its number, as is the minor.
@@ -92,7 +92,7 @@ def _check_teensy(link, node):
 
 
 def check_virtual_port(port: str, simulator: str, hub_runs: bool) -> list[Finding]:
-    """A virtual Teensy's port while car_sim, which makes it, doesn't run; ``simulator`` is its state."""
+    """Judge a virtual Teensy's port while car_sim, which makes it, doesn't run; ``simulator`` is its state."""
     if simulator != ABSENT:
         return [Finding(BAD, "port", f"{port}: nothing comes from the virtual Teensy: car_sim, which is behind this "
                                      "port, doesn't answer", "See the nodes above")]
@@ -136,17 +136,17 @@ class TeensyProbe:
         return self._session.ping(now_ns // NS_PER_MS % protocol.UINT32, now_ns)
 
     def next_event_ns(self) -> int:
-        """When ``step`` has something to do."""
+        """Return when ``step`` has something to do."""
         return min(self._session.next_event_ns(), self._end_ns)
 
     def is_done(self, now_ns: int) -> bool:
-        """Whether the state is known, or it took too long."""
+        """Return whether the state is known, or it took too long."""
         has_sonar_reports = len(self._sonars) == len(protocol.SONARS) or now_ns >= self._sonars_ns
         is_fine = self._session.verdict.state == FINE and self._session.pongs > 1 and has_sonar_reports
         return now_ns >= self._end_ns or is_fine and not self._session.tally.bad_frames
 
     def finding(self) -> Finding:
-        """The finding about the Teensy."""
+        """Return the finding about the Teensy."""
         verdict = self._session.verdict
         if verdict.state == FINE and not self._session.pongs:
             return Finding(WARN, "Teensy", f"{verdict.description}, but no ping was answered",

@@ -28,7 +28,7 @@ from car_interface.tools.doctor.checks.computer import (
 from car_interface.tools.doctor.checks.findings import BAD, WARN
 from car_interface.tools.doctor.checks.network import (
     LocalAddress,
-    Master,
+    MasterAddress,
     check_local_address,
     check_master,
     host_and_port,
@@ -47,6 +47,7 @@ LIBRARIES = (
      "sudo apt install ros-noetic-diagnostic-updater (Debian: python3-diagnostic-updater)"),
     ("dynamic_reconfigure", "dynamic_reconfigure",
      "sudo apt install ros-noetic-dynamic-reconfigure (Debian: python3-dynamic-reconfigure)"),
+    ("evdev", "evdev", "sudo apt install python3-evdev"),
     ("serial", "pyserial", "sudo apt install python3-serial"),
     ("smbus2", "smbus2", "sudo apt install python3-smbus2 (Ubuntu 20.04: pip3 install smbus2)"),
 )
@@ -55,13 +56,13 @@ LIBRARIES = (
 MESSAGES = ("diagnostic_msgs", "geometry_msgs", "nav_msgs", "sensor_msgs", "std_msgs", "std_srvs", "tf2_msgs",
             "visualization_msgs")
 # What the commands for recordings import, and where docs/recordings.md has them installed.
-TOOLS = {"matplotlib": "matplotlib", "numpy": "numpy", "rosbags": "rosbags", "scipy": "scipy", "tqdm": "tqdm",
-         "yaml": "PyYAML"}
+TOOLS = {"jinja2": "Jinja2", "matplotlib": "matplotlib", "numpy": "numpy", "rosbags": "rosbags", "scipy": "scipy",
+         "tqdm": "tqdm", "yaml": "PyYAML"}
 TOOLS_ENVIRONMENT = "~/car_tools/bin/car-interface"
 
 
 def probe_groups(port: str, bus: str, virtual_port: bool, virtual_bus: bool):
-    """Whether this process is in the groups of the devices that the car uses."""
+    """Return whether this process is in the groups of the devices that the car uses."""
     needs = []
     if not virtual_port:
         needs.append(Need(group_of(port, "dialout"), "the Teensy's port", BAD))
@@ -73,7 +74,9 @@ def probe_groups(port: str, bus: str, virtual_port: bool, virtual_bus: bool):
 
 
 def group_of(path: str, usual: str) -> str:
-    """A device's group; the usual one when it's absent, a console's, or root's, as before a udev rule was installed."""
+    """Return a device's group; the usual one when it's absent, a console's, or root's, as before a udev rule was
+    installed.
+    """
     try:
         gid = os.stat(path).st_gid
         return grp.getgrgid(gid).gr_name if gid and not is_consoles(path) else usual
@@ -82,13 +85,13 @@ def group_of(path: str, usual: str) -> str:
 
 
 def probe_clock(uses_sim_time: bool):
-    """Whether the wall clock is set, and what nodes take for the time."""
+    """Return whether the wall clock is set, and what nodes take for the time."""
     return check_clock(ClockReading(year=time.gmtime().tm_year, synchronised=_is_synchronised(),
                                     uses_sim_time=uses_sim_time))
 
 
 def _is_synchronised():
-    """As the kernel has it; ``None`` where it isn't known."""
+    """Return whether the clock is, as the kernel has it; ``None`` where it isn't known."""
     try:
         state = ctypes.CDLL(None, use_errno=True).adjtimex(ctypes.create_string_buffer(TIMEX_SIZE))  # zeros: only asks
     except (OSError, AttributeError):
@@ -146,7 +149,7 @@ def _version(name, distribution):
 
 
 def probe_network(uri: str, ask_master: Callable[[], str]):
-    """The master and this computer's own address.
+    """Return the master and this computer's own address.
 
     Args:
         uri: ROS_MASTER_URI.
@@ -157,10 +160,10 @@ def probe_network(uri: str, ask_master: Callable[[], str]):
     """
     place = host_and_port(uri) if uri else None
     if place is None:
-        return check_master(Master(uri)), [], False
+        return check_master(MasterAddress(uri)), [], False
     here = _leads_here(place[0])
     trouble = ask_master() if here is not None else "its host can't be found"
-    master = Master(uri, trouble, here, listeners(_tcp_tables(), place[1]) if here else ())
+    master = MasterAddress(uri, trouble, here, listeners(_tcp_tables(), place[1]) if here else ())
     name = local_name(os.environ, socket.gethostname())
     leads_here = _leads_here(name)
     own = LocalAddress(name, leads_here is not None, bool(leads_here), _is_loopback(name))
@@ -175,7 +178,7 @@ def _addresses(host):
 
 
 def _leads_here(host):
-    """Whether a name leads to this computer; ``None`` when it leads nowhere."""
+    """Return whether a name leads to this computer; ``None`` when it leads nowhere."""
     addresses = _addresses(host)
     return any(map(_is_local, addresses)) if addresses else None
 

@@ -28,7 +28,7 @@ LIST_PORTS = "See which there are: ls /dev/serial/by-id /dev/ttyA*"
 
 
 def is_pseudo_terminal(port: str) -> bool:
-    """Whether there is a program behind a port, as with car_sim."""
+    """Return whether there is a program behind a port, as with car_sim."""
     return os.path.realpath(port).startswith(PSEUDO_TERMINALS)
 
 
@@ -57,7 +57,7 @@ def probe_port(port: str, baud: int):
 
 
 def _subsystem(path):
-    """What kind of device the kernel says it is, such as ``tty``; ``None`` when it says nothing."""
+    """Return what kind of device the kernel says it is, such as ``tty``; ``None`` when it says nothing."""
     try:
         number = os.stat(path).st_rdev
     except OSError:
@@ -78,7 +78,7 @@ def _subsystem(path):
 
 
 def _probe(link, baud):
-    """The finding about the Teensy behind an open port."""
+    """Return the finding about the Teensy behind an open port."""
     now_ns = time.monotonic_ns()
     probe = TeensyProbe(baud, now_ns)
     while not probe.is_done(now_ns):

@@ -15,10 +15,10 @@ from car_interface.common.params import Params
 from car_interface.common.processes import script_arguments
 from car_interface.common.yaml_file import compose_yaml, read_yaml
 from car_interface.ros.start import full_name
+from car_interface.ros.xmlrpc_calls import call
 from car_interface.tools.doctor.checks.car import ABSENT, KILLED, ONE_PROCESS, RUNNING, SILENT, SIMULATOR, Node, Reading
 
 CALLER = "/doctor"
-ANSWER_WITHIN_S = 1.0
 # These may be parts of ONE_PROCESS.
 PARTS = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "throttle_arb", "planner_interface")
 NODES = (*PARTS, "teleop_logi", SIMULATOR)
@@ -26,15 +26,10 @@ ON_REQUEST = ("throttle_arb", "planner_interface")  # those of them that ONE_PRO
 
 
 class Graph(NamedTuple):
-    """The ROS graph.
+    """The ROS graph."""
 
-    Attributes:
-        publishers: the names of the nodes that publish, by topic.
-        nodes: the names of all nodes that publish, subscribe or serve.
-    """
-
-    publishers: dict
-    nodes: frozenset
+    publishers: dict  # the names of the nodes that publish, by topic
+    nodes: frozenset  # the names of all nodes that publish, subscribe or serve
 
 
 class Master:
@@ -48,7 +43,7 @@ class Master:
         self._uri = uri
 
     def trouble(self) -> str:
-        """Why it doesn't answer; empty when it does."""
+        """Return why it doesn't answer; empty when it does."""
         try:
             self.ask("getPid")
         except xmlrpc.client.ProtocolError as error:
@@ -58,31 +53,31 @@ class Master:
         return ""
 
     def ask(self, question: str, *arguments: Any, caller: str = CALLER) -> Any:
-        """The value of an answer.
+        """Return the value of an answer.
 
         Raises:
             LookupError: when the master says no.
         """
-        code, message, value = ask(self._uri, question, caller, *arguments)
+        code, message, value = call(self._uri, question, caller, *arguments)
         if code != 1:
             raise LookupError(message)
         return value
 
     def parameter(self, path: str) -> Any:
-        """A parameter's value; ``None`` when there is none."""
+        """Return a parameter's value; ``None`` when there is none."""
         try:
             return self.ask("getParam", path)
         except LookupError:
             return None
 
     def graph(self) -> Graph:
-        """Who publishes, subscribes and serves."""
+        """Return who publishes, subscribes and serves."""
         publishers, *others = ([(name, tuple(nodes)) for name, nodes in kind] for kind in self.ask("getSystemState"))
         everybody = (nodes for kind in (publishers, *others) for _, nodes in kind)
         return Graph(dict(publishers), frozenset(node for nodes in everybody for node in nodes))
 
     def node(self, name: str, namespace: str, graph: Graph) -> Node:
-        """What a node does. Where it isn't itself, ONE_PROCESS may be it."""
+        """Return what a node does. Where it isn't itself, ONE_PROCESS may be it."""
         path = f"{namespace.rstrip('/')}/{name}"
         own = Node(name, path, self._state(path, graph), path)
         if own.runs or name not in PARTS or name in ON_REQUEST and f"{path}/state" not in graph.publishers:
@@ -92,7 +87,7 @@ class Master:
         return own if state == ABSENT else Node(name, path, state, process)
 
     def _state(self, path, graph):
-        """The state of a process.
+        """Return the state of a process.
 
         The master also remembers nodes that have ended, by a subscription to a parameter that they made when they
         logged their last line: what counts is the graph.
@@ -100,7 +95,7 @@ class Master:
         if path not in graph.nodes:
             return ABSENT
         try:
-            ask(self.ask("lookupNode", path), "getPid", CALLER)
+            call(self.ask("lookupNode", path), "getPid", CALLER)
         except LookupError:  # it has ended meanwhile
             return ABSENT
         except ConnectionRefusedError:
@@ -110,7 +105,9 @@ class Master:
         return RUNNING
 
     def fixed_parameters(self, node: Node) -> dict:
-        """What a launch file gave to the process of a node that runs on this computer; else nothing is known of it."""
+        """Return what a launch file gave to the process of a node that runs on this computer; else nothing is known of
+        it.
+        """
         if not node.runs:
             return {}
         process = node.process.rpartition("/")[2]
@@ -118,13 +115,13 @@ class Master:
             uri = self.ask("lookupNode", node.process)
             if not _is_here(urlsplit(uri).hostname):
                 return {}
-            _, _, pid = ask(uri, "getPid", CALLER)
+            _, _, pid = call(uri, "getPid", CALLER)
             return fixed_parameters(node.name, script_arguments(pid, process), process)
         except Exception:  # it has ended meanwhile, or was started with arguments that it refuses and reports
             return {}
 
     def search_parents(self, path: str, name: str) -> Any:
-        """A parameter from the nearest of the namespaces around a node; ``None`` when none has it."""
+        """Return a parameter from the nearest of the namespaces around a node; ``None`` when none has it."""
         try:
             return self.parameter(self.ask("searchParam", name, caller=path))
         except LookupError:
@@ -150,27 +147,14 @@ def read_files(master: Master, nodes: Sequence[Node]) -> list[str]:
     return faults
 
 
-def ask(uri: str, question: str, *arguments: Any) -> Any:
-    """Any XML-RPC server's answer."""
-    with xmlrpc.client.ServerProxy(uri, transport=_HastyTransport()) as server:
-        return getattr(server, question)(*arguments)
-
-
 def _is_here(host):
-    """Whether a host name or address is this computer's."""
+    """Return whether a host name or address is this computer's."""
     with socket.socket() as probe:
         try:
             probe.bind((host, 0))
         except OSError:
             return False
     return True
-
-
-class _HastyTransport(xmlrpc.client.Transport):
-    def make_connection(self, host: Any):
-        connection = super().make_connection(host)
-        connection.timeout = ANSWER_WITHIN_S
-        return connection
 
 
 def read_parameters(master: Master, node: Node) -> Reading | None:

@@ -8,7 +8,7 @@ import pytest
 
 from car_interface.tools.calibration.drive.area import Area, Pose, moved
 from car_interface.tools.calibration.drive.calibration_drive import CalibrationDrive
-from car_interface.tools.calibration.drive.config import DriveConfig
+from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
 from car_interface.tools.calibration.drive.positions import Candidate
 from car_interface.tools.calibration.drive.step import BLOCKED, DONE, MEASURING, PAUSED, SETTLING, TURNING, WAITING
 from tools.calibration.drive.light_car import CURVE, LightCar, S, base, offer
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.once
 
 def car(**options):
     config = {name: options.pop(name) for name in ("max_time_s", "radius_m") if name in options}
-    return LightCar(CalibrationDrive(base(), DriveConfig(**config)), **options)
+    return LightCar(CalibrationDrive(base(), CalibrationDriveConfig(**config)), **options)
 
 
 def test_without_inputs_it_waits_and_says_for_what():

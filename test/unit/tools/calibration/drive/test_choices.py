@@ -5,10 +5,10 @@ import pytest
 
 from car_interface.tools.calibration.drive.area import Area, Pose
 from car_interface.tools.calibration.drive.choices import Choices, wanted_length_m
-from car_interface.tools.calibration.drive.config import DriveConfig
-from car_interface.tools.calibration.drive.motion import Motion
+from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
 from car_interface.tools.calibration.drive.outlook import Outlook
 from car_interface.tools.calibration.drive.positions import Candidate
+from car_interface.tools.calibration.drive.samples import Motion
 from car_interface.tools.calibration.drive.stops import Stops
 from car_interface.tools.calibration.drive.survey import Survey
 from tools.calibration.drive.light_car import base, offer
@@ -20,7 +20,7 @@ def choices(pose=START):
     """Those of a car at a pose that held nothing yet."""
     motion, survey = Motion(), Survey(base(), 300.0)
     motion.update(pose, 0.8, 0)
-    outlook = Outlook(base(), DriveConfig(), survey, motion, Area((0.0, 0.0), 2.88), None, Stops())
+    outlook = Outlook(base(), CalibrationDriveConfig(), survey, motion, Area((0.0, 0.0), 2.88), None, Stops())
     return Choices(base(), survey, outlook)
 
 

@@ -8,12 +8,12 @@ import pytest
 
 from car_interface.tools.calibration.delay import Delay
 from car_interface.tools.calibration.drive.area import Area, Pose, moved
-from car_interface.tools.calibration.drive.config import DriveConfig
+from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
 from car_interface.tools.calibration.drive.hold import Hold
 from car_interface.tools.calibration.drive.knowledge import Knowledge
-from car_interface.tools.calibration.drive.motion import Motion
 from car_interface.tools.calibration.drive.outlook import Outlook
 from car_interface.tools.calibration.drive.positions import Measured
+from car_interface.tools.calibration.drive.samples import Motion
 from car_interface.tools.calibration.drive.survey import Survey
 from tools.calibration.drive.light_car import S, base
 
@@ -23,7 +23,7 @@ ACROSS = Pose(-2.0, 0.0, 0.0)
 
 def outlook(pose, speed_mps=1.0, braking_mps2=1.0, **stops):
     """Of a car that rolls straight on, is at a pose by now, and was seen to stop as the last arguments say."""
-    motion, config = Motion(), DriveConfig(braking_mps2=braking_mps2)
+    motion, config = Motion(), CalibrationDriveConfig(braking_mps2=braking_mps2)
     for tick in range(20):
         motion.update(moved(pose, -0.02 * speed_mps * (19 - tick), 0.0), speed_mps, tick * S // 50)
     survey = Survey(base(), 300.0)

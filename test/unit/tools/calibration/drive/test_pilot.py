@@ -8,8 +8,9 @@ import pytest
 from car_interface.throttle.obstacle_stop import Mount, ObstacleConfig
 from car_interface.tools.calibration.drive.area import Area
 from car_interface.tools.calibration.drive.calibration_drive import CalibrationDrive
-from car_interface.tools.calibration.drive.config import DriveConfig
+from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
 from car_interface.tools.calibration.drive.outlook import Outlook
+from car_interface.tools.calibration.drive.pilot import LostTurns
 from car_interface.tools.calibration.drive.positions import Candidate, Positions
 from car_interface.tools.calibration.drive.step import AVOIDING, BLOCKED, MEASURING, TURNING
 from tools.calibration.drive.light_car import LightCar, base, offer
@@ -20,7 +21,8 @@ MOUNTS = {"front_right": Mount(0.4, -0.1, -0.52), "front_middle": Mount(0.42, 0.
 
 
 def car(ranges=None, fits=True, **options):
-    one = LightCar(CalibrationDrive(base(), DriveConfig(obstacles=ObstacleConfig(MOUNTS), **options)), fits=fits)
+    config = CalibrationDriveConfig(obstacles=ObstacleConfig(MOUNTS), **options)
+    one = LightCar(CalibrationDrive(base(), config), fits=fits)
     one.ranges = dict.fromkeys(MOUNTS, math.inf) if ranges is None else ranges
     return one
 
@@ -170,3 +172,41 @@ def test_what_is_held_first_after_a_pause_is_not_counted():
     assert one.drive.progress(one.now_ns).positions == counted
     one.run(15)
     assert one.drive.progress(one.now_ns).positions > counted
+
+
+LEFT, RIGHT = 0, 1
+THREE_RAD = 6 * math.pi
+
+
+@pytest.mark.parametrize("driven, sign, lost", [(RIGHT, -1, LEFT), (LEFT, 1, RIGHT)], ids=("right", "left"))
+def test_a_turn_is_lost_after_three_to_the_other_side_only(driven, sign, lost):
+    one = LostTurns()
+    one.update_motion(sign * (THREE_RAD - 0.1))
+    assert one.drive(driven) is None
+    one.update_motion(sign * 0.2)
+    assert one.drive(driven) == lost and one.asked is None
+
+
+def test_what_it_turns_to_that_side_on_its_way_does_not_find_it_again():
+    one = LostTurns()
+    for _ in range(40):
+        one.update_motion(-0.5)
+        one.update_motion(0.3)
+    assert one.drive(RIGHT) == LEFT
+
+
+def test_a_tight_turn_to_that_side_does():
+    one = LostTurns()
+    one.update_motion(-THREE_RAD)
+    one.drive(LEFT)
+    one.update_motion(-1.0)
+    assert one.drive(RIGHT) is None
+
+
+def test_it_asks_again_only_after_three_more():
+    one = LostTurns()
+    one.update_motion(-THREE_RAD)
+    one.ask(LEFT)
+    assert one.asked == LEFT and one.drive(RIGHT) is None
+    one.update_motion(-THREE_RAD)
+    assert one.drive(RIGHT) == LEFT

@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import pytest
 
-from car_interface.tools.calibration.drive.config import DriveConfig
+from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
 from car_interface.tools.calibration.drive.step import DONE, MEASURING, PAUSED, SETTLING
 from car_interface.tools.calibration.drive.stick_guide import StickGuide
 from tools.calibration.drive.light_car import LightCar, base
@@ -12,7 +12,7 @@ pytestmark = pytest.mark.once
 
 
 def car(**options):
-    return LightCar(StickGuide(base(), DriveConfig(**options)), fits=options.pop("fits", True))
+    return LightCar(StickGuide(base(), CalibrationDriveConfig(**options)), fits=options.pop("fits", True))
 
 
 def obey(one, seconds, off_duty=0, speed_mps=1.0, until=lambda guidance: False):

@@ -14,7 +14,7 @@ from car_interface.tools.calibration.drive.step import (
     SETTLING,
     Guidance,
     Progress,
-    Row,
+    RadiusRow,
     Step,
 )
 
@@ -22,7 +22,7 @@ NAN, INF = math.nan, math.inf
 
 
 def row(side="left", radius_m=1.0, error=0.01):
-    return Row(side, radius_m, 4000.0, 3.0, error, error < 0.08)
+    return RadiusRow(side, radius_m, 4000.0, error, error < 0.08)
 
 
 def progress(fraction=0.24, rows=(), missing=(), center=NAN, left_s=130.0):

@@ -5,9 +5,9 @@ import math
 import random
 
 import numpy as np
+from esc_car import EscCar, EscCarConfig
 
 from car_interface.sim import esc as virtual
-from car_interface.sim.esc_car import EscCar, EscCarConfig
 from car_interface.tools.calibration.esc.pulls import EscDrive
 
 MS = 1_000_000

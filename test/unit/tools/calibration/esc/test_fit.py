@@ -6,9 +6,9 @@ import os
 
 import numpy as np
 import pytest
+from esc_car import EscCarConfig
 
 from car_interface.sim import esc as virtual
-from car_interface.sim.esc_car import EscCarConfig
 from car_interface.throttle.esc_config import EscConfig
 from car_interface.tools.calibration.esc.fit import fit
 from car_interface.tools.calibration.esc.pulls import EscDrive

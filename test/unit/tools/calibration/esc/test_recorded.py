@@ -7,7 +7,7 @@ import pytest
 from car_interface.common.errors import CarInterfaceError
 from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.tools.calibration.esc.pulls import pulls, sampled
-from car_interface.tools.calibration.esc.recorded import joined, load_drive
+from car_interface.tools.calibration.esc.recorded import joined, load_esc_drive
 from car_interface.tools.recordings.recording import NoRecording
 from written_recordings import Written, odometry, write_ros1
 
@@ -40,7 +40,7 @@ def driven(tmp_path, messages, gap=(END_S, END_S), calibration=SHIPPED):
     odom = [odometry(time_s, x_m=time_s, speed_mps=1.0) for time_s in np.arange(0.0, END_S, 0.02)
             if not gap[0] < time_s < gap[1]]
     path = write_ros1(tmp_path / "a.bag", sorted([*odom, *messages], key=lambda message: message.time_s))
-    return load_drive(str(path), calibration)
+    return load_esc_drive(str(path), calibration)
 
 
 def duty_at(drive, time_s):

@@ -7,12 +7,12 @@ import numpy as np
 
 from car_interface.tools.calibration.delay import Delay, held, lagged
 from car_interface.tools.calibration.steering import fit
-from car_interface.tools.calibration.steering.drive import Drive, FitConfig
+from car_interface.tools.calibration.steering.drive import CurveFitConfig, SteeringDrive
 
 STEP_S = 0.02
 LEFT_STOP, CENTER, RIGHT_STOP = 3900, 5200, 6400
 KNOWN_DELAY = Delay(0.0, 0.15, 1.0)  # to find it takes most of a fit's time
-KNOWN = FitConfig(delay=KNOWN_DELAY, backlash_duty=0.0)  # the synthetic car's, unless it is told otherwise
+KNOWN = CurveFitConfig(delay=KNOWN_DELAY, backlash_duty=0.0)  # the synthetic car's, unless it is told otherwise
 
 
 def true_curvature(duty):
@@ -34,7 +34,7 @@ def drive(duties, curve=true_curvature, speed_mps=1.5, hold_s=3.0, lag_s=0.15, d
     speed = np.full(len(t_s), speed_mps)
     distance_m = np.cumsum(speed) * STEP_S
     yaw = np.cumsum(curve(wheels) * speed) * STEP_S + noise_rad * rng.standard_normal(len(t_s))
-    return Drive(t_s, distance_m, yaw, duty_t_s, np.array(duties, float))
+    return SteeringDrive(t_s, distance_m, yaw, duty_t_s, np.array(duties, float))
 
 
 def with_gaps(whole, every_s, missed_s, first_s=3.0):
@@ -45,7 +45,7 @@ def with_gaps(whole, every_s, missed_s, first_s=3.0):
     t_s = np.arange(whole.duty_t_s[0], whole.t_s[-1], 0.1)
     duty = held(whole.duty_t_s, whole.duty, t_s + 1e-9)
     odom, output = has_subscribers(whole.t_s), has_subscribers(t_s)
-    return Drive(whole.t_s[odom], whole.distance_m[odom], whole.yaw_rad[odom], t_s[output], duty[output])
+    return SteeringDrive(whole.t_s[odom], whole.distance_m[odom], whole.yaw_rad[odom], t_s[output], duty[output])
 
 
 def mixed(low=3700, high=6600, count=40, seed=3):

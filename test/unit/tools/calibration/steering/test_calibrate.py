@@ -12,9 +12,9 @@ import yaml
 
 from car_interface.common.errors import CarInterfaceError
 from car_interface.steering.calibration import SteeringCalibration
+from car_interface.tools.calibration.shared import NothingToFit
 from car_interface.tools.calibration.steering import calibrate as module
 from car_interface.tools.calibration.steering.calibrate import calibrate, yaml_text
-from car_interface.tools.calibration.steering.drive import NothingToFit
 from car_interface.tools.calibration.steering.ends import Side
 from car_interface.tools.calibration.steering.table import DRIVEN, END, LEFT, OLD, RIGHT
 from car_interface.tools.calibration.steering.understeer import Understeer

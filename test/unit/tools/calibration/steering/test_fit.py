@@ -9,8 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from car_interface.tools.calibration.delay import Delay
+from car_interface.tools.calibration.shared import NothingToFit
 from car_interface.tools.calibration.steering import fit
-from car_interface.tools.calibration.steering.drive import FitConfig, NothingToFit
+from car_interface.tools.calibration.steering.drive import CurveFitConfig
 from car_interface.tools.calibration.steering.table import LEFT, RIGHT, breakpoints, completed
 from tools.calibration.steering.synthetic import (
     CENTER,
@@ -42,7 +43,7 @@ def test_curve_center_and_stops_are_those_of_the_car():  # positions are 75 duty
 
 def test_backlash_is_found_and_the_curve_is_that_of_its_middle():
     assert fitted_mixed().backlash_duty == pytest.approx(0, abs=6)
-    found = fit.fit([drive(mixed(count=60), backlash=30.0, hold_s=2.0)], FitConfig(delay=KNOWN_DELAY))
+    found = fit.fit([drive(mixed(count=60), backlash=30.0, hold_s=2.0)], CurveFitConfig(delay=KNOWN_DELAY))
     assert found.backlash_duty == pytest.approx(30, abs=6)
     inside = (found.duties > LEFT_STOP + 100) & (found.duties < RIGHT_STOP - 100)
     assert np.abs(found.curvatures - true_curvature(found.duties))[inside].max() < 0.01
@@ -82,7 +83,7 @@ def test_curve_and_table_are_monotone_whatever_the_data(places, seed):
     one = drive(duties, curve=lambda at: curvatures[np.argmin(np.abs(at[:, None] - known), axis=1)], seed=seed,
                 lag_s=0.0)
     try:
-        found = fit.fit([one], FitConfig(delay=Delay(0.0, 0.0, 1.0), backlash_duty=0.0))
+        found = fit.fit([one], CurveFitConfig(delay=Delay(0.0, 0.0, 1.0), backlash_duty=0.0))
     except NothingToFit:
         return
     steps = np.diff(found.curvatures)

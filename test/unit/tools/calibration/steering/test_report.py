@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pytest
 
-from car_interface.tools.calibration.steering.calibrate import Calibrated
+from car_interface.tools.calibration.steering.calibrate import SteeringResult
 from car_interface.tools.calibration.steering.ends import Side
 from car_interface.tools.calibration.steering.report import report, short_report
 from car_interface.tools.calibration.steering.table import DRIVEN, END, LEFT, OLD, RIGHT, Breakpoint
@@ -25,7 +25,7 @@ POINTS = {LEFT: [point(1.0, 4000.0, END), point(2.0, 4600.0)], RIGHT: [point(1.0
 
 def lines(curve=None, recordings=None, axis_m=None, points=None, problems=(), disagreement=""):
     curve = curve or line_curve()
-    made = Calibrated(curve, curve.center, {}, points or POINTS, list(problems), disagreement)
+    made = SteeringResult(curve, curve.center, {}, points or POINTS, list(problems), disagreement)
     return list(report(made, recordings or [recorded()], axis_m))
 
 
@@ -80,7 +80,7 @@ def test_short_report_fits_80_columns_with_eight_radii_and_both_ends():
     points = {side: [point(1.0 + index, 5000.0 + index, OLD if index == 29 else DRIVEN) for index in range(30)]
               for side in (LEFT, RIGHT)}
     curve = line_curve()
-    found = list(short_report(Calibrated(curve, curve.center, {}, points, ["no center"], ""), [recorded()]))
+    found = list(short_report(SteeringResult(curve, curve.center, {}, points, ["no center"], ""), [recorded()]))
     assert found[5:7] == ["  radius         left  ±duty   ±radius        right  ±duty   ±radius",
                           "       1 m      5000      4    19.6%       5000      4    19.6%"]
     assert [line.split()[0] for line in found[6:14]] == ["1", "5", "9", "13", "18", "22", "26", "30"]

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from car_interface.tools.calibration.steering import fit
-from car_interface.tools.calibration.steering.drive import FitConfig
+from car_interface.tools.calibration.steering.drive import CurveFitConfig
 from tools.calibration.steering.synthetic import KNOWN, KNOWN_DELAY, drive, from_both_sides, mixed, true_curvature
 
 pytestmark = pytest.mark.once
@@ -37,7 +37,7 @@ def test_what_the_servo_did_in_a_gap_of_the_recording_is_not_taken_for_known():
     gappy = whole._replace(t_s=whole.t_s[~missed], distance_m=whole.distance_m[~missed], yaw_rad=whole.yaw_rad[~missed],
                            duty_t_s=whole.duty_t_s[kept_duty], duty=whole.duty[kept_duty])
     assert missed.any()
-    found = fit.fit([gappy], FitConfig(delay=KNOWN_DELAY))
+    found = fit.fit([gappy], CurveFitConfig(delay=KNOWN_DELAY))
     # Each piece, not the curve: that one is robust, and would pass over a few that rest on a duty from before the gap.
     assert len(found.observations.duty) > 15
     assert np.abs(found.observations.curvature_per_m - true_curvature(found.observations.duty)).max() < 0.05
@@ -48,7 +48,7 @@ def test_position_of_the_wheels_is_less_known_when_the_linkage_floats_in_its_bac
     # Half a second a little beyond, and back by less than the play: how far it came is a matter of the servo's lag.
     floating = [6000] * 5 + [4940] + [5000] * 6
     found = fit.fit([drive(np.concatenate([sure, floating]), hold_s=0.5, backlash=30.0)],
-                    FitConfig(delay=KNOWN_DELAY))
+                    CurveFitConfig(delay=KNOWN_DELAY))
     observations = found.observations
     assert np.median(observations.duty_sigma) < 1.2
     assert observations.duty_sigma[np.argmax(observations.t_s)] > 4.0
@@ -57,7 +57,7 @@ def test_position_of_the_wheels_is_less_known_when_the_linkage_floats_in_its_bac
 @pytest.mark.parametrize("noise_rad, heading_sigma_rad", ((0.0, 0.005), (0.0065, 0.0065), (0.03, 0.008)),
                          ids=("better than that is luck", "as it is seen", "never worse than what is usual"))
 def test_the_heading_is_as_good_as_the_drive_shows(noise_rad, heading_sigma_rad):
-    known = FitConfig(delay=KNOWN_DELAY, backlash_duty=0.0, min_heading_sigma_rad=0.005)
+    known = CurveFitConfig(delay=KNOWN_DELAY, backlash_duty=0.0, min_heading_sigma_rad=0.005)
     found = fit.fit([drive(mixed(), noise_rad=noise_rad)], known).observations
     independent = np.clip(found.distance_m / 0.15, 2, 26)
     expected = np.hypot(heading_sigma_rad * np.sqrt(12 / independent) / found.distance_m, 0.001)

@@ -7,8 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import sparse
 
+from car_interface.tools.calibration.shared import rising
 from car_interface.tools.calibration.steering import fit
-from car_interface.tools.calibration.steering.smooth import Smooth, rising
+from car_interface.tools.calibration.steering.smooth import Smooth
 from tools.calibration.steering.synthetic import KNOWN, LEFT_STOP, RIGHT_STOP, drive, mixed, true_curvature
 
 pytestmark = pytest.mark.once

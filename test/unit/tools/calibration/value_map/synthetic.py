@@ -7,9 +7,9 @@ import random
 
 import numpy as np
 
-from car_interface.tools.calibration.value_map.acceleration import Drive, Series
-from car_interface.tools.calibration.value_map.config import FitConfig
+from car_interface.tools.calibration.value_map.acceleration import MapDrive, Series
 from car_interface.tools.calibration.value_map.fit import Fit, fit
+from car_interface.tools.calibration.value_map.windows import MapFitConfig
 
 PULSE_M, STEP_S, NOTHING = 0.0149, 0.005, Series(np.zeros(0), np.zeros(0))
 DELAY_S = 0.08
@@ -63,10 +63,10 @@ def drive(seed=0, seconds=240.0, uphill=(0.0, 0.0), sag=0.0, turns=True, with_pi
     pitch = -(uphill[0] * np.cos(yaw) + uphill[1] * np.sin(yaw)) + mounting_rad  # nose down is positive
     noise = np.random.default_rng(seed).normal(0.0, 0.1, count)
     every = slice(None, None, 4)
-    return Drive("a.bag", Series(commanded_s, value), Series(t_s[every], speed[every]), Series(t_s[every], yaw[every]),
-                 wheels if pulses else (),
-                 imu=Series(commanded_s[::2], (forces + noise)[::2] + 0.2) if with_imu else None,
-                 pitch=Series(t_s[every], pitch[every]) if with_pitch else None)
+    return MapDrive(Series(commanded_s, value), Series(t_s[every], speed[every]), Series(t_s[every], yaw[every]),
+                    wheels if pulses else (),
+                    imu=Series(commanded_s[::2], (forces + noise)[::2] + 0.2) if with_imu else None,
+                    pitch=Series(t_s[every], pitch[every]) if with_pitch else None)
 
 
 @functools.lru_cache(maxsize=None)
@@ -88,15 +88,15 @@ def fit_of(supported, sure=None, held_out_mps2=0.0):
     rows, columns = supported.shape
     accelerations = np.add.outer(np.arange(rows) * 1.0, -0.1 * np.arange(columns))
     return Fit(np.arange(rows) - 1.0, np.arange(columns) * 1.0, accelerations, np.full(supported.shape, 0.05),
-               np.ones(supported.shape), np.ones(supported.shape, int), supported,
+               np.ones(supported.shape), supported,
                supported if sure is None else np.array(sure, bool), 0.0, 0.0, False, (), {}, 0.0, held_out_mps2, 1)
 
 
 def rejected(one, config=None):
-    found = fit([one], None, None, config or FitConfig(delay_s=DELAY_S))
+    found = fit([one], None, None, config or MapFitConfig(delay_s=DELAY_S))
     return {text: number for text, number in found.rejected.items() if number and text != "counted"}
 
 
 def with_(one, **changes):
-    fields = {"name": one.name, "value": one.value, "speed": one.speed, "yaw": one.yaw, "wheels": one.wheels}
-    return Drive(**{**fields, **changes})
+    fields = {"value": one.value, "speed": one.speed, "yaw": one.yaw, "wheels": one.wheels}
+    return MapDrive(**{**fields, **changes})

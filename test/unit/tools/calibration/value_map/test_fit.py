@@ -4,15 +4,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from car_interface.tools.calibration.shared import NothingToFit
 from car_interface.tools.calibration.value_map import acceleration as windowing
-from car_interface.tools.calibration.value_map.acceleration import Drive, Series
-from car_interface.tools.calibration.value_map.config import FitConfig
-from car_interface.tools.calibration.value_map.fit import NothingToFit, fit
-from car_interface.tools.calibration.value_map.windows import RULES
+from car_interface.tools.calibration.value_map.acceleration import MapDrive, Series
+from car_interface.tools.calibration.value_map.fit import fit
+from car_interface.tools.calibration.value_map.windows import RULES, MapFitConfig
 from tools.calibration.value_map.synthetic import DELAY_S, NOTHING, acceleration, drive, error, fitted_mixed
 
 pytestmark = pytest.mark.once
-KNOWN_DELAY = FitConfig(delay_s=DELAY_S)
+KNOWN_DELAY = MapFitConfig(delay_s=DELAY_S)
 
 
 def test_map_of_a_drive_on_a_slope_with_a_sagging_battery_is_the_level_one_at_mean_battery():
@@ -53,13 +53,13 @@ def test_pitch_takes_gravity_off_and_its_mounting_does_not_matter():
 
 def test_imu_measures_without_gravity_and_its_bias_does_not_matter():
     one = drive(seconds=120.0, uphill=(0.012, -0.016), with_imu=True)
-    assert error(fit([one], None, None, FitConfig(from_imu=True, delay_s=DELAY_S))) < 0.05
+    assert error(fit([one], None, None, MapFitConfig(from_imu=True, delay_s=DELAY_S))) < 0.05
 
 
 def test_odometry_speed_serves_where_no_pulses_were_recorded_and_a_slow_one_gets_longer_windows():
     one = drive(seconds=120.0, pulses=False)
     assert error(fit([one], None, None, KNOWN_DELAY)) < 0.05
-    slow = Drive("a", one.value, Series(one.speed.t_s[::5], one.speed.y[::5]), one.yaw)  # 10 a second
+    slow = MapDrive(one.value, Series(one.speed.t_s[::5], one.speed.y[::5]), one.yaw)  # 10 a second
     assert error(fit([slow], None, None, KNOWN_DELAY)) < 0.08
 
 
@@ -71,10 +71,10 @@ def test_two_drives_with_slopes_of_their_own_make_one_map():
 
 
 @pytest.mark.parametrize("one", [
-    Drive("a", NOTHING, NOTHING, NOTHING),
-    Drive("a", NOTHING, Series(np.arange(9) / 9, np.ones(9)), Series(np.arange(9) / 9, np.ones(9))),
-    Drive("a", Series(np.zeros(1), np.zeros(1)), Series(np.arange(900) / 9, np.zeros(900)),
-          Series(np.arange(900) / 9, np.zeros(900))),
+    MapDrive(NOTHING, NOTHING, NOTHING),
+    MapDrive(NOTHING, Series(np.arange(9) / 9, np.ones(9)), Series(np.arange(9) / 9, np.ones(9))),
+    MapDrive(Series(np.zeros(1), np.zeros(1)), Series(np.arange(900) / 9, np.zeros(900)),
+             Series(np.arange(900) / 9, np.zeros(900))),
 ], ids=["nothing_recorded", "no_value", "stood_still"])
 def test_nothing_to_fit_says_why(one):
     with pytest.raises(NothingToFit, match=r"shorter than a window|no value|a stop|too few"):

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from car_interface.tools.calibration.value_map.acceleration import Series
-from car_interface.tools.calibration.value_map.recorded import reached_esc, wheel_distances
-from car_interface.tools.calibration.value_map.throttle import load_throttle
+from car_interface.tools.calibration.value_map.recorded import load_throttle_table, reached_esc, wheel_distances
 from car_interface.tools.recordings.series import Pulses
 
 
@@ -14,7 +13,7 @@ def test_duties_become_values_by_the_throttles_table_the_other_way_round(tmp_pat
     path = tmp_path / "throttle.yaml"
     path.write_text("servo: {channel: 2, value_axis: [-1, 0, 4], duty_table: [6000, 5000, 3000], neutral: 5000}\n"
                     "command_timeout: 0.3\n", encoding="utf-8")
-    table = load_throttle(str(path))
+    table = load_throttle_table(str(path))
     assert table.neutral == 0.0
     assert table.values(np.array([6000, 5500, 5000, 4000, 3000])).tolist() == [-1, -0.5, 0, 2, 4]
     assert table.values(np.array([6016, 2984])).tolist() == [-1, 4]  # the board's rounding

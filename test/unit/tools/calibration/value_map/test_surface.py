@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface.tools.calibration.value_map.axes import rounded
-from car_interface.tools.calibration.value_map.surface import Grid, rising_column
+from car_interface.tools.calibration.value_map.surface import Grid, rising_column, rounded
 
 pytestmark = pytest.mark.once
 
@@ -16,7 +15,8 @@ def test_grid_gives_back_its_nodes_and_what_is_linear_between():
     grid = Grid(np.array([0.0, 1.0, 3.0]), np.array([0.0, 2.0]))
     nodes = np.array([[0.0, 2.0], [1.0, 3.0], [3.0, 5.0]])
     rows, columns = np.array([0.0, 0.5, 2.0, 3.0]), np.array([0.0, 1.0, 1.0, 2.0])
-    assert grid.at(nodes, rows, columns) == pytest.approx([0, 1.5, 3, 5])
+    weights = grid.averages(rows[:, None], columns[:, None], np.ones((4, 1)))
+    assert weights @ nodes.ravel() == pytest.approx([0, 1.5, 3, 5])
 
 
 @given(st.lists(st.floats(-10, 10), min_size=2, max_size=8))

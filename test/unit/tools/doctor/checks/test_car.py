@@ -12,7 +12,7 @@ from car_interface.tools.doctor.checks.car import (
     Node,
     Reading,
     Report,
-    Steering,
+    SteeringReport,
     check_command_topics,
     check_diagnostics,
     check_files,
@@ -90,11 +90,11 @@ def test_cars_are_found_by_the_names_of_their_nodes_and_of_several_none_is_looke
 # --- steering ---
 
 def test_who_drives_and_why_is_told():
-    found, = check_steering(Steering("PLANNER", "the planner asks", 4000, True), TURN_ARB)
+    found, = check_steering(SteeringReport("PLANNER", "the planner asks", 4000, True), TURN_ARB)
     assert (found.level, found.what) == (OK, "PLANNER: the planner asks; duty 4000")
 
 
-@pytest.mark.parametrize("steering", [None, Steering("PLANNER", "the planner asks", 4000, False)],
+@pytest.mark.parametrize("steering", [None, SteeringReport("PLANNER", "the planner asks", 4000, False)],
                          ids=["silent", "latched_by_a_node_that_hangs_now"])
 def test_turn_arb_that_says_nothing_is_bad(steering):
     found, = check_steering(steering, TURN_ARB)

@@ -8,7 +8,7 @@ import pytest
 from car_interface.common import causes
 from car_interface.teleop.gamepad import GamepadConfig
 from car_interface.tools.doctor.checks.findings import BAD, OK, WARN
-from car_interface.tools.doctor.checks.gamepad import Gamepad, JoySample, check_gamepad
+from car_interface.tools.doctor.checks.gamepad import GamepadFacts, JoySample, check_gamepad
 
 SHIPPED = GamepadConfig(steer_axis=0, throttle_axis=4, manual_button=4, autonomous_button=5)
 AT_20_HZ = JoySample(messages=21, period_s=0.05, axes=8, buttons=11, values={})
@@ -17,7 +17,7 @@ NOTHING = JoySample(messages=0, period_s=math.inf, axes=0, buttons=0, values={})
 
 def check(sample=AT_20_HZ, publishers=("/joy_node",), config=SHIPPED, topic="/joy", cause=causes.NO_DEADMAN,
           reason="no deadman is held", stick_cause=""):
-    found, = check_gamepad(Gamepad("/teleop_logi", topic, publishers, config, sample, cause, reason, stick_cause))
+    found, = check_gamepad(GamepadFacts("/teleop_logi", topic, publishers, config, sample, cause, reason, stick_cause))
     return found
 
 

@@ -44,17 +44,17 @@ def test_host_and_port_of_a_uri(uri, place):
 
 
 @pytest.mark.parametrize("master, level, words, remedy", [
-    (network.Master(URI, "", True, ("127.0.0.1",)), OK, "on the loopback only", ""),
-    (network.Master(URI, "", True, ()), OK, "answers", ""),
-    (network.Master(URI, "", True, ("0.0.0.0", "127.0.0.1")), WARN, "every interface", "ROS_IP=127.0.0.1"),
-    (network.Master(URI, "", True, ("10.1.2.3",)), WARN, "listens on 10.1.2.3", "VPN"),
-    (network.Master("http://car:11311", "", False), WARN, "on another host", "VPN"),
-    (network.Master(URI, "Connection refused", True), WARN, "none runs at", "roslaunch starts one"),
-    (network.Master(URI, "timed out", True, ("0.0.0.0",)), BAD, "doesn't answer as a master", "End it"),
-    (network.Master("http://car:11311", "timed out", False), BAD, "on another host", "ping car"),
-    (network.Master("http://car:11311", "no", None), BAD, "can't be found", "/etc/hosts"),
-    (network.Master("", "no"), BAD, "not set", "setup.bash"),
-    (network.Master("localhost", "no"), BAD, "no master's address", "export ROS_MASTER_URI"),
+    (network.MasterAddress(URI, "", True, ("127.0.0.1",)), OK, "on the loopback only", ""),
+    (network.MasterAddress(URI, "", True, ()), OK, "answers", ""),
+    (network.MasterAddress(URI, "", True, ("0.0.0.0", "127.0.0.1")), WARN, "every interface", "ROS_IP=127.0.0.1"),
+    (network.MasterAddress(URI, "", True, ("10.1.2.3",)), WARN, "listens on 10.1.2.3", "VPN"),
+    (network.MasterAddress("http://car:11311", "", False), WARN, "on another host", "VPN"),
+    (network.MasterAddress(URI, "Connection refused", True), WARN, "none runs at", "roslaunch starts one"),
+    (network.MasterAddress(URI, "timed out", True, ("0.0.0.0",)), BAD, "doesn't answer as a master", "End it"),
+    (network.MasterAddress("http://car:11311", "timed out", False), BAD, "on another host", "ping car"),
+    (network.MasterAddress("http://car:11311", "no", None), BAD, "can't be found", "/etc/hosts"),
+    (network.MasterAddress("", "no"), BAD, "not set", "setup.bash"),
+    (network.MasterAddress("localhost", "no"), BAD, "no master's address", "export ROS_MASTER_URI"),
 ], ids=["loopback", "tables_unreadable", "everywhere", "one_interface", "elsewhere", "none", "other",
          "elsewhere_silent", "unknown_host", "unset", "nonsense"])
 def test_master(master, level, words, remedy):

@@ -11,6 +11,7 @@ import pytest
 
 from car_interface.common.package_files import package_file
 from car_interface.pca9685 import config
+from car_interface.ros import xmlrpc_calls
 from car_interface.tools.doctor.checks.car import ABSENT, KILLED, RUNNING, SILENT, Node
 from car_interface.tools.doctor.probes import master as probe
 from car_interface.tools.doctor.probes.master import Graph, Master, read_files
@@ -62,7 +63,7 @@ def refused():
 @pytest.fixture
 def silent(monkeypatch):
     """What takes connections and never answers."""
-    monkeypatch.setattr(probe, "ANSWER_WITHIN_S", 0.1)
+    monkeypatch.setattr(xmlrpc_calls, "ANSWER_WITHIN_S", 0.1)
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
         listener.listen(5)
