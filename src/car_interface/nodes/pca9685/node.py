@@ -15,8 +15,8 @@ Parameters:
         for all.
     ~steering/servo_channel, ~steering/servo_center: the steering's channel and its timeout value, where both are given.
     ~esc/servo/channel, ~esc/servo/neutral: those of the ESC.  ~esc/servo/duty_table, ~esc/esc/profile unverified,
-        ~esc/esc/profile_measured false: on which side of neutral it brakes or reverses; unless it is a measured
-        brake_then_reverse a duty there times out in 80 ms.
+        ~esc/esc/profile_measured false, ~esc/esc/reverse_after_neutral 0 (s): a duty on the side of neutral where it
+        brakes or reverses times out in 80 ms, unless it is a measured brake_then_reverse's first one after a push.
         The rest of ~steering and ~esc, the YAML files of turn_arb and generic_value_converter, is not read.
     ~live_range 500, ~throttle_live_range 100 (duty): how far the timeout values of these two channels may follow
         servo/neutral; 0 = not at all.
