@@ -15,7 +15,7 @@ VIRTUAL = "virtual"
 NO_CHANNEL = -1
 # An ESC of this kind, if calibrate_esc saw it, goes on braking however long a pull is held, and neutral in between lets
 # it reverse. Any other may take a pull that is held for reverse.
-HOLDS_PULLS = "brake_then_reverse"
+BRAKES_FIRST = "brake_then_reverse"
 STEERING_FILE, ESC_FILE = "by `turn_arb.yaml`", "by `throttle.yaml`"
 
 
@@ -57,12 +57,15 @@ class Pca9685Config:
     esc_neutral: int | None = declared.duty("esc/servo/neutral", None, "its timeout value", default_text=ESC_FILE)
     esc_duties: Sequence[float] = declared.duties(
         "esc/servo/duty_table", (), "a duty on the table's first side of neutral, a pull, is held for 80 ms at most, "
-                                    f"whatever `timeout` is, unless the ESC is a measured `{HOLDS_PULLS}`",
-        default_text=ESC_FILE)
+                                    f"whatever `timeout` is, unless it is a measured `{BRAKES_FIRST}`'s first one after a "
+                                    "push", default_text=ESC_FILE)
     esc_profile: str = declared.text(
         "esc/esc/profile", "unverified", "the [kind of ESC](throttle.md#the-kind-of-esc)", default_text=ESC_FILE)
     is_esc_measured: bool = declared.flag(
         "esc/esc/profile_measured", False, "whether calibrate_esc saw it", default_text=ESC_FILE)
+    esc_forgets_s: float = declared.number(
+        "esc/esc/reverse_after_neutral", 0.0, "after so long in neutral the first pull reverses, too; 0 = never", "s",
+        low=0.0, high=60.0, default_text=ESC_FILE)
     live_range: int = declared.duty(
         "live_range", 500, "how far the steering's timeout value may follow `servo/neutral`; 0 = not at all")
     throttle_live_range: int = declared.duty("throttle_live_range", 100, "the same of the ESC's")
@@ -102,14 +105,16 @@ class Pca9685Config:
 
     def _channels(self):
         """Return limits and failsafe of each of the sixteen."""
-        timeout_values, live_ranges, pulls = list(self.timeout_values), [0] * CHANNELS, [0] * CHANNELS
+        timeout_values, live_ranges, pulls = list(self.timeout_values), [0] * CHANNELS, {}
         for channel, neutral, live_range in self._neutrals():
             timeout_values[channel], live_ranges[channel] = neutral, live_range
-        holds_pulls = self.esc_profile == HOLDS_PULLS and self.is_esc_measured
-        if self.esc_channel != NO_CHANNEL and self.esc_neutral is not None and self.esc_duties and not holds_pulls:
-            pulls[self.esc_channel] = -1 if self.esc_duties[0] < self.esc_duties[-1] else 1
-        return tuple(ChannelConfig(*settings) for settings in zip(
-            self.timeouts_ms, timeout_values, self.pwm_min, self.pwm_max, live_ranges, pulls))
+        if self.esc_channel != NO_CHANNEL and self.esc_neutral is not None and self.esc_duties:
+            pulls = {"pulls": -1 if self.esc_duties[0] < self.esc_duties[-1] else 1,
+                     "brakes_first": self.esc_profile == BRAKES_FIRST and self.is_esc_measured,
+                     "forgets_ms": round(1000 * self.esc_forgets_s)}
+        settings = zip(self.timeouts_ms, timeout_values, self.pwm_min, self.pwm_max, live_ranges)
+        return tuple(ChannelConfig(*each, **(pulls if channel == self.esc_channel else {}))
+                     for channel, each in enumerate(settings))
 
     def _neutrals(self):
         """Return channel, neutral duty and live range of the steering and of the ESC, where they are given."""

@@ -24,11 +24,11 @@ from car_interface.common import causes, declared
 from car_interface.common.errors import ConfigError
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
+from car_interface.common.vehicle_geometry import SONARS
 from car_interface.throttle.echo_memory import EchoMemory
 from car_interface.throttle.limits import SpeedBound
 from car_interface.throttle.sonar_fan import Arc, Fan, Mount, Outline, cone_points
 
-NAMES = ("front_right", "front_middle", "front_left", "rear_right", "rear_middle", "rear_left")
 USED = "used"
 HUB = "sonar_hub/"  # the sensor hub's file, sonars.yaml, below the node
 SIDE_MARGIN_M = 0.05  # what the car passes by more closely is in its way
@@ -67,7 +67,7 @@ class ObstacleConfig:
                                 "at](limits.md#obstacle_stop); then it needs `sonars.yaml` below `sonar_hub`, where "
                                 "the launch files put it")
     uses: Sequence[str] = declared.choice(
-        "obstacle/sonars/", (USED,) * len(NAMES), "a sonar that the car doesn't have is absent", family=NAMES,
+        "obstacle/sonars/", (USED,) * len(SONARS), "a sonar that the car doesn't have is absent", family=SONARS,
         choices=(USED, "absent"))
 
     def completed(self, params) -> ObstacleConfig | None:
@@ -79,7 +79,7 @@ class ObstacleConfig:
         if not self.is_on:
             return None
         return replace(
-            self, mounts={name: _read_mount(params, name) for name, use in zip(NAMES, self.uses) if use == USED},
+            self, mounts={name: _read_mount(params, name) for name, use in zip(SONARS, self.uses) if use == USED},
             field_of_view_rad=params.number(HUB + "field_of_view", self.field_of_view_rad, above=0.0, high=3.0),
             max_range_m=params.number(HUB + "max_range", self.max_range_m, above=0.0, high=100.0))
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Iterable, Mapping, NamedTuple
 
 from car_interface.common import declared
+from car_interface.common.vehicle_geometry import FRONT_M, REAR_M, WIDTH_M
 
 MIN_CURVATURE_PER_M = 1e-3  # a straight line is a circle of 1 km
 CONE_POINTS = 9
@@ -38,9 +39,9 @@ class Outline:
     """The car from above. The default is a Slash's."""
 
     front_m: float = declared.number(
-        "front", 0.426, OUTLINE, "m", above=0.0, high=10.0)
-    rear_m: float = declared.number("rear", 0.142, OUTLINE, "m", low=0.0, high=10.0)
-    width_m: float = declared.number("width", 0.296, OUTLINE, "m", above=0.0, high=10.0)
+        "front", FRONT_M, OUTLINE, "m", above=0.0, high=10.0)
+    rear_m: float = declared.number("rear", REAR_M, OUTLINE, "m", low=0.0, high=10.0)
+    width_m: float = declared.number("width", WIDTH_M, OUTLINE, "m", above=0.0, high=10.0)
 
 
 def cone_points(mount: Mount, range_m: float, field_of_view_rad: float) -> list[tuple[float, float]]:

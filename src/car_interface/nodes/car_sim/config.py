@@ -9,6 +9,7 @@ from typing import Sequence
 from car_interface.common import declared
 from car_interface.common.errors import ConfigError
 from car_interface.common.units import CHANNELS, MAX_DUTY
+from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, TRACK_M, WHEEL_DIAMETER_M, WHEELBASE_M
 from car_interface.sim.calibrated_car import steering_curve
 from car_interface.sim.esc import KINDS, VirtualEscConfig
 from car_interface.sim.teensy_config import BOOT_MS, FirmwareConfig
@@ -58,13 +59,13 @@ class CarSimConfig:
     pose: Sequence[float] = declared.numbers(
         "start", (0.0, 0.0, 0.0), "where it starts", "x and y in m, yaw in rad", default_text="[0, 0, 0]")
     wheelbase_m: float = declared.number(
-        "wheelbase", 0.324, SIZE, "m", above=0.0, same_as="wheels/wheelbase")
+        "wheelbase", WHEELBASE_M, SIZE, "m", above=0.0, same_as="wheels/wheelbase")
     track_m: float = declared.number(
-        "track", 0.296, SIZE, "m", above=0.0, same_as="wheels/track")
+        "track", TRACK_M, SIZE, "m", above=0.0, same_as="wheels/track")
     wheel_diameter_m: float = declared.number(
-        "wheel_diameter", 0.095, SIZE, "m", above=0.0, same_as="wheels/wheel_diameter")
+        "wheel_diameter", WHEEL_DIAMETER_M, SIZE, "m", above=0.0, same_as="wheels/wheel_diameter")
     pulses_per_revolution: int = declared.integer(
-        "pulses_per_revolution", 20, "of a rear wheel", low=1, same_as="wheels/pulses_per_revolution")
+        "pulses_per_revolution", PULSES_PER_REVOLUTION, "of a rear wheel", low=1, same_as="wheels/pulses_per_revolution")
     steering_duties: Sequence[float] | None = declared.numbers(
         "steering_duties", None, "the true steering: rising duties", default_text=OWN)
     steering_curvatures: Sequence[float] | None = declared.numbers(

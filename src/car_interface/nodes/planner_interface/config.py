@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from car_interface.common import declared
 from car_interface.common.declared import REQUIRED
+from car_interface.common.vehicle_geometry import WHEELBASE_M
 from car_interface.planner.messages import ANGULAR, RATE
 from car_interface.planner.source_arbiter import SOURCES
 from car_interface.throttle.speed_control import SpeedControlConfig
@@ -18,7 +19,7 @@ class PlannerInterfaceConfig:
     cmd_vel_angular: str = declared.choice(
         "cmd_vel_angular", RATE, "what `angular.z` of `cmd_vel` is: rad/s, or rad of the front wheels", choices=ANGULAR)
     wheelbase_m: float = declared.number(
-        "wheels/wheelbase", 0.324, "turns an angle into a radius; `teensy_sensor_hub.yaml` in the launch files", "m",
+        "wheels/wheelbase", WHEELBASE_M, "turns an angle into a radius; `teensy_sensor_hub.yaml` in the launch files", "m",
         low=0.01, high=10.0)
     # A planner that is silent stops the car within 0.55 s: this, and 0.05 s to the servo and the ESC.
     source_timeout_s: float = declared.number(

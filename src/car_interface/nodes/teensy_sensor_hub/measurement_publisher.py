@@ -14,6 +14,7 @@ from tf2_msgs.msg import TFMessage
 from car_interface.common.errors import ConfigError
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import NS_PER_S
+from car_interface.common.vehicle_geometry import SONARS
 from car_interface.msg import SteeringState, TeensyClock
 from car_interface.nodes.teensy_sensor_hub.config import HubConfig
 from car_interface.ros.clocks import RosClock
@@ -21,7 +22,6 @@ from car_interface.ros.diagnostics import OK, WARN
 from car_interface.ros.logs import ThrottledWarnings
 from car_interface.ros.topics import advertise, has_subscribers, subscribe
 from car_interface.teensy.link.health import CLOCK_REPORT
-from car_interface.teensy.link.protocol import SONARS
 from car_interface.teensy.sensing.measurements import Measurements
 
 QUEUE_SIZE = 100

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Sequence
 
 from car_interface.common import declared
+from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, TRACK_M, WHEEL_DIAMETER_M, WHEELBASE_M
 from car_interface.teensy.link.protocol import BACKWARD, NO_DIRECTION, WheelStatus
 from car_interface.teensy.sensing.alignment import ALIGNED_PULSES, UNALIGNED_PULSES, Alignment
 from car_interface.teensy.sensing.heading import HEADING_VARIANCE, HeadingFilter
@@ -34,12 +35,12 @@ class OdometryConfig:
         ConfigError: naming the parameter.
     """
 
-    pulses_per_revolution: int = declared.integer("pulses_per_revolution", 20, "of a rear wheel", low=1, high=10_000)
+    pulses_per_revolution: int = declared.integer("pulses_per_revolution", PULSES_PER_REVOLUTION, "of a rear wheel", low=1, high=10_000)
     wheel_diameter_m: float = declared.number(
-        "wheel_diameter", 0.095, "measure your car's", "m", low=MIN_LENGTH_M, high=10)
+        "wheel_diameter", WHEEL_DIAMETER_M, "measure your car's", "m", low=MIN_LENGTH_M, high=10)
     track_m: float = declared.number(
-        "track", 0.296, "measure your car's", "m", low=MIN_LENGTH_M, high=10)
-    wheelbase_m: float = declared.number("wheelbase", 0.324, "measure your car's", "m", low=MIN_LENGTH_M, high=10)
+        "track", TRACK_M, "measure your car's", "m", low=MIN_LENGTH_M, high=10)
+    wheelbase_m: float = declared.number("wheelbase", WHEELBASE_M, "measure your car's", "m", low=MIN_LENGTH_M, high=10)
     use_steering: bool = declared.flag(
         "use_steering", False, "true = the commanded curvature helps the heading between two pulses")
     distance_sigma: float = declared.number(

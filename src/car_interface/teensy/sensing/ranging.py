@@ -23,7 +23,7 @@ from typing import Sequence
 
 from car_interface.common import declared
 from car_interface.common.errors import ConfigError
-from car_interface.teensy.link.protocol import SONARS
+from car_interface.common.vehicle_geometry import SONARS
 
 INF, MAX_RANGE = "inf", "max_range"
 US_PER_S = 1e6
@@ -51,7 +51,7 @@ def _check_temperature(temperature_c):
 
 @dataclass(frozen=True)
 class RangingConfig:
-    """How echoes are converted.
+    """The rules by which echoes become ranges.
 
     ``no_echo``: with ``inf`` no echo is +inf, one from too near −inf. With ``max_range`` no echo is ``max_range_m``,
     one from too near is ``min_range_m``: something stands there, and a costmap shall keep it.
@@ -124,7 +124,7 @@ class Ranging:
         """Return the metres from a sonar to the origin of its echo.
 
         Args:
-            sensor: index in ``protocol.SONARS``.
+            sensor: index in ``SONARS``.
             echo_us: as the firmware reports it.
             tick: the Teensy's clock then, ms.
             is_trusted: False within two reports of a SONAR_START: the firmware fires two sonars at once.

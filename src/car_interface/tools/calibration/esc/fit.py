@@ -39,6 +39,7 @@ from car_interface.tools.calibration.esc.pulls import (
     pulls,
     sampled,
 )
+from car_interface.tools.calibration.shared import runs
 
 MIN_SEEN = 2  # nothing counts that was seen once
 FRESH_S = 0.5  # a pull so soon after forward is the first, to any ESC
@@ -252,7 +253,7 @@ def _gain(data, sign, set_off):
     pushed = (data.fraction * sign > STRONG) & (data.speed_mps * sign > low) & (data.speed_mps * sign < high)
     pushed[1:] &= np.diff(data.duty) == 0  # not while the stick moves
     gains = []
-    for begin, end in _runs(pushed):
+    for begin, end in runs(pushed):
         if (end - begin) * STEP_S >= 0.15:
             slope = np.polyfit(data.t_s[begin:end], data.speed_mps[begin:end], 1)[0] * sign
             gains.append(slope / ((data.duty[begin] - set_off) * sign))
@@ -304,7 +305,7 @@ def _drag(data, seen, missing):
     low, high = COAST_MPS
     rolls = settled & (data.speed_mps > low) & (data.speed_mps < high)
     slowed = [-np.polyfit(data.t_s[begin:end], data.speed_mps[begin:end], 1)[0]
-              for begin, end in _runs(rolls) if (end - begin) * STEP_S >= 0.2]
+              for begin, end in runs(rolls) if (end - begin) * STEP_S >= 0.2]
     slowed = [value for value in slowed if value > 0]
     if len(slowed) < MIN_SEEN:
         missing.append("esc/drag_deceleration: full stick for a good second, then center it until the car stands; "
@@ -319,9 +320,3 @@ def _drag(data, seen, missing):
 def _range(field):
     accepted = parameter_of(EscConfig, field).accepted
     return accepted["low"], accepted["high"]
-
-
-def _runs(flags):
-    """Begin and end of each run of true."""
-    edges = np.flatnonzero(np.diff(np.r_[0, flags.astype(int), 0]))
-    return list(zip(edges[::2], edges[1::2]))

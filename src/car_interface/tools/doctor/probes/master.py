@@ -2,7 +2,6 @@
 from __future__ import annotations
 
 import os
-import socket
 import xmlrpc.client
 from typing import Any, NamedTuple, Sequence
 from urllib.parse import urlsplit
@@ -17,6 +16,7 @@ from car_interface.common.yaml_file import compose_yaml, read_yaml
 from car_interface.ros.start import config_class
 from car_interface.ros.xmlrpc_calls import call
 from car_interface.tools.doctor.checks.car import ABSENT, KILLED, ONE_PROCESS, RUNNING, SILENT, SIMULATOR, Node, Reading
+from car_interface.tools.doctor.probes.computer import leads_here
 
 CALLER = "/doctor"
 # These may be parts of ONE_PROCESS.
@@ -113,7 +113,7 @@ class Master:
         process = node.process.rpartition("/")[2]
         try:
             uri = self.ask("lookupNode", node.process)
-            if not _is_here(urlsplit(uri).hostname):
+            if not leads_here(urlsplit(uri).hostname):
                 return {}
             _, _, pid = call(uri, "getPid", CALLER)
             return fixed_parameters(node.name, script_arguments(pid, process), process)
@@ -145,16 +145,6 @@ def read_files(master: Master, nodes: Sequence[Node]) -> list[str]:
         except ConfigError as error:
             faults.append(str(error))
     return faults
-
-
-def _is_here(host):
-    """Return whether a host name or address is this computer's."""
-    with socket.socket() as probe:
-        try:
-            probe.bind((host, 0))
-        except OSError:
-            return False
-    return True
 
 
 def read_parameters(master: Master, node: Node) -> Reading | None:

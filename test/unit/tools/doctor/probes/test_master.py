@@ -140,7 +140,7 @@ def test_nothing_is_known_of_a_process_on_another_computer_or_with_wrong_argumen
     launched["pca9685"] = ["--devise", "virtual"]
     assert asked.fixed_parameters(look(asked, "pca9685")) == {}
     launched["pca9685"] = ["--device", "virtual"]
-    monkeypatch.setattr(probe, "_is_here", lambda host: False)
+    monkeypatch.setattr(probe, "leads_here", lambda host: False)
     assert asked.fixed_parameters(look(asked, "pca9685")) == {}
 
 
