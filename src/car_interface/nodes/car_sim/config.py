@@ -65,7 +65,8 @@ class CarSimConfig:
     wheel_diameter_m: float = declared.number(
         "wheel_diameter", WHEEL_DIAMETER_M, SIZE, "m", above=0.0, same_as="wheels/wheel_diameter")
     pulses_per_revolution: int = declared.integer(
-        "pulses_per_revolution", PULSES_PER_REVOLUTION, "of a rear wheel", low=1, same_as="wheels/pulses_per_revolution")
+        "pulses_per_revolution", PULSES_PER_REVOLUTION, "of a rear wheel", low=1,
+        same_as="wheels/pulses_per_revolution")
     steering_duties: Sequence[float] | None = declared.numbers(
         "steering_duties", None, "the true steering: rising duties", default_text=OWN)
     steering_curvatures: Sequence[float] | None = declared.numbers(

@@ -19,8 +19,8 @@ class PlannerInterfaceConfig:
     cmd_vel_angular: str = declared.choice(
         "cmd_vel_angular", RATE, "what `angular.z` of `cmd_vel` is: rad/s, or rad of the front wheels", choices=ANGULAR)
     wheelbase_m: float = declared.number(
-        "wheels/wheelbase", WHEELBASE_M, "turns an angle into a radius; `teensy_sensor_hub.yaml` in the launch files", "m",
-        low=0.01, high=10.0)
+        "wheels/wheelbase", WHEELBASE_M, "turns an angle into a radius; `teensy_sensor_hub.yaml` in the launch files",
+        "m", low=0.01, high=10.0)
     # A planner that is silent stops the car within 0.55 s: this, and 0.05 s to the servo and the ESC.
     source_timeout_s: float = declared.number(
         "source_timeout", 0.5, "an older command is no request", "s", low=0.05, high=0.5)

@@ -35,7 +35,8 @@ class OdometryConfig:
         ConfigError: naming the parameter.
     """
 
-    pulses_per_revolution: int = declared.integer("pulses_per_revolution", PULSES_PER_REVOLUTION, "of a rear wheel", low=1, high=10_000)
+    pulses_per_revolution: int = declared.integer(
+        "pulses_per_revolution", PULSES_PER_REVOLUTION, "of a rear wheel", low=1, high=10_000)
     wheel_diameter_m: float = declared.number(
         "wheel_diameter", WHEEL_DIAMETER_M, "measure your car's", "m", low=MIN_LENGTH_M, high=10)
     track_m: float = declared.number(
