@@ -57,7 +57,7 @@ class Pca9685Config:
     esc_neutral: int | None = declared.duty("esc/servo/neutral", None, "its timeout value", default_text=ESC_FILE)
     esc_duties: Sequence[float] = declared.duties(
         "esc/servo/duty_table", (), "a duty on the table's first side of neutral, a pull, is held for 80 ms at most, "
-                                    f"whatever `timeout` is, unless it is a measured `{BRAKES_FIRST}`'s first one after "
+                                    f"whatever `timeout` is, but a measured `{BRAKES_FIRST}`'s first one after "
                                     "a push", default_text=ESC_FILE)
     esc_profile: str = declared.text(
         "esc/esc/profile", "unverified", "the [kind of ESC](throttle.md#the-kind-of-esc)", default_text=ESC_FILE)
