@@ -38,7 +38,7 @@ CUT_S = 0.05 + MOTOR_LAG_S  # from a throttle's cut until the car gets no faster
 # The throttle that holds a speed is a mean over the motor's lag and a pulse, and over four times odometry's age, which
 # damps the loop that the age is in.
 STEADY_S, LATE_STEADY = CUT_S, 4.0
-FULL_MPS2 = 2.0 * UNSEEN_MPS2  # half of the throttle may be all that the motor can do
+FULL_MPS2 = 2.0 * 5.6  # the simulated Slash's at full throttle; half of it may be all that the motor can do
 # An acceleration that odometry may show where there is none, and more for each m/s: at 1 m/s three standard deviations
 # of what noise of 0.01 m/s and 1 % makes of six reports in 0.12 s.
 NOISE_MPS2, NOISE_PER_S = 0.5, 0.1
