@@ -5,10 +5,10 @@ What both need to know of the package stands in package.xml.
 from pathlib import Path
 from xml.etree import ElementTree
 
-from setuptools import setup
+from setuptools import find_packages, setup
 
-# From the last version for Python 3.8 to the newest that was tested: recordings/rosbag1.py overrides an undocumented
-# part of its reader. package.xml has the same range.
+# From the last version for Python 3.8 to the newest that was tested: tools/recordings/rosbag1.py overrides an
+# undocumented part of its reader. package.xml has the same range.
 ROSBAGS = "rosbags>=0.9.23,<=0.11.9"
 HERE = Path(__file__).resolve().parent
 PACKAGE = ElementTree.parse(str(HERE / "package.xml")).getroot()
@@ -29,36 +29,10 @@ setup(
     maintainer_email=PACKAGE.find("maintainer").get("email"),
     license=PACKAGE.findtext("license"),
     python_requires=">=3.8",
-    packages=[
-        "car_interface",
-        "car_interface.calibration",
-        "car_interface.calibration.drive",
-        "car_interface.calibration.esc",
-        "car_interface.calibration.steering",
-        "car_interface.calibration.value_map",
-        "car_interface.cli",
-        "car_interface.common",
-        "car_interface.doctor",
-        "car_interface.doctor.checks",
-        "car_interface.doctor.probes",
-        "car_interface.host_setup",
-        "car_interface.interlock",
-        "car_interface.nodes",
-        "car_interface.pca9685",
-        "car_interface.planner",
-        "car_interface.recordings",
-        "car_interface.report",
-        "car_interface.ros",
-        "car_interface.sim",
-        "car_interface.steering",
-        "car_interface.teensy",
-        "car_interface.teensy.link",
-        "car_interface.teensy.sensing",
-        "car_interface.teleop",
-        "car_interface.throttle",
-    ],
+    packages=find_packages(str(HERE / "src")),
     package_dir={"": "src"},
+    package_data={"car_interface.tools.report": ["templates/*"]},
     data_files=[files("msg", "*.msg"), files("config", "*.yaml"), files("config", "*.csv")],
-    extras_require={"tools": ["matplotlib", "numpy", "PyYAML", ROSBAGS, "scipy", "tqdm"]},
-    entry_points={"console_scripts": ["car-interface = car_interface.cli.main:main"]},
+    extras_require={"tools": ["Jinja2", "matplotlib", "numpy", "PyYAML", ROSBAGS, "scipy", "tqdm"]},
+    entry_points={"console_scripts": ["car-interface = car_interface.tools.cli.main:main"]},
 )

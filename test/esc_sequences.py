@@ -10,10 +10,10 @@ import collections
 import random
 from dataclasses import dataclass, field
 
+from esc_car import EscCar, EscCarConfig
 from many_drives import MS, count_duty
 
 from car_interface.sim import esc as virtual
-from car_interface.sim.esc_car import EscCar, EscCarConfig
 from car_interface.throttle.esc import Esc
 from car_interface.throttle.esc_config import EscConfig
 from car_interface.throttle.esc_intention import AUTO, DRIVE, REVERSE_GEAR, Request

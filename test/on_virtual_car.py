@@ -1,14 +1,17 @@
 """Runs a command while the car without hardware is up, on a ROS master of its own.
 
-    python3 test/on_virtual_car.py LOG_FOLDER [ARGUMENT:=VALUE...] -- COMMAND...
+    python3 test/on_virtual_car.py LOG_FOLDER [ARGUMENT:=VALUE...] [--report BAG_FOLDER] -- COMMAND...
 
-The arguments are demo.launch's. The exit code is the command's, or 1 when the car did not start or ended before it.
+The arguments are demo.launch's. With --report a page is made of the bag that the command has recorded there. The
+exit code is the command's, or 1 when the car did not start or ended before it.
 """
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 from processes import adopt_descendants, answers, end_descendants, end_of_log, free_port, interrupt, start, wait_until
@@ -49,7 +52,24 @@ def fail(reason: str, log: Path) -> int:
     return 1
 
 
+def report(folder: Path, since_s: float) -> None:
+    """Make a page of the newest bag, also of a drive that failed."""
+    bags = [path for path in folder.glob("*.bag") if path.stat().st_mtime >= since_s]
+    for bag in sorted(bags, key=lambda path: path.stat().st_mtime)[-1:]:
+        page = str(bag.with_suffix(".html"))
+        subprocess.run(["rosrun", "car_interface", "bag_report", str(bag), "-o", page], stdout=subprocess.DEVNULL,
+                       check=True)
+        print(f"  {'report':<32} {page}")
+
+
 if __name__ == "__main__":
     split = sys.argv.index("--")
+    arguments, begun_s = sys.argv[2:split], time.time()
     adopt_descendants()
-    sys.exit(run(Path(sys.argv[1]) / "roslaunch.log", sys.argv[2:split], sys.argv[split + 1:]))
+    log = Path(sys.argv[1])
+    shutil.rmtree(str(log), ignore_errors=True)
+    log.mkdir(parents=True)
+    code = run(log / "roslaunch.log", [each for each in arguments if ":=" in each], sys.argv[split + 1:])
+    if "--report" in arguments:
+        report(Path(arguments[arguments.index("--report") + 1]), begun_s)
+    sys.exit(code)

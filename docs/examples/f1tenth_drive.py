@@ -4,7 +4,7 @@ import math
 
 import rospy
 
-from car_interface.ros.ackermann_messages import ackermann_drive_class
+from car_interface.nodes.planner_interface.ackermann_messages import ackermann_drive_class
 
 # With the package installed: from ackermann_msgs.msg import AckermannDriveStamped
 AckermannDriveStamped = ackermann_drive_class()

@@ -33,13 +33,8 @@ from many_drives import THROTTLE, Chip
 
 from accuracy.steering_calibration import Errors, ask, asked_for, beyond, floor, line, meets, together
 from accuracy.virtual_drive import NS_PER_MS, NS_PER_S, START_NS, Hub, count_duty, random_car
-from car_interface.calibration.drive.calibration_drive import CalibrationDrive
-from car_interface.calibration.drive.conclusion import Conclusion, conclude
-from car_interface.calibration.drive.config import DEFAULTS, DriveConfig
-from car_interface.calibration.drive.grant import SLOWS
-from car_interface.calibration.drive.knowledge import assess
-from car_interface.calibration.drive.step import BLOCKED, DONE, PAUSED, Step
-from car_interface.common.drive_modes import AUTONOMOUS
+from car_interface.common.causes import AUTONOMOUS
+from car_interface.common.vehicle_geometry import SONARS
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.sim import esc as virtual
 from car_interface.sim.collision import Collisions
@@ -56,9 +51,15 @@ from car_interface.throttle.control import ThrottleControl
 from car_interface.throttle.converter import ConversionConfig, Converter
 from car_interface.throttle.esc_config import UNVERIFIED, EscConfig
 from car_interface.throttle.limits import ThrottleLimits
-from car_interface.throttle.obstacle_stop import NAMES, Mount, ObstacleConfig
+from car_interface.throttle.obstacle_stop import Mount, ObstacleConfig
 from car_interface.throttle.speed_control import SpeedControl, SpeedRequest
 from car_interface.throttle.value_map import load_value_map
+from car_interface.tools.calibration.drive.calibration_drive import CalibrationDrive
+from car_interface.tools.calibration.drive.conclusion import Conclusion, conclude
+from car_interface.tools.calibration.drive.config import DEFAULTS, CalibrationDriveConfig
+from car_interface.tools.calibration.drive.grant import SLOWS
+from car_interface.tools.calibration.drive.knowledge import assess
+from car_interface.tools.calibration.drive.step import BLOCKED, DONE, PAUSED, Step
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 STOCK, MAP = CONFIG / "turn_arb.yaml", CONFIG / "value_map.csv"
@@ -78,21 +79,21 @@ class Sonars:
 
     def __init__(self, rng, world):
         self._rng, self._world = rng, world
-        self._index, self._next_ns = rng.randrange(len(NAMES)), 0
+        self._index, self._next_ns = rng.randrange(len(SONARS)), 0
         self._reports = deque()
 
     def step(self, pose, now_ns):
         """The ranges that arrive now, by name."""
         if now_ns >= self._next_ns:
             sensor = self._index
-            self._index = (self._index + 1) % len(NAMES)
+            self._index = (self._index + 1) % len(SONARS)
             distance_m = self._world.distance_m(pose, sensor)
             flight_ns = 38 * NS_PER_MS if distance_m is None else round(2e9 * distance_m / 343)
             range_m = math.inf if distance_m is None or distance_m > MAX_RANGE_M else max(
                 0.0, distance_m + self._rng.gauss(0, 0.005))
             self._next_ns = now_ns + flight_ns + 30 * NS_PER_MS
             late_ns = round(self._rng.uniform(2, 12)) * NS_PER_MS
-            self._reports.append((now_ns + flight_ns + late_ns, NAMES[sensor], range_m))
+            self._reports.append((now_ns + flight_ns + late_ns, SONARS[sensor], range_m))
         arrived = []
         while self._reports and self._reports[0][0] <= now_ns:
             arrived.append(self._reports.popleft()[1:])
@@ -157,6 +158,8 @@ def driving_car(seed: int, rolls: bool = False) -> Car:
 class Person:
     """Who holds the button, lets it go now and then, and pushes the car back."""
 
+    push_ratio = 0.3  # of the releases, after which the car is pushed back though nothing asks for that
+
     def __init__(self, rng):
         self._rng = rng
         self.holds = False
@@ -178,7 +181,7 @@ class Person:
             elif now_s > self._until_s or is_there:
                 self._release(now_s, 1.0)
         elif self.holds and (now_s > self._until_s or self._blocked_s > 1.5):
-            self._wants_push = self._blocked_s > 1.5 or self._rng.random() < 0.3
+            self._wants_push = self._blocked_s > 1.5 or self._rng.random() < self.push_ratio
             self._release(now_s, self._rng.choice((0.15, 0.6, 2.0, 5.0)))
         elif not self.holds and now_s > self._until_s:
             self.pushes, self._wants_push = self._wants_push and not self.pushes, False
@@ -206,7 +209,8 @@ class Person:
 class Bench:
     """The car, its chain and the drive."""
 
-    def __init__(self, seed: int, trace=None, rolls: bool = False, braking_mps2: float = DEFAULTS.braking_mps2):
+    def __init__(self, seed: int, trace=None, rolls: bool = False, braking_mps2: float = DEFAULTS.braking_mps2,
+                 person=None):
         self._seed, self.car = seed, driving_car(seed, rolls)
         car = self.car
         self._rng = rng = random.Random(f"drive {seed}")
@@ -215,8 +219,8 @@ class Bench:
         self._collisions = None if self._world is None else Collisions(self._world.obstacles)
         self.vehicle = Vehicle(car.vehicle, START_NS, self._collisions)
         self._sonars = None if self._world is None else Sonars(rng, self._world)
-        mounts = {name: Mount(mount.x_m, mount.y_m, mount.yaw_rad) for name, mount in zip(NAMES, WorldConfig().mounts)}
-        config = DriveConfig(
+        mounts = {name: Mount(mount.x_m, mount.y_m, mount.yaw_rad) for name, mount in zip(SONARS, WorldConfig().mounts)}
+        config = CalibrationDriveConfig(
             braking_mps2=braking_mps2, radius_m=HALF_M,
             obstacles=None if self._world is None else ObstacleConfig(mounts, math.radians(30), 2.0))
         self.drive = CalibrationDrive(car.base, config)
@@ -225,7 +229,7 @@ class Bench:
         self._throttle = ThrottleControl(THROTTLE, ArbiterConfig(interlock=interlock), car.esc, ThrottleLimits())
         self._speed = SpeedControl()
         self._converter = Converter(ConversionConfig(), load_value_map(str(MAP)))
-        self._person = Person(rng)
+        self.person = person or Person(rng)
         noise = np.random.default_rng(rng.randrange(1 << 30))
         self._hub = Hub(car.vehicle, rng, noise)
         self._odom, self._odom_ns = None, START_NS
@@ -237,10 +241,10 @@ class Bench:
         self._tick_ns = START_NS
         self._max_m = self._extent_m = 0.0
         x_m, y_m, yaw_rad = car.vehicle.start
-        self._start = x_m + 0.142 * math.cos(yaw_rad), y_m + 0.142 * math.sin(yaw_rad)  # the car's middle
+        self.start = x_m + 0.142 * math.cos(yaw_rad), y_m + 0.142 * math.sin(yaw_rad)  # the car's middle
 
-    def run(self) -> Result:
-        end_ns = START_NS + round(MAX_S * NS_PER_S)
+    def run(self, max_s: float = MAX_S) -> Result:
+        end_ns = START_NS + round(max_s * NS_PER_S)
         while self.vehicle.time_ns < end_ns and not (self._step is not None and self._step.phase == DONE):
             self._advance()
         base_text = STOCK.read_text(encoding="utf-8")
@@ -255,7 +259,7 @@ class Bench:
             self._tick_ns += TICK_NS
             self._tick(now_ns)
         duties = self._chip.duties(now_ns)
-        pulses = self._push() if self._person.pushes else self.vehicle.step(STEP_NS, *duties)
+        pulses = self._push() if self.person.pushes else self.vehicle.step(STEP_NS, *duties)
         now_ns = self.vehicle.time_ns
         self._hub.roll(pulses, self.vehicle.speed_mps, now_ns)
 
@@ -272,7 +276,7 @@ class Bench:
 
     def _roll(self):
         self.drive = Mock(**{"step.return_value": Step(None, 0.0, PAUSED, ""), "take_fit_task.return_value": None})
-        self._person, self._trace = Mock(holds=False, pushes=False), None
+        self.person, self._trace = Mock(holds=False, pushes=False), None
         self._max_m = self._extent_m = 0.0
         vehicle, collisions = self.vehicle, self._collisions
         begin_ns, travel_m = vehicle.time_ns, vehicle.travel_m
@@ -287,7 +291,7 @@ class Bench:
     def _push(self):
         """A step in which the person moves the car, whose wheels roll."""
         vehicle, dt_s = self.vehicle, STEP_NS / NS_PER_S
-        vehicle.speed_mps, curvature = self._person.push(vehicle)
+        vehicle.speed_mps, curvature = self.person.push(vehicle)
         pose = vehicle._pose_after(vehicle.speed_mps * dt_s, curvature)
         vehicle.time_ns += STEP_NS
         if self._world is not None and not self._world.obstacles.is_free(pose):
@@ -313,7 +317,7 @@ class Bench:
                 self.drive.update_range(name, range_m, now_ns)
 
     def _tick(self, now_ns):
-        person, drive = self._person, self.drive
+        person, drive = self.person, self.drive
         person.step((now_ns - START_NS) / NS_PER_S, self.vehicle, self._step.phase if self._step else "",
                     self._step.text if self._step else "")
         drive.update_grant(person.holds, "nobody holds it", now_ns)
@@ -326,7 +330,7 @@ class Bench:
 
     def _arbitrate(self, step, now_ns):
         """From the request to the duties on the chip."""
-        person, throttle, steering = self._person, self._throttle, self._steering
+        person, throttle, steering = self.person, self._throttle, self._steering
         for arbiter in (steering, throttle.arbiter):
             arbiter.update_human(person.holds, now_ns)
         throttle.arbiter.update_mode(AUTONOMOUS, now_ns)
@@ -363,11 +367,11 @@ class Bench:
             self.drive.update_knowledge(self._due.popleft()[1], now_ns)
 
     def _judge(self):
-        if self._person.pushes:
+        if self.person.pushes:
             return
         x_m, y_m, yaw_rad = self.vehicle.pose
         cos_yaw, sin_yaw = math.cos(yaw_rad), math.sin(yaw_rad)
-        start = self._start
+        start = self.start
         for ahead, left in ((0.426, 0.148), (0.426, -0.148), (-0.142, 0.148), (-0.142, -0.148)):
             at = (x_m + ahead * cos_yaw - left * sin_yaw, y_m + ahead * sin_yaw + left * cos_yaw)
             self._max_m = max(self._max_m, abs(at[0]), abs(at[1]))

@@ -20,7 +20,6 @@ import yaml
 from many_drives import THROTTLE
 
 from accuracy.virtual_drive import NS_PER_S, START_NS, Command, View, record
-from car_interface.cli.main import main as command_line
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.sim import esc as virtual
 from car_interface.sim.drive_train import DriveConfig
@@ -30,6 +29,7 @@ from car_interface.throttle.arbiter import ArbiterConfig
 from car_interface.throttle.control import ThrottleControl
 from car_interface.throttle.esc_config import UNVERIFIED, EscConfig
 from car_interface.throttle.stick import StickConfig
+from car_interface.tools.cli.main import main as command_line
 
 MAKES = (virtual.xl5, virtual.vxl, virtual.crawler, virtual.direct, virtual.race)
 TICK_S = 0.02

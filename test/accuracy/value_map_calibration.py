@@ -22,11 +22,11 @@ from pathlib import Path
 import numpy as np
 
 from accuracy import virtual_drive
-from car_interface.calibration.value_map import table as tables
-from car_interface.cli import calibrate_value_map as command
 from car_interface.common.errors import CarInterfaceError
 from car_interface.sim.vehicle import true_acceleration_mps2
 from car_interface.throttle.value_map import load_value_map
+from car_interface.tools.calibration.value_map import table as tables
+from car_interface.tools.cli import calibrate_value_map as command
 
 STOCK_MAP = Path(__file__).resolve().parents[2] / "config" / "value_map.csv"
 TARGET_MPS2, TARGET_SHARE = 0.08, 0.5
@@ -80,8 +80,8 @@ def judge(seed, folder):
     virtual_drive.record(car, path, seed)
     parser = argparse.ArgumentParser()
     command.add_arguments(parser)
-    config = command.config_of(parser.parse_args([str(path), "-o", "unused.csv", "--jobs", "1"]))
-    (recorded_drive,), done = command.calibrate_by(config)
+    options = parser.parse_args([str(path), "-o", "unused.csv", "--jobs", "1"])
+    (recorded_drive,), done = command.calibrate_by(options, command.source_of(options))
     table, drive = done.table, recorded_drive.drive
     stated, true = table.origin <= tables.BETWEEN, truth(car, table)
     stock = load_value_map(str(STOCK_MAP))

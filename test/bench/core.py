@@ -8,13 +8,15 @@ import sys
 from pathlib import Path
 from typing import Iterator
 
+from set_up import find_python38
+
 from .effort import Effort
 from .rows import MEDIAN, P99, Row, Summary, Target
 from .stage import Stage
 
 ROOT = Path(__file__).resolve().parents[2]
 LOOKUPS = {11: (0.55, "0.68"), 100: (0.85, "15.9"), 1000: (2.2, "1054")}  # µs: to reach, and Autoware's C++
-PYTHON38 = os.environ.get("CAR_INTERFACE_PYTHON38")
+PYTHON38 = find_python38()
 
 
 def samples(python: str, *arguments) -> dict:

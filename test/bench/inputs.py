@@ -12,7 +12,7 @@ from std_msgs.msg import Bool, Float32, Int8, Int32MultiArray, MultiArrayDimensi
 
 from car_interface import msg
 from car_interface.common import causes
-from car_interface.common.drive_modes import AUTONOMOUS
+from car_interface.common.causes import AUTONOMOUS
 
 SPEED_MPS, RADIUS_M = 1.0, 2.0
 MAX_SPEED_MPS = 2.83  # in that turn at 4 m/s² sideways: more than the speed, so that no limit is reached

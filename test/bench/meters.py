@@ -6,7 +6,7 @@ import time
 
 from processes import descendants
 
-GUARD = "car_interface.ros.pca9685_guard"  # an argument of its command line
+GUARD = "car_interface.nodes.pca9685.pca9685_guard"  # an argument of its command line
 TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 
 

@@ -16,16 +16,16 @@ import yaml
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool
 
-from car_interface.nodes.car_sim import CarSim
+from car_interface.nodes.car_sim.node import CarSim
+from car_interface.nodes.car_sim.virtual_line import VirtualLine
 from car_interface.nodes.generic_value_converter import GenericValueConverter
-from car_interface.nodes.pca9685 import Pca9685
-from car_interface.nodes.planner_interface import PlannerInterface
-from car_interface.nodes.teensy_sensor_hub import TeensySensorHub
+from car_interface.nodes.pca9685.node import Pca9685
+from car_interface.nodes.planner_interface.node import PlannerInterface
+from car_interface.nodes.teensy_sensor_hub.node import TeensySensorHub
 from car_interface.nodes.teleop_logi import TeleopLogi
 from car_interface.nodes.throttle_arb import ThrottleArb
 from car_interface.nodes.turn_arb import TurnArb
 from car_interface.pca9685.registers import duty_of_counts
-from car_interface.ros.virtual_line import VirtualLine
 from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
 from car_interface.teensy.link.health import ABSENT, BUSY, FAILING
 from car_interface.teensy.link.port import PortError

@@ -1,10 +1,13 @@
 """What the tests in the graph share."""
 import sys
+from pathlib import Path
 
 import pytest
 
 from car import Car
 from graph import Graph
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "demo"))
 
 
 @pytest.fixture(autouse=True)

@@ -11,10 +11,10 @@ from graph import Graph
 Topics = Dict[str, Tuple[str, Callable[[Any], Any]]]
 
 
-def odometry(speed_mps: float) -> Odometry:
-    """A speed; the car's pose doesn't matter."""
+def odometry(speed_mps: float, yaw_rate_radps: float = 0.0) -> Odometry:
+    """A speed and how quickly the car turns; its pose doesn't matter."""
     message = Odometry()
-    message.twist.twist.linear.x = speed_mps
+    message.twist.twist.linear.x, message.twist.twist.angular.z = speed_mps, yaw_rate_radps
     return message
 
 

@@ -13,12 +13,12 @@ from std_msgs.msg import Float32
 from visualization_msgs.msg import Marker
 
 from car import CENTER, CONFIG, ESC, ESC_NEUTRAL, STEERING, Car, config
-from car_interface.calibration.drive import options
-from car_interface.calibration.drive.conclusion import Conclusion
 from car_interface.common.errors import CarInterfaceError
-from car_interface.nodes import calibration_drive
-from car_interface.nodes.calibration_drive import CalibrationDriveNode
-from car_interface.ros.drive_topics import TOPICS
+from car_interface.nodes.calibration_drive import node as calibration_drive
+from car_interface.nodes.calibration_drive.drive_topics import TOPICS
+from car_interface.nodes.calibration_drive.node import CalibrationDriveNode
+from car_interface.tools.calibration.drive.conclusion import Conclusion
+from car_interface.tools.calibration.drive.config import parse
 from graph import NS_PER_S
 
 CURVATURES = {3800: 1.05, 4100: 0.83, 4400: 0.58, 4700: 0.28, 4980: 0.0, 5300: -0.24, 5700: -0.52, 6200: -0.82,
@@ -104,7 +104,7 @@ class Practice(Car):
         self.arguments = arguments
 
     def begin(self, run_s=4.0):
-        wanted = options.parse(["-o", str(self.table), *self.arguments])
+        wanted = parse(["-o", str(self.table), *self.arguments])
         self.program = self.graph.add(
             partial(CalibrationDriveNode, wanted, text=self.terminal, keys=self.terminal, make_page=Page,
                     make_recording=partial(Recording, self)), "calibration_drive")
@@ -304,7 +304,7 @@ def test_table_that_is_there_is_replaced_after_a_question_or_the_new_one_is_writ
     shutil.copy(f"{CONFIG}/turn_arb.yaml", tmp_path)
     old = (tmp_path / "turn_arb.yaml").read_text(encoding="utf-8")
     new = old.replace("servo_center: 5100", "servo_center: 5050")
-    conclusion = Conclusion(new, ("it is so",), "", 5050, (3800, 6700))
+    conclusion = Conclusion(new, ("it is so",), "", 5050)
     monkeypatch.setattr(calibration_drive, "conclude", lambda *_: conclusion)
     car = Practice(tmp_path, "--no-sonars", *arguments, live=live).begin()
     car.hold()

@@ -15,14 +15,14 @@ from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32, String
 
 from car import CENTER, ESC_NEUTRAL, LEFT, MANUAL, RIGHT, Car
-from car_interface.common.drive_modes import MANUAL as BY_HUMAN
+from car_interface.common.causes import MANUAL as BY_HUMAN
 from inputs import control, odometry
 
 SAFETY = Path(__file__).resolve().parents[2] / "docs" / "safety.md"
 MS = 1_000_000
 NEUTRALS = (CENTER, ESC_NEUTRAL)
 HOP_S = 0.02  # a multiple of the nodes' periods of 10 and 20 ms: it leaves the phases as they are
-GOES_ON = "goes on"  # of a channel, in the page's table
+CONTINUES = "continues"  # of a channel, in the page's table
 HOUR_NS = 3600 * 1000 * MS
 # Of the moment of a fault, ns: at, just after and just before a tick of turn_arb, and of throttle_arb or teleop_logi.
 PHASES = (0, 1, 7 * MS, 10 * MS - 1, 10 * MS, 20 * MS - 1)
@@ -104,6 +104,7 @@ class Chain:
         for name in released:
             self.send(name, HELD[name])
         self.graph.run_until(lambda: self.drives, 3.0)
+        self.run(0.001)  # what changes from now on is not the start's
 
     def recover(self) -> None:
         """Start again what was killed, and have every input as it was, with the deadman held."""
@@ -281,13 +282,13 @@ ROWS = [
 
 
 def page_rows() -> dict[str, list[tuple[float, float] | None]]:
-    """Return the bounds in the page's table, by fault: those of the servo and of the ESC; ``None`` = it goes on."""
+    """Return the bounds in the page's table, by fault: those of the servo and of the ESC; ``None`` = it continues."""
     _, _, section = SAFETY.read_text(encoding="utf-8").partition("## Exact bounds\n")
     found: dict = {}
     for line in section.partition("\n## ")[0].splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
-        if len(cells) == 4 and re.match(rf"\d|{GOES_ON}", cells[1]):
-            bounds = [None if cell == GOES_ON else [float(number) for number in cell.split(" to ")]
+        if len(cells) == 3 and re.match(rf"\d|{CONTINUES}", cells[1]):
+            bounds = [None if cell == CONTINUES else [float(number) for number in cell.split(" to ")]
                       for cell in cells[1:3]]
             for title in cells[0].split(", "):
                 found[title] = [each and (each[0], each[-1]) for each in bounds]
@@ -331,7 +332,7 @@ def test_clock_that_is_set_by_an_hour_moves_nothing_and_changes_no_timeout(step_
     at_ns = falls_silent("human")(chain, 0)
     chain.run(0.2)
     chain.graph.ros_ahead_ns -= step_ns
-    assert chain.neutral_ms(at_ns, (0, 1)) == {0: 510.0, 1: 511.0}
+    assert chain.neutral_ms(at_ns, (0, 1)) == {0: 510.0, 1: 510.0}
 
 
 def test_network_that_is_cut_stops_the_car_and_it_stands_when_the_network_is_back():
@@ -340,7 +341,7 @@ def test_network_that_is_cut_stops_the_car_and_it_stands_when_the_network_is_bac
     at_ns = chain.after_message(INPUTS["human"][0], "human_node", 0)
     for name in ("human", "steering"):
         chain.graph.link(sender=f"/{name}_node", loses=lambda message: True)
-    assert chain.neutral_ms(at_ns, (0, 1)) == {0: 510.0, 1: 511.0}
+    assert chain.neutral_ms(at_ns, (0, 1)) == {0: 510.0, 1: 510.0}
     for name in ("human", "steering"):
         chain.graph.link(sender=f"/{name}_node")
     chain.run(1.0)

@@ -5,6 +5,7 @@ import dataclasses
 import functools
 import importlib
 import os
+import re
 import shutil
 
 import pytest
@@ -12,6 +13,7 @@ import pytest
 from car import CONFIG, config
 from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
+from car_interface.ros.start import full_name
 
 PACKAGE = os.path.dirname(os.path.realpath(CONFIG))
 WHOLE_PATH = "accepted: a whole path, from / on, such as $PWD/my_car makes: nodes run in another folder, and ~ is no"
@@ -83,7 +85,8 @@ REFUSALS = [
 
 
 def read(node, values):
-    return importlib.import_module(f"car_interface.nodes.{node}").read_config(Params(values))
+    module = node if node == "demo_drive" else full_name(f"nodes.{node}")
+    return importlib.import_module(module).read_config(Params(values))
 
 
 def attribute(made, path):
@@ -160,6 +163,18 @@ def test_reading_opens_and_makes_nothing(tmp_path):
 
 
 # --- launch files ---
+
+@pytest.mark.parametrize("file, argument, refusal", [
+    ("pca9685.launch", "device:=virtual", "device is called i2c now: i2c:=virtual"),
+    ("car_nodes.launch", "device:=virtual", "device is called i2c now: i2c:=virtual"),
+    ("planner_interface.launch", "source:=cmd_vel", "source is called planner now: planner:=cmd_vel"),
+    ("turn_arb.launch", "config:=/home/me/my car/turn_arb.yaml", "config is a folder now: config:=/home/me/my car"),
+    ("display.launch", "config:=/home/me/car.rviz", "config is a folder now: config:=/home/me"),
+])
+def test_launch_file_refuses_an_argument_by_its_old_name_and_says_the_new_one(file, argument, refusal):
+    with pytest.raises(Exception, match=re.escape(refusal)):
+        loaded(file, argument)
+
 
 @pytest.mark.parametrize("file, arguments", [("pca9685.launch", []), ("car.launch", ["one_process:=true"])])
 @pytest.mark.parametrize("throttle, neutral", [("false", 0), ("true", 4915)])

@@ -9,10 +9,10 @@ import pytest
 from std_msgs.msg import Bool, Int32MultiArray
 
 import car as cars
+import demo_drive
 from car import Car, config
-from car_interface.nodes import demo_drive
-from car_interface.nodes.demo_drive import DemoDrive
-from car_interface.sim.demo_script import DriveConfig
+from demo_drive import DemoDrive
+from demo_script import DriveConfig
 from graph import Graph
 
 sys.path.append(str(Path(__file__).parents[1]))

@@ -22,6 +22,7 @@ from car import Car
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.params import Params
 from car_interface.nodes.car_display import CarDisplay
+from car_interface.ros.start import full_name
 
 ALL = bool(os.environ.get("CAR_INTERFACE_ALL"))
 SEED = int(os.environ.get("CAR_INTERFACE_SEED", random.SystemRandom().randrange(10 ** 6) if ALL else 3))
@@ -105,7 +106,7 @@ def fails(what, error):
 
 @pytest.mark.parametrize("name", NODES)
 def test_node_reads_parameters_of_any_value_or_refuses_them_with_a_config_error(name):
-    read = importlib.import_module(f"car_interface.nodes.{name}").read_config
+    read = importlib.import_module(full_name(f"nodes.{name}")).read_config
     good, choose, refused = good_parameters(name), random.Random(SEED), 0
     read(Params(good))
     for _ in range(READS):

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import re
 import threading
 import time
@@ -17,6 +18,7 @@ from std_msgs.msg import Bool, Float32, Int32MultiArray
 from car import Car
 from car_interface.common.causes import INHIBITS
 from car_interface.ros.inbox import Inbox
+from car_interface.teensy.sensing.measurements import Measurements
 from graph import NodeClocks, TopicPublisher
 from inputs import control, odometry
 
@@ -78,7 +80,7 @@ def test_request_that_is_dropped_is_answered_with_an_error(queue):
         answers.append(str(error.value))
     thread = threading.Thread(target=ask, daemon=True)
     thread.start()
-    while queue.inbox.is_empty:
+    while not queue.inbox._items:
         time.sleep(0.001)
     queue.put(*range(5))
     thread.join(30)
@@ -201,15 +203,27 @@ def test_pca9685_that_loses_messages_has_each_channel_at_its_timeout_value_until
     assert small.graph.newest("/servo/output").data[0] == 3808
 
 
-def test_teensy_sensor_hub_that_loses_messages_no_longer_knows_the_commanded_turn(small):
-    small.hub()
+def test_turn_arb_that_loses_messages_no_longer_knows_how_the_car_turned(small):
+    small.turn_arb()
+    small.graph.hold("/odom", odometry(1.0, 0.5), 20)
     for lost, turn in ((False, "2.00 m"), (True, "nan m")):
-        small.graph.run(0.95)
-        small.send("/turn_arb/state", SteeringState(turn_radius=2.0))
-        small.flood("/temperature" if lost else "/elsewhere", Temperature(temperature=20.0))
-        small.graph.run(0.01)
-        report = small.graph.report("teensy_sensor_hub: steering by the wheels", small.graph.now_ns)
-        assert report.values["commanded turn radius"] == turn
+        small.graph.run(1.0)
+        small.flood("/av_steer_req" if lost else "/elsewhere", Float32(0.0))
+        since_ns = small.graph.now_ns
+        small.graph.run(1.0)
+        reports = [status for array in small.graph.messages("/diagnostics", since_ns) for status in array.status
+                   if status.name == "turn_arb: steering by the wheels"]
+        assert {pair.value for pair in reports[0].values if pair.key == "estimated_turn_radius"} == {turn}
+
+
+def test_teensy_sensor_hub_that_loses_messages_no_longer_knows_the_commanded_turn(small, monkeypatch):
+    steered = []
+    monkeypatch.setattr(Measurements, "steer", lambda self, curvature_per_m: steered.append(curvature_per_m))
+    small.hub(use_steering=True)
+    small.send("/turn_arb/state", SteeringState(turn_radius=2.0))
+    assert steered == [0.5]
+    small.flood("/temperature", Temperature(temperature=20.0))
+    assert math.isnan(steered[-1])
 
 
 # --- messages that can wait for the next tick ---

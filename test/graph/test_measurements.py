@@ -5,7 +5,6 @@ import math
 
 import pytest
 import rospy
-from car_interface.msg import SteeringState
 from car_interface.srv import InjectFaultRequest
 from sensor_msgs.msg import Range, Temperature
 from std_msgs.msg import Int32MultiArray
@@ -209,20 +208,6 @@ def test_clock_that_nobody_answers_for_is_told(car):
     car.graph.run(5)
     report = car.graph.report("teensy_sensor_hub: Teensy clock")
     assert (report.level, report.message) == (1, "no ping was answered yet: times go by when reports arrive")
-
-
-@pytest.mark.once
-@pytest.mark.parametrize("radius_m, level, message", [
-    (-1.5, 1, "steering calibration?"), (2.5, 0, "the car turns as it is told to, or stands")])
-def test_car_that_turns_against_its_steering_is_told(car, radius_m, level, message):
-    driven = Driven(car)
-    car.graph.repeat("/turn_arb/state", SteeringState(turn_radius=radius_m), 20)
-    driven.hold(LEFT, FORWARD)
-    car.graph.run(8)
-    report = car.graph.report("teensy_sensor_hub: steering by the wheels")
-    assert report.level == level and message in report.message
-    assert report.values["commanded turn radius"] == f"{radius_m:.2f} m"
-    assert 2.4 < float(report.values["estimated_turn_radius"].split()[0]) < 2.6
 
 
 @pytest.mark.once

@@ -12,8 +12,8 @@ from std_msgs.msg import Int32MultiArray
 
 from car import CENTER, ESC, ESC_NEUTRAL, STEERING, Board, config
 from car_interface.common.errors import DeviceError
-from car_interface.nodes.pca9685 import Pca9685
-from car_interface.ros import virtual_board
+from car_interface.nodes.pca9685 import virtual_board
+from car_interface.nodes.pca9685.node import Pca9685
 from graph import Graph, Node
 
 MS = 1_000_000

@@ -12,7 +12,7 @@ from std_msgs.msg import Bool, Float32, UInt8
 
 from car import AUTOWARE, CONTROL, GEAR, Car
 from car_interface.common import causes
-from car_interface.ros.ackermann_messages import ackermann_drive_class
+from car_interface.nodes.planner_interface.ackermann_messages import ackermann_drive_class
 from car_interface.ros.inbox import INBOX_LIMIT
 from graph import NS_PER_S, Graph
 from inputs import control, odometry

@@ -25,10 +25,10 @@ from dynamic_reconfigure.client import Client
 from std_msgs.msg import Int32MultiArray
 from std_srvs.srv import Trigger
 
-from car_interface.recordings.recording import read
-from car_interface.recordings.replay import TOPICS, replay
-from car_interface.recordings.signals import PARTS, load
 from car_interface.teensy.sensing.measurements import MeasurementConfig, MotionMeasurement
+from car_interface.tools.recordings.recording import read
+from car_interface.tools.recordings.replay import TOPICS, replay
+from car_interface.tools.recordings.signals import PARTS, load
 from closing import pid_of
 from waiting import PACKAGE, Topic, eventually, set_params, start, start_node
 

@@ -309,7 +309,7 @@ class Doctor(unittest.TestCase):
 
     def test_9_a_second_car_in_one_process_then_both_are_gone(self):
         second = start(self, "roslaunch", "car_interface", "car_nodes.launch", "ns:=car2", "port:=/dev/absent",
-                       "device:=/dev/i2c-absent")
+                       "i2c:=/dev/i2c-absent")
         self.addCleanup(second.end)
         self.wait_for_nodes("/car2/car_nodes")
         pid = pid_of("/car2/car_nodes")

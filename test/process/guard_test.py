@@ -17,7 +17,7 @@ import rostest
 from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import Int32MultiArray
 
-from car_interface.ros.relay_link import RelayLink
+from car_interface.nodes.pca9685.relay_link import RelayLink
 from virtual_car import FakeBus, free_port, guard_of, has_ended
 from waiting import NodeProcess, Repeater, Sender, Topic, eventually, executable
 
@@ -246,7 +246,7 @@ def relays(topic):
                 arguments = file.read().decode().split("\0")
         except OSError:
             continue  # it has just ended
-        if "car_interface.ros.output_relay" in arguments and f"/servo/output:={topic}" in arguments:
+        if "car_interface.nodes.pca9685.output_relay" in arguments and f"/servo/output:={topic}" in arguments:
             found.append(int(name))
     return found
 

@@ -183,8 +183,8 @@ class Interfaces(unittest.TestCase):
             self.assertEqual(vector.layout.data_offset, 0)
             self.assertEqual([(dim.label, dim.size, dim.stride) for dim in vector.layout.dim], [("pwm_channel", 16, 1)])
 
-    def test_line_of_the_readme_commands_a_servo_board_as_typed(self):
-        with open(os.path.join(PACKAGE, "README.md"), encoding="utf-8") as file:
+    def test_line_of_the_install_page_commands_a_servo_board_as_typed(self):
+        with open(os.path.join(PACKAGE, "docs/install.md"), encoding="utf-8") as file:
             line = next(line for line in file if line.startswith("    rostopic pub /command "))
         board = start_node(self, "pca9685", "_device:=virtual", "/servo/output:=bare/output",
                            "/servo/cmdVector:=bare/cmdVector", name="bare")

@@ -43,7 +43,7 @@ class LostParameters(Closing):
     def test_board_is_not_exchanged_for_another_one_also_not_when_the_master_was_replaced(self):
         car = Car(self.addCleanup)  # for its master
         master = rosgraph.Master("/test", car.env["ROS_MASTER_URI"])
-        launch = self.launch("pca9685.launch", "device:=virtual", "address:=0x41", env={**car.env, **self.bus.env})
+        launch = self.launch("pca9685.launch", "i2c:=virtual", "address:=0x41", env={**car.env, **self.bus.env})
         launch.stdout.wait_for(lambda line: "running at" in line, within_s=LAUNCH_S)
         values = master.getParam("/pca9685")
 
@@ -88,7 +88,7 @@ class LostParameters(Closing):
         port = os.path.join(self.folder, "my teensy")  # a path may have a space
         states, outputs = self.topic("/turn_arb/state", SteeringState), self.topic("/servo/output", Int32MultiArray)
         reports = self.topic("/diagnostics", DiagnosticArray)
-        launch = self.launch("car_nodes.launch", "device:=virtual", f"port:={port}", "throttle:=true", env=self.bus.env)
+        launch = self.launch("car_nodes.launch", "i2c:=virtual", f"port:={port}", "throttle:=true", env=self.bus.env)
         outputs.wait_for(lambda output: output.data[0] > 0, within_s=LAUNCH_S)
         values = {name: self.parameters(f"/{name}") for name in (*PARTS, "car_nodes")}
         for path in ("/pca9685/device", "/teensy_sensor_hub", "/car_nodes/throttle"):
@@ -121,7 +121,7 @@ class LostParameters(Closing):
         with open(path, "w", encoding="utf-8") as file:
             yaml.safe_dump({**config("turn_arb.yaml"), "servo_left": "x"}, file)
         reports = self.topic("/diagnostics", DiagnosticArray)
-        launch = self.launch("turn_arb.launch", f"config:={path}")
+        launch = self.launch("turn_arb.launch", f"config:={self.folder}")
         line = launch.stderr.wait_for(lambda line: "FATAL" in line, within_s=LAUNCH_S).what
         self.parameters("/turn_arb")
         self.assertTrue(line.endswith(

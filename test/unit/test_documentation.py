@@ -10,13 +10,14 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 README = ROOT / "README.md"
 PAGES = [README, ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
+INSTALL = ROOT / "docs/install.md"
 NODE_REFERENCE = ROOT / "docs/nodes.md"
-FOLDERS = ("cfg", "config", "docs", "launch", "msg", "scripts", "src", "srv", "test", "udev")
+FOLDERS = ("cfg", "config", "demo", "docs", "launch", "msg", "scripts", "src", "srv", "test", "udev")
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 # Folders of a repository path, or a launch file, in a word of the text.
 PATH = re.compile(rf"(?<![\w./~$:-])((?:{'|'.join(FOLDERS)})/[\w./-]*\w|\w+\.launch)(?![\w/])")
 PARAMETER = re.compile(r"params\.\w+\(\s*f?\"([\w/]+)")
-MODULES = sorted((ROOT / "src/car_interface").rglob("*.py"))
+MODULES = sorted([*(ROOT / "src/car_interface").rglob("*.py"), *(ROOT / "demo").glob("*.py")])
 
 
 def text_of(path: Path) -> str:
@@ -47,7 +48,7 @@ def test_links_paths_commands_and_measuring_programs_that_a_page_names_exist(pag
     broken += [name for name in re.findall(r"python3 -m accuracy\.(\w+)", text)
                if not (ROOT / "test/accuracy" / f"{name}.py").exists()]
     broken += [name for name in re.findall(r"rosrun car_interface (\w+)", text)
-               if not (ROOT / "scripts" / name).exists() and name != "COMMAND"]
+               if not any((ROOT / folder / name).exists() for folder in ("scripts", "demo")) and name != "COMMAND"]
     assert broken == []
 
 
@@ -56,13 +57,13 @@ def test_readme_links_every_page():
     assert {name_of(page) for page in PAGES if page != README} - linked == set()
 
 
-def test_readme_lists_every_argument_of_car_launch():
+def test_install_page_lists_every_argument_of_car_launch():
     declared = {arg.get("name") for arg in ElementTree.parse(str(ROOT / "launch/car.launch")).getroot().findall("arg")}
-    (table,) = re.findall(r"\| argument of car\.launch .*?\n\n", text_of(README), re.S)
-    assert declared - set(re.findall(r"`(\w+)`", table)) == set()
+    (arguments,) = re.findall(r"^## Launch\n.*?(?=^## )", text_of(INSTALL), re.S | re.M)
+    assert declared - set(re.findall(r"`(\w+)`", arguments)) == set()
 
 
-def test_readme_and_recordings_name_the_debian_package_of_every_dependency():
+def test_install_page_and_recordings_name_the_debian_package_of_every_dependency():
     # Those of ROS's own tools come with ros-core; rosbags, which Debian doesn't package, by pip.
     other_names = {"message_runtime": "ros-message-runtime", "rviz": "rviz", "python3-rosbags-pip": "rosbags",
                    **dict.fromkeys(("rosbag", "roslaunch", "rosgraph", "roslib", "rospy", "python3-rospkg"),
@@ -70,7 +71,7 @@ def test_readme_and_recordings_name_the_debian_package_of_every_dependency():
     package = ElementTree.parse(str(ROOT / "package.xml")).getroot()
     keys = [tag.text for tag in package.findall("exec_depend") if "== noetic" not in tag.get("condition", "")]
     debian = {key: other_names.get(key) or "python3-" + re.sub("^python3-", "", key).replace("_", "-") for key in keys}
-    words = set(re.findall(r"[\w.-]+", text_of(README) + text_of(ROOT / "docs/recordings.md")))
+    words = set(re.findall(r"[\w.-]+", text_of(INSTALL) + text_of(ROOT / "docs/recordings.md")))
     assert {key: name for key, name in debian.items() if name not in words} == {}
 
 

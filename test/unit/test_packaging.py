@@ -1,7 +1,6 @@
 """What catkin, rosrun, roslaunch and rosdep will find, as far as it can be checked without ROS."""
 from __future__ import annotations
 
-import ast
 import importlib.util
 import os
 import re
@@ -16,6 +15,7 @@ from mutate import imports
 ROOT = Path(__file__).resolve().parents[2]
 CMAKE = (ROOT / "CMakeLists.txt").read_text(encoding="utf-8")
 SCRIPTS = sorted((ROOT / "scripts").iterdir())
+DEMO = ROOT / "demo"
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch"))
 # Scripts that are run by hand and end by themselves; those for recordings and tables need no ROS.
 OFFLINE = {"bag_report", "calibrate_esc", "calibrate_steering", "calibrate_value_map", "check_map", "drives"}
@@ -24,8 +24,9 @@ TOOLS = {"calibration_drive", "doctor", "keyboard_drive", "setup_hardware", "wai
 NODES = [script for script in SCRIPTS if script.name not in OFFLINE]
 NODE_TESTS = sorted((ROOT / "test" / "process").glob("*.test"))
 # The rosdep keys of libraries that are not called like their key.
-KEYS = {name: f"python3-{name}" for name in ("hypothesis", "matplotlib", "numpy", "pytest", "rospkg", "scipy", "serial",
-                                            "setuptools", "smbus2", "tqdm", "yaml")}
+KEYS = {name: f"python3-{name}" for name in ("evdev", "hypothesis", "jinja2", "matplotlib", "numpy", "pytest", "rospkg",
+                                            "scipy", "serial", "setuptools", "smbus2", "tqdm", "yaml")}
+KEYS["PIL"] = "python3-pil"
 KEYS["rosbags"] = "python3-rosbags-pip"
 
 
@@ -52,19 +53,20 @@ def is_standard(name: str) -> bool:
 def keys_of_imports(paths: list[Path]) -> set[str]:
     """Returns the rosdep keys of the libraries that Python files import from outside the package."""
     found = {name.split(".")[0] for path in paths for name in imports(path)}  # "" of a relative one
-    ours = {"", "car_interface"} | {path.stem for path in paths} | {path.parent.name for path in paths}
+    ours = {"", "car_interface", *(path.stem for path in [*paths, *DEMO.glob("*.py")]),
+            *(path.parent.name for path in paths)}
     return {KEYS.get(name, name) for name in found - ours if not is_standard(name)}
 
 
 def listed_in_cmake(command: str) -> list[str]:
     """Returns the file names that a CMake command lists."""
     (body,) = re.findall(r"\b" + command + r"\(([^)]*)\)", CMAKE)
-    return re.findall(r"[\w/]+\.(?:msg|srv)\b|scripts/\w+", body)
+    return re.findall(r"[\w/]+\.(?:msg|srv)\b|(?:scripts|demo)/\w+", body)
 
 
 def module_of(script: Path) -> str:
     """Returns the module below car_interface whose main() a script calls."""
-    return {"doctor": "doctor.cli", "setup_hardware": "host_setup.cli",
+    return {"doctor": "tools.doctor.cli", "setup_hardware": "tools.host_setup.cli",
             "wait_for_name": "ros.wait_for_name"}.get(script.name, f"nodes.{script.name}")
 
 
@@ -73,15 +75,16 @@ def test_script_is_executable_shadows_no_library_and_only_calls_its_command_or_n
     assert os.access(str(script), os.X_OK)
     assert "." not in script.name, "an extension could make it shadow a library"
     expected = (f'from car_interface.ros.start import start\n\nstart("{module_of(script)}")\n' if script in NODES else
-                f'import sys\n\nfrom car_interface.cli.main import main\n\nsys.exit(main("{script.name}"))\n')
+                f'import sys\n\nfrom car_interface.tools.cli.main import main\n\nsys.exit(main("{script.name}"))\n')
     assert script.read_text(encoding="utf-8") == f"#!/usr/bin/env python3\n{expected}"
     if script in NODES:
-        path = ROOT / "src/car_interface" / (module_of(script).replace(".", "/") + ".py")
+        path = ROOT / "src/car_interface" / module_of(script).replace(".", "/")
+        path = path / "node.py" if path.is_dir() else path.with_suffix(".py")
         assert "\ndef main(" in path.read_text(encoding="utf-8")
 
 
 def test_cmake_lists_every_script_message_service_and_cfg_file_which_can_be_run():
-    assert listed_in_cmake("catkin_install_python") == [name_of(path) for path in SCRIPTS]
+    assert listed_in_cmake("catkin_install_python") == [*map(name_of, SCRIPTS), "demo/demo_drive"]
     assert listed_in_cmake("add_message_files") == sorted(path.name for path in (ROOT / "msg").iterdir())
     assert listed_in_cmake("add_service_files") == sorted(path.name for path in (ROOT / "srv").iterdir())
     listed = re.findall(r"cfg/\w+\.cfg", CMAKE)
@@ -93,19 +96,18 @@ def test_cmake_installs_everything_that_a_user_needs():
     installed = set(" ".join(re.findall(r"\binstall\((?:DIRECTORY|FILES) ([\w. ]+?) DESTINATION", CMAKE)).split())
     assert installed == {"config", "docs", "launch", "udev", "LICENSE", "README.md"}
     assert [name for name in installed if not (ROOT / name).exists()] == []
+    modules = " ".join(name_of(path) for path in sorted(DEMO.glob("*.py")))
+    assert f"install(FILES {modules} DESTINATION ${{CATKIN_PACKAGE_BIN_DESTINATION}})" in CMAKE
 
 
-def test_setup_lists_every_folder_of_modules_and_none_hides_the_generated_messages():
-    tree = ast.parse((ROOT / "setup.py").read_text(encoding="utf-8"))
-    (listed,) = [node.value for node in ast.walk(tree) if isinstance(node, ast.keyword) and node.arg == "packages"]
+def test_setup_finds_every_folder_of_modules_and_none_hides_the_generated_messages():
     folders = {path.parent for path in (ROOT / "src").rglob("*.py")}
     assert [folder for folder in folders if not (folder / "__init__.py").exists()] == []
-    assert ast.literal_eval(listed) == sorted(".".join(folder.relative_to(ROOT / "src").parts) for folder in folders)
     assert not (ROOT / "src/car_interface/msg").exists() and not (ROOT / "src/car_interface/srv").exists()
 
 
 @pytest.mark.parametrize("paths, kind", [
-    ([*(ROOT / "src").rglob("*.py"), *SCRIPTS, ROOT / "setup.py"], "buildtool_depend"),
+    ([*(ROOT / "src").rglob("*.py"), *SCRIPTS, *DEMO.glob("*.py"), ROOT / "setup.py"], "buildtool_depend"),
     (list((ROOT / "test").rglob("*.py")), "test_depend"),
 ], ids=["code", "tests"])
 def test_package_declares_what_is_imported(paths, kind):
@@ -118,7 +120,7 @@ def test_launch_file_starts_and_names_only_what_exists(path):
     declared = {key for key, _ in dependencies("exec_depend")}
     for node in launch.iter("node"):
         if node.get("pkg") == "car_interface":
-            assert ROOT / "scripts" / node.get("type") in SCRIPTS
+            assert any(os.access(str(ROOT / folder / node.get("type")), os.X_OK) for folder in ("scripts", "demo"))
         else:
             assert node.get("pkg") in declared
     for test in launch.iter("test"):

@@ -6,10 +6,12 @@ test/graph/test_calibration_drive.py has one.
 from __future__ import annotations
 
 import os
+import random
 
 import planner_drives as planners
 import pytest
 from accuracy import calibration_drive as calibration
+from accuracy import calibration_picture as picture
 
 IS_ALL = bool(os.environ.get("CAR_INTERFACE_ALL"))
 PLANNERS = 1000 if IS_ALL else 18
@@ -30,3 +32,14 @@ def test_car_that_calibrates_its_steering_stays_inside_hits_nothing_and_writes_a
     """Within what is asked of a person's drive: see docs/calibrate.md."""
     result, errors = calibration.judge(seed)
     assert calibration.is_good(result, errors), calibration.row(result, errors)
+
+
+@pytest.mark.once
+def test_moving_picture_of_a_calibration_is_drawn(tmp_path, monkeypatch):
+    monkeypatch.setattr(picture, "MOVING_S", 0.3)
+    recorder = picture.Recorder()
+    bench = calibration.Bench(picture.SEED, recorder, person=picture.PatientPerson(random.Random(picture.SEED)))
+    bench.run(max_s=12.0)
+    picture.save(picture.images(picture.Picture(bench), recorder.moments), str(tmp_path / "made.gif"))
+    with picture.Image.open(tmp_path / "made.gif") as made:
+        assert (made.n_frames, made.size) == (3, (800, 430))

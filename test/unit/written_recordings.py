@@ -139,13 +139,7 @@ SPEED_MPS, RADIUS_M = 1.5, 2.0
 HOSTILE = '<script>document.title = "owned"</script> & "quotes" </svg>'
 
 
-def old_steering_state() -> tuple[str, str]:
-    """The type of turn_arb's state, and its definition before it had a cause."""
-    lines = (ROOT / "msg" / "SteeringState.msg").read_text(encoding="utf-8").split("\n")
-    return "car_interface/SteeringState", "\n".join(line for line in lines if line != "string cause")
-
-
-def drive(duration_s: float = 60.0, namespace: str = "", with_causes: bool = True) -> list[Written]:
+def drive(duration_s: float = 60.0, namespace: str = "") -> list[Written]:
     """By gamepad straight on, then by the planner to the left, on a circle that the car makes 10 % wider.
 
     At 40 s the planner's messages end, at 50 s the Teensy's for two seconds; at 45 s a node logs a hostile text.
@@ -173,7 +167,7 @@ def drive(duration_s: float = 60.0, namespace: str = "", with_causes: bool = Tru
                 (PLANNER, causes.PLANNER, "av_turnrad_req is 2.000 m") if time_s < 40 else
                 (NEUTRAL, causes.PLANNER_STALE, f"av_turnrad_req silent for {time_s - 39.5:.2f} s"))
             messages.append(Written(time_s, f"{below}/turn_arb/state", "car_interface/SteeringState", {
-                "stamp": stamp(time_s), "source": source, **({"cause": cause} if with_causes else {}), "reason": reason,
+                "stamp": stamp(time_s), "source": source, "cause": cause, "reason": reason,
                 "duty": 3846 if sent else 5100, "turn_radius": RADIUS_M if sent else math.inf}))
             messages.append(Written(time_s, f"{below}/servo/output", "std_msgs/Int32MultiArray", {"data": duties}))
             messages.append(Written(time_s, f"{below}/generic/output/value", "car_interface/Float64Stamped", {

@@ -1,1 +1,1 @@
-"""What every part uses: errors, parameters, stale inputs, lookup tables, files. No ROS, no device."""
+"""Shared by the parts: errors, parameters, stale inputs, lookup tables, files. No ROS, no device."""

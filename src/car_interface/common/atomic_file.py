@@ -1,9 +1,9 @@
 """Replaces a file in one step: a reader sees the old content or the new one, never a part of either.
 
-What is written has no name until it is complete (O_TMPFILE), so that a process that is killed leaves nothing behind,
-with one exception: a file is replaced by renaming another one, and between naming that and renaming it there is a
-moment. A name from that moment, or from a file system that can't write without one, is removed by the next replacement
-of the file: the process that makes it holds a lock on it, and whatever is not locked is left over.
+A new file has no name until it is complete (O_TMPFILE), so that a killed process leaves nothing behind, with one
+exception: a file is replaced by renaming another one, and a process can be killed between naming that and renaming it.
+Such a leftover, or one from a file system without O_TMPFILE, is removed by the next replacement of the file. The
+process that makes a new file holds a lock on it, so a file that is not locked is a leftover.
 """
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ NOT_SUPPORTED = (errno.EOPNOTSUPP, errno.EISDIR, errno.EINVAL, errno.ENOENT, err
 
 
 class _Like(NamedTuple):
-    """What a new file has beside its content.
+    """The attributes of a new file beside its content.
 
     Attributes:
         mode: the permissions.
-        owner: user and group; ``None`` = those of this process.
+        owner: user and group; ``None`` = this process's own.
         times_ns: of last access and change; ``None`` = now.
     """
 
@@ -38,7 +38,9 @@ class _Like(NamedTuple):
 
 
 def is_write_protected(path: str) -> bool:
-    """Whether a file is write-protected. Replacing it needs write access to its folder only, and root may always."""
+    """Return whether a file is write-protected. Replacing it needs
+    write access to its folder only, and root may always.
+    """
     return not os.access(path, os.W_OK) or not os.stat(path).st_mode & WRITE_BITS
 
 
@@ -77,7 +79,7 @@ def replace(path: str, data: bytes, keeps_old: bool) -> str | None:
 
 
 class _NewFile:
-    """A complete file that is not in place yet. On leaving, what isn't in place is gone.
+    """A complete file that is not in place yet; on leaving the context it is removed unless it was put in place.
 
     Args:
         path: of the file that it replaces, or is a copy of.
@@ -113,17 +115,17 @@ class _NewFile:
             os.close(self._fd)
 
     def move(self, path):
-        """Put it in place of what is there."""
+        """Put it in place of the file at a path."""
         if self._new_path is None:
             self._give_name()
         os.replace(self._new_path, path)
         self._new_path = None
 
     def add(self, path):
-        """Put it where nothing is.
+        """Put it at a path where nothing is.
 
         Raises:
-            FileExistsError: there is something.
+            FileExistsError: something is there.
         """
         if self._new_path is None:
             _link_unnamed(self._fd, path)
@@ -158,7 +160,7 @@ class _NewFile:
 
 
 def _open_unnamed(folder):
-    """A file in a folder without a name, which is locked; ``None`` where there are none."""
+    """Open a file without a name in a folder and lock it; ``None`` where the file system has no such files."""
     if not hasattr(os, "O_TMPFILE") or not os.path.exists("/proc/self/fd"):
         return None
     try:
@@ -182,7 +184,7 @@ def _new_path(path):
 
 
 def _remove_leftovers(path):
-    """Remove what processes that were killed have left of this file's replacements."""
+    """Remove what killed processes left behind when they replaced this file."""
     folder, name = os.path.split(path)
     is_new = re.compile(rf"\.{re.escape(name)}\.new-[0-9a-f]{{{DIGITS}}}").fullmatch
     try:
@@ -192,7 +194,7 @@ def _remove_leftovers(path):
     for other in found:
         left_path = os.path.join(folder, other)
         try:
-            # To be written, too: network drives lock nothing else.
+            # For writing, too: network drives lock nothing else.
             fd = os.open(left_path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
         except OSError:  # gone, or somebody else's
             continue
@@ -206,7 +208,7 @@ def _remove_leftovers(path):
 
 
 def _lock(fd):
-    """Lock a file until its descriptor is closed. False: somebody else has locked it."""
+    """Lock a file until its descriptor is closed; return False if somebody else has locked it."""
     try:
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -215,7 +217,7 @@ def _lock(fd):
 
 
 def _is_kept(fd):
-    """Lock a new file. False: somebody else has taken it for left over, before it was locked."""
+    """Lock a new file; return False if another process took it for a leftover before it was locked."""
     try:
         return _lock(fd) and os.fstat(fd).st_nlink > 0
     except OSError:  # without locks here, nobody can take it for left over

@@ -1,4 +1,4 @@
-"""Why the car is driven, stopped or limited: one constant for each cause.
+"""Causes for which the car is driven, stopped or limited, one constant each; and the modes: who steers and drives.
 
 A cause is the kind of reason, without numbers. Decisions carry it beside the reason in words; the state message, the
 diagnostics, the doctor and the report pass it on unchanged. Programs compare causes and never parse a reason.
@@ -43,7 +43,7 @@ COMMAND_NOT_FINITE = "command not finite"
 ODOMETRY_STALE = "odometry silent"
 ODOMETRY_NOT_FINITE = "odometry not finite"
 
-# ESC: what it is made to do, or why something else than requested.
+# ESC: its action, or why that differs from the request.
 ESC_ARMING = "esc arming"
 ESC_MOTION = "esc motion"  # the car moved against the ESC's state: a wrong profile, a hill
 NO_THROTTLE = "no throttle"  # neutral is requested
@@ -58,7 +58,7 @@ AT_STANDSTILL = "at standstill"  # where a brake doesn't become reverse
 REQUEST_NOT_FINITE = "request not finite"
 CALIBRATION_DRIVE = "calibration drive"  # the ESC gets a person's pulls as they are
 
-# Limits: what was made of a request.
+# Limits: how a request was changed.
 LIMITS_OFF = "limits off"  # no odometry was ever received
 TOO_TIGHT = "too tight"  # the wheels can't turn the car so: probably the planner's units
 LATERAL_LIMITED = "lateral acceleration"  # the turn is widened
@@ -71,11 +71,11 @@ BRAKING_LIMITED = "max braking"
 OBSTACLE_SLOWED = "obstacle"  # by a sonar ahead, or behind while it reverses
 SONAR_SILENT = "sonar silent"  # one that looks where the car drives
 
-# Gamepad.
-MANUAL = "manual"  # the manual deadman is held
-AUTONOMOUS = "autonomous"  # the autonomous deadman is held
-HUMAN_THROTTLE = "human_throttle"  # the third deadman is held, and this is its mode
-HUMAN_STEERING = "human_steering"  # likewise
+# Gamepad. The first four are also the values of /teleop_logi/mode: who steers and who drives while a deadman is held.
+MANUAL = "manual"  # the manual deadman: the human steers and drives
+AUTONOMOUS = "autonomous"  # the autonomous deadman: the planner steers and drives, a human watches
+HUMAN_THROTTLE = "human_throttle"  # the third deadman, and this is its mode: the planner steers, the human drives
+HUMAN_STEERING = "human_steering"  # likewise: the human steers, the planner drives
 NO_DEADMAN = "no deadman"
 JOY_STALE = "joy silent"
 JOY_NEVER_RECEIVED = "joy never heard"
@@ -83,13 +83,16 @@ JOY_NOT_FINITE = "joy not finite"
 JOY_INCOMPLETE = "joy incomplete"  # a configured axis or button is missing
 # Its sticks.
 OVERRIDE = "override"  # the human has an actuator under a deadman that gives it to the planner
+# The planner gets the actuator back when the stick was centered for this long: more than a hand needs from one side of
+# the center to the other.
+OVERRIDE_HOLD_S = 0.5
 OFF_CENTER = "off center"  # since the deadman was pressed: it overrides nothing but by a pull
 NOT_AT_REST = "not at rest"  # the axis was not seen at its rest, so it doesn't count
 
 # Publishers of a topic that a node obeys.
 WRONG_TYPE = "wrong type"  # its messages aren't received
 UNKNOWN_HOST = "unknown host"  # of the publisher: it can't be reached from here
-SECOND_PUBLISHER = "second publisher"  # the newest message counts, whoever sent it
+SECOND_PUBLISHER = "second publisher"  # the newest message of either is obeyed
 
 # A node's start.
 PARAMETER_REFUSED = "parameter refused"
@@ -97,9 +100,13 @@ PARAMETER_REFUSED = "parameter refused"
 # Servo board.
 GUARD_ABSENT = "guard absent"  # nothing would make the board safe if its node died
 GUARD_BLOCKED = "guard blocked"  # the guard can't reach the board
-NODE_STOOD_STILL = "node stood still"  # for so long that what was sent meanwhile is no longer obeyed
+NODE_STOOD_STILL = "node stood still"  # for too long: messages from that time are no longer obeyed
 FOREIGN_WRITE = "foreign write"  # another program wrote to the board
-CHANNEL_TIMED_OUT = "channel timed out"  # it was commanded, is no longer, and is at its timeout value
+CHANNEL_TIMED_OUT = "channel timed out"  # its commands have stopped, and it is at its timeout value
+
+MODES = (MANUAL, AUTONOMOUS, HUMAN_THROTTLE, HUMAN_STEERING)
+HUMAN_DRIVES = frozenset({MANUAL, HUMAN_THROTTLE})
+HUMAN_STEERS = frozenset({MANUAL, HUMAN_STEERING})
 
 STEERING_CUTS = frozenset({TOO_TIGHT, LATERAL_LIMITED, JERK_LIMITED})
 THROTTLE_CUTS = frozenset({SPEED_LIMITED, CURVE_SLOWED, SPEED_LATE, ACCELERATION_LIMITED, BRAKING_LIMITED,

@@ -1,4 +1,4 @@
-"""Who may open a device in /dev, and what gives a user access: the one place for groups, log-ins and their remedies."""
+"""Explains who may open a device in /dev, and what gives a user access: groups, log-ins and their remedies."""
 from __future__ import annotations
 
 import grp
@@ -12,13 +12,13 @@ SETUP_REMEDY = f"{SETUP_COMMAND}, then log in anew"
 
 
 class Membership(NamedTuple):
-    """Who runs this process, and in which groups.
+    """The user who runs this process, and the groups.
 
     Attributes:
         user: the name.
         is_root: root may open everything.
-        of_process: the groups of this process: those of the log-in.
-        of_user: the groups that /etc/group gives the user: those of the next log-in.
+        of_process: the groups of this process, from the log-in.
+        of_user: the groups that /etc/group gives the user, from the next log-in on.
         existing: all groups that there are.
     """
 
@@ -30,7 +30,7 @@ class Membership(NamedTuple):
 
 
 def read_membership() -> Membership:
-    """That of this process."""
+    """Return the membership of this process."""
     groups = grp.getgrall()
     try:
         entry = pwd.getpwuid(os.geteuid())
@@ -46,12 +46,12 @@ def read_membership() -> Membership:
 
 
 def group_name(number: int) -> str:
-    """A group's name, or its number when it has none."""
+    """Return a group's name, or its number when it has none."""
     return _name(grp.getgrgid, number)
 
 
 def explain_denial(path: str) -> tuple[str, str]:
-    """Cause and remedy of a refused access, from the device's group and mode and from this user's groups."""
+    """Return cause and remedy of a refused access, by the device's group and mode and this user's groups."""
     try:
         status = os.stat(path)
     except OSError:
@@ -78,5 +78,5 @@ def _name(look_up, number):
 
 
 def _next_groups(user):
-    """The user's groups of the next log-in; those of the running process may be older."""
+    """Return the groups that the user has from the next log-in on; a running process may have fewer."""
     return [group.gr_name for group in grp.getgrall() if user in group.gr_mem]

@@ -7,7 +7,7 @@ class CarInterfaceError(Exception):
 
 
 class EndedEarly(CarInterfaceError):
-    """A program's work wasn't done: somebody ended it, or what it found is too little. No fault, but no success."""
+    """A program's work wasn't done: somebody ended it, or it found too little. Neither a fault nor a success."""
 
 
 class ConfigError(CarInterfaceError, ValueError):
@@ -30,8 +30,14 @@ class ConfigError(CarInterfaceError, ValueError):
         self._found = found
 
     def within(self, place: str) -> ConfigError:
-        """The same error, with the place where it was found, e.g. a file, before its name."""
+        """Return the same error, with the place where it was found, e.g. a file, before its name."""
         return ConfigError(f"{place}, {self.name}", self.value, self.accepted, self._found)
+
+
+def require(fine: bool, name: str, value: object, accepted: str) -> None:
+    """Raise a ConfigError of these unless ``fine``."""
+    if not fine:
+        raise ConfigError(name, value, accepted)
 
 
 class ProtocolError(CarInterfaceError, ValueError):

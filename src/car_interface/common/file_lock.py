@@ -1,7 +1,7 @@
-"""POSIX locks on a file: whoever drives a device holds one, and the kernel drops it when its holder dies.
+"""Locks bytes of a file by POSIX locks: the driver of a device holds one, and the kernel drops it when that dies.
 
-A device on a bus is locked by the byte of its address. Its guards lock a byte by their time of start, so that an older
-one finds a newer one. A process loses its locks when it closes any of its descriptors of that file.
+A device on a bus is locked by the byte of its address. Each of its guards locks a byte by its time of start, so that an
+older guard finds a newer one. A process loses its locks when it closes any of its descriptors of that file.
 """
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def lock_byte(fd: int, offset: int) -> None:
 
 
 def lock_holder(fd: int, offset: int, length: int = 1) -> int:
-    """A process that has locked one of the bytes; ``NOBODY``, too, for the one that asks.
+    """Return a process that has locked one of the bytes; ``NOBODY`` also where the caller itself has.
 
     Raises:
         OSError: the file can't be locked.
@@ -44,7 +44,7 @@ def lock_generation(fd: int, address: int, generation: int) -> None:
 
 
 def newer_generation(fd: int, address: int, generation: int) -> int:
-    """A process that has locked a newer generation at an address, or ``NOBODY``.
+    """Return a process that has locked a newer generation at an address, or ``NOBODY``.
 
     Raises:
         OSError: the file can't be locked.

@@ -1,9 +1,9 @@
-"""Parameters that a launch file also gives to the node's process itself, so that they can't be lost or exchanged.
+"""Reads the parameters that a launch file also gives to the node's process, so that they can't be lost or exchanged.
 
-Parameters on the server go with the ROS master, and anybody can delete or change them. A node that is started again
-after that would take its defaults: a virtual car would drive the servos of a real one. So the launch files pass what
-names a device as arguments of the process, too, and ``common.params`` refuses a parameter that is missing or differs.
-A process without these arguments, as rosrun starts it, takes its parameters as they are. Pure.
+Parameters on the server vanish with the ROS master, and anybody can delete or change them. A node that is restarted
+after that would take its defaults: a virtual car would drive the servos of a real one. So the launch files also pass
+the parameters that name a device as arguments of the process, and ``common.params`` refuses a parameter that is
+missing or differs. A process without these arguments, as rosrun starts it, takes its parameters as they are. Pure.
 """
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from car_interface.common.errors import ConfigError
 FIXED = {"pca9685": ("device", "address", "virtual_chip"), "teensy_sensor_hub": ("port",),
          "car_sim": ("port", "virtual_chip"), "car_nodes": ("throttle", "planner")}
 PARTS = {"car_nodes": ("car_nodes", "pca9685", "teensy_sensor_hub")}  # the nodes in a process of several
-# What the launch files have where the parameter must not be set: its default is that of this node and this master only.
+# The argument where the parameter must not be set: its default depends on this node and this master.
 AUTO = {"virtual_chip": "auto"}
 REMAPPING = ":="  # in the arguments that ROS takes
 
@@ -38,7 +38,7 @@ def fixed_parameters(node: str, arguments: Sequence[str], process: str | None = 
 
 
 def _parse(arguments, names):
-    """The values by the parameters' names; ``names`` are these by their options."""
+    """Return the values by the parameters' names; ``names`` maps options to these names."""
     if not names:
         return {}  # a program with no such option may have others
     found = {}

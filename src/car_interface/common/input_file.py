@@ -1,4 +1,4 @@
-"""Reads files that people write: what is no regular file, or too large, is refused before it is read."""
+"""Reads files that people write. A file that is too large, or not a regular file, is refused before it is read."""
 from __future__ import annotations
 
 import errno
@@ -34,7 +34,7 @@ def read_file(path: str, max_bytes: int) -> bytes:
 
 
 def check_kind(status: os.stat_result) -> None:
-    """Check that a file's status is that of a regular file.
+    """Check that a status belongs to a regular file.
 
     Raises:
         OSError: naming its kind.
@@ -49,7 +49,7 @@ def check_kind(status: os.stat_result) -> None:
 def finite_number(text: str) -> float | None:
     """Return the finite number that a decimal text such as ``12``, ``-0.5`` or ``1e-3`` stands for, or ``None``.
 
-    Python would take ``1_0`` for 10, and digits of all scripts. In a table they are more likely to be damage.
+    Python would also take ``1_0`` and the digits of all scripts. In a table they are more likely to be damage.
     """
     try:
         number = float(text) if _is_plain(text) else math.nan

@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from typing import Any, Callable, Mapping, NamedTuple
 
 from car_interface.common.errors import ConfigError
-from car_interface.common.servo_channels import MAX_DUTY
-from car_interface.common.units import NS_PER_S
+from car_interface.common.units import MAX_DUTY, NS_PER_S
 
-MAX_STEP_NS = 50_000_000  # the longest time that one step counts, so that a delayed node makes no jump
+MAX_STEP_NS = 50_000_000  # of one step, five ticks of an arbiter: a node that was held up makes no jump
 
 
 @dataclass(frozen=True)
@@ -69,7 +68,7 @@ class Tuning:
 
     @property
     def is_changing(self) -> bool:
-        """Whether the active values are not yet the accepted ones."""
+        """Return whether the active values have not reached the accepted ones yet."""
         return self.active is not self.accepted
 
     @property
@@ -103,7 +102,7 @@ class Tuning:
         return Answer(self.accepted, "; ".join(problems))
 
     def advance(self, now_ns: int) -> bool:
-        """Step towards the accepted values; whether the active values have changed."""
+        """Step towards the accepted values; return whether the active values have changed."""
         if not self.is_changing:
             return False
         self._elapsed_ns += max(0, min(now_ns - self._stepped_ns, MAX_STEP_NS))
@@ -113,7 +112,7 @@ class Tuning:
         if self._elapsed_ns >= duration_ns:
             self.active = self.accepted
         else:
-            # In integers: values that are in order at both ends of the change are in order between.
+            # In integers, so that values which are in order at both ends of the change are in order between them.
             self.active = {name: (2 * self._from[name] * duration_ns + 2 * (value - self._from[name]) * self._elapsed_ns
                                     + duration_ns) // (2 * duration_ns) for name, value in self.accepted.items()}
         return True

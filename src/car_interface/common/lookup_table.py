@@ -34,7 +34,7 @@ class LookupTable:
         self.values = tuple(float(y) for y in values)
 
     def __call__(self, x: float) -> float:
-        """The value at ``x``: interpolated within the axis, the end value beyond it. ``x`` must not be NaN."""
+        """Return the value at ``x``: interpolated within the axis, the end value beyond it. ``x`` must not be NaN."""
         axis, values = self.axis, self.values
         above = bisect_right(axis, x)
         if above == 0:
@@ -59,7 +59,7 @@ def check_axis(axis: Sequence[float], name: str) -> None:
 
 
 def round_half_away(x: float) -> int:
-    """The nearest integer, halves away from zero: C's ``lround``, where Python's ``round`` goes to even."""
+    """Return the nearest integer, halves away from zero as C's ``lround``; Python's ``round`` goes to even."""
     whole = math.floor(abs(x))
     if abs(x) - whole >= 0.5:  # exact; x + 0.5 would itself be rounded, and make 1 of 0.49999999999999994
         whole += 1

@@ -1,4 +1,4 @@
-"""The measured speed, and what it will be when a command that is given now takes effect."""
+"""Follows the measured speed, and bounds the speed that the car has when a command given now takes effect."""
 from __future__ import annotations
 
 import math
@@ -6,25 +6,25 @@ import math
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
 
-MAX_SPEED_MPS = 100.0  # no such car is faster
+MAX_SPEED_MPS = 100.0  # 360 km/h: a plausibility bound, no such car is faster
 WINDOW_NS = 100_000_000  # over which an acceleration is measured: five reports at 50 Hz, whose noise it evens out
-MAX_ACCELERATION_MPS2 = 10.0  # no tyre does more
-ACTUATION_S = 0.06  # from a decision to the servo's turn: a pulse of 20 ms, and a servo that turns by a tenth
-MAX_AHEAD_S = 0.2
+MAX_ACCELERATION_MPS2 = 10.0  # 1 g: no tyre on a floor does more
+ACTUATION_S = 0.06  # from a decision until the servo has turned by a tenth: a pulse of 20 ms, and 0.04 s
+MAX_AHEAD_S = 0.2  # of extrapolation: the largest acceleration then adds 2 m/s
 # Between two reports a car may gain speed unseen: the simulated Slash's full throttle is 5.6 m/s². Reports that are
-# late by more than LATE_S count as missing: nobody should push the car on until the next.
+# late by more than LATE_S are missing, and nobody should push the car on until the next one.
 UNSEEN_MPS2 = 6.0
 LATE_S, LATE_PERIODS = 0.1, 2.0
-UNSEEN_AFTER_S = 0.02  # reports come as unevenly
-MAX_PERIOD_S = 0.2  # of a standing car's odometry
-# Locked wheels read 0 while the car slides. No tyre slows a car by more than this; a reading that falls by more, and by
-# more than noise, is of sliding wheels. A slide on dust still slows it by 3 m/s².
+UNSEEN_AFTER_S = 0.02  # the intervals between reports vary by as much: a period of 50 Hz
+MAX_PERIOD_S = 0.2  # the hub's odometry of a car that stands comes five times a second
+# Locked wheels read 0 while the car slides. No tyre slows a car by more than 1 g; a reading that falls faster, and by
+# more than noise, comes from sliding wheels. A slide on dust still slows the car by 3 m/s².
 MAX_DECELERATION_MPS2, SLIDE_MPS2 = 10.0, 3.0
 NOISE_MPS, NOISE_RATIO = 0.1, 0.06
 
 
 class MeasuredSpeed:
-    """The speed by odometry, forward positive. One that isn't finite, or no car's, is no measurement.
+    """The speed by odometry, forward positive. A value that isn't finite or is beyond MAX_SPEED_MPS is no measurement.
 
     Args:
         timeout_s: a speed older than this is lost; 0 = never.
@@ -40,11 +40,11 @@ class MeasuredSpeed:
 
     @property
     def was_received(self) -> bool:
-        """Whether there ever was one."""
+        """Return whether a speed was ever received."""
         return self._speed.was_received
 
     def update(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
-        """A speed that has arrived, and how old it was then."""
+        """Take a speed that has arrived, and how old it was then."""
         if not abs(speed_mps) <= MAX_SPEED_MPS:  # also for NaN
             self._speed.mark_stale(f"it was {speed_mps}")
             return
@@ -66,7 +66,7 @@ class MeasuredSpeed:
         self._updated_ns = measured_ns
 
     def _believed_mps(self, measured_mps, elapsed_s):
-        """The car's speed by that of its wheels."""
+        """Return the car's speed, judged by the speed of its wheels."""
         before_mps = self._magnitude_mps
         fallen_mps = before_mps - measured_mps - NOISE_MPS - NOISE_RATIO * before_mps
         if fallen_mps <= MAX_DECELERATION_MPS2 * elapsed_s:
@@ -74,11 +74,11 @@ class MeasuredSpeed:
         return max(measured_mps, before_mps - SLIDE_MPS2 * elapsed_s)
 
     def mark_stale(self) -> None:
-        """Messages were dropped before they got here."""
+        """Take note that messages were dropped before they got here."""
         self._speed.mark_stale()
 
     def is_lost(self, now_ns: int) -> bool:
-        """Whether there was one and it is stale; also if there never was."""
+        """Return whether the newest speed is stale, or none was ever received."""
         return self._speed.is_stale(now_ns)
 
     @property
@@ -86,15 +86,15 @@ class MeasuredSpeed:
         return LATE_S + LATE_PERIODS * self._period_s
 
     def is_late(self, now_ns: int) -> bool:
-        """Whether reports are missing that should have come; before the speed is lost."""
+        """Return whether reports are missing that should have come; this is before the speed is lost."""
         return self._speed.silence_s(now_ns) > self._late_s
 
     def lost_reason(self, now_ns: int) -> str:
-        """Why it is lost, in words."""
+        """Return why the speed is lost, in words."""
         return self._speed.stale_reason(now_ns)
 
     def age_s(self, now_ns: int) -> float:
-        """The age of the newest in seconds; inf = never received."""
+        """Return the age of the newest speed in seconds; inf = never received."""
         return self._speed.age_s(now_ns)
 
     @property
@@ -108,10 +108,11 @@ class MeasuredSpeed:
         return self._magnitude_mps
 
     def highest_mps(self, now_ns: int) -> float:
-        """The magnitude that it may have when a command of now takes effect; when it is lost this stays.
+        """Return the magnitude that the speed may have when a command given now takes effect.
 
-        It rises as it did, and as by full throttle in the time of which nothing is known: while reports are missing,
-        and for as long as they are late by their stamps. Only to be asked for once there was one.
+        It extrapolates the measured acceleration, and adds full throttle for the time of which nothing is known: while
+        reports are missing, and by as much as their stamps are late. A lost speed keeps its bound. Call it only once a
+        speed was received.
         """
         speed = self._speed
         unseen_s = min(speed.silence_s(now_ns), self._late_s) + speed.was_late_s - self._period_s - UNSEEN_AFTER_S

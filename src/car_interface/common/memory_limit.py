@@ -1,4 +1,4 @@
-"""What becomes of a process whose memory is limited (ulimit -v), or used up: it takes less, or ends with one line."""
+"""Makes a process whose memory is limited (ulimit -v) or used up take less, or end with one line."""
 from __future__ import annotations
 
 import ctypes
@@ -16,13 +16,13 @@ from car_interface.common.errors import CarInterfaceError
 MIB = 1 << 20
 M_ARENA_MAX = -8  # of glibc's malloc.h
 STACK_BYTES = 2 * MIB  # of a thread; 8 MiB by default
-# What OpenBLAS 0.3.21 takes at its first product of matrices: 128 MiB, and some to align them. It tries for ever.
+# OpenBLAS 0.3.21 takes 128 MiB at its first product of matrices, and some to align them. It retries for ever.
 BLAS_BYTES = 136 * MIB
-# Of the dynamic linker, in an ImportError.
+# The dynamic linker's texts in an ImportError.
 LINKER_TEXTS = ("failed to map segment", "cannot allocate memory", "cannot apply additional memory protection")
-# Of an extension module that has no memory left to make its error with.
+# From an extension module that has no memory left for its own error.
 LOST_ERRORS = ("without setting an exception", "without exception set")
-# Of a compiler that goes on after its MemoryError: 3.8's ("field target is …") to 3.11's, and of 3.8's parser.
+# From a compiler that goes on after its MemoryError: 3.8's ("field target is …") to 3.11's, and of 3.8's parser.
 LOST_NODE = re.compile(r"^field '?\w+'? is required for \w+$")
 LOST_END = "unexpected EOF while parsing"
 NO_THREAD = "can't start new thread"
@@ -35,12 +35,12 @@ def limit_bytes() -> int | None:
 
 
 def adapt(needed_mib: int = 0) -> None:
-    """Take less address space where it is limited. To be called before threads are started and numpy is imported.
+    """Take less address space where it is limited. Call it before threads are started and numpy is imported.
 
     glibc would reserve 64 MiB for most threads, and OpenBLAS start one for each processor.
 
     Args:
-        needed_mib: below this limit the process wouldn't work as a whole.
+        needed_mib: with a lower limit parts of the process would fail.
 
     Raises:
         CarInterfaceError: the limit is lower.
@@ -62,7 +62,7 @@ def reserve_blas() -> None:
     """Have OpenBLAS take its memory now, as far as numpy and scipy are loaded and memory is limited.
 
     Raises:
-        MemoryError: there is too little. Later OpenBLAS would wait for it, without an error and without an end.
+        MemoryError: there is too little. Later OpenBLAS would wait for it without an error or an end.
     """
     numpy = sys.modules.get("numpy")
     if numpy is None or limit_bytes() is None:
@@ -115,7 +115,7 @@ def _kind(error):
 
 
 def _is_of_compiler(error):
-    """Whether a module's import failed where its compilation had no memory left. Nothing else compiles here."""
+    """Return whether an import failed because its compilation had no memory left; nothing else compiles here."""
     if isinstance(error, SyntaxError):
         return error.msg == LOST_END
     return isinstance(error, ValueError) and LOST_NODE.match(str(error)) is not None

@@ -1,7 +1,7 @@
-"""Writes a command's results: what can't be written is refused before the work, and a file is never half written.
+"""Writes a command's results. A path that can't be written is refused before the work; no file is ever half written.
 
-A link stays a link, and its target is written. A file that is replaced keeps its mode and its owner. What is no regular
-file, such as /dev/stdout, is written to as it is. A recording is never overwritten.
+A link stays a link, and its target is written. A file that is replaced keeps its mode and its owner. A device or pipe,
+such as /dev/stdout, is written to as it is. A recording is never overwritten.
 """
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def check(path: str, recordings: Iterable[str] = ()) -> None:
 
     Args:
         path: as its owner wrote it.
-        recordings: that are read.
+        recordings: the paths that the command reads.
 
     Raises:
         CarInterfaceError: naming ``path`` and why it can't.
@@ -55,7 +55,7 @@ def write(path: str, content: str | bytes, keeps_old: bool = False) -> str | Non
         keeps_old: a file that is replaced is kept beside it, under a name with the time.
 
     Returns:
-        Where the old file is now, if there was one that is kept.
+        The path of the old file, if one is kept.
 
     Raises:
         CarInterfaceError: naming ``path`` and why it can't be written.
@@ -76,7 +76,7 @@ def write(path: str, content: str | bytes, keeps_old: bool = False) -> str | Non
 
 
 def is_stream(path: str) -> bool:
-    """Whether the path is a device or a pipe."""
+    """Return whether the path is a device or a pipe."""
     return path in STREAMS or os.path.exists(path) and not os.path.isdir(path) and \
         not stat.S_ISREG(os.stat(path).st_mode)
 
@@ -85,5 +85,5 @@ def _is_recording(path):
     try:
         with open(path, "rb") as file:
             return file.read(16).startswith(RECORDING_BEGINS)
-    except OSError:  # not to be read; to be replaced it may be all the same
+    except OSError:  # it can't be read, and may still be replaced
         return False

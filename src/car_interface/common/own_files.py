@@ -1,6 +1,6 @@
-"""Files in folders that others can write to, such as /tmp: nothing of another user's is used, and no link is followed.
+"""Uses files in folders that others can write to, such as /tmp: never another user's file, never by a link.
 
-A path there is known to everybody. Whoever is first could put a socket, a file or a link of his own at it.
+Everybody knows such a path, and whoever is first could put a socket, a file or a link there.
 """
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import stat
 
 FOLDER_MODE, FILE_MODE = 0o700, 0o600
 OTHERS_BITS = 0o077
-# Of the kernel, where a link, a pipe, a folder, or a file of another user is at the path.
+# The kernel's errors where a link, a pipe, a folder or another user's file is at the path.
 REFUSALS = (errno.ELOOP, errno.ENXIO, errno.EISDIR, errno.EACCES, errno.EPERM)
 
 
@@ -34,7 +34,7 @@ class UnsafeFile(PermissionError):
 
 
 def folder_name() -> str:
-    """Return the name of this user's folder among other users' ones, such as in /tmp."""
+    """Return the name of this user's folder in a place that all users share, such as /tmp."""
     return f"car_interface-{os.getuid()}"
 
 
@@ -56,10 +56,10 @@ def make_folder(folder: str) -> None:
 
 
 def check_folder(folder: str) -> None:
-    """Check this user's folder among other users' ones. Another one is its owner's choice; then the files count.
+    """Check this user's folder in a place that all users share. In any other folder its files are checked alone.
 
     Raises:
-        UnsafeFile: it is another user's, a link, or open to other users; or these could replace it.
+        UnsafeFile: it is another user's, a link, open to other users, or they could replace it.
         FileNotFoundError: there is none.
     """
     if os.path.basename(folder) != folder_name():
@@ -97,7 +97,7 @@ def check_socket(path: str) -> None:
 
 
 def check_owner(user: int, path: str) -> None:
-    """Check that what is at a path, or listens there, is this user's.
+    """Check that the file at a path, or the process that listens there, is this user's.
 
     Raises:
         UnsafeFile: it is another one's.
@@ -107,7 +107,7 @@ def check_owner(user: int, path: str) -> None:
 
 
 def open_own(path: str, flags: int, mode: int = FILE_MODE) -> int:
-    """Open a regular file of this user's, and no link to one; a descriptor, which a child doesn't inherit.
+    """Open a regular file of this user's, and no link to one; return a descriptor that children don't inherit.
 
     Args:
         path: of the file.
@@ -120,7 +120,7 @@ def open_own(path: str, flags: int, mode: int = FILE_MODE) -> int:
     """
     check_folder(os.path.dirname(path))
     try:
-        # A pipe in its place would be waited for without O_NONBLOCK, which changes nothing of a regular file.
+        # Opening a pipe in its place would wait without O_NONBLOCK, which has no effect on a regular file.
         handle = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, mode)
     except OSError as error:
         if error.errno not in REFUSALS or not os.path.lexists(path):

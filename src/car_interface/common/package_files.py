@@ -1,6 +1,6 @@
 """Finds this package's data files: message definitions and the default configuration.
 
-Their place differs between a checkout (which a devel space points into), a catkin install space and pip's.
+Their place depends on the installation: a checkout (which a devel space points into), a catkin install space, or pip.
 """
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from car_interface.common.errors import CarInterfaceError
 
 
 def package_file(name: str) -> Path:
-    """A file or folder of this package, such as ``msg`` or ``config/turn_arb.yaml``.
+    """Return a file or folder of this package, such as ``msg`` or ``config/turn_arb.yaml``.
 
     Raises:
         CarInterfaceError: it wasn't found.
@@ -26,7 +26,7 @@ def package_file(name: str) -> Path:
 
 
 def is_package_file(path: str, folder: str = "config") -> bool:
-    """Whether ``path`` leads, by any links, into one of this package's own folders."""
+    """Return whether ``path`` leads, by any links, into one of this package's own folders."""
     try:
         own = os.path.realpath(str(package_file(folder)))
     except CarInterfaceError:

@@ -18,7 +18,7 @@ from car_interface.common.errors import ConfigError
 from car_interface.common.input_file import finite_number, integer
 
 REQUIRED = object()
-DURATION_S = (0.0, 3600.0)  # range of every timeout
+DURATION_S = (0.0, 3600.0)  # range of every timeout: up to an hour
 BY_LAUNCH_FILE = "by the launch file that started this process"
 
 
@@ -42,22 +42,22 @@ class Params:
 
     def number(self, name: str, default=REQUIRED, low=-math.inf, high=math.inf, above=None,
                search_parents=False) -> float:
-        """A finite number from ``low`` to ``high``, or greater than ``above``."""
+        """Return a finite number from ``low`` to ``high``, or greater than ``above``."""
         accepted = "a number" + _range_text(low, high, above)
         return self._scalar(name, default, search_parents, lambda value: _number(value, low, high, above), accepted)
 
     def integer(self, name: str, default=REQUIRED, low=-2 ** 31, high=2 ** 31 - 1, search_parents=False) -> int:
-        """An integer from ``low`` to ``high``, or the default, which may be ``None``."""
+        """Return an integer from ``low`` to ``high``, or the default, which may be ``None``."""
         accepted = "an integer" + _range_text(low, high)
         return self._scalar(name, default, search_parents, lambda value: _integer(value, low, high), accepted)
 
     def numbers(self, name: str, default=REQUIRED, low=-math.inf, high=math.inf, search_parents=False) -> list[float]:
-        """A list of finite numbers from ``low`` to ``high``."""
+        """Return a list of finite numbers from ``low`` to ``high``."""
         return self._list(name, default, search_parents, lambda value: _number(value, low, high, None),
                           "a number" + _range_text(low, high))
 
     def integers(self, name: str, length: int, default: int, low: int, high: int) -> list[int]:
-        """``length`` integers; a scalar stands for all of them."""
+        """Return ``length`` integers; a scalar stands for all of them."""
         accepted = "an integer" + _range_text(low, high)
         value = self._get(name, default, False)
         if not isinstance(value, (list, tuple)):
@@ -69,17 +69,17 @@ class Params:
                 for index, element in enumerate(value)]
 
     def flag(self, name: str, default=REQUIRED) -> bool:
-        """True or false."""
+        """Return true or false."""
         return self._scalar(name, default, False, lambda v: v if isinstance(v, bool) else None, "true or false",
                             read_fixed=lambda text: {"true": True, "false": False}.get(text.lower()))
 
     def text(self, name: str, default=REQUIRED, may_be_empty=False) -> str:
-        """A string; not an empty one unless ``may_be_empty``."""
+        """Return a string; not an empty one unless ``may_be_empty``."""
         return self._scalar(name, default, False,
                             lambda v: v if isinstance(v, str) and (may_be_empty or v.strip()) else None, "a text")
 
     def path(self, name: str, default=REQUIRED) -> str:
-        """The absolute path of a file or folder.
+        """Return the absolute path of a file or folder.
 
         Relative paths and ~ are refused: they would depend on the folder and the user that ROS starts the node in.
         """
@@ -88,18 +88,18 @@ class Params:
                             "no name to them")
 
     def text_or_integer(self, name: str, default):
-        """A non-empty string, or an integer of at least 0."""
+        """Return a non-empty string, or an integer of at least 0."""
         def read(value):
             number = _integer(value, 0, 2 ** 31 - 1)
             return number if number is not None else value if isinstance(value, str) and value.strip() else None
         return self._scalar(name, default, False, read, "a text, or an integer of at least 0")
 
     def choice(self, name: str, default, choices: Sequence[str]) -> str:
-        """One of ``choices``."""
+        """Return one of ``choices``."""
         return self._scalar(name, default, False, lambda v: v if v in choices else None, "one of " + ", ".join(choices))
 
     def timeout(self, name: str, default: float) -> float:
-        """Seconds after which an input without messages is stale; 0 = never."""
+        """Return the seconds after which an input without messages is stale; 0 = never."""
         return self.number(name, default, *DURATION_S)
 
     def finish(self, ignored_namespaces: Sequence[str] = ()) -> None:
@@ -124,7 +124,7 @@ class Params:
         return None if value is None else self._checked(name, value, read, accepted)
 
     def _fixed_scalar(self, name, default, read, accepted, read_fixed):
-        """A parameter that must be as the launch file has it."""
+        """Return a parameter that must be as the launch file has it."""
         self._known.add(name)
         value, fixed = self._values.get(name), self._fixed[name]
         if fixed is None:
@@ -184,7 +184,7 @@ def _number(value, low, high, above):
 
 
 def _parsed(text):
-    """The number that a text such as 1e-3 or 0x40 stands for, or None."""
+    """Return the number that a text such as 1e-3 or 0x40 stands for, or None."""
     number = finite_number(text)
     return integer(text) if number is None else number
 

@@ -1,4 +1,4 @@
-"""Which processes have a device open, and how one was started, by /proc. Those of other users only root sees."""
+"""Finds which processes have a device open, and how one was started, by /proc. Only root sees other users' files."""
 from __future__ import annotations
 
 import os
@@ -7,7 +7,7 @@ INTERPRETERS = ("python", "bash", "sh", "perl")
 
 
 def openers(path: str, proc: str = "/proc") -> list[tuple[int, str]]:
-    """The other processes that have a file open, as (process id, name).
+    """Return the other processes that have a file open, as (process id, name).
 
     Args:
         path: of the file; links are followed.
@@ -21,7 +21,7 @@ def openers(path: str, proc: str = "/proc") -> list[tuple[int, str]]:
 
 
 def process_name(pid: int, proc: str = "/proc") -> str:
-    """The name of a program; for an interpreter that of its script."""
+    """Return the name of a program; for an interpreter the name of its script."""
     names = [os.path.basename(part) for part in _command_line(pid, proc) if part]
     if not names:
         return "unknown"
@@ -32,7 +32,7 @@ def process_name(pid: int, proc: str = "/proc") -> str:
 
 
 def script_arguments(pid: int, script: str, proc: str = "/proc") -> list[str]:
-    """The arguments of a process that runs a script of this name; none where it runs something else or has ended."""
+    """Return the arguments of a process that runs a script of this name; empty: it runs something else or has ended."""
     words = _command_line(pid, proc)
     places = [place for place, word in enumerate(words) if os.path.basename(word) == script]
     return words[places[0] + 1:] if places else []

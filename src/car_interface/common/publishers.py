@@ -1,8 +1,7 @@
-"""Who publishes on a topic that a node obeys, and whether they may: the right message type, and nobody else.
+"""Finds faults in who publishes on a topic that a node obeys: a wrong message type, a second publisher.
 
-Pure: what is known of the publishers in, faults out. ROS itself says nothing: a node with another message type, or on a
-host whose name can't be looked up, is ignored, and of two nodes that publish on one topic each message counts, so that
-they undo each other's.
+Pure: the known publishers in, faults out. ROS itself reports nothing: a node with another message type, or on a host
+whose name can't be looked up, is ignored, and two nodes that publish on one topic undo each other's commands.
 """
 from __future__ import annotations
 
@@ -11,13 +10,13 @@ from typing import NamedTuple, Sequence
 from car_interface.common import causes
 from car_interface.common.units import NS_PER_S
 
-# A publisher that comes, sends once and goes, as ``rostopic pub -1`` does in 3 s, is shown but not logged.
+# ``rostopic pub -1`` registers, sends once and goes within 3 s: such a publisher is reported but not logged.
 LASTING_NS = 5 * NS_PER_S
 LOG_PERIOD_NS = 10 * NS_PER_S
 REPORT = "command topics"  # on /diagnostics
 ANY = "*"
 OR = " or "
-BY_HAND = ("rostopic_", "rqt_gui_py_node")  # how tools call their nodes
+BY_HAND = ("rostopic_", "rqt_gui_py_node")  # the names of tools' nodes begin so
 
 
 class Publisher(NamedTuple):
@@ -25,7 +24,7 @@ class Publisher(NamedTuple):
 
     Attributes:
         node: its name, with its namespace.
-        machine: the host that it runs on, as it tells others to call it.
+        machine: the host that it runs on, as its address names it.
         type: the type of its messages, such as ``std_msgs/Bool``; empty = it can't be asked, as its machine's name
             can't be looked up.
     """
@@ -55,7 +54,7 @@ class CommandTopic(NamedTuple):
 
 
 class Fault(NamedTuple):
-    """What is wrong with the publishers of a topic.
+    """A fault of the publishers of a topic.
 
     Attributes:
         cause: one of ``causes``.
@@ -71,12 +70,12 @@ class Fault(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Reason and remedy, for a log line or a report."""
+        """Return reason and remedy, for a log line or a report."""
         return f"{self.reason}. {self.remedy}"
 
 
 def find_faults(topic: CommandTopic) -> list[Fault]:
-    """What is wrong with the publishers of a topic; nothing when there are none."""
+    """Return what is wrong with the publishers of a topic; nothing when there are none."""
     lost = sorted(publisher for publisher in topic.publishers if not publisher.type)
     sending = sorted(publisher for publisher in topic.publishers if publisher.type)
     right = [publisher for publisher in sending if topic.type == ANY or publisher.type in topic.type.split(OR)]
@@ -97,7 +96,7 @@ def find_faults(topic: CommandTopic) -> list[Fault]:
 
 
 def second_publisher(subject: str, what: str, publishers: Sequence[Publisher]) -> Fault:
-    """The fault that several nodes command one thing; ``what`` is the beginning of its reason."""
+    """Return the fault of several nodes that command one thing; its reason begins with ``what``."""
     by_hand = [publisher.node for publisher in publishers if publisher.node.rpartition("/")[2].startswith(BY_HAND)]
     example = f"rosnode kill {by_hand[0]}" if by_hand else "rosnode kill ends a node"
     return Fault(causes.SECOND_PUBLISHER, subject,
@@ -106,14 +105,14 @@ def second_publisher(subject: str, what: str, publishers: Sequence[Publisher]) -
 
 
 class FaultLog:
-    """How long faults have lasted, and which are due for a log line."""
+    """Keeps how long faults have lasted, and which are due for a log line."""
 
     def __init__(self):
         self._since_ns: dict[tuple, int] = {}  # by cause and subject
         self._next_log_ns: dict[tuple, int] = {}
 
     def update(self, faults: Sequence[Fault], now_ns: int) -> list[Fault]:
-        """Take the faults that there are now; returns those to be logged: lasting ones, at once and every 10 s."""
+        """Take the present faults; return those to log: lasting ones, at once and every 10 s."""
         keys = [(fault.cause, fault.subject) for fault in faults]
         self._since_ns = {key: self._since_ns.get(key, now_ns) for key in keys}
         self._next_log_ns = {key: at_ns for key, at_ns in self._next_log_ns.items() if key in keys or at_ns > now_ns}
@@ -123,6 +122,6 @@ class FaultLog:
         return list(due.values())
 
     def is_lasting(self, fault: Fault, now_ns: int) -> bool:
-        """Whether a fault is no passing one: a second publisher may be."""
+        """Return whether a fault is there to stay; a second publisher may be gone at once."""
         since_ns = self._since_ns.get((fault.cause, fault.subject), now_ns)
         return fault.cause != causes.SECOND_PUBLISHER or now_ns - since_ns >= LASTING_NS

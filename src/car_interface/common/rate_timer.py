@@ -17,7 +17,7 @@ class RateTimer:
         self.due_ns = now_ns
 
     def is_due(self, now_ns: int) -> bool:
-        """Whether a tick is due. If so, the next one is due a period later."""
+        """Return whether a tick is due. If so, the next one is due a period later."""
         if now_ns < self.due_ns:
             return False
         self.due_ns += self.period_ns

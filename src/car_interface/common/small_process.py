@@ -1,7 +1,7 @@
 """Runs a module's ``main`` in an interpreter of its own without site packages: it starts quickly and stays small.
 
-As a program: ``python3 -S -I small_process.py MODULE ARGUMENT...``. Neither the user's environment nor the folder that
-it runs in decides what it imports: the package is found by the place of this file.
+As a program: ``python3 -S -I small_process.py MODULE ARGUMENT...``. It imports the
+package by the place of this file, whatever the user's environment and the folder that it runs in.
 """
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import sys
 
 
 def command(module: str, *arguments: str) -> list:
-    """The command that runs ``main`` of ``car_interface.<module>``, on this interpreter."""
+    """Return the command that runs ``main`` of ``car_interface.<module>``, on this interpreter."""
     options = ["-B"] if sys.dont_write_bytecode else []
     if sys.pycache_prefix is not None:
         options += ["-X", f"pycache_prefix={sys.pycache_prefix}"]

@@ -1,7 +1,7 @@
-"""The newest value of an input and whether it is stale.
+"""Keeps the newest value of an input, and whether it is stale.
 
-Age is measured from arrival on the monotonic clock: stamps in messages can be wrong, and ROS time can be set. What a
-message's stamp says of its age (``ros.stamps``) can only add to it.
+Age is measured from arrival on the monotonic clock: stamps in messages can be wrong, and ROS time can be set. A
+message's stamp (``ros.clocks``) can only add to its age.
 """
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import math
 
 from car_interface.common.units import NS_PER_S
 
-# By a full inbox, or after the node stood still; the newest value may have been among them.
+# By a full inbox, or after the node stood still; the newest value may be among the dropped ones.
 DROPPED = "messages were dropped"
 
 
@@ -46,29 +46,29 @@ class TimedInput:
 
     @property
     def was_received(self) -> bool:
-        """Whether anything ever arrived."""
+        """Return whether a message ever arrived."""
         return self._arrival_ns is not None
 
     def is_stale(self, now_ns: int) -> bool:
-        """Whether it was never received, is older than its timeout, or was marked stale since."""
+        """Return whether it was never received, is older than its timeout, or was marked stale since."""
         return (self._arrival_ns is None or self.is_marked_stale
                 or now_ns - self._arrival_ns + self._age_ns > self._timeout_ns)
 
     def age_s(self, now_ns: int) -> float:
-        """The age of the last message in seconds; inf = never received."""
+        """Return the age of the last message in seconds; inf = never received."""
         return self.silence_s(now_ns) + self.was_late_s
 
     @property
     def was_late_s(self) -> float:
-        """How old the last message was when it arrived, in seconds; 0 = not known to be late."""
+        """Return how old the last message was when it arrived, in seconds; 0 = not known to be late."""
         return self._age_ns / NS_PER_S
 
     def silence_s(self, now_ns: int) -> float:
-        """Seconds since the last message arrived; inf = never received."""
+        """Return the seconds since the last message arrived; inf = never received."""
         return math.inf if self._arrival_ns is None else max(0, now_ns - self._arrival_ns) / NS_PER_S
 
     def stale_reason(self, now_ns: int) -> str:
-        """Why it is stale, for a reason: ``human_in_loop silent for 0.52 s``, ``odom is 0.63 s old by its stamp``."""
+        """Return why it is stale: ``human_in_loop silent for 0.52 s``, ``odom is 0.63 s old by its stamp``."""
         if not self.was_received:
             return f"{self.name} was never heard"
         if self.is_marked_stale:

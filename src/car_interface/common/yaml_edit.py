@@ -1,7 +1,7 @@
 """Changes single values in a YAML text and keeps every other character of it, comments included.
 
-``save`` does so in a file, which is replaced in one step; a backup stays in its folder, under a name with the time.
-``edited`` does so in a text, ``rewritten`` makes a new text after the pattern of another one.
+``save`` does it in a file, which is replaced in one step; a backup stays in its folder, under a name with the time.
+``edited`` does it in a text; ``rewritten`` makes a new text after the pattern of another one.
 """
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def save(path: str, values: Values) -> str | None:
     """Write ``values`` into the file at ``path``; a link is followed.
 
     Returns:
-        The backup's path; ``None`` when the file had these values already: then nothing is written.
+        The backup's path; ``None``: the file had these values already, and nothing was written.
 
     Raises:
         ConfigError: naming the file and why it was not changed.
@@ -42,7 +42,7 @@ def save(path: str, values: Values) -> str | None:
 
 
 def edited(text: str, values: Values, path: str = "the file", keeps_comments: bool = True) -> str:
-    """The text of a YAML file with ``values`` replaced; names that it lacks are appended.
+    """Return the text of a YAML file with ``values`` replaced; names that it lacks are appended.
 
     Args:
         text: of the file.
@@ -51,7 +51,7 @@ def edited(text: str, values: Values, path: str = "the file", keeps_comments: bo
         keeps_comments: otherwise the comment behind a value that changes is removed: it may describe the old value.
 
     Raises:
-        ConfigError: when that can't be done without changing anything else.
+        ConfigError: it can't be done without changing anything else.
     """
     root = compose_yaml(text, path)
     nodes = {name: _find(root, name.split("/")) for name in values}
@@ -82,11 +82,11 @@ def edited(text: str, values: Values, path: str = "the file", keeps_comments: bo
 
 
 def rewritten(text: str, values: Values, head: Sequence[str], path: str = "the file") -> str:
-    """A new YAML text after the pattern of ``text``: its other values, layout and comments stay.
+    """Return a new YAML text after the pattern of ``text``: its other values, layout and comments stay.
 
     Comments behind values that change are removed, and the comments before the first name are replaced by ``head``.
     Names that the pattern lacks are added, those inside a mapping at its end. A text that can't be edited safely is
-    written anew, without its comments.
+    written from its values, without its comments.
 
     Args:
         text: the pattern, a mapping.
@@ -107,7 +107,7 @@ def rewritten(text: str, values: Values, head: Sequence[str], path: str = "the f
 
 
 def _with_names(text, values, path):
-    """The text with each name of ``values`` inside a mapping in it, at first with the value 0.
+    """Return the text with each name of ``values`` that lies inside a mapping added, with the value 0.
 
     A mapping on one line is left as it is.
     """
@@ -128,7 +128,7 @@ def _with_names(text, values, path):
 
 
 def _merged(content, values):
-    """The content of a document with ``values`` in it."""
+    """Return the content of a document with ``values`` in it."""
     content = dict(content)
     for name, value in values.items():
         outer, _, inner = name.partition("/")
@@ -138,7 +138,7 @@ def _merged(content, values):
 
 
 def _find(node, names):
-    """The node of a value, or None."""
+    """Return the node of a value, or None."""
     for name in names:
         pairs = getattr(node, "value", None)
         node = None
@@ -150,7 +150,7 @@ def _find(node, names):
 
 
 def _has_value(node, value):
-    """Whether a node has this value already; one number stands for a list of equal ones."""
+    """Return whether a node has this value already; one number stands for a list of equal ones."""
     if _elements(node) is not None or isinstance(value, (str, bool)):
         return not _edits(node, value)
     numbers = value if isinstance(value, (list, tuple)) else [value]
@@ -158,7 +158,7 @@ def _has_value(node, value):
 
 
 def _edits(node, value):
-    """The ranges of text to replace, as (begin, end, text), for the elements that differ."""
+    """Return the ranges of text to replace, as (begin, end, text), for the elements that differ."""
     elements = _elements(node)
     if elements is not None and isinstance(value, (list, tuple)) and len(elements) == len(value):
         return [edit for element, number in zip(elements, value) for edit in _edits(element, number)]
@@ -169,14 +169,14 @@ def _edits(node, value):
 
 
 def _comments_behind(text, edits, nodes):
-    """The comments on the lines where edits end, as edits that remove them."""
+    """Return the comments on the lines where edits end, as edits that remove them."""
     ends = {end for _, end, _ in edits} | {node.end_mark.index for node in nodes}
     found = (COMMENT_BEHIND.match(text, end) for end in ends)
     return [(match.start(), match.end(), "") for match in found if match]
 
 
 def _elements(node):
-    """The elements of a list; None for anything else."""
+    """Return the elements of a list; None for anything else."""
     is_list = isinstance(node.value, list) and not any(isinstance(element, tuple) for element in node.value)
     return node.value if is_list else None
 
@@ -196,7 +196,7 @@ def _format(value):
 
 
 def _shape(node, changes=None):
-    """The content of a document as Python values, with ``changes`` applied: the expected content after an edit."""
+    """Return the content of a document as Python values, with ``changes`` applied: what an edit should lead to."""
     changes = dict(changes or {})
     elements = _elements(node)
     if elements is not None:

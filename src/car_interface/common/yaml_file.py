@@ -1,8 +1,8 @@
-"""Reads YAML files with parameters: whatever of this package reads YAML reads it here.
+"""Reads YAML files with parameters; nothing else in this package reads YAML.
 
-A file that can't be one of a person's parameters is refused before anything is built of it: too large, too deeply
-nested, with aliases that contain themselves or multiply. So is a name that is given twice, of which YAML itself would
-silently take the last value.
+A file that can't be a person's parameters is refused before anything is built from it: too large, too deeply nested,
+with aliases that contain themselves or multiply. So is a name that is given twice, of which YAML itself would silently
+take the last value.
 """
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from car_interface.common.input_file import finite_number, read_file
 
 MAX_BYTES = 1_000_000  # the package's own files have at most 2 kB; this much takes 2 s to read
 MAX_LEVELS = 100  # of lists and mappings in each other; the reader needs 3 of Python's 1,000 frames for each
-# With aliases, each counted as all values that it stands for. Without them 1 MB holds as many ordinary ones.
+# With aliases, each counted as all values that it stands for: about as many as 1 MB holds without aliases.
 MAX_VALUES = 100_000
 MAX_DIGITS = 100  # of a number: a float's shortest text has at most 24, and the time for many grows with their square
 ACCEPTED = "YAML lines of a parameter's name, a colon and its value"
@@ -89,12 +89,12 @@ def scalar_number(text: str) -> float | None:
 
 
 class _Refused(Exception):
-    """What is wrong, and where.
+    """A fault of the text, and its place.
 
     Args:
         lines: as a text.
-        found: what is there.
-        accepted: what would be accepted.
+        found: the present text.
+        accepted: the accepted one.
     """
 
     def __init__(self, lines, found, accepted):
@@ -103,7 +103,7 @@ class _Refused(Exception):
 
 
 def _read(text, path, result):
-    """What ``result`` makes of the loader and the root of a text."""
+    """Return ``result`` of the loader and the root of a text."""
     import yaml
     loader = None
     try:
@@ -130,11 +130,11 @@ def _read(text, path, result):
 
 @functools.lru_cache(maxsize=None)
 def _loader_class():
-    """Make the loader, when it is first needed: the modules that import this one need the standard library alone."""
+    """Return the loader; yaml is imported when it is first needed, since importers need the standard library alone."""
     import yaml
 
     class Loader(yaml.SafeLoader):
-        """PyYAML's loader, which stops at what is too much before it builds more."""
+        """PyYAML's loader with limits that are checked before more is built."""
 
         def __init__(self, text):
             super().__init__(text)
@@ -178,7 +178,7 @@ def _loader_class():
                                f"at most {MAX_LEVELS} levels")
 
         def checked(self, node):
-            """The node, if it has no name twice and no endless number."""
+            """Return the node, if it has no name twice and no endless number."""
             if isinstance(node, yaml.MappingNode):
                 _check_names(key for key, _ in node.value if isinstance(key, yaml.ScalarNode))
             elif node.tag in (_tag("int"), _tag("float")) and len(node.value) > MAX_DIGITS:
@@ -216,7 +216,7 @@ def _line(marked):
 
 
 def _short(text, limit=40):
-    """A name or value for a message of one line."""
+    """Return a name or value, shortened for a message of one line."""
     text = " ".join(text.split()) if text.isprintable() else repr(text)
     return text if len(text) <= limit else text[:limit - 1] + "…"
 

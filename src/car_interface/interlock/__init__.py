@@ -1,1 +1,1 @@
-"""Whether the car may move at all: emergency stop, deadman, re-arming."""
+"""Permission to move: emergency stop, deadman, re-arming."""

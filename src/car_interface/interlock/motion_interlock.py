@@ -1,4 +1,4 @@
-"""Whether the car may move at all: emergency stop (the lock) and deadman (the human).
+"""Decides whether the car may move at all, by emergency stop (the lock) and deadman (the human).
 
 Consumes both, each with its arrival on the monotonic clock, and answers with an ``Inhibit`` or ``None``. Steering and
 throttle have an interlock each, so that they stop together without depending on each other.
@@ -17,12 +17,12 @@ from car_interface.common import causes
 from car_interface.common.staleness import DROPPED, TimedInput
 from car_interface.common.units import NS_PER_S
 
-HUMAN_TIMEOUT_S = 0.5
+HUMAN_TIMEOUT_S = 0.5  # as every input of the arbiters
 STARTED = "this node has just started"
 # How to re-arm, in the state message, the log and /diagnostics.
 REARM_REASON = "let go once: publish false, then true"
 EXPLANATION_TIMEOUT_S = 0.5  # teleop_logi sends its state 10 times a second
-MAX_EXPLANATION = 300  # characters
+MAX_EXPLANATION = 300  # characters, so that another node's text can't flood the log: three lines
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def read_interlock(params, human_timeout_s: float = HUMAN_TIMEOUT_S) -> Interloc
 
 
 class Inhibit(NamedTuple):
-    """Why the car may not move."""
+    """The reason why the car may not move."""
 
     locked: bool  # by the emergency stop; False: by the deadman
     cause: str  # one of causes.INHIBITS
@@ -73,36 +73,36 @@ class MotionInterlock:
         self._e_stop = TimedInput("e_stop", config.e_stop_timeout_s)
         self._explanation = TimedInput("teleop_logi's state", EXPLANATION_TIMEOUT_S)
         self._rearm_reason = "" if config.grant_at_start else STARTED  # why the deadman must be released first
-        # Why e_stop's first message is awaited, and since when: a lock that is on may take a while to arrive.
+        # Why and since when the first e_stop is awaited: a lock that is on may take a while to arrive.
         self._wait_reason = "" if config.grant_at_start else STARTED
         self._waiting_since_ns: int | None = None
 
     def update_human(self, present: bool, now_ns: int) -> None:
-        """The deadman: true while a human holds it."""
+        """Take the deadman: true while a human holds it."""
         self._update_rearm_reason(now_ns)
         self._human.update(bool(present), now_ns)
         if not present and self._lock(now_ns) is None and not self._waits_for_e_stop(now_ns):
             self._rearm_reason = ""
 
     def explain_human(self, present: bool, reason: str, now_ns: int) -> None:
-        """Why the deadman is what it is, by who watches it. Only quoted when it is false; it permits nothing."""
+        """Take the reason for the deadman by the node that watches it. It is only quoted while the deadman is false."""
         self._explanation.update("" if present else " ".join(reason.split())[:MAX_EXPLANATION], now_ns)
 
     def update_e_stop(self, locked: bool, now_ns: int) -> None:
-        """The emergency stop: true = stop, false = not now."""
+        """Take the emergency stop: true = stop, false = not now."""
         self._update_rearm_reason(now_ns)
         self._e_stop.update(bool(locked), now_ns)
         self._update_rearm_reason(now_ns)
 
     def mark_stale(self, now_ns: int) -> None:
-        """Messages were dropped before they got here: both are stale, and must be re-armed as after a start."""
+        """Take note that messages were dropped: both are stale, and must be re-armed as after a start."""
         self._human.mark_stale()
         self._e_stop.mark_stale()
         self._rearm_reason = self._wait_reason = DROPPED
         self._waiting_since_ns = now_ns
 
     def inhibit(self, now_ns: int) -> Inhibit | None:
-        """Why the car may not move at ``now_ns``; ``None`` = it may."""
+        """Return why the car may not move at ``now_ns``; ``None`` = it may."""
         self._update_rearm_reason(now_ns)
         lock = self._lock(now_ns)
         if lock is not None:
@@ -120,11 +120,11 @@ class MotionInterlock:
         return None
 
     def human_age_s(self, now_ns: int) -> float:
-        """Seconds since the deadman's last message; inf = never received."""
+        """Return the seconds since the deadman's last message; inf = never received."""
         return self._human.age_s(now_ns)
 
     def e_stop_age_s(self, now_ns: int) -> float:
-        """Seconds since the emergency stop's last message; inf = never received."""
+        """Return the seconds since the emergency stop's last message; inf = never received."""
         return self._e_stop.age_s(now_ns)
 
     def _absent_reason(self, now_ns):

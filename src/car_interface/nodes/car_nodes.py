@@ -30,9 +30,9 @@ from car_interface.common.errors import CarInterfaceError
 from car_interface.common.fixed_parameters import fixed_parameters
 from car_interface.common.units import NS_PER_S
 from car_interface.nodes.generic_value_converter import GenericValueConverter
-from car_interface.nodes.pca9685 import Pca9685
-from car_interface.nodes.planner_interface import PlannerInterface
-from car_interface.nodes.teensy_sensor_hub import TeensySensorHub
+from car_interface.nodes.pca9685.node import Pca9685
+from car_interface.nodes.planner_interface.node import PlannerInterface
+from car_interface.nodes.teensy_sensor_hub.node import TeensySensorHub
 from car_interface.nodes.throttle_arb import ThrottleArb
 from car_interface.nodes.turn_arb import TurnArb
 from car_interface.ros.graph import ROS

@@ -26,12 +26,11 @@ from car_interface.common import causes
 from car_interface.common.errors import ConfigError
 from car_interface.common.rate_timer import RateTimer
 from car_interface.msg import Control, ConverterState, Float64Stamped
+from car_interface.ros.clocks import RosClock, StampedAge, odd_stamp
 from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
-from car_interface.ros.ros_clock import RosClock
+from car_interface.ros.logs import ThrottledWarnings
 from car_interface.ros.runtime import run
-from car_interface.ros.stamps import StampedAge, odd_stamp
-from car_interface.ros.throttled_warnings import ThrottledWarnings
 from car_interface.ros.topics import advertise, subscribe
 from car_interface.throttle.converter import Conversion, ConversionConfig, Converter
 from car_interface.throttle.value_map import ValueMap, load_value_map

@@ -11,7 +11,7 @@ Publishes, at 50 Hz (mode and scale_button: 10 Hz) and at once when they or the 
     /teleop_logi/tele_throt_req (std_msgs/Float32): −1 .. +1; 0 where the planner drives, unless the stick overrides it;
         NaN, which is a stop, where the human drives and the gamepad has no throttle axis that counts.
     /teleop_logi/mode (std_msgs/String): who steers and who drives, by the deadman that is held; see
-        ``common.drive_modes``.
+        ``common.causes``.
     /teleop_logi/scale_button (std_msgs/Int8): 1 or −1 while the button for more or less speed by hand is pressed.
     ~state (TeleopState, latched): whether a human holds a deadman, cause, reason, what becomes of each stick, age of
         joy; when one of these changes and 10 times a second. For people: nothing that drives follows it.
@@ -35,7 +35,7 @@ from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32, Int8, String
 
 from car_interface.common import causes
-from car_interface.common.drive_modes import HUMAN_DRIVES
+from car_interface.common.causes import HUMAN_DRIVES
 from car_interface.common.rate_timer import RateTimer
 from car_interface.msg import TeleopState
 from car_interface.ros.command_topics import CommandTopics

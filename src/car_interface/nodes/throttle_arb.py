@@ -4,7 +4,7 @@ Subscribes:
     /e_stop (std_msgs/Bool): true = locked: stop, whoever requests what.
     /teleop_logi/human_in_loop (std_msgs/Bool): true while a human holds the deadman.
     /teleop_logi/tele_throt_req (std_msgs/Float32): −1 full brake or reverse .. +1 full forward.
-    /teleop_logi/mode (std_msgs/String): who steers and who drives; see ``common.drive_modes``. Never received = a
+    /teleop_logi/mode (std_msgs/String): who steers and who drives; see ``common.causes``. Never received = a
         tele_throt_req beyond the dead band means the human.
     /teleop_logi/scale_button (std_msgs/Int8): 1 or −1 while the button for more or less speed by hand is pressed.
     ~input/value (Float64Stamped): the planner's, from generic_value_converter.
@@ -55,21 +55,16 @@ from std_msgs.msg import Float32, Int8, Int32MultiArray, String
 
 from car_interface.cfg import EscNeutralConfig
 from car_interface.common import causes
-from car_interface.common.drive_modes import MODES
+from car_interface.common.causes import MODES
 from car_interface.common.live_parameters import Tuning
 from car_interface.common.measured_speed import MAX_SPEED_MPS
-from car_interface.common.rate_timer import RateTimer
-from car_interface.common.servo_channels import CHANNELS
+from car_interface.common.units import CHANNELS
 from car_interface.msg import ConverterState, Float64Stamped, PlannerState, SteeringState, TeleopState, ThrottleState
-from car_interface.ros.command_topics import CommandTopics
-from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
-from car_interface.ros.interlock_topics import subscribe_interlock
+from car_interface.nodes.command_node import CommandNode
+from car_interface.ros.diagnostics import OK, WARN, age_text
 from car_interface.ros.reconfigure import ReconfigureServer
 from car_interface.ros.runtime import run
-from car_interface.ros.servo_messages import one_channel_duty
-from car_interface.ros.stamps import StampedAge
-from car_interface.ros.throttled_warnings import ThrottledWarnings
-from car_interface.ros.topics import advertise, subscribe, subscribe_changes
+from car_interface.ros.topics import one_channel_duty, subscribe, subscribe_changes
 from car_interface.steering.arbiter import LOCKED, source_name
 from car_interface.throttle.arbiter import NoValue
 from car_interface.throttle.calibration import trimmed
@@ -78,47 +73,25 @@ from car_interface.throttle.esc import ARMING, PASSES
 from car_interface.throttle.params import read_config
 
 RATE_HZ = 50
-TICKS_PER_STATE, TICKS_PER_NEUTRAL = 5, 50
 LIVE_RATE = 100  # duty per second
-# Who gets the command needs a core: state and log wait until the chip has it.
-REPORT_AFTER_NS = 1_000_000
-# A log line takes a millisecond of CPU time, which on a busy computer the servo board's node needs for the command; and
-# teleop_logi's state, which a line may quote, arrives after its human_in_loop.
-LOG_AFTER_NS = 20_000_000
 # What the ESC's rules do that deserves a line in the log. The other causes change as often as the stick moves.
 LOGGED = frozenset({causes.ESC_MOTION, causes.REVERSE_PENDING, causes.REVERSING, causes.REVERSE_REFUSED})
 
 
-class ThrottleArb:
+class ThrottleArb(CommandNode):
     """Receives the inputs, decides, publishes."""
+
+    # A planner's values change the duty as often as the timer ticks: both together would double every command.
+    repeats_change = False
 
     def __init__(self, params, inbox):
         config = read_config(params)
-        self._clocks = inbox.clocks
-        now_ns = self._clocks.now_ns()
         self._control = ThrottleControl(config.calibration, config.arbiter, config.esc, config.limits,
                                         config.obstacles)
         self._arbiter = self._control.arbiter
-        self._channel = config.calibration.channel
-        self._inbox = inbox
-        self._warnings = ThrottledWarnings(inbox.clocks)
-        self._notices = ThrottledWarnings(inbox.clocks, rospy.loginfo)
-        self._odometry_age = StampedAge("odometry", inbox.clocks)
-        self._timer = RateTimer(RATE_HZ, now_ns)
-        self._ticks = 0
-        self._now_ns = now_ns  # of the newest decision
-        self._decision = None
-        self._was_commanded = False  # since the last tick
-        self._pending = []  # decisions whose command was published, but not yet state and log line
-        self._report_ns = 0
-        self._unlogged = []  # when its log line is due, the decision before, the decision
-        self._commands = advertise("/servo/cmdVector", Int32MultiArray, inbox)
-        self._neutrals = advertise("servo/neutral", Int32MultiArray, inbox, latch=True)
-        self._states = advertise("~state", ThrottleState, inbox, latch=True)
-        self._command_topics = CommandTopics(inbox)
-        self._diagnostics = Diagnostics(inbox, "none", {"throttle": self._report, **self._command_topics.reports},
-                                        now_ns)
-        inbox.on_overflow(self._on_overflow)
+        self._now_ns = inbox.clocks.now_ns()  # of the newest decision
+        super().__init__(inbox, RATE_HZ, config.calibration.channel, self._arbiter, ThrottleState,
+                         {"throttle": self._report})
         self._subscribe()
         for sonar in config.obstacles.mounts if config.obstacles else ():
             subscribe(f"sonar/{sonar}", Range, inbox, self._deciding(partial(self._on_range, sonar)))
@@ -128,7 +101,6 @@ class ThrottleArb:
 
     def _subscribe(self):
         inbox = self._inbox
-        subscribe_interlock(inbox, self._arbiter, self._decide)
         subscribe_changes("/teleop_logi/tele_throt_req", Float32, inbox, self._on_teleop, self._decide)
         subscribe_changes("/teleop_logi/mode", String, inbox, self._on_mode, self._decide)
         subscribe_changes("/teleop_logi/scale_button", Int8, inbox, self._on_scale_button, self._decide)
@@ -146,24 +118,13 @@ class ThrottleArb:
         # Only quoted: no line that quotes it is due before the next tick.
         subscribe("teleop_logi/state", TeleopState, inbox, self._on_teleop_state, wakes=False)
 
-    def step(self, now_ns):
-        """Handle what arrived; then the timer."""
-        self._inbox.dispatch()
-        if self._timer.is_due(now_ns):
-            self._tick(now_ns)
-        elif self._pending and now_ns >= self._report_ns:
-            self._report_pending(now_ns)
-        self._diagnostics.step(now_ns)
-        return min(self._timer.due_ns, self._report_ns) if self._pending else self._timer.due_ns
-
     def shut_down(self):
         """Set the ESC to neutral; the servo board's timeout keeps it there."""
         self._commands.publish(self._neutral)
         self._clocks.sleep(0.02)  # for what a socket did not take at once
 
-    def _on_overflow(self, now_ns):
+    def _mark_stale(self, now_ns):
         self._control.mark_stale(now_ns)
-        self._decide(now_ns)
 
     def _deciding(self, handler):
         def handle(message, now_ns):
@@ -230,17 +191,9 @@ class ThrottleArb:
         else:
             self._warnings.warn("length", f"/servo/output has {len(message.data)} values, not {CHANNELS}: ignored")
 
-    def _decide(self, now_ns):
-        """Publish at once when the decision has changed; whether it has."""
+    def _decide_now(self, now_ns):
         self._now_ns = max(now_ns, self._now_ns)
-        before, decision = self._decision, self._control.decide(self._now_ns)
-        if before is not None and before.differs_by == decision.differs_by:
-            return False
-        self._pending.append((before, decision))
-        self._report_ns = now_ns + REPORT_AFTER_NS
-        self._decision = decision
-        self._publish_command(decision)
-        return True
+        return self._control.decide(self._now_ns)
 
     def _offer_tuning(self, config):
         """Have the ESC's neutral tuned while the car drives."""
@@ -259,37 +212,6 @@ class ThrottleArb:
 
         return ReconfigureServer(self._inbox, self._warnings, tuning, apply, parameters, EscNeutralConfig, settings,
                                  namespace="servo")
-
-    def _tick(self, now_ns):
-        self._ticks += 1
-        self._reconfigure.step(now_ns)
-        # A planner's values change the duty as often as the timer ticks: both together would double every command.
-        if not self._decide(now_ns) and not self._was_commanded:
-            self._publish_command(self._decision)
-        self._was_commanded = False
-        if self._ticks % TICKS_PER_STATE == 0:
-            self._report_pending(now_ns)
-            self._publish_state(self._control.decide(self._now_ns))
-        self._log_due(now_ns)
-        if self._ticks % TICKS_PER_NEUTRAL == 0:  # a topic latches one message in a process, also for two nodes in it
-            self._neutrals.publish(self._neutral)
-
-    def _publish_command(self, decision):
-        self._commands.publish(one_channel_duty(self._channel, decision.duty))
-        self._was_commanded = True
-
-    def _report_pending(self, now_ns):
-        """Publish the decisions whose commands were sent, and have those of another kind logged."""
-        for before, decision in self._pending:
-            self._publish_state(decision)
-            if before is None or before.kind != decision.kind:
-                self._unlogged.append((now_ns + LOG_AFTER_NS, before, decision))
-        self._pending.clear()
-
-    def _log_due(self, now_ns):
-        while self._unlogged and now_ns >= self._unlogged[0][0]:
-            _, before, decision = self._unlogged.pop(0)
-            self._log(before, decision)
 
     def _log(self, before, decision):
         arbitration, esc = decision.arbitration, decision.esc

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import Callable
 
-from car_interface.common.servo_channels import CHANNELS
+from car_interface.common.units import CHANNELS
 from car_interface.pca9685.channels import blocks
 from car_interface.pca9685.registers import (
     ALL_LED_OFF_H,
@@ -28,7 +28,7 @@ from car_interface.pca9685.registers import (
 TOTEM_POLE = 0x04  # MODE2: outputs drive both ways, not inverted (data sheet 7.3.2)
 OSCILLATOR_START_S = 500e-6  # after SLEEP is cleared (data sheet 7.3.1.1)
 CHANNELS_PER_BLOCK = 32 // 4  # an SMBus block transfer carries at most 32 bytes
-UNUSED_PER_CHECK = 4  # of the channels that are off
+UNUSED_PER_CHECK = 4  # channels that are off: all sixteen within four checks, 2 s
 
 
 class BoardMismatch(OSError):
@@ -36,7 +36,7 @@ class BoardMismatch(OSError):
 
 
 class ForeignWrite(BoardMismatch):
-    """Channels hold what this node didn't write: its guard did, or another program."""
+    """Channels hold values that this node didn't write: its guard did, or another program."""
 
 
 class Board:
@@ -68,13 +68,13 @@ class Board:
     def initialise(self) -> None:
         """Set frequency and auto-increment.
 
-        A chip that already runs so is not put to sleep, so that a node restarted while driving interrupts no pulse;
-        what its channels hold is read back.
-        Otherwise every output is switched off and the last pulse ends before the chip sleeps: the prescale can only be
-        written asleep (data sheet 7.3.5), and a SLEEP in the middle of a pulse makes an ESC jump.
+        A chip that already runs so is not put to sleep, so that a node restarted while driving interrupts no pulse; its
+        channels are read back. Otherwise every output is switched off, and the last pulse ends before the chip sleeps:
+        the prescale can only be written asleep (data sheet 7.3.5), and a SLEEP in the middle of a pulse makes an ESC
+        jump.
 
         Raises:
-            BoardMismatch: it doesn't read back as written.
+            BoardMismatch: the chip doesn't read back as written.
         """
         self._held = [None] * CHANNELS
         self._start()
@@ -82,14 +82,14 @@ class Board:
         self.read_back()
 
     def check(self) -> None:
-        """Read back whether the chip runs as ``initialise`` left it, and whether its channels hold what was written.
+        """Read back whether the chip runs as ``initialise`` left it, and whether its channels hold the written values.
 
-        Those that are on are read each time, and four of the others: no command is written meanwhile, and 32 bytes take
-        3 ms at 100 kHz.
+        Channels that are on are read each time, and four of the others: no command is written while the bus is read,
+        and 32 bytes take 3 ms at 100 kHz.
 
         Raises:
             BoardMismatch: it doesn't run so.
-            ForeignWrite: a channel holds something else; ``held`` knows it then.
+            ForeignWrite: a channel holds another value, which ``held`` then has.
         """
         self._check_mode()
         before = self.held
@@ -105,7 +105,7 @@ class Board:
             raise ForeignWrite("; ".join(foreign))
 
     def read_back(self) -> None:
-        """Read what all channels hold."""
+        """Read back the counts of all channels."""
         self._read_channels(range(CHANNELS))
 
     def _read_channels(self, channels):

@@ -1,4 +1,4 @@
-"""Explains errors of the I²C bus to the user: cause and remedy."""
+"""Explains errors of the I²C bus by their cause and remedy."""
 from __future__ import annotations
 
 import errno
@@ -9,12 +9,12 @@ from car_interface.pca9685.board import BoardMismatch
 
 
 def explain(error: OSError, device: str, bus_exists: bool) -> tuple[str, str]:
-    """Cause and remedy of a failed open or transfer.
+    """Return cause and remedy of a failed open or transfer.
 
     Args:
         error: of the bus, or BoardMismatch.
         device: the bus's path.
-        bus_exists: whether there is a file at that path.
+        bus_exists: there is a file at that path.
     """
     bus = device.rsplit("-", 1)[-1]
     if isinstance(error, BoardMismatch):

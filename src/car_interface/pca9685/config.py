@@ -4,8 +4,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from car_interface.common.errors import ConfigError
-from car_interface.common.servo_channels import CHANNELS, MAX_DUTY
-from car_interface.common.units import NS_PER_S
+from car_interface.common.units import CHANNELS, MAX_DUTY, NS_PER_S
 from car_interface.pca9685.channels import ChannelConfig, Channels
 from car_interface.pca9685.registers import PRESCALE_MAX, PRESCALE_MIN, prescale_for
 
@@ -15,7 +14,7 @@ LIVE_RANGE, THROTTLE_LIVE_RANGE = 500, 100  # duty, as those of turn_arb and gen
 NO_CHANNEL = -1
 # An ESC of this kind, if calibrate_esc saw it, goes on braking however long a pull is held, and neutral in between lets
 # it reverse. Any other may take a pull that is held for reverse.
-HOLDS_PULLS = "brake_then_reverse"
+BRAKES_FIRST = "brake_then_reverse"
 GUARD_OFF_AFTER_S = 10.0  # roslaunch has started a node again by then
 MIN_OFF_AFTER_S, MAX_OFF_AFTER_S = 0.5, 3600.0
 
@@ -80,28 +79,27 @@ def _read_channels(params):
     """Limits and failsafe of each of the sixteen."""
     timeouts_ms = params.integers("timeout", CHANNELS, 250, 0, MAX_TIMEOUT_MS)
     timeout_values = params.integers("timeout_value", CHANNELS, 0, 0, MAX_DUTY)
-    live_ranges, pulls = [0] * CHANNELS, [0] * CHANNELS
+    live_ranges = [0] * CHANNELS
     for channel, neutral, live_range in _read_neutrals(params):
         timeout_values[channel], live_ranges[channel] = neutral, live_range
-    esc, side = _read_pulls(params)
-    if esc is not None:
-        pulls[esc] = side
     pwm_min = params.integers("pwm_min", CHANNELS, 0, 0, MAX_DUTY)
     pwm_max = params.integers("pwm_max", CHANNELS, MAX_DUTY, 0, MAX_DUTY)
-    return tuple(ChannelConfig(*settings)
-                 for settings in zip(timeouts_ms, timeout_values, pwm_min, pwm_max, live_ranges, pulls))
+    esc, pulls = _read_pulls(params)
+    return tuple(ChannelConfig(*settings, **(pulls if channel == esc else {})) for channel, settings in enumerate(
+        zip(timeouts_ms, timeout_values, pwm_min, pwm_max, live_ranges)))
 
 
 def _read_pulls(params):
-    """The ESC's channel, and on which side of neutral its pulls are that must not be held; ``None`` = there is none."""
+    """The ESC's channel, and what its pulls are; ``None`` = there is none."""
     channel = params.integer("esc/servo/channel", NO_CHANNEL, NO_CHANNEL, CHANNELS - 1)
     neutral = params.integer("esc/servo/neutral", None, 0, MAX_DUTY)
     table = params.numbers("esc/servo/duty_table", [], 0, MAX_DUTY)
     profile, is_measured = params.text("esc/esc/profile", "unverified"), params.flag("esc/esc/profile_measured", False)
-    holds = profile == HOLDS_PULLS and is_measured
-    if channel == NO_CHANNEL or neutral is None or not table or holds:
-        return None, 0
-    return channel, -1 if table[0] < table[-1] else 1
+    forgets_s = params.number("esc/esc/reverse_after_neutral", 0.0, low=0.0, high=60.0)
+    if channel == NO_CHANNEL or neutral is None or not table:
+        return None, {}
+    return channel, {"pulls": -1 if table[0] < table[-1] else 1,
+                     "brakes_first": profile == BRAKES_FIRST and is_measured, "forgets_ms": round(1000 * forgets_s)}
 
 
 def _read_neutrals(params):

@@ -1,8 +1,8 @@
-"""Decides when the guard of a servo board acts in place of its node, and what it does then.
+"""Decides when the guard of a servo board acts in place of its node, and what it then does.
 
-The node says regularly that it lives. When it falls silent, or its pipe ends, the guard brings every channel to its
-timeout value, verifies that by reading back, and repeats both until the node acknowledges or another node has the
-board. When nobody has taken over for a while it switches every output off; then it ends, if its node is dead.
+The node regularly sends signs of life. When they stop, or its pipe ends, the guard brings every channel to its timeout
+value, verifies that by reading back, and repeats both until the node acknowledges or another node has the board. When
+nobody has taken over for a while, it switches every output off; then it ends, if its node is dead.
 
 Pure: bytes of the pipe and ``now_ns`` in, actions out. It imports as little as it can: the guard's process is small.
 """
@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import errno
 
-from car_interface.common.servo_channels import CHANNELS
-from car_interface.common.units import NS_PER_MS, NS_PER_S
+from car_interface.common.units import CHANNELS, NS_PER_MS, NS_PER_S
 from car_interface.pca9685.guard_protocol import (
     ACTING,
     ENDED,
@@ -25,15 +24,15 @@ from car_interface.pca9685.guard_protocol import (
     node_reader,
 )
 
-SILENCE_NS = 250 * NS_PER_MS
-ENDING_SILENCE_NS = 5 * NS_PER_S  # a node that shuts down makes the chip safe by itself, and tries for so long
+SILENCE_NS = 250 * NS_PER_MS  # five signs of life: as long as a channel's own timeout
+ENDING_SILENCE_NS = 5 * NS_PER_S  # a node that shuts down makes the chip safe by itself, and tries for this long
 MIN_NEUTRAL_NS = 100 * NS_PER_MS  # before full off: more than two periods at the largest prescale, 2 · 43 ms
-CHECK_PERIOD_NS = 50 * NS_PER_MS  # how often the chip is read back while it holds the timeout values
+CHECK_PERIOD_NS = 50 * NS_PER_MS  # of reading the chip back while it holds the timeout values
 OFF_CHECK_PERIOD_NS = 500 * NS_PER_MS
 PROBE_PERIOD_NS = NS_PER_S
 FIRST_RETRY_NS, LAST_RETRY_NS = 20 * NS_PER_MS, 200 * NS_PER_MS
-LASTING_NS = 500 * NS_PER_MS  # a node that was frozen for less soon publishes by itself what the guard wrote
-MAX_LASTING_NS = 8 * NS_PER_S  # doubled up to here each time that it came back, until it was steady for so long:
+LASTING_NS = 500 * NS_PER_MS  # a node that was frozen for less than this publishes the guard's writes soon itself
+MAX_LASTING_NS = 8 * NS_PER_S  # doubled up to here each time that the node came back, until it was steady for:
 STEADY_NS = 60 * NS_PER_S
 GIVE_UP_NS = 600 * NS_PER_S  # a dead node's guard that can't reach the chip ends at last
 
@@ -50,8 +49,8 @@ class Guard:
     """The decisions of one guard.
 
     Args:
-        off_after_ns: so long after it began to act it switches every output off.
-        silence_ns: so long without a sign of life counts as a frozen node.
+        off_after_ns: it switches every output off this long after it began to act.
+        silence_ns: a node without a sign of life for this long is taken for frozen.
     """
 
     def __init__(self, off_after_ns: int, silence_ns: int = SILENCE_NS):
@@ -78,19 +77,19 @@ class Guard:
 
     @property
     def is_acting(self) -> bool:
-        """Whether it acts in place of the node."""
+        """Return whether it acts in place of the node."""
         return self.state in (ACTING, SAFE, OFF)
 
     def acts_alone(self, now_ns: int) -> bool:
-        """Whether nobody else tells what the chip holds: the node is dead, or has been silent for longer.
+        """Return whether nobody else publishes what the chip holds: the node is dead, or silent for a longer time.
 
-        Who tells it then is a process that has to be started. On a computer that stands still again and again those
-        starts would be its load: the more often the node has come back, the longer it has to be silent.
+        A process that then publishes it has to be started. On a computer that stands still again and again these starts
+        would be a load, so the more often the node has come back, the longer it has to be silent.
         """
         return self.is_acting and (self.node_is_dead or now_ns - self._since_ns >= self._lasting_ns)
 
     def status(self) -> bytes:
-        """The message to the node."""
+        """Return the message to the node."""
         return GuardMessage(self.state, self._sequence, self.interventions, self._error).encode()
 
     def receive(self, data: bytes, now_ns: int) -> None:
@@ -116,7 +115,7 @@ class Guard:
             self._try_ns = now_ns
 
     def next_due_ns(self) -> float:
-        """When ``action`` must be asked even if nothing is received."""
+        """Return when ``action`` must be called even if nothing is received."""
         if self.state == WAITING:
             return float("inf")
         if self.state != WATCHING:
@@ -128,7 +127,7 @@ class Guard:
         return self._error != 0 or self.node_has_reached and not self._is_claimed
 
     def action(self, now_ns: int) -> str:
-        """What to do now."""
+        """Return what to do now."""
         if self._is_over or self.node_is_dead and not self.is_acting and not self._has_reached:
             return END
         if not self.is_acting and self._node_is_lost(now_ns):
@@ -162,7 +161,7 @@ class Guard:
         return max(self._since_ns + self._off_after_ns, self._safe_ns + MIN_NEUTRAL_NS)
 
     def succeeded(self, action: str, now_ns: int) -> None:
-        """An action was done and verified."""
+        """Take note that an action was done and verified."""
         self._error = 0
         self._has_reached = True
         self._retry_ns = FIRST_RETRY_NS
@@ -177,7 +176,7 @@ class Guard:
             self._try_ns = now_ns + CHECK_PERIOD_NS
 
     def failed(self, action: str, number: int | None, now_ns: int) -> None:
-        """An action failed with an error of the bus, by its errno."""
+        """Take note that an action failed, with the errno of the bus's error."""
         self._error = number or errno.EIO
         if action == PROBE:
             self._try_ns = now_ns + PROBE_PERIOD_NS
@@ -188,5 +187,5 @@ class Guard:
         self._retry_ns = min(2 * self._retry_ns, LAST_RETRY_NS)
 
     def finish(self) -> None:
-        """There is nothing left to guard: another node has the board, or it is gone for good."""
+        """End: another node has the board, or the board is gone for good."""
         self._is_over = True

@@ -1,14 +1,14 @@
-"""What a guard does to the chip: over any device with ``read(register, length)`` and ``write(register, data)``.
+"""Acts on the chip for a guard, over any device with ``read(register, length)`` and ``write(register, data)``.
 
-What writes returns what the channels are known to have held, as tuples of 16 counts, oldest first. Errors of the bus
-(OSError) pass through to the caller. It never wakes or initialises a chip: one that sleeps, as after a loss of power,
-pulses nothing.
+Functions that write return what the channels are known to have held, as tuples of 16 counts, oldest first. Errors of
+the bus (OSError) pass through to the caller. A guard never wakes or initialises a chip: a chip that sleeps, as after a
+loss of power, sends no pulse.
 """
 from __future__ import annotations
 
 import errno
 
-from car_interface.common.servo_channels import CHANNELS
+from car_interface.common.units import CHANNELS
 from car_interface.pca9685.registers import (
     ALL_LED_OFF_H,
     AUTO_INCREMENT,
@@ -35,7 +35,7 @@ def write_counts(device, counts) -> list:
     """Bring every channel to its counts, 0..4096, and verify that by reading back.
 
     Raises:
-        OSError: of the bus; EIO: the chip doesn't hold what was written.
+        OSError: of the bus; EIO: the chip doesn't hold the written values.
     """
     if not _is_awake(device):
         return [OFF]
@@ -44,7 +44,7 @@ def write_counts(device, counts) -> list:
 
 
 def keep_counts(device, counts) -> list:
-    """Bring the channels to these counts if they hold others, which are returned first then.
+    """Bring the channels to these counts; if they held others, these come first in the result.
 
     Raises:
         OSError: as ``write_counts``.
@@ -71,7 +71,7 @@ def switch_off(device) -> list:
 
 
 def _is_awake(device):
-    """Whether the chip pulses; one that does gets auto-increment, which block transfers need."""
+    """Return whether the chip is awake; if so, set auto-increment, which block transfers need."""
     mode1 = device.read(MODE1, 1)[0]
     if mode1 & SLEEP:
         return False

@@ -1,4 +1,4 @@
-"""Which of a guard's readings of its chip are published, as the node would: on change, and repeated at 10 Hz.
+"""Selects the guard's readings of its chip that are published, as the node would: on change, and at 10 Hz.
 
 A reading is published when it arrives or not at all: a repetition by a timer could come after another node has begun
 to drive the chip.
@@ -11,14 +11,14 @@ from car_interface.common.units import NS_PER_S
 from car_interface.pca9685.registers import duty_of_counts
 
 PERIOD_NS = NS_PER_S // 10
-MAX_PENDING = 100  # older ones are dropped
+MAX_PENDING = 100  # older ones are dropped: 10 s at 10 Hz
 
 
 class OutputReadings:
     """The readings of one guard.
 
     Attributes:
-        pending: vectors of 16 duties that are due, oldest first; whoever publishes them removes them.
+        pending: vectors of 16 duties that are due, oldest first; their publisher removes them.
     """
 
     def __init__(self):
@@ -31,7 +31,7 @@ class OutputReadings:
         if counts == self._newest and now_ns < self._repeat_ns:
             return
         if counts == self._newest and self.pending:
-            return  # it could not be published yet
+            return  # the same reading still waits to be published
         self._newest = counts
         self._repeat_ns = now_ns + PERIOD_NS
         self.pending.append([duty_of_counts(each) for each in counts])

@@ -1,15 +1,15 @@
-"""What the pca9685 node, its guard and the guard's relay write into the pipes between them, on one computer.
+"""Messages in the pipes between the pca9685 node, its guard and the guard's relay, on one computer.
 
-From the node: signs of life with the timeout values; the last of them says that it has ended and left the chip safe.
+From the node: signs of life with the timeout values; the last one means that it has ended and left the chip safe.
 From the guard: its state, as the answer to each sign of life and whenever the state changes.
-From the guard to the relay, which publishes it: what the chip held when the guard read it back, and in the end that a
-node has the chip again.
+From the guard to the relay, which publishes it: the counts of the chip when the guard read it back, and in the end that
+a node has the chip again.
 """
 from __future__ import annotations
 
 import struct
 
-from car_interface.common.servo_channels import CHANNELS
+from car_interface.common.units import CHANNELS
 
 # Kinds of a node's messages.
 ALIVE, ENDING, ENDED = 0, 1, 2
@@ -21,12 +21,12 @@ ACTING = 2  # the node is silent or dead; the timeout values are not verified ye
 SAFE = 3  # the chip holds the timeout values, by reading back
 OFF = 4  # every output is off, by reading back
 
-# Kinds of what the guard tells its relay.
+# Kinds of the guard's messages to its relay.
 HELD, LEFT_TO_NODE = 0, 1
 
-NOT_TRIED = -1  # as ``error`` of a guard that has not reached for the chip yet
+NOT_TRIED = -1  # as ``error`` of a guard that has not tried to reach the chip yet
 
-# Kind; whether the node has reached its chip, 0 or 1; sequence number; the newest intervention of which it knows;
+# Kind; whether the node has reached its chip, 0 or 1; sequence number; the newest intervention that it knows of;
 # counts of the timeout values, 0..4096.
 _NODE = struct.Struct(f"=BBII{CHANNELS}H")
 # State; sequence number of the last sign of life; number of interventions; errno of the last attempt on the chip, 0 =
@@ -37,7 +37,7 @@ _OUTPUT = struct.Struct(f"=B{CHANNELS}H")
 
 
 class NodeMessage:
-    """One message of the node; the attributes are those of ``_NODE``."""
+    """One message of the node; ``_NODE`` describes its attributes."""
 
     def __init__(self, kind, has_reached, sequence, acknowledged, timeout_counts):
         self.kind = kind
@@ -47,12 +47,12 @@ class NodeMessage:
         self.timeout_counts = timeout_counts
 
     def encode(self) -> bytes:
-        """The bytes: fewer than PIPE_BUF, so that a pipe takes all or none of them."""
+        """Return the bytes: fewer than PIPE_BUF, so that a pipe takes all or none of them."""
         return _NODE.pack(self.kind, self.has_reached, self.sequence, self.acknowledged, *self.timeout_counts)
 
 
 class GuardMessage:
-    """One message of the guard; the attributes are those of ``_GUARD``."""
+    """One message of the guard; ``_GUARD`` describes its attributes."""
 
     def __init__(self, state, sequence, interventions, error):
         self.state = state
@@ -66,7 +66,7 @@ class GuardMessage:
 
 
 class OutputMessage:
-    """One message of the guard to its relay; the attributes are those of ``_OUTPUT``."""
+    """One message of the guard to its relay; ``_OUTPUT`` describes its attributes."""
 
     def __init__(self, kind, counts):
         self.kind = kind
@@ -78,7 +78,7 @@ class OutputMessage:
 
 
 class MessageReader:
-    """Messages out of the bytes of a pipe.
+    """Assembles messages from the bytes of a pipe.
 
     Args:
         decode: makes a message of one structure's fields.
@@ -90,7 +90,7 @@ class MessageReader:
         self._buffer = b""
 
     def feed(self, data: bytes) -> list:
-        """The messages that are complete with these bytes, oldest first."""
+        """Return the messages that these bytes complete, oldest first."""
         self._buffer += data
         size = self._structure.size
         whole = len(self._buffer) // size * size
@@ -99,16 +99,16 @@ class MessageReader:
 
 
 def node_reader() -> MessageReader:
-    """Reads what the node wrote."""
+    """Return a reader of the node's messages."""
     return MessageReader(_NODE, lambda kind, has_reached, sequence, acknowledged, *counts: NodeMessage(
         kind, bool(has_reached), sequence, acknowledged, counts))
 
 
 def guard_reader() -> MessageReader:
-    """Reads what the guard wrote."""
+    """Return a reader of the guard's messages."""
     return MessageReader(_GUARD, GuardMessage)
 
 
 def output_reader() -> MessageReader:
-    """Reads what the guard wrote to its relay."""
+    """Return a reader of the guard's messages to its relay."""
     return MessageReader(_OUTPUT, lambda kind, *counts: OutputMessage(kind, counts))

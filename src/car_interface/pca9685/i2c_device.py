@@ -1,6 +1,6 @@
-"""One chip on an I²C bus of Linux, by the kernel's SMBus calls: all that the guard needs, without smbus2 and ctypes.
+"""Talks to one chip on an I²C bus of Linux by the kernel's SMBus calls, for the guard: without smbus2 and ctypes.
 
-The calls are those that smbus2 makes for the node, so the guard works on every adapter that the node works on.
+smbus2 makes the same calls for the node, so the guard works on every adapter that the node works on.
 """
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from car_interface.common.file_lock import lock_generation, lock_holder, newer_g
 
 I2C_SLAVE, I2C_SMBUS = 0x0703, 0x0720  # linux/i2c-dev.h
 _WRITE, _READ = 0, 1  # linux/i2c.h
-_BLOCK_DATA = 8  # I2C_SMBUS_I2C_BLOCK_DATA: so many bytes as the first one says
+_BLOCK_DATA = 8  # I2C_SMBUS_I2C_BLOCK_DATA: the first byte is the number of the others
 _REQUEST = struct.Struct("BBIP")  # struct i2c_smbus_ioctl_data: direction, register, size, pointer to the data
 _DATA_SIZE = 34  # union i2c_smbus_data: a length, up to 32 bytes, and one more
 
@@ -53,19 +53,19 @@ class I2cDevice:
             self._fd = -1
 
     def lock_holder(self) -> int:
-        """The process that has locked this chip; 0 = none."""
+        """Return the process that has locked this chip; 0 = none."""
         return lock_holder(self._fd, self._address)
 
     def claim(self, generation: int) -> None:
-        """Let older guards of this chip know that there is a newer one."""
+        """Show older guards of this chip that there is a newer one."""
         lock_generation(self._fd, self._address, generation)
 
     def successor(self, generation: int) -> int:
-        """The process of a newer guard; 0 = none."""
+        """Return the process of a newer guard; 0 = none."""
         return newer_generation(self._fd, self._address, generation)
 
     def is_gone(self, error: OSError) -> bool:
-        """Whether an error means that there is no chip any more: never, as a bus on USB may come back."""
+        """Return whether an error means that the chip is gone for good: never, as a bus on USB may come back."""
         return False
 
     def read(self, register: int, length: int) -> bytes:

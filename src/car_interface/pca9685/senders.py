@@ -1,15 +1,14 @@
-"""Which nodes command each channel of the servo board: several may publish, but each on channels of its own. Pure."""
+"""Finds which nodes command each channel of the servo board: several may, but each on its own channels. Pure."""
 from __future__ import annotations
 
 from typing import Mapping, Sequence
 
 from car_interface.common.causes import CHANNEL_TIMED_OUT
 from car_interface.common.publishers import CommandTopic, Fault, Publisher, second_publisher
-from car_interface.common.servo_channels import UNCHANGED
-from car_interface.common.units import NS_PER_S
+from car_interface.common.units import NS_PER_S, UNCHANGED
 from car_interface.pca9685.channels import TimedOut
 
-WINDOW_NS = NS_PER_S  # a node that has not commanded a channel for so long commands it no more
+WINDOW_NS = NS_PER_S  # a node that has not commanded a channel for this long no longer does: ten periods of 10 Hz
 
 
 class ChannelSenders:
@@ -20,7 +19,7 @@ class ChannelSenders:
         self._last: dict[int, str] = {}  # by channel
 
     def update(self, node: str, duties: Sequence[int], now_ns: int) -> None:
-        """A node's vector of duties; ``UNCHANGED`` commands nothing."""
+        """Take a node's vector of duties; ``UNCHANGED`` commands nothing."""
         for channel, duty in enumerate(duties):
             if duty != UNCHANGED:
                 self._times_ns.setdefault(channel, {})[node] = now_ns
@@ -31,7 +30,7 @@ class ChannelSenders:
         return self._last.get(channel, "")
 
     def conflicts(self, now_ns: int) -> dict[tuple[str, ...], list[int]]:
-        """The channels that several nodes command at the moment, by the names of these nodes, sorted."""
+        """Return the channels that several nodes command now, by the sorted names of these nodes."""
         found: dict[tuple[str, ...], list[int]] = {}
         for channel, times_ns in sorted(self._times_ns.items()):
             recent = {node: at_ns for node, at_ns in times_ns.items() if now_ns - at_ns < WINDOW_NS}
@@ -41,7 +40,7 @@ class ChannelSenders:
         return found
 
     def conflict_faults(self, now_ns: int, topics: Sequence[CommandTopic]) -> list[Fault]:
-        """Return a fault for the channels that the same nodes command; the topics' publishers say where these run."""
+        """Return a fault for channels that several nodes command; the topics' publishers show where these run."""
         known = _publishers(topics)
         return [second_publisher(listed(channels), f"{len(nodes)} nodes command {listed(channels)}",
                                  [known.get(node) or Publisher(node, "an unknown machine", "") for node in nodes])
@@ -53,9 +52,9 @@ class ChannelSenders:
 
         Args:
             timed_out: by channel.
-            now_ns: how long ago that was is said for the first channel of each fault.
-            topics: on which channels are commanded, with their publishers; none = they aren't known yet.
-            process: which process forgets, when it is started again, that a channel was ever commanded.
+            now_ns: for how long ago that was, of the first channel of each fault.
+            topics: the command topics with their publishers; none = they aren't known yet.
+            process: the process whose restart forgets that a channel was ever commanded.
         """
         groups: dict[tuple[str, bool], list[int]] = {}
         for channel, each in sorted(timed_out.items()):

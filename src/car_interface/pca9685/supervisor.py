@@ -2,7 +2,7 @@
 
 A failed transfer is repeated once; when that fails too, the bus is reopened and the chip initialised again, with
 growing pauses. Twice a second the chip is read back: after a loss of power it has its reset values and still
-acknowledges every write, and what another program wrote to its channels is found.
+acknowledges every write, and another program may have written to its channels.
 
 Pure: the bus is opened by a function that is passed in, and so is ``now_ns``.
 """
@@ -11,8 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Callable, Sequence
 
-from car_interface.common.servo_channels import CHANNELS
-from car_interface.common.units import NS_PER_MS
+from car_interface.common.units import CHANNELS, NS_PER_MS
 from car_interface.pca9685.board import Board, BoardMismatch, ForeignWrite
 from car_interface.pca9685.channels import differences
 
@@ -22,15 +21,15 @@ FIRST_RETRY_NS, LAST_RETRY_NS = 100 * NS_PER_MS, 2000 * NS_PER_MS
 # Events for ``on_event``.
 RETRIED, DISCONNECTED, ABSENT, RUNNING, MISMATCH = "retried", "lost", "absent", "running", "mismatch"
 FOUND = "found"  # the chip was initialised, and ``held`` is what its channels hold before the first write
-FOREIGN = "foreign"  # another program wrote to channels: they are written anew
+FOREIGN = "foreign"  # another program wrote to channels: they are written again
 
-# Asked for at each attempt to write, so that a repetition after a slow failure doesn't write what is stale by then.
+# Called for each attempt to write, so that a repetition after a slow failure doesn't write a stale value.
 Targets = Callable[[], Sequence[int]]
 
 
 @dataclass
 class BoardTally:
-    """Counts of faults so far."""
+    """Counts of faults."""
 
     errors: int = 0  # failed transfers, first attempts and repetitions
     reopenings: int = 0  # recoveries of bus and chip
@@ -64,12 +63,12 @@ class BoardSupervisor:
 
     @property
     def running(self) -> bool:
-        """Whether the chip is connected, as far as is known."""
+        """Return whether the chip is connected, as far as is known."""
         return self._board is not None
 
     @property
     def ever_ran(self) -> bool:
-        """Whether the chip was ever connected, so that it may be pulsing now."""
+        """Return whether the chip was ever connected, so that it may be pulsing now."""
         return self._was_running
 
     @property
@@ -78,11 +77,11 @@ class BoardSupervisor:
         return [None] * CHANNELS if self._board is None else self._board.held
 
     def next_due_ns(self) -> int:
-        """When ``update`` must be called even if no target changes."""
+        """Return when ``update`` must be called even if no target changes."""
         return self._next_try_ns if self._board is None else self._next_check_ns
 
     def update(self, targets: Targets, now_ns: int) -> None:
-        """Open, check or write, whatever is due. Errors of the bus are handled here."""
+        """Open, check or write, as is due. Errors of the bus are handled here."""
         if self._board is None:
             if now_ns >= self._next_try_ns:
                 self._try_to_open(targets, now_ns)
@@ -119,7 +118,7 @@ class BoardSupervisor:
         self._on_event(RUNNING, None)
 
     def read_back(self, now_ns: int) -> None:
-        """Read what all channels hold, where another program may have written."""
+        """Read back the counts of all channels, where another program may have written."""
         if self._board is not None:
             try:
                 self._repeat(self._board.read_back)
@@ -127,7 +126,7 @@ class BoardSupervisor:
                 self._disconnect(error, now_ns)
 
     def all_off(self, now_ns: int) -> bool:
-        """Switch every output off; whether the chip acknowledged."""
+        """Switch every output off; return whether the chip acknowledged."""
         if self._board is None:
             return False
         try:

@@ -4,8 +4,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from car_interface.common.errors import ConfigError
+from car_interface.planner.messages import ANGULAR, RATE
 from car_interface.planner.source_arbiter import SOURCES
-from car_interface.planner.twist import ANGULAR, RATE
 
 # A planner that is silent stops the car within 0.55 s: this, and 0.05 s to the servo and the ESC.
 TIMEOUT_S = (0.05, 0.5)

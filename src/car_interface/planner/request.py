@@ -1,7 +1,7 @@
-"""What a planner asks for, whatever message it sends: a turn radius, a speed, how quickly, and a gear.
+"""The request of a planner, whatever message it sends: a turn radius, a speed, how quickly, and a gear.
 
-A turn radius is that of the middle of the rear axle in metres, left positive, ±inf straight on. A speed is that of the
-rear axle in m/s, forward positive. Pure.
+Turn radius and speed are measured at the middle of the rear axle: metres, left positive, ±inf straight on; m/s, forward
+positive. Pure.
 """
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from typing import NamedTuple
 from car_interface.common import causes
 
 DRIVE, REVERSE, NEUTRAL, PARK = "drive", "reverse", "neutral", "park"
-# The tightest radius that is passed on. turn_arb takes one up to 0.001 m for no request, and saturates this one.
+# The tightest radius that is passed on. turn_arb takes a radius up to 0.001 m for no request, and saturates this one.
 MIN_RADIUS_M = 0.01
-# A wheel's angle from here on is no sign that a planner which sent a right angle sends radians now. The wheels of cars
-# turn by 0.4 to 0.8 rad, those of crawlers by 0.9.
+# After a planner sent a right angle or more, smaller angles up to this one show that it sends radians now. The wheels
+# of cars turn by 0.4 to 0.8 rad, the wheels of crawlers by 0.9.
 MAX_SANE_RAD = 1.0
 
 
@@ -22,11 +22,11 @@ class PlannerRequest(NamedTuple):
     """A command that can be obeyed.
 
     Attributes:
-        radius_m: ``None`` = as before: a command to stop, that says nothing about the steering.
+        radius_m: ``None`` = as before: a command to stop that has no steering.
         speed_mps: backward negative.
         acceleration_mps2: how quickly the speed may change, 0 or more; 0 = as quickly as allowed.
         jerk_mps3: how quickly that may change, 0 or more; 0 = as quickly as allowed.
-        braking_mps2: brake with at least this, whatever the speed says; 0 or more.
+        braking_mps2: brake with at least this, regardless of the speed; 0 or more.
         gear: DRIVE, REVERSE, NEUTRAL or PARK; ``None`` = by the sign of the speed.
     """
 
@@ -39,15 +39,15 @@ class PlannerRequest(NamedTuple):
 
 
 class Refusal(NamedTuple):
-    """Why a command isn't obeyed: the car stops while it lasts."""
+    """The reason why a command isn't obeyed. The car stops while it lasts."""
 
     cause: str  # one of car_interface.common.causes
     reason: str
-    is_of_angle: bool = False  # the planner's units are wrong: what it sends next isn't obeyed at once
+    is_of_angle: bool = False  # the planner's units are wrong: its next commands aren't obeyed at once
 
 
 def not_finite(**values: float) -> Refusal | None:
-    """The refusal of the first value that is not finite; ``None`` when all are. Names are fields, dots as ``__``."""
+    """Return a refusal of the first value that is not finite, or ``None``. Names are fields, with ``__`` for dots."""
     for name, value in values.items():
         if not math.isfinite(value):
             return Refusal(causes.REQUEST_NOT_FINITE, f"{name.replace('__', '.')} is {value}, no number to act on")
@@ -55,10 +55,10 @@ def not_finite(**values: float) -> Refusal | None:
 
 
 def radius_of_angle(name: str, angle_rad: float, wheelbase_m: float) -> float | Refusal:
-    """The turn radius for the angle of a virtual front wheel in the middle of the front axle, left positive.
+    """Return the turn radius for the angle of a virtual front wheel in the middle of the front axle, left positive.
 
     Args:
-        name: the field's, for a refusal.
+        name: of the field, for a refusal.
         angle_rad: finite. A right angle or more is refused: it is likely in degrees.
         wheelbase_m: between the axles.
     """
@@ -70,10 +70,10 @@ def radius_of_angle(name: str, angle_rad: float, wheelbase_m: float) -> float | 
 
 
 def sane_radius_m(wheelbase_m: float) -> float:
-    """The radius of the steepest angle that a wheel can have."""
+    """Return the turn radius of the largest angle that a wheel can have."""
     return wheelbase_m / math.tan(MAX_SANE_RAD)
 
 
 def clamped_radius(radius_m: float) -> float:
-    """A radius that is not so tight that it means "no request"."""
+    """Return the radius, widened where it is so tight that it would mean "no request"."""
     return math.copysign(max(MIN_RADIUS_M, abs(radius_m)), radius_m)

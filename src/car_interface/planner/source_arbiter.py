@@ -1,9 +1,9 @@
-"""Which planner is obeyed: one source at a time. The others are counted, with who sent them.
+"""Obeys one planner, the configured source. The messages of other sources are counted, with their senders.
 
-Consumes the conversions of the source's messages with their arrival; answers with the request, or with why there is
-none. A source that falls silent has no request from then on: nothing is repeated for it. One that sent an angle which
-no wheel turns to is refused until it was sane for 2 s: an angle in degrees that swings from side to side passes through
-angles that look like radians, at full lock. Pure: ``now_ns`` is passed in.
+Consumes the requests made of the source's messages, with their arrival; answers with the request, or why there is none.
+A source that falls silent has no request from then on: nothing is repeated for it. A source that sent an angle which no
+wheel turns to is refused until it was sane for 2 s, since an angle in degrees that swings from side to side passes
+through angles that look like radians, at full lock. Pure: ``now_ns`` is passed in.
 """
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ DRIVE, CMD_VEL, AUTOWARE, SPEED = "drive", "cmd_vel", "autoware", "speed"
 SOURCES = (DRIVE, CMD_VEL, AUTOWARE, SPEED)
 
 
-# Long enough for a slow swing: of ±3 "rad" and a period of 10 s, 1 s lies within MAX_SANE_RAD.
+# Long enough for a slow swing: with ±3 "rad" and a period of 10 s, 1 s lies within MAX_SANE_RAD.
 SANE_FOR_NS = 2 * NS_PER_S
 
 
 class PlannerDecision(NamedTuple):
-    """What the planner asks for, or why it isn't obeyed."""
+    """The request of the planner, or why it isn't obeyed."""
 
     cause: str  # one of car_interface.common.causes; PLANNER with a request
     reason: str
@@ -34,12 +34,12 @@ class PlannerDecision(NamedTuple):
 
 
 class SourceArbiter:
-    """The newest command of the one source.
+    """Keeps the newest command of the source.
 
     Args:
         source: one of SOURCES.
         timeout_s: a command older than this is no request any more; above 0.
-        sane_radius_m: a turn that is tighter isn't sane for a source that was refused for an angle.
+        sane_radius_m: for a source that was refused for an angle, a tighter turn than this isn't sane.
     """
 
     def __init__(self, source: str, timeout_s: float, sane_radius_m: float = 0.0):
@@ -50,13 +50,13 @@ class SourceArbiter:
         self._radius_m = math.inf
         self._sane_radius_m = sane_radius_m
         self._refused_for: Refusal | None = None  # the newest angle for which the source stays refused
-        self._sane_since_ns: int | None = None  # since when it has sent nothing else; None: not even now
+        self._sane_since_ns: int | None = None  # since when it has been sane; None: it isn't
         self._others: Counter = Counter()
         self._senders: dict[str, str] = {}
         self.refused = 0
 
     def update(self, command: PlannerRequest | Refusal, now_ns: int) -> None:
-        """The source's newest message."""
+        """Take the source's newest message."""
         command = self._unless_refused(command, now_ns)
         if isinstance(command, Refusal):
             self.refused += 1
@@ -68,7 +68,7 @@ class SourceArbiter:
         self._arrival_ns = now_ns
 
     def _unless_refused(self, command, now_ns):
-        """The command; or the refusal of it by an angle that was sent before."""
+        """Return the command, or the refusal that an earlier angle still causes."""
         if isinstance(command, Refusal) and command.is_of_angle:
             self._refused_for = command
         if self._refused_for is None:
@@ -86,16 +86,16 @@ class SourceArbiter:
         return request.radius_m is None or abs(request.radius_m) > self._sane_radius_m
 
     def count_other(self, source: str, sender: str) -> None:
-        """A message of a source that isn't obeyed, and its node."""
+        """Count a message of a source that isn't obeyed, from a node."""
         self._others[source] += 1
         self._senders[source] = sender
 
     def mark_stale(self) -> None:
-        """Messages were dropped before they got here: there is no request until the next."""
+        """Take note that messages were dropped: there is no request until the next one."""
         self._command.mark_stale()
 
     def age_s(self, now_ns: int) -> float:
-        """Seconds since the source's last message; inf = never received."""
+        """Return the seconds since the source's last message; inf = never received."""
         return self._command.age_s(now_ns)
 
     @property
@@ -106,11 +106,11 @@ class SourceArbiter:
                          for source, count in sorted(self._others.items()))
 
     def silent_at_ns(self, now_ns: int) -> float:
-        """When the source falls silent unless it sends something; inf = it is already, or was never received."""
+        """Return when the source falls silent unless it sends something; inf = it is silent, or was never received."""
         return math.inf if self._command.is_stale(now_ns) else self._arrival_ns + self._timeout_ns + 1
 
     def decide(self, now_ns: int) -> PlannerDecision:
-        """What is asked for at ``now_ns``."""
+        """Return the request at ``now_ns``, or why there is none."""
         if not self._command.was_received:
             others = f"; not obeyed: {self.others}" if self._others else ""
             return PlannerDecision(causes.NO_REQUEST, f"{self._command.stale_reason(now_ns)}{others}")
@@ -124,7 +124,7 @@ class SourceArbiter:
 
 
     def _remains(self, now_ns):
-        """How long the source stays refused for an angle, in words."""
+        """Return for how long the source stays refused for an angle, in words."""
         if self._refused_for is None:
             return ""
         if self._sane_since_ns is None:
@@ -134,7 +134,7 @@ class SourceArbiter:
 
 
 def _text(request, radius_m):
-    """A request in words."""
+    """Return a request in words."""
     gear = f", gear {request.gear.upper()}" if request.gear else ""
     if not radius_m:
         return f"{request.speed_mps:.2f} m/s{gear}"

@@ -22,11 +22,12 @@ from car_interface.common.errors import CarInterfaceError
 from car_interface.common.library_warnings import hide_warnings
 
 NODES = "nodes."
-# Of address space, with memory_limit.adapt. In the demo car_nodes took 348 MiB (VmPeak; 55 threads), demo_drive 313,
-# each other node 282 at most.
+# Of address space, with memory_limit.adapt. In the demo car_nodes took 348 MiB (VmPeak; 55 threads), each other node
+# 282 at most.
 NEEDED_MIB = 380
-WITH_ROSPY = (NODES, "doctor.")
-OPTIONS = {"nodes.calibration_drive": "calibration.drive.options"}  # of nodes that have some: a module with parse()
+WITH_ROSPY = (NODES, "tools.doctor.")
+# The nodes with options of their own, and the module whose parse() reads them.
+OPTIONS = {"nodes.calibration_drive": "tools.calibration.drive.config"}
 
 
 def start(module: str) -> None:
@@ -40,7 +41,7 @@ def start(module: str) -> None:
     try:
         hide_warnings()
         memory_limit.adapt(NEEDED_MIB if module.startswith(WITH_ROSPY) else 0)
-        main = importlib.import_module(f"car_interface.{module}").main
+        main = importlib.import_module(full_name(module)).main
         memory_limit.reserve_blas()
         main()
     except Exception as error:
@@ -52,9 +53,15 @@ def start(module: str) -> None:
         os._exit(1)  # threads of rospy that have been started already would keep the process
 
 
+def full_name(module: str) -> str:
+    """Return what to import for a module of the package; a node with files of its own is a folder with a node.py."""
+    name = f"car_interface.{module}"
+    return f"{name}.node" if importlib.util.find_spec(name).submodule_search_locations else name
+
+
 def usage(module: str) -> str:
     """A node's usage, with the first paragraph of its module's docstring."""
-    source = Path(importlib.util.find_spec(f"car_interface.{module}").origin).read_text(encoding="utf-8")
+    source = Path(importlib.util.find_spec(full_name(module)).origin).read_text(encoding="utf-8")
     purpose = ast.get_docstring(ast.parse(source)).split("\n\n")[0]
     name = module[len(NODES):]
     return (f"usage: rosrun car_interface {name} [-h] [_PARAMETER:=VALUE ...] [TOPIC:=NEW_NAME ...]\n\n{purpose}\n\n"

@@ -1,10 +1,10 @@
-"""A virtual car after a real one's calibration tables, near to them and on purpose not equal."""
+"""Derives a virtual car from a real one's calibration tables: near to them, and not equal on purpose."""
 
 from __future__ import annotations
 
 from typing import Sequence
 
-from car_interface.sim.checks import require
+from car_interface.common.errors import require
 
 LEFT_RATIO, RIGHT_RATIO = 0.97, 1.03  # of the true radii to the tables': a calibration is some percent off
 MIN_STEP_DUTY = 1.0  # between the curve's points: tables may end in equal duties
@@ -12,7 +12,7 @@ MIN_STEP_DUTY = 1.0  # between the curve's points: tables may end in equal dutie
 
 def steering_curve(center: float, radii_m: Sequence[float], left: Sequence[float], right: Sequence[float],
                    ) -> tuple[tuple[float, float], ...]:
-    """The true steering of a car that was calibrated so: (duty, curvature in 1/m, left positive), duties rising.
+    """Return the true steering for these tables: (duty, curvature in 1/m, left positive), duties rising.
 
     The left side may have the lower or the higher duties.
 
@@ -34,7 +34,7 @@ def steering_curve(center: float, radii_m: Sequence[float], left: Sequence[float
 
 
 def _side(center, radii_m, duties, ratio):
-    """The points of one side, from its end to the center."""
+    """Return the points of one side, from its end to the center."""
     points = []
     for radius_m, duty in zip(radii_m, duties):
         last = points[-1][0] if points else None

@@ -1,9 +1,9 @@
-"""A connection to the process of a virtual PCA9685: what an open I²C bus is to a real one.
+"""Connects to the process of a virtual PCA9685, as an open I²C bus does to a real one.
 
 Requests and answers are packets of a Unix socket. A request is an operation, an address, a register or the number of a
 fault, and data; an answer is an errno and data. The clients of one chip take turns, as on a bus.
 
-The socket and the files beside it are this user's own, or not used: see ``own_files``.
+The socket and the files beside it are only used if they are this user's own: see ``own_files``.
 """
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ PEER = struct.Struct("3i")  # SO_PEERCRED: process, user, group; see unix(7)
 
 
 def lock_path(path: str) -> str:
-    """The file that stands for the bus's where locks are concerned."""
+    """Return the path of the file that is locked in place of the bus's."""
     return f"{path}.lock"
 
 
 def open_lock(path: str) -> int:
-    """Open the lock file of the chip at ``path``; a descriptor.
+    """Open the lock file of the chip at ``path`` and return its descriptor.
 
     Raises:
-        UnsafeFile: what is there isn't this user's own file.
+        UnsafeFile: it isn't this user's own file.
     """
     return open_own(lock_path(path), os.O_RDWR | os.O_CREAT)
 
@@ -88,25 +88,25 @@ class ChipLink:
             self._lock_fd = -1
 
     def lock_fd(self) -> int:
-        """The descriptor on which a node takes its lock, opened when it is first asked for: see ``file_lock``."""
+        """Return the descriptor on which a node takes its lock, opened at the first call: see ``file_lock``."""
         if self._lock_fd < 0:
             self._lock_fd = open_lock(self._path)
         return self._lock_fd
 
     def lock_holder(self) -> int:
-        """The process that has locked this chip; 0 = none."""
+        """Return the process that has locked this chip; 0 = none."""
         return lock_holder(self.lock_fd(), self._address)
 
     def claim(self, generation: int) -> None:
-        """Let older guards of this chip know that there is a newer one."""
+        """Show older guards of this chip that there is a newer one."""
         lock_generation(self.lock_fd(), self._address, generation)
 
     def successor(self, generation: int) -> int:
-        """The process of a newer guard; 0 = none."""
+        """Return the process of a newer guard; 0 = none."""
         return newer_generation(self.lock_fd(), self._address, generation)
 
     def is_gone(self, error: OSError) -> bool:
-        """Whether an error means that the chip's process has ended, and with it the chip."""
+        """Return whether an error means that the chip's process has ended, and with it the chip."""
         return error.errno in (errno.ENOENT, errno.ECONNREFUSED, errno.ENXIO)
 
     def read(self, register: int, length: int) -> bytes:
@@ -122,17 +122,17 @@ class ChipLink:
         self.transfer(FAULT, self._address, FAULTS.index(fault), value=value)
 
     def log_to(self, path: str) -> None:
-        """Have each write to the chip, of whichever client, appended to a file."""
+        """Have each write to the chip, by any client, appended to a file."""
         self.transfer(LOG, self._address, 0, os.fsencode(path))
 
     def observe(self) -> int:
-        """Have the pins' state sent, now and whenever it changes; the descriptor to wait for."""
+        """Have the pins' state sent, now and at each change; return the descriptor to wait for."""
         self.transfer(OBSERVE, self._address, 0)
         self._socket.setblocking(False)
         return self._socket.fileno()
 
     def changes(self) -> list:
-        """What an observer was sent since the last call, oldest first: 16 counts each.
+        """Return the states that were sent to an observer since the last call, oldest first: 16 counts each.
 
         Raises:
             OSError: the chip is gone.
@@ -150,7 +150,7 @@ class ChipLink:
             found.append(OUTPUTS.unpack(packet))
 
     def transfer(self, operation: int, address: int, register: int, data: bytes = b"", value: float = 0.0) -> bytes:
-        """Make a request; the data of its answer.
+        """Make a request and return the data of its answer.
 
         Raises:
             OSError: as of a real bus; ENXIO: the chip's process is gone.

@@ -1,11 +1,11 @@
-"""A virtual PCA9685 as a process of its own, so that it goes on pulsing when its node dies, as a real one does.
+"""Runs a virtual PCA9685 as its own process, so that it goes on pulsing when its node dies, as a real one does.
 
 It serves a Unix socket, see ``chip_link``, and ends some seconds after its last client has gone. Its first client
 starts it by ``common.small_process``; its arguments are the socket's path and the chip's address.
 
-No packet ends it. One that makes no sense is answered with an errno: EPROTO (too short), EMSGSIZE (too long),
-EOPNOTSUPP (no such operation or fault), EINVAL (a length or a value that can't be). A client loses its connection when
-it waits for too many transfers at a time, or is one too many.
+No packet ends it. A malformed one is answered with an errno: EPROTO (too short), EMSGSIZE (too long), EOPNOTSUPP (no
+such operation or fault), EINVAL (an impossible length or value). A client loses its connection when it waits for too
+many transfers at a time, or is one client too many.
 """
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ from car_interface.sim.chip_link import (
 )
 from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
 
-LINGER_S = 3.0  # after the last client: roslaunch starts a node again, and a guard is a client, too
+LINGER_S = 3.0  # after the last client: time for roslaunch to restart a node; a guard is a client, too
 SERVER_LOCK = 0x100  # a byte of the lock file that is no address
 MODE1, SLEEP, LED0, BLOCK = 0x00, 0x10, 0x06, 32  # data sheet, table 4
-HELD_S = 1.0  # a transfer on a bus that is held fails after the kernel's timeout
+HELD_S = 1.0  # the kernel's timeout, after which a transfer on a bus that is held fails
 MAX_CLIENTS = 32  # nodes, guards and observers of one chip are fewer than ten
 MAX_WAITING = 16  # transfers of one client on a bus that is held: it gives each up after ANSWER_S
 MAX_NACKS = 10**9
@@ -112,7 +112,7 @@ class ChipServer:
         self._waiting = [each for each in self._waiting if each[0] != fd]
 
     def _serve(self, fd, now_s):
-        """Answer one request; whether the client is still there."""
+        """Answer one request; return whether the client is still there."""
         try:
             packet = self._clients[fd].recv(MAX_PACKET + 1)  # of a longer one the rest is lost
         except BlockingIOError:
@@ -130,11 +130,11 @@ class ChipServer:
         return True
 
     def _fail_waiting(self, now_s):
-        """On a bus that is held transfers fail one after the other, each after a second."""
+        """Fail transfers on a bus that is held, one after the other, each after a second."""
         while self._waiting and now_s >= self._fails_s:
             fd, _ = self._waiting.pop(0)
             self._send(fd, ANSWER.pack(errno.ETIMEDOUT))
-            if not self._bus.held:  # it was let go meanwhile: those that waited for their turn go through
+            if not self._bus.held:  # it was released since: waiting transfers go through
                 for waiting_fd, packet in self._waiting:
                     self._answer(waiting_fd, packet)
                 self._waiting.clear()
@@ -145,7 +145,7 @@ class ChipServer:
             data, number = self._handle(fd, packet), 0
         except OSError as error:
             data, number = b"", error.errno or errno.EIO
-        except Exception:  # the chip pulses on whatever a client sends, as a real one does
+        except Exception:  # no request may end the chip's pulses, as with a real one
             data, number = b"", errno.EIO
         self._send(fd, ANSWER.pack(number) + data)
         if packet[0] == OBSERVE and not number:
@@ -166,10 +166,10 @@ class ChipServer:
             self._clients[fd].send(packet)
 
     def _handle(self, fd, packet):
-        """Do what a packet asks for; the data of the answer.
+        """Do what a packet asks for and return the data of the answer.
 
         Raises:
-            OSError: it fails, or can't be done.
+            OSError: it failed, or can't be done.
         """
         if len(packet) < REQUEST.size:
             raise _error(errno.EPROTO)
@@ -217,19 +217,19 @@ class ChipServer:
                 self._bus.attach(self._address, self._chip)
 
     def _pins(self):
-        """What the pins do; without power nothing."""
+        """Return the counts of the pins; without power 0."""
         has_power = self._bus.has(self._address)
         return tuple(self._chip.high_counts(channel) if has_power else 0 for channel in range(16))
 
     def _open_log(self, path):
-        """Append each write to the file at a path, in bytes; the one before stays open where that can't be opened."""
+        """Append each write to the file at a path, in bytes; if it can't be opened, the one before stays in use."""
         if not path.startswith(b"/") or b"\0" in path:
             raise _error(errno.EINVAL)
         log_fd = open_own(os.fsdecode(path), os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
         if self._log_fd >= 0:
             os.close(self._log_fd)
         self._log_fd = log_fd
-        if not self._chip.read(MODE1, 1)[0] & SLEEP:  # what it holds by then, as if it were written now
+        if not self._chip.read(MODE1, 1)[0] & SLEEP:  # its present counts, as if they were written now
             for first in (LED0, LED0 + BLOCK):
                 self._log_write(self._address, first, b"".join(
                     bytes(self._chip.read(register, 1)) for register in range(first, first + BLOCK)))
@@ -245,18 +245,18 @@ def _error(number):
 
 
 def main() -> None:
-    """Serve a chip, unless another process serves it, or what is at its path isn't this user's own."""
+    """Serve a chip, unless another process serves it, or the file at its path isn't this user's own."""
     path, address = sys.argv[1], int(sys.argv[2])
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # it ends after its last client
     try:
         lock_fd = open_lock(path)
-    except UnsafeFile:  # its first client says so
+    except UnsafeFile:  # its first client reports it
         return
     try:
         lock_byte(lock_fd, SERVER_LOCK)
         if not os.path.samestat(os.fstat(lock_fd), os.stat(lock_path(path))):
-            return  # that of a process which has just ended: whoever starts this one tries again
+            return  # the lock of a process that has just ended: the client starts this one again
         with contextlib.suppress(FileNotFoundError):
             check_socket(path)
             os.unlink(path)  # of a process that was killed

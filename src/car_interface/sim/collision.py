@@ -1,6 +1,6 @@
-"""What the virtual car runs into: its outline against walls, boxes and posts.
+"""Finds what the virtual car runs into: its outline against walls, boxes and posts.
 
-Pure: poses in, whether they are free out. A step into an obstacle is not made: the car stands where it was before it.
+Pure: poses in, whether they are free out. A step into an obstacle is not made: the car stays where it was before it.
 """
 
 from __future__ import annotations
@@ -9,9 +9,10 @@ import math
 from dataclasses import dataclass
 from typing import Sequence
 
-from car_interface.sim.checks import require
+from car_interface.common.errors import require
+from car_interface.common.vehicle_geometry import FRONT_M, REAR_M, WIDTH_M
 
-APART_M = 0.01  # a car that has driven this far since it was stopped no longer touches what stopped it
+APART_M = 0.01  # a car that has driven this far since it was stopped no longer touches the obstacle
 # The outline's middle moves farther than the rear axle's on a turn: for c = 0.14 m before it by √(1 + c²/r²), which is
 # 1.38 on the tightest turn that VehicleConfig accepts (r = 0.148 m).
 MAX_CENTER_RATIO = 1.5
@@ -21,12 +22,12 @@ MAX_CENTER_RATIO = 1.5
 class Outline:
     """The car from above, a rectangle: metres behind and before the rear axle's middle, and across.
 
-    The default is a Slash 4x4's, 568 mm long and 296 mm wide.
+    The default is a Slash 4x4's.
     """
 
-    rear_m: float = 0.142
-    front_m: float = 0.426
-    width_m: float = 0.296
+    rear_m: float = REAR_M
+    front_m: float = FRONT_M
+    width_m: float = WIDTH_M
 
     def __post_init__(self):
         require(self.rear_m >= 0, "rear_m", self.rear_m, "0 or more")
@@ -50,7 +51,7 @@ class Obstacles:
         self._radius_m = math.hypot(self._high_m - self._center_m, self._half_m)  # of the circle around the outline
 
     def is_free(self, pose: Sequence[float]) -> bool:
-        """Whether a car whose rear axle's middle is at x, y (m) and yaw (rad) touches nothing."""
+        """Return whether a car whose rear axle's middle is at x, y (m) and yaw (rad) touches nothing."""
         x_m, y_m, yaw_rad = pose
         cos_yaw, sin_yaw = math.cos(yaw_rad), math.sin(yaw_rad)
 
@@ -68,7 +69,7 @@ class Obstacles:
         return True
 
     def clearance_m(self, pose: Sequence[float]) -> float:
-        """How far the outline's middle can move at least before the car touches something; 0 or less = it may."""
+        """Return how far the outline's middle can move before the car may touch something; 0 or less = it may now."""
         x_m = pose[0] + self._center_m * math.cos(pose[2])
         y_m = pose[1] + self._center_m * math.sin(pose[2])
         nearest_m = math.inf
@@ -82,7 +83,7 @@ class Obstacles:
         return nearest_m - self._radius_m
 
     def _meets_segment(self, ahead_m, left_m, along_m, across_m):
-        """Whether a segment, seen from the car, has a part inside the outline (Liang and Barsky's clipping)."""
+        """Return whether a segment, seen from the car, has a part inside the outline (Liang and Barsky's clipping)."""
         first, last = 0.0, 1.0
         for start_m, to_m, low_m, high_m in ((ahead_m, along_m, self._low_m, self._high_m),
                                              (left_m, across_m, -self._half_m, self._half_m)):
@@ -98,25 +99,25 @@ class Obstacles:
 
 
 class Collisions:
-    """Which steps of a car are blocked, and how often it ran into something.
+    """Blocks a car's steps into obstacles, and counts how often it ran into one.
 
     Args:
         obstacles: what it may run into.
 
     Attributes:
-        count: how often it has; a car that keeps pushing, or backs off less than a centimetre, does so once.
+        count: of collisions; a car that keeps pushing, or backs off less than a centimetre, has one.
         speed_mps: of the newest collision, backward negative.
     """
 
     def __init__(self, obstacles: Obstacles):
         self._obstacles = obstacles
-        self._clear_m = 0.0  # so far it can go before it has to be looked again
+        self._clear_m = 0.0  # how far it can go before the next check
         self._since_m = math.inf  # driven since it was blocked
         self.count = 0
         self.speed_mps = 0.0
 
     def blocks(self, pose: Sequence[float], distance_m: float, speed_mps: float) -> bool:
-        """Whether a step that ends at ``pose`` runs into something.
+        """Return whether a step that ends at ``pose`` runs into something.
 
         Args:
             pose: of the rear axle's middle after the step.

@@ -1,4 +1,4 @@
-"""The virtual car's ESC, motor, brakes and drag: what a duty does to the speed.
+"""Models the virtual car's ESC, motor, brakes and drag: from a duty to an acceleration.
 
 Pure: a duty and a speed in, an acceleration out. Its numbers are the truth that a value map only approximates.
 """
@@ -8,28 +8,28 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from car_interface.sim.checks import require
+from car_interface.common.errors import require
 from car_interface.sim.esc import BACKWARD, BRAKE, FORWARD, MotorState
 
-# 0.5 ms and 2.5 ms of a 20 ms period that is 65536 long: no servo and no ESC takes anything beyond for a pulse.
+# 0.5 ms and 2.5 ms of a 20 ms period that is 65536 long: servos and ESCs ignore any other length.
 SHORTEST_PULSE, MAX_PULSE = 1638, 8192
 
 
 @dataclass(frozen=True)
 class DriveConfig:
-    """What the ESC's duty does to the speed.
+    """The drive train, from the ESC's duty to the car's acceleration.
 
     Attributes:
         full_reverse_duty, neutral_duty, full_forward_duty: 1.0, 1.5 and 2.0 ms at 50 Hz.
-        neutral_band_duty: so far from neutral the ESC does nothing.
+        neutral_band_duty: within this distance of neutral the ESC does nothing.
         forward_mps2: of full throttle at standstill, before drag.
         reverse_mps2: of full reverse at standstill, before drag.
         brake_mps2: of the full duty against the way the car rolls, before drag.
         thrust_halves_mps: at this speed the motor has half its thrust.
         drag_mps2, drag_per_s, drag_per_m: resistance at speed v is their sum, the second times v, the third times v².
             With the defaults full throttle ends at 14 m/s.
-        sag: ratio of the thrust that is lost while the battery empties, from half of it above the thrust that the other
-            attributes state to half of it below. Brakes don't need the battery.
+        sag: ratio of the thrust that is lost while the battery empties, from half of it above the stated thrust to half
+            of it below. Brakes don't need the battery.
         sag_over_s: how long that takes; the thrust stays as it is after that.
         lag_s: time constant with which the motor's thrust and brake follow the ESC.
     """
@@ -61,17 +61,17 @@ class DriveConfig:
         require(self.lag_s >= 0, "lag_s", self.lag_s, "0 or more")
 
     def thrust(self, elapsed_s: float) -> float:
-        """The ratio of the stated thrust that the battery gives so long after the start."""
+        """Return the ratio of the stated thrust that the battery gives at a time after the start."""
         return 1.0 + self.sag * (0.5 - min(1.0, elapsed_s / self.sag_over_s))
 
 
 def is_pulse(duty: int) -> bool:
-    """Whether a servo or an ESC takes ``duty`` for a command; neither 0 (off) nor -1 (never set) nor 65535 (on) is."""
+    """Return whether a servo or an ESC takes ``duty`` for a pulse; 0 (off), -1 (never set) and 65535 (on) are none."""
     return SHORTEST_PULSE <= duty <= MAX_PULSE
 
 
 def throttle(duty: int, drive: DriveConfig) -> float | None:
-    """What the ESC makes of a duty: -1 (full reverse) to 1 (full forward), 0 in its neutral band, None without one."""
+    """Return the throttle of a duty: -1 (full reverse) to 1 (full forward), 0 in the neutral band; None: no pulse."""
     if not is_pulse(duty):
         return None
     beyond = duty - drive.neutral_duty
@@ -85,14 +85,14 @@ def throttle(duty: int, drive: DriveConfig) -> float | None:
 
 
 class Motor:
-    """The motor behind an ESC, which follows it with a lag."""
+    """The motor, which follows its ESC with a lag."""
 
     def __init__(self, lag_s: float):
         self._lag_s = lag_s
         self._push = self._brake = 0.0
 
     def step(self, motor: MotorState, dt_s: float) -> tuple[float, float]:
-        """How it pushes, −1 backward to 1 forward, and brakes, 0 to 1, after ``dt_s``."""
+        """Return thrust, −1 backward to 1 forward, and brake, 0 to 1, after ``dt_s``."""
         push = {FORWARD: motor.level, BACKWARD: -motor.level}.get(motor.mode, 0.0)
         brake = motor.level if motor.mode == BRAKE else 0.0
         share = -math.expm1(-dt_s / self._lag_s) if self._lag_s else 1.0
@@ -104,14 +104,14 @@ class Motor:
 def motor_acceleration_mps2(
     push: float, brake: float, speed_mps: float, drive: DriveConfig, thrust: float = 1.0, downhill_mps2: float = 0.0
 ) -> float:
-    """The car's acceleration by what its motor does; the other arguments as of ``true_acceleration_mps2``."""
+    """Return the car's acceleration by its motor; the other arguments as of ``true_acceleration_mps2``."""
     speed = abs(speed_mps)
     resistance_mps2 = drive.drag_mps2 + speed * (drive.drag_per_s + speed * drive.drag_per_m) + brake * drive.brake_mps2
     push_mps2 = downhill_mps2
     if push:
         way = math.copysign(1.0, push)
         full_mps2 = abs(push) * thrust * (drive.forward_mps2 if way > 0 else drive.reverse_mps2)
-        # A motor's own voltage works against the ESC's, and with it where it turns against its drive.
+        # A motor's own voltage opposes the ESC's, and adds to it where the motor turns against its drive.
         own_voltage = 1.0 + speed / drive.thrust_halves_mps
         push_mps2 += way * full_mps2 * (own_voltage if way * speed_mps < 0.0 else 1.0 / own_voltage)
     return _with_resistance(push_mps2, speed_mps, resistance_mps2)
@@ -120,17 +120,17 @@ def motor_acceleration_mps2(
 def true_acceleration_mps2(
     esc_duty: int, speed_mps: float, drive: DriveConfig = DriveConfig(), thrust: float = 1.0, downhill_mps2: float = 0.0
 ) -> float:
-    """The car's acceleration without an ESC's memory: what a value map for this car should say, and says only nearly.
+    """Return the car's acceleration without an ESC's memory, which a value map for this car approximates.
 
-    Duty against the way the car rolls brakes. At standstill reverse drives backward (no double tap), and a push
-    below the static drag moves nothing.
+    A duty against the car's motion brakes. At standstill reverse drives backward (no double tap), and a push below the
+    static drag moves nothing.
 
     Args:
         esc_duty: of the ESC's channel.
         speed_mps: backward negative.
         drive: the car's drive train.
         thrust: the ratio of its thrust that the battery gives.
-        downhill_mps2: what the ground adds, forward positive; 0 on the level.
+        downhill_mps2: the part of the slope, forward positive; 0 on level ground.
     """
     command = throttle(esc_duty, drive) or 0.0
     speed = abs(speed_mps)
@@ -144,7 +144,7 @@ def true_acceleration_mps2(
 
 
 def _with_resistance(push_mps2, speed_mps, resistance_mps2):
-    """The acceleration by what pushes, and by what resists any motion."""
+    """Return the acceleration by a push, and by a resistance to any motion."""
     if speed_mps:
         return push_mps2 - math.copysign(resistance_mps2, speed_mps)
     if abs(push_mps2) <= resistance_mps2:

@@ -1,10 +1,10 @@
-"""Virtual speed controllers (ESCs) of hobby cars: what they make of pulses, with the memory that makes them awkward.
+"""Models speed controllers (ESCs) of hobby cars, whose reaction to a pulse depends on the pulses before.
 
 Consumes the duty of a servo output and the speed of the wheels, and answers what the motor does: coast, drive forward,
 brake, or drive backward. One configuration is one device; ``xl5``, ``vxl``, ``crawler``, ``direct`` and ``race`` are
 typical ones.
 
-What is known of real ones, and from where:
+Sources on real ESCs:
 
 * Traxxas XL-5 and VXL (owner's manuals; pictures of the same in PX4's thread 7614): three profiles, Sport (forward,
   brake, reverse), Race (forward, brake) and Training (as Sport, at half power). Pulling back while it drives forward
@@ -14,39 +14,39 @@ What is known of real ones, and from where:
   1450 to 1510 µs, forward from any state at once).
 * Hobbywing's car ESCs and those built like them (manual of Force RC's Epidemic, "Running Mode"): "Forward with brake",
   "Forward/Reverse with brake" by double-click, where the second pull reverses only once the motor stands, and "Forward
-  and Reverse" for rock crawlers, where the car brakes and turns round by itself. Drag brake 0 to 100 %.
+  and Reverse" for rock crawlers, where the car brakes and reverses by itself. Drag brake 0 to 100 %.
 * Which ESCs forget that they drove forward (``forget_s``): of two families, Tamiya's never do, cheap ones and HPI's
   SC-15WP take the first pull for reverse after some seconds of neutral (rc-light-controller's ESC types).
 * How long other ESCs need: ArduPilot's author 0.3 s (pull request 30188), its parameter 0.1 to 1 s.
-* Not published by anybody, and hence varied: dwell, how long the brake must be seen, the exact dead band, the arming
-  time, what a second pull does while the car still rolls.
+* Nobody publishes these, and so they are varied: dwell, how long the brake must be seen, the exact dead band, the
+  arming time, what a second pull does while the car still rolls.
 """
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from car_interface.common.errors import require
 from car_interface.common.units import NS_PER_MS, NS_PER_S
-from car_interface.sim.checks import require
 
-# What a kind makes of a pulse behind neutral.
+# Kinds, by their reaction to a pulse behind neutral.
 BRAKE_THEN_REVERSE = "brake_then_reverse"  # after forward it brakes; reverse takes neutral and a second pull
 BRAKE_BECOMES_REVERSE = "brake_becomes_reverse"  # it brakes, and a brake that is still held drives backward
-DIRECT_REVERSE = "direct_reverse"  # it drives backward at once, whatever the car does
-FORWARD_ONLY = "forward_only"  # it brakes, and nothing else
+DIRECT_REVERSE = "direct_reverse"  # it drives backward at once, at any speed of the car
+FORWARD_ONLY = "forward_only"  # it only brakes
 KINDS = (BRAKE_THEN_REVERSE, BRAKE_BECOMES_REVERSE, DIRECT_REVERSE, FORWARD_ONLY)
 
-# What a second pull of BRAKE_THEN_REVERSE does while the car still rolls forward.
+# Reactions of BRAKE_THEN_REVERSE to a second pull while the car still rolls forward.
 REVERSES, BRAKES, BRAKES_AND_TURNS = "reverses", "brakes", "brakes and turns at standstill"
 
 COAST, FORWARD, BRAKE, BACKWARD = "coast", "forward", "brake", "backward"
 
 PULSE_PERIOD_NS = 20 * NS_PER_MS  # it looks at one pulse each 20 ms
-SHORTEST_PULSE, LONGEST_PULSE = 1638, 8192  # 0.5 and 2.5 ms of a period of 20 ms: nothing beyond is a pulse
+SHORTEST_PULSE, LONGEST_PULSE = 1638, 8192  # 0.5 and 2.5 ms of a period of 20 ms: ESCs ignore other lengths
 
 
 class MotorState(NamedTuple):
-    """What the motor does."""
+    """The state of the motor."""
 
     mode: str  # COAST, FORWARD, BRAKE or BACKWARD
     level: float  # 0..1
@@ -59,9 +59,9 @@ class VirtualEscConfig:
     Attributes:
         kind: one of KINDS.
         neutral_duty, full_forward_duty, full_reverse_duty: the pulses it was calibrated to.
-        forward_band_duty, reverse_band_duty: so far from neutral it does nothing.
+        forward_band_duty, reverse_band_duty: within this distance of neutral it does nothing.
         dwell_s: neutral of at least this, after a brake, makes the next pull reverse.
-        brake_seen_s: a shorter brake doesn't count as one.
+        brake_seen_s: a shorter brake is ignored.
         forget_s: after this much neutral it forgets that it drove forward, and the first pull is reverse; 0 = never.
         starts_ready: after arming the first pull is reverse.
         second_pull: REVERSES, BRAKES or BRAKES_AND_TURNS.
@@ -102,27 +102,27 @@ class VirtualEscConfig:
 
 
 def xl5(**changes) -> VirtualEscConfig:
-    """Like a Traxxas XL-5 in Sport: the second pull reverses, whether or not the car still rolls."""
+    """Return one like a Traxxas XL-5 in Sport: the second pull reverses, whether or not the car still rolls."""
     return VirtualEscConfig(**{"kind": BRAKE_THEN_REVERSE, "dwell_s": 0.12, "drag_brake": 0.05, **changes})
 
 
 def vxl(**changes) -> VirtualEscConfig:
-    """Like a brushless one: it knows whether the motor stands, and the second pull brakes until then."""
+    """Return one like a brushless ESC: it knows whether the motor stands, and the second pull brakes until then."""
     return VirtualEscConfig(**{"kind": BRAKE_THEN_REVERSE, "dwell_s": 0.25, "second_pull": BRAKES, **changes})
 
 
 def crawler(**changes) -> VirtualEscConfig:
-    """Like a rock crawler's in "Forward and Reverse", with its strong drag brake."""
+    """Return one like a rock crawler's in "Forward and Reverse", with its strong drag brake."""
     return VirtualEscConfig(**{"kind": BRAKE_BECOMES_REVERSE, "drag_brake": 0.6, **changes})
 
 
 def direct(**changes) -> VirtualEscConfig:
-    """Like a boat's or a tank's: no brake at all."""
+    """Return one like a boat's or a tank's: no brake at all."""
     return VirtualEscConfig(**{"kind": DIRECT_REVERSE, **changes})
 
 
 def race(**changes) -> VirtualEscConfig:
-    """Like a Traxxas in Race: no reverse."""
+    """Return one like a Traxxas in Race: no reverse."""
     return VirtualEscConfig(**{"kind": FORWARD_ONLY, "drag_brake": 0.05, **changes})
 
 
@@ -130,11 +130,11 @@ class VirtualEsc:
     """One ESC under power.
 
     Args:
-        config: what it is like.
+        config: its properties.
         phase_ns: when, within the period, it sees a pulse.
     """
 
-    # What BRAKE_THEN_REVERSE remembers.
+    # The memory of BRAKE_THEN_REVERSE.
     _DROVE, _BRAKED, _READY, _REVERSED = range(4)
 
     def __init__(self, config: VirtualEscConfig = VirtualEscConfig(), phase_ns: int = 0):
@@ -150,10 +150,10 @@ class VirtualEsc:
         self._motor = MotorState(COAST, 0.0)
 
     def step(self, duty: float | None, now_ns: int, wheel_mps: float) -> MotorState:
-        """What the motor does from now on.
+        """Return the state of the motor from now on.
 
         Args:
-            duty: of the output; ``None``, or what is no pulse for a servo = none.
+            duty: of the output; ``None``, or not a servo's pulse = none.
             now_ns: never before an earlier call's.
             wheel_mps: of the driven wheels, backward negative.
         """
@@ -169,7 +169,7 @@ class VirtualEsc:
         return self._motor
 
     def command(self, duty: float) -> float:
-        """A pulse's command: −1 to 1 from end to end, 0 within the dead band."""
+        """Return a pulse's command: −1 to 1 from end to end, 0 within the dead band."""
         config = self.config
         beyond = duty - config.neutral_duty
         if beyond > config.forward_band_duty:
@@ -225,7 +225,7 @@ class VirtualEsc:
         self._brake_since_ns = None
 
     def _reverses(self, now_ns, wheel_mps):
-        """Whether a pull drives backward; False = it brakes."""
+        """Return whether a pull drives backward; False = it brakes."""
         kind = self.config.kind
         if kind == FORWARD_ONLY:
             return False

@@ -1,6 +1,6 @@
-"""What a serial line does to the bytes on it when it is bad: silence, noise, another baud rate, cuts, a flood.
+"""Damages the bytes on a serial line: silence, noise, another baud rate, cuts, a flood.
 
-Pure: bytes and ``now_ns`` in, bytes out. What is random comes from a seed.
+Pure: bytes and ``now_ns`` in, bytes out. Random numbers come from a seed.
 """
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import math
 import random
 from typing import Iterator
 
+from car_interface.common.errors import require
 from car_interface.common.units import NS_PER_S
-from car_interface.sim.checks import require
 
 MAX_S = 3600
 MAX_LOST = 1_000_000
@@ -32,42 +32,42 @@ class BadLine:
         self._noise = (BitErrors(seed), BitErrors(seed + 1))
         self._receivers = (SlowReceiver(), SlowReceiver())
         self._muted_until_ns = self._scrambled_until_ns = self._flooded_until_ns = 0
-        self._flooded_ns = 0  # the flood has come until here
+        self._flooded_ns = 0  # until when the flood has been sent
         self._to_lose = 0
 
     def silence(self, duration_s: float, now_ns: int) -> None:
-        """Nothing reaches the host."""
+        """Let nothing reach the host."""
         self._muted_until_ns = now_ns + _duration_ns("silence", duration_s)
 
     def scramble(self, duration_s: float, now_ns: int) -> None:
-        """Each side listens at half the baud rate of the other."""
+        """Let each side receive at half the baud rate of the other."""
         self._scrambled_until_ns = now_ns + _duration_ns("scramble", duration_s)
         self._receivers = (SlowReceiver(), SlowReceiver())
 
     def flood(self, duration_s: float, now_ns: int) -> None:
-        """Random bytes come to the host, behind those of the Teensy."""
+        """Send random bytes to the host, behind the Teensy's."""
         self._flooded_until_ns = now_ns + _duration_ns("flood", duration_s)
         self._flooded_ns = now_ns
 
     def cut(self, count: float) -> None:
-        """The next so many bytes to the host are lost."""
+        """Lose the next ``count`` bytes to the host."""
         require(0 <= count <= MAX_LOST and count % 1 == 0, "cut", count, f"a whole number from 0 to {MAX_LOST}")
         self._to_lose = int(count)
 
     def bit_errors(self, rate: float) -> None:
-        """From now on, of the bits in both directions, this ratio is wrong."""
+        """Set the ratio of wrong bits in both directions."""
         for noise in self._noise:
             noise.set_rate(rate)
 
     def to_host(self, data: bytes, now_ns: int) -> bytes:
-        """What arrives there of what the Teensy sent since the last call."""
+        """Return what arrives at the host of the bytes that the Teensy sent since the last call."""
         if now_ns < self._muted_until_ns:
             data = b""
         data, self._to_lose = data[self._to_lose:], max(0, self._to_lose - len(data))
         return self._carry(TO_HOST, data, now_ns) + self._flood(now_ns)
 
     def to_teensy(self, data: bytes, now_ns: int) -> bytes:
-        """What arrives there of what the host sent."""
+        """Return what arrives at the Teensy of the host's bytes."""
         return self._carry(TO_TEENSY, data, now_ns)
 
     def _carry(self, direction, data, now_ns):
@@ -98,10 +98,10 @@ class BitErrors:
         self._next = 0  # bits until the next wrong one
 
     def set_rate(self, rate: float) -> None:
-        """Which share of the bits is flipped; 0 = none.
+        """Set the ratio of flipped bits; 0 = none.
 
         Raises:
-            ConfigError: when it's not a share up to a half, which leaves no information.
+            ConfigError: it isn't a ratio up to a half, which leaves no information.
         """
         require(0 <= rate <= 0.5, "bit_errors", rate, "0 to 0.5")
         self._rate = rate
@@ -109,7 +109,7 @@ class BitErrors:
             self._next = self._gap()
 
     def flip(self, data: bytes) -> bytes:
-        """The bytes as they arrive."""
+        """Return the bytes as they arrive."""
         if not self._rate:
             return data
         noisy = bytearray(data)
@@ -120,27 +120,27 @@ class BitErrors:
         return bytes(noisy)
 
     def _gap(self):
-        """Right bits before the next wrong one: geometric, by way of the exponential distribution."""
+        """Return the number of right bits before the next wrong one: geometric, by the exponential distribution."""
         return int(self._random.expovariate(-math.log1p(-self._rate)))
 
 
 class SlowReceiver:
-    """A UART that listens at half the rate at which the other side sends, as one does whose baud rate is wrong.
+    """A UART with a wrong baud rate, half of the sender's.
 
-    It takes a falling edge for a start bit and looks at the line once in two of the sender's bits. A byte without its
-    stop bit is a framing error; Linux hands out a 0 for it.
+    It takes a falling edge for a start bit and samples the line once in two of the sender's bits. A byte without its
+    stop bit is a framing error; Linux returns a 0 for it.
     """
 
     def __init__(self):
-        self._line = ""  # the bits that haven't been looked at, a 1 = idle
+        self._line = ""  # the bits that haven't been sampled, a 1 = idle
 
     def receive(self, data: bytes) -> bytes:
-        """What it makes of bytes that follow each other without a pause."""
+        """Return what it receives of bytes that follow each other without a pause."""
         self._line += "".join(_bits_of(data))
         received = bytearray()
         start = self._line.find("0")
         while 0 <= start <= len(self._line) - 20:
-            bits = self._line[start + 1: start + 20: 2]  # start bit, eight bits, stop bit, each looked at in its middle
+            bits = self._line[start + 1: start + 20: 2]  # start bit, eight bits, stop bit, each sampled in its middle
             is_start = bits[0] == "0"
             if is_start:
                 received.append(int(bits[8:0:-1], 2) if bits[9] == "1" else 0)
@@ -150,7 +150,7 @@ class SlowReceiver:
 
 
 def _bits_of(data) -> Iterator[str]:
-    """As they pass on the line: a start bit 0, the byte from its least bit on, a stop bit 1."""
+    """Yield bytes as bits on the line: a start bit 0, the byte from its least bit on, a stop bit 1."""
     return (f"0{f'{byte:08b}'[::-1]}1" for byte in data)
 
 

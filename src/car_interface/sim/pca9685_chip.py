@@ -1,4 +1,4 @@
-"""A PCA9685 at register level, behind an I²C bus with smbus2's methods.
+"""Models a PCA9685 at register level, behind an I²C bus with smbus2's methods.
 
 Modelled from the data sheet (NXP PCA9685, rev. 4), not from the driver that it tests: MODE1 with SLEEP, RESTART and
 auto-increment, PRE_SCALE that takes a value only asleep, the ALL_LED registers, full-on and full-off bits.
@@ -9,21 +9,21 @@ import errno
 from typing import Callable, Sequence
 
 _MODE1, _MODE2, _SUBADR1, _LED0, _LED15_END, _ALL_LED, _PRE_SCALE, _TEST = 0, 1, 2, 6, 69, 250, 254, 255
-_RESTART, _EXTCLK, _AI, _SLEEP = 0x80, 0x40, 0x20, 0x10
-_FULL = 0x10
+_RESTART, _EXTCLK, _AI, _SLEEP = 0x80, 0x40, 0x20, 0x10  # MODE1 bits (data sheet 7.3.1)
+_FULL = 0x10  # full on, full off (data sheet 7.3.3)
 _CHANNELS = 16
 _KERNEL_TIMEOUT_S = 1.0  # of an I2C adapter on Linux, unless its driver says otherwise
 
 
 class VirtualPca9685:
-    """The chip's registers, and what its pins do with them."""
+    """The chip's registers, and the state of its pins."""
 
     def __init__(self):
         self._registers = bytearray(256)
         self.power_up()
 
     def power_up(self) -> None:
-        """Every register to its reset value (data sheet 7.3, table 4): asleep, all outputs full off, 200 Hz."""
+        """Set every register to its reset value (data sheet 7.3, table 4): asleep, all outputs full off, 200 Hz."""
         self._registers[:] = bytes(256)
         self._registers[_MODE1] = _SLEEP | 0x01
         self._registers[_MODE2] = 0x04
@@ -33,14 +33,14 @@ class VirtualPca9685:
         self._registers[_PRE_SCALE] = 0x1E
 
     def write(self, register: int, data: list[int]) -> None:
-        """One write transfer: a register address, then data bytes."""
+        """Take a write transfer: a register address, then data bytes."""
         for value in data:
             self._store(register, value)
             if self._registers[_MODE1] & _AI:
                 register = self._after(register)
 
     def read(self, register: int, length: int) -> list[int]:
-        """One read transfer."""
+        """Return the bytes of a read transfer."""
         data = []
         for _ in range(length):
             data.append(self._registers[register])
@@ -84,7 +84,7 @@ class VirtualPca9685:
         return self._registers[start: start + 4]
 
     def high_counts(self, channel: int) -> int:
-        """For how many of a period's 4096 counts the pin of a channel is high; 0 asleep or waiting for a restart."""
+        """Return for how many of 4096 counts the pin of a channel is high; 0 asleep or waiting for a restart."""
         if self._registers[_MODE1] & (_SLEEP | _RESTART):
             return 0
         on_l, on_h, off_l, off_h = self._channel_registers(channel)
@@ -95,7 +95,7 @@ class VirtualPca9685:
         return ((off_h % 16 * 256 + off_l) - (on_h % 16 * 256 + on_l)) % 4096
 
     def period_s(self, oscillator_hz: float = 25e6) -> float:
-        """The PWM period that PRE_SCALE makes."""
+        """Return the PWM period by PRE_SCALE."""
         return 4096 * (self._registers[_PRE_SCALE] + 1) / oscillator_hz
 
 
@@ -108,7 +108,7 @@ class VirtualBus:
         on_write: called with (address, register, data) after each write that a chip took.
 
     Attributes:
-        nacks_left: so many of the next transfers go unacknowledged.
+        nacks_left: how many of the next transfers are not acknowledged.
         held: somebody holds the bus down: every transfer times out.
     """
 
@@ -121,31 +121,31 @@ class VirtualBus:
         self._on_write = on_write
 
     def read_byte_data(self, address: int, register: int) -> int:
-        """As smbus2."""
+        """Read one register, as smbus2."""
         return self._chip(address).read(register, 1)[0]
 
     def read_i2c_block_data(self, address: int, register: int, length: int) -> list[int]:
-        """As smbus2: at most 32 bytes."""
+        """Read at most 32 registers, as smbus2."""
         return self._chip(address).read(register, _checked_length(length))
 
     def write_byte_data(self, address: int, register: int, value: int) -> None:
-        """As smbus2."""
+        """Write one register, as smbus2."""
         self._write(address, register, [value])
 
     def write_i2c_block_data(self, address: int, register: int, data: list[int]) -> None:
-        """As smbus2: at most 32 bytes."""
+        """Write at most 32 registers, as smbus2."""
         _checked_length(len(data))
         self._write(address, register, data)
 
     def close(self) -> None:
-        """As smbus2; the chips keep their power."""
+        """Close as smbus2; the chips keep their power."""
 
     def remove(self, address: int) -> VirtualPca9685 | None:
-        """Take the chip at an address, if there is one, off the bus, as a loose wire does."""
+        """Remove the chip at an address, if there is one, as a loose wire does."""
         return self._chips.pop(address, None)
 
     def has(self, address: int) -> bool:
-        """Whether a chip is on the bus at an address."""
+        """Return whether a chip is on the bus at an address."""
         return address in self._chips
 
     def attach(self, address: int, chip: VirtualPca9685) -> None:

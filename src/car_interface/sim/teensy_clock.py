@@ -12,11 +12,11 @@ UINT32 = 0xFFFFFFFF
 
 
 class Clock:
-    """``millis()`` and ``micros()`` over a crystal that is a little off.
+    """``millis()`` and ``micros()`` of a crystal that is a little off.
 
     Args:
         start_ms: its value at ``start_ns``.
-        drift_ppm: how much too fast it runs then.
+        drift_ppm: how much too fast it runs at that time.
         ramp_ppm_per_h: how much faster still it runs each hour after.
         start_ns: true time at which it starts.
     """
@@ -35,23 +35,23 @@ class Clock:
         return self._start_device_ns + elapsed_ns + gained_ns
 
     def tick(self, now_ns: int) -> int:
-        """Whole milliseconds, not wrapped."""
+        """Return whole milliseconds, not wrapped."""
         return self.device_ns(now_ns) // NS_PER_MS
 
     def millis(self, now_ns: int) -> int:
-        """Whole milliseconds, modulo 2**32."""
+        """Return whole milliseconds, modulo 2**32."""
         return self.tick(now_ns) & UINT32
 
     def micros(self, now_ns: int) -> int:
-        """Whole microseconds, modulo 2**32: wraps every 71.58 minutes."""
+        """Return whole microseconds, modulo 2**32: wraps every 71.58 minutes."""
         return self.device_ns(now_ns) // NS_PER_US & UINT32
 
     def reaches_ns(self, tick: int, now_ns: int) -> int:
-        """The first true time at which the clock is at ``tick`` or past it, sought from ``now_ns`` on."""
+        """Return the first true time from ``now_ns`` on at which the clock is at ``tick`` or past it."""
         return self.after_ns(tick * NS_PER_MS - self.device_ns(now_ns), now_ns)
 
     def after_ns(self, span_ns: int, now_ns: int) -> int:
-        """The first true time at which ``span_ns`` of the clock's own have passed since ``now_ns``."""
+        """Return the first true time at which ``span_ns`` of the clock's own have passed since ``now_ns``."""
         target_ns = self.device_ns(now_ns) + span_ns
         at_ns = now_ns
         # Each round shrinks the error by the drift, some 1e-4: three leave less than 1 ns of any wait.
@@ -62,9 +62,9 @@ class Clock:
         return at_ns
 
     def passes_ns(self, deadline_ms: int, now_ns: int) -> int:
-        """When ``millis() > deadline_ms`` becomes true.
+        """Return when ``millis() > deadline_ms`` becomes true.
 
-        The firmware compares like this: a deadline beyond the wrap counts as passed already.
+        The firmware compares like this: a deadline beyond the wrap has passed already.
         """
         left_ms = deadline_ms - self.millis(now_ns)
         if left_ms < 0:
@@ -75,10 +75,10 @@ class Clock:
 
 
 class Deadline:
-    """What the loop waits for until ``millis()`` is past it, compared as the firmware compares.
+    """A time that the loop waits for, compared with ``millis()`` as the firmware compares.
 
     Attributes:
-        due_ns: when it will be, if nothing but time passes; the loop checks then.
+        due_ns: when it will have passed; the loop checks then.
     """
 
     def __init__(self, clock: Clock, wait_ms: int, now_ns: int):
@@ -87,7 +87,7 @@ class Deadline:
         self.due_ns = clock.passes_ns(self._deadline_ms, now_ns)
 
     def has_passed(self, now_ns: int) -> bool:
-        """Whether it has. Beyond the wrap it seems to have until ``millis()`` has wrapped as well."""
+        """Return whether it has passed. Beyond the wrap it seems so until ``millis()`` has wrapped as well."""
         if now_ns >= self.due_ns:
             self.due_ns = self._clock.passes_ns(self._deadline_ms, now_ns)
         return now_ns >= self.due_ns

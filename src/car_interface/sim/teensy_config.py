@@ -1,25 +1,25 @@
-"""What one simulated Teensy is like."""
+"""The properties of one simulated Teensy."""
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from car_interface.sim.checks import require
+from car_interface.common.errors import require
 from car_interface.sim.teensy_sonars import LISTEN_US, SEQUENCE_MAX, SONARS
 
-BOOT_MS = 300  # what millis() says when a Teensy begins with the firmware's own code
+BOOT_MS = 300  # millis() when a Teensy starts the firmware's own code
 
 
 @dataclass(frozen=True)
 class FirmwareConfig:
-    """What one simulated Teensy is like; the defaults are the one in the cars.
+    """The properties of one simulated Teensy; the defaults are the one in the cars.
 
     Attributes:
         baud: bits a second on the line, both ways.
-        clock_start_ms: what ``millis()`` says at power-up, when the boot has ended; near 2**32 it wraps soon.
+        clock_start_ms: ``millis()`` at power-up, when the boot has ended; near 2**32 it wraps soon.
             After ``reboot`` it is 300.
         clock_drift_ppm: how much the Teensy's crystal is too fast (positive) or too slow.
         clock_ramp_ppm_per_h: how much that changes in an hour (a car that warms up).
-        loop_us: the loop passes once in so many µs of true time. How long the original's passes take is not known.
+        loop_us: true time of one pass of the loop, µs. The original's is not known.
         sonar_wait_ms: from an echo to the next sonar's ping, until SONAR_WAIT changes it.
         sonar_sequence: the sonars' order, until SET_SONAR_SEQ changes it.
         sonar_pulse_end_us: how long a sensor holds its echo pin high without an echo: 38 ms with an HC-SR04,

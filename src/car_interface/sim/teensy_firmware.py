@@ -1,15 +1,15 @@
-"""The Teensy's deployed firmware as seen from its serial line: every byte, every fault, every millisecond.
+"""Simulates the Teensy's deployed firmware as seen from its serial line: every byte, every fault, every millisecond.
 
 Consumes the bytes that a host writes, the pulses of two wheels and the echoes of six sonars; produces the bytes that
 leave the UART, each no earlier than the line carries it. It shares no code with the host's side of the protocol.
 
-It has the faults of the original on purpose, so that a host that works with this one works with the ones in the cars:
-the receiver's four, the boot frame, the filler that is never filled, the starving packet pool, the hall pins that are
-never read, echoes without a limit, pings that hold the loop up, deadlines that don't survive the clock's wrap. Frames,
-times and fields are held against captures of the original in test/unit/sim/test_captures.py.
+It has the faults of the original on purpose, so that a host that works with it also works with the Teensys in the
+cars: the receiver's four, the boot frame, the filler that is never filled, the starving packet pool, the hall pins that
+are never read, echoes without a limit, pings that hold the loop up, deadlines that fail at the clock's wrap. Frames,
+times and fields are compared with captures of the original in test/unit/sim/test_captures.py.
 
 The firmware is one loop. Here it is a generator that yields when it goes on: at the next pass with something to do, or,
-while a ping holds it up, when that ends. Interrupts (pulses, the ends of echoes, the timer) happen meanwhile.
+while a ping holds it up, when that ends. Interrupts (pulses, the ends of echoes, the timer) happen in between.
 
 All times are true time in nanoseconds (``int``) and never run back; "tick" is the firmware's own millisecond count, not
 wrapped; ``millis()`` and ``micros()`` are wrapped at 2**32.
@@ -20,7 +20,7 @@ from __future__ import annotations
 import struct
 from typing import Callable, Generator
 
-from car_interface.sim.checks import require
+from car_interface.common.errors import require
 from car_interface.sim.teensy_clock import NEVER_NS, NS_PER_US, UINT32, Clock
 from car_interface.sim.teensy_config import BOOT_MS, FirmwareConfig
 from car_interface.sim.teensy_packets import (
@@ -53,16 +53,16 @@ from car_interface.sim.teensy_transmitter import OutgoingLine, Transmitter
 from car_interface.sim.teensy_wheels import FORWARD, HALL_PINS, Axle
 
 U32 = struct.Struct("<I")
-SONAR_ECHO = struct.Struct("<HI")  # echo µs, when: what follows the sensor and the filler byte
+SONAR_ECHO = struct.Struct("<HI")  # echo µs, when: after the sensor and the filler byte
 
 
 class TeensyFirmware:
     """A powered Teensy with two wheels and six sonars on it.
 
     Args:
-        config: what it is like.
-        echo_us: ``(sensor, at_ns) -> µs`` from a ping to its echo; 0 when nothing is near enough for one: then the
-            sensor ends its pulse by itself. An attribute too. Without it no sonar gets an echo.
+        config: its properties.
+        echo_us: ``(sensor, at_ns) -> µs`` from a ping to its echo; 0 when nothing is near enough: then the sensor ends
+            its pulse by itself. An attribute too. Without it no sonar gets an echo.
         power_up_ns: the true time at which its boot ends and it begins to work.
 
     Attributes:
@@ -120,7 +120,7 @@ class TeensyFirmware:
         next(self._loop)
 
     def advance(self, now_ns: int):
-        """Simulates until ``now_ns``. A time that has passed already changes nothing."""
+        """Simulate until ``now_ns``. A time that has passed already changes nothing."""
         while True:
             interrupt_ns = self._sonars.interrupt_ns
             at_ns = min(interrupt_ns, self._resume_ns)
@@ -135,28 +135,28 @@ class TeensyFirmware:
         self._now_ns = max(now_ns, self._now_ns)
 
     def receive(self, data: bytes, now_ns: int):
-        """Takes what the host began to write at ``now_ns``; its bytes arrive one after the other at the line's pace."""
+        """Take bytes that the host began to write at ``now_ns``; they arrive one after the other at the line's pace."""
         self.advance(now_ns)
         self._incoming.write(data, self._now_ns)
         self._wake(self._incoming.next_ns)
 
     def receive_backlog(self, now_ns: int) -> int:
-        """Bytes that the host has written and that the line hasn't carried yet: a writer of a flood waits for this."""
+        """Return how many of the host's bytes the line hasn't carried yet: a writer of a flood waits for them."""
         self.advance(now_ns)
         return self._incoming.backlog
 
     def transmit(self, now_ns: int) -> bytes:
-        """Simulates until ``now_ns`` and returns the bytes that have left the UART by then, each one once."""
+        """Simulate until ``now_ns`` and return the bytes that have left the UART by then, each once."""
         self.advance(now_ns)
         return self._outgoing.collect(self._now_ns)
 
     def wheel_pulse(self, side: int, direction: int, at_ns: int):
-        """One rear wheel turns from one of its magnets' fields into the next: one of its two hall pins changes.
+        """Turn one rear wheel from one of its magnets' fields into the next: one of its two hall pins changes.
 
         Args:
             side: LEFT or RIGHT.
             direction: FORWARD or BACKWARD.
-            at_ns: its true time; pulses come in order, one that is late counts as of now.
+            at_ns: its true time; pulses come in order, a late one happens now.
         """
         self.advance(at_ns)
         before = HALL_PINS[self._positions[side] % 4]
@@ -168,10 +168,10 @@ class TeensyFirmware:
         self._wake(self._now_ns)
 
     def reboot(self, now_ns: int, off_ns: int = 0):
-        """Cuts its power for ``off_ns``. It boots for 300 ms then.
+        """Cut its power for ``off_ns``, after which it boots for 300 ms.
 
         A frame on the line is cut. Until the boot has ended the wheels turn uncounted and bytes from the host are lost.
-        Clock, odometers and counters begin anew, and so do the sonars with the first one of their sequence.
+        Clock, odometers and counters restart, and so do the sonars with the first one of their sequence.
         """
         self.advance(now_ns)
         self._outgoing.cut(self._now_ns)
@@ -180,9 +180,9 @@ class TeensyFirmware:
         self._resume_ns = self._clock.reaches_ns(BOOT_MS, clock_start_ns)
 
     def set_sonar(self, sensor: int, condition: str, now_ns: int):
-        """From now on a sensor is SONAR_FINE, SONAR_MISSING (not connected) or SONAR_STUCK.
+        """Set a sensor to SONAR_FINE, SONAR_MISSING (not connected) or SONAR_STUCK.
 
-        One that is stuck raises its echo pin at its next ping and holds it high until it is fine again.
+        A stuck sensor raises its echo pin at its next ping and holds it high until it is fine again.
 
         Raises:
             ConfigError: no such sensor, no such condition.
@@ -193,22 +193,22 @@ class TeensyFirmware:
         self._sonars.schedule()
 
     def millis(self, now_ns: int) -> int:
-        """The firmware's clock at ``now_ns``: whole milliseconds, modulo 2**32; simulates nothing."""
+        """Return the firmware's clock at ``now_ns``: whole milliseconds, modulo 2**32; this simulates nothing."""
         return self._clock.millis(now_ns)
 
     def device_ns(self, now_ns: int) -> int:
-        """The same clock in nanoseconds, neither truncated nor wrapped: the truth for an estimate of it."""
+        """Return the same clock in nanoseconds, neither truncated nor wrapped: the truth for an estimate of it."""
         return self._clock.device_ns(now_ns)
 
     @property
     def next_event_ns(self) -> int:
-        """When something will happen by itself; until then ``advance`` has nothing to do. Bytes may leave sooner."""
+        """Return when something will happen by itself; until then ``advance`` has no effect. Bytes may leave sooner."""
         return min(self._resume_ns, self._sonars.interrupt_ns)
 
     # The loop
 
     def _run(self) -> Generator[int, int, None]:
-        """setup() and loop()."""
+        """Run setup() and loop()."""
         now_ns = yield self._resume_ns
         self._is_booting = False
         self._incoming.drop(now_ns)
@@ -233,7 +233,7 @@ class TeensyFirmware:
             self._resume_ns = NEVER_NS
 
     def _next_pass_ns(self, now_ns: int) -> int:
-        """The next pass that finds something to do."""
+        """Return the next pass that finds something to do."""
         self._is_between_passes = True
         wanted_ns = min(
             self._incoming.next_ns, self._sonars.due_ns, self._axle.due_ns, self._transmitter.due_ns,
@@ -241,11 +241,11 @@ class TeensyFirmware:
         return max(self._pass_ns(wanted_ns), self._pass_ns(now_ns + 1))
 
     def _pass_ns(self, at_ns: int) -> int:
-        """The first pass then or after."""
+        """Return the first pass at this time or later."""
         return -(-at_ns // self._period_ns) * self._period_ns
 
     def _wake(self, at_ns: int):
-        """Something to do has come up. While the loop is held up it finds it by itself."""
+        """Wake the loop for something to do. While it is held up, it finds that by itself."""
         if self._is_between_passes:
             self._resume_ns = min(self._resume_ns, self._pass_ns(at_ns))
 
@@ -282,16 +282,16 @@ class TeensyFirmware:
         self._transmitter.queue_sonar(sensor, packet)
         self._sonars.wait(now_ns)
 
-    # What the host asks for
+    # Requests of the host
 
     def _pong(self, packet: bytearray, now_ns: int):
-        """Turns the ping itself into its answer, as the firmware does: the rest of it stays as it was."""
+        """Turn the ping itself into its answer, as the firmware does: the rest of it stays as it was."""
         packet[:3] = bytes((packet[1], TEENSY, PONG_RESP))
         U32.pack_into(packet, 8, self._clock.millis(now_ns))
         self._transmitter.queue_first(packet)
 
     def _ignore(self, packet: bytearray):
-        """Does nothing: a pong is known to the firmware, and it never asked for one."""
+        """Ignore a pong: the firmware knows the command, and never asks for one."""
 
     def _count_unknown(self, packet: bytearray):
         self.counters["rxErrorUnknown"] += 1

@@ -1,4 +1,4 @@
-"""The simulated Teensy's packets: what is in them, and the pool that receiver, queues and transmitter share."""
+"""The simulated Teensy's packets: their content, and the pool that receiver, queues and transmitter share."""
 from __future__ import annotations
 
 import random
@@ -24,11 +24,11 @@ BITS_PER_BYTE_S = 10 * 1_000_000_000  # 8N1 sends ten bits a byte; times nanosec
 
 
 class PoolEmpty(Exception):
-    """The firmware wrote a packet that it had not got, through a null pointer."""
+    """The firmware wrote through a null pointer, to a packet that it didn't get."""
 
 
 class PacketPool:
-    """The packets that all parts share. A used one keeps its content, which later is in the filler byte."""
+    """The packets that all parts share. A used one keeps its content, which later shows in the filler byte."""
 
     def __init__(self, size: int, seed: int | None):
         memory = bytes(size * PACKET_SIZE)
@@ -38,7 +38,7 @@ class PacketPool:
         self._free: deque[bytearray] = deque(bytearray(chunk) for chunk in chunks)
 
     def acquire(self) -> bytearray | None:
-        """Returns the packet that has lain free for longest, or None when all are in use."""
+        """Return the packet that has been free for longest, or None when all are in use."""
         return self._free.popleft() if self._free else None
 
     def release(self, packet: bytearray):

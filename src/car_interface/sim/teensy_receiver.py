@@ -9,12 +9,12 @@ from car_interface.sim.teensy_packets import BITS_PER_BYTE_S, ESCAPE, ESCAPE_XOR
 
 
 class Receiver:
-    """Bytes from the host → packets, with the four faults of the original.
+    """Assembles packets from the host's bytes, with the four faults of the original.
 
     Args:
         acquire: gets an empty packet, or None.
         counters: counted into.
-        corrected_checksum: True to sum with carry, over what the bytes meant.
+        corrected_checksum: True to sum with carry, over the unescaped bytes.
     """
 
     IDLE, WAITING, DATA, ESCAPED = "idle", "waiting", "data", "escaped"
@@ -36,7 +36,7 @@ class Receiver:
         return self._phase, self._filled
 
     def byte(self, byte: int) -> bytearray | None:
-        """Takes one byte; returns the packet that it completed, checksum included, or None."""
+        """Take one byte; return the packet that it completed, checksum included, or None."""
         if self._packet is None:
             self._packet = self._acquire()
             if self._packet is None:
@@ -69,10 +69,10 @@ class Receiver:
             self._counters["rxErrorDropped"] += 1
 
     def _undo_escape(self, byte: int):
-        """Stores what the byte meant and adds what it was.
+        """Store the unescaped byte, and add the escaped one to the sum.
 
-        The phase is DATA afterwards whatever happened, even when the packet was full and thrown away: of all states
-        only this one, full and escaped, takes 39 bytes of 00 to get out of.
+        The phase is DATA afterwards in any case, even when the packet was full and thrown away: only this state, full
+        and escaped, takes 39 bytes of 00 to leave.
         """
         self._store(byte ^ ESCAPE_XOR)
         self._add(byte ^ ESCAPE_XOR if self._corrected else byte)
@@ -92,7 +92,7 @@ class Receiver:
         self._filled += 1
 
     def _close(self) -> bytearray | None:
-        """Judges the frame. The flag that closed it opens nothing, so an odd one swaps opening and closing for good."""
+        """Judge the frame. Its closing flag opens no other, so an odd flag swaps opening and closing for good."""
         packet, filled, good = self._packet, self._filled, self._sum == 0xFF
         self._restart()
         if not good:
@@ -142,7 +142,7 @@ class IncomingLine:
         return byte
 
     def drop(self, now_ns: int):
-        """Discards what has arrived by now, as while it boots."""
+        """Discard the bytes that have arrived by now, as while it boots."""
         while self.next_ns <= now_ns:
             self.pop()
 

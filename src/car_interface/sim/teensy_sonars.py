@@ -3,7 +3,7 @@ from __future__ import annotations
 
 from typing import Callable, Generator
 
-from car_interface.sim.checks import require
+from car_interface.common.errors import require
 from car_interface.sim.teensy_clock import AT_ONCE_NS, NEVER_NS, NS_PER_US, UINT32, Clock, Deadline
 from car_interface.sim.teensy_packets import PacketPool, PoolEmpty
 
@@ -12,10 +12,10 @@ SEQUENCE_MAX = 4 * SONARS
 
 # In µs of the Teensy's clock
 TRIGGER_US = 15  # a ping's trigger pulse
-LISTEN_US = 11_428  # 200 cm; the library means to give up after it
-PING_START_US = 18_000  # the library gives a sensor so long on top of LISTEN_US to raise its echo pin
-PING_OVERHEAD_US = 13  # what the library takes off an echo
-TIMER_MAX_US = 178_956_970  # of the interval timer: 2**32 periods of 24 MHz; beyond it, it is not armed
+LISTEN_US = 11_428  # 200 cm; the library is meant to give up after it
+PING_START_US = 18_000  # with LISTEN_US the time that the library gives a sensor to raise its echo pin
+PING_OVERHEAD_US = 13  # the library subtracts it from an echo
+TIMER_MAX_US = 178_956_970  # of the interval timer: 2**32 periods of 24 MHz; for longer it is not armed
 SONAR_RETRY_MS = 1000  # between attempts at a first ping that failed at power-up
 # In µs of true time
 ECHO_RISE_US = 449  # from the trigger to the echo pin's rise
@@ -23,7 +23,7 @@ ECHO_MIN_US = 116  # 2 cm, the nearest that an HC-SR04 measures
 
 SONAR_CONDITIONS = SONAR_FINE, SONAR_MISSING, SONAR_STUCK = "fine", "missing", "stuck"
 
-# A part of the loop that may be held up: it yields when it will go on (ns), is sent the time then, and returns the time
+# A part of the loop that may be held up: it yields when it will go on (ns), is then sent the time, and returns the time
 # at which it has ended.
 Held = Generator[int, int, int]
 
@@ -32,8 +32,8 @@ class SonarSensor:
     """One sensor: raises its echo pin after a trigger and lowers it with the echo, or by itself.
 
     Args:
-        pulse_end_us: after so long it does so by itself.
-        echo_us: ``at_ns -> µs``: the echo of a ping then; 0 for none.
+        pulse_end_us: the time after which it lowers the pin by itself.
+        echo_us: ``at_ns -> µs``: the echo of a ping at that time; 0 for none.
     """
 
     def __init__(self, pulse_end_us: int, echo_us: Callable[[int], float]):
@@ -43,7 +43,7 @@ class SonarSensor:
         self.rise_ns = self.fall_ns = AT_ONCE_NS  # of its last pulse
 
     def set_condition(self, condition: str, now_ns: int):
-        """SONAR_FINE, SONAR_MISSING or SONAR_STUCK.
+        """Set SONAR_FINE, SONAR_MISSING or SONAR_STUCK.
 
         Raises:
             ConfigError: another one.
@@ -57,11 +57,11 @@ class SonarSensor:
             self.fall_ns = now_ns
 
     def is_high(self, now_ns: int) -> bool:
-        """Whether its echo pin is."""
+        """Return whether its echo pin is high."""
         return self.rise_ns <= now_ns < self.fall_ns
 
     def trigger(self, now_ns: int):
-        """Begins a pulse, unless one is still under way."""
+        """Begin a pulse, unless one is still under way."""
         if self._condition == SONAR_MISSING or now_ns < self.fall_ns:
             return
         self.rise_ns = now_ns + ECHO_RISE_US * NS_PER_US
@@ -75,18 +75,18 @@ class SonarSensor:
 class SonarArray:
     """Six sonars of which one at a time pings, listens and reports; then comes a wait, then the next in the sequence.
 
-    A ping holds the loop up until the sensor has raised its echo pin, 0.46 ms; 29.4 ms when it doesn't, and that one is
-    left out. The pin's fall interrupts, and so does a timer that is meant for the end of a listening time and set to
+    A ping holds the loop up until the sensor has raised its echo pin, 0.46 ms; 29.4 ms when it doesn't, and the sensor
+    is skipped. The pin's fall interrupts, and so does a timer that is meant for the end of a listening time and set to
     the absolute time of that end: it comes after about the uptime. Beyond 178.9 s it can't be set, and never comes.
 
-    There is one start time, one "present sensor" and one timer for all of them. So a ping while another sensor still
-    listens (SONAR_START) takes that one's echo for its own.
+    There is one start time, one "present sensor" and one timer for all sensors. So a ping while another sensor still
+    listens (SONAR_START) takes the other's echo for its own.
 
     Attributes:
         running: False after SONAR_STOP: the sonar that listens still reports, none follows it.
         wait_ms: from a report to the next ping. 2**31 and more: none.
         interrupt_ns: when the next interrupt comes.
-        is_retrying: two sensors in a row have failed: the loop goes on with the second one in its next pass.
+        is_retrying: two sensors in a row have failed; the loop goes on with the second one in its next pass.
     """
 
     def __init__(
@@ -114,7 +114,7 @@ class SonarArray:
 
     @property
     def due_ns(self) -> int:
-        """When the loop has something to do here."""
+        """Return when the loop has something to do here."""
         if self._echo is not None or self._retry is not None:
             return AT_ONCE_NS
         if not self.running:
@@ -128,21 +128,21 @@ class SonarArray:
     # Pings, which hold the loop up
 
     def begin(self, now_ns: int) -> Held:
-        """The first ping, before the loop begins. When it fails, it alone is tried again and again."""
+        """Send the first ping, before the loop begins. When it fails, only this ping is repeated."""
         now_ns, has_begun = yield from self._ping(now_ns)
         if not has_begun:
             self._attempt = Deadline(self._clock, -1, now_ns)
         return now_ns
 
     def start(self, now_ns: int) -> Held:
-        """SONAR_START: pings with the present sensor, and at once with the next one as well."""
+        """Act on SONAR_START: ping with the present sensor, and at once with the next one as well."""
         self.running = True
         self._attempt = self._wait = None
         now_ns, _ = yield from self._ping(now_ns)
         return (yield from self._ping_next(now_ns))
 
     def retry(self, now_ns: int) -> Held:
-        """Goes on after two that failed."""
+        """Go on after two sensors that failed."""
         self._pool.release(self._retry)
         self._retry = None
         if self.running:
@@ -181,13 +181,13 @@ class SonarArray:
         self._index = self._index + 1 if self._index + 1 < self._length else 0
 
     def _ping(self, now_ns: int) -> Generator[int, int, tuple[int, bool]]:
-        """Returns (time, whether the present sensor has raised its pin, or had it still high)."""
+        """Return (time, whether the present sensor has raised its pin, or had it still high)."""
         number = self._sequence[self._index]
         sensor, clock = self._sensors[number], self._clock
         now_ns = yield clock.after_ns(TRIGGER_US * NS_PER_US, now_ns)
         sensor.trigger(now_ns)
         # One variable is first the deadline of the wait for the pin and then the end of the listening time. Until the
-        # pin rises the start, which is worked out from it, lies ahead: an echo that ends meanwhile is below zero.
+        # pin rises the start, which is computed from it, lies ahead: an echo that ends before that is below zero.
         now_us = clock.micros(now_ns)
         self._start_us = now_us + PING_START_US
         deadline_us = now_us + PING_START_US + LISTEN_US & UINT32
@@ -215,11 +215,11 @@ class SonarArray:
     # Interrupts
 
     def schedule(self):
-        """Works out when the next interrupt comes."""
+        """Compute when the next interrupt comes."""
         self.interrupt_ns = min([self._timer_ns, *(self._sensors[number].fall_ns for number in self._attached)])
 
     def interrupt(self, now_ns: int):
-        """A pin falls, or the timer ends."""
+        """Handle a pin that falls, or the timer's end."""
         present = self._sequence[self._index]
         if now_ns >= self._timer_ns:
             self._echo = present, 0, self._clock.millis(now_ns)
@@ -236,16 +236,16 @@ class SonarArray:
     # Echoes
 
     def take_echo(self) -> tuple[int, int, int] | None:
-        """Returns (sensor, echo µs, millis) once."""
+        """Return (sensor, echo µs, millis) once."""
         echo, self._echo = self._echo, None
         return echo
 
     def wait(self, now_ns: int):
-        """Begins the wait for the next ping."""
+        """Begin the wait for the next ping."""
         self._wait = Deadline(self._clock, self.wait_ms if self.wait_ms < 1 << 31 else -1, now_ns)
 
     def set_sequence(self, length: int, sensors: bytes):
-        """Takes a new sequence; of an entry that is no sensor the old one stays."""
+        """Take a new sequence; an entry that is no sensor keeps its old value."""
         if length > SEQUENCE_MAX:
             self._counters["badSeqCommand"] += 1
             return

@@ -20,11 +20,11 @@ from car_interface.sim.teensy_sonars import SONARS
 class Transmitter:
     """Queues packets and frames them for the line.
 
-    Answers go first. The newest wheel report and the newest report of each sonar wait for the rest of the line; a
-    newer one replaces one that still waits, which is counted. Two frames share a flag when the second one
-    waits already while the first is being closed; otherwise each has its own two.
+    Answers go first. The newest wheel report and the newest report of each sonar wait for the rest of the line; a newer
+    one replaces one that still waits, which is counted. Two frames share a flag when the second one already waits while
+    the first is being closed; otherwise each has its own two.
 
-    The first thing that it sends is the frame that the firmware makes of a packet that isn't there.
+    It first sends the frame that the firmware makes of a packet that isn't there.
     """
 
     def __init__(self, line: OutgoingLine, pool: PacketPool, counters: dict[str, int], boot_byte: int):
@@ -36,7 +36,7 @@ class Transmitter:
         self._next_index = 0
         self._sending: bytearray | None = None
         self._unsent = bytes([FLAG]) + stuff(bytes([boot_byte, boot_byte ^ 0xFF])) + bytes([FLAG])
-        self.due_ns = AT_ONCE_NS  # when there is space for what is to be sent; NEVER_NS when there is nothing
+        self.due_ns = AT_ONCE_NS  # when there is space for the next bytes; NEVER_NS when there is nothing to send
 
     def queue_first(self, packet: bytearray):
         self._first.append(packet)
@@ -65,8 +65,8 @@ class Transmitter:
         self._wake()
 
     def poll(self, now_ns: int):
-        """Writes as much as the buffer takes, over the end of the frame under way."""
-        is_open = False  # the last frame's closing flag is the last thing written
+        """Write as much as the buffer takes, beyond the end of the frame under way."""
+        is_open = False  # the last byte written was a frame's closing flag
         while True:
             if not self._unsent:
                 packet = self._next()
@@ -129,17 +129,17 @@ class OutgoingLine:
         self._free_ns = start_ns - (-len(data) * BITS_PER_BYTE_S // self._baud)  # rounded up: never too fast
 
     def free_bytes(self, now_ns: int) -> int:
-        """How many bytes the buffer takes now."""
+        """Return how many bytes the buffer takes now."""
         waiting = -(-(self._free_ns - now_ns) * self._baud // BITS_PER_BYTE_S)
         return min(self._buffer_size, self._buffer_size + 1 - waiting)
 
     def free_at_ns(self, count: int, now_ns: int) -> int:
-        """When the buffer takes ``count`` bytes, at most its size."""
+        """Return when the buffer takes ``count`` bytes, at most its size."""
         spare = self._buffer_size + 1 - min(count, self._buffer_size)
         return max(now_ns, self._free_ns - spare * BITS_PER_BYTE_S // self._baud)
 
     def collect(self, now_ns: int) -> bytes:
-        """Returns the bytes whose last bit is out by ``now_ns`` and that weren't collected yet."""
+        """Return the bytes whose last bit is out by ``now_ns`` and that weren't collected yet."""
         out, self._saved = self._saved, b""
         while self._chunks:
             start_ns, data = self._chunks[0]
@@ -153,7 +153,7 @@ class OutgoingLine:
         return out
 
     def cut(self, now_ns: int):
-        """Loses what hasn't left the wire yet."""
+        """Lose the bytes that haven't left the wire yet."""
         self._saved = self.collect(now_ns)
         self._chunks.clear()
         self._collected = 0
@@ -161,7 +161,7 @@ class OutgoingLine:
 
 
 def message_length(packet: bytearray) -> int:
-    """Bytes of a message that the firmware sends, header included, checksum not."""
+    """Return the bytes of a message that the firmware sends, with the header and without the checksum."""
     if packet[2] == WHEEL_STATUS:
         return MESSAGE_MAX
     if packet[2] == ERROR_COUNT:
@@ -170,7 +170,7 @@ def message_length(packet: bytearray) -> int:
 
 
 def frame_body(message: bytes) -> bytes:
-    """What stands between a frame's flags: the message and its one's-complement checksum, stuffed.
+    """Return the bytes between a frame's flags: the message and its one's-complement checksum, stuffed.
 
     The sum adds its carry back in, so it's the sum modulo 255 with 255 in the place of a 0 that isn't all zeros
     (RFC 1071 has the same sum over 16 bits). Headers are never all zeros.
@@ -179,5 +179,5 @@ def frame_body(message: bytes) -> bytes:
 
 
 def stuff(data: bytes) -> bytes:
-    """Hides flags and escapes: the escape goes first, or it would hide its own work."""
+    """Return bytes with flags and escapes stuffed; escapes go first, or the escapes of flags would be stuffed, too."""
     return data.replace(b"\x7d", b"\x7d\x5d").replace(b"\x7e", b"\x7d\x5e")

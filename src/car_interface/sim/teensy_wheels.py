@@ -1,4 +1,4 @@
-"""The simulated Teensy's wheels: hall pins, odometers, and when the firmware reports them."""
+"""The simulated Teensy's wheels: hall pins, odometers, and the times of the firmware's reports."""
 from __future__ import annotations
 
 import struct
@@ -9,8 +9,8 @@ from car_interface.sim.teensy_clock import AT_ONCE_NS, UINT32, Clock, Deadline
 LEFT, RIGHT = 0, 1
 FORWARD, BACKWARD, NO_DIRECTION = 0, 1, 2
 
-SPEED_INTERVALS = 10  # the speed is an average over so many intervals between pulses
-# The levels of a wheel's two hall pins (pin one + 2 × pin two) after so many pulses modulo 4: a Gray code.
+SPEED_INTERVALS = 10  # the speed is an average over this many intervals between pulses
+# The levels of a wheel's two hall pins (pin one + 2 × pin two) by the pulses modulo 4: a Gray code.
 HALL_PINS = (0b00, 0b01, 0b11, 0b10)
 MIN_REPORT_MS = 5  # no wheel report sooner than this after the one before
 STANDING_CHECK_MS = 200  # a check whether the wheels stand comes when more than this has passed since the last one
@@ -26,22 +26,22 @@ class Wheel:
         self.reset()
 
     def reset(self):
-        """Zeroes the odometer; the tick of the last pulse or repeat stays."""
+        """Zero the odometer; the tick of the last pulse or repeat stays."""
         self._dist_abs = 0
         self._dist = 0
         self._direction = NO_DIRECTION
-        self._window: deque[tuple[int, int]] = deque(maxlen=SPEED_INTERVALS + 1)  # (tick, pulses then)
+        self._window: deque[tuple[int, int]] = deque(maxlen=SPEED_INTERVALS + 1)  # (tick, pulses at that time)
 
     def preset(self, count: int):
-        """Makes it a wheel that has turned forward so many pulses, long ago."""
+        """Make it a wheel that turned forward by ``count`` pulses long ago."""
         self._dist_abs = self._dist = count
         self._direction = FORWARD
 
     def interrupt(self, pin: int, levels: int, tick: int):
-        """One pin has changed: only its own bit is read, the other one is what it was at its own last interrupt.
+        """Handle a change of one pin: only its own bit is read, the other one keeps the value of its last interrupt.
 
-        Where the pins stood otherwise than taken for at power-up the first interrupts may change nothing: such a pulse
-        counts in the direction that was, also when there was none. Or they seem to turn the wheel the wrong way round.
+        If the pins' true levels differ from the ones assumed at power-up, the first interrupts may change nothing: such
+        a pulse counts in the last direction, also when there was none. Or they seem to turn the wheel the wrong way.
         """
         pins = self._pins & ~pin | levels & pin
         step = (HALL_PINS.index(pins) - HALL_PINS.index(self._pins)) % 4
@@ -56,7 +56,7 @@ class Wheel:
         self._when_tick = tick
 
     def repeat(self, tick: int):
-        """Enters the newest entry once more: the average falls to zero over a few repeats, not at once."""
+        """Repeat the newest entry: the average falls to zero over a few repeats, not at once."""
         if self._window:
             self._window.append((tick, self._dist_abs))
             self._when_tick = tick
@@ -68,7 +68,7 @@ class Wheel:
         )  # fmt: skip
 
     def _speed(self) -> int:
-        """Pulses a second, truncated, over the window; 0 with one entry, or with all of them in one tick."""
+        """Return pulses a second, truncated, over the window; 0 with one entry, or with all of them in one tick."""
         if len(self._window) < 2:
             return 0
         (first_tick, first_count), (last_tick, last_count) = self._window[0], self._window[-1]
@@ -78,11 +78,11 @@ class Wheel:
 
 
 class Axle:
-    """Both rear wheels, and when they are reported: with a pulse, but not too often; while standing, now and then.
+    """Both rear wheels, and the times of their reports: with a pulse, but not too often; while standing, now and then.
 
-    A pulse sooner than 5 ms after the last one that was reported is not reported later either: it waits for the next
-    one or for a repeat, and counts as rotUpdSkip. Every 201 ms it is looked whether that is more than 200 ms ago; then
-    both wheels' newest entries are repeated. So the first repeat comes 201 to 402 ms after the last pulse's report.
+    A pulse sooner than 5 ms after the last reported one has no report of its own: it waits for the next pulse or a
+    repeat, and is counted as rotUpdSkip. Every 201 ms there is a check whether the last report is more than 200 ms old;
+    then both wheels' newest entries are repeated. So the first repeat comes 201 to 402 ms after the last report.
     """
 
     def __init__(self, counters: dict[str, int]):
@@ -95,7 +95,7 @@ class Axle:
 
     @property
     def due_ns(self) -> int:
-        """When the loop has something to do here."""
+        """Return when the loop has something to do here."""
         return AT_ONCE_NS if self._has_news else self._check.due_ns
 
     def reset(self):
@@ -103,7 +103,7 @@ class Axle:
             wheel.reset()
 
     def interrupt(self, side: int, pin: int, levels: int, tick: int):
-        """A hall pin of one wheel has changed."""
+        """Handle a change of a hall pin of one wheel."""
         self.wheels[side].interrupt(pin, levels, tick)
         if tick - self._reported_tick < MIN_REPORT_MS:
             self._counters["rotUpdSkip"] += 1
@@ -111,7 +111,7 @@ class Axle:
             self._announce(tick)
 
     def begin(self, clock: Clock, now_ns: int):
-        """Begins the checks for wheels that stand."""
+        """Begin the checks for wheels that stand."""
         self._check = Deadline(clock, STANDING_CHECK_MS, now_ns)
 
     def report_when_due(self, clock: Clock, now_ns: int) -> bytes | None:

@@ -1,7 +1,6 @@
-"""What tyres hold: how a car's path differs from where its wheels point, how hard it can brake, and when it tips.
+"""Models the grip of tyres: how a car's path differs from its steering, how hard it can brake, and when it tips.
 
-Pure: where the steering points, speed and demanded acceleration in; the path's curvature and the possible acceleration
-out.
+Pure: the steered curvature, speed and demanded acceleration in; the path's curvature and the possible acceleration out.
 
 The front wheels slip sideways by an angle that grows with the square of the lateral acceleration a: the path is less
 curved than the steering points, by ``understeer`` · a². Measured circles of a 3.5 kg F1TENTH car (motion capture, 0.5
@@ -15,7 +14,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from car_interface.sim.checks import require
+from car_interface.common.errors import require
 
 UPRIGHT_RATIO = 0.9  # below this part of the acceleration at which it tips, the car stands on its wheels again
 
@@ -41,17 +40,17 @@ class TyreConfig:
 
 
 def possible_acceleration_mps2(demanded_mps2: float, tyres: TyreConfig) -> float:
-    """What the tyres transmit of an acceleration along the car."""
+    """Return how much of an acceleration along the car the tyres transmit."""
     return max(-tyres.grip_mps2, min(tyres.grip_mps2, demanded_mps2))
 
 
 def path_curvature_per_m(steered_per_m: float, speed_mps: float, along_mps2: float, tyres: TyreConfig) -> float:
-    """The curvature of the path.
+    """Return the curvature of the path.
 
     Args:
-        steered_per_m: where the steering points: the curvature at a crawl.
+        steered_per_m: the curvature of the steering at a crawl.
         speed_mps: its sign doesn't matter.
-        along_mps2: what the tyres transmit along the car; they have what is left of the friction circle for the turn.
+        along_mps2: transmitted by the tyres along the car; the rest of the friction circle is left for the turn.
     """
     speed2 = speed_mps * speed_mps
     loss = tyres.understeer * speed2 * speed2
@@ -66,7 +65,7 @@ def path_curvature_per_m(steered_per_m: float, speed_mps: float, along_mps2: flo
 
 
 class Rollovers:
-    """Counts how often a car would have tipped over. It drives on: what a rolled car does is no concern of a test.
+    """Counts how often a car would have tipped over. The car drives on.
 
     Attributes:
         count: how often; once until it stands on its wheels again.
@@ -82,7 +81,7 @@ class Rollovers:
         self.max_lateral_mps2 = 0.0
 
     def update(self, lateral_mps2: float) -> None:
-        """The lateral acceleration now."""
+        """Take the present lateral acceleration."""
         magnitude = abs(lateral_mps2)
         self.max_lateral_mps2 = max(self.max_lateral_mps2, magnitude)
         if self._tips:

@@ -1,20 +1,19 @@
-"""A Slash 4x4 that moves: a bicycle with a servo, tyres, an ESC, and hall sensors in its rear wheels.
+"""Simulates a Slash 4x4 that moves: a bicycle with a servo, tyres, an ESC, and hall sensors in its rear wheels.
 
 Consumes PWM duties and time steps; produces a pose and wheel pulses with their true times. Its steering and drive-train
-curves are the truth that calibration tables only approximate: they are near the tables that the package ships and on
-purpose not equal to them.
+curves are the truth that calibration tables only approximate: they are near the tables of the package, and not equal to
+them on purpose.
 
 REP-103 throughout: metres, radians, seconds, x forward, y left, left turns positive. The pose is that of the middle of
-the rear axle. Tyres widen its turns with speed, slide, and it can tip over: see ``tyres``; without them, on request, it
-is a kinematic car. On request there is play in the steering, the ground slopes and the battery sags, as with real cars:
-the default car has none of it.
+the rear axle. Tyres widen its turns with speed, slide, and it can tip over: see ``tyres``; without them it is a
+kinematic car. Backlash of the steering, a slope and a sagging battery are options: the default car has none of them.
 
 A brake that is stronger than the tyres' grip locks the wheels: no pulses, and the car slides straight on. A motor that
-is stronger is held by the grip, and the wheels don't spin.
+is stronger than the grip is limited to it, and the wheels don't spin.
 
-Among obstacles the car stops dead at what it runs into, without a bounce, and can be driven out the way it came. Its
-wheels stall: full throttle pushes it with 5.6 m/s², and tires hold some 7.8 m/s² on a dry floor (0.8 g) before they
-slip. So odometry agrees with the truth.
+The car stops dead at an obstacle, without a bounce, and can be driven out the way it came. Its wheels stall: full
+throttle pushes it with 5.6 m/s², and tyres hold some 7.8 m/s² on a dry floor (0.8 g) before they slip. So odometry
+agrees with the truth.
 """
 
 from __future__ import annotations
@@ -24,8 +23,9 @@ from bisect import bisect_right
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from car_interface.common.errors import require
 from car_interface.common.units import NS_PER_S
-from car_interface.sim.checks import require
+from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, TRACK_M, WHEEL_DIAMETER_M, WHEELBASE_M
 from car_interface.sim.collision import Collisions
 from car_interface.sim.drive_train import (
     DriveConfig,
@@ -39,11 +39,11 @@ from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
 from car_interface.sim.tyres import Rollovers, TyreConfig, path_curvature_per_m, possible_acceleration_mps2
 
 GRAVITY_MPS2 = 9.81
-ARRIVED_DUTY = 0.01  # a creeping servo never quite arrives; from here on it has
+ARRIVED_DUTY = 0.01  # a servo this near its target has arrived: its creep would never end
 
 
 class Pose(NamedTuple):
-    """Where the middle of the rear axle is (metres) and where the car looks (radians, 0 along x, not wrapped)."""
+    """The place of the rear axle's middle (metres) and the car's heading (radians, 0 along x, not wrapped)."""
 
     x_m: float
     y_m: float
@@ -63,7 +63,7 @@ class Pulse(NamedTuple):
 
 @dataclass(frozen=True)
 class SteeringConfig:
-    """How the servo moves and where its positions steer.
+    """The servo's motion, and the curvature at each of its positions.
 
     Attributes:
         curve: (duty, curvature in 1/m, left positive), duties rising, curvatures falling, or rising with a servo that
@@ -120,10 +120,10 @@ class VehicleConfig:
 
     steering: SteeringConfig = SteeringConfig()
     drive: DriveConfig = field(default_factory=DriveConfig)
-    wheelbase_m: float = 0.324
-    track_m: float = 0.296
-    wheel_diameter_m: float = 0.095
-    pulses_per_revolution: int = 20
+    wheelbase_m: float = WHEELBASE_M
+    track_m: float = TRACK_M
+    wheel_diameter_m: float = WHEEL_DIAMETER_M
+    pulses_per_revolution: int = PULSES_PER_REVOLUTION
     pulse_phase: tuple[float, float] = (0.25, 0.75)
     start: Pose = ORIGIN
     slope: float = 0.0
@@ -140,7 +140,7 @@ class VehicleConfig:
 
     @property
     def pulse_m(self) -> float:
-        """A rear wheel's way from one pulse to the next."""
+        """A rear wheel's distance from one pulse to the next."""
         return math.pi * self.wheel_diameter_m / self.pulses_per_revolution
 
 
@@ -148,21 +148,21 @@ class Vehicle:
     """The car at one moment.
 
     Args:
-        config: what it is like.
+        config: its properties.
         start_ns: the true time at the start; pulses are stamped on this scale.
-        collisions: what it may run into; ``None`` = nothing.
+        collisions: with obstacles; ``None`` = there are none.
 
     Attributes:
         time_ns: true time now.
         pose: where it is.
         speed_mps: of the rear axle, backward negative.
         acceleration_mps2: during the last step, the mean.
-        steered_per_m: where the steering points: the curvature of its path at a crawl, left positive.
+        steered_per_m: the curvature of the steering: of its path at a crawl, left positive.
         curvature_per_m: of its path now.
-        slides: whether its wheels are locked.
+        slides: its wheels are locked.
         rollovers: how often it would have tipped over; a kinematic car's stay 0.
-        servo_duty: where the steering servo stands, in the duty that holds it there.
-        travel_m: signed way so far.
+        servo_duty: the place of the steering servo, as the duty that holds it there.
+        travel_m: signed distance so far.
     """
 
     def __init__(self, config: VehicleConfig = VehicleConfig(), start_ns: int = 0,
@@ -178,7 +178,7 @@ class Vehicle:
         self._start_ns = start_ns
         self._esc = None if config.esc is None else VirtualEsc(config.esc, start_ns)
         self._motor = Motor(config.drive.lag_s)
-        self._linkage_duty = self.servo_duty  # where the wheels are, in the servo's duty without play
+        self._linkage_duty = self.servo_duty  # the place of the wheels, as the servo's duty without backlash
         self._half_backlash_duty = config.steering.backlash_duty / 2
         self._slope_mps2 = -GRAVITY_MPS2 * math.sin(math.atan(config.slope))  # when it looks uphill
         self._duties, self._curvatures = (tuple(column) for column in zip(*config.steering.curve))
@@ -189,7 +189,7 @@ class Vehicle:
         self.rollovers = Rollovers(config.tyres.rollover_mps2 if config.tyres else math.inf)
         self._half_track_m = config.track_m / 2
         self._pulse_m = config.pulse_m
-        self._wheel_pulses = list(config.pulse_phase)  # each rear wheel's way, in pulses
+        self._wheel_pulses = list(config.pulse_phase)  # each rear wheel's distance, in pulses
 
     @property
     def yaw_rate_radps(self) -> float:
@@ -202,11 +202,11 @@ class Vehicle:
 
     @property
     def steering_angle_rad(self) -> float:
-        """Of the bicycle's one front wheel, left positive."""
+        """The angle of the bicycle's one front wheel, left positive."""
         return math.atan(self.config.wheelbase_m * self.steered_per_m)
 
     def true_curvature_per_m(self, duty: float) -> float:
-        """Where the steering leads when the servo stands at ``duty``; saturated at the stops."""
+        """Return the curvature when the servo stands at ``duty``; saturated at the stops."""
         duties, curvatures = self._duties, self._curvatures
         if duty <= duties[0]:
             return curvatures[0]
@@ -218,10 +218,10 @@ class Vehicle:
         return curvatures[index - 1] + ratio * (curvatures[index] - curvatures[index - 1])
 
     def step(self, dt_ns: int, steering_duty: int, esc_duty: int) -> list[Pulse]:
-        """Moves on by ``dt_ns`` with both outputs held.
+        """Move on by ``dt_ns`` with both outputs held.
 
         Args:
-            dt_ns: 1 or more. Speed changes evenly within a step; with 20 ms that's still good to a few mm/s.
+            dt_ns: 1 or more. Speed changes evenly within a step; with 20 ms the error is a few mm/s.
             steering_duty: of the servo's channel; -1, 0 or any duty that is no servo pulse: the servo stays where it
                 is, without power.
             esc_duty: of the ESC's channel; without a pulse it lets the car coast.
@@ -249,7 +249,7 @@ class Vehicle:
         return pulses
 
     def _path_curvature_per_m(self, steered_per_m: float, speed_mps: float) -> float:
-        """Where the car goes with its steering pointing there."""
+        """Return the curvature of the path by the steering's."""
         if self._tyres is None:
             return steered_per_m
         if self.slides:
@@ -257,7 +257,7 @@ class Vehicle:
         return path_curvature_per_m(steered_per_m, speed_mps, self._along_mps2, self._tyres)
 
     def _turn_servo(self, dt_s: float, duty: int) -> float:
-        """Turns the servo and returns the mean curvature meanwhile."""
+        """Turn the servo and return the mean curvature during that."""
         error = duty - self.servo_duty
         if error == 0.0 or not is_pulse(duty):
             return self.steered_per_m
@@ -276,7 +276,7 @@ class Vehicle:
         return (before_per_m + self.steered_per_m) / 2
 
     def _accelerate(self, dt_s: float, esc_duty: int) -> tuple[float, float, float]:
-        """Returns (speed after the step, way in it, seconds of it that the car moved)."""
+        """Return (speed after the step, distance in it, seconds of it that the car moved)."""
         before_mps = self.speed_mps
         drive = self.config.drive
         thrust, downhill_mps2 = 1.0, 0.0
@@ -301,16 +301,16 @@ class Vehicle:
         return after_mps, (before_mps + after_mps) / 2 * moving_s, moving_s
 
     def _held_by_tyres(self, demanded_mps2: float) -> float:
-        """What the tyres transmit of an acceleration; a brake beyond that locks the wheels."""
+        """Return how much of an acceleration the tyres transmit; a stronger brake locks the wheels."""
         self._along_mps2 = possible_acceleration_mps2(demanded_mps2, self._tyres)
         self.slides = self._along_mps2 != demanded_mps2 and demanded_mps2 * self.speed_mps < 0.0
         return self._along_mps2
 
     def _pose_after(self, distance_m: float, curvature_per_m: float) -> Pose:
-        """The pose at the end of an arc."""
+        """Return the pose at the end of an arc."""
         x_m, y_m, yaw_rad = self.pose
         turn_rad = distance_m * curvature_per_m
-        # The chord of an arc: its length is way · sin(h)/h, its direction the mean of both headings (h: half the turn).
+        # The chord of an arc: its length is distance · sin(h)/h, in the mean of both headings (h: half the turn).
         half_rad = turn_rad / 2
         chord_m = distance_m * (math.sin(half_rad) / half_rad if abs(half_rad) > 1e-6 else 1.0)
         direction_rad = yaw_rad + half_rad
@@ -319,7 +319,7 @@ class Vehicle:
         )
 
     def _roll(self, distance_m: float, moving_s: float, speed_mps: float, curvature_per_m: float) -> list[Pulse]:
-        """Turns the wheels along an arc and returns the pulses on it."""
+        """Turn the wheels along an arc and return the pulses on it."""
         self.travel_m += distance_m
         if self.slides:
             return []
@@ -332,7 +332,7 @@ class Vehicle:
         return left or right
 
     def _wheel(self, side: int, distance_m: float, ratio: float, acceleration_mps2: float) -> list[Pulse]:
-        """Turns one wheel, whose distance is ``ratio`` of the axle's, and returns its pulses."""
+        """Turn one wheel, whose distance is ``ratio`` of the axle's, and return its pulses."""
         before = self._wheel_pulses[side]
         after = before + distance_m * ratio / self._pulse_m
         self._wheel_pulses[side] = after
@@ -350,7 +350,7 @@ class Vehicle:
         ]
 
     def _time_to_ns(self, distance_m: float, acceleration_mps2: float) -> int:
-        """When the axle has gone ``distance_m``: the first root of v·t + a·t²/2 = s, in a form that takes a = 0."""
+        """Return when the axle has gone ``distance_m``: the first root of v·t + a·t²/2 = s, in a form for any a."""
         speed_mps = self.speed_mps
         root_mps = math.sqrt(max(0.0, speed_mps * speed_mps + 2.0 * acceleration_mps2 * distance_m))
         return int(2.0 * distance_m / (speed_mps + math.copysign(root_mps, distance_m)) * NS_PER_S)

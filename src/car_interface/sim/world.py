@@ -1,7 +1,7 @@
-"""The room that the car's six sonars see: walls, boxes, posts, and the time that sound takes to them and back.
+"""Models the room that the car's six sonars see: walls, boxes, posts, and the time of an echo from them.
 
-Consumes the car's pose, produces echo times. Flat, as the sonars' cones are low; everything in it reflects, and
-everything in it stops the car.
+Consumes the car's pose, produces echo times. The room is flat, as the sonars' cones are low; everything in it reflects
+and stops the car.
 """
 
 from __future__ import annotations
@@ -10,15 +10,14 @@ import math
 from dataclasses import dataclass
 from typing import Sequence
 
-from car_interface.sim.checks import require
+from car_interface.common.errors import require
+from car_interface.common.vehicle_geometry import SONARS
 from car_interface.sim.collision import Obstacles
-
-SENSOR_NAMES = ("front_right", "front_middle", "front_left", "rear_right", "rear_middle", "rear_left")
 
 
 @dataclass(frozen=True)
 class Mount:
-    """Where a sonar sits on the car: metres from the middle of the rear axle, and where it looks (0 ahead)."""
+    """A sonar's place on the car: metres from the middle of the rear axle, and its direction (0 ahead)."""
 
     x_m: float
     y_m: float
@@ -54,7 +53,7 @@ class WorldConfig:
 
     Attributes:
         walls: x from, x to, y from, y to, in metres.
-        boxes, posts: what stands in it.
+        boxes, posts: the obstacles in it.
         mounts: the sonars, by their number on the wire.
         cone_rad: the whole angle in which a sonar hears.
         rays: how many lines the cone is sampled by, both edges included.
@@ -80,7 +79,7 @@ class WorldConfig:
     def __post_init__(self):
         x_from_m, x_to_m, y_from_m, y_to_m = self.walls
         require(x_from_m < x_to_m and y_from_m < y_to_m, "walls", self.walls, "x from < x to, y from < y to")
-        require(len(self.mounts) == len(SENSOR_NAMES), "mounts", self.mounts, "six of them")
+        require(len(self.mounts) == len(SONARS), "mounts", self.mounts, "six of them")
         require(0 < self.cone_rad < math.pi, "cone_rad", self.cone_rad, "more than 0, less than pi")
         require(self.rays > 0, "rays", self.rays, "1 or more")
         require(self.max_range_m > 0, "max_range_m", self.max_range_m, "more than 0")
@@ -88,7 +87,7 @@ class WorldConfig:
 
 
 class World:
-    """A room, asked what a sonar hears in it."""
+    """A room with its echoes."""
 
     def __init__(self, config: WorldConfig = WorldConfig()):
         self.config = config
@@ -101,19 +100,18 @@ class World:
 
     @property
     def obstacles(self) -> Obstacles:
-        """What a car can run into."""
+        """Return the obstacles for a car."""
         return Obstacles(self._segments, self._posts)
 
     def echo_us(self, pose: Sequence[float], sensor: int) -> int:
-        """Microseconds from a sonar's ping to its echo, as a car that stands still would measure them.
+        """Return the microseconds from a sonar's ping to its echo, as a standing car would measure them.
 
         Args:
             pose: x, y (metres) and yaw (radians) of the middle of the car's rear axle.
             sensor: 0 to 5.
 
         Returns:
-            The echo from whatever is nearest in the cone; 0 when nothing is in range. Never 0 for something in
-            range, however near.
+            The echo of the nearest thing in the cone; 0 when nothing is in range, and never 0 otherwise.
         """
         distance_m = self.distance_m(pose, sensor)
         if distance_m is None:
@@ -121,7 +119,7 @@ class World:
         return max(1, round(distance_m * self._us_per_m))
 
     def distance_m(self, pose: Sequence[float], sensor: int) -> float | None:
-        """Metres from a sonar to whatever is nearest in its cone; None beyond ``max_range_m``."""
+        """Return the metres from a sonar to the nearest thing in its cone; None beyond ``max_range_m``."""
         x_m, y_m, yaw_rad = pose
         mount = self.config.mounts[sensor]
         cos_yaw, sin_yaw = math.cos(yaw_rad), math.sin(yaw_rad)
@@ -132,7 +130,7 @@ class World:
         return nearest_m if nearest_m <= self.config.max_range_m else None
 
     def _ray_m(self, x_m: float, y_m: float, direction_rad: float) -> float:
-        """Metres along one ray to the first thing that it meets; infinity if it meets none."""
+        """Return the metres along one ray to the first thing that it meets; infinity if it meets none."""
         dx, dy = math.cos(direction_rad), math.sin(direction_rad)
         nearest_m = math.inf
         for start_x_m, start_y_m, along_x_m, along_y_m in self._segments:
@@ -157,7 +155,7 @@ class World:
 
 
 def speed_of_sound_mps(temperature_c: float) -> float:
-    """Of sound in air, near enough between -20 and 40 °C (linear in the temperature about 0 °C)."""
+    """Return the speed of sound in air, linear in the temperature about 0 °C; good between -20 and 40 °C."""
     return 331.3 + 0.606 * temperature_c
 
 
@@ -179,6 +177,6 @@ def _outline(box: Box):
 
 
 def _ring(corners: Sequence[tuple[float, float]]) -> list[tuple[float, float, float, float]]:
-    """Closed polygon → its sides as (x, y, length along x, length along y)."""
+    """Return a closed polygon's sides as (x, y, length along x, length along y)."""
     ends = [*list(corners[1:]), corners[0]]
     return [(x, y, end_x - x, end_y - y) for (x, y), (end_x, end_y) in zip(corners, ends)]

@@ -1,1 +1,1 @@
-"""The steering: turn radius to servo duty, who steers, and whether the car turns as commanded."""
+"""The steering: from a turn radius to a servo duty, who steers, and whether the car turns as commanded."""

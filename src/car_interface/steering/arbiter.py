@@ -1,4 +1,4 @@
-"""Who steers, and with what duty.
+"""Decides who steers, and with what duty.
 
 Consumes emergency stop, deadman, the gamepad's steering and the planner's turn radius or steering, each with its
 arrival on the monotonic clock, and answers with a ``Decision``: source, duty, cause and reason. Pure: ``now_ns`` is
@@ -29,7 +29,7 @@ FLOAT32_TOLERANCE = 1 + 2 ** -23  # 0.001 arrives from a Float32 as 0.0010000000
 
 
 def source_name(source: int) -> str:
-    """The name of a value of SteeringState.source, or its number when it has none."""
+    """Return the name of a value of SteeringState.source, or its number when it has none."""
     return SOURCE_NAMES[source] if 0 <= source < len(SOURCE_NAMES) else str(source)
 
 
@@ -67,22 +67,28 @@ class Decision(NamedTuple):
     human_age_s: float
     teleop_age_s: float
     planner_age_s: float
-    limit: str = ""  # the cause for which something else is granted than was asked for, or limits.LIMITS_OFF
+    limit: str = ""  # the cause of a limit that changes the request, or causes.LIMITS_OFF
     limit_reason: str = ""
-    asked_radius_m: float = 0.0  # right negative, inf: straight on; 0 = nobody asks, or nothing limits who does
-    max_speed_mps: float = 0.0  # up to which that keeps within the limit; inf: straight on; 0 = no limit
+    asked_radius_m: float = 0.0  # right negative, inf: straight on; 0 = no request, or its source has no limits
+    max_speed_mps: float = 0.0  # the highest at which that keeps within the limit; inf: straight on; 0 = no limit
 
-    def differs_from(self, other: Decision | None) -> bool:
-        """Whether source, duty, cause or limit differ; ages and the numbers in the reasons always do."""
-        return other is None or self[:3] != other[:3] or self.limit != other.limit
+    @property
+    def differs_by(self) -> tuple:
+        """Return all but ages, and numbers in reasons, which always differ."""
+        return (*self[:3], self.limit)
+
+    @property
+    def kind(self) -> tuple:
+        """Return who steers and why, and what limits that: what a log reports when it changes."""
+        return self.source, self.cause, self.limit
 
 
 class SteeringArbiter:
     """Decides who steers from the newest of each input.
 
     Locked or no human → neutral; else the gamepad, if it steers; else the planner, if it requests a radius; else
-    neutral. A gamepad that was received once and is stale or not finite means neutral, not the planner: the human still
-    believes to be steering. A planner asks by radius or by steering: while both are fresh neither is obeyed.
+    neutral. A gamepad that was received once and is stale or not finite means neutral, not the planner: the human may
+    think that they are steering. A planner asks by radius or by steering: while both are fresh neither is obeyed.
     """
 
     def __init__(self, calibration: SteeringCalibration, config: ArbiterConfig = ArbiterConfig()):
@@ -110,40 +116,40 @@ class SteeringArbiter:
         self._calibration = calibration
 
     def update_e_stop(self, locked: bool, now_ns: int) -> None:
-        """The emergency stop: true = neutral, whoever requests what."""
+        """Take the emergency stop: true = neutral, regardless of requests."""
         self._interlock.update_e_stop(locked, now_ns)
 
     def update_human(self, present: bool, now_ns: int) -> None:
-        """The deadman: true while a human holds it."""
+        """Take the deadman: true while a human holds it."""
         self._interlock.update_human(present, now_ns)
 
     def explain_human(self, present: bool, reason: str, now_ns: int) -> None:
-        """Why the deadman is what it is, by teleop_logi; only quoted in a decision's reason."""
+        """Take teleop_logi's reason for the deadman; it is only quoted in a decision's reason."""
         self._interlock.explain_human(present, reason, now_ns)
 
     def explain_teleop(self, overrides: bool, now_ns: int) -> None:
-        """Whether the gamepad steers under a planner's deadman, by teleop_logi; only quoted in a decision's reason."""
+        """Take whether the gamepad overrides the planner, by teleop_logi; it is only quoted in a decision's reason."""
         self._override.update(overrides, now_ns)
 
     def update_teleop(self, steering: float, now_ns: int) -> None:
-        """The gamepad's steering, −1 right to +1 left."""
+        """Take the gamepad's steering, −1 right to +1 left."""
         self._teleop.update(steering, now_ns)
 
     def update_planner(self, radius_m: float, now_ns: int) -> None:
-        """The planner's turn radius in metres, right negative; ±inf = straight on, 0 = no request."""
+        """Take the planner's turn radius in metres, right negative; ±inf = straight on, 0 = no request."""
         self._planner.update(radius_m, now_ns)
 
     def update_planner_steering(self, steering: float, now_ns: int) -> None:
-        """The steering of a planner that knows no radius, −1 right to +1 left."""
+        """Take the steering of a planner that sends no radius, −1 right to +1 left."""
         self._planner_steering.update(steering, now_ns)
 
     def update_odometry(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
-        """The car's speed, forward positive, and how old it was at its arrival."""
+        """Take the car's speed, forward positive, and how old it was at its arrival."""
         self._limiter.speed.update(speed_mps, now_ns, age_ns)
 
     @property
     def cuts(self) -> int:
-        """How often a request began to be limited."""
+        """Return how often a request began to be limited."""
         return self._limiter.cuts
 
     @property
@@ -152,15 +158,15 @@ class SteeringArbiter:
         return self._limiter.speed.last_mps
 
     def odometry_age_s(self, now_ns: int) -> float:
-        """Seconds since the newest speed; inf = never received."""
+        """Return the seconds since the newest speed; inf = never received."""
         return self._limiter.speed.age_s(now_ns)
 
     def turn_radius_m(self, duty: float) -> float:
-        """The radius on which a duty turns at the newest speed, right negative; inf = straight ahead."""
+        """Return the radius on which a duty turns at the newest speed, right negative; inf = straight ahead."""
         return self._calibration.turn_radius_m(duty, self._known_speed_mps)
 
     def mark_stale(self, now_ns: int) -> None:
-        """Messages were dropped before they got here: all inputs are stale."""
+        """Take note that messages were dropped before they got here: all inputs are stale."""
         self._limiter.speed.mark_stale()
         self._interlock.mark_stale(now_ns)
         self._teleop.mark_stale()
@@ -168,7 +174,7 @@ class SteeringArbiter:
         self._planner_steering.mark_stale()
 
     def decide(self, now_ns: int) -> Decision:
-        """Who steers at ``now_ns``, with what duty, and why. With a slew limit the duty depends on the calls before."""
+        """Return who steers at ``now_ns``, with what duty, and why. With a slew limit earlier calls affect the duty."""
         source, duty, cause, reason = self._arbitrate(now_ns)
         limits = self._sources.get(source)
         ages_s = (self._interlock.e_stop_age_s(now_ns), self._interlock.human_age_s(now_ns),
@@ -178,7 +184,7 @@ class SteeringArbiter:
         if limits is None or limits.is_off and not too_tight:
             self._unlimited = None if limits is None else duty, now_ns
             return Decision(source, self._slewed(source, duty, now_ns), cause, reason, *ages_s)
-        if self._unlimited is not None:  # only now it matters how the car turned then
+        if self._unlimited is not None:  # computed only now, when a limit needs it
             before, at_ns = self._unlimited
             self._limiter.release(0.0 if before is None else 1.0 / self.turn_radius_m(before), at_ns)
             self._unlimited = None
@@ -191,15 +197,15 @@ class SteeringArbiter:
                         asked_m, turn.max_speed_mps)
 
     def too_tight_lately(self, now_ns: int) -> str:
-        """Why the planner asked for more than the wheels can do, in the last two seconds; empty: it didn't."""
+        """Return why the planner asked for more than the wheels can do, in the last two seconds; empty: it didn't."""
         return self._limiter.too_tight_lately(now_ns)
 
     def _requested_radius_m(self, source, now_ns):
-        """The radius of the planner that steers; 0 = it steers by something else, or somebody else does."""
+        """Return the radius of the planner that steers; 0 = it sent a steering instead, or another source steers."""
         return self._planner.value if source == PLANNER and not self._planner.is_stale(now_ns) else 0.0
 
     def _too_tight(self, radius_m):
-        """Why the wheels can't do a requested radius; empty: they can, or none is requested."""
+        """Return why the wheels can't do a requested radius; empty: they can, or none is requested."""
         if not radius_m or math.isinf(radius_m):
             return ""
         speed_mps = self._known_speed_mps
@@ -207,16 +213,16 @@ class SteeringArbiter:
                                 self._calibration.tightest_radius_m(radius_m, speed_mps), speed_mps)
 
     def _possible_m(self, radius_m):
-        """What the wheels can do of a radius, driven slowly."""
+        """Return the radius, or the tightest one that the wheels can do, driven slowly."""
         return math.copysign(max(abs(radius_m), self._calibration.tightest_radius_m(radius_m)), radius_m)
 
     @property
     def _known_speed_mps(self):
-        """The newest speed; 0: none was ever received."""
+        """Return the newest speed; 0: none was ever received."""
         return self._limiter.speed.last_mps if self._limiter.speed.was_received else 0.0
 
     def _slewed(self, source, duty, now_ns):
-        """``duty``, or as near to it as the slew limit allows by now. Neutral isn't limited."""
+        """Return ``duty``, or as near to it as the slew limit allows by now. Neutral isn't limited."""
         now_ns = max(now_ns, self._slewed_ns)
         if source in (TELEOP, PLANNER) and self._config.slew_limit:
             max_step = self._config.slew_limit * (now_ns - self._slewed_ns) / NS_PER_S

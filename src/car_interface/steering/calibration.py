@@ -1,4 +1,4 @@
-"""A car's steering calibration: servo duty from a steering request or a turn radius, and back.
+"""Converts a steering request or a turn radius to a servo duty, and back: a car's steering calibration.
 
 Steering −1 is full right and +1 full left; a turn radius is in metres, right negative; a duty is 0..65535 of the PWM
 period.
@@ -11,9 +11,9 @@ from typing import Sequence
 
 from car_interface.common.errors import ConfigError
 from car_interface.common.lookup_table import LookupTable, round_half_away
-from car_interface.common.servo_channels import MAX_DUTY
+from car_interface.common.units import MAX_DUTY
 
-WIDE_M = 100.0  # a table should reach at least this radius, or it has no duty for almost straight ahead
+WIDE_M = 100.0  # a table should reach this radius, or it lacks the duties for almost straight ahead
 TABLE_DIGITS = 1  # decimals of a duty in a trimmed table; a servo resolves less
 
 
@@ -60,14 +60,15 @@ class SteeringCalibration:
             object.__setattr__(self, name, LookupTable(self.radius_axis_m, duties, "m_turnrad_axis_servo", parameter))
 
     def teleop_duty(self, steering: float) -> int:
-        """The duty for a gamepad request, clamped to −1..1; linear from the center to the end of each side."""
+        """Return the duty for a gamepad request, clamped to −1..1; linear from the center to the end of each side."""
         steering = max(-1.0, min(1.0, steering))
         travel = self.servo_center - self.servo_left if steering > 0 else self.servo_right - self.servo_center
         return round_half_away(self.servo_center - steering * travel)
 
     def planner_duty(self, radius_m: float, speed_mps: float = 0.0) -> int:
-        """The duty for a turn radius at a speed: looked up by magnitude, saturated beyond the axis; the sign selects
-        the table; ±inf = straight on.
+        """Return the duty for a turn radius at a speed.
+
+        It is looked up by magnitude and saturated beyond the axis; the sign selects the table; ±inf = straight on.
         """
         if math.isinf(radius_m):
             return self.servo_center
@@ -75,10 +76,9 @@ class SteeringCalibration:
         return round_half_away(table(slow_radius_m(abs(radius_m), speed_mps, self.understeer)))
 
     def tightest_radius_m(self, side: float, speed_mps: float = 0.0) -> float:
-        """The radius of the tightest turn to a side at a speed, positive.
+        """Return the radius of the tightest turn to a side at a speed, positive.
 
-        Several radii that have the duty of the tightest say that the wheels are at their stop there: the widest of them
-        counts.
+        Where several radii have the duty of the tightest one, the wheels are at their stop: the widest is taken.
 
         Args:
             side: positive = left, negative = right.
@@ -87,12 +87,12 @@ class SteeringCalibration:
         return driven_radius_m(_tightest_m(self._left if side > 0 else self._right), speed_mps, self.understeer)
 
     def turn_radius_m(self, duty: float, speed_mps: float = 0.0) -> float:
-        """The turn radius of a duty at a speed, right negative; inf = straight ahead, or wider than the axis."""
+        """Return the turn radius of a duty at a speed, right negative; inf = straight ahead, or wider than the axis."""
         radius_m = self._slow_radius_m(duty)
         return math.copysign(driven_radius_m(abs(radius_m), speed_mps, self.understeer), radius_m)
 
     def _slow_radius_m(self, duty):
-        """The turn radius of a duty by the tables."""
+        """Return the turn radius of a duty by the tables."""
         is_left = (duty - self.servo_center) * (self.servo_left - self.servo_center) > 0
         table, sign = (self._left, 1) if is_left else (self._right, -1)
         direction = 1 if table.values[0] > self.servo_center else -1  # of duty, from the center to the tightest turn
@@ -107,7 +107,7 @@ class SteeringCalibration:
 
 
 def _tightest_m(table):
-    """The widest radius whose duty is that of the tightest one, as a duty is sent."""
+    """Return the widest radius that has the same duty as the tightest one, as sent."""
     duty, widest_m = round_half_away(table.values[0]), table.axis[0]
     for radius_m, value in zip(table.axis, table.values):
         if round_half_away(value) != duty:
@@ -117,13 +117,13 @@ def _tightest_m(table):
 
 
 def slow_radius_m(radius_m: float, speed_mps: float, understeer: float) -> float:
-    """The radius to steer by, so that the car turns on ``radius_m`` (positive) at this speed."""
+    """Return the radius to steer by, so that the car turns on ``radius_m`` (positive) at this speed."""
     loss = understeer * speed_mps ** 4
     return radius_m / (1.0 + loss / radius_m) if loss else radius_m
 
 
 def driven_radius_m(slow_m: float, speed_mps: float, understeer: float) -> float:
-    """The radius on which a car turns at this speed when it is steered by ``slow_m`` (positive): the inverse."""
+    """Return the radius on which a car steered by ``slow_m`` (positive) turns at this speed: the inverse."""
     loss = understeer * speed_mps ** 4
     # slow = R² / (R + loss): its positive root.
     return (slow_m + math.sqrt(slow_m * (slow_m + 4.0 * loss))) / 2.0 if loss and slow_m < math.inf else slow_m
@@ -131,7 +131,7 @@ def driven_radius_m(slow_m: float, speed_mps: float, understeer: float) -> float
 
 def trimmed(calibration: SteeringCalibration, servo_left: int, servo_center: int,
             servo_right: int) -> SteeringCalibration:
-    """A calibration with other ends and another center; both tables are scaled with them.
+    """Return a calibration with other ends and another center; both tables are scaled with them.
 
     Every duty keeps its ratio between the center and the end of its side: the duty for straight ahead becomes the new
     center, the one for full left the new full left. A shift of all three shifts every duty.

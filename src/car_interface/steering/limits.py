@@ -1,11 +1,11 @@
-"""How tight, and how quickly tighter, a car may turn at the speed that it has.
+"""Limits how tight a car may turn at its speed, and how quickly it may turn in.
 
-Pure: the curvature that was asked for and the measured speed in, the curvature that is granted and the reason out. What
-the wheels can't do is reported, and goes on as the tightest turn that they can do. The
-lateral acceleration of a turn is v²·|κ|: a limit on it bounds |κ|, one on its rise (jerk) bounds how quickly the car
-turns in. The way back to straight on is never limited.
+Pure: the requested curvature and the measured speed in, the granted curvature and the reason out. A turn that the
+wheels can't do is reported, and replaced by the tightest one that they can do. The lateral acceleration of a turn is
+v²·|κ|: a limit of it bounds |κ|, and a limit of its rise (jerk) bounds how quickly the car turns in. Steering back to
+straight on is never limited.
 
-Without any speed ever nothing is limited. When the speed is lost the last bound stays.
+If no speed was ever received, nothing is limited. When the speed is lost, the last bound stays.
 """
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from car_interface.common import causes
 from car_interface.common.measured_speed import MeasuredSpeed
 from car_interface.common.units import NS_PER_S
 
-# A request for a radius tighter than this part of the tightest one is reported. A planner may ask for what its car
-# turns by a measurement of its own, or slightly tighter, so that its controller has the wheels at their stops.
+# A request for a radius below this part of the tightest one is reported. A planner may use its own measurement of the
+# tightest turn, or ask for slightly less, so that its controller brings the wheels to their stops.
 TIGHT_RATIO = 0.9
-# A request that was too tight stays on /diagnostics, which report once a second, for so long; and a planner whose
+# A request that was too tight is reported on /diagnostics, which come once a second, for this long; and a planner whose
 # requests swing from side to side, too tight in between, is logged once.
 TOO_TIGHT_FOR_NS = 2 * NS_PER_S
-# Jerk is held on the mean over this time: a planner's request comes in steps, each 50 ms at 20 Hz.
+# The jerk is averaged over this time: a planner's request comes in steps, of 50 ms at 20 Hz.
 JERK_OVER_S = 0.05
 
 
@@ -41,7 +41,7 @@ class SourceLimits:
 
     @property
     def is_off(self) -> bool:
-        """Whether it limits nothing."""
+        """Return whether it limits nothing."""
         return not (self.max_lateral_mps2 or self.max_jerk_mps3)
 
 
@@ -78,10 +78,10 @@ def read_limits(params) -> SteeringLimits:
 
 
 def too_tight_reason(asked_m: float, slow_m: float, driven_m: float, speed_mps: float) -> str:
-    """Return why a turn can't be done as it is asked for; empty: it can, or nearly.
+    """Return why the wheels can't do a requested turn; empty: they can, or nearly.
 
     Args:
-        asked_m: the radius, left positive.
+        asked_m: the requested radius, left positive.
         slow_m, driven_m: the tightest one to that side, driven slowly and at this speed.
         speed_mps: the car's speed.
     """
@@ -99,16 +99,16 @@ TOO_TIGHT_REMEDY = ("See that the planner sends rad or rad/s and not degrees, by
 
 
 class Turn(NamedTuple):
-    """What a request to turn is granted."""
+    """The granted part of a request to turn."""
 
-    curvature_per_m: float  # the one that was asked for, bit for bit, where nothing limits it
+    curvature_per_m: float  # exactly the requested one, where nothing limits it
     cause: str = ""  # one of car_interface.common.causes; empty: nothing limits it
     reason: str = ""
-    max_speed_mps: float = 0.0  # up to which what was asked for keeps within the limit; inf: straight on; 0 = no limit
+    max_speed_mps: float = 0.0  # the highest at which the request is within the limit; inf: straight on; 0 = no limit
 
     @property
     def is_cut(self) -> bool:
-        """Whether something else is granted than was asked for."""
+        """Return whether the granted curvature differs from the request."""
         return self.cause in causes.STEERING_CUTS
 
 
@@ -131,18 +131,18 @@ class SteeringLimiter:
         self._credit_mps2 = 0.0  # by which the lateral acceleration may rise at once
 
     def release(self, curvature_per_m: float, now_ns: int) -> None:
-        """Nobody steers, or somebody without limits: the car turns by this curvature."""
+        """Take the present curvature while nobody steers, or a source without limits does."""
         self._granted_per_m, self._granted_ns, self._is_cut = curvature_per_m, now_ns, False
         self._credit_mps2 = math.inf
 
     def limit(self, curvature_per_m: float, limits: SourceLimits, now_ns: int, too_tight: str = "") -> Turn:
-        """What a source that asks for this curvature (1/m, left positive) is granted.
+        """Return the turn that is granted to a source that asks for this curvature (1/m, left positive).
 
         Args:
             curvature_per_m: no more than the wheels can do.
-            limits: those of the source.
+            limits: of the source.
             now_ns: the time.
-            too_tight: why more was asked for than they can do, by ``too_tight_reason``; empty: it wasn't.
+            too_tight: why the request was more than the wheels can do, by ``too_tight_reason``; empty: it wasn't.
         """
         was_cut, turn = self._is_cut, self._by_speed(curvature_per_m, limits, now_ns)
         if too_tight:
@@ -155,11 +155,11 @@ class SteeringLimiter:
         return turn
 
     def too_tight_lately(self, now_ns: int) -> str:
-        """Why a request was more than the wheels can do, until TOO_TIGHT_FOR_NS after the last; empty: none was."""
+        """Return why a request was more than the wheels can do, until TOO_TIGHT_FOR_NS after it; empty: none was."""
         return self._too_tight if now_ns - self._too_tight_ns <= TOO_TIGHT_FOR_NS else ""
 
     def _by_speed(self, curvature_per_m, limits, now_ns):
-        """The turn by the limits that hold for the measured speed."""
+        """Return the turn by the limits for the measured speed."""
         if not self.speed.was_received:
             self.release(curvature_per_m, now_ns)
             return Turn(curvature_per_m, causes.LIMITS_OFF, "odom was never heard: nothing limits the steering")
@@ -168,7 +168,7 @@ class SteeringLimiter:
         return turn
 
     def _bounded(self, curvature_per_m, limits, now_ns):
-        """The turn by the limit of the lateral acceleration."""
+        """Return the turn by the limit of the lateral acceleration."""
         limit_mps2, magnitude = limits.max_lateral_mps2, abs(curvature_per_m)
         if not limit_mps2:
             return Turn(curvature_per_m)
@@ -185,7 +185,7 @@ class SteeringLimiter:
                     reason + self._lost(now_ns), max_speed_mps)
 
     def _held(self, turn, limits, now_ns):
-        """The turn by the limit of the jerk."""
+        """Return the turn by the limit of the jerk."""
         jerk_mps3 = limits.max_jerk_mps3
         if not jerk_mps3:
             return turn

@@ -1,9 +1,9 @@
-"""Whether the car turns as commanded: finds a wrong calibration, a reversed servo, a bent linkage.
+"""Checks whether the car turns as commanded: finds a wrong calibration, a reversed servo, a bent linkage.
 
-Consumes the commanded turn radius (by the steering's calibration) and speed and yaw rate by the wheels, each as it
+Consumes the commanded turn radius (by the steering's calibration), and speed and yaw rate by odometry, each as it
 arrives; answers with a ``Judgement``.
 
-It compares curvatures, 1 / radius, left positive, which are defined for straight ahead, too. Yaw rate = speed ×
+It compares curvatures, 1 / radius, left positive, which are also defined for straight ahead. Yaw rate = speed ×
 curvature, forward and in reverse. Pure: ``now_ns`` (monotonic) is passed in.
 """
 from __future__ import annotations
@@ -17,7 +17,7 @@ from car_interface.common.errors import ConfigError
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
 
-SLICE_NS = NS_PER_S // 10  # the resolution of the history
+SLICE_NS = NS_PER_S // 10  # the resolution of the history: five reports of odometry at 50 Hz
 ESTIMATE_S = 0.5  # the window of the reported radius
 SPEED_HYSTERESIS = 0.8  # judging stops below this ratio of min_speed
 WARNING_HYSTERESIS = 0.8  # a warning ends when the error is below this ratio of the tolerance
@@ -28,20 +28,20 @@ LEFT, RIGHT, STRAIGHT = "left", "right", "straight on"
 
 @dataclass(frozen=True)
 class SteeringCheckConfig:
-    """When the steering is judged, and with which tolerance.
+    """Conditions and tolerances of the judgement.
 
     Attributes:
         min_speed_mps: below it nothing is judged.
         off_ratio: tolerance of the driven radius, as a ratio of the commanded one.
         off_for_s: how long the radius must be out of tolerance, at speed, for a warning.
         wrong_side_for_s: how long the car must turn to the other side for a warning.
-        straight_m: a turn wider than this counts as straight ahead.
+        straight_m: a turn wider than this is taken for straight ahead.
         grip_mps2: above this commanded lateral acceleration tyres may slide, and nothing is judged.
         settling_s: how long the servo may take after a change of command.
         timeout_s: command or motion older than this are stale, and the history is discarded.
 
     Raises:
-        ConfigError: one of them isn't a number above 0, or the ratio isn't below 1.
+        ConfigError: a value isn't a number above 0, or the ratio isn't below 1.
     """
 
     min_speed_mps: float = 0.5
@@ -84,7 +84,7 @@ class SteeringCheck:
 
     The mean of the last ``off_for_s``, all of it at speed, is compared with the range of commands in that time and in
     the ``settling_s`` before it: each curvature in that range is accepted. So a command that changes often has a larger
-    tolerance, and one that changes sides isn't judged.
+    tolerance, and a command that changes sides isn't judged.
 
     Left, right and straight ahead have a warning each. It stays, also while the car stands, until the mean on that side
     is within tolerance again.
@@ -105,16 +105,16 @@ class SteeringCheck:
         self._begin_slice(None)
 
     def update_command(self, radius_m: float, now_ns: int) -> None:
-        """The commanded radius by the calibration: inf = straight ahead, NaN = unknown."""
+        """Take the commanded radius by the calibration: inf = straight ahead, NaN = unknown."""
         self._command.update(1 / radius_m if radius_m else math.nan, now_ns)
         self._extend_command_range(now_ns)
 
     def mark_stale(self) -> None:
-        """Messages were dropped before they got here: the command is stale."""
-        self._command.mark_stale()
+        """Take note that messages were dropped before they got here: the motion is stale until the next one."""
+        self._motion.mark_stale()
 
     def update_motion(self, speed_mps: float, yaw_rate_radps: float, now_ns: int) -> None:
-        """Speed and yaw rate by the wheels, backward and right negative; the values before held until now."""
+        """Take speed and yaw rate by odometry, backward and right negative; the last values were valid until now."""
         before, was_stale = self._motion.value, self._motion.is_stale(now_ns)
         elapsed_ns = 0 if was_stale else round(self._motion.age_s(now_ns) * NS_PER_S)
         self._motion.update((speed_mps, yaw_rate_radps), now_ns)
@@ -134,7 +134,7 @@ class SteeringCheck:
             self._end_slice(now_ns)
 
     def judge(self, now_ns: int) -> Judgement:
-        """Commanded and driven radius at ``now_ns``, and the warnings."""
+        """Return commanded and driven radius at ``now_ns``, and the warnings."""
         commanded_per_m = math.nan if self._command.is_stale(now_ns) else self._command.value
         estimated_per_m = math.nan
         if not self._motion.is_stale(now_ns):
@@ -176,7 +176,7 @@ class SteeringCheck:
             self._warnings.pop(side, None)
 
     def _driven(self, window_ns, settling_ns=0):
-        """The newest slices of a window as one, with the commands since ``settling_ns`` earlier; ``None``: too few."""
+        """Return a window's newest slices as one, with commands since ``settling_ns`` earlier; ``None``: too few."""
         duration_ns, distance_m, yaw_rad = 0, 0.0, 0.0
         min_per_m, max_per_m = math.inf, -math.inf
         for slice_ in reversed(self._slices):
@@ -191,7 +191,7 @@ class SteeringCheck:
         return None
 
     def _side(self, driven):
-        """The commanded side; ``None``: unknown, or not one side."""
+        """Return the commanded side; ``None``: unknown, or not one side."""
         if driven is None:
             return None
         if driven.min_per_m > self._straight_per_m:
@@ -209,7 +209,7 @@ class SteeringCheck:
         return other_side * driven.yaw_rad / driven.distance_m > self._straight_per_m + _sigma_per_m(driven)
 
     def _is_within(self, driven, strictness):
-        """Whether the driven curvature is within tolerance of the range of commands."""
+        """Return whether the driven curvature is within tolerance of the range of commands."""
         low, high, curvature = driven.min_per_m, driven.max_per_m, driven.yaw_rad / driven.distance_m
         if high < -self._straight_per_m:
             low, high, curvature = -high, -low, -curvature
@@ -217,7 +217,7 @@ class SteeringCheck:
         margin_per_m = (self._straight_per_m + sigma_per_m) * strictness
         lower, upper = min(low, 0.0) - margin_per_m, max(high, 0.0) + margin_per_m
         if low > self._straight_per_m:
-            # A radius larger by a ratio r is a curvature smaller by a factor 1 + r, and vice versa.
+            # A radius that is larger by a ratio r is a curvature that is smaller by a factor 1 + r, and vice versa.
             wider = min(low / (1 + ratio), low - sigma_per_m)
             lower = wider if wider > self._straight_per_m else -margin_per_m  # any straight course is accepted
             upper = max(high / (1 - ratio), high + sigma_per_m)
@@ -233,7 +233,7 @@ class SteeringCheck:
 
 
 def _sigma_per_m(driven):
-    """Uncertainty of a curvature by the wheels; it falls with the distance."""
+    """Return the uncertainty of a curvature by the wheels; it falls with the distance."""
     return HEADING_SIGMA_RAD / abs(driven.distance_m)
 
 
@@ -242,6 +242,6 @@ def _radius_m(curvature_per_m):
 
 
 def _curvature_text(curvature_per_m):
-    """A curvature as text: ``left, 2.0 m``."""
+    """Return a curvature as text: ``left, 2.0 m``."""
     radius_m = _radius_m(curvature_per_m)
     return STRAIGHT if abs(radius_m) >= 1000 else f"{LEFT if radius_m > 0 else RIGHT}, {abs(radius_m):.1f} m"

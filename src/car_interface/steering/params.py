@@ -4,7 +4,7 @@ from __future__ import annotations
 from car_interface.common.errors import ConfigError
 from car_interface.common.live_parameters import read_tuning
 from car_interface.common.params import Params
-from car_interface.common.servo_channels import CHANNELS, MAX_DUTY
+from car_interface.common.units import CHANNELS, MAX_DUTY
 from car_interface.common.yaml_file import load_yaml
 from car_interface.interlock.motion_interlock import read_interlock
 from car_interface.steering.arbiter import ArbiterConfig

@@ -1,11 +1,11 @@
-"""A gamepad's axes and buttons → steering and throttle requests, and whether a human holds a deadman.
+"""Converts a gamepad's axes and buttons to steering and throttle requests, and to whether a human holds a deadman.
 
 The deadman is a level, not a toggle: releasing it acts at once, and so does a gamepad that is stale or that sends fewer
-axes or buttons than configured. After such a fault, and after the start, all deadmen must be released before one
-counts: a car must not set off when a radio link recovers, or when a node is restarted.
+axes or buttons than configured. After such a fault, and after the start, all deadmen must be released before one is
+obeyed: a car must not set off when a radio link recovers or a node is restarted.
 
-The human goes first: a stick that is moved beyond a dead band has its actuator, also under a deadman that gives that to
-the planner (``teleop.stick``).
+The human goes first: a stick that is moved beyond a dead band controls its actuator, also under a deadman that gives
+the actuator to the planner (``teleop.stick``).
 """
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Sequence
 
 from car_interface.common import causes
-from car_interface.common.drive_modes import HUMAN_DRIVES, HUMAN_STEERING, HUMAN_STEERS, HUMAN_THROTTLE, MANUAL, MODES
+from car_interface.common.causes import HUMAN_DRIVES, HUMAN_STEERING, HUMAN_STEERS, HUMAN_THROTTLE, MANUAL, MODES
 from car_interface.common.errors import ConfigError
 from car_interface.common.staleness import DROPPED, TimedInput
 from car_interface.common.units import NS_PER_S
@@ -25,8 +25,8 @@ REARM_TEXT = "let go of the deadman, then hold it again"
 MAX_INDEX = 63  # of an axis or a button
 NONE = -1  # as an index: the gamepad has no such axis or button
 REPORT = "gamepad"  # teleop_logi's on /diagnostics
-# What to do about a gamepad that doesn't work. The switch is that of Logitech's F310 and F710, whose X mode has 8 axes
-# and 11 buttons, and whose D mode has 6 and 12, with the cross in the place of the right stick.
+# Remedies for a gamepad that doesn't work. Logitech's F310 and F710 have a switch: in X mode they have 8 axes and 11
+# buttons; in D mode 6 and 12, with the cross in the place of the right stick.
 MODE_REMEDY = ("Is the gamepad in another mode? A Logitech F710 or F310 needs its switch at X for the shipped indices. "
                "For another gamepad set teleop_logi's indices: rostopic echo {joy}")
 D_MODE_AXES, D_MODE_BUTTONS, D_MODE_CROSS = 6, 12, (4, 5)
@@ -40,15 +40,16 @@ REMEDIES = {
     causes.NOT_AT_REST: REST_REMEDY + MODE_REMEDY,
     causes.JOY_NOT_FINITE: "See what sends it: rostopic info {joy}; rostopic echo {joy}",
 }
-# Distance from neutral of the request of a stick at rest: in deadbands, and its minimum. A servo doesn't resolve it.
+# A stick that steers straight on requests at least this distance from neutral: in deadbands, and its minimum. A servo
+# doesn't resolve it: 0.002 of 1300 duty are 0.8 µs.
 REST_DEADBANDS, MIN_REST = 2, 0.002
-# A cross gives -1, 0 and 1 only, but for rounding: a value in between is a stick's.
+# A cross gives -1, 0 and 1 only, but for rounding; any value in between comes from a stick.
 CROSS_TOLERANCE = 0.01
-# When a planner's deadman is pressed throttle_arb may not know of it yet: mode is a topic of its own, and says manual
-# while no deadman is held. A second pull would be reverse then. So for this long, its default mode_timeout and as much
-# for the message, a pull that follows another begins with a stop (NaN), which is in order with the pulls themselves.
+# When a planner's deadman is pressed, throttle_arb may not know it yet: mode is a topic of its own, and reads manual
+# while no deadman is held. A second pull would then be reverse. So for this long (throttle_arb's default mode_timeout
+# of 0.5 s, and as much for the message) a pull that follows another begins with a stop (NaN), on the pulls' own topic.
 MODE_SETTLES_NS = round(1.0 * NS_PER_S)
-# Seven messages, of which a stall may cost five or six. No more: it keeps a brake waiting where a stop doesn't brake.
+# Seven messages, of which a stall may cost five or six. No more: where a stop doesn't brake, the brake has to wait.
 STOP_NS = round(0.15 * NS_PER_S)
 PULL_BEGINS = 0.02  # the least that esc/dead_band_reverse can be
 
@@ -63,7 +64,7 @@ class GamepadConfig:
         manual_button: deadman: the human steers.
         autonomous_button: deadman: the planner steers while a human watches.
         third_button: deadman of ``third_mode``; ``NONE`` = there is none.
-        third_mode: HUMAN_THROTTLE or HUMAN_STEERING of ``common.drive_modes``.
+        third_mode: HUMAN_THROTTLE or HUMAN_STEERING of ``common.causes``.
         faster_button, slower_button: change the scale of driving by hand; ``NONE`` = there is none. A gamepad that
             lacks one of them does without.
         override_deadband: a stick beyond it overrides the planner. An axis at rest is within.
@@ -121,44 +122,39 @@ def read_gamepad(params) -> GamepadConfig:
 
 
 class Requests(NamedTuple):
-    """What the gamepad requests."""
+    """The requests of a gamepad."""
 
     human_in_loop: bool
     steering: float  # −1 right .. +1 left
-    throttle: float  # −1 .. +1; NaN: stop; the human drives, and the gamepad has no axis for it that counts
+    throttle: float  # −1 .. +1; NaN: stop, as the human drives and no axis for it is trusted
     cause: str  # one of car_interface.common.causes
     reason: str
-    steering_stick: str = ""  # OVERRIDE, OFF_CENTER or NOT_AT_REST of causes; empty: what the mode says
+    steering_stick: str = ""  # OVERRIDE, OFF_CENTER or NOT_AT_REST of causes; empty: as the mode has it
     throttle_stick: str = ""
 
     @property
     def mode(self) -> str:
-        """Who steers and who drives: one of ``common.drive_modes``. Without a deadman the human's."""
+        """Return who steers and who drives: one of ``causes.MODES``; MANUAL without a deadman."""
         return self.cause if self.cause in MODES else MANUAL
 
     @property
     def kind(self) -> tuple:
-        """All but numbers: what is published at once, and logged, when it changes."""
+        """All but the numbers; a change of it is published at once, and logged."""
         return self.cause, self.steering_stick, self.throttle_stick
 
     @property
     def differs_by(self) -> tuple:
-        """The same, and whether the throttle is a stop."""
+        """The kind, and whether the throttle is a stop."""
         return (*self.kind, math.isnan(self.throttle))
 
     @property
     def stick_cause(self) -> str:
-        """NOT_AT_REST if an axis doesn't count, else empty."""
+        """NOT_AT_REST if an axis isn't trusted, else empty."""
         return causes.NOT_AT_REST if causes.NOT_AT_REST in (self.steering_stick, self.throttle_stick) else ""
-
-    @property
-    def must_rearm(self) -> bool:
-        """Whether a deadman is held that doesn't count until it was released."""
-        return self.cause == causes.NOT_REARMED
 
 
 def remedy(cause: str, topic: str) -> str:
-    """What to do about a cause; empty when there is nothing to do, or the reason says it.
+    """Return the remedy of a cause; empty when there is nothing to do, or the reason names it.
 
     Args:
         cause: one of ``common.causes``.
@@ -185,7 +181,7 @@ class Gamepad:
         self._stops_until_ns = -math.inf
 
     def update(self, axes: Sequence[float], buttons: Sequence[int], now_ns: int) -> None:
-        """A message: axes −1..1, buttons 0 or 1."""
+        """Take a message: axes −1..1, buttons 0 or 1."""
         was_stale = self._joy.was_received and self._joy.is_stale(now_ns)
         if was_stale:
             self._rearm_reason = DROPPED if self._joy.is_marked_stale else "the gamepad was silent"
@@ -202,11 +198,11 @@ class Gamepad:
             self._joy.update(broken, now_ns)
 
     def mark_stale(self) -> None:
-        """Messages were dropped before they got here: no deadman counts until all were released."""
+        """Take note that messages were dropped: no deadman is obeyed until all were released."""
         self._joy.mark_stale()
 
     def requests(self, now_ns: int) -> Requests:
-        """The requests at ``now_ns``."""
+        """Return the requests at ``now_ns``."""
         if self._joy.is_stale(now_ns):
             cause = causes.JOY_STALE if self._joy.was_received else causes.JOY_NEVER_RECEIVED
             return self._released(cause, self._joy.stale_reason(now_ns))
@@ -218,11 +214,11 @@ class Gamepad:
         return requests
 
     def scale_button(self, now_ns: int) -> int:
-        """1 or −1 while the button for more or less speed by hand is pressed; 0: neither is, or both are."""
+        """Return 1 or −1 while the button for more or less speed by hand is pressed; 0: neither is, or both are."""
         return 0 if self._joy.is_stale(now_ns) else self._scale_button
 
     def joy_age_s(self, now_ns: int) -> float:
-        """Seconds since the last message; inf = never received."""
+        """Return the seconds since the last message; inf = never received."""
         return self._joy.age_s(now_ns)
 
     def _released(self, cause, reason):
@@ -231,7 +227,7 @@ class Gamepad:
     # --- a message ---
 
     def _broken(self, axes):
-        """The requests of a message that can't be read, or ``None``."""
+        """Return the requests where the message can't be used, else ``None``."""
         config = self._config
         missing = missing_index(config, self.axes, self.buttons)
         if missing is not None:
@@ -247,7 +243,7 @@ class Gamepad:
         return None
 
     def _read(self, axes, buttons, now_ns):
-        """Requests without the sticks, which change with time, too."""
+        """Return the requests without the sticks, which also change with time."""
         mode = self._held_mode(buttons)
         if not mode:
             self._rearm_reason = ""
@@ -261,7 +257,7 @@ class Gamepad:
         return Requests(True, self._config.steer_neutral, 0.0, mode, f"{mode} deadman held")
 
     def _held_mode(self, buttons):
-        """The mode of the deadman that is held; empty: none is. Of several the one in which the human does more."""
+        """Return the mode of the held deadman; empty: none. Of several, the one in which the human does more."""
         config = self._config
         if buttons[config.manual_button]:
             return causes.MANUAL
@@ -293,11 +289,11 @@ class Gamepad:
                          not self._is_cross(index), now_ns)
 
     def _is_cross(self, index):
-        """Whether an axis is where a Logitech gamepad in D mode has its cross, and moved as that does."""
+        """Return whether an axis is where a Logitech gamepad in D mode has its cross, and moved like a cross."""
         return is_d_mode_cross(index, self.axes, self.buttons) and index not in self._moved_between
 
     def _look_for_pulls(self, now_ns):
-        """Have a pull begin with a stop where throttle_arb may count it as the second one under a human's deadman."""
+        """Have a pull begin with a stop where throttle_arb may take it for the second one under a human's deadman."""
         stick, is_planners = self._throttle, bool(self._mode) and self._mode not in HUMAN_DRIVES
         if not is_planners:
             self._human_ns = now_ns
@@ -336,16 +332,16 @@ class Gamepad:
         return self._with_sticks(Requests(True, steering, throttle, mode, reason), now_ns)
 
     def _overriding_throttle(self, now_ns):
-        """The throttle under a planner's deadman; 0: it is the planner's, or the stick came back.
+        """Return the throttle under a planner's deadman; 0: the planner drives, or the stick came back.
 
-        throttle_arb's dead band is smaller, and it counts the half second until the planner drives again, too: a stick
-        that rests between both has it count from when it came back.
+        throttle_arb has a smaller dead band, and its own half second until the planner drives again: with 0 for a stick
+        that rests between the two dead bands, that time starts when the stick came back.
         """
         stick = self._throttle
         return stick.override() if stick.is_out and stick.overrides(now_ns) else 0.0
 
     def _with_sticks(self, requests, now_ns):
-        """The requests with what becomes of each stick."""
+        """Return the requests with the cause of each stick."""
         config = self._config
         steering, steering_note = self._stick(self._steering, "steer_axis", config.steer_axis, "steering", now_ns)
         throttle, throttle_note = "", ""
@@ -356,7 +352,7 @@ class Gamepad:
         return requests._replace(reason=reason, steering_stick=steering, throttle_stick=throttle)
 
     def _stick(self, stick, parameter, index, name, now_ns):
-        """Cause and words for one stick; both empty: it does what the mode says."""
+        """Return cause and words for one stick; both empty: the mode decides alone."""
         value, overrides = stick.deflection, stick.overrides(now_ns)
         if not stick.counts:
             why = (f"is where a gamepad with {self.axes} axes and {self.buttons} buttons has its cross"
@@ -371,7 +367,7 @@ class Gamepad:
         return "", ""
 
     def _steered(self, steering):
-        """The request of a stick that steers, never neutral: a neutral one would let the planner steer."""
+        """Return the request of a stick that steers. It is never neutral: a neutral one would let the planner steer."""
         neutral, rest = self._config.steer_neutral, max(REST_DEADBANDS * self._config.steer_deadband, MIN_REST)
         if abs(steering - neutral) >= rest:
             return steering
@@ -379,12 +375,12 @@ class Gamepad:
 
 
 def is_d_mode_cross(index: int, axes: int, buttons: int) -> bool:
-    """Whether an axis is where a Logitech gamepad in D mode has its cross, by how many axes and buttons there are."""
+    """Return whether an axis is where a Logitech gamepad in D mode has its cross, by the counts of axes and buttons."""
     return (axes, buttons) == (D_MODE_AXES, D_MODE_BUTTONS) and index in D_MODE_CROSS
 
 
 def missing_index(config: GamepadConfig, axes: int, buttons: int) -> tuple[str, str] | None:
-    """The first configured axis or button that a message with so many of them lacks: parameter and reason."""
+    """Return parameter and reason of the first configured axis or button that a message of this size lacks."""
     for name, index, count, singular, plural in (
             ("steer_axis", config.steer_axis, axes, "axis", "axes"),
             ("throttle_axis", config.throttle_axis, axes, "axis", "axes"),

@@ -1,4 +1,4 @@
-"""The Linux joystick interface (/dev/input/js*): bytes in, the state of a gamepad's axes and buttons out.
+"""Reads the Linux joystick interface (/dev/input/js*): bytes in, the state of a gamepad's axes and buttons out.
 
 Sources: Linux, Documentation/input/joydev/joystick-api.rst and include/uapi/linux/joystick.h, for the events; the ROS
 package joy, for scale, sign, dead zone and pacing of the messages.
@@ -16,11 +16,11 @@ from car_interface.common.units import NS_PER_S
 EVENT = struct.Struct("=IhBB")
 BUTTON, AXIS, INIT = 0x01, 0x02, 0x80  # INIT is added to the others' bits: the state when the device was opened
 MAX_VALUE = 32767  # of an axis, to either side
-MAX_INPUTS = 64  # axes or buttons; no gamepad has more, and a message must not grow by a number that is wrong
+MAX_INPUTS = 64  # axes or buttons: no gamepad has more, and a corrupt number must not make a message long
 
 
 class Change(NamedTuple):
-    """One change of the gamepad's state: the state after it, and whether it must be published at once."""
+    """The gamepad's state after a change, and whether it must be published at once."""
 
     axes: tuple[float, ...]
     buttons: tuple[int, ...]
@@ -31,7 +31,7 @@ class Joystick:
     """The state of a gamepad.
 
     Args:
-        deadzone: so far from its middle an axis is 0, 0 to less than 1; beyond it the axis rises from 0.
+        deadzone: within this distance of its middle an axis is 0, 0 to less than 1; beyond it the axis rises from 0.
 
     Attributes:
         axes: −1..1; left and forward are positive, as in sensor_msgs/Joy of the package joy.
@@ -49,7 +49,7 @@ class Joystick:
         self._rest = b""  # the beginning of an event
 
     def receive(self, data: bytes) -> list[Change]:
-        """What the bytes that were read from the device change, in order; an event may be split over two reads."""
+        """Return the changes by bytes that were read, in order; an event may be split over two reads."""
         data = self._rest + data
         whole = len(data) - len(data) % EVENT.size
         self._rest = data[whole:]
@@ -67,17 +67,17 @@ class Joystick:
         return changes
 
     def _scaled(self, value):
-        """The kernel's axes are negative to the left and forward."""
+        """Return an axis's value; the kernel's are negative to the left and forward."""
         ratio = min(abs(value) / MAX_VALUE, 1.0)
         beyond = max(0.0, ratio - self._deadzone) / (1.0 - self._deadzone)
         return math.copysign(beyond, -value) if beyond else 0.0
 
 
 class Pacing:
-    """When the gamepad's state is published: a button at once, axes together after a moment, the same state again.
+    """Decides when the state is published: a button at once, axes together after a moment, the same state repeatedly.
 
     Args:
-        coalesce_s: an axis waits so long for others.
+        coalesce_s: an axis waits this long for others.
         autorepeat_hz: the state is published this often without a change; 0 = never.
     """
 
@@ -87,15 +87,15 @@ class Pacing:
         self.due_ns = math.inf  # of the next message; inf = there is nothing to publish
 
     def changed(self, now_ns: int) -> None:
-        """A change that isn't urgent."""
+        """Take note of a change that isn't urgent."""
         self.due_ns = min(self.due_ns, now_ns + self._coalesce_ns)
 
     def published(self, now_ns: int) -> None:
-        """The state was published."""
+        """Take note that the state was published."""
         self.due_ns = now_ns + self._repeat_ns
 
     def stop(self) -> None:
-        """The device is gone: its last state must not be repeated."""
+        """Stop repeating the last state: the device is gone."""
         self.due_ns = math.inf
 
 

@@ -1,8 +1,8 @@
-"""Keys → steering, throttle and deadmen. Pure: characters of a terminal and presses of a keyboard in, with ``now_ns``.
+"""Converts keys to steering, throttle and deadmen. Pure: a terminal's characters, a keyboard's presses, ``now_ns``.
 
-A terminal says which key is pressed, and repeats the newest one, but not when a key is released. A keyboard's own
-events say that, but not whether they are meant for this program. So a key counts from its character on, until the
-keyboard reports its release. Without such events it may count for HOLD_NS after its newest character.
+A terminal sends which key is pressed, and repeats the newest one, but never a release. A keyboard's own events have the
+release, but may be meant for another program. So a key is held from its character on, until the keyboard reports its
+release. Without such events it may be held for HOLD_NS after its newest character.
 """
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SLOWLY_PER_S, SLOWLY_FROM = 0.07, 0.05
 
 
 def help_text(has_releases: bool) -> str:
-    """What the keys do, for the start of a program."""
+    """Return a text with what the keys do, for the start of a program."""
     hold = "hold M" if has_releases else ("press M, then hold another key: this terminal doesn't say when a key\n"
                                          f"is released, so each counts for {HOLD_NS / NS_PER_S:g} s")
     return ("M        deadman: you drive\n"
@@ -43,13 +43,13 @@ def help_text(has_releases: bool) -> str:
 
 
 class KeyReader:
-    """Finds keys in what a terminal sends, whose escape sequences may be cut anywhere."""
+    """Finds keys in the text of a terminal, whose escape sequences may be cut anywhere."""
 
     def __init__(self):
         self._rest = ""
 
     def feed(self, text: str) -> list[str]:
-        """The keys that ``text`` completes, in order; characters that mean nothing are left out."""
+        """Return the keys that ``text`` completes, in order, without characters that mean nothing."""
         text = self._rest + text
         cut = CUT_SEQUENCE.search(text)
         self._rest = cut.group(0) if cut else ""
@@ -61,7 +61,7 @@ class KeyReader:
 
 
 class Controls(NamedTuple):
-    """What the held keys ask for."""
+    """The requests of the held keys."""
 
     steering: float = 0.0  # −1 right .. +1 left
     throttle: float = 0.0  # −1 .. +1
@@ -74,7 +74,7 @@ class Keyboard:
     """The keys that are held.
 
     Args:
-        counts_without_release: a key whose release nothing reports counts for HOLD_NS after each of its characters.
+        counts_without_release: a key whose release nothing reports is held for HOLD_NS after each of its characters.
     """
 
     def __init__(self, counts_without_release: bool):
@@ -87,17 +87,17 @@ class Keyboard:
         self._steered_ns: int | None = None  # when ``controls`` was last called
 
     def press(self, code: int, now_ns: int) -> None:
-        """The keyboard reports a press. It counts once its character was typed."""
+        """Take a press by the keyboard. The key is held once its character was typed."""
         self._down[code] = now_ns
 
     def release(self, code: int, now_ns: int) -> None:
-        """The keyboard reports a release."""
+        """Take a release by the keyboard."""
         if self._down.pop(code, None) is not None:
             self._released_ns = now_ns
         self._codes = {key: held for key, held in self._codes.items() if held != code}
 
     def type(self, key: str, now_ns: int) -> bool:
-        """The terminal sends a key, at first or repeated; whether it counts."""
+        """Take a key from the terminal, at first or repeated; return whether it is obeyed."""
         if key == RELEASE:
             self.release_all()
             return True
@@ -109,24 +109,24 @@ class Keyboard:
             self._codes[key] = max(pressed)[1]
             self._typed_ns.pop(key, None)
             return True
-        if now_ns - self._released_ns <= PAIR_NS:  # a character of a key that was released meanwhile
+        if now_ns - self._released_ns <= PAIR_NS:  # its key was released before the character came
             return True
         if self._counts_without_release:
-            # Only the newest key repeats: those of the deadman end when another one is held.
+            # Only the newest key repeats: the deadman's characters end when another key is held.
             held = self._held(now_ns)
             self._typed_ns.update({held_key: now_ns for held_key in (MANUAL, AUTONOMOUS) if held_key in held})
             self._typed_ns[key] = now_ns
         return self._counts_without_release
 
     def release_all(self) -> None:
-        """Nothing is held until it is pressed anew."""
+        """Release all keys until they are pressed again."""
         self._down.clear()
         self._codes.clear()
         self._typed_ns.clear()
         self._steering = self._slowly = 0.0
 
     def controls(self, now_ns: int) -> Controls:
-        """What the held keys ask for, nothing without a deadman. Steering and slow pushes move on from call to call."""
+        """Return the requests; none without a deadman. Steering and slow pushes move on from call to call."""
         held = self._held(now_ns)
         elapsed_s = 0.0 if self._steered_ns is None else (now_ns - self._steered_ns) / NS_PER_S
         step = STEERING_PER_S * elapsed_s

@@ -1,18 +1,18 @@
-"""Which changes of the gamepad's requests deserve a line in the log."""
+"""Selects the changes of the gamepad's requests that get a line in the log."""
 from __future__ import annotations
 
 from car_interface.common.units import NS_PER_S
 from car_interface.teleop.gamepad import Requests
 
-PERIOD_NS = 10 * NS_PER_S
+PERIOD_NS = 10 * NS_PER_S  # as all warnings of this package
 
 
 class RequestsLogFilter:
-    """Finds changes of the cause, and of what becomes of the sticks.
+    """Finds changes of the cause, and of the causes of the sticks.
 
-    Where a human comes or goes, or is there, each is new. Changes among the causes without a human are new at most once
-    in 10 s each: a gamepad at the edge of its range comes and goes several times a second. The one that lasts becomes
-    new in the end.
+    Each change is new where a human comes, goes or is there. Without a human each cause is new at most once in 10 s,
+    since a gamepad at the edge of its range comes and goes several times a second. A cause that lasts becomes new in
+    the end.
     """
 
     def __init__(self):
@@ -20,7 +20,7 @@ class RequestsLogFilter:
         self._next_ns: dict[tuple, int] = {}  # by kind
 
     def is_new(self, requests: Requests, now_ns: int) -> bool:
-        """Whether to log ``requests`` at ``now_ns``; if so, the next ones are compared with them."""
+        """Return whether to log ``requests`` at ``now_ns``; if so, the next ones are compared with them."""
         logged = self._logged
         if logged is not None and logged.kind == requests.kind:
             return False

@@ -1,33 +1,33 @@
-"""One stick of the gamepad: whether its axis counts, and whether the human overrides the planner by it.
+"""Follows one stick of the gamepad: whether its axis is trusted, and whether the human overrides the planner by it.
 
 Pure: deflections from the center in, each with its arrival. A deflection is −1..1, 0 at the center; a pull is negative.
 """
 from __future__ import annotations
 
-from car_interface.common.drive_modes import OVERRIDE_HOLD_S
+from car_interface.common.causes import OVERRIDE_HOLD_S
 from car_interface.common.units import NS_PER_S
 
 HOLD_NS = round(OVERRIDE_HOLD_S * NS_PER_S)
-# An axis that was off its center when it was first seen counts once it was at the center for so long. A trigger rests
-# at an end: one that is pressed or let go within 1.5 s is within a dead band of 0.1 for less.
+# An axis that was off its center at first is trusted once it was at the center for this long. A trigger rests at an
+# end: if it is pressed or let go within 1.5 s, it is within a dead band of 0.1 for less.
 REST_NS = round(0.15 * NS_PER_S)
-# A stick is centered within this part of the dead band, or farther out where it stays within STILL: a worn one rests
-# there. A hand that holds a stick moves it by more.
+# A stick is centered within this part of the dead band, or farther out while it stays within STILL, as a worn stick may
+# rest there. A hand that holds a stick moves it by more.
 CENTER_RATIO, STILL = 0.5, 0.02
 
 
 class Stick:
-    """One stick's newest deflection, and what follows from those before.
+    """One stick's newest deflection, and what follows from the earlier ones.
 
     Args:
         deadband: of the override. A rest is within it, too.
-        brakes: a pull brakes, and counts where nothing else of the stick does.
+        brakes: a pull brakes, and is obeyed even where nothing else of the stick is.
 
     Attributes:
-        counts: the axis was seen at its rest.
+        counts: the axis is trusted, as it was seen at its rest.
         deflection: the newest.
-        is_off_center: it was that when a deadman that gives its actuator to the planner was pressed, and has not been
-            centered since.
+        is_off_center: it was off its center when a deadman that gives its actuator to the planner was pressed, and has
+            not been centered since.
     """
 
     def __init__(self, deadband: float, brakes: bool):
@@ -37,18 +37,18 @@ class Stick:
         self.distrust()
 
     def distrust(self) -> None:
-        """What was seen of the axis no longer holds: another gamepad may send it, or this one in another mode."""
+        """Forget that the axis was seen at rest: another gamepad may send it, or this one in another mode."""
         self.counts = self.is_off_center = self._is_active = self._was_out = self._is_planners = False
         self._rests_since_ns: int | None = None
         self._anchor, self._centered_since_ns = self.deflection, None
 
     def update(self, deflection: float, is_planners: bool, is_believable: bool, now_ns: int) -> None:
-        """A message's deflection.
+        """Take a message's deflection.
 
         Args:
             deflection: from the center.
             is_planners: a deadman that gives this actuator to the planner is held.
-            is_believable: nothing else says that the axis is no stick's.
+            is_believable: False = other signs show that the axis belongs to no stick.
             now_ns: its arrival.
         """
         self.deflection = deflection
@@ -67,20 +67,20 @@ class Stick:
 
     @property
     def is_pulled(self) -> bool:
-        """Whether it brakes, beyond the dead band."""
+        """Return whether it is pulled beyond the dead band, which brakes."""
         return self._brakes and self.deflection < -self._deadband
 
     @property
     def is_out(self) -> bool:
-        """Whether it is beyond the dead band."""
+        """Return whether it is beyond the dead band."""
         return abs(self.deflection) > self._deadband
 
     def overrides(self, now_ns: int) -> bool:
-        """Whether the human has the actuator by it, under a deadman that gives it to the planner."""
+        """Return whether the human controls the actuator by it, under a deadman that gives it to the planner."""
         return self._is_active and not self._has_returned(now_ns)
 
     def override(self) -> float:
-        """The deflection by which it overrides: 0 on the side that doesn't count."""
+        """The deflection by which it overrides: 0 on a side that isn't trusted."""
         return self.deflection if self.counts and not self.is_off_center else min(0.0, self.deflection)
 
     def _look_for_rest(self, is_out, is_believable, now_ns):

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple, Sequence
 
 from car_interface.common import causes
-from car_interface.common.drive_modes import HUMAN_DRIVES, MODES, OVERRIDE_HOLD_S
+from car_interface.common.causes import HUMAN_DRIVES, MODES, OVERRIDE_HOLD_S
 from car_interface.common.measured_speed import MAX_SPEED_MPS
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
@@ -168,7 +168,7 @@ class ThrottleArbiter:
             self._gave_ns = None
 
     def update_mode(self, mode: str, now_ns: int) -> None:
-        """Who steers and who drives while a deadman is held: one of ``common.drive_modes``."""
+        """Who steers and who drives while a deadman is held: one of ``common.causes``."""
         was_planners = self._is_planners
         self._mode.update(mode, now_ns)
         if was_planners or self._is_planners:

@@ -17,9 +17,8 @@ from dataclasses import dataclass
 from typing import NamedTuple, Sequence
 
 from car_interface.common import causes
-from car_interface.common.servo_channels import CHANNELS, MAX_DUTY, UNCHANGED
 from car_interface.common.staleness import TimedInput
-from car_interface.common.units import NS_PER_MS, NS_PER_S
+from car_interface.common.units import CHANNELS, MAX_DUTY, NS_PER_MS, NS_PER_S, UNCHANGED
 
 BOARD = "board/"  # namespace of pca9685's parameters, of which only the limits are read
 # Throttle ends so long after the board and turn_arb began to differ for good; it returns after they have agreed for so

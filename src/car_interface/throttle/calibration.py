@@ -10,7 +10,7 @@ from typing import Sequence
 
 from car_interface.common.errors import ConfigError
 from car_interface.common.lookup_table import LookupTable, round_half_away
-from car_interface.common.servo_channels import CHANNELS, MAX_DUTY
+from car_interface.common.units import CHANNELS, MAX_DUTY
 
 
 @dataclass(frozen=True)

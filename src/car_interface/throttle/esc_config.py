@@ -115,6 +115,11 @@ class EscConfig:
             raise ConfigError(NAMESPACE + "reverse_after_neutral", self.reverse_after_neutral_s,
                               f"0 (never), or at least esc/dwell {self.dwell_s}")
 
+    @property
+    def board_holds_pulls(self) -> bool:
+        """Whether the servo board holds a brake for as long as other pulses, since a gap would let it reverse."""
+        return self.profile == BRAKE_THEN_REVERSE and self.profile_measured
+
 
 def read_esc(params) -> EscConfig:
     """The configuration from the parameters ``esc/…``.

@@ -24,11 +24,11 @@ from car_interface.common import causes
 from car_interface.common.errors import ConfigError
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
+from car_interface.common.vehicle_geometry import SONARS
 from car_interface.throttle.echo_memory import EchoMemory
 from car_interface.throttle.limits import SpeedBound
 from car_interface.throttle.sonar_fan import Arc, Fan, Mount, Outline, cone_points
 
-NAMES = ("front_right", "front_middle", "front_left", "rear_right", "rear_middle", "rear_left")
 HUB = "sonar_hub/"  # the sensor hub's file, sonars.yaml, below the node
 SIDE_MARGIN_M = 0.05  # what the car passes by more closely is in its way
 MIN_STOP_MPS2 = 0.02  # a stop that is certain of less is none
@@ -79,13 +79,13 @@ def read_obstacle_stop(params, is_complete: bool = True) -> ObstacleConfig | Non
         actuation_s=params.number("obstacle/actuation_time", default.actuation_s, low=0.0, high=10.0),
         timeout_s=params.number("obstacle/sonar_timeout", default.timeout_s, above=0.0, high=10.0),
         creep_mps=params.number("obstacle/creep", default.creep_mps, low=0.0, high=1.0))
-    names = [params.text(f"obstacle/sonars/{name}", "used") for name in NAMES]
-    for name, use in zip(NAMES, names):
+    names = [params.text(f"obstacle/sonars/{name}", "used") for name in SONARS]
+    for name, use in zip(SONARS, names):
         if use not in ("used", "absent"):
             raise ConfigError(f"obstacle/sonars/{name}", use, "used or absent")
     if not is_on or not is_complete:
         return None
-    mounts = {name: _read_mount(params, name) for name, use in zip(NAMES, names) if use == "used"}
+    mounts = {name: _read_mount(params, name) for name, use in zip(SONARS, names) if use == "used"}
     return replace(config, mounts=mounts,
                    field_of_view_rad=params.number(HUB + "field_of_view", default.field_of_view_rad, above=0.0,
                                                    high=3.0),

@@ -1,4 +1,4 @@
-"""Stamps and orientations of rospy's messages and of rosbags', which name their fields differently."""
+"""Stamps and orientations of rospy's messages and of rosbags', which name their fields differently; duties."""
 from __future__ import annotations
 
 import math
@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface.common.units import NS_PER_MS, NS_PER_S, stamp_ns, yaw_rad
+from car_interface.common.units import NS_PER_MS, NS_PER_S, one_channel, stamp_ns, yaw_rad
 
 
 def test_stamp_of_rospy_and_of_rosbags_is_exact_nanoseconds():
@@ -25,3 +25,8 @@ def test_yaw_is_that_of_the_quaternion_whatever_pitch_and_roll(yaw, pitch, roll)
     quaternion = SimpleNamespace(x=sr * cp * cy - cr * sp * sy, y=cr * sp * cy + sr * cp * sy,
                                  z=cr * cp * sy - sr * sp * cy, w=cr * cp * cy + sr * sp * sy)
     assert yaw_rad(quaternion) == pytest.approx(yaw, abs=1e-9)
+
+
+def test_one_channel_sets_one_channel_of_sixteen_and_leaves_the_others_alone():
+    assert one_channel(0, 5100) == [5100] + [-1] * 15
+    assert one_channel(15, 0) == [-1] * 15 + [0]

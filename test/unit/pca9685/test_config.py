@@ -87,11 +87,12 @@ def test_pulls_of_an_esc_that_may_reverse_are_held_for_80_ms_on_the_side_where_t
     assert [each.pulls for each in config.channels] == [pulls if channel == 5 else 0 for channel in range(16)]
 
 
-def test_brake_of_an_esc_that_never_takes_a_held_pull_for_reverse_is_held_as_long_as_any_command():
+def test_first_pull_of_an_esc_that_is_known_to_brake_first_is_held_as_long_as_any_command():
     servo = {**ESC["esc"]["servo"], "duty_table": [3277, 4915, 6554]}
     for is_measured in (True, False):  # one that nobody has measured may be of another kind
         esc = {"profile": "brake_then_reverse", "profile_measured": is_measured}
-        assert any(each.pulls for each in read(esc={"servo": servo, "esc": esc}).channels) == (not is_measured)
+        channel = read(esc={"servo": servo, "esc": {**esc, "reverse_after_neutral": 1.5}}).channels[5]
+        assert (channel.pulls, channel.brakes_first, channel.forgets_ms) == (-1, is_measured, 1500)
 
 
 def test_settings_of_each_channel_are_its_own():

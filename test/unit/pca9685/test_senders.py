@@ -5,8 +5,7 @@ import pytest
 
 from car_interface.common import causes
 from car_interface.common.publishers import CommandTopic, FaultLog, Publisher
-from car_interface.common.servo_channels import CHANNELS, UNCHANGED
-from car_interface.common.units import NS_PER_S
+from car_interface.common.units import CHANNELS, NS_PER_S, UNCHANGED
 from car_interface.pca9685.channels import TimedOut
 from car_interface.pca9685.senders import ChannelSenders
 

@@ -11,10 +11,8 @@ import math
 import pytest
 
 from car_interface.common import causes
-from car_interface.planner.ackermann import from_ackermann
-from car_interface.planner.autoware import from_control
+from car_interface.planner.messages import ANGLE, RATE, from_ackermann, from_control, from_twist
 from car_interface.planner.request import PlannerRequest, Refusal, clamped_radius, radius_of_angle, sane_radius_m
-from car_interface.planner.twist import ANGLE, RATE, from_twist
 
 HALF, RIGHT_ANGLE = 0.4636476090008061, math.pi / 2
 INF, NAN = math.inf, math.nan

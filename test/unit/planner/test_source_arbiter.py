@@ -6,10 +6,9 @@ import math
 import pytest
 
 from car_interface.common import causes
-from car_interface.planner.ackermann import from_ackermann
+from car_interface.planner.messages import RATE, from_ackermann, from_twist
 from car_interface.planner.request import PlannerRequest, Refusal, sane_radius_m
 from car_interface.planner.source_arbiter import SPEED, SourceArbiter
-from car_interface.planner.twist import RATE, from_twist
 
 MS, S = 1_000_000, 1_000_000_000
 LEFT = PlannerRequest(2.0, 1.0)

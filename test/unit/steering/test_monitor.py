@@ -73,12 +73,19 @@ def test_estimate_is_unknown_when_the_car_is_slow_its_wheels_are_silent_or_it_ha
     assert math.isnan(car.judge(later_s).estimated_m)
 
 
-@pytest.mark.parametrize("commanded_m, later_s, is_dropped", [
-    (NAN, 0.0, False), (0.0, 0.0, False), (2.0, 0.6, False), (2.0, 0.0, True)])
-def test_commanded_radius_is_unknown_when_it_is_none_or_silent_or_dropped(car, commanded_m, later_s, is_dropped):
+def test_estimate_starts_over_when_messages_were_dropped(car):
+    car.drives(2.0, 2.0, 1.0)
+    car.check.mark_stale()
+    assert math.isnan(car.judge().estimated_m)
+    car.drives(3.0, 3.0, 0.3)
+    assert math.isnan(car.judge().estimated_m)
+    car.drives(3.0, 3.0, 0.4)
+    assert car.judge().estimated_m == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize("commanded_m, later_s", [(NAN, 0.0), (0.0, 0.0), (2.0, 0.6)])
+def test_commanded_radius_is_unknown_when_it_is_none_or_silent(car, commanded_m, later_s):
     car.drives(commanded_m, 2.0, 1.0)
-    if is_dropped:
-        car.check.mark_stale()
     assert math.isnan(car.judge(later_s).commanded_m)
     car.drives(2.0, 2.0, 0.1)
     assert car.judge().commanded_m == 2.0

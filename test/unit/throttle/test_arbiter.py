@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from car_interface.common import causes
-from car_interface.common.drive_modes import AUTONOMOUS, HUMAN_STEERING, HUMAN_THROTTLE, MANUAL, MODES
+from car_interface.common.causes import AUTONOMOUS, HUMAN_STEERING, HUMAN_THROTTLE, MANUAL, MODES
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.throttle.arbiter import ArbiterConfig, NoValue, ThrottleArbiter

@@ -16,10 +16,10 @@ import random
 
 import esc_sequences as sequences
 import pytest
+from esc_car import EscCar
 
-from car_interface.common.drive_modes import HUMAN_DRIVES
+from car_interface.common.causes import HUMAN_DRIVES
 from car_interface.sim import esc as virtual
-from car_interface.sim.esc_car import EscCar
 from car_interface.steering.arbiter import TELEOP
 from car_interface.teleop.gamepad import Gamepad, GamepadConfig
 from car_interface.throttle.arbiter import ArbiterConfig

@@ -1,7 +1,7 @@
-"""Log-in consoles on the Teensy's port: how to detect and how to remove them.
+"""Detects log-in consoles on the Teensy's port, and explains how to remove them.
 
-A console reads the bytes that the hub wants. It makes its port root's and the group tty's with mode 0620, so that no
-group lets a user read it; and it can't be ended for good but with its service and the kernel's ``console=``.
+A console reads the bytes that are meant for the hub. It gives its port to root and the group tty with mode 0620, so
+that no group lets a user read it; and it only ends for good with its service and the kernel's ``console=``.
 """
 from __future__ import annotations
 
@@ -17,10 +17,11 @@ PSEUDO_TERMINALS = "/dev/pts/"
 
 
 def is_consoles(path: str) -> bool:
-    """Whether a port is as a log-in console leaves it. Pseudo-terminals, which are so by themselves, don't count.
+    """Return whether a port has the owner and mode that a log-in console gives it. Pseudo-terminals always have them,
+    and are excluded.
 
     Raises:
-        OSError: when there is no such port.
+        OSError: there is no such port.
     """
     status = os.stat(path)
     return (not status.st_mode & stat.S_IRGRP and group_name(status.st_gid) == CONSOLES_GROUP
@@ -28,7 +29,7 @@ def is_consoles(path: str) -> bool:
 
 
 def consoles(path: str, proc: str = "/proc") -> list[tuple[int, str]]:
-    """The log-in consoles that were started for a port, as (process, name); these anybody may see.
+    """Return the log-in consoles that were started for a port, as (process, name); any user may see these.
 
     Args:
         path: of the port; links are followed.
@@ -43,13 +44,13 @@ def consoles(path: str, proc: str = "/proc") -> list[tuple[int, str]]:
 
 
 def removal_remedy(path: str) -> str:
-    """The remedy for a console on this port."""
+    """Return the remedy for a console on this port."""
     return (f"sudo systemctl disable --now serial-getty@{os.path.basename(os.path.realpath(path))} (on a Jetson: "
             "nvgetty), take console= out of the kernel's command line, and reboot. Raspberry Pi: raspi-config does it")
 
 
 def _command(path):
-    """Program and arguments; the program's name is empty when the process has ended, or is the kernel's."""
+    """Return program and arguments; the program's name is empty if the process has ended, or is the kernel's."""
     try:
         with open(path, "rb") as file:
             program, *arguments = file.read().decode(errors="replace").split("\0")

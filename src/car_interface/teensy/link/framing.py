@@ -1,7 +1,7 @@
-"""Frames on the serial line: flag, escape, checksum.
+"""Finds and makes frames on the serial line: flag, escape, checksum.
 
-``FrameDecoder`` takes whatever bytes arrive and returns the frames that are whole and sum up; it never raises, a
-corrupt frame is a count. ``encode`` makes the bytes of one frame for the Teensy. Neither touches a port.
+``FrameDecoder`` takes the bytes that arrive and returns the whole frames with a right checksum; it never raises, and
+counts corrupt frames. ``encode`` makes the bytes of one frame for the Teensy. Neither touches a port.
 
 On the line a frame is ``7e | body | chk | 7e``; inside, 7e and 7d travel as ``7d (b ^ 20)``, as in HDLC (ISO 13239).
 """
@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 FLAG, ESCAPE = b"\x7e", b"\x7d"
 _ESCAPED_FLAG, _ESCAPED_ESCAPE = b"\x7d\x5e", b"\x7d\x5d"
-_FLIP = 0x20  # what an escaped byte is xored with
+_FLIP = 0x20  # an escaped byte is xored with it
 HEADER_SIZE = 4  # dst, src, cmd, reserved
 MAX_BODY = 36  # header + two wheels of 16 bytes; also the maximum of the Teensy's receiver
-MAX_ON_LINE = 2 * (MAX_BODY + 1)  # each byte of it, and of the checksum, escaped
+MAX_ON_LINE = 2 * (MAX_BODY + 1)  # with each byte of the body and the checksum escaped
 
 SHIPPED = "shipped"  # the checksum that the Teensy's receiver really computes
-CORRECTED = "corrected"  # the one that it was meant to compute, and that its transmitter does
+CORRECTED = "corrected"  # the intended one, which its transmitter computes
 
 # 39 zeros bring the shipped receiver to "waiting for an opening flag" from any of its states; 38 miss one of them.
 RESYNC_FILLER = bytes(39)
@@ -25,7 +25,7 @@ RESYNC_FILLER = bytes(39)
 
 @dataclass
 class LineTally:
-    """What the decoder has seen. ``bytes_in == frame_bytes + flags + noise_bytes + the decoder's pending bytes``."""
+    """Counts of the decoder. ``bytes_in == frame_bytes + flags + noise_bytes + the decoder's pending bytes``."""
 
     bytes_in: int = 0
     flags: int = 0
@@ -39,12 +39,12 @@ class LineTally:
 
     @property
     def bad_frames(self) -> int:
-        """Corrupt frames of all kinds; the short ones, which are harmless, are not among them."""
+        """Corrupt frames of all kinds, without the short ones, which are harmless."""
         return self.bad_checksum + self.bad_escape + self.too_long
 
 
 class FrameDecoder:
-    """Finds frames in a stream. Holds at most ``MAX_ON_LINE`` bytes between two calls, whatever arrives."""
+    """Finds frames in a stream. It never holds more than ``MAX_ON_LINE`` bytes between two calls."""
 
     def __init__(self):
         self.tally = LineTally()
@@ -53,11 +53,11 @@ class FrameDecoder:
         self._overlong = False  # inside something longer than a frame: wait for the next flag
 
     def feed(self, data: bytes) -> list[bytes]:
-        """The bodies (header and payload, unescaped) of the frames that ``data`` completes, in order.
+        """Return the bodies (header and payload, unescaped) of the frames that ``data`` completes, in order.
 
-        A flag ends one frame and may begin the next; flags in a row and what lies before the first flag are no frames.
+        A flag ends one frame and may begin the next. Repeated flags, and bytes before the first flag, are no frames.
         The checksum test: bytes whose one's-complement sum is ff spell a number other than 0 that 255 divides,
-        for 256 ≡ 1 modulo 255.
+        since 256 ≡ 1 modulo 255.
         """
         tally = self.tally
         tally.bytes_in += len(data)
@@ -91,7 +91,7 @@ class FrameDecoder:
 
     @property
     def pending(self) -> int:
-        """How many bytes of an unfinished frame are held."""
+        """Return how many bytes of an unfinished frame are held."""
         return len(self._pending)
 
     def reset(self) -> None:
@@ -117,7 +117,7 @@ class FrameDecoder:
 
 
 def _unescape(segment: bytes) -> bytes:
-    """The segment with its escapes undone; empty when one of them escapes anything but 7e or 7d.
+    """Return the segment without its escapes; empty if one of them escapes anything but 7e or 7d.
 
     The order matters: ``7d 5d 5e`` is an escaped 7d and a plain 5e.
     """
@@ -126,7 +126,7 @@ def _unescape(segment: bytes) -> bytes:
 
 
 def encode(body: bytes, checksum: str = SHIPPED) -> bytes:
-    """One frame for the Teensy, with an opening and a closing flag of its own (its receiver shares none).
+    """Return one frame for the Teensy, with its own opening and closing flag (the Teensy's receiver shares none).
 
     Args:
         body: header and payload, 4 to 36 bytes.
@@ -136,10 +136,10 @@ def encode(body: bytes, checksum: str = SHIPPED) -> bytes:
 
 
 def _encode_shipped(body):
-    """The shipped receiver adds what is on the wire, but not the 7d of an escape, and it adds no carry.
+    """Return the frame for the shipped receiver, which adds the bytes on the wire without an escape's 7d or a carry.
 
-    An escaped checksum would be added as another value than the one it stands for. So where the checksum comes out as
-    7d or 7e, the reserved byte (0) is sent as ``7d 20``: this adds 20 to the sum and moves the checksum away from both.
+    It would add an escaped checksum as another value than the one that it stands for. So where the checksum would be 7d
+    or 7e, the reserved byte (0) is sent as ``7d 20``: this adds 20 to the sum and moves the checksum away from both.
     """
     stuffed = _escape(body)
     chk = _shipped_checksum(stuffed)

@@ -1,7 +1,7 @@
-"""What is wrong with the link to the Teensy, and what to do next.
+"""Judges what is wrong with the link to the Teensy, and what to do next.
 
 ``LinkHealth`` takes the state of the port and, about once a second, the link's counters; it returns a ``Verdict``.
-Pure: ``now_ns`` in, and nothing is kept that grows.
+Pure: ``now_ns`` in, and its memory doesn't grow.
 """
 from __future__ import annotations
 
@@ -12,47 +12,47 @@ from car_interface.common.units import NS_PER_MS, NS_PER_S
 
 OK, WARN, ERROR = range(3)  # as in diagnostic_msgs/DiagnosticStatus
 
-# What a port that can't be opened suffers from.
+# Faults of a port that can't be opened.
 ABSENT, NO_PERMISSION, BUSY, NO_PORT, FAILING = (
     "port absent", "no permission", "port busy", "not a serial port", "port fails")
 PORT_FAULTS = frozenset({ABSENT, NO_PERMISSION, BUSY, NO_PORT, FAILING})
-# How one that is open does.
+# States of an open port.
 WAITING, SILENT, NO_FRAMES, BAD_CHECKSUMS, NO_PONGS, REBOOTED, FINE = (
     "waiting", "silent", "no frames", "bad checksums", "no pongs", "rebooted", "fine")
-LINK_REPORT = "Teensy link"  # the report on /diagnostics that says the same as the topic link
-CLOCK_REPORT = "Teensy clock"  # the one about its clock, which no ping reaches while the link has a fault
+LINK_REPORT = "Teensy link"  # the report on /diagnostics with the content of the topic link
+CLOCK_REPORT = "Teensy clock"  # the report on its clock, which no ping reaches while the link has a fault
 SONAR_FAULT = "sonar fault"  # of a link that is fine
 
-SHORTEST_SPAN_NS = 800 * NS_PER_MS  # counters that stand closer together say too little: 5 frames a second may be all
-WINDOW = 10  # spans, over which the ratio of bad frames is taken
+SHORTEST_SPAN_NS = 800 * NS_PER_MS  # less has too few frames to judge: there may be 5 a second
+WINDOW = 10  # spans: of the ratio of bad frames
 REPORT_REBOOT_NS = 10 * NS_PER_S
 BITS_PER_BYTE = 10  # 8N1
-FEWEST_BAD, MAX_BAD_RATIO, MAX_BAD = 3, 0.01, 0.5  # a good line has none; from a hundredth on it's reported
-# Whatever the checksum sees, 1 in 255 wrong frames gets past: so few good ones are no proof of a Teensy.
+FEWEST_BAD, MAX_BAD_RATIO, MAX_BAD = 3, 0.01, 0.5  # a good line has none: 1 % is reported
+# 1 in 255 wrong frames gets past the checksum: a smaller ratio of good frames than this doesn't prove a Teensy.
 GOOD_RATIO = 0.05
-# A Teensy's frames have 12 to 74 bytes. Noise has a flag every 256, and one in eight gaps between them is as short.
+# A Teensy's frames have 12 to 74 bytes. Noise has a flag every 256 bytes, and one in eight gaps between is as short.
 BYTES_PER_FRAME = 100
 PINGS_IN_VAIN = 3
 
 
 class Counts(NamedTuple):
-    """How the link's counters stand; all of them only grow but the last."""
+    """The link's counters; all but the last only grow."""
 
     bytes_in: int
-    records: int  # frames that say something
+    records: int  # frames with a record
     bad_frames: int  # corrupt ones of all kinds
-    bad_checksums: int  # of these, those of a frame's length
+    bad_checksums: int  # the ones among these that have a frame's length
     pings_in_vain: int  # unanswered since the newest pong
 
 
 class Verdict(NamedTuple):
-    """How the link does.
+    """The health of the link.
 
     Attributes:
         state: one of the names above.
         level: OK, WARN or ERROR.
         description: what is wrong, or that nothing is.
-        next_step: what its owner can do or type; empty when there is nothing to do.
+        next_step: what its owner can do or type; empty = nothing.
     """
 
     state: str
@@ -67,11 +67,11 @@ class _Sample(NamedTuple):
 
 
 class LinkHealth:
-    """Judges the link by what changed from second to second.
+    """Judges the link by the changes from second to second.
 
-    An open port's verdict changes when two spans in a row contradict it, and then to what the second one says: a fault
-    begins in the middle of a span, and a second that is half good shows little. A port that opens or closes, the first
-    good second, and a reboot change it at once.
+    An open port's verdict changes when two spans in a row contradict it, and then to the verdict of the second one: a
+    fault begins in the middle of a span, and a second that is half good shows little. A port that opens or closes, the
+    first good second, and a reboot change it at once.
 
     Args:
         baud: of the line.
@@ -86,25 +86,25 @@ class LinkHealth:
         self.verdict = Verdict(ABSENT, ERROR, "the port was not opened yet", "")
 
     def port_failed(self, state: str, cause: str, remedy: str) -> None:
-        """It couldn't be opened, or was lost: what the link says about that is the verdict."""
+        """Take note that the port couldn't be opened or was lost; that is the verdict."""
         self._samples.clear()
         self.verdict = Verdict(state, ERROR, cause, remedy)
 
     def opened(self, counts: Counts, now_ns: int) -> None:
-        """The port is open; everything is judged anew."""
+        """Take note that the port is open; the judgement starts over."""
         self._samples.clear()
         self._samples.append(_Sample(now_ns, counts))
         self._doubted = False
         self.verdict = Verdict(WAITING, WARN, "the port is open, nothing is known about the Teensy yet", "")
 
     def rebooted(self, description: str, now_ns: int) -> None:
-        """The Teensy's clock went back; ``description`` says from where to where."""
+        """Take note that the Teensy's clock went back; ``description`` names both readings."""
         self._reboot, self._reboot_ns = description, now_ns
         if self.verdict.state == FINE:
             self.verdict = self._reboot_verdict()
 
     def judge(self, counts: Counts, now_ns: int) -> Verdict:
-        """The verdict, from how the counters stand now. Calls that come too soon after another change nothing."""
+        """Return the verdict by the present counters. A call too soon after the one before changes nothing."""
         if not self._samples or now_ns - self._samples[-1].at_ns < SHORTEST_SPAN_NS:
             return self.verdict
         self._samples.append(_Sample(now_ns, counts))
@@ -121,7 +121,7 @@ class LinkHealth:
         return found
 
     def _restart_window(self):
-        """Begin the ratio of bad frames anew."""
+        """Begin a new window for the ratio of bad frames."""
         newest = self._samples.pop()
         self._samples.clear()
         self._samples.append(newest)
@@ -162,7 +162,7 @@ class LinkHealth:
                        f"Is the Teensy's rate another one than ~baud {self._baud}? Is it a Teensy at all?")
 
     def _bad_ratio(self):
-        """The ratio of bad frames over the window, and how many that is."""
+        """Return the ratio of bad frames over the window, and their number."""
         oldest, newest = self._samples[0].counts, self._samples[-1].counts
         bad = newest.bad_frames - oldest.bad_frames
         return bad / max(1, bad + newest.records - oldest.records), bad
@@ -174,5 +174,5 @@ class LinkHealth:
 
 
 def _kind(verdict):
-    """Its state; a link over which a reboot was noticed is a good one."""
+    """Return its state; a link over which a reboot was noticed is FINE."""
     return FINE if verdict.state == REBOOTED else verdict.state

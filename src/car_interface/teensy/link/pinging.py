@@ -1,4 +1,4 @@
-"""When to ping the Teensy, which pong answers which ping, and which checksum its receiver wants.
+"""Plans the pings, matches pongs with them, and finds out which checksum the Teensy's receiver wants.
 
 Pure: ``now_ns`` in, bytes for the line out.
 """
@@ -12,27 +12,27 @@ from car_interface.teensy.link.framing import CORRECTED, RESYNC_FILLER, SHIPPED,
 from car_interface.teensy.link.protocol import ping
 
 AUTO = "auto"
-# A pong waits at most behind what the Teensy's transmit buffers hold: some 2 kB, 0.2 s at 115200 baud.
+# A pong waits at most behind the Teensy's full transmit buffers: some 2 kB, 0.2 s at 115200 baud.
 ANSWER_WITHIN_NS = NS_PER_S // 2
 UNANSWERED_BEFORE_SWITCH = 5
-# Each ping leaves its place in the period by up to so much: pings that kept to a period of whole ms would meet the
-# Teensy's ticks at the same phase for ever, and the clock estimate would be off by that.
+# Each ping is moved within the period by up to this: pings with a period of whole ms would always meet the Teensy's
+# ticks at the same phase, and the clock estimate would be off by that phase.
 DITHER_NS = 10_000_000
-DITHER_RATIO = 10  # of the period, at most one in so many
-# Multiples of the golden section, modulo 1, fill an interval more evenly than chance would, however many there are.
+DITHER_RATIO = 10  # at most the tenth part of the period
+# Multiples of the golden section, modulo 1, fill an interval evenly at any number of them; random numbers don't.
 GOLDEN_SECTION = (5 ** 0.5 - 1) / 2
 # Once a Teensy answers, some pings come faster, so that its clock is known within a second.
 QUICK_PINGS = 5
 QUICKER = 5
-QUICK_PERIOD_NS = NS_PER_S // 5  # faster isn't needed, whatever the period
+QUICK_PERIOD_NS = NS_PER_S // 5  # five pings within the second; faster isn't needed
 
 
 class Answer(NamedTuple):
-    """What a pong says about the ping that it answers."""
+    """The ping that a pong answers."""
 
     sent_ns: int
     round_trip_ns: int
-    sent_bytes: int  # all that was written with it, filler too
+    sent_bytes: int  # all that were written with it, filler too
 
 
 class Pinger:
@@ -46,8 +46,8 @@ class Pinger:
 
     Attributes:
         due_ns: when to send the next.
-        checksum: the one that is sent.
-        answered_checksum: that of the newest ping that was answered; ``None`` before the first.
+        checksum: the one that pings are sent with.
+        answered_checksum: of the newest ping that was answered; ``None`` before the first.
     """
 
     def __init__(self, period_ns: int, checksum: str, now_ns: int):
@@ -63,32 +63,32 @@ class Pinger:
         self.sent = 0
         self.answered = 0
         self.resyncs = 0  # pings behind the filler
-        self._dithered = 0  # how many were
+        self._dithered = 0  # how many pings were moved
         self._plan(now_ns)
         self.retry_now()
 
     def restart(self, now_ns: int) -> None:
-        """The line was opened: what waited won't be answered; ping now."""
+        """Begin with a line that was opened: waiting pings won't be answered, and the next one is due now."""
         self._waiting.clear()
         self.unanswered_in_a_row = self._missed_pings_of_live_link = 0
         self._plan(now_ns)
         self.retry_now()
 
     def retry_now(self) -> None:
-        """Ping faster for a while, as long as pings are answered: nothing is known of the Teensy's clock."""
+        """Ping faster for a while if pings are answered: the Teensy's clock has to be learned."""
         self._quick = QUICK_PINGS
 
     def next_event_ns(self) -> int:
-        """When the next ping is due, or the oldest one has waited too long."""
+        """Return when the next ping is due, or the oldest one has waited too long."""
         oldest_ns, _, _ = next(iter(self._waiting.values()), (None, 0, ""))
         return self.due_ns if oldest_ns is None else min(self.due_ns, oldest_ns + ANSWER_WITHIN_NS)
 
     def expire(self, now_ns: int, is_alive: bool = True) -> list[int]:
-        """Give up on pings that have waited too long; their timestamps. May change ``checksum``.
+        """Give up on pings that have waited too long and return their timestamps. May change ``checksum``.
 
         Args:
-            is_alive: whether other frames came from the Teensy meanwhile. When nothing gets through, or it's unplugged,
-                an unanswered ping says nothing about the checksum.
+            is_alive: other frames came from the Teensy in that time. When nothing gets through, or it is unplugged, an
+                unanswered ping shows nothing about the checksum.
         """
         expired = [token for token, (sent_ns, _, _) in self._waiting.items() if now_ns - sent_ns >= ANSWER_WITHIN_NS]
         for token in expired:
@@ -103,9 +103,9 @@ class Pinger:
         return expired
 
     def ping(self, timestamp1: int, now_ns: int) -> bytes:
-        """The bytes of a ping; after an unanswered one, behind the filler that brings the receiver back in step.
+        """Return the bytes of a ping; after an unanswered one, behind the filler that resynchronises the receiver.
 
-        Of two with the same timestamp the first is the one that is answered: either may be, but none before it.
+        Of two pings with the same timestamp, a pong is taken for the answer to the first one: it can't be older.
         """
         self.sent += 1
         if now_ns >= self.due_ns:
@@ -118,7 +118,7 @@ class Pinger:
         return data
 
     def pong(self, timestamp1: int, now_ns: int) -> Answer | None:
-        """Take a pong; ``None`` when nobody waits for it."""
+        """Take a pong; return the ping that it answers, or ``None``."""
         sent_ns, sent_bytes, checksum = self._waiting.pop(timestamp1, (None, 0, ""))
         if sent_ns is None:
             return None
@@ -132,7 +132,7 @@ class Pinger:
         return Answer(sent_ns, now_ns - sent_ns, sent_bytes)
 
     def _plan(self, at_ns, dither_ns=0):
-        """Send the next ping then; those after it keep to its place, but not to its dither."""
+        """Plan the next ping for this time; later ones keep to this place in the period, but not to its dither."""
         self._planned_ns = at_ns
         self.due_ns = at_ns + dither_ns
 

@@ -1,6 +1,6 @@
-"""The serial port: open, read, write, and what's wrong with it. The only place that knows pyserial.
+"""Opens, reads and writes the serial port, and explains its faults. Only this module imports pyserial.
 
-Reading never blocks: a node waits on ``fileno()`` together with whatever else it waits for.
+Reading never blocks: a node waits on ``fileno()`` together with its other inputs.
 """
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from car_interface.teensy.link.console import is_consoles, removal_remedy
 from car_interface.teensy.link.health import ABSENT, BUSY, FAILING, NO_PERMISSION, NO_PORT
 
 READ_SIZE = 4096
-WRITE_WITHIN_MS = 500  # what a line at 115200 baud carries in that time is more than its driver holds
-SEARCHED_EVERY = 5  # refusals of a busy port; at 2 s between attempts, every 10 s: there may be many processes
+WRITE_WITHIN_MS = 500  # 5.8 kB at 115200 baud: more than the driver's buffer of 4 kB
+SEARCHED_EVERY = 5  # refusals of a busy port: every 10 s at 2 s between attempts, as there may be many processes
 
 
 class PortError(DeviceError):
@@ -55,24 +55,24 @@ class SerialLink:
 
     @property
     def is_open(self) -> bool:
-        """Whether it is open, as far as is known."""
+        """Return whether the port is open, as far as is known."""
         return self._serial is not None
 
     def fileno(self) -> int:
-        """The open port's file descriptor, for select or poll.
+        """Return the open port's file descriptor, for select or poll.
 
         Raises:
-            PortError: when it isn't open.
+            PortError: it isn't open.
         """
         if self._fd is None:
             raise PortError(self._path, FAILING, "the port is not open", "It is opened again as soon as that works")
         return self._fd
 
     def open(self) -> None:
-        """Open the port, without what arrived before.
+        """Open the port, and discard what arrived before.
 
         Raises:
-            PortError: with the cause and what to do about it.
+            PortError: with cause and remedy.
         """
         try:
             self._serial = serial.Serial(self._path, self._baud, timeout=0, exclusive=True)
@@ -84,10 +84,10 @@ class SerialLink:
         self._refusals = 0
 
     def read(self) -> bytes:
-        """What has arrived, up to 4 KiB; empty when nothing has.
+        """Return what has arrived, up to 4 KiB; may be empty.
 
         Raises:
-            PortError: when the port is gone; it is closed then.
+            PortError: the port is gone, and was closed.
         """
         fd = self.fileno()
         try:
@@ -101,10 +101,10 @@ class SerialLink:
         return data
 
     def write(self, data: bytes) -> None:
-        """Send bytes; waits a moment for poll.
+        """Send bytes; this may wait up to WRITE_WITHIN_MS.
 
         Raises:
-            PortError: when the port is gone or takes nothing; it is closed then.
+            PortError: the port is gone or takes nothing, and was closed.
         """
         fd = self.fileno()
         poll = select.poll()
@@ -136,14 +136,14 @@ class SerialLink:
                          "Check its cable and power; it is opened again as soon as it is back")
 
     def _discard_output(self):
-        """What a port hasn't taken would keep its close waiting, with some drivers for half a minute."""
+        """Discard unsent bytes: close would wait for them, with some drivers for half a minute."""
         try:
             termios.tcflush(self.fileno(), termios.TCOFLUSH)
         except (OSError, termios.error):
-            pass  # it was pulled out; nothing waits any more
+            pass  # it was pulled out, and has no unsent bytes
 
     def _explain(self, error):
-        """State, cause and remedy of a failed open, from the path itself and from the error's number."""
+        """Return state, cause and remedy of a failed open, by the path and the error's number."""
         path, number = self._path, getattr(error, "errno", None)
         if os.path.isdir(path):
             return NO_PORT, "this is a directory, not a serial port", ("Set ~port to the port's own path: "
@@ -171,21 +171,21 @@ class SerialLink:
 
 
 def _distinguish_silence_from_hangup(fd):
-    """With VMIN 0, as pyserial leaves it, a read of nothing means either; with VMIN 1 it means that the device left."""
+    """Set VMIN to 1, so that an empty read means that the device left; with pyserial's 0 it may also be silence."""
     attributes = termios.tcgetattr(fd)
     attributes[6][termios.VMIN] = 1
     termios.tcsetattr(fd, termios.TCSANOW, attributes)
 
 
 def _explain_permission(path):
-    """Cause and remedy: a log-in console's port is open to no group."""
+    """Return cause and remedy: a log-in console's port is open to no group."""
     if is_consoles(path):
         return "no permission to open it: a log-in console has it", removal_remedy(path)
     return explain_denial(path)
 
 
 def _holders(path):
-    """Who has a port open, as (process, name), as far as /proc tells: a lock's owner, or else whoever holds it."""
+    """Return who has a port open, as (process, name), by /proc: its lock's owner, or else all that hold it open."""
     try:
         owners = [pid for pid in _lock_owners(os.stat(path)) if pid != os.getpid()]
     except OSError:
@@ -194,7 +194,7 @@ def _holders(path):
 
 
 def _lock_owners(status):
-    """From /proc/locks, whose lines are ``1: FLOCK ADVISORY WRITE pid major:minor:inode start end``."""
+    """Return owners of a file's locks by /proc/locks: ``1: FLOCK ADVISORY WRITE pid major:minor:inode start end``."""
     wanted = f"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}"
     with open("/proc/locks", encoding="ascii") as file:
         locks = [line.split() for line in file]

@@ -1,8 +1,8 @@
-"""The content of frames: records from the Teensy, commands to it.
+"""Decodes records from the Teensy, and encodes commands to it: the content of frames.
 
 ``decode`` turns the body of a frame into a record, or into ``Malformed`` with the reason; it never raises. The command
-functions return the body of a frame for ``framing.encode`` and raise ProtocolError on arguments that the Teensy
-couldn't take. All fields are little endian and packed.
+functions return the body of a frame for ``framing.encode``, and raise ProtocolError for arguments that the Teensy
+can't take. All fields are little endian and packed.
 """
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from struct import Struct
 from typing import NamedTuple, Sequence, Union
 
 from car_interface.common.errors import ProtocolError
+from car_interface.common.vehicle_geometry import SONARS
 
 HOST, TEENSY = 1, 2  # addresses
 (PING_QUERY, PONG_RESP, SET_SONAR_SEQ, SONAR_STOP, SONAR_START, SONAR_STATUS, WHEEL_STATUS, WHEEL_RESET, ERROR_COUNT,
  GET_COUNTERS, _SONAR_RETRY, SONAR_WAIT) = range(1, 13)
 
-SONARS = ("front_right", "front_middle", "front_left", "rear_right", "rear_middle", "rear_left")  # by sensor id
 FORWARD, BACKWARD, NO_DIRECTION, DIRECTION_ERROR = range(4)
-MAX_SEQUENCE = 24
+MAX_SEQUENCE = 24  # the firmware's array has four entries for each sonar
 MAX_COUNTER_NAME = 23
 UINT32 = 2 ** 32
-MAX_SONAR_WAIT_MS = UINT32 // 2 - 1  # beyond, the firmware's comparison of times takes it for no wait at all
+MAX_SONAR_WAIT_MS = UINT32 // 2 - 1  # the firmware's comparison of times takes more than this for no wait at all
 
 
 class Pong(NamedTuple):
@@ -41,8 +41,8 @@ class SonarStatus(NamedTuple):
 class Wheel(NamedTuple):
     """One wheel's odometer."""
 
-    speed: int  # pulses per second over the last ten pulses and repeats: it takes 2 s to fall to 0 after a stop
-    direction: int  # FORWARD, BACKWARD, NO_DIRECTION yet, DIRECTION_ERROR; of the first two pulses it means nothing
+    speed: int  # pulses per second over the last ten pulses and repeats; falls to 0 within 2 s after a stop
+    direction: int  # FORWARD, BACKWARD, NO_DIRECTION yet, DIRECTION_ERROR; meaningless for the first two pulses
     when: int  # the Teensy's clock at the last pulse or repeat, ms; 0 before the first pulse
     dist: int  # dist_abs at the first pulse of the present direction
     dist_abs: int  # pulses since the last reset, in either direction
@@ -63,7 +63,7 @@ class ErrorCount(NamedTuple):
 
 
 class Malformed(NamedTuple):
-    """A frame that sums up but that the Teensy can't have meant; 1 in 255 corrupt frames gets as far as this."""
+    """A frame with a right checksum that the Teensy can't have sent; 1 in 255 corrupt frames gets this far."""
 
     reason: str
     body: bytes
@@ -73,7 +73,7 @@ class Malformed(NamedTuple):
 Record = Union[Pong, SonarStatus, WheelStatus, ErrorCount, Malformed]
 
 _PONG = Struct("<4xII")
-_SONAR = Struct("<4xBxHI")  # the byte after the sensor is filler, whatever the Teensy's stack held
+_SONAR = Struct("<4xBxHI")  # the byte after the sensor is filler: a random byte of the Teensy's stack
 _WHEELS = Struct("<4xHBBIIIHBBIII")
 _COUNT = Struct("<4xI")
 _PING = Struct("<II")
@@ -121,7 +121,7 @@ _DECODERS = {
 
 
 def decode(body: bytes) -> Record:
-    """The record in a frame's body (header and payload, without checksum)."""
+    """Return the record in a frame's body (header and payload, without checksum)."""
     size, decoder = _DECODERS.get(body[:4], _NO_DECODER)
     if size is not None and size != len(body):
         return Malformed(f"{len(body)} bytes where this command has {size}", body)
@@ -144,7 +144,7 @@ def _command(command, payload=b""):
 
 
 def ping(timestamp1: int) -> bytes:
-    """PING_QUERY. ``timestamp1``, 0..2**32 − 1, comes back verbatim in the pong.
+    """Return PING_QUERY. ``timestamp1``, 0..2**32 − 1, comes back verbatim in the pong.
 
     Raises:
         ProtocolError: for anything else.
@@ -155,7 +155,7 @@ def ping(timestamp1: int) -> bytes:
 
 
 def set_sonar_sequence(sensors: Sequence[int]) -> bytes:
-    """SET_SONAR_SEQ: the order in which the sonars fire, 1 to 24 of the ids 0..5, repeats allowed.
+    """Return SET_SONAR_SEQ: the order in which the sonars fire, 1 to 24 of the ids 0..5, repeats allowed.
 
     Raises:
         ProtocolError: for anything else; the Teensy would skip a bad id and keep the old entry in its place.
@@ -169,27 +169,27 @@ def set_sonar_sequence(sensors: Sequence[int]) -> bytes:
 
 
 def sonar_stop() -> bytes:
-    """SONAR_STOP."""
+    """Return SONAR_STOP."""
     return _command(SONAR_STOP)
 
 
 def sonar_start() -> bytes:
-    """SONAR_START."""
+    """Return SONAR_START."""
     return _command(SONAR_START)
 
 
 def wheel_reset() -> bytes:
-    """WHEEL_RESET: both odometers to zero, their direction to "none yet"."""
+    """Return WHEEL_RESET: both odometers to zero, their direction to "none yet"."""
     return _command(WHEEL_RESET)
 
 
 def get_counters() -> bytes:
-    """GET_COUNTERS: every counter that isn't zero. Ask at most once a second, or the answers starve the Teensy."""
+    """Return GET_COUNTERS: every counter that isn't zero. Once a second at most: the answers take the Teensy's time."""
     return _command(GET_COUNTERS)
 
 
 def sonar_wait(wait_ms: int) -> bytes:
-    """SONAR_WAIT: the pause between an echo and the next sonar's ping, 0..2**31 − 1 ms; 50 at power-up.
+    """Return SONAR_WAIT: the pause between an echo and the next sonar's ping, 0..2**31 − 1 ms; 50 at power-up.
 
     Raises:
         ProtocolError: for anything else.

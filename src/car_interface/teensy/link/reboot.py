@@ -1,4 +1,4 @@
-"""Detects a reboot of the Teensy from its own clock, as pongs and sonar reports carry it.
+"""Detects a reboot of the Teensy by its own clock, which pongs and sonar reports carry.
 
 Pure: ticks and ``now_ns`` in.
 """
@@ -8,16 +8,16 @@ from car_interface.common.units import NS_PER_MS
 
 # Sonar reports wait behind pongs in the Teensy's queues, so ticks come a little out of order: 0.2 s at most.
 LATEST_TICK_MS = 500
-# The Teensy's crystal and the host's differ by 1e-4 at most.
+# The Teensy's crystal and the host's differ by 2e-4 at most (their data sheets: 100 ppm each); this leaves room.
 DRIFT_RATIO = 0.001
-DAY_MS = 86_400_000
+DAY_MS = 86_400_000  # the longest gap in which a tick that is ahead is not a reboot
 
 
 class RebootDetector:
-    """Follows the Teensy's clock: does it go on, or did it begin anew?
+    """Follows the Teensy's clock: does it go on, or did it restart at 0?
 
-    A wheel's ``when`` doesn't serve: it is the time of the last pulse, however long ago. A tick that doesn't fit must
-    be followed by one that fits *it*: the checksum lets 1 in 255 corrupt frames past. A wrap of the 32 bits fits.
+    A wheel's ``when`` can't be used: the last pulse may be long ago. A tick that doesn't fit must be followed by one
+    that fits *it*, since the checksum lets 1 in 255 corrupt frames past. A wrap of the 32 bits fits.
 
     Attributes:
         reboots: how many it has found.
@@ -29,7 +29,7 @@ class RebootDetector:
         self.reboots = 0
 
     def update(self, tick: int, now_ns: int) -> str | None:
-        """Take the next tick, ms modulo 2**32; a description of the reboot that it reveals, or ``None``."""
+        """Take the next tick, ms modulo 2**32; return a description of the reboot that it reveals, or ``None``."""
         last = self._last
         if last is None or _fits(last, tick, now_ns):
             self._last, self._doubtful = (tick, now_ns), None
@@ -45,11 +45,11 @@ class RebootDetector:
 
 
 def _forward_ms(tick_before, tick):
-    """How far it is from one tick to another, modulo 2**32: −2**31 to 2**31 − 1."""
+    """Return how far one tick is ahead of another, modulo 2**32: −2**31 to 2**31 − 1."""
     return (tick - tick_before + 2 ** 31) % 2 ** 32 - 2 ** 31
 
 
 def _fits(before, tick, now_ns):
-    """Whether a clock that was at ``before`` can be at ``tick`` now. It may be less far: bytes can wait to be read."""
+    """Return whether a clock that was at ``before`` can be at ``tick`` now, or less: bytes can wait to be read."""
     elapsed_ms = (now_ns - before[1]) / NS_PER_MS
     return -LATEST_TICK_MS <= _forward_ms(before[0], tick) <= elapsed_ms * (1 + DRIFT_RATIO) + LATEST_TICK_MS

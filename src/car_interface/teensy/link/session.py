@@ -1,7 +1,7 @@
 """One session with a Teensy: bytes and ``now_ns`` in; events, and bytes to send, out.
 
-``Session`` joins what belongs to the link alone: decoder, pinger, health, reboot detector and counters. It opens no
-port and reads no clock. The owner of the port reports its state (``opened``, ``port_failed``), passes in what was read
+``Session`` joins the parts of the link: decoder, pinger, health, reboot detector and counters. It opens no port and
+reads no clock. The owner of the port reports its state (``opened``, ``port_failed``), passes in the bytes that it read
 (``receive``), calls ``expire`` at ``next_event_ns``, and sends a ``ping`` from ``ping_due_ns`` on.
 """
 from __future__ import annotations
@@ -15,14 +15,14 @@ from car_interface.teensy.link.pinging import Answer, Pinger
 from car_interface.teensy.link.protocol import ErrorCount, Malformed, Pong, SonarStatus, WheelStatus, decode
 from car_interface.teensy.link.reboot import RebootDetector
 
-MAX_COUNTERS = 64  # the firmware has 27; noise that passes for a counter must not make them more and more
+MAX_COUNTERS = 64  # the firmware has 27; noise that passes for counters must not add more and more of them
 
 
 class PongReceived(NamedTuple):
     """A pong came."""
 
     record: Pong
-    answer: Answer | None  # about the ping that it answers; None = no ping of ours waits for it
+    answer: Answer | None  # the ping that it answers; None = no ping of ours waits for it
 
 
 class Rebooted(NamedTuple):
@@ -38,12 +38,12 @@ class PingExpired(NamedTuple):
 
 
 class ChecksumChanged(NamedTuple):
-    """No ping was answered: from now on they are sent with the other checksum."""
+    """No ping was answered: from now on pings have the other checksum."""
 
     checksum: str
 
 
-# What ``receive`` returns. Sonar and wheel reports and the Teensy's counters are events as they are.
+# The events of ``receive``. Sonar and wheel reports and the Teensy's counters are events themselves.
 Received = Union[PongReceived, SonarStatus, WheelStatus, ErrorCount, Malformed, Rebooted]
 
 
@@ -82,7 +82,7 @@ class Session:
     # The port
 
     def opened(self, now_ns: int) -> None:
-        """The port was opened: its first ping is due now, behind the filler that brings the receiver in step."""
+        """Take note that the port was opened: the first ping is due now, behind the filler for the receiver."""
         self.openings += 1
         self._must_resync = True
         self._decoder.reset()
@@ -90,13 +90,13 @@ class Session:
         self._pinger.restart(now_ns)
 
     def port_failed(self, state: str, cause: str, remedy: str) -> None:
-        """The port couldn't be opened or was lost; ``state`` is one of ``health``'s."""
+        """Take note that the port couldn't be opened or was lost; ``state`` is one of ``health``'s."""
         self._health.port_failed(state, cause, remedy)
 
     # From the Teensy
 
     def receive(self, data: bytes, now_ns: int) -> list[Received]:
-        """The events in what was read from the port, in order."""
+        """Return the events in bytes that were read from the port, in order."""
         events: list = []
         for body in self._decoder.feed(data):
             record = decode(body)
@@ -137,18 +137,18 @@ class Session:
     # To the Teensy
 
     def next_event_ns(self) -> int:
-        """When a ping is due, or one has waited too long."""
+        """Return when a ping is due, or one has waited too long."""
         return self._pinger.next_event_ns()
 
     @property
     def ping_due_ns(self) -> int:
-        """When to send the next ping."""
+        """Return when to send the next ping."""
         return self._pinger.due_ns
 
     def expire(self, now_ns: int) -> list[PingExpired | ChecksumChanged]:
         """Give up on the pings that have waited too long."""
         checksum, records = self._pinger.checksum, self.counts().records
-        # An unanswered ping says nothing about the checksum while nothing at all comes from the Teensy.
+        # An unanswered ping shows nothing about the checksum while nothing at all comes from the Teensy.
         expired = self._pinger.expire(now_ns, is_alive=records > self._records_at_expiry)
         if expired:
             self._records_at_expiry = records
@@ -158,19 +158,19 @@ class Session:
         return events
 
     def ping(self, timestamp1: int, now_ns: int) -> bytes:
-        """The bytes of a ping, due or not; ``timestamp1`` comes back in its pong."""
+        """Return the bytes of a ping, due or not; ``timestamp1`` comes back in its pong."""
         filler = RESYNC_FILLER if self._must_resync else b""
         self._must_resync = False
         return filler + self._pinger.ping(timestamp1, now_ns)
 
     def encode(self, body: bytes) -> bytes:
-        """The frame of a command, with the checksum that the Teensy's receiver is taken to want."""
+        """Return the frame of a command, with the checksum that the Teensy's receiver seems to want."""
         return encode(body, self._pinger.checksum)
 
-    # How it does
+    # Health of the link
 
     def judge(self, now_ns: int) -> Verdict:
-        """The link's verdict as the counters stand now; call it about once a second."""
+        """Return the link's verdict by the present counters; call it about once a second."""
         return self._health.judge(self.counts(), now_ns)
 
     @property
@@ -179,19 +179,19 @@ class Session:
         return self._health.verdict
 
     def counts(self) -> Counts:
-        """What the health of the link is judged by."""
+        """The counters by which the health of the link is judged."""
         tally = self._decoder.tally
         return Counts(bytes_in=tally.bytes_in, records=tally.frames - self.malformed, bad_frames=tally.bad_frames,
                       bad_checksums=tally.bad_checksum, pings_in_vain=self._pinger.unanswered_in_a_row)
 
     @property
     def tally(self) -> LineTally:
-        """What came on the line: bytes, frames and what is wrong with them."""
+        """The decoder's counts of bytes, frames and faults."""
         return self._decoder.tally
 
     @property
     def checksum(self) -> str:
-        """The checksum that is sent: ``SHIPPED`` or ``CORRECTED``."""
+        """The checksum that commands are sent with: ``SHIPPED`` or ``CORRECTED``."""
         return self._pinger.checksum
 
     @property
@@ -201,20 +201,20 @@ class Session:
 
     @property
     def pings(self) -> int:
-        """How many were sent."""
+        """Return how many pings were sent."""
         return self._pinger.sent
 
     @property
     def pongs(self) -> int:
-        """How many pings were answered in time."""
+        """Return how many pings were answered in time."""
         return self._pinger.answered
 
     @property
     def resyncs(self) -> int:
-        """How often the Teensy's receiver was brought back in step: as the port opened, and after unanswered pings."""
+        """Return how often the Teensy's receiver was resynchronised: as the port opened, and after unanswered pings."""
         return self.openings + self._pinger.resyncs
 
     @property
     def reboots(self) -> int:
-        """How often the Teensy's clock went back."""
+        """Return how often the Teensy's clock went back."""
         return self._reboots.reboots

@@ -1,1 +1,1 @@
-"""What the Teensy's records measure: plausibility, its clock, odometry, ranges."""
+"""Measurements from the Teensy's records: plausibility, its clock, odometry, ranges."""

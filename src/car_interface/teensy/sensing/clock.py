@@ -1,7 +1,7 @@
-"""The Teensy's ticks as times of this computer's monotonic clock, each with its uncertainty.
+"""Translates the Teensy's ticks to times of this computer's monotonic clock, each with its uncertainty.
 
 Pongs and ticks bound the line of host time over the Teensy's time (``clock_lines``). ``Clock`` keeps the tightest
-bounds of a window, rejects what contradicts them, finds out when a clock jumped, and translates ticks.
+bounds of a window, rejects contradictions, detects a clock that jumped, and translates ticks.
 
 Pure: ticks and monotonic nanoseconds in, the same out.
 """
@@ -18,38 +18,38 @@ from car_interface.teensy.link.protocol import UINT32
 from car_interface.teensy.sensing.clock_lines import Bound, ClockLines, PongBounds, rise_ns
 
 BITS_PER_BYTE = 10  # start bit, eight, stop bit
-# What waits in the Teensy's buffers goes first: some 2 kB, 0.2 s at 115200 baud; then the host takes its time.
+# Bytes in the Teensy's buffers go first: some 2 kB, 0.2 s at 115200 baud; then the host takes its time.
 ONE_WAY_UNCERTAINTY_NS = 250 * NS_PER_MS
 UNKNOWN_NS = 1 << 62  # the uncertainty of a time of which nothing is known
-CONVERGED_PONGS = 5
-CONVERGED_AFTER_MS = 900  # over a shorter time a tick of 1 ms tells less about the skew than the crystals' data sheets
-SENDING_NS = 100_000  # the host takes about so long from taking the time until the first bit is on the wire
-AGREEING = 3  # so many pongs in a row overrule those before them
-BUCKETS = 120  # in a window. Of each the tightest bounds are kept: neither memory nor time grows with the rate of pings
-KEPT_BUCKETS = 5  # with pongs, however old: they fade, but are better than none when pings are rare or paused
+CONVERGED_PONGS = 5  # the quick pings of the first second: see ``pinging``
+CONVERGED_AFTER_MS = 900  # over a shorter time a tick of 1 ms bounds the skew less than the crystals' data sheets
+SENDING_NS = 100_000  # about the time from reading the clock until the first bit is on the wire
+AGREEING = 3  # pongs in a row that overrule the ones before them
+BUCKETS = 120  # in a window. Each keeps its tightest bounds: neither memory nor time grows with the rate of pings
+KEPT_BUCKETS = 5  # with pongs, of any age: old bounds fade, and are better than none when pings are rare or paused
 
 # Why something isn't used.
 TOO_SOON = "a pong sooner than ping and pong take on the line"
 FASTER_LINE = "one pong after the other sooner than the line takes: it has no baud rate, as on USB; no more wire time"
 CONTRADICTION = "a pong that contradicts the ones before it"
 FROM_THE_FUTURE = "a tick that can't have been yet"
-# What is notable about a pong that is used.
+# Why a pong that is used is notable.
 ONE_WAS_WRONG = "three pongs in a row say that one before them was wrong"
 BEGUN_ANEW = "three pongs in a row contradict those before them: a clock jumped or stood still"
 
 
 @dataclass(frozen=True)
 class ClockConfig:
-    """What line and clocks are like.
+    """The properties of line and clocks.
 
     Args:
         baud: bits per second on the line.
-        window_s: how long a ping counts.
-        max_skew_ppm: by which the clocks' rates differ at most; crystals are good for 100 each.
-        wander_ppm_per_h: by which that changes in an hour at most; a car that warms up makes 20.
+        window_s: how long a ping is used.
+        max_skew_ppm: the largest difference of the clocks' rates; crystals have up to 100 each.
+        wander_ppm_per_h: the largest change of that in an hour; a car that warms up makes 20.
 
     Raises:
-        ConfigError: when one of them isn't a number above 0, or beyond what a line can be.
+        ConfigError: one of them isn't a number above 0, or impossible for a line.
     """
 
     baud: int = 115200
@@ -66,14 +66,14 @@ class ClockConfig:
 
 
 class Stamp(NamedTuple):
-    """When a tick was, on the monotonic clock."""
+    """The time of a tick on the monotonic clock."""
 
     time_ns: int  # the middle of its millisecond
-    uncertainty_ns: int  # what happened at that tick was at most so much sooner or later
+    uncertainty_ns: int  # an event at that tick was at most this much sooner or later
 
 
 class Sync(NamedTuple):
-    """How the two clocks relate after a pong."""
+    """The relation of the two clocks after a pong."""
 
     offset_ns: int  # monotonic time at which the Teensy's clock, unwrapped, is at 0
     skew_ppm: float  # how much faster the Teensy's clock runs; 0 until converged
@@ -85,11 +85,11 @@ class Sync(NamedTuple):
 
 
 class Clock:
-    """Learns from pongs how the Teensy's clock relates to the host's, and translates its ticks.
+    """Learns the relation of the Teensy's clock to the host's from pongs, and translates its ticks.
 
     Attributes:
-        counts: what wasn't used, by reason, and what else was notable.
-        converged: whether the pongs are enough for a line; before, times go by the newest tick.
+        counts: pongs and ticks that weren't used or were notable, by reason.
+        converged: the pongs are enough for a line; before that, times are estimated by the newest tick.
     """
 
     def __init__(self, config: ClockConfig = ClockConfig()):
@@ -101,7 +101,7 @@ class Clock:
         self.restart()
 
     def restart(self) -> None:
-        """The Teensy's clock began anew: forget all but the counts."""
+        """Forget all but the counts: the Teensy's clock restarted."""
         self._last = None  # the newest tick, unwrapped
         self._last_ns = 0  # when it was, at the latest
         self._buckets: dict = {}  # number of the bucket, counted in host time → its bounds
@@ -115,9 +115,9 @@ class Clock:
         Args:
             tick: the Teensy's clock in it, ms modulo 2**32.
             sent_ns: monotonic time, taken before its ping was written.
-            sent_bytes: all that was written with it, filler too.
+            sent_bytes: all that were written with it, filler too.
             received_ns: monotonic time, taken after the pong was read.
-            received_bytes: what it took on the line at least.
+            received_bytes: its smallest number of bytes on the line.
         """
         sent_by_ns = sent_ns + self._wire_ns(sent_bytes)
         latest_ns = received_ns - self._wire_ns(received_bytes)
@@ -133,9 +133,9 @@ class Clock:
         return Sync(offset_ns, skew_ppm, uncertainty_ns, received_ns - sent_ns, self.converged, used, reason)
 
     def update_tick(self, tick: int, received_ns: int, received_bytes: int) -> None:
-        """Take another tick that was new when its frame was queued, a sonar's: it can't have been later.
+        """Take another tick that was new when its frame was queued, such as a sonar's: it can't have been later.
 
-        A wheel's doesn't serve: that is the time of the last pulse, however long ago.
+        A wheel's can't be used: the last pulse may be long ago.
         """
         latest_ns = received_ns - self._wire_ns(received_bytes)
         bound = Bound(self._update_last(tick, latest_ns), latest_ns)
@@ -147,12 +147,12 @@ class Clock:
             self.counts[FROM_THE_FUTURE] += 1
 
     def translate(self, tick: int, received_ns: int | None = None, received_bytes: int = 0) -> Stamp:
-        """When a tick was. As things stand and for the same receipt, a later tick never comes out earlier.
+        """Return when a tick was. With the same bounds and receipt, a later tick never comes out earlier.
 
         Args:
             tick: ms modulo 2**32, less than 24.8 days from the newest tick.
             received_ns: monotonic time, taken after the frame that had it was read; it was no later.
-            received_bytes: what that frame took on the line at least.
+            received_bytes: that frame's smallest number of bytes on the line.
 
         Raises:
             ValueError: without ``received_ns`` before any tick was received.
@@ -161,15 +161,15 @@ class Clock:
         return self._stamp(self.unwrap(tick), latest_ns)
 
     def unwrap(self, tick: int) -> int:
-        """The tick without its wraps: of all that it may mean what is nearest to the newest tick."""
+        """Return the tick without its wraps: of all that it may stand for, the one nearest to the newest tick."""
         last = self._last
         return tick if last is None else last + (tick - last + UINT32 // 2) % UINT32 - UINT32 // 2
 
     def tick_at(self, host_ns: int) -> float:
-        """What the Teensy's clock is at at a monotonic time: ms, unwrapped, not cut to whole ones.
+        """Return the Teensy's clock at a monotonic time: ms, unwrapped, with their fraction.
 
         Raises:
-            ValueError: before any tick was received.
+            ValueError: no tick was received yet.
         """
         if self.converged:
             return self._lines.tick_at(host_ns)
@@ -214,7 +214,7 @@ class Clock:
         return Stamp(latest_ns, uncertainty_ns + time_ns - latest_ns)
 
     def _take(self, pong):
-        """Whether it was used, and why not or what is notable."""
+        """Return whether a pong was used, and why not or what is notable."""
         if pong.earliest.ns > pong.latest.ns:
             self._too_soon += 1
             if self._too_soon < AGREEING:
@@ -253,9 +253,9 @@ class Clock:
         return ONE_WAS_WRONG if goes_on else BEGUN_ANEW
 
     def _rebuild(self, pong):
-        """Find the lines anew, from the newest bounds back; whether the older ones go with them.
+        """Find the lines again, from the newest bounds back; return whether the older ones agree with them.
 
-        A bucket that doesn't is left out; with the second in a row everything before it is.
+        A bucket that doesn't is left out; after the second one in a row, so is everything before it.
         """
         self._lines = self._lines_of(pong)
         contradictions = 0
@@ -273,7 +273,7 @@ class Clock:
         buckets = [bucket for bucket in self._buckets.values() if bucket.pongs]
         ticks = [bucket.earliest.tick for bucket in buckets] or [pong.earliest.tick]
         count = self._pongs()
-        # The shortest of n delays of up to a tick is a tick / (n + 1), on average; a line leans on two of them.
+        # The shortest of n delays of up to a tick is a tick / (n + 1), on average; a line is bounded by two of them.
         self._lines.choose(sum(ticks) / len(ticks), 2 * NS_PER_MS / (count + 1) + SENDING_NS)
         span_ms = pong.latest.tick - min((bucket.first_tick for bucket in buckets), default=pong.latest.tick)
         self.converged = count >= CONVERGED_PONGS and span_ms >= CONVERGED_AFTER_MS
@@ -285,7 +285,7 @@ class Clock:
         return host_ns // self._bucket_ns
 
     def _bucket(self, host_ns):
-        """The bucket of this time. A new one drops what is too old."""
+        """Return the bucket of this time. A new one drops those that are too old."""
         key = self._key(host_ns)
         if key not in self._buckets:
             kept = set([key for key, bucket in self._buckets.items() if bucket.pongs][-KEPT_BUCKETS:])
@@ -295,7 +295,7 @@ class Clock:
 
 
 class _Bucket:
-    """The tightest bounds of a while."""
+    """The tightest bounds within one bucket of time."""
 
     def __init__(self):
         self.earliest = None
@@ -311,7 +311,7 @@ class _Bucket:
         self.tighten(*pong, slope)
 
     def tighten(self, earliest, latest, slope):
-        """Take bounds; by ``slope`` of the line, ns per ms, of two the tighter is kept."""
+        """Take bounds, and keep the tighter of two by ``slope`` of the line, ns per ms."""
         if earliest and (self.earliest is None or rise_ns(self.earliest, earliest, slope) > 0):
             self.earliest = earliest
         if latest and (self.latest is None or rise_ns(self.latest, latest, slope) < 0):

@@ -1,23 +1,23 @@
-"""The lines of host time over the Teensy's time that pings and pongs allow.
+"""Finds the lines of host time over the Teensy's time that pings and pongs allow.
 
-Tick k says that the Teensy's clock stood somewhere in [k, k + 1) ms. Over a minute crystals run evenly, so that host
-time is a line over the Teensy's time, and all that is known bounds it:
+Tick k means that the Teensy's clock was somewhere in [k, k + 1) ms. Over a minute crystals run evenly, so that host
+time is a line over the Teensy's time, which is bounded:
 
 - the Teensy answers a ping after its last byte has come: line(k + 1) ≥ sent + the ping's time on the wire;
 - it reads its clock before the first byte of a frame leaves: line(k) ≤ received − the frame's time on the wire.
 
 The lines that no bound forbids are a convex polygon in the plane of offset and skew: each bound cuts off a half-plane.
-The polygon's corners give the earliest and the latest time of any tick. That is no statistics: it holds however long a
-frame waits in a buffer.
+The polygon's corners give the earliest and the latest time of any tick. These are strict bounds, not statistics: they
+hold for any time that a frame waits in a buffer.
 
-Nothing but pings goes to the Teensy, so the lower bounds are tight to the tick, while what comes back queues up. So the
-line is taken that lies lowest over the middle of the pings, for the sum of the delays is smallest over it: a linear
-program, whose optimum is a corner of the polygon (S. Moon, P. Skelly, D. Towsley, "Estimation and removal of clock skew
-from network delay measurements", INFOCOM 1999). The truth lies above it: from there the line goes towards the centre of
-the polygon, by as much as so many pings must be expected to leave and never beyond the centre.
+Nothing but pings goes to the Teensy, so the lower bounds are tight to the tick, while the answers queue up. So the
+line is chosen that lies lowest over the middle of the pings, where the sum of the delays is smallest: a linear program,
+whose optimum is a corner of the polygon (S. Moon, P. Skelly, D. Towsley, "Estimation and removal of clock skew from
+network delay measurements", INFOCOM 1999). The truth lies above it: the line is moved towards the centre of the
+polygon by the delay that is to be expected with this number of pings, and never beyond the centre.
 
-Temperature bends the line: a bound of age τ is loosened by ½ wander τ², for so far the truth can be off the line that
-is right now. So old bounds fade by themselves, and what lies far from the last pings comes out uncertain.
+Temperature bends the line: a bound of age τ is loosened by ½ wander τ², the largest distance between the truth and the
+line that is right now. So old bounds fade by themselves, and times far from the last pings are uncertain.
 
 Pure: ticks and monotonic nanoseconds in.
 """
@@ -39,7 +39,7 @@ class Bound(NamedTuple):
 
 
 class PongBounds(NamedTuple):
-    """How a pong bounds the line."""
+    """The bounds of a pong."""
 
     earliest: Bound
     latest: Bound
@@ -55,7 +55,7 @@ class ClockLines:
     def __init__(self, pong: PongBounds, max_skew_ppm: float, wander_ppm_per_h: float):
         self._tick, self._ns = pong.latest
         self._bend = BEND_PER_PPM_PER_H * wander_ppm_per_h
-        min_ns = pong.earliest.ns - self._ns - 2 * NS_PER_MS  # lower than the pong's own bound at any skew
+        min_ns = pong.earliest.ns - self._ns - 2 * NS_PER_MS  # below the pong's own bound at any skew
         self._corners = [(min_ns, -max_skew_ppm), (0.0, -max_skew_ppm), (0.0, max_skew_ppm), (min_ns, max_skew_ppm)]
         self._middle = 0.0
         self._gap_ns = 0.0
@@ -63,7 +63,7 @@ class ClockLines:
         self.admit(*pong)
 
     def admit(self, earliest: Bound | None, latest: Bound | None) -> bool:
-        """Clip what these bounds forbid; where nothing would be left, change nothing and return False."""
+        """Clip the lines that these bounds forbid; if none would be left, change nothing and return False."""
         corners = self._corners
         if earliest:
             corners = _clip(corners, *self._place(earliest, -1), 1)
@@ -77,32 +77,32 @@ class ClockLines:
         return True
 
     def choose(self, middle_tick: float, gap_ns: float) -> None:
-        """Choose the line that is lowest at this tick, raised there by the gap towards the centre, not beyond it."""
+        """Choose the line that is lowest at this tick, raised by the gap towards the centre, and not beyond it."""
         self._middle = middle_tick - self._tick
         self._gap_ns = gap_ns
         self._chosen = None
 
     @property
     def slope(self) -> float:
-        """Of the chosen line, ns per ms."""
+        """The chosen line's slope, ns per ms."""
         return NS_PER_MS + self._line()[1]
 
     def skew_ppm(self) -> float:
-        """How much faster the Teensy's clock runs, by the chosen line."""
+        """Return how much faster the Teensy's clock runs, by the chosen line."""
         return 1e6 * (NS_PER_MS / self.slope - 1)
 
     def offset_ns(self) -> int:
-        """When the Teensy's clock is at 0, by the chosen line."""
+        """Return when the Teensy's clock is at 0, by the chosen line."""
         offset, skew = self._line()
         return self._ns - self._tick * NS_PER_MS + round(offset - skew * self._tick)
 
     def tick_at(self, host_ns: int) -> float:
-        """The inverse of the chosen line."""
+        """Return the Teensy's clock, ms, by the inverse of the chosen line."""
         offset, skew = self._line()
         return self._tick + (host_ns - self._ns - offset) / (NS_PER_MS + skew)
 
     def translate(self, tick: int) -> tuple[int, int, int]:
-        """(the middle of this tick by the chosen line, its earliest beginning and its latest end by all of them)."""
+        """Return the middle of a tick by the chosen line, and its earliest beginning and latest end by all lines."""
         offset, skew = self._line()
         x = tick - self._tick
         base_ns = self._ns + x * NS_PER_MS
@@ -123,13 +123,13 @@ class ClockLines:
         return self._chosen
 
     def _place(self, bound, side):
-        """Where a bound lies from the reference, loosened upwards (1) or downwards (-1) by what the truth may bend."""
+        """Return a bound relative to the reference, loosened up (1) or down (-1) by the largest bend of the truth."""
         x = bound.tick - self._tick
         return x, bound.ns - self._ns - x * NS_PER_MS + side * self._bend * x * x
 
 
 def rise_ns(before: Bound, after: Bound, slope: float) -> float:
-    """How far one bound lies over the line of this slope through another."""
+    """Return how far one bound lies over the line of this slope through another."""
     return after.ns - before.ns - slope * (after.tick - before.tick)
 
 
@@ -151,7 +151,7 @@ def _clip(corners, x, y, side):
 
 
 def _center(corners):
-    """The centre of a polygon's area."""
+    """Return the centre of a polygon's area."""
     first_offset, first_skew = corners[0]
     area = offset = skew = 0.0
     for before, after in zip(corners[1:], corners[2:]):

@@ -1,7 +1,7 @@
-"""The Teensy's records as measurements: stamped on the host's monotonic clock, in SI units, and checked.
+"""Turns the Teensy's records into measurements: checked, in SI units, stamped on the host's monotonic clock.
 
-Consumes each pong, sonar report and wheel report with the moment at which it was read; what the plausibility gates
-accept goes through clock, ranging or odometry. A live node and the replay of a recording use this alike.
+Consumes each pong, sonar report and wheel report with the time at which it was read; records that the plausibility
+gates accept go through clock, ranging or odometry. The live node and the replay of a recording both use it.
 """
 from __future__ import annotations
 
@@ -10,19 +10,20 @@ from dataclasses import dataclass, field
 from typing import Callable, NamedTuple
 
 from car_interface.common.units import NS_PER_MS
+from car_interface.common.vehicle_geometry import SONARS
 from car_interface.teensy.link.pinging import Answer
-from car_interface.teensy.link.protocol import SONARS, UINT32, Pong, SonarStatus, WheelStatus
+from car_interface.teensy.link.protocol import UINT32, Pong, SonarStatus, WheelStatus
 from car_interface.teensy.sensing.clock import Clock, ClockConfig, Stamp, Sync
 from car_interface.teensy.sensing.odometry import Motion, Odometry, OdometryConfig
 from car_interface.teensy.sensing.plausibility import GateConfig, Gates
 from car_interface.teensy.sensing.pulse_counts import ahead, has_pulsed
 from car_interface.teensy.sensing.ranging import Ranging, RangingConfig
 
-# On the line, with checksum and closing flag: the minimum, without escapes and with a shared opening flag. What is
-# subtracted the time of receipt for it must not be more than the line took.
+# The smallest frames on the line: with checksum and closing flag, without escapes, with a shared opening flag. The time
+# that is subtracted from the receipt for them must not be more than the line took.
 PONG_BYTES, SONAR_BYTES, WHEEL_BYTES = 14, 14, 38
 TICK_MIDDLE_MS = 0.5
-MAX_QUEUED = 10  # reports of the wheels: what is published as it comes shall not wait for long behind them
+MAX_QUEUED = 10  # reports of the wheels: raw messages must not wait long behind them
 
 
 @dataclass(frozen=True)
@@ -39,12 +40,12 @@ class RangeMeasurement(NamedTuple):
     """One sonar's range."""
 
     stamp: Stamp
-    sensor: int  # index in protocol.SONARS
+    sensor: int  # index in SONARS
     range_m: float  # never NaN
 
 
 class MotionMeasurement(NamedTuple):
-    """Where the car was, and how it moved."""
+    """The car's place and motion."""
 
     stamp: Stamp
     motion: Motion
@@ -55,11 +56,11 @@ class Measurements:
 
     Args:
         config: of the car.
-        on_motion: called with what each queued report of the wheels makes, and when that report was received.
+        on_motion: called with the measurement of each queued report of the wheels, and when that was received.
 
     Attributes:
-        gates: what was refused, and why.
-        clock: how the Teensy's clock relates to the host's.
+        gates: count the refused records, by reason.
+        clock: the relation of the Teensy's clock to the host's.
         ranging: its temperature may be set at any time.
     """
 
@@ -72,14 +73,14 @@ class Measurements:
         self._on_motion = on_motion
         self._queue: list[tuple] = []  # reports of the wheels, and when they were received
         self._has_tick = False
-        self._shift_ms = 0.0  # from the Teensy's clock to the odometry's, which never begins anew
+        self._shift_ms = 0.0  # from the Teensy's clock to the odometry's, which never restarts
         self._newest_ms = -math.inf  # of the wheels' pulses and repeats, on the odometry's clock
-        # Of the newest of each kind: stamps rise even where the clocks' relation is found anew.
+        # Of the newest of each kind: stamps rise even when the relation of the clocks changes.
         self._motion_ns = 0
         self._range_ns = [0] * len(SONARS)
 
     def pong(self, record: Pong, answer: Answer | None, received_ns: int) -> Sync | None:
-        """Take a pong, and the ping that it answers (``None``: no ping of ours); ``None`` when it was refused."""
+        """Take a pong, and the ping that it answers (``None``: no ping of ours); return ``None`` if it was refused."""
         self.process_queue()
         verdict = self.gates.pong(record, answer is not None)
         if not verdict.accepted:
@@ -88,7 +89,7 @@ class Measurements:
         return self.clock.pong(record.timestamp2, answer.sent_ns, answer.sent_bytes, received_ns, PONG_BYTES)
 
     def sonar(self, record: SonarStatus, received_ns: int, is_trusted: bool = True) -> RangeMeasurement | None:
-        """Take a sonar's report; ``None`` when it was refused, or has no range."""
+        """Take a sonar's report; return ``None`` if it was refused, or has no range."""
         self.process_queue()
         verdict = self.gates.sonar(record)
         if not verdict.accepted:
@@ -103,14 +104,14 @@ class Measurements:
         return RangeMeasurement(Stamp(time_ns, uncertainty_ns), record.sensor, range_m)
 
     def wheels(self, record: WheelStatus, received_ns: int) -> MotionMeasurement | None:
-        """Take a report of the wheels; ``None`` when it was refused."""
+        """Take a report of the wheels; return ``None`` if it was refused."""
         self.process_queue()
         return self._measure_motion(record, received_ns)
 
     def queue_wheels(self, record: WheelStatus, received_ns: int) -> None:
         """Take a report of the wheels for later: several in a row cost less than one by one.
 
-        It is processed before whatever comes after it, so that order and results are those of ``wheels``.
+        It is processed before any later record, so that order and results are the same as with ``wheels``.
         """
         self._queue.append((record, received_ns))
         if len(self._queue) == MAX_QUEUED:
@@ -118,11 +119,11 @@ class Measurements:
 
     @property
     def has_queued(self) -> bool:
-        """Whether reports of the wheels wait in the queue."""
+        """Return whether reports of the wheels wait in the queue."""
         return bool(self._queue)
 
     def process_queue(self) -> None:
-        """Process the queued reports of the wheels; ``on_motion`` gets what they make."""
+        """Process the queued reports of the wheels, and call ``on_motion`` with their measurements."""
         if not self._queue:
             return
         for record, received_ns in self._queue:
@@ -146,7 +147,7 @@ class Measurements:
         received_ms = self.clock.tick_at(received_ns) + self._shift_ms
         left_ms, right_ms = (self.clock.unwrap(wheel.when) + self._shift_ms if has_pulsed(wheel) else -math.inf
                              for wheel in record)
-        # When a report was sent isn't known; but until its newest pulse or repeat no later pulse had come.
+        # It is unknown when a report was sent; but there was no later pulse before its newest pulse or repeat.
         newest_ms = -math.inf if newest is None else self.clock.unwrap(newest) + self._shift_ms
         is_news = self._newest_ms < newest_ms <= received_ms
         if is_news:
@@ -156,12 +157,12 @@ class Measurements:
         return MotionMeasurement(self._stamp(motion.time_ms - self._shift_ms, received_ns), motion)
 
     def steer(self, curvature_per_m: float) -> None:
-        """What the steering is commanded to, left positive; for an odometry that uses it."""
+        """Set the commanded curvature, left positive, for an odometry that uses it; NaN = unknown."""
         self.process_queue()
         self._odometry.steer(curvature_per_m)
 
     def _stamp(self, time_ms, received_ns):
-        """Of a moment between two ticks; always after the one before it, or a transform would be there twice."""
+        """Return the stamp of a time between ticks, always later than the one before: tf refuses a repeated stamp."""
         tick = math.floor(time_ms)
         time_ns, uncertainty_ns = self.clock.translate(tick % UINT32, received_ns, WHEEL_BYTES)
         time_ns += round((time_ms - tick - TICK_MIDDLE_MS) * NS_PER_MS)
@@ -169,19 +170,19 @@ class Measurements:
         return Stamp(time_ns, uncertainty_ns)
 
     def _update_tick(self, verdict, tick, received_ns):
-        """The odometry's time goes on when the Teensy's clock begins anew; the first tick begins both."""
+        """Continue the odometry's time when the Teensy's clock restarts; the first tick starts both."""
         if verdict.restarted and self._has_tick:
             self._restart_clock(tick, received_ns)
         self._has_tick = True
 
     def _restart_clock(self, tick, received_ns):
-        """The Teensy rebooted, and this is a tick of its new clock."""
+        """Begin with a tick of the new clock: the Teensy rebooted."""
         self._shift_ms += self.clock.tick_at(received_ns) - tick
         self.clock.restart()
         self.clock.update_tick(tick, received_ns, 0)
 
 
 def _newest_when(record):
-    """The tick of the newest pulse or repeat; ``None`` before the first."""
+    """Return the tick of the newest pulse or repeat; ``None`` before the first."""
     ticks = [wheel.when for wheel in record if has_pulsed(wheel)]
     return max(ticks, key=lambda tick: ahead(tick, ticks[0])) if ticks else None

@@ -1,12 +1,12 @@
-"""Wheel pulses → the car's pose, speed and yaw rate, with their covariances.
+"""Converts wheel pulses to the car's pose, speed and yaw rate, with their covariances.
 
-Consumes the reports of the wheels as the plausibility gates have judged them, in the Teensy's own time. REP-103:
-metres, radians, x forward, y left; the pose is that of the middle of the rear axle, and begins at 0.
+Consumes the reports of the wheels with the verdicts of the plausibility gates, in the Teensy's own time. REP-103:
+metres, radians, x forward, y left; the pose of the middle of the rear axle, which begins at 0.
 
 One pulse is 1.5 cm, and 2.9° of heading when only one wheel has made it, so that counting pulses isn't enough:
 ``wheel_filter`` estimates each wheel between its pulses, ``alignment`` finds where the magnets stood at the start,
 ``heading`` filters the difference of the wheels, ``restart`` bridges pulses that a rebooting Teensy didn't count, and
-``pose`` adds it all up. Position comes from pulses, never from the reports' ``speed``. Pure.
+``pose`` integrates. Position comes from pulses, never from the reports' ``speed``. Pure.
 """
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from car_interface.teensy.sensing.pulse_counts import LEARNING_PULSES
 from car_interface.teensy.sensing.restart import CarState, RestartBridge, WheelState
 from car_interface.teensy.sensing.wheel_filter import TICK_MIDDLE_MS, WheelFilter
 
-MIN_LENGTH_M = 0.001  # of a car's dimensions: divided by what is far less, numbers leave the range of floats
+MIN_LENGTH_M = 0.001  # of a car's dimensions: a division by far less would overflow floats
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class OdometryConfig:
 
 
 class Motion(NamedTuple):
-    """The car's pose and motion at a moment."""
+    """The car's pose and motion at one time."""
 
     time_ms: float  # the Teensy's
     x_m: float
@@ -113,10 +113,10 @@ class Odometry:
         Args:
             record: the report.
             pulses: signed, for the left and the right wheel, as the gates counted them.
-            restarted: the odometers began anew; it is unknown how many pulses weren't counted.
-            left_ms, right_ms: the ticks of each wheel's last pulse or repeat, in ticks that never begin anew.
-            report_ms: a moment until which there was no later pulse; never earlier than the newest of them.
-            unproven: further pulses, before those, whose direction isn't known yet.
+            restarted: the odometers restarted; it is unknown how many pulses weren't counted.
+            left_ms, right_ms: the ticks of each wheel's last pulse or repeat, in ticks that never restart.
+            report_ms: a time before which there was no later pulse; never earlier than the newest of them.
+            unproven: further, earlier pulses whose direction isn't known yet.
         """
         now_ms = max(report_ms, self._time_ms)
         last, self._last = self._last, record
@@ -140,7 +140,7 @@ class Odometry:
         return self._cross_bridge(record, pulses, unproven, (left_ms, right_ms), now_ms)
 
     def _update_wheels(self, record, last, pulses, times_ms, now_ms):
-        """Give the wheels their pulses; whether there was a new one."""
+        """Pass the wheels their pulses; return whether there was a new one."""
         has_pulse = False
         for wheel, now, before, count, at_ms in zip(self._wheels, record, last, pulses, times_ms):
             if not count and now.dist_abs in (0, before.dist_abs):
@@ -187,7 +187,7 @@ class Odometry:
         return self._move(record, True, now_ms, outcome)
 
     def _move(self, record, has_pulse, now_ms, outcome=None):
-        """Move the pose by what the wheels have rolled; ``outcome``: of a bridge that was just crossed."""
+        """Move the pose by the distances of the wheels; ``outcome``: of a bridge that was just crossed."""
         left, right = self._wheels
         elapsed_s = max(0.0, now_ms - self._time_ms) / 1000 if self._time_ms > -math.inf else 0.0
         mean = (left.position + right.position) / 2
@@ -216,7 +216,7 @@ class Odometry:
         return (right.position - left.position - self._alignment.difference) * self._rad_per_pulse
 
     def _update_heading(self, record, has_pulse, outcome):
-        """Give the heading the wheels' difference, if there is news of it."""
+        """Correct the heading by the wheels' difference, if a wheel has made a pulse."""
         if _turns_on_the_spot(record):
             self._heading.begin(self._measured_yaw_rad(), HEADING_VARIANCE)
         elif has_pulse:
@@ -252,11 +252,11 @@ class Odometry:
 
 
 def _may_learn(record):
-    """Whether the Teensy may not know the direction of a wheel's next pulses yet."""
+    """Return whether the Teensy may not know the direction of a wheel's next pulses yet."""
     return any(wheel.dist_abs < LEARNING_PULSES for wheel in record)
 
 
 def _turns_on_the_spot(record):
-    """Whether the wheels turn in opposite directions."""
+    """Return whether the wheels turn in opposite directions."""
     directions = (record.left.direction, record.right.direction)
     return NO_DIRECTION not in directions and directions[0] != directions[1]

@@ -1,21 +1,21 @@
-"""Gates between the Teensy's records and what is made of them: odometry, clock and ranges.
+"""Judges the Teensy's records before odometry, clock and ranges use them.
 
-A checksum of eight bits lets some wrong frames past. Each record that made sense is judged here against those before
-it: device ticks against device ticks and pulses against pulses, never against the host's clock. The verdict has
-whether it may be used, why not, and how many pulses it adds to the distance.
+A checksum of eight bits lets some wrong frames past. Each well-formed record is judged here against earlier ones:
+device ticks against device ticks and pulses against pulses, never against the host's clock. The verdict has whether it
+may be used, why not, and how many pulses it adds to the distance.
 
 Three rules keep one wrong record from doing harm, and a true jump from being locked out:
 
 - A report of the wheels that brings more pulses than the wheel's own speed explains by ``SURPRISE_PULSES`` waits until
-  others confirm it. So a wrong one that is taken moves a wheel by at most that many pulses, 4.5 cm.
-- A record that contradicts the one before it, but follows from the one before that, is taken, and what the wrong one
-  had added is taken back.
+  others confirm it. So a wrong report that is accepted moves a wheel by at most that many pulses, 4.5 cm.
+- A record that contradicts the one before it, but follows from the one before that, is accepted, and the pulses of the
+  wrong one are taken back.
 - Any other contradiction is a jump: the Teensy rebooted, its odometers were reset, or many reports were lost. It is
   accepted with the third of ``CONSISTENT`` records in a row each of which follows from the one before it; none of the
   pulses between these is lost. Odometers at zero that have no direction yet are accepted at once: no other state looks
   like that.
 
-What a healthy firmware sends is never refused. Pure.
+Records of a healthy firmware are never refused. Pure.
 """
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from car_interface.teensy.sensing.wheel_gate import WheelGate
 
 @dataclass(frozen=True)
 class GateConfig:
-    """What the gates take for possible.
+    """The bounds of the possible.
 
     Args:
         top_speed_mps: of a wheel, its spinning included.
@@ -41,7 +41,7 @@ class GateConfig:
             lost.
 
     Raises:
-        ConfigError: when one of them isn't a number above 0.
+        ConfigError: one of them isn't a number above 0.
     """
 
     top_speed_mps: float = 20.0
@@ -55,9 +55,9 @@ class GateConfig:
 
 
 class Gates:
-    """Judges the records of one Teensy, in the order in which they came.
+    """Judges the records of one Teensy, in the order in which they arrived.
 
-    ``counts`` has the refused ones by reason, and the accepted ones that are notable.
+    ``counts`` has the refused records and the notable accepted ones, by reason.
     """
 
     def __init__(self, config: GateConfig = GateConfig()):
@@ -74,11 +74,11 @@ class Gates:
         return self._counted(self._judge_tick(record.timestamp2))
 
     def sonar(self, record: SonarStatus) -> Verdict:
-        """Judge a sonar's report, by its tick: any echo time may come, see ``ranging``."""
+        """Judge a sonar's report by its tick: any echo time is possible, see ``ranging``."""
         return self._counted(self._judge_tick(record.when))
 
     def wheels(self, record: WheelStatus) -> Verdict:
-        """Judge a report of the wheels. Wheels that turn in opposite directions are nothing odd: a car may spin."""
+        """Judge a report of the wheels. They may turn in opposite directions: a car can spin."""
         verdict = self._wheels.judge(record, self._ticks.newest, self._ticks.restarts)
         if verdict.boot_tick is not None:
             self._ticks.restart(verdict.boot_tick)

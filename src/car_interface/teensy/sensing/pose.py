@@ -1,4 +1,4 @@
-"""Dead reckoning: the car's pose and its covariance, from distances and turns. Pure."""
+"""Integrates the car's pose and its covariance from distances and turns: dead reckoning. Pure."""
 from __future__ import annotations
 
 import math
@@ -22,12 +22,12 @@ class Pose:
         self._variances = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # xx, xy, xa, yy, ya, aa
 
     def set_yaw(self, yaw_rad: float, variance: float) -> None:
-        """The heading has become known, with this variance."""
+        """Set the heading, which has become known with this variance."""
         self.yaw_rad = yaw_rad
         self._variances = (*self._variances[:5], self._variances[5] + variance)
 
     def add_variance(self, along_variance: float, heading_variance: float) -> None:
-        """So much more is unknown: m² along the heading, rad² of it."""
+        """Add variance: m² along the heading, rad² of the heading."""
         cos, sin = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         xx, xy, xa, yy, ya, aa = self._variances
         self._variances = (xx + along_variance * cos * cos, xy + along_variance * cos * sin, xa,
@@ -51,6 +51,6 @@ class Pose:
             yy + dx_m * (ya + ya_) + along * sin * sin, ya_, aa + turn)
 
     def covariance(self, place_variance: float, heading_variance: float) -> tuple:
-        """3×3, of x, y and yaw, with these variances added: what is unknown below a pulse doesn't accumulate."""
+        """Return the 3×3 covariance of x, y, yaw, plus these variances: an error below a pulse doesn't accumulate."""
         xx, xy, xa, yy, ya, aa = self._variances
         return (xx + place_variance, xy, xa), (xy, yy + place_variance, ya), (xa, ya, aa + heading_variance)

@@ -1,4 +1,4 @@
-"""Signed pulses from two reports of a wheel, and which of them have a direction that the firmware could know.
+"""Computes signed pulses from two reports of a wheel, and which of them have a direction that the firmware could know.
 
 At power-up the firmware takes both pins of a hall sensor for low and then learns one of them with each pulse. So the
 direction of a wheel's first two pulses means nothing: it may be wrong, or still missing while ``dist_abs`` grows. These
@@ -12,20 +12,20 @@ LEARNING_PULSES = 2  # of a wheel after power-up, until the firmware knows both 
 
 
 def ahead(later: int, earlier: int) -> int:
-    """How far one 32-bit counter is ahead of another, which wraps: −2**31 .. 2**31 − 1."""
+    """Return how far one wrapping 32-bit counter is ahead of another: −2**31 .. 2**31 − 1."""
     return (later - earlier + UINT32 // 2) % UINT32 - UINT32 // 2
 
 
 def has_pulsed(wheel: Wheel) -> bool:
-    """Whether its ``when`` is a reading of the clock: until the first pulse it is 0, and so is it with a wrap."""
+    """Return whether ``when`` is a reading of the clock; it is 0 until the first pulse, but also at a wrap."""
     return bool(wheel.when or wheel.speed)
 
 
 def signed_pulses(before: Wheel, now: Wheel) -> int:
-    """The pulses from one report of a wheel to a later one, backward negative.
+    """Return the pulses from one report of a wheel to a later one, backward negative.
 
-    The pulse before ``now.dist`` was made in the other direction. Where a wheel turned round twice in between, it
-    is unknown how many of the pulses before that went in which direction: they count as none.
+    The pulse before ``now.dist`` was made in the other direction. If a wheel reversed twice in between, it is unknown
+    how many of the earlier pulses went in which direction: their sum is taken as 0.
     """
     sign = 1 if now.direction == FORWARD else -1
     pulses = ahead(now.dist_abs, before.dist_abs)
@@ -36,7 +36,7 @@ def signed_pulses(before: Wheel, now: Wheel) -> int:
 
 
 def learning_pulses(before: Wheel, now: Wheel) -> tuple[int, int]:
-    """(signed proven, unproven) pulses of a wheel whose Teensy may not have known its hall sensor's pins yet.
+    """Return (signed proven, unproven) pulses of a wheel whose Teensy may not have known its hall sensor's pins yet.
 
     A direction that begins with the second pulse, after a first one without any, is right: both pins are known then.
     """

@@ -1,17 +1,16 @@
-"""Echo times → ranges.
+"""Converts echo times to ranges.
 
 Consumes microseconds from a sonar's ping to its echo as the firmware reports them; produces metres, as
-sensor_msgs/Range wants them. What is no distance goes by REP-117: nothing in range +inf, too near to be
-measured −inf. ROS 1's costmap layer drops infinite ranges and clears only at ``max_range``, so there is an option
-to have numbers only. Never NaN.
+sensor_msgs/Range wants them. By REP-117 nothing in range is +inf, and too near to be measured −inf. ROS 1's costmap
+layer drops infinite ranges and clears only at ``max_range``, so an option gives finite numbers only. Never NaN.
 
-What the firmware reports (seen on the original one, see test/data/firmware):
+The firmware's reports (observed on the original one, see test/data/firmware):
 
 - 13 µs less than the echo took: they are added.
-- Whatever the sensor's own pulse lasts, in 16 bits. Without an echo an HC-SR04 ends its pulse after 38 ms. There are
-  clones that hold it for 200 ms, of which 3,379 µs are left, 0.58 m: their time-out has to be known.
-- 0 for a pin that never fell, and around a wrap of micros(): no distance, and no measurement either. Around
-  the wrap, every 71.6 minutes of the Teensy's uptime, several pings fail or fire together: none of it is used.
+- The length of the sensor's own pulse, in 16 bits. Without an echo an HC-SR04 ends its pulse after 38 ms. There are
+  clones that hold it for 200 ms, of which 16 bits leave 3,379 µs, 0.58 m: their time-out has to be known.
+- 0 for a pin that never fell, and around a wrap of micros(): this is no measurement. Around the wrap, every
+  71.6 minutes of the Teensy's uptime, several pings fail or fire together: none of these reports is used.
 
 Pure: the temperature of the air is set from outside, whenever it is known.
 """
@@ -22,7 +21,7 @@ from collections import Counter, deque
 from dataclasses import dataclass
 
 from car_interface.common.errors import ConfigError
-from car_interface.teensy.link.protocol import SONARS
+from car_interface.common.vehicle_geometry import SONARS
 
 INF, MAX_RANGE = "inf", "max_range"
 US_PER_S = 1e6
@@ -31,10 +30,10 @@ MEDIAN_OF = 5
 FIRMWARE_OFFSET_US = 13  # by the firmware, of each echo
 UINT16, UINT32 = 2 ** 16, 2 ** 32
 USUAL_TIMEOUT_MS, MAX_TIMEOUT_MS = 38.0, 1000.0
-# From so much of its time-out on an echo is none; where the time-out wraps, it is known by how near it comes to it.
+# An echo of at least this part of the time-out is none; a time-out that wraps is recognised within the tolerance.
 TIMEOUT_RATIO, TIMEOUT_TOLERANCE_US = 0.95, 300
-# Around a wrap of micros(): a ping begun in the last 29 ms before it fails, and what fires then reports a little later.
-# The first report after power-up comes at 300 ms.
+# Around a wrap of micros(): a ping that begins in the last 29 ms before it fails, and the sonars that fire then report
+# a little later. The first report after power-up comes at 300 ms.
 BEFORE_WRAP_US, AFTER_WRAP_US = 50_000, 250_000
 
 # Why an echo makes no range.
@@ -50,17 +49,17 @@ def _check_temperature(temperature_c):
 
 @dataclass(frozen=True)
 class RangingConfig:
-    """How echoes are taken.
+    """The rules by which echoes become ranges.
 
     Attributes:
         temperature_c: of the air, −50 to 60.
-        min_range_m: what is nearer is too near to be measured: the sonar itself still rings.
-        max_range_m: an echo from farther counts as none.
+        min_range_m: a nearer echo can't be measured: the sonar itself still rings.
+        max_range_m: an echo from farther is taken for none.
         no_echo: ``inf``: no echo is +inf, one from too near −inf. ``max_range``: no echo is ``max_range_m``, one from
-            too near is ``min_range_m``: something stands there, and a costmap shall keep it.
+            too near is ``min_range_m``: something stands there, and a costmap should keep it.
         timeouts_ms: after which each sonar ends its pulse by itself when no echo comes; up to 1000.
-        median: of each sonar's newest five echoes, not the newest. One or two wrong ones in a row don't show; what is
-            new shows with the third report, two reports later than without.
+        median: of each sonar's newest five echoes, instead of the newest. It hides one or two wrong echoes in a row,
+            and shows a change with the third report, two reports later.
 
     Raises:
         ConfigError: naming the ROS parameter.
@@ -104,10 +103,10 @@ class Ranging:
 
     @property
     def temperature_c(self) -> float:
-        """Of the air.
+        """The temperature of the air.
 
         Raises:
-            ConfigError: when it's set to anything but a number from −50 to 60; the one before stays.
+            ConfigError: it is set to anything but a number from −50 to 60; the one before stays.
         """
         return self._temperature_c
 
@@ -117,18 +116,18 @@ class Ranging:
         self._temperature_c = temperature_c
 
     def range(self, sensor: int, echo_us: int, tick: int, is_trusted: bool = True) -> float | None:
-        """Metres from a sonar to what its echo came from.
+        """Return the metres from a sonar to the origin of its echo.
 
         Args:
-            sensor: index in ``protocol.SONARS``.
+            sensor: index in ``SONARS``.
             echo_us: as the firmware reports it.
             tick: the Teensy's clock then, ms.
             is_trusted: False within two reports of a SONAR_START: the firmware fires two sonars at once.
 
         Returns:
-            ``min_range_m`` to ``max_range_m``; else by ``no_echo``; ``None`` when the report tells no
-            distance. With ``median`` no echo counts as one from beyond all others, so that three of the newest five
-            decide; of the first two or four the nearer middle one.
+            ``min_range_m`` to ``max_range_m``; else by ``no_echo``; ``None``: the report has no distance. With
+            ``median`` no echo is farther than any other, so that three of the newest five decide; of the first two or
+            four the nearer middle one.
         """
         doubt = "" if is_trusted else DISTRUSTED
         if is_near_micros_wrap(tick):
@@ -148,7 +147,7 @@ class Ranging:
 
 
     def _echo_us(self, sensor, reported_us):
-        """What the echo took; infinite when there was none."""
+        """Return the time of the echo; infinite when there was none."""
         timeout_us = self._timeouts_us[sensor]
         if timeout_us >= UINT16:
             off_us = (reported_us + FIRMWARE_OFFSET_US - timeout_us + UINT16 // 2) % UINT16 - UINT16 // 2
@@ -160,11 +159,11 @@ class Ranging:
 
 
 def is_near_micros_wrap(tick: int) -> bool:
-    """Whether the Teensy's 32 bits of µs wrap at about this tick of its 32 bits of ms. Both begin at power-up."""
+    """Return whether the Teensy's 32 bits of µs wrap near this tick of its 32 bits of ms; both begin at power-up."""
     since_us = 1000 * tick % UINT32  # 2**32 ms are 1000 wraps
     return since_us >= UINT32 - BEFORE_WRAP_US or since_us <= AFTER_WRAP_US
 
 
 def speed_of_sound_mps(temperature_c: float) -> float:
-    """In dry air: the tangent at 0 °C of 331.3 √(1 + T / 273.15), 0.23 % above it at 40 °C, less from −20 on."""
+    """Return the speed in dry air: the tangent at 0 °C of 331.3 √(1 + T / 273.15), at most 0.23 % above it to 40 °C."""
     return 331.3 + 0.606 * temperature_c

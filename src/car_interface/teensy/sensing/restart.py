@@ -1,16 +1,16 @@
-"""What the wheels did while their pulses weren't counted, and in which direction they made the first pulses after it.
+"""Reconstructs the wheels' motion while pulses weren't counted, and the direction of the first pulses after that.
 
 A Teensy that reboots counts no pulse for about 0.3 s, and does not know the direction of each wheel's first two pulses
 after that (see ``plausibility``). ``RestartBridge`` collects the pulses after the restart until they are enough, and
 then finds the magnets at which both wheels were, from four things:
 
 - a wheel makes pulses at fixed places, one magnet apart, so that each wheel has skipped a whole number of them;
-- speed before and after, which changes evenly in between: so far the car has rolled, give or take some magnets;
-- curvature before and after: by so much the wheels' distances differ. Heading depends on that difference alone, and a
-  car that keeps its curvature lets it be known to the magnet;
+- speed before and after, which changes evenly in between: this gives the distance, within some magnets;
+- curvature before and after, which gives the difference of the wheels' distances. Heading depends on that difference
+  alone, and is known to the magnet if the car keeps its curvature;
 - a direction that one wheel proves holds for both, as it does for a wheel's own first two pulses.
 
-The likelihoods of the next best answers give the variances of what is added: a heading is never claimed to be better
+The likelihoods of the next best answers give the variances that are added: a heading is never claimed to be better
 than a pulse in three sigma. Pure; units are pulses and milliseconds.
 """
 from __future__ import annotations
@@ -20,21 +20,21 @@ from itertools import product
 from typing import NamedTuple, Sequence
 
 LEFT, RIGHT = 0, 1
-ROLLING_PER_MS = 0.01  # 0.15 m/s: from here on a wheel is taken to go on as it rolled
-BLIND_MS = 100.0  # a restart that takes longer was one of the Teensy; a reset of its odometers loses a report or two
-REPEAT_MS = 450.0  # a standing car is reported at least so often
-MAX_BLIND_MS = 2_000.0  # after longer the speed between isn't known at all
-# After the restart each wheel's speed is taken over so many pulses and so long, or whatever has come when that is over.
+ROLLING_PER_MS = 0.01  # 0.15 m/s: a wheel that rolls faster is expected to go on
+BLIND_MS = 100.0  # a longer restart was a reboot; a reset of the odometers loses only a report or two
+REPEAT_MS = 450.0  # a standing car is reported more often than this: every 201 ms, and a report may be lost
+MAX_BLIND_MS = 2_000.0  # after a longer time the speed in between is unknown
+# After the restart each wheel's speed is taken over this many pulses and this time, at most until the last of these.
 ENOUGH_PULSES, ENOUGH_SPAN_MS, ENOUGH_MS = 6, 100.0, 250.0
-LATE_INTERVALS = 1.6  # a first pulse that comes later than so many intervals is that of a car which started after it
-STOPPED_INTERVALS = 3.0  # no pulse for so many of the intervals before: it stopped meanwhile
-SEARCHED = 6  # magnets around the likeliest
-UNEVEN_PER_MS2 = 1.3e-4  # by how much an acceleration may differ from the even one, 2 m/s²
-CLOCK_MS = 4.0  # how well the duration of a reboot is known
+LATE_INTERVALS = 1.6  # a first pulse later than this many intervals means that the car started only then
+STOPPED_INTERVALS = 3.0  # without a pulse for this many of the earlier intervals: it has stopped
+SEARCHED = 6  # magnets to either side of the likeliest
+UNEVEN_PER_MS2 = 1.3e-4  # one sigma of the acceleration about its mean: 2 m/s²
+CLOCK_MS = 4.0  # one sigma of the duration of a reboot
 REST_MS, UNPROVEN_VARIANCE = 1000.0, 4.0  # ms; pulses²: two of them in the other direction in less than three sigma
 TICK_MS = 0.45  # of the interval between two ticks, one sigma
-CURVATURE_SIGMA = 0.05  # 1/m: what the curvature between is claimed to be known by, at the best
-UNEVEN_START_RATIO = 0.3  # of the distance that a car has made which started meanwhile, one sigma
+CURVATURE_SIGMA = 0.05  # 1/m: the smallest that is claimed for the curvature in between
+UNEVEN_START_RATIO = 0.3  # one sigma, of the distance of a car that started while pulses weren't counted
 PLACE_SIGMA, DIFFERENCE_SIGMA = 0.3, 0.2  # pulses: of where the wheels were before
 STANDING_DIFFERENCE_VARIANCE = 0.4  # pulses²: of wheels that stood, each anywhere between two magnets
 MIN_DIFFERENCE_VARIANCE = 1 / 9  # pulses²: a whole one within three sigma
@@ -58,13 +58,13 @@ class CarState(NamedTuple):
 
 
 class WheelStart(NamedTuple):
-    """How a wheel goes on.
+    """The state in which a wheel goes on.
 
     Attributes:
-        place: of its first pulse's magnet; without pulses where it is, anywhere between two.
-        speed: then.
+        place: of its first pulse's magnet; without pulses the wheel's own, anywhere between two.
+        speed: at that time.
         forward: its direction.
-        pulses: (so many, at ms), the first of which was at ``place``.
+        pulses: (number, at ms), the first of which was at ``place``.
     """
 
     place: float
@@ -74,21 +74,21 @@ class WheelStart(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What is known after a restart."""
+    """The result of a bridge."""
 
     wheels: tuple  # of WheelStart
     was_rolling: bool
     curvature_per_m: float
     curvature_variance: float
-    mean_variance: float  # pulses², of what both wheels have rolled
-    difference_variance: float  # pulses², of what right has rolled more than left
+    mean_variance: float  # pulses², of the mean distance of both wheels
+    difference_variance: float  # pulses², of the right wheel's distance minus the left one's
 
 
 class RestartBridge:
     """From the last report before a restart to the pulses that show how the car goes on.
 
     Args:
-        state: of the car then.
+        state: of the car at that report.
         track_m: between the wheels.
     """
 
@@ -101,23 +101,23 @@ class RestartBridge:
         self._signs = [0, 0]
 
     def restart(self) -> None:
-        """Once more, before anything was known: pulses since then don't count."""
+        """Begin again after another restart: earlier pulses are dropped."""
         self._seen_ms = None
         self._pulses = ([], [])
         self._signs = [0, 0]
 
     def pending(self, side: int) -> int:
-        """Pulses of a wheel since the restart."""
+        """Return the pulses of a wheel since the restart."""
         return sum(count for count, _ in self._pulses[side])
 
     def is_reset(self, pulses: Sequence[int], unproven: Sequence[int], now_ms: float) -> bool:
-        """Whether the first pulses show that it was WHEEL_RESET: each direction is known, hardly a pulse is missing."""
+        """Return whether the first pulses show a WHEEL_RESET: each direction is known, hardly a pulse is missing."""
         seen_ms = now_ms if self._seen_ms is None else self._seen_ms
         return (any(pulses) and not any(unproven) and not any(self._pulses)
                 and seen_ms - self._state.at_ms <= REPEAT_MS)
 
     def report(self, now_ms: float) -> bool:
-        """Note that pulses are counted; whether the car has stopped while they weren't, which is news once."""
+        """Take note that pulses are counted; return True once if the car stopped while they weren't."""
         if self._seen_ms is None:
             self._seen_ms = now_ms
         state = self._state
@@ -132,12 +132,12 @@ class RestartBridge:
 
     @property
     def positions(self) -> tuple[float, float]:
-        """Where the wheels stand, after ``report`` found that the car has stopped."""
+        """Return where the wheels stand, after ``report`` found that the car has stopped."""
         left, right = self._state.wheels
         return left.position, right.position
 
     def add(self, side: int, unproven: int, proven: int, at_ms: float) -> None:
-        """Take pulses of a wheel: so many without and (signed) with a known direction; the newest was at ``at_ms``."""
+        """Take pulses of a wheel, without and (signed) with a known direction; the newest was at ``at_ms``."""
         count = unproven + abs(proven)
         if count:
             self._pulses[side].append((count, at_ms))
@@ -145,7 +145,7 @@ class RestartBridge:
             self._signs[side] = 1 if proven > 0 else -1
 
     def is_ready(self, now_ms: float) -> bool:
-        """Whether enough is known to go on."""
+        """Return whether enough is known to go on."""
         if not any(self._pulses) or not self._find_sign(now_ms):
             return False
         if now_ms - self._first_ms() > ENOUGH_MS:
@@ -158,7 +158,7 @@ class RestartBridge:
                    for side, pulses in enumerate(self._pulses))
 
     def solve(self, now_ms: float) -> Outcome:
-        """How the wheels go on; ``is_ready`` first."""
+        """Return how the wheels go on; call it only when ``is_ready``."""
         was_rolling = self._was_rolling()
         state, signs = self._state, self._all_signs(now_ms)
         speeds = self._speeds(signs, now_ms)
@@ -200,7 +200,7 @@ class RestartBridge:
         return sum(wheel.speed for wheel in self._state.wheels) / 2
 
     def _find_sign(self, now_ms):
-        """Of the car: proven by a wheel, or as it rolled before; 0 = not known."""
+        """Return the car's direction, proven by a wheel or as it rolled before; 0 = unknown."""
         proven = next((sign for sign in self._signs if sign), 0)
         if proven:
             return proven
@@ -214,7 +214,7 @@ class RestartBridge:
         return [proven or sign for proven in self._signs]
 
     def _was_rolling(self):
-        """Whether the car rolled as pulses began to be counted again; else it started later."""
+        """Return whether the car rolled when pulses were counted again; else it started later."""
         if self._seen_ms is None:
             return True
         for pulses in self._pulses:
@@ -224,7 +224,7 @@ class RestartBridge:
         return not any(_rate(pulses) for pulses in self._pulses) and abs(self._mean_before()) > ROLLING_PER_MS
 
     def _speeds(self, signs, now_ms):
-        """Of both wheels at their pulses; what one doesn't tell is taken from the other, or from before."""
+        """Return both wheels' speeds at their pulses; an unknown one is taken from the other wheel, or from before."""
         rates = [_rate(pulses) for pulses in self._pulses]
         known = [sign * rate for sign, rate in zip(signs, rates) if rate]
         # A wheel of which no second pulse has come for a while has become slow.
@@ -235,18 +235,18 @@ class RestartBridge:
                 for sign, rate, speed in zip(signs, rates, slowed)]
 
     def _curvature(self, speeds, was_rolling):
-        """Over the time without counts, and its variance, from before and after."""
+        """Return the curvature over the time without counts, and its variance, by the ones before and after."""
         before, before_variance = self._state.curvature_per_m, self._state.curvature_variance
         after, after_variance = self._curvature_after()
         if not was_rolling or after is None or self._blind_ms() <= BLIND_MS:
             return before, before_variance
         if abs(self._mean_before()) <= ROLLING_PER_MS:
             return after, after_variance + CURVATURE_SIGMA ** 2
-        # Exact where it changes evenly; a step at any moment between is spread like that.
+        # Exact where it changes evenly; a step at an unknown time in between has this spread.
         return (before + after) / 2, (after - before) ** 2 / 12 + CURVATURE_SIGMA ** 2
 
     def _curvature_after(self):
-        """From both wheels over the same time, and its variance; ``None`` when there are too few pulses."""
+        """Return curvature and variance by both wheels over the same time; ``None``: there are too few pulses."""
         if any(len(pulses) < 2 for pulses in self._pulses):
             return None, math.inf
         begin_ms = max(pulses[0][1] for pulses in self._pulses)
@@ -258,7 +258,7 @@ class RestartBridge:
                 2 * (TICK_MS / (end_ms - begin_ms) / self._track_m) ** 2)
 
     def _guess(self, side, speeds, curvature, was_rolling, signs):
-        """Where a wheel was at its first pulse, or the other's, in pulses, without regard to magnets."""
+        """Return where a wheel was at its first pulse, or the other's, in pulses, regardless of magnets."""
         state = self._state
         wheel = state.wheels[side]
         pulses = self._pulses[side]
@@ -280,7 +280,7 @@ class RestartBridge:
         return wheel.position + rolled * (1 + side_sign * curvature * self._track_m / 2)
 
     def _distance_from_rest(self, at_ms):
-        """What the car had rolled by then since it stood: by its speed v and acceleration a, v² / 2a."""
+        """Return the distance since the car stood, by its speed v and acceleration a: v² / 2a."""
         early_rate, late_rate, early_ms, late_ms = (
             sum(values) / 2 for values in zip(*(_early_and_late(pulses or max(self._pulses, key=len))
                                                 for pulses in self._pulses)))
@@ -290,7 +290,7 @@ class RestartBridge:
         return max(0.0, early_rate + acceleration * (at_ms - early_ms)) ** 2 / (2 * acceleration)
 
     def _search(self, guesses, signs, mean_variance, difference_variance):
-        """The likeliest magnets of the first pulses, and the variance of their difference."""
+        """Return the likeliest magnets of the first pulses, and the variance of their difference."""
         mean = sum(guesses) / 2
         difference = guesses[RIGHT] - guesses[LEFT]
         around = [range(round(guess) - SEARCHED, round(guess) + SEARCHED + 1) if self._pulses[side] else
@@ -307,7 +307,7 @@ class RestartBridge:
         return (left, right), sum(weight * (other - one - right + left) ** 2 for weight, one, other in weights) / total
 
     def _possible(self, side, places, sign):
-        """Of these places those that a wheel can have reached: one that goes on as it rolled has gone on."""
+        """Return the places that a wheel can have reached: a wheel that rolled on can't be where it was."""
         wheel = self._state.wheels[side]
         first = self._pulses[side][0][0] if self._pulses[side] else 0
         if not first or wheel.speed * sign < 0 or self._stop_variance:
@@ -320,14 +320,14 @@ class RestartBridge:
 
 
 def _rate(pulses):
-    """Pulses per ms; 0 when there are too few."""
+    """Return pulses per ms; 0 when there are too few."""
     if len(pulses) < 2 or pulses[-1][1] <= pulses[0][1]:
         return 0.0
     return sum(count for count, _ in pulses[1:]) / (pulses[-1][1] - pulses[0][1])
 
 
 def _count_at(pulses, at_ms):
-    """How many pulses a wheel has made since its first, between two of them in proportion."""
+    """Return the number of a wheel's pulses since its first, interpolated between two of them."""
     counted = 0
     for (_, before_ms), (count, after_ms) in zip(pulses, pulses[1:]):
         if at_ms <= after_ms:
@@ -337,7 +337,7 @@ def _count_at(pulses, at_ms):
 
 
 def _early_and_late(pulses):
-    """Rates of a wheel's first and last half of pulses, and the middles of these times."""
+    """Return the rates of the first and last half of a wheel's pulses, and the middles of these times."""
     middle = len(pulses) // 2
     early, late = pulses[:middle + 1], pulses[middle:]
     return _rate(early), _rate(late), (early[0][1] + early[-1][1]) / 2, (late[0][1] + late[-1][1]) / 2

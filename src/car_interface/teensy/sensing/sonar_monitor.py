@@ -1,43 +1,46 @@
-"""Which sonars report, which of their reports to trust, and when to start them again.
+"""Watches the six sonars: which of them report, which reports to trust, and when to start them again.
 
-Consumes the sonars' reports and what the host commands; answers with faults by name and with what to do about them.
-What the firmware does (seen on the original one, see test/data/firmware):
+Consumes the sonars' reports and the host's commands; answers with faults by name and their remedies.
+The firmware's behaviour (observed on the original one, see test/data/firmware):
 
 - A sonar that isn't connected is skipped. The first of the sequence missing at power-up silences all of them, until
   SONAR_START steps to the next.
 - One whose echo pin is stuck high holds the others up for about the Teensy's uptime and reports 0; after 179 s of
   uptime (89 s on a Teensy 3.1) it silences all of them, until SONAR_START, and then again at that sonar.
-- SONAR_START while they run fires two sonars at once, and the second one receives the first one's echo. So it's sent
+- SONAR_START while they run fires two sonars at once, and the second one receives the first one's echo. So it is sent
   only when none reports, and reports right after it aren't trusted.
 
-Pure: ``now_ns`` in, nothing that grows.
+Pure: ``now_ns`` in, and its memory doesn't grow.
 """
 from __future__ import annotations
 
 from typing import NamedTuple, Sequence
 
 from car_interface.common.units import NS_PER_MS, NS_PER_S
-from car_interface.teensy.link.protocol import SONARS
+from car_interface.common.vehicle_geometry import SONARS
 from car_interface.teensy.sensing.ranging import is_near_micros_wrap
-from car_interface.teensy.sensing.sonar_aim import SonarAim
 
-MISSING_ROUNDS = 2  # so many rounds of the others without a report
+MISSING_ROUNDS = 2  # rounds of the others without a report
 STUCK_ZEROS, DROPPED_ZEROS = 2, 3  # echoes of 0 in a row
-MAX_STALLS = 2  # so often in a row all stopped at the same sonar
-DISTRUSTED_REPORTS = 2
-# A report of before SONAR_START may still be on its way; the last false one comes with the end of a pulse of 38 ms.
+MAX_STALLS = 2  # in a row: all sonars stopped at the same one
+DISTRUSTED_REPORTS = 2  # SONAR_START fires two sonars at once
+# A report from before SONAR_START may still be on its way; the last false one comes at the end of a pulse of 38 ms.
 BEFORE_START_MS, AFTER_START_MS = 15, 70
 MAX_RETRY_NS = 60 * NS_PER_S  # between SONAR_STARTs that don't help
-FIRMWARE_WAIT_MS = 50
+FIRMWARE_WAIT_MS = 50  # between an echo and the next ping, at power-up
 SEND_START, SEND_SEQUENCE = "SONAR_START", "SET_SONAR_SEQ"
-ALIVE_NS = NS_PER_S  # a link on which nothing came for longer tells nothing about sonars
+# The sonars fire mostly ahead while the car drives forward, and for a while after it stopped: a short stop changes
+# nothing. The two speeds differ, so that a car which stands doesn't switch with the noise of its speed.
+FORWARD_MPS, BACKWARD_MPS = 0.15, -0.1
+STAYS_AHEAD_NS = NS_PER_S
+ALIVE_NS = NS_PER_S  # a link without any frame for longer shows nothing about sonars
 
 
 class SonarFault(NamedTuple):
-    """What is wrong with the sonars.
+    """A fault of the sonars.
 
     Attributes:
-        sensor: index in ``protocol.SONARS``; ``None`` for all of them.
+        sensor: index in ``SONARS``; ``None`` for all of them.
         description: what is wrong.
         next_step: what its owner can do.
     """
@@ -51,14 +54,14 @@ class SonarMonitor:
     """Follows the six sonars of one Teensy.
 
     Args:
-        restart_s: after so long without any report, though there should be some, SONAR_START is wanted; 0 = never.
-        sequence: the sonars in use, to be sent to each Teensy that comes up; ``None`` = the firmware's own order.
+        restart_s: SONAR_START is wanted after this long without a report, while there should be some; 0 = never.
+        sequence: the sonars in use, to be sent to each Teensy that boots; ``None`` = the firmware's own order.
         ahead: the sequence while the car drives forward; ``None`` = the same one.
 
     Attributes:
         sequence: the sonars in use, as the firmware fires them.
         starts: how many SONAR_STARTs it asked for.
-        dropped: sensors that are stuck and were taken out of the sequence.
+        dropped: stuck sensors that were taken out of the sequence.
     """
 
     def __init__(self, restart_s: float = 3.0, sequence: Sequence[int] | None = None,
@@ -82,7 +85,7 @@ class SonarMonitor:
         self._must_send = self._configured is not None
 
     def _forget_reports(self, now_ns):
-        self._since_ns = now_ns  # from when on reports are missed
+        self._since_ns = now_ns  # since when reports are expected
         self._others = [0] * len(SONARS)  # reports of other sonars since its own last one
         self._zeros = [0] * len(SONARS)  # in a row
         self._last: int | None = None  # the sensor that reported last, since SONAR_START
@@ -91,34 +94,34 @@ class SonarMonitor:
         self._trusted_after = (0, 0)  # reports still to be distrusted, tick until which all are
 
     def opened(self, now_ns: int) -> None:
-        """The port was opened: nothing is known of what the sonars do, but their order stays what was commanded."""
+        """Begin with a port that was opened: the sonars' state is unknown, their order stays as commanded."""
         self._forget_reports(now_ns)
         self._newest = self._frame_ns = None
         self._must_send = self._configured is not None or bool(self.dropped) or self._is_ahead
 
     def rebooted(self, now_ns: int) -> None:
-        """The Teensy rebooted: its sonars run, in its own order."""
+        """Take note that the Teensy rebooted: its sonars run, in its own order."""
         self._forget_commands()
         self._forget_reports(now_ns)
         self._newest = None
         self._stopped = False
 
     def frame(self, now_ns: int) -> None:
-        """Any frame came: the Teensy is alive."""
+        """Take note of any frame: the Teensy is alive."""
         if self._frame_ns is None or now_ns - self._frame_ns > ALIVE_NS:
             self._since_ns = max(self._since_ns, now_ns)
         self._frame_ns = now_ns
 
     def tick(self, tick: int, now_ns: int) -> None:
-        """The Teensy's clock, ms, by a pong or a sonar."""
+        """Take the Teensy's clock, ms, by a pong or a sonar."""
         self._newest = (tick, now_ns)
 
     def stopped(self) -> None:
-        """SONAR_STOP was sent on request."""
+        """Take note that SONAR_STOP was sent on request."""
         self._stopped = True
 
     def started(self, now_ns: int) -> None:
-        """SONAR_START was sent."""
+        """Take note that SONAR_START was sent."""
         self._stopped = False
         self._since_ns = now_ns
         self._last = None
@@ -129,12 +132,12 @@ class SonarMonitor:
         self._trusted_after = (DISTRUSTED_REPORTS, until)
 
     def sequence_set(self, sequence: Sequence[int], now_ns: int) -> None:
-        """SET_SONAR_SEQ was sent on request: a sonar that is put in is used again."""
+        """Take note that SET_SONAR_SEQ was sent on request: its sonars are used again."""
         self._usual = tuple(sequence)
         self._use(sequence, now_ns)
 
     def update_speed(self, speed_mps: float, now_ns: int) -> None:
-        """The car's measured speed, forward positive: while it drives forward the sonars fire mostly ahead."""
+        """Take the measured speed, forward positive: while the car drives forward, the sonars fire mostly ahead."""
         self._aim.update(speed_mps, now_ns)
 
     def _use(self, sequence, now_ns):
@@ -145,11 +148,11 @@ class SonarMonitor:
             self._others[sensor] = self._zeros[sensor] = self._stalls[sensor] = 0
 
     def wait_set(self, wait_ms: int) -> None:
-        """SONAR_WAIT was sent."""
+        """Take note that SONAR_WAIT was sent."""
         self._wait_ms = wait_ms
 
     def report(self, sensor: int, echo_us: int, tick: int, now_ns: int) -> bool:
-        """Take a report; whether it may be trusted."""
+        """Take a report; return whether it may be trusted."""
         is_trusted = self._is_trusted(tick)
         self.tick(tick, now_ns)
         self._since_ns = now_ns
@@ -175,7 +178,7 @@ class SonarMonitor:
         return not left and not until
 
     def next_command(self, now_ns: int) -> str | None:
-        """What to send now: ``SEND_START``, ``SEND_SEQUENCE`` (``sequence`` has it already), or ``None``."""
+        """Return what to send now: ``SEND_START``, ``SEND_SEQUENCE`` (``sequence`` has it already), or ``None``."""
         if not self._is_alive(now_ns):
             return None
         if self._must_send:
@@ -215,18 +218,18 @@ class SonarMonitor:
         return self._zeros[sensor] >= DROPPED_ZEROS or self._stalls[sensor] >= MAX_STALLS
 
     def _is_overdue(self, now_ns):
-        """Whether reports are missing for long enough to start the sonars."""
+        """Return whether reports have been missing for long enough to start the sonars."""
         patience_ns = max(self._retry_ns, 2 * self._wait_ms * NS_PER_MS)
         return bool(self._restart_ns) and now_ns - self._since_ns >= patience_ns
 
     def _suspect(self):
-        """The sonar at which they stopped: the one after the last that reported."""
+        """Return the sonar at which they stopped: the one after the last that reported."""
         if self.sequence.count(self._last) != 1:  # one that fires more often has more than one after it
             return None
         return self.sequence[(self.sequence.index(self._last) + 1) % len(self.sequence)]
 
     def faults(self, now_ns: int) -> list[SonarFault]:
-        """What is wrong, by name; empty when all that are in use report, or when they were stopped."""
+        """Return the faults; empty when all sonars in use report, or were stopped."""
         found = [SonarFault(sensor, f"{SONARS[sensor]} is stuck high and was taken out of the sequence",
                             "Check its echo wire and supply; when it is mended: ~set_sonar_sequence, or power the "
                             "Teensy off and on") for sensor in self.dropped]
@@ -251,6 +254,28 @@ class SonarMonitor:
 
 
 def describe(faults: Sequence[SonarFault]) -> tuple[str, str]:
-    """All faults in one text, and all next steps in another."""
+    """Return all faults in one text, and all next steps in another."""
     steps = dict.fromkeys(fault.next_step for fault in faults)
     return "; ".join(fault.description for fault in faults), ". ".join(steps)
+
+
+class SonarAim:
+    """Decides whether the sonars should fire mostly ahead: while the car drives forward.
+
+    With obstacle_stop the speed that is allowed grows with the number of echoes a second from ahead; echoes from behind
+    are of use to a car that stands or reverses.
+
+    Attributes:
+        is_ahead: the sonars should fire mostly ahead.
+    """
+
+    def __init__(self):
+        self.is_ahead = False
+        self._forward_ns = 0
+
+    def update(self, speed_mps: float, now_ns: int) -> None:
+        """Take the measured speed, forward positive."""
+        if speed_mps >= FORWARD_MPS:
+            self.is_ahead, self._forward_ns = True, now_ns
+        elif speed_mps <= BACKWARD_MPS or now_ns - self._forward_ns > STAYS_AHEAD_NS:
+            self.is_ahead = False

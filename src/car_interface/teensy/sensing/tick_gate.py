@@ -1,4 +1,4 @@
-"""The gate for the ticks of the Teensy's clock, as pongs and sonars carry them. Pure."""
+"""Judges the ticks of the Teensy's clock that pongs and sonars carry. Pure."""
 from __future__ import annotations
 
 from car_interface.teensy.sensing.pulse_counts import ahead
@@ -16,7 +16,7 @@ from car_interface.teensy.sensing.verdicts import (
 CONSISTENT = 3  # ticks in a row that agree with each other end a contradiction
 # Answers overtake sonar reports in the Teensy's buffers, which hold 0.2 s of the line.
 OVERTAKEN_MS = 250
-YOUNG_MS = 2_000  # a Teensy that runs for less may have rebooted a moment ago
+YOUNG_MS = 2_000  # a Teensy with a shorter uptime may have just rebooted
 
 
 class TickGate:
@@ -27,7 +27,7 @@ class TickGate:
 
     Attributes:
         newest: the newest accepted tick; ``None`` before the first.
-        restarts: how often the clock was found to have begun anew.
+        restarts: how often the clock was found to have restarted.
     """
 
     def __init__(self, max_gap_ms: float):
@@ -38,13 +38,13 @@ class TickGate:
         self._candidates: list = []
 
     def restart(self, tick: int) -> None:
-        """The Teensy rebooted, and this is a tick of its new clock."""
+        """Begin with a tick of the new clock: the Teensy rebooted."""
         self.restarts += 1
         self._before, self.newest = None, tick
         self._candidates.clear()
 
     def is_young_again(self, tick: int) -> bool:
-        """Whether it can be that of a Teensy which rebooted a moment ago."""
+        """Return whether a tick can come from a Teensy that has just rebooted."""
         return self.newest is not None and tick < YOUNG_MS and ahead(tick, self.newest) < -OVERTAKEN_MS
 
     def judge(self, tick: int) -> Verdict:

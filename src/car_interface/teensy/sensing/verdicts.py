@@ -1,4 +1,4 @@
-"""What the plausibility gates answer about a record, and the reasons that they give."""
+"""The plausibility gates' verdict on a record, and its reasons."""
 from __future__ import annotations
 
 from typing import NamedTuple
@@ -19,7 +19,7 @@ WRONG_DIRECTION = "a direction that doesn't go with the counts"
 REVERSED_AT_SPEED = "a direction that changes at speed"
 SURPRISING = "more pulses at once than the wheel's speed explains"
 PULSE_AHEAD = "a pulse ahead of the Teensy's clock"
-# What is notable about one that is accepted.
+# Why an accepted record is notable.
 FIRST = "the first of its kind"
 PREVIOUS_WRONG = "the one before it was wrong"
 AFTER_GAP = "taken up after a gap"
@@ -29,13 +29,13 @@ ODOMETERS_RESET = "odometers that were reset"
 
 
 class Verdict(NamedTuple):
-    """What became of a record.
+    """The verdict on a record.
 
     Attributes:
-        accepted: whether it may be used.
-        reason: why not, or what is notable; empty for most.
+        accepted: it may be used.
+        reason: why not, or why it is notable; empty for most.
         pulses: to add to the distance of the left and the right wheel, signed.
-        restarted: what was there before it doesn't count any more.
+        restarted: the state before it no longer holds.
         unproven: further pulses of the left and the right wheel, made before those of ``pulses``, whose direction the
             firmware could not know yet.
         boot_tick: a tick of the clock after a reboot that this report of the wheels reveals; else ``None``.

@@ -1,8 +1,8 @@
-"""One wheel's position, speed and acceleration from its pulses.
+"""Estimates one wheel's position, speed and acceleration from its pulses.
 
 - A wheel's magnets are fixed: with c the sum of its signed pulses, a wheel is within [c, c + 1) pulses, at c when it
-  makes a pulse forward and at c + 1 when it makes one backward, for rolling back over a magnet makes one, too. Errors
-  don't add up, however often it turns round.
+  makes a pulse forward and at c + 1 when it makes one backward, since rolling back over a magnet also makes one. Errors
+  don't add up when it reverses.
 - Between pulses a Kalman filter estimates position, speed and an acceleration that fades (R. Singer, "Estimating
   optimal tracking filter performance for manned maneuvering targets", IEEE Trans. AES 1970). A pulse's time is known to
   a tick; where the next one has not come yet, the wheel can't have passed it.
@@ -19,18 +19,18 @@ TICK_MIDDLE_MS = 0.5
 TICK_VARIANCE = 1 / 12  # of a moment within its tick, ms²
 # Without a pulse for longer a wheel stands. A standing car reports every 201 ms: its speed is 0 within a second.
 STANDS_AFTER_MS = 790
-# From pulses farther apart than this the speed is taken directly; what fades is the acceleration, long before.
+# With pulses farther apart than this the speed is taken from the interval: the acceleration has faded by then.
 FAR_APART_MS = 60
-FADING_MS = 500.0  # of an acceleration
-# Half a wheel's usual acceleration, and what it can do from standstill: pulses/ms², of 1.5 cm: 1 and 3.3 m/s².
+FADING_MS = 500.0  # time constant of an acceleration: 1 / alpha of Singer's model
+# Half a wheel's usual acceleration, and the largest from standstill: pulses/ms², of 1.5 cm: 1 and 3.3 m/s².
 USUAL_ACCELERATION, STARTING_ACCELERATION = 7e-5, 2.2e-4
 SPEED_CHANGE = 0.5  # from pulse to pulse a slow wheel's speed changes by this ratio at most
 STARTING_PULSES = 3
 MAGNET_VARIANCE = 1e-4  # of a magnet's place, pulses²
-PASSED_BY, PASSED_VARIANCE = 0.02, 0.003  # where a wheel is that should have made its next pulse, pulses
+PASSED_BY, PASSED_VARIANCE = 0.02, 0.003  # pulses: how far before the next magnet a wheel is whose pulse is overdue
 STANDING_SPEED_VARIANCE = 1e-10
-PENDING_SPEED_SIGMA = 0.03  # pulses/ms: a car that stood may go half a metre a second when its pulses can be placed
-SPEED_RATIO = 0.15  # by which a slow wheel's speed may be off
+PENDING_SPEED_SIGMA = 0.03  # pulses/ms, 0.45 m/s: of a car that has started when its pulses can be placed
+SPEED_RATIO = 0.15  # one sigma of a slow wheel's speed
 UNKNOWN_TIME_VARIANCE = 100.0  # of a pulse whose time can't be, ms²
 
 
@@ -62,16 +62,16 @@ class WheelFilter:
 
     @property
     def position_variance(self) -> float:
-        """Pulses²."""
+        """The variance of the position, pulses²."""
         return self._variances[0] + self.pending ** 2
 
     @property
     def speed_variance(self) -> float:
-        """(Pulses/ms)²."""
+        """The variance of the speed, (pulses/ms)²."""
         return self._variances[3] + (PENDING_SPEED_SIGMA ** 2 if self.pending else 0.0)
 
     def begin(self, now_ms: float) -> None:
-        """The first report came: the wheel counts as standing until its first pulse."""
+        """Begin with the first report: the wheel is taken to stand until its first pulse."""
         self._time_ms = now_ms
 
     def update(self, pulses: int, forward: bool, at_ms: float, now_ms: float) -> None:
@@ -83,7 +83,7 @@ class WheelFilter:
             at_ms: its time.
             now_ms: the time of the report.
         """
-        # A moment that can't be, because of a reboot that isn't detected yet, is some moment until now.
+        # An impossible time, because of a reboot that isn't detected yet, means any time until now.
         is_known = self._pulse_ms < at_ms <= now_ms + TICK_MIDDLE_MS
         at_ms = min(max(at_ms, self._time_ms), now_ms) if is_known else now_ms
         self.count += pulses
@@ -103,10 +103,10 @@ class WheelFilter:
             self.first_pulses.append((at_ms, place))
 
     def resume(self, pulses: int, forward: bool, at_ms: float, now_ms: float) -> None:
-        """Take the first pulse after some that weren't counted, as ``update``: its magnet is the one that is nearest.
+        """Take the first pulse after some that weren't counted, as ``update``; its magnet is the nearest possible one.
 
-        That is the nearest to where the wheel should be, but not before what was counted since, nor before the next
-        one: a wheel that stood has made none uncounted.
+        This is the magnet nearest to where the wheel should be, but not before the pulses counted since, nor before the
+        next magnet: a wheel that stood has made no uncounted pulse.
         """
         self.is_uncounted = False
         if now_ms - self._pulse_ms > STANDS_AFTER_MS:
@@ -121,12 +121,12 @@ class WheelFilter:
         self.update(count - self.count, forward, at_ms, now_ms)
 
     def stop_at(self, position: float) -> None:
-        """It stopped there while its pulses weren't counted."""
+        """Set the position at which the wheel stopped while its pulses weren't counted."""
         self.position = position
         self._stand()
 
     def start(self, start: WheelStart, was_rolling: bool, now_ms: float) -> None:
-        """Follow it from its first pulse after a restart."""
+        """Follow the wheel from its first pulse after a restart."""
         self.is_uncounted = False
         first_count, first_ms = start.pulses[0]
         sign = 1 if start.forward else -1
@@ -143,7 +143,7 @@ class WheelFilter:
             self.update(sign * count, start.forward, at_ms, max(now_ms, at_ms))
 
     def advance(self, now_ms: float) -> None:
-        """No later pulse has come until now: predict, within the magnets that it can't have passed."""
+        """Predict until now, within the magnets that the wheel can't have passed without a pulse."""
         if self.is_uncounted and now_ms - self._time_ms > MAX_BLIND_MS:
             self._time_ms = now_ms
             self._stand()
@@ -151,7 +151,7 @@ class WheelFilter:
         self._predict(now_ms)
         since_ms = now_ms - self._pulse_ms
         fastest = 1 / since_ms if since_ms > FAR_APART_MS / 3 else math.inf  # or the next pulse would have come
-        # The newest pulse was somewhere in its tick, and until then no other had come: half a tick to either side.
+        # The newest pulse was anywhere in its tick, and none had come before: half a tick to either side.
         slack = min(abs(self.speed), fastest) * TICK_MIDDLE_MS if since_ms <= FAR_APART_MS else 0.0
         low, high = self.count - slack, self.count + 1 + slack
         if since_ms > STANDS_AFTER_MS:
@@ -171,20 +171,20 @@ class WheelFilter:
             self._acceleration = 0.0
 
     def _stand(self):
-        """The wheel stands, anywhere between two magnets."""
+        """Let the wheel stand, anywhere between two magnets."""
         self.speed = self._acceleration = 0.0
         self._since_stop = 0
         self._variances = (1 / 12, 0.0, 0.0, STANDING_SPEED_VARIANCE, 0.0, STARTING_ACCELERATION ** 2)
 
     def _set_by_interval(self, place, speed, interval_ms, variance):
-        """A slow wheel's speed is the mean over its last interval; a filter that estimated acceleration would ring."""
+        """Set a slow wheel's speed to the mean over its last interval; estimating its acceleration would ring."""
         self.position, self.speed, self._acceleration = float(place), speed, 0.0
         speed_variance = (SPEED_RATIO * speed) ** 2
         acceleration_variance = min(STARTING_ACCELERATION ** 2, speed_variance / interval_ms ** 2)
         self._variances = (variance, 0.0, 0.0, speed_variance, 0.0, acceleration_variance)
 
     def _predict(self, at_ms):
-        """The Kalman filter's prediction, Singer's model."""
+        """Predict by the Kalman filter, with Singer's model."""
         elapsed_ms = at_ms - self._time_ms
         if elapsed_ms <= 0:
             return
@@ -209,7 +209,7 @@ class WheelFilter:
             fade * fade * aa + noise[5])
 
     def _noise(self, elapsed_ms, ratio, fade):
-        """What unknown changes of the acceleration add to the variances; Singer's, and for a short time its limit."""
+        """Return the variances that unknown changes of acceleration add: Singer's, and its limit for a short time."""
         acceleration = (STARTING_ACCELERATION if self._since_stop < STARTING_PULSES else
                         min(USUAL_ACCELERATION, SPEED_CHANGE * self.speed * self.speed))
         variance = acceleration * acceleration
@@ -229,7 +229,7 @@ class WheelFilter:
             variance * (1 - faded))
 
     def _correct(self, place, variance):
-        """The Kalman filter's update by a measured position."""
+        """Correct the Kalman filter by a measured position."""
         pp, pv, pa, vv, va, aa = self._variances
         total = pp + variance
         innovation = (place - self.position) / total

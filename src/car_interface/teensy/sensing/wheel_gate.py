@@ -1,12 +1,12 @@
-"""The gate for the reports of the wheels.
+"""Judges the reports of the wheels.
 
-What a healthy firmware sends is never refused:
+Reports of a healthy firmware are never refused:
 
 - A wheel's ``when`` is the tick of its last pulse *or repeat*: a standing car repeats its report with a new ``when``
   for both wheels. Only a change of ``dist_abs`` is a pulse.
-- ``when`` is 0 until the first pulse after power-up: that is no reading of the clock. WHEEL_RESET keeps it.
-- The first two pulses of a wheel after power-up are ``unproven`` (see ``pulse_counts``); their
-  direction must be found elsewhere. WHEEL_RESET keeps the pins' states, so that it makes none.
+- ``when`` is 0 until the first pulse after power-up: this is no reading of the clock. WHEEL_RESET keeps ``when``.
+- The first two pulses of a wheel after power-up are ``unproven`` (see ``pulse_counts``): their direction must be found
+  elsewhere. WHEEL_RESET keeps the pins' states, so that no pulse is unproven after it.
 
 Pure.
 """
@@ -43,11 +43,11 @@ from car_interface.teensy.sensing.verdicts import (
     Verdict,
 )
 
-SURPRISE_PULSES = 3  # at 1.5 cm: wrong by 4.5 cm at most, and two reports in a row may be lost from a crawl
-TRUSTED_MS = 100  # how long after a wheel's last pulse its speed still explains pulses
+SURPRISE_PULSES = 3  # of 1.5 cm: an error of 4.5 cm at most; two reports in a row may be lost at a crawl
+TRUSTED_MS = 100  # after a wheel's last pulse; later its speed no longer explains pulses
 QUANTUM_MS = 1  # of the ticks
 PULSES_OF_JITTER = 2  # the magnets of an encoder wheel aren't spaced evenly
-# From here on a wheel needs time to turn round: ten times what tyres hold, for a wheel in the air may be braked harder.
+# A faster wheel needs time to reverse: at ten times the grip of tyres, as a wheel in the air may be braked harder.
 SLOW_MPS = 1.0
 BRAKING_MPS2 = 100.0
 SPEED_OF_ONE_TICK = 1000  # pulses per second: two pulses, one tick apart
@@ -75,16 +75,16 @@ class WheelGate:
         self._jumped = False  # the candidates can't follow the last one
         self._per_ms = (0.0, 0.0)  # each wheel's speed when it made its last pulse
         self._pulse_ticks: tuple = (None, None)  # of the last pulses; ``when`` may be that of a repeat
-        self._learns = True  # pulses of small number are unproven
+        self._learns = True  # the first pulses are unproven
         self._zero = None  # (newest tick, restarts of the clock) when both odometers went back to zero
 
     @property
     def is_zero_again(self):
-        """Whether both odometers have gone back to zero: a reboot is proven by this and the clock."""
+        """Return whether both odometers have gone back to zero; this and the clock prove a reboot."""
         return self._zero is not None and self._before is None
 
     def judge(self, record: WheelStatus, newest_tick: int | None, clock_restarts: int) -> Verdict:
-        """Judge the next report, beside the newest tick of the clock and how often the clock restarted."""
+        """Judge the next report, given the newest tick of the clock and how often the clock restarted."""
         fault = self._impossible(record.left) or self._impossible(record.right)
         if fault:
             return Verdict(False, fault)
@@ -108,7 +108,7 @@ class WheelGate:
         return verdict if boot_tick is None else verdict._replace(boot_tick=boot_tick)
 
     def _find_boot(self, record, newest_tick, clock_restarts):
-        """The first pulse after zero shows whether that was a reset; if not, the answer is a tick of the new clock."""
+        """Return a tick of the new clock if the first pulse after zero shows that it was no reset, else ``None``."""
         if self._zero is None or _is_zero(record) or newest_tick is None:
             return None
         tick_at_zero, restarts_at_zero = self._zero
@@ -151,9 +151,9 @@ class WheelGate:
         return Verdict(True, reason, restarted=True)
 
     def _consider(self, record, doubt, jumped):
-        """Wait for others like it; with the last of them, take all of them up."""
+        """Wait for reports that agree with this one; accept all of them with the last."""
         chain = self._candidates
-        # What may follow the last one puts an end to a jump that nothing has confirmed yet.
+        # A report that may follow the last one ends a jump that nothing has confirmed yet.
         if chain and (jumped != self._jumped or self._fault(chain[-1], record, (0.0, 0.0))):
             chain.clear()
         self._jumped = jumped
@@ -176,14 +176,14 @@ class WheelGate:
         return Verdict(True, reason, pulses[:2], restarted=reason == ODOMETERS_RESTARTED, unproven=pulses[2:])
 
     def _pulses_between(self, before, now):
-        """Signed proven pulses of left and right, and unproven ones of both."""
+        """Return signed proven pulses of left and right, and unproven ones of both."""
         if not self._learns or min(before.left.dist_abs, before.right.dist_abs) >= LEARNING_PULSES:
             return signed_pulses(before.left, now.left), signed_pulses(before.right, now.right), 0, 0
         left, right = learning_pulses(before.left, now.left), learning_pulses(before.right, now.right)
         return left[0], right[0], left[1], right[1]
 
     def _impossible(self, wheel):
-        """What is wrong with a wheel by itself."""
+        """Return what is wrong with a wheel's report by itself."""
         if wheel.direction == DIRECTION_ERROR:
             return SENSOR_ERROR
         if wheel.direction == NO_DIRECTION:
@@ -194,7 +194,7 @@ class WheelGate:
         return SPEED_TOO_HIGH if wheel.speed > self._top_speed else ""
 
     def _fault(self, before, now, per_ms):
-        """Why one report can't follow another, whatever was lost in between; empty when it can."""
+        """Return why one report can't follow another, whatever was lost in between; empty when it can."""
         return (self._wheel_fault(before.left, now.left, per_ms[0])
                 or self._wheel_fault(before.right, now.right, per_ms[1])
                 or _repeat_fault(before, now))
@@ -222,7 +222,7 @@ class WheelGate:
         return REVERSED_AT_SPEED if speed_mps - BRAKING_MPS2 * elapsed_ms / 1000 > SLOW_MPS else ""
 
     def _doubt(self, record, newest_tick):
-        """Why a report that may follow the last one had better be confirmed."""
+        """Return why a report that may follow the last one should be confirmed first."""
         for before, now, per_ms in zip(self._last, record, self._per_ms):
             pulses = ahead(now.dist_abs, before.dist_abs)
             elapsed_ms = ahead(now.when, before.when) if has_pulsed(before) else 0
@@ -233,7 +233,7 @@ class WheelGate:
         return ""
 
     def _speed(self, before, now, per_ms, pulse_tick):
-        """A wheel's speed in pulses per ms between its last two pulses' reports, rather too low than too high."""
+        """Return a wheel's speed, pulses per ms, between its last two pulses' reports; rather too low than too high."""
         pulses = ahead(now.dist_abs, before.dist_abs)
         if pulses <= 0:
             return per_ms, pulse_tick
@@ -242,7 +242,7 @@ class WheelGate:
 
 
 def _tick_gone_back(record, newest_tick):
-    """The newest pulse's tick, if it can only be of a clock that began anew; else ``None``."""
+    """Return the newest pulse's tick if it can only come from a restarted clock, else ``None``."""
     when = max((wheel.when for wheel in record if wheel.dist_abs), default=None)
     if when is None or newest_tick is None:
         return None
@@ -250,12 +250,12 @@ def _tick_gone_back(record, newest_tick):
 
 
 def _repeat_fault(before, now):
-    """Why a wheel without a pulse can't have its new ``when``: a repeat renews both wheels', to the same tick."""
+    """Return why a wheel without a pulse can't have its new ``when``: a repeat sets both wheels' to the same tick."""
     renewed = [wheel for wheel, old in zip(now, before) if wheel.dist_abs == old.dist_abs and wheel.when != old.when]
     if not renewed:
         return ""
     others = [wheel for wheel in now if wheel.dist_abs and wheel not in renewed]
-    # Beside a wheel that has pulsed since, the repeat itself was lost: it lay between the report before and that pulse.
+    # If the other wheel has pulsed since, the repeat itself was lost: it lay between the last report and that pulse.
     fits = (all(ahead(renewed[0].when, old.when) > 0 for old in before if has_pulsed(old))
             and all(ahead(other.when, renewed[0].when) >= 0 for other in others)
             and renewed[0].when == renewed[-1].when)
@@ -267,11 +267,11 @@ def _difference(pulses, other):
 
 
 def _is_zero(record):
-    """Both odometers as they stand after power-up and after a reset."""
+    """Return whether both odometers are as after power-up or a reset."""
     return all(wheel.direction == NO_DIRECTION and not wheel.dist_abs for wheel in record)
 
 
 def _is_fresh(record):
-    """Both odometers counted from zero a moment ago, and one of them has no direction yet."""
+    """Return whether both odometers have just counted from zero, and one of them has no direction yet."""
     return (any(wheel.direction == NO_DIRECTION for wheel in record)
             and all(wheel.dist_abs <= SURPRISE_PULSES for wheel in record))

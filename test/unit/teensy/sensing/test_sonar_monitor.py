@@ -6,7 +6,7 @@ import pytest
 from captures import NS_PER_US, load
 from car_interface.teensy.link.framing import FrameDecoder
 from car_interface.teensy.link.protocol import Pong, SonarStatus, decode
-from car_interface.teensy.sensing.sonar_monitor import SEND_SEQUENCE, SEND_START, SonarMonitor, describe
+from car_interface.teensy.sensing.sonar_monitor import SEND_SEQUENCE, SEND_START, SonarAim, SonarMonitor, describe
 
 MS, S = 1_000_000, 1_000_000_000
 ALL = (0, 1, 2, 3, 4, 5)
@@ -275,3 +275,15 @@ def test_sonars_that_fire_several_times_in_a_sequence_are_not_missed_nor_suspect
         monitor.frame(now_ns)
         monitor.report(AHEAD[step % 6], 5000, step * 55, now_ns)
         assert monitor.next_command(now_ns) is None and monitor.faults(now_ns) == []
+
+
+@pytest.mark.parametrize("speeds, is_ahead", [
+    ([], False), ([(0.0, 0.1)], False), ([(0.0, 0.5)], True),
+    ([(0.0, 0.5), (0.9, 0.0)], True), ([(0.0, 0.5), (1.1, 0.0)], False),  # stopped just now, for a second
+    ([(0.0, 0.5), (0.1, -0.2)], False), ([(5.0, -0.2), (5.1, 0.05)], False),  # reverses
+])
+def test_sonars_fire_ahead_while_the_car_drives_forward(speeds, is_ahead):
+    aim = SonarAim()
+    for at_s, speed_mps in speeds:
+        aim.update(speed_mps, round(at_s * S))
+    assert aim.is_ahead == is_ahead

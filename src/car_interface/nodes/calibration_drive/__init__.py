@@ -1,0 +1,1 @@
+"""The calibration_drive node, and what only it needs."""

@@ -1,0 +1,369 @@
+"""The calibration_drive program: the car calibrates its steering while a person holds the autonomous deadman.
+
+It is started by hand, in a terminal of its own; ``--help`` lists its options. It steers and drives by a planner's
+topics, so that deadman, e-stop, arming and timeouts hold as for any planner, and asks for nothing while it may not
+drive. With --stick a person drives, and it says where to hold the stick.
+
+Publishes, at 50 Hz while it may drive, without --stick:
+    av_steer_req (std_msgs/Float32): −1 right .. +1 left.
+    av_speed_req (std_msgs/Float32): m/s, for planner_interface with source ``speed``.
+And:
+    ~markers (visualization_msgs/MarkerArray, latched, 5 Hz): the area, where it goes, what is known of which radius;
+        with --stick what to do in place of the first two.
+Subscribes:
+    odom (nav_msgs/Odometry), servo/output (std_msgs/Int32MultiArray): what it measures.
+    turn_arb/state (SteeringState), throttle_arb/state (ThrottleState), planner_interface/state (PlannerState),
+        teleop_logi/state (TeleopState): whether it may drive, and why not.
+    sonar/front_right … sonar/rear_left (sensor_msgs/Range): without --no-sonars.
+    av_turnrad_req, av_steer_req, av_speed_req (std_msgs/Float32): who else asks.
+Parameters: none of its own; it reads those of turn_arb and throttle_arb.
+"""
+from __future__ import annotations
+
+import os
+import sys
+from dataclasses import replace
+from functools import partial
+
+import rospy
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import Range
+from std_msgs.msg import Float32, Int32MultiArray
+from visualization_msgs.msg import MarkerArray
+
+from car_interface.common.errors import CarInterfaceError, EndedEarly
+from car_interface.common.rate_timer import RateTimer
+from car_interface.common.staleness import TimedInput
+from car_interface.common.units import CHANNELS, NS_PER_S, yaw_rad
+from car_interface.msg import PlannerState, SteeringState, TeleopState, ThrottleState
+from car_interface.nodes.calibration_drive.bag_page import BagPage
+from car_interface.nodes.calibration_drive.bag_recording import BagRecording
+from car_interface.nodes.calibration_drive.drive_markers import drive_markers, no_markers
+from car_interface.nodes.calibration_drive.drive_topics import recorded_topics
+from car_interface.nodes.calibration_drive.live_text import LiveText
+from car_interface.nodes.calibration_drive.work_thread import in_thread
+from car_interface.nodes.keyboard_drive.keyboard import Keys
+from car_interface.ros.clocks import RosClock
+from car_interface.ros.runtime import run
+from car_interface.ros.topics import advertise, sender_of, subscribe
+from car_interface.tools.calibration.drive import terminal
+from car_interface.tools.calibration.drive.calibration_drive import CalibrationDrive
+from car_interface.tools.calibration.drive.conclusion import board_center, conclude, find_table_file
+from car_interface.tools.calibration.drive.config import drive_config, parse, read_base, read_obstacles
+from car_interface.tools.calibration.drive.grant import Grant, Seen, Steering, Throttle, missing, missing_gamepad
+from car_interface.tools.calibration.drive.knowledge import assess
+from car_interface.tools.calibration.drive.step import BLOCKED, DONE, PAUSED, WAITING
+from car_interface.tools.calibration.drive.stick_guide import StickGuide
+
+NAME = "calibration_drive"
+RATE_HZ, TICKS_PER_SHOW = 50, 10
+PLAIN_PERIOD_NS = 10 * NS_PER_S  # between two lines where nothing can be drawn over
+READY_WITHIN_NS, RECORDER_WITHIN_NS = 8 * NS_PER_S, 15 * NS_PER_S
+OUTPUT_TIMEOUT_S = 2.5  # it comes on change and once a second
+MAX_ODOM_AGE_NS = NS_PER_S // 2  # an older one has an odd stamp
+STANDS = frozenset({WAITING, PAUSED, BLOCKED})
+REQUESTS = ("av_turnrad_req", "av_steer_req", "av_speed_req")
+
+
+class CalibrationDriveNode:
+    """Carries messages to the drive and its requests to the car, shows how far it is, and writes the result.
+
+    Args:
+        wanted: the options.
+        params: none.
+        inbox: the node's.
+        text, keys: the terminal; ``None`` = the one that the program runs in.
+        make_recording: as ``BagRecording``.
+        make_page: as ``BagPage``.
+    """
+
+    def __init__(self, wanted, params, inbox, text=None, keys=None, make_recording=BagRecording, make_page=BagPage):
+        params.finish()  # it has options instead, which don't stay on the server
+        graph, self._clocks = inbox.graph, inbox.clocks
+        config = drive_config(wanted)
+        self._wanted, self._inbox = wanted, inbox
+        base = self._base = read_base(graph.parameter("turn_arb", {}))
+        self._table = find_table_file(wanted.output, wanted.base, graph.parameter("turn_arb/save_to", None), base)
+        self._config = config
+        if not wanted.no_sonars and not wanted.stick:
+            obstacles = read_obstacles(graph.parameter("throttle_arb", {}))
+            self._config = replace(config, obstacles=obstacles, outline=obstacles.outline)
+        self._drive = (StickGuide if wanted.stick else CalibrationDrive)(base, self._config)
+        self._sonars = tuple(self._config.obstacles.mounts) if self._config.obstacles else ()
+        self._seen, self._grant = Seen(sonars=self._sonars), Grant()
+        self._seen.calibrates_esc = bool(graph.parameter("throttle_arb/esc/calibration_drive", False))
+        self._output = TimedInput("servo/output", OUTPUT_TIMEOUT_S)
+        self._clock, self._text, self._keys = RosClock(inbox.clocks), text or LiveText(), keys or Keys()
+        self._make_recording, self._make_page = make_recording, make_page
+        now_ns = self._clocks.now_ns()
+        self._timer, self._ticks, self._begun_ns = RateTimer(RATE_HZ, now_ns), 0, now_ns
+        self._stage = self._check
+        self._step = self._recording = self._page = self._refusal = None
+        self._shown_kind, self._shown_ns = "", 0
+        self._frames, self._rows_drawn = ("odom", "base_link"), 0
+        self._steerings = self._speeds = None
+        self._is_over = self._is_written = False
+        self._markers = advertise("~markers", MarkerArray, inbox, latch=True)
+        self._subscribe()
+        self._has_keys = self._keys.start()
+        self._introduce()
+
+    def _subscribe(self):
+        inbox = self._inbox
+        for topic, message_type, handler in (
+                ("odom", Odometry, self._on_odometry), ("servo/output", Int32MultiArray, self._on_output),
+                ("turn_arb/state", SteeringState, self._on_steering),
+                ("throttle_arb/state", ThrottleState, self._on_throttle),
+                ("planner_interface/state", PlannerState, self._on_planner),
+                ("teleop_logi/state", TeleopState, self._on_teleop),
+                *((f"sonar/{name}", Range, partial(self._on_range, name)) for name in self._sonars)):
+            subscribe(topic, message_type, inbox, handler, queue_size=50)
+        for topic in REQUESTS if not self._wanted.stick else ():
+            subscribe(topic, rospy.AnyMsg, inbox, partial(self._on_request, topic), wakes=False)
+
+    def _introduce(self):
+        self._text.say(terminal.introduction(self._wanted.stick, self._config.radius_m, self._text.width))
+        self._text.say(f"It will write {self._table.path}.")
+        if self._has_keys:
+            self._text.say("F: finish now with what is known. Q: give up.")
+
+    def step(self, now_ns):
+        """Handle what arrived; then the stage."""
+        self._inbox.dispatch()
+        if self._timer.is_due(now_ns):
+            self._ticks += 1
+            self._stage(now_ns, self._typed())
+        return self._timer.due_ns
+
+    def shut_down(self):
+        """Stop the car, close the bag, restore the terminal. A drive that isn't over has failed."""
+        self._stop_asking()
+        self._markers.publish(no_markers(self._frames[0]))
+        self._keys.restore()
+        self._text.keep()
+        if self._page is not None:
+            self._page.close()
+        if self._recording is not None and not self._is_over:
+            self._text.say(f"recording: {self._recording.stop()}")
+        self._clocks.sleep(0.02)  # for what a socket did not take at once
+        if not (self._is_over or self._is_written) and sys.exc_info()[0] is None:
+            raise EndedEarly("ended before it was over: nothing is written")
+
+    def _typed(self):
+        """The keys that were typed, in lower case; Q ends it."""
+        typed = ((self._keys.read() or "") if self._has_keys else "").lower()
+        if "q" in typed:
+            self._inbox.end()
+        return typed
+
+    # --- what arrives ---
+
+    def _on_odometry(self, message, now_ns):
+        self._seen.odom = True
+        if self._page is not None:  # it is over, and another thread reads what was measured
+            return
+        self._frames = message.header.frame_id or "odom", message.child_frame_id or "base_link"
+        measured_ns = self._clock.monotonic_ns(message.header.stamp)
+        if not 0 <= now_ns - measured_ns <= MAX_ODOM_AGE_NS:
+            measured_ns = now_ns
+        pose = message.pose.pose
+        self._drive.update_odometry(pose.position.x, pose.position.y, yaw_rad(pose.orientation),
+                                    message.twist.twist.linear.x, measured_ns, now_ns)
+
+    def _on_output(self, message, now_ns):
+        if len(message.data) == CHANNELS and self._page is None:
+            self._seen.duty = duty = message.data[self._base.servo_channel]
+            self._output.update(duty, now_ns)
+            self._drive.update_duty(duty, now_ns)
+
+    def _on_steering(self, message, now_ns):
+        self._seen.steering = True
+        self._grant.update_steering(Steering(message.source, message.cause, message.reason), now_ns)
+        self._update_grant(now_ns)
+
+    def _on_throttle(self, message, now_ns):
+        self._seen.throttle = True
+        self._grant.update_throttle(Throttle(message.source, message.cause, message.reason, message.mode, message.esc,
+                                             message.esc_reason), now_ns)
+        self._update_grant(now_ns)
+
+    def _on_planner(self, message, now_ns):
+        self._seen.planner = message.source
+        self._grant.update_planner(message.source, now_ns)
+
+    def _on_teleop(self, message, now_ns):
+        self._seen.gamepad = message.cause, message.reason
+
+    def _on_range(self, name, message, now_ns):
+        self._seen.sonars = tuple(sonar for sonar in self._seen.sonars if sonar != name)
+        self._drive.update_range(name, message.range, now_ns)
+
+    def _on_request(self, topic, message, now_ns):
+        sender = sender_of(message)
+        if sender != self._inbox.graph.process_name():
+            self._grant.update_other(self._inbox.resolve_name(topic), sender, now_ns)
+
+    def _update_grant(self, now_ns):
+        grant = self._grant
+        self._drive.update_grant(*(grant.decide_by_hand if self._wanted.stick else grant.decide)(now_ns), now_ns)
+        if not self._wanted.stick:
+            self._drive.update_stopping(grant.stops_by_itself)
+
+    # --- before the drive ---
+
+    def _check(self, now_ns, typed):
+        """Wait until all is there; what only another launch would bring isn't waited for long."""
+        self._seen.others = self._grant.others(now_ns)
+        lacks, gamepad = missing(self._seen, self._wanted.stick), missing_gamepad(self._seen)
+        if lacks and now_ns - self._begun_ns > READY_WITHIN_NS:
+            self._text.show([])
+            for text in (*lacks, *gamepad):
+                self._say(f"  - {text}")
+            self._is_over = True
+            raise CarInterfaceError("it can't begin: " + ("these are missing" if len(lacks + gamepad) > 1 else
+                                                          "this is missing") + ", see above")
+        if not lacks and not gamepad:
+            self._begin_recording(now_ns)
+        elif now_ns - self._begun_ns > NS_PER_S:
+            self._announce("waiting", [f"waits: {text}" for text in lacks + gamepad], now_ns)
+
+    def _begin_recording(self, now_ns):
+        self._recording = self._make_recording(self._table.folder, recorded_topics(self._inbox), self._table.stem)
+        self._begun_ns, self._stage = now_ns, self._await_recorder
+
+    def _await_recorder(self, now_ns, typed):
+        recording = self._recording
+        if self._ticks % RATE_HZ == 0 and recording.has_subscribed(self._inbox.resolve_name("odom")):
+            self._begin_drive()
+        elif recording.has_ended or now_ns - self._begun_ns > RECORDER_WITHIN_NS:
+            self._say("no recording: rosrun rosbag record doesn't run; the calibration doesn't need it")
+            self._begin_drive()
+
+    def _begin_drive(self):
+        if not self._wanted.stick:
+            self._steerings, self._speeds = (advertise(topic, Float32, self._inbox) for topic in REQUESTS[1:])
+        self._stage = self._go
+
+    # --- the drive ---
+
+    def _go(self, now_ns, typed):
+        """Ask for the next step, and show how far it is."""
+        drive = self._drive
+        is_shown = self._ticks % TICKS_PER_SHOW == 0
+        if is_shown and not self._output.is_stale(now_ns):
+            drive.update_duty(self._output.value, now_ns)  # it is published on change only
+        if "f" in typed:
+            drive.finish()
+        task = drive.take_fit_task()
+        if task is not None:
+            in_thread(self._inbox, partial(assess, task), drive.update_knowledge)
+        self._step = step = drive.step(now_ns)
+        if not self._wanted.stick and step.steering is not None:
+            self._steerings.publish(Float32(step.steering))
+            self._speeds.publish(Float32(step.speed_mps))
+        if is_shown or step.phase == DONE:
+            self._show(now_ns)
+        if step.phase == DONE:
+            self._begin_end()
+
+    def _show(self, now_ns):
+        step, progress = self._step, self._drive.progress(now_ns)
+        lines = terminal.stick_lines if self._wanted.stick else terminal.drive_lines
+        kind = step.phase if step.phase in STANDS else "drives"
+        if self._text.is_live:
+            self._text.show(lines(step, progress, self._text.width))
+        else:
+            self._announce(kind, [terminal.plain_line(step.phase, step.text, progress)], now_ns)
+        self._show_markers(step, progress)
+
+    def _show_markers(self, step, progress):
+        drive, rows = self._drive, progress.rows
+        start, path = (None, []) if self._wanted.stick else (drive.start, drive.expected_path())
+        text = step.text if self._wanted.stick else terminal.HEADLINES.get(step.phase, step.phase)
+        self._markers.publish(drive_markers(*self._frames, start, self._config.radius_m, path, rows, self._rows_drawn,
+                                            f"{terminal.percent(progress.fraction).strip()}, {text}"))
+        self._rows_drawn = len(rows)
+
+    def _announce(self, kind, lines, now_ns):
+        """Draw lines over; where that can't be, print them when the kind changes, and now and then."""
+        if self._text.is_live:
+            self._text.show(terminal.wrapped(lines, self._text.width))
+        elif kind != self._shown_kind or now_ns - self._shown_ns > PLAIN_PERIOD_NS:
+            self._shown_kind, self._shown_ns = kind, now_ns
+            self._text.say("\n".join(lines))
+
+    def _say(self, *lines):
+        """Print sentences that stay, wrapped to the terminal's width; whole where there is no terminal."""
+        if lines:
+            self._text.say("\n".join(terminal.wrapped(lines, self._text.width) if self._text.is_live else lines))
+
+    def _stop_asking(self):
+        """No request any more; the last one is to stand."""
+        if self._step is not None and self._speeds is not None:
+            self._speeds.publish(Float32(0.0))
+            self._speeds = None
+
+    # --- its end ---
+
+    def _begin_end(self):
+        self._stop_asking()
+        self._text.keep()
+        self._text.say(f"{self._step.text}. You can let go. Calibrating …")
+        self._page = self._make_page(self._recording)
+        name = os.path.basename(self._recording.path)
+        samples, base, base_text = self._drive.samples, self._base, self._table.base_text
+        in_thread(self._inbox, lambda: conclude(samples, base, base_text, name), self._on_conclusion)
+        self._stage = self._await_conclusion
+
+    def _await_conclusion(self, now_ns, typed):
+        pass
+
+    def _on_conclusion(self, conclusion, now_ns):
+        self._say(*conclusion.report)
+        self._conclusion = conclusion
+        self._stage = self._await_page
+        if conclusion.refusal:
+            self._say(*terminal.missing_lines(conclusion.missing))
+            why = terminal.REFUSED if conclusion.missing else conclusion.refusal
+            self._refusal = f"no calibration is written: {why}"
+        elif not self._table.is_there or self._wanted.yes:
+            self._write(replaces=True)
+        elif self._has_keys:
+            question = f"Replace {self._table.path}? The old one is kept beside it."
+            self._text.show(terminal.wrapped([question, "Y: yes, N: no"], self._text.width))
+            self._stage = self._ask
+        else:
+            self._write(replaces=False)
+
+    def _ask(self, now_ns, typed):
+        answer = next((key for key in typed if key in "yn"), "")
+        if answer:
+            self._text.keep()
+            self._write(replaces=answer == "y")
+            self._stage = self._await_page
+
+    def _write(self, replaces):
+        path, line = self._table.write(self._conclusion.yaml_text, replaces)
+        self._is_written = True
+        self._text.say(line)
+        if path != self._table.path:
+            self._text.say(f"{self._table.path} is as it was. To take the new one: mv {path} {self._table.path}")
+        self._text.say(f"to load it, launch again with config:={self._table.folder}")
+        self._say(board_center(self._conclusion.center_duty, self._base.servo_center,
+                               self._inbox.graph.parameter("pca9685/steering/servo_center", None)))
+
+    def _await_page(self, now_ns, typed):
+        lines = self._page.step()
+        if lines is None:
+            return
+        for line in lines:
+            self._text.say(line)
+        self._is_over = True
+        self._inbox.end()
+        if self._refusal:
+            raise EndedEarly(self._refusal)
+
+
+def main():
+    """Run the program."""
+    run(NAME, partial(CalibrationDriveNode, parse(rospy.myargv(sys.argv)[1:])))

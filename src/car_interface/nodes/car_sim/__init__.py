@@ -1,0 +1,1 @@
+"""The car_sim node, and what only it needs."""

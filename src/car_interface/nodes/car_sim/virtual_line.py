@@ -1,0 +1,188 @@
+"""The virtual Teensy's serial line for car_sim: a pseudo-terminal, with the faults that tests and drives ask for.
+
+Service:
+    ~inject_fault (InjectFault): ``unplug`` (the port vanishes and comes back after so many seconds; 0 = with
+        ``plug``), ``plug``, ``silence`` (for so many seconds nothing comes from the Teensy), ``scramble`` (for so many
+        seconds both sides' baud rates differ), ``cut`` (the next so many bytes to the host are lost), ``flood`` (for so
+        many seconds random bytes, 1 MB/s), ``bit_errors`` (this share of all bits, 0 = none), ``reboot`` (the Teensy
+        loses its power for a moment and boots for 0.3 s, in which the wheels turn uncounted), ``out_of_step`` (its
+        receiver takes opening flags for closing ones, for good), ``sonar_missing``, ``sonar_stuck``, ``sonar_fine``
+        (the sonar of this number, 0 to 5, isn't connected; raises its echo pin at its next ping and holds it; is whole
+        again).
+"""
+from __future__ import annotations
+
+import os
+import tty
+from typing import Any, Callable
+
+from car_interface.common.errors import ConfigError
+from car_interface.nodes.car_sim.faults import serve_faults
+from car_interface.nodes.car_sim.port_claim import PortClaim
+from car_interface.sim.line import MAX_S, NS_PER_S, BadLine
+from car_interface.sim.teensy_sonars import SONAR_CONDITIONS
+
+READ_SIZE = 4096
+ODD_FLAG = b"\x7e"
+MAX_BACKLOG = 4096  # bytes on their way to the Teensy: beyond it the writer waits, as behind a real UART
+NEVER_NS = 1 << 63
+
+
+class VirtualLine:
+    """Carries bytes between a virtual Teensy and the program that has opened its port.
+
+    Args:
+        path: where to put the link to the port.
+        firmware: the Teensy, which also lives on while it's unplugged.
+        seed: of the noise.
+        inbox: woken when the program writes.
+        make_terminal, make_claim: of other classes where a test connects the port.
+
+    Raises:
+        ConfigError: when another car_sim that runs uses ``path``, something other than a link is there, or no link can
+            be put there.
+    """
+
+    def __init__(self, path: str, firmware, seed: int, inbox, make_terminal: Callable[[str], Any] | None = None,
+                 make_claim: Callable[[str], Any] = PortClaim):
+        self._make_terminal = make_terminal or PseudoTerminal
+        self._claim = make_claim(path)  # also while it's unplugged
+        self._path = path
+        self._firmware = firmware
+        self._inbox = inbox
+        self._bad = BadLine(seed)
+        self._watched_fd = None
+        self._terminal = self._make_terminal(path)
+        self._unplugged_from = ""
+        self._plug_ns = NEVER_NS
+
+    def serve(self, clock_ns) -> None:
+        """Offer the faults; ``clock_ns()`` is when one begins."""
+        bad, firmware = self._bad, self._firmware
+        serve_faults(self._inbox, {
+            "unplug": lambda duration_s: self._unplug(duration_s, clock_ns()),
+            "plug": lambda value: self._plug(),
+            "silence": lambda duration_s: bad.silence(duration_s, clock_ns()),
+            "scramble": lambda duration_s: bad.scramble(duration_s, clock_ns()),
+            "flood": lambda duration_s: bad.flood(duration_s, clock_ns()),
+            "cut": bad.cut,
+            "bit_errors": bad.bit_errors,
+            "reboot": lambda value: firmware.reboot(clock_ns()),
+            "out_of_step": lambda value: firmware.receive(ODD_FLAG, clock_ns()),
+            **{f"sonar_{condition}": lambda value, condition=condition: firmware.set_sonar(value, condition, clock_ns())
+               for condition in SONAR_CONDITIONS},
+        })
+
+    def step(self, now_ns: int) -> None:
+        """Carry what both sides have sent until now."""
+        if self._terminal is None and now_ns >= self._plug_ns:
+            self._plug()
+        self._watch(self._terminal is not None and self._firmware.receive_backlog(now_ns) < MAX_BACKLOG)
+        if self._watched_fd is not None:
+            written = self._bad.to_teensy(self._terminal.read(), now_ns)
+            if written:
+                self._firmware.receive(written, now_ns)
+        sent = self._bad.to_host(self._firmware.transmit(now_ns), now_ns)
+        if self._terminal is not None:
+            self._terminal.write(sent)
+
+    def close(self) -> None:
+        """Take the port away."""
+        self._hang_up()
+        self._claim.close()
+
+    def _hang_up(self):
+        self._watch(False)
+        if self._terminal is not None:
+            self._terminal.close()
+            self._terminal = None
+
+    def _watch(self, wanted):
+        """Wake for what the program writes only while it's read: unread it would wake again and again."""
+        if wanted and self._watched_fd is None:
+            self._watched_fd = self._terminal.fileno()
+            self._inbox.watch(self._watched_fd)
+        elif not wanted and self._watched_fd is not None:
+            self._inbox.unwatch(self._watched_fd)
+            self._watched_fd = None
+
+    def _unplug(self, duration_s, now_ns):
+        if not 0 <= duration_s <= MAX_S:
+            raise ConfigError("unplug", duration_s, f"0 (until plug) to {MAX_S} s")
+        self._plug_ns = now_ns + round(duration_s * NS_PER_S) if duration_s else NEVER_NS
+        if self._terminal is not None:
+            self._unplugged_from = self._terminal.name
+            self._hang_up()
+
+    def _plug(self):
+        """The system gives out the lowest free name; another one is what a port often has when it comes back."""
+        if self._terminal is not None:
+            return
+        self._plug_ns = NEVER_NS
+        self._terminal = self._make_terminal(self._path)
+        if self._terminal.name == self._unplugged_from:
+            same = self._terminal
+            self._terminal = self._make_terminal(self._path)
+            same.close()
+
+
+class PseudoTerminal:
+    """A serial line without a cable: a link at ``path`` leads to the end that a program opens as its port.
+
+    As on a real line, bytes that nobody reads are lost. Our own hold on the far end keeps the near one alive while no
+    program has it open.
+
+    Raises:
+        ConfigError: when something other than a link is at ``path``, or no link can be put there.
+    """
+
+    def __init__(self, path: str):
+        self._path = path
+        self._near, self._far = os.openpty()
+        tty.setraw(self._far)
+        os.set_blocking(self._near, False)
+        self.name = os.ttyname(self._far)
+        self._put_link()
+
+    def fileno(self) -> int:
+        """For the inbox to watch."""
+        return self._near
+
+    def read(self) -> bytes:
+        """What the program wrote."""
+        try:
+            return os.read(self._near, READ_SIZE)
+        except BlockingIOError:
+            return b""
+
+    def write(self, data: bytes) -> None:
+        """Bytes for the program; what doesn't fit any more is lost."""
+        try:
+            os.write(self._near, data)
+        except BlockingIOError:
+            pass
+
+    def close(self) -> None:
+        """Hang up, and remove the link, unless it's another's by now."""
+        try:
+            if os.readlink(self._path) == self.name:
+                os.unlink(self._path)
+        except OSError:
+            pass
+        os.close(self._near)
+        os.close(self._far)
+
+    def _put_link(self):
+        new = f"{self._path}.{os.getpid()}"
+        try:
+            if os.path.lexists(self._path) and not _is_link_to_a_terminal(self._path):
+                raise ConfigError("port", self._path, "a path with nothing at it, or a virtual Teensy's old link")
+            os.symlink(self.name, new)
+            os.replace(new, self._path)
+        except OSError as error:
+            raise ConfigError("port", self._path, f"a path where a link can be made ({error.strerror})") from error
+
+
+def _is_link_to_a_terminal(path):
+    """What a virtual Teensy that was killed leaves behind; never a real port's name or somebody's file."""
+    return os.path.islink(path) and os.readlink(path).startswith("/dev/pts/")

@@ -1,0 +1,1 @@
+"""The gamepad_joy node, and what only it needs."""

@@ -1,0 +1,149 @@
+"""The gamepad_joy node: a gamepad's events as joy messages, where the ROS package joy is not installed.
+
+It behaves as that package's joy_node, and stops publishing when the device is gone: teleop_logi then releases the
+deadman. A wireless gamepad that is out of range isn't: its receiver is still there, and what it sent last is repeated.
+
+Publishes:
+    joy (sensor_msgs/Joy): at once when a button changes, for axes after ~coalesce_interval, and ~autorepeat_rate times
+        a second without a change.
+Parameters:
+    ~dev /dev/input/js0: the gamepad.
+    ~deadzone 0.05: so far from its middle an axis is 0, 0 to 0.9.
+    ~autorepeat_rate 20 (Hz): teleop_logi needs a message every ~joy_timeout; 0 = changes only.
+    ~coalesce_interval 0.001 (s): an axis waits so long for others.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import rospy
+from sensor_msgs.msg import Joy
+
+from car_interface.common.errors import DeviceError
+from car_interface.common.units import NS_PER_S
+from car_interface.nodes.gamepad_joy.joystick_device import JoystickDevice
+from car_interface.ros.diagnostics import ERROR, OK, Diagnostics
+from car_interface.ros.logs import ThrottledWarnings
+from car_interface.ros.runtime import run
+from car_interface.ros.topics import advertise
+from car_interface.teleop.joystick import Joystick, Pacing
+
+RETRY_NS = NS_PER_S // 2
+MAX_RATE_HZ = 1000
+
+
+@dataclass(frozen=True)
+class GamepadJoyConfig:
+    """What the node's parameters say."""
+
+    dev: str
+    deadzone: float
+    autorepeat_hz: float
+    coalesce_s: float
+
+
+def read_config(params) -> GamepadJoyConfig:
+    """The node's configuration from its parameters.
+
+    Raises:
+        ConfigError: naming the parameter.
+    """
+    config = GamepadJoyConfig(
+        dev=params.path("dev", "/dev/input/js0"),
+        deadzone=params.number("deadzone", 0.05, low=0, high=0.9),
+        autorepeat_hz=params.number("autorepeat_rate", 20.0, low=0, high=MAX_RATE_HZ),
+        coalesce_s=params.number("coalesce_interval", 0.001, low=0, high=1))
+    params.finish()
+    return config
+
+
+class GamepadJoy:
+    """Reads the gamepad and publishes its state."""
+
+    def __init__(self, params, inbox):
+        self._config = read_config(params)
+        self._inbox = inbox
+        self._device: JoystickDevice | None = None
+        self._joystick = Joystick(self._config.deadzone)
+        self._pacing = Pacing(self._config.coalesce_s, self._config.autorepeat_hz)
+        self._warnings = ThrottledWarnings(inbox.clocks)
+        self._fault = "it was not opened yet"
+        self._clocks = inbox.clocks
+        now_ns = self._clocks.now_ns()
+        self._retry_ns = now_ns
+        self._diagnostics = Diagnostics(inbox, self._config.dev, {"gamepad device": self._report}, now_ns)
+        self._publisher = advertise("joy", Joy, inbox)
+
+    def step(self, now_ns):
+        """Read what has arrived; publish what is due."""
+        if self._device is None and now_ns >= self._retry_ns:
+            self._open(now_ns)
+        if self._device is not None:
+            self._read(now_ns)
+        if now_ns >= self._pacing.due_ns:
+            self._publish(self._joystick.axes, self._joystick.buttons, now_ns)
+        self._diagnostics.step(now_ns)
+        self._inbox.dispatch()
+        return min(self._pacing.due_ns, self._diagnostics.due_ns,
+                   self._retry_ns if self._device is None else self._diagnostics.due_ns)
+
+    def shut_down(self):
+        """Give the device back."""
+        self._close()
+
+    def _open(self, now_ns):
+        self._retry_ns = now_ns + RETRY_NS
+        try:
+            self._device = JoystickDevice(self._config.dev)
+        except DeviceError as error:
+            self._fail(error)
+            return
+        self._fault = ""
+        self._joystick = Joystick(self._config.deadzone)
+        self._inbox.watch(self._device.fileno())
+        rospy.loginfo("gamepad on %s: %s", self._config.dev, self._device.name)
+
+    def _read(self, now_ns):
+        try:
+            data = self._device.read()
+        except DeviceError as error:
+            self._close()
+            self._fail(error)
+            return
+        for change in self._joystick.receive(data):
+            if change.is_urgent:
+                self._publish(change.axes, change.buttons, now_ns)
+            else:
+                self._pacing.changed(now_ns)
+
+    def _close(self):
+        self._pacing.stop()
+        if self._device is not None:
+            self._inbox.unwatch(self._device.fileno())
+            self._device.close()
+            self._device = None
+
+    def _fail(self, error):
+        self._fault = str(error)
+        self._warnings.warn(error.cause, f"{error} (no joy message until then)")
+
+    def _publish(self, axes, buttons, now_ns):
+        message = Joy(axes=list(axes), buttons=list(buttons))
+        message.header.stamp, message.header.frame_id = self._clocks.ros_now(), self._config.dev
+        self._publisher.publish(message)
+        self._pacing.published(now_ns)
+
+    def _report(self, status):
+        """Whether the gamepad is there, for /diagnostics."""
+        if self._device is None:
+            status.summary(ERROR, self._fault)
+        else:
+            status.summary(OK, f"{self._device.name}: {len(self._joystick.axes)} axes, "
+                               f"{len(self._joystick.buttons)} buttons")
+        status.add("events ignored", self._joystick.ignored)
+        return status
+
+
+def main():
+    """Run the node."""
+    run("gamepad_joy", GamepadJoy)

@@ -1,0 +1,1 @@
+"""The keyboard_drive node, and what only it needs."""

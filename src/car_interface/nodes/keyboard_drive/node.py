@@ -1,0 +1,251 @@
+"""The keyboard_drive node: drives by the keys of a terminal, as a gamepad does.
+
+It is started by hand, in a terminal of its own, and prints its keys. It publishes what a gamepad's driver would, for
+the axes and buttons that teleop_logi is set to; deadman, re-arming and e-stop are as with a gamepad. While it is not in
+the terminal's foreground nothing is held.
+
+A terminal doesn't say when a key is released. Where this computer's keyboards can be read (/dev/input/event*, the group
+input) they say it, and any car can be driven. Otherwise a key counts for 0.7 s after it was last seen, and only a
+virtual car is driven (pca9685's ~device is ``virtual``).
+
+Publishes, at 50 Hz:
+    joy (sensor_msgs/Joy).
+Subscribes:
+    turn_arb/state (SteeringState): who steers and why, printed when it changes.
+Parameters:
+    ~steer_axis 0, ~throttle_axis 4, ~manual_button 4, ~autonomous_button 5, ~faster_button −1, ~slower_button −1,
+        ~steer_scale 1.0, ~throttle_scale 1.0: as teleop_logi's, whose values in the same namespace are the defaults.
+    ~input_devices /dev/input/event*: the keyboards; none = only the terminal is read.
+"""
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+import rospy
+from sensor_msgs.msg import Joy
+
+from car_interface.common.errors import CarInterfaceError, ConfigError
+from car_interface.common.params import Params
+from car_interface.common.rate_timer import RateTimer
+from car_interface.common.units import NS_PER_S
+from car_interface.msg import SteeringState
+from car_interface.nodes.keyboard_drive.key_events import Keyboards
+from car_interface.nodes.keyboard_drive.keyboard import Keys
+from car_interface.ros.runtime import run
+from car_interface.ros.topics import advertise, subscribe
+from car_interface.steering.arbiter import source_name
+from car_interface.teleop.gamepad import MAX_INDEX
+from car_interface.teleop.keyboard import QUIT, Controls, Keyboard, KeyReader, help_text
+
+RATE_HZ = 50
+AXES, BUTTONS = 8, 11  # at least: as many as the shipped gamepad has
+VIRTUAL, NO_DEVICES = "virtual", "none"
+NONE = -1  # no such button
+WATCH_S = 1.0  # how often pca9685's device is looked at
+HELD_UP_NS = NS_PER_S // 4  # after such a pause, Ctrl-Z for one, keys must be pressed anew
+NUMBER = re.compile(r"[-+]?\d[\d.]*")
+START_VIRTUAL = "Start the virtual car first: roslaunch car_interface demo.launch drive:=false"
+
+
+@dataclass(frozen=True)
+class KeyboardDriveConfig:
+    """The node's configuration: which axis and button does what, as teleop_logi's, and where keys come from.
+
+    Raises:
+        ConfigError: naming the parameter.
+    """
+
+    steer_axis: int
+    throttle_axis: int
+    manual_button: int
+    autonomous_button: int
+    faster_button: int
+    slower_button: int
+    steer_scale: float
+    throttle_scale: float
+    input_devices: str
+
+    def __post_init__(self):
+        if self.manual_button == self.autonomous_button:
+            raise ConfigError("autonomous_button", self.autonomous_button, "a button other than manual_button's")
+
+
+def read_config(params, teleop_logi=None) -> KeyboardDriveConfig:
+    """Read the node's configuration, without side effects.
+
+    Args:
+        params: the node's parameters.
+        teleop_logi: that node's, which are the defaults; ``None`` = it has none.
+
+    Raises:
+        ConfigError: naming the parameter.
+    """
+    teleop_logi = teleop_logi or Params({})
+
+    def index(name, default, low=0):
+        return params.integer(name, teleop_logi.integer(name, default, low, MAX_INDEX), low, MAX_INDEX)
+
+    def scale(name):
+        return params.number(name, teleop_logi.number(name, 1.0, -1, 1), -1, 1)
+    config = KeyboardDriveConfig(
+        steer_axis=index("steer_axis", 0), throttle_axis=index("throttle_axis", 4),
+        manual_button=index("manual_button", 4), autonomous_button=index("autonomous_button", 5),
+        faster_button=index("faster_button", NONE, NONE), slower_button=index("slower_button", NONE, NONE),
+        steer_scale=scale("steer_scale"), throttle_scale=scale("throttle_scale"),
+        input_devices=params.text("input_devices", "/dev/input/event*"))
+    params.finish()
+    return config
+
+
+class KeyboardDrive:
+    """Reads the keys and publishes joy.
+
+    Args:
+        params: the node's parameters.
+        inbox: the node's.
+        keys: of the terminal; ``None`` = of the one that the node runs in.
+        make_keyboards: called with a pattern of paths, as ``Keyboards``.
+    """
+
+    def __init__(self, params, inbox, keys=None, make_keyboards=Keyboards):
+        self._config = read_config(params, Params(inbox.graph.parameter("teleop_logi", {})))
+        self._inbox = inbox
+        self._fault = ""
+        self._device = self._inbox.graph.parameter("pca9685/device", None)
+        self._shown = self._seen = ""
+        self._check_no_other_publisher(inbox.resolve_name("joy"))
+        devices = "" if self._config.input_devices == NO_DEVICES else self._config.input_devices
+        self._keyboards = make_keyboards(devices)
+        if not len(self._keyboards):
+            self._check_virtual()
+        self._clocks = inbox.clocks
+        now_ns = self._clocks.now_ns()
+        self._timer = RateTimer(RATE_HZ, now_ns)
+        self._stepped_ns = now_ns
+        self._reader = KeyReader()
+        self._keyboard = Keyboard(counts_without_release=self._is_virtual)
+        self._was_warned = False
+        self._joy = advertise("joy", Joy, inbox)
+        subscribe("turn_arb/state", SteeringState, inbox, self._on_state)
+        self._keys = keys or Keys()
+        if not self._keys.start():
+            raise CarInterfaceError("no terminal to read keys from: start it by rosrun in a terminal of its own, not "
+                                    "by roslaunch and not in the background")
+        print(help_text(len(self._keyboards) > 0), flush=True)
+        inbox.graph.repeat_in_thread(self._watch_device, WATCH_S, lambda: inbox.ending, "watch of pca9685")
+
+    @property
+    def _is_virtual(self):
+        return self._device == VIRTUAL
+
+    def step(self, now_ns):
+        """Read the keys; publish when it is time."""
+        self._inbox.dispatch()
+        if self._fault:
+            raise CarInterfaceError(self._fault)
+        if self._timer.is_due(now_ns):
+            self._read_keys(now_ns)
+            self._publish(self._keyboard.controls(now_ns))
+        return self._timer.due_ns
+
+    def shut_down(self):
+        """Release the deadman, and restore the terminal."""
+        self._keys.restore()
+        self._keyboards.close()
+        self._publish(Controls())
+        self._clocks.sleep(0.02)  # for what a socket did not take at once
+
+    def _read_keys(self, now_ns):
+        typed = self._keys.read()  # before the keyboards: whatever was typed by now was pressed before
+        events = self._keyboards.read()
+        was_held_up = now_ns - self._stepped_ns > HELD_UP_NS
+        self._stepped_ns = now_ns
+        if typed is None or events is None or was_held_up:
+            self._keyboard.release_all()
+            if self._keys.is_closed():
+                self._fault = "its terminal was closed"
+            return
+        for code, is_pressed in events:
+            (self._keyboard.press if is_pressed else self._keyboard.release)(code, now_ns)
+        for key in self._reader.feed(typed):
+            if key == QUIT:
+                self._inbox.end()
+            elif not self._keyboard.type(key, now_ns):
+                self._warn_of_uncounted_key()
+
+    def _warn_of_uncounted_key(self):
+        if not self._was_warned:
+            self._was_warned = True
+            rospy.logwarn("a key was typed here, but not on a keyboard of this computer: its release can't be seen, so "
+                          "it doesn't count. Use a keyboard of the computer that this runs on, or a gamepad")
+
+    def _publish(self, controls):
+        config = self._config
+        message = Joy(axes=[0.0] * max(AXES, config.steer_axis + 1, config.throttle_axis + 1),
+                      buttons=[0] * (1 + max(BUTTONS - 1, config.manual_button, config.autonomous_button,
+                                             config.faster_button, config.slower_button)))
+        message.header.stamp = self._clocks.ros_now()
+        message.axes[config.steer_axis] = math.copysign(1.0, config.steer_scale) * controls.steering
+        message.axes[config.throttle_axis] = math.copysign(1.0, config.throttle_scale) * controls.throttle
+        message.buttons[config.manual_button] = int(controls.manual)
+        message.buttons[config.autonomous_button] = int(controls.autonomous)
+        for button, pressed in ((config.faster_button, 1), (config.slower_button, -1)):
+            if button != NONE:
+                message.buttons[button] |= int(controls.scale == pressed)
+        self._joy.publish(message)
+
+    def _on_state(self, message, now_ns):
+        """Print who steers and why, once it stays so: the reason of a change arrives a moment after the change."""
+        text = f"{source_name(message.source)}: {message.reason}"
+        kind = NUMBER.sub("", text)
+        if kind == self._seen != self._shown:
+            self._shown = kind
+            print(text, flush=True)
+        self._seen = kind
+
+    def _watch_device(self):
+        """A virtual car may be replaced by a real one on the same master."""
+        try:
+            device = self._inbox.graph.parameter("pca9685/device", self._device)
+        except Exception:  # the master is gone: no node can start either
+            return
+        if device != self._device:
+            self._inbox.put(self._on_device, device)
+
+    def _on_device(self, device, now_ns):
+        self._fault = f"pca9685's device was {self._device} when this node started and is {device} now: start it again"
+
+    def _check_no_other_publisher(self, name):
+        """Refuse to be a second one: each would undo what the other holds.
+
+        Raises:
+            CarInterfaceError: naming it.
+        """
+        graph = self._inbox.graph
+        others = [node for node in graph.publishers(name) if node != graph.process_name()]
+        if others:
+            raise CarInterfaceError(f"{others[0]} publishes {name} already. End it first: rosnode kill {others[0]}; or "
+                                    "rosnode cleanup, if it is dead. A demo has no drive of its own by drive:=false")
+
+    def _check_virtual(self):
+        """Refuse a car that isn't virtual.
+
+        Raises:
+            CarInterfaceError: with the remedy.
+        """
+        name = self._inbox.resolve_name("pca9685/device")
+        if self._device is None:
+            raise CarInterfaceError(f"there is no {name}: no car, or it is in another namespace (ROS_NAMESPACE). "
+                                    f"{START_VIRTUAL}")
+        if not self._is_virtual:
+            raise CarInterfaceError(f"{name} is {self._device}, a real servo board, and no keyboard can be read "
+                                    f"({self._config.input_devices}): a terminal doesn't say when a key is released. "
+                                    "Drive by gamepad; or, with a keyboard on this computer: rosrun car_interface "
+                                    "setup_hardware")
+
+
+def main():
+    """Run the node."""
+    run("keyboard_drive", KeyboardDrive)

@@ -1,0 +1,1 @@
+"""The pca9685 node, and what only it needs."""

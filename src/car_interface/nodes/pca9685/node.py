@@ -1,0 +1,367 @@
+"""The pca9685 node: writes duties to the servo board, and a channel's timeout value when its commands stop.
+
+Subscribes:
+    command, /servo/cmdVector (std_msgs/Int32MultiArray): 16 duties 0..65535 of the PWM period, −1 = unchanged.
+    servo/neutral (std_msgs/Int32MultiArray): 16 neutrals, −1 = none, which the timeout values follow.
+Publishes:
+    /servo/output (std_msgs/Int32MultiArray, latched): the duties in the chip, −1 = never set; on change and at
+        10 Hz. While the guard acts alone ``nodes.pca9685.output_relay`` publishes it.
+    /diagnostics: the board, its faults, which channels have timed out and how often each did; the guard; who publishes
+        on its topics; 1 Hz, and when a channel times out.
+Parameters:
+    ~device /dev/i2c-1: the bus, by path or number; ``virtual`` = a chip in software.
+    ~address 0x40.  ~frequency 50 (Hz).  ~oscillator_hz 25e6.  ~prescale: overrides these two.
+    ~timeout 250 (ms, 0 = never), ~timeout_value 0 (duty, 0 = off), ~pwm_min 0, ~pwm_max 65535: a list of 16, or one
+        for all.
+    ~steering/servo_channel, ~steering/servo_center: the steering's channel and its timeout value, where both are given.
+    ~esc/servo/channel, ~esc/servo/neutral: those of the ESC.  ~esc/servo/duty_table, ~esc/esc/profile unverified,
+        ~esc/esc/profile_measured false, ~esc/esc/reverse_after_neutral 0 (s): a duty on the side of neutral where it
+        brakes or reverses times out in 80 ms, unless it is a measured brake_then_reverse's first one after a push.
+        The rest of ~steering and ~esc, the YAML files of turn_arb and generic_value_converter, is not read.
+    ~live_range 500, ~throttle_live_range 100 (duty): how far the timeout values of these two channels may follow
+        servo/neutral; 0 = not at all.
+    ~required false: true = end with exit code 1 when the board can't be used at start.
+    ~guard true: start a guard, which makes the board safe when this node dies or hangs; see
+        ``nodes.pca9685.pca9685_guard``.
+    ~guard_off_after 10 (s): so long after it began to act the guard switches every output off.
+The virtual chip has a service and parameters of its own: see ``nodes.pca9685.virtual_board``.
+Arguments, by a launch file: --device, --address, --virtual-chip, which these parameters must agree with: see
+    ``common.fixed_parameters``.
+"""
+from __future__ import annotations
+
+import os
+from collections import Counter
+from functools import partial
+
+import rospy
+import smbus2
+from std_msgs.msg import Int32MultiArray
+
+from car_interface.common.causes import FOREIGN_WRITE, NODE_STOOD_STILL
+from car_interface.common.errors import DeviceError
+from car_interface.common.file_lock import lock_byte
+from car_interface.common.rate_timer import RateTimer
+from car_interface.common.units import CHANNELS, MAX_DUTY, NS_PER_S, UNCHANGED
+from car_interface.nodes.pca9685.guard_link import GuardChild, GuardLink
+from car_interface.nodes.pca9685.virtual_board import VirtualBoardBus, chip_path
+from car_interface.pca9685.board import Board
+from car_interface.pca9685.bus_errors import explain
+from car_interface.pca9685.channels import Channels
+from car_interface.pca9685.config import VIRTUAL, read_config
+from car_interface.pca9685.registers import counts_of_duty, duty_of_counts, frequency_for
+from car_interface.pca9685.senders import ChannelSenders, listed
+from car_interface.pca9685.supervisor import DISCONNECTED, FOREIGN, FOUND, MISMATCH, RETRIED, RUNNING, BoardSupervisor
+from car_interface.ros.command_topics import CommandTopics
+from car_interface.ros.diagnostics import ERROR, OK, Diagnostics
+from car_interface.ros.logs import ThrottledWarnings
+from car_interface.ros.runtime import run
+from car_interface.ros.topics import advertise, duty_vector, sender_of, subscribe
+
+OUTPUT_RATE_HZ = 10
+SWITCH_OFF_TIMEOUT_S = 1.0  # how long a node that ends tries to switch the chip off
+COMMANDS = ("command", "/servo/cmdVector")
+NEUTRALS = "servo/neutral"
+
+
+class SmbusBus:
+    """A bus of the kernel, opened by smbus2. A lock on the address excludes a second pca9685 node."""
+
+    kind = "i2c"
+
+    def __init__(self, path: str, address: int):
+        self.path = path
+        self._address = address
+
+    def open(self) -> smbus2.SMBus:
+        """The open bus.
+
+        Raises:
+            OSError: it can't be opened, or another node has the lock.
+        """
+        bus = smbus2.SMBus()  # in two steps: a device that is no I2C bus fails after it was opened
+        try:
+            bus.open(self.path)
+            # A node that ends must not switch off the chip of its successor.
+            lock_byte(bus.fd, self._address)
+        except OSError:
+            bus.close()
+            raise
+        return bus
+
+    def close(self, bus: smbus2.SMBus) -> None:
+        """Close it."""
+        bus.close()
+
+    def serve(self, inbox) -> None:
+        """Nothing to offer: faults are injected into the virtual board only."""
+
+
+def make_bus(config, inbox):
+    """Return the bus of the node's device, closed.
+
+    Raises:
+        ConfigError: path or log of a virtual one can't be used.
+    """
+    if config.device == VIRTUAL:
+        return VirtualBoardBus(config.virtual_chip or chip_path(inbox.node_name), config.address, config.virtual_log)
+    return SmbusBus(config.device, config.address)
+
+
+class Pca9685:
+    """Passes commands to the chip, applies timeouts, and reports.
+
+    Args:
+        make_bus: another function where a test connects a chip.
+        start_guard: another one where a test runs the guard; called as ``GuardChild``.
+    """
+
+    notices_standstill = True  # by its guard, which acts sooner than the other nodes' inputs time out
+
+    def __init__(self, params, inbox, make_bus=make_bus, start_guard=GuardChild):
+        config = read_config(params)
+        self._clocks = inbox.clocks
+        now_ns = self._clocks.now_ns()
+        self._channels = Channels(config.channels)
+        self._device, self._address = config.device, config.address
+        self._prescale, self._oscillator_hz = config.prescale, config.oscillator_hz
+        bus = make_bus(config, inbox)
+        self._inbox = inbox
+        self._warnings = ThrottledWarnings(inbox.clocks)
+        self._outputs = advertise("/servo/output", Int32MultiArray, inbox, latch=True)
+        guard = partial(start_guard, bus.kind, bus.path, self._address, config.guard_off_after_ns, inbox.node_name,
+                        self._outputs.resolved_name)
+        self._guard = GuardLink(guard if config.guard else None, config.guard_off_after_ns, self._name(),
+                                self._warnings, inbox.clocks)
+        self._supervisor = BoardSupervisor(bus.open, bus.close, self._make_board, self._on_board_event)
+        self._fault = None  # why the board can't be used, as (cause, remedy)
+        self._dropped = 0  # commands that arrived meanwhile
+        self._held_back = 0  # commands that arrived before the guard had left the chip to this node again
+        self._timeouts: Counter = Counter()  # by channel
+        self._timeout_reported_ns = now_ns - NS_PER_S  # when the last one was
+        self._timer = RateTimer(OUTPUT_RATE_HZ, now_ns)
+        self._published = [UNCHANGED] * CHANNELS
+        # Several nodes publish on each, but no two of them command the same channel.
+        self._senders = ChannelSenders()
+        self._command_topics = CommandTopics(inbox, (*COMMANDS, NEUTRALS), self._channel_faults)
+        self._diagnostics = Diagnostics(inbox, self._name(), {
+            "servo board": self._report,
+            "guard": lambda status: self._guard.report(status, self._clocks.now_ns(), self._supervisor.running),
+            **self._command_topics.reports}, now_ns)
+        if config.required:
+            self._open_or_end(now_ns)
+        bus.serve(inbox)
+        inbox.on_overflow(self._channels.make_safe)
+        for topic in COMMANDS:
+            subscribe(topic, Int32MultiArray, inbox, self._on_command)
+        subscribe(NEUTRALS, Int32MultiArray, inbox, self._on_neutral)
+        self._command_topics.start(self._diagnostics.report_now)
+
+    def step(self, now_ns):
+        """Handle all that arrived, expire commands, and then write: a slow bus must not replay stale commands."""
+        self._follow_guard(now_ns)
+        self._inbox.dispatch()
+        self._expire(self._clocks.now_ns())
+        self._update()
+        self._publish(self._timer.is_due(now_ns))
+        self._diagnostics.step(now_ns)
+        return min(self._timer.due_ns, self._diagnostics.due_ns, self._channels.next_deadline_ns(),
+                   self._supervisor.next_due_ns(), self._guard.due_ns)
+
+    def _follow_guard(self, now_ns):
+        """Give the guard its sign of life. After standing still: begin anew, and only then acknowledge."""
+        self._guard.receive(now_ns)
+        still_ns = self._guard.watch.stood_still_ns(now_ns)
+        if self._guard.watch.was_overruled() or still_ns:
+            self._begin_anew(still_ns)
+        self._guard.step(self._clocks.now_ns(), self._timeout_counts(), self._supervisor.ever_ran)
+
+    def _begin_anew(self, still_ns):
+        """Timeout values, and no command that was sent before."""
+        self._inbox.begin_anew(self._clocks.now_ns(), still_ns)  # which makes the channels safe
+        lasted = f" for {still_ns / NS_PER_S:.2f} s" if still_ns else ""
+        self._warnings.warn(NODE_STOOD_STILL, f"{NODE_STOOD_STILL}{lasted}: {self._name()} is at its timeout values; "
+                                              "commands count from now on")
+        self._supervisor.read_back(self._clocks.now_ns())
+        self._publish()  # what the guard wrote
+        self._update()
+
+    def _timeout_counts(self):
+        return [counts_of_duty(duty) for duty in self._channels.timeout_values]
+
+    def _targets(self):
+        """What the chip should hold now. The supervisor asks at each attempt to write."""
+        now_ns = self._clocks.now_ns()
+        if self._guard.watch.is_late(now_ns):
+            self._channels.make_safe(now_ns)  # a transfer took so long that the guard acts
+        self._expire(now_ns)
+        return self._channels.targets
+
+    def _expire(self, now_ns):
+        expired = self._channels.expire(now_ns)
+        if expired:
+            self._timeouts.update(expired)
+            if now_ns - self._timeout_reported_ns >= NS_PER_S:  # commands that are too slow expire many times a second
+                self._timeout_reported_ns = now_ns
+                self._diagnostics.report_now()
+            self._warnings.warn(f"timeout of {expired}", f"no command for {listed(expired)}: now at timeout value")
+
+    def shut_down(self):
+        """Timeout values for a whole period, then every output off: an ESC sees neutral before it sees nothing."""
+        is_safe = not self._supervisor.ever_ran
+        try:
+            if not is_safe:
+                self._switch_off()
+                is_safe = True
+        finally:
+            self._supervisor.close()
+            self._guard.end(self._clocks.now_ns(), self._timeout_counts(), is_safe)
+        self._clocks.sleep(0.02)  # for what a socket did not take at once
+
+    def _switch_off(self):
+        self._channels.make_safe(self._clocks.now_ns())
+        self._retry(self._update_now)
+        self._clocks.sleep(2 / frequency_for(self._prescale, self._oscillator_hz))
+        self._retry(lambda: self._update_now() and self._supervisor.all_off(self._clocks.now_ns()))
+        self._publish()
+
+    def _update_now(self):
+        """Write the targets without waiting for the next attempt; whether the chip has them."""
+        self._supervisor.retry_now()
+        self._update()
+        return self._supervisor.running
+
+    def _retry(self, action):
+        """Repeat ``action``, which returns whether it succeeded, for up to a second."""
+        def attempt():
+            self._guard.leave_to_node(self._clocks.now_ns(), self._timeout_counts())
+            return action()
+        if not self._clocks.wait_for(attempt, SWITCH_OFF_TIMEOUT_S, 0.02):
+            raise DeviceError(self._name(), "it can't be switched off and goes on pulsing what it was last told",
+                              "Cut its power" + self._guard.outlook())
+
+    def _on_command(self, message, now_ns):
+        if self._guard.watch.holds:
+            self._held_back += 1
+            return
+        try:
+            accepted = self._channels.command(message.data, now_ns)
+        except ValueError as error:
+            self._warnings.warn("length", f"{error}: refused")
+            return
+        self._senders.update(sender_of(message), message.data, now_ns)
+        self._dropped += not self._supervisor.running
+        if accepted.refused:
+            first = accepted.refused[0]
+            self._warnings.warn("refused", f"{listed(accepted.refused)} refused: {message.data[first]} of channel "
+                                             f"{first} is no duty; accepted: 0 to {MAX_DUTY}, {UNCHANGED}")
+        if accepted.clamped:
+            self._warnings.warn("clamped", f"{listed(accepted.clamped)}: beyond pwm_min or pwm_max, clamped")
+
+    def _channel_faults(self, now_ns, topics):
+        """The channels that timed out, and those that several nodes command, as faults of the command topics."""
+        return [*self._timeout_faults(now_ns, topics), *self._senders.conflict_faults(now_ns, topics)]
+
+    def _timeout_faults(self, now_ns, topics):
+        return self._senders.timeout_faults(self._channels.timed_out(now_ns), now_ns, topics,
+                                            self._inbox.graph.process_name())
+
+    def _on_neutral(self, message, now_ns):
+        """Let timeout values follow the neutrals of the nodes that command the channels."""
+        try:
+            followed = self._channels.follow(message.data)
+        except ValueError as error:
+            self._warnings.warn("length of neutrals", f"{error}: refused")
+            return
+        for channel in followed.refused:
+            self._warnings.warn("neutral", f"channel {channel} rests at {message.data[channel]} by servo/neutral, "
+                                             f"its timeout value is {self._channels.timeout_values[channel]}: too far "
+                                             "to follow. Start both nodes with the same YAML file")
+        if followed.changed:
+            self._warnings.warn("followed", f"the timeout value of {listed(sorted(followed.changed))} follows "
+                                              "servo/neutral, away from the YAML file's. To save it: ~save of the node "
+                                              "that was tuned")
+
+    def _update(self):
+        self._supervisor.update(self._targets, self._clocks.now_ns())
+        self._publish()
+
+    def _make_board(self, bus):
+        return Board(bus, self._address, self._prescale, self._oscillator_hz, self._clocks.sleep)
+
+    def _open_or_end(self, now_ns):
+        try:
+            self._supervisor.open(self._targets, now_ns)
+        except OSError as error:
+            raise DeviceError(self._name(), *self._explain(error)) from error
+
+    def _explain(self, error):
+        return explain(error, self._device, bus_exists=self._device == VIRTUAL or os.path.exists(self._device))
+
+    def _on_board_event(self, event, error):
+        """Log an event of bus or chip, with cause and remedy."""
+        if event == FOUND:
+            self._publish()
+        elif event == RUNNING:
+            self._fault = None
+            self._guard.chip_is_reached(self._clocks.now_ns(), self._timeout_counts())
+            rospy.loginfo("%s: running at %.2f Hz (prescale %d)", self._name(),
+                          frequency_for(self._prescale, self._oscillator_hz), self._prescale)
+        elif event == RETRIED:
+            self._warnings.warn(event, f"{self._name()}: {error}; tried again")
+        elif event == FOREIGN:
+            self._warnings.warn(event, f"{FOREIGN_WRITE} to {self._name()}: {error}. Written anew. See which other "
+                                       "program writes to it")
+        elif event == MISMATCH:
+            self._warnings.warn(event, f"{self._name()} has forgotten what it was told ({error}): it lost its power, "
+                                         "or another program writes to it. Initialising it anew")
+        else:
+            self._fault = self._explain(error)
+            was = " was lost" if event == DISCONNECTED else ""
+            self._warnings.warn(event, f"{self._name()}{was}: {'. '.join(self._fault)}. Trying again")
+
+    def _report(self, status):
+        """The board's state and counts, for /diagnostics."""
+        tally = self._supervisor.tally
+        if self._supervisor.running:
+            status.summary(OK, f"running at {frequency_for(self._prescale, self._oscillator_hz):.2f} Hz")
+        else:
+            status.summary(ERROR, ". ".join(self._fault or ("not opened yet", "")))
+        faults = self._timeout_faults(self._clocks.now_ns(), self._command_topics.topics)
+        for fault in faults:
+            status.mergeSummary(ERROR, fault.reason)
+        if faults:
+            status.add("cause", faults[0].cause)
+            status.add("remedy", ". ".join(fault.remedy for fault in faults))
+        status.add("bus", self._device)
+        status.add("address", f"0x{self._address:02x}")
+        period_ms = 1e3 / frequency_for(self._prescale, self._oscillator_hz)
+        status.add("period", f"{period_ms:.3f} ms if the oscillator makes {self._oscillator_hz:.0f} Hz; not measured")
+        status.add("failed transfers", tally.errors)
+        status.add("reopened", tally.reopenings)
+        status.add("initialised anew after a loss of power", tally.reinitialisations)
+        status.add("channels that another program wrote", tally.foreign_writes)
+        status.add("commands dropped while it was away", self._dropped)
+        status.add("commands dropped after this node stood still", self._held_back + self._inbox.old_messages)
+        status.add("timeout values", " ".join(map(str, self._channels.timeout_values)))
+        for channel, count in sorted(self._timeouts.items()):
+            status.add(f"timeouts of channel {channel}", count)
+        for kind in ("length", "refused", "clamped"):
+            status.add(f"commands {kind}", self._warnings.counts[kind])
+        return status
+
+    def _publish(self, always=False):
+        duties = self._published  # a chip that is out of reach keeps its last pulses
+        if self._supervisor.running:
+            duties = [UNCHANGED if counts is None else duty_of_counts(counts) for counts in self._supervisor.held]
+        if always or duties != self._published:
+            self._published = duties
+            self._outputs.publish(duty_vector(duties))
+
+    def _name(self):
+        return f"PCA9685 at 0x{self._address:02x} on {self._device}"
+
+
+def main():
+    """Run the node."""
+    run("pca9685", Pca9685)

@@ -1,0 +1,157 @@
+"""A PCA9685 in software for the pca9685 node: a process of its own, which goes on pulsing when the node dies.
+
+Service:
+    ~inject_fault (InjectFault): ``nack`` (number of the next transfers that fail), ``hold`` (the bus is held down, 1 or
+        0), ``power`` (of the chip, 1 or 0), ``brownout`` (its registers are reset), ``address`` (its new address).
+Parameters:
+    ~virtual_chip: the absolute path of the chip's socket. Its default differs by user, master, and name of the node:
+        two cars share none.
+    ~virtual_log: the absolute path of a file to which each write to the chip is appended: monotonic time in ns,
+        address, register and bytes.
+"""
+from __future__ import annotations
+
+import errno
+import hashlib
+import os
+import subprocess
+import tempfile
+
+import rosgraph
+
+from car_interface.common import small_process
+from car_interface.common.errors import ConfigError
+from car_interface.common.file_lock import lock_byte
+from car_interface.common.own_files import UnsafeFile, folder_name, make_folder, open_own
+from car_interface.nodes.car_sim.faults import serve_faults
+from car_interface.ros.clocks import SYSTEM
+from car_interface.sim.chip_link import FAULTS, ChipLink
+
+START_S = 5.0  # for the chip's process
+MAX_SOCKET_PATH = 107  # unix(7), without the final zero
+
+
+def chip_path(node_name: str) -> str:
+    """Where the chip of a pca9685 node listens, by the node's name with its namespace."""
+    folder = os.path.join(tempfile.gettempdir(), folder_name())
+    name = node_name.strip("/").replace("/", "-")
+    digest = hashlib.sha256(f"{rosgraph.get_master_uri()} {node_name}".encode()).hexdigest()[:10]
+    return os.path.join(folder, f"{name[-40:]}-{digest}")
+
+
+class VirtualBoardBus:
+    """Opens and closes as a real bus does; starts the chip if it isn't there. The chip keeps its state.
+
+    Args:
+        path: of the chip's socket.
+        address: the chip's.
+        log_path: that of ~virtual_log; ``None`` = no log.
+
+    Raises:
+        ConfigError: path or log can't be used.
+    """
+
+    kind = "virtual"
+
+    def __init__(self, path: str, address: int, log_path: str | None = None):
+        if len(os.fsencode(path)) > MAX_SOCKET_PATH:
+            raise ConfigError("virtual_chip", path, f"a path of at most {MAX_SOCKET_PATH} bytes")
+        _check_log(log_path)
+        self.path = path
+        self._address = address
+        self._log_path = log_path
+        self._link = ChipLink(path, address)
+        self._process: subprocess.Popen | None = None
+
+    def open(self) -> VirtualSmbus:
+        """The bus.
+
+        Raises:
+            UnsafeFile: socket, lock or folder aren't this user's own.
+            OSError: the chip can't be started, or another node has the lock.
+        """
+        self._connect()
+        try:
+            lock_byte(self._link.lock_fd(), self._address)
+        except OSError:
+            self._link.close()
+            raise
+        if self._log_path is not None:
+            self._link.log_to(self._log_path)
+        return VirtualSmbus(self._link)
+
+    def close(self, bus: VirtualSmbus) -> None:
+        """Disconnect."""
+        self._link.close()
+
+    def serve(self, inbox) -> None:
+        """Offer the faults."""
+        serve_faults(inbox, {fault: lambda value, fault=fault: self._inject(fault, value) for fault in FAULTS})
+
+    def _inject(self, fault, value):
+        if fault == "nack" and value < 0:
+            raise ConfigError("nack", value, "how many transfers shall fail, at least 0")
+        if fault == "address" and not 0 <= value <= 0x7F:
+            raise ConfigError("address", value, "0 to 127")
+        link = ChipLink(self.path, self._address)  # the node's may be closed
+        try:
+            link.open()
+            link.inject(fault, value)
+        except OSError as error:
+            raise ConfigError(fault, value, f"a virtual chip that runs ({error})") from error
+        finally:
+            link.close()
+
+    def _connect(self):
+        if not SYSTEM.wait_for(self._is_open, START_S, 0.01):
+            raise OSError(errno.ENXIO, "the virtual chip's process doesn't start")
+
+    def _is_open(self):
+        try:
+            self._link.open()
+        except (FileNotFoundError, ConnectionRefusedError):
+            self._start()
+            return False
+        return True
+
+    def _start(self):
+        """Start the chip's process; it ends by itself when another one serves the path."""
+        if self._process is not None and self._process.poll() is None:
+            return
+        make_folder(os.path.dirname(self.path))
+        self._process = subprocess.Popen(
+            small_process.command("sim.chip_server", self.path, str(self._address)), stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True, cwd="/")
+
+
+class VirtualSmbus:
+    """The methods of ``smbus2.SMBus`` that the board uses, over a link to a chip."""
+
+    def __init__(self, link: ChipLink):
+        self._link = link
+
+    def read_byte_data(self, address: int, register: int) -> int:
+        """As smbus2."""
+        return self._link.read(register, 1)[0]
+
+    def read_i2c_block_data(self, address: int, register: int, length: int) -> list[int]:
+        """As smbus2: at most 32 bytes."""
+        return list(self._link.read(register, length))
+
+    def write_byte_data(self, address: int, register: int, value: int) -> None:
+        """As smbus2."""
+        self._link.write(register, bytes((value,)))
+
+    def write_i2c_block_data(self, address: int, register: int, data: list[int]) -> None:
+        """As smbus2: at most 32 bytes."""
+        self._link.write(register, bytes(data))
+
+
+def _check_log(path) -> None:
+    if path is None:
+        return
+    try:
+        os.close(open_own(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644))
+    except OSError as error:
+        why = error.cause if isinstance(error, UnsafeFile) else error.strerror
+        raise ConfigError("virtual_log", path, f"a file of your own that can be written ({why})") from error

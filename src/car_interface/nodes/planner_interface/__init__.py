@@ -1,0 +1,1 @@
+"""The planner_interface node, and what only it needs."""

@@ -1,0 +1,1 @@
+"""The teensy_sensor_hub node, and what only it needs."""

@@ -1,0 +1,312 @@
+"""What the Teensy measures, as stamped messages in SI units: one half of teensy_sensor_hub.
+
+The node's docstring has the topics and parameters; ``MeasurementPublisher`` reads and serves those that are about
+measuring.
+"""
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
+from nav_msgs.msg import Odometry as OdometryMessage
+from sensor_msgs.msg import JointState, Range, Temperature
+from tf2_msgs.msg import TFMessage
+
+from car_interface.common.errors import ConfigError
+from car_interface.common.rate_timer import RateTimer
+from car_interface.common.units import NS_PER_S
+from car_interface.common.vehicle_geometry import SONARS
+from car_interface.msg import SteeringState, TeensyClock
+from car_interface.ros.clocks import RosClock
+from car_interface.ros.diagnostics import OK, WARN
+from car_interface.ros.logs import ThrottledWarnings
+from car_interface.ros.topics import advertise, has_subscribers, subscribe
+from car_interface.teensy.link.health import CLOCK_REPORT
+from car_interface.teensy.sensing.clock import ClockConfig
+from car_interface.teensy.sensing.measurements import MeasurementConfig, Measurements
+from car_interface.teensy.sensing.odometry import MIN_LENGTH_M, OdometryConfig
+from car_interface.teensy.sensing.plausibility import GateConfig
+from car_interface.teensy.sensing.ranging import INF, MAX_RANGE, MAX_TIMEOUT_MS, USUAL_TIMEOUT_MS, RangingConfig
+
+QUEUE_SIZE = 100
+UNMEASURED = 1e6  # variance of what wheels don't measure: height, roll, pitch and sliding sideways
+WHEEL_JOINTS = ("rear_left_wheel", "rear_right_wheel")
+# Of the virtual car: x and y from the middle of the rear axle, in m, and its yaw, in rad.
+MOUNTS = {"front_right": [0.40, -0.10, -0.524], "front_middle": [0.42, 0.0, 0.0], "front_left": [0.40, 0.10, 0.524],
+          "rear_right": [-0.12, -0.10, -2.618], "rear_middle": [-0.14, 0.0, math.pi], "rear_left": [-0.12, 0.10, 2.618]}
+MAX_REFUSED_RATIO = 0.01  # of a second's records, from which on it's a warning
+SLOWEST_ODOM_HZ = 0.1
+
+
+class Settings(NamedTuple):
+    """The parameters of measuring, and of the messages."""
+
+    config: MeasurementConfig
+    baud: int
+    ping_period_s: float
+    odom_frame: str
+    base_frame: str
+    sonar_frames: list[str]
+    joint_names: list[str]
+    mounts: list[list[float]]  # of the sonars: x, y (m) and yaw (rad) in base_frame
+    field_of_view_rad: float
+    publish_tf: bool
+    odom_rate_hz: float  # inf = with each report
+
+
+def read_settings(params, baud: int) -> Settings:
+    """The settings from the node's parameters.
+
+    Raises:
+        ConfigError: naming the parameter.
+    """
+    prefix = params.text("frame_prefix", "", may_be_empty=True)
+    ping_period_s = params.number("ping_period", 1.0, low=0.01, high=3600)
+    return Settings(
+        odom_frame=prefix + params.text("odom_frame", "odom"),
+        base_frame=prefix + params.text("base_frame", "base_link"),
+        sonar_frames=[f"{prefix}sonar_{name}" for name in SONARS],
+        joint_names=[prefix + name for name in WHEEL_JOINTS],
+        publish_tf=params.flag("publish_tf", True),
+        odom_rate_hz=_odom_rate(params),
+        mounts=[_mount(params, name) for name in SONARS],
+        field_of_view_rad=params.number("field_of_view", 0.524, above=0.0, high=math.pi),
+        config=read_config(params, baud, ping_period_s, params.flag("use_steering", False)),
+        baud=baud, ping_period_s=ping_period_s)
+
+
+class MeasurementPublisher:
+    """Publishes what ``Measurements`` makes of the Teensy's records.
+
+    Args:
+        settings: as ``read_settings`` has read them.
+        inbox: the node's; for the temperature and the steering.
+    """
+
+    def __init__(self, settings: Settings, inbox):
+        config = settings.config
+        self._settings = settings
+        self._ranging = config.ranging
+        self._measurements = Measurements(config, self._on_motion)
+        self._clocks = inbox.clocks
+        self._ros_clock = RosClock(inbox.clocks)
+        self._warnings = ThrottledWarnings(inbox.clocks)
+        self._sync = None
+        self._counted = (0, 0)
+        self._pending = None  # the newest motion, while it isn't published
+        self.speed_mps = 0.0  # the newest
+        self._motion_timer = RateTimer(settings.odom_rate_hz, 0)
+        self._prepare_messages()
+        self._odometry = advertise("odom", OdometryMessage, inbox, QUEUE_SIZE)
+        self._joints = advertise("joint_states", JointState, inbox, QUEUE_SIZE)
+        self._ranges = [advertise(f"sonar/{name}", Range, inbox, QUEUE_SIZE) for name in SONARS]
+        self._clock = advertise("teensy_clock", TeensyClock, inbox, QUEUE_SIZE)
+        self._tf = advertise("/tf", TFMessage, inbox, QUEUE_SIZE) if settings.publish_tf else None
+        self._static_tf = advertise("/tf_static", TFMessage, inbox, queue_size=1, latch=True)
+        self._static_tf.publish([_transform(self._clocks.ros_now(), settings.base_frame, frame, *mount)
+                                 for frame, mount in zip(settings.sonar_frames, settings.mounts)])
+        subscribe("temperature", Temperature, inbox, self._on_temperature)
+        if config.odometry.use_steering:
+            inbox.on_overflow(self._on_overflow)
+            subscribe("turn_arb/state", SteeringState, inbox, self._on_steering)
+
+    def _prepare_messages(self):
+        """Frequent messages are reused: rospy serialises them as it publishes them."""
+        settings = self._settings
+        self._odom_msg = OdometryMessage(child_frame_id=settings.base_frame)
+        self._odom_msg.header.frame_id = settings.odom_frame
+        self._tf_msg = _transform(self._clocks.ros_now(), settings.odom_frame, settings.base_frame, 0.0, 0.0, 0.0)
+        self._joint_msg = JointState(name=settings.joint_names)
+        self._range_msg = Range(radiation_type=Range.ULTRASOUND, field_of_view=settings.field_of_view_rad,
+                            min_range=self._ranging.min_range_m, max_range=self._ranging.max_range_m)
+
+    def pong(self, record, answer, received_ns: int) -> None:
+        """Take a pong, with the ping that it answers or ``None``; publish how the clocks relate."""
+        sync = self._measurements.pong(record, answer, received_ns)
+        if sync is None:
+            return
+        self._sync = sync
+        self._clock.publish(TeensyClock(
+            stamp=self._ros_clock.stamp("clock", received_ns), sent=answer.sent_ns, received=received_ns,
+            sent_bytes=answer.sent_bytes,
+            baud=self._settings.baud, tick=record.timestamp2, used=sync.used, reason=sync.reason,
+            converged=sync.converged, offset=sync.offset_ns / NS_PER_S, skew=sync.skew_ppm,
+            uncertainty=sync.uncertainty_ns / NS_PER_S, round_trip=sync.round_trip_ns / NS_PER_S))
+
+    def sonar(self, record, received_ns: int, is_trusted: bool) -> None:
+        """Take a sonar's report; publish its range, if it is one."""
+        measured = self._measurements.sonar(record, received_ns, is_trusted)
+        if measured is None or not has_subscribers(self._ranges[measured.sensor]):
+            return
+        message = self._range_msg
+        message.range = measured.range_m
+        message.header.stamp = self._ros_clock.stamp(measured.sensor, measured.stamp.time_ns)
+        message.header.frame_id = self._settings.sonar_frames[measured.sensor]
+        self._ranges[measured.sensor].publish(message)
+
+    def wheels(self, record, received_ns: int) -> None:
+        """Take a report of the wheels; it may wait in the measurements' queue until a motion is due."""
+        self._measurements.queue_wheels(record, received_ns)
+        if self._motion_timer.is_due(received_ns):
+            self._report_motion()
+
+    def _on_motion(self, measured, received_ns):
+        motion = measured.motion
+        self.speed_mps = motion.speed_mps
+        self._pending = measured
+
+    @property
+    def due_ns(self) -> float:
+        """When the next step is due: reports that came too soon wait for another one, but not for long."""
+        timer = self._motion_timer
+        return timer.due_ns + timer.period_ns if self._pending or self._measurements.has_queued else math.inf
+
+    def step(self, now_ns: int) -> None:
+        """Publish the motion that came too soon, if none came after it."""
+        if now_ns >= self.due_ns and self._motion_timer.is_due(now_ns):
+            self._report_motion()
+
+    def _report_motion(self):
+        self._measurements.process_queue()
+        if self._pending is not None:
+            self._publish_motion(self._pending)
+            self._pending = None
+
+    def _publish_motion(self, measured):
+        """Odometry, its transform, and the wheels' joints."""
+        motion = measured.motion
+        stamp = self._ros_clock.stamp("motion", measured.stamp.time_ns)  # one for all: they are looked up by it
+        if has_subscribers(self._odometry):
+            self._odometry.publish(self._odometry_message(motion, stamp))
+        if self._tf is not None and has_subscribers(self._tf):
+            tf_msg = self._tf_msg
+            tf_msg.header.stamp = stamp
+            tf_msg.transform.translation.x, tf_msg.transform.translation.y = motion.x_m, motion.y_m
+            _set_yaw(tf_msg.transform.rotation, motion.yaw_rad)
+            self._tf.publish([tf_msg])
+        if has_subscribers(self._joints):
+            joints = self._joint_msg
+            joints.header.stamp = stamp
+            joints.position, joints.velocity = motion.wheel_angles_rad, motion.wheel_speeds_radps
+            self._joints.publish(joints)
+
+    @property
+    def reports(self) -> dict:
+        """What goes to /diagnostics, by name."""
+        return {CLOCK_REPORT: self._report_clock, "Teensy records": self._report_records}
+
+    def _report_clock(self, status):
+        """The clock's line on /diagnostics."""
+        sync, clock = self._sync, self._measurements.clock
+        if sync is None:
+            status.summary(WARN, "no ping was answered yet: times go by when reports arrive")
+            return status
+        status.summary(OK if clock.converged else WARN, "the Teensy's clock is known" if clock.converged else
+                       "too few pings were answered yet: times go by when reports arrive")
+        status.add("faster than this computer's", f"{sync.skew_ppm:.1f} ppm")
+        status.add("uncertainty", f"{sync.uncertainty_ns / 1e6:.2f} ms")
+        status.add("round trip", f"{sync.round_trip_ns / 1e6:.1f} ms")
+        return status
+
+    def _report_records(self, status):
+        """What the plausibility gates refused, on /diagnostics."""
+        gates = self._measurements.gates
+        accepted, refused = (now - before for now, before in zip((gates.accepted, gates.refused), self._counted))
+        self._counted = (gates.accepted, gates.refused)
+        bad = refused > MAX_REFUSED_RATIO * (accepted + refused)
+        status.summary(WARN if bad else OK, f"{refused} of the last second's records made no sense" if bad else
+                       "wheels, sonars and pongs make sense")
+        status.add("accepted", gates.accepted)
+        status.add("refused", gates.refused)
+        for reason, count in sorted((gates.counts + self._measurements.ranging.counts).items()):
+            status.add(reason, count)
+        return status
+
+    def _on_overflow(self, now_ns):
+        self._measurements.steer(math.nan)
+
+    def _on_temperature(self, message, now_ns):
+        try:
+            self._measurements.ranging.temperature_c = message.temperature
+        except ConfigError as error:
+            self._warnings.warn("temperature", f"{error}: the one before it counts on")
+
+    def _on_steering(self, message, now_ns):
+        self._measurements.steer(1 / message.turn_radius if message.turn_radius else math.nan)
+
+    def _odometry_message(self, motion, stamp):
+        message = self._odom_msg
+        message.header.stamp = stamp
+        pose, twist = message.pose.pose, message.twist
+        pose.position.x, pose.position.y = motion.x_m, motion.y_m
+        _set_yaw(pose.orientation, motion.yaw_rad)
+        (xx, xy, xa), (_, yy, ya), (_, _, aa) = motion.pose_covariance
+        message.pose.covariance = _covariance(xx, xy, xa, yy, ya, aa)
+        twist.twist.linear.x, twist.twist.angular.z = motion.speed_mps, motion.yaw_rate_radps
+        twist.covariance = _covariance(motion.speed_variance, 0, 0, UNMEASURED, 0, motion.yaw_rate_variance)
+        return message
+
+
+def read_config(params, baud: int, ping_period_s: float, uses_steering: bool) -> MeasurementConfig:
+    """The sensors' configuration from the node's parameters."""
+    pulses = params.integer("pulses_per_revolution", 20, low=1, high=10_000)
+    diameter_m = params.number("wheel_diameter", 0.095, low=MIN_LENGTH_M, high=10)
+    # Whatever the sonars do, pongs come with the pings, of which one may be lost.
+    max_gap_ms = max(GateConfig.max_gap_ms, math.ceil(2000 * ping_period_s))
+    return MeasurementConfig(
+        gates=GateConfig(top_speed_mps=params.number("top_speed", 20.0, above=0.0, high=1000),
+                         pulse_m=math.pi * diameter_m / pulses, max_gap_ms=max_gap_ms),
+        clock=ClockConfig(baud=baud),
+        odometry=OdometryConfig(
+            pulses_per_revolution=pulses, wheel_diameter_m=diameter_m,
+            track_m=params.number("track", 0.296, low=MIN_LENGTH_M, high=10),
+            wheelbase_m=params.number("wheelbase", 0.324, low=MIN_LENGTH_M, high=10), use_steering=uses_steering,
+            distance_sigma=params.number("distance_sigma", 0.02, low=0.0, high=1),
+            heading_sigma=params.number("heading_sigma", 0.01, low=0.0, high=1)),
+        ranging=RangingConfig(
+            temperature_c=params.number("temperature", 20.0, low=-50, high=60),
+            min_range_m=params.number("min_range", 0.02, low=0.0, high=100),
+            max_range_m=params.number("max_range", 2.0, above=0.0, high=100),
+            no_echo=params.choice("no_echo", INF, (INF, MAX_RANGE)),
+            median=params.flag("median", False),
+            timeouts_ms=tuple(params.number(f"no_echo_timeouts/{name}", USUAL_TIMEOUT_MS, above=0.0,
+                                            high=MAX_TIMEOUT_MS) for name in SONARS)))
+
+
+def _odom_rate(params):
+    rate_hz = params.number("odom_rate", 50.0, low=0.0, high=1000)
+    if 0 < rate_hz < SLOWEST_ODOM_HZ:
+        raise ConfigError("odom_rate", rate_hz, f"0, or a number from {SLOWEST_ODOM_HZ} to 1000")
+    return rate_hz or math.inf
+
+
+def _mount(params, name):
+    mount = params.numbers(f"sonars/{name}", MOUNTS[name])
+    if len(mount) != 3:
+        raise ConfigError(f"sonars/{name}", mount, "three numbers: x, y in m, and yaw in rad, in base_link")
+    return mount
+
+
+def _transform(stamp, parent, child, x_m, y_m, yaw_rad):
+    """Where a frame is in another."""
+    message = TransformStamped(child_frame_id=child)
+    message.transform = Transform(Vector3(x_m, y_m, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0))
+    message.header.stamp, message.header.frame_id = stamp, parent
+    _set_yaw(message.transform.rotation, yaw_rad)
+    return message
+
+
+def _set_yaw(rotation, yaw_rad):
+    """Make a rotation one about the vertical."""
+    rotation.z, rotation.w = math.sin(yaw_rad / 2), math.cos(yaw_rad / 2)
+
+
+def _covariance(xx, xy, xa, yy, ya, aa):
+    """Of x, y and the turn about the vertical, as the 6×6 that ROS wants."""
+    return [xx, xy, 0, 0, 0, xa,
+            xy, yy, 0, 0, 0, ya,
+            0, 0, UNMEASURED, 0, 0, 0,
+            0, 0, 0, UNMEASURED, 0, 0,
+            0, 0, 0, 0, UNMEASURED, 0,
+            xa, ya, 0, 0, 0, aa]

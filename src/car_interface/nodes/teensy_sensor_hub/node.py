@@ -1,0 +1,400 @@
+"""The teensy_sensor_hub node: the Teensy's serial link as topics and services, and what its numbers mean.
+
+Publishes:
+    teensy_pong (Pong), teensy_wheel (Wheel), teensy_distance (Distance), teensy_error (Error): each valid frame.
+    odom (nav_msgs/Odometry), joint_states (sensor_msgs/JointState: the rear wheels), /tf from odom to base_link: by the
+        newest report of the wheels, 5 to 50 Hz (~odom_rate), stamped when the wheels were so.
+    sonar/front_right … sonar/rear_left (sensor_msgs/Range): about 3 Hz each, stamped when the echo came; where the
+        sonars sit goes to /tf_static.
+    teensy_clock (TeensyClock): with each answered ping, how the Teensy's clock relates to this computer's.
+    ~link (LinkStatus, latched, 1 Hz and when the port opens or closes): what is wrong with the link, and its counters.
+    /diagnostics: the same, the clock, and the records that made no sense; 1 Hz.
+Subscribes:
+    temperature (sensor_msgs/Temperature, °C): of the air, for the speed of sound; without it ~temperature counts.
+    turn_arb/state (SteeringState), with ~use_steering: the commanded turn radius, which helps the heading.
+Services:
+    ~ping, ~sonar_start, ~sonar_stop, ~wheel_reset, ~get_counters (std_srvs/Trigger),
+    ~set_sonar_sequence (SetSonarSequence), ~set_sonar_wait (SetSonarWait).
+Keys, on a terminal of its own:
+    P ping, S sonar start, N sonar stop, R wheel reset, C counters, X sonars 0 1 5, Y all six sonars, Q quit.
+Parameters:
+    ~port /dev/ttyAMA0, ~baud 115200, ~ping_period 1.0 (s).
+    ~firmware_checksum auto: which checksum the Teensy's receiver wants; shipped, corrected, or find out.
+    ~required false: true = end with exit code 1 when the port can't be opened at start.
+    ~sonar_restart 3.0 (s): after so long without a report of any sonar, though there should be some, SONAR_START is
+        sent; 0 = never.
+    ~sonar_sequence_ahead []: the same while the car drives forward; [] = no other.
+    ~sonar_sequence []: the order in which the sonars fire, sent when the port opens and after each reboot; [] = the
+        firmware's own, 0 to 5.
+    ~raw_only false: true = the four raw topics and the link only; nothing is measured, for half the CPU.
+    ~pulses_per_revolution 20, ~wheel_diameter 0.095, ~track 0.296, ~wheelbase 0.324 (m), ~top_speed 20 (m/s; what is
+        faster is taken for line noise), ~use_steering false: true = the commanded steering helps the heading.
+    ~odom_rate 50 (Hz at most, 0.1 to 1000; 0 = with each report, up to 200), ~publish_tf true, ~odom_frame odom,
+        ~base_frame base_link, ~frame_prefix "" (before every frame and joint).
+    ~sonars/front_right … ~sonars/rear_left [x, y, yaw] (m, rad, in base_link), ~field_of_view 0.524 (rad),
+        ~min_range 0.02, ~max_range 2.0 (m), ~no_echo inf (or max_range), ~median false (true = over five of a sonar),
+        ~temperature 20 (°C), ~no_echo_timeouts/front_right … ~no_echo_timeouts/rear_left 38 (ms: when the sensor ends
+        its pulse by itself).
+Argument, by a launch file: --port, which ~port must agree with: see ``common.fixed_parameters``.
+"""
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import rospy
+
+from car_interface.common.errors import ConfigError, DeviceError
+from car_interface.common.rate_timer import RateTimer
+from car_interface.common.units import NS_PER_S
+from car_interface.msg import Distance, Error, OneWheel, Pong, Wheel
+from car_interface.nodes.teensy_sensor_hub.link_status import LinkStatusPublisher
+from car_interface.nodes.teensy_sensor_hub.measurement_publisher import MeasurementPublisher, Settings, read_settings
+from car_interface.nodes.teensy_sensor_hub.teensy_commands import TeensyCommands
+from car_interface.ros.diagnostics import Diagnostics
+from car_interface.ros.logs import ThrottledWarnings
+from car_interface.ros.runtime import run
+from car_interface.ros.topics import advertise, has_subscribers
+from car_interface.teensy.link import protocol
+from car_interface.teensy.link.framing import CORRECTED, SHIPPED
+from car_interface.teensy.link.health import FINE, LINK_REPORT, OK, REBOOTED, WAITING
+from car_interface.teensy.link.pinging import AUTO
+from car_interface.teensy.link.port import SerialLink
+from car_interface.teensy.link.session import ChecksumChanged, PongReceived, Rebooted, Session
+from car_interface.teensy.sensing.sonar_monitor import SEND_SEQUENCE, SonarMonitor, describe
+
+QUEUE_SIZE = 100  # a quarter of a second of a saturated line
+FIRST_RETRY_NS, LAST_RETRY_NS = NS_PER_S // 5, 2 * NS_PER_S
+LONG_READ = 1024  # bytes: 90 ms of a saturated line at 115200 baud. So much at once that is no frames is a flood
+SHORTEST_REST_NS = NS_PER_S // 250
+
+
+@dataclass(frozen=True)
+class HubConfig:
+    """The node's parameters.
+
+    Attributes:
+        port: the Teensy's serial port.
+        baud: of its line.
+        firmware_checksum: which one the Teensy's receiver wants: AUTO = find out, SHIPPED or CORRECTED.
+        required: end when the port can't be opened at start.
+        raw_only: nothing is measured.
+        sonar_restart_s: after so long without any sonar's report SONAR_START is sent; 0 = never.
+        sonar_sequence: the order in which the sonars fire; ``None`` = the firmware's own.
+        sonar_sequence_ahead: the same while the car drives forward; ``None`` = no other.
+        settings: of measuring, and of the messages.
+    """
+
+    port: str
+    baud: int
+    firmware_checksum: str
+    required: bool
+    raw_only: bool
+    sonar_restart_s: float
+    sonar_sequence: list | None
+    sonar_sequence_ahead: list | None
+    settings: Settings
+
+
+def read_config(params) -> HubConfig:
+    """The node's configuration from its parameters, without side effects.
+
+    Raises:
+        ConfigError: naming the parameter.
+    """
+    baud = params.integer("baud", 115200, low=300, high=4_000_000)
+    config = HubConfig(
+        port=params.text("port", "/dev/ttyAMA0"),
+        baud=baud,
+        firmware_checksum=params.choice("firmware_checksum", AUTO, (AUTO, SHIPPED, CORRECTED)),
+        required=params.flag("required", False),
+        raw_only=params.flag("raw_only", False),
+        sonar_restart_s=params.number("sonar_restart", 3.0, low=0.0, high=3600),
+        sonar_sequence=_sonar_sequence(params, "sonar_sequence"),
+        sonar_sequence_ahead=_sonar_sequence(params, "sonar_sequence_ahead"),
+        settings=read_settings(params, baud))
+    params.finish()
+    return config
+
+
+class TeensySensorHub:
+    """Keeps the port open, runs the session over it, and publishes what comes through it.
+
+    Args:
+        make_link: another class where a test connects a Teensy.
+    """
+
+    def __init__(self, params, inbox, make_link=SerialLink):
+        self._clocks = inbox.clocks
+        now_ns = self._clocks.now_ns()
+        config = read_config(params)
+        settings = config.settings
+        self._measurements = None if config.raw_only else MeasurementPublisher(settings, inbox)
+        self._port = config.port
+        self._link = make_link(config.port, config.baud)
+        self._session = Session(config.baud, round(settings.ping_period_s * NS_PER_S), config.firmware_checksum, now_ns)
+        self._sonars = SonarMonitor(config.sonar_restart_s, config.sonar_sequence, config.sonar_sequence_ahead)
+        self._inbox = inbox
+        self._warnings = ThrottledWarnings(inbox.clocks)
+        self._retry_ns = FIRST_RETRY_NS
+        self._next_try_ns = now_ns
+        self._watched_fd = None
+        self._rest_until_ns = 0
+        self._corrupt = 0
+        self._link_timer = RateTimer(1, now_ns)
+        self._link_status = LinkStatusPublisher(config.port, self._link, self._session, self._sonars, inbox)
+        self._diagnostics = Diagnostics(inbox, f"Teensy on {config.port}", {
+            LINK_REPORT: self._link_status.report, **(self._measurements.reports if self._measurements else {})},
+            now_ns)
+        self._commands = TeensyCommands(self._link, self._session, self._sonars, self._write, self._ping, inbox)
+        self._handlers = self._event_handlers()
+        if config.required:
+            self._open()
+        self._commands.start()
+
+    def _event_handlers(self):
+        """The handler for each type of event, called with the time of the read; records are first published raw."""
+        pong = advertise("teensy_pong", Pong, self._inbox, QUEUE_SIZE).publish
+        wheel = advertise("teensy_wheel", Wheel, self._inbox, QUEUE_SIZE)
+        distance = advertise("teensy_distance", Distance, self._inbox, QUEUE_SIZE)
+        error = advertise("teensy_error", Error, self._inbox, QUEUE_SIZE).publish
+        measurements = self._measurements
+        # Frequent messages are reused: rospy serialises them as it publishes them.
+        wheel_msg, distance_msg = Wheel(OneWheel(), OneWheel()), Distance()
+        left, right = wheel_msg.left, wheel_msg.right
+
+        def on_pong(event, received_ns):
+            record, answer = event
+            pong(*record)
+            self._sonars.tick(record.timestamp2, received_ns)
+            if answer is not None:
+                self._commands.answer_ping(record.timestamp1, True, f"pong after {answer.round_trip_ns / 1e6:.1f} ms")
+            if measurements:
+                measurements.pong(record, answer, received_ns)
+
+        def on_wheels(record, received_ns):
+            if has_subscribers(wheel):
+                left.speed, left.direction, left.when, left.dist, left.dist_abs = record.left
+                right.speed, right.direction, right.when, right.dist, right.dist_abs = record.right
+                wheel.publish(wheel_msg)
+            if measurements:
+                measurements.wheels(record, received_ns)
+
+        def on_sonar(record, received_ns):
+            if has_subscribers(distance):
+                distance_msg.sensor, distance_msg.distance, distance_msg.when = record
+                distance.publish(distance_msg)
+            is_trusted = self._sonars.report(record.sensor, record.echo_us, record.when, received_ns)
+            if measurements:
+                measurements.sonar(record, received_ns, is_trusted)
+
+        return {PongReceived: on_pong, protocol.WheelStatus: on_wheels, protocol.SonarStatus: on_sonar,
+                protocol.ErrorCount: lambda record, received_ns: error(*record),
+                protocol.Malformed: self._on_malformed, Rebooted: self._on_reboot}
+
+    def step(self, now_ns):
+        """Handle requests, read the port, ping, judge, publish; returns when to be called next."""
+        for handler, item, arrival_ns in self._inbox.drain():
+            handler(item, arrival_ns)
+        self._commands.read_keys()
+        port_ns = self._attend_port(now_ns)
+        if self._measurements:
+            self._measurements.step(now_ns)
+        if self._link_timer.is_due(now_ns):
+            self._judge()
+            self._judge_sonars()
+            self._link_status.publish()
+        self._diagnostics.step(now_ns)
+        return min(self._link_timer.due_ns, self._diagnostics.due_ns, port_ns,
+                   self._measurements.due_ns if self._measurements else math.inf)
+
+    def _attend_port(self, now_ns):
+        """Read it and ping through it, or try to open it; returns when that is due again though nothing comes."""
+        if self._link.is_open:
+            if now_ns >= self._rest_until_ns:
+                self._read(now_ns)
+        elif now_ns >= self._next_try_ns:
+            self._try_open()
+        due_ns = self._next_port_event_ns()
+        if now_ns < due_ns or not self._link.is_open:
+            return due_ns
+        self._ping_when_due(now_ns)
+        return self._next_port_event_ns()
+
+    def _next_port_event_ns(self):
+        if not self._link.is_open:
+            return self._next_try_ns
+        ping_ns = self._session.next_event_ns()
+        return ping_ns if self._watched_fd is not None else min(ping_ns, self._rest_until_ns)
+
+    def shut_down(self):
+        """Restore the terminal and close the port."""
+        self._commands.restore_terminal()
+        self._close("the node ends")
+        self._inbox.ending = True
+        for handler, item, arrival_ns in self._inbox.drain():
+            handler(item, arrival_ns)
+
+    def _try_open(self):
+        try:
+            self._open()
+        except DeviceError as error:
+            self._warnings.warn(error.state, f"{error}. Trying again")
+            self._note_failure(error)
+            self._plan_retry()
+
+    def _open(self):
+        """Open the port, bring the Teensy's receiver in step, and ping it."""
+        self._link.open()
+        self._rest_until_ns = 0
+        self._watch_port(True)
+        rospy.loginfo("the Teensy's port is open")
+        now_ns = self._clocks.now_ns()
+        self._session.opened(now_ns)
+        self._sonars.opened(now_ns)
+        self._link_status.publish()
+        self._ping()
+
+    def _plan_retry(self):
+        self._next_try_ns = self._clocks.now_ns() + self._retry_ns
+        self._retry_ns = min(2 * self._retry_ns, LAST_RETRY_NS)
+
+    def _watch_port(self, wanted):
+        """Wake on the port, or don't: while it is left alone it would end every wait."""
+        if wanted and self._watched_fd is None:
+            self._watched_fd = self._link.fileno()
+            self._inbox.watch(self._watched_fd)
+        elif not wanted and self._watched_fd is not None:
+            self._inbox.unwatch(self._watched_fd)
+            self._watched_fd = None
+
+    def _close(self, reason):
+        """Close the port and answer the ~ping calls that wait for it."""
+        self._watch_port(False)
+        self._link.close()
+        self._commands.answer_pings(False, reason)
+
+    def _read(self, began_ns):
+        try:
+            data = self._link.read()
+        except DeviceError as error:
+            self._lose(error)
+            return
+        received_ns = self._clocks.now_ns()
+        if self._watched_fd is None:
+            self._watch_port(True)
+        if not data:
+            return
+        self._retry_ns = FIRST_RETRY_NS
+        tally = self._session.tally
+        noise_bytes = tally.noise_bytes
+        for event in self._session.receive(data, received_ns):
+            self._sonars.frame(received_ns)
+            self._handlers[type(event)](event, received_ns)
+        noise_bytes = tally.noise_bytes - noise_bytes
+        if noise_bytes:
+            self._note_noise(noise_bytes, len(data), began_ns)
+
+    def _note_noise(self, noise_bytes, read_bytes, began_ns):
+        """Warn of corrupt frames; after a long read that is mostly noise leave the port alone for a while."""
+        corrupt = self._session.tally.bad_frames - self._corrupt
+        if corrupt:
+            self._corrupt += corrupt
+            self._warnings.warn("corrupt", "corrupt frames came from the Teensy", corrupt)
+        if read_bytes >= LONG_READ and 2 * noise_bytes > read_bytes:
+            self._rest(began_ns)
+
+    def _rest(self, began_ns):
+        """Leave the port alone for as long as this read took: a flood must not take the whole CPU."""
+        now_ns = self._clocks.now_ns()
+        self._rest_until_ns = now_ns + max(now_ns - began_ns, SHORTEST_REST_NS)
+        self._watch_port(False)
+
+    def _lose(self, error):
+        self._warnings.warn(error.state, f"{error}")
+        self._close(str(error))
+        self._note_failure(error)
+        self._plan_retry()
+
+    def _note_failure(self, error):
+        """Publish at once that the port is gone; that it still is waits for the next second."""
+        before = self._session.verdict.state
+        self._session.port_failed(error.state, error.cause, error.remedy)
+        if error.state != before:
+            self._link_status.publish()
+
+    def _write(self, data):
+        """Send; whether that worked."""
+        try:
+            self._link.write(data)
+        except DeviceError as error:
+            self._lose(error)
+            return False
+        return True
+
+    def _ping_when_due(self, now_ns):
+        if now_ns < self._session.next_event_ns():
+            return
+        for event in self._session.expire(now_ns):
+            if isinstance(event, ChecksumChanged):
+                self._warnings.warn("checksum",
+                                    f"no ping is answered: trying the checksum of a {event.checksum} firmware")
+            else:
+                self._commands.answer_ping(event.timestamp1, False, "no pong came back")
+                self._warnings.warn("ping", "a ping went unanswered")
+        if now_ns >= self._session.ping_due_ns:
+            self._ping()
+
+    def _ping(self):
+        """Send a ping stamped with ROS time in ms, which is all that fits; the session keeps its monotonic time."""
+        timestamp1 = self._clocks.ros_now().to_nsec() // 1_000_000 % protocol.UINT32
+        self._write(self._session.ping(timestamp1, self._clocks.now_ns()))
+        return timestamp1
+
+    def _on_reboot(self, event, received_ns):
+        self._sonars.rebooted(received_ns)
+        self._warnings.warn("rebooted", f"the Teensy rebooted: {event.description}")
+
+    def _on_malformed(self, record, received_ns):
+        self._warnings.warn("malformed", f"a frame from the Teensy makes no sense: {record.reason}")
+
+    def _judge(self):
+        """Judge the link; log what is new, or still bad. A port that fails is logged by itself."""
+        if not self._link.is_open:
+            return
+        before = self._session.verdict
+        verdict = self._session.judge(self._clocks.now_ns())
+        is_news = verdict.state != before.state
+        if verdict.level != OK and verdict.state not in (WAITING, REBOOTED):  # a reboot was logged as it was detected
+            self._warnings.warn(verdict.state, f"Teensy on {self._port}: {verdict.description}. {verdict.next_step}",
+                                int(is_news))
+        elif verdict.state == FINE and is_news:
+            rospy.loginfo("Teensy on %s: %s", self._port, verdict.description)
+
+    def _judge_sonars(self):
+        """Send the commands that the sonars need, and warn of their faults."""
+        now_ns = self._clocks.now_ns()
+        if self._measurements:
+            self._sonars.update_speed(self._measurements.speed_mps, now_ns)
+        command = self._sonars.next_command(now_ns) if self._link.is_open else None
+        if command == SEND_SEQUENCE:
+            self._write(self._session.encode(protocol.set_sonar_sequence(self._sonars.sequence)))
+        elif command:
+            self._warnings.warn("sonar start", "no sonar has reported for a while: SONAR_START was sent")
+            self._write(self._session.encode(protocol.sonar_start()))
+        faults = self._sonars.faults(now_ns)
+        if faults:
+            kind = f"sonars {sorted(str(fault.sensor) for fault in faults)}"
+            self._warnings.warn(kind, "{}. {}".format(*describe(faults)))
+
+def _sonar_sequence(params, name):
+    """The order of the sonars that the parameters ask for; ``None`` = the firmware's own."""
+    sequence = params.numbers(name, [], low=0, high=len(protocol.SONARS) - 1)
+    if len(sequence) > protocol.MAX_SEQUENCE or any(sensor % 1 for sensor in sequence):
+        raise ConfigError(name, sequence, f"up to {protocol.MAX_SEQUENCE} whole numbers from 0 to 5")
+    return [int(sensor) for sensor in sequence] or None
+
+
+def main():
+    """Run the node."""
+    run("teensy_sensor_hub", TeensySensorHub)

@@ -1,0 +1,200 @@
+"""The area in which the car stays: where an arc leads, and how far the car can go until no turn keeps it inside.
+
+A pose is that of the middle of the rear axle, in odometry's frame; curvatures are in 1/m, left positive.
+"""
+from __future__ import annotations
+
+import cmath
+import math
+from typing import Callable, NamedTuple, Sequence
+
+from car_interface.throttle.obstacle_stop import Outline
+
+STEP_M = 0.2  # from one pose that is looked at to the next
+SLASH = Outline()
+INWARD_RAD = math.radians(60)  # a car that looks to the center within this angle is on its way back
+INWARD_COS = math.cos(INWARD_RAD)
+
+
+class Pose(NamedTuple):
+    """Position in m and heading in rad."""
+
+    x_m: float
+    y_m: float
+    yaw_rad: float
+
+
+class Turn(NamedTuple):
+    """A tight turn."""
+
+    curvature_per_m: float  # left positive
+    reaction_m: float  # what the car drives until its wheels are turned for it
+
+
+def moved(pose: Pose, distance_m: float, curvature_per_m: float) -> Pose:
+    """Return the pose after an arc."""
+    x_m, y_m, yaw_rad = pose
+    half_rad = distance_m * curvature_per_m / 2
+    chord_m = distance_m * (math.sin(half_rad) / half_rad if abs(half_rad) > 1e-6 else 1.0)
+    return Pose(x_m + chord_m * math.cos(yaw_rad + half_rad), y_m + chord_m * math.sin(yaw_rad + half_rad),
+                yaw_rad + 2 * half_rad)
+
+
+class Area:
+    """A circle around a start that no part of the car leaves.
+
+    Args:
+        center: x and y in m.
+        radius_m: of the circle.
+        stop_radius_m: of the one in which it comes to a stop when it is let go; ``None`` = of the same.
+    """
+
+    def __init__(self, center: tuple[float, float], radius_m: float, outline: Outline = SLASH,
+                 stop_radius_m: float | None = None):
+        self.center, self.radius_m = center, radius_m
+        self.stop_radius_m = radius_m if stop_radius_m is None else stop_radius_m
+        half_m = outline.width_m / 2
+        self._front_m, self._rear_m, self._half_m = outline.front_m, outline.rear_m, half_m
+
+    def extent_m(self, pose: Pose) -> float:
+        """Return how far the car's farthest corner is from the center."""
+        return math.sqrt(self._square(self._seen_from(pose)))
+
+    def ahead_m(self, pose: Pose, radius_m: float) -> float:
+        """Return how far the car can go straight on until its front leaves a circle of that radius; 0 = it has."""
+        cos_yaw, sin_yaw = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
+        x_m = pose.x_m + self._front_m * cos_yaw - self.center[0]
+        y_m = pose.y_m + self._front_m * sin_yaw - self.center[1]
+        along_m, square = x_m * cos_yaw + y_m * sin_yaw, x_m * x_m + y_m * y_m - radius_m * radius_m
+        return max(0.0, -along_m + math.sqrt(along_m * along_m - square)) if square < 0 else 0.0
+
+    def inward_rad(self, pose: Pose) -> float:
+        """Return the angle between the car's heading and the direction to the center, 0 to π."""
+        towards_rad = math.atan2(self.center[1] - pose.y_m, self.center[0] - pose.x_m)
+        return abs(math.remainder(towards_rad - pose.yaw_rad, 2 * math.pi))
+
+    def circle_extent_m(self, pose: Pose, curvature_per_m: float, stop_m: float = 0.0) -> float:
+        """Return how far the car's farthest corner is from the center anywhere on the whole circle of an arc, or after
+        it went straight on from there for ``stop_m``.
+        """
+        radius_m = 1 / curvature_per_m
+        x_m = pose.x_m - radius_m * math.sin(pose.yaw_rad) - self.center[0]
+        y_m = pose.y_m + radius_m * math.cos(pose.yaw_rad) - self.center[1]
+        return math.hypot(x_m, y_m) + math.hypot(abs(radius_m) + self._half_m, self._front_m + stop_m)
+
+    def has_circle(self, curvature_per_m: float) -> bool:
+        """Return whether the car stays inside on a whole circle around the center."""
+        centered = Pose(self.center[0], self.center[1] - 1 / curvature_per_m, 0.0)
+        return self.circle_extent_m(centered, curvature_per_m) <= self.radius_m
+
+    def turn_extent_m(self, pose: Pose, curvature_per_m: float, stop_m: float = 0.0) -> float:
+        """Return the same on a tight turn from here until the car looks inward again."""
+        whole_m = self.circle_extent_m(pose, curvature_per_m, stop_m)
+        if whole_m <= self.radius_m:
+            return whole_m
+        # In the car's frame, and a right turn mirrored: every corner moves on a circle around the turn's center.
+        turn_m = 1 / abs(curvature_per_m)
+        rel = self._seen_from(pose)
+        middle = (rel if curvature_per_m > 0 else rel.conjugate()) + 1j * turn_m
+        middle_m, middle_rad = abs(middle), cmath.phase(middle)
+        until_rad = _inward_after_rad(turn_m / max(middle_m, 1e-9), middle_rad)
+        farthest_m = 0.0
+        for ahead_m in (self._front_m + stop_m, -self._rear_m):
+            for left_m in (self._half_m, -self._half_m):
+                corner = complex(ahead_m, left_m - turn_m)
+                off_rad = (middle_rad - cmath.phase(corner)) % (2 * math.pi)
+                if off_rad <= until_rad:
+                    farthest_m = max(farthest_m, middle_m + abs(corner))
+                else:
+                    farthest_m = max(farthest_m, abs(middle + corner),
+                                     abs(middle + corner * cmath.rect(1.0, until_rad)))
+        return farthest_m
+
+    def _seen_from(self, pose):
+        """Return the car's place relative to the center in the car's frame: ahead, and to the left as the imaginary
+        part.
+        """
+        return complex(pose.x_m - self.center[0], pose.y_m - self.center[1]) * cmath.rect(1.0, -pose.yaw_rad)
+
+    def _square(self, rel):
+        """Return the square of the farthest corner's distance from the center, m²."""
+        ahead_m, left_m, front_m, rear_m, half_m = rel.real, abs(rel.imag), self._front_m, self._rear_m, self._half_m
+        along_m = max(abs(ahead_m + front_m), abs(ahead_m - rear_m))
+        return along_m * along_m + (left_m + half_m) ** 2
+
+    def ways_out(self, pose: Pose, curvature_per_m: float, turns: Sequence[Turn]) -> list[float]:
+        """Return how far the car's corners get from the center on each of the tight turns.
+
+        Args:
+            pose: now.
+            curvature_per_m: of the arc on which it goes on until its wheels are turned.
+        """
+        extents = []
+        for turn in turns:
+            after = moved(pose, turn.reaction_m, curvature_per_m)
+            extents.append(max(self.extent_m(pose), self.extent_m(after),
+                               self.turn_extent_m(after, turn.curvature_per_m)))
+        return extents
+
+    def excesses_m(self, pose: Pose, curvature_per_m: float, turns: Sequence[Turn], stop_m: float) -> list[float]:
+        """Return by how much the car leaves the area on each of the tight turns, or where it stops when it is let go on
+        it.
+
+        Args:
+            pose: now.
+            curvature_per_m: as above.
+            stop_m: what it takes to stop, straight on, at the speed of those turns.
+        """
+        excesses = []
+        for turn, extent_m in zip(turns, self.ways_out(pose, curvature_per_m, turns)):
+            after = moved(pose, turn.reaction_m, curvature_per_m)
+            excesses.append(max(extent_m - self.radius_m, self.turn_extent_m(
+                after, turn.curvature_per_m, stop_m) - self.stop_radius_m))
+        return excesses
+
+    def rooms_m(self, pose: Pose, curvature_per_m: float, turns_at: Callable[[Pose], Sequence[Turn]], max_m: float,
+                stop_m: float = 0.0, min_ahead_m: Callable[[float], float] = lambda gone_m: 0.0) -> list[float]:
+        """Return how far the car can go on an arc to end with each of the tight turns: (T,), at most ``max_m``.
+
+        From everywhere on its way one of them, whichever, keeps it inside; so does that one at its end.
+
+        Args:
+            pose: where the arc begins.
+            curvature_per_m: of the arc.
+            turns_at: the tight turns as they could be begun at a pose, T of them.
+            max_m: as above.
+            stop_m: what it takes to stop on those turns.
+            min_ahead_m: so far it must be able to go straight on after a distance, as it does when it is let go.
+        """
+        if curvature_per_m and self.circle_extent_m(pose, curvature_per_m) <= self.radius_m:
+            return [max_m for _ in turns_at(pose)]
+        rooms_m = [0.0 for _ in turns_at(pose)]
+        gone_m = 0.0
+        while self.ahead_m(pose, self.radius_m) >= min_ahead_m(gone_m):
+            stays = [excess_m <= 0 for excess_m in self.excesses_m(pose, curvature_per_m, turns_at(pose), stop_m)]
+            rooms_m = [gone_m if inside else room_m for inside, room_m in zip(stays, rooms_m)]
+            if not any(stays) or gone_m >= max_m:
+                break
+            step_m = min(STEP_M, max_m - gone_m)
+            pose, gone_m = moved(pose, step_m, curvature_per_m), gone_m + step_m
+        return rooms_m
+
+
+def _inward_after_rad(ratio, middle_rad):
+    """After which angle of a left turn the car looks inward, 0 to 2π.
+
+    Args:
+        ratio: of the turn's radius to the distance of its center from the area's.
+        middle_rad: the direction of the turn's center, as seen from the area's, in the car's frame.
+    """
+    # With φ = middle_rad less what was turned it looks inward where −cos φ ≥ c √(1 + ratio² − 2 ratio sin φ): a
+    # quadratic equation for sin φ.
+    square = INWARD_COS * INWARD_COS
+    root = 1 - square + square * ratio * ratio * (square - 1)
+    if root < 0:
+        return 2 * math.pi  # it never does
+    low, high = square * ratio - math.sqrt(root), square * ratio + math.sqrt(root)
+    first_rad = math.pi - math.asin(max(-1.0, low))
+    last_rad = math.pi - math.asin(min(1.0, high))
+    turned_rad = (middle_rad - first_rad) % (2 * math.pi)
+    return 0.0 if turned_rad >= 2 * math.pi - (first_rad - last_rad) else turned_rad

@@ -1,0 +1,165 @@
+"""A car that drives its own steering calibration while a person holds a button and watches.
+
+Consumes odometry, the duty that the servo board holds, six sonars' ranges and whether it may drive; answers with a
+steering and a speed. Pure: ``now_ns`` is passed in. A node's loop:
+
+    drive = CalibrationDrive(base, config)
+    on odom:            drive.update_odometry(x, y, yaw, speed, measured_ns, now_ns)
+    on /servo/output:   drive.update_duty(duty of the channel, now_ns)
+    on sonar/*:         drive.update_range(name, range, now_ns)
+    on *_arb/state:     drive.update_grant(may_drive, reason, now_ns)
+    50 times a second:  step = drive.step(now_ns); publish step.steering and step.speed_mps unless steering is None
+    second thread:      task = drive.take_fit_task(); if task: knowledge = assess(task) …
+    back in the loop:   drive.update_knowledge(knowledge, now_ns)
+    at any time:        drive.progress(now_ns); drive.path_m(…) for rviz
+    step.phase is DONE: conclude(drive.samples, base, base_text, name)
+
+All of it but ``assess`` and ``conclude`` is called by one thread.
+"""
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from car_interface.common.staleness import TimedInput
+from car_interface.steering.calibration import SteeringCalibration
+from car_interface.throttle.obstacle_stop import ObstacleStop
+from car_interface.tools.calibration.drive.area import Area, Pose, moved
+from car_interface.tools.calibration.drive.config import DEFAULTS, CalibrationDriveConfig
+from car_interface.tools.calibration.drive.outlook import Outlook
+from car_interface.tools.calibration.drive.pilot import Pilot
+from car_interface.tools.calibration.drive.step import DONE, PAUSED, WAITING, Step
+from car_interface.tools.calibration.drive.stops import Stops
+from car_interface.tools.calibration.drive.survey import MeasuredDrive
+
+GRANT_TIMEOUT_S = 0.5  # the arbiters' states come 10 times a second and more
+MARGIN_M = 0.12  # of the area, for odometry's drift and for what isn't known of the steering
+
+
+class _Grant(NamedTuple):
+    may_drive: bool
+    reason: str
+
+
+class CalibrationDrive(MeasuredDrive):
+    """One drive.
+
+    Args:
+        base: turn_arb's calibration, by which av_steer_req becomes a duty, with the car's ends and rough center; its
+            radii aren't believed.
+    """
+
+    def __init__(self, base: SteeringCalibration, config: CalibrationDriveConfig = DEFAULTS):
+        super().__init__(base, config)
+        self._stops = Stops()
+        self._obstacles = None if config.obstacles is None else ObstacleStop(config.obstacles)
+        self._pilot: Pilot | None = None
+        self._grant = TimedInput("the arbiters' state", GRANT_TIMEOUT_S)
+        self._ranges = {name: TimedInput(name, config.obstacles.timeout_s)
+                        for name, mount in (config.obstacles.mounts if config.obstacles else {}).items()
+                        if abs(math.remainder(mount.yaw_rad, 2 * math.pi)) < math.pi / 2}  # those that look ahead
+        self._drives = False  # the button is held
+        self._is_slowed = False  # by more than its own drag, or moved by hands
+
+    @property
+    def start(self) -> tuple[float, float] | None:
+        """The area's center in odometry's frame, for rviz; ``None`` before the button was first held."""
+        return None if self._pilot is None else self._pilot.outlook.area.center
+
+    def update_odometry(self, x_m: float, y_m: float, yaw_rad: float, speed_mps: float, measured_ns: int,
+                        now_ns: int) -> None:
+        """Take the car's pose (middle of the rear axle, odometry's frame) and speed, forward positive.
+
+        Args:
+            x_m, y_m, yaw_rad, speed_mps: as odom has them; the yaw may be wrapped. One that isn't finite is left out.
+            measured_ns: when that was, on the same scale as now_ns.
+            now_ns: when it arrived.
+        """
+        if not all(map(math.isfinite, (x_m, y_m, yaw_rad, speed_mps))):
+            return
+        self._odom.update(None, now_ns)
+        if self._drives:  # a car that is pushed, or steered by hand meanwhile, shows nothing about its steering
+            self.samples.update_odometry(x_m, y_m, yaw_rad, speed_mps, measured_ns)
+        motion = self._motion.update(Pose(x_m, y_m, yaw_rad), speed_mps, measured_ns)
+        if self._is_slowed:
+            self._stops.discard()
+        self._stops.update(motion[0], speed_mps, self._motion.pose.yaw_rad, self._drives, measured_ns)
+        if self._pilot is not None:
+            self._pilot.update_motion(*motion, measured_ns)
+
+    def update_duty(self, duty: float, now_ns: int) -> None:
+        """Take what the servo board holds on the steering's channel, by /servo/output."""
+        self._duty.update(duty, now_ns)
+        self.samples.update_duty(duty, now_ns)
+
+    def update_range(self, name: str, range_m: float, now_ns: int) -> None:
+        """Take a sonar's range, as on its topic: inf = no echo, −inf = too near, NaN = nonsense. See ``obstacle_stop``.
+        """
+        if self._obstacles is not None:
+            self._obstacles.update_range(name, range_m, now_ns)
+        if name in self._ranges:
+            self._ranges[name].update(range_m, now_ns)
+
+    def update_grant(self, may_drive: bool, reason: str, now_ns: int) -> None:
+        """Take whether turn_arb and throttle_arb obey the planner: the autonomous deadman is held, no e-stop, armed.
+
+        Args:
+            may_drive: both do, or would if something were asked for. Older than 0.5 s it counts as no.
+            reason: why not, in the arbiters' own words; quoted in Step.text.
+            now_ns: when it arrived.
+        """
+        self._grant.update(_Grant(may_drive, reason), now_ns)
+
+    def update_stopping(self, by_itself: bool) -> None:
+        """Take whether nothing but its drag and its ESC in neutral slows it: no hands, and throttle_arb doesn't brake.
+        That brakes only while it is sure that no reverse comes of it: the next time it may not.
+        """
+        self._is_slowed = not by_itself
+
+    def step(self, now_ns: int) -> Step:
+        """Return what to ask for now. Call it 20 to 100 times a second; it takes 0.1 to 3 ms on a PC."""
+        since_ns = self._tick(now_ns)
+        if self._end:
+            return Step(None, 0.0, DONE, self._end)
+        trouble = self._trouble(now_ns)
+        self._drives = not trouble
+        if trouble:
+            if self._pilot is not None:
+                self._pilot.pause()
+            return Step(None, 0.0, WAITING if self._pilot is None else PAUSED, trouble)
+        if self._pilot is None:
+            outline = self._config.outline
+            middle = moved(self._motion.pose, (outline.front_m - outline.rear_m) / 2, 0.0)
+            radius_m = self._config.radius_m
+            area = Area(middle[:2], radius_m - MARGIN_M, self._config.outline, radius_m)
+            outlook = Outlook(self._base, self._config, self._survey, self._motion, area, self._obstacles, self._stops)
+            self._pilot = Pilot(self._base, self._survey, self._motion, outlook)
+        self._driven_ns += since_ns
+        if self._survey.positions.is_swapped or self._pilot.turns_wrongly:
+            self._end = (f"servo_left {self._base.servo_left} turns right: exchange servo_left and servo_right in "
+                         "turn_arb's file, and begin again")
+        self._end_if_over()
+        if self._end:
+            return Step(None, 0.0, DONE, self._end)
+        return self._pilot.step(self._duty.value, now_ns)
+
+    def _trouble(self, now_ns):
+        """Return why it can't drive now; empty: it can."""
+        for timed in (self._odom, self._duty):
+            if timed.is_stale(now_ns):
+                return timed.stale_reason(now_ns)
+        for timed in self._ranges.values():
+            if timed.is_stale(now_ns) or math.isnan(timed.value):
+                why = timed.stale_reason(now_ns) if timed.is_stale(now_ns) else f"{timed.name} measures nonsense"
+                return f"{why}, and the car doesn't drive blind"
+        if self._grant.is_stale(now_ns):
+            return self._grant.stale_reason(now_ns)
+        grant = self._grant.value
+        if grant.may_drive:
+            return ""
+        verb = "begins" if self._pilot is None else "goes on"
+        return f"{grant.reason}; hold the autonomous deadman and it {verb}"
+
+    def expected_path(self) -> list[tuple[float, float]]:
+        """Return the next seconds' path in odometry's frame, as far as it is known, for rviz: (x, y) in m."""
+        return [] if self._pilot is None else self._pilot.expected_path()

@@ -1,0 +1,164 @@
+"""Ends a calibration drive: with the tool's own calibration of its samples, or its refusal, and the file to write."""
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import NamedTuple
+
+from car_interface.common import output
+from car_interface.common.errors import CarInterfaceError
+from car_interface.common.package_files import is_package_file, package_file
+from car_interface.common.yaml_file import read_yaml
+from car_interface.steering.calibration import SteeringCalibration
+from car_interface.steering.params import load_steering
+from car_interface.tools.calibration.drive.samples import Samples
+from car_interface.tools.calibration.shared import RecordedDrive, write_table
+from car_interface.tools.calibration.steering.calibrate import NOT_LOADED, SteeringResult, calibrate, yaml_text
+from car_interface.tools.calibration.steering.report import report, short_report
+from car_interface.tools.calibration.steering.table import LEFT, RIGHT
+
+BASE = "config/turn_arb.yaml"
+
+
+class Conclusion(NamedTuple):
+    """The end of a drive.
+
+    Attributes:
+        yaml_text: for turn_arb's file, the base with the new values; empty = refused.
+        report: the most important lines of calibrate_steering's own; the file has them all.
+        refusal: why nothing is to be written, in the tool's words; empty = nothing is missing.
+        center_duty: the new servo_center, for servo.yaml too; 0 = refused.
+        missing: what the refusal is made of, where more driving is what it takes: sentences; else empty.
+    """
+
+    yaml_text: str
+    report: tuple[str, ...]
+    refusal: str
+    center_duty: int
+    missing: tuple[str, ...] = ()
+
+
+def conclude(samples: Samples, base: SteeringCalibration, base_text: str, name: str) -> Conclusion:
+    """Calibrate by a drive's samples, as calibrate_steering would by its recording. Takes a second; never raises.
+
+    Args:
+        base: the calibration before.
+        base_text: the text of its file, whose other parameters are kept.
+        name: what the report calls the drive, such as the bag's file name.
+    """
+    recorded = [RecordedDrive(name, samples.drive(), (), samples.duration_s)]
+    lines: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
+    try:
+        calibrated = calibrate(recorded, base)
+        lines = tuple(short_report(calibrated, recorded))
+        missing = tuple(calibrated.problems)
+        refusal = "; ".join(missing) or _swapped(calibrated, base)
+        text = "" if refusal else yaml_text(calibrated, base_text, list(report(calibrated, recorded, None)))
+    except CarInterfaceError as error:
+        refusal = str(error)
+    if refusal:
+        return Conclusion("", lines, refusal, 0, missing)
+    return Conclusion(text, lines, "", round(calibrated.center))
+
+
+def _swapped(calibrated: SteeringResult, base: SteeringCalibration) -> str:
+    """Say that left and right are exchanged in the base; empty: they aren't."""
+    left, right = calibrated.ends[LEFT], calibrated.ends[RIGHT]
+    if (left - right) * (base.servo_left - base.servo_right) > 0:
+        return ""
+    return (f"servo_left {base.servo_left} turns right: exchange servo_left and servo_right, or steering by hand goes "
+            "the wrong way")
+
+
+# --- the file ---
+
+
+class TableFile(NamedTuple):
+    """Where the calibration goes."""
+
+    path: str  # to be written
+    base_text: str  # of the file whose other parameters are kept
+
+    @property
+    def folder(self) -> str:
+        """In which bag and report lie, too."""
+        return os.path.dirname(self.path)
+
+    @property
+    def stem(self) -> str:
+        """The file's name without its extension."""
+        return Path(self.path).stem
+
+    @property
+    def beside(self) -> str:
+        """The file that is written where this one isn't to be replaced."""
+        return os.path.join(self.folder, f"{self.stem}.new{Path(self.path).suffix}")
+
+    @property
+    def is_there(self) -> bool:
+        """Whether there is a file to be replaced."""
+        return os.path.exists(self.path)
+
+    def write(self, text: str, replaces: bool) -> tuple[str, str]:
+        """Write the calibration.
+
+        Args:
+            text: of the file.
+            replaces: the file itself; else the one beside it.
+
+        Returns:
+            (the path that was written, a line that says so, and where the old one is).
+
+        Raises:
+            CarInterfaceError: it can't be written, or turn_arb would refuse it.
+        """
+        path = self.path if replaces else self.beside
+        return path, write_table(path, text, load_steering, NOT_LOADED)
+
+
+def find_table_file(wanted: str | None, base: str | None, launched_with: str | None,
+                    running: SteeringCalibration) -> TableFile:
+    """Decide where to write, before the drive.
+
+    Args:
+        wanted: as the user named it; ``None`` = the file that turn_arb was launched with.
+        base: whose other parameters are kept; ``None`` = that of the file to write, where
+            there is one, else turn_arb's.
+        launched_with: turn_arb's own file; ``None`` = unknown.
+        running: turn_arb's calibration, which has the channel.
+
+    Raises:
+        CarInterfaceError: naming what is wrong.
+    """
+    if wanted is None and (launched_with is None or is_package_file(launched_with)):
+        raise CarInterfaceError(
+            "the car runs on the package's own files, which are not to be changed: copy them (cp -r $(rospack find "
+            "car_interface)/config ~/my_car), launch with config:=$HOME/my_car, or name the file to write by -o")
+    path = os.path.abspath(os.path.expanduser(wanted or launched_with))
+    if is_package_file(path):
+        raise CarInterfaceError(f"{path} is the package's own: name a file of your car's by -o")
+    output.check(path)
+    base_path = base or (path if os.path.exists(path) else launched_with or str(package_file(BASE)))
+    kept = load_steering(base_path)
+    if kept.servo_channel != running.servo_channel:
+        raise CarInterfaceError(f"{base_path} has servo_channel {kept.servo_channel}, and turn_arb steers channel "
+                                f"{running.servo_channel}: name another file by -o or --base")
+    return TableFile(path, read_yaml(base_path))
+
+
+def board_center(center_duty: int, old_duty: int, board_duty: int | None) -> str:
+    """Return a line about the servo board, which is to center the steering by the same duty when nobody commands it.
+
+    Args:
+        center_duty: the new center.
+        old_duty: turn_arb's center so far.
+        board_duty: pca9685's; ``None`` = it has none, as with another driver of the board.
+    """
+    if board_duty == old_duty:
+        return f"the servo board centers the steering by the same file (duty {center_duty}): it needs nothing more"
+    if board_duty is None:
+        return (f"the servo board doesn't read this file: give its driver the new center, too, {center_duty}, as the "
+                "value for when nobody commands it (timeout_value, or servo.yaml)")
+    return (f"pca9685 has another center than turn_arb had, {board_duty} in place of {old_duty}: launch it with this "
+            f"folder, too (config), so that it centers by duty {center_duty}")

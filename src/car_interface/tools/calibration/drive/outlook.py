@@ -1,0 +1,199 @@
+"""Where the car goes from here, and how fast it may: inside the area, around what the sonars see, and so that it stops
+inside when the button is let go, with the servo's lag and with the least deceleration that was seen.
+"""
+from __future__ import annotations
+
+import math
+
+from car_interface.steering.calibration import SteeringCalibration
+from car_interface.throttle.obstacle_stop import Guarantee, ObstacleStop, stopping_speed_mps
+from car_interface.tools.calibration.drive.area import Area, Pose, Turn, moved
+from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
+from car_interface.tools.calibration.drive.hold import Hold
+from car_interface.tools.calibration.drive.samples import Motion
+from car_interface.tools.calibration.drive.stops import Stops
+from car_interface.tools.calibration.drive.survey import Survey
+
+REACTION_S = 0.12  # from the decision to turn until the servo's lag begins, and what a step takes
+TIGHT_PER_M = 0.8  # the tight speed holds from here on
+TIGHT_DUTY = 20.0  # so near to its end a servo surely turns the wheels tightly
+MAX_LAGS = 4.0
+RELEASE_S = 0.25  # from the button until it coasts
+COASTS_MPS2 = 0.2  # as long as it wasn't seen to stop: a car's drag, less a gentle slope
+LATE_M = 0.35  # by so much sooner it slows: without a brake its speed is behind what is asked for
+SPARE_M = 0.15  # a way isn't begun from where it could stop only just inside
+SLOW_MPS, MAX_SLOW_MPS, SLOW_STOP_M = 0.33, 0.6, 0.42  # at the edge: as fast as it stops within that
+EARLY_MPS = 0.8  # as long as there is no curve
+FREE_MPS, CREEP_MPS = 0.35, 0.2  # a sonar that allows less means: not there; and stop, if it was begun
+QUICK_MPS2, MAX_QUICK_MPS = 2.2, 1.6  # sideways, in every other turn: shows by how much turns widen with speed
+
+
+class Outlook:
+    """The way ahead of one car.
+
+    Attributes:
+        area: in which it stays.
+        servo_duty: what the servo board holds.
+    """
+
+    def __init__(self, base: SteeringCalibration, config: CalibrationDriveConfig, survey: Survey, motion: Motion,
+                 area: Area, obstacles: ObstacleStop | None, stops: Stops):
+        self.area = area
+        self.servo_duty = float(base.servo_center)
+        self._config, self._survey, self._motion, self._obstacles = config, survey, motion, obstacles
+        self._ends, self._stops = (base.servo_left, base.servo_right), stops
+        self._guarantee = Guarantee(config.braking_mps2, 0.0, config.braking_mps2)
+
+    def _let_go(self):
+        """With what it stops once the button is let go."""
+        assumed_mps2 = min(self._config.braking_mps2, COASTS_MPS2, self._stops.least_mps2)
+        mps2 = max(assumed_mps2, self._stops.sure_mps2)
+        return Guarantee(mps2, 0.0, mps2)
+
+    # --- where it goes ---
+
+    def expected_per_m(self, duty: float) -> float:
+        """Return the curvature to expect at a duty."""
+        return self._survey.positions.expected_per_m(duty)
+
+    def live_per_m(self) -> float:
+        """Return the curvature now; that of the duty that is held, where the car hardly moves."""
+        curvature = self._motion.curvature_per_m()
+        return self.expected_per_m(self.servo_duty) if curvature is None else curvature
+
+    def path_per_m(self, hold: Hold | None, now_ns: int) -> float:
+        """Return the curvature of the arc ahead: as measured, or, while the servo is on its way, as expected."""
+        if hold is None or hold.is_settled(now_ns):
+            return self.live_per_m()
+        return (self.live_per_m() + 2 * self.expected_per_m(hold.duty)) / 3
+
+    def turns(self, from_duty: float, speed_mps: float) -> list[Turn]:
+        """Return the tight turns to the left and to the right, begun with the servo at a duty."""
+        return [Turn(curvature, speed_mps * reaction_s) for curvature, reaction_s in self._turns(from_duty)]
+
+    def _turns(self, from_duty):
+        """Return (curvature, time until the wheels are turned for it) of each."""
+        survey = self._survey
+        found = []
+        for end in self._ends:
+            # The servo creeps up to its end, and some linkages turn the wheels within the last counts.
+            near_duty = max(TIGHT_DUTY, abs(end - survey.positions.half_way_duty(end)))
+            lags = min(MAX_LAGS, max(1.0, math.log(max(1.0, abs(end - from_duty) / near_duty))))
+            reaction_s = REACTION_S + survey.servo_delay_s + survey.servo_lag_s * lags
+            curvature, live = self.expected_per_m(end), self._motion.curvature_per_m()
+            if abs(from_duty - end) < TIGHT_DUTY and live is not None and live / curvature > 1.0:
+                curvature = live  # an end that is just being found out
+            found.append((curvature, reaction_s))
+        return found
+
+    def turns_now(self) -> list[Turn]:
+        """Return the same from here."""
+        return self.turns(self.servo_duty, self.now_mps)
+
+    @property
+    def now_mps(self) -> float:
+        """The speed now; the slow one at least."""
+        return max(self.slow_mps, self._motion.speed_mps)
+
+    @property
+    def slow_mps(self) -> float:
+        """The speed at the edge."""
+        sure_mps2 = self._stops.sure_mps2
+        if not sure_mps2:
+            return SLOW_MPS
+        return max(SLOW_MPS, min(MAX_SLOW_MPS, stopping_speed_mps(SLOW_STOP_M, RELEASE_S, Guarantee(
+            sure_mps2, 0.0, sure_mps2))))
+
+    def extents_m(self, hold: Hold | None, now_ns: int) -> list[float]:
+        """Return how far the car's corners get from the center on a tight turn to the left and to the right."""
+        return self.area.ways_out(self._motion.pose, self.path_per_m(hold, now_ns), self.turns_now())
+
+    def excesses_m(self, hold: Hold | None, now_ns: int) -> list[float]:
+        """Return by how much it leaves the area on each of these turns, or where it stops when it is let go on it."""
+        return self.area.excesses_m(self._motion.pose, self.path_per_m(hold, now_ns), self.turns_now(), self._stop_m())
+
+    def rooms_m(self, duty: float, curvature_per_m: float, speed_mps: float, max_m: float) -> list[float]:
+        """Return how far the car can go from here, to end with the tight turn to the left and with that to the right,
+        if it steers that duty now and that gives that curvature.
+        """
+        lead_m = min(speed_mps, self.now_mps) * (self._survey.servo_delay_s + self._survey.servo_lag_s)
+        after = moved(self._motion.pose, lead_m, (self.live_per_m() + curvature_per_m) / 2)
+        turns = self._turns(duty)
+        coasts_mps2, slow_mps, stop_m = self._let_go().stop_mps2, self.slow_mps, self._stop_m()
+
+        def ahead_m(gone_m):  # nothing brakes a car that begins it faster than it may be there
+            square = self.now_mps ** 2 - 2 * coasts_mps2 * (lead_m + gone_m)
+            return SPARE_M + self._stop_m(math.sqrt(max(slow_mps ** 2, square)))
+
+        def turns_at(pose):
+            slowed_mps = min(speed_mps, self._slowed_mps(self.area.ahead_m(pose, self._config.radius_m)))
+            return [Turn(curvature, slowed_mps * reaction_s) for curvature, reaction_s in turns]
+
+        return [lead_m + room_m for room_m in self.area.rooms_m(
+            after, curvature_per_m, turns_at, max_m - lead_m, stop_m, ahead_m)]
+
+    def is_outside_soon(self, hold: Hold, now_ns: int) -> bool:
+        """Return whether it has to turn now to stay inside, or to stop inside when it is let go."""
+        return (min(self.excesses_m(hold, now_ns)) > 0
+                or self.area.ahead_m(self._motion.pose, self.area.radius_m) < self._stop_m())
+
+    def _stop_m(self, speed_mps=None):
+        """Return what it takes to stop when the button is let go, from a speed or from that at the edge."""
+        speed_mps = self.slow_mps if speed_mps is None else speed_mps
+        return RELEASE_S * speed_mps + speed_mps ** 2 / (2 * self._let_go().stop_mps2)
+
+    # --- how fast ---
+
+    def cruise_mps(self, curvature_per_m: float) -> float:
+        """Return the speed in such a turn."""
+        config = self._config
+        ratio = min(1.0, abs(curvature_per_m) / TIGHT_PER_M)
+        speed_mps = config.speed_mps + (config.tight_speed_mps - config.speed_mps) * ratio
+        return min(speed_mps, EARLY_MPS) if self._survey.knowledge is None else speed_mps
+
+    def sonar_mps(self, curvature_per_m: float, now_ns: int) -> float:
+        """Return what the sonars allow on an arc."""
+        if self._obstacles is None:
+            return math.inf
+        bound = self._obstacles.bound(curvature_per_m, False, self._guarantee, now_ns, counts_sides=False)
+        return math.inf if bound is None else bound.speed_mps
+
+    def allowed_mps(self, hold: Hold, is_quick: bool, now_ns: int) -> tuple[float, str]:
+        """Return (the speed for a position, why it stands); ``is_quick``: as fast as the tyres hold, once it is
+        settled.
+        """
+        expected, speed_now_mps = self.expected_per_m(hold.duty), self._motion.speed_mps
+        speed_mps = self.cruise_mps(expected)
+        if is_quick and hold.is_settled(now_ns):
+            speed_mps = max(speed_mps, min(MAX_QUICK_MPS, math.sqrt(QUICK_MPS2 / abs(expected))))
+        seen_mps = min(self.sonar_mps(expected, now_ns),
+                       self.sonar_mps(self.live_per_m(), now_ns) if speed_now_mps > FREE_MPS else math.inf)
+        if seen_mps < (CREEP_MPS if speed_now_mps > CREEP_MPS / 2 else FREE_MPS):
+            return 0.0, self._obstacle_text(expected, now_ns)
+        pose, hard_m = self._motion.pose, self._config.radius_m
+        extent_m = min(self.extents_m(hold, now_ns))
+        if extent_m > hard_m:
+            speed_mps = min(speed_mps, self.slow_mps)
+            if extent_m > hard_m + 0.1 and self.area.inward_rad(pose) > math.pi / 2:
+                return 0.0, (f"it stands {self.area.extent_m(pose):.1f} m from where it began, with no room to turn: "
+                             f"{self._way_back()} by hand or by the manual deadman, then hold the button again")
+        # Whenever the button is let go the steering goes to the center, and the car is to stop inside all the same.
+        speed_mps = min(speed_mps, self._slowed_mps(self.area.ahead_m(pose, hard_m) - LATE_M))
+        return min(speed_mps, seen_mps), ""
+
+    def _slowed_mps(self, ahead_m):
+        """Return the speed from which it stops within a distance when it is let go, and the slow one at least."""
+        return max(self.slow_mps, stopping_speed_mps(ahead_m, RELEASE_S, self._let_go()))
+
+    def _way_back(self):
+        """Return where a person is to bring a car without room to turn; in the middle a wide turn has none either."""
+        per_m = max(map(self.expected_per_m, self._ends), key=abs)
+        area = self.area
+        if area.circle_extent_m(Pose(*area.center, 0.0), per_m, self._stop_m()) <= area.stop_radius_m:
+            return "move it towards the middle"
+        return f"place it so that the middle is about {1 / abs(per_m):.1f} m to its {'left' if per_m > 0 else 'right'},"
+
+    def _obstacle_text(self, curvature_per_m, now_ns):
+        bound = self._obstacles.bound(curvature_per_m, False, self._guarantee, now_ns, counts_sides=False)
+        why = f"{bound.words} {bound.speed_mps:.1f} m/s" if bound is not None else "something is near"
+        return f"{why}: no way on from here; move the car to where it is free by hand, then hold the button again"

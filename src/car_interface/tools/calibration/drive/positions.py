@@ -1,0 +1,257 @@
+"""Which positions of the steering to measure next, and what curvature to expect of them.
+
+First the ends and the center, and some in between; then wherever the fit knows least. A position is a duty, always one
+of the board's counts.
+"""
+from __future__ import annotations
+
+import math
+from bisect import bisect_left, insort
+from typing import Callable, NamedTuple
+
+from car_interface.steering.calibration import SteeringCalibration
+from car_interface.tools.calibration.drive.knowledge import Knowledge
+from car_interface.tools.calibration.steering.drive import COUNT
+
+# Parts of the way from the center to each end, in the order of their importance; ends and center count for most.
+FIRST = ((1.0, 4.0), (-1.0, 4.0), (0.0, 3.0), (0.5, 2.0), (-0.5, 2.0), (0.75, 1.5), (-0.75, 1.5), (0.25, 1.5),
+         (-0.25, 1.5), (0.9, 1.5), (-0.9, 1.5))
+MAX_CANDIDATES = 12  # of the fit's
+APART_DUTY = 2 * COUNT  # of two candidates
+NEAR_DUTY = 1.5 * COUNT  # what was measured as near to a candidate answers it
+LOST_END_NEED = 4.0
+SIDES_DUTY = 5 * COUNT  # positions as near as this to each other are come to from different sides
+ANSWERED = 0.3  # the part of a need that remains until the next fit
+REPEATED = 0.3  # by how much each time a position was held makes it worth less to hold it again
+MAX_NEED = 1.5  # of the fit's: how much more isn't known says little, and the first positions come first
+NEARLY = 0.9  # of what the tool refuses: the last fit's errors differ by some percent from those before
+MAX_NICE_NEED = 1.0  # of what the tool doesn't refuse
+STEEP_RATIO, STEEP_PER_M, STEEP_NEED = 0.08, 0.03, 1.2  # of the curvature from count to count
+SURELY_PER_M = 0.1  # an end that turns so tightly to the wrong side does so
+UNKNOWN_TURN_PER_M = 0.8  # of the ends before they were driven: as wide as a car in so small an area may turn
+
+
+class Candidate(NamedTuple):
+    """A position that is worth measuring.
+
+    Attributes:
+        duty: the position.
+        need: how much: the fit's error there as a ratio of what the tool allows, or its rank among the first ones.
+        from_side: the side from which to come to it, in duty: 1 from higher ones, −1 from lower ones, 0 = as it comes.
+    """
+
+    duty: int
+    need: float
+    from_side: int
+
+
+class Measured(NamedTuple):
+    """One position that was held."""
+
+    duty: int
+    from_side: int
+    length_m: float
+    curvature_per_m: float
+
+
+class Positions:
+    """The positions of one drive.
+
+    Args:
+        base: the ends and the rough center; the signs of its radii, not their values.
+    """
+
+    def __init__(self, base: SteeringCalibration):
+        self._base = base
+        self._left_sign = 1 if base.servo_left > base.servo_right else -1  # of the duty towards a left turn
+        ends = {1.0: base.servo_left, -1.0: base.servo_right}
+        self._first = [Candidate(ends.get(part, nearest_count(base.teleop_duty(part), base)), need, 0)
+                       for part, need in FIRST]
+        center = self._first[2]
+        self._first[2:3] = [center._replace(from_side=1), center._replace(from_side=-1, need=center.need - 0.5)]
+        self._all_first = tuple(self._first)
+        self._knowledge: Knowledge | None = None
+        self._since_fit: list[Measured] = []
+        self._curvatures: list[tuple[int, float]] = []  # sorted, one for each duty that was held
+        self._held: list[int] = []  # sorted, one for each time
+        self._sides: dict[int, int] = {}  # by duty: the side from which it was come to last
+        self.count = 0
+
+    @property
+    def first_left(self) -> int:
+        """How many of the first positions weren't measured yet."""
+        return len(self._first)
+
+    @property
+    def is_swapped(self) -> bool:
+        """Whether an end turns to the other side than its name says."""
+        held, base = dict(self._curvatures), self._base
+        return held.get(base.servo_left, 1.0) < -SURELY_PER_M or held.get(base.servo_right, -1.0) > SURELY_PER_M
+
+    def update_knowledge(self, knowledge: Knowledge, measured_since: int) -> None:
+        """Take a fit's result.
+
+        Args:
+            knowledge: with a curve.
+            measured_since: how many positions were held since its samples were taken.
+        """
+        self._knowledge = knowledge
+        self._since_fit = self._since_fit[len(self._since_fit) - measured_since:]
+
+    def add(self, measured: Measured) -> None:
+        """Take what was measured of a position that was held."""
+        self.count += 1
+        self._since_fit.append(measured)
+        insort(self._held, measured.duty)
+        self._sides[measured.duty] = measured.from_side
+        at = bisect_left(self._curvatures, (measured.duty, -math.inf))
+        if at < len(self._curvatures) and self._curvatures[at][0] == measured.duty:
+            del self._curvatures[at]
+        insort(self._curvatures, (measured.duty, measured.curvature_per_m))
+        for index, candidate in enumerate(self._first):
+            if abs(candidate.duty - measured.duty) <= NEAR_DUTY / 2 and candidate.from_side in (0, measured.from_side):
+                del self._first[index]
+                break
+
+    def candidates(self, accepts: Callable[[float], bool] = lambda duty: True) -> list[Candidate]:
+        """Return what is worth measuring of the duties that ``accepts`` takes, needs falling."""
+        found = [candidate for candidate in self._first if accepts(candidate.duty)]
+        if self._knowledge is not None:
+            found += [candidate for candidate in self._lost_ends() if accepts(candidate.duty)]
+            found += self._by_errors(MAX_CANDIDATES - len(found) // 2, accepts)
+        elif not self._first:  # all were held, and there is no curve yet: once more
+            found = [candidate for candidate in self._all_first if accepts(candidate.duty)]
+        return sorted(found, key=lambda candidate: -candidate.need)
+
+    def _lost_ends(self):
+        """Yield the ends that aren't on the fit's curve, such as one that was held too shortly for a segment."""
+        known, held = self._knowledge, {candidate.duty for candidate in self._first}
+        slack_duty = 2 * COUNT + (known.backlash_duty or 0.0) / 2
+        for end in (self._base.servo_left, self._base.servo_right):
+            is_on_it = known.duties[0] - slack_duty <= end <= known.duties[-1] + slack_duty
+            if not is_on_it and end not in held and not any(one.duty == end for one in self._since_fit):
+                yield Candidate(end, LOST_END_NEED, 0)
+
+    def _by_errors(self, count, accepts):
+        """Return the greatest errors of the fit, apart from each other; of equal needs that of which least is known."""
+        known = self._knowledge
+        unknown = map(max, known.errors, known.needs or known.errors)
+        rows = [(need, much, duty) for need, much, duty in zip(self._needs(), unknown, known.duties) if accepts(duty)]
+        rows.sort(reverse=True)
+        found: list[Candidate] = []
+        for need, _, at in rows:
+            if len(found) >= count:
+                break
+            duty = nearest_count(at, self._base)
+            if all(abs(duty - other.duty) >= APART_DUTY for other in found):
+                found.append(Candidate(duty, need, self._other_side(duty)))
+        return found
+
+    @property
+    def has_gaps(self) -> bool:
+        """Whether there are counts that weren't held where one count changes much: see ``_needs``."""
+        return self._knowledge is not None and any(self._gaps())
+
+    def _needs(self):
+        """Return what remains of the fit's, (K,). Where one count changes much no fit knows what lies between two of
+        them.
+        """
+        known = self._knowledge
+        needs = [self._remaining(duty, max(min(error, MAX_NEED), min(need, MAX_NICE_NEED)))
+                 for duty, error, need in zip(known.duties, known.errors, known.needs or known.errors)]
+        for index in self._gaps():
+            needs[index] = max(needs[index], STEEP_NEED)
+        return needs
+
+    def _gaps(self):
+        """Yield the indices of the counts where one count changes much, or that are nearly refused, and that weren't
+        held.
+        """
+        duties, curvatures = self._knowledge.duties, self._knowledge.curvatures
+        low, high = sorted((self._base.servo_left, self._base.servo_right))
+        for index in range(1, len(duties) - 1):
+            changes = abs(curvatures[index + 1] - curvatures[index - 1]) / 2
+            is_steep = changes > max(STEEP_RATIO * abs(curvatures[index]), STEEP_PER_M)
+            # What the tool would refuse beside positions that were held often is a bend between them.
+            if ((is_steep or self._knowledge.errors[index] > NEARLY) and low <= duties[index] <= high
+                    and not self._was_held(duties[index])):
+                yield index
+
+    def _was_held(self, duty):
+        return bisect_left(self._held, duty + COUNT / 2) > bisect_left(self._held, duty - COUNT / 2)
+
+    def _remaining(self, duty, error):
+        """Return what remains of an error after what was measured there since the fit, and the more often the less."""
+        for measured in self._since_fit:
+            if abs(measured.duty - duty) <= NEAR_DUTY:
+                error *= ANSWERED
+        near = bisect_left(self._held, duty + NEAR_DUTY) - bisect_left(self._held, duty - NEAR_DUTY)
+        return error / (1 + REPEATED * near)
+
+    def _other_side(self, duty):
+        """Return the side from which a position wasn't come to last; 0 = it is new, and any will do."""
+        near = [(abs(other - duty), side) for other, side in self._sides.items() if abs(other - duty) <= SIDES_DUTY]
+        return -min(near)[1] if near else 0
+
+    def expected_per_m(self, duty: float) -> float:
+        """Return the curvature to expect at a duty: by the fit, else by what was driven, else a guess by the ends."""
+        knowledge = self._knowledge
+        if knowledge is not None and knowledge.duties and knowledge.duties[0] <= duty <= knowledge.duties[-1]:
+            return _interpolated(duty, knowledge.duties, knowledge.curvatures)
+        base, outer = self._base, UNKNOWN_TURN_PER_M
+        known = dict([(base.servo_left, outer), (base.servo_center, 0.0), (base.servo_right, -outer)]
+                     if not self._curvatures else [])
+        if self._curvatures:
+            lows, highs = self._curvatures[0], self._curvatures[-1]
+            for end, sign in ((base.servo_left, 1.0), (base.servo_right, -1.0)):
+                if not lows[0] <= end <= highs[0]:
+                    nearest = lows[1] if end < lows[0] else highs[1]
+                    known[end] = sign * max(outer, sign * nearest)
+            known.update(self._curvatures)
+        duties = sorted(known)
+        index = bisect_left(duties, base.servo_center)
+        if 0 < index < len(duties) and known[duties[index - 1]] * known[duties[index]] < 0:
+            known[base.servo_center] = 0.0  # not half way between both: many linkages are flat in the middle
+            duties.insert(index, base.servo_center)
+        return _interpolated(duty, duties, [known[one] for one in duties])
+
+    def half_way_duty(self, end: int) -> float:
+        """Return the held position nearest to the center that turns half as tightly as that end; else the end."""
+        tightest = self.expected_per_m(end)
+        found = [at for at, curvature in self._curvatures if curvature * tightest >= tightest * tightest / 2]
+        return min(found, key=lambda at: abs(at - self._base.servo_center), default=float(end))
+
+    def least_per_m(self, duty: float) -> float:
+        """Return the least curvature, by its magnitude, that a duty can have: that of the next position towards the
+        center that was held, as curves are monotone; 0 = there is none. A fit of few positions may be far off in
+        between.
+        """
+        outward = 1 if duty >= self._base.servo_center else -1
+        inner = [curvature for at, curvature in self._curvatures if (duty - at) * outward >= 0]
+        sign = self._left_sign * outward
+        return sign * max(0.0, sign * (inner[-1] if outward > 0 else inner[0])) if inner else 0.0
+
+    def steering(self, duty: float) -> float:
+        """Return the request, −1 right to 1 left, that turn_arb makes this duty of."""
+        base = self._base
+        end = base.servo_left if (duty - base.servo_center) * (base.servo_left - base.servo_center) > 0 else (
+            base.servo_right)
+        ratio = 0.0 if end == base.servo_center else (duty - base.servo_center) / (end - base.servo_center)
+        return max(-1.0, min(1.0, ratio if end == base.servo_left else -ratio))
+
+
+def nearest_count(duty: float, base: SteeringCalibration) -> int:
+    """Return the board's nearest count that lies between the ends; an end that isn't a count stays as it is."""
+    low, high = sorted((base.servo_left, base.servo_right))
+    return int(min(max(math.floor(duty / COUNT + 0.5) * COUNT, low), high))
+
+
+def _interpolated(at, places, values):
+    """Linear, level beyond the ends."""
+    index = bisect_left(places, at)
+    if index == 0:
+        return values[0]
+    if index == len(places):
+        return values[-1]
+    ratio = (at - places[index - 1]) / (places[index] - places[index - 1])
+    return values[index - 1] + ratio * (values[index] - values[index - 1])

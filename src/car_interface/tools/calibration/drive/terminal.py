@@ -1,0 +1,156 @@
+"""The calibration drive's lines for a terminal: what to do, how far it is, what is known how well.
+
+Pure: records in, lines of text out; ``nodes.calibration_drive`` prints them.
+"""
+from __future__ import annotations
+
+import math
+import textwrap
+from typing import Iterable, Sequence
+
+from car_interface.tools.calibration.drive.step import (
+    AVOIDING,
+    BLOCKED,
+    DONE,
+    MEASURING,
+    PAUSED,
+    SETTLING,
+    TURNING,
+    WAITING,
+    Guidance,
+    Progress,
+    RadiusRow,
+    Step,
+    steering_text,
+)
+
+BAR = 24
+STICK_BAR = 37  # odd: it has a middle
+# What comes before the text, and a word for the phase.
+BEFORE = {WAITING: "waits: ", PAUSED: "paused: ", SETTLING: "it steers ", BLOCKED: "blocked: "}
+HEADLINES = {WAITING: "waits", PAUSED: "paused", SETTLING: "steers", MEASURING: "measures", TURNING: "turns back",
+             AVOIDING: "avoids", BLOCKED: "blocked", DONE: "over"}
+KNOWN, PARTLY, UNKNOWN = "#", "+", "."  # of a radius
+LEGEND = f"{KNOWN} known   {PARTLY} not well enough   {UNKNOWN} not yet"
+MAX_MISSING = 3
+ENOUGH, GOES_ON = "nothing is missing", "; it goes on to know it better: F finishes now"
+ADVICE = ": drive "  # to a person who drives without this guidance
+REFUSED = ("what is missing stands above: drive again, longer or with more room. calibrate_steering makes one table of "
+           "both recordings, too")
+
+
+def introduction(by_stick: bool, radius_m: float, width: int = 80) -> str:
+    """Return what is about to happen."""
+    if by_stick:
+        text = ("You drive, holding the manual deadman: slowly, about 1 m/s, and away from walls. It says where to "
+                "hold the stick.")
+    else:
+        text = (f"The car drives by itself while you hold the autonomous deadman, within {radius_m:g} m of where it "
+                f"stands when you first hold it: {2 * radius_m:g} x {2 * radius_m:g} m have to be free. Let go, and it "
+                "stops.")
+    return "\n".join(wrapped([text], width))
+
+
+def drive_lines(step: Step, progress: Progress, width: int = 80) -> list[str]:
+    """Return all of a drive's picture, for a terminal that is drawn anew; no line is longer than ``width``."""
+    is_over = step.phase == DONE  # what comes then is printed below
+    headline = [] if is_over else [f"{BEFORE.get(step.phase, '')}{step.text}"]
+    return wrapped([*headline, *_progress_lines(progress, is_over)], width)
+
+
+def stick_lines(guidance: Guidance, progress: Progress, width: int = 80) -> list[str]:
+    """Return the same for a drive by hand, with a bar of where to hold the stick."""
+    is_over = guidance.phase == DONE
+    headline = [] if is_over else [guidance.text, *stick_bar(guidance)]
+    return wrapped([*headline, *_progress_lines(progress, is_over)], width)
+
+
+def plain_line(phase: str, text: str, progress: Progress) -> str:
+    """Return one line for where nothing can be drawn anew: a log, a pipe."""
+    return f"{percent(progress.fraction)}, {_times(progress)}; {phase}: {text}"
+
+
+def missing_lines(missing: Iterable[str]) -> list[str]:
+    """Return what is missing, without the tool's advice for a drive without guidance."""
+    return [f"missing: {text.partition(ADVICE)[0]}" for text in missing]
+
+
+def progress_bar(fraction: float, length: int = BAR) -> str:
+    """``[####....]``; full only when all is done."""
+    full = min(length, max(0, math.floor(length * fraction))) if math.isfinite(fraction) else 0
+    return f"[{'#' * full}{'.' * (length - full)}]"
+
+
+def percent(fraction: float) -> str:
+    """`` 24%``; 100% only when all is done."""
+    return f"{math.floor(100 * min(1.0, max(0.0, fraction))):3d}%" if math.isfinite(fraction) else "  ?%"
+
+
+def clock_text(seconds: float) -> str:
+    """``2:05`` for 125 s."""
+    if not math.isfinite(seconds):
+        return "?"
+    whole = max(0, round(seconds))
+    return f"{whole // 60}:{whole % 60:02d}"
+
+
+def stick_bar(guidance: Guidance, length: int = STICK_BAR) -> list[str]:
+    """Two lines: a bar from left to right with the place to hold and where the stick is, and both in words."""
+    cells = ["-"] * length
+    cells[length // 2] = "+"
+    if math.isfinite(guidance.held):
+        cells[_cell(guidance.held, length)] = "o"
+    target = _cell(guidance.steering, length)
+    cells[target] = "X" if cells[target] == "o" else "V"
+    return [f"left |{''.join(cells)}| right  V hold here, o the stick",
+            f"     hold at {steering_text(guidance.steering)}; it is at {steering_text(guidance.held)}"]
+
+
+def radius_marks(rows: Iterable[RadiusRow], side: str) -> str:
+    """Return a mark for each radius of a side, tight first: ``0.9 m ##+... 300 m: 2 of 6, 1.4 m to ±12%``."""
+    ours = [row for row in rows if row.side == side]
+    if not ours:
+        return "nothing known yet"
+    marks = "".join(KNOWN if row.is_known else PARTLY if row.is_measured else UNKNOWN for row in ours)
+    known = sum(row.is_known for row in ours)
+    text = f"{ours[0].radius_m:g} m {marks} {ours[-1].radius_m:g} m: {known} of {len(ours)}"
+    open_ones = [row for row in ours if not row.is_known]
+    if open_ones:
+        worst = max(open_ones, key=lambda row: row.radius_error)
+        text += f", {worst.radius_m:g} m {_error_text(worst)}"
+    return text
+
+
+def _progress_lines(progress: Progress, is_over: bool) -> list[str]:
+    share = f"{progress_bar(progress.fraction)} {percent(progress.fraction)}"
+    lines = [f"{share}   {_times(progress)}, {progress.positions} position{'s' * (progress.positions != 1)}"]
+    lines += [f"{side:<6} {radius_marks(progress.rows, side)}" for side in ("left", "right")]
+    if math.isfinite(progress.center_duty):
+        lines.append(f"straight on: duty {progress.center_duty:.0f} ± {progress.center_error:.0f}")
+    missing = missing_lines(progress.missing)
+    if len(missing) > MAX_MISSING:
+        missing[MAX_MISSING:] = [f"missing: … and {len(missing) - MAX_MISSING} more"]
+    lines += missing
+    if progress.rows and not missing:
+        lines.append(ENOUGH if is_over else ENOUGH + GOES_ON)
+    return [*lines, LEGEND] if progress.rows else lines
+
+
+def _times(progress):
+    return f"{clock_text(progress.driven_s)} driven, about {clock_text(progress.left_s)} left"
+
+
+def _error_text(row):
+    return f"to ±{row.radius_error:.0%}" if row.is_measured else "isn't known"
+
+
+def _cell(steering, length):
+    """Return which cell a steering falls into: left is at the left."""
+    half = length // 2
+    return max(0, min(length - 1, half - round(max(-1.0, min(1.0, steering)) * half)))
+
+
+def wrapped(lines: Sequence[str], width: int) -> list[str]:
+    """Lines that fit: a terminal that wraps them by itself can't be drawn over."""
+    return [part for line in lines for part in textwrap.wrap(
+        line, max(20, width - 1), subsequent_indent=" " * (2 + len(line) - len(line.lstrip())))]

@@ -1,0 +1,94 @@
+"""Calibrates an ESC by recorded drives: the parameters of throttle.yaml, and a report on what shows each of them."""
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Iterator, Sequence
+
+from car_interface.common.errors import CarInterfaceError
+from car_interface.common.yaml_edit import Value, rewritten
+from car_interface.throttle.calibration import ThrottleCalibration, trimmed
+from car_interface.throttle.esc_config import NUMBERS
+from car_interface.throttle.params import ThrottleConfig
+from car_interface.tools.calibration.esc.fit import EscFit, fit
+from car_interface.tools.calibration.esc.recorded import joined
+from car_interface.tools.calibration.shared import RecordedDrive
+
+HEAD = ("Written by calibrate_esc; throttle_arb loads it. Duties are 0..65535 of the PWM period, dead bands fractions",
+        "of the duty between neutral and each end.", "")
+PROFILE, NEUTRAL = "esc/profile", "servo/neutral"
+# Numbers of the fit, as throttle.yaml has them.
+FITTED = ("dead_band_forward", "dead_band_reverse", "dwell_s", "reverse_after_neutral_s", "drag_deceleration_mps2")
+UNITS = {"dwell_s": " s", "reverse_after_neutral_s": " s", "drag_deceleration_mps2": " m/s²"}
+# What a line of the fit shows beside the parameter that it begins with.
+SHOWN_WITH = {"dead_band_forward": NEUTRAL, "dead_band_reverse": NEUTRAL}
+NOT_SHOWN = "not shown by the drive"
+
+
+def calibrate(recorded: Sequence[RecordedDrive], base: ThrottleCalibration) -> EscFit:
+    """Calibrate by recorded drives. An ESC that takes a shorter pulse for forward gets its neutral mirrored back.
+
+    Args:
+        base: the calibration before.
+
+    Raises:
+        CarInterfaceError: two were driven with different neutrals.
+    """
+    first = recorded[0]
+    for one in recorded:
+        if one.drive.neutral != first.drive.neutral:
+            raise CarInterfaceError(f"{first.path} was driven with servo/neutral {first.drive.neutral:.0f} and "
+                                    f"{one.path} with {one.drive.neutral:.0f}: calibrate by one of them")
+    found = fit(joined([one.drive for one in recorded]))
+    if found.neutral is not None and base.duty_table[-1] < base.neutral:
+        return replace(found, neutral=2 * first.drive.neutral - found.neutral)
+    return found
+
+
+def yaml_values(found: EscFit, base: ThrottleCalibration) -> dict[str, Value]:
+    """Return the parameters that the drives show, by name."""
+    values = {}
+    if found.neutral is not None:
+        neutral = round(found.neutral)
+        values = {NEUTRAL: neutral, "servo/duty_table": list(trimmed(base, neutral).duty_table)}
+    if found.profile is not None:
+        values.update({PROFILE: found.profile, "esc/profile_measured": True})
+    for field in FITTED:
+        value = getattr(found, field)
+        if value is not None:
+            values["esc/" + NUMBERS[field][0]] = value
+    return values
+
+
+def yaml_text(found: EscFit, base: ThrottleConfig, base_text: str, report: Sequence[str]) -> str:
+    """Return the text of throttle_arb's file: the base with what the drives show, and the report as its head."""
+    values = yaml_values(found, base.calibration)
+    if base.esc.calibration_drive:
+        values["esc/calibration_drive"] = False
+    return rewritten(base_text, values, [*HEAD, *report])
+
+
+def report(found: EscFit, recorded: Sequence[RecordedDrive], base: ThrottleConfig) -> Iterator[str]:
+    """Yield the report's lines: each parameter, its old value, and what shows it.
+
+    Args:
+        base: the configuration before.
+    """
+    seconds = sum(one.duration_s for one in recorded)
+    yield f"ESC by {', '.join(one.path for one in recorded)}: {seconds:.0f} s"
+    yield from (f"  {note}" for one in recorded for note in one.notes)
+    values = yaml_values(found, base.calibration)
+    seen = dict(text.split(": ", 1) for text in found.seen)
+    yield _line(PROFILE, values.get(PROFILE), base.esc.profile, "", seen.get(PROFILE))
+    yield _line(NEUTRAL, values.get(NEUTRAL), base.calibration.neutral, "", seen.get(NEUTRAL))
+    for field in FITTED:
+        name = "esc/" + NUMBERS[field][0]
+        shown = seen.get(name) or ("from there to where the car sets off" if field in SHOWN_WITH else None)
+        yield _line(name, values.get(name), getattr(base.esc, field), UNITS.get(field, ""), shown)
+    yield from (f"  missing: {problem}" for problem in found.missing)
+
+
+def _line(name, value, old, unit, shown):
+    if value is None:
+        return f"  {name}: {NOT_SHOWN}, stays {old}{unit}"
+    changed = f" (was {old}{unit})" if value != old else ""
+    return f"  {name}: {value}{unit}{changed}" + (f": {shown}" if shown else "")

@@ -1,0 +1,141 @@
+"""Reads a recording as the drive that the fit of a steering curve takes."""
+from __future__ import annotations
+
+import math
+from typing import Mapping, NamedTuple
+
+import numpy as np
+
+from car_interface.common.errors import CarInterfaceError
+from car_interface.pca9685.registers import counts_of_duty, duty_of_counts
+from car_interface.steering.calibration import SteeringCalibration
+from car_interface.tools.calibration.shared import MAX_PULSE, MIN_PULSE, RecordedDrive
+from car_interface.tools.calibration.steering.drive import SteeringDrive, distance_m
+from car_interface.tools.recordings import roles, signals
+from car_interface.tools.recordings.overlap import trail
+from car_interface.tools.recordings.recording import NoRecording
+from car_interface.tools.recordings.series import Ackermann, Imu, Odom
+
+STRAIGHT_RAD = 1e-6
+IMU_GAP_S = 0.1
+MIN_IMU_RATIO = 0.95  # of a drive that an IMU must cover to be used
+MAX_YAW_DIFFERENCE = 0.03  # of odometry's and the IMU's yaw, as a ratio, without a note
+
+
+class AngleTable(NamedTuple):
+    """By what a planner's angles became duties on a drive on which only the angles were recorded."""
+
+    calibration: SteeringCalibration
+    wheelbase_m: float
+
+    def duty(self, angle_rad: float) -> int:
+        """Return what the servo board outputs for an angle of the front wheels, left positive."""
+        table = self.calibration
+        duty = (table.servo_center if abs(angle_rad) < STRAIGHT_RAD else
+                table.planner_duty(self.wheelbase_m / math.tan(angle_rad)))
+        return duty_of_counts(counts_of_duty(duty))
+
+    def duties(self, asked: Ackermann) -> np.ndarray:
+        """Return the duty for each row, (N,)."""
+        return np.array([self.duty(angle_rad) for angle_rad in asked.angle_rad.tolist()], float)
+
+    def note(self, topic: str) -> str:
+        """Return a line on what such a calibration rests on, and what it can't know."""
+        return (f"no duties of the servo were recorded: the angles on {topic} count as the duties that --base has for "
+                f"them with a wheelbase of {self.wheelbase_m:g} m. What this recording can't tell: whether --base was "
+                "the table on this drive, and whether anything else steered (a gamepad, a trim, a limit)")
+
+
+class ImuHeading(NamedTuple):
+    """A heading by the IMU at odometry's times."""
+
+    yaw_rad: np.ndarray  # (N,)
+    ratio: float  # of odometry's change of yaw to the IMU's
+
+
+def load_steering_drive(path: str, channel: int, topics: Mapping[str, str] | None = None, use_imu: bool = True,
+                        namespace: str = "/", angle_table: AngleTable | None = None) -> RecordedDrive:
+    """Read one recording.
+
+    Args:
+        channel: of the steering servo, 0..15.
+        topics: named by the user, by role: see ``signals.load``.
+        use_imu: whether the heading may come from an IMU.
+        angle_table: makes duties of the angles that a planner asked for, where no duties were recorded; ``None`` =
+            such a recording is refused.
+
+    Raises:
+        NoRecording: it can't be read, or lacks what is needed.
+        CarInterfaceError: the channel never had a pulse.
+    """
+    optional = [roles.OUTPUT.name, roles.ACKERMANN.name, *([roles.IMU.name] if use_imu else [])]
+    found = signals.load(path, (roles.ODOM.name,), optional=optional, namespace=namespace, progress=True,
+                         **{role: topic for role, topic in (topics or {}).items() if use_imu or role != roles.IMU.name})
+    odom, notes = found.odom, [note for note in found.notes if found.output is None or not _is_on_angles(note)]
+    heading = None if found.imu is None else imu_heading(odom, found.imu)
+    if found.imu is not None and heading is None:
+        notes.append(f"{found.topics[roles.IMU.name]} covers too little of the drive, or doesn't follow the "
+                     "car's turning: not used")
+    if heading is not None and abs(heading.ratio - 1) > MAX_YAW_DIFFERENCE:
+        notes.append(f"odometry turns {abs(heading.ratio - 1):.0%} {'more' if heading.ratio > 1 else 'less'} than the "
+                     "IMU: measure track and wheel_diameter")
+    duty_s, duty = _recorded_duties(found, channel) if found.output else _asked_duties(found, angle_table, notes)
+    yaw_rad = odom.yaw_rad if heading is None else heading.yaw_rad
+    drive = SteeringDrive(odom.t_s, distance_m(odom), yaw_rad, duty_s, duty)
+    return RecordedDrive(path, drive, tuple(notes), found.duration_s, trail(found),
+                         uses_imu=heading is not None)
+
+
+def _recorded_duties(found, channel):
+    """Return (times, duties of the channel), NaN where there is no pulse."""
+    duty = found.output.duties[:, channel].astype(float)
+    is_pulse = (duty >= MIN_PULSE) & (duty <= MAX_PULSE)
+    if not is_pulse.any():
+        raise CarInterfaceError(f"{found.path}: channel {channel} of the servo board never had a servo's pulse")
+    return found.output.t_s, np.where(is_pulse, duty, np.nan)
+
+
+def _is_on_angles(note):
+    """Return whether a note is on what was taken for a planner's angles, which aren't used beside duties."""
+    return note.startswith(f"{roles.ACKERMANN.name}: ")
+
+
+def _asked_duties(found, angle_table, notes):
+    """Return (times, duties) by the angles that a planner asked for."""
+    commands = " or ".join(roles.COMMAND.topics)
+    lacks = f"{found.path} has no topic {roles.OUTPUT.topics[0]}, nor {commands}: the servo's duties can't be told"
+    if found.ackermann is None and any(map(_is_on_angles, found.notes)):
+        raise NoRecording(f"{lacks}. {next(filter(_is_on_angles, found.notes))}")
+    if found.ackermann is None:
+        raise NoRecording(f"{lacks}, and no {roles.ACKERMANN.types[0]} that could stand for them. Name a topic of "
+                          "another name by --map TOPIC=output")
+    topic = found.topics[roles.ACKERMANN.name]
+    if angle_table is None:
+        raise NoRecording(f"{lacks}. The angles that were asked for are on {topic}: with --wheelbase M, and the --base "
+                          "that made duties of them on that drive, they are taken")
+    notes.append(angle_table.note(topic))
+    return found.ackermann.t_s, angle_table.duties(found.ackermann)
+
+
+def imu_heading(odom: Odom, imu: Imu) -> ImuHeading | None:
+    """Integrate the IMU's yaw rate, less its offset; ``None`` when it covers too little or is unrelated."""
+    inside = (odom.t_s >= imu.t_s[0]) & (odom.t_s <= imu.t_s[-1])
+    gaps = np.diff(imu.t_s) > IMU_GAP_S
+    covered = np.mean(inside) - np.sum(np.diff(imu.t_s)[gaps]) / max(odom.t_s[-1] - odom.t_s[0], 1e-9)
+    if len(imu.t_s) < 100 or covered < MIN_IMU_RATIO:
+        return None
+    steps = np.diff(imu.t_s) * (imu.yaw_rate_radps[1:] + imu.yaw_rate_radps[:-1]) / 2
+    by_rate_rad = np.interp(odom.t_s, imu.t_s, np.concatenate([[0.0], np.cumsum(steps)]))
+    # Ratio and offset by a straight line through the changes of yaw in each second, twice without its outliers.
+    at_s = np.arange(odom.t_s[0], odom.t_s[-1], 1.0)
+    by_odom, by_imu = (np.diff(np.interp(at_s, odom.t_s, yaw)) for yaw in (odom.yaw_rad, by_rate_rad))
+    used = np.ones(len(by_odom), bool)
+    for _ in range(3):
+        if used.sum() < 10 or np.ptp(by_imu[used]) < 0.2:
+            return None
+        ratio, offset = np.polyfit(by_imu[used], by_odom[used], 1)
+        off = np.abs(by_odom - ratio * by_imu - offset)
+        used = off <= 4 * 1.4826 * np.median(off) + 1e-9
+    if not 0.7 < ratio < 1.4:
+        return None
+    return ImuHeading(by_rate_rad + offset / ratio * (odom.t_s - odom.t_s[0]), float(ratio))

@@ -1,0 +1,214 @@
+"""Divides drives into segments in which the wheels hardly moved: each is one observation of the steering curve.
+
+The curvature of a segment is the slope of heading over distance, in least squares. Its error falls with the distance to
+the power of 1.5, so that segments are as long as they can be.
+"""
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, Sequence
+
+import numpy as np
+from scipy import sparse
+
+from car_interface.tools.calibration.delay import Delay
+from car_interface.tools.calibration.shared import NothingToFit, runs
+from car_interface.tools.calibration.steering.drive import COUNT, KNOT, MAX_BACKLASH_DUTY, CurveFitConfig, SteeringDrive
+from car_interface.tools.calibration.steering.wheels import WheelPosition
+
+SLOPE_POINTS = 26  # of a segment, from which its slope is taken
+# A slope in least squares is a mean of the curvature along the segment with the weights of a parabola, (25,).
+SLOPE_WEIGHTS = (lambda x: x * (1 - x) / np.sum(x * (1 - x)))(
+    (np.arange(SLOPE_POINTS - 1) + 0.5) / (SLOPE_POINTS - 1))
+INDEPENDENT_M = 0.15  # headings this far apart have independent errors
+DUTY_SIGMA = 1.0  # of the wheels' position, in duty, when the linkage lies at one side of its backlash
+LAG_SIGMA_S = 0.015  # of the servo's lag, by which the position is known when the linkage floats in its backlash
+MIN_SEGMENTS, MIN_COUNTS = 4, 4
+MOST_PERCENT = 90  # of the segments, by which a drive's heading is judged
+
+
+class Segment(NamedTuple):
+    """A segment of K samples, whatever the backlash."""
+
+    samples: np.ndarray  # (K,), indices into the drive, in the order of rising distance
+    distance_m: np.ndarray  # (K,), rising
+    middles_m: np.ndarray  # (25,), distances at which the duty is averaged with SLOPE_WEIGHTS
+    middle_s: float
+    curvature_per_m: float
+    sigma_per_m: float
+    length_m: float
+    speed_mps: float  # the mean of its fourth power, as turns widen by that
+    wander_rad: float  # how far the heading is off its slope, root mean square
+
+
+class Segmentation(NamedTuple):
+    """One drive in segments."""
+
+    wheels: WheelPosition
+    other_lags: list  # the WheelPosition if the servo's lag were smaller and larger
+    segments: list
+    counts: dict  # how many intervals were left out, by reason
+    config: CurveFitConfig
+
+
+class Observations(NamedTuple):
+    """The segments of all drives for one backlash, S rows; the curve has K knots."""
+
+    t_s: np.ndarray  # (S,), the middle
+    curvature_per_m: np.ndarray  # (S,)
+    sigma_per_m: np.ndarray  # (S,), standard error of that
+    duty: np.ndarray  # (S,), mean position of the wheels
+    duty_sigma: np.ndarray  # (S,), standard error of that
+    distance_m: np.ndarray  # (S,), length
+    speed_mps: np.ndarray  # (S,), without its sign
+    weights: sparse.csr_matrix  # (S, K): the curvatures are weights @ curve
+
+
+def segmentation(drive: SteeringDrive, delay: Delay, config: CurveFitConfig) -> Segmentation:
+    """Divide one drive into segments."""
+    other_lags = [WheelPosition(drive, delay._replace(lag_s=max(0.0, delay.lag_s + off_s)), config.max_gap_s)
+                  for off_s in (-LAG_SIGMA_S, LAG_SIGMA_S)]
+    wheels = WheelPosition(drive, delay, config.max_gap_s)
+    usable, counts = _usable(wheels, config)
+    segments = [_segment(wheels, first, end, config) for begin, stop in runs(usable)
+                for first, end in _split(wheels, begin, stop, config)]
+    counts["shorter than a segment must be"] = sum(segment is None for segment in segments)
+    found = [segment for segment in segments if segment is not None]
+    heading_sigma_rad = _heading_sigma_rad(found, config)
+    found = [one._replace(sigma_per_m=_slope_sigma_per_m(one.length_m, heading_sigma_rad, config)) for one in found]
+    return Segmentation(wheels, other_lags, found, counts, config)
+
+
+def _heading_sigma_rad(segments, config):
+    """Return the standard error of this drive's heading: as far as it is off the segments' slopes in nine of ten."""
+    if len(segments) < MIN_SEGMENTS:
+        return config.heading_sigma_rad
+    seen_rad = float(np.percentile([segment.wander_rad for segment in segments], MOST_PERCENT))
+    return min(max(seen_rad, config.min_heading_sigma_rad), config.heading_sigma_rad)
+
+
+def _slope_sigma_per_m(length_m, heading_sigma_rad, config):
+    """Return the standard error of a slope of the heading over a way of that length, in 1/m."""
+    independent = max(2.0, min(SLOPE_POINTS, length_m / INDEPENDENT_M))
+    return math.hypot(heading_sigma_rad * math.sqrt(12 / independent) / length_m, config.min_sigma_per_m)
+
+
+def _usable(wheels, config):
+    """Return (which samples can be in a segment (N,), how many intervals can't by reason)."""
+    is_slow = np.abs(wheels.speed_mps) < config.min_speed_mps
+    yaw_rate_radps = np.convolve(np.gradient(wheels.yaw_rad, wheels.STEP_S), np.full(9, 1 / 9), "same")
+    slides = np.abs(wheels.speed_mps * yaw_rate_radps) > config.max_lateral_mps2
+    unknown = ~wheels.is_known | (wheels.gap_s > config.max_gap_s) | (wheels.jump_rad > config.max_jump_rad)
+    usable, counts = np.ones(len(is_slow), bool), {}
+    for reason, flags in (("slow or standing", is_slow), ("gaps in odometry or duty", unknown),
+                          ("fast in a bend: tyres may slide", slides),
+                          ("servo on its way", wheels.off > config.settled_duty)):
+        counts[reason] = int(np.sum(np.diff((flags & usable).astype(int), prepend=0) > 0))
+        usable &= ~flags
+    return usable, counts
+
+
+def _split(wheels, begin, end, config):
+    """Split an interval where the servo wanders, the distance gets long, or the car changes its direction."""
+    servo, distance_m, speed = (column[begin:end].tolist()
+                                for column in (wheels.servo, wheels.distance_m, wheels.speed_mps))
+    first, low, high = 0, servo[0], servo[0]
+    for index, duty in enumerate(servo):
+        low, high = min(low, duty), max(high, duty)
+        too_long = abs(distance_m[index] - distance_m[first]) > config.max_length_m
+        if high - low > config.max_wander_duty or too_long or speed[index] * speed[first] < 0:
+            yield begin + first, begin + index
+            first, low, high = index, duty, duty
+    yield begin + first, end
+
+
+def _segment(wheels, first, end, config):
+    """Return the segment of the samples from ``first`` up to before ``end``; ``None``: too short."""
+    if end - first < max(3, config.min_duration_s / wheels.STEP_S):
+        return None
+    samples = np.arange(first, end)
+    length = wheels.distance_m[end - 1] - wheels.distance_m[first]
+    if abs(length) < config.min_length_m:
+        return None
+    if length < 0:
+        samples = samples[::-1]
+    distance_m = wheels.distance_m[samples]
+    # Evenly by distance, so that where the car was slow doesn't count for more.
+    at = np.linspace(distance_m[0], distance_m[-1], SLOPE_POINTS)
+    off = at - at.mean()
+    yaw_rad = np.interp(at, distance_m, wheels.yaw_rad[samples])
+    curvature = float(off @ yaw_rad / (off @ off))
+    beside_rad = yaw_rad - yaw_rad.mean() - off * curvature
+    wander_rad = math.sqrt(float(beside_rad @ beside_rad) / (SLOPE_POINTS - 2))
+    length = abs(length)
+    return Segment(samples, distance_m, (at[1:] + at[:-1]) / 2, (wheels.t_s[first] + wheels.t_s[end - 1]) / 2,
+                   curvature, _slope_sigma_per_m(length, config.heading_sigma_rad, config), length,
+                   float(np.mean(wheels.speed_mps[samples] ** 4)) ** 0.25, wander_rad)
+
+
+def all_segments(segmentations: Sequence[Segmentation]) -> list[Segment]:
+    """Return the segments of all drives, in order: the rows of all arrays (S,)."""
+    return [segment for one in segmentations for segment in one.segments]
+
+
+def total_counts(segmentations: Sequence[Segmentation]) -> dict:
+    """Return how many intervals were left out of all drives, by reason."""
+    counts: dict = {}
+    for one in segmentations:
+        for reason, count in one.counts.items():
+            counts[reason] = counts.get(reason, 0) + count
+    return counts
+
+
+def observations(segmentations: Sequence[Segmentation], backlash_duty: float) -> Observations:
+    """Return all drives' segments, the wheels being where a linkage with this backlash has them."""
+    weights, duty = design(segmentations, backlash_duty)
+    middle_s, curvature, sigma, length, speed = (
+        np.array([getattr(segment, name) for segment in all_segments(segmentations)])
+        for name in ("middle_s", "curvature_per_m", "sigma_per_m", "length_m", "speed_mps"))
+    return Observations(middle_s, curvature, sigma, duty, _duty_sigmas(segmentations, backlash_duty, duty), length,
+                        speed, weights)
+
+
+def design(segmentations: Sequence[Segmentation], backlash_duty: float) -> tuple[sparse.csr_matrix, np.ndarray]:
+    """Return the knots' weights in each segment's curvature (S, K), and the wheels' mean positions in duty (S,)."""
+    knots = knots_of(segmentations)
+    duties = np.concatenate([_wheel_duties(one, one.wheels.linkage(backlash_duty)) for one in segmentations])
+    place = np.clip((duties - knots[0]) / KNOT, 0, len(knots) - 1.001)
+    index = place.astype(int)
+    ratio = place - index
+    rows = np.tile(np.repeat(np.arange(len(duties)), duties.shape[1]), 2)
+    weights = sparse.csr_matrix(
+        (np.concatenate([(SLOPE_WEIGHTS * (1 - ratio)).ravel(), (SLOPE_WEIGHTS * ratio).ravel()]),
+         (rows, np.concatenate([index.ravel(), index.ravel() + 1]))), shape=(len(duties), len(knots)))
+    return weights, duties @ SLOPE_WEIGHTS
+
+
+def knots_of(segmentations: Sequence[Segmentation]) -> np.ndarray:
+    """Return the curve's knots in duty (K,), the same for each backlash.
+
+    Raises:
+        NothingToFit: there are too few segments, or they are all at nearly the same duty.
+    """
+    servo = [one.wheels.servo[segment.samples] for one in segmentations for segment in one.segments]
+    if not servo:
+        raise NothingToFit("the car never held its steering for half a metre at speed")
+    low, high = min(duties.min() for duties in servo), max(duties.max() for duties in servo)
+    if len(servo) < MIN_SEGMENTS or high - low < MIN_COUNTS * COUNT:
+        raise NothingToFit("the steering was held in fewer than four places")
+    first, last = math.floor((low - MAX_BACKLASH_DUTY) / KNOT), math.ceil((high + MAX_BACKLASH_DUTY) / KNOT)
+    return np.arange(first, last + 1) * KNOT
+
+
+def _duty_sigmas(segmentations, backlash_duty, duty):
+    """Standard errors of the wheels' positions (S,): where they would be if the servo had another lag."""
+    others = [np.concatenate([_wheel_duties(one, one.other_lags[index].linkage(backlash_duty))
+                              for one in segmentations]) for index in range(len(segmentations[0].other_lags))]
+    off = np.max([np.abs(other @ SLOPE_WEIGHTS - duty) for other in others], axis=0) if others else 0.0
+    return np.hypot(DUTY_SIGMA, off)
+
+
+def _wheel_duties(one, linkage):
+    """Return the wheels' positions along each segment of a drive (S, 25)."""
+    rows = [np.interp(segment.middles_m, segment.distance_m, linkage[segment.samples]) for segment in one.segments]
+    return np.array(rows).reshape(-1, SLOPE_POINTS - 1)

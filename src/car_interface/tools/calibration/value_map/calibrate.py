@@ -1,0 +1,229 @@
+"""Fits a value map to recorded drives: the table that may be written, why it should not be, and the report."""
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Iterator, NamedTuple, Sequence
+
+import numpy as np
+
+from car_interface.common.errors import CarInterfaceError
+from car_interface.throttle.value_map import ValueMap
+from car_interface.tools.calibration.shared import NothingToFit, RecordedDrive
+from car_interface.tools.calibration.value_map import fit as fitting
+from car_interface.tools.calibration.value_map import table as tables
+from car_interface.tools.calibration.value_map.acceleration import WindowConfig
+from car_interface.tools.calibration.value_map.model import HELD_OUT
+from car_interface.tools.calibration.value_map.recorded import BY_IMU, MapSource
+from car_interface.tools.calibration.value_map.surface import MIN_STEP_MPS2
+from car_interface.tools.calibration.value_map.table import number_text
+from car_interface.tools.calibration.value_map.windows import MapFitConfig
+
+MAX_HELD_OUT_MPS2 = 0.5
+MIN_DRIVEN_RATIO = 0.25  # of a map that the drives themselves state
+DUTY = "duty:"
+SYMBOLS = {tables.DRIVEN: "#", tables.BETWEEN: "+", tables.OLD: "o", tables.MOVED: "m"}
+
+
+class NoTable(CarInterfaceError):
+    """Drives that support no table.
+
+    Args:
+        coverage: what they do support, as a grid of symbols.
+    """
+
+    def __init__(self, text: str, coverage: str):
+        super().__init__(text)
+        self.coverage = coverage
+
+
+class MapResult(NamedTuple):
+    """A map, and all that is known about it."""
+
+    table: tables.Table
+    fit: fitting.Fit
+    problems: list[str]  # why it should not be written; empty = it may be
+
+
+def calibrate(recorded: Sequence[RecordedDrive], values: Sequence[float] | None, velocities_mps: Sequence[float] | None,
+              config: MapFitConfig, prior: ValueMap | None = None) -> MapResult:
+    """Fit a map to recorded drives.
+
+    Args:
+        values, velocities_mps: the map's axes; ``None`` = chosen by what was driven.
+        prior: an old map, which stays where the drives support nothing.
+
+    Raises:
+        NoTable: the drives support too little.
+        CarInterfaceError: there is nothing to fit.
+    """
+    names = ", ".join(one.path for one in recorded)
+    try:
+        fit = fitting.fit([one.drive for one in recorded], values, velocities_mps, config)
+    except NothingToFit as error:
+        raise CarInterfaceError(f"nothing in {names} tells an acceleration: {error}") from error
+    table = tables.table(fit, config.neutral, _prior_at_nodes(prior, fit))
+    if table is None:
+        raise NoTable(f"no map is written: {names} support no two values at the same two velocities; drive longer, "
+                      "with throttle and brake of several strengths", coverage_text(fit, None))
+    return MapResult(table, fit, list(_problems(fit, table)))
+
+
+def _problems(fit, table):
+    """Yield why the map should not be written."""
+    if min(table.accelerations.shape) < tables.MIN_NODES:
+        yield (f"the drives support only {table.values.size} values at {table.velocities.size} velocities, "
+               f"less than {tables.MIN_NODES} each")
+    if table.driven_ratio() < MIN_DRIVEN_RATIO:
+        yield f"the drives tell only {100 * table.driven_ratio():.0f} % of the map, the rest is the prior's"
+    if fit.held_out_mps2 > MAX_HELD_OUT_MPS2:
+        yield (f"it misses what was held out by {fit.held_out_mps2:.2f} m/s² RMS: something else than value and "
+               "velocity moves this car")
+
+
+def _prior_at_nodes(prior, fit):
+    """Return the prior's accelerations at the fit's nodes (R, C), NaN beyond it."""
+    if prior is None:
+        return None
+    inside = np.outer((fit.values >= prior.values[0]) & (fit.values <= prior.values[-1]),
+                      (fit.velocities >= prior.velocities[0]) & (fit.velocities <= prior.velocities[-1]))
+    table = [[prior.acceleration_at(value, velocity) for velocity in fit.velocities] for value in fit.values]
+    return np.where(inside, np.array(table), np.nan)
+
+
+# --- the report ---
+
+
+def report(recorded: Sequence[RecordedDrive], source: MapSource, fit: fitting.Fit, table: tables.Table,
+           problems: Sequence[str], prior_path: str | None = None) -> Iterator[str]:
+    """Yield the lines.
+
+    Args:
+        source: where their values and accelerations are from.
+        table: the part of it that is written.
+        problems: why it should not be written.
+        prior_path: of the old map, if there was one.
+    """
+    yield from _source_lines(recorded, source, fit, prior_path)
+    yield from _error_lines(fit)
+    yield coverage_text(fit, table)
+    yield ""
+    yield from _map_lines(fit, table)
+    yield ""
+    yield "standard error in m/s²"
+    yield from _grid(fit.values, fit.velocities, fit.sigma_mps2, "{:.3f}")
+    yield ""
+    yield "seconds of driving"
+    yield from _grid(fit.values, fit.velocities, fit.seconds, "{:.1f}")
+    if problems:
+        yield ""
+        yield from (f"not good enough: {problem}" for problem in problems)
+
+
+def _source_lines(recorded, source, fit, prior_path):
+    drives, names = [one.drive for one in recorded], [Path(one.path).name for one in recorded]
+    value = source.value_topic if source.duty_channel is None else f"{DUTY}{source.duty_channel}"
+    yield f"A value map from {', '.join(names)}"
+    yield f"value: {value}; accelerations by {_measured_by(source, drives)}"
+    if source.throttle:
+        duties, values = source.throttle.value_of_duty.axis, source.throttle.value_of_duty.values
+        yield (f"a duty counts as the value of which {source.throttle.path} makes it: {duties[0]:g} is {values[0]:g}, "
+               f"{duties[-1]:g} is {values[-1]:g}")
+    if prior_path:
+        yield f"prior: {prior_path}"
+    yield from (f"{name}: {note}" for name, one in zip(names, recorded) for note in one.notes)
+    yield ""
+    has_sigma = fit.delay_sigma_s >= 0
+    sigma = f" ± {max(1.0, 1000 * fit.delay_sigma_s):.0f}" if has_sigma else ""
+    how = "given" if fit.delay_is_given else "estimated" if has_sigma else "the drives don't tell it"
+    yield f"from value to acceleration: {1000 * fit.delay_s:.0f}{sigma} ms ({how})"
+    for name, drive, ground in zip(names, drives, fit.grounds):
+        yield f"{name}: {_ground_text(ground, drive.pitch is not None, source.measured_by == BY_IMU)}"
+    yield ""
+
+
+def _error_lines(fit):
+    windows = sum(fit.rejected.values())
+    yield f"windows of {WindowConfig().window_s:g} s: {windows}, of which count {fit.rejected['counted']}; the others:"
+    yield from (f"  {number:6d}  {text}" for text, number in fit.rejected.items() if number and text != "counted")
+    yield ""
+    yield f"error of single windows: {fit.residual_mps2:.3f} m/s² RMS"
+    if fit.held_out_windows:
+        yield (f"held out (every {HELD_OUT}th manoeuvre, from the others): {fit.held_out_mps2:.3f} m/s² RMS "
+               f"over {fit.held_out_windows} windows")
+    yield ""
+
+
+def _map_lines(fit, table):
+    count = table.accelerations.size
+    yield (f"the map: {table.values.size} values, {number_text(table.values[0])} to {number_text(table.values[-1])}; "
+           f"{table.velocities.size} velocities, {number_text(table.velocities[0])} to "
+           f"{number_text(table.velocities[-1])} m/s")
+    for origin, text in ((tables.DRIVEN, "driven"), (tables.BETWEEN, "between what was driven"),
+                         (tables.OLD, "the prior's"), (tables.MOVED, "the prior's, moved so that its column rises")):
+        number = int((table.origin == origin).sum())
+        if number:
+            yield f"  {SYMBOLS[origin]}  {number} of {count} {text}"
+    yield from (f"missing: {text}" for text in _missing(fit))
+    if table.velocities[0] <= 0:
+        yield ("at 0 m/s the map says what holds as the car just rolls forward; from standstill an ESC holds or "
+               "reverses where it says brake")
+    level = _level_values(table)
+    if level:
+        yield (f"from value {number_text(level[0])} to {number_text(level[1])} acceleration hardly changes: the ESC's "
+               "neutral band, in which the map rises only as its CSV needs it")
+
+
+def _measured_by(source, drives):
+    if source.measured_by == BY_IMU:
+        return "the IMU, its bias by the wheels"
+    return "pulse times of the wheels" if all(drive.wheels for drive in drives) else "odometry's speed"
+
+
+def _ground_text(ground, has_pitch, from_imu):
+    if from_imu:
+        slope = "gravity is in what an accelerometer feels"
+    elif has_pitch:
+        slope = f"gravity taken off by pitch, less {np.degrees(ground.pitch_offset_rad):.2f}° of its mounting"
+    elif np.isfinite(ground.uphill[0]):
+        slope = (f"ground rises by {100 * np.hypot(*ground.uphill):.2f} % towards yaw "
+                 f"{np.degrees(np.arctan2(ground.uphill[1], ground.uphill[0])):.0f}°, taken off")
+    else:
+        slope = "headings don't spread: a slope, if there is one, is in the map"
+    return (f"{slope}; drive fell by {100 * ground.sag_above:.1f} ± {100 * ground.sag_sigma[0]:.1f} %, brake by "
+            f"{100 * ground.sag_below:.1f} ± {100 * ground.sag_sigma[1]:.1f} %: the map is that of the middle")
+
+
+def coverage_text(fit: fitting.Fit, table: tables.Table | None) -> str:
+    """Return a grid of symbols: which accelerations the drives state, and those in the table by their origin."""
+    cells = np.where(fit.supported, "#" if table is None else "(#)", ".").astype(object)
+    if table is not None:
+        inside = np.ix_(np.searchsorted(fit.values, table.values), np.searchsorted(fit.velocities, table.velocities))
+        cells[inside] = np.vectorize(SYMBOLS.get, otypes=[object])(table.origin)
+    lines = ["what was driven: # enough, . not enough" + (", (#) enough, but cut off" if table is not None else "")]
+    return "\n".join([*lines, *_grid(fit.values, fit.velocities, cells, "{}")])
+
+
+def _grid(values, velocities, cells, form):
+    """Yield the lines of a table over values, downwards, and velocities."""
+    yield f"{'value':>9} |" + "".join(f"{number_text(velocity):>7}" for velocity in velocities) + " m/s"
+    for value, row in zip(values[::-1], cells[::-1]):
+        yield f"{number_text(value):>9} |" + "".join(f"{form.format(cell):>7}" for cell in row)
+
+
+def _missing(fit):
+    """Yield what to drive, a line for each value."""
+    for value, row in zip(fit.values[::-1], fit.supported[::-1]):
+        gaps = np.flatnonzero(~row)
+        if gaps.size == row.size:
+            yield f"value {number_text(value)}: at any speed"
+        elif gaps.size:
+            runs = [fit.velocities[run] for run in np.split(gaps, np.flatnonzero(np.diff(gaps) > 1) + 1)]
+            yield f"value {number_text(value)}: at " + ", ".join(
+                number_text(run[0]) + (f" to {number_text(run[-1])}" if run.size > 1 else "") for run in runs) + " m/s"
+
+
+def _level_values(table):
+    """Return the values around neutral between which acceleration rises no more than it must."""
+    steps = np.median(np.diff(table.accelerations, axis=0), axis=1)
+    level = np.flatnonzero(steps <= 2 * MIN_STEP_MPS2)
+    return (table.values[level[0]], table.values[level[-1] + 1]) if level.size else None

@@ -1,0 +1,79 @@
+"""A page about a drive: who drove, how it steered, where it went, how fast, and what went wrong.
+
+It is one HTML file without external resources: it needs no network.
+"""
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+import sys
+from functools import partial
+from pathlib import Path
+
+from car_interface.common import output
+from car_interface.common.errors import CarInterfaceError
+from car_interface.tools.cli.jobs import failure_text, for_each
+from car_interface.tools.cli.options import add_recording_arguments, length_m, topics_of
+from car_interface.tools.report.page import page
+from car_interface.tools.report.plots import plots
+from car_interface.tools.report.summary import ROLES, summarize
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of bag_report."""
+    parser.add_argument("bags", nargs="+", metavar="BAG", help="a ROS 1 bag, or a ROS 2 bag (its folder)")
+    parser.add_argument("-o", "--output", metavar="FILE",
+                        help="the page, or for several recordings a folder (default: BAG.html beside each)")
+    parser.add_argument("--wheelbase", type=length_m, metavar="M", help="between the axles: which curvature an asked "
+                        "steering angle (ackermann) is")
+    add_recording_arguments(parser, ROLES)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Write the pages."""
+    topics, pages, failed = topics_of(options), _pages(options), 0
+    report = partial(_report, options=options, topics=topics)
+    for (bag, path), (notes, error) in zip(pages, for_each(report, pages, options.jobs)):
+        for note in notes:
+            print(f"bag_report: {bag}: {note}", file=sys.stderr)
+        if error:
+            failed = 1
+            print(f"bag_report: {error}", file=sys.stderr)
+        else:
+            print(path)
+    return failed
+
+
+def _pages(options):
+    """Return pairs of a recording and its page's path."""
+    bags, folder = options.bags, options.output
+    ending = ".".join(["", *filter(None, options.namespace.split("/")), "html"])
+    if len(bags) == 1 and folder is not None and not os.path.isdir(folder):
+        return [(bags[0], folder)]
+    if folder is not None and not os.path.isdir(folder):
+        raise CarInterfaceError(f"-o {folder} is no folder, and {len(bags)} recordings need one: "
+                                f"mkdir {shlex.quote(folder)}")
+    pages = []
+    for bag in bags:
+        # A folder may be given as "." or with a slash behind it.
+        place = Path(bag) if Path(bag).suffix == ".bag" else Path(bag).resolve()
+        stem = place.stem if place.suffix == ".bag" or folder is not None else place.name
+        pages.append((bag, str(Path(folder or place.parent) / (stem + ending))))
+    names = [os.path.realpath(page) for _, page in pages]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice:
+        raise CarInterfaceError(f"two recordings would both get the page {Path(twice).name}: report them one by one")
+    return pages
+
+
+def _report(bag_and_page, options, topics):
+    """Write one page: (lines on the topics that it is about, an error as text, empty without one)."""
+    bag, path = bag_and_page
+    try:
+        output.check(path, options.bags)
+        drive = summarize(bag, options.namespace, options.wheelbase, progress=len(options.bags) == 1, **topics)
+        output.write(path, page(drive, plots(drive)))
+        return drive.notes, ""
+    except Exception as error:  # one bad recording must not prevent the pages of the others
+        return [], failure_text(error, bag, "no page can be made of it")

@@ -1,0 +1,178 @@
+"""A value map from recorded drives: acceleration and velocity to the value that makes it.
+
+Drive for some minutes with everything recorded: throttle and brake of every strength at every speed, coasting, straight
+on rather than in tight turns, and in all directions of the compass, so that a slope can be told from drag.
+
+Writes the map as a CSV for generic_value_converter, and beside it NAME.report.txt: what each number rests on.
+"""
+from __future__ import annotations
+
+import argparse
+from functools import partial
+from pathlib import Path
+
+from car_interface.common import output
+from car_interface.common.errors import CarInterfaceError, ConfigError
+from car_interface.common.lookup_table import check_axis
+from car_interface.common.package_files import package_file
+from car_interface.common.units import CHANNELS
+from car_interface.throttle.value_map import load_value_map
+from car_interface.tools.calibration.shared import RecordedDrive, written_text
+from car_interface.tools.calibration.value_map.acceleration import WindowConfig
+from car_interface.tools.calibration.value_map.calibrate import DUTY, MapResult, NoTable, calibrate, report
+from car_interface.tools.calibration.value_map.recorded import (
+    BY_IMU,
+    BY_ODOM,
+    BY_PULSES,
+    ESC_CHANNEL,
+    MapSource,
+    is_by_hand,
+    load_map_drive,
+    load_throttle_table,
+)
+from car_interface.tools.calibration.value_map.table import csv_text
+from car_interface.tools.calibration.value_map.windows import MapFitConfig
+from car_interface.tools.cli.jobs import load_all
+from car_interface.tools.cli.options import (
+    add_calibration_arguments,
+    add_recording_arguments,
+    check_channel,
+    finite,
+    topics_of,
+)
+from car_interface.tools.recordings import roles
+
+ESC_NEUTRAL_DUTY = 4915  # as config/throttle.yaml has it
+NO_CHANNEL = -1
+ROLES = (roles.ODOM, roles.IMU, roles.VALUE, roles.OUTPUT, roles.COMMAND)
+THROTTLE = "config/throttle.yaml"
+VALUE_TIMEOUT_S, DUTY_TIMEOUT_S = 0.5, 1.2  # a duty that doesn't change is repeated only now and then
+LIMITS = WindowConfig()
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of calibrate_value_map."""
+    add_calibration_arguments(parser, "CSV", "map")
+    parser.add_argument("--prior", metavar="CSV", help="an existing map: its numbers stay where the drives tell "
+                        "nothing, and its axes are used unless others are given")
+    parser.add_argument("--force", action="store_true", help="write what would be refused; nothing is made up even so")
+    parser.add_argument("--value", metavar="TOPIC|duty:CHANNEL",
+                        help="what drives the car: a topic, or the duty of a channel of the servo board, which counts "
+                             f"as the value that --throttle has for it (default: {roles.VALUE.topics[0]}; for a drive "
+                             "by hand the duty of the channel in --throttle)")
+    parser.add_argument("--throttle", metavar="YAML", help="for duties: the throttle.yaml with which was driven, its "
+                        "value_axis, duty_table and channel (default: the package's)")
+    parser.add_argument("--neutral", type=finite, metavar="VALUE", help="the value that neither drives nor brakes "
+                        "(default: 0; for a duty the value of the neutral in --throttle)")
+    parser.add_argument("--values", type=finite, nargs="+", metavar="VALUE",
+                        help="the map's values (default: --prior's, or round numbers over what was driven)")
+    parser.add_argument("--velocities", type=finite, nargs="+", metavar="M/S",
+                        help="the map's velocities (as --values)")
+    parser.add_argument("--acceleration", choices=(BY_PULSES, BY_ODOM, BY_IMU),
+                        help="measure it by the wheels' pulses, odometry's speed, or the IMU (default: pulses where "
+                             "they were recorded, else odometry)")
+    parser.add_argument("--imu", metavar="TOPIC", help="of an IMU, such as imu/data: its pitch takes gravity off")
+    parser.add_argument("--delay", type=finite, metavar="S", help="from value to acceleration (default: estimated)")
+    parser.add_argument("--esc-channel", type=int, default=ESC_CHANNEL, metavar="CHANNEL",
+                        help="of the servo board: shows whether a value reached the ESC; -1 = don't look "
+                             f"(default: {ESC_CHANNEL})")
+    parser.add_argument("--esc-neutral", type=finite, default=ESC_NEUTRAL_DUTY, metavar="DUTY",
+                        help=f"its duty when nobody drives (default: {ESC_NEUTRAL_DUTY})")
+    parser.add_argument("--min-speed", type=finite, default=LIMITS.min_speed_mps, metavar="M/S",
+                        help=f"slower is a stop (default: {LIMITS.min_speed_mps})")
+    parser.add_argument("--max-curvature", type=finite, default=LIMITS.max_curvature_per_m, metavar="1/M",
+                        help=f"of the path; tighter is steering (default: {LIMITS.max_curvature_per_m})")
+    parser.add_argument("--max-lateral", type=finite, default=LIMITS.max_lateral_mps2, metavar="M/S2",
+                        help=f"acceleration sideways; more is steering (default: {LIMITS.max_lateral_mps2})")
+    add_recording_arguments(parser, ROLES)
+
+
+def source_of(options: argparse.Namespace) -> MapSource:
+    """Return where value and accelerations are from.
+
+    Reads the table of --throttle, and without --value whether the recordings are of drives by hand.
+
+    Raises:
+        ConfigError: naming the option or the file.
+    """
+    value = options.value or topics_of(options).get(roles.VALUE.name) or _recorded_value(options)
+    channel = _duty_channel(value)
+    throttle = None if channel is None else _throttle(options)
+    topics = topics_of(options, value=value if channel is None else None, imu=options.imu)
+    esc_channel = None if options.esc_channel == NO_CHANNEL else options.esc_channel
+    check_channel("--esc-channel", esc_channel, "a channel of the servo board, 0 to 15, or -1")
+    if options.acceleration == BY_IMU and roles.IMU.name not in topics:
+        raise ConfigError("--imu", None, f"the IMU's topic, as --acceleration {BY_IMU} needs it")
+    return MapSource(
+        topics=topics, duty_channel=channel, throttle=throttle,
+        neutral=options.neutral if options.neutral is not None else throttle.neutral if throttle else 0.0,
+        measured_by=options.acceleration, namespace=options.namespace, esc_channel=esc_channel,
+        esc_neutral_duty=options.esc_neutral)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Calibrate, print the report, and write the files."""
+    output.check(options.output, options.bags)
+    source = source_of(options)
+    beside = [] if output.is_stream(options.output) else [str(Path(options.output).with_suffix(".report.txt"))]
+    for path in beside:
+        output.check(path, options.bags)
+    try:
+        recorded, found = calibrate_by(options, source)
+    except NoTable as error:
+        print(error.coverage)
+        raise
+    text = "\n".join(report(recorded, source, found.fit, found.table, found.problems, options.prior))
+    if found.problems and not options.force:
+        print(text)
+        raise CarInterfaceError("no map is written: " + "; ".join(found.problems)
+                                + ". Drive what is missing, or --force it")
+    csv = csv_text(found.table)
+    load_value_map(options.output, text=csv)
+    contents = {options.output: csv, **dict.fromkeys(beside, text + "\n")}
+    written = [written_text(path, output.write(path, content, keeps_old=True)) for path, content in contents.items()]
+    print("\n".join([text, *written]))
+    return 0
+
+
+def calibrate_by(options: argparse.Namespace, source: MapSource) -> tuple[list[RecordedDrive], MapResult]:
+    """Read all recordings and fit a map to them, on the axes that are given, or else on those of --prior.
+
+    Raises:
+        CarInterfaceError: an axis, a recording or the prior is no good, or there is nothing to fit.
+    """
+    prior = load_value_map(options.prior) if options.prior else None
+    axes = [given or (prior and getattr(prior, name)) for name, given in (
+        ("values", options.values), ("velocities", options.velocities))]
+    for name, axis in zip(("--values", "--velocities"), axes):
+        if axis is not None:
+            check_axis(axis, name)
+    config = MapFitConfig(
+        window=WindowConfig(min_speed_mps=options.min_speed, max_curvature_per_m=options.max_curvature,
+                            max_lateral_mps2=options.max_lateral),
+        neutral=source.neutral, value_timeout_s=VALUE_TIMEOUT_S if source.duty_channel is None else DUTY_TIMEOUT_S,
+        delay_s=options.delay, from_imu=options.acceleration == BY_IMU)
+    load = partial(load_map_drive, source=source, progress=len(options.bags) == 1 or options.jobs == 1)
+    recorded = load_all(load, options.bags, options.jobs)
+    return recorded, calibrate(recorded, *axes, config, prior)
+
+
+def _throttle(options):
+    return load_throttle_table(options.throttle or str(package_file(THROTTLE)))
+
+
+def _recorded_value(options):
+    """--value by what the recordings hold."""
+    if any(is_by_hand(path, roles.VALUE.topics[0], options.namespace) for path in options.bags):
+        return f"{DUTY}{_throttle(options).channel}"
+    return roles.VALUE.topics[0]
+
+
+def _duty_channel(value):
+    """Return the channel in --value duty:CHANNEL; ``None`` for a topic."""
+    if value is None or not value.startswith(DUTY):
+        return None
+    text = value[len(DUTY):]
+    if not text.isdecimal() or int(text) >= CHANNELS:
+        raise ConfigError("--value", value, f"a topic, or {DUTY}CHANNEL with a channel of 0 to 15")
+    return int(text)

@@ -1,0 +1,176 @@
+"""Checks a table as turn_arb or generic_value_converter would, and shows it.
+
+FILE is a steering calibration in YAML, as turn_arb loads it, or a value map in CSV.
+"""
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+from typing import Iterator, Sequence
+
+from car_interface.common import memory_limit, output
+from car_interface.common.errors import CarInterfaceError, ConfigError
+from car_interface.pca9685.registers import DUTY_PER_COUNT
+from car_interface.steering.calibration import WIDE_M, SteeringCalibration
+from car_interface.steering.params import load_steering
+from car_interface.throttle.converter import ConversionConfig, Converter
+from car_interface.throttle.value_map import ValueMap, load_value_map
+from car_interface.tools.cli.options import finite
+
+STEERING_SUFFIXES = (".yaml", ".yml")
+PICTURE_SUFFIXES = (".svg", ".png", ".pdf")
+BAR = 24  # characters to each side
+MAX_COLUMNS, MAX_ROWS = 11, 21
+LIMITS = ConversionConfig()  # the defaults of generic_value_converter
+LEVEL_MPS2 = 0.005  # a smaller rise may vanish in a CSV with two decimals
+PLAIN = "\033[0m"
+# Of the terminal's 256 colours: from braking to accelerating.
+SHADES = (160, 167, 174, 181, 188, 255, 188, 152, 116, 74, 32)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of check_map."""
+    parser.add_argument("file", metavar="FILE", help="a steering calibration (.yaml) or a map of values (.csv)")
+    parser.add_argument("-o", "--output", metavar="PICTURE", help="also draw it: " + ", ".join(PICTURE_SUFFIXES))
+    parser.add_argument("--allow-plateaus", action="store_true",
+                        help="take a map whose acceleration stays level from one value to the next")
+    parser.add_argument("--min-value", type=finite, default=LIMITS.min_value, metavar="VALUE",
+                        help=f"generic_value_converter's min_value (default: {LIMITS.min_value:g})")
+    parser.add_argument("--max-value", type=finite, default=LIMITS.max_value, metavar="VALUE",
+                        help=f"its max_value (default: {LIMITS.max_value:g})")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Load the file as its node would, and show it."""
+    is_steering = Path(options.file).suffix.lower() in STEERING_SUFFIXES
+    if options.output and Path(options.output).suffix.lower() not in PICTURE_SUFFIXES:
+        raise CarInterfaceError(f"-o {options.output}: accepted: a name that ends in " + ", ".join(PICTURE_SUFFIXES))
+    if options.output:
+        output.check(options.output, [options.file])
+    limits = ConversionConfig(options.min_value, options.max_value)
+    table = load_steering(options.file) if is_steering else load_value_map(options.file, options.allow_plateaus)
+    if options.output:
+        from car_interface.tools.report.table_plots import draw  # matplotlib only for who asks for it
+        memory_limit.reserve_blas()
+        output.write(options.output, draw(table, Path(options.output).suffix.lower()[1:], options.file))
+    if is_steering:
+        lines, notes = steering_picture(table), list(steering_notes(table))
+    else:
+        _check_values(limits, table, options.file)
+        lines = map_picture(table, sys.stdout.isatty() and "NO_COLOR" not in os.environ)
+        notes = list(map_notes(table, limits))
+    node = "turn_arb" if is_steering else "generic_value_converter"
+    print("\n".join([f"{options.file}: {node} takes it", "", *lines, *[""] * bool(notes),
+                     *[f"note: {note}" for note in notes]]))
+    if options.output:
+        print(f"\ndrawn in {options.output}")
+    return 0
+
+
+def _check_values(limits, table, path):
+    try:
+        Converter(limits, table)
+    except ConfigError as error:
+        raise error.within(path) from error
+
+
+# --- steering ---
+
+
+def steering_picture(config: SteeringCalibration) -> list[str]:
+    """For each turn radius the servo's travel to each side, as lines of text."""
+    max_travel = max(abs(duty - config.servo_center) for duty in
+                (config.servo_left, config.servo_right, *config.left_duties, *config.right_duties)) or 1
+
+    def bar(duty):
+        return "█" * round(BAR * abs(duty - config.servo_center) / max_travel)
+
+    ends = f"servo_left {config.servo_left}, servo_center {config.servo_center}, servo_right {config.servo_right}"
+    lines = [f"{ends}, channel {config.servo_channel}", "",
+             f"{'radius':>9}  {'left':>6} {'':{BAR}}│{'':{BAR}} right"]
+    for radius_m, left, right in zip(config.radius_axis_m, config.left_duties, config.right_duties):
+        lines.append(f"{radius_m:7g} m  {left:6g} {bar(left):>{BAR}}│{bar(right):<{BAR}} {right:<6g}".rstrip())
+    return lines
+
+
+def steering_notes(config: SteeringCalibration) -> Iterator[str]:
+    """Yield what turn_arb accepts and an owner may still want to know."""
+    for side, table, end in (("left", config.left_duties, config.servo_left),
+                             ("right", config.right_duties, config.servo_right)):
+        towards_center = 1 if config.servo_center > end else -1
+        for radius_m, wider_m, tight, wide in zip(config.radius_axis_m, config.radius_axis_m[1:], table, table[1:]):
+            if (wide - tight) * towards_center < 0:
+                yield (f"to the {side} the duty goes back from {tight:g} to {wide:g} where the turn gets wider, "
+                       f"{radius_m:g} to {wider_m:g} m")
+        same = [f"{radius_m:g} and {wider_m:g} m" for radius_m, wider_m, tight, wide in
+                zip(config.radius_axis_m, config.radius_axis_m[1:], table, table[1:])
+                if round(tight / DUTY_PER_COUNT) == round(wide / DUTY_PER_COUNT)]
+        if same:
+            yield (f"to the {side} the servo board can't tell apart ({DUTY_PER_COUNT} duty are one count): "
+                   f"{', '.join(same)}")
+        if (table[0] - end) * towards_center < 0:
+            yield f"to the {side} the table goes to {table[0]:g}, beyond servo_{side} {end}"
+    if config.radius_axis_m[-1] < WIDE_M:
+        yield f"a planner that asks for wider turns gets {config.radius_axis_m[-1]:g} m: nothing here goes straight on"
+
+
+# --- maps ---
+
+
+def map_picture(table: ValueMap, colour: bool = False) -> list[str]:
+    """Return the accelerations as lines of text: value upwards, velocity to the right; of a large map only some."""
+    rows, columns = _some(table.values, MAX_ROWS), _some(table.velocities, MAX_COLUMNS)
+    cells = [[table.acceleration_at(value, velocity) for velocity in columns] for value in rows]
+    largest = max(max(map(abs, row)) for row in cells) or 1.0
+    values, velocities = table.values, table.velocities
+    spans = (f"{len(values)} values, {values[0]:g} to {values[-1]:g}; "
+             f"{len(velocities)} velocities, {velocities[0]:g} to {velocities[-1]:g} m/s")
+    lines = [f"acceleration in m/s²; {spans}", ""]
+    for value, row in zip(reversed(rows), reversed(cells)):
+        lines.append(f"{value:8.4g} │" + "".join(_cell(number, largest, colour) for number in row))
+    lines.append(f"{'value':>8} └" + "─" * (7 * len(columns)))
+    lines.append(f"{'m/s':>8}  " + "".join(f"{velocity:6.3g} " for velocity in columns))
+    return lines
+
+
+def map_notes(table: ValueMap, limits: ConversionConfig = LIMITS) -> Iterator[str]:
+    """Yield what generic_value_converter accepts and an owner may still want to know."""
+    accelerations = [[table.acceleration_at(value, velocity) for velocity in table.velocities]
+                     for value in table.values]
+    rises = [(after - before, velocity, low, high)
+             for low, high, row, next_row in zip(table.values, table.values[1:], accelerations, accelerations[1:])
+             for before, after, velocity in zip(row, next_row, table.velocities)]
+    smallest, velocity, low, high = min(rises)
+    if smallest < LEVEL_MPS2:
+        yield (f"from value {low:g} to {high:g} at {velocity:g} m/s acceleration rises by only {smallest:.2g} m/s²: "
+               "a small error there is a large one in the value")
+    held, ends = [], ((table.velocities[0], 0), (table.velocities[-1], -1))
+    for velocity, column in ends:
+        lowest, highest = accelerations[0][column], accelerations[-1][column]
+        if lowest <= 0 <= highest:
+            held.append(f"{table.value_at(0.0, velocity):.3g} at {velocity:g} m/s")
+        else:
+            yield f"at {velocity:g} m/s it has no value for 0 m/s², only for {lowest:g} to {highest:g}"
+    if held:
+        yield f"0 m/s² takes the value {' and '.join(held)}"
+    values = table.values
+    if values[0] < limits.min_value or values[-1] > limits.max_value:
+        yield (f"its values, {values[0]:g} to {values[-1]:g}, lie partly outside: generic_value_converter clamps to "
+               f"min_value {limits.min_value:g} … max_value {limits.max_value:g}")
+
+
+def _cell(number, largest, colour):
+    text = f"{number:6.2f}"
+    if not colour:
+        return text + " "
+    shade = SHADES[round((number / largest + 1) / 2 * (len(SHADES) - 1))]
+    return f"\033[48;5;{shade};38;5;16m{text} {PLAIN}"
+
+
+def _some(axis: Sequence[float], count: int) -> list[float]:
+    """Return an axis, or, if it is longer, ``count`` of its numbers with both ends."""
+    if len(axis) <= count:
+        return list(axis)
+    return [axis[round(index * (len(axis) - 1) / (count - 1))] for index in range(count)]

@@ -1,0 +1,124 @@
+"""A table of all drives in a folder, with trends: who drove how far, what was lost, what drifts.
+
+Recordings are read once: the next time only those that are new or have changed. It writes a page and a CSV.
+"""
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from functools import partial
+
+from car_interface.common import output
+from car_interface.common.errors import CarInterfaceError, ConfigError
+from car_interface.tools.cli.drives_cache import Cache, find_recordings, fingerprint
+from car_interface.tools.cli.jobs import failure_text, for_each
+from car_interface.tools.cli.main import version
+from car_interface.tools.cli.options import add_recording_arguments, topics_of
+from car_interface.tools.report.drives_page import csv_text, in_order, page
+from car_interface.tools.report.drives_plots import trends
+from car_interface.tools.report.drives_row import VERSION, Row, row
+from car_interface.tools.report.summary import ROLES, summarize
+
+MAX_SHOWN = 5  # in the terminal, of the recordings that can't be read
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of drives."""
+    parser.add_argument("folder", metavar="FOLDER", help="with recordings, ROS 1 and ROS 2 bags, in it and below it")
+    parser.add_argument("-o", "--output", metavar="FILE",
+                        help="the page; the CSV is written beside it (default: FOLDER/drives.html)")
+    parser.add_argument("--fresh", action="store_true", help="read all recordings again")
+    add_recording_arguments(parser, ROLES)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Read what is new, and write the table."""
+    topics, folder = topics_of(options), options.folder
+    page_path = options.output or os.path.join(folder, "drives.html")
+    csv_path = os.path.splitext(page_path)[0] + ".csv"
+    if page_path == csv_path:
+        raise ConfigError("--output", page_path, "the page's name, as in drives.html: the CSV lies beside it")
+    if not os.path.isdir(folder):
+        raise CarInterfaceError(f"{folder} is no folder: name the one with the recordings")
+    paths = find_recordings(folder)
+    if not paths:
+        raise CarInterfaceError(f"{folder} has no recording: no .bag, no .mcap, no .db3, here or below")
+    _check_output((page_path, csv_path), [os.path.join(folder, path) for path in paths], options.output is None)
+    rows, read = _read_rows(options, topics, paths)
+    rows = in_order(rows)
+    drawn = trends([one for one in rows if not one.error])
+    for path, text in ((csv_path, csv_text(rows)), (page_path, page(_title(folder), rows, drawn))):
+        output.write(path, text.encode("utf-8", "replace"))  # a file's name may be no UTF-8
+    bad = [one for one in rows if one.error]
+    for one in bad[:MAX_SHOWN]:
+        print(f"drives: {one.error}", file=sys.stderr)
+    if len(bad) > MAX_SHOWN:
+        print(f"drives: and {len(bad) - MAX_SHOWN} more that can't be read: the page says why", file=sys.stderr)
+    print(f"{folder}: {len(rows)} recording{'s' if len(rows) > 1 else ''}, {read} read now, {len(rows) - read} "
+          f"read before" + (f"; {len(bad)} can't be read" if bad else ""))
+    print(f"written: {page_path}, {csv_path}")
+    return int(len(bad) == len(rows))
+
+
+def _title(folder):
+    """Return the folder's name for its readers; "." has none."""
+    is_named = os.path.basename(os.path.normpath(folder)).strip(".")
+    return folder if is_named else os.path.realpath(folder)
+
+
+def _check_output(outputs, recordings, is_default):
+    """Refuse, before the work, what can't be written."""
+    try:
+        for path in outputs:
+            output.check(path, recordings)
+    except CarInterfaceError as error:
+        if not is_default:
+            raise
+        raise CarInterfaceError(f"{error}; -o FILE writes it elsewhere") from error
+
+
+def _read_rows(options, topics, paths):
+    """Return the rows of the recordings at ``paths`` below the folder, and how many of them had to be read.
+
+    What was read is kept even if this is interrupted.
+    """
+    settings = [VERSION, version(), options.namespace, sorted(topics.items())]
+    cache = Cache(options.folder, str(settings))
+    if cache.problem:
+        print(f"drives: {cache.problem}: all recordings are read again", file=sys.stderr)
+    if cache.damaged:
+        print(f"drives: {cache.path} has damaged rows ({cache.damaged}): their recordings are read again",
+              file=sys.stderr)
+    states = {path: _state(options.folder, path) for path in paths}
+    known = {} if options.fresh else {path: cache.row(path, states[path]) for path in paths}
+    new = [path for path in paths if known.get(path) is None]
+    rows = [known[path] for path in paths if known.get(path) is not None]
+    try:
+        for one in for_each(partial(_read, options=options, topics=topics), new, options.jobs):
+            rows.append(one)
+            cache.add(states[one.path], one)
+            if sys.stderr.isatty():
+                print(f"{len(rows)} of {len(paths)}: {one.path}", file=sys.stderr)
+    finally:
+        problem = cache.save(paths) if new or cache.problem or cache.damaged else ""
+    if problem:
+        print(f"drives: what was read can't be kept for the next time: {problem}", file=sys.stderr)
+    return rows, len(new)
+
+
+def _state(folder, path):
+    try:
+        return fingerprint(os.path.join(folder, path))
+    except OSError:  # it is gone: reading says so
+        return None
+
+
+def _read(path, options, topics):
+    """Return the row of one recording; whatever is wrong with it becomes the row's error."""
+    full = os.path.join(options.folder, path)
+    try:
+        return row(summarize(full, options.namespace, **topics), path)
+    except Exception as error:  # one bad recording must not prevent the table of the others
+        # It begins with the recording's name; a command to type keeps the whole path.
+        return Row(path, error=failure_text(error, full, "no row can be made of it").replace(full, path, 1))

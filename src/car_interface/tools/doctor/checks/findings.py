@@ -1,0 +1,70 @@
+"""Findings: how bad, about what, what it is, and what to do about it; and how they look in a terminal."""
+from __future__ import annotations
+
+import textwrap
+from typing import NamedTuple, Sequence
+
+OK, WARN, BAD = range(3)  # also the exit codes, and the levels of diagnostic_msgs/DiagnosticStatus
+
+_NAMES = ("ok", "warn", "bad")
+_MEANINGS = ("nothing to do", "nothing that is bad; read the warnings", "begin with the first that is bad")
+_COLOURS = ("\033[32m", "\033[1;33m", "\033[1;31m")
+_PLAIN = "\033[0m"
+SUBJECT_WIDTH = 10
+INDENT = len("warn  ") + SUBJECT_WIDTH + 2
+NARROWEST = 60  # below it a line would be all indentation
+
+
+class Finding(NamedTuple):
+    """What one check found."""
+
+    level: int  # OK, WARN (the car may drive) or BAD (it can't, or shouldn't)
+    subject: str  # what was examined, one word
+    what: str  # what was found
+    remedy: str = ""  # what to do or type next; empty only when it's OK
+
+
+def worst(findings: Sequence[Finding]) -> int:
+    """Return the highest level: the exit code."""
+    return max((finding.level for finding in findings), default=OK)
+
+
+def render(finding: Finding, width: int | None = None, colour: bool = False) -> str:
+    """Return a finding as text.
+
+    Args:
+        finding: what to show.
+        width: columns of the terminal; the text is wrapped and the remedy begins a line of its own. ``None`` = one long
+            line, for a pipe.
+        colour: show the level in colour.
+    """
+    name = f"{_NAMES[finding.level]:4}"
+    what, remedy = _one_line(finding.what), f"remedy: {_one_line(finding.remedy)}" if finding.remedy else ""
+    head = f"{name}  {finding.subject:{SUBJECT_WIDTH}}  "
+    if width is None:
+        text = head + " | ".join(filter(None, (what, remedy)))
+    else:
+        blank = " " * INDENT
+        text = _wrap(what, head, blank, width)
+        if remedy:
+            text += "\n" + _wrap(remedy, blank, blank + " " * len("remedy: "), width)
+    return _COLOURS[finding.level] + name + _PLAIN + text[len(name):] if colour else text
+
+
+def summarise(findings: Sequence[Finding], colour: bool = False) -> str:
+    """Return the last line: how many of each kind, and what that means."""
+    if not findings:
+        return "nothing was looked at"
+    levels = [finding.level for finding in findings]
+    counts = ", ".join(f"{levels.count(level)} {_NAMES[level]}" for level in (BAD, WARN, OK) if level in levels)
+    text = f"{counts}: {_MEANINGS[worst(findings)]}"
+    return f"{_COLOURS[worst(findings)]}{text}{_PLAIN}" if colour else text
+
+
+def _one_line(text):
+    return " ".join(text.split())
+
+
+def _wrap(text, first, later, width):
+    return textwrap.fill(text, max(NARROWEST, width), initial_indent=first, subsequent_indent=later,
+                         break_long_words=False, break_on_hyphens=False)

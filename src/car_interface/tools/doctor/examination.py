@@ -1,0 +1,289 @@
+"""What the doctor looks at, in which order, and for how long.
+
+All probes run at the same time, each in a ``Task``; their findings come in the order in which they're best remedied.
+"""
+from __future__ import annotations
+
+import os
+import threading
+import time
+from argparse import Namespace
+from typing import Any, Callable, Iterator, NamedTuple
+
+from car_interface.common.errors import ConfigError
+from car_interface.common.params import Params
+from car_interface.pca9685.registers import prescale_for
+from car_interface.teensy.link.health import CLOCK_REPORT, LINK_REPORT
+from car_interface.teleop.gamepad import REPORT as GAMEPAD_REPORT
+from car_interface.tools.doctor.checks.car import (
+    ABSENT,
+    SILENT,
+    SIMULATOR,
+    Node,
+    check_command_topics,
+    check_diagnostics,
+    check_files,
+    check_nodes,
+    check_parameters,
+    check_several,
+    check_steering,
+    find_cars,
+)
+from car_interface.tools.doctor.checks.findings import BAD, OK, WARN, Finding
+from car_interface.tools.doctor.checks.gamepad import check_gamepad
+from car_interface.tools.doctor.checks.port import check_link, check_virtual_port
+from car_interface.tools.doctor.probes.computer import (
+    probe_clock,
+    probe_groups,
+    probe_network,
+    probe_packages,
+    probe_versions,
+)
+from car_interface.tools.doctor.probes.devices import is_pseudo_terminal, probe_board, probe_port
+from car_interface.tools.doctor.probes.master import NODES, Graph, Master, read_files, read_parameters
+
+VIRTUAL = "virtual"
+STABLE_PORT, USUAL_PORT, USUAL_BUS, USUAL_ADDRESS = "/dev/teensy_sensor_hub", "/dev/ttyAMA0", "/dev/i2c-1", 0x40
+USUAL_BAUD = 115200
+# Names and addresses, then the nodes, then all the rest at the same time: 9 s at most.
+NETWORK_S, SURVEY_S, PROBES_S = 2.0, 2.0, 4.5
+REPORTING = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "throttle_arb", "planner_interface",
+             "teleop_logi")
+NO_GRAPH = Graph({}, frozenset())
+
+
+class Task:
+    """Runs one probe in a thread of its own, so that one that hangs doesn't block the doctor.
+
+    Args:
+        subject: of the finding when it hangs or fails.
+        arguments: what ``probe`` takes.
+    """
+
+    def __init__(self, subject: str, probe: Callable[..., Any], *arguments: Any):
+        self._subject = subject
+        self._result: Any = None
+        self._fault: Exception | None = None
+        self._probe = lambda: probe(*arguments)
+        self._ended = threading.Event()
+        threading.Thread(target=self._run, name=subject, daemon=True).start()
+
+    def _run(self):
+        try:
+            self._result = self._probe()
+        except Exception as error:  # no fault of one probe may end the others
+            self._fault = error
+        self._ended.set()
+
+    def wait(self, deadline_s: float) -> tuple[Any, list[Finding]]:
+        """Return the result, or ``None`` and what went wrong, at the latest when the monotonic clock reaches the
+        deadline.
+        """
+        while not self._ended.wait(0.02):
+            if time.monotonic() >= deadline_s:
+                return None, [Finding(BAD, self._subject, "no answer in time: given up",
+                                      "See whether this computer is overloaded or a device hangs: top, dmesg")]
+        if self._fault is not None:
+            return None, [Finding(BAD, self._subject, f"the doctor couldn't look at it: {type(self._fault).__name__}: "
+                                                      f"{self._fault}", "See the line of the versions first")]
+        return self._result, []
+
+    def findings(self, deadline_s: float) -> list[Finding]:
+        """Return the result of a probe that returns findings, or what went wrong."""
+        result, trouble = self.wait(deadline_s)
+        return trouble or result
+
+
+class Car(NamedTuple):
+    """What the master knows of the car, and the devices that it goes by."""
+
+    namespace: str
+    nodes: list
+    uses_sim_time: bool
+    port: str
+    baud: int
+    bus: str
+    address: int
+    prescale: int | None
+    oscillator_hz: float
+    port_is_the_nodes: bool  # whether the port is the one that the hub uses
+    port_is_virtual: bool  # whether it's the one that car_sim makes
+    joy_is_published: bool
+    others: list  # the namespaces of other cars
+    was_chosen: bool  # False: there are several cars, and no namespace was given
+
+    def runs(self, name: str) -> Node | None:
+        """Return a node that is there and answers."""
+        return next((node for node in self.nodes if node.name == name and node.runs), None)
+
+    def state(self, name: str) -> str:
+        """Return what a node does."""
+        return next((node.state for node in self.nodes if node.name == name), ABSENT)
+
+    @property
+    def lacks_simulator(self) -> bool:
+        """Whether the port is a virtual Teensy's, but car_sim makes none."""
+        return (self.port_is_virtual and self.runs(SIMULATOR) is None
+                and (self.state(SIMULATOR) == SILENT or not os.path.exists(self.port)))
+
+
+def survey(master: Master | None, options: Namespace) -> Car:
+    """Ask the master for nodes and for the devices' parameters; without one, the usual ones."""
+    graph = master.graph() if master else NO_GRAPH
+    cars = find_cars(graph.nodes)
+    namespace = options.namespace or (cars[0] if len(cars) == 1 else "/")
+    tasks = [Task("nodes", master.node, name, namespace, graph) for name in NODES] if master else []
+    nodes = [task.wait(time.monotonic() + SURVEY_S)[0] for task in tasks]
+    nodes = [node for node in nodes if node is not None]
+    hub = _parameters(master, namespace, "teensy_sensor_hub", nodes)
+    board = _parameters(master, namespace, "pca9685", nodes)
+    of_hub = _text(hub, "port")
+    port = options.port or of_hub or (STABLE_PORT if os.path.exists(STABLE_PORT) else USUAL_PORT)
+    prescale, oscillator_hz = _prescale(board)
+    return Car(
+        namespace=namespace, others=[car for car in cars if car != namespace],
+        was_chosen=options.namespace is not None or namespace in cars or not cars,
+        joy_is_published=bool(graph.publishers.get(f"{namespace.rstrip('/')}/joy")),
+        port_is_virtual=port == _text(_parameters(master, namespace, SIMULATOR, nodes), "port"),
+        nodes=nodes,
+        uses_sim_time=bool(master and master.parameter("/use_sim_time")),
+        port=port, baud=_number(hub, "baud", USUAL_BAUD),
+        bus=_bus(options.bus or _text(board, "device") or _number(board, "device", USUAL_BUS)),
+        address=options.address or _number(board, "address", USUAL_ADDRESS),
+        prescale=prescale, oscillator_hz=oscillator_hz,
+        port_is_the_nodes=bool(of_hub) and os.path.realpath(port) == os.path.realpath(of_hub))
+
+
+def _parameters(master, namespace, name, nodes):
+    """Return a node's parameters; what its launch file gave to its process goes before what the server holds by now."""
+    values = master.parameter(f"{namespace.rstrip('/')}/{name}") if master else None
+    fixed = [master.fixed_parameters(node) for node in nodes if node.name == name]
+    given = {key: value for values in fixed for key, value in values.items() if value is not None}
+    return Params({**(values if isinstance(values, dict) else {}), **given})
+
+
+def _text(params, name):
+    """Return a text among the parameters; ``None`` = there is none, or nonsense, which ``check_parameters`` reports."""
+    try:
+        return params.text(name, None)
+    except ConfigError:
+        return None
+
+
+def _number(params, name, default):
+    try:
+        return params.integer(name, None) or default
+    except ConfigError:
+        return default
+
+
+def _bus(device):
+    return f"/dev/i2c-{device}" if str(device).isdigit() else device
+
+
+def _prescale(board):
+    """Return the PRE_SCALE and the oscillator that the pca9685 node's parameters ask for; ``None`` = nobody asks."""
+    try:
+        oscillator_hz = board.number("oscillator_hz", 25e6, low=1e6, high=50e6)
+        prescale = board.integer("prescale", None)
+        if prescale is None:
+            prescale = prescale_for(board.number("frequency", 50.0, above=0.0), oscillator_hz)
+        return prescale, oscillator_hz
+    except ConfigError:
+        return None, 25e6
+
+
+def examine(options: Namespace) -> Iterator[Finding]:
+    """Yield all findings, in the order in which they're best cured."""
+    uri = os.environ.get("ROS_MASTER_URI", "")
+    master = Master(uri)
+    versions = Task("versions", probe_versions)
+    network = Task("master", probe_network, uri, master.trouble)
+    (of_master, of_address, is_there), trouble = _or(network.wait(time.monotonic() + NETWORK_S), ([], [], False))
+    car, survey_trouble = Task("nodes", survey, master if is_there else None, options).wait(time.monotonic() + SURVEY_S)
+    if car is None:
+        is_there, car = False, survey(None, options)
+    deadline_s = time.monotonic() + PROBES_S
+    if not car.was_chosen:
+        yield from versions.findings(deadline_s)
+        yield from trouble + of_master + of_address + check_several(car.others)
+        return
+    virtual_port, virtual_bus = car.port_is_virtual or is_pseudo_terminal(car.port), car.bus == VIRTUAL
+    groups = Task("groups", probe_groups, car.port, car.bus, virtual_port, virtual_bus)
+    clock = Task("clock", probe_clock, car.uses_sim_time)
+    packages = Task("packages", probe_packages, car.joy_is_published, virtual_bus)
+    parameters = Task("parameters", _read_all, master, car) if is_there else None
+    hub = car.runs("teensy_sensor_hub") if car.port_is_the_nodes else None
+    port = None if hub or car.lacks_simulator else Task("port", probe_port, car.port, car.baud)
+    board = None if virtual_bus else Task("bus", probe_board, car.bus, car.address, car.prescale,
+                                          car.runs("pca9685") is not None, car.oscillator_hz)
+    reporting = [node.path for node in map(car.runs, REPORTING) if node]
+    topics = Task("topics", _listen_to_topics, master, car, hub, reporting) if reporting else None
+
+    yield from versions.findings(deadline_s)
+    yield from packages.findings(deadline_s)
+    yield from groups.findings(deadline_s)
+    yield from clock.findings(deadline_s)
+    yield from trouble + of_master + of_address + survey_trouble
+    if is_there:
+        yield from check_nodes(car.nodes, car.namespace, car.others)
+    if parameters:
+        yield from parameters.findings(deadline_s)
+    topic_reports, topics_trouble = topics.wait(deadline_s) if topics else (None, [])
+    if car.lacks_simulator:
+        yield from check_virtual_port(car.port, car.state(SIMULATOR), hub is not None)
+    elif port:
+        yield from port.findings(deadline_s)
+    elif topic_reports:
+        yield from check_link(topic_reports.link, car.port, hub)
+    yield from board.findings(deadline_s) if board else [_virtual_board(car, is_there)]
+    yield from topics_trouble
+    if topic_reports:
+        if car.runs("turn_arb"):
+            yield from check_steering(topic_reports.steering, car.runs("turn_arb"))
+        yield from check_command_topics(topic_reports.reports, car.namespace)
+        covered = _covered(hub, topic_reports.link)
+        if topic_reports.gamepad:
+            yield from check_gamepad(topic_reports.gamepad)
+            covered = [*covered, f"{topic_reports.gamepad.node.strip('/')}: {GAMEPAD_REPORT}"]
+        yield from check_diagnostics(topic_reports.reports, car.namespace, reporting, covered)
+
+
+def _or(result_and_trouble, default):
+    result, trouble = result_and_trouble
+    return (default if result is None else result), trouble
+
+
+def _covered(hub, link):
+    """Return the names of the reports on /diagnostics whose fault the finding about the link tells."""
+    names = [] if hub is None or link is None else [LINK_REPORT] if link.level == OK else [LINK_REPORT, CLOCK_REPORT]
+    return [f"{hub.path.strip('/')}: {name}" for name in names]
+
+
+def _read_all(master, car):
+    readings = (read_parameters(master, node) for node in car.nodes)
+    found = check_parameters([reading for reading in readings if reading is not None])
+    return found + check_files(read_files(master, car.nodes))
+
+
+def _listen_to_topics(master, car, hub, reporting):
+    from car_interface.tools.doctor.probes.topics import (
+        GamepadListener,  # they need rospy, which may be what is missing
+        listen,
+    )
+    turn_arb, teleop_logi = car.runs("turn_arb"), car.runs("teleop_logi")
+    return listen(hub and hub.path, turn_arb and turn_arb.path, reporting,
+                  teleop_logi and GamepadListener(master, teleop_logi))
+
+
+def _virtual_board(car, has_master):
+    node = car.runs("pca9685")
+    if not has_master:
+        return Finding(OK, "bus", "virtual: the chip is a piece of software; whether it runs only a master can tell")
+    if node:
+        return Finding(OK, "bus", f"virtual: the chip is a piece of software that {node.path} writes to")
+    if car.state("pca9685") != ABSENT:
+        return Finding(WARN, "bus", "virtual: the chip is a piece of software, and the pca9685 node doesn't answer",
+                       "See the nodes above")
+    return Finding(WARN, "bus", "virtual: the chip is a piece of software, and the pca9685 node that starts it "
+                                "doesn't run", "roslaunch car_interface demo.launch; or give the real bus by --i2c")

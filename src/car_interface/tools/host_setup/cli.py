@@ -1,0 +1,167 @@
+"""rosrun car_interface setup_hardware: once on each computer, to give its user access to the car's hardware.
+
+It installs the udev rules and adds the user to the groups dialout, i2c and input. Each step is a command that it shows,
+and runs by sudo; nothing else of this package needs root. What is done already is left alone; what fails keeps nothing
+else from being done, and makes the exit code 1.
+
+Options:
+    --dry-run: only show the commands.
+    --user: whom to give access; by default who runs this, also by sudo.
+"""
+from __future__ import annotations
+
+import argparse
+import filecmp
+import grp
+import os
+import pwd
+import shlex
+import shutil
+import subprocess
+import sys
+from typing import NamedTuple, Sequence
+
+from car_interface.common.errors import CarInterfaceError
+from car_interface.common.package_files import package_file
+
+RULES_NAME = "70-car-interface.rules"
+RULES_FOLDER = "/etc/udev/rules.d"
+GROUPS = ("dialout", "i2c", "input")  # the Teensy's port, the servo board's bus, the gamepad
+ROOT = "root"
+# A user's PATH often lacks these, where the commands are.
+SYSTEM_PATH = "/usr/sbin:/sbin:/usr/bin:/bin"
+
+
+class Computer(NamedTuple):
+    """How the computer is now."""
+
+    user: str  # whom to give access; root needs none
+    groups: frozenset  # all groups that there are
+    joined: frozenset  # those that /etc/group puts the user in
+    has_udev: bool  # whether udevadm is there; containers have none
+    rules_are_new: bool  # whether the installed rules are the package's
+
+
+class SetupStep(NamedTuple):
+    """One thing to do."""
+
+    what: str  # a description
+    command: tuple  # what does it, as root
+    may_fail: bool = False  # whether what it does comes about without it, too
+    otherwise: str = ""  # what to print when it failed
+
+
+def plan(computer: Computer, rules: str) -> list[SetupStep]:
+    """Return the steps that are left to do, in order.
+
+    Args:
+        computer: how it is now.
+        rules: the path of the package's udev rules.
+    """
+    steps = [SetupStep(f"make the group {group}", ("groupadd", "--system", group))
+             for group in GROUPS if group not in computer.groups]
+    missing = [group for group in GROUPS if group not in computer.joined]
+    if missing and computer.user != ROOT:
+        steps.append(SetupStep(f"add {computer.user} to {', '.join(missing)}",
+                               ("usermod", "--append", "--groups", ",".join(missing), computer.user),
+                               otherwise="a user who isn't in /etc/passwd joins each group by: sudo gpasswd --add "
+                                         f"{computer.user} GROUP"))
+    if computer.has_udev and not computer.rules_are_new:
+        # After the groups: udev looks their names up when it reads the rules.
+        steps += [
+            SetupStep(f"install {RULES_FOLDER}/{RULES_NAME}",
+                      ("install", "-D", "--mode=644", rules, f"{RULES_FOLDER}/{RULES_NAME}")),
+            SetupStep("have udev read it", ("udevadm", "control", "--reload-rules"), True,
+                      "udev reads it at the next boot"),
+            SetupStep("have udev apply it to what is plugged in",
+                      ("udevadm", "trigger", "--subsystem-match=tty", "--subsystem-match=i2c-dev"), True,
+                      "plug the Teensy out and in again, or start the computer anew"),
+        ]
+    return steps
+
+
+def remarks(computer: Computer, steps: Sequence[SetupStep]) -> list[str]:
+    """Return what the user has to know at the end.
+
+    Args:
+        computer: how it was before.
+        steps: what was done.
+    """
+    done = [step.command[0] for step in steps]
+    lines = []
+    if computer.user == ROOT:
+        lines.append("root needs no groups. For the user who will drive: setup_hardware --user NAME")
+    if "usermod" in done:
+        lines.append(f"Groups count from the next log-in: {computer.user} must log out and in again, everywhere.")
+    if not computer.has_udev:
+        lines.append("There is no udevadm here, as in a container: the udev rule was left out. Run this on the "
+                     "computer itself, too; it makes the devices that a container is given.")
+    elif "install" in done:
+        lines.append("The Teensy is now also /dev/teensy_sensor_hub. If ModemManager had it open, plug it in anew.")
+    return lines
+
+
+def read_computer(user: str, rules: str) -> Computer:
+    """Read how this computer is now."""
+    groups = grp.getgrall()
+    primary = pwd.getpwnam(user).pw_gid
+    return Computer(
+        user=user, groups=frozenset(group.gr_name for group in groups),
+        joined=frozenset(group.gr_name for group in groups if user in group.gr_mem or group.gr_gid == primary),
+        has_udev=shutil.which("udevadm", path=SYSTEM_PATH) is not None, rules_are_new=_same(rules))
+
+
+def _same(rules):
+    installed = os.path.join(RULES_FOLDER, RULES_NAME)
+    return os.path.exists(installed) and filecmp.cmp(rules, installed, shallow=False)
+
+
+def show_step(step: SetupStep) -> bool:
+    """Print what a step would do; True, as if that worked."""
+    print(f"would {step.what}:\n    {shlex.join(as_root(step.command))}")
+    return True
+
+
+def run_step(step: SetupStep) -> bool:
+    """Run a step's command as root; whether that worked."""
+    command = as_root(step.command)
+    print(f"{step.what}:\n    {shlex.join(command)}", flush=True)
+    try:
+        code = subprocess.run(command, check=False, env={**os.environ, "PATH": SYSTEM_PATH}).returncode
+    except OSError as error:
+        print(f"    it can't be run: {error.strerror}")
+        code = 1
+    if code:
+        print("    that didn't work" + (f"; {step.otherwise}" if step.otherwise else ""))
+    return code == 0
+
+
+def as_root(command) -> list[str]:
+    """Return the command, by sudo unless this is root."""
+    return list(command) if os.geteuid() == 0 else ["sudo", *command]
+
+
+def main():
+    """Run the set-up."""
+    parser = argparse.ArgumentParser(prog="setup_hardware",
+                                     description="Gives a user access to the car's serial port, I2C bus and gamepad.")
+    parser.add_argument("--dry-run", action="store_true", help="only show what would be done")
+    parser.add_argument("--user", help="whom to give access, if not you")
+    options = parser.parse_args([argument for argument in sys.argv[1:] if ":=" not in argument])
+    user = options.user or os.environ.get("SUDO_USER") or pwd.getpwuid(os.getuid()).pw_name
+    try:
+        rules = str(package_file(f"udev/{RULES_NAME}"))
+        computer = read_computer(user, rules)
+    except CarInterfaceError as error:
+        sys.exit(str(error))
+    except KeyError:
+        sys.exit(f"there is no user {user}")
+    steps = plan(computer, rules)
+    done = [step for step in steps if (show_step if options.dry_run else run_step)(step)]
+    if not steps:
+        print("Nothing to do: it's all there.")
+    for remark in remarks(computer, done):
+        print(remark)
+    failed = [step.what for step in steps if step not in done and not step.may_fail]
+    if failed:
+        sys.exit(f"Not done: {'; '.join(failed)}. Running this again does what is left.")

@@ -1,0 +1,261 @@
+"""Reads messages from a recording: ROS 1 bags, and ROS 2 bags in SQLite or MCAP.
+
+A recording is read once, from the beginning to the end; memory doesn't grow with the file. Only the requested topics
+are deserialized, so that others may have unknown types.
+"""
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Iterable, Iterator, Mapping, NamedTuple, Sequence
+
+from rosbags.rosbag1 import ReaderError as ReaderError1
+from rosbags.rosbag2 import Reader as Ros2Reader
+from rosbags.rosbag2 import ReaderError as ReaderError2
+
+from car_interface.common.errors import CarInterfaceError
+from car_interface.common.input_file import check_kind
+from car_interface.tools.recordings.definitions import Definitions, UnknownType
+from car_interface.tools.recordings.rosbag1 import ChunkReader
+
+ROS2_SUFFIXES = (".db3", ".mcap")
+METADATA = "metadata.yaml"
+BAR_AFTER_S = 1.0
+MESSAGES_PER_CLOCK_CHECK = 256
+NESTED = re.compile(r"""\((["'])(.*?)\1,\)""")  # the arguments of another error, within rosbags' text of one
+
+
+class Recorded(NamedTuple):
+    """One message."""
+
+    time_ns: int  # ROS time at which the recorder received it
+    topic: str  # as it was requested: without the car's namespace
+    message: Any  # with the fields of its definition
+
+
+class Topic(NamedTuple):
+    """One topic of a recording."""
+
+    type: str  # such as nav_msgs/msg/Odometry
+    count: int  # messages
+
+
+class Contents(NamedTuple):
+    """Times and topics of a recording."""
+
+    start_ns: int  # ROS time of the first message; 0 when there is none
+    end_ns: int
+    topics: dict  # Topic by absolute name
+    steps_back: int  # how often the recording time went back by more than a second; known of ROS 1 bags only
+
+
+class NoRecording(CarInterfaceError):
+    """A file that can't be read as a recording, or one that lacks what is requested."""
+
+
+def contents(path: str) -> Contents:
+    """Times and topics of a recording.
+
+    Raises:
+        NoRecording: it can't be read.
+    """
+    with _opened(path) as reader:
+        found: dict = {}
+        for connection in reader.connections:
+            count = connection.msgcount + (found[connection.topic].count if connection.topic in found else 0)
+            found[connection.topic] = Topic(connection.msgtype, count)
+        begin, end = (reader.start_time, reader.end_time) if any(topic.count for topic in found.values()) else (0, 0)
+        return Contents(begin, end, dict(sorted(found.items())), getattr(reader, "clock_steps_back", 0))
+
+
+def read(path: str, topics: Sequence[str] | Mapping[str, str | Sequence[str]], namespace: str = "/",
+         progress: bool = False) -> Iterator[Recorded]:
+    """Yield the messages on the topics of one car, in the order in which they were recorded.
+
+    Args:
+        path: of a ROS 1 bag, of a ROS 2 bag's folder, or of a file in that.
+        topics: their names below ``namespace``; those that weren't recorded yield nothing. A name that begins with a
+            slash and isn't found below the namespace is looked up as it is. In a dict each name has the accepted type,
+            such as ``nav_msgs/Odometry``, or several of them.
+        progress: show a bar on a terminal's standard error when it takes more than a second.
+
+    Raises:
+        NoRecording: it can't be read, or the type of a topic isn't accepted or isn't known.
+    """
+    with _opened(path) as reader:
+        names = absolute_names({connection.topic for connection in reader.connections}, topics, namespace)
+        connections = [connection for connection in reader.connections if connection.topic in names]
+        if not connections:
+            return  # for rosbags no connections mean all of them
+        definitions = Definitions(is_ros2=isinstance(reader, Ros2Reader))
+        decoders = {}
+        for connection in connections:
+            if isinstance(topics, Mapping):
+                _check_type(path, connection.topic, connection.msgtype, topics[names[connection.topic]])
+            try:
+                decoders[connection.id] = definitions.decoder(connection)
+            except UnknownType as error:
+                raise NoRecording(f"{path}: {connection.topic} can't be read: {error}") from error
+        messages = reader.messages(connections=connections)
+        if progress and sys.stderr.isatty():
+            messages = with_bar(messages, sum(connection.msgcount for connection in connections), Path(path).name)
+        for connection, time_ns, data in messages:
+            try:
+                message = decoders[connection.id](data)
+            except Exception as error:  # generated code may raise anything on a damaged message
+                raise NoRecording(f"{path} is damaged: a message of {connection.topic} can't be read as "
+                                  f"{connection.msgtype}") from error
+            yield Recorded(time_ns, names[connection.topic], message)
+
+
+def absolute_names(recorded: Iterable[str], topics: Iterable[str], namespace: str = "/") -> dict[str, str]:
+    """For each absolute name under which a topic was recorded, the name by which it was requested."""
+    recorded, prefix = set(recorded), "/" + namespace.strip("/")
+    names = {}
+    for topic in topics:
+        below = prefix.rstrip("/") + "/" + topic.lstrip("/")
+        if below in recorded:
+            names[below] = topic
+        elif topic.startswith("/") and topic in recorded:
+            names[topic] = topic
+    return names
+
+
+def require(path: str, topics: Iterable[str], namespace: str = "/", why: str = "") -> None:
+    """Check that all topics were recorded.
+
+    Args:
+        topics: their names, as for ``read``.
+        why: the purpose, as the end of a sentence.
+
+    Raises:
+        NoRecording: names the first that wasn't, and topics with similar names.
+    """
+    recorded = contents(path).topics
+    found = set(absolute_names(recorded, topics, namespace).values())
+    for topic in topics:
+        if topic not in found:
+            last = topic.rstrip("/").rsplit("/", 1)[-1]
+            similar = [name for name in recorded if last in name][:5] or list(recorded)[:8]
+            below = "" if namespace.strip("/") == "" else f" below {namespace}"
+            raise NoRecording(f"{path} has no topic {topic}{below}{', ' + why if why else ''}; it has "
+                              + (", ".join(similar) if similar else "none at all"))
+
+
+def check_types(path: str, topics: Mapping[str, str | Sequence[str]], namespace: str = "/") -> None:
+    """Check that topics were recorded with accepted types.
+
+    Args:
+        topics: the accepted type, or several, by name, as for ``read``; those that weren't recorded are left out.
+
+    Raises:
+        NoRecording: names the first that wasn't.
+    """
+    recorded = contents(path).topics
+    for name, topic in absolute_names(recorded, topics, namespace).items():
+        _check_type(path, name, recorded[name].type, topics[topic])
+
+
+def is_of_type(kind: str, accepted: Iterable[str]) -> bool:
+    """Return whether a message type, such as ``nav_msgs/msg/Odometry``, is one of those, written as in ROS 1 or in ROS
+    2.
+    """
+    return _short(kind) in map(_short, accepted)
+
+
+def other_version(path: str, recorded: Recorded) -> NoRecording:
+    """Return the error for a message that lacks a field of its type."""
+    return NoRecording(f"{path}: {recorded.topic} was recorded with another version of "
+                       f"{_short(recorded.message.__msgtype__)}")
+
+
+def with_bar(items: Iterable[Any], total: int, text: str) -> Iterator[Any]:
+    """Yield the items; after a second with a progress bar on standard error."""
+    begin_s, bar = time.monotonic(), None
+    try:
+        for number, item in enumerate(items, 1):
+            yield item
+            if bar is not None:
+                bar.update()
+            elif number % MESSAGES_PER_CLOCK_CHECK == 0 and time.monotonic() - begin_s > BAR_AFTER_S:
+                from tqdm import tqdm  # slow to import
+                bar = tqdm(total=total, initial=number, desc=text, unit=" messages", unit_scale=True, leave=False)
+    finally:
+        if bar is not None:
+            bar.close()
+
+
+@contextmanager
+def _opened(path):
+    """Yield a reader of a recording; every error of the file becomes NoRecording."""
+    file = Path(path)
+    _check_exists(file)
+    try:
+        reader = _reader(file)
+        reader.open()
+    except Exception as error:  # a damaged file makes rosbags raise almost anything
+        raise NoRecording(_error_text(file, error)) from error
+    try:
+        yield reader
+    except CarInterfaceError:
+        raise
+    except Exception as error:
+        raise NoRecording(_error_text(file, error)) from error
+    finally:
+        reader.close()
+
+
+def _check_exists(file):
+    if not file.exists():
+        raise NoRecording(f"{file} can't be read as a recording: there is no such file")
+    if not os.access(str(file), os.R_OK):
+        raise NoRecording(f"{file} can't be read as a recording: no permission")
+    if not file.is_dir():
+        try:
+            check_kind(file.stat())
+        except OSError as error:
+            raise NoRecording(f"{file} can't be read as a recording: {error.strerror}") from error
+    if file.is_dir() and not (file / METADATA).exists():
+        bags = sorted(str(inside) for inside in file.iterdir() if inside.suffix == ".bag")
+        raise NoRecording(f"{file} can't be read as a recording: a ROS 2 bag's folder has a {METADATA}, this one "
+                          + (f"doesn't; {bags[0]} may be what you mean" if bags else "doesn't (ros2 bag reindex)"))
+
+
+def _reader(file):
+    if file.is_dir():
+        return Ros2Reader(file)
+    if file.suffix in ROS2_SUFFIXES:
+        return Ros2Reader(file.parent if (file.parent / METADATA).exists() else file)
+    return ChunkReader(file)
+
+
+def _check_type(path, name, kind, accepted):
+    accepted = (accepted,) if isinstance(accepted, str) else accepted
+    if not is_of_type(kind, accepted):
+        raise NoRecording(f"{path}: {name} is of type {_short(kind)}; accepted: " + " or ".join(map(_short, accepted)))
+
+
+def _short(name):
+    """Return a message type's name as ROS 1 has it."""
+    return name.replace("/msg/", "/")
+
+
+def _error_text(file, error):
+    text = " ".join(str(error).split()) or type(error).__name__
+    text = NESTED.sub(r"\2", text).rstrip(".")
+    reindex = f"rosbag reindex {shlex.quote(str(file))}"
+    is_ros1 = not file.is_dir() and file.suffix not in ROS2_SUFFIXES
+    if is_ros1 and "not indexed" in text:
+        return f"{file} was never closed: if its recorder still runs, end it by Ctrl-C; if it was killed: {reindex}"
+    if is_ros1 and isinstance(error, ReaderError1) and ("empty" in text or "magic" in text):
+        return f"{file} can't be read as a recording: it {'is empty' if 'empty' in text else 'is no bag'}"
+    if is_ros1:
+        return f"{file} is cut off or damaged ({text}): {reindex} saves what is left"
+    if not isinstance(error, (ReaderError2, OSError)):
+        text = f"it's cut off or damaged ({type(error).__name__}: {text}); ros2 bag reindex saves what is left"
+    return f"{file} can't be read as a recording: {text}"

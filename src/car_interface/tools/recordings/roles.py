@@ -1,0 +1,110 @@
+"""Which recorded topic plays which role: as the user says, by its usual name, or as the only one of its type.
+
+A guess is made for a few types only, and never between two topics; it always comes with a line that says so.
+"""
+from __future__ import annotations
+
+from typing import Mapping, NamedTuple
+
+from car_interface.tools.recordings.recording import Topic, absolute_names, is_of_type
+
+VALUE_TYPES = ("car_interface/Float64Stamped", "autoware_internal_debug_msgs/Float64Stamped",
+               "tier4_debug_msgs/Float64Stamped", "tier4_debug_msgs/Float32Stamped", "std_msgs/Float64",
+               "std_msgs/Float32")
+DUTY_TYPES, NUMBER_TYPES = ("std_msgs/Int32MultiArray",), ("std_msgs/Float32",)
+# A namespace with one of these is a car of its own: nothing of it is guessed to be another car's.
+CAR_ENDINGS = ("/turn_arb/state", "/servo/output")
+THROTTLE_STATE = {"throttle_arb/state": "car_interface/ThrottleState"}  # who drives, and what the ESC does
+
+
+class Role(NamedTuple):
+    """What a topic is needed for."""
+
+    name: str  # as in --map TOPIC=NAME
+    topics: tuple[str, ...]  # its usual names, the first that was recorded counts
+    types: tuple[str, ...]  # that are accepted
+    what: str
+    is_guessed: bool = False  # whether the only topic of such a type is taken where no usual name was recorded
+    preferred: tuple[str, ...] = ()  # names that go before the usual ones where the user names none
+
+
+ODOM = Role("odom", ("odom",), ("nav_msgs/Odometry",), "pose and speed", True)
+IMU = Role("imu", ("imu/data",), ("sensor_msgs/Imu",), "turn rate and acceleration, z up, x forward", True)
+OUTPUT = Role("output", ("/servo/output",), DUTY_TYPES, "the 16 duties that the servo board outputs")
+COMMAND = Role("command", ("/servo/cmdVector", "command"), DUTY_TYPES, "the 16 duties that it was sent, -1 = as before")
+VALUE = Role("value", ("generic/output/value",), VALUE_TYPES,
+             "what drives the car, a number (no AckermannDrive: it asks for a speed)")
+ACKERMANN = Role("ackermann", ("drive", "ackermann_cmd"),
+                 ("ackermann_msgs/AckermannDriveStamped", "ackermann_msgs/AckermannDrive"),
+                 "steering angle and speed that a planner asks for", True)
+RADIUS = Role("radius", ("av_turnrad_req",), NUMBER_TYPES, "turn radius in m that a planner asks for, left positive")
+ACCELERATION = Role("acceleration", ("control/command/control_cmd",),
+                    ("car_interface/Control", "autoware_control_msgs/Control"),
+                    "acceleration that a planner asks for, or its speed control", True,
+                    # With planner_interface this one is what the value map gets; Autoware's is what that gets.
+                    preferred=("planner_interface/output/control_cmd",))
+STICK = Role("stick", ("/teleop_logi/tele_steer_req",), NUMBER_TYPES, "steering by the gamepad, -1 to 1")
+
+
+class Found(NamedTuple):
+    """The topic for a role."""
+
+    topic: str  # for recording.read; it may be missing all the same
+    note: str = ""  # of a guess, or why none was made
+
+
+def find(recorded: Mapping[str, Topic], role: Role, namespace: str = "/", given: str | None = None) -> Found:
+    """Find the topic for a role.
+
+    Args:
+        recorded: the topics by absolute name.
+        given: by the user, goes before everything else; ``None`` = not given.
+    """
+    if given is not None and given != role.topics[0]:
+        return Found(given)
+    with_messages = {name: topic for name, topic in recorded.items() if topic.count}
+    names = role.topics if given else (*role.preferred, *role.topics)
+    usual = next((topic for topic in names if fits(with_messages, topic, role, namespace)), None)
+    candidates = _candidates(recorded, role, namespace) if role.is_guessed and usual is None else []
+    if not candidates:
+        there = (topic for topic in role.topics if absolute_names(recorded, [topic], namespace))
+        return Found(usual or next(there, role.topics[0]))
+    kind = recorded[candidates[0]].type.replace("/msg/", "/")
+    if len(candidates) == 1:
+        return Found(candidates[0], f"{role.name}: {candidates[0]} (the only {kind})")
+    return Found(role.topics[0], f"{role.name}: there are {' and '.join(candidates)}, and no {role.topics[0]}; say "
+                                 f"which by --map, as in --map {candidates[0]}={role.name}")
+
+
+def without(recorded: Mapping[str, Topic], given: Mapping[str, str | None], role: Role,
+            namespace: str) -> dict[str, Topic]:
+    """Return the recorded topics that can play a role: those that the user gave to other roles can't.
+
+    Args:
+        recorded: the topics by absolute name.
+        given: by the user, by role; ``None`` = not given.
+        role: to play.
+    """
+    others = [topic for name, topic in given.items() if topic is not None and name != role.name]
+    taken = absolute_names(recorded, others, namespace)
+    return {name: topic for name, topic in recorded.items() if name not in taken}
+
+
+def fits(recorded: Mapping[str, Topic], topic: str, role: Role, namespace: str) -> bool:
+    """Return whether a topic, as for ``recording.read``, was recorded with a type that its role accepts."""
+    return any(is_of_type(recorded[name].type, role.types)
+               for name in absolute_names(recorded, [topic], namespace))
+
+
+def other_cars(recorded: Mapping[str, Topic], namespace: str) -> set[str]:
+    """Return the namespaces with cars of their own, such as ``/car1``, other than ``namespace``."""
+    spaces = {name[:-len(ending)] for name in recorded for ending in CAR_ENDINGS if name.endswith(ending)}
+    return spaces - {"", "/" + namespace.strip("/")}
+
+
+def _candidates(recorded, role, namespace):
+    """Return the topics with messages of a role's type, below the namespace and not another car's."""
+    below = "/" + "/".join([*filter(None, namespace.split("/")), ""])
+    others = tuple(space + "/" for space in other_cars(recorded, namespace) if not below.startswith(space + "/"))
+    return [name for name, topic in recorded.items() if topic.count and is_of_type(topic.type, role.types)
+            and name.startswith(below) and not (others and name.startswith(others))]

@@ -1,0 +1,146 @@
+"""Reads the motion of a car and its commands from a recording, as columns of numbers on one time scale.
+
+Odometry and the IMU count by their stamps, the servo board's output by when it was recorded. A stamp that is seconds
+away from the recording time is replaced by that. Where the computer's clock was set back, what follows is moved behind
+what was before it, so that time always rises; intervals longer than a moment may contain gaps.
+"""
+from __future__ import annotations
+
+from typing import Collection, NamedTuple
+
+from car_interface.common.units import NS_PER_S
+from car_interface.tools.recordings import recording, roles
+from car_interface.tools.recordings.columns import (
+    AckermannColumn,
+    CommandColumn,
+    ImuColumn,
+    OdomColumn,
+    OutputColumn,
+    Timeline,
+    ValueColumn,
+)
+from car_interface.tools.recordings.pulses import CLOCK_TOPIC, WHEEL_TOPIC, PulseColumns
+from car_interface.tools.recordings.recording import NoRecording
+from car_interface.tools.recordings.series import Ackermann, Imu, Odom, Output, Pulses, Value
+
+PULSES = "pulses"  # the only part that plays no role: only this package records it
+PARTS = (*(role.name for role in (roles.ODOM, roles.OUTPUT, roles.IMU, roles.VALUE, roles.ACKERMANN)), PULSES)
+# The parts with a topic of their own.
+KINDS = {role.name: (role, kind) for role, kind in (
+    (roles.ODOM, OdomColumn), (roles.IMU, ImuColumn), (roles.VALUE, ValueColumn), (roles.ACKERMANN, AckermannColumn))}
+BOARD = ((roles.OUTPUT, OutputColumn), (roles.COMMAND, CommandColumn))
+ROLES = tuple(role for role, _ in (*KINDS.values(), *BOARD))
+PULSE_TYPES = {WHEEL_TOPIC: "car_interface/Wheel", CLOCK_TOPIC: "car_interface/TeensyClock"}
+
+
+class Signals(NamedTuple):
+    """The columns of a recording; ``None`` for those that weren't asked for or aren't in it.
+
+    Attributes:
+        path: of the recording.
+        start_s: ROS time at which all ``t_s`` begin.
+        duration_s: from the first message to the last.
+        odom, output, imu, value, ackermann: see their classes.
+        pulses: of the left and the right wheel.
+        topics: the topic of each part that is there, by the part.
+        notes: what was guessed and what was left out, a line each that names the topic.
+    """
+
+    path: str
+    start_s: float
+    duration_s: float
+    odom: Odom | None
+    output: Output | None
+    imu: Imu | None
+    value: Value | None
+    ackermann: Ackermann | None
+    pulses: tuple[Pulses, Pulses] | None
+    topics: dict[str, str]
+    notes: tuple[str, ...]
+
+
+def load(path: str, wanted: Collection[str], *, optional: Collection[str] = (), namespace: str = "/",
+         progress: bool = False, **topics: str | None) -> Signals:
+    """Read a recording.
+
+    Args:
+        wanted: those of ``PARTS`` that the recording must have.
+        optional: those of ``PARTS`` that are read if it has them. An ``imu`` that is named must be there.
+        progress: show a bar.
+        topics: named by the user, by role: ``odom``, ``imu``, ``value``, ``ackermann``, ``output``, ``command``.
+            ``None``, or one that isn't named: its usual topic, or the only one of its type.
+
+    Raises:
+        NoRecording: it can't be read, lacks a topic, or has no usable message of one.
+    """
+    columns, types, guesses = _columns(path, set(wanted), set(optional), topics, namespace)
+    by_topic = {column.topic: column for column in columns.values()}
+    if PULSES in columns:
+        by_topic[CLOCK_TOPIC] = columns[PULSES]
+        types.update(PULSE_TYPES)
+    timeline = Timeline()
+    for recorded in recording.read(path, types, namespace, progress):
+        try:
+            by_topic[recorded.topic].add(recorded, timeline.recorded_s(recorded.time_ns), timeline)
+        except AttributeError as error:
+            raise recording.other_version(path, recorded) from error
+    for part, column in columns.items():
+        column.finish(timeline)
+        if column.is_empty and (part in wanted or topics.get(part)):
+            raise NoRecording(f"{path}: nothing that can be used was recorded of {column.topic}")
+    notes = (*guesses, *(note for column in columns.values() for note in column.notes()), *timeline.notes())
+    built = {part: None if column.is_empty else column.build() for part, column in columns.items()}
+    return Signals(str(path), timeline.start_ns / NS_PER_S, timeline.last_s, *(
+        built.get(part) for part in PARTS),
+        {part: column.topic for part, column in columns.items() if not column.is_empty}, notes)
+
+
+def _columns(path, wanted, optional, topics, namespace):
+    """Return an empty column for each part that will be read, the accepted types by topic, and what was guessed."""
+    recorded = recording.contents(path).topics
+    recording.check_types(path, {topics[role.name]: role.types for role in ROLES if topics.get(role.name)}, namespace)
+    columns, types, guesses = {}, {}, []
+    for part, (role, kind) in KINDS.items():
+        if part not in wanted | optional and (part != roles.IMU.name or not topics.get(roles.IMU.name)):
+            continue
+        free = roles.without(recorded, topics, role, namespace)
+        topic, note = roles.find(free, role, namespace, topics.get(part))
+        guesses += [note] if note else []
+        is_needed = part in wanted or topics.get(part) is not None
+        if roles.fits(free, topic, role, namespace) or \
+                is_needed and recording.absolute_names(free, [topic], namespace):
+            columns[part], types[topic] = kind(topic), role.types
+        elif is_needed and note:
+            raise NoRecording(f"{path}: {note}")
+        elif is_needed:
+            hint = _hint(part) if topics.get(part) in (None, *role.topics) else ""
+            recording.require(path, [topic], namespace, f"the {part}: {role.what}{hint}")
+    if roles.OUTPUT.name in wanted | optional:
+        columns.update(_output_column(path, recorded, roles.OUTPUT.name in wanted, topics, namespace))
+        types.update((column.topic, roles.DUTY_TYPES) for part, column in columns.items() if part == roles.OUTPUT.name)
+    if PULSES in wanted:
+        recording.require(path, [WHEEL_TOPIC], namespace)
+    if PULSES in wanted or PULSES in optional and recording.absolute_names(recorded, [WHEEL_TOPIC], namespace):
+        columns[PULSES] = PulseColumns(WHEEL_TOPIC)
+    return columns, types, guesses
+
+
+def _output_column(path, recorded, is_wanted, topics, namespace):
+    """Return the board's outputs; without them its commands, which don't show channels that were set before the
+    recording.
+    """
+    given = [(kind, [topics[role.name]]) for role, kind in BOARD if topics.get(role.name)]
+    usual = [(kind, role.topics) for role, kind in BOARD]
+    for kind, names in given or usual:
+        for topic in names:  # one with messages goes before one that was only advertised
+            if any(recorded[name].count for name in recording.absolute_names(recorded, [topic], namespace)):
+                return {roles.OUTPUT.name: kind(topic)}
+    if is_wanted or given:
+        topic = (given or usual)[0][1][0]
+        recording.require(path, [topic], namespace, "" if given else f"{roles.OUTPUT.what}{_hint(roles.OUTPUT.name)}")
+        raise NoRecording(f"{path} has no messages of {topic}")
+    return {}
+
+
+def _hint(part):
+    return f"; name another by --map TOPIC={part}"

@@ -1,0 +1,122 @@
+"""Curves, paths and places of a drive, downsampled to bounded memory whatever its length."""
+from __future__ import annotations
+
+import math
+from array import array
+
+import numpy as np
+
+EMPTY = math.nan
+
+
+class Trace:
+    """A value over time, of which the minimum and the maximum in each bin of time are kept.
+
+    No peak is lost, however short. With fewer than three samples in each bin all of them are kept.
+
+    Args:
+        start_s, end_s: of the drive.
+        bins: how many it is divided into; with twice as many as pixels no difference can be seen.
+
+    Attributes:
+        count: of all samples.
+        minimum, maximum: of all samples; inf and −inf without any.
+    """
+
+    def __init__(self, start_s: float, end_s: float, bins: int = 1500):
+        self._start_s = start_s
+        self._bins_per_s = bins / max(end_s - start_s, 1e-9)
+        self._last = bins - 1
+        self._minima, self._maxima = ((array("d", [EMPTY]) * bins, array("d", [EMPTY]) * bins) for _ in range(2))
+        self.count = 0
+        self.minimum, self.maximum = math.inf, -math.inf
+
+    def add(self, time_s: float, value: float) -> None:
+        """Add a sample; one that is not finite is left out."""
+        if not math.isfinite(value):
+            return
+        self.count += 1
+        slot = min(max(int((time_s - self._start_s) * self._bins_per_s), 0), self._last)
+        times, values = self._minima
+        if not values[slot] <= value:  # also when it is empty
+            times[slot], values[slot] = time_s, value
+        times, values = self._maxima
+        if not values[slot] >= value:
+            times[slot], values[slot] = time_s, value
+        self.minimum, self.maximum = min(self.minimum, value), max(self.maximum, value)
+
+    def curve(self, gap_s: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+        """Return (times (N,), values (N,)) in order, with a NaN in each gap of more than ``gap_s``."""
+        times, values = (np.concatenate([np.frombuffer(low), np.frombuffer(high)])
+                         for low, high in zip(self._minima, self._maxima))
+        order = np.argsort(times[~np.isnan(values)], kind="stable")
+        times, values = (column[~np.isnan(values)][order] for column in (times, values))
+        gaps = np.flatnonzero(np.diff(times) > max(gap_s, 3 / self._bins_per_s)) + 1
+        return np.insert(times, gaps, times[gaps]) if len(gaps) else times, np.insert(values, gaps, EMPTY)
+
+
+class Path:
+    """A path in the plane, in steps that double whenever there are too many points.
+
+    Attributes:
+        x_m, y_m: the points; NaN where the path is interrupted.
+        kinds: who steered the car to each.
+    """
+
+    def __init__(self, step_m: float = 0.02, max_points: int = 8000):
+        self._step_m, self._max_points = step_m, max_points
+        self.x_m, self.y_m, self.kinds = array("d"), array("d"), array("b")
+
+    def add(self, x_m: float, y_m: float, kind: int) -> None:
+        """Add a point, if it is far enough from the one before or somebody else steers."""
+        if self.kinds and kind == self.kinds[-1] and \
+                math.hypot(x_m - self.x_m[-1], y_m - self.y_m[-1]) < self._step_m:
+            return
+        self.x_m.append(x_m)
+        self.y_m.append(y_m)
+        self.kinds.append(kind)
+        if len(self.kinds) > self._max_points:
+            self._step_m *= 2
+            kept = [index for index, x_m in enumerate(self.x_m) if index % 2 == 0 or math.isnan(x_m)]
+            if len(kept) > 0.75 * self._max_points:  # mostly interruptions
+                kept = range(0, len(self.x_m), 2)
+            self.x_m, self.y_m, self.kinds = (array(column.typecode, [column[index] for index in kept])
+                                              for column in (self.x_m, self.y_m, self.kinds))
+
+    def interrupt(self) -> None:
+        """Leave a gap before the next point."""
+        if self.kinds:
+            self.x_m.append(math.nan)
+            self.y_m.append(math.nan)
+            self.kinds.append(self.kinds[-1])
+
+
+class Spots:
+    """Places in the plane by the cell that they lie in; cells double whenever there are too many.
+
+    Attributes:
+        count: of all places.
+        cell_m: the cells' width.
+    """
+
+    def __init__(self, cell_m: float = 0.02, max_cells: int = 12000):
+        self.cell_m, self._max_cells = cell_m, max_cells
+        self._cells: dict = {}
+        self.count = 0
+
+    def add(self, x_m: float, y_m: float) -> None:
+        """Add a place."""
+        self.count += 1
+        cell = (round(x_m / self.cell_m), round(y_m / self.cell_m))
+        self._cells[cell] = self._cells.get(cell, 0) + 1
+        if len(self._cells) > self._max_cells:
+            self.cell_m *= 2
+            before, self._cells = self._cells, {}
+            for (x, y), count in before.items():
+                cell = (round(x / 2), round(y / 2))
+                self._cells[cell] = self._cells.get(cell, 0) + count
+
+    def places(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the middles of the cells: (x_m (N,), y_m (N,))."""
+        cells = np.array(list(self._cells), dtype=float).reshape(-1, 2) * self.cell_m
+        return cells[:, 0], cells[:, 1]

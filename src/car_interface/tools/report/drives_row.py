@@ -1,0 +1,175 @@
+"""One recording as a row of the table of drives: what to compare from drive to drive."""
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import Any, Callable, NamedTuple
+
+from car_interface.steering.arbiter import PLANNER, TELEOP
+from car_interface.tools.report.faults import ERROR
+from car_interface.tools.report.summary import Summary
+
+VERSION = 2  # of a row's content: rows of another version are computed again
+MIN_SAMPLES = 30  # for a median
+COUNT_BITS = 64  # times in ns, and the counters of messages, have no more
+MAX_FIGURE = 1e12  # above any distance, duration or ratio that a car can have; page and plots can show so much
+
+
+class Row(NamedTuple):
+    """A recording. ``None``: the recording can't tell; all types are JSON's.
+
+    Attributes:
+        path: relative to the folder.
+        error: why it can't be read; empty: it was read.
+        start_ns, duration_s, distance_m: when, how long, how far by odometry.
+        gamepad_s, planner_s: how long which of them steered.
+        losses: how often something was lost or locked while somebody drove, by cause.
+        straight_per_m: the curvature that the car drove when sent straight on, left positive: the center is off.
+        left_ratio, right_ratio: the driven curvature to the sent one.
+        drive_mps2, hold_mps2, brake_mps2: by how much the car accelerated more than the planner requested, where that
+            was to drive, to hold the speed, to brake: the value map is off.
+        frames, corrupt, reopened, reboots, unanswered: of the Teensy's link: good and corrupt frames, how often the
+            port was opened again, how often the Teensy started anew, pings without an answer.
+        faults, errors: how many, and how many of them are errors.
+        lacks: what was not recorded, or not all of the time.
+        notes: which topics were guessed.
+    """
+
+    path: str
+    error: str = ""
+    start_ns: int | None = None
+    duration_s: float | None = None
+    distance_m: float | None = None
+    gamepad_s: float | None = None
+    planner_s: float | None = None
+    losses: Any = None
+    straight_per_m: float | None = None
+    left_ratio: float | None = None
+    right_ratio: float | None = None
+    drive_mps2: float | None = None
+    hold_mps2: float | None = None
+    brake_mps2: float | None = None
+    frames: int | None = None
+    corrupt: int | None = None
+    reopened: int | None = None
+    reboots: int | None = None
+    unanswered: int | None = None
+    faults: int | None = None
+    errors: int | None = None
+    lacks: Any = ()
+    notes: Any = ()
+
+
+def _is_text(value):
+    return isinstance(value, str)
+
+
+def _is_count(value):
+    return type(value) is int and value.bit_length() <= COUNT_BITS  # not a bool, which is an int, too
+
+
+def _is_figure(value):
+    return type(value) in (int, float) and abs(value) <= MAX_FIGURE  # which NaN isn't
+
+
+def _is_length(value):
+    return _is_figure(value) and value >= 0
+
+
+def _are_texts(value):
+    return isinstance(value, list) and all(map(_is_text, value))
+
+
+def _are_counts(value):
+    return isinstance(value, dict) and all(map(_is_text, value)) and all(map(_is_count, value.values()))
+
+
+def _or_none(is_valid):
+    return lambda value: value is None or is_valid(value)
+
+
+# What a row has to be that comes out of a file, column by column, in the order of Row.
+STRUCTURE: dict[str, Callable[[Any], bool]] = {
+    "path": _is_text, "error": lambda value: value == "", "start_ns": _is_count, "duration_s": _is_length,
+    **{name: _or_none(_is_length) for name in ("distance_m", "gamepad_s", "planner_s")},
+    "losses": _or_none(_are_counts),
+    **{name: _or_none(_is_figure) for name in (
+        "straight_per_m", "left_ratio", "right_ratio", "drive_mps2", "hold_mps2", "brake_mps2")},
+    **{name: _or_none(_is_count) for name in (
+        "frames", "corrupt", "reopened", "reboots", "unanswered", "faults", "errors")},
+    "lacks": _are_texts, "notes": _are_texts}
+LINK = ("frames", "corrupt", "reopened", "reboots", "unanswered")  # all known, or none
+
+
+def stored_row(values: Any, path: str) -> Row | None:
+    """Return the row of ``path``, a recording that could be read, out of JSON; ``None``: it is no such row.
+
+    Args:
+        values: of any structure.
+        path: of the recording whose row it is taken for.
+    """
+    if not isinstance(values, list) or len(values) != len(Row._fields):
+        return None
+    found = Row(*values)
+    if found.path != path or not all(is_valid(getattr(found, name)) for name, is_valid in STRUCTURE.items()):
+        return None
+    if len({getattr(found, name) is None for name in LINK}) != 1 or (found.faults is None) != (found.errors is None):
+        return None
+    return found
+
+
+def row(drive: Summary, path: str) -> Row:
+    """Return the row of a summarized recording, which is shown as ``path``."""
+    has_state, has_odom = bool(drive.steering.episodes), "odom" in drive.present
+    source_s = drive.steering.source_s
+    left, right = map(_median, drive.motion.by_tables.ratios())
+    driving, holding, braking = map(_median, drive.motion.accelerating.differences_mps2())
+    return Row(
+        path=path, start_ns=drive.start_ns, duration_s=drive.duration_s,
+        distance_m=_possible(drive.motion.distance_m) if has_odom else None,
+        gamepad_s=source_s[TELEOP] if has_state else None, planner_s=source_s[PLANNER] if has_state else None,
+        losses=_losses(drive) if has_state or drive.throttle.episodes else None,
+        straight_per_m=_median(drive.motion.by_tables.straight_per_m()), left_ratio=left, right_ratio=right,
+        drive_mps2=driving, hold_mps2=holding, brake_mps2=braking, **_link(drive.teensy),
+        **_faults(drive),
+        lacks=[gap.lacks if math.isnan(gap.start_s) else f"{gap.lacks} for {gap.end_s - gap.start_s:.0f} s"
+               for gap in drive.coverage.gaps()],
+        notes=list(drive.notes))
+
+
+def _losses(drive):
+    """Return how often something was lost or locked, by cause."""
+    lost = [*drive.steering.losses(), *drive.throttle.losses()]
+    return dict(Counter(one.cause or one.reason for one in lost))
+
+
+def _faults(drive):
+    """Return how many faults there were; nobody knows where nothing was recorded that would tell of any."""
+    found = drive.faults.entries
+    if not found and drive.coverage.is_blind:
+        return {}
+    return {"faults": sum(fault.times for fault in found) + drive.faults.dropped,
+            "errors": sum(fault.times for fault in found if fault.level == ERROR)}
+
+
+def _link(teensy):
+    """Return the columns of the Teensy's link."""
+    first, last = teensy.first_link, teensy.link
+    if last is None:
+        return {}
+    change = {name: getattr(last, field) - getattr(first, field) for name, field in (
+        ("frames", "frames"), ("corrupt", "bad_frames"), ("reopened", "reconnects"), ("reboots", "reboots"),
+        ("pings", "pings"), ("pongs", "pongs"))}
+    # The newest ping may still be on its way.
+    change["unanswered"] = max(0, change.pop("pings") - change.pop("pongs") - 1)
+    return {name: int(count) for name, count in change.items()}
+
+
+def _median(found):
+    """Return a median in five decimals, no -0.0, if there are enough samples."""
+    return _possible(round(found.median, 5) + 0.0) if found.samples >= MIN_SAMPLES else None
+
+
+def _possible(figure):
+    """``None`` instead of a figure that no car can have: its odometry is garbage."""
+    return figure if _is_figure(figure) else None

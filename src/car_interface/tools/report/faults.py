@@ -1,0 +1,132 @@
+"""Collects what went wrong on a drive: moments, conditions that lasted, and what the nodes reported."""
+from __future__ import annotations
+
+import math
+import re
+from typing import Any, Collection, NamedTuple
+
+OK, WARN, ERROR = range(3)  # as in diagnostic_msgs/DiagnosticStatus
+LOG_LEVELS = {"rosgraph_msgs": (4, 8), "rcl_interfaces": (30, 40)}  # warning and error, by the package of Log
+NUMBER = re.compile(r"[-+]?\d[\d.,e+-]*|inf|nan")
+MAX_ENTRIES = 2000
+
+
+class Fault(NamedTuple):
+    """Something that went wrong."""
+
+    start_s: float
+    end_s: float  # NaN: it is a moment, or lasted until the recording's end
+    level: int  # WARN or ERROR
+    where: str
+    what: str
+    times: int = 1
+
+
+class FaultLog:
+    """The faults of a drive, up to MAX_ENTRIES of them.
+
+    Attributes:
+        entries: in order of their ends; ``finish`` sorts them by their starts.
+        dropped: how many more there were.
+    """
+
+    def __init__(self):
+        self.entries: list = []
+        self.dropped = 0
+        self._open: dict = {}  # conditions that last, by key
+        self._repeated: dict = {}  # index of an entry, by key
+
+    def add(self, fault: Fault) -> None:
+        """Add a fault, or count it when there are too many."""
+        if len(self.entries) < MAX_ENTRIES:
+            self.entries.append(fault)
+        else:
+            self.dropped += 1
+
+    def add_moment(self, time_s: float, level: int, where: str, what: str) -> None:
+        """Add a fault without a duration."""
+        self.add(Fault(time_s, math.nan, level, where, what))
+
+    def add_repeated(self, time_s: float, level: int, where: str, what: str) -> None:
+        """Add a moment once, and count its repetitions, in which numbers may differ."""
+        key = (where, without_numbers(what))
+        index = self._repeated.get(key)
+        if index is not None:
+            self.entries[index] = self.entries[index]._replace(times=self.entries[index].times + 1)
+        elif len(self.entries) < MAX_ENTRIES:
+            self._repeated[key] = len(self.entries)
+            self.add_moment(time_s, level, where, what)
+        else:
+            self.dropped += 1
+
+    def update_condition(self, time_s: float, key: str, level: int, where: str, what: str) -> None:
+        """Begin, continue or end a condition.
+
+        Args:
+            time_s: of this report.
+            key: of the condition.
+            level: OK ends it.
+            where: who reports it.
+            what: a text that differs in more than its numbers begins another one.
+        """
+        fault = self._open.get(key)
+        if fault is not None and (level == OK or without_numbers(fault.what) != without_numbers(what)):
+            self.add(fault._replace(end_s=time_s))
+            del self._open[key]
+            fault = None
+        if level != OK:
+            self._open[key] = Fault(time_s, math.nan, level, where, what) if fault is None else \
+                fault._replace(level=max(level, fault.level))
+
+    def finish(self) -> None:
+        """Add the conditions that lasted until the recording's end, and sort all faults by their starts."""
+        for fault in self._open.values():
+            self.add(fault)
+        self.entries.sort(key=lambda fault: fault.start_s)
+
+
+class NodeReports:
+    """The faults in /diagnostics and /rosout.
+
+    Args:
+        faults: where they go.
+        present: the recorded topics; what turn_arb, the hub and teleop_logi report in topics of their own isn't added
+            twice.
+        log_type: the type of /rosout, such as rosgraph_msgs/msg/Log.
+    """
+
+    def __init__(self, faults: FaultLog, present: Collection[str], log_type: str):
+        self._faults = faults
+        self._has_state = "turn_arb/state" in present
+        self._has_link = "teensy_sensor_hub/link" in present
+        self._has_gamepad = "teleop_logi/state" in present
+        self._warning, self._error = LOG_LEVELS.get(log_type.split("/")[0], LOG_LEVELS["rosgraph_msgs"])
+
+    def on_diagnostics(self, time_s: float, message: Any) -> None:
+        """diagnostic_msgs/DiagnosticArray."""
+        for status in message.status:
+            node, _, report = status.name.partition(": ")
+            if report == "steering" and self._has_state or report == "Teensy link" and self._has_link \
+                    or report == "gamepad" and self._has_gamepad:
+                continue
+            self._faults.update_condition(time_s, status.name, min(_integer(status.level), ERROR), node.strip("/"),
+                                          status.message)
+
+    def on_log(self, time_s: float, message: Any) -> None:
+        """rosgraph_msgs/Log or rcl_interfaces/Log."""
+        node = message.name.strip("/")
+        is_known = node.endswith("turn_arb") and self._has_state or \
+            self._has_gamepad and message.msg.startswith("human in loop: ")
+        if message.level >= self._warning and not is_known:
+            level = ERROR if message.level >= self._error else WARN
+            self._faults.add_repeated(time_s, level, node, message.msg)
+
+
+def without_numbers(text: str) -> str:
+    """Return a text with # for its numbers, which may change while what it says stays the same."""
+    return NUMBER.sub("#", text)
+
+
+def _integer(level):
+    """Return a message's byte, which rosbags has as a number or as bytes."""
+    return level[0] if isinstance(level, (bytes, bytearray)) else int(level)

@@ -1,0 +1,82 @@
+"""Renders pages by the templates beside this module, and says numbers and times in words."""
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+from typing import Any, Iterable
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from car_interface.common.units import NS_PER_S
+
+SAME_RATIO = 0.015  # from 1: it counts as the same
+MANY_TIMES = 10  # more than that is no percentage any more
+MIN_DATE_NS = 1_000_000_000 * NS_PER_S  # September 2001: before ROS; the clock of a simulation begins at 0
+
+
+def render(template: str, **values: Any) -> str:
+    """Return a page as HTML.
+
+    Texts are escaped, as recordings come from other people.
+
+    Args:
+        template: its name, such as drive.html.
+        values: what it shows. The functions of this module that return texts are its filters.
+    """
+    pages = Environment(loader=FileSystemLoader(str(Path(__file__).with_name("templates"))), autoescape=True,
+                        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True)
+    pages.filters.update(counted=counted, date=date_text, span=span_text, times=times_text)
+    pages.tests["finite"] = math.isfinite
+    return pages.get_template(template).render(values)
+
+
+def counted(texts: Iterable[str]) -> str:
+    """Texts with their numbers, the most frequent first."""
+    counts: dict = {}
+    for text in texts:
+        counts[text] = counts.get(text, 0) + 1
+    ordered = sorted(counts.items(), key=lambda item: -item[1])
+    return "; ".join(text + (f" ({count}×)" if count > 1 else "") for text, count in ordered[:6])
+
+
+def range_text(minimum: float, maximum: float, unit: str) -> str:
+    """A range with its unit."""
+    return f"{round(minimum, 2) + 0.0:.2f} to {round(maximum, 2) + 0.0:.2f} {unit}"  # + 0.0: no "-0.00"
+
+
+def date_text(time_ns: int) -> str:
+    """ROS time as a date, UTC; in words where the clock had none."""
+    if time_ns < MIN_DATE_NS:
+        return f"no date: its clock began at 0, {span_text(time_ns / NS_PER_S)} before"
+    return time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(time_ns / NS_PER_S))
+
+
+def times_text(count: int) -> str:
+    """How often: never, once, twice, 3 times."""
+    return ("never", "once", "twice")[count] if count < 3 else f"{count} times"
+
+
+def ratio_text(ratio: float, wanted: str, more: str, less: str) -> str:
+    """A ratio in words: as ``wanted``, or by how many percent more or less than that."""
+    if abs(ratio - 1) < SAME_RATIO:
+        return f"as {wanted}"
+    if ratio > MANY_TIMES:
+        return f"more than {MANY_TIMES} times {more} than {wanted}"
+    return f"{abs(ratio - 1):.0%} {more if ratio > 1 else less} than {wanted}"
+
+
+def moment_text(time_s: float, duration_s: float) -> str:
+    """A time of a drive: 7.25 s, or in a long one 3:07.2."""
+    if duration_s < 100:
+        return f"{time_s:.2f} s"
+    minutes, tenths = divmod(round(time_s * 10), 600)
+    return f"{minutes}:{tenths // 10:02}.{tenths % 10}"
+
+
+def span_text(time_s: float) -> str:
+    """A duration: 0.05 s, 12.5 s, 3 min 7 s, 1 h 2 min."""
+    if time_s < 100:
+        return f"{time_s:.2g} s" if time_s < 0.1 else f"{time_s:.1f} s"
+    minutes, seconds = divmod(round(time_s), 60)
+    return f"{minutes // 60} h {minutes % 60} min" if minutes >= 60 else f"{minutes} min {seconds} s"

@@ -1,0 +1,274 @@
+"""How the car moved: by odometry and IMU, against what was sent and what a planner asked for, and past what it saw."""
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Any, Callable, Mapping
+
+from car_interface.common.units import NS_PER_S, stamp_ns, yaw_rad
+from car_interface.tools.recordings.columns import MAX_NUMBER, Gravity, ackermann_drive
+from car_interface.tools.report.downsample import Path, Spots, Trace
+from car_interface.tools.report.faults import WARN, Fault, FaultLog
+from car_interface.tools.report.following import (
+    MAX_LATERAL_MPS2,
+    MIN_SPEED_MPS,
+    RATIOS,
+    STEADY_S,
+    Accelerating,
+    Bins,
+    Following,
+    MedianOf,
+)
+from car_interface.tools.report.states import SteeringWatch
+
+WINDOW_S = 0.3  # over which accelerations and curvatures are taken: a dozen reports of the wheels
+MIN_DISTANCE_M = 0.05  # in it, for a curvature
+MIN_SAMPLES = 4
+MOVING_MPS = 0.05
+JUMP_M = 1.0  # from one odometry message to the next: odometry was reset
+MAX_GAP_S = 0.5  # the hub reports at least every 0.2 s
+MAX_POSES = 60
+SAME_RAD, SAME_MPS = 0.02, 0.1  # planners change what they ask for by less all the time
+MIN_RATE_RADPS = 0.2  # of a turn, for its rate to be compared with the IMU's
+LAG_S = WINDOW_S / 2  # as much as odometry's turn rate, which is that of a window
+TRACES = ("speed", "acceleration", "driven curvature", "turn rate", "requested curvature", "requested angle",
+          "requested speed", "imu turn rate")
+
+
+class AskedWatch:
+    """Follows ackermann_msgs/AckermannDriveStamped or AckermannDrive: what a planner asked for.
+
+    Args:
+        traces: those of TRACES, and ``requested curvature`` where the wheelbase is known, are written to.
+        wheelbase_m: of the car; ``None`` = unknown: which curvature an angle asks for can't be told.
+
+    Attributes:
+        wheelbase_m: as above.
+        curvature_per_m: asked for now, left positive; ``None`` = unknown.
+        unchanged_since_s: when the angle last changed by more than SAME_RAD.
+    """
+
+    def __init__(self, traces: Mapping[str, Trace], wheelbase_m: float | None):
+        self._traces, self.wheelbase_m = traces, wheelbase_m
+        self.curvature_per_m: float | None = None
+        self.unchanged_since_s = 0.0
+        self._angle_rad = self._speed_mps = math.nan  # from which changes count
+        self._speed_since_s = 0.0
+        self._speed_ratios = Bins(*RATIOS)
+
+    def on_drive(self, time_s: float, message: Any) -> None:
+        """Take a request."""
+        asked = ackermann_drive(message)
+        angle_rad, speed_mps = asked.steering_angle, asked.speed
+        if not (math.isfinite(angle_rad) and math.isfinite(speed_mps)):
+            return
+        self._traces["requested angle"].add(time_s, math.degrees(angle_rad))
+        self._traces["requested speed"].add(time_s, speed_mps)
+        if not abs(angle_rad - self._angle_rad) <= SAME_RAD:
+            self._angle_rad, self.unchanged_since_s = angle_rad, time_s
+        if not abs(speed_mps - self._speed_mps) <= SAME_MPS:
+            self._speed_mps, self._speed_since_s = speed_mps, time_s
+        if self.wheelbase_m is not None:
+            self.curvature_per_m = math.tan(angle_rad) / self.wheelbase_m
+            self._traces["requested curvature"].add(time_s, self.curvature_per_m)
+
+    def compare_speed(self, time_s: float, speed_mps: float) -> None:
+        """Compare the speed with the one that was asked for."""
+        if abs(self._speed_mps) > MIN_SPEED_MPS and time_s - self._speed_since_s > STEADY_S:
+            self._speed_ratios.add(speed_mps / self._speed_mps)
+
+    def speed_ratio(self):
+        """Return the driven speed as a ratio of the one that was asked for, where that was steady."""
+        return self._speed_ratios.median()
+
+
+class MotionWatch:
+    """Follows odometry.
+
+    Args:
+        traces: those of TRACES are written to.
+        faults: gaps and resets are added.
+        steering: who steers, and with what curvature.
+        asked: what a planner asks for.
+        planner_drives: returns whether the throttle is the planner's now.
+        start_ns: ROS time of the recording's first message.
+
+    Attributes:
+        path: where the car was, by who steered.
+        distance_m, moving_s: how far, and how long it drove.
+        turn_rate_radps: in the last WINDOW_S, left positive; ``None`` = not known yet.
+        by_tables, by_planner: how tightly it turned against what turn_arb sent (in slow bends, by which the tables can
+            be judged), and against what a planner asked for.
+        accelerating: how its accelerations differed from those that a planner requested.
+    """
+
+    def __init__(self, traces: Mapping[str, Trace], faults: FaultLog, steering: SteeringWatch, asked: AskedWatch,
+                 planner_drives: Callable[[], bool], start_ns: int):
+        self._traces, self._faults, self._steering, self._start_ns = traces, faults, steering, start_ns
+        self._asked, self._planner_drives = asked, planner_drives
+        self.path = Path()
+        self.distance_m = self.moving_s = 0.0
+        self.turn_rate_radps: float | None = None
+        self.by_tables, self.by_planner = Following(steering, MAX_LATERAL_MPS2), Following(asked)
+        self.accelerating = Accelerating()
+        self._window: deque = deque()  # stamp in s, speed, yaw, distance of the last WINDOW_S
+        self._yaw = self._signed_distance_m = 0.0
+        self._poses: deque = deque(maxlen=MAX_POSES)  # stamp in s, x, y, yaw
+        self._newest = None  # time, x, y, yaw
+
+    def on_odom(self, time_s: float, message: Any) -> None:
+        """Take a nav_msgs/Odometry."""
+        position, yaw = message.pose.pose.position, yaw_rad(message.pose.pose.orientation)
+        speed = message.twist.twist.linear.x
+        if not all(abs(number) <= MAX_NUMBER for number in (position.x, position.y, yaw, speed)):  # nor of NaN
+            return
+        stamp_s = (stamp_ns(message.header.stamp) - self._start_ns) / NS_PER_S
+        if self._newest is not None:
+            self._move(time_s, position, yaw, speed)
+        self._newest = (time_s, position.x, position.y, yaw)
+        self._poses.append((stamp_s, position.x, position.y, yaw))
+        self._traces["speed"].add(time_s, speed)
+        self._asked.compare_speed(time_s, speed)
+        self.path.add(position.x, position.y, self._steering.source)
+        self._update_window(time_s, stamp_s, speed)
+
+    def pose_at(self, stamp_s: float) -> tuple[float, float, float] | None:
+        """Return (x, y, yaw) of the recent odometry that is nearest in time; ``None`` without any."""
+        if not self._poses:
+            return None
+        return min(self._poses, key=lambda pose: abs(pose[0] - stamp_s))[1:]
+
+    def _move(self, time_s, position, yaw, speed):
+        before_s, x, y, yaw_before = self._newest
+        step_m = math.hypot(position.x - x, position.y - y)
+        if time_s - before_s > MAX_GAP_S:
+            self._faults.add(Fault(before_s, time_s, WARN, "odom", f"silent for {time_s - before_s:.2f} s"))
+        if step_m > JUMP_M:
+            self._faults.add_moment(time_s, WARN, "odom", f"began anew: {step_m:.1f} m from where it was")
+            self._window.clear()
+            self.path.interrupt()
+        else:
+            self.distance_m += step_m
+            self._signed_distance_m += math.copysign(step_m, speed)
+        self._yaw += math.remainder(yaw - yaw_before, 2 * math.pi)
+        if abs(speed) > MOVING_MPS and 0 < time_s - before_s < MAX_GAP_S:
+            self.moving_s += time_s - before_s
+
+    def _update_window(self, time_s, stamp_s, speed):
+        """Acceleration and curvature of the last WINDOW_S, at its middle."""
+        window = self._window
+        if window and not 0 <= stamp_s - window[-1][0] < MAX_GAP_S:
+            window.clear()  # the clock was set, or messages are missing
+        window.append((stamp_s, speed, self._yaw, self._signed_distance_m))
+        while stamp_s - window[0][0] > WINDOW_S and len(window) > MIN_SAMPLES:  # another robot's odometry may be slow
+            window.popleft()
+        span_s = stamp_s - window[0][0]
+        if span_s < WINDOW_S / 2 or len(window) < MIN_SAMPLES:
+            return
+        middle_s = time_s - span_s / 2
+        acceleration_mps2 = _slope(window)
+        self._traces["acceleration"].add(middle_s, acceleration_mps2)
+        if self._planner_drives():
+            self.accelerating.add(time_s - span_s, time_s, acceleration_mps2, speed)
+        self.turn_rate_radps = (self._yaw - window[0][2]) / span_s
+        self._traces["turn rate"].add(middle_s, self.turn_rate_radps)
+        distance_m = self._signed_distance_m - window[0][3]
+        if abs(distance_m) >= MIN_DISTANCE_M:
+            curvature = (self._yaw - window[0][2]) / distance_m
+            self._traces["driven curvature"].add(middle_s, curvature)
+            self.by_tables.add(time_s, curvature, speed)
+            self.by_planner.add(time_s, curvature, speed)
+
+
+def _slope(samples):
+    """Return the slope of a line through (time, value, …) in least squares."""
+    count, begin = len(samples), samples[0][0]
+    mean_t = sum(sample[0] - begin for sample in samples) / count
+    mean_v = sum(sample[1] for sample in samples) / count
+    spread = sum((sample[0] - begin - mean_t) ** 2 for sample in samples)
+    if not spread:
+        return math.nan
+    return sum((sample[0] - begin - mean_t) * (sample[1] - mean_v) for sample in samples) / spread
+
+
+class ImuWatch:
+    """Follows sensor_msgs/Imu: how fast the car turned, beside its odometry.
+
+    Args:
+        traces: those of TRACES are written to.
+        motion: how fast the car turns by odometry.
+    """
+
+    def __init__(self, traces: Mapping[str, Trace], motion: MotionWatch):
+        self._traces, self._motion, self._gravity = traces, motion, Gravity()
+        self._ratios = Bins(*RATIOS)
+        self._rate_radps, self._last_s = 0.0, math.nan
+
+    def on_imu(self, time_s: float, message: Any) -> None:
+        """Take a measurement."""
+        rate_radps = message.angular_velocity.z
+        if not math.isfinite(rate_radps):
+            return
+        self._gravity.add(message.linear_acceleration)
+        self._traces["imu turn rate"].add(time_s, rate_radps)
+        step_s = time_s - self._last_s
+        weight = 1 - math.exp(-step_s / LAG_S) if 0 <= step_s < 1 else 1.0
+        self._last_s, self._rate_radps = time_s, self._rate_radps + weight * (rate_radps - self._rate_radps)
+        by_odometry_radps = self._motion.turn_rate_radps
+        if by_odometry_radps is not None and abs(self._rate_radps) > MIN_RATE_RADPS:
+            self._ratios.add(by_odometry_radps / self._rate_radps)
+
+    def note(self, topic: str) -> str:
+        """Return what is wrong with its mounting; empty: nothing."""
+        return self._gravity.note(topic)
+
+    def odometry_ratio(self) -> MedianOf:
+        """Odometry's turn rate as a ratio of the IMU's; no samples where that is mounted on its side."""
+        return MedianOf(math.nan, 0) if self.note("") else self._ratios.median()
+
+
+class SonarWatch:
+    """Follows the sonars' ranges and /tf_static: where they saw something, in odometry's frame.
+
+    Args:
+        motion: where the car is.
+        start_ns: ROS time of the recording's first message.
+
+    Attributes:
+        echoes: places in odometry's frame.
+        nearest_m, nearest_s, nearest_sonar: the shortest range, inf = none.
+        frames_without_mount: frames of sonars whose place on the car wasn't recorded.
+    """
+
+    def __init__(self, motion: MotionWatch, start_ns: int):
+        self._motion, self._start_ns = motion, start_ns
+        self.echoes = Spots()
+        self.nearest_m, self.nearest_s, self.nearest_sonar = math.inf, math.nan, ""
+        self.frames_without_mount: set = set()
+        self._mounts: dict = {}  # (x, y, yaw) on the car by frame
+
+    def on_static_tf(self, time_s: float, message: Any) -> None:
+        """Take a tf2_msgs/TFMessage."""
+        for transform in message.transforms:
+            place, rotation = transform.transform.translation, transform.transform.rotation
+            self._mounts[transform.child_frame_id] = (place.x, place.y, yaw_rad(rotation))
+
+    def on_range(self, time_s: float, message: Any, topic: str) -> None:
+        """Take a sensor_msgs/Range."""
+        range_m = message.range
+        if not message.min_range < range_m < message.max_range:
+            return
+        if range_m < self.nearest_m:
+            self.nearest_m, self.nearest_s, self.nearest_sonar = range_m, time_s, topic.rsplit("/", 1)[-1]
+        mount = self._mounts.get(message.header.frame_id)
+        if mount is None:
+            self.frames_without_mount.add(message.header.frame_id)
+            return
+        pose = self._motion.pose_at((stamp_ns(message.header.stamp) - self._start_ns) / NS_PER_S)
+        if pose is None:
+            return
+        x, y, yaw = pose
+        ahead_m = mount[0] + range_m * math.cos(mount[2])
+        left_m = mount[1] + range_m * math.sin(mount[2])
+        self.echoes.add(x + ahead_m * math.cos(yaw) - left_m * math.sin(yaw),
+                        y + ahead_m * math.sin(yaw) + left_m * math.cos(yaw))

@@ -1,0 +1,149 @@
+"""The report on a drive as one page of HTML without external resources: summary, tables, plots."""
+from __future__ import annotations
+
+import math
+
+from car_interface.steering.arbiter import PLANNER, TELEOP
+from car_interface.tools.report.faults import ERROR, WARN
+from car_interface.tools.report.figures import DRIVER_COLOURS, DRIVER_NAMES
+from car_interface.tools.report.html import (
+    counted,
+    moment_text,
+    range_text,
+    ratio_text,
+    render,
+    span_text,
+    times_text,
+)
+from car_interface.tools.report.states import UNKNOWN_DRIVER
+from car_interface.tools.report.summary import RANGES, Summary
+
+MIN_RATIOS = 30  # samples, for a ratio to be shown
+WRONG_RATIO = 0.05  # of the driven to the sent curvature, from 1: the tables need calibration
+
+
+def page(drive: Summary, plots: dict[str, str]) -> str:
+    """Return the page.
+
+    Args:
+        drive: the summary.
+        plots: SVGs by name; those that are missing are left out.
+    """
+    name = drive.path.rstrip("/").rsplit("/", 1)[-1]
+    lines = [*_steering_lines(drive.steering), *_motion_lines(drive), *_asked_lines(drive), *_teensy_lines(drive)]
+    wrong_sides = [(side, _ratio_text(ratio)) for side, ratio in _known_ratios(drive.motion.by_tables)
+                   if abs(ratio - 1) > WRONG_RATIO]
+    return render(
+        "drive.html", title=f"Drive: {name}", name=name, drive=drive, plots=plots, figures=_figures(drive), lines=lines,
+        who_drove=_who_drove(drive.steering.source_s), wrong_sides=wrong_sides, gaps=drive.coverage.gaps(),
+        errors=sum(fault.level == ERROR for fault in drive.faults.entries), warn=WARN, reasons=_reasons,
+        missing_sonars=[] if set(RANGES) & drive.present else ["sonar/*"], driver_names=DRIVER_NAMES,
+        driver_colours=DRIVER_COLOURS, unknown_driver=UNKNOWN_DRIVER,
+        moment=lambda time_s: moment_text(time_s, drive.duration_s))
+
+
+def _figures(drive):
+    """Yield the most important numbers: text, and what it is."""
+    yield span_text(drive.duration_s), "recorded"
+    if "odom" in drive.present:
+        yield f"{drive.motion.distance_m:.1f} m", "driven"
+        yield f"{_top_speed(drive.traces['speed']):.2f} m/s", "top speed"
+    if drive.steering.episodes:
+        driven_s = drive.steering.source_s[TELEOP] + drive.steering.source_s[PLANNER]
+        yield span_text(driven_s), "somebody drove"
+    faults = drive.faults
+    times = sum(fault.times for fault in faults.entries) + faults.dropped
+    yield str(times) if times or not drive.coverage.is_blind else "unknown", "faults and timeouts"
+
+
+def _who_drove(source_s):
+    """Who drove for how long, as a sentence without its full stop."""
+    drove = [f"the {DRIVER_NAMES[source]} for {span_text(source_s[source])}"
+             for source in (TELEOP, PLANNER) if source_s[source]]
+    text = " and ".join(drove).replace("for", "drove for", 1) if drove else "nobody drove"
+    return text[0].upper() + text[1:]
+
+
+def _reasons(stops):
+    return [stop.cause or stop.reason for stop in stops]
+
+
+def _steering_lines(steering):
+    """Yield lines of the table at the top: name, and text."""
+    episodes = steering.episodes
+    if not episodes:
+        return
+    total = sum(steering.source_s.values()) or 1
+    yield "Who drove", ", ".join(f"{DRIVER_NAMES.get(source, source)} {seconds / total:.0%}"
+                                 for source, seconds in steering.source_s.most_common())
+    stops = steering.stops()
+    yield "Went neutral", times_text(len(stops)) + (f": {counted(_reasons(stops))}" if stops else "")
+
+
+def _motion_lines(drive):
+    motion, sonars, traces = drive.motion, drive.sonars, drive.traces
+    if traces["speed"].count:
+        mean_mps = motion.distance_m / motion.moving_s if motion.moving_s else 0.0
+        yield "Moving", (f"{span_text(motion.moving_s)}, on average at {mean_mps:.2f} m/s; "
+                         f"{_range_of(traces['speed'], 'm/s')}")
+    if traces["acceleration"].count:
+        yield "Acceleration", _range_of(traces["acceleration"], "m/s²")
+    ratios = [f"{side} {_ratio_text(ratio)}" for side, ratio in _known_ratios(motion.by_tables)]
+    if ratios:
+        yield "Slow turns against the tables", "; ".join(ratios)
+    by_imu = drive.imu.odometry_ratio()
+    if by_imu.samples >= MIN_RATIOS:
+        yield "Turned by odometry", ratio_text(by_imu.median, "the IMU says", "more", "less")
+    if math.isfinite(sonars.nearest_m):
+        yield "Nearest thing seen", (f"{sonars.nearest_m:.2f} m, {sonars.nearest_sonar.replace('_', ' ')}, "
+                                     f"at {moment_text(sonars.nearest_s, drive.duration_s)}")
+
+
+def _teensy_lines(drive):
+    first, link, traces = drive.teensy.first_link, drive.teensy.link, drive.traces
+    if link is not None:
+        frames, corrupt = link.frames - first.frames, link.bad_frames - first.bad_frames
+        ratio = f" ({corrupt / (frames + corrupt):.2%})" if corrupt else ""
+        reopened = f"; the port was opened again {times_text(link.reconnects)}" if link.reconnects else ""
+        reboots = f"; the Teensy started anew {times_text(link.reboots)}" if link.reboots else ""
+        yield "Teensy's link", (f"{frames} frames, {corrupt} corrupt{ratio}; {link.pongs} of {link.pings} pings "
+                                f"answered{reopened}{reboots}")
+    if traces["round trip"].count:
+        yield "Round trip", _range_of(traces["round trip"], "ms")
+    if traces["skew"].count:
+        yield "Teensy's clock", (f"{traces['skew'].curve()[1][-1]:+.1f} ppm at the end, known to "
+                                 f"{traces['uncertainty'].curve()[1][-1]:.2f} ms")
+
+
+def _asked_lines(drive):
+    """Yield lines on what a planner asked for by AckermannDrive."""
+    if not drive.traces["requested speed"].count:
+        return
+    ratio = drive.asked.speed_ratio()
+    if ratio.samples >= MIN_RATIOS:
+        yield "Speed against what was asked", ratio_text(ratio.median, "asked", "faster", "slower")
+    if drive.asked.wheelbase_m is None:
+        yield "Turned against what was asked", "can't tell: which curve an angle asks for needs --wheelbase"
+    else:
+        ratios = [f"{side} {_ratio_text(ratio, 'asked')}" for side, ratio in _known_ratios(drive.motion.by_planner)]
+        if ratios:
+            yield "Turned against what was asked", "; ".join(ratios)
+
+
+def _known_ratios(following):
+    """(side, median ratio of the driven to the sent curvature) for sides with enough samples."""
+    return [(side, found.median) for side, found in zip(("left", "right"), following.ratios())
+            if found.samples >= MIN_RATIOS]
+
+
+def _top_speed(trace):
+    return max(abs(trace.minimum), abs(trace.maximum)) if trace.count else 0.0
+
+
+def _range_of(trace, unit):
+    return range_text(trace.minimum, trace.maximum, unit)
+
+
+def _ratio_text(ratio, wanted="the tables say"):
+    """A ratio of curvatures in words, for the radius."""
+    return ratio_text(1 / ratio, wanted, "wider", "tighter")

@@ -1,0 +1,261 @@
+"""The plots of a drive, each as the text of an SVG that can be part of a page."""
+from __future__ import annotations
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from car_interface.tools.report.faults import ERROR
+from car_interface.tools.report.figures import (
+    BAD,
+    DRIVEN,
+    DRIVER_COLOURS,
+    DRIVER_NAMES,
+    HELD,
+    INK,
+    REQUESTED,
+    SENT,
+    STYLE,
+    WIDTH_IN,
+    above,
+    bands,
+    curve,
+    label_text,
+    legend,
+    stack,
+    svg_text,
+    time_axis,
+    title,
+    usual_magnitude,
+)
+from car_interface.tools.report.states import UNKNOWN_DRIVER
+from car_interface.tools.report.summary import Summary
+
+ESC_COLOURS = {"ARMING": "#b8bfc7", "BRAKING": "#d9822b", "HOLD": "#e8c468", "REVERSE": "#8e5ea2"}
+
+
+def plots(drive: Summary) -> dict[str, str]:
+    """Return the SVGs for which there are data, by name: who, steering, throttle, path, speed, link."""
+    made = {}
+    with matplotlib.rc_context(STYLE):
+        for name, draw, description in (
+                ("who", _who, "who drove when, as bands of colour over time"),
+                ("steering", _steering, "curvature requested, sent and driven, and the servo's duty, over time"),
+                ("throttle", _throttle, "throttle asked and granted, and the ESC's state, over time"),
+                ("path", _path, "the car's path from above, with the places that the sonars saw"),
+                ("speed", _speed, "speed, acceleration and the ESC over time"),
+                ("link", _link, "frames, round trip and clock skew of the Teensy's link over time")):
+            figure = draw(drive)
+            if figure is not None:
+                made[name] = svg_text(figure, name, description)
+    return made
+
+
+def _who(drive):
+    if not drive.steering.episodes:
+        return None
+    figure = Figure(figsize=(WIDTH_IN, 1.3))
+    axes = figure.add_subplot()
+    for start_s, width_s, source in bands(drive):
+        axes.broken_barh([(start_s, width_s)], (0, 1), color=DRIVER_COLOURS[source], linewidth=0)
+    for fault in drive.faults.entries:
+        axes.plot(fault.start_s, 1.22, marker="v", markersize=5, clip_on=False,
+                  color=BAD if fault.level == ERROR else REQUESTED, linestyle="none")
+    handles = [Patch(color=DRIVER_COLOURS[source], label=DRIVER_NAMES[source])
+               for source in DRIVER_NAMES if source in drive.steering.source_s]
+    if drive.faults.entries:
+        handles.append(Line2D([], [], marker="v", linestyle="none", color=REQUESTED, label="fault"))
+    axes.legend(handles=handles, ncol=len(handles), loc="lower left", bbox_to_anchor=(-0.01, 1.12))
+    axes.set(ylim=(0, 1), yticks=[])
+    axes.spines["left"].set_visible(False)
+    time_axis(axes, drive)
+    figure.subplots_adjust(left=0.015, right=0.985, top=0.66, bottom=0.33)
+    return figure
+
+
+def _steering(drive):
+    traces = drive.traces
+    duty = drive.steering.duties.get(drive.steering.steering_channel)
+    is_angle_known = drive.asked.wheelbase_m is not None
+    panels = [any(traces[name].count for name in ("requested curvature", "sent curvature", "driven curvature")),
+              traces["requested angle"].count > 0 and not is_angle_known,
+              duty is not None or traces["gamepad"].count > 0]
+    if not any(panels):
+        return None
+    figure, all_axes = stack(drive, panels, [2.6, 1.4, 1.7])
+    if panels[0]:
+        axes = all_axes[0]
+        curve(axes, traces["requested curvature"], REQUESTED, "requested (planner)", linestyle=(0, (4, 2)))
+        curve(axes, traces["sent curvature"], SENT, "sent (by the tables)", linewidth=1.6)
+        curve(axes, traces["driven curvature"], DRIVEN, "driven (by odometry)", linewidth=0.9)
+        driven = traces["driven curvature"]
+        largest = max([abs(bound) for name in ("requested curvature", "sent curvature") if traces[name].count
+                       for bound in (traces[name].minimum, traces[name].maximum)] + [0.2, usual_magnitude(driven)])
+        axes.set_ylim(-1.45 * largest, 1.45 * largest)
+        title(axes, "How tight: 1/radius in 1/m, left up")
+        legend(axes)
+    if panels[1]:
+        axes = all_axes[sum(panels[:1])]
+        title(axes, "The steering angle that was asked for, in degrees, left up")
+        curve(axes, traces["requested angle"], REQUESTED, "")
+    if panels[2]:
+        axes = all_axes[-1]
+        title(axes, "The servo's duty" if duty else "The gamepad's request, left up")
+        if duty is not None:
+            curve(axes, duty, SENT, f"duty on channel {drive.steering.steering_channel}", **HELD)
+            margin = max(0.08 * (duty.maximum - duty.minimum), 40)
+            axes.set_ylim(duty.minimum - margin, duty.maximum + margin)
+        if traces["gamepad"].count:
+            beside = axes.twinx() if duty is not None else axes
+            label = "the gamepad's request (right scale)" if duty else "the gamepad"
+            curve(beside, traces["gamepad"], REQUESTED, label, linestyle=(0, (4, 2)))
+            beside.set_ylim(-1.25, 1.25)
+            if duty is not None:
+                beside.grid(False)
+                axes.legend(handles=axes.get_lines() + beside.get_lines(), **above())
+        if not traces["gamepad"].count:
+            legend(axes)
+    return figure
+
+
+def _throttle(drive):
+    traces = drive.traces
+    if not traces["throttle granted"].count:
+        return None
+    figure, (states, axes) = stack(drive, [True, True], [0.4, 1.7])
+    found = dict.fromkeys(episode.esc for episode in drive.throttle.episodes if episode.esc)
+    for episode in drive.throttle.episodes:
+        if episode.esc:
+            states.broken_barh([(episode.start_s, episode.end_s - episode.start_s)], (0, 1), linewidth=0,
+                               color=ESC_COLOURS.get(episode.esc, INK))
+    title(states, "The ESC, where it isn't in NEUTRAL or FORWARD")
+    states.set(ylim=(0, 1), yticks=[])
+    if found:
+        states.legend(handles=[Patch(color=ESC_COLOURS.get(esc, INK), label=label_text(esc)) for esc in found],
+                      **above())
+    title(axes, "Throttle: brake or reverse down")
+    curve(axes, traces["throttle asked"], REQUESTED, "asked", linestyle=(0, (4, 2)))
+    curve(axes, traces["throttle granted"], SENT, "granted")
+    axes.set_ylim(-1.1, 1.1)
+    legend(axes)
+    return figure
+
+
+def _path(drive):
+    path, (echo_x, echo_y) = drive.motion.path, drive.sonars.echoes.places()
+    if len(path.x_m) < 2 and not len(echo_x):
+        return None
+    width_m, height_m = (np.nanmax(both) - np.nanmin(both) + 0.5 for both in (
+        np.concatenate([path.x_m, echo_x]), np.concatenate([path.y_m, echo_y])))
+    figure = Figure(figsize=(WIDTH_IN, min(max(0.75 * WIDTH_IN * height_m / width_m + 0.7, 2.8), 6.8)))
+    axes = figure.add_subplot()
+    if len(echo_x):
+        axes.plot(echo_x, echo_y, linestyle="none", marker="o", markersize=2.6, markeredgewidth=0, color=REQUESTED,
+                  alpha=0.55, label="seen by a sonar")
+    begin, seen = 0, set()
+    for index in range(1, len(path.kinds) + 1):
+        if index < len(path.kinds) and path.kinds[index] == path.kinds[begin]:
+            continue
+        source = path.kinds[begin] if path.kinds[begin] in DRIVER_COLOURS else UNKNOWN_DRIVER
+        axes.plot(path.x_m[max(begin - 1, 0):index], path.y_m[max(begin - 1, 0):index], linewidth=1.8,
+                  color=DRIVER_COLOURS[source], label=None if source in seen else DRIVER_NAMES[source],
+                  solid_capstyle="round")
+        seen.add(source)
+        begin = index
+    if len(path.x_m):
+        axes.plot(path.x_m[0], path.y_m[0], marker="o", markersize=8, color="white", markeredgecolor=INK,
+                  markeredgewidth=1.5, linestyle="none", label="start")
+        axes.plot(path.x_m[-1], path.y_m[-1], marker="s", markersize=7, color=INK, linestyle="none", label="end")
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.margins(0.06)
+    axes.set(xlabel="x of odometry in m", ylabel="y of odometry in m")
+    axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5))
+    height_in = figure.get_figheight()
+    figure.subplots_adjust(left=0.07, right=0.82, top=1 - 0.12 / height_in, bottom=0.55 / height_in)
+    return figure
+
+
+def _speed(drive):
+    traces = drive.traces
+    driven = {channel: duty for channel, duty in drive.steering.duties.items()
+              if channel != drive.steering.steering_channel and duty.maximum > duty.minimum}
+    panels = [traces["speed"].count > 0,
+              traces["acceleration"].count + traces["requested acceleration"].count > 0,
+              traces["value"].count > 0 or bool(driven), traces["imu turn rate"].count > 0]
+    if not any(panels):
+        return None
+    figure, all_axes = stack(drive, panels, [2.0, 2.0, 1.6, 1.6])
+    left = iter(all_axes)
+    if panels[0]:
+        axes = next(left)
+        title(axes, "Speed in m/s, backward down")
+        curve(axes, traces["requested speed"], REQUESTED, "requested", linestyle=(0, (4, 2)))
+        curve(axes, traces["planner's speed"], REQUESTED, "requested by the planner", linestyle=(0, (1, 1)))
+        curve(axes, traces["reference speed"], SENT, "within its limits", linewidth=0.9)
+        curve(axes, traces["speed"], DRIVEN, "by odometry")
+        if traces["requested speed"].count or traces["planner's speed"].count:
+            legend(axes)
+    if panels[1]:
+        axes = next(left)
+        title(axes, "Acceleration in m/s²")
+        curve(axes, traces["requested acceleration"], REQUESTED, "requested", linestyle=(0, (4, 2)))
+        curve(axes, traces["acceleration"], DRIVEN, "by odometry, over 0.3 s", linewidth=0.9)
+        legend(axes)
+    if panels[2]:
+        axes = next(left)
+        has_value = traces["value"].count > 0
+        title(axes, "Value, and the ESC's duty" if has_value and driven else "Value" if has_value else "The ESC's duty")
+        if has_value:
+            curve(axes, traces["value"], REQUESTED, "value")
+        beside = axes.twinx() if has_value and driven else axes
+        for channel, duty in sorted(driven.items()):
+            curve(beside, duty, SENT, f"duty on channel {channel}"
+                   + (" (right scale)" if beside is not axes else ""), **HELD)
+        if beside is not axes:
+            beside.grid(False)
+            axes.legend(handles=axes.get_lines() + beside.get_lines(), **above())
+        else:
+            legend(axes)
+    if panels[3]:
+        _turn_rates(next(left), traces)
+    return figure
+
+
+def _turn_rates(axes, traces):
+    title(axes, "How fast it turned, in rad/s, left up")
+    curve(axes, traces["imu turn rate"], REQUESTED, "by the IMU", linewidth=0.9)
+    curve(axes, traces["turn rate"], DRIVEN, "by odometry", linewidth=0.9)
+    largest = max([0.1, *(1.3 * usual_magnitude(traces[name]) for name in ("imu turn rate", "turn rate"))])
+    axes.set_ylim(-largest, largest)
+    legend(axes)
+
+
+def _link(drive):
+    traces = drive.traces
+    panels = [traces["frames"].count > 0, traces["round trip"].count > 0, traces["skew"].count > 0]
+    if not any(panels):
+        return None
+    figure, all_axes = stack(drive, panels, [1.5, 1.5, 1.5])
+    left = iter(all_axes)
+    if panels[0]:
+        axes = next(left)
+        title(axes, "Frames from the Teensy in a second")
+        curve(axes, traces["frames"], SENT, "good", gap_s=5)
+        curve(axes, traces["bad frames"], BAD, "corrupt", gap_s=5)
+        axes.set_ylim(bottom=-0.03 * max(traces["frames"].maximum, 1))
+        legend(axes)
+    if panels[1]:
+        axes = next(left)
+        title(axes, "Round trip of a ping in ms")
+        curve(axes, traces["round trip"], SENT, "", gap_s=5, marker=".", markersize=4)
+        axes.set_ylim(bottom=0)
+    if panels[2]:
+        axes = next(left)
+        title(axes, "How much faster the Teensy's clock runs, in ppm")
+        curve(axes, traces["skew"], SENT, "", gap_s=5, marker=".", markersize=4)
+        low, high = np.nanpercentile(traces["skew"].curve()[1], (10, 90))  # the first few are far off
+        margin = max(high - low, 10, 1e-3 * max(abs(low), abs(high)))  # garbage is drawn, too
+        axes.set_ylim(low - margin, high + margin)
+    return figure

@@ -1,0 +1,360 @@
+"""Who drove and why, what was cut, and why gamepad and planner failed: by the states that the nodes published.
+
+One watch for each node's state. What they keep are episodes: times in which a state stayed the same.
+"""
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import Any, Callable, Mapping, NamedTuple
+
+from car_interface.common import causes
+from car_interface.pca9685.registers import DUTY_PER_COUNT
+from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
+from car_interface.tools.report.downsample import Trace
+from car_interface.tools.report.faults import ERROR, MAX_ENTRIES, WARN, Fault, FaultLog
+
+UNKNOWN_DRIVER = -1
+STEERING_CHANNEL = 0  # as config/turn_arb.yaml has it
+TRACES = ("requested curvature", "sent curvature", "gamepad", "throttle asked", "throttle granted", "planner's speed",
+          "reference speed")
+NEVER_AFTER_S = 5.0  # a gamepad that sends nothing for so long from the start on is missing
+APART_S = 1.0  # a release may be recorded so long before or after turn_arb's state that follows it, on a busy computer
+USUAL = ("NEUTRAL", "FORWARD")  # states of the ESC that come and go with the stick: they end no episode
+# What the states of turn_arb and planner_interface report, too.
+SHARED = causes.INHIBITS | {causes.STEERING_STALE, causes.STEERING_STOPPED, causes.PLANNER_STALE}
+PLANNER_FAULTS = causes.LOSSES | {causes.REQUEST_REFUSED}  # the others are reported by those that stop because of them
+CUTS = causes.STEERING_CUTS | causes.THROTTLE_CUTS
+SAME_AFTER_S = 0.5  # a cut that comes back sooner is the same one
+
+
+class Episode(NamedTuple):
+    """A time in which a node's state stayed the same.
+
+    Attributes:
+        start_s, end_s: of it; inf as its end = it lasts.
+        node: whose state it is.
+        cause: a constant of common.causes.
+        reason: in words, at its start.
+        source: who drives, a value of SteeringState.source or ThrottleState.source.
+        esc, esc_cause: the ESC's state; empty = one of USUAL.
+    """
+
+    start_s: float
+    end_s: float
+    node: str
+    cause: str
+    reason: str
+    source: int = UNKNOWN_DRIVER
+    esc: str = ""
+    esc_cause: str = ""
+
+    def goes_on(self, later: Episode) -> bool:
+        """Return whether the state that begins a later episode is this one's, whatever its reason."""
+        return (self.node, self.cause, *self[5:]) == (later.node, later.cause, *later[5:])
+
+    def fault(self, level: int) -> Fault:
+        """Return it as a fault."""
+        return Fault(self.start_s, self.end_s, level, self.node, self.reason)
+
+
+class Episodes:
+    """The episodes of one node's state.
+
+    Args:
+        finish: takes each episode that has ended, and returns it as it is to be kept.
+
+    Attributes:
+        kept: those that have ended, up to MAX_ENTRIES.
+        dropped: how many more there were.
+        current: the one that lasts; ``None`` = there was no state yet.
+    """
+
+    def __init__(self, finish: Callable[[Episode], Episode]):
+        self.kept: list[Episode] = []
+        self.dropped = 0
+        self.current: Episode | None = None
+        self._finish = finish
+
+    def update(self, time_s: float, node: str, cause: str, reason: str, **state: Any) -> None:
+        """Take a state: the episode goes on, or another one begins."""
+        begun = Episode(time_s, math.inf, node, cause, reason, **state)
+        if self.current is None or not self.current.goes_on(begun):
+            self.end(time_s)
+            self.current = begun
+
+    def end(self, time_s: float) -> None:
+        """End the one that lasts."""
+        if self.current is not None:
+            self.keep(self._finish(self.current._replace(end_s=time_s)))
+        self.current = None
+
+    def keep(self, ended: Episode) -> None:
+        """Keep one, or count it when there are too many."""
+        if len(self.kept) < MAX_ENTRIES:
+            self.kept.append(ended)
+        else:
+            self.dropped += 1
+
+
+class GamepadWatch:
+    """Follows teleop_logi's state: what was wrong with the gamepad.
+
+    Args:
+        faults: losses are added.
+    """
+
+    def __init__(self, faults: FaultLog, duration_s: float):
+        self._faults, self._duration_s = faults, duration_s
+        self._episodes, self._unused_axes = Episodes(self._finish), Episodes(self._finish_axis)
+        self._releases: list[Episode] = []  # what ended each time of a held deadman, a loss or not; up to MAX_ENTRIES
+        self._was_held = False
+
+    def on_state(self, time_s: float, message: Any) -> None:
+        """Take a car_interface/TeleopState."""
+        self._episodes.update(time_s, "teleop_logi", message.cause, message.reason)
+        if self._was_held and not message.human_in_loop and len(self._releases) < MAX_ENTRIES:
+            self._releases.append(self._episodes.current)
+        self._was_held = message.human_in_loop
+        if causes.NOT_AT_REST in (message.steering_stick, message.throttle_stick):
+            self._unused_axes.update(time_s, "teleop_logi", causes.NOT_AT_REST, message.reason)
+        else:
+            self._unused_axes.end(time_s)
+
+    def loss_at(self, time_s: float) -> Episode | None:
+        """Return the loss for which the deadman was false from a time on; ``None`` = none, or it was let go."""
+        near = [release for release in self._releases if abs(release.start_s - time_s) <= APART_S]
+        if near:
+            release = min(near, key=lambda release: abs(release.start_s - time_s))
+            return release if release.cause in causes.LOSSES else None
+        return next((one for one in (*self._episodes.kept, *filter(None, [self._episodes.current]))
+                     if one.cause in causes.LOSSES and one.start_s <= time_s <= one.end_s), None)
+
+    def finish(self) -> None:
+        """End what lasts."""
+        self._episodes.end(self._duration_s)
+        self._unused_axes.end(self._duration_s)
+
+    def _finish(self, ended):
+        never = ended.cause == causes.JOY_NEVER_RECEIVED and ended.end_s - ended.start_s >= NEVER_AFTER_S
+        if ended.cause in causes.LOSSES or never:
+            self._faults.add(ended.fault(ERROR if ended.cause in causes.JOY_UNUSABLE else WARN))
+        return ended
+
+    def _finish_axis(self, ended):
+        self._faults.add(ended.fault(WARN))
+        return ended
+
+
+class SteeringWatch:
+    """Follows turn_arb's state, the requests, and the servo board's output.
+
+    Args:
+        traces: those of TRACES are written to.
+        faults: losses and locks are added.
+        gamepad: knows why a deadman was false.
+
+    Attributes:
+        episodes: up to MAX_ENTRIES; more are counted as dropped faults.
+        source_s: seconds by source.
+        source: who steers now.
+        duties: a Trace by channel, for those that were ever driven.
+        steering_channel: the channel that follows turn_arb's duty; ``None`` = unknown.
+        curvature_per_m: sent by turn_arb now, left positive; ``None`` = unknown.
+        unchanged_since_s: when turn_arb's duty last changed.
+    """
+
+    def __init__(self, traces: Mapping[str, Trace], faults: FaultLog, duration_s: float, gamepad: GamepadWatch):
+        self._traces, self._faults, self._duration_s, self._gamepad = traces, faults, duration_s, gamepad
+        self._episodes = Episodes(self._finish)
+        self.episodes = self._episodes.kept
+        self.source_s: Counter = Counter()
+        self.source = UNKNOWN_DRIVER
+        self.duties: dict = {}
+        self.steering_channel: int | None = None
+        self.curvature_per_m: float | None = None
+        self.unchanged_since_s = 0.0
+        self._duty = None  # of the newest state
+        self._matches: Counter = Counter()  # by channel: how often its output was turn_arb's duty
+
+    def on_state(self, time_s: float, message: Any) -> None:
+        """Take a car_interface/SteeringState."""
+        self.source = message.source
+        self._episodes.update(time_s, "turn_arb", message.cause, message.reason, source=message.source)
+        self.curvature_per_m = 1 / message.turn_radius if message.turn_radius else math.nan
+        self._traces["sent curvature"].add(time_s, self.curvature_per_m)
+        if message.duty != self._duty:
+            self._duty, self.unchanged_since_s = message.duty, time_s
+
+    def on_output(self, time_s: float, message: Any) -> None:
+        """Take the std_msgs/Int32MultiArray of /servo/output."""
+        if self._duty is not None:
+            self._matches.update(channel for channel, duty in enumerate(message.data)
+                                 if abs(duty - self._duty) <= DUTY_PER_COUNT)
+        for channel, duty in enumerate(message.data):
+            if duty > 0 and channel not in self.duties:
+                self.duties[channel] = Trace(0.0, self._duration_s)
+            if channel in self.duties:
+                self.duties[channel].add(time_s, duty)
+
+    def on_planner(self, time_s: float, message: Any) -> None:
+        """Take a std_msgs/Float32: the planner's turn radius in m; 0 requests nothing."""
+        if message.data:
+            self._traces["requested curvature"].add(time_s, 1 / message.data)
+
+    def on_gamepad(self, time_s: float, message: Any) -> None:
+        """Take a std_msgs/Float32: the gamepad's steering."""
+        self._traces["gamepad"].add(time_s, message.data)
+
+    def stops(self) -> list[Episode]:
+        """Return the episodes in which nobody drove any more."""
+        return [episode for before, episode in zip(self.episodes, self.episodes[1:])
+                if before.source in (TELEOP, PLANNER) and episode.source in (LOCKED, NO_HUMAN, NEUTRAL)]
+
+    def losses(self) -> list[Episode]:
+        """Return those of the stops at which something was lost or locked."""
+        return [stop for stop in self.stops() if stop.source == LOCKED or stop.cause in causes.LOSSES]
+
+    def finish(self) -> None:
+        """End the last episode, and find the steering channel."""
+        self._episodes.end(self._duration_s)
+        self._faults.dropped += self._episodes.dropped
+        if self._matches:
+            self.steering_channel = self._matches.most_common(1)[0][0]
+        elif STEERING_CHANNEL in self.duties:  # turn_arb's state was not recorded
+            self.steering_channel = STEERING_CHANNEL
+
+    def _finish(self, ended):
+        loss = self._gamepad.loss_at(ended.start_s) if ended.cause == causes.HUMAN_ABSENT else None
+        if loss is not None:  # the gamepad's own fault is another line of the table of faults
+            ended = ended._replace(cause=loss.cause, reason=f"human_in_loop is false: {loss.reason}")
+        self.source_s[ended.source] += ended.end_s - ended.start_s
+        is_loss = ended.source in (NO_HUMAN, NEUTRAL) and ended.cause in causes.LOSSES and loss is None
+        if ended.source == LOCKED or is_loss:
+            self._faults.add(ended.fault(ERROR if ended.source == LOCKED else WARN))
+        return ended
+
+
+class ThrottleWatch:
+    """Follows throttle_arb's state: who drove the throttle and why, what was asked, and what the ESC was given.
+
+    Args:
+        traces: those of TRACES are written to.
+        faults: losses that turn_arb doesn't report are added.
+
+    Attributes:
+        episodes: up to MAX_ENTRIES; more are counted as dropped faults.
+        profile: the ESC's kind; empty: unknown.
+    """
+
+    def __init__(self, traces: Mapping[str, Trace], faults: FaultLog, duration_s: float):
+        self._traces, self._faults, self._duration_s = traces, faults, duration_s
+        self._episodes = Episodes(self._finish)
+        self.episodes = self._episodes.kept
+        self.profile = ""
+
+    def on_state(self, time_s: float, message: Any) -> None:
+        """Take a car_interface/ThrottleState."""
+        self.profile = message.profile
+        self._traces["throttle asked"].add(time_s, message.asked)
+        self._traces["throttle granted"].add(time_s, message.granted)
+        reason, esc = message.reason, {}
+        if message.esc not in USUAL:
+            reason = f"{message.reason}; {message.esc}: {message.esc_reason}"
+            esc = {"esc": message.esc, "esc_cause": message.esc_cause}
+        self._episodes.update(time_s, "throttle_arb", message.cause, reason, source=message.source, **esc)
+
+    @property
+    def source(self) -> int | None:
+        """Who drives now; ``None`` = unknown."""
+        return None if self._episodes.current is None else self._episodes.current.source
+
+    def losses(self) -> list[Episode]:
+        """Return the episodes with a loss of the throttle's own."""
+        return [episode for episode in self.episodes if _is_loss(episode)]
+
+    def finish(self) -> None:
+        """End the last episode."""
+        self._episodes.end(self._duration_s)
+        self._faults.dropped += self._episodes.dropped
+
+    def _finish(self, ended):
+        if _is_loss(ended):
+            self._faults.add(ended.fault(ERROR if ended.esc_cause == causes.ESC_MOTION else WARN))
+        return ended
+
+
+def _is_loss(episode):
+    return episode.esc_cause == causes.ESC_MOTION or episode.cause in causes.LOSSES - SHARED
+
+
+class PlannerWatch:
+    """Follows planner_interface's state: what the planner asked for, and why it wasn't obeyed.
+
+    Args:
+        traces: those of TRACES are written to.
+        faults: losses and refusals are added.
+
+    Attributes:
+        source: the source that was obeyed; empty: unknown.
+        others: the sources that weren't, with their messages, at the end; empty: none.
+    """
+
+    def __init__(self, traces: Mapping[str, Trace], faults: FaultLog, duration_s: float):
+        self._traces, self._faults, self._duration_s = traces, faults, duration_s
+        self._episodes = Episodes(self._finish)
+        self.source = self.others = ""
+
+    def on_state(self, time_s: float, message: Any) -> None:
+        """Take a car_interface/PlannerState."""
+        self.source, self.others = message.source, message.others
+        is_obeyed = message.cause == causes.PLANNER
+        self._traces["planner's speed"].add(time_s, message.speed if is_obeyed else math.nan)
+        self._traces["reference speed"].add(time_s, message.reference_speed if is_obeyed else math.nan)
+        self._episodes.update(time_s, "planner_interface", message.cause, message.reason)
+
+    def finish(self) -> None:
+        """End the last episode."""
+        self._episodes.end(self._duration_s)
+
+    def _finish(self, ended):
+        if ended.cause in PLANNER_FAULTS:
+            self._faults.add(ended.fault(WARN))
+        return ended
+
+
+class LimitsWatch:
+    """Follows the limits in the states of turn_arb and throttle_arb: which requests were cut, when, and why.
+
+    Attributes:
+        episodes: up to MAX_ENTRIES, by their starts once finished.
+        counts: by node, how often a request began to be limited, by its own count.
+    """
+
+    def __init__(self):
+        self._episodes = Episodes(lambda ended: ended)
+        self.episodes = self._episodes.kept
+        self.counts: Counter = Counter()
+        self._current: dict[str, Episode] = {}  # by node, up to when it was last seen
+        self._seen: dict[str, int] = {}  # a node's newest count
+
+    def on_state(self, time_s: float, message: Any, node: str) -> None:
+        """Take a car_interface/SteeringState or ThrottleState."""
+        before = self._seen.get(node, message.cuts)
+        self.counts[node] += message.cuts - before if message.cuts >= before else message.cuts  # restarted: from 0
+        self._seen[node] = message.cuts
+        if message.limit not in CUTS:
+            return
+        begun, current = Episode(time_s, time_s, node, message.limit, message.limit_reason), self._current.get(node)
+        if current is not None and current.goes_on(begun) and time_s - current.end_s <= SAME_AFTER_S:
+            begun = current._replace(end_s=time_s)
+        elif current is not None:
+            self._episodes.keep(current)
+        self._current[node] = begun
+
+    def finish(self) -> None:
+        """Keep the last episodes, too."""
+        for episode in self._current.values():
+            self._episodes.keep(episode)
+        self._current.clear()
+        self.episodes.sort(key=lambda episode: episode.start_s)

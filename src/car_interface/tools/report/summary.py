@@ -1,0 +1,210 @@
+"""What happened on a drive, from its recording: read in one pass, in memory that doesn't grow with its length."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+from car_interface.common.units import NS_PER_S
+from car_interface.common.vehicle_geometry import SONARS
+from car_interface.steering.arbiter import PLANNER
+from car_interface.tools.recordings import roles
+from car_interface.tools.recordings.recording import (
+    NoRecording,
+    absolute_names,
+    check_types,
+    contents,
+    other_version,
+    read,
+    require,
+)
+from car_interface.tools.recordings.roles import find, fits, other_cars, without
+from car_interface.tools.report import motion, states, teensy_link
+from car_interface.tools.report.coverage import Coverage, both
+from car_interface.tools.report.downsample import Trace
+from car_interface.tools.report.faults import WARN, FaultLog, NodeReports
+from car_interface.tools.report.motion import AskedWatch, ImuWatch, MotionWatch, SonarWatch
+from car_interface.tools.report.states import GamepadWatch, LimitsWatch, PlannerWatch, SteeringWatch, ThrottleWatch
+from car_interface.tools.report.teensy_link import TeensyWatch
+
+# Relative names are below the car's namespace, and so are the others where they are found there.
+RANGES = tuple(f"sonar/{name}" for name in SONARS)
+ROLES = (roles.ODOM, roles.IMU, roles.OUTPUT, roles.VALUE, roles.ACKERMANN, roles.RADIUS, roles.ACCELERATION,
+         roles.STICK)
+ROLE_OF = {role.topics[0]: role for role in ROLES}
+MAY_BE_OTHERS = (roles.IMU, roles.ACKERMANN)  # a topic with such a name may be something else: it is not read then
+TYPES = {
+    **{role.topics[0]: role.types for role in ROLES},
+    **roles.THROTTLE_STATE,
+    "turn_arb/state": "car_interface/SteeringState",
+    "planner_interface/state": "car_interface/PlannerState",
+    "teleop_logi/state": "car_interface/TeleopState",
+    **dict.fromkeys(RANGES, "sensor_msgs/Range"),
+    "/tf_static": "tf2_msgs/TFMessage",
+    "teensy_sensor_hub/link": "car_interface/LinkStatus",
+    "teensy_clock": "car_interface/TeensyClock",
+    "teensy_error": "car_interface/Error",
+    "/diagnostics": "diagnostic_msgs/DiagnosticArray",
+    "/rosout": ("rosgraph_msgs/Log", "rcl_interfaces/Log"),
+}
+NEEDED = ("odom", "turn_arb/state", "/servo/output")  # at least one of them
+TRACES = (*states.TRACES, *motion.TRACES, "requested acceleration", "value", *teensy_link.TRACES)
+
+
+@dataclass
+class Summary:
+    """What happened on a drive. Times are in seconds since the recording's first message.
+
+    Attributes:
+        path, namespace, start_ns, duration_s: of the recording.
+        topics: what it has: a recordings.recording.Topic by name.
+        notes: which topics were named or guessed to be what, or couldn't be, and what is odd about one, a line each.
+        present: those of TYPES that were recorded.
+        traces: a Trace for each of TRACES.
+        gamepad, steering, throttle, limits, asked, planner, motion, imu, sonars, teensy: see their classes.
+        faults: what went wrong.
+        coverage: which questions the recording can't answer.
+    """
+
+    path: str
+    namespace: str
+    start_ns: int
+    duration_s: float
+    topics: dict
+    notes: list
+    present: set
+    traces: dict
+    gamepad: GamepadWatch
+    steering: SteeringWatch
+    throttle: ThrottleWatch
+    limits: LimitsWatch
+    asked: AskedWatch
+    planner: PlannerWatch
+    motion: MotionWatch
+    imu: ImuWatch
+    sonars: SonarWatch
+    teensy: TeensyWatch
+    faults: FaultLog
+    coverage: Coverage
+
+
+def summarize(path: str, namespace: str = "/", wheelbase_m: float | None = None, progress: bool = False,
+              **topics: str | None) -> Summary:
+    """Summarize a recording.
+
+    Args:
+        wheelbase_m: by which an asked steering angle is a curvature; ``None`` = unknown.
+        progress: show a bar on a terminal.
+        topics: named by the user, by the names of ROLES; ``None`` = not named.
+
+    Raises:
+        NoRecording: it can't be read, or has nothing for a report.
+    """
+    has = contents(path)
+    given = {name: topic for name, topic in topics.items() if topic is not None}
+    if given:
+        require(path, given.values(), namespace)
+        check_types(path, {given[role.name]: role.types for role in ROLES if role.name in given}, namespace)
+    free = {role.name: without(has.topics, given, role, namespace) for role in ROLES}
+    found = {role.topics[0]: find(free[role.name], role, namespace, given.get(role.name)) for role in ROLES}
+    keys = {found[name].topic if name in found else name: name for name in TYPES
+            if name not in found or _is_read(has.topics, free, found[name].topic, ROLE_OF[name], given, namespace)}
+    types = {topic: TYPES[name] for topic, name in keys.items()}
+    with_messages = {name: topic for name, topic in has.topics.items() if topic.count}
+    names = absolute_names(with_messages, types, namespace)
+    below = "/" + "/".join([*filter(None, namespace.split("/")), ""])  # an absolute name may be another car's
+    if not any(keys[requested] in NEEDED and name.startswith(below) for name, requested in names.items()):
+        odom = found["odom"]
+        raise NoRecording(f"{path} has no message of {odom.topic}, turn_arb/state or /servo/output"
+                          + _elsewhere(with_messages, namespace, odom.note))
+    summary = _empty(path, namespace, has, {keys[name] for name in names.values()}, wheelbase_m)
+    summary.notes += [f"{name}: {topic} (as you say)" for name, topic in given.items()]
+    summary.notes += [one.note for one in found.values() if one.note]
+    handlers = summary.coverage.watched(_handlers(summary))
+    for recorded in read(path, types, namespace, progress):
+        try:
+            handlers[keys[recorded.topic]]((recorded.time_ns - summary.start_ns) / NS_PER_S, recorded.message)
+        except AttributeError as error:
+            raise other_version(path, recorded) from error
+    if has.steps_back:
+        times = "once" if has.steps_back == 1 else f"{has.steps_back} times"
+        summary.faults.add_moment(0.0, WARN, "recording", f"its time went back {times}: the clock was set")
+    for watch in (summary.steering, summary.throttle, summary.planner, summary.limits, summary.gamepad, summary.faults):
+        watch.finish()
+    summary.notes += filter(None, [summary.imu.note(found["imu/data"].topic)])
+    return summary
+
+
+def _is_read(recorded, free, topic, role, given, namespace):
+    """Return whether the topic that was found for a role is read as that."""
+    if role.name in given:
+        return True
+    if role in MAY_BE_OTHERS:
+        return fits(free[role.name], topic, role, namespace)
+    names = absolute_names(recorded, [topic], namespace)
+    return names.keys() <= free[role.name].keys()
+
+
+def _empty(path, namespace, has, present, wheelbase_m):
+    duration_s = (has.end_ns - has.start_ns) / NS_PER_S
+    traces = {name: Trace(0.0, duration_s) for name in TRACES}
+    faults = FaultLog()
+    gamepad = GamepadWatch(faults, duration_s)
+    steering = SteeringWatch(traces, faults, duration_s, gamepad)
+    wanted = AskedWatch(traces, wheelbase_m)
+    throttle = ThrottleWatch(traces, faults, duration_s)
+
+    def planner_drives():  # before throttle_arb whoever steered drove, too
+        return (steering.source if throttle.source is None else throttle.source) == PLANNER
+
+    moves = MotionWatch(traces, faults, steering, wanted, planner_drives, has.start_ns)
+    return Summary(path, namespace, has.start_ns, duration_s, has.topics, [], present, traces, gamepad, steering,
+                   throttle, LimitsWatch(), wanted, PlannerWatch(traces, faults, duration_s), moves,
+                   ImuWatch(traces, moves), SonarWatch(moves, has.start_ns), TeensyWatch(traces, faults), faults,
+                   Coverage(namespace, duration_s))
+
+
+def _handlers(summary):
+    """Return a function of time in s and message for each of TYPES."""
+    steering, teensy, traces = summary.steering, summary.teensy, summary.traces
+    log_type = next((topic.type for name, topic in summary.topics.items() if name.lstrip("/") == "rosout"), "")
+    nodes = NodeReports(summary.faults, summary.present, log_type)
+    return {
+        "turn_arb/state": both(steering.on_state, partial(summary.limits.on_state, node="turn_arb")),
+        "throttle_arb/state": both(summary.throttle.on_state, partial(summary.limits.on_state, node="throttle_arb")),
+        "planner_interface/state": summary.planner.on_state,
+        "teleop_logi/state": summary.gamepad.on_state,
+        "/servo/output": steering.on_output,
+        "av_turnrad_req": steering.on_planner,
+        "/teleop_logi/tele_steer_req": steering.on_gamepad,
+        "odom": summary.motion.on_odom,
+        "imu/data": summary.imu.on_imu,
+        "drive": summary.asked.on_drive,
+        "control/command/control_cmd": partial(_on_request, summary),
+        "generic/output/value": lambda time_s, message: traces["value"].add(time_s, message.data),
+        **{name: partial(summary.sonars.on_range, topic=name) for name in RANGES},
+        "/tf_static": summary.sonars.on_static_tf,
+        "teensy_sensor_hub/link": teensy.on_link,
+        "teensy_clock": teensy.on_clock,
+        "teensy_error": teensy.on_error,
+        "/diagnostics": nodes.on_diagnostics,
+        "/rosout": nodes.on_log,
+    }
+
+
+def _on_request(summary, time_s, message):
+    """Take the acceleration that a planner requests."""
+    summary.traces["requested acceleration"].add(time_s, message.longitudinal.acceleration)
+    summary.motion.accelerating.request(time_s, message.longitudinal.acceleration)
+
+
+def _elsewhere(topics, namespace, note):
+    """Return a hint at where there is what is missing, or the note on odometry."""
+    spaces = other_cars(topics, namespace)
+    place = f" below {namespace}" if namespace.strip("/") else ""
+    if spaces:
+        return f"{place}: try " + " or ".join(f"--ns {space}" for space in sorted(spaces))
+    if place and any("/" + name.lstrip("/") in topics for name in NEEDED):
+        return f"{place}: try it without --ns"
+    if note:
+        return f"{place}. {note}"
+    return f"{place}; it has " + (", ".join(list(topics)[:8]) or "no topic at all")

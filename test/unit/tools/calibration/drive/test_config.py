@@ -1,0 +1,62 @@
+"""What the drive takes from the car's nodes."""
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from car_interface.common.errors import CarInterfaceError, ConfigError
+from car_interface.common.package_files import package_file
+from car_interface.common.vehicle_geometry import SONARS
+from car_interface.common.yaml_file import load_yaml
+from car_interface.steering.params import load_steering
+from car_interface.tools.calibration.drive.config import (
+    CalibrationDriveConfig,
+    drive_config,
+    parse,
+    read_base,
+    read_obstacles,
+)
+
+THROTTLE = {**load_yaml(str(package_file("config/throttle.yaml"))),
+            "sonar_hub": load_yaml(str(package_file("config/sonars.yaml")))}
+
+
+def test_sonars_are_those_of_throttle_arb_though_it_does_not_stop_for_them():
+    assert THROTTLE["obstacle_stop"] is False
+    made = read_obstacles({**THROTTLE, "obstacle": {"sonars": {"rear_left": "absent"}, "front": 0.5}})
+    assert set(made.mounts) == set(SONARS) - {"rear_left"}
+    assert made.outline.front_m == 0.5
+
+
+def test_throttle_arb_that_does_not_know_the_sonars_is_refused_in_words():
+    with pytest.raises(CarInterfaceError, match=r"of throttle_arb's parameters sonar_hub/sonars/front_right is "
+                                                r"missing.*launch the car by its launch files, or .* --no-sonars"):
+        read_obstacles({"servo": THROTTLE["servo"]})
+
+
+def test_calibration_is_the_one_that_turn_arb_runs_with():
+    path = str(package_file("config/turn_arb.yaml"))
+    assert read_base(load_yaml(path)) == load_steering(path)
+    with pytest.raises(CarInterfaceError, match=r"turn_arb's calibration isn't known: its parameter servo_left is "
+                                                r"missing.*Is the car launched, and in this namespace"):
+        read_base({})
+
+
+def test_options_are_read_and_those_of_the_drive_are_its_settings():
+    made = parse([])
+    assert (made.output, made.base, made.yes, made.stick, made.no_sonars) == (None, None, False, False, False)
+    assert drive_config(made) == CalibrationDriveConfig()
+    made = parse(["-o", "a.yaml", "--base", "b.yaml", "--yes", "--stick", "--no-sonars", "--radius", "4", "--speed",
+                  "1", "--tight-speed", "0.8", "--max-time", "60", "--braking", "0.5"])
+    assert (made.output, made.base, made.yes, made.stick, made.no_sonars) == ("a.yaml", "b.yaml", True, True, True)
+    assert drive_config(made) == CalibrationDriveConfig(4.0, 1.0, 0.8, 60.0, 0.5)
+
+
+@pytest.mark.parametrize("field, value, parameter", [
+    ("radius_m", 1.0, "radius"), ("speed_mps", 0.0, "speed"), ("tight_speed_mps", 5.0, "tight_speed"),
+    ("max_time_s", 0.0, "max_time"), ("braking_mps2", 0.0, "braking"), ("radius_m", math.nan, "radius"),
+])
+def test_an_impossible_number_is_refused_by_its_parameters_name(field, value, parameter):
+    with pytest.raises(ConfigError, match=rf"^{parameter}\b.*a number from"):
+        CalibrationDriveConfig(**{field: value})

@@ -1,0 +1,173 @@
+"""Whether the car would obey, by what its arbiters say."""
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from car_interface.common import causes
+from car_interface.common.units import NS_PER_S
+from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
+from car_interface.tools.calibration.drive.grant import Grant, Seen, Steering, Throttle, missing, missing_gamepad
+
+IDLE_STEERING = Steering(NEUTRAL, causes.NO_REQUEST, "nothing asks")
+IDLE_THROTTLE = Throttle(NEUTRAL, causes.NO_REQUEST, "nothing asks", "autonomous", "NEUTRAL", "neutral is asked for")
+
+
+def decided(steering=IDLE_STEERING, throttle=IDLE_THROTTLE, planner="speed", after_s=0.0):
+    grant = Grant()
+    grant.update_steering(steering, 0)
+    grant.update_throttle(throttle, 0)
+    grant.update_planner(planner, 0)
+    return grant.decide(round(after_s * NS_PER_S))
+
+
+@pytest.mark.parametrize("steering", [
+    IDLE_STEERING, Steering(NEUTRAL, causes.PLANNER_STALE, "silent"), Steering(PLANNER, causes.PLANNER, "it steers"),
+    Steering(NEUTRAL, causes.NO_RADIUS, "0")])
+@pytest.mark.parametrize("throttle", [
+    IDLE_THROTTLE, IDLE_THROTTLE._replace(cause=causes.PLANNER_STALE),
+    IDLE_THROTTLE._replace(cause=causes.COMMAND_STALE),
+    IDLE_THROTTLE._replace(source=PLANNER, cause=causes.PLANNER), IDLE_THROTTLE._replace(mode="")])
+def test_held_autonomous_deadman_grants_whether_or_not_something_is_asked_for(steering, throttle):
+    assert decided(steering, throttle) == (True, "")
+
+
+@pytest.mark.parametrize(("steering", "throttle", "reason"), [
+    (Steering(NO_HUMAN, causes.HUMAN_ABSENT, "human_in_loop is false: no deadman is held"), IDLE_THROTTLE,
+     "no deadman is held"),
+    (Steering(LOCKED, causes.E_STOP, "e_stop is on"), IDLE_THROTTLE, "e_stop is on"),
+    (Steering(TELEOP, causes.TELEOP, "tele_steer_req is 0.002"), IDLE_THROTTLE,
+     "the gamepad steers (tele_steer_req is 0.002)"),
+    (Steering(NEUTRAL, causes.TELEOP_STALE, "tele_steer_req silent"), IDLE_THROTTLE, "tele_steer_req silent"),
+    (Steering(NEUTRAL, causes.TWO_REQUESTS, "both are published"), IDLE_THROTTLE, "both are published"),
+    (IDLE_STEERING, IDLE_THROTTLE._replace(source=NO_HUMAN, reason="not re-armed"), "not re-armed"),
+    (IDLE_STEERING, IDLE_THROTTLE._replace(source=LOCKED, reason="e_stop silent"), "e_stop silent"),
+    (IDLE_STEERING, IDLE_THROTTLE._replace(source=TELEOP, reason="tele_throt_req is 0.3"),
+     "the gamepad drives (tele_throt_req is 0.3)"),
+    (IDLE_STEERING, IDLE_THROTTLE._replace(mode="human_throttle"),
+     "the deadman that is held is the one for human_throttle, not the autonomous one"),
+    (IDLE_STEERING, IDLE_THROTTLE._replace(esc="ARMING", esc_reason="arming for 0.4 s more"), "arming for 0.4 s more"),
+    (IDLE_STEERING, IDLE_THROTTLE._replace(cause=causes.ODOMETRY_STALE, reason="odometry silent for 0.7 s"),
+     "odometry silent for 0.7 s"),
+    (IDLE_STEERING, IDLE_THROTTLE._replace(cause=causes.STEERING_STALE, reason="turn_arb's state silent"),
+     "turn_arb's state silent"),
+])
+def test_anything_else_refuses_in_the_arbiters_own_words(steering, throttle, reason):
+    assert decided(steering, throttle) == (False, reason)
+
+
+@pytest.mark.parametrize(("steering", "throttle", "by_itself"), [
+    (NEUTRAL, NEUTRAL, True), (PLANNER, PLANNER, True), (NO_HUMAN, NO_HUMAN, True), (TELEOP, NEUTRAL, False),
+    (NEUTRAL, TELEOP, False)])
+def test_car_that_a_person_drives_with_the_manual_deadman_does_not_stop_by_itself(steering, throttle, by_itself):
+    grant = Grant()
+    assert grant.stops_by_itself
+    grant.update_steering(IDLE_STEERING._replace(source=steering), 0)
+    assert grant.stops_by_itself is (steering != TELEOP)
+    grant.update_throttle(IDLE_THROTTLE._replace(source=throttle), 0)
+    assert grant.stops_by_itself is by_itself
+
+
+@pytest.mark.parametrize(("esc", "by_itself"), [("NEUTRAL", True), ("FORWARD", True), ("BRAKING", False),
+                                                ("HOLD", False), ("REVERSE", False)])
+def test_car_whose_esc_brakes_does_not_stop_by_itself(esc, by_itself):
+    grant = Grant()
+    grant.update_throttle(IDLE_THROTTLE._replace(source=NO_HUMAN, esc=esc), 0)
+    assert grant.stops_by_itself is by_itself
+
+
+def test_planner_interface_with_another_source_refuses():
+    assert decided(planner="drive") == (False, "planner_interface obeys drive")
+
+
+def test_state_that_was_never_heard_or_is_old_refuses():
+    grant = Grant()
+    assert grant.decide(0) == (False, "turn_arb's state was never heard")
+    grant.update_steering(IDLE_STEERING, 0)
+    assert grant.decide(0) == (False, "throttle_arb's state was never heard")
+    grant.update_throttle(IDLE_THROTTLE, 0)
+    assert grant.decide(0) == (False, "planner_interface's state was never heard")
+    assert decided(after_s=0.5).may_drive
+    assert decided(after_s=0.51) == (False, "turn_arb's state silent for 0.51 s")
+
+
+def test_other_program_that_asks_refuses_for_a_second():
+    grant = Grant()
+    for now_ns in (0, NS_PER_S, 3 * NS_PER_S):
+        grant.update_steering(IDLE_STEERING, now_ns)
+        grant.update_throttle(IDLE_THROTTLE, now_ns)
+        grant.update_planner("speed", now_ns)
+        if not now_ns:
+            grant.update_other("/av_turnrad_req", "/my_planner", now_ns)
+        reason = "/my_planner publishes /av_turnrad_req, too: end it" if now_ns <= NS_PER_S else ""
+        assert grant.decide(now_ns) == (not reason, reason)
+        assert grant.others(now_ns) == ([reason] if reason else [])
+
+
+@pytest.mark.parametrize(("steering", "granted"), [
+    (Steering(TELEOP, causes.TELEOP, "tele_steer_req is 0.2"), (True, "")),
+    (Steering(NO_HUMAN, causes.HUMAN_ABSENT, "human_in_loop is false: no deadman is held"),
+     (False, "no deadman is held")),
+    (Steering(NO_HUMAN, causes.HUMAN_ABSENT, "human_in_loop is false"), (False, "human_in_loop is false")),
+    (Steering(LOCKED, causes.E_STOP, "e_stop is on"), (False, "e_stop is on")),
+    (Steering(PLANNER, causes.PLANNER, "av_steer_req is 0.2"), (False, "av_steer_req is 0.2"))])
+def test_person_s_stick_is_granted_by_turn_arb_alone(steering, granted):
+    grant = Grant()
+    assert grant.decide_by_hand(0) == (False, "turn_arb's state was never heard")
+    grant.update_steering(steering, 0)
+    assert grant.decide_by_hand(0) == granted
+    assert grant.decide_by_hand(NS_PER_S) == (False, "turn_arb's state silent for 1.00 s")
+
+
+READY = Seen(steering=True, throttle=True, planner="speed", odom=True, duty=5100,
+             gamepad=(causes.NO_DEADMAN, "no deadman is held"))
+LAUNCH = "roslaunch car_interface car.launch throttle:=true planner:=speed"
+
+
+def test_car_that_has_all_of_it_is_ready():
+    assert missing(READY, by_stick=False) == missing(READY, by_stick=True) == missing_gamepad(READY) == []
+
+
+@pytest.mark.parametrize(("lacks", "sentence"), [
+    ({"steering": False}, f"turn_arb isn't heard: is the car launched, and in this namespace? {LAUNCH}"),
+    ({"duty": None}, "/servo/output isn't heard: is pca9685 running?"),
+    ({"duty": 0}, "the servo board gives no pulse on the steering's channel: rosrun car_interface doctor"),
+    ({"duty": -1}, "the servo board gives no pulse on the steering's channel: rosrun car_interface doctor"),
+    ({"odom": False}, "there is no odometry on odom: is teensy_sensor_hub running, and the Teensy plugged in?"),
+])
+def test_what_every_drive_needs(lacks, sentence):
+    for by_stick in (False, True):
+        assert missing(replace(READY, **lacks), by_stick) == [sentence]
+
+
+@pytest.mark.parametrize(("lacks", "sentence"), [
+    ({"throttle": False}, f"throttle_arb isn't heard, which drives the ESC: launch with throttle:=true ({LAUNCH})"),
+    ({"calibrates_esc": True}, ("throttle_arb was launched with calibration_drive:=true, which is for calibrate_esc "
+                                "and lets no stop brake: launch without")),
+    ({"planner": None}, f"planner_interface isn't heard: launch with planner:=speed ({LAUNCH})"),
+    ({"planner": "drive"}, "planner_interface obeys drive, not speeds: launch with planner:=speed in its place"),
+    ({"sonars": ("front_left", "rear_left")}, (
+        "no range of the sonars front_left, rear_left is heard: a sonar that the car doesn't have is `absent` in "
+     "throttle.yaml (obstacle/sonars); --no-sonars drives without any, and then only you keep it from running into "
+     "something")),
+    ({"others": ["/my_planner publishes /av_turnrad_req, too: end it"]},
+     "/my_planner publishes /av_turnrad_req, too: end it"),
+])
+def test_what_only_a_program_needs_that_drives(lacks, sentence):
+    assert missing(replace(READY, **lacks), by_stick=False) == [sentence]
+    assert missing(replace(READY, **lacks), by_stick=True) == []
+
+
+def test_gamepad_that_is_off_is_waited_for():
+    gone = replace(READY, gamepad=(causes.JOY_STALE, "joy silent for 3.02 s"))
+    assert missing(gone, by_stick=False) == []
+    assert missing_gamepad(gone) == [
+        ("the gamepad isn't there (joy silent for 3.02 s): switch it on, or on the virtual car start keyboard_drive in "
+         "another terminal")]
+    assert missing_gamepad(replace(READY, gamepad=None)) == [
+        "teleop_logi isn't heard, which reads the gamepad with the deadman: is it running?"]
+
+
+def test_several_things_are_all_named():
+    assert len(missing(Seen(), by_stick=False)) == 5

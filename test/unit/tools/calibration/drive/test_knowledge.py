@@ -1,0 +1,60 @@
+"""What a fit of the samples so far knows, and where it knows least."""
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from car_interface.tools.calibration.drive.knowledge import FitTask, assess
+from car_interface.tools.calibration.steering.drive import COUNT
+from tools.calibration.drive.light_car import base
+from tools.calibration.steering.synthetic import drive, from_both_sides, mixed, true_curvature
+
+pytestmark = pytest.mark.once
+BASE = base()
+
+
+def known(duties, full=None):
+    sigma = 0.0 if full is None else full.backlash_sigma
+    return assess(FitTask(drive(duties), BASE, full and full.delay, full and full.backlash_duty, 7, sigma))
+
+
+@pytest.fixture(scope="module")
+def full():
+    return known(mixed(3900, 6400))
+
+
+def test_a_drive_all_over_is_known_within_what_the_tool_allows(full):
+    assert (full.number, full.reason, full.missing) == (7, "", ())
+    assert max(full.errors) < 1 and full.center_duty == pytest.approx(5200, abs=10)
+    assert np.allclose(full.curvatures, true_curvature(np.array(full.duties)), atol=0.02)
+    assert {duty % COUNT for duty in full.duties} == {0.0}
+    assert {row.side for row in full.rows} == {"left", "right"} and all(row.is_known for row in full.rows)
+    assert len(full.needs) == len(full.duties)
+    assert all(need >= error for need, error in zip(full.needs, full.errors)), "more than the tool asks for"
+
+
+def test_a_gap_is_to_be_measured_sooner_than_the_tool_asks_for_it():
+    places = [duty for duty in mixed(3900, 6400) if not 4500 < duty < 4800]
+    found = known(from_both_sides(places))
+    found = {duty: (error, need) for duty, error, need in zip(found.duties, found.errors, found.needs)}
+    (error, need), (_, next_to_it) = found[4640], found[4496]
+    assert need > 1.5 * error and need > 2 * next_to_it
+
+
+def test_with_delay_and_backlash_given_it_is_the_same_curve_with_the_same_errors(full):
+    quick = known(mixed(3900, 6400), full)
+    assert np.allclose(quick.curvatures, full.curvatures, atol=1e-6)
+    assert full.backlash_sigma > 0
+    assert np.allclose(quick.errors, full.errors, atol=1e-6)
+
+
+@pytest.mark.parametrize("duties", [[5200], [5200, 5216, 5200], [3900, 3950, 4000, 4050, 4100]],
+                         ids=("one", "nearly_one", "one_side"))
+def test_without_a_curve_there_is_a_reason(duties):
+    found = known(duties)
+    assert found.reason and found.duties == ()
+
+
+def test_without_samples_there_is_a_reason():
+    empty = drive([5200])._replace(**{name: np.zeros(0) for name in drive([5200])._fields})
+    assert assess(FitTask(empty, BASE, None, None, 1)).reason

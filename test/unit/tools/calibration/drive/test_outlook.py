@@ -1,0 +1,136 @@
+"""Where the car goes from here, and how fast it may."""
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import pytest
+
+from car_interface.tools.calibration.delay import Delay
+from car_interface.tools.calibration.drive.area import Area, Pose, moved
+from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
+from car_interface.tools.calibration.drive.hold import Hold
+from car_interface.tools.calibration.drive.knowledge import Knowledge
+from car_interface.tools.calibration.drive.outlook import Outlook
+from car_interface.tools.calibration.drive.positions import Measured
+from car_interface.tools.calibration.drive.samples import Motion
+from car_interface.tools.calibration.drive.survey import Survey
+from tools.calibration.drive.light_car import S, base
+
+LEFT, CENTER, RIGHT = 3900, 5184, 6400
+ACROSS = Pose(-2.0, 0.0, 0.0)
+
+
+def outlook(pose, speed_mps=1.0, braking_mps2=1.0, **stops):
+    """Of a car that rolls straight on, is at a pose by now, and was seen to stop as the last arguments say."""
+    motion, config = Motion(), CalibrationDriveConfig(braking_mps2=braking_mps2)
+    for tick in range(20):
+        motion.update(moved(pose, -0.02 * speed_mps * (19 - tick), 0.0), speed_mps, tick * S // 50)
+    survey = Survey(base(), 300.0)
+    survey.knowledge = Knowledge(1, "", delay=Delay(0.05, 0.15, 1.0))
+    seen = SimpleNamespace(**{"least_mps2": math.inf, "sure_mps2": 0.0, **stops})
+    one = Outlook(base(), config, survey, motion, Area((0.0, 0.0), 2.88), None, seen)
+    one.servo_duty = CENTER
+    return one
+
+
+def settled(duty):
+    return Hold(duty, 0, duty, (LEFT, RIGHT), 0.1, 0.05, 0), 10 * S
+
+
+def allowed_mps(one):
+    hold, now_ns = settled(CENTER)
+    return one.allowed_mps(hold, False, now_ns)
+
+
+@pytest.mark.parametrize("coasts_mps2", [0.1, 0.2])
+@pytest.mark.parametrize("x_m", [-2.0, -1.0, 0.0])
+def test_when_the_button_is_let_go_it_coasts_to_a_stop_inside(x_m, coasts_mps2):
+    speed_mps, text = allowed_mps(outlook(Pose(x_m, 0.0, 0.0), least_mps2=coasts_mps2))
+    assert text == "" and speed_mps > 0.4
+    assert x_m + 0.43 + 0.15 * speed_mps + speed_mps ** 2 / (2 * coasts_mps2) < 3.0
+
+
+def test_a_brake_that_is_known_does_not_brake_when_the_button_is_let_go():
+    weak, strong = (outlook(Pose(0.0, 0.0, 0.0), braking_mps2=braking_mps2) for braking_mps2 in (0.2, 3.0))
+    assert allowed_mps(strong)[0] == allowed_mps(weak)[0] < 1.0 < strong.cruise_mps(0.0)
+
+
+def test_a_car_that_surely_stops_sooner_is_faster_and_what_is_not_sure_makes_none_slower():
+    start = Pose(0.0, 0.0, 0.0)
+    speeds = [allowed_mps(outlook(start, least_mps2=0.4, sure_mps2=sure_mps2))[0] for sure_mps2 in (0.0, 0.3, 0.6)]
+    assert speeds[1] > speeds[0] + 0.1 and speeds[2] > speeds[1] + 0.1
+    least, sure = outlook(ACROSS, least_mps2=0.3), outlook(ACROSS, least_mps2=0.3, sure_mps2=0.05)
+    assert allowed_mps(least)[0] == allowed_mps(sure)[0]
+    assert least.cruise_mps(1.0) < least.cruise_mps(0.5) < least.cruise_mps(0.0), "tight turns are slower"
+
+
+@pytest.mark.parametrize("sure_mps2, slow_mps", [(0.0, 0.33), (0.5, 0.535), (1.5, 0.6)])
+def test_at_the_edge_it_is_as_fast_as_it_stops_within_the_same_way(sure_mps2, slow_mps):
+    assert outlook(ACROSS, sure_mps2=sure_mps2).slow_mps == pytest.approx(slow_mps, abs=0.01)
+
+
+def test_a_car_with_no_room_to_turn_is_to_be_moved_to_the_middle_or_placed_for_its_turn():
+    speed_mps, text = allowed_mps(outlook(Pose(2.3, 0.0, 0.0), 0.0))
+    assert speed_mps == 0.0 and "no room to turn: move it towards the middle by hand or by" in text
+    wide = outlook(Pose(2.0, 0.0, 0.0), 0.0)
+    for duty, curvature_per_m in ((LEFT, 0.6), (RIGHT, -0.55)):
+        wide._survey.add(Measured(duty, 1, 1.0, curvature_per_m))
+    text = allowed_mps(wide)[1]
+    assert "no room to turn: place it so that the middle is about 1.7 m to its left, by hand or by" in text
+
+
+def test_it_has_to_turn_before_the_edge_and_not_in_the_middle():
+    hold, now_ns = settled(CENTER)
+    assert not outlook(Pose(-1.5, 0.0, 0.0)).is_outside_soon(hold, now_ns)
+    assert outlook(Pose(1.8, 0.0, 0.0)).is_outside_soon(hold, now_ns)
+
+
+def test_a_car_that_coasts_far_turns_sooner_unless_it_surely_stops_soon():
+    hold, now_ns = settled(CENTER)
+    # Along the edge the turn alone would do later.
+    assert not outlook(Pose(1.0, 1.85, -0.2), 0.4).is_outside_soon(hold, now_ns)
+    assert outlook(Pose(1.0, 1.85, -0.2), 0.4, least_mps2=0.1).is_outside_soon(hold, now_ns)
+    far, soon = (outlook(Pose(1.0, 1.75, -0.2), 0.4, least_mps2=0.1, sure_mps2=sure_mps2) for sure_mps2 in (0.0, 1.0))
+    assert far.is_outside_soon(hold, now_ns) and not soon.is_outside_soon(hold, now_ns)
+
+
+def test_room_ends_where_a_car_that_coasts_far_could_no_longer_stop():
+    along = Pose(0.6, 1.85, -0.2)  # where the turn alone would do for longer
+    rooms = [max(outlook(along, 0.4, least_mps2=least).rooms_m(CENTER, 0.0, 0.4, 10.0)) for least in (0.1, math.inf)]
+    assert rooms[0] < rooms[1]
+
+
+def test_there_is_no_room_where_a_car_is_too_fast_to_coast_to_a_stop_inside():
+    rooms = [max(outlook(ACROSS, speed_mps).rooms_m(CENTER, 0.0, 1.2, 10.0)) for speed_mps in (0.5, 0.9, 1.5)]
+    # From 0.9 m/s it coasts for 2.2 m with 0.2 m/s², from 1.5 m/s for 5.9 m; there are 4.4.
+    assert rooms[0] == pytest.approx(rooms[1], abs=0.3) and 1.2 < rooms[0] < 4.4 and rooms[2] < 0.5
+    # Where the turn begins a faster one is as slow as is allowed there, too.
+    slow, fast = (outlook(ACROSS).rooms_m(CENTER, 0.0, speed_mps, 10.0) for speed_mps in (1.0, 3.0))
+    assert slow == pytest.approx(fast)
+
+
+def test_room_counts_with_the_speed_that_it_has_while_it_steers():
+    slow, fast = (outlook(ACROSS, speed_mps) for speed_mps in (0.5, 2.0))
+    assert slow.now_mps == pytest.approx(0.5) and fast.now_mps == pytest.approx(2.0)
+    assert outlook(ACROSS, 0.0).now_mps == pytest.approx(0.33)
+
+
+def test_the_path_is_the_positions_while_the_servo_is_on_its_way():
+    one = outlook(ACROSS)
+    hold = Hold(LEFT, 0, CENTER, (LEFT, RIGHT), 0.1, 0.05, 0)
+    assert one.path_per_m(None, 0) == pytest.approx(0.0, abs=1e-6)
+    assert one.path_per_m(hold, 0) > 0.3
+    assert one.path_per_m(hold, 10 * S) == pytest.approx(0.0, abs=1e-6), "settled: as it is measured"
+
+
+@pytest.mark.parametrize("half_duty, lags", [(4600, 1.0), (3916, 3.9)], ids=("smooth", "steep_at_its_end"))
+def test_a_linkage_that_turns_the_wheels_within_the_last_counts_turns_later(half_duty, lags):
+    one = outlook(ACROSS)
+    from_right, from_left = (one.turns(duty, 1.0)[0].reaction_m for duty in (RIGHT, LEFT))
+    assert from_right > from_left, "a servo that is at the other end turns later"
+    for duty, curvature_per_m in ((LEFT, 1.0), (half_duty, 0.6), (CENTER, 0.0)):
+        one._survey.add(Measured(duty, 1, 1.0, curvature_per_m))
+    reaction_m = one.turns(CENTER, 1.0)[0].reaction_m
+    # A servo's lag of 0.15 s: after so many of them the wheels turn half as tightly as at the end.
+    assert reaction_m == pytest.approx(0.17 + 0.15 * lags, abs=0.05)

@@ -1,0 +1,64 @@
+"""Segments of drives: which are used, which are left out, and how well the wheels' position is known."""
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from car_interface.tools.calibration.steering import fit
+from car_interface.tools.calibration.steering.drive import CurveFitConfig
+from tools.calibration.steering.synthetic import KNOWN, KNOWN_DELAY, drive, from_both_sides, mixed, true_curvature
+
+pytestmark = pytest.mark.once
+
+
+def test_several_drives_count_together():
+    halves = mixed(count=40)
+    found = fit.fit([drive(halves[:20]), drive(halves[20:], seed=5, start_s=1000.0)], KNOWN)
+    assert found.curvature(5800) == pytest.approx(true_curvature(5800), abs=0.01)
+    assert len(found.used) > 1.8 * len(fit.fit([drive(halves[:20])], KNOWN).used)
+
+
+def test_intervals_that_are_left_out_are_counted_by_reason():
+    slow, fast = drive(mixed(seed=9), start_s=500.0), drive(mixed(seed=9), start_s=1000.0)
+    found = fit.fit([drive(mixed()), slow._replace(distance_m=slow.distance_m * 0.1),
+                     fast._replace(distance_m=fast.distance_m * 4, yaw_rad=fast.yaw_rad * 4)], KNOWN)
+    assert found.counts["slow or standing"] > 0 and found.counts["fast in a bend: tyres may slide"] > 0
+    assert found.curvature(4500) == pytest.approx(true_curvature(4500), abs=0.01)
+
+
+def test_what_the_servo_did_in_a_gap_of_the_recording_is_not_taken_for_known():
+    whole = drive(mixed(count=60), backlash=30.0)
+    # The recorder misses 1 s around each third change of the duty; the servo moves meanwhile.
+    missed = np.zeros(len(whole.t_s), bool)
+    kept_duty = np.ones(len(whole.duty), bool)
+    for index in range(3, len(whole.duty), 3):
+        missed |= np.abs(whole.t_s - whole.duty_t_s[index]) < 0.5
+        kept_duty[index] = False
+    gappy = whole._replace(t_s=whole.t_s[~missed], distance_m=whole.distance_m[~missed], yaw_rad=whole.yaw_rad[~missed],
+                           duty_t_s=whole.duty_t_s[kept_duty], duty=whole.duty[kept_duty])
+    assert missed.any()
+    found = fit.fit([gappy], CurveFitConfig(delay=KNOWN_DELAY))
+    # Each piece, not the curve: that one is robust, and would pass over a few that rest on a duty from before the gap.
+    assert len(found.observations.duty) > 15
+    assert np.abs(found.observations.curvature_per_m - true_curvature(found.observations.duty)).max() < 0.05
+
+
+def test_position_of_the_wheels_is_less_known_when_the_linkage_floats_in_its_backlash():
+    sure = np.repeat(from_both_sides(mixed(count=30)), 5)
+    # Half a second a little beyond, and back by less than the play: how far it came is a matter of the servo's lag.
+    floating = [6000] * 5 + [4940] + [5000] * 6
+    found = fit.fit([drive(np.concatenate([sure, floating]), hold_s=0.5, backlash=30.0)],
+                    CurveFitConfig(delay=KNOWN_DELAY))
+    observations = found.observations
+    assert np.median(observations.duty_sigma) < 1.2
+    assert observations.duty_sigma[np.argmax(observations.t_s)] > 4.0
+
+
+@pytest.mark.parametrize("noise_rad, heading_sigma_rad", ((0.0, 0.005), (0.0065, 0.0065), (0.03, 0.008)),
+                         ids=("better than that is luck", "as it is seen", "never worse than what is usual"))
+def test_the_heading_is_as_good_as_the_drive_shows(noise_rad, heading_sigma_rad):
+    known = CurveFitConfig(delay=KNOWN_DELAY, backlash_duty=0.0, min_heading_sigma_rad=0.005)
+    found = fit.fit([drive(mixed(), noise_rad=noise_rad)], known).observations
+    independent = np.clip(found.distance_m / 0.15, 2, 26)
+    expected = np.hypot(heading_sigma_rad * np.sqrt(12 / independent) / found.distance_m, 0.001)
+    assert found.sigma_per_m == pytest.approx(expected, rel=0.2)

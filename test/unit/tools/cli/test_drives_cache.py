@@ -1,0 +1,212 @@
+"""What was read before is kept, and is used only if nothing has changed."""
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+
+import pytest
+
+from car_interface.tools.cli import drives_cache
+from car_interface.tools.cli.drives_cache import NAME, Cache, Fingerprint, find_recordings, fingerprint
+from car_interface.tools.report.drives_row import Row
+
+STATE = Fingerprint(100, 5)
+ROW = Row("a.bag", start_ns=1, duration_s=2.0, losses={"e_stop": 1}, lacks=["/rosout"], notes=[], left_ratio=1.05)
+
+
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path, monkeypatch):
+    """The user's cache folder."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return tmp_path / "cache" / "car_interface"
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "drives").mkdir()
+    cache = Cache(str(tmp_path / "drives"), "1")
+    cache.add(STATE, ROW)
+    assert cache.save(["a.bag"]) == ""
+    return str(tmp_path / "drives")
+
+
+@pytest.mark.parametrize("path, state, version", [
+    ("b.bag", STATE, "1"), ("a.bag", Fingerprint(101, 5), "1"), ("a.bag", Fingerprint(100, 6), "1"),
+    ("a.bag", STATE, "2"), ("a.bag", None, "1"),
+], ids=["another_recording", "another_size", "another_time", "another_version", "gone"])
+def test_row_of_something_else_is_not_used(folder, path, state, version):
+    cache = Cache(folder, version)
+    assert cache.row(path, state) is None and cache.problem == ""
+
+
+def test_row_with_an_error_is_not_kept_nor_one_whose_recording_is_gone(folder):
+    cache = Cache(folder, "1")
+    cache.add(STATE, Row("bad.bag", error="no permission"))
+    cache.add(STATE, ROW._replace(path="b.bag"))
+    cache.save(["bad.bag", "b.bag"])
+    again = Cache(folder, "1")
+    assert again.row("bad.bag", STATE) is None and again.row("a.bag", STATE) is None
+    assert again.row("b.bag", STATE).path == "b.bag"
+
+
+@pytest.mark.parametrize("damage", [
+    pytest.param(lambda text: "", id="empty"),
+    pytest.param(lambda text: text[:100], id="cut_off"),
+    pytest.param(lambda text: text.replace("1.05", "9.05"), id="another_number"),
+    pytest.param(lambda text: "garbage\n{}\n", id="garbage"),
+    pytest.param(lambda text: text.replace("a", "ä"), id="not_ascii"),
+])
+def test_damaged_file_is_said_and_replaced(folder, damage):
+    path = os.path.join(folder, NAME)
+    with open(path, encoding="utf-8") as file:
+        text = file.read()
+    with open(path, "w", encoding="utf-8") as file:
+        file.write(damage(text))
+    cache = Cache(folder, "1")
+    assert cache.problem == f"{path} is damaged" and cache.row("a.bag", STATE) is None
+    cache.add(STATE, ROW)
+    assert cache.save(["a.bag"]) == "" and Cache(folder, "1").row("a.bag", STATE) is not None
+
+
+def rewrite(folder, body):
+    """Give the file another content, with the right checksum."""
+    path = os.path.join(folder, NAME)
+    with open(path, "w", encoding="ascii") as file:
+        file.write(f"{hashlib.sha256(body.encode('ascii')).hexdigest()}\n{body}\n")
+    return path
+
+
+def content(folder):
+    with open(os.path.join(folder, NAME), encoding="ascii") as file:
+        return json.loads(file.read().split("\n")[1])
+
+
+@pytest.mark.parametrize("body", [
+    "null", "[]", "{}", '{"version": 1, "rows": {}}', '{"version": "1"}', '{"version": "1", "rows": []}', "[" * 100_000,
+    '{"version": "1", "rows": {"a.bag": ' + "[" * 100_000 + "]" * 100_000 + "}}", '{"version": "1", "rows": {}',
+], ids=["null", "list", "empty", "version_is_a_number", "no_rows", "rows_are_a_list", "nested_too_deeply",
+        "row_nested_too_deeply", "no_json"])
+def test_file_with_the_right_checksum_and_another_structure_is_damaged(folder, body):
+    path = rewrite(folder, body)
+    cache = Cache(folder, "1")
+    assert cache.problem == f"{path} is damaged" and cache.row("a.bag", STATE) is None and cache.damaged == 0
+
+
+def wrong_entries():
+    """Entries of wrong structure: (id, a function that makes one of a good entry)."""
+    for wrong in (None, "text", [], {}, [[100, 5]], [[100, 5], None, 1]):
+        yield f"entry_is_{json.dumps(wrong)}", lambda entry, wrong=wrong: wrong
+    for wrong in (None, [100], [100, 5, 6], ["100", 5], [100.0, 5], [True, 5], {"size": 100}):
+        yield f"state_is_{json.dumps(wrong)}", lambda entry, wrong=wrong: [wrong, entry[1]]
+    for wrong in (None, {}, "a.bag"):
+        yield f"row_is_{json.dumps(wrong)}", lambda entry, wrong=wrong: [entry[0], wrong]
+    yield "row_lacks_a_field", lambda entry: [entry[0], entry[1][:-1]]
+    yield "row_has_one_more", lambda entry: [entry[0], [*entry[1], 0]]
+    nested = []
+    for _ in range(300):
+        nested = [nested]
+    for index, field in enumerate(Row._fields):
+        for wrong in (True, math.nan, math.inf, 1e300, 10**30, [1], [None], [["a"]], {"a": "b"}, {"a": -1.5},
+                      {"a": None}, {"a": [1]}, nested, *WRONG.get(field, ())):
+            yield (f"{field}_is_{json.dumps(wrong)[:20]}", lambda entry, index=index, wrong=wrong: [
+                entry[0], [*entry[1][:index], wrong, *entry[1][index + 1:]]])
+
+
+WRONG = {"path": ("text", None), "error": ("text", None), "start_ns": ("5", -1.5, None), "frames": ("5", -1.5, []),
+         "duration_s": ("5", -1.5, None), "losses": ("text", 5, []), "lacks": ("text", None, {}), "notes": (None, {})}
+
+
+def test_entries_of_another_structure_are_not_used_and_the_others_are(folder):
+    stored = content(folder)
+    good = stored["rows"]["a.bag"]
+    wrong = {name: spoil(json.loads(json.dumps(good))) for name, spoil in wrong_entries()}
+    for name, entry in wrong.items():
+        if isinstance(entry, list) and len(entry) > 1 and isinstance(entry[1], list) and entry[1][:1] == ["a.bag"]:
+            entry[1][0] = name  # else it is refused for its path alone
+    rewrite(folder, json.dumps({**stored, "rows": {**stored["rows"], **wrong}}))
+    cache = Cache(folder, "1")
+    assert [name for name in wrong if cache.row(name, STATE) is not None] == []
+    assert (cache.damaged, cache.problem) == (len(wrong), "")
+    assert cache.row("a.bag", STATE)._asdict() == ROW._asdict() and os.listdir(folder) == [NAME]
+
+
+def test_what_is_no_file_or_a_file_that_is_too_large_is_not_read_and_said(folder):
+    path = os.path.join(folder, NAME)
+    with open(path, "r+b") as file:
+        file.truncate(1 << 40)
+    assert Cache(folder, "1").problem == f"{path} can't be read (File too large)"
+    os.unlink(path)
+    os.mkfifo(path)
+    assert Cache(folder, "1").problem == f"{path} can't be read (it is no regular file)"
+    os.unlink(path)
+    os.mkdir(path)
+    assert Cache(folder, "1").problem == f"{path} can't be read (Is a directory)"
+
+
+def test_folder_that_can_not_be_written_has_its_file_in_the_users_cache_folder(tmp_path, elsewhere, monkeypatch):
+    folder, write = str(tmp_path / "read_only"), drives_cache.replace
+
+    def replace(path, data, keeps_old):
+        if path.startswith(folder):
+            raise PermissionError(13, "Permission denied")
+        return write(path, data, keeps_old)
+    monkeypatch.setattr(drives_cache, "replace", replace)
+    cache = Cache(folder, "1")
+    cache.add(STATE, ROW)
+    assert cache.save(["a.bag"]) == "" and len(list(elsewhere.iterdir())) == 1
+    assert Cache(folder, "1").row("a.bag", STATE) is not None and Cache(str(tmp_path), "1").row("a.bag", STATE) is None
+
+
+def test_what_can_not_be_kept_anywhere_is_said_with_the_folders_own_file(tmp_path, monkeypatch):
+    def replace(path, data, keeps_old):
+        raise PermissionError(13, "Permission denied")
+    monkeypatch.setattr(drives_cache, "replace", replace)
+    assert Cache(str(tmp_path), "1").save([]) == f"{tmp_path / NAME}: Permission denied"
+
+
+def make(folder, *names):
+    for name in names:
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("x")
+
+
+def test_recordings_of_every_kind_are_found_in_order_and_nothing_else(tmp_path):
+    make(tmp_path, "b.bag", "a/c.bag", "killed.bag.active", "one.mcap", "old.db3", "notes.txt", "b.html", "c.bag.orig",
+         ".trash/a.bag")
+    assert find_recordings(str(tmp_path)) == ["a/c.bag", "b.bag", "killed.bag.active", "old.db3", "one.mcap"]
+
+
+def test_folder_of_ros_2_is_one_recording_and_not_its_files(tmp_path):
+    make(tmp_path, "drive/metadata.yaml", "drive/drive_0.db3", "drive/drive_1.db3", "drive/more/x.bag",
+         "other/metadata.yaml", "other/a.bag")
+    assert find_recordings(str(tmp_path)) == ["drive", "other/a.bag"]
+
+
+def test_damaged_recording_that_rosbag_has_repaired_is_left_out_but_not_one_of_such_a_name_alone(tmp_path):
+    make(tmp_path, "a.bag", "a.orig.bag", "b.bag.active", "b.bag.orig.active", "c.orig.bag", "d/a.orig.bag")
+    assert find_recordings(str(tmp_path)) == ["a.bag", "b.bag.active", "c.orig.bag", "d/a.orig.bag"]
+
+
+def test_folder_that_is_not_there_is_an_error_with_its_name(tmp_path):
+    with pytest.raises(OSError) as caught:
+        find_recordings(str(tmp_path / "none"))
+    assert caught.value.filename == str(tmp_path / "none")
+
+
+def test_fingerprint_changes_with_size_or_time(tmp_path):
+    path = tmp_path / "a.bag"
+    path.write_bytes(b"1234")
+    os.utime(str(path), ns=(5, 7_000))
+    assert fingerprint(str(path)) == Fingerprint(4, 7_000)
+    os.utime(str(path), ns=(5, 8_000))
+    assert fingerprint(str(path)) == Fingerprint(4, 8_000)
+
+
+def test_fingerprint_of_a_folder_is_that_of_all_its_files(tmp_path):
+    make(tmp_path, "drive/metadata.yaml", "drive/drive_0.db3")
+    for number, name in enumerate(("metadata.yaml", "drive_0.db3"), 1):
+        os.utime(str(tmp_path / "drive" / name), ns=(0, number * 1000))
+    assert fingerprint(str(tmp_path / "drive")) == Fingerprint(2, 2000)

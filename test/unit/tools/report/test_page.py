@@ -1,0 +1,123 @@
+"""The page about a drive."""
+from __future__ import annotations
+
+import copy
+import re
+from dataclasses import replace
+from html import unescape
+from html.parser import HTMLParser
+
+import pytest
+
+from car_interface.tools.recordings.recording import Topic
+from car_interface.tools.report.coverage import Gap
+from car_interface.tools.report.faults import ERROR, WARN, Fault
+from car_interface.tools.report.page import page
+from car_interface.tools.report.plots import plots
+from car_interface.tools.report.states import Episode
+from car_interface.tools.report.summary import summarize
+from written_recordings import Written, odometry, write_ros1
+
+HOSTILE = "</td><script>alert('\"')</script>&amp;{{ 7 * 7 }}"
+PLOTS = ["who", "steering", "path", "speed", "link"]
+
+
+class Checker(HTMLParser):
+    """Collects a page's tags, and what they would load."""
+
+    ALONE = ("meta", "path", "use", "br", "rect")
+
+    def __init__(self):
+        super().__init__()
+        self.open: list = []
+        self.tags: list = []
+        self.loads: list = []
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append(tag)
+        self.loads += [value for name, value in attributes
+                       if name in ("src", "href", "xlink:href") and value and not value.startswith("#")]
+        if tag not in self.ALONE:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attributes):
+        self.handle_starttag(tag, attributes)
+        if tag not in self.ALONE:
+            self.open.pop()
+
+    def handle_endtag(self, tag):
+        if tag not in self.ALONE:
+            assert self.open.pop() == tag
+
+
+def test_page_is_well_formed_loads_nothing_and_lets_no_text_of_the_recording_in(seen, drawn):
+    text = page(seen, drawn)
+    checker = Checker()
+    checker.feed(text)
+    assert checker.open == [] and checker.loads == []
+    assert checker.tags.count("script") == 0 and checker.tags.count("svg") == len(PLOTS)
+    assert "http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'" in text
+    assert "&lt;script&gt;document.title" in text
+    assert text.index('<table class="summary">') < text.index("<svg")
+
+
+def test_page_says_who_drove_what_was_lost_how_the_car_followed_and_how_its_link_was(seen):
+    text = " ".join(page(seen, {}).split())
+    for words in (
+            "The gamepad drove for 15.0 s and the planner for 20.0 s.",
+            "The car was stopped once because something was lost or locked: planner silent.",
+            "3 faults need somebody to look", "<tr><th>Went neutral</th><td>once: planner silent</td></tr>",
+            "52.5 m", "1.50 m/s", "left 10% wider than the tables say", "0.80 m, front middle, at 10.20 s",
+            "5310 frames, 2 corrupt (0.04%); 59 of 60 pings answered; the Teensy started anew once",
+            "+12.5 ppm at the end, known to 0.60 ms", "av_turnrad_req silent for 0.50 s", "txPackets", "+5900"):
+        assert words in text
+
+
+@pytest.mark.parametrize("message", [odometry(0.0), Written(0.0, "/turn_arb/state", "car_interface/SteeringState", {}),
+                                     Written(0.0, "/servo/output", "std_msgs/Int32MultiArray", {"data": [0] * 16})])
+def test_single_message_makes_a_page_too(message, tmp_path):
+    seen = summarize(str(write_ros1(tmp_path / "a.bag", [message])))
+    assert "</html>" in page(seen, plots(seen))
+
+
+def test_no_text_from_outside_is_anything_but_text(seen):
+    drive = replace(
+        copy.deepcopy(seen), path=f"bags/{HOSTILE.replace('/', '')}", namespace=HOSTILE, notes=[HOSTILE, HOSTILE],
+        topics={HOSTILE: Topic(HOSTILE, 1)})
+    drive.steering.episodes = [episode._replace(cause=HOSTILE, reason=HOSTILE) for episode in drive.steering.episodes]
+    drive.throttle.episodes = [Episode(0.0, 1.0, HOSTILE, HOSTILE, HOSTILE, 1, HOSTILE)]
+    drive.limits.episodes = [Episode(0.0, 1.0, HOSTILE, HOSTILE, HOSTILE)]
+    drive.limits.counts = {HOSTILE: 1}
+    drive.faults.entries = [Fault(0.0, 1.0, level, HOSTILE, HOSTILE, 2) for level in (WARN, ERROR, 99)]
+    drive.throttle.profile = drive.planner.source = drive.planner.others = drive.sonars.nearest_sonar = HOSTILE
+    drive.sonars.frames_without_mount = {HOSTILE}
+    drive.teensy.counters = {HOSTILE: (1, 2)}
+    drive.coverage.gaps = lambda: [Gap(HOSTILE, HOSTILE)]
+    text = page(drive, {})
+    checker = Checker()
+    checker.feed(text)
+    assert checker.open == [] and "script" not in checker.tags and checker.loads == []
+    shown = {"namespace": 1, "notes": 2, "stops": 1, "sonar": 1, "gaps": 2 * 2, "planner and profile": 3, "ESC": 2,
+             "who drove": len(seen.steering.episodes), "limits": 4, "faults": 3 * 2, "mounts": 1, "counter": 1,
+             "topic": 2}
+    assert unescape(text).count(HOSTILE) == sum(shown.values())
+
+
+def test_numbers_stand_in_columns_of_numbers_and_every_row_has_as_many_cells_as_the_head(seen, drawn):
+    tables = re.findall(r"<table>(.*?)</table>", page(seen, drawn), re.DOTALL)
+    assert len(tables) == 4
+    for table in tables:
+        head, *rows = [[attributes == ' class="number"' for attributes in re.findall(r"<t[hd]( [^>]*)?>", row)]
+                       for row in re.findall(r"<tr>(.*?)</tr>", table, re.DOTALL)]
+        assert rows and any(head) and all(row == head for row in rows)
+
+
+@pytest.mark.parametrize("count, is_folded, more", [
+    (0, False, ""), (25, False, ""), (26, True, ""), (500, True, ""), (503, True, "And 3 more.")])
+def test_long_table_is_folded_and_a_very_long_one_ends_early(seen, count, is_folded, more):
+    text = page(replace(seen, topics={f"/topic{number}": Topic("a/b", 1) for number in range(count)}), {})
+    text = text[text.index('id="contents"'):]
+    assert text.count("<td>/topic") == min(count, 500) and ("<table>" in text) == bool(count)
+    assert text.count("<details>") == text.count("</details>") == is_folded
+    assert (f"<summary>{count} lines</summary>" in text) == is_folded
+    assert (more in text) if more else "more." not in text

@@ -1,0 +1,60 @@
+"""The plots of a drive."""
+from __future__ import annotations
+
+import copy
+import math
+import re
+
+from car_interface.tools.report import plots as report_plots
+from car_interface.tools.report.downsample import Trace
+from car_interface.tools.report.summary import summarize
+from written_recordings import Written, odometry, write_ros1
+
+PLOTS = ["who", "steering", "path", "speed", "link"]
+
+
+def test_each_plot_is_one_svg_with_ids_of_its_own(drawn):
+    assert list(drawn) == PLOTS
+    ids = [name for plot in drawn.values() for name in re.findall(r'\bid="([^"]+)"', plot)]
+    assert len(ids) == len(set(ids))
+    for plot in drawn.values():
+        assert plot.startswith('<svg role="img" aria-label="') and plot.count("</svg>") == 1
+        used = set(re.findall(r'(?:href="#|url\(#)([\w.-]+)', plot))
+        assert used <= set(re.findall(r'\bid="([^"]+)"', plot))
+
+
+def test_each_trace_shows_in_its_plot(seen, monkeypatch):
+    shown = []
+    monkeypatch.setattr(report_plots, "curve", lambda axes, trace, *_, **__: shown.append(trace))
+    monkeypatch.setattr(report_plots, "legend", lambda axes: None)
+    for draw, names in ((report_plots._steering, "requested curvature, sent curvature, driven curvature, gamepad"),
+                        (report_plots._speed, "speed, acceleration, requested acceleration, value"),
+                        (report_plots._link, "frames, bad frames, round trip, skew")):
+        shown.clear()
+        traces = {name: Trace(0.0, seen.duration_s) for name in seen.traces}
+        for name in names.split(", "):
+            traces[name].add(1.0, 0.3)
+        other = copy.copy(seen)
+        other.traces = traces
+        draw(other)
+        assert {name for name, trace in traces.items() if trace.count and trace in shown} == set(names.split(", "))
+
+
+def test_steering_shows_what_was_driven_where_that_is_tighter_than_what_was_sent(tmp_path):
+    messages = [odometry(0.02 * step, math.sin(0.02 * step), 1 - math.cos(0.02 * step), 0.02 * step, 1.0)
+                for step in range(500)]
+    figure = report_plots._steering(summarize(str(write_ros1(tmp_path / "a.bag", messages))))
+    low, high = figure.axes[0].get_ylim()
+    assert low < -1.0 and high > 1.0  # 1/m
+
+
+def test_servos_channel_is_not_drawn_as_the_escs_though_its_channel_is_unknown(tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(report_plots, "curve", lambda axes, trace, colour, label, *_, **__: drawn.append(label))
+    messages = [Written(0.1 * step, "/servo/output", "std_msgs/Int32MultiArray",
+                        {"data": [5000 + 16 * step, 4912 + 16 * step] + [0] * 14}) for step in range(20)]
+    seen = summarize(str(write_ros1(tmp_path / "a.bag", messages)))
+    with monkeypatch.context() as patch:
+        patch.setattr(report_plots, "title", lambda axes, text: drawn.append(text))
+        report_plots._speed(seen)
+    assert drawn == ["The ESC's duty", "duty on channel 1"]
