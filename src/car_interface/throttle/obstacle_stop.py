@@ -33,7 +33,6 @@ USED = "used"
 HUB = "sonar_hub/"  # the sensor hub's file, sonars.yaml, below the node
 SIDE_MARGIN_M = 0.05  # what the car passes by more closely is in its way
 MIN_STOP_MPS2 = 0.02  # a stop that is certain of less is none
-STEEP_MPS2 = 0.1  # where it is less nothing is left of it a few degrees farther round
 MAX_CYCLE_S = 0.43  # of six sonars, all of which wait for an echo in vain
 CYCLES = 3  # the longest of so many counts
 
