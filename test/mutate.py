@@ -257,7 +257,7 @@ def tests_of(root: Path, modules: Iterable[str]) -> dict[str, list[str]]:
     Tests of the tools (calibration, report and so on) are left out: they take long, and notice by accident. For a node
     also test/graph.
     """
-    files = {path.relative_to(root).as_posix(): imported(path, root) for part in (*PARTS, "common")
+    files = {path.relative_to(root).as_posix(): imported(path, root) for part in (*PARTS, "common", "ros")
              for path in sorted((root / "test/unit" / part).rglob("test_*.py"))}
     graph = [path.relative_to(root).as_posix() for path in sorted((root / "test/graph").rglob("test_*.py"))]
     tests = {}

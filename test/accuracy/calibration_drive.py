@@ -34,6 +34,7 @@ from many_drives import THROTTLE, Chip
 from accuracy.steering_calibration import Errors, ask, asked_for, beyond, floor, line, meets, together
 from accuracy.virtual_drive import NS_PER_MS, NS_PER_S, START_NS, Hub, count_duty, random_car
 from car_interface.common.causes import AUTONOMOUS
+from car_interface.common.vehicle_geometry import SONARS
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.sim import esc as virtual
 from car_interface.sim.collision import Collisions
@@ -43,14 +44,14 @@ from car_interface.sim.world import World, WorldConfig
 from car_interface.steering.arbiter import ArbiterConfig as SteeringConfig
 from car_interface.steering.arbiter import SteeringArbiter
 from car_interface.steering.calibration import SteeringCalibration, trimmed
-from car_interface.steering.params import load_steering
+from car_interface.steering.config import load_steering
 from car_interface.teensy.link.protocol import WheelStatus
 from car_interface.throttle.arbiter import ArbiterConfig
 from car_interface.throttle.control import ThrottleControl
 from car_interface.throttle.converter import ConversionConfig, Converter
 from car_interface.throttle.esc_config import UNVERIFIED, EscConfig
 from car_interface.throttle.limits import ThrottleLimits
-from car_interface.throttle.obstacle_stop import NAMES, Mount, ObstacleConfig
+from car_interface.throttle.obstacle_stop import Mount, ObstacleConfig
 from car_interface.throttle.speed_control import SpeedControl, SpeedRequest
 from car_interface.throttle.value_map import load_value_map
 from car_interface.tools.calibration.drive.calibration_drive import CalibrationDrive
@@ -78,21 +79,21 @@ class Sonars:
 
     def __init__(self, rng, world):
         self._rng, self._world = rng, world
-        self._index, self._next_ns = rng.randrange(len(NAMES)), 0
+        self._index, self._next_ns = rng.randrange(len(SONARS)), 0
         self._reports = deque()
 
     def step(self, pose, now_ns):
         """The ranges that arrive now, by name."""
         if now_ns >= self._next_ns:
             sensor = self._index
-            self._index = (self._index + 1) % len(NAMES)
+            self._index = (self._index + 1) % len(SONARS)
             distance_m = self._world.distance_m(pose, sensor)
             flight_ns = 38 * NS_PER_MS if distance_m is None else round(2e9 * distance_m / 343)
             range_m = math.inf if distance_m is None or distance_m > MAX_RANGE_M else max(
                 0.0, distance_m + self._rng.gauss(0, 0.005))
             self._next_ns = now_ns + flight_ns + 30 * NS_PER_MS
             late_ns = round(self._rng.uniform(2, 12)) * NS_PER_MS
-            self._reports.append((now_ns + flight_ns + late_ns, NAMES[sensor], range_m))
+            self._reports.append((now_ns + flight_ns + late_ns, SONARS[sensor], range_m))
         arrived = []
         while self._reports and self._reports[0][0] <= now_ns:
             arrived.append(self._reports.popleft()[1:])
@@ -218,7 +219,7 @@ class Bench:
         self._collisions = None if self._world is None else Collisions(self._world.obstacles)
         self.vehicle = Vehicle(car.vehicle, START_NS, self._collisions)
         self._sonars = None if self._world is None else Sonars(rng, self._world)
-        mounts = {name: Mount(mount.x_m, mount.y_m, mount.yaw_rad) for name, mount in zip(NAMES, WorldConfig().mounts)}
+        mounts = {name: Mount(mount.x_m, mount.y_m, mount.yaw_rad) for name, mount in zip(SONARS, WorldConfig().mounts)}
         config = CalibrationDriveConfig(
             braking_mps2=braking_mps2, radius_m=HALF_M,
             obstacles=None if self._world is None else ObstacleConfig(mounts, math.radians(30), 2.0))

@@ -80,6 +80,7 @@ class Case(NamedTuple):
     human_scale: float = 0.5
     speed_mps: float = 0.0  # at which the script's push ends early; 0 = it doesn't
     is_even: bool = False  # all delays are the middle ones
+    cruise_mps: float = 0.0  # what the planner says that the car should drive on with; 0 = nothing
 
     @property
     def is_measured(self) -> bool:
@@ -307,7 +308,8 @@ def random_case(seed: int) -> Case:
     (script.by_stick if rng.random() < 0.6 else script.by_planner)(until_s)
     faults = _random_faults(rng, script.segments)
     return Case(str(seed), group, config, esc, car, script.segments, sorted(faults, key=lambda each: each.start_s),
-                _random_odometry(rng), rng.uniform(0.3, 1.0))
+                _random_odometry(rng), rng.uniform(0.3, 1.0),
+                cruise_mps=rng.choice((0.0, rng.uniform(0.2, 2.0))))
 
 
 def _random_odometry(rng):
@@ -319,7 +321,7 @@ def _random_odometry(rng):
 SWEEP_KINDS = ([("right", kind, kind, False) for kind in KINDS] + [("right", BTR, BTR, True)]
                + [(UNVERIFIED, UNVERIFIED, kind, False) for kind in KINDS]
                + [("wrong", profile, kind, False) for profile, kind in WRONG[:-1]])
-SWEEP_STOPS = ("deadman", "e-stop", "silent planner", "pull", "planner's hold")
+SWEEP_STOPS = ("deadman", "e-stop", "silent planner", "pull", "planner's hold", "planner's second hold")
 # What made it look as if a brake held the car before, if anything did; and what goes wrong later, at once.
 SWEEP_FAULTS = (*(("", name) for name in FAULTS), ("", STALL, OUTPUT_LATE), ("", STALL, OUTPUT_LOST),
                 ("", ODOMETRY_LOST, CUT_FAULT), ("", ODOMETRY_LOST, WALL), ("brake", STALL),
@@ -370,6 +372,10 @@ def _sweep_script(slows, begins_s, pulls_before, arming_s):
         script += [Segment(begins_s, DRIVE, **pushes), Segment(begins_s + 1.6, HOLD, stick=-0.8, **ways)]
         begins_s += PROOF_S
     script.append(Segment(begins_s, DRIVE, **pushes))
+    if slows == "planner's second hold":
+        script += [Segment(begins_s + 0.25, HOLD, value=-1.0, **ways),
+                   Segment(begins_s + 0.55, COAST, value=0.0, **ways)]
+        slows = "planner's hold"
     ends_s = begins_s + 2.4
     if slows == "silent planner":
         script[-1] = Segment(begins_s - SILENCE_S, DRIVE, **pushes)

@@ -13,14 +13,13 @@ from typing import Iterable, NamedTuple, Sequence
 from adversary.car_model import CarSpec
 from adversary.cases import SWEEP_CASES, UNVERIFIED, Case, Odometry, Segment, random_case, sweep_case
 from adversary.esc_model import BBR, BTR, DIRECT, FORWARD_ONLY, KINDS, EscSpec
-from adversary.world import HIT, LOCKED, SLOWED, World
+from adversary.world import HIT, LOCKED, POWERED, RELEARNED, SLOWED, World
 
-ENDED_S = 0.5  # after odometry that shows it: a wrong kind's, and an ESC's that was powered under a pull
-# Wheels that a wall stops, or that lock, all at once: no rule can know before odometry shows it, and that the message,
-# the timer, the board and the pulse have passed.
-STOOD_S, UNSEEN_S = 0.1, 0.5
-UNDER_A_PULL = "powered under a pull"
-APART = ("no stamp", UNDER_A_PULL, "powered", SLOWED, LOCKED, HIT)  # told apart, the first that applies
+ENDED_S = 0.5  # after odometry that shows it: a wrong kind's, and an ESC's that was powered anew
+# Wheels that a wall stops, or that lock, all at once: no rule can know before odometry shows it, or is half a second
+# old (esc/speed_timeout), and that the message, the timer, the board and the pulse have passed.
+STOOD_S, UNSEEN_S = 0.1, 0.6
+APART = ("no stamp", RELEARNED, POWERED, SLOWED, LOCKED, HIT)  # told apart, the first that applies
 WORST = 12
 
 
@@ -43,9 +42,9 @@ class Found(NamedTuple):
 
     @property
     def is_failure(self) -> bool:
-        if self.apart in ("no stamp", "powered", SLOWED):
+        if self.apart in ("no stamp", RELEARNED, SLOWED):
             return False
-        if self.apart == UNDER_A_PULL or self.group == "wrong" and self.reversal.want != "stop":
+        if self.apart == POWERED or self.group == "wrong" and self.reversal.want != "stop":
             return not self.is_ended
         if self.apart in (LOCKED, HIT):
             return self.reversal.stood_s > STOOD_S or self.reversal.stopped_s > UNSEEN_S

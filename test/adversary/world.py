@@ -38,6 +38,7 @@ from car_interface.throttle.arbiter import TELEOP, ArbiterConfig
 from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.control import ThrottleControl
 from car_interface.throttle.esc_config import EscConfig
+from car_interface.throttle.stick import StickConfig, shaped
 
 MS, S = 1_000_000, 1_000_000_000
 STEP_NS, TICK_NS, PERIOD_NS = 5 * MS, 20 * MS, 20 * MS  # the car's step, the nodes' timers, the pulses
@@ -58,6 +59,8 @@ STANDSTILL_MPS, HIT_MPS = 0.1, 0.05  # odometry that shows standstill; a wall th
 RECENT_NS = 1000 * MS  # a fault that ended so recently is named
 SUDDEN_NS = 300 * MS  # a brake that becomes reverse so soon after the wheels stopped all at once comes of that
 LOCKED, HIT, SLOWED = "locked", "hit a wall", "rolled forward to its end"
+POWERED, RELEARNED = "powered anew", "learned another neutral"
+PULL_MIN = 0.08  # esc/dead_band_reverse: a weaker pull moves nothing
 
 _INPUT, _ODOMETRY, _OUTPUT = range(3)
 
@@ -177,6 +180,8 @@ class World:
             self.pulse = (self.board.targets[CHANNEL] * COUNT - NEUTRAL) / SPAN
         esc, car = self.esc, self.car
         esc.step(self.pulse, car.wheel_mps, STEP_NS / S)
+        if self.power == POWERED and esc.has_wrong_neutral:
+            self.power = RELEARNED
         car.step(esc.motor, esc.level, self.case.esc.drag_brake if esc.is_on else 0.0, STEP_NS / S)
         if car.is_locked or car.hit_mps > HIT_MPS:
             name = LOCKED if car.is_locked else HIT
@@ -220,7 +225,7 @@ class World:
             is_held = self.pulse < -0.1
             if is_held or OFF_HELD not in self.latest_ns or self.now_ns - self.latest_ns[OFF_HELD] > 2 * S:
                 esc.switch(True)
-                self.power = "powered under a pull" if is_held else "powered"
+                self.power = POWERED
         if (WALL in active) != self.was_blocked:
             self.was_blocked = WALL in active
             ahead = self.was_blocked and active[WALL].value > 0
@@ -310,7 +315,8 @@ class World:
             arbiter.update_e_stop(segment.e_stop, now_ns)
         if segment.mode == AUTONOMOUS and segment.value is not None:
             if has_all and segment.gear:
-                arbiter.update_planner_state(segment.gear, None, now_ns)
+                cruise_mps = self.case.cruise_mps if segment.want in (DRIVE, HOLD, COAST) else 0.0
+                arbiter.update_planner_state(segment.gear, None, now_ns, cruise_mps)
             control.update_planner(segment.value, now_ns)
         arbiter.update_teleop(segment.stick, now_ns)
         arbiter.update_human(segment.deadman, now_ns)
@@ -389,6 +395,9 @@ class World:
         now_ns = self.now_ns
         self.lowest_mps = min(self.lowest_mps, self.car.speed_mps)
         if self.car.wheel_mps <= ROLLS_MPS:
+            if self.back and not self.driven_ns:
+                want, faults = self.back
+                self.back = want, tuple(sorted({*faults, *({LOCKED, HIT} & set(self._named(now_ns)))}))
             self.driven_ns += STEP_NS
         speed, arrived_ns = self.last_odometry
         if arrived_ns > self.back_ns and self.slightly_ns is None and speed < SLIGHTLY_MPS:
@@ -425,8 +434,13 @@ class World:
         is_due = (segment.want == SECOND and not is_begun and segment.end_s - now_s >= 1.5 + min(0.4, late_s)
                   and abs(self.car.wheel_mps) < 0.05 and abs(9.81 * case.car.slope) < case.car.drag_mps2
                   and case.group != "wrong" and case.esc.kind != FORWARD_ONLY and self.esc.is_on
-                  and self.away_ns is None and not self.power and not self.reversals and self._is_untroubled())
+                  and self.away_ns is None and not self.power and not self.reversals and self._is_untroubled()
+                  and (not segment.stick or self._drives(segment.stick)))
         self.second = [self.now_ns, self.index, False] if is_due else None
+
+    def _drives(self, stick):
+        """Whether a pull of the stick, scaled, is beyond the ESC's dead band."""
+        return shaped(-stick, StickConfig().deadband, 0.0) * self.case.human_scale > PULL_MIN
 
     def _is_untroubled(self):
         """Whether nothing that must be re-armed or that arms the ESC anew has gone wrong since the last release."""
@@ -476,6 +490,7 @@ class _Even:
 
 def _channels(esc):
     """The board's channels: neutral as the timeout value of the ESC's, and a short time for pulls of most kinds."""
-    pulls = 0 if esc["profile"] == BTR and esc.get("profile_measured") else -1
-    return [ChannelConfig(timeout_value=NEUTRAL, pulls=pulls) if channel == CHANNEL else ChannelConfig()
-            for channel in range(16)]
+    brakes_first = esc["profile"] == BTR and esc.get("profile_measured", False)
+    forgets_ms = round(1000 * esc.get("reverse_after_neutral_s", 0.0))
+    config = ChannelConfig(timeout_value=NEUTRAL, pulls=-1, brakes_first=brakes_first, forgets_ms=forgets_ms)
+    return [config if channel == CHANNEL else ChannelConfig() for channel in range(16)]

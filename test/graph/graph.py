@@ -22,7 +22,7 @@ from typing import Any, Callable, Iterator, NamedTuple
 import rospy
 
 from car_interface.common.publishers import ANY, Publisher
-from car_interface.common.standstill import MAX_WAIT_NS
+from car_interface.ros.backlog import MAX_WAIT_NS
 from car_interface.ros.clocks import Clocks
 from car_interface.ros.inbox import Inbox
 from car_interface.ros.runtime import Steps, describe_error, read_params
@@ -451,7 +451,7 @@ class Node:
             action()
 
     def _watch(self, life):
-        """What ``ros.master_watch`` does each second."""
+        """What ``ros.command_topics`` does each second."""
         if life is not self._life or not self.is_alive:
             return
         if not self._is_frozen:
@@ -741,7 +741,7 @@ class Graph:
 
 
 class _Lookup:
-    """What ``ros.publisher_lookup`` finds out about the publishers of a subscription's topic."""
+    """What ``ros.command_topics`` finds out about the publishers of a subscription's topic."""
 
     @staticmethod
     def publishers(subscription: Subscription, listed: Any) -> list[Publisher]:

@@ -12,7 +12,7 @@ from std_msgs.msg import Int32MultiArray
 from car_interface.nodes.pca9685.pca9685_guard import GuardProcess
 from car_interface.pca9685.guard import Guard
 from car_interface.pca9685.guard_output import OutputReadings
-from car_interface.ros.servo_messages import duty_vector
+from car_interface.ros.topics import duty_vector
 from graph import NS_PER_S, Graph, NodeClocks, TopicPublisher
 
 PIDS = itertools.count(1000)

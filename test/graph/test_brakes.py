@@ -22,7 +22,7 @@ BACKWARD_MPS = 0.03
 # What is configured, and what the virtual ESC is.
 ESCS = [("brake_then_reverse", "brake_then_reverse"), ("brake_becomes_reverse", "brake_becomes_reverse"),
         ("direct_reverse", "direct_reverse"), ("unverified", "brake_becomes_reverse"), ("unverified", "direct_reverse")]
-BY_STICK, BY_RELEASE = {"manual": True, "throttle": -1.0}, {}
+BY_STICK, BY_RELEASE, BY_SECOND_PULL = {"manual": True, "throttle": -1.0}, {}, {"manual": True, "throttle": -0.9}
 
 
 def stalls(seconds):
@@ -68,7 +68,12 @@ class Story:
         self.car.pad(manual=True)
         self.graph.run(0.3)
         self.car.pad(manual=True, throttle=1.0)
-        self.graph.run_until(lambda: self.car.speed_mps > 2.0)
+        self.graph.run_until(lambda: self.car.speed_mps > (3.0 if stop is BY_SECOND_PULL else 2.0))
+        if stop is BY_SECOND_PULL:
+            self.car.pad(**BY_STICK)
+            self.graph.run(0.2)
+            self.car.pad(manual=True)
+            self.graph.run(0.3)
         self.begin_ns = self.graph.now_ns
         self.car.pad(**stop)
 
@@ -80,7 +85,7 @@ class Story:
 
 
 @pytest.mark.once
-@pytest.mark.parametrize("stop", [BY_STICK, BY_RELEASE], ids=["stick", "release"])
+@pytest.mark.parametrize("stop", [BY_STICK, BY_RELEASE, BY_SECOND_PULL], ids=["stick", "release", "second pull"])
 @pytest.mark.parametrize("profile, kind", ESCS)
 def test_no_fault_of_the_nodes_makes_a_brake_reverse(profile, kind, stop):
     story, found = Story(profile, kind, stop), []

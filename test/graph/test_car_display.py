@@ -1,4 +1,4 @@
-"""The car_display node: what it draws of the car, its trail and its steering; and who starts it without a screen."""
+"""The car_display node: what it draws of the car, its trail and its steering."""
 from __future__ import annotations
 
 import math
@@ -11,8 +11,7 @@ from geometry_msgs.msg import Point, Pose, PoseWithCovariance, Quaternion
 from nav_msgs.msg import Odometry
 from visualization_msgs.msg import Marker, MarkerArray
 
-from car_interface.nodes import rviz_window
-from car_interface.nodes.car_display import CarDisplay
+from car_interface.nodes.car_display.node import CarDisplay
 from graph import NS_PER_S, START_NS
 
 MARKERS = "/car_display/markers"
@@ -141,24 +140,3 @@ def test_launch_file_gives_the_frames_of_a_car_with_a_namespace_its_name(graph, 
     graph.run(0)
     assert picture.marker("body").header.frame_id == f"{prefix}base_link"
     assert picture.marker("trail").header.frame_id == f"{prefix}odom"
-
-
-@pytest.mark.parametrize("problem, found, line, is_started", [
-    ("there is no screen", ["/opt/rviz"], "there is no screen. The car's markers are published all the same", False),
-    ("", [], "it isn't installed: sudo apt install rviz (on Ubuntu", False),
-    ("", ["/opt/rviz"], "", True)])
-def test_rviz_is_started_with_its_arguments_where_there_are_it_and_a_screen_and_else_there_is_one_line(
-        monkeypatch, capsys, problem, found, line, is_started):
-    started = []
-
-    def execute(*arguments):
-        started.append(arguments)
-        raise SystemExit(0)
-    monkeypatch.setattr(rviz_window, "screen_problem", lambda environment: problem)
-    monkeypatch.setattr(rviz_window, "find_node", lambda *name: found)
-    monkeypatch.setattr(rviz_window.sys, "argv", ["rviz_window", "-d", "car.rviz"])
-    monkeypatch.setattr(rviz_window.os, "execv", execute)
-    with pytest.raises(SystemExit) as ended:
-        rviz_window.main()
-    assert ended.value.code == 0 and started == [("/opt/rviz", ["/opt/rviz", "-d", "car.rviz"])] * is_started
-    assert capsys.readouterr().err.startswith(line and f"[WARN] no rviz: {line}")

@@ -80,7 +80,7 @@ def test_request_that_is_dropped_is_answered_with_an_error(queue):
         answers.append(str(error.value))
     thread = threading.Thread(target=ask, daemon=True)
     thread.start()
-    while queue.inbox.is_empty:
+    while not queue.inbox._items:
         time.sleep(0.001)
     queue.put(*range(5))
     thread.join(30)

@@ -17,7 +17,7 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32
 
-from car_interface.ros.direct_connection import send_directly
+from car_interface.ros.topics import send_directly
 
 PERIOD_S = 0.02
 REACTION_S = 0.005  # within which the chip is written

@@ -23,7 +23,7 @@ from rospy.impl import registration
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Empty, Float32, Int32MultiArray
 
-from car_interface.ros.publisher_lookup import PublisherLookup
+from car_interface.ros.command_topics import PublisherLookup
 from car_interface.teleop.gamepad import REARM_TEXT
 from closing import LAUNCH_S, PARTS, Closing, graph_of, joy, output_of, pid_of
 from virtual_car import CENTER, ESC_NEUTRAL, HERE, LEFT, PACKAGE, RIGHT, Car, Chip

@@ -10,7 +10,7 @@ MAX_SPEED_MPS = 100.0  # 360 km/h: a plausibility bound, no such car is faster
 WINDOW_NS = 100_000_000  # over which an acceleration is measured: five reports at 50 Hz, whose noise it evens out
 MAX_ACCELERATION_MPS2 = 10.0  # 1 g: no tyre on a floor does more
 ACTUATION_S = 0.06  # from a decision until the servo has turned by a tenth: a pulse of 20 ms, and 0.04 s
-MAX_AHEAD_S = 0.2
+MAX_AHEAD_S = 0.2  # of extrapolation: the largest acceleration then adds 2 m/s
 # Between two reports a car may gain speed unseen: the simulated Slash's full throttle is 5.6 m/s². Reports that are
 # late by more than LATE_S are missing, and nobody should push the car on until the next one.
 UNSEEN_MPS2 = 6.0

@@ -1,7 +1,7 @@
 """Keeps the newest value of an input, and whether it is stale.
 
 Age is measured from arrival on the monotonic clock: stamps in messages can be wrong, and ROS time can be set. A
-message's stamp (``ros.stamps``) can only add to its age.
+message's stamp (``ros.clocks``) can only add to its age.
 """
 from __future__ import annotations
 

@@ -24,23 +24,6 @@ Publishes:
     servo/neutral (std_msgs/Int32MultiArray, latched, 1 Hz): the ESC's neutral, for the servo board's timeout value; −1
         elsewhere.
     /diagnostics: a summary of the same, and who else publishes on its topics; 1 Hz.
-Parameters:
-    ~servo/channel (0..15), ~servo/value_axis, ~servo/duty_table, ~servo/neutral (duty 0..65535): required.
-    ~tele_throt_deadband 0.05, ~expo 0, ~human_scale 0.3, ~brake_scale 1.0, ~scale_step 0.1: of driving by hand.
-    ~esc/profile unverified, and the ESC's numbers: see ``throttle.esc_config``.
-    ~teleop_timeout 0.5, ~mode_timeout 0.5, ~command_timeout 0.5 (the planner's value), ~odometry_timeout 0.5,
-        ~steering_timeout 0.25, ~human_timeout 0.5 (s, 0 = never): an older input is stale.
-    ~output_timeout 0.5 (s, 0 = never): the same of /servo/output.  ~output_required true: false = a board node that
-        never published it is driven unchecked.  ~board/pwm_min 0, ~board/pwm_max 65535: the board's limits; the rest
-        of ~board, pca9685's YAML file, is not read.
-    ~e_stop_timeout 1.0 (s, 0 = never), ~e_stop_required false, ~grant_at_start true: as turn_arb's.
-    ~planner/max_speed, ~planner/max_acceleration, ~planner/max_braking, ~human/… 0 (m/s, m/s², 0 = none): limits of
-        what each asks for, at the measured speed.  ~slow_down true: a planner's car that is too fast for the turn that
-        is asked for slows down.  ~csv_path_value_map, ~allow_plateaus false: the value map, for the accelerations.
-    ~obstacle_stop false: true = no faster than it can stop within what the sonars look at on its arc; then ~obstacle/…
-        (~obstacle/creep 0.3 m/s: what is left into the unknown) and, below ~sonar_hub, the sensor hub's sonars.yaml:
-        see ``throttle.obstacle_stop``.
-    ~live_range 100 (duty): the largest change of servo/neutral while it runs.  ~save_to: the file to save it to.
 Services: see ``ros.reconfigure``; set_parameters is below ~servo.
 """
 from __future__ import annotations
@@ -56,69 +39,43 @@ from std_msgs.msg import Float32, Int8, Int32MultiArray, String
 from car_interface.cfg import EscNeutralConfig
 from car_interface.common import causes
 from car_interface.common.causes import MODES
+from car_interface.common.declared import read_all
 from car_interface.common.live_parameters import Tuning
 from car_interface.common.measured_speed import MAX_SPEED_MPS
-from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import CHANNELS
 from car_interface.msg import ConverterState, Float64Stamped, PlannerState, SteeringState, TeleopState, ThrottleState
-from car_interface.ros.command_topics import CommandTopics
-from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
-from car_interface.ros.interlock_topics import subscribe_interlock
+from car_interface.nodes.command_node import CommandNode
+from car_interface.ros.diagnostics import OK, WARN, age_text
 from car_interface.ros.reconfigure import ReconfigureServer
 from car_interface.ros.runtime import run
-from car_interface.ros.servo_messages import one_channel_duty
-from car_interface.ros.stamps import StampedAge
-from car_interface.ros.throttled_warnings import ThrottledWarnings
-from car_interface.ros.topics import advertise, subscribe, subscribe_changes
+from car_interface.ros.topics import one_channel_duty, subscribe, subscribe_changes
 from car_interface.steering.arbiter import LOCKED, source_name
 from car_interface.throttle.arbiter import NoValue
 from car_interface.throttle.calibration import trimmed
+from car_interface.throttle.config import ThrottleConfig
 from car_interface.throttle.control import ThrottleControl
 from car_interface.throttle.esc import ARMING, PASSES
-from car_interface.throttle.params import read_config
 
 RATE_HZ = 50
-TICKS_PER_STATE, TICKS_PER_NEUTRAL = 5, 50
 LIVE_RATE = 100  # duty per second
-# Who gets the command needs a core: state and log wait until the chip has it.
-REPORT_AFTER_NS = 1_000_000
-# A log line takes a millisecond of CPU time, which on a busy computer the servo board's node needs for the command; and
-# teleop_logi's state, which a line may quote, arrives after its human_in_loop.
-LOG_AFTER_NS = 20_000_000
 # What the ESC's rules do that deserves a line in the log. The other causes change as often as the stick moves.
 LOGGED = frozenset({causes.ESC_MOTION, causes.REVERSE_PENDING, causes.REVERSING, causes.REVERSE_REFUSED})
 
 
-class ThrottleArb:
+class ThrottleArb(CommandNode):
     """Receives the inputs, decides, publishes."""
 
+    # A planner's values change the duty as often as the timer ticks: both together would double every command.
+    repeats_change = False
+
     def __init__(self, params, inbox):
-        config = read_config(params)
-        self._clocks = inbox.clocks
-        now_ns = self._clocks.now_ns()
+        config = read_all(params, ThrottleConfig)
         self._control = ThrottleControl(config.calibration, config.arbiter, config.esc, config.limits,
                                         config.obstacles)
         self._arbiter = self._control.arbiter
-        self._channel = config.calibration.channel
-        self._inbox = inbox
-        self._warnings = ThrottledWarnings(inbox.clocks)
-        self._notices = ThrottledWarnings(inbox.clocks, rospy.loginfo)
-        self._odometry_age = StampedAge("odometry", inbox.clocks)
-        self._timer = RateTimer(RATE_HZ, now_ns)
-        self._ticks = 0
-        self._now_ns = now_ns  # of the newest decision
-        self._decision = None
-        self._was_commanded = False  # since the last tick
-        self._pending = []  # decisions whose command was published, but not yet state and log line
-        self._report_ns = 0
-        self._unlogged = []  # when its log line is due, the decision before, the decision
-        self._commands = advertise("/servo/cmdVector", Int32MultiArray, inbox)
-        self._neutrals = advertise("servo/neutral", Int32MultiArray, inbox, latch=True)
-        self._states = advertise("~state", ThrottleState, inbox, latch=True)
-        self._command_topics = CommandTopics(inbox)
-        self._diagnostics = Diagnostics(inbox, "none", {"throttle": self._report, **self._command_topics.reports},
-                                        now_ns)
-        inbox.on_overflow(self._on_overflow)
+        self._now_ns = inbox.clocks.now_ns()  # of the newest decision
+        super().__init__(inbox, RATE_HZ, config.calibration.channel, self._arbiter, ThrottleState,
+                         {"throttle": self._report})
         self._subscribe()
         for sonar in config.obstacles.mounts if config.obstacles else ():
             subscribe(f"sonar/{sonar}", Range, inbox, self._deciding(partial(self._on_range, sonar)))
@@ -128,7 +85,6 @@ class ThrottleArb:
 
     def _subscribe(self):
         inbox = self._inbox
-        subscribe_interlock(inbox, self._arbiter, self._decide)
         subscribe_changes("/teleop_logi/tele_throt_req", Float32, inbox, self._on_teleop, self._decide)
         subscribe_changes("/teleop_logi/mode", String, inbox, self._on_mode, self._decide)
         subscribe_changes("/teleop_logi/scale_button", Int8, inbox, self._on_scale_button, self._decide)
@@ -146,24 +102,13 @@ class ThrottleArb:
         # Only quoted: no line that quotes it is due before the next tick.
         subscribe("teleop_logi/state", TeleopState, inbox, self._on_teleop_state, wakes=False)
 
-    def step(self, now_ns):
-        """Handle what arrived; then the timer."""
-        self._inbox.dispatch()
-        if self._timer.is_due(now_ns):
-            self._tick(now_ns)
-        elif self._pending and now_ns >= self._report_ns:
-            self._report_pending(now_ns)
-        self._diagnostics.step(now_ns)
-        return min(self._timer.due_ns, self._report_ns) if self._pending else self._timer.due_ns
-
     def shut_down(self):
         """Set the ESC to neutral; the servo board's timeout keeps it there."""
         self._commands.publish(self._neutral)
         self._clocks.sleep(0.02)  # for what a socket did not take at once
 
-    def _on_overflow(self, now_ns):
+    def _mark_stale(self, now_ns):
         self._control.mark_stale(now_ns)
-        self._decide(now_ns)
 
     def _deciding(self, handler):
         def handle(message, now_ns):
@@ -230,17 +175,9 @@ class ThrottleArb:
         else:
             self._warnings.warn("length", f"/servo/output has {len(message.data)} values, not {CHANNELS}: ignored")
 
-    def _decide(self, now_ns):
-        """Publish at once when the decision has changed; whether it has."""
+    def _decide_now(self, now_ns):
         self._now_ns = max(now_ns, self._now_ns)
-        before, decision = self._decision, self._control.decide(self._now_ns)
-        if before is not None and before.differs_by == decision.differs_by:
-            return False
-        self._pending.append((before, decision))
-        self._report_ns = now_ns + REPORT_AFTER_NS
-        self._decision = decision
-        self._publish_command(decision)
-        return True
+        return self._control.decide(self._now_ns)
 
     def _offer_tuning(self, config):
         """Have the ESC's neutral tuned while the car drives."""
@@ -259,37 +196,6 @@ class ThrottleArb:
 
         return ReconfigureServer(self._inbox, self._warnings, tuning, apply, parameters, EscNeutralConfig, settings,
                                  namespace="servo")
-
-    def _tick(self, now_ns):
-        self._ticks += 1
-        self._reconfigure.step(now_ns)
-        # A planner's values change the duty as often as the timer ticks: both together would double every command.
-        if not self._decide(now_ns) and not self._was_commanded:
-            self._publish_command(self._decision)
-        self._was_commanded = False
-        if self._ticks % TICKS_PER_STATE == 0:
-            self._report_pending(now_ns)
-            self._publish_state(self._control.decide(self._now_ns))
-        self._log_due(now_ns)
-        if self._ticks % TICKS_PER_NEUTRAL == 0:  # a topic latches one message in a process, also for two nodes in it
-            self._neutrals.publish(self._neutral)
-
-    def _publish_command(self, decision):
-        self._commands.publish(one_channel_duty(self._channel, decision.duty))
-        self._was_commanded = True
-
-    def _report_pending(self, now_ns):
-        """Publish the decisions whose commands were sent, and have those of another kind logged."""
-        for before, decision in self._pending:
-            self._publish_state(decision)
-            if before is None or before.kind != decision.kind:
-                self._unlogged.append((now_ns + LOG_AFTER_NS, before, decision))
-        self._pending.clear()
-
-    def _log_due(self, now_ns):
-        while self._unlogged and now_ns >= self._unlogged[0][0]:
-            _, before, decision = self._unlogged.pop(0)
-            self._log(before, decision)
 
     def _log(self, before, decision):
         arbitration, esc = decision.arbitration, decision.esc

@@ -17,118 +17,47 @@ Publishes:
     servo/neutral (std_msgs/Int32MultiArray, latched, 1 Hz): the center, for the servo board's timeout value; −1
         elsewhere.
     /diagnostics: a summary of the same, whether the car turns as commanded, and who else publishes on its topics; 1 Hz.
-Parameters (those of the original are also looked up in the namespaces around the node's):
-    servo_left, servo_center, servo_right (duty 0..65535), servo_channel (0..15), m_turnrad_axis_servo (m),
-    k_pwmcmd_left_table_servo, k_pwmcmd_right_table_servo (duties): all required.
-    ~tele_steer_neutral 0.0, ~tele_steer_deadband 0.001.
-    ~understeer 0 (1/m for each (m/s²)² of lateral acceleration): by how much turns widen with speed.
-    ~planner/max_lateral_acceleration 4.0 (m/s²), ~planner/max_lateral_jerk 40 (m/s³), ~human/… 0: limits of the turns
-        that each asks for, at the measured speed; 0 = none.  ~odometry_timeout 0.5 (s, 0 = never).
-    ~slew_limit 0 (duty per second, 0 = none): the servo's maximum speed under gamepad and planner.
-    ~e_stop_timeout 1.0 (s, 0 = never): an e_stop that was received once and is older than this locks.
-    ~e_stop_required false: true = one that was never received locks, too.
-    ~grant_at_start true: false (as in config/) = a deadman that is held when the node starts counts only after it was
-        released, while e_stop is off or ~e_stop_timeout has passed without it.
-    ~input_timeout 0.5 (s, 0 = never), and ~human_timeout, ~teleop_timeout, ~planner_timeout, which it sets.
-    ~live_range 500 (duty): the largest change of ends and center while it runs.  ~save_to: the file to save them to.
 Services: see ``ros.reconfigure``.
 """
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import rospy
 from nav_msgs.msg import Odometry
-from std_msgs.msg import Float32, Int32MultiArray
+from std_msgs.msg import Float32
 
 from car_interface.cfg import SteeringTrimConfig
 from car_interface.common import causes
-from car_interface.common.live_parameters import Tuning, TuningSettings, read_tuning
-from car_interface.common.rate_timer import RateTimer
+from car_interface.common.declared import read_all
+from car_interface.common.live_parameters import Tuning
 from car_interface.msg import SteeringState, TeleopState
-from car_interface.ros.command_topics import CommandTopics
-from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
-from car_interface.ros.interlock_topics import subscribe_interlock
+from car_interface.nodes.command_node import TICKS_PER_STATE, CommandNode
+from car_interface.ros.diagnostics import OK, WARN, age_text
 from car_interface.ros.reconfigure import ReconfigureServer
 from car_interface.ros.runtime import run
-from car_interface.ros.servo_messages import one_channel_duty
-from car_interface.ros.stamps import StampedAge
-from car_interface.ros.throttled_warnings import ThrottledWarnings
-from car_interface.ros.topics import advertise, subscribe, subscribe_changes
-from car_interface.steering.arbiter import LOCKED, SOURCE_NAMES, ArbiterConfig, SteeringArbiter
-from car_interface.steering.calibration import SteeringCalibration, trimmed
+from car_interface.ros.topics import one_channel_duty, subscribe, subscribe_changes
+from car_interface.steering.arbiter import LOCKED, SOURCE_NAMES, SteeringArbiter
+from car_interface.steering.calibration import trimmed
+from car_interface.steering.config import TurnArbConfig
 from car_interface.steering.limits import TOO_TIGHT_REMEDY
 from car_interface.steering.monitor import SteeringCheck
-from car_interface.steering.params import read_arbiter, read_calibration
 
 RATE_HZ = 100
-TICKS_PER_STATE, TICKS_PER_NEUTRAL = 5, 100  # the converter waits 0.25 s for a state
-LIVE_RANGE = 500  # duty, by default: 0.15 ms of a pulse at 50 Hz, a sixth of a servo's travel
 LIVE_RATE = 500  # duty per second, or slew_limit where that is less
-# Who gets the command needs a core: state and log wait until the chip has it.
-REPORT_AFTER_NS = 1_000_000
-LOG_AFTER_NS = 20_000_000  # teleop_logi's state, which a line may quote, arrives after its human_in_loop
 
 
-@dataclass(frozen=True)
-class TurnArbConfig:
-    """The node's configuration.
-
-    Attributes:
-        calibration: servo ends, center and tables.
-        arbiter: the rules of who steers.
-        tuning: how far the calibration may be tuned while the car drives, and where it is saved.
-    """
-
-    calibration: SteeringCalibration
-    arbiter: ArbiterConfig
-    tuning: TuningSettings
-
-
-def read_config(params) -> TurnArbConfig:
-    """Read the node's configuration from its parameters, without side effects.
-
-    Raises:
-        ConfigError: naming the parameter.
-    """
-    config = TurnArbConfig(tuning=read_tuning(params, LIVE_RANGE), calibration=read_calibration(params),
-                           arbiter=read_arbiter(params))
-    params.finish()
-    return config
-
-
-class TurnArb:
+class TurnArb(CommandNode):
     """Receives the inputs, decides, publishes."""
 
     def __init__(self, params, inbox):
-        config = read_config(params)
-        self._clocks = inbox.clocks
-        now_ns = self._clocks.now_ns()
+        config = read_all(params, TurnArbConfig)
         self._arbiter = SteeringArbiter(config.calibration, config.arbiter)
         self._check = SteeringCheck()
-        self._channel = config.calibration.servo_channel
-        self._inbox = inbox
-        self._warnings = ThrottledWarnings(inbox.clocks)
-        self._notices = ThrottledWarnings(inbox.clocks, rospy.loginfo)
-        self._odometry_age = StampedAge("odometry", inbox.clocks)
-        self._timer = RateTimer(RATE_HZ, now_ns)
-        self._ticks = 0
-        self._decision = None
-        self._pending = []  # decisions whose command was published, but not yet state and log line
-        self._report_ns = 0
-        self._unlogged = []  # decisions without a log line yet, and when it is due
         self._too_tight = ""  # as was logged; empty: no request was too tight lately
-        self._commands = advertise("/servo/cmdVector", Int32MultiArray, inbox)
-        self._neutrals = advertise("servo/neutral", Int32MultiArray, inbox, latch=True)
-        self._states = advertise("~state", SteeringState, inbox, latch=True)
-        self._command_topics = CommandTopics(inbox)
-        self._diagnostics = Diagnostics(inbox, "none", {
-            "steering": self._report, "steering by the wheels": self._report_check, **self._command_topics.reports},
-            now_ns)
         self._master_fault = ""
-        inbox.on_overflow(self._on_overflow)
-        subscribe_interlock(inbox, self._arbiter, self._decide)
+        super().__init__(inbox, RATE_HZ, config.calibration.servo_channel, self._arbiter, SteeringState,
+                         {"steering": self._report, "steering by the wheels": self._report_check})
         subscribe_changes("/teleop_logi/tele_steer_req", Float32, inbox, self._on_teleop, self._decide)
         subscribe_changes("av_turnrad_req", Float32, inbox, self._on_planner, self._decide)
         subscribe_changes("av_steer_req", Float32, inbox, self._on_planner_steering, self._decide)
@@ -138,16 +67,6 @@ class TurnArb:
         self._reconfigure = self._offer_tuning(config)
         self._command_topics.start(self._diagnostics.report_now, self._on_master)
 
-    def step(self, now_ns):
-        """Handle what arrived; then the timer."""
-        self._inbox.dispatch()
-        if self._timer.is_due(now_ns):
-            self._tick(now_ns)
-        elif self._pending and now_ns >= self._report_ns:
-            self._report_pending(now_ns)
-        self._diagnostics.step(now_ns)
-        return min(self._timer.due_ns, self._report_ns) if self._pending else self._timer.due_ns
-
     def shut_down(self):
         """Nothing to do: the servo board's timeout centers the steering."""
 
@@ -156,10 +75,9 @@ class TurnArb:
         if fault:
             self._warnings.warn("master", fault)
 
-    def _on_overflow(self, now_ns):
+    def _mark_stale(self, now_ns):
         self._arbiter.mark_stale(now_ns)
         self._check.mark_stale()
-        self._decide(now_ns)
 
     def _on_teleop(self, message, now_ns):
         self._arbiter.update_teleop(message.data, now_ns)
@@ -193,16 +111,8 @@ class TurnArb:
         self._arbiter.explain_human(message.human_in_loop, message.reason, now_ns)
         self._arbiter.explain_teleop(message.steering_stick == causes.OVERRIDE, now_ns)
 
-    def _decide(self, now_ns):
-        """Publish at once when the decision has changed; whether it has."""
-        decision = self._arbiter.decide(now_ns)
-        if not decision.differs_from(self._decision):
-            return False
-        self._pending.append((self._decision, decision))
-        self._report_ns = now_ns + REPORT_AFTER_NS
-        self._decision = decision
-        self._publish_command(decision)
-        return True
+    def _decide_now(self, now_ns):
+        return self._arbiter.decide(now_ns)
 
     def _offer_tuning(self, config):
         """Have ends and center tuned while the car drives, relative to the calibration at start."""
@@ -225,27 +135,18 @@ class TurnArb:
                                  settings)
 
     def _tick(self, now_ns):
-        self._ticks += 1
-        self._reconfigure.step(now_ns)
-        if not self._decide(now_ns):
-            self._publish_command(self._decision)
+        super()._tick(now_ns)
         if self._ticks % TICKS_PER_STATE == 0:
-            self._report_pending(now_ns)
-            self._publish_state(self._arbiter.decide(now_ns))
             self._log_too_tight(now_ns)
-        self._log_due(now_ns)
-        if self._ticks % TICKS_PER_NEUTRAL == 0:  # a topic latches one message in a process, also for two nodes in it
-            self._neutrals.publish(self._neutral)
 
-    def _report_pending(self, now_ns):
-        """Publish the decisions whose commands were sent, and have those of another kind logged."""
-        for before, decision in self._pending:
-            self._publish_state(decision)
-            if before is None or (before.source, before.cause) != (decision.source, decision.cause):
-                self._unlogged.append((now_ns + LOG_AFTER_NS, decision))
-            if decision.limit and (before is None or before.limit != decision.limit):
-                self._log_limit(decision)
-        self._pending.clear()
+    def _log(self, before, decision):
+        if before is None or before.kind[:2] != decision.kind[:2]:
+            newest = self._decide_now(self._clocks.now_ns())
+            reason = newest.reason if newest.cause == decision.cause == causes.HUMAN_ABSENT else decision.reason
+            log = rospy.logwarn if _is_alarming(decision) else rospy.loginfo
+            log("%s: %s", SOURCE_NAMES[decision.source], reason)
+        if decision.limit and (before is None or before.limit != decision.limit):
+            self._log_limit(decision)
 
     def _log_limit(self, decision):
         if decision.limit == causes.LIMITS_OFF:
@@ -258,14 +159,6 @@ class TurnArb:
         before, self._too_tight = self._too_tight, self._arbiter.too_tight_lately(now_ns)
         if self._too_tight and not before:
             self._warnings.warn(causes.TOO_TIGHT, f"the planner {self._too_tight}")
-
-    def _log_due(self, now_ns):
-        while self._unlogged and now_ns >= self._unlogged[0][0]:
-            _, decision = self._unlogged.pop(0)
-            newest = self._arbiter.decide(now_ns)
-            reason = newest.reason if newest.cause == decision.cause == causes.HUMAN_ABSENT else decision.reason
-            log = rospy.logwarn if _is_alarming(decision) else rospy.loginfo
-            log("%s: %s", SOURCE_NAMES[decision.source], reason)
 
     def _report(self, status):
         """Source, cause and ages, for /diagnostics."""
@@ -298,9 +191,6 @@ class TurnArb:
         status.add("commanded turn radius", f"{judgement.commanded_m:.2f} m")
         status.add("estimated_turn_radius", f"{judgement.estimated_m:.2f} m")
         return status
-
-    def _publish_command(self, decision):
-        self._commands.publish(one_channel_duty(self._channel, decision.duty))
 
     def _publish_state(self, decision):
         now_ns, radius_m = self._clocks.now_ns(), self._arbiter.turn_radius_m(decision.duty)

@@ -15,6 +15,9 @@ from car_interface.pca9685.registers import counts_of_duty
 # An ESC may take a pull, which was a brake, for reverse once the car stands. Whoever commands it sees to it that the
 # car rolls for as long as this after each command, and repeats it within half of that.
 PULL_TIMEOUT_MS = 80
+# An ESC that was pushed for so long takes the next pull for a brake, if it is a kind that brakes first. A little less
+# than the half second of throttle_arb's rules (``throttle.esc_history``): messages take different times.
+DROVE_NS = 450 * NS_PER_MS
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,9 @@ class ChannelConfig:
         live_range: the largest change of the timeout value by ``follow``, in duty; 0 = none.
         pulls: on which side of the timeout value a duty is a pull of an ESC's that may become reverse, −1 below it, 1
             above; 0 = none. A pull's timeout is PULL_TIMEOUT_MS at most.
+        brakes_first: the ESC is known to take a pull after DROVE_NS of push for a brake, until the pull ends. That pull
+            is held for ``timeout_ms``: a gap of neutral would make the rest of it reverse.
+        forgets_ms: so much neutral after a push, and it takes no pull for a brake any more; 0 = it doesn't forget.
     """
 
     timeout_ms: int = 250
@@ -36,6 +42,8 @@ class ChannelConfig:
     pwm_max: int = MAX_DUTY
     live_range: int = 0
     pulls: int = 0
+    brakes_first: bool = False
+    forgets_ms: int = 0
 
 
 class Accepted(NamedTuple):
@@ -80,6 +88,8 @@ class Channels:
         self._commanded: set[int] = set()  # the others are at their timeout value
         self._deadlines_ns: dict[int, int] = {}
         self._timed_out: dict[int, TimedOut] = {}  # until the next command
+        self._sides: dict[int, tuple[int, int]] = {}  # 1 = a pull, −1 = a push, 0 = neither; since when
+        self._brakes: set[int] = set()  # the next pull, or the present one, is a brake
 
     def command(self, duties: Sequence[int], now_ns: int) -> Accepted:
         """Set targets by a vector of 16 duties, −1 = unchanged. Each duty restarts its channel's timeout.
@@ -103,6 +113,7 @@ class Channels:
             self._targets[channel] = counts_of_duty(allowed)
             self._commanded.add(channel)
             self._timed_out.pop(channel, None)
+            self._follow_side(channel, allowed, now_ns)
             timeout_ms = self._timeout_ms(channel, allowed)
             if timeout_ms:
                 self._deadlines_ns[channel] = now_ns + timeout_ms * NS_PER_MS
@@ -113,9 +124,25 @@ class Channels:
 
     def _timeout_ms(self, channel, duty):
         config = self._configs[channel]
-        if (duty - self.timeout_values[channel]) * config.pulls > 0:
+        if self._side(channel, duty) > 0 and channel not in self._brakes:
             return min(config.timeout_ms or PULL_TIMEOUT_MS, PULL_TIMEOUT_MS)
         return config.timeout_ms
+
+    def _side(self, channel, duty):
+        beyond = (duty - self.timeout_values[channel]) * self._configs[channel].pulls
+        return (beyond > 0) - (beyond < 0)
+
+    def _follow_side(self, channel, duty, now_ns):
+        """Notice by its pulses what the ESC makes of the next pull."""
+        config, side = self._configs[channel], self._side(channel, duty)
+        before, since_ns = self._sides.get(channel, (0, now_ns))
+        if not config.brakes_first or side == before:
+            return
+        if before < 0 and now_ns - since_ns >= DROVE_NS:
+            self._brakes.add(channel)
+        elif before > 0 or not before and config.forgets_ms and now_ns - since_ns >= config.forgets_ms * NS_PER_MS:
+            self._brakes.discard(channel)
+        self._sides[channel] = side, now_ns
 
     def expire(self, now_ns: int) -> list[int]:
         """Set every channel whose command is too old to its timeout value, and return these channels."""
@@ -124,6 +151,7 @@ class Channels:
             self._timed_out[channel] = TimedOut(self._deadlines_ns.pop(channel), False)
             self._commanded.discard(channel)
             self._targets[channel] = counts_of_duty(self.timeout_values[channel])
+            self._follow_side(channel, self.timeout_values[channel], now_ns)
         return expired
 
     def follow(self, neutrals: Sequence[int]) -> Followed:
@@ -152,6 +180,8 @@ class Channels:
     def make_safe(self, now_ns: int) -> None:
         """Set every channel to its timeout value now."""
         self._timed_out.update((channel, TimedOut(now_ns, True)) for channel in self._commanded)
+        for channel in self._commanded:
+            self._follow_side(channel, self.timeout_values[channel], now_ns)
         self._deadlines_ns.clear()
         self._commanded.clear()
         self._targets = [counts_of_duty(duty) for duty in self.timeout_values]

@@ -10,6 +10,7 @@ from car_interface.common.units import MAX_DUTY
 
 COUNTS = 4096
 DUTY_PER_COUNT = 16  # 65536 / 4096
+# Registers (data sheet 7.3, table 4).
 MODE1, MODE2, LED0_ON_L, ALL_LED_OFF_H, PRE_SCALE = 0x00, 0x01, 0x06, 0xFD, 0xFE
 RESTART, EXTCLK, AUTO_INCREMENT, SLEEP = 0x80, 0x40, 0x20, 0x10  # MODE1 bits (data sheet 7.3.1)
 FULL_BIT = 0x10  # bit 4 of LEDn_ON_H: full on; of LEDn_OFF_H: full off

@@ -1,4 +1,4 @@
-"""Drops what was sent to a node while it stood still.
+"""Notices that a node stood still, and drops what was sent to it meanwhile.
 
 A node that was frozen finds the messages of that time in the sockets of its connections, and in the buffers of those
 who sent them; when it goes on they arrive all at once and look new. So every connection is replaced by a new one, which
@@ -18,17 +18,44 @@ from typing import TYPE_CHECKING, Any, Callable
 import rospy
 from rospy.impl.tcpros_pubsub import TCPROSHandler
 
-from car_interface.common.units import NS_PER_MS
+from car_interface.common.units import NS_PER_MS, NS_PER_S
 from car_interface.ros.clocks import SYSTEM
 
 if TYPE_CHECKING:
     from car_interface.ros.graph import RosGraph
 
+# The timeout of the arbiters' inputs (``human_timeout`` and the others): after so long each input is stale anyway, so
+# that a computer which is only busy stops no car that its timeouts wouldn't stop. Less makes an input look younger by
+# less than its timeout.
+STANDSTILL_NS = 500 * NS_PER_MS
+MAX_WAIT_NS = NS_PER_S  # a node's thread wakes at least so often
 FALLBACK_NS = 1000 * NS_PER_MS  # where connections can't be replaced nothing is obeyed for so long
 SAME_STANDSTILL_NS = 200 * NS_PER_MS  # a replacement for another node of this process counts for so long
 MAX_RETIRED = 32  # connections that may still deliver what they have read: the newest of each topic
 
 Handler = Callable[[Any, int], None]
+
+
+class StandstillWatch:
+    """Compares when a thread was to wake with when it did, and how long its steps take.
+
+    Args:
+        now_ns: its first step is due now.
+    """
+
+    def __init__(self, now_ns: int):
+        self._expected_ns = now_ns
+
+    def begin_step(self, now_ns: int) -> int:
+        """Begin a step; return for how long the thread has stood still before it, ns; 0 = it hasn't."""
+        late_ns = now_ns - self._expected_ns
+        self._expected_ns = now_ns
+        return late_ns if late_ns >= STANDSTILL_NS else 0
+
+    def end_step(self, now_ns: int, due_ns: float) -> None:
+        """End a step, after which the next one is due at ``due_ns``, unless the step itself lasted too long."""
+        if now_ns - self._expected_ns < STANDSTILL_NS:
+            self._expected_ns = int(max(now_ns, min(due_ns, now_ns + MAX_WAIT_NS)))
 
 
 class _Connections:
@@ -111,11 +138,11 @@ class Backlog:
         self._latched_headers: list[dict] = []  # of new connections that have delivered their latched message
 
     def attach(self, subscriber: rospy.Subscriber) -> None:
-        """The subscription that this is about."""
+        """Name the subscription whose messages these are."""
         self._subscriber = subscriber
 
     def without_old(self, handler: Handler) -> Handler:
-        """A handler that is given what isn't old."""
+        """Return a handler that gets what isn't old."""
         def handle(message, arrival_ns):
             if self._old_until_ns >= 0 and self._is_old(getattr(message, "_connection_header", None), arrival_ns):
                 self.dropped += 1
@@ -144,7 +171,7 @@ class Backlog:
         return arrival_ns <= self._old_until_ns or is_latched and not self._takes_latched
 
     def _is_latched(self, header):
-        """Whether it is the first message of a new connection to a publisher that latches."""
+        """Return whether it is the first message of a new connection to a publisher that latches."""
         if not header or header.get("latching") != "1" or any(header is known for known in self._latched_headers):
             return False
         self._latched_headers.append(header)

@@ -1,39 +1,75 @@
-"""A node's report on who publishes on the topics that it obeys: on /diagnostics and, if it lasts, in the log."""
+"""Reports who publishes on the topics that a node obeys: on /diagnostics and, if a fault lasts, in the log.
+
+A publisher with a wrong message type, on a host whose name can't be looked up, or that rospy has missed sends nothing
+that arrives, so no message names it. One thread per process asks the master once a second instead, and the publishers
+that have no connection to this process. A dead master, or a publisher that doesn't answer, blocks that thread only.
+
+The master knows the publishers' names, and of the types only the first that was registered for a topic. Those whose
+messages arrive have a connection to this process, which says the rest. The others are asked: a TCPROS handshake with
+the MD5 ``*`` is answered with the publisher's type. See http://wiki.ros.org/ROS/TCPROS.
+"""
 from __future__ import annotations
 
+import socket
+import threading
+import xmlrpc.client
 from types import MappingProxyType
-from typing import Callable, Mapping
+from typing import Any, Callable, Iterable, Mapping, NamedTuple
+from urllib.parse import urlsplit
 
+import rosgraph
 import rospy
+from rosgraph.network import write_ros_handshake_header
 
-from car_interface.common.publishers import REPORT, CommandTopic, Fault, FaultLog, find_faults
+from car_interface.common.publishers import ANY, OR, REPORT, CommandTopic, Fault, FaultLog, Publisher, find_faults
+from car_interface.common.units import NS_PER_S
+from car_interface.ros.clocks import SYSTEM
 from car_interface.ros.diagnostics import ERROR, OK, WARN
 from car_interface.ros.inbox import Inbox
-from car_interface.ros.master_watch import MasterWatch
+from car_interface.ros.tcpros_limits import HandshakeTimeout, read_header
+from car_interface.ros.xmlrpc_calls import ANSWER_WITHIN_S, TimeoutTransport, call
 
 # No command, but a report: of pca9685, and of its guard while that acts in its place.
 REPORTS = ("/servo/output",)
+POLL_S = 1.0
+# A publisher that is asked gets a subscriber for a moment, so it's not asked each time.
+ASK_AGAIN_NS = 4 * NS_PER_S
+ASK_SILENT_AGAIN_NS = 10 * NS_PER_S  # one that let the question time out
+SLOW_NS = NS_PER_S // 2
+# A publisher that has just registered is about to be connected. Asked before that, it would take the question for its
+# first subscriber, and may send what it sends once to nobody else.
+CONNECTING_NS = 3 * NS_PER_S // 10
+GONE = ("the ROS master is gone: what is connected goes on, but no node that starts now can join, and one that ends is "
+        "not replaced. Stop the car, then start the launch file again")
+ANOTHER = ("there is another ROS master now, which doesn't know these nodes. Stop the car, then start the launch file "
+           "again")
 
 
 class CommandTopics:
-    """Watches the publishers of all topics that a node subscribes to.
+    """Reports on the publishers of all topics that a node subscribes to.
 
     Args:
         inbox: the node's.
         shared: topics on which several nodes may publish.
         types: of topics that it subscribes to with any type, those that it takes.
         more_faults: what else the node finds, called with ``now_ns`` and the topics.
+
+    Attributes:
+        topics: as they were found last; none = not yet.
+        reports: for ``Diagnostics``.
     """
 
     def __init__(self, inbox: Inbox, shared: tuple[str, ...] = (),
                  more_faults: Callable[[int, list[CommandTopic]], list[Fault]] | None = None,
                  types: Mapping[str, tuple[str, ...]] = MappingProxyType({})):
         self._inbox = inbox
-        self._shared = shared
-        self._types = types
+        self._shared = {inbox.resolve_name(name) for name in (*shared, *REPORTS)}
+        self._types = {inbox.resolve_name(name): OR.join(taken) for name, taken in types.items()}
         self._more_faults = more_faults or (lambda now_ns, topics: [])
-        self.topics: list[CommandTopic] = []  # as they were found last; none = not yet
         self._log = FaultLog()
+        self._master_fault = ""  # these two: of the watch's thread
+        self._found: list[CommandTopic] = []
+        self.topics: list[CommandTopic] = []
         self.reports = {REPORT: self._report}
 
     def start(self, report_now: Callable[[], None], on_fault: Callable[[str, int], None] | None = None) -> None:
@@ -41,12 +77,42 @@ class CommandTopics:
 
         Args:
             report_now: has the node's reports published at once.
-            on_fault: as ``MasterWatch`` takes it.
+            on_fault: called in the node's thread with a line about the master's fault, every second while there is one
+                and with an empty line when it is over.
         """
-        def on_topics(topics, now_ns):
-            self.topics = topics
-            report_now()
-        MasterWatch(self._inbox, on_fault, on_topics, (*self._shared, *REPORTS), self._types)
+        self._report_now, self._on_fault = report_now, on_fault
+        self._inbox.graph.watch(self)
+
+    @property
+    def has_ended(self) -> bool:
+        """Return whether the node has ended."""
+        return self._inbox.ending
+
+    def update(self, fault: str, listed: Mapping[str, list[str]], lookup: PublisherLookup) -> None:
+        """Pass what is new to the node's thread. Called in the watch's thread.
+
+        Args:
+            fault: the master's.
+            listed: the names of the publishers by topic, as the master has them.
+            lookup: finds out about each.
+        """
+        if self._on_fault is not None and (fault or self._master_fault):
+            self._inbox.put(self._on_fault, fault)
+        self._master_fault = fault
+        subscriptions = [subscriber.impl for subscriber in self._inbox.subscribers]
+        found = [self._look_up(each, listed, lookup) for each in subscriptions if each is not None]  # None: closed
+        if found != self._found:
+            self._found = found
+            self._inbox.put(self._on_topics, found, on_drop=self._found.clear)  # then it is passed on again
+
+    def _look_up(self, subscription, listed, lookup):
+        name = subscription.resolved_name
+        publishers = lookup.publishers(subscription, listed.get(name, []))
+        return CommandTopic(name, self._types.get(name, subscription.type), publishers, name in self._shared)
+
+    def _on_topics(self, topics, now_ns):
+        self.topics = topics
+        self._report_now()
 
     def _report(self, status):
         """For /diagnostics: each fault with its remedy, and all publishers."""
@@ -63,3 +129,185 @@ class CommandTopics:
         for topic in self.topics:
             status.add(topic.name, ", ".join(map(str, topic.publishers)) or "no publisher")
         return status
+
+
+class _ProcessWatch:
+    """The thread, which starts with the first node that wants to know."""
+
+    def __init__(self):
+        self._watches: list[CommandTopics] = []
+        self._lock = threading.Lock()
+        self._has_started = False
+
+    def add(self, watch: CommandTopics) -> None:
+        with self._lock:
+            self._watches = [other for other in self._watches if not other.has_ended] + [watch]
+            if not self._has_started:
+                self._has_started = True
+                threading.Thread(target=self._run, name="master watch", daemon=True).start()
+
+    def _run(self):
+        master = _Master()
+        lookup = PublisherLookup(master.node_uri)
+        while not rospy.is_shutdown():
+            fault, listed = master.ask()
+            lookup.begin()
+            for watch in self._watches:
+                if not watch.has_ended:
+                    watch.update(fault, listed, lookup)
+            SYSTEM.sleep(CONNECTING_NS / NS_PER_S if lookup.is_waiting else POLL_S)
+
+
+PROCESS_WATCH = _ProcessWatch()
+
+
+class _Master:
+    """Asks the master, always the same one."""
+
+    def __init__(self):
+        self._proxy = xmlrpc.client.ServerProxy(rosgraph.get_master_uri(), transport=TimeoutTransport())
+        self._pid = None
+
+    def ask(self) -> tuple[str, dict[str, list[str]]]:
+        """Return what is wrong with the master, and who publishes on each topic."""
+        try:
+            name = rospy.get_name()
+            calls = xmlrpc.client.MultiCall(self._proxy)
+            calls.getPid(name)
+            calls.getSystemState(name)
+            (_, _, pid), (_, _, (publishers, _, _)) = calls()
+        except Exception:  # no usable answer, for whatever reason
+            return GONE, {}
+        self._pid = self._pid or pid
+        return "" if pid == self._pid else ANOTHER, dict(publishers)
+
+    def node_uri(self, node: str) -> str:
+        """Return where a node answers; empty when the master doesn't know it."""
+        code, _, uri = self._proxy.lookupNode(rospy.get_name(), node)
+        return uri if code == 1 else ""
+
+
+class _Answer(NamedTuple):
+    """What a publisher said: itself, or ``None`` if it's gone or silent; and until when that counts."""
+
+    publisher: Publisher | None
+    until_ns: int
+
+
+class PublisherLookup:
+    """Knows the publishers of this process's topics.
+
+    Args:
+        node_uri: asks the master where a node answers; empty = the master doesn't know it. It may raise anything.
+    """
+
+    def __init__(self, node_uri: Callable[[str], str]):
+        self._node_uri = node_uri
+        self._answers: dict[tuple[str, str], _Answer] = {}  # by topic and node
+        self._asked: set[tuple[str, str]] = set()
+        self._first_seen_ns: dict[tuple[str, str], int] = {}
+        self.is_waiting = False  # for connections: look again after CONNECTING_NS
+        self._was_slow = False  # somebody let a question time out: the others are asked the next time
+
+    def begin(self) -> None:
+        """Begin anew: forget the answers of those that aren't listed any more."""
+        self._was_slow = self.is_waiting = False
+        self._first_seen_ns = {key: at_ns for key, at_ns in self._first_seen_ns.items() if key in self._asked}
+        self._answers = {key: answer for key, answer in self._answers.items() if key in self._asked}
+        self._asked = set()
+
+    def publishers(self, subscription: Any, listed: Iterable[str]) -> list[Publisher]:
+        """Return all publishers of a topic, sorted.
+
+        Args:
+            subscription: rospy's object behind a Subscriber.
+            listed: the names that the master has.
+        """
+        connected = {connection.callerid_pub: Publisher(connection.callerid_pub, _machine(connection.endpoint_id),
+                                                        _type(subscription, connection))
+                     for connection in subscription.connections if _is_connected(connection)}
+        others = (self._ask(subscription, node) for node in set(listed) - set(connected))
+        return sorted([*connected.values(), *filter(None, others)])
+
+    def _ask(self, subscription, node):
+        """Return a publisher without a connection; ``None`` = it's gone, or doesn't answer."""
+        key = subscription.resolved_name, node
+        self._asked.add(key)
+        now_ns = SYSTEM.now_ns()
+        if now_ns - self._first_seen_ns.setdefault(key, now_ns) < CONNECTING_NS:
+            self.is_waiting = True
+            return None
+        answer = self._answers.get(key)
+        if answer is None or now_ns >= answer.until_ns:
+            if self._was_slow:
+                return answer and answer.publisher
+            self._answers[key] = answer = self._ask_now(subscription, node, now_ns)
+            self._was_slow = SYSTEM.now_ns() - now_ns >= SLOW_NS
+        return answer.publisher
+
+    def _ask_now(self, subscription, node, now_ns):
+        uri = ""
+        try:
+            uri = self._node_uri(node)
+            header = ask_type(uri, subscription.resolved_name)
+            # Another name for the same fields is received.
+            is_same = header["md5sum"] == subscription.data_class._md5sum
+            if is_same:
+                connect(uri, subscription.resolved_name)
+            publisher = Publisher(node, _machine(uri), subscription.type if is_same else header["type"])
+            return _Answer(publisher, now_ns + ASK_AGAIN_NS)
+        except ConnectionRefusedError:
+            return _Answer(None, now_ns)  # it was killed, and may be back soon
+        except socket.gaierror:
+            return _Answer(Publisher(node, _machine(uri), ""), now_ns + ASK_SILENT_AGAIN_NS)
+        except (socket.timeout, HandshakeTimeout):
+            return _Answer(None, now_ns + ASK_SILENT_AGAIN_NS)
+        except Exception:  # whatever it answers
+            return _Answer(None, now_ns + ASK_AGAIN_NS)
+
+
+def ask_type(uri: str, topic: str) -> dict[str, str]:
+    """Return what a node says of a topic that it publishes: ``type``, ``md5sum`` and more.
+
+    Raises:
+        OSError: it can't be reached.
+        HandshakeError: it doesn't answer.
+        LookupError: it doesn't publish that.
+    """
+    # Not this node's name: the publisher would take the question for its new connection, and drop the old one.
+    caller = f"{rospy.get_name()}_asks_type"
+    code, message, protocol = call(uri, "requestTopic", caller, topic, [["TCPROS"]])
+    if code != 1 or not protocol:
+        raise LookupError(message)
+    with socket.create_connection((protocol[1], protocol[2]), timeout=ANSWER_WITHIN_S) as connection:
+        write_ros_handshake_header(connection, {"topic": topic, "md5sum": "*", "type": "*", "callerid": caller})
+        header = read_header(connection)
+    if "error" in header:
+        raise LookupError(header["error"])
+    return header
+
+
+def connect(uri: str, topic: str) -> None:
+    """Have rospy connect to a publisher that it has missed, as the master does when one registers.
+
+    rospy takes the newest of the lists of publishers that wait for its thread. When a publisher registers while this
+    node does, the master's answer to this node, which has none yet, may come to wait after the list that has it.
+
+    Raises:
+        OSError: this node itself can't be reached.
+    """
+    call(rospy.get_node_uri(), "publisherUpdate", "/master", topic, [uri])
+
+
+def _is_connected(connection):
+    """Return whether a publisher has accepted rospy's connection."""
+    return connection.socket is not None and not connection.done and "type" in (connection.header or {})
+
+
+def _type(subscription, connection):
+    """Return the type of a connection's messages. A subscription to any type has the one of each publisher."""
+    return connection.header["type"] if subscription.type == ANY else subscription.type
+
+
+def _machine(uri):
+    return urlsplit(uri).hostname or uri

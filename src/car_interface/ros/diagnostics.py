@@ -59,7 +59,7 @@ class Diagnostics:
         self._publisher.publish(array)
 
     def _status(self, name, report):
-        """A report under the node's name, which may differ from the process's, and what the inbox dropped."""
+        """Return a report under the node's name, which may differ from the process's, and what the inbox dropped."""
         inbox, now_ns = self._inbox, self._inbox.clocks.now_ns()
         status = DiagnosticStatusWrapper(
             level=ERROR, name=f"{inbox.node_name[1:]}: {name}", message="no report", hardware_id=self._hardware_id)
@@ -76,5 +76,5 @@ class Diagnostics:
 
 
 def age_text(age_s: float) -> str:
-    """An age for a report: ``0.02 s``, or ``never heard``."""
+    """Return an age as a report has it: ``0.02 s``, or ``never heard``."""
     return "never heard" if age_s == float("inf") else f"{age_s:.2f} s"

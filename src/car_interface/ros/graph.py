@@ -69,8 +69,8 @@ class RosGraph:
         return Server(config_type, callback, namespace)
 
     def watch(self, watch) -> None:
-        """Have a ``MasterWatch`` updated once a second."""
-        from car_interface.ros.master_watch import PROCESS_WATCH  # likewise
+        """Have a node's ``CommandTopics`` updated once a second."""
+        from car_interface.ros.command_topics import PROCESS_WATCH  # likewise
         PROCESS_WATCH.add(watch)
 
     def start_thread(self, target: Callable[[], None], name: str) -> None:

@@ -14,11 +14,10 @@ import rospy
 
 from car_interface.common.causes import NODE_STOOD_STILL
 from car_interface.common.staleness import DROPPED
-from car_interface.common.standstill import MAX_WAIT_NS
 from car_interface.common.units import NS_PER_S
-from car_interface.ros.backlog import Backlog
+from car_interface.ros.backlog import MAX_WAIT_NS, Backlog
 from car_interface.ros.graph import ROS, RosGraph
-from car_interface.ros.throttled_warnings import ThrottledWarnings
+from car_interface.ros.logs import ThrottledWarnings
 
 INBOX_LIMIT = 10_000  # more than any node receives while its thread waits for a device
 OVERFLOW_SHOWN_NS = STANDSTILL_SHOWN_NS = 10 * NS_PER_S  # how long /diagnostics reports one
@@ -70,11 +69,11 @@ class Inbox:
 
     @property
     def node_name(self) -> str:
-        """The node's name, with its namespace."""
+        """Return the node's name, with its namespace."""
         return self._node_name or self.graph.process_name()
 
     def own_name(self, name: str) -> str:
-        """A topic's or service's name for rospy, which resolves ``~`` to the process's name, not the node's."""
+        """Return a topic's or service's name for rospy, which resolves ``~`` to the process's name, not the node's."""
         return f"{self._node_name}/{name[1:]}" if self._node_name and name.startswith("~") else name
 
     def resolve_name(self, name: str) -> str:
@@ -162,11 +161,11 @@ class Inbox:
 
     @property
     def old_messages(self) -> int:
-        """How many messages were dropped because the node stood still when they were sent."""
+        """Return how many messages were dropped because the node stood still when they were sent."""
         return sum(backlog.dropped for backlog in self.backlogs)
 
     def stood_still_recently(self, now_ns: int) -> bool:
-        """Whether that was in the last 10 s."""
+        """Return whether that was in the last 10 s."""
         return now_ns - self._stood_still_ns < STANDSTILL_SHOWN_NS
 
     def _on_overflow(self, _, now_ns):
@@ -177,11 +176,11 @@ class Inbox:
 
     @property
     def overflow_text(self) -> str:
-        """How many items were dropped so far, for a log line."""
+        """Return a log line with how many items were dropped so far."""
         return f"the inbox of this node overflowed: {DROPPED}, {self.dropped} in all"
 
     def overflowed_recently(self, now_ns: int) -> bool:
-        """Whether items were dropped in the last 10 s."""
+        """Return whether items were dropped in the last 10 s."""
         return now_ns - self._dropped_ns < OVERFLOW_SHOWN_NS
 
     def wake(self) -> None:
@@ -217,11 +216,6 @@ class Inbox:
             events = [event for event, _ in self._items]
             self._items.clear()
         return events
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether no item waits for the node's thread."""
-        return not self._items
 
     def dispatch(self) -> None:
         """Call the handler of each item that has arrived, oldest first."""

@@ -1,17 +1,55 @@
-"""Writes a node's log in separate threads, so that a blocked terminal, disk or master never blocks the node.
+"""A node's log: lines that repeat are throttled, and nothing that takes them blocks the node.
 
 A terminal blocks at Ctrl-S, or when the ssh connection to it breaks; a disk stalls; and rospy asks the master before it
-publishes on /rosout. Without this module that would block the thread that drives the car.
+publishes on /rosout. Each of them would block the thread that drives the car, so they are written to in other threads.
 """
 from __future__ import annotations
 
 import io
 import logging
+import threading
 import traceback
+from collections import Counter
 from logging.handlers import QueueHandler, QueueListener
 from queue import Queue
+from typing import Callable
+
+import rospy
+
+from car_interface.common.units import NS_PER_S
+from car_interface.ros.clocks import Clocks
 
 MAX_LINES = 1000  # that wait for a handler; more are dropped
+WARNING_PERIOD_NS = 10 * NS_PER_S
+
+
+class ThrottledWarnings:
+    """Counts faults by kind, and logs each kind at once and then at most every 10 s.
+
+    Args:
+        clocks: the node's.
+        log: rospy's function of the level.
+    """
+
+    def __init__(self, clocks: Clocks, log: Callable = rospy.logwarn):
+        self.counts: Counter = Counter()
+        self._clocks = clocks
+        self._log = log
+        self._next_log_ns: dict[str, int] = {}
+        self._lock = threading.Lock()
+
+    def warn(self, kind: str, text: str, count: int = 1) -> None:
+        """Count ``count`` of ``kind``; log ``text`` and the sum so far unless this kind was logged recently.
+
+        May be called from any thread.
+        """
+        with self._lock:
+            self.counts[kind] += count
+            now_ns = self._clocks.now_ns()
+            if now_ns >= self._next_log_ns.get(kind, 0):
+                self._next_log_ns[kind] = now_ns + WARNING_PERIOD_NS
+                times = self.counts[kind]
+                self._log("%s%s", text, f" ({times} so far)" if times > 1 else "")
 
 
 def keep_tracebacks_from_terminal() -> None:

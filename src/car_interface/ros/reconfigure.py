@@ -6,22 +6,26 @@ thread changes active values.
 Services:
     ~set_parameters (dynamic_reconfigure/Reconfigure), below ``namespace``, with the topics parameter_descriptions and
         parameter_updates: the interface of rqt_reconfigure.
-    ~save: see ``save_service``. The file is that of ~save_to.
+    ~save (std_srvs/Trigger): writes the values into the YAML file that ~save_to named at start. A backup of the old
+        file stays in its folder, under a name with the time.
 """
 from __future__ import annotations
 
+import os
 import threading
 from types import SimpleNamespace
 from typing import Callable, Mapping
 
 import rospy
 from dynamic_reconfigure import server
+from std_srvs.srv import Trigger, TriggerResponse
 
+from car_interface.common.errors import ConfigError
 from car_interface.common.live_parameters import Tuning, TuningSettings
-from car_interface.common.yaml_edit import Values
+from car_interface.common.package_files import is_package_file
+from car_interface.common.yaml_edit import Values, save
 from car_interface.ros.inbox import TOO_BUSY, Inbox
-from car_interface.ros.save_service import serve_saving
-from car_interface.ros.throttled_warnings import ThrottledWarnings
+from car_interface.ros.logs import ThrottledWarnings
 
 ANSWER_WITHIN_S = 2.0
 SETTLE_WITHIN_S = 5.0
@@ -31,10 +35,10 @@ class Server(server.Server):
     """The library's server without its own clamping and parameter writing."""
 
     def _clamp(self, config):
-        """The callback clamps values, and reports that."""
+        """Do nothing: the callback clamps values, and reports that."""
 
     def _copy_to_parameter_server(self):
-        """Untuned parameters stay where they are: turn_arb's may be in a parent namespace."""
+        """Do nothing: untuned parameters stay where they are: turn_arb's may be in a parent namespace."""
 
     def close_actions(self):
         """Return what removes the server from the ROS graph, as functions."""
@@ -69,7 +73,7 @@ class ReconfigureServer:
         parameters: all parameters that result from such values, by their names in the node's namespace and in its file;
             called in any thread.
         config_class: the class that catkin made of a .cfg file.
-        settings: where values are saved.
+        settings: where values are saved, and whether that may be one of the package's own files.
         namespace: of dynamic_reconfigure's parameters, below the node's.
     """
 
@@ -81,16 +85,18 @@ class ReconfigureServer:
         self._tuning = tuning
         self._apply = apply
         self._parameters = parameters
+        self._settings = settings
+        self._one_at_a_time = threading.Lock()  # that save
         self._serving = False
         self._has_set_parameters = False  # whether the parameter server has tuned values
         apply(tuning.active)
         full_namespace = f"{inbox.node_name}/{namespace}" if namespace else inbox.node_name
         self._server = inbox.graph.reconfigure_server(
             _limited(config_class, tuning), self._on_reconfigure, full_namespace)
-        for remove in self._server.close_actions():
+        save_service = inbox.graph.service(inbox.own_name("~save"), Trigger, self._on_save)
+        for remove in (*self._server.close_actions(), save_service.shutdown):
             inbox.on_close(remove)
         self._serving = True
-        serve_saving(inbox, settings, self._values_to_save)
 
     def step(self, now_ns: int) -> None:
         """Step towards the accepted values. To be called at each timer tick, in the node's thread."""
@@ -101,7 +107,7 @@ class ReconfigureServer:
 
     @property
     def changes(self) -> str:
-        """The tuned values, for a report."""
+        """Return the tuned values, for a report."""
         return self._tuning.changes or "nothing"
 
     def _on_reconfigure(self, config, level):
@@ -135,18 +141,38 @@ class ReconfigureServer:
         if answer.problem:
             self._warnings.warn("live tuning", answer.problem)
 
-    def _values_to_save(self):
-        """The accepted values, once they are active."""
-        self._inbox.clocks.wait_for(lambda: not self._tuning.is_changing, SETTLE_WITHIN_S, 0.01)
-        return self._parameters(self._tuning.accepted)
+    def _on_save(self, _request):
+        """Save the accepted values, once they are active. Called in a thread of ROS."""
+        with self._one_at_a_time:
+            self._inbox.clocks.wait_for(lambda: not self._tuning.is_changing, SETTLE_WITHIN_S, 0.01)
+            success, message = _save(self._settings, self._parameters(self._tuning.accepted))
+        (rospy.loginfo if success else rospy.logwarn)("save: %s", message)
+        return TriggerResponse(success=success, message=message)
+
+
+def _save(settings, values):
+    """Return whether it succeeded, and a line about it."""
+    path = settings.save_to
+    if path is None:
+        return False, f"{' and '.join(values)} not saved: the parameter ~save_to names no file"
+    if not settings.saves_to_package and is_package_file(path):
+        folder = os.path.dirname(path)
+        return False, (f"not saved: {path} is the package's own, which the demo leaves as it is. Copy the folder "
+                       f"(cp -r {folder} ~/my_car) and start the demo with config:=$HOME/my_car")
+    try:
+        backup_path = save(path, values)
+    except ConfigError as error:
+        return False, f"not saved: {error}"
+    if backup_path is None:
+        return True, f"{path} says so already"
+    return True, f"saved to {path}, the old one is {backup_path}"
 
 
 def _limited(config_class, tuning):
-    """A .cfg file's class with this car's limits and values."""
+    """Return a .cfg file's class with this car's limits and values."""
     parameters = [{**parameter, "min": tuning.low[parameter["name"]], "max": tuning.high[parameter["name"]],
                    "default": tuning.accepted[parameter["name"]]}
                   for parameter in config_class.config_description["parameters"]]
     return SimpleNamespace(min=dict(tuning.low), max=dict(tuning.high), defaults=dict(tuning.accepted),
                            level=config_class.level,
                            config_description={**config_class.config_description, "parameters": parameters})
-

@@ -35,7 +35,7 @@ from rospy.service import ServiceException
 
 from car_interface.common.units import NS_PER_S
 from car_interface.ros.clocks import SYSTEM
-from car_interface.ros.throttled_warnings import ThrottledWarnings
+from car_interface.ros.logs import ThrottledWarnings
 from car_interface.ros.xmlrpc_calls import call
 
 HANDSHAKE_S = 1.0  # a header arrives within a round trip: 0.2 ms on one computer, 2 to 100 ms over Wi-Fi
@@ -81,17 +81,7 @@ class MessageTooLong(TransportException, ServiceException):
     """
 
 
-class _ThreadSafeWarnings(ThrottledWarnings):
-    def __init__(self):
-        super().__init__(SYSTEM)
-        self._lock = threading.Lock()
-
-    def warn(self, kind, text, count=1):
-        with self._lock:
-            super().warn(kind, text, count)
-
-
-_warnings = _ThreadSafeWarnings()
+_warnings = ThrottledWarnings(SYSTEM)
 
 
 def read_header(connection: socket.socket) -> dict[str, str]:
@@ -307,7 +297,7 @@ def _read_request(self, buffer, messages, connection):
 
 
 def _replacements() -> list[tuple[Any, str, Any]]:
-    """What takes the place of what in rospy: owner, attribute, new value."""
+    """Return what takes the place of what in rospy: owner, attribute, new value."""
     server, transport, client = tcpros_base.TCPServer, tcpros_base.TCPROSTransport, tcpros_service.TCPROSServiceClient
     serve, create_socket, connect = server.run, server._create_server_sock, transport.connect
     read_response, read_error = client.read_messages, client._read_service_error
@@ -392,64 +382,20 @@ def _is_still_publisher(topic, uri):
         return False
 
 
-# The functions of rospy on whose ways ``_replacements`` relies: owner, name, parameters, and names that it uses.
-_KNOWN = (
-    ("TCPServer", "__init__", "self inbound_handler port", "server_sock _create_server_sock"),
-    ("TCPServer", "run", "self", "is_shutdown server_sock accept inbound_handler"),
-    ("TCPServer", "_create_server_sock", "self", "listen"),
-    ("TCPServer", "shutdown", "self", "is_shutdown server_sock close"),
-    ("TCPROSServer", "__init__", "self port", "topic_connection_handler service_connection_handler"),
-    ("TCPROSServer", "start_server", "self", "TCPServer _tcp_server_callback"),
-    ("TCPROSServer", "_tcp_server_callback", "self sock client_addr",
-     "read_ros_handshake_header topic_connection_handler service_connection_handler write_ros_handshake_header close"),
-    ("TCPROSTransport", "connect", "self dest_addr dest_port endpoint_id timeout",
-     "socket write_header read_header TransportInitError rospyerr"),
-    ("TCPROSTransport", "write_header", "self", "write_ros_handshake_header"),
-    ("TCPROSTransport", "read_header", "self", "read_ros_handshake_header _validate_header read_buff"),
-    ("TCPROSTransport", "receive_once", "self", "read_buff read_messages recv_buff ServiceException"),
-    ("TCPROSTransport", "_reconnect", "self", "connect socket done TransportInitError"),
-    ("TCPROSTransport", "receive_loop", "self msgs_callback", "receive_once _reconnect TransportException socket"),
-    ("TCPROSTransportProtocol", "read_messages", "self b msg_queue sock",
-     "deserialize_messages recv_data_class queue_size"),
-    ("", "recv_buff", "sock b buff_size", "recv write"),
-    ("", "deserialize_messages", "b msg_queue data_class queue_size max_msgs start", "unpack deserialize truncate"),
-    ("", "robust_connect_subscriber", "conn dest_addr dest_port pub_uri receive_cb resolved_topic_name",
-     "connect socket done TransportInitError check_if_still_publisher receive_loop"),
-    ("", "check_if_still_publisher", "resolved_topic_name pub_uri", "getPublications"),
-    ("TCPROSSub", "__init__", "self resolved_name recv_data_class queue_size buff_size tcp_nodelay", ""),
-    ("TCPROSServiceClient", "read_messages", "self b msg_queue sock", "_read_ok_byte deserialize_messages"),
-    ("TCPROSServiceClient", "_read_ok_byte", "self b sock", "_read_service_error"),
-    ("TCPROSServiceClient", "_read_service_error", "self sock b", "recv_buff getvalue"),
-    ("TCPService", "__init__", "self resolved_name service_class buff_size", ""),
-    ("ServiceImpl", "handle", "self transport header", "receive_once TransportTerminated close"),
-    ("", "service_connection_handler", "sock client_addr header", "handle set_socket write_header"),
-)
-_MODULES = (tcpros_base, tcpros_pubsub, tcpros_service)
-_OVERRIDDEN = ("TCPROSSub", "TCPService")  # they have their base's read_messages
-
-
 def unknown_in_rospy() -> str:
-    """Name what is different in this rospy from those that the limits were made for; empty = nothing."""
-    for owner_name, name, parameters, used in _KNOWN:
-        path = f"{owner_name}.{name}" if owner_name else name
-        owner = _find(owner_name) if owner_name else None
-        function = getattr(owner, name, None) if owner_name else _find(name)
-        code = getattr(function, "__code__", None)
-        if code is None:
-            return f"there is no {path}"
-        if list(inspect.signature(function).parameters) != parameters.split():
-            return f"{path} has other parameters"
-        missing = set(used.split()) - {*code.co_names, *code.co_varnames, *code.co_freevars}
-        if missing:
-            return f"{path} doesn't use {min(missing)}"
-    for owner_name in _OVERRIDDEN:
-        if "read_messages" in vars(_find(owner_name)):
-            return f"{owner_name} has a read_messages of its own"
-    return ""
-
-
-def _find(name):
-    return next((getattr(module, name) for module in _MODULES if hasattr(module, name)), None)
+    """Name what is different in this rospy from the one that the limits were made for; empty = nothing."""
+    try:
+        for owner, name, replacement in _replacements():
+            taken = inspect.signature(getattr(owner, name)).parameters
+            try:
+                inspect.signature(replacement).bind(*taken)
+            except TypeError:
+                return f"{owner.__name__}.{name} takes {', '.join(taken)}"
+    except AttributeError as error:
+        return str(error)
+    owners = (tcpros_pubsub.TCPROSSub, tcpros_service.TCPService)  # whose base's method is replaced
+    return next((f"{owner.__name__} has a read_messages of its own" for owner in owners
+                 if "read_messages" in vars(owner)), "")
 
 
 def limit_connections() -> str:

@@ -11,14 +11,14 @@ class TimeoutTransport(xmlrpc.client.Transport):
     """A transport whose connections end after ``ANSWER_WITHIN_S`` without an answer."""
 
     def make_connection(self, host: Any):
-        """A connection with a time limit."""
+        """Return a connection with a time limit."""
         connection = super().make_connection(host)
         connection.timeout = ANSWER_WITHIN_S
         return connection
 
 
 def call(uri: str, method: str, *arguments: Any) -> tuple:
-    """An XML-RPC server's answer: in ROS (code, message, value), where a code of 1 is success.
+    """Return an XML-RPC server's answer: in ROS (code, message, value), where a code of 1 is success.
 
     Raises:
         OSError: no connection, or no answer in time.

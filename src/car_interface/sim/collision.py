@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Sequence
 
 from car_interface.common.errors import require
+from car_interface.common.vehicle_geometry import FRONT_M, REAR_M, WIDTH_M
 
 APART_M = 0.01  # a car that has driven this far since it was stopped no longer touches the obstacle
 # The outline's middle moves farther than the rear axle's on a turn: for c = 0.14 m before it by √(1 + c²/r²), which is
@@ -21,12 +22,12 @@ MAX_CENTER_RATIO = 1.5
 class Outline:
     """The car from above, a rectangle: metres behind and before the rear axle's middle, and across.
 
-    The default is a Slash 4x4's, 568 mm long and 296 mm wide.
+    The default is a Slash 4x4's.
     """
 
-    rear_m: float = 0.142
-    front_m: float = 0.426
-    width_m: float = 0.296
+    rear_m: float = REAR_M
+    front_m: float = FRONT_M
+    width_m: float = WIDTH_M
 
     def __post_init__(self):
         require(self.rear_m >= 0, "rear_m", self.rear_m, "0 or more")

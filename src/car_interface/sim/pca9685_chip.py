@@ -9,8 +9,8 @@ import errno
 from typing import Callable, Sequence
 
 _MODE1, _MODE2, _SUBADR1, _LED0, _LED15_END, _ALL_LED, _PRE_SCALE, _TEST = 0, 1, 2, 6, 69, 250, 254, 255
-_RESTART, _EXTCLK, _AI, _SLEEP = 0x80, 0x40, 0x20, 0x10
-_FULL = 0x10
+_RESTART, _EXTCLK, _AI, _SLEEP = 0x80, 0x40, 0x20, 0x10  # MODE1 bits (data sheet 7.3.1)
+_FULL = 0x10  # full on, full off (data sheet 7.3.3)
 _CHANNELS = 16
 _KERNEL_TIMEOUT_S = 1.0  # of an I2C adapter on Linux, unless its driver says otherwise
 

@@ -25,6 +25,7 @@ from typing import NamedTuple
 
 from car_interface.common.errors import require
 from car_interface.common.units import NS_PER_S
+from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, TRACK_M, WHEEL_DIAMETER_M, WHEELBASE_M
 from car_interface.sim.collision import Collisions
 from car_interface.sim.drive_train import (
     DriveConfig,
@@ -62,7 +63,7 @@ class Pulse(NamedTuple):
 
 @dataclass(frozen=True)
 class SteeringConfig:
-    """How the servo moves and where its positions steer.
+    """The servo's motion, and the curvature at each of its positions.
 
     Attributes:
         curve: (duty, curvature in 1/m, left positive), duties rising, curvatures falling, or rising with a servo that
@@ -119,10 +120,10 @@ class VehicleConfig:
 
     steering: SteeringConfig = SteeringConfig()
     drive: DriveConfig = field(default_factory=DriveConfig)
-    wheelbase_m: float = 0.324
-    track_m: float = 0.296
-    wheel_diameter_m: float = 0.095
-    pulses_per_revolution: int = 20
+    wheelbase_m: float = WHEELBASE_M
+    track_m: float = TRACK_M
+    wheel_diameter_m: float = WHEEL_DIAMETER_M
+    pulses_per_revolution: int = PULSES_PER_REVOLUTION
     pulse_phase: tuple[float, float] = (0.25, 0.75)
     start: Pose = ORIGIN
     slope: float = 0.0

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from typing import Sequence
 
 from car_interface.common.errors import require
+from car_interface.common.vehicle_geometry import SONARS
 from car_interface.sim.collision import Obstacles
-
-SENSOR_NAMES = ("front_right", "front_middle", "front_left", "rear_right", "rear_middle", "rear_left")
 
 
 @dataclass(frozen=True)
@@ -80,7 +79,7 @@ class WorldConfig:
     def __post_init__(self):
         x_from_m, x_to_m, y_from_m, y_to_m = self.walls
         require(x_from_m < x_to_m and y_from_m < y_to_m, "walls", self.walls, "x from < x to, y from < y to")
-        require(len(self.mounts) == len(SENSOR_NAMES), "mounts", self.mounts, "six of them")
+        require(len(self.mounts) == len(SONARS), "mounts", self.mounts, "six of them")
         require(0 < self.cone_rad < math.pi, "cone_rad", self.cone_rad, "more than 0, less than pi")
         require(self.rays > 0, "rays", self.rays, "1 or more")
         require(self.max_range_m > 0, "max_range_m", self.max_range_m, "more than 0")

@@ -147,7 +147,7 @@ class ThrottleControl:
         is_human = arbitration.source != PLANNER
         request = Request(arbitration.drive, arbitration.gear, is_human=is_human, is_stop=arbitration.is_stop,
                           is_centered=self.arbiter.is_centered(now_ns), is_released=self.arbiter.is_released(now_ns),
-                          cruise_mps=arbitration.cruise_mps, is_limited=limited.is_cut)
+                          cruise_mps=arbitration.cruise_mps)
         is_as_it_is = self.is_calibration_drive and arbitration.gear == AUTO
         if arbitration.drive == arbitration.brake or is_as_it_is:
             return self._esc.step(request, now_ns)  # one scale: a pull stays what it is when the car comes to stand

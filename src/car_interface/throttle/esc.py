@@ -4,7 +4,8 @@ Consumes requests (fractions −1..1), what the servo board held, and the measur
 answers with a fraction, the state, the cause and the reason. It never blocks: where an ESC needs time in neutral, the
 answers are neutral until then. Pure: ``now_ns`` is passed in. The duty for a fraction is the caller's table.
 
-What is certain to be a brake, and what is not, stands with the rules: see ``_brakes`` and ``_stop_brakes``.
+What is certain to be a brake, and what is not, stands with the rules: see ``_brakes``, ``_weak_pull`` and
+``_stop_brakes``.
 
 What it can't see: an ESC that is switched on, or recalibrated, later than the board: its memory begins anew, and its
 first pull may be reverse. A hill, before the car has rolled on it in neutral. A board that gives no pulses and has not
@@ -26,7 +27,13 @@ from car_interface.throttle.esc_config import (
 from car_interface.throttle.esc_hill import HillWatch
 from car_interface.throttle.esc_history import EscHistory
 from car_interface.throttle.esc_intention import AUTO, DRIVE, REVERSE_GEAR, Pulls, Request
-from car_interface.throttle.esc_motion import STANDSTILL_MPS, MeasuredMotion, MotionCheck
+from car_interface.throttle.esc_motion import (
+    ACTUATION_NS,
+    MOTOR_LAG_NS,
+    STANDSTILL_MPS,
+    MeasuredMotion,
+    MotionCheck,
+)
 from car_interface.throttle.esc_proof import BrakeProof
 
 ARMING, NEUTRAL, FORWARD, BRAKING, HOLD, REVERSE = range(6)
@@ -43,8 +50,12 @@ BEGINS_OVER_MPS = NEAR_MPS = 0.1  # of the brake's margin: to begin, and to end 
 LOST_NS = round(0.5 * NS_PER_S)
 HIDDEN_NS = round(0.35 * NS_PER_S)  # so late may a speed be that doesn't say how late it is
 SAME_BRAKE = 0.05  # fractions that differ by less brake alike
-# So much faster than its planner wants it a car may be and is pushed on all the same, until its brake is certain.
-PRIMES_OVER_MPS = 1.0
+# A whole pull slows no car by more than this: half of it locks the wheels of the strongest on dry asphalt, at 8 m/s².
+SLOWS_MPS2 = 16.0
+LETS_GO = 1.5  # a weaker pull follows once the motor does no more of a stronger one than so much of it
+WEAKLY = "as much of a brake as certainly ends before it stands"
+# The pull before the one that is to reverse: some ESCs reverse by it at once, and for the dwell nobody corrects that.
+FIRST_PULL = 0.15
 # A push so weak slows a car that rolls backward by less than 1.5 m/s²: it doesn't turn it round between two reports.
 GENTLE = 0.25
 
@@ -88,6 +99,7 @@ class Esc:
         self._hill = HillWatch()
         self._saw_speed_in_reverse = False
         self._brakes_since_ns = 0  # since when it brakes as now
+        self._lagging_pull, self._finished_ns = 0.0, 0  # what a motor with a lag still does of earlier pulls
 
     @property
     def state(self) -> int:
@@ -191,32 +203,11 @@ class Esc:
         return value, state, causes.CALIBRATION_DRIVE, PASSES
 
     def _drive(self, value, request, now_ns):
-        if self._hill.drives_the_car and request.cruise_mps > 0 and self.config.profile == BRAKE_THEN_REVERSE:
-            value = self._with_a_certain_brake(value, request, now_ns)
         if value > 0:
             return self._push(value, request, now_ns)
         if value < 0:
             return self._pull(value, request, now_ns)
         return 0.0, NEUTRAL, causes.NO_THROTTLE, "neutral is requested"
-
-    def _with_a_certain_brake(self, value, request, now_ns):
-        """The request of a planner that wants the car to go on downhill, so that the next pull is a brake for certain.
-
-        The brake is all that keeps the speed there. It is certain after half a second of driving, and until neutral
-        follows a pull. So the car gets as much of a push, however weak, and a brake that is no longer wanted is held as
-        weakly as the ESC takes it until a push is wanted.
-        """
-        speed_mps = self._motion.speed_mps(now_ns)
-        if speed_mps is None or request.gear != DRIVE:
-            return value
-        if not self._history.brake_is_certain(now_ns):
-            is_slow = speed_mps <= request.cruise_mps + PRIMES_OVER_MPS
-            return max(value, self.config.dead_band_forward) if is_slow and not request.is_limited else value
-        if value or self._state != BRAKING:
-            return value
-        if request.value > 0 and not request.is_limited:
-            return self.config.dead_band_forward
-        return -self.config.dead_band_reverse
 
     def _push(self, value, request, now_ns):
         backward = self._motion.rolls_backward(now_ns)
@@ -236,7 +227,7 @@ class Esc:
 
     def _brake_in_reverse(self, value, withheld, now_ns):
         """A push is a brake while it rolls backward. Below the margin the next one would drive forward."""
-        if self._motion.rolls_backward(now_ns) and self._is_fast_enough(now_ns):
+        if self._motion.rolls_backward(now_ns) and self._is_fast_enough(value, now_ns):
             return value, BRAKING, causes.BRAKING, "it rolls backward"
         return 0.0, NEUTRAL, causes.AT_STANDSTILL, withheld
 
@@ -251,10 +242,14 @@ class Esc:
         means_reverse = request.gear == REVERSE_GEAR or request.gear == AUTO and self._pulls.means_reverse
         if means_reverse and self._may_reverse(request, now_ns):
             return self._reverse(value, now_ns)
-        if self._brakes(now_ns):
+        if self._brakes(value, now_ns):
             self._pulls.mark_brake()
             state = HOLD if self._motion.stands(now_ns) else BRAKING
             return value, state, *self._brake_cause(state, means_reverse)
+        weak = self._weak_pull(value, now_ns)
+        if weak:
+            self._pulls.mark_brake()
+            return weak, BRAKING, causes.BRAKING, WEAKLY
         # A speed of before the pull says nothing about what it meant, and one that may still slide only has to wait.
         speed_mps = self._motion.speed_mps(now_ns) or 0.0
         began_ns = self._pulls.began_ns + (0 if self._motion.is_stamped else HIDDEN_NS)
@@ -262,7 +257,7 @@ class Esc:
             self._pulls.mark_brake()
         return 0.0, NEUTRAL, *self._withheld(means_reverse, now_ns)
 
-    def _brakes(self, now_ns):
+    def _brakes(self, value, now_ns):
         """Whether a pull is a brake now, or slows the car for certain.
 
         It is a brake by the ESC's own rules where the profile brakes after forward, and the ESC has had no neutral
@@ -275,12 +270,12 @@ class Esc:
             return True
         if self.config.profile == BRAKE_THEN_REVERSE and self._history.brake_is_certain(now_ns):
             return True
-        return self._is_fast(now_ns)
+        return self._is_fast(value, now_ns)
 
-    def _is_fast(self, now_ns):
-        return self._motion.rolls_forward(now_ns) and self._is_fast_enough(now_ns)
+    def _is_fast(self, value, now_ns):
+        return self._motion.rolls_forward(now_ns) and self._is_fast_enough(value, now_ns)
 
-    def _is_fast_enough(self, now_ns):
+    def _is_fast_enough(self, value, now_ns):
         """Whether it is faster than the margin.
 
         To begin a brake it takes a little more; and twice that where nothing says how old a speed was at its arrival,
@@ -289,10 +284,26 @@ class Esc:
         margin_mps, motion = self.config.brake_margin_mps, self._motion
         is_sure = motion.is_stamped and not motion.rolls_backward(now_ns)
         if self._state == BRAKING and is_sure:
-            return motion.outlasts_a_pull(now_ns, margin_mps - NEAR_MPS, self._brakes_since_ns)
+            # How little a weaker brake slows the car says nothing about a stronger one.
+            since_ns = self._brakes_since_ns if self._fraction - value <= SAME_BRAKE else None
+            return motion.outlasts_a_pull(now_ns, margin_mps - NEAR_MPS, since_ns)
         if self._state != BRAKING:
             margin_mps += BEGINS_OVER_MPS if is_sure else margin_mps
         return motion.least_speed_mps(now_ns) > margin_mps and motion.outlasts_a_pull(now_ns)
+
+    def _weak_pull(self, value, now_ns):
+        """Return as much of a pull as certainly ends before the car stands, where the whole one may not; 0 = none.
+
+        It is all that slows a car downhill whose ESC isn't certain to brake. It goes by the speed's age, so it
+        takes odometry that is fresh and has a stamp.
+        """
+        motion = self._motion
+        if not (self._hill.drives_the_car and motion.is_stamped and motion.is_fresh(now_ns)
+                and motion.rolls_forward(now_ns)):
+            return 0.0  # an old speed doesn't show what stronger pulls have done since
+        weak = max(value, -motion.mps2_to_outlast_a_pull(now_ns) / SLOWS_MPS2)
+        is_let_go = self._lagging_pull <= LETS_GO * -weak
+        return weak if weak <= -self.config.dead_band_reverse and is_let_go else 0.0
 
     def _brake_cause(self, state, means_reverse):
         if state == BRAKING:
@@ -333,7 +344,8 @@ class Esc:
         history = self._history
         if self.config.profile in (BRAKE_THEN_REVERSE, UNVERIFIED):
             if not history.has_braked(now_ns):
-                return value, REVERSE, causes.REVERSE_PENDING, "the ESC needs a brake before reverse"
+                first = max(value, -max(FIRST_PULL, self.config.dead_band_reverse))
+                return first, REVERSE, causes.REVERSE_PENDING, "the ESC needs a brake before reverse"
             if not history.is_unlocked(now_ns):
                 return 0.0, REVERSE, causes.REVERSE_PENDING, "the ESC needs neutral before reverse"
         elif self._fraction >= 0 and history.neutral_ns(now_ns) < self.config.dwell_s * NS_PER_S:
@@ -348,11 +360,19 @@ class Esc:
         if self._holds_on_a_hill(now_ns):
             return -self.config.stop_brake, HOLD, cause, f"{prefix}it stands on a hill, and the brake holds it"
         if self._state == REVERSE or not self._stop_brakes(now_ns):
-            return 0.0, NEUTRAL, cause, f"{prefix}it stops in neutral"
+            weak = self._weak_stop(now_ns)
+            return (weak, BRAKING, cause, prefix + WEAKLY) if weak else (
+                0.0, NEUTRAL, cause, f"{prefix}it stops in neutral")
         lasts_ns = now_ns - self._stop_began_ns
         if lasts_ns > self.config.stop_brake_time_s * NS_PER_S and not self._motion.rolls_forward(now_ns):
             return 0.0, NEUTRAL, cause, f"{prefix}it has braked for {self.config.stop_brake_time_s:g} s"
         return -self.config.stop_brake, BRAKING, cause, f"{prefix}it brakes"
+
+    def _weak_stop(self, now_ns):
+        """Return the weak pull of a stop; 0 where no stop brakes."""
+        if self._state == REVERSE or self.config.profile == UNVERIFIED or not self._history.is_known(now_ns):
+            return 0.0
+        return self._weak_pull(-self.config.stop_brake, now_ns)
 
     def _holds_on_a_hill(self, now_ns):
         """Whether a stop goes on at standstill: where neutral is known to roll, and the brake began while it rolled."""
@@ -369,7 +389,7 @@ class Esc:
             return False
         if self._motion.rolls_backward(now_ns) or self._motion.stands(now_ns):
             return False
-        return self._stop_is_certain(now_ns) or self._is_fast(now_ns)
+        return self._stop_is_certain(now_ns) or self._is_fast(-self.config.stop_brake, now_ns)
 
     def _stop_is_certain(self, now_ns):
         if not (self._is_measured or self._proof.is_given):
@@ -384,6 +404,9 @@ class Esc:
 
     def _finish(self, answer, now_ns):
         fraction, state, cause, reason = answer
+        keeps = math.exp((self._finished_ns - now_ns) / (MOTOR_LAG_NS + ACTUATION_NS))
+        self._lagging_pull = keeps * self._lagging_pull + (1.0 - keeps) * max(0.0, -self._fraction)
+        self._finished_ns = now_ns
         if state == REVERSE and self._state != REVERSE:
             self._saw_speed_in_reverse = False
         if state == REVERSE and (self._motion.stands(now_ns) or self._motion.rolls_backward(now_ns)):

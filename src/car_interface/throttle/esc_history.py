@@ -7,7 +7,7 @@ whatever *permits* something must stand in both.
 from __future__ import annotations
 
 from car_interface.common.units import NS_PER_S
-from car_interface.throttle.esc_config import BRAKE_THEN_REVERSE, EscConfig
+from car_interface.throttle.esc_config import EscConfig
 
 # A duty is rounded to counts of 16, and there are about 1640 from neutral to an end: half a count is 0.005.
 NEUTRAL_TOLERANCE = 0.01
@@ -16,8 +16,8 @@ NEUTRAL_TOLERANCE = 0.01
 HELD_TIMEOUT_NS = round(2.5 * NS_PER_S)
 
 # The board goes to neutral by itself 250 ms after a command; after a pull 80 ms, unless calibrate_esc saw that the ESC
-# is a brake_then_reverse. So after a pause of the node that was longer than this it may have been there, whether it has
-# said so or not.
+# is a brake_then_reverse and the pull is its first after a push (``pca9685.channels``). So after a pause of the node
+# that was longer than this it may have been there, whether it has said so or not.
 BOARD_HOLDS_NS, BOARD_HOLDS_PULL_NS = round(0.2 * NS_PER_S), round(0.06 * NS_PER_S)
 
 # An ESC that was pushed for so long has seen that it drives, whatever it needs for that: nobody publishes how long that
@@ -73,8 +73,7 @@ class EscHistory:
 
     def __init__(self, config: EscConfig):
         self._dwell_ns = round(config.dwell_s * NS_PER_S)
-        holds = config.profile == BRAKE_THEN_REVERSE and config.profile_measured
-        self._holds_pull_ns = BOARD_HOLDS_NS if holds else BOARD_HOLDS_PULL_NS
+        self._holds_pull_ns = BOARD_HOLDS_NS if config.board_holds_pulls else BOARD_HOLDS_PULL_NS
         self._forget_ns = round(config.reverse_after_neutral_s * NS_PER_S)
         self._sent, self._held = _Account(config), _Account(config)
         self._held_ns: int | None = None  # when the board's last message came

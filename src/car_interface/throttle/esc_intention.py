@@ -24,7 +24,6 @@ class Request(NamedTuple):
         is_centered: the stick is in its dead band.
         is_released: the deadman is known to be released.
         cruise_mps: the speed that a planner wants the car to keep, backward negative; 0 = a stop, or nobody has said.
-        is_limited: something grants it less than it asks for.
     """
 
     value: float = 0.0
@@ -34,7 +33,6 @@ class Request(NamedTuple):
     is_centered: bool = False
     is_released: bool = False
     cruise_mps: float = 0.0
-    is_limited: bool = False
 
 
 STOP = Request(is_stop=True)

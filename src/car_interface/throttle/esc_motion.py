@@ -123,6 +123,12 @@ class MeasuredMotion:
         return (self._least_mps(now_ns, PULL_NS, slows_mps2) > 0.0
                 and self._least_mps(now_ns, 0, slows_mps2) > above_mps)
 
+    def mps2_to_outlast_a_pull(self, now_ns: int) -> float:
+        """Return the deceleration with which it just rolls on until the board has ended a pull that is decided on now.
+        """
+        speed_mps = self.speed_mps(now_ns)
+        return 0.0 if speed_mps is None else abs(speed_mps) * NS_PER_S / (now_ns - self.measured_ns + PULL_NS)
+
     def _slows_mps2(self, braked_since_ns, now_ns):
         """The most that it slows by now: what the tyres hold, or a good deal more than what the same brake does."""
         if braked_since_ns is None or now_ns - self.measured_ns > SEEN_FOR_NS:

@@ -214,6 +214,35 @@ def test_a_pull_that_may_become_reverse_is_held_for_80_ms_and_a_push_as_long_as_
     assert board.next_deadline_ns() == (NOW + S + MS + timeout_ms * MS if timeout_ms else math.inf)
 
 
+@pytest.mark.parametrize("story, lasts_ms", [
+    ([(5200, 450), (5000, 300)], 250), ([(5200, 440), (5000, 300)], 80), ([(5000, 100)], 80),
+    ([(5200, 450), (5100, 1400), (5000, 300)], 250), ([(5200, 450), (5100, 1500), (5000, 300)], 80),
+    ([(5200, 450), (5000, 300), (4900, 300)], 250),  # one pull, which gets stronger
+    ([(5200, 450), (5000, 300), (5100, 20), (5000, 300)], 80), ([(5200, 450), (5000, 300), (5200, 440), (5000, 9)], 80),
+    ([(5200, 450), (5000, 300), (5200, 450), (5000, 9)], 250), ([(5200, 450), (5000, 300), (None, 0), (5000, 9)], 80),
+], ids=["after_a_push", "after_a_short_push", "without_a_push", "after_neutral", "forgotten", "stronger", "second",
+        "second_after_a_short_push", "after_another_push", "made_safe"])
+def test_pull_of_an_esc_that_brakes_first_is_held_as_long_as_any_command_while_it_is_a_brake(story, lasts_ms):
+    board, now_ns = channels(pulls=-1, brakes_first=True, forgets_ms=1500), NOW
+    for duty, held_ms in story:
+        if duty is None:
+            board.make_safe(now_ns)
+            continue
+        for _ in range(max(1, held_ms // 10)):
+            board.command(vector({3: duty}), now_ns)
+            deadline_ns, now_ns = board.next_deadline_ns(), now_ns + 10 * MS
+    assert deadline_ns - (now_ns - 10 * MS) == lasts_ms * MS
+
+
+def test_pull_after_one_that_timed_out_may_be_reverse():
+    board = channels(pulls=-1, brakes_first=True)
+    board.command(vector({3: 5200}), NOW)
+    board.command(vector({3: 5000}), NOW + S)
+    assert board.expire(NOW + S + 249 * MS) == [] and board.expire(NOW + S + 250 * MS) == [3]
+    board.command(vector({3: 5000}), NOW + 2 * S)
+    assert board.next_deadline_ns() == NOW + 2 * S + 80 * MS
+
+
 def test_what_is_a_pull_follows_the_neutral():
     board = channels(pulls=-1, live_range=500)
     board.follow([5200] * 16)

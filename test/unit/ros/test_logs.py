@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+pytest.importorskip("rospy")
+
 # In an interpreter of its own: pytest's handlers are the root logger's, too.
 SCRIPT = """
 import logging, threading
@@ -74,7 +76,6 @@ logged.wait(30.0)
 
 
 def test_peer_that_leaves_in_a_handshake_prints_no_traceback():
-    pytest.importorskip("rospy")
     done = subprocess.run([sys.executable, "-B", "-c", PEER_LEAVES], capture_output=True, text=True, check=True,
                           timeout=60, env={"PYTHONPATH": ":".join(sys.path), "ROS_IP": "127.0.0.1"})
     assert done.stdout == "log file: BrokenPipeError: [Errno 32] Broken pipe\n" and "Traceback" not in done.stderr

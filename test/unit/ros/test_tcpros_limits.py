@@ -44,7 +44,7 @@ def limits(monkeypatch):
     """The limits for the length of a test, and a log that holds nothing back."""
     monkeypatch.setattr(tcpros_limits, "MAX_MESSAGE_SIZE", MAX_MESSAGE_SIZE)
     monkeypatch.setattr(tcpros_base, "_use_tcp_keepalive", True)  # else rospy asks the master
-    monkeypatch.setattr(tcpros_limits, "_warnings", tcpros_limits._ThreadSafeWarnings())
+    monkeypatch.setattr(tcpros_limits, "_warnings", tcpros_limits.ThrottledWarnings(tcpros_limits.SYSTEM))
     monkeypatch.setattr(tcpros_limits, "_handshakes", tcpros_limits._Handshakes())
     assert limit_connections() == ""
     yield
@@ -348,11 +348,11 @@ def test_answer_of_4_gib_fails_the_call(listener, ok, size):
 
 
 @pytest.mark.parametrize("owner, name, value, reason", [
-    (tcpros_base.TCPServer, "run", None, "there is no TCPServer.run"),
-    (tcpros_base.TCPROSTransport, "read_header", lambda self: None,
-     "TCPROSTransport.read_header doesn't use _validate_header"),
-    (tcpros_pubsub.TCPROSSub, "read_messages", lambda *_: None, "TCPROSSub has a read_messages of its own"),
-], ids=["missing", "other body", "overridden"])
+    (tcpros_base.TCPServer, "run", None, "type object 'TCPServer' has no attribute 'run'"),
+    (tcpros_service.ServiceImpl, "handle", lambda self, transport: None, "ServiceImpl.handle takes self, transport"),
+    (tcpros_pubsub.TCPROSSub, "read_messages", lambda self, buffer, messages, connection: None,
+     "TCPROSSub has a read_messages of its own"),
+], ids=["missing", "other parameters", "overridden"])
 def test_rospy_that_is_not_known_is_left_alone_with_a_line_for_the_log(owner, name, value, reason):
     restore_rospy()
     with pytest.MonkeyPatch.context() as patch:

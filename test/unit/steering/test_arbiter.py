@@ -105,13 +105,12 @@ def test_decision_carries_the_age_of_each_input():
 
 def test_decision_differs_only_in_source_duty_or_cause():
     driving = decide(HELD, STEERS)
-    assert driving.differs_from(None)
-    assert not driving.differs_from(decide((True, 0.4), (0.5, 0.3)))
-    assert driving.differs_from(decide(HELD, (0.6, 0.1)))
+    assert driving.differs_by == decide((True, 0.4), (0.5, 0.3)).differs_by
+    assert driving.differs_by != decide(HELD, (0.6, 0.1)).differs_by
     silent = decide((True, 0.6), STEERS)
-    assert silent.differs_from(driving)
-    assert not silent.differs_from(decide((True, 0.7), STEERS))
-    assert silent.differs_from(decide(LET_GO, STEERS))
+    assert silent.differs_by != driving.differs_by
+    assert silent.differs_by == decide((True, 0.7), STEERS).differs_by
+    assert silent.differs_by != decide(LET_GO, STEERS).differs_by
 
 
 @pytest.mark.parametrize("neutral, deadband, request_, source", [

@@ -61,10 +61,11 @@ class SpeedRig:
         value_map: the converter's.
         lag_s: of the motor: 0.02 to 0.15.
         esc, profile, is_measured: the ESC, and what the configuration says of it.
+        sees_pulses: odometry is what its Teensy's reports make of the wheels' pulses; else the true speed, at once.
     """
 
     def __init__(self, slope=0.0, thrust=1.0, value_map=MAP, lag_s=0.05, esc=XL5, profile="brake_then_reverse",
-                 is_measured=False):
+                 is_measured=False, sees_pulses=True):
         drive = DriveConfig(lag_s=lag_s)
         drive = replace(drive, forward_mps2=drive.forward_mps2 * thrust, reverse_mps2=drive.reverse_mps2 * thrust)
         self.car = Vehicle(VehicleConfig(drive=drive, slope=slope, esc=esc), START_NS)
@@ -74,6 +75,7 @@ class SpeedRig:
                                         EscConfig(profile=profile, profile_measured=is_measured))
         self.request: SpeedRequest | None = STOP
         self.human = False
+        self._sees_pulses = sees_pulses
         self.is_deaf = False  # odometry doesn't arrive
         self.samples: list[Sample] = []
         self.commands: list = []
@@ -114,6 +116,8 @@ class SpeedRig:
         if self._motion is not None and now_ns >= self._odom_due_ns:
             odom_mps, age_ns, self._motion = self._motion.motion.speed_mps, now_ns - self._motion.stamp.time_ns, None
             self._odom_due_ns = now_ns + ODOM_NS
+            if not self._sees_pulses:
+                odom_mps, age_ns = self.car.speed_mps, MS
             if not self.is_deaf:
                 for part in (self.control, self.converter, self.throttle):
                     part.update_odometry(odom_mps, now_ns, age_ns)

@@ -181,6 +181,15 @@ def test_second_pull_reverses_once_neutral_has_lasted_for_the_dwell(speed):
     assert [fraction for fraction, _ in answers].index(-0.5) in (9, 10, 11)  # 0.1 of 0.3 s had passed
 
 
+@pytest.mark.parametrize("profile", [SEQUENCE, "unverified"])
+@pytest.mark.parametrize("dead_band, first", [(0.08, -0.15), (0.2, -0.2)])
+def test_the_pull_that_only_unlocks_reverse_is_weak_since_another_kind_reverses_by_it(profile, dead_band, first):
+    car = Car(profile, dead_band_reverse=dead_band)
+    answers = [car.planner(-0.5, speed=0.0, gear=REVERSE_GEAR)[:2] for _ in range(60)]
+    assert answers[0] == (first, REVERSE) and answers[-1] == (-0.5, REVERSE)
+    assert {fraction for fraction, _ in answers} == {first, 0.0, -0.5}
+
+
 @pytest.mark.parametrize("profile, speed", [(TURNS, 0.0), (DIRECT, None), ("unverified", 0.0), ("unverified", None)])
 def test_second_pull_reverses_with_other_profiles(profile, speed):
     assert pulled_twice(Car(profile), speed)[-1] == (-0.5, REVERSE)
@@ -366,23 +375,79 @@ def test_second_pull_during_which_the_speed_is_lost_is_no_reverse_if_the_car_rol
     assert car.stick(-0.5, 3.0)[1] == REVERSE
 
 
-def test_downhill_a_planner_s_brake_becomes_certain_by_a_weak_push_and_stays_so():
-    """Asked for is what a speed control makes of a car that is a little too fast, and then a little too slow."""
-    car = Car()
+def brakes_downhill(profile, speed, cruise=0.3, age_ms=20, is_stop=False, **config):
+    """What a whole brake becomes where the car got faster in neutral; its speed doesn't change meanwhile."""
+    car = Car(profile, **config)
+    request = Request(0.0, DRIVE, is_centered=True, cruise_mps=cruise)
+    car.ask(request._replace(value=0.3), 0.2, speed - 0.1)
+    car.ask(request, 0.3, speed - 0.1)
+    car.ask(request, 0.1, speed)
+    car.now_ns += 20 * MS
+    car.esc.update_speed(speed, car.now_ns, age_ms * MS)
+    return car.ask(request._replace(value=-1.0, is_stop=is_stop)).fraction
 
-    def goes_on(value, seconds, speed, **changes):
-        return car.ask(Request(value, DRIVE, is_centered=True, cruise_mps=0.3, **changes), seconds, speed)[:2]
 
-    goes_on(0.3, 0.2, 0.3)  # too short for an ESC to be sure to brake afterwards
-    assert goes_on(-0.02, 0.3, 0.3) == (0.0, NEUTRAL)
-    assert goes_on(-0.02, 0.2, 0.36) == goes_on(-0.2, 0.1, 0.4) == (0.08, FORWARD)
-    assert goes_on(-0.2, 0.3, 0.5) == (-0.2, BRAKING)
-    assert goes_on(-0.02, 0.3, 0.3) == (-0.08, BRAKING)
-    assert goes_on(0.02, 0.02, 0.28, is_limited=True) == (-0.08, BRAKING)
-    assert goes_on(0.02, 0.02, 0.28) == (0.08, FORWARD)
-    assert car.planner(-0.02, 0.02, speed=0.3)[:2] == (0.0, NEUTRAL)  # a planner that doesn't say whether it goes on
-    car.stop(0.1, speed=0.3)
-    assert car.decision.fraction == 0.0
+@pytest.mark.parametrize("profile", [SEQUENCE, *UNSURE])
+@pytest.mark.parametrize("speed, cruise, age_ms, brake", [
+    (0.4, 0.3, 20, 0.4 / 0.14 / 16), (0.4, 0.3, 120, 0.4 / 0.24 / 16), (0.8, 0.3, 20, 0.8 / 0.14 / 16),
+    (2.0, 0.3, 20, 1.0),
+    (0.17, 0.1, 20, 0.0),  # less than the ESC takes for a pull
+    (0.8, 0.3, 120, 0.8 / 0.24 / 16), (0.8, 0.3, 140, 0.0),  # an old speed
+    (0.4, 0.3, 0, 0.0),  # nobody knows how old its speed is
+    (0.4, 0.0, 20, 0.4 / 0.14 / 16)])
+def test_downhill_a_car_is_braked_by_a_pull_so_weak_that_it_ends_before_it_becomes_reverse(
+        profile, speed, cruise, age_ms, brake):
+    assert brakes_downhill(profile, speed, cruise, age_ms) == pytest.approx(-brake)
+
+
+@pytest.mark.parametrize("profile, brake", [
+    (TURNS, 0.4 / 0.14 / 16), (DIRECT, 0.4 / 0.14 / 16), (SEQUENCE, 0.4 / 0.14 / 16), ("unverified", 0.0)])
+def test_downhill_a_stop_brakes_as_weakly_unless_nobody_has_said_what_the_esc_is(profile, brake):
+    assert brakes_downhill(profile, 0.4, is_stop=True) == pytest.approx(-brake)
+
+
+def test_downhill_a_person_s_pull_is_as_weak_and_stays_a_brake():
+    car = Car("unverified")
+    car.stick(0.3, 0.2, speed=0.3)
+    car.stick(0.0, 0.3, speed=0.3)
+    car.stick(0.0, 0.1, speed=0.4)
+    for speed_mps in (0.4, 0.3, 0.2, 0.1, 0.0, 0.0, 0.0, 0.0):
+        car.now_ns += 20 * MS
+        car.esc.update_speed(speed_mps, car.now_ns, 20 * MS)
+        car.stick(-1.0)
+        if speed_mps == 0.4:
+            assert car.decision[:2] == (pytest.approx(-0.4 / 0.14 / 16), BRAKING)
+    assert car.stick(-1.0, 1.0, speed=0.0)[:2] == (0.0, NEUTRAL)
+
+
+def test_a_weak_pull_waits_until_the_motor_has_let_go_of_a_stronger_one():
+    car = Car(DIRECT)
+    request = Request(0.0, DRIVE, is_centered=True, cruise_mps=0.3)
+    car.ask(request._replace(value=0.3), 0.2, 1.9)
+    car.ask(request, 0.3, 1.9)
+    car.ask(request, 0.1, 2.0)
+    assert car.ask(request._replace(value=-1.0), 0.3, 2.0).fraction == -1.0
+    pulls = []
+    for _ in range(30):
+        car.now_ns += 20 * MS
+        car.esc.update_speed(0.5, car.now_ns, 20 * MS)
+        pulls.append(car.ask(request._replace(value=-1.0)).fraction)
+    assert not any(pulls[:5]) and pulls[-1] < 0.0
+
+
+def test_stronger_brake_doesn_t_count_on_how_little_a_weaker_one_slowed_the_car():
+    car = Car("unverified")
+    car.stick(0.5, 0.6, speed=3.0)
+    for pull in (-0.2, -1.0):
+        speed_mps = 1.5
+        for _ in range(20):
+            speed_mps -= 0.01
+            car.now_ns += 10 * MS
+            car.esc.update_speed(speed_mps, car.now_ns, 10 * MS)
+            car.stick(-0.2)
+        assert car.decision.fraction == -0.2
+        car.esc.update_speed(1.0, car.now_ns, 10 * MS)
+        assert (car.stick(pull).fraction != 0.0) == (pull == -0.2)
 
 
 @pytest.mark.parametrize("speed, cruise, age_ms, fraction", [

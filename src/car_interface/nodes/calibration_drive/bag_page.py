@@ -7,7 +7,7 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from car_interface.ros.bag_recording import BagRecording
+from car_interface.nodes.calibration_drive.bag_recording import BagRecording
 
 # Where rosbags isn't among the system's libraries, as on Debian 12: docs/recordings.md, Install the tools.
 TOOLS = "~/car_tools/bin/car-interface"

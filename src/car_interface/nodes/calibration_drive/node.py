@@ -37,15 +37,15 @@ from car_interface.common.staleness import TimedInput
 from car_interface.common.units import CHANNELS, NS_PER_S, yaw_rad
 from car_interface.msg import PlannerState, SteeringState, TeleopState, ThrottleState
 from car_interface.nodes.calibration_drive.bag_page import BagPage
+from car_interface.nodes.calibration_drive.bag_recording import BagRecording
 from car_interface.nodes.calibration_drive.drive_markers import drive_markers, no_markers
 from car_interface.nodes.calibration_drive.drive_topics import recorded_topics
 from car_interface.nodes.calibration_drive.live_text import LiveText
 from car_interface.nodes.calibration_drive.work_thread import in_thread
 from car_interface.nodes.keyboard_drive.keyboard import Keys
-from car_interface.ros.bag_recording import BagRecording
-from car_interface.ros.ros_clock import RosClock
+from car_interface.ros.clocks import RosClock
 from car_interface.ros.runtime import run
-from car_interface.ros.topics import advertise, sender_of, subscribe, subscribe_any
+from car_interface.ros.topics import advertise, sender_of, subscribe
 from car_interface.tools.calibration.drive import terminal
 from car_interface.tools.calibration.drive.calibration_drive import CalibrationDrive
 from car_interface.tools.calibration.drive.conclusion import board_center, conclude, find_table_file
@@ -119,7 +119,7 @@ class CalibrationDriveNode:
                 *((f"sonar/{name}", Range, partial(self._on_range, name)) for name in self._sonars)):
             subscribe(topic, message_type, inbox, handler, queue_size=50)
         for topic in REQUESTS if not self._wanted.stick else ():
-            subscribe_any(topic, inbox, partial(self._on_request, topic), wakes=False)
+            subscribe(topic, rospy.AnyMsg, inbox, partial(self._on_request, topic), wakes=False)
 
     def _introduce(self):
         self._text.say(terminal.introduction(self._wanted.stick, self._config.radius_m, self._text.width))

@@ -17,8 +17,8 @@ import tty
 from typing import Any, Callable
 
 from car_interface.common.errors import ConfigError
+from car_interface.nodes.car_sim.faults import serve_faults
 from car_interface.nodes.car_sim.port_claim import PortClaim
-from car_interface.ros.faults import serve_faults
 from car_interface.sim.line import MAX_S, NS_PER_S, BadLine
 from car_interface.sim.teensy_sonars import SONAR_CONDITIONS
 

@@ -20,7 +20,7 @@ from car_interface.pca9685.guard_protocol import ALIVE, ENDED, ENDING, NOT_TRIED
 from car_interface.pca9685.guard_watch import GuardWatch
 from car_interface.ros.clocks import Clocks
 from car_interface.ros.diagnostics import ERROR, OK, WARN
-from car_interface.ros.throttled_warnings import ThrottledWarnings
+from car_interface.ros.logs import ThrottledWarnings
 
 RESTART_PAUSE_NS = 500 * NS_PER_MS  # between two starts
 SHOWN_NS = 10 * NS_PER_S  # how long /diagnostics tells of a guard that was lost and is back

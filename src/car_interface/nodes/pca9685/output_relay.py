@@ -23,8 +23,8 @@ from std_msgs.msg import Int32MultiArray
 from car_interface.pca9685.guard_output import OutputReadings
 from car_interface.pca9685.guard_protocol import LEFT_TO_NODE, output_reader
 from car_interface.ros.clocks import SYSTEM
-from car_interface.ros.servo_messages import duty_vector
 from car_interface.ros.tcpros_limits import limit_connections
+from car_interface.ros.topics import duty_vector
 
 MASTER_POLL_S = 1.0
 REGISTER_POLL_S = 0.05

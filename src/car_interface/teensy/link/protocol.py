@@ -10,14 +10,14 @@ from struct import Struct
 from typing import NamedTuple, Sequence, Union
 
 from car_interface.common.errors import ProtocolError
+from car_interface.common.vehicle_geometry import SONARS
 
 HOST, TEENSY = 1, 2  # addresses
 (PING_QUERY, PONG_RESP, SET_SONAR_SEQ, SONAR_STOP, SONAR_START, SONAR_STATUS, WHEEL_STATUS, WHEEL_RESET, ERROR_COUNT,
  GET_COUNTERS, _SONAR_RETRY, SONAR_WAIT) = range(1, 13)
 
-SONARS = ("front_right", "front_middle", "front_left", "rear_right", "rear_middle", "rear_left")  # by sensor id
 FORWARD, BACKWARD, NO_DIRECTION, DIRECTION_ERROR = range(4)
-MAX_SEQUENCE = 24
+MAX_SEQUENCE = 24  # the firmware's array has four entries for each sonar
 MAX_COUNTER_NAME = 23
 UINT32 = 2 ** 32
 MAX_SONAR_WAIT_MS = UINT32 // 2 - 1  # the firmware's comparison of times takes more than this for no wait at all

@@ -21,7 +21,7 @@ BITS_PER_BYTE = 10  # start bit, eight, stop bit
 # Bytes in the Teensy's buffers go first: some 2 kB, 0.2 s at 115200 baud; then the host takes its time.
 ONE_WAY_UNCERTAINTY_NS = 250 * NS_PER_MS
 UNKNOWN_NS = 1 << 62  # the uncertainty of a time of which nothing is known
-CONVERGED_PONGS = 5
+CONVERGED_PONGS = 5  # the quick pings of the first second: see ``pinging``
 CONVERGED_AFTER_MS = 900  # over a shorter time a tick of 1 ms bounds the skew less than the crystals' data sheets
 SENDING_NS = 100_000  # about the time from reading the clock until the first bit is on the wire
 AGREEING = 3  # pongs in a row that overrule the ones before them

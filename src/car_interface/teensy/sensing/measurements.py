@@ -10,8 +10,9 @@ from dataclasses import dataclass, field
 from typing import Callable, NamedTuple
 
 from car_interface.common.units import NS_PER_MS, NS_PER_S
+from car_interface.common.vehicle_geometry import SONARS
 from car_interface.teensy.link.pinging import Answer
-from car_interface.teensy.link.protocol import SONARS, UINT32, Pong, SonarStatus, WheelStatus
+from car_interface.teensy.link.protocol import UINT32, Pong, SonarStatus, WheelStatus
 from car_interface.teensy.sensing.clock import Clock, ClockConfig, Stamp, Sync
 from car_interface.teensy.sensing.odometry import Motion, Odometry, OdometryConfig
 from car_interface.teensy.sensing.plausibility import GateConfig, Gates
@@ -42,7 +43,7 @@ class RangeMeasurement(NamedTuple):
     """One sonar's range."""
 
     stamp: Stamp
-    sensor: int  # index in protocol.SONARS
+    sensor: int  # index in SONARS
     range_m: float  # never NaN
 
 

@@ -17,17 +17,17 @@ from __future__ import annotations
 from typing import NamedTuple, Sequence
 
 from car_interface.common.units import NS_PER_MS, NS_PER_S
-from car_interface.teensy.link.protocol import SONARS
+from car_interface.common.vehicle_geometry import SONARS
 from car_interface.teensy.sensing.ranging import is_near_micros_wrap
 
 MISSING_ROUNDS = 2  # rounds of the others without a report
 STUCK_ZEROS, DROPPED_ZEROS = 2, 3  # echoes of 0 in a row
 MAX_STALLS = 2  # in a row: all sonars stopped at the same one
-DISTRUSTED_REPORTS = 2
+DISTRUSTED_REPORTS = 2  # SONAR_START fires two sonars at once
 # A report from before SONAR_START may still be on its way; the last false one comes at the end of a pulse of 38 ms.
 BEFORE_START_MS, AFTER_START_MS = 15, 70
 MAX_RETRY_NS = 60 * NS_PER_S  # between SONAR_STARTs that don't help
-FIRMWARE_WAIT_MS = 50
+FIRMWARE_WAIT_MS = 50  # between an echo and the next ping, at power-up
 SEND_START, SEND_SEQUENCE = "SONAR_START", "SET_SONAR_SEQ"
 # The sonars fire mostly ahead while the car drives forward, and for a while after it stopped: a short stop changes
 # nothing. The two speeds differ, so that a car which stands doesn't switch with the noise of its speed.
@@ -40,7 +40,7 @@ class SonarFault(NamedTuple):
     """A fault of the sonars.
 
     Attributes:
-        sensor: index in ``protocol.SONARS``; ``None`` for all of them.
+        sensor: index in ``SONARS``; ``None`` for all of them.
         description: what is wrong.
         next_step: what its owner can do.
     """

@@ -89,7 +89,7 @@ def _steps(low, high, step):
 
 
 def _scatter(x, y, w):
-    """The weighted sum of squares of ``y`` around straight lines over ``x``, one for each of BINS of equal size."""
+    """Return the weighted sum of squares of ``y`` around straight lines over ``x``, one in each of BINS equal bins."""
     order = np.argsort(x, kind="stable")
     x, y, w = x[order], y[order], w[order]
     starts = np.unique(np.linspace(0, len(x), BINS + 1).astype(int)[:-1])

@@ -11,7 +11,6 @@ from car_interface.common.errors import CarInterfaceError
 if TYPE_CHECKING:  # rosbags comes with it, which a car's own computer may not have
     from car_interface.tools.recordings.overlap import Trail
 
-
 MIN_PULSE, MAX_PULSE = 1638, 8192  # duties that a servo or an ESC takes for a command: 0.5 and 2.5 ms of 20 ms
 
 
@@ -67,3 +66,9 @@ def rising(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
             pool = ((mean * before + pool[0] * pool[1]) / total, total, count + pool[2])
         pools.append(pool)
     return np.repeat([mean for mean, _, _ in pools], [count for _, _, count in pools])
+
+
+def runs(flags: np.ndarray) -> list[tuple[int, int]]:
+    """Return begin and end of each run of true in flags (N,); the end is the index behind its last one."""
+    edges = np.flatnonzero(np.diff(np.r_[0, flags.astype(int), 0]))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist()))

@@ -24,6 +24,7 @@ from car_interface.tools.calibration.value_map.recorded import (
     BY_IMU,
     BY_ODOM,
     BY_PULSES,
+    ESC_CHANNEL,
     MapSource,
     is_by_hand,
     load_map_drive,
@@ -41,7 +42,7 @@ from car_interface.tools.cli.options import (
 )
 from car_interface.tools.recordings import roles
 
-ESC_CHANNEL, ESC_NEUTRAL_DUTY = 1, 4915  # as config/throttle.yaml has them
+ESC_NEUTRAL_DUTY = 4915  # as config/throttle.yaml has it
 NO_CHANNEL = -1
 ROLES = (roles.ODOM, roles.IMU, roles.VALUE, roles.OUTPUT, roles.COMMAND)
 THROTTLE = "config/throttle.yaml"

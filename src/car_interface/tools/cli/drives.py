@@ -13,7 +13,8 @@ from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.tools.cli.drives_cache import Cache, find_recordings, fingerprint
 from car_interface.tools.cli.jobs import failure_text, for_each
-from car_interface.tools.cli.options import add_recording_arguments, topics_of, version
+from car_interface.tools.cli.main import version
+from car_interface.tools.cli.options import add_recording_arguments, topics_of
 from car_interface.tools.report.drives_page import csv_text, in_order, page
 from car_interface.tools.report.drives_plots import trends
 from car_interface.tools.report.drives_row import VERSION, Row, row

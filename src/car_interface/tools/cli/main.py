@@ -2,6 +2,7 @@
 
 A command is a module with ``add_arguments(parser)`` and ``run(options)``, which returns the exit code: 0 done,
 1 refused or failed, with one line that says why. argparse ends with 2 on options that it doesn't know.
+This module imports no library, so that a limit of memory, or one that isn't installed, ends with one line, too.
 """
 from __future__ import annotations
 
@@ -11,14 +12,16 @@ import importlib
 import os
 import signal
 import sys
+from importlib import metadata
 from typing import Sequence
+from xml.etree import ElementTree
 
 from car_interface.common import memory_limit
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.library_warnings import hide_warnings
-from car_interface.tools.cli.options import VersionAction
+from car_interface.common.package_files import package_file
 
-PROGRAM = "car-interface"
+PACKAGE, PROGRAM = "car_interface", "car-interface"
 MODULES = {name: f"car_interface.tools.cli.{name}" for name in (
     "bag_report", "calibrate_esc", "calibrate_steering", "calibrate_value_map", "check_map", "drives")}
 INSTALL = "see docs/recordings.md, Install the tools"
@@ -71,6 +74,33 @@ def main(command: str | None = None, arguments: Sequence[str] | None = None) -> 
         if why is None:
             raise
         return _failed(command, why)
+
+
+def version() -> str:
+    """Return the version in package.xml; where pip installed the package without that, in its metadata.
+
+    Raises:
+        CarInterfaceError: there is neither.
+    """
+    try:
+        return ElementTree.parse(str(package_file("package.xml"))).findtext("version")
+    except CarInterfaceError:
+        pass
+    try:
+        return metadata.version(PACKAGE)
+    except metadata.PackageNotFoundError as error:
+        raise CarInterfaceError(f"{PACKAGE} has neither package.xml nor metadata: install it again") from error
+
+
+class VersionAction(argparse.Action):
+    """Prints the version and ends; it is looked up only on request."""
+
+    def __init__(self, option_strings, dest):
+        super().__init__(option_strings, dest, nargs=0, help="print the version of car_interface and end")
+
+    def __call__(self, parser, namespace, values, option_string=None):
+        print(f"{PACKAGE} {version()}")
+        parser.exit()
 
 
 def _parser(command, arguments):

@@ -3,17 +3,12 @@ from __future__ import annotations
 
 import argparse
 import os
-from importlib import metadata
 from typing import Sequence
-from xml.etree import ElementTree
 
-from car_interface.common.errors import CarInterfaceError, ConfigError
+from car_interface.common.errors import ConfigError
 from car_interface.common.input_file import finite_number
-from car_interface.common.package_files import package_file
 from car_interface.common.units import CHANNELS
 from car_interface.tools.recordings.roles import ODOM, Role
-
-PACKAGE = "car_interface"
 
 
 def finite(text: str) -> float:
@@ -94,30 +89,3 @@ def _count(text):
     if not text.isdecimal() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is no number of at least 1")
     return int(text)
-
-
-def version() -> str:
-    """Return the version in package.xml; where pip installed the package without that, in its metadata.
-
-    Raises:
-        CarInterfaceError: there is neither.
-    """
-    try:
-        return ElementTree.parse(str(package_file("package.xml"))).findtext("version")
-    except CarInterfaceError:
-        pass
-    try:
-        return metadata.version(PACKAGE)
-    except metadata.PackageNotFoundError as error:
-        raise CarInterfaceError(f"{PACKAGE} has neither package.xml nor metadata: install it again") from error
-
-
-class VersionAction(argparse.Action):
-    """Prints the version and ends; it is looked up only on request."""
-
-    def __init__(self, option_strings, dest):
-        super().__init__(option_strings, dest, nargs=0, help="print the version of car_interface and end")
-
-    def __call__(self, parser, namespace, values, option_string=None):
-        print(f"{PACKAGE} {version()}")
-        parser.exit()

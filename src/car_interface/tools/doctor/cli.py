@@ -20,26 +20,27 @@ from typing import Iterator
 
 from car_interface.tools.doctor.checks.board import ADDRESSES
 from car_interface.tools.doctor.checks.findings import BAD, Finding, render, summarise, worst
-from car_interface.tools.doctor.examination import VIRTUAL, Options, Task, examine
+from car_interface.tools.doctor.examination import VIRTUAL, Task, examine
 
 TOPICS = "car_interface.tools.doctor.probes.topics"  # imported only when there is a master: it imports rospy
 LEAVE_S = 0.5
 
 
-def read_options(arguments: list[str]) -> Options:
+def read_options(arguments: list[str]) -> argparse.Namespace:
     """Return the command line; remappings, which roslaunch adds, are left out."""
     parser = argparse.ArgumentParser(
         prog="doctor", description="Looks for what is wrong with this car. Exit code: 0 ok, 1 warnings, 2 bad.")
     parser.add_argument("--port", help="the Teensy's serial port")
-    parser.add_argument("--i2c", help=f"the servo board's bus: a path, a number, or {VIRTUAL}")
+    parser.add_argument("--i2c", dest="bus", help=f"the servo board's bus: a path, a number, or {VIRTUAL}")
     parser.add_argument("--address", type=lambda text: int(text, 0), help="the servo board's address, such as 0x40")
-    parser.add_argument("--ns", default=os.environ.get("ROS_NAMESPACE"),
+    parser.add_argument("--ns", dest="namespace", default=os.environ.get("ROS_NAMESPACE"),
                         help="the car's namespace; by default that of the car that runs")
     options = parser.parse_args([argument for argument in arguments if ":=" not in argument])
     if options.address is not None and options.address not in ADDRESSES:
         parser.error(f"--address is 0x{options.address:02x}; accepted: 0x{ADDRESSES[0]:02x} to 0x{ADDRESSES[-1]:02x}")
-    namespace = None if options.ns is None else "/" + options.ns.strip("/")
-    return Options(options.port, options.i2c, options.address, namespace)
+    if options.namespace is not None:
+        options.namespace = "/" + options.namespace.strip("/")
+    return options
 
 
 def show(findings: Iterator[Finding]) -> int:

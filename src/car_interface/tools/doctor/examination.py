@@ -7,6 +7,7 @@ from __future__ import annotations
 import os
 import threading
 import time
+from argparse import Namespace
 from typing import Any, Callable, Iterator, NamedTuple
 
 from car_interface.common.errors import ConfigError
@@ -93,15 +94,6 @@ class Task:
         return trouble or result
 
 
-class Options(NamedTuple):
-    """What the command line says; ``None`` = not given."""
-
-    port: str | None  # the Teensy's serial port
-    bus: str | None  # the servo board's: a path, a number, or VIRTUAL
-    address: int | None  # the servo board's on it
-    namespace: str | None  # the car's, from the root; None = that of the car that there is
-
-
 class Car(NamedTuple):
     """What the master knows of the car, and the devices that it goes by."""
 
@@ -135,7 +127,7 @@ class Car(NamedTuple):
                 and (self.state(SIMULATOR) == SILENT or not os.path.exists(self.port)))
 
 
-def survey(master: Master | None, options: Options) -> Car:
+def survey(master: Master | None, options: Namespace) -> Car:
     """Ask the master for nodes and for the devices' parameters; without one, the usual ones."""
     graph = master.graph() if master else NO_GRAPH
     cars = find_cars(graph.nodes)
@@ -171,7 +163,7 @@ def _parameters(master, namespace, name, nodes):
 
 
 def _text(params, name):
-    """A text among the parameters; ``None`` when there is none, or nonsense: ``check_parameters`` reports that."""
+    """Return a text among the parameters; ``None`` = there is none, or nonsense, which ``check_parameters`` reports."""
     try:
         return params.text(name, None)
     except ConfigError:
@@ -201,7 +193,7 @@ def _prescale(board):
         return None, 25e6
 
 
-def examine(options: Options) -> Iterator[Finding]:
+def examine(options: Namespace) -> Iterator[Finding]:
     """Yield all findings, in the order in which they're best cured."""
     uri = os.environ.get("ROS_MASTER_URI", "")
     master = Master(uri)

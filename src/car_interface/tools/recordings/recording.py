@@ -65,12 +65,11 @@ def contents(path: str) -> Contents:
         NoRecording: it can't be read.
     """
     with _opened(path) as reader:
-        counts = _counts(reader)
         found: dict = {}
         for connection in reader.connections:
-            count = counts[connection.id] + (found[connection.topic].count if connection.topic in found else 0)
+            count = connection.msgcount + (found[connection.topic].count if connection.topic in found else 0)
             found[connection.topic] = Topic(connection.msgtype, count)
-        begin, end = (reader.start_time, reader.end_time) if sum(counts.values()) else (0, 0)
+        begin, end = (reader.start_time, reader.end_time) if any(topic.count for topic in found.values()) else (0, 0)
         return Contents(begin, end, dict(sorted(found.items())), getattr(reader, "clock_steps_back", 0))
 
 
@@ -102,10 +101,9 @@ def read(path: str, topics: Sequence[str] | Mapping[str, str | Sequence[str]], n
                 decoders[connection.id] = definitions.decoder(connection)
             except UnknownType as error:
                 raise NoRecording(f"{path}: {connection.topic} can't be read: {error}") from error
-        counts = _counts(reader)
         messages = reader.messages(connections=connections)
         if progress and sys.stderr.isatty():
-            messages = with_bar(messages, sum(counts[connection.id] for connection in connections), Path(path).name)
+            messages = with_bar(messages, sum(connection.msgcount for connection in connections), Path(path).name)
         for connection, time_ns, data in messages:
             try:
                 message = decoders[connection.id](data)
@@ -234,14 +232,6 @@ def _reader(file):
     if file.suffix in ROS2_SUFFIXES:
         return Ros2Reader(file.parent if (file.parent / METADATA).exists() else file)
     return ChunkReader(file)
-
-
-def _counts(reader):
-    """Return how many messages there are, by the connection's id."""
-    if isinstance(reader, ChunkReader):
-        counts = reader.counts()
-        return {connection.id: counts.get(connection.id, 0) for connection in reader.connections}
-    return {connection.id: connection.msgcount for connection in reader.connections}
 
 
 def _check_type(path, name, kind, accepted):

@@ -1,26 +1,23 @@
 """Reads ROS 1 bags in the order in which they were recorded, with the memory of a few of their chunks.
 
-rosbags' own reader keeps the position of each message, which takes gigabytes for the messages of a day, and sorts them
-by time: after the clock was set back it alternates between two chunks, and mixes what was driven before and after. This
-reader goes from chunk to chunk.
+rosbags' own reader keeps the position of each message, which takes 170 MB for a million of them, some 20 minutes of a
+car's topics (measured with 0.9.23 and 0.11.9), and sorts them by time: after the clock was set back it alternates
+between two chunks, and mixes what was driven before and after. This reader goes from chunk to chunk, in 4 MB.
 
-It overrides ``read_index_data`` and uses ``chunks``, ``chunk_infos`` and ``bio``, which rosbags doesn't document:
-setup.py limits rosbags to the versions that this was tested with.
+It overrides ``read_index_data``, and uses the reader's attributes and its module's functions, which rosbags doesn't
+document: setup.py limits rosbags to the versions that this was tested with.
 """
 from __future__ import annotations
 
 import heapq
-import struct
-from typing import Any, Iterator
+from collections import Counter
+from io import BytesIO
+from typing import Iterator
 
 import numpy as np
-from rosbags.rosbag1 import Reader, ReaderError
+from rosbags.rosbag1.reader import Header, Reader, RecordType, read_bytes, read_uint32
 
 from car_interface.common.units import NS_PER_S
-
-MESSAGE = 2  # the op of a record that holds a message
-LENGTH = struct.Struct("<I")
-TIME = struct.Struct("<II")
 
 
 class ChunkReader(Reader):
@@ -36,25 +33,24 @@ class ChunkReader(Reader):
         self.steps_back = self.clock_steps_back = 0
         self._newest: dict = {}  # time of the newest message, by connection
 
+    def open(self) -> None:
+        """Open it and read its index. rosbags would count messages by the positions that this reader leaves out."""
+        super().open()
+        counts: Counter = Counter()
+        for info in self.chunk_infos:
+            counts.update(info.connection_counts)
+        self.connections = [connection._replace(msgcount=counts[connection.id]) for connection in self.connections]
+
     def read_index_data(self, pos, indexes):
         """Read only the times from a chunk's index; rosbags calls this once for each connection of each chunk."""
-        header = _fields(self._read(LENGTH.unpack(self._read(LENGTH.size))[0]))
-        entries = np.frombuffer(self._read(LENGTH.unpack(self._read(LENGTH.size))[0]), "<u4").reshape(-1, 3)
-        connection = header[b"conn"]
+        connection = Header.read(self.bio).get_uint32("conn")
+        entries = np.frombuffer(read_bytes(self.bio, read_uint32(self.bio)), "<u4").reshape(-1, 3)
         times = entries[:, 0].astype(np.int64) * NS_PER_S + entries[:, 1]
         if len(times):
             steps_ns = np.diff(times, prepend=self._newest.get(connection, times[0]))
             self.steps_back += int((steps_ns < 0).sum())
             self.clock_steps_back += int((steps_ns < -NS_PER_S).sum())
             self._newest[connection] = times[-1]
-
-    def counts(self) -> dict[int, int]:
-        """How many messages each connection has, by its id."""
-        total: dict = {}
-        for info in self.chunk_infos:
-            for connection, count in info.connection_counts.items():
-                total[connection] = total.get(connection, 0) + count
-        return total
 
     def messages(self, connections=(), start=None, stop=None) -> Iterator[tuple]:
         """Yield connection, time in ns and bytes: by time, or, if the clock was ever set back, as they were written.
@@ -83,38 +79,10 @@ class ChunkReader(Reader):
     def _chunk(self, position, wanted) -> Iterator[tuple[int, int, bytes]]:
         chunk = self.chunks[position]
         self.bio.seek(chunk.datapos)
-        records = chunk.decompressor(self._read(chunk.datasize))
-        at, end = 0, len(records)
-        while at < end:
-            header_end = at + LENGTH.size + LENGTH.unpack_from(records, at)[0]
-            header = _fields(records[at + LENGTH.size:header_end])
-            begin = header_end + LENGTH.size
-            at = begin + LENGTH.unpack_from(records, header_end)[0]
-            if at > end:
-                raise ReaderError("a record reaches beyond its chunk")
-            if header[b"op"] == MESSAGE and header[b"conn"] in wanted:
-                yield header[b"conn"], header[b"time"], records[begin:at]
-
-    def _read(self, size) -> bytes:
-        data = self.bio.read(size)
-        if len(data) != size:
-            raise ReaderError("it ends in the middle of a record")
-        return data
-
-
-def _fields(header: bytes) -> dict[bytes, Any]:
-    """The fields of a record's header that a reader of messages needs."""
-    fields: dict = {}
-    at = 0
-    while at < len(header):
-        begin = at + LENGTH.size
-        at = begin + LENGTH.unpack_from(header, at)[0]
-        name, _, value = header[begin:at].partition(b"=")
-        if name == b"op":
-            fields[name] = value[0]
-        elif name == b"time":
-            seconds, nanoseconds = TIME.unpack(value)
-            fields[name] = seconds * NS_PER_S + nanoseconds
-        elif name == b"conn":
-            fields[name], = LENGTH.unpack(value)
-    return fields
+        data = chunk.decompressor(read_bytes(self.bio, chunk.datasize))
+        records = BytesIO(data)
+        while records.tell() < len(data):
+            header = Header.read(records)
+            content = read_bytes(records, read_uint32(records))
+            if header.get_uint8("op") == RecordType.MSGDATA and header.get_uint32("conn") in wanted:
+                yield header.get_uint32("conn"), header.get_time("time"), content

@@ -111,5 +111,5 @@ class Accelerating:
             bins.add(acceleration_mps2 - mean_mps2)
 
     def differences_mps2(self) -> tuple[MedianOf, MedianOf, MedianOf]:
-        """(where it was to drive, to hold its speed, to brake): the car's acceleration less the requested one."""
+        """Return by how much it accelerated more than requested where it was to drive, to hold its speed, to brake."""
         return self._driving.median(), self._holding.median(), self._braking.median()

@@ -15,20 +15,19 @@ from car_interface.tools.report.html import (
     span_text,
     times_text,
 )
-from car_interface.tools.report.plots import Plot
 from car_interface.tools.report.states import UNKNOWN_DRIVER
-from car_interface.tools.report.summary import SONARS, Summary
+from car_interface.tools.report.summary import RANGES, Summary
 
 MIN_RATIOS = 30  # samples, for a ratio to be shown
 WRONG_RATIO = 0.05  # of the driven to the sent curvature, from 1: the tables need calibration
 
 
-def page(drive: Summary, plots: dict[str, Plot]) -> str:
-    """The page.
+def page(drive: Summary, plots: dict[str, str]) -> str:
+    """Return the page.
 
     Args:
         drive: the summary.
-        plots: by name; those that are missing are left out.
+        plots: SVGs by name; those that are missing are left out.
     """
     name = drive.path.rstrip("/").rsplit("/", 1)[-1]
     lines = [*_steering_lines(drive.steering), *_motion_lines(drive), *_asked_lines(drive), *_teensy_lines(drive)]
@@ -38,7 +37,7 @@ def page(drive: Summary, plots: dict[str, Plot]) -> str:
         "drive.html", title=f"Drive: {name}", name=name, drive=drive, plots=plots, figures=_figures(drive), lines=lines,
         who_drove=_who_drove(drive.steering.source_s), wrong_sides=wrong_sides, gaps=drive.coverage.gaps(),
         errors=sum(fault.level == ERROR for fault in drive.faults.entries), warn=WARN, reasons=_reasons,
-        missing_sonars=[] if set(SONARS) & drive.present else ["sonar/*"], driver_names=DRIVER_NAMES,
+        missing_sonars=[] if set(RANGES) & drive.present else ["sonar/*"], driver_names=DRIVER_NAMES,
         driver_colours=DRIVER_COLOURS, unknown_driver=UNKNOWN_DRIVER,
         moment=lambda time_s: moment_text(time_s, drive.duration_s))
 

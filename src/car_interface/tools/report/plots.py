@@ -1,8 +1,6 @@
 """The plots of a drive, each as the text of an SVG that can be part of a page."""
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
@@ -38,16 +36,8 @@ from car_interface.tools.report.summary import Summary
 ESC_COLOURS = {"ARMING": "#b8bfc7", "BRAKING": "#d9822b", "HOLD": "#e8c468", "REVERSE": "#8e5ea2"}
 
 
-class Plot(NamedTuple):
-    """One plot."""
-
-    name: str  # unique in a page
-    svg: str
-    description: str  # of what it shows, for screen readers
-
-
-def plots(drive: Summary) -> dict[str, Plot]:
-    """Return the plots for which there are data, by name: who, steering, throttle, path, speed, link."""
+def plots(drive: Summary) -> dict[str, str]:
+    """Return the SVGs for which there are data, by name: who, steering, throttle, path, speed, link."""
     made = {}
     with matplotlib.rc_context(STYLE):
         for name, draw, description in (
@@ -59,7 +49,7 @@ def plots(drive: Summary) -> dict[str, Plot]:
                 ("link", _link, "frames, round trip and clock skew of the Teensy's link over time")):
             figure = draw(drive)
             if figure is not None:
-                made[name] = Plot(name, svg_text(figure, name, description), description)
+                made[name] = svg_text(figure, name, description)
     return made
 
 

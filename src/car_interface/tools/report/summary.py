@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from functools import partial
 
 from car_interface.common.units import NS_PER_S
+from car_interface.common.vehicle_geometry import SONARS
 from car_interface.steering.arbiter import PLANNER
-from car_interface.teensy.link import protocol
 from car_interface.tools.recordings import roles
 from car_interface.tools.recordings.recording import (
     NoRecording,
@@ -27,7 +27,7 @@ from car_interface.tools.report.states import GamepadWatch, LimitsWatch, Planner
 from car_interface.tools.report.teensy_link import TeensyWatch
 
 # Relative names are below the car's namespace, and so are the others where they are found there.
-SONARS = tuple(f"sonar/{name}" for name in protocol.SONARS)
+RANGES = tuple(f"sonar/{name}" for name in SONARS)
 ROLES = (roles.ODOM, roles.IMU, roles.OUTPUT, roles.VALUE, roles.ACKERMANN, roles.RADIUS, roles.ACCELERATION,
          roles.STICK)
 ROLE_OF = {role.topics[0]: role for role in ROLES}
@@ -38,7 +38,7 @@ TYPES = {
     "turn_arb/state": "car_interface/SteeringState",
     "planner_interface/state": "car_interface/PlannerState",
     "teleop_logi/state": "car_interface/TeleopState",
-    **dict.fromkeys(SONARS, "sensor_msgs/Range"),
+    **dict.fromkeys(RANGES, "sensor_msgs/Range"),
     "/tf_static": "tf2_msgs/TFMessage",
     "teensy_sensor_hub/link": "car_interface/LinkStatus",
     "teensy_clock": "car_interface/TeensyClock",
@@ -181,7 +181,7 @@ def _handlers(summary):
         "drive": summary.asked.on_drive,
         "control/command/control_cmd": partial(_on_request, summary),
         "generic/output/value": lambda time_s, message: traces["value"].add(time_s, message.data),
-        **{name: partial(summary.sonars.on_range, topic=name) for name in SONARS},
+        **{name: partial(summary.sonars.on_range, topic=name) for name in RANGES},
         "/tf_static": summary.sonars.on_static_tf,
         "teensy_sensor_hub/link": teensy.on_link,
         "teensy_clock": teensy.on_clock,

@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+pytest.importorskip("rospy")
+
 from car_interface.nodes.calibration_drive.live_text import LiveText
 from car_interface.ros.logs import LogStream
 

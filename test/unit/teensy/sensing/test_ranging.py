@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from car_interface.common.errors import ConfigError
-from car_interface.teensy.link.protocol import SONARS
+from car_interface.common.vehicle_geometry import SONARS
 from car_interface.teensy.sensing.ranging import DISTRUSTED, INF, MAX_RANGE, MICROS_WRAP, STUCK, Ranging, RangingConfig
 
 INFINITE = math.inf

@@ -157,3 +157,22 @@ def test_version_is_that_of_the_package(command_name, arguments, capsys):
         main(command_name, arguments)
     assert caught.value.code == 0
     assert capsys.readouterr().out == f"car_interface {setup_arguments()['version']}\n"
+
+
+def test_version_is_the_one_in_package_xml_which_goes_before_the_metadata(monkeypatch):
+    monkeypatch.setattr(command_line.metadata, "version", {"car_interface": "1.2.3"}.__getitem__)
+    assert command_line.version() == ElementTree.parse(str(ROOT / "package.xml")).findtext("version")
+
+
+def test_version_comes_from_the_metadata_where_there_is_no_package_xml_and_is_refused_without_either(monkeypatch):
+    def missing_file(name):
+        raise CarInterfaceError(name)
+
+    def unknown(name):
+        raise command_line.metadata.PackageNotFoundError(name)
+    monkeypatch.setattr(command_line, "package_file", missing_file)
+    monkeypatch.setattr(command_line.metadata, "version", {"car_interface": "1.2.3"}.__getitem__)
+    assert command_line.version() == "1.2.3"
+    monkeypatch.setattr(command_line.metadata, "version", unknown)
+    with pytest.raises(CarInterfaceError, match=r"has neither package\.xml nor metadata"):
+        command_line.version()

@@ -2,13 +2,10 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
-from xml.etree import ElementTree
 
 import pytest
 
-from car_interface.common.errors import CarInterfaceError, ConfigError
-from car_interface.tools.cli import options as versions
+from car_interface.common.errors import ConfigError
 from car_interface.tools.cli.options import add_recording_arguments, topics_of
 from car_interface.tools.recordings.roles import ACKERMANN, IMU, ODOM, OUTPUT
 
@@ -46,25 +43,3 @@ def test_what_makes_no_sense_is_refused_by_its_text(arguments, words):
     with pytest.raises(ConfigError) as caught:
         topics_of(parsed(*arguments))
     assert words in str(caught.value)
-
-
-ROOT = Path(__file__).resolve().parents[4]
-
-
-def test_version_is_the_one_in_package_xml_which_goes_before_the_metadata(monkeypatch):
-    monkeypatch.setattr(versions.metadata, "version", {"car_interface": "1.2.3"}.__getitem__)
-    assert versions.version() == ElementTree.parse(str(ROOT / "package.xml")).findtext("version")
-
-
-def test_version_comes_from_the_metadata_where_there_is_no_package_xml_and_is_refused_without_either(monkeypatch):
-    def missing_file(name):
-        raise CarInterfaceError(name)
-
-    def unknown(name):
-        raise versions.metadata.PackageNotFoundError(name)
-    monkeypatch.setattr(versions, "package_file", missing_file)
-    monkeypatch.setattr(versions.metadata, "version", {"car_interface": "1.2.3"}.__getitem__)
-    assert versions.version() == "1.2.3"
-    monkeypatch.setattr(versions.metadata, "version", unknown)
-    with pytest.raises(CarInterfaceError, match=r"has neither package\.xml nor metadata"):
-        versions.version()

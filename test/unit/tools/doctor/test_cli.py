@@ -10,16 +10,16 @@ import pytest
 from car_interface.tools.doctor import cli
 from car_interface.tools.doctor.checks.findings import BAD, OK, WARN, Finding
 from car_interface.tools.doctor.cli import read_options, show
-from car_interface.tools.doctor.examination import Options
 
 
 def test_options_are_read_without_remappings_and_by_default_name_nothing_but_the_namespace(monkeypatch):
     monkeypatch.delenv("ROS_NAMESPACE", raising=False)
-    assert read_options([]) == Options(None, None, None, None)
+    assert vars(read_options([])) == dict.fromkeys(("port", "bus", "address", "namespace"))
     monkeypatch.setenv("ROS_NAMESPACE", "car1/")
     assert read_options([]).namespace == "/car1"
     arguments = ["--port", "/dev/ttyACM0", "__name:=doctor", "--i2c", "7", "--address", "0x41", "--ns", "/a/b/"]
-    assert read_options(arguments) == Options("/dev/ttyACM0", "7", 0x41, "/a/b")
+    assert vars(read_options(arguments)) == {
+        "port": "/dev/ttyACM0", "bus": "7", "address": 0x41, "namespace": "/a/b"}
 
 
 @pytest.mark.parametrize("arguments, words", [

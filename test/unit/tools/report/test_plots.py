@@ -15,12 +15,12 @@ PLOTS = ["who", "steering", "path", "speed", "link"]
 
 def test_each_plot_is_one_svg_with_ids_of_its_own(drawn):
     assert list(drawn) == PLOTS
-    ids = [name for plot in drawn.values() for name in re.findall(r'\bid="([^"]+)"', plot.svg)]
+    ids = [name for plot in drawn.values() for name in re.findall(r'\bid="([^"]+)"', plot)]
     assert len(ids) == len(set(ids))
     for plot in drawn.values():
-        assert plot.svg.startswith('<svg role="img" aria-label="') and plot.svg.count("</svg>") == 1
-        used = set(re.findall(r'(?:href="#|url\(#)([\w.-]+)', plot.svg))
-        assert used <= set(re.findall(r'\bid="([^"]+)"', plot.svg))
+        assert plot.startswith('<svg role="img" aria-label="') and plot.count("</svg>") == 1
+        used = set(re.findall(r'(?:href="#|url\(#)([\w.-]+)', plot))
+        assert used <= set(re.findall(r'\bid="([^"]+)"', plot))
 
 
 def test_each_trace_shows_in_its_plot(seen, monkeypatch):

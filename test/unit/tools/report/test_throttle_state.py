@@ -9,7 +9,7 @@ from car_interface.steering.arbiter import NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.tools.report.downsample import Trace
 from car_interface.tools.report.faults import ERROR, WARN, FaultLog
 from car_interface.tools.report.page import page
-from car_interface.tools.report.plots import Plot, _throttle
+from car_interface.tools.report.plots import _throttle
 from car_interface.tools.report.states import TRACES, ThrottleWatch
 from car_interface.tools.report.summary import summarize
 from written_recordings import Written, drive, write_ros1
@@ -76,7 +76,7 @@ def test_recording_s_throttle_is_summed_up(seen):
 
 
 def test_page_shows_what_was_asked_granted_the_esc_s_state_and_why(seen):
-    text = page(seen, {"throttle": Plot("throttle", "<svg/>", "")})
+    text = page(seen, {"throttle": "<svg/>"})
     section = text[text.index('<section id="throttle">'):text.index('<section id="path">')]
     assert "Kind of the ESC: brake_then_reverse." in section
     assert "<td>BRAKING</td>" in section and "BRAKING: it rolls forward" in section

@@ -62,7 +62,7 @@ class Outlook:
         return self.expected_per_m(self.servo_duty) if curvature is None else curvature
 
     def path_per_m(self, hold: Hold | None, now_ns: int) -> float:
-        """The curvature of the arc ahead: as it is measured, or, while the servo is on its way, as is expected."""
+        """Return the curvature of the arc ahead: as measured, or, while the servo is on its way, as expected."""
         if hold is None or hold.is_settled(now_ns):
             return self.live_per_m()
         return (self.live_per_m() + 2 * self.expected_per_m(hold.duty)) / 3
@@ -105,7 +105,7 @@ class Outlook:
             sure_mps2, 0.0, sure_mps2))))
 
     def extents_m(self, hold: Hold | None, now_ns: int) -> list[float]:
-        """How far the car's corners get from the center if it turns tightly now, to the left and to the right."""
+        """Return how far the car's corners get from the center on a tight turn to the left and to the right."""
         return self.area.ways_out(self._motion.pose, self.path_per_m(hold, now_ns), self.turns_now())
 
     def excesses_m(self, hold: Hold | None, now_ns: int) -> list[float]:
@@ -186,7 +186,7 @@ class Outlook:
         return max(self.slow_mps, stopping_speed_mps(ahead_m, RELEASE_S, self._let_go()))
 
     def _way_back(self):
-        """Where a person is to bring a car that has no room to turn; in the middle a wide turn has none either."""
+        """Return where a person is to bring a car without room to turn; in the middle a wide turn has none either."""
         per_m = max(map(self.expected_per_m, self._ends), key=abs)
         area = self.area
         if area.circle_extent_m(Pose(*area.center, 0.0), per_m, self._stop_m()) <= area.stop_radius_m:

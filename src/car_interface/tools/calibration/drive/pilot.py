@@ -18,7 +18,15 @@ from car_interface.tools.calibration.drive.hold import Hold
 from car_interface.tools.calibration.drive.outlook import FREE_MPS, REACTION_S, Outlook
 from car_interface.tools.calibration.drive.positions import Candidate
 from car_interface.tools.calibration.drive.samples import Motion
-from car_interface.tools.calibration.drive.step import AVOIDING, BLOCKED, MEASURING, SETTLING, TURNING, Step
+from car_interface.tools.calibration.drive.step import (
+    AVOIDING,
+    BLOCKED,
+    MEASURING,
+    SETTLING,
+    TURNING,
+    Step,
+    steering_text,
+)
 from car_interface.tools.calibration.drive.survey import Survey
 
 LOST_RAD = 3 * 2 * math.pi  # turned to the other side meanwhile
@@ -313,8 +321,7 @@ class Pilot:
 
     def _text(self, phase, now_ns):
         hold = self._hold
-        steering = self._survey.positions.steering(hold.duty)
-        side = "straight on" if abs(steering) < 0.005 else f"{abs(steering):.0%} {'left' if steering > 0 else 'right'}"
+        side = steering_text(self._survey.positions.steering(hold.duty), "straight on")
         if phase == AVOIDING:
             return f"a sonar sees something: it turns at {side}"
         if phase == TURNING:

@@ -124,7 +124,7 @@ class Positions:
         return sorted(found, key=lambda candidate: -candidate.need)
 
     def _lost_ends(self):
-        """The ends that aren't on the fit's curve, such as one that was held once, and too shortly for a segment."""
+        """Yield the ends that aren't on the fit's curve, such as one that was held too shortly for a segment."""
         known, held = self._knowledge, {candidate.duty for candidate in self._first}
         slack_duty = 2 * COUNT + (known.backlash_duty or 0.0) / 2
         for end in (self._base.servo_left, self._base.servo_right):
@@ -181,7 +181,7 @@ class Positions:
         return bisect_left(self._held, duty + COUNT / 2) > bisect_left(self._held, duty - COUNT / 2)
 
     def _remaining(self, duty, error):
-        """What remains of an error after what was measured there since the fit; less where that was done often."""
+        """Return what remains of an error after what was measured there since the fit, and the more often the less."""
         for measured in self._since_fit:
             if abs(measured.duty - duty) <= NEAR_DUTY:
                 error *= ANSWERED
@@ -194,7 +194,7 @@ class Positions:
         return -min(near)[1] if near else 0
 
     def expected_per_m(self, duty: float) -> float:
-        """The curvature to expect at a duty: by the fit, else between what was driven, else a guess by the ends."""
+        """Return the curvature to expect at a duty: by the fit, else by what was driven, else a guess by the ends."""
         knowledge = self._knowledge
         if knowledge is not None and knowledge.duties and knowledge.duties[0] <= duty <= knowledge.duties[-1]:
             return _interpolated(duty, knowledge.duties, knowledge.curvatures)
@@ -216,7 +216,7 @@ class Positions:
         return _interpolated(duty, duties, [known[one] for one in duties])
 
     def half_way_duty(self, end: int) -> float:
-        """The position nearest to the center that was held and turns half as tightly as that end; else the end."""
+        """Return the held position nearest to the center that turns half as tightly as that end; else the end."""
         tightest = self.expected_per_m(end)
         found = [at for at, curvature in self._curvatures if curvature * tightest >= tightest * tightest / 2]
         return min(found, key=lambda at: abs(at - self._base.servo_center), default=float(end))

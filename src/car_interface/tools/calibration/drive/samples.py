@@ -48,7 +48,7 @@ class Motion:
         return (moved_m, turned_rad) if moved_m else (0.0, 0.0)
 
     def curvature_per_m(self) -> float | None:
-        """The curvature of the path in the last quarter of a second, left positive; ``None``: it hardly moved."""
+        """Return the path's curvature in the last quarter of a second, left positive; ``None``: it hardly moved."""
         distance_m = sum(entry[1] for entry in self._window)
         if distance_m < MIN_WINDOW_M:
             return None
@@ -97,7 +97,7 @@ class Samples:
         self._duty[1].append(duty if MIN_PULSE <= duty <= MAX_PULSE else math.nan)
 
     def drive(self) -> SteeringDrive:
-        """All samples so far as arrays of their own: (N,) of odometry, (M,) of duties; safe to hand to a thread."""
+        """Return all samples so far as new arrays: (N,) of odometry, (M,) of duties; safe to hand to a thread."""
         t_s, x_m, y_m, yaw_rad, speed_mps = (np.array(column) for column in self._odom)
         duty_t_s, duty = (np.array(column) for column in self._duty)
         along_m = np.zeros(0)

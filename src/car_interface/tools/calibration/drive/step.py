@@ -1,6 +1,7 @@
 """What the calibration drive asks for, and how far it is: the records between its core and a node."""
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 # Phases of a drive, for programs; Step.text says the same to people, with numbers.
@@ -99,3 +100,11 @@ class Progress(NamedTuple):
     positions: int
     center_duty: float
     center_error: float
+
+
+def steering_text(steering: float, middle: str = "the middle") -> str:
+    """Return ``40% left`` for 0.4, and ``?`` where the steering isn't known."""
+    if not math.isfinite(steering):
+        return "?"
+    percent = round(100 * abs(steering))
+    return f"{percent}% {'left' if steering > 0 else 'right'}" if percent else middle

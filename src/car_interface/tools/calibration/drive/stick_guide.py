@@ -12,7 +12,7 @@ from car_interface.steering.calibration import SteeringCalibration
 from car_interface.tools.calibration.drive.area import Pose
 from car_interface.tools.calibration.drive.config import DEFAULTS, CalibrationDriveConfig
 from car_interface.tools.calibration.drive.positions import Candidate, Measured
-from car_interface.tools.calibration.drive.step import DONE, MEASURING, PAUSED, SETTLING, Guidance
+from car_interface.tools.calibration.drive.step import DONE, MEASURING, PAUSED, SETTLING, Guidance, steering_text
 from car_interface.tools.calibration.drive.survey import MeasuredDrive
 
 HOLD_M = 2.0  # of each position; a person needs no more precision than the fit, which takes what it gets
@@ -91,7 +91,7 @@ class StickGuide(MeasuredDrive):
                 return self._say(left_s, PAUSED, f"it waits: {timed.stale_reason(now_ns)}")
         curvature = self._motion.curvature_per_m() or 0.0
         lateral_mps2 = abs(curvature) * self._motion.speed_mps ** 2
-        where = _words(steering)
+        where = steering_text(steering)
         if not moves and self._why_not:
             return self._say(left_s, PAUSED, f"{self._why_not}; hold the manual deadman")
         if not moves:
@@ -101,7 +101,7 @@ class StickGuide(MeasuredDrive):
         if self._is_held(now_ns):
             return self._say(left_s, MEASURING, f"hold {where}: {left_s:.0f} s more at this speed")
         if target.from_side and not self._passed and abs(self._steering(target.duty)) < 1:
-            past = _words(self._steering(target.duty + target.from_side * 80))
+            past = steering_text(self._steering(target.duty + target.from_side * 80))
             return self._say(left_s, SETTLING, f"push to {past} first, then come back to {where}")
         return self._say(left_s, SETTLING, f"hold the stick still at {where}")
 
@@ -136,10 +136,3 @@ class StickGuide(MeasuredDrive):
 
     def _held_steering(self):
         return math.nan if self._duty.value is None else self._steering(self._duty.value)
-
-
-def _words(steering):
-    """Return a stick's position for a person."""
-    if abs(steering) < 0.005:
-        return "the middle"
-    return f"{abs(steering):.0%} {'left' if steering > 0 else 'right'}"

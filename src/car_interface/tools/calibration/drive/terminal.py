@@ -21,6 +21,7 @@ from car_interface.tools.calibration.drive.step import (
     Progress,
     RadiusRow,
     Step,
+    steering_text,
 )
 
 BAR = 24
@@ -91,14 +92,6 @@ def clock_text(seconds: float) -> str:
         return "?"
     whole = max(0, round(seconds))
     return f"{whole // 60}:{whole % 60:02d}"
-
-
-def steering_text(steering: float) -> str:
-    """``40% left`` for 0.4; where the steering isn't known: ``?``."""
-    if not math.isfinite(steering):
-        return "?"
-    percent = round(100 * abs(steering))
-    return f"{percent}% {'left' if steering > 0 else 'right'}" if percent else "the middle"
 
 
 def stick_bar(guidance: Guidance, length: int = STICK_BAR) -> list[str]:

@@ -16,12 +16,13 @@ from typing import NamedTuple, Sequence
 
 import numpy as np
 
+from car_interface.common.declared import parameter_of
 from car_interface.throttle.esc_config import (
     BRAKE_BECOMES_REVERSE,
     BRAKE_THEN_REVERSE,
     DIRECT_REVERSE,
     FORWARD_ONLY,
-    NUMBERS,
+    EscConfig,
 )
 from car_interface.tools.calibration.esc.pulls import (
     BACKWARD,
@@ -38,6 +39,7 @@ from car_interface.tools.calibration.esc.pulls import (
     pulls,
     sampled,
 )
+from car_interface.tools.calibration.shared import runs
 
 MIN_SEEN = 2  # nothing counts that was seen once
 FRESH_S = 0.5  # a pull so soon after forward is the first, to any ESC
@@ -183,7 +185,7 @@ def _dwell(found, seen, missing):
                if _is_second(before, pull)]
     enough = [pull.neutral_s for pull in seconds if pull.outcome == BACKWARD]
     short = [pull.neutral_s for pull in seconds if pull.outcome == HELD]
-    _, low, high = NUMBERS["dwell_s"]
+    low, high = _range("dwell_s")
     if not enough or min(enough) > high or short and max(short) >= min(enough):
         missing.append(f"esc/dwell: after a brake, center the stick for less than {high:g} s and pull back for a "
                        "second; several times, each a little quicker")
@@ -251,7 +253,7 @@ def _gain(data, sign, set_off):
     pushed = (data.fraction * sign > STRONG) & (data.speed_mps * sign > low) & (data.speed_mps * sign < high)
     pushed[1:] &= np.diff(data.duty) == 0  # not while the stick moves
     gains = []
-    for begin, end in _runs(pushed):
+    for begin, end in runs(pushed):
         if (end - begin) * STEP_S >= 0.15:
             slope = np.polyfit(data.t_s[begin:end], data.speed_mps[begin:end], 1)[0] * sign
             gains.append(slope / ((data.duty[begin] - set_off) * sign))
@@ -270,7 +272,7 @@ def _dead_band(drive, forward, backward, profile, seen, missing):
         if found is None:
             missing.append(f"esc/dead_band_{name}: from standstill, {text} the stick so slowly that the car just sets "
                            "off; three times")
-    _, low, high = NUMBERS["dead_band_forward"]
+    low, high = _range("dead_band_forward")
     span_forward, span_reverse = drive.full_forward - drive.neutral, drive.neutral - drive.full_reverse
     if profile == FORWARD_ONLY and forward is not None:
         band = (forward.duty - drive.neutral) / span_forward
@@ -303,19 +305,18 @@ def _drag(data, seen, missing):
     low, high = COAST_MPS
     rolls = settled & (data.speed_mps > low) & (data.speed_mps < high)
     slowed = [-np.polyfit(data.t_s[begin:end], data.speed_mps[begin:end], 1)[0]
-              for begin, end in _runs(rolls) if (end - begin) * STEP_S >= 0.2]
+              for begin, end in runs(rolls) if (end - begin) * STEP_S >= 0.2]
     slowed = [value for value in slowed if value > 0]
     if len(slowed) < MIN_SEEN:
         missing.append("esc/drag_deceleration: full stick for a good second, then center it until the car stands; "
                        "three times")
         return None
-    _, least, most = NUMBERS["drag_deceleration_mps2"]
+    least, most = _range("drag_deceleration_mps2")
     seen.append(f"esc/drag_deceleration: {min(slowed):.2f} to {max(slowed):.2f} m/s² in neutral"
                 + (": the ESC has a drag brake" if min(slowed) > 3 * DRAG_MPS2 else ""))
     return round(float(min(max(min(slowed), least), most)), 2)
 
 
-def _runs(flags):
-    """Begin and end of each run of true."""
-    edges = np.flatnonzero(np.diff(np.r_[0, flags.astype(int), 0]))
-    return list(zip(edges[::2], edges[1::2]))
+def _range(field):
+    accepted = parameter_of(EscConfig, field).accepted
+    return accepted["low"], accepted["high"]

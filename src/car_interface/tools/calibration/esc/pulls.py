@@ -8,6 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from car_interface.tools.calibration.shared import runs
+
 STEP_S = 0.02  # the PWM period
 STANDS_MPS = 0.08
 MOVES_MPS = 0.2
@@ -123,7 +125,7 @@ def _pull(drive, begin, end, neutral_s, since_forward_s, follows_pull):
             outcome = BACKWARD
             if speed[0] > MOVES_MPS:
                 turn = _turn_by_pulses(drive.wheels, *drive.t_s[[begin, end - 1]]) or _turn_by_speed(speed)
-        elif _longest(stands) * STEP_S >= HELD_S and speed.min() > -STANDS_MPS:
+        elif speed.min() > -STANDS_MPS and any((stop - start) * STEP_S >= HELD_S for start, stop in runs(stands)):
             outcome = HELD
     return Pull(int(begin), int(end), float(strong.sum() * STEP_S), neutral_s, since_forward_s,
                 follows_pull, float(drive.speed_mps[begin]), outcome, *turn)
@@ -175,9 +177,3 @@ def _turn_by_speed(speed):
         return _NO_TURN
     pause_s = (go - stop) * STEP_S - speed[stop] / slowed + speed[go] / backed
     return float(pause_s), float(slowed), float(backed), False
-
-
-def _longest(flags):
-    """Return the length of the longest run of true."""
-    edges = np.flatnonzero(np.diff(np.r_[0, flags.astype(int), 0]))
-    return int((edges[1::2] - edges[::2]).max()) if edges.size else 0

@@ -120,7 +120,7 @@ def _distance_ratio(odom, by_speed_m):
 
 
 def _has_gap(t_s, at_s):
-    """Which of the bins between consecutive times ``at_s`` (M,) contain a gap between samples ``t_s``: (M−1,)."""
+    """Return which bins between the times ``at_s`` (M,) contain a gap between samples ``t_s``: (M−1,)."""
     before = np.flatnonzero(np.diff(t_s) > MAX_BIN_GAP_S)
     begun = np.searchsorted(t_s[before], at_s[1:])  # gaps that began before a bin's end
     ended = np.searchsorted(t_s[before + 1], at_s[:-1], side="right")  # gaps that ended before its begin

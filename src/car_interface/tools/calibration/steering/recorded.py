@@ -96,7 +96,7 @@ def _recorded_duties(found, channel):
 
 
 def _is_on_angles(note):
-    """Whether a note says what was taken for a planner's angles; where duties were recorded, they aren't used."""
+    """Return whether a note is on what was taken for a planner's angles, which aren't used beside duties."""
     return note.startswith(f"{roles.ACKERMANN.name}: ")
 
 
@@ -118,7 +118,7 @@ def _asked_duties(found, angle_table, notes):
 
 
 def imu_heading(odom: Odom, imu: Imu) -> ImuHeading | None:
-    """The integral of the IMU's yaw rate, less its offset; ``None`` when it covers too little or is unrelated."""
+    """Integrate the IMU's yaw rate, less its offset; ``None`` when it covers too little or is unrelated."""
     inside = (odom.t_s >= imu.t_s[0]) & (odom.t_s <= imu.t_s[-1])
     gaps = np.diff(imu.t_s) > IMU_GAP_S
     covered = np.mean(inside) - np.sum(np.diff(imu.t_s)[gaps]) / max(odom.t_s[-1] - odom.t_s[0], 1e-9)

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import sparse
 
 from car_interface.tools.calibration.delay import Delay
-from car_interface.tools.calibration.shared import NothingToFit
+from car_interface.tools.calibration.shared import NothingToFit, runs
 from car_interface.tools.calibration.steering.drive import COUNT, KNOT, MAX_BACKLASH_DUTY, CurveFitConfig, SteeringDrive
 from car_interface.tools.calibration.steering.wheels import WheelPosition
 
@@ -70,8 +70,7 @@ def segmentation(drive: SteeringDrive, delay: Delay, config: CurveFitConfig) -> 
                   for off_s in (-LAG_SIGMA_S, LAG_SIGMA_S)]
     wheels = WheelPosition(drive, delay, config.max_gap_s)
     usable, counts = _usable(wheels, config)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], usable.astype(int), [0]])))
-    segments = [_segment(wheels, first, end, config) for begin, stop in zip(edges[::2], edges[1::2])
+    segments = [_segment(wheels, first, end, config) for begin, stop in runs(usable)
                 for first, end in _split(wheels, begin, stop, config)]
     counts["shorter than a segment must be"] = sum(segment is None for segment in segments)
     found = [segment for segment in segments if segment is not None]
@@ -172,7 +171,7 @@ def observations(segmentations: Sequence[Segmentation], backlash_duty: float) ->
 
 
 def design(segmentations: Sequence[Segmentation], backlash_duty: float) -> tuple[sparse.csr_matrix, np.ndarray]:
-    """(weights of the knots in each segment's curvature (S, K), the wheels' mean position on each in duty (S,))."""
+    """Return the knots' weights in each segment's curvature (S, K), and the wheels' mean positions in duty (S,)."""
     knots = knots_of(segmentations)
     duties = np.concatenate([_wheel_duties(one, one.wheels.linkage(backlash_duty)) for one in segmentations])
     place = np.clip((duties - knots[0]) / KNOT, 0, len(knots) - 1.001)

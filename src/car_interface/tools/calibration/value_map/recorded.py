@@ -21,7 +21,7 @@ from car_interface.tools.recordings.pulses import WHEEL_TOPIC
 from car_interface.tools.recordings.recording import NoRecording
 from car_interface.tools.recordings.series import Output, Pulses
 
-DEFAULT_CHANNEL = 1  # of the ESC, as in config/throttle.yaml
+ESC_CHANNEL = 1  # of the ESC, as in config/throttle.yaml
 BY_PULSES, BY_ODOM, BY_IMU = "pulses", "odom", "imu"  # what accelerations are measured by
 SETTLED_S = 0.15  # from a value to its duty on the board
 MIN_PULSES = 200  # from which the length of one is known
@@ -54,7 +54,7 @@ def load_throttle_table(path: str) -> ThrottleTable:
         duties = params.numbers("servo/duty_table", low=0, high=MAX_DUTY)
         values = LookupTable(params.numbers("servo/value_axis"), duties, "servo/value_axis", "servo/duty_table").axis
         neutral = params.integer("servo/neutral", low=0, high=MAX_DUTY)
-        channel = params.integer("servo/channel", DEFAULT_CHANNEL, low=0, high=CHANNELS - 1)
+        channel = params.integer("servo/channel", ESC_CHANNEL, low=0, high=CHANNELS - 1)
         steps = np.diff(duties)
         if not (np.all(steps > 0) or np.all(steps < 0)):
             raise ConfigError("servo/duty_table", duties, "duties that only rise, or only fall: each is a value's")

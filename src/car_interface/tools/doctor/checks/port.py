@@ -6,6 +6,7 @@ from typing import NamedTuple, Sequence
 
 from car_interface.common.device_access import SETUP_COMMAND
 from car_interface.common.units import NS_PER_MS
+from car_interface.common.vehicle_geometry import SONARS
 from car_interface.teensy.link import protocol
 from car_interface.teensy.link.console import PROGRAMS, removal_remedy
 from car_interface.teensy.link.health import FINE, PORT_FAULTS, WAITING
@@ -141,7 +142,7 @@ class TeensyProbe:
 
     def is_done(self, now_ns: int) -> bool:
         """Return whether the state is known, or it took too long."""
-        has_sonar_reports = len(self._sonars) == len(protocol.SONARS) or now_ns >= self._sonars_ns
+        has_sonar_reports = len(self._sonars) == len(SONARS) or now_ns >= self._sonars_ns
         is_fine = self._session.verdict.state == FINE and self._session.pongs > 1 and has_sonar_reports
         return now_ns >= self._end_ns or is_fine and not self._session.tally.bad_frames
 
@@ -155,7 +156,7 @@ class TeensyProbe:
             return Finding(WARN, "Teensy", "too little came to judge it", "Run the doctor again")
         if verdict.level != OK:
             return Finding(verdict.level, "Teensy", verdict.description, verdict.next_step)
-        missing = [name for sensor, name in enumerate(protocol.SONARS) if sensor not in self._sonars]
+        missing = [name for sensor, name in enumerate(SONARS) if sensor not in self._sonars]
         if missing:
             return Finding(WARN, "Teensy", f"{verdict.description}, but nothing came from "
                                            f"{_describe_sonars(missing)} in {SONARS_WITHIN_NS / 1e9:g} s",
@@ -165,6 +166,6 @@ class TeensyProbe:
 
 
 def _describe_sonars(names):
-    if len(names) == len(protocol.SONARS):
+    if len(names) == len(SONARS):
         return "any of the sonars"
     return ("the sonar " if len(names) == 1 else "the sonars ") + ", ".join(names)

@@ -119,7 +119,7 @@ def _is_installed(name):
 
 
 def probe_packages(joy_is_published: bool, is_virtual: bool):
-    """What isn't needed to drive every car: the ROS package joy, and the libraries of the tools for recordings."""
+    """Look for what not every car needs: the ROS package joy, and the libraries of the tools for recordings."""
     environment = TOOLS_ENVIRONMENT if os.path.exists(os.path.expanduser(TOOLS_ENVIRONMENT)) else ""
     missing = [distribution for name, distribution in TOOLS.items() if not _is_installed(name)]
     found = check_tools(missing, environment)
@@ -161,12 +161,12 @@ def probe_network(uri: str, ask_master: Callable[[], str]):
     place = host_and_port(uri) if uri else None
     if place is None:
         return check_master(MasterAddress(uri)), [], False
-    here = _leads_here(place[0])
+    here = leads_here(place[0])
     trouble = ask_master() if here is not None else "its host can't be found"
     master = MasterAddress(uri, trouble, here, listeners(_tcp_tables(), place[1]) if here else ())
     name = local_name(os.environ, socket.gethostname())
-    leads_here = _leads_here(name)
-    own = LocalAddress(name, leads_here is not None, bool(leads_here), _is_loopback(name))
+    is_here = leads_here(name)
+    own = LocalAddress(name, is_here is not None, bool(is_here), _is_loopback(name))
     return check_master(master), check_local_address(os.environ, own, here is not False), not trouble
 
 
@@ -177,7 +177,7 @@ def _addresses(host):
         return set()
 
 
-def _leads_here(host):
+def leads_here(host: str) -> bool | None:
     """Return whether a name leads to this computer; ``None`` when it leads nowhere."""
     addresses = _addresses(host)
     return any(map(_is_local, addresses)) if addresses else None

@@ -1,24 +1,24 @@
 """What the doctor asks the ROS master and the nodes, each question with a time limit; it works without rospy."""
 from __future__ import annotations
 
-import importlib
 import os
-import socket
 import xmlrpc.client
 from typing import Any, NamedTuple, Sequence
 from urllib.parse import urlsplit
 
+from car_interface.common.declared import read_all
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.fixed_parameters import fixed_parameters
 from car_interface.common.package_files import package_file
 from car_interface.common.params import Params
 from car_interface.common.processes import script_arguments
 from car_interface.common.yaml_file import compose_yaml, read_yaml
-from car_interface.ros.start import full_name
+from car_interface.ros.start import config_class
+from car_interface.ros.xmlrpc_calls import call
 from car_interface.tools.doctor.checks.car import ABSENT, KILLED, ONE_PROCESS, RUNNING, SILENT, SIMULATOR, Node, Reading
+from car_interface.tools.doctor.probes.computer import leads_here
 
 CALLER = "/doctor"
-ANSWER_WITHIN_S = 1.0
 # These may be parts of ONE_PROCESS.
 PARTS = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "throttle_arb", "planner_interface")
 NODES = (*PARTS, "teleop_logi", SIMULATOR)
@@ -58,7 +58,7 @@ class Master:
         Raises:
             LookupError: when the master says no.
         """
-        code, message, value = ask(self._uri, question, caller, *arguments)
+        code, message, value = call(self._uri, question, caller, *arguments)
         if code != 1:
             raise LookupError(message)
         return value
@@ -95,7 +95,7 @@ class Master:
         if path not in graph.nodes:
             return ABSENT
         try:
-            ask(self.ask("lookupNode", path), "getPid", CALLER)
+            call(self.ask("lookupNode", path), "getPid", CALLER)
         except LookupError:  # it has ended meanwhile
             return ABSENT
         except ConnectionRefusedError:
@@ -113,9 +113,9 @@ class Master:
         process = node.process.rpartition("/")[2]
         try:
             uri = self.ask("lookupNode", node.process)
-            if not _is_here(urlsplit(uri).hostname):
+            if not leads_here(urlsplit(uri).hostname):
                 return {}
-            _, _, pid = ask(uri, "getPid", CALLER)
+            _, _, pid = call(uri, "getPid", CALLER)
             return fixed_parameters(node.name, script_arguments(pid, process), process)
         except Exception:  # it has ended meanwhile, or was started with arguments that it refuses and reports
             return {}
@@ -147,29 +147,6 @@ def read_files(master: Master, nodes: Sequence[Node]) -> list[str]:
     return faults
 
 
-def ask(uri: str, question: str, *arguments: Any) -> Any:
-    """Any XML-RPC server's answer."""
-    with xmlrpc.client.ServerProxy(uri, transport=_HastyTransport()) as server:
-        return getattr(server, question)(*arguments)
-
-
-def _is_here(host):
-    """Return whether a host name or address is this computer's."""
-    with socket.socket() as probe:
-        try:
-            probe.bind((host, 0))
-        except OSError:
-            return False
-    return True
-
-
-class _HastyTransport(xmlrpc.client.Transport):
-    def make_connection(self, host: Any):
-        connection = super().make_connection(host)
-        connection.timeout = ANSWER_WITHIN_S
-        return connection
-
-
 def read_parameters(master: Master, node: Node) -> Reading | None:
     """Read what the server holds for a node as the node does; ``None`` when that is nothing and it doesn't run."""
     private = master.parameter(node.path)
@@ -178,11 +155,8 @@ def read_parameters(master: Master, node: Node) -> Reading | None:
             return None
         private = {}
     try:
-        module = importlib.import_module(full_name(f"nodes.{node.name}"))
-        module.read_config(Params(private, lambda name: master.search_parents(node.path, name),
-                                  master.fixed_parameters(node)))
+        read_all(Params(private, lambda name: master.search_parents(node.path, name), master.fixed_parameters(node)),
+                 config_class(node.name))
     except CarInterfaceError as error:
         return Reading(node.path, str(error), node.state != ABSENT)
-    except ImportError as error:
-        return Reading(node.path, f"it can't be imported ({error})", node.state != ABSENT)
     return Reading(node.path, "", node.state != ABSENT)

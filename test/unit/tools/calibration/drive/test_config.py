@@ -7,9 +7,9 @@ import pytest
 
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.package_files import package_file
+from car_interface.common.vehicle_geometry import SONARS
 from car_interface.common.yaml_file import load_yaml
-from car_interface.steering.params import load_steering
-from car_interface.throttle.obstacle_stop import NAMES
+from car_interface.steering.config import load_steering
 from car_interface.tools.calibration.drive.config import (
     CalibrationDriveConfig,
     drive_config,
@@ -25,7 +25,7 @@ THROTTLE = {**load_yaml(str(package_file("config/throttle.yaml"))),
 def test_sonars_are_those_of_throttle_arb_though_it_does_not_stop_for_them():
     assert THROTTLE["obstacle_stop"] is False
     made = read_obstacles({**THROTTLE, "obstacle": {"sonars": {"rear_left": "absent"}, "front": 0.5}})
-    assert set(made.mounts) == set(NAMES) - {"rear_left"}
+    assert set(made.mounts) == set(SONARS) - {"rear_left"}
     assert made.outline.front_m == 0.5
 
 

@@ -16,6 +16,7 @@ from car_interface.tools.calibration.drive.step import (
     Progress,
     RadiusRow,
     Step,
+    steering_text,
 )
 
 NAN, INF = math.nan, math.inf
@@ -78,7 +79,7 @@ def test_bar_is_full_only_when_all_is_done(fraction, bar, percent):
 
 
 def test_steering_and_seconds_in_words():
-    assert [terminal.steering_text(steering) for steering in (0.4, -1.0, 0.0, 0.004, NAN)] == [
+    assert [steering_text(steering) for steering in (0.4, -1.0, 0.0, 0.004, NAN)] == [
         "40% left", "100% right", "the middle", "the middle", "?"]
     assert [terminal.clock_text(seconds) for seconds in (0.0, 59.4, 59.6, 125.0, -3.0, INF, NAN)] == [
         "0:00", "0:59", "1:00", "2:05", "0:00", "?", "?"]

@@ -10,7 +10,7 @@ from xmlrpc.server import SimpleXMLRPCServer
 import pytest
 
 from car_interface.common.package_files import package_file
-from car_interface.pca9685 import config
+from car_interface.ros import xmlrpc_calls
 from car_interface.tools.doctor.checks.car import ABSENT, KILLED, RUNNING, SILENT, Node
 from car_interface.tools.doctor.probes import master as probe
 from car_interface.tools.doctor.probes.master import Graph, Master, read_files
@@ -62,7 +62,7 @@ def refused():
 @pytest.fixture
 def silent(monkeypatch):
     """What takes connections and never answers."""
-    monkeypatch.setattr(probe, "ANSWER_WITHIN_S", 0.1)
+    monkeypatch.setattr(xmlrpc_calls, "ANSWER_WITHIN_S", 0.1)
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
         listener.listen(5)
@@ -125,14 +125,12 @@ def launched(monkeypatch):
     ("pca9685", ["--device", "virtual", "__name:=pca9685"]),
     ("car_nodes", ["--device", "virtual", "--port", "/tmp/a", "--throttle", "true"]),
 ])
-def test_parameters_that_a_launch_file_fixed_are_known_when_they_are_lost(master, node, launched, monkeypatch, process,
-                                                                          arguments):
+def test_parameters_that_a_launch_file_fixed_are_known_when_they_are_lost(master, node, launched, process, arguments):
     launched[process] = arguments
     asked = master({f"/{process}": node}, [f"/{process}"])
     board = look(asked, "pca9685")
     assert asked.fixed_parameters(board) == {"device": "virtual"}
     asked.parameter = lambda path: None
-    monkeypatch.setattr(probe.importlib, "import_module", lambda name: config)  # the node itself needs ROS
     assert probe.read_parameters(asked, board).fault == \
         "device is missing; accepted: virtual, by the launch file that started this process"
 
@@ -142,7 +140,7 @@ def test_nothing_is_known_of_a_process_on_another_computer_or_with_wrong_argumen
     launched["pca9685"] = ["--devise", "virtual"]
     assert asked.fixed_parameters(look(asked, "pca9685")) == {}
     launched["pca9685"] = ["--device", "virtual"]
-    monkeypatch.setattr(probe, "_is_here", lambda host: False)
+    monkeypatch.setattr(probe, "leads_here", lambda host: False)
     assert asked.fixed_parameters(look(asked, "pca9685")) == {}
 
 

@@ -1,8 +1,12 @@
 """How often refused parameters are read again, and when that is logged."""
 from __future__ import annotations
 
-from car_interface.common.refusal import RefusedParameters
+import pytest
+
+pytest.importorskip("rospy")
+
 from car_interface.common.units import NS_PER_S
+from car_interface.ros.runtime import RefusedParameters
 
 BAD = "servo_left is 'x'; accepted: an integer from 0 to 65535"
 

@@ -12,7 +12,7 @@ import rospy
 from rospy.impl.tcpros_base import TCPROSTransport, TCPROSTransportProtocol
 from rospy.impl.tcpros_pubsub import QueuedConnection
 
-from car_interface.ros.direct_connection import DirectConnection, send_directly
+from car_interface.ros.topics import DirectConnection, send_directly
 
 BIG = 300_000  # bytes: far less than a socket's buffers hold, far more than one segment
 QUEUE = 10

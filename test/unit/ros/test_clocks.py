@@ -1,17 +1,18 @@
 """Stamps rise strictly while the computer's clock is slewed, read late, or set back a little."""
 from __future__ import annotations
 
-import importlib
 import sys
 from types import ModuleType, SimpleNamespace
 
 import pytest
 
+from car_interface.ros.clocks import Clocks, RosClock
+
 MS, S = 1_000_000, 1_000_000_000
 START_NS = 1_700_000_000 * S
 
 
-class Computer:
+class Computer(Clocks):
     """Both clocks of a computer, set by the test; each reading of one takes a microsecond."""
 
     def __init__(self):
@@ -42,10 +43,7 @@ def clock(computer, monkeypatch):
     rospy = ModuleType("rospy")
     rospy.Time = lambda nsecs=0: SimpleNamespace(ns=nsecs)
     monkeypatch.setitem(sys.modules, "rospy", rospy)
-    monkeypatch.delitem(sys.modules, "car_interface.ros.ros_clock", raising=False)
-    module = importlib.import_module("car_interface.ros.ros_clock")
-    yield module.RosClock(computer)
-    sys.modules.pop("car_interface.ros.ros_clock", None)
+    return RosClock(computer)
 
 
 def stamp_ns(clock, computer, kind="value"):

@@ -5,9 +5,9 @@ import io
 
 import pytest
 
-pytest.importorskip("std_msgs")
+pytest.importorskip("rospy")
 
-from car_interface.ros.servo_messages import duty_vector, one_channel_duty
+from car_interface.ros.topics import duty_vector, one_channel_duty
 
 
 def test_command_of_one_channel_leaves_the_others_unchanged_and_is_not_built_again_when_it_comes_again():
