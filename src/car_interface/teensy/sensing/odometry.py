@@ -18,7 +18,7 @@ from typing import NamedTuple, Sequence
 from car_interface.common import declared
 from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, TRACK_M, WHEEL_DIAMETER_M, WHEELBASE_M
 from car_interface.teensy.link.protocol import BACKWARD, FORWARD, NO_DIRECTION, WheelStatus
-from car_interface.teensy.sensing.alignment import ALIGNED_PULSES, UNALIGNED_PULSES, Alignment
+from car_interface.teensy.sensing.alignment import ALIGNED_PULSES, ALIGNING_PULSES, UNALIGNED_PULSES, Alignment
 from car_interface.teensy.sensing.heading import CURVATURE_VARIANCE, HEADING_VARIANCE, HeadingFilter
 from car_interface.teensy.sensing.pose import Pose
 from car_interface.teensy.sensing.pulse_counts import LEARNING_PULSES
@@ -93,6 +93,7 @@ class Odometry:
         self._time_ms = -math.inf
         self._mean = (self._wheels[0].position + self._wheels[1].position) / 2  # pulses
         self._yaw_rad = 0.0
+        self._was_rolling = False  # at the last report
         self._steering_per_m: float | None = None
         self._bridge: RestartBridge | None = None  # over pulses that weren't counted, until enough is known
         self._before_bridge: tuple = ()  # pose, heading, mean and yaw
@@ -165,7 +166,7 @@ class Odometry:
         heading = self._heading
         self._bridge = RestartBridge(
             CarState(at_ms, tuple(WheelState(wheel.count, wheel.position, wheel.speed) for wheel in self._wheels),
-                     heading.curvature_per_m, heading.curvature_variance), self._config.track_m)
+                     heading.curvature_per_m, heading.curvature_variance, heading.usual_square), self._config.track_m)
         self._before_bridge = self._pose, self._heading, self._mean, self._yaw_rad
         self._return_before_bridge()
         for wheel in self._wheels:
@@ -203,7 +204,7 @@ class Odometry:
 
     def _reversed_path(self, record, last, unsplit):
         """Return the path before the last reversal, or ``None`` if the direction of each pulse is known."""
-        if max(unsplit) <= 1:
+        if min(unsplit) <= 1:  # both reverse together: a wheel without a reversal shows that the other has one at most
             return None
         sign = 1 if last.left.direction == FORWARD else -1
         left, right = unsplit
@@ -226,12 +227,16 @@ class Odometry:
             self._pose.add_variance(outcome.mean_variance * self._pulse_m ** 2,
                                     outcome.difference_variance * self._rad_per_pulse ** 2)
         is_blind = outcome is None and elapsed_s > REPEAT_MS / 1000 and has_pulse
-        curvature = self._heading.curvature_per_m, self._heading.curvature_variance
+        curvature_per_m = self._heading.curvature_per_m if self._was_rolling else None
         if self._alignment.is_done:
             self._heading.predict(distance_m, elapsed_s)
             if self._steering_per_m is not None:
                 self._heading.update_curvature(self._steering_per_m, elapsed_s)
             self._update_heading(record, has_pulse, outcome, path is not None)
+        elif abs(distance_m) > 2 * ALIGNING_PULSES * self._pulse_m:
+            self._alignment.skip(left, right)
+            self._heading.begin(self._measured_yaw_rad(), (UNALIGNED_PULSES * self._rad_per_pulse) ** 2)
+            self._pose.set_yaw(0.0, (UNALIGNED_PULSES * self._rad_per_pulse) ** 2)
         elif self._alignment.solve(left, right):
             yaw_rad, variance = self._measured_yaw_rad(), (ALIGNED_PULSES * self._rad_per_pulse) ** 2
             self._heading.begin(yaw_rad, variance)
@@ -240,10 +245,11 @@ class Odometry:
         turned_rad = self._heading.yaw_rad - self._yaw_rad
         self._yaw_rad = self._heading.yaw_rad
         if path is None and is_blind:
-            path = curved_path(distance_m, turned_rad, *curvature)
+            path = curved_path(distance_m, turned_rad, curvature_per_m, self._heading.usual_square)
         if path is not None:
             distance_m, turned_rad = self._move_unseen(path, distance_m, turned_rad)
         self._pose.move(distance_m, turned_rad)
+        self._was_rolling = any(wheel.speed for wheel in self._wheels)
         return self._motion(record, now_ms)
 
     def _move_unseen(self, path, distance_m, turned_rad):

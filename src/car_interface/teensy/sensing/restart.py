@@ -23,6 +23,7 @@ LEFT, RIGHT = 0, 1
 ROLLING_PER_MS = 0.01  # 0.15 m/s: a wheel that rolls faster is expected to go on
 BLIND_MS = 100.0  # a longer restart was a reboot; a reset of the odometers loses only a report or two
 REPEAT_MS = 450.0  # a standing car is reported more often than this: every 201 ms, and a report may be lost
+MANOEUVRE_MS = 1_000.0  # enough to steer to one side and back: twice from end to end of a servo, and some way
 MAX_BLIND_MS = 2_000.0  # after a longer time the speed in between is unknown
 # After the restart each wheel's speed is taken over this many pulses and this time, at most until the last of these.
 ENOUGH_PULSES, ENOUGH_SPAN_MS, ENOUGH_MS = 6, 100.0, 250.0
@@ -55,6 +56,7 @@ class CarState(NamedTuple):
     wheels: tuple[WheelState, WheelState]
     curvature_per_m: float
     curvature_variance: float
+    usual_square: float = 0.0  # of the curvature over the metres before, 1/m²
 
 
 class WheelStart(NamedTuple):
@@ -203,6 +205,8 @@ class RestartBridge:
         places, doubt = self._search(guesses, signs, mean_variance, difference_variance)
         if was_rolling and blind_ms > BLIND_MS or self._stop_variance:
             doubt = max(doubt, MIN_DIFFERENCE_VARIANCE)
+        if was_rolling and difference_variance > (SEARCHED / 2) ** 2:  # beyond the searched magnets
+            doubt = max(doubt, difference_variance)
         # After a rest a car may have turned round, and the direction of its first pulses isn't known.
         unknown = UNPROVEN_VARIANCE if not was_rolling and now_ms - self._first_ms() > REST_MS else 0.0
         return Outcome(
@@ -264,8 +268,14 @@ class RestartBridge:
             return before, before_variance
         if abs(self._mean_before()) <= ROLLING_PER_MS:
             return after, after_variance + CURVATURE_SIGMA ** 2
-        # Exact where it changes evenly; a step at an unknown time in between has this spread.
-        return (before + after) / 2, (after - before) ** 2 / 12 + CURVATURE_SIGMA ** 2
+        # Exact where it changes evenly; a step at an unknown time in between has this spread. Within a second it may have
+        # been another one for half of the distance, evenly up to the usual curvature to either side: 1/4 · 1/3 of its
+        # square.
+        variance = ((after - before) ** 2 / 12 + CURVATURE_SIGMA ** 2
+                    + self._state.usual_square * min(1.0, self._blind_ms() / MANOEUVRE_MS) ** 2 / 12)
+        if any(later[1] - first[1] > ENOUGH_MS for first, later, *_ in self._pulses):
+            variance += before_variance  # the other one is a mean over a long time
+        return (before + after) / 2, variance
 
     def _curvature_after(self):
         """Return curvature and variance by both wheels over the same time; ``None``: there are too few pulses."""

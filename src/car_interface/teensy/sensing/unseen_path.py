@@ -16,6 +16,7 @@ from typing import NamedTuple
 from car_interface.teensy.sensing.heading import CURVATURE_VARIANCE
 
 MAX_CURVATURE_CHANGE = 2.0  # 1/m, from end to end: ±1, a car's tightest turns
+CURVATURE_NOISE = 0.1  # 1/m: two sigma of the heading filter's on a straight (``drive`` of test_captures)
 # With two reversals a part u of the length E was forward, curved by k, the rest backward, curved by m. u is uniform in
 # 0 .. 1; k and m have CURVATURE_VARIANCE each, and c = u k + (1 − u) m is known: the difference of the wheels' counts.
 # Over E the car has advanced by (2u − 1) E: a mean of 0, and a variance of E² / 3.
@@ -45,23 +46,29 @@ class UnseenPath(NamedTuple):
     heading_variance: float = 0.0
 
 
-def curved_path(distance_m: float, turned_rad: float, curvature_per_m: float, curvature_variance: float) -> UnseenPath:
-    """Return a path without a reversal, of known length and change of heading, which began with this curvature.
+def curved_path(distance_m: float, turned_rad: float, curvature_per_m: float | None, usual_square: float) -> UnseenPath:
+    """Return a path without a reversal, of known length S and change of heading.
 
-    Its curvature changed from k to whatever gives the mean m, after a part t of the length S. The car is then
+    Its curvature changed from k to whatever gives the mean m, after a part t of S. The car is then
     S²/2 · (k + (m − k)(1 − t)) off to the side. No curvature is more than ``MAX_CURVATURE_CHANGE`` from k, so that 1 − t
-    is between a = |m − k| / MAX_CURVATURE_CHANGE and 1: a mean of (1 + a) / 2, a variance of (1 − a)² / 12. As long as
-    m is k within two sigma, the curvature has stayed.
+    is between a = |m − k| / MAX_CURVATURE_CHANGE and 1: a mean of (1 + a) / 2, a variance of (1 − a)² / 12.
+    Besides, it may have been steered to both sides as before: by ±c over half of S each it is S²/4 · c off, with c
+    evenly up to the usual curvature, a variance of S⁴/48 · c².
+
+    Args:
+        curvature_per_m: at the beginning; ``None``: the car stood.
+        usual_square: mean square of the curvature on the metres before, 1/m².
     """
     if not distance_m:
         return UnseenPath()
-    change = turned_rad / distance_m - curvature_per_m
-    if change ** 2 <= 4 * curvature_variance:
-        return UnseenPath()
+    across_variance = max(0.0, usual_square - CURVATURE_NOISE ** 2) * distance_m ** 4 / 48
+    change = 0.0 if curvature_per_m is None else turned_rad / distance_m - curvature_per_m
+    if abs(change) <= CURVATURE_NOISE:
+        return UnseenPath(across_variance=across_variance)
     ratio = min(1.0, abs(change) / MAX_CURVATURE_CHANGE)
     before_m = distance_m * (1 - ratio) / 2
     return UnseenPath(((before_m, curvature_per_m * before_m),),
-                      across_variance=(change * distance_m ** 2 / 2 * (1 - ratio)) ** 2 / 12)
+                      across_variance=across_variance + (change * distance_m ** 2 / 2 * (1 - ratio)) ** 2 / 12)
 
 
 def reversed_path(unsplit_m: float, difference_rad: float, is_odd: bool) -> UnseenPath:
