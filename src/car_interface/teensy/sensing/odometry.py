@@ -96,7 +96,7 @@ class Odometry:
         self._was_rolling = False  # at the last report
         self._steering_per_m: float | None = None
         self._bridge: RestartBridge | None = None  # over pulses that weren't counted, until enough is known
-        self._before_bridge: tuple = ()  # pose, heading, mean and yaw
+        self._before_bridge: tuple = ()  # pose, heading, mean, yaw, whether it rolled, time
 
     @property
     def acceleration_mps2(self) -> float:
@@ -167,14 +167,14 @@ class Odometry:
         self._bridge = RestartBridge(
             CarState(at_ms, tuple(WheelState(wheel.count, wheel.position, wheel.speed) for wheel in self._wheels),
                      heading.curvature_per_m, heading.curvature_variance, heading.usual_square), self._config.track_m)
-        self._before_bridge = self._pose, self._heading, self._mean, self._yaw_rad
+        self._before_bridge = (self._pose, self._heading, self._mean, self._yaw_rad, self._was_rolling, self._time_ms)
         self._return_before_bridge()
         for wheel in self._wheels:
             wheel.is_uncounted = True
 
     def _return_before_bridge(self):
         """Forget the path that was only predicted since the bridge began."""
-        pose, heading, self._mean, self._yaw_rad = self._before_bridge
+        pose, heading, self._mean, self._yaw_rad, self._was_rolling, self._time_ms = self._before_bridge
         self._pose, self._heading = copy.copy(pose), copy.copy(heading)
 
     def _cross_bridge(self, record, pulses, unproven, times_ms, now_ms):
@@ -226,7 +226,7 @@ class Odometry:
         if outcome is not None:
             self._pose.add_variance(outcome.mean_variance * self._pulse_m ** 2,
                                     outcome.difference_variance * self._rad_per_pulse ** 2)
-        is_blind = outcome is None and elapsed_s > REPEAT_MS / 1000 and has_pulse
+        is_blind = elapsed_s > REPEAT_MS / 1000 and has_pulse
         curvature_per_m = self._heading.curvature_per_m if self._was_rolling else None
         if self._alignment.is_done:
             self._heading.predict(distance_m, elapsed_s)
