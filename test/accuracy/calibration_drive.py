@@ -44,7 +44,7 @@ from car_interface.sim.world import World, WorldConfig
 from car_interface.steering.arbiter import ArbiterConfig as SteeringConfig
 from car_interface.steering.arbiter import SteeringArbiter
 from car_interface.steering.calibration import SteeringCalibration, trimmed
-from car_interface.steering.params import load_steering
+from car_interface.steering.config import load_steering
 from car_interface.teensy.link.protocol import WheelStatus
 from car_interface.throttle.arbiter import ArbiterConfig
 from car_interface.throttle.control import ThrottleControl

@@ -14,8 +14,8 @@ from time import perf_counter_ns
 
 from car_interface.common.units import NS_PER_S
 from car_interface.steering.arbiter import PLANNER, ArbiterConfig, SteeringArbiter
+from car_interface.steering.config import load_steering
 from car_interface.steering.limits import SourceLimits, SteeringLimits
-from car_interface.steering.params import load_steering
 from car_interface.teensy.link import framing, protocol
 from car_interface.teensy.link.framing import FrameDecoder
 from car_interface.throttle.arbiter import ArbiterConfig as ThrottleArbiterConfig

@@ -275,8 +275,8 @@ class Tools(unittest.TestCase):
     def wait_until_recorded(self, count):
         """Wait until so many recorders have had turn_arb's state for a while."""
         master = rosgraph.Master("/tools_test")
-        eventually(lambda: sum("record" in name for name in dict(master.getSystemState()[1])["/turn_arb/state"]) >= count,
-                   f"{count} recorders")
+        eventually(lambda: sum("record" in name for name in dict(master.getSystemState()[1])["/turn_arb/state"])
+                   >= count, f"{count} recorders")
         self.steering.wait_for_count(20, self.steering.mark())
 
     def recording(self, folder):

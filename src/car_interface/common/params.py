@@ -52,21 +52,21 @@ class Params:
         return self._scalar(name, default, search_parents, lambda value: _integer(value, low, high), accepted)
 
     def numbers(self, name: str, default=REQUIRED, low=-math.inf, high=math.inf, search_parents=False) -> list[float]:
-        """Return a list of finite numbers from ``low`` to ``high``."""
+        """Return a list of finite numbers from ``low`` to ``high``, or the default, which may be ``None``."""
         return self._list(name, default, search_parents, lambda value: _number(value, low, high, None),
                           "a number" + _range_text(low, high))
 
-    def integers(self, name: str, length: int, default: int, low: int, high: int) -> list[int]:
+    def integers(self, name: str, default, length: int, low: int, high: int) -> tuple[int, ...]:
         """Return ``length`` integers; a scalar stands for all of them."""
         accepted = "an integer" + _range_text(low, high)
         value = self._get(name, default, False)
         if not isinstance(value, (list, tuple)):
             value = self._checked(name, value, lambda v: _integer(v, low, high), f"{accepted}, or {length} of them")
-            return [value] * length
+            return (value,) * length
         if len(value) != length:
             raise ConfigError(name, value, f"{length} integers, or one for all of them")
-        return [self._checked(f"{name}[{index}]", element, lambda v: _integer(v, low, high), accepted)
-                for index, element in enumerate(value)]
+        return tuple(self._checked(f"{name}[{index}]", element, lambda v: _integer(v, low, high), accepted)
+                     for index, element in enumerate(value))
 
     def flag(self, name: str, default=REQUIRED) -> bool:
         """Return true or false."""
@@ -139,6 +139,8 @@ class Params:
     def _list(self, name, default, search_parents, read, element):
         accepted = f"a list, each {element}"
         value = self._get(name, default, search_parents, accepted)
+        if value is None:
+            return None
         if not isinstance(value, (list, tuple)):
             raise ConfigError(name, value, accepted)
         return [self._checked(f"{name}[{index}]", x, read, element) for index, x in enumerate(value)]

@@ -14,7 +14,8 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple, Sequence
 
-from car_interface.common.errors import ConfigError
+from car_interface.common import declared
+from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, TRACK_M, WHEEL_DIAMETER_M, WHEELBASE_M
 from car_interface.teensy.link.protocol import BACKWARD, NO_DIRECTION, WheelStatus
 from car_interface.teensy.sensing.alignment import ALIGNED_PULSES, UNALIGNED_PULSES, Alignment
 from car_interface.teensy.sensing.heading import HEADING_VARIANCE, HeadingFilter
@@ -28,37 +29,29 @@ MIN_LENGTH_M = 0.001  # of a car's dimensions: a division by far less would over
 
 @dataclass(frozen=True)
 class OdometryConfig:
-    """One car's wheels, named as the ROS parameters.
-
-    Attributes:
-        pulses_per_revolution: of a rear wheel.
-        wheel_diameter_m: of a rear wheel.
-        track_m: between the middles of the rear wheels.
-        wheelbase_m: between the axles.
-        use_steering: the commanded curvature helps the heading between pulses.
-        distance_sigma: of the distance after a metre, m; it grows with the root of the distance.
-        heading_sigma: of the heading after a metre, rad.
+    """One car's wheels.
 
     Raises:
         ConfigError: naming the parameter.
     """
 
-    pulses_per_revolution: int = 20
-    wheel_diameter_m: float = 0.095
-    track_m: float = 0.296
-    wheelbase_m: float = 0.324
-    use_steering: bool = False
-    distance_sigma: float = 0.02
-    heading_sigma: float = 0.01
+    pulses_per_revolution: int = declared.integer(
+        "pulses_per_revolution", PULSES_PER_REVOLUTION, "of a rear wheel", low=1, high=10_000)
+    wheel_diameter_m: float = declared.number(
+        "wheel_diameter", WHEEL_DIAMETER_M, "measure your car's", "m", low=MIN_LENGTH_M, high=10)
+    track_m: float = declared.number(
+        "track", TRACK_M, "measure your car's", "m", low=MIN_LENGTH_M, high=10)
+    wheelbase_m: float = declared.number("wheelbase", WHEELBASE_M, "measure your car's", "m", low=MIN_LENGTH_M, high=10)
+    use_steering: bool = declared.flag(
+        "use_steering", False, "true = the commanded curvature helps the heading between two pulses")
+    distance_sigma: float = declared.number(
+        "distance_sigma", 0.02, "standard error of the distance after a metre",
+        "m", low=0.0, high=1)
+    heading_sigma: float = declared.number(
+        "heading_sigma", 0.01, "the same of the heading", "rad", low=0.0, high=1)
 
     def __post_init__(self):
-        for name, minimum in (("pulses_per_revolution", 1), ("wheel_diameter_m", MIN_LENGTH_M),
-                              ("track_m", MIN_LENGTH_M), ("wheelbase_m", MIN_LENGTH_M)):
-            if not minimum <= getattr(self, name) < math.inf:
-                raise ConfigError(name, getattr(self, name), f"a number of at least {minimum}")
-        for name in ("distance_sigma", "heading_sigma"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ConfigError(name, getattr(self, name), "a number of at least 0")
+        declared.check(self)
 
     @property
     def pulse_m(self) -> float:

@@ -1,19 +1,19 @@
 """What the doctor asks the ROS master and the nodes, each question with a time limit; it works without rospy."""
 from __future__ import annotations
 
-import importlib
 import os
 import xmlrpc.client
 from typing import Any, NamedTuple, Sequence
 from urllib.parse import urlsplit
 
+from car_interface.common.declared import read_all
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.fixed_parameters import fixed_parameters
 from car_interface.common.package_files import package_file
 from car_interface.common.params import Params
 from car_interface.common.processes import script_arguments
 from car_interface.common.yaml_file import compose_yaml, read_yaml
-from car_interface.ros.start import full_name
+from car_interface.ros.start import config_class
 from car_interface.ros.xmlrpc_calls import call
 from car_interface.tools.doctor.checks.car import ABSENT, KILLED, ONE_PROCESS, RUNNING, SILENT, SIMULATOR, Node, Reading
 from car_interface.tools.doctor.probes.computer import leads_here
@@ -155,11 +155,8 @@ def read_parameters(master: Master, node: Node) -> Reading | None:
             return None
         private = {}
     try:
-        module = importlib.import_module(full_name(f"nodes.{node.name}"))
-        module.read_config(Params(private, lambda name: master.search_parents(node.path, name),
-                                  master.fixed_parameters(node)))
+        read_all(Params(private, lambda name: master.search_parents(node.path, name), master.fixed_parameters(node)),
+                 config_class(node.name))
     except CarInterfaceError as error:
         return Reading(node.path, str(error), node.state != ABSENT)
-    except ImportError as error:
-        return Reading(node.path, f"it can't be imported ({error})", node.state != ABSENT)
     return Reading(node.path, "", node.state != ABSENT)

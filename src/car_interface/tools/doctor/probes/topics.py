@@ -13,12 +13,13 @@ from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import Joy
 
 from car_interface.common import causes
+from car_interface.common.declared import read
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.params import Params
 from car_interface.msg import LinkStatus, SteeringState, TeleopState
 from car_interface.ros.tcpros_limits import limit_connections
 from car_interface.steering.arbiter import source_name
-from car_interface.teleop.gamepad import read_gamepad
+from car_interface.teleop.gamepad import GamepadConfig
 from car_interface.tools.doctor.checks.car import Node, Report, SteeringReport
 from car_interface.tools.doctor.checks.gamepad import GamepadFacts, JoySample
 from car_interface.tools.doctor.checks.port import Link
@@ -93,7 +94,7 @@ def _find_topic(master, path):
 def _read_config(master, path):
     """Return how teleop_logi is set; ``None`` when it would refuse its parameters."""
     try:
-        return read_gamepad(Params(master.parameter(path) or {}))
+        return read(Params(master.parameter(path) or {}), GamepadConfig)
     except CarInterfaceError:
         return None
 

@@ -11,9 +11,9 @@ from car_interface.common.errors import CarInterfaceError
 from car_interface.sim import esc as virtual
 from car_interface.throttle.arbiter import ArbiterConfig
 from car_interface.throttle.calibration import ThrottleCalibration
+from car_interface.throttle.config import ThrottleConfig
 from car_interface.throttle.esc_config import EscConfig
 from car_interface.throttle.limits import ThrottleLimits
-from car_interface.throttle.params import ThrottleConfig
 from car_interface.tools.calibration.esc.calibrate import calibrate, yaml_text, yaml_values
 from car_interface.tools.calibration.esc.fit import EscFit, fit
 from car_interface.tools.calibration.shared import RecordedDrive

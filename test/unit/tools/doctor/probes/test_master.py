@@ -10,7 +10,6 @@ from xmlrpc.server import SimpleXMLRPCServer
 import pytest
 
 from car_interface.common.package_files import package_file
-from car_interface.pca9685 import config
 from car_interface.ros import xmlrpc_calls
 from car_interface.tools.doctor.checks.car import ABSENT, KILLED, RUNNING, SILENT, Node
 from car_interface.tools.doctor.probes import master as probe
@@ -126,14 +125,12 @@ def launched(monkeypatch):
     ("pca9685", ["--device", "virtual", "__name:=pca9685"]),
     ("car_nodes", ["--device", "virtual", "--port", "/tmp/a", "--throttle", "true"]),
 ])
-def test_parameters_that_a_launch_file_fixed_are_known_when_they_are_lost(master, node, launched, monkeypatch, process,
-                                                                          arguments):
+def test_parameters_that_a_launch_file_fixed_are_known_when_they_are_lost(master, node, launched, process, arguments):
     launched[process] = arguments
     asked = master({f"/{process}": node}, [f"/{process}"])
     board = look(asked, "pca9685")
     assert asked.fixed_parameters(board) == {"device": "virtual"}
     asked.parameter = lambda path: None
-    monkeypatch.setattr(probe.importlib, "import_module", lambda name: config)  # the node itself needs ROS
     assert probe.read_parameters(asked, board).fault == \
         "device is missing; accepted: virtual, by the launch file that started this process"
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from car_interface.common.errors import ConfigError
-from car_interface.throttle.params import load_throttle
+from car_interface.throttle.config import load_throttle
 
 SHIPPED = Path(__file__).resolve().parents[3] / "config" / "throttle.yaml"
 

@@ -7,15 +7,11 @@ Publishes:
     ~markers (visualization_msgs/MarkerArray, latched, 10 Hz): in base_link the car, its front wheels turned as the
         steering is commanded, an arrow along the path of its nose, with source and turn radius; in odom the trail, a
         point every 5 cm, the newest 2,000. Without a command the wheels point ahead and there is no arrow.
-Parameters:
-    ~wheelbase 0.324, ~track 0.296, ~wheel_diameter 0.095 (m): the car's size.
-    ~odom_frame odom, ~base_frame base_link, ~frame_prefix "" (before both).
 """
 from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
 
 import rospy
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
@@ -23,9 +19,11 @@ from nav_msgs.msg import Odometry
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
+from car_interface.common.declared import read_all
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.staleness import TimedInput
 from car_interface.msg import SteeringState
+from car_interface.nodes.car_display.config import CarDisplayConfig
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, subscribe
 from car_interface.steering.arbiter import source_name
@@ -49,34 +47,6 @@ BODY, CABIN = ColorRGBA(0.10, 0.35, 0.75, 1.0), ColorRGBA(0.06, 0.10, 0.18, 1.0)
 TIRE = ColorRGBA(0.08, 0.08, 0.08, 1.0)
 ARROW, TRAIL, TEXT = ColorRGBA(1.0, 0.45, 0.0, 1.0), ColorRGBA(0.3, 0.5, 0.9, 1.0), ColorRGBA(0.1, 0.1, 0.1, 1.0)
 NO_ROTATION = Quaternion(0.0, 0.0, 0.0, 1.0)
-
-
-@dataclass(frozen=True)
-class CarDisplayConfig:
-    """The node's configuration: the car's size, and the frames with their prefix."""
-
-    wheelbase_m: float
-    track_m: float
-    wheel_diameter_m: float
-    odom_frame: str
-    base_frame: str
-
-
-def read_config(params) -> CarDisplayConfig:
-    """The node's configuration from its parameters.
-
-    Raises:
-        ConfigError: naming the parameter.
-    """
-    prefix = params.text("frame_prefix", "", may_be_empty=True)
-    config = CarDisplayConfig(
-        wheelbase_m=params.number("wheelbase", 0.324, above=0.0, high=10),
-        track_m=params.number("track", 0.296, above=0.0, high=10),
-        wheel_diameter_m=params.number("wheel_diameter", 0.095, above=0.0, high=10),
-        odom_frame=prefix + params.text("odom_frame", "odom"),
-        base_frame=prefix + params.text("base_frame", "base_link"))
-    params.finish()
-    return config
 
 
 class Trail:
@@ -104,10 +74,11 @@ class CarDisplay:
     """Draws the car, its steering command and its trail."""
 
     def __init__(self, params, inbox):
-        config = read_config(params)
+        config = read_all(params, CarDisplayConfig)
         self._wheelbase_m, self._track_m = config.wheelbase_m, config.track_m
-        self._wheel_m = config.wheel_diameter_m
-        self._odom_frame, self._base_frame = config.odom_frame, config.base_frame
+        self._wheel_m = config.wheel_m
+        self._odom_frame = config.frame_prefix + config.odom_frame
+        self._base_frame = config.frame_prefix + config.base_frame
         self._inbox = inbox
         self._state = TimedInput("turn_arb/state", COMMAND_TIMEOUT_S)
         self._trail = Trail()

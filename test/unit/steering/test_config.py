@@ -7,11 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from car_interface.common.declared import read
 from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
 from car_interface.steering.arbiter import ArbiterConfig
 from car_interface.steering.calibration import SteeringCalibration
-from car_interface.steering.params import load_steering, read_arbiter, read_calibration
+from car_interface.steering.config import load_steering
 from slash import PARAMETERS, SLASH
 
 CONFIG_FILE = Path(__file__).resolve().parents[3] / "config" / "turn_arb.yaml"
@@ -36,10 +37,10 @@ def test_file_of_turn_arb_may_say_how_far_it_may_be_tuned(tmp_path):
 
 
 def test_calibration_comes_from_the_original_names():
-    assert read_calibration(Params(PARAMETERS)) == SLASH
+    assert read(Params(PARAMETERS), SteeringCalibration) == SLASH
     lowest = {**PARAMETERS, "servo_left": 0, "servo_center": 0, "servo_right": 1, "servo_channel": 15, "understeer": 1,
               "k_pwmcmd_left_table_servo": [0] * 15, "k_pwmcmd_right_table_servo": [0] * 15}
-    assert read_calibration(Params(lowest)) == SteeringCalibration(*lowest.values())
+    assert read(Params(lowest), SteeringCalibration) == SteeringCalibration(*lowest.values())
 
 
 @pytest.mark.parametrize("name, value, accepted", [
@@ -66,14 +67,14 @@ def test_parameter_out_of_range_or_unknown_is_refused_by_its_name(tmp_path, name
 def test_each_original_name_is_required_and_searched_for_in_the_parents(name):
     private = {other: value for other, value in PARAMETERS.items() if other != name}
     with pytest.raises(ConfigError, match=f"{name} is missing"):
-        read_calibration(Params(private))
-    assert read_calibration(Params(private, PARAMETERS.get)) == SLASH
+        read(Params(private), SteeringCalibration)
+    assert read(Params(private, PARAMETERS.get), SteeringCalibration) == SLASH
 
 
 def test_input_timeout_is_the_default_of_the_other_timeouts():
-    rules = read_arbiter(Params({"input_timeout": 2.0, "planner_timeout": 3.0}))
+    rules = read(Params({"input_timeout": 2.0, "planner_timeout": 3.0}), ArbiterConfig)
     assert (rules.interlock.human_timeout_s, rules.teleop_timeout_s, rules.planner_timeout_s) == (2.0, 2.0, 3.0)
-    assert read_arbiter(Params({})) == ArbiterConfig()
+    assert read(Params({}), ArbiterConfig) == ArbiterConfig()
 
 
 def test_text_that_will_be_a_file_is_checked_before_there_is_one(tmp_path):
