@@ -203,3 +203,12 @@ def test_name_found_nowhere_is_missing_or_its_default():
     with pytest.raises(ConfigError, match=r"^servo_left is missing; accepted: an integer from 0 to 65535$"):
         params.integer("servo_left", low=0, high=65535, search_parents=True)
     assert params.integer("servo_left", 3800, search_parents=True) == 3800
+
+
+def test_node_that_was_launched_names_what_the_arguments_chose_and_takes_the_folder_for_no_parameter():
+    params = Params({"config_folder": "/home/me/my_car", "device": "/dev/i2c-7", "address": "0x41", "frequency": 50})
+    assert params.launched_with() == "config /home/me/my_car, i2c /dev/i2c-7, address 0x41"
+    for name, read in (("device", params.text), ("address", params.text), ("frequency", params.number)):
+        read(name)
+    params.finish()
+    assert Params({"device": "/dev/i2c-7"}).launched_with() == ""

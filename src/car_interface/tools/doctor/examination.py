@@ -11,6 +11,7 @@ from argparse import Namespace
 from typing import Any, Callable, Iterator, NamedTuple
 
 from car_interface.common.errors import ConfigError
+from car_interface.common.package_files import package_file
 from car_interface.common.params import Params
 from car_interface.pca9685.registers import prescale_for
 from car_interface.teensy.link.health import CLOCK_REPORT, LINK_REPORT
@@ -23,6 +24,7 @@ from car_interface.tools.doctor.checks.car import (
     check_command_topics,
     check_diagnostics,
     check_files,
+    check_folders,
     check_nodes,
     check_parameters,
     check_several,
@@ -261,8 +263,9 @@ def _covered(hub, link):
 
 
 def _read_all(master, car):
-    readings = (read_parameters(master, node) for node in car.nodes)
-    found = check_parameters([reading for reading in readings if reading is not None])
+    readings = [reading for reading in (read_parameters(master, node) for node in car.nodes) if reading is not None]
+    found = check_parameters(readings)
+    found += check_folders(readings, os.path.realpath(package_file("config")), car.bus == VIRTUAL)
     return found + check_files(read_files(master, car.nodes))
 
 

@@ -198,12 +198,36 @@ class Reading(NamedTuple):
     path: str  # the node's name, with its namespace
     fault: str  # why it refused them; empty when it took them
     runs: bool  # whether the node runs, with the parameters that it found when it started
+    folder: str = ""  # whose files its launch file has read; empty = it wasn't launched
 
 
 def check_files(faults: Sequence[str]) -> list[Finding]:
     """Return one finding for each fault of the files that nodes are launched with."""
     return [Finding(WARN, "files", fault, "Correct the file, and start again: roslaunch takes the last of two values "
                                           "without a word, and ~save refuses the file") for fault in faults]
+
+
+def check_folders(readings: Sequence[Reading], package_folder: str, is_virtual: bool) -> list[Finding]:
+    """Return whether the nodes were launched with one folder of files, and a car's own.
+
+    Args:
+        readings: of the nodes.
+        package_folder: the package's own files.
+        is_virtual: the servo board is a virtual one.
+    """
+    folders: dict[str, list[str]] = {}
+    for reading in readings:
+        if reading.folder:
+            folders.setdefault(reading.folder, []).append(reading.path)
+    if len(folders) > 1:
+        taken = "; ".join(f"{', '.join(paths)}: {folder}" for folder, paths in folders.items())
+        return [Finding(WARN, "files", f"the nodes were launched with different folders: {taken}",
+                        "Launch them with one config:=FOLDER; roslaunch ignores an argument that is misspelt")]
+    if package_folder in folders and not is_virtual:
+        return [Finding(WARN, "files", f"the nodes were launched with the package's own files, {package_folder}",
+                        f"Copy them for your car (cp -r {package_folder} ~/my_car) and launch with "
+                        "config:=$HOME/my_car; roslaunch ignores an argument that is misspelt")]
+    return [Finding(OK, "files", f"all nodes were launched with {folder}") for folder in folders]
 
 
 def check_parameters(readings: Sequence[Reading]) -> list[Finding]:

@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import os
 import xmlrpc.client
+from functools import partial
 from typing import Any, NamedTuple, Sequence
 from urllib.parse import urlsplit
 
@@ -10,7 +11,7 @@ from car_interface.common.declared import read_all
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.fixed_parameters import fixed_parameters
 from car_interface.common.package_files import package_file
-from car_interface.common.params import Params
+from car_interface.common.params import CONFIG_FOLDER, Params
 from car_interface.common.processes import script_arguments
 from car_interface.common.yaml_file import compose_yaml, read_yaml
 from car_interface.ros.start import config_class
@@ -154,9 +155,12 @@ def read_parameters(master: Master, node: Node) -> Reading | None:
         if node.state == ABSENT:
             return None
         private = {}
+    folder = private.get(CONFIG_FOLDER)
+    read = partial(Reading, node.path, runs=node.state != ABSENT,
+                   folder=os.path.realpath(folder) if isinstance(folder, str) else "")
     try:
         read_all(Params(private, lambda name: master.search_parents(node.path, name), master.fixed_parameters(node)),
                  config_class(node.name))
     except CarInterfaceError as error:
-        return Reading(node.path, str(error), node.state != ABSENT)
-    return Reading(node.path, "", node.state != ABSENT)
+        return read(fault=str(error))
+    return read(fault="")

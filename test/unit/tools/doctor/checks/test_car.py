@@ -16,6 +16,7 @@ from car_interface.tools.doctor.checks.car import (
     check_command_topics,
     check_diagnostics,
     check_files,
+    check_folders,
     check_nodes,
     check_parameters,
     check_several,
@@ -177,3 +178,28 @@ def test_bad_parameter_is_told_in_the_nodes_own_words(runs, words):
     good, found = check_parameters([Reading("/pca9685", "", True), Reading("/turn_arb", "servo_left is 99999", runs)])
     assert (good.level, found.level) == (OK, BAD)
     assert words in found.what and "servo_left is 99999" in found.what
+
+
+MINE, PACKAGE = "/home/me/my_car", "/opt/config"
+
+
+def launched(**folders):
+    return [Reading(f"/{node}", "", True, folder) for node, folder in folders.items()]
+
+
+@pytest.mark.parametrize(("readings", "is_virtual", "level", "text"), [
+    (launched(turn_arb=MINE, pca9685=MINE), False, OK, f"all nodes were launched with {MINE}"),
+    (launched(turn_arb=MINE, pca9685=PACKAGE), False, WARN,
+     f"the nodes were launched with different folders: /turn_arb: {MINE}; /pca9685: {PACKAGE}"),
+    (launched(turn_arb=PACKAGE, pca9685=PACKAGE), False, WARN,
+     f"the nodes were launched with the package's own files, {PACKAGE}"),
+    (launched(turn_arb=PACKAGE), True, OK, f"all nodes were launched with {PACKAGE}"),
+], ids=["one_folder", "two_folders", "the_package_s_on_a_car", "the_package_s_on_a_virtual_car"])
+def test_folder_of_the_nodes_files_is_compared(readings, is_virtual, level, text):
+    found, = check_folders(readings, PACKAGE, is_virtual)
+    assert (found.level, found.what) == (level, text)
+    assert level == OK or "roslaunch ignores an argument that is misspelt" in found.remedy
+
+
+def test_nodes_that_were_not_launched_name_no_folder():
+    assert check_folders(launched(turn_arb=""), PACKAGE, False) == []
