@@ -78,6 +78,17 @@ class Motion(NamedTuple):
     distance_m: float  # driven, forward and backward
 
 
+class _BeforeBridge(NamedTuple):
+    """The state from which a bridge begins: what is published until it is crossed is a prediction."""
+
+    pose: Pose
+    heading: HeadingFilter
+    mean: float
+    yaw_rad: float
+    was_rolling: bool
+    time_ms: float
+
+
 class Odometry:
     """Follows one car from its wheels' reports."""
 
@@ -96,7 +107,7 @@ class Odometry:
         self._was_rolling = False  # at the last report
         self._steering_per_m: float | None = None
         self._bridge: RestartBridge | None = None  # over pulses that weren't counted, until enough is known
-        self._before_bridge: tuple = ()  # pose, heading, mean, yaw, whether it rolled, time
+        self._before_bridge: _BeforeBridge | None = None
 
     @property
     def acceleration_mps2(self) -> float:
@@ -167,15 +178,18 @@ class Odometry:
         self._bridge = RestartBridge(
             CarState(at_ms, tuple(WheelState(wheel.count, wheel.position, wheel.speed) for wheel in self._wheels),
                      heading.curvature_per_m, heading.curvature_variance, heading.usual_square), self._config.track_m)
-        self._before_bridge = (self._pose, self._heading, self._mean, self._yaw_rad, self._was_rolling, self._time_ms)
+        self._before_bridge = _BeforeBridge(self._pose, heading, self._mean, self._yaw_rad, self._was_rolling,
+                                            self._time_ms)
         self._return_before_bridge()
         for wheel in self._wheels:
             wheel.is_uncounted = True
 
     def _return_before_bridge(self):
         """Forget the path that was only predicted since the bridge began."""
-        pose, heading, self._mean, self._yaw_rad, self._was_rolling, self._time_ms = self._before_bridge
-        self._pose, self._heading = copy.copy(pose), copy.copy(heading)
+        before = self._before_bridge
+        self._pose, self._heading = copy.copy(before.pose), copy.copy(before.heading)
+        self._mean, self._yaw_rad = before.mean, before.yaw_rad
+        self._was_rolling, self._time_ms = before.was_rolling, before.time_ms
 
     def _cross_bridge(self, record, pulses, unproven, times_ms, now_ms):
         """Collect pulses until they show how the car goes on."""
@@ -244,9 +258,11 @@ class Odometry:
             self._yaw_rad = yaw_rad
         turned_rad = self._heading.yaw_rad - self._yaw_rad
         self._yaw_rad = self._heading.yaw_rad
-        if path is None and is_blind:
-            path = curved_path(distance_m, turned_rad, curvature_per_m, self._heading.usual_square)
         if path is not None:
+            distance_m, turned_rad = self._move_unseen(path, distance_m, turned_rad)
+            curvature_per_m = None  # of the last leg it is unknown
+        if path is not None or is_blind:
+            path = curved_path(distance_m, turned_rad, curvature_per_m, self._heading.usual_square)
             distance_m, turned_rad = self._move_unseen(path, distance_m, turned_rad)
         self._pose.move(distance_m, turned_rad)
         self._was_rolling = any(wheel.speed for wheel in self._wheels)
@@ -290,7 +306,7 @@ class Odometry:
         place = (left.position_variance + right.position_variance) * self._pulse_m ** 2
         heading = place / self._config.track_m ** 2
         if self._bridge is not None:
-            place, heading = self._unbridged_variances(place, now_ms)
+            place, heading = self._bridge_variances(place)
             if self._bridge.may_roll(now_ms):
                 variance += 2 * PENDING_SPEED_SIGMA ** 2
         if not self._alignment.is_done:
@@ -303,16 +319,15 @@ class Odometry:
             (left.position * to_rad, right.position * to_rad),
             (left.speed * 1000 * to_rad, right.speed * 1000 * to_rad), pose.distance_m)
 
-
-    def _unbridged_variances(self, place_variance, now_ms):
-        """Return four times the variance of the mean wheel's place, m², and that of the heading, while both are predicted.
+    def _bridge_variances(self, place_variance):
+        """Return the variances of the sum of both wheels' places, m², and of the heading, while both are predicted.
 
         A car rolls by both wheels: its heading changes by curvature × distance, and its place by the distance times
-        half of that. Of a curvature that changes at an unknown time, a part u of the distance is left, evenly in 0 .. 1:
-        the mean has a third of its variance.
+        half of that. The curvature changes at an unknown time, for a part of the distance that is evenly in 0 .. 1: its
+        mean has a third of the variance.
         """
         along = place_variance / 4 + self._bridge.place_variance * self._pulse_m ** 2
-        square = ((self._mean - self._before_bridge[2]) * self._pulse_m) ** 2
+        square = ((self._mean - self._before_bridge.mean) * self._pulse_m) ** 2
         turn = CURVATURE_VARIANCE / 3 * (square + along)
         return 4 * along + turn * square, turn + (UNALIGNED_PULSES * self._rad_per_pulse) ** 2
 

@@ -268,14 +268,14 @@ class RestartBridge:
             return before, before_variance
         if abs(self._mean_before()) <= ROLLING_PER_MS:
             return after, after_variance + CURVATURE_SIGMA ** 2
-        # Exact where it changes evenly; a step at an unknown time in between has this spread. Within a second it may have
-        # been another one for half of the distance, evenly up to the usual curvature to either side: 1/4 · 1/3 of its
-        # square.
-        variance = ((after - before) ** 2 / 12 + CURVATURE_SIGMA ** 2
-                    + self._state.usual_square * min(1.0, self._blind_ms() / MANOEUVRE_MS) ** 2 / 12)
-        if any(later[1] - first[1] > ENOUGH_MS for first, later, *_ in self._pulses):
-            variance += before_variance  # the other one is a mean over a long time
-        return (before + after) / 2, variance
+        # Exact where it changes evenly; a step at an unknown time in between has this spread. Within a second it may
+        # have been another one, evenly up to the usual curvature to either side, for half of the distance: 1/4 · 1/3 of
+        # its square. For all of it, if the one after is a mean over a long time.
+        is_late = any(later[1] - first[1] > ENOUGH_MS for first, later, *_ in self._pulses)
+        usual = self._state.usual_square / 3
+        if not is_late:
+            usual *= min(1.0, self._blind_ms() / MANOEUVRE_MS) ** 2 / 4
+        return (before + after) / 2, (after - before) ** 2 / 12 + CURVATURE_SIGMA ** 2 + usual
 
     def _curvature_after(self):
         """Return curvature and variance by both wheels over the same time; ``None``: there are too few pulses."""

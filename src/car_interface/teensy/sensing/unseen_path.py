@@ -6,8 +6,8 @@ The wheels' counts go on while the port is unplugged, and the reports before and
 - with one: both of its legs likewise;
 - with two or more: the last leg, and the sum of the pulses before it. Which of these were forward is unknown.
 
-``unseen_path`` gives the likeliest legs, and the variances of what else the path can have been. It takes the bounds of
-a car for this, not of single wheels: both have reversed together, and the heading changes by curvature × distance. Pure.
+The likeliest legs are given, and the variances of what else the path can have been, within the bounds of a car and not
+of single wheels: both have reversed together, and the heading changes by curvature × distance. Pure.
 """
 from __future__ import annotations
 
@@ -50,8 +50,8 @@ def curved_path(distance_m: float, turned_rad: float, curvature_per_m: float | N
     """Return a path without a reversal, of known length S and change of heading.
 
     Its curvature changed from k to whatever gives the mean m, after a part t of S. The car is then
-    S²/2 · (k + (m − k)(1 − t)) off to the side. No curvature is more than ``MAX_CURVATURE_CHANGE`` from k, so that 1 − t
-    is between a = |m − k| / MAX_CURVATURE_CHANGE and 1: a mean of (1 + a) / 2, a variance of (1 − a)² / 12.
+    S²/2 · (k + (m − k)(1 − t)) off to the side. No curvature is more than ``MAX_CURVATURE_CHANGE`` from k: 1 − t is
+    between a = |m − k| / MAX_CURVATURE_CHANGE and 1, with a mean of (1 + a) / 2 and a variance of (1 − a)² / 12.
     Besides, it may have been steered to both sides as before: by ±c over half of S each it is S²/4 · c off, with c
     evenly up to the usual curvature, a variance of S⁴/48 · c².
 

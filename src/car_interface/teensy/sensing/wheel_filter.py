@@ -28,8 +28,8 @@ USUAL_ACCELERATION, STARTING_ACCELERATION = 1.4e-4, 2.2e-4
 SPEED_CHANGE = 0.5  # from pulse to pulse a slow wheel's speed changes by this ratio at most
 STARTING_PULSES = 3
 MAGNET_VARIANCE = 1e-4  # of a magnet's place, pulses²
-# At the first pulse after a stand, with one sigma: after half a pulse at the usual acceleration, 0.18 m/s; less of a car
-# that starts slowly.
+# At the first pulse after a stand, with one sigma. A car with the usual acceleration has 0.18 m/s after half a pulse,
+# another one less: 0.15 and 0.12 m/s.
 FIRST_SPEED, FIRST_SPEED_SIGMA = 0.01, 0.008
 PASSED_BY, PASSED_VARIANCE = 0.02, 0.003  # pulses: how far before the next magnet a wheel is whose pulse is overdue
 STANDING_SPEED_VARIANCE = 1e-10
@@ -67,8 +67,9 @@ class WheelFilter:
 
     @property
     def position_variance(self) -> float:
-        """The variance of the position, pulses²."""
-        return self._variances[0] + self.pending ** 2
+        """The variance of the position, pulses²; without uncounted pulses a whole one is three sigma."""
+        known = self._variances[0] if self.is_uncounted else min(self._variances[0], 1 / 9)
+        return known + self.pending ** 2
 
     @property
     def speed_variance(self) -> float:
