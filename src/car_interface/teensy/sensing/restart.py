@@ -311,10 +311,12 @@ class RestartBridge:
             mean = (speeds[LEFT] + speeds[RIGHT]) / 2
             at_ms = pulses[0][1] if pulses else self._first_ms()
             middle_ms = (at_ms + pulses[-1][1]) / 2 if pulses else at_ms
-            elapsed_ms = max(0.0, at_ms - state.at_ms)
+            # Both from the same time on: a slow wheel's first pulse may come long after the other's.
+            first_ms = self._first_ms()
+            elapsed_ms = max(0.0, first_ms - state.at_ms)
             until_middle_ms = max(elapsed_ms, middle_ms - state.at_ms, 1.0)
             then = before + (mean - before) * elapsed_ms / until_middle_ms
-            rolled = (before + then) / 2 * elapsed_ms
+            rolled = (before + then) / 2 * elapsed_ms + mean * (at_ms - first_ms)
             if abs(before) <= ROLLING_PER_MS:
                 rolled = math.copysign(min(abs(rolled), self._distance_from_rest(at_ms)), then)
         side_sign = 1 if side == RIGHT else -1
