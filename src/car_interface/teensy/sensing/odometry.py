@@ -155,6 +155,10 @@ class Odometry:
             for wheel in self._wheels:
                 wheel.advance(now_ms)
             return self._move(record, has_pulse, now_ms, path=self._reversed_path(record, last, unsplit))
+        path = self._reversed_path(record, last, unsplit)
+        if path is not None:
+            for pose in (self._pose, self._before_bridge.pose):
+                pose.add_variance(path.along_variance, path.heading_variance, path.across_variance)
         return self._cross_bridge(record, pulses, unproven, (left_ms, right_ms), now_ms)
 
     def _update_wheels(self, record, last, pulses, times_ms, now_ms):

@@ -105,7 +105,7 @@ class RestartBridge:
 
     def place_variance(self, now_ms: float) -> float:
         """Return the variance of the place that a start or a stop on the way or a long time adds, pulses²."""
-        if self._seen_ms is None and not any(self._pulses):
+        if self._seen_ms is None:
             return 0.0
         blind_ms, far = self._blind_ms(), 0.0
         if blind_ms > MAX_BLIND_MS:
