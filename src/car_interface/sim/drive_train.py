@@ -18,7 +18,7 @@ TRUE = "of the full duty, before drag; forward and backward at standstill"  # th
 
 
 @dataclass(frozen=True)
-class DriveConfig:
+class DriveTrainConfig:
     """The drive train, from the ESC's duty to the car's acceleration.
 
     Attributes:
@@ -73,7 +73,7 @@ def is_pulse(duty: int) -> bool:
     return SHORTEST_PULSE <= duty <= MAX_PULSE
 
 
-def throttle(duty: int, drive: DriveConfig) -> float | None:
+def throttle(duty: int, drive: DriveTrainConfig) -> float | None:
     """Return the throttle of a duty: -1 (full reverse) to 1 (full forward), 0 in the neutral band; None: no pulse."""
     if not is_pulse(duty):
         return None
@@ -105,7 +105,8 @@ class Motor:
 
 
 def motor_acceleration_mps2(
-    push: float, brake: float, speed_mps: float, drive: DriveConfig, thrust: float = 1.0, downhill_mps2: float = 0.0
+    push: float, brake: float, speed_mps: float, drive: DriveTrainConfig, thrust: float = 1.0,
+    downhill_mps2: float = 0.0,
 ) -> float:
     """Return the car's acceleration by its motor; the other arguments as of ``true_acceleration_mps2``."""
     speed = abs(speed_mps)
@@ -121,7 +122,8 @@ def motor_acceleration_mps2(
 
 
 def true_acceleration_mps2(
-    esc_duty: int, speed_mps: float, drive: DriveConfig = DriveConfig(), thrust: float = 1.0, downhill_mps2: float = 0.0
+    esc_duty: int, speed_mps: float, drive: DriveTrainConfig = DriveTrainConfig(), thrust: float = 1.0,
+    downhill_mps2: float = 0.0,
 ) -> float:
     """Return the car's acceleration without an ESC's memory, which a value map for this car approximates.
 
