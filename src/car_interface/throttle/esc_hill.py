@@ -1,20 +1,20 @@
-"""Whether a hill drives the car: in neutral it gets no slower."""
+"""Detect a hill that drives the car: in neutral the car gains speed."""
 from __future__ import annotations
 
 from car_interface.throttle.esc_motion import STANDSTILL_MPS, MeasuredMotion
 
-# What was measured so long after a push was its motor's; an earlier gain isn't the hill's.
+# A gain within this time of the last push is the motor's.
 AFTER_NS = 100_000_000
-# More than odometry's noise: at a crawl, and in each m/s.
+# A gain beyond odometry's noise: a constant part in m/s, and a part of the speed.
 GAINS_MPS, NOISE = 0.02, 0.03
-SLOWS_MPS = 0.05
+SLOWS_MPS = 0.05  # a car that loses this much in neutral is no longer driven by the hill
 
 
 class HillWatch:
-    """Follows the speed while the ESC has neutral.
+    """Follow the speed while the ESC has neutral.
 
     Attributes:
-        drives_the_car: a hill does, the way it rolls; it counts until the car has stood or slowed in neutral.
+        drives_the_car: the car gained speed in neutral, and hasn't stood or slowed in neutral since then.
     """
 
     def __init__(self):
@@ -23,7 +23,7 @@ class HillWatch:
         self._least_mps = self._most_mps = 0.0
 
     def step(self, fraction: float, motion: MeasuredMotion, now_ns: int) -> None:
-        """What the ESC gets from now on."""
+        """Take what the ESC gets from now on, and the measured motion."""
         speed_mps = motion.speed_mps(now_ns)
         if speed_mps is None or abs(speed_mps) < STANDSTILL_MPS:
             self._neutral_ns = None
