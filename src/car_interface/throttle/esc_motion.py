@@ -2,7 +2,8 @@
 
 ``MeasuredMotion`` takes each speed with its arrival and age, and returns whether the car stands or rolls, how fast it
 is at least, and whether a pull that is decided on now ends before the car stands. ``MotionCheck`` returns why the
-motion contradicts the ESC's state. With an unknown speed nothing is certain. Pure: ``now_ns`` is passed in.
+motion contradicts the ESC's state. ``HillWatch`` detects a hill: in neutral the car gains speed. With an unknown speed
+nothing is certain. Pure: ``now_ns`` is passed in.
 """
 from __future__ import annotations
 
@@ -18,18 +19,24 @@ STANDSTILL_MPS = 0.1  # a wheel's pulse (1.5 cm) every 0.15 s
 # Wheels that a brake locks read 0 while the car slides on. A slide on dust still slows it by 3 m/s² (0.3 g), so after
 # a measured speed the car slides no longer than that speed divided by this.
 SLIDE_MPS2 = 3.0
-MAX_DECELERATION_MPS2 = 8.0  # rubber on dry asphalt, 0.8 g
+# Rubber on dry asphalt, 0.8 g. With 4 m/s² `python3 test/adversary 400 --seed 700000` finds 2 reversals.
+MAX_DECELERATION_MPS2 = 8.0
 ACTUATION_NS = 40_000_000  # from a decision to the end of the pulse before it: a tick and a period, 20 ms each
 # If no decision follows, the board holds a pull that may become reverse for 80 ms (``pca9685.channels``), and then
-# ends the pulse that it has begun: another 20 ms.
+# ends the pulse that it has begun: another 20 ms. With 20 ms `python3 test/adversary --sweep --thin 149` finds a
+# reversal.
 PULL_NS = 100_000_000
 FRESH_NS = 150_000_000  # an older speed misses reports: the hub's odometry comes at 50 Hz
 # A brake that is held decelerates by no more than SEEN_RATIO times what was measured over WINDOW_NS, and SEEN_MPS2:
-# the brake's own change, and odometry's noise. SPEEDS reports are kept for that.
+# the brake's own change, and odometry's noise. Chosen; test_esc_motion.py fails with 1 and 0. SPEEDS reports are kept.
 SEEN_RATIO, SEEN_MPS2, WINDOW_NS, SPEEDS = 1.25, 1.0, 80_000_000, 16
-SEEN_FOR_NS = 100_000_000  # a measured deceleration is trusted for this long: later the car may have hit something
+SEEN_FOR_NS = 100_000_000  # later the car may have hit something; chosen, test_esc_motion.py fails with 0.5 s
 ROLLS_OUT_NS = 3_000_000_000  # after reverse a car without any odometry has rolled to a stop
-MOTOR_LAG_NS = 150_000_000  # a motor pushes on for this long: the longest lag of the cars in test/rooms
+# A motor pushes on for this long: the longest lag of the cars in test/rooms and test/adversary.
+MOTOR_LAG_NS = 150_000_000
+HILL_AFTER_NS = 100_000_000  # a gain within this time of the last push is the motor's
+HILL_GAIN_MPS, HILL_GAIN_RATIO = 0.02, 0.03  # a gain beyond odometry's noise: a constant part, and a part of the speed
+HILL_LOSS_MPS = 0.05  # a car that loses this much in neutral is no longer driven by a hill
 
 
 class MeasuredMotion:
@@ -207,3 +214,36 @@ class MotionCheck:
         if -speed_mps > self._max_backward_mps + margin_mps:
             return f"it rolled backward at {-speed_mps:.1f} m/s without reverse"
         return ""
+
+
+class HillWatch:
+    """Follow the speed while the ESC has neutral.
+
+    Attributes:
+        drives_the_car: the car gained speed in neutral, and hasn't stood or slowed in neutral since then.
+    """
+
+    def __init__(self):
+        self.drives_the_car = False
+        self._neutral_ns: int | None = None
+        self._least_mps = self._most_mps = 0.0
+
+    def step(self, fraction: float, motion: MeasuredMotion, now_ns: int) -> None:
+        """Take what the ESC gets from now on, and the measured motion."""
+        speed_mps = motion.speed_mps(now_ns)
+        if speed_mps is None or abs(speed_mps) < STANDSTILL_MPS:
+            self._neutral_ns = None
+            if speed_mps is not None and not fraction:
+                self.drives_the_car = False
+            return
+        speed_mps = abs(speed_mps)
+        if fraction:
+            self._neutral_ns = None
+        elif self._neutral_ns is None:
+            self._neutral_ns, self._least_mps, self._most_mps = now_ns, 1e9, 0.0
+        elif motion.measured_ns - self._neutral_ns >= HILL_AFTER_NS:
+            self._least_mps, self._most_mps = min(self._least_mps, speed_mps), max(self._most_mps, speed_mps)
+            if speed_mps >= self._least_mps * (1 + HILL_GAIN_RATIO) + HILL_GAIN_MPS:
+                self.drives_the_car, self._most_mps = True, speed_mps
+            elif speed_mps <= self._most_mps - HILL_LOSS_MPS:
+                self.drives_the_car, self._least_mps = False, speed_mps
