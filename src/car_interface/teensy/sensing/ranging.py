@@ -32,8 +32,9 @@ LONGEST_ECHO_US = 65_000  # 11 m: no sonar's echo takes longer
 UINT32 = 2 ** 32
 USUAL_TIMEOUT_MS, MAX_TIMEOUT_MS = 38.0, 1000.0
 TIMEOUT_RATIO = 0.95  # an echo of at least this part of the time-out is none
-# A clone is found by so many long pulses in a row that differ by no more than this: those of a loose wire differ.
-CLONE_PULSES, CLONE_RATIO = 3, 1.02
+# A clone is found by so many long pulses in a row that differ by no more than this: those of a loose wire differ. After
+# a lost report a pulse may look longer, up to 104 ms: 38 ms and a wrap.
+CLONE_PULSES, CLONE_RATIO, SHORTEST_CLONE_US = 3, 1.02, 110_000
 # Around a wrap of micros(): a ping that begins in the last 29 ms before it fails, and the sonars that fire then report
 # a little later. The first report after power-up comes at 300 ms.
 BEFORE_WRAP_US, AFTER_WRAP_US = 50_000, 250_000
@@ -161,6 +162,7 @@ class Ranging:
         if pulse_us > LONGEST_ECHO_US and not self._is_timeout(sensor, pulse_us):
             self._find_clone(sensor, pulse_us)
             return math.inf if self._is_timeout(sensor, pulse_us) else None
+        self._held_us[sensor].clear()
         return pulse_us if pulse_us < TIMEOUT_RATIO * self._timeouts_us[sensor] else math.inf
 
     def _is_timeout(self, sensor, pulse_us):
@@ -170,7 +172,9 @@ class Ranging:
         """Take it for a clone whose long pulses are all alike."""
         held_us = self._held_us[sensor]
         held_us.append(pulse_us)
-        if len(held_us) == CLONE_PULSES and max(held_us) <= min(CLONE_RATIO * min(held_us), 1000 * MAX_TIMEOUT_MS):
+        shortest_us, longest_us = min(held_us), max(held_us)
+        if (len(held_us) == CLONE_PULSES and shortest_us >= SHORTEST_CLONE_US
+                and longest_us <= min(CLONE_RATIO * shortest_us, 1000 * MAX_TIMEOUT_MS)):
             self._timeouts_us[sensor] = pulse_us
             self.clones[sensor] = pulse_us / 1000
 

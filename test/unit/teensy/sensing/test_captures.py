@@ -144,7 +144,8 @@ def ranges(capture, moments):
 
 
 @pytest.mark.parametrize("name, reason, at_least, at_most", [
-    ("stuck_sonar", STUCK, 1, 4), ("wrap", MICROS_WRAP, 1, 10), ("sonar_blink", HELD, 6, 6), ("clone_200ms", HELD, 2, 2),
+    ("stuck_sonar", STUCK, 1, 4), ("wrap", MICROS_WRAP, 1, 10), ("sonar_blink", HELD, 6, 6),
+    ("clone_200ms", HELD, 2, 2),
     ("sonar_start", DISTRUSTED, 10, 30)])  # three reports for each of ten SONAR_STARTs at most
 def test_false_echoes_make_no_range_and_are_counted(replayed, name, reason, at_least, at_most):
     capture, moments, measurements, _ = replayed(name)
