@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from accuracy.virtual_drive import COUNT, MIXED, NO_FAST, NO_RIGHT, TWO_THIRDS, random_car, record, true_curvature_per_m
-from car_interface.steering.params import load_steering
+from car_interface.steering.config import load_steering
 from car_interface.tools.cli.main import main as command
 
 STOCK = Path(__file__).resolve().parents[2] / "config" / "turn_arb.yaml"

@@ -11,7 +11,7 @@ from geometry_msgs.msg import Point, Pose, PoseWithCovariance, Quaternion
 from nav_msgs.msg import Odometry
 from visualization_msgs.msg import Marker, MarkerArray
 
-from car_interface.nodes.car_display import CarDisplay
+from car_interface.nodes.car_display.node import CarDisplay
 from graph import NS_PER_S, START_NS
 
 MARKERS = "/car_display/markers"

@@ -11,9 +11,10 @@ import shutil
 import pytest
 
 from car import CONFIG, config
+from car_interface.common.declared import read_all
 from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
-from car_interface.ros.start import full_name
+from car_interface.ros.start import config_class
 
 PACKAGE = os.path.dirname(os.path.realpath(CONFIG))
 WHOLE_PATH = "accepted: a whole path, from / on, such as $PWD/my_car makes: nodes run in another folder, and ~ is no"
@@ -36,11 +37,11 @@ DEFAULTS = {
     "pca9685": ({}, {"device": "/dev/i2c-1"}),
     "teensy_sensor_hub": ({}, {
         "port": "/dev/ttyAMA0", "baud": 115200, "firmware_checksum": "auto", "required": False, "raw_only": False,
-        "settings.ping_period_s": 1.0, "settings.odom_frame": "odom", "settings.odom_rate_hz": 50.0}),
+        "ping_period_s": 1.0, "odom_frame": "odom", "odom_rate_hz": 50.0}),
     "teleop_logi": (BUTTONS, {"steer_scale": 1.0, "steer_neutral": 0.0, "joy_timeout_s": 0.25}),
     "car_sim": ({}, {"port": "/tmp/car_sim_teensy", "steering_channel": 0, "throttle_channel": 1,
                      "vehicle.wheelbase_m": 0.324, "firmware.sonar_pulse_end_us": 38_000, "collides": True}),
-    "planner_interface": ({"source": "drive"}, {"planner.source": "drive"}),
+    "planner_interface": ({"source": "drive"}, {"source": "drive"}),
     "gamepad_joy": ({}, {"dev": "/dev/input/js0", "deadzone": 0.05, "autorepeat_hz": 20.0, "coalesce_s": 0.001}),
     "car_display": ({}, {"wheelbase_m": 0.324, "odom_frame": "odom", "base_frame": "base_link"}),
     "demo_drive": ({}, {"bag_dir": None, "steering_channel": 0, "throttle_channel": 1, "autonomous_button": 5}),
@@ -85,8 +86,9 @@ REFUSALS = [
 
 
 def read(node, values):
-    module = node if node == "demo_drive" else full_name(f"nodes.{node}")
-    return importlib.import_module(module).read_config(Params(values))
+    if node == "demo_drive":
+        return importlib.import_module(node).read_config(Params(values))
+    return read_all(Params(values), config_class(node))
 
 
 def attribute(made, path):
@@ -167,6 +169,13 @@ def test_reading_opens_and_makes_nothing(tmp_path):
 @pytest.mark.parametrize("file, argument, refusal", [
     ("pca9685.launch", "device:=virtual", "device is called i2c now: i2c:=virtual"),
     ("car_nodes.launch", "device:=virtual", "device is called i2c now: i2c:=virtual"),
+    ("pca9685.launch", "device:=1", "device is called i2c now: i2c:=1"),
+    ("pca9685.launch", "steering_config:=/a/b.yaml", "steering_config is gone: config:= is a folder with turn_arb."),
+    ("pca9685.launch", "throttle_config:=/a/b.yaml", "throttle_config is gone: config:= is a folder with throttle."),
+    ("teensy_sensor_hub.launch", "sonars_config:=/a/b.yaml", "sonars_config is gone: config:= is a folder with sonars"),
+    ("throttle_arb.launch", "sonars_config:=/a/b.yaml", "sonars_config is gone: config:= is a folder with sonars.yaml"),
+    ("throttle_arb.launch", "board_config:=/a/b.yaml", "board_config is gone: config:= is a folder with pca9685.yaml"),
+    ("planner_interface.launch", "wheels_config:=/a/b.yaml", "wheels_config is gone: config:= is a folder with teensy"),
     ("planner_interface.launch", "source:=cmd_vel", "source is called planner now: planner:=cmd_vel"),
     ("turn_arb.launch", "config:=/home/me/my car/turn_arb.yaml", "config is a folder now: config:=/home/me/my car"),
     ("display.launch", "config:=/home/me/car.rviz", "config is a folder now: config:=/home/me"),

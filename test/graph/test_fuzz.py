@@ -5,8 +5,8 @@ the seed that makes them again.
 """
 from __future__ import annotations
 
+import functools
 import gc
-import importlib
 import math
 import os
 import random
@@ -19,10 +19,11 @@ import pytest
 import rospy
 
 from car import Car
+from car_interface.common.declared import read_all
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.params import Params
-from car_interface.nodes.car_display import CarDisplay
-from car_interface.ros.start import full_name
+from car_interface.nodes.car_display.node import CarDisplay
+from car_interface.ros.start import config_class
 
 ALL = bool(os.environ.get("CAR_INTERFACE_ALL"))
 SEED = int(os.environ.get("CAR_INTERFACE_SEED", random.SystemRandom().randrange(10 ** 6) if ALL else 3))
@@ -106,7 +107,7 @@ def fails(what, error):
 
 @pytest.mark.parametrize("name", NODES)
 def test_node_reads_parameters_of_any_value_or_refuses_them_with_a_config_error(name):
-    read = importlib.import_module(full_name(f"nodes.{name}")).read_config
+    read = functools.partial(read_all, config_class=config_class(name))
     good, choose, refused = good_parameters(name), random.Random(SEED), 0
     read(Params(good))
     for _ in range(READS):

@@ -28,12 +28,14 @@ class Program:
     def __init__(self, graph: Graph, monkeypatch, name: str, *arguments: str):
         self.name, self.last_ns, self._graph, self._is_over = f"/{name}", 0, graph, False
         self._goes, self._waits = threading.Semaphore(0), threading.Semaphore(0)
-        monkeypatch.setattr(sys, "argv", [name, *arguments])
-        monkeypatch.setitem(sys.modules, "rospy", SimpleNamespace(
+        rospy = SimpleNamespace(
             init_node=lambda name: None, Publisher=self._publisher, Rate=self._rate, Time=SimpleNamespace(
-                now=NodeClocks(graph).ros_now), is_shutdown=lambda: self._is_over, ROSInterruptException=KeyError))
-        threading.Thread(target=runpy.run_path, args=(str(EXAMPLES / f"{name}.py"),), daemon=True).start()
-        self._waits.acquire()
+                now=NodeClocks(graph).ros_now), is_shutdown=lambda: self._is_over, ROSInterruptException=KeyError)
+        with monkeypatch.context() as patch:  # until the script has imported it, and waits for the first time
+            patch.setattr(sys, "argv", [name, *arguments])
+            patch.setitem(sys.modules, "rospy", rospy)
+            threading.Thread(target=runpy.run_path, args=(str(EXAMPLES / f"{name}.py"),), daemon=True).start()
+            self._waits.acquire()
 
     def _publisher(self, topic, message_type, queue_size, latch=False):
         topic = f"/{topic}".replace("/control/command/", "/autoware/")

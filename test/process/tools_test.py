@@ -272,6 +272,13 @@ class Tools(unittest.TestCase):
         terminal.lines.wait_for(lambda line: re.search(WAITS, ESCAPES.sub("", line)))
         return terminal
 
+    def wait_until_recorded(self, count):
+        """Wait until so many recorders have had turn_arb's state for a while."""
+        master = rosgraph.Master("/tools_test")
+        eventually(lambda: sum("record" in name for name in dict(master.getSystemState()[1])["/turn_arb/state"])
+                   >= count, f"{count} recorders")
+        self.steering.wait_for_count(20, self.steering.mark())
+
     def recording(self, folder):
         """The bag's name, closed, and nothing else left in the folder, and no process."""
         eventually(lambda: not processes_with(folder), lambda: f"the end of {processes_with(folder)}")
@@ -286,6 +293,7 @@ class Tools(unittest.TestCase):
         terminal = self.begin(self.folder)
         self.hold()
         self.assertRegex(self.wait_for_steering(SteeringState.PLANNER).reason, "^av_steer_req is")
+        self.wait_until_recorded(1)
         terminal.type(b"\x03")
         self.assertEqual(terminal.wait_for_exit(), 1)
         lines = [ESCAPES.sub("", line) for line in terminal.lines.since()]
@@ -300,10 +308,7 @@ class Tools(unittest.TestCase):
         for folder in folders:
             os.mkdir(folder)
         killed, hung_up = (self.begin(folder, f"__name:={os.path.basename(folder)}") for folder in folders)
-        master = rosgraph.Master("/tools_test")
-        eventually(lambda: sum("record" in name for name in dict(master.getSystemState()[1])["/turn_arb/state"]) >= 2,
-                   "both recorders")
-        self.steering.wait_for_count(20, self.steering.mark())
+        self.wait_until_recorded(2)
         help_text = start(self, "env", f"ROS_MASTER_URI={NOWHERE}", executable("calibration_drive"), "--help")
         os.kill(killed.pid, signal.SIGKILL)
         hung_up.hang_up()

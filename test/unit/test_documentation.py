@@ -6,6 +6,9 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from node_reference import TABLE, written
+
+from car_interface.ros.start import CONFIGS
 
 ROOT = Path(__file__).resolve().parents[2]
 README = ROOT / "README.md"
@@ -16,8 +19,6 @@ FOLDERS = ("cfg", "config", "demo", "docs", "launch", "msg", "scripts", "src", "
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 # Folders of a repository path, or a launch file, in a word of the text.
 PATH = re.compile(rf"(?<![\w./~$:-])((?:{'|'.join(FOLDERS)})/[\w./-]*\w|\w+\.launch)(?![\w/])")
-PARAMETER = re.compile(r"params\.\w+\(\s*f?\"([\w/]+)")
-MODULES = sorted([*(ROOT / "src/car_interface").rglob("*.py"), *(ROOT / "demo").glob("*.py")])
 
 
 def text_of(path: Path) -> str:
@@ -75,10 +76,7 @@ def test_install_page_and_recordings_name_the_debian_package_of_every_dependency
     assert {key: name for key, name in debian.items() if name not in words} == {}
 
 
-def test_node_reference_names_every_parameter():
-    read = {name for path in MODULES for name in PARAMETER.findall(text_of(path))}
-    assert {"servo_left", "baud", "servo/channel", "seed", "joy_timeout"} <= read
-    documented = set(re.findall(r"`([\w/]+)`", text_of(NODE_REFERENCE)))
-    # The names of a family end with a slash here: sonars/ and no_echo_timeouts/, one for each sonar.
-    families = {name.rpartition("/")[0] + "/" for name in documented if "/" in name}
-    assert [name for name in sorted(read) if name not in documented and name not in families] == []
+def test_node_reference_has_the_table_of_every_node_s_parameters_as_they_are_declared():
+    text = text_of(NODE_REFERENCE)
+    assert written(text) == text, "python3 test/node_reference.py"
+    assert {found[2] for found in TABLE.finditer(text)} == set(CONFIGS)

@@ -7,9 +7,20 @@ missing or differs. A process without these arguments, as rosrun starts it, take
 """
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Sequence
 
+from car_interface.common import declared
 from car_interface.common.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class CarNodesConfig:
+    """The nodes that car_nodes has on request."""
+
+    throttle: bool = declared.flag("throttle", False, "true = with throttle_arb")
+    planner: bool = declared.flag("planner", False, "true = with planner_interface")
+
 
 # By node: its devices, and the parts that car_nodes has on request. The option of virtual_chip is --virtual-chip.
 FIXED = {"pca9685": ("device", "address", "virtual_chip"), "teensy_sensor_hub": ("port",),

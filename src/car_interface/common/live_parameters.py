@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Callable, Mapping, NamedTuple
 
+from car_interface.common import declared
 from car_interface.common.errors import ConfigError
 from car_interface.common.units import MAX_DUTY, NS_PER_S
 
@@ -16,24 +17,14 @@ MAX_STEP_NS = 50_000_000  # of one step, five ticks of an arbiter: a node that w
 
 @dataclass(frozen=True)
 class TuningSettings:
-    """Limits of tuning, from the parameters.
+    """Limits of tuning."""
 
-    Attributes:
-        max_offset: the largest change of a value from the one at start, in duty; 0 = no tuning.
-        save_to: the YAML file that values are saved to; ``None`` = nowhere.
-        saves_to_package: whether that may be one of the package's own; the demo's may not.
-    """
-
-    max_offset: int
-    save_to: str | None = None
-    saves_to_package: bool = True
-
-
-def read_tuning(params, max_offset: int) -> TuningSettings:
-    """The settings from ~live_range (with this default), ~save_to and ~save_to_package."""
-    return TuningSettings(max_offset=params.integer("live_range", max_offset, low=0, high=MAX_DUTY),
-                          save_to=params.path("save_to", None),
-                          saves_to_package=params.flag("save_to_package", True))
+    max_offset: int = declared.duty(
+        "live_range", 0, "how far it may be [tuned](tuning.md) from its start; 0 = not at all")
+    save_to: str | None = declared.path(
+        "save_to", None, "the file that `~save` writes", default_text="none; the launch file's own")
+    saves_to_package: bool = declared.flag(
+        "save_to_package", True, "false = `~save` refuses a file in the package's own `config`, as in the demo")
 
 
 class Answer(NamedTuple):

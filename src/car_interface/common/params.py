@@ -20,6 +20,9 @@ from car_interface.common.input_file import finite_number, integer
 REQUIRED = object()
 DURATION_S = (0.0, 3600.0)  # range of every timeout: up to an hour
 BY_LAUNCH_FILE = "by the launch file that started this process"
+CONFIG_FOLDER = "config_folder"  # each launch file sets it to the folder that it has read; no node uses it
+# What a launch file's arguments choose, by the parameter's name. roslaunch ignores an argument that is misspelt.
+LAUNCH_ARGUMENTS = {CONFIG_FOLDER: "config", "device": "i2c", "address": "address", "port": "port"}
 
 
 class Params:
@@ -52,21 +55,21 @@ class Params:
         return self._scalar(name, default, search_parents, lambda value: _integer(value, low, high), accepted)
 
     def numbers(self, name: str, default=REQUIRED, low=-math.inf, high=math.inf, search_parents=False) -> list[float]:
-        """Return a list of finite numbers from ``low`` to ``high``."""
+        """Return a list of finite numbers from ``low`` to ``high``, or the default, which may be ``None``."""
         return self._list(name, default, search_parents, lambda value: _number(value, low, high, None),
                           "a number" + _range_text(low, high))
 
-    def integers(self, name: str, length: int, default: int, low: int, high: int) -> list[int]:
+    def integers(self, name: str, default, length: int, low: int, high: int) -> tuple[int, ...]:
         """Return ``length`` integers; a scalar stands for all of them."""
         accepted = "an integer" + _range_text(low, high)
         value = self._get(name, default, False)
         if not isinstance(value, (list, tuple)):
             value = self._checked(name, value, lambda v: _integer(v, low, high), f"{accepted}, or {length} of them")
-            return [value] * length
+            return (value,) * length
         if len(value) != length:
             raise ConfigError(name, value, f"{length} integers, or one for all of them")
-        return [self._checked(f"{name}[{index}]", element, lambda v: _integer(v, low, high), accepted)
-                for index, element in enumerate(value)]
+        return tuple(self._checked(f"{name}[{index}]", element, lambda v: _integer(v, low, high), accepted)
+                     for index, element in enumerate(value))
 
     def flag(self, name: str, default=REQUIRED) -> bool:
         """Return true or false."""
@@ -102,6 +105,13 @@ class Params:
         """Return the seconds after which an input without messages is stale; 0 = never."""
         return self.number(name, default, *DURATION_S)
 
+    def launched_with(self) -> str:
+        """Return what the launch file's arguments chose, for the node's first line in the log; empty by rosrun."""
+        if CONFIG_FOLDER not in self._values:
+            return ""
+        return ", ".join(f"{argument} {self._values[name]}" for name, argument in LAUNCH_ARGUMENTS.items()
+                         if name in self._values)
+
     def finish(self, ignored_namespaces: Sequence[str] = ()) -> None:
         """Refuse names that no reader has asked for.
 
@@ -112,7 +122,8 @@ class Params:
             ConfigError: naming the first unknown parameter and the known ones.
         """
         ignored = tuple(f"{namespace}/" for namespace in ignored_namespaces)
-        unknown = sorted(name for name in self._values if name not in self._known and not name.startswith(ignored))
+        unknown = sorted(name for name in self._values
+                         if name not in (*self._known, CONFIG_FOLDER) and not name.startswith(ignored))
         if unknown:
             raise ConfigError(f"unknown parameter {unknown[0]}", self._values[unknown[0]],
                               "only " + ", ".join(sorted(self._known)))
@@ -139,6 +150,8 @@ class Params:
     def _list(self, name, default, search_parents, read, element):
         accepted = f"a list, each {element}"
         value = self._get(name, default, search_parents, accepted)
+        if value is None:
+            return None
         if not isinstance(value, (list, tuple)):
             raise ConfigError(name, value, accepted)
         return [self._checked(f"{name}[{index}]", x, read, element) for index, x in enumerate(value)]

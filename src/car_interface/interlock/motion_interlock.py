@@ -13,11 +13,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from car_interface.common import causes
+from car_interface.common import causes, declared
 from car_interface.common.staleness import DROPPED, TimedInput
 from car_interface.common.units import NS_PER_S
 
-HUMAN_TIMEOUT_S = 0.5  # as every input of the arbiters
 STARTED = "this node has just started"
 # How to re-arm, in the state message, the log and /diagnostics.
 REARM_REASON = "let go once: publish false, then true"
@@ -27,29 +26,20 @@ MAX_EXPLANATION = 300  # characters, so that another node's text can't flood the
 
 @dataclass(frozen=True)
 class InterlockConfig:
-    """Timeouts and rules of lock and deadman, named as the ROS parameters.
+    """Timeouts and rules of lock and deadman.
 
-    Attributes:
-        human_timeout_s: a deadman older than this is stale; 0 = never.
-        e_stop_timeout_s: an emergency stop that was received once and is older than this locks; 0 = never.
-        e_stop_required: an emergency stop that was never received locks, too.
-        grant_at_start: the first true of the deadman after the start permits motion, as in the original. False: it must
-            be re-armed first, and the interlock waits for the first e_stop until its timeout has passed (with a timeout
-            of 0 it doesn't wait).
+    Unless ``grant_at_start`` the interlock also waits for the first e_stop until its timeout has passed; with a timeout
+    of 0 it doesn't wait.
     """
 
-    human_timeout_s: float = 0.5
-    e_stop_timeout_s: float = 1.0
-    e_stop_required: bool = False
-    grant_at_start: bool = True
-
-
-def read_interlock(params, human_timeout_s: float = HUMAN_TIMEOUT_S) -> InterlockConfig:
-    """The configuration from ~human_timeout, ~e_stop_timeout, ~e_stop_required and ~grant_at_start."""
-    return InterlockConfig(human_timeout_s=params.timeout("human_timeout", human_timeout_s),
-                           e_stop_timeout_s=params.timeout("e_stop_timeout", 1.0),
-                           e_stop_required=params.flag("e_stop_required", False),
-                           grant_at_start=params.flag("grant_at_start", True))
+    human_timeout_s: float = declared.timeout("human_timeout", 0.5, "age at which the deadman is stale")
+    e_stop_timeout_s: float = declared.timeout(
+        "e_stop_timeout", 1.0, "an e-stop that was received once and is stale counts as true")
+    e_stop_required: bool = declared.flag(
+        "e_stop_required", False, "true = an e-stop that was never received counts as true")
+    grant_at_start: bool = declared.flag(
+        "grant_at_start", True, "false = a deadman that is held at start must be released first: see "
+                                "[failsafe](safety.md); the launch files set it to false")
 
 
 class Inhibit(NamedTuple):

@@ -10,9 +10,7 @@ A node that ends by an error is shut down, taken off the graph and started again
 does; the others go on. A parameter that a node refuses at its first start ends the process, likewise a device that is
 required and missing.
 
-Parameters, beside those of each node below its own name:
-    ~throttle false: true = with throttle_arb.
-    ~planner false: true = with planner_interface.
+It has the parameters of each node below that one's own name, too.
 Arguments, by a launch file: --throttle, --planner, and those of pca9685 and teensy_sensor_hub.
 """
 from __future__ import annotations
@@ -26,8 +24,9 @@ from typing import Callable
 
 import rospy
 
+from car_interface.common.declared import read_all
 from car_interface.common.errors import CarInterfaceError
-from car_interface.common.fixed_parameters import fixed_parameters
+from car_interface.common.fixed_parameters import CarNodesConfig, fixed_parameters
 from car_interface.common.units import NS_PER_S
 from car_interface.nodes.generic_value_converter import GenericValueConverter
 from car_interface.nodes.pca9685.node import Pca9685
@@ -43,7 +42,7 @@ PROCESS = "car_nodes"
 NODES = {"turn_arb": TurnArb, "pca9685": Pca9685, "teensy_sensor_hub": TeensySensorHub,
          "generic_value_converter": GenericValueConverter, "throttle_arb": ThrottleArb,
          "planner_interface": PlannerInterface}
-ON_REQUEST = {"throttle": "throttle_arb", "planner": "planner_interface"}
+ON_REQUEST = {"throttle_arb": "throttle", "planner_interface": "planner"}  # by the parameter that has it
 PAUSE_NS = NS_PER_S
 END_WITHIN_NS = 5 * NS_PER_S  # pca9685 tries for two seconds to reach its chip
 POLL_S = 0.005  # Thread.join with a timeout follows the settable clock before Python 3.11
@@ -113,11 +112,9 @@ class CarNodes:
     """Starts the nodes, and restarts those that an error has ended."""
 
     def __init__(self, params, inbox):
-        nodes = dict(NODES)
-        for flag, name in ON_REQUEST.items():
-            if not params.flag(flag, False):
-                del nodes[name]
-        params.finish()
+        config = read_all(params, CarNodesConfig)
+        nodes = {name: node_class for name, node_class in NODES.items()
+                 if name not in ON_REQUEST or getattr(config, ON_REQUEST[name])}
         self._inbox = inbox
         self._due_ns: dict[Part, int] = {}  # of those that wait for their restart
         logging.getLogger("rosout").addFilter(_name_part)

@@ -7,23 +7,17 @@ Publishes:
     ~output/value (Float64Stamped): one for each command that can be converted.
     ~state (ConverterState, latched): the newest value, or why there is none; when the cause changes and at 1 Hz.
     /diagnostics: whether commands are converted, and why not, and who else publishes on its topics; 1 Hz.
-Parameters:
-    ~csv_path_value_map: the absolute path of the map; required unless it isn't used.  ~allow_plateaus false.
-    ~max_value 3.0, ~min_value −5.0: limits of the output.
-    ~convert_value_cmd true, ~use_value_ff true: one of them false passes accelerations through.
-    ~odometry_timeout 0.5 (s, 0 = never).
 """
 from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass
 
 import rospy
 from nav_msgs.msg import Odometry
 
 from car_interface.common import causes
-from car_interface.common.errors import ConfigError
+from car_interface.common.declared import read_all
 from car_interface.common.rate_timer import RateTimer
 from car_interface.msg import Control, ConverterState, Float64Stamped
 from car_interface.ros.clocks import RosClock, StampedAge, odd_stamp
@@ -32,63 +26,17 @@ from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
 from car_interface.ros.logs import ThrottledWarnings
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, subscribe
-from car_interface.throttle.converter import Conversion, ConversionConfig, Converter
-from car_interface.throttle.value_map import ValueMap, load_value_map
+from car_interface.throttle.converter import Conversion, Converter, ConverterConfig
 
 STATE_RATE_HZ = 1
 NO_COMMAND = Conversion(None, causes.NO_REQUEST, "waiting for the first command")
-
-
-@dataclass(frozen=True)
-class ConverterConfig:
-    """The node's configuration.
-
-    Attributes:
-        conversion: limits and timeout.
-        map_path: the map's file; empty = accelerations pass through.
-        value_map: the map; ``None`` = accelerations pass through.
-    """
-
-    conversion: ConversionConfig
-    map_path: str
-    value_map: ValueMap | None
-
-
-def read_config(params) -> ConverterConfig:
-    """Read the node's configuration, including the map, without other side effects.
-
-    Raises:
-        ConfigError: naming the parameter, or the place in the map's file.
-    """
-    config = _read_conversion(params)
-    params.finish()
-    return config
-
-
-def _read_conversion(params):
-    converts = params.flag("convert_value_cmd", True)
-    uses_map = params.flag("use_value_ff", True)
-    path = params.path("csv_path_value_map", None)
-    allow_plateaus = params.flag("allow_plateaus", False)
-    conversion = ConversionConfig(min_value=params.number("min_value", -5.0), max_value=params.number("max_value", 3.0),
-                                  odometry_timeout_s=params.timeout("odometry_timeout", 0.5))
-    if not (converts and uses_map):
-        return ConverterConfig(conversion, "", None)
-    if path is None:
-        path = params.path("csv_path_value_map")
-    value_map = load_value_map(path, allow_plateaus)
-    try:
-        Converter(conversion, value_map)  # checks the map against the limits
-    except ConfigError as error:
-        raise error.within(path) from error
-    return ConverterConfig(conversion, path, value_map)
 
 
 class GenericValueConverter:
     """Converts each command."""
 
     def __init__(self, params, inbox):
-        config = read_config(params)
+        config = read_all(params, ConverterConfig)
         self._converter = Converter(config.conversion, config.value_map)
         _warn_of_clamped_values(config)
         self._inbox = inbox

@@ -16,15 +16,6 @@ Publishes, at 50 Hz (mode and scale_button: 10 Hz) and at once when they or the 
     ~state (TeleopState, latched): whether a human holds a deadman, cause, reason, what becomes of each stick, age of
         joy; when one of these changes and 10 times a second. For people: nothing that drives follows it.
     /diagnostics: the same with the remedy, and who else publishes on its topic; 1 Hz.
-Parameters:
-    ~steer_axis, ~throttle_axis (−1 = none), ~manual_button, ~autonomous_button: indices into the Joy message; required.
-    ~third_button −1 (none), ~third_mode human_steering: another deadman.
-    ~faster_button −1, ~slower_button −1: change the scale of driving by hand.
-    ~steer_scale 1.0, ~throttle_scale 1.0: −1 inverts an axis.
-    ~override_deadband 0.1: a stick beyond it overrides the planner; an axis counts once it was within.
-    ~steer_neutral 0.0, ~steer_deadband 0.001: the request that means "not steering", and how near to it another one
-        means the same: turn_arb's tele_steer_neutral and tele_steer_deadband.
-    ~joy_timeout 0.25 (s): a message older than this releases the deadman.
 """
 from __future__ import annotations
 
@@ -36,31 +27,25 @@ from std_msgs.msg import Bool, Float32, Int8, String
 
 from car_interface.common import causes
 from car_interface.common.causes import HUMAN_DRIVES
+from car_interface.common.declared import read_all
 from car_interface.common.rate_timer import RateTimer
 from car_interface.msg import TeleopState
 from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import ERROR, OK, WARN, Diagnostics, age_text
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, subscribe
-from car_interface.teleop.gamepad import REPORT, Gamepad, GamepadConfig, read_gamepad, remedy
+from car_interface.teleop.gamepad import REPORT, Gamepad, GamepadConfig, remedy
 from car_interface.teleop.log_filter import RequestsLogFilter
 
 RATE_HZ = 50
 TICKS_PER_STATE = 5
 
 
-def read_config(params) -> GamepadConfig:
-    """The node's configuration from its parameters."""
-    config = read_gamepad(params)
-    params.finish()
-    return config
-
-
 class TeleopLogi:
     """Reads the gamepad and publishes requests."""
 
     def __init__(self, params, inbox):
-        self._gamepad = Gamepad(read_config(params))
+        self._gamepad = Gamepad(read_all(params, GamepadConfig))
         self._inbox = inbox
         self._published = None
         self._clocks = inbox.clocks

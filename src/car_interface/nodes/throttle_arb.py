@@ -24,23 +24,6 @@ Publishes:
     servo/neutral (std_msgs/Int32MultiArray, latched, 1 Hz): the ESC's neutral, for the servo board's timeout value; −1
         elsewhere.
     /diagnostics: a summary of the same, and who else publishes on its topics; 1 Hz.
-Parameters:
-    ~servo/channel (0..15), ~servo/value_axis, ~servo/duty_table, ~servo/neutral (duty 0..65535): required.
-    ~tele_throt_deadband 0.05, ~expo 0, ~human_scale 0.3, ~brake_scale 1.0, ~scale_step 0.1: of driving by hand.
-    ~esc/profile unverified, and the ESC's numbers: see ``throttle.esc_config``.
-    ~teleop_timeout 0.5, ~mode_timeout 0.5, ~command_timeout 0.5 (the planner's value), ~odometry_timeout 0.5,
-        ~steering_timeout 0.25, ~human_timeout 0.5 (s, 0 = never): an older input is stale.
-    ~output_timeout 0.5 (s, 0 = never): the same of /servo/output.  ~output_required true: false = a board node that
-        never published it is driven unchecked.  ~board/pwm_min 0, ~board/pwm_max 65535: the board's limits; the rest
-        of ~board, pca9685's YAML file, is not read.
-    ~e_stop_timeout 1.0 (s, 0 = never), ~e_stop_required false, ~grant_at_start true: as turn_arb's.
-    ~planner/max_speed, ~planner/max_acceleration, ~planner/max_braking, ~human/… 0 (m/s, m/s², 0 = none): limits of
-        what each asks for, at the measured speed.  ~slow_down true: a planner's car that is too fast for the turn that
-        is asked for slows down.  ~csv_path_value_map, ~allow_plateaus false: the value map, for the accelerations.
-    ~obstacle_stop false: true = no faster than it can stop within what the sonars look at on its arc; then ~obstacle/…
-        (~obstacle/creep 0.3 m/s: what is left into the unknown) and, below ~sonar_hub, the sensor hub's sonars.yaml:
-        see ``throttle.obstacle_stop``.
-    ~live_range 100 (duty): the largest change of servo/neutral while it runs.  ~save_to: the file to save it to.
 Services: see ``ros.reconfigure``; set_parameters is below ~servo.
 """
 from __future__ import annotations
@@ -56,6 +39,7 @@ from std_msgs.msg import Float32, Int8, Int32MultiArray, String
 from car_interface.cfg import EscNeutralConfig
 from car_interface.common import causes
 from car_interface.common.causes import MODES
+from car_interface.common.declared import read_all
 from car_interface.common.live_parameters import Tuning
 from car_interface.common.measured_speed import MAX_SPEED_MPS
 from car_interface.common.units import CHANNELS
@@ -68,9 +52,9 @@ from car_interface.ros.topics import one_channel_duty, subscribe, subscribe_chan
 from car_interface.steering.arbiter import LOCKED, source_name
 from car_interface.throttle.arbiter import NoValue
 from car_interface.throttle.calibration import trimmed
+from car_interface.throttle.config import ThrottleConfig
 from car_interface.throttle.control import ThrottleControl
 from car_interface.throttle.esc import ARMING, PASSES
-from car_interface.throttle.params import read_config
 
 RATE_HZ = 50
 LIVE_RATE = 100  # duty per second
@@ -85,7 +69,7 @@ class ThrottleArb(CommandNode):
     repeats_change = False
 
     def __init__(self, params, inbox):
-        config = read_config(params)
+        config = read_all(params, ThrottleConfig)
         self._control = ThrottleControl(config.calibration, config.arbiter, config.esc, config.limits,
                                         config.obstacles)
         self._arbiter = self._control.arbiter

@@ -8,7 +8,7 @@ Subscribes:
     av_steer_req (std_msgs/Float32): −1 right .. +1 left, of a planner that knows no radius; not beside av_turnrad_req.
     ~input/odometry (nav_msgs/Odometry): its twist.twist.linear.x in m/s, for the limits and the understeer. Never
         received = neither; lost = the last one stays. The steering goes on. With twist.twist.angular.z in rad/s it also
-        shows whether the car turns as commanded.
+        shows whether the car turns as commanded, once that was other than 0.
     teleop_logi/state (TeleopState): why human_in_loop is false, and whether the stick overrides the planner; only
         quoted in the reason.
 Publishes:
@@ -17,26 +17,11 @@ Publishes:
     servo/neutral (std_msgs/Int32MultiArray, latched, 1 Hz): the center, for the servo board's timeout value; −1
         elsewhere.
     /diagnostics: a summary of the same, whether the car turns as commanded, and who else publishes on its topics; 1 Hz.
-Parameters (those of the original are also looked up in the namespaces around the node's):
-    servo_left, servo_center, servo_right (duty 0..65535), servo_channel (0..15), m_turnrad_axis_servo (m),
-    k_pwmcmd_left_table_servo, k_pwmcmd_right_table_servo (duties): all required.
-    ~tele_steer_neutral 0.0, ~tele_steer_deadband 0.001.
-    ~understeer 0 (1/m for each (m/s²)² of lateral acceleration): by how much turns widen with speed.
-    ~planner/max_lateral_acceleration 4.0 (m/s²), ~planner/max_lateral_jerk 40 (m/s³), ~human/… 0: limits of the turns
-        that each asks for, at the measured speed; 0 = none.  ~odometry_timeout 0.5 (s, 0 = never).
-    ~slew_limit 0 (duty per second, 0 = none): the servo's maximum speed under gamepad and planner.
-    ~e_stop_timeout 1.0 (s, 0 = never): an e_stop that was received once and is older than this locks.
-    ~e_stop_required false: true = one that was never received locks, too.
-    ~grant_at_start true: false (as in config/) = a deadman that is held when the node starts counts only after it was
-        released, while e_stop is off or ~e_stop_timeout has passed without it.
-    ~input_timeout 0.5 (s, 0 = never), and ~human_timeout, ~teleop_timeout, ~planner_timeout, which it sets.
-    ~live_range 500 (duty): the largest change of ends and center while it runs.  ~save_to: the file to save them to.
 Services: see ``ros.reconfigure``.
 """
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import rospy
 from nav_msgs.msg import Odometry
@@ -44,58 +29,32 @@ from std_msgs.msg import Float32
 
 from car_interface.cfg import SteeringTrimConfig
 from car_interface.common import causes
-from car_interface.common.live_parameters import Tuning, TuningSettings, read_tuning
+from car_interface.common.declared import read_all
+from car_interface.common.live_parameters import Tuning
 from car_interface.msg import SteeringState, TeleopState
 from car_interface.nodes.command_node import TICKS_PER_STATE, CommandNode
 from car_interface.ros.diagnostics import OK, WARN, age_text
 from car_interface.ros.reconfigure import ReconfigureServer
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import one_channel_duty, subscribe, subscribe_changes
-from car_interface.steering.arbiter import LOCKED, SOURCE_NAMES, ArbiterConfig, SteeringArbiter
-from car_interface.steering.calibration import SteeringCalibration, trimmed
+from car_interface.steering.arbiter import LOCKED, SOURCE_NAMES, SteeringArbiter
+from car_interface.steering.calibration import trimmed
+from car_interface.steering.config import TurnArbConfig
 from car_interface.steering.limits import TOO_TIGHT_REMEDY
 from car_interface.steering.monitor import SteeringCheck
-from car_interface.steering.params import read_arbiter, read_calibration
 
 RATE_HZ = 100
-LIVE_RANGE = 500  # duty, by default: 0.15 ms of a pulse at 50 Hz, a sixth of a servo's travel
 LIVE_RATE = 500  # duty per second, or slew_limit where that is less
-
-
-@dataclass(frozen=True)
-class TurnArbConfig:
-    """The node's configuration.
-
-    Attributes:
-        calibration: servo ends, center and tables.
-        arbiter: the rules of who steers.
-        tuning: how far the calibration may be tuned while the car drives, and where it is saved.
-    """
-
-    calibration: SteeringCalibration
-    arbiter: ArbiterConfig
-    tuning: TuningSettings
-
-
-def read_config(params) -> TurnArbConfig:
-    """Read the node's configuration from its parameters, without side effects.
-
-    Raises:
-        ConfigError: naming the parameter.
-    """
-    config = TurnArbConfig(tuning=read_tuning(params, LIVE_RANGE), calibration=read_calibration(params),
-                           arbiter=read_arbiter(params))
-    params.finish()
-    return config
 
 
 class TurnArb(CommandNode):
     """Receives the inputs, decides, publishes."""
 
     def __init__(self, params, inbox):
-        config = read_config(params)
+        config = read_all(params, TurnArbConfig)
         self._arbiter = SteeringArbiter(config.calibration, config.arbiter)
         self._check = SteeringCheck()
+        self._has_yaw_rate = False  # odometry of a speed alone has 0, as of a car that always goes straight on
         self._too_tight = ""  # as was logged; empty: no request was too tight lately
         self._master_fault = ""
         super().__init__(inbox, RATE_HZ, config.calibration.servo_channel, self._arbiter, SteeringState,
@@ -143,7 +102,10 @@ class TurnArb(CommandNode):
 
     def _on_odometry(self, message, now_ns):
         speed_mps = message.twist.twist.linear.x
-        self._check.update_motion(speed_mps, message.twist.twist.angular.z, now_ns)
+        yaw_rate_radps = message.twist.twist.angular.z
+        self._has_yaw_rate = self._has_yaw_rate or abs(yaw_rate_radps) > 0
+        if self._has_yaw_rate:
+            self._check.update_motion(speed_mps, yaw_rate_radps, now_ns)
         self._arbiter.update_odometry(speed_mps, now_ns, self._odometry_age.at_arrival_ns(message.header.stamp, now_ns))
         if not math.isfinite(speed_mps):
             self._warnings.warn(causes.ODOMETRY_NOT_FINITE,

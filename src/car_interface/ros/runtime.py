@@ -132,8 +132,10 @@ def spin(node_class, inbox: Inbox, read_fixed: Callable[[], Mapping[str, str | N
         read_fixed: returns what a launch file gave to this process for the node.
     """
     def build():
-        fixed = read_fixed()
-        return node_class(read_params(inbox, fixed), inbox)
+        params = read_params(inbox, read_fixed())
+        if params.launched_with():
+            rospy.loginfo("launched with %s", params.launched_with())
+        return node_class(params, inbox)
     node = build_node(build, inbox)
     if node is None:
         return

@@ -13,6 +13,7 @@ import contextlib
 import importlib
 import importlib.util
 import os
+import re
 import signal
 import sys
 from pathlib import Path
@@ -28,6 +29,21 @@ NEEDED_MIB = 380
 WITH_ROSPY = (NODES, "tools.doctor.")
 # The nodes with options of their own, and the module whose parse() reads them.
 OPTIONS = {"nodes.calibration_drive": "tools.calibration.drive.config"}
+# Where the parameters of each node are declared: classes that can be imported without rospy.
+CONFIGS = {
+    "turn_arb": "steering.config.TurnArbConfig",
+    "throttle_arb": "throttle.config.ThrottleConfig",
+    "pca9685": "pca9685.config.Pca9685Config",
+    "teensy_sensor_hub": "nodes.teensy_sensor_hub.config.HubConfig",
+    "generic_value_converter": "throttle.converter.ConverterConfig",
+    "planner_interface": "nodes.planner_interface.config.PlannerInterfaceConfig",
+    "teleop_logi": "teleop.gamepad.GamepadConfig",
+    "gamepad_joy": "teleop.joystick.JoystickConfig",
+    "keyboard_drive": "teleop.keyboard.KeyboardConfig",
+    "car_nodes": "common.fixed_parameters.CarNodesConfig",
+    "car_display": "nodes.car_display.config.CarDisplayConfig",
+    "car_sim": "nodes.car_sim.config.CarSimConfig",
+}
 
 
 def start(module: str) -> None:
@@ -59,10 +75,26 @@ def full_name(module: str) -> str:
     return f"{name}.node" if importlib.util.find_spec(name).submodule_search_locations else name
 
 
+def config_class(node: str) -> type | None:
+    """Return the class that declares a node's parameters; ``None`` = it has none."""
+    module, _, name = CONFIGS.get(node, "").rpartition(".")
+    return getattr(importlib.import_module(f"car_interface.{module}"), name) if module else None
+
+
 def usage(module: str) -> str:
-    """A node's usage, with the first paragraph of its module's docstring."""
+    """Return a node's usage: the first paragraph of its module's docstring, and its parameters."""
+    from car_interface.common.declared import rows  # here: a node that runs, and a tool, do without
     source = Path(importlib.util.find_spec(full_name(module)).origin).read_text(encoding="utf-8")
     purpose = ast.get_docstring(ast.parse(source)).split("\n\n")[0]
     name = module[len(NODES):]
-    return (f"usage: rosrun car_interface {name} [-h] [_PARAMETER:=VALUE ...] [TOPIC:=NEW_NAME ...]\n\n{purpose}\n\n"
-            "docs/nodes.md of the package lists its parameters, topics and services.")
+    config = config_class(name)
+    parameters = "" if config is None else "\n\nparameters:\n" + "\n".join(map(_usage_of, rows(config)))
+    return (f"usage: rosrun car_interface {name} [-h] [_PARAMETER:=VALUE ...] [TOPIC:=NEW_NAME ...]\n\n{purpose}"
+            f"{parameters}\n\ndocs/nodes.md of the package lists its topics and services.")
+
+
+def _usage_of(row):
+    """Return a parameter's lines, without the links and the quotes that are for docs/nodes.md."""
+    facts = "; ".join(filter(None, (row.default, row.range)))
+    meaning = re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", row.text)
+    return f"  {row.name} ({facts})\n      {meaning}".replace("`", "")

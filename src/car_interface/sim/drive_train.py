@@ -8,23 +8,22 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from car_interface.common import declared
 from car_interface.common.errors import require
 from car_interface.sim.esc import BACKWARD, BRAKE, FORWARD, MotorState
 
 # 0.5 ms and 2.5 ms of a 20 ms period that is 65536 long: servos and ESCs ignore any other length.
 SHORTEST_PULSE, MAX_PULSE = 1638, 8192
+TRUE = "of the full duty, before drag; forward and backward at standstill"  # the meaning of three parameters
 
 
 @dataclass(frozen=True)
-class DriveConfig:
+class DriveTrainConfig:
     """The drive train, from the ESC's duty to the car's acceleration.
 
     Attributes:
         full_reverse_duty, neutral_duty, full_forward_duty: 1.0, 1.5 and 2.0 ms at 50 Hz.
         neutral_band_duty: within this distance of neutral the ESC does nothing.
-        forward_mps2: of full throttle at standstill, before drag.
-        reverse_mps2: of full reverse at standstill, before drag.
-        brake_mps2: of the full duty against the way the car rolls, before drag.
         thrust_halves_mps: at this speed the motor has half its thrust.
         drag_mps2, drag_per_s, drag_per_m: resistance at speed v is their sum, the second times v, the third times v².
             With the defaults full throttle ends at 14 m/s.
@@ -38,9 +37,13 @@ class DriveConfig:
     neutral_duty: float = 4915.0
     full_forward_duty: float = 6554.0
     neutral_band_duty: float = 25.0
-    forward_mps2: float = 5.6
-    reverse_mps2: float = 3.6
-    brake_mps2: float = 7.0
+    forward_mps2: float = declared.number(
+        "forward_acceleration", 5.6, TRUE, "m/s²", above=0.0, high=100)
+    reverse_mps2: float = declared.number(
+        "reverse_acceleration", 3.6, TRUE, "m/s²", above=0.0, high=100)
+    brake_mps2: float = declared.number(
+        "brake_deceleration", 7.0, TRUE, "m/s²", above=0.0,
+        high=100)
     thrust_halves_mps: float = 9.4
     drag_mps2: float = 0.35
     drag_per_s: float = 0.08
@@ -70,7 +73,7 @@ def is_pulse(duty: int) -> bool:
     return SHORTEST_PULSE <= duty <= MAX_PULSE
 
 
-def throttle(duty: int, drive: DriveConfig) -> float | None:
+def throttle(duty: int, drive: DriveTrainConfig) -> float | None:
     """Return the throttle of a duty: -1 (full reverse) to 1 (full forward), 0 in the neutral band; None: no pulse."""
     if not is_pulse(duty):
         return None
@@ -102,7 +105,8 @@ class Motor:
 
 
 def motor_acceleration_mps2(
-    push: float, brake: float, speed_mps: float, drive: DriveConfig, thrust: float = 1.0, downhill_mps2: float = 0.0
+    push: float, brake: float, speed_mps: float, drive: DriveTrainConfig, thrust: float = 1.0,
+    downhill_mps2: float = 0.0,
 ) -> float:
     """Return the car's acceleration by its motor; the other arguments as of ``true_acceleration_mps2``."""
     speed = abs(speed_mps)
@@ -118,7 +122,8 @@ def motor_acceleration_mps2(
 
 
 def true_acceleration_mps2(
-    esc_duty: int, speed_mps: float, drive: DriveConfig = DriveConfig(), thrust: float = 1.0, downhill_mps2: float = 0.0
+    esc_duty: int, speed_mps: float, drive: DriveTrainConfig = DriveTrainConfig(), thrust: float = 1.0,
+    downhill_mps2: float = 0.0,
 ) -> float:
     """Return the car's acceleration without an ESC's memory, which a value map for this car approximates.
 

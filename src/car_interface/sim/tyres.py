@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from car_interface.common import declared
 from car_interface.common.errors import require
 
 UPRIGHT_RATIO = 0.9  # below this part of the acceleration at which it tips, the car stands on its wheels again
@@ -21,17 +22,15 @@ UPRIGHT_RATIO = 0.9  # below this part of the acceleration at which it tips, the
 
 @dataclass(frozen=True)
 class TyreConfig:
-    """One car's tyres and its balance.
+    """One car's tyres and its balance: those of the measured car, and rubber on a dry floor, 0.8 g."""
 
-    Attributes:
-        understeer: curvature lost, in 1/m for each (m/s²)² of lateral acceleration. The measured car has 0.0078.
-        grip_mps2: the most acceleration, along and across together: 0.8 g, rubber on a dry floor.
-        rollover_mps2: the lateral acceleration at which it tips.
-    """
-
-    understeer: float = 0.0078
-    grip_mps2: float = 7.8
-    rollover_mps2: float = 7.0
+    understeer: float = declared.number(
+        "understeer", 0.0078, "curvature that it loses by its lateral acceleration", "1/m for each (m/s²)²", low=0,
+        high=1)
+    grip_mps2: float = declared.number(
+        "grip", 7.8, "the most acceleration, along and across together", "m/s²", above=0.0, high=100)
+    rollover_mps2: float = declared.number(
+        "rollover", 7.0, "the lateral acceleration at which it tips", "m/s²", above=0.0, high=100)
 
     def __post_init__(self):
         require(self.understeer >= 0, "understeer", self.understeer, "0 or more")

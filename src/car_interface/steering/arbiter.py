@@ -9,10 +9,10 @@ Steering −1 is right and +1 left; a turn radius is in metres, right negative; 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
-from car_interface.common import causes
+from car_interface.common import causes, declared
 from car_interface.common.lookup_table import round_half_away
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
@@ -24,6 +24,7 @@ from car_interface.steering.limits import SteeringLimiter, SteeringLimits, too_t
 LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER = range(5)
 SOURCE_NAMES = ("LOCKED", "NO_HUMAN", "NEUTRAL", "TELEOP", "PLANNER")
 
+MAX_SLEW_LIMIT = 1e9  # duty per second: from end to end within a timer period, many times over
 NO_RADIUS_M = 0.001  # a requested radius this close to 0 means "no request", as in the original
 FLOAT32_TOLERANCE = 1 + 2 ** -23  # 0.001 arrives from a Float32 as 0.001000000047
 
@@ -34,26 +35,25 @@ def source_name(source: int) -> str:
 
 
 @dataclass(frozen=True)
-class ArbiterConfig:
-    """The rules of who steers, named as the ROS parameters.
+class SteeringArbiterConfig:
+    """The rules of who steers."""
 
-    Attributes:
-        tele_steer_neutral: the request that means "not steering" (0.5 for an old 0..1 stack).
-        tele_steer_deadband: requests this near to it mean the same.
-        slew_limit: the servo's maximum speed under gamepad and planner, in duty per second; 0 = no limit.
-        interlock: the rules of emergency stop and deadman.
-        limits: of lateral acceleration and its rise.
-        teleop_timeout_s, planner_timeout_s: an input older than this is stale; 0 = never. The second is that of both
-            of the planner's.
-    """
-
-    tele_steer_neutral: float = 0.0
-    tele_steer_deadband: float = 0.001
-    slew_limit: float = 0.0
-    interlock: InterlockConfig = field(default_factory=InterlockConfig)
-    limits: SteeringLimits = field(default_factory=SteeringLimits)
-    teleop_timeout_s: float = 0.5
-    planner_timeout_s: float = 0.5
+    tele_steer_neutral: float = declared.number(
+        "tele_steer_neutral", 0.0, 'the gamepad\'s request that means "not steering"; 0.5 for an old 0..1 stack',
+        low=-1, high=1)
+    tele_steer_deadband: float = declared.number(
+        "tele_steer_deadband", 0.001, "requests this near to it mean the same", low=0, high=1)
+    slew_limit: float = declared.number(
+        "slew_limit", 0.0, "rate limit for gamepad and planner, 0 = none; never slows the return to neutral", "duty/s",
+        low=0, high=MAX_SLEW_LIMIT)
+    interlock: InterlockConfig = declared.group(InterlockConfig(), same_as={"human_timeout": "input_timeout"})
+    limits: SteeringLimits = declared.group(SteeringLimits())
+    input_timeout_s: float = declared.timeout(
+        "input_timeout", 0.5, "sets the timeouts that name it")
+    teleop_timeout_s: float = declared.timeout(
+        "teleop_timeout", 0.5, "age at which the requests are stale", same_as="input_timeout")
+    planner_timeout_s: float = declared.timeout(
+        "planner_timeout", 0.5, "age at which the requests are stale", same_as="input_timeout")
 
 
 class Decision(NamedTuple):
@@ -91,7 +91,7 @@ class SteeringArbiter:
     think that they are steering. A planner asks by radius or by steering: while both are fresh neither is obeyed.
     """
 
-    def __init__(self, calibration: SteeringCalibration, config: ArbiterConfig = ArbiterConfig()):
+    def __init__(self, calibration: SteeringCalibration, config: SteeringArbiterConfig = SteeringArbiterConfig()):
         self._calibration = calibration
         self._config = config
         self._interlock = MotionInterlock(config.interlock)

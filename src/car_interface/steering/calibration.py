@@ -9,6 +9,8 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import Sequence
 
+from car_interface.common import declared
+from car_interface.common.declared import REQUIRED
 from car_interface.common.errors import ConfigError
 from car_interface.common.lookup_table import LookupTable, round_half_away
 from car_interface.common.units import MAX_DUTY
@@ -19,31 +21,30 @@ TABLE_DIGITS = 1  # decimals of a duty in a trimmed table; a servo resolves less
 
 @dataclass(frozen=True)
 class SteeringCalibration:
-    """The servo's end positions and center, and tables of turn radius to duty.
+    """The servo's end positions and center, and tables of turn radius to duty, as driven slowly.
 
-    Attributes:
-        servo_left, servo_center, servo_right: duty at full left, straight ahead and full right; the center lies between
-            the other two (either may be the larger).
-        servo_channel: 0..15.
-        radius_axis_m: magnitudes of turn radius in metres, positive, increasing.
-        left_duties, right_duties: the duty for each radius, as driven slowly.
-        understeer: by how much turns widen with speed: the curvature lost, in 1/m for each (m/s²)² of lateral
-            acceleration; 0 = not at all. On 15 circles of a 3.5 kg F1TENTH car by motion capture (0.5 to 2.5 m/s, 1 to
-            5 m/s² sideways) that describes the radius within 2.5 %; R₀ (1 + k v²), linear in the lateral acceleration,
-            is off by up to 13 % at 2.5 m/s.
+    The center lies between the ends, either of which may be the larger. ``understeer`` is the curvature lost, in 1/m
+    for each (m/s²)² of lateral acceleration. On 15 circles of a 3.5 kg F1TENTH car by motion capture (0.5 to 2.5 m/s, 1
+    to 5 m/s² sideways) that describes the radius within 2.5 %; R₀ (1 + k v²), linear in the lateral acceleration, is
+    off by up to 13 % at 2.5 m/s.
 
     Raises:
-        ConfigError: naming the ROS parameter.
+        ConfigError: naming the parameter.
     """
 
-    servo_left: int
-    servo_center: int
-    servo_right: int
-    servo_channel: int
-    radius_axis_m: Sequence[float]
-    left_duties: Sequence[float]
-    right_duties: Sequence[float]
-    understeer: float = 0.0
+    servo_left: int = declared.duty("servo_left", REQUIRED, "full left", search_parents=True)
+    servo_center: int = declared.duty("servo_center", REQUIRED, "straight on", search_parents=True)
+    servo_right: int = declared.duty("servo_right", REQUIRED, "full right", search_parents=True)
+    servo_channel: int = declared.channel("servo_channel", REQUIRED, "channel of the servo board", search_parents=True)
+    radius_axis_m: Sequence[float] = declared.numbers(
+        "m_turnrad_axis_servo", REQUIRED, "turn radii of the two tables, rising", "m, above 0", search_parents=True)
+    left_duties: Sequence[float] = declared.duties(
+        "k_pwmcmd_left_table_servo", REQUIRED, "the duty for each radius, to each side", search_parents=True)
+    right_duties: Sequence[float] = declared.duties(
+        "k_pwmcmd_right_table_servo", REQUIRED, "the duty for each radius, to each side", search_parents=True)
+    understeer: float = declared.number(
+        "understeer", 0.0, "by how much [turns widen with speed](limits.md#turns-that-widen-with-speed)",
+        "1/m for each (m/s²)²", low=0, high=1)
     _left: LookupTable = field(init=False, repr=False, compare=False)
     _right: LookupTable = field(init=False, repr=False, compare=False)
 

@@ -10,10 +10,10 @@ If no speed was ever received, nothing is limited. When the speed is lost, the l
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
-from car_interface.common import causes
+from car_interface.common import causes, declared
 from car_interface.common.measured_speed import MeasuredSpeed
 from car_interface.common.units import NS_PER_S
 
@@ -29,15 +29,13 @@ JERK_OVER_S = 0.05
 
 @dataclass(frozen=True)
 class SourceLimits:
-    """What one source may ask of the tyres; 0 = no limit.
+    """What one source may ask of the tyres; 0 = no limit."""
 
-    Attributes:
-        max_lateral_mps2: lateral acceleration.
-        max_jerk_mps3: its rise in a second.
-    """
-
-    max_lateral_mps2: float = 0.0
-    max_jerk_mps3: float = 0.0
+    max_lateral_mps2: float = declared.number(
+        "max_lateral_acceleration", 0.0, "[limit](limits.md) of how tight turns may be at the measured speed, 0 = none",
+        "m/s²", low=0.0, high=20.0)
+    max_jerk_mps3: float = declared.number(
+        "max_lateral_jerk", 0.0, "limit of how quickly the car turns in, 0 = none", "m/s³", low=0.0, high=1000.0)
 
     @property
     def is_off(self) -> bool:
@@ -47,34 +45,16 @@ class SourceLimits:
 
 @dataclass(frozen=True)
 class SteeringLimits:
-    """The limits of the steering, named as the ROS parameters.
+    """The limits of the steering, for each source.
 
-    Attributes:
-        human, planner: of each source. 4 m/s² is 0.4 g, half of what rubber holds on a dry floor. Autoware's gate
-            allows 5 m/s² to cars that are wider for their height.
-        odometry_timeout_s: a speed older than this is lost; 0 = never.
+    4 m/s² is 0.4 g, half of what rubber holds on a dry floor. Autoware's gate allows 5 m/s² to cars that are wider for
+    their height.
     """
 
-    human: SourceLimits = field(default_factory=SourceLimits)
-    planner: SourceLimits = field(default_factory=lambda: SourceLimits(max_lateral_mps2=4.0, max_jerk_mps3=40.0))
-    odometry_timeout_s: float = 0.5
-
-
-def read_limits(params) -> SteeringLimits:
-    """The limits from ~human/… and ~planner/….
-
-    Raises:
-        ConfigError: naming the parameter.
-    """
-    default = SteeringLimits()
-
-    def source(name, limits):
-        return SourceLimits(
-            max_lateral_mps2=params.number(f"{name}/max_lateral_acceleration", limits.max_lateral_mps2, 0.0, 20.0),
-            max_jerk_mps3=params.number(f"{name}/max_lateral_jerk", limits.max_jerk_mps3, 0.0, 1000.0))
-
-    return SteeringLimits(human=source("human", default.human), planner=source("planner", default.planner),
-                          odometry_timeout_s=params.timeout("odometry_timeout", default.odometry_timeout_s))
+    human: SourceLimits = declared.group(SourceLimits(), "human/")
+    planner: SourceLimits = declared.group(SourceLimits(max_lateral_mps2=4.0, max_jerk_mps3=40.0), "planner/")
+    odometry_timeout_s: float = declared.timeout(
+        "odometry_timeout", 0.5, "age at which the speed is lost; the last bound stays")
 
 
 def too_tight_reason(asked_m: float, slow_m: float, driven_m: float, speed_mps: float) -> str:

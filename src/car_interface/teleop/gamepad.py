@@ -13,8 +13,9 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple, Sequence
 
-from car_interface.common import causes
+from car_interface.common import causes, declared
 from car_interface.common.causes import HUMAN_DRIVES, HUMAN_STEERING, HUMAN_STEERS, HUMAN_THROTTLE, MANUAL, MODES
+from car_interface.common.declared import REQUIRED
 from car_interface.common.errors import ConfigError
 from car_interface.common.staleness import DROPPED, TimedInput
 from car_interface.common.units import NS_PER_S
@@ -24,6 +25,7 @@ from car_interface.teleop.stick import Stick
 REARM_TEXT = "let go of the deadman, then hold it again"
 MAX_INDEX = 63  # of an axis or a button
 NONE = -1  # as an index: the gamepad has no such axis or button
+CHANGES_SCALE = "a press changes the scale of driving by hand by throttle_arb's `scale_step`; −1 = none"
 REPORT = "gamepad"  # teleop_logi's on /diagnostics
 # Remedies for a gamepad that doesn't work. Logitech's F310 and F710 have a switch: in X mode they have 8 axes and 11
 # buttons; in D mode 6 and 12, with the cross in the place of the right stick.
@@ -56,40 +58,41 @@ PULL_BEGINS = 0.02  # the least that esc/dead_band_reverse can be
 
 @dataclass(frozen=True)
 class GamepadConfig:
-    """Which axis and button does what (indices into sensor_msgs/Joy), and the scale of each axis.
+    """Which axis and button does what, by their indices in sensor_msgs/Joy.
 
-    Attributes:
-        steer_axis, throttle_axis: indices of axes. Without a throttle axis (``NONE``) the throttle's request is NaN.
-        steer_scale, throttle_scale: −1 inverts an axis.
-        manual_button: deadman: the human steers.
-        autonomous_button: deadman: the planner steers while a human watches.
-        third_button: deadman of ``third_mode``; ``NONE`` = there is none.
-        third_mode: HUMAN_THROTTLE or HUMAN_STEERING of ``common.causes``.
-        faster_button, slower_button: change the scale of driving by hand; ``NONE`` = there is none. A gamepad that
-            lacks one of them does without.
-        override_deadband: a stick beyond it overrides the planner. An axis at rest is within.
-        steer_neutral: the request that means "not steering".
-        steer_deadband: requests this near to it mean the same. Both as in turn_arb.
-        joy_timeout_s: a message older than this releases the deadman; 0 = never.
+    Without a throttle axis (``NONE``) the throttle's request is NaN. A gamepad that lacks one of the buttons that
+    change the scale does without.
 
     Raises:
-        ConfigError: naming the ROS parameter.
+        ConfigError: naming the parameter.
     """
 
-    steer_axis: int
-    throttle_axis: int
-    manual_button: int
-    autonomous_button: int
-    steer_scale: float = 1.0
-    throttle_scale: float = 1.0
-    steer_neutral: float = 0.0
-    steer_deadband: float = 0.001
-    joy_timeout_s: float = 0.25
-    third_button: int = NONE
-    third_mode: str = HUMAN_STEERING
-    faster_button: int = NONE
-    slower_button: int = NONE
-    override_deadband: float = 0.1
+    steer_axis: int = declared.integer(
+        "steer_axis", REQUIRED, "index of the axis in the message; `rostopic echo /joy` shows it", low=0,
+        high=MAX_INDEX)
+    throttle_axis: int = declared.integer(
+        "throttle_axis", REQUIRED, "the same of the throttle; −1 = none: you only steer", low=NONE, high=MAX_INDEX)
+    manual_button: int = declared.integer(
+        "manual_button", REQUIRED, "index of the deadman's button: you steer and drive", low=0, high=MAX_INDEX)
+    autonomous_button: int = declared.integer(
+        "autonomous_button", REQUIRED, "the same of the other deadman: the planner drives, and you watch", low=0,
+        high=MAX_INDEX)
+    steer_scale: float = declared.number("steer_scale", 1.0, "−1 inverts the axis", low=-1, high=1)
+    throttle_scale: float = declared.number("throttle_scale", 1.0, "−1 inverts the axis", low=-1, high=1)
+    steer_neutral: float = declared.number("steer_neutral", 0.0, "turn_arb's `tele_steer_neutral`", low=-1, high=1)
+    steer_deadband: float = declared.number(
+        "steer_deadband", 0.001, "turn_arb's `tele_steer_deadband`; the stick at rest sends twice this, at least 0.002",
+        low=0.0, high=0.4)
+    joy_timeout_s: float = declared.timeout("joy_timeout", 0.25, "a gamepad older than this releases the deadman")
+    third_button: int = declared.integer("third_button", NONE, "another deadman; −1 = none", low=NONE, high=MAX_INDEX)
+    third_mode: str = declared.choice(
+        "third_mode", HUMAN_STEERING, "who does what then: you steer and the planner drives, or the other way round",
+        choices=(HUMAN_THROTTLE, HUMAN_STEERING))
+    faster_button: int = declared.integer("faster_button", NONE, CHANGES_SCALE, low=NONE, high=MAX_INDEX)
+    slower_button: int = declared.integer("slower_button", NONE, CHANGES_SCALE, low=NONE, high=MAX_INDEX)
+    override_deadband: float = declared.number(
+        "override_deadband", 0.1, "a stick beyond it overrides the planner; an axis at rest is within", low=0.02,
+        high=0.9)
 
     def __post_init__(self):
         taken = {self.manual_button: "manual_button"}
@@ -99,26 +102,6 @@ class GamepadConfig:
                 raise ConfigError(name, button, f"a button other than {taken[button]}'s")
             if button != NONE:
                 taken[button] = name
-
-
-def read_gamepad(params) -> GamepadConfig:
-    """The configuration from teleop_logi's parameters."""
-    return GamepadConfig(
-        steer_axis=params.integer("steer_axis", low=0, high=MAX_INDEX),
-        throttle_axis=params.integer("throttle_axis", low=NONE, high=MAX_INDEX),
-        manual_button=params.integer("manual_button", low=0, high=MAX_INDEX),
-        autonomous_button=params.integer("autonomous_button", low=0, high=MAX_INDEX),
-        steer_scale=params.number("steer_scale", 1.0, low=-1, high=1),
-        throttle_scale=params.number("throttle_scale", 1.0, low=-1, high=1),
-        steer_neutral=params.number("steer_neutral", 0.0, low=-1, high=1),
-        steer_deadband=params.number("steer_deadband", 0.001, low=0.0, high=0.4),
-        joy_timeout_s=params.timeout("joy_timeout", 0.25),
-        third_button=params.integer("third_button", NONE, low=NONE, high=MAX_INDEX),
-        third_mode=params.choice("third_mode", HUMAN_STEERING, (HUMAN_THROTTLE, HUMAN_STEERING)),
-        faster_button=params.integer("faster_button", NONE, low=NONE, high=MAX_INDEX),
-        slower_button=params.integer("slower_button", NONE, low=NONE, high=MAX_INDEX),
-        override_deadband=params.number("override_deadband", 0.1, low=0.02, high=0.9),
-    )
 
 
 class Requests(NamedTuple):

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import math
 import struct
+from dataclasses import dataclass
 from typing import NamedTuple
 
+from car_interface.common import declared
 from car_interface.common.errors import ConfigError
 from car_interface.common.units import NS_PER_S
 
@@ -17,6 +19,19 @@ EVENT = struct.Struct("=IhBB")
 BUTTON, AXIS, INIT = 0x01, 0x02, 0x80  # INIT is added to the others' bits: the state when the device was opened
 MAX_VALUE = 32767  # of an axis, to either side
 MAX_INPUTS = 64  # axes or buttons: no gamepad has more, and a corrupt number must not make a message long
+
+
+@dataclass(frozen=True)
+class JoystickConfig:
+    """The gamepad, and how its state is published."""
+
+    dev: str = declared.path("dev", "/dev/input/js0", "the device")
+    deadzone: float = declared.number("deadzone", 0.05, "so far from its middle an axis is 0", low=0, high=0.9)
+    autorepeat_hz: float = declared.number(
+        "autorepeat_rate", 20.0, "messages without a change, which teleop_logi needs; 0 = none, joy_node's own default",
+        "Hz", low=0, high=1000)
+    coalesce_s: float = declared.number(
+        "coalesce_interval", 0.001, "an axis waits so long for others", "s", low=0, high=1)
 
 
 class Change(NamedTuple):

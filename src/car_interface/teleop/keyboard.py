@@ -7,9 +7,14 @@ release. Without such events it may be held for HOLD_NS after its newest charact
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
+from car_interface.common import declared
+from car_interface.common.errors import ConfigError
 from car_interface.common.units import NS_PER_S
+from car_interface.teleop.gamepad import MAX_INDEX, NONE
 
 LEFT, RIGHT, FORWARD, BACKWARD = "left", "right", "forward", "backward"
 SLOWLY_FORWARD, SLOWLY_BACKWARD, MORE, LESS = "slowly forward", "slowly backward", "more", "less"
@@ -26,6 +31,41 @@ PAIR_NS = 3 * NS_PER_S // 10  # between a press and its character at most
 STEERING_PER_S = 4.0  # a quarter of a second from the centre to the end, so that a touch steers a little
 # A slow push begins at throttle_arb's dead band. With a scale of 0.5 it takes four seconds to where a car sets off.
 SLOWLY_PER_S, SLOWLY_FROM = 0.07, 0.05
+
+
+def _teleop(declare, name, default, *arguments, **accepted):
+    """Declare a parameter whose default is teleop_logi's, or where that has none another one."""
+    shown = f"teleop_logi's, else {default:g}".replace("-", "−")
+    return declare(name, default, *arguments, default_text=shown, **accepted)
+
+
+_index = partial(_teleop, declared.integer, text="index in the message", low=0, high=MAX_INDEX)
+_button = partial(_teleop, declared.integer, text="index in the message; −1 = none", low=NONE, high=MAX_INDEX)
+_scale = partial(_teleop, declared.number, text="only its sign counts", low=-1, high=1)
+
+
+@dataclass(frozen=True)
+class KeyboardConfig:
+    """Which axis and button does what, as teleop_logi's, and where keys come from.
+
+    Raises:
+        ConfigError: naming the parameter.
+    """
+
+    steer_axis: int = _index("steer_axis", 0)
+    throttle_axis: int = _index("throttle_axis", 4)
+    manual_button: int = _index("manual_button", 4)
+    autonomous_button: int = _index("autonomous_button", 5)
+    faster_button: int = _button("faster_button", NONE)
+    slower_button: int = _button("slower_button", NONE)
+    steer_scale: float = _scale("steer_scale", 1.0)
+    throttle_scale: float = _scale("throttle_scale", 1.0)
+    input_devices: str = declared.text(
+        "input_devices", "/dev/input/event*", "the keyboards; `none` = only the terminal is read")
+
+    def __post_init__(self):
+        if self.manual_button == self.autonomous_button:
+            raise ConfigError("autonomous_button", self.autonomous_button, "a button other than manual_button's")
 
 
 def help_text(has_releases: bool) -> str:

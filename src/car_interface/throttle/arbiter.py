@@ -9,10 +9,10 @@ A request is a fraction of the duty between the ESC's neutral and each end: 1 fu
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple, Sequence
 
-from car_interface.common import causes
+from car_interface.common import causes, declared
 from car_interface.common.causes import HUMAN_DRIVES, MODES, OVERRIDE_HOLD_S
 from car_interface.common.measured_speed import MAX_SPEED_MPS
 from car_interface.common.staleness import TimedInput
@@ -28,6 +28,8 @@ COAST_GEAR = "neutral"
 PLANNER_GEARS = {AUTO: AUTO, DRIVE: DRIVE, REVERSE_GEAR: REVERSE_GEAR, COAST_GEAR: DRIVE}
 PLANNER_STATE_TIMEOUT_S = 0.5  # it comes 10 times a second
 
+# The meaning of five parameters.
+STALE = "age at which turn_arb's state, the gamepad's throttle and mode, the planner's value, and odometry are stale"
 # An input that is older than this is stale, by the defaults of the timeouts. So a stick's message that arrives so long
 # after a planner's mode, or after a release, was sent after it.
 SETTLES_NS = round(0.5 * NS_PER_S)
@@ -36,25 +38,17 @@ SETTLES_NS = round(0.5 * NS_PER_S)
 
 
 @dataclass(frozen=True)
-class ArbiterConfig:
-    """The rules of who drives, named as the ROS parameters.
+class ThrottleArbiterConfig:
+    """The rules of who drives; without ``board`` the servo board is not checked."""
 
-    Attributes:
-        stick: how the gamepad's throttle is read.
-        interlock: the rules of emergency stop and deadman.
-        steering_timeout_s, teleop_timeout_s, mode_timeout_s, command_timeout_s, odometry_timeout_s: an older input
-            (turn_arb's state, the gamepad's throttle and mode, the planner's value, odometry) is stale; 0 = never.
-        board: how the servo board is checked; ``None`` = it is not.
-    """
-
-    stick: StickConfig = field(default_factory=StickConfig)
-    interlock: InterlockConfig = field(default_factory=InterlockConfig)
-    steering_timeout_s: float = 0.25
-    teleop_timeout_s: float = 0.5
-    mode_timeout_s: float = 0.5
-    command_timeout_s: float = 0.5
-    odometry_timeout_s: float = 0.5
-    board: BoardConfig | None = None
+    stick: StickConfig = declared.group(StickConfig())
+    interlock: InterlockConfig = declared.group(InterlockConfig())
+    steering_timeout_s: float = declared.timeout("steering_timeout", 0.25, STALE)
+    teleop_timeout_s: float = declared.timeout("teleop_timeout", 0.5, STALE)
+    mode_timeout_s: float = declared.timeout("mode_timeout", 0.5, STALE)
+    command_timeout_s: float = declared.timeout("command_timeout", 0.5, STALE)
+    odometry_timeout_s: float = declared.timeout("odometry_timeout", 0.5, STALE)
+    board: BoardConfig | None = declared.group(None, config_class=BoardConfig)
 
 
 class NoValue(NamedTuple):
@@ -92,7 +86,7 @@ class ThrottleArbiter:
     and what arrives up to then may have been sent under the planner's deadman.
     """
 
-    def __init__(self, config: ArbiterConfig = ArbiterConfig()):
+    def __init__(self, config: ThrottleArbiterConfig = ThrottleArbiterConfig()):
         self._stick = config.stick
         self._scale = Scale(config.stick)
         self._interlock = MotionInterlock(config.interlock)

@@ -16,11 +16,11 @@ from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple, Sequence
 
-from car_interface.common import causes
+from car_interface.common import causes, declared
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import CHANNELS, MAX_DUTY, NS_PER_MS, NS_PER_S, UNCHANGED
 
-BOARD = "board/"  # namespace of pca9685's parameters, of which only the limits are read
+BOARD_LIMITS = "the servo board's limits, by `pca9685.yaml`: a command that it clamps counts as followed"
 # Throttle ends so long after the board and turn_arb began to differ for good; it returns after they have agreed for so
 # long. It is the timeout of the arbiters' other inputs.
 TOLERANCE_NS = 500 * NS_PER_MS
@@ -37,33 +37,14 @@ ROUNDING_DUTY = 16  # a PCA9685 divides the 65536 duties of the period into 4096
 
 @dataclass(frozen=True)
 class BoardConfig:
-    """How the servo board is checked, named as the ROS parameters.
+    """How the servo board is checked."""
 
-    Attributes:
-        output_required: throttle is given only once the board has reported. False: a board node that never reports is
-            driven unchecked; one that does is checked.
-        output_timeout_s: a report older than this is stale; 0 = never.
-        pwm_min, pwm_max: what the board clamps each channel's commands to, in duty.
-    """
-
-    output_required: bool = True
-    output_timeout_s: float = 0.5
-    pwm_min: tuple[int, ...] = (0,) * CHANNELS
-    pwm_max: tuple[int, ...] = (MAX_DUTY,) * CHANNELS
-
-
-def read_board(params) -> BoardConfig:
-    """Read the configuration from ~output_required, ~output_timeout, and the board's own ~board/pwm_min and pwm_max.
-
-    Raises:
-        ConfigError: naming the parameter.
-    """
-    default = BoardConfig()
-    return BoardConfig(
-        output_required=params.flag("output_required", default.output_required),
-        output_timeout_s=params.timeout("output_timeout", default.output_timeout_s),
-        pwm_min=tuple(params.integers(f"{BOARD}pwm_min", CHANNELS, 0, 0, MAX_DUTY)),
-        pwm_max=tuple(params.integers(f"{BOARD}pwm_max", CHANNELS, MAX_DUTY, 0, MAX_DUTY)))
+    output_required: bool = declared.flag(
+        "output_required", True, "false = a board node that has never published `/servo/output` is driven unchecked")
+    output_timeout_s: float = declared.timeout("output_timeout", 0.5, "age at which `/servo/output` is stale")
+    pwm_min: Sequence[int] = declared.duty_of_each(
+        "board/pwm_min", (0,) * CHANNELS, BOARD_LIMITS)
+    pwm_max: Sequence[int] = declared.duty_of_each("board/pwm_max", (MAX_DUTY,) * CHANNELS, BOARD_LIMITS)
 
 
 class BoardTrouble(NamedTuple):

@@ -8,29 +8,29 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Sequence
 
+from car_interface.common import declared
+from car_interface.common.declared import REQUIRED
 from car_interface.common.errors import ConfigError
 from car_interface.common.lookup_table import LookupTable, round_half_away
-from car_interface.common.units import CHANNELS, MAX_DUTY
+from car_interface.common.units import MAX_DUTY
 
 
 @dataclass(frozen=True)
 class ThrottleCalibration:
-    """The ESC's channel and table, named as the parameters below ``servo/``.
+    """The ESC's channel and table, which is linear between its values and saturates beyond.
 
-    Attributes:
-        channel: 0..15.
-        value_axis, duty_table: the duty for each of the converter's values, linear between, saturated beyond. The
-            duties only rise or only fall from value to value; neighbours may be equal.
-        neutral: the duty that neither drives nor brakes.
+    The duties only rise or only fall from value to value; neighbours may be equal.
 
     Raises:
         ConfigError: naming the parameter.
     """
 
-    channel: int
-    value_axis: Sequence[float]
-    duty_table: Sequence[float]
-    neutral: int
+    channel: int = declared.channel("servo/channel", REQUIRED, "the ESC's channel")
+    value_axis: Sequence[float] = declared.numbers(
+        "servo/value_axis", REQUIRED, "the converter's values, of the table", "increasing")
+    duty_table: Sequence[float] = declared.duties(
+        "servo/duty_table", REQUIRED, "the duty for each value, only rising or only falling")
+    neutral: int = declared.duty("servo/neutral", REQUIRED, "neither drives nor brakes; within the table")
 
     def __post_init__(self):
         LookupTable(self.value_axis, self.duty_table, "servo/value_axis", "servo/duty_table")  # checks them
@@ -39,18 +39,6 @@ class ThrottleCalibration:
             raise ConfigError("servo/duty_table", list(self.duty_table), "duties that only rise, or only fall")
         if not min(self.duty_table) <= self.neutral <= max(self.duty_table):
             raise ConfigError("servo/neutral", self.neutral, "a duty within the range of servo/duty_table")
-
-
-def read_calibration(params) -> ThrottleCalibration:
-    """The calibration from ~servo/channel, ~servo/value_axis, ~servo/duty_table and ~servo/neutral.
-
-    Raises:
-        ConfigError: naming the parameter.
-    """
-    return ThrottleCalibration(channel=params.integer("servo/channel", low=0, high=CHANNELS - 1),
-                               value_axis=params.numbers("servo/value_axis"),
-                               duty_table=params.numbers("servo/duty_table", low=0, high=MAX_DUTY),
-                               neutral=params.integer("servo/neutral", low=0, high=MAX_DUTY))
 
 
 def trimmed(calibration: ThrottleCalibration, neutral: int) -> ThrottleCalibration:

@@ -6,34 +6,62 @@ or with the cause why there is none.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from car_interface.common import causes
+from car_interface.common import causes, declared
 from car_interface.common.errors import ConfigError
 from car_interface.common.staleness import TimedInput
-from car_interface.throttle.value_map import ValueMap
+from car_interface.throttle.value_map import ALLOW_PLATEAUS, ValueMap, load_value_map
+
+PASSES = "false = accelerations pass through, clamped; no map and no odometry needed"  # of two parameters
 
 
 @dataclass(frozen=True)
 class ConversionConfig:
-    """Limits and modes, named as the ROS parameters.
-
-    Attributes:
-        min_value, max_value: limits of the output, with and without a map.
-        odometry_timeout_s: a velocity older than this is not used; 0 = never.
+    """Limits of the output, with and without a map, and the timeout.
 
     Raises:
         ConfigError: naming the parameter.
     """
 
-    min_value: float = -5.0
-    max_value: float = 3.0
-    odometry_timeout_s: float = 0.5
+    min_value: float = declared.number("min_value", -5.0, "the value is clamped to these")
+    max_value: float = declared.number("max_value", 3.0, "the value is clamped to these")
+    odometry_timeout_s: float = declared.timeout(
+        "odometry_timeout", 0.5, "a velocity older than this gives no output")
 
     def __post_init__(self):
         if self.min_value > self.max_value:
             raise ConfigError("min_value", self.min_value, f"at most max_value {self.max_value}")
+
+
+@dataclass(frozen=True)
+class ConverterConfig:
+    """The configuration of generic_value_converter; without ``value_map`` accelerations pass through."""
+
+    conversion: ConversionConfig = declared.group(ConversionConfig())
+    converts: bool = declared.flag("convert_value_cmd", True, PASSES)
+    uses_map: bool = declared.flag("use_value_ff", True, PASSES)
+    map_path: str | None = declared.path(
+        "csv_path_value_map", None, "the value map", default_text="`value_map.csv`")
+    allow_plateaus: bool = declared.flag("allow_plateaus", False, ALLOW_PLATEAUS)
+    value_map: ValueMap | None = None
+
+    def completed(self, params) -> ConverterConfig:
+        """Return the same with the map, if it's used.
+
+        Raises:
+            ConfigError: naming the parameter, or the place in the map's file.
+        """
+        if not (self.converts and self.uses_map):
+            return self
+        path = self.map_path or params.path("csv_path_value_map")
+        value_map = load_value_map(path, self.allow_plateaus)
+        try:
+            Converter(self.conversion, value_map)  # checks the map against the limits
+        except ConfigError as error:
+            raise error.within(path) from error
+        return replace(self, value_map=value_map)
 
 
 class Conversion(NamedTuple):

@@ -295,11 +295,12 @@ class Esc:
         """Return as much of a pull as certainly ends before the car stands, where the whole one may not; 0 = none.
 
         It is all that slows a car downhill whose ESC isn't certain to brake. It goes by the speed's age, so it
-        takes odometry with a stamp.
+        takes odometry that is fresh and has a stamp.
         """
         motion = self._motion
-        if not (self._hill.drives_the_car and motion.is_stamped and motion.rolls_forward(now_ns)):
-            return 0.0
+        if not (self._hill.drives_the_car and motion.is_stamped and motion.is_fresh(now_ns)
+                and motion.rolls_forward(now_ns)):
+            return 0.0  # an old speed doesn't show what stronger pulls have done since
         weak = max(value, -motion.mps2_to_outlast_a_pull(now_ns) / SLOWS_MPS2)
         is_let_go = self._lagging_pull <= LETS_GO * -weak
         return weak if weak <= -self.config.dead_band_reverse and is_let_go else 0.0

@@ -10,15 +10,15 @@ A stop is never limited, nor is neutral.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from typing import Callable, NamedTuple, Sequence
 
-from car_interface.common import causes
+from car_interface.common import causes, declared
 from car_interface.common.errors import ConfigError
 from car_interface.common.measured_speed import MeasuredSpeed
-from car_interface.throttle.arbiter import PLANNER, TELEOP, Arbitration
+from car_interface.throttle.arbiter import PLANNER, STALE, TELEOP, Arbitration
 from car_interface.throttle.esc_intention import DRIVE
-from car_interface.throttle.value_map import ValueMap, load_value_map
+from car_interface.throttle.value_map import ALLOW_PLATEAUS, ValueMap, load_value_map
 
 BAND_MPS = 0.5  # full throttle this far below a limit, none at it
 OVER_MPS = 0.1  # above a limit by this a planner's car brakes: less than what odometry can tell apart isn't worth one
@@ -29,62 +29,45 @@ BACKWARD_MPS = -0.1
 
 @dataclass(frozen=True)
 class DriveLimits:
-    """What one source may ask of the motor; 0 = no limit.
+    """What one source may ask of the motor; 0 = no limit."""
 
-    Attributes:
-        max_speed_mps: forward and backward.
-        max_acceleration_mps2, max_braking_mps2: by the value map.
-    """
-
-    max_speed_mps: float = 0.0
-    max_acceleration_mps2: float = 0.0
-    max_braking_mps2: float = 0.0
+    max_speed_mps: float = declared.number(
+        "max_speed", 0.0, "[limit](limits.md) of the measured speed, forward and backward; 0 = none", "m/s", low=0.0,
+        high=100.0)
+    max_acceleration_mps2: float = declared.number(
+        "max_acceleration", 0.0, "limit by the value map; 0 = none", "m/s²", low=0.0, high=100.0)
+    max_braking_mps2: float = declared.number(
+        "max_braking", 0.0, "limit by the value map; 0 = none", "m/s²", low=0.0, high=100.0)
 
 
 @dataclass(frozen=True)
 class ThrottleLimits:
-    """The limits of the throttle, named as the ROS parameters.
+    """The limits of the throttle, for each source; ``value_map`` is for accelerations, ``None`` = none is limited."""
 
-    Attributes:
-        human, planner: of each source.
-        slow_down: a planner's car that is too fast for the turn that its planner asks for slows down.
-        value_map: for accelerations; ``None`` = there are no limits of them.
-        odometry_timeout_s: a speed older than this is lost; 0 = never.
-    """
-
-    human: DriveLimits = field(default_factory=DriveLimits)
-    planner: DriveLimits = field(default_factory=DriveLimits)
-    slow_down: bool = True
+    human: DriveLimits = declared.group(DriveLimits(), "human/")
+    planner: DriveLimits = declared.group(DriveLimits(), "planner/")
+    slow_down: bool = declared.flag(
+        "slow_down", True, "a planner's car that is too fast for the turn that is asked for slows down")
     value_map: ValueMap | None = None
-    odometry_timeout_s: float = 0.5
+    odometry_timeout_s: float = declared.timeout("odometry_timeout", 0.5, STALE)
+    map_path: str | None = declared.path(
+        "csv_path_value_map", None, "the value map, for limits of accelerations", default_text="`value_map.csv`")
+    allow_plateaus: bool = declared.flag("allow_plateaus", False, ALLOW_PLATEAUS)
 
+    def completed(self, params) -> ThrottleLimits:
+        """Return the same with the value map, where an acceleration is limited.
 
-def read_limits(params, is_complete: bool = True) -> ThrottleLimits:
-    """The limits from ~human/…, ~planner/…, ~slow_down and ~csv_path_value_map; unless ``is_complete`` those of
-    accelerations need no map, and there is none.
-
-    Raises:
-        ConfigError: naming the parameter, or the place in the map's file.
-    """
-    def source(name):
-        return DriveLimits(max_speed_mps=params.number(f"{name}/max_speed", 0.0, 0.0, 100.0),
-                           max_acceleration_mps2=params.number(f"{name}/max_acceleration", 0.0, 0.0, 100.0),
-                           max_braking_mps2=params.number(f"{name}/max_braking", 0.0, 0.0, 100.0))
-
-    human, planner = source("human"), source("planner")
-    path = params.path("csv_path_value_map", None)
-    allow_plateaus = params.flag("allow_plateaus", False)
-    value_map = None
-    for name, limits in (("human", human), ("planner", planner)):
-        for limit, value in (("max_acceleration", limits.max_acceleration_mps2),
-                             ("max_braking", limits.max_braking_mps2)):
-            if value and path is None and is_complete:
-                raise ConfigError(f"{name}/{limit}", value, "0, or csv_path_value_map, the value map that says what "
-                                                            "the ESC's duties do")
-            if value and path is not None and value_map is None:
-                value_map = load_value_map(path, allow_plateaus)
-    return ThrottleLimits(human=human, planner=planner, slow_down=params.flag("slow_down", True), value_map=value_map,
-                          odometry_timeout_s=params.timeout("odometry_timeout", 0.5))
+        Raises:
+            ConfigError: naming the parameter, or the place in the map's file.
+        """
+        limited = [(f"{name}/{limit}", value) for name, limits in (("human", self.human), ("planner", self.planner))
+                   for limit, value in (("max_acceleration", limits.max_acceleration_mps2),
+                                        ("max_braking", limits.max_braking_mps2)) if value]
+        if not limited:
+            return self
+        if self.map_path is None:
+            raise ConfigError(*limited[0], "0, or csv_path_value_map, the value map that says what the ESC's duties do")
+        return replace(self, value_map=load_value_map(self.map_path, self.allow_plateaus))
 
 
 class SpeedBound(NamedTuple):

@@ -7,8 +7,9 @@ whose brake is about to be released, is counted with what it loses by itself in 
 backward, too, and where a brake counts only as long as the car is fast: it may not be by the time that it is needed.
 
 Where it isn't certain that the car slows down by itself it has to be found out. A car whose ESC may never brake is
-pushed gently, and rolls in neutral until it is known, or it stands. Where the ESC will brake the push lasts until that
-is certain, and begins only with room for it. A stop is never pushed.
+pushed gently, and rolls in neutral until it is known, or it stands. It rolls again, near its bound, where a turn has
+made its deceleration doubtful. Where the ESC will brake the push lasts until that is certain, and begins only with room
+for it. A stop is never pushed.
 
 A motor goes on pushing after its throttle was cut. So the throttle is given back gradually, and taken away where the
 car, getting faster as it does, will reach the bound anyway.
@@ -25,23 +26,31 @@ from car_interface.throttle.arbiter import PLANNER, TELEOP, Arbitration
 from car_interface.throttle.esc import BRAKING, FORWARD, NEUTRAL, REVERSE, STOP_MEMORY_NS, EscDecision
 from car_interface.throttle.esc_config import BRAKE_THEN_REVERSE, FORWARD_ONLY, EscConfig
 from car_interface.throttle.limits import BAND_MPS, SpeedBound
-from car_interface.throttle.obstacle_stop import MIN_STOP_MPS2, STEEP_MPS2, Guarantee, ObstacleStop
+from car_interface.throttle.obstacle_stop import MIN_STOP_MPS2, Guarantee, ObstacleStop
 from car_interface.throttle.slope import Slope
 
 ROLLS_MPS, MOVES_MPS = 0.1, 0.05
+STEEP_MPS2 = 0.1  # less than this stops no car for certain: 0.25 m/s would take 0.3 m, and 0.1 is a slope of 1 %
 # Before the stop's memory of driving forward ends a stop must have begun, and reached the ESC.
 TRUSTED_COASTING_NS = STOP_MEMORY_NS - round(0.2 * NS_PER_S)
 MOTOR_LAG_S = 0.15  # the longest of the cars in test/rooms
 CUT_S = 0.05 + MOTOR_LAG_S  # from a throttle's cut until the car gets no faster: the way to the ESC, a pulse, the lag
-STEADY_S, LATE_STEADY = 0.2, 4.0  # the throttle that holds a speed, by a mean over this, and odometry's age so often
-FULL_MPS2 = 2.0 * UNSEEN_MPS2  # half of the throttle may be all that the motor can do
-NOISE_MPS2, NOISE_PER_S = 0.5, 0.1  # an acceleration that odometry may show where there is none; for each m/s
-# To begin where nothing is certain to stop it: up to this speed, with a throttle that rises from the least by as much
-# in so many seconds, so that the motor's lag and odometry's age add little.
+# The throttle that holds a speed is a mean over the motor's lag and a pulse, and over four times odometry's age, which
+# damps the loop that the age is in.
+STEADY_S, LATE_STEADY = CUT_S, 4.0
+FULL_MPS2 = 2.0 * 5.6  # the simulated Slash's at full throttle; half of it may be all that the motor can do
+# An acceleration that odometry may show where there is none, and more for each m/s: at 1 m/s three standard deviations
+# of what noise of 0.01 m/s and 1 % makes of six reports in 0.12 s.
+NOISE_MPS2, NOISE_PER_S = 0.5, 0.1
+# Where nothing is certain to stop it a car begins with at most this speed. The throttle rises from the least by as much
+# in so many seconds, until the car gets faster by so much: within the motor's lag and odometry's age by a third.
 PROBE_MPS, RISES_S, RISING_MPS2 = 0.25, 0.8, 0.1
-DOUBT_MPS2 = 0.04  # of how it slows down, beyond which the car rolls in neutral near its bound, until half is left
-NEAR_MPS = 0.15  # so far below a bound, and more, the least throttle may always be given
-PRIME_S, PRIME_MPS = 0.6, 0.35  # a brake is certain after such a push, which makes the car faster by no more
+# With more doubt of its deceleration than this the car rolls in neutral, until half is left. With 0.06 to 0.1 it drives
+# more slowly for the doubt, with 0.03 it rolls too often (test/rooms --empty).
+DOUBT_MPS2 = 0.04
+NEAR_MPS = 0.15  # it does so from this far below its bound on; the least throttle may be given up to there
+# esc_history.DROVE_NS and a way to the ESC; in it the least throttle makes a car faster by no more than this.
+PRIME_S, PRIME_MPS = 0.6, 0.35
 # How it begins, in the words of the reason.
 PROBES, PRIMES = "before it is known how it slows down here it has", "before its brake is certain it has"
 STEEP = "nothing is certain to stop it on this slope, which allows"

@@ -18,9 +18,9 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field, replace
-from typing import Mapping, NamedTuple
+from typing import Mapping, NamedTuple, Sequence
 
-from car_interface.common import causes
+from car_interface.common import causes, declared
 from car_interface.common.errors import ConfigError
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
@@ -29,10 +29,10 @@ from car_interface.throttle.echo_memory import EchoMemory
 from car_interface.throttle.limits import SpeedBound
 from car_interface.throttle.sonar_fan import Arc, Fan, Mount, Outline, cone_points
 
+USED = "used"
 HUB = "sonar_hub/"  # the sensor hub's file, sonars.yaml, below the node
 SIDE_MARGIN_M = 0.05  # what the car passes by more closely is in its way
 MIN_STOP_MPS2 = 0.02  # a stop that is certain of less is none
-STEEP_MPS2 = 0.1  # where it is less nothing is left of it a few degrees farther round
 MAX_CYCLE_S = 0.43  # of six sonars, all of which wait for an echo in vain
 CYCLES = 3  # the longest of so many counts
 
@@ -45,52 +45,42 @@ class ObstacleConfig:
         mounts: of the sonars that count, by name.
         field_of_view_rad: the whole cone.
         max_range_m: beyond this nothing is measured.
-        outline: of the car.
-        margin_m: what is to be left between the car and what it stops for.
-        creep_mps: the speed that is left into what no sonar has looked at; never towards an echo.
-        actuation_s: from a range's arrival to the ESC's new pulse, and the 38 ms that an echo from afar takes.
-        timeout_s: a sonar without a range for so long is silent.
     """
 
     mounts: Mapping[str, Mount] = field(default_factory=dict)
     field_of_view_rad: float = 0.5236
     max_range_m: float = 2.0
-    outline: Outline = field(default_factory=Outline)
-    margin_m: float = 0.1
-    actuation_s: float = 0.1
-    timeout_s: float = 1.0
-    creep_mps: float = 0.3
+    outline: Outline = declared.group(Outline(), "obstacle/")
+    margin_m: float = declared.number(
+        "obstacle/margin", 0.1, "what is left between the car and what it stops for", "m", low=0.0, high=10.0)
+    # 0.1 s, with the 38 ms that an echo from afar takes.
+    actuation_s: float = declared.number(
+        "obstacle/actuation_time", 0.1, "from a range's arrival to the ESC's new pulse", "s", low=0.0, high=10.0)
+    timeout_s: float = declared.number(
+        "obstacle/sonar_timeout", 1.0, "age at which a sonar is silent", "s", above=0.0, high=10.0)
+    creep_mps: float = declared.number(
+        "obstacle/creep", 0.3, "the speed that is left into what no sonar looks at; never towards an echo", "m/s",
+        low=0.0, high=1.0)
+    is_on: bool = declared.flag(
+        "obstacle_stop", False, "true = [no faster than the car can stop within what the sonars look "
+                                "at](limits.md#obstacle_stop); then it needs `sonars.yaml` below `sonar_hub`, where "
+                                "the launch files put it")
+    uses: Sequence[str] = declared.choice(
+        "obstacle/sonars/", (USED,) * len(SONARS), "a sonar that the car doesn't have is absent", family=SONARS,
+        choices=(USED, "absent"))
 
+    def completed(self, params) -> ObstacleConfig | None:
+        """Return the same with the sonars of the sensor hub's file, below ~sonar_hub; ``None`` = off.
 
-def read_obstacle_stop(params, is_complete: bool = True) -> ObstacleConfig | None:
-    """The configuration from ~obstacle_stop, ~obstacle/… and, below ~sonar_hub, the sensor hub's file; ``None`` = off,
-    or that file's parameters are not among them, as ``is_complete`` says.
-
-    Raises:
-        ConfigError: naming the parameter.
-    """
-    default, outline = ObstacleConfig(), Outline()
-    is_on = params.flag("obstacle_stop", False)
-    front_m = params.number("obstacle/front", outline.front_m, above=0.0, high=10.0)
-    rear_m = params.number("obstacle/rear", outline.rear_m, low=0.0, high=10.0)
-    width_m = params.number("obstacle/width", outline.width_m, above=0.0, high=10.0)
-    config = ObstacleConfig(
-        mounts={}, outline=Outline(front_m, rear_m, width_m),
-        margin_m=params.number("obstacle/margin", default.margin_m, low=0.0, high=10.0),
-        actuation_s=params.number("obstacle/actuation_time", default.actuation_s, low=0.0, high=10.0),
-        timeout_s=params.number("obstacle/sonar_timeout", default.timeout_s, above=0.0, high=10.0),
-        creep_mps=params.number("obstacle/creep", default.creep_mps, low=0.0, high=1.0))
-    names = [params.text(f"obstacle/sonars/{name}", "used") for name in SONARS]
-    for name, use in zip(SONARS, names):
-        if use not in ("used", "absent"):
-            raise ConfigError(f"obstacle/sonars/{name}", use, "used or absent")
-    if not is_on or not is_complete:
-        return None
-    mounts = {name: _read_mount(params, name) for name, use in zip(SONARS, names) if use == "used"}
-    return replace(config, mounts=mounts,
-                   field_of_view_rad=params.number(HUB + "field_of_view", default.field_of_view_rad, above=0.0,
-                                                   high=3.0),
-                   max_range_m=params.number(HUB + "max_range", default.max_range_m, above=0.0, high=100.0))
+        Raises:
+            ConfigError: naming the parameter.
+        """
+        if not self.is_on:
+            return None
+        return replace(
+            self, mounts={name: _read_mount(params, name) for name, use in zip(SONARS, self.uses) if use == USED},
+            field_of_view_rad=params.number(HUB + "field_of_view", self.field_of_view_rad, above=0.0, high=3.0),
+            max_range_m=params.number(HUB + "max_range", self.max_range_m, above=0.0, high=100.0))
 
 
 def _read_mount(params, name):

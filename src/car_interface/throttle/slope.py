@@ -21,9 +21,9 @@ from typing import NamedTuple
 from car_interface.common.units import NS_PER_S
 from car_interface.throttle.esc_config import EscConfig
 
-# Before anything was measured, in m/s²: the slope's pull (a floor of 5 % pulls by 0.49, which is three standard
-# deviations), and what a car loses beyond esc/drag_deceleration, which is set with care: a Slash has 0.3 to 0.4, and its
-# ESC's drag brake adds to that. With a wider pull cars on level arcs roll so often that test/rooms --empty fails.
+# Before anything was measured: the slope's pull (a floor of 5 % pulls by 0.49 m/s², three standard deviations), and
+# what a car loses beyond esc/drag_deceleration, which is set with care: a Slash has 0.3 to 0.4 m/s², and its ESC's drag
+# brake adds to that. With a wider pull cars on level arcs roll so often that test/rooms --empty finds them slow.
 PULL_MPS2, SURPLUS_MPS2 = 0.35, 0.3
 CHANGES_MPS2 = 0.015  # by which the pull may change within a metre; where it changes abruptly the estimate begins anew
 ACTUATION_S, LAG_S = 0.03, 0.15  # a pulse's way to the ESC; the longest time constant of a motor that lets go
@@ -115,8 +115,7 @@ class Slope:
         return fit.slope() if fit.count >= 3 else 0.0
 
     def _coast(self, speed_mps, since_s):
-        """In neutral. What is left of the motor's or the brake's force is between all of it, by the longest lag, and none.
-        """
+        """Measure in neutral, where up to all of the last force may be left that the longest lag leaves."""
         fit = self._fit
         fit.add(since_s, abs(speed_mps))
         if fit.count < MIN_REPORTS or fit.span_s < MIN_WINDOW_S:

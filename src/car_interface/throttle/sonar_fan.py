@@ -10,10 +10,15 @@ an arc is one that drives forward in the mirror, so everything here is written f
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Iterable, Mapping, NamedTuple
+
+from car_interface.common import declared
+from car_interface.common.vehicle_geometry import FRONT_M, REAR_M, WIDTH_M
 
 MIN_CURVATURE_PER_M = 1e-3  # a straight line is a circle of 1 km
 CONE_POINTS = 9
+OUTLINE = "the car's outline, from the middle of the rear axle"  # the meaning of three parameters
 MAX_EDGE_RAD = math.pi / 2  # the fan doesn't reach behind the bumper
 
 
@@ -29,12 +34,14 @@ class Mount(NamedTuple):
         return math.cos(self.yaw_rad) < 0.0
 
 
-class Outline(NamedTuple):
-    """The car from above: metres before and behind the rear axle's middle, and across. The default is a Slash's."""
+@dataclass(frozen=True)
+class Outline:
+    """The car from above. The default is a Slash's."""
 
-    front_m: float = 0.426
-    rear_m: float = 0.142
-    width_m: float = 0.296
+    front_m: float = declared.number(
+        "front", FRONT_M, OUTLINE, "m", above=0.0, high=10.0)
+    rear_m: float = declared.number("rear", REAR_M, OUTLINE, "m", low=0.0, high=10.0)
+    width_m: float = declared.number("width", WIDTH_M, OUTLINE, "m", above=0.0, high=10.0)
 
 
 def cone_points(mount: Mount, range_m: float, field_of_view_rad: float) -> list[tuple[float, float]]:
@@ -56,7 +63,8 @@ class Arc:
 
     def __init__(self, curvature_per_m: float, is_backward: bool, outline: Outline, margin_m: float):
         self._ahead, self._left = (-1.0 if is_backward else 1.0), (-1.0 if curvature_per_m < 0.0 else 1.0)
-        self._bumper_m, trailing_m = (outline.rear_m, outline.front_m) if is_backward else outline[:2]
+        self._bumper_m, trailing_m = (outline.rear_m, outline.front_m) if is_backward else (
+            outline.front_m, outline.rear_m)
         self._half_m = half_m = outline.width_m / 2 + margin_m
         self._is_straight = abs(curvature_per_m) < MIN_CURVATURE_PER_M
         self._radius_m = radius_m = 1.0 / max(MIN_CURVATURE_PER_M, abs(curvature_per_m))

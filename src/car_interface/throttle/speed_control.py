@@ -14,7 +14,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from car_interface.common import causes
+from car_interface.common import causes, declared
 from car_interface.common.measured_speed import MAX_SPEED_MPS
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
@@ -24,6 +24,7 @@ from car_interface.throttle.esc_intention import DRIVE, REVERSE_GEAR
 from car_interface.throttle.esc_motion import STANDSTILL_MPS
 from car_interface.throttle.speed_reference import SpeedReference
 
+MIN_MAX_SPEED_MPS = 0.2  # 0.1 m/s counts as standstill, and no car of this kind holds less than twice that
 MAX_STEP_S = 0.1  # the longest time that one step counts, so that a delayed node makes no jump
 THROTTLE_TIMEOUT_S = 0.5  # throttle_arb's state comes 10 times a second
 HOLD_MPS2 = 1.5  # brakes at standstill, as Autoware does; the ESC's rules see to it that this doesn't reverse
@@ -46,24 +47,25 @@ ESC_COASTS = frozenset({causes.BRAKE_UNCERTAIN, causes.AT_STANDSTILL})
 
 @dataclass(frozen=True)
 class SpeedControlConfig:
-    """Limits and gains, named as the ROS parameters.
+    """Limits and gains."""
 
-    Attributes:
-        max_speed_mps: of what is asked for, forward and backward.
-        max_acceleration_mps2, max_braking_mps2, max_jerk_mps3: of the reference.
-        speed_p, speed_i: m/s² for each m/s of error, and for each m/s of error in a second.
-        max_correction_mps2: of both together.
-        odometry_timeout_s: an older speed is unknown.
-    """
-
-    max_speed_mps: float = 3.0
-    max_acceleration_mps2: float = 2.0
-    max_braking_mps2: float = 3.0
-    max_jerk_mps3: float = 20.0
-    speed_p: float = 4.0
-    speed_i: float = 3.0
-    max_correction_mps2: float = 2.0
-    odometry_timeout_s: float = 0.5
+    max_speed_mps: float = declared.number(
+        "max_speed", 3.0, "a faster request is cut to this, forward and backward", "m/s", low=MIN_MAX_SPEED_MPS,
+        high=MAX_SPEED_MPS)
+    max_acceleration_mps2: float = declared.number(
+        "max_acceleration", 2.0, "limit of what is asked for", "m/s²", low=0.1, high=15.0)
+    max_braking_mps2: float = declared.number(
+        "max_braking", 3.0, "limit of what is asked for", "m/s²", low=0.1, high=15.0)
+    max_jerk_mps3: float = declared.number(
+        "max_jerk", 20.0, "limit of how quickly that changes", "m/s³", low=0.5, high=1000.0)
+    speed_p: float = declared.number(
+        "speed_p", 4.0, "of the speed control: m/s² for each m/s of error", low=0.0, high=20.0)
+    speed_i: float = declared.number(
+        "speed_i", 3.0, "and for each m/s of error in a second", low=0.0, high=20.0)
+    max_correction_mps2: float = declared.number("max_correction", 2.0, "limit of both", "m/s²", low=0, high=10)
+    odometry_timeout_s: float = declared.number(
+        "odometry_timeout", 0.5, "an older speed is unknown: the car stops, the steering goes on", "s", low=0.05,
+        high=0.5)
 
 
 class SpeedRequest(NamedTuple):

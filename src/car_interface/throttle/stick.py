@@ -3,40 +3,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from car_interface.common import declared
+
 
 @dataclass(frozen=True)
 class StickConfig:
-    """How a human's throttle stick is read, named as the ROS parameters.
+    """How a human's throttle stick is read.
 
-    Attributes:
-        deadband: requests this near to 0 mean 0; beyond, the request begins at 0, without a step. 0.05: the sticks of
-            usual gamepads rest within 0.03.
-        expo: 0..1, the weight of the cube: 0 = linear, 1 = finest around 0.
-        human_scale: scales driving, forward and backward, at the start; 0.3 of an ESC is about a running person.
-        brake_scale: scales the brake.
-        scale_step: by how much a press of a button changes the scale of driving; 0 = not at all.
+    The sticks of usual gamepads rest within 0.03; with a scale of 0.3 the car is about as fast as a running person.
+    Beyond the dead band the request begins at 0, without a step.
     """
 
-    deadband: float = 0.05
-    expo: float = 0.0
-    human_scale: float = 0.3
-    brake_scale: float = 1.0
-    scale_step: float = 0.1
-
-
-def read_stick(params) -> StickConfig:
-    """The configuration from ~tele_throt_deadband, ~expo, ~human_scale, ~brake_scale and ~scale_step.
-
-    Raises:
-        ConfigError: naming the parameter.
-    """
-    default = StickConfig()
-    return StickConfig(
-        deadband=params.number("tele_throt_deadband", default.deadband, low=0, high=0.5),
-        expo=params.number("expo", default.expo, low=0, high=1),
-        human_scale=params.number("human_scale", default.human_scale, low=0, high=1),
-        brake_scale=params.number("brake_scale", default.brake_scale, low=0, high=1),
-        scale_step=params.number("scale_step", default.scale_step, low=0, high=1))
+    deadband: float = declared.number("tele_throt_deadband", 0.05, "requests this near to 0 mean 0", low=0, high=0.5)
+    expo: float = declared.number(
+        "expo", 0.0, "0 = linear, 1 = the cube of the stick: finest around its middle", low=0, high=1)
+    human_scale: float = declared.number(
+        "human_scale", 0.3, "scales the human's driving, forward and backward, at the start", low=0, high=1)
+    brake_scale: float = declared.number("brake_scale", 1.0, "scales the human's brake", low=0, high=1)
+    scale_step: float = declared.number(
+        "scale_step", 0.1, "by how much a press of a button changes `human_scale`; 0 = not at all", low=0, high=1)
 
 
 def shaped(request: float, deadband: float, expo: float) -> float:

@@ -20,6 +20,7 @@ from car_interface.common.lookup_table import check_axis
 
 # Numbers of a small map are kept in tuples, which is fastest; of a large one in arrays, which use the cache better.
 MAX_IN_TUPLES = 100_000
+ALLOW_PLATEAUS = "accept a map in which acceleration stays level from one row to the next"  # as a parameter
 MAX_BYTES = 10_000_000  # 1,000 values at 1,000 velocities, of 9 characters each; what was fitted has some hundred cells
 
 

@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from car_interface.common.declared import read
 from car_interface.common.errors import ConfigError
-from car_interface.common.live_parameters import Tuning, TuningSettings, read_tuning
+from car_interface.common.live_parameters import Tuning, TuningSettings
 from car_interface.common.params import Params
 from car_interface.steering.calibration import trimmed
 from slash import SLASH
@@ -147,9 +148,11 @@ def test_whatever_is_asked_each_step_is_valid_and_within_the_rate(wanted, ticks,
 # --- parameters ---
 
 def test_settings_come_from_live_range_and_save_to():
-    assert read_tuning(Params({}), 100) == TuningSettings(100, None)
-    assert read_tuning(Params({"live_range": 0, "save_to": "/a.yaml"}), 100) == TuningSettings(0, "/a.yaml")
+    def settings(**parameters):
+        return read(Params(parameters), TuningSettings, default=TuningSettings(100))
+    assert settings() == TuningSettings(100, None)
+    assert settings(live_range=0, save_to="/a.yaml") == TuningSettings(0, "/a.yaml")
     with pytest.raises(ConfigError, match=r"save_to is 'a\.yaml'; accepted: a whole path, from / on"):
-        read_tuning(Params({"save_to": "a.yaml"}), 100)
-    with pytest.raises(ConfigError, match="live_range is -1; accepted: an integer from 0 to 65535"):
-        read_tuning(Params({"live_range": -1}), 100)
+        settings(save_to="a.yaml")
+    with pytest.raises(ConfigError, match="live_range is -1"):
+        settings(live_range=-1)

@@ -38,6 +38,7 @@ AB, EITHER, HALF_S = {"default": "a", "choices": ("a", "b")}, {"default": "a"}, 
     ("numbers", (1, 2.5, "1e-3"), {}, [1.0, 2.5, 0.001]),
     ("numbers", [], {}, []),
     ("numbers", None, {"default": ()}, []),
+    ("numbers", None, {"default": None}, None),
     ("flag", True, {}, True),
     ("flag", False, {}, False),
     ("flag", None, {"default": True}, True),
@@ -115,7 +116,7 @@ def test_parameter_is_refused_naming_it_its_value_and_what_is_accepted(reader, v
         read(reader, value, **args)
 
 
-@pytest.mark.parametrize("value, result", [("0x40", [64, 64, 64]), ([1, 2.0, "3"], [1, 2, 3]), (None, [7, 7, 7])])
+@pytest.mark.parametrize("value, result", [("0x40", (64, 64, 64)), ([1, 2.0, "3"], (1, 2, 3)), (None, (7, 7, 7))])
 def test_integers_of_a_given_length_may_be_one_for_all(value, result):
     assert read("integers", value, length=3, default=7, low=0, high=255) == result
 
@@ -194,7 +195,7 @@ def test_name_that_the_namespace_lacks_is_looked_up_outwards_where_that_was_aske
 ])
 def test_reader_does_not_look_outwards_unasked(reader, args):
     assert getattr(Params({}, lambda name: pytest.fail(f"{name} was looked up outwards")), reader)("x", **args) in (
-        args["default"], [args["default"]] * 2)
+        args["default"], (args["default"],) * 2)
 
 
 def test_name_found_nowhere_is_missing_or_its_default():
@@ -202,3 +203,12 @@ def test_name_found_nowhere_is_missing_or_its_default():
     with pytest.raises(ConfigError, match=r"^servo_left is missing; accepted: an integer from 0 to 65535$"):
         params.integer("servo_left", low=0, high=65535, search_parents=True)
     assert params.integer("servo_left", 3800, search_parents=True) == 3800
+
+
+def test_node_that_was_launched_names_what_the_arguments_chose_and_takes_the_folder_for_no_parameter():
+    params = Params({"config_folder": "/home/me/my_car", "device": "/dev/i2c-7", "address": "0x41", "frequency": 50})
+    assert params.launched_with() == "config /home/me/my_car, i2c /dev/i2c-7, address 0x41"
+    for name, read in (("device", params.text), ("address", params.text), ("frequency", params.number)):
+        read(name)
+    params.finish()
+    assert Params({"device": "/dev/i2c-7"}).launched_with() == ""

@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from car_interface.common.declared import read
 from car_interface.common.params import Params
-from car_interface.interlock.motion_interlock import InterlockConfig, MotionInterlock, read_interlock
+from car_interface.interlock.motion_interlock import InterlockConfig, MotionInterlock
 
 CONFIG_FILES = Path(__file__).resolve().parents[3] / "config"
 S = 1_000_000_000
@@ -150,9 +151,10 @@ def test_start_is_the_first_time_that_anything_is_passed_in():
 
 
 def test_parameters_have_defaults_and_are_read_by_name():
-    assert read_interlock(Params({}), 0.7) == InterlockConfig(0.7, 1.0, False, True)
-    assert read_interlock(Params({"human_timeout": 0.2, "e_stop_timeout": 3, "e_stop_required": True,
-                                  "grant_at_start": False})) == InterlockConfig(0.2, 3.0, True, False)
+    assert read(Params({"input_timeout": 0.7}), InterlockConfig, same_as={"human_timeout": "input_timeout"}) == (
+        InterlockConfig(0.7, 1.0, False, True))
+    assert read(Params({"human_timeout": 0.2, "e_stop_timeout": 3, "e_stop_required": True, "grant_at_start": False}),
+                InterlockConfig) == InterlockConfig(0.2, 3.0, True, False)
 
 
 @pytest.mark.parametrize("name", ["turn_arb.yaml", "throttle.yaml"])

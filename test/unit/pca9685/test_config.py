@@ -3,25 +3,28 @@ from __future__ import annotations
 
 import pytest
 
+from car_interface.common.declared import read_all
 from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
 from car_interface.pca9685.channels import ChannelConfig
-from car_interface.pca9685.config import Pca9685Config, read_config
+from car_interface.pca9685.config import Pca9685Config
 
 STEERING = {"steering": {"servo_channel": 3, "servo_center": 5100}}
 ESC = {"esc": {"servo": {"channel": 5, "neutral": 4915}}}
 
 
 def read(**parameters):
-    return read_config(Params(parameters))
+    return read_all(Params(parameters), Pca9685Config)
 
 
 def test_node_without_parameters_drives_the_first_bus_s_chip_at_50_hz_with_a_guard():
-    assert read() == Pca9685Config(
-        device="/dev/i2c-1", address=0x40, prescale=121, oscillator_hz=25e6,
-        channels=(ChannelConfig(timeout_ms=250, timeout_value=0, pwm_min=0, pwm_max=65535, live_range=0),) * 16,
-        required=False, virtual_chip=None, virtual_log=None, guard=True, guard_off_after_ns=10_000_000_000)
-    assert read().channels[0] == ChannelConfig()
+    config = read()
+    assert (config.device, config.address, config.prescale, config.oscillator_hz) == ("/dev/i2c-1", 0x40, 121, 25e6)
+    assert config.channels == (
+        ChannelConfig(timeout_ms=250, timeout_value=0, pwm_min=0, pwm_max=65535, live_range=0),) * 16
+    assert (config.required, config.virtual_chip, config.virtual_log) == (False, None, None)
+    assert (config.guard, config.guard_off_after_ns) == (True, 10_000_000_000)
+    assert config.channels[0] == ChannelConfig()
 
 
 @pytest.mark.parametrize("parameters, expected", [
@@ -35,8 +38,8 @@ def test_node_without_parameters_drives_the_first_bus_s_chip_at_50_hz_with_a_gua
      {"required": True, "guard": False, "guard_off_after_ns": 500_000_000}),
 ], ids=str)
 def test_parameter_becomes_what_the_node_uses(parameters, expected):
-    config = vars(read(**parameters))
-    assert {name: config[name] for name in expected} == expected
+    config = read(**parameters)
+    assert {name: getattr(config, name) for name in expected} == expected
 
 
 @pytest.mark.parametrize("name, low, high", [

@@ -45,5 +45,5 @@ def test_standstill(steps, expected):
 
 
 def test_limit_is_the_timeout_of_the_arbiters_inputs():
-    from car_interface.interlock.motion_interlock import HUMAN_TIMEOUT_S
-    assert round(HUMAN_TIMEOUT_S * 1e9) == STANDSTILL_NS
+    from car_interface.interlock.motion_interlock import InterlockConfig
+    assert round(InterlockConfig.human_timeout_s * 1e9) == STANDSTILL_NS

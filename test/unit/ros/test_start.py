@@ -2,12 +2,16 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 import runpy
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from car_interface.common.declared import rows
+from car_interface.ros.start import config_class
 
 ROOT = Path(__file__).resolve().parents[3]
 SCRIPTS = sorted((ROOT / "scripts").iterdir())
@@ -34,7 +38,10 @@ def test_node_prints_its_usage(script):
     usage = done.stdout
     assert usage.startswith(f"usage: rosrun car_interface {script.name} ")
     assert script.name in usage.split("\n\n")[1] and "docs/nodes.md" in usage
-    assert len(usage.splitlines()) < 12 or script.name in WITH_OPTIONS
+    config = config_class(script.name)
+    names = {row.name.replace("`", "") for row in rows(config)} if config else set()
+    assert names <= set(re.findall(r"^  (\S.*?) \(", usage, re.M))
+    assert len(usage.splitlines()) < 12 + 2 * len(names) or script.name in WITH_OPTIONS
 
 
 @pytest.mark.parametrize("script", COMMANDS, ids=lambda script: script.name)

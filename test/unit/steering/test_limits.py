@@ -4,9 +4,10 @@ import math
 import pytest
 
 from car_interface.common import causes
+from car_interface.common.declared import read
 from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
-from car_interface.steering.limits import SourceLimits, SteeringLimiter, SteeringLimits, read_limits, too_tight_reason
+from car_interface.steering.limits import SourceLimits, SteeringLimiter, SteeringLimits, too_tight_reason
 
 MS, S = 1_000_000, 1_000_000_000
 LATERAL = SourceLimits(max_lateral_mps2=4.0)
@@ -134,12 +135,12 @@ def test_whoever_takes_over_turns_in_from_where_the_car_is():
 
 
 def test_parameters_are_read_by_source_with_the_defaults_that_are_documented():
-    limits = read_limits(Params({}))
+    limits = read(Params({}), SteeringLimits)
     assert limits == SteeringLimits(SourceLimits(0.0, 0.0), SourceLimits(4.0, 40.0), 0.5)
     assert [SourceLimits(*numbers).is_off for numbers in ((0.0, 0.0), (4.0, 0.0), (0.0, 40.0))] == [True, False, False]
     params = Params({"human": {"max_lateral_acceleration": 6, "max_lateral_jerk": 80}, "planner":
                      {"max_lateral_acceleration": 0, "max_lateral_jerk": 0}, "odometry_timeout": 1.0})
-    limits = read_limits(params)
+    limits = read(params, SteeringLimits)
     params.finish()
     assert limits == SteeringLimits(SourceLimits(6.0, 80.0), SourceLimits(0.0, 0.0), 1.0)
 
@@ -149,7 +150,7 @@ def test_parameters_are_read_by_source_with_the_defaults_that_are_documented():
     ("human", "max_lateral_acceleration", "much")])
 def test_an_impossible_limit_is_refused_by_name(source, name, value):
     with pytest.raises(ConfigError, match=f"{source}/{name}"):
-        read_limits(Params({source: {name: value}}))
+        read(Params({source: {name: value}}), SteeringLimits)
 
 
 @pytest.mark.parametrize("asked_m, tightest_m, speed_mps, reason", [

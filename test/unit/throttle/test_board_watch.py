@@ -7,9 +7,10 @@ import random
 import pytest
 
 from car_interface.common import causes
+from car_interface.common.declared import read
 from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
-from car_interface.throttle.board_watch import BoardConfig, BoardWatch, read_board
+from car_interface.throttle.board_watch import BoardConfig, BoardWatch
 
 MS = 1_000_000
 S = 1000 * MS
@@ -212,8 +213,8 @@ def test_stall_of_the_judge_alone_is_no_difference():
 
 
 def test_configuration_is_read_with_the_board_s_own_limits():
-    config = read_board(Params({"output_required": False, "output_timeout": 0.7,
-                                "board": {"pwm_min": 3000, "pwm_max": [6000] * 16, "timeout": 250}}))
+    config = read(Params({"output_required": False, "output_timeout": 0.7,
+                          "board": {"pwm_min": 3000, "pwm_max": [6000] * 16, "timeout": 250}}), BoardConfig)
     assert config == BoardConfig(False, 0.7, (3000,) * 16, (6000,) * 16)
 
 
@@ -222,4 +223,4 @@ def test_configuration_is_read_with_the_board_s_own_limits():
     ({"board": {"pwm_min": [1, 2]}}, "board/pwm_min"), ({"board": {"pwm_max": 70000}}, "board/pwm_max")])
 def test_impossible_parameter_is_named(values, name):
     with pytest.raises(ConfigError, match=name):
-        read_board(Params(values))
+        read(Params(values), BoardConfig)

@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from car_interface.common.declared import read
 from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
-from car_interface.throttle.calibration import DutyMap, ThrottleCalibration, read_calibration, trimmed
+from car_interface.throttle.calibration import DutyMap, ThrottleCalibration, trimmed
 
 SHIPPED = ThrottleCalibration(channel=1, value_axis=[-5.0, 0.0, 3.0], duty_table=[3277, 4915, 6554], neutral=4915)
 FALLING = replace(SHIPPED, duty_table=[6554, 4915, 3277])
@@ -82,9 +83,9 @@ def test_table_moves_along_with_its_neutral_as_far_as_there_are_duties():
 
 
 def test_parameters_are_those_below_servo():
-    assert read_calibration(Params({"servo": READ})) == SHIPPED
+    assert read(Params({"servo": READ}), ThrottleCalibration) == SHIPPED
     lowest = {"channel": 0, "value_axis": [0, 3], "duty_table": [0, 65535], "neutral": 0}
-    assert read_calibration(Params({"servo": lowest})) == ThrottleCalibration(**lowest)
+    assert read(Params({"servo": lowest}), ThrottleCalibration) == ThrottleCalibration(**lowest)
 
 
 @pytest.mark.parametrize("changes, message", [
@@ -97,4 +98,4 @@ def test_parameters_are_those_below_servo():
 ])
 def test_parameter_out_of_range_is_refused_by_its_name(changes, message):
     with pytest.raises(ConfigError, match=message):
-        read_calibration(Params({"servo": {**READ, **changes}}))
+        read(Params({"servo": {**READ, **changes}}), ThrottleCalibration)

@@ -392,7 +392,7 @@ def brakes_downhill(profile, speed, cruise=0.3, age_ms=20, is_stop=False, **conf
     (0.4, 0.3, 20, 0.4 / 0.14 / 16), (0.4, 0.3, 120, 0.4 / 0.24 / 16), (0.8, 0.3, 20, 0.8 / 0.14 / 16),
     (2.0, 0.3, 20, 1.0),
     (0.17, 0.1, 20, 0.0),  # less than the ESC takes for a pull
-    (0.4, 0.3, 300, 0.0), (0.8, 0.3, 300, 0.8 / 0.42 / 16),
+    (0.8, 0.3, 120, 0.8 / 0.24 / 16), (0.8, 0.3, 140, 0.0),  # an old speed
     (0.4, 0.3, 0, 0.0),  # nobody knows how old its speed is
     (0.4, 0.0, 20, 0.4 / 0.14 / 16)])
 def test_downhill_a_car_is_braked_by_a_pull_so_weak_that_it_ends_before_it_becomes_reverse(

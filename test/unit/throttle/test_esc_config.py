@@ -2,23 +2,25 @@
 from __future__ import annotations
 
 import math
+from dataclasses import fields
 
 import pytest
 
+from car_interface.common.declared import parameter_of, read
 from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
-from car_interface.throttle.esc_config import NUMBERS, PROFILES, EscConfig, read_esc
+from car_interface.throttle.esc_config import PROFILES, EscConfig
 
 
 def test_defaults_name_no_profile_and_coast_no_longer_than_a_stop_from_10_mps():
-    assert read_esc(Params({})) == EscConfig()
+    assert read(Params({}), EscConfig) == EscConfig()
     assert (EscConfig().profile, EscConfig().stop_brake_time_s) == ("unverified", 3.0)
 
 
 @pytest.mark.parametrize("profile", PROFILES)
 def test_profile_is_read_with_whether_it_was_measured(profile):
     is_measured = profile != "unverified"
-    config = read_esc(Params({"esc": {"profile": profile, "profile_measured": is_measured}}))
+    config = read(Params({"esc": {"profile": profile, "profile_measured": is_measured}}), EscConfig)
     assert (config.profile, config.profile_measured) == (profile, is_measured)
 
 
@@ -26,7 +28,7 @@ def test_unknown_profile_is_refused_with_those_that_there_are():
     text = ("esc/profile is 'xl5'; accepted: one of brake_then_reverse, brake_becomes_reverse, direct_reverse, "
             "forward_only, unverified")
     with pytest.raises(ConfigError, match=text):
-        read_esc(Params({"esc": {"profile": "xl5"}}))
+        read(Params({"esc": {"profile": "xl5"}}), EscConfig)
     with pytest.raises(ConfigError, match=text):
         EscConfig(profile="xl5")
 
@@ -40,16 +42,16 @@ RANGES = {
 
 @pytest.mark.parametrize("name", RANGES)
 def test_number_is_accepted_up_to_the_ends_of_its_range_and_refused_beyond(name):
-    (field, low, high), = ((field, low, high) for field, (each, low, high) in NUMBERS.items() if each == name)
-    assert (low, high) == RANGES[name]
+    low, high = RANGES[name]
+    field = next(each.name for each in fields(EscConfig) if parameter_of(EscConfig, each.name).name == f"esc/{name}")
     message = rf"^esc/{name} is .*; accepted: a number from {low} to {high}$"
     for value in (low, high):
-        assert getattr(read_esc(Params({"esc": {"stop_brake": 0.0, name: value}})), field) == value
+        assert getattr(read(Params({"esc": {"stop_brake": 0.0, name: value}}), EscConfig), field) == value
     for value in (low - 0.01, high + 0.01, math.nan, "much", True):
         with pytest.raises(ConfigError, match=message):
             EscConfig(**{field: value})
         with pytest.raises(ConfigError, match=message):
-            read_esc(Params({"esc": {name: value}}))
+            read(Params({"esc": {name: value}}), EscConfig)
 
 
 @pytest.mark.parametrize("changes, text", [

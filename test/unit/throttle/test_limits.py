@@ -4,11 +4,12 @@ import math
 import pytest
 
 from car_interface.common import causes
+from car_interface.common.declared import read
 from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
 from car_interface.steering.arbiter import NEUTRAL, PLANNER, TELEOP
 from car_interface.throttle.arbiter import Arbitration
-from car_interface.throttle.limits import DriveLimits, SpeedBound, ThrottleLimiter, ThrottleLimits, read_limits
+from car_interface.throttle.limits import DriveLimits, SpeedBound, ThrottleLimiter, ThrottleLimits
 from car_interface.throttle.value_map import ValueMap
 
 S = 1_000_000_000
@@ -143,8 +144,8 @@ def test_cuts_are_counted_when_they_begin():
 
 
 def test_parameters_are_read_by_source_with_the_defaults_that_are_documented():
-    assert read_limits(Params({})) == ThrottleLimits(DriveLimits(), DriveLimits(), True, None, 0.5)
-    limits = read_limits(Params({"human": {"max_speed": 3}, "planner": {"max_speed": 5}, "slow_down": False}))
+    assert read(Params({}), ThrottleLimits) == ThrottleLimits(DriveLimits(), DriveLimits(), True, None, 0.5)
+    limits = read(Params({"human": {"max_speed": 3}, "planner": {"max_speed": 5}, "slow_down": False}), ThrottleLimits)
     assert (limits.human.max_speed_mps, limits.planner.max_speed_mps, limits.slow_down) == (3.0, 5.0, False)
 
 
@@ -157,12 +158,12 @@ def test_parameters_are_read_by_source_with_the_defaults_that_are_documented():
 ])
 def test_an_impossible_limit_or_one_that_needs_a_value_map_is_refused_by_name(values, message):
     with pytest.raises(ConfigError, match=message):
-        read_limits(Params(values))
+        read(Params(values), ThrottleLimits)
 
 
 def test_the_value_map_is_read_where_it_is_needed(tmp_path):
     path = tmp_path / "map.csv"
     path.write_text("default,0,10\n-5,-10,-10\n0,0,0\n3,6,6\n")
     values = {"csv_path_value_map": str(path), "planner": {"max_braking": 2}}
-    assert read_limits(Params(values)).value_map.acceleration_at(-5, 0) == -10
-    assert read_limits(Params({"csv_path_value_map": "/nowhere/map.csv"})).value_map is None
+    assert read(Params(values), ThrottleLimits).value_map.acceleration_at(-5, 0) == -10
+    assert read(Params({"csv_path_value_map": "/nowhere/map.csv"}), ThrottleLimits).value_map is None

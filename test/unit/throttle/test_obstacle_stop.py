@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from car_interface.common import causes
+from car_interface.common.declared import read
 from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
 from car_interface.throttle.obstacle_stop import (
@@ -14,7 +15,6 @@ from car_interface.throttle.obstacle_stop import (
     ObstacleConfig,
     ObstacleStop,
     Outline,
-    read_obstacle_stop,
     stopping_speed_mps,
 )
 
@@ -198,10 +198,9 @@ def test_from_its_speed_the_car_always_stops_within_what_was_looked_at(curvature
     assert speed_mps == 0.0 or not met or way_m <= min(met) - 0.1 + 1e-6
 
 
-@pytest.mark.parametrize("values", [{}, {"obstacle_stop": True}])
-def test_it_is_off_by_default_and_where_the_hub_s_file_is_left_out(values):
-    params = Params({**values, "sonar_hub": {"max_range": 2.0}})
-    assert read_obstacle_stop(params, is_complete=not values) is None
+def test_it_is_off_by_default_and_then_the_hub_s_file_is_not_read():
+    params = Params({"sonar_hub": {"max_range": -2.0}})
+    assert read(params, ObstacleConfig) is None
     params.finish(ignored_namespaces=("sonar_hub",))
 
 
@@ -210,7 +209,7 @@ def test_the_sonars_are_those_of_the_hub_s_file_without_the_absent_ones():
                                                           "median": False},
                      "obstacle": {"margin": 0.2, "creep": 0.1,
                                   "sonars": {"rear_left": "absent", "rear_right": "absent"}}})
-    config = read_obstacle_stop(params)
+    config = read(params, ObstacleConfig)
     params.finish(ignored_namespaces=("sonar_hub",))
     assert set(config.mounts) == {"front_right", "front_middle", "front_left", "rear_middle"}
     assert (config.field_of_view_rad, config.max_range_m, config.margin_m, config.creep_mps) == (0.4, 3.0, 0.2, 0.1)
@@ -225,4 +224,4 @@ def test_the_sonars_are_those_of_the_hub_s_file_without_the_absent_ones():
     ({"obstacle": {"sonars": {"rear_left": "no"}}}, "obstacle/sonars/rear_left")])
 def test_what_makes_no_sense_is_refused_by_name(values, name):
     with pytest.raises(ConfigError, match=name):
-        read_obstacle_stop(Params(values))
+        read(Params(values), ObstacleConfig)

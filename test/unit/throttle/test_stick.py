@@ -3,9 +3,10 @@ from __future__ import annotations
 
 import pytest
 
+from car_interface.common.declared import read
 from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
-from car_interface.throttle.stick import Scale, StickConfig, read_stick, shaped
+from car_interface.throttle.stick import Scale, StickConfig, shaped
 
 
 @pytest.mark.parametrize("request_, deadband, expo, expected", [
@@ -45,7 +46,7 @@ def test_scale_ends_at_1_and_at_the_smaller_of_a_step_and_the_start_and_a_step_o
 
 
 def test_defaults_are_a_third_forward_and_the_whole_brake():
-    assert read_stick(Params({})) == StickConfig(deadband=0.05, expo=0.0, human_scale=0.3, brake_scale=1.0,
+    assert read(Params({}), StickConfig) == StickConfig(deadband=0.05, expo=0.0, human_scale=0.3, brake_scale=1.0,
                                                  scale_step=0.1)
 
 
@@ -58,4 +59,4 @@ def test_defaults_are_a_third_forward_and_the_whole_brake():
 ])
 def test_parameter_out_of_range_is_refused_by_its_name(name, value, accepted):
     with pytest.raises(ConfigError, match=f"{name} is {value!r}; accepted: {accepted}"):
-        read_stick(Params({name: value}))
+        read(Params({name: value}), StickConfig)

@@ -6,19 +6,13 @@ deadman. A wireless gamepad that is out of range isn't: its receiver is still th
 Publishes:
     joy (sensor_msgs/Joy): at once when a button changes, for axes after ~coalesce_interval, and ~autorepeat_rate times
         a second without a change.
-Parameters:
-    ~dev /dev/input/js0: the gamepad.
-    ~deadzone 0.05: so far from its middle an axis is 0, 0 to 0.9.
-    ~autorepeat_rate 20 (Hz): teleop_logi needs a message every ~joy_timeout; 0 = changes only.
-    ~coalesce_interval 0.001 (s): an axis waits so long for others.
 """
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import rospy
 from sensor_msgs.msg import Joy
 
+from car_interface.common.declared import read_all
 from car_interface.common.errors import DeviceError
 from car_interface.common.units import NS_PER_S
 from car_interface.nodes.gamepad_joy.joystick_device import JoystickDevice
@@ -26,42 +20,16 @@ from car_interface.ros.diagnostics import ERROR, OK, Diagnostics
 from car_interface.ros.logs import ThrottledWarnings
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise
-from car_interface.teleop.joystick import Joystick, Pacing
+from car_interface.teleop.joystick import Joystick, JoystickConfig, Pacing
 
 RETRY_NS = NS_PER_S // 2
-MAX_RATE_HZ = 1000
-
-
-@dataclass(frozen=True)
-class GamepadJoyConfig:
-    """What the node's parameters say."""
-
-    dev: str
-    deadzone: float
-    autorepeat_hz: float
-    coalesce_s: float
-
-
-def read_config(params) -> GamepadJoyConfig:
-    """The node's configuration from its parameters.
-
-    Raises:
-        ConfigError: naming the parameter.
-    """
-    config = GamepadJoyConfig(
-        dev=params.path("dev", "/dev/input/js0"),
-        deadzone=params.number("deadzone", 0.05, low=0, high=0.9),
-        autorepeat_hz=params.number("autorepeat_rate", 20.0, low=0, high=MAX_RATE_HZ),
-        coalesce_s=params.number("coalesce_interval", 0.001, low=0, high=1))
-    params.finish()
-    return config
 
 
 class GamepadJoy:
     """Reads the gamepad and publishes its state."""
 
     def __init__(self, params, inbox):
-        self._config = read_config(params)
+        self._config = read_all(params, JoystickConfig)
         self._inbox = inbox
         self._device: JoystickDevice | None = None
         self._joystick = Joystick(self._config.deadzone)

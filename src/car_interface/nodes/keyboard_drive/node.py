@@ -12,21 +12,17 @@ Publishes, at 50 Hz:
     joy (sensor_msgs/Joy).
 Subscribes:
     turn_arb/state (SteeringState): who steers and why, printed when it changes.
-Parameters:
-    ~steer_axis 0, ~throttle_axis 4, ~manual_button 4, ~autonomous_button 5, ~faster_button −1, ~slower_button −1,
-        ~steer_scale 1.0, ~throttle_scale 1.0: as teleop_logi's, whose values in the same namespace are the defaults.
-    ~input_devices /dev/input/event*: the keyboards; none = only the terminal is read.
 """
 from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
 
 import rospy
 from sensor_msgs.msg import Joy
 
-from car_interface.common.errors import CarInterfaceError, ConfigError
+from car_interface.common.declared import read, read_all
+from car_interface.common.errors import CarInterfaceError
 from car_interface.common.params import Params
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import NS_PER_S
@@ -36,67 +32,16 @@ from car_interface.nodes.keyboard_drive.keyboard import Keys
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, subscribe
 from car_interface.steering.arbiter import source_name
-from car_interface.teleop.gamepad import MAX_INDEX
-from car_interface.teleop.keyboard import QUIT, Controls, Keyboard, KeyReader, help_text
+from car_interface.teleop.gamepad import NONE
+from car_interface.teleop.keyboard import QUIT, Controls, Keyboard, KeyboardConfig, KeyReader, help_text
 
 RATE_HZ = 50
 AXES, BUTTONS = 8, 11  # at least: as many as the shipped gamepad has
 VIRTUAL, NO_DEVICES = "virtual", "none"
-NONE = -1  # no such button
 WATCH_S = 1.0  # how often pca9685's device is looked at
 HELD_UP_NS = NS_PER_S // 4  # after such a pause, Ctrl-Z for one, keys must be pressed anew
 NUMBER = re.compile(r"[-+]?\d[\d.]*")
 START_VIRTUAL = "Start the virtual car first: roslaunch car_interface demo.launch drive:=false"
-
-
-@dataclass(frozen=True)
-class KeyboardDriveConfig:
-    """The node's configuration: which axis and button does what, as teleop_logi's, and where keys come from.
-
-    Raises:
-        ConfigError: naming the parameter.
-    """
-
-    steer_axis: int
-    throttle_axis: int
-    manual_button: int
-    autonomous_button: int
-    faster_button: int
-    slower_button: int
-    steer_scale: float
-    throttle_scale: float
-    input_devices: str
-
-    def __post_init__(self):
-        if self.manual_button == self.autonomous_button:
-            raise ConfigError("autonomous_button", self.autonomous_button, "a button other than manual_button's")
-
-
-def read_config(params, teleop_logi=None) -> KeyboardDriveConfig:
-    """Read the node's configuration, without side effects.
-
-    Args:
-        params: the node's parameters.
-        teleop_logi: that node's, which are the defaults; ``None`` = it has none.
-
-    Raises:
-        ConfigError: naming the parameter.
-    """
-    teleop_logi = teleop_logi or Params({})
-
-    def index(name, default, low=0):
-        return params.integer(name, teleop_logi.integer(name, default, low, MAX_INDEX), low, MAX_INDEX)
-
-    def scale(name):
-        return params.number(name, teleop_logi.number(name, 1.0, -1, 1), -1, 1)
-    config = KeyboardDriveConfig(
-        steer_axis=index("steer_axis", 0), throttle_axis=index("throttle_axis", 4),
-        manual_button=index("manual_button", 4), autonomous_button=index("autonomous_button", 5),
-        faster_button=index("faster_button", NONE, NONE), slower_button=index("slower_button", NONE, NONE),
-        steer_scale=scale("steer_scale"), throttle_scale=scale("throttle_scale"),
-        input_devices=params.text("input_devices", "/dev/input/event*"))
-    params.finish()
-    return config
 
 
 class KeyboardDrive:
@@ -110,7 +55,8 @@ class KeyboardDrive:
     """
 
     def __init__(self, params, inbox, keys=None, make_keyboards=Keyboards):
-        self._config = read_config(params, Params(inbox.graph.parameter("teleop_logi", {})))
+        teleop_logi = Params(inbox.graph.parameter("teleop_logi", {}))
+        self._config = read_all(params, KeyboardConfig, default=read(teleop_logi, KeyboardConfig))
         self._inbox = inbox
         self._fault = ""
         self._device = self._inbox.graph.parameter("pca9685/device", None)

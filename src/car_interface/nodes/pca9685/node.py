@@ -8,23 +8,7 @@ Publishes:
         10 Hz. While the guard acts alone ``nodes.pca9685.output_relay`` publishes it.
     /diagnostics: the board, its faults, which channels have timed out and how often each did; the guard; who publishes
         on its topics; 1 Hz, and when a channel times out.
-Parameters:
-    ~device /dev/i2c-1: the bus, by path or number; ``virtual`` = a chip in software.
-    ~address 0x40.  ~frequency 50 (Hz).  ~oscillator_hz 25e6.  ~prescale: overrides these two.
-    ~timeout 250 (ms, 0 = never), ~timeout_value 0 (duty, 0 = off), ~pwm_min 0, ~pwm_max 65535: a list of 16, or one
-        for all.
-    ~steering/servo_channel, ~steering/servo_center: the steering's channel and its timeout value, where both are given.
-    ~esc/servo/channel, ~esc/servo/neutral: those of the ESC.  ~esc/servo/duty_table, ~esc/esc/profile unverified,
-        ~esc/esc/profile_measured false, ~esc/esc/reverse_after_neutral 0 (s): a duty on the side of neutral where it
-        brakes or reverses times out in 80 ms, unless it is a measured brake_then_reverse's first one after a push.
-        The rest of ~steering and ~esc, the YAML files of turn_arb and generic_value_converter, is not read.
-    ~live_range 500, ~throttle_live_range 100 (duty): how far the timeout values of these two channels may follow
-        servo/neutral; 0 = not at all.
-    ~required false: true = end with exit code 1 when the board can't be used at start.
-    ~guard true: start a guard, which makes the board safe when this node dies or hangs; see
-        ``nodes.pca9685.pca9685_guard``.
-    ~guard_off_after 10 (s): so long after it began to act the guard switches every output off.
-The virtual chip has a service and parameters of its own: see ``nodes.pca9685.virtual_board``.
+The virtual chip has a service of its own: see ``nodes.pca9685.virtual_board``.
 Arguments, by a launch file: --device, --address, --virtual-chip, which these parameters must agree with: see
     ``common.fixed_parameters``.
 """
@@ -39,6 +23,7 @@ import smbus2
 from std_msgs.msg import Int32MultiArray
 
 from car_interface.common.causes import FOREIGN_WRITE, NODE_STOOD_STILL
+from car_interface.common.declared import read_all
 from car_interface.common.errors import DeviceError
 from car_interface.common.file_lock import lock_byte
 from car_interface.common.rate_timer import RateTimer
@@ -48,7 +33,7 @@ from car_interface.nodes.pca9685.virtual_board import VirtualBoardBus, chip_path
 from car_interface.pca9685.board import Board
 from car_interface.pca9685.bus_errors import explain
 from car_interface.pca9685.channels import Channels
-from car_interface.pca9685.config import VIRTUAL, read_config
+from car_interface.pca9685.config import VIRTUAL, Pca9685Config
 from car_interface.pca9685.registers import counts_of_duty, duty_of_counts, frequency_for
 from car_interface.pca9685.senders import ChannelSenders, listed
 from car_interface.pca9685.supervisor import DISCONNECTED, FOREIGN, FOUND, MISMATCH, RETRIED, RUNNING, BoardSupervisor
@@ -119,7 +104,7 @@ class Pca9685:
     notices_standstill = True  # by its guard, which acts sooner than the other nodes' inputs time out
 
     def __init__(self, params, inbox, make_bus=make_bus, start_guard=GuardChild):
-        config = read_config(params)
+        config = read_all(params, Pca9685Config)
         self._clocks = inbox.clocks
         now_ns = self._clocks.now_ns()
         self._channels = Channels(config.channels)

@@ -3,11 +3,8 @@
 Service:
     ~inject_fault (InjectFault): ``nack`` (number of the next transfers that fail), ``hold`` (the bus is held down, 1 or
         0), ``power`` (of the chip, 1 or 0), ``brownout`` (its registers are reset), ``address`` (its new address).
-Parameters:
-    ~virtual_chip: the absolute path of the chip's socket. Its default differs by user, master, and name of the node:
-        two cars share none.
-    ~virtual_log: the absolute path of a file to which each write to the chip is appended: monotonic time in ns,
-        address, register and bytes.
+The socket's default differs by user, master, and name of the node: two cars share none. The log has for each write to
+the chip monotonic time in ns, address, register and bytes.
 """
 from __future__ import annotations
 

@@ -16,17 +16,10 @@ Publishes, at 50 Hz while the source is fresh:
     /diagnostics: the same, and who else publishes on its topics; 1 Hz.
 When the source falls silent, or can't be obeyed: a radius of 0 and full braking once, then nothing; and the state, by
 which throttle_arb stops. A source that sent an angle which no wheel turns to stays refused until it was sane for 2 s.
-Parameters:
-    ~source: drive, cmd_vel, autoware or speed; required.
-    ~cmd_vel_angular rate: what angular.z of cmd_vel is, rate (rad/s) or angle (rad, of the front wheels).
-    ~wheels/wheelbase 0.324 (m).  ~source_timeout 0.5 (s, 0.05..0.5): an older command is no request.
-    ~max_speed 3.0 (m/s), ~max_acceleration 2.0, ~max_braking 3.0 (m/s²), ~max_jerk 20 (m/s³): limits of a request.
-    ~speed_p 4.0, ~speed_i 3.0, ~max_correction 2.0 (m/s²): of the PI.  ~odometry_timeout 0.5 (s, 0.05..0.5).
 """
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import rospy
 from geometry_msgs.msg import Twist, TwistStamped
@@ -34,13 +27,14 @@ from nav_msgs.msg import Odometry
 from std_msgs.msg import Float32, UInt8
 
 from car_interface.common import causes
+from car_interface.common.declared import read_all
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
 from car_interface.msg import Control, PlannerState, SteeringState, ThrottleState
 from car_interface.nodes.planner_interface.ackermann_messages import ackermann_drive_class
+from car_interface.nodes.planner_interface.config import PlannerInterfaceConfig
 from car_interface.planner.messages import from_ackermann, from_control, from_twist
-from car_interface.planner.params import WHEELS, PlannerConfig, read_planner
 from car_interface.planner.request import PlannerRequest, not_finite, sane_radius_m
 from car_interface.planner.source_arbiter import (
     AUTOWARE,
@@ -57,8 +51,7 @@ from car_interface.ros.logs import ThrottledWarnings
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, md5_of, sender_of, subscribe
 from car_interface.steering.limits import TOO_TIGHT_FOR_NS, TOO_TIGHT_REMEDY
-from car_interface.throttle.params import read_speed_control
-from car_interface.throttle.speed_control import STOP, SpeedControl, SpeedControlConfig, SpeedRequest
+from car_interface.throttle.speed_control import STOP, SpeedControl, SpeedRequest
 
 RATE_HZ = 50
 STEERING_TIMEOUT_S = 0.5  # turn_arb's state comes 20 times a second
@@ -67,45 +60,21 @@ TOPICS = {DRIVE: "drive", CMD_VEL: "cmd_vel", AUTOWARE: "~input/control_cmd", SP
 TWISTS = {message_type._md5sum: message_type for message_type in (Twist, TwistStamped)}
 
 
-@dataclass(frozen=True)
-class PlannerInterfaceConfig:
-    """The node's configuration.
-
-    Attributes:
-        planner: which source is obeyed, and how it is read.
-        speed: limits and gains of the speed control.
-    """
-
-    planner: PlannerConfig
-    speed: SpeedControlConfig
-
-
-def read_config(params) -> PlannerInterfaceConfig:
-    """Read the node's configuration from its parameters, without side effects.
-
-    Raises:
-        ConfigError: naming the parameter.
-    """
-    config = PlannerInterfaceConfig(planner=read_planner(params), speed=read_speed_control(params))
-    params.finish(ignored_namespaces=(WHEELS,))  # teensy_sensor_hub checks its own
-    return config
-
-
 class PlannerInterface:
     """Converts the source's messages, controls the speed, publishes."""
 
     def __init__(self, params, inbox):
-        config = read_config(params)
+        config = read_all(params, PlannerInterfaceConfig)
         self._clocks = inbox.clocks
         now_ns = self._clocks.now_ns()
-        self._config = config.planner
-        self._sources = SourceArbiter(config.planner.source, config.planner.source_timeout_s,
-                                      sane_radius_m(config.planner.wheelbase_m))
+        self._config = config
+        self._sources = SourceArbiter(config.source, config.source_timeout_s,
+                                      sane_radius_m(config.wheelbase_m))
         # Why the wheels can't turn the car as asked, by turn_arb; empty: they can. And the newest such reason.
         self._steering = TimedInput("turn_arb's state", STEERING_TIMEOUT_S)
         self._too_tight = TimedInput("a turn that is too tight", TOO_TIGHT_FOR_NS / NS_PER_S)
         self._control = SpeedControl(config.speed)
-        self._steers = config.planner.source != SPEED
+        self._steers = config.source != SPEED
         self._gear_number = None  # the newest of ~input/gear_cmd
         self._inbox = inbox
         self._warnings = ThrottledWarnings(inbox.clocks)
@@ -118,13 +87,13 @@ class PlannerInterface:
         self._radii = advertise("av_turnrad_req", Float32, inbox) if self._steers else None
         self._controls = advertise("~output/control_cmd", Control, inbox)
         self._states = advertise("~state", PlannerState, inbox, latch=True)
-        others = tuple(TOPICS[source] for source in TOPICS if source != config.planner.source)
-        types = {TOPICS[CMD_VEL]: (Twist._type, TwistStamped._type)} if config.planner.source == CMD_VEL else {}
+        others = tuple(TOPICS[source] for source in TOPICS if source != config.source)
+        types = {TOPICS[CMD_VEL]: (Twist._type, TwistStamped._type)} if config.source == CMD_VEL else {}
         self._command_topics = CommandTopics(inbox, shared=others, types=types)
         self._diagnostics = Diagnostics(inbox, "none", {"planner": self._report, **self._command_topics.reports},
                                         now_ns)
         inbox.on_overflow(self._on_overflow)
-        self._subscribe(config.planner.source)
+        self._subscribe(config.source)
         self._command_topics.start(self._diagnostics.report_now)
 
     def _subscribe(self, obeyed):

@@ -1,12 +1,10 @@
 """What the Teensy measures, as stamped messages in SI units: one half of teensy_sensor_hub.
 
-The node's docstring has the topics and parameters; ``MeasurementPublisher`` reads and serves those that are about
-measuring.
+The node's docstring has the topics.
 """
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
 from nav_msgs.msg import Odometry as OdometryMessage
@@ -18,77 +16,34 @@ from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import NS_PER_S
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.msg import SteeringState, TeensyClock
+from car_interface.nodes.teensy_sensor_hub.config import HubConfig
 from car_interface.ros.clocks import RosClock
 from car_interface.ros.diagnostics import OK, WARN
 from car_interface.ros.logs import ThrottledWarnings
 from car_interface.ros.topics import advertise, has_subscribers, subscribe
 from car_interface.teensy.link.health import CLOCK_REPORT
-from car_interface.teensy.sensing.clock import ClockConfig
-from car_interface.teensy.sensing.measurements import MeasurementConfig, Measurements
-from car_interface.teensy.sensing.odometry import MIN_LENGTH_M, OdometryConfig
-from car_interface.teensy.sensing.plausibility import GateConfig
-from car_interface.teensy.sensing.ranging import INF, MAX_RANGE, MAX_TIMEOUT_MS, USUAL_TIMEOUT_MS, RangingConfig
+from car_interface.teensy.sensing.measurements import Measurements
 
 QUEUE_SIZE = 100
 UNMEASURED = 1e6  # variance of what wheels don't measure: height, roll, pitch and sliding sideways
 WHEEL_JOINTS = ("rear_left_wheel", "rear_right_wheel")
-# Of the virtual car: x and y from the middle of the rear axle, in m, and its yaw, in rad.
-MOUNTS = {"front_right": [0.40, -0.10, -0.524], "front_middle": [0.42, 0.0, 0.0], "front_left": [0.40, 0.10, 0.524],
-          "rear_right": [-0.12, -0.10, -2.618], "rear_middle": [-0.14, 0.0, math.pi], "rear_left": [-0.12, 0.10, 2.618]}
 MAX_REFUSED_RATIO = 0.01  # of a second's records, from which on it's a warning
-SLOWEST_ODOM_HZ = 0.1
-
-
-class Settings(NamedTuple):
-    """The parameters of measuring, and of the messages."""
-
-    config: MeasurementConfig
-    baud: int
-    ping_period_s: float
-    odom_frame: str
-    base_frame: str
-    sonar_frames: list[str]
-    joint_names: list[str]
-    mounts: list[list[float]]  # of the sonars: x, y (m) and yaw (rad) in base_frame
-    field_of_view_rad: float
-    publish_tf: bool
-    odom_rate_hz: float  # inf = with each report
-
-
-def read_settings(params, baud: int) -> Settings:
-    """The settings from the node's parameters.
-
-    Raises:
-        ConfigError: naming the parameter.
-    """
-    prefix = params.text("frame_prefix", "", may_be_empty=True)
-    ping_period_s = params.number("ping_period", 1.0, low=0.01, high=3600)
-    return Settings(
-        odom_frame=prefix + params.text("odom_frame", "odom"),
-        base_frame=prefix + params.text("base_frame", "base_link"),
-        sonar_frames=[f"{prefix}sonar_{name}" for name in SONARS],
-        joint_names=[prefix + name for name in WHEEL_JOINTS],
-        publish_tf=params.flag("publish_tf", True),
-        odom_rate_hz=_odom_rate(params),
-        mounts=[_mount(params, name) for name in SONARS],
-        field_of_view_rad=params.number("field_of_view", 0.524, above=0.0, high=math.pi),
-        config=read_config(params, baud, ping_period_s, params.flag("use_steering", False)),
-        baud=baud, ping_period_s=ping_period_s)
 
 
 class MeasurementPublisher:
     """Publishes what ``Measurements`` makes of the Teensy's records.
 
     Args:
-        settings: as ``read_settings`` has read them.
+        config: the node's.
         inbox: the node's; for the temperature and the steering.
     """
 
-    def __init__(self, settings: Settings, inbox):
-        config = settings.config
-        self._settings = settings
+    def __init__(self, config: HubConfig, inbox):
+        self._config = config
         self._ranging = config.ranging
-        self._measurements = Measurements(config, self._on_motion)
+        self._odom_frame, self._base_frame = config.frame(config.odom_frame), config.frame(config.base_frame)
+        self._sonar_frames = [config.frame(f"sonar_{name}") for name in SONARS]
+        self._measurements = Measurements(config.measurement, self._on_motion)
         self._clocks = inbox.clocks
         self._ros_clock = RosClock(inbox.clocks)
         self._warnings = ThrottledWarnings(inbox.clocks)
@@ -96,16 +51,16 @@ class MeasurementPublisher:
         self._counted = (0, 0)
         self._pending = None  # the newest motion, while it isn't published
         self.speed_mps = 0.0  # the newest
-        self._motion_timer = RateTimer(settings.odom_rate_hz, 0)
+        self._motion_timer = RateTimer(config.odom_rate_hz or math.inf, 0)
         self._prepare_messages()
         self._odometry = advertise("odom", OdometryMessage, inbox, QUEUE_SIZE)
         self._joints = advertise("joint_states", JointState, inbox, QUEUE_SIZE)
         self._ranges = [advertise(f"sonar/{name}", Range, inbox, QUEUE_SIZE) for name in SONARS]
         self._clock = advertise("teensy_clock", TeensyClock, inbox, QUEUE_SIZE)
-        self._tf = advertise("/tf", TFMessage, inbox, QUEUE_SIZE) if settings.publish_tf else None
+        self._tf = advertise("/tf", TFMessage, inbox, QUEUE_SIZE) if config.publish_tf else None
         self._static_tf = advertise("/tf_static", TFMessage, inbox, queue_size=1, latch=True)
-        self._static_tf.publish([_transform(self._clocks.ros_now(), settings.base_frame, frame, *mount)
-                                 for frame, mount in zip(settings.sonar_frames, settings.mounts)])
+        self._static_tf.publish([_transform(self._clocks.ros_now(), self._base_frame, frame, *mount)
+                                 for frame, mount in zip(self._sonar_frames, config.mounts)])
         subscribe("temperature", Temperature, inbox, self._on_temperature)
         if config.odometry.use_steering:
             inbox.on_overflow(self._on_overflow)
@@ -113,12 +68,11 @@ class MeasurementPublisher:
 
     def _prepare_messages(self):
         """Frequent messages are reused: rospy serialises them as it publishes them."""
-        settings = self._settings
-        self._odom_msg = OdometryMessage(child_frame_id=settings.base_frame)
-        self._odom_msg.header.frame_id = settings.odom_frame
-        self._tf_msg = _transform(self._clocks.ros_now(), settings.odom_frame, settings.base_frame, 0.0, 0.0, 0.0)
-        self._joint_msg = JointState(name=settings.joint_names)
-        self._range_msg = Range(radiation_type=Range.ULTRASOUND, field_of_view=settings.field_of_view_rad,
+        self._odom_msg = OdometryMessage(child_frame_id=self._base_frame)
+        self._odom_msg.header.frame_id = self._odom_frame
+        self._tf_msg = _transform(self._clocks.ros_now(), self._odom_frame, self._base_frame, 0.0, 0.0, 0.0)
+        self._joint_msg = JointState(name=[self._config.frame(name) for name in WHEEL_JOINTS])
+        self._range_msg = Range(radiation_type=Range.ULTRASOUND, field_of_view=self._config.field_of_view_rad,
                             min_range=self._ranging.min_range_m, max_range=self._ranging.max_range_m)
 
     def pong(self, record, answer, received_ns: int) -> None:
@@ -130,7 +84,7 @@ class MeasurementPublisher:
         self._clock.publish(TeensyClock(
             stamp=self._ros_clock.stamp("clock", received_ns), sent=answer.sent_ns, received=received_ns,
             sent_bytes=answer.sent_bytes,
-            baud=self._settings.baud, tick=record.timestamp2, used=sync.used, reason=sync.reason,
+            baud=self._config.baud, tick=record.timestamp2, used=sync.used, reason=sync.reason,
             converged=sync.converged, offset=sync.offset_ns / NS_PER_S, skew=sync.skew_ppm,
             uncertainty=sync.uncertainty_ns / NS_PER_S, round_trip=sync.round_trip_ns / NS_PER_S))
 
@@ -147,7 +101,7 @@ class MeasurementPublisher:
         message = self._range_msg
         message.range = measured.range_m
         message.header.stamp = self._ros_clock.stamp(measured.sensor, measured.stamp.time_ns)
-        message.header.frame_id = self._settings.sonar_frames[measured.sensor]
+        message.header.frame_id = self._sonar_frames[measured.sensor]
         self._ranges[measured.sensor].publish(message)
 
     def wheels(self, record, received_ns: int) -> None:
@@ -253,46 +207,6 @@ class MeasurementPublisher:
         twist.twist.linear.x, twist.twist.angular.z = motion.speed_mps, motion.yaw_rate_radps
         twist.covariance = _covariance(motion.speed_variance, 0, 0, UNMEASURED, 0, motion.yaw_rate_variance)
         return message
-
-
-def read_config(params, baud: int, ping_period_s: float, uses_steering: bool) -> MeasurementConfig:
-    """The sensors' configuration from the node's parameters."""
-    pulses = params.integer("pulses_per_revolution", 20, low=1, high=10_000)
-    diameter_m = params.number("wheel_diameter", 0.095, low=MIN_LENGTH_M, high=10)
-    # Whatever the sonars do, pongs come with the pings, of which one may be lost.
-    max_gap_ms = max(GateConfig.max_gap_ms, math.ceil(2000 * ping_period_s))
-    return MeasurementConfig(
-        gates=GateConfig(top_speed_mps=params.number("top_speed", 20.0, above=0.0, high=1000),
-                         pulse_m=math.pi * diameter_m / pulses, max_gap_ms=max_gap_ms),
-        clock=ClockConfig(baud=baud),
-        odometry=OdometryConfig(
-            pulses_per_revolution=pulses, wheel_diameter_m=diameter_m,
-            track_m=params.number("track", 0.296, low=MIN_LENGTH_M, high=10),
-            wheelbase_m=params.number("wheelbase", 0.324, low=MIN_LENGTH_M, high=10), use_steering=uses_steering,
-            distance_sigma=params.number("distance_sigma", 0.02, low=0.0, high=1),
-            heading_sigma=params.number("heading_sigma", 0.01, low=0.0, high=1)),
-        ranging=RangingConfig(
-            temperature_c=params.number("temperature", 20.0, low=-50, high=60),
-            min_range_m=params.number("min_range", 0.02, low=0.0, high=100),
-            max_range_m=params.number("max_range", 2.0, above=0.0, high=100),
-            no_echo=params.choice("no_echo", INF, (INF, MAX_RANGE)),
-            median=params.flag("median", False),
-            timeouts_ms=tuple(params.number(f"no_echo_timeouts/{name}", USUAL_TIMEOUT_MS, above=0.0,
-                                            high=MAX_TIMEOUT_MS) for name in SONARS)))
-
-
-def _odom_rate(params):
-    rate_hz = params.number("odom_rate", 50.0, low=0.0, high=1000)
-    if 0 < rate_hz < SLOWEST_ODOM_HZ:
-        raise ConfigError("odom_rate", rate_hz, f"0, or a number from {SLOWEST_ODOM_HZ} to 1000")
-    return rate_hz or math.inf
-
-
-def _mount(params, name):
-    mount = params.numbers(f"sonars/{name}", MOUNTS[name])
-    if len(mount) != 3:
-        raise ConfigError(f"sonars/{name}", mount, "three numbers: x, y in m, and yaw in rad, in base_link")
-    return mount
 
 
 def _transform(stamp, parent, child, x_m, y_m, yaw_rad):

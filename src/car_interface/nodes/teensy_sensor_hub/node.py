@@ -17,48 +17,29 @@ Services:
     ~set_sonar_sequence (SetSonarSequence), ~set_sonar_wait (SetSonarWait).
 Keys, on a terminal of its own:
     P ping, S sonar start, N sonar stop, R wheel reset, C counters, X sonars 0 1 5, Y all six sonars, Q quit.
-Parameters:
-    ~port /dev/ttyAMA0, ~baud 115200, ~ping_period 1.0 (s).
-    ~firmware_checksum auto: which checksum the Teensy's receiver wants; shipped, corrected, or find out.
-    ~required false: true = end with exit code 1 when the port can't be opened at start.
-    ~sonar_restart 3.0 (s): after so long without a report of any sonar, though there should be some, SONAR_START is
-        sent; 0 = never.
-    ~sonar_sequence_ahead []: the same while the car drives forward; [] = no other.
-    ~sonar_sequence []: the order in which the sonars fire, sent when the port opens and after each reboot; [] = the
-        firmware's own, 0 to 5.
-    ~raw_only false: true = the four raw topics and the link only; nothing is measured, for half the CPU.
-    ~pulses_per_revolution 20, ~wheel_diameter 0.095, ~track 0.296, ~wheelbase 0.324 (m), ~top_speed 20 (m/s; what is
-        faster is taken for line noise), ~use_steering false: true = the commanded steering helps the heading.
-    ~odom_rate 50 (Hz at most, 0.1 to 1000; 0 = with each report, up to 200), ~publish_tf true, ~odom_frame odom,
-        ~base_frame base_link, ~frame_prefix "" (before every frame and joint).
-    ~sonars/front_right … ~sonars/rear_left [x, y, yaw] (m, rad, in base_link), ~field_of_view 0.524 (rad),
-        ~min_range 0.02, ~max_range 2.0 (m), ~no_echo inf (or max_range), ~median false (true = over five of a sonar),
-        ~temperature 20 (°C), ~no_echo_timeouts/front_right … ~no_echo_timeouts/rear_left 38 (ms: when the sensor ends
-        its pulse by itself).
 Argument, by a launch file: --port, which ~port must agree with: see ``common.fixed_parameters``.
 """
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import rospy
 
-from car_interface.common.errors import ConfigError, DeviceError
+from car_interface.common.declared import read_all
+from car_interface.common.errors import DeviceError
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import NS_PER_S
 from car_interface.msg import Distance, Error, OneWheel, Pong, Wheel
+from car_interface.nodes.teensy_sensor_hub.config import HubConfig
 from car_interface.nodes.teensy_sensor_hub.link_status import LinkStatusPublisher
-from car_interface.nodes.teensy_sensor_hub.measurement_publisher import MeasurementPublisher, Settings, read_settings
+from car_interface.nodes.teensy_sensor_hub.measurement_publisher import MeasurementPublisher
 from car_interface.nodes.teensy_sensor_hub.teensy_commands import TeensyCommands
 from car_interface.ros.diagnostics import Diagnostics
 from car_interface.ros.logs import ThrottledWarnings
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, has_subscribers
 from car_interface.teensy.link import protocol
-from car_interface.teensy.link.framing import CORRECTED, SHIPPED
 from car_interface.teensy.link.health import FINE, LINK_REPORT, OK, REBOOTED, WAITING
-from car_interface.teensy.link.pinging import AUTO
 from car_interface.teensy.link.port import SerialLink
 from car_interface.teensy.link.session import ChecksumChanged, PongReceived, Rebooted, Session
 from car_interface.teensy.sensing.sonar_monitor import SEND_SEQUENCE, SonarMonitor, describe
@@ -67,54 +48,6 @@ QUEUE_SIZE = 100  # a quarter of a second of a saturated line
 FIRST_RETRY_NS, LAST_RETRY_NS = NS_PER_S // 5, 2 * NS_PER_S
 LONG_READ = 1024  # bytes: 90 ms of a saturated line at 115200 baud. So much at once that is no frames is a flood
 SHORTEST_REST_NS = NS_PER_S // 250
-
-
-@dataclass(frozen=True)
-class HubConfig:
-    """The node's parameters.
-
-    Attributes:
-        port: the Teensy's serial port.
-        baud: of its line.
-        firmware_checksum: which one the Teensy's receiver wants: AUTO = find out, SHIPPED or CORRECTED.
-        required: end when the port can't be opened at start.
-        raw_only: nothing is measured.
-        sonar_restart_s: after so long without any sonar's report SONAR_START is sent; 0 = never.
-        sonar_sequence: the order in which the sonars fire; ``None`` = the firmware's own.
-        sonar_sequence_ahead: the same while the car drives forward; ``None`` = no other.
-        settings: of measuring, and of the messages.
-    """
-
-    port: str
-    baud: int
-    firmware_checksum: str
-    required: bool
-    raw_only: bool
-    sonar_restart_s: float
-    sonar_sequence: list | None
-    sonar_sequence_ahead: list | None
-    settings: Settings
-
-
-def read_config(params) -> HubConfig:
-    """The node's configuration from its parameters, without side effects.
-
-    Raises:
-        ConfigError: naming the parameter.
-    """
-    baud = params.integer("baud", 115200, low=300, high=4_000_000)
-    config = HubConfig(
-        port=params.text("port", "/dev/ttyAMA0"),
-        baud=baud,
-        firmware_checksum=params.choice("firmware_checksum", AUTO, (AUTO, SHIPPED, CORRECTED)),
-        required=params.flag("required", False),
-        raw_only=params.flag("raw_only", False),
-        sonar_restart_s=params.number("sonar_restart", 3.0, low=0.0, high=3600),
-        sonar_sequence=_sonar_sequence(params, "sonar_sequence"),
-        sonar_sequence_ahead=_sonar_sequence(params, "sonar_sequence_ahead"),
-        settings=read_settings(params, baud))
-    params.finish()
-    return config
 
 
 class TeensySensorHub:
@@ -127,13 +60,13 @@ class TeensySensorHub:
     def __init__(self, params, inbox, make_link=SerialLink):
         self._clocks = inbox.clocks
         now_ns = self._clocks.now_ns()
-        config = read_config(params)
-        settings = config.settings
-        self._measurements = None if config.raw_only else MeasurementPublisher(settings, inbox)
+        config = read_all(params, HubConfig)
+        self._measurements = None if config.raw_only else MeasurementPublisher(config, inbox)
         self._port = config.port
         self._link = make_link(config.port, config.baud)
-        self._session = Session(config.baud, round(settings.ping_period_s * NS_PER_S), config.firmware_checksum, now_ns)
-        self._sonars = SonarMonitor(config.sonar_restart_s, config.sonar_sequence, config.sonar_sequence_ahead)
+        self._session = Session(config.baud, round(config.ping_period_s * NS_PER_S), config.firmware_checksum, now_ns)
+        self._sonars = SonarMonitor(config.sonar_restart_s, _indices(config.sonar_sequence),
+                                    _indices(config.sonar_sequence_ahead))
         if self._measurements:
             self._sonars.clones = self._measurements.clones
         self._inbox = inbox
@@ -389,11 +322,8 @@ class TeensySensorHub:
             kind = f"sonars {sorted(str(fault.sensor) for fault in faults)}"
             self._warnings.warn(kind, "{}. {}".format(*describe(faults)))
 
-def _sonar_sequence(params, name):
-    """The order of the sonars that the parameters ask for; ``None`` = the firmware's own."""
-    sequence = params.numbers(name, [], low=0, high=len(protocol.SONARS) - 1)
-    if len(sequence) > protocol.MAX_SEQUENCE or any(sensor % 1 for sensor in sequence):
-        raise ConfigError(name, sequence, f"up to {protocol.MAX_SEQUENCE} whole numbers from 0 to 5")
+def _indices(sequence):
+    """Return the order of the sonars, or None where the firmware's own is wanted."""
     return [int(sensor) for sensor in sequence] or None
 
 

@@ -16,7 +16,7 @@ from car_interface.teensy.link.protocol import UINT32
 
 UINT16 = 2 ** 16
 FIRMWARE_WAIT_MS = 50  # between an echo and the next ping, at power-up
-FIRST_PING_MS = 300  # of the Teensy's clock, at the end of its boot
+BOOT_MS = 300  # the tick at which a boot ends: counts and pings begin
 OVERHEAD_MS = 1.0
 FAILED_PING_MS = 29.443  # 18,000 + 11,428 + 15 µs
 WRAP_MS = UINT16 / 1000
@@ -52,7 +52,7 @@ class EchoPulses:
         """
         if self._newest is None:
             self._newest = tick
-            return echo_us if tick < FIRST_PING_MS + WRAP_MS else None
+            return echo_us if tick < BOOT_MS + WRAP_MS else None
         gap_ms = (tick - self._newest) % UINT32
         if gap_ms >= UINT32 - MAX_OVERTAKEN_MS:
             return echo_us

@@ -23,6 +23,7 @@ import math
 from collections import Counter
 from dataclasses import dataclass
 
+from car_interface.common import declared
 from car_interface.common.errors import ConfigError
 from car_interface.teensy.link.protocol import Pong, SonarStatus, WheelStatus
 from car_interface.teensy.sensing.tick_gate import TickGate
@@ -35,7 +36,6 @@ class GateConfig:
     """The bounds of the possible.
 
     Args:
-        top_speed_mps: of a wheel, its spinning included.
         pulse_m: a wheel's distance from pulse to pulse; 20 on the circumference of a 9.5 cm wheel.
         max_gap_ms: between ticks of a line that is whole; at least two periods of the pings, of which one may be
             lost.
@@ -44,7 +44,9 @@ class GateConfig:
         ConfigError: one of them isn't a number above 0.
     """
 
-    top_speed_mps: float = 20.0
+    top_speed_mps: float = declared.number(
+        "top_speed", 20.0, "of a wheel; anything faster is rejected as line noise", "m/s",
+        above=0.0, high=1000)
     pulse_m: float = math.pi * 0.095 / 20
     max_gap_ms: int = 2_000
 

@@ -19,7 +19,9 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from dataclasses import dataclass
+from typing import Sequence
 
+from car_interface.common import declared
 from car_interface.common.errors import ConfigError
 from car_interface.common.vehicle_geometry import SONARS
 
@@ -56,26 +58,29 @@ def _check_temperature(temperature_c):
 class RangingConfig:
     """The rules by which echoes become ranges.
 
-    Attributes:
-        temperature_c: of the air, −50 to 60.
-        min_range_m: a nearer echo can't be measured: the sonar itself still rings.
-        max_range_m: an echo from farther is taken for none.
-        no_echo: ``inf``: no echo is +inf, one from too near −inf. ``max_range``: no echo is ``max_range_m``, one from
-            too near is ``min_range_m``: something stands there, and a costmap should keep it.
-        timeouts_ms: after which each sonar ends its pulse by itself when no echo comes; up to 1000.
-        median: of each sonar's newest five echoes, instead of the newest. It hides one or two wrong echoes in a row,
-            and shows a change with the third report, two reports later.
+    ``no_echo``: with ``inf`` no echo is +inf, one from too near −inf. With ``max_range`` no echo is ``max_range_m``,
+    one from too near is ``min_range_m``: something stands there, and a costmap shall keep it.
 
     Raises:
-        ConfigError: naming the ROS parameter.
+        ConfigError: naming the parameter.
     """
 
-    temperature_c: float = 20.0
-    min_range_m: float = 0.02
-    max_range_m: float = 2.0
-    no_echo: str = INF
-    median: bool = False
-    timeouts_ms: tuple = (USUAL_TIMEOUT_MS,) * len(SONARS)
+    temperature_c: float = declared.number(
+        "temperature", 20.0, "of the air, until the topic `temperature` arrives", "°C", low=-50, high=60)
+    min_range_m: float = declared.number(
+        "min_range", 0.02, "what is nearer is too near to be measured: the sonar itself still rings", "m", low=0.0,
+        high=100)
+    max_range_m: float = declared.number(
+        "max_range", 2.0, "an echo from farther counts as none", "m", above=0.0, high=100)
+    no_echo: str = declared.choice(
+        "no_echo", INF, "the range without an echo: `inf` (REP-117), or `max_range`, which ROS 1's costmap range layer "
+                        "needs to clear", choices=(INF, MAX_RANGE))
+    median: bool = declared.flag(
+        "median", False, "true = median of a sonar's newest five echoes; a change shows two echoes later, about 0.7 s")
+    timeouts_ms: Sequence[float] = declared.number(
+        "no_echo_timeouts/", (USUAL_TIMEOUT_MS,) * len(SONARS),
+        "when a sensor without an echo ends its pulse by itself; some clones take 200", "ms", family=SONARS, above=0.0,
+        high=MAX_TIMEOUT_MS)
 
     def __post_init__(self):
         for name, timeout_ms in zip(SONARS, self.timeouts_ms):

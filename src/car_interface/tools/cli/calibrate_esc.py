@@ -16,7 +16,7 @@ from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.package_files import package_file
 from car_interface.common.yaml_file import read_yaml
-from car_interface.throttle.params import load_throttle
+from car_interface.throttle.config import load_throttle
 from car_interface.tools.calibration.esc.calibrate import calibrate, report, yaml_text
 from car_interface.tools.calibration.esc.recorded import load_esc_drive
 from car_interface.tools.calibration.shared import write_table

@@ -17,7 +17,7 @@ from car_interface.common.errors import CarInterfaceError
 from car_interface.common.lookup_table import check_axis
 from car_interface.common.package_files import package_file
 from car_interface.common.yaml_file import read_yaml
-from car_interface.steering.params import load_steering
+from car_interface.steering.config import load_steering
 from car_interface.tools.calibration.shared import write_table
 from car_interface.tools.calibration.steering.calibrate import NOT_LOADED, calibrate, yaml_text
 from car_interface.tools.calibration.steering.recorded import AngleTable, load_steering_drive

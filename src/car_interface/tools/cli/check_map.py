@@ -14,7 +14,7 @@ from car_interface.common import memory_limit, output
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.pca9685.registers import DUTY_PER_COUNT
 from car_interface.steering.calibration import WIDE_M, SteeringCalibration
-from car_interface.steering.params import load_steering
+from car_interface.steering.config import load_steering
 from car_interface.throttle.converter import ConversionConfig, Converter
 from car_interface.throttle.value_map import ValueMap, load_value_map
 from car_interface.tools.cli.options import finite

@@ -175,5 +175,5 @@ def test_steering_fills_the_gap_between_pulses_only_when_it_is_used():
     {"track_m": 0}, {"wheel_diameter_m": -1}, {"pulses_per_revolution": 0}, {"wheelbase_m": math.nan},
     {"distance_sigma": -1}, {"heading_sigma": math.inf}, {"track_m": 1e-300}))
 def test_car_that_cannot_be_is_refused_by_name(changes):
-    with pytest.raises(ConfigError, match=next(iter(changes))):
+    with pytest.raises(ConfigError, match=next(iter(changes)).replace("_m", "")):
         OdometryConfig(**changes)

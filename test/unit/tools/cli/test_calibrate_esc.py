@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from car_interface.throttle.params import load_throttle
+from car_interface.throttle.config import load_throttle
 from car_interface.tools.cli.main import main
 from recorded_drives import recorded
 

@@ -20,7 +20,7 @@ import yaml
 
 from car_interface.common.units import stamp_ns, yaw_rad
 from car_interface.sim.vehicle import Vehicle
-from car_interface.steering.params import load_steering
+from car_interface.steering.config import load_steering
 from car_interface.tools.calibration.steering.recorded import load_steering_drive
 from car_interface.tools.cli.main import main
 from car_interface.tools.recordings.recording import read

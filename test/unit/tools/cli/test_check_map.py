@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from car_interface.steering.params import load_steering
+from car_interface.steering.config import load_steering
 from car_interface.throttle.value_map import ValueMap
 from car_interface.tools.cli import check_map
 from car_interface.tools.cli.check_map import map_notes, map_picture, steering_notes, steering_picture

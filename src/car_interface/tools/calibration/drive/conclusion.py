@@ -10,7 +10,7 @@ from car_interface.common.errors import CarInterfaceError
 from car_interface.common.package_files import is_package_file, package_file
 from car_interface.common.yaml_file import read_yaml
 from car_interface.steering.calibration import SteeringCalibration
-from car_interface.steering.params import load_steering
+from car_interface.steering.config import load_steering
 from car_interface.tools.calibration.drive.samples import Samples
 from car_interface.tools.calibration.shared import RecordedDrive, write_table
 from car_interface.tools.calibration.steering.calibrate import NOT_LOADED, SteeringResult, calibrate, yaml_text

@@ -5,11 +5,11 @@ import argparse
 from dataclasses import dataclass, field
 from typing import Any, Sequence
 
+from car_interface.common.declared import read
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.params import Params
 from car_interface.steering.calibration import SteeringCalibration
-from car_interface.steering.params import read_calibration
-from car_interface.throttle.obstacle_stop import ObstacleConfig, Outline, read_obstacle_stop
+from car_interface.throttle.obstacle_stop import ObstacleConfig, Outline
 
 DESCRIPTION = """calibration_drive: the car calibrates its steering by itself while you hold the
 autonomous deadman and watch. Launch it with throttle:=true planner:=speed. It
@@ -67,7 +67,7 @@ def read_obstacles(throttle_arb: dict[str, Any]) -> ObstacleConfig:
         CarInterfaceError: it doesn't know the sonars.
     """
     try:
-        return read_obstacle_stop(Params({**throttle_arb, "obstacle_stop": True}))
+        return read(Params({**throttle_arb, "obstacle_stop": True}), ObstacleConfig)
     except ConfigError as error:
         raise CarInterfaceError(f"of throttle_arb's parameters {error}: launch the car by its launch files, or drive "
                                 "without sonars by --no-sonars") from error
@@ -80,7 +80,7 @@ def read_base(turn_arb: dict[str, Any]) -> SteeringCalibration:
         CarInterfaceError: it isn't on the parameter server.
     """
     try:
-        return read_calibration(Params(turn_arb))
+        return read(Params(turn_arb), SteeringCalibration)
     except ConfigError as error:
         raise CarInterfaceError(f"turn_arb's calibration isn't known: its parameter {error}. Is the car launched, and "
                                 "in this namespace (ROS_NAMESPACE)?") from error

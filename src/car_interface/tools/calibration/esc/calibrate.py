@@ -4,11 +4,12 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Iterator, Sequence
 
+from car_interface.common.declared import parameter_of
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.yaml_edit import Value, rewritten
 from car_interface.throttle.calibration import ThrottleCalibration, trimmed
-from car_interface.throttle.esc_config import NUMBERS
-from car_interface.throttle.params import ThrottleConfig
+from car_interface.throttle.config import ThrottleConfig
+from car_interface.throttle.esc_config import EscConfig
 from car_interface.tools.calibration.esc.fit import EscFit, fit
 from car_interface.tools.calibration.esc.recorded import joined
 from car_interface.tools.calibration.shared import RecordedDrive
@@ -55,7 +56,7 @@ def yaml_values(found: EscFit, base: ThrottleCalibration) -> dict[str, Value]:
     for field in FITTED:
         value = getattr(found, field)
         if value is not None:
-            values["esc/" + NUMBERS[field][0]] = value
+            values[parameter_of(EscConfig, field).name] = value
     return values
 
 
@@ -81,7 +82,7 @@ def report(found: EscFit, recorded: Sequence[RecordedDrive], base: ThrottleConfi
     yield _line(PROFILE, values.get(PROFILE), base.esc.profile, "", seen.get(PROFILE))
     yield _line(NEUTRAL, values.get(NEUTRAL), base.calibration.neutral, "", seen.get(NEUTRAL))
     for field in FITTED:
-        name = "esc/" + NUMBERS[field][0]
+        name = parameter_of(EscConfig, field).name
         shown = seen.get(name) or ("from there to where the car sets off" if field in SHOWN_WITH else None)
         yield _line(name, values.get(name), getattr(base.esc, field), UNITS.get(field, ""), shown)
     yield from (f"  missing: {problem}" for problem in found.missing)

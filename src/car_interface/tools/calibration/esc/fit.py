@@ -16,12 +16,13 @@ from typing import NamedTuple, Sequence
 
 import numpy as np
 
+from car_interface.common.declared import parameter_of
 from car_interface.throttle.esc_config import (
     BRAKE_BECOMES_REVERSE,
     BRAKE_THEN_REVERSE,
     DIRECT_REVERSE,
     FORWARD_ONLY,
-    NUMBERS,
+    EscConfig,
 )
 from car_interface.tools.calibration.esc.pulls import (
     BACKWARD,
@@ -184,7 +185,7 @@ def _dwell(found, seen, missing):
                if _is_second(before, pull)]
     enough = [pull.neutral_s for pull in seconds if pull.outcome == BACKWARD]
     short = [pull.neutral_s for pull in seconds if pull.outcome == HELD]
-    _, low, high = NUMBERS["dwell_s"]
+    low, high = _range("dwell_s")
     if not enough or min(enough) > high or short and max(short) >= min(enough):
         missing.append(f"esc/dwell: after a brake, center the stick for less than {high:g} s and pull back for a "
                        "second; several times, each a little quicker")
@@ -271,7 +272,7 @@ def _dead_band(drive, forward, backward, profile, seen, missing):
         if found is None:
             missing.append(f"esc/dead_band_{name}: from standstill, {text} the stick so slowly that the car just sets "
                            "off; three times")
-    _, low, high = NUMBERS["dead_band_forward"]
+    low, high = _range("dead_band_forward")
     span_forward, span_reverse = drive.full_forward - drive.neutral, drive.neutral - drive.full_reverse
     if profile == FORWARD_ONLY and forward is not None:
         band = (forward.duty - drive.neutral) / span_forward
@@ -310,7 +311,12 @@ def _drag(data, seen, missing):
         missing.append("esc/drag_deceleration: full stick for a good second, then center it until the car stands; "
                        "three times")
         return None
-    _, least, most = NUMBERS["drag_deceleration_mps2"]
+    least, most = _range("drag_deceleration_mps2")
     seen.append(f"esc/drag_deceleration: {min(slowed):.2f} to {max(slowed):.2f} m/s² in neutral"
                 + (": the ESC has a drag brake" if min(slowed) > 3 * DRAG_MPS2 else ""))
     return round(float(min(max(min(slowed), least), most)), 2)
+
+
+def _range(field):
+    accepted = parameter_of(EscConfig, field).accepted
+    return accepted["low"], accepted["high"]

@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import math
 import random
+from dataclasses import replace
 
 import pytest
 
@@ -64,7 +65,7 @@ def test_a_turn_reaches_as_far_as_its_corners_do_step_by_step(seed):
 @pytest.mark.parametrize("curvature", [1.0, -0.6])
 @pytest.mark.parametrize("stop_m", [0.0, 0.5])
 def test_where_it_stops_on_a_turn_is_as_far_as_the_front_of_a_car_that_is_longer_by_that(curvature, stop_m):
-    longer = Area((0.0, 0.0), 0.1, OUTLINE._replace(front_m=OUTLINE.front_m + stop_m))
+    longer = Area((0.0, 0.0), 0.1, replace(OUTLINE, front_m=OUTLINE.front_m + stop_m))
     for pose in (Pose(1.5, 0.0, 0.0), Pose(1.0, -1.0, 2.0), Pose(-1.8, 0.5, 1.0)):
         assert area(0.1).turn_extent_m(pose, curvature, stop_m) == longer.turn_extent_m(pose, curvature)
         assert area().circle_extent_m(pose, curvature, stop_m) == longer.circle_extent_m(pose, curvature)

@@ -12,7 +12,7 @@ import yaml
 
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.package_files import package_file
-from car_interface.steering.params import load_steering
+from car_interface.steering.config import load_steering
 from car_interface.tools.calibration.drive.conclusion import board_center, conclude, find_table_file
 from car_interface.tools.calibration.drive.samples import Samples
 from tools.calibration.drive.light_car import base

@@ -9,7 +9,7 @@ from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.package_files import package_file
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.common.yaml_file import load_yaml
-from car_interface.steering.params import load_steering
+from car_interface.steering.config import load_steering
 from car_interface.tools.calibration.drive.config import (
     CalibrationDriveConfig,
     drive_config,

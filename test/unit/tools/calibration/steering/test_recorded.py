@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from car_interface.common.package_files import package_file
-from car_interface.steering.params import load_steering
+from car_interface.steering.config import load_steering
 from car_interface.tools.calibration.steering.drive import distance_m
 from car_interface.tools.calibration.steering.recorded import AngleTable, imu_heading
 from car_interface.tools.recordings.series import Imu, Odom

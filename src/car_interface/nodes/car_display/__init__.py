@@ -1,0 +1,1 @@
+"""The car_display node, and what only it needs."""

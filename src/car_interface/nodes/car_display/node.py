@@ -1,0 +1,201 @@
+"""The car_display node: publishes the car, its trail and its steering as markers for rviz.
+
+Subscribes:
+    odom (nav_msgs/Odometry): the trail.
+    turn_arb/state (SteeringState): the commanded turn radius, and who steers.
+Publishes:
+    ~markers (visualization_msgs/MarkerArray, latched, 10 Hz): in base_link the car, its front wheels turned as the
+        steering is commanded, an arrow along the path of its nose, with source and turn radius; in odom the trail, a
+        point every 5 cm, the newest 2,000. Without a command the wheels point ahead and there is no arrow.
+"""
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import rospy
+from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
+from nav_msgs.msg import Odometry
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker, MarkerArray
+
+from car_interface.common.declared import read_all
+from car_interface.common.rate_timer import RateTimer
+from car_interface.common.staleness import TimedInput
+from car_interface.msg import SteeringState
+from car_interface.nodes.car_display.config import CarDisplayConfig
+from car_interface.ros.runtime import run
+from car_interface.ros.topics import advertise, subscribe
+from car_interface.steering.arbiter import source_name
+
+RATE_HZ = 10
+TICKS_PER_TRAIL = 10  # an unchanged trail is sent once a second, for an rviz that starts late
+COMMAND_TIMEOUT_S = 0.5
+SPACING_M = 0.05
+TRAIL_POINTS = 2000
+# A jump of odometry starts another trail; no car drives this far between two messages.
+JUMP_M = 5.0
+ARROW_M, ARROW_STEPS = 1.0, 20
+ARROW_HEAD_M = 0.16
+BEHIND_M, ABOVE_M = 0.8, 0.2  # of the text: the arrow lies before the car
+# Beyond the axles, and of the body above the ground.
+OVERHANG_M, CLEARANCE_M = 0.10, 0.035
+TIRE_WIDTH_M = 0.05
+LINE_M = 0.02
+
+BODY, CABIN = ColorRGBA(0.10, 0.35, 0.75, 1.0), ColorRGBA(0.06, 0.10, 0.18, 1.0)
+TIRE = ColorRGBA(0.08, 0.08, 0.08, 1.0)
+ARROW, TRAIL, TEXT = ColorRGBA(1.0, 0.45, 0.0, 1.0), ColorRGBA(0.3, 0.5, 0.9, 1.0), ColorRGBA(0.1, 0.1, 0.1, 1.0)
+NO_ROTATION = Quaternion(0.0, 0.0, 0.0, 1.0)
+
+
+class Trail:
+    """The positions of the car, at least 5 cm apart."""
+
+    def __init__(self):
+        self.points: deque = deque(maxlen=TRAIL_POINTS)
+        self.has_grown = False  # reset by the user of the points
+
+    def add(self, x_m: float, y_m: float) -> None:
+        """Add the car's position, unless it isn't finite or near to the last one."""
+        if not math.isfinite(x_m + y_m):
+            return
+        if self.points:
+            step_m = math.hypot(x_m - self.points[-1].x, y_m - self.points[-1].y)
+            if step_m < SPACING_M:
+                return
+            if step_m > JUMP_M:
+                self.points.clear()
+        self.points.append(Point(x_m, y_m, LINE_M))
+        self.has_grown = True
+
+
+class CarDisplay:
+    """Draws the car, its steering command and its trail."""
+
+    def __init__(self, params, inbox):
+        config = read_all(params, CarDisplayConfig)
+        self._wheelbase_m, self._track_m = config.wheelbase_m, config.track_m
+        self._wheel_m = config.wheel_m
+        self._odom_frame = config.frame_prefix + config.odom_frame
+        self._base_frame = config.frame_prefix + config.base_frame
+        self._inbox = inbox
+        self._state = TimedInput("turn_arb/state", COMMAND_TIMEOUT_S)
+        self._trail = Trail()
+        self._ticks = 0
+        self._timer = RateTimer(RATE_HZ, inbox.clocks.now_ns())
+        self._markers = advertise("~markers", MarkerArray, inbox, queue_size=1, latch=True)
+        subscribe("turn_arb/state", SteeringState, inbox, self._on_state)
+        subscribe("odom", Odometry, inbox, self._on_odometry, queue_size=100)
+
+    def step(self, now_ns):
+        """Handle what arrived; then the timer."""
+        self._inbox.dispatch()
+        if self._timer.is_due(now_ns):
+            self._draw(now_ns)
+        return self._timer.due_ns
+
+    def shut_down(self):
+        """Nothing to do."""
+
+    def _on_state(self, message, now_ns):
+        self._state.update(message, now_ns)
+
+    def _on_odometry(self, message, now_ns):
+        position = message.pose.pose.position
+        self._trail.add(position.x, position.y)
+
+    def _draw(self, now_ns):
+        state = None if self._state.is_stale(now_ns) else self._state.value
+        known = state is not None and abs(state.turn_radius) > 0  # nor is it NaN
+        curvature_per_m = 1 / state.turn_radius if known else 0.0
+        markers = [*self._body(), *self._wheels(curvature_per_m)]
+        markers += self._arrow(curvature_per_m, state) if known else self._no_arrow()
+        if self._trail.has_grown or self._ticks % TICKS_PER_TRAIL == 0:
+            markers.append(self._trail_marker())
+            self._trail.has_grown = False
+        self._ticks += 1
+        self._markers.publish(MarkerArray(markers))
+
+    def _body(self):
+        """A box over the axles, and a smaller one on top, towards the rear."""
+        length_m = self._wheelbase_m + 2 * OVERHANG_M
+        middle_m, height_m = self._wheelbase_m / 2, 0.8 * self._wheel_m
+        low = Vector3(length_m, self._track_m - TIRE_WIDTH_M, height_m)
+        high = Vector3(0.45 * length_m, 0.75 * low.y, 0.7 * height_m)
+        return [self._marker("body", 0, Marker.CUBE, BODY, low, _at(middle_m, 0.0, CLEARANCE_M + height_m / 2)),
+                self._marker("body", 1, Marker.CUBE, CABIN, high,
+                             _at(middle_m - 0.1 * length_m, 0.0, CLEARANCE_M + height_m + high.z / 2))]
+
+    def _wheels(self, curvature_per_m):
+        """Four cylinders on their sides; each front one perpendicular to the line to the turning center."""
+        size = Vector3(self._wheel_m, self._wheel_m, TIRE_WIDTH_M)
+        places = [(x_m, y_m) for x_m in (0.0, self._wheelbase_m) for y_m in (self._track_m / 2, -self._track_m / 2)]
+        return [self._marker("wheels", index, Marker.CYLINDER, TIRE, size, _at(
+                    x_m, y_m, self._wheel_m / 2, _lying(math.atan2(curvature_per_m * x_m, 1 - curvature_per_m * y_m))))
+                for index, (x_m, y_m) in enumerate(places)]
+
+    def _arrow(self, curvature_per_m, state):
+        nose_m = self._wheelbase_m + OVERHANG_M
+        path = [_nose(index / ARROW_STEPS * ARROW_M, curvature_per_m, nose_m) for index in range(ARROW_STEPS + 1)]
+        line = self._marker("steering", 0, Marker.LINE_STRIP, ARROW, Vector3(2 * LINE_M, 0.0, 0.0))
+        line.points = [Point(x_m, y_m, LINE_M) for x_m, y_m, _ in path]
+        head = self._marker("steering", 1, Marker.ARROW, ARROW, Vector3(0.001, 0.12, ARROW_HEAD_M))
+        x_m, y_m, heading_rad = path[-1]
+        head.points = [line.points[-1], Point(x_m + ARROW_HEAD_M * math.cos(heading_rad),
+                                              y_m + ARROW_HEAD_M * math.sin(heading_rad), LINE_M)]
+        label = self._marker("steering", 2, Marker.TEXT_VIEW_FACING, TEXT, Vector3(0.0, 0.0, 0.12),
+                             _at(-BEHIND_M, 0.0, ABOVE_M))
+        label.text = f"{source_name(state.source)}: {_turn_text(state.turn_radius)}"
+        return [line, head, label]
+
+    def _no_arrow(self):
+        return [Marker(header=self._header(self._base_frame), ns="steering", id=index, action=Marker.DELETE)
+                for index in range(3)]
+
+    def _trail_marker(self):
+        points = list(self._trail.points)
+        marker = self._marker("trail", 0, Marker.LINE_STRIP, TRAIL, Vector3(1.5 * LINE_M, 0.0, 0.0),
+                              frame=self._odom_frame)
+        marker.points = points
+        if len(points) < 2:  # rviz reports that as an error
+            marker.action = Marker.DELETE
+        return marker
+
+    def _marker(self, ns, index, kind, color, scale, pose=None, frame=None):
+        return Marker(header=self._header(frame or self._base_frame), ns=ns, id=index, type=kind, action=Marker.ADD,
+                      pose=pose or _at(0.0, 0.0, 0.0), scale=scale, color=color, frame_locked=True)
+
+    @staticmethod
+    def _header(frame):
+        return Header(stamp=rospy.Time(), frame_id=frame)  # 0: where the frame is now
+
+
+def _at(x_m, y_m, z_m, orientation=NO_ROTATION):
+    return Pose(Point(x_m, y_m, z_m), orientation)
+
+
+def _lying(heading_rad):
+    """A cylinder's orientation: on its side, rolling in this direction."""
+    half_rad, factor = heading_rad / 2, math.sqrt(0.5)
+    return Quaternion(factor * math.cos(half_rad), factor * math.sin(half_rad), factor * math.sin(half_rad),
+                      factor * math.cos(half_rad))
+
+
+def _nose(distance_m, curvature_per_m, nose_m):
+    """x, y and heading of the nose when the middle of the rear axle has driven a distance along its arc."""
+    heading_rad = curvature_per_m * distance_m
+    if abs(heading_rad) < 1e-6:
+        return distance_m + nose_m, 0.0, 0.0
+    x_m = math.sin(heading_rad) / curvature_per_m + nose_m * math.cos(heading_rad)
+    y_m = (1 - math.cos(heading_rad)) / curvature_per_m + nose_m * math.sin(heading_rad)
+    return x_m, y_m, heading_rad
+
+
+def _turn_text(radius_m):
+    return "straight on" if math.isinf(radius_m) else f"{'left' if radius_m > 0 else 'right'} {abs(radius_m):.1f} m"
+
+
+def main():
+    """Run the node."""
+    run("car_display", CarDisplay)

@@ -1,0 +1,169 @@
+"""The configuration of the node car_sim: its parameters, a car's files, and chance where both leave it open."""
+from __future__ import annotations
+
+import math
+import random
+from dataclasses import dataclass, field, replace
+from typing import Sequence
+
+from car_interface.common import declared
+from car_interface.common.errors import ConfigError
+from car_interface.common.units import CHANNELS, MAX_DUTY
+from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, TRACK_M, WHEEL_DIAMETER_M, WHEELBASE_M
+from car_interface.sim.calibrated_car import steering_curve
+from car_interface.sim.esc import KINDS, VirtualEscConfig
+from car_interface.sim.teensy_config import BOOT_MS, FirmwareConfig
+from car_interface.sim.tyres import TyreConfig
+from car_interface.sim.vehicle import DriveTrainConfig, Pose, SteeringConfig, VehicleConfig
+from car_interface.sim.world import World, WorldConfig
+
+NO_ESC = "none"
+MAX_UPTIME_MS = 3_600_000
+MAX_DRIFT_PPM = 50.0
+SEEDS = 1 << 31
+HALL_STATES = 4  # after so many pulses a wheel's hall pins have the same levels again
+TABLES = ("steering/m_turnrad_axis_servo", "steering/k_pwmcmd_left_table_servo", "steering/k_pwmcmd_right_table_servo")
+STEERING, ESC, WHEELS = (f"a car's `{name}.yaml`" for name in ("turn_arb", "throttle", "teensy_sensor_hub"))
+SIZE = f"the car's size; `wheels/…` is {WHEELS}"
+OWN = "its own"
+
+
+@dataclass(frozen=True)
+class CarSimConfig:
+    """The virtual car, its room and its Teensy. Its own parameters go before those of a car's files.
+
+    Raises:
+        ConfigError: naming the parameter.
+    """
+
+    port: str = declared.text("port", "/tmp/car_sim_teensy", "where the virtual serial port appears", "path")
+    virtual_chip: str | None = declared.path(
+        "virtual_chip", None, "the socket of the virtual servo board's chip", default_text="that of `pca9685`")
+    collides: bool = declared.flag("collisions", True, "false = nothing stops the car")
+    has_obstacles: bool = declared.flag("obstacles", True, "false = the room has its walls only, no boxes and posts")
+    is_kinematic: bool = declared.flag(
+        "kinematic", False, "true = no tyres: it goes where its wheels point, and never tips over")
+    tyres: TyreConfig | None = declared.group(TyreConfig())
+    center_duty: float | None = declared.number("steering/servo_center", None, STEERING, default_text="none")
+    radius_axis_m: Sequence[float] = declared.numbers(TABLES[0], (), STEERING, default_text="none")
+    left_duties: Sequence[float] = declared.numbers(TABLES[1], (), STEERING, default_text="none")
+    right_duties: Sequence[float] = declared.numbers(TABLES[2], (), STEERING, default_text="none")
+    esc_channel: int = declared.integer(
+        "esc/servo/channel", 1, f"{ESC}; −1 = none, then 1", low=-1, high=CHANNELS - 1, default_text="none")
+    neutral_duty: float = declared.number(
+        "esc/servo/neutral", DriveTrainConfig.neutral_duty, ESC, low=0, high=MAX_DUTY, default_text="none")
+    steering_channel: int = declared.channel(
+        "steering_channel", 0, "of the servo board", same_as="steering/servo_channel")
+    given_throttle_channel: int | None = declared.channel(
+        "throttle_channel", None, "of the servo board", default_text="`esc/servo/channel`")
+    pose: Sequence[float] = declared.numbers(
+        "start", (0.0, 0.0, 0.0), "where it starts", "x and y in m, yaw in rad", default_text="[0, 0, 0]")
+    wheelbase_m: float = declared.number(
+        "wheelbase", WHEELBASE_M, SIZE, "m", above=0.0, same_as="wheels/wheelbase")
+    track_m: float = declared.number(
+        "track", TRACK_M, SIZE, "m", above=0.0, same_as="wheels/track")
+    wheel_diameter_m: float = declared.number(
+        "wheel_diameter", WHEEL_DIAMETER_M, SIZE, "m", above=0.0, same_as="wheels/wheel_diameter")
+    pulses_per_revolution: int = declared.integer(
+        "pulses_per_revolution", PULSES_PER_REVOLUTION, "of a rear wheel", low=1,
+        same_as="wheels/pulses_per_revolution")
+    steering_duties: Sequence[float] | None = declared.numbers(
+        "steering_duties", None, "the true steering: rising duties", default_text=OWN)
+    steering_curvatures: Sequence[float] | None = declared.numbers(
+        "steering_curvatures", None, "and the curvature of each, left positive", "1/m", default_text=OWN)
+    drive: DriveTrainConfig = declared.group(DriveTrainConfig())
+    esc_kind: str = declared.choice(
+        "esc_kind", NO_ESC, "what its ESC makes of a pulse behind neutral; `none` = it has no memory and needs no "
+                            "arming: at standstill it drives backward",
+        choices=(NO_ESC, *KINDS))
+    temperature_c: float = declared.number("temperature", 20.0, "of the air", "°C", low=-50, high=60)
+    wheel_pulses: Sequence[float] | None = declared.numbers(
+        "wheel_pulses", None, "where the rear wheels (left, right) stand at the start", "pulses", default_text="random")
+    clock_start_ms: float | None = declared.number(
+        "clock_start_ms", None, "the Teensy's clock at its power-up", "ms", low=0, high=2 ** 32 - 1,
+        default_text="random, up to an hour")
+    clock_drift_ppm: float | None = declared.number(
+        "clock_drift_ppm", None, "how much it is too fast", "ppm", low=-10_000, high=10_000,
+        default_text="random, up to ±50")
+    corrected_checksum: bool = declared.flag(
+        "corrected_checksum", False, "true = its receiver's checksum is repaired")
+    sonar_pulse_end_us: int = declared.integer(
+        "sonar_pulse_end", FirmwareConfig.sonar_pulse_end_us, "how long a sonar without an echo holds its pin", "µs",
+        low=12_000, high=1_000_000)
+    seed: int | None = declared.integer(
+        "seed", None, "of everything that is random, and of noise", low=0,
+        default_text="random, logged")
+    vehicle: VehicleConfig = field(default_factory=VehicleConfig)
+    world: WorldConfig = field(default_factory=WorldConfig)
+    firmware: FirmwareConfig = field(default_factory=FirmwareConfig)
+
+    SHARED = ("steering", "esc", "wheels")  # the rest of these files is not read
+
+    @property
+    def throttle_channel(self) -> int:
+        """The ESC's channel."""
+        if self.given_throttle_channel is not None:
+            return self.given_throttle_channel
+        return self.esc_channel if self.esc_channel >= 0 else 1
+
+    def completed(self, params) -> CarSimConfig:
+        """Return the same with vehicle, world and firmware, by chance where the parameters leave them open."""
+        seed = random.randrange(SEEDS) if self.seed is None else self.seed
+        rng = random.Random(seed)
+        vehicle = self._vehicle(params, rng)
+        world = WorldConfig(temperature_c=self.temperature_c)
+        if not self.has_obstacles:
+            world = replace(world, boxes=(), posts=())
+        firmware = self._firmware(rng, seed, vehicle.pulse_phase)
+        if self.collides and not World(world).obstacles.is_free(vehicle.start):
+            raise ConfigError("start", list(vehicle.start), "a place where the car touches no wall, box or post, or "
+                                                            "collisions: false")
+        return replace(self, vehicle=vehicle, world=world, firmware=firmware)
+
+    def _vehicle(self, params, rng):
+        if len(self.pose) != len(Pose._fields):
+            raise ConfigError("start", self.pose, "three numbers: x, y in m, and yaw in rad")
+        by_chance = [HALL_STATES * rng.random() for _ in range(2)]
+        wheel_pulses = by_chance if self.wheel_pulses is None else self.wheel_pulses
+        if len(wheel_pulses) != 2:
+            raise ConfigError("wheel_pulses", wheel_pulses, "two numbers: left, right")
+        shift = self.neutral_duty - self.drive.neutral_duty  # a car's own ESC differs in its neutral
+        drive = replace(self.drive, full_reverse_duty=self.drive.full_reverse_duty + shift,
+                        neutral_duty=self.neutral_duty, full_forward_duty=self.drive.full_forward_duty + shift)
+        return VehicleConfig(
+            steering=self._steering(params), drive=drive, esc=self._esc(drive),
+            tyres=None if self.is_kinematic else self.tyres, wheelbase_m=self.wheelbase_m, track_m=self.track_m,
+            wheel_diameter_m=self.wheel_diameter_m, pulses_per_revolution=self.pulses_per_revolution,
+            pulse_phase=tuple(wheel_pulses), start=Pose(*self.pose))
+
+    def _steering(self, params):
+        """Return the servo and the steering: their own, or near those of a car's calibration."""
+        steering = SteeringConfig()
+        if self.center_duty is not None:
+            tables = [params.numbers(name) for name in TABLES]  # now they are required
+            steering = SteeringConfig(center_duty=self.center_duty, curve=steering_curve(self.center_duty, *tables))
+        duties, curvatures = map(list, zip(*steering.curve))
+        duties = duties if self.steering_duties is None else self.steering_duties
+        curvatures = curvatures if self.steering_curvatures is None else self.steering_curvatures
+        if len(duties) != len(curvatures):
+            raise ConfigError("steering_curvatures", curvatures,
+                              f"{len(duties)} numbers, one for each of steering_duties")
+        return replace(steering, curve=tuple(zip(duties, curvatures)))
+
+    def _esc(self, drive):
+        """Return the ESC, which is calibrated to the drive train's duties; ``None`` = one without a memory."""
+        if self.esc_kind == NO_ESC:
+            return None
+        return VirtualEscConfig(
+            kind=self.esc_kind, neutral_duty=drive.neutral_duty, full_forward_duty=drive.full_forward_duty,
+            full_reverse_duty=drive.full_reverse_duty, forward_band_duty=drive.neutral_band_duty,
+            reverse_band_duty=drive.neutral_band_duty)
+
+    def _firmware(self, rng, seed, wheel_pulses):
+        uptime_ms, drift_ppm = rng.randrange(BOOT_MS, MAX_UPTIME_MS), rng.uniform(-MAX_DRIFT_PPM, MAX_DRIFT_PPM)
+        return FirmwareConfig(
+            clock_start_ms=uptime_ms if self.clock_start_ms is None else int(self.clock_start_ms),
+            clock_drift_ppm=drift_ppm if self.clock_drift_ppm is None else self.clock_drift_ppm,
+            sonar_pulse_end_us=self.sonar_pulse_end_us,
+            wheel_positions=tuple(math.floor(pulses) for pulses in wheel_pulses),
+            corrected_checksum=self.corrected_checksum, seed=seed)

@@ -1,0 +1,40 @@
+"""The configuration of the node turn_arb, from its parameters or from a YAML file for it."""
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from car_interface.common import declared
+from car_interface.common.errors import ConfigError
+from car_interface.common.live_parameters import TuningSettings
+from car_interface.common.params import Params
+from car_interface.common.yaml_file import load_yaml
+from car_interface.steering.arbiter import SteeringArbiterConfig
+from car_interface.steering.calibration import SteeringCalibration
+
+LIVE_RANGE = 500  # duty, by default: 0.15 ms of a pulse at 50 Hz, a sixth of a servo's travel
+
+
+@dataclass(frozen=True)
+class TurnArbConfig:
+    """The configuration of turn_arb: the servo, the rules of who steers, and how far the servo may be tuned."""
+
+    calibration: SteeringCalibration = declared.group(SteeringCalibration)
+    arbiter: SteeringArbiterConfig = declared.group(SteeringArbiterConfig())
+    tuning: TuningSettings = declared.group(TuningSettings(LIVE_RANGE))
+
+
+def load_steering(path: str, text: str | None = None) -> SteeringCalibration:
+    """Load the calibration from a YAML file for turn_arb. A file that the node would refuse is refused here too.
+
+    Args:
+        path: of the file.
+        text: what the file is going to have; ``None`` = it is read.
+
+    Raises:
+        ConfigError: naming the file, the parameter and what is wrong with it.
+    """
+    params = Params(load_yaml(path, text))
+    try:
+        return declared.read_all(params, TurnArbConfig).calibration
+    except ConfigError as error:
+        raise error.within(path) from error

@@ -1,0 +1,51 @@
+"""The configuration of the node throttle_arb, from its parameters or from a YAML file for it."""
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from car_interface.common import declared
+from car_interface.common.declared import read_all
+from car_interface.common.errors import ConfigError
+from car_interface.common.live_parameters import TuningSettings
+from car_interface.common.params import Params
+from car_interface.common.yaml_file import load_yaml
+from car_interface.throttle.arbiter import ThrottleArbiterConfig
+from car_interface.throttle.calibration import ThrottleCalibration
+from car_interface.throttle.esc_config import EscConfig
+from car_interface.throttle.limits import ThrottleLimits
+from car_interface.throttle.obstacle_stop import ObstacleConfig
+
+LIVE_RANGE = 100  # duty, by default: 6 % of an ESC's range to each side
+
+
+@dataclass(frozen=True)
+class ThrottleConfig:
+    """The configuration of throttle_arb; ``obstacles`` are the sonars that it stops for, ``None`` = for none."""
+
+    calibration: ThrottleCalibration = declared.group(ThrottleCalibration)
+    arbiter: ThrottleArbiterConfig = declared.group(ThrottleArbiterConfig())
+    esc: EscConfig = declared.group(EscConfig())
+    limits: ThrottleLimits = declared.group(ThrottleLimits())
+    obstacles: ObstacleConfig | None = declared.group(ObstacleConfig())
+    tuning: TuningSettings = declared.group(TuningSettings(LIVE_RANGE))
+
+    SHARED = ("sonar_hub", "board")  # files of teensy_sensor_hub and pca9685, of which little is read
+
+
+def load_throttle(path: str, text: str | None = None) -> ThrottleConfig:
+    """Load the configuration from a YAML file for throttle_arb, without value map and sonars: they are of other files.
+
+    A file that the node would refuse is refused here too.
+
+    Args:
+        path: of the file.
+        text: what the file is going to have; ``None`` = it is read.
+
+    Raises:
+        ConfigError: naming the file, the parameter and what is wrong with it.
+    """
+    params = Params(load_yaml(path, text))
+    try:
+        return replace(read_all(params, ThrottleConfig, is_complete=False), obstacles=None)
+    except ConfigError as error:
+        raise error.within(path) from error

@@ -1,0 +1,226 @@
+"""Examines the running car: its nodes, their parameters, who drives, what comes to them, and their reports."""
+from __future__ import annotations
+
+from typing import Any, Iterable, NamedTuple, Sequence
+
+from car_interface.common.publishers import REPORT as COMMAND_TOPICS
+from car_interface.steering.arbiter import source_name
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
+
+# The nodes of every car, and what is missing without each.
+NODE_ROLES = {
+    "turn_arb": "nobody steers",
+    "pca9685": "no servo moves",
+    "teensy_sensor_hub": "no wheel and no sonar reports",
+    "generic_value_converter": "no acceleration becomes throttle",
+    "teleop_logi": "no gamepad, no deadman",
+}
+MORE = "More about it: rostopic echo /diagnostics"
+# The process that some of them may share, which the master then knows by this name alone.
+ONE_PROCESS = "car_nodes"
+SIMULATOR = "car_sim"
+
+# What a node does, by the ROS graph and by its own answer. A node that ended in order is absent, whatever else the
+# master remembers of it; one that was killed stays in the graph, but nothing listens at its address.
+ABSENT, RUNNING, KILLED, SILENT = "absent", "running", "killed", "silent"
+
+
+class Node(NamedTuple):
+    """A node that may run."""
+
+    name: str  # without its namespace
+    path: str  # with it
+    state: str  # ABSENT, RUNNING, KILLED or SILENT
+    process: str  # by which name the master knows it, with the namespace: its own, or that of ONE_PROCESS
+
+    @property
+    def runs(self) -> bool:
+        """Whether it's there and answers."""
+        return self.state == RUNNING
+
+
+def restart_remedy(process: str) -> str:
+    """Return how to start a node again that hangs."""
+    return f"Stop the car, then rosnode kill {process}: roslaunch starts it again"
+
+
+def find_cars(names: Iterable[str]) -> list[str]:
+    """Return the namespaces in which nodes of a car are, from the names of all nodes of the ROS graph; sorted."""
+    spaces = (name.rpartition("/") for name in names)
+    return sorted({space or "/" for space, _, name in spaces if name in NODE_ROLES or name == ONE_PROCESS})
+
+
+def check_several(namespaces: Sequence[str]) -> list[Finding]:
+    """Return the finding that there are several cars, none of which was asked for."""
+    return [Finding(WARN, "nodes", f"there are {len(namespaces)} cars, in {' and '.join(namespaces)}: none was looked "
+                                   "at", f"Look at each: rosrun car_interface doctor --ns {namespaces[0]}")]
+
+
+def check_nodes(nodes: Sequence[Node], namespace: str, others: Sequence[str] = ()) -> list[Finding]:
+    """Return one finding for those that run, one for each process that doesn't, and one for those that are missing.
+
+    The nodes are those of the car in ``namespace``; ``others`` are the namespaces of other cars.
+    """
+    if all(node.state == ABSENT for node in nodes):
+        elsewhere = f"; there is one in {' and '.join(others)}" if others else ""
+        return [Finding(OK, "nodes", f"none of this package's runs in {namespace}{elsewhere}")]
+    found = _check_running([node for node in nodes if node.runs], namespace)
+    found += [Finding(BAD, "nodes", f"{process} is registered, but doesn't answer: it hangs, or its ROS_IP can't be "
+                                    "reached from here",
+                      "If it hangs: end its process, or start the launch file again. If it's on another computer: "
+                      "set ROS_IP there to an address that can be reached from here")
+              for process in _processes(nodes, SILENT)]
+    launch = _launch_command(nodes, namespace)
+    killed = _processes(nodes, KILLED)
+    if killed:
+        found.append(Finding(BAD, "nodes", f"{', '.join(killed)}: killed or crashed; the master still lists "
+                                           f"{'it' if len(killed) == 1 else 'them'}, but nothing answers there",
+                             f"Start the launch file again: {launch}. To clear the list: rosnode cleanup"))
+    missing = [f"{node.name} ({NODE_ROLES[node.name]})" for node in nodes
+               if node.state == ABSENT and node.name in NODE_ROLES]
+    if missing:
+        found.append(Finding(WARN, "nodes", f"not running in {namespace}: {', '.join(missing)}",
+                             f"Those that this car needs: {launch}, or each by its own file"))
+    return found
+
+
+def _check_running(running, namespace):
+    if not running:
+        return []
+    shared = next((node.process for node in running if node.process != node.path), "")
+    parts = [node.name for node in running if node.process != node.path]
+    together = f"; {', '.join(parts)} in one process, {shared}" if shared else ""
+    verb = "runs" if len(running) == 1 else "run"
+    return [Finding(OK, "nodes", f"{', '.join(node.name for node in running)} {verb} in {namespace}{together}")]
+
+
+def _processes(nodes, state):
+    """Return the processes of the nodes in a state, each once."""
+    return list(dict.fromkeys(node.process for node in nodes if node.state == state))
+
+
+def _launch_command(nodes, namespace):
+    is_virtual = any(node.name == SIMULATOR and node.state != ABSENT for node in nodes)
+    in_space = "" if namespace == "/" else f" ns:={namespace}"
+    return f"roslaunch car_interface {'demo' if is_virtual else 'car'}.launch{in_space}"
+
+
+def check_steering(states: Sequence[Any], node: Node) -> list[Finding]:
+    """Return who drives and why, by each SteeringState that came; a single one may be latched by a node that ended."""
+    if len(states) < 2:
+        return [Finding(BAD, "steering", f"{node.path} says nothing of who drives; it hangs",
+                        restart_remedy(node.process))]
+    state = states[-1]
+    return [Finding(OK, "steering", f"{source_name(state.source)}: {state.reason}; duty {state.duty}")]
+
+
+class Report(NamedTuple):
+    """One entry of /diagnostics."""
+
+    name: str
+    level: int
+    message: str
+    remedy: str = ""  # its value of this name
+
+
+def check_diagnostics(reports: Sequence[Report], namespace: str, reporting: Sequence[str], reported: Sequence[str] = ()
+                      ) -> list[Finding]:
+    """Return one finding for all that is well, and one for each that is not. Those about command topics are left out.
+
+    Args:
+        reports: the newest of each name.
+        namespace: the car's; other cars' reports are left out.
+        reporting: the paths of the running nodes, which should each report.
+        reported: the names of reports that another finding covers.
+    """
+    all_ours = _reports_of(reports, namespace)
+    ours = [report for report in all_ours if not _is_about_topics(report)]
+    good = [report.name for report in ours if report.level == OK]
+    found = [Finding(OK, "reports", ", ".join(good))] if good else []
+    found += [Finding(min(report.level, BAD), "reports", f"{report.name}: {report.message}", report.remedy or MORE)
+              for report in ours if report.level != OK and report.name not in reported]
+    names = [report.name for report in all_ours]
+    return found + [Finding(BAD, "reports", f"{path} runs, but doesn't report on /diagnostics",
+                            f"See whether it hangs: rosnode ping {path}")
+                    for path in reporting if not any(name.startswith(f"{path.strip('/')}: ") for name in names)]
+
+
+def check_command_topics(reports: Sequence[Report], namespace: str) -> list[Finding]:
+    """Return what is wrong with the publishers of the topics that the nodes obey; each fault once, whoever reports it.
+
+    Args:
+        reports: the newest of each name.
+        namespace: the car's; other cars' reports are left out.
+    """
+    ours = [report for report in _reports_of(reports, namespace) if _is_about_topics(report)]
+    nodes: dict[tuple, list[str]] = {}
+    for report in ours:
+        if report.level != OK:
+            nodes.setdefault((report.message, report.remedy), []).append(report.name.partition(":")[0])
+    if ours and not nodes:
+        return [Finding(OK, "topics", "each that is obeyed has the publishers that it should have")]
+    return [Finding(BAD, "topics", f"{message} (reported by {', '.join(names)})", remedy or MORE)
+            for (message, remedy), names in nodes.items()]
+
+
+def _reports_of(reports, namespace):
+    """Return the reports of one car's nodes."""
+    prefix = namespace.strip("/") + "/" if namespace.strip("/") else ""
+    return [report for report in reports if report.name.startswith(prefix)
+            and "/" not in report.name.partition(":")[0][len(prefix):]]
+
+
+def _is_about_topics(report):
+    return report.name.endswith(f": {COMMAND_TOPICS}")
+
+
+class Reading(NamedTuple):
+    """How a node took the parameters that are on the server for it."""
+
+    path: str  # the node's name, with its namespace
+    fault: str  # why it refused them; empty when it took them
+    runs: bool  # whether the node runs, with the parameters that it found when it started
+    folder: str = ""  # whose files its launch file has read; empty = it wasn't launched
+
+
+def check_files(faults: Sequence[str]) -> list[Finding]:
+    """Return one finding for each fault of the files that nodes are launched with."""
+    return [Finding(WARN, "files", fault, "Correct the file, and start again: roslaunch takes the last of two values "
+                                          "without a word, and ~save refuses the file") for fault in faults]
+
+
+def check_folders(readings: Sequence[Reading], package_folder: str, is_virtual: bool) -> list[Finding]:
+    """Return whether the nodes were launched with one folder of files, and a car's own.
+
+    Args:
+        readings: of the nodes.
+        package_folder: the package's own files.
+        is_virtual: the servo board is a virtual one.
+    """
+    folders: dict[str, list[str]] = {}
+    for reading in readings:
+        if reading.folder:
+            folders.setdefault(reading.folder, []).append(reading.path)
+    if len(folders) > 1:
+        taken = "; ".join(f"{', '.join(paths)}: {folder}" for folder, paths in folders.items())
+        return [Finding(WARN, "files", f"the nodes were launched with different folders: {taken}",
+                        "Launch them with one config:=FOLDER; roslaunch ignores an argument that is misspelt")]
+    if package_folder in folders and not is_virtual:
+        return [Finding(WARN, "files", f"the nodes were launched with the package's own files, {package_folder}",
+                        f"Copy them for your car (cp -r {package_folder} ~/my_car) and launch with "
+                        "config:=$HOME/my_car; roslaunch ignores an argument that is misspelt")]
+    return [Finding(OK, "files", f"all nodes were launched with {folder}") for folder in folders]
+
+
+def check_parameters(readings: Sequence[Reading]) -> list[Finding]:
+    """Return one finding for all nodes that take their parameters, and one for each that doesn't."""
+    if not readings:
+        return [Finding(OK, "parameters", "none on the server; launch files bring them")]
+    good = [reading.path for reading in readings if not reading.fault]
+    found = [Finding(OK, "parameters", f"those of {', '.join(good)} are good")] if good else []
+    for reading in readings:
+        if reading.fault:
+            later = ": it will not start again with these" if reading.runs else ": it can't start with these"
+            found.append(Finding(BAD, "parameters", f"{reading.path}{later}: {reading.fault}",
+                                 "Correct the YAML file or the launch file, and start again"))
+    return found

@@ -1,0 +1,119 @@
+"""The gamepad: whether its messages come, often enough and with the axes and buttons that teleop_logi is set to."""
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, Sequence
+
+from car_interface.common import causes
+from car_interface.teleop.gamepad import GamepadConfig, is_d_mode_cross, missing_index, remedy
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
+
+SUBJECT = "gamepad"
+MISSED = 2  # messages in a row that may be lost before the deadman is released, at least
+AUTOREPEAT = "Set joy_node's autorepeat_rate to 20, as teleop_logi.launch gamepad:=true does: {joy} must come at 20 Hz"
+
+LET_GO = "Let go of both deadman buttons once, then hold one"
+
+
+class JoySample(NamedTuple):
+    """What came on the gamepad's topic while the doctor listened.
+
+    Attributes:
+        messages: how many.
+        period_s: the mean time between them; after a single one, the time since then. inf: none came.
+        axes, buttons: how many the newest one had.
+        values: the newest value that was no number, by index of the axis.
+    """
+
+    messages: int
+    period_s: float
+    axes: int
+    buttons: int
+    values: dict
+
+
+class GamepadFacts(NamedTuple):
+    """What is known of the gamepad.
+
+    Attributes:
+        node: teleop_logi's path.
+        topic: that it subscribes to.
+        publishers: the nodes that publish on it.
+        config: how teleop_logi is set; ``None`` = its parameters are bad, which another finding says.
+        sample: what came.
+        cause, reason: teleop_logi's own; empty = it said nothing.
+        stick_cause: NOT_AT_REST where teleop_logi says that an axis doesn't count.
+    """
+
+    node: str
+    topic: str
+    publishers: Sequence[str]
+    config: GamepadConfig | None
+    sample: JoySample
+    cause: str = ""
+    reason: str = ""
+    stick_cause: str = ""
+
+
+def check_gamepad(gamepad: GamepadFacts) -> list[Finding]:
+    """Return one finding: the first thing that keeps a deadman from being held, or that all is well."""
+    sample, topic = gamepad.sample, gamepad.topic
+    if not sample.messages:
+        return [_nothing_came(gamepad)]
+    if gamepad.cause == causes.JOY_NEVER_RECEIVED:
+        return [Finding(BAD, SUBJECT, f"{topic} comes here, but {gamepad.node} says: {gamepad.reason}",
+                        f"See whether they reach each other: rosnode info {gamepad.node}; ROS_IP; then start it again")]
+    broken = _broken(gamepad) if gamepad.config else None
+    if broken is not None:
+        return [broken]
+    if gamepad.cause in causes.LOSSES:
+        return [Finding(WARN, SUBJECT, gamepad.reason, remedy(gamepad.cause, topic) or LET_GO)]
+    if gamepad.stick_cause:
+        return [Finding(WARN, SUBJECT, gamepad.reason, remedy(gamepad.stick_cause, topic))]
+    said = f"; {gamepad.reason}" if gamepad.reason else ""
+    return [Finding(OK, SUBJECT, f"{topic}: {sample.axes} axes, {sample.buttons} buttons, "
+                                 f"{_rate_text(sample)}{said}")]
+
+
+def _nothing_came(gamepad):
+    topic = gamepad.topic
+    if not gamepad.publishers:
+        said = f" ({gamepad.reason})" if gamepad.reason else ""
+        return Finding(WARN, SUBJECT, f"no node publishes {topic}, so that no deadman can be held{said}",
+                       "Start joy_node: roslaunch car_interface car.launch gamepad:=true. With the virtual car: rosrun "
+                       "car_interface keyboard_drive")
+    return Finding(WARN, SUBJECT, f"{', '.join(gamepad.publishers)} publishes {topic}, but nothing came",
+                   f"{remedy(causes.JOY_NEVER_RECEIVED, topic)}. {AUTOREPEAT.format(joy=topic)}, also while nothing "
+                   "moves")
+
+
+def _broken(gamepad):
+    """Return what is wrong with the messages, or ``None``."""
+    sample, config, topic = gamepad.sample, gamepad.config, gamepad.topic
+    missing = missing_index(config, sample.axes, sample.buttons)
+    if missing is not None:
+        return Finding(BAD, SUBJECT, missing[1], remedy(causes.JOY_INCOMPLETE, topic))
+    for name in ("steer_axis", "throttle_axis"):
+        index = getattr(config, name)
+        if index in sample.values:
+            return Finding(BAD, SUBJECT, f"the gamepad's {name} {index} is {sample.values[index]}, no number to act on",
+                           remedy(causes.JOY_NOT_FINITE, topic))
+    timeout_s = config.joy_timeout_s or math.inf
+    if sample.period_s > timeout_s:
+        return Finding(BAD, SUBJECT, f"{topic} comes {_rate_text(sample)}, too seldom for a joy_timeout of "
+                                     f"{timeout_s:g} s: the deadman is released again and again",
+                       AUTOREPEAT.format(joy=topic))
+    if sample.period_s * MISSED > timeout_s:
+        return Finding(WARN, SUBJECT, f"{topic} comes {_rate_text(sample)}: with a joy_timeout of {timeout_s:g} s one "
+                                      "message that is late releases the deadman", AUTOREPEAT.format(joy=topic))
+    if any(is_d_mode_cross(index, sample.axes, sample.buttons) for index in (config.steer_axis, config.throttle_axis)):
+        return Finding(WARN, SUBJECT, f"{sample.axes} axes and {sample.buttons} buttons, as a Logitech gamepad has in "
+                                      "D mode: axes 4 and 5 are its cross then, not a stick",
+                       remedy(causes.JOY_INCOMPLETE, topic))
+    return None
+
+
+def _rate_text(sample):
+    if sample.messages < 2:
+        return f"once in {sample.period_s:.1f} s"
+    return f"{1 / sample.period_s:.1f} times a second"

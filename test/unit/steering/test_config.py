@@ -1,0 +1,85 @@
+"""The steering's parameters, from the parameter server or from a YAML file."""
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+from car_interface.common.declared import read
+from car_interface.common.errors import ConfigError
+from car_interface.common.params import Params
+from car_interface.steering.arbiter import SteeringArbiterConfig
+from car_interface.steering.calibration import SteeringCalibration
+from car_interface.steering.config import load_steering
+from slash import PARAMETERS, SLASH
+
+CONFIG_FILE = Path(__file__).resolve().parents[3] / "config" / "turn_arb.yaml"
+
+
+def test_shipped_config_holds_the_slash_4x4_calibration():
+    text = CONFIG_FILE.read_text(encoding="utf-8")
+    shipped = {name: ast.literal_eval(value) for name, value in re.findall(r"(?m)^(\w+): *(\[[^]]*\]|[\d.]+)", text)}
+    assert {name: shipped.get(name) for name in PARAMETERS} == PARAMETERS
+    assert (shipped["tele_steer_neutral"], shipped["tele_steer_deadband"]) == (0.0, 0.001)
+    assert shipped["input_timeout"] == 0.5
+
+
+def test_file_of_turn_arb_may_say_how_far_it_may_be_tuned(tmp_path):
+    shipped = CONFIG_FILE.read_text(encoding="utf-8")
+    path = tmp_path / "turn_arb.yaml"
+    path.write_text(shipped + "live_range: 300\n", encoding="utf-8")
+    assert load_steering(str(path)).servo_center == 5100
+    path.write_text(shipped + "live_range: far\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"turn_arb\.yaml, live_range is 'far'"):
+        load_steering(str(path))
+
+
+def test_calibration_comes_from_the_original_names():
+    assert read(Params(PARAMETERS), SteeringCalibration) == SLASH
+    lowest = {**PARAMETERS, "servo_left": 0, "servo_center": 0, "servo_right": 1, "servo_channel": 15, "understeer": 1,
+              "k_pwmcmd_left_table_servo": [0] * 15, "k_pwmcmd_right_table_servo": [0] * 15}
+    assert read(Params(lowest), SteeringCalibration) == SteeringCalibration(*lowest.values())
+
+
+@pytest.mark.parametrize("name, value, accepted", [
+    ("servo_left", -1, "an integer from 0 to 65535"),
+    ("servo_center", 65536, "an integer from 0 to 65535"),
+    ("servo_right", 65536, "an integer from 0 to 65535"),
+    ("servo_channel", 16, "an integer from 0 to 15"),
+    ("understeer", 1.1, "a number from 0 to 1"),
+    ("k_pwmcmd_left_table_servo", [-1, *[0] * 14], ""),
+    ("k_pwmcmd_right_table_servo", [65536, *[0] * 14], ""),
+    ("tele_steer_neutral", 1.1, "a number from -1 to 1"),
+    ("tele_steer_neutral", -1.1, "a number from -1 to 1"),
+    ("tele_steer_deadband", 1.1, "a number from 0 to 1"),
+    ("slew_limit", 1.1e9, ""),
+    ("tele_stear", 1, ""),
+])
+def test_parameter_out_of_range_or_unknown_is_refused_by_its_name(tmp_path, name, value, accepted):
+    text = "".join(f"{key}: {number}\n" for key, number in {**PARAMETERS, name: value}.items())
+    with pytest.raises(ConfigError, match=f"{name}.*{accepted}"):
+        load_steering(str(tmp_path / "turn_arb.yaml"), text)
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_each_original_name_is_required_and_searched_for_in_the_parents(name):
+    private = {other: value for other, value in PARAMETERS.items() if other != name}
+    with pytest.raises(ConfigError, match=f"{name} is missing"):
+        read(Params(private), SteeringCalibration)
+    assert read(Params(private, PARAMETERS.get), SteeringCalibration) == SLASH
+
+
+def test_input_timeout_is_the_default_of_the_other_timeouts():
+    rules = read(Params({"input_timeout": 2.0, "planner_timeout": 3.0}), SteeringArbiterConfig)
+    assert (rules.interlock.human_timeout_s, rules.teleop_timeout_s, rules.planner_timeout_s) == (2.0, 2.0, 3.0)
+    assert read(Params({}), SteeringArbiterConfig) == SteeringArbiterConfig()
+
+
+def test_text_that_will_be_a_file_is_checked_before_there_is_one(tmp_path):
+    path = tmp_path / "mine.yaml"
+    with pytest.raises(ConfigError, match=f"^{path}, servo_left is missing"):
+        load_steering(str(path), "servo_channel: 0\n")
+    assert load_steering(str(path), CONFIG_FILE.read_text(encoding="utf-8")) == load_steering(str(CONFIG_FILE))
+    assert list(tmp_path.iterdir()) == []

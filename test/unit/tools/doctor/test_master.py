@@ -1,0 +1,173 @@
+"""What the doctor makes of a master's and a node's answers; both are small XML-RPC servers here."""
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import threading
+from xmlrpc.server import SimpleXMLRPCServer
+
+import pytest
+
+from car_interface.common.package_files import package_file
+from car_interface.ros import xmlrpc_calls
+from car_interface.tools.doctor import master as probe
+from car_interface.tools.doctor.car import ABSENT, KILLED, RUNNING, SILENT, Node
+from car_interface.tools.doctor.master import Graph, Master, read_files
+
+
+def uri_of(listener):
+    return f"http://127.0.0.1:{listener.getsockname()[1]}"
+
+
+class Server:
+    """Answers one question after the other; as a master or a node."""
+
+    def __init__(self, **answers):
+        self._server = SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False)
+        for name, answer in answers.items():
+            self._server.register_function(answer, name)
+        self.uri = uri_of(self._server.socket)
+        threading.Thread(target=self._server.serve_forever, args=(0.01,), daemon=True).start()
+
+    def close(self):
+        self._server.shutdown()
+        self._server.server_close()
+
+
+@pytest.fixture
+def served():
+    servers = []
+
+    def serve(**answers):
+        servers.append(Server(**answers))
+        return servers[-1].uri
+    yield serve
+    for server in servers:
+        server.close()
+
+
+@pytest.fixture
+def node(served):
+    return served(getPid=lambda caller: [1, "", 7])
+
+
+@pytest.fixture
+def refused():
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        return uri_of(listener)
+
+
+@pytest.fixture
+def silent(monkeypatch):
+    """What takes connections and never answers."""
+    monkeypatch.setattr(xmlrpc_calls, "ANSWER_WITHIN_S", 0.1)
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.listen(5)
+        yield uri_of(listener)
+
+
+@pytest.fixture
+def master(served):
+    """Makes a master that knows these nodes by name, and says of which of them the graph consists."""
+    def make(uris, graph):
+        def look_up(caller, name):
+            return [1, "", uris[name]] if name in uris else [-1, f"unknown node [{name}]", ""]
+        state = [[["/rosout", list(graph)]], [], []]
+        return Master(served(lookupNode=look_up, getSystemState=lambda caller: [1, "", state]))
+    return make
+
+
+def look(master, name="turn_arb", namespace="/"):
+    return master.node(name, namespace, master.graph())
+
+
+def test_graph_is_who_publishes_subscribes_and_serves(served):
+    state = [[["/joy", ["/pad", "/other"]]], [["/joy", ["/teleop_logi"]]], [["/turn_arb/save", ["/turn_arb"]]]]
+    graph = Master(served(getSystemState=lambda caller: [1, "", state])).graph()
+    assert graph == Graph({"/joy": ("/pad", "/other")}, frozenset({"/pad", "/other", "/teleop_logi", "/turn_arb"}))
+
+
+def test_node_that_the_graph_does_not_have_is_absent_although_the_master_can_look_it_up(master, refused):
+    """As every node is after it ended in order."""
+    assert look(master({"/turn_arb": refused}, [])).state == ABSENT
+
+
+def test_node_that_does_not_answer_or_whose_host_cannot_be_found_is_silent(master, silent):
+    for uri in (silent, "http://no-such-host.invalid:1"):
+        assert look(master({"/turn_arb": uri}, ["/turn_arb"])).state == SILENT
+
+
+@pytest.mark.parametrize("name, process", [("turn_arb", "/car_nodes"), ("teleop_logi", "/teleop_logi")])
+def test_four_of_the_nodes_may_be_parts_of_one_process_that_runs(name, process, master, node):
+    found = look(master({"/car1/car_nodes": node}, ["/car1/car_nodes"]), name, "/car1")
+    assert found == (name, f"/car1/{name}", RUNNING if name == "turn_arb" else ABSENT, f"/car1{process}")
+
+
+def test_node_or_process_of_the_graph_where_nothing_listens_was_killed_and_is_named(master, refused):
+    assert look(master({"/turn_arb": refused}, ["/turn_arb"])).state == KILLED
+    found = look(master({"/car_nodes": refused}, ["/car_nodes"]))
+    assert (found.state, found.process) == (KILLED, "/car_nodes")
+
+
+@pytest.fixture
+def launched(monkeypatch):
+    """The arguments of the node's process, by the name of its script."""
+    arguments = {}
+    monkeypatch.setattr(probe, "script_arguments",
+                        lambda pid, script: arguments.get(script, []) if pid == 7 else [])
+    return arguments
+
+
+@pytest.mark.parametrize("process, arguments", [
+    ("pca9685", ["--device", "virtual", "__name:=pca9685"]),
+    ("car_nodes", ["--device", "virtual", "--port", "/tmp/a", "--throttle", "true"]),
+])
+def test_parameters_that_a_launch_file_fixed_are_known_when_they_are_lost(master, node, launched, process, arguments):
+    launched[process] = arguments
+    asked = master({f"/{process}": node}, [f"/{process}"])
+    board = look(asked, "pca9685")
+    assert asked.fixed_parameters(board) == {"device": "virtual"}
+    asked.parameter = lambda path: None
+    assert probe.read_parameters(asked, board).fault == \
+        "device is missing; accepted: virtual, by the launch file that started this process"
+
+
+def test_nothing_is_known_of_a_process_on_another_computer_or_with_wrong_arguments(master, node, launched, monkeypatch):
+    asked = master({"/pca9685": node}, ["/pca9685"])
+    launched["pca9685"] = ["--devise", "virtual"]
+    assert asked.fixed_parameters(look(asked, "pca9685")) == {}
+    launched["pca9685"] = ["--device", "virtual"]
+    monkeypatch.setattr(probe, "leads_here", lambda host: False)
+    assert asked.fixed_parameters(look(asked, "pca9685")) == {}
+
+
+# --- files ---
+
+@pytest.fixture
+def car(tmp_path, served):
+    """A car's folder, and its faults by a master that knows where turn_arb saves."""
+    folder = tmp_path / "my_car"
+    shutil.copytree(str(package_file("config")), str(folder))
+
+    def faults(save_to):
+        def parameter(caller, name):
+            return [1, "", str(save_to)] if name == "/turn_arb/save_to" else [-1, "not set", ""]
+        return read_files(Master(served(getParam=parameter)), [Node(name, f"/{name}", RUNNING, f"/{name}")
+                                                               for name in ("pca9685", "turn_arb")])
+    return folder, faults
+
+
+def test_files_of_the_folder_that_a_node_saves_to_are_read(car):
+    folder, faults = car
+    assert faults(folder / "turn_arb.yaml") == []
+    with open(str(folder / "sonars.yaml"), "a", encoding="utf-8") as file:
+        file.write("sonar_left: !degrees 3\nsonar_left: 2\n")
+    (folder / "notes.yaml").write_text("a: 1\na: 2\n")  # of the owner's own
+    os.unlink(str(folder / "pca9685.yaml"))
+    os.mkfifo(str(folder / "pca9685.yaml"))
+    pipe, twice = sorted(faults(folder / "turn_arb.yaml"))
+    assert pipe.startswith(f"{folder}/pca9685.yaml can't be read (it is a pipe)")
+    assert twice.startswith(f"{folder}/sonars.yaml, lines ") and "both give sonar_left" in twice
