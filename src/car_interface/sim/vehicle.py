@@ -30,11 +30,10 @@ from car_interface.sim.collision import Collisions
 from car_interface.sim.drive_train import (
     DriveConfig,
     Motor,
-    is_pulse,
     motor_acceleration_mps2,
     true_acceleration_mps2,
 )
-from car_interface.sim.esc import VirtualEsc, VirtualEscConfig
+from car_interface.sim.esc import VirtualEsc, VirtualEscConfig, is_pulse
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
 from car_interface.sim.tyres import Rollovers, TyreConfig, path_curvature_per_m, possible_acceleration_mps2
 
