@@ -41,12 +41,11 @@ from car_interface.sim.collision import Collisions
 from car_interface.sim.tyres import TyreConfig
 from car_interface.sim.vehicle import Pose, Vehicle, VehicleConfig
 from car_interface.sim.world import World, WorldConfig
-from car_interface.steering.arbiter import ArbiterConfig as SteeringConfig
-from car_interface.steering.arbiter import SteeringArbiter
+from car_interface.steering.arbiter import SteeringArbiter, SteeringArbiterConfig
 from car_interface.steering.calibration import SteeringCalibration, trimmed
 from car_interface.steering.config import load_steering
 from car_interface.teensy.link.protocol import WheelStatus
-from car_interface.throttle.arbiter import ArbiterConfig
+from car_interface.throttle.arbiter import ThrottleArbiterConfig
 from car_interface.throttle.control import ThrottleControl
 from car_interface.throttle.converter import ConversionConfig, Converter
 from car_interface.throttle.esc_config import UNVERIFIED, EscConfig
@@ -225,8 +224,9 @@ class Bench:
             obstacles=None if self._world is None else ObstacleConfig(mounts, math.radians(30), 2.0))
         self.drive = CalibrationDrive(car.base, config)
         interlock = InterlockConfig(grant_at_start=False)
-        self._steering = SteeringArbiter(car.base, SteeringConfig(interlock=interlock))
-        self._throttle = ThrottleControl(THROTTLE, ArbiterConfig(interlock=interlock), car.esc, ThrottleLimits())
+        self._steering = SteeringArbiter(car.base, SteeringArbiterConfig(interlock=interlock))
+        self._throttle = ThrottleControl(
+            THROTTLE, ThrottleArbiterConfig(interlock=interlock), car.esc, ThrottleLimits())
         self._speed = SpeedControl()
         self._converter = Converter(ConversionConfig(), load_value_map(str(MAP)))
         self.person = person or Person(rng)

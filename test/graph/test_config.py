@@ -169,6 +169,13 @@ def test_reading_opens_and_makes_nothing(tmp_path):
 @pytest.mark.parametrize("file, argument, refusal", [
     ("pca9685.launch", "device:=virtual", "device is called i2c now: i2c:=virtual"),
     ("car_nodes.launch", "device:=virtual", "device is called i2c now: i2c:=virtual"),
+    ("pca9685.launch", "device:=1", "device is called i2c now: i2c:=1"),
+    ("pca9685.launch", "steering_config:=/a/b.yaml", "steering_config is gone: config:= is a folder with turn_arb."),
+    ("pca9685.launch", "throttle_config:=/a/b.yaml", "throttle_config is gone: config:= is a folder with throttle."),
+    ("teensy_sensor_hub.launch", "sonars_config:=/a/b.yaml", "sonars_config is gone: config:= is a folder with sonars"),
+    ("throttle_arb.launch", "sonars_config:=/a/b.yaml", "sonars_config is gone: config:= is a folder with sonars.yaml"),
+    ("throttle_arb.launch", "board_config:=/a/b.yaml", "board_config is gone: config:= is a folder with pca9685.yaml"),
+    ("planner_interface.launch", "wheels_config:=/a/b.yaml", "wheels_config is gone: config:= is a folder with teensy"),
     ("planner_interface.launch", "source:=cmd_vel", "source is called planner now: planner:=cmd_vel"),
     ("turn_arb.launch", "config:=/home/me/my car/turn_arb.yaml", "config is a folder now: config:=/home/me/my car"),
     ("display.launch", "config:=/home/me/car.rviz", "config is a folder now: config:=/home/me"),

@@ -16,7 +16,7 @@ TRUE = "of the full duty, before drag; forward and backward at standstill"  # th
 
 
 @dataclass(frozen=True)
-class DriveConfig:
+class DriveTrainConfig:
     """The drive train, from the ESC's duty to the car's acceleration.
 
     Attributes:
@@ -66,7 +66,7 @@ class DriveConfig:
         return 1.0 + self.sag * (0.5 - min(1.0, elapsed_s / self.sag_over_s))
 
 
-def throttle(duty: int, drive: DriveConfig) -> float | None:
+def throttle(duty: int, drive: DriveTrainConfig) -> float | None:
     """Return the throttle of a duty: -1 (full reverse) to 1 (full forward), 0 in the neutral band; None: no pulse."""
     if not is_pulse(duty):
         return None
@@ -92,7 +92,8 @@ class Motor:
 
 
 def motor_acceleration_mps2(
-    push: float, brake: float, speed_mps: float, drive: DriveConfig, thrust: float = 1.0, downhill_mps2: float = 0.0
+    push: float, brake: float, speed_mps: float, drive: DriveTrainConfig, thrust: float = 1.0,
+    downhill_mps2: float = 0.0,
 ) -> float:
     """Return the car's acceleration by its motor; the other arguments as of ``true_acceleration_mps2``."""
     speed = abs(speed_mps)
@@ -108,7 +109,8 @@ def motor_acceleration_mps2(
 
 
 def true_acceleration_mps2(
-    esc_duty: int, speed_mps: float, drive: DriveConfig = DriveConfig(), thrust: float = 1.0, downhill_mps2: float = 0.0
+    esc_duty: int, speed_mps: float, drive: DriveTrainConfig = DriveTrainConfig(), thrust: float = 1.0,
+    downhill_mps2: float = 0.0,
 ) -> float:
     """Return the car's acceleration without an ESC's memory, which a value map for this car approximates.
 

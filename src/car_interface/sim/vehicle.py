@@ -28,7 +28,7 @@ from car_interface.common.units import NS_PER_S
 from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, TRACK_M, WHEEL_DIAMETER_M
 from car_interface.sim.collision import Collisions
 from car_interface.sim.drive_train import (
-    DriveConfig,
+    DriveTrainConfig,
     Motor,
     motor_acceleration_mps2,
     true_acceleration_mps2,
@@ -117,7 +117,7 @@ class VehicleConfig:
     """
 
     steering: SteeringConfig = SteeringConfig()
-    drive: DriveConfig = field(default_factory=DriveConfig)
+    drive: DriveTrainConfig = field(default_factory=DriveTrainConfig)
     track_m: float = TRACK_M
     wheel_diameter_m: float = WHEEL_DIAMETER_M
     pulses_per_revolution: int = PULSES_PER_REVOLUTION

@@ -38,7 +38,7 @@ SETTLES_NS = round(0.5 * NS_PER_S)
 
 
 @dataclass(frozen=True)
-class ArbiterConfig:
+class ThrottleArbiterConfig:
     """The rules of who drives; without ``board`` the servo board is not checked."""
 
     stick: StickConfig = declared.group(StickConfig())
@@ -86,7 +86,7 @@ class ThrottleArbiter:
     and what arrives up to then may have been sent under the planner's deadman.
     """
 
-    def __init__(self, config: ArbiterConfig = ArbiterConfig()):
+    def __init__(self, config: ThrottleArbiterConfig = ThrottleArbiterConfig()):
         self._stick = config.stick
         self._scale = Scale(config.stick)
         self._interlock = MotionInterlock(config.interlock)

@@ -9,7 +9,7 @@ from car_interface.common.errors import ConfigError
 from car_interface.common.live_parameters import TuningSettings
 from car_interface.common.params import Params
 from car_interface.common.yaml_file import load_yaml
-from car_interface.throttle.arbiter import ArbiterConfig
+from car_interface.throttle.arbiter import ThrottleArbiterConfig
 from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.esc_config import EscConfig
 from car_interface.throttle.limits import ThrottleLimits
@@ -23,7 +23,7 @@ class ThrottleConfig:
     """The configuration of throttle_arb; ``obstacles`` are the sonars that it stops for, ``None`` = for none."""
 
     calibration: ThrottleCalibration = declared.group(ThrottleCalibration)
-    arbiter: ArbiterConfig = declared.group(ArbiterConfig())
+    arbiter: ThrottleArbiterConfig = declared.group(ThrottleArbiterConfig())
     esc: EscConfig = declared.group(EscConfig())
     limits: ThrottleLimits = declared.group(ThrottleLimits())
     obstacles: ObstacleConfig | None = declared.group(ObstacleConfig())

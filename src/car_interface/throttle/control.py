@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple, Sequence
 
 from car_interface.common.staleness import TimedInput
-from car_interface.throttle.arbiter import PLANNER, TELEOP, ArbiterConfig, Arbitration, ThrottleArbiter
+from car_interface.throttle.arbiter import PLANNER, TELEOP, Arbitration, ThrottleArbiter, ThrottleArbiterConfig
 from car_interface.throttle.calibration import DutyMap, ThrottleCalibration
 from car_interface.throttle.esc import FORWARD, REVERSE, Esc, EscDecision
 from car_interface.throttle.esc_config import EscConfig
@@ -51,7 +51,7 @@ class ThrottleControl:
         arbiter: takes e-stop, deadman, steering, teleop, mode, buttons and the converter's state itself.
     """
 
-    def __init__(self, calibration: ThrottleCalibration, arbiter: ArbiterConfig, esc: EscConfig,
+    def __init__(self, calibration: ThrottleCalibration, arbiter: ThrottleArbiterConfig, esc: EscConfig,
                  limits: ThrottleLimits | None = None, obstacles: ObstacleConfig | None = None):
         self.arbiter = ThrottleArbiter(arbiter)
         self._duties = DutyMap(calibration)

@@ -13,7 +13,7 @@ from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, TRACK_M
 from car_interface.sim.esc import KINDS, VirtualEscConfig
 from car_interface.sim.teensy_config import BOOT_MS, FirmwareConfig
 from car_interface.sim.tyres import TyreConfig
-from car_interface.sim.vehicle import DriveConfig, Pose, SteeringConfig, VehicleConfig
+from car_interface.sim.vehicle import DriveTrainConfig, Pose, SteeringConfig, VehicleConfig
 from car_interface.sim.world import World, WorldConfig
 
 NO_ESC = "none"
@@ -53,7 +53,7 @@ class CarSimConfig:
     esc_channel: int = declared.integer(
         "esc/servo/channel", 1, f"{ESC}; −1 = none, then 1", low=-1, high=CHANNELS - 1, default_text="none")
     neutral_duty: float = declared.number(
-        "esc/servo/neutral", DriveConfig.neutral_duty, ESC, low=0, high=MAX_DUTY, default_text="none")
+        "esc/servo/neutral", DriveTrainConfig.neutral_duty, ESC, low=0, high=MAX_DUTY, default_text="none")
     steering_channel: int = declared.channel(
         "steering_channel", 0, "of the servo board", same_as="steering/servo_channel")
     given_throttle_channel: int | None = declared.channel(
@@ -71,7 +71,7 @@ class CarSimConfig:
         "steering_duties", None, "the true steering: rising duties", default_text=OWN)
     steering_curvatures: Sequence[float] | None = declared.numbers(
         "steering_curvatures", None, "and the curvature of each, left positive", "1/m", default_text=OWN)
-    drive: DriveConfig = declared.group(DriveConfig())
+    drive: DriveTrainConfig = declared.group(DriveTrainConfig())
     esc_kind: str = declared.choice(
         "esc_kind", NO_ESC, "what its ESC makes of a pulse behind neutral; `none` = it has no memory and needs no "
                             "arming: at standstill it drives backward",

@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Callable, NamedTuple
 
-from car_interface.common.units import NS_PER_MS
+from car_interface.common.units import NS_PER_MS, NS_PER_S
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.teensy.link.pinging import Answer
 from car_interface.teensy.link.protocol import UINT32, Pong, SonarStatus, WheelStatus
@@ -23,6 +23,9 @@ from car_interface.teensy.sensing.ranging import Ranging, RangingConfig
 # that is subtracted from the receipt for them must not be more than the line took.
 PONG_BYTES, SONAR_BYTES, WHEEL_BYTES = 14, 14, 38
 TICK_MIDDLE_MS = 0.5
+# On a full line reports leave up to 16 ms late, so that a clock without pongs yet is late by as much.
+MAX_CLOCK_ERROR_MS = 16
+BOOT_MS = 300  # the tick at which a boot ends and counts begin, measured on the firmware
 MAX_QUEUED = 10  # reports of the wheels: raw messages must not wait long behind them
 
 
@@ -149,12 +152,17 @@ class Measurements:
                              for wheel in record)
         # It is unknown when a report was sent; but there was no later pulse before its newest pulse or repeat.
         newest_ms = -math.inf if newest is None else self.clock.unwrap(newest) + self._shift_ms
-        is_news = self._newest_ms < newest_ms <= received_ms
+        is_news = self._newest_ms < newest_ms <= received_ms + MAX_CLOCK_ERROR_MS
         if is_news:
             self._newest_ms = newest_ms
+        counted_ms = newest_ms - newest + BOOT_MS if verdict.since_boot and newest else None
         motion = self._odometry.report(record, verdict.pulses, verdict.restarted, left_ms, right_ms,
-                                       newest_ms + TICK_MIDDLE_MS if is_news else received_ms, verdict.unproven)
-        return MotionMeasurement(self._stamp(motion.time_ms - self._shift_ms, received_ns), motion)
+                                       newest_ms + TICK_MIDDLE_MS if is_news else received_ms, verdict.unproven,
+                                       verdict.unsplit, counted_ms)
+        stamp = self._stamp(motion.time_ms - self._shift_ms, received_ns)
+        # While a stamp is uncertain, an accelerating car's speed at that stamp is, too: a bound is three sigma.
+        late_mps = self._odometry.acceleration_mps2 * stamp.uncertainty_ns / NS_PER_S / 3
+        return MotionMeasurement(stamp, motion._replace(speed_variance=motion.speed_variance + late_mps ** 2))
 
     def steer(self, curvature_per_m: float) -> None:
         """Set the commanded curvature, left positive, for an odometry that uses it; NaN = unknown."""

@@ -18,11 +18,11 @@ import sys
 import time
 from typing import Iterator
 
-from car_interface.tools.doctor.checks.board import ADDRESSES
-from car_interface.tools.doctor.checks.findings import BAD, Finding, render, summarise, worst
+from car_interface.tools.doctor.board import ADDRESSES
 from car_interface.tools.doctor.examination import VIRTUAL, Task, examine
+from car_interface.tools.doctor.findings import BAD, Finding, render, summarise, worst
 
-TOPICS = "car_interface.tools.doctor.probes.topics"  # imported only when there is a master: it imports rospy
+TOPICS = "car_interface.tools.doctor.topics"  # imported only when there is a master: it imports rospy
 LEAVE_S = 0.5
 
 

@@ -9,7 +9,7 @@ import pytest
 import virtual_escs
 
 from car_interface.common.errors import CarInterfaceError
-from car_interface.throttle.arbiter import ArbiterConfig
+from car_interface.throttle.arbiter import ThrottleArbiterConfig
 from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.config import ThrottleConfig
 from car_interface.throttle.esc_config import EscConfig
@@ -36,7 +36,7 @@ def recorded(neutral=4912.0, path="a.bag"):
 
 
 def base(**esc):
-    return ThrottleConfig(RISING, ArbiterConfig(), EscConfig(**esc), ThrottleLimits(), None, None)
+    return ThrottleConfig(RISING, ThrottleArbiterConfig(), EscConfig(**esc), ThrottleLimits(), None, None)
 
 
 def test_drive_becomes_the_fit_s_numbers_and_the_neutral_of_a_mirrored_one_is_mirrored_back():

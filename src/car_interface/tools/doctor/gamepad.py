@@ -6,7 +6,7 @@ from typing import NamedTuple, Sequence
 
 from car_interface.common import causes
 from car_interface.teleop.gamepad import GamepadConfig, is_d_mode_cross, missing_index, remedy
-from car_interface.tools.doctor.checks.findings import BAD, OK, WARN, Finding
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
 
 SUBJECT = "gamepad"
 MISSED = 2  # messages in a row that may be lost before the deadman is released, at least

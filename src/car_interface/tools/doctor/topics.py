@@ -18,12 +18,10 @@ from car_interface.common.errors import CarInterfaceError
 from car_interface.common.params import Params
 from car_interface.msg import LinkStatus, SteeringState, TeleopState
 from car_interface.ros.tcpros_limits import limit_connections
-from car_interface.steering.arbiter import source_name
 from car_interface.teleop.gamepad import GamepadConfig
-from car_interface.tools.doctor.checks.car import Node, Report, SteeringReport
-from car_interface.tools.doctor.checks.gamepad import GamepadFacts, JoySample
-from car_interface.tools.doctor.checks.port import Link
-from car_interface.tools.doctor.probes.master import Master
+from car_interface.tools.doctor.car import Node, Report
+from car_interface.tools.doctor.gamepad import GamepadFacts, JoySample
+from car_interface.tools.doctor.master import Master
 
 JOY_TYPE = "sensor_msgs/Joy"
 SAMPLE_S = 1.0  # for the rate: 20 messages of a joy_node that repeats
@@ -100,10 +98,10 @@ def _read_config(master, path):
 
 
 class TopicReports(NamedTuple):
-    """The newest of each topic; ``None`` where nothing came."""
+    """What came."""
 
-    link: Link | None
-    steering: SteeringReport | None
+    link: LinkStatus | None  # the newest
+    steering: list  # each SteeringState
     reports: list
     gamepad: GamepadFacts | None = None
 
@@ -128,7 +126,7 @@ class _Listener:
 
 
 def _level(level):
-    """genpy gives a byte as a number or, for ROS 2's sake, as bytes."""
+    """Return a byte, which genpy gives as a number or, for ROS 2's sake, as bytes."""
     return level[0] if isinstance(level, bytes) else level
 
 
@@ -163,24 +161,10 @@ def listen(hub: str | None, turn_arb: str | None, reporting, gamepad: GamepadLis
         if has_link and has_state and has_gamepad and wanted <= listener.reporters():
             break
         time.sleep(POLL_S)
-    return TopicReports(_link(listener.links), _steering(listener.states), list(listener.reports.values()),
+    return TopicReports(next(reversed(listener.links), None), listener.states, list(listener.reports.values()),
                         gamepad and gamepad.result())
 
 
 def leave() -> None:
     """Unregister from the master."""
     rospy.signal_shutdown("the doctor is done")
-
-
-def _link(links):
-    if not links:
-        return None
-    link = links[-1]
-    return Link(link.level, link.state, link.words, link.next_step, link.round_trip, link.firmware_checksum)
-
-
-def _steering(states):
-    if not states:
-        return None
-    state = states[-1]
-    return SteeringReport(source_name(state.source), state.reason, state.duty, repeats=len(states) > 1)

@@ -16,8 +16,8 @@ from car_interface.common.processes import script_arguments
 from car_interface.common.yaml_file import compose_yaml, read_yaml
 from car_interface.ros.start import config_class
 from car_interface.ros.xmlrpc_calls import call
-from car_interface.tools.doctor.checks.car import ABSENT, KILLED, ONE_PROCESS, RUNNING, SILENT, SIMULATOR, Node, Reading
-from car_interface.tools.doctor.probes.computer import leads_here
+from car_interface.tools.doctor.car import ABSENT, KILLED, ONE_PROCESS, RUNNING, SILENT, SIMULATOR, Node, Reading
+from car_interface.tools.doctor.network import leads_here
 
 CALLER = "/doctor"
 # These may be parts of ONE_PROCESS.
