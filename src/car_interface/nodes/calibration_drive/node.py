@@ -143,7 +143,6 @@ class CalibrationDriveNode:
             self._page.close()
         if self._recording is not None and not self._is_over:
             self._text.say(f"recording: {self._recording.stop()}")
-        self._clocks.sleep(0.02)  # for what a socket did not take at once
         if not (self._is_over or self._is_written) and sys.exc_info()[0] is None:
             raise EndedEarly("ended before it was over: nothing is written")
 
