@@ -97,6 +97,10 @@ class Slope:
             self._stand(measured_ns)
             return
         self._stood_ns = None
+        self._measure(speed_mps, measured_ns)
+
+    def _measure(self, speed_mps, measured_ns):
+        """Measure a deceleration, if the ESC has had neutral or a brake for long enough."""
         since_s = (measured_ns - self._held_ns) / NS_PER_S
         if self._fraction == 0.0 and since_s >= ACTUATION_S:
             self._coast(speed_mps, since_s - ACTUATION_S)
