@@ -10,9 +10,10 @@ gets now, the state, the cause and the reason. It decides by
 * ``esc_intention``: whether a person's pull means reverse.
 
 The rules, in the order of ``step``: arming comes first, then a stop (``_stop``), then a request (``_drive``). A pull is
-given if it brakes for certain (``_brakes``), as far as it ends before the car stands (``_weak_pull``), or as a step of
-the way into reverse (``_reverse``); else it is neutral. A stop brakes by stricter rules (``_stop_brakes``). Nothing
-blocks: where an ESC needs time in neutral, ``step`` returns neutral until it has passed. Pure: ``now_ns`` is passed in.
+given if it brakes for certain (``_brakes``), weakly if that ends before the car stands (``_weak_pull``), or as a step
+of the way into reverse (``_reverse``); else the ESC gets neutral. A stop brakes by stricter rules (``_stop_brakes``).
+Nothing blocks: where an ESC needs time in neutral, ``step`` returns neutral until it has passed. Pure: ``now_ns`` is
+passed in.
 
 The rules can't see
 
@@ -159,6 +160,7 @@ class Esc:
     # --- arming ---
 
     def _update_arming(self, request, now_ns):
+        """Enter ARMING without pulses and after motion against the state; leave it once nothing is missing."""
         if self._history.had_no_pulse():
             self._disarm(causes.ESC_ARMING, NO_PULSE, now_ns)
         wants_backward = request.cruise_mps < 0 and request.gear == REVERSE_GEAR and not request.is_stop
@@ -235,7 +237,7 @@ class Esc:
         return value, FORWARD, causes.DRIVING, f"{value:.2f} is requested{_clamped(request)}"
 
     def _rolls_too_fast_backward(self, request, now_ns):
-        """Return whether a hill drives the car backward so fast that a gentle push can't turn it round."""
+        """Return whether a hill drives it faster backward than requested, and too fast for a gentle push to turn it."""
         speed_mps = self._motion.speed_mps(now_ns)
         return (self._hill.drives_the_car and request.cruise_mps < 0 and self._motion.is_fresh(now_ns)
                 and speed_mps < min(request.cruise_mps, -2 * STANDSTILL_MPS))
@@ -260,6 +262,7 @@ class Esc:
         return brake or (0.0, NEUTRAL, *self._withheld(means_reverse, now_ns))
 
     def _means_reverse(self, request, now_ns):
+        """Return whether a pull means reverse: by the gear, or as a person's second pull."""
         # If the speed is lost while the car rolls, the pull that is held stays a brake.
         is_lost = self._motion.speed_mps(now_ns) is None
         if is_lost and self._motion.rolled_forward_since(self._pulls.began_ns - LOST_NS):
@@ -298,7 +301,7 @@ class Esc:
         return self._motion.rolls_forward(now_ns) and self._is_fast_enough(value, now_ns)
 
     def _is_fast_enough(self, value, now_ns):
-        """Return whether the car is faster than esc/brake_margin, and stays so until a pull of now has ended.
+        """Return whether the car is faster than esc/brake_margin, and rolls until a pull that is given now has ended.
 
         To begin a brake takes BEGINS_OVER_MPS more. It takes twice the margin where the speed has no stamp, since its
         age is unknown, and backward, since the way back into reverse takes long.
