@@ -27,6 +27,7 @@ from car_interface.common.units import NS_PER_S
 from car_interface.throttle.arbiter import PLANNER, TELEOP, Arbitration
 from car_interface.throttle.esc import BRAKING, FORWARD, NEUTRAL, REVERSE, STOP_MEMORY_NS, EscDecision
 from car_interface.throttle.esc_config import BRAKE_THEN_REVERSE, FORWARD_ONLY, EscConfig
+from car_interface.throttle.esc_motion import MOTOR_LAG_NS
 from car_interface.throttle.limits import BAND_MPS, SpeedBound
 from car_interface.throttle.obstacle_stop import MIN_STOP_MPS2, Guarantee, ObstacleStop
 from car_interface.throttle.slope import Slope
@@ -35,7 +36,7 @@ ROLLS_MPS, MOVES_MPS = 0.1, 0.05  # a faster car certainly rolls; a slower one m
 STEEP_MPS2 = 0.1  # less stops no car for certain: a slope of 1 % pulls by as much
 # A stop must begin, and reach the ESC, before the stop's memory of driving forward ends.
 TRUSTED_COASTING_NS = STOP_MEMORY_NS - round(0.2 * NS_PER_S)
-MOTOR_LAG_S = 0.15  # the longest of the cars in test/rooms
+MOTOR_LAG_S = MOTOR_LAG_NS / NS_PER_S
 CUT_S = 0.05 + MOTOR_LAG_S  # from the throttle's cut until the car gets no faster: the way to the ESC, a pulse, the lag
 # The throttle that holds a speed is estimated as a mean over CUT_S, and over LATE_STEADY times odometry's age: that
 # damps the loop, which contains this age.
