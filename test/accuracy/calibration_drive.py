@@ -29,6 +29,7 @@ from typing import NamedTuple
 from unittest.mock import Mock
 
 import numpy as np
+import virtual_escs
 from many_drives import THROTTLE, Chip
 
 from accuracy.steering_calibration import Errors, ask, asked_for, beyond, floor, line, meets, together
@@ -36,7 +37,6 @@ from accuracy.virtual_drive import NS_PER_MS, NS_PER_S, START_NS, Hub, count_dut
 from car_interface.common.causes import AUTONOMOUS
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.interlock.motion_interlock import InterlockConfig
-from car_interface.sim import esc as virtual
 from car_interface.sim.collision import Collisions
 from car_interface.sim.tyres import TyreConfig
 from car_interface.sim.vehicle import Pose, Vehicle, VehicleConfig
@@ -66,7 +66,7 @@ STEP_NS, TICK_NS = 5 * NS_PER_MS, 20 * NS_PER_MS
 HALF_M = 3.0  # of the area
 MAX_S = 900.0  # of the whole, with all its pauses
 QUICK_FIT_NS, FULL_FIT_NS = 400 * NS_PER_MS, 3000 * NS_PER_MS
-MAKES = (virtual.xl5, virtual.vxl, virtual.crawler, virtual.direct, virtual.race)
+MAKES = (virtual_escs.xl5, virtual_escs.vxl, virtual_escs.crawler, virtual_escs.direct, virtual_escs.race)
 PUSHED_MPS = 0.7
 ROLLS_S, STANDS_MPS = 20.0, 0.02
 MAX_RANGE_M = 2.0  # of its sonars, as sonars.yaml has it

@@ -16,6 +16,7 @@ import tempfile
 from pathlib import Path
 from typing import Iterator, NamedTuple
 
+import virtual_escs
 import yaml
 from many_drives import THROTTLE
 
@@ -31,7 +32,7 @@ from car_interface.throttle.esc_config import UNVERIFIED, EscConfig
 from car_interface.throttle.stick import StickConfig
 from car_interface.tools.cli.main import main as command_line
 
-MAKES = (virtual.xl5, virtual.vxl, virtual.crawler, virtual.direct, virtual.race)
+MAKES = (virtual_escs.xl5, virtual_escs.vxl, virtual_escs.crawler, virtual_escs.direct, virtual_escs.race)
 TICK_S = 0.02
 
 

@@ -3,8 +3,8 @@
 import pytest
 
 from car_interface.sim import drive_train
-from car_interface.sim.drive_train import DriveTrainConfig, Motor, is_pulse, motor_acceleration_mps2, throttle
-from car_interface.sim.esc import BACKWARD, BRAKE, COAST, FORWARD, MotorState
+from car_interface.sim.drive_train import DriveTrainConfig, Motor, motor_acceleration_mps2, throttle
+from car_interface.sim.esc import BACKWARD, BRAKE, COAST, FORWARD, MotorState, is_pulse
 
 REVERSE, NEUTRAL, FULL = 3277, 4915, 6554
 OFF, NEVER_SET = 0, -1

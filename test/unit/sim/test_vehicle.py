@@ -145,7 +145,7 @@ def test_the_faster_it_is_the_wider_the_same_steering_turns_but_for_a_kinematic_
     slow, fast = circling(TyreConfig(), 0.5), circling(TyreConfig(), 3.0)
     assert 1 / slow.curvature_per_m == pytest.approx(2.0, rel=0.001)
     assert 1 / fast.curvature_per_m == pytest.approx(2.51, rel=0.01)
-    assert fast.steering_angle_rad == slow.steering_angle_rad
+    assert fast.steered_per_m == slow.steered_per_m
     kinematic = circling(None, 20.0)
     assert kinematic.curvature_per_m == 0.5 and kinematic.rollovers.count == 0
 

@@ -9,8 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+from virtual_escs import xl5
+
 from car_interface.interlock.motion_interlock import InterlockConfig
-from car_interface.sim.esc import xl5
 from car_interface.sim.teensy_config import FirmwareConfig
 from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.sim.vehicle import DriveTrainConfig, Vehicle, VehicleConfig

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import virtual_escs
 
 from car_interface.common.errors import CarInterfaceError
-from car_interface.sim import esc as virtual
 from car_interface.throttle.arbiter import ThrottleArbiterConfig
 from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.config import ThrottleConfig
@@ -28,7 +28,7 @@ NOTHING = EscFit(*[None] * 7, (), ("the profile: drive",))
 
 @functools.lru_cache(maxsize=None)
 def driven():
-    return Person(virtual.xl5(dwell_s=0.25), seed=3).drive()
+    return Person(virtual_escs.xl5(dwell_s=0.25), seed=3).drive()
 
 
 def recorded(neutral=4912.0, path="a.bag"):
