@@ -56,10 +56,6 @@ class DriveTrainConfig:
             self.full_reverse_duty < low <= high < self.full_forward_duty,
             "neutral_duty", self.neutral_duty, "with its band between full reverse and full forward",
         )  # fmt: skip
-        require(self.thrust_halves_mps > 0, "thrust_halves_mps", self.thrust_halves_mps, "more than 0")
-        require(0 <= self.sag < 1, "sag", self.sag, "0 to less than 1")
-        require(self.sag_over_s > 0, "sag_over_s", self.sag_over_s, "more than 0")
-        require(self.lag_s >= 0, "lag_s", self.lag_s, "0 or more")
 
     def thrust(self, elapsed_s: float) -> float:
         """Return the ratio of the stated thrust that the battery gives at a time after the start."""

@@ -92,13 +92,9 @@ class VirtualEscConfig:
     stands_mps: float = 0.05
 
     def __post_init__(self):
-        require(self.kind in KINDS, "kind", self.kind, "one of " + ", ".join(KINDS))
-        second_pulls = (REVERSES, BRAKES, BRAKES_AND_TURNS)
-        require(self.second_pull in second_pulls, "second_pull", self.second_pull, "one of " + ", ".join(second_pulls))
         low, high = self.neutral_duty - self.reverse_band_duty, self.neutral_duty + self.forward_band_duty
         require(self.full_reverse_duty < low <= high < self.full_forward_duty, "neutral_duty", self.neutral_duty,
                 "with its dead bands between full reverse and full forward")
-        require(0 <= self.drag_brake <= 1, "drag_brake", self.drag_brake, "0 to 1")
 
 
 def is_pulse(duty: int) -> bool:
