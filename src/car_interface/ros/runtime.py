@@ -132,10 +132,14 @@ def spin(node_class, inbox: Inbox, read_fixed: Callable[[], Mapping[str, str | N
     Args:
         read_fixed: returns what a launch file gave to this process for the node.
     """
+    launched_with = ""
+
     def build():
+        nonlocal launched_with
         params = read_params(inbox, read_fixed())
-        if params.launched_with():
-            rospy.loginfo("launched with %s", params.launched_with())
+        before, launched_with = launched_with, params.launched_with()
+        if launched_with != before:  # refused parameters are read again and again
+            rospy.loginfo("launched with %s", launched_with)
         return node_class(params, inbox)
     node = build_node(build, inbox)
     if node is None:

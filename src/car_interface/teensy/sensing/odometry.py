@@ -241,7 +241,7 @@ class Odometry:
             self._pose.add_variance(outcome.mean_variance * self._pulse_m ** 2,
                                     outcome.difference_variance * self._rad_per_pulse ** 2)
         is_blind = elapsed_s > REPEAT_MS / 1000 and has_pulse
-        curvature_per_m = self._heading.curvature_per_m if self._was_rolling else None
+        curvature_per_m = self._heading.recent_curvature if self._was_rolling else None
         if self._alignment.is_done:
             self._heading.predict(distance_m, elapsed_s)
             if self._steering_per_m is not None:

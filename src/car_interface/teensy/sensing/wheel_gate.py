@@ -12,7 +12,7 @@ Pure.
 """
 from __future__ import annotations
 
-from car_interface.teensy.link.protocol import DIRECTION_ERROR, NO_DIRECTION, Wheel, WheelStatus
+from car_interface.teensy.link.protocol import DIRECTION_ERROR, FORWARD, NO_DIRECTION, Wheel, WheelStatus
 from car_interface.teensy.sensing.pulse_counts import (
     LEARNING_PULSES,
     ahead,
@@ -186,8 +186,15 @@ class WheelGate:
     def _pulses_between(self, before, now):
         """Return signed proven pulses of left and right, unproven ones of both, and unsplit ones of both."""
         if not self._learns or min(before.left.dist_abs, before.right.dist_abs) >= LEARNING_PULSES:
-            return (signed_pulses(before.left, now.left), signed_pulses(before.right, now.right), 0, 0,
-                    unsplit_pulses(before.left, now.left), unsplit_pulses(before.right, now.right))
+            pulses = [signed_pulses(old, new) for old, new in zip(before, now)]
+            unsplit = [unsplit_pulses(old, new) for old, new in zip(before, now)]
+            for side, other in ((0, 1), (1, 0)):
+                if (before[side].direction == now[side].direction and not unsplit[other]
+                        and abs(pulses[other]) > unsplit[side] / 2 > 0):
+                    # The other wheel didn't reverse: this one went back over a single magnet.
+                    pulses[side] += (unsplit[side] - 1) * (1 if now[side].direction == FORWARD else -1)
+                    unsplit[side] = 0
+            return (*pulses, 0, 0, *unsplit)
         left, right = learning_pulses(before.left, now.left), learning_pulses(before.right, now.right)
         return (left[0], right[0], left[1], right[1],
                 *(unsplit_pulses(old._replace(dist_abs=max(old.dist_abs, LEARNING_PULSES)), new)

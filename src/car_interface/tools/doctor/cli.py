@@ -44,7 +44,7 @@ def read_options(arguments: list[str]) -> argparse.Namespace:
 
 
 def show(findings: Iterator[Finding]) -> int:
-    """Print each finding as soon as it's there, and the sum; returns the worst level."""
+    """Print each finding as soon as it's there, and their count; return the worst level."""
     is_terminal = sys.stdout.isatty()
     width = shutil.get_terminal_size((100, 24)).columns if is_terminal else None
     colour = is_terminal and "NO_COLOR" not in os.environ and os.environ.get("TERM", "dumb") != "dumb"

@@ -118,7 +118,7 @@ class Car(NamedTuple):
 
 
 def survey(master: Master | None, options: Namespace) -> Car:
-    """Ask the master for nodes and for the devices' parameters; without one, the usual ones."""
+    """Ask the master for nodes and for the devices' parameters; without one, take the usual ones."""
     graph = master.graph() if master else NO_GRAPH
     cars = find_cars(graph.nodes)
     namespace = options.namespace or (cars[0] if len(cars) == 1 else "/")

@@ -6,7 +6,7 @@ import math
 import threading
 import time
 import traceback
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -36,47 +36,41 @@ class GamepadListener:
         self._node = node.path
         self._topic, self._publishers = _find_topic(master, node.path)
         self._config = _read_config(master, node.path)
-        self._lock = threading.Lock()
-        self._arrivals_s: list[float] = []
-        self._newest: Any = None
-        self._values: dict = {}
-        self._state: Any = None
+        self._messages: list[Joy] = []
+        self._arrivals_s: list[float] = []  # those of as many messages, or one less
+        self._states: list[TeleopState] = []
 
     def start(self) -> None:
         """Subscribe."""
         rospy.Subscriber(self._topic, Joy, self._on_joy)
-        rospy.Subscriber(f"{self._node}/state", TeleopState, self._on_state)
+        rospy.Subscriber(f"{self._node}/state", TeleopState, self._states.append)
 
     def is_done(self) -> bool:
         """Return whether enough came."""
-        with self._lock:
-            arrivals_s = self._arrivals_s
-            is_sampled = len(arrivals_s) > 1 and arrivals_s[-1] - arrivals_s[0] >= SAMPLE_S
-            return self._state is not None and (is_sampled or not self._publishers)
+        arrivals_s = self._arrivals_s
+        is_sampled = len(arrivals_s) > 1 and arrivals_s[-1] - arrivals_s[0] >= SAMPLE_S
+        return bool(self._states) and (is_sampled or not self._publishers)
 
     def result(self) -> GamepadFacts:
         """Return what came so far."""
-        with self._lock:
-            count = len(self._arrivals_s)
-            end_s = self._arrivals_s[-1] if count > 1 else time.monotonic()
-            period_s = (end_s - self._arrivals_s[0]) / max(1, count - 1) if count else math.inf
-            axes, buttons = (len(self._newest.axes), len(self._newest.buttons)) if count else (0, 0)
-            cause, reason = (self._state.cause, self._state.reason) if self._state else ("", "")
-            sticks = (self._state.steering_stick, self._state.throttle_stick) if self._state else ()
-            stick_cause = causes.NOT_AT_REST if causes.NOT_AT_REST in sticks else ""
-            return GamepadFacts(self._node, self._topic, self._publishers, self._config,
-                                JoySample(count, period_s, axes, buttons, dict(self._values)), cause, reason,
-                                stick_cause)
+        arrivals_s = list(self._arrivals_s)
+        messages, state = self._messages[:len(arrivals_s)], next(reversed(self._states), None)
+        end_s = arrivals_s[-1] if len(arrivals_s) > 1 else time.monotonic()
+        period_s = (end_s - arrivals_s[0]) / max(1, len(arrivals_s) - 1) if arrivals_s else math.inf
+        axes, buttons = (len(messages[-1].axes), len(messages[-1].buttons)) if messages else (0, 0)
+        odd = {index: value for message in messages for index, value in enumerate(message.axes)
+               if not math.isfinite(value)}
+        facts = GamepadFacts(self._node, self._topic, self._publishers, self._config,
+                             JoySample(len(messages), period_s, axes, buttons, odd))
+        if state is None:
+            return facts
+        is_at_rest = causes.NOT_AT_REST not in (state.steering_stick, state.throttle_stick)
+        return facts._replace(cause=state.cause, reason=state.reason,
+                              stick_cause="" if is_at_rest else causes.NOT_AT_REST)
 
     def _on_joy(self, message):
-        with self._lock:
-            self._arrivals_s.append(time.monotonic())
-            self._newest = message
-            self._values.update((index, value) for index, value in enumerate(message.axes) if not math.isfinite(value))
-
-    def _on_state(self, message):
-        with self._lock:
-            self._state = message
+        self._messages.append(message)
+        self._arrivals_s.append(time.monotonic())
 
 
 def _find_topic(master, path):
@@ -106,23 +100,11 @@ class TopicReports(NamedTuple):
     gamepad: GamepadFacts | None = None
 
 
-class _Listener:
-    """Collects what came."""
-
-    def __init__(self):
-        self.links, self.states, self.reports = [], [], {}
-        self._lock = threading.Lock()
-
-    def on_reports(self, array):
-        with self._lock:
-            for status in array.status:
-                remedy = next((value.value for value in status.values if value.key == "remedy"), "")
-                self.reports[status.name] = Report(status.name, _level(status.level), status.message, remedy)
-
-    def reporters(self):
-        """Return the nodes whose reports came."""
-        with self._lock:
-            return {name.partition(":")[0] for name in self.reports}
+def _reports_in(array):
+    """Return the entries of a DiagnosticArray by their names."""
+    return {status.name: Report(status.name, _level(status.level), status.message,
+                                next((value.value for value in status.values if value.key == "remedy"), ""))
+            for status in array.status}
 
 
 def _level(level):
@@ -134,10 +116,9 @@ def listen(hub: str | None, turn_arb: str | None, reporting, gamepad: GamepadLis
     """Listen until everything that is expected has come, at most for ``LISTEN_S``.
 
     Args:
-        hub: the Teensy hub's path; ``None`` when it doesn't run.
-        turn_arb: turn_arb's; likewise.
+        hub, turn_arb: paths of these nodes; ``None`` when they don't run.
         reporting: the paths of the nodes that report on /diagnostics.
-        gamepad: listens to the gamepad; ``None`` when teleop_logi doesn't run.
+        gamepad: ``None`` when teleop_logi doesn't run.
     """
     logging.disable(logging.CRITICAL)  # what goes wrong between rospy and the nodes becomes a finding
     # rospy prints tracebacks of a peer that leaves in a handshake, and of a server that ends before its thread waits.
@@ -145,24 +126,23 @@ def listen(hub: str | None, turn_arb: str | None, reporting, gamepad: GamepadLis
     rospy.core.configure_logging = lambda *_: None  # it would leave a log file behind, an empty one
     limit_connections()  # a publisher that never answers must not keep the doctor from ending
     rospy.init_node("doctor", anonymous=True, disable_signals=True, disable_rosout=True)
-    listener = _Listener()
+    links, states, reports = [], [], {}
     if hub:
-        rospy.Subscriber(f"{hub}/link", LinkStatus, listener.links.append)
+        rospy.Subscriber(f"{hub}/link", LinkStatus, links.append)
     if turn_arb:
-        rospy.Subscriber(f"{turn_arb}/state", SteeringState, listener.states.append)
-    rospy.Subscriber("/diagnostics", DiagnosticArray, listener.on_reports)
+        rospy.Subscriber(f"{turn_arb}/state", SteeringState, states.append)
+    rospy.Subscriber("/diagnostics", DiagnosticArray, lambda array: reports.update(_reports_in(array)))
     if gamepad:
         gamepad.start()
     wanted = {path.strip("/") for path in reporting}
     deadline_s = time.monotonic() + LISTEN_S
     while time.monotonic() < deadline_s:
-        has_link, has_state = listener.links or not hub, len(listener.states) > 1 or not turn_arb
+        has_link, has_state = links or not hub, len(states) > 1 or not turn_arb
         has_gamepad = not gamepad or gamepad.is_done()
-        if has_link and has_state and has_gamepad and wanted <= listener.reporters():
+        if has_link and has_state and has_gamepad and wanted <= {name.partition(":")[0] for name in list(reports)}:
             break
         time.sleep(POLL_S)
-    return TopicReports(next(reversed(listener.links), None), listener.states, list(listener.reports.values()),
-                        gamepad and gamepad.result())
+    return TopicReports(next(reversed(links), None), states, list(reports.values()), gamepad and gamepad.result())
 
 
 def leave() -> None:
