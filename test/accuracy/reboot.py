@@ -1,11 +1,13 @@
 #!/usr/bin/env python3
 """What a reboot of the Teensy in mid-drive costs of the heading, measured on the virtual Teensy.
 
-    PYTHONPATH=src:test python3 -m accuracy.reboot
+    PYTHONPATH=src:test python3 -m accuracy.reboot [--fault off|unplugged|both] [--no-sonars]
 
-Wheels roll by a plan, their hall pins stand anywhere, and power is cut in the middle. Scored is what the reboot itself
-changes: the error of the heading at the end less that just before it; and whether the truth lies within the published
-covariance's three sigma.
+Wheels roll by a plan, their hall pins stand anywhere, and power is cut in the middle, for up to 0.2 s. Scored is what
+the reboot itself changes: the error of the heading at the end less that just before it; and whether the truth lies
+within the published covariance's three sigma: heading at the end, and place, heading and speed in each message from the
+fault on. Other faults: power off for seconds, the port unplugged for seconds, or unplugged and power off meanwhile.
+With --no-sonars none is connected.
 """
 from __future__ import annotations
 
@@ -24,6 +26,9 @@ from car_interface.teensy.sensing.measurements import MotionMeasurement
 
 PULSE_M, TRACK_M = math.pi * 0.095 / 20, 0.296
 STEP_NS, REBOOT_S, END_S = MS, 6.0, 9.0
+REBOOT, OFF, UNPLUGGED, BOTH = "reboot", "off", "unplugged", "both"
+DARK_S = (1.0, 4.0)
+DARK_KINDS = ("straight", "curve", "slowing", "slalom", "stopping", "backward", "standing", "turning")
 KINDS = ("straight", "curve", "slowing", "starting", "slalom", "stopping", "backward", "standing")
 STEADY = ("straight", "curve", "slowing", "backward")  # those whose curvature stays
 
@@ -50,6 +55,8 @@ class Plan(NamedTuple):
             speed = 0.0
         elif self.kind == "slalom":
             curvature *= math.sin(2.5 * now_s)
+        elif self.kind == "turning" and REBOOT_S + 0.3 < now_s < REBOOT_S + 1.5:
+            return -0.5, -curvature
         return speed, curvature
 
 
@@ -58,10 +65,11 @@ class Outcome(NamedTuple):
     heading_deg: float  # that the reboot changed the error of the heading by
     heading_sigmas: float  # after the reboot
     gap_s: float  # without odometry
+    inside: float  # ratio of the messages since the fault that have the truth within three sigma
 
 
-def make_plan(rng):
-    kind = rng.choice(KINDS)
+def make_plan(rng, kinds=KINDS):
+    kind = rng.choice(kinds)
     speed = rng.uniform(0.3, 3.0) * (-1 if kind == "backward" else 1)
     curvature = 0.0 if kind == "straight" else rng.uniform(-0.9, 0.9)
     if abs(curvature) * speed ** 2 > 4.0:  # what tyres hold
@@ -72,16 +80,16 @@ def make_plan(rng):
 class Drive:
     """A car on rails: its wheels roll by the plan."""
 
-    def __init__(self, plan, rng):
+    def __init__(self, plan, rng, sonars_missing=()):
         self.plan = plan
         self.now_ns = 0
-        self.speed = self.yaw = 0.0
+        self.speed = self.yaw = self.x = self.y = 0.0
         self.curvature = plan.at(0.0)[1]
         self.positions = [rng.uniform(0, 4), rng.uniform(0, 4)]
         whole = tuple(math.floor(position) for position in self.positions)
         self.teensy = TeensyFirmware(FirmwareConfig(
             clock_start_ms=rng.randrange(300, 100_000), clock_drift_ppm=rng.uniform(-50, 50), wheel_positions=whole,
-            seed=rng.randrange(1000)), lambda sensor, at_ns: 4000 + 900 * sensor)
+            seed=rng.randrange(1000), sonars_missing=sonars_missing), lambda sensor, at_ns: 4000 + 900 * sensor)
 
     def step(self):
         wanted, curvature = self.plan.at(self.now_ns / S)
@@ -89,6 +97,8 @@ class Drive:
         self.speed += max(-change, min(change, wanted - self.speed))
         self.curvature += max(-0.01, min(0.01, curvature - self.curvature))  # a servo takes a fifth of a second
         rolled = self.speed * STEP_NS / S
+        self.x += rolled * math.cos(self.yaw + rolled * self.curvature / 2)
+        self.y += rolled * math.sin(self.yaw + rolled * self.curvature / 2)
         self.yaw += rolled * self.curvature
         pulses = []
         for side, sign in ((0, -1), (1, 1)):
@@ -103,49 +113,66 @@ class Drive:
         self.now_ns += STEP_NS
 
 
-def run(seed: int) -> Outcome:
+def run(seed: int, fault: str = REBOOT, has_sonars: bool = True) -> Outcome:
     rng = random.Random(seed)
-    drive = Drive(make_plan(rng), rng)
+    drive = Drive(make_plan(rng, KINDS if fault == REBOOT else DARK_KINDS), rng, () if has_sonars else range(6))
     link = Link(drive.teensy)
-    reboot_ns = round((REBOOT_S + rng.uniform(0, 0.2)) * S)
+    fault_ns = round((REBOOT_S + rng.uniform(0, 0.2)) * S)
     off_ns = rng.choice((0, 0, rng.randrange(200 * MS)))
-    before_rad, found, truth, last_ns, gap_ns = 0.0, [], {}, 0, 0
-    while drive.now_ns < END_S * S:
+    dark_ns = 0 if fault == REBOOT else round(rng.uniform(*DARK_S) * S)
+    reboot_ns = None if fault == UNPLUGGED else fault_ns + (rng.randrange(dark_ns // 2) if fault == BOTH else 0)
+    unplugged_until_ns = fault_ns + dark_ns if fault in (UNPLUGGED, BOTH) else 0
+    before_rad, found, truth, last_ns, gap_ns = None, [], {}, 0, 0
+    while drive.now_ns < END_S * S + dark_ns:
         now_ns = drive.now_ns
-        truth[now_ns // STEP_NS] = drive.yaw
+        truth[now_ns // STEP_NS] = (drive.x, drive.y, drive.yaw, drive.speed)
+        if before_rad is None and now_ns >= fault_ns:
+            before_rad = found[-1][0]
+            found.clear()
         if reboot_ns is not None and now_ns >= reboot_ns:
-            drive.teensy.reboot(now_ns, off_ns)
-            before_rad, reboot_ns = found[-1][0], None
+            drive.teensy.reboot(now_ns, dark_ns // 2 if fault == OFF else off_ns)
+            reboot_ns = None
             link.pinger.retry_now()
-        for _, result in link.step(now_ns):
-            if isinstance(result, MotionMeasurement):
-                gap_ns = max(gap_ns, now_ns - last_ns) if last_ns else 0
-                last_ns = now_ns
-                found.append(error(result, truth))
+        if fault_ns <= now_ns < unplugged_until_ns:
+            drive.teensy.transmit(now_ns)
+        else:
+            for _, result in link.step(now_ns):
+                if isinstance(result, MotionMeasurement):
+                    gap_ns = max(gap_ns, now_ns - last_ns) if last_ns else 0
+                    last_ns = now_ns
+                    found.append(error(result, truth))
         drive.step()
-    off_rad, sigmas = found[-1]
-    return Outcome(drive.plan, math.degrees(off_rad - before_rad), sigmas, gap_ns / S)
+    off_rad, sigmas, _ = found[-1]
+    inside = sum(worst <= 3 for _, _, worst in found) / len(found)
+    return Outcome(drive.plan, math.degrees(off_rad - before_rad), sigmas, gap_ns / S, inside)
 
 
 def error(result, truth):
-    """The heading off the truth at the stamp, in rad and in sigmas."""
+    """Return the heading off the truth at the stamp, in rad and in sigmas, and the worst of all in sigmas."""
     at = result.stamp.time_ns // STEP_NS
-    off_rad = result.motion.yaw_rad - (truth[at] if at in truth else truth[max(truth)])
-    return off_rad, abs(off_rad) / math.sqrt(result.motion.pose_covariance[2][2] + 1e-6)
+    x_m, y_m, yaw_rad, speed_mps = truth[at] if at in truth else truth[max(truth)]
+    motion = result.motion
+    offs = (motion.x_m - x_m, motion.y_m - y_m, motion.yaw_rad - yaw_rad)
+    sigmas = [abs(off) / math.sqrt(motion.pose_covariance[axis][axis] + 1e-6) for axis, off in enumerate(offs)]
+    return offs[2], sigmas[2], max(*sigmas, abs(motion.speed_mps - speed_mps) / math.sqrt(motion.speed_variance))
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--reboots", type=int, default=200)
-    outcomes = [run(1000 + index) for index in range(parser.parse_args().reboots)]
-    print("drive     |   n | heading off, deg | within 3 sigma | no odometry, s")
-    for name, kinds in [*((kind, (kind,)) for kind in KINDS), ("all", KINDS)]:
+    parser.add_argument("--fault", choices=(REBOOT, OFF, UNPLUGGED, BOTH), default=REBOOT)
+    parser.add_argument("--no-sonars", action="store_true")
+    options = parser.parse_args()
+    outcomes = [run(1000 + index, options.fault, not options.no_sonars) for index in range(options.reboots)]
+    print("drive     |   n | heading off, deg | within 3 sigma | messages inside | no odometry, s")
+    kinds = KINDS if options.fault == REBOOT else DARK_KINDS
+    for name, kinds in [*((kind, (kind,)) for kind in kinds), ("all", kinds)]:
         some = [outcome for outcome in outcomes if outcome.plan.kind in kinds]
         if some:
             heading = sorted(abs(outcome.heading_deg) for outcome in some)
             inside = sum(outcome.heading_sigmas <= 3 for outcome in some)
             print(f"{name:9} | {len(some):3} | {heading[len(some) // 2]:7.2f} {heading[-1]:8.2f} | "
-                  f"{inside:7}/{len(some):<6} | {max(outcome.gap_s for outcome in some):5.2f}")
+                  f"{inside:7}/{len(some):<6} | {100 * sum(outcome.inside for outcome in some) / len(some):13.2f} % | {max(outcome.gap_s for outcome in some):5.2f}")
 
 
 if __name__ == "__main__":

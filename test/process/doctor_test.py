@@ -189,7 +189,7 @@ class Doctor(unittest.TestCase):
         cases = {"turn_arb/servo_left": (99999, "/turn_arb: it will not start again with these: servo_left is 99999"),
                  "pca9685/frequnecy": (60, "unknown parameter frequnecy is 60"),
                  "teensy_sensor_hub/ping_period": ("soon", "ping_period is 'soon'"),
-                 "teleop_logi/steer_axis": (3000, "steer_axis is 3000"), "car_sim/wheelbase": (0, "wheelbase is 0"),
+                 "teleop_logi/steer_axis": (3000, "steer_axis is 3000"), "car_sim/track": (0, "track is 0"),
                  "generic_value_converter/csv_path_value_map": (
                      "/nowhere.csv", "csv_path_value_map is '/nowhere.csv'; accepted: a file that can"),
                  "throttle_arb/esc/profile": ("xl5", "profile is 'xl5'"), "turn_arb/save_to": (path, None)}

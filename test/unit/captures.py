@@ -127,8 +127,12 @@ class Moment(NamedTuple):
     result: object  # what Measurements made of it, or None
 
 
-def replay(capture: Capture, skip_us: int = 0, until_us: float = math.inf) -> tuple[list[Moment], Measurements]:
-    """Feed a capture's bytes to the measurements at the pace at which they came, while the host listens."""
+def replay(capture: Capture, skip_us: int = 0, until_us: float = math.inf,
+           unplugged_us: tuple[float, float] = (0, 0)) -> tuple[list[Moment], Measurements]:
+    """Feed a capture's bytes to the measurements at the pace at which they came, while the host listens.
+
+    What comes from the first to the second time of ``unplugged_us`` is lost.
+    """
     measurements = Measurements()
     monitor = SonarMonitor()
     decoder = FrameDecoder()
@@ -137,7 +141,7 @@ def replay(capture: Capture, skip_us: int = 0, until_us: float = math.inf) -> tu
     pings = [ping for ping in capture.pings if ping.sent_us >= skip_us]
     moments = []
     for t_us, data in capture.chunks():
-        if t_us < skip_us:
+        if t_us < skip_us or unplugged_us[0] <= t_us < unplugged_us[1]:
             continue
         if t_us > until_us:
             break

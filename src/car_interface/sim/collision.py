@@ -19,7 +19,7 @@ MAX_CENTER_RATIO = 1.5
 
 
 @dataclass(frozen=True)
-class Outline:
+class CarBody:
     """The car from above, a rectangle: metres behind and before the rear axle's middle, and across.
 
     The default is a Slash 4x4's.
@@ -44,7 +44,7 @@ class Obstacles:
         outline: the car's.
     """
 
-    def __init__(self, segments: Sequence[tuple], posts: Sequence[tuple], outline: Outline = Outline()):
+    def __init__(self, segments: Sequence[tuple], posts: Sequence[tuple], outline: CarBody = CarBody()):
         self._segments, self._posts = tuple(segments), tuple(posts)
         self._low_m, self._high_m, self._half_m = -outline.rear_m, outline.front_m, outline.width_m / 2
         self._center_m = (self._low_m + self._high_m) / 2

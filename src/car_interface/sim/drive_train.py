@@ -10,15 +10,13 @@ from dataclasses import dataclass
 
 from car_interface.common import declared
 from car_interface.common.errors import require
-from car_interface.sim.esc import BACKWARD, BRAKE, FORWARD, MotorState
+from car_interface.sim.esc import BACKWARD, BRAKE, FORWARD, MotorState, command, is_pulse
 
-# 0.5 ms and 2.5 ms of a 20 ms period that is 65536 long: servos and ESCs ignore any other length.
-SHORTEST_PULSE, MAX_PULSE = 1638, 8192
 TRUE = "of the full duty, before drag; forward and backward at standstill"  # the meaning of three parameters
 
 
 @dataclass(frozen=True)
-class DriveConfig:
+class DriveTrainConfig:
     """The drive train, from the ESC's duty to the car's acceleration.
 
     Attributes:
@@ -68,23 +66,12 @@ class DriveConfig:
         return 1.0 + self.sag * (0.5 - min(1.0, elapsed_s / self.sag_over_s))
 
 
-def is_pulse(duty: int) -> bool:
-    """Return whether a servo or an ESC takes ``duty`` for a pulse; 0 (off), -1 (never set) and 65535 (on) are none."""
-    return SHORTEST_PULSE <= duty <= MAX_PULSE
-
-
-def throttle(duty: int, drive: DriveConfig) -> float | None:
+def throttle(duty: int, drive: DriveTrainConfig) -> float | None:
     """Return the throttle of a duty: -1 (full reverse) to 1 (full forward), 0 in the neutral band; None: no pulse."""
     if not is_pulse(duty):
         return None
-    beyond = duty - drive.neutral_duty
-    if abs(beyond) <= drive.neutral_band_duty:
-        return 0.0
-    if beyond > 0:
-        full = drive.full_forward_duty - drive.neutral_duty
-        return min(1.0, (beyond - drive.neutral_band_duty) / (full - drive.neutral_band_duty))
-    full = drive.neutral_duty - drive.full_reverse_duty
-    return max(-1.0, (beyond + drive.neutral_band_duty) / (full - drive.neutral_band_duty))
+    return command(duty, drive.full_reverse_duty, drive.neutral_duty, drive.full_forward_duty, drive.neutral_band_duty,
+                   drive.neutral_band_duty)
 
 
 class Motor:
@@ -105,7 +92,8 @@ class Motor:
 
 
 def motor_acceleration_mps2(
-    push: float, brake: float, speed_mps: float, drive: DriveConfig, thrust: float = 1.0, downhill_mps2: float = 0.0
+    push: float, brake: float, speed_mps: float, drive: DriveTrainConfig, thrust: float = 1.0,
+    downhill_mps2: float = 0.0,
 ) -> float:
     """Return the car's acceleration by its motor; the other arguments as of ``true_acceleration_mps2``."""
     speed = abs(speed_mps)
@@ -121,7 +109,8 @@ def motor_acceleration_mps2(
 
 
 def true_acceleration_mps2(
-    esc_duty: int, speed_mps: float, drive: DriveConfig = DriveConfig(), thrust: float = 1.0, downhill_mps2: float = 0.0
+    esc_duty: int, speed_mps: float, drive: DriveTrainConfig = DriveTrainConfig(), thrust: float = 1.0,
+    downhill_mps2: float = 0.0,
 ) -> float:
     """Return the car's acceleration without an ESC's memory, which a value map for this car approximates.
 
@@ -135,14 +124,14 @@ def true_acceleration_mps2(
         thrust: the ratio of its thrust that the battery gives.
         downhill_mps2: the part of the slope, forward positive; 0 on level ground.
     """
-    command = throttle(esc_duty, drive) or 0.0
+    push = throttle(esc_duty, drive) or 0.0
     speed = abs(speed_mps)
     drag_mps2 = drive.drag_mps2 + speed * (drive.drag_per_s + speed * drive.drag_per_m)
-    if command * speed_mps < 0.0:
-        push_mps2 = command * drive.brake_mps2
+    if push * speed_mps < 0.0:
+        push_mps2 = push * drive.brake_mps2
     else:
-        full_mps2 = drive.forward_mps2 if command > 0.0 else drive.reverse_mps2
-        push_mps2 = command * full_mps2 * thrust / (1.0 + speed / drive.thrust_halves_mps)
+        full_mps2 = drive.forward_mps2 if push > 0.0 else drive.reverse_mps2
+        push_mps2 = push * full_mps2 * thrust / (1.0 + speed / drive.thrust_halves_mps)
     return _with_resistance(push_mps2 + downhill_mps2, speed_mps, drag_mps2)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 import pytest
 
 from car_interface.common.errors import ConfigError
-from car_interface.sim.drive_train import DriveConfig
+from car_interface.sim.drive_train import DriveTrainConfig
 from car_interface.sim.esc import VirtualEscConfig
 from car_interface.sim.teensy_config import FirmwareConfig
 from car_interface.sim.tyres import TyreConfig
@@ -15,8 +15,10 @@ from car_interface.sim.world import WorldConfig
 @pytest.mark.parametrize("kind, name, value, accepted", [
     (SteeringConfig, "curve", ((4000, 1.0), (3900, 0.0)), "rising duty, falling 1/m"),
     (SteeringConfig, "rate_duty_per_s", 0, "more than 0"), (SteeringConfig, "backlash_duty", -1.0, ""),
-    (DriveConfig, "sag", 1.0, ""), (DriveConfig, "neutral_duty", 7000, "between full reverse and full forward"),
-    (DriveConfig, "thrust_halves_mps", 0, "more than 0"), (VehicleConfig, "track_m", 3.0, "inside the tightest turn"),
+    (DriveTrainConfig, "sag", 1.0, ""),
+    (DriveTrainConfig, "neutral_duty", 7000, "between full reverse and full forward"),
+    (DriveTrainConfig, "thrust_halves_mps", 0, "more than 0"),
+    (VehicleConfig, "track_m", 3.0, "inside the tightest turn"),
     (VirtualEscConfig, "kind", "boat", ""), (VirtualEscConfig, "second_pull", "turns", ""),
     (VirtualEscConfig, "neutral_duty", 7000, ""), (VirtualEscConfig, "drag_brake", 1.5, ""),
     (TyreConfig, "understeer", -0.1, ""), (TyreConfig, "grip_mps2", 0, ""), (TyreConfig, "rollover_mps2", 0, ""),

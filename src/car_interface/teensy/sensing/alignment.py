@@ -35,8 +35,7 @@ class Alignment:
         pairs = [] if few else _pairs(left.first_pulses, right.first_pulses)
         if len(pairs) < ALIGNING_PULSES and max(left.updates, right.updates) < LAST_ALIGNING_PULSES:
             return False
-        self.is_done = True
-        left.first_pulses = right.first_pulses = None
+        self.skip(left, right)
         slope, at_0 = _line(pairs)
         if not 1 / MAX_RATIO < slope < MAX_RATIO:
             return True
@@ -44,6 +43,11 @@ class Alignment:
         start = (low + high) / 2
         self.difference = at_0 + slope * start - start
         return True
+
+    def skip(self, left: WheelFilter, right: WheelFilter) -> None:
+        """Settle for the mean of all possible values."""
+        self.is_done = True
+        left.first_pulses = right.first_pulses = None
 
 
 def _pairs(left, right):

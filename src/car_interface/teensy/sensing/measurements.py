@@ -9,11 +9,12 @@ import math
 from dataclasses import dataclass, field
 from typing import Callable, NamedTuple
 
-from car_interface.common.units import NS_PER_MS
+from car_interface.common.units import NS_PER_MS, NS_PER_S
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.teensy.link.pinging import Answer
 from car_interface.teensy.link.protocol import UINT32, Pong, SonarStatus, WheelStatus
 from car_interface.teensy.sensing.clock import Clock, ClockConfig, Stamp, Sync
+from car_interface.teensy.sensing.echo_pulses import BOOT_MS, FIRMWARE_WAIT_MS, EchoPulses
 from car_interface.teensy.sensing.odometry import Motion, Odometry, OdometryConfig
 from car_interface.teensy.sensing.plausibility import GateConfig, Gates
 from car_interface.teensy.sensing.pulse_counts import ahead, has_pulsed
@@ -23,6 +24,8 @@ from car_interface.teensy.sensing.ranging import Ranging, RangingConfig
 # that is subtracted from the receipt for them must not be more than the line took.
 PONG_BYTES, SONAR_BYTES, WHEEL_BYTES = 14, 14, 38
 TICK_MIDDLE_MS = 0.5
+# On a full line reports leave up to 16 ms late, so that a clock without pongs yet is late by as much.
+MAX_CLOCK_ERROR_MS = 16
 MAX_QUEUED = 10  # reports of the wheels: raw messages must not wait long behind them
 
 
@@ -69,6 +72,7 @@ class Measurements:
         self.gates = Gates(config.gates)
         self.clock = Clock(config.clock)
         self.ranging = Ranging(config.ranging)
+        self._pulses = EchoPulses()
         self._odometry = Odometry(config.odometry)
         self._on_motion = on_motion
         self._queue: list[tuple] = []  # reports of the wheels, and when they were received
@@ -88,15 +92,17 @@ class Measurements:
         self._update_tick(verdict, record.timestamp2, received_ns)
         return self.clock.pong(record.timestamp2, answer.sent_ns, answer.sent_bytes, received_ns, PONG_BYTES)
 
-    def sonar(self, record: SonarStatus, received_ns: int, is_trusted: bool = True) -> RangeMeasurement | None:
-        """Take a sonar's report; return ``None`` if it was refused, or has no range."""
+    def sonar(self, record: SonarStatus, received_ns: int, is_trusted: bool = True,
+              wait_ms: int = FIRMWARE_WAIT_MS) -> RangeMeasurement | None:
+        """Take a sonar's report, and SONAR_WAIT; return ``None`` if it was refused, or has no range."""
         self.process_queue()
         verdict = self.gates.sonar(record)
         if not verdict.accepted:
             return None
         self._update_tick(verdict, record.when, received_ns)
         self.clock.update_tick(record.when, received_ns, SONAR_BYTES)
-        range_m = self.ranging.range(record.sensor, record.echo_us, record.when, is_trusted)
+        echo_us = self._pulses.unwrap_us(record.echo_us, record.when, wait_ms)
+        range_m = self.ranging.range(record.sensor, echo_us, record.when, is_trusted)
         if range_m is None:
             return None
         time_ns, uncertainty_ns = self.clock.translate(record.when, received_ns, SONAR_BYTES)
@@ -149,12 +155,17 @@ class Measurements:
                              for wheel in record)
         # It is unknown when a report was sent; but there was no later pulse before its newest pulse or repeat.
         newest_ms = -math.inf if newest is None else self.clock.unwrap(newest) + self._shift_ms
-        is_news = self._newest_ms < newest_ms <= received_ms
+        is_news = self._newest_ms < newest_ms <= received_ms + MAX_CLOCK_ERROR_MS
         if is_news:
             self._newest_ms = newest_ms
+        counted_ms = newest_ms - newest + BOOT_MS if verdict.since_boot and newest else None
         motion = self._odometry.report(record, verdict.pulses, verdict.restarted, left_ms, right_ms,
-                                       newest_ms + TICK_MIDDLE_MS if is_news else received_ms, verdict.unproven)
-        return MotionMeasurement(self._stamp(motion.time_ms - self._shift_ms, received_ns), motion)
+                                       newest_ms + TICK_MIDDLE_MS if is_news else received_ms, verdict.unproven,
+                                       verdict.unsplit, counted_ms)
+        stamp = self._stamp(motion.time_ms - self._shift_ms, received_ns)
+        # While a stamp is uncertain, an accelerating car's speed at that stamp is, too: a bound is three sigma.
+        late_mps = self._odometry.acceleration_mps2 * stamp.uncertainty_ns / NS_PER_S / 3
+        return MotionMeasurement(stamp, motion._replace(speed_variance=motion.speed_variance + late_mps ** 2))
 
     def steer(self, curvature_per_m: float) -> None:
         """Set the commanded curvature, left positive, for an odometry that uses it; NaN = unknown."""
@@ -179,6 +190,7 @@ class Measurements:
         """Begin with a tick of the new clock: the Teensy rebooted."""
         self._shift_ms += self.clock.tick_at(received_ns) - tick
         self.clock.restart()
+        self._pulses.restart()
         self.clock.update_tick(tick, received_ns, 0)
 
 

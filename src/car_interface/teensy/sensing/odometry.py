@@ -10,19 +10,21 @@ One pulse is 1.5 cm, and 2.9° of heading when only one wheel has made it, so th
 """
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import dataclass
 from typing import NamedTuple, Sequence
 
 from car_interface.common import declared
 from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, TRACK_M, WHEEL_DIAMETER_M, WHEELBASE_M
-from car_interface.teensy.link.protocol import BACKWARD, NO_DIRECTION, WheelStatus
-from car_interface.teensy.sensing.alignment import ALIGNED_PULSES, UNALIGNED_PULSES, Alignment
-from car_interface.teensy.sensing.heading import HEADING_VARIANCE, HeadingFilter
+from car_interface.teensy.link.protocol import BACKWARD, FORWARD, NO_DIRECTION, WheelStatus
+from car_interface.teensy.sensing.alignment import ALIGNED_PULSES, ALIGNING_PULSES, UNALIGNED_PULSES, Alignment
+from car_interface.teensy.sensing.heading import CURVATURE_VARIANCE, HEADING_VARIANCE, HeadingFilter
 from car_interface.teensy.sensing.pose import Pose
 from car_interface.teensy.sensing.pulse_counts import LEARNING_PULSES
-from car_interface.teensy.sensing.restart import CarState, RestartBridge, WheelState
-from car_interface.teensy.sensing.wheel_filter import TICK_MIDDLE_MS, WheelFilter
+from car_interface.teensy.sensing.restart import REPEAT_MS, CarState, RestartBridge, WheelState
+from car_interface.teensy.sensing.unseen_path import curved_path, reversed_path
+from car_interface.teensy.sensing.wheel_filter import PENDING_SPEED_SIGMA, TICK_MIDDLE_MS, WheelFilter
 
 MIN_LENGTH_M = 0.001  # of a car's dimensions: a division by far less would overflow floats
 
@@ -76,6 +78,17 @@ class Motion(NamedTuple):
     distance_m: float  # driven, forward and backward
 
 
+class _BeforeBridge(NamedTuple):
+    """The state from which a bridge begins: what is published until it is crossed is a prediction."""
+
+    pose: Pose
+    heading: HeadingFilter
+    mean: float
+    yaw_rad: float
+    was_rolling: bool
+    time_ms: float
+
+
 class Odometry:
     """Follows one car from its wheels' reports."""
 
@@ -91,8 +104,15 @@ class Odometry:
         self._time_ms = -math.inf
         self._mean = (self._wheels[0].position + self._wheels[1].position) / 2  # pulses
         self._yaw_rad = 0.0
+        self._was_rolling = False  # at the last report
         self._steering_per_m: float | None = None
         self._bridge: RestartBridge | None = None  # over pulses that weren't counted, until enough is known
+        self._before_bridge: _BeforeBridge | None = None
+
+    @property
+    def acceleration_mps2(self) -> float:
+        """The car's acceleration at the time of the last report, backward negative."""
+        return sum(wheel.acceleration for wheel in self._wheels) / 2 * self._pulse_m * 1e6
 
     def steer(self, curvature_per_m: float) -> None:
         """Set the commanded curvature, left positive; ``use_steering`` only. NaN: not known."""
@@ -100,7 +120,8 @@ class Odometry:
             self._steering_per_m = curvature_per_m if math.isfinite(curvature_per_m) else None
 
     def report(self, record: WheelStatus, pulses: Sequence[int], restarted: bool, left_ms: float, right_ms: float,
-               report_ms: float, unproven: Sequence[int] = (0, 0)) -> Motion:
+               report_ms: float, unproven: Sequence[int] = (0, 0), unsplit: Sequence[int] = (0, 0),
+               counted_ms: float | None = None) -> Motion:
         """Take a report that the gates have accepted.
 
         Args:
@@ -110,6 +131,8 @@ class Odometry:
             left_ms, right_ms: the ticks of each wheel's last pulse or repeat, in ticks that never restart.
             report_ms: a time before which there was no later pulse; never earlier than the newest of them.
             unproven: further, earlier pulses whose direction isn't known yet.
+            unsplit: of ``pulses``, those before each wheel's last reversal.
+            counted_ms: the time from which on a Teensy that has rebooted counted all ``pulses`` and ``unproven``.
         """
         now_ms = max(report_ms, self._time_ms)
         last, self._last = self._last, record
@@ -121,6 +144,8 @@ class Odometry:
             return self._move(record, False, now_ms)
         if restarted:
             self._begin_bridge(self._time_ms)
+            if counted_ms is not None:
+                self._bridge.count_from(counted_ms)
         elif self._bridge is None and any(unproven):
             self._begin_bridge(now_ms)
         if self._bridge is not None and self._bridge.is_reset(pulses, unproven, now_ms):
@@ -129,7 +154,7 @@ class Odometry:
             has_pulse = self._update_wheels(record, last, pulses, (left_ms, right_ms), now_ms)
             for wheel in self._wheels:
                 wheel.advance(now_ms)
-            return self._move(record, has_pulse, now_ms)
+            return self._move(record, has_pulse, now_ms, path=self._reversed_path(record, last, unsplit))
         return self._cross_bridge(record, pulses, unproven, (left_ms, right_ms), now_ms)
 
     def _update_wheels(self, record, last, pulses, times_ms, now_ms):
@@ -152,9 +177,19 @@ class Odometry:
         heading = self._heading
         self._bridge = RestartBridge(
             CarState(at_ms, tuple(WheelState(wheel.count, wheel.position, wheel.speed) for wheel in self._wheels),
-                     heading.curvature_per_m, heading.curvature_variance), self._config.track_m)
+                     heading.curvature_per_m, heading.curvature_variance, heading.usual_square), self._config.track_m)
+        self._before_bridge = _BeforeBridge(self._pose, heading, self._mean, self._yaw_rad, self._was_rolling,
+                                            self._time_ms)
+        self._return_before_bridge()
         for wheel in self._wheels:
             wheel.is_uncounted = True
+
+    def _return_before_bridge(self):
+        """Forget the path that was only predicted since the bridge began."""
+        before = self._before_bridge
+        self._pose, self._heading = copy.copy(before.pose), copy.copy(before.heading)
+        self._mean, self._yaw_rad = before.mean, before.yaw_rad
+        self._was_rolling, self._time_ms = before.was_rolling, before.time_ms
 
     def _cross_bridge(self, record, pulses, unproven, times_ms, now_ms):
         """Collect pulses until they show how the car goes on."""
@@ -166,9 +201,11 @@ class Odometry:
         if bridge.report(now_ms):
             for wheel, position in zip(self._wheels, bridge.positions):
                 wheel.stop_at(position)
+            self._return_before_bridge()
         if not bridge.is_ready(now_ms):
             return self._move(record, False, now_ms)
         self._bridge = None
+        self._return_before_bridge()
         outcome = bridge.solve(now_ms)
         for wheel, start in zip(self._wheels, outcome.wheels):
             wheel.pending = 0
@@ -179,8 +216,22 @@ class Odometry:
                 wheel.stop_at(start.place)  # its next pulse shows the magnet
         return self._move(record, True, now_ms, outcome)
 
-    def _move(self, record, has_pulse, now_ms, outcome=None):
-        """Move the pose by the distances of the wheels; ``outcome``: of a bridge that was just crossed."""
+    def _reversed_path(self, record, last, unsplit):
+        """Return the path before the last reversal, or ``None`` if the direction of each pulse is known."""
+        if min(unsplit) <= 1:  # both reverse together: a wheel without a reversal shows that the other has one at most
+            return None
+        sign = 1 if last.left.direction == FORWARD else -1
+        left, right = unsplit
+        return reversed_path(sign * (left + right) / 2 * self._pulse_m, sign * (right - left) * self._rad_per_pulse,
+                             last.left.direction != record.left.direction)
+
+    def _move(self, record, has_pulse, now_ms, outcome=None, path=None):
+        """Move the pose by the distances of the wheels.
+
+        Args:
+            outcome: of a bridge that was just crossed.
+            path: driven before the last reversal, since the report before.
+        """
         left, right = self._wheels
         elapsed_s = max(0.0, now_ms - self._time_ms) / 1000 if self._time_ms > -math.inf else 0.0
         mean = (left.position + right.position) / 2
@@ -189,11 +240,17 @@ class Odometry:
         if outcome is not None:
             self._pose.add_variance(outcome.mean_variance * self._pulse_m ** 2,
                                     outcome.difference_variance * self._rad_per_pulse ** 2)
+        is_blind = elapsed_s > REPEAT_MS / 1000 and has_pulse
+        curvature_per_m = self._heading.recent_curvature if self._was_rolling else None
         if self._alignment.is_done:
             self._heading.predict(distance_m, elapsed_s)
             if self._steering_per_m is not None:
                 self._heading.update_curvature(self._steering_per_m, elapsed_s)
-            self._update_heading(record, has_pulse, outcome)
+            self._update_heading(record, has_pulse, outcome, path is not None)
+        elif abs(distance_m) > 2 * ALIGNING_PULSES * self._pulse_m:
+            self._alignment.skip(left, right)
+            self._heading.begin(self._measured_yaw_rad(), (UNALIGNED_PULSES * self._rad_per_pulse) ** 2)
+            self._pose.set_yaw(0.0, (UNALIGNED_PULSES * self._rad_per_pulse) ** 2)
         elif self._alignment.solve(left, right):
             yaw_rad, variance = self._measured_yaw_rad(), (ALIGNED_PULSES * self._rad_per_pulse) ** 2
             self._heading.begin(yaw_rad, variance)
@@ -201,16 +258,31 @@ class Odometry:
             self._yaw_rad = yaw_rad
         turned_rad = self._heading.yaw_rad - self._yaw_rad
         self._yaw_rad = self._heading.yaw_rad
+        if path is not None:
+            distance_m, turned_rad = self._move_unseen(path, distance_m, turned_rad)
+            curvature_per_m = None  # of the last leg it is unknown
+        if path is not None or is_blind:
+            path = curved_path(distance_m, turned_rad, curvature_per_m, self._heading.usual_square)
+            distance_m, turned_rad = self._move_unseen(path, distance_m, turned_rad)
         self._pose.move(distance_m, turned_rad)
+        self._was_rolling = any(wheel.speed for wheel in self._wheels)
         return self._motion(record, now_ms)
+
+    def _move_unseen(self, path, distance_m, turned_rad):
+        """Move along a path that wasn't reported; return distance and turn of its last leg."""
+        self._pose.add_variance(path.along_variance, path.heading_variance, path.across_variance)
+        for leg_m, leg_rad in path.legs:
+            self._pose.move(leg_m, leg_rad)
+            distance_m, turned_rad = distance_m - leg_m, turned_rad - leg_rad
+        return distance_m, turned_rad
 
     def _measured_yaw_rad(self):
         left, right = self._wheels
         return (right.position - left.position - self._alignment.difference) * self._rad_per_pulse
 
-    def _update_heading(self, record, has_pulse, outcome):
+    def _update_heading(self, record, has_pulse, outcome, has_reversed):
         """Correct the heading by the wheels' difference, if a wheel has made a pulse."""
-        if _turns_on_the_spot(record):
+        if has_reversed or _turns_on_the_spot(record):
             self._heading.begin(self._measured_yaw_rad(), HEADING_VARIANCE)
         elif has_pulse:
             left, right = self._wheels
@@ -233,6 +305,10 @@ class Odometry:
         to_rad = 2 * self._pulse_m / self._config.wheel_diameter_m
         place = (left.position_variance + right.position_variance) * self._pulse_m ** 2
         heading = place / self._config.track_m ** 2
+        if self._bridge is not None:
+            place, heading = self._bridge_variances(place)
+            if self._bridge.may_roll(now_ms):
+                variance += 2 * PENDING_SPEED_SIGMA ** 2
         if not self._alignment.is_done:
             heading += (UNALIGNED_PULSES * scale) ** 2
         pose = self._pose
@@ -242,6 +318,18 @@ class Odometry:
             variance / 4 * (1000 * self._pulse_m) ** 2 + 1e-6, variance * (1000 * scale) ** 2 + 1e-6,
             (left.position * to_rad, right.position * to_rad),
             (left.speed * 1000 * to_rad, right.speed * 1000 * to_rad), pose.distance_m)
+
+    def _bridge_variances(self, place_variance):
+        """Return the variances of the sum of both wheels' places, m², and of the heading, while both are predicted.
+
+        A car rolls by both wheels: its heading changes by curvature × distance, and its place by the distance times
+        half of that. The curvature changes at an unknown time, for a part of the distance that is evenly in 0 .. 1: its
+        mean has a third of the variance.
+        """
+        along = place_variance / 4 + self._bridge.place_variance * self._pulse_m ** 2
+        square = ((self._mean - self._before_bridge.mean) * self._pulse_m) ** 2
+        turn = CURVATURE_VARIANCE / 3 * (square + along)
+        return 4 * along + turn * square, turn + (UNALIGNED_PULSES * self._rad_per_pulse) ** 2
 
 
 def _may_learn(record):

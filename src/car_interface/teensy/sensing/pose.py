@@ -26,12 +26,13 @@ class Pose:
         self.yaw_rad = yaw_rad
         self._variances = (*self._variances[:5], self._variances[5] + variance)
 
-    def add_variance(self, along_variance: float, heading_variance: float) -> None:
-        """Add variance: m² along the heading, rad² of the heading."""
+    def add_variance(self, along_variance: float, heading_variance: float, across_variance: float = 0.0) -> None:
+        """Add variance: m² along and across the heading, rad² of the heading."""
         cos, sin = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         xx, xy, xa, yy, ya, aa = self._variances
-        self._variances = (xx + along_variance * cos * cos, xy + along_variance * cos * sin, xa,
-                           yy + along_variance * sin * sin, ya, aa + heading_variance)
+        self._variances = (xx + along_variance * cos * cos + across_variance * sin * sin,
+                           xy + (along_variance - across_variance) * cos * sin, xa,
+                           yy + along_variance * sin * sin + across_variance * cos * cos, ya, aa + heading_variance)
 
     def move(self, distance_m: float, turned_rad: float) -> None:
         """Move along an arc: its chord is distance · sin(h) / h long, in the mean heading (h: half the turn)."""

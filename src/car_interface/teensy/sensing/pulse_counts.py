@@ -25,14 +25,19 @@ def signed_pulses(before: Wheel, now: Wheel) -> int:
     """Return the pulses from one report of a wheel to a later one, backward negative.
 
     The pulse before ``now.dist`` was made in the other direction. If a wheel reversed twice in between, it is unknown
-    how many of the earlier pulses went in which direction: their sum is taken as 0.
+    how many of the earlier pulses went in which direction: all but that one are taken to cancel out.
     """
     sign = 1 if now.direction == FORWARD else -1
     pulses = ahead(now.dist_abs, before.dist_abs)
+    earlier = unsplit_pulses(before, now)
+    return sign * (pulses - earlier) - sign * (earlier if now.direction != before.direction else min(earlier, 1))
+
+
+def unsplit_pulses(before: Wheel, now: Wheel) -> int:
+    """Return the pulses before a wheel's last reversal: with an earlier reversal too, their directions are unknown."""
     if now.dist == before.dist and now.direction == before.direction or now.direction == NO_DIRECTION:
-        return sign * pulses
-    earlier = max(0, ahead(now.dist, before.dist_abs) - 1)
-    return sign * (pulses - earlier) - (sign * earlier if now.direction != before.direction else 0)
+        return 0
+    return max(0, ahead(now.dist, before.dist_abs) - 1)
 
 
 def learning_pulses(before: Wheel, now: Wheel) -> tuple[int, int]:

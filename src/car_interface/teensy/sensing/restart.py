@@ -23,6 +23,7 @@ LEFT, RIGHT = 0, 1
 ROLLING_PER_MS = 0.01  # 0.15 m/s: a wheel that rolls faster is expected to go on
 BLIND_MS = 100.0  # a longer restart was a reboot; a reset of the odometers loses only a report or two
 REPEAT_MS = 450.0  # a standing car is reported more often than this: every 201 ms, and a report may be lost
+MANOEUVRE_MS = 1_000.0  # enough to steer to one side and back: twice from end to end of a servo, and some way
 MAX_BLIND_MS = 2_000.0  # after a longer time the speed in between is unknown
 # After the restart each wheel's speed is taken over this many pulses and this time, at most until the last of these.
 ENOUGH_PULSES, ENOUGH_SPAN_MS, ENOUGH_MS = 6, 100.0, 250.0
@@ -55,6 +56,7 @@ class CarState(NamedTuple):
     wheels: tuple[WheelState, WheelState]
     curvature_per_m: float
     curvature_variance: float
+    usual_square: float = 0.0  # of the curvature over the metres before, 1/m²
 
 
 class WheelStart(NamedTuple):
@@ -96,13 +98,25 @@ class RestartBridge:
         self._state = state
         self._track_m = track_m
         self._seen_ms: float | None = None  # from when on pulses were counted again
+        self._boot_ms: float | None = None  # from when on each pulse is in the reports
         self._stop_variance = 0.0
         self._pulses: tuple[list, list] = ([], [])
         self._signs = [0, 0]
 
+    @property
+    def place_variance(self) -> float:
+        """The variance of the place that a stop on the way or a long time adds, pulses²."""
+        blind_ms = self._blind_ms() if any(self._pulses) or self._seen_ms is not None else 0.0
+        far = self._mean_before() * blind_ms / 2 if blind_ms > MAX_BLIND_MS else 0.0
+        return self._stop_variance + far ** 2
+
+    def may_roll(self, now_ms: float) -> bool:
+        """Return whether the car may roll though no pulse has shown it yet."""
+        return self._seen_ms is not None and self._blind_ms() > BLIND_MS and now_ms - self._seen_ms < BLIND_MS
+
     def restart(self) -> None:
         """Begin again after another restart: earlier pulses are dropped."""
-        self._seen_ms = None
+        self._seen_ms = self._boot_ms = None
         self._pulses = ([], [])
         self._signs = [0, 0]
 
@@ -115,6 +129,10 @@ class RestartBridge:
         seen_ms = now_ms if self._seen_ms is None else self._seen_ms
         return (any(pulses) and not any(unproven) and not any(self._pulses)
                 and seen_ms - self._state.at_ms <= REPEAT_MS)
+
+    def count_from(self, boot_ms: float) -> None:
+        """Take note that every pulse since a boot is counted, though the first report comes later."""
+        self._seen_ms = self._boot_ms = max(boot_ms, self._state.at_ms)
 
     def report(self, now_ms: float) -> bool:
         """Take note that pulses are counted; return True once if the car stopped while they weren't."""
@@ -138,9 +156,13 @@ class RestartBridge:
 
     def add(self, side: int, unproven: int, proven: int, at_ms: float) -> None:
         """Take pulses of a wheel, without and (signed) with a known direction; the newest was at ``at_ms``."""
-        count = unproven + abs(proven)
+        count, pulses = unproven + abs(proven), self._pulses[side]
+        if count > 1 and not pulses and self._boot_ms is not None:
+            # At an even pace, the first one half an interval after the boot on average.
+            pulses.append((1, self._boot_ms + max(0.0, at_ms - self._boot_ms) * 0.5 / (count - 0.5)))
+            count -= 1
         if count:
-            self._pulses[side].append((count, at_ms))
+            pulses.append((count, at_ms))
         if proven:
             self._signs[side] = 1 if proven > 0 else -1
 
@@ -160,6 +182,8 @@ class RestartBridge:
     def solve(self, now_ms: float) -> Outcome:
         """Return how the wheels go on; call it only when ``is_ready``."""
         was_rolling = self._was_rolling()
+        for pulses in self._pulses if self._boot_ms is not None else ():
+            _date_first(pulses)
         state, signs = self._state, self._all_signs(now_ms)
         speeds = self._speeds(signs, now_ms)
         curvature, curvature_variance = self._curvature(speeds, was_rolling)
@@ -181,6 +205,8 @@ class RestartBridge:
         places, doubt = self._search(guesses, signs, mean_variance, difference_variance)
         if was_rolling and blind_ms > BLIND_MS or self._stop_variance:
             doubt = max(doubt, MIN_DIFFERENCE_VARIANCE)
+        if was_rolling and difference_variance > (SEARCHED / 2) ** 2:  # beyond the searched magnets
+            doubt = max(doubt, difference_variance)
         # After a rest a car may have turned round, and the direction of its first pulses isn't known.
         unknown = UNPROVEN_VARIANCE if not was_rolling and now_ms - self._first_ms() > REST_MS else 0.0
         return Outcome(
@@ -242,8 +268,14 @@ class RestartBridge:
             return before, before_variance
         if abs(self._mean_before()) <= ROLLING_PER_MS:
             return after, after_variance + CURVATURE_SIGMA ** 2
-        # Exact where it changes evenly; a step at an unknown time in between has this spread.
-        return (before + after) / 2, (after - before) ** 2 / 12 + CURVATURE_SIGMA ** 2
+        # Exact where it changes evenly; a step at an unknown time in between has this spread. Within a second it may
+        # have been another one, evenly up to the usual curvature to either side, for half of the distance: 1/4 · 1/3 of
+        # its square. For all of it, if the one after is a mean over a long time.
+        is_late = any(later[1] - first[1] > ENOUGH_MS for first, later, *_ in self._pulses)
+        usual = self._state.usual_square / 3
+        if not is_late:
+            usual *= min(1.0, self._blind_ms() / MANOEUVRE_MS) ** 2 / 4
+        return (before + after) / 2, (after - before) ** 2 / 12 + CURVATURE_SIGMA ** 2 + usual
 
     def _curvature_after(self):
         """Return curvature and variance by both wheels over the same time; ``None``: there are too few pulses."""
@@ -324,6 +356,13 @@ def _rate(pulses):
     if len(pulses) < 2 or pulses[-1][1] <= pulses[0][1]:
         return 0.0
     return sum(count for count, _ in pulses[1:]) / (pulses[-1][1] - pulses[0][1])
+
+
+def _date_first(pulses):
+    """Date a first pulse that was reported with others soon after, by the pace of those that followed."""
+    rate = _rate(pulses[1:])
+    if rate and pulses[1][1] - pulses[0][1] <= ENOUGH_MS:
+        pulses[0] = (1, pulses[1][1] - pulses[1][0] / rate)
 
 
 def _count_at(pulses, at_ms):

@@ -38,6 +38,9 @@ class Verdict(NamedTuple):
         restarted: the state before it no longer holds.
         unproven: further pulses of the left and the right wheel, made before those of ``pulses``, whose direction the
             firmware could not know yet.
+        unsplit: those of ``pulses`` that were made before a wheel's last reversal, left and right; see
+            ``unseen_path``.
+        since_boot: ``pulses`` and ``unproven`` are all that were counted since the Teensy's boot.
         boot_tick: a tick of the clock after a reboot that this report of the wheels reveals; else ``None``.
     """
 
@@ -46,6 +49,8 @@ class Verdict(NamedTuple):
     pulses: tuple[int, int] = (0, 0)
     restarted: bool = False
     unproven: tuple[int, int] = (0, 0)
+    unsplit: tuple[int, int] = (0, 0)
+    since_boot: bool = False
     boot_tick: int | None = None
 
 

@@ -22,11 +22,15 @@ STANDS_AFTER_MS = 790
 # With pulses farther apart than this the speed is taken from the interval: the acceleration has faded by then.
 FAR_APART_MS = 60
 FADING_MS = 500.0  # time constant of an acceleration: 1 / alpha of Singer's model
-# Half a wheel's usual acceleration, and the largest from standstill: pulses/ms², of 1.5 cm: 1 and 3.3 m/s².
-USUAL_ACCELERATION, STARTING_ACCELERATION = 7e-5, 2.2e-4
+# A wheel's usual acceleration, and the largest from standstill: pulses/ms², of 1.5 cm: 2 and 3.3 m/s². With half of
+# the usual one the truth is beyond three sigma for 50 ms at each change of speed (test_captures).
+USUAL_ACCELERATION, STARTING_ACCELERATION = 1.4e-4, 2.2e-4
 SPEED_CHANGE = 0.5  # from pulse to pulse a slow wheel's speed changes by this ratio at most
 STARTING_PULSES = 3
 MAGNET_VARIANCE = 1e-4  # of a magnet's place, pulses²
+# At the first pulse after a stand, with one sigma. A car with the usual acceleration has 0.18 m/s after half a pulse,
+# another one less: 0.15 and 0.12 m/s.
+FIRST_SPEED, FIRST_SPEED_SIGMA = 0.01, 0.008
 PASSED_BY, PASSED_VARIANCE = 0.02, 0.003  # pulses: how far before the next magnet a wheel is whose pulse is overdue
 STANDING_SPEED_VARIANCE = 1e-10
 PENDING_SPEED_SIGMA = 0.03  # pulses/ms, 0.45 m/s: of a car that has started when its pulses can be placed
@@ -41,6 +45,7 @@ class WheelFilter:
         count: signed pulses so far: the wheel is within [count, count + 1).
         position: the estimate at the time of the last call.
         speed: likewise.
+        acceleration: likewise.
         updates: how many times a report had a new pulse of it.
         first_pulses: as (ms, position), for the alignment; ``None`` once it is done.
         is_uncounted: it has made pulses that the Teensy didn't count; the next one shows where it is.
@@ -53,7 +58,7 @@ class WheelFilter:
         self.first_pulses: list | None = []
         self.is_uncounted = False
         self.pending = 0
-        self.position, self.speed, self._acceleration = 0.5, 0.0, 0.0
+        self.position, self.speed, self.acceleration = 0.5, 0.0, 0.0
         self._time_ms = 0.0
         self._pulse_ms = -math.inf  # of the newest
         self._forward = True
@@ -62,8 +67,9 @@ class WheelFilter:
 
     @property
     def position_variance(self) -> float:
-        """The variance of the position, pulses²."""
-        return self._variances[0] + self.pending ** 2
+        """The variance of the position, pulses²; without uncounted pulses a whole one is three sigma."""
+        known = self._variances[0] if self.is_uncounted else min(self._variances[0], 1 / 9)
+        return known + self.pending ** 2
 
     @property
     def speed_variance(self) -> float:
@@ -91,7 +97,10 @@ class WheelFilter:
         self._since_stop += 1
         place = self.count if forward else self.count + 1
         self._predict(at_ms)
-        variance = self.speed * self.speed * (TICK_VARIANCE if is_known else UNKNOWN_TIME_VARIANCE) + MAGNET_VARIANCE
+        if self._since_stop == 1:
+            self._start_rolling(1 if forward else -1, abs(pulses))
+        speed_square = self.speed * self.speed + self._variances[3]
+        variance = speed_square * (TICK_VARIANCE if is_known else UNKNOWN_TIME_VARIANCE) + MAGNET_VARIANCE
         interval_ms = at_ms - self._pulse_ms
         if (FAR_APART_MS < interval_ms <= STANDS_AFTER_MS and forward == self._forward and self._since_stop > 1
                 and is_known):
@@ -134,7 +143,7 @@ class WheelFilter:
         self._forward = start.forward
         self._time_ms = min(self._time_ms, first_ms)
         if was_rolling:
-            self.position, self.speed, self._acceleration = float(start.place), start.speed, 0.0
+            self.position, self.speed, self.acceleration = float(start.place), start.speed, 0.0
             self._variances = (MAGNET_VARIANCE, 0.0, 0.0, (SPEED_RATIO * start.speed) ** 2, 0.0,
                                STARTING_ACCELERATION ** 2)
             self._since_stop = STARTING_PULSES
@@ -144,9 +153,14 @@ class WheelFilter:
 
     def advance(self, now_ms: float) -> None:
         """Predict until now, within the magnets that the wheel can't have passed without a pulse."""
-        if self.is_uncounted and now_ms - self._time_ms > MAX_BLIND_MS:
-            self._time_ms = now_ms
-            self._stand()
+        if self.is_uncounted and self._variances[3] > STANDING_SPEED_VARIANCE:
+            # It may have passed magnets, and may roll on until the reports show that it has stopped.
+            if now_ms - self._time_ms > MAX_BLIND_MS:
+                speed_variance = self._variances[3] + self.speed ** 2
+                self._stand()
+                self._variances = (1 / 12, 0.0, 0.0, speed_variance, 0.0, STARTING_ACCELERATION ** 2)
+                self._time_ms = now_ms
+            self._predict(now_ms)
             return
         self._predict(now_ms)
         since_ms = now_ms - self._pulse_ms
@@ -158,27 +172,31 @@ class WheelFilter:
             self.position = min(max(self.position, low), high) if not self.is_uncounted else self.position
             self._stand()
             return
-        if self.is_uncounted:
-            return  # it may have passed magnets
         if since_ms <= FAR_APART_MS:
             if self.position > high:
                 self._correct(high - PASSED_BY, PASSED_VARIANCE)
             elif self.position < low:
                 self._correct(low + PASSED_BY, PASSED_VARIANCE)
-        self.position = min(max(self.position, low), high)
+            slack = min(abs(self.speed), slack / TICK_MIDDLE_MS) * TICK_MIDDLE_MS
+        self.position = min(max(self.position, self.count - slack), self.count + 1 + slack)
         if abs(self.speed) > fastest:
             self.speed = math.copysign(fastest, self.speed)
-            self._acceleration = 0.0
+            self.acceleration = 0.0
 
     def _stand(self):
         """Let the wheel stand, anywhere between two magnets."""
-        self.speed = self._acceleration = 0.0
+        self.speed = self.acceleration = 0.0
         self._since_stop = 0
         self._variances = (1 / 12, 0.0, 0.0, STANDING_SPEED_VARIANCE, 0.0, STARTING_ACCELERATION ** 2)
 
+    def _start_rolling(self, sign, pulses):
+        """Let the wheel roll at its first pulse after a stand; v² grows with the pulses that weren't reported at once."""
+        self.speed = sign * FIRST_SPEED * math.sqrt(pulses)
+        self._variances = (self._variances[0], 0.0, 0.0, FIRST_SPEED_SIGMA ** 2 * pulses, 0.0, STARTING_ACCELERATION ** 2)
+
     def _set_by_interval(self, place, speed, interval_ms, variance):
         """Set a slow wheel's speed to the mean over its last interval; estimating its acceleration would ring."""
-        self.position, self.speed, self._acceleration = float(place), speed, 0.0
+        self.position, self.speed, self.acceleration = float(place), speed, 0.0
         speed_variance = (SPEED_RATIO * speed) ** 2
         acceleration_variance = min(STARTING_ACCELERATION ** 2, speed_variance / interval_ms ** 2)
         self._variances = (variance, 0.0, 0.0, speed_variance, 0.0, acceleration_variance)
@@ -193,9 +211,9 @@ class WheelFilter:
         fade = math.exp(-ratio)
         to_speed = FADING_MS * (1 - fade)
         to_position = FADING_MS * (elapsed_ms - to_speed)
-        self.position += self.speed * elapsed_ms + self._acceleration * to_position
-        self.speed += self._acceleration * to_speed
-        self._acceleration *= fade
+        self.position += self.speed * elapsed_ms + self.acceleration * to_position
+        self.speed += self.acceleration * to_speed
+        self.acceleration *= fade
         pp, pv, pa, vv, va, aa = self._variances
         pa_, va_ = pa + elapsed_ms * va + to_position * aa, va + to_speed * aa
         pv_ = pv + elapsed_ms * vv + to_position * va
@@ -235,6 +253,6 @@ class WheelFilter:
         innovation = (place - self.position) / total
         self.position += pp * innovation
         self.speed += pv * innovation
-        self._acceleration += pa * innovation
+        self.acceleration += pa * innovation
         self._variances = (pp - pp * pp / total, pv - pp * pv / total, pa - pp * pa / total,
                            vv - pv * pv / total, va - pv * pa / total, aa - pa * pa / total)

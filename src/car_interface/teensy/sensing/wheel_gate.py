@@ -12,13 +12,14 @@ Pure.
 """
 from __future__ import annotations
 
-from car_interface.teensy.link.protocol import DIRECTION_ERROR, NO_DIRECTION, Wheel, WheelStatus
+from car_interface.teensy.link.protocol import DIRECTION_ERROR, FORWARD, NO_DIRECTION, Wheel, WheelStatus
 from car_interface.teensy.sensing.pulse_counts import (
     LEARNING_PULSES,
     ahead,
     has_pulsed,
     learning_pulses,
     signed_pulses,
+    unsplit_pulses,
 )
 from car_interface.teensy.sensing.tick_gate import CONSISTENT, OVERTAKEN_MS, YOUNG_MS
 from car_interface.teensy.sensing.verdicts import (
@@ -76,6 +77,7 @@ class WheelGate:
         self._per_ms = (0.0, 0.0)  # each wheel's speed when it made its last pulse
         self._pulse_ticks: tuple = (None, None)  # of the last pulses; ``when`` may be that of a repeat
         self._learns = True  # the first pulses are unproven
+        self._clock_restarts = 0  # of the clock, by the last accepted report
         self._zero = None  # (newest tick, restarts of the clock) when both odometers went back to zero
 
     @property
@@ -89,17 +91,18 @@ class WheelGate:
         if fault:
             return Verdict(False, fault)
         boot_tick = self._find_boot(record, newest_tick, clock_restarts)
-        verdict = self._judge(record, newest_tick if boot_tick is None else boot_tick)
+        verdict = self._judge(record, newest_tick if boot_tick is None else boot_tick, clock_restarts)
         if verdict.reason == ODOMETERS_RESET:
             self._zero = (newest_tick, clock_restarts)
             self._learns = not any(wheel.when for wheel in record if not wheel.dist_abs)
             boot_tick = self._find_boot(record, newest_tick, clock_restarts)
             pulses = self._pulses_between(_NOTHING_YET, record)
-            verdict = verdict._replace(pulses=pulses[:2], unproven=pulses[2:])
+            verdict = verdict._replace(pulses=pulses[:2], unproven=pulses[2:4], unsplit=pulses[4:])
         elif verdict.reason == ODOMETERS_RESTARTED and self._learns:
             boot_tick = _tick_gone_back(record, newest_tick)
         if not verdict.accepted:
             return verdict
+        self._clock_restarts = clock_restarts + (boot_tick is not None)
         if not _is_zero(record):
             self._zero = None
             self._learns = self._learns and any(wheel.dist_abs <= LEARNING_PULSES for wheel in record)
@@ -119,7 +122,7 @@ class WheelGate:
             self._learns = False  # the clock goes on: it was WHEEL_RESET, and the pins' states are known
         return boot_tick
 
-    def _judge(self, record, newest_tick):
+    def _judge(self, record, newest_tick, clock_restarts):
         if self._last is None:
             return self._restart(record, FIRST)
         fault = self._fault(self._last, record, self._per_ms)
@@ -133,14 +136,15 @@ class WheelGate:
                 return self._accept(record, PREVIOUS_WRONG, pulses, before=self._before)
         if fault and _is_fresh(record):
             return self._restart(record, ODOMETERS_RESET)
-        return self._consider(record, doubt, bool(fault))
+        is_boot = clock_restarts != self._clock_restarts or _tick_gone_back(record, newest_tick) is not None
+        return self._consider(record, doubt, bool(fault), is_boot)
 
     def _accept(self, record, reason, pulses, before):
         for_each_wheel = zip(self._last, record, self._per_ms, self._pulse_ticks)
         self._per_ms, self._pulse_ticks = zip(*(self._speed(*wheel) for wheel in for_each_wheel))
         self._before, self._last = before, record
         self._candidates.clear()
-        return Verdict(True, reason, pulses[:2], unproven=pulses[2:]) if reason or any(pulses) else FINE
+        return Verdict(True, reason, pulses[:2], False, pulses[2:4], pulses[4:]) if reason or any(pulses) else FINE
 
     def _restart(self, record, reason):
         self._before, self._last = None, record
@@ -150,7 +154,7 @@ class WheelGate:
         self._candidates.clear()
         return Verdict(True, reason, restarted=True)
 
-    def _consider(self, record, doubt, jumped):
+    def _consider(self, record, doubt, jumped, is_boot):
         """Wait for reports that agree with this one; accept all of them with the last."""
         chain = self._candidates
         # A report that may follow the last one ends a jump that nothing has confirmed yet.
@@ -160,7 +164,8 @@ class WheelGate:
         chain.append(record)
         if len(chain) < CONSISTENT:
             return Verdict(False, doubt)
-        reason, known, wrong = AFTER_GAP, [self._last, *chain], (0, 0, 0, 0)
+        since_boot = False
+        reason, known, wrong = AFTER_GAP, [self._last, *chain], (0,) * 6
         if jumped:
             if self._before is not None and not self._fault(self._before, chain[0], self._per_ms):
                 reason, known = PREVIOUS_WRONG, [self._before, *chain]
@@ -168,19 +173,32 @@ class WheelGate:
             else:
                 reason, known = ODOMETERS_RESTARTED, list(chain)
                 self._learns = any(ahead(now.when, last.when) < 0 for now, last in zip(chain[0], self._last))
+                since_boot = self._learns and is_boot
+                if since_boot:
+                    known.insert(0, _NOTHING_YET)  # nothing was lost: counts begin with the boot
         pulses = _difference([sum(counts) for counts in zip(*map(self._pulses_between, known, known[1:]))], wrong)
         self._last = chain[-2]
         self._pulse_ticks = tuple(now.when if now.dist_abs != before.dist_abs else None
                                   for before, now in zip(chain[-3], chain[-2]))
         self._accept(record, "", pulses, before=chain[-2])
-        return Verdict(True, reason, pulses[:2], restarted=reason == ODOMETERS_RESTARTED, unproven=pulses[2:])
+        return Verdict(True, reason, pulses[:2], reason == ODOMETERS_RESTARTED, pulses[2:4], pulses[4:], since_boot)
 
     def _pulses_between(self, before, now):
-        """Return signed proven pulses of left and right, and unproven ones of both."""
+        """Return signed proven pulses of left and right, unproven ones of both, and unsplit ones of both."""
         if not self._learns or min(before.left.dist_abs, before.right.dist_abs) >= LEARNING_PULSES:
-            return signed_pulses(before.left, now.left), signed_pulses(before.right, now.right), 0, 0
+            pulses = [signed_pulses(old, new) for old, new in zip(before, now)]
+            unsplit = [unsplit_pulses(old, new) for old, new in zip(before, now)]
+            for side, other in ((0, 1), (1, 0)):
+                if (before[side].direction == now[side].direction and not unsplit[other]
+                        and abs(pulses[other]) > unsplit[side] / 2 > 0):
+                    # The other wheel didn't reverse: this one went back over a single magnet.
+                    pulses[side] += (unsplit[side] - 1) * (1 if now[side].direction == FORWARD else -1)
+                    unsplit[side] = 0
+            return (*pulses, 0, 0, *unsplit)
         left, right = learning_pulses(before.left, now.left), learning_pulses(before.right, now.right)
-        return left[0], right[0], left[1], right[1]
+        return (left[0], right[0], left[1], right[1],
+                *(unsplit_pulses(old._replace(dist_abs=max(old.dist_abs, LEARNING_PULSES)), new)
+                  for old, new in zip(before, now)))
 
     def _impossible(self, wheel):
         """Return what is wrong with a wheel's report by itself."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections import Counter
 from statistics import median
 from typing import NamedTuple
 
@@ -16,13 +17,18 @@ from captures import NAMES, NS_PER_US, load, replay
 from car_interface.teensy.link.protocol import BACKWARD, SonarStatus, WheelStatus
 from car_interface.teensy.sensing import verdicts
 from car_interface.teensy.sensing.measurements import MotionMeasurement
-from car_interface.teensy.sensing.ranging import DISTRUSTED, MICROS_WRAP, STUCK
+from car_interface.teensy.sensing.ranging import DISTRUSTED, HELD, MICROS_WRAP, STUCK, UNKNOWN
 
 pytestmark = pytest.mark.once
 S_US = 1_000_000
 LISTENS_US = math.inf if os.environ.get("CAR_INTERFACE_ALL") else 75 * S_US  # one capture has 300 s
 SPEED_OF_SOUND_MPS = 343.42
 MAX_RANGE_M = 2.0
+# Reports after these gaps wait until others confirm them: an unplugged port, or no sonar by whose tick a boot shows.
+WAITING = ("dark_turnround", "dark_curve", "dark_reboot_unplug", "reboot_missing", "reboot_no_sonars",
+           "reboot_missing_started")
+DARK = ("dark_turnround", "dark_curve", "dark_reboot", "dark_reboot_unplug")
+REBOOTS = ("reboot_rolling", "reboot_slalom", "reboot_missing", "reboot_no_sonars", "reboot_missing_started")
 WORTH_A_WORD = {verdicts.FIRST, verdicts.ODOMETERS_RESET, verdicts.CLOCK_RESTARTED}
 
 
@@ -34,6 +40,7 @@ class Error(NamedTuple):
     position_m: float
     yaw_deg: float
     sigmas: float  # the worst of x, y and yaw
+    speed_sigmas: float
 
 
 def motions(moments):
@@ -53,7 +60,8 @@ def errors(capture, moments):
         off = (motion.x_m - (cos * dx + sin * dy), motion.y_m - (cos * dy - sin * dx),
                motion.yaw_rad - (truth.yaw_rad - start.yaw_rad))
         sigmas = max(abs(value) / math.sqrt(motion.pose_covariance[axis][axis]) for axis, value in enumerate(off))
-        result.append(Error(moment.received_us, stamp.time_ns, math.hypot(*off[:2]), math.degrees(off[2]), sigmas))
+        result.append(Error(moment.received_us, stamp.time_ns, math.hypot(*off[:2]), math.degrees(off[2]), sigmas,
+                            abs(motion.speed_mps - truth.speed_mps) / math.sqrt(motion.speed_variance)))
     return result
 
 
@@ -70,7 +78,7 @@ def replayed():
     return get
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in WAITING])
 def test_no_record_of_a_healthy_firmware_is_refused(replayed, name):
     _, _, measurements, _ = replayed(name)
     assert measurements.gates.refused == 0
@@ -82,13 +90,50 @@ def test_heading_at_the_end_is_mostly_right_to_half_a_pulse(replayed):
     assert median(abs(replayed(name)[3][-1].yaw_deg) for name in NAMES) <= 1.5
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_car_ends_where_it_is_and_the_truth_lies_within_three_sigma_on_the_way(replayed, name):
+@pytest.mark.parametrize("name", WAITING)
+def test_few_reports_wait_after_a_gap(replayed, name):
+    capture, _, measurements, _ = replayed(name)
+    gaps = sum(event["event"] in ("reboot", "unplug") for event in capture.events)
+    assert measurements.gates.refused <= 4 * gaps, "two of the wheels, and two ticks"
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in (*DARK, *REBOOTS)])
+def test_car_ends_where_it_is(replayed, name):
     capture, _, _, found = replayed(name)
     assert found[-1].position_m <= max(0.03, 0.005 * capture.distance_m(LISTENS_US))
     assert abs(found[-1].yaw_deg) <= 3.0
-    later = [error for error in found if error.received_us >= found[0].received_us + 2 * S_US]
-    assert sum(error.sigmas <= 3 for error in later) >= 0.99 * len(later)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_truth_lies_within_three_sigma_from_the_first_message_on(replayed, name):
+    found = replayed(name)[3]
+    assert sum(error.sigmas <= 3 and error.speed_sigmas <= 3 for error in found) >= 0.99 * len(found)
+
+
+@pytest.mark.parametrize("name", REBOOTS)
+def test_reboots_in_mid_drive_leave_heading_and_place_with_sonars_or_without(replayed, name):
+    capture, _, measurements, found = replayed(name)
+    assert measurements.gates.counts[verdicts.CLOCK_RESTARTED] == sum(event["event"] == "reboot"
+                                                                      for event in capture.events)
+    assert abs(found[-1].yaw_deg) <= 3.0 and found[-1].position_m <= 0.2
+    boots_us = [event["t_us"] for event in capture.events if event["event"] == "power up"]
+    found_again = [error for error in found if not any(0 <= error.received_us - at_us < S_US / 2 for at_us in boots_us)]
+    assert all(abs(error.yaw_deg) <= 6.0 for error in found_again)
+
+
+@pytest.mark.parametrize("name, begin_s, end_s, position_m, sigma_m", [
+    ("wrap", 4.0, 6.0, 0.04, 0.19), ("wrap", 4.0, 9.0, 0.05, 0.24), ("drive_reverse", 10.9, 15.2, 0.25, 0.4),
+    ("stop_go", 15.3, 21.0, 0.01, 0.1), ("drive", 12.2, 16.0, 0.06, 0.1), ("reboot_slalom", 3.5, 6.5, 1.5, 0.95),
+], ids=["straight", "straight_for_long", "straight_then_a_curve", "stopped_and_off_the_other_way_in_a_curve",
+        "off_for_the_first_time", "slalom"])
+def test_unplugged_cable_costs_what_the_counts_leave_open(name, begin_s, end_s, position_m, sigma_m):
+    capture = load(name)
+    moments, _ = replay(capture, until_us=(end_s + 5) * S_US, unplugged_us=(begin_s * S_US, end_s * S_US))
+    found = errors(capture, moments)
+    covariance = motions(moments)[-1].result.motion.pose_covariance
+    assert found[-1].position_m <= position_m
+    assert math.sqrt(covariance[0][0] + covariance[1][1]) <= sigma_m
+    assert all(error.sigmas <= 3 for error in found)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -102,7 +147,8 @@ def test_stamps_rise_strictly_and_are_as_good_as_they_claim(replayed, name):
             assert moment.result.stamp.time_ns > per_sensor.get(moment.record.sensor, 0)
             per_sensor[moment.record.sensor] = moment.result.stamp.time_ns
             truth = capture.truth_at(moment.result.stamp.time_ns / NS_PER_US)
-            if not capture.truth_at(moment.received_us).millis < truth.millis:  # a wrap lies between two rows of truth
+            # A wrap lies between two rows of truth, or it ends before the last frame.
+            if truth.millis <= capture.truth_at(moment.received_us).millis and truth.t_us < capture.truth[-1].t_us:
                 off_ms = truth.millis - moment.record.when - 0.5
                 if abs(off_ms) < 1000:
                     assert abs(off_ms) <= moment.result.stamp.uncertainty_ns / 1e6 + 0.01
@@ -122,13 +168,11 @@ def test_host_that_begins_to_listen_later_has_odometry_at_once(name, begin_s):
     assert abs(found[-1].yaw_deg) <= 3.0
 
 
-def test_reboots_in_mid_drive_leave_heading_and_place(replayed):
-    _, moments, measurements, found = replayed("reboot_rolling")
-    assert measurements.gates.counts[verdicts.CLOCK_RESTARTED] == 3
-    false_pulses = [wheel for moment in moments if isinstance(moment.record, WheelStatus)
-                    for wheel in moment.record if wheel.direction == BACKWARD]
-    assert false_pulses, "the capture has the false backward pulses that this is about"
-    assert all(abs(error.yaw_deg) < 4.0 for error in found)
+def test_capture_of_reboots_has_the_false_backward_pulses_of_hall_pins_that_are_not_read(replayed):
+    _, moments, _, found = replayed("reboot_rolling")
+    assert any(wheel.direction == BACKWARD for moment in moments if isinstance(moment.record, WheelStatus)
+               for wheel in moment.record)
+    assert all(abs(error.yaw_deg) < 4.5 for error in found)
 
 
 def ranges(capture, moments):
@@ -143,19 +187,35 @@ def ranges(capture, moments):
 
 
 @pytest.mark.parametrize("name, reason, at_least, at_most", [
-    ("stuck_sonar", STUCK, 1, 4), ("wrap", MICROS_WRAP, 1, 10),
+    ("stuck_sonar", STUCK, 1, 4), ("wrap", MICROS_WRAP, 1, 10), ("sonar_blink", HELD, 6, 6),
+    ("clone_200ms", HELD, 2, 2),
     ("sonar_start", DISTRUSTED, 10, 30)])  # three reports for each of ten SONAR_STARTs at most
 def test_false_echoes_make_no_range_and_are_counted(replayed, name, reason, at_least, at_most):
     capture, moments, measurements, _ = replayed(name)
-    found = ranges(capture, moments)
+    found = ranges(capture, moments)[is_running(moments):]
     refused = sum(measured is None for measured, _ in found)
-    assert all(measured in (None, pytest.approx(truth, abs=0.005)) for measured, truth in found)
-    assert measurements.ranging.counts == {reason: refused}
+    assert measurements.ranging.counts - Counter({UNKNOWN: is_running(moments)}) == {reason: refused}
     assert at_least <= refused <= at_most
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if name not in ("stuck_sonar", "wrap", "sonar_start",
-                                                                         "missing_sonars", "stuck_old")])
+def is_running(moments):
+    """Return whether the stream begins after the boot: then the first echo's length is unknown."""
+    return next(moment.record.when for moment in moments if isinstance(moment.record, SonarStatus)) > 400
+
+
+def test_clone_that_ends_its_pulse_after_200_ms_is_found(replayed):
+    assert replayed("clone_200ms")[2].ranging.clones == {2: pytest.approx(200, abs=0.1)}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_range_is_false(replayed, name):
+    capture, moments, _, _ = replayed(name)
+    assert all(measured in (None, pytest.approx(truth, abs=0.005)) for measured, truth in ranges(capture, moments))
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in (
+    "stuck_sonar", "wrap", "sonar_start", "missing_sonars", "stuck_old", "sonar_blink", "clone_200ms", *WAITING)])
 def test_each_echo_of_healthy_sonars_makes_its_range(replayed, name):
     capture, moments, _, _ = replayed(name)
-    assert all(measured == pytest.approx(truth, abs=0.005) for measured, truth in ranges(capture, moments))
+    found = ranges(capture, moments)[is_running(moments):]
+    assert all(measured == pytest.approx(truth, abs=0.005) for measured, truth in found)

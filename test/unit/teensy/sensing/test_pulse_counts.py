@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from car_interface.teensy.link.protocol import BACKWARD, FORWARD, NO_DIRECTION, UINT32, Wheel
-from car_interface.teensy.sensing.pulse_counts import ahead, has_pulsed, learning_pulses, signed_pulses
+from car_interface.teensy.sensing.pulse_counts import ahead, has_pulsed, learning_pulses, signed_pulses, unsplit_pulses
 from wheel_reports import NEW, forward
 
 
@@ -15,11 +15,21 @@ from wheel_reports import NEW, forward
     (forward(5, 0), forward(5, 0), 0), (forward(UINT32 - 2, 0, 7), forward(3, 0, 7), 5),
     (forward(5, 0), Wheel(0, BACKWARD, 0, 8, 9), 0),  # two forward, then two back
     (Wheel(0, BACKWARD, 0, 3, 5), forward(9, 0, 6), 4),  # turns round with the next pulse
-    (forward(5, 0), forward(9, 0, 8), 2),  # turned round twice: the unknown counts as none
+    (forward(5, 0), forward(9, 0, 8), 1),  # turned round twice: one back, the unknown counts as none
+    (forward(5, 0), forward(8, 0, 7), 1),  # one back, two forward: nothing is unknown
     (NEW, forward(3, 0), 3), (NEW, forward(3, 0, 3), -1),  # from rest
 ])
 def test_signed_pulses_between_two_reports(before, now, pulses):
     assert signed_pulses(before, now) == pulses
+
+
+@pytest.mark.parametrize("before, now, pulses", [
+    (forward(5, 0), forward(149, 0), 0), (forward(5, 0), forward(149, 0, 120), 114),
+    (forward(5, 0), Wheel(0, BACKWARD, 0, 120, 149), 114), (forward(5, 0), Wheel(0, BACKWARD, 0, 6, 6), 0),
+    (Wheel(0, BACKWARD, 0, 1, UINT32 - 2), forward(3, 0, 2), 3), (NEW, Wheel(0, NO_DIRECTION, 300, 0, 1), 0),
+], ids=["no_reversal", "two_reversals", "one_reversal", "with_the_first_pulse", "over_the_wrap", "no_direction_yet"])
+def test_pulses_before_the_last_reversal_are_unsplit(before, now, pulses):
+    assert unsplit_pulses(before, now) == pulses
 
 
 @given(st.integers(0, UINT32 - 1), st.integers(-2 ** 31, 2 ** 31 - 1))

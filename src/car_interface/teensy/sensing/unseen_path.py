@@ -1,0 +1,89 @@
+"""Estimates the path of a car of which only the counts of pulses are known, because no report came for a while.
+
+The wheels' counts go on while the port is unplugged, and the reports before and after show:
+
+- without a reversal: the length of the path and its change of heading, but not where on the way the car turned;
+- with one: both of its legs likewise;
+- with two or more: the last leg, and the sum of the pulses before it. Which of these were forward is unknown.
+
+The likeliest legs are given, and the variances of what else the path can have been, within the bounds of a car and not
+of single wheels: both have reversed together, and the heading changes by curvature × distance. Pure.
+"""
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from car_interface.teensy.sensing.heading import CURVATURE_VARIANCE
+
+MAX_CURVATURE_CHANGE = 2.0  # 1/m, from end to end: ±1, a car's tightest turns
+CURVATURE_NOISE = 0.1  # 1/m: two sigma of the heading filter's on a straight (``drive`` of test_captures)
+# With two reversals a part u of the length E was forward, curved by k, the rest backward, curved by m. u is uniform in
+# 0 .. 1; k and m have CURVATURE_VARIANCE each, and c = u k + (1 − u) m is known: the difference of the wheels' counts.
+# Over E the car has advanced by (2u − 1) E: a mean of 0, and a variance of E² / 3.
+# The heading has changed by q E with q = u k − (1 − u) m. With w = 2u − 1, q has the mean 2 c w / (1 + w²) and the
+# variance (1 − w²)² / (2 + 2 w²) · CURVATURE_VARIANCE. Averages over w: 0 and 4 c² (π/8 − 1/4), and (π − 8/3) / 2.
+# Across, k u² / 2 − k u (1 − u) + m (1 − u)² / 2 times E² has the variance E⁴ / 12 · CURVATURE_VARIANCE.
+ALONG, ACROSS = 1 / 3, 1 / 12
+HEADING_BY_KNOWN, HEADING_BY_UNKNOWN = 0.571, 0.237
+# One reversal is the simplest explanation of a direction that has changed. With three, E would be shorter by up to
+# 2 E: that is three sigma, a variance of 4 E² / 9, and 1/3 of the mean square (2 E)² / 3 of all possible ones.
+SEVERAL = 1 / 3
+
+
+class UnseenPath(NamedTuple):
+    """What a car may have driven while nothing was reported.
+
+    Attributes:
+        legs: (distance_m, turned_rad) of one after the other, without the last one.
+        along_variance: m², along the heading at its start.
+        across_variance: m², across it.
+        heading_variance: rad².
+    """
+
+    legs: tuple = ()
+    along_variance: float = 0.0
+    across_variance: float = 0.0
+    heading_variance: float = 0.0
+
+
+def curved_path(distance_m: float, turned_rad: float, curvature_per_m: float | None, usual_square: float) -> UnseenPath:
+    """Return a path without a reversal, of known length S and change of heading.
+
+    Its curvature changed from k to whatever gives the mean m, after a part t of S. The car is then
+    S²/2 · (k + (m − k)(1 − t)) off to the side. No curvature is more than ``MAX_CURVATURE_CHANGE`` from k: 1 − t is
+    between a = |m − k| / MAX_CURVATURE_CHANGE and 1, with a mean of (1 + a) / 2 and a variance of (1 − a)² / 12.
+    Besides, it may have been steered to both sides as before: by ±c over half of S each it is S²/4 · c off, with c
+    evenly up to the usual curvature, a variance of S⁴/48 · c².
+
+    Args:
+        curvature_per_m: at the beginning; ``None``: the car stood.
+        usual_square: mean square of the curvature on the metres before, 1/m².
+    """
+    if not distance_m:
+        return UnseenPath()
+    across_variance = max(0.0, usual_square - CURVATURE_NOISE ** 2) * distance_m ** 4 / 48
+    change = 0.0 if curvature_per_m is None else turned_rad / distance_m - curvature_per_m
+    if abs(change) <= CURVATURE_NOISE:
+        return UnseenPath(across_variance=across_variance)
+    ratio = min(1.0, abs(change) / MAX_CURVATURE_CHANGE)
+    before_m = distance_m * (1 - ratio) / 2
+    return UnseenPath(((before_m, curvature_per_m * before_m),),
+                      across_variance=across_variance + (change * distance_m ** 2 / 2 * (1 - ratio)) ** 2 / 12)
+
+
+def reversed_path(unsplit_m: float, difference_rad: float, is_odd: bool) -> UnseenPath:
+    """Return the path before the last reversal.
+
+    Args:
+        unsplit_m: its length, of the mean of both wheels; negative if it began backward.
+        difference_rad: the right wheel's length less the left one's, as an angle.
+        is_odd: the direction has changed. If it was one reversal, all of the path had the direction before.
+    """
+    square = unsplit_m ** 2
+    part = SEVERAL if is_odd else 1.0
+    return UnseenPath(
+        ((unsplit_m, difference_rad),) if is_odd else (),
+        along_variance=part * ALONG * square * (4 if is_odd else 1),
+        across_variance=part * ACROSS * square ** 2 * CURVATURE_VARIANCE,
+        heading_variance=part * (HEADING_BY_KNOWN * difference_rad ** 2
+                                 + HEADING_BY_UNKNOWN * CURVATURE_VARIANCE * square))

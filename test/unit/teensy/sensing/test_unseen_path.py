@@ -1,0 +1,68 @@
+"""The paths of cars that nobody saw: the true one is within what is claimed, for many that a car can have driven."""
+from __future__ import annotations
+
+import math
+import random
+
+import pytest
+
+from car_interface.teensy.sensing.heading import CURVATURE_VARIANCE
+from car_interface.teensy.sensing.pose import Pose
+from car_interface.teensy.sensing.unseen_path import CURVATURE_NOISE, curved_path, reversed_path
+
+
+def drive(legs):
+    """Pose of the end of (distance_m, turned_rad) legs, without variances."""
+    pose = Pose(0.0, 0.0)
+    for leg in legs:
+        pose.move(*leg)
+    return pose
+
+
+def test_curvature_that_stayed_leaves_nothing_open():
+    assert curved_path(3.0, 1.5, 0.5, 0.0) == curved_path(0.0, 0.0, 0.5, 0.25)
+    assert curved_path(4.0, 0.0, 0.02, 0.005) == curved_path(0.0, 0.0, None, 0.0), "a straight"
+
+
+@pytest.mark.parametrize("distance_m", [2.0, -2.0], ids=["forward", "backward"])
+def test_curve_that_changed_on_the_way_is_within_what_is_claimed(distance_m):
+    rng, offs = random.Random(1), []
+    while len(offs) < 200:
+        before, after, part = rng.uniform(-0.8, 0.8), rng.uniform(-0.8, 0.8), rng.uniform(0.0, 0.9)
+        first_m, last_m = part * distance_m, (1 - part) * distance_m
+        turned = before * first_m + after * last_m
+        if abs(turned / distance_m - before) <= CURVATURE_NOISE:
+            continue  # it is not seen to have changed
+        path = curved_path(distance_m, turned, before, 0.0)
+        (leg_m, leg_rad), = path.legs
+        there = drive([(first_m, before * first_m), (last_m, after * last_m)])
+        guess = drive([(leg_m, leg_rad), (distance_m - leg_m, turned - leg_rad)])
+        offs.append(math.hypot(there.x_m - guess.x_m, there.y_m - guess.y_m) / math.sqrt(path.across_variance))
+    assert sum(off <= 3 for off in offs) >= 198
+
+
+def test_car_that_was_steered_to_both_sides_may_have_gone_on_with_it():
+    assert curved_path(3.0, 0.0, 0.0, 0.25).across_variance > 0.1
+    assert curved_path(3.0, 0.0, None, 0.25).across_variance > 0.1, "it stood before"
+
+
+def test_reversals_are_as_uncertain_as_the_average_over_all_that_can_have_been():
+    rng, length_m = random.Random(2), 2.0
+    sigma = math.sqrt(CURVATURE_VARIANCE)
+    ends, known = [], []
+    for _ in range(20_000):
+        part, forward, back = rng.random(), rng.gauss(0.0, sigma), rng.gauss(0.0, sigma)
+        legs = [(part * length_m, forward * part * length_m), ((part - 1) * length_m, back * (part - 1) * length_m)]
+        ends.append(((2 * part - 1) * length_m, sum(turn for _, turn in legs)))
+        known.append((forward * part + back * (1 - part)) * length_m)
+    mean_square = sum(difference ** 2 for difference in known) / len(known)
+    path = reversed_path(length_m, math.sqrt(mean_square), False)
+    assert path.legs == ()
+    assert path.along_variance == pytest.approx(sum(along ** 2 for along, _ in ends) / len(ends), rel=0.05)
+    assert path.heading_variance == pytest.approx(sum(turn ** 2 for _, turn in ends) / len(ends), rel=0.15)
+
+
+def test_one_reversal_is_the_likeliest_and_three_are_within_three_sigma():
+    path = reversed_path(-1.5, 0.3, True)
+    assert path.legs == ((-1.5, 0.3),)
+    assert 3 * math.sqrt(path.along_variance) == pytest.approx(2 * 1.5), "all of it may have been the other way"
