@@ -10,6 +10,7 @@ import collections
 import random
 from dataclasses import dataclass, field
 
+import virtual_escs
 from esc_car import EscCar, EscCarConfig
 from many_drives import MS, count_duty
 
@@ -25,7 +26,7 @@ GRACE_NS = 80 * MS
 KNOWN, STALE, UNKNOWN = "known", "stale", "unknown"
 SPEEDS = (KNOWN, STALE, UNKNOWN)
 MATCHING, WRONG, UNVERIFIED = "matching", "wrong", "unverified"
-DRIVERS = (virtual.xl5, virtual.vxl, virtual.crawler, virtual.direct, virtual.race)
+DRIVERS = (virtual_escs.xl5, virtual_escs.vxl, virtual_escs.crawler, virtual_escs.direct, virtual_escs.race)
 PROFILES = ("brake_then_reverse", "brake_becomes_reverse", "direct_reverse", "forward_only")
 # A reversal that a wrong profile starts: how long the car may be driven backward.
 MAX_WRONG_NS = 500 * MS

@@ -18,14 +18,14 @@ from typing import NamedTuple
 from many_drives import MS, NEUTRAL, THROTTLE, Chip, S, asked_for, count_duty, run_on_all_cores
 
 from car_interface.interlock.motion_interlock import InterlockConfig
-from car_interface.sim.drive_train import DriveConfig
+from car_interface.sim.drive_train import DriveTrainConfig
 from car_interface.sim.esc import VirtualEscConfig
 from car_interface.sim.tyres import TyreConfig
 from car_interface.sim.vehicle import SteeringConfig, Vehicle, VehicleConfig
 from car_interface.steering import arbiter as steering
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.steering.limits import SourceLimits, SteeringLimits
-from car_interface.throttle.arbiter import ArbiterConfig
+from car_interface.throttle.arbiter import ThrottleArbiterConfig
 from car_interface.throttle.control import ThrottleControl
 from car_interface.throttle.esc_config import EscConfig
 from car_interface.throttle.limits import ThrottleLimits
@@ -81,8 +81,8 @@ def random_car(number: int) -> Car:
         vehicle=VehicleConfig(
             steering=SteeringConfig(curve=tuple(sorted(points)), center_duty=center, lag_s=rng.uniform(0.015, 0.06),
                                     rate_duty_per_s=rng.uniform(8000, 14000), backlash_duty=rng.uniform(0, 20)),
-            drive=DriveConfig(forward_mps2=rng.uniform(4.0, 9.0), brake_mps2=rng.uniform(5.0, 9.0),
-                              sag=rng.uniform(0.0, 0.3)),
+            drive=DriveTrainConfig(forward_mps2=rng.uniform(4.0, 9.0), brake_mps2=rng.uniform(5.0, 9.0),
+                                   sag=rng.uniform(0.0, 0.3)),
             tyres=TyreConfig(understeer=understeer, grip_mps2=rng.uniform(5.0, 9.0),
                              rollover_mps2=rng.uniform(5.5, 8.0)),
             slope=rng.uniform(0.0, 0.05), uphill_rad=rng.uniform(-math.pi, math.pi), esc=VirtualEscConfig()),
@@ -132,10 +132,11 @@ def run(seed: int, number: int, limited: bool = True) -> Result:
     car, planner = random_car(number), Planner(rng)
     off = SteeringLimits(planner=SourceLimits())
     open_interlock = InterlockConfig(grant_at_start=True)
-    steer = steering.SteeringArbiter(car.calibration, steering.ArbiterConfig(
+    steer = steering.SteeringArbiter(car.calibration, steering.SteeringArbiterConfig(
         interlock=open_interlock, limits=SteeringLimits() if limited else off))
     throttle = ThrottleControl(
-        THROTTLE, ArbiterConfig(interlock=open_interlock), EscConfig(profile="brake_then_reverse"), ThrottleLimits())
+        THROTTLE, ThrottleArbiterConfig(interlock=open_interlock), EscConfig(profile="brake_then_reverse"),
+        ThrottleLimits())
     vehicle = Vehicle(car.vehicle, 0)
     chip, reports = Chip(rng, 5000), deque()
     delay_ns = car.odometry_delay_ns + LATE_NS * ((seed + seed // CARS) % 4) // 3

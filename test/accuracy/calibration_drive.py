@@ -29,6 +29,7 @@ from typing import NamedTuple
 from unittest.mock import Mock
 
 import numpy as np
+import virtual_escs
 from many_drives import THROTTLE, Chip
 
 from accuracy.steering_calibration import Errors, ask, asked_for, beyond, floor, line, meets, together
@@ -36,17 +37,15 @@ from accuracy.virtual_drive import NS_PER_MS, NS_PER_S, START_NS, Hub, count_dut
 from car_interface.common.causes import AUTONOMOUS
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.interlock.motion_interlock import InterlockConfig
-from car_interface.sim import esc as virtual
 from car_interface.sim.collision import Collisions
 from car_interface.sim.tyres import TyreConfig
 from car_interface.sim.vehicle import Pose, Vehicle, VehicleConfig
 from car_interface.sim.world import World, WorldConfig
-from car_interface.steering.arbiter import ArbiterConfig as SteeringConfig
-from car_interface.steering.arbiter import SteeringArbiter
+from car_interface.steering.arbiter import SteeringArbiter, SteeringArbiterConfig
 from car_interface.steering.calibration import SteeringCalibration, trimmed
 from car_interface.steering.config import load_steering
 from car_interface.teensy.link.protocol import WheelStatus
-from car_interface.throttle.arbiter import ArbiterConfig
+from car_interface.throttle.arbiter import ThrottleArbiterConfig
 from car_interface.throttle.control import ThrottleControl
 from car_interface.throttle.converter import ConversionConfig, Converter
 from car_interface.throttle.esc_config import UNVERIFIED, EscConfig
@@ -67,7 +66,7 @@ STEP_NS, TICK_NS = 5 * NS_PER_MS, 20 * NS_PER_MS
 HALF_M = 3.0  # of the area
 MAX_S = 900.0  # of the whole, with all its pauses
 QUICK_FIT_NS, FULL_FIT_NS = 400 * NS_PER_MS, 3000 * NS_PER_MS
-MAKES = (virtual.xl5, virtual.vxl, virtual.crawler, virtual.direct, virtual.race)
+MAKES = (virtual_escs.xl5, virtual_escs.vxl, virtual_escs.crawler, virtual_escs.direct, virtual_escs.race)
 PUSHED_MPS = 0.7
 ROLLS_S, STANDS_MPS = 20.0, 0.02
 MAX_RANGE_M = 2.0  # of its sonars, as sonars.yaml has it
@@ -225,8 +224,9 @@ class Bench:
             obstacles=None if self._world is None else ObstacleConfig(mounts, math.radians(30), 2.0))
         self.drive = CalibrationDrive(car.base, config)
         interlock = InterlockConfig(grant_at_start=False)
-        self._steering = SteeringArbiter(car.base, SteeringConfig(interlock=interlock))
-        self._throttle = ThrottleControl(THROTTLE, ArbiterConfig(interlock=interlock), car.esc, ThrottleLimits())
+        self._steering = SteeringArbiter(car.base, SteeringArbiterConfig(interlock=interlock))
+        self._throttle = ThrottleControl(
+            THROTTLE, ThrottleArbiterConfig(interlock=interlock), car.esc, ThrottleLimits())
         self._speed = SpeedControl()
         self._converter = Converter(ConversionConfig(), load_value_map(str(MAP)))
         self.person = person or Person(rng)

@@ -16,22 +16,23 @@ import tempfile
 from pathlib import Path
 from typing import Iterator, NamedTuple
 
+import virtual_escs
 import yaml
 from many_drives import THROTTLE
 
 from accuracy.virtual_drive import NS_PER_S, START_NS, Command, View, record
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.sim import esc as virtual
-from car_interface.sim.drive_train import DriveConfig
+from car_interface.sim.drive_train import DriveTrainConfig
 from car_interface.sim.vehicle import VehicleConfig
 from car_interface.steering.arbiter import TELEOP
-from car_interface.throttle.arbiter import ArbiterConfig
+from car_interface.throttle.arbiter import ThrottleArbiterConfig
 from car_interface.throttle.control import ThrottleControl
 from car_interface.throttle.esc_config import UNVERIFIED, EscConfig
 from car_interface.throttle.stick import StickConfig
 from car_interface.tools.cli.main import main as command_line
 
-MAKES = (virtual.xl5, virtual.vxl, virtual.crawler, virtual.direct, virtual.race)
+MAKES = (virtual_escs.xl5, virtual_escs.vxl, virtual_escs.crawler, virtual_escs.direct, virtual_escs.race)
 TICK_S = 0.02
 
 
@@ -45,8 +46,9 @@ def random_car(seed: int) -> VehicleConfig:
         drag_brake=rng.choice((0.0, 0.05, 0.3)), arming_s=rng.uniform(0.1, 0.9), starts_ready=rng.random() < 0.3,
         forget_s=rng.choice((0.0, 0.0, rng.uniform(2.0, 4.0))),
         second_pull=rng.choice((virtual.REVERSES, virtual.BRAKES, virtual.BRAKES_AND_TURNS)))
-    drive = DriveConfig(neutral_duty=neutral, forward_mps2=rng.uniform(4.5, 7.0), reverse_mps2=rng.uniform(2.5, 5.0),
-                        brake_mps2=rng.uniform(4.0, 8.0), drag_mps2=rng.uniform(0.25, 0.5))
+    drive = DriveTrainConfig(
+        neutral_duty=neutral, forward_mps2=rng.uniform(4.5, 7.0), reverse_mps2=rng.uniform(2.5, 5.0),
+        brake_mps2=rng.uniform(4.0, 8.0), drag_mps2=rng.uniform(0.25, 0.5))
     return VehicleConfig(drive=drive, esc=esc, pulse_phase=(rng.random(), rng.random()))
 
 
@@ -150,7 +152,7 @@ class Node:
 
     def __init__(self, is_calibration_drive=True):
         self._control = ThrottleControl(
-            THROTTLE, ArbiterConfig(stick=StickConfig(), interlock=InterlockConfig(grant_at_start=False)),
+            THROTTLE, ThrottleArbiterConfig(stick=StickConfig(), interlock=InterlockConfig(grant_at_start=False)),
             EscConfig(profile=UNVERIFIED, calibration_drive=is_calibration_drive))
         self._ticks, self._kind, self._duty = 0, None, None
 

@@ -21,7 +21,7 @@ from unit.written_recordings import Written, stamp, write_ros1
 from car_interface.sim.teensy_config import FirmwareConfig
 from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.sim.teensy_wheels import BACKWARD
-from car_interface.sim.vehicle import GRAVITY_MPS2, DriveConfig, SteeringConfig, Vehicle, VehicleConfig
+from car_interface.sim.vehicle import GRAVITY_MPS2, DriveTrainConfig, SteeringConfig, Vehicle, VehicleConfig
 from car_interface.teensy.link.framing import SHIPPED, FrameDecoder
 from car_interface.teensy.link.pinging import Pinger
 from car_interface.teensy.link.protocol import Pong, SonarStatus, WheelStatus, decode
@@ -56,7 +56,7 @@ def random_car(seed: int) -> VehicleConfig:
     steering = SteeringConfig(curve=curve, center_duty=center + rng.uniform(-60, 60), lag_s=0.15,
                               backlash_duty=rng.uniform(2, 6) if like_slash else rng.uniform(8, 32))
     neutral = 4915 + rng.uniform(-15, 15)
-    drive = DriveConfig(
+    drive = DriveTrainConfig(
         neutral_duty=neutral, neutral_band_duty=rng.uniform(20, 45),
         forward_mps2=rng.uniform(4.5, 7.0), reverse_mps2=rng.uniform(2.8, 4.5), brake_mps2=rng.uniform(5.5, 8.5),
         thrust_halves_mps=rng.uniform(7.0, 13.0), drag_mps2=rng.uniform(0.25, 0.5), drag_per_s=rng.uniform(0.05, 0.12),

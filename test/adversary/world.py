@@ -34,7 +34,7 @@ from adversary.cases import (
 )
 from adversary.esc_model import BACKWARD, BTR, FORWARD_ONLY, EscModel
 from car_interface.pca9685.channels import ChannelConfig, Channels
-from car_interface.throttle.arbiter import TELEOP, ArbiterConfig
+from car_interface.throttle.arbiter import TELEOP, ThrottleArbiterConfig
 from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.control import ThrottleControl
 from car_interface.throttle.esc_config import EscConfig
@@ -147,7 +147,7 @@ class World:
         self.wanted = self.got = 0
 
     def _start(self):
-        arbiter = ArbiterConfig()
+        arbiter = ThrottleArbiterConfig()
         arbiter = replace(arbiter, interlock=replace(arbiter.interlock, grant_at_start=False),
                           stick=replace(arbiter.stick, human_scale=self.case.human_scale))
         return ThrottleControl(SHIPPED, arbiter, EscConfig(**self.case.config))

@@ -13,12 +13,12 @@ from pathlib import Path
 from time import perf_counter_ns
 
 from car_interface.common.units import NS_PER_S
-from car_interface.steering.arbiter import PLANNER, ArbiterConfig, SteeringArbiter
+from car_interface.steering.arbiter import PLANNER, SteeringArbiter, SteeringArbiterConfig
 from car_interface.steering.config import load_steering
 from car_interface.steering.limits import SourceLimits, SteeringLimits
 from car_interface.teensy.link import framing, protocol
 from car_interface.teensy.link.framing import FrameDecoder
-from car_interface.throttle.arbiter import ArbiterConfig as ThrottleArbiterConfig
+from car_interface.throttle.arbiter import ThrottleArbiterConfig
 from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.control import ThrottleControl
 from car_interface.throttle.esc_config import EscConfig
@@ -94,7 +94,7 @@ def lookup(calls: int, size: int) -> dict:
 
 
 def steering(limits: SteeringLimits) -> SteeringArbiter:
-    arbiter = SteeringArbiter(load_steering(str(CONFIG / "turn_arb.yaml")), ArbiterConfig(limits=limits))
+    arbiter = SteeringArbiter(load_steering(str(CONFIG / "turn_arb.yaml")), SteeringArbiterConfig(limits=limits))
     arbiter.update_human(True, NOW_NS)
     arbiter.update_teleop(0.0, NOW_NS)
     arbiter.update_planner(2.0, NOW_NS)

@@ -138,13 +138,9 @@ class BoardClient:
         return self
 
     def open(self) -> VirtualBus:
-        return self._board.open(self._pid, self._inbox.clocks)
-
-    def close(self, bus: VirtualBus) -> None:
-        self._board.close(self._pid)
-
-    def serve(self, inbox: Any) -> None:
-        pass
+        bus = self._board.open(self._pid, self._inbox.clocks)
+        bus.close = partial(self._board.close, self._pid)
+        return bus
 
     def start_guard(self, kind: str, path: str, address: int, off_after_ns: int, node_name: str,
                     output_topic: str) -> GuardActor:

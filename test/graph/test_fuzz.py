@@ -57,7 +57,7 @@ NODES = {
     "car_display": Fuzzed(car_display, {"wheelbase": 0.324, "frame_prefix": "car1/", "track": 0.3}),
     "car_sim": Fuzzed(Car.sim, {
         "steering_duties": [3800, 5100, 6700], "steering_curvatures": [1.0, 0.0, -1.0], "start": [0, 0, 0],
-        "wheelbase": 0.324, "track": 0.296, "wheel_diameter": 0.095, "pulses_per_revolution": 20,
+        "track": 0.296, "wheel_diameter": 0.095, "pulses_per_revolution": 20,
         "forward_acceleration": 3, "reverse_acceleration": 3, "brake_deceleration": 5, "wheel_pulses": [0.3, 1.7],
         "clock_start_ms": 300, "clock_drift_ppm": 0, "corrected_checksum": False, "sonar_pulse_end": 38_000})}
 SERVING = ("turn_arb", "throttle_arb", "teensy_sensor_hub", "car_sim")

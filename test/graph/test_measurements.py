@@ -11,6 +11,7 @@ from std_msgs.msg import Int32MultiArray
 from std_srvs.srv import TriggerRequest
 
 from car import config
+from car_interface.common.units import stamp_ns
 from graph import NS_PER_S, NodeClocks
 
 SONARS = ("front_right", "front_middle", "front_left", "rear_right", "rear_middle", "rear_left")
@@ -87,11 +88,26 @@ def test_odometry_comes_at_its_rate_at_most_and_its_last_word_is_told(car):
     driven = Driven(car)
     since_ns = car.graph.now_ns
     driven.drive(CENTER, FORWARD, 4.0)
-    moving = [record.at_ns for record in car.graph.recorded[ODOM]
-              if record.at_ns >= since_ns and record.message.twist.twist.linear.x > 1]
-    assert len(moving) <= 50 * (moving[-1] - moving[0]) / NS_PER_S + 1
+    moving = [stamp_ns(odom.header.stamp) for odom in car.graph.messages(ODOM, since_ns)
+              if odom.twist.twist.linear.x > 1]
+    assert len(moving) <= 50 * (moving[-1] - moving[0]) / NS_PER_S + 2
     assert len(car.graph.messages("/teensy_wheel", since_ns)) > 1.3 * len(car.graph.messages(ODOM, since_ns))
     assert driven.off_m() < 0.04
+
+
+def test_hub_that_reads_once_in_0_8_s_publishes_odometry_at_its_rate_all_the_same(car):
+    driven = Driven(car)
+    driven.hold(CENTER, FORWARD)
+    car.graph.run_until(lambda: car.speed_mps > 1)
+    since_ns = car.graph.now_ns
+    for _ in range(4):
+        car.graph.nodes["/teensy_sensor_hub"].stall(0.8, frozen=True)
+        car.graph.run(0.85)
+    odoms = car.graph.messages(ODOM, since_ns)
+    stamps = [stamp_ns(odom.header.stamp) for odom in odoms]
+    assert len(car.graph.messages("/teensy_wheel", since_ns)) > 4 * 50
+    assert 4 * 35 <= len(odoms) <= 50 * (stamps[-1] - stamps[0]) / NS_PER_S + 2
+    assert max(after - before for before, after in zip(stamps, stamps[1:])) < NS_PER_S // 20
 
 
 def test_without_a_rate_odometry_comes_with_each_report(car):

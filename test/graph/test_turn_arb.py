@@ -278,6 +278,14 @@ def test_car_that_turns_against_its_steering_is_reported(radius_m, level, messag
     assert report.values["estimated_turn_radius"] == "2.40 m"
 
 
+def test_odometry_without_a_yaw_rate_is_not_taken_for_a_car_that_goes_straight_on():
+    arb = Arb().drive(planner=2.0)
+    for yaw_rate_radps, level in ((0.0, DiagnosticStatus.OK), (1e-6, DiagnosticStatus.WARN)):
+        arb.graph.hold("/odom", odometry(1.0, yaw_rate_radps), 20)
+        arb.run(4.0)
+        assert arb.graph.report("turn_arb: steering by the wheels").level == level
+
+
 # --- limits by what the car turns, and by the measured speed: 4 m/s² sideways at 4 m/s are a radius of 4 m ---
 
 def test_turns_tighter_than_the_car_s_are_cut_and_told_everywhere_and_warned_of_once():

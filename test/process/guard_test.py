@@ -17,7 +17,7 @@ import rostest
 from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import Int32MultiArray
 
-from car_interface.nodes.pca9685.relay_link import RelayLink
+from car_interface.nodes.pca9685.pca9685_guard import RelayLink
 from virtual_car import FakeBus, free_port, guard_of, has_ended
 from waiting import NodeProcess, Repeater, Sender, Topic, eventually, executable
 

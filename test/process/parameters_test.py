@@ -138,6 +138,7 @@ class LostParameters(Closing):
         reports.wait_for(lambda array: array.status[0].name == "turn_arb: parameters"
                          and array.status[0].level == DiagnosticStatus.OK)
         self.assertEqual(len([line for line in launch.stderr.since() if "FATAL" in line]), 1)
+        self.assertEqual(len([line for line in launch.stdout.since() if "launched with config" in line]), 1)
         self.assertFalse([line for line in output_of(launch) if "has died" in line or "Traceback" in line])
         rospy.set_param("/turn_arb/servo_left", "x")
         mark = launch.stderr.mark()

@@ -10,7 +10,7 @@ import random
 from collections import deque
 from typing import NamedTuple
 
-from car_interface.throttle.arbiter import PLANNER, TELEOP, ArbiterConfig
+from car_interface.throttle.arbiter import PLANNER, TELEOP, ThrottleArbiterConfig
 from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.control import ThrottleControl
 from car_interface.throttle.obstacle_stop import Mount, ObstacleConfig
@@ -198,7 +198,7 @@ def run(scene: Scene, stops: bool = True, drive_s: float = DRIVE_S) -> Record:
     rng = random.Random(scene.seed + 1_000_003)
     obstacles = ObstacleConfig(mounts={name: Mount(*mount) for name, mount in MOUNTS.items()},
                                max_range_m=scene.max_range_m) if stops else None
-    control = ThrottleControl(THROTTLE, ArbiterConfig(), scene.esc, obstacles=obstacles)
+    control = ThrottleControl(THROTTLE, ThrottleArbiterConfig(), scene.esc, obstacles=obstacles)
     car, board, sonars = Car(scene.car, scene.start), Board(rng), Sonars(scene, rng)
     odometry, hand = Odometry(scene.odometry_late_s, rng), Hand(scene)
     decides, reports, pulses = rng.randrange(TICK_STEPS), rng.randrange(TICK_STEPS), rng.randrange(TICK_STEPS)

@@ -39,12 +39,10 @@ MAY_IMPORT = {
     "tools/calibration/value_map": (*PARTS, *FITS),
     "tools/cli": (*PARTS, *FITS, "tools/report", "tools/calibration/esc", "tools/calibration/steering",
                   "tools/calibration/value_map"),
-    "tools/doctor/checks": PARTS,
-    "tools/doctor/probes": (*PARTS, "ros", "tools/doctor/checks"),
-    "tools/doctor": (*PARTS, "tools/doctor/checks", "tools/doctor/probes"),
+    "tools/doctor": (*PARTS, "ros"),
     "tools/host_setup": ("common",),
 }
-ROS = ("nodes/", "ros/", "tools/doctor/probes/")
+ROS = ("nodes/", "ros/", "tools/doctor/topics.py")
 # Libraries, and the only places that import them.
 ONLY_IN = {
     "rospy": ROS,
@@ -56,7 +54,7 @@ ONLY_IN = {
     "scipy": ("tools/calibration/",),
     "serial": ("teensy/link/port.py",),
     "dynamic_reconfigure": ("ros/reconfigure.py",),
-    "smbus2": ("nodes/pca9685/node.py", "tools/doctor/probes/devices.py"),
+    "smbus2": ("nodes/pca9685/node.py", "tools/doctor/board.py"),
 }
 # Imported alone, a module outside of these pulls in none of the heavy ones.
 NOT_PURE = (*ROS, "teensy/link/port.py", "tools/doctor/cli.py", "tools/host_setup/cli.py", "tools/recordings/",

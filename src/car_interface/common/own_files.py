@@ -68,11 +68,11 @@ def check_folder(folder: str) -> None:
     remedy = (f"Have it removed (sudo rm -r {folder}), or give the variable TMPDIR a folder of your own, for all of "
               "the car's nodes")
     if stat.S_ISLNK(status.st_mode):
-        raise UnsafeFile(folder, f"is a link, of {_owner(status)}", remedy)
+        raise UnsafeFile(folder, f"is a link, of {_name(status.st_uid)}", remedy)
     if not stat.S_ISDIR(status.st_mode):
-        raise UnsafeFile(folder, f"is no folder, and {_owner(status)}'s", remedy)
+        raise UnsafeFile(folder, f"is no folder, and {_name(status.st_uid)}'s", remedy)
     if status.st_uid != os.geteuid():
-        raise UnsafeFile(folder, f"is another user's: {_owner(status)}'s", remedy)
+        raise UnsafeFile(folder, f"is another user's: {_name(status.st_uid)}'s", remedy)
     if status.st_mode & OTHERS_BITS:
         raise UnsafeFile(folder, f"is open to other users (mode {stat.S_IMODE(status.st_mode):o})",
                          f"If all in it is yours: chmod 700 {folder}; else remove it")
@@ -143,10 +143,6 @@ def open_own(path: str, flags: int, mode: int = FILE_MODE) -> int:
 
 def _look_remedy(path):
     return f"See what it is (ls -l {path}) and remove it, or choose another path"
-
-
-def _owner(status):
-    return _name(status.st_uid)
 
 
 def _name(user):

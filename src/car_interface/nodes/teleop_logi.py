@@ -34,8 +34,7 @@ from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import ERROR, OK, WARN, Diagnostics, age_text
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, subscribe
-from car_interface.teleop.gamepad import REPORT, Gamepad, GamepadConfig, remedy
-from car_interface.teleop.log_filter import RequestsLogFilter
+from car_interface.teleop.gamepad import REPORT, Gamepad, GamepadConfig, RequestsLogFilter, remedy
 
 RATE_HZ = 50
 TICKS_PER_STATE = 5
@@ -84,7 +83,6 @@ class TeleopLogi:
     def shut_down(self):
         """Release the deadman."""
         self._human.publish(False)
-        self._clocks.sleep(0.02)  # for what a socket did not take at once
 
     def _on_joy(self, message, now_ns):
         self._gamepad.update(message.axes, message.buttons, now_ns)

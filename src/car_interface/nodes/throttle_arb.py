@@ -105,7 +105,6 @@ class ThrottleArb(CommandNode):
     def shut_down(self):
         """Set the ESC to neutral; the servo board's timeout keeps it there."""
         self._commands.publish(self._neutral)
-        self._clocks.sleep(0.02)  # for what a socket did not take at once
 
     def _mark_stale(self, now_ns):
         self._control.mark_stale(now_ns)

@@ -8,7 +8,7 @@ Subscribes:
     av_steer_req (std_msgs/Float32): −1 right .. +1 left, of a planner that knows no radius; not beside av_turnrad_req.
     ~input/odometry (nav_msgs/Odometry): its twist.twist.linear.x in m/s, for the limits and the understeer. Never
         received = neither; lost = the last one stays. The steering goes on. With twist.twist.angular.z in rad/s it also
-        shows whether the car turns as commanded.
+        shows whether the car turns as commanded, once that was other than 0.
     teleop_logi/state (TeleopState): why human_in_loop is false, and whether the stick overrides the planner; only
         quoted in the reason.
 Publishes:
@@ -54,6 +54,7 @@ class TurnArb(CommandNode):
         config = read_all(params, TurnArbConfig)
         self._arbiter = SteeringArbiter(config.calibration, config.arbiter)
         self._check = SteeringCheck()
+        self._has_yaw_rate = False  # odometry of a speed alone has 0, as of a car that always goes straight on
         self._too_tight = ""  # as was logged; empty: no request was too tight lately
         self._master_fault = ""
         super().__init__(inbox, RATE_HZ, config.calibration.servo_channel, self._arbiter, SteeringState,
@@ -101,7 +102,10 @@ class TurnArb(CommandNode):
 
     def _on_odometry(self, message, now_ns):
         speed_mps = message.twist.twist.linear.x
-        self._check.update_motion(speed_mps, message.twist.twist.angular.z, now_ns)
+        yaw_rate_radps = message.twist.twist.angular.z
+        self._has_yaw_rate = self._has_yaw_rate or abs(yaw_rate_radps) > 0
+        if self._has_yaw_rate:
+            self._check.update_motion(speed_mps, yaw_rate_radps, now_ns)
         self._arbiter.update_odometry(speed_mps, now_ns, self._odometry_age.at_arrival_ns(message.header.stamp, now_ns))
         if not math.isfinite(speed_mps):
             self._warnings.warn(causes.ODOMETRY_NOT_FINITE,

@@ -27,6 +27,7 @@ from car_interface.pca9685.registers import (
 
 TOTEM_POLE = 0x04  # MODE2: outputs drive both ways, not inverted (data sheet 7.3.2)
 OSCILLATOR_START_S = 500e-6  # after SLEEP is cleared (data sheet 7.3.1.1)
+MAX_PERIOD_S = COUNTS * 256 / 23e6  # at the largest prescale and the slowest oscillator
 CHANNELS_PER_BLOCK = 32 // 4  # an SMBus block transfer carries at most 32 bytes
 UNUSED_PER_CHECK = 4  # channels that are off: all sixteen within four checks, 2 s
 
@@ -129,7 +130,7 @@ class Board:
             return
         if not mode1 & SLEEP:
             self.all_off()
-            self._pause(self._max_period_s())
+            self._pause(MAX_PERIOD_S)
         self._write(MODE1, AUTO_INCREMENT | SLEEP)
         self._write(PRE_SCALE, self._prescale)
         self._write(MODE2, TOTEM_POLE)
@@ -152,9 +153,6 @@ class Board:
         self._held = [None] * CHANNELS  # until the transfer is known to have worked
         self._write(ALL_LED_OFF_H, FULL_BIT)
         self._held = [0] * CHANNELS
-
-    def _max_period_s(self):
-        return COUNTS * 256 / 23e6  # at the largest prescale and the slowest oscillator
 
     def _read(self, register):
         return self._bus.read_byte_data(self._address, register)

@@ -24,7 +24,8 @@ from car_interface.pca9685.guard_protocol import (
     node_reader,
 )
 
-SILENCE_NS = 250 * NS_PER_MS  # five signs of life: as long as a channel's own timeout
+# A node without five signs of life is taken for frozen: that takes as long as a channel's own timeout.
+SILENCE_NS = 250 * NS_PER_MS
 ENDING_SILENCE_NS = 5 * NS_PER_S  # a node that shuts down makes the chip safe by itself, and tries for this long
 MIN_NEUTRAL_NS = 100 * NS_PER_MS  # before full off: more than two periods at the largest prescale, 2 · 43 ms
 CHECK_PERIOD_NS = 50 * NS_PER_MS  # of reading the chip back while it holds the timeout values
@@ -50,16 +51,15 @@ class Guard:
 
     Args:
         off_after_ns: it switches every output off this long after it began to act.
-        silence_ns: a node without a sign of life for this long is taken for frozen.
     """
 
-    def __init__(self, off_after_ns: int, silence_ns: int = SILENCE_NS):
+    def __init__(self, off_after_ns: int):
         self.state = WAITING
         self.interventions = 0
         self.timeout_counts = (0,) * CHANNELS
         self.node_is_dead = False
         self._off_after_ns = off_after_ns
-        self._silence_ns = self._limit_ns = silence_ns
+        self._limit_ns = SILENCE_NS
         self._messages = node_reader()
         self._sequence = 0
         self._last_ns = 0  # the newest sign of life
@@ -105,7 +105,7 @@ class Guard:
         self.timeout_counts = message.timeout_counts
         self.node_has_reached |= message.has_reached
         self._has_reached |= message.has_reached
-        self._limit_ns = ENDING_SILENCE_NS if message.kind == ENDING else self._silence_ns
+        self._limit_ns = ENDING_SILENCE_NS if message.kind == ENDING else SILENCE_NS
         self._is_over |= message.kind == ENDED
         if self.state == WAITING or self.is_acting and message.acknowledged == self.interventions:
             if self.acts_alone(now_ns):

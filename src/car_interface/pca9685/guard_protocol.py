@@ -8,6 +8,7 @@ a node has the chip again.
 from __future__ import annotations
 
 import struct
+from collections import namedtuple
 
 from car_interface.common.units import CHANNELS
 
@@ -26,54 +27,37 @@ HELD, LEFT_TO_NODE = 0, 1
 
 NOT_TRIED = -1  # as ``error`` of a guard that has not tried to reach the chip yet
 
-# Kind; whether the node has reached its chip, 0 or 1; sequence number; the newest intervention that it knows of;
-# counts of the timeout values, 0..4096.
 _NODE = struct.Struct(f"=BBII{CHANNELS}H")
-# State; sequence number of the last sign of life; number of interventions; errno of the last attempt on the chip, 0 =
-# it worked.
 _GUARD = struct.Struct("=BIIi")
-# Kind; counts that the channels held, 0..4096.
 _OUTPUT = struct.Struct(f"=B{CHANNELS}H")
 
 
-class NodeMessage:
-    """One message of the node; ``_NODE`` describes its attributes."""
+class NodeMessage(namedtuple("NodeMessage", "kind has_reached sequence acknowledged timeout_counts")):
+    """A sign of life.
 
-    def __init__(self, kind, has_reached, sequence, acknowledged, timeout_counts):
-        self.kind = kind
-        self.has_reached = has_reached
-        self.sequence = sequence
-        self.acknowledged = acknowledged
-        self.timeout_counts = timeout_counts
+    ``acknowledged`` is the newest intervention that the node knows of, ``timeout_counts`` are 0..4096.
+    """
 
     def encode(self) -> bytes:
         """Return the bytes: fewer than PIPE_BUF, so that a pipe takes all or none of them."""
         return _NODE.pack(self.kind, self.has_reached, self.sequence, self.acknowledged, *self.timeout_counts)
 
 
-class GuardMessage:
-    """One message of the guard; ``_GUARD`` describes its attributes."""
-
-    def __init__(self, state, sequence, interventions, error):
-        self.state = state
-        self.sequence = sequence
-        self.interventions = interventions
-        self.error = error
+class GuardMessage(namedtuple("GuardMessage", "state sequence interventions error")):
+    """An answer: ``sequence`` is that of the last sign of life, ``error`` the errno of the last attempt on the chip,
+    0 = it worked.
+    """
 
     def encode(self) -> bytes:
-        """The bytes."""
+        """Return the bytes."""
         return _GUARD.pack(self.state, self.sequence, self.interventions, self.error)
 
 
-class OutputMessage:
-    """One message of the guard to its relay; ``_OUTPUT`` describes its attributes."""
-
-    def __init__(self, kind, counts):
-        self.kind = kind
-        self.counts = counts
+class OutputMessage(namedtuple("OutputMessage", "kind counts")):
+    """What the channels held, 0..4096 counts."""
 
     def encode(self) -> bytes:
-        """The bytes."""
+        """Return the bytes."""
         return _OUTPUT.pack(self.kind, *self.counts)
 
 

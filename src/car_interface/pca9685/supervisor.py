@@ -41,22 +41,23 @@ class BoardSupervisor:
     """Opens, writes, checks and reopens bus and chip.
 
     Args:
-        open_bus: opens the bus and returns it; raises OSError. Called again after a failure.
-        close_bus: closes what ``open_bus`` returned.
+        open_bus: opens the bus and returns it, which has ``close``; raises OSError. Called again after a failure.
         make_board: from an open bus to the chip on it.
         on_event: called with one of the events above and the OSError or None, at each attempt.
+
+    Attributes:
+        ever_ran: the chip was connected at least once, so that it may be pulsing now.
     """
 
-    def __init__(self, open_bus: Callable, close_bus: Callable, make_board: Callable[..., Board],
+    def __init__(self, open_bus: Callable, make_board: Callable[..., Board],
                  on_event: Callable[[str, Exception | None], None]):
         self.tally = BoardTally()
         self._open_bus = open_bus
-        self._close_bus = close_bus
         self._make_board = make_board
         self._on_event = on_event
         self._bus = None
         self._board: Board | None = None
-        self._was_running = False
+        self.ever_ran = False
         self._retry_ns = FIRST_RETRY_NS
         self._next_try_ns = 0
         self._next_check_ns = 0
@@ -65,11 +66,6 @@ class BoardSupervisor:
     def running(self) -> bool:
         """Return whether the chip is connected, as far as is known."""
         return self._board is not None
-
-    @property
-    def ever_ran(self) -> bool:
-        """Return whether the chip was ever connected, so that it may be pulsing now."""
-        return self._was_running
 
     @property
     def held(self) -> list[int | None]:
@@ -109,10 +105,10 @@ class BoardSupervisor:
             board.write(differences(board.held, targets()))
         except OSError:
             self.tally.errors += 1
-            self._close()
+            self.close()
             raise
-        self.tally.reopenings += self._was_running
-        self._was_running = True
+        self.tally.reopenings += self.ever_ran
+        self.ever_ran = True
         self._retry_ns = FIRST_RETRY_NS
         self._next_check_ns = now_ns + CHECK_PERIOD_NS
         self._on_event(RUNNING, None)
@@ -134,10 +130,6 @@ class BoardSupervisor:
         except OSError as error:
             self._disconnect(error, now_ns)
         return self._board is not None
-
-    def close(self) -> None:
-        """Close the bus; the chip continues with its registers."""
-        self._close()
 
     def retry_now(self) -> None:
         """Let the next ``update`` try at once to open bus and chip."""
@@ -180,15 +172,16 @@ class BoardSupervisor:
     def _disconnect(self, error, now_ns):
         self.tally.errors += 1
         self._on_event(DISCONNECTED, error)
-        self._close()
+        self.close()
         self._wait(now_ns)
 
     def _wait(self, now_ns):
         self._next_try_ns = now_ns + self._retry_ns
         self._retry_ns = min(2 * self._retry_ns, LAST_RETRY_NS)
 
-    def _close(self):
+    def close(self) -> None:
+        """Close the bus; the chip continues with its registers."""
         self._board = None
         if self._bus is not None:
-            self._close_bus(self._bus)
+            self._bus.close()
             self._bus = None

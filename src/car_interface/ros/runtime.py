@@ -47,6 +47,7 @@ from car_interface.ros.wait_for_name import own_name, wait_for_name
 END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 ROSOUT_PARAMETER = "/rosout_disable_topics_generation"  # of rospy's log handler
 SHUT_DOWN_S = 2.0
+LAST_MESSAGE_S = 0.02  # for rospy to send what a socket did not take at once
 FLUSH_S = 0.5  # for the log lines of the shutdown
 RESPAWN_VARIABLE = "CAR_INTERFACE_RESPAWN"
 FIRST_PAUSE_S, MAX_PAUSE_S = 1, 30  # before refused parameters are read again
@@ -131,10 +132,14 @@ def spin(node_class, inbox: Inbox, read_fixed: Callable[[], Mapping[str, str | N
     Args:
         read_fixed: returns what a launch file gave to this process for the node.
     """
+    launched_with = ""
+
     def build():
+        nonlocal launched_with
         params = read_params(inbox, read_fixed())
-        if params.launched_with():
-            rospy.loginfo("launched with %s", params.launched_with())
+        before, launched_with = launched_with, params.launched_with()
+        if launched_with != before:  # refused parameters are read again and again
+            rospy.loginfo("launched with %s", launched_with)
         return node_class(params, inbox)
     node = build_node(build, inbox)
     if node is None:
@@ -144,7 +149,10 @@ def spin(node_class, inbox: Inbox, read_fixed: Callable[[], Mapping[str, str | N
         while not inbox.ending:
             inbox.wait_until(steps.step())
     finally:
-        node.shut_down()
+        try:
+            node.shut_down()
+        finally:
+            inbox.clocks.sleep(LAST_MESSAGE_S)
 
 
 def read_params(inbox: Inbox, fixed: Mapping[str, str | None]) -> Params:

@@ -40,9 +40,9 @@ def open_lock(path: str) -> int:
     return open_own(lock_path(path), os.O_RDWR | os.O_CREAT)
 
 
-def peer_user(connection: socket.socket) -> int:
-    """Return the user at the other end of a connected Unix socket."""
-    return PEER.unpack(connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, PEER.size))[1]
+def peer(connection: socket.socket) -> tuple[int, int]:
+    """Return process and user at the other end of a connected Unix socket."""
+    return PEER.unpack(connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, PEER.size))[:2]
 
 
 class ChipLink:
@@ -73,7 +73,7 @@ class ChipLink:
         try:
             self._socket.settimeout(ANSWER_S)
             self._socket.connect(self._path)
-            check_owner(peer_user(self._socket), self._path)  # of the process: the file could have been replaced since
+            check_owner(peer(self._socket)[1], self._path)  # of the process: the file could have been replaced since
         except OSError:
             self.close()
             raise

@@ -35,7 +35,7 @@ from car_interface.sim.chip_link import (
     WRITE,
     lock_path,
     open_lock,
-    peer_user,
+    peer,
 )
 from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
 
@@ -92,7 +92,7 @@ class ChipServer:
         except OSError:  # it has gone again
             return
         try:
-            if len(self._clients) >= MAX_CLIENTS or peer_user(client) != os.geteuid():
+            if len(self._clients) >= MAX_CLIENTS or peer(client)[1] != os.geteuid():
                 client.close()
                 return
             client.setblocking(False)

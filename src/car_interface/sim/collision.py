@@ -9,7 +9,6 @@ import math
 from dataclasses import dataclass
 from typing import Sequence
 
-from car_interface.common.errors import require
 from car_interface.common.vehicle_geometry import FRONT_M, REAR_M, WIDTH_M
 
 APART_M = 0.01  # a car that has driven this far since it was stopped no longer touches the obstacle
@@ -19,7 +18,7 @@ MAX_CENTER_RATIO = 1.5
 
 
 @dataclass(frozen=True)
-class Outline:
+class CarBody:
     """The car from above, a rectangle: metres behind and before the rear axle's middle, and across.
 
     The default is a Slash 4x4's.
@@ -28,11 +27,6 @@ class Outline:
     rear_m: float = REAR_M
     front_m: float = FRONT_M
     width_m: float = WIDTH_M
-
-    def __post_init__(self):
-        require(self.rear_m >= 0, "rear_m", self.rear_m, "0 or more")
-        require(self.front_m > 0, "front_m", self.front_m, "more than 0")
-        require(self.width_m > 0, "width_m", self.width_m, "more than 0")
 
 
 class Obstacles:
@@ -44,7 +38,7 @@ class Obstacles:
         outline: the car's.
     """
 
-    def __init__(self, segments: Sequence[tuple], posts: Sequence[tuple], outline: Outline = Outline()):
+    def __init__(self, segments: Sequence[tuple], posts: Sequence[tuple], outline: CarBody = CarBody()):
         self._segments, self._posts = tuple(segments), tuple(posts)
         self._low_m, self._high_m, self._half_m = -outline.rear_m, outline.front_m, outline.width_m / 2
         self._center_m = (self._low_m + self._high_m) / 2

@@ -10,15 +10,13 @@ from dataclasses import dataclass
 
 from car_interface.common import declared
 from car_interface.common.errors import require
-from car_interface.sim.esc import BACKWARD, BRAKE, FORWARD, MotorState
+from car_interface.sim.esc import BACKWARD, BRAKE, FORWARD, MotorState, is_pulse, throttle_of
 
-# 0.5 ms and 2.5 ms of a 20 ms period that is 65536 long: servos and ESCs ignore any other length.
-SHORTEST_PULSE, MAX_PULSE = 1638, 8192
 TRUE = "of the full duty, before drag; forward and backward at standstill"  # the meaning of three parameters
 
 
 @dataclass(frozen=True)
-class DriveConfig:
+class DriveTrainConfig:
     """The drive train, from the ESC's duty to the car's acceleration.
 
     Attributes:
@@ -58,33 +56,18 @@ class DriveConfig:
             self.full_reverse_duty < low <= high < self.full_forward_duty,
             "neutral_duty", self.neutral_duty, "with its band between full reverse and full forward",
         )  # fmt: skip
-        require(self.thrust_halves_mps > 0, "thrust_halves_mps", self.thrust_halves_mps, "more than 0")
-        require(0 <= self.sag < 1, "sag", self.sag, "0 to less than 1")
-        require(self.sag_over_s > 0, "sag_over_s", self.sag_over_s, "more than 0")
-        require(self.lag_s >= 0, "lag_s", self.lag_s, "0 or more")
 
     def thrust(self, elapsed_s: float) -> float:
         """Return the ratio of the stated thrust that the battery gives at a time after the start."""
         return 1.0 + self.sag * (0.5 - min(1.0, elapsed_s / self.sag_over_s))
 
 
-def is_pulse(duty: int) -> bool:
-    """Return whether a servo or an ESC takes ``duty`` for a pulse; 0 (off), -1 (never set) and 65535 (on) are none."""
-    return SHORTEST_PULSE <= duty <= MAX_PULSE
-
-
-def throttle(duty: int, drive: DriveConfig) -> float | None:
+def throttle(duty: int, drive: DriveTrainConfig) -> float | None:
     """Return the throttle of a duty: -1 (full reverse) to 1 (full forward), 0 in the neutral band; None: no pulse."""
     if not is_pulse(duty):
         return None
-    beyond = duty - drive.neutral_duty
-    if abs(beyond) <= drive.neutral_band_duty:
-        return 0.0
-    if beyond > 0:
-        full = drive.full_forward_duty - drive.neutral_duty
-        return min(1.0, (beyond - drive.neutral_band_duty) / (full - drive.neutral_band_duty))
-    full = drive.neutral_duty - drive.full_reverse_duty
-    return max(-1.0, (beyond + drive.neutral_band_duty) / (full - drive.neutral_band_duty))
+    return throttle_of(duty, drive.full_reverse_duty, drive.neutral_duty, drive.full_forward_duty,
+                       drive.neutral_band_duty, drive.neutral_band_duty)
 
 
 class Motor:
@@ -105,7 +88,8 @@ class Motor:
 
 
 def motor_acceleration_mps2(
-    push: float, brake: float, speed_mps: float, drive: DriveConfig, thrust: float = 1.0, downhill_mps2: float = 0.0
+    push: float, brake: float, speed_mps: float, drive: DriveTrainConfig, thrust: float = 1.0,
+    downhill_mps2: float = 0.0,
 ) -> float:
     """Return the car's acceleration by its motor; the other arguments as of ``true_acceleration_mps2``."""
     speed = abs(speed_mps)
@@ -117,11 +101,14 @@ def motor_acceleration_mps2(
         # A motor's own voltage opposes the ESC's, and adds to it where the motor turns against its drive.
         own_voltage = 1.0 + speed / drive.thrust_halves_mps
         push_mps2 += way * full_mps2 * (own_voltage if way * speed_mps < 0.0 else 1.0 / own_voltage)
-    return _with_resistance(push_mps2, speed_mps, resistance_mps2)
+    if not speed_mps and abs(push_mps2) <= resistance_mps2:
+        return 0.0
+    return push_mps2 - math.copysign(resistance_mps2, speed_mps or push_mps2)
 
 
 def true_acceleration_mps2(
-    esc_duty: int, speed_mps: float, drive: DriveConfig = DriveConfig(), thrust: float = 1.0, downhill_mps2: float = 0.0
+    esc_duty: int, speed_mps: float, drive: DriveTrainConfig = DriveTrainConfig(), thrust: float = 1.0,
+    downhill_mps2: float = 0.0,
 ) -> float:
     """Return the car's acceleration without an ESC's memory, which a value map for this car approximates.
 
@@ -136,20 +123,5 @@ def true_acceleration_mps2(
         downhill_mps2: the part of the slope, forward positive; 0 on level ground.
     """
     command = throttle(esc_duty, drive) or 0.0
-    speed = abs(speed_mps)
-    drag_mps2 = drive.drag_mps2 + speed * (drive.drag_per_s + speed * drive.drag_per_m)
-    if command * speed_mps < 0.0:
-        push_mps2 = command * drive.brake_mps2
-    else:
-        full_mps2 = drive.forward_mps2 if command > 0.0 else drive.reverse_mps2
-        push_mps2 = command * full_mps2 * thrust / (1.0 + speed / drive.thrust_halves_mps)
-    return _with_resistance(push_mps2 + downhill_mps2, speed_mps, drag_mps2)
-
-
-def _with_resistance(push_mps2, speed_mps, resistance_mps2):
-    """Return the acceleration by a push, and by a resistance to any motion."""
-    if speed_mps:
-        return push_mps2 - math.copysign(resistance_mps2, speed_mps)
-    if abs(push_mps2) <= resistance_mps2:
-        return 0.0
-    return push_mps2 - math.copysign(resistance_mps2, push_mps2)
+    push, brake = (0.0, abs(command)) if command * speed_mps < 0.0 else (command, 0.0)
+    return motor_acceleration_mps2(push, brake, speed_mps, drive, thrust, downhill_mps2)

@@ -1,8 +1,7 @@
 """Models speed controllers (ESCs) of hobby cars, whose reaction to a pulse depends on the pulses before.
 
 Consumes the duty of a servo output and the speed of the wheels, and answers what the motor does: coast, drive forward,
-brake, or drive backward. One configuration is one device; ``xl5``, ``vxl``, ``crawler``, ``direct`` and ``race`` are
-typical ones.
+brake, or drive backward. One configuration is one device.
 
 Sources on real ESCs:
 
@@ -42,7 +41,8 @@ REVERSES, BRAKES, BRAKES_AND_TURNS = "reverses", "brakes", "brakes and turns at 
 COAST, FORWARD, BRAKE, BACKWARD = "coast", "forward", "brake", "backward"
 
 PULSE_PERIOD_NS = 20 * NS_PER_MS  # it looks at one pulse each 20 ms
-SHORTEST_PULSE, LONGEST_PULSE = 1638, 8192  # 0.5 and 2.5 ms of a period of 20 ms: ESCs ignore other lengths
+# 0.5 and 2.5 ms of a period of 20 ms that is 65536 long: servos and ESCs ignore other lengths.
+SHORTEST_PULSE, LONGEST_PULSE = 1638, 8192
 
 
 class MotorState(NamedTuple):
@@ -92,38 +92,25 @@ class VirtualEscConfig:
     stands_mps: float = 0.05
 
     def __post_init__(self):
-        require(self.kind in KINDS, "kind", self.kind, "one of " + ", ".join(KINDS))
-        second_pulls = (REVERSES, BRAKES, BRAKES_AND_TURNS)
-        require(self.second_pull in second_pulls, "second_pull", self.second_pull, "one of " + ", ".join(second_pulls))
         low, high = self.neutral_duty - self.reverse_band_duty, self.neutral_duty + self.forward_band_duty
         require(self.full_reverse_duty < low <= high < self.full_forward_duty, "neutral_duty", self.neutral_duty,
                 "with its dead bands between full reverse and full forward")
-        require(0 <= self.drag_brake <= 1, "drag_brake", self.drag_brake, "0 to 1")
 
 
-def xl5(**changes) -> VirtualEscConfig:
-    """Return one like a Traxxas XL-5 in Sport: the second pull reverses, whether or not the car still rolls."""
-    return VirtualEscConfig(**{"kind": BRAKE_THEN_REVERSE, "dwell_s": 0.12, "drag_brake": 0.05, **changes})
+def is_pulse(duty: int) -> bool:
+    """Return whether a servo or an ESC takes ``duty`` for a pulse; 0 (off), -1 (never set) and 65535 (on) are none."""
+    return SHORTEST_PULSE <= duty <= LONGEST_PULSE
 
 
-def vxl(**changes) -> VirtualEscConfig:
-    """Return one like a brushless ESC: it knows whether the motor stands, and the second pull brakes until then."""
-    return VirtualEscConfig(**{"kind": BRAKE_THEN_REVERSE, "dwell_s": 0.25, "second_pull": BRAKES, **changes})
-
-
-def crawler(**changes) -> VirtualEscConfig:
-    """Return one like a rock crawler's in "Forward and Reverse", with its strong drag brake."""
-    return VirtualEscConfig(**{"kind": BRAKE_BECOMES_REVERSE, "drag_brake": 0.6, **changes})
-
-
-def direct(**changes) -> VirtualEscConfig:
-    """Return one like a boat's or a tank's: no brake at all."""
-    return VirtualEscConfig(**{"kind": DIRECT_REVERSE, **changes})
-
-
-def race(**changes) -> VirtualEscConfig:
-    """Return one like a Traxxas in Race: no reverse."""
-    return VirtualEscConfig(**{"kind": FORWARD_ONLY, "drag_brake": 0.05, **changes})
+def throttle_of(duty: float, full_reverse: float, neutral: float, full_forward: float, reverse_band: float,
+                forward_band: float) -> float:
+    """Return a pulse's command: −1 to 1 from end to end, 0 within the dead band; all arguments in duty."""
+    beyond = duty - neutral
+    if beyond > forward_band:
+        return min(1.0, (beyond - forward_band) / (full_forward - neutral - forward_band))
+    if beyond < -reverse_band:
+        return max(-1.0, (beyond + reverse_band) / (neutral - full_reverse - reverse_band))
+    return 0.0
 
 
 class VirtualEsc:
@@ -161,24 +148,17 @@ class VirtualEsc:
             return self._motor
         while self._next_ns <= now_ns:
             self._next_ns += PULSE_PERIOD_NS
-        if duty is None or not SHORTEST_PULSE <= duty <= LONGEST_PULSE:
+        if duty is None or not is_pulse(duty):
             self._miss_pulse(now_ns)
         else:
             self._last_pulse_ns = now_ns
-            self._motor = self._answer(self.command(duty), now_ns, wheel_mps)
+            self._motor = self._answer(self._command(duty), now_ns, wheel_mps)
         return self._motor
 
-    def command(self, duty: float) -> float:
-        """Return a pulse's command: −1 to 1 from end to end, 0 within the dead band."""
+    def _command(self, duty):
         config = self.config
-        beyond = duty - config.neutral_duty
-        if beyond > config.forward_band_duty:
-            full = config.full_forward_duty - config.neutral_duty
-            return min(1.0, (beyond - config.forward_band_duty) / (full - config.forward_band_duty))
-        if beyond < -config.reverse_band_duty:
-            full = config.neutral_duty - config.full_reverse_duty
-            return max(-1.0, (beyond + config.reverse_band_duty) / (full - config.reverse_band_duty))
-        return 0.0
+        return throttle_of(duty, config.full_reverse_duty, config.neutral_duty, config.full_forward_duty,
+                           config.reverse_band_duty, config.forward_band_duty)
 
     def _miss_pulse(self, now_ns):
         if self._last_pulse_ns is None or now_ns - self._last_pulse_ns < self.config.cutoff_s * NS_PER_S:

@@ -18,6 +18,7 @@ wrapped; ``millis()`` and ``micros()`` are wrapped at 2**32.
 from __future__ import annotations
 
 import struct
+from random import Random
 from typing import Callable, Generator
 
 from car_interface.common.errors import require
@@ -91,7 +92,8 @@ class TeensyFirmware:
             wheel.preset(config.odometer_start)
 
     def _sensor(self, number: int) -> SonarSensor:
-        return SonarSensor(self._config.sonar_pulse_end_us, lambda at_ns: self.echo_us(number, at_ns))
+        return SonarSensor(self._config.sonar_pulse_end_us, lambda at_ns: self.echo_us(number, at_ns),
+                           Random(f"{self._config.seed} {number}"))
 
     def _switch_on(self, clock_start_ms: int, clock_start_ns: int, boot_end_ns: int):
         config = self._config
@@ -180,9 +182,10 @@ class TeensyFirmware:
         self._resume_ns = self._clock.reaches_ns(BOOT_MS, clock_start_ns)
 
     def set_sonar(self, sensor: int, condition: str, now_ns: int):
-        """Set a sensor to SONAR_FINE, SONAR_MISSING (not connected) or SONAR_STUCK.
+        """Set a sensor to SONAR_FINE, SONAR_MISSING (not connected), SONAR_STUCK, SONAR_BLINK or SONAR_CLONE.
 
-        A stuck sensor raises its echo pin at its next ping and holds it high until it is fine again.
+        A stuck sensor raises its echo pin at its next ping and holds it high until it is fine again. One that blinks
+        holds it for 1.5 to 2 s from now on, and is fine then. A clone ends its pulse after 200 ms without an echo.
 
         Raises:
             ConfigError: no such sensor, no such condition.

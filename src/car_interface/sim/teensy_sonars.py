@@ -1,6 +1,7 @@
 """The simulated Teensy's sonars: six sensors, and the array that pings them one after the other."""
 from __future__ import annotations
 
+from random import Random
 from typing import Callable, Generator
 
 from car_interface.common.errors import require
@@ -21,7 +22,11 @@ SONAR_RETRY_MS = 1000  # between attempts at a first ping that failed at power-u
 ECHO_RISE_US = 449  # from the trigger to the echo pin's rise
 ECHO_MIN_US = 116  # 2 cm, the nearest that an HC-SR04 measures
 
-SONAR_CONDITIONS = SONAR_FINE, SONAR_MISSING, SONAR_STUCK = "fine", "missing", "stuck"
+CLONE_PULSE_US = 200_000  # of some clones without an echo
+BLINK_MIN_NS, BLINK_MAX_NS = 1_500_000_000, 2_000_000_000  # of a loose echo wire
+
+SONAR_CONDITIONS = SONAR_FINE, SONAR_MISSING, SONAR_STUCK, SONAR_BLINK, SONAR_CLONE = (
+    "fine", "missing", "stuck", "blink", "clone")
 
 # A part of the loop that may be held up: it yields when it will go on (ns), is then sent the time, and returns the time
 # at which it has ended.
@@ -34,22 +39,29 @@ class SonarSensor:
     Args:
         pulse_end_us: the time after which it lowers the pin by itself.
         echo_us: ``at_ns -> µs``: the echo of a ping at that time; 0 for none.
+        rng: for how long its pin is high when it blinks.
     """
 
-    def __init__(self, pulse_end_us: int, echo_us: Callable[[int], float]):
-        self._pulse_end_us = pulse_end_us
+    def __init__(self, pulse_end_us: int, echo_us: Callable[[int], float], rng: Random):
+        self._own_pulse_end_us = self._pulse_end_us = pulse_end_us
+        self._rng = rng
         self._echo_us = echo_us
         self._condition = SONAR_FINE
         self.rise_ns = self.fall_ns = AT_ONCE_NS  # of its last pulse
 
     def set_condition(self, condition: str, now_ns: int):
-        """Set SONAR_FINE, SONAR_MISSING or SONAR_STUCK.
+        """Set one of SONAR_CONDITIONS; a blink raises the pin at once, and is over by itself.
 
         Raises:
             ConfigError: another one.
         """
-        require(condition in SONAR_CONDITIONS, "sonar condition", condition, "fine, missing or stuck")
-        self._condition = condition
+        require(condition in SONAR_CONDITIONS, "sonar condition", condition, ", ".join(SONAR_CONDITIONS))
+        if condition == SONAR_BLINK:
+            self.rise_ns = min(self.rise_ns, now_ns) if now_ns < self.fall_ns else now_ns
+            self.fall_ns = now_ns + self._rng.randint(BLINK_MIN_NS, BLINK_MAX_NS)
+            condition = SONAR_FINE
+        self._pulse_end_us = CLONE_PULSE_US if condition == SONAR_CLONE else self._own_pulse_end_us
+        self._condition = condition = SONAR_FINE if condition == SONAR_CLONE else condition
         is_unplugged = condition == SONAR_MISSING and now_ns < self.fall_ns
         is_released = condition == SONAR_FINE and self.fall_ns == NEVER_NS
         if is_unplugged or is_released:

@@ -25,16 +25,15 @@ from typing import NamedTuple
 
 from car_interface.common.errors import require
 from car_interface.common.units import NS_PER_S
-from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, TRACK_M, WHEEL_DIAMETER_M, WHEELBASE_M
+from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, TRACK_M, WHEEL_DIAMETER_M
 from car_interface.sim.collision import Collisions
 from car_interface.sim.drive_train import (
-    DriveConfig,
+    DriveTrainConfig,
     Motor,
-    is_pulse,
     motor_acceleration_mps2,
     true_acceleration_mps2,
 )
-from car_interface.sim.esc import VirtualEsc, VirtualEscConfig
+from car_interface.sim.esc import VirtualEsc, VirtualEscConfig, is_pulse
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
 from car_interface.sim.tyres import Rollovers, TyreConfig, path_curvature_per_m, possible_acceleration_mps2
 
@@ -96,9 +95,6 @@ class SteeringConfig:
         one_way = all(step < 0 for step in steps) or all(step > 0 for step in steps)
         require(len(self.curve) > 1 and rising and one_way, "steering curve", self.curve,
                 "rising duty, falling 1/m (or rising, for a reversed servo)")
-        require(self.rate_duty_per_s > 0, "rate_duty_per_s", self.rate_duty_per_s, "more than 0")
-        require(self.lag_s > 0, "lag_s", self.lag_s, "more than 0")
-        require(self.backlash_duty >= 0, "backlash_duty", self.backlash_duty, "0 or more")
 
 
 @dataclass(frozen=True)
@@ -107,7 +103,6 @@ class VehicleConfig:
 
     Attributes:
         track_m: between the rear wheels.
-        wheelbase_m: between the axles; turns curvature into the front wheels' angle.
         wheel_diameter_m, pulses_per_revolution: one pulse each 14.9 mm.
         pulse_phase: where each rear wheel (left, right) stands at the start, in pulses; at each whole number one of its
             two hall pins changes, and after four of them their levels are the same again.
@@ -119,8 +114,7 @@ class VehicleConfig:
     """
 
     steering: SteeringConfig = SteeringConfig()
-    drive: DriveConfig = field(default_factory=DriveConfig)
-    wheelbase_m: float = WHEELBASE_M
+    drive: DriveTrainConfig = field(default_factory=DriveTrainConfig)
     track_m: float = TRACK_M
     wheel_diameter_m: float = WHEEL_DIAMETER_M
     pulses_per_revolution: int = PULSES_PER_REVOLUTION
@@ -132,11 +126,8 @@ class VehicleConfig:
     tyres: TyreConfig | None = field(default_factory=TyreConfig)
 
     def __post_init__(self):
-        require(self.wheelbase_m > 0, "wheelbase_m", self.wheelbase_m, "more than 0")
         sharpest = max(abs(curvature) for _, curvature in self.steering.curve)
         require(0 < self.track_m < 2 / sharpest, "track_m", self.track_m, "more than 0, inside the tightest turn")
-        require(self.wheel_diameter_m > 0, "wheel_diameter_m", self.wheel_diameter_m, "more than 0")
-        require(self.pulses_per_revolution > 0, "pulses_per_revolution", self.pulses_per_revolution, "more than 0")
 
     @property
     def pulse_m(self) -> float:
@@ -199,11 +190,6 @@ class Vehicle:
     def lateral_mps2(self) -> float:
         """Its lateral acceleration, left turns positive."""
         return self.speed_mps * self.speed_mps * self.curvature_per_m
-
-    @property
-    def steering_angle_rad(self) -> float:
-        """The angle of the bicycle's one front wheel, left positive."""
-        return math.atan(self.config.wheelbase_m * self.steered_per_m)
 
     def true_curvature_per_m(self, duty: float) -> float:
         """Return the curvature when the servo stands at ``duty``; saturated at the stops."""

@@ -35,7 +35,7 @@ def source_name(source: int) -> str:
 
 
 @dataclass(frozen=True)
-class ArbiterConfig:
+class SteeringArbiterConfig:
     """The rules of who steers."""
 
     tele_steer_neutral: float = declared.number(
@@ -91,7 +91,7 @@ class SteeringArbiter:
     think that they are steering. A planner asks by radius or by steering: while both are fresh neither is obeyed.
     """
 
-    def __init__(self, calibration: SteeringCalibration, config: ArbiterConfig = ArbiterConfig()):
+    def __init__(self, calibration: SteeringCalibration, config: SteeringArbiterConfig = SteeringArbiterConfig()):
         self._calibration = calibration
         self._config = config
         self._interlock = MotionInterlock(config.interlock)

@@ -8,7 +8,7 @@ from car_interface.common.errors import ConfigError
 from car_interface.common.live_parameters import TuningSettings
 from car_interface.common.params import Params
 from car_interface.common.yaml_file import load_yaml
-from car_interface.steering.arbiter import ArbiterConfig
+from car_interface.steering.arbiter import SteeringArbiterConfig
 from car_interface.steering.calibration import SteeringCalibration
 
 LIVE_RANGE = 500  # duty, by default: 0.15 ms of a pulse at 50 Hz, a sixth of a servo's travel
@@ -19,7 +19,7 @@ class TurnArbConfig:
     """The configuration of turn_arb: the servo, the rules of who steers, and how far the servo may be tuned."""
 
     calibration: SteeringCalibration = declared.group(SteeringCalibration)
-    arbiter: ArbiterConfig = declared.group(ArbiterConfig())
+    arbiter: SteeringArbiterConfig = declared.group(SteeringArbiterConfig())
     tuning: TuningSettings = declared.group(TuningSettings(LIVE_RANGE))
 
 

@@ -53,6 +53,7 @@ CROSS_TOLERANCE = 0.01
 MODE_SETTLES_NS = round(1.0 * NS_PER_S)
 # Seven messages, of which a stall may cost five or six. No more: where a stop doesn't brake, the brake has to wait.
 STOP_NS = round(0.15 * NS_PER_S)
+LOG_PERIOD_NS = 10 * NS_PER_S  # as all warnings of this package
 PULL_BEGINS = 0.02  # the least that esc/dead_band_reverse can be
 
 
@@ -355,6 +356,30 @@ class Gamepad:
         if abs(steering - neutral) >= rest:
             return steering
         return neutral + (rest if neutral <= 0 else -rest)
+
+
+class RequestsLogFilter:
+    """Finds changes of the cause, and of the causes of the sticks.
+
+    Each change is new where a human comes, goes or is there. Without a human each cause is new at most once in 10 s,
+    since a gamepad at the edge of its range comes and goes several times a second. A cause that lasts becomes new in
+    the end.
+    """
+
+    def __init__(self):
+        self._logged: Requests | None = None
+        self._next_ns: dict[tuple, int] = {}  # by kind
+
+    def is_new(self, requests: Requests, now_ns: int) -> bool:
+        """Return whether to log ``requests`` at ``now_ns``; if so, the next ones are compared with them."""
+        logged = self._logged
+        if logged is not None and logged.kind == requests.kind:
+            return False
+        without_human = logged is not None and not (logged.human_in_loop or requests.human_in_loop)
+        if without_human and now_ns < self._next_ns.get(requests.kind, now_ns):
+            return False
+        self._logged, self._next_ns[requests.kind] = requests, now_ns + LOG_PERIOD_NS
+        return True
 
 
 def is_d_mode_cross(index: int, axes: int, buttons: int) -> bool:

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from car_interface.common import declared
-from car_interface.common.errors import ConfigError
 from car_interface.common.units import NS_PER_S
 
 # struct js_event: __u32 time in ms; __s16 value; __u8 type; __u8 number, in the computer's own byte order.
@@ -55,8 +54,6 @@ class Joystick:
     """
 
     def __init__(self, deadzone: float = 0.05):
-        if not 0 <= deadzone < 1:
-            raise ConfigError("deadzone", deadzone, "a number from 0 to less than 1")
         self.axes: list[float] = []
         self.buttons: list[int] = []
         self.ignored = 0

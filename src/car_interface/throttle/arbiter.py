@@ -1,10 +1,11 @@
-"""Who drives the throttle, and with what request.
+"""Decide who drives the throttle, and with what request.
 
-Consumes emergency stop, deadman, turn_arb's state, the gamepad's throttle and mode, the planner's value and odometry,
-each with its arrival on the monotonic clock, and answers with an ``Arbitration``. Pure: ``now_ns`` is passed in.
-Whether a request behind neutral brakes or reverses, or is withheld, is decided by the ESC's rules (``throttle.esc``).
+Consumes emergency stop, deadman, turn_arb's state, the servo board's duties, the gamepad's throttle and mode, the
+planner's value and gear, and odometry, each with its arrival on the monotonic clock. ``ThrottleArbiter.decide`` returns
+an ``Arbitration``: source, cause, reason, and a request or a stop. Pure: ``now_ns`` is passed in.
 
-A request is a fraction of the duty between the ESC's neutral and each end: 1 full forward, −1 full brake or reverse.
+A request is a fraction of the duty between the ESC's neutral and each end: 1 = full forward, −1 = full brake or
+reverse. The ESC's rules (``throttle.esc``) decide whether a negative request brakes, reverses or is withheld.
 """
 from __future__ import annotations
 
@@ -23,23 +24,23 @@ from car_interface.throttle.board_watch import BoardConfig, BoardWatch
 from car_interface.throttle.esc_intention import AUTO, DRIVE, REVERSE_GEAR
 from car_interface.throttle.stick import Scale, StickConfig, shaped
 
-# Gears of the planner, by planner_interface.
+# The planner's gears as planner_interface publishes them, and the ESC's gear for each.
 COAST_GEAR = "neutral"
 PLANNER_GEARS = {AUTO: AUTO, DRIVE: DRIVE, REVERSE_GEAR: REVERSE_GEAR, COAST_GEAR: DRIVE}
-PLANNER_STATE_TIMEOUT_S = 0.5  # it comes 10 times a second
+PLANNER_STATE_TIMEOUT_S = 0.5  # five of its periods: it is published at 10 Hz
 
-# The meaning of five parameters.
+# The description that five parameters share.
 STALE = "age at which turn_arb's state, the gamepad's throttle and mode, the planner's value, and odometry are stale"
-# An input that is older than this is stale, by the defaults of the timeouts. So a stick's message that arrives so long
-# after a planner's mode, or after a release, was sent after it.
+# The default timeout of the inputs: an older message would be stale. So a stick's message that arrives this long after
+# a planner's mode, or after the deadman's release, was sent after it.
 SETTLES_NS = round(0.5 * NS_PER_S)
 
-# Values of ThrottleState.source are those of SteeringState.source: LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER.
+# ThrottleState.source has the values of SteeringState.source: LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER.
 
 
 @dataclass(frozen=True)
-class ArbiterConfig:
-    """The rules of who drives; without ``board`` the servo board is not checked."""
+class ThrottleArbiterConfig:
+    """Configure who drives; without ``board`` the servo board is not checked."""
 
     stick: StickConfig = declared.group(StickConfig())
     interlock: InterlockConfig = declared.group(InterlockConfig())
@@ -52,14 +53,14 @@ class ArbiterConfig:
 
 
 class NoValue(NamedTuple):
-    """Why the converter has no value for the planner's command."""
+    """The reason for which there is no value for the planner's command."""
 
     cause: str  # one of car_interface.common.causes
     reason: str
 
 
 class Arbitration(NamedTuple):
-    """Who drives, and what is requested of the ESC."""
+    """The source that drives, and its request to the ESC."""
 
     source: int
     cause: str  # one of car_interface.common.causes
@@ -67,26 +68,29 @@ class Arbitration(NamedTuple):
     asked: float  # what the source asks for, −1..1, before scaling; 0 without a source
     drive: float  # the request if the ESC drives by it, of the same sign
     brake: float  # the request if the ESC brakes by it, of the same sign
-    is_stop: bool  # the car is to stop. False with a request of 0: it is left alone
+    is_stop: bool  # the car has to stop. False with a request of 0: nobody asks for anything, and it coasts
     gear: str = AUTO
-    cruise_mps: float = 0.0  # the speed that the planner wants the car to keep; 0 = none, or it hasn't said
+    cruise_mps: float = 0.0  # the speed that the planner wants the car to keep; 0 = none, or unknown
 
 
 class ThrottleArbiter:
-    """Decides who drives from the newest of each input.
+    """Decide who drives, from the newest message of each input.
 
-    Locked, no human, turn_arb stopped, or the servo board does not follow it → stop; else the human, if the mode says
-    so or the stick is beyond its dead band; else the planner, if it has a value and odometry is fresh; else neutral. A
-    gamepad or a mode that was received once and is stale, or can't be read, means stop, not the planner: the human
-    still believes to be driving.
+    The first rule that applies decides:
 
-    Where the mode gives the throttle to the planner, a stick beyond the dead band overrides it until it was within for
-    OVERRIDE_HOLD_S. Such a pull is requested in the gear DRIVE, in which none ever becomes reverse. So is the stick of
-    a human who took over from the planner, until it was let go SETTLES_NS after that: each input is a topic of its own,
-    and what arrives up to then may have been sent under the planner's deadman.
+    1. The e-stop, no deadman, a stopped turn_arb, or a servo board that doesn't follow turn_arb: stop.
+    2. A mode, or a stick, that was received before and is now stale or invalid: stop. The planner doesn't get the
+       throttle then, since the human still believes to be driving.
+    3. The human, if the mode gives them the throttle or the stick is beyond its dead band.
+    4. The planner, if it has a value and odometry is fresh; else stop, or neutral if no planner ever sent a value.
+
+    Where the mode gives the throttle to the planner, a stick beyond its dead band overrides the planner until it has
+    been centered for OVERRIDE_HOLD_S. An override has the gear DRIVE, in which no pull ever becomes reverse. A human
+    who takes over from the planner has it, too, until the stick was centered SETTLES_NS later: mode and stick arrive on
+    different topics, so a pull that arrives earlier may have been sent under the planner's deadman.
     """
 
-    def __init__(self, config: ArbiterConfig = ArbiterConfig()):
+    def __init__(self, config: ThrottleArbiterConfig = ThrottleArbiterConfig()):
         self._stick = config.stick
         self._scale = Scale(config.stick)
         self._interlock = MotionInterlock(config.interlock)
@@ -99,8 +103,8 @@ class ThrottleArbiter:
         self._planner_state = TimedInput("planner_interface's state", PLANNER_STATE_TIMEOUT_S)
         self._odometry = TimedInput("odometry", config.odometry_timeout_s)
         self._overrode_ns: int | None = None  # when a stick last asked for something under a planner's deadman
-        # When a mode was last in force that gave the throttle to the planner, or the deadman released after that;
-        # None: the stick was let go since then.
+        # When a mode last gave the throttle to the planner, or when the deadman was released after that; None: the
+        # stick was centered since then.
         self._gave_ns: int | None = None
         self._no_value: NoValue | None = None
         self._board = None if config.board is None else BoardWatch(config.board)
@@ -110,48 +114,48 @@ class ThrottleArbiter:
 
     @property
     def scale(self) -> float:
-        """The scale of driving by hand."""
+        """Return the scale of driving by hand, 0..1."""
         return self._scale.value
 
     @property
     def mode(self) -> str:
-        """The newest mode; empty: none was received."""
+        """Return the newest mode; empty: none was received."""
         return self._mode.value or ""
 
     def update_e_stop(self, locked: bool, now_ns: int) -> None:
-        """The emergency stop: true = stop, whoever requests what."""
+        """Take the emergency stop: true = stop, whatever is requested."""
         self._interlock.update_e_stop(locked, now_ns)
 
     def update_human(self, present: bool, now_ns: int) -> None:
-        """The deadman: true while a human holds it."""
+        """Take the deadman: true while a human holds it."""
         self._interlock.update_human(present, now_ns)
         self._human.update(bool(present), now_ns)
         if not present:
             self._overrode_ns = None
-            if self._gave_ns is not None:  # without a deadman a teleop sends 0 for a stick that is held all the same
+            if self._gave_ns is not None:  # a teleop sends 0 without a deadman, even for a stick that is pulled
                 self._gave_ns = now_ns
 
     def explain_human(self, present: bool, reason: str, now_ns: int) -> None:
-        """Why deadman and requests are what they are, by teleop_logi; only quoted in a reason."""
+        """Take teleop_logi's explanation of deadman and requests; reasons quote it, nothing depends on it."""
         self._interlock.explain_human(present, reason, now_ns)
         self._explanation.update(" ".join(reason.split()), now_ns)
 
     def update_steering(self, source: int, reason: str, now_ns: int) -> None:
-        """Who steers, and why: of turn_arb's state."""
+        """Take who steers, and why, from turn_arb's state."""
         self._steering.update((source, reason), now_ns)
 
     def update_steering_command(self, channel: int, duty: int, now_ns: int) -> None:
-        """The duty that turn_arb commands, and its channel."""
+        """Take the duty that turn_arb commands, and its channel."""
         if self._board is not None:
             self._board.update_command(channel, duty, now_ns)
 
     def update_output(self, duties: Sequence[int], now_ns: int) -> None:
-        """The 16 duties that the servo board holds."""
+        """Take the 16 duties that the servo board holds, −1 = never set."""
         if self._board is not None:
             self._board.update_output(duties, now_ns)
 
     def update_teleop(self, throttle: float, now_ns: int) -> None:
-        """The gamepad's throttle, −1 brake or reverse to +1 forward."""
+        """Take the gamepad's throttle: −1 = brake or reverse, 1 = forward; NaN = invalid."""
         self._teleop.update(throttle, now_ns)
         if not math.isfinite(throttle):
             return
@@ -162,7 +166,7 @@ class ThrottleArbiter:
             self._gave_ns = None
 
     def update_mode(self, mode: str, now_ns: int) -> None:
-        """Who steers and who drives while a deadman is held: one of ``common.causes``."""
+        """Take who steers and who drives while a deadman is held: one of ``causes.MODES``."""
         was_planners = self._is_planners
         self._mode.update(mode, now_ns)
         if was_planners or self._is_planners:
@@ -171,21 +175,21 @@ class ThrottleArbiter:
             self._overrode_ns = None
 
     def update_scale_button(self, pressed: int) -> bool:
-        """The gamepad's buttons for the scale, 1, 0 or −1; whether the scale has changed."""
+        """Take the gamepad's buttons for the scale, 1, 0 or −1. Return whether the scale has changed."""
         return self._scale.update(pressed)
 
     def update_planner(self, value: float, request: float, now_ns: int) -> None:
-        """The planner's value, and what it asks for as a request; neither needs to be finite."""
+        """Take the planner's value, and the request that it stands for; both may be NaN or infinite."""
         self._planner.update((value, request), now_ns)
 
     def update_converter(self, no_value: NoValue | None) -> None:
-        """Why the converter has no value for the newest command; ``None`` = it has one."""
+        """Take the converter's reason for having no value for the newest command; ``None`` = it has one."""
         self._no_value = no_value
 
     def update_planner_state(self, gear: str, no_request: NoValue | None, now_ns: int, speed_mps: float = 0.0) -> None:
-        """What planner_interface says: its gear, the speed that is asked for, and why there is no request, if so.
+        """Take planner_interface's state: gear, requested speed, and the reason if there is no request.
 
-        The last value from before it had none doesn't count when it has one again.
+        When there is a request again, the value from before the pause is stale.
         """
         _, had_none, _ = self._planner_state.value or (gear, None, 0.0)
         self._planner_state.update((gear, no_request, speed_mps if math.isfinite(speed_mps) else 0.0), now_ns)
@@ -195,15 +199,15 @@ class ThrottleArbiter:
             self._resumed_ns = now_ns
 
     def update_odometry(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
-        """The car's speed, forward positive, and its age at arrival; one that no car has counts as infinite."""
+        """Take the measured speed, forward positive, and its age at arrival; beyond MAX_SPEED_MPS it is infinite."""
         is_no_cars = abs(speed_mps) > MAX_SPEED_MPS
         self._odometry.update(math.copysign(math.inf, speed_mps) if is_no_cars else speed_mps, now_ns, age_ns)
 
     def mark_stale(self, now_ns: int) -> None:
-        """Messages were dropped before they got here: all inputs are stale."""
+        """Treat all inputs as stale, since messages were dropped on their way here."""
         self._resumed_ns = None
         if self._mode.was_received:
-            self._gave_ns = now_ns  # a planner's mode may have been among them
+            self._gave_ns = now_ns  # one of them may have been a planner's mode
         self._interlock.mark_stale(now_ns)
         for timed in (self._human, self._steering, self._teleop, self._mode, self._planner, self._planner_state,
                       self._odometry):
@@ -212,11 +216,11 @@ class ThrottleArbiter:
             self._board.mark_stale()
 
     def is_released(self, now_ns: int) -> bool:
-        """Whether the deadman is known to be released."""
+        """Return whether the deadman is known to be released."""
         return not self._human.is_stale(now_ns) and not self._human.value
 
     def is_centered(self, now_ns: int) -> bool:
-        """Whether the gamepad's throttle is in its dead band, or there is none."""
+        """Return whether the gamepad's throttle is within its dead band, or was never received."""
         if not self._teleop.was_received:
             return True
         throttle = self._teleop.value
@@ -224,18 +228,18 @@ class ThrottleArbiter:
                 and not shaped(throttle, self._stick.deadband, self._stick.expo))
 
     def speed_mps(self, now_ns: int) -> float:
-        """The speed by odometry; NaN: unknown."""
+        """Return the speed by odometry; NaN = unknown."""
         return math.nan if self._odometry.is_stale(now_ns) else self._odometry.value
 
     def ages_s(self, now_ns: int) -> dict[str, float]:
-        """Seconds since the last message of each input, by name; inf = never received."""
+        """Return the seconds since the last message of each input, by name; inf = never received."""
         timed = (self._steering, self._teleop, self._mode, self._planner, self._odometry)
         return {"e_stop": self._interlock.e_stop_age_s(now_ns), "human_in_loop": self._interlock.human_age_s(now_ns),
                 **{one.name: one.age_s(now_ns) for one in timed}}
 
     def decide(self, now_ns: int) -> Arbitration:
-        """Who drives at ``now_ns``, with what request, and why."""
-        board = self._board and self._board.trouble(now_ns)  # judged without a human, too: it takes a while to agree
+        """Return who drives at ``now_ns``, with what request, and why."""
+        board = self._board and self._board.trouble(now_ns)  # also without a human: agreement takes half a second
         inhibit = self._interlock.inhibit(now_ns)
         if inhibit is not None:
             return _stop(LOCKED if inhibit.locked else NO_HUMAN, inhibit.cause, inhibit.reason)
@@ -243,7 +247,7 @@ class ThrottleArbiter:
                 or self._by_hand(now_ns) or self._by_planner(now_ns))
 
     def _steering_trouble(self, now_ns):
-        """Steering and throttle stop together."""
+        """Return a stop if turn_arb doesn't steer, or None: steering and throttle stop together."""
         if self._steering.is_stale(now_ns):
             return _stop(NEUTRAL, causes.STEERING_STALE, self._steering.stale_reason(now_ns))
         source, reason = self._steering.value
@@ -253,8 +257,9 @@ class ThrottleArbiter:
         return _stop(NEUTRAL, causes.STEERING_STOPPED, f"turn_arb says {source_name(source)}{quoted}")
 
     def _mode_trouble(self, now_ns):
+        """Return a stop for a mode that is stale or unknown, or None."""
         if not self._mode.was_received:
-            return None  # the command line, or a teleop that knows no modes
+            return None  # requests from the command line, or from a teleop without modes
         if self._mode.is_stale(now_ns):
             return _stop(NEUTRAL, causes.MODE_STALE, self._mode.stale_reason(now_ns))
         if self._mode.value not in MODES:
@@ -263,7 +268,7 @@ class ThrottleArbiter:
         return None
 
     def _by_hand(self, now_ns):
-        """The human's request, or a stop where it can't be read; ``None`` = the human leaves the throttle alone."""
+        """Return the human's request, a stop if it is stale or invalid, or None if the human leaves the throttle."""
         human_drives = self._mode.value in HUMAN_DRIVES
         if not self._teleop.was_received:
             return _stop(NEUTRAL, causes.TELEOP_STALE, self._teleop.stale_reason(now_ns)) if human_drives else None
@@ -287,26 +292,27 @@ class ThrottleArbiter:
 
     @property
     def _is_planners(self):
-        """Whether the newest mode gives the throttle to the planner."""
+        """Return whether the newest mode gives the throttle to the planner."""
         return self._mode.value in MODES and self._mode.value not in HUMAN_DRIVES
 
     def _has_settled(self, now_ns):
+        """Return whether a stick's message that arrives now was sent under a deadman by which the human drives."""
         return self._gave_ns is None or not self._is_planners and now_ns - self._gave_ns >= SETTLES_NS
 
     def _without_reverse(self, cause, throttle, request, why):
-        """The request of a stick whose pull has the scale of the brake alone, since it never drives."""
+        """Return a stick's request in the gear DRIVE. Its pull never drives, so it has the brake's scale only."""
         scale = self._stick.brake_scale if request < 0 else self.scale
         reason = f"tele_throt_req is {throttle:.3f}, scaled by {scale:g}{why}"
         return Arbitration(TELEOP, cause, reason, request, request * scale, request * self._stick.brake_scale, False,
                            DRIVE)
 
     def _by_taking_over(self, throttle, request):
-        """The request of a human who drives, and whose stick may still be where it was under the planner's deadman."""
+        """Return the request of a human whose stick wasn't centered since the planner drove."""
         why = ": it only brakes until the stick was centered, since the planner drove before" if request < 0 else ""
         return self._without_reverse(causes.TELEOP, throttle, request, why)
 
     def _by_override(self, throttle, request, now_ns):
-        """The request of a stick under a planner's deadman, and neutral for a while after; ``None`` = the planner."""
+        """Return a stick's request under a planner's deadman, neutral for a while after it, then None."""
         if request:
             return self._without_reverse(causes.OVERRIDE, throttle, request, ": it overrides the planner")
         if self._overrode_ns is None or now_ns - self._overrode_ns >= OVERRIDE_HOLD_S * NS_PER_S:
@@ -315,37 +321,44 @@ class ThrottleArbiter:
         return Arbitration(TELEOP, causes.OVERRIDE, reason, 0.0, 0.0, 0.0, False, DRIVE)
 
     def _by_planner(self, now_ns):
+        """Return the planner's request, a stop if there is none, or neutral if no planner ever sent a value."""
         gear, no_request, speed_mps = self._planner_gear(now_ns)
         trouble = no_request or self._no_value
         if trouble is None and not self._planner.was_received:
             return Arbitration(NEUTRAL, causes.NO_REQUEST, "neither tele_throt_req nor a planner's value asks for "
                                "anything", 0.0, 0.0, 0.0, False)
+        trouble = trouble or self._planner_trouble(now_ns)
         if trouble is not None:
             return _stop(NEUTRAL, *trouble)
-        if self._is_awaited(now_ns):
-            return _stop(NEUTRAL, causes.COMMAND_AWAITED, "the planner asks again: its first value is awaited")
-        if self._planner.is_stale(now_ns):
-            return _stop(NEUTRAL, causes.COMMAND_STALE, self._planner.stale_reason(now_ns))
-        (value, request), odometry = self._planner.value, self._odometry
-        if not math.isfinite(value):
-            return _stop(NEUTRAL, causes.COMMAND_NOT_FINITE, f"the planner's value is {value}, no number to act on")
-        if odometry.is_stale(now_ns):
-            return _stop(NEUTRAL, causes.ODOMETRY_STALE, odometry.stale_reason(now_ns))
-        if not math.isfinite(odometry.value):
-            return _stop(NEUTRAL, causes.ODOMETRY_NOT_FINITE, f"the velocity in the odometry is {odometry.value}")
+        value, request = self._planner.value
         if gear == COAST_GEAR:
             return Arbitration(PLANNER, causes.PLANNER, "the planner's gear is neutral: the car coasts", 0.0, 0.0, 0.0,
                                False, DRIVE)
         return Arbitration(PLANNER, causes.PLANNER, f"the planner's value is {value:.3f}", request, request,
                            request, False, PLANNER_GEARS.get(gear, DRIVE), speed_mps)
 
+    def _planner_trouble(self, now_ns):
+        """Return why the planner's value can't be followed, or None; without odometry none can."""
+        if self._is_awaited(now_ns):
+            return NoValue(causes.COMMAND_AWAITED, "the planner asks again: its first value is awaited")
+        if self._planner.is_stale(now_ns):
+            return NoValue(causes.COMMAND_STALE, self._planner.stale_reason(now_ns))
+        (value, _), odometry = self._planner.value, self._odometry
+        if not math.isfinite(value):
+            return NoValue(causes.COMMAND_NOT_FINITE, f"the planner's value is {value}, no number to act on")
+        if odometry.is_stale(now_ns):
+            return NoValue(causes.ODOMETRY_STALE, odometry.stale_reason(now_ns))
+        if not math.isfinite(odometry.value):
+            return NoValue(causes.ODOMETRY_NOT_FINITE, f"the velocity in the odometry is {odometry.value}")
+        return None
+
     def _is_awaited(self, now_ns):
-        """Whether the planner has just asked again after a pause: its state arrives before the converter's value."""
+        """Return whether the planner resumed just now: its state arrives before the converter's first value."""
         return (self._planner.is_marked_stale and self._resumed_ns is not None
                 and now_ns - self._resumed_ns <= self._command_timeout_ns)
 
     def _planner_gear(self, now_ns):
-        """Gear, trouble and speed by planner_interface. One that is gone says nothing: without its gear no reverse."""
+        """Return planner_interface's gear, trouble and speed. If stale: AUTO, by which no planner reverses."""
         return (AUTO, None, 0.0) if self._planner_state.is_stale(now_ns) else self._planner_state.value
 
 

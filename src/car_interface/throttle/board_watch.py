@@ -1,13 +1,14 @@
-"""Checks that the servo board holds what turn_arb commands: throttle is given only while it does.
+"""Check that the servo board holds what turn_arb commands: throttle is given only while it does.
 
-Consumes turn_arb's command for the steering channel (from its state) and the duties that the board holds
-(/servo/output), each with its arrival. They come on different connections, so the report of a duty can arrive before
-or after the state that commands it. So the two are compared with a margin, each time once that has passed: what was
-held must be among the commands in force around then, and what was commanded must be among the duties held around then.
-The first finds a second sender on the channel; the second a servo that stands still while the commands sweep through
-its position, as they do when a driver moves the stick to and fro.
+Takes turn_arb's command for the steering channel (from its state) and the duties that the board holds (/servo/output),
+each with its arrival. ``trouble`` returns why no throttle may be given, or None. Pure: ``now_ns`` is passed in.
 
-The time for which they differed adds up, and agreement takes it away at a quarter of the pace.
+The two come on different connections, so a duty's report can arrive before or after the state that commands it. So each
+moment is judged MARGIN_NS later: the duty held then must be among the commands in force around it, and the command must
+be among the duties held around it. The first detects a second sender on the channel. The second detects a servo that
+stands still while the commands sweep through its position, as they do when a driver moves the stick to and fro.
+
+Time of disagreement adds up; agreement reduces it at a quarter of that rate.
 """
 from __future__ import annotations
 
@@ -21,23 +22,23 @@ from car_interface.common.staleness import TimedInput
 from car_interface.common.units import CHANNELS, MAX_DUTY, NS_PER_MS, NS_PER_S, UNCHANGED
 
 BOARD_LIMITS = "the servo board's limits, by `pca9685.yaml`: a command that it clamps counts as followed"
-# Throttle ends so long after the board and turn_arb began to differ for good; it returns after they have agreed for so
-# long. It is the timeout of the arbiters' other inputs.
+# Throttle ends after board and turn_arb have differed for this long, and returns after they have agreed for this long.
+# It is the timeout of the arbiters' other inputs.
 TOLERANCE_NS = 500 * NS_PER_MS
-# How late a report or a state may be, relative to the other: ten periods of turn_arb. It excuses only a command or a
-# duty that the other side takes up or leaves within that time.
+# A report and a state may arrive this far apart: ten periods of turn_arb. This excuses only a command or a duty that
+# the other side takes up or leaves within this time.
 MARGIN_NS = 100 * NS_PER_MS
-JUDGED_NS = TOLERANCE_NS - MARGIN_NS  # of either, when the newest margin can't be judged yet
-# It is judged by the node's timer (50 Hz), and not once more for a message that arrives soon after: a released deadman
-# must not wait for it.
+JUDGED_NS = TOLERANCE_NS - MARGIN_NS  # of a tolerance: its last margin can't be judged yet
+# The node's timer (50 Hz) triggers a judgement. A message that arrives soon after doesn't, so that a released deadman
+# doesn't wait for it.
 JUDGE_PERIOD_NS = 15 * NS_PER_MS
 RECOVERY_RATIO = 4  # the board must follow for four fifths of the time
-ROUNDING_DUTY = 16  # a PCA9685 divides the 65536 duties of the period into 4096 counts; some nodes round them down
+ROUNDING_DUTY = 16  # a PCA9685 has 4096 counts for the 65536 duties of a period, and some nodes round down
 
 
 @dataclass(frozen=True)
 class BoardConfig:
-    """How the servo board is checked."""
+    """Configure the check of the servo board."""
 
     output_required: bool = declared.flag(
         "output_required", True, "false = a board node that has never published `/servo/output` is driven unchecked")
@@ -48,14 +49,14 @@ class BoardConfig:
 
 
 class BoardTrouble(NamedTuple):
-    """Why no throttle may be given."""
+    """The reason for which no throttle may be given."""
 
     cause: str  # one of car_interface.common.causes
     reason: str
 
 
 class BoardWatch:
-    """Judges whether the board follows turn_arb. It does not until both have agreed for TOLERANCE_NS."""
+    """Judge whether the board follows turn_arb. At first it doesn't, until both have agreed for TOLERANCE_NS."""
 
     def __init__(self, config: BoardConfig):
         self._config = config
@@ -80,7 +81,7 @@ class BoardWatch:
             self._held.append(duties[self._channel], now_ns)
 
     def mark_stale(self) -> None:
-        """Messages were dropped before they got here."""
+        """Treat both as unknown, since messages were dropped on their way here."""
         self._output.mark_stale()
         self._commands.clear()
         self._restart()
@@ -90,7 +91,7 @@ class BoardWatch:
         return self._output.age_s(now_ns)
 
     def trouble(self, now_ns: int) -> BoardTrouble | None:
-        """Return why no throttle may be given at ``now_ns``, or None. It depends on the calls before."""
+        """Return why no throttle may be given at ``now_ns``, or None. It depends on earlier calls."""
         if not self._output.was_received:
             if not self._config.output_required:
                 return None
@@ -134,7 +135,7 @@ class BoardWatch:
             self._follows &= self._difference_ns < JUDGED_NS
 
     def _agree(self, at_ns):
-        """Return whether what was commanded at a time was held about then, and the other way round."""
+        """Return whether the command at a time was held around it, and the held duty was commanded around it."""
         return (bool(self._commands) and bool(self._held)
                 and self._held.covers(self._commands.at(at_ns), at_ns)
                 and self._commands.covers(self._held.at(at_ns), at_ns))
@@ -150,7 +151,7 @@ class BoardWatch:
 
 
 class _History:
-    """The duties of the recent past, and since when each was in force."""
+    """Keep the duties of the recent past, and when each came into force."""
 
     def __init__(self):
         self._entries: deque[tuple[int, int]] = deque()  # since when, duty; oldest first
@@ -184,7 +185,7 @@ class _History:
         return next((duty for since_ns, duty in reversed(self._entries) if since_ns <= at_ns), self._entries[0][1])
 
     def covers(self, duty, at_ns):
-        """Return whether a duty lies among those in force within MARGIN_NS of a time, but for the board's rounding."""
+        """Return whether a duty is among those in force within MARGIN_NS of a time, but for rounding."""
         around = [self.at(at_ns - MARGIN_NS), *(each for since_ns, each in self._entries
                                                 if at_ns - MARGIN_NS < since_ns <= at_ns + MARGIN_NS)]
         return min(around) - ROUNDING_DUTY <= duty <= max(around) + ROUNDING_DUTY

@@ -1,7 +1,7 @@
-"""The ESC's channel and its duties: value → request, request ↔ duty.
+"""Convert between the converter's values, requests, and the duties of the ESC's channel.
 
-A request is a fraction of the duty between neutral and each end: 1 the duty of the highest value, −1 that of the
-lowest. An ESC that takes shorter pulses for forward has a table that falls.
+A request is a fraction of the duty between neutral and each end: 1 is the duty of the highest value, −1 the duty of the
+lowest. The table of an ESC that drives forward on shorter pulses falls.
 """
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class ThrottleCalibration:
     neutral: int = declared.duty("servo/neutral", REQUIRED, "neither drives nor brakes; within the table")
 
     def __post_init__(self):
-        LookupTable(self.value_axis, self.duty_table, "servo/value_axis", "servo/duty_table")  # checks them
+        LookupTable(self.value_axis, self.duty_table, "servo/value_axis", "servo/duty_table")  # checks the axis
         steps = [high - low for low, high in zip(self.duty_table, self.duty_table[1:])]
         if not any(steps) or min(steps) < 0 < max(steps):
             raise ConfigError("servo/duty_table", list(self.duty_table), "duties that only rise, or only fall")
@@ -42,7 +42,7 @@ class ThrottleCalibration:
 
 
 def trimmed(calibration: ThrottleCalibration, neutral: int) -> ThrottleCalibration:
-    """A calibration with another neutral and the table shifted by the same, so that a value of 0 stays neutral.
+    """Return a calibration with another neutral and the table shifted by the same, so that a value of 0 stays neutral.
 
     Raises:
         ConfigError: naming the parameter.
@@ -54,7 +54,7 @@ def trimmed(calibration: ThrottleCalibration, neutral: int) -> ThrottleCalibrati
 
 
 class DutyMap:
-    """Converts values, requests and duties by a calibration."""
+    """Convert values, requests and duties by one calibration."""
 
     def __init__(self, calibration: ThrottleCalibration):
         self.calibration = calibration
@@ -63,19 +63,19 @@ class DutyMap:
         self._behind = calibration.duty_table[0] - calibration.neutral
 
     def request_of_value(self, value: float) -> float:
-        """The request for one of the converter's values; NaN for NaN."""
+        """Return the request for one of the converter's values; NaN for NaN."""
         return self._request(self._duty_of_value(value)) if value == value else value
 
     def request_of_duty(self, duty: int) -> float | None:
-        """The request that a duty on the channel stands for; beyond ±1 where the table doesn't reach.
+        """Return the request that a duty on the channel stands for; beyond ±1 outside of the table.
 
         Returns:
-            ``None`` for what is no pulse: −1 (never set), 0 (off), the full duty (on).
+            ``None`` if there is no pulse: −1 (never set), 0 (off), the full duty (on).
         """
         return self._request(duty) if 0 < duty < MAX_DUTY else None
 
     def duty(self, request: float) -> int:
-        """The duty for a request, −1..1, which saturates beyond."""
+        """Return the duty for a request, which is clamped to −1..1."""
         span = self._forward if request >= 0 else self._behind
         return max(0, min(MAX_DUTY, round_half_away(self.calibration.neutral + min(1.0, abs(request)) * span)))
 

@@ -1,4 +1,4 @@
-"""The configuration of the node throttle_arb, from its parameters or from a YAML file for it."""
+"""Read the configuration of the node throttle_arb from its parameters, or from a YAML file for it."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
@@ -9,7 +9,7 @@ from car_interface.common.errors import ConfigError
 from car_interface.common.live_parameters import TuningSettings
 from car_interface.common.params import Params
 from car_interface.common.yaml_file import load_yaml
-from car_interface.throttle.arbiter import ArbiterConfig
+from car_interface.throttle.arbiter import ThrottleArbiterConfig
 from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.esc_config import EscConfig
 from car_interface.throttle.limits import ThrottleLimits
@@ -20,26 +20,26 @@ LIVE_RANGE = 100  # duty, by default: 6 % of an ESC's range to each side
 
 @dataclass(frozen=True)
 class ThrottleConfig:
-    """The configuration of throttle_arb; ``obstacles`` are the sonars that it stops for, ``None`` = for none."""
+    """Configure throttle_arb; without ``obstacles`` it doesn't stop for what the sonars see."""
 
     calibration: ThrottleCalibration = declared.group(ThrottleCalibration)
-    arbiter: ArbiterConfig = declared.group(ArbiterConfig())
+    arbiter: ThrottleArbiterConfig = declared.group(ThrottleArbiterConfig())
     esc: EscConfig = declared.group(EscConfig())
     limits: ThrottleLimits = declared.group(ThrottleLimits())
     obstacles: ObstacleConfig | None = declared.group(ObstacleConfig())
     tuning: TuningSettings = declared.group(TuningSettings(LIVE_RANGE))
 
-    SHARED = ("sonar_hub", "board")  # files of teensy_sensor_hub and pca9685, of which little is read
+    SHARED = ("sonar_hub", "board")  # files of teensy_sensor_hub and pca9685, of which it reads only some parameters
 
 
 def load_throttle(path: str, text: str | None = None) -> ThrottleConfig:
-    """Load the configuration from a YAML file for throttle_arb, without value map and sonars: they are of other files.
+    """Load the configuration from a YAML file for throttle_arb, without value map and sonars (files of their own).
 
-    A file that the node would refuse is refused here too.
+    A file that the node would refuse is refused here, too.
 
     Args:
         path: of the file.
-        text: what the file is going to have; ``None`` = it is read.
+        text: the file's future content, to check instead; ``None`` = read the file.
 
     Raises:
         ConfigError: naming the file, the parameter and what is wrong with it.

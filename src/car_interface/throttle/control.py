@@ -1,11 +1,23 @@
-"""The throttle as a whole: who drives, what the limits and the ESC's rules make of it, and the duty that the ESC gets.
+"""Decide the duty that the ESC gets, from the newest message of each input.
+
+``ThrottleControl.decide`` takes five steps, a module each:
+
+1. ``arbiter``: e-stop, deadman, steering, board, mode, stick and planner say who drives and what is requested. An
+   input that forbids to drive, is stale or not finite makes it a stop (``Arbitration.is_stop``).
+2. ``obstacle_guard``: the sonars bound the speed, or demand a stop.
+3. ``limits``: reduces the request to those bounds and to the configured limits; a stop passes unchanged.
+4. ``esc``: turns the request into a fraction −1..1; no brake becomes reverse. A stop brakes where that is certain
+   (``Esc._stop``); else it is neutral, and the car coasts.
+5. ``calibration.DutyMap``: turns the fraction into the duty, which throttle_arb publishes for the ESC's channel.
+
+``ThrottleDecision`` carries the result of each step with its cause and reason. Pure: ``now_ns`` is passed in.
 """
 from __future__ import annotations
 
 from typing import NamedTuple, Sequence
 
 from car_interface.common.staleness import TimedInput
-from car_interface.throttle.arbiter import PLANNER, TELEOP, ArbiterConfig, Arbitration, ThrottleArbiter
+from car_interface.throttle.arbiter import PLANNER, TELEOP, Arbitration, ThrottleArbiter, ThrottleArbiterConfig
 from car_interface.throttle.calibration import DutyMap, ThrottleCalibration
 from car_interface.throttle.esc import FORWARD, REVERSE, Esc, EscDecision
 from car_interface.throttle.esc_config import EscConfig
@@ -18,7 +30,7 @@ DRIVES = (FORWARD, REVERSE)
 
 
 class ThrottleDecision(NamedTuple):
-    """What the ESC gets, and why."""
+    """The duty for the ESC's channel, and the result of each step on the way to it."""
 
     duty: int
     arbitration: Arbitration
@@ -29,29 +41,29 @@ class ThrottleDecision(NamedTuple):
 
     @property
     def is_driven(self) -> bool:
-        """Whether a human or the planner drives and the ESC gets something else than neutral."""
+        """Return whether a human or the planner drives and the ESC gets something other than neutral."""
         return self.arbitration.source in (TELEOP, PLANNER) and bool(self.esc.fraction)
 
     @property
     def differs_by(self) -> tuple:
-        """All but ages, and numbers in reasons, which always differ."""
+        """Return what makes two decisions differ: all but ages and the numbers in reasons, which change every time."""
         return (self.duty, self.arbitration.source, self.arbitration.cause, self.esc.state, self.esc.cause, self.mode,
                 self.scale, self.limited.cause)
 
     @property
     def kind(self) -> tuple:
-        """Who drives and why, and the ESC's state: what a log reports when it changes."""
+        """Return who drives and why, and the ESC's state and cause: the log reports a change of these."""
         return self.arbitration.source, self.arbitration.cause, self.esc.state, self.esc.cause
 
 
 class ThrottleControl:
-    """Decides the ESC's duty from the newest of each input.
+    """Decide one ESC's duty from the newest message of each input.
 
     Attributes:
-        arbiter: takes e-stop, deadman, steering, teleop, mode, buttons and the converter's state itself.
+        arbiter: takes e-stop, deadman, steering, teleop, mode, buttons and the converter's state directly.
     """
 
-    def __init__(self, calibration: ThrottleCalibration, arbiter: ArbiterConfig, esc: EscConfig,
+    def __init__(self, calibration: ThrottleCalibration, arbiter: ThrottleArbiterConfig, esc: EscConfig,
                  limits: ThrottleLimits | None = None, obstacles: ObstacleConfig | None = None):
         self.arbiter = ThrottleArbiter(arbiter)
         self._duties = DutyMap(calibration)
@@ -63,12 +75,12 @@ class ThrottleControl:
 
     @property
     def profile(self) -> str:
-        """The ESC's kind."""
+        """Return the ESC's kind (``esc/profile``)."""
         return self._esc.config.profile
 
     @property
     def is_calibration_drive(self) -> bool:
-        """Whether the ESC gets a person's stick as it is."""
+        """Return whether the ESC gets a person's stick unchanged."""
         return self._esc.config.calibration_drive
 
     def calibrate(self, calibration: ThrottleCalibration) -> None:
@@ -76,11 +88,11 @@ class ThrottleControl:
         self._duties = DutyMap(calibration)
 
     def update_planner(self, value: float, now_ns: int) -> None:
-        """The converter's value for the planner's command."""
+        """Take the converter's value for the planner's command."""
         self.arbiter.update_planner(value, self._duties.request_of_value(value), now_ns)
 
     def update_odometry(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
-        """The car's measured speed, forward positive, and how old it was at its arrival, as far as its stamp says."""
+        """Take the measured speed, forward positive, and its age at arrival by its stamp; 0 = unknown."""
         self.arbiter.update_odometry(speed_mps, now_ns, age_ns)
         self._limiter.speed.update(speed_mps, now_ns, age_ns)
         self._esc.update_speed(speed_mps, now_ns, age_ns)
@@ -88,24 +100,28 @@ class ThrottleControl:
             self._guard.update_speed(speed_mps, now_ns, age_ns, self._curvature_per_m)
 
     def update_turn(self, radius_m: float, max_speed_mps: float) -> None:
-        """The turn that turn_arb steers, in m, left positive, inf: straight on; and up to which speed what is asked for
-        keeps within its limit; inf: straight on; 0 = no limit.
+        """Take the turn that turn_arb steers.
+
+        Args:
+            radius_m: left positive; inf = straight on.
+            max_speed_mps: up to this speed the requested turn keeps within turn_arb's limit; inf = straight on, 0 = no
+                limit.
         """
         self._curvature_per_m = 1.0 / radius_m if abs(radius_m) > 0 else 0.0  # also for NaN
         self._turn_max_mps = max_speed_mps if max_speed_mps > 0 else 0.0
 
     def update_range(self, sonar: str, range_m: float, now_ns: int) -> None:
-        """A sonar's range, by its name as in ``obstacle_stop.NAMES``."""
+        """Take a sonar's range; ``sonar`` is one of ``vehicle_geometry.SONARS``."""
         if self._guard is not None:
             self._guard.sonars.update_range(sonar, range_m, now_ns)
 
     @property
     def cuts(self) -> int:
-        """How often a request began to be limited."""
+        """Return how often a limit began to cut the request."""
         return self._limiter.cuts
 
     def update_output(self, duties: Sequence[int], now_ns: int) -> None:
-        """The 16 duties that the servo board holds."""
+        """Take the 16 duties that the servo board holds, −1 = never set."""
         duty = duties[self._duties.calibration.channel]
         self._output.update(duty, now_ns)
         self.arbiter.update_output(duties, now_ns)
@@ -115,7 +131,7 @@ class ThrottleControl:
         return self._duties.request_of_value(value)
 
     def mark_stale(self, now_ns: int) -> None:
-        """Messages were dropped before they got here: all inputs are stale."""
+        """Treat all inputs as stale, since messages were dropped on their way here."""
         self.arbiter.mark_stale(now_ns)
         self._limiter.speed.mark_stale()
         if self._guard is not None:
@@ -124,11 +140,11 @@ class ThrottleControl:
         self._esc.mark_stale()
 
     def ages_s(self, now_ns: int) -> dict[str, float]:
-        """Seconds since the last message of each input, by name; inf = never received."""
+        """Return the seconds since the last message of each input, by name; inf = never received."""
         return {**self.arbiter.ages_s(now_ns), self._output.name: self._output.age_s(now_ns)}
 
     def decide(self, now_ns: int) -> ThrottleDecision:
-        """What the ESC gets from ``now_ns`` on, and why. It depends on the calls before: call it at 20 Hz at least."""
+        """Return what the ESC gets from ``now_ns`` on. The rules remember earlier calls: call it at 20 Hz at least."""
         arbitration = self.arbiter.decide(now_ns)
         obstacle = NONE if self._guard is None else self._guard.check(
             arbitration, self._limiter.speed, self._curvature_per_m, now_ns)
@@ -141,8 +157,12 @@ class ThrottleControl:
                                 self.arbiter.scale, limited)
 
     def _step(self, limited, now_ns):
-        """The ESC's answer. Whether it drives or brakes by a request, whose scales differ, is known only then."""
-        # Between two pulls of a stick whose teleop sends no mode nobody drives: they are a human's all the same.
+        """Return the ESC's answer to what the limits granted.
+
+        A stick has one scale for driving and one for braking, and only the ESC's rules know which of the two a pull is
+        now. So they first get the request with the likely scale, and once more with the other if it turns out wrong.
+        """
+        # Without a mode the source is NEUTRAL while the stick is centered between two pulls: these are a human's, too.
         arbitration = limited.arbitration
         is_human = arbitration.source != PLANNER
         request = Request(arbitration.drive, arbitration.gear, is_human=is_human, is_stop=arbitration.is_stop,
@@ -150,10 +170,11 @@ class ThrottleControl:
                           cruise_mps=arbitration.cruise_mps)
         is_as_it_is = self.is_calibration_drive and arbitration.gear == AUTO
         if arbitration.drive == arbitration.brake or is_as_it_is:
-            return self._esc.step(request, now_ns)  # one scale: a pull stays what it is when the car comes to stand
+            return self._esc.step(request, now_ns)  # one scale: a pull stays the same when the car stops
         pulls = arbitration.asked < 0 and self._esc.state != REVERSE
         answer = self._esc.step(request._replace(value=arbitration.brake) if pulls else request, now_ns)
-        # A way into reverse that begins with neutral is told by the state: by the drive's scale it may be none at all.
+        # The way into reverse may begin with neutral, so the state counts, too. By the driving scale the same pull may
+        # be within the dead band, and no reverse at all.
         if (answer.fraction or answer.state == REVERSE) and (answer.state in DRIVES) == pulls:
             answer = self._esc.step(request._replace(value=arbitration.drive if pulls else arbitration.brake), now_ns)
         return answer

@@ -1,7 +1,7 @@
-"""Accelerations to an actuator's values: limits, timeouts and the value map.
+"""Convert accelerations to an actuator's values, by the value map and limits.
 
-Consumes odometry's velocity and commanded accelerations with their arrival times, and answers each command with a value
-or with the cause why there is none.
+``Converter.convert`` takes a commanded acceleration, and uses odometry's newest velocity. It returns a ``Conversion``:
+a value, or cause and reason if there is none. Pure: ``now_ns`` is passed in.
 """
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PASSES = "false = accelerations pass through, clamped; no map and no odometry ne
 
 @dataclass(frozen=True)
 class ConversionConfig:
-    """Limits of the output, with and without a map, and the timeout.
+    """Configure the limits of the output and the timeout of odometry.
 
     Raises:
         ConfigError: naming the parameter.
@@ -37,7 +37,7 @@ class ConversionConfig:
 
 @dataclass(frozen=True)
 class ConverterConfig:
-    """The configuration of generic_value_converter; without ``value_map`` accelerations pass through."""
+    """Configure generic_value_converter; without ``value_map`` accelerations pass through, clamped."""
 
     conversion: ConversionConfig = declared.group(ConversionConfig())
     converts: bool = declared.flag("convert_value_cmd", True, PASSES)
@@ -48,7 +48,7 @@ class ConverterConfig:
     value_map: ValueMap | None = None
 
     def completed(self, params) -> ConverterConfig:
-        """Return the same with the map, if it's used.
+        """Return the same with the map, if it is used.
 
         Raises:
             ConfigError: naming the parameter, or the place in the map's file.
@@ -65,7 +65,7 @@ class ConverterConfig:
 
 
 class Conversion(NamedTuple):
-    """A value to send, or ``None`` and why."""
+    """A value to send, or ``None`` with cause and reason."""
 
     value: float | None
     cause: str = ""  # one of car_interface.common.causes; empty with a value
@@ -73,7 +73,7 @@ class Conversion(NamedTuple):
 
 
 class Converter:
-    """Turns commanded accelerations into values.
+    """Convert commanded accelerations to values.
 
     Args:
         config: limits and timeout.
@@ -94,15 +94,15 @@ class Converter:
         self._odometry = TimedInput("odometry", config.odometry_timeout_s)
 
     def update_odometry(self, velocity: float, now_ns: int, age_ns: int = 0) -> None:
-        """The car's forward velocity in m/s, and how old it was at arrival."""
+        """Take the car's velocity in m/s, forward positive, and its age at arrival."""
         self._odometry.update(velocity, now_ns, age_ns)
 
     def mark_stale(self) -> None:
-        """Messages were dropped before they got here: the velocity is stale."""
+        """Treat the velocity as stale, since messages were dropped on their way here."""
         self._odometry.mark_stale()
 
     def convert(self, acceleration: float, now_ns: int) -> Conversion:
-        """The value for a commanded acceleration in m/s² at the newest velocity."""
+        """Return the value for a commanded acceleration in m/s² at the newest velocity."""
         if not math.isfinite(acceleration):
             return Conversion(None, causes.COMMAND_NOT_FINITE, f"the commanded acceleration is {acceleration}")
         if self._map is None:
@@ -113,7 +113,7 @@ class Converter:
         return Conversion(self._clamp(self._map.value_at(acceleration, self._odometry.value)))
 
     def odometry_trouble(self, now_ns: int) -> Conversion | None:
-        """Why the velocity can't be used at ``now_ns``; ``None`` when it can."""
+        """Return why the velocity can't be used at ``now_ns``; ``None`` = it can."""
         if self._odometry.is_stale(now_ns):
             return Conversion(None, causes.ODOMETRY_STALE, self._odometry.stale_reason(now_ns))
         if not math.isfinite(self._odometry.value):
@@ -122,7 +122,7 @@ class Converter:
         return None
 
     def odometry_age_s(self, now_ns: int) -> float:
-        """Seconds since the last odometry; inf = never received."""
+        """Return the seconds since the last odometry; inf = never received."""
         return self._odometry.age_s(now_ns)
 
     def _clamp(self, value):

@@ -1,16 +1,16 @@
-"""Where the echoes of a car's sonars came from, while it drives on.
+"""Remember where the echoes of a car's sonars came from, while the car drives on.
 
-An echo tells how far something is, not in which direction: it may stand anywhere in the cone at that range, so points
-across the cone stand for it. They stay where they are while the car moves (its speed and curvature are integrated),
-also where no cone reaches them any more: at the bumper's corners, and beside the car in a turn. A point is forgotten
-when
+``look`` takes a range, ``move`` the car's motion, and ``meets`` returns what the car meets first on an arc. An echo
+shows how far something is, but not its direction: it may be anywhere in the cone at that range, so points across the
+cone stand for it. The points keep their place while the car moves (by its integrated speed and curvature), even where
+no cone reaches them: at the bumper's corners, and beside the car in a turn. A point is forgotten when
 
-* its sonar's next echo comes from as far: the new one stands for it,
-* a sonar looked there again and saw farther: twice, or four times where it heard no echo at all, since now and then an
-  echo fails to appear,
-* the car has passed it, or is where it was.
+* its sonar's next echo has the same range, and so replaces it,
+* a sonar has looked there again and seen farther: twice with an echo, or four times without any, since a single echo
+  may get lost,
+* the car has passed it, or stands where it was.
 
-Pure. The frame is that of the car when it started.
+Pure. The frame is the car's frame at its start.
 """
 from __future__ import annotations
 
@@ -20,19 +20,21 @@ from typing import Mapping, NamedTuple
 from car_interface.common.units import NS_PER_S
 from car_interface.throttle.sonar_fan import Arc, Mount, Outline, cone_points
 
-MISSES, MISSED_BY_ECHO, MISSED_BY_NONE = 4, 2, 1  # of one lost echo in twenty, four in a row are 6 in a million
-SAME_M = 0.08  # ranges that differ by less are of the same thing: the sonar's noise, and that of the odometry meanwhile
-# So near to a cone's edge a place may have been looked at, or not. A sonar's own echo did come from there.
+MISSES, MISSED_BY_ECHO, MISSED_BY_NONE = 4, 2, 1  # if one echo in 20 is lost, four in a row are 6 in a million
+SAME_M = 0.08  # ranges that differ by less are of the same thing: noise of sonar and odometry
+# A place this near to a cone's edge may be inside or outside of the cone. A sonar's own echo did come from inside.
 EDGE_RAD, ROUNDING_RAD = math.radians(2.0), math.radians(0.2)
-MAX_POINTS = 32  # beside those of the newest echoes; the nearest stay, and what an echo may only have been lost of
-CELL_M = 0.08  # one of a sonar's points stands for all in a square of this size
-FORGET_M = 2.5  # from the middle of the rear axle: a thing farther away is looked at again before the car gets there
-MAX_STEP_S = 1.0  # what a car without reports is moved on by
+MAX_POINTS = 32  # besides the newest echoes': the nearest, and those that a sonar has missed, are kept
+CELL_M = 0.08  # one point of a sonar stands for all its points in a square of this size
+FORGET_M = 2.5  # from the rear axle's middle; the sonars see what is farther again before the car gets there
+MAX_STEP_S = 1.0  # without reports the car is moved on for this long at most
+
+
 class Met(NamedTuple):
-    """What the car meets on an arc."""
+    """The first echo of a sonar that the car meets on an arc."""
 
     distance_m: float  # of the rear axle's middle
-    is_current: bool  # by the sonar's newest echo; else remembered
+    is_current: bool  # it is the sonar's newest echo; else a remembered one
 
 
 class _Point:
@@ -44,13 +46,13 @@ class _Point:
 
 
 class EchoMemory:
-    """The places of one car's echoes.
+    """Keep the places of one car's echoes.
 
     Args:
         mounts: the sonars, by name.
-        field_of_view_rad: the whole cone of each.
-        outline: the car's.
-        margin_m: at both sides; what the car passes by more closely is in its way.
+        field_of_view_rad: the full angle of each cone.
+        outline: of the car.
+        margin_m: what the car would pass at a smaller distance is in its way.
     """
 
     def __init__(self, mounts: Mapping[str, Mount], field_of_view_rad: float, outline: Outline, margin_m: float):
@@ -62,11 +64,11 @@ class EchoMemory:
 
     @property
     def are_moved(self) -> bool:
-        """Whether the car's motion is known."""
+        """Return whether the points follow the car's motion: ``move`` was called."""
         return self._moved_ns is not None
 
     def move(self, speed_mps: float, curvature_per_m: float, now_ns: int) -> None:
-        """The car has driven at this speed (backward negative) on this arc (1/m, left positive) since the last call."""
+        """Move the car on: its speed (backward negative) and arc (1/m, left positive) since the last call."""
         if self._moved_ns is not None:
             way_m = speed_mps * min(MAX_STEP_S, (now_ns - self._moved_ns) / NS_PER_S)
             yaw_rad = self._yaw_rad + way_m * curvature_per_m / 2.0
@@ -76,7 +78,7 @@ class EchoMemory:
         self._moved_ns = now_ns
 
     def look(self, sonar: str, range_m: float, is_echo: bool) -> None:
-        """A sonar's newest range; without an echo: how far it would have seen one."""
+        """Take a sonar's newest range; without an echo the distance up to which it would have seen one."""
         mount = self._mounts[sonar]
         half_rad = self._field_of_view_rad / 2.0
         cos_yaw, sin_yaw = math.cos(self._yaw_rad), math.sin(self._yaw_rad)
@@ -106,7 +108,7 @@ class EchoMemory:
                                            self._y_m + x_m * sin_yaw + y_m * cos_yaw, sonar))
 
     def _remembered(self, points):
-        """Those that are still ahead of the sonar's end of the car, the nearest ones if there are many."""
+        """Return the points that the car hasn't passed: the newest echoes', and MAX_POINTS others at most."""
         found, current, cells = [], [], set()
         for point in reversed(points):
             if point.is_current:
@@ -137,12 +139,12 @@ class EchoMemory:
         return to_x_m * cos_yaw + to_y_m * sin_yaw, to_y_m * cos_yaw - to_x_m * sin_yaw
 
     def meets(self, curvature_per_m: float, is_backward: bool) -> dict[str, Met]:
-        """What the car meets first on an arc, of each sonar's echoes; those are left out of which it meets none."""
+        """Return the first echo of each sonar that the car meets on an arc, by name; others are left out."""
         if not self._points:
             return {}
         outline, found = self._outline, {}
         arc = Arc(curvature_per_m, is_backward, outline, self._margin_m)
-        body = None  # the same without the margin: what stands beside the car is passed closely already
+        body = None  # without the margin, for points beside the car: it already passes them closely
         cos_yaw, sin_yaw = math.cos(self._yaw_rad), math.sin(self._yaw_rad)
         from_x_m, from_y_m = self._x_m * cos_yaw + self._y_m * sin_yaw, self._y_m * cos_yaw - self._x_m * sin_yaw
         places = [(point.x_m * cos_yaw + point.y_m * sin_yaw - from_x_m,

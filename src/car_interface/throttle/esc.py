@@ -1,15 +1,27 @@
-"""Drives a hobby ESC so that a brake never becomes reverse: the state machine between a request and the pulse.
+"""Drive a hobby ESC so that a brake never becomes reverse: the state machine between a request and the pulse.
 
-Consumes requests (fractions −1..1), what the servo board held, and the measured speed, each at its arrival; ``step``
-answers with a fraction, the state, the cause and the reason. It never blocks: where an ESC needs time in neutral, the
-answers are neutral until then. Pure: ``now_ns`` is passed in. The duty for a fraction is the caller's table.
+``Esc.step`` takes a ``Request`` (fraction −1..1, gear, stop) and returns an ``EscDecision``: the fraction that the ESC
+gets now, the state, the cause and the reason. It decides by
 
-What is certain to be a brake, and what is not, stands with the rules: see ``_brakes``, ``_weak_pull`` and
-``_stop_brakes``.
+* ``esc_config``: the ESC's kind (``esc/profile``), and whether calibrate_esc has measured it,
+* ``esc_history``: the pulses that the ESC has had, and what they make of the next pull,
+* ``esc_motion``: the car's measured speed, and whether a hill drives it,
+* ``esc_proof``: whether the ESC has shown on the road that its brake doesn't become reverse,
+* ``esc_intention``: whether a person's pull means reverse.
 
-What it can't see: an ESC that is switched on, or recalibrated, later than the board: its memory begins anew, and its
-first pull may be reverse. A hill, before the car has rolled on it in neutral. A board that gives no pulses and has not
-said so yet. And with a wrong profile and without speed, that a person's own pull drives the car backward.
+The rules, in the order of ``step``: arming comes first, then a stop (``_stop``), then a request (``_drive``). A pull is
+given if it brakes for certain (``_brakes``), weakly if that ends before the car stands (``_weak_pull``), or as a step
+of the way into reverse (``_reverse``); else the ESC gets neutral. A stop brakes by stricter rules (``_stop_brakes``).
+Nothing blocks: where an ESC needs time in neutral, ``step`` returns neutral until it has passed. Pure: ``now_ns`` is
+passed in.
+
+The rules can't see
+
+* an ESC that is switched on or recalibrated later than the board: it has forgotten the pulses before, and its first
+  pull may be reverse,
+* a hill on which the car hasn't rolled in neutral,
+* a board that stopped its pulses and hasn't reported it yet,
+* a person's pull that drives the car backward, with a wrong profile and without a speed.
 """
 from __future__ import annotations
 
@@ -24,13 +36,13 @@ from car_interface.throttle.esc_config import (
     UNVERIFIED,
     EscConfig,
 )
-from car_interface.throttle.esc_hill import HillWatch
 from car_interface.throttle.esc_history import EscHistory
 from car_interface.throttle.esc_intention import AUTO, DRIVE, REVERSE_GEAR, Pulls, Request
 from car_interface.throttle.esc_motion import (
     ACTUATION_NS,
     MOTOR_LAG_NS,
     STANDSTILL_MPS,
+    HillWatch,
     MeasuredMotion,
     MotionCheck,
 )
@@ -42,33 +54,36 @@ STATE_NAMES = ("ARMING", "NEUTRAL", "FORWARD", "BRAKING", "HOLD", "REVERSE")
 STARTED = "this node has just started"
 NO_PULSE = "the servo board gave no pulse"
 PASSES = "calibration drive: the ESC gets the stick as it is, and a brake may become reverse"
-# A stop trusts the ESC to remember that it drove forward for no longer than this, whatever reverse_after_neutral says:
-# the quickest that any ESC is known to forget is a second (the light controllers' figure for cheap ones).
+# After this time in neutral a stop no longer trusts the ESC to remember that it drove forward, whatever
+# reverse_after_neutral is. No ESC is known to forget within a second (a figure of light controllers for cheap ESCs).
 STOP_MEMORY_NS = round(0.5 * NS_PER_S)
-BEGINS_OVER_MPS = NEAR_MPS = 0.1  # of the brake's margin: to begin, and to end a brake whose strength is seen
-# A pull that begins so soon after the last speed is one at that speed.
+BEGINS_OVER_MPS = NEAR_MPS = 0.1  # m/s around esc/brake_margin: a brake begins above, and ends below
+# A pull that begins within this time of the last speed is judged by that speed: the largest esc/speed_timeout.
 LOST_NS = round(0.5 * NS_PER_S)
-HIDDEN_NS = round(0.35 * NS_PER_S)  # so late may a speed be that doesn't say how late it is
-SAME_BRAKE = 0.05  # fractions that differ by less brake alike
-# A whole pull slows no car by more than this: half of it locks the wheels of the strongest on dry asphalt, at 8 m/s².
+# The age that a speed without a stamp may have at its arrival. Chosen; test_esc.py fails with 0.1 s.
+HIDDEN_NS = round(0.35 * NS_PER_S)
+SAME_BRAKE = 0.05  # brakes that differ by no more than this fraction slow the car alike
+# A full pull slows no car by more than this: half of it gives the 8 m/s² at which the strongest car's wheels lock on
+# dry asphalt (MAX_DECELERATION_MPS2).
 SLOWS_MPS2 = 16.0
-LETS_GO = 1.5  # a weaker pull follows once the motor does no more of a stronger one than so much of it
+LETS_GO = 1.5  # a weak pull follows once the motor's lag leaves no more than this many times as much of a stronger one
 WEAKLY = "as much of a brake as certainly ends before it stands"
-# The pull before the one that is to reverse: some ESCs reverse by it at once, and for the dwell nobody corrects that.
+# The strength of the pull before reverse: some ESCs reverse by it at once, and nothing corrects that for esc/dwell.
 FIRST_PULL = 0.15
-# A push so weak slows a car that rolls backward by less than 1.5 m/s²: it doesn't turn it round between two reports.
+# Such a push slows a car that rolls backward by less than 1.5 m/s² (a quarter of a Slash's 5.6 m/s²), which doesn't
+# turn it round between two reports of the speed.
 GENTLE = 0.25
 
 
 class EscDecision(NamedTuple):
-    """What the ESC gets, and why."""
+    """The fraction for the ESC, with its reason, and the deceleration that a stop would have now."""
 
     fraction: float  # −1..1
     state: int
     cause: str  # one of car_interface.common.causes
     reason: str
-    stop_mps2: float  # the deceleration that a stop is certain of now
-    coasts_below_mps: float  # and below this speed it is drag's alone; 0 where it brakes to standstill
+    stop_mps2: float  # the deceleration that is certain if the car stops now
+    coasts_below_mps: float  # below this speed only drag is certain; 0: the brake is, down to standstill
 
     @property
     def state_name(self) -> str:
@@ -76,10 +91,10 @@ class EscDecision(NamedTuple):
 
 
 class Esc:
-    """One ESC and the rules for it.
+    """Apply the rules to one ESC.
 
-    It starts in ARMING: neutral for the arming time, the stick centered, and the deadman seen released. The board's
-    loss of power and motion against the state lead back there.
+    It starts in ARMING, and leaves that after neutral for esc/arming_time, with the stick centered and the deadman seen
+    released. A board without pulses, and motion against the state, lead back to ARMING.
     """
 
     def __init__(self, config: EscConfig):
@@ -90,37 +105,37 @@ class Esc:
         self._pulls = Pulls(config.dead_band_reverse)
         self._state = ARMING
         self._arming_cause, self._arming_reason = causes.ESC_ARMING, STARTED
-        self._was_released = False  # the deadman, since arming began
+        self._was_released = False  # whether the deadman was, since arming began
         self._armed_after_ns: int | None = None  # neutral counts from here on
         self._fraction = 0.0
         self._stop_began_ns: int | None = None
-        self._is_measured = config.profile_measured  # and nothing has spoken against it
+        self._is_measured = config.profile_measured  # until the car moves against the ESC's state
         self._proof = BrakeProof(config.stop_brake)
         self._hill = HillWatch()
         self._saw_speed_in_reverse = False
-        self._brakes_since_ns = 0  # since when it brakes as now
-        self._lagging_pull, self._finished_ns = 0.0, 0  # what a motor with a lag still does of earlier pulls
+        self._brakes_since_ns = 0  # when the present strength of the brake began
+        self._lagging_pull, self._finished_ns = 0.0, 0  # the fraction by which a lagging motor still brakes, and when
 
     @property
     def state(self) -> int:
-        """The state of the last step."""
+        """Return the state of the last step."""
         return self._state
 
     def update_held(self, fraction: float | None, now_ns: int) -> None:
-        """What the servo board holds; ``None`` = no pulse: switched off, never set, without power."""
+        """Take what the servo board holds; ``None`` = no pulse: switched off, never set, or without power."""
         self._history.update_held(fraction, now_ns)
 
     def update_speed(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
-        """The measured speed, forward positive, and how old it was at its arrival."""
+        """Take the measured speed, forward positive, and its age at arrival."""
         self._motion.update(speed_mps, now_ns, age_ns)
 
     def mark_stale(self) -> None:
-        """Messages were dropped before they got here: neither the board nor the speed is known."""
+        """Treat board and speed as unknown, since messages were dropped on their way here."""
         self._history.mark_unknown()
         self._motion.mark_stale()
 
     def step(self, request: Request, now_ns: int) -> EscDecision:
-        """What the ESC gets from now on. Call it on every change and at 20 Hz at least."""
+        """Return what the ESC gets from now on. Call it on every change, and at 20 Hz at least."""
         passes = self.config.calibration_drive and request.is_human and request.gear != DRIVE
         value = self._value_of(request, passes)
         self._history.resume(now_ns)
@@ -131,7 +146,7 @@ class Esc:
         self._pulls.update(request, now_ns)
         self._update_arming(request, now_ns)
         if self._state == ARMING:
-            self._pulls = Pulls(self.config.dead_band_reverse)  # none counts from before
+            self._pulls = Pulls(self.config.dead_band_reverse)  # earlier pulls don't count
             answer = (0.0, ARMING, self._arming_cause, self._arming_text(request, now_ns))
         elif request.is_stop:
             answer = self._stop(now_ns)
@@ -145,6 +160,7 @@ class Esc:
     # --- arming ---
 
     def _update_arming(self, request, now_ns):
+        """Enter ARMING without pulses and after motion against the state; leave it once nothing is missing."""
         if self._history.had_no_pulse():
             self._disarm(causes.ESC_ARMING, NO_PULSE, now_ns)
         wants_backward = request.cruise_mps < 0 and request.gear == REVERSE_GEAR and not request.is_stop
@@ -182,11 +198,11 @@ class Esc:
     # --- requests ---
 
     def _value_of(self, request, keeps_small):
-        """The request's value within −1..1, 0 in the dead band; the ESC gets no pulse that it could take for either.
+        """Return the request's value, clamped to −1..1; 0 in the dead band, where the ESC may see a pull or neutral.
 
         Args:
-            request: to read.
-            keeps_small: there is no dead band: where the car sets off is to be seen.
+            request: the request.
+            keeps_small: pass values within the dead band, so that a calibration drive finds where the car sets off.
         """
         value = request.value if math.isfinite(request.value) else 0.0
         value = max(-1.0, min(1.0, value))
@@ -194,7 +210,7 @@ class Esc:
         return value if is_beyond or keeps_small else 0.0
 
     def _pass(self, value, now_ns):
-        """A calibration drive: the ESC gets what a person asks for."""
+        """Return a person's request as it is, for a calibration drive."""
         state = NEUTRAL
         if value > 0:
             state = BRAKING if self._motion.rolls_backward(now_ns) else FORWARD
@@ -210,6 +226,7 @@ class Esc:
         return 0.0, NEUTRAL, causes.NO_THROTTLE, "neutral is requested"
 
     def _push(self, value, request, now_ns):
+        """Return the answer to a positive value: it drives forward, or brakes a car that rolls backward."""
         backward = self._motion.rolls_backward(now_ns)
         if request.gear == REVERSE_GEAR:
             if self._rolls_too_fast_backward(request, now_ns):
@@ -220,49 +237,57 @@ class Esc:
         return value, FORWARD, causes.DRIVING, f"{value:.2f} is requested{_clamped(request)}"
 
     def _rolls_too_fast_backward(self, request, now_ns):
-        """Whether a gentle push certainly ends before it drives the car forward."""
+        """Return whether a hill drives it faster backward than requested, and too fast for a gentle push to turn it."""
         speed_mps = self._motion.speed_mps(now_ns)
         return (self._hill.drives_the_car and request.cruise_mps < 0 and self._motion.is_fresh(now_ns)
                 and speed_mps < min(request.cruise_mps, -2 * STANDSTILL_MPS))
 
     def _brake_in_reverse(self, value, withheld, now_ns):
-        """A push is a brake while it rolls backward. Below the margin the next one would drive forward."""
+        """Return a push as a brake if the car rolls backward above the margin; below that it would drive it forward."""
         if self._motion.rolls_backward(now_ns) and self._is_fast_enough(value, now_ns):
             return value, BRAKING, causes.BRAKING, "it rolls backward"
         return 0.0, NEUTRAL, causes.AT_STANDSTILL, withheld
 
     def _pull(self, value, request, now_ns):
+        """Return the answer to a negative value: reverse, a brake, a weak brake, or neutral."""
         if request.is_human and request.gear == DRIVE and self._motion.rolls_backward(now_ns):
             return self._brake_in_reverse(-value, "it rolls backward, too slowly for a brake that is sure to end in "
                                           "time: it coasts", now_ns)
-        # A speed that was lost just now, when the car rolled, doesn't let a pull that is held become reverse.
+        means_reverse = self._means_reverse(request, now_ns)
+        if means_reverse and self._may_reverse(request, now_ns):
+            return self._reverse(value, now_ns)
+        brake = self._brake(value, means_reverse, now_ns)
+        if brake is not None or self._rolled_forward_in_pull(now_ns):
+            self._pulls.mark_brake()
+        return brake or (0.0, NEUTRAL, *self._withheld(means_reverse, now_ns))
+
+    def _means_reverse(self, request, now_ns):
+        """Return whether a pull means reverse: by the gear, or as a person's second pull."""
+        # If the speed is lost while the car rolls, the pull that is held stays a brake.
         is_lost = self._motion.speed_mps(now_ns) is None
         if is_lost and self._motion.rolled_forward_since(self._pulls.began_ns - LOST_NS):
             self._pulls.mark_brake()
-        means_reverse = request.gear == REVERSE_GEAR or request.gear == AUTO and self._pulls.means_reverse
-        if means_reverse and self._may_reverse(request, now_ns):
-            return self._reverse(value, now_ns)
+        return request.gear == REVERSE_GEAR or request.gear == AUTO and self._pulls.means_reverse
+
+    def _rolled_forward_in_pull(self, now_ns):
+        """Return whether a speed that was measured during this pull shows that it is a brake."""
+        speed_mps = self._motion.speed_mps(now_ns) or 0.0
+        began_ns = self._pulls.began_ns + (0 if self._motion.is_stamped else HIDDEN_NS)
+        return speed_mps >= STANDSTILL_MPS and self._motion.measured_ns >= began_ns
+
+    def _brake(self, value, means_reverse, now_ns):
+        """Return the answer to a pull that brakes, whole or weakly; None: it may not brake."""
         if self._brakes(value, now_ns):
-            self._pulls.mark_brake()
             state = HOLD if self._motion.stands(now_ns) else BRAKING
             return value, state, *self._brake_cause(state, means_reverse)
         weak = self._weak_pull(value, now_ns)
-        if weak:
-            self._pulls.mark_brake()
-            return weak, BRAKING, causes.BRAKING, WEAKLY
-        # A speed of before the pull says nothing about what it meant, and one that may still slide only has to wait.
-        speed_mps = self._motion.speed_mps(now_ns) or 0.0
-        began_ns = self._pulls.began_ns + (0 if self._motion.is_stamped else HIDDEN_NS)
-        if speed_mps >= STANDSTILL_MPS and self._motion.measured_ns >= began_ns:
-            self._pulls.mark_brake()
-        return 0.0, NEUTRAL, *self._withheld(means_reverse, now_ns)
+        return (weak, BRAKING, causes.BRAKING, WEAKLY) if weak else None
 
     def _brakes(self, value, now_ns):
-        """Whether a pull is a brake now, or slows the car for certain.
+        """Return whether a pull slows the car for certain.
 
-        It is a brake by the ESC's own rules where the profile brakes after forward, and the ESC has had no neutral
-        since it began to brake. Any other ESC may drive backward: this slows a car that rolls forward, and the pull
-        ends before it stands.
+        After forward a ``brake_then_reverse`` brakes until it gets neutral, and a ``forward_only`` always brakes. Any
+        other ESC may drive backward. That slows a car that rolls forward, too, if the pull ends before the car stands.
         """
         if self._motion.rolls_backward(now_ns):
             return False
@@ -276,15 +301,15 @@ class Esc:
         return self._motion.rolls_forward(now_ns) and self._is_fast_enough(value, now_ns)
 
     def _is_fast_enough(self, value, now_ns):
-        """Whether it is faster than the margin.
+        """Return whether the car is faster than esc/brake_margin, and rolls until a pull that is given now has ended.
 
-        To begin a brake it takes a little more; and twice that where nothing says how old a speed was at its arrival,
-        and in reverse, since the way back into reverse is long.
+        To begin a brake takes BEGINS_OVER_MPS more. It takes twice the margin where the speed has no stamp, since its
+        age is unknown, and backward, since the way back into reverse takes long.
         """
         margin_mps, motion = self.config.brake_margin_mps, self._motion
         is_sure = motion.is_stamped and not motion.rolls_backward(now_ns)
         if self._state == BRAKING and is_sure:
-            # How little a weaker brake slows the car says nothing about a stronger one.
+            # A weaker brake's deceleration doesn't show what a stronger one does.
             since_ns = self._brakes_since_ns if self._fraction - value <= SAME_BRAKE else None
             return motion.outlasts_a_pull(now_ns, margin_mps - NEAR_MPS, since_ns)
         if self._state != BRAKING:
@@ -292,15 +317,15 @@ class Esc:
         return motion.least_speed_mps(now_ns) > margin_mps and motion.outlasts_a_pull(now_ns)
 
     def _weak_pull(self, value, now_ns):
-        """Return as much of a pull as certainly ends before the car stands, where the whole one may not; 0 = none.
+        """Return the part of a pull that ends before the car stands, whatever the ESC makes of it; 0 = none.
 
-        It is all that slows a car downhill whose ESC isn't certain to brake. It goes by the speed's age, so it
-        takes odometry that is fresh and has a stamp.
+        Nothing else slows a car downhill whose ESC isn't certain to brake. The speed's age decides how much is safe, so
+        this takes odometry that is fresh and has a stamp.
         """
         motion = self._motion
         if not (self._hill.drives_the_car and motion.is_stamped and motion.is_fresh(now_ns)
                 and motion.rolls_forward(now_ns)):
-            return 0.0  # an old speed doesn't show what stronger pulls have done since
+            return 0.0  # an old speed doesn't show the effect of later pulls
         weak = max(value, -motion.mps2_to_outlast_a_pull(now_ns) / SLOWS_MPS2)
         is_let_go = self._lagging_pull <= LETS_GO * -weak
         return weak if weak <= -self.config.dead_band_reverse and is_let_go else 0.0
@@ -313,7 +338,7 @@ class Esc:
         return causes.HOLDING, "it stands, and the brake holds it"
 
     def _withheld(self, means_reverse, now_ns):
-        """Cause and reason for neutral instead of a pull."""
+        """Return cause and reason for neutral instead of a pull."""
         if self._motion.speed_mps(now_ns) is None:
             if means_reverse:
                 return causes.REVERSE_REFUSED, f"no reverse without speed: {self._motion.unknown_reason(now_ns)}"
@@ -329,18 +354,22 @@ class Esc:
     # --- reverse ---
 
     def _may_reverse(self, request, now_ns):
+        """Return whether a pull that means reverse may drive the car backward: at standstill, or while it rolls back.
+
+        Without a speed a person's pull may, since the person sees the car.
+        """
         if self.config.profile == FORWARD_ONLY:
             return False
         if self._motion.speed_mps(now_ns) is None:
-            # An ESC that would brake does so first: the way to reverse leads over neutral and another pull.
+            # An ESC that takes this pull for a brake needs neutral and another pull before it reverses.
             certain = self.config.profile == BRAKE_THEN_REVERSE and self._history.brake_is_certain(now_ns)
             return request.is_human and not (certain and self._state != REVERSE)
         if self._state == REVERSE and self._saw_speed_in_reverse:
-            return True  # what rolls forward now is for the motion check
+            return True  # MotionCheck judges a car that rolls forward now
         return self._motion.stands(now_ns) or self._motion.rolls_backward(now_ns)
 
     def _reverse(self, value, now_ns):
-        """The way into reverse: each answer is the next step of it."""
+        """Return the next step of the way into reverse: a first pull, neutral, the pull that reverses."""
         history = self._history
         if self.config.profile in (BRAKE_THEN_REVERSE, UNVERIFIED):
             if not history.has_braked(now_ns):
@@ -355,6 +384,13 @@ class Esc:
     # --- stop ---
 
     def _stop(self, now_ns, cause=causes.STOPPING, prefix=""):
+        """Return the answer to a stop: hold on a hill, brake, brake weakly, or neutral; never a push.
+
+        Args:
+            now_ns: the time.
+            cause: of the stop.
+            prefix: of the reason.
+        """
         if self._stop_began_ns is None:
             self._stop_began_ns = now_ns
         if self._holds_on_a_hill(now_ns):
@@ -369,21 +405,21 @@ class Esc:
         return -self.config.stop_brake, BRAKING, cause, f"{prefix}it brakes"
 
     def _weak_stop(self, now_ns):
-        """Return the weak pull of a stop; 0 where no stop brakes."""
+        """Return the weak pull of a stop that isn't certain to brake; 0 = neutral."""
         if self._state == REVERSE or self.config.profile == UNVERIFIED or not self._history.is_known(now_ns):
             return 0.0
         return self._weak_pull(-self.config.stop_brake, now_ns)
 
     def _holds_on_a_hill(self, now_ns):
-        """Whether a stop goes on at standstill: where neutral is known to roll, and the brake began while it rolled."""
+        """Return whether a stop holds the brake at standstill: on a known hill, if it began while the car rolled."""
         return (self._hill.drives_the_car and self._state in (BRAKING, HOLD) and self._motion.stands(now_ns)
                 and self.config.stop_brake > 0 and self._stop_is_certain(now_ns))
 
     def _stop_brakes(self, now_ns):
-        """Whether a stop brakes: only where it can't become reverse, also if the profile in the configuration is wrong.
+        """Return whether a stop brakes: only where that can't become reverse, even if esc/profile is wrong.
 
-        So a profile that nobody has measured counts for nothing here until the ESC has held the car at standstill by
-        its brake. Where it doesn't count, the car is braked while it is known to be faster than the margin.
+        So a profile that nobody has measured is trusted only once the ESC has proved its kind (``esc_proof``). Without
+        that a stop brakes while the car is known to be faster than esc/brake_margin.
         """
         if self.config.profile == UNVERIFIED or not self.config.stop_brake or not self._history.is_known(now_ns):
             return False
@@ -392,21 +428,21 @@ class Esc:
         return self._stop_is_certain(now_ns) or self._is_fast(-self.config.stop_brake, now_ns)
 
     def _stop_is_certain(self, now_ns):
+        """Return whether the ESC takes a stop's pull for a brake down to standstill, by its kind and its history."""
         if not (self._is_measured or self._proof.is_given):
             return False
         if self.config.profile == FORWARD_ONLY and self._is_measured:
             return True
-        # One that was only seen to hold may reverse after neutral all the same.
+        # The proof shows a brake after forward only: after neutral this ESC may still reverse.
         return (self.config.profile in (BRAKE_THEN_REVERSE, FORWARD_ONLY) and self._history.brake_is_certain(now_ns)
                 and self._history.coasted_ns(now_ns) <= STOP_MEMORY_NS)
 
     # --- what follows from the answer ---
 
     def _finish(self, answer, now_ns):
+        """Return an answer as a decision, and record it for the next steps."""
         fraction, state, cause, reason = answer
-        keeps = math.exp((self._finished_ns - now_ns) / (MOTOR_LAG_NS + ACTUATION_NS))
-        self._lagging_pull = keeps * self._lagging_pull + (1.0 - keeps) * max(0.0, -self._fraction)
-        self._finished_ns = now_ns
+        self._update_lagging_pull(now_ns)
         if state == REVERSE and self._state != REVERSE:
             self._saw_speed_in_reverse = False
         if state == REVERSE and (self._motion.stands(now_ns) or self._motion.rolls_backward(now_ns)):
@@ -422,7 +458,13 @@ class Esc:
         self._proof.step(fraction, is_push, self._history.pulled_ns(now_ns), self._motion, now_ns)
         return EscDecision(fraction, state, cause, reason, *self._stop_guarantee(now_ns))
 
+    def _update_lagging_pull(self, now_ns):
+        keeps = math.exp((self._finished_ns - now_ns) / (MOTOR_LAG_NS + ACTUATION_NS))
+        self._lagging_pull = keeps * self._lagging_pull + (1.0 - keeps) * max(0.0, -self._fraction)
+        self._finished_ns = now_ns
+
     def _stop_guarantee(self, now_ns):
+        """Return (the deceleration of a stop, the speed below which only drag is left), as in ``EscDecision``."""
         braked_mps2 = self.config.stop_brake * self.config.brake_deceleration_mps2
         if self._state in (ARMING, REVERSE) or not self._stop_brakes(now_ns):
             return self.config.drag_deceleration_mps2, 0.0

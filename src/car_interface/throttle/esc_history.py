@@ -1,8 +1,10 @@
-"""What pulses the ESC has had, as far as that is known, and what it makes of the next pull because of them.
+"""Remember the pulses that the ESC has had, and decide whether it takes the next pull for a brake or for reverse.
 
-Two accounts are kept: what the servo board held (``/servo/output``: also what a guard or a timeout put there), and what
-was sent, which the board may hold by now without having said so. Whatever *forbids* something counts from either;
-whatever *permits* something must stand in both.
+``EscHistory`` keeps two accounts: what the servo board reported to hold (``/servo/output``, which includes what a guard
+or a timeout put there), and what was sent, which the board may hold already without having reported it. What *forbids*
+something counts if it is in either account; what *permits* something must be in both.
+
+Pure: pulses as fractions −1..1 in, each with ``now_ns``; yes or no, or a duration, out.
 """
 from __future__ import annotations
 
@@ -11,29 +13,32 @@ from car_interface.throttle.esc_config import EscConfig
 
 # A duty is rounded to counts of 16, and there are about 1640 from neutral to an end: half a count is 0.005.
 NEUTRAL_TOLERANCE = 0.01
-# /servo/output comes on change and at 10 Hz. The process that publishes it in place of a dead pca9685 takes up to 1.5 s
-# to begin; after a second more it is not known what the board holds.
+# /servo/output comes on change and at 10 Hz. The guard that publishes it in place of a dead pca9685 needs up to 1.5 s
+# to begin. A second after that it is unknown what the board holds.
 HELD_TIMEOUT_NS = round(2.5 * NS_PER_S)
 
-# The board goes to neutral by itself 250 ms after a command; after a pull 80 ms, unless calibrate_esc saw that the ESC
-# is a brake_then_reverse and the pull is its first after a push (``pca9685.channels``). So after a pause of the node
-# that was longer than this it may have been there, whether it has said so or not.
+# The board goes to neutral by itself 250 ms after a command, and 80 ms after a pull, unless calibrate_esc has measured
+# a brake_then_reverse and the pull is its first after a push (``pca9685.channels``). A node that pauses for longer
+# than this (50 and 20 ms less) must assume that the board was in neutral, even if that wasn't reported. With 2 s
+# `python3 test/adversary 400 --seed 700000` finds a reversal.
 BOARD_HOLDS_NS, BOARD_HOLDS_PULL_NS = round(0.2 * NS_PER_S), round(0.06 * NS_PER_S)
 
-# An ESC that was pushed for so long has seen that it drives, whatever it needs for that: nobody publishes how long that
-# is, and the dwell that calibrate_esc measures is another time.
+# An ESC that was pushed for this long takes the next pull for a brake. No maker publishes how long that takes, and the
+# dwell that calibrate_esc measures is a different time. Chosen; test_esc_history.py fails with 0.1 s.
 DROVE_NS = round(0.5 * NS_PER_S)
 
 FORWARD, NEUTRAL, PULLED, FAINT = "forward", "neutral", "pulled", "faint"
 
 
 class _Account:
-    """One sequence of pulses.
+    """Follow one sequence of pulses.
 
     Attributes:
-        side: FORWARD, NEUTRAL, PULLED, or FAINT: within the dead band, where the ESC may see either; ``None`` = none.
-        since_ns: since when it is that.
-        was_pulled, was_released: there was a pull since ``forget``, and after it something else.
+        side: FORWARD, NEUTRAL, PULLED, or FAINT (within the dead band, where the ESC may see neutral or not);
+            ``None`` = no pulse.
+        since_ns: when that side began.
+        was_pulled: there was a pull since ``forget``.
+        was_released: that pull has ended.
     """
 
     def __init__(self, config: EscConfig):
@@ -55,7 +60,7 @@ class _Account:
             self.was_pulled = True
 
     def lasts_ns(self, side: str, now_ns: int) -> int:
-        """For how long it has been ``side``, 0 if it is not."""
+        """Return for how long it has been on a side; 0 if it isn't."""
         return now_ns - self.since_ns if self.side == side else 0
 
     def _side(self, fraction):
@@ -69,22 +74,22 @@ class _Account:
 
 
 class EscHistory:
-    """What the ESC has seen."""
+    """Keep the pulses that one ESC has had."""
 
     def __init__(self, config: EscConfig):
         self._dwell_ns = round(config.dwell_s * NS_PER_S)
         self._holds_pull_ns = BOARD_HOLDS_NS if config.board_holds_pulls else BOARD_HOLDS_PULL_NS
         self._forget_ns = round(config.reverse_after_neutral_s * NS_PER_S)
         self._sent, self._held = _Account(config), _Account(config)
-        self._held_ns: int | None = None  # when the board's last message came
-        self._sent_ns: int | None = None  # when the node last sent something
+        self._held_ns: int | None = None  # when the board's last message arrived
+        self._sent_ns: int | None = None  # when this node last sent a pulse
         self._missed = False
-        self._drove = False  # it has seen forward, and since then no more than one pull
-        self._drives_since_ns = 0  # a push of before was no drive forward: the car rolled backward
+        self._drove = False  # it drove forward, and had no more than one pull since then
+        self._drives_since_ns = 0  # an earlier push didn't drive forward: the car rolled backward
         self._braked = self._unlocked = False
 
     def update_held(self, fraction: float | None, now_ns: int) -> None:
-        """What the board holds; ``None`` = no pulse."""
+        """Take what the board holds; ``None`` = no pulse."""
         self._look(now_ns)
         self._held_ns = now_ns
         self._missed = self._missed or fraction is None
@@ -92,7 +97,7 @@ class EscHistory:
         self._look(now_ns)
 
     def resume(self, now_ns: int) -> None:
-        """The node goes on: what it sent last may not have been there all the time since."""
+        """Account for a pause of this node, in which the board may have gone to neutral by itself."""
         holds_ns = self._holds_pull_ns if self._sent.side == PULLED else BOARD_HOLDS_NS
         if self._sent_ns is not None and now_ns - self._sent_ns > holds_ns:
             self._look(self._sent_ns + holds_ns)
@@ -100,60 +105,60 @@ class EscHistory:
             self._look(now_ns)
 
     def update_sent(self, fraction: float, now_ns: int) -> None:
-        """What is sent to the board."""
+        """Take what this node sends to the board."""
         self._look(now_ns)
         self._sent_ns = now_ns
         self._sent.update(fraction, now_ns)
         self._look(now_ns)
 
     def mark_backward(self, now_ns: int) -> None:
-        """The car may roll backward: a push of now only brakes it, and the next pull may be reverse."""
+        """Record that the car may roll backward: a push only brakes it then, and the next pull may be reverse."""
         self._drives_since_ns = now_ns
         self._drove = False
 
     def mark_unknown(self) -> None:
-        """Messages of the board were dropped: it may have held anything."""
+        """Forget what the board held, since its messages were dropped."""
         self._drove = self._braked = self._unlocked = False
         if self._held_ns is not None:
             self._held.since_ns = self._held_ns
             self._held.side = FAINT
 
     def had_no_pulse(self) -> bool:
-        """Whether the board said, now or since the last call, that it gives no pulse."""
+        """Return whether the board gives no pulse, or reported that since the last call."""
         missed, self._missed = self._missed, False
         return missed or self._held_ns is not None and self._held.side is None
 
     def is_known(self, now_ns: int) -> bool:
-        """Whether it is known what the board holds."""
+        """Return whether it is known what the board holds."""
         return self._held_ns is not None and now_ns - self._held_ns <= HELD_TIMEOUT_NS and self._held.side is not None
 
     def brake_is_certain(self, now_ns: int) -> bool:
-        """Whether an ESC that brakes after forward takes a pull at ``now_ns`` for a brake, or goes on braking."""
+        """Return whether an ESC that brakes after forward takes a pull at ``now_ns`` for a brake, or keeps braking."""
         self._look(now_ns)
         return self._drove
 
     def coasted_ns(self, now_ns: int) -> int:
-        """For how long it has been in neutral, if there was no pull since it drove; else 0."""
+        """Return for how long (ns) it has been in neutral; 0 if there was a pull since it drove."""
         return 0 if self._held.was_pulled else self._held.lasts_ns(NEUTRAL, now_ns)
 
     def neutral_ns(self, now_ns: int) -> int:
-        """For how long it has had neutral; by what was sent, if the board never said anything."""
+        """Return for how long (ns) it has had neutral; by what was sent, if the board never reported."""
         sent_ns = self._sent.lasts_ns(NEUTRAL, now_ns)
         if self._held_ns is None:
             return sent_ns
         return min(sent_ns, self._held.lasts_ns(NEUTRAL, now_ns)) if self.is_known(now_ns) else 0
 
     def pulled_ns(self, now_ns: int) -> int:
-        """For how long the board is known to have held a pull."""
+        """Return for how long (ns) the board is known to have held a pull."""
         return self._held.lasts_ns(PULLED, now_ns) if self.is_known(now_ns) else 0
 
     def has_braked(self, now_ns: int) -> bool:
-        """Whether there was a pull of at least the dwell since it drove forward."""
+        """Return whether there was a pull of at least esc/dwell since it drove forward."""
         self._look(now_ns)
         return self._braked
 
     def is_unlocked(self, now_ns: int) -> bool:
-        """Whether it has had what reverse takes: a pull and neutral, each for the dwell, and no forward since."""
+        """Return whether the next pull reverses: a pull and neutral, each for esc/dwell, and no push since."""
         self._look(now_ns)
         return self._unlocked
 

@@ -1,29 +1,30 @@
-"""Requests to an ESC, and whether a negative one means reverse.
+"""Define requests to an ESC, and find out whether a person's pull means reverse.
 
-A brake and reverse are the same stick to the same side. What a person means is told by the order: pull, center, pull.
+Brake and reverse are the same stick to the same side. The order shows which of them a person means: only the second
+pull, after the stick was centered, means reverse (``Pulls.means_reverse``).
 """
 from __future__ import annotations
 
 import math
 from typing import NamedTuple
 
-# Which way the driver wants to go. AUTO: a stick, whose second pull means reverse.
+# The direction in which the driver wants to go. AUTO: a stick, whose second pull means reverse.
 AUTO, DRIVE, REVERSE_GEAR = "auto", "drive", "reverse"
 GEARS = (AUTO, DRIVE, REVERSE_GEAR)
 
 
 class Request(NamedTuple):
-    """What is asked of the ESC.
+    """One request to the ESC.
 
     Attributes:
         value: −1..1, the fraction between neutral and each end; not finite = stop.
-        gear: AUTO for a stick; DRIVE and REVERSE_GEAR for a planner's gear. A held reverse button is REVERSE_GEAR; a
-            stick that must never reverse, however often it is pulled, is DRIVE: its pull brakes backward, too.
-        is_human: a person asks. For a planner, reverse needs a known speed, and AUTO is DRIVE.
-        is_stop: the car has to stop, whatever ``value`` is: no deadman, a lock, a silent source.
-        is_centered: the stick is in its dead band.
+        gear: AUTO for a stick; DRIVE and REVERSE_GEAR for a planner's gear. A stick that must never reverse, however
+            often it is pulled, has DRIVE; its pull also brakes a car that rolls backward.
+        is_human: a person requests it. For a planner, reverse needs a known speed, and AUTO is DRIVE.
+        is_stop: the car has to stop, whatever ``value`` is: no deadman, e-stop, a stale source.
+        is_centered: the stick is within its dead band.
         is_released: the deadman is known to be released.
-        cruise_mps: the speed that a planner wants the car to keep, backward negative; 0 = a stop, or nobody has said.
+        cruise_mps: the speed that a planner wants the car to keep, backward negative; 0 = a stop, or unknown.
     """
 
     value: float = 0.0
@@ -39,13 +40,13 @@ STOP = Request(is_stop=True)
 
 
 class Pulls:
-    """Counts a person's pulls at the stick.
+    """Count a person's pulls at the stick.
 
-    A stop, a planner, a gear and a push forward begin anew; so a stick that is held back through a stop means no
-    reverse until it was in the center and is pulled again. So does a number that is not finite.
+    The count starts over at a stop, a planner's request, a gear, a push, and a value that isn't finite. So a stick that
+    stays pulled through a stop doesn't mean reverse.
 
     Args:
-        dead_band: a pull begins beyond it. It ends at half of it, or a stick that trembles there would pull twice.
+        dead_band: a pull begins beyond it, and ends within half of it, so that a trembling stick doesn't pull twice.
 
     Attributes:
         began_ns: when the newest pull began.
@@ -53,18 +54,18 @@ class Pulls:
 
     def __init__(self, dead_band: float):
         self._dead_band = dead_band
-        self._was_one = False  # there was a pull, and the stick came back to the center
+        self._was_one = False  # there was a pull, and the stick has returned to the center
         self._in_pull = False
         self._is_second = False
         self.began_ns = 0
 
     @property
     def means_reverse(self) -> bool:
-        """Whether the stick is in a second pull that has not become a brake."""
+        """Return whether the stick is in a second pull that has not become a brake."""
         return self._in_pull and self._is_second
 
     def update(self, request: Request, now_ns: int) -> None:
-        """The newest request."""
+        """Take the newest request."""
         value = request.value
         is_stick = request.is_human and request.gear == AUTO and not request.is_stop
         if not is_stick or not math.isfinite(value) or value > self._dead_band:
@@ -76,5 +77,5 @@ class Pulls:
             self._in_pull, self._was_one = False, True
 
     def mark_brake(self) -> None:
-        """The car rolled forward during this pull: it is a brake, and no reverse until the next pull."""
+        """Make this pull a brake, since the car rolled forward during it: no reverse before the next pull."""
         self._is_second = False

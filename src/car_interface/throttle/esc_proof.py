@@ -1,33 +1,37 @@
-"""Whether an ESC has shown that its brake doesn't become reverse.
+"""Find out whether an ESC has shown that its brake doesn't become reverse.
 
 A car that stands under a held brake proves little: its ESC may be switched off, its battery low, or a wall behind it.
-So it takes the whole story: it was driven until just before, slowed as a brake slows a car, stood for a second with the
-brake held, and drove again at the next push. Any doubt begins anew.
+So ``BrakeProof`` demands a sequence: the car is driven until just before (DRIVEN), is braked (BRAKED), slows down as a
+brake slows a car (SLOWED), stands for a second with the brake held (HELD), and drives again at the next push.
+Anything else starts the sequence over; a car that rolls backward under a brake withdraws the proof.
+
+``step`` takes what the ESC gets and the measured motion; ``is_given`` is the result. Pure: ``now_ns`` is passed in.
 """
 from __future__ import annotations
 
 from car_interface.common.units import NS_PER_S
 from car_interface.throttle.esc_motion import STANDSTILL_MPS, MeasuredMotion
 
-MIN_BRAKE = 0.5  # the fraction that it takes
-MIN_SPEED_MPS = 1.0  # when the brake begins
-JUST_BEFORE_NS = round(0.3 * NS_PER_S)
-# What a brake's half does, on dust and on asphalt; a car that coasts or hits something slows by less, or by more.
+MIN_BRAKE = 0.5  # of the full brake
+MIN_SPEED_MPS = 1.0  # at the brake's beginning; chosen, test_esc_proof.py fails with 0.3 m/s
+JUST_BEFORE_NS = round(0.3 * NS_PER_S)  # from the last push to the brake
+# The deceleration of at least half a brake, from dust to asphalt. A car that coasts slows by less, one that hits
+# something by more.
 SLOWS_MPS2 = (1.5, 10.0)
-SLOW_MPS = 0.3  # down to here it is measured
-# Half of a Slash's reverse (3.6 m/s²) would have moved the car by far more than the standstill speed in this time. The
-# slowest crawler's ESC turns within some tenths of a second.
+SLOW_MPS = 0.3  # the deceleration is measured down to this speed
+# If the brake were reverse, half of a Slash's (3.6 m/s²) would make the car far faster than the standstill speed in
+# this time. The slowest crawler's ESC changes to reverse within some tenths of a second.
 HELD_NS = NS_PER_S
-AGAIN_NS = NS_PER_S  # a car that doesn't drive within this time of a push has an ESC that does nothing
+AGAIN_NS = NS_PER_S  # if the car doesn't drive within this time of a push, its ESC may be switched off
 
 DRIVEN, BRAKED, SLOWED, HELD = "driven", "braked", "slowed", "held"
 
 
 class BrakeProof:
-    """Follows what the ESC is given and what the car does.
+    """Follow what the ESC gets and what the car does.
 
     Args:
-        min_brake: the fraction of a brake that counts.
+        min_brake: the least fraction of a brake that counts; MIN_BRAKE if that is more.
     """
 
     def __init__(self, min_brake: float):
@@ -36,21 +40,21 @@ class BrakeProof:
 
     @property
     def is_given(self) -> bool:
-        """Whether the ESC has shown it."""
+        """Return whether the ESC has shown that its brake doesn't become reverse."""
         return self._is_given
 
     def doubt(self) -> None:
-        """Something happened that this ESC's brake can't have done."""
+        """Withdraw the proof: the car moved in a way that a brake can't cause."""
         self._is_given = False
         self._begin_anew()
 
     def step(self, fraction: float, is_push: bool, pulled_ns: int, motion: MeasuredMotion, now_ns: int) -> None:
-        """What the ESC gets from now on.
+        """Take what the ESC gets from now on, and follow the sequence.
 
         Args:
             fraction: −1..1.
-            is_push: it drives forward by that.
-            pulled_ns: for how long the servo board is known to have held a pull.
+            is_push: the fraction drives the car forward.
+            pulled_ns: how long the servo board is known to have held a pull.
             motion: the measured speed.
             now_ns: the time.
         """

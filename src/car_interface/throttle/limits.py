@@ -1,11 +1,12 @@
-"""How fast a car may get, how quickly, and how hard it may brake: limits of what a human or a planner asks for.
+"""Limit what a human or a planner requests: speed, acceleration and braking.
 
-Pure: an arbitration and the measured speed in, the arbitration that the ESC's rules get and the reason out. A request
-is a fraction, not an acceleration. So a speed is limited by what is measured: from half a metre per second below it the
-throttle is taken away evenly, and at it there is none. Beyond, a planner's car brakes; a human's rolls, since a pull
-that the human has not made must not count as one. Accelerations are limited through the value map, as good as that is.
+``ThrottleLimiter.limit`` takes an arbitration, and returns the arbitration that the ESC's rules get, with cause and
+reason if it was cut. A request is a fraction, not a speed, so a speed is limited by the measured one: from BAND_MPS
+below the limit the throttle falls evenly to none at the limit. Above it a planner's car brakes. A human's car rolls,
+since a pull that the human hasn't made must not count as one. Accelerations are limited by the value map, and as
+accurately as that is.
 
-A stop is never limited, nor is neutral.
+A stop and neutral are never limited. Pure: ``now_ns`` is passed in.
 """
 from __future__ import annotations
 
@@ -20,16 +21,16 @@ from car_interface.throttle.arbiter import PLANNER, STALE, TELEOP, Arbitration
 from car_interface.throttle.esc_intention import DRIVE
 from car_interface.throttle.value_map import ALLOW_PLATEAUS, ValueMap, load_value_map
 
-BAND_MPS = 0.5  # full throttle this far below a limit, none at it
-OVER_MPS = 0.1  # above a limit by this a planner's car brakes: less than what odometry can tell apart isn't worth one
-BRAKE_PER_MPS = 0.5  # of the ESC's brake, for each m/s above the limit
-MIN_BRAKE, MAX_BRAKE = 0.1, 0.5  # more would lock the wheels of a Slash on smooth floors, and locked wheels don't steer
+BAND_MPS = 0.5  # full throttle is left this far below a limit, and none at it
+OVER_MPS = 0.1  # a planner's car brakes from this far above a limit on: less is odometry's noise
+BRAKE_PER_MPS = 0.5  # the fraction of the ESC's brake for each m/s above the limit
+MIN_BRAKE, MAX_BRAKE = 0.1, 0.5  # more locks a Slash's wheels on smooth floors, and locked wheels don't steer
 BACKWARD_MPS = -0.1
 
 
 @dataclass(frozen=True)
 class DriveLimits:
-    """What one source may ask of the motor; 0 = no limit."""
+    """Configure the limits of one source; 0 = no limit."""
 
     max_speed_mps: float = declared.number(
         "max_speed", 0.0, "[limit](limits.md) of the measured speed, forward and backward; 0 = none", "m/s", low=0.0,
@@ -42,7 +43,7 @@ class DriveLimits:
 
 @dataclass(frozen=True)
 class ThrottleLimits:
-    """The limits of the throttle, for each source; ``value_map`` is for accelerations, ``None`` = none is limited."""
+    """Configure the limits of each source; without ``value_map`` no acceleration is limited."""
 
     human: DriveLimits = declared.group(DriveLimits(), "human/")
     planner: DriveLimits = declared.group(DriveLimits(), "planner/")
@@ -55,7 +56,7 @@ class ThrottleLimits:
     allow_plateaus: bool = declared.flag("allow_plateaus", False, ALLOW_PLATEAUS)
 
     def completed(self, params) -> ThrottleLimits:
-        """Return the same with the value map, where an acceleration is limited.
+        """Return the same with the value map, if an acceleration is limited.
 
         Raises:
             ConfigError: naming the parameter, or the place in the map's file.
@@ -71,30 +72,30 @@ class ThrottleLimits:
 
 
 class SpeedBound(NamedTuple):
-    """A speed that the car may have, and why."""
+    """A speed that the car may have, with its reason."""
 
     speed_mps: float
     cause: str  # one of car_interface.common.causes
-    words: str  # what the speed is, for a reason: ``max_speed``
-    max_throttle: float = 1.0  # 0..1: no more of it on the way to that speed
+    words: str  # what allows the speed, to begin a reason with: ``max_speed``
+    max_throttle: float = 1.0  # 0..1: the most throttle on the way to that speed
 
 
 class Limited(NamedTuple):
-    """What a request is granted."""
+    """An arbitration within the limits, and the limit that cut it."""
 
-    arbitration: Arbitration  # the same object where nothing limits it
+    arbitration: Arbitration  # the same object if nothing limits it
     cause: str = ""  # one of car_interface.common.causes; empty: nothing limits it
     reason: str = ""
-    max_speed_mps: float = 0.0  # the least of the speed limits in force; 0 = there is none
+    max_speed_mps: float = 0.0  # the lowest speed limit in force; 0 = there is none
 
     @property
     def is_cut(self) -> bool:
-        """Whether something else is granted than was asked for."""
+        """Return whether less is granted than was requested."""
         return self.cause in causes.THROTTLE_CUTS
 
 
 class ThrottleLimiter:
-    """Limits one car's throttle.
+    """Limit one car's throttle.
 
     Args:
         limits: the limits.
@@ -102,7 +103,7 @@ class ThrottleLimiter:
 
     Attributes:
         speed: the measured speed.
-        cuts: how often a request began to be limited.
+        cuts: how often a limit began to cut the request.
     """
 
     def __init__(self, limits: ThrottleLimits, request_of_value: Callable[[float], float]):
@@ -114,15 +115,15 @@ class ThrottleLimiter:
 
     def limit(self, arbitration: Arbitration, is_reverse: bool, turn_max_mps: float, now_ns: int,
               bounds: Sequence[SpeedBound] = (), stop: SpeedBound | None = None) -> Limited:
-        """What an arbitration is granted.
+        """Return what an arbitration is granted.
 
         Args:
             arbitration: who drives, with what request.
             is_reverse: the ESC is in reverse.
-            turn_max_mps: up to which the turn that is asked for is allowed; inf: straight on; 0 = no limit.
+            turn_max_mps: the speed up to which the requested turn is allowed; inf = straight on, 0 = no limit.
             now_ns: the time.
-            bounds: other speeds that it may have, in the direction in which it drives.
-            stop: one that it exceeds, for which it has to stop.
+            bounds: further bounds of the speed, in the direction in which the car drives.
+            stop: a bound that the car exceeds, and has to stop for; ``None`` = there is none.
         """
         if stop is not None and arbitration.source in (TELEOP, PLANNER) and not arbitration.is_stop:
             stopped = arbitration._replace(drive=0.0, brake=0.0, is_stop=True)
@@ -157,13 +158,13 @@ class ThrottleLimiter:
         return self._by_map(limited, limits, is_reverse)
 
     def _by_speed(self, arbitration, bound, is_reverse):
-        """The request by a limit of the speed."""
+        """Return what the lowest bound of the speed grants: a brake, less throttle, or all of it."""
         speed_mps, max_mps = self.speed.last_mps, bound.speed_mps
         limited = Limited(arbitration, max_speed_mps=max_mps)
         backward = speed_mps <= BACKWARD_MPS
         over_mps = self.speed.magnitude_mps - max_mps
         room = max(0.0, min(bound.max_throttle, -over_mps / BAND_MPS))
-        # From standstill a pull may become reverse with this very step.
+        # From standstill this pull may already be reverse.
         may_reverse = is_reverse or backward or speed_mps < -BACKWARD_MPS and arbitration.gear != DRIVE
         drives_on = arbitration.drive > 0 and not backward or arbitration.drive < 0 and may_reverse
         if over_mps > OVER_MPS and not backward and arbitration.source == PLANNER and not is_reverse:
@@ -179,7 +180,7 @@ class ThrottleLimiter:
         return limited
 
     def _without_speed(self, limited, now_ns):
-        """No push while reports of the speed are missing."""
+        """Return the same without a push, since reports of the speed are missing."""
         arbitration = limited.arbitration
         if arbitration.drive <= 0:
             return limited
@@ -190,7 +191,7 @@ class ThrottleLimiter:
         return f"{bound.words} {bound.speed_mps:.2f} m/s, it has {self.speed.magnitude_mps:.2f}"
 
     def _by_map(self, limited, limits, is_reverse):
-        """The request by limits of accelerations."""
+        """Return what the limits of acceleration and braking grant, by the value map."""
         arbitration, value_map = limited.arbitration, self.limits.value_map
         if value_map is None:
             return limited

@@ -1,17 +1,21 @@
-"""How fast a car may drive within what its sonars look at, on the arc that it drives.
+"""Return the speed from which the car can stop within the space that its sonars look at, on the arc that it drives.
 
-Pure: ranges, each with its arrival, the car's motion and the arc in, a speed and the reason out. With d metres to go,
-t seconds until a new range has an effect, and a deceleration a that a stop is certain of, the car stops in time when
-v t + v² / 2a ≤ d − margin, which is v ≤ a (−t + √(t² + 2 (d − margin) / a)).
+``ObstacleStop`` takes ranges, each with its arrival, and the car's motion. ``bound`` takes an arc and the deceleration
+that a stop is certain of, and returns a ``SpeedBound``. With d metres to go, t seconds until a new range takes effect,
+and the deceleration a, the car stops in time if v t + v² / 2a ≤ d − margin, which is
 
-There are two kinds of ends to drive towards. An echo may have come from anywhere in its cone: the place counts where
-the car's body arrives first, and there it stops. Its place stays where it is while the car moves, also when it leaves
-the cone (``echo_memory``); so t is a cycle of the sonar and the actuation. And where the middle of the bumper leaves
-the fan that the sonars look at (``sonar_fan``) begins the unknown: it is treated in the same way, but for a creep that
-is left to look farther; t has the range's age in it. A sonar that is silent, or measures nonsense, allows no speed into
-its part of the fan.
+    v ≤ a (−t + √(t² + 2 (d − margin) / a)).
 
-It can't see what no cone reaches: above and below, what comes from the side, and the strips between the cones.
+The distance ends in two ways:
+
+* An echo may come from anywhere in its cone at that range. The place counts that the car's body reaches first. It stays
+  where it is while the car moves, even outside of the cone (``echo_memory``); so t is a cycle of the sonar plus the
+  actuation time.
+* The unknown begins where the middle of the bumper leaves the fan of the cones (``sonar_fan``). The same formula holds,
+  but t includes the range's age, and a creep is always allowed, to look farther.
+
+A sonar that is stale or measures NaN allows no speed into its part of the fan. Nothing here sees what no cone reaches:
+above, below, from the side, and the strips between the cones. Pure: ``now_ns`` is passed in.
 """
 from __future__ import annotations
 
@@ -30,21 +34,21 @@ from car_interface.throttle.limits import SpeedBound
 from car_interface.throttle.sonar_fan import Arc, Fan, Mount, Outline, cone_points
 
 USED = "used"
-HUB = "sonar_hub/"  # the sensor hub's file, sonars.yaml, below the node
-SIDE_MARGIN_M = 0.05  # what the car passes by more closely is in its way
-MIN_STOP_MPS2 = 0.02  # a stop that is certain of less is none
-MAX_CYCLE_S = 0.43  # of six sonars, all of which wait for an echo in vain
-CYCLES = 3  # the longest of so many counts
+HUB = "sonar_hub/"  # where the launch files put the sensor hub's sonars.yaml, below this node's name
+SIDE_MARGIN_M = 0.05  # what the car would pass at a smaller distance is in its way
+MIN_STOP_MPS2 = 0.02  # a stop with less isn't certain
+MAX_CYCLE_S = 0.43  # of six sonars in turn, all of which wait for an echo in vain
+CYCLES = 3  # the longest of the last three cycles counts
 
 
 @dataclass(frozen=True)
 class ObstacleConfig:
-    """The sonars and the car.
+    """Configure the sonars and the car.
 
     Attributes:
-        mounts: of the sonars that count, by name.
-        field_of_view_rad: the whole cone.
-        max_range_m: beyond this nothing is measured.
+        mounts: of the sonars that are used, by name.
+        field_of_view_rad: the full angle of each cone.
+        max_range_m: the sonars measure no farther.
     """
 
     mounts: Mapping[str, Mount] = field(default_factory=dict)
@@ -53,7 +57,7 @@ class ObstacleConfig:
     outline: Outline = declared.group(Outline(), "obstacle/")
     margin_m: float = declared.number(
         "obstacle/margin", 0.1, "what is left between the car and what it stops for", "m", low=0.0, high=10.0)
-    # 0.1 s, with the 38 ms that an echo from afar takes.
+    # Of the 0.1 s a far echo takes 38 ms.
     actuation_s: float = declared.number(
         "obstacle/actuation_time", 0.1, "from a range's arrival to the ESC's new pulse", "s", low=0.0, high=10.0)
     timeout_s: float = declared.number(
@@ -70,7 +74,7 @@ class ObstacleConfig:
         choices=(USED, "absent"))
 
     def completed(self, params) -> ObstacleConfig | None:
-        """Return the same with the sonars of the sensor hub's file, below ~sonar_hub; ``None`` = off.
+        """Return the same with the sonars from the sensor hub's file, below ~sonar_hub; ``None`` = off.
 
         Raises:
             ConfigError: naming the parameter.
@@ -91,15 +95,15 @@ def _read_mount(params, name):
 
 
 class Guarantee(NamedTuple):
-    """The deceleration that a stop is certain of."""
+    """The deceleration that is certain if the car stops."""
 
     stop_mps2: float
-    coasts_below_mps: float  # below this speed it is drag's
+    coasts_below_mps: float  # below this speed it is drag_mps2
     drag_mps2: float
 
 
 class ObstacleStop:
-    """Bounds one car's speed by its sonars."""
+    """Bound one car's speed by its sonars."""
 
     def __init__(self, config: ObstacleConfig):
         self.config = config
@@ -117,7 +121,7 @@ class ObstacleStop:
         return Fan(mounts, config.field_of_view_rad, bumper_m, is_backward)
 
     def update_range(self, name: str, range_m: float, now_ns: int) -> None:
-        """A sonar's range; inf = no echo, −inf = too near, NaN = nonsense."""
+        """Take a sonar's range in m; inf = no echo, −inf = too near, NaN = a fault."""
         timed = self._ranges.get(name)
         if timed is None:
             return
@@ -132,28 +136,28 @@ class ObstacleStop:
             self._echoes.look(name, self._reaches_m[name], range_m < self.config.max_range_m)
 
     def update_motion(self, speed_mps: float, curvature_per_m: float, now_ns: int) -> None:
-        """The car has driven at this speed (backward negative) on this arc (1/m, left positive) since the last call.
+        """Take the speed (backward negative) and arc (1/m, left positive) of the car since the last call.
 
-        As long as it isn't called nothing is remembered, and an echo counts where it was measured, with its age.
+        Before the first call no echo is moved; then each counts where it was measured, with its age.
         """
         self._echoes.move(speed_mps, curvature_per_m, now_ns)
 
     def mark_stale(self) -> None:
-        """Messages were dropped before they got here."""
+        """Treat all ranges as stale, since messages were dropped on their way here."""
         for timed in self._ranges.values():
             timed.mark_stale()
 
     def bound(self, curvature_per_m: float, is_backward: bool, guarantee: Guarantee, now_ns: int,
               late_s: float = 0.0, counts_sides: bool = True) -> SpeedBound | None:
-        """The speed that the car may have on this arc; ``None``: nothing bounds it, which takes ``counts_sides`` false.
+        """Return the speed that the car may have on an arc; ``None`` = any, which only ``counts_sides=False`` allows.
 
         Args:
             curvature_per_m: of the arc, left positive.
-            is_backward: it drives backward on it.
-            guarantee: the deceleration that a stop is certain of.
+            is_backward: the car drives backward on it.
+            guarantee: the deceleration that is certain if the car stops.
             now_ns: the time.
-            late_s: by so much longer the car drives on towards an echo: odometry's age, and the motor's lag.
-            counts_sides: the fan's sides are an end, too. They aren't to one who knows what is beside the car.
+            late_s: additional time at that speed towards an echo: odometry's age, and the motor's lag.
+            counts_sides: the unknown begins at the fan's sides, too. False for a caller that knows the room there.
         """
         end = self._fans[is_backward].end(curvature_per_m, self._reaches_m)
         silent = self._silent(end, curvature_per_m, is_backward, now_ns)
@@ -184,7 +188,7 @@ class ObstacleStop:
         return f"{name} saw something, {max(0.0, met.distance_m):.2f} m from here on this arc, which allows"
 
     def _silent(self, end, curvature_per_m, is_backward, now_ns):
-        """A bound of 0 for a faulty sonar into whose part of the fan the arc leads, or whose cone's end it touches."""
+        """Return a bound of 0 if the arc leads through a faulty sonar's part of the fan or touches its cone's end."""
         for name, timed in self._ranges.items():
             is_stale = timed.is_stale(now_ns)
             if not is_stale and timed.value == timed.value:
@@ -205,7 +209,7 @@ class ObstacleStop:
 
 
 def stopping_speed_mps(distance_m: float, time_s: float, guarantee: Guarantee) -> float:
-    """The speed from which a car stops within a distance, ``time_s`` of it at that speed; 0 without any distance."""
+    """Return the speed from which a car stops within a distance, after ``time_s`` at that speed; 0 without room."""
     def speed_mps(way_m, deceleration_mps2):
         return deceleration_mps2 * (math.sqrt(time_s * time_s + 2.0 * way_m / deceleration_mps2) - time_s)
 
@@ -213,7 +217,7 @@ def stopping_speed_mps(distance_m: float, time_s: float, guarantee: Guarantee) -
         return 0.0
     stop_mps2, coasts_mps, drag_mps2 = guarantee
     coasting_mps = speed_mps(distance_m, drag_mps2)
-    # Braking ends at coasts_mps, and drag does the rest: the way that this takes longer is not there for braking.
+    # The brake ends at coasts_mps, and drag does the rest. The additional distance of that is subtracted first.
     way_m = distance_m - coasts_mps * coasts_mps / 2.0 * (1.0 / drag_mps2 - 1.0 / stop_mps2)
     braking_mps = speed_mps(way_m, stop_mps2) if way_m > 0.0 else 0.0
     return max(coasting_mps, braking_mps) if braking_mps >= coasts_mps else coasting_mps

@@ -1,16 +1,17 @@
-"""Estimates how strongly a car slows down by itself, in which direction it may drive, from its speed in neutral.
+"""Estimate a car's deceleration in neutral, for any heading, from its speed while it rolls in neutral.
 
 In neutral only drag and gravity act. On a plane the deceleration at a heading with the unit vector u is
 
     c(u) = drag − pull · u,
 
 where pull is the slope as a vector: gravity's acceleration down the slope, in the frame in which the car started. Drag
-and pull are three unknowns, and each roll in neutral measures one c(u). So this is a linear least-squares estimate
-(a Kalman filter of three states), and its bound says what is known: c is certain at a heading where it was measured,
-less certain the farther round it lies, and nowhere before the first measurement. What climbs one way is expected to go
-down the other way, and on an arc some rolls show the whole plane.
+and pull are three unknowns, and each roll in neutral measures one c(u). ``Slope`` estimates them by a Kalman filter of
+three states (linear least squares). ``Slope.coasting`` returns the likely deceleration, and the one that is certain
+within the error's bound: tight at a heading where it was measured, wider the farther the car turns from there, and wide
+everywhere before the first roll. A climb one way is expected to be a descent the other way, and rolls at several
+headings of an arc show the whole plane.
 
-Pure. All bounds are those of the state that is still plausible (two standard deviations).
+Pure. All bounds are two standard deviations.
 """
 from __future__ import annotations
 
@@ -20,32 +21,35 @@ from typing import NamedTuple
 
 from car_interface.common.units import NS_PER_S
 from car_interface.throttle.esc_config import EscConfig
+from car_interface.throttle.esc_motion import MOTOR_LAG_NS
 
-# Before anything was measured: the slope's pull (a floor of 5 % pulls by 0.49 m/s², three standard deviations), and
-# what a car loses beyond esc/drag_deceleration, which is set with care: a Slash has 0.3 to 0.4 m/s², and its ESC's drag
-# brake adds to that. With a wider pull cars on level arcs roll so often that test/rooms --empty finds them slow.
+# Bounds before the first measurement. The slope's pull: a floor of 5 % pulls by 0.49 m/s², which is three standard
+# deviations; with a wider bound cars on level arcs roll so often that `python3 test/rooms --empty` finds them slow. And
+# the drag beyond esc/drag_deceleration: a Slash has 0.3 to 0.4 m/s², and its ESC's drag brake adds to that.
 PULL_MPS2, SURPLUS_MPS2 = 0.35, 0.3
-CHANGES_MPS2 = 0.015  # by which the pull may change within a metre; where it changes abruptly the estimate begins anew
-ACTUATION_S, LAG_S = 0.03, 0.15  # a pulse's way to the ESC; the longest time constant of a motor that lets go
-WINDOW_S, MIN_WINDOW_S, MIN_REPORTS = 0.5, 0.1, 4  # over which one deceleration is measured
-NOISE_MPS, NOISE_RATIO = 0.02, 0.02  # of one report of the speed
-RECENT_S = 0.12  # over which the present acceleration is measured
+CHANGES_MPS2 = 0.015  # the pull's change within a metre; an abrupt change starts over
+ACTUATION_S = 0.03  # from the decision to the ESC's pulse
+LAG_S = MOTOR_LAG_NS / NS_PER_S
+WINDOW_S, MIN_WINDOW_S, MIN_REPORTS = 0.5, 0.1, 4  # of one measured deceleration
+NOISE_MPS, NOISE_RATIO = 0.02, 0.02  # of one report of the speed: a constant part, and a part of the speed
+RECENT_S = 0.12  # the present acceleration is measured over this time: six reports at 50 Hz
 ROLLS_MPS = 0.05  # a car that is slower may stand
-STOOD_NS = 3 * NS_PER_S  # after standing for so long somebody may have put the car somewhere else
+STOOD_NS = 3 * NS_PER_S  # a car that stood for longer may have been carried somewhere else
 
 
 class Coasting(NamedTuple):
-    """The deceleration in neutral, in m/s²; negative: the car gets faster."""
+    """A deceleration in neutral; negative: the car gets faster."""
 
-    certain_mps2: float  # at least this, and no more than configured
+    certain_mps2: float  # it is at least this; not more than esc/drag_deceleration
     likely_mps2: float
 
 
 class Slope:
-    """The drag and the slope under one car.
+    """Estimate drag and slope under one car.
 
     Attributes:
-        acceleration_mps2: the rate at which the speed rises now, whichever way it goes; negative: it falls.
+        acceleration_mps2: the rate at which the speed rises now, forward or backward; negative: it falls.
+        brake_lacks_mps2: by how much the last brake that was measured fell short of esc/brake_deceleration.
     """
 
     def __init__(self, esc: EscConfig):
@@ -53,16 +57,16 @@ class Slope:
         self.acceleration_mps2 = 0.0
         self.brake_lacks_mps2 = 0.0
         self._fraction = 0.0
-        self._held_ns = 0  # since when the ESC has had this
-        self._force_mps2 = 0.0  # of the motor or the brake when that began
+        self._held_ns = 0  # when the ESC got this fraction
+        self._force_mps2 = 0.0  # of the motor or the brake at that time
         self._recent: deque = deque()
         self._yaw_rad = 0.0
         self._stood_ns: int | None = None
         self._fit = Fit()
-        self._before = self._plane = Plane.unknown(self._drag_mps2)  # without, and with, the present window
+        self._before = self._plane = Plane.unknown(self._drag_mps2)  # the estimate without and with the present window
 
     def update_esc(self, fraction: float, now_ns: int) -> None:
-        """What the ESC gets."""
+        """Take the fraction that the ESC gets from now on."""
         if fraction == self._fraction:
             return
         self._close_window()
@@ -76,7 +80,7 @@ class Slope:
         return self._recent[-1][1] if self._recent else 0.0
 
     def update_speed(self, speed_mps: float, measured_ns: int, curvature_per_m: float) -> None:
-        """The speed that was measured at a time, forward positive, and the curvature (1/m) of the arc."""
+        """Take a speed (forward positive), the time of its measurement, and the curvature (1/m) of the arc."""
         recent = self._recent
         if not math.isfinite(speed_mps) or recent and measured_ns <= recent[-1][0]:
             return
@@ -95,6 +99,10 @@ class Slope:
             self._stand(measured_ns)
             return
         self._stood_ns = None
+        self._measure(speed_mps, measured_ns)
+
+    def _measure(self, speed_mps, measured_ns):
+        """Measure a deceleration, if the ESC has had neutral or a brake for long enough."""
         since_s = (measured_ns - self._held_ns) / NS_PER_S
         if self._fraction == 0.0 and since_s >= ACTUATION_S:
             self._coast(speed_mps, since_s - ACTUATION_S)
@@ -102,7 +110,7 @@ class Slope:
             self._brake(speed_mps, since_s)
 
     def coasting(self, is_backward: bool, turn_rad: float = 0.0) -> Coasting:
-        """How it slows down in neutral, forward or backward, once its heading has changed by so much."""
+        """Return the deceleration in neutral, forward or backward, after the heading has turned by ``turn_rad``."""
         yaw_rad = self._yaw_rad + turn_rad + (math.pi if is_backward else 0.0)
         likely_mps2, bound_mps2 = self._plane.coasting(yaw_rad)
         return Coasting(min(self._drag_mps2, likely_mps2 - bound_mps2), likely_mps2)
@@ -115,7 +123,7 @@ class Slope:
         return fit.slope() if fit.count >= 3 else 0.0
 
     def _coast(self, speed_mps, since_s):
-        """Measure in neutral, where up to all of the last force may be left that the longest lag leaves."""
+        """Measure in neutral. Of the last force between nothing and what the longest lag leaves may still act."""
         fit = self._fit
         fit.add(since_s, abs(speed_mps))
         if fit.count < MIN_REPORTS or fit.span_s < MIN_WINDOW_S:
@@ -129,7 +137,7 @@ class Slope:
             self._close_window()
 
     def _brake(self, speed_mps, since_s):
-        """Under a brake that has built up."""
+        """Measure under a brake that has built up."""
         fit = self._fit
         fit.add(since_s, speed_mps)
         if fit.count >= MIN_REPORTS and fit.span_s >= WINDOW_S:
@@ -148,7 +156,7 @@ class Slope:
 
 
 class Fit:
-    """A straight line through speeds, by least squares."""
+    """Fit a straight line through speeds, by least squares."""
 
     def __init__(self):
         self.count = 0
@@ -169,13 +177,13 @@ class Fit:
         return self._first_s + self._t / self.count
 
     def slope(self) -> float:
-        """The acceleration."""
+        """Return the acceleration in m/s²; 0 with fewer than two times."""
         spread = self.count * self._tt - self._t * self._t
         return (self.count * self._tv - self._t * self._v) / spread if spread else 0.0
 
 
 class Plane(NamedTuple):
-    """Drag and the pull's two components, in m/s², with the bounds of their errors: a symmetric matrix, squared."""
+    """Drag and the pull's two components, in m/s², and the symmetric matrix of their squared error bounds."""
 
     drag: float
     x: float
@@ -189,23 +197,26 @@ class Plane(NamedTuple):
 
     @classmethod
     def unknown(cls, drag_mps2: float) -> Plane:
-        """Level ground, as long as nothing was measured."""
+        """Return level ground with the bounds before any measurement."""
         return cls(drag_mps2, 0.0, 0.0, SURPLUS_MPS2 ** 2, 0.0, 0.0, PULL_MPS2 ** 2, 0.0, PULL_MPS2 ** 2)
 
     def after(self, way_m: float) -> Plane:
-        """The same after so much of a way, on which the slope may have changed."""
+        """Return the same after a distance on which the slope may have changed."""
         changed = CHANGES_MPS2 ** 2 * way_m
         return self._replace(xx=self.xx + changed, yy=self.yy + changed) if changed else self
 
     def coasting(self, yaw_rad: float) -> tuple[float, float]:
-        """The deceleration at a heading, and the bound of its error."""
+        """Return the deceleration at a heading, and the bound of its error."""
         cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
         square = (self.dd + self.xx * cos * cos + self.yy * sin * sin
                   + 2.0 * (self.xy * cos * sin - self.dx * cos - self.dy * sin))
         return self.drag - self.x * cos - self.y * sin, math.sqrt(max(0.0, square))
 
     def measured(self, yaw_rad: float, seen_mps2: float, bound_mps2: float, drag_mps2: float) -> Plane:
-        """With a deceleration that was seen at a heading. One that is far from expected belongs to other ground."""
+        """Return the estimate with a deceleration that was measured at a heading.
+
+        One that is off by more than twice the bound belongs to other ground: then the estimate starts over.
+        """
         cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
         d = self.dd - self.dx * cos - self.dy * sin
         x = self.dx - self.xx * cos - self.xy * sin

@@ -1,11 +1,11 @@
-"""What a car's sonars look at, and how far it gets along an arc: until it touches a point, and until it leaves the fan.
+"""Compute how far a car gets along an arc: until it touches a point (``Arc``), and until it leaves the fan (``Fan``).
 
-The fan is what lies between the outermost edges of the sonars at one end of the car, as far as each of them reaches.
-Each place in it belongs to the sonar whose axis is nearest; so the strips between two cones, and what lies just before
-the bumper, count as looked at. The middle of the bumper stands for the car.
+The fan is the area between the outermost edges of the sonars' cones at one end of the car, as far as each sonar
+reaches. Each place in it belongs to the sonar whose axis is nearest. So the strips between two cones, and the area just
+before the bumper, count as looked at. The middle of the bumper stands for the car.
 
-Pure geometry in the car's frame: metres ahead of the rear axle's middle and to the left. A car that drives backward on
-an arc is one that drives forward in the mirror, so everything here is written for forward, and turning left.
+Pure geometry in the car's frame: x metres ahead of the rear axle's middle, y metres to the left. Mirrored, a car that
+drives backward or turns right drives forward and turns left; so everything here is written for forward and left.
 """
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from typing import Iterable, Mapping, NamedTuple
 from car_interface.common import declared
 from car_interface.common.vehicle_geometry import FRONT_M, REAR_M, WIDTH_M
 
-MIN_CURVATURE_PER_M = 1e-3  # a straight line is a circle of 1 km
-CONE_POINTS = 9
-OUTLINE = "the car's outline, from the middle of the rear axle"  # the meaning of three parameters
+MIN_CURVATURE_PER_M = 1e-3  # a straight line is computed as a circle of 1 km
+CONE_POINTS = 9  # across a cone: of 30° at 2 m every 0.13 m
+OUTLINE = "the car's outline, from the middle of the rear axle"  # the description of three parameters
 MAX_EDGE_RAD = math.pi / 2  # the fan doesn't reach behind the bumper
 
 
 class Mount(NamedTuple):
-    """A sonar's pose: metres from the middle of the rear axle, and its direction in rad, left positive."""
+    """A sonar's pose: metres from the middle of the rear axle, and the direction in rad, left positive."""
 
     x_m: float
     y_m: float
@@ -45,20 +45,20 @@ class Outline:
 
 
 def cone_points(mount: Mount, range_m: float, field_of_view_rad: float) -> list[tuple[float, float]]:
-    """Points across a cone at a range, its edges included: what a sonar measured may be at any of them."""
+    """Return points across a cone at a range, edges included: an echo may come from any of them."""
     angles_rad = (mount.yaw_rad + field_of_view_rad * (index / (CONE_POINTS - 1) - 0.5) for index in range(CONE_POINTS))
     return [(mount.x_m + range_m * math.cos(angle_rad), mount.y_m + range_m * math.sin(angle_rad))
             for angle_rad in angles_rad]
 
 
 class Arc:
-    """The arc that a car drives, with what its body sweeps.
+    """The arc that a car drives, with the area that its body sweeps.
 
     Args:
         curvature_per_m: left positive.
-        is_backward: it drives backward on it.
+        is_backward: the car drives backward on it.
         outline: of the car.
-        margin_m: at both sides, which is swept, too.
+        margin_m: added to the body at both sides.
     """
 
     def __init__(self, curvature_per_m: float, is_backward: bool, outline: Outline, margin_m: float):
@@ -68,7 +68,7 @@ class Arc:
         self._half_m = half_m = outline.width_m / 2 + margin_m
         self._is_straight = abs(curvature_per_m) < MIN_CURVATURE_PER_M
         self._radius_m = radius_m = 1.0 / max(MIN_CURVATURE_PER_M, abs(curvature_per_m))
-        # From the turn's centre: the inner side, the outer one, the bumper's corners, and what comes farthest out.
+        # Distances from the turn's centre: the inner and the outer side, the bumper's corners, the farthest corner.
         self._inner_m, self._outer_m = radius_m - half_m, radius_m + half_m
         self._inner_corner_m = math.hypot(max(0.0, self._inner_m), self._bumper_m)
         self._outer_corner_m = math.hypot(self._outer_m, self._bumper_m)
@@ -76,7 +76,7 @@ class Arc:
         self._near_m2, self._far_m2 = max(0.0, self._inner_m) ** 2, farthest_m ** 2
 
     def sweeps(self, points: Iterable[tuple[float, float]]) -> list[bool]:
-        """Whether the car may touch each of some points; a quick test, which no point fails that it does touch."""
+        """Return for each point whether the car may touch it: a quick test, true for each point that it does touch."""
         if self._is_straight:
             half_m = self._half_m
             return [-half_m <= y_m <= half_m for _, y_m in points]
@@ -84,10 +84,10 @@ class Arc:
         return [near_m2 <= x_m * x_m + (centre_m - y_m) * (centre_m - y_m) <= far_m2 for x_m, y_m in points]
 
     def distance_m(self, x_m: float, y_m: float) -> float | None:
-        """How far the car can drive until it touches a point.
+        """Return how far the car can drive until it touches a point.
 
         Returns:
-            Metres of the rear axle's middle; 0 or less: it touches that already. ``None``: it never does.
+            Metres of the rear axle's middle; 0 or less: it touches the point already. ``None``: it never does.
         """
         x_m, y_m = x_m * self._ahead, y_m * self._left
         if self._is_straight:
@@ -97,8 +97,8 @@ class Arc:
         if not self._near_m2 <= from_centre_m2 <= self._far_m2:
             return None
         from_centre_m, round_rad = math.sqrt(from_centre_m2), math.atan2(x_m, across_m)
-        # The part of the car that meets it: the bumper; nearer to the centre the inner side; farther from it the outer
-        # side of the end that comes behind, such as a front that swings out while the car reverses.
+        # The part of the car that touches it: the bumper, or the inner side if the point is nearer to the centre. If it
+        # is farther, the outer side of the trailing end, such as a front that swings out while the car reverses.
         if from_centre_m > self._outer_corner_m:
             to_go_rad = round_rad + math.acos(self._outer_m / from_centre_m)
             return self._radius_m * to_go_rad if to_go_rad > 0.0 else None
@@ -112,12 +112,12 @@ class Arc:
 
 
 class FanEnd(NamedTuple):
-    """Where an arc leaves what is looked at."""
+    """The place where an arc leaves the fan."""
 
     distance_m: float  # of the rear axle's middle
-    sonar: str  # in whose part of the fan it ends; empty: there is no fan
-    is_edge: bool  # at the fan's side, or where something hides the rest; else as far as that sonar reaches
-    sonars: tuple[str, ...]  # all through whose parts it leads
+    sonar: str  # whose part of the fan it leaves; empty: there is no fan
+    is_edge: bool  # it leaves at the fan's side, or where something hides the rest; else at the sonar's range
+    sonars: tuple[str, ...]  # whose parts it leads through
 
 
 class _Part(NamedTuple):
@@ -134,8 +134,8 @@ class Fan:
     """The fan at one end of the car.
 
     Args:
-        mounts: of the sonars at that end, by name; those of one that the car doesn't have are left out.
-        field_of_view_rad: the whole cone of each.
+        mounts: of the sonars that the car has at that end, by name.
+        field_of_view_rad: the full angle of each cone.
         bumper_m: from the rear axle's middle to the bumper at that end.
         is_backward: it is the rear end.
     """
@@ -148,17 +148,17 @@ class Fan:
         self._to_left, self._to_right = (_parts(sonars, field_of_view_rad, bumper_m) for sonars in (mounts, mirrored))
 
     def end(self, curvature_per_m: float, reaches_m: Mapping[str, float]) -> FanEnd:
-        """Where the middle of the bumper leaves the fan on an arc (1/m, left positive).
+        """Return where the middle of the bumper leaves the fan on an arc (1/m, left positive).
 
         Args:
             curvature_per_m: of the arc.
-            reaches_m: how far each sonar sees now: up to its echo, or to its largest range.
+            reaches_m: the distance that each sonar sees now, by name: to its echo, or its largest range.
         """
         right_rad, parts = self._to_right if curvature_per_m < 0.0 else self._to_left
         radius_m = 1.0 / max(MIN_CURVATURE_PER_M, abs(curvature_per_m))
         start_rad = math.atan2(self._bumper_m, radius_m)
         if not parts or start_rad < right_rad:
-            return FanEnd(0.0, "", True, ())  # it leaves the fan, or where one would be, at once
+            return FanEnd(0.0, "", True, ())  # it is outside of the fan from the start, or there is none
         path_m = math.hypot(self._bumper_m, radius_m)
         at_rad, passed, part = start_rad, [], None
         for part in parts:
@@ -167,7 +167,7 @@ class Fan:
                 continue
             passed.append(part.name)
             reach_rad = _leaves_circle_rad(part.mount, reaches_m[part.name], radius_m, path_m)
-            if reach_rad <= edge_rad:  # beyond it already where it enters this part: something nearer hides the rest
+            if reach_rad <= edge_rad:  # if it enters this part beyond the reach, something nearer hides the rest
                 is_hidden = reach_rad < at_rad
                 return FanEnd(radius_m * (max(at_rad, reach_rad) - start_rad), part.name, is_hidden, tuple(passed))
             at_rad = max(at_rad, edge_rad)
@@ -175,7 +175,7 @@ class Fan:
 
 
 def _parts(mounts, field_of_view_rad, bumper_m):
-    """(direction of the fan's right edge, its parts from right to left)."""
+    """Return (direction of the fan's right edge, its parts from right to left)."""
     in_order = sorted(((math.remainder(mount.yaw_rad, 2.0 * math.pi), name) for name, mount in mounts.items()))
     if not in_order:
         return 0.0, []
@@ -188,7 +188,7 @@ def _parts(mounts, field_of_view_rad, bumper_m):
             edge = ((mount.x_m + after.x_m) / 2.0, (mount.y_m + after.y_m) / 2.0, (yaw_rad + next_rad) / 2.0)
         else:
             edge = (mount.x_m, mount.y_m, min(MAX_EDGE_RAD, yaw_rad + half_rad))
-            # What lies just before the bumper counts: an edge that would cut off its middle goes through that.
+            # The area just before the bumper counts: an edge that would cut off its middle is moved to it.
             if _is_left(bumper_m, 0.0, edge):
                 edge = (bumper_m, 0.0, edge[2])
         parts.append(_Part(name, mount, *edge))
@@ -201,7 +201,7 @@ def _is_left(x_m, y_m, edge):
 
 
 def _crosses_edge_rad(part, radius_m, path_m):
-    """How far round the turn's centre, (0, radius), a point of the path gets to the left of an edge; inf: never."""
+    """Return the angle about the turn's centre, (0, radius), at which the path crosses an edge; inf: never."""
     ratio = (math.cos(part.edge_rad) * (radius_m - part.edge_y_m) + math.sin(part.edge_rad) * part.edge_x_m) / path_m
     if ratio <= -1.0:
         return math.inf
@@ -209,7 +209,7 @@ def _crosses_edge_rad(part, radius_m, path_m):
 
 
 def _leaves_circle_rad(mount, reach_m, radius_m, path_m):
-    """The same for a circle around a sonar: where the path leaves it."""
+    """Return the angle at which the path leaves a circle around a sonar; inf: never."""
     across_m = radius_m - mount.y_m
     from_centre_m = math.hypot(mount.x_m, across_m)
     ratio = (path_m ** 2 + from_centre_m ** 2 - reach_m ** 2) / (2.0 * path_m * from_centre_m)

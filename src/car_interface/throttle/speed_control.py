@@ -1,9 +1,10 @@
-"""A speed that is asked for → an acceleration for the converter, whose inverse map is the feed-forward.
+"""Turn a requested speed into an acceleration for the converter, whose inverse map is the feed-forward.
 
-Consumes requests, the speed by odometry and throttle_arb's state, each at its arrival. The request passes the limits of
-acceleration and jerk; what they make of it is fed forward, and a small PI on the measured speed corrects what map,
-battery and slope make wrong. It doesn't wind up: while somebody else drives it begins anew at the measured speed, and
-while the ESC waits or a limit cuts the integral stays.
+``SpeedControl.step`` takes a ``SpeedRequest``, and uses the speed by odometry and throttle_arb's state; it returns a
+``SpeedCommand``. Limits of acceleration and jerk make a reference speed of the request (``speed_reference``). The
+reference's acceleration is fed forward, and a small PI controller on the measured speed corrects the errors of map,
+battery and slope. It doesn't wind up: while somebody else drives, or the ESC can't follow (ESC_WAITS), it starts over
+at the measured speed, and while a limit cuts the command the integral stays.
 
 The direction changes at standstill only: until then the gear stays, and the car brakes. Pure: ``now_ns`` is passed in.
 """
@@ -24,30 +25,32 @@ from car_interface.throttle.esc_intention import DRIVE, REVERSE_GEAR
 from car_interface.throttle.esc_motion import STANDSTILL_MPS
 from car_interface.throttle.speed_reference import SpeedReference
 
-MIN_MAX_SPEED_MPS = 0.2  # 0.1 m/s counts as standstill, and no car of this kind holds less than twice that
-MAX_STEP_S = 0.1  # the longest time that one step counts, so that a delayed node makes no jump
-THROTTLE_TIMEOUT_S = 0.5  # throttle_arb's state comes 10 times a second
-HOLD_MPS2 = 1.5  # brakes at standstill, as Autoware does; the ESC's rules see to it that this doesn't reverse
+MIN_MAX_SPEED_MPS = 0.2  # twice STANDSTILL_MPS: no car of this kind holds a lower speed
+MAX_STEP_S = 0.1  # a step of a delayed node counts as no longer than this, so that the speed doesn't jump
+THROTTLE_TIMEOUT_S = 0.5  # five periods of throttle_arb's state, which comes at 10 Hz
+HOLD_MPS2 = 1.5  # the brake at standstill, as Autoware's −1.5 m/s²; the ESC's rules keep it from reversing
 STALL_NS = 2_000_000_000
 RUNAWAY_MPS, RUNAWAY_NS = 0.3, 1_000_000_000
 ROLLS_BY_ITSELF = "downhill, and its ESC isn't certain to brake it, or something else pushes it"
-# The least that a start takes: odometry sees nothing for the first 4 cm, and a wrong map makes the car too fast.
+# A start takes at least this long: odometry sees nothing of the first 4 cm, and a wrong map makes the car too fast.
 START_S = 0.5
-# Odometry is this old, and sees a speed only after two pulses; but no later than that, or a stop would never be seen.
+# Odometry shows the reference of DELAY_NS ago, and of DELAY_M before here (two pulses of 1.5 cm); but none older than
+# MAX_DELAY_NS, or a stop would never show.
 DELAY_NS, DELAY_M, MAX_DELAY_NS = 60_000_000, 0.03, 300_000_000
-# With which a motor follows: 0.02 to 0.15 s. What it hasn't done yet is no error that more of it would mend.
+# The lag with which a motor follows; 0.02 to 0.15 s in test/rooms. What the motor hasn't done yet is no error: without
+# this the speed overshot by up to 30 % at a lag of 0.1 s.
 MOTOR_LAG_S = 0.1
-# What the ESC gets differs from what is asked by no more than this unless something cuts it: a count of the board.
+# What the ESC gets is cut if it is less than the request by more than this: two of the board's counts (0.01 each).
 CUT = 0.02
-# The ESC is on its way to what is asked, or can't do it: the car doesn't move by what is asked meanwhile.
+# The ESC is on its way to the request, or can't follow it: the car doesn't move by the request.
 ESC_WAITS = frozenset({causes.ESC_ARMING, causes.ESC_MOTION, causes.REVERSE_PENDING, causes.REVERSE_REFUSED})
-# It leaves out a brake that could become reverse.
+# The ESC gets neutral instead of a brake that could become reverse.
 ESC_COASTS = frozenset({causes.BRAKE_UNCERTAIN, causes.AT_STANDSTILL})
 
 
 @dataclass(frozen=True)
 class SpeedControlConfig:
-    """Limits and gains."""
+    """Configure the limits and gains of the speed control."""
 
     max_speed_mps: float = declared.number(
         "max_speed", 3.0, "a faster request is cut to this, forward and backward", "m/s", low=MIN_MAX_SPEED_MPS,
@@ -69,12 +72,12 @@ class SpeedControlConfig:
 
 
 class SpeedRequest(NamedTuple):
-    """What is asked for.
+    """A requested speed.
 
     Attributes:
         speed_mps: backward negative; finite.
-        acceleration_mps2, jerk_mps3: how quickly, within the limits; 0 = as quickly as they allow.
-        braking_mps2: brake with at least this, whatever the speed; 0 = by the speed alone.
+        acceleration_mps2, jerk_mps3: at most this, within the configured limits; 0 = the limits alone.
+        braking_mps2: brake by at least this, whatever the speed; 0 = as the speed requires.
         gear: ``drive``, ``reverse``, ``neutral`` (coast), ``park``; ``None`` = by the sign of the speed.
     """
 
@@ -89,14 +92,14 @@ STOP = SpeedRequest(0.0)
 
 
 class SpeedCommand(NamedTuple):
-    """What the car is to do.
+    """A command for the converter and throttle_arb.
 
     Attributes:
         acceleration_mps2: along the car's forward axis.
-        reference_mps: the speed that it should have now, backward negative.
+        reference_mps: the speed that the car should have now, backward negative.
         gear: ``drive``, ``reverse`` or ``neutral``, as throttle_arb takes it.
-        is_known: the speed is known; else the car is to stop.
-        note: in words, what differs from the request; empty = nothing.
+        is_known: the speed is known; else the car has to stop.
+        note: differences from the request, in words; empty = none.
     """
 
     acceleration_mps2: float
@@ -107,7 +110,7 @@ class SpeedCommand(NamedTuple):
 
 
 class _Throttle(NamedTuple):
-    """What throttle_arb says."""
+    """The part of throttle_arb's state that the speed control needs."""
 
     is_ours: bool
     waits: bool
@@ -121,7 +124,7 @@ class _Past(NamedTuple):
 
 
 class SpeedControl:
-    """Follows the newest request."""
+    """Control one car's speed."""
 
     def __init__(self, config: SpeedControlConfig = SpeedControlConfig()):
         self._config = config
@@ -131,46 +134,46 @@ class SpeedControl:
         self._integral_mps2 = 0.0
         self._gear = DRIVE
         self._stepped_ns: int | None = None
-        self._stalled_ns: int | None = None  # since when it should move and doesn't
+        self._stalled_ns: int | None = None  # since when it should move but doesn't
         self._too_fast_ns: int | None = None  # since when it rolls faster than it should
-        self._was_known = False  # the speed, at the last step
-        self._driven_mps = 0.0  # the reference as a motor with a lag follows it
-        self._past: deque = deque()  # what odometry can have seen by now, and all references since
+        self._was_known = False  # whether the speed was, at the last step
+        self._driven_mps = 0.0  # the reference, delayed by the motor's lag
+        self._past: deque = deque()  # from the reference that odometry shows now up to the newest
 
     def update_odometry(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
-        """The car's speed, forward positive, and its age at arrival; one that no car has, or no number, is unknown."""
+        """Take the speed, forward positive, and its age at arrival; beyond MAX_SPEED_MPS or NaN it is unknown."""
         if abs(speed_mps) <= MAX_SPEED_MPS:  # not for NaN
             self._speed.update(speed_mps, now_ns, age_ns)
         else:
             self._speed.mark_stale(f"it was {speed_mps}")
 
     def update_throttle(self, source: int, asked: float, granted: float, esc_cause: str, now_ns: int) -> None:
-        """throttle_arb's state: who drives, the request, what the ESC gets of it, and the cause of the ESC's state."""
+        """Take throttle_arb's state: who drives, the request, what the ESC gets, and the cause of the ESC's state."""
         cut = abs(asked) - abs(granted) > CUT and (granted or esc_cause != causes.NO_THROTTLE)
         holds_back = int(math.copysign(1, asked)) if cut or esc_cause in ESC_COASTS else 0
         self._throttle.update(_Throttle(source == PLANNER, esc_cause in ESC_WAITS, holds_back), now_ns)
 
     def mark_stale(self) -> None:
-        """Messages were dropped before they got here: nothing is known."""
+        """Treat all inputs as stale, since messages were dropped on their way here."""
         self._speed.mark_stale()
         self._throttle.mark_stale()
 
     def odometry_age_s(self, now_ns: int) -> float:
-        """Seconds since the last odometry; inf = never received."""
+        """Return the seconds since the last odometry; inf = never received."""
         return self._speed.age_s(now_ns)
 
     @property
     def max_braking_mps2(self) -> float:
-        """The limit of braking."""
+        """Return the limit of braking."""
         return self._config.max_braking_mps2
 
     @property
     def measured_mps(self) -> float:
-        """The newest speed; NaN = none."""
+        """Return the newest speed; NaN = none."""
         return math.nan if self._speed.value is None else self._speed.value
 
     def step(self, request: SpeedRequest, now_ns: int) -> SpeedCommand:
-        """What the car is to do from ``now_ns`` on. Call it at 20 Hz at least."""
+        """Return the command from ``now_ns`` on. Call it at 20 Hz at least."""
         dt_s = 0.0 if self._stepped_ns is None else (now_ns - self._stepped_ns) / NS_PER_S
         self._stepped_ns = now_ns
         if self._speed.is_stale(now_ns):
@@ -200,7 +203,7 @@ class SpeedControl:
         self._past.clear()
 
     def _target(self, request):
-        """(the speed to reach in the gear's direction, what differs from the request). Changes gear at standstill."""
+        """Return (the speed to reach in the gear's direction, notes). Change the gear, if the car stands."""
         notes = []
         wanted_mps = request.speed_mps
         if abs(wanted_mps) > self._config.max_speed_mps:
@@ -219,7 +222,7 @@ class SpeedControl:
         return abs(wanted_mps), notes
 
     def _stall(self, speed_mps, now_ns):
-        """That the car should move for long and doesn't."""
+        """Return a note if the car should have moved for STALL_NS and hasn't."""
         if self._reference.speed_mps < STANDSTILL_MPS or abs(speed_mps) >= STANDSTILL_MPS:
             self._stalled_ns = None
         elif self._stalled_ns is None:
@@ -229,7 +232,7 @@ class SpeedControl:
         return []
 
     def _runaway(self, speed_mps, now_ns):
-        """That the car rolls faster than it should for long."""
+        """Return a note if the car has been faster than the reference for RUNAWAY_NS."""
         if speed_mps <= self._reference.speed_mps + RUNAWAY_MPS:
             self._too_fast_ns = None
         elif self._too_fast_ns is None:
@@ -246,34 +249,39 @@ class SpeedControl:
         return DRIVE if wanted_mps > 0 else REVERSE_GEAR
 
     def _follow(self, request, target_mps, speed_mps, dt_s, now_ns):
-        """The acceleration in the gear's direction."""
+        """Return the acceleration in the gear's direction: feed-forward and correction, or the hold at standstill."""
         config = self._config
-        throttle = self._heard_throttle(now_ns)
+        throttle = self._newest_throttle(now_ns)
         if not throttle.is_ours or throttle.waits:
             self._begin_anew(speed_mps)
-        jerk_mps3 = min(request.jerk_mps3 or math.inf, config.max_jerk_mps3)
-        acceleration_mps2 = min(request.acceleration_mps2 or math.inf, config.max_acceleration_mps2,
-                                target_mps / START_S) or config.max_acceleration_mps2
-        braking_mps2 = min(max(request.acceleration_mps2 or math.inf, request.braking_mps2), config.max_braking_mps2)
-        self._reference.step(target_mps, acceleration_mps2, braking_mps2, jerk_mps3, dt_s)
+        self._step_reference(request, target_mps, dt_s)
         if not target_mps and abs(speed_mps) < STANDSTILL_MPS:
             self._begin_anew(0.0)
             return -HOLD_MPS2
         if throttle.waits:
-            return HOLD_MPS2  # a pull that the ESC takes for one, until it is in reverse
+            return HOLD_MPS2  # a clear pull until the ESC is in reverse
         correction_mps2 = self._correction(self._seen_reference_mps(dt_s, now_ns) - speed_mps, throttle, dt_s)
         asked_mps2 = self._reference.acceleration_mps2 + correction_mps2
         if request.braking_mps2:
             asked_mps2 = min(asked_mps2, -min(request.braking_mps2, config.max_braking_mps2))
         return asked_mps2
 
-    def _heard_throttle(self, now_ns):
+    def _step_reference(self, request, target_mps, dt_s):
+        """Move the reference towards the target within the request's limits and the configured ones."""
+        config = self._config
+        jerk_mps3 = min(request.jerk_mps3 or math.inf, config.max_jerk_mps3)
+        acceleration_mps2 = min(request.acceleration_mps2 or math.inf, config.max_acceleration_mps2,
+                                target_mps / START_S) or config.max_acceleration_mps2
+        braking_mps2 = min(max(request.acceleration_mps2 or math.inf, request.braking_mps2), config.max_braking_mps2)
+        self._reference.step(target_mps, acceleration_mps2, braking_mps2, jerk_mps3, dt_s)
+
+    def _newest_throttle(self, now_ns):
         if not self._throttle.was_received:
-            return _Throttle(True, False, 0)  # somebody else converts the values to an ESC
+            return _Throttle(True, False, 0)  # another node drives the ESC by the values
         return _Throttle(False, False, 0) if self._throttle.is_stale(now_ns) else self._throttle.value
 
     def _seen_reference_mps(self, dt_s, now_ns):
-        """The reference that odometry can have seen by now: later ones only look like an error."""
+        """Return the reference that odometry can show by now: a newer one would look like an error."""
         self._driven_mps += (self._reference.speed_mps - self._driven_mps) * -math.expm1(-dt_s / MOTOR_LAG_S)
         past, speed_mps = self._past, self._driven_mps
         distance_m = past[-1].distance_m if past else 0.0
@@ -286,7 +294,7 @@ class SpeedControl:
         return past[0].speed_mps
 
     def _correction(self, error_mps, throttle, dt_s):
-        """P and I on the error, which doesn't grow against what cuts it."""
+        """Return P and I of the error; the integral stays while a limit cuts in that direction."""
         config = self._config
         limit_mps2 = config.max_correction_mps2
         integral_mps2 = self._integral_mps2 + config.speed_i * error_mps * dt_s

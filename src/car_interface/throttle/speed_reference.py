@@ -1,32 +1,30 @@
-"""The speed that a car should have at each moment on its way to the one that is asked for: limits of acceleration and
-jerk.
-"""
+"""Lead a reference speed to the requested one, within limits of acceleration, braking and jerk."""
 from __future__ import annotations
 
 import math
 
 
 class SpeedReference:
-    """A speed that follows its target.
+    """A speed that follows a target.
 
     Attributes:
-        speed_mps: now, 0 or more.
-        acceleration_mps2: now; negative slows it.
+        speed_mps: the present speed, 0 or more.
+        acceleration_mps2: the present acceleration; negative = it slows down.
     """
 
     def __init__(self):
         self.speed_mps = self.acceleration_mps2 = 0.0
 
     def reset(self, speed_mps: float) -> None:
-        """Begin anew at a speed."""
+        """Start over at a speed, without acceleration."""
         self.speed_mps, self.acceleration_mps2 = max(0.0, speed_mps), 0.0
 
     def step(self, target_mps: float, max_acceleration_mps2: float, max_braking_mps2: float, max_jerk_mps3: float,
              dt_s: float) -> None:
-        """Move on by ``dt_s`` towards a target of 0 or more, which isn't overshot.
+        """Move on by ``dt_s`` towards a target of 0 or more, without overshooting it.
 
-        The acceleration falls towards the target so that its jerk stays within the limit there, too: with the jerk j a
-        gap of a² / 2j + a·dt / 2 is left while the acceleration a falls to 0 in steps of j·dt.
+        Near the target the acceleration falls early enough to keep the limit of the jerk j: while an acceleration a
+        falls to 0 in steps of j·dt, the speed still changes by a² / 2j + a·dt / 2.
         """
         if dt_s <= 0:
             return

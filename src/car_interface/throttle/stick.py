@@ -1,4 +1,7 @@
-"""A gamepad's throttle stick → the human's request, and the scale that two buttons change while the car drives."""
+"""Turn a gamepad's throttle stick into the human's request.
+
+``shaped`` applies dead band and expo; ``Scale`` is the factor of driving that two buttons change while the car drives.
+"""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -8,9 +11,9 @@ from car_interface.common import declared
 
 @dataclass(frozen=True)
 class StickConfig:
-    """How a human's throttle stick is read.
+    """Configure how a human's throttle stick is read.
 
-    The sticks of usual gamepads rest within 0.03; with a scale of 0.3 the car is about as fast as a running person.
+    The sticks of usual gamepads rest within 0.03. With a scale of 0.3 the car is about as fast as a running person.
     Beyond the dead band the request begins at 0, without a step.
     """
 
@@ -25,7 +28,7 @@ class StickConfig:
 
 
 def shaped(request: float, deadband: float, expo: float) -> float:
-    """The request of a stick, −1..1: 0 within the dead band, ±1 at the ends.
+    """Return a stick's request, −1..1: 0 within the dead band, ±1 at the ends.
 
     Args:
         request: finite; clamped to −1..1.
@@ -39,16 +42,16 @@ def shaped(request: float, deadband: float, expo: float) -> float:
 
 
 class Scale:
-    """The scale of driving. A button counts when it is pressed: one that is held at the first message doesn't count."""
+    """Keep the scale of driving. A press changes it; a button that is held at the first message doesn't."""
 
     def __init__(self, config: StickConfig):
         self.value = config.human_scale
         self._step = config.scale_step
-        self._low = min(config.scale_step, config.human_scale)  # never 0, where the stick would do nothing
+        self._low = min(config.scale_step, config.human_scale)  # not 0: the stick would do nothing
         self._pressed: int | None = None  # None: nothing was received
 
     def update(self, pressed: int) -> bool:
-        """The buttons: 1 = more, −1 = less, 0 = neither is pressed; whether that changed the scale."""
+        """Take the buttons: 1 = more, −1 = less, 0 = none is pressed. Return whether the scale has changed."""
         before, self._pressed = self._pressed, pressed
         if before is None or pressed == before or pressed not in (-1, 1):
             return False

@@ -1,9 +1,8 @@
-"""A calibrated map: (value, velocity) → acceleration, and its inverse: (acceleration, velocity) → value.
+"""Look up a calibrated map: (value, velocity) → acceleration, and its inverse: (acceleration, velocity) → value.
 
-The map is a grid with bilinear interpolation. At any velocity acceleration must rise with value, or the inverse would
-be ambiguous; that is checked when the map is made, so that a lookup can't fail. Format and method are those of
-Autoware's value map. Velocities are in m/s, accelerations in m/s²; the value's unit is
-the actuator's own.
+The map is a grid with bilinear interpolation. At any velocity the acceleration must rise with the value, or the inverse
+would be ambiguous. ``ValueMap`` checks that at construction, so that a lookup can't fail. Format and method are those
+of Autoware's value map. Velocities are in m/s, accelerations in m/s²; a value has the actuator's own unit.
 """
 from __future__ import annotations
 
@@ -18,14 +17,14 @@ from car_interface.common.errors import ConfigError
 from car_interface.common.input_file import finite_number, read_file
 from car_interface.common.lookup_table import check_axis
 
-# Numbers of a small map are kept in tuples, which is fastest; of a large one in arrays, which use the cache better.
+# A small map is stored in tuples, which are fastest, and a larger one in arrays, which use the cache better.
 MAX_IN_TUPLES = 100_000
 ALLOW_PLATEAUS = "accept a map in which acceleration stays level from one row to the next"  # as a parameter
-MAX_BYTES = 10_000_000  # 1,000 values at 1,000 velocities, of 9 characters each; what was fitted has some hundred cells
+MAX_BYTES = 10_000_000  # 1,000 values at 1,000 velocities, 9 characters each; fitted maps have some hundred cells
 
 
 class ValueMap:
-    """The map.
+    """Hold one map.
 
     Args:
         values: the rows' axis, at least two, strictly increasing.
@@ -57,7 +56,7 @@ class ValueMap:
         self._intervals = self._between_columns()
 
     def _between_columns(self):
-        """For each interval of velocities (begin, width, column at the begin, column at the end).
+        """Return (begin, width, column at the begin, column at the end) for each interval of velocities.
 
         The intervals below the first velocity and above the last one have a width of 0.
         """
@@ -68,11 +67,11 @@ class ValueMap:
                 (velocities[-1], 0.0, columns[-1], columns[-1])]
 
     def value_at(self, acceleration: float, velocity: float) -> float:
-        """The value that makes ``acceleration`` at ``velocity``; neither may be NaN.
+        """Return the value that causes ``acceleration`` at ``velocity``; neither may be NaN.
 
-        Velocity is clamped to the map; an acceleration beyond it gets the first or the last value. On a plateau the
-        value of least magnitude. O(log rows): the acceleration at a velocity is a mean of those in the two columns, so
-        its row lies between the rows of these columns.
+        The velocity is clamped to the map, and an acceleration beyond the map gets the first or last value. On a
+        plateau it is the value of least magnitude. O(log rows): an acceleration between two columns is a mean of
+        theirs, so its row lies between the rows that the two columns have for it.
         """
         begin, width, low, high = self._intervals[bisect_right(self.velocities, velocity)]
         ratio = (velocity - begin) / width if width else 0.0
@@ -103,7 +102,7 @@ class ValueMap:
         return values[below] + (acceleration - a0) / (a1 - a0) * (values[above] - values[below])
 
     def acceleration_at(self, value: float, velocity: float) -> float:
-        """The acceleration that ``value`` makes at ``velocity``, both clamped to the map; neither may be NaN."""
+        """Return the acceleration that ``value`` causes at ``velocity``, both clamped to the map; neither is NaN."""
         begin, width, low, high = self._intervals[bisect_right(self.velocities, velocity)]
         ratio = (velocity - begin) / width if width else 0.0
         values = self.values
@@ -115,7 +114,7 @@ class ValueMap:
         return a0 + (value - values[below]) / (values[above] - values[below]) * (a1 - a0)
 
     def _min_on_plateau(self, acceleration, low, high, ratio, last):
-        """The value of least magnitude of the rows up to ``last`` that have exactly this acceleration."""
+        """Return the value of least magnitude among the rows up to ``last`` with exactly this acceleration."""
         first = last
         while first and low[first - 1] + ratio * (high[first - 1] - low[first - 1]) == acceleration:
             first -= 1
@@ -141,8 +140,8 @@ def load_value_map(path: str, allow_plateaus: bool = False, text: str | None = N
 
     Args:
         path: of the file.
-        allow_plateaus: as ``ValueMap`` takes it.
-        text: what the file is going to have; ``None`` = it is read.
+        allow_plateaus: see ``ValueMap``.
+        text: the file's future content, to check instead; ``None`` = read the file.
 
     The first row is a name and the velocities, every other row a value and its accelerations. CRLF, a byte-order mark,
     spaces around numbers and blank lines at the end are accepted.

@@ -59,7 +59,6 @@ from car_interface.common.yaml_edit import save
 {change}
 save(sys.argv[1], {{"servo_center": 0}})
 """
-WITHOUT_O_TMPFILE = "atomic_file._open_unnamed = lambda folder: None"
 KILLS_ITSELF = "import os, signal; atomic_file.os.{} = lambda *_, **__: os.kill(os.getpid(), signal.SIGKILL)"
 
 
@@ -73,23 +72,20 @@ def not_in_place(folder):
     return [path.read_text(encoding="utf-8") for path in folder.iterdir() if ".new-" in path.name]
 
 
-@pytest.mark.parametrize("change, function, left", [
-    ("", "fsync", []), ("", "link", []), ("", "replace", [TEXT.format("0")]),
-    (WITHOUT_O_TMPFILE, "fsync", [TEXT.format("0")])])
-def test_what_a_kill_leaves_is_removed_by_the_next_save(tmp_path, change, function, left):
+@pytest.mark.parametrize("function", ["fsync", "link", "replace"])
+def test_what_a_kill_leaves_is_removed_by_the_next_save(tmp_path, function):
     path = tmp_path / "turn_arb.yaml"
     path.write_text(TEXT.format("1"), encoding="utf-8")
-    process = saving_process(path, f"{change}\n{KILLS_ITSELF.format(function)}")
+    process = saving_process(path, KILLS_ITSELF.format(function))
     assert process.communicate()[0] == b"" and process.returncode == -signal.SIGKILL
     assert path.read_text(encoding="utf-8") == TEXT.format("1")
-    assert not_in_place(tmp_path) == left
+    assert not_in_place(tmp_path) == [TEXT.format("0")]
     aside = save(str(path), {"servo_center": 2})
     assert not_in_place(tmp_path) == []
     assert Path(aside).read_text(encoding="utf-8") == TEXT.format("1")
 
 
-@pytest.mark.parametrize("has_names", [False, True])
-def test_save_does_not_remove_what_another_process_is_about_to_put_in_place(path, monkeypatch, has_names):
+def test_save_does_not_remove_what_another_process_is_about_to_put_in_place(path, monkeypatch):
     move = os.replace
 
     def meanwhile(new_path, to_path):
@@ -98,14 +94,11 @@ def test_save_does_not_remove_what_another_process_is_about_to_put_in_place(path
         assert path.read_bytes() == b"of another process" and os.path.exists(new_path)
         move(new_path, to_path)
     monkeypatch.setattr(atomic_file.os, "replace", meanwhile)
-    if has_names:
-        monkeypatch.setattr(atomic_file, "_open_unnamed", lambda folder: None)
     replace(str(path), b"new", keeps_old=False)
     assert path.read_bytes() == b"new" and os.listdir(path.parent) == ["a.yaml"]
 
 
 def test_file_that_was_taken_for_left_over_before_it_was_locked_is_made_again(path, monkeypatch):
-    monkeypatch.setattr(atomic_file, "_open_unnamed", lambda folder: None)
     lock, before = atomic_file._lock, []
 
     def late(fd):
@@ -132,7 +125,6 @@ def test_files_of_others_are_left_alone(path):
 def test_file_system_without_links_keeps_the_old_file_too(path, monkeypatch):
     def refused(*_, **__):
         raise PermissionError(errno.EPERM, "Operation not permitted")
-    monkeypatch.setattr(atomic_file, "_open_unnamed", lambda folder: None)
     monkeypatch.setattr(atomic_file.os, "link", refused)
     monkeypatch.setattr(atomic_file.time, "strftime", lambda _: "now")
     for index in range(2):
@@ -141,23 +133,40 @@ def test_file_system_without_links_keeps_the_old_file_too(path, monkeypatch):
         "a.yaml": b"1", "a.yaml.bak-now": b"old", "a.yaml.bak-now-2": b"0"}
 
 
+def test_backup_has_mode_and_time_of_the_old_file(path):
+    path.chmod(0o640)
+    os.utime(path, ns=(1_000_000_000, 2_000_000_000))
+    backup = os.stat(replace(str(path), b"new", keeps_old=True))
+    assert stat.S_IMODE(backup.st_mode) == 0o640 and backup.st_mtime_ns == 2_000_000_000
+
+
 # --- a full disk ---
 
-@pytest.mark.parametrize("keeps_old", [False, True])
-@pytest.mark.parametrize("call", ["fsync", "fchmod", "link", "replace"])
-def test_failure_at_any_step_leaves_nothing_behind(path, monkeypatch, call, keeps_old):
-    done, original = [], getattr(os, call)
-    counted = 1 + keeps_old if call != "replace" else 1
+def test_copy_that_fails_on_a_file_system_without_links_leaves_nothing_behind(path, monkeypatch):
+    def refused(*_, **__):
+        raise PermissionError(errno.EPERM, "Operation not permitted")
 
-    def fail(*arguments, **options):
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    monkeypatch.setattr(atomic_file.os, "link", refused)
+    monkeypatch.setattr(atomic_file.shutil, "copyfileobj", full)
+    with pytest.raises(OSError, match="No space left"):
+        replace(str(path), b"new", keeps_old=True)
+    assert path.read_bytes() == b"old" and os.listdir(path.parent) == ["a.yaml"]
+
+
+@pytest.mark.parametrize("call, keeps_old", [
+    ("fsync", False), ("fsync", True), ("fchmod", False), ("link", True), ("replace", False), ("replace", True)])
+def test_failure_at_any_step_leaves_nothing_behind(path, monkeypatch, call, keeps_old):
+    done = []
+
+    def fail(*_, **__):
         done.append(call)
-        if len(done) == counted:
-            raise OSError(errno.ENOSPC, "No space left on device")
-        return original(*arguments, **options)
+        raise OSError(errno.ENOSPC, "No space left on device")
     monkeypatch.setattr(atomic_file.os, call, fail)
     with pytest.raises(OSError, match="No space left"):
         replace(str(path), b"new", keeps_old)
-    assert len(done) == counted and path.read_bytes() == b"old" and os.listdir(path.parent) == ["a.yaml"]
+    assert len(done) == 1 and path.read_bytes() == b"old" and os.listdir(path.parent) == ["a.yaml"]
 
 
 def test_file_that_may_not_grow_is_not_half_written(tmp_path):

@@ -27,6 +27,7 @@ class Bench:
     def __init__(self):
         self.chip = VirtualPca9685()
         self.bus = VirtualBus({ADDRESS: self.chip}, on_write=lambda *write: self.writes.append(write))
+        self.bus.close = self._close
         self.writes = []
         self.events = []
         self.opened = self.closed = 0
@@ -36,7 +37,7 @@ class Bench:
         self.now_ns = NOW
 
     def another_supervisor(self):
-        return BoardSupervisor(self._open, self._close, self._board, lambda event, error: self.on_event(event))
+        return BoardSupervisor(self._open, self._board, lambda event, error: self.on_event(event))
 
     def _open(self):
         if self.open_error is not None:
@@ -44,8 +45,7 @@ class Bench:
         self.opened += 1
         return self.bus
 
-    def _close(self, bus):
-        assert bus is self.bus
+    def _close(self):
         self.closed += 1
 
     @staticmethod

@@ -6,13 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface.sim.collision import Collisions, Obstacles, Outline
+from car_interface.sim.collision import CarBody, Collisions, Obstacles
 from car_interface.sim.vehicle import ORIGIN, Pose, Vehicle, VehicleConfig
 from car_interface.sim.world import World
 
 MS, S = 1_000_000, 1_000_000_000
 STRAIGHT, FORWARD, REVERSE = 5070, 5400, 4400
-OUTLINE = Outline(rear_m=0.1, front_m=0.5, width_m=0.4)
+OUTLINE = CarBody(rear_m=0.1, front_m=0.5, width_m=0.4)
 WALL_M = 2.0  # an endless one across x
 
 

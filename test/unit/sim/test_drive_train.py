@@ -3,8 +3,8 @@
 import pytest
 
 from car_interface.sim import drive_train
-from car_interface.sim.drive_train import DriveConfig, Motor, is_pulse, motor_acceleration_mps2, throttle
-from car_interface.sim.esc import BACKWARD, BRAKE, COAST, FORWARD, MotorState
+from car_interface.sim.drive_train import DriveTrainConfig, Motor, motor_acceleration_mps2, throttle
+from car_interface.sim.esc import BACKWARD, BRAKE, COAST, FORWARD, MotorState, is_pulse
 
 REVERSE, NEUTRAL, FULL = 3277, 4915, 6554
 OFF, NEVER_SET = 0, -1
@@ -13,8 +13,8 @@ OFF, NEVER_SET = 0, -1
 @pytest.mark.parametrize("duty, expected", [
     (NEUTRAL, 0), (4930, 0), (4900, 0), (FULL, 1), (8000, 1), (REVERSE, -1), (1700, -1), (5747, 0.5), (4084, -0.5)])
 def test_throttle_of_a_duty_is_linear_beyond_the_neutral_band_and_none_without_a_pulse(duty, expected):
-    assert throttle(duty, DriveConfig()) == pytest.approx(expected, abs=0.001)
-    assert throttle(65535, DriveConfig()) is None
+    assert throttle(duty, DriveTrainConfig()) == pytest.approx(expected, abs=0.001)
+    assert throttle(65535, DriveTrainConfig()) is None
 
 
 @pytest.mark.parametrize(("duty", "expected"), [(OFF, False), (NEVER_SET, False), (65535, False), (1637, False),
@@ -34,7 +34,8 @@ def test_pulse_is_between_half_a_millisecond_and_two_and_a_half(duty, expected):
 ], ids=str)
 def test_motor_moves_the_car(motor, speed_mps, expected_mps2):
     push, brake = Motor(0.0).step(motor, 0.001)
-    assert motor_acceleration_mps2(push, brake, speed_mps, DriveConfig()) == pytest.approx(expected_mps2, abs=0.001)
+    moved_mps2 = motor_acceleration_mps2(push, brake, speed_mps, DriveTrainConfig())
+    assert moved_mps2 == pytest.approx(expected_mps2, abs=0.001)
 
 
 def test_motor_follows_its_esc_with_its_lag():
@@ -46,7 +47,7 @@ def test_motor_follows_its_esc_with_its_lag():
 
 
 def test_motor_agrees_with_the_esc_without_a_memory_where_that_drives():
-    level = throttle(6000, DriveConfig())
+    level = throttle(6000, DriveTrainConfig())
     for speed_mps in (0.0, 1.0, 5.0):
-        assert motor_acceleration_mps2(level, 0.0, speed_mps, DriveConfig(), 0.9, 0.1) == (
-            drive_train.true_acceleration_mps2(6000, speed_mps, DriveConfig(), 0.9, 0.1))
+        assert motor_acceleration_mps2(level, 0.0, speed_mps, DriveTrainConfig(), 0.9, 0.1) == (
+            drive_train.true_acceleration_mps2(6000, speed_mps, DriveTrainConfig(), 0.9, 0.1))

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import pytest
+from virtual_escs import crawler, direct, race, vxl, xl5
 
 from car_interface.sim import esc as virtual
 from car_interface.sim.esc import BACKWARD, BRAKE, COAST, FORWARD, VirtualEsc
@@ -25,28 +26,28 @@ def play(config, steps, armed=True):
     return modes[1:] if armed else modes
 
 
-@pytest.mark.parametrize("make", [virtual.xl5, virtual.vxl, virtual.crawler, virtual.direct, virtual.race])
+@pytest.mark.parametrize("make", [xl5, vxl, crawler, direct, race])
 def test_forward_drives_and_neutral_does_not(make):
     assert play(make(drag_brake=0.0), [(AHEAD, 0.1, 0.0), (NEUTRAL, 0.1, 1.0)]) == [FORWARD, COAST]
 
 
 @pytest.mark.parametrize("config, expected", [
-    pytest.param(virtual.xl5(), [FORWARD, BRAKE, BRAKE], id="xl5_a_held_brake_stays_a_brake_at_standstill"),
-    pytest.param(virtual.vxl(), [FORWARD, BRAKE, BRAKE], id="vxl_too"),
-    pytest.param(virtual.race(), [FORWARD, BRAKE, BRAKE], id="race_too"),
-    pytest.param(virtual.crawler(), [FORWARD, BRAKE, BACKWARD], id="a_crawler_s_becomes_reverse"),
-    pytest.param(virtual.direct(), [FORWARD, BACKWARD, BACKWARD], id="direct_drives_backward_at_once"),
+    pytest.param(xl5(), [FORWARD, BRAKE, BRAKE], id="xl5_a_held_brake_stays_a_brake_at_standstill"),
+    pytest.param(vxl(), [FORWARD, BRAKE, BRAKE], id="vxl_too"),
+    pytest.param(race(), [FORWARD, BRAKE, BRAKE], id="race_too"),
+    pytest.param(crawler(), [FORWARD, BRAKE, BACKWARD], id="a_crawler_s_becomes_reverse"),
+    pytest.param(direct(), [FORWARD, BACKWARD, BACKWARD], id="direct_drives_backward_at_once"),
 ])
 def test_pull_after_forward(config, expected):
     assert play(config, [*BRAKED, (BACK, 0.5, STOPPED)]) == expected
 
 
 @pytest.mark.parametrize("config, neutral_s, rolls_mps, expected", [
-    pytest.param(virtual.xl5(dwell_s=0.2), 0.3, STOPPED, BACKWARD, id="xl5_reverses_after_its_dwell"),
-    pytest.param(virtual.xl5(dwell_s=0.2), 0.1, STOPPED, BRAKE, id="and_brakes_before"),
-    pytest.param(virtual.xl5(dwell_s=0.2), 0.3, 1.0, BACKWARD, id="also_while_it_rolls"),
-    pytest.param(virtual.vxl(dwell_s=0.2), 0.3, 1.0, BRAKE, id="a_vxl_does_not"),
-    pytest.param(virtual.race(dwell_s=0.2), 0.3, STOPPED, BRAKE, id="race_never_reverses"),
+    pytest.param(xl5(dwell_s=0.2), 0.3, STOPPED, BACKWARD, id="xl5_reverses_after_its_dwell"),
+    pytest.param(xl5(dwell_s=0.2), 0.1, STOPPED, BRAKE, id="and_brakes_before"),
+    pytest.param(xl5(dwell_s=0.2), 0.3, 1.0, BACKWARD, id="also_while_it_rolls"),
+    pytest.param(vxl(dwell_s=0.2), 0.3, 1.0, BRAKE, id="a_vxl_does_not"),
+    pytest.param(race(dwell_s=0.2), 0.3, STOPPED, BRAKE, id="race_never_reverses"),
 ])
 def test_second_pull(config, neutral_s, rolls_mps, expected):
     assert play(config, [*BRAKED, (NEUTRAL, neutral_s, rolls_mps), (BACK, 0.1, rolls_mps)])[-1] == expected
@@ -54,33 +55,33 @@ def test_second_pull(config, neutral_s, rolls_mps, expected):
 
 @pytest.mark.parametrize("second_pull, expected", [(virtual.BRAKES, BRAKE), (virtual.BRAKES_AND_TURNS, BACKWARD)])
 def test_second_pull_that_began_rolling_and_is_held_at_standstill(second_pull, expected):
-    config = virtual.vxl(second_pull=second_pull)
+    config = vxl(second_pull=second_pull)
     steps = [*BRAKED, (NEUTRAL, 0.5, 1.0), (BACK, 0.2, 1.0), (BACK, 0.3, STOPPED)]
     assert play(config, steps)[-2:] == [BRAKE, expected]
 
 
 def test_esc_that_forgets_reverses_at_the_first_pull_after_its_time_in_neutral():
     steps = [(AHEAD, 1.0, 2.0), (NEUTRAL, 2.0, 0.0), (BACK, 0.1, 0.0)]
-    assert play(virtual.xl5(), steps)[-1] == BRAKE
-    assert play(virtual.xl5(forget_s=1.5), steps)[-1] == BACKWARD
+    assert play(xl5(), steps)[-1] == BRAKE
+    assert play(xl5(forget_s=1.5), steps)[-1] == BACKWARD
 
 
 def test_esc_runs_only_after_neutral():
-    config = virtual.xl5(arming_s=0.5)
+    config = xl5(arming_s=0.5)
     assert play(config, [(AHEAD, 2.0, 0.0), (NEUTRAL, 0.3, 0.0), (AHEAD, 0.1, 0.0)], armed=False)[-1] == COAST
     assert play(config, [(NEUTRAL, 0.6, 0.0), (AHEAD, 0.1, 0.0)], armed=False)[-1] == FORWARD
 
 
 @pytest.mark.parametrize("no_pulse", [None, 0, -1, 65535])
 def test_esc_without_pulses_holds_for_its_time_then_stops_and_must_be_armed_again(no_pulse):
-    config = virtual.xl5(cutoff_s=0.2)
+    config = xl5(cutoff_s=0.2)
     assert play(config, [(AHEAD, 0.5, 1.0), (no_pulse, 0.1, 1.0), (no_pulse, 0.3, 1.0), (AHEAD, 0.5, 1.0)]) == [
         FORWARD, FORWARD, COAST, COAST]
-    lenient = virtual.xl5(cutoff_s=0.2, rearms=False)
+    lenient = xl5(cutoff_s=0.2, rearms=False)
     assert play(lenient, [(AHEAD, 0.5, 1.0), (no_pulse, 0.4, 1.0), (AHEAD, 0.5, 1.0)])[-1] == FORWARD
 
 
 @pytest.mark.parametrize("duty, command", [
     (4915, 0.0), (4995, 0.0), (4835, 0.0), (6554, 1.0), (8000, 1.0), (3277, -1.0), (5774.5, 0.5), (4056, -0.5)])
 def test_command_is_linear_from_the_dead_band_to_the_ends(duty, command):
-    assert VirtualEsc().command(duty) == pytest.approx(command)
+    assert virtual.throttle_of(duty, 3277, 4915, 6554, 80, 80) == pytest.approx(command)

@@ -51,3 +51,25 @@ def test_sonar_sequence_set_is_followed(sequence, followed):
 def test_bad_sonar_sequence_is_counted(payload, counter, count):
     bench = Bench(lambda sensor, at_ns: 1000).command(SET_SEQ, payload).until(100 * MS)
     assert bench.teensy.counters[counter] == count
+
+
+def test_pin_that_blinks_holds_the_others_up_and_its_length_is_reported_in_16_bits():
+    bench = Bench(lambda sensor, at_ns: 5000).until(5 * S)
+    bench.teensy.set_sonar(2, "blink", 5 * S)
+    reports = [parse_sonar(frame) for frame in bench.after(3 * S).frames(SONAR)]
+    gaps_ms = [(after.when - before.when - after.echo_us / 1000, after.sensor)
+               for before, after in zip(reports, reports[1:])]
+    (gap_ms, sensor), *others = sorted(gaps_ms, reverse=True)
+    assert sensor == 2 and 1100 < gap_ms < 2100 and others[0][0] < 53
+    assert [report.sensor for report in reports[-6:]] in [[*range(n, 6), *range(n)] for n in range(6)]
+    assert {report.echo_us for report in reports[-6:]} == {5000 - 13}
+
+
+def test_one_sensor_may_be_a_clone_until_it_is_fine_again():
+    bench = Bench(lambda sensor, at_ns: 0).until(S)
+    for condition, echo_us in (("clone", 3_379), ("fine", 37_987)):
+        before = len(bench.after(S).frames(SONAR))
+        bench.teensy.set_sonar(4, condition, bench.now_ns)
+        bench.after(2 * S)
+        found = {frame.sensor: frame.echo_us for frame in map(parse_sonar, bench.frames(SONAR)[before + 6:])}
+        assert all(abs(found[sensor] - (echo_us if sensor == 4 else 37_987)) <= 1 for sensor in range(6))

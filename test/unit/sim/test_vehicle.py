@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface.sim.drive_train import DriveConfig
+from car_interface.sim.drive_train import DriveTrainConfig
 from car_interface.sim.teensy_wheels import FORWARD, LEFT, RIGHT
 from car_interface.sim.tyres import TyreConfig
 from car_interface.sim.vehicle import Pose, SteeringConfig, Vehicle, VehicleConfig
@@ -36,7 +36,7 @@ def rolling(speed_mps, config=PLAIN):
 
 
 def frictionless():
-    drive = DriveConfig(drag_mps2=0.0, drag_per_s=0.0, drag_per_m=0.0)
+    drive = DriveTrainConfig(drag_mps2=0.0, drag_per_s=0.0, drag_per_m=0.0)
     return VehicleConfig(steering=PLAIN.steering, drive=drive, tyres=None)
 
 
@@ -85,7 +85,7 @@ def test_car_in_one_long_step_moves_on_the_exact_arc():
 
 @pytest.mark.parametrize("dt_ns", [MS, 20 * MS, 500 * MS])
 def test_car_that_stops_within_a_step_stands_where_it_stopped(dt_ns):
-    even = VehicleConfig(steering=PLAIN.steering, drive=DriveConfig(drag_mps2=0.5, drag_per_s=0.0, drag_per_m=0.0))
+    even = VehicleConfig(steering=PLAIN.steering, drive=DriveTrainConfig(drag_mps2=0.5, drag_per_s=0.0, drag_per_m=0.0))
     vehicle = rolling(1.0123, even)
     drive(vehicle, 3, 5000, NEUTRAL, dt_ns)
     assert vehicle.travel_m == pytest.approx(1.0123**2 / (2 * 0.5), abs=1e-9)
@@ -105,7 +105,7 @@ def test_pulses_of_a_straight_come_every_15_millimetres_of_each_wheel():
 
 def test_pulses_do_not_depend_on_the_step():
     """With an even acceleration: the times of pulses are exact, not those of steps."""
-    drive_train = DriveConfig(drag_per_s=0.0, drag_per_m=0.0, thrust_halves_mps=1e12)
+    drive_train = DriveTrainConfig(drag_per_s=0.0, drag_per_m=0.0, thrust_halves_mps=1e12)
     even = VehicleConfig(steering=PLAIN.steering, drive=drive_train)
     fine = drive(rolling(0.0, even), 3, 5000, 5800, dt_ns=100_000)
     coarse = drive(rolling(0.0, even), 3, 5000, 5800, dt_ns=20 * MS)
@@ -145,7 +145,7 @@ def test_the_faster_it_is_the_wider_the_same_steering_turns_but_for_a_kinematic_
     slow, fast = circling(TyreConfig(), 0.5), circling(TyreConfig(), 3.0)
     assert 1 / slow.curvature_per_m == pytest.approx(2.0, rel=0.001)
     assert 1 / fast.curvature_per_m == pytest.approx(2.51, rel=0.01)
-    assert fast.steering_angle_rad == slow.steering_angle_rad
+    assert fast.steered_per_m == slow.steered_per_m
     kinematic = circling(None, 20.0)
     assert kinematic.curvature_per_m == 0.5 and kinematic.rollovers.count == 0
 

@@ -17,8 +17,8 @@ from car_interface.steering.arbiter import (
     PLANNER,
     SOURCE_NAMES,
     TELEOP,
-    ArbiterConfig,
     SteeringArbiter,
+    SteeringArbiterConfig,
 )
 from car_interface.steering.calibration import trimmed
 from car_interface.steering.limits import SourceLimits, SteeringLimits
@@ -35,7 +35,7 @@ def arbiter_with(human=None, teleop=None, planner=None, steering=None, odometry=
     """One that received each input once: (value, its age in seconds at NOW), or None = never."""
     if human_timeout_s is not None:
         rules["interlock"] = InterlockConfig(human_timeout_s=human_timeout_s)
-    arbiter = SteeringArbiter(calibration, ArbiterConfig(**rules))
+    arbiter = SteeringArbiter(calibration, SteeringArbiterConfig(**rules))
     for update, received in ((arbiter.update_odometry, odometry), (arbiter.update_human, human),
                              (arbiter.update_teleop, teleop), (arbiter.update_planner, planner),
                              (arbiter.update_planner_steering, steering)):

@@ -10,7 +10,7 @@ import pytest
 from car_interface.common.declared import read
 from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
-from car_interface.steering.arbiter import ArbiterConfig
+from car_interface.steering.arbiter import SteeringArbiterConfig
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.steering.config import load_steering
 from slash import PARAMETERS, SLASH
@@ -72,9 +72,9 @@ def test_each_original_name_is_required_and_searched_for_in_the_parents(name):
 
 
 def test_input_timeout_is_the_default_of_the_other_timeouts():
-    rules = read(Params({"input_timeout": 2.0, "planner_timeout": 3.0}), ArbiterConfig)
+    rules = read(Params({"input_timeout": 2.0, "planner_timeout": 3.0}), SteeringArbiterConfig)
     assert (rules.interlock.human_timeout_s, rules.teleop_timeout_s, rules.planner_timeout_s) == (2.0, 2.0, 3.0)
-    assert read(Params({}), ArbiterConfig) == ArbiterConfig()
+    assert read(Params({}), SteeringArbiterConfig) == SteeringArbiterConfig()
 
 
 def test_text_that_will_be_a_file_is_checked_before_there_is_one(tmp_path):

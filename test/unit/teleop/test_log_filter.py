@@ -2,8 +2,7 @@
 from __future__ import annotations
 
 from car_interface.common import causes
-from car_interface.teleop.gamepad import Requests
-from car_interface.teleop.log_filter import RequestsLogFilter
+from car_interface.teleop.gamepad import Requests, RequestsLogFilter
 
 S = 1_000_000_000
 MANUAL = Requests(True, 0.0, 0.0, causes.MANUAL, "")

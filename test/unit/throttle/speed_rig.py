@@ -9,17 +9,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+from virtual_escs import xl5
+
 from car_interface.interlock.motion_interlock import InterlockConfig
-from car_interface.sim.esc import xl5
 from car_interface.sim.teensy_config import FirmwareConfig
 from car_interface.sim.teensy_firmware import TeensyFirmware
-from car_interface.sim.vehicle import DriveConfig, Vehicle, VehicleConfig
+from car_interface.sim.vehicle import DriveTrainConfig, Vehicle, VehicleConfig
 from car_interface.steering.arbiter import TELEOP
 from car_interface.teensy.link.framing import SHIPPED, FrameDecoder
 from car_interface.teensy.link.pinging import Pinger
 from car_interface.teensy.link.protocol import Pong, WheelStatus, decode
 from car_interface.teensy.sensing.measurements import Measurements
-from car_interface.throttle.arbiter import ArbiterConfig, NoValue
+from car_interface.throttle.arbiter import NoValue, ThrottleArbiterConfig
 from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.control import ThrottleControl
 from car_interface.throttle.converter import ConversionConfig, Converter
@@ -66,13 +67,14 @@ class SpeedRig:
 
     def __init__(self, slope=0.0, thrust=1.0, value_map=MAP, lag_s=0.05, esc=XL5, profile="brake_then_reverse",
                  is_measured=False, sees_pulses=True):
-        drive = DriveConfig(lag_s=lag_s)
+        drive = DriveTrainConfig(lag_s=lag_s)
         drive = replace(drive, forward_mps2=drive.forward_mps2 * thrust, reverse_mps2=drive.reverse_mps2 * thrust)
         self.car = Vehicle(VehicleConfig(drive=drive, slope=slope, esc=esc), START_NS)
         self.control = SpeedControl()
         self.converter = Converter(ConversionConfig(), value_map)
-        self.throttle = ThrottleControl(SHIPPED_ESC, ArbiterConfig(interlock=InterlockConfig(grant_at_start=True)),
-                                        EscConfig(profile=profile, profile_measured=is_measured))
+        self.throttle = ThrottleControl(
+            SHIPPED_ESC, ThrottleArbiterConfig(interlock=InterlockConfig(grant_at_start=True)),
+            EscConfig(profile=profile, profile_measured=is_measured))
         self.request: SpeedRequest | None = STOP
         self.human = False
         self._sees_pulses = sees_pulses

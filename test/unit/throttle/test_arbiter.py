@@ -11,7 +11,7 @@ from car_interface.common import causes
 from car_interface.common.causes import AUTONOMOUS, HUMAN_STEERING, HUMAN_THROTTLE, MANUAL, MODES
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
-from car_interface.throttle.arbiter import ArbiterConfig, NoValue, ThrottleArbiter
+from car_interface.throttle.arbiter import NoValue, ThrottleArbiter, ThrottleArbiterConfig
 from car_interface.throttle.stick import StickConfig
 
 S = 1_000_000_000
@@ -28,7 +28,7 @@ RELEASED = "released"  # instead of a mode: nobody holds a deadman, and the mode
 def arbiter_with(human=(True, 0.1), steering=(TELEOP, 0.1), teleop=None, mode=None, planner=None, odometry=(1.0, 0.1),
                  no_value=None, **config):
     """An arbiter that received each input once: (value, its age in seconds), or None = never."""
-    arbiter = ThrottleArbiter(ArbiterConfig(**{"stick": LINEAR, **config}))
+    arbiter = ThrottleArbiter(ThrottleArbiterConfig(**{"stick": LINEAR, **config}))
     for update, received in ((arbiter.update_human, human),
                              (lambda source, at_ns: arbiter.update_steering(source, "", at_ns), steering),
                              (arbiter.update_teleop, teleop), (arbiter.update_mode, mode),
@@ -156,7 +156,7 @@ def test_e_stop_is_above_everything():
 
 
 def test_dropped_messages_make_every_input_stale():
-    arbiter = ThrottleArbiter(ArbiterConfig(stick=LINEAR, interlock=InterlockConfig(e_stop_timeout_s=0.0)))
+    arbiter = ThrottleArbiter(ThrottleArbiterConfig(stick=LINEAR, interlock=InterlockConfig(e_stop_timeout_s=0.0)))
     inputs = {"human_in_loop": lambda: rearm(arbiter),
               "turn_arb's state": lambda: arbiter.update_steering(PLANNER, "", NOW),
               "mode": lambda: arbiter.update_mode(AUTONOMOUS, NOW),
@@ -313,7 +313,7 @@ class Driven:
     """An arbiter whose planner asks for 0.7, and whose inputs are all repeated 50 times a second."""
 
     def __init__(self, mode, *stick):
-        self.arbiter = ThrottleArbiter(ArbiterConfig(stick=LINEAR))
+        self.arbiter = ThrottleArbiter(ThrottleArbiterConfig(stick=LINEAR))
         self.now_ns = NOW
         self.decisions = []
         self.go_on(mode, (0.0, 0.02), *stick)

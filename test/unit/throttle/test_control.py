@@ -8,7 +8,7 @@ import pytest
 from car_interface.common import causes
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.steering.arbiter import NEUTRAL, NO_HUMAN, PLANNER, TELEOP
-from car_interface.throttle.arbiter import ArbiterConfig
+from car_interface.throttle.arbiter import ThrottleArbiterConfig
 from car_interface.throttle.board_watch import BoardConfig
 from car_interface.throttle.calibration import ThrottleCalibration, trimmed
 from car_interface.throttle.control import ThrottleControl
@@ -32,7 +32,7 @@ class Rig:
 
     def __init__(self, profile=UNVERIFIED, mode="", limits=None, obstacles=None, board=None, **esc):
         self.control = ThrottleControl(
-            SHIPPED, ArbiterConfig(stick=LINEAR, interlock=InterlockConfig(e_stop_timeout_s=0.0), board=board),
+            SHIPPED, ThrottleArbiterConfig(stick=LINEAR, interlock=InterlockConfig(e_stop_timeout_s=0.0), board=board),
             EscConfig(profile=profile, **esc), limits, obstacles)
         self.now_ns = 1000 * S
         self.human, self.stick, self.value, self.speed = False, 0.0, None, 0.0

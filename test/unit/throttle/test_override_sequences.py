@@ -22,7 +22,7 @@ from car_interface.common.causes import HUMAN_DRIVES
 from car_interface.sim import esc as virtual
 from car_interface.steering.arbiter import TELEOP
 from car_interface.teleop.gamepad import Gamepad, GamepadConfig
-from car_interface.throttle.arbiter import ArbiterConfig
+from car_interface.throttle.arbiter import ThrottleArbiterConfig
 from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.control import ThrottleControl
 from car_interface.throttle.esc_config import UNVERIFIED, EscConfig
@@ -70,8 +70,9 @@ class Drive:
         calibrates = profile == UNVERIFIED and rng.random() < 0.3
         self.control = ThrottleControl(
             ThrottleCalibration(channel=1, value_axis=[-5.0, 0.0, 3.0], duty_table=[3277, 4915, 6554], neutral=4915),
-            ArbiterConfig(), EscConfig(profile=profile, profile_measured=profile != UNVERIFIED and rng.random() < 0.5,
-                                       calibration_drive=calibrates))
+            ThrottleArbiterConfig(),
+            EscConfig(profile=profile, profile_measured=profile != UNVERIFIED and rng.random() < 0.5,
+                      calibration_drive=calibrates))
         arbiter = self.control.arbiter
         self.gamepad = Gamepad(GamepadConfig(0, 1, MANUAL, AUTONOMOUS, third_button=THIRD))
         throttle_ms = PROMPT_MS if calibrates else LATE_MS if rng.random() < 0.3 else THROTTLE_MS

@@ -8,9 +8,9 @@ import math
 import os
 
 import pytest
+from virtual_escs import crawler, direct, race, xl5
 
 from car_interface.common import causes
-from car_interface.sim.esc import crawler, direct, race, xl5
 from car_interface.steering.arbiter import NEUTRAL, PLANNER, TELEOP
 from car_interface.throttle.speed_control import HOLD_MPS2, STOP, SpeedControl, SpeedControlConfig, SpeedRequest
 

@@ -24,6 +24,7 @@ import os
 import sys
 from dataclasses import replace
 from functools import partial
+from typing import Any, Callable
 
 import rospy
 from nav_msgs.msg import Odometry
@@ -36,12 +37,9 @@ from car_interface.common.rate_timer import RateTimer
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import CHANNELS, NS_PER_S, yaw_rad
 from car_interface.msg import PlannerState, SteeringState, TeleopState, ThrottleState
-from car_interface.nodes.calibration_drive.bag_page import BagPage
-from car_interface.nodes.calibration_drive.bag_recording import BagRecording
+from car_interface.nodes.calibration_drive.bag_recording import TOPICS, BagPage, BagRecording
 from car_interface.nodes.calibration_drive.drive_markers import drive_markers, no_markers
-from car_interface.nodes.calibration_drive.drive_topics import recorded_topics
 from car_interface.nodes.calibration_drive.live_text import LiveText
-from car_interface.nodes.calibration_drive.work_thread import in_thread
 from car_interface.nodes.keyboard_drive.keyboard import Keys
 from car_interface.ros.clocks import RosClock
 from car_interface.ros.runtime import run
@@ -145,7 +143,6 @@ class CalibrationDriveNode:
             self._page.close()
         if self._recording is not None and not self._is_over:
             self._text.say(f"recording: {self._recording.stop()}")
-        self._clocks.sleep(0.02)  # for what a socket did not take at once
         if not (self._is_over or self._is_written) and sys.exc_info()[0] is None:
             raise EndedEarly("ended before it was over: nothing is written")
 
@@ -228,7 +225,8 @@ class CalibrationDriveNode:
             self._announce("waiting", [f"waits: {text}" for text in lacks + gamepad], now_ns)
 
     def _begin_recording(self, now_ns):
-        self._recording = self._make_recording(self._table.folder, recorded_topics(self._inbox), self._table.stem)
+        topics = list(map(self._inbox.resolve_name, TOPICS))
+        self._recording = self._make_recording(self._table.folder, topics, self._table.stem)
         self._begun_ns, self._stage = now_ns, self._await_recorder
 
     def _await_recorder(self, now_ns, typed):
@@ -362,6 +360,22 @@ class CalibrationDriveNode:
         self._inbox.end()
         if self._refusal:
             raise EndedEarly(self._refusal)
+
+
+def in_thread(inbox, work: Callable[[], Any], handler: Callable[[Any, int], None]) -> None:
+    """Have ``handler(work(), now_ns)`` called in the node's thread. What ``work`` raises is raised there, too."""
+    def run():
+        try:
+            result = work()
+        except Exception as error:
+            inbox.put(_fail, error)
+            return
+        inbox.put(handler, result)
+    inbox.graph.start_thread(run, "work")
+
+
+def _fail(error, now_ns):
+    raise error
 
 
 def main():

@@ -7,14 +7,13 @@ from dataclasses import dataclass, field, replace
 from typing import Sequence
 
 from car_interface.common import declared
-from car_interface.common.errors import ConfigError
+from car_interface.common.errors import ConfigError, require
 from car_interface.common.units import CHANNELS, MAX_DUTY
-from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, TRACK_M, WHEEL_DIAMETER_M, WHEELBASE_M
-from car_interface.sim.calibrated_car import steering_curve
+from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, TRACK_M, WHEEL_DIAMETER_M
 from car_interface.sim.esc import KINDS, VirtualEscConfig
 from car_interface.sim.teensy_config import BOOT_MS, FirmwareConfig
 from car_interface.sim.tyres import TyreConfig
-from car_interface.sim.vehicle import DriveConfig, Pose, SteeringConfig, VehicleConfig
+from car_interface.sim.vehicle import DriveTrainConfig, Pose, SteeringConfig, VehicleConfig
 from car_interface.sim.world import World, WorldConfig
 
 NO_ESC = "none"
@@ -26,6 +25,9 @@ TABLES = ("steering/m_turnrad_axis_servo", "steering/k_pwmcmd_left_table_servo",
 STEERING, ESC, WHEELS = (f"a car's `{name}.yaml`" for name in ("turn_arb", "throttle", "teensy_sensor_hub"))
 SIZE = f"the car's size; `wheels/…` is {WHEELS}"
 OWN = "its own"
+# Of a car near a real one's tables, and not equal on purpose.
+LEFT_RATIO, RIGHT_RATIO = 0.97, 1.03  # of the true radii to the tables': a calibration is some percent off
+MIN_STEP_DUTY = 1.0  # between the curve's points: tables may end in equal duties
 
 
 @dataclass(frozen=True)
@@ -51,15 +53,13 @@ class CarSimConfig:
     esc_channel: int = declared.integer(
         "esc/servo/channel", 1, f"{ESC}; −1 = none, then 1", low=-1, high=CHANNELS - 1, default_text="none")
     neutral_duty: float = declared.number(
-        "esc/servo/neutral", DriveConfig.neutral_duty, ESC, low=0, high=MAX_DUTY, default_text="none")
+        "esc/servo/neutral", DriveTrainConfig.neutral_duty, ESC, low=0, high=MAX_DUTY, default_text="none")
     steering_channel: int = declared.channel(
         "steering_channel", 0, "of the servo board", same_as="steering/servo_channel")
     given_throttle_channel: int | None = declared.channel(
         "throttle_channel", None, "of the servo board", default_text="`esc/servo/channel`")
     pose: Sequence[float] = declared.numbers(
         "start", (0.0, 0.0, 0.0), "where it starts", "x and y in m, yaw in rad", default_text="[0, 0, 0]")
-    wheelbase_m: float = declared.number(
-        "wheelbase", WHEELBASE_M, SIZE, "m", above=0.0, same_as="wheels/wheelbase")
     track_m: float = declared.number(
         "track", TRACK_M, SIZE, "m", above=0.0, same_as="wheels/track")
     wheel_diameter_m: float = declared.number(
@@ -71,7 +71,7 @@ class CarSimConfig:
         "steering_duties", None, "the true steering: rising duties", default_text=OWN)
     steering_curvatures: Sequence[float] | None = declared.numbers(
         "steering_curvatures", None, "and the curvature of each, left positive", "1/m", default_text=OWN)
-    drive: DriveConfig = declared.group(DriveConfig())
+    drive: DriveTrainConfig = declared.group(DriveTrainConfig())
     esc_kind: str = declared.choice(
         "esc_kind", NO_ESC, "what its ESC makes of a pulse behind neutral; `none` = it has no memory and needs no "
                             "arming: at standstill it drives backward",
@@ -132,7 +132,7 @@ class CarSimConfig:
                         neutral_duty=self.neutral_duty, full_forward_duty=self.drive.full_forward_duty + shift)
         return VehicleConfig(
             steering=self._steering(params), drive=drive, esc=self._esc(drive),
-            tyres=None if self.is_kinematic else self.tyres, wheelbase_m=self.wheelbase_m, track_m=self.track_m,
+            tyres=None if self.is_kinematic else self.tyres, track_m=self.track_m,
             wheel_diameter_m=self.wheel_diameter_m, pulses_per_revolution=self.pulses_per_revolution,
             pulse_phase=tuple(wheel_pulses), start=Pose(*self.pose))
 
@@ -167,3 +167,37 @@ class CarSimConfig:
             sonar_pulse_end_us=self.sonar_pulse_end_us,
             wheel_positions=tuple(math.floor(pulses) for pulses in wheel_pulses),
             corrected_checksum=self.corrected_checksum, seed=seed)
+
+
+def steering_curve(center: float, radii_m: Sequence[float], left: Sequence[float], right: Sequence[float],
+                   ) -> tuple[tuple[float, float], ...]:
+    """Return the true steering for these tables: (duty, curvature in 1/m, left positive), duties rising.
+
+    The left side may have the lower or the higher duties.
+
+    Args:
+        center: the duty that drives straight on.
+        radii_m: of the tables, rising.
+        left, right: the duty for each radius to either side; duties that don't come nearer to the center are left out.
+
+    Raises:
+        ConfigError: the tables are no pair of sides.
+    """
+    require(len(radii_m) == len(left) == len(right) and len(radii_m) > 0, "steering tables",
+            [len(radii_m), len(left), len(right)], "three of the same length")
+    require((left[0] - center) * (right[0] - center) < 0, "steering tables", [left[0], center, right[0]],
+            "left and right on different sides of the center")
+    sides = (_side(center, radii_m, left, LEFT_RATIO), [(center, 0.0)],
+             [(duty, -curvature) for duty, curvature in _side(center, radii_m, right, RIGHT_RATIO)])
+    return tuple(sorted(point for side in sides for point in side))
+
+
+def _side(center, radii_m, duties, ratio):
+    """Return the points of one side, from its end to the center."""
+    points = []
+    for radius_m, duty in zip(radii_m, duties):
+        last = points[-1][0] if points else None
+        if abs(duty - center) >= MIN_STEP_DUTY and (last is None
+                                                    or abs(last - center) - abs(duty - center) >= MIN_STEP_DUTY):
+            points.append((float(duty), 1.0 / (ratio * radius_m)))
+    return points

@@ -26,16 +26,19 @@ from nav_msgs.msg import Odometry
 from std_msgs.msg import Int32, Int32MultiArray
 
 from car_interface.common.declared import read_all
+from car_interface.common.own_files import UnsafeFile
 from car_interface.common.rate_timer import RateTimer
-from car_interface.common.units import CHANNELS, NS_PER_S, UNCHANGED
-from car_interface.nodes.car_sim.chip_follower import ChipFollower
+from car_interface.common.units import CHANNELS, NS_PER_MS, NS_PER_S, UNCHANGED
 from car_interface.nodes.car_sim.config import CarSimConfig
 from car_interface.nodes.car_sim.virtual_line import VirtualLine
 from car_interface.nodes.pca9685.virtual_board import chip_path
+from car_interface.pca9685.registers import duty_of_counts
 from car_interface.ros.clocks import RosClock
+from car_interface.ros.inbox import Inbox
 from car_interface.ros.logs import ThrottledWarnings
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, subscribe
+from car_interface.sim.chip_link import ChipLink
 from car_interface.sim.collision import Collisions
 from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.sim.vehicle import Vehicle
@@ -44,6 +47,53 @@ from car_interface.sim.world import World
 STEP_NS = 2_000_000  # the car's maximum step, and how often bytes leave
 TRUTH_RATE_HZ = 50
 MAX_CATCH_UP_NS = NS_PER_S // 2  # a simulator that was stopped for longer goes on from now
+RETRY_NS = 200 * NS_PER_MS  # between attempts to find the chip
+
+
+class ChipFollower:
+    """Follows what the pins of a virtual servo board do, whoever writes to it. Its process may come and go.
+
+    Args:
+        path: of the chip's socket.
+        inbox: woken by a change.
+
+    Attributes:
+        duties: of the 16 pins, 0 = no pulse; ``None`` while there is no chip.
+        problem: why nothing that is at the path is used; empty: nothing is wrong with it.
+    """
+
+    def __init__(self, path: str, inbox: Inbox):
+        self.duties: list[int] | None = None
+        self.problem = ""
+        self._link = ChipLink(path, 0)
+        self._inbox = inbox
+        self._fd: int | None = None
+        self._next_try_ns = 0
+
+    def step(self, now_ns: int) -> None:
+        """Connect if there is a chip, and take what it sent."""
+        try:
+            if self._fd is None and now_ns >= self._next_try_ns:
+                self._next_try_ns = now_ns + RETRY_NS
+                self.problem = ""
+                self._link.open()
+                self._fd = self._link.observe()
+                self._inbox.watch(self._fd)
+            if self._fd is not None:
+                for counts in self._link.changes():
+                    self.duties = [duty_of_counts(each) for each in counts]
+        except UnsafeFile as error:
+            self.problem = str(error)
+            self.close()
+        except OSError:
+            self.close()
+
+    def close(self) -> None:
+        """Disconnect."""
+        if self._fd is not None:
+            self._inbox.unwatch(self._fd)
+        self._link.close()
+        self._fd = self.duties = None
 
 
 class CarSim:

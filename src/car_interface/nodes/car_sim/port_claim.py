@@ -8,15 +8,14 @@ from __future__ import annotations
 import hashlib
 import os
 import socket
-import struct
 
 from car_interface.common.errors import ConfigError
 from car_interface.ros.clocks import SYSTEM
+from car_interface.sim.chip_link import peer
 
 END_WITHIN_S = 2.0  # a car_sim that is just being replaced by one of its name ends within this
 POLL_S = 0.1
 BACKLOG = 128
-PEER = struct.Struct("3i")  # SO_PEERCRED: process, user, group; see unix(7)
 
 
 class PortClaim:
@@ -59,7 +58,7 @@ def _holder(name):
         probe.setblocking(False)
         try:
             probe.connect(name)
-            pid, _, _ = PEER.unpack(probe.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, PEER.size))
+            pid, _ = peer(probe)
         except OSError:  # it has just ended, or too many have asked
             return ""
     return f" (process {pid})" if pid else ""

@@ -6,9 +6,9 @@ Service:
         seconds both sides' baud rates differ), ``cut`` (the next so many bytes to the host are lost), ``flood`` (for so
         many seconds random bytes, 1 MB/s), ``bit_errors`` (this share of all bits, 0 = none), ``reboot`` (the Teensy
         has no power for so many seconds and boots for 0.3 s, in which the wheels turn uncounted), ``out_of_step`` (its
-        receiver takes opening flags for closing ones, for good), ``sonar_missing``, ``sonar_stuck``, ``sonar_fine``
-        (the sonar of this number, 0 to 5, isn't connected; raises its echo pin at its next ping and holds it; is whole
-        again).
+        receiver takes opening flags for closing ones, for good), ``sonar_missing``, ``sonar_stuck``, ``sonar_blink``,
+        ``sonar_clone``, ``sonar_fine`` (the sonar of this number, 0 to 5, isn't connected; raises its echo pin at its
+        next ping and holds it; has it high for 1.5 to 2 s; is a clone that takes 200 ms without an echo; is whole).
 """
 from __future__ import annotations
 

@@ -101,7 +101,6 @@ class KeyboardDrive:
         self._keys.restore()
         self._keyboards.close()
         self._publish(Controls())
-        self._clocks.sleep(0.02)  # for what a socket did not take at once
 
     def _read_keys(self, now_ns):
         typed = self._keys.read()  # before the keyboards: whatever was typed by now was pressed before

@@ -74,13 +74,6 @@ class SmbusBus:
             raise
         return bus
 
-    def close(self, bus: smbus2.SMBus) -> None:
-        """Close it."""
-        bus.close()
-
-    def serve(self, inbox) -> None:
-        """Nothing to offer: faults are injected into the virtual board only."""
-
 
 def make_bus(config, inbox):
     """Return the bus of the node's device, closed.
@@ -89,7 +82,8 @@ def make_bus(config, inbox):
         ConfigError: path or log of a virtual one can't be used.
     """
     if config.device == VIRTUAL:
-        return VirtualBoardBus(config.virtual_chip or chip_path(inbox.node_name), config.address, config.virtual_log)
+        path = config.virtual_chip or chip_path(inbox.node_name)
+        return VirtualBoardBus(path, config.address, config.virtual_log, inbox)
     return SmbusBus(config.device, config.address)
 
 
@@ -118,7 +112,7 @@ class Pca9685:
                         self._outputs.resolved_name)
         self._guard = GuardLink(guard if config.guard else None, config.guard_off_after_ns, self._name(),
                                 self._warnings, inbox.clocks)
-        self._supervisor = BoardSupervisor(bus.open, bus.close, self._make_board, self._on_board_event)
+        self._supervisor = BoardSupervisor(bus.open, self._make_board, self._on_board_event)
         self._fault = None  # why the board can't be used, as (cause, remedy)
         self._dropped = 0  # commands that arrived meanwhile
         self._held_back = 0  # commands that arrived before the guard had left the chip to this node again
@@ -135,7 +129,6 @@ class Pca9685:
             **self._command_topics.reports}, now_ns)
         if config.required:
             self._open_or_end(now_ns)
-        bus.serve(inbox)
         inbox.on_overflow(self._channels.make_safe)
         for topic in COMMANDS:
             subscribe(topic, Int32MultiArray, inbox, self._on_command)
@@ -151,7 +144,7 @@ class Pca9685:
         self._publish(self._timer.is_due(now_ns))
         self._diagnostics.step(now_ns)
         return min(self._timer.due_ns, self._diagnostics.due_ns, self._channels.next_deadline_ns(),
-                   self._supervisor.next_due_ns(), self._guard.due_ns)
+                   self._supervisor.next_due_ns(), self._guard.watch.due_ns)
 
     def _follow_guard(self, now_ns):
         """Give the guard its sign of life. After standing still: begin anew, and only then acknowledge."""
@@ -201,7 +194,6 @@ class Pca9685:
         finally:
             self._supervisor.close()
             self._guard.end(self._clocks.now_ns(), self._timeout_counts(), is_safe)
-        self._clocks.sleep(0.02)  # for what a socket did not take at once
 
     def _switch_off(self):
         self._channels.make_safe(self._clocks.now_ns())

@@ -1,7 +1,7 @@
 """The relay of a guard: publishes what the servo board holds while the guard acts and no pca9685 node can tell it.
 
-A ROS node, named as the pca9685 node with ``_guard`` added. The guard starts it, see ``nodes.pca9685.relay_link``, and
-its standard input carries the guard's readings. It never touches the bus. It ends at once when a node has the chip
+A ROS node, named as the pca9685 node with ``_guard`` added. ``nodes.pca9685.pca9685_guard`` starts it, and its standard
+input carries the guard's readings. It never touches the bus. It ends at once when a node has the chip
 again, and when the guard has ended, once it has published the last reading. It has a session of its own: signals to
 that of the node or of a launch file don't end it, ``rosnode kill`` does. Without a ROS master it waits for one.
 

@@ -6,7 +6,8 @@ tells it when all is well. Its arguments: ``i2c`` and the bus's path, or ``virtu
 socket; the chip's address, the node's process, the
 time to full off in ns, the descriptors of the two pipes, and the resolved names of the node and of its /servo/output.
 
-While it acts alone it has what the chip holds published in the node's place, by ``nodes.pca9685.output_relay``.
+While it acts alone it has what the chip holds published in the node's place, by ``nodes.pca9685.output_relay``, a
+process of its own: the guard imports no rospy, so that it is small and can act at once.
 """
 from __future__ import annotations
 
@@ -16,14 +17,16 @@ import signal
 import sys
 import time
 
-from car_interface.common.units import NS_PER_MS, NS_PER_S
-from car_interface.nodes.pca9685.relay_link import RelayLink
+from car_interface.common.units import CHANNELS, NS_PER_MS, NS_PER_S
 from car_interface.pca9685 import guard_board
 from car_interface.pca9685.guard import ASSERT, END, NOTHING, PROBE, SWITCH_OFF, Guard
-from car_interface.pca9685.guard_protocol import ACTING, OFF, SAFE, WATCHING
+from car_interface.pca9685.guard_protocol import ACTING, HELD, LEFT_TO_NODE, OFF, SAFE, WATCHING, OutputMessage
 
 MAX_WAIT_S = 60.0
 EVENTS = {WATCHING: "the node is back", SAFE: "every channel is at its timeout value", OFF: "every output is off"}
+RELAY = "car_interface.nodes.pca9685.output_relay"
+RELAY_SUFFIX = "_guard"  # of the relay's name on the ROS graph, after the node's
+DEFAULT_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGCHLD)
 
 
 class GuardProcess:
@@ -131,6 +134,55 @@ class GuardProcess:
         if is_heard or state != self._state:
             self._answer(self._guard.status())
         self._state = state
+
+
+class RelayLink:
+    """Starts the relay when there is something to tell, and ends it. Nothing depends on it.
+
+    Args:
+        node_name, output_topic: the resolved names of the node and of the topic on which it would publish.
+        log: called with a line.
+    """
+
+    def __init__(self, node_name: str, output_topic: str, log):
+        namespace, _, name = node_name.rpartition("/")
+        self._arguments = [f"__ns:={namespace or '/'}", f"__name:={name}{RELAY_SUFFIX}",
+                           f"/servo/output:={output_topic}"]
+        self._log = log
+        self._fd = -1
+        signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # a relay that has ended leaves no zombie
+
+    def tell(self, readings: list) -> None:
+        """Have what the channels held published: tuples of 16 counts, oldest first."""
+        if self._fd < 0:
+            self._start()
+        for counts in readings:
+            self._write(OutputMessage(HELD, counts))
+
+    def end(self) -> None:
+        """End the relay: a node tells by itself. When the guard itself ends, it ends once it has told the last."""
+        if self._fd >= 0:
+            self._write(OutputMessage(LEFT_TO_NODE, (0,) * CHANNELS))
+            os.close(self._fd)
+            self._fd = -1
+
+    def _start(self):
+        reader, self._fd = os.pipe()
+        os.set_blocking(self._fd, False)
+        command = [sys.executable, "-m", RELAY, *self._arguments]
+        try:
+            os.posix_spawn(sys.executable, command, os.environ, file_actions=[(os.POSIX_SPAWN_DUP2, reader, 0)],
+                           setsigdef=DEFAULT_SIGNALS)
+        except OSError as error:
+            self._log(f"nobody publishes what the board holds: {error}")
+        finally:
+            os.close(reader)
+
+    def _write(self, message):
+        try:
+            os.write(self._fd, message.encode())
+        except OSError:
+            pass  # it was ended, or hangs
 
 
 def make_device(kind: str, path: str, address: int):

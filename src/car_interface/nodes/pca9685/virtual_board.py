@@ -43,6 +43,7 @@ class VirtualBoardBus:
         path: of the chip's socket.
         address: the chip's.
         log_path: that of ~virtual_log; ``None`` = no log.
+        inbox: the node's, which offers the faults.
 
     Raises:
         ConfigError: path or log can't be used.
@@ -50,7 +51,7 @@ class VirtualBoardBus:
 
     kind = "virtual"
 
-    def __init__(self, path: str, address: int, log_path: str | None = None):
+    def __init__(self, path: str, address: int, log_path: str | None, inbox):
         if len(os.fsencode(path)) > MAX_SOCKET_PATH:
             raise ConfigError("virtual_chip", path, f"a path of at most {MAX_SOCKET_PATH} bytes")
         _check_log(log_path)
@@ -59,6 +60,7 @@ class VirtualBoardBus:
         self._log_path = log_path
         self._link = ChipLink(path, address)
         self._process: subprocess.Popen | None = None
+        serve_faults(inbox, {fault: lambda value, fault=fault: self._inject(fault, value) for fault in FAULTS})
 
     def open(self) -> VirtualSmbus:
         """The bus.
@@ -76,14 +78,6 @@ class VirtualBoardBus:
         if self._log_path is not None:
             self._link.log_to(self._log_path)
         return VirtualSmbus(self._link)
-
-    def close(self, bus: VirtualSmbus) -> None:
-        """Disconnect."""
-        self._link.close()
-
-    def serve(self, inbox) -> None:
-        """Offer the faults."""
-        serve_faults(inbox, {fault: lambda value, fault=fault: self._inject(fault, value) for fault in FAULTS})
 
     def _inject(self, fault, value):
         if fault == "nack" and value < 0:
@@ -142,6 +136,10 @@ class VirtualSmbus:
     def write_i2c_block_data(self, address: int, register: int, data: list[int]) -> None:
         """As smbus2: at most 32 bytes."""
         self._link.write(register, bytes(data))
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._link.close()
 
 
 def _check_log(path) -> None:

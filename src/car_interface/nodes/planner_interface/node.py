@@ -130,7 +130,6 @@ class PlannerInterface:
             self._publish_stop()
             self._decision = PlannerDecision(causes.NO_REQUEST, "planner_interface has ended")
             self._publish_state(self._clocks.now_ns())
-            self._clocks.sleep(0.02)  # for what a socket did not take at once
 
     def _has_fallen_silent(self, now_ns):
         return (self._decision is not None and self._decision.request is not None

@@ -6,7 +6,7 @@ import math
 from car_interface.common.units import NS_PER_S
 from car_interface.msg import Error, LinkStatus
 from car_interface.ros.topics import advertise
-from car_interface.teensy.link.health import OK, SONAR_FAULT, WARN, Verdict
+from car_interface.teensy.link.health import with_sonars
 from car_interface.teensy.link.port import SerialLink
 from car_interface.teensy.link.session import Session
 from car_interface.teensy.sensing.sonar_monitor import SonarMonitor, describe
@@ -16,7 +16,7 @@ COUNTS = ("frames", "bad_frames", "malformed_frames", "unknown_commands", "noise
 
 
 class LinkStatusPublisher:
-    """Publishes the verdict on the link, and where that is fine, on the sonars behind it; and all counters.
+    """Publishes the verdict on the link and the sonars behind it, and all counters.
 
     Args:
         port: the path of the Teensy's port.
@@ -66,5 +66,5 @@ class LinkStatusPublisher:
 
     def _verdict(self):
         verdict = self._session.verdict
-        faults = self._sonars.faults(self._clocks.now_ns()) if verdict.level == OK and self._link.is_open else ()
-        return Verdict(SONAR_FAULT, WARN, *describe(faults)) if faults else verdict
+        faults = self._sonars.faults(self._clocks.now_ns()) if self._link.is_open else ()
+        return with_sonars(verdict, *describe(faults)) if faults else verdict

@@ -88,9 +88,14 @@ class MeasurementPublisher:
             converged=sync.converged, offset=sync.offset_ns / NS_PER_S, skew=sync.skew_ppm,
             uncertainty=sync.uncertainty_ns / NS_PER_S, round_trip=sync.round_trip_ns / NS_PER_S))
 
-    def sonar(self, record, received_ns: int, is_trusted: bool) -> None:
-        """Take a sonar's report; publish its range, if it is one."""
-        measured = self._measurements.sonar(record, received_ns, is_trusted)
+    @property
+    def clones(self) -> dict[int, float]:
+        """Return the time-outs of the sonars that were found to be clones, ms by sensor."""
+        return self._measurements.ranging.clones
+
+    def sonar(self, record, received_ns: int, is_trusted: bool, wait_ms: int) -> None:
+        """Take a sonar's report, and SONAR_WAIT; publish its range, if it is one."""
+        measured = self._measurements.sonar(record, received_ns, is_trusted, wait_ms)
         if measured is None or not has_subscribers(self._ranges[measured.sensor]):
             return
         message = self._range_msg
@@ -102,13 +107,15 @@ class MeasurementPublisher:
     def wheels(self, record, received_ns: int) -> None:
         """Take a report of the wheels; it may wait in the measurements' queue until a motion is due."""
         self._measurements.queue_wheels(record, received_ns)
-        if self._motion_timer.is_due(received_ns):
-            self._report_motion()
+        if received_ns >= self._motion_timer.due_ns:
+            self._measurements.process_queue()
 
     def _on_motion(self, measured, received_ns):
-        motion = measured.motion
-        self.speed_mps = motion.speed_mps
+        """Publish a motion that is due by its own time: one read may bring reports of a second."""
+        self.speed_mps = measured.motion.speed_mps
         self._pending = measured
+        if self._motion_timer.is_due(measured.stamp.time_ns):
+            self._publish_pending()
 
     @property
     def due_ns(self) -> float:
@@ -119,10 +126,10 @@ class MeasurementPublisher:
     def step(self, now_ns: int) -> None:
         """Publish the motion that came too soon, if none came after it."""
         if now_ns >= self.due_ns and self._motion_timer.is_due(now_ns):
-            self._report_motion()
+            self._measurements.process_queue()
+            self._publish_pending()
 
-    def _report_motion(self):
-        self._measurements.process_queue()
+    def _publish_pending(self):
         if self._pending is not None:
             self._publish_motion(self._pending)
             self._pending = None

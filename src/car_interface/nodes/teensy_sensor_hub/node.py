@@ -67,6 +67,8 @@ class TeensySensorHub:
         self._session = Session(config.baud, round(config.ping_period_s * NS_PER_S), config.firmware_checksum, now_ns)
         self._sonars = SonarMonitor(config.sonar_restart_s, _indices(config.sonar_sequence),
                                     _indices(config.sonar_sequence_ahead))
+        if self._measurements:
+            self._sonars.clones = self._measurements.clones
         self._inbox = inbox
         self._warnings = ThrottledWarnings(inbox.clocks)
         self._retry_ns = FIRST_RETRY_NS
@@ -119,7 +121,7 @@ class TeensySensorHub:
                 distance.publish(distance_msg)
             is_trusted = self._sonars.report(record.sensor, record.echo_us, record.when, received_ns)
             if measurements:
-                measurements.sonar(record, received_ns, is_trusted)
+                measurements.sonar(record, received_ns, is_trusted, self._sonars.wait_ms)
 
         return {PongReceived: on_pong, protocol.WheelStatus: on_wheels, protocol.SonarStatus: on_sonar,
                 protocol.ErrorCount: lambda record, received_ns: error(*record),

@@ -21,7 +21,7 @@ WAITING, SILENT, NO_FRAMES, BAD_CHECKSUMS, NO_PONGS, REBOOTED, FINE = (
     "waiting", "silent", "no frames", "bad checksums", "no pongs", "rebooted", "fine")
 LINK_REPORT = "Teensy link"  # the report on /diagnostics with the content of the topic link
 CLOCK_REPORT = "Teensy clock"  # the report on its clock, which no ping reaches while the link has a fault
-SONAR_FAULT = "sonar fault"  # of a link that is fine
+SONAR_FAULT = "sonar fault"  # of a link without a fault of its own
 
 SHORTEST_SPAN_NS = 800 * NS_PER_MS  # less has too few frames to judge: there may be 5 a second
 WINDOW = 10  # spans: of the ratio of bad frames
@@ -171,6 +171,18 @@ class LinkHealth:
         return Verdict(REBOOTED, WARN, f"the Teensy rebooted: {self._reboot}",
                        "Check its power supply; its odometers began at 0 and its sonars' order and wait are the "
                        "firmware's again")
+
+
+def with_sonars(verdict: Verdict, description: str, next_step: str) -> Verdict:
+    """Return the verdict on the link and its faulty sonars: neither hides the other.
+
+    The state stays that of a faulty link, without which little is known about sonars.
+    """
+    if verdict.state == FINE:
+        return Verdict(SONAR_FAULT, WARN, description, next_step)
+    state = SONAR_FAULT if verdict.state == REBOOTED else verdict.state
+    next_steps = ". ".join(step for step in (verdict.next_step, next_step) if step)
+    return Verdict(state, verdict.level, f"{verdict.description}; {description}", next_steps)
 
 
 def _kind(verdict):

@@ -14,6 +14,7 @@ from car_interface.common.vehicle_geometry import SONARS
 from car_interface.teensy.link.pinging import Answer
 from car_interface.teensy.link.protocol import UINT32, Pong, SonarStatus, WheelStatus
 from car_interface.teensy.sensing.clock import Clock, ClockConfig, Stamp, Sync
+from car_interface.teensy.sensing.echo_pulses import BOOT_MS, FIRMWARE_WAIT_MS, EchoPulses
 from car_interface.teensy.sensing.odometry import Motion, Odometry, OdometryConfig
 from car_interface.teensy.sensing.plausibility import GateConfig, Gates
 from car_interface.teensy.sensing.pulse_counts import ahead, has_pulsed
@@ -25,7 +26,6 @@ PONG_BYTES, SONAR_BYTES, WHEEL_BYTES = 14, 14, 38
 TICK_MIDDLE_MS = 0.5
 # On a full line reports leave up to 16 ms late, so that a clock without pongs yet is late by as much.
 MAX_CLOCK_ERROR_MS = 16
-BOOT_MS = 300  # the tick at which a boot ends and counts begin, measured on the firmware
 MAX_QUEUED = 10  # reports of the wheels: raw messages must not wait long behind them
 
 
@@ -72,6 +72,7 @@ class Measurements:
         self.gates = Gates(config.gates)
         self.clock = Clock(config.clock)
         self.ranging = Ranging(config.ranging)
+        self._pulses = EchoPulses()
         self._odometry = Odometry(config.odometry)
         self._on_motion = on_motion
         self._queue: list[tuple] = []  # reports of the wheels, and when they were received
@@ -91,15 +92,17 @@ class Measurements:
         self._update_tick(verdict, record.timestamp2, received_ns)
         return self.clock.pong(record.timestamp2, answer.sent_ns, answer.sent_bytes, received_ns, PONG_BYTES)
 
-    def sonar(self, record: SonarStatus, received_ns: int, is_trusted: bool = True) -> RangeMeasurement | None:
-        """Take a sonar's report; return ``None`` if it was refused, or has no range."""
+    def sonar(self, record: SonarStatus, received_ns: int, is_trusted: bool = True,
+              wait_ms: int = FIRMWARE_WAIT_MS) -> RangeMeasurement | None:
+        """Take a sonar's report, and SONAR_WAIT; return ``None`` if it was refused, or has no range."""
         self.process_queue()
         verdict = self.gates.sonar(record)
         if not verdict.accepted:
             return None
         self._update_tick(verdict, record.when, received_ns)
         self.clock.update_tick(record.when, received_ns, SONAR_BYTES)
-        range_m = self.ranging.range(record.sensor, record.echo_us, record.when, is_trusted)
+        echo_us = self._pulses.unwrap_us(record.echo_us, record.when, wait_ms)
+        range_m = self.ranging.range(record.sensor, echo_us, record.when, is_trusted)
         if range_m is None:
             return None
         time_ns, uncertainty_ns = self.clock.translate(record.when, received_ns, SONAR_BYTES)
@@ -187,6 +190,7 @@ class Measurements:
         """Begin with a tick of the new clock: the Teensy rebooted."""
         self._shift_ms += self.clock.tick_at(received_ns) - tick
         self.clock.restart()
+        self._pulses.restart()
         self.clock.update_tick(tick, received_ns, 0)
 
 

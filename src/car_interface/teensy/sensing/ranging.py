@@ -7,8 +7,8 @@ layer drops infinite ranges and clears only at ``max_range``, so an option gives
 The firmware's reports (observed on the original one, see test/data/firmware):
 
 - 13 µs less than the echo took: they are added.
-- The length of the sensor's own pulse, in 16 bits. Without an echo an HC-SR04 ends its pulse after 38 ms. There are
-  clones that hold it for 200 ms, of which 16 bits leave 3,379 µs, 0.58 m: their time-out has to be known.
+- The length of the sensor's own pulse. Without an echo an HC-SR04 ends its pulse after 38 ms. There are clones that
+  hold it for 200 ms; a loose echo wire makes one of seconds. ``echo_pulses`` tells them from echoes.
 - 0 for a pin that never fell, and around a wrap of micros(): this is no measurement. Around the wrap, every
   71.6 minutes of the Teensy's uptime, several pings fail or fire together: none of these reports is used.
 
@@ -30,10 +30,13 @@ US_PER_S = 1e6
 COLDEST_C, HOTTEST_C = -50.0, 60.0
 MEDIAN_OF = 5
 FIRMWARE_OFFSET_US = 13  # by the firmware, of each echo
-UINT16, UINT32 = 2 ** 16, 2 ** 32
+LONGEST_ECHO_US = 65_000  # 11 m: no sonar's echo takes longer
+UINT32 = 2 ** 32
 USUAL_TIMEOUT_MS, MAX_TIMEOUT_MS = 38.0, 1000.0
-# An echo of at least this part of the time-out is none; a time-out that wraps is recognised within the tolerance.
-TIMEOUT_RATIO, TIMEOUT_TOLERANCE_US = 0.95, 300
+TIMEOUT_RATIO = 0.95  # an echo of at least this part of the time-out is none
+# A clone is found by so many long pulses in a row that differ by no more than this: those of a loose wire differ. After
+# a lost report a pulse may look longer, up to 104 ms: 38 ms and a wrap.
+CLONE_PULSES, CLONE_RATIO, SHORTEST_CLONE_US = 3, 1.02, 110_000
 # Around a wrap of micros(): a ping that begins in the last 29 ms before it fails, and the sonars that fire then report
 # a little later. The first report after power-up comes at 300 ms.
 BEFORE_WRAP_US, AFTER_WRAP_US = 50_000, 250_000
@@ -42,6 +45,8 @@ BEFORE_WRAP_US, AFTER_WRAP_US = 50_000, 250_000
 STUCK = "an echo of 0: the pin was high all the time"
 MICROS_WRAP = "an echo around the wrap of the Teensy's micros()"
 DISTRUSTED = "an echo right after SONAR_START"
+HELD = "a pin that was high for longer than any echo"
+UNKNOWN = "an echo of unknown length: the report before it is missing"
 
 
 def _check_temperature(temperature_c):
@@ -95,6 +100,7 @@ class Ranging:
 
     Attributes:
         counts: echoes that made no range, by reason.
+        clones: the time-outs that were found, ms by sensor; nobody configured them.
     """
 
     def __init__(self, config: RangingConfig = RangingConfig()):
@@ -104,6 +110,8 @@ class Ranging:
         self._too_near_m = -math.inf if config.no_echo == INF else config.min_range_m
         self.counts: Counter = Counter()
         self._timeouts_us = [round(1000 * timeout_ms) for timeout_ms in config.timeouts_ms]
+        self.clones: dict[int, float] = {}
+        self._held_us = [deque(maxlen=CLONE_PULSES) for _ in SONARS]
         self._newest_us = [deque(maxlen=MEDIAN_OF if config.median else 1) for _ in SONARS]
 
     @property
@@ -120,12 +128,12 @@ class Ranging:
         _check_temperature(temperature_c)
         self._temperature_c = temperature_c
 
-    def range(self, sensor: int, echo_us: int, tick: int, is_trusted: bool = True) -> float | None:
+    def range(self, sensor: int, echo_us: int | None, tick: int, is_trusted: bool = True) -> float | None:
         """Return the metres from a sonar to the origin of its echo.
 
         Args:
             sensor: index in ``SONARS``.
-            echo_us: as the firmware reports it.
+            echo_us: as the firmware reports it, of full length; ``None`` = unknown.
             tick: the Teensy's clock then, ms.
             is_trusted: False within two reports of a SONAR_START: the firmware fires two sonars at once.
 
@@ -134,33 +142,46 @@ class Ranging:
             ``median`` no echo is farther than any other, so that three of the newest five decide; of the first two or
             four the nearer middle one.
         """
-        doubt = "" if is_trusted else DISTRUSTED
+        pulse_us, doubt = None, UNKNOWN
         if is_near_micros_wrap(tick):
             doubt = MICROS_WRAP
-        elif not echo_us:
+        elif echo_us == 0:
             doubt = STUCK
-        if doubt:
+        elif not is_trusted:
+            doubt = DISTRUSTED
+        elif echo_us is not None:
+            pulse_us, doubt = self._pulse_us(sensor, echo_us + FIRMWARE_OFFSET_US), HELD
+        if pulse_us is None:
             self.counts[doubt] += 1
             return None
         newest_us = self._newest_us[sensor]
-        newest_us.append(self._echo_us(sensor, echo_us))
+        newest_us.append(pulse_us)
         median_us = sorted(newest_us)[(len(newest_us) - 1) // 2]
         range_m = median_us / US_PER_S * speed_of_sound_mps(self._temperature_c) / 2
         if range_m > self._config.max_range_m:
             return self._nothing_m
         return range_m if range_m >= self._config.min_range_m else self._too_near_m
 
+    def _pulse_us(self, sensor, pulse_us):
+        """Return a pulse that is an echo's; infinite when there was no echo, ``None`` when the pin was held high."""
+        if pulse_us > LONGEST_ECHO_US and not self._is_timeout(sensor, pulse_us):
+            self._find_clone(sensor, pulse_us)
+            return math.inf if self._is_timeout(sensor, pulse_us) else None
+        self._held_us[sensor].clear()
+        return pulse_us if pulse_us < TIMEOUT_RATIO * self._timeouts_us[sensor] else math.inf
 
-    def _echo_us(self, sensor, reported_us):
-        """Return the time of the echo; infinite when there was none."""
-        timeout_us = self._timeouts_us[sensor]
-        if timeout_us >= UINT16:
-            off_us = (reported_us + FIRMWARE_OFFSET_US - timeout_us + UINT16 // 2) % UINT16 - UINT16 // 2
-            if abs(off_us) <= TIMEOUT_TOLERANCE_US:
-                return math.inf
-        elif reported_us + FIRMWARE_OFFSET_US >= TIMEOUT_RATIO * timeout_us:
-            return math.inf
-        return reported_us + FIRMWARE_OFFSET_US
+    def _is_timeout(self, sensor, pulse_us):
+        return TIMEOUT_RATIO <= pulse_us / self._timeouts_us[sensor] <= 1 / TIMEOUT_RATIO
+
+    def _find_clone(self, sensor, pulse_us):
+        """Take it for a clone whose long pulses are all alike."""
+        held_us = self._held_us[sensor]
+        held_us.append(pulse_us)
+        shortest_us, longest_us = min(held_us), max(held_us)
+        if (len(held_us) == CLONE_PULSES and shortest_us >= SHORTEST_CLONE_US
+                and longest_us <= min(CLONE_RATIO * shortest_us, 1000 * MAX_TIMEOUT_MS)):
+            self._timeouts_us[sensor] = pulse_us
+            self.clones[sensor] = pulse_us / 1000
 
 
 def is_near_micros_wrap(tick: int) -> bool:

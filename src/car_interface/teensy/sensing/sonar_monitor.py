@@ -7,6 +7,7 @@ The firmware's behaviour (observed on the original one, see test/data/firmware):
   SONAR_START steps to the next.
 - One whose echo pin is stuck high holds the others up for about the Teensy's uptime and reports 0; after 179 s of
   uptime (89 s on a Teensy 3.1) it silences all of them, until SONAR_START, and then again at that sonar.
+- A reboot, another sequence or SONAR_START mends none of them: a fault stays until its sonar reports.
 - SONAR_START while they run fires two sonars at once, and the second one receives the first one's echo. So it is sent
   only when none reports, and reports right after it aren't trusted.
 
@@ -14,10 +15,11 @@ Pure: ``now_ns`` in, and its memory doesn't grow.
 """
 from __future__ import annotations
 
-from typing import NamedTuple, Sequence
+from typing import Mapping, NamedTuple, Sequence
 
 from car_interface.common.units import NS_PER_MS, NS_PER_S
 from car_interface.common.vehicle_geometry import SONARS
+from car_interface.teensy.sensing.echo_pulses import FIRMWARE_WAIT_MS
 from car_interface.teensy.sensing.ranging import is_near_micros_wrap
 
 MISSING_ROUNDS = 2  # rounds of the others without a report
@@ -27,7 +29,6 @@ DISTRUSTED_REPORTS = 2  # SONAR_START fires two sonars at once
 # A report from before SONAR_START may still be on its way; the last false one comes at the end of a pulse of 38 ms.
 BEFORE_START_MS, AFTER_START_MS = 15, 70
 MAX_RETRY_NS = 60 * NS_PER_S  # between SONAR_STARTs that don't help
-FIRMWARE_WAIT_MS = 50  # between an echo and the next ping, at power-up
 SEND_START, SEND_SEQUENCE = "SONAR_START", "SET_SONAR_SEQ"
 # The sonars fire mostly ahead while the car drives forward, and for a while after it stopped: a short stop changes
 # nothing. The two speeds differ, so that a car which stands doesn't switch with the noise of its speed.
@@ -62,6 +63,9 @@ class SonarMonitor:
         sequence: the sonars in use, as the firmware fires them.
         starts: how many SONAR_STARTs it asked for.
         dropped: stuck sensors that were taken out of the sequence.
+        wait_ms: SONAR_WAIT as last commanded.
+        clones: by sensor the ms after which it ends its pulse without an echo, though nobody configured that; the
+            owner sets it to what ``Ranging`` finds.
     """
 
     def __init__(self, restart_s: float = 3.0, sequence: Sequence[int] | None = None,
@@ -71,6 +75,11 @@ class SonarMonitor:
         self._restart_ns = round(restart_s * NS_PER_S)
         self._configured = None if sequence is None else tuple(sequence)
         self.starts = 0
+        self.clones: Mapping[int, float] = {}
+        self._zeros = [0] * len(SONARS)  # in a row
+        self._stalls = [0] * len(SONARS)  # in a row, at this sensor
+        self._missing: set[int] = set()  # until they report
+        self._silent_ns: int | None = None  # the first SONAR_START since the last report
         self._newest: tuple | None = None  # (tick, when it was received)
         self._stopped = False
         self._frame_ns: int | None = None
@@ -81,17 +90,21 @@ class SonarMonitor:
         self._usual = self.sequence = self._configured or tuple(range(len(SONARS)))
         self._is_ahead = False  # whether the sequence is the one for driving forward
         self.dropped: tuple = ()
-        self._wait_ms = FIRMWARE_WAIT_MS
+        self.wait_ms = FIRMWARE_WAIT_MS
         self._must_send = self._configured is not None
 
     def _forget_reports(self, now_ns):
         self._since_ns = now_ns  # since when reports are expected
-        self._others = [0] * len(SONARS)  # reports of other sonars since its own last one
-        self._zeros = [0] * len(SONARS)  # in a row
+        self._weaken_suspicions()
         self._last: int | None = None  # the sensor that reported last, since SONAR_START
-        self._stalls = [0] * len(SONARS)  # in a row, at this sensor
         self._retry_ns = self._restart_ns
         self._trusted_after = (0, 0)  # reports still to be distrusted, tick until which all are
+
+    def _weaken_suspicions(self):
+        """Begin to count over: what was suspected stays, but takes another report or stall to be acted on."""
+        self._others = [0] * len(SONARS)  # reports of other sonars since its own last one
+        self._zeros = [min(zeros, STUCK_ZEROS) for zeros in self._zeros]
+        self._stalls = [min(stalls, 1) for stalls in self._stalls]
 
     def opened(self, now_ns: int) -> None:
         """Begin with a port that was opened: the sonars' state is unknown, their order stays as commanded."""
@@ -119,11 +132,14 @@ class SonarMonitor:
     def stopped(self) -> None:
         """Take note that SONAR_STOP was sent on request."""
         self._stopped = True
+        self._silent_ns = None
 
     def started(self, now_ns: int) -> None:
         """Take note that SONAR_START was sent."""
         self._stopped = False
         self._since_ns = now_ns
+        if self._silent_ns is None:
+            self._silent_ns = now_ns
         self._last = None
         until = 0
         if self._newest is not None:
@@ -144,12 +160,11 @@ class SonarMonitor:
         self.sequence = tuple(sequence)
         self.dropped = tuple(sensor for sensor in self.dropped if sensor not in sequence)
         self._since_ns = max(self._since_ns, now_ns)
-        for sensor in range(len(SONARS)):
-            self._others[sensor] = self._zeros[sensor] = self._stalls[sensor] = 0
+        self._weaken_suspicions()
 
     def wait_set(self, wait_ms: int) -> None:
         """Take note that SONAR_WAIT was sent."""
-        self._wait_ms = wait_ms
+        self.wait_ms = wait_ms
 
     def report(self, sensor: int, echo_us: int, tick: int, now_ns: int) -> bool:
         """Take a report; return whether it may be trusted."""
@@ -159,8 +174,12 @@ class SonarMonitor:
         self._retry_ns = self._restart_ns
         self._last = sensor
         self._stalls[sensor] = 0
-        for other in range(len(SONARS)):
+        self._silent_ns = None
+        self._missing.discard(sensor)
+        for other in set(self.sequence):
             self._others[other] = 0 if other == sensor else self._others[other] + 1
+            if self._others[other] >= MISSING_ROUNDS * len(self.sequence):
+                self._missing.add(other)
         if is_trusted and not is_near_micros_wrap(tick):
             self._zeros[sensor] = 0 if echo_us else self._zeros[sensor] + 1
         return is_trusted
@@ -219,7 +238,7 @@ class SonarMonitor:
 
     def _is_overdue(self, now_ns):
         """Return whether reports have been missing for long enough to start the sonars."""
-        patience_ns = max(self._retry_ns, 2 * self._wait_ms * NS_PER_MS)
+        patience_ns = max(self._retry_ns, 2 * self.wait_ms * NS_PER_MS)
         return bool(self._restart_ns) and now_ns - self._since_ns >= patience_ns
 
     def _suspect(self):
@@ -233,20 +252,23 @@ class SonarMonitor:
         found = [SonarFault(sensor, f"{SONARS[sensor]} is stuck high and was taken out of the sequence",
                             "Check its echo wire and supply; when it is mended: ~set_sonar_sequence, or power the "
                             "Teensy off and on") for sensor in self.dropped]
+        for sensor, timeout_ms in sorted(self.clones.items()):
+            found.append(SonarFault(sensor, f"{SONARS[sensor]} is a clone that holds its pulse for {timeout_ms:.0f} ms "
+                                    "without an echo: its ranges are right", f"Set ~no_echo_timeouts/{SONARS[sensor]} "
+                                    f"to {timeout_ms:.0f}, by which it is known from the start"))
         if self._stopped or not self._is_alive(now_ns):
             return found
-        rounds = MISSING_ROUNDS * len(self.sequence)
-        for sensor in sorted(set(self.sequence)):
+        for sensor in sorted({*self._usual, *(self._ahead or ())}.difference(self.dropped)):
             if self._zeros[sensor] >= STUCK_ZEROS or self._stalls[sensor]:
                 found.append(SonarFault(sensor, f"{SONARS[sensor]} seems stuck high: it holds the other sonars up",
                                         "Check its echo wire and supply"))
-            elif self._others[sensor] >= rounds:
+            elif sensor in self._missing:
                 found.append(SonarFault(sensor, f"{SONARS[sensor]} does not report: it seems not to be connected",
                                         "Check its plug and wires; for a car without it leave it out of "
                                         "~sonar_sequence"))
-        overdue_ns = now_ns - self._since_ns
         # One that was just left out still holds the others up until the next SONAR_START.
-        if self.starts and self._last is None and overdue_ns > (2 * self._restart_ns if self.dropped else NS_PER_S):
+        patience_ns = 2 * self._restart_ns if self.dropped else NS_PER_S
+        if self.starts and self._silent_ns is not None and now_ns - self._silent_ns > patience_ns:
             found.append(SonarFault(None, f"no sonar reports, in spite of {self.starts} SONAR_STARTs",
                                     "Check the sonars' supply and plugs; for a car without sonars set "
                                     "~sonar_restart to 0"))

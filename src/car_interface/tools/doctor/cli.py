@@ -18,11 +18,11 @@ import sys
 import time
 from typing import Iterator
 
-from car_interface.tools.doctor.checks.board import ADDRESSES
-from car_interface.tools.doctor.checks.findings import BAD, Finding, render, summarise, worst
+from car_interface.tools.doctor.board import ADDRESSES
 from car_interface.tools.doctor.examination import VIRTUAL, Task, examine
+from car_interface.tools.doctor.findings import BAD, Finding, render, summarise, worst
 
-TOPICS = "car_interface.tools.doctor.probes.topics"  # imported only when there is a master: it imports rospy
+TOPICS = "car_interface.tools.doctor.topics"  # imported only when there is a master: it imports rospy
 LEAVE_S = 0.5
 
 
@@ -44,7 +44,7 @@ def read_options(arguments: list[str]) -> argparse.Namespace:
 
 
 def show(findings: Iterator[Finding]) -> int:
-    """Print each finding as soon as it's there, and the sum; returns the worst level."""
+    """Print each finding as soon as it's there, and their count; return the worst level."""
     is_terminal = sys.stdout.isatty()
     width = shutil.get_terminal_size((100, 24)).columns if is_terminal else None
     colour = is_terminal and "NO_COLOR" not in os.environ and os.environ.get("TERM", "dumb") != "dumb"

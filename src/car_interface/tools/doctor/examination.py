@@ -1,4 +1,4 @@
-"""What the doctor looks at, in which order, and for how long.
+"""Decides what the doctor looks at, in which order, and for how long.
 
 All probes run at the same time, each in a ``Task``; their findings come in the order in which they're best remedied.
 """
@@ -16,7 +16,8 @@ from car_interface.common.params import Params
 from car_interface.pca9685.registers import prescale_for
 from car_interface.teensy.link.health import CLOCK_REPORT, LINK_REPORT
 from car_interface.teleop.gamepad import REPORT as GAMEPAD_REPORT
-from car_interface.tools.doctor.checks.car import (
+from car_interface.tools.doctor.board import probe_board
+from car_interface.tools.doctor.car import (
     ABSENT,
     SILENT,
     SIMULATOR,
@@ -31,18 +32,12 @@ from car_interface.tools.doctor.checks.car import (
     check_steering,
     find_cars,
 )
-from car_interface.tools.doctor.checks.findings import BAD, OK, WARN, Finding
-from car_interface.tools.doctor.checks.gamepad import check_gamepad
-from car_interface.tools.doctor.checks.port import check_link, check_virtual_port
-from car_interface.tools.doctor.probes.computer import (
-    probe_clock,
-    probe_groups,
-    probe_network,
-    probe_packages,
-    probe_versions,
-)
-from car_interface.tools.doctor.probes.devices import is_pseudo_terminal, probe_board, probe_port
-from car_interface.tools.doctor.probes.master import NODES, Graph, Master, read_files, read_parameters
+from car_interface.tools.doctor.computer import probe_clock, probe_groups, probe_packages, probe_versions
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
+from car_interface.tools.doctor.gamepad import check_gamepad
+from car_interface.tools.doctor.master import NODES, Graph, Master, read_files, read_parameters
+from car_interface.tools.doctor.network import probe_network
+from car_interface.tools.doctor.port import check_link, check_virtual_port, is_pseudo_terminal, probe_port
 
 VIRTUAL = "virtual"
 STABLE_PORT, USUAL_PORT, USUAL_BUS, USUAL_ADDRESS = "/dev/teensy_sensor_hub", "/dev/ttyAMA0", "/dev/i2c-1", 0x40
@@ -55,12 +50,7 @@ NO_GRAPH = Graph({}, frozenset())
 
 
 class Task:
-    """Runs one probe in a thread of its own, so that one that hangs doesn't block the doctor.
-
-    Args:
-        subject: of the finding when it hangs or fails.
-        arguments: what ``probe`` takes.
-    """
+    """Runs ``probe(*arguments)`` in a thread, so that it may hang; a finding about ``subject`` says that it does."""
 
     def __init__(self, subject: str, probe: Callable[..., Any], *arguments: Any):
         self._subject = subject
@@ -77,17 +67,15 @@ class Task:
             self._fault = error
         self._ended.set()
 
-    def wait(self, deadline_s: float) -> tuple[Any, list[Finding]]:
-        """Return the result, or ``None`` and what went wrong, at the latest when the monotonic clock reaches the
-        deadline.
-        """
+    def wait(self, deadline_s: float, default: Any = None) -> tuple[Any, list[Finding]]:
+        """Return the result, or ``default`` and what went wrong, by a deadline of the monotonic clock."""
         while not self._ended.wait(0.02):
             if time.monotonic() >= deadline_s:
-                return None, [Finding(BAD, self._subject, "no answer in time: given up",
-                                      "See whether this computer is overloaded or a device hangs: top, dmesg")]
+                return default, [Finding(BAD, self._subject, "no answer in time: given up",
+                                         "See whether this computer is overloaded or a device hangs: top, dmesg")]
         if self._fault is not None:
-            return None, [Finding(BAD, self._subject, f"the doctor couldn't look at it: {type(self._fault).__name__}: "
-                                                      f"{self._fault}", "See the line of the versions first")]
+            return default, [Finding(BAD, self._subject, f"the doctor couldn't look at it: {type(self._fault).__name__}"
+                                                         f": {self._fault}", "See the line of the versions first")]
         return self._result, []
 
     def findings(self, deadline_s: float) -> list[Finding]:
@@ -130,7 +118,7 @@ class Car(NamedTuple):
 
 
 def survey(master: Master | None, options: Namespace) -> Car:
-    """Ask the master for nodes and for the devices' parameters; without one, the usual ones."""
+    """Ask the master for nodes and for the devices' parameters; without one, take the usual ones."""
     graph = master.graph() if master else NO_GRAPH
     cars = find_cars(graph.nodes)
     namespace = options.namespace or (cars[0] if len(cars) == 1 else "/")
@@ -196,12 +184,12 @@ def _prescale(board):
 
 
 def examine(options: Namespace) -> Iterator[Finding]:
-    """Yield all findings, in the order in which they're best cured."""
+    """Yield all findings, in the order in which they're best remedied."""
     uri = os.environ.get("ROS_MASTER_URI", "")
     master = Master(uri)
     versions = Task("versions", probe_versions)
     network = Task("master", probe_network, uri, master.trouble)
-    (of_master, of_address, is_there), trouble = _or(network.wait(time.monotonic() + NETWORK_S), ([], [], False))
+    (of_master, of_address, is_there), trouble = network.wait(time.monotonic() + NETWORK_S, ([], [], False))
     car, survey_trouble = Task("nodes", survey, master if is_there else None, options).wait(time.monotonic() + SURVEY_S)
     if car is None:
         is_there, car = False, survey(None, options)
@@ -251,11 +239,6 @@ def examine(options: Namespace) -> Iterator[Finding]:
         yield from check_diagnostics(topic_reports.reports, car.namespace, reporting, covered)
 
 
-def _or(result_and_trouble, default):
-    result, trouble = result_and_trouble
-    return (default if result is None else result), trouble
-
-
 def _covered(hub, link):
     """Return the names of the reports on /diagnostics whose fault the finding about the link tells."""
     names = [] if hub is None or link is None else [LINK_REPORT] if link.level == OK else [LINK_REPORT, CLOCK_REPORT]
@@ -265,15 +248,13 @@ def _covered(hub, link):
 def _read_all(master, car):
     readings = [reading for reading in (read_parameters(master, node) for node in car.nodes) if reading is not None]
     found = check_parameters(readings)
-    found += check_folders(readings, os.path.realpath(package_file("config")), car.bus == VIRTUAL)
+    is_virtual = _text(_parameters(master, car.namespace, "pca9685", car.nodes), "device") == VIRTUAL
+    found += check_folders(readings, os.path.realpath(package_file("config")), is_virtual)
     return found + check_files(read_files(master, car.nodes))
 
 
 def _listen_to_topics(master, car, hub, reporting):
-    from car_interface.tools.doctor.probes.topics import (
-        GamepadListener,  # they need rospy, which may be what is missing
-        listen,
-    )
+    from car_interface.tools.doctor.topics import GamepadListener, listen  # they need rospy, which may be missing
     turn_arb, teleop_logi = car.runs("turn_arb"), car.runs("teleop_logi")
     return listen(hub and hub.path, turn_arb and turn_arb.path, reporting,
                   teleop_logi and GamepadListener(master, teleop_logi))

@@ -148,6 +148,21 @@ def test_reboot_is_told_at_once_and_for_ten_seconds(good_link):
     assert good_link.live(*[GOOD] * 10) == [health.REBOOTED] * 9 + [FINE]
 
 
+def test_neither_the_link_nor_a_sonar_hides_the_other_s_fault(good_link):
+    sonars = "rear_left does not report", "Check its plug"
+    assert health.with_sonars(good_link.health.verdict, *sonars) == (health.SONAR_FAULT, WARN, *sonars)
+    good_link.health.rebooted("its clock went back", good_link.now_ns)
+    both = health.with_sonars(good_link.health.verdict, *sonars)
+    assert (both.state, both.level) == (health.SONAR_FAULT, WARN)
+    assert both.description == "the Teensy rebooted: its clock went back; rear_left does not report"
+    assert both.next_step.startswith("Check its power supply") and both.next_step.endswith("Check its plug")
+    for _ in range(3):
+        good_link.live(NOTHING)
+    both = health.with_sonars(good_link.health.verdict, *sonars)
+    assert (both.state, both.level) == (health.SILENT, ERROR)
+    assert both.description.endswith("; rear_left does not report")
+
+
 @pytest.mark.parametrize("before, after, states", [
     ([GOOD], [NOTHING, NOTHING], [health.REBOOTED, health.SILENT]), ([], [GOOD, GOOD], [WAITING, health.REBOOTED]),
 ], ids=["fault_after_it_comes_as_any_other", "noticed_when_the_port_is_back_it_is_told_after_the_first_good_second"])

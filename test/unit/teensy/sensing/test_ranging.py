@@ -9,7 +9,17 @@ from hypothesis import strategies as st
 
 from car_interface.common.errors import ConfigError
 from car_interface.common.vehicle_geometry import SONARS
-from car_interface.teensy.sensing.ranging import DISTRUSTED, INF, MAX_RANGE, MICROS_WRAP, STUCK, Ranging, RangingConfig
+from car_interface.teensy.sensing.ranging import (
+    DISTRUSTED,
+    HELD,
+    INF,
+    MAX_RANGE,
+    MICROS_WRAP,
+    STUCK,
+    UNKNOWN,
+    Ranging,
+    RangingConfig,
+)
 
 INFINITE = math.inf
 SENSOR = 1
@@ -47,6 +57,9 @@ def test_range_of_any_echoes_is_within_the_limits_or_infinite_and_never_nan(echo
     ranging = Ranging(RangingConfig(temperature_c=temperature_c, no_echo=no_echo, median=median))
     for sensor, echo in echoes:
         range_m = ranging.range(sensor, echo, TICK)
+        if echo > 64_987:
+            assert range_m is None or math.isinf(range_m) or range_m == 2.0
+            continue
         assert 0.02 <= range_m <= 2.0 or no_echo == INF and math.isinf(range_m)
 
 
@@ -75,14 +88,32 @@ def test_around_a_wrap_of_micros_no_echo_is_believed(tick, is_near):
 
 
 def test_sensor_that_holds_its_pulse_for_200_ms_is_known_by_its_time_out():
-    """Of 200,000 µs less 13 the report has 16 bits: 3,379, which would be a wall at 0.58 m."""
     timeouts_ms = tuple(200.0 if sensor == SENSOR else 38.0 for sensor in range(len(SONARS)))
     ranging = Ranging(RangingConfig(timeouts_ms=timeouts_ms))
-    assert ranging.range(SENSOR, 3379, TICK) == INFINITE
-    assert [ranging.range(SENSOR, 3379 + off, TICK) for off in (-299, 299)] == [INFINITE] * 2
-    assert [ranging.range(SENSOR, 3379 + off, TICK) for off in (-400, 400)] == [
-        pytest.approx(distance, abs=1e-3) for distance in (0.514, 0.651)]
-    assert ranging.range(SENSOR + 1, 3379, TICK) == pytest.approx(0.5825, abs=1e-3)
+    assert ranges(ranging, 200_000, 191_000, 210_000, 3392) == [INFINITE] * 3 + [pytest.approx(0.5825, abs=1e-3)]
+    assert ranges(ranging, 131_000, 1_500_000) == [None] * 2
+    assert ranging.counts == {HELD: 2} and ranging.clones == {}
+
+
+def test_three_long_pulses_of_one_length_are_a_clone_s_that_is_found_by_itself():
+    ranging = Ranging()
+    assert ranges(ranging, 200_000, ONE_METRE_US, 200_100, 200_000, 199_900, 2000, 200_000) == [
+        None, pytest.approx(1.0, rel=1e-3), None, None, INFINITE, pytest.approx(0.343, abs=1e-3), INFINITE]
+    assert ranging.counts == {HELD: 3} and ranging.clones == {SENSOR: pytest.approx(200, abs=0.2)}
+    assert ranges(ranging, 200_000, sensor=SENSOR + 1) == [None], "the others are what they were"
+
+
+@pytest.mark.parametrize("echoes_us", [(150_000, 200_000, 150_000, 200_000), (1_500_000,) * 5, (103_500,) * 5],
+                         ids=["lengths_that_differ", "longer_than_a_second", "after_lost_reports"])
+def test_long_pulse_of_a_loose_wire_or_after_a_lost_report_is_no_clone_s_and_makes_no_range(echoes_us):
+    ranging = Ranging()
+    assert ranges(ranging, *echoes_us) == [None] * len(echoes_us)
+    assert ranging.clones == {}
+
+
+def test_echo_of_unknown_length_makes_no_range():
+    ranging = Ranging()
+    assert ranging.range(SENSOR, None, TICK) is None and ranging.counts == {UNKNOWN: 1}
 
 
 def test_time_out_is_none_also_where_the_maximum_lies_beyond_it():

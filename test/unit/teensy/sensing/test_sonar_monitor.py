@@ -198,6 +198,65 @@ def test_sonar_that_was_dropped_comes_back_with_a_new_sequence_or_a_reboot():
         assert sonars.run(1).words == "" and sonars.monitor.dropped == () and sonars.monitor.sequence == ALL
 
 
+DISCONNECTED = "rear_middle does not report: it seems not to be connected"
+
+
+def test_sonars_that_all_are_silent_are_a_fault_at_each_moment_from_the_first_start_in_vain_to_the_first_report():
+    sonars, words = Sonars(), []
+    sonars.monitor.frame(sonars.now_ns)
+    for _ in range(60 * 5):
+        sonars.be_silent(0.2)
+        if sonars.command == SEND_START and sonars.monitor.starts == 2:
+            sonars.monitor.rebooted(sonars.now_ns)
+        words.append(sonars.words)
+    told = next(index for index, each in enumerate(words) if each)
+    assert told <= 5 * 5
+    assert all(each.startswith("no sonar reports") for each in words[told:])
+    assert sonars.run(0.4).words == ""
+
+
+@pytest.mark.parametrize("event", [
+    SonarMonitor.rebooted, SonarMonitor.opened, SonarMonitor.started,
+    lambda monitor, now_ns: monitor.sequence_set(ALL, now_ns)],
+    ids=["reboot", "port", "start", "sequence"])
+def test_fault_stays_until_its_sonar_reports_whatever_happens_to_the_others(event):
+    sonars = Sonars().run(1.5, sensors=(0, 1, 2, 3, 5))
+    assert sonars.words == DISCONNECTED
+    event(sonars.monitor, sonars.now_ns)
+    sonars.monitor.frame(sonars.now_ns)
+    assert sonars.words == DISCONNECTED
+    assert sonars.run(1.5, sensors=(0, 1, 2, 3, 5)).words == DISCONNECTED
+    assert sonars.run(0.3).words == ""
+
+
+def test_fault_stays_while_the_car_begins_and_ends_to_drive_forward_also_of_a_sonar_that_does_not_fire_then():
+    sonars = Sonars(SonarMonitor(ahead=(1, 0, 1, 2))).run(1.5, sensors=(0, 1, 2, 3, 5))
+    for speed_mps, sequence in ((1.0, (1, 0, 1, 2)), (-0.2, (0, 1, 2, 3, 5))) * 3:
+        sonars.monitor.update_speed(speed_mps, sonars.now_ns)
+        assert sonars.command == SEND_SEQUENCE
+        for _ in range(4):
+            assert sonars.run(0.3, sensors=sequence).words == DISCONNECTED
+
+
+def test_stuck_sonar_stays_a_suspect_over_a_reboot_and_is_left_out_by_its_next_zero():
+    sonars = Sonars().run(1.5, zeros=(3,))
+    assert sonars.command == SEND_SEQUENCE
+    sonars.monitor.rebooted(sonars.now_ns)
+    sonars.monitor.frame(sonars.now_ns)
+    assert sonars.words == "rear_right seems stuck high: it holds the other sonars up"
+    assert sonars.command is None and sonars.monitor.sequence == ALL
+    sonars.run(0.33, zeros=(3,))
+    assert sonars.command == SEND_SEQUENCE and sonars.monitor.dropped == (3,)
+
+
+def test_clone_is_told_with_the_parameter_that_it_needs():
+    sonars = Sonars().run(1)
+    sonars.monitor.clones = {2: 200.004}
+    words, next_step = describe(sonars.monitor.faults(sonars.now_ns))
+    assert words == "front_left is a clone that holds its pulse for 200 ms without an echo: its ranges are right"
+    assert "~no_echo_timeouts/front_left to 200" in next_step
+
+
 def test_last_sonar_of_the_sequence_is_never_dropped():
     sonars = Sonars()
     sonars.monitor.sequence_set((2,), sonars.now_ns)

@@ -8,8 +8,8 @@ import types
 import pytest
 
 from car_interface.tools.doctor import cli
-from car_interface.tools.doctor.checks.findings import BAD, OK, WARN, Finding
 from car_interface.tools.doctor.cli import read_options, show
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
 
 
 def test_options_are_read_without_remappings_and_by_default_name_nothing_but_the_namespace(monkeypatch):

@@ -4,8 +4,8 @@ from __future__ import annotations
 import threading
 import time
 
-from car_interface.tools.doctor.checks.findings import BAD, OK, Finding
 from car_interface.tools.doctor.examination import Task
+from car_interface.tools.doctor.findings import BAD, OK, Finding
 
 FINE = [Finding(OK, "bus", "/dev/i2c-1")]
 

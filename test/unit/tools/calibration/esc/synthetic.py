@@ -5,6 +5,7 @@ import math
 import random
 
 import numpy as np
+import virtual_escs
 from esc_car import EscCar, EscCarConfig
 
 from car_interface.sim import esc as virtual
@@ -130,7 +131,7 @@ class Person:
 def random_esc(seed) -> tuple[virtual.VirtualEscConfig, EscCarConfig]:
     """One of the typical ESCs with random numbers, in a random car."""
     rng = random.Random(1000 + seed)
-    make = (virtual.xl5, virtual.vxl, virtual.crawler, virtual.direct, virtual.race)[seed % 5]
+    make = (virtual_escs.xl5, virtual_escs.vxl, virtual_escs.crawler, virtual_escs.direct, virtual_escs.race)[seed % 5]
     esc = make(dwell_s=rng.uniform(0.1, 0.4), brake_seen_s=rng.uniform(0.0, 0.1), turn_s=rng.uniform(0.0, 0.4),
                neutral_duty=rng.uniform(4870, 4960), forward_band_duty=rng.uniform(60, 110),
                reverse_band_duty=rng.uniform(60, 110), drag_brake=rng.choice((0.0, 0.05, 0.3)),

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import virtual_escs
 
 from car_interface.common.errors import CarInterfaceError
-from car_interface.sim import esc as virtual
-from car_interface.throttle.arbiter import ArbiterConfig
+from car_interface.throttle.arbiter import ThrottleArbiterConfig
 from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.config import ThrottleConfig
 from car_interface.throttle.esc_config import EscConfig
@@ -28,7 +28,7 @@ NOTHING = EscFit(*[None] * 7, (), ("the profile: drive",))
 
 @functools.lru_cache(maxsize=None)
 def driven():
-    return Person(virtual.xl5(dwell_s=0.25), seed=3).drive()
+    return Person(virtual_escs.xl5(dwell_s=0.25), seed=3).drive()
 
 
 def recorded(neutral=4912.0, path="a.bag"):
@@ -36,7 +36,7 @@ def recorded(neutral=4912.0, path="a.bag"):
 
 
 def base(**esc):
-    return ThrottleConfig(RISING, ArbiterConfig(), EscConfig(**esc), ThrottleLimits(), None, None)
+    return ThrottleConfig(RISING, ThrottleArbiterConfig(), EscConfig(**esc), ThrottleLimits(), None, None)
 
 
 def test_drive_becomes_the_fit_s_numbers_and_the_neutral_of_a_mirrored_one_is_mirrored_back():

@@ -6,6 +6,7 @@ import os
 
 import numpy as np
 import pytest
+import virtual_escs
 from esc_car import EscCarConfig
 
 from car_interface.sim import esc as virtual
@@ -56,16 +57,16 @@ def _assert_it_is_a_configuration(found):
 
 
 def test_esc_without_reverse_is_not_asked_for_its_neutral_and_its_drag_brake_is_told():
-    found = fitted(virtual.race, drag_brake=0.3)
+    found = fitted(virtual_escs.race, drag_brake=0.3)
     assert (found.profile, found.neutral, found.dead_band_reverse, found.missing) == ("forward_only", None, None, ())
     assert 0.05 < found.dead_band_forward < 0.2 and found.drag_deceleration_mps2 > 2
     assert "m/s² in neutral: the ESC has a drag brake" in found.seen[-1]
-    assert 0.3 < fitted(virtual.race, drag_brake=0.0).drag_deceleration_mps2 < 0.6
+    assert 0.3 < fitted(virtual_escs.race, drag_brake=0.0).drag_deceleration_mps2 < 0.6
 
 
 def driven(*actions):
     """The fit of a drive of some actions only."""
-    person = Person(virtual.xl5(dwell_s=0.25), seed=5)
+    person = Person(virtual_escs.xl5(dwell_s=0.25), seed=5)
     person.center(2.0)
     for name, times, *arguments in actions:
         for _ in range(times):
@@ -99,7 +100,7 @@ def test_what_the_drive_does_not_show_is_refused_with_what_to_drive(actions, hin
 
 
 def test_brakes_that_contradict_each_other_name_no_profile():
-    holds, turns = Person(virtual.xl5(), seed=1), Person(virtual.crawler(), seed=1)
+    holds, turns = Person(virtual_escs.xl5(), seed=1), Person(virtual_escs.crawler(), seed=1)
     for person in (holds, turns):
         person.center(2.0)
         for _ in range(3):
@@ -128,21 +129,21 @@ def driven_backward_by(times, make, with_pulses=True, **car):
 
 def test_pause_by_the_wheels_pulses_tells_a_crawler_from_a_direct_esc():
     alike = {"brake_mps2": 4.0, "reverse_mps2": 4.0}
-    assert driven_backward_by(3, lambda: virtual.crawler(turn_s=0.12), **alike).profile == "brake_becomes_reverse"
-    assert driven_backward_by(3, virtual.direct, **alike).profile == "direct_reverse"
+    assert driven_backward_by(3, lambda: virtual_escs.crawler(turn_s=0.12), **alike).profile == "brake_becomes_reverse"
+    assert driven_backward_by(3, virtual_escs.direct, **alike).profile == "direct_reverse"
 
 
 def test_without_pulses_only_a_long_pause_names_a_profile():
     def profile(make):
         return driven_backward_by(3, make, with_pulses=False).profile
-    assert profile(lambda: virtual.crawler(turn_s=0.4)) == "brake_becomes_reverse"
-    assert profile(lambda: virtual.crawler(turn_s=0.05)) is profile(virtual.direct) is None
-    found = driven_backward_by(3, virtual.direct, with_pulses=False)
+    assert profile(lambda: virtual_escs.crawler(turn_s=0.4)) == "brake_becomes_reverse"
+    assert profile(lambda: virtual_escs.crawler(turn_s=0.05)) is profile(virtual_escs.direct) is None
+    found = driven_backward_by(3, virtual_escs.direct, with_pulses=False)
     assert found.missing[0].endswith("and record the wheels' pulses, too (rosbag record -a)")
 
 
 def test_crawler_that_turns_at_once_is_not_taken_for_a_direct_esc():
-    found = driven_backward_by(4, lambda: virtual.crawler(turn_s=0.0), brake_mps2=8.0, reverse_mps2=2.5)
+    found = driven_backward_by(4, lambda: virtual_escs.crawler(turn_s=0.0), brake_mps2=8.0, reverse_mps2=2.5)
     assert found.profile is None and "it is not clear whether it brakes first" in found.missing[0]
 
 
@@ -163,13 +164,13 @@ def wait_and_pull(person, neutral_s):
 
 
 def test_second_pulls_that_contradict_each_other_name_no_profile():
-    esc = virtual.xl5(dwell_s=0.8)
+    esc = virtual_escs.xl5(dwell_s=0.8)
     assert fit(second_pulls(esc, 1.0, 1.0, 1.0).recorded()).profile == "brake_then_reverse"
     assert fit(second_pulls(esc, 1.0, 1.0, 0.6, 1.0).recorded()).profile is None
 
 
 def test_esc_that_was_once_seen_to_reverse_is_not_forward_only():
-    esc = virtual.xl5(dwell_s=2.0, forget_s=3.0)
+    esc = virtual_escs.xl5(dwell_s=2.0, forget_s=3.0)
     person = second_pulls(esc, 0.6, 0.7, 0.8, 0.6)
     assert fit(person.recorded()).profile == "forward_only"  # so it looks as yet
     wait_and_pull(person, 4.0)
@@ -177,7 +178,7 @@ def test_esc_that_was_once_seen_to_reverse_is_not_forward_only():
 
 
 def test_brake_of_a_car_that_still_rolls_does_not_show_that_the_esc_remembers():
-    person = second_pulls(virtual.vxl(forget_s=1.5, dwell_s=0.2), 0.8, 0.7, 0.9)
+    person = second_pulls(virtual_escs.vxl(forget_s=1.5, dwell_s=0.2), 0.8, 0.7, 0.9)
     person.hold(1.0, 10, lambda speed: speed > 3.5)
     person.hold(0, 2.0)
     assert person.car.speed_mps > 1.0
@@ -190,7 +191,8 @@ def test_brake_of_a_car_that_still_rolls_does_not_show_that_the_esc_remembers():
 
 
 def test_only_a_long_wait_shows_that_an_esc_never_forgets_and_waits_that_contradict_each_other_show_nothing():
-    person, forgets = second_pulls(virtual.xl5(), 0.8, 0.7, 0.9), virtual.VirtualEsc(virtual.xl5(forget_s=3.0))
+    person = second_pulls(virtual_escs.xl5(), 0.8, 0.7, 0.9)
+    forgets = virtual.VirtualEsc(virtual_escs.xl5(forget_s=3.0))
     found = []
     for wait_s in (1.0, 6.5, 4.0):
         wait_and_pull(person, wait_s)

@@ -3,8 +3,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import virtual_escs
 
-from car_interface.sim import esc as virtual
 from car_interface.tools.calibration.esc.pulls import BACKWARD, HELD, UNCLEAR, EscDrive, pulls, sampled
 from tools.calibration.esc.synthetic import Person
 
@@ -21,8 +21,9 @@ def pulls_of(make, *actions):
 
 
 @pytest.mark.parametrize("make, outcome, pause_s", [
-    (virtual.xl5, HELD, None), (virtual.race, HELD, None), (virtual.direct, BACKWARD, 0.0),
-    (lambda: virtual.crawler(turn_s=0.1), BACKWARD, 0.1), (lambda: virtual.crawler(turn_s=0.3), BACKWARD, 0.3)],
+    (virtual_escs.xl5, HELD, None), (virtual_escs.race, HELD, None), (virtual_escs.direct, BACKWARD, 0.0),
+    (lambda: virtual_escs.crawler(turn_s=0.1), BACKWARD, 0.1),
+    (lambda: virtual_escs.crawler(turn_s=0.3), BACKWARD, 0.3)],
     ids=["xl5", "race", "direct", "crawler", "slow_crawler"])
 def test_brake_that_is_held_stops_the_car_or_drives_it_backward_after_a_pause(make, outcome, pause_s):
     (pull,) = pulls_of(make, (-0.5, 2.0))
@@ -32,31 +33,31 @@ def test_brake_that_is_held_stops_the_car_or_drives_it_backward_after_a_pause(ma
 
 
 def test_second_pull_follows_the_first_and_knows_its_neutral():
-    first, second = pulls_of(virtual.xl5, (-0.5, 2.0), (0, 0.4), (-0.5, 1.0))
+    first, second = pulls_of(virtual_escs.xl5, (-0.5, 2.0), (0, 0.4), (-0.5, 1.0))
     assert (first.outcome, second.outcome, second.follows_pull) == (HELD, BACKWARD, True)
     assert second.neutral_s == pytest.approx(0.4, abs=0.03) and np.isinf(second.since_forward_s)
 
 
 @pytest.mark.parametrize("push", [0.5, 0.1], ids=["forward", "a_push_within_the_dead_band"])
 def test_pull_after_a_push_follows_none(push):
-    second = pulls_of(virtual.xl5, (-0.5, 2.0), (0, 0.4), (push, 0.5), (-0.5, 1.5))[1]
+    second = pulls_of(virtual_escs.xl5, (-0.5, 2.0), (0, 0.4), (push, 0.5), (-0.5, 1.5))[1]
     assert not second.follows_pull and (second.since_forward_s == 0) == (push == 0.5)
 
 
 def test_neutral_since_forward_is_counted():
-    (pull,) = pulls_of(virtual.xl5, None, (0, 3.0), (-0.5, 1.5))
+    (pull,) = pulls_of(virtual_escs.xl5, None, (0, 3.0), (-0.5, 1.5))
     assert pull.since_forward_s > 3.0 and abs(pull.speed_mps) < 0.05
 
 
 @pytest.mark.parametrize("action", [(-0.5, 0.3), (-0.1, 3.0)], ids=["short", "weak"])
 def test_pull_that_shows_nothing_is_unclear(action):
-    (pull,) = pulls_of(virtual.xl5, action)
+    (pull,) = pulls_of(virtual_escs.xl5, action)
     assert pull.outcome == UNCLEAR
 
 
 @pytest.mark.parametrize("held_s, outcome", [(0.5, UNCLEAR), (1.2, HELD)])
 def test_brake_that_is_let_go_soon_after_the_car_stands_is_unclear(held_s, outcome):
-    (pull,) = pulls_of(virtual.xl5, (-0.5, 5.0, lambda speed: speed <= 0), (-0.5, held_s))
+    (pull,) = pulls_of(virtual_escs.xl5, (-0.5, 5.0, lambda speed: speed <= 0), (-0.5, held_s))
     assert pull.outcome == outcome
 
 

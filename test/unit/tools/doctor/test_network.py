@@ -1,11 +1,15 @@
 """The master, who can reach it, and whether the nodes here can be reached."""
 from __future__ import annotations
 
+import io
+import types
+
 import pytest
 
-from car_interface.tools.doctor.checks import network
-from car_interface.tools.doctor.checks.findings import BAD, OK, WARN
+from car_interface.tools.doctor import network
+from car_interface.tools.doctor.findings import BAD, OK, WARN
 
+MASTER = "http://car:11311"
 URI = "http://127.0.0.1:11311"
 # 127.0.0.1:11311, 0.0.0.0:11312, 10.1.2.3:22 all listening, and a connection to 127.0.0.1:11311.
 TCP = """\
@@ -63,13 +67,6 @@ def test_master(master, level, words, remedy):
     assert words in found.what and remedy in found.remedy and bool(found.remedy) == (level != OK)
 
 
-def test_own_name_is_found_as_ros_finds_it():
-    both = {"ROS_HOSTNAME": "car", "ROS_IP": "10.0.0.1"}
-    assert network.local_name(both, "host") == "car"
-    assert network.local_name({"ROS_IP": "10.0.0.1"}, "host") == "10.0.0.1"
-    assert network.local_name({"ROS_HOSTNAME": "", "ROS_IP": ""}, "host") == "host"
-
-
 def address(name="10.0.0.1", resolves=True, is_here=True, is_loopback=False):
     return network.LocalAddress(name, resolves, is_here, is_loopback)
 
@@ -87,3 +84,77 @@ def address(name="10.0.0.1", resolves=True, is_here=True, is_loopback=False):
 def test_own_address(environment, own, master_is_here, level, words):
     found, = network.check_local_address(environment, own, master_is_here)
     assert found.level == level and words in found.what and bool(found.remedy) == (level != OK)
+
+
+# --- as it is on this computer ---
+
+@pytest.fixture
+def hosts_here(monkeypatch):
+    """Hosts by name, of which 10.0.0.1 and the loopback are this computer's; /proc/net is empty. A master that answers
+    is asked by ``str``: no fault.
+    """
+    hosts = {"car": ["10.0.0.1"], "other": ["10.0.0.2"], "localhost": ["127.0.0.1", "::1"]}
+    tables = {"/proc/net/tcp": "header\n"}
+
+    def getaddrinfo(host, port, **how):
+        if host not in hosts:
+            raise OSError("unknown host")
+        return [(0, 0, 0, "", (address, 0)) for address in hosts[host]]
+
+    def opened(path, encoding):
+        if path not in tables:
+            raise FileNotFoundError(path)
+        return io.StringIO(tables[path])
+    monkeypatch.setattr(network.socket, "getaddrinfo", getaddrinfo)
+    monkeypatch.setattr(network.socket, "gethostname", lambda: "car")
+    monkeypatch.setattr(network, "_is_local", lambda address: address in ("10.0.0.1", "127.0.0.1", "::1"))
+    monkeypatch.setattr(network, "open", opened, raising=False)
+    for name in ("ROS_HOSTNAME", "ROS_IP"):
+        monkeypatch.delenv(name, raising=False)
+    return types.SimpleNamespace(hosts=hosts, tables=tables)
+
+
+def test_master_on_this_computer_that_answers_is_ok_and_one_that_does_not_is_not_there(hosts_here):
+    master, address, is_there = network.probe_network(MASTER, str)
+    assert is_there and [(one.level, one.what) for one in master] == [(OK, "http://car:11311 answers")]
+    assert [(one.level, one.what) for one in address] == [(OK, "this host's name, car")]
+    (found,), _, is_there = network.probe_network(MASTER, lambda: "Connection refused")
+    assert not is_there and (found.level, found.what.split(";")[0]) == (WARN, "none runs at http://car:11311")
+
+
+@pytest.mark.parametrize("environment, name", [
+    ({"ROS_HOSTNAME": "car", "ROS_IP": "10.0.0.1"}, "ROS_HOSTNAME (car) and ROS_IP (10.0.0.1)"),
+    ({"ROS_IP": "10.0.0.1"}, "ROS_IP, 10.0.0.1"), ({"ROS_HOSTNAME": "", "ROS_IP": ""}, "this host's name, car")])
+def test_own_name_is_found_as_ros_finds_it(hosts_here, monkeypatch, environment, name):
+    for variable, value in environment.items():
+        monkeypatch.setenv(variable, value)
+    _, (found,), _ = network.probe_network(MASTER, str)
+    assert found.what.startswith(name)
+
+
+def test_listening_address_is_read_from_the_kernels_table(hosts_here):
+    # 0x2C2F is port 11311; state 0A listens.
+    hosts_here.tables["/proc/net/tcp"] += "   0: 00000000:2C2F 00000000:0000 0A\n"
+    (found,), _, _ = network.probe_network(MASTER, str)
+    assert found.level == WARN and "listens on every interface" in found.what
+
+
+def test_master_on_another_host_is_named_and_needs_an_address_that_is_reached_from_there(hosts_here, monkeypatch):
+    monkeypatch.setenv("ROS_HOSTNAME", "localhost")
+    (master,), (address,), is_there = network.probe_network("http://other:11311", str)
+    assert is_there and (master.level, address.level) == (WARN, BAD)
+    assert "is on another host" in master.what and "nodes there can't reach those here" in address.what
+    for name, what in (("nowhere", "can't be looked up"), ("other", "isn't this computer's")):
+        monkeypatch.setenv("ROS_HOSTNAME", name)
+        _, (found,), _ = network.probe_network(MASTER, str)
+        assert found.level == BAD and what in found.what
+
+
+@pytest.mark.parametrize("uri, what", [
+    ("http://nowhere:11311", "its host, nowhere, can't be found"), ("", "ROS_MASTER_URI is not set"),
+    ("car:11311", "which is no master's address")])
+def test_master_whose_host_is_unknown_is_not_asked(hosts_here, uri, what):
+    def asked():
+        raise AssertionError("asked")
+    (found,), _, is_there = network.probe_network(uri, asked)
+    assert not is_there and found.level == BAD and what in found.what

@@ -1,15 +1,76 @@
-"""The ROS network: where the master is, who can reach it, and whether others can reach what is started here."""
+"""Examines the ROS network: where the master is, who can reach it, and whether others can reach what starts here."""
 from __future__ import annotations
 
 import ipaddress
-from typing import Iterable, Mapping, NamedTuple
+import os
+import socket
+from typing import Callable, Iterable, Mapping, NamedTuple
 from urllib.parse import urlsplit
 
-from car_interface.tools.doctor.checks.findings import BAD, OK, WARN, Finding
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
 
 DEFAULT_PORT = 11311
 LISTENING = "0A"  # as /proc/net/tcp has it
 LOCAL_ONLY = "export ROS_IP=127.0.0.1 ROS_MASTER_URI=http://127.0.0.1:{port}"
+
+
+def probe_network(uri: str, ask_master: Callable[[], str]) -> tuple[list[Finding], list[Finding], bool]:
+    """Check the master and this computer's own address.
+
+    Args:
+        uri: ROS_MASTER_URI.
+        ask_master: returns why the master doesn't answer; empty when it does.
+
+    Returns:
+        The findings about the master and about the address, and whether the master answers.
+    """
+    place = host_and_port(uri) if uri else None
+    if place is None:
+        return check_master(MasterAddress(uri)), [], False
+    here = leads_here(place[0])
+    trouble = ask_master() if here is not None else "its host can't be found"
+    master = MasterAddress(uri, trouble, here, listeners(_tcp_tables(), place[1]) if here else ())
+    name = os.environ.get("ROS_HOSTNAME") or os.environ.get("ROS_IP") or socket.gethostname()  # as ROS has it
+    is_here = leads_here(name)
+    own = LocalAddress(name, is_here is not None, bool(is_here), _leads_to_loopback(name))
+    return check_master(master), check_local_address(os.environ, own, here is not False), not trouble
+
+
+def _addresses(host):
+    try:
+        return {info[4][0] for info in socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)}
+    except (OSError, UnicodeError):
+        return set()
+
+
+def leads_here(host: str) -> bool | None:
+    """Return whether a name leads to this computer; ``None`` when it leads nowhere."""
+    addresses = _addresses(host)
+    return any(map(_is_local, addresses)) if addresses else None
+
+
+def _is_local(address):
+    family = socket.AF_INET6 if ":" in address else socket.AF_INET
+    with socket.socket(family, socket.SOCK_STREAM) as probe:
+        try:
+            probe.bind((address, 0))
+        except OSError:
+            return False
+    return True
+
+
+def _leads_to_loopback(host):
+    addresses = _addresses(host)
+    return bool(addresses) and all(address == "::1" or address.startswith("127.") for address in addresses)
+
+
+def _tcp_tables():
+    for path in ("/proc/net/tcp", "/proc/net/tcp6"):
+        try:
+            with open(path, encoding="ascii") as file:
+                yield file.read()
+        except OSError:
+            continue
 
 
 class MasterAddress(NamedTuple):
@@ -22,7 +83,7 @@ class MasterAddress(NamedTuple):
 
 
 def host_and_port(uri: str) -> tuple[str, int] | None:
-    """Host and port of a master's URI; ``None`` when it's none."""
+    """Return host and port of a master's URI; ``None`` when it's none."""
     try:
         parts = urlsplit(uri)
         if parts.scheme != "http" or not parts.hostname:
@@ -62,21 +123,14 @@ def _exposure(master, host, port):
     if not master.is_here:
         return Finding(WARN, "master", f"{master.uri} is on another host: whoever reaches it drives the car",
                        "Keep both in a VPN, as the README says under 'Who can drive the car'")
-    exposed = [address for address in master.listens_on if not _is_loopback(address)]
+    exposed = [address for address in master.listens_on if not ipaddress.ip_address(address).is_loopback]
     if exposed:
-        where = "every interface" if any(_is_any(address) for address in exposed) else ", ".join(exposed)
+        is_any = any(ipaddress.ip_address(address).is_unspecified for address in exposed)
+        where = "every interface" if is_any else ", ".join(exposed)
         return Finding(WARN, "master", f"{master.uri} listens on {where}: whoever reaches it drives the car",
                        f"Before roslaunch: {lock_in}; or a firewall or VPN, see the README")
     return Finding(OK, "master", f"{master.uri} answers, on the loopback only" if master.listens_on else
                    f"{master.uri} answers")
-
-
-def _is_loopback(address):
-    return ipaddress.ip_address(address).is_loopback
-
-
-def _is_any(address):
-    return ipaddress.ip_address(address).is_unspecified
 
 
 def listeners(tables: Iterable[str], port: int) -> tuple[str, ...]:
@@ -96,7 +150,7 @@ def listeners(tables: Iterable[str], port: int) -> tuple[str, ...]:
 
 
 def _address(hexadecimal):
-    """Groups of four bytes, each with its lowest byte first."""
+    """Return an address of the kernel's table: groups of four bytes, each with its lowest byte first."""
     data = bytes.fromhex(hexadecimal)
     data = b"".join(data[start:start + 4][::-1] for start in range(0, len(data), 4))
     address = ipaddress.ip_address(data)
@@ -111,11 +165,6 @@ class LocalAddress(NamedTuple):
     resolves: bool  # whether it can be looked up from here
     is_here: bool  # whether it leads to this host
     is_loopback: bool  # whether it can be reached from this host only
-
-
-def local_name(environment: Mapping[str, str], host_name: str) -> str:
-    """Return the name that ROS would take: ROS_HOSTNAME, else ROS_IP, else the host's."""
-    return environment.get("ROS_HOSTNAME") or environment.get("ROS_IP") or host_name
 
 
 def check_local_address(environment: Mapping[str, str], own: LocalAddress, master_is_here: bool) -> list[Finding]:

@@ -1,4 +1,4 @@
-"""The gamepad: whether its messages come, often enough and with the axes and buttons that teleop_logi is set to."""
+"""Examines the gamepad: whether its messages come, often enough and with the axes and buttons that are configured."""
 from __future__ import annotations
 
 import math
@@ -6,7 +6,7 @@ from typing import NamedTuple, Sequence
 
 from car_interface.common import causes
 from car_interface.teleop.gamepad import GamepadConfig, is_d_mode_cross, missing_index, remedy
-from car_interface.tools.doctor.checks.findings import BAD, OK, WARN, Finding
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
 
 SUBJECT = "gamepad"
 MISSED = 2  # messages in a row that may be lost before the deadman is released, at least
@@ -16,43 +16,26 @@ LET_GO = "Let go of both deadman buttons once, then hold one"
 
 
 class JoySample(NamedTuple):
-    """What came on the gamepad's topic while the doctor listened.
-
-    Attributes:
-        messages: how many.
-        period_s: the mean time between them; after a single one, the time since then. inf: none came.
-        axes, buttons: how many the newest one had.
-        values: the newest value that was no number, by index of the axis.
-    """
+    """What came on the gamepad's topic while the doctor listened."""
 
     messages: int
-    period_s: float
-    axes: int
+    period_s: float  # the mean time between them; after a single one, the time since then; inf: none came
+    axes: int  # of the newest one
     buttons: int
-    values: dict
+    values: dict  # the newest that isn't finite, by index of the axis
 
 
 class GamepadFacts(NamedTuple):
-    """What is known of the gamepad.
+    """What is known of the gamepad."""
 
-    Attributes:
-        node: teleop_logi's path.
-        topic: that it subscribes to.
-        publishers: the nodes that publish on it.
-        config: how teleop_logi is set; ``None`` = its parameters are bad, which another finding says.
-        sample: what came.
-        cause, reason: teleop_logi's own; empty = it said nothing.
-        stick_cause: NOT_AT_REST where teleop_logi says that an axis doesn't count.
-    """
-
-    node: str
-    topic: str
-    publishers: Sequence[str]
-    config: GamepadConfig | None
+    node: str  # teleop_logi's path
+    topic: str  # that it subscribes to
+    publishers: Sequence[str]  # the nodes that publish on it
+    config: GamepadConfig | None  # how teleop_logi is set; ``None`` = its parameters are bad: another finding says so
     sample: JoySample
-    cause: str = ""
+    cause: str = ""  # teleop_logi's own, as is the reason; empty = it published nothing
     reason: str = ""
-    stick_cause: str = ""
+    stick_cause: str = ""  # NOT_AT_REST where teleop_logi ignores an axis
 
 
 def check_gamepad(gamepad: GamepadFacts) -> list[Finding]:

@@ -1,10 +1,11 @@
-"""The running car: its nodes, their parameters, who drives, what comes to them, and their reports."""
+"""Examines the running car: its nodes, their parameters, who drives, what comes to them, and their reports."""
 from __future__ import annotations
 
-from typing import Iterable, NamedTuple, Sequence
+from typing import Any, Iterable, NamedTuple, Sequence
 
 from car_interface.common.publishers import REPORT as COMMAND_TOPICS
-from car_interface.tools.doctor.checks.findings import BAD, OK, WARN, Finding
+from car_interface.steering.arbiter import source_name
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
 
 # The nodes of every car, and what is missing without each.
 NODE_ROLES = {
@@ -14,8 +15,7 @@ NODE_ROLES = {
     "generic_value_converter": "no acceleration becomes throttle",
     "teleop_logi": "no gamepad, no deadman",
 }
-
-
+MORE = "More about it: rostopic echo /diagnostics"
 # The process that some of them may share, which the master then knows by this name alone.
 ONE_PROCESS = "car_nodes"
 SIMULATOR = "car_sim"
@@ -40,7 +40,7 @@ class Node(NamedTuple):
 
 
 def restart_remedy(process: str) -> str:
-    """Return how to have a node that hangs started again."""
+    """Return how to start a node again that hangs."""
     return f"Stop the car, then rosnode kill {process}: roslaunch starts it again"
 
 
@@ -59,8 +59,7 @@ def check_several(namespaces: Sequence[str]) -> list[Finding]:
 def check_nodes(nodes: Sequence[Node], namespace: str, others: Sequence[str] = ()) -> list[Finding]:
     """Return one finding for those that run, one for each process that doesn't, and one for those that are missing.
 
-    Args:
-        others: the namespaces of other cars.
+    The nodes are those of the car in ``namespace``; ``others`` are the namespaces of other cars.
     """
     if all(node.state == ABSENT for node in nodes):
         elsewhere = f"; there is one in {' and '.join(others)}" if others else ""
@@ -106,21 +105,13 @@ def _launch_command(nodes, namespace):
     return f"roslaunch car_interface {'demo' if is_virtual else 'car'}.launch{in_space}"
 
 
-class SteeringReport(NamedTuple):
-    """What turn_arb's state says."""
-
-    source: str
-    reason: str
-    duty: int
-    repeats: bool  # whether it came more than once: a latched message outlives the node that sent it
-
-
-def check_steering(steering: SteeringReport | None, node: Node) -> list[Finding]:
-    """Tell who drives and why; ``None`` = the node runs, but says nothing."""
-    if steering is None or not steering.repeats:
+def check_steering(states: Sequence[Any], node: Node) -> list[Finding]:
+    """Return who drives and why, by each SteeringState that came; a single one may be latched by a node that ended."""
+    if len(states) < 2:
         return [Finding(BAD, "steering", f"{node.path} says nothing of who drives; it hangs",
                         restart_remedy(node.process))]
-    return [Finding(OK, "steering", f"{steering.source}: {steering.reason}; duty {steering.duty}")]
+    state = states[-1]
+    return [Finding(OK, "steering", f"{source_name(state.source)}: {state.reason}; duty {state.duty}")]
 
 
 class Report(NamedTuple):
@@ -144,17 +135,14 @@ def check_diagnostics(reports: Sequence[Report], namespace: str, reporting: Sequ
     """
     all_ours = _reports_of(reports, namespace)
     ours = [report for report in all_ours if not _is_about_topics(report)]
-    missing = [path for path in reporting if not any(_is_of(report, path) for report in all_ours)]
-    bad = [report for report in ours if report.level != OK and report.name not in reported]
-    found = [Finding(OK, "reports", ", ".join(report.name for report in ours if report.level == OK))]
-    found = found if any(report.level == OK for report in ours) else []
-    for report in bad:
-        found.append(Finding(min(report.level, BAD), "reports", f"{report.name}: {report.message}",
-                             report.remedy or "More about it: rostopic echo /diagnostics"))
-    for path in missing:
-        found.append(Finding(BAD, "reports", f"{path} runs, but doesn't report on /diagnostics",
-                             f"See whether it hangs: rosnode ping {path}"))
-    return found
+    good = [report.name for report in ours if report.level == OK]
+    found = [Finding(OK, "reports", ", ".join(good))] if good else []
+    found += [Finding(min(report.level, BAD), "reports", f"{report.name}: {report.message}", report.remedy or MORE)
+              for report in ours if report.level != OK and report.name not in reported]
+    names = [report.name for report in all_ours]
+    return found + [Finding(BAD, "reports", f"{path} runs, but doesn't report on /diagnostics",
+                            f"See whether it hangs: rosnode ping {path}")
+                    for path in reporting if not any(name.startswith(f"{path.strip('/')}: ") for name in names)]
 
 
 def check_command_topics(reports: Sequence[Report], namespace: str) -> list[Finding]:
@@ -169,12 +157,10 @@ def check_command_topics(reports: Sequence[Report], namespace: str) -> list[Find
     for report in ours:
         if report.level != OK:
             nodes.setdefault((report.message, report.remedy), []).append(report.name.partition(":")[0])
-    found = [Finding(BAD, "topics", f"{message} (reported by {', '.join(names)})",
-                     remedy or "More about it: rostopic echo /diagnostics") for (message, remedy), names in
-             nodes.items()]
-    if ours and not found:
-        found.append(Finding(OK, "topics", "each that is obeyed has the publishers that it should have"))
-    return found
+    if ours and not nodes:
+        return [Finding(OK, "topics", "each that is obeyed has the publishers that it should have")]
+    return [Finding(BAD, "topics", f"{message} (reported by {', '.join(names)})", remedy or MORE)
+            for (message, remedy), names in nodes.items()]
 
 
 def _reports_of(reports, namespace):
@@ -186,10 +172,6 @@ def _reports_of(reports, namespace):
 
 def _is_about_topics(report):
     return report.name.endswith(f": {COMMAND_TOPICS}")
-
-
-def _is_of(report, path):
-    return report.name.startswith(f"{path.strip('/')}: ")
 
 
 class Reading(NamedTuple):

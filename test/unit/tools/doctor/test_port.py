@@ -1,17 +1,20 @@
 """The Teensy's port and what is behind it, as the doctor judges them; the Teensy is the simulated one."""
 from __future__ import annotations
 
+import fcntl
+import os
 import random
+from types import SimpleNamespace
 
 import pytest
 
 from car_interface.sim.teensy_config import FirmwareConfig
 from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.teensy.link.health import FINE, PORT_FAULTS
-from car_interface.tools.doctor.checks.car import ABSENT, RUNNING, SILENT, Node
-from car_interface.tools.doctor.checks.findings import BAD, OK, WARN
-from car_interface.tools.doctor.checks.port import (
-    Link,
+from car_interface.tools.doctor import port
+from car_interface.tools.doctor.car import ABSENT, RUNNING, SILENT, Node
+from car_interface.tools.doctor.findings import BAD, OK, WARN
+from car_interface.tools.doctor.port import (
     TeensyProbe,
     check_holders,
     check_link,
@@ -136,7 +139,8 @@ HUB = Node("teensy_sensor_hub", "/teensy_sensor_hub", RUNNING, "/car_nodes")
 
 
 def link(level=OK, words="fine: 22 frames a second", next_step="", round_trip_s=0.004, state=FINE):
-    return Link(level, state, words, next_step, round_trip_s, "shipped")
+    return SimpleNamespace(level=level, state=state, words=words, next_step=next_step, round_trip=round_trip_s,
+                           firmware_checksum="shipped")
 
 
 @pytest.mark.parametrize("status, level, words, remedy", [
@@ -171,3 +175,46 @@ def test_hub_that_says_nothing_of_its_link_hangs_and_its_process_is_named():
 def test_port_of_a_virtual_teensy_is_not_to_be_plugged_in(simulator, hub_runs, level, words, remedy):
     found, = check_virtual_port("/tmp/teensy", simulator, hub_runs)
     assert found.level == level and words in found.what and remedy in found.remedy
+
+
+# --- the port on this computer ---
+
+def test_console_that_only_root_sees_at_the_port_is_told_by_its_name(monkeypatch):
+    monkeypatch.setattr(port, "is_character_device", lambda path: True)
+    monkeypatch.setattr(port, "_subsystem", lambda path: "tty")
+    monkeypatch.setattr(port, "consoles", lambda path: [(612, "agetty")])
+    found, = port.probe_port("/dev/ttyAMA7", 115200)
+    assert (found.level, found.what) == (BAD, "/dev/ttyAMA7: another program has it open: agetty (process 612)")
+    assert "log-in console" in found.remedy and "serial-getty@ttyAMA7" in found.remedy
+
+
+@pytest.mark.parametrize("has_lists", [True, False], ids=["without_sys", "without_the_kernels_lists_too"])
+def test_device_that_is_no_terminal_is_no_port_whoever_has_it_open(monkeypatch, has_lists):
+    """Any process may have /dev/null open: as its standard input."""
+    def unreadable(*arguments, **keywords):
+        raise FileNotFoundError(arguments[0])
+    monkeypatch.setattr(os, "readlink", unreadable)
+    if not has_lists:
+        monkeypatch.setattr(port, "open", unreadable, raising=False)
+    monkeypatch.setattr(port, "openers", lambda path: [(7, "teensy_sensor_hub")])
+    found, = port.probe_port("/dev/null", 115200)
+    assert (found.level, found.what) == (BAD, "/dev/null: this is not a serial port")
+
+
+def test_folder_in_which_a_hub_works_is_no_port_that_it_has_open(monkeypatch, tmp_path):
+    monkeypatch.setattr(port, "openers", lambda path: [(7, "teensy_sensor_hub")])
+    found, = port.probe_port(str(tmp_path), 115200)
+    assert (found.level, found.what) == (BAD, f"{tmp_path}: this is a directory, not a serial port")
+
+
+@pytest.mark.parametrize("hub", ["teensy_sensor_hub", "car_nodes"])
+def test_port_that_a_hub_has_locked_is_the_hub_s(hub, monkeypatch):
+    near, far = os.openpty()
+    fcntl.flock(far, fcntl.LOCK_EX)
+    try:
+        monkeypatch.setattr(port, "openers", lambda path: [(6, "car_sim"), (7, hub)])
+        found, = port.probe_port(os.ttyname(far), 115200)
+    finally:
+        os.close(near)
+        os.close(far)
+    assert found.level == WARN and f"{hub} (process 7) has it open" in found.what

@@ -1,4 +1,4 @@
-"""What the doctor asks the ROS master and the nodes, each question with a time limit; it works without rospy."""
+"""Asks the ROS master and the nodes for the doctor, each question with a time limit; it works without rospy."""
 from __future__ import annotations
 
 import os
@@ -16,8 +16,8 @@ from car_interface.common.processes import script_arguments
 from car_interface.common.yaml_file import compose_yaml, read_yaml
 from car_interface.ros.start import config_class
 from car_interface.ros.xmlrpc_calls import call
-from car_interface.tools.doctor.checks.car import ABSENT, KILLED, ONE_PROCESS, RUNNING, SILENT, SIMULATOR, Node, Reading
-from car_interface.tools.doctor.probes.computer import leads_here
+from car_interface.tools.doctor.car import ABSENT, KILLED, ONE_PROCESS, RUNNING, SILENT, SIMULATOR, Node, Reading
+from car_interface.tools.doctor.network import leads_here
 
 CALLER = "/doctor"
 # These may be parts of ONE_PROCESS.
@@ -34,11 +34,7 @@ class Graph(NamedTuple):
 
 
 class Master:
-    """The master at a URI.
-
-    Args:
-        uri: ROS_MASTER_URI.
-    """
+    """The master at a URI, as in ROS_MASTER_URI."""
 
     def __init__(self, uri: str):
         self._uri = uri
@@ -106,9 +102,7 @@ class Master:
         return RUNNING
 
     def fixed_parameters(self, node: Node) -> dict:
-        """Return what a launch file gave to the process of a node that runs on this computer; else nothing is known of
-        it.
-        """
+        """Return what a launch file gave to the process of a node on this computer; of others nothing is known."""
         if not node.runs:
             return {}
         process = node.process.rpartition("/")[2]
@@ -132,8 +126,7 @@ class Master:
 def read_files(master: Master, nodes: Sequence[Node]) -> list[str]:
     """Return what is wrong with the YAML files of the car, of which the server names those that ~save writes.
 
-    Of other files in the same folders those are read that are called as the package's own; what isn't on this computer
-    is not.
+    Files in the same folders that are named like the package's own are read, too; what isn't on this computer is not.
     """
     named = (master.parameter(f"{node.path}/save_to") for node in nodes)
     saved = [path for path in named if isinstance(path, str) and os.path.isabs(path)]

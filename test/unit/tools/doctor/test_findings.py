@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import pytest
 
-from car_interface.tools.doctor.checks.findings import BAD, OK, WARN, Finding, render, summarise, worst
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, render, summarise, worst
 
 GOOD = Finding(OK, "bus", "/dev/i2c-1")
 POOR = Finding(BAD, "port", "/dev/ttyAMA0: there is no such port", "Plug the Teensy in: ls /dev/serial/by-id")

@@ -7,8 +7,8 @@ import pytest
 
 from car_interface.common import causes
 from car_interface.teleop.gamepad import GamepadConfig
-from car_interface.tools.doctor.checks.findings import BAD, OK, WARN
-from car_interface.tools.doctor.checks.gamepad import GamepadFacts, JoySample, check_gamepad
+from car_interface.tools.doctor.findings import BAD, OK, WARN
+from car_interface.tools.doctor.gamepad import GamepadFacts, JoySample, check_gamepad
 
 SHIPPED = GamepadConfig(steer_axis=0, throttle_axis=4, manual_button=4, autonomous_button=5)
 AT_20_HZ = JoySample(messages=21, period_s=0.05, axes=8, buttons=11, values={})

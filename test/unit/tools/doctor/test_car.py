@@ -1,9 +1,12 @@
 """The running car: nodes, parameters, steering and reports, as the doctor judges them."""
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
 
-from car_interface.tools.doctor.checks.car import (
+from car_interface.steering.arbiter import PLANNER
+from car_interface.tools.doctor.car import (
     ABSENT,
     KILLED,
     NODE_ROLES,
@@ -12,7 +15,6 @@ from car_interface.tools.doctor.checks.car import (
     Node,
     Reading,
     Report,
-    SteeringReport,
     check_command_topics,
     check_diagnostics,
     check_files,
@@ -23,7 +25,7 @@ from car_interface.tools.doctor.checks.car import (
     check_steering,
     find_cars,
 )
-from car_interface.tools.doctor.checks.findings import BAD, OK, WARN
+from car_interface.tools.doctor.findings import BAD, OK, WARN
 
 PARTS = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter")
 TURN_ARB = Node("turn_arb", "/turn_arb", RUNNING, "/car_nodes")
@@ -90,15 +92,18 @@ def test_cars_are_found_by_the_names_of_their_nodes_and_of_several_none_is_looke
 
 # --- steering ---
 
+STATE = SimpleNamespace(source=PLANNER, reason="the planner asks", duty=4000)
+
+
 def test_who_drives_and_why_is_told():
-    found, = check_steering(SteeringReport("PLANNER", "the planner asks", 4000, True), TURN_ARB)
+    found, = check_steering([STATE, STATE], TURN_ARB)
     assert (found.level, found.what) == (OK, "PLANNER: the planner asks; duty 4000")
 
 
-@pytest.mark.parametrize("steering", [None, SteeringReport("PLANNER", "the planner asks", 4000, False)],
+@pytest.mark.parametrize("states", [[], [STATE]],
                          ids=["silent", "latched_by_a_node_that_hangs_now"])
-def test_turn_arb_that_says_nothing_is_bad(steering):
-    found, = check_steering(steering, TURN_ARB)
+def test_turn_arb_that_says_nothing_is_bad(states):
+    found, = check_steering(states, TURN_ARB)
     assert found.level == BAD and "/turn_arb says nothing" in found.what
     assert found.remedy == "Stop the car, then rosnode kill /car_nodes: roslaunch starts it again"
 

@@ -11,9 +11,9 @@ import pytest
 
 from car_interface.common.package_files import package_file
 from car_interface.ros import xmlrpc_calls
-from car_interface.tools.doctor.checks.car import ABSENT, KILLED, RUNNING, SILENT, Node
-from car_interface.tools.doctor.probes import master as probe
-from car_interface.tools.doctor.probes.master import Graph, Master, read_files
+from car_interface.tools.doctor import master as probe
+from car_interface.tools.doctor.car import ABSENT, KILLED, RUNNING, SILENT, Node
+from car_interface.tools.doctor.master import Graph, Master, read_files
 
 
 def uri_of(listener):

@@ -1,13 +1,16 @@
-"""The servo board: its bus, and what the chip's registers say. They are only read; nothing that drives is disturbed."""
+"""Examines the servo board: its bus, and what the chip's registers say. Registers are only read, never written."""
 from __future__ import annotations
 
 import errno
+import glob
+import os
 from typing import NamedTuple, Sequence
 
 from car_interface.common.device_access import SETUP_REMEDY
 from car_interface.pca9685.board import AUTO_INCREMENT, EXTCLK, MODE1, PRE_SCALE, SLEEP
 from car_interface.pca9685.registers import PRESCALE_MIN, frequency_for
-from car_interface.tools.doctor.checks.findings import BAD, OK, WARN, Finding
+from car_interface.tools.doctor.computer import group_of, is_character_device
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
 
 ADDRESSES = range(0x40, 0x80)  # that the six pins can choose (data sheet 7.1)
 # Where others are looked for: what three pins choose. Who reads a register writes its number first, and chips of other
@@ -16,32 +19,59 @@ NEIGHBOURS = range(0x40, 0x48)
 SUB_ADDRESSES = 0x0E  # bits of MODE1 that servo drivers leave at 0
 RESET_MODE1, RESET_PRESCALE = 0x11, 0x1E  # after power-up (data sheet 7.3.1, 7.3.5)
 SERVO_HZ = (40.0, 400.0)  # what servos and ESCs understand, digital ones included
+I2C_MAJOR = 89  # Documentation/admin-guide/devices.txt of the kernel
 NOT_ACKNOWLEDGED = (errno.EREMOTEIO, errno.ENXIO, errno.EIO)  # how adapters say that no chip acknowledged
 
 
-class Bus(NamedTuple):
-    """What's known of a bus without using it."""
+def probe_board(device: str, address: int, prescale: int | None, driven: bool, oscillator_hz: float) -> list[Finding]:
+    """Read two registers of the chip; look for others where it doesn't answer.
 
-    path: str  # of the device
-    exists: bool  # whether there is anything at that path
-    is_i2c: bool  # whether that is an I²C bus
-    usable: bool  # whether this process may read and write it
-    group: str  # its group's name
-    others: tuple = ()  # the I²C buses that there are
+    Args:
+        prescale: what the pca9685 node's parameters ask for; ``None`` when there are none.
+        driven: whether that node runs.
+        oscillator_hz: the chip's clock.
+    """
+    name = f"0x{address:02x} on {device}"
+    found = _probe_bus(device)
+    if found[0].level != OK:
+        return found
+    import smbus2  # it may be what is missing
+    bus = smbus2.SMBus()
+    try:
+        bus.open(device)
+        try:
+            return found + check_chip(name, read_registers(bus, address), prescale, driven, oscillator_hz)
+        except OSError as error:
+            return found + check_no_answer(name, error, find_others(bus, address))
+    except OSError as error:
+        return [Finding(BAD, "bus", f"{device} can't be opened ({error.strerror})", "See what it is: ls -l /dev/i2c-*")]
+    finally:
+        bus.close()
 
 
-def check_bus(bus: Bus) -> list[Finding]:
-    """Check whether it's there, an I²C bus, and open to this user."""
-    others = f"; there are {', '.join(bus.others)}" if bus.others else ""
-    if not bus.exists:
-        remedy = (f"Use one of these: --i2c {bus.others[0]}" if bus.others else
+def _probe_bus(device):
+    return check_bus(device, os.path.exists(device), _is_i2c(device),
+                     os.access(device, os.R_OK | os.W_OK, effective_ids=True), group_of(device, "root"),
+                     [path for path in sorted(glob.glob("/dev/i2c-*")) if path != device and _is_i2c(path)])
+
+
+def _is_i2c(path):
+    return is_character_device(path) and os.major(os.stat(path).st_rdev) == I2C_MAJOR
+
+
+def check_bus(path: str, exists: bool, is_i2c: bool, usable: bool, group: str, others: Sequence[str] = ()
+              ) -> list[Finding]:
+    """Check whether a bus is there, an I²C bus, and open to this user, who may join ``group``; there are ``others``."""
+    listed = f"; there are {', '.join(others)}" if others else ""
+    if not exists:
+        remedy = (f"Use one of these: --i2c {others[0]}" if others else
                 "Switch I2C on: sudo raspi-config, interfaces (on a Jetson: sudo modprobe i2c-dev); then ls /dev/i2c-*")
-        return [Finding(BAD, "bus", f"{bus.path}: there is no such bus{others}", remedy)]
-    if not bus.is_i2c:
-        return [Finding(BAD, "bus", f"{bus.path} is not an I2C bus{others}", "See which there are: ls /dev/i2c-*")]
-    if not bus.usable:
-        return [Finding(BAD, "bus", f"{bus.path}: no permission to use it; its group is {bus.group}", SETUP_REMEDY)]
-    return [Finding(OK, "bus", bus.path)]
+        return [Finding(BAD, "bus", f"{path}: there is no such bus{listed}", remedy)]
+    if not is_i2c:
+        return [Finding(BAD, "bus", f"{path} is not an I2C bus{listed}", "See which there are: ls /dev/i2c-*")]
+    if not usable:
+        return [Finding(BAD, "bus", f"{path}: no permission to use it; its group is {group}", SETUP_REMEDY)]
+    return [Finding(OK, "bus", path)]
 
 
 class Registers(NamedTuple):
@@ -61,15 +91,7 @@ class Registers(NamedTuple):
 
 
 def read_registers(bus, address: int) -> Registers:
-    """Ask a chip.
-
-    Args:
-        bus: has smbus2's ``read_byte_data(address, register)``.
-        address: of the chip.
-
-    Raises:
-        OSError: when it doesn't answer.
-    """
+    """Ask a chip on a bus that has smbus2's ``read_byte_data(address, register)``; OSError when it doesn't answer."""
     return Registers(bus.read_byte_data(address, MODE1), bus.read_byte_data(address, PRE_SCALE))
 
 
@@ -92,15 +114,7 @@ def find_others(bus, address: int) -> list[tuple[int, Registers]]:
 
 def check_chip(name: str, registers: Registers, prescale: int | None = None, driven: bool = False,
                oscillator_hz: float = 25e6) -> list[Finding]:
-    """Judge what the registers say.
-
-    Args:
-        name: of the chip: its address and bus.
-        registers: what it answered.
-        prescale: what the pca9685 node's parameters ask for; ``None`` when there are none.
-        driven: whether that node runs.
-        oscillator_hz: the chip's clock.
-    """
+    """Judge what a chip's registers say; the arguments are those of ``probe_board``."""
     if not registers.plausible:
         return [Finding(BAD, "chip", f"{name} answers, but not as a PCA9685 does: {registers}",
                         "See which chip that is: an INA sensor also likes 0x40; move one of them by its solder pads")]
@@ -125,13 +139,7 @@ def check_chip(name: str, registers: Registers, prescale: int | None = None, dri
 
 
 def check_no_answer(name: str, error: OSError, others: Sequence[tuple[int, Registers]]) -> list[Finding]:
-    """Return the finding about a chip that can't be read.
-
-    Args:
-        name: of the chip: its address and bus.
-        error: of the transfer.
-        others: what answers at other addresses, as ``find_others`` returns it.
-    """
+    """Return the finding about a chip that can't be read; ``others`` are what ``find_others`` found."""
     if error.errno == errno.EBUSY:
         return [Finding(BAD, "chip", f"{name}: a kernel driver has this address", "Unbind it, or give --address")]
     if error.errno in NOT_ACKNOWLEDGED:

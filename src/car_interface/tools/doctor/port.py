@@ -1,27 +1,99 @@
-"""The Teensy's port: which programs have it open, and what comes through it when none has."""
+"""Examines the Teensy's port: which programs have it open, and what comes through it when none has."""
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, Sequence
+import os
+import select
+import time
+from typing import Any, Sequence
 
 from car_interface.common.device_access import SETUP_COMMAND
-from car_interface.common.units import NS_PER_MS
+from car_interface.common.processes import openers
+from car_interface.common.units import NS_PER_MS, NS_PER_S
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.teensy.link import protocol
-from car_interface.teensy.link.console import PROGRAMS, removal_remedy
-from car_interface.teensy.link.health import FINE, PORT_FAULTS, WAITING
+from car_interface.teensy.link.console import PROGRAMS, PSEUDO_TERMINALS, consoles, removal_remedy
+from car_interface.teensy.link.health import BUSY, FINE, PORT_FAULTS, WAITING
 from car_interface.teensy.link.pinging import AUTO
 from car_interface.teensy.link.session import Session
-from car_interface.tools.doctor.checks.car import ABSENT, Node, restart_remedy
-from car_interface.tools.doctor.checks.findings import BAD, OK, WARN, Finding
+from car_interface.tools.doctor.car import ABSENT, Node, restart_remedy
+from car_interface.tools.doctor.computer import is_character_device
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
 
 HUBS = ("teensy_sensor_hub", "car_nodes")  # the processes that the hub may be
+MEMORY_MAJOR = 1  # Documentation/admin-guide/devices.txt of the kernel
+LIST_PORTS = "See which there are: ls /dev/serial/by-id /dev/ttyA*"
 MAX_NAMES = 3
 PING_PERIOD_NS = 300 * NS_PER_MS
 SONARS_WITHIN_NS = 2500 * NS_PER_MS  # a round of all six takes 0.6 s at most, unless their wait was set longer
 SONARS_REMEDY = ("Check their plugs, wires and supply; were they stopped, or left out of the sequence? The hub starts "
                  "them, and says more: roslaunch car_interface teensy_sensor_hub.launch")
 MAX_TRANSMIT_NS = 3600 * NS_PER_MS  # five unanswered pings at 0.5 s each, and one with the other checksum
+
+
+def is_pseudo_terminal(port: str) -> bool:
+    """Return whether there is a program behind a port, as with car_sim."""
+    return os.path.realpath(port).startswith(PSEUDO_TERMINALS)
+
+
+def probe_port(port: str, baud: int):
+    """Open the port, unless another program has it, and examine what is behind it."""
+    if _subsystem(port) not in (None, "tty"):
+        return [Finding(BAD, "port", f"{port}: this is not a serial port", LIST_PORTS)]
+    # The program behind a pseudo-terminal may hold this end, too.
+    is_real = is_character_device(port) and not is_pseudo_terminal(port)
+    holders = openers(port) or consoles(port) if is_real else []
+    if holders:
+        return check_holders(port, holders)
+    from car_interface.teensy.link.port import PortError, SerialLink  # it needs pyserial, which may be what is missing
+    link = SerialLink(port, baud)
+    try:
+        link.open()
+        teensy = _probe(link, baud)
+    except PortError as error:
+        # Any process may have something else open at this path, such as /dev/null.
+        hubs = [holder for holder in openers(port) if holder[1] in HUBS] if error.state == BUSY else []
+        return check_holders(port, hubs) or [Finding(BAD, "port", f"{port}: {error.cause}", error.remedy)]
+    finally:
+        link.close()
+    kind = "a pseudo-terminal: a virtual Teensy" if is_pseudo_terminal(port) else "a serial port, and nobody has it"
+    return [Finding(OK, "port", f"{port} is {kind}"), teensy]
+
+
+def _subsystem(path):
+    """Return what kind of device the kernel says it is, such as ``tty``; ``None`` when it says nothing."""
+    try:
+        number = os.stat(path).st_rdev
+    except OSError:
+        return None
+    try:
+        return os.path.basename(os.readlink(f"/sys/dev/char/{os.major(number)}:{os.minor(number)}/subsystem"))
+    except OSError:
+        pass  # pseudo-terminals aren't in there, and in a chroot nothing may be
+    if not is_character_device(path):
+        return None
+    if os.major(number) == MEMORY_MAJOR:
+        return "mem"
+    try:
+        with open("/proc/tty/drivers", encoding="ascii", errors="replace") as file:
+            return "tty" if is_terminal(os.major(number), os.minor(number), file.read()) else "unknown"
+    except OSError:
+        return None
+
+
+def _probe(link, baud):
+    """Return the finding about the Teensy behind an open port."""
+    now_ns = time.monotonic_ns()
+    probe = TeensyProbe(baud, now_ns)
+    while not probe.is_done(now_ns):
+        to_send = probe.step(now_ns)
+        if to_send:
+            link.write(to_send)
+        left_ns = max(0, min(probe.next_event_ns() - time.monotonic_ns(), NS_PER_S // 10))
+        if select.select([link.fileno()], [], [], left_ns / NS_PER_S)[0]:
+            probe.update(link.read(), time.monotonic_ns())
+        now_ns = time.monotonic_ns()
+    return probe.finding()
 
 
 def check_holders(path: str, holders: Sequence[tuple[int, str]]) -> list[Finding]:
@@ -47,11 +119,9 @@ def check_holders(path: str, holders: Sequence[tuple[int, str]]) -> list[Finding
 
 
 def is_terminal(major: int, minor: int, drivers: str) -> bool:
-    """Return whether a device is a serial port or another terminal.
+    """Return whether a device of this number is a serial port or another terminal.
 
     Args:
-        major: of its number, as is the minor.
-        minor: of its number.
         drivers: /proc/tty/drivers, a driver in each line: ``serial /dev/ttyS 4 64-95 serial``.
     """
     for line in drivers.splitlines():
@@ -63,33 +133,22 @@ def is_terminal(major: int, minor: int, drivers: str) -> bool:
     return False
 
 
-class Link(NamedTuple):
-    """What the doctor needs of the hub's ~link topic."""
-
-    level: int
-    state: str
-    description: str
-    next_step: str
-    round_trip_s: float
-    firmware_checksum: str
-
-
-def check_link(link: Link | None, port: str, node: Node) -> list[Finding]:
-    """Port and link as the running hub reports them; ``None`` = no message came."""
+def check_link(link: Any, port: str, node: Node) -> list[Finding]:
+    """Judge port and link by the running hub's LinkStatus; ``None`` = no message came."""
     if link is None:
         return [Finding(BAD, "Teensy", f"{node.path} runs, but its topic link is silent: it hangs",
                         restart_remedy(node.process))]
     if link.state in PORT_FAULTS:
-        return [Finding(min(link.level, BAD), "port", f"{port}: {link.description}",
+        return [Finding(min(link.level, BAD), "port", f"{port}: {link.words}",
                         link.next_step or f"rostopic echo {node.path}/link")]
     return [Finding(OK, "port", f"{port} is {node.path}'s"), _check_teensy(link, node)]
 
 
 def _check_teensy(link, node):
     if link.level != OK:
-        return Finding(min(link.level, BAD), "Teensy", link.description,
+        return Finding(min(link.level, BAD), "Teensy", link.words,
                        link.next_step or f"rostopic echo {node.path}/link")
-    return Finding(OK, "Teensy", f"{link.description}; {_describe_pong(link.round_trip_s, link.firmware_checksum)}")
+    return Finding(OK, "Teensy", f"{link.words}; {_describe_pong(link.round_trip, link.firmware_checksum)}")
 
 
 def check_virtual_port(port: str, simulator: str, hub_runs: bool) -> list[Finding]:

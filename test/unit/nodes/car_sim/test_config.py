@@ -2,7 +2,7 @@
 import pytest
 
 from car_interface.common.errors import ConfigError
-from car_interface.sim.calibrated_car import steering_curve
+from car_interface.nodes.car_sim.config import steering_curve
 from car_interface.sim.vehicle import SteeringConfig, Vehicle, VehicleConfig
 
 RADII_M = [1, 2, 10, 300]

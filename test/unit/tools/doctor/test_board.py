@@ -3,28 +3,30 @@ from __future__ import annotations
 
 import errno
 import os
+import sys
+import types
 
 import pytest
 
 from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
-from car_interface.tools.doctor.checks import board
-from car_interface.tools.doctor.checks.findings import BAD, OK, WARN
+from car_interface.tools.doctor import board
+from car_interface.tools.doctor.findings import BAD, OK, WARN
 
 # --- the bus ---
 
 def bus(exists=True, is_i2c=True, usable=True, others=()):
-    return board.Bus("/dev/i2c-1", exists, is_i2c, usable, "i2c", others)
+    return board.check_bus("/dev/i2c-1", exists, is_i2c, usable, "i2c", others)
 
 
-@pytest.mark.parametrize("facts, level, words, remedy", [
+@pytest.mark.parametrize("findings, level, words, remedy", [
     (bus(), OK, "/dev/i2c-1", ""),
     (bus(exists=False, is_i2c=False), BAD, "there is no such bus", "raspi-config"),
     (bus(exists=False, others=("/dev/i2c-7", "/dev/i2c-8")), BAD, "there are /dev/i2c-7, /dev/i2c-8", "/dev/i2c-7"),
     (bus(is_i2c=False), BAD, "not an I2C bus", "ls /dev/i2c-*"),
     (bus(usable=False), BAD, "its group is i2c", "setup_hardware"),
 ], ids=["fine", "absent", "absent_among_others", "no_bus", "no_permission"])
-def test_bus(facts, level, words, remedy):
-    found, = board.check_bus(facts)
+def test_bus(findings, level, words, remedy):
+    found, = findings
     assert (found.subject, found.level) == ("bus", level) and words in found.what and remedy in found.remedy
 
 
@@ -90,3 +92,48 @@ def test_chips_of_other_kinds_are_not_asked_for_the_question_is_a_write_to_them(
 def test_chip_that_can_not_be_read_is_told(number, words, remedy):
     found, = board.check_no_answer("0x40 on /dev/i2c-1", OSError(number, os.strerror(number)), [])
     assert (found.subject, found.level) == ("chip", BAD) and words in found.what and remedy in found.remedy
+
+
+# --- both ---
+
+@pytest.fixture
+def smbus2(monkeypatch):
+    """A bus that is there and usable, with a smbus2 that opens it; what was opened, and still is."""
+    module = types.SimpleNamespace(chips={0x40: VirtualPca9685()}, opened=[], refuses=None)
+
+    class SMBus(VirtualBus):
+        def __init__(self):
+            super().__init__(module.chips)
+
+        def open(self, device):
+            if module.refuses is not None:
+                raise module.refuses
+            module.opened.append(device)
+
+        def close(self):
+            module.opened.clear()
+
+    module.SMBus = SMBus
+    monkeypatch.setitem(sys.modules, "smbus2", module)
+    monkeypatch.setattr(board, "_probe_bus", lambda device: bus())
+    return module
+
+
+def levels_and_words(address=0x40, driven=False):
+    found = board.probe_board("/dev/i2c-1", address, 121, driven, 25e6)
+    return [(finding.subject, finding.level) for finding in found], found[-1].what
+
+
+def test_bus_and_chip_are_ok_unless_the_chip_lost_its_power_under_the_node(smbus2):
+    assert levels_and_words() == ([("bus", OK), ("chip", OK)],
+                                  "0x40 on /dev/i2c-1 is fresh from power-up: MODE1 0x11, PRE_SCALE 30")
+    assert levels_and_words(address=0x60) == ([("bus", OK), ("chip", BAD)],
+                                              "nothing answers at 0x60 on /dev/i2c-1, but something like it at 0x40")
+    assert smbus2.opened == []
+    assert levels_and_words(driven=True)[0] == [("bus", OK), ("chip", BAD)]
+
+
+def test_bus_that_can_not_be_opened_is_bad(smbus2):
+    smbus2.refuses = PermissionError(errno.EACCES, "Permission denied")
+    levels, words = levels_and_words()
+    assert levels == [("bus", BAD)] and "Permission denied" in words

@@ -30,14 +30,7 @@ def worst(findings: Sequence[Finding]) -> int:
 
 
 def render(finding: Finding, width: int | None = None, colour: bool = False) -> str:
-    """Return a finding as text.
-
-    Args:
-        finding: what to show.
-        width: columns of the terminal; the text is wrapped and the remedy begins a line of its own. ``None`` = one long
-            line, for a pipe.
-        colour: show the level in colour.
-    """
+    """Return a finding as text, wrapped for a terminal's ``width`` in columns; ``None`` = one long line, for a pipe."""
     name = f"{_NAMES[finding.level]:4}"
     what, remedy = _one_line(finding.what), f"remedy: {_one_line(finding.remedy)}" if finding.remedy else ""
     head = f"{name}  {finding.subject:{SUBJECT_WIDTH}}  "

@@ -1,1 +1,0 @@
-"""Facts in, findings out. Pure."""

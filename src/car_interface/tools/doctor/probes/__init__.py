@@ -1,1 +1,0 @@
-"""Where the facts come from: the ROS graph, devices, the computer."""

@@ -1,0 +1,150 @@
+"""Listens to a running car: who drives, the Teensy's link, the gamepad, and the reports on /diagnostics."""
+from __future__ import annotations
+
+import logging
+import math
+import threading
+import time
+import traceback
+from typing import NamedTuple
+
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray
+from sensor_msgs.msg import Joy
+
+from car_interface.common import causes
+from car_interface.common.declared import read
+from car_interface.common.errors import CarInterfaceError
+from car_interface.common.params import Params
+from car_interface.msg import LinkStatus, SteeringState, TeleopState
+from car_interface.ros.tcpros_limits import limit_connections
+from car_interface.teleop.gamepad import GamepadConfig
+from car_interface.tools.doctor.car import Node, Report
+from car_interface.tools.doctor.gamepad import GamepadFacts, JoySample
+from car_interface.tools.doctor.master import Master
+
+JOY_TYPE = "sensor_msgs/Joy"
+SAMPLE_S = 1.0  # for the rate: 20 messages of a joy_node that repeats
+LISTEN_S = 3.0  # for what comes once a second, behind a connection that may take a moment
+POLL_S = 0.02
+
+
+class GamepadListener:
+    """Listens to a gamepad and to its teleop_logi. ``start`` needs a node."""
+
+    def __init__(self, master: Master, node: Node):
+        self._node = node.path
+        self._topic, self._publishers = _find_topic(master, node.path)
+        self._config = _read_config(master, node.path)
+        self._messages: list[Joy] = []
+        self._arrivals_s: list[float] = []  # those of as many messages, or one less
+        self._states: list[TeleopState] = []
+
+    def start(self) -> None:
+        """Subscribe."""
+        rospy.Subscriber(self._topic, Joy, self._on_joy)
+        rospy.Subscriber(f"{self._node}/state", TeleopState, self._states.append)
+
+    def is_done(self) -> bool:
+        """Return whether enough came."""
+        arrivals_s = self._arrivals_s
+        is_sampled = len(arrivals_s) > 1 and arrivals_s[-1] - arrivals_s[0] >= SAMPLE_S
+        return bool(self._states) and (is_sampled or not self._publishers)
+
+    def result(self) -> GamepadFacts:
+        """Return what came so far."""
+        arrivals_s = list(self._arrivals_s)
+        messages, state = self._messages[:len(arrivals_s)], next(reversed(self._states), None)
+        end_s = arrivals_s[-1] if len(arrivals_s) > 1 else time.monotonic()
+        period_s = (end_s - arrivals_s[0]) / max(1, len(arrivals_s) - 1) if arrivals_s else math.inf
+        axes, buttons = (len(messages[-1].axes), len(messages[-1].buttons)) if messages else (0, 0)
+        odd = {index: value for message in messages for index, value in enumerate(message.axes)
+               if not math.isfinite(value)}
+        facts = GamepadFacts(self._node, self._topic, self._publishers, self._config,
+                             JoySample(len(messages), period_s, axes, buttons, odd))
+        if state is None:
+            return facts
+        is_at_rest = causes.NOT_AT_REST not in (state.steering_stick, state.throttle_stick)
+        return facts._replace(cause=state.cause, reason=state.reason,
+                              stick_cause="" if is_at_rest else causes.NOT_AT_REST)
+
+    def _on_joy(self, message):
+        self._messages.append(message)
+        self._arrivals_s.append(time.monotonic())
+
+
+def _find_topic(master, path):
+    """Return the topic on which teleop_logi takes the gamepad, which may be remapped, and the nodes that publish it."""
+    publishers, subscribers, _ = master.ask("getSystemState")
+    types = dict(master.ask("getTopicTypes"))
+    usual = f"{path.rpartition('/')[0]}/joy"
+    subscribed = [topic for topic, nodes in subscribers if path in nodes and types.get(topic) == JOY_TYPE]
+    topic = usual if usual in subscribed or not subscribed else subscribed[0]
+    return topic, next((sorted(nodes) for name, nodes in publishers if name == topic), [])
+
+
+def _read_config(master, path):
+    """Return how teleop_logi is set; ``None`` when it would refuse its parameters."""
+    try:
+        return read(Params(master.parameter(path) or {}), GamepadConfig)
+    except CarInterfaceError:
+        return None
+
+
+class TopicReports(NamedTuple):
+    """What came."""
+
+    link: LinkStatus | None  # the newest
+    steering: list  # each SteeringState
+    reports: list
+    gamepad: GamepadFacts | None = None
+
+
+def _reports_in(array):
+    """Return the entries of a DiagnosticArray by their names."""
+    return {status.name: Report(status.name, _level(status.level), status.message,
+                                next((value.value for value in status.values if value.key == "remedy"), ""))
+            for status in array.status}
+
+
+def _level(level):
+    """Return a byte, which genpy gives as a number or, for ROS 2's sake, as bytes."""
+    return level[0] if isinstance(level, bytes) else level
+
+
+def listen(hub: str | None, turn_arb: str | None, reporting, gamepad: GamepadListener | None = None) -> TopicReports:
+    """Listen until everything that is expected has come, at most for ``LISTEN_S``.
+
+    Args:
+        hub, turn_arb: paths of these nodes; ``None`` when they don't run.
+        reporting: the paths of the nodes that report on /diagnostics.
+        gamepad: ``None`` when teleop_logi doesn't run.
+    """
+    logging.disable(logging.CRITICAL)  # what goes wrong between rospy and the nodes becomes a finding
+    # rospy prints tracebacks of a peer that leaves in a handshake, and of a server that ends before its thread waits.
+    traceback.print_exc = threading.excepthook = lambda *_, **__: None
+    rospy.core.configure_logging = lambda *_: None  # it would leave a log file behind, an empty one
+    limit_connections()  # a publisher that never answers must not keep the doctor from ending
+    rospy.init_node("doctor", anonymous=True, disable_signals=True, disable_rosout=True)
+    links, states, reports = [], [], {}
+    if hub:
+        rospy.Subscriber(f"{hub}/link", LinkStatus, links.append)
+    if turn_arb:
+        rospy.Subscriber(f"{turn_arb}/state", SteeringState, states.append)
+    rospy.Subscriber("/diagnostics", DiagnosticArray, lambda array: reports.update(_reports_in(array)))
+    if gamepad:
+        gamepad.start()
+    wanted = {path.strip("/") for path in reporting}
+    deadline_s = time.monotonic() + LISTEN_S
+    while time.monotonic() < deadline_s:
+        has_link, has_state = links or not hub, len(states) > 1 or not turn_arb
+        has_gamepad = not gamepad or gamepad.is_done()
+        if has_link and has_state and has_gamepad and wanted <= {name.partition(":")[0] for name in list(reports)}:
+            break
+        time.sleep(POLL_S)
+    return TopicReports(next(reversed(links), None), states, list(reports.values()), gamepad and gamepad.result())
+
+
+def leave() -> None:
+    """Unregister from the master."""
+    rospy.signal_shutdown("the doctor is done")

@@ -1,0 +1,79 @@
+"""How long an echo pulse lasted, by the time since the report before: 16 bits of µs have no more than 65.5 ms."""
+from __future__ import annotations
+
+import pytest
+
+from car_interface.teensy.sensing.echo_pulses import EchoPulses
+
+WALL_US, NONE_US, CLONE_US = 5_810, 37_987, 199_987
+FAILED_MS = 29.443  # of a sonar that does not answer
+
+
+class Reports:
+    """Reports in the firmware's rhythm."""
+
+    def __init__(self, wait_ms=50, begins_ms=300.0, first_us=WALL_US):
+        self.pulses, self.wait_ms, self.known_wait_ms = EchoPulses(), wait_ms, wait_ms
+        self._now_ms = begins_ms
+        self.first = self._report(first_us)
+
+    def next(self, *echoes_us, failed=0):
+        """The lengths that are found of echoes, each after so many failed pings."""
+        found = []
+        for echo_us in echoes_us:
+            self._now_ms += self.wait_ms + 1.2 + failed * FAILED_MS
+            found.append(self._report(echo_us))
+        return found
+
+    def _report(self, echo_us):
+        self._now_ms += echo_us / 1000
+        return self.pulses.unwrap_us(echo_us % 2 ** 16, int(self._now_ms) % 2 ** 32, self.known_wait_ms)
+
+
+@pytest.mark.parametrize("echo_us", [1, WALL_US, NONE_US, 65_000, 66_000, 131_500, CLONE_US, 1_234_567, 2_000_000])
+@pytest.mark.parametrize("failed", range(6))
+@pytest.mark.parametrize("wait_ms", [0, 50, 1000])
+def test_length_is_found_of_any_echo_whoever_did_not_answer_before(echo_us, failed, wait_ms):
+    reports = Reports(wait_ms)
+    assert reports.first == WALL_US
+    assert reports.next(WALL_US, NONE_US, WALL_US) == [WALL_US, NONE_US, WALL_US]
+    found = reports.next(echo_us, failed=failed)[0]
+    if echo_us < 2 ** 16:
+        assert found == echo_us
+    else:  # two grids of 29.4 and 65.5 ms: a pulse of seconds has more than one length, of which none is short
+        assert found == echo_us or echo_us > 10 ** 6 and found > 10 ** 6
+    assert reports.next(WALL_US) == [WALL_US]
+
+
+def test_all_clones_and_no_wall_anywhere_are_no_longer_wait():
+    reports = Reports(first_us=CLONE_US)
+    assert reports.first is None
+    assert set(reports.next(*[CLONE_US] * 20)) == {CLONE_US}
+
+
+def test_wait_that_nobody_told_is_noticed_after_a_round():
+    reports = Reports(wait_ms=200)
+    reports.known_wait_ms = 50
+    assert reports.next(*[WALL_US] * 20)[8:] == [WALL_US] * 12
+    assert reports.next(CLONE_US, WALL_US) == [CLONE_US, WALL_US]
+
+
+@pytest.mark.parametrize("begins_ms, is_known", [(300, True), (5000, False), (2 ** 32 - 100, False)])
+def test_first_length_is_known_of_a_teensy_that_boots_and_unknown_of_one_that_runs(begins_ms, is_known):
+    reports = Reports(begins_ms=begins_ms)
+    assert reports.first == (WALL_US if is_known else None)
+    assert reports.next(WALL_US, CLONE_US, WALL_US) == [WALL_US, CLONE_US, WALL_US]
+
+
+def test_lost_report_leaves_one_length_unknown_unless_a_wall_was_near():
+    near, far = Reports(), Reports()
+    for reports, lost_us, found in ((near, WALL_US, WALL_US), (far, 20_000, None)):
+        assert reports.next(WALL_US) == [WALL_US]
+        reports._now_ms += 50 + 1.2 + lost_us / 1000
+        assert reports.next(WALL_US, WALL_US) == [found, WALL_US]
+
+
+def test_report_that_leaves_after_the_next_one_keeps_its_length():
+    pulses = EchoPulses()
+    assert [pulses.unwrap_us(echo, tick, 0) for echo, tick in ((569, 301), (2025, 319), (1734, 314), (569, 330))] == [
+        569, 2025, 1734, 569]

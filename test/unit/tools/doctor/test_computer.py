@@ -1,0 +1,160 @@
+"""Groups, clock and packages, as the doctor judges them, with fakes for files, groups and kernel."""
+from __future__ import annotations
+
+import ctypes
+import grp
+import os
+import time
+import types
+
+import pytest
+
+from car_interface.common.device_access import Membership
+from car_interface.tools.doctor import computer
+from car_interface.tools.doctor.findings import BAD, OK, WARN
+
+NOBODY = Membership("ann", False, frozenset(), frozenset(), frozenset({"dialout", "i2c", "input"}))
+
+# --- groups ---
+
+PORT, BUS = computer.Need("dialout", "the port", BAD), computer.Need("i2c", "the bus", BAD)
+PAD = computer.Need("input", "the gamepad", WARN)
+
+
+def member(process=(), user=(), existing=("dialout", "i2c", "input"), is_root=False):
+    return Membership("ann", is_root, frozenset(process), frozenset(user), frozenset(existing))
+
+
+@pytest.mark.parametrize("one, needs, level, what, remedy", [
+    (member(["dialout", "i2c"], ["dialout", "i2c"]), [PORT, BUS], OK, "ann is in dialout, i2c", ""),
+    (member(is_root=True), [PORT, BUS], OK, "", ""),
+    (member(), [], OK, "", ""),
+    (member([], ["i2c"]), [BUS], BAD, "after this log-in", "Log in anew"),
+    (member(), [PORT], BAD, "ann is not in dialout (the port)", "setup_hardware"),
+    (member(existing=["dialout"]), [BUS], BAD, "there is no group i2c", "setup_hardware"),
+    (member(), [PAD], WARN, "ann is not in input", ""),
+], ids=["in_all", "root", "virtual_devices", "from_the_next_log_in", "outside", "no_such_group", "as_bad_as_it_says"])
+def test_user_is_in_the_groups_that_are_needed_or_told_why_not(one, needs, level, what, remedy):
+    found, = computer.check_groups(one, needs)
+    assert found.level == level and what in found.what and remedy in found.remedy
+
+
+@pytest.mark.parametrize("mode, name, usual, group", [
+    (0o20660, "gpio", "i2c", "gpio"), (0o20620, "tty", "dialout", "dialout"), (0o20600, "root", "dialout", "dialout"),
+    (0o20660, None, "dialout", "dialout"), (None, "gpio", "dialout", "dialout"),
+], ids=["its_own", "a_consoles", "roots", "without_a_name", "absent"])
+def test_group_of_a_device_is_its_own_where_that_is_one_to_join_and_else_the_usual_one(monkeypatch, mode, name, usual,
+                                                                                       group):
+    def stat(path, **how):
+        if mode is None:
+            raise FileNotFoundError(path)
+        return os.stat_result((mode, 3, 26, 1, 0, 0 if name == "root" else 5, 0, 0, 0, 0))
+
+    def group_by_number(number):
+        if name is None:
+            raise KeyError(number)
+        return grp.struct_group((name, "x", number, []))
+    monkeypatch.setattr(os, "stat", stat)
+    monkeypatch.setattr(grp, "getgrgid", group_by_number)
+    assert computer.group_of("/dev/ttyAMA0", usual) == group
+
+
+@pytest.fixture
+def member(monkeypatch):
+    """A user in no group, on a computer without a gamepad."""
+    monkeypatch.setattr(computer, "read_membership", lambda: NOBODY)
+    monkeypatch.setattr(computer, "group_of", lambda path, usual: usual)
+    monkeypatch.setattr(computer.glob, "glob", lambda pattern: [])
+
+
+def missing_groups(virtual_port=False, virtual_bus=False):
+    found = computer.probe_groups("/dev/ttyACM0", "/dev/i2c-1", virtual_port, virtual_bus)
+    return [(finding.level, finding.what) for finding in found]
+
+
+def test_port_and_bus_need_their_groups_unless_they_are_virtual(member):
+    port, bus = (BAD, "ann is not in dialout (the Teensy's port)"), (BAD, "ann is not in i2c (the servo board's bus)")
+    assert missing_groups() == [port, bus]
+    assert missing_groups(virtual_bus=True) == [port] and missing_groups(virtual_port=True) == [bus]
+    assert missing_groups(True, True) == [(OK, "none needed: the devices are virtual")]
+
+
+@pytest.mark.parametrize("readable, found", [(True, [(OK, "none needed: the devices are virtual")]),
+                                             (False, [(WARN, "ann is not in input (the gamepad)")])])
+def test_gamepad_needs_its_group_only_while_it_cannot_be_read(member, monkeypatch, readable, found):
+    monkeypatch.setattr(computer.glob, "glob", lambda pattern: ["/dev/input/js0"])
+    monkeypatch.setattr(os, "access", lambda path, mode: readable)
+    assert missing_groups(True, True) == found
+
+
+# --- clock ---
+
+def kernel(monkeypatch, state=0, year=2026):
+    """A C library whose adjtimex returns ``state``; an exception = it is raised by loading it. And a year."""
+    def load(name, use_errno):
+        if isinstance(state, Exception):
+            raise state
+        return types.SimpleNamespace(adjtimex=lambda buffer: state)
+    monkeypatch.setattr(ctypes, "CDLL", load)
+    monkeypatch.setattr(time, "gmtime", lambda: time.struct_time((year, 1, 1, 0, 0, 0, 3, 1, 0)))
+
+
+UNSYNCHRONISED = 5  # TIME_ERROR of adjtimex(2)
+
+
+@pytest.mark.parametrize("reading, uses_sim_time, level, words", [
+    ({}, False, OK, "synchronised"),
+    ({"state": -1}, False, OK, "the kernel doesn't say"),
+    ({"state": OSError("no libc")}, False, OK, "the kernel doesn't say"),
+    ({"state": UNSYNCHRONISED}, False, WARN, "not synchronised"),
+    ({"year": 1970}, False, BAD, "it's the year 1970"),
+    ({"year": 2150, "state": UNSYNCHRONISED}, False, BAD, "it's the year 2150"),
+    ({}, True, WARN, "/use_sim_time"),
+], ids=["fine", "refused", "no_library", "unsynchronised", "epoch", "far_future", "simulated"])
+def test_clock(monkeypatch, reading, uses_sim_time, level, words):
+    kernel(monkeypatch, **reading)
+    found, = computer.probe_clock(uses_sim_time)
+    assert (found.level, bool(found.remedy)) == (level, level != OK) and found.what.startswith(words)
+
+
+def test_each_trouble_of_the_clock_is_told(monkeypatch):
+    kernel(monkeypatch, UNSYNCHRONISED)
+    assert len(computer.probe_clock(True)) == 2
+
+
+# --- packages ---
+
+@pytest.mark.parametrize("missing, environment, level, words", [
+    ([], "", OK, ""),
+    (["rosbags"], "~/car_tools/bin/car-interface", OK,
+     "the tools for recordings are in ~/car_tools/bin/car-interface"),
+    (["rosbags"], "", WARN, "rosbags is missing for bag_report, check_map and the calibration; driving needs none"),
+    (["matplotlib", "rosbags"], "", WARN, "matplotlib, rosbags are missing for bag_report"),
+], ids=["none", "in_a_virtual_environment", "one", "two"])
+def test_libraries_that_the_tools_lack_are_a_warning_that_names_them(missing, environment, level, words):
+    found, = computer.check_tools(missing, environment)
+    assert found.level == level and found.what.startswith(words)
+    assert found.remedy == ("" if level == OK else "rosdep install, or on Debian a virtual environment: "
+                            "docs/recordings.md, Install the tools")
+
+
+@pytest.mark.parametrize("is_installed, is_published, distribution, level, remedy", [
+    (True, False, "noetic", OK, ""),
+    (False, True, "debian", OK, ""),
+    (False, False, "noetic", WARN, "sudo apt install ros-noetic-joy"),
+    (False, False, "debian", OK, ""),
+], ids=["installed", "from_another_computer", "missing_on_ubuntu", "not_needed_on_debian"])
+def test_joy_is_missing_only_if_nobody_publishes_it(is_installed, is_published, distribution, level, remedy):
+    found, = computer.check_joy(is_installed, is_published, distribution)
+    assert found.level == level and remedy in found.remedy
+    assert level == OK or found.what.startswith("the ROS package joy, whose joy_node reads the gamepad, is missing")
+
+
+@pytest.mark.parametrize("is_virtual, joy, levels", [
+    (False, True, [OK, OK]), (False, False, [OK, WARN]), (True, False, [OK])],
+    ids=["joy_is_installed", "joy_is_missing", "virtual_car_needs_none"])
+def test_packages_are_those_of_the_tools_and_joy_for_a_car_with_hardware(is_virtual, joy, levels, monkeypatch):
+    monkeypatch.setenv("ROS_DISTRO", "noetic")
+    monkeypatch.setattr(computer, "TOOLS", {"json": "json"})
+    monkeypatch.setattr(computer, "_has_ros_package", {"joy": joy}.__getitem__)
+    assert [finding.level for finding in computer.probe_packages(False, is_virtual)] == levels
