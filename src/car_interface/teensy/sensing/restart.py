@@ -363,8 +363,8 @@ class RestartBridge:
         if not first or wheel.speed * sign < 0 or self._stop_variance:
             return places
         nearest = wheel.count + first if sign > 0 else wheel.count + 1 - first
-        if wheel.speed == 0.0 and not self._was_rolling():
-            return [nearest]  # it stood until pulses were counted again
+        if not self._blind_ms() or wheel.speed == 0.0 and not self._was_rolling():
+            return [nearest]  # no pulse was lost, or it stood until pulses were counted again
         possible = [place for place in places if (place - nearest) * sign >= 0]
         return possible or [nearest]
 
