@@ -144,7 +144,7 @@ class Pca9685:
         self._publish(self._timer.is_due(now_ns))
         self._diagnostics.step(now_ns)
         return min(self._timer.due_ns, self._diagnostics.due_ns, self._channels.next_deadline_ns(),
-                   self._supervisor.next_due_ns(), self._guard.due_ns)
+                   self._supervisor.next_due_ns(), self._guard.watch.due_ns)
 
     def _follow_guard(self, now_ns):
         """Give the guard its sign of life. After standing still: begin anew, and only then acknowledge."""
