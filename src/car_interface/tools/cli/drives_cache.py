@@ -81,24 +81,14 @@ def _raise_for(folder):
 
 
 class Cache:
-    """The rows of a folder's recordings.
-
-    Args:
-        folder: of the recordings.
-        version: of rows; those of another version, such as with other options, are not used.
-
-    Attributes:
-        path: of the file that was read; ``None`` = there is none.
-        problem: why an existing file wasn't used, as the end of a sentence; empty: it was, or there is none.
-        damaged: how many of its rows aren't used since they are none.
-    """
+    """The rows of a folder's recordings; those of another ``version``, such as with other options, are not used."""
 
     def __init__(self, folder: str, version: str):
         self._version = version
         self._paths = (os.path.join(folder, NAME), _elsewhere(folder))
         self._rows: dict = {}  # (fingerprint, row) by path
-        self.problem = ""
-        self.damaged = 0
+        self.problem = ""  # why an existing file wasn't used, as the end of a sentence
+        self.damaged = 0  # how many of its rows aren't used since they are none
         self.path = next((path for path in self._paths if os.path.exists(path)), None)
         if self.path is not None:
             self._load(self.path)
@@ -114,11 +104,7 @@ class Cache:
             self._rows[row.path] = (state, row)
 
     def save(self, paths: Iterable[str]) -> str:
-        """Write the file, with the rows of ``paths`` only.
-
-        Returns:
-            Why it can't be written; empty: it was.
-        """
+        """Write the file, with the rows of ``paths`` only; return why it can't be written, or an empty text."""
         kept = {path: [*self._rows[path]] for path in paths if path in self._rows}
         body = json.dumps({"version": self._version, "rows": kept}, ensure_ascii=True)
         text = f"{_checksum(body)}\n{body}\n"
@@ -137,11 +123,14 @@ class Cache:
             checksum, body = _read(path).split("\n")[:2]
             if checksum != _checksum(body):
                 raise ValueError
-            version, rows = _structure(json.loads(body))
+            content = json.loads(body)
+            version, rows = content["version"], content["rows"]
+            if not isinstance(version, str) or not isinstance(rows, dict):
+                raise ValueError
         except OSError as error:
             self.problem = f"{path} can't be read ({error.strerror})"
             return
-        except (ValueError, RecursionError):
+        except (ValueError, TypeError, KeyError, RecursionError):
             self.problem = f"{path} is damaged"
             return
         if version != self._version:
@@ -166,29 +155,14 @@ def _read(path):
         return file.read()
 
 
-def _structure(content: Any) -> tuple[str, dict]:
-    """Return version and rows of a file's content.
-
-    Raises:
-        ValueError: it has none.
-    """
-    if not isinstance(content, dict):
-        raise ValueError
-    version, rows = content.get("version"), content.get("rows")
-    if not isinstance(version, str) or not isinstance(rows, dict):
-        raise ValueError
-    return version, rows
-
-
 def _stored(path: str, entry: Any) -> tuple[Fingerprint, Row] | None:
     """Return state and row of an entry; ``None``: it has another structure."""
     if not isinstance(entry, list) or len(entry) != 2:
         return None
-    state, values = entry
-    if not isinstance(state, list) or len(state) != 2 or not all(type(number) is int for number in state):
+    state, row = entry[0], stored_row(entry[1], path)
+    if row is None or not isinstance(state, list) or [type(number) for number in state] != [int, int]:
         return None
-    row = stored_row(values, path)
-    return None if row is None else (Fingerprint(*state), row)
+    return Fingerprint(*state), row
 
 
 def _elsewhere(folder):

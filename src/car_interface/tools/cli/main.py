@@ -33,15 +33,7 @@ INTERRUPTED = 128 + signal.SIGINT
 
 
 def main(command: str | None = None, arguments: Sequence[str] | None = None) -> int:
-    """Run a command.
-
-    Args:
-        command: its name; ``None`` = the first of the arguments.
-        arguments: by default those of this process.
-
-    Returns:
-        The exit code.
-    """
+    """Run a command, ``None`` = the first of the arguments (by default the process's); return the exit code."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     codecs.register_error("car_interface.plain", _plain)
     if hasattr(sys.stdout, "reconfigure"):

@@ -76,11 +76,7 @@ def topics_of(options: argparse.Namespace, **named: str | None) -> dict[str, str
 
 
 def check_channel(name: str, channel: int | None, accepted: str = "a channel of the servo board, 0 to 15") -> None:
-    """Check the number of a channel; ``None`` = not given.
-
-    Raises:
-        ConfigError: naming the option.
-    """
+    """Raise ConfigError, naming the option, when there is no such channel; ``None`` = not given."""
     if channel is not None and not 0 <= channel < CHANNELS:
         raise ConfigError(name, channel, accepted)
 

@@ -8,7 +8,7 @@ import math
 from abc import ABC, abstractmethod
 from array import array
 from collections import Counter
-from typing import Any
+from typing import Any, Callable
 
 import numpy as np
 
@@ -34,15 +34,11 @@ class Timeline:
     """Converts ROS time to seconds since the first message.
 
     Where the clock was set back, all that follows is moved behind what was recorded before.
-
-    Attributes:
-        start_ns: ROS time of the first message.
-        last_s: of the newest message.
     """
 
     def __init__(self):
-        self.start_ns = 0
-        self.last_s = 0.0
+        self.start_ns = 0  # ROS time of the first message
+        self.last_s = 0.0  # of the newest message
         self._shift_s = 0.0
         self._steps = []  # (time in s, step back in s)
         self._has_started = False
@@ -131,6 +127,8 @@ class StampedColumn(Column):
     A stamp that is seconds away from the recording time gives way to that.
     """
 
+    series: Callable  # of times and columns
+
     def __init__(self, topic):
         super().__init__(topic)
         self._rows = array("d")
@@ -153,6 +151,9 @@ class StampedColumn(Column):
     def row(self, message) -> tuple:
         """Return the numbers of a message that must be finite."""
 
+    def build(self):
+        return self.series(*self._columns())
+
     def _add_more(self, message):
         """Add numbers that may be NaN."""
 
@@ -167,7 +168,7 @@ class StampedColumn(Column):
         return at_s
 
     def _columns(self):
-        return np.frombuffer(self._times), np.frombuffer(self._rows).reshape(len(self._times), -1).T
+        return np.frombuffer(self._times), *np.frombuffer(self._rows).reshape(len(self._times), -1).T
 
 
 class OdomColumn(StampedColumn):
@@ -178,8 +179,8 @@ class OdomColumn(StampedColumn):
         return (pose.position.x, pose.position.y, yaw_rad(pose.orientation), twist.linear.x, twist.angular.z)
 
     def build(self):
-        times, (x_m, y_m, yaw, speed_mps, yaw_rate_radps) = self._columns()
-        return Odom(times, x_m, y_m, np.unwrap(yaw), speed_mps, yaw_rate_radps)
+        odom = Odom(*self._columns())
+        return odom._replace(yaw_rad=np.unwrap(odom.yaw_rad))
 
 
 class ImuColumn(StampedColumn):
@@ -201,31 +202,26 @@ class ImuColumn(StampedColumn):
         self._gravity.add(message.linear_acceleration)
 
     def build(self):
-        times, (yaw_rate_radps, acceleration_mps2) = self._columns()
-        return Imu(times, yaw_rate_radps, acceleration_mps2, np.frombuffer(self._pitch))
+        return Imu(*self._columns(), np.frombuffer(self._pitch))
 
 
 class AckermannColumn(StampedColumn):
     """ackermann_msgs/AckermannDriveStamped, or AckermannDrive, which counts by when it was recorded."""
 
+    series = Ackermann
+
     def row(self, message):
         drive = ackermann_drive(message)
         return drive.steering_angle, drive.speed
-
-    def build(self):
-        times, (angle_rad, speed_mps) = self._columns()
-        return Ackermann(times, angle_rad, speed_mps)
 
 
 class ValueColumn(StampedColumn):
     """A message with a number named ``data``."""
 
+    series = Value
+
     def row(self, message):
         return (float(message.data),)
-
-    def build(self):
-        times, (value,) = self._columns()
-        return Value(times, value)
 
 
 class OutputColumn(Column):

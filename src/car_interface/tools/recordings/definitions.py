@@ -44,7 +44,7 @@ class Definitions:
         self._by_text: dict = {}  # by name and definition: two publishers may have different ones of a type
 
     def decoder(self, connection) -> Callable[[bytes], Any]:
-        """A function from the bytes of one connection's messages to messages.
+        """Return a function from the bytes of one connection's messages to messages.
 
         Raises:
             UnknownType: neither the recording nor this package has its definition.
@@ -63,7 +63,7 @@ class Definitions:
 
 
 def known_types() -> Any:
-    """The types of ROS 2 Humble, of this package, Autoware's equivalents, and OTHERS, as rosbags' typestore."""
+    """Return the types of ROS 2 Humble, of this package, Autoware's equivalents, and OTHERS, as rosbags' typestore."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     types: dict = {}
     for path in sorted(package_file("msg").glob("*.msg")):
@@ -94,7 +94,7 @@ def _store(name, text, is_idl):
 
 
 def _definition(connection):
-    """The text of a definition, empty when the recording has none, and whether it's in IDL."""
+    """Return the text of a definition, empty when the recording has none, and whether it's in IDL."""
     definition = connection.msgdef
     if isinstance(definition, str):  # rosbags before 0.10
         return definition, definition.startswith(IDL_RULE + "IDL: ")

@@ -30,11 +30,7 @@ def trail(signals: Signals) -> Trail:
 
 
 def check_paths_differ(paths: Sequence[str]) -> None:
-    """Refuse a file that is given twice.
-
-    Raises:
-        NoRecording: with both names.
-    """
+    """Raise NoRecording with both names when a file is given twice."""
     seen: dict = {}
     for path in paths:
         real = os.path.realpath(path)

@@ -59,7 +59,7 @@ class NoRecording(CarInterfaceError):
 
 
 def contents(path: str) -> Contents:
-    """Times and topics of a recording.
+    """Return times and topics of a recording.
 
     Raises:
         NoRecording: it can't be read.
@@ -114,7 +114,7 @@ def read(path: str, topics: Sequence[str] | Mapping[str, str | Sequence[str]], n
 
 
 def absolute_names(recorded: Iterable[str], topics: Iterable[str], namespace: str = "/") -> dict[str, str]:
-    """For each absolute name under which a topic was recorded, the name by which it was requested."""
+    """Return the name by which a topic was requested, by each absolute name under which it was recorded."""
     recorded, prefix = set(recorded), "/" + namespace.strip("/")
     names = {}
     for topic in topics:
@@ -127,14 +127,10 @@ def absolute_names(recorded: Iterable[str], topics: Iterable[str], namespace: st
 
 
 def require(path: str, topics: Iterable[str], namespace: str = "/", why: str = "") -> None:
-    """Check that all topics were recorded.
-
-    Args:
-        topics: their names, as for ``read``.
-        why: the purpose, as the end of a sentence.
+    """Check that all topics were recorded, by their names as for ``read``.
 
     Raises:
-        NoRecording: names the first that wasn't, and topics with similar names.
+        NoRecording: names the first that wasn't, ``why`` it is needed, and topics with similar names.
     """
     recorded = contents(path).topics
     found = set(absolute_names(recorded, topics, namespace).values())
@@ -148,13 +144,10 @@ def require(path: str, topics: Iterable[str], namespace: str = "/", why: str = "
 
 
 def check_types(path: str, topics: Mapping[str, str | Sequence[str]], namespace: str = "/") -> None:
-    """Check that topics were recorded with accepted types.
-
-    Args:
-        topics: the accepted type, or several, by name, as for ``read``; those that weren't recorded are left out.
+    """Check that topics, as for ``read``, have an accepted type where they were recorded.
 
     Raises:
-        NoRecording: names the first that wasn't.
+        NoRecording: names the first that hasn't.
     """
     recorded = contents(path).topics
     for name, topic in absolute_names(recorded, topics, namespace).items():
@@ -162,9 +155,7 @@ def check_types(path: str, topics: Mapping[str, str | Sequence[str]], namespace:
 
 
 def is_of_type(kind: str, accepted: Iterable[str]) -> bool:
-    """Return whether a message type, such as ``nav_msgs/msg/Odometry``, is one of those, written as in ROS 1 or in ROS
-    2.
-    """
+    """Return whether a type such as nav_msgs/msg/Odometry is an accepted one; both may be written as in ROS 1 or 2."""
     return _short(kind) in map(_short, accepted)
 
 

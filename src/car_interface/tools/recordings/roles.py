@@ -54,12 +54,7 @@ class Found(NamedTuple):
 
 
 def find(recorded: Mapping[str, Topic], role: Role, namespace: str = "/", given: str | None = None) -> Found:
-    """Find the topic for a role.
-
-    Args:
-        recorded: the topics by absolute name.
-        given: by the user, goes before everything else; ``None`` = not given.
-    """
+    """Find the topic for a role; one ``given`` by the user goes before everything else."""
     if given is not None and given != role.topics[0]:
         return Found(given)
     with_messages = {name: topic for name, topic in recorded.items() if topic.count}
@@ -78,13 +73,7 @@ def find(recorded: Mapping[str, Topic], role: Role, namespace: str = "/", given:
 
 def without(recorded: Mapping[str, Topic], given: Mapping[str, str | None], role: Role,
             namespace: str) -> dict[str, Topic]:
-    """Return the recorded topics that can play a role: those that the user gave to other roles can't.
-
-    Args:
-        recorded: the topics by absolute name.
-        given: by the user, by role; ``None`` = not given.
-        role: to play.
-    """
+    """Return the recorded topics that can play a role: not those that the user gave to others (``None`` = to none)."""
     others = [topic for name, topic in given.items() if topic is not None and name != role.name]
     taken = absolute_names(recorded, others, namespace)
     return {name: topic for name, topic in recorded.items() if name not in taken}

@@ -21,16 +21,12 @@ from car_interface.common.units import NS_PER_S
 
 
 class ChunkReader(Reader):
-    """A ROS 1 bag.
-
-    Attributes:
-        steps_back: how often a topic's recording time went back.
-        clock_steps_back: how often by more than a second: the clock was set.
-    """
+    """A ROS 1 bag."""
 
     def __init__(self, path):
         super().__init__(path)
-        self.steps_back = self.clock_steps_back = 0
+        self.steps_back = 0  # how often a topic's recording time went back
+        self.clock_steps_back = 0  # how often by more than a second: the clock was set
         self._newest: dict = {}  # time of the newest message, by connection
 
     def open(self) -> None:

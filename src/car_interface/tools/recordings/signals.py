@@ -34,29 +34,19 @@ PULSE_TYPES = {WHEEL_TOPIC: "car_interface/Wheel", CLOCK_TOPIC: "car_interface/T
 
 
 class Signals(NamedTuple):
-    """The columns of a recording; ``None`` for those that weren't asked for or aren't in it.
-
-    Attributes:
-        path: of the recording.
-        start_s: ROS time at which all ``t_s`` begin.
-        duration_s: from the first message to the last.
-        odom, output, imu, value, ackermann: see their classes.
-        pulses: of the left and the right wheel.
-        topics: the topic of each part that is there, by the part.
-        notes: what was guessed and what was left out, a line each that names the topic.
-    """
+    """The columns of a recording; ``None`` for those that weren't asked for or aren't in it."""
 
     path: str
-    start_s: float
-    duration_s: float
+    start_s: float  # ROS time at which all ``t_s`` begin
+    duration_s: float  # from the first message to the last
     odom: Odom | None
     output: Output | None
     imu: Imu | None
     value: Value | None
     ackermann: Ackermann | None
-    pulses: tuple[Pulses, Pulses] | None
-    topics: dict[str, str]
-    notes: tuple[str, ...]
+    pulses: tuple[Pulses, Pulses] | None  # of the left and the right wheel
+    topics: dict[str, str]  # of each part that is there, by the part
+    notes: tuple[str, ...]  # what was guessed and what was left out, a line each that names the topic
 
 
 def load(path: str, wanted: Collection[str], *, optional: Collection[str] = (), namespace: str = "/",
@@ -126,9 +116,7 @@ def _columns(path, wanted, optional, topics, namespace):
 
 
 def _output_column(path, recorded, is_wanted, topics, namespace):
-    """Return the board's outputs; without them its commands, which don't show channels that were set before the
-    recording.
-    """
+    """Return the board's outputs; without them its commands, which lack channels that were set before the recording."""
     given = [(kind, [topics[role.name]]) for role, kind in BOARD if topics.get(role.name)]
     usual = [(kind, role.topics) for role, kind in BOARD]
     for kind, names in given or usual:

@@ -1,4 +1,4 @@
-"""Curves, paths and places of a drive, downsampled to bounded memory whatever its length."""
+"""Downsamples curves, paths and places of a drive to bounded memory, whatever its length."""
 from __future__ import annotations
 
 import math
@@ -17,10 +17,6 @@ class Trace:
     Args:
         start_s, end_s: of the drive.
         bins: how many it is divided into; with twice as many as pixels no difference can be seen.
-
-    Attributes:
-        count: of all samples.
-        minimum, maximum: of all samples; inf and −inf without any.
     """
 
     def __init__(self, start_s: float, end_s: float, bins: int = 1500):
@@ -28,7 +24,7 @@ class Trace:
         self._bins_per_s = bins / max(end_s - start_s, 1e-9)
         self._last = bins - 1
         self._minima, self._maxima = ((array("d", [EMPTY]) * bins, array("d", [EMPTY]) * bins) for _ in range(2))
-        self.count = 0
+        self.count = 0  # of all samples, as are the next two
         self.minimum, self.maximum = math.inf, -math.inf
 
     def add(self, time_s: float, value: float) -> None:
@@ -56,16 +52,12 @@ class Trace:
 
 
 class Path:
-    """A path in the plane, in steps that double whenever there are too many points.
-
-    Attributes:
-        x_m, y_m: the points; NaN where the path is interrupted.
-        kinds: who steered the car to each.
-    """
+    """A path in the plane, in steps that double whenever there are too many points."""
 
     def __init__(self, step_m: float = 0.02, max_points: int = 8000):
         self._step_m, self._max_points = step_m, max_points
-        self.x_m, self.y_m, self.kinds = array("d"), array("d"), array("b")
+        self.x_m, self.y_m = array("d"), array("d")  # NaN where the path is interrupted
+        self.kinds = array("b")  # who steered the car to each point
 
     def add(self, x_m: float, y_m: float, kind: int) -> None:
         """Add a point, if it is far enough from the one before or somebody else steers."""
@@ -92,12 +84,7 @@ class Path:
 
 
 class Spots:
-    """Places in the plane by the cell that they lie in; cells double whenever there are too many.
-
-    Attributes:
-        count: of all places.
-        cell_m: the cells' width.
-    """
+    """Places in the plane by the cell that they lie in; cells of the width cell_m, doubled if there are too many."""
 
     def __init__(self, cell_m: float = 0.02, max_cells: int = 12000):
         self.cell_m, self._max_cells = cell_m, max_cells

@@ -1,4 +1,4 @@
-"""The table of all drives: as a page of HTML with trends, and as CSV."""
+"""Shows the table of all drives: as a page of HTML with trends, and as CSV."""
 from __future__ import annotations
 
 import math
@@ -21,18 +21,12 @@ TEXT_MARK = "'"  # in a spreadsheet: what follows is text
 
 
 def in_order(rows: Sequence[Row]) -> list[Row]:
-    """The rows by date; those that couldn't be read come last."""
+    """Return the rows by date; those that couldn't be read come last."""
     return sorted(rows, key=lambda row: (row.start_ns is None, row.start_ns or 0, row.path))
 
 
 def page(folder: str, rows: Sequence[Row], trends: str) -> str:
-    """The page.
-
-    Args:
-        folder: that was searched, as its owner wrote it.
-        rows: in order.
-        trends: the plots as SVG, empty = none.
-    """
+    """Return the page on a folder, with its rows in order, and the plots as SVG; empty = none."""
     drives = [row for row in rows if not row.error]
     bad = [row for row in rows if row.error]
     dates = [date_text(row.start_ns) for row in drives if row.start_ns >= MIN_DATE_NS]
@@ -53,7 +47,7 @@ def _figures(drives):
 
 
 def _cells(row):
-    """The cells of a row between its recording and its faults, each a list of lines."""
+    """Return the cells of a row between its recording and its faults, each a list of lines."""
     return [[_date(row)], *([*lines(row)] for lines in (_distance, _drivers, _losses, _steering, _map, _link))]
 
 

@@ -1,4 +1,4 @@
-"""One recording as a row of the table of drives: what to compare from drive to drive."""
+"""Makes a recording a row of the table of drives: what to compare from drive to drive."""
 from __future__ import annotations
 
 import math
@@ -16,48 +16,33 @@ MAX_FIGURE = 1e12  # above any distance, duration or ratio that a car can have; 
 
 
 class Row(NamedTuple):
-    """A recording. ``None``: the recording can't tell; all types are JSON's.
+    """A recording. ``None``: the recording can't tell; all types are JSON's."""
 
-    Attributes:
-        path: relative to the folder.
-        error: why it can't be read; empty: it was read.
-        start_ns, duration_s, distance_m: when, how long, how far by odometry.
-        gamepad_s, planner_s: how long which of them steered.
-        losses: how often something was lost or locked while somebody drove, by cause.
-        straight_per_m: the curvature that the car drove when sent straight on, left positive: the center is off.
-        left_ratio, right_ratio: the driven curvature to the sent one.
-        drive_mps2, hold_mps2, brake_mps2: by how much the car accelerated more than the planner requested, where that
-            was to drive, to hold the speed, to brake: the value map is off.
-        frames, corrupt, reopened, reboots, unanswered: of the Teensy's link: good and corrupt frames, how often the
-            port was opened again, how often the Teensy started anew, pings without an answer.
-        faults, errors: how many, and how many of them are errors.
-        lacks: what was not recorded, or not all of the time.
-        notes: which topics were guessed.
-    """
-
-    path: str
-    error: str = ""
+    path: str  # relative to the folder
+    error: str = ""  # why it can't be read; empty: it was read
     start_ns: int | None = None
     duration_s: float | None = None
-    distance_m: float | None = None
-    gamepad_s: float | None = None
+    distance_m: float | None = None  # by odometry
+    gamepad_s: float | None = None  # how long the gamepad steered
     planner_s: float | None = None
-    losses: Any = None
-    straight_per_m: float | None = None
-    left_ratio: float | None = None
+    losses: Any = None  # how often something was lost or locked while somebody drove, by cause
+    straight_per_m: float | None = None  # the curvature driven when sent straight on, left positive: the center is off
+    left_ratio: float | None = None  # the driven curvature to the sent one
     right_ratio: float | None = None
+    # By how much the car accelerated more than the planner requested, where that was to drive, to hold the speed, to
+    # brake: the value map is off.
     drive_mps2: float | None = None
     hold_mps2: float | None = None
     brake_mps2: float | None = None
-    frames: int | None = None
+    frames: int | None = None  # good ones of the Teensy's link
     corrupt: int | None = None
-    reopened: int | None = None
-    reboots: int | None = None
-    unanswered: int | None = None
+    reopened: int | None = None  # how often the port was opened again
+    reboots: int | None = None  # how often the Teensy started again
+    unanswered: int | None = None  # pings
     faults: int | None = None
-    errors: int | None = None
-    lacks: Any = ()
-    notes: Any = ()
+    errors: int | None = None  # among the faults
+    lacks: Any = ()  # what was not recorded, or not all of the time
+    notes: Any = ()  # which topics were guessed
 
 
 def _is_text(value):
@@ -102,12 +87,7 @@ LINK = ("frames", "corrupt", "reopened", "reboots", "unanswered")  # all known, 
 
 
 def stored_row(values: Any, path: str) -> Row | None:
-    """Return the row of ``path``, a recording that could be read, out of JSON; ``None``: it is no such row.
-
-    Args:
-        values: of any structure.
-        path: of the recording whose row it is taken for.
-    """
+    """Return the row of ``path``, a recording that could be read, out of JSON; ``None``: it is no such row."""
     if not isinstance(values, list) or len(values) != len(Row._fields):
         return None
     found = Row(*values)
@@ -171,5 +151,5 @@ def _median(found):
 
 
 def _possible(figure):
-    """``None`` instead of a figure that no car can have: its odometry is garbage."""
+    """Return a figure; ``None`` instead of one that no car can have: its odometry is garbage."""
     return figure if _is_figure(figure) else None

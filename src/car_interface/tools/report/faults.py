@@ -23,16 +23,11 @@ class Fault(NamedTuple):
 
 
 class FaultLog:
-    """The faults of a drive, up to MAX_ENTRIES of them.
-
-    Attributes:
-        entries: in order of their ends; ``finish`` sorts them by their starts.
-        dropped: how many more there were.
-    """
+    """The faults of a drive, up to MAX_ENTRIES of them."""
 
     def __init__(self):
-        self.entries: list = []
-        self.dropped = 0
+        self.entries: list = []  # in order of their ends; ``finish`` sorts them by their starts
+        self.dropped = 0  # how many more there were
         self._open: dict = {}  # conditions that last, by key
         self._repeated: dict = {}  # index of an entry, by key
 
@@ -60,11 +55,9 @@ class FaultLog:
             self.dropped += 1
 
     def update_condition(self, time_s: float, key: str, level: int, where: str, what: str) -> None:
-        """Begin, continue or end a condition.
+        """Begin, continue or end the condition of a key.
 
         Args:
-            time_s: of this report.
-            key: of the condition.
             level: OK ends it.
             where: who reports it.
             what: a text that differs in more than its numbers begins another one.
@@ -86,10 +79,9 @@ class FaultLog:
 
 
 class NodeReports:
-    """The faults in /diagnostics and /rosout.
+    """Adds the faults in /diagnostics and /rosout.
 
     Args:
-        faults: where they go.
         present: the recorded topics; what turn_arb, the hub and teleop_logi report in topics of their own isn't added
             twice.
         log_type: the type of /rosout, such as rosgraph_msgs/msg/Log.
@@ -103,7 +95,7 @@ class NodeReports:
         self._warning, self._error = LOG_LEVELS.get(log_type.split("/")[0], LOG_LEVELS["rosgraph_msgs"])
 
     def on_diagnostics(self, time_s: float, message: Any) -> None:
-        """diagnostic_msgs/DiagnosticArray."""
+        """Take a diagnostic_msgs/DiagnosticArray."""
         for status in message.status:
             node, _, report = status.name.partition(": ")
             if report == "steering" and self._has_state or report == "Teensy link" and self._has_link \
@@ -113,7 +105,7 @@ class NodeReports:
                                           status.message)
 
     def on_log(self, time_s: float, message: Any) -> None:
-        """rosgraph_msgs/Log or rcl_interfaces/Log."""
+        """Take a rosgraph_msgs/Log or rcl_interfaces/Log."""
         node = message.name.strip("/")
         is_known = node.endswith("turn_arb") and self._has_state or \
             self._has_gamepad and message.msg.startswith("human in loop: ")

@@ -1,4 +1,4 @@
-"""What the plots have in common: colours, style, axes over time, and the text of an SVG."""
+"""Draws what the plots have in common: colours, style, axes over time, and the text of an SVG."""
 from __future__ import annotations
 
 import io
@@ -60,16 +60,25 @@ def title(axes, text: str) -> None:
     axes.set_title(text, loc="left", color=INK)
 
 
-def stack(drive, panels, heights):
-    """Return (a figure, its axes) with the wanted panels one above the other over the same time."""
-    heights = [height for height, wanted in zip(heights, panels) if wanted]
+def stack(drive, panels):
+    """Return a figure with panels one above the other over the same time; ``None`` when none is wanted.
+
+    Args:
+        panels: (whether it is wanted, height in inches, function of axes and drive that draws it) of each.
+    """
+    panels = [(height, draw) for is_wanted, height, draw in panels if is_wanted]
+    if not panels:
+        return None
+    heights = [height for height, _ in panels]
     figure = Figure(figsize=(WIDTH_IN, sum(heights) + 0.45 * len(heights) + 0.25), constrained_layout=True)
     all_axes = figure.subplots(len(heights), 1, sharex=True, squeeze=False,
                                gridspec_kw={"height_ratios": heights})[:, 0]
     for axes in all_axes:
         time_axis(axes, drive, labelled=axes is all_axes[-1])
         _strip(axes, drive)
-    return figure, list(all_axes)
+    for axes, (_, draw) in zip(all_axes, panels):
+        draw(axes, drive)
+    return figure
 
 
 def time_axis(axes, drive, labelled=True):

@@ -1,4 +1,4 @@
-"""How closely a car followed what it was sent: medians of ratios and differences, in bounded memory."""
+"""Compares what a car did with what it was sent: medians of ratios and differences, in bounded memory."""
 from __future__ import annotations
 
 import math
@@ -23,12 +23,7 @@ class MedianOf(NamedTuple):
 
 
 class Bins:
-    """Numbers counted in bins, for a median; what lies beyond counts in the first or the last one.
-
-    Args:
-        low, high: of the numbers.
-        width: of a bin, as exact as the median is.
-    """
+    """Numbers counted in bins, for a median as exact as they are wide; the first and the last take what lies beyond."""
 
     def __init__(self, low: float, high: float, width: float):
         self._low, self._width = low, width

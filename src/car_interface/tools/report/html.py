@@ -1,8 +1,9 @@
-"""Renders pages by the templates beside this module, and says numbers and times in words."""
+"""Renders pages by the templates beside this module, and puts numbers and times into words."""
 from __future__ import annotations
 
 import math
 import time
+from collections import Counter
 from pathlib import Path
 from typing import Any, Iterable
 
@@ -16,14 +17,7 @@ MIN_DATE_NS = 1_000_000_000 * NS_PER_S  # September 2001: before ROS; the clock 
 
 
 def render(template: str, **values: Any) -> str:
-    """Return a page as HTML.
-
-    Texts are escaped, as recordings come from other people.
-
-    Args:
-        template: its name, such as drive.html.
-        values: what it shows. The functions of this module that return texts are its filters.
-    """
+    """Return a page as HTML by a template such as drive.html; texts are escaped: recordings come from other people."""
     pages = Environment(loader=FileSystemLoader(str(Path(__file__).with_name("templates"))), autoescape=True,
                         undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True)
     pages.filters.update(counted=counted, date=date_text, span=span_text, times=times_text)
@@ -32,33 +26,24 @@ def render(template: str, **values: Any) -> str:
 
 
 def counted(texts: Iterable[str]) -> str:
-    """Texts with their numbers, the most frequent first."""
-    counts: dict = {}
-    for text in texts:
-        counts[text] = counts.get(text, 0) + 1
-    ordered = sorted(counts.items(), key=lambda item: -item[1])
-    return "; ".join(text + (f" ({count}×)" if count > 1 else "") for text, count in ordered[:6])
-
-
-def range_text(minimum: float, maximum: float, unit: str) -> str:
-    """A range with its unit."""
-    return f"{round(minimum, 2) + 0.0:.2f} to {round(maximum, 2) + 0.0:.2f} {unit}"  # + 0.0: no "-0.00"
+    """Return texts with how often each comes, the most frequent first."""
+    return "; ".join(text + (f" ({count}×)" if count > 1 else "") for text, count in Counter(texts).most_common(6))
 
 
 def date_text(time_ns: int) -> str:
-    """ROS time as a date, UTC; in words where the clock had none."""
+    """Return ROS time as a date, UTC; in words where the clock had none."""
     if time_ns < MIN_DATE_NS:
         return f"no date: its clock began at 0, {span_text(time_ns / NS_PER_S)} before"
     return time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(time_ns / NS_PER_S))
 
 
 def times_text(count: int) -> str:
-    """How often: never, once, twice, 3 times."""
+    """Return how often: never, once, twice, 3 times."""
     return ("never", "once", "twice")[count] if count < 3 else f"{count} times"
 
 
 def ratio_text(ratio: float, wanted: str, more: str, less: str) -> str:
-    """A ratio in words: as ``wanted``, or by how many percent more or less than that."""
+    """Return a ratio in words: as ``wanted``, or by how many percent more or less than that."""
     if abs(ratio - 1) < SAME_RATIO:
         return f"as {wanted}"
     if ratio > MANY_TIMES:
@@ -67,7 +52,7 @@ def ratio_text(ratio: float, wanted: str, more: str, less: str) -> str:
 
 
 def moment_text(time_s: float, duration_s: float) -> str:
-    """A time of a drive: 7.25 s, or in a long one 3:07.2."""
+    """Return a time of a drive: 7.25 s, or in a long one 3:07.2."""
     if duration_s < 100:
         return f"{time_s:.2f} s"
     minutes, tenths = divmod(round(time_s * 10), 600)
@@ -75,7 +60,7 @@ def moment_text(time_s: float, duration_s: float) -> str:
 
 
 def span_text(time_s: float) -> str:
-    """A duration: 0.05 s, 12.5 s, 3 min 7 s, 1 h 2 min."""
+    """Return a duration: 0.05 s, 12.5 s, 3 min 7 s, 1 h 2 min."""
     if time_s < 100:
         return f"{time_s:.2g} s" if time_s < 0.1 else f"{time_s:.1f} s"
     minutes, seconds = divmod(round(time_s), 60)

@@ -1,4 +1,7 @@
-"""How the car moved: by odometry and IMU, against what was sent and what a planner asked for, and past what it saw."""
+"""Follows how the car moved, by odometry and IMU: against what was sent and what was asked for, past what it saw.
+
+Each watch writes to those of ``traces`` that TRACES names.
+"""
 from __future__ import annotations
 
 import math
@@ -36,22 +39,13 @@ TRACES = ("speed", "acceleration", "driven curvature", "turn rate", "requested c
 
 
 class AskedWatch:
-    """Follows ackermann_msgs/AckermannDriveStamped or AckermannDrive: what a planner asked for.
-
-    Args:
-        traces: those of TRACES, and ``requested curvature`` where the wheelbase is known, are written to.
-        wheelbase_m: of the car; ``None`` = unknown: which curvature an angle asks for can't be told.
-
-    Attributes:
-        wheelbase_m: as above.
-        curvature_per_m: asked for now, left positive; ``None`` = unknown.
-        unchanged_since_s: when the angle last changed by more than SAME_RAD.
-    """
+    """Follows ackermann_msgs/AckermannDriveStamped or AckermannDrive: what a planner asked for."""
 
     def __init__(self, traces: Mapping[str, Trace], wheelbase_m: float | None):
-        self._traces, self.wheelbase_m = traces, wheelbase_m
-        self.curvature_per_m: float | None = None
-        self.unchanged_since_s = 0.0
+        self._traces = traces
+        self.wheelbase_m = wheelbase_m  # None = unknown, and so is the curvature that an angle asks for
+        self.curvature_per_m: float | None = None  # asked for now, left positive; None = unknown
+        self.unchanged_since_s = 0.0  # when the angle last changed by more than SAME_RAD
         self._angle_rad = self._speed_mps = math.nan  # from which changes count
         self._speed_since_s = 0.0
         self._speed_ratios = Bins(*RATIOS)
@@ -83,33 +77,22 @@ class AskedWatch:
 
 
 class MotionWatch:
-    """Follows odometry.
+    """Follows odometry, and compares it with what steered and drove; gaps and resets are faults.
 
     Args:
-        traces: those of TRACES are written to.
-        faults: gaps and resets are added.
-        steering: who steers, and with what curvature.
-        asked: what a planner asks for.
         planner_drives: returns whether the throttle is the planner's now.
         start_ns: ROS time of the recording's first message.
-
-    Attributes:
-        path: where the car was, by who steered.
-        distance_m, moving_s: how far, and how long it drove.
-        turn_rate_radps: in the last WINDOW_S, left positive; ``None`` = not known yet.
-        by_tables, by_planner: how tightly it turned against what turn_arb sent (in slow bends, by which the tables can
-            be judged), and against what a planner asked for.
-        accelerating: how its accelerations differed from those that a planner requested.
     """
 
     def __init__(self, traces: Mapping[str, Trace], faults: FaultLog, steering: SteeringWatch, asked: AskedWatch,
                  planner_drives: Callable[[], bool], start_ns: int):
         self._traces, self._faults, self._steering, self._start_ns = traces, faults, steering, start_ns
         self._asked, self._planner_drives = asked, planner_drives
-        self.path = Path()
-        self.distance_m = self.moving_s = 0.0
-        self.turn_rate_radps: float | None = None
-        self.by_tables, self.by_planner = Following(steering, MAX_LATERAL_MPS2), Following(asked)
+        self.path = Path()  # where the car was, by who steered
+        self.distance_m = self.moving_s = 0.0  # how far, and how long it drove
+        self.turn_rate_radps: float | None = None  # in the last WINDOW_S, left positive; None = not known yet
+        self.by_tables = Following(steering, MAX_LATERAL_MPS2)  # in slow bends: a table knows no tyres
+        self.by_planner = Following(asked)
         self.accelerating = Accelerating()
         self._window: deque = deque()  # stamp in s, speed, yaw, distance of the last WINDOW_S
         self._yaw = self._signed_distance_m = 0.0
@@ -155,7 +138,7 @@ class MotionWatch:
             self.moving_s += time_s - before_s
 
     def _update_window(self, time_s, stamp_s, speed):
-        """Acceleration and curvature of the last WINDOW_S, at its middle."""
+        """Compute acceleration and curvature of the last WINDOW_S, at its middle."""
         window = self._window
         if window and not 0 <= stamp_s - window[-1][0] < MAX_GAP_S:
             window.clear()  # the clock was set, or messages are missing
@@ -192,12 +175,7 @@ def _slope(samples):
 
 
 class ImuWatch:
-    """Follows sensor_msgs/Imu: how fast the car turned, beside its odometry.
-
-    Args:
-        traces: those of TRACES are written to.
-        motion: how fast the car turns by odometry.
-    """
+    """Follows sensor_msgs/Imu: how fast the car turned, beside its odometry."""
 
     def __init__(self, traces: Mapping[str, Trace], motion: MotionWatch):
         self._traces, self._motion, self._gravity = traces, motion, Gravity()
@@ -231,20 +209,14 @@ class SonarWatch:
     """Follows the sonars' ranges and /tf_static: where they saw something, in odometry's frame.
 
     Args:
-        motion: where the car is.
         start_ns: ROS time of the recording's first message.
-
-    Attributes:
-        echoes: places in odometry's frame.
-        nearest_m, nearest_s, nearest_sonar: the shortest range, inf = none.
-        frames_without_mount: frames of sonars whose place on the car wasn't recorded.
     """
 
     def __init__(self, motion: MotionWatch, start_ns: int):
         self._motion, self._start_ns = motion, start_ns
         self.echoes = Spots()
-        self.nearest_m, self.nearest_s, self.nearest_sonar = math.inf, math.nan, ""
-        self.frames_without_mount: set = set()
+        self.nearest_m, self.nearest_s, self.nearest_sonar = math.inf, math.nan, ""  # the shortest range; inf = none
+        self.frames_without_mount: set = set()  # of sonars whose place on the car wasn't recorded
         self._mounts: dict = {}  # (x, y, yaw) on the car by frame
 
     def on_static_tf(self, time_s: float, message: Any) -> None:

@@ -1,20 +1,13 @@
-"""The report on a drive as one page of HTML without external resources: summary, tables, plots."""
+"""Writes the report on a drive as one page of HTML without external resources: summary, tables, plots."""
 from __future__ import annotations
 
 import math
 
 from car_interface.steering.arbiter import PLANNER, TELEOP
+from car_interface.tools.report.downsample import Trace
 from car_interface.tools.report.faults import ERROR, WARN
 from car_interface.tools.report.figures import DRIVER_COLOURS, DRIVER_NAMES
-from car_interface.tools.report.html import (
-    counted,
-    moment_text,
-    range_text,
-    ratio_text,
-    render,
-    span_text,
-    times_text,
-)
+from car_interface.tools.report.html import counted, moment_text, ratio_text, render, span_text, times_text
 from car_interface.tools.report.states import UNKNOWN_DRIVER
 from car_interface.tools.report.summary import RANGES, Summary
 
@@ -23,12 +16,7 @@ WRONG_RATIO = 0.05  # of the driven to the sent curvature, from 1: the tables ne
 
 
 def page(drive: Summary, plots: dict[str, str]) -> str:
-    """Return the page.
-
-    Args:
-        drive: the summary.
-        plots: SVGs by name; those that are missing are left out.
-    """
+    """Return the page; ``plots`` are SVGs by name, of which those that are missing are left out."""
     name = drive.path.rstrip("/").rsplit("/", 1)[-1]
     lines = [*_steering_lines(drive.steering), *_motion_lines(drive), *_asked_lines(drive), *_teensy_lines(drive)]
     wrong_sides = [(side, _ratio_text(ratio)) for side, ratio in _known_ratios(drive.motion.by_tables)
@@ -57,7 +45,7 @@ def _figures(drive):
 
 
 def _who_drove(source_s):
-    """Who drove for how long, as a sentence without its full stop."""
+    """Return who drove for how long, as a sentence without its full stop."""
     drove = [f"the {DRIVER_NAMES[source]} for {span_text(source_s[source])}"
              for source in (TELEOP, PLANNER) if source_s[source]]
     text = " and ".join(drove).replace("for", "drove for", 1) if drove else "nobody drove"
@@ -85,9 +73,9 @@ def _motion_lines(drive):
     if traces["speed"].count:
         mean_mps = motion.distance_m / motion.moving_s if motion.moving_s else 0.0
         yield "Moving", (f"{span_text(motion.moving_s)}, on average at {mean_mps:.2f} m/s; "
-                         f"{_range_of(traces['speed'], 'm/s')}")
+                         f"{range_text(traces['speed'], 'm/s')}")
     if traces["acceleration"].count:
-        yield "Acceleration", _range_of(traces["acceleration"], "m/s²")
+        yield "Acceleration", range_text(traces["acceleration"], "m/s²")
     ratios = [f"{side} {_ratio_text(ratio)}" for side, ratio in _known_ratios(motion.by_tables)]
     if ratios:
         yield "Slow turns against the tables", "; ".join(ratios)
@@ -109,7 +97,7 @@ def _teensy_lines(drive):
         yield "Teensy's link", (f"{frames} frames, {corrupt} corrupt{ratio}; {link.pongs} of {link.pings} pings "
                                 f"answered{reopened}{reboots}")
     if traces["round trip"].count:
-        yield "Round trip", _range_of(traces["round trip"], "ms")
+        yield "Round trip", range_text(traces["round trip"], "ms")
     if traces["skew"].count:
         yield "Teensy's clock", (f"{traces['skew'].curve()[1][-1]:+.1f} ppm at the end, known to "
                                  f"{traces['uncertainty'].curve()[1][-1]:.2f} ms")
@@ -131,7 +119,7 @@ def _asked_lines(drive):
 
 
 def _known_ratios(following):
-    """(side, median ratio of the driven to the sent curvature) for sides with enough samples."""
+    """Return (side, median ratio of the driven to the sent curvature) for sides with enough samples."""
     return [(side, found.median) for side, found in zip(("left", "right"), following.ratios())
             if found.samples >= MIN_RATIOS]
 
@@ -140,10 +128,11 @@ def _top_speed(trace):
     return max(abs(trace.minimum), abs(trace.maximum)) if trace.count else 0.0
 
 
-def _range_of(trace, unit):
-    return range_text(trace.minimum, trace.maximum, unit)
+def range_text(trace: Trace, unit: str) -> str:
+    """Return the range of a trace's samples with its unit."""
+    return f"{round(trace.minimum, 2) + 0.0:.2f} to {round(trace.maximum, 2) + 0.0:.2f} {unit}"  # + 0.0: no "-0.00"
 
 
 def _ratio_text(ratio, wanted="the tables say"):
-    """A ratio of curvatures in words, for the radius."""
+    """Return a ratio of curvatures in words, for the radius."""
     return ratio_text(1 / ratio, wanted, "wider", "tighter")

@@ -1,4 +1,4 @@
-"""The plots of a drive, each as the text of an SVG that can be part of a page."""
+"""Draws the plots of a drive, each as the text of an SVG that can be part of a page."""
 from __future__ import annotations
 
 import matplotlib
@@ -33,6 +33,7 @@ from car_interface.tools.report.figures import (
 from car_interface.tools.report.states import UNKNOWN_DRIVER
 from car_interface.tools.report.summary import Summary
 
+DASHED = (0, (4, 2))
 ESC_COLOURS = {"ARMING": "#b8bfc7", "BRAKING": "#d9822b", "HOLD": "#e8c468", "REVERSE": "#8e5ea2"}
 
 
@@ -77,70 +78,78 @@ def _who(drive):
 
 def _steering(drive):
     traces = drive.traces
-    duty = drive.steering.duties.get(drive.steering.steering_channel)
-    is_angle_known = drive.asked.wheelbase_m is not None
-    panels = [any(traces[name].count for name in ("requested curvature", "sent curvature", "driven curvature")),
-              traces["requested angle"].count > 0 and not is_angle_known,
-              duty is not None or traces["gamepad"].count > 0]
-    if not any(panels):
-        return None
-    figure, all_axes = stack(drive, panels, [2.6, 1.4, 1.7])
-    if panels[0]:
-        axes = all_axes[0]
-        curve(axes, traces["requested curvature"], REQUESTED, "requested (planner)", linestyle=(0, (4, 2)))
-        curve(axes, traces["sent curvature"], SENT, "sent (by the tables)", linewidth=1.6)
-        curve(axes, traces["driven curvature"], DRIVEN, "driven (by odometry)", linewidth=0.9)
-        driven = traces["driven curvature"]
-        largest = max([abs(bound) for name in ("requested curvature", "sent curvature") if traces[name].count
-                       for bound in (traces[name].minimum, traces[name].maximum)] + [0.2, usual_magnitude(driven)])
-        axes.set_ylim(-1.45 * largest, 1.45 * largest)
-        title(axes, "How tight: 1/radius in 1/m, left up")
+    return stack(drive, [
+        (any(traces[name].count for name in ("requested curvature", "sent curvature", "driven curvature")), 2.6,
+         _curvature),
+        (traces["requested angle"].count > 0 and drive.asked.wheelbase_m is None, 1.4, _angle),
+        (drive.steering.steering_channel in drive.steering.duties or traces["gamepad"].count > 0, 1.7, _steering_duty)])
+
+
+def _curvature(axes, drive):
+    traces = drive.traces
+    curve(axes, traces["requested curvature"], REQUESTED, "requested (planner)", linestyle=DASHED)
+    curve(axes, traces["sent curvature"], SENT, "sent (by the tables)", linewidth=1.6)
+    curve(axes, traces["driven curvature"], DRIVEN, "driven (by odometry)", linewidth=0.9)
+    largest = max([abs(bound) for name in ("requested curvature", "sent curvature") if traces[name].count
+                   for bound in (traces[name].minimum, traces[name].maximum)]
+                  + [0.2, usual_magnitude(traces["driven curvature"])])
+    axes.set_ylim(-1.45 * largest, 1.45 * largest)
+    title(axes, "How tight: 1/radius in 1/m, left up")
+    legend(axes)
+
+
+def _angle(axes, drive):
+    title(axes, "The steering angle that was asked for, in degrees, left up")
+    curve(axes, drive.traces["requested angle"], REQUESTED, "")
+
+
+def _steering_duty(axes, drive):
+    duty, gamepad = drive.steering.duties.get(drive.steering.steering_channel), drive.traces["gamepad"]
+    title(axes, "The servo's duty" if duty else "The gamepad's request, left up")
+    if duty is not None:
+        curve(axes, duty, SENT, f"duty on channel {drive.steering.steering_channel}", **HELD)
+        margin = max(0.08 * (duty.maximum - duty.minimum), 40)
+        axes.set_ylim(duty.minimum - margin, duty.maximum + margin)
+    if not gamepad.count:
         legend(axes)
-    if panels[1]:
-        axes = all_axes[sum(panels[:1])]
-        title(axes, "The steering angle that was asked for, in degrees, left up")
-        curve(axes, traces["requested angle"], REQUESTED, "")
-    if panels[2]:
-        axes = all_axes[-1]
-        title(axes, "The servo's duty" if duty else "The gamepad's request, left up")
-        if duty is not None:
-            curve(axes, duty, SENT, f"duty on channel {drive.steering.steering_channel}", **HELD)
-            margin = max(0.08 * (duty.maximum - duty.minimum), 40)
-            axes.set_ylim(duty.minimum - margin, duty.maximum + margin)
-        if traces["gamepad"].count:
-            beside = axes.twinx() if duty is not None else axes
-            label = "the gamepad's request (right scale)" if duty else "the gamepad"
-            curve(beside, traces["gamepad"], REQUESTED, label, linestyle=(0, (4, 2)))
-            beside.set_ylim(-1.25, 1.25)
-            if duty is not None:
-                beside.grid(False)
-                axes.legend(handles=axes.get_lines() + beside.get_lines(), **above())
-        if not traces["gamepad"].count:
-            legend(axes)
-    return figure
+        return
+    beside = axes.twinx() if duty is not None else axes
+    label = "the gamepad's request (right scale)" if duty else "the gamepad"
+    curve(beside, gamepad, REQUESTED, label, linestyle=DASHED)
+    beside.set_ylim(-1.25, 1.25)
+    if duty is not None:
+        _legend_of_both(axes, beside)
+
+
+def _legend_of_both(axes, beside):
+    """Draw one legend for axes and those with another scale beside them."""
+    beside.grid(False)
+    axes.legend(handles=axes.get_lines() + beside.get_lines(), **above())
 
 
 def _throttle(drive):
-    traces = drive.traces
-    if not traces["throttle granted"].count:
-        return None
-    figure, (states, axes) = stack(drive, [True, True], [0.4, 1.7])
+    is_recorded = drive.traces["throttle granted"].count > 0
+    return stack(drive, [(is_recorded, 0.4, _esc_states), (is_recorded, 1.7, _throttle_granted)])
+
+
+def _esc_states(axes, drive):
     found = dict.fromkeys(episode.esc for episode in drive.throttle.episodes if episode.esc)
     for episode in drive.throttle.episodes:
         if episode.esc:
-            states.broken_barh([(episode.start_s, episode.end_s - episode.start_s)], (0, 1), linewidth=0,
-                               color=ESC_COLOURS.get(episode.esc, INK))
-    title(states, "The ESC, where it isn't in NEUTRAL or FORWARD")
-    states.set(ylim=(0, 1), yticks=[])
+            axes.broken_barh([(episode.start_s, episode.end_s - episode.start_s)], (0, 1), linewidth=0,
+                             color=ESC_COLOURS.get(episode.esc, INK))
+    title(axes, "The ESC, where it isn't in NEUTRAL or FORWARD")
+    axes.set(ylim=(0, 1), yticks=[])
     if found:
-        states.legend(handles=[Patch(color=ESC_COLOURS.get(esc, INK), label=label_text(esc)) for esc in found],
-                      **above())
+        axes.legend(handles=[Patch(color=ESC_COLOURS.get(esc, INK), label=label_text(esc)) for esc in found], **above())
+
+
+def _throttle_granted(axes, drive):
     title(axes, "Throttle: brake or reverse down")
-    curve(axes, traces["throttle asked"], REQUESTED, "asked", linestyle=(0, (4, 2)))
-    curve(axes, traces["throttle granted"], SENT, "granted")
+    curve(axes, drive.traces["throttle asked"], REQUESTED, "asked", linestyle=DASHED)
+    curve(axes, drive.traces["throttle granted"], SENT, "granted")
     axes.set_ylim(-1.1, 1.1)
     legend(axes)
-    return figure
 
 
 def _path(drive):
@@ -179,83 +188,84 @@ def _path(drive):
 
 def _speed(drive):
     traces = drive.traces
-    driven = {channel: duty for channel, duty in drive.steering.duties.items()
-              if channel != drive.steering.steering_channel and duty.maximum > duty.minimum}
-    panels = [traces["speed"].count > 0,
-              traces["acceleration"].count + traces["requested acceleration"].count > 0,
-              traces["value"].count > 0 or bool(driven), traces["imu turn rate"].count > 0]
-    if not any(panels):
-        return None
-    figure, all_axes = stack(drive, panels, [2.0, 2.0, 1.6, 1.6])
-    left = iter(all_axes)
-    if panels[0]:
-        axes = next(left)
-        title(axes, "Speed in m/s, backward down")
-        curve(axes, traces["requested speed"], REQUESTED, "requested", linestyle=(0, (4, 2)))
-        curve(axes, traces["planner's speed"], REQUESTED, "requested by the planner", linestyle=(0, (1, 1)))
-        curve(axes, traces["reference speed"], SENT, "within its limits", linewidth=0.9)
-        curve(axes, traces["speed"], DRIVEN, "by odometry")
-        if traces["requested speed"].count or traces["planner's speed"].count:
-            legend(axes)
-    if panels[1]:
-        axes = next(left)
-        title(axes, "Acceleration in m/s²")
-        curve(axes, traces["requested acceleration"], REQUESTED, "requested", linestyle=(0, (4, 2)))
-        curve(axes, traces["acceleration"], DRIVEN, "by odometry, over 0.3 s", linewidth=0.9)
+    return stack(drive, [
+        (traces["speed"].count > 0, 2.0, _speeds),
+        (traces["acceleration"].count + traces["requested acceleration"].count > 0, 2.0, _accelerations),
+        (traces["value"].count > 0 or bool(_driven_duties(drive)), 1.6, _value),
+        (traces["imu turn rate"].count > 0, 1.6, _turn_rates)])
+
+
+def _driven_duties(drive):
+    """Return the duties that changed, by channel, without the servo's."""
+    return {channel: duty for channel, duty in sorted(drive.steering.duties.items())
+            if channel != drive.steering.steering_channel and duty.maximum > duty.minimum}
+
+
+def _speeds(axes, drive):
+    traces = drive.traces
+    title(axes, "Speed in m/s, backward down")
+    curve(axes, traces["requested speed"], REQUESTED, "requested", linestyle=DASHED)
+    curve(axes, traces["planner's speed"], REQUESTED, "requested by the planner", linestyle=(0, (1, 1)))
+    curve(axes, traces["reference speed"], SENT, "within its limits", linewidth=0.9)
+    curve(axes, traces["speed"], DRIVEN, "by odometry")
+    if traces["requested speed"].count or traces["planner's speed"].count:
         legend(axes)
-    if panels[2]:
-        axes = next(left)
-        has_value = traces["value"].count > 0
-        title(axes, "Value, and the ESC's duty" if has_value and driven else "Value" if has_value else "The ESC's duty")
-        if has_value:
-            curve(axes, traces["value"], REQUESTED, "value")
-        beside = axes.twinx() if has_value and driven else axes
-        for channel, duty in sorted(driven.items()):
-            curve(beside, duty, SENT, f"duty on channel {channel}"
-                   + (" (right scale)" if beside is not axes else ""), **HELD)
-        if beside is not axes:
-            beside.grid(False)
-            axes.legend(handles=axes.get_lines() + beside.get_lines(), **above())
-        else:
-            legend(axes)
-    if panels[3]:
-        _turn_rates(next(left), traces)
-    return figure
 
 
-def _turn_rates(axes, traces):
+def _accelerations(axes, drive):
+    title(axes, "Acceleration in m/s²")
+    curve(axes, drive.traces["requested acceleration"], REQUESTED, "requested", linestyle=DASHED)
+    curve(axes, drive.traces["acceleration"], DRIVEN, "by odometry, over 0.3 s", linewidth=0.9)
+    legend(axes)
+
+
+def _value(axes, drive):
+    duties, has_value = _driven_duties(drive), drive.traces["value"].count > 0
+    has_both = has_value and bool(duties)
+    title(axes, "Value, and the ESC's duty" if has_both else "Value" if has_value else "The ESC's duty")
+    if has_value:
+        curve(axes, drive.traces["value"], REQUESTED, "value")
+    beside = axes.twinx() if has_both else axes
+    for channel, duty in duties.items():
+        curve(beside, duty, SENT, f"duty on channel {channel}" + (" (right scale)" if has_both else ""), **HELD)
+    if has_both:
+        _legend_of_both(axes, beside)
+    else:
+        legend(axes)
+
+
+def _turn_rates(axes, drive):
     title(axes, "How fast it turned, in rad/s, left up")
-    curve(axes, traces["imu turn rate"], REQUESTED, "by the IMU", linewidth=0.9)
-    curve(axes, traces["turn rate"], DRIVEN, "by odometry", linewidth=0.9)
-    largest = max([0.1, *(1.3 * usual_magnitude(traces[name]) for name in ("imu turn rate", "turn rate"))])
+    curve(axes, drive.traces["imu turn rate"], REQUESTED, "by the IMU", linewidth=0.9)
+    curve(axes, drive.traces["turn rate"], DRIVEN, "by odometry", linewidth=0.9)
+    largest = max([0.1, *(1.3 * usual_magnitude(drive.traces[name]) for name in ("imu turn rate", "turn rate"))])
     axes.set_ylim(-largest, largest)
     legend(axes)
 
 
 def _link(drive):
-    traces = drive.traces
-    panels = [traces["frames"].count > 0, traces["round trip"].count > 0, traces["skew"].count > 0]
-    if not any(panels):
-        return None
-    figure, all_axes = stack(drive, panels, [1.5, 1.5, 1.5])
-    left = iter(all_axes)
-    if panels[0]:
-        axes = next(left)
-        title(axes, "Frames from the Teensy in a second")
-        curve(axes, traces["frames"], SENT, "good", gap_s=5)
-        curve(axes, traces["bad frames"], BAD, "corrupt", gap_s=5)
-        axes.set_ylim(bottom=-0.03 * max(traces["frames"].maximum, 1))
-        legend(axes)
-    if panels[1]:
-        axes = next(left)
-        title(axes, "Round trip of a ping in ms")
-        curve(axes, traces["round trip"], SENT, "", gap_s=5, marker=".", markersize=4)
-        axes.set_ylim(bottom=0)
-    if panels[2]:
-        axes = next(left)
-        title(axes, "How much faster the Teensy's clock runs, in ppm")
-        curve(axes, traces["skew"], SENT, "", gap_s=5, marker=".", markersize=4)
-        low, high = np.nanpercentile(traces["skew"].curve()[1], (10, 90))  # the first few are far off
-        margin = max(high - low, 10, 1e-3 * max(abs(low), abs(high)))  # garbage is drawn, too
-        axes.set_ylim(low - margin, high + margin)
-    return figure
+    return stack(drive, [(drive.traces["frames"].count > 0, 1.5, _frames),
+                         (drive.traces["round trip"].count > 0, 1.5, _round_trip),
+                         (drive.traces["skew"].count > 0, 1.5, _skew)])
+
+
+def _frames(axes, drive):
+    title(axes, "Frames from the Teensy in a second")
+    curve(axes, drive.traces["frames"], SENT, "good", gap_s=5)
+    curve(axes, drive.traces["bad frames"], BAD, "corrupt", gap_s=5)
+    axes.set_ylim(bottom=-0.03 * max(drive.traces["frames"].maximum, 1))
+    legend(axes)
+
+
+def _round_trip(axes, drive):
+    title(axes, "Round trip of a ping in ms")
+    curve(axes, drive.traces["round trip"], SENT, "", gap_s=5, marker=".", markersize=4)
+    axes.set_ylim(bottom=0)
+
+
+def _skew(axes, drive):
+    title(axes, "How much faster the Teensy's clock runs, in ppm")
+    curve(axes, drive.traces["skew"], SENT, "", gap_s=5, marker=".", markersize=4)
+    low, high = np.nanpercentile(drive.traces["skew"].curve()[1], (10, 90))  # the first few are far off
+    margin = max(high - low, 10, 1e-3 * max(abs(low), abs(high)))  # garbage is drawn, too
+    axes.set_ylim(low - margin, high + margin)

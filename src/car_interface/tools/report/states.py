@@ -1,6 +1,8 @@
-"""Who drove and why, what was cut, and why gamepad and planner failed: by the states that the nodes published.
+"""Follows the states that the nodes published: who drove and why, what was cut, and why gamepad and planner failed.
 
-One watch for each node's state. What they keep are episodes: times in which a state stayed the same.
+There is one watch for each node's state. It writes to those of ``traces`` that TRACES names, and adds what went wrong
+to ``faults``. Most keep episodes: times in which a state stayed the same. Of these up to MAX_ENTRIES are kept; more are
+counted as dropped faults.
 """
 from __future__ import annotations
 
@@ -9,6 +11,7 @@ from collections import Counter
 from typing import Any, Callable, Mapping, NamedTuple
 
 from car_interface.common import causes
+from car_interface.common.units import NS_PER_S, stamp_ns
 from car_interface.pca9685.registers import DUTY_PER_COUNT
 from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.tools.report.downsample import Trace
@@ -17,7 +20,9 @@ from car_interface.tools.report.faults import ERROR, MAX_ENTRIES, WARN, Fault, F
 UNKNOWN_DRIVER = -1
 STEERING_CHANNEL = 0  # as config/turn_arb.yaml has it
 TRACES = ("requested curvature", "sent curvature", "gamepad", "throttle asked", "throttle granted", "planner's speed",
-          "reference speed")
+          "reference speed",
+          "frames", "bad frames",  # in a second
+          "round trip", "skew", "uncertainty")  # in ms, ppm and ms
 NEVER_AFTER_S = 5.0  # a gamepad that sends nothing for so long from the start on is missing
 APART_S = 1.0  # a release may be recorded so long before or after turn_arb's state that follows it, on a busy computer
 USUAL = ("NEUTRAL", "FORWARD")  # states of the ESC that come and go with the stick: they end no episode
@@ -26,27 +31,20 @@ SHARED = causes.INHIBITS | {causes.STEERING_STALE, causes.STEERING_STOPPED, caus
 PLANNER_FAULTS = causes.LOSSES | {causes.REQUEST_REFUSED}  # the others are reported by those that stop because of them
 CUTS = causes.STEERING_CUTS | causes.THROTTLE_CUTS
 SAME_AFTER_S = 0.5  # a cut that comes back sooner is the same one
+CLOCK_SET_S = 0.05  # a change between ROS time and the monotonic clock from one pong to the next
+MIN_SPAN_S = 0.5  # over which frames are counted
 
 
 class Episode(NamedTuple):
-    """A time in which a node's state stayed the same.
-
-    Attributes:
-        start_s, end_s: of it; inf as its end = it lasts.
-        node: whose state it is.
-        cause: a constant of common.causes.
-        reason: in words, at its start.
-        source: who drives, a value of SteeringState.source or ThrottleState.source.
-        esc, esc_cause: the ESC's state; empty = one of USUAL.
-    """
+    """A time in which a node's state stayed the same."""
 
     start_s: float
-    end_s: float
-    node: str
-    cause: str
-    reason: str
-    source: int = UNKNOWN_DRIVER
-    esc: str = ""
+    end_s: float  # inf = it lasts
+    node: str  # whose state it is
+    cause: str  # a constant of common.causes
+    reason: str  # in words, at its start
+    source: int = UNKNOWN_DRIVER  # who drives, a value of SteeringState.source or ThrottleState.source
+    esc: str = ""  # the ESC's state; empty = one of USUAL
     esc_cause: str = ""
 
     def goes_on(self, later: Episode) -> bool:
@@ -59,21 +57,12 @@ class Episode(NamedTuple):
 
 
 class Episodes:
-    """The episodes of one node's state.
-
-    Args:
-        finish: takes each episode that has ended, and returns it as it is to be kept.
-
-    Attributes:
-        kept: those that have ended, up to MAX_ENTRIES.
-        dropped: how many more there were.
-        current: the one that lasts; ``None`` = there was no state yet.
-    """
+    """The episodes of one node's state; ``finish`` takes each that has ended, and returns it as it is to be kept."""
 
     def __init__(self, finish: Callable[[Episode], Episode]):
-        self.kept: list[Episode] = []
-        self.dropped = 0
-        self.current: Episode | None = None
+        self.kept: list[Episode] = []  # those that have ended, up to MAX_ENTRIES
+        self.dropped = 0  # how many more there were
+        self.current: Episode | None = None  # the one that lasts; None = there was no state yet
         self._finish = finish
 
     def update(self, time_s: float, node: str, cause: str, reason: str, **state: Any) -> None:
@@ -98,11 +87,7 @@ class Episodes:
 
 
 class GamepadWatch:
-    """Follows teleop_logi's state: what was wrong with the gamepad.
-
-    Args:
-        faults: losses are added.
-    """
+    """Follows teleop_logi's state: what was wrong with the gamepad."""
 
     def __init__(self, faults: FaultLog, duration_s: float):
         self._faults, self._duration_s = faults, duration_s
@@ -147,33 +132,18 @@ class GamepadWatch:
 
 
 class SteeringWatch:
-    """Follows turn_arb's state, the requests, and the servo board's output.
-
-    Args:
-        traces: those of TRACES are written to.
-        faults: losses and locks are added.
-        gamepad: knows why a deadman was false.
-
-    Attributes:
-        episodes: up to MAX_ENTRIES; more are counted as dropped faults.
-        source_s: seconds by source.
-        source: who steers now.
-        duties: a Trace by channel, for those that were ever driven.
-        steering_channel: the channel that follows turn_arb's duty; ``None`` = unknown.
-        curvature_per_m: sent by turn_arb now, left positive; ``None`` = unknown.
-        unchanged_since_s: when turn_arb's duty last changed.
-    """
+    """Follows turn_arb's state, the requests, and the board's output; ``gamepad`` says why a deadman was false."""
 
     def __init__(self, traces: Mapping[str, Trace], faults: FaultLog, duration_s: float, gamepad: GamepadWatch):
         self._traces, self._faults, self._duration_s, self._gamepad = traces, faults, duration_s, gamepad
         self._episodes = Episodes(self._finish)
         self.episodes = self._episodes.kept
-        self.source_s: Counter = Counter()
-        self.source = UNKNOWN_DRIVER
-        self.duties: dict = {}
-        self.steering_channel: int | None = None
-        self.curvature_per_m: float | None = None
-        self.unchanged_since_s = 0.0
+        self.source_s: Counter = Counter()  # seconds by source
+        self.source = UNKNOWN_DRIVER  # who steers now
+        self.duties: dict = {}  # a Trace by channel, for those that were ever driven
+        self.steering_channel: int | None = None  # that follows turn_arb's duty; None = unknown
+        self.curvature_per_m: float | None = None  # sent by turn_arb now, left positive; None = unknown
+        self.unchanged_since_s = 0.0  # when turn_arb's duty last changed
         self._duty = None  # of the newest state
         self._matches: Counter = Counter()  # by channel: how often its output was turn_arb's duty
 
@@ -238,20 +208,14 @@ class SteeringWatch:
 class ThrottleWatch:
     """Follows throttle_arb's state: who drove the throttle and why, what was asked, and what the ESC was given.
 
-    Args:
-        traces: those of TRACES are written to.
-        faults: losses that turn_arb doesn't report are added.
-
-    Attributes:
-        episodes: up to MAX_ENTRIES; more are counted as dropped faults.
-        profile: the ESC's kind; empty: unknown.
+    Of the losses those are faults that turn_arb doesn't report.
     """
 
     def __init__(self, traces: Mapping[str, Trace], faults: FaultLog, duration_s: float):
         self._traces, self._faults, self._duration_s = traces, faults, duration_s
         self._episodes = Episodes(self._finish)
         self.episodes = self._episodes.kept
-        self.profile = ""
+        self.profile = ""  # the ESC's kind; empty: unknown
 
     def on_state(self, time_s: float, message: Any) -> None:
         """Take a car_interface/ThrottleState."""
@@ -266,7 +230,7 @@ class ThrottleWatch:
 
     @property
     def source(self) -> int | None:
-        """Who drives now; ``None`` = unknown."""
+        """Return who drives now; ``None`` = unknown."""
         return None if self._episodes.current is None else self._episodes.current.source
 
     def losses(self) -> list[Episode]:
@@ -289,21 +253,13 @@ def _is_loss(episode):
 
 
 class PlannerWatch:
-    """Follows planner_interface's state: what the planner asked for, and why it wasn't obeyed.
-
-    Args:
-        traces: those of TRACES are written to.
-        faults: losses and refusals are added.
-
-    Attributes:
-        source: the source that was obeyed; empty: unknown.
-        others: the sources that weren't, with their messages, at the end; empty: none.
-    """
+    """Follows planner_interface's state: what the planner asked for, and why it wasn't obeyed."""
 
     def __init__(self, traces: Mapping[str, Trace], faults: FaultLog, duration_s: float):
         self._traces, self._faults, self._duration_s = traces, faults, duration_s
         self._episodes = Episodes(self._finish)
-        self.source = self.others = ""
+        self.source = ""  # that was obeyed; empty: unknown
+        self.others = ""  # the sources that weren't, with their messages, at the end; empty: none
 
     def on_state(self, time_s: float, message: Any) -> None:
         """Take a car_interface/PlannerState."""
@@ -324,17 +280,12 @@ class PlannerWatch:
 
 
 class LimitsWatch:
-    """Follows the limits in the states of turn_arb and throttle_arb: which requests were cut, when, and why.
-
-    Attributes:
-        episodes: up to MAX_ENTRIES, by their starts once finished.
-        counts: by node, how often a request began to be limited, by its own count.
-    """
+    """Follows the limits in the states of turn_arb and throttle_arb: which requests were cut, when, and why."""
 
     def __init__(self):
         self._episodes = Episodes(lambda ended: ended)
-        self.episodes = self._episodes.kept
-        self.counts: Counter = Counter()
+        self.episodes = self._episodes.kept  # by their starts once finished
+        self.counts: Counter = Counter()  # by node, how often a request began to be limited, by its own count
         self._current: dict[str, Episode] = {}  # by node, up to when it was last seen
         self._seen: dict[str, int] = {}  # a node's newest count
 
@@ -358,3 +309,53 @@ class LimitsWatch:
             self._episodes.keep(episode)
         self._current.clear()
         self.episodes.sort(key=lambda episode: episode.start_s)
+
+
+class TeensyWatch:
+    """Follows the hub's link status, the pongs and the Teensy's counters."""
+
+    def __init__(self, traces: Mapping[str, Trace], faults: FaultLog):
+        self._traces, self._faults = traces, faults
+        self.first_link = self.link = None  # the first and a recent LinkStatus; None without any
+        self.counters: dict = {}  # (first, last) value by name
+        self.pongs = self.pongs_unused = 0  # how many, and how many of them were not used for the clock
+        self._link_s = 0.0
+        self._monotonic_offset_ns = None
+
+    def on_link(self, time_s: float, message: Any) -> None:
+        """Take a car_interface/LinkStatus."""
+        before, span_s = self.link, time_s - self._link_s
+        if before is None:
+            self.first_link = message
+        else:
+            if span_s > MIN_SPAN_S:
+                self._traces["frames"].add(time_s, (message.frames - before.frames) / span_s)
+                self._traces["bad frames"].add(time_s, (message.bad_frames - before.bad_frames) / span_s)
+            for name, what in (("reconnects", "the port was opened again"), ("reboots", "the Teensy started anew")):
+                if getattr(message, name) > getattr(before, name):
+                    self._faults.add_moment(time_s, WARN, "Teensy", what)
+        if before is None or span_s > MIN_SPAN_S:
+            self.link, self._link_s = message, time_s
+        what = ". ".join(filter(None, (message.words, message.next_step)))
+        self._faults.update_condition(time_s, "link", message.level, "Teensy", f"{message.state}: {what}")
+        for counter in message.counters:
+            self.on_error(time_s, counter)
+
+    def on_clock(self, time_s: float, message: Any) -> None:
+        """Take a car_interface/TeensyClock, one for each pong."""
+        self.pongs += 1
+        self.pongs_unused += not message.used
+        self._traces["round trip"].add(time_s, message.round_trip * 1e3)
+        if message.converged:
+            self._traces["skew"].add(time_s, message.skew)
+            self._traces["uncertainty"].add(time_s, message.uncertainty * 1e3)
+        offset_ns, before_ns = stamp_ns(message.stamp) - message.received, self._monotonic_offset_ns
+        step_s = 0.0 if before_ns is None else (offset_ns - before_ns) / NS_PER_S
+        if abs(step_s) > CLOCK_SET_S:
+            self._faults.add_moment(time_s, WARN, "computer", f"its clock was set by {step_s:+.3f} s")
+        self._monotonic_offset_ns = offset_ns
+
+    def on_error(self, time_s: float, message: Any) -> None:
+        """Take a car_interface/Error: the value of a counter."""
+        first, _ = self.counters.get(message.name, (message.count, None))
+        self.counters[message.name] = (first, message.count)

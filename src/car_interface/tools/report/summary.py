@@ -1,4 +1,4 @@
-"""What happened on a drive, from its recording: read in one pass, in memory that doesn't grow with its length."""
+"""Summarizes what happened on a drive: its recording is read once, in memory that doesn't grow with its length."""
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -18,13 +18,19 @@ from car_interface.tools.recordings.recording import (
     require,
 )
 from car_interface.tools.recordings.roles import find, fits, other_cars, without
-from car_interface.tools.report import motion, states, teensy_link
+from car_interface.tools.report import motion, states
 from car_interface.tools.report.coverage import Coverage, both
 from car_interface.tools.report.downsample import Trace
 from car_interface.tools.report.faults import WARN, FaultLog, NodeReports
 from car_interface.tools.report.motion import AskedWatch, ImuWatch, MotionWatch, SonarWatch
-from car_interface.tools.report.states import GamepadWatch, LimitsWatch, PlannerWatch, SteeringWatch, ThrottleWatch
-from car_interface.tools.report.teensy_link import TeensyWatch
+from car_interface.tools.report.states import (
+    GamepadWatch,
+    LimitsWatch,
+    PlannerWatch,
+    SteeringWatch,
+    TeensyWatch,
+    ThrottleWatch,
+)
 
 # Relative names are below the car's namespace, and so are the others where they are found there.
 RANGES = tuple(f"sonar/{name}" for name in SONARS)
@@ -47,32 +53,21 @@ TYPES = {
     "/rosout": ("rosgraph_msgs/Log", "rcl_interfaces/Log"),
 }
 NEEDED = ("odom", "turn_arb/state", "/servo/output")  # at least one of them
-TRACES = (*states.TRACES, *motion.TRACES, "requested acceleration", "value", *teensy_link.TRACES)
+TRACES = (*states.TRACES, *motion.TRACES, "requested acceleration", "value")
 
 
 @dataclass
 class Summary:
-    """What happened on a drive. Times are in seconds since the recording's first message.
+    """What happened on a drive. Times are in seconds since the recording's first message."""
 
-    Attributes:
-        path, namespace, start_ns, duration_s: of the recording.
-        topics: what it has: a recordings.recording.Topic by name.
-        notes: which topics were named or guessed to be what, or couldn't be, and what is odd about one, a line each.
-        present: those of TYPES that were recorded.
-        traces: a Trace for each of TRACES.
-        gamepad, steering, throttle, limits, asked, planner, motion, imu, sonars, teensy: see their classes.
-        faults: what went wrong.
-        coverage: which questions the recording can't answer.
-    """
-
-    path: str
+    path: str  # of the recording
     namespace: str
     start_ns: int
     duration_s: float
-    topics: dict
-    notes: list
-    present: set
-    traces: dict
+    topics: dict  # what it has: a recordings.recording.Topic by name
+    notes: list  # a line for each topic that was named, guessed or not found, and for what is odd about one
+    present: set  # those of TYPES that were recorded
+    traces: dict  # a Trace for each of TRACES
     gamepad: GamepadWatch
     steering: SteeringWatch
     throttle: ThrottleWatch

@@ -54,12 +54,17 @@ def test_bands_are_start_width_and_source(episodes, expected):
 # --- axes ---
 
 
-def test_stack_has_the_wanted_panels_and_labels_the_last_one():
-    figure, panels = stack(drive(60, (0, 30, TELEOP), (30, 60, PLANNER)), [True, False, True], [2.0, 9.0, 1.0])
-    assert len(panels) == 2 and figure.axes == panels
+def test_stack_draws_the_wanted_panels_and_labels_the_last_one():
+    drawn = []
+    figure = stack(drive(60, (0, 30, TELEOP), (30, 60, PLANNER)), [
+        (is_wanted, height, lambda axes, drive: drawn.append(axes))
+        for is_wanted, height in ((True, 2.0), (False, 9.0), (True, 1.0))])
+    panels = figure.axes
+    assert len(panels) == 2 and drawn == panels
     assert [panel.get_xlabel() for panel in panels] == ["", "seconds"]
     assert figure.get_size_inches()[1] == pytest.approx(2.0 + 1.0 + 2 * 0.45 + 0.25)
     assert [len(panel.collections) for panel in panels] == [2, 2]  # who steered
+    assert stack(drive(60), [(False, 1.0, None)]) is None
 
 
 # --- curves ---

@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import pytest
 
-from car_interface.tools.report.html import counted, moment_text, range_text, span_text
+from car_interface.tools.report.html import counted, moment_text, span_text
 
 
 @pytest.mark.parametrize("texts, line", [
@@ -14,11 +14,6 @@ from car_interface.tools.report.html import counted, moment_text, range_text, sp
 ])
 def test_texts_are_counted_and_the_six_most_frequent_are_named(texts, line):
     assert counted(iter(texts)) == line
-
-
-def test_range_has_two_decimals_and_its_unit_and_no_negative_zero():
-    assert range_text(-0.5, 12.346, "m/s²") == "-0.50 to 12.35 m/s²"
-    assert range_text(-0.001, 1.0, "m/s") == "0.00 to 1.00 m/s"
 
 
 @pytest.mark.parametrize("time_s, duration_s, text", [

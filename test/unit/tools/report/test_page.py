@@ -6,13 +6,14 @@ import re
 from dataclasses import replace
 from html import unescape
 from html.parser import HTMLParser
+from types import SimpleNamespace
 
 import pytest
 
 from car_interface.tools.recordings.recording import Topic
 from car_interface.tools.report.coverage import Gap
 from car_interface.tools.report.faults import ERROR, WARN, Fault
-from car_interface.tools.report.page import page
+from car_interface.tools.report.page import page, range_text
 from car_interface.tools.report.plots import plots
 from car_interface.tools.report.states import Episode
 from car_interface.tools.report.summary import summarize
@@ -121,3 +122,8 @@ def test_long_table_is_folded_and_a_very_long_one_ends_early(seen, count, is_fol
     assert text.count("<details>") == text.count("</details>") == is_folded
     assert (f"<summary>{count} lines</summary>" in text) == is_folded
     assert (more in text) if more else "more." not in text
+
+
+def test_range_has_two_decimals_and_its_unit_and_no_negative_zero():
+    assert range_text(SimpleNamespace(minimum=-0.5, maximum=12.346), "m/s²") == "-0.50 to 12.35 m/s²"
+    assert range_text(SimpleNamespace(minimum=-0.001, maximum=1.0), "m/s") == "0.00 to 1.00 m/s"
