@@ -159,7 +159,7 @@ def _address(hexadecimal):
 
 
 class LocalAddress(NamedTuple):
-    """Under which name or address the nodes that are started here tell others to call them."""
+    """The name or address by which nodes that are started here ask others to call them."""
 
     name: str  # ROS_HOSTNAME, ROS_IP or this host's name
     resolves: bool  # whether it can be looked up from here
