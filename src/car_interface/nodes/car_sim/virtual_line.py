@@ -5,7 +5,7 @@ Service:
         ``plug``), ``plug``, ``silence`` (for so many seconds nothing comes from the Teensy), ``scramble`` (for so many
         seconds both sides' baud rates differ), ``cut`` (the next so many bytes to the host are lost), ``flood`` (for so
         many seconds random bytes, 1 MB/s), ``bit_errors`` (this share of all bits, 0 = none), ``reboot`` (the Teensy
-        loses its power for a moment and boots for 0.3 s, in which the wheels turn uncounted), ``out_of_step`` (its
+        has no power for so many seconds and boots for 0.3 s, in which the wheels turn uncounted), ``out_of_step`` (its
         receiver takes opening flags for closing ones, for good), ``sonar_missing``, ``sonar_stuck``, ``sonar_blink``,
         ``sonar_clone``, ``sonar_fine`` (the sonar of this number, 0 to 5, isn't connected; raises its echo pin at its
         next ping and holds it; has it high for 1.5 to 2 s; is a clone that takes 200 ms without an echo; is whole).
@@ -68,7 +68,7 @@ class VirtualLine:
             "flood": lambda duration_s: bad.flood(duration_s, clock_ns()),
             "cut": bad.cut,
             "bit_errors": bad.bit_errors,
-            "reboot": lambda value: firmware.reboot(clock_ns()),
+            "reboot": lambda off_s: firmware.reboot(clock_ns(), round(off_s * NS_PER_S)),
             "out_of_step": lambda value: firmware.receive(ODD_FLAG, clock_ns()),
             **{f"sonar_{condition}": lambda value, condition=condition: firmware.set_sonar(value, condition, clock_ns())
                for condition in SONAR_CONDITIONS},

@@ -155,6 +155,10 @@ class Odometry:
             for wheel in self._wheels:
                 wheel.advance(now_ms)
             return self._move(record, has_pulse, now_ms, path=self._reversed_path(record, last, unsplit))
+        path = self._reversed_path(record, last, unsplit)
+        if path is not None:
+            for pose in (self._pose, self._before_bridge.pose):
+                pose.add_variance(path.along_variance, path.heading_variance, path.across_variance)
         return self._cross_bridge(record, pulses, unproven, (left_ms, right_ms), now_ms)
 
     def _update_wheels(self, record, last, pulses, times_ms, now_ms):
@@ -306,7 +310,7 @@ class Odometry:
         place = (left.position_variance + right.position_variance) * self._pulse_m ** 2
         heading = place / self._config.track_m ** 2
         if self._bridge is not None:
-            place, heading = self._bridge_variances(place)
+            place, heading = self._bridge_variances(place, now_ms)
             if self._bridge.may_roll(now_ms):
                 variance += 2 * PENDING_SPEED_SIGMA ** 2
         if not self._alignment.is_done:
@@ -319,14 +323,14 @@ class Odometry:
             (left.position * to_rad, right.position * to_rad),
             (left.speed * 1000 * to_rad, right.speed * 1000 * to_rad), pose.distance_m)
 
-    def _bridge_variances(self, place_variance):
+    def _bridge_variances(self, place_variance, now_ms):
         """Return the variances of the sum of both wheels' places, m², and of the heading, while both are predicted.
 
         A car rolls by both wheels: its heading changes by curvature × distance, and its place by the distance times
         half of that. The curvature changes at an unknown time, for a part of the distance that is evenly in 0 .. 1: its
         mean has a third of the variance.
         """
-        along = place_variance / 4 + self._bridge.place_variance * self._pulse_m ** 2
+        along = place_variance / 4 + self._bridge.place_variance(now_ms) * self._pulse_m ** 2
         square = ((self._mean - self._before_bridge.mean) * self._pulse_m) ** 2
         turn = CURVATURE_VARIANCE / 3 * (square + along)
         return 4 * along + turn * square, turn + (UNALIGNED_PULSES * self._rad_per_pulse) ** 2

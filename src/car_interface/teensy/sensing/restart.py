@@ -103,12 +103,19 @@ class RestartBridge:
         self._pulses: tuple[list, list] = ([], [])
         self._signs = [0, 0]
 
-    @property
-    def place_variance(self) -> float:
-        """The variance of the place that a stop on the way or a long time adds, pulses²."""
-        blind_ms = self._blind_ms() if any(self._pulses) or self._seen_ms is not None else 0.0
-        far = self._mean_before() * blind_ms / 2 if blind_ms > MAX_BLIND_MS else 0.0
+    def place_variance(self, now_ms: float) -> float:
+        """Return the variance of the place that a start or a stop on the way or a long time adds, pulses²."""
+        if self._seen_ms is None:
+            return 0.0
+        blind_ms, far = self._blind_ms(), 0.0
+        if blind_ms > MAX_BLIND_MS:
+            far = self._mean_before() * blind_ms / 2
+        elif abs(self._mean_before()) <= ROLLING_PER_MS and blind_ms > BLIND_MS and self._may_have_started(now_ms):
+            far = UNEVEN_PER_MS2 * blind_ms ** 2 / 6  # 2 m/s² for all of the time is three sigma
         return self._stop_variance + far ** 2
+
+    def _may_have_started(self, now_ms):
+        return self.may_roll(now_ms) or any(self._pulses) and self._first_ms() - self._seen_ms <= ENOUGH_MS
 
     def may_roll(self, now_ms: float) -> bool:
         """Return whether the car may roll though no pulse has shown it yet."""
@@ -207,7 +214,7 @@ class RestartBridge:
         places, doubt = self._search(guesses, signs, mean_variance, difference_variance)
         if was_rolling and blind_ms > BLIND_MS or self._stop_variance:
             doubt = max(doubt, MIN_DIFFERENCE_VARIANCE)
-        if was_rolling and difference_variance > (SEARCHED / 2) ** 2:  # beyond the searched magnets
+        if was_rolling and difference_variance > 1.0:  # magnets tell nothing, and the searched ones are too few
             doubt = max(doubt, difference_variance)
         # After a rest a car may have turned round, and the direction of its first pulses isn't known.
         unknown = UNPROVEN_VARIANCE if not was_rolling and now_ms - self._first_ms() > REST_MS else 0.0

@@ -61,13 +61,14 @@ def curved_path(distance_m: float, turned_rad: float, curvature_per_m: float | N
     if not distance_m:
         return UnseenPath()
     across_variance = usual_square * distance_m ** 4 / 48
+    along = min(1.0, turned_rad ** 2)  # as the path turns, what is off to its side comes to be off along its start
     change = 0.0 if curvature_per_m is None else turned_rad / distance_m - curvature_per_m
     if abs(change) <= CURVATURE_NOISE:
-        return UnseenPath(across_variance=across_variance)
+        return UnseenPath((), along * across_variance, across_variance)
     ratio = min(1.0, abs(change) / MAX_CURVATURE_CHANGE)
     before_m = distance_m * (1 - ratio) / 2
-    return UnseenPath(((before_m, curvature_per_m * before_m),),
-                      across_variance=across_variance + (change * distance_m ** 2 / 2 * (1 - ratio)) ** 2 / 12)
+    across_variance += (change * distance_m ** 2 / 2 * (1 - ratio)) ** 2 / 12
+    return UnseenPath(((before_m, curvature_per_m * before_m),), along * across_variance, across_variance)
 
 
 def reversed_path(unsplit_m: float, difference_rad: float, is_odd: bool) -> UnseenPath:

@@ -188,17 +188,13 @@ class WheelGate:
         if not self._learns or min(before.left.dist_abs, before.right.dist_abs) >= LEARNING_PULSES:
             pulses = [signed_pulses(old, new) for old, new in zip(before, now)]
             unsplit = [unsplit_pulses(old, new) for old, new in zip(before, now)]
-            for side, other in ((0, 1), (1, 0)):
-                if (before[side].direction == now[side].direction and not unsplit[other]
-                        and abs(pulses[other]) > unsplit[side] / 2 > 0):
-                    # The other wheel didn't reverse: this one went back over a single magnet.
-                    pulses[side] += (unsplit[side] - 1) * (1 if now[side].direction == FORWARD else -1)
-                    unsplit[side] = 0
+            pulses, unsplit = _settled(pulses, unsplit, before, before, now)
             return (*pulses, 0, 0, *unsplit)
-        left, right = learning_pulses(before.left, now.left), learning_pulses(before.right, now.right)
-        return (left[0], right[0], left[1], right[1],
-                *(unsplit_pulses(old._replace(dist_abs=max(old.dist_abs, LEARNING_PULSES)), new)
-                  for old, new in zip(before, now)))
+        learnt = [learning_pulses(old, new) for old, new in zip(before, now)]
+        unsplit = [unsplit_pulses(old._replace(dist_abs=max(old.dist_abs, LEARNING_PULSES)), new)
+                   for old, new in zip(before, now)]
+        pulses, unsplit = _settled([proven for proven, _ in learnt], unsplit, before, self._last or before, now)
+        return (*pulses, learnt[0][1], learnt[1][1], *unsplit)
 
     def _impossible(self, wheel):
         """Return what is wrong with a wheel's report by itself."""
@@ -257,6 +253,30 @@ class WheelGate:
             return per_ms, pulse_tick
         elapsed_ms = -1 if pulse_tick is None else ahead(now.when, pulse_tick)
         return min(self._top_per_ms, pulses / (elapsed_ms + QUANTUM_MS)) if elapsed_ms >= 0 else 0.0, now.when
+
+
+def _settled(pulses, unsplit, before, rolled, now):
+    """Return pulses and unsplit ones, by what both wheels show together.
+
+    Args:
+        pulses: signed, as each wheel alone counts them from ``before`` to ``now``.
+        unsplit: of these, the ones before a wheel's last reversal.
+        rolled: the report with the directions in which the wheels rolled before.
+    """
+    settled, open_ = list(pulses), list(unsplit)
+    for side, other in ((0, 1), (1, 0)):
+        earlier, direction = unsplit[side], now[side].direction
+        sign = 1 if direction == FORWARD else -1
+        counted = -sign * (min(earlier, 1) if before[side].direction == direction else earlier)
+        if rolled[side].direction != direction or not earlier:
+            continue  # a single reversal
+        if not unsplit[other] and abs(pulses[other]) > earlier / 2:
+            # The other wheel didn't reverse: this one went back over a single magnet.
+            settled[side] += sign * (earlier - 2) - counted
+            open_[side] = 0
+        else:
+            settled[side] += -sign - counted
+    return settled, open_
 
 
 def _tick_gone_back(record, newest_tick):
