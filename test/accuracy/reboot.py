@@ -165,14 +165,15 @@ def main():
     options = parser.parse_args()
     outcomes = [run(1000 + index, options.fault, not options.no_sonars) for index in range(options.reboots)]
     print("drive     |   n | heading off, deg | within 3 sigma | messages inside | no odometry, s")
-    kinds = KINDS if options.fault == REBOOT else DARK_KINDS
-    for name, kinds in [*((kind, (kind,)) for kind in kinds), ("all", kinds)]:
+    all_kinds = KINDS if options.fault == REBOOT else DARK_KINDS
+    for name, kinds in [*((kind, (kind,)) for kind in all_kinds), ("all", all_kinds)]:
         some = [outcome for outcome in outcomes if outcome.plan.kind in kinds]
         if some:
             heading = sorted(abs(outcome.heading_deg) for outcome in some)
             inside = sum(outcome.heading_sigmas <= 3 for outcome in some)
+            messages = 100 * sum(outcome.inside for outcome in some) / len(some)
             print(f"{name:9} | {len(some):3} | {heading[len(some) // 2]:7.2f} {heading[-1]:8.2f} | "
-                  f"{inside:7}/{len(some):<6} | {100 * sum(outcome.inside for outcome in some) / len(some):13.2f} % | {max(outcome.gap_s for outcome in some):5.2f}")
+                  f"{inside:7}/{len(some):<6} | {messages:13.2f} % | {max(outcome.gap_s for outcome in some):5.2f}")
 
 
 if __name__ == "__main__":

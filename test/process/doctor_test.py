@@ -315,10 +315,11 @@ class Doctor(unittest.TestCase):
         pid = pid_of("/car2/car_nodes")
         lacks = (WARN, "nodes", "not running in /car2: ", "roslaunch car_interface car.launch ns:=/car2")
         absent = (BAD, "bus", "/dev/i2c-absent: there is no such bus", "")
+        files = (WARN, "files", "the nodes were launched with the package's own files", "config:=$HOME/my_car")
         self.look_at_each(
             (((WARN, "nodes", "there are 2 cars, in /car1 and /car2: none was looked at",
                "doctor --ns /car1"),), {}),
-            ((lacks, absent, (BAD, "port", "/dev/absent: there is no such port", "Plug the Teensy in"),
+            ((lacks, files, absent, (BAD, "port", "/dev/absent: there is no such port", "Plug the Teensy in"),
               (BAD, "reports", "car2/pca9685: servo board: there is no such bus", "")),
              {"options": ("--ns", "car2"), "fine": [("nodes", "in one process, /car2/car_nodes")]}),
             (((WARN, "port", f"{self.port}: teensy_sensor_hub (process", "--ns"), VIRTUAL_BUS),
@@ -329,7 +330,7 @@ class Doctor(unittest.TestCase):
         second.send(signal.SIGKILL)
         os.kill(pid, signal.SIGKILL)
         self.look((BAD, "nodes", "/car2/car_nodes: killed or crashed; the master still lists",
-                   "To clear the list: rosnode cleanup"), lacks, absent,
+                   "To clear the list: rosnode cleanup"), lacks, files, absent,
                   (BAD, "port", "/dev/absent: there is no such port", ""),
                   options=("--ns", "car2"))
         self.look((WARN, "port", f"{self.port}: there is no virtual Teensy: car_sim, which makes this port, doesn't",

@@ -52,6 +52,7 @@ def start(module: str) -> None:
     if module.startswith(NODES) and {"-h", "--help"} & set(sys.argv[1:]):
         if module in OPTIONS:
             importlib.import_module(f"car_interface.{OPTIONS[module]}").parse(["--help"])
+        signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `| head` may have read enough
         print(usage(module))
         return
     try:

@@ -9,7 +9,6 @@ import math
 from dataclasses import dataclass
 from typing import Sequence
 
-from car_interface.common.errors import require
 from car_interface.common.vehicle_geometry import FRONT_M, REAR_M, WIDTH_M
 
 APART_M = 0.01  # a car that has driven this far since it was stopped no longer touches the obstacle
@@ -28,11 +27,6 @@ class CarBody:
     rear_m: float = REAR_M
     front_m: float = FRONT_M
     width_m: float = WIDTH_M
-
-    def __post_init__(self):
-        require(self.rear_m >= 0, "rear_m", self.rear_m, "0 or more")
-        require(self.front_m > 0, "front_m", self.front_m, "more than 0")
-        require(self.width_m > 0, "width_m", self.width_m, "more than 0")
 
 
 class Obstacles:

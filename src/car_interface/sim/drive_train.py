@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from car_interface.common import declared
 from car_interface.common.errors import require
-from car_interface.sim.esc import BACKWARD, BRAKE, FORWARD, MotorState, command, is_pulse
+from car_interface.sim.esc import BACKWARD, BRAKE, FORWARD, MotorState, is_pulse, throttle_of
 
 TRUE = "of the full duty, before drag; forward and backward at standstill"  # the meaning of three parameters
 
@@ -56,10 +56,6 @@ class DriveTrainConfig:
             self.full_reverse_duty < low <= high < self.full_forward_duty,
             "neutral_duty", self.neutral_duty, "with its band between full reverse and full forward",
         )  # fmt: skip
-        require(self.thrust_halves_mps > 0, "thrust_halves_mps", self.thrust_halves_mps, "more than 0")
-        require(0 <= self.sag < 1, "sag", self.sag, "0 to less than 1")
-        require(self.sag_over_s > 0, "sag_over_s", self.sag_over_s, "more than 0")
-        require(self.lag_s >= 0, "lag_s", self.lag_s, "0 or more")
 
     def thrust(self, elapsed_s: float) -> float:
         """Return the ratio of the stated thrust that the battery gives at a time after the start."""
@@ -70,8 +66,8 @@ def throttle(duty: int, drive: DriveTrainConfig) -> float | None:
     """Return the throttle of a duty: -1 (full reverse) to 1 (full forward), 0 in the neutral band; None: no pulse."""
     if not is_pulse(duty):
         return None
-    return command(duty, drive.full_reverse_duty, drive.neutral_duty, drive.full_forward_duty, drive.neutral_band_duty,
-                   drive.neutral_band_duty)
+    return throttle_of(duty, drive.full_reverse_duty, drive.neutral_duty, drive.full_forward_duty,
+                       drive.neutral_band_duty, drive.neutral_band_duty)
 
 
 class Motor:
@@ -105,7 +101,9 @@ def motor_acceleration_mps2(
         # A motor's own voltage opposes the ESC's, and adds to it where the motor turns against its drive.
         own_voltage = 1.0 + speed / drive.thrust_halves_mps
         push_mps2 += way * full_mps2 * (own_voltage if way * speed_mps < 0.0 else 1.0 / own_voltage)
-    return _with_resistance(push_mps2, speed_mps, resistance_mps2)
+    if not speed_mps and abs(push_mps2) <= resistance_mps2:
+        return 0.0
+    return push_mps2 - math.copysign(resistance_mps2, speed_mps or push_mps2)
 
 
 def true_acceleration_mps2(
@@ -124,21 +122,6 @@ def true_acceleration_mps2(
         thrust: the ratio of its thrust that the battery gives.
         downhill_mps2: the part of the slope, forward positive; 0 on level ground.
     """
-    push = throttle(esc_duty, drive) or 0.0
-    speed = abs(speed_mps)
-    drag_mps2 = drive.drag_mps2 + speed * (drive.drag_per_s + speed * drive.drag_per_m)
-    if push * speed_mps < 0.0:
-        push_mps2 = push * drive.brake_mps2
-    else:
-        full_mps2 = drive.forward_mps2 if push > 0.0 else drive.reverse_mps2
-        push_mps2 = push * full_mps2 * thrust / (1.0 + speed / drive.thrust_halves_mps)
-    return _with_resistance(push_mps2 + downhill_mps2, speed_mps, drag_mps2)
-
-
-def _with_resistance(push_mps2, speed_mps, resistance_mps2):
-    """Return the acceleration by a push, and by a resistance to any motion."""
-    if speed_mps:
-        return push_mps2 - math.copysign(resistance_mps2, speed_mps)
-    if abs(push_mps2) <= resistance_mps2:
-        return 0.0
-    return push_mps2 - math.copysign(resistance_mps2, push_mps2)
+    command = throttle(esc_duty, drive) or 0.0
+    push, brake = (0.0, abs(command)) if command * speed_mps < 0.0 else (command, 0.0)
+    return motor_acceleration_mps2(push, brake, speed_mps, drive, thrust, downhill_mps2)

@@ -92,13 +92,9 @@ class VirtualEscConfig:
     stands_mps: float = 0.05
 
     def __post_init__(self):
-        require(self.kind in KINDS, "kind", self.kind, "one of " + ", ".join(KINDS))
-        second_pulls = (REVERSES, BRAKES, BRAKES_AND_TURNS)
-        require(self.second_pull in second_pulls, "second_pull", self.second_pull, "one of " + ", ".join(second_pulls))
         low, high = self.neutral_duty - self.reverse_band_duty, self.neutral_duty + self.forward_band_duty
         require(self.full_reverse_duty < low <= high < self.full_forward_duty, "neutral_duty", self.neutral_duty,
                 "with its dead bands between full reverse and full forward")
-        require(0 <= self.drag_brake <= 1, "drag_brake", self.drag_brake, "0 to 1")
 
 
 def is_pulse(duty: int) -> bool:
@@ -106,8 +102,8 @@ def is_pulse(duty: int) -> bool:
     return SHORTEST_PULSE <= duty <= LONGEST_PULSE
 
 
-def command(duty: float, full_reverse: float, neutral: float, full_forward: float, reverse_band: float,
-            forward_band: float) -> float:
+def throttle_of(duty: float, full_reverse: float, neutral: float, full_forward: float, reverse_band: float,
+                forward_band: float) -> float:
     """Return a pulse's command: −1 to 1 from end to end, 0 within the dead band; all arguments in duty."""
     beyond = duty - neutral
     if beyond > forward_band:
@@ -161,8 +157,8 @@ class VirtualEsc:
 
     def _command(self, duty):
         config = self.config
-        return command(duty, config.full_reverse_duty, config.neutral_duty, config.full_forward_duty,
-                       config.reverse_band_duty, config.forward_band_duty)
+        return throttle_of(duty, config.full_reverse_duty, config.neutral_duty, config.full_forward_duty,
+                           config.reverse_band_duty, config.forward_band_duty)
 
     def _miss_pulse(self, now_ns):
         if self._last_pulse_ns is None or now_ns - self._last_pulse_ns < self.config.cutoff_s * NS_PER_S:

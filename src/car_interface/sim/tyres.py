@@ -15,7 +15,6 @@ import math
 from dataclasses import dataclass
 
 from car_interface.common import declared
-from car_interface.common.errors import require
 
 UPRIGHT_RATIO = 0.9  # below this part of the acceleration at which it tips, the car stands on its wheels again
 
@@ -31,11 +30,6 @@ class TyreConfig:
         "grip", 7.8, "the most acceleration, along and across together", "m/s²", above=0.0, high=100)
     rollover_mps2: float = declared.number(
         "rollover", 7.0, "the lateral acceleration at which it tips", "m/s²", above=0.0, high=100)
-
-    def __post_init__(self):
-        require(self.understeer >= 0, "understeer", self.understeer, "0 or more")
-        require(self.grip_mps2 > 0, "grip_mps2", self.grip_mps2, "more than 0")
-        require(self.rollover_mps2 > 0, "rollover_mps2", self.rollover_mps2, "more than 0")
 
 
 def possible_acceleration_mps2(demanded_mps2: float, tyres: TyreConfig) -> float:

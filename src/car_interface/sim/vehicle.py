@@ -95,9 +95,6 @@ class SteeringConfig:
         one_way = all(step < 0 for step in steps) or all(step > 0 for step in steps)
         require(len(self.curve) > 1 and rising and one_way, "steering curve", self.curve,
                 "rising duty, falling 1/m (or rising, for a reversed servo)")
-        require(self.rate_duty_per_s > 0, "rate_duty_per_s", self.rate_duty_per_s, "more than 0")
-        require(self.lag_s > 0, "lag_s", self.lag_s, "more than 0")
-        require(self.backlash_duty >= 0, "backlash_duty", self.backlash_duty, "0 or more")
 
 
 @dataclass(frozen=True)
@@ -131,8 +128,6 @@ class VehicleConfig:
     def __post_init__(self):
         sharpest = max(abs(curvature) for _, curvature in self.steering.curve)
         require(0 < self.track_m < 2 / sharpest, "track_m", self.track_m, "more than 0, inside the tightest turn")
-        require(self.wheel_diameter_m > 0, "wheel_diameter_m", self.wheel_diameter_m, "more than 0")
-        require(self.pulses_per_revolution > 0, "pulses_per_revolution", self.pulses_per_revolution, "more than 0")
 
     @property
     def pulse_m(self) -> float:

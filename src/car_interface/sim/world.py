@@ -10,8 +10,6 @@ import math
 from dataclasses import dataclass
 from typing import Sequence
 
-from car_interface.common.errors import require
-from car_interface.common.vehicle_geometry import SONARS
 from car_interface.sim.collision import Obstacles
 
 
@@ -75,15 +73,6 @@ class WorldConfig:
     rays: int = 7
     max_range_m: float = 4.0
     temperature_c: float = 20.0
-
-    def __post_init__(self):
-        x_from_m, x_to_m, y_from_m, y_to_m = self.walls
-        require(x_from_m < x_to_m and y_from_m < y_to_m, "walls", self.walls, "x from < x to, y from < y to")
-        require(len(self.mounts) == len(SONARS), "mounts", self.mounts, "six of them")
-        require(0 < self.cone_rad < math.pi, "cone_rad", self.cone_rad, "more than 0, less than pi")
-        require(self.rays > 0, "rays", self.rays, "1 or more")
-        require(self.max_range_m > 0, "max_range_m", self.max_range_m, "more than 0")
-        require(-100 < self.temperature_c < 100, "temperature_c", self.temperature_c, "-100 to 100")
 
 
 class World:

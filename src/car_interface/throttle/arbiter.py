@@ -65,7 +65,7 @@ class Arbitration(NamedTuple):
     source: int
     cause: str  # one of car_interface.common.causes
     reason: str
-    asked: float  # what the source asks for, −1..1, before scaling; 0 without a source
+    asked: float  # the source's request before scaling, −1..1; 0 without a source
     drive: float  # the request if the ESC drives by it, of the same sign
     brake: float  # the request if the ESC brakes by it, of the same sign
     is_stop: bool  # the car has to stop. False with a request of 0: nobody asks for anything, and it coasts
@@ -80,7 +80,7 @@ class ThrottleArbiter:
 
     1. The e-stop, no deadman, a stopped turn_arb, or a servo board that doesn't follow turn_arb: stop.
     2. A mode, or a stick, that was received before and is now stale or invalid: stop. The planner doesn't get the
-       throttle then, since the human still believes to be driving.
+       throttle then, since the human still believes that they drive.
     3. The human, if the mode gives them the throttle or the stick is beyond its dead band.
     4. The planner, if it has a value and odometry is fresh; else stop, or neutral if no planner ever sent a value.
 
@@ -321,29 +321,36 @@ class ThrottleArbiter:
         return Arbitration(TELEOP, causes.OVERRIDE, reason, 0.0, 0.0, 0.0, False, DRIVE)
 
     def _by_planner(self, now_ns):
+        """Return the planner's request, a stop if there is none, or neutral if no planner ever sent a value."""
         gear, no_request, speed_mps = self._planner_gear(now_ns)
         trouble = no_request or self._no_value
         if trouble is None and not self._planner.was_received:
             return Arbitration(NEUTRAL, causes.NO_REQUEST, "neither tele_throt_req nor a planner's value asks for "
                                "anything", 0.0, 0.0, 0.0, False)
+        trouble = trouble or self._planner_trouble(now_ns)
         if trouble is not None:
             return _stop(NEUTRAL, *trouble)
-        if self._is_awaited(now_ns):
-            return _stop(NEUTRAL, causes.COMMAND_AWAITED, "the planner asks again: its first value is awaited")
-        if self._planner.is_stale(now_ns):
-            return _stop(NEUTRAL, causes.COMMAND_STALE, self._planner.stale_reason(now_ns))
-        (value, request), odometry = self._planner.value, self._odometry
-        if not math.isfinite(value):
-            return _stop(NEUTRAL, causes.COMMAND_NOT_FINITE, f"the planner's value is {value}, no number to act on")
-        if odometry.is_stale(now_ns):
-            return _stop(NEUTRAL, causes.ODOMETRY_STALE, odometry.stale_reason(now_ns))
-        if not math.isfinite(odometry.value):
-            return _stop(NEUTRAL, causes.ODOMETRY_NOT_FINITE, f"the velocity in the odometry is {odometry.value}")
+        value, request = self._planner.value
         if gear == COAST_GEAR:
             return Arbitration(PLANNER, causes.PLANNER, "the planner's gear is neutral: the car coasts", 0.0, 0.0, 0.0,
                                False, DRIVE)
         return Arbitration(PLANNER, causes.PLANNER, f"the planner's value is {value:.3f}", request, request,
                            request, False, PLANNER_GEARS.get(gear, DRIVE), speed_mps)
+
+    def _planner_trouble(self, now_ns):
+        """Return why the planner's value can't be followed, or None; without odometry none can."""
+        if self._is_awaited(now_ns):
+            return NoValue(causes.COMMAND_AWAITED, "the planner asks again: its first value is awaited")
+        if self._planner.is_stale(now_ns):
+            return NoValue(causes.COMMAND_STALE, self._planner.stale_reason(now_ns))
+        (value, _), odometry = self._planner.value, self._odometry
+        if not math.isfinite(value):
+            return NoValue(causes.COMMAND_NOT_FINITE, f"the planner's value is {value}, no number to act on")
+        if odometry.is_stale(now_ns):
+            return NoValue(causes.ODOMETRY_STALE, odometry.stale_reason(now_ns))
+        if not math.isfinite(odometry.value):
+            return NoValue(causes.ODOMETRY_NOT_FINITE, f"the velocity in the odometry is {odometry.value}")
+        return None
 
     def _is_awaited(self, now_ns):
         """Return whether the planner resumed just now: its state arrives before the converter's first value."""

@@ -10,9 +10,10 @@ gets now, the state, the cause and the reason. It decides by
 * ``esc_intention``: whether a person's pull means reverse.
 
 The rules, in the order of ``step``: arming comes first, then a stop (``_stop``), then a request (``_drive``). A pull is
-given if it brakes for certain (``_brakes``), as far as it ends before the car stands (``_weak_pull``), or as a step of
-the way into reverse (``_reverse``); else it is neutral. A stop brakes by stricter rules (``_stop_brakes``). Nothing
-blocks: where an ESC needs time in neutral, ``step`` returns neutral until it has passed. Pure: ``now_ns`` is passed in.
+given if it brakes for certain (``_brakes``), weakly if that ends before the car stands (``_weak_pull``), or as a step
+of the way into reverse (``_reverse``); else the ESC gets neutral. A stop brakes by stricter rules (``_stop_brakes``).
+Nothing blocks: where an ESC needs time in neutral, ``step`` returns neutral until it has passed. Pure: ``now_ns`` is
+passed in.
 
 The rules can't see
 
@@ -159,6 +160,7 @@ class Esc:
     # --- arming ---
 
     def _update_arming(self, request, now_ns):
+        """Enter ARMING without pulses and after motion against the state; leave it once nothing is missing."""
         if self._history.had_no_pulse():
             self._disarm(causes.ESC_ARMING, NO_PULSE, now_ns)
         wants_backward = request.cruise_mps < 0 and request.gear == REVERSE_GEAR and not request.is_stop
@@ -235,7 +237,7 @@ class Esc:
         return value, FORWARD, causes.DRIVING, f"{value:.2f} is requested{_clamped(request)}"
 
     def _rolls_too_fast_backward(self, request, now_ns):
-        """Return whether a hill drives the car backward so fast that a gentle push can't turn it round."""
+        """Return whether a hill drives it faster backward than requested, and too fast for a gentle push to turn it."""
         speed_mps = self._motion.speed_mps(now_ns)
         return (self._hill.drives_the_car and request.cruise_mps < 0 and self._motion.is_fresh(now_ns)
                 and speed_mps < min(request.cruise_mps, -2 * STANDSTILL_MPS))
@@ -251,27 +253,35 @@ class Esc:
         if request.is_human and request.gear == DRIVE and self._motion.rolls_backward(now_ns):
             return self._brake_in_reverse(-value, "it rolls backward, too slowly for a brake that is sure to end in "
                                           "time: it coasts", now_ns)
+        means_reverse = self._means_reverse(request, now_ns)
+        if means_reverse and self._may_reverse(request, now_ns):
+            return self._reverse(value, now_ns)
+        brake = self._brake(value, means_reverse, now_ns)
+        if brake is not None or self._rolled_forward_in_pull(now_ns):
+            self._pulls.mark_brake()
+        return brake or (0.0, NEUTRAL, *self._withheld(means_reverse, now_ns))
+
+    def _means_reverse(self, request, now_ns):
+        """Return whether a pull means reverse: by the gear, or as a person's second pull."""
         # If the speed is lost while the car rolls, the pull that is held stays a brake.
         is_lost = self._motion.speed_mps(now_ns) is None
         if is_lost and self._motion.rolled_forward_since(self._pulls.began_ns - LOST_NS):
             self._pulls.mark_brake()
-        means_reverse = request.gear == REVERSE_GEAR or request.gear == AUTO and self._pulls.means_reverse
-        if means_reverse and self._may_reverse(request, now_ns):
-            return self._reverse(value, now_ns)
+        return request.gear == REVERSE_GEAR or request.gear == AUTO and self._pulls.means_reverse
+
+    def _rolled_forward_in_pull(self, now_ns):
+        """Return whether a speed that was measured during this pull shows that it is a brake."""
+        speed_mps = self._motion.speed_mps(now_ns) or 0.0
+        began_ns = self._pulls.began_ns + (0 if self._motion.is_stamped else HIDDEN_NS)
+        return speed_mps >= STANDSTILL_MPS and self._motion.measured_ns >= began_ns
+
+    def _brake(self, value, means_reverse, now_ns):
+        """Return the answer to a pull that brakes, whole or weakly; None: it may not brake."""
         if self._brakes(value, now_ns):
-            self._pulls.mark_brake()
             state = HOLD if self._motion.stands(now_ns) else BRAKING
             return value, state, *self._brake_cause(state, means_reverse)
         weak = self._weak_pull(value, now_ns)
-        if weak:
-            self._pulls.mark_brake()
-            return weak, BRAKING, causes.BRAKING, WEAKLY
-        # Only a speed that was measured during this pull shows that it is a brake. Without a stamp it may be older.
-        speed_mps = self._motion.speed_mps(now_ns) or 0.0
-        began_ns = self._pulls.began_ns + (0 if self._motion.is_stamped else HIDDEN_NS)
-        if speed_mps >= STANDSTILL_MPS and self._motion.measured_ns >= began_ns:
-            self._pulls.mark_brake()
-        return 0.0, NEUTRAL, *self._withheld(means_reverse, now_ns)
+        return (weak, BRAKING, causes.BRAKING, WEAKLY) if weak else None
 
     def _brakes(self, value, now_ns):
         """Return whether a pull slows the car for certain.
@@ -291,7 +301,7 @@ class Esc:
         return self._motion.rolls_forward(now_ns) and self._is_fast_enough(value, now_ns)
 
     def _is_fast_enough(self, value, now_ns):
-        """Return whether the car is faster than esc/brake_margin, and stays so until a pull of now has ended.
+        """Return whether the car is faster than esc/brake_margin, and rolls until a pull that is given now has ended.
 
         To begin a brake takes BEGINS_OVER_MPS more. It takes twice the margin where the speed has no stamp, since its
         age is unknown, and backward, since the way back into reverse takes long.
@@ -432,9 +442,7 @@ class Esc:
     def _finish(self, answer, now_ns):
         """Return an answer as a decision, and record it for the next steps."""
         fraction, state, cause, reason = answer
-        keeps = math.exp((self._finished_ns - now_ns) / (MOTOR_LAG_NS + ACTUATION_NS))
-        self._lagging_pull = keeps * self._lagging_pull + (1.0 - keeps) * max(0.0, -self._fraction)
-        self._finished_ns = now_ns
+        self._update_lagging_pull(now_ns)
         if state == REVERSE and self._state != REVERSE:
             self._saw_speed_in_reverse = False
         if state == REVERSE and (self._motion.stands(now_ns) or self._motion.rolls_backward(now_ns)):
@@ -449,6 +457,11 @@ class Esc:
         is_push = state == FORWARD and fraction > 0
         self._proof.step(fraction, is_push, self._history.pulled_ns(now_ns), self._motion, now_ns)
         return EscDecision(fraction, state, cause, reason, *self._stop_guarantee(now_ns))
+
+    def _update_lagging_pull(self, now_ns):
+        keeps = math.exp((self._finished_ns - now_ns) / (MOTOR_LAG_NS + ACTUATION_NS))
+        self._lagging_pull = keeps * self._lagging_pull + (1.0 - keeps) * max(0.0, -self._fraction)
+        self._finished_ns = now_ns
 
     def _stop_guarantee(self, now_ns):
         """Return (the deceleration of a stop, the speed below which only drag is left), as in ``EscDecision``."""

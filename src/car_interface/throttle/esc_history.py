@@ -19,7 +19,7 @@ HELD_TIMEOUT_NS = round(2.5 * NS_PER_S)
 
 # The board goes to neutral by itself 250 ms after a command, and 80 ms after a pull, unless calibrate_esc has measured
 # a brake_then_reverse and the pull is its first after a push (``pca9685.channels``). A node that pauses for longer
-# than this (50 and 20 ms less) must assume that the board was in neutral, even if the board hasn't reported it. With 2 s
+# than this (50 and 20 ms less) must assume that the board was in neutral, even if that wasn't reported. With 2 s
 # `python3 test/adversary 400 --seed 700000` finds a reversal.
 BOARD_HOLDS_NS, BOARD_HOLDS_PULL_NS = round(0.2 * NS_PER_S), round(0.06 * NS_PER_S)
 

@@ -119,11 +119,13 @@ class MeasuredMotion:
         return speed_mps is not None and speed_mps <= -STANDSTILL_MPS
 
     def least_speed_mps(self, now_ns: int) -> float:
-        """Return the least speed that the car can have, either way, when the pulse before a decision of now ends."""
+        """Return the least speed, forward or backward, that the car can have when a decision takes effect."""
         return self._least_mps(now_ns, ACTUATION_NS)
 
     def outlasts_a_pull(self, now_ns: int, above_mps: float = 0.0, braked_since_ns: int | None = None) -> bool:
-        """Return whether the car certainly rolls until the board has ended a pull of now, if no decision follows.
+        """Return whether the car certainly rolls until the board has ended a pull that is given now.
+
+        The board ends it by itself if no decision follows.
 
         Args:
             now_ns: the time.
@@ -135,7 +137,7 @@ class MeasuredMotion:
                 and self._least_mps(now_ns, 0, slows_mps2) > above_mps)
 
     def mps2_to_outlast_a_pull(self, now_ns: int) -> float:
-        """Return the deceleration at which the car comes to a stand just when the board has ended a pull of now."""
+        """Return the deceleration that stops the car just when the board has ended a pull that is given now."""
         speed_mps = self.speed_mps(now_ns)
         return 0.0 if speed_mps is None else abs(speed_mps) * NS_PER_S / (now_ns - self.measured_ns + PULL_NS)
 

@@ -27,6 +27,7 @@ from car_interface.common.units import NS_PER_S
 from car_interface.throttle.arbiter import PLANNER, TELEOP, Arbitration
 from car_interface.throttle.esc import BRAKING, FORWARD, NEUTRAL, REVERSE, STOP_MEMORY_NS, EscDecision
 from car_interface.throttle.esc_config import BRAKE_THEN_REVERSE, FORWARD_ONLY, EscConfig
+from car_interface.throttle.esc_motion import MOTOR_LAG_NS
 from car_interface.throttle.limits import BAND_MPS, SpeedBound
 from car_interface.throttle.obstacle_stop import MIN_STOP_MPS2, Guarantee, ObstacleStop
 from car_interface.throttle.slope import Slope
@@ -35,7 +36,7 @@ ROLLS_MPS, MOVES_MPS = 0.1, 0.05  # a faster car certainly rolls; a slower one m
 STEEP_MPS2 = 0.1  # less stops no car for certain: a slope of 1 % pulls by as much
 # A stop must begin, and reach the ESC, before the stop's memory of driving forward ends.
 TRUSTED_COASTING_NS = STOP_MEMORY_NS - round(0.2 * NS_PER_S)
-MOTOR_LAG_S = 0.15  # the longest of the cars in test/rooms
+MOTOR_LAG_S = MOTOR_LAG_NS / NS_PER_S
 CUT_S = 0.05 + MOTOR_LAG_S  # from the throttle's cut until the car gets no faster: the way to the ESC, a pulse, the lag
 # The throttle that holds a speed is estimated as a mean over CUT_S, and over LATE_STEADY times odometry's age: that
 # damps the loop, which contains this age.
@@ -116,8 +117,7 @@ class ObstacleGuard:
             return NONE
         self._late_s = speed.age_s(now_ns)
         is_reverse = self._answer is not None and self._answer.state == REVERSE
-        is_backward = speed.last_mps <= -ROLLS_MPS or speed.last_mps < ROLLS_MPS and (
-            is_reverse or arbitration.asked < 0)
+        is_backward = _drives_backward(arbitration, speed.last_mps, is_reverse)
         gain_mps2 = self._gain_mps2(speed)
         highest_mps = self._highest_mps(speed, gain_mps2, now_ns)
         reaches_mps = highest_mps + gain_mps2 * CUT_S
@@ -129,14 +129,7 @@ class ObstacleGuard:
         self._rolls = highest_mps >= MOVES_MPS and self._is_in_doubt(coasting, stop_mps2, bound, highest_mps)
         if highest_mps > bound.speed_mps and speed.magnitude_mps >= ROLLS_MPS:
             return Obstacle(stop=bound)
-        if begins == PRIMES:
-            throttle = self._primes(bound, highest_mps, now_ns)
-        elif self._rolls or reaches_mps >= bound.speed_mps:
-            throttle = 0.0
-        else:
-            throttle = self._approach(bound, is_backward, highest_mps)
-            if begins == PROBES:
-                throttle = min(throttle, self._rising(is_backward, highest_mps, now_ns))
+        throttle = self._max_throttle(begins, bound, reaches_mps, highest_mps, is_backward, now_ns)
         return Obstacle(bounds=(bound._replace(max_throttle=throttle),))
 
     def _gain_mps2(self, speed):
@@ -220,6 +213,17 @@ class ObstacleGuard:
             return doubt_mps2 > DOUBT_MPS2 / 2.0
         return doubt_mps2 > DOUBT_MPS2 and highest_mps >= bound.speed_mps - NEAR_MPS
 
+    def _max_throttle(self, begins, bound, reaches_mps, highest_mps, is_backward, now_ns):
+        """Return the most throttle on the way to a bound, 0..1."""
+        if begins == PRIMES:
+            return self._primes(bound, highest_mps, now_ns)
+        if self._rolls or reaches_mps >= bound.speed_mps:
+            return 0.0
+        throttle = self._approach(bound, is_backward, highest_mps)
+        if begins == PROBES:
+            throttle = min(throttle, self._rising(is_backward, highest_mps, now_ns))
+        return throttle
+
     def _primes(self, bound, highest_mps, now_ns):
         """Return the throttle until the brake is certain. It begins only with room for all of it: less doesn't help."""
         if not self._throttle and bound.speed_mps < highest_mps + PRIME_MPS:
@@ -233,8 +237,13 @@ class ObstacleGuard:
         return max(self._least[is_backward], self._throttle * (1.0 + elapsed_s / RISES_S))
 
     def _approach(self, bound, is_backward, highest_mps):
-        """Return the most throttle on the way to a bound."""
+        """Return the throttle with which the car approaches a bound gradually."""
         left_mps = bound.speed_mps - highest_mps
         gradual_mps = BAND_MPS + FULL_MPS2 * (CUT_S + self._late_s)
         least = self._least[is_backward] if left_mps > NEAR_MPS else 0.0
         return max(least, min(1.0, self._steady + left_mps / gradual_mps))
+
+
+def _drives_backward(arbitration, speed_mps, is_reverse):
+    """Return whether the car drives backward, or is about to from standstill."""
+    return speed_mps <= -ROLLS_MPS or speed_mps < ROLLS_MPS and (is_reverse or arbitration.asked < 0)

@@ -21,13 +21,15 @@ from typing import NamedTuple
 
 from car_interface.common.units import NS_PER_S
 from car_interface.throttle.esc_config import EscConfig
+from car_interface.throttle.esc_motion import MOTOR_LAG_NS
 
 # Bounds before the first measurement. The slope's pull: a floor of 5 % pulls by 0.49 m/s², which is three standard
 # deviations; with a wider bound cars on level arcs roll so often that `python3 test/rooms --empty` finds them slow. And
 # the drag beyond esc/drag_deceleration: a Slash has 0.3 to 0.4 m/s², and its ESC's drag brake adds to that.
 PULL_MPS2, SURPLUS_MPS2 = 0.35, 0.3
 CHANGES_MPS2 = 0.015  # the pull's change within a metre; an abrupt change starts over
-ACTUATION_S, LAG_S = 0.03, 0.15  # from the decision to the ESC's pulse; the longest motor lag of the cars in test/rooms
+ACTUATION_S = 0.03  # from the decision to the ESC's pulse
+LAG_S = MOTOR_LAG_NS / NS_PER_S
 WINDOW_S, MIN_WINDOW_S, MIN_REPORTS = 0.5, 0.1, 4  # of one measured deceleration
 NOISE_MPS, NOISE_RATIO = 0.02, 0.02  # of one report of the speed: a constant part, and a part of the speed
 RECENT_S = 0.12  # the present acceleration is measured over this time: six reports at 50 Hz
@@ -97,6 +99,10 @@ class Slope:
             self._stand(measured_ns)
             return
         self._stood_ns = None
+        self._measure(speed_mps, measured_ns)
+
+    def _measure(self, speed_mps, measured_ns):
+        """Measure a deceleration, if the ESC has had neutral or a brake for long enough."""
         since_s = (measured_ns - self._held_ns) / NS_PER_S
         if self._fraction == 0.0 and since_s >= ACTUATION_S:
             self._coast(speed_mps, since_s - ACTUATION_S)

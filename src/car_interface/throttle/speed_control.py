@@ -251,14 +251,10 @@ class SpeedControl:
     def _follow(self, request, target_mps, speed_mps, dt_s, now_ns):
         """Return the acceleration in the gear's direction: feed-forward and correction, or the hold at standstill."""
         config = self._config
-        throttle = self._heard_throttle(now_ns)
+        throttle = self._newest_throttle(now_ns)
         if not throttle.is_ours or throttle.waits:
             self._begin_anew(speed_mps)
-        jerk_mps3 = min(request.jerk_mps3 or math.inf, config.max_jerk_mps3)
-        acceleration_mps2 = min(request.acceleration_mps2 or math.inf, config.max_acceleration_mps2,
-                                target_mps / START_S) or config.max_acceleration_mps2
-        braking_mps2 = min(max(request.acceleration_mps2 or math.inf, request.braking_mps2), config.max_braking_mps2)
-        self._reference.step(target_mps, acceleration_mps2, braking_mps2, jerk_mps3, dt_s)
+        self._step_reference(request, target_mps, dt_s)
         if not target_mps and abs(speed_mps) < STANDSTILL_MPS:
             self._begin_anew(0.0)
             return -HOLD_MPS2
@@ -270,7 +266,16 @@ class SpeedControl:
             asked_mps2 = min(asked_mps2, -min(request.braking_mps2, config.max_braking_mps2))
         return asked_mps2
 
-    def _heard_throttle(self, now_ns):
+    def _step_reference(self, request, target_mps, dt_s):
+        """Move the reference towards the target within the request's limits and the configured ones."""
+        config = self._config
+        jerk_mps3 = min(request.jerk_mps3 or math.inf, config.max_jerk_mps3)
+        acceleration_mps2 = min(request.acceleration_mps2 or math.inf, config.max_acceleration_mps2,
+                                target_mps / START_S) or config.max_acceleration_mps2
+        braking_mps2 = min(max(request.acceleration_mps2 or math.inf, request.braking_mps2), config.max_braking_mps2)
+        self._reference.step(target_mps, acceleration_mps2, braking_mps2, jerk_mps3, dt_s)
+
+    def _newest_throttle(self, now_ns):
         if not self._throttle.was_received:
             return _Throttle(True, False, 0)  # another node drives the ESC by the values
         return _Throttle(False, False, 0) if self._throttle.is_stale(now_ns) else self._throttle.value

@@ -133,16 +133,6 @@ class GuardLink:
         self._losses = 0
         self._is_reported = True  # the log knows whether it is there
 
-    @property
-    def due_ns(self) -> float:
-        """When ``step`` must be called next."""
-        return self.watch.due_ns
-
-    @property
-    def pid(self) -> int:
-        """Of the guard's process; 0 = there is none."""
-        return self._guard.pid if self._guard else 0
-
     def receive(self, now_ns: int) -> None:
         """Take what the guard has written, and see whether it is there."""
         if self._guard is None:
@@ -241,7 +231,7 @@ class GuardLink:
             status.add("cause", GUARD_ABSENT)
         else:
             status.summary(OK, "watches" if self.watch.watches else "starts")
-        status.add("process", self.pid)
+        status.add("process", self._guard.pid if self._guard else 0)
         status.add("acted", self.watch.interventions)
         status.add("started anew", self._losses)
         status.add("full off after", f"{self._off_after_ns / NS_PER_S:g} s")

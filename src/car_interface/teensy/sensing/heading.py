@@ -9,6 +9,7 @@ from __future__ import annotations
 CURVATURE_WANDER = 3.0  # (1/m)²/s: a servo goes from end to end in a fifth of a second
 CURVATURE_VARIANCE = 0.5  # (1/m)², of an unknown curvature: 0.7 1/m, a car's tightest turns, is one sigma
 RECENT_M = 0.3  # over which the noise of the curvature is averaged
+CURVATURE_NOISE = 0.1  # 1/m: two sigma of the filter's on a straight (``drive`` of test_captures)
 USUAL_M = 5.0  # of the last metres, whose curvatures are the usual ones
 HEADING_VARIANCE = 1e-6  # rad²: the smallest that is claimed, a sigma of 1 mrad
 # The commanded curvature weighs as much as a measurement every half second with this ratio and offset as its error.
@@ -22,18 +23,22 @@ class HeadingFilter:
         yaw_rad: not wrapped, left positive.
         curvature_per_m: 1 / turn radius, left positive.
         recent_curvature: its mean over the last decimetres.
-        usual_square: mean square of the curvature over the last metres, 1/m².
     """
 
     def __init__(self):
         self.yaw_rad, self.curvature_per_m = 0.0, 0.0
-        self.recent_curvature, self.usual_square = 0.0, 0.0
+        self.recent_curvature = self._mean_square = self._usual_m = 0.0
         self._variances = (HEADING_VARIANCE, 0.0, CURVATURE_VARIANCE)
 
     @property
     def curvature_variance(self) -> float:
         """The variance of the curvature, (1/m)²."""
         return self._variances[2]
+
+    @property
+    def usual_square(self) -> float:
+        """The mean square of the curvature over the last metres, 1/m²; without its noise."""
+        return max(0.0, self._mean_square - CURVATURE_NOISE ** 2)
 
     def begin(self, yaw_rad: float, variance: float) -> None:
         """Set a heading that the wheels have measured; the curvature is unknown."""
@@ -43,8 +48,11 @@ class HeadingFilter:
     def predict(self, distance_m: float, elapsed_s: float) -> None:
         """Predict: the car has rolled this distance within this time."""
         self.yaw_rad += self.curvature_per_m * distance_m
-        self.recent_curvature += (self.curvature_per_m - self.recent_curvature) * min(1.0, abs(distance_m) / RECENT_M)
-        self.usual_square += (self.recent_curvature ** 2 - self.usual_square) * min(1.0, abs(distance_m) / USUAL_M)
+        if distance_m:
+            rolled_m = abs(distance_m)
+            self._usual_m = min(self._usual_m + rolled_m, USUAL_M)
+            self.recent_curvature += (self.curvature_per_m - self.recent_curvature) * min(1.0, rolled_m / RECENT_M)
+            self._mean_square += (self.recent_curvature ** 2 - self._mean_square) * min(1.0, rolled_m / self._usual_m)
         yy, yc, cc = self._variances
         yy += distance_m * (2 * yc + distance_m * cc)
         yc += distance_m * cc

@@ -196,6 +196,8 @@ class RestartBridge:
             mean_variance += (UNEVEN_PER_MS2 * blind_ms ** 2 / 12) ** 2 + (mean_speed * CLOCK_MS) ** 2
             if abs(self._mean_before()) <= ROLLING_PER_MS:
                 mean_variance += (UNEVEN_START_RATIO * rolled) ** 2
+        elif self._is_late:  # it may have started before the boot: 2 m/s² for all of the time is three sigma
+            mean_variance += (UNEVEN_PER_MS2 * blind_ms ** 2 / 6) ** 2
         if blind_ms > MAX_BLIND_MS:
             mean_variance += (max(abs(mean_speed), abs(self._mean_before())) * blind_ms / 2) ** 2
         difference_variance = (DIFFERENCE_SIGMA ** 2 + self._stop_variance * curvature_variance * self._track_m ** 2
@@ -214,6 +216,12 @@ class RestartBridge:
                          for side in (LEFT, RIGHT)),
             was_rolling=was_rolling, curvature_per_m=curvature, curvature_variance=curvature_variance,
             mean_variance=mean_variance + unknown, difference_variance=doubt + unknown)
+
+    @property
+    def _is_late(self):
+        """Whether the first report came long after the boot from which on pulses are counted."""
+        return any(later[1] - first[1] > ENOUGH_MS for pulses in self._pulses if len(pulses) > 1
+                   for first, later in [pulses[:2]]) and self._boot_ms is not None
 
     def _first_ms(self):
         return min(pulses[0][1] for pulses in self._pulses if pulses)
@@ -243,6 +251,8 @@ class RestartBridge:
         """Return whether the car rolled when pulses were counted again; else it started later."""
         if self._seen_ms is None:
             return True
+        if self._is_late and abs(self._mean_before()) <= ROLLING_PER_MS:
+            return False  # it stood, and most of the time was after the boot
         for pulses in self._pulses:
             rate = _rate(pulses)
             if rate > ROLLING_PER_MS / 2 and pulses[0][1] - self._seen_ms <= LATE_INTERVALS / rate:
@@ -269,12 +279,11 @@ class RestartBridge:
         if abs(self._mean_before()) <= ROLLING_PER_MS:
             return after, after_variance + CURVATURE_SIGMA ** 2
         # Exact where it changes evenly; a step at an unknown time in between has this spread. Within a second it may
-        # have been another one, evenly up to the usual curvature to either side, for half of the distance: 1/4 · 1/3 of
-        # its square. For all of it, if the one after is a mean over a long time.
-        is_late = any(later[1] - first[1] > ENOUGH_MS for first, later, *_ in self._pulses)
+        # have been another one, evenly up to the usual curvature to either side: 1/3 of its square. That is as much if
+        # the one after is a mean over a long time.
         usual = self._state.usual_square / 3
-        if not is_late:
-            usual *= min(1.0, self._blind_ms() / MANOEUVRE_MS) ** 2 / 4
+        if not self._is_late:
+            usual *= min(1.0, self._blind_ms() / MANOEUVRE_MS) ** 2
         return (before + after) / 2, (after - before) ** 2 / 12 + CURVATURE_SIGMA ** 2 + usual
 
     def _curvature_after(self):
@@ -302,10 +311,12 @@ class RestartBridge:
             mean = (speeds[LEFT] + speeds[RIGHT]) / 2
             at_ms = pulses[0][1] if pulses else self._first_ms()
             middle_ms = (at_ms + pulses[-1][1]) / 2 if pulses else at_ms
-            elapsed_ms = max(0.0, at_ms - state.at_ms)
+            # Both from the same time on: a slow wheel's first pulse may come long after the other's.
+            first_ms = self._first_ms()
+            elapsed_ms = max(0.0, first_ms - state.at_ms)
             until_middle_ms = max(elapsed_ms, middle_ms - state.at_ms, 1.0)
             then = before + (mean - before) * elapsed_ms / until_middle_ms
-            rolled = (before + then) / 2 * elapsed_ms
+            rolled = (before + then) / 2 * elapsed_ms + mean * (at_ms - first_ms)
             if abs(before) <= ROLLING_PER_MS:
                 rolled = math.copysign(min(abs(rolled), self._distance_from_rest(at_ms)), then)
         side_sign = 1 if side == RIGHT else -1

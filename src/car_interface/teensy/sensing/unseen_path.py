@@ -13,10 +13,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from car_interface.teensy.sensing.heading import CURVATURE_VARIANCE
+from car_interface.teensy.sensing.heading import CURVATURE_NOISE, CURVATURE_VARIANCE
 
 MAX_CURVATURE_CHANGE = 2.0  # 1/m, from end to end: ±1, a car's tightest turns
-CURVATURE_NOISE = 0.1  # 1/m: two sigma of the heading filter's on a straight (``drive`` of test_captures)
 # With two reversals a part u of the length E was forward, curved by k, the rest backward, curved by m. u is uniform in
 # 0 .. 1; k and m have CURVATURE_VARIANCE each, and c = u k + (1 − u) m is known: the difference of the wheels' counts.
 # Over E the car has advanced by (2u − 1) E: a mean of 0, and a variance of E² / 3.
@@ -61,7 +60,7 @@ def curved_path(distance_m: float, turned_rad: float, curvature_per_m: float | N
     """
     if not distance_m:
         return UnseenPath()
-    across_variance = max(0.0, usual_square - CURVATURE_NOISE ** 2) * distance_m ** 4 / 48
+    across_variance = usual_square * distance_m ** 4 / 48
     change = 0.0 if curvature_per_m is None else turned_rad / distance_m - curvature_per_m
     if abs(change) <= CURVATURE_NOISE:
         return UnseenPath(across_variance=across_variance)

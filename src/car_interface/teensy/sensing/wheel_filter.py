@@ -190,9 +190,10 @@ class WheelFilter:
         self._variances = (1 / 12, 0.0, 0.0, STANDING_SPEED_VARIANCE, 0.0, STARTING_ACCELERATION ** 2)
 
     def _start_rolling(self, sign, pulses):
-        """Let the wheel roll at its first pulse after a stand; v² grows with the pulses that weren't reported at once."""
+        """Let the wheel roll at its first pulse after a stand; v² grows with the pulses that come in one report."""
         self.speed = sign * FIRST_SPEED * math.sqrt(pulses)
-        self._variances = (self._variances[0], 0.0, 0.0, FIRST_SPEED_SIGMA ** 2 * pulses, 0.0, STARTING_ACCELERATION ** 2)
+        self._variances = (self._variances[0], 0.0, 0.0, FIRST_SPEED_SIGMA ** 2 * pulses, 0.0,
+                           STARTING_ACCELERATION ** 2)
 
     def _set_by_interval(self, place, speed, interval_ms, variance):
         """Set a slow wheel's speed to the mean over its last interval; estimating its acceleration would ring."""

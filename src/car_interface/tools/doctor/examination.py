@@ -248,7 +248,8 @@ def _covered(hub, link):
 def _read_all(master, car):
     readings = [reading for reading in (read_parameters(master, node) for node in car.nodes) if reading is not None]
     found = check_parameters(readings)
-    found += check_folders(readings, os.path.realpath(package_file("config")), car.bus == VIRTUAL)
+    is_virtual = _text(_parameters(master, car.namespace, "pca9685", car.nodes), "device") == VIRTUAL
+    found += check_folders(readings, os.path.realpath(package_file("config")), is_virtual)
     return found + check_files(read_files(master, car.nodes))
 
 
