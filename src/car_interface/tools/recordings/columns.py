@@ -112,9 +112,6 @@ class Column(ABC):
     def build(self) -> Any:
         """Build the columns; not called when there are none."""
 
-    def finish(self, timeline: Timeline) -> None:  # noqa: B027
-        """Do what is left after the last message; for most columns nothing."""
-
     def notes(self) -> list[str]:
         """Return a line for each reason for which messages were left out."""
         return [f"{self.topic}: {count} message{'s' if count > 1 else ''} {reason}"
