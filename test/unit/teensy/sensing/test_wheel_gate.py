@@ -6,7 +6,21 @@ import pytest
 from car_interface.teensy.link.protocol import BACKWARD, FORWARD, NO_DIRECTION, UINT32, Wheel, WheelStatus
 from car_interface.teensy.sensing import verdicts as gates
 from car_interface.teensy.sensing.plausibility import Gates
-from wheel_reports import LAST, NEW, NEXT, counted, crawl, crawled, crawling, forward, judged, proven, report, sonar
+from wheel_reports import (
+    LAST,
+    NEW,
+    NEXT,
+    START_MS,
+    counted,
+    crawl,
+    crawled,
+    crawling,
+    forward,
+    judged,
+    proven,
+    report,
+    sonar,
+)
 
 
 def test_reports_of_a_crawl_are_accepted_and_their_pulses_counted():
@@ -256,3 +270,21 @@ def test_first_pulses_of_a_car_that_has_stood_since_power_up_are_unproven_howeve
     judged([sonar(3_600_000), sonar(3_600_055)], some.sonar)
     first = [report(NEW), report(NEW), report(Wheel(0, BACKWARD, 3_600_100, 1, 1))]
     assert [verdict.unproven for verdict in judged(first, some.wheels)] == [(0, 0), (0, 0), (1, 1)]
+
+
+@pytest.mark.parametrize("left, right, pulses, unsplit", [
+    ((204, 106), (204, 106), (100, 100), (1, 1)), ((204, 195), (204, 1), (100, 102), (0, 0)),
+    ((204, 195), (204, 185), (11, 21), (90, 80)),
+], ids=["one_pulse_back_each", "one_wheel_alone_went_back_over_a_magnet", "both_reversed_somewhere"])
+def test_reversals_while_nothing_was_reported_are_settled_by_both_wheels(left, right, pulses, unsplit):
+    verdicts = judged([report(*(forward(count + index, START_MS + 5000 + 50 * index, dist)
+                                for count, dist in (left, right))) for index in range(3)], crawling().wheels)
+    assert [verdict.accepted for verdict in verdicts] == [False, False, True]
+    assert (verdicts[-1].pulses, verdicts[-1].unsplit) == (pulses, unsplit)
+
+
+def test_first_report_long_after_a_boot_has_all_pulses_since():
+    some = crawling(ticks=[START_MS + 200])
+    verdicts = judged([report(forward(40 + index, 3000 + 50 * index)) for index in range(3)], some.wheels)
+    assert verdicts[-1].since_boot and verdicts[-1].boot_tick == 3100
+    assert verdicts[-1].pulses == (40, 40) and verdicts[-1].unproven == (2, 2)
