@@ -349,7 +349,7 @@ class Hub(Link):
                                           clock_drift_ppm=rng.uniform(-50, 50)), power_up_ns=START_NS),
             START_NS, MeasurementConfig(
                 gates=GateConfig(pulse_m=car.pulse_m),
-                odometry=OdometryConfig(car.pulses_per_revolution, car.wheel_diameter_m, car.track_m, car.wheelbase_m)))
+                odometry=OdometryConfig(car.pulses_per_revolution, car.wheel_diameter_m, car.track_m)))
         self._magnets = _Magnets(car, noise)
 
     def roll(self, pulses, speed_mps: float, now_ns: int) -> None:

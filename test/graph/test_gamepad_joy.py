@@ -9,7 +9,7 @@ from sensor_msgs.msg import Joy
 
 from car import Car
 from car_interface.common import causes
-from car_interface.nodes.gamepad_joy.node import GamepadJoy
+from car_interface.nodes.gamepad_joy import GamepadJoy
 from graph import NS_PER_S
 
 BUTTON, AXIS, INIT = 1, 2, 0x80  # linux/joystick.h

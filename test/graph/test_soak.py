@@ -111,7 +111,7 @@ class Soak:
                                         ("bit_errors", 1e-3, 2.0)):
             found[f"line: {name}"] = lambda name=name, value=value, duration_s=duration_s: (
                 self.inject(name, value), graph.run(duration_s), self.inject("bit_errors", 0))
-        for name in ("sonar_missing", "sonar_stuck"):
+        for name in ("sonar_missing", "sonar_stuck", "sonar_blink"):
             found[name] = lambda name=name: self.sonar(name)
         for node in NODES:
             found[f"{node} frozen"] = lambda node=node: (graph.nodes[node].stall(1.0, frozen=True), graph.run(1.1))

@@ -23,9 +23,7 @@ NOT_SUPPORTED = (errno.EOPNOTSUPP, errno.EPERM, errno.EMLINK, errno.ENOSYS)
 
 
 def is_write_protected(path: str) -> bool:
-    """Return whether a file is write-protected. Replacing it needs
-    write access to its folder only, and root may always.
-    """
+    """Return whether a file is write-protected. To replace it takes access to its folder only, and root always may."""
     return not os.access(path, os.W_OK) or not os.stat(path).st_mode & WRITE_BITS
 
 

@@ -65,7 +65,7 @@ class Arbitration(NamedTuple):
     source: int
     cause: str  # one of car_interface.common.causes
     reason: str
-    asked: float  # what the source asks for, −1..1, before scaling; 0 without a source
+    asked: float  # the source's request before scaling, −1..1; 0 without a source
     drive: float  # the request if the ESC drives by it, of the same sign
     brake: float  # the request if the ESC brakes by it, of the same sign
     is_stop: bool  # the car has to stop. False with a request of 0: nobody asks for anything, and it coasts
@@ -80,7 +80,7 @@ class ThrottleArbiter:
 
     1. The e-stop, no deadman, a stopped turn_arb, or a servo board that doesn't follow turn_arb: stop.
     2. A mode, or a stick, that was received before and is now stale or invalid: stop. The planner doesn't get the
-       throttle then, since the human still believes to be driving.
+       throttle then, since the human still believes that they drive.
     3. The human, if the mode gives them the throttle or the stick is beyond its dead band.
     4. The planner, if it has a value and odometry is fresh; else stop, or neutral if no planner ever sent a value.
 

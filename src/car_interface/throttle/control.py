@@ -162,7 +162,7 @@ class ThrottleControl:
         A stick has one scale for driving and one for braking, and only the ESC's rules know which of the two a pull is
         now. So they first get the request with the likely scale, and once more with the other if it turns out wrong.
         """
-        # Without a mode the source is NEUTRAL while the stick is centered between two pulls: these are a human's, too.
+        # Without a mode the source is NEUTRAL while the stick is centered between two pulls, which are a human's.
         arbitration = limited.arbitration
         is_human = arbitration.source != PLANNER
         request = Request(arbitration.drive, arbitration.gear, is_human=is_human, is_stop=arbitration.is_stop,

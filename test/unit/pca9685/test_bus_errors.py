@@ -6,8 +6,7 @@ import os
 
 import pytest
 
-from car_interface.pca9685.board import BoardMismatch
-from car_interface.pca9685.bus_errors import explain
+from car_interface.pca9685.board import BoardMismatch, explain
 
 
 @pytest.mark.parametrize("number, cause, remedy", [

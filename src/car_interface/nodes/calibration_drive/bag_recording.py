@@ -36,6 +36,9 @@ class BagRecording:
         folder: made where it isn't there.
         topics: by their resolved names, also those that nobody publishes yet; none = all.
         stem: what the file's name begins with.
+
+    Attributes:
+        path: of the bag.
     """
 
     def __init__(self, folder: str, topics: Sequence[str] = (), stem: str = "car"):
@@ -43,9 +46,9 @@ class BagRecording:
             os.makedirs(folder, exist_ok=True)
         except OSError as error:
             raise ConfigError("bag_dir", folder, f"a folder that can be written to ({error.strerror})") from error
-        self._path = os.path.join(folder, SYSTEM.local_time(f"{stem}_%Y-%m-%d_%H-%M-%S.bag"))
+        self.path = os.path.join(folder, SYSTEM.local_time(f"{stem}_%Y-%m-%d_%H-%M-%S.bag"))
         command = [*_ending_with_parent(), "rosrun", "rosbag", "record", *(topics or ("--all",)), "--quiet", "-O",
-                   self._path]
+                   self.path]
         # In a session of its own, a terminal's Ctrl-C and hang-up are for the node, which closes the bag then.
         self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
                                          start_new_session=True)
@@ -58,11 +61,6 @@ class BagRecording:
             return False
         return code == 1 and any(node.rpartition("/")[2].startswith(RECORDER) for name, nodes in state[1]
                                  if name == topic for node in nodes)
-
-    @property
-    def path(self) -> str:
-        """Of the bag."""
-        return self._path
 
     @property
     def has_ended(self) -> bool:
@@ -78,7 +76,7 @@ class BagRecording:
         """Close the bag; its path."""
         self.begin_stop()
         self._process.wait()
-        return self._path
+        return self.path
 
 
 def _ending_with_parent():

@@ -118,7 +118,6 @@ class CarSim:
         self._inbox = inbox
         self._warnings = ThrottledWarnings(inbox.clocks)
         self._line = make_line(config.port, self._firmware, config.firmware.seed, inbox)
-        self._line.serve(inbox.clocks.now_ns)
         self._timer = RateTimer(TRUTH_RATE_HZ, now_ns)
         self._ros_clock = RosClock(inbox.clocks)
         self._truth = advertise("~truth", Odometry, inbox)

@@ -55,8 +55,9 @@ class VirtualLine:
         self._terminal = self._make_terminal(path)
         self._unplugged_from = ""
         self._plug_ns = NEVER_NS
+        self._serve(inbox.clocks.now_ns)
 
-    def serve(self, clock_ns) -> None:
+    def _serve(self, clock_ns):
         """Offer the faults; ``clock_ns()`` is when one begins."""
         bad, firmware = self._bad, self._firmware
         serve_faults(self._inbox, {

@@ -30,8 +30,7 @@ from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import CHANNELS, MAX_DUTY, NS_PER_S, UNCHANGED
 from car_interface.nodes.pca9685.guard_link import GuardChild, GuardLink
 from car_interface.nodes.pca9685.virtual_board import VirtualBoardBus, chip_path
-from car_interface.pca9685.board import Board
-from car_interface.pca9685.bus_errors import explain
+from car_interface.pca9685.board import Board, explain
 from car_interface.pca9685.channels import Channels
 from car_interface.pca9685.config import VIRTUAL, Pca9685Config
 from car_interface.pca9685.registers import counts_of_duty, duty_of_counts, frequency_for

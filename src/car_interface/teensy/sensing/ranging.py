@@ -168,10 +168,16 @@ class Ranging:
             self._find_clone(sensor, pulse_us)
             return math.inf if self._is_timeout(sensor, pulse_us) else None
         self._held_us[sensor].clear()
-        return pulse_us if pulse_us < TIMEOUT_RATIO * self._timeouts_us[sensor] else math.inf
+        if pulse_us < TIMEOUT_RATIO * self._timeouts_us[sensor]:
+            return pulse_us
+        if pulse_us <= LONGEST_ECHO_US:
+            self.clones.pop(sensor, None)  # it was replaced
+        return math.inf
 
     def _is_timeout(self, sensor, pulse_us):
-        return TIMEOUT_RATIO <= pulse_us / self._timeouts_us[sensor] <= 1 / TIMEOUT_RATIO
+        found_us = 1000 * self.clones.get(sensor, math.inf)
+        return any(TIMEOUT_RATIO <= pulse_us / timeout_us <= 1 / TIMEOUT_RATIO
+                   for timeout_us in (self._timeouts_us[sensor], found_us))
 
     def _find_clone(self, sensor, pulse_us):
         """Take it for a clone whose long pulses are all alike."""
@@ -180,7 +186,6 @@ class Ranging:
         shortest_us, longest_us = min(held_us), max(held_us)
         if (len(held_us) == CLONE_PULSES and shortest_us >= SHORTEST_CLONE_US
                 and longest_us <= min(CLONE_RATIO * shortest_us, 1000 * MAX_TIMEOUT_MS)):
-            self._timeouts_us[sensor] = pulse_us
             self.clones[sensor] = pulse_us / 1000
 
 

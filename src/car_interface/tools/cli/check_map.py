@@ -80,7 +80,7 @@ def _check_values(limits, table, path):
 
 
 def steering_picture(config: SteeringCalibration) -> list[str]:
-    """For each turn radius the servo's travel to each side, as lines of text."""
+    """Return the servo's travel to each side for each turn radius, as lines of text."""
     max_travel = max(abs(duty - config.servo_center) for duty in
                 (config.servo_left, config.servo_right, *config.left_duties, *config.right_duties)) or 1
 

@@ -110,7 +110,7 @@ def _read_rows(options, topics, paths):
 def _state(folder, path):
     try:
         return fingerprint(os.path.join(folder, path))
-    except OSError:  # it is gone: reading says so
+    except OSError:  # it is gone: reading it reports that
         return None
 
 

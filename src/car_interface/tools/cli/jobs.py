@@ -13,12 +13,7 @@ from car_interface.tools.recordings.overlap import check_no_overlap, check_paths
 
 
 def for_each(function: Callable[[Any], Any], items: Sequence[Any], jobs: int) -> Iterator[Any]:
-    """Yield ``function(item)`` for each item, in order; in processes where several run at a time.
-
-    Args:
-        function: of a module; its arguments and result are pickled.
-        items: such as paths.
-        jobs: processes at the same time, at least 1.
+    """Yield ``function(item)``, which is pickled, for each item, in order; in processes, at most ``jobs`` at a time.
 
     Raises:
         CarInterfaceError: a process was killed; besides whatever the function raises.

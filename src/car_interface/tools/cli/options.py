@@ -1,4 +1,4 @@
-"""Options that several commands have in common: which recordings, which of their topics, how many at a time."""
+"""Adds the options that several commands share: which recordings, which of their topics, how many at a time."""
 from __future__ import annotations
 
 import argparse

@@ -1,1 +1,1 @@
-"""The doctor: looks at a car and says what is wrong, with the remedy."""
+"""Examines a car, and reports what is wrong with the remedy. A file for each subject looks and judges."""

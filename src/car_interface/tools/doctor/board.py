@@ -82,7 +82,7 @@ class Registers(NamedTuple):
 
     @property
     def plausible(self) -> bool:
-        """Whether a PCA9685 can hold these."""
+        """Return whether a PCA9685 can hold these."""
         return (not self.mode1 & SUB_ADDRESSES and self.prescale >= PRESCALE_MIN
                 and (self.mode1, self.prescale) != (0xFF, 0xFF))
 

@@ -35,7 +35,7 @@ class Node(NamedTuple):
 
     @property
     def runs(self) -> bool:
-        """Whether it's there and answers."""
+        """Return whether it's there and answers."""
         return self.state == RUNNING
 
 

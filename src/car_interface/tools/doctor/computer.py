@@ -86,9 +86,7 @@ def _outside(who, need):
 
 
 def group_of(path: str, usual: str) -> str:
-    """Return a device's group; the usual one when it's absent, a console's, or root's, as before a udev rule was
-    installed.
-    """
+    """Return a device's group; the usual one when it's absent, a console's, or root's (without a udev rule)."""
     try:
         gid = os.stat(path).st_gid
         return grp.getgrgid(gid).gr_name if gid and not is_consoles(path) else usual
@@ -207,13 +205,7 @@ def check_tools(missing: Sequence[str], environment: str) -> list[Finding]:
 
 
 def check_joy(is_installed: bool, is_published: bool, distribution: str) -> list[Finding]:
-    """Check whether a gamepad's messages can come.
-
-    Args:
-        is_installed: the ROS package joy, whose joy_node reads the gamepad.
-        is_published: somebody publishes the car's joy topic.
-        distribution: ROS_DISTRO.
-    """
+    """Check whether a gamepad's messages can come: from the ROS package joy, on ROS_DISTRO, or from elsewhere."""
     if is_installed:
         return [Finding(OK, "packages", "joy, for the gamepad, is installed")]
     if is_published:

@@ -112,7 +112,7 @@ class Car(NamedTuple):
 
     @property
     def lacks_simulator(self) -> bool:
-        """Whether the port is a virtual Teensy's, but car_sim makes none."""
+        """Return whether the port is a virtual Teensy's, but car_sim makes none."""
         return (self.port_is_virtual and self.runs(SIMULATOR) is None
                 and (self.state(SIMULATOR) == SILENT or not os.path.exists(self.port)))
 

@@ -93,7 +93,7 @@ class Master:
             return ABSENT
         try:
             call(self.ask("lookupNode", path), "getPid", CALLER)
-        except LookupError:  # it has ended meanwhile
+        except LookupError:  # it has ended since
             return ABSENT
         except ConnectionRefusedError:
             return KILLED
@@ -112,7 +112,7 @@ class Master:
                 return {}
             _, _, pid = call(uri, "getPid", CALLER)
             return fixed_parameters(node.name, script_arguments(pid, process), process)
-        except Exception:  # it has ended meanwhile, or was started with arguments that it refuses and reports
+        except Exception:  # it has ended since, or was started with arguments that it refuses and reports
             return {}
 
     def search_parents(self, path: str, name: str) -> Any:

@@ -15,14 +15,11 @@ LOCAL_ONLY = "export ROS_IP=127.0.0.1 ROS_MASTER_URI=http://127.0.0.1:{port}"
 
 
 def probe_network(uri: str, ask_master: Callable[[], str]) -> tuple[list[Finding], list[Finding], bool]:
-    """Check the master and this computer's own address.
+    """Return the findings about the master and about this computer's address, and whether the master answers.
 
     Args:
         uri: ROS_MASTER_URI.
         ask_master: returns why the master doesn't answer; empty when it does.
-
-    Returns:
-        The findings about the master and about the address, and whether the master answers.
     """
     place = host_and_port(uri) if uri else None
     if place is None:
@@ -159,7 +156,7 @@ def _address(hexadecimal):
 
 
 class LocalAddress(NamedTuple):
-    """Under which name or address the nodes that are started here tell others to call them."""
+    """The name or address by which nodes that are started here ask others to call them."""
 
     name: str  # ROS_HOSTNAME, ROS_IP or this host's name
     resolves: bool  # whether it can be looked up from here

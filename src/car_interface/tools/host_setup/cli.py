@@ -52,12 +52,7 @@ class SetupStep(NamedTuple):
 
 
 def plan(computer: Computer, rules: str) -> list[SetupStep]:
-    """Return the steps that are left to do, in order.
-
-    Args:
-        computer: how it is now.
-        rules: the path of the package's udev rules.
-    """
+    """Return the steps that are left to do, in order; ``rules`` is the path of the package's udev rules."""
     steps = [SetupStep(f"make the group {group}", ("groupadd", "--system", group))
              for group in GROUPS if group not in computer.groups]
     missing = [group for group in GROUPS if group not in computer.joined]
@@ -81,12 +76,7 @@ def plan(computer: Computer, rules: str) -> list[SetupStep]:
 
 
 def remarks(computer: Computer, steps: Sequence[SetupStep]) -> list[str]:
-    """Return what the user has to know at the end.
-
-    Args:
-        computer: how it was before.
-        steps: what was done.
-    """
+    """Return what the user has to know at the end of these steps, which changed ``computer``."""
     done = [step.command[0] for step in steps]
     lines = []
     if computer.user == ROOT:
@@ -116,16 +106,12 @@ def _same(rules):
     return os.path.exists(installed) and filecmp.cmp(rules, installed, shallow=False)
 
 
-def show_step(step: SetupStep) -> bool:
-    """Print what a step would do; True, as if that worked."""
-    print(f"would {step.what}:\n    {shlex.join(as_root(step.command))}")
-    return True
-
-
-def run_step(step: SetupStep) -> bool:
-    """Run a step's command as root; whether that worked."""
+def run_step(step: SetupStep, is_dry: bool) -> bool:
+    """Print a step, run its command as root unless ``is_dry``, and return whether that worked."""
     command = as_root(step.command)
-    print(f"{step.what}:\n    {shlex.join(command)}", flush=True)
+    print(f"{'would ' if is_dry else ''}{step.what}:\n    {shlex.join(command)}", flush=True)
+    if is_dry:
+        return True
     try:
         code = subprocess.run(command, check=False, env={**os.environ, "PATH": SYSTEM_PATH}).returncode
     except OSError as error:
@@ -157,7 +143,7 @@ def main():
     except KeyError:
         sys.exit(f"there is no user {user}")
     steps = plan(computer, rules)
-    done = [step for step in steps if (show_step if options.dry_run else run_step)(step)]
+    done = [step for step in steps if run_step(step, options.dry_run)]
     if not steps:
         print("Nothing to do: it's all there.")
     for remark in remarks(computer, done):

@@ -80,7 +80,7 @@ class Gravity:
             self._sum_mps2 = [before + now for before, now in zip(self._sum_mps2, axes)]
 
     def note(self, topic: str) -> str:
-        """Return what is wrong with the mounting of the IMU on a topic; empty: nothing, or that can't be told."""
+        """Return what is wrong with the mounting of the IMU on a topic; empty: nothing, or it isn't known."""
         mean_mps2 = [total / max(self._count, 1) for total in self._sum_mps2]
         size_mps2 = math.sqrt(sum(mean**2 for mean in mean_mps2))
         if size_mps2 < MIN_GRAVITY_MPS2 or abs(mean_mps2[2]) >= UPRIGHT * size_mps2:
@@ -101,7 +101,7 @@ class Column(ABC):
 
     @property
     def is_empty(self) -> bool:
-        """Whether no message could be used."""
+        """Return whether no message could be used."""
         return not self._times
 
     @abstractmethod
@@ -111,9 +111,6 @@ class Column(ABC):
     @abstractmethod
     def build(self) -> Any:
         """Build the columns; not called when there are none."""
-
-    def finish(self, timeline: Timeline) -> None:  # noqa: B027
-        """Do what is left after the last message; for most columns nothing."""
 
     def notes(self) -> list[str]:
         """Return a line for each reason for which messages were left out."""

@@ -1,4 +1,4 @@
-"""Which recorded topic plays which role: as the user says, by its usual name, or as the only one of its type.
+"""Finds the topic that plays a role: as the user says, by its usual name, or as the only one of its type.
 
 A guess is made for a few types only, and never between two topics; it always comes with a line that says so.
 """

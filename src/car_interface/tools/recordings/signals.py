@@ -74,8 +74,9 @@ def load(path: str, wanted: Collection[str], *, optional: Collection[str] = (), 
             by_topic[recorded.topic].add(recorded, timeline.recorded_s(recorded.time_ns), timeline)
         except AttributeError as error:
             raise recording.other_version(path, recorded) from error
+    if PULSES in columns:
+        columns[PULSES].finish(timeline)
     for part, column in columns.items():
-        column.finish(timeline)
         if column.is_empty and (part in wanted or topics.get(part)):
             raise NoRecording(f"{path}: nothing that can be used was recorded of {column.topic}")
     notes = (*guesses, *(note for column in columns.values() for note in column.notes()), *timeline.notes())

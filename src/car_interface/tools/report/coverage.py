@@ -1,4 +1,4 @@
-"""Which questions about a drive its recording can't answer, since what would tell was not recorded."""
+"""Finds the questions about a drive that its recording can't answer, since the source was not recorded."""
 from __future__ import annotations
 
 import math
@@ -69,7 +69,7 @@ class Coverage:
 
     @property
     def is_blind(self) -> bool:
-        """Whether nothing was recorded that answers any question."""
+        """Return whether nothing was recorded that answers any question."""
         return not self._last_s
 
     def gaps(self) -> list[Gap]:

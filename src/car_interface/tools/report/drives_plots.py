@@ -1,4 +1,4 @@
-"""How a car changed from drive to drive: trends over its recordings, as the text of an SVG."""
+"""Draws how a car changed from drive to drive: trends over its recordings, as the text of an SVG."""
 from __future__ import annotations
 
 import time
@@ -129,7 +129,7 @@ def _line(axes, rows, number, colour, label, least):
 
 
 def _label(axes, rows):
-    """Dates below some of the drives."""
+    """Put dates below some of the drives."""
     axes.set_xlim(-0.6, len(rows) - 0.4)
     step = -(-len(rows) // MAX_LABELS)
     shown = np.arange(len(rows) - 1, -1, -step)[::-1]  # evenly, so that none covers its neighbour; the newest has one

@@ -124,7 +124,7 @@ def _losses(drive):
 
 
 def _faults(drive):
-    """Return how many faults there were; nobody knows where nothing was recorded that would tell of any."""
+    """Return how many faults there were; unknown where nothing was recorded that reports any."""
     found = drive.faults.entries
     if not found and drive.coverage.is_blind:
         return {}

@@ -11,7 +11,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from car_interface.common.units import NS_PER_S
 
-SAME_RATIO = 0.015  # from 1: it counts as the same
+SAME_RATIO = 0.015  # from 1: taken for the same
 MANY_TIMES = 10  # more than that is no percentage any more
 MIN_DATE_NS = 1_000_000_000 * NS_PER_S  # September 2001: before ROS; the clock of a simulation begins at 0
 

@@ -201,7 +201,7 @@ class ImuWatch:
         return self._gravity.note(topic)
 
     def odometry_ratio(self) -> MedianOf:
-        """Odometry's turn rate as a ratio of the IMU's; no samples where that is mounted on its side."""
+        """Return odometry's turn rate as a ratio of the IMU's; no samples where that is mounted on its side."""
         return MedianOf(math.nan, 0) if self.note("") else self._ratios.median()
 
 

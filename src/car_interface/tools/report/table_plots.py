@@ -1,4 +1,4 @@
-"""Pictures of tables: a steering calibration, and a value map."""
+"""Draws tables: a steering calibration, and a value map."""
 from __future__ import annotations
 
 import io
@@ -54,7 +54,7 @@ def _steering(figure, config):
 
 
 def _labelled(axis):
-    """Radii that are far enough apart for a label each, on a logarithmic axis."""
+    """Return radii that are far enough apart for a label each, on a logarithmic axis."""
     min_ratio = (axis[-1] / axis[0]) ** (1 / MAX_LABELS)
     shown = [axis[-1]]
     for radius in reversed(axis):

@@ -101,6 +101,7 @@ def test_three_long_pulses_of_one_length_are_a_clone_s_that_is_found_by_itself()
         None, pytest.approx(1.0, rel=1e-3), None, None, INFINITE, pytest.approx(0.343, abs=1e-3), INFINITE]
     assert ranging.counts == {HELD: 3} and ranging.clones == {SENSOR: pytest.approx(200, abs=0.2)}
     assert ranges(ranging, 200_000, sensor=SENSOR + 1) == [None], "the others are what they were"
+    assert ranges(ranging, NONE_US, 200_000) == [INFINITE, None] and ranging.clones == {}, "it was replaced"
 
 
 @pytest.mark.parametrize("echoes_us", [(150_000, 200_000, 150_000, 200_000), (1_500_000,) * 5, (103_500,) * 5],

@@ -1,1 +1,0 @@
-"""The gamepad_joy node, and what only it needs."""
