@@ -8,6 +8,7 @@ import select
 import signal
 import termios
 import threading
+from contextlib import suppress
 
 from waiting import Record, eventually
 
@@ -50,9 +51,18 @@ class Terminal:
         os.close(self._master)
         self._master = None
 
-    def wait_for_exit(self):
-        """The exit code; −n for signal n. All that the program has printed is read by then."""
-        _, status = eventually(self._ended, f"the end of {self.lines.name}")
+    def wait_for_exit(self, keys=b""):
+        """The exit code; −n for signal n. All that the program has printed is read by then.
+
+        ``keys`` are typed until then, over and over: the keyboard's node drops what was typed while it stood still.
+        """
+        def ended():
+            status = self._ended()
+            if keys and not status:
+                with suppress(OSError):  # it has closed the terminal
+                    self.type(keys)
+            return status
+        _, status = eventually(ended, f"the end of {self.lines.name}")
         self._reader.join(READ_S)
         return os.WEXITSTATUS(status) if os.WIFEXITED(status) else -os.WTERMSIG(status)
 

@@ -146,8 +146,7 @@ class Tools(unittest.TestCase):
         faster.let_go()
         self.wait_for_steering(SteeringState.NO_HUMAN)
         self.wait_until_it_stands()
-        terminal.type(b"q")
-        self.assertEqual((terminal.wait_for_exit(), terminal.settings()), (0, terminal.settings_before))
+        self.assertEqual((terminal.wait_for_exit(b"q"), terminal.settings()), (0, terminal.settings_before))
 
     def test_keyboard_restores_its_terminal_however_it_ends_and_is_refused_without_one(self):
         endings = {"ctrl-c": lambda terminal: terminal.type(b"\x03"),
