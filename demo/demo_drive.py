@@ -66,8 +66,8 @@ AXES, BUTTONS, MAX_INDEX = 8, 11, 63
 SETTLING_NS = NS_PER_S // 10  # after a change of stage the source isn't checked
 # Tolerance of odometry at the end, after some 34 m: as a ratio of the distance; and of the angle by which the car turns
 # when one wheel goes on by a pulse, 2.9 degrees with the shipped wheels. Between two pulses the place is unknown: at
-# either end of the drive each wheel may be off by half of one.
-ODOMETRY_RATIO, PULSE_RATIO = 0.01, 1.1
+# either end of the drive each of the two wheels may be off by half of one, together by two.
+ODOMETRY_RATIO, PULSE_RATIO = 0.01, 2.0
 
 
 class Watch:
