@@ -7,7 +7,8 @@ import pytest
 from car import Car
 from graph import Graph
 
-sys.path.append(str(Path(__file__).resolve().parents[2] / "demo"))
+ROOT = Path(__file__).resolve().parents[2]
+sys.path += [str(ROOT / "demo"), str(ROOT / "test" / "process")]
 
 
 @pytest.fixture(autouse=True)
