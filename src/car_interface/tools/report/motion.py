@@ -109,17 +109,17 @@ class PoseSpeed:
 
         Returns:
             The speed in m/s over POSE_WINDOW_S or from the pose before, forward positive, and how long ago the middle
-            of that is, in s.
+            of that is, in s; 0 at first.
         """
         poses = self._poses
         if poses and (time_s < poses[-1][0] or math.hypot(x_m - poses[-1][1], y_m - poses[-1][2]) > JUMP_M):
             poses.clear()
         poses.append((time_s, x_m, y_m, yaw))
-        while len(poses) > 2 and time_s - poses[1][0] >= POSE_WINDOW_S:
+        while len(poses) > 1 and time_s - poses[1][0] >= POSE_WINDOW_S:
             poses.popleft()
         begin_s, begin_x, begin_y, begin_yaw = poses[0]
         span_s, dx, dy = time_s - begin_s, x_m - begin_x, y_m - begin_y
-        if not span_s:
+        if span_s < POSE_WINDOW_S:  # noise would be too large a part of it
             return 0.0, 0.0
         heading = begin_yaw + math.remainder(yaw - begin_yaw, 2 * math.pi) / 2
         # By the length, not by its part along the heading: a body of motion capture may be turned against the car.

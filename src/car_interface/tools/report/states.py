@@ -31,7 +31,7 @@ SHARED = causes.INHIBITS | {causes.STEERING_STALE, causes.STEERING_STOPPED, caus
 PLANNER_FAULTS = causes.LOSSES | {causes.REQUEST_REFUSED}  # the others are reported by those that stop because of them
 CUTS = causes.STEERING_CUTS | causes.THROTTLE_CUTS
 SAME_AFTER_S = 0.5  # a cut that comes back sooner is the same one
-# A request or a state older than this holds no longer: the default with which turn_arb and throttle_arb expire requests.
+# A request or a state that is older holds no longer: turn_arb's default for a planner, which is throttle_arb's, too.
 TIMEOUT_S = SteeringArbiterConfig.planner_timeout_s
 CLOCK_SET_S = 0.05  # a change between ROS time and the monotonic clock from one pong to the next
 MIN_SPAN_S = 0.5  # over which frames are counted

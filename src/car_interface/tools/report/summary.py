@@ -150,7 +150,8 @@ def _empty(path, namespace, has, present, wheelbase_m):
     wanted = AskedWatch(traces, wheelbase_m, drivers)
     moves = MotionWatch(traces, faults, steering, wanted, drivers, has.start_ns)
     return Summary(path, namespace, has.start_ns, duration_s, has.topics, [], present, traces, gamepad, steering,
-                   throttle, LimitsWatch(), wanted, planner, moves, ImuWatch(traces, moves), SonarWatch(moves, has.start_ns), TeensyWatch(traces, faults), faults,
+                   throttle, LimitsWatch(), wanted, planner, moves, ImuWatch(traces, moves),
+                   SonarWatch(moves, has.start_ns), TeensyWatch(traces, faults), faults,
                    Coverage(namespace, duration_s))
 
 
