@@ -16,8 +16,9 @@ from car_interface.common.lookup_table import LookupTable, round_half_away
 from car_interface.common.units import MAX_DUTY
 
 WIDE_M = 100.0  # a table should reach this radius, or it lacks the duties for almost straight ahead
-# At this lateral acceleration the linear and the cubic term of understeer are equal. Of 2 to 5 m/s² it is the one with
-# the least error on circles of a real car at speeds that weren't fitted: docs/accuracy.md, "Understeer".
+# At this lateral acceleration the linear and the cubic term of understeer are equal. From 3 to 3.5 m/s² a real car's
+# left-hand circles are predicted to 1.1 % from slower ones (2.75: 1.7 %, 4: 1.9 %, root mean square); its right-hand
+# ones, and those with noise in the commands, want a larger one: docs/accuracy.md, "Understeer".
 UNDERSTEER_MPS2 = 3.5
 TABLE_DIGITS = 1  # decimals of a duty in a trimmed table; a servo resolves less
 

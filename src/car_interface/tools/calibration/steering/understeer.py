@@ -19,8 +19,8 @@ from car_interface.tools.calibration.steering.segments import Observations, plac
 
 MIN_PLACES = 3
 MIN_PART = 0.02  # of all that is known of it: a place with less doesn't count
-# Standard error at least, as a ratio. The two sides of the one car that was measured showed numbers of 0.0077 and 0.0099:
-# they agree within two standard errors of their difference from 0.09 on.
+# Standard error at least, as a ratio. By a² alone the two sides of the one car that was measured showed 0.0077 and
+# 0.0099: they agree within two standard errors of their difference from 0.09 on.
 MIN_SIGMA_RATIO = 0.1
 MAX_ERROR_RATIO = 0.2  # two standard errors, of the number
 USUAL = 0.0089  # that car's, both sides together: a smaller number may be as uncertain as this one
