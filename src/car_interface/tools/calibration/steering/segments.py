@@ -147,7 +147,7 @@ def _segment(wheels, first, end, config):
 
 
 def place_numbers(duty: np.ndarray) -> np.ndarray:
-    """Return the number of the place of each of the duties (S,), rising: (S,). Within half a count they are one place."""
+    """Return the number of each duty's place, rising with the duties: (S,). Within half a count they are one place."""
     numbers, number, begin = np.zeros(len(duty), int), -1, -math.inf
     for index in np.argsort(duty, kind="stable"):
         if duty[index] > begin + COUNT / 2:
