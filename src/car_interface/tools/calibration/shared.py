@@ -57,12 +57,7 @@ def write_table(path: str, text: str, load: Callable[[str, str], Any], refusal: 
         load(path, text)
     except CarInterfaceError as error:
         raise CarInterfaceError(f"{refusal}: {error}") from error
-    return written_text(path, output.write(path, text, keeps_old=True))
-
-
-def written_text(path: str, backup_path: str | None) -> str:
-    """Return the line that says what was written, and where the old file is now."""
-    return f"written: {path}" + (f"; the old one is {backup_path}" if backup_path else "")
+    return output.written_text(path, output.write(path, text, keeps_old=True))
 
 
 def rising(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
