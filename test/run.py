@@ -286,10 +286,9 @@ def main() -> int:
     adopt_descendants()
     results = arguments.output / "results"
     os.chdir(str(results))
-    first, second = (os.environ.get(name, "") for name in ("PYTHONPATH", "CAR_INTERFACE_PYTHONPATH38"))
-    pythons = [Python(path, first if path == arguments.python[0] else
-                      second if path == os.environ.get("CAR_INTERFACE_PYTHON38") else "", path != arguments.python[0])
-               for path in arguments.python if os.access(path, os.X_OK)]
+    first, other = (os.environ.get(name, "") for name in ("PYTHONPATH", "CAR_INTERFACE_OTHER_PYTHONPATH"))
+    pythons = [Python(path, other if number else first, number > 0)
+               for number, path in enumerate(arguments.python) if os.access(path, os.X_OK)]
     return run(arguments.output, all_steps(results, pythons, selected, arguments.all), arguments.all,
                len(arguments.python) - len(pythons))
 
