@@ -33,6 +33,9 @@ PREFIXES = ("one", "noetic")  # ROS 1 in OPT/NAME, where package KEY is ros-NAME
 DEBIAN = "Debian"  # Debian's own packages, as their ROS_DISTRO says
 WHERE_ROS_IS = ("ROS 1 is in the packages of Debian 12 and 13, in ROS One (ros.packages.techfak.net, Ubuntu 22.04 and "
                 "24.04) and in ROS Noetic (Ubuntu 20.04)")
+# With a umask of 077 programs of packages would write files into the system that only root can read.
+APT_GET = ("sh", "-c", 'umask 022; exec env LC_ALL=C.UTF-8 DEBIAN_FRONTEND=noninteractive apt-get "$@"', "apt-get",
+           "-y", "-q", "-o", "DPkg::Lock::Timeout=300")
 DPKG_STATUS = Path("/var/lib/dpkg/status")  # written whenever a package is installed or removed
 PYTHONS = ((3, 8), (3, 10), (3, 12), (3, 13))  # on which ./dev test --all runs, those at hand
 LINTERS = ("ruff==0.17.5", "vermin==1.9.2")
@@ -120,8 +123,9 @@ def pip_packages(distribution: str, is_alone: bool = False) -> list[str]:
         is_alone: for a Python without any of the distribution's packages, which needs more.
     """
     wanted = keys(distribution)
-    named = [key for key in (*wanted, *TOOLS) if key.startswith("python3-") and key != "python3-venv"] if is_alone else [
-        key for key in wanted if key.endswith("-pip")]
+    named = [key for key in wanted if key.endswith("-pip")]
+    if is_alone:
+        named = [key for key in (*wanted, *TOOLS) if key.startswith("python3-") and key != "python3-venv"]
     return sorted({PIP.get(key, key[len("python3-"):].replace("-pip", "")) + wanted.get(key, "") for key in named})
 
 
@@ -246,9 +250,7 @@ class SetUp:
             raise _end("missing packages, and neither root nor sudo to install them: "
                        f"apt-get install {' '.join(missing)}")
         _say(f"Installing {len(missing)} packages: {' '.join(missing)}")
-        # With a umask of 077 programs of packages would write files into the system that only root can read.
-        apt = [*_as_root(), "sh", "-c", 'umask 022; exec env LC_ALL=C.UTF-8 DEBIAN_FRONTEND=noninteractive apt-get -y '
-               '-q -o DPkg::Lock::Timeout=300 "$@"', "apt-get"]
+        apt = [*_as_root(), *APT_GET]
         # A repository that is down doesn't matter as long as the packages can be had: apt-get install decides.
         self._run("apt-update", *apt, "update")
         if not self._run("apt", *apt, "install", "--no-install-recommends", *missing, shows=True):

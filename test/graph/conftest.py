@@ -1,4 +1,5 @@
 """What the tests in the graph share."""
+import multiprocessing
 import sys
 from pathlib import Path
 
@@ -24,3 +25,10 @@ def graph():
 @pytest.fixture
 def car():
     return Car()
+
+
+@pytest.fixture(scope="module")
+def forker():
+    """A pool with one process of one thread, for tests that fork: pytest's own workers have several."""
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        yield pool
