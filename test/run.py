@@ -43,7 +43,7 @@ START_AND_END_S = 60.0  # for rostest to start its master and nodes, and to end 
 END_S = 15.0  # for an interrupted step to end its processes
 POLL_S = 0.2
 PYTEST_RAN_NOTHING = 5  # its exit code
-# On a second Python only those that could differ there. test/conftest.py explains the marks.
+# On another Python only those that could differ there. test/conftest.py explains the marks.
 SECOND_PYTHON = ("-m", "not once and not browser")
 # pytest and old versions of Python write byte code beside the source, whatever PYTHONPYCACHEPREFIX says; threads of
 # numerical libraries only compete with each other here.
@@ -110,7 +110,7 @@ def pytest_step(results: Path, title: str, python: Python, files: list[Path], py
     version = subprocess.check_output([python.path, "-c", "import platform; print(platform.python_version())"],
                                       text=True).strip()
     name = title.split()[0] + (f"-{version}" if python.is_second else "")
-    marks = SECOND_PYTHON if python.is_second and not is_all else ()
+    marks = SECOND_PYTHON if python.is_second else ()
     title = f"{title}, Python {version}"
     if is_all:  # property tests take other cases each time; with the seed, the same again
         seed = random.randrange(2 ** 32)

@@ -311,7 +311,7 @@ def distribution(opt: Path = OPT) -> str:
 
 def build_inputs(ros: str) -> str:
     """Return what a build depends on: the first line for a whole one, then the files that catkin reads, and apt's."""
-    lines = [f"{ros} {sys.executable} {sys.version.split()[0]} {ROOT}"]
+    lines = [f"{ros} {sys.version.split()[0]} {ROOT}"]
     names = ("CMakeLists.txt", "setup.py", "package.xml", "msg/*", "srv/*", "cfg/*", "test/set_up.py")
     for path in sorted(path for name in names for path in ROOT.glob(name)):
         lines.append(f"{hashlib.sha256(path.read_bytes()).hexdigest()} {path.relative_to(ROOT)}")

@@ -121,6 +121,17 @@ def test_dev_env_refuses_a_terminal_that_has_sourced_ros_2(tmp_path):
     assert (done.returncode, done.stdout) == (1, "") and "sourced ROS 2" in done.stderr and "new one" in done.stderr
 
 
+def test_apt_writes_into_the_system_what_others_can_read_whatever_the_umask(tmp_path, monkeypatch):
+    write(tmp_path / "apt-get", "#!/bin/sh\numask\n", 0o755)
+    monkeypatch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+    before = os.umask(0o077)
+    try:
+        printed = subprocess.check_output([*set_up.APT_GET, "install"], text=True)
+    finally:
+        os.umask(before)
+    assert printed == "0022\n"
+
+
 # --- when nothing is to be done ---
 
 @pytest.fixture
@@ -137,6 +148,19 @@ def test_workspace_that_is_up_to_date_is_taken_at_once_though_another_one_builds
         fcntl.flock(lock, fcntl.LOCK_EX)
         set_up.SetUp(built / "dev").build()
     assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("activated, begins", [({}, "/usr/bin:"), ({"VIRTUAL_ENV": "/mine"}, "/mine/bin:")],
+                         ids=["conda_or_pyenv_first", "a_virtual_environment"])
+def test_env_leaves_a_virtual_environment_and_the_shell_s_flags_as_they_were(built, activated, begins):
+    write(built / "devel/setup.bash", "false\necho $not_set\nexport FOUND=devel")
+    printed = dev_env(CAR_INTERFACE_WORKSPACE=str(built))
+    assert (printed.returncode, printed.stderr) == (0, "")
+    show = 'eval "$1"; echo "$PATH ${PYTHONPATH:-none} $FOUND $-"'
+    path = "/mine/bin:/opt/conda/bin:/usr/bin:/bin"
+    path, python_path, found, flags = subprocess.check_output(
+        ["/bin/bash", "-euc", show, "bash", printed.stdout], env={"PATH": path, **activated}, text=True).split()
+    assert path.startswith(begins) and python_path == "none" and found == "devel" and {"e", "u"} <= set(flags)
 
 
 @pytest.mark.parametrize("damage", [
