@@ -1,6 +1,8 @@
 """What the tests in the graph share."""
 import multiprocessing
+import os
 import sys
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -29,6 +31,10 @@ def car():
 
 @pytest.fixture(scope="module")
 def forker():
-    """A pool with one process of one thread, for tests that fork: pytest's own workers have several."""
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        yield pool
+    """A process of one thread, for tests that fork: pytest's own workers have several."""
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
+        with pytest.MonkeyPatch.context() as patch:
+            # catkin has put the package's src first, which in a new process hides the generated messages.
+            patch.setattr(sys, "path", [*os.environ["PYTHONPATH"].split(os.pathsep), *sys.path])
+            process.submit(int).result()
+        yield process

@@ -104,5 +104,5 @@ def faults_while_braking(profile, kind, stop):
 @pytest.mark.parametrize("stop", ["stick", "release", "second pull"])
 @pytest.mark.parametrize("profile, kind", ESCS)
 def test_no_fault_of_the_nodes_makes_a_brake_reverse(forker, profile, kind, stop):
-    found = forker.apply(faults_while_braking, (profile, kind, stop))
+    found = forker.submit(faults_while_braking, profile, kind, stop).result()
     assert not found, "\n".join(found)

@@ -187,4 +187,4 @@ def whole_story(node):
 @pytest.mark.once
 @pytest.mark.parametrize("node", DELAYS_MS)
 def test_stall_of_0_6_s_at_each_time_leaves_the_car_safe(forker, node):
-    assert forker.apply(forked, (partial(whole_story, node),)) == []
+    assert forker.submit(forked, partial(whole_story, node)).result() == []
