@@ -18,7 +18,7 @@ class Header(NamedTuple):
     computer: str  # its name in messages; empty = an unknown one
     pattern: str  # that is found in its model
     buses: Sequence[int] = (1,)  # I²C: first that of pins 3 and 5, then that of pins 27 and 28
-    bus_remedy: str = "None: load their driver (sudo modprobe i2c-dev)"  # for a bus that is missing
+    bus_remedy: str = "See which there are: ls /dev/i2c-*. Without any: sudo modprobe i2c-dev"  # for a missing bus
     port: str = ""  # the serial port of pins 8 and 10
     ports: Mapping[str, str] = MappingProxyType({})  # what to know about a port, by its path
     console_remedy: str = (  # for a log-in console on a port
@@ -42,7 +42,7 @@ _BLUETOOTH = ("on this Raspberry Pi it is Bluetooth's; pins 8 and 10 are /dev/se
 # Jetson: Adafruit_Blinka, microcontroller/tegra/t234, t194, t186 and t210; sparkfun/Qwiic_I2C_Py#24 and
 # autorope/donkeycar#1151 about Orin Nano. Which of /dev/ttyTHS* the header has differs between versions of JetPack.
 _THS = "one of /dev/ttyTHS*"
-_JETSON = Header("Jetson", "", (), "None: load their driver (sudo modprobe i2c-dev)", _THS,
+_JETSON = Header("Jetson", "", (), "Load its driver: sudo modprobe i2c-dev", _THS,
                  {"/dev/ttyAMA0": f"a Jetson has no such port; pins 8 and 10 are {_THS}"},
                  "sudo systemctl disable --now nvgetty, and reboot")
 

@@ -71,13 +71,14 @@ def choose_bus(header: Header, address: int, make_bus: Callable[[], Any]) -> str
     if len(found) == 1:
         return found[0]
     if found:
-        raise BoardNotFound(f"there is one on {' and on '.join(found)}", f"Choose the car's: i2c:={found[0]}", True)
+        listed = " and on ".join(found)
+        raise BoardNotFound(f"there is one on {listed}", f"Choose the car's: i2c:={found[0]}", is_ambiguous=True)
     if fault is not None:
         path, error = fault
         cause, remedy = explain(error, path, error.errno != errno.ENOENT, header)
         raise BoardNotFound(f"{path}: {cause}", remedy) from error
-    raise BoardNotFound(f"no PCA9685 answers at this address on {' or '.join(paths)}, the buses of a {header.computer}'s "
-                        "header", f"Check power, SDA and SCL: i2cdetect -y {header.buses[0]}. {PROBE}")
+    raise BoardNotFound(f"no PCA9685 answers at this address on {' or '.join(paths)}, the buses of the header of a "
+                        f"{header.computer}", f"Check power, SDA and SCL: i2cdetect -y {header.buses[0]}. {PROBE}")
 
 
 def explain(error: OSError, device: str, bus_exists: bool, header: Header) -> tuple[str, str]:
@@ -115,19 +116,17 @@ def explain(error: OSError, device: str, bus_exists: bool, header: Header) -> tu
 
 
 def _absence_remedy(device, header):
-    if header.computer and device not in header.bus_paths:
+    if header.computer and device != header.bus_paths[0]:
         return f"{_header_text(header)}: i2c:={header.bus_paths[0]}"
-    if header.computer:
-        return header.bus_remedy
-    return f"See which there are: ls /dev/i2c-*. {header.bus_remedy}"
+    return header.bus_remedy
 
 
 def _taken_remedy(device, header):
     """Return the remedy for an address that a driver has. On another bus that is a chip of the computer's own."""
     if header.computer and device != header.bus_paths[0]:
         return f"Leave that chip alone: it is the computer's own. {_header_text(header)}: i2c:={header.bus_paths[0]}"
-    return ("Is it the board, by a device-tree overlay? Remove that. Or another chip? Give the board another address by "
-            "its solder pads, and address:=0x41")
+    return ("Is it the board, by a device-tree overlay? Remove that. Or another chip? Give the board another address by"
+            " its solder pads, and address:=0x41")
 
 
 def _header_text(header):

@@ -28,11 +28,11 @@ class Pca9685Config:
     """
 
     device: str = declared.text_or_integer(
-        "device", "/dev/i2c-1", f"the I²C bus; `{AUTO}` = [the header's](install.md#the-servo-boards-bus); `{VIRTUAL}` = "
-                                "a PCA9685 in software, register by register")
+        "device", "/dev/i2c-1", f"the I²C bus; `{AUTO}` = [the header's](install.md#the-servo-boards-bus); `{VIRTUAL}` "
+                                "= a PCA9685 in software, register by register")
     auto_device: str | None = declared.path(
-        "auto_device", None, f"the bus that `device: {AUTO}` has found; the node sets it, to keep this bus when roslaunch "
-                             "restarts it", default_text="none yet")
+        "auto_device", None, f"the bus that `device: {AUTO}` has found; the node sets it, to keep this bus when "
+                             "roslaunch restarts it", default_text="none yet")
     address: int = declared.integer(
         "address", 0x40, "I²C address, 0x40..0x7f", low=0x40, high=0x7F, default_text="0x40")
     frequency_hz: float = declared.number("frequency", 50.0, "PWM frequency", "Hz", above=0.0)

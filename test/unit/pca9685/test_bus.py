@@ -54,7 +54,7 @@ def test_two_boards_are_refused_with_their_list():
 
 @pytest.mark.parametrize("buses, taken, cause, remedy", [
     ({MAIN: {}, OTHER: {}}, (), "no PCA9685 answers at this address on /dev/i2c-7 or /dev/i2c-1", "i2cdetect -y 7"),
-    ({MAIN: {}, OTHER: {}}, (), "the buses of a Jetson Orin's header", "doctor --probe"),
+    ({MAIN: {}, OTHER: {}}, (), "the buses of the header of a Jetson Orin", "doctor --probe"),
     ({MAIN: {0x40: Ina3221()}, OTHER: errno.ENOENT}, (), "no PCA9685 answers", "power, SDA and SCL"),
     ({MAIN: errno.ENOENT, OTHER: {}}, (), "/dev/i2c-7: there is no such bus", "modprobe i2c-dev"),
     ({MAIN: chips(0x40), OTHER: {}}, [(MAIN, 0x40)], "/dev/i2c-7: a kernel driver has this address", "solder pads"),
@@ -100,7 +100,7 @@ def test_error_has_cause_and_remedy(number, cause, remedy):
 @pytest.mark.parametrize("header, device, remedy", [
     (ORIN, "/dev/i2c-0", "Pins 3 and 5 of a Jetson Orin are bus 7: i2c:=/dev/i2c-7"),
     (PI, "/dev/i2c-1", "Switch I2C on: sudo raspi-config nonint do_i2c 0"),
-    (UNKNOWN, "/dev/i2c-1", "See which there are: ls /dev/i2c-*. None: load their driver (sudo modprobe i2c-dev)"),
+    (UNKNOWN, "/dev/i2c-1", "See which there are: ls /dev/i2c-*. Without any: sudo modprobe i2c-dev"),
 ], ids=["another_than_the_header_s", "switched_off", "unknown"])
 def test_absent_bus_is_named_whatever_the_error_with_the_remedy_of_its_computer(header, device, remedy):
     assert explain(OSError(errno.ENOENT, "x"), device, False, header) == ("there is no such bus", remedy)
