@@ -65,10 +65,10 @@ def header_of(model: str) -> Header:
     return next((header for header in HEADERS if re.search(header.pattern, model)), UNKNOWN)
 
 
-def read_header(path: str = MODEL_FILE) -> Header:
+def read_header() -> Header:
     """Return the header of this computer."""
     try:
-        with open(path, encoding="utf-8", errors="replace") as file:
+        with open(MODEL_FILE, encoding="utf-8", errors="replace") as file:
             return header_of(file.read().rstrip("\0\n"))
     except OSError:
         return UNKNOWN

@@ -68,15 +68,16 @@ def choose_bus(header: Header, address: int, make_bus: Callable[[], Any]) -> str
                 fault = (path, error)
         finally:
             bus.close()
-    if len(found) == 1:
-        return found[0]
-    if found:
+    if len(found) > 1:
         listed = " and on ".join(found)
         raise BoardNotFound(f"there is one on {listed}", f"Choose the car's: i2c:={found[0]}", is_ambiguous=True)
-    if fault is not None:
+    # The car's board may be on the first bus, which can't be used now, and another car's on the second.
+    if fault is not None and (not found or fault[0] == paths[0]):
         path, error = fault
         cause, remedy = explain(error, path, error.errno != errno.ENOENT, header)
         raise BoardNotFound(f"{path}: {cause}", remedy) from error
+    if found:
+        return found[0]
     raise BoardNotFound(f"no PCA9685 answers at this address on {' or '.join(paths)}, the buses of the header of a "
                         f"{header.computer}", f"Check power, SDA and SCL: i2cdetect -y {header.buses[0]}. {PROBE}")
 

@@ -5,6 +5,7 @@ import os
 
 import pytest
 
+from car_interface.common import header
 from car_interface.common.header import UNKNOWN, header_of, port_note, read_header
 
 
@@ -24,15 +25,16 @@ from car_interface.common.header import UNKNOWN, header_of, port_note, read_head
     ("", "", (1,)),
 ])
 def test_header_is_known_by_the_model_and_of_another_computer_it_is_bus_1(model, computer, buses):
-    header = header_of(model)
-    assert (header.computer, tuple(header.buses)) == (computer, buses)
-    assert header.bus_paths == [f"/dev/i2c-{number}" for number in buses]
+    found = header_of(model)
+    assert (found.computer, tuple(found.buses)) == (computer, buses)
+    assert found.bus_paths == [f"/dev/i2c-{number}" for number in buses]
 
 
-def test_model_is_read_as_the_kernel_gives_it_with_a_zero_at_its_end(tmp_path):
+def test_model_is_read_as_the_kernel_gives_it_with_a_zero_at_its_end(tmp_path, monkeypatch):
+    monkeypatch.setattr(header, "MODEL_FILE", str(tmp_path / "model"))
+    assert read_header() == UNKNOWN
     (tmp_path / "model").write_bytes(b"Raspberry Pi 5 Model B Rev 1.0\0")
-    assert read_header(str(tmp_path / "model")).computer == "Raspberry Pi 5"
-    assert read_header(str(tmp_path / "nowhere")) == UNKNOWN
+    assert read_header().computer == "Raspberry Pi 5"
 
 
 @pytest.mark.parametrize("model, path, note", [

@@ -36,6 +36,10 @@ def test_board_is_found_on_the_header_s_bus_and_what_a_driver_has_on_the_other_i
     assert choose({MAIN: chips(0x40), OTHER: {0x40: Ina3221()}}, taken=[(OTHER, 0x40)]) == MAIN
 
 
+def test_fault_of_the_second_bus_keeps_nobody_from_the_board_on_the_first():
+    assert choose({MAIN: chips(0x40), OTHER: errno.EACCES}) == MAIN
+
+
 def test_board_on_pins_27_and_28_is_found_at_its_address():
     assert choose({MAIN: chips(0x41), OTHER: chips(0x60)}, address=0x60) == OTHER
 
@@ -60,8 +64,9 @@ def test_two_boards_are_refused_with_their_list():
     ({MAIN: chips(0x40), OTHER: {}}, [(MAIN, 0x40)], "/dev/i2c-7: a kernel driver has this address", "solder pads"),
     ({MAIN: errno.EACCES, OTHER: {}}, (), "/dev/i2c-7: no permission", "setup_hardware"),
     ({MAIN: {}, OTHER: errno.EACCES}, (), "/dev/i2c-1: no permission", "setup_hardware"),
+    ({MAIN: errno.ETIMEDOUT, OTHER: chips(0x40)}, (), "/dev/i2c-7: something holds the bus down", "short"),
 ], ids=["nothing", "nothing_names_the_computer", "another_chip", "no_bus", "taken_by_a_driver", "denied",
-         "other_denied"])
+         "other_denied", "held_and_a_board_on_the_other"])
 def test_board_that_is_not_found_is_told_by_the_first_cause(buses, taken, cause, remedy):
     with pytest.raises(BoardNotFound) as caught:
         choose(buses, taken)
