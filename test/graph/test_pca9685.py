@@ -177,12 +177,12 @@ MAIN, OTHER = "/dev/i2c-7", "/dev/i2c-1"
 
 
 class Guard:
-    """A guard's process that does nothing, and where it was started for."""
+    """A guard's process that does nothing; what it was started for, and what had been written to the chip by then."""
 
     pid = 1
 
     def __init__(self, kind, path, *_):
-        self.started.append((kind, path))
+        self.started.append((kind, path, list(self.computer.written)))
 
     def read(self):
         return b""
@@ -202,6 +202,7 @@ def jetson(monkeypatch):
     monkeypatch.setattr(pca9685_node, "read_header", lambda: header_of("NVIDIA Jetson Orin Nano Developer Kit"))
     monkeypatch.setattr(pca9685_node.os.path, "exists", lambda path: path in computer.buses)
     monkeypatch.setattr(Guard, "started", [], raising=False)
+    monkeypatch.setattr(Guard, "computer", computer, raising=False)
     monkeypatch.setenv("CAR_INTERFACE_RESPAWN", "true")
     return computer
 
@@ -221,7 +222,7 @@ def test_auto_finds_the_board_whenever_it_gets_its_power_and_starts_the_guard_on
     jetson.buses[MAIN][0x40] = VirtualPca9685()
     graph.run(3.0)
     assert graph.report("pca9685: servo board").values["bus"] == MAIN
-    assert Guard.started[0] == ("i2c", MAIN) and jetson.written
+    assert Guard.started[0] == ("i2c", MAIN, []) and jetson.written
     assert {path for path, *_ in jetson.asked if path} == {MAIN, OTHER}
 
 
