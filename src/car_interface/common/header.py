@@ -36,9 +36,9 @@ class Header(NamedTuple):
 _PI = Header("Raspberry Pi", "Raspberry Pi", (1,), "Switch I2C on: sudo raspi-config nonint do_i2c 0", "/dev/serial0",
              console_remedy="sudo raspi-config, Interface Options, Serial Port: no log-in shell, but the hardware; "
                             "then reboot")
-_DEBUG_PLUG = "on a Raspberry Pi 5 this is the debug plug; pins 8 and 10 are /dev/ttyAMA0"
-_BLUETOOTH = ("on this Raspberry Pi it is Bluetooth's; pins 8 and 10 are /dev/serial0. To exchange them put "
-              "dtoverlay=disable-bt into /boot/firmware/config.txt, and reboot")
+_DEBUG_PLUG = "it is the debug plug; pins 8 and 10 are /dev/ttyAMA0"
+_BLUETOOTH = ("it is Bluetooth's, unless dtoverlay=disable-bt stands in /boot/firmware/config.txt; pins 8 and 10 are "
+              "/dev/serial0")
 # Jetson: Adafruit_Blinka, microcontroller/tegra/t234, t194, t186 and t210; sparkfun/Qwiic_I2C_Py#24 and
 # autorope/donkeycar#1151 about Orin Nano. Which of /dev/ttyTHS* the header has differs between versions of JetPack.
 _THS = "one of /dev/ttyTHS*"
@@ -48,7 +48,7 @@ _JETSON = Header("Jetson", "", (), "Load its driver: sudo modprobe i2c-dev", _TH
 
 HEADERS = (
     _PI._replace(computer="Raspberry Pi 5", pattern="Raspberry Pi 5", port="/dev/ttyAMA0", ports={
-        "/dev/ttyAMA0": "for pins 8 and 10 put dtoverlay=uart0-pi5 into /boot/firmware/config.txt, and reboot",
+        "/dev/ttyAMA0": "pins 8 and 10 need dtoverlay=uart0-pi5 in /boot/firmware/config.txt, and a reboot",
         "/dev/ttyAMA10": _DEBUG_PLUG, "/dev/serial0": _DEBUG_PLUG}),
     _PI._replace(pattern="Raspberry Pi (3|4|Zero W|Zero 2 W)", ports={"/dev/ttyAMA0": _BLUETOOTH}),
     _PI,

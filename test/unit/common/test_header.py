@@ -39,8 +39,8 @@ def test_model_is_read_as_the_kernel_gives_it_with_a_zero_at_its_end(tmp_path, m
 
 @pytest.mark.parametrize("model, path, note", [
     ("Raspberry Pi 5 Model B Rev 1.0", "/dev/ttyAMA0", "dtoverlay=uart0-pi5"),
-    ("Raspberry Pi 5 Model B Rev 1.0", "/dev/ttyAMA10", "the debug plug; pins 8 and 10 are /dev/ttyAMA0"),
-    ("Raspberry Pi 4 Model B Rev 1.5", "/dev/ttyAMA0", "Bluetooth's; pins 8 and 10 are /dev/serial0"),
+    ("Raspberry Pi 5 Model B Rev 1.0", "/dev/ttyAMA10", "it is the debug plug; pins 8 and 10 are /dev/ttyAMA0"),
+    ("Raspberry Pi 4 Model B Rev 1.5", "/dev/ttyAMA0", "; pins 8 and 10 are /dev/serial0"),
     ("Raspberry Pi Zero 2 W Rev 1.0", "/dev/ttyAMA0", "dtoverlay=disable-bt"),
     ("Raspberry Pi 2 Model B Rev 1.1", "/dev/ttyAMA0", ""),
     ("NVIDIA Jetson Orin Nano Developer Kit", "/dev/ttyAMA0", "one of /dev/ttyTHS*"),

@@ -122,7 +122,7 @@ def test_port_that_the_system_refuses_is_explained_by_the_error_s_number(termina
     ("/dev/ttyX", ["/dev/serial/by-id/usb-Teensy"], "", "A Teensy is plugged in: port:=/dev/serial/by-id/usb-Teensy"),
     ("/dev/teensy_sensor_hub", ["/dev/serial/by-id/usb-Teensy"], "", "comes by rosrun car_interface setup_hardware"),
     ("/dev/teensy_sensor_hub", [], "", "Plug the Teensy in. It has this name on USB alone, after rosrun car_i"),
-    ("/dev/ttyAMA0", [], "Raspberry Pi 5 Model B Rev 1.0", "/dev/ttyAMA0: for pins 8 and 10 put dtoverlay=uart0-pi5"),
+    ("/dev/ttyAMA0", [], "Raspberry Pi 5 Model B Rev 1.0", "/dev/ttyAMA0: pins 8 and 10 need dtoverlay=uart0-pi5"),
 ], ids=["anything", "on_usb", "rule_is_missing", "neither", "pins_of_the_header"])
 def test_port_that_is_absent_has_the_remedy_of_what_is_there(monkeypatch, path, teensys, model, remedy):
     refuse_with(errno.ENOENT, monkeypatch)

@@ -121,7 +121,7 @@ def test_only_what_udev_does_by_itself_later_may_fail():
 
 
 @pytest.mark.parametrize("model, has_bus, told", [
-    ("Raspberry Pi 5 Model B Rev 1.0", True, ["pins 3 and 5 are /dev/i2c-1", "is on /dev/ttyAMA0: for pins 8 and 10",
+    ("Raspberry Pi 5 Model B Rev 1.0", True, ["pins 3 and 5 are /dev/i2c-1", "is on /dev/ttyAMA0: pins 8 and 10",
                                               "dtoverlay=uart0-pi5", "raspi-config, Interface Options"]),
     ("Raspberry Pi 4 Model B Rev 1.5", False, ["/dev/i2c-1, which is missing. Switch I2C on: sudo raspi-config nonint",
                                                "pins 8 and 10 is on /dev/serial0. If a log-in"]),
