@@ -35,6 +35,12 @@ MARKS = ("once: takes long, and comes out the same with every Python: one of the
 LIMIT_S = float(os.environ.get("CAR_INTERFACE_UNIT_LIMIT_S", "600"))
 
 
+@pytest.fixture(autouse=True)
+def unknown_computer(monkeypatch):
+    """The tests run on a computer of no known kind, also where that is a Raspberry Pi or a Jetson."""
+    monkeypatch.setattr("car_interface.common.header.MODEL_FILE", os.devnull)
+
+
 def pytest_configure(config):
     for mark in MARKS:
         config.addinivalue_line("markers", mark)

@@ -228,7 +228,7 @@ class FakeBus:
         subprocess.run(["cc", "-shared", "-fPIC", "-o", library, os.path.join(HERE, "fake_i2c.c"), "-ldl"], check=True)
         self.env = {"LD_PRELOAD": library, "FAKE_I2C": self.path, "FAKE_I2C_LOG": f"{self.path}.log"}
         registers = bytearray(256)  # the data sheet's reset values
-        registers[0], registers[1], registers[254] = 0x11, 0x04, 0x1E
+        registers[:6], registers[254] = bytes((0x11, 0x04, 0xE2, 0xE4, 0xE8, 0xE0)), 0x1E
         registers[9:70:4] = bytes((0x10,)) * 16
         with open(self.path, "wb") as file:
             file.write(registers)

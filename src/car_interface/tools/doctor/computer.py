@@ -14,6 +14,8 @@ import time
 from typing import NamedTuple, Sequence
 
 from car_interface.common.device_access import SETUP_REMEDY, Membership, read_membership
+from car_interface.common.header import read_header
+from car_interface.pca9685.config import AUTO
 from car_interface.teensy.link.console import is_consoles
 from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
 
@@ -61,10 +63,12 @@ class Need(NamedTuple):
 def probe_groups(port: str, bus: str, virtual_port: bool, virtual_bus: bool) -> list[Finding]:
     """Check whether this process is in the groups of the devices that the car uses."""
     needs = []
+    # Of a device that is missing, that is the first thing to be told as bad.
     if not virtual_port:
-        needs.append(Need(group_of(port, "dialout"), "the Teensy's port", BAD))
+        needs.append(Need(group_of(port, "dialout"), "the Teensy's port", BAD if os.path.exists(port) else WARN))
     if not virtual_bus:
-        needs.append(Need(group_of(bus, "i2c"), "the servo board's bus", BAD))
+        path = read_header().bus_paths[0] if bus == AUTO else bus
+        needs.append(Need(group_of(path, "i2c"), "the servo board's bus", BAD if os.path.exists(path) else WARN))
     if any(not os.access(path, os.R_OK) for path in glob.glob("/dev/input/js*")):
         needs.append(Need("input", "the gamepad", WARN))
     return check_groups(read_membership(), list(dict.fromkeys(needs)))
