@@ -189,9 +189,11 @@ def captured(speed_mps, yaw_rad=0.0, noise_m=0.0, twist=None, duration_s=6.0, ra
 ], ids=["no_twist", "only_turn_rates", "backward", "body_turned_against_the_car", "five_a_second", "no_stamps"])
 def test_odometry_without_a_twist_has_the_speed_of_its_pose_and_the_page_says_so(case, speed_mps, tmp_path):
     drive = summarize(str(write_ros1(tmp_path / "a.bag", captured(1.5, **case))))
-    speed = drive.traces["speed"]
+    speed, acceleration = drive.traces["speed"], drive.traces["acceleration"]
     fastest = max(speed.minimum, speed.maximum, key=abs)
-    assert fastest == pytest.approx(speed_mps, rel=1e-3) and drive.motion.distance_m == pytest.approx(6.0, rel=0.02)
+    assert fastest == pytest.approx(speed_mps, rel=1e-3)
+    assert max(acceleration.maximum * speed_mps, 0) == pytest.approx(0, abs=1e-3), "it drove from the first pose on"
+    assert drive.motion.distance_m == pytest.approx(6.0, rel=0.02)
     note = "/mocap/odom: its twist is 0 throughout while its pose moves: speed and turn rate are taken from the pose"
     text = page(drive, {})
     assert note in drive.notes and note in text and "<b>1.50 m/s</b><span>top speed" in text
