@@ -23,7 +23,7 @@ MIN_PART = 0.02  # of all that is known of it: a place with less doesn't count
 # 0.0099: they agree within two standard errors of their difference from 0.09 on.
 MIN_SIGMA_RATIO = 0.1
 MAX_ERROR_RATIO = 0.2  # two standard errors, of the number
-USUAL = 0.0089  # that car's, both sides together: a smaller number may be as uncertain as this one
+USUAL = 0.009  # that car's left-hand circles show it: a smaller number may be as uncertain as this one
 SEEN_SIGMAS = 3.0  # less than that is none
 MAX_UNDERSTEER = 0.1
 HUBER = 2.0  # standard errors, beyond which an observation pulls no harder
