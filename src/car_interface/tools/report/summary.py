@@ -97,8 +97,9 @@ def summarize(path: str, namespace: str = "/", wheelbase_m: float | None = None,
     has = contents(path)
     given = {name: topic for name, topic in topics.items() if topic is not None}
     if given:
-        require(path, given.values(), namespace)
-        check_types(path, {given[role.name]: role.types for role in ROLES if role.name in given}, namespace)
+        named = {given[role.name]: role.types for role in ROLES if role.name in given}
+        require(path, named, namespace)
+        check_types(path, named, namespace)
     free = {role.name: without(has.topics, given, role, namespace) for role in ROLES}
     found = {role.topics[0]: find(free[role.name], role, namespace, given.get(role.name)) for role in ROLES}
     keys = {found[name].topic if name in found else name: name for name in TYPES
