@@ -19,7 +19,7 @@ DRIVER = os.path.join(HERE, "chain_driver.py")
 CENTER, LEFT, RIGHT, ESC_NEUTRAL = 319, 238, 419, 307  # counts of 5100, 3800, 6700, 4915
 START_WITHIN_S = 60  # of a program on a machine with much other work
 PYTHON38 = os.environ.get("CAR_INTERFACE_PYTHON38")  # one that can import rospy, with its PYTHONPATH
-PYTHONPATH38 = os.environ.get("CAR_INTERFACE_PYTHONPATH38")
+OTHER_PYTHONPATH = os.environ.get("CAR_INTERFACE_OTHER_PYTHONPATH")
 
 
 class Chip:
@@ -101,7 +101,7 @@ class Car:
                     "ROS_LOG_DIR": self.folder}
         self._node_env = {**self.env, **(node_env or {})}
         if python38:
-            self._node_env["PYTHONPATH"] = PYTHONPATH38
+            self._node_env["PYTHONPATH"] = OTHER_PYTHONPATH
         self.processes = {}
         self.chip = Chip(os.path.join(self.folder, "chip"))
         self.start_master()

@@ -23,14 +23,20 @@ PLAUSIBLE_YEARS = range(2024, 2100)
 TIME_ERROR = 5  # what adjtimex returns while the clock is not synchronised: adjtimex(2)
 TIMEX_SIZE = 512  # more than struct timex on any computer
 
+
+def install(name: str) -> str:
+    """Return the command that installs a ROS package, in the distribution that this terminal has sourced."""
+    distribution = os.environ.get("ROS_DISTRO", "Debian")  # as Debian's own packages call it
+    prefix = "python3" if distribution == "Debian" else f"ros-{distribution}"
+    return f"sudo apt install {prefix}-{name.replace('_', '-')}"
+
+
 # What nodes import: how it's distributed, and what installs it.
 LIBRARIES = (
-    ("rospy", "rospy", "Source the workspace; or sudo apt install ros-noetic-rospy (Debian: python3-rospy)"),
+    ("rospy", "rospy", f"Source the workspace; or {install('rospy')}"),
     ("car_interface.msg", "", "Build the workspace and source it: catkin_make && source devel/setup.bash"),
-    ("diagnostic_updater", "diagnostic_updater",
-     "sudo apt install ros-noetic-diagnostic-updater (Debian: python3-diagnostic-updater)"),
-    ("dynamic_reconfigure", "dynamic_reconfigure",
-     "sudo apt install ros-noetic-dynamic-reconfigure (Debian: python3-dynamic-reconfigure)"),
+    ("diagnostic_updater", "diagnostic_updater", install("diagnostic_updater")),
+    ("dynamic_reconfigure", "dynamic_reconfigure", install("dynamic_reconfigure")),
     ("evdev", "evdev", "sudo apt install python3-evdev"),
     ("serial", "pyserial", "sudo apt install python3-serial"),
     ("smbus2", "smbus2", "sudo apt install python3-smbus2 (Ubuntu 20.04: pip3 install smbus2)"),
@@ -149,9 +155,7 @@ def probe_versions() -> list[Finding]:
             good.append(f"{name} {version}".strip())
     for name in MESSAGES:
         if not _is_installed(name):
-            package = name.replace("_", "-")
-            found.append(Finding(BAD, "versions", f"{name} can't be imported",
-                                 f"sudo apt install ros-noetic-{package} (Debian: python3-{package})"))
+            found.append(Finding(BAD, "versions", f"{name} can't be imported", install(name)))
     return [Finding(OK, "versions", ", ".join(good)), *found]
 
 
