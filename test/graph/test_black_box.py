@@ -114,6 +114,16 @@ def test_arbiter_whose_states_end_while_the_car_drives_is_one(graph, folder, top
     assert names(folder) == [f"{node}_silent.bag"]
 
 
+def test_arbiter_whose_states_end_while_the_car_stands_is_none(graph, folder):
+    black_box(graph, folder)
+    graph.hold("/throttle_arb/state", ThrottleState(source=ThrottleState.PLANNER), 10)
+    graph.hold("/turn_arb/state", SteeringState(source=SteeringState.PLANNER), 20)
+    graph.run(3.0)
+    graph.silence("/turn_arb/state", "/throttle_arb/state")
+    graph.run(8.0)
+    assert names(folder) == []
+
+
 def test_car_that_stood_or_whose_speed_nobody_knows_while_throttle_arb_gives_none_was_not_driven(graph, folder):
     black_box(graph, folder)
     graph.hold("/throttle_arb/state", ThrottleState(source=ThrottleState.PLANNER, speed=math.nan), 10)
@@ -164,6 +174,20 @@ def test_recording_has_the_last_minute_and_how_it_ended_and_the_latched_messages
     assert not {"/drive", "/rosout"} & set(found)
     assert times == sorted(times)
     assert (times[0] - stopped_s, times[-1] - stopped_s) == (pytest.approx(-55, abs=0.1), pytest.approx(5, abs=0.1))
+
+
+def test_topic_of_two_types_is_recorded_with_the_newest_and_a_state_of_another_type_is_no_state(graph, folder):
+    black_box(graph, folder)
+    drive(graph)
+    graph.publish("/drive", Twist(), sender="/old")
+    graph.publish("/drive", Float32(1.0))
+    graph.publish("/turn_arb/state", Float32(1.0), sender="/other")
+    graph.hold("/turn_arb/state", steering(SteeringState.NEUTRAL, causes.PLANNER_STALE), 20)
+    graph.run(6.0)
+    with rosbag.Bag(str(next(folder.iterdir()))) as bag:
+        found = bag.get_type_and_topic_info()[1]
+    assert found["/drive"][:2] == ("std_msgs/Float32", 1)
+    assert found["/turn_arb/state"].msg_type == "car_interface/SteeringState"
 
 
 def test_recording_that_is_due_is_written_when_the_node_ends(graph, folder):
