@@ -12,6 +12,7 @@ from car_interface.tools.report.states import UNKNOWN_DRIVER
 from car_interface.tools.report.summary import RANGES, Summary
 
 MIN_RATIOS = 30  # samples, for a ratio to be shown
+OLD = "old"  # of a calibration's breakpoint: nothing was driven there
 WRONG_RATIO = 0.05  # of the driven to the sent curvature, from 1: the tables need calibration
 
 
@@ -19,14 +20,14 @@ def page(drive: Summary, plots: dict[str, str]) -> str:
     """Return the page; ``plots`` are SVGs by name, of which those that are missing are left out."""
     name = drive.path.rstrip("/").rsplit("/", 1)[-1]
     lines = [*_steering_lines(drive.steering), *_motion_lines(drive), *_asked_lines(drive), *_teensy_lines(drive)]
-    wrong_sides = [(side, _ratio_text(ratio)) for side, ratio in _known_ratios(drive.motion.by_tables)
-                   if abs(ratio - 1) > WRONG_RATIO]
+    by_tables = [] if drive.calibration else _known_ratios(drive.motion.by_tables)  # it drove by the table before
+    wrong_sides = [(side, _ratio_text(ratio)) for side, ratio in by_tables if abs(ratio - 1) > WRONG_RATIO]
     return render(
         "drive.html", title=f"Drive: {name}", name=name, drive=drive, plots=plots, figures=_figures(drive), lines=lines,
         who_drove=_who_drove(drive.steering.source_s), wrong_sides=wrong_sides, gaps=drive.coverage.gaps(),
         errors=sum(fault.level == ERROR for fault in drive.faults.entries), warn=WARN, reasons=_reasons,
         missing_sonars=[] if set(RANGES) & drive.present else ["sonar/*"], driver_names=DRIVER_NAMES,
-        driver_colours=DRIVER_COLOURS, unknown_driver=UNKNOWN_DRIVER,
+        driver_colours=DRIVER_COLOURS, unknown_driver=UNKNOWN_DRIVER, old=OLD,
         moment=lambda time_s: moment_text(time_s, drive.duration_s))
 
 
@@ -77,7 +78,7 @@ def _motion_lines(drive):
     if traces["acceleration"].count:
         yield "Acceleration", range_text(traces["acceleration"], "m/s²")
     ratios = [f"{side} {_ratio_text(ratio)}" for side, ratio in _known_ratios(motion.by_tables)]
-    if ratios:
+    if ratios and not drive.calibration:
         yield "Slow turns against the tables", "; ".join(ratios)
     by_imu = drive.imu.odometry_ratio()
     if by_imu.samples >= MIN_RATIOS:

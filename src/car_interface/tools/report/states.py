@@ -143,8 +143,9 @@ class SteeringWatch:
         self.duties: dict = {}  # a Trace by channel, for those that were ever driven
         self.steering_channel: int | None = None  # that follows turn_arb's duty; None = unknown
         self.curvature_per_m: float | None = None  # sent by turn_arb now, left positive; None = unknown
-        self.unchanged_since_s = 0.0  # when turn_arb's duty last changed
-        self._duty = None  # of the newest state
+        self.unchanged_since_s = 0.0  # when turn_arb's duty last changed by a step of the board
+        self._duty = None  # since then
+        self.driven_from_s = math.inf  # when somebody first drove
         self._matches: Counter = Counter()  # by channel: how often its output was turn_arb's duty
 
     def on_state(self, time_s: float, message: Any) -> None:
@@ -153,7 +154,7 @@ class SteeringWatch:
         self._episodes.update(time_s, "turn_arb", message.cause, message.reason, source=message.source)
         self.curvature_per_m = 1 / message.turn_radius if message.turn_radius else math.nan
         self._traces["sent curvature"].add(time_s, self.curvature_per_m)
-        if message.duty != self._duty:
+        if self._duty is None or abs(message.duty - self._duty) >= DUTY_PER_COUNT:  # understeer moves it a little
             self._duty, self.unchanged_since_s = message.duty, time_s
 
     def on_output(self, time_s: float, message: Any) -> None:
@@ -189,6 +190,8 @@ class SteeringWatch:
         """End the last episode, and find the steering channel."""
         self._episodes.end(self._duration_s)
         self._faults.dropped += self._episodes.dropped
+        self.driven_from_s = min((one.start_s for one in self.episodes if one.source in (TELEOP, PLANNER)),
+                                 default=math.inf)
         if self._matches:
             self.steering_channel = self._matches.most_common(1)[0][0]
         elif STEERING_CHANNEL in self.duties:  # turn_arb's state was not recorded
