@@ -182,8 +182,8 @@ def next_steps(table: TableFile, refusal: str, replaces: bool | None) -> list[st
         replaces: the file itself, else the new table is beside it; ``None`` = a person is asked, and may say no.
     """
     if refusal:
-        return ["Drive again with more room (--radius 3.5) or more time (--max-time 420), or give this recording and "
-                "another one to calibrate_steering, which makes one table of both."]
+        return [("Drive again with more room (--radius 3.5) or more time (--max-time 420), or give this recording and "
+                 "another one to calibrate_steering, which makes one table of both.")]
     take = f"ake the new table by: mv {table.beside} {table.path}"
     taking = [] if replaces else [f"If you answered no, t{take}" if replaces is None else f"T{take}"]
     return [*taking, f"Launch again with config:={table.folder}, which loads the table.",
