@@ -65,7 +65,9 @@ def moment_text(time_s: float, duration_s: float) -> str:
 
 
 def span_text(time_s: float) -> str:
-    """Return a duration: 0.05 s, 12.5 s, 3 min 7 s, 1 h 2 min."""
+    """Return a duration: 0 s, 0.05 s, 12.5 s, 3 min 7 s, 1 h 2 min."""
+    if time_s < 0.0005:  # states that were published together
+        return "0 s"
     if time_s < 100:
         return f"{time_s:.2g} s" if time_s < 0.1 else f"{time_s:.1f} s"
     minutes, seconds = divmod(round(time_s), 60)

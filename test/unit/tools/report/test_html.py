@@ -26,7 +26,7 @@ def test_time_of_a_long_drive_has_minutes(time_s, duration_s, text):
 
 @pytest.mark.parametrize("time_s, text", [
     (0.0, "0 s"), (0.0123, "0.012 s"), (0.1, "0.1 s"), (99.94, "99.9 s"), (100, "1 min 40 s"),
-    (3599.4, "59 min 59 s"), (3599.6, "1 h 0 min"), (3720, "1 h 2 min"),
+    (1.4e-6, "0 s"), (3599.4, "59 min 59 s"), (3599.6, "1 h 0 min"), (3720, "1 h 2 min"),
 ])
 def test_duration_is_in_seconds_minutes_or_hours(time_s, text):
     assert span_text(time_s) == text
