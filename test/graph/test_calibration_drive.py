@@ -200,7 +200,8 @@ def test_it_drives_while_the_deadman_is_held_and_only_then_and_refuses_what_is_t
     car = Practice(tmp_path, "--no-sonars").begin()
     graph = car.graph
     assert car.terminal.block[0] == f"waits: {HOLD_IT} begins"
-    assert sorted(car.recording.topics) == sorted(topic if topic.startswith("/") else f"/{topic}" for topic in TOPICS)
+    assert sorted(car.recording.topics) == sorted(topic if topic.startswith("/") else f"/{topic}"
+                                                  for topic in (*TOPICS, RESULT))
     assert graph.recorded[REQUESTS] == graph.recorded[SPEEDS] == []
     car.hold()
     assert graph.newest("/turn_arb/state").source == SteeringState.PLANNER

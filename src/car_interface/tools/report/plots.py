@@ -34,7 +34,7 @@ from car_interface.tools.report.states import UNKNOWN_DRIVER
 from car_interface.tools.report.summary import Summary
 
 DASHED = (0, (4, 2))
-PATH_WIDTHS = (5.0, 3.2, 1.4)  # by the order in which they first drove
+PATH_WIDTH, WIDER = 1.6, 1.6  # of the path of who was the last to begin, and by how much those before are wider
 ESC_COLOURS = {"ARMING": "#b8bfc7", "BRAKING": "#d9822b", "HOLD": "#e8c468", "REVERSE": "#8e5ea2"}
 
 
@@ -187,15 +187,18 @@ def _path(drive):
     if len(echo_x):
         axes.plot(echo_x, echo_y, linestyle="none", marker="o", markersize=2.6, markeredgewidth=0, color=REQUESTED,
                   alpha=0.55, label="seen by a sonar")
-    begin, seen = 0, {}  # widths of the lines: what lies under another one stays visible
+    # By the order in which they first drove: a path under another one stays visible.
+    sources = list(dict.fromkeys(kind if kind in DRIVER_COLOURS else UNKNOWN_DRIVER for kind in path.kinds))
+    begin, seen = 0, set()
     for index in range(1, len(path.kinds) + 1):
         if index < len(path.kinds) and path.kinds[index] == path.kinds[begin]:
             continue
         source = path.kinds[begin] if path.kinds[begin] in DRIVER_COLOURS else UNKNOWN_DRIVER
-        label = None if source in seen else DRIVER_NAMES[source]
-        width = seen.setdefault(source, PATH_WIDTHS[min(len(seen), len(PATH_WIDTHS) - 1)])
+        width = PATH_WIDTH + WIDER * (len(sources) - 1 - sources.index(source))
         axes.plot(path.x_m[max(begin - 1, 0):index], path.y_m[max(begin - 1, 0):index], linewidth=width,
-                  color=DRIVER_COLOURS[source], label=label, solid_capstyle="round", zorder=3 - width / 10)
+                  color=DRIVER_COLOURS[source], label=None if source in seen else DRIVER_NAMES[source],
+                  solid_capstyle="round", zorder=3 - width / 10)
+        seen.add(source)
         begin = index
     if len(path.x_m):
         axes.plot(path.x_m[0], path.y_m[0], marker="o", markersize=8, color="white", markeredgecolor=INK,
