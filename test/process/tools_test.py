@@ -127,7 +127,7 @@ class Tools(unittest.TestCase):
         """Deadman, then the key that goes faster; again where a node stood still, which then waits for the release."""
         for within_s in (10, 20, 60):
             deadman = Hand(self, terminal, b"m")
-            terminal.wait_for_line("^TELEOP: tele_steer_req")
+            terminal.wait_for_line("steers: TELEOP, tele_steer_req", terminal.lines.mark())
             deadman.let_go()
             hand, mark = Hand(self, terminal, b"w"), self.truth.mark()
             try:
@@ -142,7 +142,7 @@ class Tools(unittest.TestCase):
         terminal = self.terminal(executable("keyboard_drive"))
         terminal.wait_for_line(READY)
         self.assertNotEqual(terminal.settings(), terminal.settings_before)
-        terminal.wait_for_line("^NO_HUMAN: human_in_loop is false: no deadman is held")
+        terminal.wait_for_line("steers: NO_HUMAN, human_in_loop is false: no deadman is held")
         faster = self.hold_until_it_drives(terminal)
         second = self.terminal(executable("keyboard_drive"), "__name:=second")
         second.wait_for_line("/keyboard_drive publishes /joy already. End it first: rosnode kill /keyboard_drive")
