@@ -97,7 +97,7 @@ class _OnCluster(Executor):
 
 def _on_worker(expected, function, *arguments):
     if version() != expected:  # its rows would be others
-        raise CarInterfaceError(f"the worker on {socket.gethostname()} has car_interface {version()}, this computer has "
+        raise CarInterfaceError(f"the worker on {socket.gethostname()} has car_interface {version()}, here is "
                                 f"{expected}: install the same on both")
     with WORKER_LOCK:
         return function(*arguments)

@@ -60,11 +60,11 @@ def moment_text(time_s: float, duration_s: float) -> str:
 
 
 def span_text(time_s: float) -> str:
-    """Return a duration: 0 s, under 0.01 s, 0.05 s, 12.5 s, 3 min 7 s, 1 h 2 min; in words where it can't be known."""
+    """Return a duration: 0 s, <0.01 s, 0.05 s, 12.5 s, 3 min 7 s, 1 h 2 min; in words where it can't be known."""
     if time_s < 0:
         return "unknown"  # the clock was set back
     if 0 < time_s < 0.01:
-        return "under 0.01 s"  # as of a state that the node's next message changed
+        return "<0.01 s"  # as of a state that the node's next message changed
     if time_s < 99.95:
         return "0 s" if not time_s else f"{time_s:.2f} s" if time_s < 0.095 else f"{time_s:.1f} s"
     minutes, seconds = divmod(round(time_s), 60)

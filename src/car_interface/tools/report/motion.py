@@ -109,7 +109,7 @@ class PoseSpeed:
 
         Returns:
             The speed in m/s over POSE_WINDOW_S or from the pose before, forward positive, and how long ago the middle
-            of that is, in s; 0 at first.
+            of that is, in s. NaN while the poses span less: noise would be too large a part of it.
         """
         poses = self._poses
         if poses and (time_s < poses[-1][0] or math.hypot(x_m - poses[-1][1], y_m - poses[-1][2]) > JUMP_M):
@@ -119,8 +119,8 @@ class PoseSpeed:
             poses.popleft()
         begin_s, begin_x, begin_y, begin_yaw = poses[0]
         span_s, dx, dy = time_s - begin_s, x_m - begin_x, y_m - begin_y
-        if span_s < POSE_WINDOW_S:  # noise would be too large a part of it
-            return 0.0, 0.0
+        if span_s < POSE_WINDOW_S:
+            return math.nan, 0.0
         heading = begin_yaw + math.remainder(yaw - begin_yaw, 2 * math.pi) / 2
         # By the length, not by its part along the heading: a body of motion capture may be turned against the car.
         return math.copysign(math.hypot(dx, dy), dx * math.cos(heading) + dy * math.sin(heading)) / span_s, span_s / 2
@@ -168,10 +168,11 @@ class MotionWatch:
             self._move(time_s, position, yaw, speed)
         self._newest = (time_s, position.x, position.y, yaw)
         self._poses.append((stamp_s, position.x, position.y, yaw))
-        self._traces["speed"].add(time_s - lag_s, speed)
-        self._asked.compare_speed(time_s, speed)
         self.path.add(position.x, position.y, self._steering.source)
-        self._update_window(time_s, stamp_s, speed)
+        if math.isfinite(speed):
+            self._traces["speed"].add(time_s - lag_s, speed)
+            self._asked.compare_speed(time_s, speed)
+            self._update_window(time_s, stamp_s, speed)
 
     def pose_at(self, stamp_s: float) -> tuple[float, float, float] | None:
         """Return (x, y, yaw) of the recent odometry that is nearest in time; ``None`` without any."""

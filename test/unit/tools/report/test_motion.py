@@ -114,6 +114,14 @@ def test_request_counts_anew_after_a_pause_once_the_car_has_had_time_to_follow(t
     assert 120 < drive.asked.speed_ratio().samples < 150
 
 
+def test_pause_of_the_requests_between_two_messages_of_a_slow_odometry_counts_as_well(tmp_path):
+    requests = [asked(time_s, 0.0, ASKED_MPS) for time_s in (2.5, 2.9, 3.3, 3.9, 4.3, 4.7)]
+    messages = sorted([*requests, *(odometry(time_s, speed_mps=0.5) for time_s in (2.6, 3.0, 4.0, 5.0))],
+                      key=lambda message: message.time_s)
+    drive = summarize(str(write_ros1(tmp_path / "a.bag", messages, extra_types=TYPES)))
+    assert drive.asked.speed_ratio().samples == 1, "at 5.0 s"
+
+
 @pytest.mark.parametrize("topics, speeds, turns", [
     ({"turn_arb": PLANNER, "throttle_arb": PLANNER}, True, True),
     ({"turn_arb": PLANNER, "throttle_arb": TELEOP}, False, True),
@@ -189,9 +197,11 @@ def captured(speed_mps, yaw_rad=0.0, noise_m=0.0, twist=None, duration_s=6.0, ra
 ], ids=["no_twist", "only_turn_rates", "backward", "body_turned_against_the_car", "five_a_second", "no_stamps"])
 def test_odometry_without_a_twist_has_the_speed_of_its_pose_and_the_page_says_so(case, speed_mps, tmp_path):
     drive = summarize(str(write_ros1(tmp_path / "a.bag", captured(1.5, **case))))
-    speed = drive.traces["speed"]
+    speed, acceleration = drive.traces["speed"], drive.traces["acceleration"]
     fastest = max(speed.minimum, speed.maximum, key=abs)
-    assert fastest == pytest.approx(speed_mps, rel=1e-3) and drive.motion.distance_m == pytest.approx(6.0, rel=0.02)
+    assert fastest == pytest.approx(speed_mps, rel=1e-3)
+    assert max(acceleration.maximum * speed_mps, 0) == pytest.approx(0, abs=1e-3), "it drove from the first pose on"
+    assert drive.motion.distance_m == pytest.approx(6.0, rel=0.02)
     note = "/mocap/odom: its twist is 0 throughout while its pose moves: speed and turn rate are taken from the pose"
     text = page(drive, {})
     assert note in drive.notes and note in text and "<b>1.50 m/s</b><span>top speed" in text

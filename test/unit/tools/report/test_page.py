@@ -122,15 +122,15 @@ NOTHING_ON = {
     "who_steered": ([one_of("/turn_arb/state", "car_interface/SteeringState", turn_radius=2.0)],
                     "throttle, the path, speed, the Teensy"),
     "who_drove": ([odometry(0.0), one_of("/throttle_arb/state", "car_interface/ThrottleState")],
-                  "who drove, steering, the path, the Teensy"),
+                  "who drove, steering, the path, speed, the Teensy"),
     "planner": ([odometry(0.0), one_of("/planner_interface/state", "car_interface/PlannerState", source="drive")],
-                "who drove, faults, steering, limits, the path, the Teensy"),
+                "who drove, faults, steering, limits, the path, speed, the Teensy"),
     "board": ([one_of("/servo/output", "std_msgs/Int32MultiArray", data=[5000] * 16)],
               "who drove, faults, throttle, limits, the path, speed, the Teensy"),
     "pong": ([odometry(0.0), one_of("/teensy_clock", "car_interface/TeensyClock", round_trip=0.004)],
-             "who drove, faults, steering, throttle, limits, the path"),
+             "who drove, faults, steering, throttle, limits, the path, speed"),
     "log": ([odometry(0.0), one_of("/rosout", "rosgraph_msgs/Log", level=2)],
-            "who drove, steering, throttle, limits, the path, the Teensy"),
+            "who drove, steering, throttle, limits, the path, speed, the Teensy"),
 }
 
 
