@@ -114,7 +114,7 @@ def _cluster(address) -> Iterator[Executor]:
     """Yield the executor of a dask cluster. It gives the work of a worker that was lost to another one."""
     import distributed  # an extra of setup.py
 
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what it logs ends as one line of ours
+    logging.disable(logging.CRITICAL)  # what it logs, by loggers with levels of their own, ends as one line of ours
     place = f"--scheduler {address}"
     try:
         client = distributed.Client(address, timeout=SCHEDULER_TIMEOUT_S, set_as_default=False)
