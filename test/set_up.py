@@ -63,7 +63,7 @@ DEBIAN_NAMES = {
     "rostest": ("librostest-dev", "python3-rostest"),
     "rviz": ("rviz",),
 }
-CATKIN_PYTHON = ("PYTHON_EXECUTABLE", "Python_EXECUTABLE")  # until catkin 0.8.9, and since
+CATKIN_PYTHON = ("PYTHON_EXECUTABLE", "Python_EXECUTABLE")  # for cmake's FindPythonInterp, and FindPython
 BOUNDS = (("version_gte", ">="), ("version_lte", "<="))
 # Where it is not KEY without python3- and -pip.
 PIP = {"python3-pil": "Pillow", "python3-serial": "pyserial", "python3-yaml": "PyYAML"}
