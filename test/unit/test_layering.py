@@ -40,14 +40,14 @@ MAY_IMPORT = {
     "tools/cli": (*PARTS, *FITS, "tools/report", "tools/calibration/esc", "tools/calibration/steering",
                   "tools/calibration/value_map"),
     "tools/doctor": (*PARTS, "ros"),
-    "tools/host_setup": ("common",),
+    "tools/host_setup": ("common", "teleop"),
 }
 ROS = ("nodes/", "ros/", "tools/doctor/topics.py")
 # Libraries, and the only places that import them.
 ONLY_IN = {
     "rospy": ROS,
     "rosbags": ("tools/recordings/",),
-    "evdev": ("nodes/keyboard_drive/key_events.py",),
+    "evdev": ("nodes/keyboard_drive/key_events.py", "teleop/gamepad_device.py"),
     "jinja2": ("tools/report/html.py",),
     "matplotlib": ("tools/report/",),
     "tqdm": ("tools/recordings/", "tools/cli/"),
