@@ -41,10 +41,10 @@ F310_D = F710_D._replace(name="Logitech Logitech Dual Action", keys="fff00000000
 XBOX_BLUETOOTH = Model("Xbox Wireless Controller", "7fff000000000000 0 0 0 0", "30627", {
     X: WORD_STICK, Y: WORD_STICK, Z: WORD_STICK, RZ: WORD_STICK, GAS: (0, 1023, 63), BRAKE: (0, 1023, 63), **CROSS})
 DUALSENSE = Model("DualSense Wireless Controller", "7fdb000000000000 0 0 0 0", "3003f", {
-    **{code: (0, 255, 0) for code in range(6)}, **CROSS})
+    **dict.fromkeys(range(6), (0, 255, 0)), **CROSS})
 MOTION_SENSORS = Model("DualSense Wireless Controller Motion Sensors", "", "3f", {})
 TOUCHPAD = Model("DualSense Wireless Controller Touchpad", "e520 10000 0 0 0 0", "260800000000003", {})
-KEYBOARD = Model("AT Translated Set 2 keyboard", "402000000 3803078f800d001 feffffdfffefffff fffffffffffffffe", "", {})
+KEYBOARD = Model("AT keyboard", "402000000 3803078f800d001 feffffdfffefffff fffffffffffffffe", "", {})
 UNKNOWN = F710_X._replace(name="Nobody's Pad")
 
 
@@ -53,7 +53,7 @@ def listed(model: Model, event: int, place: str = "usb-0000:00:14.0-2/input0", n
     return (f'I: Bus=0003 Vendor=046d Product=c21f Version=0305\nN: Name="{model.name}"\nP: Phys={place}\n'
             f"S: Sysfs=/devices/pci0000:00/0000:00:14.0/usb1/1-2/1-2:1.0/input/input{event + 9}\nU: Uniq={number}\n"
             f"H: Handlers=event{event} {more}\nB: PROP=0\nB: EV=20000b\n"
-            + (f"B: KEY={model.keys}\n" if model.keys else "") + (f"B: ABS={model.axes}\n" if model.axes else "") + "\n")
+            + (f"B: KEY={model.keys}\n" if model.keys else "") + (f"B: ABS={model.axes}\n\n" if model.axes else "\n"))
 
 
 class PipedDevice(InputDevice):

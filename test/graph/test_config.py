@@ -193,16 +193,14 @@ def test_launch_file_gives_the_board_the_files_of_turn_arb_and_of_throttle_arb(f
     assert [channel.timeout_value for channel in made.channels] == [5100, neutral] + [0] * 14
 
 
-def test_launch_files_tell_a_node_that_it_is_respawned_and_have_joy_node_wait_for_its_name():
+def test_launch_files_tell_a_node_that_it_is_respawned():
     found = set()
-    for arguments in (["joy_driver:=joy"], ["joy_driver:=gamepad_joy", "one_process:=true"], ["display:=true"]):
+    for arguments in ([], ["one_process:=true"], ["display:=true"]):
         for node in loaded("car.launch", *arguments).nodes:
             if node.package == "car_interface":
                 assert (dict(node.env_args).get("CAR_INTERFACE_RESPAWN") == "true") == node.respawn, node.type
-            elif node.respawn:
-                assert (node.type, node.launch_prefix) == ("joy_node", "rosrun car_interface wait_for_name")
             found.add(node.type)
-    assert {"turn_arb", "car_nodes", "car_display", "joy_node", "gamepad_joy"} <= found
+    assert {"turn_arb", "car_nodes", "car_display", "gamepad_joy"} <= found
 
 
 @pytest.mark.parametrize("one_process", ["false", "true"])

@@ -120,9 +120,9 @@ def test_after_a_reconnect_no_other_gamepad_counts_and_the_reason_is_told(tmp_pa
     car.graph.run(1.0)
     at_ns = car.graph.now_ns
     car.pads = [car.computer.plug_in(model, 9, place)]
-    assert car.device() == (2, "gamepad: Logitech Gamepad F710 (usb-0), which was read before, is gone; there is "
+    assert car.device() == (2, ("gamepad: Logitech Gamepad F710 (usb-0), which was read before, is gone; there is "
                             f"/dev/input/event9 ({model.name}). Plug it in at the same place, with its switch as it "
-                            "was; to change gamepads start this node again")
+                            "was; to change gamepads start this node again"))
     assert car.graph.messages("/joy", at_ns) == [] and not car.human
     car.graph.nodes["/gamepad_joy"].kill()
     car.start()
@@ -140,9 +140,9 @@ def test_second_gamepad_that_is_plugged_in_later_changes_nothing(tmp_path):
 
 def test_two_gamepads_are_refused_until_one_is_chosen_or_left(tmp_path):
     car = Driven(tmp_path).start(F710_X, DUALSENSE)
-    assert car.device() == (2, "gamepad: there are several: /dev/input/event5 (Logitech Gamepad F710), /dev/input/event6 "
-                            "(DualSense Wireless Controller). Leave one plugged in, or choose it: "
-                            "joy_device:=/dev/input/event5")
+    assert car.device() == (2, ("gamepad: there are several: /dev/input/event5 (Logitech Gamepad F710), "
+                            "/dev/input/event6 (DualSense Wireless Controller). Leave one plugged in, or choose it: "
+                            "joy_device:=/dev/input/event5"))
     assert car.graph.recorded["/joy"] == [] and "there are several" in car.warnings()
     car.computer.unplug(car.pads[0])
     assert car.device() == (0, "DualSense Wireless Controller, 8 axes, 13 buttons")
@@ -229,8 +229,8 @@ def test_unknown_gamepad_drives_nothing_until_it_is_mapped(tmp_path):
     assert not any(record.message.data for topic in ("human_in_loop", "scale_button", "tele_throt_req")
                    for record in car.graph.recorded[f"/teleop_logi/{topic}"])
     assert (car.state.cause, car.state.reason) == (
-        causes.JOY_UNMAPPED, "gamepads.yaml has no entry for this gamepad, \"Nobody's Pad, 8 axes, 11 buttons\"; "
-        "accepted: an entry of that name")
+        causes.JOY_UNMAPPED, ("gamepads.yaml has no entry for this gamepad, \"Nobody's Pad, 8 axes, 11 buttons\"; "
+        "accepted: an entry of that name"))
     car.graph.run(1.2)
     report = car.graph.report("teleop_logi: gamepad")
     assert report.level == 2 and "Map it: rosrun car_interface map_gamepad FOLDER" in report.message

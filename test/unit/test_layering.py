@@ -57,8 +57,8 @@ ONLY_IN = {
     "smbus2": ("nodes/pca9685/node.py", "tools/doctor/board.py"),
 }
 # Imported alone, a module outside of these pulls in none of the heavy ones.
-NOT_PURE = (*ROS, "teensy/link/port.py", "tools/doctor/cli.py", "tools/host_setup/cli.py", "tools/recordings/",
-            "tools/report/", "tools/cli/", "tools/calibration/")
+NOT_PURE = (*ROS, "teensy/link/port.py", "teleop/gamepad_device.py", "tools/doctor/cli.py", "tools/host_setup/",
+            "tools/recordings/", "tools/report/", "tools/cli/", "tools/calibration/")
 MODULES = sorted(PACKAGE.rglob("*.py"))
 HEAVY = ("rospy", "serial", "smbus2", "rosbags", "numpy")
 

@@ -14,7 +14,7 @@ from car_interface.common.declared import read_all
 from car_interface.common.errors import ConfigError
 from car_interface.common.package_files import package_file
 from car_interface.common.params import Params
-from car_interface.common.yaml_file import load_yaml, read_yaml
+from car_interface.common.yaml_file import load_yaml
 from car_interface.teleop.gamepad import GamepadConfig
 
 FILE = "gamepads.yaml"

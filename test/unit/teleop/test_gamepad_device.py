@@ -15,7 +15,8 @@ from car_interface.teleop.joystick import AxisRange, Event
 # As a C program that includes linux/input.h has it in memory on a 64-bit computer: LB pressed, the stick to the left,
 # the report's end. The time is 2023-11-14 22:13:20.5 UTC.
 TIME = bytes.fromhex("00f15365 00000000 20a10700 00000000")
-BYTES = b"".join(TIME + bytes.fromhex(text) for text in ("0100 3601 01000000", "0300 0000 0080ffff", "0000 0000 00000000"))
+BYTES = b"".join(TIME + bytes.fromhex(text) for text in (
+    "0100 3601 01000000", "0300 0000 0080ffff", "0000 0000 00000000"))
 needs_64_bits = pytest.mark.skipif(sys.maxsize < 2 ** 32, reason="the bytes are a 64-bit computer's")
 
 

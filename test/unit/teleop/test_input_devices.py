@@ -24,7 +24,8 @@ def pad(model=F710_X, event=5, place="usb-1", number="", more="js0"):
     ids=lambda value: getattr(value, "name", value))
 def test_gamepad_is_found_with_its_keys_and_axes(model, buttons, axes):
     found = pad(model)
-    assert (found.name, found.path, len(found.keys), len(found.axes)) == (model.name, "/dev/input/event5", buttons, axes)
+    assert (found.name, found.path) == (model.name, "/dev/input/event5")
+    assert (len(found.keys), len(found.axes)) == (buttons, axes)
     assert found.axes == set(model.ranges)
 
 
@@ -60,8 +61,8 @@ def test_one_of_two_is_chosen_by_a_link_such_as_by_id(tmp_path):
     ([], ANY, "gamepad: there is none. Plug in the gamepad or its receiver, and switch it on"),
     ([], "/dev/input/js0", "gamepad: there is none"),
     ([pad(), pad(DUALSENSE, 7)], ANY,
-     r"gamepad: there are several: /dev/input/event5 \(Logitech Gamepad F710\), /dev/input/event7 \(DualSense Wireless "
-     r"Controller\)\. Leave one plugged in, or choose it: joy_device:=/dev/input/event5$"),
+     (r"several: /dev/input/event5 \(Logitech Gamepad F710\), /dev/input/event7 \(DualSense .*\)\. Leave one plugged "
+     r"in, or choose it: joy_device:=/dev/input/event5$")),
     ([pad(more="")], "/dev/input/js0",
      r"gamepad: /dev/input/js0 is none; there is /dev/input/event5 .*\. Choose it: joy_device:=/dev/input/event5$"),
 ], ids=["none", "none_at_the_path", "two", "no_js0"])

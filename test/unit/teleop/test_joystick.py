@@ -118,7 +118,7 @@ def test_axis_without_a_range_stays_at_zero(limits):
 
 def test_positions_are_read_at_the_start_and_a_button_that_is_held_then_counts_from_its_next_press_on():
     state = joystick()
-    change = state.read_axes({**{code: 0 for code in F710_X.ranges}, X: -32768})
+    change = state.read_axes({**dict.fromkeys(F710_X.ranges, 0), X: -32768})
     assert (change.axes[:2], change.axes[2], change.buttons, change.is_urgent) == ((1.0, 0.0), 1.0, (0,) * 11, False)
     change, = state.receive([LB_UP, END])
     assert not any(change.buttons)

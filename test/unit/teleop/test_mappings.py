@@ -16,8 +16,8 @@ MODEL = "Nobody's \"Pad\", 4 axes, 10 buttons"
 ENTRY = {"steer_axis": 1, "steer_scale": -1.0, "throttle_axis": -1}
 
 
-# leftx, righty, leftshoulder, rightshoulder, y (PlayStation: x), a of SDL's gamecontrollerdb.txt for Linux, which numbers
-# as the joystick interface does.
+# leftx, righty, leftshoulder, rightshoulder, y (PlayStation: x) and a of SDL's gamecontrollerdb.txt for Linux, which
+# numbers as the joystick interface does.
 @pytest.mark.parametrize("name, axes, buttons, expected", [
     ("Logitech Gamepad F710", 8, 11, (0, 4, 4, 5, 3, 0)),
     ("Logitech Logitech Cordless RumblePad 2", 6, 12, (0, 3, 4, 5, 3, 1)),
@@ -56,7 +56,8 @@ def test_known_name_with_other_numbers_is_another_gamepad(axes, buttons):
 
 @pytest.mark.parametrize("entry, text", [
     ({"steer_axes": 1}, "unknown parameter steer_axes"), ({"steer_axis": 64}, "steer_axis is 64"),
-    ({"manual_button": 5}, "a button other than manual_button's"), (None, "the entry is missing"), ([1], "the entry is")])
+    ({"manual_button": 5}, "a button other than manual_button's"), (None, "the entry is missing"),
+    ([1], "the entry is")])
 def test_entry_that_can_not_be_used_is_refused_by_name(entry, text):
     with pytest.raises(ConfigError, match=f"gamepads.yaml, {MODEL}, .*{text}"):
         config_for(MODEL, SHIPPED, {MODEL: entry})
@@ -74,7 +75,7 @@ def test_entries_of_the_cars_folder_go_before_the_packages(tmp_path):
     entries = load_entries(str(tmp_path))
     assert (entries[f710], entries[f310]) == ({"throttle_axis": 1}, {})
     (tmp_path / "gamepads.yaml").write_text('"F710": {', encoding="utf-8")
-    with pytest.raises(ConfigError, match="gamepads.yaml"):
+    with pytest.raises(ConfigError, match=r"gamepads\.yaml"):
         load_entries(str(tmp_path))
 
 
@@ -89,5 +90,5 @@ def test_entry_is_written_and_replaced_and_the_other_lines_stay():
 
 def test_file_whose_entry_is_on_several_lines_is_left_alone():
     text = with_entry("", "f", MODEL, {}).replace(" {}", "\n  steer_axis: 1")
-    with pytest.raises(ConfigError, match="f can't be edited safely; accepted: a file whose entry .* is on one line"):
+    with pytest.raises(ConfigError, match=r"f can't be edited safely; accepted: a file whose entry .* is on one line"):
         with_entry(text, "f", MODEL, ENTRY)

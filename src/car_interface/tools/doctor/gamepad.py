@@ -13,11 +13,11 @@ from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
 SUBJECT = "gamepad"
 MISSED = 2  # messages in a row that may be lost before the deadman is released, at least
 AUTOREPEAT = "Set joy_node's autorepeat_rate to 20, as teleop_logi.launch gamepad:=true does: {joy} must come at 20 Hz"
-# How an Xbox gamepad's interface describes itself, class, subclass and protocol, and so does a Logitech in X mode: Linux,
-# drivers/input/joystick/xpad.c. The other interfaces of an Xbox One's gamepad, which look alike, need no driver.
+# Class, subclass and protocol of an Xbox gamepad's first interface, and of a Logitech's in X mode: Linux,
+# drivers/input/joystick/xpad.c. An Xbox One's gamepad has others that look alike and need no driver.
 XBOX_INTERFACES = (("ff", "5d", "01"), ("ff", "5d", "81"), ("ff", "47", "d0"))
-NO_XPAD_REMEDY = ("sudo modprobe xpad. If there is no such module, as on a Jetson: set the switch of a Logitech at D; or "
-                  "connect an Xbox gamepad by Bluetooth; or build xpad")
+NO_XPAD_REMEDY = ("sudo modprobe xpad. If there is no such module, as on a Jetson: set the switch of a Logitech at D, "
+                  "connect an Xbox gamepad by Bluetooth, or build xpad")
 LET_GO = "Let go of both deadman buttons once, then hold one"
 
 
@@ -37,8 +37,8 @@ class GamepadFacts(NamedTuple):
     node: str  # teleop_logi's path
     topic: str  # that it subscribes to
     publishers: Sequence[str]  # the nodes that publish on it
-    # What teleop_logi takes its axes and buttons for; ``None`` = its parameters are bad, as another finding says, or the
-    # gamepad is in no gamepads.yaml.
+    # What teleop_logi takes its axes and buttons for; ``None`` = its parameters are bad, as another finding says, or
+    # the gamepad is in no gamepads.yaml.
     config: GamepadConfig | None
     sample: JoySample
     cause: str = ""  # teleop_logi's own, as is the reason; empty = it published nothing
@@ -81,8 +81,8 @@ def probe_driver(folder: str = "/sys/bus/usb/devices") -> list[Finding]:
             device = interface.partition(":")[0]
             numbers = f"{_read_word(device, 'idVendor')}:{_read_word(device, 'idProduct')}"
             name = _read_word(device, "product") or "a gamepad"
-            found.append(Finding(WARN, SUBJECT, f"{name} ({numbers}) is plugged in, but no driver has it: no xpad",
-                                 NO_XPAD_REMEDY))
+            what = f"{name} ({numbers}) is plugged in, but no driver has it: no xpad"
+            found.append(Finding(WARN, SUBJECT, what, NO_XPAD_REMEDY))
     return found
 
 
@@ -100,8 +100,8 @@ def _nothing_came(gamepad):
     if not gamepad.publishers:
         said = f" ({gamepad.reason})" if gamepad.reason else ""
         return Finding(WARN, SUBJECT, f"no node publishes {topic}, so that no deadman can be held{said}",
-                       "Start its driver: roslaunch car_interface car.launch gamepad:=true. With the virtual car: rosrun "
-                       "car_interface keyboard_drive")
+                       "Start its driver: roslaunch car_interface car.launch gamepad:=true. With the virtual car: "
+                       "rosrun car_interface keyboard_drive")
     return Finding(WARN, SUBJECT, f"{', '.join(gamepad.publishers)} publishes {topic}, but nothing came",
                    f"{remedy(causes.JOY_NEVER_RECEIVED, topic)}. {AUTOREPEAT.format(joy=topic)}, also while nothing "
                    "moves")

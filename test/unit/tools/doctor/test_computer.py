@@ -66,7 +66,7 @@ def member(monkeypatch):
     """A user in no group, on a computer without a gamepad."""
     monkeypatch.setattr(computer, "read_membership", lambda: NOBODY)
     monkeypatch.setattr(computer, "group_of", lambda path, usual: usual)
-    monkeypatch.setattr(computer.glob, "glob", lambda pattern: [])
+    monkeypatch.setattr(computer, "find_pads", list)
 
 
 def missing_groups(virtual_port=False, virtual_bus=False):

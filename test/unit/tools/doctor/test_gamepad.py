@@ -102,8 +102,8 @@ def test_driver_that_is_missing_is_named_with_what_to_do(tmp_path):
     plug_in(tmp_path, "1-2", ("ff", "5d", "01"), False)
     plug_in(tmp_path, "1-3", ("ff", "47", "d0"), False, "", ("045e", "02ea"))
     first, second = probe_driver(str(tmp_path))
-    assert (first.level, first.what) == (WARN, "Wireless Gamepad F710 (046d:c21f) is plugged in, but no driver has it: "
-                                         "no xpad")
+    assert (first.level, first.what) == (WARN, ("Wireless Gamepad F710 (046d:c21f) is plugged in, but no driver has it:"
+                                         " no xpad"))
     assert first.remedy.startswith("sudo modprobe xpad. If there is no such module, as on a Jetson: set the switch")
     assert second.what.startswith("a gamepad (045e:02ea)")
 

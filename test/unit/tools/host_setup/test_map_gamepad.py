@@ -92,8 +92,7 @@ def test_controls_that_are_shown_become_the_entry(person):
     entry = person.follow(push(X, LEFT), push(RY, FORWARD), press(TL), press(TR), press(NORTH), press(SOUTH))
     assert entry == {**ENTRY, "faster_button": 2, "slower_button": 0}
     assert person.lines[0] == "Push the stick that steers to the left; then let go."
-    assert person.lines[4] == ("Press the button that makes driving by hand faster, or type Enter if there is none; then "
-                               "let go.")
+    assert person.lines[4].endswith("driving by hand faster, or type Enter if there is none; then let go.")
 
 
 def test_inverted_axes_get_a_negative_scale_and_enter_leaves_a_control_out(person):
@@ -109,7 +108,8 @@ def test_cross_trigger_and_what_is_taken_already_are_refused_with_the_reason(per
     assert entry == ENTRY
     assert [line for line in person.lines if line.startswith("that")] == [
         "that is the cross: use a stick", "that axis steers already",
-        "that axis rests at its end, as a trigger does: use a stick", "that is manual_button already: press another one"]
+        "that axis rests at its end, as a trigger does: use a stick",
+        "that is manual_button already: press another one"]
 
 
 def test_control_that_is_needed_can_not_be_left_out(person):
@@ -126,7 +126,7 @@ def test_closed_keyboard_is_no_answer(person):
 
 
 def test_button_counts_once_everything_was_let_go_of(person):
-    held = [[(ABS, RY, FORWARD)], [(KEY, TL, DOWN)], [(ABS, RY, 0)], [(KEY, TL, UP)], [(KEY, TR, DOWN)], [(KEY, TR, UP)]]
+    held = [[(ABS, RY, FORWARD)], [(KEY, TL, DOWN)], [(ABS, RY, 0)], [(KEY, TL, UP)], *press(TR)]
     entry = person.follow(push(X, LEFT), held, press(SOUTH), "\n", "\n")
     assert (entry["manual_button"], entry["autonomous_button"]) == (5, 0)
 
@@ -159,7 +159,7 @@ def test_entry_is_written_into_the_folder_and_the_old_file_is_kept(person, tmp_p
     folder.mkdir()
     run(monkeypatch, person, str(folder))
     assert load_yaml(str(folder / "gamepads.yaml")) == {MODEL: ENTRY}
-    assert capsys.readouterr().out.startswith(f"{MODEL}\nLet go of everything.\nwritten: {folder}/gamepads.yaml. It counts")
+    assert capsys.readouterr().out.startswith(f"{MODEL}\nLet go of everything.\nwritten: {folder}/gamepads.yaml. ")
     run(monkeypatch, person, str(folder))
     assert len(list(folder.iterdir())) == 2
 
