@@ -219,7 +219,7 @@ class Doctor(unittest.TestCase):
             ((NO_JOY, (BAD, "Teensy", "nothing comes", "TX")), {"options": ("--port", os.ttyname(far))}))
 
     def test_5_teensy_that_is_unplugged_and_a_board_without_power_are_told_by_their_nodes(self):
-        self.addCleanup(self.links.wait_for, lambda link: link.state == "fine", self.links.mark())
+        self.addCleanup(lambda: self.links.wait_for(lambda link: link.state == "fine", self.links.mark()))
         self.inject("/car1/car_sim/inject_fault", "unplug", 0, "plug", 0)
         self.inject("/car1/pca9685/inject_fault", "power", 0, "power", 1)
         self.links.wait_for(lambda link: link.state == "port absent", self.links.mark())
