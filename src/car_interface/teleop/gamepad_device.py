@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import errno
+import select
 from typing import Callable, Mapping
 
 from evdev import InputDevice, ecodes
@@ -51,6 +52,9 @@ class GamepadDevice:
         Raises:
             DeviceError: the gamepad is gone.
         """
+        # Before version 1.4, which Ubuntu 20.04 lacks, evdev loses memory with each read that finds nothing.
+        if not select.select([self._device.fd], [], [], 0)[0]:
+            return []
         try:
             events = [Event(event.type, event.code, event.value) for event in self._device.read()]
         except BlockingIOError:
