@@ -74,10 +74,10 @@ class Driven:
         return self.graph.newest("/teleop_logi/tele_throt_req").data
 
     def device(self):
-        """Run for 1.2 s; return level and text of the device's report."""
+        """Run for 1.2 s; return level and text of the device's report, with its remedy."""
         self.graph.run(1.2)
         report = self.graph.report("gamepad_joy: gamepad device")
-        return report.level, report.message
+        return report.level, ". ".join(filter(None, (report.message, report.values.get("remedy"))))
 
     def warnings(self) -> str:
         return " ".join(self.graph.lines("/gamepad_joy", level=30))

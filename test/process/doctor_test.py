@@ -37,7 +37,7 @@ NOWHERE = "http://127.0.0.1:1"
 COMPUTERS = ("clock", "groups", "versions", "packages")
 NODES = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "throttle_arb", "teleop_logi",
          "car_sim")
-NO_JOY = (WARN, "gamepad", "no node publishes /car1/joy, so that no deadman can be held", "Start joy_node")
+NO_JOY = (WARN, "gamepad", "no node publishes /car1/joy, so that no deadman can be held", "Start its driver")
 VIRTUAL_BUS = (WARN, "bus", "virtual", "demo.launch")
 HOLDER = """
 import fcntl, os, sys

@@ -20,6 +20,7 @@ from car_interface.ros.diagnostics import ERROR, OK, Diagnostics
 from car_interface.ros.logs import ThrottledWarnings
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise
+from car_interface.teleop.gamepad import DRIVER_REPORT
 from car_interface.teleop.gamepad_device import GamepadDevice
 from car_interface.teleop.input_devices import Pad, choose_pad, find_pads
 from car_interface.teleop.joystick import Joystick, JoystickConfig, Pacing
@@ -47,11 +48,11 @@ class GamepadJoy:
         self._joystick = Joystick([], {})
         self._pacing = Pacing(self._config.coalesce_s, self._config.autorepeat_hz)
         self._warnings = ThrottledWarnings(inbox.clocks)
-        self._fault = "it was not opened yet"
+        self._fault: DeviceError | None = None
         self._clocks = inbox.clocks
         now_ns = self._clocks.now_ns()
         self._retry_ns = now_ns
-        self._diagnostics = Diagnostics(inbox, self._config.dev, {"gamepad device": self._report}, now_ns)
+        self._diagnostics = Diagnostics(inbox, self._config.dev, {DRIVER_REPORT: self._report}, now_ns)
         self._publisher = advertise("joy", Joy, inbox)
 
     def step(self, now_ns):
@@ -64,7 +65,7 @@ class GamepadJoy:
                 self._read(now_ns)
         except DeviceError as error:
             self._close()
-            self._fault = str(error)
+            self._fault = error
             self._warnings.warn(error.cause, f"{error} (no joy message until then)")
         if now_ns >= self._pacing.due_ns:
             self._publish(self._joystick.axes, self._joystick.buttons, now_ns)
@@ -83,7 +84,7 @@ class GamepadJoy:
         self._inbox.watch(self._device.fileno())
         self._joystick = Joystick(self._device.keys, self._device.ranges, self._config.deadzone)
         self._read_axes(now_ns)
-        self._pad, self._fault = pad, ""
+        self._pad, self._fault = pad, None
         rospy.loginfo("gamepad on %s: %s", pad.path, self._model())
 
     def _read(self, now_ns):
@@ -117,10 +118,13 @@ class GamepadJoy:
 
     def _report(self, status):
         """Whether the gamepad is there, for /diagnostics."""
-        if self._device is None:
-            status.summary(ERROR, self._fault)
-        else:
+        if self._device is not None:
             status.summary(OK, self._model())
+        elif self._fault is not None:
+            status.summary(ERROR, f"{self._fault.what}: {self._fault.cause}")
+            status.add("remedy", self._fault.remedy)
+        else:
+            status.summary(ERROR, "it was not opened yet")
         status.add("times that events were lost", self._joystick.losses)
         return status
 

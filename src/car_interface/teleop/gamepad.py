@@ -27,7 +27,7 @@ REPLACED = "another gamepad sends"  # as the reason to re-arm
 MAX_INDEX = 63  # of an axis or a button
 NONE = -1  # as an index: the gamepad has no such axis or button
 CHANGES_SCALE = "a press changes the scale of driving by hand by throttle_arb's `scale_step`; −1 = none"
-REPORT = "gamepad"  # teleop_logi's on /diagnostics
+REPORT, DRIVER_REPORT = "gamepad", "gamepad device"  # teleop_logi's and gamepad_joy's on /diagnostics
 # Remedies for a gamepad that doesn't work. Logitech's F310 and F710 have a switch: in X mode they have 8 axes and 11
 # buttons; in D mode 6 and 12, with the cross in the place of the right stick.
 MODE_REMEDY = ("Is the gamepad in another mode? A Logitech F710 or F310 needs its switch at X for the shipped indices. "

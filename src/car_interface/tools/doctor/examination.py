@@ -235,7 +235,8 @@ def examine(options: Namespace) -> Iterator[Finding]:
         covered = _covered(hub, topic_reports.link)
         if topic_reports.gamepad:
             yield from check_gamepad(topic_reports.gamepad)
-            covered = [*covered, f"{topic_reports.gamepad.node.strip('/')}: {GAMEPAD_REPORT}"]
+            covered = [*covered, f"{topic_reports.gamepad.node.strip('/')}: {GAMEPAD_REPORT}",
+                       *([topic_reports.gamepad.driver.name] if topic_reports.gamepad.driver else [])]
         yield from check_diagnostics(topic_reports.reports, car.namespace, reporting, covered)
 
 

@@ -8,6 +8,7 @@ from typing import NamedTuple, Sequence
 
 from car_interface.common import causes
 from car_interface.teleop.gamepad import GamepadConfig, is_d_mode_cross, missing_index, remedy
+from car_interface.tools.doctor.car import Report
 from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
 
 SUBJECT = "gamepad"
@@ -44,6 +45,7 @@ class GamepadFacts(NamedTuple):
     cause: str = ""  # teleop_logi's own, as is the reason; empty = it published nothing
     reason: str = ""
     stick_cause: str = ""  # NOT_AT_REST where teleop_logi ignores an axis
+    driver: Report | None = None  # what gamepad_joy reports, where it has no gamepad
 
 
 def check_gamepad(gamepad: GamepadFacts) -> list[Finding]:
@@ -102,6 +104,8 @@ def _nothing_came(gamepad):
         return Finding(WARN, SUBJECT, f"no node publishes {topic}, so that no deadman can be held{said}",
                        "Start its driver: roslaunch car_interface car.launch gamepad:=true. With the virtual car: "
                        "rosrun car_interface keyboard_drive")
+    if gamepad.driver:
+        return Finding(WARN, SUBJECT, gamepad.driver.message, gamepad.driver.remedy)
     return Finding(WARN, SUBJECT, f"{', '.join(gamepad.publishers)} publishes {topic}, but nothing came",
                    f"{remedy(causes.JOY_NEVER_RECEIVED, topic)}. {AUTOREPEAT.format(joy=topic)}, also while nothing "
                    "moves")

@@ -18,7 +18,7 @@ from car_interface.common.errors import CarInterfaceError
 from car_interface.common.params import CONFIG_FOLDER, Params
 from car_interface.msg import LinkStatus, SteeringState, TeleopState
 from car_interface.ros.tcpros_limits import limit_connections
-from car_interface.teleop.gamepad import GamepadConfig
+from car_interface.teleop.gamepad import DRIVER_REPORT, GamepadConfig
 from car_interface.teleop.mappings import config_for, load_entries, model_of
 from car_interface.tools.doctor.car import Node, Report
 from car_interface.tools.doctor.gamepad import GamepadFacts, JoySample
@@ -155,7 +155,12 @@ def listen(hub: str | None, turn_arb: str | None, reporting, gamepad: GamepadLis
         if has_link and has_state and has_gamepad and wanted <= {name.partition(":")[0] for name in list(reports)}:
             break
         time.sleep(POLL_S)
-    return TopicReports(next(reversed(links), None), states, list(reports.values()), gamepad and gamepad.result())
+    facts = gamepad and gamepad.result()
+    if facts:
+        names = [f"{node.strip('/')}: {DRIVER_REPORT}" for node in facts.publishers]
+        bad = [reports[name] for name in names if name in reports and reports[name].remedy]
+        facts = facts._replace(driver=next(iter(bad), None))
+    return TopicReports(next(reversed(links), None), states, list(reports.values()), facts)
 
 
 def leave() -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from car_interface.common import causes
 from car_interface.teleop.gamepad import GamepadConfig
+from car_interface.tools.doctor.car import Report
 from car_interface.tools.doctor.findings import BAD, OK, WARN
 from car_interface.tools.doctor.gamepad import GamepadFacts, JoySample, check_gamepad, probe_driver
 
@@ -16,8 +17,9 @@ NOTHING = JoySample(messages=0, period_s=math.inf, axes=0, buttons=0, values={})
 
 
 def check(sample=AT_20_HZ, publishers=("/joy_node",), config=SHIPPED, topic="/joy", cause=causes.NO_DEADMAN,
-          reason="no deadman is held", stick_cause=""):
-    found, = check_gamepad(GamepadFacts("/teleop_logi", topic, publishers, config, sample, cause, reason, stick_cause))
+          reason="no deadman is held", stick_cause="", driver=None):
+    found, = check_gamepad(GamepadFacts("/teleop_logi", topic, publishers, config, sample, cause, reason, stick_cause,
+                                        driver))
     return found
 
 
@@ -33,6 +35,9 @@ def test_gamepad_that_works_is_ok_with_its_size_and_rate():
                  "roslaunch car_interface car.launch gamepad:=true", id="nobody_publishes"),
     pytest.param({"sample": NOTHING}, WARN, "/joy_node publishes /joy, but nothing came",
                  "Set joy_node's autorepeat_rate to 20", id="joy_node_without_a_message"),
+    pytest.param({"sample": NOTHING, "driver": Report("joy_node: gamepad device", BAD, "gamepad: there are several",
+                                                      "Leave one")}, WARN, "gamepad: there are several", "Leave one",
+                 id="driver_without_a_gamepad"),
     pytest.param({"sample": AT_20_HZ._replace(axes=4)}, BAD,
                  "the gamepad has 4 axes (0 to 3), but throttle_axis is 4", "needs its switch at X", id="wrong_mode"),
     pytest.param({"sample": AT_20_HZ._replace(values={4: math.nan})}, BAD,
