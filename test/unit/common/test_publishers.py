@@ -4,8 +4,14 @@ from __future__ import annotations
 import pytest
 
 from car_interface.common import causes
-from car_interface.common.publishers import (CommandTopic, FaultLog, Publisher, find_faults, find_unheard_planner,
-                                             second_publisher)
+from car_interface.common.publishers import (
+    CommandTopic,
+    FaultLog,
+    Publisher,
+    find_faults,
+    find_unheard_planner,
+    second_publisher,
+)
 from car_interface.common.units import NS_PER_S
 
 FLOAT, DOUBLE = "std_msgs/Float32", "std_msgs/Float64"

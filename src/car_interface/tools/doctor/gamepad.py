@@ -13,7 +13,7 @@ from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
 
 SUBJECT = "gamepad"
 MISSED = 2  # messages in a row that may be lost before the deadman is released, at least
-AUTOREPEAT = "Set joy_node's autorepeat_rate to 20, as teleop_logi.launch gamepad:=true does: {joy} must come at 20 Hz"
+AUTOREPEAT = "Set its driver's autorepeat_rate to 20, as launching with gamepad:=true does: {joy} must come at 20 Hz"
 # Class, subclass and protocol of an Xbox gamepad's first interface, and of a Logitech's in X mode: Linux,
 # drivers/input/joystick/xpad.c. An Xbox One's gamepad has others that look alike and need no driver.
 XBOX_INTERFACES = (("ff", "5d", "01"), ("ff", "5d", "81"), ("ff", "47", "d0"))
@@ -102,8 +102,8 @@ def _nothing_came(gamepad):
     if not gamepad.publishers:
         said = f" ({gamepad.reason})" if gamepad.reason else ""
         return Finding(WARN, SUBJECT, f"no node publishes {topic}, so that no deadman can be held{said}",
-                       "Start its driver: roslaunch car_interface car.launch gamepad:=true. With the virtual car: "
-                       "rosrun car_interface keyboard_drive")
+                       "Launch the car with gamepad:=true, which starts its driver. With the virtual car: rosrun "
+                       "car_interface keyboard_drive")
     if gamepad.driver:
         return Finding(WARN, SUBJECT, gamepad.driver.message, gamepad.driver.remedy)
     return Finding(WARN, SUBJECT, f"{', '.join(gamepad.publishers)} publishes {topic}, but nothing came",
