@@ -181,7 +181,7 @@ class Tools(unittest.TestCase):
                        "joy_device:=/dev/input/js7")
         self.addCleanup(launch.end)
         launch.wait_for_line("gamepad: (there is none|/dev/input/js7 is none; there is ).*no joy message until then")
-        self.assertFalse(human.wait_for(lambda message: True, human.mark()).data)
+        self.assertEqual({message.data for message in human.wait_for_count(5, human.mark())}, {False})
 
     def press(self, button=None):
         """Hold a deadman of the gamepad from now on; ``None`` = let go."""
