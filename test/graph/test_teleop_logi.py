@@ -177,7 +177,7 @@ def test_silence_of_0_27_s_with_the_button_held_on_is_named_once_whatever_the_ti
     (first, text), second = teleop.log(since_ns)
     assert first == logging.WARNING
     assert re.fullmatch(r"human in loop: False \(joy silent for 0\.2\d s\)\. See whether the gamepad is on, charged "
-                        r"and in range and its driver runs: rostopic hz /joy", text)
+                        r"and in range and joy_node runs: rostopic hz /joy", text)
     assert second == (logging.WARNING, f"human in loop: False (the gamepad was silent; {REARM})")
 
 
@@ -200,8 +200,8 @@ def test_gamepad_that_was_never_heard_is_a_warning_with_the_remedy_in_its_namesp
     assert (state.human_in_loop, state.cause, state.reason, state.joy_age) == (
         False, "joy never heard", "joy was never heard", math.inf)
     report = graph.report("car7/teleop_logi: gamepad")
-    remedy = ("See whether the gamepad's driver runs and finds it: rostopic info /car7/joy; rostopic echo "
-              "-n 1 /diagnostics")
+    remedy = ("See whether joy_node runs and finds the gamepad: rostopic info /car7/joy; rostopic echo -n 1 "
+              "/diagnostics")
     assert report[:2] == (WARN, f"joy was never heard. {remedy}")
     assert (report.values["age of joy"], report.values["steering stick"]) == ("never heard", "as the mode says")
 

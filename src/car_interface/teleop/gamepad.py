@@ -36,9 +36,9 @@ D_MODE_AXES, D_MODE_BUTTONS, D_MODE_CROSS = 6, 12, (4, 5)
 REST_REMEDY = ("Let go of the stick. If the axis stays where it is, it is a trigger, or the stick rests beyond "
                "override_deadband: set teleop_logi's indices, or throttle_axis -1; or override_deadband. ")
 REMEDIES = {
-    causes.JOY_NEVER_RECEIVED: ("See whether the gamepad's driver runs and finds it: rostopic info {joy}; "
+    causes.JOY_NEVER_RECEIVED: ("See whether joy_node runs and finds the gamepad: rostopic info {joy}; "
                                 "rostopic echo -n 1 /diagnostics"),
-    causes.JOY_STALE: "See whether the gamepad is on, charged and in range and its driver runs: rostopic hz {joy}",
+    causes.JOY_STALE: "See whether the gamepad is on, charged and in range and joy_node runs: rostopic hz {joy}",
     causes.JOY_INCOMPLETE: MODE_REMEDY,
     causes.JOY_UNMAPPED: "Map it: rosrun car_interface map_gamepad FOLDER, with your car's folder; then launch again",
     causes.NOT_AT_REST: REST_REMEDY + MODE_REMEDY,

@@ -200,7 +200,7 @@ def test_first_axis_or_button_that_a_gamepad_lacks_is_named_with_what_it_has():
 
 
 @pytest.mark.parametrize("cause, words", [
-    (causes.JOY_NEVER_RECEIVED, "whether the gamepad's driver runs and finds it: rostopic info /car1/joy"),
+    (causes.JOY_NEVER_RECEIVED, "whether joy_node runs and finds the gamepad: rostopic info /car1/joy"),
     (causes.JOY_STALE, "whether the gamepad is on, charged and in range"),
     (causes.JOY_INCOMPLETE, "A Logitech F710 or F310 needs its switch at X"),
     (causes.JOY_NOT_FINITE, "See what sends it: rostopic info /car1/joy"),

@@ -97,7 +97,7 @@ class _OnCluster(Executor):
 
 def _on_worker(expected, function, *arguments):
     if version() != expected:  # its rows would be others
-        raise CarInterfaceError(f"the worker on {socket.gethostname()} has car_interface {version()}, this computer has "
+        raise CarInterfaceError(f"the worker on {socket.gethostname()} has car_interface {version()}, here is "
                                 f"{expected}: install the same on both")
     with WORKER_LOCK:
         return function(*arguments)
@@ -114,7 +114,7 @@ def _cluster(address) -> Iterator[Executor]:
     """Yield the executor of a dask cluster. It gives the work of a worker that was lost to another one."""
     import distributed  # an extra of setup.py
 
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what it logs ends as one line of ours
+    logging.disable(logging.CRITICAL)  # what it logs, by loggers with levels of their own, ends as one line of ours
     place = f"--scheduler {address}"
     try:
         client = distributed.Client(address, timeout=SCHEDULER_TIMEOUT_S, set_as_default=False)

@@ -114,6 +114,14 @@ def test_request_counts_anew_after_a_pause_once_the_car_has_had_time_to_follow(t
     assert 120 < drive.asked.speed_ratio().samples < 150
 
 
+def test_pause_of_the_requests_between_two_messages_of_a_slow_odometry_counts_as_well(tmp_path):
+    requests = [asked(time_s, 0.0, ASKED_MPS) for time_s in (2.5, 2.9, 3.3, 3.9, 4.3, 4.7)]
+    messages = sorted([*requests, *(odometry(time_s, speed_mps=0.5) for time_s in (2.6, 3.0, 4.0, 5.0))],
+                      key=lambda message: message.time_s)
+    drive = summarize(str(write_ros1(tmp_path / "a.bag", messages, extra_types=TYPES)))
+    assert drive.asked.speed_ratio().samples == 1, "at 5.0 s"
+
+
 @pytest.mark.parametrize("topics, speeds, turns", [
     ({"turn_arb": PLANNER, "throttle_arb": PLANNER}, True, True),
     ({"turn_arb": PLANNER, "throttle_arb": TELEOP}, False, True),

@@ -34,11 +34,9 @@ class Smooth:
         NothingToFit: no strength gives a curve that can be computed.
     """
 
-    # Variance of a second difference of the curve from knot to knot, (1/m)².
+    # Variance of a second difference of the curve from knot to knot, (1/m)². Below 1e-12 the equations of a nearly
+    # straight curve can't be solved in floating point.
     STRENGTHS = np.exp(np.linspace(math.log(1e-12), math.log(1e-3), 30))
-    # No local strength is smaller, or the equations of a nearly straight curve can't be solved in floating point: with
-    # 1e-17, as it was, data that differ by 1e-14 gave curves 0.003 1/m apart, and another LAPACK one 0.035 off.
-    MIN_STRENGTH = 1e-12
     SMOOTHING, ROBUST = 3, 4  # passes without and with weights
     TUKEY = 5.0
     MIN_STRENGTH_RATIO = 1e-5  # of the local strengths, smallest to largest
@@ -91,31 +89,30 @@ class Smooth:
         kernel = np.hanning(self.SMOOTHED_OVER + 2)[1:-1]
         smoothed = np.convolve(np.pad(bend, self.SMOOTHED_OVER // 2, "edge"), kernel / kernel.sum(), "valid")
         smoothed = smoothed + 0.1 * np.median(smoothed) + 1e-18
-        # Where the curve was straight so far it may still bend a little.
+        # Where the curve was straight so far it may still bend a little; and beyond a range of 1e8 the equations can't
+        # be solved in floating point.
         smoothed = np.maximum(smoothed, smoothed.max() * self.MIN_STRENGTH_RATIO)
         return smoothed / np.exp(np.mean(np.log(smoothed)))
 
     def _solve(self, local):
+        penalty = self._second.T @ sparse.diags(1 / local) @ self._second
         normal, right = self._normal_equations(self._h)
-        # Bands of both, as wide as the wider.
-        height = len(_banded(normal + self._penalty_of(local)))
-        normal_band = _banded(normal, height)
-        best = (math.inf, None, None, None)
+        # Bands of both, as wide as the wider. None of them as a difference from their sum: that rounded the penalty,
+        # which is far smaller, so that straight curves weren't free, and came out otherwise with each LAPACK.
+        height = len(_banded(normal + penalty))
+        normal_band, penalty_band = _banded(normal, height), _banded(penalty, height)
+        rank = self._second.shape[0]
+        best = (math.inf, 1.0, None, None)
         for strength in self.STRENGTHS:
-            strengths = np.maximum(strength * local, self.MIN_STRENGTH)
-            penalty = self._penalty_of(strengths)
-            cost, curvatures, factor = self._cost(normal_band + _banded(penalty, height), right)
-            cost += float(np.sum(np.log(strengths)))
+            cost, curvatures, factor = self._cost(normal_band + penalty_band / strength, right)
+            cost += rank * math.log(strength)
             if cost < best[0]:
-                best = cost, penalty, curvatures, factor
+                best = cost, strength, curvatures, factor
         if best[2] is None:
             raise NothingToFit("no curve through the places where the steering was held can be computed: drive more of "
                                "them")
-        _, self._penalty, self.curvatures, self._factor = best
-
-    def _penalty_of(self, strengths):
-        """Return the matrix (K, K) by which second differences of these variances (K−2,) cost."""
-        return self._second.T @ sparse.diags(1 / strengths) @ self._second
+        _, strength, self.curvatures, self._factor = best
+        self._penalty = penalty / strength
 
     def _normal_equations(self, h):
         weighted = h.multiply((self.weight / (self.scatter * self._sigma) ** 2)[:, None]).tocsr()

@@ -17,7 +17,7 @@ from car_interface.steering.calibration import lost_per_m
 from car_interface.tools.calibration.steering.errors import BAND
 from car_interface.tools.calibration.steering.segments import Observations, place_numbers
 
-MIN_PLACES = 3
+MIN_PLACES = 2
 MIN_PART = 0.02  # of all that is known of it: a place with less doesn't count
 # Standard error at least, as a ratio. By a² alone the two sides of the one car that was measured showed 0.0077 and
 # 0.0099: they agree within two standard errors of their difference from 0.09 on.
