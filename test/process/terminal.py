@@ -37,10 +37,6 @@ class Terminal:
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
-    @property
-    def pid(self):
-        return self._process.pid
-
     def settings(self):
         return termios.tcgetattr(self._master)
 

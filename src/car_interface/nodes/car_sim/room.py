@@ -31,5 +31,6 @@ def room_markers(world: WorldConfig, frame: str) -> MarkerArray:
         height_m = WALL_HEIGHT_M if color is WALL else HEIGHT_M
         markers.append(Marker(
             header=Header(stamp=rospy.Time(), frame_id=frame), ns="room", id=index, type=kind, action=Marker.ADD,
-            pose=Pose(Point(x_m, y_m, height_m / 2), rotation), scale=Vector3(*size_m, height_m), color=color, frame_locked=True))
+            pose=Pose(Point(x_m, y_m, height_m / 2), rotation),
+            scale=Vector3(*size_m, height_m), color=color, frame_locked=True))
     return MarkerArray(markers)
