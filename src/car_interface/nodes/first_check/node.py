@@ -54,6 +54,9 @@ from car_interface.tools.first_check.files import find_folder, plan, write, writ
 NAME = "first_check"
 RATE_HZ = 20
 READY_WITHIN_NS = 8 * NS_PER_S
+INTRODUCTION = """First check: five minutes, one question at a time, the car on a box.
+With keyboard_drive in another terminal: M is the manual deadman, P the
+autonomous one, A and D the left stick, W and S the right one."""
 PAGE = "first_check_%Y-%m-%d_%H-%M-%S.html"
 
 
@@ -87,8 +90,7 @@ class FirstCheckNode:
         if not self._keys.start():
             raise CarInterfaceError("no terminal to ask in: start it by rosrun in a terminal of its own, not by "
                                     "roslaunch and not in the background")
-        self._text.say("First check: five minutes, one question at a time. The car stands on a box, its wheels in the "
-                       f"air.\nNothing is written before the end; then to {self._folder}, if you say so.")
+        self._text.say(f"{INTRODUCTION}\nNothing is written before the end; then to {self._folder}, if you say so.\n")
 
     def _subscribe(self):
         inbox, car = self._inbox, self._check.car

@@ -162,6 +162,11 @@ class Car:
         return self.speed.is_stale(now_ns) or abs(self.speed.value) < STANDS_MPS
 
     @property
+    def is_driven(self) -> bool:
+        """Return whether the ESC gets something else than neutral."""
+        return self._drives_since_ns is not None
+
+    @property
     def ground_reason(self) -> str:
         """Return why the car seems to move on the ground; empty: it doesn't."""
         name = next((name for name, reports in self._follows.items() if reports >= GROUND_REPORTS), "")

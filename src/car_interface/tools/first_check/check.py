@@ -128,7 +128,7 @@ class FirstCheck:
             self._answer(Result(SKIPPED, "skipped"))
         elif key == TO_END and self._index:
             self._index, self._question = len(self._makers), None
-        else:
+        elif not self._warning:
             self._question.type(key, now_ns)
 
     def _go(self, index):
@@ -149,21 +149,22 @@ class FirstCheck:
             if missing:
                 self._answer(Result(SKIPPED, missing))
                 continue
-            if self._question.drives:
-                self._watch(now_ns)
+            if self._question.drives and self._is_warned(now_ns):
+                return
             self._question.step(now_ns)
             if self._question.result is None:
                 return
             self._answer(self._question.result)
 
-    def _watch(self, now_ns):
-        """Begin the question again where the wheels turn too fast or for too long."""
+    def _is_warned(self, now_ns):
+        """Begin the question again where the wheels turn too fast or for too long, once they are let go."""
         trouble = self.car.trouble(now_ns)
         if trouble:
             self._go(self._index)
             self._warning = trouble
-        elif self._warning and self.car.stands(now_ns):
+        elif self._warning and self.car.stands(now_ns) and not self.car.is_driven:
             self._warning = ""
+        return bool(self._warning)
 
     def _neutral(self):
         """Return the neutral that throttle_arb is to have: the one that was found."""

@@ -70,7 +70,8 @@ def find_folder(folder: str | None) -> str:
                                 "car_interface car.launch throttle:=true calibration_drive:=true config:=$HOME/my_car")
     if is_package_file(os.path.join(folder, f"{STEERING}.yaml")):
         raise CarInterfaceError("the car runs on the package's own files, which are not to be changed: copy them (cp "
-                                "-r $(rospack find car_interface)/config ~/my_car), and launch with config:=$HOME/my_car")
+                                "-r $(rospack find car_interface)/config ~/my_car), and launch with "
+                                "config:=$HOME/my_car")
     return folder
 
 

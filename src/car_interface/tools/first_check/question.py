@@ -14,7 +14,7 @@ from car_interface.tools.first_check.car import Car
 FINE, LEARNED, BROKEN, SKIPPED = "fine", "learned", "to be repaired", "not asked"
 ENTER = "\n"
 STEERING, THROTTLE, GAMEPAD, HUB = "turn_arb", "throttle", "teleop_logi", "teensy_sensor_hub"  # files
-NAMES = {MANUAL: "manual deadman (LB; M of keyboard_drive)", AUTONOMOUS: "autonomous deadman (RB; P of keyboard_drive)"}
+NAMES = {MANUAL: "manual deadman (LB)", AUTONOMOUS: "autonomous deadman (RB)"}  # buttons as shipped
 
 
 @dataclass(frozen=True)

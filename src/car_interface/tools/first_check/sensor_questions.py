@@ -84,7 +84,8 @@ class Sonar(Question):
         near = [name.replace("_", " ") for name, reports in self._reports.items() if reports]
         timed = self.car.ranges[self.name]
         own = timed.stale_reason(now_ns) if timed.is_stale(now_ns) else f"it sees {timed.value:.2f} m"
-        return f"{own}; near: {', '.join(near) or 'nothing'}"
+        first = "; take the hand away first" if timed.was_received and timed.value < NEAR_M and not near else ""
+        return f"{own}; near: {', '.join(near) or 'nothing'}{first}"
 
     def step(self, now_ns):
         for name, timed in self.car.ranges.items():

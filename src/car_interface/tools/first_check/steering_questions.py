@@ -10,7 +10,7 @@ from car_interface.tools.first_check.question import ENTER, GAMEPAD, LEARNED, NA
 FULL_STICK = 0.8  # held at its end
 SAME_DUTY = 8  # half a count of the servo board
 CENTER_STEP, END_STEP = 0.01, 0.05  # of a side's travel
-MAX_CENTER = 0.4  # farther off, the servo's horn sits wrong: a tooth of 25 is 0.16 of a 90° travel
+MAX_CENTER = 0.4  # farther off, the servo's horn sits wrong: one of its 25 teeth is 14.4°, 0.32 of a side's 45°
 MIN_END = 0.3  # nearer ends leave a car that hardly turns
 SAFE_WITHIN_NS, BACK_WITHIN_NS = 2 * NS_PER_S, 20 * NS_PER_S  # a launch file restarts a node after 1 s
 
@@ -25,8 +25,8 @@ class SteeringDirection(Question):
         self.keys = {"l": partial(self._turned, True), "r": partial(self._turned, False), "n": self._nothing}
 
     def text(self):
-        return (f"Hold the {NAMES[MANUAL]} and the left stick fully to the LEFT (A). Where do the front wheels point, "
-                "seen from behind the car?")
+        return (f"Hold the {NAMES[MANUAL]} and the left stick fully to the LEFT. Where do the front wheels point, seen "
+                "from behind the car?")
 
     def help(self):
         return "L to the left   R to the right   N nowhere, they don't move"
@@ -69,44 +69,58 @@ class SteeringDirection(Question):
 
 
 class _Steers(Question):
-    """This program steers, while the autonomous deadman is held, and a person moves the wheels by two keys.
+    """This program steers, while the autonomous deadman is held.
 
     Args:
         is_exchanged: servo_left turns right.
         center: the request at which the wheels point straight ahead, as far as it is known.
     """
 
-    step_size = END_STEP
-
     def __init__(self, car, is_exchanged: bool = False, center: float = 0.0):
         super().__init__(car)
         self._left, self._center = (-1 if is_exchanged else 1), center
         self.steering = center
-        self.keys = {",": partial(self._move, 1), ".": partial(self._move, -1), ENTER: self._enter, "y": self._enter,
-                     "n": self._no}
 
     def seen(self, now_ns):
         return self.car.by_program(now_ns) or f"the duty is {self.car.steering.value.duty}"
-
-    def _move(self, side, now_ns):
-        if self._is_ready(now_ns):
-            wanted = round(self.steering + side * self._left * self.step_size, 3)
-            self.steering = max(self._low, min(self._high, wanted))
 
     def _is_ready(self, now_ns):
         self.note = "hold it, and type then" if self.car.by_program(now_ns) else ""
         return not self.note
 
+
+class _Finds(_Steers):
+    """A person turns the wheels by two keys to a place that is asked for."""
+
+    step_size = END_STEP
+    low, high = -1.0, 1.0  # of the request
+
+    def __init__(self, car, is_exchanged: bool = False, center: float = 0.0):
+        super().__init__(car, is_exchanged, center)
+        self.keys = {",": partial(self._move, 1), ".": partial(self._move, -1), ENTER: self._enter, "y": self._enter,
+                     "n": self._no}
+
+    def _move(self, side, now_ns):
+        if self._is_ready(now_ns):
+            wanted = round(self.steering + side * self._left * self.step_size, 3)
+            self.steering = max(self.low, min(self.high, wanted))
+
     def _duty(self):
         return self.setup.steering.teleop_duty(self.steering)
 
+    def _enter(self, now_ns):
+        raise NotImplementedError
 
-class Center(_Steers):
+    def _no(self, now_ns):
+        raise NotImplementedError
+
+
+class Center(_Finds):
     """Straight ahead."""
 
     title = "the steering's center"
     step_size = CENTER_STEP
-    _low, _high = -MAX_CENTER, MAX_CENTER
+    low, high = -MAX_CENTER, MAX_CENTER
 
     def text(self):
         return (f"Hold the {NAMES[AUTONOMOUS]}. Do the front wheels point straight ahead? If not, turn them with < and "
@@ -129,15 +143,14 @@ class Center(_Steers):
                      "put the servo's horn one tooth further, or set the length of the tie rods; then check again")
 
 
-class End(_Steers):
+class End(_Finds):
     """The farthest that the wheels turn to one side."""
 
     def __init__(self, car, side: int, is_exchanged: bool = False, center: float = 0.0):
         super().__init__(car, is_exchanged, center)
         self._side, self._name = side, "left" if side > 0 else "right"
         self.title = f"the steering's {self._name} end"
-        self._to = side * self._left  # of the request
-        self._low, self._high = (center, 1.0) if self._to > 0 else (-1.0, center)
+        self.low, self.high = (center, 1.0) if side * self._left > 0 else (-1.0, center)
 
     def text(self):
         key = "<" if self._side > 0 else ">"

@@ -111,20 +111,22 @@ class ThrottleDirection(_ByStick):
 
     def __init__(self, car):
         super().__init__(car)
-        self._asks_pull = False
+        self._asks_pull = self._was_pulled = False
         self.keys = {"f": self._forward, "b": self._backward, "n": self._nothing, "y": partial(self._pulled, True)}
 
     def text(self):
         if self._asks_pull:
-            return ("Let go of the stick. Now PULL it back gently (S), and hold it. Do the wheels turn FORWARD, at "
-                    "once?")
-        return (f"Hold the {NAMES[MANUAL]}. PUSH the right stick forward (W), slowly, until the wheels just turn. "
-                "Which way do they turn?")
+            return "Let go of the stick. Now PULL it back gently, and hold it. Do the wheels turn FORWARD, at once?"
+        return (f"Hold the {NAMES[MANUAL]}. PUSH the right stick forward, slowly, until the wheels just turn. Which "
+                "way do they turn?")
 
     def help(self):
         if self._asks_pull:
             return "Y yes   N no, they stop or stand"
         return "F forward   B backward   N they don't turn"
+
+    def _look(self, stick, now_ns):
+        self._was_pulled = self._was_pulled or self._asks_pull and stick <= -PUSHED
 
     def _forward(self, now_ns):
         if self._asks_pull or not self._has_pushed():
@@ -132,8 +134,8 @@ class ThrottleDirection(_ByStick):
         if self._stick > 0:
             self._fine("pushed, the wheels turn forward")
         else:
-            self.result = Result(LEARNED, "stick and ESC both went the other way",
-                                 {GAMEPAD: self._inverted, THROTTLE: {"exchanged": True}})
+            self.result = Result(LEARNED, "stick and ESC both went the other way", {GAMEPAD: self._inverted},
+                                 "launch again, and check the direction again, now with the right stick")
 
     def _backward(self, now_ns):
         if self._asks_pull or not self._has_pushed():
@@ -141,7 +143,7 @@ class ThrottleDirection(_ByStick):
         if self._stick < 0:
             self._learned("the stick went the other way", GAMEPAD, **self._inverted)
         elif self.setup.calibrates_esc:
-            self._asks_pull, self._stick = True, 0.0
+            self._asks_pull = True
         else:
             self._broken("pushed, the wheels turn backward",
                          "exchange two wires between ESC and motor; or launch with calibration_drive:=true and check "
@@ -161,9 +163,11 @@ class ThrottleDirection(_ByStick):
                          "neutral learned, armed? then the motor's wires")
 
     def _pulled(self, turns_forward, now_ns):
-        if not self._asks_pull or not self._has_pushed():
+        if not self._asks_pull:
             return
-        if turns_forward:
+        if not self._was_pulled:
+            self.note = "pull the stick first, with the deadman held"
+        elif turns_forward:
             self._learned("this ESC drives forward on the pulses behind neutral", THROTTLE, exchanged=True)
         else:
             self._broken("the motor turns the other way round", "exchange two wires between ESC and motor")
