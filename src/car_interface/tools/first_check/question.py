@@ -13,6 +13,7 @@ from car_interface.tools.first_check.car import Car
 
 FINE, LEARNED, BROKEN, SKIPPED = "fine", "learned", "to be repaired", "not asked"
 ENTER = "\n"
+SAME_DUTY = 8  # half a count of the servo board
 STEERING, THROTTLE, GAMEPAD, HUB = "turn_arb", "throttle", "teleop_logi", "teensy_sensor_hub"  # files
 NAMES = {MANUAL: "manual deadman (LB)", AUTONOMOUS: "autonomous deadman (RB)"}  # buttons as shipped
 

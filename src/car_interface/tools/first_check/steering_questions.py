@@ -5,10 +5,19 @@ from functools import partial
 
 from car_interface.common.causes import AUTONOMOUS, MANUAL
 from car_interface.common.units import NS_PER_S
-from car_interface.tools.first_check.question import ENTER, GAMEPAD, LEARNED, NAMES, SKIPPED, STEERING, Question, Result
+from car_interface.tools.first_check.question import (
+    ENTER,
+    GAMEPAD,
+    LEARNED,
+    NAMES,
+    SAME_DUTY,
+    SKIPPED,
+    STEERING,
+    Question,
+    Result,
+)
 
 FULL_STICK = 0.8  # held at its end
-SAME_DUTY = 8  # half a count of the servo board
 CENTER_STEP, END_STEP = 0.01, 0.05  # of a side's travel
 MAX_CENTER = 0.4  # farther off, the servo's horn sits wrong: one of its 25 teeth is 14.4°, 0.32 of a side's 45°
 MIN_END = 0.3  # nearer ends leave a car that hardly turns

@@ -11,7 +11,16 @@ from car_interface.throttle.esc_config import (
     DIRECT_REVERSE,
     FORWARD_ONLY,
 )
-from car_interface.tools.first_check.question import ENTER, GAMEPAD, LEARNED, NAMES, THROTTLE, Question, Result
+from car_interface.tools.first_check.question import (
+    ENTER,
+    GAMEPAD,
+    LEARNED,
+    NAMES,
+    SAME_DUTY,
+    THROTTLE,
+    Question,
+    Result,
+)
 
 PUSHED = 0.1  # of a stick: moved on purpose
 NEUTRAL_STEP, MAX_NEUTRAL = 5, 100  # duty; the second is throttle_arb's live_range
@@ -274,7 +283,8 @@ class LettingGo(_ByStick):
             self._released_ns = None
             return
         self._released_ns = self._released_ns or now_ns
-        if self.car.held_duty(self.setup.throttle.channel, now_ns) == self.car.neutral:
+        duty = self.car.held_duty(self.setup.throttle.channel, now_ns)
+        if duty is not None and abs(duty - self.car.neutral) <= SAME_DUTY:
             self._took_ms = (now_ns - self._released_ns) / 1e6
         elif now_ns - self._released_ns > NEUTRAL_WITHIN_NS:
             self._broken("the ESC's channel isn't neutral half a second after the release",
