@@ -208,7 +208,7 @@ class FirstCheckNode:
         lines = [line for edit in self._edits for line in edit.lines()]
         self._text.say("\n".join(["", *lines] if lines else ["", "Nothing in the files is to be changed."]))
         question = f"Write this to {self._folder}? The old files are kept beside it." if lines else "Write the page?"
-        self._text.say(f"{question}\nY yes, and a page{'   N only the page' if lines else ''}   P back   Q nothing")
+        self._text.say(f"{question}\nY yes, and a page{'   N only the page' if lines else ''}   P previous   Q nothing")
         self._stage = self._confirm
 
     def _confirm(self, now_ns, typed):

@@ -1,6 +1,7 @@
 """The questions on throttle and ESC, in which the person drives by the manual deadman and the right stick."""
 from __future__ import annotations
 
+import math
 from functools import partial
 
 from car_interface.common.causes import MANUAL
@@ -262,21 +263,21 @@ class LettingGo(_ByStick):
     def __init__(self, car):
         super().__init__(car)
         self._released_ns: int | None = None
-        self._took_ms: float | None = None
+        self._took_s: float | None = None
         self.keys = {"y": partial(self._ran_out, True), "n": partial(self._ran_out, False)}
 
     def text(self):
-        if self._took_ms is None:
+        if self._took_s is None:
             return (f"Hold the {NAMES[MANUAL]}, push until the wheels turn, and then let go of the deadman ONLY: keep "
                     "the stick where it is.")
-        return f"The ESC got neutral {self._took_ms:.0f} ms after the release. Do the wheels run out, and stand?"
+        return f"The ESC got neutral within {self._took_s:.1f} s of the release. Do the wheels run out, and stand?"
 
     def help(self):
-        return "Y yes   N no" if self._took_ms is not None else "N they go on though I let go"
+        return "Y yes   N no" if self._took_s is not None else "N they go on though I let go"
 
     def step(self, now_ns):
         super().step(now_ns)
-        if self._took_ms is not None or not self._was_given:
+        if self._took_s is not None or not self._was_given:
             return
         is_held = self.car.held_mode(now_ns) is not None
         if is_held:
@@ -285,14 +286,14 @@ class LettingGo(_ByStick):
         self._released_ns = self._released_ns or now_ns
         duty = self.car.held_duty(self.setup.throttle.channel, now_ns)
         if duty is not None and abs(duty - self.car.neutral) <= SAME_DUTY:
-            self._took_ms = (now_ns - self._released_ns) / 1e6
+            self._took_s = math.ceil((now_ns - self._released_ns) / NS_PER_S * 10 + 0.1) / 10  # it is looked at 20 Hz
         elif now_ns - self._released_ns > NEUTRAL_WITHIN_NS:
             self._broken("the ESC's channel isn't neutral half a second after the release",
                          "don't drive it: rosrun car_interface doctor")
 
     def _ran_out(self, did, now_ns):
-        if did and self._took_ms is not None:
-            self._fine(f"neutral after {self._took_ms:.0f} ms, and the wheels stood")
-        elif not did and (self._took_ms is not None or self._was_given):
+        if did and self._took_s is not None:
+            self._fine(f"neutral within {self._took_s:.1f} s, and the wheels stood")
+        elif not did and (self._took_s is not None or self._was_given):
             self._broken("the wheels go on after the release", "don't drive it: disconnect the battery. The ESC has "
                                                                "another neutral, or sits on another channel")

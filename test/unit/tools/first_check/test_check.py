@@ -197,7 +197,7 @@ RIGHT = [
     ("left rear wheel", [turn((FORWARD, 21), (BACKWARD, 20))], ENTER, "it counts forward, 21 pulses in one turn"),
     ("right rear wheel", [turn((BACKWARD, 20), (FORWARD, 19))], ENTER, "it counts forward, 19 pulses in one turn"),
     ("sonar front right", [show_hand("front_right")], "", "it sees the hand at 0.20 m"),
-    ("letting go", [let_go], "y", "neutral after 0 ms, and the wheels stood"),
+    ("letting go", [let_go], "y", "neutral within 0.1 s, and the wheels stood"),
     ("unplugging", [pull_cable, plug_in], "", "noticed, and its wheels were heard again"),
     ("killing", [kill()], "y", "/pca9685_guard reported the center 0.6 s after the kill, and the node came back"),
 ]

@@ -94,9 +94,9 @@ def test_page_says_what_was_checked_answered_written_and_is_to_be_repaired(tmp_p
                  "<th>the left wheel</th><td>its plug</td>", "servo_center 5100 → 5060",
                  '<span class="bad level">to be repaired</span>'):
         assert part in text
-    assert "script" not in text and "Nothing is to be repaired" not in text
+    assert "script" not in text and "Nothing is to be done" not in text
     write_page(path, "", RESULTS[:2], [])
-    assert "Nothing is to be repaired." in Path(path).read_text(encoding="utf-8")
+    assert "Nothing is to be done." in Path(path).read_text(encoding="utf-8")
 
 
 def test_page_that_cannot_be_made_is_said_and_fails_nothing(tmp_path, monkeypatch):
