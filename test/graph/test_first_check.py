@@ -6,6 +6,7 @@ import shutil
 from functools import partial
 
 import pytest
+from car_interface.srv import InjectFaultRequest
 from sensor_msgs.msg import Range
 from std_msgs.msg import Float32
 
@@ -13,7 +14,6 @@ from car import CENTER, CONFIG, ESC, ESC_NEUTRAL, STEERING, Car
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.nodes.first_check.node import FirstCheckNode
-from car_interface.srv import InjectFaultRequest
 from car_interface.steering.config import load_steering
 from car_interface.throttle.config import load_throttle
 from test_calibration_drive import CURVATURES, Terminal

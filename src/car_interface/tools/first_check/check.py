@@ -73,7 +73,7 @@ class FirstCheck:
             *(partial(Sonar, name=name) for name in setup.sonars), LettingGo, TeensyUnplugged, steered(BoardKilled)]
         self._results: list[Result | None] = [None] * len(self._makers)
         self._titles = [make(self.car).title for make in self._makers]
-        self._index, self._question, self._warning = 0, self._makers[0](self.car), ""
+        self._index, self._question, self._has_begun, self._warning = 0, self._makers[0](self.car), True, ""
 
     def _steered(self, question, *arguments):
         """Return what makes a question that steers, with what is known of the steering by then."""
@@ -119,7 +119,10 @@ class FirstCheck:
 
     def _type(self, key, now_ns):
         if key == PREVIOUS and self._index:
-            self._go(self._index - 1)
+            index = self._index - 1
+            while index and self._makers[index](self.car).missing(now_ns):
+                index -= 1
+            self._go(index)
         elif self._question is None:
             return
         elif key == AGAIN:
@@ -133,23 +136,24 @@ class FirstCheck:
 
     def _go(self, index):
         """Ask a question anew."""
-        self._index, self._warning = index, ""
+        self._index, self._has_begun, self._warning = index, True, ""
         self._results[index:index + 1] = [None]
         self._question = self._makers[index](self.car)
 
     def _answer(self, result):
         self._results[self._index] = result
-        self._index, self._warning = self._index + 1, ""
+        self._index, self._has_begun, self._warning = self._index + 1, False, ""
         self._question = self._makers[self._index](self.car) if self._index < len(self._makers) else None
 
     def _advance(self, now_ns):
         """Let the question look, and ask the next one that can be asked."""
         while self._question is not None:
-            missing = self._question.missing(now_ns)
+            missing = "" if self._has_begun else self._question.missing(now_ns)
             if missing:
                 self._answer(Result(SKIPPED, missing))
                 continue
-            if self._question.drives and self._is_warned(now_ns):
+            self._has_begun = True
+            if self._is_warned(now_ns):
                 return
             self._question.step(now_ns)
             if self._question.result is None:

@@ -44,12 +44,10 @@ class Question:
         steering: the request to turn_arb, −1 right .. +1 left; ``None`` = none.
         neutral: the duty that throttle_arb is to have as its neutral; ``None`` = as it is.
         kills_board: whether the servo board's node is to be killed now.
-        drives: whether the wheels may turn in it.
         note: why the last key was not taken.
     """
 
     title = ""
-    drives = False
 
     def __init__(self, car: Car):
         self.car, self.setup = car, car.setup

@@ -32,8 +32,6 @@ NEUTRAL_WITHIN_NS = NS_PER_S // 2
 class _ByStick(Question):
     """The person drives by the manual deadman and the right stick."""
 
-    drives = True
-
     def __init__(self, car):
         super().__init__(car)
         self._stick = 0.0  # the farthest that was seen

@@ -474,6 +474,15 @@ def test_question_can_be_skipped_repeated_gone_back_to_and_quit():
     assert not bench.view.has_quit and bench.run(0.05, "q").view.has_quit
 
 
+def test_going_back_passes_over_what_cannot_be_asked_and_a_moment_of_silence_ends_no_question():
+    bench = Bench(replace(SETUP, calibrates_esc=False)).go_to("left rear wheel")
+    assert bench.type("p").check.question.title == "the throttle's direction"
+    bench.silent = {"throttle_arb"}
+    bench.run(1.0)
+    assert bench.check.question.title == "the throttle's direction"
+    assert "Now: throttle_arb's state silent for" in bench.text or "the manual deadman isn't held" in bench.text
+
+
 def test_end_keeps_the_answers_and_names_the_rest_as_not_asked_and_goes_back():
     bench = Bench().type("ye")
     assert bench.view.is_over

@@ -37,7 +37,8 @@ def test_values_are_written_where_they_differ_comments_stay_and_the_old_files_ar
         "teensy_sensor_hub.yaml: sonar_sequence [] → [0, 1, 4]"]
     assert sorted(os.listdir(folder)) == sorted(os.listdir(CONFIG))  # so far nothing is written
     lines = write(edits)
-    assert len(lines) == 4 and lines[0].startswith(f"written: {folder}/turn_arb.yaml; the old one is {folder}/turn_arb.")
+    assert len(lines) == 4
+    assert lines[0].startswith(f"written: {folder}/turn_arb.yaml; the old one is {folder}/turn_arb.yaml.bak-")
     assert load_steering(f"{folder}/turn_arb.yaml").servo_center == 5060
     assert load_throttle(f"{folder}/throttle.yaml").esc.profile == "forward_only"
     assert "# straight ahead" in read_yaml(f"{folder}/turn_arb.yaml")
