@@ -131,7 +131,7 @@ class FirstCheck:
             self._answer(Result(SKIPPED, "skipped"))
         elif key == TO_END and self._index:
             self._index, self._question = len(self._makers), None
-        elif not self._warning:
+        else:
             self._question.type(key, now_ns)
 
     def _go(self, index):

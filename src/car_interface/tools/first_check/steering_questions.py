@@ -228,8 +228,7 @@ class BoardKilled(_Steers):
         if self._killed_ns is None:
             return
         after_ns = now_ns - self._killed_ns
-        is_new = self.car.output.silence_s(now_ns) * NS_PER_S < after_ns
-        if self._centered_ns is None and is_new and self._is_centered(now_ns):
+        if self._centered_ns is None and self._is_centered(now_ns):
             self._centered_ns, self._by = after_ns, self.car.output.value.sender
         if self._centered_ns is not None and self.car.output.value.sender == self._node:
             self._is_back = True

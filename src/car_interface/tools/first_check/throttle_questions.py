@@ -191,7 +191,8 @@ class EscKind(_ByStick):
     title = "the ESC's kind"
     def __init__(self, car):
         super().__init__(car)
-        self._was_pushed = self._was_centered = self._asks_second = False
+        self._was_pushed = self._asks_second = False
+        self._was_centered = True  # since the pull before
         self._pulled_since_ns: int | None = None
         self._has_pulled = False
         self.keys = {"1": self._braked, "2": partial(self._saw, BRAKE_BECOMES_REVERSE),

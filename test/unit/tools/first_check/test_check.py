@@ -44,6 +44,7 @@ class Bench:
         self.scale, self.near, self.range_m, self.silent = 0.3, (), math.inf, set()
         self.buttons, self.turned, self.board, self.sender = (), [(0, 0), (0, 0)], None, "/pca9685"
         self.esc, self.link, self.neutral = "NEUTRAL", True, ESC.neutral
+        self.steers = None  # the source that turn_arb names; None = as it should be
         self.pulls_pass = setup.calibrates_esc
         self.__dict__.update(state)
         self.run(0.1)
@@ -77,6 +78,7 @@ class Bench:
         car, now_ns, setup = self.check.car, self.now_ns, self.setup
         asked = self.view and self.view.steering
         steers = {None: NO_HUMAN, MANUAL: TELEOP, AUTONOMOUS: NEUTRAL if asked is None else PLANNER}[self.held]
+        steers = steers if self.steers is None else self.steers
         duty = {TELEOP: self.side, PLANNER: asked}.get(steers, 0.0)
         duty = setup.steering.teleop_duty(duty)
         duties = [0] * 16
@@ -175,6 +177,7 @@ def kill(guarded=True, back=True):
         steer(bench)
         bench.type("k")
         bench.silent = {"board"}
+        assert bench.view.kills_board and not bench.run(0.05).view.kills_board
         bench.run(0.5)
         if guarded:
             bench.board, bench.sender, bench.silent = [SLASH.servo_center, *[0] * 15], "/pca9685_guard", set()
@@ -395,10 +398,46 @@ def test_keys_that_steer_or_answer_wait_for_the_deadman():
     bench.type("sss")
     bench.type("y")
     assert "hold the deadman while you answer" in bench.text
+    drive(bench)
+    assert "let go of the stick" in bench.type("y").text
+    drive(bench, 0.0)
     bench.type("s")
     assert "push the stick first" in bench.type("f").text
+    drive(bench)
+    bench.type("by")
+    assert "pull the stick first, with the deadman held" in bench.text
     bench.type("s")
     assert "first do it" in bench.type("2").text
+    bench.type("s")
+    assert "let go of the deadman first" in bench.type(ENTER).text
+
+
+def test_steering_waits_while_something_else_than_the_program_steers():
+    bench = Bench().go_to("center")
+    steer(bench)
+    bench.steers = NEUTRAL
+    bench.run(0.1)
+    assert "Now: no deadman is held" in bench.text  # turn_arb's reason
+    assert bench.type("<" + ENTER).view.steering == 0.0 and bench.check.question.title == "the steering's center"
+
+
+def test_end_that_is_hardly_a_turn_is_not_taken():
+    bench = Bench().go_to("left end")
+    steer(bench)
+    assert "that is hardly a turn: go further, or type N" in bench.type("<<<<<" + ENTER).text
+    assert bench.type("<" + ENTER).result("left end").answer == "the end is at duty 4710"
+
+
+def test_kind_of_esc_counts_pulls_after_a_push_only_and_the_second_one_after_a_release():
+    bench = Bench().go_to("ESC's kind")
+    drive(bench, -0.5, 1.5)
+    assert "first do it" in bench.type("3").text
+    push_and_pull(bench)
+    bench.type("1")
+    drive(bench, -0.5, 1.5)  # still the first one
+    assert "first do it" in bench.type("y").text
+    pull_again(bench)
+    assert bench.type("y").result("ESC's kind").answer == "brake_then_reverse"
 
 
 @pytest.mark.parametrize("state, text", [
