@@ -33,6 +33,7 @@ setup(
     package_dir={"": "src"},
     package_data={"car_interface.tools.report": ["templates/*"]},
     data_files=[files("msg", "*.msg"), files("config", "*.yaml"), files("config", "*.csv")],
-    extras_require={"tools": ["Jinja2", "matplotlib", "numpy", "PyYAML", ROSBAGS, "scipy", "tqdm"]},
+    extras_require={"tools": ["Jinja2", "matplotlib", "numpy", "PyYAML", ROSBAGS, "scipy", "tqdm"],
+                    "cluster": ["distributed>=2023.5.0"]},  # the last for Python 3.8
     entry_points={"console_scripts": ["car-interface = car_interface.tools.cli.main:main"]},
 )

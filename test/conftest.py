@@ -25,14 +25,20 @@ settings.register_profile("car_interface", database=None, deadline=None, derando
 settings.load_profile("car_interface")
 
 # What ``./dev test`` leaves out where it runs the same tests on a second Python: the mark, or one of these files.
-ONCE = ("test_documentation", "test_launch", "test_layering", "test_noise", "test_packaging", "test_run", "test_tally",
-        "test_virtual_drives")
+ONCE = ("test_documentation", "test_launch", "test_layering", "test_noise", "test_packaging", "test_run", "test_set_up",
+        "test_tally", "test_virtual_drives")
 MARKS = ("once: takes long, and comes out the same with every Python: one of them is enough",
          "browser: looks at a page in a real browser")
 
 
 # The longest test takes some 10 s on an idle machine.
 LIMIT_S = float(os.environ.get("CAR_INTERFACE_UNIT_LIMIT_S", "600"))
+
+
+@pytest.fixture(autouse=True)
+def unknown_computer(monkeypatch):
+    """The tests run on a computer of no known kind, also where that is a Raspberry Pi or a Jetson."""
+    monkeypatch.setattr("car_interface.common.header.MODEL_FILE", os.devnull)
 
 
 def pytest_configure(config):

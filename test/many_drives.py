@@ -42,7 +42,7 @@ class Chip:
 
 def run_on_all_cores(run: Callable, number: int) -> list:
     """The results of so many drives, by their seeds."""
-    with multiprocessing.Pool(os.cpu_count()) as pool:
+    with multiprocessing.get_context("spawn").Pool(os.cpu_count()) as pool:
         return pool.map(run, range(number), chunksize=10)
 
 

@@ -2,12 +2,13 @@
 
     python3 test/on_virtual_car.py LOG_FOLDER [ARGUMENT:=VALUE...] [--report BAG_FOLDER] -- COMMAND...
 
-The arguments are demo.launch's. With --report a page is made of the bag that the command has recorded there. The
-exit code is the command's, or 1 when the car did not start or ended before it.
+The arguments are demo.launch's. With --report a page is made of the bag that the command has recorded there, and what
+to do next is printed. The exit code is the command's, or 1 when the car did not start or ended before it.
 """
 from __future__ import annotations
 
 import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -17,6 +18,16 @@ from pathlib import Path
 from processes import adopt_descendants, answers, end_descendants, end_of_log, free_port, interrupt, start, wait_until
 
 START_S = 30.0
+NEXT_STEPS = """
+Next, type
+  xdg-open {page}
+                                   to see who drove when, and why the car stopped
+  {env}; roslaunch car_interface demo.launch drive:=false
+                                   and in a second terminal, to drive by hand, with the keys that it shows,
+  {env}; rosrun car_interface keyboard_drive
+  {env}; roslaunch car_interface practice.launch
+                                   and go on in {checkout}/docs/calibrate.md, Practise it:
+                                   the car calibrates its own steering"""
 # An interrupted roslaunch ends its nodes in order, then the master. While it starts it may swallow the signal.
 LAUNCH = ("roslaunch", "--sigint-timeout=4", "--sigterm-timeout=2", "car_interface", "demo.launch", "drive:=false")
 
@@ -60,6 +71,9 @@ def report(folder: Path, since_s: float) -> None:
         subprocess.run(["rosrun", "car_interface", "bag_report", str(bag), "-o", page], stdout=subprocess.DEVNULL,
                        check=True)
         print(f"  {'report':<32} {page}")
+        checkout = Path(__file__).resolve().parents[1]
+        env = f'eval "$({shlex.quote(str(checkout / "dev"))} env)"'
+        print(NEXT_STEPS.format(page=shlex.quote(page), env=env, checkout=checkout))
 
 
 if __name__ == "__main__":

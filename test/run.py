@@ -43,7 +43,7 @@ START_AND_END_S = 60.0  # for rostest to start its master and nodes, and to end 
 END_S = 15.0  # for an interrupted step to end its processes
 POLL_S = 0.2
 PYTEST_RAN_NOTHING = 5  # its exit code
-# On a second Python only those that could differ there. test/conftest.py explains the marks.
+# On another Python only those that could differ there. test/conftest.py explains the marks.
 SECOND_PYTHON = ("-m", "not once and not browser")
 # pytest and old versions of Python write byte code beside the source, whatever PYTHONPYCACHEPREFIX says; threads of
 # numerical libraries only compete with each other here.
@@ -110,7 +110,7 @@ def pytest_step(results: Path, title: str, python: Python, files: list[Path], py
     version = subprocess.check_output([python.path, "-c", "import platform; print(platform.python_version())"],
                                       text=True).strip()
     name = title.split()[0] + (f"-{version}" if python.is_second else "")
-    marks = SECOND_PYTHON if python.is_second and not is_all else ()
+    marks = SECOND_PYTHON if python.is_second else ()
     title = f"{title}, Python {version}"
     if is_all:  # property tests take other cases each time; with the seed, the same again
         seed = random.randrange(2 ** 32)
@@ -286,10 +286,9 @@ def main() -> int:
     adopt_descendants()
     results = arguments.output / "results"
     os.chdir(str(results))
-    first, second = (os.environ.get(name, "") for name in ("PYTHONPATH", "CAR_INTERFACE_PYTHONPATH38"))
-    pythons = [Python(path, first if path == arguments.python[0] else
-                      second if path == os.environ.get("CAR_INTERFACE_PYTHON38") else "", path != arguments.python[0])
-               for path in arguments.python if os.access(path, os.X_OK)]
+    first, other = (os.environ.get(name, "") for name in ("PYTHONPATH", "CAR_INTERFACE_OTHER_PYTHONPATH"))
+    pythons = [Python(path, other if number else first, number > 0)
+               for number, path in enumerate(arguments.python) if os.access(path, os.X_OK)]
     return run(arguments.output, all_steps(results, pythons, selected, arguments.all), arguments.all,
                len(arguments.python) - len(pythons))
 

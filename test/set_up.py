@@ -3,29 +3,44 @@
     set_up.py FOLDER ros                   what package.xml names and what the tests need
     set_up.py FOLDER build                 the same; then it builds the package in the workspace above FOLDER
     set_up.py FOLDER lint                  the linters
-    set_up.py FOLDER pythons [--all]       the other Pythons that the tests run on: 3.8, and with --all the newest
+    set_up.py FOLDER pythons [--all]       the other Pythons that the tests run on: 3.8, with --all also newer ones
     set_up.py FOLDER rviz                  rviz
 
 It prints lines of shell for ./dev to evaluate, and on stderr what it does. FOLDER is for logs and environments.
+
+ROS is what is in /opt/ros/one or /opt/ros/noetic, otherwise Debian's own packages; which system this is isn't asked.
 """
 from __future__ import annotations
 
+import fcntl
+import hashlib
 import importlib.metadata
 import os
+import re
 import shlex
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Iterable
 from xml.etree import ElementTree
 
 from processes import adopt_descendants, end_descendants, end_of_log
 
 ROOT = Path(__file__).resolve().parents[1]
-NOETIC = Path("/opt/ros/noetic/setup.bash")
+OPT = Path("/opt/ros")
+PREFIXES = ("one", "noetic")  # ROS 1 in OPT/NAME, where package KEY is ros-NAME-KEY
+DEBIAN = "Debian"  # Debian's own packages, as their ROS_DISTRO says
+WHERE_ROS_IS = ("ROS 1 is in the packages of Debian 12 and 13, in ROS One (ros.packages.techfak.net, Ubuntu 22.04 and "
+                "24.04) and in ROS Noetic (Ubuntu 20.04)")
+# With a umask of 077 programs of packages would write files into the system that only root can read.
+APT_GET = ("sh", "-c", 'umask 022; exec env LC_ALL=C.UTF-8 DEBIAN_FRONTEND=noninteractive apt-get "$@"', "apt-get",
+           "-y", "-q", "-o", "DPkg::Lock::Timeout=300")
+DPKG_STATUS = Path("/var/lib/dpkg/status")  # written whenever a package is installed or removed
+PYTHONS = ((3, 8), (3, 10), (3, 12), (3, 13))  # on which ./dev test --all runs, those at hand
 LINTERS = ("ruff==0.17.5", "vermin==1.9.2")
-# Debian's ROS modules that nodes on Python 3.8 import: plain Python, without the rest of what lies beside them.
-MODULES38 = (
+# ROS modules that nodes on another Python import: plain Python, without the rest of what lies beside them.
+ROS_MODULES = (
     "actionlib_msgs", "catkin", "diagnostic_msgs", "diagnostic_updater", "dynamic_reconfigure", "genmsg", "genpy",
     "geometry_msgs", "nav_msgs", "roscpp", "rosgraph", "rosgraph_msgs", "roslib", "rospy", "sensor_msgs", "std_msgs",
     "std_srvs", "tf2_msgs", "visualization_msgs")
@@ -33,10 +48,10 @@ PACKAGE_XML = ROOT / "package.xml"
 # ROS packages that the commands and the tests call, and that package.xml need not name.
 ROS_TOOLS = ("rosbash", "rosmsg", "rosout", "rosparam", "rosservice", "rostopic")
 TOOLS = ("cmake", "g++", "iproute2", "make", "python3-pytest-xdist", "python3-venv")
-DEBIAN_TOOLS = ("libfaketime",)
+DEBIAN_TOOLS = ("libfaketime", "ros-environment")
 NOT_NEEDED = ("rviz",)  # large; `./dev demo --display` installs it
 # Debian's packages of a ROS key, where they are not python3-KEY, or for messages also libKEY-dev.
-DEBIAN = {
+DEBIAN_NAMES = {
     "catkin": ("catkin", "python3-catkin"),
     "diagnostic_msgs": ("python3-diagnostic-msgs",),
     "dynamic_reconfigure": ("libdynamic-reconfigure-config-init-mutex-dev", "python3-dynamic-reconfigure"),
@@ -46,6 +61,7 @@ DEBIAN = {
     "rosgraph_msgs": ("python3-rosgraph-msgs",),
     "rosout": ("rosout",),
     "rostest": ("librostest-dev", "python3-rostest"),
+    "rviz": ("rviz",),
 }
 BOUNDS = (("version_gte", ">="), ("version_lte", "<="))
 # Where it is not KEY without python3- and -pip.
@@ -82,33 +98,45 @@ def apt_names(key: str, distribution: str) -> tuple[str, ...]:
     if "-" in key or key in TOOLS:
         return (key,)
     name = key.replace("_", "-")
-    if distribution == "noetic":
-        return (f"ros-noetic-{name}",)
-    if key in DEBIAN:
-        return DEBIAN[key]
+    if distribution != DEBIAN:
+        return (f"ros-{distribution}-{name}",)
+    if key in DEBIAN_NAMES:
+        return DEBIAN_NAMES[key]
     if key.endswith(("_msgs", "_srvs")):
         return (f"lib{name}-dev", f"python3-{name}")
     return (f"python3-{name}",)
 
 
-def packages(distribution: str, kind: str) -> list[str]:
-    """Return the names of packages.
+def apt_packages(distribution: str, opt: Path = OPT) -> list[str]:
+    """Return the names of apt's packages, without those of ROS that the distribution's prefix has by whatever way."""
+    found = DEBIAN_TOOLS if distribution == DEBIAN else ()
+    for key in (*keys(distribution), *ROS_TOOLS, *TOOLS):
+        if not key.endswith("-pip") and not (opt / distribution / "share" / key / "package.xml").exists():  # REP 111
+            found += apt_names(key, distribution)
+    return sorted(set(found))
+
+
+def pip_packages(distribution: str, is_alone: bool = False) -> list[str]:
+    """Return the names of pip's packages: what the distribution lacks.
 
     Args:
-        distribution: noetic, or debian.
-        kind: ``apt``; ``pip``, what the distribution lacks; or ``alone``, what a Python without any of the
-            distribution's packages needs, by pip.
+        is_alone: for a Python without any of the distribution's packages, which needs more.
     """
     wanted = keys(distribution)
-    if kind == "apt":
-        found = [name for key in (*wanted, *ROS_TOOLS, *TOOLS) if not key.endswith("-pip")  # REP 111
-                 for name in apt_names(key, distribution)]
-        found += DEBIAN_TOOLS if distribution == "debian" else ()
-    else:
-        named = [key for key in wanted if key.endswith("-pip")] if kind == "pip" else [
-            key for key in (*wanted, *TOOLS) if key.startswith("python3-") and key != "python3-venv"]
-        found = [PIP.get(key, key[len("python3-"):].replace("-pip", "")) + wanted.get(key, "") for key in named]
-    return sorted(set(found))
+    named = [key for key in wanted if key.endswith("-pip")]
+    if is_alone:
+        named = [key for key in (*wanted, *TOOLS) if key.startswith("python3-") and key != "python3-venv"]
+    return sorted({PIP.get(key, key[len("python3-"):].replace("-pip", "")) + wanted.get(key, "") for key in named})
+
+
+def apt_failure(update_log: str, install_log: str) -> str:
+    """Return why apt-get could not install packages, and what to do about it, in one line."""
+    if re.search("Failed to fetch|Temporary failure|Could not resolve", update_log):
+        return "apt-get could not fetch its lists of packages: connect this computer to the network, and try again"
+    unknown = re.findall(r"(?:Unable to locate package |Package ')([\w.+-]+)", install_log)
+    if unknown:
+        return f"apt has no package {', '.join(sorted(set(unknown)))} for this system; {WHERE_ROS_IS}"
+    return "apt-get could not install the packages"
 
 
 class SetUp:
@@ -116,18 +144,16 @@ class SetUp:
 
     def __init__(self, folder: Path):
         self._folder = folder
+        self._system = folder / "venv-system" / "bin" / "python"
+        self._built = folder.parent / "devel" / "built_of"  # build_inputs()
         self.distribution = distribution()
 
     def ros(self) -> None:
-        """Install what package.xml names and what the tests need; print the folder of what is from pip."""
-        if self.distribution == "noetic":
-            self._rosdep()
-        self.apt(*packages(self.distribution, "apt"))
+        """Install what package.xml names and what the tests need."""
+        self.apt(*apt_packages(self.distribution))
         # With the system's numpy.
-        venv = self._venv("system", sys.executable, *packages(self.distribution, "pip"),
-                          f"numpy=={importlib.metadata.version('numpy')}")
-        (wheels,) = (venv / "lib").glob("python3*/site-packages")
-        _print_shell(distribution=self.distribution, wheels=str(wheels))
+        self._venv("system", sys.executable, *pip_packages(self.distribution),
+                   f"numpy=={importlib.metadata.version('numpy')}")
         # roslaunch looks localhost up; a bare chroot has no /etc/hosts that knows it.
         if subprocess.run(["getent", "hosts", "localhost"], stdout=subprocess.DEVNULL, check=False).returncode:
             line = "127.0.0.1 localhost"
@@ -135,8 +161,34 @@ class SetUp:
                 raise _end(f"add the line '{line}' to /etc/hosts")
 
     def build(self) -> None:
-        """Install, and build the package in its workspace."""
-        self.ros()
+        """Install, and build the package in its workspace, unless nothing has changed that either depends on."""
+        if self._is_built():
+            return
+        with open(str(self._folder / "build.lock"), "w", encoding="ascii") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                _say(f"Waiting for another ./dev that builds in {self._folder.parent}")
+                fcntl.flock(lock, fcntl.LOCK_EX)
+            if not self._is_built():
+                self._remove_other_build()
+                self.ros()
+                inputs = build_inputs(self.distribution)
+                self._make()
+                self._built.write_text(inputs, encoding="utf-8")
+
+    def _is_built(self):
+        return self._system.exists() and _text_of(self._built) == build_inputs(self.distribution)
+
+    def _remove_other_build(self):
+        """What another ROS or Python has built can't be built upon."""
+        before = _text_of(self._built).split("\n")[0]
+        self._built.unlink(missing_ok=True)
+        if before not in ("", build_inputs(self.distribution).split("\n")[0]):
+            for name in ("build", "devel"):
+                shutil.rmtree(str(self._folder.parent / name), ignore_errors=True)
+
+    def _make(self):
         workspace = self._folder.parent
         link = workspace / "src" / "car_interface"
         if not link.is_symlink() or link.resolve() != ROOT:
@@ -144,78 +196,70 @@ class SetUp:
             link.symlink_to(ROOT)
         if not (workspace / "devel" / "setup.bash").exists():
             _say(f"Building in {workspace}")
-        source = f". {NOETIC}; " if self.distribution == "noetic" else ""
-        make = f"{source}exec catkin_make -C {shlex.quote(str(workspace))} -DPYTHON_EXECUTABLE={sys.executable}"
+        source = "" if self.distribution == DEBIAN else f". {OPT / self.distribution}/setup.bash; "
+        # The scripts that rosrun finds start with this Python, which has rosbags, whatever PATH and PYTHONPATH say.
+        python = f"-DPYTHON_EXECUTABLE={shlex.quote(str(self._system))}"
+        make = f"{source}exec catkin_make -C {shlex.quote(str(workspace))} {python}"
         # Where a message refers to others than it did before, make cannot know; cmake does.
         if not (self._run("build", "bash", "-c", make)
                 or self._run("build", "bash", "-c", f"{make} --force-cmake", shows=True)):
             raise _end(f"the build failed; if the error is not in the package, remove {workspace} and try again")
-        # Nodes that tests start write no byte code: without this each start compiles all that it imports.
-        folders = str(link / "src"), str(workspace / "devel/lib/python3")
+        self._compile()
+
+    def _compile(self):
+        """Nodes that tests start write no byte code: without this each start compiles all that it imports."""
+        workspace = self._folder.parent
+        folders = str(workspace / "src/car_interface/src"), str(workspace / "devel/lib/python3")
         subprocess.run([sys.executable, "-m", "compileall", "-q", *folders], stdout=subprocess.DEVNULL, check=False)
 
     def lint(self) -> None:
         """Install the linters; print their folder, and the Python that says what 3.8 can't compile."""
         self.apt("python3-venv")
         venv = self._venv("lint", sys.executable, *LINTERS)
-        _print_shell(linters=str(venv / "bin"), python38=find_python38() or sys.executable)
+        _print_shell(linters=str(venv / "bin"), python38=find_pythons(PYTHONS[:1]).get(PYTHONS[0], sys.executable))
 
     def pythons(self, *options: str) -> None:
         """Prepare the Pythons that the tests run on beside the system's; print what tells them apart."""
-        if self.distribution == "debian":  # Ubuntu 20.04 has it only as a snap
+        self._compile()
+        if subprocess.run(["apt-cache", "show", "chromium"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                          check=False).returncode == 0:  # Ubuntu has it only as a snap
             self.apt("chromium")
-        python38 = None if sys.version_info[:2] == (3, 8) else find_python38()
-        ready = []
-        if python38:
-            ready.append(self._other("3.8", python38))
-            _print_shell(CAR_INTERFACE_PYTHON38=ready[0])
-            if self.distribution == "debian":
-                _print_shell(CAR_INTERFACE_PYTHONPATH38=self._modules38())
-        else:
-            _say(f"Python 3.8: none at hand beside the system's {sys.version.split()[0]}")
-        newest = find_newest_python() if "--all" in options else None
-        if newest:
-            ready.append(self._other("newest", newest))
-        print(f"pythons=({' '.join(f'--python {shlex.quote(python)}' for python in ready)})")
+        versions = [version for version in PYTHONS if version != sys.version_info[:2]]
+        found = find_pythons(versions if "--all" in options else [PYTHONS[0]])
+        if not found:
+            _say(f"no Python {PYTHONS[0][0]}.{PYTHONS[0][1]} at hand beside the system's {sys.version.split()[0]}")
+        ready = {version: self._other(".".join(map(str, version)), python) for version, python in found.items()}
+        if PYTHONS[0] in ready:
+            _print_shell(CAR_INTERFACE_PYTHON38=ready[PYTHONS[0]])
+        _print_shell(CAR_INTERFACE_OTHER_PYTHONPATH=self._ros_modules())
+        print(f"pythons=({' '.join(f'--python {shlex.quote(python)}' for python in ready.values())})")
 
     def rviz(self) -> None:
         """Install rviz, which is large."""
-        self.apt("ros-noetic-rviz" if self.distribution == "noetic" else "rviz")
+        if not (OPT / self.distribution / "share/rviz").exists():
+            self.apt(*apt_names("rviz", self.distribution))
 
     def apt(self, *names: str) -> None:
         """Install those packages that are missing."""
-        listed = subprocess.run(["dpkg-query", "-W", "-f", "${Package} ${db:Status-Status}\n", *names],
-                                stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, check=False).stdout
-        installed = {line.split()[0] for line in listed.splitlines() if line.endswith(" installed")}
-        missing = [name for name in names if name not in installed]
+        missing = [name for name in names if name not in _installed(names)]
         if not missing:
             return
+        if not shutil.which("apt-get"):
+            raise _end(f"there is no apt here to install {' '.join(missing)}; {WHERE_ROS_IS}")
         if os.geteuid() and not shutil.which("sudo"):
             raise _end("missing packages, and neither root nor sudo to install them: "
                        f"apt-get install {' '.join(missing)}")
         _say(f"Installing {len(missing)} packages: {' '.join(missing)}")
-        apt = [*_as_root(), "env", "DEBIAN_FRONTEND=noninteractive", "apt-get", "-y", "-q", "-o",
-               "DPkg::Lock::Timeout=300"]
+        apt = [*_as_root(), *APT_GET]
         # A repository that is down doesn't matter as long as the packages can be had: apt-get install decides.
         self._run("apt-update", *apt, "update")
         if not self._run("apt", *apt, "install", "--no-install-recommends", *missing, shows=True):
-            raise _end("apt-get could not install the packages")
-
-    def _rosdep(self):
-        seen = self._folder / "rosdep.xml"
-        if not shutil.which("rosdep") or seen.exists() and seen.read_bytes() == PACKAGE_XML.read_bytes():
-            return
-        _say("Installing what package.xml names with rosdep")
-        # What is from pip is installed into an environment, without a change to the system.
-        if not self._run("rosdep", "rosdep", "install", "--from-paths", str(ROOT), "--ignore-src", "--rosdistro",
-                         "noetic", "-y", "--skip-keys", "python3-rosbags-pip python3-smbus2-pip rviz", shows=True):
-            _say("rosdep failed: apt installs what is missing")
-        shutil.copy(str(PACKAGE_XML), str(seen))
+            raise _end(apt_failure(*(_text_of(self._folder / "log" / name) for name in ("apt-update.log", "apt.log"))))
 
     def _other(self, name, python):
         """The Python of an environment; without one that can't be made a test counts as skipped."""
         try:
-            self._venv(name, python, *packages(self.distribution, "alone"))
+            self._venv(name, python, *pip_packages(self.distribution, is_alone=True))
         except SystemExit as end:
             if end.code != 1:
                 raise
@@ -223,13 +267,14 @@ class SetUp:
             _say(f"{python}: pip could not prepare it, which counts as 1 skipped")
         return str(self._folder / f"venv-{name}" / "bin" / "python")
 
-    def _modules38(self):
-        folder = self._folder / "ros-3.8"
-        folder.mkdir(exist_ok=True)
-        for module in MODULES38:
-            link = folder / module
-            if not link.is_symlink():
-                link.symlink_to(f"/usr/lib/python3/dist-packages/{module}")
+    def _ros_modules(self):
+        """PYTHONPATH with ROS and the generated messages for a Python that is not the system's."""
+        folder = self._folder / "ros_modules"
+        prefix = Path("/usr") if self.distribution == DEBIAN else OPT / self.distribution
+        shutil.rmtree(str(folder), ignore_errors=True)
+        folder.mkdir()
+        for module in ROS_MODULES:
+            (folder / module).symlink_to(prefix / "lib/python3/dist-packages" / module)
         return f"{self._folder.parent}/devel/lib/python3/dist-packages:{folder}"
 
     def _venv(self, name, python, *wanted):
@@ -259,33 +304,32 @@ class SetUp:
         return not done.returncode
 
 
-def distribution() -> str:
-    """Return noetic or debian, by what this computer is."""
-    if NOETIC.exists():
-        return "noetic"
-    release = {}
-    for line in Path("/etc/os-release").read_text(encoding="utf-8").splitlines():
-        name, _, value = line.partition("=")
-        release[name] = value.strip('"')
-    system = release.get("ID"), release.get("VERSION_ID")
-    if system in (("debian", "12"), ("raspbian", "12")):
-        return "debian"
-    if system == ("ubuntu", "20.04"):
-        raise _end(f"there is no {NOETIC.parent}: install ros-noetic-ros-base as wiki.ros.org/noetic/Installation says")
-    raise _end(f"this works on Debian 12 and on Ubuntu 20.04 with ROS Noetic in {NOETIC.parent}, and this is neither")
+def distribution(opt: Path = OPT) -> str:
+    """Return which ROS is installed: one or noetic in /opt/ros, otherwise Debian's, which can be installed."""
+    return next((name for name in PREFIXES if (opt / name / "setup.bash").exists()), DEBIAN)
 
 
-def find_python38() -> str | None:
-    """Return a Python 3.8, or None."""
-    candidates = [shutil.which("python3.8"), *map(str, _pyenv().glob("3.8*/bin/python"))]
-    return next((path for path in candidates if path and _version(path) == (3, 8)), None)
+def build_inputs(ros: str) -> str:
+    """Return what a build depends on: the first line for a whole one, then the files that catkin reads, and apt's."""
+    lines = [f"{ros} {sys.version.split()[0]} {ROOT}"]
+    names = ("CMakeLists.txt", "setup.py", "package.xml", "msg/*", "srv/*", "cfg/*", "test/set_up.py")
+    for path in sorted(path for name in names for path in ROOT.glob(name)):
+        lines.append(f"{hashlib.sha256(path.read_bytes()).hexdigest()} {path.relative_to(ROOT)}")
+    if DPKG_STATUS.exists():
+        lines.append(f"{DPKG_STATUS.stat().st_mtime_ns} {DPKG_STATUS}")
+    return "\n".join(lines)
 
 
-def find_newest_python() -> str | None:
-    """Return the newest one of pyenv that is newer than the system's, or None."""
-    newer = {_version(path): str(path) for path in _pyenv().glob("3.*/bin/python")
-             if _version(path) > sys.version_info[:2]}
-    return newer[max(newer)] if newer else None
+def find_pythons(versions: Iterable[tuple[int, int]]) -> dict[tuple[int, int], str]:
+    """Return the Pythons of these versions that are at hand: pyenv's and those on PATH."""
+    found = {}
+    for version in versions:
+        name = ".".join(map(str, version))
+        candidates = [*map(str, sorted(_pyenv().glob(f"{name}.*/bin/python"))), shutil.which(f"python{name}")]
+        python = next((path for path in candidates if path and _version(path) == version), None)
+        if python:
+            found[version] = python
+    return found
 
 
 def _pyenv():
@@ -301,6 +345,20 @@ def _version(python):
         return (0, 0)
     major, minor = map(int, done.stdout.split())
     return (major, minor)
+
+
+def _installed(names):
+    """The packages of these that dpkg has; none where there is no dpkg."""
+    try:
+        done = subprocess.run(["dpkg-query", "-W", "-f", "${Package} ${db:Status-Status}\n", *names],
+                              stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, check=False)
+    except FileNotFoundError:
+        return set()
+    return {line.split()[0] for line in done.stdout.splitlines() if line.endswith(" installed")}
+
+
+def _text_of(path):
+    return path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
 
 
 def _as_root():

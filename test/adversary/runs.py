@@ -165,7 +165,7 @@ def run_many(names: list[str], cores: int) -> Summary:
     """Run them all, on so many cores."""
     if cores == 1:
         return Summary(map(run_one, names))
-    with multiprocessing.Pool(cores) as pool:
+    with multiprocessing.get_context("spawn").Pool(cores) as pool:
         return Summary(pool.imap(run_one, names, chunksize=20))
 
 

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import Iterator
 
-from set_up import find_python38
+from set_up import find_pythons
 
 from .effort import Effort
 from .rows import MEDIAN, P99, Row, Summary, Target
@@ -16,7 +16,7 @@ from .stage import Stage
 
 ROOT = Path(__file__).resolve().parents[2]
 LOOKUPS = {11: (0.55, "0.68"), 100: (0.85, "15.9"), 1000: (2.2, "1054")}  # µs: to reach, and Autoware's C++
-PYTHON38 = find_python38()
+PYTHON38 = find_pythons([(3, 8)]).get((3, 8))
 
 
 def samples(python: str, *arguments) -> dict:

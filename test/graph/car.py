@@ -127,7 +127,7 @@ class Board:
 class BoardClient:
     """What one life of a pca9685 node has of the board: its bus, as ``Pca9685`` takes it, and its guards."""
 
-    kind, path = "virtual", "the test's board"
+    kind, path, name, exists = "virtual", "the test's board", "virtual", True
 
     def __init__(self, board: Board, inbox: Any):
         self._board, self._inbox = board, inbox

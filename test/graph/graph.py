@@ -455,8 +455,10 @@ class Node:
         if life is not self._life or not self.is_alive:
             return
         if not self._is_frozen:
+            listed = {name: sorted(each.node for each in found)
+                      for name, found in self.graph.publishers.items() if found}
             for watch in self.watches:
-                watch.update(self.graph.master_fault, {}, _Lookup)
+                watch.update(self.graph.master_fault, listed, _Lookup)
         self.graph.at(self.graph.now_ns + WATCH_NS, lambda: self._watch(life))
 
 

@@ -5,6 +5,7 @@ Each fault has a process of its own, forked from the one that plays the story at
 from __future__ import annotations
 
 import os
+import sys
 from functools import partial
 
 import pytest
@@ -22,7 +23,7 @@ BACKWARD_MPS = 0.03
 # What is configured, and what the virtual ESC is.
 ESCS = [("brake_then_reverse", "brake_then_reverse"), ("brake_becomes_reverse", "brake_becomes_reverse"),
         ("direct_reverse", "direct_reverse"), ("unverified", "brake_becomes_reverse"), ("unverified", "direct_reverse")]
-BY_STICK, BY_RELEASE, BY_SECOND_PULL = {"manual": True, "throttle": -1.0}, {}, {"manual": True, "throttle": -0.9}
+STOPS = {"stick": {"manual": True, "throttle": -1.0}, "release": {}, "second pull": {"manual": True, "throttle": -0.9}}
 
 
 def stalls(seconds):
@@ -68,14 +69,14 @@ class Story:
         self.car.pad(manual=True)
         self.graph.run(0.3)
         self.car.pad(manual=True, throttle=1.0)
-        self.graph.run_until(lambda: self.car.speed_mps > (3.0 if stop is BY_SECOND_PULL else 2.0))
-        if stop is BY_SECOND_PULL:
-            self.car.pad(**BY_STICK)
+        self.graph.run_until(lambda: self.car.speed_mps > (3.0 if stop == "second pull" else 2.0))
+        if stop == "second pull":
+            self.car.pad(**STOPS["stick"])
             self.graph.run(0.2)
             self.car.pad(manual=True)
             self.graph.run(0.3)
         self.begin_ns = self.graph.now_ns
-        self.car.pad(**stop)
+        self.car.pad(**STOPS[stop])
 
     def faulty(self, fault):
         fault(self.graph)
@@ -84,10 +85,9 @@ class Story:
         return [] if slowest > -BACKWARD_MPS else [f"it went backward at {-slowest:.2f} m/s"]
 
 
-@pytest.mark.once
-@pytest.mark.parametrize("stop", [BY_STICK, BY_RELEASE, BY_SECOND_PULL], ids=["stick", "release", "second pull"])
-@pytest.mark.parametrize("profile, kind", ESCS)
-def test_no_fault_of_the_nodes_makes_a_brake_reverse(profile, kind, stop):
+def faults_while_braking(profile, kind, stop):
+    """Play the story without a terminal, with each fault at each moment; return what went wrong."""
+    sys.stdin = None
     story, found = Story(profile, kind, stop), []
     for moment in range(0, STOP_MS, STEP_MS) if IS_EACH else SPEEDS_MPS:
         if IS_EACH:
@@ -97,4 +97,12 @@ def test_no_fault_of_the_nodes_makes_a_brake_reverse(profile, kind, stop):
         for name in FAULTS if IS_EACH else list(FAULTS)[:3]:
             for fault in forked(partial(story.faulty, FAULTS[name])):
                 found.append(f"{name} at {story.car.speed_mps:.2f} m/s: {fault}")
+    return found
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("stop", ["stick", "release", "second pull"])
+@pytest.mark.parametrize("profile, kind", ESCS)
+def test_no_fault_of_the_nodes_makes_a_brake_reverse(forker, profile, kind, stop):
+    found = forker.submit(faults_while_braking, profile, kind, stop).result()
     assert not found, "\n".join(found)

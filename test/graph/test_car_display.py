@@ -6,16 +6,17 @@ import math
 import pytest
 import rospkg
 import rospy
-from car_interface.msg import SteeringState
+from car_interface.msg import SteeringState, ThrottleState
 from geometry_msgs.msg import Point, Pose, PoseWithCovariance, Quaternion
 from nav_msgs.msg import Odometry
+from sensor_msgs.msg import Range
 from visualization_msgs.msg import Marker, MarkerArray
 
 from car_interface.nodes.car_display.node import CarDisplay
 from graph import NS_PER_S, START_NS
 
 MARKERS = "/car_display/markers"
-LINE, HEAD, WORDS = 0, 1, 2  # ids of what shows the steering
+LINE, HEAD = 0, 1  # ids of what shows the steering
 FRONT_LEFT, FRONT_RIGHT = 2, 3  # of the wheels
 
 
@@ -81,7 +82,8 @@ def test_car_stands_on_the_ground_at_base_link(picture):
     assert body.scale.x == pytest.approx(0.524) and body.pose.position.x == 0.162
 
 
-@pytest.mark.parametrize("radius_m, words", [(2.0, "PLANNER: left 2.0 m"), (-1.0, "PLANNER: right 1.0 m")])
+@pytest.mark.parametrize("radius_m, words", [(2.0, "steers: PLANNER, left 2.0 m"),
+                                             (-1.0, "steers: PLANNER, right 1.0 m")])
 def test_arrow_bends_on_the_commanded_arc_and_the_front_wheels_look_there(picture, radius_m, words):
     line = picture.steer(radius_m)
     nose_m = line.points[0].x
@@ -89,7 +91,7 @@ def test_arrow_bends_on_the_commanded_arc_and_the_front_wheels_look_there(pictur
     for point in line.points:  # all of them as far from the middle of the turn as the nose
         assert math.hypot(point.x, point.y - radius_m) == pytest.approx(math.hypot(nose_m, radius_m))
     assert picture.marker("steering", HEAD).points[0] == line.points[-1]
-    label = picture.marker("steering", WORDS)
+    label = picture.marker("words")
     assert (label.action, label.text) == (Marker.ADD, words)
     # The wheelbase over each wheel's distance from the middle of the turn: 0.148 m more, or less.
     headings = [heading_rad(picture.marker("wheels", index)) for index in (FRONT_LEFT, FRONT_RIGHT)]
@@ -98,7 +100,7 @@ def test_arrow_bends_on_the_commanded_arc_and_the_front_wheels_look_there(pictur
 
 def test_arrow_of_a_car_that_shall_go_straight_on_is_straight(picture):
     line = picture.steer(math.inf, SteeringState.TELEOP)
-    assert picture.marker("steering", WORDS).text == "TELEOP: straight on"
+    assert picture.marker("words").text == "steers: TELEOP, straight on"
     assert {point.y for point in line.points} == {0.0}
     assert line.points[-1].x - line.points[0].x == pytest.approx(1.0)
 
@@ -107,12 +109,46 @@ def test_arrow_goes_when_the_radius_is_unknown_or_half_a_second_after_the_last_c
     assert picture.steer(3.0).action == Marker.ADD
     for unknown in (math.nan, 0.0):
         assert picture.steer(unknown).action == Marker.DELETE
+        assert picture.marker("words").text == "steers: PLANNER, its turn is unknown"
     picture.steer(3.0)
     picture.graph.run(0.4)
     assert picture.marker("steering", LINE).action == Marker.ADD  # it is half a second old, and no older
     picture.graph.run(0.1)
-    assert {picture.marker("steering", index).action for index in (LINE, HEAD, WORDS)} == {Marker.DELETE}
+    assert {picture.marker("steering", index).action for index in (LINE, HEAD)} == {Marker.DELETE}
+    assert picture.marker("words").action == Marker.DELETE
     assert heading_rad(picture.marker("wheels", FRONT_LEFT)) == pytest.approx(0)
+
+
+def test_speed_and_throttle_and_who_drives_stand_below_who_steers(picture):
+    picture.steer(2.0)
+    drives = ThrottleState(source=ThrottleState.TELEOP, speed=1.24, granted=0.3)
+    picture.graph.publish("/throttle_arb/state", drives)
+    picture.graph.run(0.1)
+    assert picture.marker("words").text == "steers: PLANNER, left 2.0 m\ndrives: TELEOP, 1.2 m/s, throttle 0.30"
+    drives.speed = math.nan
+    picture.graph.publish("/throttle_arb/state", drives)
+    picture.graph.run(0.5)
+    assert picture.marker("words").text == "drives: TELEOP, throttle 0.30"  # turn_arb has fallen silent
+
+
+@pytest.mark.parametrize("range_m, radius_m", [(0.7, 0.7), (math.inf, 2.0), (2.0, 2.0)])
+def test_sonars_fan_moves_with_the_car_as_far_as_its_echo_or_pale_as_far_as_it_hears(picture, range_m, radius_m):
+    message = Range(field_of_view=0.5, min_range=0.02, max_range=2.0, range=range_m)
+    message.header.frame_id = "sonar_front_left"
+    picture.graph.publish("/sonar/front_left", message)
+    picture.graph.run(0.1)
+    fan = picture.marker("sonars", 2)
+    assert (fan.header.frame_id, fan.header.stamp, fan.frame_locked) == ("sonar_front_left", rospy.Time(), True)
+    assert {round(math.hypot(point.x, point.y), 6) for point in fan.points} == {0.0, radius_m}
+    assert max(abs(math.atan2(point.y, point.x)) for point in fan.points) == pytest.approx(0.25)
+    assert (fan.color.a < 0.2) == (range_m != 0.7)
+    picture.graph.run(1.5)
+    assert picture.marker("sonars", 2).action == Marker.DELETE
+    for nothing in (math.nan, -math.inf):
+        message.range = nothing
+        picture.graph.publish("/sonar/front_left", message)
+        picture.graph.run(0.1)
+        assert picture.marker("sonars", 2).action == Marker.DELETE
 
 
 def test_trail_has_a_point_every_five_centimetres_and_begins_anew_after_a_jump(picture):

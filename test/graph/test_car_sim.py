@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import math
 
+import pytest
 from car_interface.msg import LinkStatus, WheelDirection
 from car_interface.srv import InjectFaultRequest, SetSonarSequenceRequest, SetSonarWaitRequest
 from std_msgs.msg import Int32MultiArray
@@ -48,6 +49,17 @@ class Simulated:
     def wheels(self):
         wheel = self.graph.newest(WHEELS)
         return wheel.left, wheel.right
+
+
+def test_room_is_drawn_where_the_sonars_see_it(car):
+    car.graph.record("/car_sim/room")
+    simulated = Simulated(car, start=[-5.0, 0.0, math.pi])
+    (walls,) = car.graph.messages("/car_sim/room")
+    first = min((marker for marker in walls.markers if marker.scale.x < 0.1), key=lambda marker: marker.pose.position.x)
+    simulated.sonars()
+    echo_m = min(report.distance for report in car.graph.messages(SONARS) if report.sensor == 1) * 343.4e-6 / 2
+    assert -5.0 - 0.42 - echo_m == pytest.approx(first.pose.position.x, abs=0.02)  # its front sonar is 0.42 m ahead
+    assert {marker.header.frame_id for marker in walls.markers} == {"odom"} and len(walls.markers) == 4 + 2 + 7
 
 
 def test_sonars_fire_as_they_are_commanded_without_one_that_is_missing(car):

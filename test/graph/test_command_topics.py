@@ -8,6 +8,7 @@ import re
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import Twist
 from std_msgs.msg import Bool, Float64, Int32MultiArray
 
 from car import Car
@@ -45,6 +46,22 @@ FAULTS = {
                        f"2 nodes publish on {HUMAN}, /rostopic_7 on 127.0.0.1 and /teleop_logi on 127.0.0.1: {EACH}"),
     "second_on_a_channel": ("pca9685", VECTOR, vector(0), WARN,
                             f"2 nodes command channel 0, /rostopic_7 on 127.0.0.1 and /turn_arb on 127.0.0.1: {EACH}")}
+
+
+def test_planner_that_nobody_hears_is_named_with_the_launch_argument_where_one_looks_why_the_car_stands(car):
+    graph = car.graph
+    end = graph.repeat("/cmd_vel", Twist(), 10, sender="/move_base")
+    graph.run_until(lambda: report(car, "turn_arb").level == ERROR, LASTS_S + WITHIN_S)
+    found = report(car, "turn_arb")
+    unheard = "/move_base publishes /cmd_vel, and nobody hears it: planner_interface doesn't run"
+    remedy = "Start the launch file with planner:=cmd_vel"
+    assert (found.message, found.values["remedy"], found.values["cause"]) == (unheard, remedy, causes.PLANNER_UNHEARD)
+    car.pad(autonomous=True)
+    graph.run_until(lambda: graph.newest("/turn_arb/state").cause == causes.NO_REQUEST, WITHIN_S)
+    assert graph.newest("/turn_arb/state").reason == f"{unheard}. {remedy}"
+    end()
+    graph.unregister("/cmd_vel", "/move_base")
+    graph.run_until(lambda: report(car, "turn_arb").message == FINE, WITHIN_S + 1.0)
 
 
 @pytest.mark.parametrize("name", FAULTS)

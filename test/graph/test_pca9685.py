@@ -8,12 +8,16 @@ from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from i2c_computer import Computer, Ina3221
 from std_msgs.msg import Int32MultiArray
 
 from car import CENTER, ESC, ESC_NEUTRAL, STEERING, Board, config
 from car_interface.common.errors import DeviceError
+from car_interface.common.header import header_of
+from car_interface.nodes.pca9685 import node as pca9685_node
 from car_interface.nodes.pca9685 import virtual_board
 from car_interface.nodes.pca9685.node import Pca9685
+from car_interface.sim.pca9685_chip import VirtualPca9685
 from graph import Graph, Node
 
 MS = 1_000_000
@@ -160,13 +164,90 @@ def test_bus_that_is_not_there_is_told_in_one_line_and_the_node_goes_on(graph):
     graph.run(9.0)
     line, = graph.lines("/pca9685", level=30)
     assert line.startswith("PCA9685 at 0x40 on /dev/i2c-250: there is no such bus. ")
-    assert line.endswith("ls /dev/i2c-*. Trying again")
+    assert line.endswith("ls /dev/i2c-*. Without any: sudo modprobe i2c-dev. Trying again")
     assert {output.data for output in graph.messages(OUTPUT)} == {UNKNOWN} and len(graph.messages(OUTPUT)) == 91
 
 
 def test_required_bus_that_is_not_there_ends_the_node(graph):
     with pytest.raises(DeviceError, match="PCA9685 at 0x40 on /dev/i2c-250: there is no such bus"):
         real_bus(graph, device="/dev/i2c-250", required=True)
+
+
+MAIN, OTHER = "/dev/i2c-7", "/dev/i2c-1"
+
+
+class Guard:
+    """A guard's process that does nothing; what it was started for, and what had been written to the chip by then."""
+
+    pid = 1
+
+    def __init__(self, kind, path, *_):
+        self.started.append((kind, path, list(self.computer.written)))
+
+    def read(self):
+        return b""
+
+    def write(self, data):
+        pass
+
+    close = kill = exit_text = lambda self: ""
+
+
+@pytest.fixture
+def jetson(monkeypatch):
+    """A Jetson Orin Nano with nothing on its header; bus 1 has a power monitor of its own, by a kernel driver."""
+    computer = Computer({MAIN: {}, OTHER: {0x40: Ina3221()}}, taken=[(OTHER, 0x40)])
+    monkeypatch.setattr(pca9685_node.smbus2, "SMBus", computer.make_bus)
+    monkeypatch.setattr(pca9685_node, "lock_byte", lambda fd, address: None)
+    monkeypatch.setattr(pca9685_node, "read_header", lambda: header_of("NVIDIA Jetson Orin Nano Developer Kit"))
+    monkeypatch.setattr(pca9685_node.os.path, "exists", lambda path: path in computer.buses)
+    monkeypatch.setattr(Guard, "started", [], raising=False)
+    monkeypatch.setattr(Guard, "computer", computer, raising=False)
+    monkeypatch.setenv("CAR_INTERFACE_RESPAWN", "true")
+    return computer
+
+
+def auto_bus(graph):
+    return graph.add(lambda params, inbox: Pca9685(params, inbox, start_guard=Guard), "pca9685", {"device": "auto"})
+
+
+def test_auto_finds_the_board_whenever_it_gets_its_power_and_starts_the_guard_on_its_bus(graph, jetson):
+    graph.record("/diagnostics")
+    auto_bus(graph)
+    graph.run(5.0)
+    line, = graph.lines("/pca9685", level=30)
+    assert line.startswith("PCA9685 at 0x40 on /dev/i2c-7 or /dev/i2c-1: no PCA9685 answers at this address on ")
+    assert (jetson.written, Guard.started) == ([], [])
+    assert graph.report("pca9685: guard").message == "starts as soon as the board's bus is known"
+    jetson.buses[MAIN][0x40] = VirtualPca9685()
+    graph.run(3.0)
+    assert graph.report("pca9685: servo board").values["bus"] == MAIN
+    assert Guard.started[0] == ("i2c", MAIN, []) and jetson.written
+    assert {path for path, *_ in jetson.asked if path} == {MAIN, OTHER}
+
+
+def test_auto_keeps_its_bus_in_a_restart_until_the_next_launch_clears_the_parameters(graph, jetson):
+    jetson.buses[MAIN][0x40] = VirtualPca9685()
+    node = auto_bus(graph)
+    graph.run(1.0)
+    node.kill()
+    jetson.buses.update({MAIN: {}, OTHER: {0x40: VirtualPca9685()}})
+    jetson.taken = []
+    jetson.asked.clear()
+    node.start()
+    graph.run(3.0)
+    assert graph.lines("/pca9685", level=30)[-1].startswith("PCA9685 at 0x40 on /dev/i2c-7: nothing answers")
+    assert {path for path, *_ in jetson.asked} == {MAIN}
+
+
+def test_auto_refuses_two_boards_with_their_list_and_writes_to_neither(graph, jetson):
+    jetson.taken = []
+    jetson.buses.update({MAIN: {0x40: VirtualPca9685()}, OTHER: {0x40: VirtualPca9685()}})
+    auto_bus(graph)
+    graph.run(3.0)
+    line, = graph.lines("/pca9685", level=30)
+    assert "there is one on /dev/i2c-7 and on /dev/i2c-1. Choose the car's: i2c:=/dev/i2c-7" in line
+    assert jetson.written == []
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can be two users")

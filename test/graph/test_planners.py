@@ -1,10 +1,8 @@
-"""The examples of docs/planners.md, each on a virtual car: what it does with them, and what when they die."""
+"""The programs of docs/planners.md, each on a virtual car: what it does with them, and what when they die."""
 from __future__ import annotations
 
-import runpy
 import sys
 import threading
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -13,8 +11,7 @@ from car import CENTER, ESC, STEERING, Car
 from car import ESC_NEUTRAL as NEUTRAL
 from car_interface.common import causes
 from graph import NS_PER_S, Graph, NodeClocks, TopicPublisher
-
-EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
+from pages import DOCS, first_planner
 
 
 class Program:
@@ -22,31 +19,41 @@ class Program:
 
     Args:
         monkeypatch: has the script import this in place of rospy.
-        name: of the example.
+        name: its node's.
+        text: the script's.
     """
 
-    def __init__(self, graph: Graph, monkeypatch, name: str, *arguments: str):
+    def __init__(self, graph: Graph, monkeypatch, name: str, text: str, *arguments: str):
         self.name, self.last_ns, self._graph, self._is_over = f"/{name}", 0, graph, False
+        self._callbacks: dict = {}
         self._goes, self._waits = threading.Semaphore(0), threading.Semaphore(0)
         rospy = SimpleNamespace(
-            init_node=lambda name: None, Publisher=self._publisher, Rate=self._rate, Time=SimpleNamespace(
-                now=NodeClocks(graph).ros_now), is_shutdown=lambda: self._is_over, ROSInterruptException=KeyError)
+            init_node=lambda name: None, Publisher=self._publisher, Subscriber=self._subscribe, Rate=self._rate,
+            Time=SimpleNamespace(now=NodeClocks(graph).ros_now), is_shutdown=lambda: self._is_over,
+            ROSInterruptException=KeyError)
         with monkeypatch.context() as patch:  # until the script has imported it, and waits for the first time
             patch.setattr(sys, "argv", [name, *arguments])
             patch.setitem(sys.modules, "rospy", rospy)
-            threading.Thread(target=runpy.run_path, args=(str(EXAMPLES / f"{name}.py"),), daemon=True).start()
+            threading.Thread(target=exec, args=(text, {}), daemon=True).start()
             self._waits.acquire()
 
     def _publisher(self, topic, message_type, queue_size, latch=False):
         topic = f"/{topic}".replace("/control/command/", "/autoware/")
         return TopicPublisher(self._graph, self.name, topic, message_type, latch, NodeClocks(self._graph))
 
+    def _subscribe(self, topic, message_type, callback, argument):
+        self._graph.record(f"/{topic}")
+        self._callbacks[f"/{topic}"] = lambda message: callback(message, argument)
+
     def _rate(self, rate_hz):
         def sleep():
-            self.last_ns = self._graph.now_ns
+            since_ns, self.last_ns = self.last_ns, self._graph.now_ns
             self._graph.after(1 / rate_hz, self._go)
             self._waits.release()
             self._goes.acquire()
+            for topic, call in self._callbacks.items():
+                for message in self._graph.messages(topic, since_ns):
+                    call(message)
         return SimpleNamespace(sleep=sleep)
 
     def _go(self):
@@ -61,10 +68,28 @@ class Program:
 
 
 @pytest.mark.once
+@pytest.mark.parametrize("source", ["cmd_vel", "drive"])
+def test_first_planner_as_the_page_has_it_drives_to_where_there_is_room_and_hits_nothing(monkeypatch, source):
+    car = Car()
+    graph = car.graph
+    graph.record("/car_sim/collisions", "/planner_interface/state")
+    car.whole(source)
+    graph.run(1.5)  # the ESC is armed
+    car.pad(autonomous=True)
+    program = Program(graph, monkeypatch, "first_planner", first_planner(source))
+    first_ns = graph.now_ns
+    graph.run(15.0)
+    twists = [message.twist.twist for message in graph.messages("/car_sim/truth", first_ns)]
+    assert max(twist.linear.x for twist in twists) == pytest.approx(0.5, abs=0.08)
+    assert any(abs(twist.angular.z) > 0.02 for twist in twists)
+    assert graph.newest("/car_sim/collisions").data == 0
+    program.kill()
+    graph.run_until(lambda: graph.newest("/planner_interface/state").cause == causes.PLANNER_STALE, 0.7)
+    graph.run_until(lambda: car.speed_mps == 0.0, 4.0)
+
+
+@pytest.mark.once
 @pytest.mark.parametrize("source, example, arguments, speed, curvature", [
-    ("drive", "f1tenth_drive", (), 1.0, 0.5),
-    ("cmd_vel", "cmd_vel", (), 0.5, 0.5),
-    ("cmd_vel", "cmd_vel", ("--back",), -0.5, 0.5),
     ("autoware", "autoware_control", (), 1.0, -0.5),
     ("autoware", "autoware_control", ("--back",), -1.0, -0.5),
     ("speed", "end_to_end", (), 0.8, -0.485),  # duty 6652, by the virtual car's own curve
@@ -76,7 +101,8 @@ def test_example_drives_the_car_and_its_end_stops_it_within_its_timeout(monkeypa
     graph.record("/planner_interface/state")
     graph.run(1.5)  # the ESC is armed
     car.pad(autonomous=True)
-    program = Program(graph, monkeypatch, example, *arguments)
+    text = (DOCS / "examples" / f"{example}.py").read_text(encoding="utf-8")
+    program = Program(graph, monkeypatch, example, text, *arguments)
     graph.run(4.0)
     first_ns = graph.now_ns
     graph.run(1.0)
@@ -95,5 +121,6 @@ def test_example_drives_the_car_and_its_end_stops_it_within_its_timeout(monkeypa
     assert is_neutral()
     assert graph.newest("/planner_interface/state").cause == causes.PLANNER_STALE
     assert graph.newest("/throttle_arb/state").reason.startswith(f"{source} silent for ")
-    Program(graph, monkeypatch, example, *arguments)  # it is started again, and drives while the deadman is still held
+    # It is started again, and drives while the deadman is still held.
+    Program(graph, monkeypatch, example, text, *arguments)
     graph.run_until(lambda: abs(car.speed_mps) > 0.3, 2.0)

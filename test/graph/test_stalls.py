@@ -167,7 +167,12 @@ def stalled_at_each(story, node, times_ms):
     return faults
 
 
-def whole_story(story, node):
+def whole_story(node):
+    """Play the story without a terminal, with a stall at each time; return the faults."""
+    sys.stdin = None
+    story = Story()
+    gc.collect()
+    gc.freeze()  # children share the pages
     times_ms = list(enumerate(range(7 * list(DELAYS_MS).index(node) % STEP_MS, STORY_MS, STEP_MS)))
 
     def end():
@@ -179,19 +184,7 @@ def whole_story(story, node):
             + with_each_stop(story, end))
 
 
-@pytest.fixture(scope="module")
-def story():
-    """At its beginning. Each test plays it in processes of its own."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "stdin", None)
-        made = Story()
-    gc.collect()
-    gc.freeze()  # children share the pages
-    yield made
-    gc.unfreeze()
-
-
 @pytest.mark.once
 @pytest.mark.parametrize("node", DELAYS_MS)
-def test_stall_of_0_6_s_at_each_time_leaves_the_car_safe(story, node):
-    assert forked(partial(whole_story, story, node)) == []
+def test_stall_of_0_6_s_at_each_time_leaves_the_car_safe(forker, node):
+    assert forker.submit(forked, partial(whole_story, node)).result() == []

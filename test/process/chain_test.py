@@ -22,7 +22,7 @@ from typing import ClassVar
 import rospy
 import rostest
 
-from virtual_car import CENTER, ESC_NEUTRAL, HERE, LEFT, PYTHONPATH38, Car, guard_of
+from virtual_car import CENTER, ESC_NEUTRAL, HERE, LEFT, PYTHON38, Car, guard_of
 from waiting import eventually, skip
 
 TRIALS = int(os.environ.get("CAR_INTERFACE_TRIALS", "1"))
@@ -200,7 +200,7 @@ class OneProcess(Driven):
         cls.set_clock(0)
         faked = {"LD_PRELOAD": f"{monotonic}:{library[0]}", "FAKETIME_TIMESTAMP_FILE": cls.clock,
                  "FAKETIME_CACHE_DURATION": str(CLOCK_CACHE_S), "FAKETIME_DONT_FAKE_MONOTONIC": "1"} if library else {}
-        car = Car(cls.addClassCleanup, faked, python38=bool(STRICT and PYTHONPATH38))
+        car = Car(cls.addClassCleanup, faked, python38=bool(STRICT and PYTHON38))
         car.load_one_process()
         car.one_process()
         car.driver("pad", "human", "steering")

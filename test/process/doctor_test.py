@@ -30,14 +30,15 @@ from waiting import PATIENCE_S, NodeProcess, Topic, eventually, executable, set_
 OK, WARN, BAD = "ok", "warn", "bad"
 CODES = {OK: 0, WARN: 1, BAD: 2}
 # What holds on a busy computer: the doctor gives up listening, and nodes report for a while that they stood still.
-HELD_UP = re.compile("no answer in time: given up|node stood still for|runs, but doesn't report on /diagnostics")
+HELD_UP = re.compile("no answer in time: given up|couldn't check|node stood still for|"
+                     "runs, but doesn't report on /diagnostics")
 BUSY_S = 150.0  # in which a doctor that is run again and again is held up no more
 NOWHERE = "http://127.0.0.1:1"
 # What depends on the computer that the tests run on, and no situation changes.
 COMPUTERS = ("clock", "groups", "versions", "packages")
 NODES = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "throttle_arb", "teleop_logi",
          "car_sim")
-NO_JOY = (WARN, "gamepad", "no node publishes /car1/joy, so that no deadman can be held", "Start joy_node")
+NO_JOY = (WARN, "gamepad", "no node publishes /car1/joy, so that no deadman can be held", "gamepad:=true")
 VIRTUAL_BUS = (WARN, "bus", "virtual", "demo.launch")
 HOLDER = """
 import fcntl, os, sys
@@ -219,7 +220,7 @@ class Doctor(unittest.TestCase):
             ((NO_JOY, (BAD, "Teensy", "nothing comes", "TX")), {"options": ("--port", os.ttyname(far))}))
 
     def test_5_teensy_that_is_unplugged_and_a_board_without_power_are_told_by_their_nodes(self):
-        self.addCleanup(self.links.wait_for, lambda link: link.state == "fine", self.links.mark())
+        self.addCleanup(lambda: self.links.wait_for(lambda link: link.state == "fine", self.links.mark()))
         self.inject("/car1/car_sim/inject_fault", "unplug", 0, "plug", 0)
         self.inject("/car1/pca9685/inject_fault", "power", 0, "power", 1)
         self.links.wait_for(lambda link: link.state == "port absent", self.links.mark())
@@ -319,8 +320,7 @@ class Doctor(unittest.TestCase):
         self.look_at_each(
             (((WARN, "nodes", "there are 2 cars, in /car1 and /car2: none was looked at",
                "doctor --ns /car1"),), {}),
-            ((lacks, files, absent, (BAD, "port", "/dev/absent: there is no such port", "Plug the Teensy in"),
-              (BAD, "reports", "car2/pca9685: servo board: there is no such bus", "")),
+            ((lacks, files, absent, (BAD, "port", "/dev/absent: there is no such port", "Plug the Teensy in")),
              {"options": ("--ns", "car2"), "fine": [("nodes", "in one process, /car2/car_nodes")]}),
             (((WARN, "port", f"{self.port}: teensy_sensor_hub (process", "--ns"), VIRTUAL_BUS),
              {"options": ("--ns", "other", "--port", self.port, "--i2c", "virtual"),

@@ -23,7 +23,7 @@ from car_interface.msg import Distance, Error, LinkStatus, Pong, Wheel
 from car_interface.srv import InjectFault, SetSonarSequence, SetSonarWait
 from std_srvs.srv import Trigger
 
-from closing import pid_of
+from closing import ask, pid_of
 from terminal import Terminal
 from waiting import PATIENCE_S, Record, Topic, eventually, executable, start, start_node
 
@@ -208,6 +208,10 @@ class ByItself(unittest.TestCase):
         topics = {cmd: Topic(f"/captured/teensy_{name}", message_type).connected() for cmd, name, message_type in (
             (2, "pong", Pong), (6, "distance", Distance), (7, "wheel", Wheel), (9, "error", Error))}
         line.wait_for(PING_HEADER)  # a hub throws away what arrived before it opened its port
+        # A subscriber counts a publisher that doesn't have it yet, and would send it nothing.
+        eventually(lambda: {topic.name for topic in topics.values()} <= {
+            connection[4] for connection in ask("/captured/teensy_sensor_hub", "getBusInfo") if connection[2] == "o"},
+                   "subscribers that the hub has")
         for begin in range(0, len(stream), CHUNK):
             line.write(stream[begin:begin + CHUNK])
             whole = sum(frame["end"] < begin + CHUNK for frame in frames)

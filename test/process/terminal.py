@@ -5,7 +5,7 @@ import os
 import pty
 import re
 import select
-import signal
+import subprocess
 import termios
 import threading
 from contextlib import suppress
@@ -26,9 +26,11 @@ class Terminal:
 
     def __init__(self, *command: str, env: dict[str, str] | None = None):
         self.lines = Record(f"terminal of {command[0]}")
-        self.pid, self._master = pty.fork()
-        if self.pid == 0:
-            os.execvpe(command[0], command, {**os.environ, **(env or {})})
+        self._master, terminal = pty.openpty()
+        # setsid makes the terminal the program's own: this process has threads, and can't fork.
+        self._process = subprocess.Popen(["setsid", "--ctty", *command], stdin=terminal, stdout=terminal,
+                                         stderr=terminal, env={**os.environ, **(env or {})})
+        os.close(terminal)
         self.settings_before = self.settings()
         self._hangs_up = threading.Event()
         self._reader = threading.Thread(target=self._read, daemon=True)
@@ -57,28 +59,21 @@ class Terminal:
         ``keys`` are typed until then, over and over: the keyboard's node drops what was typed while it stood still.
         """
         def ended():
-            status = self._ended()
-            if keys and not status:
+            is_running = self._process.poll() is None
+            if keys and is_running:
                 with suppress(OSError):  # it has closed the terminal
                     self.type(keys)
-            return status
-        _, status = eventually(ended, f"the end of {self.lines.name}")
+            return not is_running
+        eventually(ended, f"the end of {self.lines.name}")
         self._reader.join(READ_S)
-        return os.WEXITSTATUS(status) if os.WIFEXITED(status) else -os.WTERMSIG(status)
+        return self._process.returncode
 
     def clean_up(self):
-        if self.pid is not None:
-            os.kill(self.pid, signal.SIGKILL)
+        if self._process.poll() is None:
+            self._process.kill()
             self.wait_for_exit()
         if self._master is not None:
             os.close(self._master)
-
-    def _ended(self):
-        pid, status = os.waitpid(self.pid, os.WNOHANG)
-        if not pid:
-            return None
-        self.pid = None
-        return pid, status
 
     def _read(self):
         rest = b""

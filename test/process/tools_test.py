@@ -8,6 +8,7 @@ import re
 import shutil
 import signal
 import struct
+import sys
 import tempfile
 import threading
 import time
@@ -23,13 +24,16 @@ from car_interface.msg import SteeringState, TeleopState, ThrottleState
 from dynamic_reconfigure.client import Client
 from dynamic_reconfigure.msg import Config, DoubleParameter, GroupState, IntParameter, StrParameter
 from dynamic_reconfigure.srv import Reconfigure
+from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from car_interface.common import causes
+from car_interface.nodes.planner_interface.ackermann_messages import ackermann_drive_class
 from closing import pid_of
+from pages import first_planner
 from terminal import Terminal
 from waiting import PACKAGE, NodeProcess, Repeater, Sender, Topic, eventually, executable, set_params, start
 
@@ -176,22 +180,21 @@ class Tools(unittest.TestCase):
 
         def wait_for_deadman(is_held):
             joy.wait_for(lambda message: message.buttons[LB] == is_held, joy.mark())
-        shell = self.terminal("bash", "--norc", "--noprofile", "-i")
-        shell.type(f"{executable('keyboard_drive')} __ns:=/job\n".encode())
+        shell = self.terminal(sys.executable, os.path.join(PACKAGE, "test", "process", "one_job.py"),
+                              executable("keyboard_drive"), "__ns:=/job")
         shell.wait_for_line(READY)
         joy.connected()
         hand = Hand(self, shell, b"m")
         wait_for_deadman(1)
         shell.type(b"\x1a")
-        shell.wait_for_line("Stopped")
-        hand.let_go()
-        shell.type(b"\x15bg\n")  # Ctrl-U: what the hand has typed into the shell
+        os.kill(shell.pid, signal.SIGUSR1)
+        shell.wait_for_line("bg")
         wait_for_deadman(0)
         mark = joy.mark()
-        shell.type(b"mmm\x15")
-        self.assertEqual({message.buttons[LB] for message in joy.wait_for_count(30, mark)}, {0})
-        shell.type(b"fg\n")
-        shell.wait_for_line("keyboard_drive __ns", shell.lines.mark() - 1)
+        self.assertEqual({message.buttons[LB] for message in joy.wait_for_count(30, mark)}, {0})  # m is typed on
+        hand.let_go()
+        os.kill(shell.pid, signal.SIGUSR2)
+        shell.wait_for_line("fg")
         Hand(self, shell, b"m")
         wait_for_deadman(1)
 
@@ -262,6 +265,19 @@ class Tools(unittest.TestCase):
         process.end(signal.SIGKILL)
         self.throttle.wait_for(lambda state: state.reason.startswith("speed silent for "), self.throttle.mark())
         self.wait_until_it_stands()
+
+    def test_first_planners_of_the_page_run_as_they_stand_there(self):
+        for topic, message_type, speed in (("cmd_vel", Twist, lambda message: message.linear.x),
+                                           ("drive", ackermann_drive_class(), lambda message: message.drive.speed)):
+            path = os.path.join(self.folder, "first_planner.py")
+            with open(path, "w", encoding="utf-8") as file:
+                file.write(first_planner(topic))
+            process = NodeProcess("python3", path)
+            self.addCleanup(process.clean_up)
+            sent = Topic(f"/{topic}", message_type)
+            self.addCleanup(sent.close)
+            sent.wait_for(lambda message: speed(message) == 0.5)  # both sonars have reported, and it drives
+            process.end(signal.SIGINT)
 
     # --- calibration_drive ---
 

@@ -19,7 +19,7 @@ DRIVER = os.path.join(HERE, "chain_driver.py")
 CENTER, LEFT, RIGHT, ESC_NEUTRAL = 319, 238, 419, 307  # counts of 5100, 3800, 6700, 4915
 START_WITHIN_S = 60  # of a program on a machine with much other work
 PYTHON38 = os.environ.get("CAR_INTERFACE_PYTHON38")  # one that can import rospy, with its PYTHONPATH
-PYTHONPATH38 = os.environ.get("CAR_INTERFACE_PYTHONPATH38")
+OTHER_PYTHONPATH = os.environ.get("CAR_INTERFACE_OTHER_PYTHONPATH")
 
 
 class Chip:
@@ -101,7 +101,7 @@ class Car:
                     "ROS_LOG_DIR": self.folder}
         self._node_env = {**self.env, **(node_env or {})}
         if python38:
-            self._node_env["PYTHONPATH"] = PYTHONPATH38
+            self._node_env["PYTHONPATH"] = OTHER_PYTHONPATH
         self.processes = {}
         self.chip = Chip(os.path.join(self.folder, "chip"))
         self.start_master()
@@ -228,7 +228,7 @@ class FakeBus:
         subprocess.run(["cc", "-shared", "-fPIC", "-o", library, os.path.join(HERE, "fake_i2c.c"), "-ldl"], check=True)
         self.env = {"LD_PRELOAD": library, "FAKE_I2C": self.path, "FAKE_I2C_LOG": f"{self.path}.log"}
         registers = bytearray(256)  # the data sheet's reset values
-        registers[0], registers[1], registers[254] = 0x11, 0x04, 0x1E
+        registers[:6], registers[254] = bytes((0x11, 0x04, 0xE2, 0xE4, 0xE8, 0xE0)), 0x1E
         registers[9:70:4] = bytes((0x10,)) * 16
         with open(self.path, "wb") as file:
             file.write(registers)

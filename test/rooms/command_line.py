@@ -38,7 +38,7 @@ def main() -> int:
     args = parser.parse_args()
     if args.one is not None:
         return tell(args.one, not args.without)
-    with multiprocessing.Pool(args.processes) as pool:
+    with multiprocessing.get_context("spawn").Pool(args.processes) as pool:
         if args.empty:
             return compare(pool, args.record)
         seeds = range(args.seed, args.seed + args.number)

@@ -94,6 +94,8 @@ WRONG_TYPE = "wrong type"  # its messages aren't received
 UNKNOWN_HOST = "unknown host"  # of the publisher: it can't be reached from here
 SECOND_PUBLISHER = "second publisher"  # the newest message of either is obeyed
 
+PLANNER_UNHEARD = "planner unheard"  # nobody takes its messages
+
 # A node's start.
 PARAMETER_REFUSED = "parameter refused"
 

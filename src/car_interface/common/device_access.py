@@ -9,6 +9,8 @@ from typing import NamedTuple
 
 SETUP_COMMAND = "rosrun car_interface setup_hardware"
 SETUP_REMEDY = f"{SETUP_COMMAND}, then log in anew"
+GROUPS = ("dialout", "i2c", "input")  # that setup_hardware has the user join: the Teensy, the servo board, the gamepad
+STABLE_PORT = "/dev/teensy_sensor_hub"  # the name that setup_hardware's udev rule gives to a Teensy on USB
 
 
 class Membership(NamedTuple):
@@ -67,7 +69,7 @@ def explain_denial(path: str) -> tuple[str, str]:
     if group in _next_groups(user):
         return f"no permission to open it: {user} joined its group, {group}, after logging in", "Log in anew"
     return (f"no permission to open it: {user} is not in its group, {group}",
-            f"Join it and log in anew: sudo usermod -aG {group} {user}")
+            SETUP_REMEDY if group in GROUPS else f"Join it and log in anew: sudo usermod -aG {group} {user}")
 
 
 def _name(look_up, number):

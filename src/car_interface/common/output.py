@@ -75,6 +75,11 @@ def write(path: str, content: str | bytes, keeps_old: bool = False) -> str | Non
         raise CarInterfaceError(f"{path} can't be written: {error.strerror}") from error
 
 
+def written_text(path: str, backup_path: str | None) -> str:
+    """Return the line that says what was written, and where the old file is now."""
+    return f"written: {path}" + (f"; the old one is {backup_path}" if backup_path else "")
+
+
 def is_stream(path: str) -> bool:
     """Return whether the path is a device or a pipe."""
     return path in STREAMS or os.path.exists(path) and not os.path.isdir(path) and \

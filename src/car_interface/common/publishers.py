@@ -5,17 +5,22 @@ whose name can't be looked up, is ignored, and two nodes that publish on one top
 """
 from __future__ import annotations
 
-from typing import NamedTuple, Sequence
+from typing import Callable, Mapping, NamedTuple, Sequence
 
 from car_interface.common import causes
 from car_interface.common.units import NS_PER_S
 
 # ``rostopic pub -1`` registers, sends once and goes within 3 s: such a publisher is reported but not logged.
 LASTING_NS = 5 * NS_PER_S
+PASSING = (causes.SECOND_PUBLISHER, causes.PLANNER_UNHEARD)
 LOG_PERIOD_NS = 10 * NS_PER_S
 REPORT = "command topics"  # on /diagnostics
 ANY = "*"
 OR = " or "
+# By what a planner is known, for each value of the launch argument ``planner``. Accelerations alone are heard without
+# it; Autoware sends a gear beside them.
+PLANNER_TOPICS = {"drive": "drive", "cmd_vel": "cmd_vel", "autoware": "control/command/gear_cmd",
+                  "speed": "av_speed_req"}
 BY_HAND = ("rostopic_", "rqt_gui_py_node")  # the names of tools' nodes begin so
 
 
@@ -104,6 +109,29 @@ def second_publisher(subject: str, what: str, publishers: Sequence[Publisher]) -
                  "the other commands", f"End all but the one that shall command: {example}")
 
 
+def find_unheard_planner(listed: Mapping[str, Sequence[str]], resolve: Callable[[str], str]) -> list[Fault]:
+    """Return the fault of a planner whose messages nobody takes, as ``planner:=`` was forgotten; or nothing.
+
+    A planner that sends turn_arb's own requests needs no planner_interface, but for its speeds.
+
+    Args:
+        listed: the names of the nodes that publish, by topic.
+        resolve: returns a topic's full name.
+    """
+    def senders(name):
+        return listed.get(resolve(name), ())
+
+    if senders("planner_interface/state"):
+        return []
+    steers = senders("av_turnrad_req") or senders("av_steer_req")
+    for planner, name in PLANNER_TOPICS.items():
+        if senders(name) and (planner == "speed" or not steers):
+            return [Fault(causes.PLANNER_UNHEARD, resolve(name),
+                          f"{' and '.join(senders(name))} publishes {resolve(name)}, and nobody hears it: "
+                          "planner_interface doesn't run", f"Start the launch file with planner:={planner}")]
+    return []
+
+
 class FaultLog:
     """Keeps how long faults have lasted, and which are due for a log line."""
 
@@ -122,6 +150,6 @@ class FaultLog:
         return list(due.values())
 
     def is_lasting(self, fault: Fault, now_ns: int) -> bool:
-        """Return whether a fault is there to stay; a second publisher may be gone at once."""
+        """Return whether a fault is there to stay; a second publisher may be gone, and a node there, at once."""
         since_ns = self._since_ns.get((fault.cause, fault.subject), now_ns)
-        return fault.cause != causes.SECOND_PUBLISHER or now_ns - since_ns >= LASTING_NS
+        return fault.cause not in PASSING or now_ns - since_ns >= LASTING_NS

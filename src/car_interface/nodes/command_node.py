@@ -33,11 +33,13 @@ class CommandNode:
         arbiter: gets e-stop and deadman.
         state_type: of ~state.
         reports: on /diagnostics, by name.
+        find_unheard: see ``CommandTopics``.
     """
 
     repeats_change = True  # a command that was published since the last tick is published at the next one, too
 
-    def __init__(self, inbox: Inbox, rate_hz: int, channel: int, arbiter, state_type, reports: dict):
+    def __init__(self, inbox: Inbox, rate_hz: int, channel: int, arbiter, state_type, reports: dict,
+                 find_unheard=None):
         self._inbox, self._clocks = inbox, inbox.clocks
         self._rate_hz, self._channel = rate_hz, channel
         now_ns = self._clocks.now_ns()
@@ -52,7 +54,7 @@ class CommandNode:
         self._commands = advertise("/servo/cmdVector", Int32MultiArray, inbox)
         self._neutrals = advertise("servo/neutral", Int32MultiArray, inbox, latch=True)
         self._states = advertise("~state", state_type, inbox, latch=True)
-        self._command_topics = CommandTopics(inbox)
+        self._command_topics = CommandTopics(inbox, find_unheard=find_unheard)
         self._diagnostics = Diagnostics(inbox, "none", {**reports, **self._command_topics.reports}, now_ns)
         inbox.on_overflow(self._on_overflow)
         subscribe_interlock(inbox, arbiter, self._decide)

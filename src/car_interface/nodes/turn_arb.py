@@ -31,6 +31,7 @@ from car_interface.cfg import SteeringTrimConfig
 from car_interface.common import causes
 from car_interface.common.declared import read_all
 from car_interface.common.live_parameters import Tuning
+from car_interface.common.publishers import find_unheard_planner
 from car_interface.msg import SteeringState, TeleopState
 from car_interface.nodes.command_node import TICKS_PER_STATE, CommandNode
 from car_interface.ros.diagnostics import OK, WARN, age_text
@@ -58,7 +59,7 @@ class TurnArb(CommandNode):
         self._too_tight = ""  # as was logged; empty: no request was too tight lately
         self._master_fault = ""
         super().__init__(inbox, RATE_HZ, config.calibration.servo_channel, self._arbiter, SteeringState,
-                         {"steering": self._report, "steering by the wheels": self._report_check})
+                         {"steering": self._report, "steering by the wheels": self._report_check}, find_unheard_planner)
         subscribe_changes("/teleop_logi/tele_steer_req", Float32, inbox, self._on_teleop, self._decide)
         subscribe_changes("av_turnrad_req", Float32, inbox, self._on_planner, self._decide)
         subscribe_changes("av_steer_req", Float32, inbox, self._on_planner_steering, self._decide)
@@ -66,10 +67,14 @@ class TurnArb(CommandNode):
         # Only quoted: no line that quotes it is due before the next tick.
         subscribe("teleop_logi/state", TeleopState, inbox, self._on_teleop_state, wakes=False)
         self._reconfigure = self._offer_tuning(config)
-        self._command_topics.start(self._diagnostics.report_now, self._on_master)
+        self._command_topics.start(self._on_publishers, self._on_master)
 
     def shut_down(self):
         """Nothing to do: the servo board's timeout centers the steering."""
+
+    def _on_publishers(self):
+        self._arbiter.explain_planner("; ".join(fault.text for fault in self._command_topics.unheard))
+        self._diagnostics.report_now()
 
     def _on_master(self, fault, now_ns):
         self._master_fault = fault

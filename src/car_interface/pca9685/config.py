@@ -11,7 +11,7 @@ from car_interface.pca9685.channels import ChannelConfig, Channels
 from car_interface.pca9685.registers import PRESCALE_MAX, PRESCALE_MIN, prescale_for
 
 MAX_TIMEOUT_MS = 3_600_000
-VIRTUAL = "virtual"
+VIRTUAL, AUTO = "virtual", "auto"
 NO_CHANNEL = -1
 # An ESC of this kind, if calibrate_esc saw it, goes on braking however long a pull is held, and neutral in between lets
 # it reverse. Any other may take a pull that is held for reverse.
@@ -28,7 +28,11 @@ class Pca9685Config:
     """
 
     device: str = declared.text_or_integer(
-        "device", "/dev/i2c-1", f"the I²C bus; `{VIRTUAL}` = a PCA9685 in software, register by register")
+        "device", "/dev/i2c-1", f"the I²C bus; `{AUTO}` = [the header's](install.md#the-servo-boards-bus); `{VIRTUAL}` "
+                                "= a PCA9685 in software, register by register")
+    auto_device: str | None = declared.path(
+        "auto_device", None, f"the bus that `device: {AUTO}` has found; the node sets it, to keep this bus when "
+                             "roslaunch restarts it", default_text="none yet")
     address: int = declared.integer(
         "address", 0x40, "I²C address, 0x40..0x7f", low=0x40, high=0x7F, default_text="0x40")
     frequency_hz: float = declared.number("frequency", 50.0, "PWM frequency", "Hz", above=0.0)
@@ -91,6 +95,8 @@ class Pca9685Config:
         for name, value in (("virtual_chip", self.virtual_chip), ("virtual_log", self.virtual_log)):
             if value is not None and self.device != VIRTUAL:
                 raise ConfigError(f"unknown parameter {name}", value, f"none, unless device is {VIRTUAL}")
+        if self.device == AUTO and self.auto_device is not None:
+            object.__setattr__(self, "device", self.auto_device)
         if isinstance(self.device, int):
             object.__setattr__(self, "device", f"/dev/i2c-{self.device}")
         if self.prescale is None:

@@ -53,23 +53,28 @@ class CommandTopics:
         shared: topics on which several nodes may publish.
         types: of topics that it subscribes to with any type, those that it takes.
         more_faults: what else the node finds, called with ``now_ns`` and the topics.
+        find_unheard: finds faults in the names of all publishers by topic; called with a function that resolves a name.
 
     Attributes:
         topics: as they were found last; none = not yet.
+        unheard: what ``find_unheard`` found last.
         reports: for ``Diagnostics``.
     """
 
     def __init__(self, inbox: Inbox, shared: tuple[str, ...] = (),
                  more_faults: Callable[[int, list[CommandTopic]], list[Fault]] | None = None,
-                 types: Mapping[str, tuple[str, ...]] = MappingProxyType({})):
+                 types: Mapping[str, tuple[str, ...]] = MappingProxyType({}),
+                 find_unheard: Callable[[Mapping[str, list[str]], Callable[[str], str]], list[Fault]] | None = None):
         self._inbox = inbox
         self._shared = {inbox.resolve_name(name) for name in (*shared, *REPORTS)}
         self._types = {inbox.resolve_name(name): OR.join(taken) for name, taken in types.items()}
         self._more_faults = more_faults or (lambda now_ns, topics: [])
+        self._find_unheard = find_unheard or (lambda listed, resolve: [])
         self._log = FaultLog()
         self._master_fault = ""  # these two: of the watch's thread
-        self._found: list[CommandTopic] = []
+        self._found: tuple[list[CommandTopic], list[Fault]] = [], []
         self.topics: list[CommandTopic] = []
+        self.unheard: list[Fault] = []
         self.reports = {REPORT: self._report}
 
     def start(self, report_now: Callable[[], None], on_fault: Callable[[str, int], None] | None = None) -> None:
@@ -100,25 +105,30 @@ class CommandTopics:
             self._inbox.put(self._on_fault, fault)
         self._master_fault = fault
         subscriptions = [subscriber.impl for subscriber in self._inbox.subscribers]
-        found = [self._look_up(each, listed, lookup) for each in subscriptions if each is not None]  # None: closed
+        topics = [self._look_up(each, listed, lookup) for each in subscriptions if each is not None]  # None: closed
+        found = topics, self._find_unheard(listed, self._inbox.resolve_name)
         if found != self._found:
             self._found = found
-            self._inbox.put(self._on_topics, found, on_drop=self._found.clear)  # then it is passed on again
+            self._inbox.put(self._on_topics, found, on_drop=self._forget)
+
+    def _forget(self):
+        """Have what was found passed on again."""
+        self._found = [], []
 
     def _look_up(self, subscription, listed, lookup):
         name = subscription.resolved_name
         publishers = lookup.publishers(subscription, listed.get(name, []))
         return CommandTopic(name, self._types.get(name, subscription.type), publishers, name in self._shared)
 
-    def _on_topics(self, topics, now_ns):
-        self.topics = topics
+    def _on_topics(self, found, now_ns):
+        self.topics, self.unheard = found
         self._report_now()
 
     def _report(self, status):
         """For /diagnostics: each fault with its remedy, and all publishers."""
         now_ns = self._inbox.clocks.now_ns()
         faults = [fault for topic in self.topics for fault in find_faults(topic)]
-        faults += self._more_faults(now_ns, self.topics)
+        faults += [*self.unheard, *self._more_faults(now_ns, self.topics)]
         for fault in self._log.update(faults, now_ns):
             rospy.logwarn("%s", fault.text)
         status.summary(OK, "each has the publishers that it should have" if self.topics else "not looked at yet")

@@ -99,6 +99,7 @@ class SteeringArbiter:
         self._override = TimedInput("teleop_logi's state", EXPLANATION_TIMEOUT_S)
         self._planner = TimedInput("av_turnrad_req", config.planner_timeout_s)
         self._planner_steering = TimedInput("av_steer_req", config.planner_timeout_s)
+        self._planner_explanation = ""
         self._limiter = SteeringLimiter(config.limits)
         self._sources = {TELEOP: config.limits.human, PLANNER: config.limits.planner}
         # Duty (None: nobody steered) and time of the newest decision, if no limit held for it.
@@ -130,6 +131,10 @@ class SteeringArbiter:
     def explain_teleop(self, overrides: bool, now_ns: int) -> None:
         """Take whether the gamepad overrides the planner, by teleop_logi; it is only quoted in a decision's reason."""
         self._override.update(overrides, now_ns)
+
+    def explain_planner(self, explanation: str) -> None:
+        """Take why no planner is heard; it is only quoted in the reason while none ever was. Empty = nobody knows."""
+        self._planner_explanation = explanation
 
     def update_teleop(self, steering: float, now_ns: int) -> None:
         """Take the gamepad's steering, −1 right to +1 left."""
@@ -256,7 +261,7 @@ class SteeringArbiter:
         fresh = [timed for timed in received if not timed.is_stale(now_ns)]
         if not received:
             return (NEUTRAL, center, causes.NO_REQUEST,
-                    "neither tele_steer_req nor av_turnrad_req asks for anything")
+                    self._planner_explanation or "neither tele_steer_req nor av_turnrad_req asks for anything")
         if not fresh:
             newest = min(received, key=lambda timed: timed.age_s(now_ns))
             return NEUTRAL, center, causes.PLANNER_STALE, newest.stale_reason(now_ns)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Sequence
+from typing import Any, Sequence
 
 from car_interface.common import declared
 from car_interface.common.declared import REQUIRED
@@ -16,6 +16,10 @@ from car_interface.common.lookup_table import LookupTable, round_half_away
 from car_interface.common.units import MAX_DUTY
 
 WIDE_M = 100.0  # a table should reach this radius, or it lacks the duties for almost straight ahead
+# At this lateral acceleration the linear and the cubic term of understeer are equal. From 3 to 3.5 m/s² a real car's
+# left-hand circles are predicted to 1.1 % from slower ones (2.75: 1.7 %, 4: 1.9 %, root mean square); its right-hand
+# ones, and those with noise in the commands, want a larger one: docs/accuracy.md, "Understeer".
+UNDERSTEER_MPS2 = 3.5
 TABLE_DIGITS = 1  # decimals of a duty in a trimmed table; a servo resolves less
 
 
@@ -23,10 +27,8 @@ TABLE_DIGITS = 1  # decimals of a duty in a trimmed table; a servo resolves less
 class SteeringCalibration:
     """The servo's end positions and center, and tables of turn radius to duty, as driven slowly.
 
-    The center lies between the ends, either of which may be the larger. ``understeer`` is the curvature lost, in 1/m
-    for each (m/s²)² of lateral acceleration. On 15 circles of a 3.5 kg F1TENTH car by motion capture (0.5 to 2.5 m/s, 1
-    to 5 m/s² sideways) that describes the radius within 2.5 %; R₀ (1 + k v²), linear in the lateral acceleration, is
-    off by up to 13 % at 2.5 m/s.
+    The center lies between the ends, either of which may be the larger. ``understeer`` is by how much turns widen with
+    speed: see ``lost_per_m``.
 
     Raises:
         ConfigError: naming the parameter.
@@ -117,17 +119,31 @@ def _tightest_m(table):
     return widest_m
 
 
+def lost_per_m(curvature_per_m: Any, speed_mps: Any, understeer: float) -> Any:
+    """Return the curvature that a path of ``curvature_per_m`` has lost by its speed; numbers or arrays, left positive.
+
+    Odd in the lateral acceleration a, as tyres are: a linear term, the understeer gradient, and a cubic one, by which
+    sliding begins: understeer · (a A + a³ / A) / 2, A being UNDERSTEER_MPS2, where that is understeer · a².
+    """
+    lateral_mps2 = curvature_per_m * speed_mps ** 2
+    return understeer * lateral_mps2 * (UNDERSTEER_MPS2 + lateral_mps2 ** 2 / UNDERSTEER_MPS2) / 2
+
+
 def slow_radius_m(radius_m: float, speed_mps: float, understeer: float) -> float:
     """Return the radius to steer by, so that the car turns on ``radius_m`` (positive) at this speed."""
-    loss = understeer * speed_mps ** 4
-    return radius_m / (1.0 + loss / radius_m) if loss else radius_m
+    loss = lost_per_m(1.0 / radius_m, speed_mps, understeer)
+    return radius_m / (1.0 + radius_m * loss) if loss else radius_m
 
 
 def driven_radius_m(slow_m: float, speed_mps: float, understeer: float) -> float:
     """Return the radius on which a car steered by ``slow_m`` (positive) turns at this speed: the inverse."""
-    loss = understeer * speed_mps ** 4
-    # slow = R² / (R + loss): its positive root.
-    return (slow_m + math.sqrt(slow_m * (slow_m + 4.0 * loss))) / 2.0 if loss and slow_m < math.inf else slow_m
+    linear = 1.0 + understeer * UNDERSTEER_MPS2 * speed_mps ** 2 / 2
+    cubic = understeer * speed_mps ** 6 / UNDERSTEER_MPS2 / 2
+    if cubic < 1e-12 or slow_m == math.inf:  # at a crawl, where its root can't be computed, or straight on
+        return slow_m * linear
+    # cubic κ³ + linear κ = 1 / slow_m: its only real root.
+    scale_per_m = 2 * math.sqrt(linear / cubic / 3)
+    return 1 / (scale_per_m * math.sinh(math.asinh(3 / (linear * slow_m * scale_per_m)) / 3))
 
 
 def trimmed(calibration: SteeringCalibration, servo_left: int, servo_center: int,

@@ -11,7 +11,7 @@ import io
 import math
 from array import array
 from bisect import bisect_right
-from typing import Iterator, Sequence
+from typing import Iterator, NamedTuple, Sequence
 
 from car_interface.common.errors import ConfigError
 from car_interface.common.input_file import finite_number, read_file
@@ -20,6 +20,8 @@ from car_interface.common.lookup_table import check_axis
 # A small map is stored in tuples, which are fastest, and a larger one in arrays, which use the cache better.
 MAX_IN_TUPLES = 100_000
 ALLOW_PLATEAUS = "accept a map in which acceleration stays level from one row to the next"  # as a parameter
+RISING = "an acceleration that rises with value"
+JOIN = "check_map --brake brake_map.csv accel_map.csv -o value_map.csv joins Autoware's two maps"
 MAX_BYTES = 10_000_000  # 1,000 values at 1,000 velocities, 9 characters each; fitted maps have some hundred cells
 
 
@@ -30,7 +32,7 @@ class ValueMap:
         values: the rows' axis, at least two, strictly increasing.
         velocities: the columns' axis in m/s, at least two, strictly increasing.
         accelerations: a row for each value, in m/s²; along each column rising from row to row.
-        allow_plateaus: accept equal accelerations in neighbouring rows.
+        allow_plateaus: accept equal accelerations in neighbouring rows, but not in all rows of a column.
         name: the map's name in an error.
 
     Raises:
@@ -124,27 +126,58 @@ class ValueMap:
 def _check_rising(values, column, velocity, allow_plateaus, name):
     if not math.isfinite(column[-1] - column[0]):
         raise ConfigError(f"{name}, at velocity {velocity} m/s", (column[0], column[-1]), "a finite span")
+    if min(column) == max(column):  # the inverse would answer any acceleration above it with the last value
+        raise ConfigError(f"{name}, at velocity {velocity} m/s", column[0], RISING,
+                          f"is {column[0]} m/s² for every value")
     for index in range(1, len(column)):
         before, after = column[index - 1], column[index]
         if after > before or allow_plateaus and after == before:
             continue
         found = f"stays level at {after} m/s²" if after == before else f"falls from {before} to {after} m/s²"
-        accepted = ("an acceleration that rises with value"
-                    + (" (allow_plateaus: true takes level stretches)" if after == before else ""))
+        accepted = RISING + (" (allow_plateaus: true takes level stretches)" if after == before else "")
         raise ConfigError(f"{name}, at velocity {velocity} m/s, from value {values[index - 1]} to {values[index]}",
                           (before, after), accepted, found)
+
+
+class Grid(NamedTuple):
+    """The numbers of a map's file, with rising axes."""
+
+    values: list[float]
+    velocities: list[float]
+    accelerations: list[array]  # one for each value
+
+    def falls(self) -> bool:
+        """Return whether acceleration falls with value, as in a brake_map of Autoware's."""
+        ends = list(zip(self.accelerations[0], self.accelerations[-1]))
+        return all(last <= first for first, last in ends) and any(last < first for first, last in ends)
 
 
 def load_value_map(path: str, allow_plateaus: bool = False, text: str | None = None) -> ValueMap:
     """Read a map from a CSV file.
 
     Args:
-        path: of the file.
+        path, text: see ``read_grid``.
         allow_plateaus: see ``ValueMap``.
+
+    Raises:
+        ConfigError: naming file, line, column and fault.
+    """
+    grid = read_grid(path, text)
+    if grid.falls():
+        raise ConfigError(path, "falling", f"{RISING}; {JOIN}", "has an acceleration that falls with value, as a "
+                          "brake_map has")
+    return ValueMap(*grid, allow_plateaus, path)
+
+
+def read_grid(path: str, text: str | None = None) -> Grid:
+    """Read the numbers of a CSV file.
+
+    Args:
+        path: of the file.
         text: the file's future content, to check instead; ``None`` = read the file.
 
     The first row is a name and the velocities, every other row a value and its accelerations. CRLF, a byte-order mark,
-    spaces around numbers and blank lines at the end are accepted.
+    spaces around numbers, a comma at the end of a line and blank lines at the end are accepted.
 
     Raises:
         ConfigError: naming file, line, column and fault.
@@ -168,7 +201,7 @@ def load_value_map(path: str, allow_plateaus: bool = False, text: str | None = N
                           f"has {lines} line(s)")
     _check_file_axis(path, velocities, lambda index: (1, index + 2))
     _check_file_axis(path, values, lambda index: (index + 2, 1))
-    return ValueMap(values, velocities, accelerations, allow_plateaus, path)
+    return Grid(values, velocities, accelerations)
 
 
 def _read_rows(path, text) -> Iterator[tuple[int, list[str]]]:
@@ -184,7 +217,7 @@ def _read_rows(path, text) -> Iterator[tuple[int, list[str]]]:
                 continue
             if blank:
                 raise ConfigError(f"{path}, line {blank}", "", "numbers; a blank line may only come last", "is blank")
-            yield number, cells
+            yield number, cells if cells[-1] else cells[:-1]
     except OSError as error:
         raise ConfigError("csv_path_value_map", path, f"a file that can be read ({error.strerror})") from error
     except (UnicodeDecodeError, csv.Error) as error:

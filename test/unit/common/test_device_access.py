@@ -30,7 +30,7 @@ def computer(monkeypatch):
 
 
 @pytest.mark.parametrize("facts, cause, remedy", [
-    ({}, "ann is not in its group, dialout", "sudo usermod -aG dialout ann"),
+    ({}, "ann is not in its group, dialout", SETUP_COMMAND),
     ({"members": ["ann"]}, "ann joined its group, dialout, after logging in", "Log in anew"),
     ({"of_process": [20]}, "in spite of its group, dialout", "ls -lL /dev/x"),
     ({"mode": OWNERS_ONLY}, "nor has its group, dialout", SETUP_COMMAND),

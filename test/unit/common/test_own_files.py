@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import errno
+import multiprocessing
 import os
 import shutil
 import socket
@@ -32,18 +33,24 @@ def own(shared):
 
 def as_nobody(act, *arguments):
     """Have another user do something, in a process of his own."""
-    pid = os.fork()
-    if not pid:
-        code = 1
-        try:
-            os.setgid(NOBODY)
-            os.setuid(NOBODY)
-            os.umask(0)
-            act(*arguments)
-            code = 0
-        finally:
-            os._exit(code)
-    assert os.waitpid(pid, 0)[1] == 0
+    process = multiprocessing.get_context("spawn").Process(target=become_nobody, args=(act, *arguments))
+    process.start()
+    process.join()
+    assert process.exitcode == 0
+
+
+def become_nobody(act, *arguments):
+    os.setgid(NOBODY)
+    os.setuid(NOBODY)
+    os.umask(0)
+    act(*arguments)
+
+
+def make_socket_and_file(path):
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listener:
+        listener.bind(path)
+    with open(f"{path}.lock", "wb"):
+        pass
 
 
 def test_folder_is_made_for_its_user_alone_and_is_taken_again(own):
@@ -78,12 +85,7 @@ def test_link_of_another_user_to_this_users_own_folder_is_refused_and_nothing_is
 
 @needs_root
 def test_socket_and_file_of_another_user_are_refused(shared):
-    def make():
-        with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listener:
-            listener.bind(f"{shared}/chip")
-        with open(f"{shared}/chip.lock", "wb"):
-            pass
-    as_nobody(make)
+    as_nobody(make_socket_and_file, f"{shared}/chip")
     with pytest.raises(UnsafeFile, match=f"{shared}/chip is another user's: nobody's. See what it is"):
         check_socket(f"{shared}/chip")
     with pytest.raises(UnsafeFile, match=f"{shared}/chip.lock is another user's: nobody's"):

@@ -4,7 +4,14 @@ from __future__ import annotations
 import pytest
 
 from car_interface.common import causes
-from car_interface.common.publishers import CommandTopic, FaultLog, Publisher, find_faults, second_publisher
+from car_interface.common.publishers import (
+    CommandTopic,
+    FaultLog,
+    Publisher,
+    find_faults,
+    find_unheard_planner,
+    second_publisher,
+)
 from car_interface.common.units import NS_PER_S
 
 FLOAT, DOUBLE = "std_msgs/Float32", "std_msgs/Float64"
@@ -85,3 +92,19 @@ def test_wrong_type_is_logged_at_once_and_a_second_publisher_once_it_has_lasted_
     log = FaultLog()
     assert [second for second in range(25) if log.update(faults(second), second * NS_PER_S)] == logged
     assert log.is_lasting(SECOND, 25 * NS_PER_S) == (5 in logged)
+
+
+@pytest.mark.parametrize("listed, planner", [
+    ({"/car1/drive": ["/pursuit"]}, "drive"),
+    ({"/car1/cmd_vel": ["/move_base"]}, "cmd_vel"),
+    ({"/car1/control/command/gear_cmd": ["/ros_bridge"]}, "autoware"),
+    ({"/car1/av_speed_req": ["/net"], "/car1/av_turnrad_req": ["/net"]}, "speed"),
+    ({"/car1/drive": ["/pursuit"], "/car1/av_turnrad_req": ["/net"]}, ""),  # turn_arb hears that one
+    ({"/car1/drive": ["/pursuit"], "/car1/planner_interface/state": ["/car1/car_nodes"]}, ""),
+    ({"/car1/control/command/control_cmd": ["/accelerations"]}, ""),  # the converter takes it
+    ({"/drive": ["/another_cars"]}, ""),
+    ({}, ""),
+])
+def test_planner_that_nobody_hears_is_told_with_the_launch_argument(listed, planner):
+    faults = find_unheard_planner(listed, lambda name: f"/car1/{name}")
+    assert [fault.remedy for fault in faults] == ([f"Start the launch file with planner:={planner}"] if planner else [])

@@ -340,7 +340,7 @@ def test_each_side_goes_by_what_it_can_turn_and_so_does_its_max_speed(radius_m, 
 
 def test_a_car_whose_turns_widen_is_judged_by_what_it_turns_at_its_speed():
     _, decision = asked_for(4.0, 1.5, calibration=FASTER_IS_WIDER, limits=UNLIMITED)
-    assert decision.limit_reason == ("asks for 1.50 m, this car turns on 2.00 m to the left at 4.0 m/s, as its turns "
+    assert decision.limit_reason == ("asks for 1.50 m, this car turns on 2.18 m to the left at 4.0 m/s, as its turns "
                                      "widen with speed")
     assert asked_for(1.0, 1.5, calibration=FASTER_IS_WIDER, limits=UNLIMITED)[1].limit == ""
 

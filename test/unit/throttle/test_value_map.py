@@ -113,7 +113,8 @@ def test_lookup_in_any_map_equals_the_naive_one_rises_and_is_the_inverse_of_the_
 def test_lookup_in_a_map_all_but_level_never_fails_nor_leaves_the_map(data):
     rows = data.draw(st.integers(2, 4))
     columns = data.draw(st.integers(2, 3))
-    table = [sorted(data.draw(st.lists(NEARLY_LEVEL, min_size=rows, max_size=rows))) for _ in range(columns)]
+    column = st.lists(NEARLY_LEVEL, min_size=rows, max_size=rows).map(sorted).filter(lambda drawn: drawn[0] < drawn[-1])
+    table = [data.draw(column) for _ in range(columns)]
     values, velocities = [float(row) for row in range(rows)], [float(column) for column in range(columns)]
     value_map = ValueMap(values, velocities, list(zip(*table)), allow_plateaus=True)
     velocity = data.draw(st.floats(-1, 3) | st.sampled_from([5e-324, 1.0 - 2 ** -53]))
@@ -166,7 +167,7 @@ def test_plateau_s_sides_are_interpolated_as_ever():
 
 
 @pytest.mark.parametrize("accelerations, acceleration, value", [
-    ((0, 0, 1), 0.0, 1.0), ((0, 0, 1), -0.1, 1.0), ((0, 1, 1), 1.0, 2.0), ((0, 1, 1), 1.1, 3.0), ((1, 1, 1), 1.0, 1.0)])
+    ((0, 0, 1), 0.0, 1.0), ((0, 0, 1), -0.1, 1.0), ((0, 1, 1), 1.0, 2.0), ((0, 1, 1), 1.1, 3.0)])
 def test_plateau_at_an_end_of_the_map(accelerations, acceleration, value):
     rows = [(each, each) for each in accelerations]
     assert ValueMap([1.0, 2.0, 3.0], [0.0, 1.0], rows, allow_plateaus=True).value_at(acceleration, 0.5) == value
@@ -181,7 +182,7 @@ def test_plateau_at_an_end_of_the_map(accelerations, acceleration, value):
     ([1, 2], [0, 1], [[1, 2], [3]], "map, row of value 2 is .3.; accepted: 2 finite accelerations"),
     ([1, 2], [0, 1], [[1, 2], [3, math.inf]], "map, row of value 2 is .3, inf."),
     ([1, 2], [0, 1], [[1, -1e308], [3, 1e308]], "map, at velocity 1 m/s is .*; accepted: a finite span"),
-    ([1, 2], [0, 1], [[1, 2], [3, 2]],
+    ([1, 2, 3], [0, 1], [[1, 2], [3, 2], [4, 3]],
      rf"map, at velocity 1 m/s, from value 1 to 2 stays level at 2.0 m/s²; {RISES} \(allow_plateaus: true takes level"),
     ([1, 2, 3], [0, 1], [[1, 2], [3, 4], [2, 5]],
      f"map, at velocity 0 m/s, from value 2 to 3 falls from 3.0 to 2.0 m/s²; {RISES}$"),
@@ -192,10 +193,29 @@ def test_map_with_a_fault_is_refused_naming_it(values, velocities, rows, message
 
 
 def test_with_plateaus_allowed_a_level_stretch_is_loaded_and_a_falling_one_is_refused(tmp_path):
-    path = written(tmp_path, "default,0,1\n1,2,3\n2,2,4\n")
+    path = written(tmp_path, "default,0,1\n1,2,3\n2,2,4\n3,3,5\n")
     assert load_value_map(path, allow_plateaus=True).value_at(2.0, 0.0) == 1.0
     with pytest.raises(ConfigError, match=r"from value 1 to 2 falls from 3.0 to 2.0 m/s²"):
         ValueMap([1, 2], [0, 1], [[3, 1], [2, 2]], allow_plateaus=True)
+
+
+@pytest.mark.parametrize("allow_plateaus", [False, True])
+@pytest.mark.parametrize("rows, velocity, level", [("0,0,0\n1,0,0\n2,0,0\n", "0.0", "0.0"),
+                                                   ("0,-1,2\n1,0,2\n2,1,2\n", "1.0", "2.0")],
+                         ids=["a_placeholder_of_zeros", "one_column"])
+def test_column_that_is_level_from_end_to_end_is_refused_also_where_plateaus_are_allowed(
+        tmp_path, rows, velocity, level, allow_plateaus):
+    with pytest.raises(ConfigError, match=f"at velocity {velocity} m/s is {level} m/s² for every value; {RISES}$"):
+        load_value_map(written(tmp_path, "default,0,1\n" + rows), allow_plateaus)
+
+
+@pytest.mark.parametrize("rows", [
+    "0,0.3,-0.4\n0.1,0.2,-0.5\n0.2,-0.3,-0.6\n", "0,0.3,-0.4\n0.1,0.2,-0.3\n0.2,-0.3,-0.6\n",
+    "0,0,-0.4\n0.1,0,-0.5\n0.2,0,-0.6\n"], ids=["falling", "with_a_step_up", "with_a_level_column"])
+def test_brake_map_of_autoware_is_refused_with_what_joins_it_to_its_accel_map(tmp_path, rows):
+    with pytest.raises(ConfigError, match="map.csv has an acceleration that falls with value, as a brake_map has; "
+                       f"{RISES}; check_map --brake brake_map.csv accel_map.csv -o value_map.csv joins Autoware's"):
+        load_value_map(written(tmp_path, "default,0,1\n" + rows), allow_plateaus=True)
 
 
 def written(tmp_path, content):
@@ -210,6 +230,8 @@ def written(tmp_path, content):
     GOOD.replace(",", " ,\t "),
     GOOD + "\n \n\r\n",
     GOOD.rstrip("\n"),
+    GOOD.replace("\n", ",\n"),
+    GOOD.replace("\n", ", \r\n", 2),
     GOOD.replace("default", ""),
     GOOD.replace("default", "Wägelchen"),
     GOOD.replace("-2.0,", "-2e0,").replace("10.0", "10"),
@@ -227,13 +249,15 @@ def test_file_is_loaded_with_other_line_ends_spaces_names_and_numbers(tmp_path, 
     ("default,0\n1,2\n2,3\n", r"line 1 is \['default', '0'\]; accepted: a name and at least two velocities"),
     ("default,0,1\n1,2,3\n2,3\n", "line 3 has 2 columns; accepted: 3, as in line 1"),
     ("default,0,1\n1,2,3,4\n2,3,4\n", "line 2 has 4 columns; accepted: 3, as in line 1"),
+    ("default,0,1,\n1,2,3,,\n2,3,4,\n", "line 2 has 4 columns; accepted: 3, as in line 1"),
+    ("default,0,1,\n1,2,,\n2,3,4,\n", f"line 2, column 3 is ''; {NO_NUMBER}"),
     ("default,0,1\n1,2,3\n\n2,3,4\n", "line 3 is blank; accepted: numbers; a blank line may only come last"),
     ("default,0,one\n1,2,3\n2,3,4\n", f"line 1, column 3 is 'one'; {NO_NUMBER}"),
     ("default,0,1\n1,2,3\n2,nan,4\n", f"line 3, column 2 is 'nan'; {NO_NUMBER}"),
     ("default,0,1\n1_0,2,3\n2,3,4\n", f"line 2, column 1 is '1_0'; {NO_NUMBER}"),
     ("default,1,1\n1,2,3\n2,3,4\n", "line 1, column 3 is 1.0; accepted: more than the one before it, 1.0"),
     ("default,0,1\n2,2,3\n1,3,4\n", "line 3, column 1 is 1.0; accepted: more than the one before it, 2.0"),
-    ("default,0,1\n1,2,3\n2,2,4\n", "at velocity 0.0 m/s, from value 1.0 to 2.0 stays level at 2.0"),
+    ("default,0,1\n1,2,3\n2,2,4\n3,3,5\n", "at velocity 0.0 m/s, from value 1.0 to 2.0 stays level at 2.0"),
     (b"default,0,1\n1,2,3\n2,3,\xe9\n", NO_UTF_8),
     ("default,0," + "1" * 200_000 + "\n1,2,3\n2,3,4\n", NO_UTF_8 + "field larger"),
     (b"default,0,1\n1,2,3\n2,3,\x00\n", r"line 3, column 3|a CSV file in UTF-8"),

@@ -1,12 +1,15 @@
-"""The car_display node: publishes the car, its trail and its steering as markers for rviz.
+"""The car_display node: publishes the car, its sonars, its trail and its steering as markers for rviz.
 
 Subscribes:
     odom (nav_msgs/Odometry): the trail.
     turn_arb/state (SteeringState): the commanded turn radius, and who steers.
+    throttle_arb/state (ThrottleState): speed and throttle, and who drives.
+    sonar/front_right … (sensor_msgs/Range): a fan for each; a pale one without an echo. rviz's own cones stay behind.
 Publishes:
     ~markers (visualization_msgs/MarkerArray, latched, 10 Hz): in base_link the car, its front wheels turned as the
-        steering is commanded, an arrow along the path of its nose, with source and turn radius; in odom the trail, a
-        point every 5 cm, the newest 2,000. Without a command the wheels point ahead and there is no arrow.
+        steering is commanded, an arrow along the path of its nose, and who steers and drives; in the sonars' frames
+        their fans; in odom the trail, a point every 5 cm, the newest 2,000. Without a command the wheels point ahead
+        and there is no arrow.
 """
 from __future__ import annotations
 
@@ -16,13 +19,15 @@ from collections import deque
 import rospy
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from nav_msgs.msg import Odometry
+from sensor_msgs.msg import Range
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from car_interface.common.declared import read_all
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.staleness import TimedInput
-from car_interface.msg import SteeringState
+from car_interface.common.vehicle_geometry import SONARS
+from car_interface.msg import SteeringState, ThrottleState
 from car_interface.nodes.car_display.config import CarDisplayConfig
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, subscribe
@@ -30,7 +35,8 @@ from car_interface.steering.arbiter import source_name
 
 RATE_HZ = 10
 TICKS_PER_TRAIL = 10  # an unchanged trail is sent once a second, for an rviz that starts late
-COMMAND_TIMEOUT_S = 0.5
+STATE_TIMEOUT_S = 0.5
+RANGE_TIMEOUT_S = 1.5  # each of six comes three times a second
 SPACING_M = 0.05
 TRAIL_POINTS = 2000
 # A jump of odometry starts another trail; no car drives this far between two messages.
@@ -42,10 +48,12 @@ BEHIND_M, ABOVE_M = 0.8, 0.2  # of the text: the arrow lies before the car
 OVERHANG_M, CLEARANCE_M = 0.10, 0.035
 TIRE_WIDTH_M = 0.05
 LINE_M = 0.02
+FAN_STEPS = 8
 
 BODY, CABIN = ColorRGBA(0.10, 0.35, 0.75, 1.0), ColorRGBA(0.06, 0.10, 0.18, 1.0)
 TIRE = ColorRGBA(0.08, 0.08, 0.08, 1.0)
 ARROW, TRAIL, TEXT = ColorRGBA(1.0, 0.45, 0.0, 1.0), ColorRGBA(0.3, 0.5, 0.9, 1.0), ColorRGBA(0.1, 0.1, 0.1, 1.0)
+ECHO, NO_ECHO = ColorRGBA(0.95, 0.45, 0.1, 0.45), ColorRGBA(0.3, 0.5, 0.9, 0.12)
 NO_ROTATION = Quaternion(0.0, 0.0, 0.0, 1.0)
 
 
@@ -71,7 +79,7 @@ class Trail:
 
 
 class CarDisplay:
-    """Draws the car, its steering command and its trail."""
+    """Draws the car, its steering command, its sonars and its trail."""
 
     def __init__(self, params, inbox):
         config = read_all(params, CarDisplayConfig)
@@ -80,12 +88,17 @@ class CarDisplay:
         self._odom_frame = config.frame_prefix + config.odom_frame
         self._base_frame = config.frame_prefix + config.base_frame
         self._inbox = inbox
-        self._state = TimedInput("turn_arb/state", COMMAND_TIMEOUT_S)
+        self._steering = TimedInput("turn_arb/state", STATE_TIMEOUT_S)
+        self._throttle = TimedInput("throttle_arb/state", STATE_TIMEOUT_S)
+        self._ranges = [TimedInput(f"sonar/{name}", RANGE_TIMEOUT_S) for name in SONARS]
         self._trail = Trail()
         self._ticks = 0
         self._timer = RateTimer(RATE_HZ, inbox.clocks.now_ns())
         self._markers = advertise("~markers", MarkerArray, inbox, queue_size=1, latch=True)
-        subscribe("turn_arb/state", SteeringState, inbox, self._on_state)
+        subscribe("turn_arb/state", SteeringState, inbox, self._steering.update)
+        subscribe("throttle_arb/state", ThrottleState, inbox, self._throttle.update)
+        for measured in self._ranges:
+            subscribe(measured.name, Range, inbox, measured.update)
         subscribe("odom", Odometry, inbox, self._on_odometry, queue_size=100)
 
     def step(self, now_ns):
@@ -98,19 +111,17 @@ class CarDisplay:
     def shut_down(self):
         """Nothing to do."""
 
-    def _on_state(self, message, now_ns):
-        self._state.update(message, now_ns)
-
     def _on_odometry(self, message, now_ns):
         position = message.pose.pose.position
         self._trail.add(position.x, position.y)
 
     def _draw(self, now_ns):
-        state = None if self._state.is_stale(now_ns) else self._state.value
-        known = state is not None and abs(state.turn_radius) > 0  # nor is it NaN
-        curvature_per_m = 1 / state.turn_radius if known else 0.0
-        markers = [*self._body(), *self._wheels(curvature_per_m)]
-        markers += self._arrow(curvature_per_m, state) if known else self._no_arrow()
+        steering, throttle = _fresh(self._steering, now_ns), _fresh(self._throttle, now_ns)
+        known = steering is not None and abs(steering.turn_radius) > 0  # nor is it NaN
+        curvature_per_m = 1 / steering.turn_radius if known else 0.0
+        markers = [*self._body(), *self._wheels(curvature_per_m), self._words(steering, throttle)]
+        markers += self._arrow(curvature_per_m) if known else [self._nothing("steering", index) for index in range(2)]
+        markers += [self._fan(index, _fresh(measured, now_ns)) for index, measured in enumerate(self._ranges)]
         if self._trail.has_grown or self._ticks % TICKS_PER_TRAIL == 0:
             markers.append(self._trail_marker())
             self._trail.has_grown = False
@@ -135,7 +146,7 @@ class CarDisplay:
                     x_m, y_m, self._wheel_m / 2, _lying(math.atan2(curvature_per_m * x_m, 1 - curvature_per_m * y_m))))
                 for index, (x_m, y_m) in enumerate(places)]
 
-    def _arrow(self, curvature_per_m, state):
+    def _arrow(self, curvature_per_m):
         nose_m = self._wheelbase_m + OVERHANG_M
         path = [_nose(index / ARROW_STEPS * ARROW_M, curvature_per_m, nose_m) for index in range(ARROW_STEPS + 1)]
         line = self._marker("steering", 0, Marker.LINE_STRIP, ARROW, Vector3(2 * LINE_M, 0.0, 0.0))
@@ -144,14 +155,39 @@ class CarDisplay:
         x_m, y_m, heading_rad = path[-1]
         head.points = [line.points[-1], Point(x_m + ARROW_HEAD_M * math.cos(heading_rad),
                                               y_m + ARROW_HEAD_M * math.sin(heading_rad), LINE_M)]
-        label = self._marker("steering", 2, Marker.TEXT_VIEW_FACING, TEXT, Vector3(0.0, 0.0, 0.12),
-                             _at(-BEHIND_M, 0.0, ABOVE_M))
-        label.text = f"{source_name(state.source)}: {_turn_text(state.turn_radius)}"
-        return [line, head, label]
+        return [line, head]
 
-    def _no_arrow(self):
-        return [Marker(header=self._header(self._base_frame), ns="steering", id=index, action=Marker.DELETE)
-                for index in range(3)]
+    def _words(self, steering, throttle):
+        """Who steers and who drives, behind the car."""
+        lines = []
+        if steering is not None:
+            lines.append(f"steers: {source_name(steering.source)}, {_turn_text(steering.turn_radius)}")
+        if throttle is not None:
+            speed = "" if math.isnan(throttle.speed) else f"{throttle.speed:.1f} m/s, "
+            lines.append(f"drives: {source_name(throttle.source)}, {speed}throttle {throttle.granted:.2f}")
+        if not lines:
+            return self._nothing("words", 0)
+        marker = self._marker("words", 0, Marker.TEXT_VIEW_FACING, TEXT, Vector3(0.0, 0.0, 0.12),
+                              _at(-BEHIND_M, 0.0, ABOVE_M))
+        marker.text = "\n".join(lines)
+        return marker
+
+    def _fan(self, index, measured):
+        """What a sonar looked at: up to its echo or, without one, up to its range."""
+        if measured is None or math.isnan(measured.range) or measured.range == -math.inf:
+            return self._nothing("sonars", index)
+        has_echo = measured.range < measured.max_range
+        marker = self._marker("sonars", index, Marker.TRIANGLE_LIST, ECHO if has_echo else NO_ECHO,
+                              Vector3(1.0, 1.0, 1.0), frame=measured.header.frame_id)
+        radius_m = min(measured.range, measured.max_range)
+        angles = [measured.field_of_view * (step / FAN_STEPS - 0.5) for step in range(FAN_STEPS + 1)]
+        edge = [Point(radius_m * math.cos(angle), radius_m * math.sin(angle), 0.0) for angle in angles]
+        for one, other in zip(edge, edge[1:]):
+            marker.points += [Point(), one, other]
+        return marker
+
+    def _nothing(self, ns, index):
+        return Marker(header=self._header(self._base_frame), ns=ns, id=index, action=Marker.DELETE)
 
     def _trail_marker(self):
         points = list(self._trail.points)
@@ -169,6 +205,10 @@ class CarDisplay:
     @staticmethod
     def _header(frame):
         return Header(stamp=rospy.Time(), frame_id=frame)  # 0: where the frame is now
+
+
+def _fresh(timed, now_ns):
+    return None if timed.is_stale(now_ns) else timed.value
 
 
 def _at(x_m, y_m, z_m, orientation=NO_ROTATION):
@@ -193,6 +233,8 @@ def _nose(distance_m, curvature_per_m, nose_m):
 
 
 def _turn_text(radius_m):
+    if not abs(radius_m) > 0:
+        return "its turn is unknown"
     return "straight on" if math.isinf(radius_m) else f"{'left' if radius_m > 0 else 'right'} {abs(radius_m):.1f} m"
 
 

@@ -10,6 +10,7 @@ Subscribes:
 Publishes:
     ~truth (nav_msgs/Odometry, 50 Hz): where the car really is, in odom, and how fast.
     ~collisions (std_msgs/Int32, latched): how often it ran into a wall, a box or a post.
+    ~room (visualization_msgs/MarkerArray, latched): the walls, boxes and posts, in odom; that drifts, and they don't.
     ~rollovers (std_msgs/Int32, latched): how often it turned so fast that it would have tipped over. It drives on.
 Service:
     ~inject_fault (InjectFault): makes the Teensy and its line misbehave; see ``virtual_line``.
@@ -24,12 +25,14 @@ import rospy
 from geometry_msgs.msg import Point, Quaternion, Vector3
 from nav_msgs.msg import Odometry
 from std_msgs.msg import Int32, Int32MultiArray
+from visualization_msgs.msg import MarkerArray
 
 from car_interface.common.declared import read_all
 from car_interface.common.own_files import UnsafeFile
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import CHANNELS, NS_PER_MS, NS_PER_S, UNCHANGED
 from car_interface.nodes.car_sim.config import CarSimConfig
+from car_interface.nodes.car_sim.room import room_markers
 from car_interface.nodes.car_sim.virtual_line import VirtualLine
 from car_interface.nodes.pca9685.virtual_board import chip_path
 from car_interface.pca9685.registers import duty_of_counts
@@ -125,6 +128,8 @@ class CarSim:
         self._collision_counts.publish(0)
         self._rollover_counts = advertise("~rollovers", Int32, inbox, latch=True)
         self._rollover_counts.publish(0)
+        self._room = advertise("~room", MarkerArray, inbox, latch=True)
+        self._room.publish(room_markers(config.world, f"{inbox.graph.namespace()}odom".lstrip("/")))
         subscribe("/servo/output", Int32MultiArray, inbox, self._on_output)
         rospy.loginfo("a virtual Teensy is on %s (seed %d)", config.port, config.firmware.seed)
 

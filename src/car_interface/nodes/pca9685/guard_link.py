@@ -113,12 +113,12 @@ class GuardLink:
     Args:
         start: starts a guard, as ``GuardChild``, and returns it; ``None`` = there is none.
         off_after_ns: when the guard switches everything off.
-        board: the board's name, for log lines.
+        board: returns the board's name, for log lines.
         warnings: the node's.
         clocks: the node's.
     """
 
-    def __init__(self, start: Callable[[], GuardChild] | None, off_after_ns: int, board: str,
+    def __init__(self, start: Callable[[], GuardChild] | None, off_after_ns: int, board: Callable[[], str],
                  warnings: ThrottledWarnings, clocks: Clocks):
         self.watch = GuardWatch()
         self._start_guard = start
@@ -128,7 +128,7 @@ class GuardLink:
         self._clocks = clocks
         self._guard: GuardChild | None = None
         self._start_ns = 0  # not before
-        self._fault = "it has not been started yet"  # why there is none
+        self._fault = ""  # why there is none
         self._lost_ns = 0  # when it was lost last
         self._losses = 0
         self._is_reported = True  # the log knows whether it is there
@@ -144,19 +144,20 @@ class GuardLink:
         self.watch.receive(data, now_ns)
         if not self._is_reported and self.watch.watches:
             self._is_reported = True
-            rospy.loginfo("the guard of %s watches again after %.2f s", self._board_name,
+            rospy.loginfo("the guard of %s watches again after %.2f s", self._board_name(),
                           (now_ns - self._lost_ns) / NS_PER_S)
 
-    def step(self, now_ns: int, timeout_counts: Sequence[int], has_reached: bool) -> None:
+    def step(self, now_ns: int, timeout_counts: Sequence[int], has_reached: bool, can_start: bool) -> None:
         """Start the guard if there is none, and give a sign of life if one is due.
 
         Args:
             timeout_counts: of each channel, 0..4096.
             has_reached: whether the node ever reached its chip, so that it may be pulsing.
+            can_start: whether the board's bus is known.
         """
         if self._guard is not None and self.watch.hangs(now_ns):
             self._lose(now_ns, "it doesn't answer")
-        if self._guard is None and self._start_guard is not None and now_ns >= self._start_ns:
+        if self._guard is None and self._start_guard is not None and can_start and now_ns >= self._start_ns:
             self._start(now_ns)
         if now_ns >= self.watch.due_ns:
             self._write(self.watch.sign_of_life(now_ns, timeout_counts, has_reached, ALIVE))
@@ -212,13 +213,16 @@ class GuardLink:
             self._warnings.warn(fault, f"{self._absence()}. Starting it anew")
 
     def _absence(self):
-        return (f"{GUARD_ABSENT}: {self._fault}. Until there is one {self._board_name} goes on pulsing if this node "
+        return (f"{GUARD_ABSENT}: {self._fault}. Until there is one {self._board_name()} goes on pulsing if this node "
                 "dies or hangs")
 
     def report(self, status, now_ns: int, board_runs: bool):
         """Its state, for /diagnostics. A board that the node can't reach either is the node's own report."""
         if self._start_guard is None:
             status.summary(OK, "off (guard: false): the board goes on pulsing if this node dies or hangs")
+            return status
+        if self._guard is None and not self._losses:
+            status.summary(OK, "starts as soon as the board's bus is known")
             return status
         if not self.watch.is_present:
             status.summary(ERROR, self._absence())

@@ -16,7 +16,8 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from functools import partial
+from contextlib import suppress
+from typing import Callable
 
 import rospy
 import smbus2
@@ -26,20 +27,22 @@ from car_interface.common.causes import FOREIGN_WRITE, NODE_STOOD_STILL
 from car_interface.common.declared import read_all
 from car_interface.common.errors import DeviceError
 from car_interface.common.file_lock import lock_byte
+from car_interface.common.header import Header, read_header
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import CHANNELS, MAX_DUTY, NS_PER_S, UNCHANGED
 from car_interface.nodes.pca9685.guard_link import GuardChild, GuardLink
 from car_interface.nodes.pca9685.virtual_board import VirtualBoardBus, chip_path
-from car_interface.pca9685.board import Board, explain
+from car_interface.pca9685.board import Board
+from car_interface.pca9685.bus import choose_bus, explain
 from car_interface.pca9685.channels import Channels
-from car_interface.pca9685.config import VIRTUAL, Pca9685Config
+from car_interface.pca9685.config import AUTO, VIRTUAL, Pca9685Config
 from car_interface.pca9685.registers import counts_of_duty, duty_of_counts, frequency_for
 from car_interface.pca9685.senders import ChannelSenders, listed
 from car_interface.pca9685.supervisor import DISCONNECTED, FOREIGN, FOUND, MISMATCH, RETRIED, RUNNING, BoardSupervisor
 from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import ERROR, OK, Diagnostics
 from car_interface.ros.logs import ThrottledWarnings
-from car_interface.ros.runtime import run
+from car_interface.ros.runtime import is_respawned, run
 from car_interface.ros.topics import advertise, duty_vector, sender_of, subscribe
 
 OUTPUT_RATE_HZ = 10
@@ -49,13 +52,23 @@ NEUTRALS = "servo/neutral"
 
 
 class SmbusBus:
-    """A bus of the kernel, opened by smbus2. A lock on the address excludes a second pca9685 node."""
+    """A bus of the kernel, opened by smbus2. A lock on the address excludes a second pca9685 node.
+
+    Attributes:
+        path: the bus's.
+        name: the path for messages.
+    """
 
     kind = "i2c"
 
     def __init__(self, path: str, address: int):
-        self.path = path
+        self.path = self.name = path
         self._address = address
+
+    @property
+    def exists(self) -> bool:
+        """Return whether there is something at the path."""
+        return os.path.exists(self.path)
 
     def open(self) -> smbus2.SMBus:
         """The open bus.
@@ -74,6 +87,38 @@ class SmbusBus:
         return bus
 
 
+class HeaderBus(SmbusBus):
+    """The header's bus that the board is on; the path is empty until it's found, and stands from then on.
+
+    Args:
+        header: the computer's.
+        address: the board's.
+        on_found: called with the path.
+    """
+
+    def __init__(self, header: Header, address: int, on_found: Callable[[str], None]):
+        super().__init__("", address)
+        self.name = " or ".join(header.bus_paths)
+        self._header = header
+        self._on_found = on_found
+
+    @property
+    def exists(self) -> bool:
+        """Return whether it's there, as far as is known."""
+        return not self.path or super().exists
+
+    def open(self) -> smbus2.SMBus:
+        """Open the bus, as SmbusBus.
+
+        Raises:
+            BoardNotFound: the board answers on none of the header's buses, or on several.
+        """
+        if not self.path:
+            self.path = self.name = choose_bus(self._header, self._address, smbus2.SMBus)
+            self._on_found(self.path)
+        return super().open()
+
+
 def make_bus(config, inbox):
     """Return the bus of the node's device, closed.
 
@@ -83,7 +128,15 @@ def make_bus(config, inbox):
     if config.device == VIRTUAL:
         path = config.virtual_chip or chip_path(inbox.node_name)
         return VirtualBoardBus(path, config.address, config.virtual_log, inbox)
-    return SmbusBus(config.device, config.address)
+    if config.device != AUTO:
+        return SmbusBus(config.device, config.address)
+
+    def keep(path):
+        """Have a restarted node take this bus again, until the next launch, which clears the parameters."""
+        if is_respawned():
+            with suppress(OSError):  # the master is gone
+                inbox.graph.set_parameter(inbox.own_name("~auto_device"), path)
+    return HeaderBus(read_header(), config.address, keep)
 
 
 class Pca9685:
@@ -101,17 +154,20 @@ class Pca9685:
         self._clocks = inbox.clocks
         now_ns = self._clocks.now_ns()
         self._channels = Channels(config.channels)
-        self._device, self._address = config.device, config.address
+        self._address = config.address
         self._prescale, self._oscillator_hz = config.prescale, config.oscillator_hz
-        bus = make_bus(config, inbox)
+        self._bus = bus = make_bus(config, inbox)
+        self._header = read_header()
         self._inbox = inbox
         self._warnings = ThrottledWarnings(inbox.clocks)
         self._outputs = advertise("/servo/output", Int32MultiArray, inbox, latch=True)
-        guard = partial(start_guard, bus.kind, bus.path, self._address, config.guard_off_after_ns, inbox.node_name,
-                        self._outputs.resolved_name)
-        self._guard = GuardLink(guard if config.guard else None, config.guard_off_after_ns, self._name(),
+
+        def guard():
+            return start_guard(bus.kind, bus.path, self._address, config.guard_off_after_ns, inbox.node_name,
+                               self._outputs.resolved_name)
+        self._guard = GuardLink(guard if config.guard else None, config.guard_off_after_ns, self._name,
                                 self._warnings, inbox.clocks)
-        self._supervisor = BoardSupervisor(bus.open, self._make_board, self._on_board_event)
+        self._supervisor = BoardSupervisor(self._open_bus, self._make_board, self._on_board_event)
         self._fault = None  # why the board can't be used, as (cause, remedy)
         self._dropped = 0  # commands that arrived meanwhile
         self._held_back = 0  # commands that arrived before the guard had left the chip to this node again
@@ -151,7 +207,18 @@ class Pca9685:
         still_ns = self._guard.watch.stood_still_ns(now_ns)
         if self._guard.watch.was_overruled() or still_ns:
             self._begin_anew(still_ns)
-        self._guard.step(self._clocks.now_ns(), self._timeout_counts(), self._supervisor.ever_ran)
+        self._step_guard()
+
+    def _step_guard(self):
+        self._guard.step(self._clocks.now_ns(), self._timeout_counts(), self._supervisor.ever_ran,
+                         can_start=bool(self._bus.path))
+
+    def _open_bus(self):
+        was_known = self._bus.path
+        bus = self._bus.open()
+        if not was_known:
+            self._step_guard()  # before anything is written to the chip
+        return bus
 
     def _begin_anew(self, still_ns):
         """Timeout values, and no command that was sent before."""
@@ -272,7 +339,7 @@ class Pca9685:
             raise DeviceError(self._name(), *self._explain(error)) from error
 
     def _explain(self, error):
-        return explain(error, self._device, bus_exists=self._device == VIRTUAL or os.path.exists(self._device))
+        return explain(error, self._bus.name, self._bus.exists, self._header)
 
     def _on_board_event(self, event, error):
         """Log an event of bus or chip, with cause and remedy."""
@@ -309,7 +376,7 @@ class Pca9685:
         if faults:
             status.add("cause", faults[0].cause)
             status.add("remedy", ". ".join(fault.remedy for fault in faults))
-        status.add("bus", self._device)
+        status.add("bus", self._bus.name)
         status.add("address", f"0x{self._address:02x}")
         period_ms = 1e3 / frequency_for(self._prescale, self._oscillator_hz)
         status.add("period", f"{period_ms:.3f} ms if the oscillator makes {self._oscillator_hz:.0f} Hz; not measured")
@@ -335,7 +402,7 @@ class Pca9685:
             self._outputs.publish(duty_vector(duties))
 
     def _name(self):
-        return f"PCA9685 at 0x{self._address:02x} on {self._device}"
+        return f"PCA9685 at 0x{self._address:02x} on {self._bus.name}"
 
 
 def main():

@@ -49,7 +49,8 @@ class VirtualBoardBus:
         ConfigError: path or log can't be used.
     """
 
-    kind = "virtual"
+    kind = name = "virtual"
+    exists = True
 
     def __init__(self, path: str, address: int, log_path: str | None, inbox):
         if len(os.fsencode(path)) > MAX_SOCKET_PATH:

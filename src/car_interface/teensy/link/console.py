@@ -10,6 +10,7 @@ import os
 import stat
 
 from car_interface.common.device_access import group_name
+from car_interface.common.header import read_header
 
 CONSOLES_GROUP = "tty"
 PROGRAMS = ("agetty", "getty")
@@ -45,8 +46,7 @@ def consoles(path: str, proc: str = "/proc") -> list[tuple[int, str]]:
 
 def removal_remedy(path: str) -> str:
     """Return the remedy for a console on this port."""
-    return (f"sudo systemctl disable --now serial-getty@{os.path.basename(os.path.realpath(path))} (on a Jetson: "
-            "nvgetty), take console= out of the kernel's command line, and reboot. Raspberry Pi: raspi-config does it")
+    return read_header().console_remedy.format(port=os.path.basename(os.path.realpath(path)))
 
 
 def _command(path):

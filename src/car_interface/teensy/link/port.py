@@ -5,14 +5,16 @@ Reading never blocks: a node waits on ``fileno()`` together with its other input
 from __future__ import annotations
 
 import errno
+import glob
 import os
 import select
 import termios
 
 import serial
 
-from car_interface.common.device_access import SETUP_COMMAND, explain_denial
+from car_interface.common.device_access import SETUP_COMMAND, STABLE_PORT, explain_denial
 from car_interface.common.errors import DeviceError
+from car_interface.common.header import port_note, read_header
 from car_interface.common.processes import openers, process_name
 from car_interface.teensy.link.console import is_consoles, removal_remedy
 from car_interface.teensy.link.health import ABSENT, BUSY, FAILING, NO_PERMISSION, NO_PORT
@@ -149,8 +151,7 @@ class SerialLink:
             return NO_PORT, "this is a directory, not a serial port", ("Set ~port to the port's own path: "
                                                                        "ls /dev/serial/by-id")
         if number == errno.ENOENT or not os.path.exists(path):
-            return ABSENT, "there is no such port", ("Plug the Teensy in and see what it is called: "
-                                                     "ls /dev/serial/by-id /dev/ttyA*")
+            return ABSENT, "there is no such port", _absence_remedy(path)
         if number in (errno.EACCES, errno.EPERM):
             return (NO_PERMISSION, *_explain_permission(path))
         if number in (errno.EAGAIN, errno.EWOULDBLOCK, errno.EBUSY) or "lock" in str(error):
@@ -175,6 +176,19 @@ def _distinguish_silence_from_hangup(fd):
     attributes = termios.tcgetattr(fd)
     attributes[6][termios.VMIN] = 1
     termios.tcsetattr(fd, termios.TCSANOW, attributes)
+
+
+def _absence_remedy(path):
+    plugged_in = sorted(glob.glob("/dev/serial/by-id/*Teensy*"))
+    if plugged_in and path == STABLE_PORT:
+        return f"A Teensy is plugged in; the udev rule that names it so comes by {SETUP_COMMAND}"
+    if plugged_in:
+        return f"A Teensy is plugged in: port:={plugged_in[0]}"
+    if path == STABLE_PORT:
+        return f"Plug the Teensy in. It has this name on USB alone, after {SETUP_COMMAND}"
+    note = port_note(path, read_header())
+    return note and f"{path}: {note}" or ("Plug the Teensy in and see what it is called: "
+                                          "ls /dev/serial/by-id /dev/ttyA*")
 
 
 def _explain_permission(path):

@@ -21,7 +21,7 @@ class Delay(NamedTuple):
 
     delay_s: float  # the time until a change begins
     lag_s: float  # the time from then until 63 % of it are done
-    explained: float  # the ratio of the effect's variance that the cause explains with these
+    explained: float  # the ratio of the effect's variance that the cause explains with these; 0 = unknown
 
 
 def held(t_s: np.ndarray, value: np.ndarray, at_s: np.ndarray) -> np.ndarray:

@@ -1,7 +1,8 @@
 """What all calibrations have in common: recorded drives in, a file that its node takes out, and curves that rise."""
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Callable, NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Callable, NamedTuple, Sequence
 
 import numpy as np
 
@@ -13,6 +14,8 @@ if TYPE_CHECKING:  # rosbags comes with it, which a car's own computer may not h
 
 MIN_PULSE, MAX_PULSE = 1638, 8192  # duties that a servo or an ESC takes for a command: 0.5 and 2.5 ms of 20 ms
 
+MAX_NAMES = 3  # of recordings in front of a reason
+
 
 class RecordedDrive(NamedTuple):
     """One recording, or a drive that was measured as it went on."""
@@ -23,6 +26,13 @@ class RecordedDrive(NamedTuple):
     duration_s: float  # from the first message to the last
     trail: Trail | None = None  # to compare it with others; None = of no recording
     uses_imu: bool = False  # its heading is the IMU's
+
+
+def names_of(recorded: Sequence[RecordedDrive]) -> str:
+    """Return the recordings' names without their folders, in front of a reason: of many the first ones and a count."""
+    names = [Path(one.path).name for one in recorded[:MAX_NAMES]]
+    others = len(recorded) - len(names)
+    return ", ".join(names) + (f" and {others} more" if others else "")
 
 
 class NothingToFit(ValueError):
@@ -47,12 +57,7 @@ def write_table(path: str, text: str, load: Callable[[str, str], Any], refusal: 
         load(path, text)
     except CarInterfaceError as error:
         raise CarInterfaceError(f"{refusal}: {error}") from error
-    return written_text(path, output.write(path, text, keeps_old=True))
-
-
-def written_text(path: str, backup_path: str | None) -> str:
-    """Return the line that says what was written, and where the old file is now."""
-    return f"written: {path}" + (f"; the old one is {backup_path}" if backup_path else "")
+    return output.written_text(path, output.write(path, text, keeps_old=True))
 
 
 def rising(values: np.ndarray, weights: np.ndarray) -> np.ndarray:

@@ -13,8 +13,8 @@ from pathlib import Path
 
 from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError
-from car_interface.tools.cli.jobs import failure_text, for_each
-from car_interface.tools.cli.options import add_recording_arguments, length_m, topics_of
+from car_interface.tools.cli.jobs import failure_text, for_each, workers
+from car_interface.tools.cli.options import add_recording_arguments, add_scheduler_argument, length_m, topics_of
 from car_interface.tools.report.page import page
 from car_interface.tools.report.plots import plots
 from car_interface.tools.report.summary import ROLES, summarize
@@ -28,21 +28,39 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--wheelbase", type=length_m, metavar="M", help="between the axles: which curvature an asked "
                         "steering angle (ackermann) is")
     add_recording_arguments(parser, ROLES)
+    add_scheduler_argument(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Write the pages."""
-    topics, pages, failed = topics_of(options), _pages(options), 0
-    report = partial(_report, options=options, topics=topics)
-    for (bag, path), (notes, error) in zip(pages, for_each(report, pages, options.jobs)):
-        for note in notes:
-            print(f"bag_report: {bag}: {note}", file=sys.stderr)
-        if error:
-            failed = 1
-            print(f"bag_report: {error}", file=sys.stderr)
-        else:
-            print(path)
+    if options.scheduler is not None:  # a worker on another computer has another current folder
+        options.bags = list(map(os.path.abspath, options.bags))
+    topics, failed, pages = topics_of(options), 0, []
+    for bag, path in _pages(options):
+        try:
+            output.check(path, options.bags)
+            pages.append((bag, path))
+        except CarInterfaceError as error:
+            failed = _failed(error)
+    report = partial(_report, namespace=options.namespace, wheelbase_m=options.wheelbase,
+                     progress=len(options.bags) == 1, topics=topics)
+    with workers(len(pages), options.jobs, options.scheduler) as done_by:
+        for (bag, path), (notes, content, error) in zip(pages, for_each(report, [bag for bag, _ in pages], done_by)):
+            for note in notes:
+                print(f"bag_report: {bag}: {note}", file=sys.stderr)
+            try:
+                if error:
+                    raise CarInterfaceError(error)
+                output.write(path, content)
+                print(path)
+            except CarInterfaceError as refused:
+                failed = _failed(refused)
     return failed
+
+
+def _failed(error):
+    print(f"bag_report: {error}", file=sys.stderr)
+    return 1
 
 
 def _pages(options):
@@ -67,13 +85,10 @@ def _pages(options):
     return pages
 
 
-def _report(bag_and_page, options, topics):
-    """Write one page: (lines on the topics that it is about, an error as text, empty without one)."""
-    bag, path = bag_and_page
+def _report(bag, namespace, wheelbase_m, progress, topics):
+    """Return lines on the topics that a page is about, the page, and an error as text, empty without one."""
     try:
-        output.check(path, options.bags)
-        drive = summarize(bag, options.namespace, options.wheelbase, progress=len(options.bags) == 1, **topics)
-        output.write(path, page(drive, plots(drive)))
-        return drive.notes, ""
+        drive = summarize(bag, namespace, wheelbase_m, progress=progress, **topics)
+        return drive.notes, page(drive, plots(drive)), ""
     except Exception as error:  # one bad recording must not prevent the pages of the others
-        return [], failure_text(error, bag, "no page can be made of it")
+        return [], "", failure_text(error, bag, "no page can be made of it")

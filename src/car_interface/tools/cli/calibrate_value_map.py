@@ -17,7 +17,7 @@ from car_interface.common.lookup_table import check_axis
 from car_interface.common.package_files import package_file
 from car_interface.common.units import CHANNELS
 from car_interface.throttle.value_map import load_value_map
-from car_interface.tools.calibration.shared import RecordedDrive, written_text
+from car_interface.tools.calibration.shared import RecordedDrive
 from car_interface.tools.calibration.value_map.acceleration import WindowConfig
 from car_interface.tools.calibration.value_map.calibrate import DUTY, MapResult, NoTable, calibrate, report
 from car_interface.tools.calibration.value_map.recorded import (
@@ -130,7 +130,8 @@ def run(options: argparse.Namespace) -> int:
     csv = csv_text(found.table)
     load_value_map(options.output, text=csv)
     contents = {options.output: csv, **dict.fromkeys(beside, text + "\n")}
-    written = [written_text(path, output.write(path, content, keeps_old=True)) for path, content in contents.items()]
+    written = [output.written_text(path, output.write(path, content, keeps_old=True))
+               for path, content in contents.items()]
     print("\n".join([text, *written]))
     return 0
 

@@ -1,6 +1,7 @@
 """Checks a table as turn_arb or generic_value_converter would, and shows it.
 
-FILE is a steering calibration in YAML, as turn_arb loads it, or a value map in CSV.
+FILE is a steering calibration in YAML, as turn_arb loads it, or a value map in CSV. Autoware's two
+maps are joined to one by --brake brake_map.csv accel_map.csv -o value_map.csv.
 """
 from __future__ import annotations
 
@@ -12,15 +13,17 @@ from typing import Iterator, Sequence
 
 from car_interface.common import memory_limit, output
 from car_interface.common.errors import CarInterfaceError, ConfigError
+from car_interface.common.lookup_table import LookupTable
 from car_interface.pca9685.registers import DUTY_PER_COUNT
 from car_interface.steering.calibration import WIDE_M, SteeringCalibration
 from car_interface.steering.config import load_steering
 from car_interface.throttle.converter import ConversionConfig, Converter
-from car_interface.throttle.value_map import ValueMap, load_value_map
+from car_interface.throttle.value_map import Grid, ValueMap, load_value_map, read_grid
 from car_interface.tools.cli.options import finite
 
 STEERING_SUFFIXES = (".yaml", ".yml")
 PICTURE_SUFFIXES = (".svg", ".png", ".pdf")
+MAP_SUFFIX = ".csv"
 BAR = 24  # characters to each side
 MAX_COLUMNS, MAX_ROWS = 11, 21
 LIMITS = ConversionConfig()  # the defaults of generic_value_converter
@@ -33,7 +36,10 @@ SHADES = (160, 167, 174, 181, 188, 255, 188, 152, 116, 74, 32)
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of check_map."""
     parser.add_argument("file", metavar="FILE", help="a steering calibration (.yaml) or a map of values (.csv)")
-    parser.add_argument("-o", "--output", metavar="PICTURE", help="also draw it: " + ", ".join(PICTURE_SUFFIXES))
+    parser.add_argument("-o", "--output", metavar="PICTURE", help="also draw it: " + ", ".join(PICTURE_SUFFIXES)
+                        + f"; with --brake also the joined map: {MAP_SUFFIX}")
+    parser.add_argument("--brake", metavar="BRAKE_MAP", help="Autoware's brake_map.csv, FILE being its accel_map.csv: "
+                        "the two are joined, with the brake's values negative")
     parser.add_argument("--allow-plateaus", action="store_true",
                         help="take a map whose acceleration stays level from one value to the next")
     parser.add_argument("--min-value", type=finite, default=LIMITS.min_value, metavar="VALUE",
@@ -45,26 +51,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Load the file as its node would, and show it."""
     is_steering = Path(options.file).suffix.lower() in STEERING_SUFFIXES
-    if options.output and Path(options.output).suffix.lower() not in PICTURE_SUFFIXES:
-        raise CarInterfaceError(f"-o {options.output}: accepted: a name that ends in " + ", ".join(PICTURE_SUFFIXES))
+    suffix, suffixes = Path(options.output or "").suffix.lower(), PICTURE_SUFFIXES + (MAP_SUFFIX,) * bool(options.brake)
+    if options.output and suffix not in suffixes:
+        raise CarInterfaceError(f"-o {options.output}: accepted: a name that ends in " + ", ".join(suffixes))
     if options.output:
-        output.check(options.output, [options.file])
+        output.check(options.output, [options.file, *filter(None, [options.brake])])
     limits = ConversionConfig(options.min_value, options.max_value)
-    table = load_steering(options.file) if is_steering else load_value_map(options.file, options.allow_plateaus)
-    if options.output:
+    name, text = options.file, None
+    if options.brake:
+        name, text = f"{options.file} with {options.brake}", joined_text(options.file, options.brake)
+    table = load_steering(name) if is_steering else load_value_map(name, options.allow_plateaus, text)
+    if suffix in PICTURE_SUFFIXES:
         from car_interface.tools.report.table_plots import draw  # matplotlib only for who asks for it
         memory_limit.reserve_blas()
-        output.write(options.output, draw(table, Path(options.output).suffix.lower()[1:], options.file))
+        output.write(options.output, draw(table, suffix[1:], name))
     if is_steering:
         lines, notes = steering_picture(table), list(steering_notes(table))
     else:
-        _check_values(limits, table, options.file)
+        _check_values(limits, table, name)
         lines = map_picture(table, sys.stdout.isatty() and "NO_COLOR" not in os.environ)
         notes = list(map_notes(table, limits))
     node = "turn_arb" if is_steering else "generic_value_converter"
-    print("\n".join([f"{options.file}: {node} takes it", "", *lines, *[""] * bool(notes),
+    print("\n".join([f"{name}: {node} takes it", "", *lines, *[""] * bool(notes),
                      *[f"note: {note}" for note in notes]]))
-    if options.output:
+    if suffix == MAP_SUFFIX:
+        print("\n" + output.written_text(options.output, output.write(options.output, text, keeps_old=True)))
+    elif options.output:
         print(f"\ndrawn in {options.output}")
     return 0
 
@@ -74,6 +86,42 @@ def _check_values(limits, table, path):
         Converter(limits, table)
     except ConfigError as error:
         raise error.within(path) from error
+
+
+# --- Autoware's two maps ---
+
+
+def joined_text(accel_path: str, brake_path: str) -> str:
+    """Return the CSV of one map that does what Autoware does with its accel_map and its brake_map.
+
+    Autoware uses the brake_map for an acceleration below the accel_map's first row, which is of value 0. A brake is a
+    negative value here. The row of value 0 is the accel_map's: between it and the first brake of the brake_map, where
+    Autoware holds 0 or brakes from the brake_map's own row of value 0 on, the joined map is linear.
+
+    Raises:
+        ConfigError: naming the file that isn't such a map.
+    """
+    accel, brake = read_grid(accel_path), read_grid(brake_path)
+    for path, grid, kind, falls in ((accel_path, accel, "accel_map", False), (brake_path, brake, "brake_map", True)):
+        if grid.falls() != falls:
+            raise ConfigError(path, None, f"Autoware's {kind}, whose acceleration {'falls' if falls else 'rises'} with "
+                              "value", "is another map")
+        if grid.values[0] != 0.0:
+            raise ConfigError(f"{path}, line 2, column 1", grid.values[0], f"0, with which Autoware's {kind} begins")
+    velocities = sorted({*accel.velocities, *brake.velocities})  # no bend of either map is lost
+    rows = [(-value, row) for value, row in reversed(_at(brake, velocities)) if value > 0] + _at(accel, velocities)
+    lines = ["default," + _numbers(velocities), *(_numbers([value, *row]) for value, row in rows)]
+    return "\n".join(lines) + "\n"
+
+
+def _at(grid: Grid, velocities):
+    """Return (value, accelerations at the velocities) for each row."""
+    tables = [LookupTable(grid.velocities, row) for row in grid.accelerations]
+    return [(value, [table(velocity) for velocity in velocities]) for value, table in zip(grid.values, tables)]
+
+
+def _numbers(numbers):
+    return ",".join(repr(round(number, 9)) for number in numbers)  # without the errors of binary fractions
 
 
 # --- steering ---

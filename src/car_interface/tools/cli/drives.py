@@ -12,9 +12,9 @@ from functools import partial
 from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.tools.cli.drives_cache import Cache, find_recordings, fingerprint
-from car_interface.tools.cli.jobs import failure_text, for_each
+from car_interface.tools.cli.jobs import failure_text, for_each, workers
 from car_interface.tools.cli.main import version
-from car_interface.tools.cli.options import add_recording_arguments, topics_of
+from car_interface.tools.cli.options import add_recording_arguments, add_scheduler_argument, topics_of
 from car_interface.tools.report.drives_page import csv_text, in_order, page
 from car_interface.tools.report.drives_plots import trends
 from car_interface.tools.report.drives_row import VERSION, Row, row
@@ -30,6 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="the page; the CSV is written beside it (default: FOLDER/drives.html)")
     parser.add_argument("--fresh", action="store_true", help="read all recordings again")
     add_recording_arguments(parser, ROLES)
+    add_scheduler_argument(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -94,12 +95,15 @@ def _read_rows(options, topics, paths):
     known = {} if options.fresh else {path: cache.row(path, states[path]) for path in paths}
     new = [path for path in paths if known.get(path) is None]
     rows = [known[path] for path in paths if known.get(path) is not None]
+    # A worker on another computer has another current folder.
+    read = partial(_read, folder=os.path.abspath(options.folder), namespace=options.namespace, topics=topics)
     try:
-        for one in for_each(partial(_read, options=options, topics=topics), new, options.jobs):
-            rows.append(one)
-            cache.add(states[one.path], one)
-            if sys.stderr.isatty():
-                print(f"{len(rows)} of {len(paths)}: {one.path}", file=sys.stderr)
+        with workers(len(new), options.jobs, options.scheduler) as done_by:
+            for one in for_each(read, new, done_by):
+                rows.append(one)
+                cache.add(states[one.path], one)
+                if sys.stderr.isatty():
+                    print(f"{len(rows)} of {len(paths)}: {one.path}", file=sys.stderr)
     finally:
         problem = cache.save(paths) if new or cache.problem or cache.damaged else ""
     if problem:
@@ -114,11 +118,11 @@ def _state(folder, path):
         return None
 
 
-def _read(path, options, topics):
+def _read(path, folder, namespace, topics):
     """Return the row of one recording; whatever is wrong with it becomes the row's error."""
-    full = os.path.join(options.folder, path)
+    full = os.path.join(folder, path)
     try:
-        return row(summarize(full, options.namespace, **topics), path)
+        return row(summarize(full, namespace, **topics), path)
     except Exception as error:  # one bad recording must not prevent the table of the others
         # It begins with the recording's name; a command to type keeps the whole path.
         return Row(path, error=failure_text(error, full, "no row can be made of it").replace(full, path, 1))

@@ -1,43 +1,140 @@
-"""Does the same work on several recordings at once, in processes."""
+"""Does the same work on several recordings at once: in processes, or on the workers of a dask cluster."""
 from __future__ import annotations
 
+import logging
+import multiprocessing
+import socket
+import threading
 from collections import deque
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from typing import Any, Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, Callable, Iterator, NamedTuple, Sequence
 
+from car_interface.common import memory_limit
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.library_warnings import hide_warnings
-from car_interface.common.memory_limit import describe_shortage
+from car_interface.tools.cli.main import version
 from car_interface.tools.recordings.overlap import check_no_overlap, check_paths_differ
 
+SCHEDULER_TIMEOUT_S = 10  # to connect, and to have a worker
+MAX_PENDING = 1000  # recordings at a time in a cluster: more than it has workers, and few for its scheduler
+WORKER_LOCK = threading.Lock()  # a worker may have several threads, and matplotlib is made for one
 
-def for_each(function: Callable[[Any], Any], items: Sequence[Any], jobs: int) -> Iterator[Any]:
-    """Yield ``function(item)``, which is pickled, for each item, in order; in processes, at most ``jobs`` at a time.
+
+class Workers(NamedTuple):
+    """Where the work is done."""
+
+    executor: Executor  # pickles functions, arguments and results, unless it works in this process
+    max_pending: int  # how much it is given at a time
+
+
+@contextmanager
+def workers(count: int, jobs: int, scheduler: str | None = None) -> Iterator[Workers]:
+    """Open what works on ``count`` recordings, and close it in the end.
+
+    Args:
+        jobs: how many processes there may be; with one of them this process does the work.
+        scheduler: address of a dask cluster's, which does the work in their place.
 
     Raises:
-        CarInterfaceError: a process was killed; besides whatever the function raises.
+        CarInterfaceError: a process was killed, or the cluster doesn't do the work.
     """
-    if jobs == 1 or len(items) < 2:
-        yield from map(function, items)
-        return
-    # As many as there are processes: pending work would have to be cancelled when other work fails, and in Python 3.8
-    # a pool that has only cancelled work left never ends.
-    with ProcessPoolExecutor(min(jobs, len(items)), initializer=hide_warnings) as pool:
-        results: deque = deque()
+    jobs = min(jobs, count)
+    if scheduler is not None and count:
+        with _cluster(scheduler) as executor:
+            yield Workers(executor, MAX_PENDING)
+    elif jobs < 2:
+        yield Workers(_InTurn(), 1)
+    else:
+        # A fork of this process would copy the locks of its threads: numpy's OpenBLAS has some.
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(jobs, context, initializer=_prepare_process) as executor:
+            try:
+                # As many as there are processes: pending work would have to be cancelled when other work fails, and in
+                # Python 3.8 a pool that has only cancelled work left never ends.
+                yield Workers(executor, jobs)
+            except BrokenProcessPool as error:
+                raise CarInterfaceError("a process that read a recording was killed, maybe for want of memory: "
+                                        "try again with --jobs 1") from error
+
+
+def for_each(function: Callable[[Any], Any], items: Sequence[Any], done_by: Workers) -> Iterator[Any]:
+    """Yield ``function(item)`` for each item, in order; raise whatever the function raises."""
+    results: deque = deque()
+    for item in items:
+        running = [result for result in results if not result.done()]
+        if len(running) == done_by.max_pending:
+            wait(running, return_when=FIRST_COMPLETED)
+        results.append(done_by.executor.submit(function, item))
+        while results and results[0].done():
+            yield results.popleft().result()
+    while results:
+        yield results.popleft().result()
+
+
+class _InTurn(Executor):
+    """Does the work at once, in this process."""
+
+    def submit(self, function, *arguments):
+        done: Future = Future()
         try:
-            for item in items:
-                running = [result for result in results if not result.done()]
-                if len(running) == jobs:
-                    wait(running, return_when=FIRST_COMPLETED)
-                results.append(pool.submit(function, item))
-                while results and results[0].done():
-                    yield results.popleft().result()
-            while results:
-                yield results.popleft().result()
-        except BrokenProcessPool as error:
-            raise CarInterfaceError("a process that read a recording was killed, maybe for want of memory: "
-                                    "try again with --jobs 1") from error
+            done.set_result(function(*arguments))
+        except Exception as error:
+            done.set_exception(error)
+        return done
+
+
+class _OnCluster(Executor):
+    """Does the work on a cluster's workers, by the version that is here."""
+
+    def __init__(self, executor):
+        self._executor, self._version = executor, version()
+
+    def submit(self, function, *arguments):
+        return self._executor.submit(_on_worker, self._version, function, *arguments)
+
+
+def _on_worker(expected, function, *arguments):
+    if version() != expected:  # its rows would be others
+        raise CarInterfaceError(f"the worker on {socket.gethostname()} has car_interface {version()}, here is "
+                                f"{expected}: install the same on both")
+    with WORKER_LOCK:
+        return function(*arguments)
+
+
+def _prepare_process():
+    """Do in a new process what ``main`` has done in this one."""
+    hide_warnings()
+    memory_limit.adapt()
+
+
+@contextmanager
+def _cluster(address) -> Iterator[Executor]:
+    """Yield the executor of a dask cluster. It gives the work of a worker that was lost to another one."""
+    import distributed  # an extra of setup.py
+
+    logging.disable(logging.CRITICAL)  # what it logs, by loggers with levels of their own, ends as one line of ours
+    place = f"--scheduler {address}"
+    try:
+        client = distributed.Client(address, timeout=SCHEDULER_TIMEOUT_S, set_as_default=False)
+    except (OSError, TimeoutError, ValueError) as error:  # of an address, too
+        raise CarInterfaceError(f"{place}: no scheduler of a dask cluster answers there") from error
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=SCHEDULER_TIMEOUT_S)
+        except Exception as error:  # its TimeoutError is another one in each version
+            raise CarInterfaceError(f"{place}: it has no worker: start one by dask worker {address}") from error
+        try:
+            yield _OnCluster(client.get_executor(pure=False))
+        except distributed.KilledWorker as error:
+            raise CarInterfaceError(f"{place}: several workers were killed by one recording, maybe for want of "
+                                    "memory") from error
+        except CancelledError as error:
+            raise CarInterfaceError(f"{place}: it has ended before its work was done") from error
+        except ModuleNotFoundError as error:
+            raise CarInterfaceError(f"{place}: a worker lacks {error.name}: install car_interface[tools,cluster] on "
+                                    "each") from error
 
 
 def failure_text(error: Exception, path: str, refusal: str) -> str:
@@ -46,7 +143,7 @@ def failure_text(error: Exception, path: str, refusal: str) -> str:
         return str(error)
     if isinstance(error, OSError):
         return f"{error.filename or path}: {error.strerror}"
-    why = describe_shortage(error) or f"{type(error).__name__}: {' '.join(str(error).split())}"
+    why = memory_limit.describe_shortage(error) or f"{type(error).__name__}: {' '.join(str(error).split())}"
     return f"{path}: {refusal} ({why})"
 
 
@@ -57,6 +154,7 @@ def load_all(load: Callable[[str], Any], paths: Sequence[str], jobs: int) -> lis
         NoRecording: two have the same driving in them; besides whatever ``load`` raises.
     """
     check_paths_differ(paths)
-    loaded = list(for_each(load, paths, jobs))
+    with workers(len(paths), jobs) as done_by:
+        loaded = list(for_each(load, paths, done_by))
     check_no_overlap([one.trail for one in loaded])
     return loaded

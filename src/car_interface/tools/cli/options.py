@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 from typing import Sequence
 
 from car_interface.common.errors import ConfigError
@@ -50,6 +51,14 @@ def add_recording_arguments(parser: argparse.ArgumentParser, roles: Sequence[Rol
     parser.set_defaults(role_names=tuple(role.name for role in roles))
 
 
+def add_scheduler_argument(parser: argparse.ArgumentParser) -> None:
+    """Add the option ``--scheduler``."""
+    parser.add_argument("--scheduler", type=_address, metavar="tcp://HOST:PORT",
+                        help="of a dask.distributed cluster, whose workers read the recordings in place of this "
+                             "computer's processes; each sees them under the same path, and has the same version of "
+                             "this package")
+
+
 def topics_of(options: argparse.Namespace, **named: str | None) -> dict[str, str]:
     """Return the topics that the user named, by role.
 
@@ -79,6 +88,12 @@ def check_channel(name: str, channel: int | None, accepted: str = "a channel of 
     """Raise ConfigError, naming the option, when there is no such channel; ``None`` = not given."""
     if channel is not None and not 0 <= channel < CHANNELS:
         raise ConfigError(name, channel, accepted)
+
+
+def _address(text):
+    if not re.fullmatch(r"t(cp|ls)://\S+:\d+", text):  # dask waits for ever on a kind that it doesn't know
+        raise argparse.ArgumentTypeError(f"{text!r} is no address such as tcp://192.168.1.5:8786")
+    return text
 
 
 def _count(text):

@@ -68,7 +68,7 @@ def check_nodes(nodes: Sequence[Node], namespace: str, others: Sequence[str] = (
     found += [Finding(BAD, "nodes", f"{process} is registered, but doesn't answer: it hangs, or its ROS_IP can't be "
                                     "reached from here",
                       "If it hangs: end its process, or start the launch file again. If it's on another computer: "
-                      "set ROS_IP there to an address that can be reached from here")
+                      "set ROS_IP there to an address that can be reached from here", by_silence=True)
               for process in _processes(nodes, SILENT)]
     launch = _launch_command(nodes, namespace)
     killed = _processes(nodes, KILLED)
@@ -109,7 +109,7 @@ def check_steering(states: Sequence[Any], node: Node) -> list[Finding]:
     """Return who drives and why, by each SteeringState that came; a single one may be latched by a node that ended."""
     if len(states) < 2:
         return [Finding(BAD, "steering", f"{node.path} says nothing of who drives; it hangs",
-                        restart_remedy(node.process))]
+                        restart_remedy(node.process), by_silence=True)]
     state = states[-1]
     return [Finding(OK, "steering", f"{source_name(state.source)}: {state.reason}; duty {state.duty}")]
 
@@ -141,7 +141,7 @@ def check_diagnostics(reports: Sequence[Report], namespace: str, reporting: Sequ
               for report in ours if report.level != OK and report.name not in reported]
     names = [report.name for report in all_ours]
     return found + [Finding(BAD, "reports", f"{path} runs, but doesn't report on /diagnostics",
-                            f"See whether it hangs: rosnode ping {path}")
+                            f"See whether it hangs: rosnode ping {path}", by_silence=True)
                     for path in reporting if not any(name.startswith(f"{path.strip('/')}: ") for name in names)]
 
 

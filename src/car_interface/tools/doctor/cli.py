@@ -7,6 +7,7 @@ alone that a node or another program uses.
 Options:
     --port, --i2c, --address: the devices; by default those that the nodes' parameters name, else those of car.launch.
     --ns: the car's namespace; by default ROS_NAMESPACE, else that of the car that runs.
+    --probe: look for a servo board on the other I²C buses of this computer, too.
 """
 from __future__ import annotations
 
@@ -18,8 +19,9 @@ import sys
 import time
 from typing import Iterator
 
+from car_interface.pca9685.config import AUTO, VIRTUAL
 from car_interface.tools.doctor.board import ADDRESSES
-from car_interface.tools.doctor.examination import VIRTUAL, Task, examine
+from car_interface.tools.doctor.examination import Task, examine
 from car_interface.tools.doctor.findings import BAD, Finding, render, summarise, worst
 
 TOPICS = "car_interface.tools.doctor.topics"  # imported only when there is a master: it imports rospy
@@ -31,10 +33,12 @@ def read_options(arguments: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="doctor", description="Looks for what is wrong with this car. Exit code: 0 ok, 1 warnings, 2 bad.")
     parser.add_argument("--port", help="the Teensy's serial port")
-    parser.add_argument("--i2c", dest="bus", help=f"the servo board's bus: a path, a number, or {VIRTUAL}")
+    parser.add_argument("--i2c", dest="bus", help=f"the servo board's bus: a path, a number, {AUTO}, or {VIRTUAL}")
     parser.add_argument("--address", type=lambda text: int(text, 0), help="the servo board's address, such as 0x40")
     parser.add_argument("--ns", dest="namespace", default=os.environ.get("ROS_NAMESPACE"),
                         help="the car's namespace; by default that of the car that runs")
+    parser.add_argument("--probe", action="store_true",
+                        help="look for a servo board on all I2C buses; chips of the computer's own are asked, too")
     options = parser.parse_args([argument for argument in arguments if ":=" not in argument])
     if options.address is not None and options.address not in ADDRESSES:
         parser.error(f"--address is 0x{options.address:02x}; accepted: 0x{ADDRESSES[0]:02x} to 0x{ADDRESSES[-1]:02x}")

@@ -14,6 +14,8 @@ import time
 from typing import NamedTuple, Sequence
 
 from car_interface.common.device_access import SETUP_REMEDY, Membership, read_membership
+from car_interface.common.header import read_header
+from car_interface.pca9685.config import AUTO
 from car_interface.teensy.link.console import is_consoles
 from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
 
@@ -21,14 +23,20 @@ PLAUSIBLE_YEARS = range(2024, 2100)
 TIME_ERROR = 5  # what adjtimex returns while the clock is not synchronised: adjtimex(2)
 TIMEX_SIZE = 512  # more than struct timex on any computer
 
+
+def install(name: str) -> str:
+    """Return the command that installs a ROS package, in the distribution that this terminal has sourced."""
+    distribution = os.environ.get("ROS_DISTRO", "Debian")  # as Debian's own packages call it
+    prefix = "python3" if distribution == "Debian" else f"ros-{distribution}"
+    return f"sudo apt install {prefix}-{name.replace('_', '-')}"
+
+
 # What nodes import: how it's distributed, and what installs it.
 LIBRARIES = (
-    ("rospy", "rospy", "Source the workspace; or sudo apt install ros-noetic-rospy (Debian: python3-rospy)"),
+    ("rospy", "rospy", f"Source the workspace; or {install('rospy')}"),
     ("car_interface.msg", "", "Build the workspace and source it: catkin_make && source devel/setup.bash"),
-    ("diagnostic_updater", "diagnostic_updater",
-     "sudo apt install ros-noetic-diagnostic-updater (Debian: python3-diagnostic-updater)"),
-    ("dynamic_reconfigure", "dynamic_reconfigure",
-     "sudo apt install ros-noetic-dynamic-reconfigure (Debian: python3-dynamic-reconfigure)"),
+    ("diagnostic_updater", "diagnostic_updater", install("diagnostic_updater")),
+    ("dynamic_reconfigure", "dynamic_reconfigure", install("dynamic_reconfigure")),
     ("evdev", "evdev", "sudo apt install python3-evdev"),
     ("serial", "pyserial", "sudo apt install python3-serial"),
     ("smbus2", "smbus2", "sudo apt install python3-smbus2 (Ubuntu 20.04: pip3 install smbus2)"),
@@ -55,10 +63,12 @@ class Need(NamedTuple):
 def probe_groups(port: str, bus: str, virtual_port: bool, virtual_bus: bool) -> list[Finding]:
     """Check whether this process is in the groups of the devices that the car uses."""
     needs = []
+    # Of a device that is missing, that is the first thing to be told as bad.
     if not virtual_port:
-        needs.append(Need(group_of(port, "dialout"), "the Teensy's port", BAD))
+        needs.append(Need(group_of(port, "dialout"), "the Teensy's port", BAD if os.path.exists(port) else WARN))
     if not virtual_bus:
-        needs.append(Need(group_of(bus, "i2c"), "the servo board's bus", BAD))
+        path = read_header().bus_paths[0] if bus == AUTO else bus
+        needs.append(Need(group_of(path, "i2c"), "the servo board's bus", BAD if os.path.exists(path) else WARN))
     if any(not os.access(path, os.R_OK) for path in glob.glob("/dev/input/js*")):
         needs.append(Need("input", "the gamepad", WARN))
     return check_groups(read_membership(), list(dict.fromkeys(needs)))
@@ -145,9 +155,7 @@ def probe_versions() -> list[Finding]:
             good.append(f"{name} {version}".strip())
     for name in MESSAGES:
         if not _is_installed(name):
-            package = name.replace("_", "-")
-            found.append(Finding(BAD, "versions", f"{name} can't be imported",
-                                 f"sudo apt install ros-noetic-{package} (Debian: python3-{package})"))
+            found.append(Finding(BAD, "versions", f"{name} can't be imported", install(name)))
     return [Finding(OK, "versions", ", ".join(good)), *found]
 
 

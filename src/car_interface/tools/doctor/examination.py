@@ -10,13 +10,15 @@ import time
 from argparse import Namespace
 from typing import Any, Callable, Iterator, NamedTuple
 
+from car_interface.common.device_access import STABLE_PORT
 from car_interface.common.errors import ConfigError
 from car_interface.common.package_files import package_file
 from car_interface.common.params import Params
+from car_interface.pca9685.config import AUTO, VIRTUAL
 from car_interface.pca9685.registers import prescale_for
 from car_interface.teensy.link.health import CLOCK_REPORT, LINK_REPORT
 from car_interface.teleop.gamepad import REPORT as GAMEPAD_REPORT
-from car_interface.tools.doctor.board import probe_board
+from car_interface.tools.doctor.board import BoardSettings, probe_board
 from car_interface.tools.doctor.car import (
     ABSENT,
     SILENT,
@@ -33,20 +35,38 @@ from car_interface.tools.doctor.car import (
     find_cars,
 )
 from car_interface.tools.doctor.computer import probe_clock, probe_groups, probe_packages, probe_versions
-from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, worst
 from car_interface.tools.doctor.gamepad import check_gamepad
 from car_interface.tools.doctor.master import NODES, Graph, Master, read_files, read_parameters
 from car_interface.tools.doctor.network import probe_network
 from car_interface.tools.doctor.port import check_link, check_virtual_port, is_pseudo_terminal, probe_port
 
-VIRTUAL = "virtual"
-STABLE_PORT, USUAL_PORT, USUAL_BUS, USUAL_ADDRESS = "/dev/teensy_sensor_hub", "/dev/ttyAMA0", "/dev/i2c-1", 0x40
-USUAL_BAUD = 115200
+USUAL_PORT, USUAL_BAUD, USUAL_ADDRESS = "/dev/ttyAMA0", 115200, 0x40
 # Names and addresses, then the nodes, then all the rest at the same time: 9 s at most.
 NETWORK_S, SURVEY_S, PROBES_S = 2.0, 2.0, 4.5
 REPORTING = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "throttle_arb", "planner_interface",
              "teleop_logi")
 NO_GRAPH = Graph({}, frozenset())
+BOARD_REPORT = "servo board"  # the pca9685 node's on /diagnostics
+TICK_S = 0.02
+
+
+class PaceWatch:
+    """Notices whether this computer is too busy for the doctor's time limits to mean anything."""
+
+    def __init__(self):
+        self._start_s = time.monotonic()
+        self._ticks = 0
+        threading.Thread(target=self._count, name="pace", daemon=True).start()
+
+    def _count(self):
+        while True:
+            time.sleep(TICK_S)
+            self._ticks += 1
+
+    def is_busy(self) -> bool:
+        """Return whether a thread that sleeps got less than half of its turns."""
+        return 2 * TICK_S * self._ticks < time.monotonic() - self._start_s - TICK_S
 
 
 class Task:
@@ -72,7 +92,7 @@ class Task:
         while not self._ended.wait(0.02):
             if time.monotonic() >= deadline_s:
                 return default, [Finding(BAD, self._subject, "no answer in time: given up",
-                                         "See whether this computer is overloaded or a device hangs: top, dmesg")]
+                                         "See whether a device hangs: dmesg", by_silence=True)]
         if self._fault is not None:
             return default, [Finding(BAD, self._subject, f"the doctor couldn't look at it: {type(self._fault).__name__}"
                                                          f": {self._fault}", "See the line of the versions first")]
@@ -93,9 +113,7 @@ class Car(NamedTuple):
     port: str
     baud: int
     bus: str
-    address: int
-    prescale: int | None
-    oscillator_hz: float
+    board: BoardSettings
     port_is_the_nodes: bool  # whether the port is the one that the hub uses
     port_is_virtual: bool  # whether it's the one that car_sim makes
     joy_is_published: bool
@@ -130,6 +148,7 @@ def survey(master: Master | None, options: Namespace) -> Car:
     of_hub = _text(hub, "port")
     port = options.port or of_hub or (STABLE_PORT if os.path.exists(STABLE_PORT) else USUAL_PORT)
     prescale, oscillator_hz = _prescale(board)
+    is_driven = any(node.runs and node.name == "pca9685" for node in nodes)
     return Car(
         namespace=namespace, others=[car for car in cars if car != namespace],
         was_chosen=options.namespace is not None or namespace in cars or not cars,
@@ -138,9 +157,9 @@ def survey(master: Master | None, options: Namespace) -> Car:
         nodes=nodes,
         uses_sim_time=bool(master and master.parameter("/use_sim_time")),
         port=port, baud=_number(hub, "baud", USUAL_BAUD),
-        bus=_bus(options.bus or _text(board, "device") or _number(board, "device", USUAL_BUS)),
-        address=options.address or _number(board, "address", USUAL_ADDRESS),
-        prescale=prescale, oscillator_hz=oscillator_hz,
+        bus=options.bus and _bus(options.bus) or _bus_of(board),
+        board=BoardSettings(options.address or _number(board, "address", USUAL_ADDRESS), prescale, is_driven,
+                            oscillator_hz),
         port_is_the_nodes=bool(of_hub) and os.path.realpath(port) == os.path.realpath(of_hub))
 
 
@@ -167,6 +186,12 @@ def _number(params, name, default):
         return default
 
 
+def _bus_of(board):
+    """Return the bus of the pca9685 node's parameters: what they name, or AUTO has found."""
+    device = _text(board, "device") or _number(board, "device", AUTO)
+    return _text(board, "auto_device") or AUTO if device == AUTO else _bus(device)
+
+
 def _bus(device):
     return f"/dev/i2c-{device}" if str(device).isdigit() else device
 
@@ -185,6 +210,12 @@ def _prescale(board):
 
 def examine(options: Namespace) -> Iterator[Finding]:
     """Yield all findings, in the order in which they're best remedied."""
+    pace = PaceWatch()
+    for finding in _examine(options):
+        yield finding.on_busy_computer() if pace.is_busy() else finding
+
+
+def _examine(options):
     uri = os.environ.get("ROS_MASTER_URI", "")
     master = Master(uri)
     versions = Task("versions", probe_versions)
@@ -205,8 +236,7 @@ def examine(options: Namespace) -> Iterator[Finding]:
     parameters = Task("parameters", _read_all, master, car) if is_there else None
     hub = car.runs("teensy_sensor_hub") if car.port_is_the_nodes else None
     port = None if hub or car.lacks_simulator else Task("port", probe_port, car.port, car.baud)
-    board = None if virtual_bus else Task("bus", probe_board, car.bus, car.address, car.prescale,
-                                          car.runs("pca9685") is not None, car.oscillator_hz)
+    board = None if virtual_bus else Task("bus", probe_board, car.bus, car.board, options.probe)
     reporting = [node.path for node in map(car.runs, REPORTING) if node]
     topics = Task("topics", _listen_to_topics, master, car, hub, reporting) if reporting else None
 
@@ -226,13 +256,16 @@ def examine(options: Namespace) -> Iterator[Finding]:
         yield from port.findings(deadline_s)
     elif topic_reports:
         yield from check_link(topic_reports.link, car.port, hub)
-    yield from board.findings(deadline_s) if board else [_virtual_board(car, is_there)]
+    of_board = board.findings(deadline_s) if board else [_virtual_board(car, is_there)]
+    yield from of_board
     yield from topics_trouble
     if topic_reports:
         if car.runs("turn_arb"):
             yield from check_steering(topic_reports.steering, car.runs("turn_arb"))
         yield from check_command_topics(topic_reports.reports, car.namespace)
         covered = _covered(hub, topic_reports.link)
+        if car.runs("pca9685") and worst(of_board) == BAD:
+            covered = [*covered, f"{car.runs('pca9685').path.strip('/')}: {BOARD_REPORT}"]
         if topic_reports.gamepad:
             yield from check_gamepad(topic_reports.gamepad)
             covered = [*covered, f"{topic_reports.gamepad.node.strip('/')}: {GAMEPAD_REPORT}"]

@@ -10,7 +10,7 @@ from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
 
 SUBJECT = "gamepad"
 MISSED = 2  # messages in a row that may be lost before the deadman is released, at least
-AUTOREPEAT = "Set joy_node's autorepeat_rate to 20, as teleop_logi.launch gamepad:=true does: {joy} must come at 20 Hz"
+AUTOREPEAT = "Set its driver's autorepeat_rate to 20, as launching with gamepad:=true does: {joy} must come at 20 Hz"
 
 LET_GO = "Let go of both deadman buttons once, then hold one"
 
@@ -63,7 +63,7 @@ def _nothing_came(gamepad):
     if not gamepad.publishers:
         said = f" ({gamepad.reason})" if gamepad.reason else ""
         return Finding(WARN, SUBJECT, f"no node publishes {topic}, so that no deadman can be held{said}",
-                       "Start joy_node: roslaunch car_interface car.launch gamepad:=true. With the virtual car: rosrun "
+                       "Launch the car with gamepad:=true, which starts its driver. With the virtual car: rosrun "
                        "car_interface keyboard_drive")
     return Finding(WARN, SUBJECT, f"{', '.join(gamepad.publishers)} publishes {topic}, but nothing came",
                    f"{remedy(causes.JOY_NEVER_RECEIVED, topic)}. {AUTOREPEAT.format(joy=topic)}, also while nothing "

@@ -8,6 +8,7 @@ import time
 from typing import Any, Sequence
 
 from car_interface.common.device_access import SETUP_COMMAND
+from car_interface.common.header import port_note, read_header
 from car_interface.common.processes import openers
 from car_interface.common.units import NS_PER_MS, NS_PER_S
 from car_interface.common.vehicle_geometry import SONARS
@@ -57,6 +58,9 @@ def probe_port(port: str, baud: int):
     finally:
         link.close()
     kind = "a pseudo-terminal: a virtual Teensy" if is_pseudo_terminal(port) else "a serial port, and nobody has it"
+    note = port_note(port, read_header())
+    if note and teensy.level == BAD:
+        teensy = teensy._replace(remedy=f"{port}: {note}. {teensy.remedy}")
     return [Finding(OK, "port", f"{port} is {kind}"), teensy]
 
 
@@ -137,7 +141,7 @@ def check_link(link: Any, port: str, node: Node) -> list[Finding]:
     """Judge port and link by the running hub's LinkStatus; ``None`` = no message came."""
     if link is None:
         return [Finding(BAD, "Teensy", f"{node.path} runs, but its topic link is silent: it hangs",
-                        restart_remedy(node.process))]
+                        restart_remedy(node.process), by_silence=True)]
     if link.state in PORT_FAULTS:
         return [Finding(min(link.level, BAD), "port", f"{port}: {link.words}",
                         link.next_step or f"rostopic echo {node.path}/link")]

@@ -7,6 +7,8 @@ else from being done, and makes the exit code 1.
 Options:
     --dry-run: only show the commands.
     --user: whom to give access; by default who runs this, also by sudo.
+    --autostart config:=FOLDER …: have systemd start car.launch with these arguments at each boot; nothing else is done.
+    --remove: undo that.
 """
 from __future__ import annotations
 
@@ -19,14 +21,17 @@ import shlex
 import shutil
 import subprocess
 import sys
+import tempfile
 from typing import NamedTuple, Sequence
 
+from car_interface.common.device_access import GROUPS, STABLE_PORT
 from car_interface.common.errors import CarInterfaceError
+from car_interface.common.header import UNKNOWN, Header, read_header
 from car_interface.common.package_files import package_file
+from car_interface.tools.host_setup.autostart import UNIT, UNIT_PATH, read_launch, unit_text
 
 RULES_NAME = "70-car-interface.rules"
 RULES_FOLDER = "/etc/udev/rules.d"
-GROUPS = ("dialout", "i2c", "input")  # the Teensy's port, the servo board's bus, the gamepad
 ROOT = "root"
 # A user's PATH often lacks these, where the commands are.
 SYSTEM_PATH = "/usr/sbin:/sbin:/usr/bin:/bin"
@@ -40,6 +45,8 @@ class Computer(NamedTuple):
     joined: frozenset  # those that /etc/group puts the user in
     has_udev: bool  # whether udevadm is there; containers have none
     rules_are_new: bool  # whether the installed rules are the package's
+    header: Header = UNKNOWN  # of this computer
+    has_bus: bool = True  # whether the header's I²C bus is there
 
 
 class SetupStep(NamedTuple):
@@ -87,8 +94,20 @@ def remarks(computer: Computer, steps: Sequence[SetupStep]) -> list[str]:
         lines.append("There is no udevadm here, as in a container: the udev rule was left out. Run this on the "
                      "computer itself, too; it makes the devices that a container is given.")
     elif "install" in done:
-        lines.append("The Teensy is now also /dev/teensy_sensor_hub. If ModemManager had it open, plug it in anew.")
-    return lines
+        lines.append(f"The Teensy is now also {STABLE_PORT}. If ModemManager had it open, plug it in anew.")
+    return lines + describe_header(computer)
+
+
+def describe_header(computer: Computer) -> list[str]:
+    """Return what the pins of a known computer's header are, and what they need."""
+    header = computer.header
+    if not header.computer:
+        return []
+    missing = "" if computer.has_bus else f", which is missing. {header.bus_remedy}"
+    note = header.ports.get(header.port, "")
+    return [f"This is a {header.computer}: pins 3 and 5 are {header.bus_paths[0]}{missing}",
+            f"A Teensy on pins 8 and 10 is on {header.port}" + (f": {note}" if note else "")
+            + f". If a log-in console has that: {header.console_remedy}"]
 
 
 def read_computer(user: str, rules: str) -> Computer:
@@ -98,7 +117,8 @@ def read_computer(user: str, rules: str) -> Computer:
     return Computer(
         user=user, groups=frozenset(group.gr_name for group in groups),
         joined=frozenset(group.gr_name for group in groups if user in group.gr_mem or group.gr_gid == primary),
-        has_udev=shutil.which("udevadm", path=SYSTEM_PATH) is not None, rules_are_new=_same(rules))
+        has_udev=shutil.which("udevadm", path=SYSTEM_PATH) is not None, rules_are_new=_same(rules),
+        header=read_header(), has_bus=os.path.exists(read_header().bus_paths[0]))
 
 
 def _same(rules):
@@ -127,27 +147,84 @@ def as_root(command) -> list[str]:
     return list(command) if os.geteuid() == 0 else ["sudo", *command]
 
 
-def main():
-    """Run the set-up."""
+def plan_autostart(unit: str) -> list[SetupStep]:
+    """Return the steps that install a unit, which was written to a file."""
+    return [SetupStep(f"install {UNIT_PATH}", ("install", "--mode=644", unit, UNIT_PATH)),
+            SetupStep("have systemd read it", ("systemctl", "daemon-reload")),
+            SetupStep("have it start at each boot", ("systemctl", "enable", UNIT))]
+
+
+def plan_removal() -> list[SetupStep]:
+    """Return the steps that undo ``plan_autostart``, and stop what it started."""
+    return [SetupStep("stop it, and start it no more", ("systemctl", "disable", "--now", UNIT)),
+            SetupStep(f"remove {UNIT_PATH}", ("rm", UNIT_PATH)),
+            SetupStep("have systemd forget it", ("systemctl", "daemon-reload"))]
+
+
+AUTOSTART_REMARK = f"""\
+The car starts at the next boot; now: sudo systemctl restart {UNIT}
+What it says: journalctl --follow --unit {UNIT}
+It doesn't drive by itself: a deadman counts once it was seen released, and then while it is held."""
+
+
+def read_options(arguments: Sequence[str]) -> argparse.Namespace:
+    """Return the command line; ``launch`` has what is for car.launch, or remappings that roslaunch adds."""
     parser = argparse.ArgumentParser(prog="setup_hardware",
                                      description="Gives a user access to the car's serial port, I2C bus and gamepad.")
     parser.add_argument("--dry-run", action="store_true", help="only show what would be done")
     parser.add_argument("--user", help="whom to give access, if not you")
-    options = parser.parse_args([argument for argument in sys.argv[1:] if ":=" not in argument])
-    user = options.user or os.environ.get("SUDO_USER") or pwd.getpwuid(os.getuid()).pw_name
+    parser.add_argument("--autostart", action="store_true",
+                        help="have systemd start car.launch at each boot, with the NAME:=VALUE given here")
+    parser.add_argument("--remove", action="store_true", help="undo --autostart")
+    options = parser.parse_args([argument for argument in arguments if ":=" not in argument])
+    options.launch = [argument for argument in arguments if ":=" in argument and not argument.startswith("__")]
+    options.user = options.user or os.environ.get("SUDO_USER") or pwd.getpwuid(os.getuid()).pw_name
+    return options
+
+
+def main():
+    """Run the set-up."""
+    options = read_options(sys.argv[1:])
     try:
-        rules = str(package_file(f"udev/{RULES_NAME}"))
-        computer = read_computer(user, rules)
+        pwd.getpwnam(options.user)
+        (_set_autostart if options.autostart or options.remove else _set_up)(options)
     except CarInterfaceError as error:
         sys.exit(str(error))
     except KeyError:
-        sys.exit(f"there is no user {user}")
+        sys.exit(f"there is no user {options.user}")
+
+
+def _set_up(options):
+    rules = str(package_file(f"udev/{RULES_NAME}"))
+    computer = read_computer(options.user, rules)
     steps = plan(computer, rules)
-    done = [step for step in steps if run_step(step, options.dry_run)]
     if not steps:
         print("Nothing to do: it's all there.")
-    for remark in remarks(computer, done):
-        print(remark)
+    _run(steps, options.dry_run, lambda done: remarks(computer, done))
+
+
+def _set_autostart(options):
+    if shutil.which("systemctl", path=SYSTEM_PATH) is None:
+        raise CarInterfaceError("there is no systemctl here, as in a container: nothing could start the car at boot")
+    if options.remove:
+        if os.path.exists(UNIT_PATH):
+            _run(plan_removal(), options.dry_run, lambda done: [])
+        else:
+            print(f"Nothing to do: there is no {UNIT_PATH}.")
+        return
+    text = unit_text(read_launch(options.user, options.launch, os.environ, str(package_file("launch/car.launch"))))
+    print(text)
+    with tempfile.NamedTemporaryFile("w", prefix=UNIT, encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        _run(plan_autostart(file.name), options.dry_run, lambda done: [AUTOSTART_REMARK])
+
+
+def _run(steps, is_dry, describe):
+    """Run the steps, and print what ``describe`` returns for those that were done; exit with what failed."""
+    done = [step for step in steps if run_step(step, is_dry)]
     failed = [step.what for step in steps if step not in done and not step.may_fail]
+    for remark in describe(done):
+        print(remark)
     if failed:
         sys.exit(f"Not done: {'; '.join(failed)}. Running this again does what is left.")

@@ -22,6 +22,9 @@ BREAK_S = 10.0  # from what was recorded before such a step to what was recorded
 MIN_GRAVITY_MPS2 = 5.0  # less on the average: something has taken it off already
 UPRIGHT = 0.8  # the cosine of the largest tilt of an upright IMU
 MAX_STAMP_OFFSET_S = 2.0  # a stamp farther from when its message was recorded is wrong
+# An odometry whose twist is always 0 has none if its pose moves by more than motion capture's noise.
+MIN_MOVED_M, POSE_WINDOW_S = 0.1, 0.1  # in a circle of 1 m at 2.5 m/s the window's chord is 0.3 % short
+POSE_ONLY = "its twist is 0 throughout while its pose moves: speed and turn rate are taken from the pose"
 REPEATED_S = 0.5  # how often an output that doesn't change is kept
 MAX_NUMBER = 1e9  # in m, m/s, rad or m/s²: no car's, and the sums of its squares would overflow
 STAMP_BACK, ODD_STAMP, NOT_FINITE, WRONG_LENGTH = (
@@ -171,13 +174,30 @@ class StampedColumn(Column):
 class OdomColumn(StampedColumn):
     """nav_msgs/Odometry."""
 
+    def __init__(self, topic):
+        super().__init__(topic)
+        self._has_twist = False
+
     def row(self, message):
-        pose, twist = message.pose.pose, message.twist.twist
-        return (pose.position.x, pose.position.y, yaw_rad(pose.orientation), twist.linear.x, twist.angular.z)
+        pose = message.pose.pose
+        return pose.position.x, pose.position.y, yaw_rad(pose.orientation), message.twist.twist.linear.x
 
     def build(self):
         odom = Odom(*self._columns())
-        return odom._replace(yaw_rad=np.unwrap(odom.yaw_rad))
+        odom = odom._replace(yaw_rad=np.unwrap(odom.yaw_rad))
+        return odom._replace(speed_mps=_pose_speed_mps(odom)) if self._is_pose_only() else odom
+
+    def notes(self):
+        return [*super().notes(), *([f"{self.topic}: {POSE_ONLY}"] if self._is_pose_only() else [])]
+
+    def _add_more(self, message):
+        self._has_twist = self._has_twist or has_twist(message)
+
+    def _is_pose_only(self):
+        if self._has_twist or self.is_empty:
+            return False
+        _, x_m, y_m, *_ = self._columns()
+        return math.hypot(np.ptp(x_m), np.ptp(y_m)) > MIN_MOVED_M
 
 
 class ImuColumn(StampedColumn):
@@ -260,6 +280,12 @@ class CommandColumn(OutputColumn):
                 for duty, held in zip(duties, before)]
 
 
+def has_twist(message) -> bool:
+    """Return whether a nav_msgs/Odometry has a speed that isn't 0."""
+    linear = message.twist.twist.linear
+    return bool(linear.x or linear.y)
+
+
 def message_stamp_ns(message) -> int:
     """Return a message's stamp, of its header or its own; 0 when it has none."""
     stamp = message.header.stamp if hasattr(message, "header") else getattr(message, "stamp", None)
@@ -269,6 +295,15 @@ def message_stamp_ns(message) -> int:
 def ackermann_drive(message) -> Any:
     """Return the AckermannDrive in a message that may be stamped."""
     return message.drive if hasattr(message, "drive") else message
+
+
+def _pose_speed_mps(odom):
+    """Return the speed at each pose (N,), forward positive: how far it moves in the POSE_WINDOW_S around it."""
+    begin_s, end_s = (np.clip(odom.t_s + half_s, odom.t_s[0], odom.t_s[-1])
+                      for half_s in (-POSE_WINDOW_S / 2, POSE_WINDOW_S / 2))
+    dx, dy = (np.interp(end_s, odom.t_s, place) - np.interp(begin_s, odom.t_s, place) for place in (odom.x_m, odom.y_m))
+    # By the length, not by its part along the heading: a body of motion capture may be turned against the car.
+    return np.hypot(dx, dy) / (end_s - begin_s) * np.sign(dx * np.cos(odom.yaw_rad) + dy * np.sin(odom.yaw_rad))
 
 
 def _pitch_rad(message):

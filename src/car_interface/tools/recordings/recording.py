@@ -25,6 +25,10 @@ from car_interface.tools.recordings.rosbag1 import ChunkReader
 
 ROS2_SUFFIXES = (".db3", ".mcap")
 METADATA = "metadata.yaml"
+METADATA_KEY = b"rosbag2_bagfile_information"  # under which it has everything
+# What a file begins with, and is not without it, by its suffix; one of another suffix is taken for a ROS 1 bag.
+BEGINS = {".bag": (b"#ROSBAG V", "bag"), ".db3": (b"SQLite format 3\0", "SQLite database"),
+          ".mcap": (b"\x89MCAP", "MCAP file")}
 BAR_AFTER_S = 1.0
 MESSAGES_PER_CLOCK_CHECK = 256
 NESTED = re.compile(r"""\((["'])(.*?)\1,\)""")  # the arguments of another error, within rosbags' text of one
@@ -126,21 +130,31 @@ def absolute_names(recorded: Iterable[str], topics: Iterable[str], namespace: st
     return names
 
 
-def require(path: str, topics: Iterable[str], namespace: str = "/", why: str = "") -> None:
-    """Check that all topics were recorded, by their names as for ``read``.
+def require(path: str, topics: Sequence[str] | Mapping[str, str | Sequence[str]], namespace: str = "/",
+            why: str = "", hint: str = "") -> None:
+    """Check that all topics were recorded.
+
+    Args:
+        topics: as for ``read``; where a dict has types, only topics of them are offered for one that is missing.
+        why: what it is needed for.
+        hint: what to do, if there is a topic that can be offered.
 
     Raises:
-        NoRecording: names the first that wasn't, ``why`` it is needed, and topics with similar names.
+        NoRecording: names the first that wasn't recorded, and topics with similar names.
     """
     recorded = contents(path).topics
     found = set(absolute_names(recorded, topics, namespace).values())
     for topic in topics:
         if topic not in found:
+            accepted = topics[topic] if isinstance(topics, Mapping) else ()
+            accepted = (accepted,) if isinstance(accepted, str) else accepted
+            offered = [name for name, one in recorded.items() if not accepted or is_of_type(one.type, accepted)]
             last = topic.rstrip("/").rsplit("/", 1)[-1]
-            similar = [name for name in recorded if last in name][:5] or list(recorded)[:8]
+            similar = [name for name in offered if last in name][:5] or offered[:8]
             below = "" if namespace.strip("/") == "" else f" below {namespace}"
-            raise NoRecording(f"{path} has no topic {topic}{below}{', ' + why if why else ''}; it has "
-                              + (", ".join(similar) if similar else "none at all"))
+            none = f"none of type {' or '.join(map(_short, accepted))}" if recorded and accepted else "none at all"
+            raise NoRecording(f"{path} has no topic {topic}{below}{', ' + why if why else ''}"
+                              + (f"{hint}; it has {', '.join(similar)}" if similar else f"; it has {none}"))
 
 
 def check_types(path: str, topics: Mapping[str, str | Sequence[str]], namespace: str = "/") -> None:
@@ -215,6 +229,25 @@ def _check_exists(file):
         bags = sorted(str(inside) for inside in file.iterdir() if inside.suffix == ".bag")
         raise NoRecording(f"{file} can't be read as a recording: a ROS 2 bag's folder has a {METADATA}, this one "
                           + (f"doesn't; {bags[0]} may be what you mean" if bags else "doesn't (ros2 bag reindex)"))
+    problem = _folder_problem(file) if file.is_dir() else _beginning_problem(file, "it")
+    if problem:
+        raise NoRecording(f"{file} can't be read as a recording: {problem}")
+
+
+def _folder_problem(folder):
+    """Return what in a ROS 2 bag's folder is not what its name says, as a sentence, or an empty text."""
+    if METADATA_KEY not in (folder / METADATA).read_bytes():
+        return f"its {METADATA} isn't a ROS 2 bag's (ros2 bag reindex makes one)"
+    inside = sorted(file for file in folder.iterdir() if file.suffix in ROS2_SUFFIXES and file.is_file())
+    return next(filter(None, (_beginning_problem(file, file.name) for file in inside)), "")
+
+
+def _beginning_problem(file, name):
+    """Return what a file is not, as a sentence, or an empty text."""
+    begin, kind = BEGINS.get(file.suffix, BEGINS[".bag"])
+    with file.open("rb") as opened:
+        found = opened.read(len(begin))
+    return "" if found == begin else f"{name} is {f'no {kind}' if found else 'empty'}"
 
 
 def _reader(file):
@@ -243,10 +276,11 @@ def _error_text(file, error):
     is_ros1 = not file.is_dir() and file.suffix not in ROS2_SUFFIXES
     if is_ros1 and "not indexed" in text:
         return f"{file} was never closed: if its recorder still runs, end it by Ctrl-C; if it was killed: {reindex}"
-    if is_ros1 and isinstance(error, ReaderError1) and ("empty" in text or "magic" in text):
-        return f"{file} can't be read as a recording: it {'is empty' if 'empty' in text else 'is no bag'}"
-    if is_ros1:
-        return f"{file} is cut off or damaged ({text}): {reindex} saves what is left"
-    if not isinstance(error, (ReaderError2, OSError)):
-        text = f"it's cut off or damaged ({type(error).__name__}: {text}); ros2 bag reindex saves what is left"
+    if is_ros1 and "supported" not in text:
+        why = f" ({text})" if isinstance(error, ReaderError1) else ""  # another error's text is about Python
+        return f"{file} is cut off or damaged{why}: {reindex} saves what is left"
+    if not is_ros1 and not file.is_dir() and METADATA in text:
+        text = f"this version of rosbags reads it only in its folder with a {METADATA} (ros2 bag reindex makes one)"
+    elif not isinstance(error, (ReaderError1, ReaderError2, OSError)):
+        text = "it's cut off or damaged; ros2 bag reindex saves what is left"
     return f"{file} can't be read as a recording: {text}"

@@ -7,6 +7,7 @@ much, and where the car moves then, its pose by some mm; later neither.
 """
 from __future__ import annotations
 
+import warnings
 from typing import Iterable, Iterator
 
 from car_interface.common.units import stamp_ns
@@ -19,9 +20,10 @@ from car_interface.teensy.sensing.measurements import (
     RangeMeasurement,
 )
 from car_interface.tools.recordings.pulses import wheel
-from car_interface.tools.recordings.recording import Recorded
+from car_interface.tools.recordings.recording import NoRecording, Recorded
 
-TOPICS = ("teensy_clock", "teensy_distance", "teensy_wheel")
+MEASURED = {"teensy_distance", "teensy_wheel"}
+TOPICS = ("teensy_clock", *sorted(MEASURED))
 
 
 def replay(recorded: Iterable[Recorded],
@@ -29,12 +31,17 @@ def replay(recorded: Iterable[Recorded],
     """Yield the measurements in order, stamped on the monotonic clock of the computer that recorded.
 
     Args:
-        recorded: messages of ``TOPICS``, in order.
+        recorded: messages of ``TOPICS``, in order. A warning names those of which there is none.
+
+    Raises:
+        NoRecording: there is nothing to measure: no message of the wheels, none of the sonars.
     """
     measurements = Measurements(config)
     to_monotonic_ns = None  # from ROS time; known with the first pong
     pending = []  # records before that
+    missing = set(TOPICS)
     for time_ns, topic, message in recorded:
+        missing.discard(topic)
         if topic == "teensy_clock":
             to_monotonic_ns = message.received - stamp_ns(message.stamp)
             for earlier in pending:
@@ -48,6 +55,11 @@ def replay(recorded: Iterable[Recorded],
             yield from _measure(measurements, Recorded(time_ns, topic, message), to_monotonic_ns)
     for earlier in pending:  # the recording has no pong
         yield from _measure(measurements, earlier, 0)
+    if missing:
+        text = f"the recording has no message of {', '.join(sorted(missing))}"
+        if missing >= MEASURED:
+            raise NoRecording(f"{text}: there is nothing to replay")
+        warnings.warn(text, stacklevel=2)
 
 
 def _measure(measurements, recorded, to_monotonic_ns):

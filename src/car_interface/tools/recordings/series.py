@@ -18,7 +18,6 @@ class Odom(NamedTuple):
     y_m: np.ndarray
     yaw_rad: np.ndarray  # unwrapped
     speed_mps: np.ndarray  # forward positive
-    yaw_rate_radps: np.ndarray  # left positive
 
 
 class Output(NamedTuple):

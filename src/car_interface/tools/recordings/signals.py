@@ -105,7 +105,7 @@ def _columns(path, wanted, optional, topics, namespace):
             raise NoRecording(f"{path}: {note}")
         elif is_needed:
             hint = _hint(part) if topics.get(part) in (None, *role.topics) else ""
-            recording.require(path, [topic], namespace, f"the {part}: {role.what}{hint}")
+            recording.require(path, {topic: role.types}, namespace, f"the {part}: {role.what}", hint)
     if roles.OUTPUT.name in wanted | optional:
         columns.update(_output_column(path, recorded, roles.OUTPUT.name in wanted, topics, namespace))
         types.update((column.topic, roles.DUTY_TYPES) for part, column in columns.items() if part == roles.OUTPUT.name)
@@ -126,7 +126,8 @@ def _output_column(path, recorded, is_wanted, topics, namespace):
                 return {roles.OUTPUT.name: kind(topic)}
     if is_wanted or given:
         topic = (given or usual)[0][1][0]
-        recording.require(path, [topic], namespace, "" if given else f"{roles.OUTPUT.what}{_hint(roles.OUTPUT.name)}")
+        recording.require(path, {topic: roles.DUTY_TYPES}, namespace, *(
+            () if given else (roles.OUTPUT.what, _hint(roles.OUTPUT.name))))
         raise NoRecording(f"{path} has no messages of {topic}")
     return {}
 

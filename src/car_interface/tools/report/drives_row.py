@@ -9,7 +9,7 @@ from car_interface.steering.arbiter import PLANNER, TELEOP
 from car_interface.tools.report.faults import ERROR
 from car_interface.tools.report.summary import Summary
 
-VERSION = 2  # of a row's content: rows of another version are computed again
+VERSION = 3  # of a row's content: rows of another version are computed again
 MIN_SAMPLES = 30  # for a median
 COUNT_BITS = 64  # times in ns, and the counters of messages, have no more
 MAX_FIGURE = 1e12  # above any distance, duration or ratio that a car can have; page and plots can show so much

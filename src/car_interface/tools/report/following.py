@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 # The car is compared with what it was sent at speed, and in a real bend or straight on, a while after the last change.
 STEADY_S, MIN_CURVATURE_PER_M, STRAIGHT_PER_M, MIN_SPEED_MPS = 0.7, 0.1, 0.02, 0.3
-# Faster in a bend tyres widen it: by understeer of 0.0078 1/m for each (m/s²)², as measured on a 3.5 kg car, 0.018 1/m.
+# Faster in a bend tyres widen it: by an understeer of 0.009, as measured on a 3.5 kg car, 0.028 1/m.
 MAX_LATERAL_MPS2 = 1.5
 # From, to, a bin; what fits exactly, 1 or 0, is the middle of one. A ratio is never 0: radii have its inverse.
 RATIOS, OFFSETS_PER_M, OFFSETS_MPS2 = (0.001, 3.001, 0.002), (-1.0005, 1.0005, 0.001), (-5.005, 5.005, 0.01)

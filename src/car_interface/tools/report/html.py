@@ -60,8 +60,12 @@ def moment_text(time_s: float, duration_s: float) -> str:
 
 
 def span_text(time_s: float) -> str:
-    """Return a duration: 0.05 s, 12.5 s, 3 min 7 s, 1 h 2 min."""
-    if time_s < 100:
-        return f"{time_s:.2g} s" if time_s < 0.1 else f"{time_s:.1f} s"
+    """Return a duration: 0 s, <0.01 s, 0.05 s, 12.5 s, 3 min 7 s, 1 h 2 min; in words where it can't be known."""
+    if time_s < 0:
+        return "unknown"  # the clock was set back
+    if 0 < time_s < 0.01:
+        return "<0.01 s"  # as of a state that the node's next message changed
+    if time_s < 99.95:
+        return "0 s" if not time_s else f"{time_s:.2f} s" if time_s < 0.095 else f"{time_s:.1f} s"
     minutes, seconds = divmod(round(time_s), 60)
     return f"{minutes // 60} h {minutes % 60} min" if minutes >= 60 else f"{minutes} min {seconds} s"

@@ -6,10 +6,18 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import Any, Callable, Mapping
+from typing import Any, Mapping
 
 from car_interface.common.units import NS_PER_S, stamp_ns, yaw_rad
-from car_interface.tools.recordings.columns import MAX_NUMBER, Gravity, ackermann_drive
+from car_interface.planner.source_arbiter import DRIVE
+from car_interface.tools.recordings.columns import (
+    MAX_NUMBER,
+    POSE_ONLY,
+    POSE_WINDOW_S,
+    Gravity,
+    ackermann_drive,
+    has_twist,
+)
 from car_interface.tools.report.downsample import Path, Spots, Trace
 from car_interface.tools.report.faults import WARN, Fault, FaultLog
 from car_interface.tools.report.following import (
@@ -22,7 +30,7 @@ from car_interface.tools.report.following import (
     Following,
     MedianOf,
 )
-from car_interface.tools.report.states import SteeringWatch
+from car_interface.tools.report.states import Drivers, SteeringWatch, is_fresh
 
 WINDOW_S = 0.3  # over which accelerations and curvatures are taken: a dozen reports of the wheels
 MIN_DISTANCE_M = 0.05  # in it, for a curvature
@@ -39,15 +47,18 @@ TRACES = ("speed", "acceleration", "driven curvature", "turn rate", "requested c
 
 
 class AskedWatch:
-    """Follows ackermann_msgs/AckermannDriveStamped or AckermannDrive: what a planner asked for."""
+    """Follows ackermann_msgs/AckermannDriveStamped or AckermannDrive: what a planner asked for.
 
-    def __init__(self, traces: Mapping[str, Trace], wheelbase_m: float | None):
-        self._traces = traces
+    A request that is stale is none any more, and while somebody else has the car there is none either.
+    """
+
+    def __init__(self, traces: Mapping[str, Trace], wheelbase_m: float | None, drivers: Drivers):
+        self._traces, self._drivers = traces, drivers
         self.wheelbase_m = wheelbase_m  # None = unknown, and so is the curvature that an angle asks for
         self.curvature_per_m: float | None = None  # asked for now, left positive; None = unknown
         self.unchanged_since_s = 0.0  # when the angle last changed by more than SAME_RAD
-        self._angle_rad = self._speed_mps = math.nan  # from which changes count
-        self._speed_since_s = 0.0
+        self._angle_rad = self._speed_mps = math.nan  # from which changes count; NaN = no request
+        self._speed_since_s, self._received_s = 0.0, -math.inf
         self._speed_ratios = Bins(*RATIOS)
 
     def on_drive(self, time_s: float, message: Any) -> None:
@@ -56,6 +67,8 @@ class AskedWatch:
         angle_rad, speed_mps = asked.steering_angle, asked.speed
         if not (math.isfinite(angle_rad) and math.isfinite(speed_mps)):
             return
+        self.expire(time_s)
+        self._received_s = time_s
         self._traces["requested angle"].add(time_s, math.degrees(angle_rad))
         self._traces["requested speed"].add(time_s, speed_mps)
         if not abs(angle_rad - self._angle_rad) <= SAME_RAD:
@@ -65,6 +78,15 @@ class AskedWatch:
         if self.wheelbase_m is not None:
             self.curvature_per_m = math.tan(angle_rad) / self.wheelbase_m
             self._traces["requested curvature"].add(time_s, self.curvature_per_m)
+
+    def expire(self, time_s: float) -> None:
+        """Drop the request if it is stale, or its part that somebody else decides."""
+        holds = is_fresh(self._received_s, time_s) and \
+            self._drivers.planner_interface_obeys(DRIVE, time_s) is not False
+        if not holds or self._drivers.planner_steers(time_s) is False:
+            self._angle_rad, self.curvature_per_m = math.nan, None
+        if not holds or self._drivers.planner_drives(time_s) is False:
+            self._speed_mps = math.nan
 
     def compare_speed(self, time_s: float, speed_mps: float) -> None:
         """Compare the speed with the one that was asked for."""
@@ -76,50 +98,95 @@ class AskedWatch:
         return self._speed_ratios.median()
 
 
+class PoseSpeed:
+    """The speed of an odometry that sends poses alone."""
+
+    def __init__(self):
+        self._poses: deque = deque()  # time, x, y, yaw of the last POSE_WINDOW_S, two at least
+
+    def update(self, time_s: float, x_m: float, y_m: float, yaw: float) -> tuple[float, float]:
+        """Take a pose.
+
+        Returns:
+            The speed in m/s over POSE_WINDOW_S or from the pose before, forward positive, and how long ago the middle
+            of that is, in s. NaN while the poses span less: noise would be too large a part of it.
+        """
+        poses = self._poses
+        if poses and (time_s < poses[-1][0] or math.hypot(x_m - poses[-1][1], y_m - poses[-1][2]) > JUMP_M):
+            poses.clear()
+        poses.append((time_s, x_m, y_m, yaw))
+        while len(poses) > 1 and time_s - poses[1][0] >= POSE_WINDOW_S:
+            poses.popleft()
+        begin_s, begin_x, begin_y, begin_yaw = poses[0]
+        span_s, dx, dy = time_s - begin_s, x_m - begin_x, y_m - begin_y
+        if span_s < POSE_WINDOW_S:
+            return math.nan, 0.0
+        heading = begin_yaw + math.remainder(yaw - begin_yaw, 2 * math.pi) / 2
+        # By the length, not by its part along the heading: a body of motion capture may be turned against the car.
+        return math.copysign(math.hypot(dx, dy), dx * math.cos(heading) + dy * math.sin(heading)) / span_s, span_s / 2
+
+
 class MotionWatch:
     """Follows odometry, and compares it with what steered and drove; gaps and resets are faults.
 
     Args:
-        planner_drives: returns whether the throttle is the planner's now.
         start_ns: ROS time of the recording's first message.
     """
 
     def __init__(self, traces: Mapping[str, Trace], faults: FaultLog, steering: SteeringWatch, asked: AskedWatch,
-                 planner_drives: Callable[[], bool], start_ns: int):
+                 drivers: Drivers, start_ns: int):
         self._traces, self._faults, self._steering, self._start_ns = traces, faults, steering, start_ns
-        self._asked, self._planner_drives = asked, planner_drives
+        self._asked, self._drivers = asked, drivers
+        self._others_s = -math.inf  # when the throttle was last not the planner's
         self.path = Path()  # where the car was, by who steered
         self.distance_m = self.moving_s = 0.0  # how far, and how long it drove
-        self.turn_rate_radps: float | None = None  # in the last WINDOW_S, left positive; None = not known yet
         self.by_tables = Following(steering, MAX_LATERAL_MPS2)  # in slow bends: a table knows no tyres
         self.by_planner = Following(asked)
         self.accelerating = Accelerating()
         self._window: deque = deque()  # stamp in s, speed, yaw, distance of the last WINDOW_S
         self._yaw = self._signed_distance_m = 0.0
+        self._turn_rate_radps: float | None = None  # in the last WINDOW_S, left positive; None = unknown
+        self._has_twist = False  # until one isn't 0 the speed is the pose's: motion capture sends poses alone
+        self._by_pose = PoseSpeed()
         self._poses: deque = deque(maxlen=MAX_POSES)  # stamp in s, x, y, yaw
         self._newest = None  # time, x, y, yaw
 
     def on_odom(self, time_s: float, message: Any) -> None:
         """Take a nav_msgs/Odometry."""
         position, yaw = message.pose.pose.position, yaw_rad(message.pose.pose.orientation)
-        speed = message.twist.twist.linear.x
+        speed, lag_s = message.twist.twist.linear.x, 0.0
         if not all(abs(number) <= MAX_NUMBER for number in (position.x, position.y, yaw, speed)):  # nor of NaN
             return
-        stamp_s = (stamp_ns(message.header.stamp) - self._start_ns) / NS_PER_S
+        stamp = stamp_ns(message.header.stamp)
+        stamp_s = (stamp - self._start_ns) / NS_PER_S if stamp else time_s
+        self._has_twist = self._has_twist or has_twist(message)
+        if not self._has_twist:
+            speed, lag_s = self._by_pose.update(stamp_s, position.x, position.y, yaw)
+        for sender in (self._steering, self._asked):
+            sender.expire(time_s)
         if self._newest is not None:
             self._move(time_s, position, yaw, speed)
         self._newest = (time_s, position.x, position.y, yaw)
         self._poses.append((stamp_s, position.x, position.y, yaw))
-        self._traces["speed"].add(time_s, speed)
-        self._asked.compare_speed(time_s, speed)
         self.path.add(position.x, position.y, self._steering.source)
-        self._update_window(time_s, stamp_s, speed)
+        if math.isfinite(speed):
+            self._traces["speed"].add(time_s - lag_s, speed)
+            self._asked.compare_speed(time_s, speed)
+            self._update_window(time_s, stamp_s, speed)
 
     def pose_at(self, stamp_s: float) -> tuple[float, float, float] | None:
         """Return (x, y, yaw) of the recent odometry that is nearest in time; ``None`` without any."""
         if not self._poses:
             return None
         return min(self._poses, key=lambda pose: abs(pose[0] - stamp_s))[1:]
+
+    def turn_rate_at(self, time_s: float) -> float | None:
+        """Return the turn rate in rad/s, left positive; ``None`` = unknown, or odometry is silent."""
+        return self._turn_rate_radps if self._newest and 0 <= time_s - self._newest[0] <= MAX_GAP_S else None
+
+    def note(self, topic: str) -> str:
+        """Return what the speed is by if not by the twist of odometry on a topic; empty: by that."""
+        return "" if self._has_twist or not self.distance_m else f"{topic}: {POSE_ONLY}"
 
     def _move(self, time_s, position, yaw, speed):
         before_s, x, y, yaw_before = self._newest
@@ -131,6 +198,8 @@ class MotionWatch:
             self._window.clear()
             self.path.interrupt()
         else:
+            if not self._has_twist:  # a sum of a pose's steps would be mostly its noise
+                step_m = abs(speed) * max(0.0, time_s - before_s) if abs(speed) > MOVING_MPS else 0.0
             self.distance_m += step_m
             self._signed_distance_m += math.copysign(step_m, speed)
         self._yaw += math.remainder(yaw - yaw_before, 2 * math.pi)
@@ -139,7 +208,7 @@ class MotionWatch:
 
     def _update_window(self, time_s, stamp_s, speed):
         """Compute acceleration and curvature of the last WINDOW_S, at its middle."""
-        window = self._window
+        window, self._turn_rate_radps = self._window, None
         if window and not 0 <= stamp_s - window[-1][0] < MAX_GAP_S:
             window.clear()  # the clock was set, or messages are missing
         window.append((stamp_s, speed, self._yaw, self._signed_distance_m))
@@ -151,10 +220,12 @@ class MotionWatch:
         middle_s = time_s - span_s / 2
         acceleration_mps2 = _slope(window)
         self._traces["acceleration"].add(middle_s, acceleration_mps2)
-        if self._planner_drives():
+        if not self._drivers.planner_drives(time_s):
+            self._others_s = time_s
+        elif self._others_s < time_s - span_s:
             self.accelerating.add(time_s - span_s, time_s, acceleration_mps2, speed)
-        self.turn_rate_radps = (self._yaw - window[0][2]) / span_s
-        self._traces["turn rate"].add(middle_s, self.turn_rate_radps)
+        self._turn_rate_radps = (self._yaw - window[0][2]) / span_s
+        self._traces["turn rate"].add(middle_s, self._turn_rate_radps)
         distance_m = self._signed_distance_m - window[0][3]
         if abs(distance_m) >= MIN_DISTANCE_M:
             curvature = (self._yaw - window[0][2]) / distance_m
@@ -192,7 +263,7 @@ class ImuWatch:
         step_s = time_s - self._last_s
         weight = 1 - math.exp(-step_s / LAG_S) if 0 <= step_s < 1 else 1.0
         self._last_s, self._rate_radps = time_s, self._rate_radps + weight * (rate_radps - self._rate_radps)
-        by_odometry_radps = self._motion.turn_rate_radps
+        by_odometry_radps = self._motion.turn_rate_at(time_s)
         if by_odometry_radps is not None and abs(self._rate_radps) > MIN_RATE_RADPS:
             self._ratios.add(by_odometry_radps / self._rate_radps)
 

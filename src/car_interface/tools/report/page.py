@@ -11,6 +11,10 @@ from car_interface.tools.report.html import counted, moment_text, ratio_text, re
 from car_interface.tools.report.states import UNKNOWN_DRIVER
 from car_interface.tools.report.summary import RANGES, Summary
 
+# What the page shows, as far as it was recorded; the sonars' topics are one here.
+TOPICS = ("turn_arb/state", "throttle_arb/state", "/servo/output", "odom", "av_turnrad_req",
+          "/teleop_logi/tele_steer_req", "control/command/control_cmd", "generic/output/value",
+          "teensy_sensor_hub/link", "teensy_clock")
 MIN_RATIOS = 30  # samples, for a ratio to be shown
 WRONG_RATIO = 0.05  # of the driven to the sent curvature, from 1: the tables need calibration
 
@@ -25,9 +29,32 @@ def page(drive: Summary, plots: dict[str, str]) -> str:
         "drive.html", title=f"Drive: {name}", name=name, drive=drive, plots=plots, figures=_figures(drive), lines=lines,
         who_drove=_who_drove(drive.steering.source_s), wrong_sides=wrong_sides, gaps=drive.coverage.gaps(),
         errors=sum(fault.level == ERROR for fault in drive.faults.entries), warn=WARN, reasons=_reasons,
-        missing_sonars=[] if set(RANGES) & drive.present else ["sonar/*"], driver_names=DRIVER_NAMES,
-        driver_colours=DRIVER_COLOURS, unknown_driver=UNKNOWN_DRIVER,
+        absent=_absent(drive), has_sonars=_has_sonars(drive), left_out=_left_out(drive, plots),
+        driver_names=DRIVER_NAMES, driver_colours=DRIVER_COLOURS, unknown_driver=UNKNOWN_DRIVER,
         moment=lambda time_s: moment_text(time_s, drive.duration_s))
+
+
+def _absent(drive):
+    """Return the topics of the page that weren't recorded."""
+    return [topic for topic in TOPICS if topic not in drive.present] + ([] if _has_sonars(drive) else ["sonar/*"])
+
+
+def _has_sonars(drive):
+    return not drive.present.isdisjoint(RANGES)
+
+
+def _left_out(drive, plots):
+    """Return the sections that would be empty: what they are about, by their ids."""
+    has_drivers = bool(drive.steering.episodes)
+    has_throttle = bool(drive.throttle.episodes)
+    sections = (
+        ("who", "who drove", has_drivers), ("faults", "faults", drive.faults.entries or not drive.coverage.is_blind),
+        ("steering", "steering", "steering" in plots), ("throttle", "throttle", has_throttle or drive.planner.source),
+        ("limits", "limits", has_drivers or has_throttle),
+        ("path", "the path", "path" in plots or drive.sonars.frames_without_mount),
+        ("speed", "speed", "speed" in plots),
+        ("link", "the Teensy", "link" in plots or drive.teensy.pongs or drive.teensy.counters))
+    return {name: what for name, what, has_content in sections if not has_content}
 
 
 def _figures(drive):

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import Any, Callable, Mapping, NamedTuple
+from typing import Any, Callable, Collection, Mapping, NamedTuple
 
 from car_interface.common import causes
 from car_interface.common.units import NS_PER_S, stamp_ns
 from car_interface.pca9685.registers import DUTY_PER_COUNT
-from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
+from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP, SteeringArbiterConfig
 from car_interface.tools.report.downsample import Trace
 from car_interface.tools.report.faults import ERROR, MAX_ENTRIES, WARN, Fault, FaultLog
 
@@ -31,8 +31,15 @@ SHARED = causes.INHIBITS | {causes.STEERING_STALE, causes.STEERING_STOPPED, caus
 PLANNER_FAULTS = causes.LOSSES | {causes.REQUEST_REFUSED}  # the others are reported by those that stop because of them
 CUTS = causes.STEERING_CUTS | causes.THROTTLE_CUTS
 SAME_AFTER_S = 0.5  # a cut that comes back sooner is the same one
+# A request or a state that is older holds no longer: turn_arb's default for a planner, which is throttle_arb's, too.
+TIMEOUT_S = SteeringArbiterConfig.planner_timeout_s
 CLOCK_SET_S = 0.05  # a change between ROS time and the monotonic clock from one pong to the next
 MIN_SPAN_S = 0.5  # over which frames are counted
+
+
+def is_fresh(received_s: float, time_s: float) -> bool:
+    """Return whether a request or a state still holds; −inf = never received."""
+    return 0 <= time_s - received_s <= TIMEOUT_S  # the recording's clock may have been set back
 
 
 class Episode(NamedTuple):
@@ -144,17 +151,26 @@ class SteeringWatch:
         self.steering_channel: int | None = None  # that follows turn_arb's duty; None = unknown
         self.curvature_per_m: float | None = None  # sent by turn_arb now, left positive; None = unknown
         self.unchanged_since_s = 0.0  # when turn_arb's duty last changed
-        self._duty = None  # of the newest state
+        self._state_s, self._duty = -math.inf, None  # of the newest state
         self._matches: Counter = Counter()  # by channel: how often its output was turn_arb's duty
 
     def on_state(self, time_s: float, message: Any) -> None:
         """Take a car_interface/SteeringState."""
-        self.source = message.source
         self._episodes.update(time_s, "turn_arb", message.cause, message.reason, source=message.source)
         self.curvature_per_m = 1 / message.turn_radius if message.turn_radius else math.nan
         self._traces["sent curvature"].add(time_s, self.curvature_per_m)
-        if message.duty != self._duty:
-            self._duty, self.unchanged_since_s = message.duty, time_s
+        if message.duty != self._duty or not is_fresh(self._state_s, time_s):
+            self.unchanged_since_s = time_s
+        self._state_s, self.source, self._duty = time_s, message.source, message.duty
+
+    def source_at(self, time_s: float) -> int | None:
+        """Return who steers; ``None`` = unknown."""
+        return self.source if is_fresh(self._state_s, time_s) else None
+
+    def expire(self, time_s: float) -> None:
+        """Forget what turn_arb sent if it is silent, or nobody has the car, which may be carried then."""
+        if self.source_at(time_s) in (None, LOCKED, NO_HUMAN):
+            self.curvature_per_m = None
 
     def on_output(self, time_s: float, message: Any) -> None:
         """Take the std_msgs/Int32MultiArray of /servo/output."""
@@ -216,10 +232,12 @@ class ThrottleWatch:
         self._episodes = Episodes(self._finish)
         self.episodes = self._episodes.kept
         self.profile = ""  # the ESC's kind; empty: unknown
+        self._state_s, self._source = -math.inf, UNKNOWN_DRIVER  # of the newest state
 
     def on_state(self, time_s: float, message: Any) -> None:
         """Take a car_interface/ThrottleState."""
         self.profile = message.profile
+        self._state_s, self._source = time_s, message.source
         self._traces["throttle asked"].add(time_s, message.asked)
         self._traces["throttle granted"].add(time_s, message.granted)
         reason, esc = message.reason, {}
@@ -228,10 +246,9 @@ class ThrottleWatch:
             esc = {"esc": message.esc, "esc_cause": message.esc_cause}
         self._episodes.update(time_s, "throttle_arb", message.cause, reason, source=message.source, **esc)
 
-    @property
-    def source(self) -> int | None:
-        """Return who drives now; ``None`` = unknown."""
-        return None if self._episodes.current is None else self._episodes.current.source
+    def source_at(self, time_s: float) -> int | None:
+        """Return who drives; ``None`` = unknown."""
+        return self._source if is_fresh(self._state_s, time_s) else None
 
     def losses(self) -> list[Episode]:
         """Return the episodes with a loss of the throttle's own."""
@@ -260,14 +277,20 @@ class PlannerWatch:
         self._episodes = Episodes(self._finish)
         self.source = ""  # that was obeyed; empty: unknown
         self.others = ""  # the sources that weren't, with their messages, at the end; empty: none
+        self._obeyed_s = -math.inf  # when it was last obeyed
 
     def on_state(self, time_s: float, message: Any) -> None:
         """Take a car_interface/PlannerState."""
         self.source, self.others = message.source, message.others
         is_obeyed = message.cause == causes.PLANNER
+        self._obeyed_s = time_s if is_obeyed else -math.inf
         self._traces["planner's speed"].add(time_s, message.speed if is_obeyed else math.nan)
         self._traces["reference speed"].add(time_s, message.reference_speed if is_obeyed else math.nan)
         self._episodes.update(time_s, "planner_interface", message.cause, message.reason)
+
+    def obeyed_at(self, time_s: float) -> str:
+        """Return the source that is obeyed; empty = none, or it is unknown."""
+        return self.source if is_fresh(self._obeyed_s, time_s) else ""
 
     def finish(self) -> None:
         """End the last episode."""
@@ -277,6 +300,34 @@ class PlannerWatch:
         if ended.cause in PLANNER_FAULTS:
             self._faults.add(ended.fault(WARN))
         return ended
+
+
+class Drivers:
+    """Who has the car, as far as the states that were recorded show.
+
+    Args:
+        present: the recorded topics.
+    """
+
+    def __init__(self, steering: SteeringWatch, throttle: ThrottleWatch, planner: PlannerWatch,
+                 present: Collection[str]):
+        self._planner = planner if "planner_interface/state" in present else None
+        # Where one of them wasn't recorded, the other's stands for both: before throttle_arb who steered drove, too.
+        known = [watch for watch, topic in ((steering, "turn_arb/state"), (throttle, "throttle_arb/state"))
+                 if topic in present]
+        self._steering, self._throttle = (known[0], known[-1]) if known else (None, None)
+
+    def planner_steers(self, time_s: float) -> bool | None:
+        """Return whether the planner steers; ``None``: no state was recorded that shows it."""
+        return None if self._steering is None else self._steering.source_at(time_s) == PLANNER
+
+    def planner_drives(self, time_s: float) -> bool | None:
+        """Return whether the throttle is the planner's; ``None``: no state was recorded that shows it."""
+        return None if self._throttle is None else self._throttle.source_at(time_s) == PLANNER
+
+    def planner_interface_obeys(self, source: str, time_s: float) -> bool | None:
+        """Return whether planner_interface obeys a source, such as ``drive``; ``None``: its state wasn't recorded."""
+        return None if self._planner is None else self._planner.obeyed_at(time_s) == source
 
 
 class LimitsWatch:

@@ -6,7 +6,6 @@ from functools import partial
 
 from car_interface.common.units import NS_PER_S
 from car_interface.common.vehicle_geometry import SONARS
-from car_interface.steering.arbiter import PLANNER
 from car_interface.tools.recordings import roles
 from car_interface.tools.recordings.recording import (
     NoRecording,
@@ -24,6 +23,7 @@ from car_interface.tools.report.downsample import Trace
 from car_interface.tools.report.faults import WARN, FaultLog, NodeReports
 from car_interface.tools.report.motion import AskedWatch, ImuWatch, MotionWatch, SonarWatch
 from car_interface.tools.report.states import (
+    Drivers,
     GamepadWatch,
     LimitsWatch,
     PlannerWatch,
@@ -97,8 +97,9 @@ def summarize(path: str, namespace: str = "/", wheelbase_m: float | None = None,
     has = contents(path)
     given = {name: topic for name, topic in topics.items() if topic is not None}
     if given:
-        require(path, given.values(), namespace)
-        check_types(path, {given[role.name]: role.types for role in ROLES if role.name in given}, namespace)
+        named = {given[role.name]: role.types for role in ROLES if role.name in given}
+        require(path, named, namespace)
+        check_types(path, named, namespace)
     free = {role.name: without(has.topics, given, role, namespace) for role in ROLES}
     found = {role.topics[0]: find(free[role.name], role, namespace, given.get(role.name)) for role in ROLES}
     keys = {found[name].topic if name in found else name: name for name in TYPES
@@ -125,7 +126,7 @@ def summarize(path: str, namespace: str = "/", wheelbase_m: float | None = None,
         summary.faults.add_moment(0.0, WARN, "recording", f"its time went back {times}: the clock was set")
     for watch in (summary.steering, summary.throttle, summary.planner, summary.limits, summary.gamepad, summary.faults):
         watch.finish()
-    summary.notes += filter(None, [summary.imu.note(found["imu/data"].topic)])
+    summary.notes += filter(None, [summary.motion.note(found["odom"].topic), summary.imu.note(found["imu/data"].topic)])
     return summary
 
 
@@ -145,16 +146,13 @@ def _empty(path, namespace, has, present, wheelbase_m):
     faults = FaultLog()
     gamepad = GamepadWatch(faults, duration_s)
     steering = SteeringWatch(traces, faults, duration_s, gamepad)
-    wanted = AskedWatch(traces, wheelbase_m)
-    throttle = ThrottleWatch(traces, faults, duration_s)
-
-    def planner_drives():  # before throttle_arb whoever steered drove, too
-        return (steering.source if throttle.source is None else throttle.source) == PLANNER
-
-    moves = MotionWatch(traces, faults, steering, wanted, planner_drives, has.start_ns)
+    throttle, planner = ThrottleWatch(traces, faults, duration_s), PlannerWatch(traces, faults, duration_s)
+    drivers = Drivers(steering, throttle, planner, present)
+    wanted = AskedWatch(traces, wheelbase_m, drivers)
+    moves = MotionWatch(traces, faults, steering, wanted, drivers, has.start_ns)
     return Summary(path, namespace, has.start_ns, duration_s, has.topics, [], present, traces, gamepad, steering,
-                   throttle, LimitsWatch(), wanted, PlannerWatch(traces, faults, duration_s), moves,
-                   ImuWatch(traces, moves), SonarWatch(moves, has.start_ns), TeensyWatch(traces, faults), faults,
+                   throttle, LimitsWatch(), wanted, planner, moves, ImuWatch(traces, moves),
+                   SonarWatch(moves, has.start_ns), TeensyWatch(traces, faults), faults,
                    Coverage(namespace, duration_s))
 
 

@@ -16,6 +16,8 @@ import pytest
 serial = pytest.importorskip("serial")
 
 from car_interface.common.errors import DeviceError  # noqa: E402
+from car_interface.common.header import header_of  # noqa: E402
+from car_interface.teensy.link import port  # noqa: E402
 from car_interface.teensy.link.health import ABSENT, BUSY, FAILING, NO_PERMISSION, NO_PORT  # noqa: E402
 from car_interface.teensy.link.port import SerialLink  # noqa: E402
 
@@ -115,6 +117,21 @@ def test_port_that_the_system_refuses_is_explained_by_the_error_s_number(termina
     assert remedy in error.remedy
 
 
+@pytest.mark.parametrize("path, teensys, model, remedy", [
+    ("/dev/ttyX", [], "", "Plug the Teensy in and see what it is called: ls /dev/serial/by-id /dev/ttyA*"),
+    ("/dev/ttyX", ["/dev/serial/by-id/usb-Teensy"], "", "A Teensy is plugged in: port:=/dev/serial/by-id/usb-Teensy"),
+    ("/dev/teensy_sensor_hub", ["/dev/serial/by-id/usb-Teensy"], "", "comes by rosrun car_interface setup_hardware"),
+    ("/dev/teensy_sensor_hub", [], "", "Plug the Teensy in. It has this name on USB alone, after rosrun car_i"),
+    ("/dev/ttyAMA0", [], "Raspberry Pi 5 Model B Rev 1.0", "/dev/ttyAMA0: pins 8 and 10 need dtoverlay=uart0-pi5"),
+], ids=["anything", "on_usb", "rule_is_missing", "neither", "pins_of_the_header"])
+def test_port_that_is_absent_has_the_remedy_of_what_is_there(monkeypatch, path, teensys, model, remedy):
+    refuse_with(errno.ENOENT, monkeypatch)
+    monkeypatch.setattr(port.glob, "glob", lambda pattern: teensys)
+    monkeypatch.setattr(port, "read_header", lambda: header_of(model))
+    error = refusal(path)
+    assert error.state == ABSENT and remedy in error.remedy
+
+
 def refuse_with(number, monkeypatch):
     """Root, as in a container, may open anything."""
     def refuse(*args, **kwargs):
@@ -135,7 +152,7 @@ def test_port_without_permission_names_the_group(terminal, monkeypatch, number):
     error, user = refusal(terminal.path), pwd.getpwuid(os.geteuid()).pw_name
     assert (error.state, error.cause) == (
         NO_PERMISSION, f"no permission to open it: {user} is not in its group, dialout")
-    assert f"Join it and log in anew: sudo usermod -aG dialout {user}" in error.remedy
+    assert error.remedy == "rosrun car_interface setup_hardware, then log in anew"
 
 
 def test_port_that_a_log_in_console_has_is_told_as_such_and_its_group_is_not_to_be_joined(monkeypatch):

@@ -242,6 +242,36 @@ def test_recordings_before_and_after_the_linkage_was_changed_are_forced_together
     assert re.search(f"{bag} and {again} disagree by [56][0-9] duty about", text) and ": 190 s, " in text
 
 
+def circle(duty, start_s, curvature_per_m, speed_mps=1.2, duration_s=15.0):
+    """18 m of a steady circle, as another package's nodes record it."""
+    for index in range(round(duration_s * 20)):
+        time_s = start_s + index / 20
+        yaw = curvature_per_m * speed_mps * index / 20
+        yield odometry(time_s, math.sin(yaw) / curvature_per_m, (1 - math.cos(yaw)) / curvature_per_m, yaw, speed_mps)
+        yield Written(time_s, "/servo/output", "std_msgs/Int32MultiArray", {"data": [duty] + [-1] * 15})
+
+
+@pytest.mark.once
+def test_steady_circles_a_recording_each_are_used_and_what_they_cannot_show_is_named(tmp_path, capsys):
+    (tmp_path / "a_long_path_of_a_folder").mkdir()
+    duties = [16 * round(duty / 16) for duty in (4000, 4400, 4800, 5400, 5800, 6200)]
+    bags = [write_ros1(tmp_path / "a_long_path_of_a_folder" / f"{duty}.bag",
+                       list(circle(duty, 100.0 * index, (5100 - duty) / 1200))) for index, duty in enumerate(duties)]
+    assert run(*bags, "-o", tmp_path / "made.yaml", "--imu", "none") == 1
+    printed = capsys.readouterr()
+    assert "aren't known: the duty never changed within a recording" in printed.out
+    reason = printed.err.splitlines()[-1]
+    assert "no calibration is written: " in reason and "drive" in reason and "a_long_path" not in reason
+    assert run(*bags, "-o", tmp_path / "made.yaml", "--imu", "none", "--force") == 0
+    made = load_steering(str(tmp_path / "made.yaml"))
+    for duty in duties[1:-1]:  # beyond the outermost ones old duties stay
+        assert 1 / made.turn_radius_m(duty) == pytest.approx((5100 - duty) / 1200, abs=0.02)
+
+    assert run(bags[0], "-o", tmp_path / "made.yaml", "--imu", "none") == 1
+    assert "4000.bag: no steering can be told from this: the steering was held in fewer than four places" in (
+        capsys.readouterr().err)
+
+
 STILL = [odometry(0.1 * index) for index in range(300)]
 OUTPUT = [Written(0.1 * index, "/servo/output", "std_msgs/Int32MultiArray", {"data": [5104] + [-1] * 15})
           for index in range(300)]

@@ -1,15 +1,18 @@
 """check_map: the loader's own verdict, a picture in the terminal, and one in a file."""
 from __future__ import annotations
 
+import bisect
 import re
 import sys
 from pathlib import Path
 
 import pytest
 import yaml
+from hypothesis import given
+from hypothesis import strategies as st
 
 from car_interface.steering.config import load_steering
-from car_interface.throttle.value_map import ValueMap
+from car_interface.throttle.value_map import ValueMap, load_value_map
 from car_interface.tools.cli import check_map
 from car_interface.tools.cli.check_map import map_notes, map_picture, steering_notes, steering_picture
 from car_interface.tools.cli.main import main
@@ -40,7 +43,9 @@ def map_file(tmp_path, text):
     ("a.yaml", "- 1\n- 2\n", "YAML lines of a parameter's name"),
     ("a.yaml", "a: [1\n", "is no YAML"),
     ("a.yaml", None, "can't be read"),
-    ("a.csv", "default,0,1\n0,0,0\n1,1,0\n", "from value 0.0 to 1.0 stays level"),
+    ("a.csv", "default,0,1\n0,0,0\n1,1,0\n2,2,1\n", "from value 0.0 to 1.0 stays level"),
+    ("a.csv", "default,0,1\n0,0,0\n1,0,0\n", "at velocity 0.0 m/s is 0.0 m/s² for every value"),
+    ("a.csv", "default,0,1\n0,0,0\n1,-1,-1\n", "as a brake_map has; .* check_map --brake brake_map.csv accel_map.csv"),
     ("a.csv", "default,0,1\n0,0,0\n1,1,x\n", "line 3, column 3"),
     ("a.csv", "", "has 0 line"),
 ], ids=lambda part: (part or "").split("\n")[0][:20])
@@ -120,7 +125,7 @@ def test_value_for_0_is_told_where_the_map_has_it_and_only_there(values, velocit
 
 
 def test_plateaus_and_limits_of_the_converter_may_be_allowed(tmp_path, capsys):
-    assert main("check_map", [str(map_file(tmp_path, "default,0,1\n0,0,0\n1,1,0\n")), "--allow-plateaus"]) == 0
+    assert main("check_map", [str(map_file(tmp_path, "default,0,1\n0,0,0\n1,1,0\n2,2,1\n")), "--allow-plateaus"]) == 0
     path = map_file(tmp_path, "default,0,1\n-1,-1,-1\n6,1,1\n")
     assert main("check_map", [str(path)]) == 0
     assert "generic_value_converter clamps to min_value -5 … max_value 3" in capsys.readouterr().out
@@ -146,3 +151,101 @@ def test_stock_tables_are_taken_and_their_picture_is_of_the_kind_that_its_name_s
     assert main("check_map", [str(table), "-o", "picture.jpg"]) == 1
     shown = capsys.readouterr()
     assert shown.out == "" and "accepted: a name that ends in .svg, .png, .pdf" in shown.err
+
+
+# --- Autoware's two maps ---
+
+# Other velocities in each, other rows of value 0, a comma at the end of each line.
+ACCEL = ("default,0,1.4,5.6,\n0,0.31,-0.02,-0.4,\n0.1,0.64,0.34,0.13,\n0.3,1.75,1.4,1.14,\n0.5,3.3,3.12,2.7,\n")
+BRAKE = ("default,0,2.8,4.2,7,\n0,0.31,-0.2,-0.3,-0.5,\n0.1,0.2,-0.3,-0.45,-0.6,\n0.3,-1,-1.4,-1.5,-1.6,\n"
+         "0.8,-2.2,-2.7,-2.8,-2.9,\n")
+
+
+class AutowareMap:
+    """One of Autoware's maps, as its converter uses it: by rows at the velocity, which is clamped; NaN is not asked."""
+
+    def __init__(self, text):
+        (_, *velocities), *rows = [line.rstrip(",").split(",") for line in text.splitlines()]
+        self.velocities = [float(velocity) for velocity in velocities]
+        self.rows = [(float(value), [float(cell) for cell in cells]) for value, *cells in rows]
+
+    def curve(self, velocity):
+        """(acceleration, value) of each row at a velocity."""
+        velocity = min(max(velocity, self.velocities[0]), self.velocities[-1])
+        return [(interpolated(list(zip(self.velocities, cells)), velocity), value) for value, cells in self.rows]
+
+
+def interpolated(points, x):
+    right = min(max(bisect.bisect_right([at for at, _ in points], x), 1), len(points) - 1)
+    (x0, y0), (x1, y1) = points[right - 1], points[right]
+    return y0 + (y1 - y0) * (x - x0) / (x1 - x0)
+
+
+def throttle_less_brake(accel, brake, acceleration, velocity):
+    """What Autoware sends: a throttle from its accel_map's first row on, else a brake, both limited to their maps."""
+    pushes, brakes = accel.curve(velocity), brake.curve(velocity)
+    if acceleration >= pushes[0][0]:
+        return interpolated(pushes, min(acceleration, pushes[-1][0]))
+    return -interpolated(brakes[::-1], min(max(acceleration, brakes[-1][0]), brakes[0][0]))
+
+
+@pytest.fixture(scope="module")
+def joined(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("two_maps")
+    (folder / "accel_map.csv").write_text(ACCEL)
+    (folder / "brake_map.csv").write_text(BRAKE)
+    assert main("check_map", ["--brake", str(folder / "brake_map.csv"), str(folder / "accel_map.csv"), "-o",
+                              str(folder / "value_map.csv")]) == 0
+    return folder
+
+
+@pytest.mark.once
+@given(st.floats(-4, 4), st.floats(-2, 9))
+def test_joined_map_answers_as_autoware_does_with_its_two_maps_but_for_brakes_below_the_first(
+        joined, acceleration, velocity):
+    accel, brake = AutowareMap(ACCEL), AutowareMap(BRAKE)
+    value = load_value_map(str(joined / "value_map.csv")).value_at(acceleration, velocity)
+    expected = throttle_less_brake(accel, brake, acceleration, velocity)
+    first_brake, first = brake.curve(velocity)[1]
+    if first_brake < acceleration < accel.curve(velocity)[0][0]:
+        assert -first <= min(value, expected) and max(value, expected) <= 0
+    else:
+        assert value == pytest.approx(expected, abs=1e-7)
+
+
+def test_joined_map_is_shown_written_and_drawn_and_an_old_one_is_kept(joined, capsys):
+    arguments = ["--brake", str(joined / "brake_map.csv"), str(joined / "accel_map.csv")]
+    assert (joined / "value_map.csv").read_text().splitlines()[:2] == [
+        "default,0.0,1.4,2.8,4.2,5.6,7.0", "-0.8,-2.2,-2.45,-2.7,-2.8,-2.85,-2.9"]
+    assert main("check_map", arguments) == 0
+    both = f"{joined / 'accel_map.csv'} with {joined / 'brake_map.csv'}"
+    assert capsys.readouterr().out.startswith(f"{both}: generic_value_converter takes it\n\nacceleration in m/s²; 7 va")
+    assert main("check_map", [*arguments, "-o", str(joined / "value_map.csv")]) == 0
+    assert f"written: {joined / 'value_map.csv'}; the old one is {joined}" in capsys.readouterr().out
+    assert main("check_map", [*arguments, "-o", str(joined / "map.svg")]) == 0
+    assert (joined / "map.svg").read_bytes().startswith(b"<?xml")
+    before = (joined / "brake_map.csv").read_text()
+    assert main("check_map", [*arguments, "-o", str(joined / "brake_map.csv")]) == 1
+    assert (joined / "brake_map.csv").read_text() == before
+
+
+@pytest.mark.parametrize("accel, brake, words", [
+    (BRAKE, BRAKE, "a.csv is another map; accepted: Autoware's accel_map, whose acceleration rises with value"),
+    (ACCEL, ACCEL, "b.csv is another map; accepted: Autoware's brake_map, whose acceleration falls with value"),
+    (ACCEL.replace("\n0,", "\n0.05,"), BRAKE, "a.csv, line 2, column 1 is 0.05; accepted: 0, with which Autoware's"),
+    (ACCEL, BRAKE.replace("0.1,0.2", "0.1,x"), "b.csv, line 3, column 2 is 'x'"),
+    (ACCEL, BRAKE.replace("0.1,0.2", "0.1,0.4"), "from value -0.1 to 0.0 falls from 0.4 to 0.31 m/s²"),
+    (ACCEL, BRAKE.replace("0.1,0.2", "0.1,0.31"), "from value -0.1 to 0.0 stays level at 0.31 m/s²"),
+], ids=["two_brake_maps", "two_accel_maps", "no_0", "no_number", "a_brake_that_pushes", "a_brake_that_does_nothing"])
+def test_two_maps_that_do_not_belong_together_are_refused_in_one_line(accel, brake, words, tmp_path, capsys):
+    (tmp_path / "a.csv").write_text(accel)
+    (tmp_path / "b.csv").write_text(brake)
+    made = tmp_path / "m.csv"
+    assert main("check_map", ["--brake", str(tmp_path / "b.csv"), str(tmp_path / "a.csv"), "-o", str(made)]) == 1
+    shown = capsys.readouterr()
+    assert shown.out == "" and shown.err.count("\n") == 1 and words in shown.err and not made.exists()
+
+
+def test_map_in_a_csv_needs_a_brake_map(capsys):
+    assert main("check_map", [str(STOCK_MAP), "-o", "map.csv"]) == 1
+    assert "accepted: a name that ends in .svg, .png, .pdf\n" in capsys.readouterr().err

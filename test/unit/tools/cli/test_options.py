@@ -6,7 +6,7 @@ import argparse
 import pytest
 
 from car_interface.common.errors import ConfigError
-from car_interface.tools.cli.options import add_recording_arguments, topics_of
+from car_interface.tools.cli.options import add_recording_arguments, add_scheduler_argument, topics_of
 from car_interface.tools.recordings.roles import ACKERMANN, IMU, ODOM, OUTPUT
 
 
@@ -43,3 +43,13 @@ def test_what_makes_no_sense_is_refused_by_its_text(arguments, words):
     with pytest.raises(ConfigError) as caught:
         topics_of(parsed(*arguments))
     assert words in str(caught.value)
+
+
+@pytest.mark.parametrize("address", ["foo://host:1", "host:8786", "tcp://host", "tcp://:8786x"])
+def test_scheduler_that_is_no_address_is_refused_at_once(address, capsys):
+    parser = argparse.ArgumentParser()
+    add_scheduler_argument(parser)
+    assert parser.parse_args(["--scheduler", "tcp://10.0.0.5:8786"]).scheduler == "tcp://10.0.0.5:8786"
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--scheduler", address])
+    assert f"{address!r} is no address such as tcp://192.168.1.5:8786" in capsys.readouterr().err

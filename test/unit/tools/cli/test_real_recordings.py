@@ -25,6 +25,7 @@ NO_DUTIES = ("has no topic /servo/output, nor /servo/cmdVector or command: the s
              "ackermann_msgs/AckermannDriveStamped that could stand for them")
 
 
+NOTHING_ON = "So this page has nothing on who drove, faults, throttle, limits, the Teensy."
 SEEN = {"husky": ("358.8 m", "1.02 m/s", "2015-05-21 19:11:38 UTC",
                   "imu/data: gravity lies along its y axis, not along z: it is mounted on its side"),
         "jackal": ("84.2 m", "no date: its clock began at 0, 47.6 s before", "Turned by odometry")}
@@ -45,8 +46,9 @@ def test_report_needs_no_option_says_what_it_took_for_odometry_and_what_can_be_k
     assert f"bag_report: {bag(robot)}: {odom}\n" in capsys.readouterr().err
     page = out.read_text(encoding="utf-8")
     assert re.findall('data-plot="(.*?)"', page) == ["steering", "path", "speed"]
+    assert re.findall('<section id="(.*?)"', page) == ["steering", "path", "speed", "contents"]
     text = unescape(re.sub("<[^>]*>", " ", re.sub("<svg.*?</svg>", "", page, flags=re.DOTALL)))
-    for words in (odom, CANT_TELL, *SEEN[robot]):
+    for words in (odom, CANT_TELL, NOTHING_ON, *SEEN[robot]):
         assert words in text
     assert "Nothing went wrong" not in text
     assert bool(re.search(r"Turned by odometry\s+1[45]\d% more than the IMU says", text)) == (robot == "jackal")
@@ -70,5 +72,5 @@ def test_drives_has_a_row_for_both(tmp_path, capsys):
     assert main("drives", [str(tmp_path), "--jobs", "1"]) == 0
     assert "2 recordings, 2 read now" in capsys.readouterr().out
     lines = (tmp_path / "drives.csv").read_text(encoding="utf-8").split("\n")
-    assert lines[1].startswith("jackal.bag,,61.201,0.084182,,,,")
-    assert lines[2].startswith("husky.bag,2015-05-21T19:11:38Z,395.307,0.358797,,,,")
+    assert lines[1].startswith('"jackal.bag",,61.201,0.084182,,,,')
+    assert lines[2].startswith('"husky.bag","2015-05-21T19:11:38Z",395.307,0.358797,,,,')

@@ -7,63 +7,90 @@ import sys
 import types
 
 import pytest
+from i2c_computer import Computer, Ina3221
 
+from car_interface.common.header import UNKNOWN, header_of
+from car_interface.pca9685.config import AUTO
 from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
 from car_interface.tools.doctor import board
-from car_interface.tools.doctor.findings import BAD, OK, WARN
+from car_interface.tools.doctor.board import BoardSettings, Registers
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
+
+ORIN = header_of("NVIDIA Jetson Orin Nano Developer Kit")
+MAIN, OTHER = "/dev/i2c-7", "/dev/i2c-1"
+
+
+def settings(address=0x40, prescale=121, driven=False):
+    return BoardSettings(address, prescale, driven, 25e6)
+
 
 # --- the bus ---
 
-def bus(exists=True, is_i2c=True, usable=True, others=()):
-    return board.check_bus("/dev/i2c-1", exists, is_i2c, usable, "i2c", others)
+def bus(exists=True, is_i2c=True, denial=None, header=UNKNOWN, there=()):
+    return board.check_bus("/dev/i2c-1", exists, is_i2c, denial, header, there)
 
 
-@pytest.mark.parametrize("findings, level, words, remedy", [
+@pytest.mark.parametrize("found, level, words, remedy", [
     (bus(), OK, "/dev/i2c-1", ""),
-    (bus(exists=False, is_i2c=False), BAD, "there is no such bus", "raspi-config"),
-    (bus(exists=False, others=("/dev/i2c-7", "/dev/i2c-8")), BAD, "there are /dev/i2c-7, /dev/i2c-8", "/dev/i2c-7"),
+    (bus(header=header_of("Raspberry Pi 5 Model B")), OK, "/dev/i2c-1, pins 3 and 5 of this Raspberry Pi 5", ""),
+    (bus(exists=False, is_i2c=False), BAD, "there is no such bus", "modprobe i2c-dev"),
+    (bus(exists=False, header=header_of("Raspberry Pi 4 Model B")), BAD, "there is no such bus", "raspi-config"),
+    (bus(exists=False, header=ORIN), BAD, "there is no such bus", "Pins 3 and 5 of a Jetson Orin are bus 7"),
+    (bus(exists=False, there=("/dev/i2c-7", "/dev/i2c-8")), BAD, "there are /dev/i2c-7, /dev/i2c-8", "ls /dev/i2c-*"),
     (bus(is_i2c=False), BAD, "not an I2C bus", "ls /dev/i2c-*"),
-    (bus(usable=False), BAD, "its group is i2c", "setup_hardware"),
-], ids=["fine", "absent", "absent_among_others", "no_bus", "no_permission"])
-def test_bus(findings, level, words, remedy):
-    found, = findings
+    (bus(denial=("no permission", "setup_hardware")), BAD, "/dev/i2c-1: no permission", "setup_hardware"),
+], ids=["fine", "header_s", "absent", "switched_off", "another_number", "absent_among_others", "no_bus",
+         "no_permission"])
+def test_bus(found, level, words, remedy):
     assert (found.subject, found.level) == ("bus", level) and words in found.what and remedy in found.remedy
+
+
+def test_buses_are_listed_once_each_whatever_links_lead_to_them(monkeypatch):
+    links = {"/dev/i2c-servo": "/dev/i2c-1"}
+    monkeypatch.setattr(board.glob, "glob", lambda pattern: ["/dev/i2c-servo", "/dev/i2c-1", "/dev/i2c-7"])
+    monkeypatch.setattr(board.os.path, "realpath", lambda path: links.get(path, path))
+    monkeypatch.setattr(board, "_is_i2c", lambda path: True)
+    assert board._buses() == ["/dev/i2c-1", "/dev/i2c-7"]
 
 
 # --- the chip ---
 
-FRESH, DRIVEN = board.Registers(0x11, 0x1E), board.Registers(0x20, 121)
+FRESH, DRIVEN = Registers(0x11, 0x1E), Registers(0x20, 121)
 
 
 @pytest.mark.parametrize("registers, prescale, driven, level, words", [
     (FRESH, 121, False, OK, "fresh from power-up"),
     (DRIVEN, 121, True, OK, "driven at 50.0 Hz"),
     (FRESH, 121, True, BAD, "doesn't run as"),
-    (board.Registers(0x20, 122), 121, True, BAD, "doesn't run as"),
-    (board.Registers(0x01, 121), 121, True, BAD, "doesn't run as"),
-    (board.Registers(0x21, 121), None, False, OK, "left so by another program"),
-    (board.Registers(0x31, 121), None, False, OK, "sleeps"),
-    (board.Registers(0x21, 5), None, False, WARN, "which no servo takes"),
-    (board.Registers(0x60, 121), None, False, BAD, "EXTCLK"),
-    (board.Registers(0x00, 0), None, False, BAD, "not as a PCA9685"),
-    (board.Registers(0xFF, 0xFF), None, False, BAD, "not as a PCA9685"),
+    (Registers(0x20, 122), 121, True, BAD, "doesn't run as"),
+    (Registers(0x01, 121), 121, True, BAD, "doesn't run as"),
+    (Registers(0x21, 121), None, False, OK, "left so by another program"),
+    (Registers(0x31, 121), None, False, OK, "sleeps"),
+    (Registers(0x21, 5), None, False, WARN, "which no servo takes"),
+    (Registers(0x60, 121), None, False, BAD, "EXTCLK"),
+    (Registers(0x71, 0x54, is_pca9685=False), None, False, BAD, "not as a PCA9685"),
 ], ids=["fresh", "driven", "lost_power", "other_prescale", "no_auto_increment", "left_running", "asleep", "too_fast",
-         "external_clock", "zeros", "ones"])
+         "external_clock", "another_kind"])
 def test_chip_is_judged_by_its_registers(registers, prescale, driven, level, words):
-    found, = board.check_chip("0x40 on /dev/i2c-1", registers, prescale, driven)
+    found, = board.check_chip("0x40 on /dev/i2c-1", registers, settings(prescale=prescale, driven=driven))
     assert found.level == level and words in found.what and bool(found.remedy) == (level != OK)
+
+
+def no_answer(error, others=(), header=UNKNOWN, device=OTHER):
+    found, = board.check_no_answer(f"0x40 on {device}", error, device, header, others)
+    assert (found.subject, found.level) == ("chip", BAD)
+    return found
 
 
 def test_chip_at_another_address_is_found_and_nothing_is_written():
     written = []
-    virtual = VirtualBus({0x41: VirtualPca9685()}, on_write=lambda *write: written.append(write))
+    virtual = VirtualBus({0x41: VirtualPca9685(), 0x42: Ina3221()}, on_write=lambda *write: written.append(write))
     with pytest.raises(OSError) as caught:
         board.read_registers(virtual, 0x40)
     others = board.find_others(virtual, 0x40)
-    assert others == [(0x41, FRESH)]
-    found, = board.check_no_answer("0x40 on /dev/i2c-1", caught.value, others)
-    assert found.level == BAD and "something like it at 0x41" in found.what and "0x41" in found.remedy
-    assert written == []
+    found = no_answer(caught.value, others)
+    assert others == [0x41] and "but a PCA9685 at 0x41" in found.what and "address:=0x41" in found.remedy
+    assert board.read_registers(virtual, 0x42) == (0x71, 0x54, False) and written == []
 
 
 @pytest.mark.parametrize("address, error, expected", [
@@ -83,57 +110,80 @@ def test_chips_of_other_kinds_are_not_asked_for_the_question_is_a_write_to_them(
 
 
 @pytest.mark.parametrize("number, words, remedy", [
-    (errno.EREMOTEIO, "nothing answers at 0x40", "i2cdetect -y 1"),
-    (errno.ENXIO, "nothing answers at 0x40", "power, SDA and SCL"),
-    (errno.EBUSY, "a kernel driver", "--address"),
+    (errno.EREMOTEIO, "nothing answers at this address", "i2cdetect -y 1. rosrun car_interface doctor --probe"),
+    (errno.ENXIO, "nothing answers at this address", "power, SDA and SCL"),
+    (errno.EBUSY, "a kernel driver", "address:="),
     (errno.ETIMEDOUT, "holds the bus down", "short"),
-    (errno.EAGAIN, "the bus failed", "power"),
+    (errno.EAGAIN, "another pca9685 node", "rosnode"),
 ])
-def test_chip_that_can_not_be_read_is_told(number, words, remedy):
-    found, = board.check_no_answer("0x40 on /dev/i2c-1", OSError(number, os.strerror(number)), [])
-    assert (found.subject, found.level) == ("chip", BAD) and words in found.what and remedy in found.remedy
+def test_chip_that_can_not_be_read_is_told_as_the_node_tells_it(number, words, remedy):
+    found = no_answer(OSError(number, os.strerror(number)))
+    assert words in found.what and remedy in found.remedy
+
+
+def test_address_that_a_driver_has_on_a_jetson_s_inner_bus_leads_to_the_header_s():
+    found = no_answer(OSError(errno.EBUSY, "busy"), header=ORIN)
+    assert found.what == "0x40 on /dev/i2c-1: a kernel driver has this address (i2cdetect: UU)"
+    assert found.remedy.endswith("Pins 3 and 5 of a Jetson Orin are bus 7: i2c:=/dev/i2c-7")
 
 
 # --- both ---
 
 @pytest.fixture
-def smbus2(monkeypatch):
-    """A bus that is there and usable, with a smbus2 that opens it; what was opened, and still is."""
-    module = types.SimpleNamespace(chips={0x40: VirtualPca9685()}, opened=[], refuses=None)
-
-    class SMBus(VirtualBus):
-        def __init__(self):
-            super().__init__(module.chips)
-
-        def open(self, device):
-            if module.refuses is not None:
-                raise module.refuses
-            module.opened.append(device)
-
-        def close(self):
-            module.opened.clear()
-
-    module.SMBus = SMBus
-    monkeypatch.setitem(sys.modules, "smbus2", module)
-    monkeypatch.setattr(board, "_probe_bus", lambda device: bus())
-    return module
+def computer(monkeypatch):
+    """A computer whose buses are all usable, of no known kind; smbus2 opens them."""
+    computer = Computer({OTHER: {0x40: VirtualPca9685()}})
+    monkeypatch.setitem(sys.modules, "smbus2", types.SimpleNamespace(SMBus=computer.make_bus))
+    monkeypatch.setattr(board, "_check_path", lambda device, header, there: Finding(OK, "bus", device))
+    monkeypatch.setattr(board, "_buses", lambda: sorted(computer.buses))
+    yield computer
+    assert computer.written == [] and computer.open == set()
 
 
-def levels_and_words(address=0x40, driven=False):
-    found = board.probe_board("/dev/i2c-1", address, 121, driven, 25e6)
+@pytest.fixture
+def jetson(computer, monkeypatch):
+    """A Jetson Orin Nano with the board on pins 3 and 5, and a power monitor of its own on bus 1."""
+    computer.buses.update({MAIN: {0x40: VirtualPca9685()}, OTHER: {0x40: Ina3221()}})
+    computer.taken = [(OTHER, 0x40)]
+    monkeypatch.setattr(board, "read_header", lambda: ORIN)
+    return computer
+
+
+def examine(device=OTHER, asks_all=False, **how):
+    found = board.probe_board(device, settings(**how), asks_all)
     return [(finding.subject, finding.level) for finding in found], found[-1].what
 
 
-def test_bus_and_chip_are_ok_unless_the_chip_lost_its_power_under_the_node(smbus2):
-    assert levels_and_words() == ([("bus", OK), ("chip", OK)],
-                                  "0x40 on /dev/i2c-1 is fresh from power-up: MODE1 0x11, PRE_SCALE 30")
-    assert levels_and_words(address=0x60) == ([("bus", OK), ("chip", BAD)],
-                                              "nothing answers at 0x60 on /dev/i2c-1, but something like it at 0x40")
-    assert smbus2.opened == []
-    assert levels_and_words(driven=True)[0] == [("bus", OK), ("chip", BAD)]
+def test_bus_and_chip_are_ok_unless_the_chip_lost_its_power_under_the_node(computer):
+    assert examine() == ([("bus", OK), ("chip", OK)],
+                         "0x40 on /dev/i2c-1 is fresh from power-up: MODE1 0x11, PRE_SCALE 30")
+    assert examine(address=0x60) == ([("bus", OK), ("chip", BAD)],
+                                     "nothing answers at 0x60 on /dev/i2c-1, but a PCA9685 at 0x40")
+    assert examine(driven=True)[0] == [("bus", OK), ("chip", BAD)]
 
 
-def test_bus_that_can_not_be_opened_is_bad(smbus2):
-    smbus2.refuses = PermissionError(errno.EACCES, "Permission denied")
-    levels, words = levels_and_words()
-    assert levels == [("bus", BAD)] and "Permission denied" in words
+def test_bus_that_can_not_be_opened_is_bad(computer):
+    computer.buses[OTHER] = errno.EACCES
+    levels, words = examine()
+    assert levels == [("bus", OK), ("bus", BAD)] and "Permission denied" in words
+
+
+def test_auto_is_the_header_s_bus_as_for_the_node(jetson):
+    assert examine(AUTO) == ([("bus", OK), ("chip", OK)],
+                             "0x40 on /dev/i2c-7 is fresh from power-up: MODE1 0x11, PRE_SCALE 30")
+    jetson.buses[MAIN] = {}
+    assert examine(AUTO)[1] == "0x40 on /dev/i2c-7: nothing answers at this address (Remote I/O error)"
+    jetson.buses.update({MAIN: {0x40: VirtualPca9685()}, OTHER: {0x40: VirtualPca9685()}})
+    jetson.taken = []
+    assert examine(AUTO) == ([("bus", BAD)], "there is one on /dev/i2c-7 and on /dev/i2c-1")
+
+
+def test_other_buses_are_asked_only_when_a_person_wants_that(jetson):
+    jetson.buses.update({"/dev/i2c-0": errno.EACCES, "/dev/i2c-9": {0x43: VirtualPca9685()}})
+    examine(AUTO)
+    assert {path for path, *_ in jetson.asked} == {MAIN, OTHER}
+    found = board.probe_board(AUTO, settings(), asks_all=True)[2:]
+    assert [(one.level, one.what) for one in found] == [
+        (WARN, "a PCA9685 answers at 0x43 on /dev/i2c-9"),
+        (OK, "no PCA9685 on /dev/i2c-0 (Permission denied), /dev/i2c-1")]
+    assert found[0].remedy == "If that is the car's: i2c:=/dev/i2c-9 address:=0x43"

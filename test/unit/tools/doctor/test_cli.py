@@ -14,12 +14,13 @@ from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
 
 def test_options_are_read_without_remappings_and_by_default_name_nothing_but_the_namespace(monkeypatch):
     monkeypatch.delenv("ROS_NAMESPACE", raising=False)
-    assert vars(read_options([])) == dict.fromkeys(("port", "bus", "address", "namespace"))
+    assert vars(read_options([])) == {**dict.fromkeys(("port", "bus", "address", "namespace")), "probe": False}
     monkeypatch.setenv("ROS_NAMESPACE", "car1/")
     assert read_options([]).namespace == "/car1"
-    arguments = ["--port", "/dev/ttyACM0", "__name:=doctor", "--i2c", "7", "--address", "0x41", "--ns", "/a/b/"]
+    arguments = ["--port", "/dev/ttyACM0", "__name:=doctor", "--i2c", "7", "--address", "0x41", "--ns", "/a/b/",
+                 "--probe"]
     assert vars(read_options(arguments)) == {
-        "port": "/dev/ttyACM0", "bus": "7", "address": 0x41, "namespace": "/a/b"}
+        "port": "/dev/ttyACM0", "bus": "7", "address": 0x41, "namespace": "/a/b", "probe": True}
 
 
 @pytest.mark.parametrize("arguments, words", [

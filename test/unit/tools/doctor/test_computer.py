@@ -65,10 +65,11 @@ def member(monkeypatch):
     monkeypatch.setattr(computer, "read_membership", lambda: NOBODY)
     monkeypatch.setattr(computer, "group_of", lambda path, usual: usual)
     monkeypatch.setattr(computer.glob, "glob", lambda pattern: [])
+    monkeypatch.setattr(computer.os.path, "exists", lambda path: path in ("/dev/ttyACM0", "/dev/i2c-1"))
 
 
-def missing_groups(virtual_port=False, virtual_bus=False):
-    found = computer.probe_groups("/dev/ttyACM0", "/dev/i2c-1", virtual_port, virtual_bus)
+def missing_groups(virtual_port=False, virtual_bus=False, bus="/dev/i2c-1"):
+    found = computer.probe_groups("/dev/ttyACM0", bus, virtual_port, virtual_bus)
     return [(finding.level, finding.what) for finding in found]
 
 
@@ -77,6 +78,11 @@ def test_port_and_bus_need_their_groups_unless_they_are_virtual(member):
     assert missing_groups() == [port, bus]
     assert missing_groups(virtual_bus=True) == [port] and missing_groups(virtual_port=True) == [bus]
     assert missing_groups(True, True) == [(OK, "none needed: the devices are virtual")]
+    assert missing_groups(bus="auto") == [port, bus]
+
+
+def test_group_of_a_device_that_is_missing_is_no_more_than_a_warning_beside_that(member):
+    assert [level for level, _ in missing_groups(bus="/dev/i2c-9")] == [BAD, WARN]
 
 
 @pytest.mark.parametrize("readable, found", [(True, [(OK, "none needed: the devices are virtual")]),

@@ -4,8 +4,11 @@ from __future__ import annotations
 import threading
 import time
 
-from car_interface.tools.doctor.examination import Task
-from car_interface.tools.doctor.findings import BAD, OK, Finding
+import pytest
+
+from car_interface.tools.doctor import examination
+from car_interface.tools.doctor.examination import PaceWatch, Task, examine
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
 
 FINE = [Finding(OK, "bus", "/dev/i2c-1")]
 
@@ -34,3 +37,28 @@ def test_look_that_hangs_is_a_finding_at_its_deadline():
     assert (found.level, found.what) == (BAD, "no answer in time: given up")
     assert time.monotonic() - begin_s < 3.0
     released.set()
+
+
+@pytest.mark.parametrize("ticks, elapsed_s, is_busy", [(0, 0.01, False), (49, 1.0, False), (20, 1.0, True)])
+def test_computer_is_busy_where_a_thread_that_sleeps_gets_less_than_half_of_its_turns(monkeypatch, ticks, elapsed_s,
+                                                                                      is_busy):
+    monkeypatch.setattr(PaceWatch, "_count", lambda self: None)
+    now_s = [100.0]
+    monkeypatch.setattr(examination.time, "monotonic", lambda: now_s[0])
+    pace = PaceWatch()
+    pace._ticks = ticks
+    now_s[0] += elapsed_s
+    assert pace.is_busy() == is_busy
+
+
+@pytest.mark.parametrize("is_busy", [False, True])
+def test_answer_that_did_not_come_is_bad_unless_the_computer_is_busy(monkeypatch, is_busy):
+    silent = Finding(BAD, "nodes", "/turn_arb is registered, but doesn't answer", "End it", by_silence=True)
+    absent = Finding(BAD, "bus", "there is no such bus", "Switch it on")
+    monkeypatch.setattr(examination, "_examine", lambda options: iter([silent, absent]))
+    monkeypatch.setattr(PaceWatch, "is_busy", lambda self: is_busy)
+    first, second = examine(None)
+    assert second == absent and (first == silent) == (not is_busy)
+    if is_busy:
+        assert first.level == WARN and first.remedy == "See what keeps it busy (top), and run the doctor again"
+        assert first.what.startswith("couldn't check, as this computer is busy: /turn_arb is registered, but doesn't")

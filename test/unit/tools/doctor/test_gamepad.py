@@ -30,9 +30,9 @@ def test_gamepad_that_works_is_ok_with_its_size_and_rate():
 @pytest.mark.parametrize("changes, level, what, remedy", [
     pytest.param({"sample": NOTHING, "publishers": (), "reason": "joy was never heard"}, WARN,
                  "no node publishes /joy, so that no deadman can be held (joy was never heard)",
-                 "roslaunch car_interface car.launch gamepad:=true", id="nobody_publishes"),
+                 "Launch the car with gamepad:=true, which starts its driver", id="nobody_publishes"),
     pytest.param({"sample": NOTHING}, WARN, "/joy_node publishes /joy, but nothing came",
-                 "Set joy_node's autorepeat_rate to 20", id="joy_node_without_a_message"),
+                 "Set its driver's autorepeat_rate to 20", id="joy_node_without_a_message"),
     pytest.param({"sample": AT_20_HZ._replace(axes=4)}, BAD,
                  "the gamepad has 4 axes (0 to 3), but throttle_axis is 4", "needs its switch at X", id="wrong_mode"),
     pytest.param({"sample": AT_20_HZ._replace(values={4: math.nan})}, BAD,

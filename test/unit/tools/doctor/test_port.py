@@ -13,7 +13,7 @@ from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.teensy.link.health import FINE, PORT_FAULTS
 from car_interface.tools.doctor import port
 from car_interface.tools.doctor.car import ABSENT, RUNNING, SILENT, Node
-from car_interface.tools.doctor.findings import BAD, OK, WARN
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
 from car_interface.tools.doctor.port import (
     TeensyProbe,
     check_holders,
@@ -158,7 +158,7 @@ def test_link_over_an_open_port_is_told_as_the_hub_sees_it(status, level, words,
 @pytest.mark.parametrize("state", sorted(PORT_FAULTS))
 def test_port_that_the_hub_cannot_open_is_not_told_to_be_fine(state):
     found, = check_link(link(BAD, "there is no such port", "Plug it in", state=state), "/dev/tty0", HUB)
-    assert found == (BAD, "port", "/dev/tty0: there is no such port", "Plug it in")
+    assert found == Finding(BAD, "port", "/dev/tty0: there is no such port", "Plug it in")
 
 
 def test_hub_that_says_nothing_of_its_link_hangs_and_its_process_is_named():

@@ -9,8 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from car_interface.common.device_access import GROUPS
+from car_interface.common.header import header_of
 from car_interface.tools.host_setup import cli
-from car_interface.tools.host_setup.cli import GROUPS, RULES_NAME, Computer, plan, remarks
+from car_interface.tools.host_setup.cli import RULES_NAME, Computer, plan, remarks
 
 COMPUTER = Computer("ann", frozenset({"dialout", "input"}), frozenset(), has_udev=True, rules_are_new=False)
 
@@ -28,6 +30,7 @@ def run(monkeypatch, capsys):
         monkeypatch.setattr(cli, "read_computer", lambda user, rules: COMPUTER)
         monkeypatch.setattr(cli, "as_root", list)
         monkeypatch.setattr(cli, "package_file", lambda name: f"/share/{name}")
+        monkeypatch.setattr(cli.pwd, "getpwnam", lambda name: None)
         monkeypatch.setattr(sys, "argv", ["setup_hardware", "--user", "ann"])
         last_words = ""
         try:
@@ -56,6 +59,7 @@ def test_each_step_is_tried_and_what_failed_is_named_at_the_end(run, failing, co
 def test_dry_run_shows_the_commands_and_runs_none(monkeypatch, capsys):
     monkeypatch.setattr(subprocess, "run", lambda *_, **__: pytest.fail("it ran something"))
     monkeypatch.setattr(cli, "read_computer", lambda user, rules: COMPUTER)
+    monkeypatch.setattr(cli.pwd, "getpwnam", lambda name: None)
     monkeypatch.setattr(sys, "argv", ["setup_hardware", "--user", "ann", "--dry-run"])
     cli.main()
     assert "usermod --append --groups dialout,i2c,input ann" in capsys.readouterr().out
@@ -114,6 +118,20 @@ def test_root_is_added_to_no_group_and_told_so():
 def test_only_what_udev_does_by_itself_later_may_fail():
     assert [step.command[0] for step in plan(computer(), "/share/rules") if step.may_fail] == ["udevadm", "udevadm"]
     assert all(step.otherwise for step in plan(computer(), "/share/rules") if step.may_fail)
+
+
+@pytest.mark.parametrize("model, has_bus, told", [
+    ("Raspberry Pi 5 Model B Rev 1.0", True, ["pins 3 and 5 are /dev/i2c-1", "is on /dev/ttyAMA0: pins 8 and 10",
+                                              "dtoverlay=uart0-pi5", "raspi-config, Interface Options"]),
+    ("Raspberry Pi 4 Model B Rev 1.5", False, ["/dev/i2c-1, which is missing. Switch I2C on: sudo raspi-config nonint",
+                                               "pins 8 and 10 is on /dev/serial0. If a log-in"]),
+    ("NVIDIA Jetson Orin Nano Developer Kit", True, ["pins 3 and 5 are /dev/i2c-7", "one of /dev/ttyTHS*", "nvgetty"]),
+    ("Some PC", False, []),
+], ids=["pi_5", "pi_4_without_i2c", "jetson", "unknown"])
+def test_pins_of_a_known_computer_are_told_with_what_they_need(model, has_bus, told):
+    lines = remarks(computer(groups=GROUPS, joined=GROUPS, rules_are_new=True)._replace(
+        header=header_of(model), has_bus=has_bus), [])
+    assert [words for words in told if words not in " ".join(lines)] == [] and bool(lines) == bool(told)
 
 
 # --- the rules ---

@@ -15,6 +15,7 @@ from car_interface.tools.recordings.columns import (
     CommandColumn,
     Gravity,
     ImuColumn,
+    OdomColumn,
     OutputColumn,
     Timeline,
     ValueColumn,
@@ -75,6 +76,46 @@ def test_message_that_can_not_be_used_leaves_a_column_empty():
     assert not values(ValueColumn("v"), (0.0, 0.0, 1.0)).is_empty
     output = vectors(OutputColumn("o"), (0.0, [1] * 15), (0.1, [1] * 17), (0.2, []))
     assert output.is_empty and output.notes() == ["o: 3 messages that don't have 16 duties: left out"]
+
+
+# --- odometry without a twist ---
+
+
+def captured(*poses, linear=(0.0, 0.0)):
+    """A column of (time in s, x in m, y in m, yaw) each, with the same twist all the time."""
+    column = OdomColumn("odom")
+    for time_s, x_m, y_m, yaw in poses:
+        column.add(Recorded(0, "odom", SimpleNamespace(
+            pose=SimpleNamespace(pose=SimpleNamespace(
+                position=SimpleNamespace(x=x_m, y=y_m),
+                orientation=SimpleNamespace(x=0.0, y=0.0, z=math.sin(yaw / 2), w=math.cos(yaw / 2)))),
+            twist=SimpleNamespace(twist=SimpleNamespace(linear=SimpleNamespace(x=linear[0], y=linear[1]))))),
+            time_s, Timeline())
+    return column
+
+
+def circle(sign=1.0):
+    """A left-hand circle of 1 m at 2 m/s, 100 poses a second, forward or backward."""
+    return [(step / 100, math.sin(sign * step / 50), 1 - math.cos(sign * step / 50), sign * step / 50)
+            for step in range(300)]
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0], ids=["forward", "backward"])
+def test_odometry_without_a_twist_has_the_speed_of_its_pose_and_a_note(sign):
+    column = captured(*circle(sign))
+    assert column.build().speed_mps == pytest.approx(2.0 * sign, rel=0.003)
+    assert column.notes() == [
+        "odom: its twist is 0 throughout while its pose moves: speed and turn rate are taken from the pose"]
+
+
+@pytest.mark.parametrize("poses, linear, speed_mps", [
+    (circle(), (1.9, 0.0), 1.9), (circle(), (0.0, 0.1), 0.0),
+    ([(step / 100, 0.001 * (-1) ** step, 0.0, 0.0) for step in range(100)], (0.0, 0.0), 0.0),
+    ([(0.0, 1.0, 1.0, 0.0)], (0.0, 0.0), 0.0),
+], ids=["has_a_twist", "slides_sideways", "stands", "one_pose"])
+def test_twist_that_is_not_0_and_a_pose_that_does_not_move_are_believed(poses, linear, speed_mps):
+    column = captured(*poses, linear=linear)
+    assert column.build().speed_mps == pytest.approx(speed_mps) and column.notes() == []
 
 
 @pytest.mark.parametrize("orientation, pitch", [

@@ -158,14 +158,21 @@ def cut_mcap(tmp_path):
 @pytest.mark.parametrize("make, words", [
     pytest.param(lambda tmp_path: tmp_path / "a.bag", "there is no such file", id="missing"),
     pytest.param(with_text(b""), "it is empty", id="empty_file"),
-    pytest.param(with_text(b"\xff\xfe\x00" * 50), "it is no bag|damaged", id="binary_rubbish"),
+    pytest.param(with_text(b"\xff\xfe\x00" * 50), "it is no bag$", id="binary_rubbish"),
+    pytest.param(with_text(b"#ROSBAG V2.0\n" + b"\xff\xfe\x00" * 50), "damaged", id="rubbish_behind_the_first_line"),
+    pytest.param(with_text(b"#ROSBAG V1.2\n"), r"recording: Bag version \d+ is not supported$", id="old_version"),
     pytest.param(cut, r"a\.bag is cut off or damaged \([\w :.]+\w\): rosbag reindex .*a.bag saves", id="truncated"),
     pytest.param(lambda tmp_path: cut(tmp_path, 0.02), "cut off or damaged|never closed", id="truncated_in_its_head"),
     pytest.param(unindexed, "never closed: if its recorder still runs, end it by Ctrl-C; if it was killed: rosbag "
                  "reindex .*a.bag", id="unindexed"),
     pytest.param(chunk_overwritten, "damaged", id="overwritten_in_the_middle"),
     pytest.param(lambda tmp_path: tmp_path, "a ROS 2 bag's folder has a metadata.yaml", id="folder_that_is_no_bag"),
-    pytest.param(ros2_with(lambda path: (path / "metadata.yaml").write_text("a: [")), "YAML", id="ros2_bad_metadata"),
+    pytest.param(ros2_with(lambda path: (path / "metadata.yaml").write_text("a: [")), "its metadata.yaml isn't a ROS 2",
+                 id="ros2_bad_metadata"),
+    pytest.param(ros2_with(lambda path: (path / "metadata.yaml").write_bytes(b"\xff\x00")), "metadata.yaml isn't",
+                 id="ros2_metadata_of_rubbish"),
+    pytest.param(ros2_with(lambda path: next(path.glob("*.db3")).write_bytes(b"\xff\x00" * 50)),
+                 r"recording: \S+.db3 is no SQLite database$", id="ros2_database_of_rubbish"),
     pytest.param(ros2_with(lambda path: next(path.glob("*.db3")).unlink()), "missing", id="ros2_without_its_database"),
     pytest.param(ros2_with(cut_database), "damaged|can't be read", id="ros2_truncated_database"),
     pytest.param(cut_mcap, "damaged|can't be read", id="ros2_truncated_mcap"),
@@ -211,6 +218,14 @@ def test_missing_topic_is_named_with_its_file_and_what_is_alike(bag):
     assert str(bag) in str(caught.value)
     with pytest.raises(NoRecording, match="no topic odom below /car1; it has /odom"):
         require(str(bag), ["odom"], "/car1")
+
+
+def test_topic_that_its_type_would_refuse_is_not_offered_for_a_missing_one(bag):
+    hint = "; name another by --map TOPIC=imu"
+    with pytest.raises(NoRecording, match=r"no topic imu, for the slope; name .* TOPIC=imu; it has /odom$"):
+        require(str(bag), {"imu": ("sensor_msgs/Imu", "nav_msgs/Odometry")}, why="for the slope", hint=hint)
+    with pytest.raises(NoRecording, match=r"no topic imu, for the slope; it has none of type sensor_msgs/Imu$"):
+        require(str(bag), {"imu": "sensor_msgs/Imu"}, why="for the slope", hint=hint)
 
 
 # --- the bar ---

@@ -1,13 +1,14 @@
 """Raw records of a recording, put through the measurements again."""
 from __future__ import annotations
 
+import contextlib
 from types import SimpleNamespace
 
 import pytest
 
 from car_interface.common.units import NS_PER_MS, NS_PER_S
 from car_interface.teensy.sensing.measurements import MeasurementConfig, MotionMeasurement, RangeMeasurement
-from car_interface.tools.recordings.recording import Recorded
+from car_interface.tools.recordings.recording import NoRecording, Recorded
 from car_interface.tools.recordings.replay import replay
 
 ROS_NS, MONOTONIC_NS = 1_700_000_000 * NS_PER_S, 7 * NS_PER_S  # when the first record was made, on both clocks
@@ -42,7 +43,8 @@ def driving(pongs=True):
 
 @pytest.mark.parametrize("pongs", [True, False], ids=["with_pongs", "no_ping_was_answered"])
 def test_every_record_is_measured_in_order_also_those_before_the_first_pong(pongs):
-    measured = list(replay(driving(pongs), MeasurementConfig()))
+    with contextlib.nullcontext() if pongs else pytest.warns(UserWarning, match="has no message of teensy_clock$"):
+        measured = list(replay(driving(pongs), MeasurementConfig()))
     motions = [one for one in measured if isinstance(one, MotionMeasurement)]
     assert len(motions) > 50 and any(isinstance(one, RangeMeasurement) for one in measured)
     stamps = [one.stamp.time_ns for one in motions]
@@ -53,3 +55,16 @@ def test_every_record_is_measured_in_order_also_those_before_the_first_pong(pong
 def test_stamps_are_on_the_monotonic_clock_of_the_computer_that_recorded():
     motions = [one for one in replay(driving(), MeasurementConfig()) if isinstance(one, MotionMeasurement)]
     assert motions[-1].stamp.time_ns == pytest.approx(MONOTONIC_NS + 9_950 * NS_PER_MS, abs=20 * NS_PER_MS)
+
+
+@pytest.mark.parametrize("topic", ["teensy_wheel", "teensy_distance"])
+def test_topic_that_is_missing_is_named_after_what_the_others_give(topic):
+    with pytest.warns(UserWarning, match=f"the recording has no message of {topic}$"):
+        assert list(replay([one for one in driving() if one.topic != topic], MeasurementConfig()))
+
+
+@pytest.mark.parametrize("records, missing", [([], "teensy_clock, teensy_distance, teensy_wheel"),
+                                              ([clock(0)], "teensy_distance, teensy_wheel")])
+def test_recording_without_any_record_to_measure_is_refused_naming_the_topics(records, missing):
+    with pytest.raises(NoRecording, match=f"has no message of {missing}: there is nothing to replay"):
+        list(replay(records, MeasurementConfig()))

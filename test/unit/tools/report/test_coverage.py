@@ -70,7 +70,7 @@ def test_recording_that_has_everything_and_no_fault_says_so(below, tmp_path):
     assert ALL_IS_WELL in words and "can't tell" not in words
 
 
-def test_recording_of_odometry_alone_can_tell_nothing_and_its_table_of_faults_does_not_say_none(tmp_path):
+def test_recording_of_odometry_alone_can_tell_nothing_and_has_no_table_of_faults(tmp_path):
     text = page(summarize(str(write_ros1(tmp_path / "a.bag", wheels(10)))), {})
     words = shown(text[text.index('<p class="verdict">'):text.index("</p>")])
     assert "Nothing went wrong" not in words and "no fault" not in words
@@ -80,8 +80,7 @@ def test_recording_of_odometry_alone_can_tell_nothing_and_its_table_of_faults_do
             "no /teleop_logi/state (why the gamepad released the deadman); "
             "no /throttle_arb/state (why the throttle stopped); "
             "no /rosout (warnings in the nodes' logs).") in words
-    faults = text[text.index('id="faults"'):text.index('id="steering"')]
-    assert "<p>None.</p>" not in faults and "can't tell: no /turn_arb/state" in faults
+    assert 'id="faults"' not in text
     assert "<b>unknown</b><span>faults and timeouts</span>" in text
 
 

@@ -25,8 +25,9 @@ def test_time_of_a_long_drive_has_minutes(time_s, duration_s, text):
 
 
 @pytest.mark.parametrize("time_s, text", [
-    (0.0, "0 s"), (0.0123, "0.012 s"), (0.1, "0.1 s"), (99.94, "99.9 s"), (100, "1 min 40 s"),
+    (-5.0, "unknown"), (0.0, "0 s"), (4.3e-06, "<0.01 s"), (0.0123, "0.01 s"), (0.0949, "0.09 s"),
+    (0.095, "0.1 s"), (99.94, "99.9 s"), (99.96, "1 min 40 s"), (100, "1 min 40 s"),
     (3599.4, "59 min 59 s"), (3599.6, "1 h 0 min"), (3720, "1 h 2 min"),
 ])
-def test_duration_is_in_seconds_minutes_or_hours(time_s, text):
+def test_duration_is_in_seconds_minutes_or_hours_and_a_moment_has_no_digits(time_s, text):
     assert span_text(time_s) == text

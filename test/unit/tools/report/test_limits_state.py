@@ -1,6 +1,7 @@
 """Which requests of a drive were cut by a limit."""
 from __future__ import annotations
 
+import re
 from types import SimpleNamespace
 
 from car_interface.tools.report.page import page
@@ -40,7 +41,7 @@ def test_a_restarted_node_counts_on():
 def limited_page(tmp_path, states):
     messages = sorted([*drive(10.0), *states], key=lambda message: message.time_s)
     text = page(summarize(str(write_ros1(tmp_path / "a.bag", messages))), {})
-    return text[text.index('<section id="limits">'):text.index('<section id="path">')]
+    return re.search('<section id="limits">.*?</section>', text, re.DOTALL).group()
 
 
 def test_page_shows_each_cut_and_their_count(tmp_path):
@@ -55,4 +56,4 @@ def test_page_shows_each_cut_and_their_count(tmp_path):
 def test_page_of_a_drive_without_cuts_says_so_unless_its_recording_can_not_tell(tmp_path):
     assert "None was cut." in limited_page(tmp_path, [])
     text = page(summarize(str(write_ros1(tmp_path / "b.bag", [odometry(0.0)]))), {})
-    assert "None was cut." not in text and "Not recorded: turn_arb/state, throttle_arb/state." in text
+    assert "None was cut." not in text and "Not recorded: turn_arb/state, throttle_arb/state, " in text

@@ -6,6 +6,8 @@ from types import SimpleNamespace
 
 import pytest
 
+from car_interface.common import causes
+from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.tools.report.page import page
 from car_interface.tools.report.plots import plots
 from car_interface.tools.report.summary import summarize
@@ -68,6 +70,165 @@ def circle(duration_s=10.0, topic="/drive", is_stamped=True):
                                  yaw_rad, DRIVEN_MPS, "/vesc/odom"))
         messages.append(asked(time_s, angle_rad + 0.005 * (-1) ** step, ASKED_MPS, topic, is_stamped))
     return messages
+
+
+def state(time_s, topic, source, **fields):
+    kind = {"turn_arb": "SteeringState", "throttle_arb": "ThrottleState", "planner_interface": "PlannerState"}[topic]
+    return Written(time_s, f"/{topic}/state", f"car_interface/{kind}", {"source": source, **fields})
+
+
+def every(period_s, begin_s, end_s, message):
+    """The messages that a function makes of each of these times."""
+    return [message(begin_s + step * period_s) for step in range(round((end_s - begin_s) / period_s))]
+
+
+def compared(tmp_path, *more, driven_mps=lambda time_s: 1.0, asked_until_s=12.0):
+    """For 12 s a planner asks for a circle at 1 m/s, and the car is on it at another speed; there are more messages."""
+    messages, way_m = [message for messages in more for message in messages], 0.0
+    for time_s in (step / 20 for step in range(240)):
+        way_m += driven_mps(time_s) / 20
+        yaw_rad = way_m / RADIUS_M
+        messages.append(odometry(time_s, RADIUS_M * math.sin(yaw_rad), RADIUS_M * (1 - math.cos(yaw_rad)), yaw_rad,
+                                 driven_mps(time_s)))
+        if time_s < asked_until_s:
+            messages.append(asked(time_s, math.atan(WHEELBASE_M / RADIUS_M), ASKED_MPS))
+    messages.sort(key=lambda message: message.time_s)
+    return summarize(str(write_ros1(tmp_path / "a.bag", messages, extra_types=TYPES)), wheelbase_m=WHEELBASE_M)
+
+
+def test_car_that_drove_as_asked_and_then_stood_without_a_request_drove_as_asked(tmp_path):
+    drive = compared(tmp_path, asked_until_s=4.0, driven_mps=lambda time_s: 1.0 if time_s < 4.3 else 0.0)
+    median, samples = drive.asked.speed_ratio()
+    assert median == pytest.approx(1.0, abs=0.002) and 60 < samples < 80
+    assert "<td>as asked</td>" in page(drive, {})
+
+
+def test_turn_after_the_request_has_ended_is_not_compared(tmp_path):
+    assert 60 < compared(tmp_path, asked_until_s=4.0).motion.by_planner.ratios()[0].samples < 80
+
+
+def test_request_counts_anew_after_a_pause_once_the_car_has_had_time_to_follow(tmp_path):
+    drive = compared(tmp_path, every(0.05, 8.0, 12.0, lambda time_s: asked(time_s, 0.0, ASKED_MPS)), asked_until_s=4.0,
+                     driven_mps=lambda time_s: 1.0 if time_s < 4.3 or time_s > 8.6 else 0.0)
+    assert drive.asked.speed_ratio().median == pytest.approx(1.0, abs=0.002)
+    assert 120 < drive.asked.speed_ratio().samples < 150
+
+
+def test_pause_of_the_requests_between_two_messages_of_a_slow_odometry_counts_as_well(tmp_path):
+    requests = [asked(time_s, 0.0, ASKED_MPS) for time_s in (2.5, 2.9, 3.3, 3.9, 4.3, 4.7)]
+    messages = sorted([*requests, *(odometry(time_s, speed_mps=0.5) for time_s in (2.6, 3.0, 4.0, 5.0))],
+                      key=lambda message: message.time_s)
+    drive = summarize(str(write_ros1(tmp_path / "a.bag", messages, extra_types=TYPES)))
+    assert drive.asked.speed_ratio().samples == 1, "at 5.0 s"
+
+
+@pytest.mark.parametrize("topics, speeds, turns", [
+    ({"turn_arb": PLANNER, "throttle_arb": PLANNER}, True, True),
+    ({"turn_arb": PLANNER, "throttle_arb": TELEOP}, False, True),
+    ({"turn_arb": TELEOP, "throttle_arb": PLANNER}, True, False),
+    ({"turn_arb": PLANNER}, True, True), ({"turn_arb": TELEOP}, False, False),
+    ({"throttle_arb": PLANNER}, True, True), ({"throttle_arb": NO_HUMAN}, False, False), ({}, True, True),
+], ids=["planner", "human_drives", "human_steers", "planner_by_turn_arb", "human_by_turn_arb",
+        "planner_by_throttle_arb", "nobody_by_throttle_arb", "not_recorded"])
+def test_who_has_the_car_says_what_is_compared_with_the_planners_request(topics, speeds, turns, tmp_path):
+    states = [every(0.1, 0, 12, lambda time_s, topic=topic, source=source: state(time_s, topic, source))
+              for topic, source in topics.items()]
+    drive = compared(tmp_path, *states)
+    assert (drive.asked.speed_ratio().samples > 100) is speeds
+    assert (drive.motion.by_planner.ratios()[0].samples > 100) is turns
+
+
+@pytest.mark.parametrize("source, cause, is_compared", [
+    ("drive", causes.PLANNER, True), ("cmd_vel", causes.PLANNER, False), ("drive", causes.REQUEST_REFUSED, False),
+], ids=["obeyed", "another_source_is", "refused"])
+def test_request_that_planner_interface_does_not_obey_is_not_compared(source, cause, is_compared, tmp_path):
+    drive = compared(tmp_path, every(0.1, 0, 12, lambda time_s: state(
+        time_s, "planner_interface", source, cause=cause)))
+    assert (drive.asked.speed_ratio().samples > 100) is is_compared
+    assert (drive.motion.by_planner.ratios()[0].samples > 100) is is_compared
+
+
+def test_planner_that_takes_the_car_over_is_compared_a_while_later_and_not_after_the_last_state(tmp_path):
+    drive = compared(tmp_path, every(0.1, 0, 4, lambda time_s: state(time_s, "turn_arb", TELEOP)),
+                     every(0.1, 4, 8, lambda time_s: state(time_s, "turn_arb", PLANNER)),
+                     driven_mps=lambda time_s: 1.0 if 4.6 < time_s < 8.4 else 0.4)
+    assert drive.asked.speed_ratio().median == pytest.approx(1.0, abs=0.002)
+    assert 65 < drive.asked.speed_ratio().samples < 80
+
+
+@pytest.mark.parametrize("source, until_s, low, high", [
+    (TELEOP, 12, 200, 240), (NEUTRAL, 12, 200, 240), (TELEOP, 6, 90, 120), (NO_HUMAN, 12, 0, 0), (LOCKED, 12, 0, 0),
+], ids=["gamepad", "nobody_steers", "turn_arb_ends", "no_human", "locked"])
+def test_turns_are_compared_with_the_tables_while_somebody_has_the_car(source, until_s, low, high, tmp_path):
+    drive = compared(tmp_path, every(0.05, 0, until_s, lambda time_s: state(
+        time_s, "turn_arb", source, duty=4000, turn_radius=RADIUS_M)))
+    assert low <= drive.motion.by_tables.ratios()[0].samples <= high
+
+
+def test_acceleration_is_compared_where_the_planner_had_the_throttle_all_along(tmp_path):
+    requests = every(0.05, 0, 12, lambda time_s: Written(
+        time_s, "/control/command/control_cmd", "car_interface/Control", {"longitudinal": {"acceleration": 1.0}}))
+    drive = compared(tmp_path, requests, every(0.1, 0, 4, lambda time_s: state(time_s, "throttle_arb", TELEOP)),
+                     every(0.1, 4, 8, lambda time_s: state(time_s, "throttle_arb", PLANNER)),
+                     driven_mps=lambda time_s: 0.5 + (0.5 * (time_s - 4) if 4 < time_s < 9 else 0.0))
+    (driving, samples), *_ = drive.motion.accelerating.differences_mps2()
+    assert driving == pytest.approx(-0.5, abs=0.02) and 70 < samples < 85
+
+
+# --- odometry without a twist ---
+
+
+def captured(speed_mps, yaw_rad=0.0, noise_m=0.0, twist=None, duration_s=6.0, rate_hz=100, has_stamp=True):
+    """Motion capture of a car that drives straight on for 4 s, then stands: poses, and a twist of (m/s, rad/s)."""
+    for step in range(int(duration_s * rate_hz)):
+        time_s = step / rate_hz
+        x_m = speed_mps * min(time_s, 4.0) + noise_m * (-1) ** step
+        message = odometry(time_s, x_m, 0.0, yaw_rad, topic="/mocap/odom")
+        if not has_stamp:
+            message.fields["header"]["stamp"] = {}
+        if twist is not None:
+            message.fields["twist"]["twist"] = {"linear": {"x": twist[0]}, "angular": {"z": twist[1]}}
+        yield message
+
+
+@pytest.mark.parametrize("case, speed_mps", [
+    ({}, 1.5), ({"twist": (0.0, 0.3)}, 1.5), ({"yaw_rad": 3.0}, -1.5), ({"yaw_rad": 0.5}, 1.5), ({"rate_hz": 5}, 1.5),
+    ({"has_stamp": False}, 1.5),
+], ids=["no_twist", "only_turn_rates", "backward", "body_turned_against_the_car", "five_a_second", "no_stamps"])
+def test_odometry_without_a_twist_has_the_speed_of_its_pose_and_the_page_says_so(case, speed_mps, tmp_path):
+    drive = summarize(str(write_ros1(tmp_path / "a.bag", captured(1.5, **case))))
+    speed, acceleration = drive.traces["speed"], drive.traces["acceleration"]
+    fastest = max(speed.minimum, speed.maximum, key=abs)
+    assert fastest == pytest.approx(speed_mps, rel=1e-3)
+    assert max(acceleration.maximum * speed_mps, 0) == pytest.approx(0, abs=1e-3), "it drove from the first pose on"
+    assert drive.motion.distance_m == pytest.approx(6.0, rel=0.02)
+    note = "/mocap/odom: its twist is 0 throughout while its pose moves: speed and turn rate are taken from the pose"
+    text = page(drive, {})
+    assert note in drive.notes and note in text and "<b>1.50 m/s</b><span>top speed" in text
+
+
+def test_odometry_without_a_twist_turns_as_its_pose_does(tmp_path):
+    messages = circle()
+    for message in messages:
+        message.fields.pop("twist", None)
+    drive = summarize(str(write_ros1(tmp_path / "a.bag", messages, extra_types=TYPES)), wheelbase_m=WHEELBASE_M)
+    assert drive.asked.speed_ratio().median == pytest.approx(0.9, abs=0.003)
+    assert drive.motion.by_planner.ratios()[0].median == pytest.approx(1 / 1.2, abs=0.05)
+    turned = drive.traces["turn rate"]
+    assert (turned.minimum, turned.maximum) == (pytest.approx(0.375, abs=0.001), pytest.approx(0.375, abs=0.001))
+
+
+def test_noise_of_a_pose_that_stands_is_no_distance(tmp_path):
+    drive = summarize(str(write_ros1(tmp_path / "a.bag", captured(1.0, noise_m=0.001))))
+    assert drive.motion.distance_m == pytest.approx(4.0, abs=0.1)
+    assert drive.motion.moving_s == pytest.approx(4.0, abs=0.2)
+    stood = summarize(str(write_ros1(tmp_path / "b.bag", captured(0.0, noise_m=0.001))))
+    assert stood.motion.distance_m == 0.0 and not any("twist" in note for note in stood.notes)
+
+
+def test_twist_that_is_there_is_believed(tmp_path):
+    drive = summarize(str(write_ros1(tmp_path / "a.bag", captured(1.5, twist=(1.2, 0.0)))))
+    assert drive.traces["speed"].maximum == 1.2 and not any("twist" in note for note in drive.notes)
 
 
 @pytest.fixture(scope="module")
@@ -147,6 +308,14 @@ def test_imu_on_its_side_is_not_compared_and_the_page_says_why(tmp_path):
     assert drive.imu.odometry_ratio().samples == 0
     text = page(drive, {})
     assert "Turned by odometry" not in text and "imu/data: gravity lies along its y axis, not along z" in text
+
+
+def test_turn_rate_of_an_odometry_that_has_ended_is_not_compared_with_the_imu(tmp_path):
+    messages = [*(odometry(step / 50, 0.0, 0.0, 0.5 * step / 50) for step in range(100)),
+                *(imu(step / 50, 0.5 if step < 100 else 2.0, (0.0, 0.0, 9.8)) for step in range(400))]
+    messages.sort(key=lambda message: message.time_s)
+    drive = summarize(str(write_ros1(tmp_path / "a.bag", messages)))
+    assert drive.imu.odometry_ratio().median == pytest.approx(1.0, abs=0.01)
 
 
 def test_imu_that_hardly_turns_or_has_no_number_tells_nothing(tmp_path):

@@ -104,6 +104,53 @@ def test_no_text_from_outside_is_anything_but_text(seen):
     assert unescape(text).count(HOSTILE) == sum(shown.values())
 
 
+def sections(text):
+    """The page's sections by their ids, without what describes them."""
+    return {name: re.sub(r'<h2>.*?</h2>|<p class="faint">.*?</p>', "", inside, flags=re.DOTALL).strip()
+            for name, inside in re.findall(r'<section id="(.*?)">(.*?)</section>', text, re.DOTALL)}
+
+
+def one_of(topic, kind, **fields):
+    return Written(1.0, topic, kind, fields)
+
+
+NOTHING_ON = {
+    "odometry": ([odometry(0.1 * step, 0.1 * step, speed_mps=1.0) for step in range(20)],
+                 "who drove, faults, throttle, limits, the Teensy"),
+    "odometry_of_a_car_that_stands": ([odometry(0.1 * step) for step in range(20)],
+                                      "who drove, faults, steering, throttle, limits, the path, the Teensy"),
+    "who_steered": ([one_of("/turn_arb/state", "car_interface/SteeringState", turn_radius=2.0)],
+                    "throttle, the path, speed, the Teensy"),
+    "who_drove": ([odometry(0.0), one_of("/throttle_arb/state", "car_interface/ThrottleState")],
+                  "who drove, steering, the path, speed, the Teensy"),
+    "planner": ([odometry(0.0), one_of("/planner_interface/state", "car_interface/PlannerState", source="drive")],
+                "who drove, faults, steering, limits, the path, speed, the Teensy"),
+    "board": ([one_of("/servo/output", "std_msgs/Int32MultiArray", data=[5000] * 16)],
+              "who drove, faults, throttle, limits, the path, speed, the Teensy"),
+    "pong": ([odometry(0.0), one_of("/teensy_clock", "car_interface/TeensyClock", round_trip=0.004)],
+             "who drove, faults, steering, throttle, limits, the path, speed"),
+    "log": ([odometry(0.0), one_of("/rosout", "rosgraph_msgs/Log", level=2)],
+            "who drove, steering, throttle, limits, the path, speed, the Teensy"),
+}
+
+
+@pytest.mark.parametrize("kind", NOTHING_ON)
+def test_section_that_would_be_empty_is_left_out_and_one_line_says_what_was_not_recorded(kind, tmp_path):
+    messages, nothing_on = NOTHING_ON[kind]
+    drive = summarize(str(write_ros1(tmp_path / "a.bag", messages)))
+    text = page(drive, plots(drive))
+    found = sections(text)
+    assert "contents" in found and all(found.values()), [name for name, inside in found.items() if not inside]
+    (line,) = (" ".join(unescape(line).split()) for line in re.findall("Not recorded: .*?(?=</p>)", text, re.DOTALL))
+    assert line.endswith(f" So this page has nothing on {nothing_on}.")
+    assert all(topic not in line.split(". ")[0] for topic in drive.present)
+
+
+def test_page_of_a_whole_drive_has_every_section_with_something_in_it(seen, drawn):
+    found = sections(page(replace(seen, planner=SimpleNamespace(source="drive", others="")), drawn))
+    assert list(found) == ["who", "faults", "steering", "throttle", "limits", "path", "speed", "link", "contents"]
+
+
 def test_numbers_stand_in_columns_of_numbers_and_every_row_has_as_many_cells_as_the_head(seen, drawn):
     tables = re.findall(r"<table>(.*?)</table>", page(seen, drawn), re.DOTALL)
     assert len(tables) == 4

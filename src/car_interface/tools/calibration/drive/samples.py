@@ -102,7 +102,7 @@ class Samples:
         duty_t_s, duty = (np.array(column) for column in self._duty)
         along_m = np.zeros(0)
         if len(t_s):
-            along_m = distance_m(Odom(t_s, x_m, y_m, yaw_rad, speed_mps, np.zeros(len(t_s))))
+            along_m = distance_m(Odom(t_s, x_m, y_m, yaw_rad, speed_mps))
         return SteeringDrive(t_s, along_m, yaw_rad, duty_t_s, duty)
 
     def _seconds(self, at_ns):

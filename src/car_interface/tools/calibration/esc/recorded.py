@@ -40,8 +40,8 @@ def load_esc_drive(path: str, calibration: ThrottleCalibration, topics: Mapping[
         CarInterfaceError: it is no drive that shows an ESC.
     """
     topics = topics or {}
-    recording.require(path, [topics.get(roles.OUTPUT.name, roles.OUTPUT.topics[0])], namespace,
-                      f"which says what the ESC got; name another by --map TOPIC={roles.OUTPUT.name}")
+    recording.require(path, {topics.get(roles.OUTPUT.name, roles.OUTPUT.topics[0]): roles.DUTY_TYPES}, namespace,
+                      "which says what the ESC got", f"; name another by --map TOPIC={roles.OUTPUT.name}")
     found = signals.load(path, (roles.ODOM.name, roles.OUTPUT.name), optional=(signals.PULSES,), namespace=namespace,
                          progress=True, **topics)
     neutral, notes = _drive_s_neutral(path, namespace, calibration)

@@ -8,7 +8,7 @@ from car_interface.common.errors import CarInterfaceError
 from car_interface.common.lookup_table import LookupTable
 from car_interface.common.yaml_edit import rewritten
 from car_interface.steering.calibration import WIDE_M, SteeringCalibration
-from car_interface.tools.calibration.shared import NothingToFit, RecordedDrive
+from car_interface.tools.calibration.shared import NothingToFit, RecordedDrive, names_of
 from car_interface.tools.calibration.steering import fit as fitting
 from car_interface.tools.calibration.steering.drive import CurveFitConfig
 from car_interface.tools.calibration.steering.fit import Curve
@@ -61,8 +61,7 @@ def calibrate(recorded: Sequence[RecordedDrive], base: SteeringCalibration, axis
     try:
         curve = fitting.fit([one.drive for one in recorded], config)
     except NothingToFit as error:
-        raise CarInterfaceError(f"{', '.join(one.path for one in recorded)}: no steering can be told from this: "
-                                f"{error}") from error
+        raise CarInterfaceError(f"{names_of(recorded)}: no steering can be told from this: {error}") from error
     _check_axis_was_driven(axis_m, curve)
     radii_m = widened(axis_m, WIDE_M) if axis_m else axis(curve)
     points = {side: breakpoints(curve, radii_m, side, config) for side in (LEFT, RIGHT)}

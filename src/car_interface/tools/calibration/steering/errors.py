@@ -5,8 +5,7 @@ import math
 
 import numpy as np
 
-from car_interface.tools.calibration.steering.drive import COUNT
-from car_interface.tools.calibration.steering.segments import Observations
+from car_interface.tools.calibration.steering.segments import Observations, place_numbers
 
 # Standard errors to either side of a band. On virtual cars it holds the truth more often than 19 times of 20, also
 # where the recording has gaps: see test/accuracy/steering_calibration.py.
@@ -78,13 +77,8 @@ def _places(found, used):
     """Return (duty, curvature, standard error) (P,) of the observations, duties rising; within half a count they are
     one.
     """
-    order = np.flatnonzero(used)[np.argsort(found.duty[used], kind="stable")]
-    duty, weight = found.duty[order], 1 / found.sigma_per_m[order] ** 2
-    begins, begin = [0], duty[0]
-    for index, at in enumerate(duty):
-        if at > begin + COUNT / 2:
-            begins.append(index)
-            begin = at
-    total = np.add.reduceat(weight, begins)
-    return (np.add.reduceat(weight * duty, begins) / total,
-            np.add.reduceat(weight * found.curvature_per_m[order], begins) / total, 1 / np.sqrt(total))
+    duty, weight = found.duty[used], 1 / found.sigma_per_m[used] ** 2
+    place = place_numbers(duty)
+    total = np.bincount(place, weight)
+    return (np.bincount(place, weight * duty) / total,
+            np.bincount(place, weight * found.curvature_per_m[used]) / total, 1 / np.sqrt(total))

@@ -43,6 +43,7 @@ STEP_DUTY = 2.0
 MAX_CONTRADICTION = 6.0  # so much more contradiction than with the best backlash is chance
 MIN_SIGMA = 1.0
 PRIOR_SCALE_DUTY = 20.0  # before any data the backlash is exponentially distributed with this mean
+UNKNOWN_BACKLASH = 0.0, PRIOR_SCALE_DUTY  # and its standard error, where no drive can show it
 CORRELATION = 4.0  # segments at one position err alike: likelihoods count for so much less
 MAX_SQUARE = 25.0  # what one segment adds to the contradiction at most
 
@@ -85,6 +86,11 @@ class Curve:
     left: Side
     right: Side
 
+    @property
+    def backlash_is_known(self) -> bool:
+        """Whether the drives show it."""
+        return self.backlash_sigma < PRIOR_SCALE_DUTY
+
     def curvature(self, duty):
         """Return the curvature of a duty, a number or an array; that of the ends beyond the knots."""
         return np.interp(duty, self.duties, self.curvatures)
@@ -117,7 +123,9 @@ def fit(drives: Sequence[SteeringDrive], config: CurveFitConfig = DEFAULTS) -> C
         raise NothingToFit("there is no odometry while the servo had a duty")
     delay = config.delay or estimate_servo_delay(drives, config)
     segmentations = [segmentation(drive, delay, config) for drive in drives]
-    if config.backlash_duty is None:
+    if config.backlash_duty is None and all(one.wheels.is_steady for one in segmentations):
+        backlash_duty, backlash_sigma = UNKNOWN_BACKLASH
+    elif config.backlash_duty is None:
         backlash_duty, backlash_sigma = estimate_backlash(segmentations, config)
     else:
         backlash_duty, backlash_sigma = config.backlash_duty, config.backlash_sigma

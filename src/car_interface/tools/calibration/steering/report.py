@@ -79,6 +79,9 @@ def _curve_lines(curve: Curve):
 
 
 def _servo_line(curve):
+    if not curve.backlash_is_known:
+        return ("  how fast the servo follows, and the backlash of the steering, aren't known: the duty never changed "
+                "within a recording")
     return (f"  the servo follows after {curve.delay.delay_s:.2f} s, with a lag of {curve.delay.lag_s:.2f} s; backlash "
             f"of the steering: {curve.backlash_duty:.0f} ± {BAND * curve.backlash_sigma:.0f} duty")
 
@@ -93,11 +96,13 @@ def _center_and_end_lines(curve):
 
 
 def _understeer_line(understeer: Understeer):
-    if not understeer.is_known:
-        return ("  by how much turns widen with speed isn't known, and understeer stays as it was: drive some circles "
-                "at other speeds, too, up to 4 m/s² sideways")
-    return (f"  understeer: {understeer.value:.4f} ± {BAND * understeer.sigma:.4f} 1/m for each (m/s²)², from "
-            f"{understeer.pairs} pairs of segments")
+    number = (f"{understeer.value:.4f} ± {BAND * understeer.sigma:.4f} 1/m for each (m/s²)², from {understeer.places} "
+              "positions at several speeds")
+    if understeer.is_known:
+        return f"  understeer: {number}"
+    known = f"known well enough ({number})" if understeer.places else "known"
+    return (f"  by how much turns widen with speed isn't {known}, and understeer stays as it was: drive some circles "
+            "at other speeds, too, up to 4 m/s² sideways")
 
 
 def _at_all_knots(curve):

@@ -146,6 +146,16 @@ def _segment(wheels, first, end, config):
                    float(np.mean(wheels.speed_mps[samples] ** 4)) ** 0.25, wander_rad)
 
 
+def place_numbers(duty: np.ndarray) -> np.ndarray:
+    """Return the number of each duty's place, rising with the duties: (S,). Within half a count they are one place."""
+    numbers, number, begin = np.zeros(len(duty), int), -1, -math.inf
+    for index in np.argsort(duty, kind="stable"):
+        if duty[index] > begin + COUNT / 2:
+            number, begin = number + 1, duty[index]
+        numbers[index] = number
+    return numbers
+
+
 def all_segments(segmentations: Sequence[Segmentation]) -> list[Segment]:
     """Return the segments of all drives, in order: the rows of all arrays (S,)."""
     return [segment for one in segmentations for segment in one.segments]
@@ -192,7 +202,9 @@ def knots_of(segmentations: Sequence[Segmentation]) -> np.ndarray:
     """
     servo = [one.wheels.servo[segment.samples] for one in segmentations for segment in one.segments]
     if not servo:
-        raise NothingToFit("the car never held its steering for half a metre at speed")
+        left_out = ", ".join(f"{count} {reason}" for reason, count in total_counts(segmentations).items() if count)
+        raise NothingToFit("the car never held its steering for half a metre at speed"
+                           + (f"; intervals that don't count: {left_out}" if left_out else ""))
     low, high = min(duties.min() for duties in servo), max(duties.max() for duties in servo)
     if len(servo) < MIN_SEGMENTS or high - low < MIN_COUNTS * COUNT:
         raise NothingToFit("the steering was held in fewer than four places")
@@ -205,7 +217,9 @@ def _duty_sigmas(segmentations, backlash_duty, duty):
     others = [np.concatenate([_wheel_duties(one, one.other_lags[index].linkage(backlash_duty))
                               for one in segmentations]) for index in range(len(segmentations[0].other_lags))]
     off = np.max([np.abs(other @ SLOPE_WEIGHTS - duty) for other in others], axis=0) if others else 0.0
-    return np.hypot(DUTY_SIGMA, off)
+    # In a steady drive the linkage is anywhere in its backlash, as likely here as there.
+    floats = np.concatenate([np.full(len(one.segments), float(one.wheels.is_steady)) for one in segmentations])
+    return np.hypot(np.hypot(DUTY_SIGMA, off), floats * backlash_duty / math.sqrt(12))
 
 
 def _wheel_duties(one, linkage):

@@ -34,8 +34,8 @@ class Smooth:
         NothingToFit: no strength gives a curve that can be computed.
     """
 
-    # Variance of a second difference of the curve from knot to knot, (1/m)².
-    # Below 1e-12 the equations of a nearly straight curve can't be solved in floating point: it came out 0.008 1/m off.
+    # Variance of a second difference of the curve from knot to knot, (1/m)². Below 1e-12 the equations of a nearly
+    # straight curve can't be solved in floating point.
     STRENGTHS = np.exp(np.linspace(math.log(1e-12), math.log(1e-3), 30))
     SMOOTHING, ROBUST = 3, 4  # passes without and with weights
     TUKEY = 5.0
@@ -97,10 +97,10 @@ class Smooth:
     def _solve(self, local):
         penalty = self._second.T @ sparse.diags(1 / local) @ self._second
         normal, right = self._normal_equations(self._h)
-        # Bands of both, as wide as the wider.
-        both = _banded(normal + penalty)
-        normal_band = _banded(normal, len(both))
-        penalty_band = both - normal_band
+        # Bands of both, as wide as the wider. None of them as a difference from their sum: that rounded the penalty,
+        # which is far smaller, so that straight curves weren't free, and came out otherwise with each LAPACK.
+        height = len(_banded(normal + penalty))
+        normal_band, penalty_band = _banded(normal, height), _banded(penalty, height)
         rank = self._second.shape[0]
         best = (math.inf, 1.0, None, None)
         for strength in self.STRENGTHS:

@@ -12,24 +12,31 @@ import numpy as np
 from car_interface.tools.calibration import delay as delays
 from car_interface.tools.calibration.delay import Delay
 from car_interface.tools.calibration.shared import NothingToFit
-from car_interface.tools.calibration.steering.drive import CurveFitConfig, SteeringDrive
+from car_interface.tools.calibration.steering.drive import DEFAULTS, CurveFitConfig, SteeringDrive
 
 AFTER_GAP_S = 1.0  # so soon after a gap the servo may still follow commands that weren't recorded
 CROSSED_DUTY = 40.0  # a servo that has moved this far has crossed any usual backlash
 FORGOTTEN_LAGS = 5.0  # after this many lags the servo's position doesn't depend on where it started
 HALF_SPAN = 3  # samples to either side over which curvature is differenced for the delay
 BETWEEN_DRIVES_S = 10.0
+# Where the duty never changed while the car drove: as slow a servo as is looked for.
+UNKNOWN_DELAY = Delay(0.4, 0.4, 0.0)
 
 
 def estimate_servo_delay(drives: Sequence[SteeringDrive], config: CurveFitConfig) -> Delay:
     """Delay and lag from duty to curvature, of all drives together, one behind the other on the time scale.
+
+    UNKNOWN_DELAY where all of them are steady: a duty that never changes is followed at any delay.
 
     Raises:
         NothingToFit: the drives are too short, or the heading doesn't follow the duty.
     """
     cause_s, cause, effect_s, effect, weight = [], [], [], [], []
     begin_s = 0.0
-    for drive in drives:
+    changing = [drive for drive in drives if not is_steady(drive)]
+    if not changing:
+        return UNKNOWN_DELAY
+    for drive in changing:
         shift_s = begin_s - drive.t_s[0]
         t_s = np.arange(drive.t_s[0], drive.t_s[-1], delays.STEP_S)
         if len(t_s) <= 2 * HALF_SPAN:
@@ -55,17 +62,27 @@ def estimate_servo_delay(drives: Sequence[SteeringDrive], config: CurveFitConfig
     return found
 
 
+def is_steady(drive: SteeringDrive) -> bool:
+    """Return whether the servo, while the car drove, never moved so far that it crossed any usual backlash."""
+    drives = np.abs(np.gradient(drive.distance_m, drive.t_s)) >= DEFAULTS.min_speed_mps
+    duty = delays.held(drive.duty_t_s, drive.duty, drive.t_s[drives])
+    duty = duty[np.isfinite(duty)]
+    return duty.size > 0 and float(np.ptp(duty)) < CROSSED_DUTY
+
+
 class WheelPosition:
     """The steering of one drive, sampled every ``STEP_S``.
 
     The servo's position before the recording and in its gaps is unknown until a duty was recorded and the servo had
-    time to follow it; the linkage's position within its backlash is unknown until the servo has moved far enough.
+    time to follow it; the linkage's position within its backlash is unknown until the servo has moved far enough. In a
+    steady drive it never is: the wheels count as in the middle, and that is uncertain.
 
     Attributes (arrays of the shape (N,)):
         t_s, distance_m, yaw_rad, speed_mps: the drive, interpolated.
         servo: the servo's position in duty.
         off: how far the servo is from its command, in duty.
         is_known: whether servo and linkage are known.
+        is_steady: the linkage may be anywhere in its backlash.
         gap_s: the interval between samples of odometry around each time.
         jump_rad: how much the heading changes from sample to sample.
     """
@@ -78,6 +95,7 @@ class WheelPosition:
         self.yaw_rad = np.interp(self.t_s, drive.t_s, drive.yaw_rad)
         self.speed_mps = np.gradient(self.distance_m, self.STEP_S)
         commanded = delays.held(drive.duty_t_s, drive.duty, self.t_s - delay.delay_s)
+        self.is_steady = is_steady(drive)
         self.is_known = np.isfinite(commanded) & (self.t_s - delay.delay_s >= drive.duty_t_s[0])
         # Without a pulse a servo stays where it is.
         last = np.maximum.accumulate(np.where(np.isfinite(commanded), np.arange(len(commanded)), 0))
@@ -104,14 +122,14 @@ class WheelPosition:
         settled_s = first_s + delay.delay_s + FORGOTTEN_LAGS * delay.lag_s
         settled = start + int(np.searchsorted(self.t_s[start:end], settled_s))
         self.is_known[start:settled] = False
-        if settled < end:
+        if settled < end and not self.is_steady:
             servo = self.servo[settled:end]
             span = np.maximum.accumulate(servo) - np.minimum.accumulate(servo)
             self.is_known[settled:end] &= span >= CROSSED_DUTY
 
     def linkage(self, backlash_duty: float) -> np.ndarray:
         """Return the wheels' position (N,), which follows the servo once that has crossed the backlash."""
-        if backlash_duty <= 0:
+        if backlash_duty <= 0 or self.is_steady:
             return self.servo
         half, now, out = backlash_duty / 2, float(self.servo[0]), np.empty(len(self.servo))
         starts = set(self._starts.tolist())

@@ -8,7 +8,7 @@ import numpy as np
 
 from car_interface.common.errors import CarInterfaceError
 from car_interface.throttle.value_map import ValueMap
-from car_interface.tools.calibration.shared import NothingToFit, RecordedDrive
+from car_interface.tools.calibration.shared import NothingToFit, RecordedDrive, names_of
 from car_interface.tools.calibration.value_map import fit as fitting
 from car_interface.tools.calibration.value_map import table as tables
 from car_interface.tools.calibration.value_map.acceleration import WindowConfig
@@ -56,7 +56,7 @@ def calibrate(recorded: Sequence[RecordedDrive], values: Sequence[float] | None,
         NoTable: the drives support too little.
         CarInterfaceError: there is nothing to fit.
     """
-    names = ", ".join(one.path for one in recorded)
+    names = names_of(recorded)
     try:
         fit = fitting.fit([one.drive for one in recorded], values, velocities_mps, config)
     except NothingToFit as error:

@@ -80,8 +80,8 @@ def test_an_input_that_falls_silent_pauses(silent):
 
 def test_a_whole_drive_of_a_car_that_only_coasts_stays_inside_and_ends_after_its_time_with_all_known():
     coasts_mps2 = 0.15
-    one, area, extents_m, stops_m = car(slows_mps2=coasts_mps2, max_time_s=80.0), Area((0.142, 0.0), 3.0), [], []
-    while one.seconds < 90 and (not one.steps or one.steps[-1].phase != DONE):
+    one, area, extents_m, stops_m = car(slows_mps2=coasts_mps2, max_time_s=100.0), Area((0.142, 0.0), 3.0), [], []
+    while one.seconds < 110 and (not one.steps or one.steps[-1].phase != DONE):
         one.tick()
         stop_m = 0.25 * one.speed_mps + one.speed_mps ** 2 / (2 * coasts_mps2)
         extents_m.append(area.extent_m(one.pose))
@@ -89,7 +89,7 @@ def test_a_whole_drive_of_a_car_that_only_coasts_stays_inside_and_ends_after_its
     assert 2.8 < max(stops_m) < 3.0, "whenever the button is let go"
     assert 2.7 < max(extents_m) < 2.93, "some of the area is kept for what is not known"
     progress = one.drive.progress(one.now_ns)
-    assert one.steps[-1].phase == DONE and 80 <= one.seconds <= 81 and progress.left_s == 0.0
+    assert one.steps[-1].phase == DONE and 100 <= one.seconds <= 101 and progress.left_s == 0.0
     assert progress.positions > 20 and progress.center_duty == pytest.approx(5200, abs=10) and progress.missing == ()
     assert all(row.is_known for row in progress.rows) and progress.rows
     held = [step.target_duty for step in one.steps if step.phase in (MEASURING, TURNING)]

@@ -114,9 +114,10 @@ def test_axis_outside_of_what_was_driven_is_refused(fits):
 
 def test_drives_that_show_no_steering_are_refused_by_their_names(fits):
     fits[None] = NothingToFit("the car never moved")
-    with pytest.raises(CarInterfaceError) as caught:
-        calibrate([recorded("a.bag"), recorded("b.bag")], BASE)
-    assert str(caught.value) == "a.bag, b.bag: no steering can be told from this: the car never moved"
+    for names, named in (("ab", "a.bag, b.bag"), ("abcdef", "a.bag, b.bag, c.bag and 3 more")):
+        with pytest.raises(CarInterfaceError) as caught:
+            calibrate([recorded(f"/home/a/long/path/{name}.bag") for name in names], BASE)
+        assert str(caught.value) == f"{named}: no steering can be told from this: the car never moved"
 
 
 # --- several recordings ---

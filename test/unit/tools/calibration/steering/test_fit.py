@@ -13,6 +13,7 @@ from car_interface.tools.calibration.shared import NothingToFit
 from car_interface.tools.calibration.steering import fit
 from car_interface.tools.calibration.steering.drive import CurveFitConfig
 from car_interface.tools.calibration.steering.table import LEFT, RIGHT, breakpoints, completed
+from car_interface.tools.calibration.steering.wheels import UNKNOWN_DELAY
 from tools.calibration.steering.synthetic import (
     CENTER,
     KNOWN,
@@ -55,6 +56,39 @@ def test_servo_that_is_the_other_way_round_and_a_car_that_drives_backward_give_t
     left = breakpoints(found, [2.0], LEFT)[0]
     assert -true_curvature(left.duty) == pytest.approx(0.5, abs=0.01)
     assert found.curvature(4500) == pytest.approx(-true_curvature(4500), abs=0.01)
+
+
+STEADY = (4100, 4500, 4900, 5500, 5900, 6300)
+
+
+def steady_circles(backlash=0.0):
+    """A recording for each, of a duty that never changes: 18 m."""
+    return [drive([duty], speed_mps=1.2, hold_s=15.0, start_s=100.0 * index, seed=index, backlash=backlash)
+            for index, duty in enumerate(STEADY)]
+
+
+def test_steady_circles_give_the_curve_and_leave_delay_and_backlash_unknown():
+    found = fit.fit(steady_circles())
+    assert found.delay == UNKNOWN_DELAY and not found.backlash_is_known
+    off = np.abs(found.curvature(np.array(STEADY)) - true_curvature(np.array(STEADY)))
+    assert off.max() < 0.01
+    # 1/1300 1/m per duty: the wheels may be 10 duty beside the servo, half of the usual backlash.
+    assert np.interp(STEADY, found.duties, found.sigmas).min() > 0.006
+
+
+def test_steady_circles_beside_a_drive_that_shows_the_backlash_count_as_far_as_that_allows():
+    alone = fit.fit([drive(mixed(), backlash=30.0)])
+    found = fit.fit([drive(mixed(), backlash=30.0), *steady_circles()])
+    assert found.backlash_is_known and found.backlash_duty == pytest.approx(alone.backlash_duty, abs=3)
+    steady = found.observations.t_s > 0
+    steady[:len(alone.used)] = False
+    assert steady.sum() >= 12 and found.observations.duty_sigma[steady].min() == pytest.approx(30 / 12 ** 0.5, rel=0.2)
+
+
+def test_reason_why_nothing_is_left_names_what_was_left_out():
+    with pytest.raises(NothingToFit, match=r"for half a metre at speed; intervals that don't count: .*"
+                                           r"\d+ fast in a bend: tyres may slide"):
+        fit.fit([drive([4000, 4400], speed_mps=4.0)], KNOWN)
 
 
 def test_duty_for_a_turn_is_such_that_the_nearest_count_is_the_best_one():

@@ -18,7 +18,7 @@ def driving(imu_offset_radps=0.0, odom_ratio=1.0, imu_end_s=60.0):
     """A minute of swinging left and right, by odometry and by an IMU."""
     t_s, imu_s = np.arange(0.0, 60.0, 0.02), np.arange(0.0, imu_end_s, 0.01)
     yaw = odom_ratio * np.sin(0.5 * t_s)
-    odom = Odom(t_s, t_s, 0 * t_s, yaw, np.ones(len(t_s)), 0 * t_s)
+    odom = Odom(t_s, t_s, 0 * t_s, yaw, np.ones(len(t_s)))
     return odom, Imu(imu_s, 0.5 * np.cos(0.5 * imu_s) + imu_offset_radps, 0 * imu_s, 0 * imu_s)
 
 
@@ -37,7 +37,7 @@ def test_imu_that_covers_too_little_or_is_unrelated_is_not_used():
 
 def test_distance_is_as_long_whether_the_recording_has_gaps_or_not():
     t_s = np.arange(0.0, 60.0, 0.02)
-    circle = Odom(t_s, np.sin(t_s), 1 - np.cos(t_s), t_s, np.full(len(t_s), 1.02), np.ones(len(t_s)))
+    circle = Odom(t_s, np.sin(t_s), 1 - np.cos(t_s), t_s, np.full(len(t_s), 1.02))
     recorded = t_s % 10 < 7  # by speed it's 2 % longer than between positions; across a gap these are no use
     gappy = Odom(*(column[recorded] for column in circle))
     for odom in (circle, gappy):

@@ -11,8 +11,10 @@ import pytest
 
 from car_interface.tools.calibration.steering.calibrate import SteeringResult
 from car_interface.tools.calibration.steering.ends import Side
+from car_interface.tools.calibration.steering.fit import UNKNOWN_BACKLASH
 from car_interface.tools.calibration.steering.report import report, short_report
 from car_interface.tools.calibration.steering.table import DRIVEN, END, LEFT, OLD, RIGHT, Breakpoint
+from car_interface.tools.calibration.steering.understeer import Understeer
 from tools.calibration.steering.known_curve import line_curve, recorded
 
 
@@ -27,6 +29,20 @@ def lines(curve=None, recordings=None, axis_m=None, points=None, problems=(), di
     curve = curve or line_curve()
     made = SteeringResult(curve, curve.center, {}, points or POINTS, list(problems), disagreement)
     return list(report(made, recordings or [recorded()], axis_m))
+
+
+def test_what_steady_circles_cannot_show_is_said_to_be_unknown():
+    steady = line_curve(backlash_duty=0.0, backlash_sigma=UNKNOWN_BACKLASH[1])
+    assert lines(steady)[2] == ("  how fast the servo follows, and the backlash of the steering, aren't known: the "
+                                "duty never changed within a recording")
+
+
+@pytest.mark.parametrize("sigma, line", [
+    (0.0008, "  understeer: 0.0091 ± 0.0016 1/m for each (m/s²)², from 4 positions at several speeds"),
+    (0.001, "  by how much turns widen with speed isn't known well enough (0.0091 ± 0.0020 1/m for each (m/s²)², "),
+], ids=["within_a_fifth", "not_within_a_fifth"])
+def test_understeer_is_taken_where_it_is_known_within_a_fifth(sigma, line):
+    assert lines(line_curve(understeer=Understeer(0.0091, sigma, 4)))[3].startswith(line)
 
 
 def test_report_sums_up_the_recordings_what_was_used_of_them_and_what_the_fit_found():

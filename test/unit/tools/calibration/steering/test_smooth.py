@@ -9,6 +9,7 @@ from scipy import sparse
 
 from car_interface.tools.calibration.shared import rising
 from car_interface.tools.calibration.steering import fit
+from car_interface.tools.calibration.steering.segments import observations, segmentation
 from car_interface.tools.calibration.steering.smooth import Smooth
 from tools.calibration.steering.synthetic import KNOWN, LEFT_STOP, RIGHT_STOP, drive, mixed, true_curvature
 
@@ -22,6 +23,15 @@ def test_smooth_curve_may_bend_a_little_where_it_was_straight_beside_a_sharp_cor
     local = curve._local()
     assert local.max() / local.min() < 1.001e5
     assert local.argmax() == pytest.approx(349, abs=1)
+
+
+def test_curve_of_a_straight_steering_does_not_depend_on_rounding():  # as another version of LAPACK rounds
+    drives = [drive(mixed(3700, 6600, 24), speed_mps=speed_mps, seed=seed) for seed, speed_mps in enumerate((0.7, 1.3))]
+    found = observations([segmentation(one, KNOWN.delay, KNOWN) for one in drives], 0.0)
+    curvatures, rng = Smooth(found).curvatures, np.random.default_rng(1)
+    for _ in range(3):
+        rounded = found.curvature_per_m * (1 + 1e-14 * rng.standard_normal(len(found.duty)))
+        assert np.abs(Smooth(found._replace(curvature_per_m=rounded)).curvatures - curvatures).max() < 1e-6
 
 
 def test_outlying_segments_are_left_out_and_counted():
