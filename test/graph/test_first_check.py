@@ -257,6 +257,27 @@ def test_neutral_that_is_not_written_is_given_back(tmp_path, keys, kept):
     assert bool(list(car.folder.glob("first_check_*.html"))) == (keys != "q")
 
 
+@pytest.mark.once
+def test_board_s_node_that_cannot_be_killed_is_not_asked_about(tmp_path):
+    car = Box(tmp_path)
+    car.kill = lambda name: f"{name} runs on another computer"
+    car.begin().type("yep")
+    assert car.asks == "killing the servo board's node"
+    car.pad(autonomous=True)
+    car.graph.run(0.5)
+    car.type("k", 0.3)
+    assert ("not asked       killing the servo board's node: it couldn't be killed: /pca9685 runs on another computer"
+            in car.terminal.lines)
+
+
+@pytest.mark.once
+def test_terminal_that_is_closed_ends_it(tmp_path):
+    car = Box(tmp_path).begin()
+    car.terminal.read, car.terminal.is_closed = lambda: None, lambda: True
+    car.graph.run(0.2)
+    assert car.program.fault == "its terminal was closed: nothing is written" and car.at_rest()
+
+
 def test_car_that_drives_on_the_ground_ends_it(tmp_path):
     car = Box(tmp_path, on_box=False, start=[3.5, 0.0, 0.0]).begin()  # 2.1 m before the wall
     car.skip_to("the throttle's direction")

@@ -14,6 +14,7 @@ from car_interface.steering.calibration import SteeringCalibration, trimmed
 from car_interface.throttle.calibration import trimmed as trimmed_throttle
 from car_interface.tools.first_check.car import Car, Setup
 from car_interface.tools.first_check.question import (
+    FINE,
     GAMEPAD,
     HUB,
     SKIPPED,
@@ -69,9 +70,11 @@ class FirstCheck:
         steered = self._steered
         self._makers: list[Callable[[Car], Question]] = [
             OnBox, Deadman, SteeringDirection, steered(Center), steered(End, 1), steered(End, -1), NeutralDuty,
-            ThrottleDirection, EscKind, partial(WheelSensor, side=0), partial(WheelSensor, side=1),
+            ThrottleDirection, lambda car: EscKind(car, self._drives_forward()),
+            partial(WheelSensor, side=0), partial(WheelSensor, side=1),
             *(partial(Sonar, name=name) for name in setup.sonars), LettingGo, TeensyUnplugged, steered(BoardKilled)]
         self._results: list[Result | None] = [None] * len(self._makers)
+        self._titles: list[str] = []
         self._titles = [make(self.car).title for make in self._makers]
         self._index, self._question, self._has_begun, self._warning = 0, self._makers[0](self.car), True, ""
 
@@ -83,6 +86,11 @@ class FirstCheck:
         learned = self.learned().get(STEERING, {})
         center = learned.get("servo_center", self._setup.steering.servo_center)
         return {"is_exchanged": "exchanged" in learned, "center": _request(self._setup.steering, center)}
+
+    def _drives_forward(self):
+        """Return whether a push drives forward, as far as that was asked."""
+        result = dict(zip(self._titles, self._results)).get(ThrottleDirection.title)
+        return result is None or result.verdict in (FINE, SKIPPED)
 
     @property
     def refusal(self) -> str:

@@ -1,6 +1,8 @@
 """The questions on wheels, sonars and the Teensy: they measure what a person's hands do."""
 from __future__ import annotations
 
+import math
+
 from car_interface.tools.first_check.question import ENTER, HUB, LEARNED, Question, Result
 
 MIN_PULSES = 5  # less is a wheel that was touched
@@ -83,7 +85,7 @@ class Sonar(Question):
     def seen(self, now_ns):
         near = [name.replace("_", " ") for name, reports in self._reports.items() if reports]
         timed = self.car.ranges[self.name]
-        own = timed.stale_reason(now_ns) if timed.is_stale(now_ns) else f"it sees {timed.value:.2f} m"
+        own = timed.stale_reason(now_ns) if timed.is_stale(now_ns) else f"it sees {_range_text(timed.value)}"
         first = "; take the hand away first" if timed.was_received and timed.value < NEAR_M and not near else ""
         return f"{own}; near: {', '.join(near) or 'nothing'}{first}"
 
@@ -97,7 +99,7 @@ class Sonar(Question):
                 self._was_free.add(name)
             self._reports[name] = self._reports.get(name, 0) + 1 if is_near and name in self._was_free else 0
         if self._reports.get(self.name, 0) >= NEAR_REPORTS:
-            self._fine(f"it sees the hand at {self.car.ranges[self.name].value:.2f} m")
+            self._fine(f"it sees the hand: {_range_text(self.car.ranges[self.name].value)}")
 
     def _nothing(self, now_ns):
         others = [name for name, reports in self._reports.items() if reports >= NEAR_REPORTS]
@@ -108,14 +110,21 @@ class Sonar(Question):
         elif timed.is_stale(now_ns):
             self._broken("it isn't heard", "look at its plug, and at sonar_sequence in teensy_sensor_hub.yaml")
         elif timed.value < NEAR_M and self.name not in self._was_free:
-            self._broken(f"it always sees something at {timed.value:.2f} m", "look for what is in its cone: the box, a "
-                                                                            "cable, the body")
+            self._broken(f"it always sees something: {_range_text(timed.value)}",
+                         "look for what is in its cone: the box, a cable, the body")
         else:
             self._broken("it sees no hand", "look at its plug (trigger and echo), and at its aim")
 
     def _absent(self, now_ns):
         self.result = Result(LEARNED, "the car has none", {HUB: {"absent": (self.name,)}},
                              f"with obstacle_stop set obstacle/sonars/{self.name}: absent in throttle.yaml")
+
+
+def _range_text(range_m):
+    """Return a range in words; REP-117: inf = nothing, −inf = too near to be measured."""
+    if math.isinf(range_m):
+        return "nothing" if range_m > 0 else "something too near"
+    return f"{range_m:.2f} m"
 
 
 class TeensyUnplugged(Question):

@@ -186,11 +186,17 @@ class ThrottleDirection(_ByStick):
 
 
 class EscKind(_ByStick):
-    """What a pull does, by a person's eyes."""
+    """What a pull does, by a person's eyes.
+
+    Args:
+        is_forward: a push drives forward, as far as that is known.
+    """
 
     title = "the ESC's kind"
-    def __init__(self, car):
+
+    def __init__(self, car, is_forward: bool = True):
         super().__init__(car)
+        self._is_forward = is_forward
         self._was_pushed = self._asks_second = False
         self._was_centered = True  # since the pull before
         self._pulled_since_ns: int | None = None
@@ -200,6 +206,8 @@ class EscKind(_ByStick):
                      "n": self._no}
 
     def missing(self, now_ns):
+        if not self._is_forward:
+            return "a push has to drive forward first: launch again, or repair it, and check again"
         return super().missing(now_ns) or ("" if self.setup.calibrates_esc else
                                            "the car was launched without calibration_drive:=true")
 
@@ -212,7 +220,7 @@ class EscKind(_ByStick):
     def help(self):
         if self._asks_second:
             return "Y yes   N no"
-        return "1 they stop, and stay   2 they stop, then turn backward   3 they turn backward at once   N other"
+        return "1 stop and stay   2 stop, then turn backward   3 turn backward at once   N other"
 
     def _look(self, stick, now_ns):
         self._was_pushed = self._was_pushed or stick >= PUSHED and self._was_given

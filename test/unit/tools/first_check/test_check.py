@@ -199,7 +199,7 @@ RIGHT = [
     ("throttle's direction", [drive], "f", "pushed, the wheels turn forward"),
     ("left rear wheel", [turn((FORWARD, 21), (BACKWARD, 20))], ENTER, "it counts forward, 21 pulses in one turn"),
     ("right rear wheel", [turn((BACKWARD, 20), (FORWARD, 19))], ENTER, "it counts forward, 19 pulses in one turn"),
-    ("sonar front right", [show_hand("front_right")], "", "it sees the hand at 0.20 m"),
+    ("sonar front right", [show_hand("front_right")], "", "it sees the hand: 0.20 m"),
     ("letting go", [let_go], "y", "neutral within 0.1 s, and the wheels stood"),
     ("unplugging", [pull_cable, plug_in], "", "noticed, and its wheels were heard again"),
     ("killing", [kill()], "y", "/pca9685_guard reported the center 0.6 s after the kill, and the node came back"),
@@ -315,13 +315,29 @@ def test_answer_that_no_file_can_take_says_what_to_repair(title, acts, keys, ans
 
 def test_sonar_that_always_sees_something_and_one_that_is_silent_are_told_apart():
     bench = Bench(range_m=0.2).go_to("sonar front left")
-    assert bench.run(1.0).type("n").result("sonar front left").answer == "it always sees something at 0.20 m"
+    assert bench.run(1.0).type("n").result("sonar front left").answer == "it always sees something: 0.20 m"
     bench.silent = {"sonars"}
     bench.run(1.0)
     for name in SONARS[:2]:
         bench.check.car.update_range(name, 1.0, bench.now_ns)
     bench.run(1.5)
     assert bench.type("n").result("sonar rear right").answer == "it isn't heard"
+
+
+@pytest.mark.parametrize("range_m, text", [(math.inf, "it sees nothing"), (-math.inf, "it sees something too near"),
+                                           (1.5, "it sees 1.50 m")])
+def test_what_a_sonar_sees_is_said_in_words(range_m, text):
+    assert f"Now: {text}" in Bench(range_m=range_m).go_to("sonar front left").run(0.1).text
+
+
+def test_kind_of_esc_is_asked_with_calibration_drive_and_once_a_push_drives_forward():
+    bench = Bench(replace(SETUP, calibrates_esc=False)).go_to("left rear wheel")
+    assert bench.result("ESC's kind").answer == "the car was launched without calibration_drive:=true"
+    bench = Bench().go_to("throttle's direction")
+    drive(bench)
+    bench.type("b")
+    drive(bench, -0.3)
+    assert "a push has to drive forward first" in bench.type("y").result("ESC's kind").answer
 
 
 def test_esc_that_is_not_neutral_after_the_release_is_said_at_once():
@@ -337,7 +353,6 @@ def test_backward_wheels_without_calibration_drive_are_not_guessed_at():
     drive(bench)
     assert "exchange two wires between ESC and motor; or launch" in bench.type("b").result("throttle's").repair
     assert bench.check.question.title != "the ESC's kind"
-    assert bench.result("ESC's kind").answer == "the car was launched without calibration_drive:=true"
 
 
 # --- what several answers make together ---
