@@ -62,7 +62,6 @@ class FirstCheck:
 
     Attributes:
         car: takes what arrives.
-        results: by the question's title, in the order of the questions, as far as they were answered.
     """
 
     def __init__(self, setup: Setup):
@@ -117,7 +116,9 @@ class FirstCheck:
         for key in keys.lower():
             has_quit = has_quit or key == QUIT
             self._type(key, now_ns)
-        self._advance(now_ns)
+            self._advance(now_ns)  # the next key is for the next question that can be asked
+        if not keys:
+            self._advance(now_ns)
         question = self._question
         if question is None:
             return View("end", [], None, self._neutral(), is_over=True, has_quit=has_quit)

@@ -546,6 +546,13 @@ def test_end_keeps_the_answers_and_names_the_rest_as_not_asked_and_goes_back():
     assert bench.type("p").check.question.title == "killing the servo board's node"
 
 
+def test_keys_that_are_typed_at_once_reach_no_question_that_cannot_be_asked():
+    silent = {"wheels", "odom", "sonars", "link", "throttle_arb"}
+    bench = Bench(replace(SETUP, throttle=None), silent=silent).run(0.05, "yssssssn+")
+    assert bench.check.question is None and bench.result("killing").answer == "skipped"
+    assert bench.result("neutral").answer == "throttle_arb isn't heard: launch with throttle:=true"
+
+
 def test_without_teensy_sonars_and_throttle_the_rest_is_checked():
     silent = {"wheels", "odom", "sonars", "link", "throttle_arb"}
     bench = Bench(replace(SETUP, throttle=None), silent=silent).type("y")
