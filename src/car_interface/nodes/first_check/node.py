@@ -56,7 +56,8 @@ RATE_HZ = 20
 READY_WITHIN_NS = 8 * NS_PER_S
 INTRODUCTION = """First check: five minutes, one question at a time, the car on a box.
 With keyboard_drive in another terminal: M is the manual deadman, P the
-autonomous one, A and D the left stick, W and S the right one (E and C: slowly)."""
+autonomous one, A and D the left stick, W and S the right one, E and C the right
+one slowly."""
 PAGE = "first_check_%Y-%m-%d_%H-%M-%S.html"
 
 
