@@ -299,7 +299,7 @@ class Tools(unittest.TestCase):
         terminal.wait_for_line("2 of 20: the deadman")
         terminal.type(b"sssss")
         self.press(LB)
-        terminal.wait_for_line(r"Now: the ESC gets \+0.00 of the throttle.*; the neutral is 4915")
+        terminal.wait_for_line(r"Now: the ESC gets \+0\.00 of")  # the rest may be on the next line
         terminal.type(b"+")
         eventually(lambda: rospy.get_param("/throttle_arb/servo/neutral") == 4920, "the new neutral")
         self.press()
@@ -308,14 +308,14 @@ class Tools(unittest.TestCase):
         terminal.wait_for_line("20 of 20: killing the servo board's node")
         self.press(AUTONOMOUS)
         self.steering.wait_for(lambda state: state.reason == "av_steer_req is 0.500", self.steering.mark())
-        before = pid_of("/pca9685")
+        before, mark = pid_of("/pca9685"), terminal.lines.mark()
 
         def killed():
             terminal.type(b"k")  # until the board has turned the wheels
             time.sleep(0.2)
             return pid_of("/pca9685") != before
         eventually(killed, "the end of pca9685")
-        terminal.wait_for_line("Did the front wheels go straight|and the node is back")
+        terminal.wait_for_line("Y yes   N no", mark)
         terminal.type(b"y")
         terminal.wait_for_line("Nothing in the files is to be changed")
         terminal.type(b"y")
