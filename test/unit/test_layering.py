@@ -27,9 +27,9 @@ MAY_IMPORT = {
     "teensy/sensing": SENSING,
     "sim": ("common",),
     "ros": (*PARTS, "sim"),
-    # One node calibrates while it drives; and it writes what calibrate_steering would.
+    # One node calibrates while it drives; and it writes what calibrate_steering would. Another one checks a new car.
     "nodes": (*PARTS, "sim", "ros", *(f"tools/{name}" for name in (
-        "calibration", "calibration/drive", "calibration/steering"))),
+        "calibration", "calibration/drive", "calibration/steering", "first_check"))),
     "tools/recordings": PARTS,
     "tools/report": (*PARTS, "tools/recordings"),
     "tools/calibration": ("common", "tools/recordings"),
@@ -40,6 +40,7 @@ MAY_IMPORT = {
     "tools/cli": (*PARTS, *FITS, "tools/report", "tools/calibration/esc", "tools/calibration/steering",
                   "tools/calibration/value_map"),
     "tools/doctor": (*PARTS, "ros"),
+    "tools/first_check": (*PARTS, "tools/report"),
     "tools/host_setup": ("common", "teleop"),
 }
 ROS = ("nodes/", "ros/", "tools/doctor/topics.py")

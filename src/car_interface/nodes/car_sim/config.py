@@ -42,6 +42,8 @@ class CarSimConfig:
         "virtual_chip", None, "the socket of the virtual servo board's chip", default_text="that of `pca9685`")
     collides: bool = declared.flag("collisions", True, "false = nothing stops the car")
     has_obstacles: bool = declared.flag("obstacles", True, "false = the room has its walls only, no boxes and posts")
+    on_box: bool = declared.flag(
+        "on_box", False, "true = its wheels hang in the air: they turn, and it stays where it is")
     is_kinematic: bool = declared.flag(
         "kinematic", False, "true = no tyres: it goes where its wheels point, and never tips over")
     tyres: TyreConfig | None = declared.group(TyreConfig())
@@ -133,7 +135,7 @@ class CarSimConfig:
             steering=self._steering(params), drive=drive, esc=self._esc(drive),
             tyres=None if self.is_kinematic else self.tyres, track_m=self.track_m,
             wheel_diameter_m=self.wheel_diameter_m, pulses_per_revolution=self.pulses_per_revolution,
-            pulse_phase=tuple(wheel_pulses), start=Pose(*self.pose))
+            pulse_phase=tuple(wheel_pulses), start=Pose(*self.pose), on_box=self.on_box)
 
     def _steering(self, params):
         """Return the servo and the steering: their own, or those of a car's calibration."""
