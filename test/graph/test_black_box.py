@@ -243,12 +243,12 @@ def test_whole_car_s_black_box_tells_bag_report_why_it_stopped(car, folder):
     car.pad(autonomous=True)
     graph.run_until(lambda: car.speed_mps > 0.9)
     car.pad()  # a hand stops it
-    graph.run(8.0)
+    graph.run(6.0)
     assert names(folder) == []
     car.pad(autonomous=True)
     graph.run_until(lambda: car.speed_mps > 0.9)
     graph.nodes["/teensy_sensor_hub"].kill()
-    graph.run(10.0)
+    graph.run(6.5)
     assert names(folder) == ["odometry_silent.bag"]
     drive = summarize(str(next(folder.iterdir())))
     assert [stop.cause for stop in drive.throttle.losses()] == [causes.ODOMETRY_STALE]

@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -32,6 +33,11 @@ class Recording(NamedTuple):
     cause: str  # of the stop
     written_s: float  # when, by the file system: the computer's clock may have been set since
     size_bytes: int
+
+    @property
+    def command(self) -> str:
+        """Return the line to type for its report."""
+        return f"rosrun car_interface bag_report {shlex.quote(self.path)}"
 
     def describe(self, now_s: float) -> str:
         """Return what it is of and how old: ``odometry silent, 12 minutes ago``."""

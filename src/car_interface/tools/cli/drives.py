@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import shlex
 import sys
 import time
 from functools import partial
@@ -67,8 +66,7 @@ def run(options: argparse.Namespace) -> int:
     print(f"written: {page_path}, {csv_path}")
     stop = newest(default_folder())
     if stop is not None:
-        print(f"the last stop that nobody asked for: {stop.describe(time.time())}: rosrun car_interface bag_report "
-              f"{shlex.quote(stop.path)}")
+        print(f"the last stop that nobody asked for: {stop.describe(time.time())}: {stop.command}")
     return int(len(bad) == len(rows))
 
 

@@ -1,7 +1,6 @@
 """Examines the running car: its nodes, their parameters, who drives, what comes to them, and their reports."""
 from __future__ import annotations
 
-import shlex
 from typing import Any, Iterable, NamedTuple, Sequence
 
 from car_interface.black_box.folder import Recording
@@ -199,8 +198,8 @@ def check_black_box(recording: Recording | None, now_s: float) -> list[Finding]:
     """
     if recording is None:
         return []
-    return [Finding(OK, "black box", f"the last stop that nobody asked for: {recording.describe(now_s)}",
-                    f"rosrun car_interface bag_report {shlex.quote(recording.path)}")]
+    return [Finding(OK, "black box", f"the last stop that nobody asked for: {recording.describe(now_s)}: "
+                                     f"{recording.command}")]
 
 
 def check_folders(readings: Sequence[Reading], package_folder: str, is_virtual: bool) -> list[Finding]:

@@ -213,8 +213,9 @@ def test_nodes_that_were_not_launched_name_no_folder():
 
 
 def test_newest_recording_of_the_black_box_is_named_with_its_cause_its_age_and_the_command():
-    recording = Recording("/home/me/my car/2026-11-25_22-17-24_odometry_silent.bag", "odometry silent", 1000.0, 1)
+    path = "/home/me/my car/2026-11-25_22-17-24_odometry_silent.bag"
+    recording = Recording(path, "odometry silent", 1000.0, 1)
     assert check_black_box(recording, 1000.0 + 12 * 60) == [
-        Finding(OK, "black box", "the last stop that nobody asked for: odometry silent, 12 minutes ago",
-                "rosrun car_interface bag_report '/home/me/my car/2026-11-25_22-17-24_odometry_silent.bag'")]
+        Finding(OK, "black box", "the last stop that nobody asked for: odometry silent, 12 minutes ago: "
+                                 f"rosrun car_interface bag_report '{path}'")]
     assert check_black_box(None, 1000.0) == []
