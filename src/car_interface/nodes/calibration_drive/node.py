@@ -318,7 +318,7 @@ class CalibrationDriveNode:
 
     def _on_conclusion(self, conclusion, now_ns):
         self._say(*conclusion.report)
-        self._conclusion = conclusion
+        self._conclusion, self._concluded_ns = conclusion, now_ns
         self._stage = self._await_page
         if conclusion.refusal:
             self._say(*terminal.missing_lines(conclusion.missing))
@@ -353,7 +353,10 @@ class CalibrationDriveNode:
     def _await_page(self, now_ns, typed):
         lines = self._page.step()
         if lines is None:
+            seconds = (now_ns - self._concluded_ns) // NS_PER_S
+            self._announce("page", [f"makes the recording's page: {seconds} s"], now_ns)
             return
+        self._text.show([])
         for line in lines:
             self._text.say(line)
         self._is_over = True
