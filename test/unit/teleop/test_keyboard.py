@@ -201,7 +201,7 @@ def held(*keys, seconds):
 @pytest.mark.parametrize("keys, throttles", [
     ((SLOWLY_FORWARD,), [0.05, 0.12, 0.19, 0.26]), ((SLOWLY_BACKWARD,), [-0.05, -0.12, -0.19, -0.26]),
     ((SLOWLY_FORWARD, FORWARD), [1.0] * 4), ((SLOWLY_FORWARD, BACKWARD), [-1.0] * 4),
-    ((SLOWLY_FORWARD, SLOWLY_BACKWARD), [0.0] * 4)])
+    ((SLOWLY_FORWARD, SLOWLY_BACKWARD), [-0.05, -0.12, -0.19, -0.26])])
 def test_slow_key_alone_pushes_ever_farther_from_the_dead_band_on(keys, throttles):
     assert held(*keys, seconds=3) == pytest.approx(throttles)
 
