@@ -65,6 +65,17 @@ def test_table_has_a_row_for_each_recording_of_whatever_kind(folder, capsys):
     assert page.endswith("</html>\n") and 'data-plot="trends"' in page and "day/ros2" in page
 
 
+def test_recording_leads_to_the_page_that_bag_report_has_written_about_it(folder, read):
+    reported = Path(folder, "day", "ros2.html")
+    reported.touch()
+    Path(folder, "pages").mkdir()
+    for output, href in (("drives.html", "day/ros2.html"), ("pages/all.html", "../day/ros2.html")):
+        assert run(folder, "-o", f"{folder}/{output}") == 0
+        page = Path(folder, output).read_text(encoding="utf-8")
+        assert f'<a href="{href}">day/ros2</a>' in page and "drive.bag</a>" not in page
+        assert "bag_report makes the pages of the others" in " ".join(page.split())
+
+
 @pytest.mark.once
 def test_second_run_reads_only_what_is_new_or_has_changed(folder, read, capsys):
     assert run(folder) == 0
@@ -175,7 +186,7 @@ def test_page_in_chromium_has_no_errors_loads_nothing_fits_a_wide_window_and_can
     assert run(folder) == 0
     page = Path(folder) / "drives.html"
     too_wide = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
-    with Browser(find_browser(), width=1500) as browser:
+    with Browser(find_browser(), width=1280) as browser:
         browser.open(page)
         rows = browser.evaluate("document.querySelectorAll('#drives tr').length")
         hidden = browser.evaluate("(scroll => scroll.scrollWidth - scroll.clientWidth)"
