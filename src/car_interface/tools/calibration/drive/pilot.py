@@ -70,11 +70,11 @@ class LostTurns:
             self._sought = None
         return 1 - side if self._since_rad[1 - side] >= SOUGHT_RAD else None
 
-    def seek(self, side: int) -> bool:
-        """Seek that one; return whether it was not found within a turn."""
+    def seek(self, side: int) -> float:
+        """Seek that one; return for how many turns it is sought by now: from 1 on it is lost."""
         if self._sought != side:
             self._sought, self._since_rad[side] = side, SOUGHT_RAD
-        return self._since_rad[side] >= LOST_RAD
+        return (self._since_rad[side] - SOUGHT_RAD) / (LOST_RAD - SOUGHT_RAD)
 
     def ask(self, side: int) -> None:
         """Ask a person for that one; it is sought again after two more turns to the other side."""
@@ -193,12 +193,14 @@ class Pilot:
         if lost is None or self._choices.turns_needs()[lost] < MISSING_NEED:
             return False
         turn_per_m = self._turns_per_m()[lost]
-        if self._circle_excesses_m(now_ns)[lost] <= -ACROSS_M and self.outlook.sonar_mps(turn_per_m, now_ns) >= FREE_MPS:
-            self._turn(now_ns, side=lost)
-        elif not self.outlook.area.has_circle(turn_per_m):
+        if not self.outlook.area.has_circle(turn_per_m):
             return False
-        elif self._lost.seek(lost):
+        sought = self._lost.seek(lost)
+        if sought >= 1:
             self._lost.ask(lost)
+        elif (self._circle_excesses_m(now_ns)[lost] <= -ACROSS_M * (1 - sought)
+                and self.outlook.sonar_mps(turn_per_m, now_ns) >= FREE_MPS):
+            self._turn(now_ns, side=lost)
         else:
             self._turn(now_ns, tightest=True, side=1 - lost)
         return True
