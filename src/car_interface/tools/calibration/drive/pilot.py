@@ -32,7 +32,7 @@ from car_interface.tools.calibration.drive.survey import Survey
 SOUGHT_RAD, LOST_RAD = 2 * 2 * math.pi, 3 * 2 * math.pi  # turned to the other side meanwhile, one turn of it in search
 KEPT_LENGTH_M = 0.5  # one that was cut short counts from here on
 BLIND_M = 0.3  # after a pause
-ACROSS_M = 0.5  # from one end to the other, so much farther out than the turns and the servo's lag say (practice.launch)
+ACROSS_M = 0.5  # from one end to the other, so much farther out than turns and servo's lag say (practice.launch's car)
 LITTLE_NEED = 0.3
 BEGIN_RATIO, LEAVE_RATIO = 0.3, 0.9  # of the best worth: what is begun, and for what a turn is left
 TURNED_RAD = 2 * math.pi  # after a whole turn another one may be tried
@@ -184,10 +184,10 @@ class Pilot:
             self._begin_any(now_ns)
 
     def _takes_lost_turn(self, now_ns):
-        """Return whether a turn to the other side is sought, whose positions are missing while it only turns to this one.
+        """Return whether a turn to the other side is sought: its positions are missing, and it only turns to this one.
 
         The tight turn to this side is held, which leads to the middle of the area, until one to the other side stays
-        inside. If none does within a turn, a person is asked for help.
+        inside; the longer it is sought, the less room will do. After a whole turn a person is asked for help.
         """
         lost = self._lost.drive(0 if self.outlook.expected_per_m(self._hold.duty) > 0 else 1)
         if lost is None or self._choices.turns_needs()[lost] < MISSING_NEED:
