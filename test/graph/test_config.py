@@ -42,7 +42,7 @@ DEFAULTS = {
     "car_sim": ({}, {"port": "/tmp/car_sim_teensy", "steering_channel": 0, "throttle_channel": 1,
                      "vehicle.track_m": 0.296, "firmware.sonar_pulse_end_us": 38_000, "collides": True}),
     "planner_interface": ({"source": "drive"}, {"source": "drive"}),
-    "gamepad_joy": ({}, {"dev": "/dev/input/js0", "deadzone": 0.05, "autorepeat_hz": 20.0, "coalesce_s": 0.001}),
+    "gamepad_joy": ({}, {"dev": "auto", "deadzone": 0.05, "autorepeat_hz": 20.0, "coalesce_s": 0.001}),
     "car_display": ({}, {"wheelbase_m": 0.324, "odom_frame": "odom", "base_frame": "base_link"}),
     "demo_drive": ({}, {"bag_dir": None, "steering_channel": 0, "throttle_channel": 1, "autonomous_button": 5}),
     "keyboard_drive": ({}, {"steer_axis": 0, "throttle_axis": 4, "manual_button": 4, "autonomous_button": 5,
@@ -79,6 +79,7 @@ REFUSALS = [
     ("car_sim", {"wheel_pulses": [1]}, "wheel_pulses is [1.0]; accepted: two numbers: left, right"),
     ("car_sim", {"esc_kind": "odd"}, "esc_kind is 'odd'; accepted: one of none, "),
     ("car_sim", {"track": 0}, "track is 0; accepted: a number above 0.0"),
+    ("gamepad_joy", {"dev": "js0"}, "dev is 'js0'; accepted: auto, or a path such as /dev/input/event5"),
     ("gamepad_joy", {"deadzone": 1.5}, "deadzone is 1.5; accepted: a number from 0 to 0.9"),
     ("car_display", {"track": 11}, "track is 11; accepted: a number above 0.0"),
     ("demo_drive", {"bag_dir": "bags"}, f"bag_dir is 'bags'; {WHOLE_PATH}"),
@@ -192,16 +193,14 @@ def test_launch_file_gives_the_board_the_files_of_turn_arb_and_of_throttle_arb(f
     assert [channel.timeout_value for channel in made.channels] == [5100, neutral] + [0] * 14
 
 
-def test_launch_files_tell_a_node_that_it_is_respawned_and_have_joy_node_wait_for_its_name():
+def test_launch_files_tell_a_node_that_it_is_respawned():
     found = set()
-    for arguments in (["joy_driver:=joy"], ["joy_driver:=gamepad_joy", "one_process:=true"], ["display:=true"]):
+    for arguments in ([], ["one_process:=true"], ["display:=true"]):
         for node in loaded("car.launch", *arguments).nodes:
             if node.package == "car_interface":
                 assert (dict(node.env_args).get("CAR_INTERFACE_RESPAWN") == "true") == node.respawn, node.type
-            elif node.respawn:
-                assert (node.type, node.launch_prefix) == ("joy_node", "rosrun car_interface wait_for_name")
             found.add(node.type)
-    assert {"turn_arb", "car_nodes", "car_display", "joy_node", "gamepad_joy"} <= found
+    assert {"turn_arb", "car_nodes", "car_display", "gamepad_joy"} <= found
 
 
 @pytest.mark.parametrize("one_process", ["false", "true"])
@@ -238,18 +237,13 @@ def test_car_grants_nothing_at_its_start_unless_its_owner_s_file_says_so(tmp_pat
     assert [below(launch, f"/{node}/")["grant_at_start"] for node in ("turn_arb", "throttle_arb")] == [grants] * 2
 
 
-OURS, THEIRS = [("car_interface", "gamepad_joy")], [("joy", "joy_node")]
-
-
-@pytest.mark.parametrize("distribution, arguments, expected", [
-    ("noetic", [], THEIRS), ("Debian", [], OURS), ("", [], OURS), ("Debian", ["joy_driver:=joy"], THEIRS),
-    ("noetic", ["joy_driver:=gamepad_joy"], OURS), ("noetic", ["gamepad:=false"], []),
-    ("Debian", ["gamepad:=false"], [])])
-def test_gamepad_driver_is_joy_on_noetic_and_this_package_s_elsewhere_unless_it_is_named(
-        monkeypatch, distribution, arguments, expected):
-    monkeypatch.setenv("ROS_DISTRO", distribution)
-    assert [(node.package, node.type) for node in loaded("car.launch", *arguments).nodes
-            if node.name == "joy_node"] == expected
+@pytest.mark.parametrize("arguments, device", [
+    ([], "auto"), (["joy_device:=/dev/input/js0"], "/dev/input/js0"), (["gamepad:=false"], None)])
+def test_gamepad_is_read_by_this_package_under_the_name_of_the_usual_driver_unless_it_comes_from_elsewhere(
+        arguments, device):
+    launch = loaded("car.launch", *arguments)
+    assert [node.type for node in launch.nodes if node.name == "joy_node"] == ["gamepad_joy"] * (device is not None)
+    assert below(launch, "/joy_node/").get("dev") == device
 
 
 def test_demo_has_every_node_take_the_folder_that_config_names(tmp_path):

@@ -40,14 +40,14 @@ MAY_IMPORT = {
     "tools/cli": (*PARTS, *FITS, "tools/report", "tools/calibration/esc", "tools/calibration/steering",
                   "tools/calibration/value_map"),
     "tools/doctor": (*PARTS, "ros"),
-    "tools/host_setup": ("common",),
+    "tools/host_setup": ("common", "teleop"),
 }
 ROS = ("nodes/", "ros/", "tools/doctor/topics.py")
 # Libraries, and the only places that import them.
 ONLY_IN = {
     "rospy": ROS,
     "rosbags": ("tools/recordings/",),
-    "evdev": ("nodes/keyboard_drive/key_events.py",),
+    "evdev": ("nodes/keyboard_drive/key_events.py", "teleop/gamepad_device.py"),
     "jinja2": ("tools/report/html.py",),
     "matplotlib": ("tools/report/",),
     "tqdm": ("tools/recordings/", "tools/cli/"),
@@ -57,8 +57,8 @@ ONLY_IN = {
     "smbus2": ("nodes/pca9685/node.py", "tools/doctor/board.py"),
 }
 # Imported alone, a module outside of these pulls in none of the heavy ones.
-NOT_PURE = (*ROS, "teensy/link/port.py", "tools/doctor/cli.py", "tools/host_setup/cli.py", "tools/recordings/",
-            "tools/report/", "tools/cli/", "tools/calibration/")
+NOT_PURE = (*ROS, "teensy/link/port.py", "teleop/gamepad_device.py", "tools/doctor/cli.py", "tools/host_setup/",
+            "tools/recordings/", "tools/report/", "tools/cli/", "tools/calibration/")
 MODULES = sorted(PACKAGE.rglob("*.py"))
 HEAVY = ("rospy", "serial", "smbus2", "rosbags", "numpy")
 

@@ -18,6 +18,7 @@ from car_interface.common.staleness import DROPPED, TimedInput
 from car_interface.common.units import NS_PER_S
 
 STARTED = "this node has just started"
+UNLOCK = "it unlocks once somebody keeps publishing e_stop false"
 # How to re-arm, in the state message, the log and /diagnostics.
 REARM_REASON = "let go once: publish false, then true"
 EXPLANATION_TIMEOUT_S = 0.5  # teleop_logi sends its state 10 times a second
@@ -128,7 +129,7 @@ class MotionInterlock:
                                "e_stop was never heard, and e_stop_required is true")
             return None
         if self._e_stop.is_stale(now_ns):
-            return Inhibit(True, causes.E_STOP_STALE, self._e_stop.stale_reason(now_ns))
+            return Inhibit(True, causes.E_STOP_STALE, f"{self._e_stop.stale_reason(now_ns)}; {UNLOCK}")
         return Inhibit(True, causes.E_STOP, "e_stop is true") if self._e_stop.value else None
 
     def _waits_for_e_stop(self, now_ns):

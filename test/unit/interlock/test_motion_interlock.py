@@ -25,7 +25,8 @@ DROPPED = ("dropped", None)  # messages, before they got here
 NOTHING_GRANTED = {"grant_at_start": False}
 WAITS = (False, "starting", "this node has just started: it waits up to 1 s for e_stop")
 TO_REARM = (False, "not re-armed", "this node has just started; let go once: publish false, then true")
-E_STOP_UNKNOWN = (True, "e_stop silent", "e_stop was not heard since messages were dropped")
+UNLOCK = "it unlocks once somebody keeps publishing e_stop false"
+E_STOP_UNKNOWN = (True, "e_stop silent", f"e_stop was not heard since messages were dropped; {UNLOCK}")
 WERE_DROPPED = (False, "not re-armed", "messages were dropped; let go once: publish false, then true")
 GAMEPAD = "the gamepad has 4 axes (0 to 3), but throttle_axis is 4"
 
@@ -72,7 +73,7 @@ PAUSE = ("silence", 400 * MS)
     ([HOLD, E_STOP, LET_GO, HOLD], LOCKED),
     ([HOLD, E_STOP, RUN], WAS_LOCKED),
     ([HOLD, E_STOP, LET_GO, HOLD, RUN], WAS_LOCKED),
-    ([RUN, HOLD, PAUSE, HOLD, PAUSE, HOLD, PAUSE], (True, "e_stop silent", "e_stop silent for 1.23 s")),
+    ([RUN, HOLD, PAUSE, HOLD, PAUSE, HOLD, PAUSE], (True, "e_stop silent", f"e_stop silent for 1.23 s; {UNLOCK}")),
     ([RUN, LONG_SILENCE, RUN, HOLD], WAS_LOCKED),
 ], ids=str)
 def test_car_may_move_by_a_deadman_that_is_held_and_was_let_go_since_the_last_loss(events, inhibit):

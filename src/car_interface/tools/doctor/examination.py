@@ -37,7 +37,7 @@ from car_interface.tools.doctor.car import (
 )
 from car_interface.tools.doctor.computer import probe_clock, probe_groups, probe_packages, probe_versions
 from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, worst
-from car_interface.tools.doctor.gamepad import check_gamepad
+from car_interface.tools.doctor.gamepad import check_gamepad, probe_driver
 from car_interface.tools.doctor.master import NODES, Graph, Master, read_files, read_parameters
 from car_interface.tools.doctor.network import probe_network
 from car_interface.tools.doctor.port import check_link, check_virtual_port, is_pseudo_terminal, probe_port
@@ -117,7 +117,6 @@ class Car(NamedTuple):
     board: BoardSettings
     port_is_the_nodes: bool  # whether the port is the one that the hub uses
     port_is_virtual: bool  # whether it's the one that car_sim makes
-    joy_is_published: bool
     others: list  # the namespaces of other cars
     was_chosen: bool  # False: there are several cars, and no namespace was given
 
@@ -153,7 +152,6 @@ def survey(master: Master | None, options: Namespace) -> Car:
     return Car(
         namespace=namespace, others=[car for car in cars if car != namespace],
         was_chosen=options.namespace is not None or namespace in cars or not cars,
-        joy_is_published=bool(graph.publishers.get(f"{namespace.rstrip('/')}/joy")),
         port_is_virtual=port == _text(_parameters(master, namespace, SIMULATOR, nodes), "port"),
         nodes=nodes,
         uses_sim_time=bool(master and master.parameter("/use_sim_time")),
@@ -233,7 +231,8 @@ def _examine(options):
     virtual_port, virtual_bus = car.port_is_virtual or is_pseudo_terminal(car.port), car.bus == VIRTUAL
     groups = Task("groups", probe_groups, car.port, car.bus, virtual_port, virtual_bus)
     clock = Task("clock", probe_clock, car.uses_sim_time)
-    packages = Task("packages", probe_packages, car.joy_is_published, virtual_bus)
+    packages = Task("packages", probe_packages)
+    drivers = Task("gamepad", probe_driver)
     parameters = Task("parameters", _read_all, master, car) if is_there else None
     hub = car.runs("teensy_sensor_hub") if car.port_is_the_nodes else None
     port = None if hub or car.lacks_simulator else Task("port", probe_port, car.port, car.baud)
@@ -244,6 +243,7 @@ def _examine(options):
     yield from versions.findings(deadline_s)
     yield from packages.findings(deadline_s)
     yield from groups.findings(deadline_s)
+    yield from drivers.findings(deadline_s)
     yield from clock.findings(deadline_s)
     yield from trouble + of_master + of_address + survey_trouble
     if is_there:
@@ -270,7 +270,8 @@ def _examine(options):
             covered = [*covered, f"{car.runs('pca9685').path.strip('/')}: {BOARD_REPORT}"]
         if topic_reports.gamepad:
             yield from check_gamepad(topic_reports.gamepad)
-            covered = [*covered, f"{topic_reports.gamepad.node.strip('/')}: {GAMEPAD_REPORT}"]
+            covered = [*covered, f"{topic_reports.gamepad.node.strip('/')}: {GAMEPAD_REPORT}",
+                       *([topic_reports.gamepad.driver.name] if topic_reports.gamepad.driver else [])]
         yield from check_diagnostics(topic_reports.reports, car.namespace, reporting, covered)
 
 
