@@ -269,8 +269,9 @@ def test_empty_battery_stops_the_planner_with_its_reason_until_it_is_changed_and
 @pytest.mark.parametrize("lose, message", [
     (lambda arb: arb.silence("battery"), "battery_state silent for [5-7].* s: the voltage isn't known"),
     (lambda arb: arb.hold(battery=NAN), "battery_state's voltage is nan, none that a battery has"),
-    (lambda arb: arb.hold(battery=6.8), "the battery has 6.80 V after it fell below warn_below, 7 V: low until it has "
-                                        "7.5 V")], ids=["silent", "nan", "low"])
+    (lambda arb: arb.hold(battery=6.8),
+     "the battery has 6.80 V after it fell below warn_below, 7 V: low until it has 7.5 V"),
+], ids=["silent", "nan", "low"])
 def test_battery_that_is_low_silent_or_not_measured_is_a_warning_and_no_stop(lose, message):
     arb = Arb(**STOPS_BELOW).present(battery=8.0)
     arb.plan(1.2)

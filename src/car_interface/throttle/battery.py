@@ -87,8 +87,8 @@ class BatteryWatch:
                 (self._empty, causes.BATTERY_EMPTY, "stop_below", "no planner drives before it has"),
                 (self._low, causes.BATTERY_LOW, "warn_below", "low until it has")):
             if limit.is_below:
-                text = (f"the battery has {self._valid_v:.2f} V after it fell below {name}, {limit.volts:g} V: {until} "
-                        f"{limit.end_v:g} V")
+                text = (f"the battery has {self._valid_v:.2f} V after it fell below {name}, {limit.volts:g} V: "
+                        f"{until} {limit.end_v:g} V")
                 return BatteryStatus(cause, f"{text}; {trouble.text}" if trouble else text)
         voltage = self._voltage
         return trouble or BatteryStatus("", f"{self._valid_v:.2f} V" if voltage.was_received else
@@ -101,8 +101,8 @@ class BatteryWatch:
         if is_needed and voltage.is_stale(now_ns):
             return BatteryStatus(causes.BATTERY_STALE, f"{voltage.stale_reason(now_ns)}: the voltage isn't known")
         if voltage.was_received and not 0 < voltage.value < math.inf:
-            return BatteryStatus(causes.BATTERY_NOT_FINITE, f"battery_state's voltage is {voltage.value:g}, none that a "
-                                                            "battery has")
+            return BatteryStatus(causes.BATTERY_NOT_FINITE,
+                                 f"battery_state's voltage is {voltage.value:g}, none that a battery has")
         return None
 
 

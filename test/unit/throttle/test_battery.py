@@ -1,4 +1,4 @@
-"""When a battery is low, and when it stops the planner: stories of voltages, each half a second after the one before."""
+"""When a battery is low, and when it stops the planner: stories of voltages half a second apart."""
 from __future__ import annotations
 
 import math
