@@ -43,8 +43,9 @@ DEFAULTS = {
                      "vehicle.track_m": 0.296, "firmware.sonar_pulse_end_us": 38_000, "collides": True}),
     "planner_interface": ({"source": "drive"}, {"source": "drive"}),
     "gamepad_joy": ({}, {"dev": "auto", "deadzone": 0.05, "autorepeat_hz": 20.0, "coalesce_s": 0.001}),
+    "black_box": ({}, {"folder": None}),
     "car_display": ({}, {"wheelbase_m": 0.324, "odom_frame": "odom", "base_frame": "base_link"}),
-    "demo_drive": ({}, {"bag_dir": None, "steering_channel": 0, "throttle_channel": 1, "autonomous_button": 5}),
+    "demo_drive": ({}, {"bag_dir": None, "throttle_channel": 1, "autonomous_button": 5}),
     "keyboard_drive": ({}, {"steer_axis": 0, "throttle_axis": 4, "manual_button": 4, "autonomous_button": 5,
                             "steer_scale": 1.0, "input_devices": "/dev/input/event*"}),
 }
@@ -75,6 +76,7 @@ REFUSALS = [
     ("teensy_sensor_hub", {"sonars": {"front_left": [1, 2]}},
      "sonars/front_left is [1.0, 2.0]; accepted: three numbers: x, y in m, and yaw in rad"),
     ("teleop_logi", {"joy_timeout": -1}, "joy_timeout is -1; accepted: a number from 0.0"),
+    ("black_box", {"folder": "~/bags"}, f"folder is '~/bags'; {WHOLE_PATH}"),
     ("car_sim", {"steering_duties": [3800, 6700]}, "steering_curvatures is "),
     ("car_sim", {"wheel_pulses": [1]}, "wheel_pulses is [1.0]; accepted: two numbers: left, right"),
     ("car_sim", {"esc_kind": "odd"}, "esc_kind is 'odd'; accepted: one of none, "),
@@ -138,7 +140,7 @@ def test_simulated_car_has_what_a_car_s_files_say_and_its_own_parameters_go_befo
     made = read("car_sim", files)
     assert (made.steering_channel, made.throttle_channel) == (7, 9)
     assert (made.vehicle.wheel_diameter_m, made.vehicle.drive.neutral_duty) == (0.12, 5000)
-    assert (made.vehicle.steering.center_duty, dict(made.vehicle.steering.curve)[3800]) == (5100, 1 / 0.97)
+    assert (made.vehicle.steering.center_duty, dict(made.vehicle.steering.curve)[3800]) == (5100, 1.0)
     mixed = read("car_sim", {**files, "wheel_diameter": 0.1, "steering_channel": 2})
     assert (mixed.vehicle.wheel_diameter_m, mixed.steering_channel) == (0.1, 2)
     assert read("car_sim", {"esc": {"servo": {"channel": -1}}}).throttle_channel == 1
@@ -244,6 +246,17 @@ def test_gamepad_is_read_by_this_package_under_the_name_of_the_usual_driver_unle
     launch = loaded("car.launch", *arguments)
     assert [node.type for node in launch.nodes if node.name == "joy_node"] == ["gamepad_joy"] * (device is not None)
     assert below(launch, "/joy_node/").get("dev") == device
+
+
+@pytest.mark.parametrize("one_process", ["false", "true"])
+def test_demo_with_the_package_s_files_has_a_table_that_the_board_s_steps_resolve_for_arbiter_and_car(one_process):
+    values = below(loaded("demo.launch", "ns:=car1", f"one_process:={one_process}"), "/car1/")
+    for name in ("k_pwmcmd_left_table_servo", "k_pwmcmd_right_table_servo", "m_turnrad_axis_servo", "servo_center"):
+        assert values[f"turn_arb/{name}"] == values[f"car_sim/steering/{name}"]
+    duties = values["turn_arb/k_pwmcmd_left_table_servo"]
+    assert duties != config("turn_arb.yaml")["k_pwmcmd_left_table_servo"]
+    assert min(abs(one - other) for one, other in zip(duties, duties[1:])) >= 16
+    assert values["turn_arb/servo_channel"] == 0  # the rest is that of config
 
 
 def test_demo_has_every_node_take_the_folder_that_config_names(tmp_path):

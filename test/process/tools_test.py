@@ -285,6 +285,45 @@ class Tools(unittest.TestCase):
         self.assertEqual(help_text.wait_for_exit(), 0)  # needs no master
         self.assertRegex(help_text.stdout.since()[0], "^usage: rosrun car_interface calibration_drive ")
 
+    # --- first_check ---
+
+    def test_first_check_tunes_the_neutral_kills_the_board_s_node_and_writes_its_page(self):
+        folder = os.path.join(self.folder, "my_car")
+        shutil.copytree(os.path.join(PACKAGE, "config"), folder)
+        self.addCleanup(rospy.set_param, "/turn_arb/config_folder", rospy.get_param("/turn_arb/config_folder"))
+        rospy.set_param("/turn_arb/config_folder", folder)
+        self.take_gamepad()
+        terminal = self.terminal(executable("first_check"))
+        terminal.wait_for_line("1 of 20: the car on a box")
+        terminal.type(b"y")
+        terminal.wait_for_line("2 of 20: the deadman")
+        terminal.type(b"sssss")
+        self.press(LB)
+        terminal.wait_for_line(r"Now: the ESC gets \+0\.00 of")  # the rest may be on the next line
+        terminal.type(b"+")
+        eventually(lambda: rospy.get_param("/throttle_arb/servo/neutral") == 4920, "the new neutral")
+        self.press()
+        self.wait_for_steering(SteeringState.NO_HUMAN)
+        terminal.type(b"ep")
+        terminal.wait_for_line("20 of 20: killing the servo board's node")
+        self.press(AUTONOMOUS)
+        self.steering.wait_for(lambda state: state.reason == "av_steer_req is 0.500", self.steering.mark())
+        before, mark = pid_of("/pca9685"), terminal.lines.mark()
+
+        def killed():
+            terminal.type(b"k")  # until the board has turned the wheels
+            time.sleep(0.2)
+            return pid_of("/pca9685") != before
+        eventually(killed, "the end of pca9685")
+        terminal.wait_for_line("Y yes   N no", mark)
+        terminal.type(b"y")
+        terminal.wait_for_line("Nothing in the files is to be changed")
+        terminal.type(b"y")
+        self.assertEqual((terminal.wait_for_exit(), terminal.settings()), (0, terminal.settings_before))
+        self.assertIn("reported the center", " ".join(terminal.lines.since()))
+        self.assertEqual(rospy.get_param("/throttle_arb/servo/neutral"), 4915)
+        self.assertEqual(len(glob.glob(os.path.join(folder, "first_check_*.html"))), 1)
+
     # --- live tuning ---
 
     def test_steering_is_tuned_by_dynamic_reconfigure_and_a_node_that_roslaunch_starts_again_keeps_that(self):
