@@ -258,6 +258,37 @@ def test_neutral_that_is_not_written_is_given_back(tmp_path, keys, kept):
 
 
 @pytest.mark.once
+def test_neutrals_are_asked_for_one_after_the_other_and_the_newest_last(tmp_path):
+    car, tuned, waiting = Box(tmp_path), [], []
+    car.tune = lambda namespace, values: tuned.append(values["neutral"])
+    car.begin().skip_to("the ESC's neutral")
+    car.program.node._graph.start_thread = lambda target, name: waiting.append(target)
+    car.push(0.0, 0.3)
+    car.type("+++", 0.1)
+    assert len(waiting) == 1
+    waiting.pop()()
+    car.graph.run(0.2)
+    waiting.pop()()
+    assert tuned == [4920, 4930]
+    car.type("q", 0.3)
+    assert tuned == [4920, 4930, 4915]
+
+
+@pytest.mark.once
+def test_stick_s_sign_is_not_written_to_a_file_that_does_not_count_for_the_gamepad(tmp_path):
+    car = Box(tmp_path)
+    (car.folder / "gamepads.yaml").write_text('"Pad, 6 axes, 11 buttons": {steer_scale: 1.0}\n', encoding="utf-8")
+    car.begin().skip_to("the steering's direction")
+    car.pad(manual=True, steering=-1.0)
+    car.graph.run(0.5)
+    car.type("r")
+    car._pad.header.frame_id = "gamepad: Pad"
+    car.graph.run(0.5)
+    car.type("e", 0.3)
+    assert "teleop_logi.yaml can't be changed: for this gamepad gamepads.yaml has steer_scale" in car.terminal.text
+
+
+@pytest.mark.once
 def test_board_s_node_that_cannot_be_killed_is_not_asked_about(tmp_path):
     car = Box(tmp_path)
     car.kill = lambda name: f"{name} runs on another computer"
