@@ -35,7 +35,7 @@ class Terminal:
     width = 79
 
     def __init__(self, is_live: bool):
-        self.is_live, self.lines, self.block, self.typed = is_live, [], [], ""
+        self.is_live, self.lines, self.block, self.shown, self.typed = is_live, [], [], [], ""
 
     def start(self):
         return self.is_live
@@ -49,6 +49,7 @@ class Terminal:
 
     def show(self, lines):
         self.block = list(lines)
+        self.shown += lines
 
     def say(self, text):
         self.lines += text.split("\n")
@@ -334,6 +335,9 @@ def test_table_that_is_there_is_replaced_after_a_question_or_the_new_one_is_writ
     for text in ("it is so", f"written: {path}", f"to load it, launch again with config:={tmp_path}",
                  "the servo board centers the steering by the same file (duty 5050)", "recording: ", "report: page"):
         assert text in car.terminal.text
+    progress = car.terminal.shown if live else car.terminal.lines
+    assert "makes the recording's page: 0 s" in progress
+    assert car.terminal.block == []
 
 
 @pytest.mark.once

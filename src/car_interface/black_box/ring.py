@@ -13,8 +13,7 @@ MAX_BYTES = 20_000_000
 OVERHEAD_BYTES = 130
 # What is larger is no state or command: the largest of a car's own are /diagnostics with some 4 kB.
 MAX_MESSAGE_BYTES = 16_384
-# A topic that floods must not push the others out. The fastest of a car's own, servo/cmdVector, has two senders at
-# 100 Hz.
+# A topic that floods must not push the others out. An IMU at 200 Hz passes.
 MAX_PER_S = 300
 
 

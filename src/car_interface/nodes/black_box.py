@@ -31,15 +31,16 @@ from car_interface.ros.diagnostics import OK, WARN, Diagnostics
 from car_interface.ros.runtime import describe_error, run
 from car_interface.ros.topics import subscribe
 
-# What bag_report and the calibrations read. Left out is what can be computed from the others: joint_states and /tf.
+# What shows why the car stopped. Each message costs its sender's time, too, so what others repeat is left out: the
+# servo board's commands and the requests of teleop_logi are in the states of the arbiters and in joy, the Teensy's raw
+# counts in odom and the ranges. With those the demo's car sends 660 messages a second instead of 330, and this node
+# took 4.1 % of a core instead of 1.9 (AMD EPYC, Python 3.11).
 TOPICS = (
     "turn_arb/state", "throttle_arb/state", "planner_interface/state", "generic_value_converter/state",
-    "teleop_logi/state", "teleop_logi/human_in_loop", "teleop_logi/mode", "teleop_logi/tele_steer_req",
-    "teleop_logi/tele_throt_req", "joy", "e_stop",
+    "teleop_logi/state", "teleop_logi/mode", "joy", "e_stop",
     "drive", "cmd_vel", "control/command/control_cmd", "control/command/gear_cmd",
-    "av_turnrad_req", "av_steer_req", "av_speed_req", "planner_interface/output/control_cmd", "generic/output/value",
-    "servo/cmdVector", "servo/output", "odom", "imu/data", "teensy_sensor_hub/link", "teensy_clock", "teensy_pong",
-    "teensy_wheel", "teensy_distance", "teensy_error", *(f"sonar/{name}" for name in SONARS), "car_sim/truth",
+    "av_turnrad_req", "av_steer_req", "av_speed_req", "servo/output", "odom", "imu/data",
+    "teensy_sensor_hub/link", "teensy_clock", "teensy_pong", "teensy_error", *(f"sonar/{name}" for name in SONARS),
     "/tf_static", "/diagnostics", "/rosout")
 QUEUE = 1000  # messages of a topic that wait while this process doesn't get a CPU: some seconds of the fastest
 AFTER_NS = 5 * NS_PER_S  # how it ended: a car that slides, or is stopped by hand
@@ -98,7 +99,8 @@ class BlackBox:
             header = message._connection_header
             self._ring.add(Message(now_ns, topic, header, message._buff))
             if state_type is not None and header.get("md5sum") == state_type._md5sum:
-                self._on_stop(on_state(state_type().deserialize(message._buff)), now_ns)
+                with suppress(genpy.DeserializationError):
+                    self._on_stop(on_state(state_type().deserialize(message._buff)), now_ns)
         return record
 
     def _on_stop(self, stop, now_ns):

@@ -19,6 +19,7 @@ from car_interface.teleop.gamepad import MAX_INDEX, NONE
 LEFT, RIGHT, FORWARD, BACKWARD = "left", "right", "forward", "backward"
 SLOWLY_FORWARD, SLOWLY_BACKWARD, MORE, LESS = "slowly forward", "slowly backward", "more", "less"
 MANUAL, AUTONOMOUS, RELEASE, QUIT = "manual", "autonomous", "release", "quit"
+THROTTLE_KEYS = frozenset({FORWARD, BACKWARD, SLOWLY_FORWARD, SLOWLY_BACKWARD})
 # "=" is "+" without Shift on many keyboards.
 CHARACTERS = {"a": LEFT, "d": RIGHT, "w": FORWARD, "s": BACKWARD, "e": SLOWLY_FORWARD, "c": SLOWLY_BACKWARD, "+": MORE,
               "=": MORE, "-": LESS, "m": MANUAL, "p": AUTONOMOUS, " ": RELEASE, "q": QUIT}
@@ -160,6 +161,9 @@ class Keyboard:
             # Only the newest key repeats: the deadman's characters end when another key is held.
             held = self._held(now_ns)
             self._typed_ns.update({held_key: now_ns for held_key in (MANUAL, AUTONOMOUS) if held_key in held})
+            # A brake right after a push, as calibrate_esc needs it, doesn't wait until the push is over.
+            rivals = next((keys - {key} for keys in (THROTTLE_KEYS, {LEFT, RIGHT}) if key in keys), ())
+            self._typed_ns = {typed: at_ns for typed, at_ns in self._typed_ns.items() if typed not in rivals}
             self._typed_ns[key] = now_ns
         return self._counts_without_release
 

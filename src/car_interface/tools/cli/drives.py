@@ -6,10 +6,13 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
 import sys
+import time
 from functools import partial
 from urllib.parse import quote
 
+from car_interface.black_box.folder import default_folder, newest
 from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.tools.cli.bag_report import page_path as report_path
@@ -62,6 +65,10 @@ def run(options: argparse.Namespace) -> int:
     print(f"{folder}: {len(rows)} recording{'s' if len(rows) > 1 else ''}, {read} read now, {len(rows) - read} "
           f"read before" + (f"; {len(bad)} can't be read" if bad else ""))
     print(f"written: {page_path}, {csv_path}")
+    stop = newest(default_folder())
+    if stop is not None:
+        print(f"the last stop that nobody asked for: {stop.describe(time.time())}: rosrun car_interface bag_report "
+              f"{shlex.quote(stop.path)}")
     return int(len(bad) == len(rows))
 
 

@@ -10,6 +10,7 @@ import time
 from argparse import Namespace
 from typing import Any, Callable, Iterator, NamedTuple
 
+from car_interface.black_box.folder import default_folder, newest
 from car_interface.common.device_access import STABLE_PORT
 from car_interface.common.errors import ConfigError
 from car_interface.common.package_files import package_file
@@ -24,6 +25,7 @@ from car_interface.tools.doctor.car import (
     SILENT,
     SIMULATOR,
     Node,
+    check_black_box,
     check_command_topics,
     check_diagnostics,
     check_files,
@@ -233,6 +235,7 @@ def _examine(options):
     packages = Task("packages", probe_packages)
     drivers = Task("gamepad", probe_driver)
     parameters = Task("parameters", _read_all, master, car) if is_there else None
+    black_box = Task("black box", _newest_recording, master if is_there else None, car)
     hub = car.runs("teensy_sensor_hub") if car.port_is_the_nodes else None
     port = None if hub or car.lacks_simulator else Task("port", probe_port, car.port, car.baud)
     board = None if virtual_bus else Task("bus", probe_board, car.bus, car.board, options.probe)
@@ -271,6 +274,7 @@ def _examine(options):
             covered = [*covered, f"{topic_reports.gamepad.node.strip('/')}: {GAMEPAD_REPORT}",
                        *([topic_reports.gamepad.driver.name] if topic_reports.gamepad.driver else [])]
         yield from check_diagnostics(topic_reports.reports, car.namespace, reporting, covered)
+    yield from black_box.findings(deadline_s)
 
 
 def _covered(hub, link):
@@ -285,6 +289,11 @@ def _read_all(master, car):
     is_virtual = _text(_parameters(master, car.namespace, "pca9685", car.nodes), "device") == VIRTUAL
     found += check_folders(readings, os.path.realpath(package_file("config")), is_virtual)
     return found + check_files(read_files(master, car.nodes))
+
+
+def _newest_recording(master, car):
+    folder = _text(_parameters(master, car.namespace, "black_box", car.nodes), "folder")
+    return check_black_box(newest(folder or default_folder()), time.time())
 
 
 def _listen_to_topics(master, car, hub, reporting):

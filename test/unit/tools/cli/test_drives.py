@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 
 from browser import Browser, find_browser
+from car_interface.black_box.folder import store
+from car_interface.common import causes
 from car_interface.tools.cli import drives
 from car_interface.tools.cli.main import main
 from written_recordings import Written, drive, odometry, write_ros1, write_ros2
@@ -24,6 +26,13 @@ def made(tmp_path_factory):
                with_definitions=False)
     (folder / "day" / "broken.bag").write_bytes(b"no bag")
     return folder
+
+
+@pytest.fixture(autouse=True)
+def black_box(tmp_path, monkeypatch):
+    """The black box's folder of a user who has none yet."""
+    monkeypatch.setenv("ROS_HOME", str(tmp_path / "ros"))
+    return tmp_path / "ros" / "car_interface" / "black_box"
 
 
 @pytest.fixture
@@ -199,3 +208,11 @@ def test_page_in_chromium_has_no_errors_loads_nothing_fits_a_wide_window_and_can
         browser.open(page)
         plot = browser.evaluate("document.querySelector('svg[data-plot=trends]').getBoundingClientRect().width")
         assert plot >= 640 and browser.evaluate(too_wide) == 0
+
+
+@pytest.mark.once
+def test_terminal_names_the_newest_recording_of_the_black_box(folder, read, black_box, capsys):
+    path = store(str(black_box), "2026-11-25_22-17-24", causes.ODOMETRY_STALE, b"a bag")
+    assert run(folder) == 0
+    assert capsys.readouterr().out.split("\n")[-2] == (
+        f"the last stop that nobody asked for: odometry silent, just now: rosrun car_interface bag_report {path}")
