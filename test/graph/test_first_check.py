@@ -171,7 +171,7 @@ def test_whole_conversation_on_a_box_and_its_files_and_page(tmp_path):
     car.push(0.5, 0.5)
     assert car.board.counts[ESC] > ESC_NEUTRAL
     car.push(0.5, 0.2, manual=False)
-    assert car.at_rest() and "The ESC got neutral within 0.1 s" in car.terminal.text
+    assert car.at_rest() and "The ESC got neutral or its brake within 0.1 s" in car.terminal.text
     car.type("y")
     assert car.asks == "unplugging the Teensy"
     car.inject("unplug")
@@ -255,6 +255,37 @@ def test_neutral_that_is_not_written_is_given_back(tmp_path, keys, kept):
     assert car.graph.parameter("/throttle_arb/servo/neutral") == kept and not car.program.is_alive
     assert load_throttle(str(car.folder / "throttle.yaml")).calibration.neutral == kept
     assert bool(list(car.folder.glob("first_check_*.html"))) == (keys != "q")
+
+
+@pytest.mark.once
+def test_neutrals_are_asked_for_one_after_the_other_and_the_newest_last(tmp_path):
+    car, tuned, waiting = Box(tmp_path), [], []
+    car.tune = lambda namespace, values: tuned.append(values["neutral"])
+    car.begin().skip_to("the ESC's neutral")
+    car.program.node._graph.start_thread = lambda target, name: waiting.append(target)
+    car.push(0.0, 0.3)
+    car.type("+++", 0.1)
+    assert len(waiting) == 1
+    waiting.pop()()
+    car.graph.run(0.2)
+    waiting.pop()()
+    assert tuned == [4920, 4930]
+    car.type("q", 0.3)
+    assert tuned == [4920, 4930, 4915]
+
+
+@pytest.mark.once
+def test_stick_s_sign_is_not_written_to_a_file_that_does_not_count_for_the_gamepad(tmp_path):
+    car = Box(tmp_path)
+    (car.folder / "gamepads.yaml").write_text('"Pad, 6 axes, 11 buttons": {steer_scale: 1.0}\n', encoding="utf-8")
+    car.begin().skip_to("the steering's direction")
+    car.pad(manual=True, steering=-1.0)
+    car.graph.run(0.5)
+    car.type("r")
+    car._pad.header.frame_id = "gamepad: Pad"
+    car.graph.run(0.5)
+    car.type("e", 0.3)
+    assert "teleop_logi.yaml can't be changed: for this gamepad gamepads.yaml has steer_scale" in car.terminal.text
 
 
 @pytest.mark.once

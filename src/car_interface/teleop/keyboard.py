@@ -32,6 +32,7 @@ PAIR_NS = 3 * NS_PER_S // 10  # between a press and its character at most
 STEERING_PER_S = 4.0  # a quarter of a second from the centre to the end, so that a touch steers a little
 # A push begins above throttle_arb's dead band, and is full after half a second, so that a touch moves a car a little.
 PUSH_FROM, PUSH_PER_S = 0.1, 1.8
+PULL_FROM = 1.0  # a pull is whole at once: it is the brake
 # A slow one begins at the dead band. With a scale of 0.5 it takes four seconds to where a car sets off.
 SLOWLY_FROM, SLOWLY_PER_S = 0.05, 0.07
 
@@ -188,11 +189,13 @@ class Keyboard:
                         (MORE in held) - (LESS in held))
 
     def _throttle(self, held, elapsed_s):
-        for ahead, back, start, per_s in ((FORWARD, BACKWARD, PUSH_FROM, PUSH_PER_S),
-                                          (SLOWLY_FORWARD, SLOWLY_BACKWARD, SLOWLY_FROM, SLOWLY_PER_S)):
+        for ahead, back, push_from, pull_from, per_s in (
+                (FORWARD, BACKWARD, PUSH_FROM, PULL_FROM, PUSH_PER_S),
+                (SLOWLY_FORWARD, SLOWLY_BACKWARD, SLOWLY_FROM, SLOWLY_FROM, SLOWLY_PER_S)):
             if held & {ahead, back}:
                 push = (ahead in held) - (back in held), per_s
-                self._pushed = min(1.0, self._pushed + per_s * elapsed_s) if push == self._push else start
+                begin = push_from if ahead in held else pull_from
+                self._pushed = min(1.0, self._pushed + per_s * elapsed_s) if push == self._push else begin
                 self._push = push
                 return push[0] * self._pushed
         self._push = None

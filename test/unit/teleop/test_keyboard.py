@@ -102,14 +102,15 @@ def test_without_releases_the_newest_of_opposite_keys_counts(keys, steering, thr
     assert typed((MANUAL, 0), *((key, 0) for key in keys), until_ms=500) == Controls(steering, throttle, manual=True)
 
 
-def test_push_grows_for_half_a_second_and_ends_at_once_and_the_other_way_begins_anew():
+def test_push_grows_for_half_a_second_and_ends_at_once_and_a_pull_which_brakes_is_whole_at_once():
     steps = [(MANUAL, 0), (FORWARD, 0)]
     assert typed(*steps, until_ms=0).throttle == pytest.approx(0.1)
     assert typed(*steps, until_ms=250).throttle == pytest.approx(0.55, abs=0.05)
     assert typed(*steps, until_ms=600).throttle == 1.0
     assert typed(*steps, (MANUAL, 600), until_ms=720).throttle == 0.0
-    assert typed(*steps, (RELEASE, 600), (MANUAL, 620), (BACKWARD, 620), until_ms=720).throttle == pytest.approx(
-        -0.28, abs=0.05)
+    assert typed(*steps, (RELEASE, 600), (MANUAL, 620), (BACKWARD, 620), until_ms=640).throttle == -1.0
+    assert typed(*steps, (BACKWARD, 600), (RELEASE, 620), (MANUAL, 620), (FORWARD, 640),
+                 until_ms=640).throttle == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize("counts, until_ms", [(False, -1), (True, 700)])
@@ -210,7 +211,7 @@ def held(*keys, seconds):
 
 @pytest.mark.parametrize("keys, throttles", [
     ((SLOWLY_FORWARD,), [0.05, 0.12, 0.19, 0.26]), ((SLOWLY_BACKWARD,), [-0.05, -0.12, -0.19, -0.26]),
-    ((SLOWLY_FORWARD, FORWARD), [0.1, 1.0, 1.0, 1.0]), ((SLOWLY_FORWARD, BACKWARD), [-0.1, -1.0, -1.0, -1.0]),
+    ((SLOWLY_FORWARD, FORWARD), [0.1, 1.0, 1.0, 1.0]), ((SLOWLY_FORWARD, BACKWARD), [-1.0] * 4),
     ((SLOWLY_FORWARD, SLOWLY_BACKWARD), [-0.05, -0.12, -0.19, -0.26])])
 def test_slow_key_alone_pushes_ever_farther_from_the_dead_band_on(keys, throttles):
     assert held(*keys, seconds=3) == pytest.approx(throttles)

@@ -44,6 +44,7 @@ from car_interface.ros.reconfigure import request_values
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, sender_of, subscribe
 from car_interface.ros.xmlrpc_calls import call
+from car_interface.teleop.mappings import load_entries, model_of
 from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.config import load_throttle
 from car_interface.tools.calibration.drive.config import read_base
@@ -54,6 +55,7 @@ from car_interface.tools.first_check.files import find_folder, plan, write, writ
 NAME = "first_check"
 RATE_HZ = 20
 READY_WITHIN_NS = 8 * NS_PER_S
+TUNED_WITHIN_S, POLL_S = 1.0, 0.02
 INTRODUCTION = """First check: five minutes, one question at a time, the car on a box.
 With keyboard_drive in another terminal: M is the manual deadman, P the
 autonomous one, A and D the left stick, W and S the right one, E and C the right
@@ -87,6 +89,8 @@ class FirstCheckNode:
         self._kind, self._edits, self._fault, self._is_over = "", [], "", False
         self._steering = advertise("av_steer_req", Float32, inbox)
         self._asked = False  # whether it steered with the last tick
+        self._is_tuning = False  # until throttle_arb has answered
+        self._model = ""  # of the newest message's gamepad
         self._subscribe()
         if not self._keys.start():
             raise CarInterfaceError("no terminal to ask in: start it by rosrun in a terminal of its own, not by "
@@ -103,8 +107,7 @@ class FirstCheckNode:
                  lambda message, now_ns: car.steering_stick.update(message.data, now_ns)),
                 ("teleop_logi/tele_throt_req", Float32,
                  lambda message, now_ns: car.throttle_stick.update(message.data, now_ns)),
-                ("joy", Joy, lambda message, now_ns: car.buttons.update(
-                    tuple(index for index, is_held in enumerate(message.buttons) if is_held), now_ns)),
+                ("joy", Joy, self._on_joy),
                 ("turn_arb/state", SteeringState, lambda message, now_ns: car.steering.update(
                     Steering(message.source, message.reason, message.duty), now_ns)),
                 ("throttle_arb/state", ThrottleState, self._on_throttle),
@@ -116,6 +119,11 @@ class FirstCheckNode:
                 ("odom", Odometry, lambda message, now_ns: car.update_speed(message.twist.twist.linear.x, now_ns)),
                 *((f"sonar/{name}", Range, partial(self._on_range, name)) for name in SONARS)):
             subscribe(topic, message_type, inbox, handler, wakes=False)
+
+    def _on_joy(self, message, now_ns):
+        self._model = model_of(message.header.frame_id, len(message.axes), len(message.buttons))
+        self._check.car.buttons.update(
+            tuple(index for index, is_held in enumerate(message.buttons) if is_held), now_ns)
 
     def _on_throttle(self, message, now_ns):
         self._check.car.update_throttle(Throttle(message.source, message.reason, message.granted, message.esc,
@@ -141,8 +149,9 @@ class FirstCheckNode:
     def shut_down(self):
         """Center the steering, take back a neutral that isn't written, restore the terminal."""
         self._steer(None)
-        if not self._is_over:
-            self._tune(None, lambda ask, name: ask())
+        self._inbox.clocks.wait_for(lambda: not self._is_tuning, TUNED_WITHIN_S, POLL_S)
+        if not self._is_over and self._neutral != self._start_neutral:
+            self._have_tuned(self._start_neutral)
         self._keys.restore()
         self._text.keep()
 
@@ -186,13 +195,18 @@ class FirstCheckNode:
             self._steering.publish(Float32(request or 0.0))
         self._asked = request is not None
 
-    def _tune(self, neutral, run_in=None):
-        """Have throttle_arb take another neutral, or its own again; beside this thread, unless this is the end."""
+    def _tune(self, neutral):
+        """Have throttle_arb take another neutral, or its own again; one after the other, the newest last."""
         wanted = self._start_neutral if neutral is None else neutral
-        if wanted != self._neutral:
-            self._neutral = wanted
-            namespace = self._inbox.resolve_name("throttle_arb/servo")
-            (run_in or self._graph.start_thread)(partial(self._request, namespace, {"neutral": wanted}), "tuning")
+        if wanted != self._neutral and not self._is_tuning:
+            self._neutral, self._is_tuning = wanted, True
+            self._graph.start_thread(partial(self._have_tuned, wanted), "tuning")
+
+    def _have_tuned(self, neutral):
+        try:
+            self._request(self._inbox.resolve_name("throttle_arb/servo"), {"neutral": neutral})
+        finally:
+            self._is_tuning = False
 
     # --- its end ---
 
@@ -202,7 +216,8 @@ class FirstCheckNode:
             self._text.say(f"{result.verdict:<15} {title}: {result.answer}"
                            + (f"\n{'':<15} -> {result.repair}" if result.repair else ""))
         try:
-            self._edits = plan(self._folder, self._check.changes())
+            mapped = load_entries(self._folder).get(self._model) or ()
+            self._edits = plan(self._folder, self._check.changes(), mapped)
         except ConfigError as error:
             self._edits = []
             self._text.say(f"what was learned doesn't go together: {error}")
@@ -275,7 +290,7 @@ def kill_node(name: str) -> str:
             if name.rpartition("/")[2].encode() not in file.read():
                 return f"{name} runs on another computer"
         os.kill(pid, signal.SIGKILL)
-    except OSError as error:
+    except Exception as error:  # whatever it answers
         return f"{name} can't be reached: {error}"
     return ""
 

@@ -5,7 +5,7 @@ Every file is checked as its node would load it, before the first one is written
 from __future__ import annotations
 
 import os
-from typing import Any, Mapping, NamedTuple, Sequence
+from typing import Any, Container, Mapping, NamedTuple, Sequence
 
 from car_interface.common import output
 from car_interface.common.declared import read_all
@@ -17,6 +17,7 @@ from car_interface.common.yaml_edit import edited, save
 from car_interface.common.yaml_file import MAX_BYTES, decode_yaml, load_yaml
 from car_interface.steering.config import load_steering
 from car_interface.teleop.gamepad import GamepadConfig
+from car_interface.teleop.mappings import FILE as MAPPINGS
 from car_interface.throttle.config import load_throttle
 from car_interface.tools.first_check.question import (
     BROKEN,
@@ -75,12 +76,22 @@ def find_folder(folder: str | None) -> str:
     return folder
 
 
-def plan(folder: str, changes: Mapping[str, Mapping[str, Any]]) -> list[Edit]:
-    """Return the changes of the files in a folder, each checked as its node would load it."""
-    return [_plan(os.path.join(folder, f"{file}.yaml"), file, values) for file, values in changes.items()]
+def plan(folder: str, changes: Mapping[str, Mapping[str, Any]], mapped: Container[str] = ()) -> list[Edit]:
+    """Return the changes of the files in a folder, each checked as its node would load it.
+
+    Args:
+        folder: of the car's files.
+        changes: new values by file and parameter.
+        mapped: the parameters that gamepads.yaml has for the gamepad; teleop_logi.yaml's don't count for it.
+    """
+    return [_plan(os.path.join(folder, f"{file}.yaml"), file, values, mapped if file == GAMEPAD else ())
+            for file, values in changes.items()]
 
 
-def _plan(path, file, values):
+def _plan(path, file, values, mapped):
+    useless = [name for name in values if name in mapped]
+    if useless:
+        return Edit(path, values, {}, f"for this gamepad {MAPPINGS} has {', '.join(useless)}: run map_gamepad again")
     try:
         text = decode_yaml(read_file(path, MAX_BYTES), path)
         content = load_yaml(path, text)

@@ -6,6 +6,7 @@ from functools import partial
 
 from car_interface.common.causes import MANUAL
 from car_interface.common.units import NS_PER_S
+from car_interface.throttle.esc import BRAKING, HOLD, STATE_NAMES
 from car_interface.throttle.esc_config import (
     BRAKE_BECOMES_REVERSE,
     BRAKE_THEN_REVERSE,
@@ -27,6 +28,7 @@ PUSHED = 0.1  # of a stick: moved on purpose
 NEUTRAL_STEP, MAX_NEUTRAL = 5, 100  # duty; the second is throttle_arb's live_range
 PULL_NS = NS_PER_S  # of a pull, to see what the wheels do
 NEUTRAL_WITHIN_NS = NS_PER_S // 2
+STOPS = [STATE_NAMES[state] for state in (BRAKING, HOLD)]  # of ThrottleState.esc
 
 
 class _ByStick(Question):
@@ -277,7 +279,8 @@ class LettingGo(_ByStick):
         if self._took_s is None:
             return (f"Hold the {NAMES[MANUAL]}, push until the wheels turn, and then let go of the deadman ONLY: keep "
                     "the stick where it is.")
-        return f"The ESC got neutral within {self._took_s:.1f} s of the release. Do the wheels run out, and stand?"
+        return (f"The ESC got neutral or its brake within {self._took_s:.1f} s of the release. Do the wheels run out, "
+                "and stand?")
 
     def help(self):
         return "Y yes   N no" if self._took_s is not None else "N they go on though I let go"
@@ -292,15 +295,20 @@ class LettingGo(_ByStick):
             return
         self._released_ns = self._released_ns or now_ns
         duty = self.car.held_duty(self.setup.throttle.channel, now_ns)
-        if duty is not None and abs(duty - self.car.neutral) <= SAME_DUTY:
+        if duty is not None and (abs(duty - self.car.neutral) <= SAME_DUTY or self._brakes(duty)):
             self._took_s = math.ceil((now_ns - self._released_ns) / NS_PER_S * 10 + 0.1) / 10  # it is looked at 20 Hz
         elif now_ns - self._released_ns > NEUTRAL_WITHIN_NS:
-            self._broken("the ESC's channel isn't neutral half a second after the release",
+            self._broken("the ESC's channel is neither neutral nor its brake half a second after the release",
                          "don't drive it: rosrun car_interface doctor")
+
+    def _brakes(self, duty):
+        """Return whether a duty is the brake of a stop, which an ESC of a known kind gets."""
+        table = self.setup.throttle.duty_table
+        return self.car.throttle.value.esc in STOPS and (duty - self.car.neutral) * (table[-1] - table[0]) < 0
 
     def _ran_out(self, did, now_ns):
         if did and self._took_s is not None:
-            self._fine(f"neutral within {self._took_s:.1f} s, and the wheels stood")
+            self._fine(f"neutral or its brake within {self._took_s:.1f} s, and the wheels stood")
         elif not did and (self._took_s is not None or self._was_given):
             self._broken("the wheels go on after the release", "don't drive it: disconnect the battery. The ESC has "
                                                                "another neutral, or sits on another channel")

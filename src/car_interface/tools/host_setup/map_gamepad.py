@@ -57,7 +57,8 @@ class GamepadMap:
     """
 
     def __init__(self, rest: Sequence[float], crosses: Iterable[int]):
-        self.entry: dict[str, float] = {}
+        # A third deadman of the folder's teleop_logi.yaml would be just any button of this gamepad.
+        self.entry: dict[str, float] = {"third_button": NONE}
         self._rest, self._crosses = tuple(rest), frozenset(crosses)
         self._steps = list(STEPS)
         self._is_at_rest = False  # since the step began

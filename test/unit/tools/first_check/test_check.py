@@ -20,6 +20,7 @@ from slash import SLASH
 TICK_NS = NS_PER_S // 20
 ESC = ThrottleCalibration(1, [-5.0, 0.0, 3.0], [3277, 4915, 6554], 4915)
 SETUP = Setup(SLASH, ESC, "unverified", calibrates_esc=True)
+FALLING = replace(SETUP, throttle=replace(ESC, duty_table=[6554, 4915, 3277]))
 FORWARD, BACKWARD = 0, 1
 ENTER = "\n"
 
@@ -200,7 +201,7 @@ RIGHT = [
     ("left rear wheel", [turn((FORWARD, 21), (BACKWARD, 20))], ENTER, "it counts forward, 21 pulses in one turn"),
     ("right rear wheel", [turn((BACKWARD, 20), (FORWARD, 19))], ENTER, "it counts forward, 19 pulses in one turn"),
     ("sonar front right", [show_hand("front_right")], "", "it sees the hand: 0.20 m"),
-    ("letting go", [let_go], "y", "neutral within 0.1 s, and the wheels stood"),
+    ("letting go", [let_go], "y", "neutral or its brake within 0.1 s, and the wheels stood"),
     ("unplugging", [pull_cable, plug_in], "", "noticed, and its wheels were heard again"),
     ("killing", [kill()], "y", "/pca9685_guard reported the center 0.6 s after the kill, and the node came back"),
 ]
@@ -340,12 +341,23 @@ def test_kind_of_esc_is_asked_with_calibration_drive_and_once_a_push_drives_forw
     assert "a push has to drive forward first" in bench.type("y").result("ESC's kind").answer
 
 
-def test_esc_that_is_not_neutral_after_the_release_is_said_at_once():
+@pytest.mark.parametrize("esc", ["NEUTRAL", "BRAKING"])
+def test_esc_that_is_not_neutral_after_the_release_is_said_at_once(esc):
     bench = Bench().go_to("letting go")
     drive(bench)
-    bench.held, bench.board = None, [5100, 5200, *[0] * 14]
+    bench.held, bench.board, bench.esc = None, [5100, 5200, *[0] * 14], esc
     bench.run(0.6)
-    assert bench.result("letting go").answer == "the ESC's channel isn't neutral half a second after the release"
+    assert bench.result("letting go").answer == (
+        "the ESC's channel is neither neutral nor its brake half a second after the release")
+
+
+@pytest.mark.parametrize("setup, duty", [(SETUP, 3277), (FALLING, 6554)], ids=["rising_duties", "falling_duties"])
+def test_brake_of_a_stop_is_as_good_as_neutral(setup, duty):
+    bench = Bench(setup).go_to("letting go")
+    drive(bench)
+    bench.held, bench.board, bench.esc = None, [5100, duty, *[0] * 14], "BRAKING"
+    bench.run(0.6)
+    assert bench.type("y").result("letting go").verdict == FINE
 
 
 def test_backward_wheels_without_calibration_drive_are_not_guessed_at():

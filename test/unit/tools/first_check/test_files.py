@@ -46,6 +46,13 @@ def test_values_are_written_where_they_differ_comments_stay_and_the_old_files_ar
     assert Path(backup).read_text(encoding="utf-8") == (CONFIG / "turn_arb.yaml").read_text(encoding="utf-8")
 
 
+def test_what_gamepads_yaml_has_for_the_gamepad_is_not_written_where_it_does_not_count(folder):
+    edit, = plan(folder, {"teleop_logi": {"steer_scale": -1.0, "manual_button": 2}}, {"steer_scale": 1.0})
+    assert edit.problem == "for this gamepad gamepads.yaml has steer_scale: run map_gamepad again"
+    assert write([edit]) == []
+    assert plan(folder, {"turn_arb": {"servo_center": 5060}}, {"servo_center": 1})[0].problem == ""
+
+
 def test_kind_of_esc_that_was_measured_before_is_unmeasured_when_a_person_saw_another_one(folder):
     path = Path(folder, "throttle.yaml")
     path.write_text(path.read_text(encoding="utf-8").replace(

@@ -35,8 +35,8 @@ from car_interface.teleop.joystick import Joystick
 from car_interface.tools.host_setup import map_gamepad
 
 LEFT, FORWARD, DOWN, UP = -32768, -32768, 1, 0
-ENTRY = {"steer_axis": 0, "steer_scale": 1.0, "throttle_axis": 4, "throttle_scale": 1.0, "manual_button": 4,
-         "autonomous_button": 5, "faster_button": -1, "slower_button": -1}
+ENTRY = {"third_button": -1, "steer_axis": 0, "steer_scale": 1.0, "throttle_axis": 4, "throttle_scale": 1.0,
+         "manual_button": 4, "autonomous_button": 5, "faster_button": -1, "slower_button": -1}
 MODEL = "Nobody's Pad, 8 axes, 11 buttons"
 
 
@@ -97,8 +97,8 @@ def test_controls_that_are_shown_become_the_entry(person):
 
 def test_inverted_axes_get_a_negative_scale_and_enter_leaves_a_control_out(person):
     entry = person.follow(push(RX, -LEFT - 1), "\n", press(TL), press(TR), "\n", "\n")
-    assert entry == {"steer_axis": 3, "steer_scale": -1.0, "throttle_axis": -1, "manual_button": 4,
-                     "autonomous_button": 5, "faster_button": -1, "slower_button": -1}
+    assert entry == {"third_button": -1, "steer_axis": 3, "steer_scale": -1.0, "throttle_axis": -1,
+                     "manual_button": 4, "autonomous_button": 5, "faster_button": -1, "slower_button": -1}
 
 
 def test_cross_trigger_and_what_is_taken_already_are_refused_with_the_reason(person):
