@@ -8,7 +8,7 @@ import re
 import pytest
 from car_interface.msg import ConverterState, Float64Stamped, PlannerState, SteeringState, TeleopState, ThrottleState
 from diagnostic_msgs.msg import DiagnosticStatus
-from sensor_msgs.msg import Range
+from sensor_msgs.msg import BatteryState, Range
 from std_msgs.msg import Bool, Float32, Int8, Int32MultiArray, String
 
 from car import Car, config
@@ -21,11 +21,15 @@ NAN, INF = math.nan, math.inf
 BRAKES = {"esc": {"profile": "brake_then_reverse"}}
 STEERS = SteeringState(source=SteeringState.TELEOP)
 PLANS = SteeringState(source=SteeringState.PLANNER)
-OK, WARN = DiagnosticStatus.OK, DiagnosticStatus.WARN
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
 def value(data):
     return Float64Stamped(data=data)
+
+
+def battery(voltage):
+    return BatteryState(voltage=voltage)
 
 
 def same(message):
@@ -37,7 +41,7 @@ TOPICS = {"e_stop": ("/e_stop", Bool), "human": ("/teleop_logi/human_in_loop", B
           "scale_button": ("/teleop_logi/scale_button", Int8), "teleop_state": ("/teleop_logi/state", same),
           "steering": ("/turn_arb/state", same), "value": ("/generic/output/value", value),
           "converter": ("/generic_value_converter/state", same), "planner": ("/planner_interface/state", same),
-          "speed": ("/odom", odometry)}
+          "speed": ("/odom", odometry), "battery": ("/battery_state", battery)}
 
 
 class Arb(Inputs):
@@ -228,6 +232,60 @@ def test_whatever_is_lost_means_neutral_with_its_reason():
         assert arb.state.reason.startswith(reason)
         arb.run(0.5)
         assert arb.duties(since_ns) == {NEUTRAL}
+
+
+# --- the battery ---
+
+STOPS_BELOW = {"battery": {"warn_below": 7.0, "stop_below": 6.6, "recovery": 0.5}}
+EMPTY = "the battery has 6.40 V after it fell below stop_below, 6.6 V: no planner drives before it has 7.1 V"
+
+
+def battery_report(arb):
+    arb.run(1.0)
+    return arb.graph.report("throttle_arb: battery")[:2]
+
+
+def test_empty_battery_stops_the_planner_with_its_reason_until_it_is_changed_and_a_person_drives_on():
+    arb = Arb(**STOPS_BELOW).present(battery=8.0)
+    arb.plan(1.2)
+    assert arb.duty == BY_PLANNER and battery_report(arb) == (OK, "8.00 V")
+    arb.hold(battery=6.4)
+    arb.run(1.9)
+    assert arb.duty == BY_PLANNER
+    arb.run(0.2)
+    assert (arb.state.cause, *arb.now) == ("battery empty", ThrottleState.NEUTRAL, EMPTY, NEUTRAL)
+    assert battery_report(arb) == (ERROR, EMPTY)
+    assert [line for line in arb.warnings() if "battery" in line] == [f"NEUTRAL: {EMPTY}", f"battery: {EMPTY}"]
+    arb.hold(battery=7.0)  # the car stands
+    arb.run(10.0)
+    assert arb.state.cause == "battery empty"
+    arb.hold(teleop=1.0)
+    assert arb.now[::2] == (ThrottleState.TELEOP, BY_HAND)
+    arb.hold(teleop=0.0, battery=8.0)
+    arb.run(2.1)
+    assert arb.duty == BY_PLANNER and battery_report(arb) == (OK, "8.00 V")
+
+
+@pytest.mark.parametrize("lose, message", [
+    (lambda arb: arb.silence("battery"), "battery_state silent for [5-7].* s: the voltage isn't known"),
+    (lambda arb: arb.hold(battery=NAN), "battery_state's voltage is nan, none that a battery has"),
+    (lambda arb: arb.hold(battery=6.8),
+     "the battery has 6.80 V after it fell below warn_below, 7 V: low until it has 7.5 V"),
+], ids=["silent", "nan", "low"])
+def test_battery_that_is_low_silent_or_not_measured_is_a_warning_and_no_stop(lose, message):
+    arb = Arb(**STOPS_BELOW).present(battery=8.0)
+    arb.plan(1.2)
+    lose(arb)
+    arb.run(6.0)
+    assert arb.duty == BY_PLANNER
+    level, text = battery_report(arb)
+    assert level == WARN and re.fullmatch(message, text)
+    assert len(arb.warnings()) == 1 and re.fullmatch(f"battery: {message}", arb.warnings()[0])
+
+
+def test_car_on_which_nobody_publishes_a_battery_s_state_is_told_of_nothing():
+    arb = Arb().present()
+    assert battery_report(arb) == (OK, "battery_state was never heard") and not arb.warnings()
 
 
 # --- modes ---

@@ -42,6 +42,10 @@ COMMAND_AWAITED = "command awaited"  # the planner asks again, and its first val
 COMMAND_NOT_FINITE = "command not finite"
 ODOMETRY_STALE = "odometry silent"
 ODOMETRY_NOT_FINITE = "odometry not finite"
+BATTERY_LOW = "battery low"  # a warning, which stops nobody
+BATTERY_EMPTY = "battery empty"  # for a planner; a human may drive on
+BATTERY_STALE = "battery silent"
+BATTERY_NOT_FINITE = "battery not finite"
 
 # ESC: its action, or why that differs from the request.
 ESC_ARMING = "esc arming"
@@ -123,8 +127,8 @@ LOCKS = frozenset({E_STOP, E_STOP_STALE, E_STOP_NEVER_RECEIVED})
 INHIBITS = LOCKS | {STARTING, HUMAN_STALE, HUMAN_NEVER_RECEIVED, HUMAN_ABSENT, NOT_REARMED}
 # An input arrived before and has stopped arriving.
 STALE = frozenset({E_STOP_STALE, HUMAN_STALE, TELEOP_STALE, PLANNER_STALE, STEERING_STALE, BOARD_STALE, MODE_STALE,
-                   COMMAND_STALE, ODOMETRY_STALE, JOY_STALE})
+                   COMMAND_STALE, ODOMETRY_STALE, BATTERY_STALE, JOY_STALE})
 NOT_FINITE = frozenset({TELEOP_NOT_FINITE, PLANNER_NOT_FINITE, COMMAND_NOT_FINITE, ODOMETRY_NOT_FINITE,
-                        REQUEST_NOT_FINITE, JOY_NOT_FINITE})
+                        BATTERY_NOT_FINITE, REQUEST_NOT_FINITE, JOY_NOT_FINITE})
 # Something worked and failed, as opposed to an operator who stopped the car or has not started it yet.
-LOSSES = STALE | NOT_FINITE | JOY_UNUSABLE | {NOT_REARMED, ESC_MOTION, STEERING_NOT_HELD}
+LOSSES = STALE | NOT_FINITE | JOY_UNUSABLE | {NOT_REARMED, ESC_MOTION, STEERING_NOT_HELD, BATTERY_EMPTY}

@@ -17,13 +17,14 @@ Subscribes:
         turn_arb commands for the steering; see ``throttle.board_watch``.
     sonar/front_right … sonar/rear_left (sensor_msgs/Range): only with ~obstacle_stop.
     teleop_logi/state (TeleopState): why human_in_loop is false; only quoted in the reason.
+    battery_state (sensor_msgs/BatteryState): its voltage; see ``throttle.battery``.
 Publishes:
     /servo/cmdVector (std_msgs/Int32MultiArray): 16 duties, −1 except for the ESC's channel.
     ~state (ThrottleState, latched): source, cause, request, limits, the ESC's state, duty, ages; on every change and 10
         times a second.
     servo/neutral (std_msgs/Int32MultiArray, latched, 1 Hz): the ESC's neutral, for the servo board's timeout value; −1
         elsewhere.
-    /diagnostics: a summary of the same, and who else publishes on its topics; 1 Hz.
+    /diagnostics: a summary of the same, the battery's voltage, and who else publishes on its topics; 1 Hz.
 Services: see ``ros.reconfigure``; set_parameters is below ~servo.
 """
 from __future__ import annotations
@@ -33,7 +34,7 @@ from functools import partial
 
 import rospy
 from nav_msgs.msg import Odometry
-from sensor_msgs.msg import Range
+from sensor_msgs.msg import BatteryState, Range
 from std_msgs.msg import Float32, Int8, Int32MultiArray, String
 
 from car_interface.cfg import EscNeutralConfig
@@ -45,12 +46,13 @@ from car_interface.common.measured_speed import MAX_SPEED_MPS
 from car_interface.common.units import CHANNELS
 from car_interface.msg import ConverterState, Float64Stamped, PlannerState, SteeringState, TeleopState, ThrottleState
 from car_interface.nodes.command_node import CommandNode
-from car_interface.ros.diagnostics import OK, WARN, age_text
+from car_interface.ros.diagnostics import ERROR, OK, WARN, age_text
 from car_interface.ros.reconfigure import ReconfigureServer
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import one_channel_duty, subscribe, subscribe_changes
 from car_interface.steering.arbiter import LOCKED, source_name
 from car_interface.throttle.arbiter import NoValue
+from car_interface.throttle.battery import REPORT as BATTERY_REPORT
 from car_interface.throttle.calibration import trimmed
 from car_interface.throttle.config import ThrottleConfig
 from car_interface.throttle.control import ThrottleControl
@@ -74,8 +76,9 @@ class ThrottleArb(CommandNode):
                                         config.obstacles)
         self._arbiter = self._control.arbiter
         self._now_ns = inbox.clocks.now_ns()  # of the newest decision
+        self._battery_cause = ""  # of the newest line in the log
         super().__init__(inbox, RATE_HZ, config.calibration.channel, self._arbiter, ThrottleState,
-                         {"throttle": self._report})
+                         {"throttle": self._report, BATTERY_REPORT: self._report_battery})
         self._subscribe()
         for sonar in config.obstacles.mounts if config.obstacles else ():
             subscribe(f"sonar/{sonar}", Range, inbox, self._deciding(partial(self._on_range, sonar)))
@@ -101,6 +104,7 @@ class ThrottleArb(CommandNode):
         subscribe("/servo/output", Int32MultiArray, inbox, self._on_output, wakes=False)
         # Only quoted: no line that quotes it is due before the next tick.
         subscribe("teleop_logi/state", TeleopState, inbox, self._on_teleop_state, wakes=False)
+        subscribe("battery_state", BatteryState, inbox, self._on_battery, wakes=False)
 
     def shut_down(self):
         """Set the ESC to neutral; the servo board's timeout keeps it there."""
@@ -167,6 +171,9 @@ class ThrottleArb(CommandNode):
 
     def _on_teleop_state(self, message, now_ns):
         self._arbiter.explain_human(message.human_in_loop, message.reason, now_ns)
+
+    def _on_battery(self, message, now_ns):
+        self._arbiter.update_battery(message.voltage, now_ns)
 
     def _on_output(self, message, now_ns):
         if len(message.data) == CHANNELS:
@@ -264,6 +271,19 @@ class ThrottleArb(CommandNode):
         status.add("tuned live", self._reconfigure.changes)
         for kind, count in sorted(self._warnings.counts.items()):
             status.add(f"warnings of {kind}", count)
+        return status
+
+    def _report_battery(self, status):
+        """How the battery is, for /diagnostics; a change is logged."""
+        battery = self._arbiter.battery_status(self._clocks.now_ns())
+        if battery.cause != self._battery_cause:
+            log = rospy.logwarn if battery.cause else rospy.loginfo
+            log("battery: %s", battery.text)
+            self._battery_cause = battery.cause
+        status.summary(ERROR if battery.cause == causes.BATTERY_EMPTY else WARN if battery.cause else OK, battery.text)
+        status.add("cause", battery.cause)
+        if battery.remedy:
+            status.add("remedy", battery.remedy)
         return status
 
 

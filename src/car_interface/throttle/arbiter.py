@@ -20,6 +20,7 @@ from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
 from car_interface.interlock.motion_interlock import EXPLANATION_TIMEOUT_S, InterlockConfig, MotionInterlock
 from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP, source_name
+from car_interface.throttle.battery import BatteryConfig, BatteryStatus, BatteryWatch
 from car_interface.throttle.board_watch import BoardConfig, BoardWatch
 from car_interface.throttle.esc_intention import AUTO, DRIVE, REVERSE_GEAR
 from car_interface.throttle.stick import Scale, StickConfig, shaped
@@ -50,6 +51,7 @@ class ThrottleArbiterConfig:
     command_timeout_s: float = declared.timeout("command_timeout", 0.5, STALE)
     odometry_timeout_s: float = declared.timeout("odometry_timeout", 0.5, STALE)
     board: BoardConfig | None = declared.group(None, config_class=BoardConfig)
+    battery: BatteryConfig = declared.group(BatteryConfig(), "battery/")
 
 
 class NoValue(NamedTuple):
@@ -82,7 +84,8 @@ class ThrottleArbiter:
     2. A mode, or a stick, that was received before and is now stale or invalid: stop. The planner doesn't get the
        throttle then, since the human still believes that they drive.
     3. The human, if the mode gives them the throttle or the stick is beyond its dead band.
-    4. The planner, if it has a value and odometry is fresh; else stop, or neutral if no planner ever sent a value.
+    4. The planner, if it has a value, odometry is fresh and the battery isn't empty; else stop, or neutral if no
+       planner ever sent a value.
 
     Where the mode gives the throttle to the planner, a stick beyond its dead band overrides the planner until it has
     been centered for OVERRIDE_HOLD_S. An override has the gear DRIVE, in which no pull ever becomes reverse. A human
@@ -108,6 +111,7 @@ class ThrottleArbiter:
         self._gave_ns: int | None = None
         self._no_value: NoValue | None = None
         self._board = None if config.board is None else BoardWatch(config.board)
+        self._battery = BatteryWatch(config.battery)
         self._command_timeout_ns = (round(config.command_timeout_s * NS_PER_S) if config.command_timeout_s
                                     else math.inf)
         self._resumed_ns: int | None = None  # when the planner asked again after it had no request
@@ -202,6 +206,14 @@ class ThrottleArbiter:
         """Take the measured speed, forward positive, and its age at arrival; beyond MAX_SPEED_MPS it is infinite."""
         is_no_cars = abs(speed_mps) > MAX_SPEED_MPS
         self._odometry.update(math.copysign(math.inf, speed_mps) if is_no_cars else speed_mps, now_ns, age_ns)
+
+    def update_battery(self, voltage_v: float, now_ns: int) -> None:
+        """Take the battery's voltage."""
+        self._battery.update(voltage_v, now_ns)
+
+    def battery_status(self, now_ns: int) -> BatteryStatus:
+        """Return how the battery is."""
+        return self._battery.status(now_ns)
 
     def mark_stale(self, now_ns: int) -> None:
         """Treat all inputs as stale, since messages were dropped on their way here."""
@@ -350,7 +362,7 @@ class ThrottleArbiter:
             return NoValue(causes.ODOMETRY_STALE, odometry.stale_reason(now_ns))
         if not math.isfinite(odometry.value):
             return NoValue(causes.ODOMETRY_NOT_FINITE, f"the velocity in the odometry is {odometry.value}")
-        return None
+        return NoValue(*self._battery.status(now_ns)) if self._battery.is_empty else None
 
     def _is_awaited(self, now_ns):
         """Return whether the planner resumed just now: its state arrives before the converter's first value."""

@@ -34,7 +34,7 @@ from car_interface.tools.cli.options import (
 from car_interface.tools.recordings import roles
 
 BASE = "config/turn_arb.yaml"
-ROLES = (roles.ODOM, roles.IMU, roles.OUTPUT, roles.COMMAND, roles.ACKERMANN)
+ROLES = (roles.ODOM, roles.IMU, roles.OUTPUT, roles.COMMAND, roles.SERVO, roles.ACKERMANN)
 NO_IMU = "none"
 MAX_BREAKPOINTS = 200
 

@@ -7,6 +7,7 @@ from typing import Any, Iterable, NamedTuple, Sequence
 from car_interface.black_box.folder import Recording
 from car_interface.common.publishers import REPORT as COMMAND_TOPICS
 from car_interface.steering.arbiter import source_name
+from car_interface.throttle.battery import REPORT as BATTERY
 from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
 
 # The nodes of every car, and what is missing without each.
@@ -127,7 +128,9 @@ class Report(NamedTuple):
 
 def check_diagnostics(reports: Sequence[Report], namespace: str, reporting: Sequence[str], reported: Sequence[str] = ()
                       ) -> list[Finding]:
-    """Return one finding for all that is well, and one for each that is not. Those about command topics are left out.
+    """Return one finding for all that is well, and one for each that is not.
+
+    Those about command topics and the battery are left out, which have findings of their own.
 
     Args:
         reports: the newest of each name.
@@ -136,7 +139,7 @@ def check_diagnostics(reports: Sequence[Report], namespace: str, reporting: Sequ
         reported: the names of reports that another finding covers.
     """
     all_ours = _reports_of(reports, namespace)
-    ours = [report for report in all_ours if not _is_about_topics(report)]
+    ours = [report for report in all_ours if not (_is_about_topics(report) or _is_battery(report))]
     good = [report.name for report in ours if report.level == OK]
     found = [Finding(OK, "reports", ", ".join(good))] if good else []
     found += [Finding(min(report.level, BAD), "reports", f"{report.name}: {report.message}", report.remedy or MORE)
@@ -145,6 +148,12 @@ def check_diagnostics(reports: Sequence[Report], namespace: str, reporting: Sequ
     return found + [Finding(BAD, "reports", f"{path} runs, but doesn't report on /diagnostics",
                             f"See whether it hangs: rosnode ping {path}", by_silence=True)
                     for path in reporting if not any(name.startswith(f"{path.strip('/')}: ") for name in names)]
+
+
+def check_battery(reports: Sequence[Report], namespace: str) -> list[Finding]:
+    """Return the battery's voltage, or what is wrong with it, as throttle_arb reports it."""
+    return [Finding(min(report.level, BAD), "battery", report.message, report.remedy)
+            for report in _reports_of(reports, namespace) if _is_battery(report)]
 
 
 def check_command_topics(reports: Sequence[Report], namespace: str) -> list[Finding]:
@@ -170,6 +179,10 @@ def _reports_of(reports, namespace):
     prefix = namespace.strip("/") + "/" if namespace.strip("/") else ""
     return [report for report in reports if report.name.startswith(prefix)
             and "/" not in report.name.partition(":")[0][len(prefix):]]
+
+
+def _is_battery(report):
+    return report.name.endswith(f": {BATTERY}")
 
 
 def _is_about_topics(report):

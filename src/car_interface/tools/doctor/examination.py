@@ -25,6 +25,7 @@ from car_interface.tools.doctor.car import (
     SILENT,
     SIMULATOR,
     Node,
+    check_battery,
     check_black_box,
     check_command_topics,
     check_diagnostics,
@@ -266,6 +267,7 @@ def _examine(options):
         if car.runs("turn_arb"):
             yield from check_steering(topic_reports.steering, car.runs("turn_arb"))
         yield from check_command_topics(topic_reports.reports, car.namespace)
+        yield from check_battery(topic_reports.reports, car.namespace)
         covered = _covered(hub, topic_reports.link)
         if car.runs("pca9685") and worst(of_board) == BAD:
             covered = [*covered, f"{car.runs('pca9685').path.strip('/')}: {BOARD_REPORT}"]

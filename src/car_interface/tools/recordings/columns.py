@@ -27,6 +27,7 @@ MIN_MOVED_M, POSE_WINDOW_S = 0.1, 0.1  # in a circle of 1 m at 2.5 m/s the windo
 POSE_ONLY = "its twist is 0 throughout while its pose moves: speed and turn rate are taken from the pose"
 REPEATED_S = 0.5  # how often an output that doesn't change is kept
 MAX_NUMBER = 1e9  # in m, m/s, rad or m/s²: no car's, and the sums of its squares would overflow
+DUTY_CYCLE, VOLTAGE = ("duty_cycle", "duty_cycle_now"), ("voltage_input", "INPUT_VOLTAGE")  # see vesc_number
 STAMP_BACK, ODD_STAMP, NOT_FINITE, WRONG_LENGTH = (
     "with a stamp that doesn't rise: left out",
     "with a stamp seconds away from when it was recorded: recording time taken",
@@ -233,12 +234,21 @@ class AckermannColumn(StampedColumn):
 
 
 class ValueColumn(StampedColumn):
-    """A message with a number named ``data``."""
+    """A message with a number named ``data``, or a VESC's telemetry, whose duty cycle it is."""
 
     series = Value
 
+    def __init__(self, topic):
+        super().__init__(topic)
+        self._is_vesc = False
+
     def row(self, message):
-        return (float(message.data),)
+        self._is_vesc = hasattr(message, "state")
+        return (value_of(message),)
+
+    def notes(self):
+        vesc = [f"{self.topic}: the value is a VESC's duty cycle, -1 to 1"] if self._is_vesc else []
+        return [*super().notes(), *vesc]
 
 
 class OutputColumn(Column):
@@ -295,6 +305,24 @@ def message_stamp_ns(message) -> int:
 def ackermann_drive(message) -> Any:
     """Return the AckermannDrive in a message that may be stamped."""
     return message.drive if hasattr(message, "drive") else message
+
+
+def value_of(message) -> float:
+    """Return the number named ``data``, or the duty cycle in a vesc_msgs/VescStateStamped."""
+    return float(vesc_number(message, DUTY_CYCLE) if hasattr(message, "state") else message.data)
+
+
+def vesc_number(message, names: tuple[str, str]) -> float:
+    """Return a number in a vesc_msgs/VescStateStamped.
+
+    Args:
+        names: DUTY_CYCLE or VOLTAGE: of F1TENTH's definition, and of that of MIT's for firmware 5.
+
+    Raises:
+        AttributeError: it has neither.
+    """
+    known, other = names
+    return getattr(message.state, known) if hasattr(message.state, known) else getattr(message.state, other)
 
 
 def _pose_speed_mps(odom):

@@ -1,7 +1,7 @@
 """Deserializes recorded messages, by the recording's own definitions or by those that are known here.
 
 ROS 1 bags always contain their definitions, ROS 2 bags since Iron. For older ones there are the standard types of ROS 2
-Humble, those in this package's ``msg`` folder, Autoware's equivalents of these, and ackermann_msgs.
+Humble, those in this package's ``msg`` folder, Autoware's equivalents of these, ackermann_msgs, and a VESC's telemetry.
 """
 from __future__ import annotations
 
@@ -24,6 +24,13 @@ OTHERS = {
     "ackermann_msgs/msg/AckermannDrive": "\n".join(f"float32 {name}" for name in (
         "steering_angle", "steering_angle_velocity", "speed", "acceleration", "jerk")),
     "ackermann_msgs/msg/AckermannDriveStamped": "std_msgs/Header header\nackermann_msgs/AckermannDrive drive",
+    # As F1TENTH's ROS 2 driver has it; cars with a Humble or an older ROS 2 record it without its definition.
+    "vesc_msgs/msg/VescState": "\n".join(f"{kind} {name}" for kind, names in (
+        ("float64", "temp_fet temp_motor current_motor current_input avg_id avg_iq duty_cycle speed"),
+        ("float64", "voltage_input charge_drawn charge_regen energy_drawn energy_regen"),
+        ("int32", "displacement distance_traveled fault_code"), ("float64", "pid_pos_now"), ("int32", "controller_id"),
+        ("float64", "ntc_temp_mos1 ntc_temp_mos2 ntc_temp_mos3 avg_vd avg_vq")) for name in names.split()),
+    "vesc_msgs/msg/VescStateStamped": "std_msgs/Header header\nvesc_msgs/VescState state",
 }
 IDL_RULE = "=" * 80 + "\n"
 

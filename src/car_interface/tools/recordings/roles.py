@@ -12,6 +12,7 @@ VALUE_TYPES = ("car_interface/Float64Stamped", "autoware_internal_debug_msgs/Flo
                "tier4_debug_msgs/Float64Stamped", "tier4_debug_msgs/Float32Stamped", "std_msgs/Float64",
                "std_msgs/Float32")
 DUTY_TYPES, NUMBER_TYPES = ("std_msgs/Int32MultiArray",), ("std_msgs/Float32",)
+VESC_TYPES, VESC_NUMBER_TYPES = ("vesc_msgs/VescStateStamped",), ("std_msgs/Float64",)
 # A namespace with one of these is a car of its own: nothing of it is guessed to be another car's.
 CAR_ENDINGS = ("/turn_arb/state", "/servo/output")
 THROTTLE_STATE = {"throttle_arb/state": "car_interface/ThrottleState"}  # who drives, and what the ESC does
@@ -28,13 +29,19 @@ class Role(NamedTuple):
     preferred: tuple[str, ...] = ()  # names that go before the usual ones where the user names none
 
 
-ODOM = Role("odom", ("odom",), ("nav_msgs/Odometry",), "pose and speed", True)
+def _of_vesc(*topics):
+    """Return topics of a VESC's nodes, which F1TENTH's ROS 1 launch files put below ``vesc``, ROS 2's don't."""
+    return tuple(name for topic in topics for name in (topic, f"vesc/{topic}"))
+
+
+ODOM = Role("odom", _of_vesc("odom"), ("nav_msgs/Odometry",), "pose and speed", True)
 IMU = Role("imu", ("imu/data",), ("sensor_msgs/Imu",), "turn rate and acceleration, z up, x forward", True)
 OUTPUT = Role("output", ("/servo/output",), DUTY_TYPES, "the 16 duties that the servo board outputs")
 COMMAND = Role("command", ("/servo/cmdVector", "command"), DUTY_TYPES, "the 16 duties that it was sent, -1 = as before")
-VALUE = Role("value", ("generic/output/value",), VALUE_TYPES,
-             "what drives the car, a number (no AckermannDrive: it asks for a speed)")
-ACKERMANN = Role("ackermann", ("drive", "ackermann_cmd"),
+VALUE = Role("value", ("generic/output/value", *_of_vesc("commands/motor/duty_cycle", "sensors/core")),
+             (*VALUE_TYPES, *VESC_TYPES),
+             "what drives the car, a number (no AckermannDrive: it asks for a speed), or a VESC's duty cycle")
+ACKERMANN = Role("ackermann", ("drive", "ackermann_cmd", "vesc/low_level/ackermann_cmd_mux/output"),
                  ("ackermann_msgs/AckermannDriveStamped", "ackermann_msgs/AckermannDrive"),
                  "steering angle and speed that a planner asks for", True)
 RADIUS = Role("radius", ("av_turnrad_req",), NUMBER_TYPES, "turn radius in m that a planner asks for, left positive")
@@ -43,6 +50,11 @@ ACCELERATION = Role("acceleration", ("control/command/control_cmd",),
                     "acceleration that a planner asks for, or its speed control", True,
                     # With planner_interface this one is what the value map gets; Autoware's is what that gets.
                     preferred=("planner_interface/output/control_cmd",))
+BATTERY = Role("battery", ("battery_state",), ("sensor_msgs/BatteryState",), "the battery's voltage", True)
+VESC = Role("vesc", _of_vesc("sensors/core"), VESC_TYPES, "a VESC's voltage, duty cycle and motor speed", True)
+SERVO = Role("servo", _of_vesc("sensors/servo_position_command", "commands/servo/position"), VESC_NUMBER_TYPES,
+             "position of a VESC's servo, 0 to 1")
+MOTOR = Role("motor", _of_vesc("commands/motor/speed"), VESC_NUMBER_TYPES, "speed that a VESC is asked for, in ERPM")
 STICK = Role("stick", ("/teleop_logi/tele_steer_req",), NUMBER_TYPES, "steering by the gamepad, -1 to 1")
 
 

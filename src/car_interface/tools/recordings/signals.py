@@ -24,10 +24,12 @@ from car_interface.tools.recordings.recording import NoRecording
 from car_interface.tools.recordings.series import Ackermann, Imu, Odom, Output, Pulses, Value
 
 PULSES = "pulses"  # the only part that plays no role: only this package records it
-PARTS = (*(role.name for role in (roles.ODOM, roles.OUTPUT, roles.IMU, roles.VALUE, roles.ACKERMANN)), PULSES)
+PARTS = (*(role.name for role in (
+    roles.ODOM, roles.OUTPUT, roles.IMU, roles.VALUE, roles.ACKERMANN, roles.SERVO)), PULSES)
 # The parts with a topic of their own.
 KINDS = {role.name: (role, kind) for role, kind in (
-    (roles.ODOM, OdomColumn), (roles.IMU, ImuColumn), (roles.VALUE, ValueColumn), (roles.ACKERMANN, AckermannColumn))}
+    (roles.ODOM, OdomColumn), (roles.IMU, ImuColumn), (roles.VALUE, ValueColumn), (roles.ACKERMANN, AckermannColumn),
+    (roles.SERVO, ValueColumn))}
 BOARD = ((roles.OUTPUT, OutputColumn), (roles.COMMAND, CommandColumn))
 ROLES = tuple(role for role, _ in (*KINDS.values(), *BOARD))
 PULSE_TYPES = {WHEEL_TOPIC: "car_interface/Wheel", CLOCK_TOPIC: "car_interface/TeensyClock"}
@@ -44,6 +46,7 @@ class Signals(NamedTuple):
     imu: Imu | None
     value: Value | None
     ackermann: Ackermann | None
+    servo: Value | None  # positions of a VESC's, 0 to 1
     pulses: tuple[Pulses, Pulses] | None  # of the left and the right wheel
     topics: dict[str, str]  # of each part that is there, by the part
     notes: tuple[str, ...]  # what was guessed and what was left out, a line each that names the topic
@@ -57,8 +60,8 @@ def load(path: str, wanted: Collection[str], *, optional: Collection[str] = (), 
         wanted: those of ``PARTS`` that the recording must have.
         optional: those of ``PARTS`` that are read if it has them. An ``imu`` that is named must be there.
         progress: show a bar.
-        topics: named by the user, by role: ``odom``, ``imu``, ``value``, ``ackermann``, ``output``, ``command``.
-            ``None``, or one that isn't named: its usual topic, or the only one of its type.
+        topics: named by the user, by role: ``odom``, ``imu``, ``value``, ``ackermann``, ``servo``, ``output``,
+            ``command``. ``None``, or one that isn't named: its usual topic, or the only one of its type.
 
     Raises:
         NoRecording: it can't be read, lacks a topic, or has no usable message of one.

@@ -13,7 +13,8 @@ from car_interface.tools.report.html import MIN_DATE_NS, date_text, ratio_text, 
 
 CSV_COLUMNS = ("recording", "start_utc", "duration_s", "distance_km", "gamepad_s", "planner_s", "losses",
                "losses_by_cause", "straight_per_m", "left_ratio", "right_ratio", "map_drive_mps2", "map_hold_mps2",
-               "map_brake_mps2", "frames", "corrupt_frames", "port_reopened", "teensy_reboots", "pings_unanswered",
+               "map_brake_mps2", "battery_min_v", "frames", "corrupt_frames", "port_reopened", "teensy_reboots",
+               "pings_unanswered",
                "faults", "errors", "cant_tell", "notes", "error")
 # A spreadsheet takes a cell that begins with one of these for a formula (OWASP, CSV Injection), and names and causes
 # come from other people's recordings. The last five: the full-width = + - @ of Japanese keyboards, and the minus sign.
@@ -56,7 +57,8 @@ def _figures(drives):
 
 def _cells(row):
     """Return the cells of a row between its recording and its faults, each a list of lines."""
-    return [[_date(row)], *([*lines(row)] for lines in (_distance, _drivers, _losses, _steering, _map, _link))]
+    columns = (_distance, _drivers, _losses, _steering, _map, _battery, _link)
+    return [[_date(row)], *([*lines(row)] for lines in columns)]
 
 
 def _date(row):
@@ -104,6 +106,10 @@ def _map(row):
             yield f"{what}: {difference:+.2f} m/s²"
 
 
+def _battery(row):
+    return ["can't tell"] if row.battery_v is None else [f"{row.battery_v:.2f} V"]
+
+
 def _link(row):
     if row.frames is None:
         yield "can't tell"
@@ -131,7 +137,7 @@ def csv_text(rows: Sequence[Row]) -> str:
             _rounded(row.gamepad_s, 3), _rounded(row.planner_s, 3), None if losses is None else sum(losses.values()),
             None if losses is None else "; ".join(f"{cause}: {count}" for cause, count in sorted(losses.items())),
             row.straight_per_m, row.left_ratio, row.right_ratio, row.drive_mps2, row.hold_mps2, row.brake_mps2,
-            row.frames, row.corrupt, row.reopened, row.reboots, row.unanswered, row.faults, row.errors,
+            row.battery_v, row.frames, row.corrupt, row.reopened, row.reboots, row.unanswered, row.faults, row.errors,
             "; ".join(row.lacks), "; ".join(row.notes), row.error))))
     return "\n".join(lines) + "\n"
 

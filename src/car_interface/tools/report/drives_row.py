@@ -9,7 +9,7 @@ from car_interface.steering.arbiter import PLANNER, TELEOP
 from car_interface.tools.report.faults import ERROR
 from car_interface.tools.report.summary import Summary
 
-VERSION = 3  # of a row's content: rows of another version are computed again
+VERSION = 4  # of a row's content: rows of another version are computed again
 MIN_SAMPLES = 30  # for a median
 COUNT_BITS = 64  # times in ns, and the counters of messages, have no more
 MAX_FIGURE = 1e12  # above any distance, duration or ratio that a car can have; page and plots can show so much
@@ -34,6 +34,7 @@ class Row(NamedTuple):
     drive_mps2: float | None = None
     hold_mps2: float | None = None
     brake_mps2: float | None = None
+    battery_v: float | None = None  # the least voltage
     frames: int | None = None  # good ones of the Teensy's link
     corrupt: int | None = None
     reopened: int | None = None  # how often the port was opened again
@@ -80,6 +81,7 @@ STRUCTURE: dict[str, Callable[[Any], bool]] = {
     "losses": _or_none(_are_counts),
     **{name: _or_none(_is_figure) for name in (
         "straight_per_m", "left_ratio", "right_ratio", "drive_mps2", "hold_mps2", "brake_mps2")},
+    "battery_v": _or_none(_is_length),
     **{name: _or_none(_is_count) for name in (
         "frames", "corrupt", "reopened", "reboots", "unanswered", "faults", "errors")},
     "lacks": _are_texts, "notes": _are_texts}
@@ -115,7 +117,8 @@ def row(drive: Summary, path: str) -> Row:
         gamepad_s=source_s[TELEOP] if has_state else None, planner_s=source_s[PLANNER] if has_state else None,
         losses=_losses(drive) if has_state or drive.throttle.episodes else None,
         straight_per_m=straight, left_ratio=left, right_ratio=right,
-        drive_mps2=driving, hold_mps2=holding, brake_mps2=braking, **_link(drive.teensy),
+        drive_mps2=driving, hold_mps2=holding, brake_mps2=braking,
+        battery_v=_least(drive.traces["battery voltage"]), **_link(drive.teensy),
         **_faults(drive),
         lacks=[gap.lacks if math.isnan(gap.start_s) else f"{gap.lacks} for {gap.end_s - gap.start_s:.0f} s"
                for gap in drive.coverage.gaps()],
@@ -148,6 +151,10 @@ def _link(teensy):
     # The newest ping may still be on its way.
     change["unanswered"] = max(0, change.pop("pings") - change.pop("pongs") - 1)
     return {name: int(count) for name, count in change.items()}
+
+
+def _least(trace):
+    return _possible(round(trace.minimum, 3)) if trace.count else None
 
 
 def _median(found):

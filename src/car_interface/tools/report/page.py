@@ -104,6 +104,8 @@ def _motion_lines(drive):
                          f"{range_text(traces['speed'], 'm/s')}")
     if traces["acceleration"].count:
         yield "Acceleration", range_text(traces["acceleration"], "m/s²")
+    if traces["battery voltage"].count:
+        yield "Battery", range_text(traces["battery voltage"], "V")
     ratios = [f"{side} {_ratio_text(ratio)}" for side, ratio in _known_ratios(motion.by_tables)]
     if ratios and not drive.calibration:
         yield "Slow turns against the tables", "; ".join(ratios)

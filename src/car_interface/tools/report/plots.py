@@ -39,7 +39,7 @@ ESC_COLOURS = {"ARMING": "#b8bfc7", "BRAKING": "#d9822b", "HOLD": "#e8c468", "RE
 
 
 def plots(drive: Summary) -> dict[str, str]:
-    """Return the SVGs for which there are data, by name: calibration, who, steering, throttle, path, speed, link."""
+    """Return the SVGs for which there are data, by name, in the order of the page."""
     made = {}
     with matplotlib.rc_context(STYLE):
         for name, draw, description in (
@@ -49,6 +49,7 @@ def plots(drive: Summary) -> dict[str, str]:
                 ("throttle", _throttle, "throttle asked and granted, and the ESC's state, over time"),
                 ("path", _path, "the car's path from above, with the places that the sonars saw"),
                 ("speed", _speed, "speed, acceleration and the ESC over time"),
+                ("battery", _battery, "the battery's voltage over time"),
                 ("link", _link, "frames, round trip and clock skew of the Teensy's link over time")):
             figure = draw(drive)
             if figure is not None:
@@ -105,7 +106,8 @@ def _steering(drive):
         (any(traces[name].count for name in ("requested curvature", "sent curvature", "driven curvature")), 2.6,
          _curvature),
         (traces["requested angle"].count > 0 and drive.asked.wheelbase_m is None, 1.4, _angle),
-        (drive.steering.steering_channel in drive.steering.duties or traces["gamepad"].count > 0, 1.7, _steering_duty)])
+        (drive.steering.steering_channel in drive.steering.duties or traces["gamepad"].count > 0, 1.7, _steering_duty),
+        (traces["servo position"].count > 0, 1.4, _servo_position)])
 
 
 def _curvature(axes, drive):
@@ -125,6 +127,11 @@ def _curvature(axes, drive):
 def _angle(axes, drive):
     title(axes, "The steering angle that was asked for, in degrees, left up")
     curve(axes, drive.traces["requested angle"], REQUESTED, "")
+
+
+def _servo_position(axes, drive):
+    title(axes, "The position of the VESC's servo, 0 to 1")
+    curve(axes, drive.traces["servo position"], SENT, "", **HELD)
 
 
 def _steering_duty(axes, drive):
@@ -219,6 +226,7 @@ def _speed(drive):
         (traces["speed"].count > 0, 2.0, _speeds),
         (traces["acceleration"].count + traces["requested acceleration"].count > 0, 2.0, _accelerations),
         (traces["value"].count > 0 or bool(_driven_duties(drive)), 1.6, _value),
+        (traces["motor speed"].count + traces["motor speed asked"].count > 0, 1.6, _motor_speed),
         (traces["imu turn rate"].count > 0, 1.6, _turn_rates)])
 
 
@@ -261,6 +269,13 @@ def _value(axes, drive):
         legend(axes)
 
 
+def _motor_speed(axes, drive):
+    title(axes, "The VESC's motor speed in ERPM")
+    curve(axes, drive.traces["motor speed asked"], REQUESTED, "asked", linestyle=DASHED)
+    curve(axes, drive.traces["motor speed"], DRIVEN, "measured", linewidth=0.9)
+    legend(axes)
+
+
 def _turn_rates(axes, drive):
     title(axes, "How fast it turned, in rad/s, left up")
     curve(axes, drive.traces["imu turn rate"], REQUESTED, "by the IMU", linewidth=0.9)
@@ -268,6 +283,15 @@ def _turn_rates(axes, drive):
     largest = max([0.1, *(1.3 * usual_magnitude(drive.traces[name]) for name in ("imu turn rate", "turn rate"))])
     axes.set_ylim(-largest, largest)
     legend(axes)
+
+
+def _battery(drive):
+    return stack(drive, [(drive.traces["battery voltage"].count > 0, 1.5, _voltage)])
+
+
+def _voltage(axes, drive):
+    title(axes, "The battery's voltage")
+    curve(axes, drive.traces["battery voltage"], SENT, "", gap_s=15)  # some publish it once in 10 s
 
 
 def _link(drive):

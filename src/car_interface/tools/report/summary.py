@@ -11,6 +11,7 @@ from car_interface.steering.monitor import UNCALIBRATED
 from car_interface.throttle.esc import NO_BRAKE
 from car_interface.tools.recordings import calibration_result, roles
 from car_interface.tools.recordings.calibration_result import CalibrationResult
+from car_interface.tools.recordings.columns import VOLTAGE, value_of, vesc_number
 from car_interface.tools.recordings.recording import (
     NoRecording,
     absolute_names,
@@ -38,10 +39,12 @@ from car_interface.tools.report.states import (
 
 # Relative names are below the car's namespace, and so are the others where they are found there.
 RANGES = tuple(f"sonar/{name}" for name in SONARS)
-ROLES = (roles.ODOM, roles.IMU, roles.OUTPUT, roles.VALUE, roles.ACKERMANN, roles.RADIUS, roles.ACCELERATION,
-         roles.STICK)
+VALUE = roles.VALUE._replace(topics=roles.VALUE.topics[:1])  # a VESC's duty cycle comes with its other numbers
+ROLES = (roles.ODOM, roles.IMU, roles.OUTPUT, VALUE, roles.ACKERMANN, roles.RADIUS, roles.ACCELERATION, roles.STICK,
+         roles.BATTERY, roles.VESC, roles.SERVO, roles.MOTOR)
 ROLE_OF = {role.topics[0]: role for role in ROLES}
-MAY_BE_OTHERS = (roles.IMU, roles.ACKERMANN)  # a topic with such a name may be something else: it is not read then
+# A topic with the name of one of these may be something else: it is not read then.
+MAY_BE_OTHERS = (roles.IMU, roles.ACKERMANN, roles.BATTERY, roles.VESC, roles.SERVO, roles.MOTOR)
 TYPES = {
     **{role.topics[0]: role.types for role in ROLES},
     **roles.THROTTLE_STATE,
@@ -58,7 +61,8 @@ TYPES = {
     "/rosout": ("rosgraph_msgs/Log", "rcl_interfaces/Log"),
 }
 NEEDED = ("odom", "turn_arb/state", "/servo/output")  # at least one of them
-TRACES = (*states.TRACES, *motion.TRACES, "requested acceleration", "value")
+TRACES = (*states.TRACES, *motion.TRACES, "requested acceleration", "value", "battery voltage", "servo position",
+          "motor speed asked", "motor speed")  # the last two in ERPM
 
 
 @dataclass
@@ -194,7 +198,11 @@ def _handlers(summary):
         "imu/data": summary.imu.on_imu,
         "drive": summary.asked.on_drive,
         "control/command/control_cmd": partial(_on_request, summary),
-        "generic/output/value": lambda time_s, message: traces["value"].add(time_s, message.data),
+        "generic/output/value": lambda time_s, message: traces["value"].add(time_s, value_of(message)),
+        "battery_state": lambda time_s, message: _add_voltage(summary, time_s, message.voltage),
+        "sensors/core": partial(_on_vesc, summary),
+        "sensors/servo_position_command": lambda time_s, message: traces["servo position"].add(time_s, message.data),
+        "commands/motor/speed": lambda time_s, message: traces["motor speed asked"].add(time_s, message.data),
         **{name: partial(summary.sonars.on_range, topic=name) for name in RANGES},
         "/tf_static": summary.sonars.on_static_tf,
         "teensy_sensor_hub/link": teensy.on_link,
@@ -210,6 +218,20 @@ def _on_request(summary, time_s, message):
     """Take the acceleration that a planner requests."""
     summary.traces["requested acceleration"].add(time_s, message.longitudinal.acceleration)
     summary.motion.accelerating.request(time_s, message.longitudinal.acceleration)
+
+
+def _on_vesc(summary, time_s, message):
+    """Take a VESC's telemetry; a voltage or a value that has a topic of its own goes before."""
+    summary.traces["motor speed"].add(time_s, message.state.speed)
+    if "generic/output/value" not in summary.present:
+        summary.traces["value"].add(time_s, value_of(message))
+    if "battery_state" not in summary.present:
+        _add_voltage(summary, time_s, vesc_number(message, VOLTAGE))
+
+
+def _add_voltage(summary, time_s, voltage_v):
+    if voltage_v > 0:  # 0 and NaN: it isn't measured
+        summary.traces["battery voltage"].add(time_s, voltage_v)
 
 
 def _elsewhere(topics, namespace, note):

@@ -127,7 +127,7 @@ def bag_of_angles(bag, base_of_angles, tmp_path_factory):
         if topic == "odom":
             pose, twist = message.pose.pose, message.twist.twist
             messages.append(odometry(stamp_ns(message.header.stamp) / 1e9 - START_NS / 1e9, pose.position.x,
-                                     pose.position.y, yaw_rad(pose.orientation), twist.linear.x, "/vesc/odom")
+                                     pose.position.y, yaw_rad(pose.orientation), twist.linear.x, "/racer/odom")
                             ._replace(time_s=time_s))
         else:
             angle_rad = math.atan(WHEELBASE_M / table.turn_radius_m(message.data[0]))
@@ -149,7 +149,7 @@ def test_angles_of_a_planner_give_the_same_table_and_say_what_they_can_not_tell(
     for radius_m in (1.5, 2.0, 3.0, 5.0, -1.5, -2.0, -3.0, -5.0):
         assert abs(by_angles.planner_duty(radius_m) - by_duties.planner_duty(radius_m)) <= 16, radius_m
     said = capsys.readouterr().out
-    assert f"  {bag_of_angles}: odom: /vesc/odom (the only nav_msgs/Odometry)\n" in said
+    assert f"  {bag_of_angles}: odom: /racer/odom (the only nav_msgs/Odometry)\n" in said
     assert "the angles on drive count as the duties that --base has for them with a wheelbase of 0.3 m" in said
     assert "What this recording can't tell: whether --base was the table on this drive" in said
     assert "the angles on drive count" in made.read_text(encoding="utf-8")

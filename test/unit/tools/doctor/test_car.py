@@ -16,6 +16,7 @@ from car_interface.tools.doctor.car import (
     Node,
     Reading,
     Report,
+    check_battery,
     check_black_box,
     check_command_topics,
     check_diagnostics,
@@ -139,6 +140,15 @@ def test_complaint_is_told_in_the_nodes_own_words_with_its_remedy():
     assert found.what == "pca9685: servo board: nothing answers. Check power" and "rostopic echo" in found.remedy
     found, = check_diagnostics([BOARD._replace(remedy="Plug it in")], "/", ["/pca9685"])
     assert found.remedy == "Plug it in"
+
+
+def test_battery_is_a_line_of_its_own_and_the_other_car_s_is_left_out():
+    battery = Report("throttle_arb: battery", OK, "7.82 V")
+    low = battery._replace(level=WARN, message="low", remedy="Charge it")
+    assert check_battery([battery, low._replace(name="car1/throttle_arb: battery")], "/") == [
+        (OK, "battery", "7.82 V", "", False)]
+    assert check_battery([low], "/") == [(WARN, "battery", "low", "Charge it", False)]
+    assert not [one for one in check_diagnostics([low], "/", []) if "battery" in one.what]
 
 
 # --- command topics ---

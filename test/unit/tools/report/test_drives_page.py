@@ -15,8 +15,8 @@ from written_recordings import START_NS
 DAY_NS = 86_400_000_000_000
 FULL = Row("a.bag", start_ns=START_NS, duration_s=125.0, distance_m=1234.5, gamepad_s=12.0, planner_s=100.0,
            losses={"planner silent": 2, "e_stop": 1}, straight_per_m=-0.0123, left_ratio=1.25, right_ratio=1.005,
-           drive_mps2=-0.204, hold_mps2=0.011, brake_mps2=None, frames=990, corrupt=10, reopened=1, reboots=2,
-           unanswered=3, faults=5, errors=2)
+           drive_mps2=-0.204, hold_mps2=0.011, brake_mps2=None, battery_v=6.418, frames=990, corrupt=10,
+           reopened=1, reboots=2, unanswered=3, faults=5, errors=2)
 BLIND = Row("b.bag", start_ns=47_000_000_000, duration_s=61.2, distance_m=84.2,
             lacks=["/turn_arb/state", "/rosout for 12 s"], notes=["odom: /ekf (the only nav_msgs/Odometry)"])
 BAD = Row("<c>.bag", error="c.bag can't be read as a recording: it is no bag")
@@ -35,7 +35,7 @@ def test_row_says_everything_that_its_recording_tells():
         "a.bag", "2023-11-14 22:13", "1.234 km / 2 min 5 s", "gamepad 12.0 s / planner 1 min 40 s",
         "planner silent (2×) / e_stop",
         "straight on: 0.012 1/m right / left: 20% tighter / right: as the tables",
-        "driving: -0.20 m/s² / holding: +0.01 m/s²",
+        "driving: -0.20 m/s² / holding: +0.01 m/s²", "6.42 V",
         ("10 of 1000 frames corrupt / port opened again: 1 / Teensy started anew: 2 / pings unanswered: 3"),
         "5, 2 errors"]
 
@@ -44,7 +44,7 @@ def test_recording_that_can_not_tell_says_so_in_every_column_and_why():
     (name, *cells), = shown(BLIND)
     assert name == ("b.bag / can't tell: no /turn_arb/state, no /rosout for 12 s / "
                     "odom: /ekf (the only nav_msgs/Odometry)")
-    assert cells == ["no date", "0.084 km / 61.2 s", *["can't tell"] * 6]
+    assert cells == ["no date", "0.084 km / 61.2 s", *["can't tell"] * 7]
 
 
 def test_row_says_none_where_it_could_tell_and_none_seen_where_it_could_not():
@@ -105,7 +105,7 @@ def test_text_that_a_spreadsheet_would_take_for_a_formula_is_marked_as_text(text
 
 def test_number_below_0_stays_a_number_and_an_ordinary_text_is_itself():
     text = csv_text([FULL])
-    assert '"a.bag"' in text and ",-0.0123,1.25,1.005,-0.204,0.011,," in text and "'" not in text
+    assert '"a.bag"' in text and ",-0.0123,1.25,1.005,-0.204,0.011,,6.418," in text and "'" not in text
 
 
 @pytest.mark.parametrize("delimiter", [",", ";"])

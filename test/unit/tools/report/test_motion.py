@@ -67,7 +67,7 @@ def circle(duration_s=10.0, topic="/drive", is_stamped=True):
         time_s = step / 20
         yaw_rad = DRIVEN_MPS * time_s / (1.2 * RADIUS_M)
         messages.append(odometry(time_s, 1.2 * RADIUS_M * math.sin(yaw_rad), 1.2 * RADIUS_M * (1 - math.cos(yaw_rad)),
-                                 yaw_rad, DRIVEN_MPS, "/vesc/odom"))
+                                 yaw_rad, DRIVEN_MPS, "/racer/odom"))
         messages.append(asked(time_s, angle_rad + 0.005 * (-1) ** step, ASKED_MPS, topic, is_stamped))
     return messages
 
@@ -245,7 +245,7 @@ def test_speed_and_curve_are_compared_with_what_was_asked(bag):
     text = page(drive, {})
     assert "<tr><th>Speed against what was asked</th><td>10% slower than asked</td></tr>" in text
     assert "<tr><th>Turned against what was asked</th><td>left 2" in text and "% wider than asked</td></tr>" in text
-    assert "odom: /vesc/odom (the only nav_msgs/Odometry)" in text
+    assert "odom: /racer/odom (the only nav_msgs/Odometry)" in text
 
 
 def test_without_the_wheelbase_an_angle_is_only_an_angle_and_the_page_says_so(bag):

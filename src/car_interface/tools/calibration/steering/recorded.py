@@ -18,6 +18,9 @@ from car_interface.tools.recordings.series import Ackermann, Imu, Odom
 
 STRAIGHT_RAD = 1e-6
 IMU_GAP_S = 0.1
+# A VESC makes pulses of 1 to 2 ms, 50 a second, of its servo's positions 0 to 1: SERVO_OUT_PULSE_MIN_US and …_MAX_US in
+# its firmware. 65536 / 20 ms · 1 ms is 3277.
+POSITION_0_DUTY, POSITION_1_DUTY = 65536 / 20, 2 * 65536 / 20
 MIN_IMU_RATIO = 0.95  # of a drive that an IMU must cover to be used
 MAX_YAW_DIFFERENCE = 0.03  # of odometry's and the IMU's yaw, as a ratio, without a note
 
@@ -68,10 +71,11 @@ def load_steering_drive(path: str, channel: int, topics: Mapping[str, str] | Non
         NoRecording: it can't be read, or lacks what is needed.
         CarInterfaceError: the channel never had a pulse.
     """
-    optional = [roles.OUTPUT.name, roles.ACKERMANN.name, *([roles.IMU.name] if use_imu else [])]
+    optional = [roles.OUTPUT.name, roles.SERVO.name, roles.ACKERMANN.name, *([roles.IMU.name] if use_imu else [])]
     found = signals.load(path, (roles.ODOM.name,), optional=optional, namespace=namespace, progress=True,
                          **{role: topic for role, topic in (topics or {}).items() if use_imu or role != roles.IMU.name})
-    odom, notes = found.odom, [note for note in found.notes if found.output is None or not _is_on_angles(note)]
+    odom, notes = found.odom, [note for note in found.notes
+                               if found.output is None and found.servo is None or not _is_on_angles(note)]
     heading = None if found.imu is None else imu_heading(odom, found.imu)
     if found.imu is not None and heading is None:
         notes.append(f"{found.topics[roles.IMU.name]} covers too little of the drive, or doesn't follow the "
@@ -79,7 +83,8 @@ def load_steering_drive(path: str, channel: int, topics: Mapping[str, str] | Non
     if heading is not None and abs(heading.ratio - 1) > MAX_YAW_DIFFERENCE:
         notes.append(f"odometry turns {abs(heading.ratio - 1):.0%} {'more' if heading.ratio > 1 else 'less'} than the "
                      "IMU: measure track and wheel_diameter")
-    duty_s, duty = _recorded_duties(found, channel) if found.output else _asked_duties(found, angle_table, notes)
+    duty_s, duty = (_recorded_duties(found, channel) if found.output else _position_duties(found, notes) if found.servo
+                    else _asked_duties(found, angle_table, notes))
     yaw_rad = odom.yaw_rad if heading is None else heading.yaw_rad
     drive = SteeringDrive(odom.t_s, distance_m(odom), yaw_rad, duty_s, duty)
     return RecordedDrive(path, drive, tuple(notes), found.duration_s, trail(found),
@@ -98,6 +103,16 @@ def _recorded_duties(found, channel):
 def _is_on_angles(note):
     """Return whether a note is on what was taken for a planner's angles, which aren't used beside duties."""
     return note.startswith(f"{roles.ACKERMANN.name}: ")
+
+
+def _position_duties(found, notes):
+    """Return (times, duties) by the positions of a VESC's servo; NaN for one that there isn't."""
+    position = found.servo.value
+    notes.append(f"no duties of the servo were recorded: the positions 0 to 1 on {found.topics[roles.SERVO.name]} "
+                 f"count as {POSITION_0_DUTY:.0f} to {POSITION_1_DUTY:.0f}, the pulses of 1 to 2 ms that a VESC makes "
+                 "of them")
+    duty = POSITION_0_DUTY + (POSITION_1_DUTY - POSITION_0_DUTY) * position
+    return found.servo.t_s, np.where((position >= 0) & (position <= 1), duty, np.nan)
 
 
 def _asked_duties(found, angle_table, notes):

@@ -1,0 +1,110 @@
+"""When a battery is low, and when it stops the planner: stories of voltages half a second apart."""
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from car_interface.common import causes
+from car_interface.throttle.battery import BatteryConfig, BatteryWatch
+
+S = 1_000_000_000
+START = 1000 * S
+CONFIG = BatteryConfig(warn_below_v=7.0, stop_below_v=6.6, recovery_v=0.5, timeout_s=5.0)
+FULL, LOW, EMPTY = 8.0, 6.8, 6.4
+NAN, INF = math.nan, math.inf
+WELL = ""
+
+
+class Battery:
+    def __init__(self, config=CONFIG):
+        self.watch, self.now = BatteryWatch(config), START
+
+    def has(self, voltage, seconds=2.5):
+        """A voltage every half second for so long; None = silence. Returns the cause at the end."""
+        for _ in range(round(2 * seconds)):
+            self.now += S // 2
+            if voltage is not None:
+                self.watch.update(voltage, self.now)
+        return self.watch.status(self.now).cause
+
+
+@pytest.mark.parametrize("story, cause", [
+    ([(FULL, 2.5)], WELL),
+    ([(LOW, 2.0)], WELL),
+    ([(LOW, 2.5)], causes.BATTERY_LOW),
+    ([(EMPTY, 2.5)], causes.BATTERY_EMPTY),
+    ([(EMPTY, 2.0), (LOW, 0.5)], causes.BATTERY_LOW),
+    ([(EMPTY, 2.0), (FULL, 0.5), (EMPTY, 2.0)], WELL),
+    ([(7.0, 9.0)], WELL),
+    ([(EMPTY, 2.5), (7.0, 9.0)], causes.BATTERY_EMPTY),
+    ([(EMPTY, 2.5), (7.1, 2.0)], causes.BATTERY_EMPTY),
+    ([(EMPTY, 2.5), (7.1, 2.5)], causes.BATTERY_LOW),
+    ([(EMPTY, 2.5), (FULL, 2.5)], WELL),
+], ids=["full", "a_start_s_fall_of_two_seconds", "low_for_longer", "empty", "low_counts_from_the_first_below_its_limit",
+        "falls_with_a_rise_between_them", "at_the_limit", "risen_by_less_than_recovery_once_the_car_stands",
+        "risen_for_two_seconds_only", "risen_enough_for_the_stop_alone", "changed_for_a_full_one"])
+def test_limit_holds_after_more_than_two_seconds_beyond_it(story, cause):
+    battery = Battery()
+    assert [battery.has(*part) for part in story][-1] == cause
+    assert battery.watch.is_empty == (cause == causes.BATTERY_EMPTY)
+
+
+def test_load_that_comes_and_goes_makes_one_stop_and_no_other():
+    """The battery of a car that starts again whenever it may: 0.4 V less under load."""
+    battery, changes = Battery(), 0
+    for _ in range(60):
+        before = battery.watch.is_empty
+        battery.has(6.9 if before else 6.5, 0.5)
+        changes += battery.watch.is_empty != before
+    assert changes == 1
+
+
+@pytest.mark.parametrize("bad", [NAN, INF, -INF, 0.0, -6.0])
+def test_voltage_that_is_none_never_begins_a_stop_nor_ends_one_and_is_reported(bad):
+    battery = Battery()
+    assert battery.has(bad, 10.0) == causes.BATTERY_NOT_FINITE and not battery.watch.is_empty
+    battery.has(EMPTY, 2.0)
+    battery.has(bad, 0.5)
+    battery.has(EMPTY, 2.0)
+    assert not battery.watch.is_empty
+    assert battery.has(EMPTY, 0.5) == causes.BATTERY_EMPTY
+    assert battery.has(bad, 10.0) == causes.BATTERY_EMPTY
+    assert f"battery_state's voltage is {bad:g}" in battery.watch.status(battery.now).text
+
+
+def test_silence_never_begins_a_stop_nor_ends_one_and_is_reported():
+    battery = Battery()
+    assert battery.has(FULL) == WELL
+    assert battery.has(None, 5.0) == WELL
+    assert battery.has(None, 0.5) == causes.BATTERY_STALE
+    battery.has(EMPTY, 0.5)
+    battery.has(None, 60.0)
+    battery.has(EMPTY, 0.5)
+    assert not battery.watch.is_empty
+    assert battery.has(EMPTY, 2.0) == causes.BATTERY_EMPTY
+    assert battery.has(None, 60.0) == causes.BATTERY_EMPTY
+    assert battery.watch.status(battery.now).text == (
+        "the battery has 6.40 V after it fell below stop_below, 6.6 V: no planner drives before it has 7.1 V; "
+        "battery_state silent for 60.00 s: the voltage isn't known")
+
+
+@pytest.mark.parametrize("config, cause", [(BatteryConfig(), WELL), (BatteryConfig(warn_below_v=7.0), WELL),
+                                           (BatteryConfig(stop_below_v=6.6), causes.BATTERY_STALE)])
+def test_voltage_that_never_came_is_reported_only_where_a_stop_waits_for_it(config, cause):
+    status = Battery(config).watch.status(START)
+    assert (status.cause, status.text.partition(":")[0]) == (cause, "battery_state was never heard")
+
+
+def test_limits_of_0_are_off():
+    battery = Battery(BatteryConfig())
+    assert battery.has(0.01, 9.0) == WELL and battery.watch.status(battery.now) == ("", "0.01 V")
+
+
+def test_remedy_is_a_battery_or_its_publisher_and_none_while_all_is_well():
+    battery = Battery()
+    assert battery.watch.status(START).remedy.startswith("See who publishes")
+    battery.has(FULL)
+    assert not battery.watch.status(battery.now).remedy
+    battery.has(EMPTY)
+    assert battery.watch.status(battery.now).remedy == "Charge or change the battery"
