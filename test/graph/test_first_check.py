@@ -258,6 +258,22 @@ def test_neutral_that_is_not_written_is_given_back(tmp_path, keys, kept):
 
 
 @pytest.mark.once
+def test_neutral_is_given_back_too_where_only_another_file_can_be_written(tmp_path):
+    car = Box(tmp_path).begin()
+    car.skip_to("the steering's direction")
+    car.pad(manual=True, steering=1.0)
+    car.graph.run(0.5)
+    car.type("r")
+    car.graph.run_until(lambda: car.asks == "the ESC's neutral" or car.terminal.__setattr__("typed", "s"), 20)
+    car.push(0.0, 0.3)
+    car.type("++y", 0.4)
+    (car.folder / "throttle.yaml").unlink()
+    car.type("ey", 0.5)
+    assert load_steering(str(car.folder / "turn_arb.yaml")).servo_left == 6700
+    assert car.graph.parameter("/throttle_arb/servo/neutral") == 4915
+
+
+@pytest.mark.once
 def test_neutrals_are_asked_for_one_after_the_other_and_the_newest_last(tmp_path):
     car, tuned, waiting = Box(tmp_path), [], []
     car.tune = lambda namespace, values: tuned.append(values["neutral"])

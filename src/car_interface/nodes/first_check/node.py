@@ -86,7 +86,7 @@ class FirstCheckNode:
         self._text, self._keys = text or LiveText(), keys or Keys()
         now_ns = inbox.clocks.now_ns()
         self._timer, self._begun_ns, self._stage = RateTimer(RATE_HZ, now_ns), now_ns, self._wait
-        self._kind, self._edits, self._fault, self._is_over = "", [], "", False
+        self._kind, self._edits, self._keeps_neutral = "", [], False
         self._steering = advertise("av_steer_req", Float32, inbox)
         self._asked = False  # whether it steered with the last tick
         self._is_tuning = False  # until throttle_arb has answered
@@ -147,13 +147,13 @@ class FirstCheckNode:
         return self._timer.due_ns
 
     def shut_down(self):
-        """Center the steering, take back a neutral that isn't written, restore the terminal."""
+        """Center the steering, restore the terminal, take back a neutral that isn't written."""
         self._steer(None)
-        self._inbox.clocks.wait_for(lambda: not self._is_tuning, TUNED_WITHIN_S, POLL_S)
-        if not self._is_over and self._neutral != self._start_neutral:
-            self._have_tuned(self._start_neutral)
         self._keys.restore()
         self._text.keep()
+        self._inbox.clocks.wait_for(lambda: not self._is_tuning, TUNED_WITHIN_S, POLL_S)
+        if not self._keeps_neutral and self._neutral != self._start_neutral:
+            self._have_tuned(self._start_neutral)
 
     def _wait(self, now_ns, typed):
         car = self._check.car
@@ -239,6 +239,8 @@ class FirstCheckNode:
 
     def _finish(self, writes):
         written = write(self._edits) if writes else []
+        self._keeps_neutral = bool(written) and any("servo/neutral" in edit.values and not edit.problem
+                                                    for edit in self._edits)
         for line in written:
             self._text.say(line)
         page = os.path.join(self._folder, SYSTEM.local_time(PAGE))
@@ -246,7 +248,6 @@ class FirstCheckNode:
         self._text.say(write_page(page, SYSTEM.local_time("%Y-%m-%d %H:%M"), self._check.results, changed + written))
         if written:
             self._text.say(f"to load it, launch again with config:={self._folder}")
-        self._is_over = bool(written)
         self._inbox.end()
 
 
