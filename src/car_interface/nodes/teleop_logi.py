@@ -2,6 +2,7 @@
 
 Subscribes:
     joy (sensor_msgs/Joy).
+    phone/joy (sensor_msgs/Joy): a phone's, from phone_drive; see ``teleop.handover``.
 Publishes, at 50 Hz (mode and scale_button: 10 Hz) and at once when they or the deadman change:
     /teleop_logi/human_in_loop (std_msgs/Bool): true while a deadman button is held and the gamepad is fresh; a button
         that is held at the start counts after all were released.
@@ -34,7 +35,8 @@ from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import ERROR, OK, WARN, Diagnostics, age_text
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, subscribe
-from car_interface.teleop.gamepad import REPORT, Gamepad, GamepadConfig, RequestsLogFilter, remedy
+from car_interface.teleop.gamepad import REPORT, GamepadConfig, RequestsLogFilter, remedy
+from car_interface.teleop.handover import PHONE_TOPIC, Handover
 
 RATE_HZ = 50
 TICKS_PER_STATE = 5
@@ -44,7 +46,8 @@ class TeleopLogi:
     """Reads the gamepad and publishes requests."""
 
     def __init__(self, params, inbox):
-        self._gamepad = Gamepad(read_all(params, GamepadConfig))
+        self._handover = Handover(read_all(params, GamepadConfig))
+        self._gamepad = self._handover.gamepad
         self._inbox = inbox
         self._published = None
         self._clocks = inbox.clocks
@@ -64,8 +67,9 @@ class TeleopLogi:
         self._states = advertise("~state", TeleopState, inbox, latch=True)
         self._diagnostics = Diagnostics(inbox, "none", {REPORT: self._report, **self._command_topics.reports},
                                         now_ns)
-        inbox.on_overflow(lambda now_ns: self._gamepad.mark_stale())
+        inbox.on_overflow(lambda now_ns: self._handover.mark_stale())
         subscribe("joy", Joy, inbox, self._on_joy)
+        subscribe(PHONE_TOPIC, Joy, inbox, self._on_phone)
         self._command_topics.start(self._diagnostics.report_now)
 
     def step(self, now_ns):
@@ -87,8 +91,11 @@ class TeleopLogi:
     def _on_joy(self, message, now_ns):
         self._gamepad.update(message.axes, message.buttons, now_ns)
 
+    def _on_phone(self, message, now_ns):
+        self._handover.update_phone(message.axes, message.buttons, now_ns)
+
     def _tick(self, now_ns):
-        requests = self._gamepad.requests(now_ns)
+        requests = self._handover.requests(now_ns)
         has_changed = self._publish(requests, now_ns)
         self._ticks += 1
         repeats = self._ticks % TICKS_PER_STATE == 0
@@ -99,7 +106,7 @@ class TeleopLogi:
             self._publish_state(requests, now_ns)
 
     def _publish_if_changed(self, now_ns):
-        requests = self._gamepad.requests(now_ns)
+        requests = self._handover.requests(now_ns)
         if self._published is None or requests.differs_by != self._published.differs_by:
             self._publish(requests, now_ns)
 
@@ -130,7 +137,7 @@ class TeleopLogi:
         return has_changed
 
     def _publish_scale_button(self, now_ns, repeats=False):
-        before, self._scale_button = self._scale_button, self._gamepad.scale_button(now_ns)
+        before, self._scale_button = self._scale_button, self._handover.scale_button(now_ns)
         if repeats or self._scale_button != before:
             self._scale_buttons.publish(self._scale_button)
 
@@ -153,7 +160,7 @@ class TeleopLogi:
     def _report(self, status):
         """Cause, remedy and what the gamepad sends, for /diagnostics."""
         now_ns = self._clocks.now_ns()
-        requests = self._gamepad.requests(now_ns)
+        requests = self._handover.requests(now_ns)
         advice = self._advice(requests)
         status.summary(_level(requests), requests.reason + (advice and f". {advice}"))
         status.add("cause", requests.cause)
@@ -161,6 +168,8 @@ class TeleopLogi:
         status.add("steering stick", requests.steering_stick or "as the mode says")
         status.add("throttle stick", requests.throttle_stick or "as the mode says")
         status.add("age of joy", age_text(self._gamepad.joy_age_s(now_ns)))
+        if self._handover.phone_is_heard:
+            status.add("age of phone/joy", age_text(self._handover.phone_age_s(now_ns)))
         status.add("axes, buttons", f"{self._gamepad.axes}, {self._gamepad.buttons}")
         for cause, count in sorted(self._losses.items()):
             status.add(f"times {cause}", count)
