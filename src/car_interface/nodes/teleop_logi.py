@@ -57,6 +57,7 @@ class TeleopLogi:
         self._log_filter = RequestsLogFilter()
         self._losses = Counter()  # by cause
         self._topic = inbox.resolve_name("joy")
+        self._phone_remedy = f"See whether phone_drive runs: rostopic hz {inbox.resolve_name(PHONE_TOPIC)}"
         self._command_topics = CommandTopics(inbox)
         self._human = advertise("/teleop_logi/human_in_loop", Bool, inbox)
         self._steering = advertise("/teleop_logi/tele_steer_req", Float32, inbox)
@@ -155,6 +156,8 @@ class TeleopLogi:
         log("human in loop: %s (%s)%s", requests.human_in_loop, requests.reason, advice and f". {advice}")
 
     def _advice(self, requests):
+        if self._handover.phone_is_current:
+            return self._phone_remedy if requests.cause == causes.JOY_STALE else ""
         return remedy(requests.cause, self._topic) or remedy(requests.stick_cause, self._topic)
 
     def _report(self, status):

@@ -61,6 +61,11 @@ class Handover:
         """Return 1 or −1 while the button for more or less speed by hand is pressed; 0: neither is, or both are."""
         return self._current.scale_button(now_ns)
 
+    @property
+    def phone_is_current(self) -> bool:
+        """Return whether the newest requests are the phone's."""
+        return self._current is self._phone
+
     def phone_age_s(self, now_ns: int) -> float:
         """Return the seconds since the phone's last message; inf = never received."""
         return self._phone.joy_age_s(now_ns)
@@ -76,7 +81,7 @@ class Handover:
             self._current = self.gamepad
         elif phone.holds_deadman or not self.gamepad.axes:
             self._current = self._phone
-        if self._current is self._phone:
+        if self.phone_is_current:
             return self._count(phone, self._phone_must_release, "the gamepad's deadman was held", "phone: ",
                                self.gamepad, now_ns)
         return self._count(gamepad, self._gamepad_must_release, "the phone drove", "", self._phone, now_ns)

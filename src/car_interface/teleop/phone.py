@@ -117,6 +117,11 @@ class Phones:
         """Return when ``step`` is due: for the next token, or as the driver's echo gets too old."""
         return self._timer.due_ns if self._must_release else min(self._timer.due_ns, self._fresh_until_ns)
 
+    @property
+    def pages(self) -> int:
+        """Return how many pages are admitted."""
+        return sum(bool(page.key) for page in self._pages.values())
+
     def controls(self, now_ns: int) -> Controls:
         """Return what the driver asks for; nothing is held unless his touch counts at ``now_ns``."""
         self._look_for_loss(now_ns)
@@ -217,8 +222,7 @@ class Phones:
         self._admit(page, message["key"])
 
     def _admit(self, page, key):
-        admitted = sum(bool(each.key) and each is not page for each in self._pages.values())
-        if admitted >= MAX_PAGES and key != self._driver_key:
+        if self.pages - bool(page.key) >= MAX_PAGES and key != self._driver_key:
             self.counts["too many pages"] += 1
             self._close(page, f"{MAX_PAGES} pages are open already")
             return
