@@ -239,7 +239,7 @@ def test_car_is_neutral_0_55_s_after_the_last_echo_before_a_loss_and_stays_so(lo
         assert bench.drives
         bench.run(random.random() / 20)
         phone.touch = "manual"  # also after a reload: the thumbs stay
-        lost_ns, echoed_ns = bench.graph.now_ns, phone.echoed_ns
+        echoed_ns = phone.echoed_ns
         loss(bench, phone)
         bench.graph.run_to(echoed_ns + round(MAX_STOP_S * NS_PER_S))
         assert bench.stands

@@ -24,8 +24,8 @@ from car_interface.teleop.phone_messages import NOTHING, parse, text_of
 
 TOKEN_HZ = 20
 TICKS_PER_STATUS = 4
-# How old an echoed token may be. A round trip of 100 ± 50 ms and the 50 ms until the next token leave 50 ms. The links
-# behind it have 250 and 20 ms (teleop_logi), so that the car is neutral 0.55 s after the last echo if one of them fails.
+# How old an echoed token may be. A round trip of 100 ± 50 ms and the 50 ms until the next token leave 50 ms. If this
+# node dies then, teleop_logi takes another 250 ms and a tick of 20: the car is neutral 0.55 s after the last echo.
 MAX_AGE_NS = NS_PER_S // 4
 ABSENT_NS = 5 * NS_PER_S  # without an echo of the driver's, before another page may take his seat
 MAX_PAGES = 8  # that are admitted

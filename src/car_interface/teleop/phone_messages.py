@@ -54,14 +54,21 @@ def _is_ratio(value):
     return type(value) in (int, float) and -1 <= value <= 1
 
 
+def _is_touch(value):
+    return isinstance(value, str) and value in (NOTHING, MANUAL, AUTONOMOUS)
+
+
+def _is_sign(value):
+    return type(value) is int and abs(value) <= 1
+
+
 EVIDENCE = {"token": _is_text, "n": _is_count}
 FIELDS: Mapping[str, Mapping[str, Callable[[Any], bool]]] = {
     "pin": {"pin": _is_pin},
     "key": {"key": _is_text},
     "drive": EVIDENCE,
     "leave": {},
-    "echo": {**EVIDENCE, "touch": lambda value: isinstance(value, str) and value in (NOTHING, MANUAL, AUTONOMOUS),
-             "steering": _is_ratio, "throttle": _is_ratio, "scale": lambda value: type(value) is int and abs(value) <= 1},
+    "echo": {**EVIDENCE, "touch": _is_touch, "steering": _is_ratio, "throttle": _is_ratio, "scale": _is_sign},
     "e_stop": {},
     "clear": EVIDENCE,
 }

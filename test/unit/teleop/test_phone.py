@@ -10,7 +10,15 @@ from hypothesis import strategies as st
 
 from car_interface.teleop.keyboard import Controls
 from car_interface.teleop.phone import (
-    ABSENT_NS, GUESSES_AT_ONCE, MAX_MALFORMED, MAX_PAGES, MAX_WAITING, MESSAGES_AT_ONCE, WAIT_NS, Phones)
+    ABSENT_NS,
+    GUESSES_AT_ONCE,
+    MAX_MALFORMED,
+    MAX_PAGES,
+    MAX_WAITING,
+    MESSAGES_AT_ONCE,
+    WAIT_NS,
+    Phones,
+)
 from car_interface.teleop.phone_messages import parse
 
 MS = 1_000_000

@@ -3,8 +3,8 @@
 What phones may do is decided by ``teleop.phone``; what of it counts beside a gamepad, by teleop_logi.
 
 Publishes:
-    phone/joy (sensor_msgs/Joy): what the driver's phone asks for, as ``teleop.handover`` has the indices; on each change,
-        20 times a second, and at once when it is lost. Nothing is held unless his touch counts.
+    phone/joy (sensor_msgs/Joy): what the driver's phone asks for, by the indices of ``teleop.handover``; on a change,
+        when it is lost, and 20 times a second. Nothing is held unless his touch counts.
     phone/e_stop (std_msgs/Bool, latched): true = stop, until the driver clears it; on a change and 10 times a second.
     /diagnostics: how many pages there are, and what was refused; 1 Hz.
 Subscribes:
@@ -23,7 +23,6 @@ from car_interface.common.rate_timer import RateTimer
 from car_interface.msg import SteeringState, TeleopState, ThrottleState
 from car_interface.nodes.phone_drive.config import PhoneDriveConfig
 from car_interface.ros.diagnostics import OK, Diagnostics
-from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, subscribe
 from car_interface.teleop.handover import PHONE_TOPIC
 from car_interface.teleop.keyboard import Controls
