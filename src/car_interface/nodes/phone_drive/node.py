@@ -14,6 +14,7 @@ Subscribes:
 from __future__ import annotations
 
 import secrets
+from functools import partial
 
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool
@@ -23,6 +24,7 @@ from car_interface.common.rate_timer import RateTimer
 from car_interface.msg import SteeringState, TeleopState, ThrottleState
 from car_interface.nodes.phone_drive.config import PhoneDriveConfig
 from car_interface.ros.diagnostics import OK, Diagnostics
+from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, subscribe
 from car_interface.teleop.handover import PHONE_TOPIC
 from car_interface.teleop.keyboard import Controls
@@ -122,3 +124,9 @@ class PhoneDrive:
         for what, count in sorted(self._phones.counts.items()):
             status.add(f"times {what}", count)
         return status
+
+
+def main():
+    """Run the node."""
+    from car_interface.nodes.phone_drive.server import Server  # here: nothing else of the package needs tornado
+    run("phone_drive", partial(PhoneDrive, make_server=Server))

@@ -62,7 +62,7 @@ class Server:
         try:
             self._bound = bind_sockets(config.port, config.address)
         except OSError as error:
-            raise DeviceError(f"~address {config.address}, ~port {config.port}: no page can be served there: {error}. "
+            raise DeviceError(f"phones' page at ~address {config.address}, ~port {config.port}", str(error),
                               "Set another address of this computer, or another port") from error
         self._has_started = threading.Event()
         self._thread = threading.Thread(target=self._run, name="phone server", daemon=True)
