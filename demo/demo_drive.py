@@ -8,9 +8,9 @@ Publishes:
 Subscribes to the topics of the car's nodes.
 Parameters:
     ~bag_dir: absolute path of a folder for a bag of all topics; none = no recording.
-    ~steering, ~esc, ~gamepad, ~wheels: what turn_arb.yaml, throttle.yaml, teleop_logi.yaml and teensy_sensor_hub.yaml
-        of the car say, as demo.launch loads them: the channels of the servo board, the gamepad's axis and buttons, and
-        the wheels' sizes and pulses.
+    ~esc, ~gamepad, ~wheels: what throttle.yaml, teleop_logi.yaml and teensy_sensor_hub.yaml of the car say, as
+        demo.launch loads them: the ESC's channel, the gamepad's axis and buttons, and the wheels' sizes and pulses.
+    It also reads those of turn_arb: how far to push the stick for the human's circle, and the steering's channel.
 """
 from __future__ import annotations
 
@@ -45,6 +45,8 @@ from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, subscribe
 from car_interface.steering.arbiter import NO_HUMAN, PLANNER, SOURCE_NAMES
 from car_interface.steering.arbiter import TELEOP as TELEOP_STEERS
+from car_interface.steering.calibration import SteeringCalibration
+from car_interface.tools.calibration.drive.config import read_base
 from demo_script import (
     DONE,
     LEFT_CIRCLE,
@@ -59,6 +61,7 @@ from demo_script import (
 )
 
 RATE_HZ = 50
+HUMAN_RADIUS_M = 1.75  # around the post in the middle of the room's left half
 READY_WITHIN_S = 30
 STILL_S = 0.1  # a drive that was held up for longer may fail for this reason alone
 LINE_PERIOD_S = 0.1 if sys.stdout.isatty() else 2.0
@@ -168,14 +171,13 @@ class DemoDriveConfig:
 
     Attributes:
         bag_dir: where a bag is recorded; ``None`` = nowhere.
-        steering_channel, throttle_channel: of the servo board.
+        throttle_channel: of the servo board.
         steer_axis, throttle_axis, manual_button, autonomous_button: of the gamepad that it plays.
         steer_scale, throttle_scale: the car's factors of the axes; −1 inverts one.
         pulse_deg: by how much a pulse of one wheel turns the car.
     """
 
     bag_dir: str | None
-    steering_channel: int
     throttle_channel: int
     steer_axis: int
     throttle_axis: int
@@ -196,7 +198,6 @@ def read_config(params) -> DemoDriveConfig:
                / params.integer("wheels/pulses_per_revolution", 20, 1))
     config = DemoDriveConfig(
         bag_dir=params.path("bag_dir", None),
-        steering_channel=params.integer("steering/servo_channel", 0, 0, CHANNELS - 1),
         throttle_channel=params.integer("esc/servo/channel", 1, 0, CHANNELS - 1),
         steer_axis=params.integer("gamepad/steer_axis", 0, 0, MAX_INDEX),
         throttle_axis=params.integer("gamepad/throttle_axis", 4, 0, MAX_INDEX),
@@ -205,8 +206,15 @@ def read_config(params) -> DemoDriveConfig:
         steer_scale=params.number("gamepad/steer_scale", 1.0, -1.0, 1.0) or 1.0,
         throttle_scale=params.number("gamepad/throttle_scale", 1.0, -1.0, 1.0) or 1.0,
         pulse_deg=math.degrees(pulse_m / params.number("wheels/track", 0.296, above=0.0)))
-    params.finish(ignored_namespaces=("steering", "esc", "gamepad", "wheels"))
+    params.finish(ignored_namespaces=("esc", "gamepad", "wheels"))
     return config
+
+
+def stick_for(radius_m: float, calibration: SteeringCalibration) -> float:
+    """Return how far to push the stick for a turn of that radius, right negative: the inverse of ``teleop_duty``."""
+    end = calibration.servo_left if radius_m > 0 else calibration.servo_right
+    ratio = (calibration.planner_duty(radius_m) - calibration.servo_center) / (end - calibration.servo_center)
+    return math.copysign(ratio, radius_m)
 
 
 class DemoDrive:
@@ -216,7 +224,8 @@ class DemoDrive:
         config = self._config = read_config(params)
         bag_dir = config.bag_dir
         self._inbox = inbox
-        self._watch = Watch(config.steering_channel, config.throttle_channel)
+        self._calibration = read_base(inbox.graph.parameter("turn_arb", {}))
+        self._watch = Watch(self._calibration.servo_channel, config.throttle_channel)
         self._drive = None
         self._yaw_rad = 0.0
         self._clocks = inbox.clocks
@@ -282,7 +291,7 @@ class DemoDrive:
         if not missing and recording and not recording.has_subscribed(self._inbox.resolve_name("teensy_clock")):
             missing = ["the recorder of the bag"]
         if not missing:
-            self._drive = Drive(DriveConfig(), now_ns)
+            self._drive = Drive(DriveConfig(teleop_steering=stick_for(HUMAN_RADIUS_M, self._calibration)), now_ns)
             self._started_ns = now_ns
             self._watch.messages.update(dict.fromkeys(self._watch.messages, 0))
         elif now_ns - self._started_ns > READY_WITHIN_S * NS_PER_S:

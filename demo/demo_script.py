@@ -25,7 +25,7 @@ class DriveConfig(NamedTuple):
     speed_mps: float = 1.2
     throttle_at_speed: float = 0.35  # of the stick: holds about this speed with the scale of throttle.yaml
     throttle_per_mps: float = 0.5  # of the stick, for missing speed
-    teleop_steering: float = 0.98
+    teleop_steering: float = 0.98  # of the stick, left positive
     radius_m: float = 1.6
     gain_per_s: float = 1.5  # from missing speed to acceleration
     max_acceleration_mps2: float = 2.0

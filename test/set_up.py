@@ -63,6 +63,7 @@ DEBIAN_NAMES = {
     "rostest": ("librostest-dev", "python3-rostest"),
     "rviz": ("rviz",),
 }
+CATKIN_PYTHON = ("PYTHON_EXECUTABLE", "Python_EXECUTABLE")  # for cmake's FindPythonInterp, and FindPython
 BOUNDS = (("version_gte", ">="), ("version_lte", "<="))
 # Where it is not KEY without python3- and -pip.
 PIP = {"python3-pil": "Pillow", "python3-serial": "pyserial", "python3-yaml": "PyYAML"}
@@ -198,7 +199,7 @@ class SetUp:
             _say(f"Building in {workspace}")
         source = "" if self.distribution == DEBIAN else f". {OPT / self.distribution}/setup.bash; "
         # The scripts that rosrun finds start with this Python, which has rosbags, whatever PATH and PYTHONPATH say.
-        python = f"-DPYTHON_EXECUTABLE={shlex.quote(str(self._system))}"
+        python = " ".join(f"-D{name}={shlex.quote(str(self._system))}" for name in CATKIN_PYTHON)
         make = f"{source}exec catkin_make -C {shlex.quote(str(workspace))} {python}"
         # Where a message refers to others than it did before, make cannot know; cmake does.
         if not (self._run("build", "bash", "-c", make)

@@ -144,7 +144,8 @@ class Connection:
     def __init__(self, publisher: TopicPublisher, subscription: Subscription):
         self.publisher, self.subscription = publisher, subscription
         self.header = {"callerid": publisher.node, "topic": publisher.topic, "type": publisher.type._type,
-                       "md5sum": publisher.type._md5sum, "latching": "1" if publisher.latch else "0"}
+                       "md5sum": publisher.type._md5sum, "message_definition": publisher.type._full_text,
+                       "latching": "1" if publisher.latch else "0"}
 
 
 class TopicPublisher:

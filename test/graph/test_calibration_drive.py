@@ -19,11 +19,13 @@ from car_interface.nodes.calibration_drive.bag_recording import TOPICS
 from car_interface.nodes.calibration_drive.node import CalibrationDriveNode
 from car_interface.tools.calibration.drive.conclusion import Conclusion
 from car_interface.tools.calibration.drive.config import parse
+from car_interface.tools.recordings.calibration_result import CalibrationResult
 from graph import NS_PER_S
 
 CURVATURES = {3800: 1.05, 4100: 0.83, 4400: 0.58, 4700: 0.28, 4980: 0.0, 5300: -0.24, 5700: -0.52, 6200: -0.82,
               6700: -1.05}  # by duty, as practice.launch has it
 REQUESTS, SPEEDS, MARKERS = "/av_steer_req", "/av_speed_req", "/calibration_drive/markers"
+RESULT = "/calibration_drive/result"
 HOLD_IT = "no deadman is held; hold the autonomous deadman and it"
 
 
@@ -33,7 +35,7 @@ class Terminal:
     width = 79
 
     def __init__(self, is_live: bool):
-        self.is_live, self.lines, self.block, self.typed = is_live, [], [], ""
+        self.is_live, self.lines, self.block, self.shown, self.typed = is_live, [], [], [], ""
 
     def start(self):
         return self.is_live
@@ -47,6 +49,7 @@ class Terminal:
 
     def show(self, lines):
         self.block = list(lines)
+        self.shown += lines
 
     def say(self, text):
         self.lines += text.split("\n")
@@ -95,7 +98,7 @@ class Practice(Car):
     def __init__(self, tmp_path, *arguments, live=True, starts=True, **sim):
         super().__init__()
         self.folder, self.table, self.terminal = tmp_path, tmp_path / "turn_arb.yaml", Terminal(live)
-        self.graph.record(REQUESTS, SPEEDS, MARKERS)
+        self.graph.record(REQUESTS, SPEEDS, MARKERS, RESULT)
         if starts:
             self.whole("speed", steering_duties=[*CURVATURES], steering_curvatures=[*CURVATURES.values()],
                        **{"obstacles": False, "start": [0.0, 0.0, 0.0], **sim})
@@ -198,7 +201,8 @@ def test_it_drives_while_the_deadman_is_held_and_only_then_and_refuses_what_is_t
     car = Practice(tmp_path, "--no-sonars").begin()
     graph = car.graph
     assert car.terminal.block[0] == f"waits: {HOLD_IT} begins"
-    assert sorted(car.recording.topics) == sorted(topic if topic.startswith("/") else f"/{topic}" for topic in TOPICS)
+    assert sorted(car.recording.topics) == sorted(topic if topic.startswith("/") else f"/{topic}"
+                                                  for topic in (*TOPICS, RESULT))
     assert graph.recorded[REQUESTS] == graph.recorded[SPEEDS] == []
     car.hold()
     assert graph.newest("/turn_arb/state").source == SteeringState.PLANNER
@@ -304,7 +308,8 @@ def test_table_that_is_there_is_replaced_after_a_question_or_the_new_one_is_writ
     shutil.copy(f"{CONFIG}/turn_arb.yaml", tmp_path)
     old = (tmp_path / "turn_arb.yaml").read_text(encoding="utf-8")
     new = old.replace("servo_center: 5100", "servo_center: 5050")
-    conclusion = Conclusion(new, ("it is so",), "", 5050)
+    result = CalibrationResult("", (), (), (), (), (), (5100, 5050), (), (), ())
+    conclusion = Conclusion(new, ("it is so",), "", 5050, result=result)
     monkeypatch.setattr(calibration_drive, "conclude", lambda *_: conclusion)
     car = Practice(tmp_path, "--no-sonars", *arguments, live=live).begin()
     car.hold()
@@ -319,6 +324,9 @@ def test_table_that_is_there_is_replaced_after_a_question_or_the_new_one_is_writ
         car.type(key)
     assert ended(car) == ""
     path = car.table if replaces else tmp_path / "turn_arb.new.yaml"
+    (told,) = car.graph.messages(RESULT)
+    assert RESULT in car.recording.topics
+    assert (f"mv {tmp_path / 'turn_arb.new.yaml'} {car.table}" in told.data) != (arguments == ("--yes",))
     assert path.read_text(encoding="utf-8") == new
     (kept,) = [each for each in tmp_path.glob("turn_arb.yaml*") if each.read_text(encoding="utf-8") == old]
     assert (kept != car.table) == replaces
@@ -327,6 +335,9 @@ def test_table_that_is_there_is_replaced_after_a_question_or_the_new_one_is_writ
     for text in ("it is so", f"written: {path}", f"to load it, launch again with config:={tmp_path}",
                  "the servo board centers the steering by the same file (duty 5050)", "recording: ", "report: page"):
         assert text in car.terminal.text
+    progress = car.terminal.shown if live else car.terminal.lines
+    assert "makes the recording's page: 0 s" in progress
+    assert car.terminal.block == []
 
 
 @pytest.mark.once

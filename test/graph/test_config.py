@@ -42,9 +42,10 @@ DEFAULTS = {
     "car_sim": ({}, {"port": "/tmp/car_sim_teensy", "steering_channel": 0, "throttle_channel": 1,
                      "vehicle.track_m": 0.296, "firmware.sonar_pulse_end_us": 38_000, "collides": True}),
     "planner_interface": ({"source": "drive"}, {"source": "drive"}),
-    "gamepad_joy": ({}, {"dev": "/dev/input/js0", "deadzone": 0.05, "autorepeat_hz": 20.0, "coalesce_s": 0.001}),
+    "gamepad_joy": ({}, {"dev": "auto", "deadzone": 0.05, "autorepeat_hz": 20.0, "coalesce_s": 0.001}),
+    "black_box": ({}, {"folder": None}),
     "car_display": ({}, {"wheelbase_m": 0.324, "odom_frame": "odom", "base_frame": "base_link"}),
-    "demo_drive": ({}, {"bag_dir": None, "steering_channel": 0, "throttle_channel": 1, "autonomous_button": 5}),
+    "demo_drive": ({}, {"bag_dir": None, "throttle_channel": 1, "autonomous_button": 5}),
     "keyboard_drive": ({}, {"steer_axis": 0, "throttle_axis": 4, "manual_button": 4, "autonomous_button": 5,
                             "steer_scale": 1.0, "input_devices": "/dev/input/event*"}),
 }
@@ -75,10 +76,12 @@ REFUSALS = [
     ("teensy_sensor_hub", {"sonars": {"front_left": [1, 2]}},
      "sonars/front_left is [1.0, 2.0]; accepted: three numbers: x, y in m, and yaw in rad"),
     ("teleop_logi", {"joy_timeout": -1}, "joy_timeout is -1; accepted: a number from 0.0"),
+    ("black_box", {"folder": "~/bags"}, f"folder is '~/bags'; {WHOLE_PATH}"),
     ("car_sim", {"steering_duties": [3800, 6700]}, "steering_curvatures is "),
     ("car_sim", {"wheel_pulses": [1]}, "wheel_pulses is [1.0]; accepted: two numbers: left, right"),
     ("car_sim", {"esc_kind": "odd"}, "esc_kind is 'odd'; accepted: one of none, "),
     ("car_sim", {"track": 0}, "track is 0; accepted: a number above 0.0"),
+    ("gamepad_joy", {"dev": "js0"}, "dev is 'js0'; accepted: auto, or a path such as /dev/input/event5"),
     ("gamepad_joy", {"deadzone": 1.5}, "deadzone is 1.5; accepted: a number from 0 to 0.9"),
     ("car_display", {"track": 11}, "track is 11; accepted: a number above 0.0"),
     ("demo_drive", {"bag_dir": "bags"}, f"bag_dir is 'bags'; {WHOLE_PATH}"),
@@ -137,7 +140,7 @@ def test_simulated_car_has_what_a_car_s_files_say_and_its_own_parameters_go_befo
     made = read("car_sim", files)
     assert (made.steering_channel, made.throttle_channel) == (7, 9)
     assert (made.vehicle.wheel_diameter_m, made.vehicle.drive.neutral_duty) == (0.12, 5000)
-    assert (made.vehicle.steering.center_duty, dict(made.vehicle.steering.curve)[3800]) == (5100, 1 / 0.97)
+    assert (made.vehicle.steering.center_duty, dict(made.vehicle.steering.curve)[3800]) == (5100, 1.0)
     mixed = read("car_sim", {**files, "wheel_diameter": 0.1, "steering_channel": 2})
     assert (mixed.vehicle.wheel_diameter_m, mixed.steering_channel) == (0.1, 2)
     assert read("car_sim", {"esc": {"servo": {"channel": -1}}}).throttle_channel == 1
@@ -192,16 +195,14 @@ def test_launch_file_gives_the_board_the_files_of_turn_arb_and_of_throttle_arb(f
     assert [channel.timeout_value for channel in made.channels] == [5100, neutral] + [0] * 14
 
 
-def test_launch_files_tell_a_node_that_it_is_respawned_and_have_joy_node_wait_for_its_name():
+def test_launch_files_tell_a_node_that_it_is_respawned():
     found = set()
-    for arguments in (["joy_driver:=joy"], ["joy_driver:=gamepad_joy", "one_process:=true"], ["display:=true"]):
+    for arguments in ([], ["one_process:=true"], ["display:=true"]):
         for node in loaded("car.launch", *arguments).nodes:
             if node.package == "car_interface":
                 assert (dict(node.env_args).get("CAR_INTERFACE_RESPAWN") == "true") == node.respawn, node.type
-            elif node.respawn:
-                assert (node.type, node.launch_prefix) == ("joy_node", "rosrun car_interface wait_for_name")
             found.add(node.type)
-    assert {"turn_arb", "car_nodes", "car_display", "joy_node", "gamepad_joy"} <= found
+    assert {"turn_arb", "car_nodes", "car_display", "gamepad_joy"} <= found
 
 
 @pytest.mark.parametrize("one_process", ["false", "true"])
@@ -238,18 +239,24 @@ def test_car_grants_nothing_at_its_start_unless_its_owner_s_file_says_so(tmp_pat
     assert [below(launch, f"/{node}/")["grant_at_start"] for node in ("turn_arb", "throttle_arb")] == [grants] * 2
 
 
-OURS, THEIRS = [("car_interface", "gamepad_joy")], [("joy", "joy_node")]
+@pytest.mark.parametrize("arguments, device", [
+    ([], "auto"), (["joy_device:=/dev/input/js0"], "/dev/input/js0"), (["gamepad:=false"], None)])
+def test_gamepad_is_read_by_this_package_under_the_name_of_the_usual_driver_unless_it_comes_from_elsewhere(
+        arguments, device):
+    launch = loaded("car.launch", *arguments)
+    assert [node.type for node in launch.nodes if node.name == "joy_node"] == ["gamepad_joy"] * (device is not None)
+    assert below(launch, "/joy_node/").get("dev") == device
 
 
-@pytest.mark.parametrize("distribution, arguments, expected", [
-    ("noetic", [], THEIRS), ("Debian", [], OURS), ("", [], OURS), ("Debian", ["joy_driver:=joy"], THEIRS),
-    ("noetic", ["joy_driver:=gamepad_joy"], OURS), ("noetic", ["gamepad:=false"], []),
-    ("Debian", ["gamepad:=false"], [])])
-def test_gamepad_driver_is_joy_on_noetic_and_this_package_s_elsewhere_unless_it_is_named(
-        monkeypatch, distribution, arguments, expected):
-    monkeypatch.setenv("ROS_DISTRO", distribution)
-    assert [(node.package, node.type) for node in loaded("car.launch", *arguments).nodes
-            if node.name == "joy_node"] == expected
+@pytest.mark.parametrize("one_process", ["false", "true"])
+def test_demo_with_the_package_s_files_has_a_table_that_the_board_s_steps_resolve_for_arbiter_and_car(one_process):
+    values = below(loaded("demo.launch", "ns:=car1", f"one_process:={one_process}"), "/car1/")
+    for name in ("k_pwmcmd_left_table_servo", "k_pwmcmd_right_table_servo", "m_turnrad_axis_servo", "servo_center"):
+        assert values[f"turn_arb/{name}"] == values[f"car_sim/steering/{name}"]
+    duties = values["turn_arb/k_pwmcmd_left_table_servo"]
+    assert duties != config("turn_arb.yaml")["k_pwmcmd_left_table_servo"]
+    assert min(abs(one - other) for one, other in zip(duties, duties[1:])) >= 16
+    assert values["turn_arb/servo_channel"] == 0  # the rest is that of config
 
 
 def test_demo_has_every_node_take_the_folder_that_config_names(tmp_path):

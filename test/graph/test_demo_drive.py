@@ -38,6 +38,7 @@ class Demo(Car):
         for start in (self.hub, self.turn_arb, self.converter, self.throttle_arb, self.teleop):
             if start.__name__ not in without:
                 start()
+        del files["steering"]
         self.drive = self.graph.add(DemoDrive, "demo_drive", {**files, "gamepad": config("teleop_logi.yaml")})
 
     def drives(self):

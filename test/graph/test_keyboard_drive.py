@@ -6,6 +6,7 @@ from functools import partial
 import pytest
 from sensor_msgs.msg import Joy
 
+from car import Car
 from car_interface.common.errors import CarInterfaceError
 from car_interface.nodes.keyboard_drive.node import KeyboardDrive
 from graph import Graph
@@ -54,13 +55,13 @@ class Keyboards:
 class Hand:
     """keyboard_drive beside a graph, and a person at its keys."""
 
-    def __init__(self, graph=None, keyboards=0, parameters=None, **own):
+    def __init__(self, graph=None, keyboards=0, parameters=None, text=None, **own):
         self.graph, self.keys, self.keyboards = graph or Graph(), Keys(), Keyboards(keyboards)
         self.graph.record("/joy")
         for name, values in {"pca9685": {"device": "virtual"}, **(parameters or {})}.items():
             self.graph.set_parameter(f"/{name}", values)
         self.node = self.graph.add(
-            partial(KeyboardDrive, keys=self.keys, make_keyboards=lambda pattern: self.keyboards),
+            partial(KeyboardDrive, keys=self.keys, make_keyboards=lambda pattern: self.keyboards, text=text),
                                    "keyboard_drive", own)
         self.graph.run(0.1)
 
@@ -103,7 +104,7 @@ def test_joy_comes_at_50_hz_with_the_axes_and_buttons_of_teleop_logi():
     assert [index for index, held in enumerate(left.buttons) if held] == [12]
     hand.graph.run(1.0)
     assert not any(hand.joy.buttons)
-    forward = hand.type("pw", 0.3)
+    forward = hand.type("pw", 0.6)
     assert (forward.axes[9], [index for index, held in enumerate(forward.buttons) if held]) == (1.0, [1])
     for key, button in (("+", 3), ("-", 0)):
         hand.graph.run(1.0)
@@ -184,6 +185,50 @@ def test_second_publisher_of_joy_is_refused_by_name(graph):
     with pytest.raises(CarInterfaceError, match=r"^/joy_node publishes /joy already\. End it first: rosnode "
                                                "kill /joy_node"):
         Hand(graph)
+
+
+# --- its screen ---
+
+class Text:
+    is_live, width, lines = True, 100, ()
+
+    def say(self, text):
+        pass
+
+    def show(self, lines):
+        self.lines = lines
+
+
+@pytest.fixture
+def driver():
+    car, text = Car(), Text()
+    car.graph.record("/car_sim/collisions")
+    car.whole(nodes={"throttle_arb": {"esc/profile": "brake_then_reverse", "esc/profile_measured": True}},
+              esc_kind="brake_then_reverse", start=[4.0, 0.0, 0.0])  # two metres from a wall
+    car.graph.silence("/joy", sender="/joy_node")
+    car.graph.drop("/joy_node")
+    hand = Hand(car.graph, text=text)
+    hand.car, hand.text = car, text
+    return hand
+
+
+def test_screen_says_who_drives_and_what_is_near_and_by_typed_keys_alone_one_backs_out_of_a_wall(driver):
+    """As by ssh: no release is seen, and a key counts for 0.7 s."""
+    graph, text = driver.graph, driver.text
+    graph.run(1.5)
+    assert text.lines[-1] == "--> hold M to drive, P to let the planner drive"
+    driver.type("m")
+    driver.hold("w", 3.0)
+    assert graph.newest("/car_sim/collisions").data == 1
+    assert any(line.startswith("near:   front middle 0.") for line in text.lines)
+    assert any(line.startswith("drives: TELEOP, tele_throt_req is 1.000, scaled by 0.3") for line in text.lines)
+    assert text.lines[-1] == "--> you hit a wall. To back out: hold S; then M alone for a second; then S again"
+    driver.hold("s", 1.0)
+    driver.hold("m", 1.0)
+    driver.hold("s", 2.0)
+    assert driver.car.speed_mps < -0.2
+    assert text.lines[-1] == "--> let go of M to stop"
+    graph.run_until(lambda: driver.car.speed_mps == 0.0, 8.0)  # nothing is held, and nothing pushes ahead to stop it
 
 
 # --- a real car, with a keyboard ---

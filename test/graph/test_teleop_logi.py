@@ -200,7 +200,8 @@ def test_gamepad_that_was_never_heard_is_a_warning_with_the_remedy_in_its_namesp
     assert (state.human_in_loop, state.cause, state.reason, state.joy_age) == (
         False, "joy never heard", "joy was never heard", math.inf)
     report = graph.report("car7/teleop_logi: gamepad")
-    remedy = "See whether joy_node runs and finds the gamepad: rostopic info /car7/joy; ls /dev/input/js*"
+    remedy = ("See whether joy_node runs and finds the gamepad: rostopic info /car7/joy; rostopic echo -n 1 "
+              "/diagnostics")
     assert report[:2] == (WARN, f"joy was never heard. {remedy}")
     assert (report.values["age of joy"], report.values["steering stick"]) == ("never heard", "as the mode says")
 

@@ -39,8 +39,7 @@ from browser import Browser, find_browser
 
 DRIVE_WITHIN_S = START_WITHIN_S = 120
 SHIPPED = Path(PACKAGE, "config")
-DRIVE_FILES = {"steering": "turn_arb.yaml", "esc": "throttle.yaml", "gamepad": "teleop_logi.yaml",
-               "wheels": "teensy_sensor_hub.yaml"}
+DRIVE_FILES = {"esc": "throttle.yaml", "gamepad": "teleop_logi.yaml", "wheels": "teensy_sensor_hub.yaml"}
 CARS = ("", "/car1")
 HELD_UP = "stood still|silent for|not heard since|servo board holds|weren't neutral within"  # a busy computer's reasons
 NODES = ("turn_arb", "throttle_arb", "pca9685", "teensy_sensor_hub", "teleop_logi", "generic_value_converter",

@@ -11,7 +11,9 @@ import sys
 import time
 import unittest
 from contextlib import suppress
+from pathlib import Path
 
+import rosbag
 import rosgraph
 import rosnode
 import rospy
@@ -23,6 +25,7 @@ from rospy.impl import registration
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Empty, Float32, Int32MultiArray
 
+from car_interface.common.causes import JOY_STALE
 from car_interface.ros.command_topics import PublisherLookup
 from car_interface.teleop.gamepad import REARM_TEXT
 from closing import LAUNCH_S, PARTS, Closing, graph_of, joy, output_of, pid_of
@@ -175,6 +178,7 @@ class MissedPublisher(Closing):
 class Names(Closing):
 
     def test_launch_file_that_is_started_twice_waits_undisturbing_and_takes_over_when_the_first_ends(self):
+        """The second one's car then loses its gamepad, and its black box tells."""
         def launched(name):
             folder = os.path.join(self.folder, name)
             shutil.copytree(os.path.join(PACKAGE, "config"), folder)
@@ -182,7 +186,7 @@ class Names(Closing):
             with open(os.path.join(folder, "pca9685.yaml"), "w", encoding="utf-8") as file:
                 yaml.safe_dump({**config("pca9685.yaml"), "virtual_log": chip.path}, file)
             return self.launch("car.launch", "i2c:=virtual", "gamepad:=false", f"config:={folder}",
-                               f"port:={folder}/absent"), chip
+                               f"port:={folder}/absent", env={"ROS_HOME": os.path.join(folder, "ros")}), chip
         first, chip = launched("first")
         eventually(lambda: all(pid_of(f"/{name}") for name in NODES), "all nodes", LAUNCH_S)
         pids = {name: pid_of(f"/{name}") for name in NODES}
@@ -216,7 +220,18 @@ class Names(Closing):
         self.wait_s(0.5)
         self.assertLessEqual(set(second_chip.values_since(0, 0)), {OFF, CENTER})
         drive(second_chip)
+        eventually(lambda: "/turn_arb/state" in graph_of("", ["black_box"])[1], "the black box")
+        self.wait_s(0.5)
+        self.repeater.drop()
+        eventually(lambda: second_chip.counts(0) == CENTER, "it stops")
+        self.wait_s(0.5)
+        self.assertEqual(second.end(), 0)
         self.assertFalse([line for line in output_of(second) if "Traceback" in line])
+        (path,) = Path(self.folder, "second", "ros", "car_interface", "black_box").iterdir()
+        self.assertRegex(path.name, r"_joy_silent\.bag$")
+        with rosbag.Bag(str(path)) as bag:
+            self.assertEqual([message.cause for _, message, _ in bag.read_messages(["/teleop_logi/state"])][-1],
+                             JOY_STALE)
 
     def test_frozen_node_is_replaced_after_ten_seconds_a_killed_one_at_once_and_of_two_starting_one_runs(self):
         for namespace in ("", "/other"):

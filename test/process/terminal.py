@@ -31,6 +31,7 @@ class Terminal:
         self._process = subprocess.Popen(["setsid", "--ctty", *command], stdin=terminal, stdout=terminal,
                                          stderr=terminal, env={**os.environ, **(env or {})})
         os.close(terminal)
+        self.pid = self._process.pid
         self.settings_before = self.settings()
         self._hangs_up = threading.Event()
         self._reader = threading.Thread(target=self._read, daemon=True)

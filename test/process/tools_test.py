@@ -7,12 +7,10 @@ import os
 import re
 import shutil
 import signal
-import struct
 import sys
 import tempfile
 import threading
 import time
-import tty
 import unittest
 from contextlib import suppress
 
@@ -20,7 +18,7 @@ import rosbag
 import rosgraph
 import rospy
 import rostest
-from car_interface.msg import SteeringState, TeleopState, ThrottleState
+from car_interface.msg import SteeringState, ThrottleState
 from dynamic_reconfigure.client import Client
 from dynamic_reconfigure.msg import Config, DoubleParameter, GroupState, IntParameter, StrParameter
 from dynamic_reconfigure.srv import Reconfigure
@@ -30,7 +28,6 @@ from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
-from car_interface.common import causes
 from car_interface.nodes.planner_interface.ackermann_messages import ackermann_drive_class
 from closing import pid_of
 from pages import first_planner
@@ -39,7 +36,6 @@ from waiting import PACKAGE, NodeProcess, Repeater, Sender, Topic, eventually, e
 
 AUTONOMOUS, LB = 5, 4  # buttons, as config/teleop_logi.yaml has them
 LEFT, CENTER, RIGHT = 3800, 5100, 6700
-BUTTON, AXIS, INIT = 1, 2, 0x80  # linux/joystick.h
 ESCAPES = re.compile(r"\x1b\[[0-9;]*[A-Za-z]|\r")
 READY = "To drive: "
 WAITS = "^waits: no deadman is held; hold the autonomous deadman and it begins"
@@ -65,27 +61,6 @@ class Hand:
     def let_go(self):
         self._ending.set()
         self._thread.join()
-
-
-class Pad:
-    """A gamepad: a pseudo-terminal behind a link, as /dev/input/js0 appears and vanishes."""
-
-    def __init__(self, path):
-        self._path = path
-        self._near, self._far = os.openpty()
-        tty.setraw(self._far)
-        os.symlink(os.ttyname(self._far), path)
-        for kind, count in ((AXIS, 8), (BUTTON, 11)):
-            for number in range(count):
-                self.send(0, kind | INIT, number)
-
-    def send(self, value, kind, number):
-        os.write(self._near, struct.pack("=IhBB", 1234, value, kind, number))
-
-    def unplug(self):
-        os.unlink(self._path)
-        os.close(self._far)
-        os.close(self._near)
 
 
 def processes_with(text):
@@ -127,7 +102,7 @@ class Tools(unittest.TestCase):
         """Deadman, then the key that goes faster; again where a node stood still, which then waits for the release."""
         for within_s in (10, 20, 60):
             deadman = Hand(self, terminal, b"m")
-            terminal.wait_for_line("^TELEOP: tele_steer_req")
+            terminal.wait_for_line("steers: TELEOP, tele_steer_req", terminal.lines.mark())
             deadman.let_go()
             hand, mark = Hand(self, terminal, b"w"), self.truth.mark()
             try:
@@ -142,7 +117,7 @@ class Tools(unittest.TestCase):
         terminal = self.terminal(executable("keyboard_drive"))
         terminal.wait_for_line(READY)
         self.assertNotEqual(terminal.settings(), terminal.settings_before)
-        terminal.wait_for_line("^NO_HUMAN: human_in_loop is false: no deadman is held")
+        terminal.wait_for_line("steers: NO_HUMAN, human_in_loop is false: no deadman is held")
         faster = self.hold_until_it_drives(terminal)
         second = self.terminal(executable("keyboard_drive"), "__name:=second")
         second.wait_for_line("/keyboard_drive publishes /joy already. End it first: rosnode kill /keyboard_drive")
@@ -200,35 +175,13 @@ class Tools(unittest.TestCase):
 
     # --- a gamepad ---
 
-    def test_gamepad_joy_of_the_launch_file_follows_a_gamepad_that_is_unplugged_and_plugged_in_again(self):
-        path = os.path.join(self.folder, "js0")
-        pad = Pad(path)
+    def test_gamepad_joy_of_the_launch_file_waits_for_a_gamepad_and_its_teleop_logi_grants_nothing(self):
         human = Topic("/pad/teleop_logi/human_in_loop", Bool)
-        states = Topic("/pad/teleop_logi/state", TeleopState)
         launch = start(self, "roslaunch", "car_interface", "teleop_logi.launch", "ns:=pad", "gamepad:=true",
-                       "joy_driver:=gamepad_joy", f"joy_device:={path}")
+                       "joy_device:=/dev/input/js7")
         self.addCleanup(launch.end)
-
-        def hold_until_it_counts():
-            """A deadman that is held when teleop_logi first hears it, or after a loss, doesn't count."""
-            mark = human.mark()
-
-            def counts():
-                pad.send(0, BUTTON, LB)
-                time.sleep(0.1)
-                pad.send(1, BUTTON, LB)
-                time.sleep(0.3)
-                return any(message.data for message in human.since(mark))
-            eventually(counts, "a deadman that counts")
-        states.wait_for(lambda state: state.cause == causes.NO_DEADMAN)
-        hold_until_it_counts()
-        pad.unplug()
-        human.wait_for(lambda message: not message.data, human.mark())
-        launch.wait_for_line("the gamepad is gone|there is no such device|Input/output error")
-        pad = Pad(path)
-        pad.send(1, BUTTON | INIT, LB)
-        states.wait_for(lambda state: state.cause == causes.NOT_REARMED and state.joy_age < 1.0, states.mark())
-        hold_until_it_counts()
+        launch.wait_for_line("gamepad: (there is none|/dev/input/js7 is none; there is ).*no joy message until then")
+        self.assertEqual({message.data for message in human.wait_for_count(5, human.mark())}, {False})
 
     def press(self, button=None):
         """Hold a deadman of the gamepad from now on; ``None`` = let go."""
@@ -331,6 +284,45 @@ class Tools(unittest.TestCase):
             self.recording(folder)
         self.assertEqual(help_text.wait_for_exit(), 0)  # needs no master
         self.assertRegex(help_text.stdout.since()[0], "^usage: rosrun car_interface calibration_drive ")
+
+    # --- first_check ---
+
+    def test_first_check_tunes_the_neutral_kills_the_board_s_node_and_writes_its_page(self):
+        folder = os.path.join(self.folder, "my_car")
+        shutil.copytree(os.path.join(PACKAGE, "config"), folder)
+        self.addCleanup(rospy.set_param, "/turn_arb/config_folder", rospy.get_param("/turn_arb/config_folder"))
+        rospy.set_param("/turn_arb/config_folder", folder)
+        self.take_gamepad()
+        terminal = self.terminal(executable("first_check"))
+        terminal.wait_for_line("1 of 20: the car on a box")
+        terminal.type(b"y")
+        terminal.wait_for_line("2 of 20: the deadman")
+        terminal.type(b"sssss")
+        self.press(LB)
+        terminal.wait_for_line(r"Now: the ESC gets \+0\.00 of")  # the rest may be on the next line
+        terminal.type(b"+")
+        eventually(lambda: rospy.get_param("/throttle_arb/servo/neutral") == 4920, "the new neutral")
+        self.press()
+        self.wait_for_steering(SteeringState.NO_HUMAN)
+        terminal.type(b"ep")
+        terminal.wait_for_line("20 of 20: killing the servo board's node")
+        self.press(AUTONOMOUS)
+        self.steering.wait_for(lambda state: state.reason == "av_steer_req is 0.500", self.steering.mark())
+        before, mark = pid_of("/pca9685"), terminal.lines.mark()
+
+        def killed():
+            terminal.type(b"k")  # until the board has turned the wheels
+            time.sleep(0.2)
+            return pid_of("/pca9685") != before
+        eventually(killed, "the end of pca9685")
+        terminal.wait_for_line("Y yes   N no", mark)
+        terminal.type(b"y")
+        terminal.wait_for_line("Nothing in the files is to be changed")
+        terminal.type(b"y")
+        self.assertEqual((terminal.wait_for_exit(), terminal.settings()), (0, terminal.settings_before))
+        self.assertIn("reported the center", " ".join(terminal.lines.since()))
+        self.assertEqual(rospy.get_param("/throttle_arb/servo/neutral"), 4915)
+        self.assertEqual(len(glob.glob(os.path.join(folder, "first_check_*.html"))), 1)
 
     # --- live tuning ---
 

@@ -1,6 +1,8 @@
 """A real Chromium without a window, for tests of pages: opens one, listens to its complaints, takes a picture.
 
 It is talked to through a pair of pipes, with the DevTools protocol; no port is opened, and no network is used.
+
+    python3 test/unit/browser.py PAGE.html PICTURE.png WIDTH HEIGHT     # the upper part of a page, for the docs
 """
 from __future__ import annotations
 
@@ -98,12 +100,16 @@ class Browser:
         assert "exceptionDetails" not in answer, answer
         return answer["result"].get("value")
 
-    def picture(self) -> bytes:
-        """All of the page, as PNG."""
+    def resize(self, width: int) -> None:
+        """Give the page so many pixels; a window is never narrower than 500."""
+        self._ask("Emulation.setDeviceMetricsOverride", width=width, height=1000, deviceScaleFactor=1, mobile=False)
+
+    def picture(self, height: int | None = None) -> bytes:
+        """The page down to a height in pixels, or all of it, as PNG."""
         answer = self._ask("Page.captureScreenshot", format="png", captureBeyondViewport=True,
                            clip={"x": 0, "y": 0, "scale": 1,
                                  "width": self.evaluate("document.documentElement.clientWidth"),
-                                 "height": self.evaluate("document.documentElement.scrollHeight")})
+                                 "height": height or self.evaluate("document.documentElement.scrollHeight")})
         return base64.b64decode(answer["data"])
 
     def _ask(self, method, **parameters):
@@ -141,3 +147,10 @@ class Browser:
             self.complaints.append(message["params"])
         elif event == "Network.requestWillBeSent":
             self.requests.append(message["params"]["request"]["url"])
+
+
+if __name__ == "__main__":
+    page, picture, width, height = sys.argv[1:]
+    with Browser(find_browser(), int(width)) as browser:
+        browser.open(Path(page))
+        Path(picture).write_bytes(browser.picture(int(height)))

@@ -12,7 +12,7 @@ from mutate import imports
 SRC = Path(__file__).resolve().parents[2] / "src"
 PACKAGE = SRC / "car_interface"
 SENSING = ("common", "teensy/link", "teensy/sensing")
-PARTS = (*SENSING, "interlock", "steering", "throttle", "planner", "teleop", "pca9685")
+PARTS = (*SENSING, "interlock", "steering", "throttle", "planner", "teleop", "pca9685", "black_box")
 FITS = ("tools/recordings", "tools/calibration")
 # What each folder may import beside itself. A simulated device that shared code with what it tests would prove nothing.
 MAY_IMPORT = {
@@ -23,13 +23,14 @@ MAY_IMPORT = {
     "planner": ("common",),
     "teleop": ("common", "interlock"),
     "pca9685": ("common",),
+    "black_box": ("common", "steering"),  # which source steers, in turn_arb's state
     "teensy/link": ("common",),
     "teensy/sensing": SENSING,
     "sim": ("common",),
     "ros": (*PARTS, "sim"),
-    # One node calibrates while it drives; and it writes what calibrate_steering would.
+    # One node calibrates while it drives; and it writes what calibrate_steering would. Another one checks a new car.
     "nodes": (*PARTS, "sim", "ros", *(f"tools/{name}" for name in (
-        "calibration", "calibration/drive", "calibration/steering"))),
+        "calibration", "calibration/drive", "calibration/steering", "first_check"))),
     "tools/recordings": PARTS,
     "tools/report": (*PARTS, "tools/recordings"),
     "tools/calibration": ("common", "tools/recordings"),
@@ -40,14 +41,16 @@ MAY_IMPORT = {
     "tools/cli": (*PARTS, *FITS, "tools/report", "tools/calibration/esc", "tools/calibration/steering",
                   "tools/calibration/value_map"),
     "tools/doctor": (*PARTS, "ros"),
-    "tools/host_setup": ("common",),
+    "tools/first_check": (*PARTS, "tools/report"),
+    "tools/host_setup": ("common", "teleop"),
 }
 ROS = ("nodes/", "ros/", "tools/doctor/topics.py")
 # Libraries, and the only places that import them.
 ONLY_IN = {
     "rospy": ROS,
+    "rosbag": ("nodes/black_box.py",),
     "rosbags": ("tools/recordings/",),
-    "evdev": ("nodes/keyboard_drive/key_events.py",),
+    "evdev": ("nodes/keyboard_drive/key_events.py", "teleop/gamepad_device.py"),
     "jinja2": ("tools/report/html.py",),
     "matplotlib": ("tools/report/",),
     "tqdm": ("tools/recordings/", "tools/cli/"),
@@ -58,8 +61,8 @@ ONLY_IN = {
     "smbus2": ("nodes/pca9685/node.py", "tools/doctor/board.py"),
 }
 # Imported alone, a module outside of these pulls in none of the heavy ones.
-NOT_PURE = (*ROS, "teensy/link/port.py", "tools/doctor/cli.py", "tools/host_setup/cli.py", "tools/recordings/",
-            "tools/report/", "tools/cli/", "tools/calibration/")
+NOT_PURE = (*ROS, "teensy/link/port.py", "teleop/gamepad_device.py", "tools/doctor/cli.py", "tools/host_setup/",
+            "tools/recordings/", "tools/report/", "tools/cli/", "tools/calibration/")
 MODULES = sorted(PACKAGE.rglob("*.py"))
 HEAVY = ("rospy", "serial", "smbus2", "rosbags", "numpy")
 

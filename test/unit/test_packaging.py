@@ -20,7 +20,8 @@ LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch"))
 # Scripts that are run by hand and end by themselves; those for recordings and tables need no ROS.
 OFFLINE = {"bag_report", "calibrate_esc", "calibrate_steering", "calibrate_value_map", "check_map", "drives"}
 # Started by hand.
-TOOLS = {"calibration_drive", "doctor", "keyboard_drive", "setup_hardware", "wait_for_name"} | OFFLINE
+TOOLS = {"calibration_drive", "doctor", "first_check", "keyboard_drive", "map_gamepad", "setup_hardware",
+         "wait_for_name"} | OFFLINE
 NODES = [script for script in SCRIPTS if script.name not in OFFLINE]
 NODE_TESTS = sorted((ROOT / "test" / "process").glob("*.test"))
 # The rosdep keys of libraries that are not called like their key.
@@ -67,7 +68,8 @@ def listed_in_cmake(command: str) -> list[str]:
 
 def module_of(script: Path) -> str:
     """Returns the module below car_interface whose main() a script calls."""
-    return {"doctor": "tools.doctor.cli", "setup_hardware": "tools.host_setup.cli",
+    return {"doctor": "tools.doctor.cli", "map_gamepad": "tools.host_setup.map_gamepad",
+            "setup_hardware": "tools.host_setup.cli",
             "wait_for_name": "ros.wait_for_name"}.get(script.name, f"nodes.{script.name}")
 
 

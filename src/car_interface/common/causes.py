@@ -81,6 +81,7 @@ JOY_STALE = "joy silent"
 JOY_NEVER_RECEIVED = "joy never heard"
 JOY_NOT_FINITE = "joy not finite"
 JOY_INCOMPLETE = "joy incomplete"  # a configured axis or button is missing
+JOY_UNMAPPED = "joy unmapped"  # nobody has said what this gamepad's axes and buttons do
 # Its sticks.
 OVERRIDE = "override"  # the human has an actuator under a deadman that gives it to the planner
 # The planner gets the actuator back when the stick was centered for this long: more than a hand needs from one side of
@@ -115,7 +116,7 @@ THROTTLE_CUTS = frozenset({SPEED_LIMITED, CURVE_SLOWED, SPEED_LATE, ACCELERATION
                            OBSTACLE_SLOWED, SONAR_SILENT})
 
 # The gamepad has to be set right: to let go and hold again doesn't help.
-JOY_UNUSABLE = frozenset({JOY_INCOMPLETE, JOY_NOT_FINITE})
+JOY_UNUSABLE = frozenset({JOY_INCOMPLETE, JOY_UNMAPPED, JOY_NOT_FINITE})
 
 LOCKS = frozenset({E_STOP, E_STOP_STALE, E_STOP_NEVER_RECEIVED})
 # Causes for which the motion interlock inhibits steering and throttle.
@@ -126,4 +127,4 @@ STALE = frozenset({E_STOP_STALE, HUMAN_STALE, TELEOP_STALE, PLANNER_STALE, STEER
 NOT_FINITE = frozenset({TELEOP_NOT_FINITE, PLANNER_NOT_FINITE, COMMAND_NOT_FINITE, ODOMETRY_NOT_FINITE,
                         REQUEST_NOT_FINITE, JOY_NOT_FINITE})
 # Something worked and failed, as opposed to an operator who stopped the car or has not started it yet.
-LOSSES = STALE | NOT_FINITE | {NOT_REARMED, JOY_INCOMPLETE, ESC_MOTION, STEERING_NOT_HELD}
+LOSSES = STALE | NOT_FINITE | JOY_UNUSABLE | {NOT_REARMED, ESC_MOTION, STEERING_NOT_HELD}

@@ -20,7 +20,7 @@ from car_interface.common.input_file import finite_number, integer
 REQUIRED = object()
 DURATION_S = (0.0, 3600.0)  # range of every timeout: up to an hour
 BY_LAUNCH_FILE = "by the launch file that started this process"
-CONFIG_FOLDER = "config_folder"  # each launch file sets it to the folder that it has read; no node uses it
+CONFIG_FOLDER = "config_folder"  # each launch file sets it to the folder that it has read
 # What a launch file's arguments choose, by the parameter's name. roslaunch ignores an argument that is misspelt.
 LAUNCH_ARGUMENTS = {CONFIG_FOLDER: "config", "device": "i2c", "address": "address", "port": "port"}
 

@@ -18,6 +18,7 @@ from car_interface.common.staleness import DROPPED, TimedInput
 from car_interface.common.units import NS_PER_S
 
 STARTED = "this node has just started"
+UNLOCK = "it unlocks once somebody keeps publishing {} false"
 # How to re-arm, in the state message, the log and /diagnostics.
 REARM_REASON = "let go once: publish false, then true"
 EXPLANATION_TIMEOUT_S = 0.5  # teleop_logi sends its state 10 times a second
@@ -133,7 +134,8 @@ class MotionInterlock:
             return Inhibit(True, causes.E_STOP_NEVER_RECEIVED, "e_stop was never heard, and e_stop_required is true")
         for e_stop in (self._e_stop, self._phone_e_stop):
             if e_stop.was_received and e_stop.is_stale(now_ns):
-                return Inhibit(True, causes.E_STOP_STALE, e_stop.stale_reason(now_ns))
+                return Inhibit(True, causes.E_STOP_STALE,
+                               f"{e_stop.stale_reason(now_ns)}; {UNLOCK.format(e_stop.name)}")
             if e_stop.value:
                 return Inhibit(True, causes.E_STOP, f"{e_stop.name} is true")
         return None

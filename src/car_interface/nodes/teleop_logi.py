@@ -29,14 +29,18 @@ from std_msgs.msg import Bool, Float32, Int8, String
 from car_interface.common import causes
 from car_interface.common.causes import HUMAN_DRIVES
 from car_interface.common.declared import read_all
+from car_interface.common.errors import ConfigError
+from car_interface.common.params import CONFIG_FOLDER
 from car_interface.common.rate_timer import RateTimer
+from car_interface.interlock.motion_interlock import STARTED
 from car_interface.msg import TeleopState
 from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import ERROR, OK, WARN, Diagnostics, age_text
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, subscribe
-from car_interface.teleop.gamepad import REPORT, GamepadConfig, RequestsLogFilter, remedy
+from car_interface.teleop.gamepad import REPLACED, REPORT, Gamepad, GamepadConfig, RequestsLogFilter, remedy
 from car_interface.teleop.handover import PHONE_TOPIC, Handover
+from car_interface.teleop.mappings import config_for, load_entries, model_of
 
 RATE_HZ = 50
 TICKS_PER_STATE = 5
@@ -46,8 +50,10 @@ class TeleopLogi:
     """Reads the gamepad and publishes requests."""
 
     def __init__(self, params, inbox):
-        self._handover = Handover(read_all(params, GamepadConfig))
-        self._gamepad = self._handover.gamepad
+        self._config = read_all(params, GamepadConfig)
+        self._entries = load_entries(params.path(CONFIG_FOLDER, None))
+        self._model = None  # of the newest message's gamepad
+        self._handover = Handover(self._config)
         self._inbox = inbox
         self._published = None
         self._clocks = inbox.clocks
@@ -90,10 +96,20 @@ class TeleopLogi:
         self._human.publish(False)
 
     def _on_joy(self, message, now_ns):
-        self._gamepad.update(message.axes, message.buttons, now_ns)
+        model = model_of(message.header.frame_id, len(message.axes), len(message.buttons))
+        if model != self._model:
+            self._handover.gamepad = self._other_gamepad(model, STARTED if self._model is None else REPLACED)
+            self._model = model
+        self._handover.gamepad.update(message.axes, message.buttons, now_ns)
 
     def _on_phone(self, message, now_ns):
         self._handover.update_phone(message.axes, message.buttons, now_ns)
+
+    def _other_gamepad(self, model, rearm_reason):
+        try:
+            return Gamepad(config_for(model, self._config, self._entries), rearm_reason)
+        except ConfigError as error:
+            return Gamepad(self._config, rearm_reason, str(error))
 
     def _tick(self, now_ns):
         requests = self._handover.requests(now_ns)
@@ -150,7 +166,7 @@ class TeleopLogi:
             stamp=self._clocks.ros_now(), human_in_loop=requests.human_in_loop,
             cause=requests.cause, reason=requests.reason,
             steering_stick=requests.steering_stick, throttle_stick=requests.throttle_stick,
-            joy_age=self._gamepad.joy_age_s(now_ns)))
+            joy_age=self._handover.gamepad.joy_age_s(now_ns)))
 
     def _log(self, requests):
         is_loss = requests.cause in causes.LOSSES
@@ -173,10 +189,11 @@ class TeleopLogi:
         status.add("human in loop", requests.human_in_loop)
         status.add("steering stick", requests.steering_stick or "as the mode says")
         status.add("throttle stick", requests.throttle_stick or "as the mode says")
-        status.add("age of joy", age_text(self._gamepad.joy_age_s(now_ns)))
+        status.add("age of joy", age_text(self._handover.gamepad.joy_age_s(now_ns)))
         if self._handover.phone_is_heard:
             status.add("age of phone/joy", age_text(self._handover.phone_age_s(now_ns)))
-        status.add("axes, buttons", f"{self._gamepad.axes}, {self._gamepad.buttons}")
+        status.add("gamepad", self._model or "its messages name none")
+        status.add("axes, buttons", f"{self._handover.gamepad.axes}, {self._handover.gamepad.buttons}")
         for cause, count in sorted(self._losses.items()):
             status.add(f"times {cause}", count)
         return status

@@ -55,7 +55,7 @@ from car_interface.throttle.arbiter import NoValue
 from car_interface.throttle.calibration import trimmed
 from car_interface.throttle.config import ThrottleConfig
 from car_interface.throttle.control import ThrottleControl
-from car_interface.throttle.esc import ARMING, PASSES
+from car_interface.throttle.esc import ARMING, NO_BRAKE, PASSES
 
 RATE_HZ = 50
 LIVE_RATE = 100  # duty per second
@@ -213,7 +213,7 @@ class ThrottleArb(CommandNode):
             rospy.loginfo("ESC armed, profile %s", self._control.profile)
             self._warn_of_calibration_drive()
         elif esc.cause == causes.BRAKE_UNCERTAIN != before_cause:
-            self._warnings.warn(esc.cause, f"no brake: {esc.reason}")
+            self._warnings.warn(esc.cause, f"{NO_BRAKE}: {esc.reason}")
         self._log_limit(before, decision.limited)
 
     def _log_limit(self, before, limited):

@@ -18,6 +18,8 @@ from typing import Callable, Mapping
 
 import rospy
 from dynamic_reconfigure import server
+from dynamic_reconfigure.msg import Config, IntParameter
+from dynamic_reconfigure.srv import Reconfigure
 from std_srvs.srv import Trigger, TriggerResponse
 
 from car_interface.common.errors import ConfigError
@@ -148,6 +150,15 @@ class ReconfigureServer:
             success, message = _save(self._settings, self._parameters(self._tuning.accepted))
         (rospy.loginfo if success else rospy.logwarn)("save: %s", message)
         return TriggerResponse(success=success, message=message)
+
+
+def request_values(namespace: str, values: Mapping[str, int]) -> None:
+    """Have another node tune its values, as rqt_reconfigure does, and wait for that."""
+    try:
+        rospy.ServiceProxy(f"{namespace}/set_parameters", Reconfigure)(
+            Config(ints=[IntParameter(name, value) for name, value in values.items()]))
+    except (rospy.ServiceException, OSError) as error:
+        rospy.logwarn("%s can't be tuned: %s", namespace, error)
 
 
 def _save(settings, values):

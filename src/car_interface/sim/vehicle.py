@@ -111,6 +111,7 @@ class VehicleConfig:
             car rolls brakes, and at standstill reverse drives backward.
         slope: of the ground, all of which is one plane: metres up for each metre, 0.02 is 2 %.
         uphill_rad: the heading in which it rises.
+        on_box: its wheels hang in the air: they turn as on the ground, and it stays where it is.
     """
 
     steering: SteeringConfig = SteeringConfig()
@@ -122,6 +123,7 @@ class VehicleConfig:
     start: Pose = ORIGIN
     slope: float = 0.0
     uphill_rad: float = 0.0
+    on_box: bool = False
     esc: VirtualEscConfig | None = None
     tyres: TyreConfig | None = field(default_factory=TyreConfig)
 
@@ -221,7 +223,7 @@ class Vehicle:
         curvature_per_m = self._path_curvature_per_m(steered_per_m, (self.speed_mps + speed_mps) / 2)
         pulses = []
         if distance_m:
-            pose = self._pose_after(distance_m, curvature_per_m)
+            pose = self.pose if self.config.on_box else self._pose_after(distance_m, curvature_per_m)
             if self._collisions is not None and self._collisions.blocks(pose, distance_m, self.speed_mps):
                 speed_mps = 0.0
                 self.acceleration_mps2 = -self.speed_mps / dt_s
@@ -236,6 +238,8 @@ class Vehicle:
 
     def _path_curvature_per_m(self, steered_per_m: float, speed_mps: float) -> float:
         """Return the curvature of the path by the steering's."""
+        if self.config.on_box:
+            return 0.0
         if self._tyres is None:
             return steered_per_m
         if self.slides:

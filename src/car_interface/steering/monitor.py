@@ -24,6 +24,7 @@ WARNING_HYSTERESIS = 0.8  # a warning ends when the error is below this ratio of
 # Uncertainty of the wheels' heading over any distance: one pulse of one wheel, 1.5 cm, on a track of 0.3 m.
 HEADING_SIGMA_RAD = 0.05
 LEFT, RIGHT, STRAIGHT = "left", "right", "straight on"
+UNCALIBRATED = "steering calibration? Measure which duty drives"
 
 
 @dataclass(frozen=True)
@@ -226,10 +227,9 @@ class SteeringCheck:
     def _warn(self, side, driven):
         commanded = _curvature_text((driven.min_per_m + driven.max_per_m) / 2)
         went = _curvature_text(driven.yaw_rad / driven.distance_m)
-        text = f"commanded {commanded}, the car went {went}: steering calibration? "
-        self._warnings[side] = text + (
-            "See whether the servo, or the wheels' sensors, are the wrong way round"
-            if self._turns_to_the_wrong_side(driven) else f"Measure which duty drives {commanded}")
+        self._warnings[side] = f"commanded {commanded}, the car went {went}: " + (
+            "steering calibration? See whether the servo, or the wheels' sensors, are the wrong way round"
+            if self._turns_to_the_wrong_side(driven) else f"{UNCALIBRATED} {commanded}")
 
 
 def _sigma_per_m(driven):

@@ -23,10 +23,11 @@ from car_interface.interlock.motion_interlock import STARTED
 from car_interface.teleop.stick import Stick
 
 REARM_TEXT = "let go of the deadman, then hold it again"
+REPLACED = "another gamepad sends"  # as the reason to re-arm
 MAX_INDEX = 63  # of an axis or a button
 NONE = -1  # as an index: the gamepad has no such axis or button
 CHANGES_SCALE = "a press changes the scale of driving by hand by throttle_arb's `scale_step`; −1 = none"
-REPORT = "gamepad"  # teleop_logi's on /diagnostics
+REPORT, DRIVER_REPORT = "gamepad", "gamepad device"  # teleop_logi's and gamepad_joy's on /diagnostics
 # Remedies for a gamepad that doesn't work. Logitech's F310 and F710 have a switch: in X mode they have 8 axes and 11
 # buttons; in D mode 6 and 12, with the cross in the place of the right stick.
 MODE_REMEDY = ("Is the gamepad in another mode? A Logitech F710 or F310 needs its switch at X for the shipped indices. "
@@ -36,9 +37,10 @@ REST_REMEDY = ("Let go of the stick. If the axis stays where it is, it is a trig
                "override_deadband: set teleop_logi's indices, or throttle_axis -1; or override_deadband. ")
 REMEDIES = {
     causes.JOY_NEVER_RECEIVED: ("See whether joy_node runs and finds the gamepad: rostopic info {joy}; "
-                                "ls /dev/input/js*"),
+                                "rostopic echo -n 1 /diagnostics"),
     causes.JOY_STALE: "See whether the gamepad is on, charged and in range and joy_node runs: rostopic hz {joy}",
     causes.JOY_INCOMPLETE: MODE_REMEDY,
+    causes.JOY_UNMAPPED: "Map it: rosrun car_interface map_gamepad FOLDER, with your car's folder; then launch again",
     causes.NOT_AT_REST: REST_REMEDY + MODE_REMEDY,
     causes.JOY_NOT_FINITE: "See what sends it: rostopic info {joy}; rostopic echo {joy}",
 }
@@ -156,14 +158,18 @@ class Gamepad:
     """Converts the gamepad's newest message to requests.
 
     Args:
-        config: its axes and buttons.
+        config: what its axes and buttons do.
+        rearm_reason: why the deadmen must be released first.
+        unmapped: why it drives nothing, as nobody has said what they do; empty: somebody has.
         topic, name: in reasons.
     """
 
-    def __init__(self, config: GamepadConfig, topic: str = "joy", name: str = "the gamepad"):
+    def __init__(self, config: GamepadConfig, rearm_reason: str = STARTED, unmapped: str = "", topic: str = "joy",
+                 name: str = "the gamepad"):
         self._config, self._name = config, name
+        self._unmapped = unmapped
         self._joy = TimedInput(topic, config.joy_timeout_s)
-        self._rearm_reason = STARTED  # why the deadmen must be released first; empty: they were
+        self._rearm_reason = rearm_reason  # empty: they were released
         self.axes = self.buttons = 0  # how many the newest message had
         self._scale_button = 0
         self._steering = Stick(config.override_deadband, brakes=False)
@@ -182,12 +188,13 @@ class Gamepad:
         if was_stale or (len(axes), len(buttons)) != (self.axes, self.buttons):
             self._distrust_sticks()
         self.axes, self.buttons = len(axes), len(buttons)
-        self._scale_button = (self._is_pressed(self._config.faster_button, buttons)
-                              - self._is_pressed(self._config.slower_button, buttons))
         broken = self._broken(axes)
         if broken is None:
+            self._scale_button = (self._is_pressed(self._config.faster_button, buttons)
+                                  - self._is_pressed(self._config.slower_button, buttons))
             self._joy.update(self._read(axes, buttons, now_ns), now_ns)
         else:
+            self._scale_button = 0
             self._distrust_sticks()
             self._joy.update(broken, now_ns)
 
@@ -227,6 +234,8 @@ class Gamepad:
     def _broken(self, axes):
         """Return the requests where the message can't be used, else ``None``."""
         config = self._config
+        if self._unmapped:
+            return self._released(causes.JOY_UNMAPPED, self._unmapped)
         missing = missing_index(config, self.axes, self.buttons)
         if missing is not None:
             name, reason = missing

@@ -25,22 +25,23 @@ class Handover:
         config: the gamepad's. The phone has the same neutral and dead bands, and indices of its own.
 
     Attributes:
-        gamepad: for its counts and ages.
+        gamepad: for its messages, counts and ages; another one may take its place.
         phone_is_heard: a phone's message ever arrived.
+        phone_is_current: the newest requests are the phone's.
     """
 
     def __init__(self, config: GamepadConfig):
         self.gamepad = Gamepad(config)
-        self._phone = Gamepad(
-            replace(config, steer_axis=STEERING, throttle_axis=THROTTLE, manual_button=MANUAL,
-                    autonomous_button=AUTONOMOUS, faster_button=FASTER, slower_button=SLOWER, third_button=NONE,
-                    steer_scale=1.0, throttle_scale=1.0, joy_timeout_s=PHONE_TIMEOUT_S), PHONE_TOPIC, "the phone")
+        phones = replace(config, steer_axis=STEERING, throttle_axis=THROTTLE, manual_button=MANUAL,
+                         autonomous_button=AUTONOMOUS, faster_button=FASTER, slower_button=SLOWER, third_button=NONE,
+                         steer_scale=1.0, throttle_scale=1.0, joy_timeout_s=PHONE_TIMEOUT_S)
+        self._phone = Gamepad(phones, topic=PHONE_TOPIC, name="the phone")
         self._neutral = config.steer_neutral
         self.phone_is_heard = False
         self._phone_drives = False
         self._gamepad_holds = False
         self._gamepad_must_release = self._phone_must_release = False
-        self._current = self.gamepad  # the one of which the requests are
+        self.phone_is_current = False
 
     def update_phone(self, axes: Sequence[float], buttons: Sequence[int], now_ns: int) -> None:
         """Take a message of phone_drive."""
@@ -59,12 +60,7 @@ class Handover:
 
     def scale_button(self, now_ns: int) -> int:
         """Return 1 or −1 while the button for more or less speed by hand is pressed; 0: neither is, or both are."""
-        return self._current.scale_button(now_ns)
-
-    @property
-    def phone_is_current(self) -> bool:
-        """Return whether the newest requests are the phone's."""
-        return self._current is self._phone
+        return (self._phone if self.phone_is_current else self.gamepad).scale_button(now_ns)
 
     def phone_age_s(self, now_ns: int) -> float:
         """Return the seconds since the phone's last message; inf = never received."""
@@ -78,9 +74,9 @@ class Handover:
         self._phone_must_release = phone.holds_deadman and (self._phone_must_release or gamepad.holds_deadman)
         self._phone_drives = phone.human_in_loop and not self._phone_must_release
         if gamepad.holds_deadman:
-            self._current = self.gamepad
+            self.phone_is_current = False
         elif phone.holds_deadman or not self.gamepad.axes:
-            self._current = self._phone
+            self.phone_is_current = True
         if self.phone_is_current:
             return self._count(phone, self._phone_must_release, "the gamepad's deadman was held", "phone: ",
                                self.gamepad, now_ns)

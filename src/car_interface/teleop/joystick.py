@@ -1,88 +1,153 @@
-"""Reads the Linux joystick interface (/dev/input/js*): bytes in, the state of a gamepad's axes and buttons out.
+"""Converts a gamepad's input events to its axes and buttons, as the kernel's joystick interface numbers them.
 
-Sources: Linux, Documentation/input/joydev/joystick-api.rst and include/uapi/linux/joystick.h, for the events; the ROS
-package joy, for scale, sign, dead zone and pacing of the messages.
+That interface (joydev) isn't built on every computer. Users' configurations have its numbers: axes by ascending code;
+buttons likewise, but those from BTN_JOYSTICK on first. Sources: Linux, drivers/input/joydev.c, joydev_connect and
+joydev_correct, for numbers and scale; Documentation/input/event-codes.rst for SYN_DROPPED; the ROS package joy for
+sign, dead zone and pacing of the messages.
 """
 from __future__ import annotations
 
 import math
-import struct
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Iterable, Mapping, NamedTuple
 
 from car_interface.common import declared
+from car_interface.common.errors import ConfigError
 from car_interface.common.units import NS_PER_S
+from car_interface.teleop.input_devices import ANY
 
-# struct js_event: __u32 time in ms; __s16 value; __u8 type; __u8 number, in the computer's own byte order.
-EVENT = struct.Struct("=IhBB")
-BUTTON, AXIS, INIT = 0x01, 0x02, 0x80  # INIT is added to the others' bits: the state when the device was opened
-MAX_VALUE = 32767  # of an axis, to either side
-MAX_INPUTS = 64  # axes or buttons: no gamepad has more, and a corrupt number must not make a message long
+EV_SYN, EV_KEY, EV_ABS = 0, 1, 3  # linux/input-event-codes.h
+SYN_REPORT, SYN_DROPPED = 0, 3
+BTN_MISC, BTN_JOYSTICK = 0x100, 0x120
+RELEASED, PRESSED = 0, 1  # values of EV_KEY; 2 is a repeat
 
 
 @dataclass(frozen=True)
 class JoystickConfig:
-    """The gamepad, and how its state is published."""
+    """The gamepad, and how its state is published.
 
-    dev: str = declared.path("dev", "/dev/input/js0", "the device")
+    Raises:
+        ConfigError: naming the parameter.
+    """
+
+    dev: str = declared.text("dev", ANY, "path of the gamepad's device; `auto` = the only gamepad that there is")
     deadzone: float = declared.number("deadzone", 0.05, "so far from its middle an axis is 0", low=0, high=0.9)
     autorepeat_hz: float = declared.number(
-        "autorepeat_rate", 20.0, "messages without a change, which teleop_logi needs; 0 = none, joy_node's own default",
-        "Hz", low=0, high=1000)
+        "autorepeat_rate", 20.0, "messages without a change, which teleop_logi needs; 0 = none", "Hz", low=0, high=1000)
     coalesce_s: float = declared.number(
         "coalesce_interval", 0.001, "an axis waits so long for others", "s", low=0, high=1)
 
+    def __post_init__(self):
+        if self.dev != ANY and not self.dev.startswith("/"):
+            raise ConfigError("dev", self.dev, f"{ANY}, or a path such as /dev/input/event5")
+
+
+class Event(NamedTuple):
+    """An input event: evdev.InputEvent has the same names."""
+
+    type: int
+    code: int
+    value: int
+
+
+class AxisRange(NamedTuple):
+    """The range of an axis, in the device's units."""
+
+    minimum: int
+    maximum: int
+    flat: int  # so far from its middle it is 0
+
 
 class Change(NamedTuple):
-    """The gamepad's state after a change, and whether it must be published at once."""
+    """The gamepad's state after a report."""
 
     axes: tuple[float, ...]
     buttons: tuple[int, ...]
-    is_urgent: bool  # a button; an axis or the initial state waits for what comes with it
+    is_urgent: bool  # a button has changed: it must be published at once; an axis waits for others
 
 
 class Joystick:
     """The state of a gamepad.
 
+    A button counts from its next press on: one that is held at the start, or was while events were lost, first has to
+    be released.
+
     Args:
+        keys: the codes of its keys.
+        ranges: of its axes, by code.
         deadzone: within this distance of its middle an axis is 0, 0 to less than 1; beyond it the axis rises from 0.
 
     Attributes:
         axes: −1..1; left and forward are positive, as in sensor_msgs/Joy of the package joy.
         buttons: 0 or 1.
-        ignored: events of no known kind, or of an input with a number that no gamepad has.
+        losses: how often the kernel dropped events, as this was read too late.
+        is_lost: events were dropped, and the positions of the axes must be read: ``read_axes``.
     """
 
-    def __init__(self, deadzone: float = 0.05):
-        self.axes: list[float] = []
-        self.buttons: list[int] = []
-        self.ignored = 0
+    def __init__(self, keys: Iterable[int], ranges: Mapping[int, AxisRange], deadzone: float = 0.05):
+        buttons = sorted((code for code in keys if code >= BTN_MISC), key=lambda code: (code < BTN_JOYSTICK, code))
+        self._buttons = {code: number for number, code in enumerate(buttons)}
+        self._axes = {code: number for number, code in enumerate(sorted(ranges))}
+        self._ranges = ranges
         self._deadzone = deadzone
-        self._rest = b""  # the beginning of an event
+        self.axes = [0.0] * len(ranges)
+        self.buttons = [0] * len(buttons)
+        self.losses = 0
+        self.is_lost = self._is_dropping = self._has_button = self._has_axis = False
 
-    def receive(self, data: bytes) -> list[Change]:
-        """Return the changes by bytes that were read, in order; an event may be split over two reads."""
-        data = self._rest + data
-        whole = len(data) - len(data) % EVENT.size
-        self._rest = data[whole:]
+    def read_axes(self, positions: Mapping[int, int]) -> Change:
+        """Take the positions of all axes, by code, as they are now."""
+        self.is_lost = False
+        for code, position in positions.items():
+            self.axes[self._axes[code]] = self._scaled(code, position)
+        return self._change(is_urgent=False)
+
+    def receive(self, events: Iterable[Event]) -> list[Change]:
+        """Return the changes by all events that were read at once, a report each."""
         changes = []
-        for _, value, bits, number in EVENT.iter_unpack(data[:whole]):
-            is_initial, kind = bool(bits & INIT), bits & ~INIT
-            if kind not in (BUTTON, AXIS) or number >= MAX_INPUTS:
-                self.ignored += 1
-                continue
-            if kind == BUTTON:
-                _put(self.buttons, number, int(value != 0), 0)
-            else:
-                _put(self.axes, number, self._scaled(value), 0.0)
-            changes.append(Change(tuple(self.axes), tuple(self.buttons), kind == BUTTON and not is_initial))
+        for event in events:
+            if event.type == EV_SYN and event.code == SYN_DROPPED:
+                changes.append(self._drop())
+            elif event.type == EV_SYN and event.code == SYN_REPORT:
+                changes += self._report()
+            elif not self._is_dropping and not self.is_lost:
+                self._take(event)
         return changes
 
-    def _scaled(self, value):
+    def _drop(self):
+        """Release everything: what was dropped may have been a release. The rest of this report is incomplete."""
+        self._is_dropping, self._has_button, self._has_axis = True, False, False
+        self.losses += 1
+        self.buttons = [0] * len(self.buttons)
+        return self._change(is_urgent=True)
+
+    def _report(self):
+        if self._is_dropping:
+            self._is_dropping, self.is_lost = False, True
+        changes = [self._change(self._has_button)] if self._has_button or self._has_axis else []
+        self._has_button = self._has_axis = False
+        return changes
+
+    def _take(self, event):
+        if event.type == EV_KEY and event.code in self._buttons and event.value in (RELEASED, PRESSED):
+            self.buttons[self._buttons[event.code]] = event.value
+            self._has_button = True
+        elif event.type == EV_ABS and event.code in self._axes:
+            self.axes[self._axes[event.code]] = self._scaled(event.code, event.value)
+            self._has_axis = True
+
+    def _change(self, is_urgent):
+        return Change(tuple(self.axes), tuple(self.buttons), is_urgent)
+
+    def _scaled(self, code, position):
         """Return an axis's value; the kernel's are negative to the left and forward."""
-        ratio = min(abs(value) / MAX_VALUE, 1.0)
+        low, high, flat = self._ranges[code]
+        middle, half = int((low + high) / 2), (high - low) // 2 - 2 * flat
+        if half <= 0:
+            return 0.0
+        ratio = min(max(0, abs(position - middle) - flat) / half, 1.0)
         beyond = max(0.0, ratio - self._deadzone) / (1.0 - self._deadzone)
-        return math.copysign(beyond, -value) if beyond else 0.0
+        return math.copysign(beyond, middle - position) if beyond else 0.0
 
 
 class Pacing:
@@ -109,9 +174,3 @@ class Pacing:
     def stop(self) -> None:
         """Stop repeating the last state: the device is gone."""
         self.due_ns = math.inf
-
-
-def _put(values, index, value, empty):
-    """Set a value in a list that grows as far as needed."""
-    values.extend([empty] * (index + 1 - len(values)))
-    values[index] = value

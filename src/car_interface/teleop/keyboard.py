@@ -19,6 +19,7 @@ from car_interface.teleop.gamepad import MAX_INDEX, NONE
 LEFT, RIGHT, FORWARD, BACKWARD = "left", "right", "forward", "backward"
 SLOWLY_FORWARD, SLOWLY_BACKWARD, MORE, LESS = "slowly forward", "slowly backward", "more", "less"
 MANUAL, AUTONOMOUS, RELEASE, QUIT = "manual", "autonomous", "release", "quit"
+THROTTLE_KEYS = frozenset({FORWARD, BACKWARD, SLOWLY_FORWARD, SLOWLY_BACKWARD})
 # "=" is "+" without Shift on many keyboards.
 CHARACTERS = {"a": LEFT, "d": RIGHT, "w": FORWARD, "s": BACKWARD, "e": SLOWLY_FORWARD, "c": SLOWLY_BACKWARD, "+": MORE,
               "=": MORE, "-": LESS, "m": MANUAL, "p": AUTONOMOUS, " ": RELEASE, "q": QUIT}
@@ -29,8 +30,10 @@ CUT_SEQUENCE = re.compile(r"\x1b([\[O][0-9;]{0,8})?$")
 HOLD_NS = 7 * NS_PER_S // 10  # longer than the delay before a key repeats: 0.25 s on a console, 0.5 to 0.66 s under X
 PAIR_NS = 3 * NS_PER_S // 10  # between a press and its character at most
 STEERING_PER_S = 4.0  # a quarter of a second from the centre to the end, so that a touch steers a little
-# A slow push begins at throttle_arb's dead band. With a scale of 0.5 it takes four seconds to where a car sets off.
-SLOWLY_PER_S, SLOWLY_FROM = 0.07, 0.05
+# A push begins above throttle_arb's dead band, and is full after half a second, so that a touch moves a car a little.
+PUSH_FROM, PUSH_PER_S = 0.1, 1.8
+# A slow one begins at the dead band. With a scale of 0.5 it takes four seconds to where a car sets off.
+SLOWLY_FROM, SLOWLY_PER_S = 0.05, 0.07
 
 
 def _teleop(declare, name, default, *arguments, **accepted):
@@ -74,7 +77,8 @@ def help_text(has_releases: bool) -> str:
                                          f"is released, so each counts for {HOLD_NS / NS_PER_S:g} s")
     return ("M        deadman: you drive\n"
             "P        deadman: the planner drives, until you steer or push\n"
-            "W A S D  or the arrows: faster, left, slower, right\n"
+            "W A S D  or the arrows: faster, left, slower, right; the longer, the more\n"
+            "S M S    reverse: hold S until it stands; then M alone for a second; then S\n"
             "E C      push and pull slowly, to see where the car sets off\n"
             "+ -      more and less throttle by W, A, S, D: wait a second between two\n"
             "space    let go of everything\n"
@@ -123,7 +127,8 @@ class Keyboard:
         self._released_ns = -PAIR_NS  # when the newest release was
         self._codes: dict[str, int] = {}  # of the keys that count until their release
         self._typed_ns: dict[str, int] = {}  # of those that count for a time
-        self._steering = self._slowly = 0.0
+        self._steering = self._pushed = 0.0
+        self._push: tuple[int, float] | None = None  # which way, and how fast it grows
         self._steered_ns: int | None = None  # when ``controls`` was last called
 
     def press(self, code: int, now_ns: int) -> None:
@@ -155,6 +160,9 @@ class Keyboard:
             # Only the newest key repeats: the deadman's characters end when another key is held.
             held = self._held(now_ns)
             self._typed_ns.update({held_key: now_ns for held_key in (MANUAL, AUTONOMOUS) if held_key in held})
+            # A brake right after a push, as calibrate_esc needs it, doesn't wait until the push is over.
+            rivals = next((keys - {key} for keys in (THROTTLE_KEYS, {LEFT, RIGHT}) if key in keys), ())
+            self._typed_ns = {typed: at_ns for typed, at_ns in self._typed_ns.items() if typed not in rivals}
             self._typed_ns[key] = now_ns
         return self._counts_without_release
 
@@ -163,16 +171,16 @@ class Keyboard:
         self._down.clear()
         self._codes.clear()
         self._typed_ns.clear()
-        self._steering = self._slowly = 0.0
+        self._steering, self._push = 0.0, None
 
     def controls(self, now_ns: int) -> Controls:
-        """Return the requests; none without a deadman. Steering and slow pushes move on from call to call."""
+        """Return the requests; none without a deadman. Steering and pushes move on from call to call."""
         held = self._held(now_ns)
         elapsed_s = 0.0 if self._steered_ns is None else (now_ns - self._steered_ns) / NS_PER_S
         step = STEERING_PER_S * elapsed_s
         self._steered_ns = now_ns
         if not held & {MANUAL, AUTONOMOUS}:
-            self._steering = self._slowly = 0.0
+            self._steering, self._push = 0.0, None
             return Controls()
         target = (LEFT in held) - (RIGHT in held)
         self._steering = max(self._steering - step, min(self._steering + step, target))
@@ -180,12 +188,15 @@ class Keyboard:
                         (MORE in held) - (LESS in held))
 
     def _throttle(self, held, elapsed_s):
-        way = (SLOWLY_FORWARD in held) - (SLOWLY_BACKWARD in held)
-        if held & {FORWARD, BACKWARD} or not way:
-            self._slowly = 0.0
-            return float((FORWARD in held) - (BACKWARD in held))
-        self._slowly = min(1.0, self._slowly + SLOWLY_PER_S * elapsed_s) if self._slowly else SLOWLY_FROM
-        return way * self._slowly
+        for ahead, back, start, per_s in ((FORWARD, BACKWARD, PUSH_FROM, PUSH_PER_S),
+                                          (SLOWLY_FORWARD, SLOWLY_BACKWARD, SLOWLY_FROM, SLOWLY_PER_S)):
+            if held & {ahead, back}:
+                push = (ahead in held) - (back in held), per_s
+                self._pushed = min(1.0, self._pushed + per_s * elapsed_s) if push == self._push else start
+                self._push = push
+                return push[0] * self._pushed
+        self._push = None
+        return 0.0
 
     def _held(self, now_ns):
         return set(self._codes) | {key for key, at_ns in self._typed_ns.items() if now_ns - at_ns <= HOLD_NS}

@@ -53,6 +53,7 @@ STATE_NAMES = ("ARMING", "NEUTRAL", "FORWARD", "BRAKING", "HOLD", "REVERSE")
 
 STARTED = "this node has just started"
 NO_PULSE = "the servo board gave no pulse"
+NO_BRAKE = "no brake"  # before the reason, in the log
 PASSES = "calibration drive: the ESC gets the stick as it is, and a brake may become reverse"
 # After this time in neutral a stop no longer trusts the ESC to remember that it drove forward, whatever
 # reverse_after_neutral is. No ESC is known to forget within a second (a figure of light controllers for cheap ESCs).

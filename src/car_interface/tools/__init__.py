@@ -1,1 +1,1 @@
-"""What works on recordings, tables and the computer; nothing here drives the car, except calibration_drive's rules."""
+"""What works on recordings, tables and the computer; of what drives, the rules of calibration_drive and first_check."""

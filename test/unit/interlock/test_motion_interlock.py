@@ -26,7 +26,8 @@ DROPPED = ("dropped", None)  # messages, before they got here
 NOTHING_GRANTED = {"grant_at_start": False}
 WAITS = (False, "starting", "this node has just started: it waits up to 1 s for e_stop")
 TO_REARM = (False, "not re-armed", "this node has just started; let go once: publish false, then true")
-E_STOP_UNKNOWN = (True, "e_stop silent", "e_stop was not heard since messages were dropped")
+UNLOCK = "it unlocks once somebody keeps publishing e_stop false"
+E_STOP_UNKNOWN = (True, "e_stop silent", f"e_stop was not heard since messages were dropped; {UNLOCK}")
 WERE_DROPPED = (False, "not re-armed", "messages were dropped; let go once: publish false, then true")
 GAMEPAD = "the gamepad has 4 axes (0 to 3), but throttle_axis is 4"
 
@@ -54,7 +55,8 @@ LOCKED = (True, "e_stop", "e_stop is true")
 NEVER_HEARD = (True, "e_stop never heard", "e_stop was never heard, and e_stop_required is true")
 PAUSE = ("silence", 400 * MS)
 LOCKED_BY_PHONE = (True, "e_stop", "phone/e_stop is true")
-PHONE_SILENT = (True, "e_stop silent", "phone/e_stop silent for 1.13 s")
+PHONE_UNLOCKS = "it unlocks once somebody keeps publishing phone/e_stop false"
+PHONE_SILENT = (True, "e_stop silent", f"phone/e_stop silent for 1.13 s; {PHONE_UNLOCKS}")
 
 
 @pytest.mark.parametrize("events, inhibit", [
@@ -66,7 +68,7 @@ PHONE_SILENT = (True, "e_stop silent", "phone/e_stop silent for 1.13 s")
     ([HOLD, E_STOP, PHONE_CLEARS, LET_GO, HOLD], LOCKED),
     ([HOLD, PHONE_CLEARS, LONG_SILENCE, RUN, LET_GO, HOLD], PHONE_SILENT),
     ([HOLD, PHONE_STOPS, PHONE_CLEARS, DROPPED, RUN, LET_GO, HOLD],
-     (True, "e_stop silent", "phone/e_stop was not heard since messages were dropped")),
+     (True, "e_stop silent", f"phone/e_stop was not heard since messages were dropped; {PHONE_UNLOCKS}")),
     ([HOLD, PHONE_STOPS, PHONE_CLEARS, DROPPED, RUN, PHONE_CLEARS, HOLD], WERE_DROPPED),
 ])
 def test_phone_s_e_stop_is_ored_with_the_other_one_and_must_go_on_once_it_was_heard(events, inhibit):
@@ -95,7 +97,7 @@ def test_required_e_stop_is_not_replaced_by_the_phone_s():
     ([HOLD, E_STOP, LET_GO, HOLD], LOCKED),
     ([HOLD, E_STOP, RUN], WAS_LOCKED),
     ([HOLD, E_STOP, LET_GO, HOLD, RUN], WAS_LOCKED),
-    ([RUN, HOLD, PAUSE, HOLD, PAUSE, HOLD, PAUSE], (True, "e_stop silent", "e_stop silent for 1.23 s")),
+    ([RUN, HOLD, PAUSE, HOLD, PAUSE, HOLD, PAUSE], (True, "e_stop silent", f"e_stop silent for 1.23 s; {UNLOCK}")),
     ([RUN, LONG_SILENCE, RUN, HOLD], WAS_LOCKED),
 ], ids=str)
 def test_car_may_move_by_a_deadman_that_is_held_and_was_let_go_since_the_last_loss(events, inhibit):

@@ -18,8 +18,8 @@ SCRIPTS = sorted((ROOT / "scripts").iterdir())
 NODES = [script for script in SCRIPTS if '"nodes.' in script.read_text(encoding="utf-8")]
 COMMANDS = [script for script in SCRIPTS if script not in NODES]
 WITH_OPTIONS = ("calibration_drive",)  # their usage lists them
-# ROS's own, which an interpreter for unit tests may lack.
-LIBRARIES = {"setup_hardware": "rospkg", "wait_for_name": "rosgraph"}
+# Those that an interpreter for unit tests may lack.
+LIBRARIES = {"map_gamepad": "evdev", "setup_hardware": "rospkg", "wait_for_name": "rosgraph"}
 
 
 def test_there_is_a_script_for_every_node():

@@ -40,6 +40,14 @@ def frictionless():
     return VehicleConfig(steering=PLAIN.steering, drive=drive, tyres=None)
 
 
+def test_wheels_of_a_car_on_a_box_turn_alike_and_it_stays_where_it_is():
+    vehicle = Vehicle(replace(PLAIN, on_box=True, start=Pose(1.0, 2.0, 0.5)))
+    pulses = drive(vehicle, 1.0, LEFT_DUTY, FULL)
+    counts = [sum(pulse.side == side for pulse in pulses) for side in (LEFT, RIGHT)]
+    assert vehicle.pose == Pose(1.0, 2.0, 0.5) and vehicle.yaw_rate_radps == 0.0 and vehicle.speed_mps > 1.0
+    assert abs(counts[0] - counts[1]) <= 1 < min(counts) and vehicle.steered_per_m == 1.0
+
+
 @given(st.floats(1638, 8192), st.floats(1638, 8192))
 def test_steering_with_more_duty_never_turns_more_to_the_left(one, other):
     vehicle = Vehicle()

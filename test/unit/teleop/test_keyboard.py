@@ -96,10 +96,20 @@ def test_steering_takes_a_quarter_of_a_second_to_the_end_and_back():
 
 
 @pytest.mark.parametrize("keys, steering, throttle", [
-    ((LEFT,), 1.0, 0.0), ((LEFT, RIGHT), 0.0, 0.0), ((BACKWARD,), 0.0, -1.0), ((FORWARD, BACKWARD), 0.0, 0.0),
-    ((RIGHT, FORWARD), -1.0, 1.0)])
-def test_held_keys_add_up(keys, steering, throttle):
+    ((LEFT,), 1.0, 0.0), ((LEFT, RIGHT), -1.0, 0.0), ((BACKWARD,), 0.0, -1.0), ((FORWARD, BACKWARD), 0.0, -1.0),
+    ((SLOWLY_FORWARD, BACKWARD), 0.0, -1.0), ((RIGHT, FORWARD), -1.0, 1.0)])
+def test_without_releases_the_newest_of_opposite_keys_counts(keys, steering, throttle):
     assert typed((MANUAL, 0), *((key, 0) for key in keys), until_ms=500) == Controls(steering, throttle, manual=True)
+
+
+def test_push_grows_for_half_a_second_and_ends_at_once_and_the_other_way_begins_anew():
+    steps = [(MANUAL, 0), (FORWARD, 0)]
+    assert typed(*steps, until_ms=0).throttle == pytest.approx(0.1)
+    assert typed(*steps, until_ms=250).throttle == pytest.approx(0.55, abs=0.05)
+    assert typed(*steps, until_ms=600).throttle == 1.0
+    assert typed(*steps, (MANUAL, 600), until_ms=720).throttle == 0.0
+    assert typed(*steps, (RELEASE, 600), (MANUAL, 620), (BACKWARD, 620), until_ms=720).throttle == pytest.approx(
+        -0.28, abs=0.05)
 
 
 @pytest.mark.parametrize("counts, until_ms", [(False, -1), (True, 700)])
@@ -171,7 +181,7 @@ def test_once_all_keys_were_released_for_a_second_nothing_is_held(steps, counts)
         elif kind != "wait":
             (keyboard.press if kind == "press" else keyboard.release)(value, now_ns)
         found = keyboard.controls(now_ns)
-        assert -1 <= found.steering <= 1 and found.throttle in (-1.0, 0.0, 1.0)
+        assert -1 <= found.steering <= 1 and -1 <= found.throttle <= 1
     for code in (CODE_M, CODE_W, CODE_A):
         keyboard.release(code, now_ns)
     assert keyboard.controls(now_ns + S) == Controls()
@@ -200,8 +210,8 @@ def held(*keys, seconds):
 
 @pytest.mark.parametrize("keys, throttles", [
     ((SLOWLY_FORWARD,), [0.05, 0.12, 0.19, 0.26]), ((SLOWLY_BACKWARD,), [-0.05, -0.12, -0.19, -0.26]),
-    ((SLOWLY_FORWARD, FORWARD), [1.0] * 4), ((SLOWLY_FORWARD, BACKWARD), [-1.0] * 4),
-    ((SLOWLY_FORWARD, SLOWLY_BACKWARD), [0.0] * 4)])
+    ((SLOWLY_FORWARD, FORWARD), [0.1, 1.0, 1.0, 1.0]), ((SLOWLY_FORWARD, BACKWARD), [-0.1, -1.0, -1.0, -1.0]),
+    ((SLOWLY_FORWARD, SLOWLY_BACKWARD), [-0.05, -0.12, -0.19, -0.26])])
 def test_slow_key_alone_pushes_ever_farther_from_the_dead_band_on(keys, throttles):
     assert held(*keys, seconds=3) == pytest.approx(throttles)
 

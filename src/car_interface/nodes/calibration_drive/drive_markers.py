@@ -14,7 +14,7 @@ LINE_M, HEIGHT_M = 0.02, 0.02
 ARC_M, MAX_ARC_RAD, ARC_STEPS = 1.6, 2.6, 16  # of the arcs by radius, from the car
 WIDEST_M = 40.0  # wider turns can't be told from straight on
 TEXT_M, TEXT_COLUMNS = 0.14, 28
-BEHIND_M, ABOVE_M = 0.8, 0.4  # where no arc lies, and above what car_display writes there
+BEHIND_M, ABOVE_M = 0.8, 0.7  # where no arc lies, and seen from above still over car_display's two lines
 AREA, START = ColorRGBA(0.35, 0.35, 0.4, 1.0), ColorRGBA(0.35, 0.35, 0.4, 1.0)
 PATH, TEXT = ColorRGBA(0.75, 0.0, 0.75, 1.0), ColorRGBA(0.1, 0.1, 0.1, 1.0)
 # No arc is blue as the trail, which car_display draws, or as orange as its arrow.

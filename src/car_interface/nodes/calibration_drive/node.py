@@ -10,6 +10,7 @@ Publishes, at 50 Hz while it may drive, without --stick:
 And:
     ~markers (visualization_msgs/MarkerArray, latched, 5 Hz): the area, where it goes, what is known of which radius;
         with --stick what to do in place of the first two.
+    ~result (std_msgs/String, at the end): the new table, for the recording, of which bag_report makes the page.
 Subscribes:
     odom (nav_msgs/Odometry), servo/output (std_msgs/Int32MultiArray): what it measures.
     turn_arb/state (SteeringState), throttle_arb/state (ThrottleState), planner_interface/state (PlannerState),
@@ -29,7 +30,7 @@ from typing import Any, Callable
 import rospy
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Range
-from std_msgs.msg import Float32, Int32MultiArray
+from std_msgs.msg import Float32, Int32MultiArray, String
 from visualization_msgs.msg import MarkerArray
 
 from car_interface.common.errors import CarInterfaceError, EndedEarly
@@ -39,14 +40,14 @@ from car_interface.common.units import CHANNELS, NS_PER_S, yaw_rad
 from car_interface.msg import PlannerState, SteeringState, TeleopState, ThrottleState
 from car_interface.nodes.calibration_drive.bag_recording import TOPICS, BagPage, BagRecording
 from car_interface.nodes.calibration_drive.drive_markers import drive_markers, no_markers
-from car_interface.nodes.calibration_drive.live_text import LiveText
 from car_interface.nodes.keyboard_drive.keyboard import Keys
+from car_interface.nodes.live_text import LiveText
 from car_interface.ros.clocks import RosClock
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, sender_of, subscribe
 from car_interface.tools.calibration.drive import terminal
 from car_interface.tools.calibration.drive.calibration_drive import CalibrationDrive
-from car_interface.tools.calibration.drive.conclusion import board_center, conclude, find_table_file
+from car_interface.tools.calibration.drive.conclusion import board_center, conclude, find_table_file, next_steps
 from car_interface.tools.calibration.drive.config import drive_config, parse, read_base, read_obstacles
 from car_interface.tools.calibration.drive.grant import Grant, Seen, Steering, Throttle, missing, missing_gamepad
 from car_interface.tools.calibration.drive.knowledge import assess
@@ -58,6 +59,7 @@ RATE_HZ, TICKS_PER_SHOW = 50, 10
 PLAIN_PERIOD_NS = 10 * NS_PER_S  # between two lines where nothing can be drawn over
 READY_WITHIN_NS, RECORDER_WITHIN_NS = 8 * NS_PER_S, 15 * NS_PER_S
 OUTPUT_TIMEOUT_S = 2.5  # it comes on change and once a second
+RESULT_ARRIVES_NS = NS_PER_S  # until the recording is closed
 MAX_ODOM_AGE_NS = NS_PER_S // 2  # an older one has an odd stamp
 STANDS = frozenset({WAITING, PAUSED, BLOCKED})
 REQUESTS = ("av_turnrad_req", "av_steer_req", "av_speed_req")
@@ -100,7 +102,8 @@ class CalibrationDriveNode:
         self._shown_kind, self._shown_ns = "", 0
         self._frames, self._rows_drawn = ("odom", "base_link"), 0
         self._steerings = self._speeds = None
-        self._is_over = self._is_written = False
+        self._is_over = self._is_ending = self._is_written = False
+        self._result = advertise("~result", String, inbox)
         self._markers = advertise("~markers", MarkerArray, inbox, latch=True)
         self._subscribe()
         self._has_keys = self._keys.start()
@@ -157,7 +160,7 @@ class CalibrationDriveNode:
 
     def _on_odometry(self, message, now_ns):
         self._seen.odom = True
-        if self._page is not None:  # it is over, and another thread reads what was measured
+        if self._is_ending:  # another thread reads what was measured
             return
         self._frames = message.header.frame_id or "odom", message.child_frame_id or "base_link"
         measured_ns = self._clock.monotonic_ns(message.header.stamp)
@@ -168,7 +171,7 @@ class CalibrationDriveNode:
                                     message.twist.twist.linear.x, measured_ns, now_ns)
 
     def _on_output(self, message, now_ns):
-        if len(message.data) == CHANNELS and self._page is None:
+        if len(message.data) == CHANNELS and not self._is_ending:
             self._seen.duty = duty = message.data[self._base.servo_channel]
             self._output.update(duty, now_ns)
             self._drive.update_duty(duty, now_ns)
@@ -225,7 +228,7 @@ class CalibrationDriveNode:
             self._announce("waiting", [f"waits: {text}" for text in lacks + gamepad], now_ns)
 
     def _begin_recording(self, now_ns):
-        topics = list(map(self._inbox.resolve_name, TOPICS))
+        topics = list(map(self._inbox.resolve_name, (*TOPICS, "~result")))
         self._recording = self._make_recording(self._table.folder, topics, self._table.stem)
         self._begun_ns, self._stage = now_ns, self._await_recorder
 
@@ -307,7 +310,7 @@ class CalibrationDriveNode:
         self._stop_asking()
         self._text.keep()
         self._text.say(f"{self._step.text}. You can let go. Calibrating …")
-        self._page = self._make_page(self._recording)
+        self._is_ending = True
         name = os.path.basename(self._recording.path)
         samples, base, base_text = self._drive.samples, self._base, self._table.base_text
         in_thread(self._inbox, lambda: conclude(samples, base, base_text, name), self._on_conclusion)
@@ -318,7 +321,12 @@ class CalibrationDriveNode:
 
     def _on_conclusion(self, conclusion, now_ns):
         self._say(*conclusion.report)
-        self._conclusion = conclusion
+        self._conclusion, self._concluded_ns = conclusion, now_ns
+        if conclusion.result is not None:
+            replaces = not self._table.is_there or self._wanted.yes or (None if self._has_keys else False)
+            steps = next_steps(self._table, conclusion.refusal, replaces)
+            self._result.publish(String(conclusion.result._replace(next_steps=steps).text()))
+        self._page_due_ns = now_ns + RESULT_ARRIVES_NS
         self._stage = self._await_page
         if conclusion.refusal:
             self._say(*terminal.missing_lines(conclusion.missing))
@@ -334,6 +342,7 @@ class CalibrationDriveNode:
             self._write(replaces=False)
 
     def _ask(self, now_ns, typed):
+        self._close_recording(now_ns)
         answer = next((key for key in typed if key in "yn"), "")
         if answer:
             self._text.keep()
@@ -350,10 +359,18 @@ class CalibrationDriveNode:
         self._say(board_center(self._conclusion.center_duty, self._base.servo_center,
                                self._inbox.graph.parameter("pca9685/steering/servo_center", None)))
 
+    def _close_recording(self, now_ns):
+        if self._page is None and now_ns >= self._page_due_ns:
+            self._page = self._make_page(self._recording)
+
     def _await_page(self, now_ns, typed):
-        lines = self._page.step()
+        self._close_recording(now_ns)
+        lines = None if self._page is None else self._page.step()
         if lines is None:
+            seconds = (now_ns - self._concluded_ns) // NS_PER_S
+            self._announce("page", [f"makes the recording's page: {seconds} s"], now_ns)
             return
+        self._text.show([])
         for line in lines:
             self._text.say(line)
         self._is_over = True

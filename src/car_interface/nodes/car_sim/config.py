@@ -25,9 +25,8 @@ TABLES = ("steering/m_turnrad_axis_servo", "steering/k_pwmcmd_left_table_servo",
 STEERING, ESC, WHEELS = (f"a car's `{name}.yaml`" for name in ("turn_arb", "throttle", "teensy_sensor_hub"))
 SIZE = f"the car's size; `wheels/…` is {WHEELS}"
 OWN = "its own"
-# Of a car near a real one's tables, and not equal on purpose.
-LEFT_RATIO, RIGHT_RATIO = 0.97, 1.03  # of the true radii to the tables': a calibration is some percent off
 MIN_STEP_DUTY = 1.0  # between the curve's points: tables may end in equal duties
+PARTS = 8  # of each interval of a table: linear in the radius as turn_arb reads it, within 0.5 % from 1 to 2 m
 
 
 @dataclass(frozen=True)
@@ -43,6 +42,8 @@ class CarSimConfig:
         "virtual_chip", None, "the socket of the virtual servo board's chip", default_text="that of `pca9685`")
     collides: bool = declared.flag("collisions", True, "false = nothing stops the car")
     has_obstacles: bool = declared.flag("obstacles", True, "false = the room has its walls only, no boxes and posts")
+    on_box: bool = declared.flag(
+        "on_box", False, "true = its wheels hang in the air: they turn, and it stays where it is")
     is_kinematic: bool = declared.flag(
         "kinematic", False, "true = no tyres: it goes where its wheels point, and never tips over")
     tyres: TyreConfig | None = declared.group(TyreConfig())
@@ -134,10 +135,10 @@ class CarSimConfig:
             steering=self._steering(params), drive=drive, esc=self._esc(drive),
             tyres=None if self.is_kinematic else self.tyres, track_m=self.track_m,
             wheel_diameter_m=self.wheel_diameter_m, pulses_per_revolution=self.pulses_per_revolution,
-            pulse_phase=tuple(wheel_pulses), start=Pose(*self.pose))
+            pulse_phase=tuple(wheel_pulses), start=Pose(*self.pose), on_box=self.on_box)
 
     def _steering(self, params):
-        """Return the servo and the steering: their own, or near those of a car's calibration."""
+        """Return the servo and the steering: their own, or those of a car's calibration."""
         steering = SteeringConfig()
         if self.center_duty is not None:
             tables = [params.numbers(name) for name in TABLES]  # now they are required
@@ -171,9 +172,9 @@ class CarSimConfig:
 
 def steering_curve(center: float, radii_m: Sequence[float], left: Sequence[float], right: Sequence[float],
                    ) -> tuple[tuple[float, float], ...]:
-    """Return the true steering for these tables: (duty, curvature in 1/m, left positive), duties rising.
+    """Return the true steering of a car that turns as these tables say: (duty, curvature in 1/m, left positive).
 
-    The left side may have the lower or the higher duties.
+    Duties rise; the left side may have the lower or the higher ones.
 
     Args:
         center: the duty that drives straight on.
@@ -187,17 +188,23 @@ def steering_curve(center: float, radii_m: Sequence[float], left: Sequence[float
             [len(radii_m), len(left), len(right)], "three of the same length")
     require((left[0] - center) * (right[0] - center) < 0, "steering tables", [left[0], center, right[0]],
             "left and right on different sides of the center")
-    sides = (_side(center, radii_m, left, LEFT_RATIO), [(center, 0.0)],
-             [(duty, -curvature) for duty, curvature in _side(center, radii_m, right, RIGHT_RATIO)])
+    sides = (_side(center, radii_m, left), [(center, 0.0)],
+             [(duty, -curvature) for duty, curvature in _side(center, radii_m, right)])
     return tuple(sorted(point for side in sides for point in side))
 
 
-def _side(center, radii_m, duties, ratio):
+def _side(center, radii_m, duties):
     """Return the points of one side, from its end to the center."""
     points = []
-    for radius_m, duty in zip(radii_m, duties):
+    for radius_m, duty in _divided(list(zip(radii_m, duties))):
         last = points[-1][0] if points else None
         if abs(duty - center) >= MIN_STEP_DUTY and (last is None
                                                     or abs(last - center) - abs(duty - center) >= MIN_STEP_DUTY):
-            points.append((float(duty), 1.0 / (ratio * radius_m)))
+            points.append((float(duty), 1.0 / radius_m))
     return points
+
+
+def _divided(table):
+    """Return a table's rows, and others between them on straight lines."""
+    return [*(tuple(one + (other - one) * part / PARTS for one, other in zip(row, following))
+              for row, following in zip(table, table[1:]) for part in range(PARTS)), table[-1]]

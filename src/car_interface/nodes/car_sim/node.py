@@ -1,7 +1,7 @@
 """The car_sim node: a car without hardware, for the real nodes to drive.
 
-It turns what the servo board holds into motion and answers as the Teensy does, byte by byte, on a pseudo-terminal. The
-true steering and drive-train curves are its own; the tables of the other nodes only come near them.
+It turns what the servo board holds into motion and answers as the Teensy does, byte by byte, on a pseudo-terminal. Its
+steering is that of a car's turn_arb.yaml, or one of its own; the drive train's curves are its own.
 
 It follows the virtual servo board's chip itself, also while no pca9685 node lives; without one, /servo/output.
 
@@ -132,6 +132,9 @@ class CarSim:
         self._room.publish(room_markers(config.world, f"{inbox.graph.namespace()}odom".lstrip("/")))
         subscribe("/servo/output", Int32MultiArray, inbox, self._on_output)
         rospy.loginfo("a virtual Teensy is on %s (seed %d)", config.port, config.firmware.seed)
+        if config.steering_duties is not None:
+            rospy.loginfo("the car's steering is another one than turn_arb's file says, on purpose: until that is "
+                          "calibrated, its turns are not the requested ones")
 
     def step(self, now_ns):
         """Live on until now: first the car, then the Teensy, then the line."""

@@ -27,9 +27,10 @@ def room_markers(world: WorldConfig, frame: str) -> MarkerArray:
                for post in world.posts]
     markers = []
     for index, (kind, x_m, y_m, yaw_rad, size_m, color) in enumerate(things):
+        rotation = Quaternion(0.0, 0.0, math.sin(yaw_rad / 2), math.cos(yaw_rad / 2))
         height_m = WALL_HEIGHT_M if color is WALL else HEIGHT_M
         markers.append(Marker(
             header=Header(stamp=rospy.Time(), frame_id=frame), ns="room", id=index, type=kind, action=Marker.ADD,
-            pose=Pose(Point(x_m, y_m, height_m / 2), Quaternion(0.0, 0.0, math.sin(yaw_rad / 2), math.cos(yaw_rad / 2))),
+            pose=Pose(Point(x_m, y_m, height_m / 2), rotation),
             scale=Vector3(*size_m, height_m), color=color, frame_locked=True))
     return MarkerArray(markers)

@@ -10,8 +10,9 @@ virtual car is driven (pca9685's ~device is ``virtual``).
 
 Publishes, at 50 Hz:
     joy (sensor_msgs/Joy).
-Subscribes:
-    turn_arb/state (SteeringState): who steers and why, printed when it changes.
+Subscribes, for its screen; without a terminal to draw on it prints who steers and why when that changes:
+    turn_arb/state (SteeringState), throttle_arb/state (ThrottleState), sonar/… (Range).
+    car_sim/collisions (std_msgs/Int32): of a virtual car.
 """
 from __future__ import annotations
 
@@ -19,23 +20,30 @@ import math
 import re
 
 import rospy
-from sensor_msgs.msg import Joy
+from sensor_msgs.msg import Joy, Range
+from std_msgs.msg import Int32
 
 from car_interface.common.declared import read, read_all
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.params import Params
 from car_interface.common.rate_timer import RateTimer
+from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
-from car_interface.msg import SteeringState
+from car_interface.common.vehicle_geometry import SONARS
+from car_interface.msg import SteeringState, ThrottleState
 from car_interface.nodes.keyboard_drive.key_events import Keyboards
 from car_interface.nodes.keyboard_drive.keyboard import Keys
+from car_interface.nodes.keyboard_drive.screen import screen_lines
+from car_interface.nodes.live_text import LiveText
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, subscribe
 from car_interface.steering.arbiter import source_name
 from car_interface.teleop.gamepad import NONE
 from car_interface.teleop.keyboard import QUIT, Controls, Keyboard, KeyboardConfig, KeyReader, help_text
 
-RATE_HZ = 50
+RATE_HZ, TICKS_PER_SCREEN = 50, 10
+STATE_TIMEOUT_S, RANGE_TIMEOUT_S = 1.0, 1.5
+FREE_MPS = 0.15  # a car that is faster has left the wall that it hit
 AXES, BUTTONS = 8, 11  # at least: as many as the shipped gamepad has
 VIRTUAL, NO_DEVICES = "virtual", "none"
 WATCH_S = 1.0  # how often pca9685's device is looked at
@@ -52,9 +60,10 @@ class KeyboardDrive:
         inbox: the node's.
         keys: of the terminal; ``None`` = of the one that the node runs in.
         make_keyboards: called with a pattern of paths, as ``Keyboards``.
+        text: draws on the terminal; ``None`` = on this process's.
     """
 
-    def __init__(self, params, inbox, keys=None, make_keyboards=Keyboards):
+    def __init__(self, params, inbox, keys=None, make_keyboards=Keyboards, text=None):
         teleop_logi = Params(inbox.graph.parameter("teleop_logi", {}))
         self._config = read_all(params, KeyboardConfig, default=read(teleop_logi, KeyboardConfig))
         self._inbox = inbox
@@ -74,12 +83,21 @@ class KeyboardDrive:
         self._keyboard = Keyboard(counts_without_release=self._is_virtual)
         self._was_warned = False
         self._joy = advertise("joy", Joy, inbox)
+        self._text, self._ticks = text or LiveText(), 0
+        self._steering = TimedInput("turn_arb/state", STATE_TIMEOUT_S)
+        self._throttle = TimedInput("throttle_arb/state", STATE_TIMEOUT_S)
+        self._ranges = {name: TimedInput(f"sonar/{name}", RANGE_TIMEOUT_S) for name in SONARS}
+        self._collisions, self._is_blocked, self._has_stood = 0, False, False
         subscribe("turn_arb/state", SteeringState, inbox, self._on_state)
+        subscribe("throttle_arb/state", ThrottleState, inbox, self._on_throttle)
+        for measured in self._ranges.values():
+            subscribe(measured.name, Range, inbox, measured.update)
+        subscribe("car_sim/collisions", Int32, inbox, self._on_collisions)
         self._keys = keys or Keys()
         if not self._keys.start():
             raise CarInterfaceError("no terminal to read keys from: start it by rosrun in a terminal of its own, not "
                                     "by roslaunch and not in the background")
-        print(help_text(len(self._keyboards) > 0), flush=True)
+        self._text.say(help_text(len(self._keyboards) > 0))
         inbox.graph.repeat_in_thread(self._watch_device, WATCH_S, lambda: inbox.ending, "watch of pca9685")
 
     @property
@@ -94,6 +112,9 @@ class KeyboardDrive:
         if self._timer.is_due(now_ns):
             self._read_keys(now_ns)
             self._publish(self._keyboard.controls(now_ns))
+            self._ticks += 1
+            if self._ticks % TICKS_PER_SCREEN == 0 and self._text.is_live:
+                self._draw(now_ns)
         return self._timer.due_ns
 
     def shut_down(self):
@@ -141,8 +162,28 @@ class KeyboardDrive:
                 message.buttons[button] |= int(controls.scale == pressed)
         self._joy.publish(message)
 
+    def _draw(self, now_ns):
+        steering, throttle = (None if state.is_stale(now_ns) else state.value
+                              for state in (self._steering, self._throttle))
+        ranges_m = {name: each.value.range for name, each in self._ranges.items() if not each.is_stale(now_ns)}
+        self._text.show(screen_lines(steering, throttle, ranges_m, self._is_blocked, self._text.width))
+
+    def _on_throttle(self, message, now_ns):
+        self._throttle.update(message, now_ns)
+        moves = abs(message.speed) > FREE_MPS  # for a while also after it hit something: the wheels' speed falls late
+        self._is_blocked = self._is_blocked and not (moves and self._has_stood)
+        self._has_stood = self._has_stood or not moves
+
+    def _on_collisions(self, message, now_ns):
+        if message.data > self._collisions:
+            self._is_blocked, self._has_stood = True, False
+        self._collisions = message.data
+
     def _on_state(self, message, now_ns):
-        """Print who steers and why, once it stays so: the reason of a change arrives a moment after the change."""
+        """Take who steers. Without a screen print it, once it stays so: the reason comes a moment after the change."""
+        self._steering.update(message, now_ns)
+        if self._text.is_live:
+            return
         text = f"{source_name(message.source)}: {message.reason}"
         kind = NUMBER.sub("", text)
         if kind == self._seen != self._shown:

@@ -66,7 +66,6 @@ def _failed(error):
 def _pages(options):
     """Return pairs of a recording and its page's path."""
     bags, folder = options.bags, options.output
-    ending = ".".join(["", *filter(None, options.namespace.split("/")), "html"])
     if len(bags) == 1 and folder is not None and not os.path.isdir(folder):
         return [(bags[0], folder)]
     if folder is not None and not os.path.isdir(folder):
@@ -74,15 +73,19 @@ def _pages(options):
                                 f"mkdir {shlex.quote(folder)}")
     pages = []
     for bag in bags:
-        # A folder may be given as "." or with a slash behind it.
-        place = Path(bag) if Path(bag).suffix == ".bag" else Path(bag).resolve()
-        stem = place.stem if place.suffix == ".bag" or folder is not None else place.name
-        pages.append((bag, str(Path(folder or place.parent) / (stem + ending))))
+        pages.append((bag, str(page_path(bag, options.namespace, folder))))
     names = [os.path.realpath(page) for _, page in pages]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice:
         raise CarInterfaceError(f"two recordings would both get the page {Path(twice).name}: report them one by one")
     return pages
+
+
+def page_path(bag: str, namespace: str, folder: str | None = None) -> Path:
+    """Return where the page about a recording is written; ``folder``: ``None`` = beside it."""
+    place = Path(bag) if Path(bag).suffix == ".bag" else Path(bag).resolve()  # "." or "bag/" name a folder, too
+    stem = place.stem if place.suffix == ".bag" or folder is not None else place.name
+    return Path(folder or place.parent) / ".".join([stem, *filter(None, namespace.split("/")), "html"])
 
 
 def _report(bag, namespace, wheelbase_m, progress, topics):

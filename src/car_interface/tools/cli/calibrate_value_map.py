@@ -19,7 +19,14 @@ from car_interface.common.units import CHANNELS
 from car_interface.throttle.value_map import load_value_map
 from car_interface.tools.calibration.shared import RecordedDrive
 from car_interface.tools.calibration.value_map.acceleration import WindowConfig
-from car_interface.tools.calibration.value_map.calibrate import DUTY, MapResult, NoTable, calibrate, report
+from car_interface.tools.calibration.value_map.calibrate import (
+    DUTY,
+    MapResult,
+    NoTable,
+    calibrate,
+    narrower_text,
+    report,
+)
 from car_interface.tools.calibration.value_map.recorded import (
     BY_IMU,
     BY_ODOM,
@@ -129,10 +136,11 @@ def run(options: argparse.Namespace) -> int:
                                 + ". Drive what is missing, or --force it")
     csv = csv_text(found.table)
     load_value_map(options.output, text=csv)
+    old = _old_map(options.output)
     contents = {options.output: csv, **dict.fromkeys(beside, text + "\n")}
-    written = [output.written_text(path, output.write(path, content, keeps_old=True))
-               for path, content in contents.items()]
-    print("\n".join([text, *written]))
+    kept = {path: output.write(path, content, keeps_old=True) for path, content in contents.items()}
+    narrower = None if old is None else narrower_text(found.table, old, kept[options.output])
+    print("\n".join([text, *(output.written_text(*pair) for pair in kept.items()), *filter(None, [narrower])]))
     return 0
 
 
@@ -156,6 +164,16 @@ def calibrate_by(options: argparse.Namespace, source: MapSource) -> tuple[list[R
     load = partial(load_map_drive, source=source, progress=len(options.bags) == 1 or options.jobs == 1)
     recorded = load_all(load, options.bags, options.jobs)
     return recorded, calibrate(recorded, *axes, config, prior)
+
+
+def _old_map(path):
+    """Return the map that is about to be replaced; ``None`` = there is none that can be read."""
+    if output.is_stream(path) or not Path(path).exists():
+        return None
+    try:
+        return load_value_map(path, allow_plateaus=True)
+    except CarInterfaceError:
+        return None
 
 
 def _throttle(options):

@@ -6,11 +6,16 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
 import sys
+import time
 from functools import partial
+from urllib.parse import quote
 
+from car_interface.black_box.folder import default_folder, newest
 from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError, ConfigError
+from car_interface.tools.cli.bag_report import page_path as report_path
 from car_interface.tools.cli.drives_cache import Cache, find_recordings, fingerprint
 from car_interface.tools.cli.jobs import failure_text, for_each, workers
 from car_interface.tools.cli.main import version
@@ -49,7 +54,8 @@ def run(options: argparse.Namespace) -> int:
     rows, read = _read_rows(options, topics, paths)
     rows = in_order(rows)
     drawn = trends([one for one in rows if not one.error])
-    for path, text in ((csv_path, csv_text(rows)), (page_path, page(_title(folder), rows, drawn))):
+    shown = page(_title(folder), rows, drawn, _reports(options, page_path, rows))
+    for path, text in ((csv_path, csv_text(rows)), (page_path, shown)):
         output.write(path, text.encode("utf-8", "replace"))  # a file's name may be no UTF-8
     bad = [one for one in rows if one.error]
     for one in bad[:MAX_SHOWN]:
@@ -59,7 +65,19 @@ def run(options: argparse.Namespace) -> int:
     print(f"{folder}: {len(rows)} recording{'s' if len(rows) > 1 else ''}, {read} read now, {len(rows) - read} "
           f"read before" + (f"; {len(bad)} can't be read" if bad else ""))
     print(f"written: {page_path}, {csv_path}")
+    stop = newest(default_folder())
+    if stop is not None:
+        print(f"the last stop that nobody asked for: {stop.describe(time.time())}: rosrun car_interface bag_report "
+              f"{shlex.quote(stop.path)}")
     return int(len(bad) == len(rows))
+
+
+def _reports(options, own_path, rows):
+    """Return URLs of the pages that bag_report has written beside the recordings, by the recordings' paths."""
+    pages = {one.path: report_path(os.path.join(options.folder, one.path), options.namespace) for one in rows}
+    beside = os.path.dirname(os.path.abspath(own_path))
+    return {path: quote(os.path.relpath(str(page), beside).encode("utf-8", "surrogateescape"))
+            for path, page in pages.items() if page.is_file()}
 
 
 def _title(folder):

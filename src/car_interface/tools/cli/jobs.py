@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import logging
 import multiprocessing
+import signal
 import socket
 import threading
 from collections import deque
@@ -49,7 +50,7 @@ def workers(count: int, jobs: int, scheduler: str | None = None) -> Iterator[Wor
     else:
         # A fork of this process would copy the locks of its threads: numpy's OpenBLAS has some.
         context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(jobs, context, initializer=_prepare_process) as executor:
+        with _Processes(jobs, context, initializer=_prepare_process) as executor:
             try:
                 # As many as there are processes: pending work would have to be cancelled when other work fails, and in
                 # Python 3.8 a pool that has only cancelled work left never ends.
@@ -85,6 +86,17 @@ class _InTurn(Executor):
         return done
 
 
+class _Processes(ProcessPoolExecutor):
+    """Does the work in processes, which Ctrl-C ends without a traceback, also while they start."""
+
+    def submit(self, function, *arguments):  # it starts them, with the signals that are blocked here
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            return super().submit(function, *arguments)
+        finally:
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+
+
 class _OnCluster(Executor):
     """Does the work on a cluster's workers, by the version that is here."""
 
@@ -104,7 +116,9 @@ def _on_worker(expected, function, *arguments):
 
 
 def _prepare_process():
-    """Do in a new process what ``main`` has done in this one."""
+    """Do in a new process what ``main`` has done in this one, and let Ctrl-C end it."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     hide_warnings()
     memory_limit.adapt()
 

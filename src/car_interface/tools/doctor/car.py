@@ -1,8 +1,10 @@
 """Examines the running car: its nodes, their parameters, who drives, what comes to them, and their reports."""
 from __future__ import annotations
 
+import shlex
 from typing import Any, Iterable, NamedTuple, Sequence
 
+from car_interface.black_box.folder import Recording
 from car_interface.common.publishers import REPORT as COMMAND_TOPICS
 from car_interface.steering.arbiter import source_name
 from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
@@ -187,6 +189,18 @@ def check_files(faults: Sequence[str]) -> list[Finding]:
     """Return one finding for each fault of the files that nodes are launched with."""
     return [Finding(WARN, "files", fault, "Correct the file, and start again: roslaunch takes the last of two values "
                                           "without a word, and ~save refuses the file") for fault in faults]
+
+
+def check_black_box(recording: Recording | None, now_s: float) -> list[Finding]:
+    """Return what the newest recording of the black box is of, if there is one.
+
+    Args:
+        now_s: by the computer's clock, as the recording's.
+    """
+    if recording is None:
+        return []
+    return [Finding(OK, "black box", f"the last stop that nobody asked for: {recording.describe(now_s)}",
+                    f"rosrun car_interface bag_report {shlex.quote(recording.path)}")]
 
 
 def check_folders(readings: Sequence[Reading], package_folder: str, is_virtual: bool) -> list[Finding]:

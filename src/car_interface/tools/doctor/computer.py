@@ -2,7 +2,6 @@
 from __future__ import annotations
 
 import ctypes
-import glob
 import grp
 import importlib
 import importlib.metadata
@@ -17,6 +16,7 @@ from car_interface.common.device_access import SETUP_REMEDY, Membership, read_me
 from car_interface.common.header import read_header
 from car_interface.pca9685.config import AUTO
 from car_interface.teensy.link.console import is_consoles
+from car_interface.teleop.input_devices import find_pads
 from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
 
 PLAUSIBLE_YEARS = range(2024, 2100)
@@ -69,7 +69,7 @@ def probe_groups(port: str, bus: str, virtual_port: bool, virtual_bus: bool) -> 
     if not virtual_bus:
         path = read_header().bus_paths[0] if bus == AUTO else bus
         needs.append(Need(group_of(path, "i2c"), "the servo board's bus", BAD if os.path.exists(path) else WARN))
-    if any(not os.access(path, os.R_OK) for path in glob.glob("/dev/input/js*")):
+    if any(not os.access(pad.path, os.R_OK) for pad in find_pads()):
         needs.append(Need("input", "the gamepad", WARN))
     return check_groups(read_membership(), list(dict.fromkeys(needs)))
 
@@ -177,23 +177,11 @@ def _is_installed(name):
         return False
 
 
-def probe_packages(joy_is_published: bool, is_virtual: bool):
-    """Look for what not every car needs: the ROS package joy, and the libraries of the tools for recordings."""
+def probe_packages() -> list[Finding]:
+    """Look for what not every car needs: the libraries of the tools for recordings."""
     environment = TOOLS_ENVIRONMENT if os.path.exists(os.path.expanduser(TOOLS_ENVIRONMENT)) else ""
     missing = [distribution for name, distribution in TOOLS.items() if not _is_installed(name)]
-    found = check_tools(missing, environment)
-    if not is_virtual:
-        found += check_joy(_has_ros_package("joy"), joy_is_published, os.environ.get("ROS_DISTRO", ""))
-    return found
-
-
-def _has_ros_package(name):
-    import rospkg  # it comes with ROS, which may be what is missing
-    try:
-        rospkg.RosPack().get_path(name)
-    except rospkg.ResourceNotFound:
-        return False
-    return True
+    return check_tools(missing, environment)
 
 
 def check_tools(missing: Sequence[str], environment: str) -> list[Finding]:
@@ -210,16 +198,3 @@ def check_tools(missing: Sequence[str], environment: str) -> list[Finding]:
     return [Finding(WARN, "packages", f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing for "
                                       f"bag_report, check_map and the calibration; driving needs none of it",
                     f"rosdep install, or on Debian a virtual environment: {INSTALL_TOOLS}")]
-
-
-def check_joy(is_installed: bool, is_published: bool, distribution: str) -> list[Finding]:
-    """Check whether a gamepad's messages can come: from the ROS package joy, on ROS_DISTRO, or from elsewhere."""
-    if is_installed:
-        return [Finding(OK, "packages", "joy, for the gamepad, is installed")]
-    if is_published:
-        return [Finding(OK, "packages", "joy isn't installed here, but somebody publishes the gamepad's messages")]
-    if distribution != "noetic":
-        return [Finding(OK, "packages", "joy isn't installed: gamepad_joy of this package reads the gamepad")]
-    return [Finding(WARN, "packages", "the ROS package joy, whose joy_node reads the gamepad, is missing, and nobody "
-                                      "publishes joy",
-                    "sudo apt install ros-noetic-joy, or start car.launch with joy_driver:=gamepad_joy")]

@@ -10,6 +10,7 @@ import time
 from argparse import Namespace
 from typing import Any, Callable, Iterator, NamedTuple
 
+from car_interface.black_box.folder import default_folder, newest
 from car_interface.common.device_access import STABLE_PORT
 from car_interface.common.errors import ConfigError
 from car_interface.common.package_files import package_file
@@ -24,6 +25,7 @@ from car_interface.tools.doctor.car import (
     SILENT,
     SIMULATOR,
     Node,
+    check_black_box,
     check_command_topics,
     check_diagnostics,
     check_files,
@@ -36,7 +38,7 @@ from car_interface.tools.doctor.car import (
 )
 from car_interface.tools.doctor.computer import probe_clock, probe_groups, probe_packages, probe_versions
 from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, worst
-from car_interface.tools.doctor.gamepad import check_gamepad
+from car_interface.tools.doctor.gamepad import check_gamepad, probe_driver
 from car_interface.tools.doctor.master import NODES, Graph, Master, read_files, read_parameters
 from car_interface.tools.doctor.network import probe_network
 from car_interface.tools.doctor.port import check_link, check_virtual_port, is_pseudo_terminal, probe_port
@@ -116,7 +118,6 @@ class Car(NamedTuple):
     board: BoardSettings
     port_is_the_nodes: bool  # whether the port is the one that the hub uses
     port_is_virtual: bool  # whether it's the one that car_sim makes
-    joy_is_published: bool
     others: list  # the namespaces of other cars
     was_chosen: bool  # False: there are several cars, and no namespace was given
 
@@ -152,7 +153,6 @@ def survey(master: Master | None, options: Namespace) -> Car:
     return Car(
         namespace=namespace, others=[car for car in cars if car != namespace],
         was_chosen=options.namespace is not None or namespace in cars or not cars,
-        joy_is_published=bool(graph.publishers.get(f"{namespace.rstrip('/')}/joy")),
         port_is_virtual=port == _text(_parameters(master, namespace, SIMULATOR, nodes), "port"),
         nodes=nodes,
         uses_sim_time=bool(master and master.parameter("/use_sim_time")),
@@ -232,8 +232,10 @@ def _examine(options):
     virtual_port, virtual_bus = car.port_is_virtual or is_pseudo_terminal(car.port), car.bus == VIRTUAL
     groups = Task("groups", probe_groups, car.port, car.bus, virtual_port, virtual_bus)
     clock = Task("clock", probe_clock, car.uses_sim_time)
-    packages = Task("packages", probe_packages, car.joy_is_published, virtual_bus)
+    packages = Task("packages", probe_packages)
+    drivers = Task("gamepad", probe_driver)
     parameters = Task("parameters", _read_all, master, car) if is_there else None
+    black_box = Task("black box", _newest_recording, master if is_there else None, car)
     hub = car.runs("teensy_sensor_hub") if car.port_is_the_nodes else None
     port = None if hub or car.lacks_simulator else Task("port", probe_port, car.port, car.baud)
     board = None if virtual_bus else Task("bus", probe_board, car.bus, car.board, options.probe)
@@ -243,6 +245,7 @@ def _examine(options):
     yield from versions.findings(deadline_s)
     yield from packages.findings(deadline_s)
     yield from groups.findings(deadline_s)
+    yield from drivers.findings(deadline_s)
     yield from clock.findings(deadline_s)
     yield from trouble + of_master + of_address + survey_trouble
     if is_there:
@@ -268,8 +271,10 @@ def _examine(options):
             covered = [*covered, f"{car.runs('pca9685').path.strip('/')}: {BOARD_REPORT}"]
         if topic_reports.gamepad:
             yield from check_gamepad(topic_reports.gamepad)
-            covered = [*covered, f"{topic_reports.gamepad.node.strip('/')}: {GAMEPAD_REPORT}"]
+            covered = [*covered, f"{topic_reports.gamepad.node.strip('/')}: {GAMEPAD_REPORT}",
+                       *([topic_reports.gamepad.driver.name] if topic_reports.gamepad.driver else [])]
         yield from check_diagnostics(topic_reports.reports, car.namespace, reporting, covered)
+    yield from black_box.findings(deadline_s)
 
 
 def _covered(hub, link):
@@ -284,6 +289,11 @@ def _read_all(master, car):
     is_virtual = _text(_parameters(master, car.namespace, "pca9685", car.nodes), "device") == VIRTUAL
     found += check_folders(readings, os.path.realpath(package_file("config")), is_virtual)
     return found + check_files(read_files(master, car.nodes))
+
+
+def _newest_recording(master, car):
+    folder = _text(_parameters(master, car.namespace, "black_box", car.nodes), "folder")
+    return check_black_box(newest(folder or default_folder()), time.time())
 
 
 def _listen_to_topics(master, car, hub, reporting):

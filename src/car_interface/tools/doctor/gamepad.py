@@ -1,17 +1,24 @@
 """Examines the gamepad: whether its messages come, often enough and with the axes and buttons that are configured."""
 from __future__ import annotations
 
+import glob
 import math
+import os
 from typing import NamedTuple, Sequence
 
 from car_interface.common import causes
 from car_interface.teleop.gamepad import GamepadConfig, is_d_mode_cross, missing_index, remedy
+from car_interface.tools.doctor.car import Report
 from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
 
 SUBJECT = "gamepad"
 MISSED = 2  # messages in a row that may be lost before the deadman is released, at least
 AUTOREPEAT = "Set its driver's autorepeat_rate to 20, as launching with gamepad:=true does: {joy} must come at 20 Hz"
-
+# Class, subclass and protocol of an Xbox gamepad's first interface, and of a Logitech's in X mode: Linux,
+# drivers/input/joystick/xpad.c. An Xbox One's gamepad has others that look alike and need no driver.
+XBOX_INTERFACES = (("ff", "5d", "01"), ("ff", "5d", "81"), ("ff", "47", "d0"))
+NO_XPAD_REMEDY = ("sudo modprobe xpad. If there is no such module, as on a Jetson: set the switch of a Logitech at D, "
+                  "connect an Xbox gamepad by Bluetooth, or build xpad")
 LET_GO = "Let go of both deadman buttons once, then hold one"
 
 
@@ -31,11 +38,14 @@ class GamepadFacts(NamedTuple):
     node: str  # teleop_logi's path
     topic: str  # that it subscribes to
     publishers: Sequence[str]  # the nodes that publish on it
-    config: GamepadConfig | None  # how teleop_logi is set; ``None`` = its parameters are bad: another finding says so
+    # What teleop_logi takes its axes and buttons for; ``None`` = its parameters are bad, as another finding says, or
+    # the gamepad is in no gamepads.yaml.
+    config: GamepadConfig | None
     sample: JoySample
     cause: str = ""  # teleop_logi's own, as is the reason; empty = it published nothing
     reason: str = ""
     stick_cause: str = ""  # NOT_AT_REST where teleop_logi ignores an axis
+    driver: Report | None = None  # what gamepad_joy reports, where it has no gamepad
 
 
 def check_gamepad(gamepad: GamepadFacts) -> list[Finding]:
@@ -46,6 +56,8 @@ def check_gamepad(gamepad: GamepadFacts) -> list[Finding]:
     if gamepad.cause == causes.JOY_NEVER_RECEIVED:
         return [Finding(BAD, SUBJECT, f"{topic} comes here, but {gamepad.node} says: {gamepad.reason}",
                         f"See whether they reach each other: rosnode info {gamepad.node}; ROS_IP; then start it again")]
+    if gamepad.cause == causes.JOY_UNMAPPED:
+        return [Finding(BAD, SUBJECT, gamepad.reason, remedy(gamepad.cause, topic))]
     broken = _broken(gamepad) if gamepad.config else None
     if broken is not None:
         return [broken]
@@ -58,6 +70,33 @@ def check_gamepad(gamepad: GamepadFacts) -> list[Finding]:
                                  f"{_rate_text(sample)}{said}")]
 
 
+def probe_driver(folder: str = "/sys/bus/usb/devices") -> list[Finding]:
+    """Look for Xbox gamepads on USB, and others that are like them, for which this computer has no driver.
+
+    Args:
+        folder: where the kernel lists USB devices: Linux, Documentation/ABI/testing/sysfs-bus-usb.
+    """
+    found = []
+    for interface in sorted(glob.glob(f"{folder}/*:1.0")):
+        kind = tuple(_read_word(interface, f"bInterface{name}") for name in ("Class", "SubClass", "Protocol"))
+        if kind in XBOX_INTERFACES and not os.path.exists(f"{interface}/driver"):
+            device = interface.partition(":")[0]
+            numbers = f"{_read_word(device, 'idVendor')}:{_read_word(device, 'idProduct')}"
+            name = _read_word(device, "product") or "a gamepad"
+            what = f"{name} ({numbers}) is plugged in, but no driver has it: no xpad"
+            found.append(Finding(WARN, SUBJECT, what, NO_XPAD_REMEDY))
+    return found
+
+
+def _read_word(folder, name):
+    """Return what a file of sysfs has; empty: there is none."""
+    try:
+        with open(os.path.join(folder, name), encoding="utf-8", errors="replace") as file:
+            return file.read().strip()
+    except OSError:
+        return ""
+
+
 def _nothing_came(gamepad):
     topic = gamepad.topic
     if not gamepad.publishers:
@@ -65,6 +104,8 @@ def _nothing_came(gamepad):
         return Finding(WARN, SUBJECT, f"no node publishes {topic}, so that no deadman can be held{said}",
                        "Launch the car with gamepad:=true, which starts its driver. With the virtual car: rosrun "
                        "car_interface keyboard_drive")
+    if gamepad.driver:
+        return Finding(WARN, SUBJECT, gamepad.driver.message, gamepad.driver.remedy)
     return Finding(WARN, SUBJECT, f"{', '.join(gamepad.publishers)} publishes {topic}, but nothing came",
                    f"{remedy(causes.JOY_NEVER_RECEIVED, topic)}. {AUTOREPEAT.format(joy=topic)}, also while nothing "
                    "moves")

@@ -15,10 +15,11 @@ from sensor_msgs.msg import Joy
 from car_interface.common import causes
 from car_interface.common.declared import read
 from car_interface.common.errors import CarInterfaceError
-from car_interface.common.params import Params
+from car_interface.common.params import CONFIG_FOLDER, Params
 from car_interface.msg import LinkStatus, SteeringState, TeleopState
 from car_interface.ros.tcpros_limits import limit_connections
-from car_interface.teleop.gamepad import GamepadConfig
+from car_interface.teleop.gamepad import DRIVER_REPORT, GamepadConfig
+from car_interface.teleop.mappings import config_for, load_entries, model_of
 from car_interface.tools.doctor.car import Node, Report
 from car_interface.tools.doctor.gamepad import GamepadFacts, JoySample
 from car_interface.tools.doctor.master import Master
@@ -35,7 +36,7 @@ class GamepadListener:
     def __init__(self, master: Master, node: Node):
         self._node = node.path
         self._topic, self._publishers = _find_topic(master, node.path)
-        self._config = _read_config(master, node.path)
+        self._config, self._entries = _read_config(master, node.path)
         self._messages: list[Joy] = []
         self._arrivals_s: list[float] = []  # those of as many messages, or one less
         self._states: list[TeleopState] = []
@@ -60,13 +61,24 @@ class GamepadListener:
         axes, buttons = (len(messages[-1].axes), len(messages[-1].buttons)) if messages else (0, 0)
         odd = {index: value for message in messages for index, value in enumerate(message.axes)
                if not math.isfinite(value)}
-        facts = GamepadFacts(self._node, self._topic, self._publishers, self._config,
+        facts = GamepadFacts(self._node, self._topic, self._publishers, self._mapped(messages),
                              JoySample(len(messages), period_s, axes, buttons, odd))
         if state is None:
             return facts
         is_at_rest = causes.NOT_AT_REST not in (state.steering_stick, state.throttle_stick)
         return facts._replace(cause=state.cause, reason=state.reason,
                               stick_cause="" if is_at_rest else causes.NOT_AT_REST)
+
+    def _mapped(self, messages):
+        """Return what the newest message's axes and buttons do; ``None`` = that isn't known."""
+        if self._config is None or not messages:
+            return self._config
+        newest = messages[-1]
+        try:
+            return config_for(model_of(newest.header.frame_id, len(newest.axes), len(newest.buttons)), self._config,
+                              self._entries)
+        except CarInterfaceError:
+            return None
 
     def _on_joy(self, message):
         self._messages.append(message)
@@ -84,11 +96,12 @@ def _find_topic(master, path):
 
 
 def _read_config(master, path):
-    """Return how teleop_logi is set; ``None`` when it would refuse its parameters."""
+    """Return how teleop_logi is set, ``None`` when it would refuse its parameters, and its entries of gamepads."""
+    params = Params(master.parameter(path) or {})
     try:
-        return read(Params(master.parameter(path) or {}), GamepadConfig)
+        return read(params, GamepadConfig), load_entries(params.path(CONFIG_FOLDER, None))
     except CarInterfaceError:
-        return None
+        return None, {}
 
 
 class TopicReports(NamedTuple):
@@ -142,7 +155,12 @@ def listen(hub: str | None, turn_arb: str | None, reporting, gamepad: GamepadLis
         if has_link and has_state and has_gamepad and wanted <= {name.partition(":")[0] for name in list(reports)}:
             break
         time.sleep(POLL_S)
-    return TopicReports(next(reversed(links), None), states, list(reports.values()), gamepad and gamepad.result())
+    facts = gamepad and gamepad.result()
+    if facts:
+        names = [f"{node.strip('/')}: {DRIVER_REPORT}" for node in facts.publishers]
+        bad = [reports[name] for name in names if name in reports and reports[name].remedy]
+        facts = facts._replace(driver=next(iter(bad), None))
+    return TopicReports(next(reversed(links), None), states, list(reports.values()), facts)
 
 
 def leave() -> None:

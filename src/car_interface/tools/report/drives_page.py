@@ -4,7 +4,8 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from typing import Sequence
+from types import MappingProxyType
+from typing import Mapping, Sequence
 
 from car_interface.common.units import NS_PER_S
 from car_interface.tools.report.drives_row import Row
@@ -25,14 +26,21 @@ def in_order(rows: Sequence[Row]) -> list[Row]:
     return sorted(rows, key=lambda row: (row.start_ns is None, row.start_ns or 0, row.path))
 
 
-def page(folder: str, rows: Sequence[Row], trends: str) -> str:
-    """Return the page on a folder, with its rows in order, and the plots as SVG; empty = none."""
+def page(folder: str, rows: Sequence[Row], trends: str,
+         reports: Mapping[str, str] = MappingProxyType({})) -> str:
+    """Return the page on a folder.
+
+    Args:
+        rows: in order.
+        trends: the plots as SVG; empty = none.
+        reports: the URL of the page about a recording, by its path, for those that have one.
+    """
     drives = [row for row in rows if not row.error]
     bad = [row for row in rows if row.error]
     dates = [date_text(row.start_ns) for row in drives if row.start_ns >= MIN_DATE_NS]
     return render("drives.html", title=f"Drives in {folder}", dates=dict.fromkeys(dates[:1] + dates[-1:]),
                   figures=_figures(drives), drives=[(row, _cells(row)) for row in reversed(drives)], bad=bad,
-                  trends=trends)
+                  trends=trends, reports={row.path: reports[row.path] for row in drives if row.path in reports})
 
 
 def _figures(drives):

@@ -102,19 +102,24 @@ def row(drive: Summary, path: str) -> Row:
     """Return the row of a summarized recording, which is shown as ``path``."""
     has_state, has_odom = bool(drive.steering.episodes), "odom" in drive.present
     source_s = drive.steering.source_s
-    left, right = map(_median, drive.motion.by_tables.ratios())
+    turns = drive.motion.by_tables
+    left, right, straight = map(_median, (*turns.ratios(), turns.straight_per_m()))
+    notes = list(drive.notes)
+    if drive.calibration is not None:  # it drove by the table before
+        left = right = straight = None
+        notes.append("a calibration drive")
     driving, holding, braking = map(_median, drive.motion.accelerating.differences_mps2())
     return Row(
         path=path, start_ns=drive.start_ns, duration_s=drive.duration_s,
         distance_m=_possible(drive.motion.distance_m) if has_odom else None,
         gamepad_s=source_s[TELEOP] if has_state else None, planner_s=source_s[PLANNER] if has_state else None,
         losses=_losses(drive) if has_state or drive.throttle.episodes else None,
-        straight_per_m=_median(drive.motion.by_tables.straight_per_m()), left_ratio=left, right_ratio=right,
+        straight_per_m=straight, left_ratio=left, right_ratio=right,
         drive_mps2=driving, hold_mps2=holding, brake_mps2=braking, **_link(drive.teensy),
         **_faults(drive),
         lacks=[gap.lacks if math.isnan(gap.start_s) else f"{gap.lacks} for {gap.end_s - gap.start_s:.0f} s"
                for gap in drive.coverage.gaps()],
-        notes=list(drive.notes))
+        notes=notes)
 
 
 def _losses(drive):

@@ -7,6 +7,9 @@ from typing import Any, Collection, NamedTuple
 
 OK, WARN, ERROR = range(3)  # as in diagnostic_msgs/DiagnosticStatus
 LOG_LEVELS = {"rosgraph_msgs": (4, 8), "rcl_interfaces": (30, 40)}  # warning and error, by the package of Log
+# A node's first report that is a warning, and becomes OK within so long, before anybody drives, is its start: the hub
+# wants five pings, one a second, and the servo board's guard a second. So is a car that is started with its recording.
+STARTS_WITHIN_S = 8.0
 NUMBER = re.compile(r"[-+]?\d[\d.,e+-]*|inf|nan")
 MAX_ENTRIES = 2000
 
@@ -29,6 +32,8 @@ class FaultLog:
         self.entries: list = []  # in order of their ends; ``finish`` sorts them by their starts
         self.dropped = 0  # how many more there were
         self._open: dict = {}  # conditions that last, by key
+        self._starting_s: dict = {}  # when a key was first reported; −inf from its first OK on
+        self._starts: list = []  # faults that may have been a node's start
         self._repeated: dict = {}  # index of an entry, by key
 
     def add(self, fault: Fault) -> None:
@@ -62,18 +67,28 @@ class FaultLog:
             where: who reports it.
             what: a text that differs in more than its numbers begins another one.
         """
-        fault = self._open.get(key)
+        fault, since_s = self._open.get(key), self._starting_s.setdefault(key, time_s)
         if fault is not None and (level == OK or without_numbers(fault.what) != without_numbers(what)):
-            self.add(fault._replace(end_s=time_s))
+            ended = fault._replace(end_s=time_s)
+            if fault.level == WARN and time_s - since_s <= STARTS_WITHIN_S:
+                self._starts.append(ended)
+            else:
+                self.add(ended)
             del self._open[key]
             fault = None
-        if level != OK:
+        if level == OK:
+            self._starting_s[key] = -math.inf
+        else:
             self._open[key] = Fault(time_s, math.nan, level, where, what) if fault is None else \
                 fault._replace(level=max(level, fault.level))
 
-    def finish(self) -> None:
-        """Add the conditions that lasted until the recording's end, and sort all faults by their starts."""
-        for fault in self._open.values():
+    def finish(self, driven_from_s: float = math.inf) -> None:
+        """Add the conditions that lasted until the recording's end, and sort all faults by their starts.
+
+        Args:
+            driven_from_s: when somebody first drove; what a node reported of its start before that is no fault.
+        """
+        for fault in (*self._open.values(), *(one for one in self._starts if one.end_s > driven_from_s)):
             self.add(fault)
         self.entries.sort(key=lambda fault: fault.start_s)
 

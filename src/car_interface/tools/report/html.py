@@ -20,7 +20,7 @@ def render(template: str, **values: Any) -> str:
     """Return a page as HTML by a template such as drive.html; texts are escaped: recordings come from other people."""
     pages = Environment(loader=FileSystemLoader(str(Path(__file__).with_name("templates"))), autoescape=True,
                         undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True)
-    pages.filters.update(counted=counted, date=date_text, span=span_text, times=times_text)
+    pages.filters.update(counted=counted, date=date_text, span=span_text, times=times_text, radius=radius_text, zip=zip)
     pages.tests["finite"] = math.isfinite
     return pages.get_template(template).render(values)
 
@@ -35,6 +35,11 @@ def date_text(time_ns: int) -> str:
     if time_ns < MIN_DATE_NS:
         return f"no date: its clock began at 0, {span_text(time_ns / NS_PER_S)} before"
     return time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(time_ns / NS_PER_S))
+
+
+def radius_text(curvature_per_m: float) -> str:
+    """Return the radius of a turn to a side; a negative curvature is one to the other side."""
+    return "straight on" if abs(curvature_per_m) < 0.001 else f"{1 / curvature_per_m:.2f} m"
 
 
 def times_text(count: int) -> str:

@@ -16,6 +16,7 @@ TOPICS = ("turn_arb/state", "throttle_arb/state", "/servo/output", "odom", "av_t
           "/teleop_logi/tele_steer_req", "control/command/control_cmd", "generic/output/value",
           "teensy_sensor_hub/link", "teensy_clock")
 MIN_RATIOS = 30  # samples, for a ratio to be shown
+OLD = "old"  # of a calibration's breakpoint: nothing was driven there
 WRONG_RATIO = 0.05  # of the driven to the sent curvature, from 1: the tables need calibration
 
 
@@ -23,14 +24,14 @@ def page(drive: Summary, plots: dict[str, str]) -> str:
     """Return the page; ``plots`` are SVGs by name, of which those that are missing are left out."""
     name = drive.path.rstrip("/").rsplit("/", 1)[-1]
     lines = [*_steering_lines(drive.steering), *_motion_lines(drive), *_asked_lines(drive), *_teensy_lines(drive)]
-    wrong_sides = [(side, _ratio_text(ratio)) for side, ratio in _known_ratios(drive.motion.by_tables)
-                   if abs(ratio - 1) > WRONG_RATIO]
+    by_tables = [] if drive.calibration else _known_ratios(drive.motion.by_tables)  # it drove by the table before
+    wrong_sides = [(side, _ratio_text(ratio)) for side, ratio in by_tables if abs(ratio - 1) > WRONG_RATIO]
     return render(
         "drive.html", title=f"Drive: {name}", name=name, drive=drive, plots=plots, figures=_figures(drive), lines=lines,
         who_drove=_who_drove(drive.steering.source_s), wrong_sides=wrong_sides, gaps=drive.coverage.gaps(),
         errors=sum(fault.level == ERROR for fault in drive.faults.entries), warn=WARN, reasons=_reasons,
         absent=_absent(drive), has_sonars=_has_sonars(drive), left_out=_left_out(drive, plots),
-        driver_names=DRIVER_NAMES, driver_colours=DRIVER_COLOURS, unknown_driver=UNKNOWN_DRIVER,
+        driver_names=DRIVER_NAMES, driver_colours=DRIVER_COLOURS, unknown_driver=UNKNOWN_DRIVER, old=OLD,
         moment=lambda time_s: moment_text(time_s, drive.duration_s))
 
 
@@ -104,7 +105,7 @@ def _motion_lines(drive):
     if traces["acceleration"].count:
         yield "Acceleration", range_text(traces["acceleration"], "m/s²")
     ratios = [f"{side} {_ratio_text(ratio)}" for side, ratio in _known_ratios(motion.by_tables)]
-    if ratios:
+    if ratios and not drive.calibration:
         yield "Slow turns against the tables", "; ".join(ratios)
     by_imu = drive.imu.odometry_ratio()
     if by_imu.samples >= MIN_RATIOS:

@@ -34,14 +34,16 @@ from car_interface.tools.report.states import UNKNOWN_DRIVER
 from car_interface.tools.report.summary import Summary
 
 DASHED = (0, (4, 2))
+PATH_WIDTH, WIDER = 1.6, 1.6  # of the path of who was the last to begin, and by how much those before are wider
 ESC_COLOURS = {"ARMING": "#b8bfc7", "BRAKING": "#d9822b", "HOLD": "#e8c468", "REVERSE": "#8e5ea2"}
 
 
 def plots(drive: Summary) -> dict[str, str]:
-    """Return the SVGs for which there are data, by name: who, steering, throttle, path, speed, link."""
+    """Return the SVGs for which there are data, by name: calibration, who, steering, throttle, path, speed, link."""
     made = {}
     with matplotlib.rc_context(STYLE):
         for name, draw, description in (
+                ("calibration", _calibration, "the curvature of each duty: driven, by the new table, by the old one"),
                 ("who", _who, "who drove when, as bands of colour over time"),
                 ("steering", _steering, "curvature requested, sent and driven, and the servo's duty, over time"),
                 ("throttle", _throttle, "throttle asked and granted, and the ESC's state, over time"),
@@ -52,6 +54,27 @@ def plots(drive: Summary) -> dict[str, str]:
             if figure is not None:
                 made[name] = svg_text(figure, name, description)
     return made
+
+
+def _calibration(drive):
+    result = drive.calibration
+    if result is None or not result.curve or not result.old_curve:
+        return None
+    figure = Figure(figsize=(WIDTH_IN, 3.4), constrained_layout=True)
+    axes = figure.add_subplot()
+    duty, curvature, error = (np.array(column) for column in zip(*result.curve))
+    axes.fill_between(duty, curvature - error, curvature + error, color=SENT, alpha=0.2, linewidth=0,
+                      label="± two standard errors")
+    axes.plot(duty, curvature, color=SENT, linewidth=1.6, label="new table")
+    axes.plot(*zip(*result.old_curve), color=REQUESTED, linestyle=DASHED, label="old table")
+    if result.driven:
+        axes.plot(*zip(*result.driven), color=DRIVEN, marker="o", markersize=3, linestyle="none",
+                  label="asked and driven")
+    largest = 1.2 * max(np.abs(curvature).max(), 0.1)
+    axes.set(ylim=(-largest, largest), xlabel="the servo's duty")
+    title(axes, "How tight: 1/radius in 1/m, left up")
+    axes.legend(**{**above(), "ncol": 4})
+    return figure
 
 
 def _who(drive):
@@ -88,7 +111,8 @@ def _steering(drive):
 def _curvature(axes, drive):
     traces = drive.traces
     curve(axes, traces["requested curvature"], REQUESTED, "requested (planner)", linestyle=DASHED)
-    curve(axes, traces["sent curvature"], SENT, "sent (by the tables)", linewidth=1.6)
+    which = "the table before" if drive.calibration else "the tables"
+    curve(axes, traces["sent curvature"], SENT, f"sent (by {which})", linewidth=1.6)
     curve(axes, traces["driven curvature"], DRIVEN, "driven (by odometry)", linewidth=0.9)
     largest = max([abs(bound) for name in ("requested curvature", "sent curvature") if traces[name].count
                    for bound in (traces[name].minimum, traces[name].maximum)]
@@ -163,14 +187,17 @@ def _path(drive):
     if len(echo_x):
         axes.plot(echo_x, echo_y, linestyle="none", marker="o", markersize=2.6, markeredgewidth=0, color=REQUESTED,
                   alpha=0.55, label="seen by a sonar")
+    # By the order in which they first drove: a path under another one stays visible.
+    sources = list(dict.fromkeys(kind if kind in DRIVER_COLOURS else UNKNOWN_DRIVER for kind in path.kinds))
     begin, seen = 0, set()
     for index in range(1, len(path.kinds) + 1):
         if index < len(path.kinds) and path.kinds[index] == path.kinds[begin]:
             continue
         source = path.kinds[begin] if path.kinds[begin] in DRIVER_COLOURS else UNKNOWN_DRIVER
-        axes.plot(path.x_m[max(begin - 1, 0):index], path.y_m[max(begin - 1, 0):index], linewidth=1.8,
+        width = PATH_WIDTH + WIDER * (len(sources) - 1 - sources.index(source))
+        axes.plot(path.x_m[max(begin - 1, 0):index], path.y_m[max(begin - 1, 0):index], linewidth=width,
                   color=DRIVER_COLOURS[source], label=None if source in seen else DRIVER_NAMES[source],
-                  solid_capstyle="round")
+                  solid_capstyle="round", zorder=3 - width / 10)
         seen.add(source)
         begin = index
     if len(path.x_m):

@@ -150,8 +150,10 @@ class SteeringWatch:
         self.duties: dict = {}  # a Trace by channel, for those that were ever driven
         self.steering_channel: int | None = None  # that follows turn_arb's duty; None = unknown
         self.curvature_per_m: float | None = None  # sent by turn_arb now, left positive; None = unknown
-        self.unchanged_since_s = 0.0  # when turn_arb's duty last changed
+        self.unchanged_since_s = 0.0  # when turn_arb's duty last changed by a step of the board
+        self._steady_duty = None  # since then
         self._state_s, self._duty = -math.inf, None  # of the newest state
+        self.driven_from_s = math.inf  # when somebody first drove
         self._matches: Counter = Counter()  # by channel: how often its output was turn_arb's duty
 
     def on_state(self, time_s: float, message: Any) -> None:
@@ -159,8 +161,10 @@ class SteeringWatch:
         self._episodes.update(time_s, "turn_arb", message.cause, message.reason, source=message.source)
         self.curvature_per_m = 1 / message.turn_radius if message.turn_radius else math.nan
         self._traces["sent curvature"].add(time_s, self.curvature_per_m)
-        if message.duty != self._duty or not is_fresh(self._state_s, time_s):
-            self.unchanged_since_s = time_s
+        # Understeer moves the duty a little with the speed.
+        if (self._steady_duty is None or abs(message.duty - self._steady_duty) >= DUTY_PER_COUNT
+                or not is_fresh(self._state_s, time_s)):
+            self._steady_duty, self.unchanged_since_s = message.duty, time_s
         self._state_s, self.source, self._duty = time_s, message.source, message.duty
 
     def source_at(self, time_s: float) -> int | None:
@@ -205,6 +209,8 @@ class SteeringWatch:
         """End the last episode, and find the steering channel."""
         self._episodes.end(self._duration_s)
         self._faults.dropped += self._episodes.dropped
+        self.driven_from_s = min((one.start_s for one in self.episodes if one.source in (TELEOP, PLANNER)),
+                                 default=math.inf)
         if self._matches:
             self.steering_channel = self._matches.most_common(1)[0][0]
         elif STEERING_CHANNEL in self.duties:  # turn_arb's state was not recorded

@@ -3,10 +3,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 from car_interface.common.units import NS_PER_S
 from car_interface.common.vehicle_geometry import SONARS
-from car_interface.tools.recordings import roles
+from car_interface.steering.monitor import UNCALIBRATED
+from car_interface.throttle.esc import NO_BRAKE
+from car_interface.tools.recordings import calibration_result, roles
+from car_interface.tools.recordings.calibration_result import CalibrationResult
 from car_interface.tools.recordings.recording import (
     NoRecording,
     absolute_names,
@@ -49,6 +53,7 @@ TYPES = {
     "teensy_sensor_hub/link": "car_interface/LinkStatus",
     "teensy_clock": "car_interface/TeensyClock",
     "teensy_error": "car_interface/Error",
+    calibration_result.TOPIC: "std_msgs/String",
     "/diagnostics": "diagnostic_msgs/DiagnosticArray",
     "/rosout": ("rosgraph_msgs/Log", "rcl_interfaces/Log"),
 }
@@ -80,6 +85,14 @@ class Summary:
     teensy: TeensyWatch
     faults: FaultLog
     coverage: Coverage
+    calibration: CalibrationResult | None = None  # of a calibration drive, which drove by the table before
+
+    def on_calibration(self, time_s: float, message: Any) -> None:
+        """Take a calibration drive's result."""
+        try:
+            self.calibration = calibration_result.parsed(message.data)
+        except ValueError as error:
+            self.notes.append(str(error))
 
 
 def summarize(path: str, namespace: str = "/", wheelbase_m: float | None = None, progress: bool = False,
@@ -124,10 +137,18 @@ def summarize(path: str, namespace: str = "/", wheelbase_m: float | None = None,
     if has.steps_back:
         times = "once" if has.steps_back == 1 else f"{has.steps_back} times"
         summary.faults.add_moment(0.0, WARN, "recording", f"its time went back {times}: the clock was set")
-    for watch in (summary.steering, summary.throttle, summary.planner, summary.limits, summary.gamepad, summary.faults):
+    for watch in (summary.steering, summary.throttle, summary.planner, summary.limits, summary.gamepad):
         watch.finish()
+    summary.faults.finish(summary.steering.driven_from_s)
+    if summary.calibration is not None:
+        summary.faults.entries[:] = [fault for fault in summary.faults.entries if not _is_meant(fault)]
     summary.notes += filter(None, [summary.motion.note(found["odom"].topic), summary.imu.note(found["imu/data"].topic)])
     return summary
+
+
+def _is_meant(fault):
+    """Return whether a calibration drive means it: its table is to be replaced, and it keeps room to coast in."""
+    return UNCALIBRATED in fault.what or fault.what.startswith(NO_BRAKE)
 
 
 def _is_read(recorded, free, topic, role, given, namespace):
@@ -179,6 +200,7 @@ def _handlers(summary):
         "teensy_sensor_hub/link": teensy.on_link,
         "teensy_clock": teensy.on_clock,
         "teensy_error": teensy.on_error,
+        calibration_result.TOPIC: summary.on_calibration,
         "/diagnostics": nodes.on_diagnostics,
         "/rosout": nodes.on_log,
     }

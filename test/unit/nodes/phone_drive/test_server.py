@@ -105,7 +105,7 @@ def ask(port, path, host=None, method="GET"):
     return answer.status, answer.read(), dict(answer.getheaders())
 
 
-@pytest.mark.parametrize("path", ["/", "/../../etc/passwd", "/%2e%2e/%2e%2e/etc/passwd", "/ws/../x", "/<script>", "//x"])
+@pytest.mark.parametrize("path", ["/", "/../../etc/passwd", "/%2e%2e/etc/passwd", "/ws/../x", "/<script>", "//x"])
 def test_any_other_path_is_not_found_and_has_a_strict_policy(server, port, path):
     status, body, headers = ask(port, path)
     assert (status, body) == (404, b"404\n")

@@ -118,8 +118,15 @@ def test_page_in_chromium_shows_every_plot_and_has_no_errors(page):
         title = browser.evaluate("document.title")
         wide = browser.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
         picture = image.imread(io.BytesIO(browser.picture()))
+        browser.resize(390)
+        is_phone_wide = browser.evaluate("document.documentElement.scrollWidth") == 390
+        lines_of_names = browser.evaluate(
+            "[...document.querySelectorAll('.driver, .level')].map(name => name.getClientRects().length)")
+        esc_words = browser.evaluate("[...document.querySelectorAll('#throttle td:nth-child(4)')]"
+                                     ".map(cell => cell.scrollWidth <= cell.clientWidth && cell.offsetHeight)")
     assert browser.complaints == [] and browser.requests == [out.resolve().as_uri()]
     assert title == "Drive: drive.bag" and wide == 0
+    assert is_phone_wide and all(esc_words) and set(lines_of_names) == {1}
     assert [place[0] for place in places] == PLOTS
     for name, left, top, width, height in places:
         part = picture[round(top):round(top + height), round(left):round(left + width), :3]

@@ -172,10 +172,21 @@ def test_prior_gives_the_axes_stays_where_nothing_was_driven_and_is_kept_beside_
     assert (after.values, after.velocities) == (before.values, before.velocities)
     assert after.acceleration_at(3.0, 10.0) == before.acceleration_at(3.0, 10.0)
     assert abs(after.acceleration_at(1.2, 2.0) - before.acceleration_at(1.2, 2.0)) > 0.02
-    assert "the prior's" in out
+    assert "the prior's" in out and "narrower" not in out
     kept = sorted(path.name for path in tmp_path.glob("*.bak-*"))
     assert [name.split(".bak-")[0] for name in kept] == ["map.csv", "map.report.txt"]
     assert all(f"; the old one is {tmp_path / name}\n" in out for name in kept)
+
+
+def test_map_that_is_narrower_than_the_old_one_is_said_so_last_in_one_line(bag, tmp_path, capsys):
+    path = tmp_path / "map.csv"
+    shutil.copy(str(ROOT / "config" / "value_map.csv"), str(path))
+    assert run(bag, "-o", path, *QUICK) == 0
+    new, last = load_value_map(str(path)), capsys.readouterr().out.splitlines()[-1]
+    (kept,) = tmp_path.glob("map.csv.bak-*")
+    assert last.startswith("narrower than the old map: ")
+    assert f"velocities {new.velocities[0]} to {new.velocities[-1]} in place of 0.0 to 10.0" in last
+    assert last.endswith(f": drive what is missing, or fill it from the old one by --prior {kept}")
 
 
 def test_too_little_driving_is_refused_with_what_is_missing_and_no_file_is_left(short_bag, tmp_path, capsys):

@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 
 from browser import Browser, find_browser
+from car_interface.black_box.folder import store
+from car_interface.common import causes
 from car_interface.tools.cli import drives
 from car_interface.tools.cli.main import main
 from written_recordings import Written, drive, odometry, write_ros1, write_ros2
@@ -24,6 +26,13 @@ def made(tmp_path_factory):
                with_definitions=False)
     (folder / "day" / "broken.bag").write_bytes(b"no bag")
     return folder
+
+
+@pytest.fixture(autouse=True)
+def black_box(tmp_path, monkeypatch):
+    """The black box's folder of a user who has none yet."""
+    monkeypatch.setenv("ROS_HOME", str(tmp_path / "ros"))
+    return tmp_path / "ros" / "car_interface" / "black_box"
 
 
 @pytest.fixture
@@ -63,6 +72,17 @@ def test_table_has_a_row_for_each_recording_of_whatever_kind(folder, capsys):
     with open(os.path.join(folder, "drives.html"), encoding="utf-8") as file:
         page = file.read()
     assert page.endswith("</html>\n") and 'data-plot="trends"' in page and "day/ros2" in page
+
+
+def test_recording_leads_to_the_page_that_bag_report_has_written_about_it(folder, read):
+    reported = Path(folder, "day", "ros2.html")
+    reported.touch()
+    Path(folder, "pages").mkdir()
+    for output, href in (("drives.html", "day/ros2.html"), ("pages/all.html", "../day/ros2.html")):
+        assert run(folder, "-o", f"{folder}/{output}") == 0
+        page = Path(folder, output).read_text(encoding="utf-8")
+        assert f'<a href="{href}">day/ros2</a>' in page and "drive.bag</a>" not in page
+        assert "bag_report makes the pages of the others" in " ".join(page.split())
 
 
 @pytest.mark.once
@@ -175,7 +195,7 @@ def test_page_in_chromium_has_no_errors_loads_nothing_fits_a_wide_window_and_can
     assert run(folder) == 0
     page = Path(folder) / "drives.html"
     too_wide = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
-    with Browser(find_browser(), width=1500) as browser:
+    with Browser(find_browser(), width=1280) as browser:
         browser.open(page)
         rows = browser.evaluate("document.querySelectorAll('#drives tr').length")
         hidden = browser.evaluate("(scroll => scroll.scrollWidth - scroll.clientWidth)"
@@ -188,3 +208,11 @@ def test_page_in_chromium_has_no_errors_loads_nothing_fits_a_wide_window_and_can
         browser.open(page)
         plot = browser.evaluate("document.querySelector('svg[data-plot=trends]').getBoundingClientRect().width")
         assert plot >= 640 and browser.evaluate(too_wide) == 0
+
+
+@pytest.mark.once
+def test_terminal_names_the_newest_recording_of_the_black_box(folder, read, black_box, capsys):
+    path = store(str(black_box), "2026-11-25_22-17-24", causes.ODOMETRY_STALE, b"a bag")
+    assert run(folder) == 0
+    assert capsys.readouterr().out.split("\n")[-2] == (
+        f"the last stop that nobody asked for: odometry silent, just now: rosrun car_interface bag_report {path}")

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from car_interface.black_box.folder import Recording
 from car_interface.steering.arbiter import PLANNER
 from car_interface.tools.doctor.car import (
     ABSENT,
@@ -15,6 +16,7 @@ from car_interface.tools.doctor.car import (
     Node,
     Reading,
     Report,
+    check_black_box,
     check_command_topics,
     check_diagnostics,
     check_files,
@@ -25,7 +27,7 @@ from car_interface.tools.doctor.car import (
     check_steering,
     find_cars,
 )
-from car_interface.tools.doctor.findings import BAD, OK, WARN
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
 
 PARTS = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter")
 TURN_ARB = Node("turn_arb", "/turn_arb", RUNNING, "/car_nodes")
@@ -208,3 +210,11 @@ def test_folder_of_the_nodes_files_is_compared(readings, is_virtual, level, text
 
 def test_nodes_that_were_not_launched_name_no_folder():
     assert check_folders(launched(turn_arb=""), PACKAGE, False) == []
+
+
+def test_newest_recording_of_the_black_box_is_named_with_its_cause_its_age_and_the_command():
+    recording = Recording("/home/me/my car/2026-11-25_22-17-24_odometry_silent.bag", "odometry silent", 1000.0, 1)
+    assert check_black_box(recording, 1000.0 + 12 * 60) == [
+        Finding(OK, "black box", "the last stop that nobody asked for: odometry silent, 12 minutes ago",
+                "rosrun car_interface bag_report '/home/me/my car/2026-11-25_22-17-24_odometry_silent.bag'")]
+    assert check_black_box(None, 1000.0) == []

@@ -8,8 +8,10 @@ import time
 import types
 
 import pytest
+from pads import F710_X, listed
 
 from car_interface.common.device_access import Membership
+from car_interface.teleop.input_devices import parse_pads
 from car_interface.tools.doctor import computer
 from car_interface.tools.doctor.findings import BAD, OK, WARN
 
@@ -64,7 +66,7 @@ def member(monkeypatch):
     """A user in no group, on a computer without a gamepad."""
     monkeypatch.setattr(computer, "read_membership", lambda: NOBODY)
     monkeypatch.setattr(computer, "group_of", lambda path, usual: usual)
-    monkeypatch.setattr(computer.glob, "glob", lambda pattern: [])
+    monkeypatch.setattr(computer, "find_pads", list)
     monkeypatch.setattr(computer.os.path, "exists", lambda path: path in ("/dev/ttyACM0", "/dev/i2c-1"))
 
 
@@ -88,7 +90,8 @@ def test_group_of_a_device_that_is_missing_is_no_more_than_a_warning_beside_that
 @pytest.mark.parametrize("readable, found", [(True, [(OK, "none needed: the devices are virtual")]),
                                              (False, [(WARN, "ann is not in input (the gamepad)")])])
 def test_gamepad_needs_its_group_only_while_it_cannot_be_read(member, monkeypatch, readable, found):
-    monkeypatch.setattr(computer.glob, "glob", lambda pattern: ["/dev/input/js0"])
+    (pad,) = parse_pads(listed(F710_X, 5), 64)
+    monkeypatch.setattr(computer, "find_pads", lambda: [pad])
     monkeypatch.setattr(os, "access", lambda path, mode: readable)
     assert missing_groups(True, True) == found
 
@@ -142,25 +145,3 @@ def test_libraries_that_the_tools_lack_are_a_warning_that_names_them(missing, en
     assert found.level == level and found.what.startswith(words)
     assert found.remedy == ("" if level == OK else "rosdep install, or on Debian a virtual environment: "
                             "docs/recordings.md, Install the tools")
-
-
-@pytest.mark.parametrize("is_installed, is_published, distribution, level, remedy", [
-    (True, False, "noetic", OK, ""),
-    (False, True, "debian", OK, ""),
-    (False, False, "noetic", WARN, "sudo apt install ros-noetic-joy"),
-    (False, False, "debian", OK, ""),
-], ids=["installed", "from_another_computer", "missing_on_ubuntu", "not_needed_on_debian"])
-def test_joy_is_missing_only_if_nobody_publishes_it(is_installed, is_published, distribution, level, remedy):
-    found, = computer.check_joy(is_installed, is_published, distribution)
-    assert found.level == level and remedy in found.remedy
-    assert level == OK or found.what.startswith("the ROS package joy, whose joy_node reads the gamepad, is missing")
-
-
-@pytest.mark.parametrize("is_virtual, joy, levels", [
-    (False, True, [OK, OK]), (False, False, [OK, WARN]), (True, False, [OK])],
-    ids=["joy_is_installed", "joy_is_missing", "virtual_car_needs_none"])
-def test_packages_are_those_of_the_tools_and_joy_for_a_car_with_hardware(is_virtual, joy, levels, monkeypatch):
-    monkeypatch.setenv("ROS_DISTRO", "noetic")
-    monkeypatch.setattr(computer, "TOOLS", {"json": "json"})
-    monkeypatch.setattr(computer, "_has_ros_package", {"joy": joy}.__getitem__)
-    assert [finding.level for finding in computer.probe_packages(False, is_virtual)] == levels

@@ -7,8 +7,9 @@ import pytest
 
 from car_interface.common import causes
 from car_interface.teleop.gamepad import GamepadConfig
+from car_interface.tools.doctor.car import Report
 from car_interface.tools.doctor.findings import BAD, OK, WARN
-from car_interface.tools.doctor.gamepad import GamepadFacts, JoySample, check_gamepad
+from car_interface.tools.doctor.gamepad import GamepadFacts, JoySample, check_gamepad, probe_driver
 
 SHIPPED = GamepadConfig(steer_axis=0, throttle_axis=4, manual_button=4, autonomous_button=5)
 AT_20_HZ = JoySample(messages=21, period_s=0.05, axes=8, buttons=11, values={})
@@ -16,8 +17,9 @@ NOTHING = JoySample(messages=0, period_s=math.inf, axes=0, buttons=0, values={})
 
 
 def check(sample=AT_20_HZ, publishers=("/joy_node",), config=SHIPPED, topic="/joy", cause=causes.NO_DEADMAN,
-          reason="no deadman is held", stick_cause=""):
-    found, = check_gamepad(GamepadFacts("/teleop_logi", topic, publishers, config, sample, cause, reason, stick_cause))
+          reason="no deadman is held", stick_cause="", driver=None):
+    found, = check_gamepad(GamepadFacts("/teleop_logi", topic, publishers, config, sample, cause, reason, stick_cause,
+                                        driver))
     return found
 
 
@@ -33,6 +35,9 @@ def test_gamepad_that_works_is_ok_with_its_size_and_rate():
                  "Launch the car with gamepad:=true, which starts its driver", id="nobody_publishes"),
     pytest.param({"sample": NOTHING}, WARN, "/joy_node publishes /joy, but nothing came",
                  "Set its driver's autorepeat_rate to 20", id="joy_node_without_a_message"),
+    pytest.param({"sample": NOTHING, "driver": Report("joy_node: gamepad device", BAD, "gamepad: there are several",
+                                                      "Leave one")}, WARN, "gamepad: there are several", "Leave one",
+                 id="driver_without_a_gamepad"),
     pytest.param({"sample": AT_20_HZ._replace(axes=4)}, BAD,
                  "the gamepad has 4 axes (0 to 3), but throttle_axis is 4", "needs its switch at X", id="wrong_mode"),
     pytest.param({"sample": AT_20_HZ._replace(values={4: math.nan})}, BAD,
@@ -55,6 +60,8 @@ def test_gamepad_that_works_is_ok_with_its_size_and_rate():
     pytest.param({"cause": causes.JOY_NEVER_RECEIVED, "reason": "joy was never heard"}, BAD,
                  "/joy comes here, but /teleop_logi says: joy was never heard", "rosnode info /teleop_logi",
                  id="teleop_logi_does_not_hear_it"),
+    pytest.param({"cause": causes.JOY_UNMAPPED, "reason": "gamepads.yaml has no entry", "config": None}, BAD,
+                 "gamepads.yaml has no entry", "Map it: rosrun car_interface map_gamepad FOLDER", id="unknown_gamepad"),
 ])
 def test_what_is_wrong_is_named_with_its_remedy(changes, level, what, remedy):
     found = check(**changes)
@@ -78,3 +85,40 @@ def test_what_is_not_wrong_is_ok(changes):
 def test_topic_below_a_namespace_is_named_in_what_to_type():
     found = check(sample=AT_20_HZ._replace(axes=4), topic="/car1/joy")
     assert found.remedy.endswith("rostopic echo /car1/joy")
+
+
+# --- its driver ---
+
+def plug_in(folder, name, kind, has_driver, product="Wireless Gamepad F710", numbers=("046d", "c21f")):
+    """A device of the USB bus with one interface, as sysfs shows them."""
+    (folder / name).mkdir()
+    (folder / f"{name}:1.0").mkdir()
+    words = {"idVendor": numbers[0], "idProduct": numbers[1], "product": product}
+    for file, word in words.items():
+        if word:
+            (folder / name / file).write_text(f"{word}\n", encoding="utf-8")
+    for file, word in zip(("bInterfaceClass", "bInterfaceSubClass", "bInterfaceProtocol"), kind):
+        (folder / f"{name}:1.0" / file).write_text(f"{word}\n", encoding="utf-8")
+    if has_driver:
+        (folder / f"{name}:1.0" / "driver").symlink_to("../../../bus/usb/drivers/xpad")
+
+
+def test_driver_that_is_missing_is_named_with_what_to_do(tmp_path):
+    plug_in(tmp_path, "1-2", ("ff", "5d", "01"), False)
+    plug_in(tmp_path, "1-3", ("ff", "47", "d0"), False, "", ("045e", "02ea"))
+    first, second = probe_driver(str(tmp_path))
+    assert (first.level, first.what) == (WARN, ("Wireless Gamepad F710 (046d:c21f) is plugged in, but no driver has it:"
+                                         " no xpad"))
+    assert first.remedy.startswith("sudo modprobe xpad. If there is no such module, as on a Jetson: set the switch")
+    assert second.what.startswith("a gamepad (045e:02ea)")
+
+
+@pytest.mark.parametrize("kind, has_driver", [(("ff", "5d", "01"), True), (("03", "00", "00"), False)],
+                         ids=["xpad_has_it", "no_xbox_gamepad"])
+def test_gamepad_that_has_a_driver_or_needs_none_is_no_finding(tmp_path, kind, has_driver):
+    (tmp_path / "bus").mkdir()
+    plug_in(tmp_path, "1-2", kind, has_driver)
+    if has_driver:
+        (tmp_path / "1-2:1.0" / "driver").unlink()
+        (tmp_path / "1-2:1.0" / "driver").symlink_to(tmp_path / "bus")
+    assert probe_driver(str(tmp_path)) == [] and probe_driver("/nowhere") == []

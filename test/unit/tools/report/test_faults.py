@@ -60,3 +60,33 @@ def test_repeated_moment_is_one_fault_with_a_count():
     for index in range(3):
         log.add_repeated(float(index), WARN, "node", f"retry {index}")
     assert [(fault.start_s, fault.what, fault.times) for fault in log.entries] == [(0.0, "retry 0", 3)]
+
+
+# --- a node's start ---
+
+
+def reported(*reports, driven_from_s=20.0):
+    """What of (time, level, text) of one key is a fault."""
+    log = FaultLog()
+    for time_s, level, what in reports:
+        log.update_condition(time_s, "pca9685: servo board", level, "pca9685", what)
+    log.finish(driven_from_s)
+    return [(fault.start_s, fault.what) for fault in log.entries]
+
+
+@pytest.mark.parametrize("reports", [
+    [(0.2, WARN, "waiting"), (1.2, OK, "fine")],
+    [(0.2, WARN, "waiting"), (1.2, WARN, "too few pings"), (6.2, OK, "fine")],
+    [(12.0, WARN, "waiting"), (14.0, OK, "fine")]], ids=["warning", "one_after_the_other", "started_later"])
+def test_what_a_node_reports_of_its_start_before_anybody_drives_is_no_fault(reports):
+    assert reported(*reports) == []
+
+
+@pytest.mark.parametrize("reports, driven_from_s", [
+    ([(0.2, WARN, "cut"), (9.0, OK, "fine")], 20.0),
+    ([(0.2, ERROR, "cut"), (1.2, OK, "fine")], 20.0),
+    ([(0.2, WARN, "cut"), (3.2, OK, "fine")], 3.0),
+    ([(0.0, OK, "fine"), (0.2, WARN, "cut"), (3.2, OK, "fine")], 20.0),
+    ([(0.2, WARN, "cut")], 20.0)], ids=["too_long", "error", "while_somebody_drives", "not_the_first", "to_the_end"])
+def test_first_report_is_a_fault_where_it_is_more_than_a_start(reports, driven_from_s):
+    assert reported(*reports, driven_from_s=driven_from_s) == [(0.2, "cut")]

@@ -7,6 +7,7 @@ import re
 
 from car_interface.tools.report import plots as report_plots
 from car_interface.tools.report.downsample import Trace
+from car_interface.tools.report.figures import DRIVER_COLOURS
 from car_interface.tools.report.summary import summarize
 from written_recordings import Written, odometry, write_ros1
 
@@ -46,6 +47,15 @@ def test_steering_shows_what_was_driven_where_that_is_tighter_than_what_was_sent
     figure = report_plots._steering(summarize(str(write_ros1(tmp_path / "a.bag", messages))))
     low, high = figure.axes[0].get_ylim()
     assert low < -1.0 and high > 1.0  # 1/m
+
+
+def test_path_under_a_later_one_stays_visible(seen):
+    axes = report_plots._path(seen).axes[0]
+    lines = [line for line in axes.get_lines() if line.get_color() in DRIVER_COLOURS.values()]
+    widths = {line.get_color(): line.get_linewidth() for line in lines}  # in the order in which they first drove
+    assert len(widths) > 1 and list(widths.values()) == sorted(widths.values(), reverse=True)
+    assert all((one.get_zorder() < other.get_zorder()) == (one.get_linewidth() > other.get_linewidth())
+               for one in lines for other in lines)
 
 
 def test_servos_channel_is_not_drawn_as_the_escs_though_its_channel_is_unknown(tmp_path, monkeypatch):

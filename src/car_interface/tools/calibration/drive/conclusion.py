@@ -1,9 +1,10 @@
 """Ends a calibration drive: with the tool's own calibration of its samples, or its refusal, and the file to write."""
 from __future__ import annotations
 
+import itertools
 import os
 from pathlib import Path
-from typing import NamedTuple
+from typing import Iterable, NamedTuple
 
 from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError
@@ -14,8 +15,10 @@ from car_interface.steering.config import load_steering
 from car_interface.tools.calibration.drive.samples import Samples
 from car_interface.tools.calibration.shared import RecordedDrive, write_table
 from car_interface.tools.calibration.steering.calibrate import NOT_LOADED, SteeringResult, calibrate, yaml_text
-from car_interface.tools.calibration.steering.report import report, short_report
+from car_interface.tools.calibration.steering.errors import BAND
+from car_interface.tools.calibration.steering.report import TABLE_HEAD, report, short_report
 from car_interface.tools.calibration.steering.table import LEFT, RIGHT
+from car_interface.tools.recordings.calibration_result import CalibrationResult, SideRow
 
 BASE = "config/turn_arb.yaml"
 
@@ -29,6 +32,7 @@ class Conclusion(NamedTuple):
         refusal: why nothing is to be written, in the tool's words; empty = nothing is missing.
         center_duty: the new servo_center, for servo.yaml too; 0 = refused.
         missing: what the refusal is made of, where more driving is what it takes: sentences; else empty.
+        result: for the recording; ``None`` = there was nothing to fit.
     """
 
     yaml_text: str
@@ -36,6 +40,7 @@ class Conclusion(NamedTuple):
     refusal: str
     center_duty: int
     missing: tuple[str, ...] = ()
+    result: CalibrationResult | None = None
 
 
 def conclude(samples: Samples, base: SteeringCalibration, base_text: str, name: str) -> Conclusion:
@@ -49,17 +54,39 @@ def conclude(samples: Samples, base: SteeringCalibration, base_text: str, name: 
     recorded = [RecordedDrive(name, samples.drive(), (), samples.duration_s)]
     lines: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
+    result = None
     try:
         calibrated = calibrate(recorded, base)
         lines = tuple(short_report(calibrated, recorded))
         missing = tuple(calibrated.problems)
         refusal = "; ".join(missing) or _swapped(calibrated, base)
         text = "" if refusal else yaml_text(calibrated, base_text, list(report(calibrated, recorded, None)))
+        result = _result(calibrated, base, refusal, report(calibrated, recorded, None))
     except CarInterfaceError as error:
         refusal = str(error)
     if refusal:
-        return Conclusion("", lines, refusal, 0, missing)
-    return Conclusion(text, lines, "", round(calibrated.center))
+        return Conclusion("", lines, refusal, 0, missing, result)
+    return Conclusion(text, lines, "", round(calibrated.center), (), result)
+
+
+def _result(calibrated: SteeringResult, base: SteeringCalibration, refusal: str, lines: Iterable[str]):
+    """Return the result for the recording, without what to do next."""
+    curve, radii_m = calibrated.curve, [point.radius_m for point in calibrated.points[LEFT]]
+
+    def rows(side, sign):
+        for point in calibrated.points[side]:
+            old_duty = base.planner_duty(sign * point.radius_m)
+            yield SideRow(old_duty, sign * float(curve.curvature(old_duty)), point.duty, BAND * point.duty_sigma,
+                          BAND * point.radius_sigma_m / point.radius_m, point.segments, point.distance_m, point.source)
+    duties = curve.duties.tolist()
+    held = curve.observations.duty[curve.used], curve.observations.curvature_per_m[curve.used]
+    before_table = itertools.takewhile(lambda line: not line.startswith(TABLE_HEAD), lines)
+    return CalibrationResult(
+        refusal, tuple(line.strip() for line in before_table), (), radii_m, tuple(rows(LEFT, 1.0)),
+        tuple(rows(RIGHT, -1.0)), (base.servo_center, float(calibrated.center)),
+        tuple(zip(*(column.tolist() for column in held))),
+        tuple(zip(duties, curve.curvatures.tolist(), (BAND * curve.sigmas).tolist())),
+        tuple((duty, 1 / base.turn_radius_m(duty)) for duty in duties))
 
 
 def _swapped(calibrated: SteeringResult, base: SteeringCalibration) -> str:
@@ -145,6 +172,23 @@ def find_table_file(wanted: str | None, base: str | None, launched_with: str | N
         raise CarInterfaceError(f"{base_path} has servo_channel {kept.servo_channel}, and turn_arb steers channel "
                                 f"{running.servo_channel}: name another file by -o or --base")
     return TableFile(path, read_yaml(base_path))
+
+
+def next_steps(table: TableFile, refusal: str, replaces: bool | None) -> list[str]:
+    """Return what to do after the drive, in sentences, for its page.
+
+    Args:
+        refusal: as Conclusion has it.
+        replaces: the file itself, else the new table is beside it; ``None`` = a person is asked, and may say no.
+    """
+    if refusal:
+        return [("Drive again with more room (--radius 3.5) or more time (--max-time 420), or give this recording and "
+                 "another one to calibrate_steering, which makes one table of both.")]
+    take = f"ake the new table by: mv {table.beside} {table.path}"
+    taking = [] if replaces else [f"If you answered no, t{take}" if replaces is None else f"T{take}"]
+    return [*taking, f"Launch again with config:={table.folder}, which loads the table.",
+            "Then ask for a circle, and measure it: rostopic pub -r 20 av_turnrad_req std_msgs/Float32 2.0",
+            "bag_report of any later drive says how tight its slow turns were against this table."]
 
 
 def board_center(center_duty: int, old_duty: int, board_duty: int | None) -> str:

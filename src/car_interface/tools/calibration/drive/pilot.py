@@ -29,9 +29,10 @@ from car_interface.tools.calibration.drive.step import (
 )
 from car_interface.tools.calibration.drive.survey import Survey
 
-LOST_RAD = 3 * 2 * math.pi  # turned to the other side meanwhile
+SOUGHT_RAD, LOST_RAD = 2 * 2 * math.pi, 3 * 2 * math.pi  # turned to the other side meanwhile, one turn of it in search
 KEPT_LENGTH_M = 0.5  # one that was cut short counts from here on
 BLIND_M = 0.3  # after a pause
+ACROSS_M = 0.5  # from one end to the other, so much farther out than the turns and the servo's lag say (practice.launch)
 LITTLE_NEED = 0.3
 BEGIN_RATIO, LEAVE_RATIO = 0.3, 0.9  # of the best worth: what is begun, and for what a turn is left
 TURNED_RAD = 2 * math.pi  # after a whole turn another one may be tried
@@ -42,7 +43,8 @@ STUCK_NS, STUCK_M = 3 * NS_PER_S, 0.15  # so long without moving so far: it can'
 
 
 class LostTurns:
-    """Notices when a person has to place the car: turns to one side are missing, and it only ever turns to the other.
+    """Notices that turns to one side are missing, and that the car only ever turns to the other: after two of those one
+    to that side is sought for a whole turn, and then a person has to place the car.
 
     A car that turns widely goes from one turn to the next one to the same side, as no way across the area leads to one
     to the other side that stays inside. Of the tight turns 0 is the one to the left, 1 that to the right.
@@ -54,6 +56,7 @@ class LostTurns:
     def __init__(self):
         self.asked: int | None = None
         self._since_rad = [0.0, 0.0]  # turned to the other side since each was driven last
+        self._sought: int | None = None
 
     def update_motion(self, turned_rad: float) -> None:
         """Take by how much the heading changed, left positive."""
@@ -61,13 +64,21 @@ class LostTurns:
         self._since_rad[1] += max(0.0, turned_rad)
 
     def drive(self, side: int) -> int | None:
-        """Return a tight turn to that side is driven now: the other one, if it is lost."""
+        """Take that a tight turn to that side is driven now; return the other one, if it is sought."""
         self._since_rad[side] = 0.0
-        return 1 - side if self._since_rad[1 - side] >= LOST_RAD else None
+        if self._sought == side:
+            self._sought = None
+        return 1 - side if self._since_rad[1 - side] >= SOUGHT_RAD else None
+
+    def seek(self, side: int) -> bool:
+        """Seek that one; return whether it was not found within a turn."""
+        if self._sought != side:
+            self._sought, self._since_rad[side] = side, SOUGHT_RAD
+        return self._since_rad[side] >= LOST_RAD
 
     def ask(self, side: int) -> None:
-        """Ask a person for that one; again after three more turns to the other side."""
-        self.asked, self._since_rad[side] = side, 0.0
+        """Ask a person for that one; it is sought again after two more turns to the other side."""
+        self.asked, self._sought, self._since_rad[side] = side, None, 0.0
 
     def text(self, turns_per_m: Sequence[float]) -> str:
         """Return what to do, for a person.
@@ -165,18 +176,32 @@ class Pilot:
         elif self._misses_turn(now_ns):
             self._turn(now_ns, side=self._side)
         elif self._is_turn:
-            self._look_for_lost_turn()
+            if self._takes_lost_turn(now_ns):
+                return
             if is_due and (hold.length_m >= self._want_m or self._need < LITTLE_NEED and hold.is_settled(now_ns)):
                 self._leave_turn(now_ns)
         elif hold.length_m >= self._want_m:
             self._begin_any(now_ns)
 
-    def _look_for_lost_turn(self):
-        """Ask for help where positions to one side are missing, and it only ever turns to the other."""
+    def _takes_lost_turn(self, now_ns):
+        """Return whether a turn to the other side is sought, whose positions are missing while it only turns to this one.
+
+        The tight turn to this side is held, which leads to the middle of the area, until one to the other side stays
+        inside. If none does within a turn, a person is asked for help.
+        """
         lost = self._lost.drive(0 if self.outlook.expected_per_m(self._hold.duty) > 0 else 1)
-        if (lost is not None and self._choices.turns_needs()[lost] >= MISSING_NEED
-                and self.outlook.area.has_circle(self._turns_per_m()[lost])):
+        if lost is None or self._choices.turns_needs()[lost] < MISSING_NEED:
+            return False
+        turn_per_m = self._turns_per_m()[lost]
+        if self._circle_excesses_m(now_ns)[lost] <= -ACROSS_M and self.outlook.sonar_mps(turn_per_m, now_ns) >= FREE_MPS:
+            self._turn(now_ns, side=lost)
+        elif not self.outlook.area.has_circle(turn_per_m):
+            return False
+        elif self._lost.seek(lost):
             self._lost.ask(lost)
+        else:
+            self._turn(now_ns, tightest=True, side=1 - lost)
+        return True
 
     def _misses_turn(self, now_ns):
         """Return whether the turn with which it is to end would leave the area from now on."""
@@ -270,16 +295,20 @@ class Pilot:
         if min(seen) < FREE_MPS and max(seen) > min(seen) + 0.1:
             return turns[seen.index(max(seen))]
         # A car that looks inward gets out again on the other turn: what counts here is the whole circle of each.
-        reacted = [moved(self._motion.pose, turn.reaction_m, self.outlook.path_per_m(self._hold, now_ns))
-                   for turn in self.outlook.turns_now()]
-        area = self.outlook.area
-        is_inward = area.inward_rad(self._motion.pose) < INWARD_RAD
-        excesses = [max(partly_m, area.circle_extent_m(pose, turn) - area.radius_m) if is_inward else partly_m
-                    for partly_m, pose, turn in zip(self.outlook.excesses_m(self._hold, now_ns), reacted, turns)]
+        is_inward = self.outlook.area.inward_rad(self._motion.pose) < INWARD_RAD
+        excesses = self._circle_excesses_m(now_ns) if is_inward else self.outlook.excesses_m(self._hold, now_ns)
         if max(excesses) > 0:
             return turns[excesses.index(min(excesses))]
         needs = self._choices.turns_needs()
         return turns[needs.index(max(needs))]
+
+    def _circle_excesses_m(self, now_ns):
+        """Return by how much the whole circle of each tight turn leaves the area."""
+        partly, area = self.outlook.excesses_m(self._hold, now_ns), self.outlook.area
+        reacted = [moved(self._motion.pose, turn.reaction_m, self.outlook.path_per_m(self._hold, now_ns))
+                   for turn in self.outlook.turns_now()]
+        return [max(partly_m, area.circle_extent_m(pose, turn) - area.radius_m)
+                for partly_m, pose, turn in zip(partly, reacted, self._turns_per_m())]
 
     def _begin(self, choice, is_turn, now_ns, need=0.0):
         was_turn = self._is_turn

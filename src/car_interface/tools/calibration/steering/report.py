@@ -15,6 +15,7 @@ from car_interface.tools.calibration.steering.table import DRIVEN, LEFT, OLD, RI
 from car_interface.tools.calibration.steering.understeer import Understeer
 
 SHORT_ROWS = 8
+TABLE_HEAD = "  radius"
 
 
 def report(calibrated: SteeringResult, recorded: Sequence[RecordedDrive],
@@ -33,7 +34,7 @@ def report(calibrated: SteeringResult, recorded: Sequence[RecordedDrive],
     if added:
         yield (f"  --axis ends at {axis_m[-1]:g} m: {added[0]:g} to {added[-1]:g} m are added, or turn_arb would "
                "turn as tight as there when asked for straight on")
-    yield "  radius         left  ±duty   ±radius segments    m        right  ±duty   ±radius segments    m"
+    yield f"{TABLE_HEAD}         left  ±duty   ±radius segments    m        right  ±duty   ±radius segments    m"
     for left, right in zip(points[LEFT], points[RIGHT]):
         yield f"  {left.radius_m:6g} m  {_cells(left)}   {_cells(right)}"
     yield "  (±: two standard errors; segments: driven about as tight; e: the end, no tighter turn can be had;"
@@ -49,7 +50,7 @@ def short_report(calibrated: SteeringResult, recorded: Sequence[RecordedDrive]) 
     yield _first_line(curve, recorded)
     yield _servo_line(curve)
     yield from _center_and_end_lines(curve)
-    yield "  radius         left  ±duty   ±radius        right  ±duty   ±radius"
+    yield f"{TABLE_HEAD}         left  ±duty   ±radius        right  ±duty   ±radius"
     rows = list(zip(points[LEFT], points[RIGHT]))
     shown = min(len(rows), SHORT_ROWS)
     for index in range(shown):

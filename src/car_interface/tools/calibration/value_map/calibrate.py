@@ -179,6 +179,22 @@ def _measured_by(source, drives):
     return "pulse times of the wheels" if all(drive.wheels for drive in drives) else "odometry's speed"
 
 
+def narrower_text(table: tables.Table, old: ValueMap, old_path: str) -> str | None:
+    """Return a line that says by how much a map is narrower than the one that it replaces; ``None`` = it isn't."""
+    narrowed = [f"{name} {_range_text(new)} in place of {_range_text(before)}"
+                for name, new, before in (("values", table.values, old.values),
+                                          ("velocities", table.velocities, old.velocities))
+                if new[0] > before[0] or new[-1] < before[-1]]
+    if not narrowed:
+        return None
+    return (f"narrower than the old map: {', '.join(narrowed)}: drive what is missing, or fill it from the old one by "
+            f"--prior {old_path}")
+
+
+def _range_text(axis):
+    return f"{number_text(axis[0])} to {number_text(axis[-1])}"
+
+
 def _ground_text(ground, has_pitch, from_imu):
     if from_imu:
         slope = "gravity is in what an accelerometer feels"

@@ -175,16 +175,21 @@ def test_what_is_held_first_after_a_pause_is_not_counted():
 
 
 LEFT, RIGHT = 0, 1
-THREE_RAD = 6 * math.pi
+TWO_RAD = 4 * math.pi
 
 
 @pytest.mark.parametrize("driven, sign, lost", [(RIGHT, -1, LEFT), (LEFT, 1, RIGHT)], ids=("right", "left"))
-def test_a_turn_is_lost_after_three_to_the_other_side_only(driven, sign, lost):
+def test_a_turn_is_sought_after_two_to_the_other_side_only_and_lost_after_one_more(driven, sign, lost):
     one = LostTurns()
-    one.update_motion(sign * (THREE_RAD - 0.1))
+    one.update_motion(sign * (TWO_RAD - 0.1))
     assert one.drive(driven) is None
-    one.update_motion(sign * 0.2)
+    one.update_motion(sign * 5.0)
     assert one.drive(driven) == lost and one.asked is None
+    assert not one.seek(lost)
+    one.update_motion(sign * (TWO_RAD / 2 - 0.1))
+    assert not one.seek(lost)
+    one.update_motion(sign * 0.2)
+    assert one.seek(lost)
 
 
 def test_what_it_turns_to_that_side_on_its_way_does_not_find_it_again():
@@ -197,16 +202,16 @@ def test_what_it_turns_to_that_side_on_its_way_does_not_find_it_again():
 
 def test_a_tight_turn_to_that_side_does():
     one = LostTurns()
-    one.update_motion(-THREE_RAD)
+    one.update_motion(-TWO_RAD)
     one.drive(LEFT)
     one.update_motion(-1.0)
     assert one.drive(RIGHT) is None
 
 
-def test_it_asks_again_only_after_three_more():
+def test_it_seeks_again_only_after_two_more():
     one = LostTurns()
-    one.update_motion(-THREE_RAD)
+    one.update_motion(-TWO_RAD)
     one.ask(LEFT)
     assert one.asked == LEFT and one.drive(RIGHT) is None
-    one.update_motion(-THREE_RAD)
-    assert one.drive(RIGHT) == LEFT
+    one.update_motion(-TWO_RAD)
+    assert one.drive(RIGHT) == LEFT and not one.seek(LEFT)

@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("rospy")
 
-from car_interface.nodes.calibration_drive.live_text import LiveText
+from car_interface.nodes.live_text import LiveText
 from car_interface.ros.logs import LogStream
 
 

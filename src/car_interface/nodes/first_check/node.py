@@ -1,0 +1,285 @@
+"""The first_check program: asks a person about a car on a box, one question at a time, and writes what it learned.
+
+It is started by hand, in a terminal of its own, beside a launched car. It steers by a planner's topic, while the
+autonomous deadman is held. It gives no throttle: that is the person's stick. Deadman, e-stop, arming and timeouts hold
+as for any planner. It writes nothing before it was told to, at the end.
+
+Publishes:
+    av_steer_req (std_msgs/Float32): −1 right .. +1 left, at 20 Hz, in the questions on the steering, while the
+        autonomous deadman is held.
+Subscribes:
+    teleop_logi/human_in_loop (std_msgs/Bool), teleop_logi/mode (std_msgs/String), teleop_logi/tele_steer_req,
+        teleop_logi/tele_throt_req (std_msgs/Float32), teleop_logi/state (TeleopState), joy (sensor_msgs/Joy).
+    turn_arb/state (SteeringState), throttle_arb/state (ThrottleState), servo/output (std_msgs/Int32MultiArray).
+    teensy_sensor_hub/link (LinkStatus), teensy_wheel (Wheel), odom (nav_msgs/Odometry), sonar/front_right …
+        sonar/rear_left (sensor_msgs/Range).
+Calls:
+    throttle_arb/servo/set_parameters: in the question on the ESC's neutral, while + or − is typed.
+Parameters: none of its own; it reads those of the car's nodes.
+"""
+from __future__ import annotations
+
+import os
+import signal
+from functools import partial
+from typing import Any, Callable
+
+import rospy
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import Joy, Range
+from std_msgs.msg import Bool, Float32, Int32MultiArray, String
+
+from car_interface.common.causes import AUTONOMOUS
+from car_interface.common.declared import read
+from car_interface.common.errors import CarInterfaceError, ConfigError, EndedEarly
+from car_interface.common.params import Params
+from car_interface.common.rate_timer import RateTimer
+from car_interface.common.units import CHANNELS, NS_PER_S
+from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, SONARS
+from car_interface.msg import LinkStatus, SteeringState, TeleopState, ThrottleState, Wheel
+from car_interface.nodes.keyboard_drive.keyboard import Keys
+from car_interface.nodes.live_text import LiveText
+from car_interface.ros.clocks import SYSTEM
+from car_interface.ros.reconfigure import request_values
+from car_interface.ros.runtime import run
+from car_interface.ros.topics import advertise, sender_of, subscribe
+from car_interface.ros.xmlrpc_calls import call
+from car_interface.throttle.calibration import ThrottleCalibration
+from car_interface.throttle.config import load_throttle
+from car_interface.tools.calibration.drive.config import read_base
+from car_interface.tools.first_check.car import Output, Setup, Steering, Throttle, WheelCount
+from car_interface.tools.first_check.check import FirstCheck
+from car_interface.tools.first_check.files import find_folder, plan, write, write_page
+
+NAME = "first_check"
+RATE_HZ = 20
+READY_WITHIN_NS = 8 * NS_PER_S
+INTRODUCTION = """First check: five minutes, one question at a time, the car on a box.
+With keyboard_drive in another terminal: M is the manual deadman, P the
+autonomous one, A and D the left stick, W and S the right one, E and C the right
+one slowly."""
+PAGE = "first_check_%Y-%m-%d_%H-%M-%S.html"
+
+
+class FirstCheckNode:
+    """Carries messages and keys to the check, and its requests to the car.
+
+    Args:
+        params: none.
+        inbox: the node's.
+        text, keys: the terminal; ``None`` = the one that the program runs in.
+        kill: ends a node's process by its name, and returns why it can't; empty: it did.
+        request: called with a namespace and values by name, for the node's own live tuning.
+    """
+
+    def __init__(self, params, inbox, text=None, keys=None, kill=None, request=request_values):
+        params.finish()
+        graph = self._graph = inbox.graph
+        self._inbox, self._kill, self._request = inbox, kill or kill_node, request
+        self._folder = find_folder(graph.parameter("turn_arb/config_folder", None))
+        setup = read_setup(graph.parameter, self._folder)
+        self._channel = setup.steering.servo_channel
+        self._check, self._start_neutral = FirstCheck(setup), setup.throttle and setup.throttle.neutral
+        self._neutral = self._start_neutral  # that throttle_arb was asked for
+        self._text, self._keys = text or LiveText(), keys or Keys()
+        now_ns = inbox.clocks.now_ns()
+        self._timer, self._begun_ns, self._stage = RateTimer(RATE_HZ, now_ns), now_ns, self._wait
+        self._kind, self._edits, self._fault, self._is_over = "", [], "", False
+        self._steering = advertise("av_steer_req", Float32, inbox)
+        self._asked = False  # whether it steered with the last tick
+        self._subscribe()
+        if not self._keys.start():
+            raise CarInterfaceError("no terminal to ask in: start it by rosrun in a terminal of its own, not by "
+                                    "roslaunch and not in the background")
+        self._text.say(f"{INTRODUCTION}\nNothing is written before the end; then to {self._folder}, if you say so.\n")
+
+    def _subscribe(self):
+        inbox, car = self._inbox, self._check.car
+        for topic, message_type, handler in (
+                ("teleop_logi/human_in_loop", Bool, lambda message, now_ns: car.human.update(message.data, now_ns)),
+                ("teleop_logi/mode", String, lambda message, now_ns: car.mode.update(message.data, now_ns)),
+                ("teleop_logi/state", TeleopState, lambda message, now_ns: car.gamepad.update(message.reason, now_ns)),
+                ("teleop_logi/tele_steer_req", Float32,
+                 lambda message, now_ns: car.steering_stick.update(message.data, now_ns)),
+                ("teleop_logi/tele_throt_req", Float32,
+                 lambda message, now_ns: car.throttle_stick.update(message.data, now_ns)),
+                ("joy", Joy, lambda message, now_ns: car.buttons.update(
+                    tuple(index for index, is_held in enumerate(message.buttons) if is_held), now_ns)),
+                ("turn_arb/state", SteeringState, lambda message, now_ns: car.steering.update(
+                    Steering(message.source, message.reason, message.duty), now_ns)),
+                ("throttle_arb/state", ThrottleState, self._on_throttle),
+                ("servo/output", Int32MultiArray, self._on_output),
+                ("teensy_sensor_hub/link", LinkStatus,
+                 lambda message, now_ns: car.link.update(message.open, now_ns)),
+                ("teensy_wheel", Wheel, lambda message, now_ns: car.update_wheels(
+                    [WheelCount(wheel.direction, wheel.dist_abs) for wheel in (message.left, message.right)], now_ns)),
+                ("odom", Odometry, lambda message, now_ns: car.update_speed(message.twist.twist.linear.x, now_ns)),
+                *((f"sonar/{name}", Range, partial(self._on_range, name)) for name in SONARS)):
+            subscribe(topic, message_type, inbox, handler, wakes=False)
+
+    def _on_throttle(self, message, now_ns):
+        self._check.car.update_throttle(Throttle(message.source, message.reason, message.granted, message.esc,
+                                                 message.esc_reason, message.human_scale), now_ns)
+
+    def _on_output(self, message, now_ns):
+        if len(message.data) == CHANNELS:
+            self._check.car.output.update(Output(message.data, sender_of(message)), now_ns)
+
+    def _on_range(self, name, message, now_ns):
+        self._check.car.update_range(name, message.range, now_ns)
+
+    def step(self, now_ns):
+        """Handle what arrived; then the stage."""
+        self._inbox.dispatch()
+        if self._timer.is_due(now_ns):
+            typed = self._keys.read()
+            if typed is None and self._keys.is_closed():
+                raise EndedEarly("its terminal was closed: nothing is written")
+            self._stage(now_ns, typed or "")
+        return self._timer.due_ns
+
+    def shut_down(self):
+        """Center the steering, take back a neutral that isn't written, restore the terminal."""
+        self._steer(None)
+        if not self._is_over:
+            self._tune(None, lambda ask, name: ask())
+        self._keys.restore()
+        self._text.keep()
+
+    def _wait(self, now_ns, typed):
+        car = self._check.car
+        if "q" in typed.lower():
+            self._quit()
+        if not (car.steering.is_stale(now_ns) or car.output.is_stale(now_ns)):
+            self._stage = self._ask
+        elif now_ns - self._begun_ns > READY_WITHIN_NS:
+            lacks = [timed.stale_reason(now_ns) for timed in (car.steering, car.output) if timed.is_stale(now_ns)]
+            raise CarInterfaceError(f"it can't begin: {'; '.join(lacks)}. Is the car launched, and in this namespace "
+                                    "(ROS_NAMESPACE)? rosrun car_interface doctor")
+
+    def _ask(self, now_ns, typed):
+        view = self._check.step(now_ns, typed, self._text.width)
+        if view.has_quit:
+            self._quit()
+        if self._check.refusal:
+            raise EndedEarly(f"{self._check.refusal}. Nothing is written")
+        self._steer(view.steering if self._check.car.held_mode(now_ns) == AUTONOMOUS else None)
+        self._tune(view.neutral)
+        if view.kills_board:
+            reason = self._kill(self._check.car.output.value.sender)
+            if reason:
+                self._check.question.kill_failed(reason)
+        if view.is_over:
+            self._summarize()
+        elif self._text.is_live:
+            self._text.show(view.lines)
+        elif view.kind != self._kind:
+            self._text.say("\n".join(view.lines))
+        self._kind = view.kind
+
+    def _quit(self):
+        raise EndedEarly("ended before it was over: nothing is written")
+
+    def _steer(self, request):
+        """Ask for a steering; for the center once where nothing is asked any more."""
+        if request is not None or self._asked:
+            self._steering.publish(Float32(request or 0.0))
+        self._asked = request is not None
+
+    def _tune(self, neutral, run_in=None):
+        """Have throttle_arb take another neutral, or its own again; beside this thread, unless this is the end."""
+        wanted = self._start_neutral if neutral is None else neutral
+        if wanted != self._neutral:
+            self._neutral = wanted
+            namespace = self._inbox.resolve_name("throttle_arb/servo")
+            (run_in or self._graph.start_thread)(partial(self._request, namespace, {"neutral": wanted}), "tuning")
+
+    # --- its end ---
+
+    def _summarize(self):
+        self._text.keep()
+        for title, result in self._check.results:
+            self._text.say(f"{result.verdict:<15} {title}: {result.answer}"
+                           + (f"\n{'':<15} -> {result.repair}" if result.repair else ""))
+        try:
+            self._edits = plan(self._folder, self._check.changes())
+        except ConfigError as error:
+            self._edits = []
+            self._text.say(f"what was learned doesn't go together: {error}")
+        lines = [line for edit in self._edits for line in edit.lines()]
+        self._text.say("\n".join(["", *lines] if lines else ["", "Nothing in the files is to be changed."]))
+        question = f"Write this to {self._folder}? The old files are kept beside it." if lines else "Write the page?"
+        self._text.say(f"{question}\nY yes, and a page{'   N only the page' if lines else ''}   P previous   Q nothing")
+        self._stage = self._confirm
+
+    def _confirm(self, now_ns, typed):
+        answer = next((key for key in typed.lower() if key in "ynpq"), "")
+        if answer == "q":
+            self._quit()
+        if answer == "p":
+            self._check.step(now_ns, "p", self._text.width)
+            self._stage = self._ask
+        elif answer:
+            self._finish(writes=answer == "y")
+
+    def _finish(self, writes):
+        written = write(self._edits) if writes else []
+        for line in written:
+            self._text.say(line)
+        page = os.path.join(self._folder, SYSTEM.local_time(PAGE))
+        changed = [line for edit in self._edits for line in edit.lines()] if writes else []
+        self._text.say(write_page(page, SYSTEM.local_time("%Y-%m-%d %H:%M"), self._check.results, changed + written))
+        if written:
+            self._text.say(f"to load it, launch again with config:={self._folder}")
+        self._is_over = bool(written)
+        self._inbox.end()
+
+
+def read_setup(parameter: Callable[[str, Any], Any], folder: str) -> Setup:
+    """Return what the car was launched with.
+
+    Args:
+        parameter: returns a parameter by its name, or the default.
+        folder: of its files.
+
+    Raises:
+        CarInterfaceError: turn_arb's or throttle_arb's calibration isn't known.
+    """
+    throttle_arb, gamepad, hub = (parameter(name, {}) for name in ("throttle_arb", "teleop_logi", "teensy_sensor_hub"))
+    throttle, profile = None, ""
+    if "servo" in throttle_arb:
+        try:
+            throttle = read(Params(throttle_arb), ThrottleCalibration)
+            profile = load_throttle(os.path.join(folder, "throttle.yaml")).esc.profile
+        except ConfigError as error:
+            raise CarInterfaceError(f"throttle_arb's calibration isn't known: {error}") from error
+    used = throttle_arb.get("obstacle", {}).get("sonars", {})
+    sequence = set(hub.get("sonar_sequence", ())) or set(range(len(SONARS)))
+    return Setup(
+        read_base(parameter("turn_arb", {})), throttle, profile, bool(parameter("throttle_arb/esc/calibration_drive",
+                                                                                False)),
+        gamepad.get("manual_button", Setup.manual_button), gamepad.get("autonomous_button", Setup.autonomous_button),
+        gamepad.get("steer_scale", 1.0), gamepad.get("throttle_scale", 1.0),
+        hub.get("pulses_per_revolution", PULSES_PER_REVOLUTION),
+        [name for index, name in enumerate(SONARS) if index in sequence and used.get(name) != "absent"])
+
+
+def kill_node(name: str) -> str:
+    """Kill a node's process, as a crash would; return why it can't be, or nothing."""
+    try:
+        _, reason, uri = rospy.get_master().lookupNode(name)
+        if not uri:
+            return reason
+        _, _, pid = call(uri, "getPid", rospy.get_name())
+        with open(f"/proc/{pid}/cmdline", "rb") as file:  # the process of another computer has another one here
+            if name.rpartition("/")[2].encode() not in file.read():
+                return f"{name} runs on another computer"
+        os.kill(pid, signal.SIGKILL)
+    except OSError as error:
+        return f"{name} can't be reached: {error}"
+    return ""
+
+
+def main():
+    """Run the program."""
+    run(NAME, FirstCheckNode)

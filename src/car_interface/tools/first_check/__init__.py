@@ -1,0 +1,1 @@
+"""first_check's questions, what their answers mean, and what is written."""

@@ -1,0 +1,146 @@
+"""Writes what a first check has learned into the car's folder, and its page.
+
+Every file is checked as its node would load it, before the first one is written.
+"""
+from __future__ import annotations
+
+import os
+from typing import Any, Mapping, NamedTuple, Sequence
+
+from car_interface.common import output
+from car_interface.common.declared import read_all
+from car_interface.common.errors import CarInterfaceError
+from car_interface.common.input_file import read_file
+from car_interface.common.package_files import is_package_file
+from car_interface.common.params import Params
+from car_interface.common.yaml_edit import edited, save
+from car_interface.common.yaml_file import MAX_BYTES, decode_yaml, load_yaml
+from car_interface.steering.config import load_steering
+from car_interface.teleop.gamepad import GamepadConfig
+from car_interface.throttle.config import load_throttle
+from car_interface.tools.first_check.question import (
+    BROKEN,
+    FINE,
+    GAMEPAD,
+    LEARNED,
+    SKIPPED,
+    STEERING,
+    THROTTLE,
+    Result,
+)
+
+MAX_SHOWN = 3  # numbers of a list: a table moves along with what was learned
+LOADS = {STEERING: load_steering, THROTTLE: load_throttle,
+         GAMEPAD: lambda path, text: read_all(Params(load_yaml(path, text)), GamepadConfig)}
+CLASSES = {FINE: "good", LEARNED: "warn", BROKEN: "bad", SKIPPED: "faint"}
+
+
+class Edit(NamedTuple):
+    """The change of one file.
+
+    Attributes:
+        path: of the file.
+        values: new ones, by the parameters' names.
+        before: the old ones.
+        problem: why it can't be written; empty: it can.
+    """
+
+    path: str
+    values: Mapping[str, Any]
+    before: Mapping[str, Any]
+    problem: str = ""
+
+    def lines(self) -> list[str]:
+        """Return a line for each parameter."""
+        name = os.path.basename(self.path)
+        if self.problem:
+            return [f"{name} can't be changed: {self.problem}"]
+        return [f"{name}: {parameter} {_text(self.before.get(parameter))} → {_text(value)}"
+                for parameter, value in self.values.items()]
+
+
+def find_folder(folder: str | None) -> str:
+    """Return the folder that the car was launched with.
+
+    Raises:
+        CarInterfaceError: there is none, or it is the package's own.
+    """
+    if folder is None:
+        raise CarInterfaceError("turn_arb isn't launched, or not in this namespace (ROS_NAMESPACE): roslaunch "
+                                "car_interface car.launch throttle:=true calibration_drive:=true config:=$HOME/my_car")
+    if is_package_file(os.path.join(folder, f"{STEERING}.yaml")):
+        raise CarInterfaceError("the car runs on the package's own files, which are not to be changed: copy them (cp "
+                                "-r $(rospack find car_interface)/config ~/my_car), and launch with "
+                                "config:=$HOME/my_car")
+    return folder
+
+
+def plan(folder: str, changes: Mapping[str, Mapping[str, Any]]) -> list[Edit]:
+    """Return the changes of the files in a folder, each checked as its node would load it."""
+    return [_plan(os.path.join(folder, f"{file}.yaml"), file, values) for file, values in changes.items()]
+
+
+def _plan(path, file, values):
+    try:
+        text = decode_yaml(read_file(path, MAX_BYTES), path)
+        content = load_yaml(path, text)
+        esc = content.get("esc")
+        if "esc/profile" in values and isinstance(esc, dict) and esc.get("profile_measured"):
+            values = {**values, "esc/profile_measured": False}  # it was measured of another kind
+        LOADS.get(file, load_yaml)(path, edited(text, values, path))
+        output.check(path)
+    except (CarInterfaceError, OSError) as error:
+        return Edit(path, values, {}, str(error))
+    before = {name: _look_up(content, name) for name in values}
+    return Edit(path, {name: value for name, value in values.items() if value != before[name]}, before)
+
+
+def write(edits: Sequence[Edit]) -> list[str]:
+    """Write the changes; return a line for each file, with where its old content is.
+
+    Raises:
+        CarInterfaceError: one can't be written.
+    """
+    lines = []
+    for edit in edits:
+        if edit.values and not edit.problem:
+            backup = save(edit.path, edit.values)
+            lines.append(f"written: {edit.path}; the old one is {backup}" if backup else f"{edit.path} is as it was")
+    return lines
+
+
+def write_page(path: str, date: str, results: Sequence[tuple[str, Result]], written: Sequence[str]) -> str:
+    """Write the page; return a line that says so, or why there is none.
+
+    Args:
+        path: of the page.
+        date: for its head.
+        results: by the question's title.
+        written: lines on what was written.
+    """
+    try:
+        from car_interface.tools.report.html import render
+    except ImportError:
+        return "no page: sudo apt install python3-jinja2"
+    repairs = [(title, result.repair) for title, result in results if result.repair]
+    verdicts = [result.verdict for _, result in results]
+    try:
+        output.write(path, render("first_check.html", title="First check", date=date, results=results, written=written,
+                                  repairs=repairs, classes=CLASSES, count=verdicts.count))
+    except (CarInterfaceError, OSError) as error:
+        return f"no page: {error}"
+    return f"page: {path}"
+
+
+def _look_up(content, name):
+    for part in name.split("/"):
+        content = content.get(part) if isinstance(content, dict) else None
+    return content
+
+
+def _text(value):
+    if value is None:
+        return "(none)"
+    if isinstance(value, (list, tuple)) and len(value) > MAX_SHOWN:
+        return f"[{value[0]:g}, … {value[-1]:g}]"
+    return str(list(value) if isinstance(value, tuple) else value)

@@ -1,0 +1,202 @@
+"""rosrun car_interface map_gamepad FOLDER: asks for each control of a gamepad, and writes what it does into a folder.
+
+The gamepad is read as gamepad_joy does, which may go on. Nothing is written unless all controls were shown.
+"""
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import select
+import sys
+from typing import Iterable, NamedTuple, Sequence
+
+from car_interface.common import atomic_file
+from car_interface.common.errors import CarInterfaceError
+from car_interface.common.package_files import is_package_file
+from car_interface.common.yaml_file import read_yaml
+from car_interface.teleop.gamepad import NONE
+from car_interface.teleop.gamepad_device import GamepadDevice
+from car_interface.teleop.input_devices import ANY, choose_pad, find_pads
+from car_interface.teleop.joystick import Joystick
+from car_interface.teleop.mappings import FILE, frame_of, model_of, with_entry
+
+ABS_HAT0X, ABS_HAT3Y = 0x10, 0x17  # the axes of crosses: linux/input-event-codes.h
+PUSHED, AT_REST = 0.7, 0.3  # of an axis, from its rest; a trigger's rest is at 1
+
+
+class Step(NamedTuple):
+    """A control to be shown."""
+
+    parameter: str  # of teleop_logi
+    text: str
+    scale: str = ""  # the parameter for an axis's sign; empty: it is a button
+    may_lack: bool = False  # the gamepad may do without
+
+
+STEPS = (
+    Step("steer_axis", "Push the stick that steers to the left", "steer_scale"),
+    Step("throttle_axis", "Push the stick that drives forward", "throttle_scale", may_lack=True),
+    Step("manual_button", "Press the button that you hold while you drive yourself"),
+    Step("autonomous_button", "Press the button that you hold while the planner drives"),
+    Step("faster_button", "Press the button that makes driving by hand faster", may_lack=True),
+    Step("slower_button", "Press the button that makes it slower", may_lack=True),
+)
+
+
+class GamepadMap:
+    """Finds which control a person shows.
+
+    Args:
+        rest: the axes while nobody touches the gamepad.
+        crosses: the numbers of the axes that are crosses.
+
+    Attributes:
+        entry: what was found, as gamepads.yaml has it.
+        step: what is to be shown; ``None`` = all was.
+    """
+
+    def __init__(self, rest: Sequence[float], crosses: Iterable[int]):
+        self.entry: dict[str, float] = {}
+        self._rest, self._crosses = tuple(rest), frozenset(crosses)
+        self._steps = list(STEPS)
+        self._is_at_rest = False  # since the step began
+
+    @property
+    def step(self) -> Step | None:
+        """Return what is to be shown."""
+        return self._steps[0] if self._steps else None
+
+    def skip(self) -> bool:
+        """Note that the gamepad lacks the control, and return whether it may."""
+        step = self.step
+        if step is None or not step.may_lack:
+            return False
+        self.entry[step.parameter] = NONE
+        del self._steps[0]
+        return True
+
+    def take(self, axes: Sequence[float], buttons: Sequence[int]) -> str:
+        """Take the gamepad's state, and return why a control that is shown won't do; empty: it does, or none is."""
+        step = self.step
+        if step is None:
+            return ""
+        offsets = [abs(value - rest) for value, rest in zip(axes, self._rest)]
+        if not self._is_at_rest:
+            self._is_at_rest = not any(buttons) and max(offsets, default=0.0) < AT_REST
+            return ""
+        return self._take_axis(step, axes, offsets) if step.scale else self._take_button(step, buttons)
+
+    def _take_axis(self, step, axes, offsets):
+        number = max(range(len(axes)), key=offsets.__getitem__, default=None)
+        if number is None or offsets[number] < PUSHED:
+            return ""
+        if number in self._crosses:
+            return self._refuse("that is the cross: use a stick")
+        if abs(self._rest[number]) > AT_REST:
+            return self._refuse("that axis rests at its end, as a trigger does: use a stick")
+        if self.entry.get("steer_axis") == number:
+            return self._refuse("that axis steers already")
+        self._found(step, number)
+        self.entry[step.scale] = math.copysign(1.0, axes[number])
+        return ""
+
+    def _take_button(self, step, buttons):
+        if not any(buttons):
+            return ""
+        number = list(buttons).index(1)
+        taken = [name for name, value in self.entry.items() if name.endswith("_button") and value == number]
+        if taken:
+            return self._refuse(f"that is {taken[0]} already: press another one")
+        self._found(step, number)
+        return ""
+
+    def _refuse(self, why):
+        self._is_at_rest = False
+        return why
+
+    def _found(self, step, number):
+        self.entry[step.parameter] = number
+        del self._steps[0]
+        self._is_at_rest = False
+
+
+def ask(device: GamepadDevice, joystick: Joystick, keyboard, report=print) -> dict[str, float]:
+    """Ask for each control, and return the entry of gamepads.yaml.
+
+    Args:
+        device, joystick: the gamepad.
+        keyboard: a file on which Enter says that the gamepad lacks a control.
+        report: called with each line for the person.
+
+    Raises:
+        DeviceError: the gamepad is gone.
+    """
+    joystick.read_axes(device.positions())
+    codes = sorted(device.ranges)
+    found = GamepadMap(joystick.axes, [codes.index(code) for code in codes if ABS_HAT0X <= code <= ABS_HAT3Y])
+    asked, files = None, [device, keyboard]
+    found.take(joystick.axes, joystick.buttons)
+    while found.step is not None:
+        if found.step != asked:
+            asked = found.step
+            report(f"{asked.text}{', or type Enter if there is none' if asked.may_lack else ''}; then let go.")
+        ready, _, _ = select.select(files, [], [])
+        if keyboard in ready and not keyboard.readline():
+            files.remove(keyboard)  # it was closed
+        elif keyboard in ready:
+            found.skip()
+        if device in ready:
+            changes = joystick.receive(device.read())
+            if joystick.is_lost:
+                changes.append(joystick.read_axes(device.positions()))
+            for change in changes:
+                why = found.take(change.axes, change.buttons)
+                if why:
+                    report(why)
+    return found.entry
+
+
+def save(folder: str, model: str, entry: dict[str, float]) -> str:
+    """Write an entry into a folder's gamepads.yaml, and return the file's path.
+
+    Raises:
+        CarInterfaceError: it can't be written.
+    """
+    path = os.path.join(folder, FILE)
+    text = with_entry(read_yaml(path) if os.path.exists(path) else "", path, model, entry)
+    try:
+        atomic_file.replace(path, text.encode("utf-8"), keeps_old=True)
+    except OSError as error:
+        raise CarInterfaceError(f"{path} can't be written: {error.strerror}") from error
+    return path
+
+
+def check_folder(folder: str) -> None:
+    """Refuse a folder that isn't the car's.
+
+    Raises:
+        CarInterfaceError: with the remedy.
+    """
+    if not os.path.isdir(folder):
+        raise CarInterfaceError(f"there is no folder {folder}: give your car's, which config:= names")
+    if is_package_file(os.path.join(folder, FILE)):
+        raise CarInterfaceError(f"{folder} is the package's own: give a folder of your car's, a copy of it, and launch "
+                                "with config:=")
+
+
+def main():
+    """Ask for each control, and write the entry."""
+    parser = argparse.ArgumentParser(prog="map_gamepad", description="Asks for each control of a gamepad, and writes "
+                                     f"what it does into {FILE} of your car's folder.")
+    parser.add_argument("folder", help="your car's folder, which config:= names")
+    parser.add_argument("--device", default=ANY, help="the gamepad's device, if there are several")
+    options = parser.parse_args([argument for argument in sys.argv[1:] if ":=" not in argument])
+    check_folder(options.folder)
+    device = GamepadDevice(choose_pad(find_pads(), options.device, "--device "))
+    joystick = Joystick(device.keys, device.ranges)
+    model = model_of(frame_of(device.pad.name), len(joystick.axes), len(joystick.buttons))
+    print(f"{model}\nLet go of everything.", flush=True)
+    entry = ask(device, joystick, sys.stdin)
+    print(f"written: {save(options.folder, model, entry)}. It counts from the next launch with config:="
+          f"{os.path.abspath(options.folder)}; see teleop_logi's state while you try it, wheels in the air.")

@@ -1,0 +1,79 @@
+"""The result of a calibration drive, as one message in its recording: JSON, from which bag_report makes the page."""
+from __future__ import annotations
+
+import json
+from typing import Any, NamedTuple, Sequence
+
+TOPIC = "calibration_drive/result"
+MAX_NUMBER = 1e9  # no duty, curvature or radius in m is larger; as for odometry in ``columns``
+
+
+class SideRow(NamedTuple):
+    """What a table has for one radius to one side, and what it rests on; ± are two standard errors."""
+
+    old_duty: float
+    old_per_m: float  # the curvature that the car drives with that duty, positive
+    duty: float
+    duty_error: float
+    radius_error: float  # as a ratio of the radius
+    segments: int  # that were driven about as tight
+    distance_m: float  # in these
+    source: str  # driven, end or old
+
+
+class CalibrationResult(NamedTuple):
+    """The new table beside the old one, what it rests on, and what to do next. Curvatures are left positive."""
+
+    refusal: str  # why no table is written; empty = it is
+    lines: Sequence[str]  # on servo, center and ends, for a person
+    next_steps: Sequence[str]
+    radii_m: Sequence[float]
+    left: Sequence[SideRow]
+    right: Sequence[SideRow]
+    centers: Sequence[float]  # duty: old, new
+    driven: Sequence[Sequence[float]]  # duty and curvature of each position that was held
+    curve: Sequence[Sequence[float]]  # duty, curvature and its ±
+    old_curve: Sequence[Sequence[float]]  # duty, and its curvature by the old table
+
+    def text(self) -> str:
+        """Return it as the text of a message."""
+        return json.dumps(self)
+
+
+def parsed(text: str) -> CalibrationResult:
+    """Return the result in a message's text.
+
+    Raises:
+        ValueError: it is no such text. Recordings come from other people.
+    """
+    try:
+        refusal, lines, steps, radii_m, left, right, *columns = json.loads(text)
+        centers, driven, curve, old_curve = columns
+        sides = [[SideRow(*map(float, row[:5]), int(row[5]), float(row[6]), str(row[7])) for row in side]
+                 for side in (left, right)]
+        result = CalibrationResult(str(refusal), _texts(lines), _texts(steps), _numbers(radii_m), *sides,
+                                   _numbers(centers), *(_points(points, width) for points, width in (
+                                       (driven, 2), (curve, 3), (old_curve, 2))))
+    except (TypeError, ValueError, IndexError, OverflowError, RecursionError) as error:
+        raise ValueError("the calibration drive's result can't be read") from error
+    if not len(result.radii_m) == len(result.left) == len(result.right) or len(result.centers) != 2:
+        raise ValueError("the calibration drive's result has no table")
+    return result
+
+
+def _texts(values: Any) -> list[str]:
+    return [str(value) for value in values]
+
+
+def _numbers(values: Any) -> list[float]:
+    found = [float(value) for value in values]
+    if not all(abs(value) <= MAX_NUMBER for value in found):  # nor of NaN
+        raise ValueError("a number is none of a car's")
+    return found
+
+
+def _points(points: Any, width: int) -> list[list[float]]:
+    found = [_numbers(point) for point in points]
+    if any(len(point) != width for point in found):
+        raise ValueError("a point has too few numbers")
+    return found
