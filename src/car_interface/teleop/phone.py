@@ -267,7 +267,7 @@ class Phones:
         self._touch = (Controls(scale=message["scale"]) if touch == NOTHING else
                        Controls(float(message["steering"]), float(message["throttle"]), touch == MANUAL,
                                 touch == AUTONOMOUS, message["scale"]))
-        if touch == NOTHING and not self.e_stop:
+        if touch == NOTHING:
             self._must_release = False
 
     def _issued_ns(self, page, message, now_ns):

@@ -70,6 +70,7 @@ PHONE_SILENT = (True, "e_stop silent", f"phone/e_stop silent for 1.13 s; {PHONE_
     ([HOLD, PHONE_STOPS, PHONE_CLEARS, DROPPED, RUN, LET_GO, HOLD],
      (True, "e_stop silent", f"phone/e_stop was not heard since messages were dropped; {PHONE_UNLOCKS}")),
     ([HOLD, PHONE_STOPS, PHONE_CLEARS, DROPPED, RUN, PHONE_CLEARS, HOLD], WERE_DROPPED),
+    ([HOLD, PHONE_CLEARS, DROPPED, LONG_SILENCE, PHONE_CLEARS, HOLD], WERE_DROPPED),
 ])
 def test_phone_s_e_stop_is_ored_with_the_other_one_and_must_go_on_once_it_was_heard(events, inhibit):
     assert after(*events) == inhibit

@@ -122,6 +122,18 @@ def test_reasons_name_the_one_they_are_about():
     assert bench.requests.reason == "manual deadman held"
 
 
+@pytest.mark.parametrize("source", ["pad", "phone"])
+def test_dropped_messages_release_either_until_it_was_let_go(source):
+    bench = Bench()
+    bench.then(**{source: HELD})
+    bench.handover.mark_stale()
+    assert not bench.granted[0]
+    bench.run()
+    assert bench.requests.cause == "not re-armed"
+    bench.then(**{source: LET_GO})
+    assert bench.then(**{source: HELD})[0]
+
+
 def test_without_a_phone_requests_are_the_gamepad_s_own():
     handover, alone = Handover(CONFIG), Gamepad(CONFIG)
     for step in range(200):

@@ -128,6 +128,18 @@ def test_touch_counts_while_its_echo_is_younger_than_250_ms_since_its_token_was_
     assert bench.phones.counts["loss"] == 1 and page.closed == ""
 
 
+@pytest.mark.parametrize("age_ms", [0, 100, 200, 240])
+def test_echo_counts_by_the_age_of_its_token_and_not_from_its_arrival(bench, age_ms):
+    page = bench.drive()
+    while page.token in page.sent[-1]:
+        bench.wait(1)
+    issued_ns, token = bench.now_ns, page.token
+    bench.wait(age_ms, page)
+    page.echo("manual", token=token)
+    assert bench.phones.controls(issued_ns + 250 * MS - 1) == AHEAD
+    assert bench.phones.controls(issued_ns + 250 * MS) == NOTHING_HELD
+
+
 def test_step_is_due_in_the_moment_in_which_the_touch_gets_too_old(bench):
     bench.drive()
     while bench.controls != NOTHING_HELD:
@@ -219,6 +231,13 @@ def test_touch_that_was_there_when_the_page_was_loaded_counts_after_it_was_let_g
     page.echo("")
     page.echo("autonomous", 0.0, 0.0)
     assert bench.controls == Controls(autonomous=True)
+
+
+def test_driver_who_asks_to_drive_again_has_to_let_go(bench):
+    page = bench.drive()
+    page.send(type="drive")
+    page.echo("manual")
+    assert bench.controls == NOTHING_HELD
 
 
 def test_closed_connection_releases_at_once_and_a_reload_drives_by_its_key_and_a_new_touch(bench):
