@@ -23,11 +23,11 @@ def table(config: type) -> str:
     merged: dict = {}
     for row in rows(config):
         merged.setdefault((row.range, row.text), []).append(row)
-    lines = ["parameter | default | range | meaning", "---|---|---|---"]
+    lines = ["parameter|default|range|meaning", "---|---|---|---"]
     for (accepted, meaning), same in merged.items():
         names, defaults = ", ".join(row.name for row in same), [row.default for row in same]
         default = defaults[0] if len(set(defaults)) == 1 else "; ".join(defaults)
-        lines.append(re.sub(" +", " ", f"{names} | {default} | {accepted} | {meaning}"))
+        lines.append(f"{names}|{default}|{accepted}|{meaning}")
     return "\n".join(lines) + "\n"
 
 

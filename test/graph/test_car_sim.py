@@ -127,7 +127,7 @@ def test_sonars_that_all_are_missing_are_never_called_fine_again(car):
     assert {link.state for link in car.graph.messages(LINK, since_ns)} == {"sonar fault"}
 
 
-def test_pin_that_blinks_and_a_clone_make_no_false_range_and_the_clone_is_told(car):
+def test_pin_that_blinks_and_a_clone_make_no_false_range_and_are_told(car):
     simulated = Simulated(car, hub={"max_range": 4.0}, clock_start_ms=20_000)
     topics = [f"/sonar/{name}" for name in SONAR_NAMES]
     car.graph.record(*topics)
@@ -139,6 +139,7 @@ def test_pin_that_blinks_and_a_clone_make_no_false_range_and_the_clone_is_told(c
         simulated.sonars(5.0)
     for topic in topics:
         assert {round(message.range, 1) for message in car.graph.messages(topic)} == true_m[topic]
+    assert any("front_middle's echo pin was high for more than a second" in line.text for line in car.graph.log)
     link = simulated.link
     assert (link.state, link.words) == (
         "sonar fault", "front_middle is a clone that holds its pulse for 200 ms without an echo: its ranges are right")

@@ -321,7 +321,7 @@ class CalibrationDriveNode:
 
     def _on_conclusion(self, conclusion, now_ns):
         self._say(*conclusion.report)
-        self._conclusion, self._concluded_ns = conclusion, now_ns
+        self._conclusion, self._waits_from_ns = conclusion, now_ns
         if conclusion.result is not None:
             replaces = not self._table.is_there or self._wanted.yes or (None if self._has_keys else False)
             steps = next_steps(self._table, conclusion.refusal, replaces)
@@ -347,7 +347,7 @@ class CalibrationDriveNode:
         if answer:
             self._text.keep()
             self._write(replaces=answer == "y")
-            self._stage = self._await_page
+            self._stage, self._waits_from_ns = self._await_page, now_ns
 
     def _write(self, replaces):
         path, line = self._table.write(self._conclusion.yaml_text, replaces)
@@ -367,7 +367,7 @@ class CalibrationDriveNode:
         self._close_recording(now_ns)
         lines = None if self._page is None else self._page.step()
         if lines is None:
-            seconds = (now_ns - self._concluded_ns) // NS_PER_S
+            seconds = (now_ns - self._waits_from_ns) // NS_PER_S
             self._announce("page", [f"makes the recording's page: {seconds} s"], now_ns)
             return
         self._text.show([])

@@ -24,7 +24,7 @@ from car_interface.teensy.sensing.pose import Pose
 from car_interface.teensy.sensing.pulse_counts import LEARNING_PULSES
 from car_interface.teensy.sensing.restart import REPEAT_MS, CarState, RestartBridge, WheelState
 from car_interface.teensy.sensing.unseen_path import curved_path, reversed_path
-from car_interface.teensy.sensing.wheel_filter import PENDING_SPEED_SIGMA, TICK_MIDDLE_MS, WheelFilter
+from car_interface.teensy.sensing.wheel_filter import TICK_MIDDLE_MS, WheelFilter
 
 MIN_LENGTH_M = 0.001  # of a car's dimensions: a division by far less would overflow floats
 
@@ -239,11 +239,8 @@ class Odometry:
         left, right = self._wheels
         elapsed_s = max(0.0, now_ms - self._time_ms) / 1000 if self._time_ms > -math.inf else 0.0
         mean = (left.position + right.position) / 2
-        distance_m = (mean - self._mean) * self._pulse_m
+        before, distance_m = self._mean, (mean - self._mean) * self._pulse_m
         self._time_ms, self._mean = now_ms, mean
-        if outcome is not None:
-            self._pose.add_variance(outcome.mean_variance * self._pulse_m ** 2,
-                                    outcome.difference_variance * self._rad_per_pulse ** 2)
         is_blind = elapsed_s > REPEAT_MS / 1000 and has_pulse
         curvature_per_m = self._heading.recent_curvature if self._was_rolling else None
         if self._alignment.is_done:
@@ -268,6 +265,13 @@ class Odometry:
         if path is not None or is_blind:
             path = curved_path(distance_m, turned_rad, curvature_per_m, self._heading.usual_square)
             distance_m, turned_rad = self._move_unseen(path, distance_m, turned_rad)
+        if outcome is not None:  # what is uncertain has grown along the part of the path without counts
+            uncounted_m = (sum(start.place for start in outcome.wheels) / 2 - before) * self._pulse_m
+            part = max(0.0, min(1.0, uncounted_m / distance_m)) / 2 if distance_m else 0.0
+            self._pose.move(part * distance_m, part * turned_rad)
+            distance_m, turned_rad = (1 - part) * distance_m, (1 - part) * turned_rad
+            self._pose.add_variance(outcome.mean_variance * self._pulse_m ** 2,
+                                    outcome.difference_variance * self._rad_per_pulse ** 2)
         self._pose.move(distance_m, turned_rad)
         self._was_rolling = any(wheel.speed for wheel in self._wheels)
         return self._motion(record, now_ms)
@@ -311,8 +315,7 @@ class Odometry:
         heading = place / self._config.track_m ** 2
         if self._bridge is not None:
             place, heading = self._bridge_variances(place, now_ms)
-            if self._bridge.may_roll(now_ms):
-                variance += 2 * PENDING_SPEED_SIGMA ** 2
+            variance += 2 * self._bridge.speed_variance(now_ms)
         if not self._alignment.is_done:
             heading += (UNALIGNED_PULSES * scale) ** 2
         pose = self._pose
@@ -328,11 +331,11 @@ class Odometry:
 
         A car rolls by both wheels: its heading changes by curvature × distance, and its place by the distance times
         half of that. The curvature changes at an unknown time, for a part of the distance that is evenly in 0 .. 1: its
-        mean has a third of the variance.
+        mean has a third of the variance. With the distance the turn by the curvature before is missing, too.
         """
         along = place_variance / 4 + self._bridge.place_variance(now_ms) * self._pulse_m ** 2
         square = ((self._mean - self._before_bridge.mean) * self._pulse_m) ** 2
-        turn = CURVATURE_VARIANCE / 3 * (square + along)
+        turn = CURVATURE_VARIANCE / 3 * (square + along) + self._before_bridge.heading.curvature_per_m ** 2 * along
         return 4 * along + turn * square, turn + (UNALIGNED_PULSES * self._rad_per_pulse) ** 2
 
 

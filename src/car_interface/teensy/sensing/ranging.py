@@ -101,6 +101,7 @@ class Ranging:
     Attributes:
         counts: echoes that made no range, by reason.
         clones: the time-outs that were found, ms by sensor; nobody configured them.
+        blinks: sensors whose pin was high for longer than any clone's; the owner takes them out when it has logged it.
     """
 
     def __init__(self, config: RangingConfig = RangingConfig()):
@@ -111,6 +112,7 @@ class Ranging:
         self.counts: Counter = Counter()
         self._timeouts_us = [round(1000 * timeout_ms) for timeout_ms in config.timeouts_ms]
         self.clones: dict[int, float] = {}
+        self.blinks: set[int] = set()
         self._held_us = [deque(maxlen=CLONE_PULSES) for _ in SONARS]
         self._newest_us = [deque(maxlen=MEDIAN_OF if config.median else 1) for _ in SONARS]
 
@@ -166,6 +168,7 @@ class Ranging:
         """Return a pulse that is an echo's; infinite when there was no echo, ``None`` when the pin was held high."""
         if pulse_us > LONGEST_ECHO_US and not self._is_timeout(sensor, pulse_us):
             self._find_clone(sensor, pulse_us)
+            self.blinks.update([sensor] if pulse_us > 1000 * MAX_TIMEOUT_MS else ())
             return math.inf if self._is_timeout(sensor, pulse_us) else None
         self._held_us[sensor].clear()
         if pulse_us < TIMEOUT_RATIO * self._timeouts_us[sensor]:

@@ -23,7 +23,10 @@ LEFT, RIGHT = 0, 1
 ROLLING_PER_MS = 0.01  # 0.15 m/s: a wheel that rolls faster is expected to go on
 BLIND_MS = 100.0  # a longer restart was a reboot; a reset of the odometers loses only a report or two
 REPEAT_MS = 450.0  # a standing car is reported more often than this: every 201 ms, and a report may be lost
-MANOEUVRE_MS = 1_000.0  # enough to steer to one side and back: twice from end to end of a servo, and some way
+# In a slalom with a period of 2.5 s (2.8: ``reboot_slalom`` of test_captures) the mean curvature is off from that of
+# both ends by up to 1.04 of its amplitude, after 2 s: three sigma are 1/4 of its mean square, and this part of it after
+# half of that time.
+MANOEUVRE_MS, MANOEUVRE_RATIO = 2_000.0, 1 / 4
 MAX_BLIND_MS = 2_000.0  # after a longer time the speed in between is unknown
 # After the restart each wheel's speed is taken over this many pulses and this time, at most until the last of these.
 ENOUGH_PULSES, ENOUGH_SPAN_MS, ENOUGH_MS = 6, 100.0, 250.0
@@ -32,6 +35,7 @@ STOPPED_INTERVALS = 3.0  # without a pulse for this many of the earlier interval
 SEARCHED = 6  # magnets to either side of the likeliest
 UNEVEN_PER_MS2 = 1.3e-4  # one sigma of the acceleration about its mean: 2 m/s²
 CLOCK_MS = 4.0  # one sigma of the duration of a reboot
+PENDING_SPEED_SIGMA = 0.03  # pulses/ms, 0.45 m/s: of a car that has started when its pulses can be placed
 REST_MS, UNPROVEN_VARIANCE = 1000.0, 4.0  # ms; pulses²: two of them in the other direction in less than three sigma
 TICK_MS = 0.45  # of the interval between two ticks, one sigma
 CURVATURE_SIGMA = 0.05  # 1/m: the smallest that is claimed for the curvature in between
@@ -108,18 +112,24 @@ class RestartBridge:
         if self._seen_ms is None:
             return 0.0
         blind_ms, far = self._blind_ms(), 0.0
-        if blind_ms > MAX_BLIND_MS:
-            far = self._mean_before() * blind_ms / 2
-        elif abs(self._mean_before()) <= ROLLING_PER_MS and blind_ms > BLIND_MS and self._may_have_started(now_ms):
+        if abs(self._mean_before()) <= ROLLING_PER_MS and self._may_have_started(now_ms):
             far = UNEVEN_PER_MS2 * blind_ms ** 2 / 6  # 2 m/s² for all of the time is three sigma
+        elif blind_ms > MAX_BLIND_MS:
+            far = self._mean_before() * blind_ms / 2
         return self._stop_variance + far ** 2
 
-    def _may_have_started(self, now_ms):
-        return self.may_roll(now_ms) or any(self._pulses) and self._first_ms() - self._seen_ms <= ENOUGH_MS
+    def speed_variance(self, now_ms: float) -> float:
+        """Return the variance of a wheel's speed that a start on the way adds, (pulses/ms)²."""
+        if not self._may_have_started(now_ms):
+            return 0.0
+        return max(PENDING_SPEED_SIGMA, UNEVEN_PER_MS2 * self._blind_ms() / 3) ** 2
 
-    def may_roll(self, now_ms: float) -> bool:
-        """Return whether the car may roll though no pulse has shown it yet."""
-        return self._seen_ms is not None and self._blind_ms() > BLIND_MS and now_ms - self._seen_ms < BLIND_MS
+    def _may_have_started(self, now_ms):
+        if self._seen_ms is None or self._blind_ms() <= BLIND_MS:
+            return False
+        if any(self._pulses):
+            return self._first_ms() - self._seen_ms <= ENOUGH_MS
+        return now_ms - self._seen_ms < BLIND_MS
 
     def restart(self) -> None:
         """Begin again after another restart: earlier pulses are dropped."""
@@ -195,7 +205,7 @@ class RestartBridge:
         speeds = self._speeds(signs, now_ms)
         curvature, curvature_variance = self._curvature(speeds, was_rolling)
         guesses = [self._guess(side, speeds, curvature, was_rolling, signs) for side in (LEFT, RIGHT)]
-        blind_ms = self._blind_ms()
+        blind_ms, started = self._blind_ms(), 0.0
         mean_speed = sum(speeds) / 2
         rolled = sum(guess - wheel.position for guess, wheel in zip(guesses, state.wheels)) / 2
         mean_variance = self._stop_variance + PLACE_SIGMA ** 2
@@ -203,8 +213,11 @@ class RestartBridge:
             mean_variance += (UNEVEN_PER_MS2 * blind_ms ** 2 / 12) ** 2 + (mean_speed * CLOCK_MS) ** 2
             if abs(self._mean_before()) <= ROLLING_PER_MS:
                 mean_variance += (UNEVEN_START_RATIO * rolled) ** 2
-        elif self._is_late:  # it may have started before the boot: 2 m/s² for all of the time is three sigma
-            mean_variance += (UNEVEN_PER_MS2 * blind_ms ** 2 / 6) ** 2
+            if self._is_late:  # its speed at the boot is between none and twice the mean after it
+                mean_variance += (mean_speed * blind_ms / 2) ** 2 / 3
+        elif self._is_late:  # it may have started before the boot, with 2 m/s², or all of the time as three sigma
+            started = min(UNEVEN_PER_MS2 * blind_ms ** 2 / 6, mean_speed ** 2 / UNEVEN_PER_MS2 / 4)
+            mean_variance += started ** 2
         if blind_ms > MAX_BLIND_MS:
             mean_variance += (max(abs(mean_speed), abs(self._mean_before())) * blind_ms / 2) ** 2
         difference_variance = (DIFFERENCE_SIGMA ** 2 + self._stop_variance * curvature_variance * self._track_m ** 2
@@ -216,6 +229,7 @@ class RestartBridge:
             doubt = max(doubt, MIN_DIFFERENCE_VARIANCE)
         if was_rolling and difference_variance > 1.0:  # magnets tell nothing, and the searched ones are too few
             doubt = max(doubt, difference_variance)
+        doubt += (started * (self._curvature_after()[0] or 0.0) * self._track_m) ** 2
         # After a rest a car may have turned round, and the direction of its first pulses isn't known.
         unknown = UNPROVEN_VARIANCE if not was_rolling and now_ms - self._first_ms() > REST_MS else 0.0
         return Outcome(
@@ -285,10 +299,9 @@ class RestartBridge:
             return before, before_variance
         if abs(self._mean_before()) <= ROLLING_PER_MS:
             return after, after_variance + CURVATURE_SIGMA ** 2
-        # Exact where it changes evenly; a step at an unknown time in between has this spread. Within a second it may
-        # have been another one, evenly up to the usual curvature to either side: 1/3 of its square. That is as much if
-        # the one after is a mean over a long time.
-        usual = self._state.usual_square / 3
+        # Exact where it changes evenly; a step at an unknown time in between has this spread. Within seconds it may
+        # have been another one, and likewise if the one after is a mean over a long time.
+        usual = MANOEUVRE_RATIO * max(self._state.usual_square, after ** 2)
         if not self._is_late:
             usual *= min(1.0, self._blind_ms() / MANOEUVRE_MS) ** 2
         return (before + after) / 2, (after - before) ** 2 / 12 + CURVATURE_SIGMA ** 2 + usual
@@ -317,13 +330,17 @@ class RestartBridge:
         else:
             mean = (speeds[LEFT] + speeds[RIGHT]) / 2
             at_ms = pulses[0][1] if pulses else self._first_ms()
-            middle_ms = (at_ms + pulses[-1][1]) / 2 if pulses else at_ms
+            counted = [each for each in self._pulses if each]
+            middle_ms = sum(each[0][1] + each[-1][1] for each in counted) / (2 * len(counted))
             # Both from the same time on: a slow wheel's first pulse may come long after the other's.
             first_ms = self._first_ms()
             elapsed_ms = max(0.0, first_ms - state.at_ms)
             until_middle_ms = max(elapsed_ms, middle_ms - state.at_ms, 1.0)
             then = before + (mean - before) * elapsed_ms / until_middle_ms
-            rolled = (before + then) / 2 * elapsed_ms + mean * (at_ms - first_ms)
+            rolled = (before + then) / 2 * elapsed_ms
+            first = min(counted, key=lambda each: each[0][1])
+            if at_ms > first_ms:  # the other wheel's pulses show how far it rolled meanwhile
+                rolled += math.copysign(_count_at(first, at_ms), mean) if _rate(first) else mean * (at_ms - first_ms)
             if abs(before) <= ROLLING_PER_MS:
                 rolled = math.copysign(min(abs(rolled), self._distance_from_rest(at_ms)), then)
         side_sign = 1 if side == RIGHT else -1

@@ -10,6 +10,8 @@ The firmware's behaviour (observed on the original one, see test/data/firmware):
 - A reboot, another sequence or SONAR_START mends none of them: a fault stays until its sonar reports.
 - SONAR_START while they run fires two sonars at once, and the second one receives the first one's echo. So it is sent
   only when none reports, and reports right after it aren't trusted.
+- A pin that is stuck high as SONAR_START steps on can end another sonar's echo when it is released. Until its own sonar
+  has reported, an echo that is shorter than the one before by more than the car has driven waits for the next one.
 
 Pure: ``now_ns`` in, and its memory doesn't grow.
 """
@@ -28,6 +30,7 @@ MAX_STALLS = 2  # in a row: all sonars stopped at the same one
 DISTRUSTED_REPORTS = 2  # SONAR_START fires two sonars at once
 # A report from before SONAR_START may still be on its way; the last false one comes at the end of a pulse of 38 ms.
 BEFORE_START_MS, AFTER_START_MS = 15, 70
+CUT_US, US_PER_M = 100, 5830  # an echo is cut if it is shorter by more, 2 cm; of the way there and back at 343 m/s
 MAX_RETRY_NS = 60 * NS_PER_S  # between SONAR_STARTs that don't help
 SEND_START, SEND_SEQUENCE = "SONAR_START", "SET_SONAR_SEQ"
 # The sonars fire mostly ahead while the car drives forward, and for a while after it stopped: a short stop changes
@@ -82,6 +85,8 @@ class SonarMonitor:
         self._silent_ns: int | None = None  # the first SONAR_START since the last report
         self._newest: tuple | None = None  # (tick, when it was received)
         self._stopped = False
+        self._echoes: dict[int, tuple[int, int]] = {}  # the newest: (µs, when it was received)
+        self._speed_mps = 0.0
         self._frame_ns: int | None = None
         self._forget_commands()
         self._forget_reports(0)
@@ -97,6 +102,7 @@ class SonarMonitor:
         self._since_ns = now_ns  # since when reports are expected
         self._weaken_suspicions()
         self._last: int | None = None  # the sensor that reported last, since SONAR_START
+        self._held: int | None = None  # the sensor whose pin may be high while others listen, since SONAR_START
         self._retry_ns = self._restart_ns
         self._trusted_after = (0, 0)  # reports still to be distrusted, tick until which all are
 
@@ -140,7 +146,8 @@ class SonarMonitor:
         self._since_ns = now_ns
         if self._silent_ns is None:
             self._silent_ns = now_ns
-        self._last = None
+        suspect = self._suspect()
+        self._held, self._last = self._held if suspect is None else suspect, None
         until = 0
         if self._newest is not None:
             tick, at_ns = self._newest
@@ -154,11 +161,13 @@ class SonarMonitor:
 
     def update_speed(self, speed_mps: float, now_ns: int) -> None:
         """Take the measured speed, forward positive: while the car drives forward, the sonars fire mostly ahead."""
+        self._speed_mps = abs(speed_mps)
         self._aim.update(speed_mps, now_ns)
 
     def _use(self, sequence, now_ns):
         self.sequence = tuple(sequence)
         self.dropped = tuple(sensor for sensor in self.dropped if sensor not in sequence)
+        self._held = None
         self._since_ns = max(self._since_ns, now_ns)
         self._weaken_suspicions()
 
@@ -168,7 +177,8 @@ class SonarMonitor:
 
     def report(self, sensor: int, echo_us: int, tick: int, now_ns: int) -> bool:
         """Take a report; return whether it may be trusted."""
-        is_trusted = self._is_trusted(tick)
+        is_cut = self._may_be_cut(sensor, echo_us, now_ns)
+        is_trusted = self._is_trusted(tick) and not is_cut
         self.tick(tick, now_ns)
         self._since_ns = now_ns
         self._retry_ns = self._restart_ns
@@ -183,6 +193,14 @@ class SonarMonitor:
         if is_trusted and not is_near_micros_wrap(tick):
             self._zeros[sensor] = 0 if echo_us else self._zeros[sensor] + 1
         return is_trusted
+
+    def _may_be_cut(self, sensor, echo_us, now_ns):
+        before_us, before_ns = self._echoes.get(sensor, (0, now_ns))
+        self._echoes[sensor] = echo_us, now_ns
+        if sensor == self._held:
+            self._held = None
+        closer_m = self._speed_mps * (now_ns - before_ns) / NS_PER_S
+        return self._held is not None and echo_us < before_us - CUT_US - US_PER_M * closer_m
 
     def _is_trusted(self, tick):
         left, until = self._trusted_after

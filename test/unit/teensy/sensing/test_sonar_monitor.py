@@ -4,8 +4,11 @@ from __future__ import annotations
 import pytest
 
 from captures import NS_PER_US, load
-from car_interface.teensy.link.framing import FrameDecoder
-from car_interface.teensy.link.protocol import Pong, SonarStatus, decode
+from car_interface.sim.teensy_config import FirmwareConfig
+from car_interface.sim.teensy_firmware import TeensyFirmware
+from car_interface.sim.teensy_sonars import SONAR_FINE, SONAR_STUCK
+from car_interface.teensy.link.framing import SHIPPED, FrameDecoder, encode
+from car_interface.teensy.link.protocol import Pong, SonarStatus, decode, sonar_start
 from car_interface.teensy.sensing.sonar_monitor import SEND_SEQUENCE, SEND_START, SonarAim, SonarMonitor, describe
 
 MS, S = 1_000_000, 1_000_000_000
@@ -247,6 +250,57 @@ def test_stuck_sonar_stays_a_suspect_over_a_reboot_and_is_left_out_by_its_next_z
     assert sonars.command is None and sonars.monitor.sequence == ALL
     sonars.run(0.33, zeros=(3,))
     assert sonars.command == SEND_SEQUENCE and sonars.monitor.dropped == (3,)
+
+
+def reports_around_release(released_ms, speed_mps=0.0, wall_us=lambda sensor, at_ns: 10_000):
+    """Return (sensor, µs, trusted) of each report of a Teensy whose stuck pin is released at a time after SONAR_START.
+
+    It has run for so long that its sonars stop at a stuck one.
+    """
+    teensy = TeensyFirmware(FirmwareConfig(clock_start_ms=200_000, seed=1), wall_us)
+    monitor, decoder, now_ns, started_ns, found = SonarMonitor(restart_s=0.6), FrameDecoder(), 0, None, []
+    monitor.opened(0)
+    monitor.update_speed(speed_mps, 0)
+    while started_ns is None or now_ns < started_ns + S:
+        now_ns += MS
+        if now_ns == S:
+            teensy.set_sonar(2, SONAR_STUCK, now_ns)
+        if started_ns is not None and now_ns == started_ns + released_ms * MS:
+            teensy.set_sonar(2, SONAR_FINE, now_ns)
+        for record in map(decode, decoder.feed(teensy.transmit(now_ns))):
+            monitor.frame(now_ns)
+            if isinstance(record, SonarStatus):
+                trusted = monitor.report(record.sensor, record.echo_us, record.when, now_ns)
+                found.append((record.sensor, record.echo_us, trusted))
+        if started_ns is None and monitor.next_command(now_ns) == SEND_START:
+            started_ns = now_ns
+            teensy.receive(encode(sonar_start(), SHIPPED), now_ns)
+    return found
+
+
+def test_released_pin_ends_another_sonars_echo_and_that_one_is_distrusted():
+    cut = 0
+    for released_ms in range(150, 330, 5):
+        for sensor, echo_us, trusted in reports_around_release(released_ms):
+            if sensor != 2 and abs(echo_us - 9_987) > 100:
+                cut += 1
+                assert not trusted, (released_ms, sensor, echo_us)
+    assert cut >= 3
+
+
+def test_pin_that_stays_stuck_costs_no_range_of_a_wall_that_a_moving_car_comes_nearer_to():
+    found = reports_around_release(2000, 2.0, lambda sensor, at_ns: 11_000 - 5_830 * at_ns * 0.5 / S)
+    start = 1 + max(i for i, (sensor, _, _) in enumerate(found[:-3]) if sensor == 1)
+    assert [trusted for _, _, trusted in found[:start]] == start * [True]
+    assert [trusted for _, _, trusted in found][-3:] == 3 * [True]
+
+
+def test_sonar_that_has_reported_since_sonar_start_holds_no_pin_high():
+    sonars = Sonars()
+    sonars.run(1.0)
+    sonars.monitor.started(sonars.now_ns)
+    sonars.run(1.0)
+    assert sonars.monitor.report(1, 2_000, sonars.now_ns // MS, sonars.now_ns)
 
 
 def test_clone_is_told_with_the_parameter_that_it_needs():

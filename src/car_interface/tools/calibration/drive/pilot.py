@@ -32,7 +32,7 @@ from car_interface.tools.calibration.drive.survey import Survey
 SOUGHT_RAD, LOST_RAD = 2 * 2 * math.pi, 3 * 2 * math.pi  # turned to the other side meanwhile, one turn of it in search
 KEPT_LENGTH_M = 0.5  # one that was cut short counts from here on
 BLIND_M = 0.3  # after a pause
-ACROSS_M = 0.5  # from one end to the other, so much farther out than the turns and the servo's lag say (practice.launch)
+ACROSS_M = 0.5  # from one end to the other, so much farther out than turns and servo's lag say (practice.launch's car)
 LITTLE_NEED = 0.3
 BEGIN_RATIO, LEAVE_RATIO = 0.3, 0.9  # of the best worth: what is begun, and for what a turn is left
 TURNED_RAD = 2 * math.pi  # after a whole turn another one may be tried
@@ -70,11 +70,11 @@ class LostTurns:
             self._sought = None
         return 1 - side if self._since_rad[1 - side] >= SOUGHT_RAD else None
 
-    def seek(self, side: int) -> bool:
-        """Seek that one; return whether it was not found within a turn."""
+    def seek(self, side: int) -> float:
+        """Seek that one; return for how many turns it is sought by now: from 1 on it is lost."""
         if self._sought != side:
             self._sought, self._since_rad[side] = side, SOUGHT_RAD
-        return self._since_rad[side] >= LOST_RAD
+        return (self._since_rad[side] - SOUGHT_RAD) / (LOST_RAD - SOUGHT_RAD)
 
     def ask(self, side: int) -> None:
         """Ask a person for that one; it is sought again after two more turns to the other side."""
@@ -184,21 +184,23 @@ class Pilot:
             self._begin_any(now_ns)
 
     def _takes_lost_turn(self, now_ns):
-        """Return whether a turn to the other side is sought, whose positions are missing while it only turns to this one.
+        """Return whether a turn to the other side is sought: its positions are missing, and it only turns to this one.
 
         The tight turn to this side is held, which leads to the middle of the area, until one to the other side stays
-        inside. If none does within a turn, a person is asked for help.
+        inside; the longer it is sought, the less room will do. After a whole turn a person is asked for help.
         """
         lost = self._lost.drive(0 if self.outlook.expected_per_m(self._hold.duty) > 0 else 1)
         if lost is None or self._choices.turns_needs()[lost] < MISSING_NEED:
             return False
         turn_per_m = self._turns_per_m()[lost]
-        if self._circle_excesses_m(now_ns)[lost] <= -ACROSS_M and self.outlook.sonar_mps(turn_per_m, now_ns) >= FREE_MPS:
-            self._turn(now_ns, side=lost)
-        elif not self.outlook.area.has_circle(turn_per_m):
+        if not self.outlook.area.has_circle(turn_per_m):
             return False
-        elif self._lost.seek(lost):
+        sought = self._lost.seek(lost)
+        if sought >= 1:
             self._lost.ask(lost)
+        elif (self._circle_excesses_m(now_ns)[lost] <= -ACROSS_M * (1 - sought)
+                and self.outlook.sonar_mps(turn_per_m, now_ns) >= FREE_MPS):
+            self._turn(now_ns, side=lost)
         else:
             self._turn(now_ns, tightest=True, side=1 - lost)
         return True

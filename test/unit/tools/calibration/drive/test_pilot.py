@@ -185,11 +185,11 @@ def test_a_turn_is_sought_after_two_to_the_other_side_only_and_lost_after_one_mo
     assert one.drive(driven) is None
     one.update_motion(sign * 5.0)
     assert one.drive(driven) == lost and one.asked is None
-    assert not one.seek(lost)
-    one.update_motion(sign * (TWO_RAD / 2 - 0.1))
-    assert not one.seek(lost)
-    one.update_motion(sign * 0.2)
-    assert one.seek(lost)
+    assert one.seek(lost) == 0.0
+    one.update_motion(sign * TWO_RAD / 4)
+    assert one.seek(lost) == pytest.approx(0.5)
+    one.update_motion(sign * TWO_RAD / 4)
+    assert one.seek(lost) == pytest.approx(1.0)
 
 
 def test_what_it_turns_to_that_side_on_its_way_does_not_find_it_again():
@@ -214,4 +214,4 @@ def test_it_seeks_again_only_after_two_more():
     one.ask(LEFT)
     assert one.asked == LEFT and one.drive(RIGHT) is None
     one.update_motion(-TWO_RAD)
-    assert one.drive(RIGHT) == LEFT and not one.seek(LEFT)
+    assert one.drive(RIGHT) == LEFT and one.seek(LEFT) == 0.0
