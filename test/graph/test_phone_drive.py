@@ -11,7 +11,7 @@ from phones import Network, Phone
 
 NS_PER_S = 1_000_000_000
 MAX_STOP_S = 0.55
-MOMENTS = 2  # of each loss; 100 of each take 5 minutes
+MOMENTS = 2  # of each loss; 60 take 100 s in all
 STATE = "/teleop_logi/state"
 REARM = "let go of the deadman, then hold it again"
 
