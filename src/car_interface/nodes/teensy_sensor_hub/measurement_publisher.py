@@ -101,7 +101,7 @@ class MeasurementPublisher:
         """Take a sonar's report, and SONAR_WAIT; publish its range, if it is one."""
         measured = self._measurements.sonar(record, received_ns, is_trusted, wait_ms)
         for sensor in self._take_blinks():
-            self._warnings.warn(f"blink {sensor}", f"{SONARS[sensor]}'s echo pin was high for more than a second, and no "
+            self._warnings.warn(f"blink {sensor}", f"{SONARS[sensor]}'s echo pin was high for over a second, and no "
                                 "sonar fired. Check its echo wire and supply")
         if measured is None or not has_subscribers(self._ranges[measured.sensor]):
             return

@@ -10,7 +10,7 @@ CURVATURE_WANDER = 3.0  # (1/m)²/s: a servo goes from end to end in a fifth of 
 CURVATURE_VARIANCE = 0.5  # (1/m)², of an unknown curvature: 0.7 1/m, a car's tightest turns, is one sigma
 RECENT_M = 0.3  # over which the noise of the curvature is averaged
 CURVATURE_NOISE = 0.1  # 1/m: two sigma of the filter's on a straight (``drive`` of test_captures)
-USUAL_M = 5.0  # of the last metres, whose curvatures are the usual ones
+USUAL_M = 2.0  # of the last metres, whose curvatures are the usual ones; with 5 a long reboot leaves a third more open
 HEADING_VARIANCE = 1e-6  # rad²: the smallest that is claimed, a sigma of 1 mrad
 # The commanded curvature weighs as much as a measurement every half second with this ratio and offset as its error.
 STEERING_S, STEERING_RATIO, STEERING_PER_M = 0.5, 0.3, 0.05

@@ -267,7 +267,7 @@ class Odometry:
             distance_m, turned_rad = self._move_unseen(path, distance_m, turned_rad)
         if outcome is not None:  # what is uncertain has grown along the part of the path without counts
             uncounted_m = (sum(start.place for start in outcome.wheels) / 2 - before) * self._pulse_m
-            part = max(0.0, min(1.0, uncounted_m / distance_m)) / 2 if distance_m else 0.0
+            part = max(0.0, min(1.0, uncounted_m / distance_m)) / 2 if distance_m and not is_blind else 0.0
             self._pose.move(part * distance_m, part * turned_rad)
             distance_m, turned_rad = (1 - part) * distance_m, (1 - part) * turned_rad
             self._pose.add_variance(outcome.mean_variance * self._pulse_m ** 2,

@@ -23,10 +23,9 @@ LEFT, RIGHT = 0, 1
 ROLLING_PER_MS = 0.01  # 0.15 m/s: a wheel that rolls faster is expected to go on
 BLIND_MS = 100.0  # a longer restart was a reboot; a reset of the odometers loses only a report or two
 REPEAT_MS = 450.0  # a standing car is reported more often than this: every 201 ms, and a report may be lost
-# In a slalom with a period of 2.5 s (2.8: ``reboot_slalom`` of test_captures) the mean curvature is off from that of
-# both ends by up to 1.04 of its amplitude, after 2 s: three sigma are 1/4 of its mean square, and this part of it after
-# half of that time.
-MANOEUVRE_MS, MANOEUVRE_RATIO = 2_000.0, 1 / 4
+# A driver steers to one side and back within this time, so that the mean curvature may be any up to the usual one: 1/3
+# of its square. With 2 s or 1/4 slaloms of accuracy.reboot (--fault off) are beyond three sigma.
+MANOEUVRE_MS = 1_500.0
 MAX_BLIND_MS = 2_000.0  # after a longer time the speed in between is unknown
 # After the restart each wheel's speed is taken over this many pulses and this time, at most until the last of these.
 ENOUGH_PULSES, ENOUGH_SPAN_MS, ENOUGH_MS = 6, 100.0, 250.0
@@ -223,7 +222,8 @@ class RestartBridge:
         difference_variance = (DIFFERENCE_SIGMA ** 2 + self._stop_variance * curvature_variance * self._track_m ** 2
                                + curvature_variance * (rolled * self._track_m) ** 2)
         if abs(self._mean_before()) <= ROLLING_PER_MS and was_rolling:
-            difference_variance += STANDING_DIFFERENCE_VARIANCE
+            # Where the distance is uncertain the turn is, too.
+            difference_variance += STANDING_DIFFERENCE_VARIANCE + mean_variance * (curvature * self._track_m) ** 2
         places, doubt = self._search(guesses, signs, mean_variance, difference_variance)
         if was_rolling and blind_ms > BLIND_MS or self._stop_variance:
             doubt = max(doubt, MIN_DIFFERENCE_VARIANCE)
@@ -301,7 +301,7 @@ class RestartBridge:
             return after, after_variance + CURVATURE_SIGMA ** 2
         # Exact where it changes evenly; a step at an unknown time in between has this spread. Within seconds it may
         # have been another one, and likewise if the one after is a mean over a long time.
-        usual = MANOEUVRE_RATIO * max(self._state.usual_square, after ** 2)
+        usual = max(self._state.usual_square, after ** 2) / 3
         if not self._is_late:
             usual *= min(1.0, self._blind_ms() / MANOEUVRE_MS) ** 2
         return (before + after) / 2, (after - before) ** 2 / 12 + CURVATURE_SIGMA ** 2 + usual

@@ -26,7 +26,7 @@ FADING_MS = 500.0  # time constant of an acceleration: 1 / alpha of Singer's mod
 # the usual one the speed is noisier, on a straight by a quarter (accuracy.odometry). But at a change by 2 m/s² the
 # truth is beyond three sigma of this filter for 50 ms (test_captures), so that its sigma of the speed is extended.
 USUAL_ACCELERATION, STARTING_ACCELERATION = 7e-5, 2.2e-4
-SPEED_SIGMAS = 1.5
+SPEED_SIGMAS = 1.6
 SPEED_CHANGE = 0.5  # from pulse to pulse a slow wheel's speed changes by this ratio at most
 STARTING_PULSES = 3
 MAGNET_VARIANCE = 1e-4  # of a magnet's place, pulses²
