@@ -57,6 +57,7 @@ ONLY_IN = {
     "scipy": ("tools/calibration/",),
     "serial": ("teensy/link/port.py",),
     "dynamic_reconfigure": ("ros/reconfigure.py",),
+    "tornado": ("nodes/phone_drive/server.py",),
     "smbus2": ("nodes/pca9685/node.py", "tools/doctor/board.py"),
 }
 # Imported alone, a module outside of these pulls in none of the heavy ones.

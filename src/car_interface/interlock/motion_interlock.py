@@ -18,7 +18,7 @@ from car_interface.common.staleness import DROPPED, TimedInput
 from car_interface.common.units import NS_PER_S
 
 STARTED = "this node has just started"
-UNLOCK = "it unlocks once somebody keeps publishing e_stop false"
+UNLOCK = "it unlocks once somebody keeps publishing {} false"
 # How to re-arm, in the state message, the log and /diagnostics.
 REARM_REASON = "let go once: publish false, then true"
 EXPLANATION_TIMEOUT_S = 0.5  # teleop_logi sends its state 10 times a second
@@ -62,6 +62,7 @@ class MotionInterlock:
         self._config = config
         self._human = TimedInput("human_in_loop", config.human_timeout_s)
         self._e_stop = TimedInput("e_stop", config.e_stop_timeout_s)
+        self._phone_e_stop = TimedInput("phone/e_stop", config.e_stop_timeout_s)
         self._explanation = TimedInput("teleop_logi's state", EXPLANATION_TIMEOUT_S)
         self._rearm_reason = "" if config.grant_at_start else STARTED  # why the deadman must be released first
         # Why and since when the first e_stop is awaited: a lock that is on may take a while to arrive.
@@ -85,10 +86,16 @@ class MotionInterlock:
         self._e_stop.update(bool(locked), now_ns)
         self._update_rearm_reason(now_ns)
 
+    def update_phone_e_stop(self, locked: bool, now_ns: int) -> None:
+        """Take the phones' emergency stop: either locks, and a false of one doesn't unlock the other."""
+        self._update_rearm_reason(now_ns)
+        self._phone_e_stop.update(bool(locked), now_ns)
+        self._update_rearm_reason(now_ns)
+
     def mark_stale(self, now_ns: int) -> None:
-        """Take note that messages were dropped: both are stale, and must be re-armed as after a start."""
-        self._human.mark_stale()
-        self._e_stop.mark_stale()
+        """Take note that messages were dropped: all are stale, and must be re-armed as after a start."""
+        for timed in (self._human, self._e_stop, self._phone_e_stop):
+            timed.mark_stale()
         self._rearm_reason = self._wait_reason = DROPPED
         self._waiting_since_ns = now_ns
 
@@ -123,14 +130,15 @@ class MotionInterlock:
         return f"human_in_loop is false: {self._explanation.value}" if is_explained else "human_in_loop is false"
 
     def _lock(self, now_ns):
-        if not self._e_stop.was_received:
-            if self._config.e_stop_required:
-                return Inhibit(True, causes.E_STOP_NEVER_RECEIVED,
-                               "e_stop was never heard, and e_stop_required is true")
-            return None
-        if self._e_stop.is_stale(now_ns):
-            return Inhibit(True, causes.E_STOP_STALE, f"{self._e_stop.stale_reason(now_ns)}; {UNLOCK}")
-        return Inhibit(True, causes.E_STOP, "e_stop is true") if self._e_stop.value else None
+        if self._config.e_stop_required and not self._e_stop.was_received:
+            return Inhibit(True, causes.E_STOP_NEVER_RECEIVED, "e_stop was never heard, and e_stop_required is true")
+        for e_stop in (self._e_stop, self._phone_e_stop):
+            if e_stop.was_received and e_stop.is_stale(now_ns):
+                return Inhibit(True, causes.E_STOP_STALE,
+                               f"{e_stop.stale_reason(now_ns)}; {UNLOCK.format(e_stop.name)}")
+            if e_stop.value:
+                return Inhibit(True, causes.E_STOP, f"{e_stop.name} is true")
+        return None
 
     def _waits_for_e_stop(self, now_ns):
         if not self._wait_reason or self._e_stop.was_received:
@@ -141,6 +149,7 @@ class MotionInterlock:
         if self._waiting_since_ns is None:
             self._waiting_since_ns = now_ns
         if self._lock(now_ns) is not None:
-            self._rearm_reason = DROPPED if self._e_stop.is_marked_stale else "the lock was on"
+            was_dropped = self._e_stop.is_marked_stale or self._phone_e_stop.is_marked_stale
+            self._rearm_reason = DROPPED if was_dropped else "the lock was on"
         elif self._human.was_received and self._human.is_stale(now_ns):
             self._rearm_reason = DROPPED if self._human.is_marked_stale else "human_in_loop was silent"

@@ -2,6 +2,7 @@
 
 Subscribes:
     joy (sensor_msgs/Joy).
+    phone/joy (sensor_msgs/Joy): a phone's, from phone_drive; see ``teleop.handover``.
 Publishes, at 50 Hz (mode and scale_button: 10 Hz) and at once when they or the deadman change:
     /teleop_logi/human_in_loop (std_msgs/Bool): true while a deadman button is held and the gamepad is fresh; a button
         that is held at the start counts after all were released.
@@ -38,6 +39,7 @@ from car_interface.ros.diagnostics import ERROR, OK, WARN, Diagnostics, age_text
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, subscribe
 from car_interface.teleop.gamepad import REPLACED, REPORT, Gamepad, GamepadConfig, RequestsLogFilter, remedy
+from car_interface.teleop.handover import PHONE_TOPIC, Handover
 from car_interface.teleop.mappings import config_for, load_entries, model_of
 
 RATE_HZ = 50
@@ -51,7 +53,7 @@ class TeleopLogi:
         self._config = read_all(params, GamepadConfig)
         self._entries = load_entries(params.path(CONFIG_FOLDER, None))
         self._model = None  # of the newest message's gamepad
-        self._gamepad = Gamepad(self._config)
+        self._handover = Handover(self._config)
         self._inbox = inbox
         self._published = None
         self._clocks = inbox.clocks
@@ -61,6 +63,7 @@ class TeleopLogi:
         self._log_filter = RequestsLogFilter()
         self._losses = Counter()  # by cause
         self._topic = inbox.resolve_name("joy")
+        self._phone_remedy = f"See whether phone_drive runs: rostopic hz {inbox.resolve_name(PHONE_TOPIC)}"
         self._command_topics = CommandTopics(inbox)
         self._human = advertise("/teleop_logi/human_in_loop", Bool, inbox)
         self._steering = advertise("/teleop_logi/tele_steer_req", Float32, inbox)
@@ -71,8 +74,9 @@ class TeleopLogi:
         self._states = advertise("~state", TeleopState, inbox, latch=True)
         self._diagnostics = Diagnostics(inbox, "none", {REPORT: self._report, **self._command_topics.reports},
                                         now_ns)
-        inbox.on_overflow(lambda now_ns: self._gamepad.mark_stale())
+        inbox.on_overflow(lambda now_ns: self._handover.mark_stale())
         subscribe("joy", Joy, inbox, self._on_joy)
+        subscribe(PHONE_TOPIC, Joy, inbox, self._on_phone)
         self._command_topics.start(self._diagnostics.report_now)
 
     def step(self, now_ns):
@@ -94,9 +98,12 @@ class TeleopLogi:
     def _on_joy(self, message, now_ns):
         model = model_of(message.header.frame_id, len(message.axes), len(message.buttons))
         if model != self._model:
-            self._gamepad = self._other_gamepad(model, STARTED if self._model is None else REPLACED)
+            self._handover.gamepad = self._other_gamepad(model, STARTED if self._model is None else REPLACED)
             self._model = model
-        self._gamepad.update(message.axes, message.buttons, now_ns)
+        self._handover.gamepad.update(message.axes, message.buttons, now_ns)
+
+    def _on_phone(self, message, now_ns):
+        self._handover.update_phone(message.axes, message.buttons, now_ns)
 
     def _other_gamepad(self, model, rearm_reason):
         try:
@@ -105,7 +112,7 @@ class TeleopLogi:
             return Gamepad(self._config, rearm_reason, str(error))
 
     def _tick(self, now_ns):
-        requests = self._gamepad.requests(now_ns)
+        requests = self._handover.requests(now_ns)
         has_changed = self._publish(requests, now_ns)
         self._ticks += 1
         repeats = self._ticks % TICKS_PER_STATE == 0
@@ -116,8 +123,11 @@ class TeleopLogi:
             self._publish_state(requests, now_ns)
 
     def _publish_if_changed(self, now_ns):
-        requests = self._gamepad.requests(now_ns)
-        if self._published is None or requests.differs_by != self._published.differs_by:
+        requests = self._handover.requests(now_ns)
+        before = self._published
+        # A gamepad's sticks wait for the timer. A phone's delay is long enough without that.
+        has_moved = self._handover.phone_is_current and before is not None and requests[:3] != before[:3]
+        if before is None or has_moved or requests.differs_by != before.differs_by:
             self._publish(requests, now_ns)
 
     def _publish(self, requests, now_ns):
@@ -147,7 +157,7 @@ class TeleopLogi:
         return has_changed
 
     def _publish_scale_button(self, now_ns, repeats=False):
-        before, self._scale_button = self._scale_button, self._gamepad.scale_button(now_ns)
+        before, self._scale_button = self._scale_button, self._handover.scale_button(now_ns)
         if repeats or self._scale_button != before:
             self._scale_buttons.publish(self._scale_button)
 
@@ -156,7 +166,7 @@ class TeleopLogi:
             stamp=self._clocks.ros_now(), human_in_loop=requests.human_in_loop,
             cause=requests.cause, reason=requests.reason,
             steering_stick=requests.steering_stick, throttle_stick=requests.throttle_stick,
-            joy_age=self._gamepad.joy_age_s(now_ns)))
+            joy_age=self._handover.gamepad.joy_age_s(now_ns)))
 
     def _log(self, requests):
         is_loss = requests.cause in causes.LOSSES
@@ -165,21 +175,25 @@ class TeleopLogi:
         log("human in loop: %s (%s)%s", requests.human_in_loop, requests.reason, advice and f". {advice}")
 
     def _advice(self, requests):
+        if self._handover.phone_is_current:
+            return self._phone_remedy if requests.cause == causes.JOY_STALE else ""
         return remedy(requests.cause, self._topic) or remedy(requests.stick_cause, self._topic)
 
     def _report(self, status):
         """Cause, remedy and what the gamepad sends, for /diagnostics."""
         now_ns = self._clocks.now_ns()
-        requests = self._gamepad.requests(now_ns)
+        requests = self._handover.requests(now_ns)
         advice = self._advice(requests)
         status.summary(_level(requests), requests.reason + (advice and f". {advice}"))
         status.add("cause", requests.cause)
         status.add("human in loop", requests.human_in_loop)
         status.add("steering stick", requests.steering_stick or "as the mode says")
         status.add("throttle stick", requests.throttle_stick or "as the mode says")
-        status.add("age of joy", age_text(self._gamepad.joy_age_s(now_ns)))
+        status.add("age of joy", age_text(self._handover.gamepad.joy_age_s(now_ns)))
+        if self._handover.phone_is_heard:
+            status.add("age of phone/joy", age_text(self._handover.phone_age_s(now_ns)))
         status.add("gamepad", self._model or "its messages name none")
-        status.add("axes, buttons", f"{self._gamepad.axes}, {self._gamepad.buttons}")
+        status.add("axes, buttons", f"{self._handover.gamepad.axes}, {self._handover.gamepad.buttons}")
         for cause, count in sorted(self._losses.items()):
             status.add(f"times {cause}", count)
         return status

@@ -2,6 +2,7 @@
 
 Subscribes:
     /e_stop (std_msgs/Bool): true = locked: stop, whoever requests what.
+    phone/e_stop (std_msgs/Bool): the same by phone; either locks.
     /teleop_logi/human_in_loop (std_msgs/Bool): true while a human holds the deadman.
     /teleop_logi/tele_throt_req (std_msgs/Float32): −1 full brake or reverse .. +1 full forward.
     /teleop_logi/mode (std_msgs/String): who steers and who drives; see ``common.causes``. Never received = a

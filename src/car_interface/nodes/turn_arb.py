@@ -2,6 +2,7 @@
 
 Subscribes:
     /e_stop (std_msgs/Bool): true = locked: neutral, whoever requests what.
+    phone/e_stop (std_msgs/Bool): the same by phone; either locks.
     /teleop_logi/human_in_loop (std_msgs/Bool): true while a human holds the deadman.
     /teleop_logi/tele_steer_req (std_msgs/Float32): −1 right .. +1 left.
     av_turnrad_req (std_msgs/Float32): turn radius in m, right negative; 0 or NaN = no request, ±inf = straight on.

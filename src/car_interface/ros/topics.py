@@ -78,12 +78,16 @@ def subscribe_changes(topic: str, message_type, inbox: Inbox, handler: Callable[
 
 
 def subscribe_interlock(inbox: Inbox, arbiter: Any, on_change: Callable[[int], Any]) -> None:
-    """Pass the emergency stop and the deadman to an arbiter, and call ``on_change(arrival_ns)`` after a new value.
+    """Pass both emergency stops and the deadman to an arbiter, and call ``on_change(arrival_ns)`` after a new value.
 
     An emergency stop may be latched and sent once (``e_stop_timeout`` 0), a deadman is repeated.
     """
     subscribe_changes("/e_stop", Bool, inbox,
                       lambda message, now_ns: arbiter.update_e_stop(message.data, now_ns), on_change,
+                      takes_latched=True)
+    # A topic of its own: a false that somebody repeats on /e_stop must not end a stop by phone.
+    subscribe_changes("phone/e_stop", Bool, inbox,
+                      lambda message, now_ns: arbiter.update_phone_e_stop(message.data, now_ns), on_change,
                       takes_latched=True)
     subscribe_changes("/teleop_logi/human_in_loop", Bool, inbox,
                       lambda message, now_ns: arbiter.update_human(message.data, now_ns), on_change)

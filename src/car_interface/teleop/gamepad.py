@@ -119,6 +119,11 @@ class Requests(NamedTuple):
     throttle_stick: str = ""
 
     @property
+    def holds_deadman(self) -> bool:
+        """Return whether a deadman is held, also one that has to be released first."""
+        return self.human_in_loop or self.cause == causes.NOT_REARMED
+
+    @property
     def mode(self) -> str:
         """Return who steers and who drives: one of ``causes.MODES``; MANUAL without a deadman."""
         return self.cause if self.cause in MODES else MANUAL
@@ -156,12 +161,14 @@ class Gamepad:
         config: what its axes and buttons do.
         rearm_reason: why the deadmen must be released first.
         unmapped: why it drives nothing, as nobody has said what they do; empty: somebody has.
+        topic, name: in reasons.
     """
 
-    def __init__(self, config: GamepadConfig, rearm_reason: str = STARTED, unmapped: str = ""):
-        self._config = config
+    def __init__(self, config: GamepadConfig, rearm_reason: str = STARTED, unmapped: str = "", topic: str = "joy",
+                 name: str = "the gamepad"):
+        self._config, self._name = config, name
         self._unmapped = unmapped
-        self._joy = TimedInput("joy", config.joy_timeout_s)
+        self._joy = TimedInput(topic, config.joy_timeout_s)
         self._rearm_reason = rearm_reason  # empty: they were released
         self.axes = self.buttons = 0  # how many the newest message had
         self._scale_button = 0
@@ -177,7 +184,7 @@ class Gamepad:
         """Take a message: axes −1..1, buttons 0 or 1."""
         was_stale = self._joy.was_received and self._joy.is_stale(now_ns)
         if was_stale:
-            self._rearm_reason = DROPPED if self._joy.is_marked_stale else "the gamepad was silent"
+            self._rearm_reason = DROPPED if self._joy.is_marked_stale else f"{self._name} was silent"
         if was_stale or (len(axes), len(buttons)) != (self.axes, self.buttons):
             self._distrust_sticks()
         self.axes, self.buttons = len(axes), len(buttons)
@@ -207,6 +214,10 @@ class Gamepad:
             requests = self._with_sticks(requests, now_ns)
         return requests
 
+    def follow(self, now_ns: int) -> None:
+        """Take note that another source's deadman counts: its pulls count as earlier ones of this source."""
+        self._had_pull, self._held_ns = True, now_ns
+
     def scale_button(self, now_ns: int) -> int:
         """Return 1 or −1 while the button for more or less speed by hand is pressed; 0: neither is, or both are."""
         return 0 if self._joy.is_stale(now_ns) else self._scale_button
@@ -228,14 +239,14 @@ class Gamepad:
         missing = missing_index(config, self.axes, self.buttons)
         if missing is not None:
             name, reason = missing
-            self._rearm_reason = f"the gamepad had no {name}"
+            self._rearm_reason = f"{self._name} had no {name}"
             return self._released(causes.JOY_INCOMPLETE, reason)
         for name, index, scale in (("steer_axis", config.steer_axis, config.steer_scale),
                                    ("throttle_axis", config.throttle_axis, config.throttle_scale)):
             if index != NONE and not math.isfinite(scale * axes[index]):
-                self._rearm_reason = f"the gamepad's {name} was {axes[index]}"
+                self._rearm_reason = f"{self._name}'s {name} was {axes[index]}"
                 return self._released(causes.JOY_NOT_FINITE,
-                                      f"the gamepad's {name} {index} is {axes[index]}, no number to act on")
+                                      f"{self._name}'s {name} {index} is {axes[index]}, no number to act on")
         return None
 
     def _read(self, axes, buttons, now_ns):
@@ -354,7 +365,7 @@ class Gamepad:
             why = (f"is where a gamepad with {self.axes} axes and {self.buttons} buttons has its cross"
                    if self._is_cross(index) else f"is {value:.2f} and was not seen at its rest")
             brakes = ": it only brakes" if overrides else ": it doesn't count"
-            return causes.NOT_AT_REST, f"the gamepad's {parameter} {index} {why}{brakes}"
+            return causes.NOT_AT_REST, f"{self._name}'s {parameter} {index} {why}{brakes}"
         if overrides:
             return causes.OVERRIDE, f"the {name} stick overrides the planner by {stick.override():.2f}"
         if stick.is_off_center:

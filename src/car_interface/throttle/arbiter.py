@@ -130,6 +130,10 @@ class ThrottleArbiter:
         """Take the emergency stop: true = stop, whatever is requested."""
         self._interlock.update_e_stop(locked, now_ns)
 
+    def update_phone_e_stop(self, locked: bool, now_ns: int) -> None:
+        """Take the phones' emergency stop: true = stop, whatever the other one says."""
+        self._interlock.update_phone_e_stop(locked, now_ns)
+
     def update_human(self, present: bool, now_ns: int) -> None:
         """Take the deadman: true while a human holds it."""
         self._interlock.update_human(present, now_ns)

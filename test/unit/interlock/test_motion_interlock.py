@@ -18,6 +18,7 @@ S = 1_000_000_000
 MS = 1_000_000
 NOW = 1000 * S
 E_STOP, RUN = ("e_stop", True), ("e_stop", False)
+PHONE_STOPS, PHONE_CLEARS = ("phone_e_stop", True), ("phone_e_stop", False)
 HOLD, LET_GO = ("human", True), ("human", False)
 SILENCE = ("silence", 600 * MS)  # longer than the deadman's timeout, shorter than the lock's
 LONG_SILENCE = ("silence", 1100 * MS)  # longer than both
@@ -43,7 +44,7 @@ def after(*events, explanation=None, **changes):
         if kind == "dropped":
             interlock.mark_stale(now_ns)
         elif kind != "silence":
-            (interlock.update_human if kind == "human" else interlock.update_e_stop)(value, now_ns)
+            getattr(interlock, f"update_{kind}")(value, now_ns)
     return interlock.inhibit(now_ns)
 
 
@@ -53,6 +54,30 @@ WAS_LOCKED = (False, "not re-armed", "the lock was on; let go once: publish fals
 LOCKED = (True, "e_stop", "e_stop is true")
 NEVER_HEARD = (True, "e_stop never heard", "e_stop was never heard, and e_stop_required is true")
 PAUSE = ("silence", 400 * MS)
+LOCKED_BY_PHONE = (True, "e_stop", "phone/e_stop is true")
+PHONE_UNLOCKS = "it unlocks once somebody keeps publishing phone/e_stop false"
+PHONE_SILENT = (True, "e_stop silent", f"phone/e_stop silent for 1.13 s; {PHONE_UNLOCKS}")
+
+
+@pytest.mark.parametrize("events, inhibit", [
+    ([HOLD, PHONE_STOPS], LOCKED_BY_PHONE),
+    ([HOLD, PHONE_STOPS, RUN, RUN, LET_GO, HOLD], LOCKED_BY_PHONE),
+    ([HOLD, PHONE_STOPS, PHONE_CLEARS, HOLD], WAS_LOCKED),
+    ([HOLD, PHONE_STOPS, PHONE_CLEARS, LET_GO, HOLD], None),
+    ([HOLD, PHONE_STOPS, E_STOP, PHONE_CLEARS, LET_GO, HOLD], LOCKED),
+    ([HOLD, E_STOP, PHONE_CLEARS, LET_GO, HOLD], LOCKED),
+    ([HOLD, PHONE_CLEARS, LONG_SILENCE, RUN, LET_GO, HOLD], PHONE_SILENT),
+    ([HOLD, PHONE_STOPS, PHONE_CLEARS, DROPPED, RUN, LET_GO, HOLD],
+     (True, "e_stop silent", f"phone/e_stop was not heard since messages were dropped; {PHONE_UNLOCKS}")),
+    ([HOLD, PHONE_STOPS, PHONE_CLEARS, DROPPED, RUN, PHONE_CLEARS, HOLD], WERE_DROPPED),
+    ([HOLD, PHONE_CLEARS, DROPPED, LONG_SILENCE, PHONE_CLEARS, HOLD], WERE_DROPPED),
+])
+def test_phone_s_e_stop_is_ored_with_the_other_one_and_must_go_on_once_it_was_heard(events, inhibit):
+    assert after(*events) == inhibit
+
+
+def test_required_e_stop_is_not_replaced_by_the_phone_s():
+    assert after(PHONE_CLEARS, LET_GO, HOLD, e_stop_required=True) == NEVER_HEARD
 
 
 @pytest.mark.parametrize("events, inhibit", [

@@ -1,0 +1,1 @@
+"""The phone_drive node, and its server."""

@@ -1,0 +1,224 @@
+"""The server of phone_drive: moves texts between WebSockets and the node's inbox, in a thread of its own.
+
+It decides nothing about the car. It refuses what no page of this car sends: requests for another host (DNS rebinding),
+from another origin, messages that are too long, and more connections than it can serve.
+"""
+from __future__ import annotations
+
+import asyncio
+import itertools
+import threading
+from collections import Counter
+from contextlib import suppress
+from typing import Any
+
+from tornado.httpserver import HTTPServer
+from tornado.netutil import bind_sockets
+from tornado.web import Application, RequestHandler
+from tornado.websocket import WebSocketClosedError, WebSocketHandler
+
+from car_interface.common.errors import DeviceError
+from car_interface.nodes.phone_drive.config import PhoneDriveConfig
+from car_interface.teleop.phone import Outgoing
+from car_interface.teleop.phone_messages import MAX_SIZE
+
+LOOPBACK = ("127.0.0.1", "localhost")
+MAX_BYTES = 4 * MAX_SIZE  # of a message: UTF-8
+MAX_HEADER = 8192
+HEADER_S = 5  # for a request to arrive
+MAX_OPEN = 64  # connections that are no WebSocket, or not yet
+MAX_UNHANDLED = 100  # messages of a connection that the node has not handled yet
+MAX_UNSENT = 40  # messages that a page has not taken yet: 2 s of tokens
+END_S = 2
+HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
+                               "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+
+
+class Server:
+    """Serves WebSockets at ``/ws``.
+
+    Args:
+        config: where.
+        inbox: the node's; ``put`` is called in the server's thread.
+        node: has the handlers ``on_connect``, ``on_message`` and ``on_disconnect``.
+
+    Raises:
+        DeviceError: the address can't be used.
+    """
+
+    def __init__(self, config: PhoneDriveConfig, inbox: Any, node: Any):
+        self.hosts = {f"{name}:{config.port}" for name in (config.address, *LOOPBACK)}
+        self._inbox, self._node = inbox, node
+        self._sockets: dict[int, _Socket] = {}  # by number; of the server's thread
+        self._unhandled: Counter[int] = Counter()
+        self._numbers = itertools.count(1)
+        try:
+            self._bound = bind_sockets(config.port, config.address)
+        except OSError as error:
+            raise DeviceError(f"phones' page at ~address {config.address}, ~port {config.port}", str(error),
+                              "Set another address of this computer, or another port") from error
+        self._has_started = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="phone server", daemon=True)
+        self._thread.start()
+        self._has_started.wait()
+
+    # --- for the node's thread ---
+
+    def send(self, outgoing: Outgoing) -> None:
+        """Send a text to a page, and close its connection after that where it says so."""
+        self._loop.call_soon_threadsafe(self._send, outgoing)
+
+    def stop(self) -> None:
+        """Close everything."""
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join(END_S)
+
+    # --- the server's thread ---
+
+    def _run(self):
+        self._loop = asyncio.new_event_loop()
+        asyncio.set_event_loop(self._loop)
+        application = Application([("/ws", _Socket, {"server": self})], default_handler_class=_NotFound,
+                                  default_handler_args={"server": self}, websocket_max_message_size=MAX_BYTES,
+                                  log_function=lambda handler: None)
+        http = _HttpServer(application, max_header_size=MAX_HEADER, max_body_size=MAX_BYTES,
+                           idle_connection_timeout=HEADER_S, body_timeout=HEADER_S)
+        http.add_sockets(self._bound)
+        self._loop.call_soon(self._has_started.set)
+        self._loop.run_forever()
+        http.stop()
+        for socket in list(self._sockets.values()):
+            socket.abort()
+        self._loop.run_until_complete(asyncio.sleep(0))
+        self._loop.close()
+
+    def open(self, socket: _Socket) -> int:
+        """Take a new WebSocket; return its number."""
+        number = next(self._numbers)
+        self._sockets[number] = socket
+        self._inbox.put(self._node.on_connect, (number, socket.request.remote_ip))
+        return number
+
+    def receive(self, number: int, data: Any) -> None:
+        """Pass a message on; end a connection that sends faster than the node handles."""
+        if self._unhandled[number] >= MAX_UNHANDLED:
+            self._sockets[number].abort()
+            return
+        self._unhandled[number] += 1
+
+        def handle(message, now_ns):
+            self._loop.call_soon_threadsafe(self._count_handled, number)
+            self._node.on_message(message, now_ns)
+        self._inbox.put(handle, (number, data), on_drop=lambda: self._unhandled.pop(number, None))
+
+    def close(self, number: int) -> None:
+        """Take note that a WebSocket is closed."""
+        self._sockets.pop(number, None)
+        self._unhandled.pop(number, None)
+        self._inbox.put(self._node.on_disconnect, number)
+
+    def _count_handled(self, number):
+        if self._unhandled[number] > 0:
+            self._unhandled[number] -= 1
+        if number not in self._sockets:
+            del self._unhandled[number]
+
+    def _send(self, outgoing):
+        socket = self._sockets.get(outgoing.connection)
+        if socket is not None:
+            socket.send(outgoing.text, outgoing.closes)
+
+
+class _HttpServer(HTTPServer):
+    """Ends the oldest of too many connections that don't ask for anything."""
+
+    def initialize(self, *args, **kwargs):
+        super().initialize(*args, **kwargs)
+        self._waiting = []
+
+    def handle_stream(self, stream, address):
+        self._waiting = [other for other in self._waiting if not (other.closed() or hasattr(other, "is_websocket"))]
+        if len(self._waiting) >= MAX_OPEN:
+            self._waiting.pop(0).close()
+        self._waiting.append(stream)
+        super().handle_stream(stream, address)
+
+
+class _Guarded(RequestHandler):
+    """Answers only requests for this host that come from its own page."""
+
+    needs_origin = False
+
+    def initialize(self, server):
+        self._server = server
+
+    def set_default_headers(self):
+        for name, value in HEADERS.items():
+            self.set_header(name, value)
+        self.clear_header("Server")
+
+    def prepare(self):
+        self._stream = self.request.connection.stream  # a WebSocket takes it off the request
+        origin = self.request.headers.get("Origin")
+        is_own = origin in {f"{scheme}://{self.request.host}" for scheme in ("http", "https")}
+        if self.request.host not in self._server.hosts or not is_own and (self.needs_origin or origin is not None):
+            self.send_error(403)
+
+    def write_error(self, status_code, **_):
+        self.finish(f"{status_code}\n")  # nothing of the request, which might be a script
+
+
+class _NotFound(_Guarded):
+    def prepare(self):
+        super().prepare()
+        if not self._finished:
+            self.send_error(404)
+
+
+class _Socket(_Guarded, WebSocketHandler):
+    needs_origin = True
+
+    def initialize(self, server):
+        super().initialize(server)
+        self._unsent, self._number = 0, None
+
+    def check_origin(self, origin):
+        return True  # prepare has checked it
+
+    def open(self, *_):
+        self._stream.is_websocket = True
+        self.set_nodelay(True)
+        self._number = self._server.open(self)
+
+    def on_message(self, message):
+        self._server.receive(self._number, message)
+
+    def on_close(self):
+        if self._number is not None:
+            self._server.close(self._number)
+
+    def send(self, text, closes):
+        if self._unsent >= MAX_UNSENT:
+            self.abort()
+            return
+        with suppress(WebSocketClosedError):
+            written = self.write_message(text)
+            self._unsent += 1
+            written.add_done_callback(self._count_sent)
+        if closes:
+            self.close()
+
+    def abort(self):
+        """Close it without waiting for what the page has not taken."""
+        self._stream.close()
+
+    def _count_sent(self, written):
+        written.exception()  # it was closed meanwhile, which on_close says
+        self._unsent -= 1

@@ -1,0 +1,135 @@
+"""Phones for phone_drive, at the border of its server: what is sent on a connection, and when it arrives."""
+from __future__ import annotations
+
+import itertools
+import json
+from functools import partial
+from typing import Any
+
+from car_interface.nodes.phone_drive.node import PhoneDrive
+from graph import Graph, Node
+
+PIN = "271828"
+
+
+class Network:
+    """What ``server.Server`` is to the node: connections, and the way to them.
+
+    Attributes:
+        delay_s: called for each message; how long it takes. None overtakes another one of its connection.
+    """
+
+    def __init__(self, graph: Graph):
+        self.graph = graph
+        self.delay_s = lambda: 0.02
+        self.phones: dict[int, Phone] = {}
+        self._numbers = itertools.count(1)
+        self._arrivals_ns: dict[tuple, int] = {}
+
+    def add_node(self, name: str = "phone_drive", **parameters: Any) -> Node:
+        return self.graph.add(partial(PhoneDrive, make_server=self._start, make_pin=lambda: PIN), name, parameters)
+
+    def _start(self, config, inbox, node):
+        self.phones = {}
+        self._inbox, self._node = inbox, node
+        return self
+
+    def send(self, outgoing) -> None:
+        """From the node."""
+        phone = self.phones.get(outgoing.connection)
+        if phone is not None:
+            self.carry((outgoing.connection, "out"), lambda: phone.take(outgoing))
+
+    def stop(self) -> None:
+        self.phones = {}
+
+    def connect(self, phone: Phone) -> int:
+        number, inbox, node = next(self._numbers), self._inbox, self._node
+        self.phones[number] = phone
+        self.carry((number, "in"), lambda: inbox.put(node.on_connect, (number, phone.address)))
+        return number
+
+    def to_node(self, number: int, text: str) -> None:
+        inbox, node = self._inbox, self._node
+        self.carry((number, "in"), lambda: number in self.phones and inbox.put(node.on_message, (number, text)))
+
+    def disconnect(self, number: int) -> None:
+        """End a connection so that the node learns of it."""
+        inbox, node = self._inbox, self._node
+        self.phones.pop(number, None)
+        self.carry((number, "in"), lambda: inbox.put(node.on_disconnect, number))
+
+    def carry(self, way, arrive) -> None:
+        at_ns = max(self.graph.now_ns + round(self.delay_s() * 1e9), self._arrivals_ns.get(way, 0))
+        self._arrivals_ns[way] = at_ns
+        self.graph.at(at_ns, arrive)
+
+
+class Phone:
+    """A page, and the thumbs on it.
+
+    Attributes:
+        touch, steering, throttle: what is touched now.
+        is_frozen: it handles nothing, and then all at once.
+        is_cut: nothing gets through, and nobody learns of it.
+        echoed_ns: when it last sent an echo.
+    """
+
+    def __init__(self, network: Network, address: str = "10.0.0.7"):
+        self._network, self.address = network, address
+        self.touch, self.steering, self.throttle, self.scale = "", 0.0, 0.0, 0
+        self.is_frozen = self.is_cut = False
+        self.key = ""
+        self.echoed_ns = 0
+        self.sent: list[str] = []
+        self._held_back: list = []
+        self.connect()
+
+    def connect(self) -> None:
+        """Load the page: nothing is known of an earlier one but the key."""
+        self.token, self.n, self.status, self.closed, self.refused = "", 0, {}, "", ""
+        self.number = self._network.connect(self)
+        self.send(**({"type": "key", "key": self.key} if self.key else {"type": "pin", "pin": PIN}))
+
+    def reload(self) -> None:
+        self._network.disconnect(self.number)
+        self.connect()
+
+    def take(self, outgoing) -> None:
+        if outgoing.connection != self.number or self.is_cut:
+            return
+        if self.is_frozen:
+            self._held_back.append(outgoing)
+            return
+        message = json.loads(outgoing.text)
+        for name in ("key", "status", "closed", "refused"):
+            setattr(self, name, message.get(name, getattr(self, name)))
+        if "token" in message:
+            self.token = message["token"]
+            self.echo()
+
+    def thaw(self) -> None:
+        self.is_frozen = False
+        held_back, self._held_back = self._held_back, []
+        for outgoing in held_back:
+            self.take(outgoing)
+
+    def echo(self) -> None:
+        self.echoed_ns = self._network.graph.now_ns
+        self.evidence("echo", touch=self.touch, steering=self.steering, throttle=self.throttle, scale=self.scale)
+
+    def hold(self, touch: str, steering: float = 0.0, throttle: float = 0.0) -> None:
+        self.touch, self.steering, self.throttle = touch, steering, throttle
+        self.echo()
+
+    def evidence(self, kind: str, **fields) -> None:
+        self.n += 1
+        self.send(type=kind, token=self.token, n=self.n, **fields)
+
+    def send(self, **message) -> None:
+        self.send_text(json.dumps(message))
+
+    def send_text(self, text: str) -> None:
+        if not self.is_cut:
+            self.sent.append(text)
+            self._network.to_node(self.number, text)

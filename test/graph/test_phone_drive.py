@@ -1,0 +1,262 @@
+"""phone_drive and the nodes behind it: a phone drives the car, and stops it, whatever becomes of the phone."""
+from __future__ import annotations
+
+import random
+
+import pytest
+from std_msgs.msg import Bool
+
+from car import CENTER, ESC, ESC_NEUTRAL, STEERING, Car
+from phones import Network, Phone
+
+NS_PER_S = 1_000_000_000
+MAX_STOP_S = 0.55
+MOMENTS = 2  # of each loss; 60 take 100 s in all
+STATE = "/teleop_logi/state"
+REARM = "let go of the deadman, then hold it again"
+
+
+class Bench:
+    """The nodes between a phone and the servo board's pins."""
+
+    def __init__(self, joy=True):
+        self.car = Car()
+        self.graph = self.car.graph
+        self.network = Network(self.graph)
+        self.run = self.graph.run
+        self.graph.record("/phone/joy", "/phone/e_stop", "/teleop_logi/human_in_loop")
+        # Each links' own rules are those of the chain's tests; without a Teensy a person drives by hand.
+        for name in ("pca9685", "turn_arb", "throttle_arb", "teleop"):
+            getattr(self.car, name)()
+        self.node = self.network.add_node()
+        self.graph.hold("/e_stop", Bool(False), 10)
+        if joy:
+            self.car.joy()
+        self.run(2.5)  # the ESC arms
+
+    def phone(self):
+        phone = Phone(self.network)
+        self.run(0.3)
+        return phone
+
+    def drive(self, phone=None, steering=0.8, throttle=0.5):
+        """Take the seat, let go, touch."""
+        phone = phone or self.phone()
+        phone.hold("")
+        phone.evidence("drive")
+        self.run(0.3)
+        phone.hold("manual", steering, throttle)
+        self.run(0.3)
+        return phone
+
+    @property
+    def pins(self):
+        counts = self.car.board.counts
+        return counts[STEERING], counts[ESC]
+
+    @property
+    def drives(self):
+        return self.pins[0] != CENTER and self.pins[1] != ESC_NEUTRAL
+
+    @property
+    def stands(self):
+        return self.pins == (CENTER, ESC_NEUTRAL)
+
+    @property
+    def state(self):
+        return self.graph.newest(STATE)
+
+
+@pytest.fixture
+def bench():
+    return Bench()
+
+
+def test_phone_drives_without_a_gamepad_and_let_go_it_stops_at_once():
+    bench = Bench(joy=False)
+    phone = bench.drive()
+    assert bench.drives and (bench.state.cause, bench.state.reason) == ("manual", "phone: manual deadman held")
+    assert phone.status["driver"] == "you" and "manual" in phone.status["shown"]["teleop_logi"]
+    phone.hold("")
+    bench.run(0.03)
+    assert bench.stands
+    bench.run(0.1)
+    assert (bench.state.cause, bench.state.reason) == ("no deadman", "phone: no deadman is held")
+
+
+def test_touch_reaches_the_servo_within_its_network_s_delay_and_5_ms(bench):
+    phone = bench.drive()
+    since_ns = bench.graph.now_ns
+    phone.hold("manual", -0.5, 0.5)
+    bench.run(0.05)
+    (at_ns, _), *_ = bench.car.board.since(since_ns, STEERING)
+    assert at_ns - since_ns <= (20 + 5) * 1_000_000
+
+
+def test_planner_s_deadman_scale_and_e_stop_reach_their_topics(bench):
+    phone = bench.phone()
+    phone.evidence("drive")
+    phone.hold("")
+    bench.run(0.1)
+    phone.hold("autonomous")
+    bench.run(0.3)
+    assert (bench.state.human_in_loop, bench.state.cause) == (True, "autonomous")
+    assert bench.graph.newest("/phone/joy").buttons == (0, 1, 0, 0)
+    phone.scale = -1
+    phone.hold("")
+    bench.run(0.1)
+    assert bench.graph.newest("/phone/joy").buttons == (0, 0, 0, 1)
+
+
+# --- the phone and the gamepad ---
+
+def test_gamepad_goes_first_and_each_change_passes_through_a_stop(bench):
+    phone = bench.drive()
+    bench.car.pad(manual=True, steering=-0.6, throttle=0.6)
+    bench.run(0.1)
+    assert bench.stands and bench.state.reason == f"the phone drove; {REARM}"
+    bench.car.pad()
+    bench.run(0.3)
+    assert bench.stands and bench.state.reason == f"phone: the gamepad's deadman was held; {REARM}"
+    bench.car.pad(manual=True, steering=-0.6, throttle=0.6)
+    bench.run(0.3)
+    assert bench.drives and bench.state.reason == "manual deadman held"
+    phone.hold("")
+    phone.hold("manual", 0.8, 0.5)
+    bench.run(0.3)
+    gamepads = bench.pins
+    assert bench.drives
+    bench.car.pad()
+    bench.run(0.3)
+    assert bench.stands and bench.state.reason == f"phone: the gamepad's deadman was held; {REARM}"
+    phone.hold("")
+    bench.run(0.1)
+    phone.hold("manual", 0.8, 0.5)
+    bench.run(0.3)
+    assert bench.drives and bench.pins != gamepads
+
+
+def test_gamepad_that_comes_back_with_its_deadman_held_stops_the_phone(bench):
+    bench.car.joy(False)
+    bench.drive()
+    assert bench.drives
+    bench.car.pad(manual=True, throttle=0.6)
+    bench.car.joy()
+    bench.run(0.1)
+    assert bench.stands
+    bench.run(2.0)
+    assert bench.stands
+
+
+def test_phone_that_watches_changes_nothing_for_the_gamepad(bench):
+    bench.phone()
+    bench.car.pad(manual=True, steering=0.6, throttle=0.6)
+    bench.run(0.3)
+    assert bench.drives and bench.state.reason == "manual deadman held"
+
+
+# --- e-stop ---
+
+def test_phone_s_e_stop_stands_against_a_false_on_the_other_topic_until_the_driver_clears_it(bench):
+    driver = bench.drive()
+    watcher = bench.phone()
+    watcher.send(type="e_stop")
+    bench.run(0.03)
+    assert bench.stands
+    bench.run(2.0)  # /e_stop says false 10 times a second
+    for node in ("turn_arb", "throttle_arb"):
+        state = bench.graph.newest(f"/{node}/state")
+        assert (state.cause, state.reason) == ("e_stop", "phone/e_stop is true")
+    driver.evidence("clear")
+    bench.run(1.0)
+    assert bench.stands
+    driver.hold("")
+    bench.run(0.1)
+    driver.hold("manual", 0.8, 0.5)
+    bench.run(0.3)
+    assert bench.drives
+
+
+def test_e_stop_that_falls_silent_with_its_node_locks_the_gamepad_too(bench):
+    bench.phone()
+    bench.car.pad(manual=True, steering=0.6, throttle=0.6)
+    bench.run(0.3)
+    bench.node.kill()
+    bench.run(0.9)
+    assert bench.drives
+    bench.run(0.2)
+    assert bench.stands and bench.graph.newest("/turn_arb/state").cause == "e_stop silent"
+
+
+# --- losses, each at many moments ---
+
+def cut(bench, phone):
+    phone.is_cut = True
+
+
+def freeze(bench, phone):
+    phone.is_frozen = True
+    bench.graph.after(1.0, phone.thaw)  # all that waited is handled at once then
+
+
+def reload(bench, phone):
+    phone.reload()
+
+
+def replace(bench, phone):
+    """Another phone comes, while the thumbs stay on the first one, which is out of range."""
+    phone.is_cut = True
+    Phone(bench.network).touch = "manual"
+
+
+def hold_back(bench, phone):
+    """All that the phone sends arrives in one burst."""
+    until_ns = bench.graph.now_ns + NS_PER_S
+    bench.network.delay_s = lambda: max(0.02, (until_ns - bench.graph.now_ns) / NS_PER_S)
+
+
+def kill_node(bench, phone):
+    bench.node.kill()
+
+
+def stall_node(bench, phone):
+    bench.node.stall(1.0)
+
+
+def stall_node_with_a_cut(bench, phone):
+    phone.is_cut = True
+    bench.node.stall(0.24)
+
+
+@pytest.mark.parametrize("loss", [cut, freeze, reload, replace, hold_back, kill_node, stall_node,
+                                  stall_node_with_a_cut], ids=lambda loss: loss.__name__)
+def test_car_is_neutral_0_55_s_after_the_last_echo_before_a_loss_and_stays_so(loss):
+    random.seed(loss.__name__)
+    bench = Bench()
+    phone = bench.phone()
+    for _ in range(MOMENTS):
+        bench.drive(phone)
+        assert bench.drives
+        bench.run(random.random() / 20)
+        phone.touch = "manual"  # also after a reload: the thumbs stay
+        echoed_ns = phone.echoed_ns
+        loss(bench, phone)
+        bench.graph.run_to(echoed_ns + round(MAX_STOP_S * NS_PER_S))
+        assert bench.stands
+        changes = len(bench.car.board.changes)
+        bench.run(1.5)
+        assert bench.stands and len(bench.car.board.changes) == changes
+        recover(bench, phone)
+
+
+def recover(bench, phone):
+    """Have the phone come back, with nothing touched; it has the key to its seat, unless the node is another one."""
+    bench.network.delay_s = lambda: 0.02
+    for number in list(bench.network.phones):
+        bench.network.disconnect(number)
+    if not bench.node.is_alive:
+        bench.node.start()
+        phone.key = ""
+    phone.is_cut, phone.touch = False, ""
+    phone.connect()
+    bench.run(0.3)

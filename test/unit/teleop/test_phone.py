@@ -1,0 +1,465 @@
+"""What phones may do to the car: whose touch counts, and for how long. Time is passed in; nothing is sent anywhere."""
+from __future__ import annotations
+
+import itertools
+import json
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from car_interface.teleop.keyboard import Controls
+from car_interface.teleop.phone import (
+    ABSENT_NS,
+    GUESSES_AT_ONCE,
+    MAX_MALFORMED,
+    MAX_PAGES,
+    MAX_WAITING,
+    MESSAGES_AT_ONCE,
+    WAIT_NS,
+    Phones,
+)
+from car_interface.teleop.phone_messages import parse
+
+MS = 1_000_000
+S = 1000 * MS
+START = 1000 * S
+PIN = "012345"
+NOTHING_HELD = Controls()
+AHEAD = Controls(0.5, 0.25, manual=True)
+
+
+class Bench:
+    """Phones on a clock, and a server of texts that arrive at once."""
+
+    def __init__(self):
+        secrets = map("secret {}".format, itertools.count())
+        self.now_ns = START
+        self.phones = Phones(PIN, START, lambda: next(secrets))
+        self.pages = {}
+
+    def open(self, number, address="10.0.0.1"):
+        page = self.pages[number] = Page(self, number)
+        self.phones.connect(number, address, self.now_ns)
+        return page
+
+    def join(self, number, address="10.0.0.1"):
+        page = self.open(number, address)
+        page.send(type="pin", pin=PIN)
+        self.wait(100)
+        return page
+
+    def drive(self, number=1):
+        """Join, take the seat, let go, touch."""
+        page = self.join(number)
+        page.send(type="drive")
+        page.echo("")
+        page.echo("manual")
+        return page
+
+    def deliver(self):
+        for outgoing in self.phones.drain():
+            page = self.pages.get(outgoing.connection)
+            if page is not None:
+                page.receive(json.loads(outgoing.text), outgoing.closes)
+
+    def wait(self, duration_ms, *echoing):
+        """Let time pass; the pages that echo answer each token."""
+        for _ in range(duration_ms):
+            self.now_ns += MS
+            before = [page.token for page in echoing]
+            self.phones.step(self.now_ns)
+            self.deliver()
+            for page, token in zip(echoing, before):
+                if page.token != token:
+                    page.echo(page.touch)
+
+    @property
+    def controls(self):
+        return self.phones.controls(self.now_ns)
+
+
+class Page:
+    """An honest page, but for what a test sends by hand."""
+
+    def __init__(self, bench, number):
+        self._bench, self.number = bench, number
+        self.token = self.key = self.closed = ""
+        self.refused, self.status, self.sent = [], {}, []
+        self.n, self.touch = 0, ""
+
+    def receive(self, message, closes):
+        self.token, self.key = message.get("token", self.token), message.get("key", self.key)
+        self.refused += [message["refused"]] if "refused" in message else []
+        self.closed = message.get("closed", self.closed)
+        self.status = message.get("status", self.status)
+        assert closes == ("closed" in message)
+
+    def send(self, **message):
+        if message["type"] in ("drive", "clear", "echo"):
+            self.n += 1
+            message = {"token": self.token, "n": self.n, **message}
+        self.send_text(json.dumps(message))
+
+    def send_text(self, text):
+        self.sent.append(text)
+        self._bench.phones.receive(self.number, text, self._bench.now_ns)
+        self._bench.deliver()
+
+    def echo(self, touch, steering=0.5, throttle=0.25, **more):
+        self.touch = touch
+        self.send(type="echo", touch=touch, steering=steering, throttle=throttle, scale=0, **more)
+
+
+@pytest.fixture
+def bench():
+    return Bench()
+
+
+# --- fresh evidence ---
+
+def test_touch_counts_while_its_echo_is_younger_than_250_ms_since_its_token_was_sent(bench):
+    page = bench.drive()
+    sent_ns = bench.now_ns  # the token is of this moment or of up to 50 ms before
+    bench.wait(0)
+    assert bench.controls == AHEAD
+    age_ms = next(ms for ms in range(1, 300) if bench.phones.controls(sent_ns + ms * MS) == NOTHING_HELD)
+    assert 200 <= age_ms <= 250
+    assert bench.phones.counts["loss"] == 1 and page.closed == ""
+
+
+@pytest.mark.parametrize("age_ms", [0, 100, 200, 240])
+def test_echo_counts_by_the_age_of_its_token_and_not_from_its_arrival(bench, age_ms):
+    page = bench.drive()
+    while page.token in page.sent[-1]:
+        bench.wait(1)
+    issued_ns, token = bench.now_ns, page.token
+    bench.wait(age_ms, page)
+    page.echo("manual", token=token)
+    assert bench.phones.controls(issued_ns + 250 * MS - 1) == AHEAD
+    assert bench.phones.controls(issued_ns + 250 * MS) == NOTHING_HELD
+
+
+def test_step_is_due_in_the_moment_in_which_the_touch_gets_too_old(bench):
+    bench.drive()
+    while bench.controls != NOTHING_HELD:
+        bench.now_ns = bench.phones.due_ns
+        before = bench.phones.controls(bench.now_ns - 1)
+        bench.phones.step(bench.now_ns)
+    assert before == AHEAD
+
+
+@pytest.mark.parametrize("round_trip_ms", [0, 50, 100, 150])
+def test_car_drives_on_without_a_gap_at_a_round_trip_of_up_to_150_ms(bench, round_trip_ms):
+    page = bench.drive()
+    under_way = []
+    for _ in range(3000):
+        bench.now_ns += MS
+        token = page.token
+        bench.phones.step(bench.now_ns)
+        bench.deliver()
+        if page.token != token:
+            under_way.append((bench.now_ns + round_trip_ms * MS, page.token))
+        if under_way and under_way[0][0] <= bench.now_ns:
+            page.echo("manual", token=under_way.pop(0)[1])
+        assert bench.controls == AHEAD
+
+
+@pytest.mark.parametrize("pause_ms", [250, 300, 1000, 60_000])
+def test_burst_of_what_was_touched_in_a_pause_grants_nothing(bench, pause_ms):
+    page = bench.drive()
+    late = [page.token]
+    for _ in range(pause_ms):
+        bench.now_ns += MS
+        bench.phones.step(bench.now_ns)
+        late += [message.text for message in bench.phones.drain() if "token" in message.text][:1]
+    tokens = [late[0], *(json.loads(text)["token"] for text in late[1:])]
+    for token in tokens[-100:]:  # all at once, as a socket that was held up delivers them
+        page.echo("manual", token=token)
+        assert bench.controls == NOTHING_HELD
+    bench.wait(500, page)
+    assert bench.controls == NOTHING_HELD and page.status["why"] == "lift your thumbs, then touch again"
+    page.echo("")
+    page.echo("manual")
+    assert bench.controls == AHEAD
+
+
+def test_recorded_stream_counts_neither_on_its_connection_nor_on_another_one(bench):
+    page = bench.drive()
+    page.touch = "manual"
+    bench.wait(1000, page)
+    recorded = list(page.sent)[1:]  # without the PIN
+    page.echo("")
+    other = bench.join(2)
+    stale = bench.phones.counts["stale"]
+    for number in (1, 2):
+        for text in recorded:
+            bench.pages[number].send_text(text)
+            assert bench.controls == NOTHING_HELD
+    assert bench.phones.counts["stale"] - stale == 2 * len(recorded) > 40 and other.status["driver"] == "another"
+
+
+def test_echo_that_arrives_twice_counts_once_also_while_its_token_is_fresh(bench):
+    page = bench.drive()
+    touched = page.sent[-1]
+    page.echo("")
+    page.send_text(touched)
+    assert bench.controls == NOTHING_HELD
+
+
+@pytest.mark.parametrize("lost", range(12))
+def test_pause_of_the_echoes_at_any_phase_ends_the_touch_until_it_was_let_go(bench, lost):
+    page = bench.drive()
+    bench.wait(200 + 7 * lost, page)
+    assert bench.controls == AHEAD
+    bench.wait(250)
+    assert bench.controls == NOTHING_HELD
+    bench.wait(500, page)
+    assert bench.controls == NOTHING_HELD
+    page.echo("")
+    assert bench.controls == NOTHING_HELD
+    page.echo("manual")
+    assert bench.controls == AHEAD
+
+
+def test_touch_that_was_there_when_the_page_was_loaded_counts_after_it_was_let_go(bench):
+    page = bench.join(1)
+    page.send(type="drive")
+    page.touch = "manual"
+    bench.wait(1000, page)
+    assert bench.controls == NOTHING_HELD
+    page.echo("")
+    page.echo("autonomous", 0.0, 0.0)
+    assert bench.controls == Controls(autonomous=True)
+
+
+def test_driver_who_asks_to_drive_again_has_to_let_go(bench):
+    page = bench.drive()
+    page.send(type="drive")
+    page.echo("manual")
+    assert bench.controls == NOTHING_HELD
+
+
+def test_closed_connection_releases_at_once_and_a_reload_drives_by_its_key_and_a_new_touch(bench):
+    page = bench.drive()
+    bench.phones.disconnect(1)
+    assert bench.controls == NOTHING_HELD
+    again = bench.open(2)
+    again.send(type="key", key=page.key)
+    bench.wait(50)
+    again.echo("manual")
+    assert bench.controls == NOTHING_HELD
+    again.send(type="drive")  # its seat: it waits for nobody's absence
+    again.echo("manual")
+    assert bench.controls == NOTHING_HELD
+    again.echo("")
+    again.echo("manual")
+    assert bench.controls == AHEAD
+
+
+def test_dropped_messages_release_and_have_each_page_connect_again(bench):
+    pages = [bench.drive(1), bench.join(2)]
+    bench.phones.mark_stale()
+    bench.deliver()
+    assert bench.controls == NOTHING_HELD
+    assert [page.closed for page in pages] == ["messages were dropped"] * 2
+
+
+# --- one driver ---
+
+def test_second_phone_watches_until_the_driver_leaves(bench):
+    first, second = bench.drive(1), bench.join(2)
+    second.send(type="drive")
+    second.echo("")
+    second.echo("manual", -1.0, 1.0)
+    assert second.refused == ["another phone drives: it has to leave, or to be away for 5 s"]
+    assert bench.controls == AHEAD
+    first.send(type="leave")
+    assert bench.controls == NOTHING_HELD
+    second.send(type="drive")
+    second.echo("")
+    second.echo("manual", -1.0, 1.0)
+    assert bench.controls == Controls(-1.0, 1.0, manual=True)
+    bench.wait(300, first, second)
+    assert (first.status["driver"], second.status["driver"]) == ("another", "you")
+
+
+@pytest.mark.parametrize("closes", [False, True])
+def test_seat_of_a_driver_who_is_away_is_his_for_5_s(bench, closes):
+    bench.drive(1)
+    second = bench.join(2)
+    if closes:
+        bench.phones.disconnect(1)
+    bench.wait(ABSENT_NS // MS - 200, second)
+    second.send(type="drive")
+    assert len(second.refused) == 1
+    bench.wait(200, second)
+    second.send(type="drive")
+    assert len(second.refused) == 1
+    second.echo("")
+    second.echo("manual")
+    assert bench.controls == AHEAD
+
+
+def test_driver_who_comes_back_to_a_seat_that_was_taken_grants_nothing(bench):
+    first, second = bench.drive(1), bench.join(2)
+    bench.wait(6000, second)
+    second.send(type="drive")
+    first.echo("")
+    first.echo("manual")
+    assert bench.controls == NOTHING_HELD
+
+
+# --- emergency stop ---
+
+def test_any_page_stops_and_the_driver_s_button_and_a_new_touch_end_it(bench):
+    first, second = bench.drive(1), bench.join(2)
+    second.send(type="e_stop")
+    assert bench.phones.e_stop and bench.controls == NOTHING_HELD
+    assert first.status["why"] == "the e-stop is on: clear it"
+    second.send(type="clear")
+    assert bench.phones.e_stop and second.refused == ["the e-stop is cleared by who drives"]
+    first.echo("")
+    first.echo("manual")
+    assert bench.controls == NOTHING_HELD
+    first.send(type="clear")
+    first.echo("manual")
+    assert not bench.phones.e_stop and bench.controls == NOTHING_HELD
+    first.echo("")
+    first.echo("manual")
+    assert bench.controls == AHEAD
+
+
+@pytest.mark.parametrize("delay_ms", [0, 100, 300])
+def test_clear_that_was_sent_before_the_stop_or_arrives_twice_ends_nothing(bench, delay_ms):
+    page = bench.drive()
+    page.send(type="e_stop")
+    page.send(type="clear")
+    cleared = page.sent[-1]
+    assert not bench.phones.e_stop
+    page.send(type="e_stop")
+    bench.wait(delay_ms)
+    page.send_text(cleared)
+    assert bench.phones.e_stop
+
+
+def test_e_stop_outlives_every_page(bench):
+    page = bench.drive()
+    page.send(type="e_stop")
+    bench.phones.disconnect(1)
+    bench.wait(10_000)
+    assert bench.phones.e_stop
+
+
+# --- who may ---
+
+@pytest.mark.parametrize("kind", ["drive", "leave", "echo", "e_stop", "clear"])
+def test_nothing_counts_before_the_pin_and_no_token_is_sent(bench, kind):
+    page = bench.open(1)
+    bench.wait(200)
+    if kind == "echo":
+        page.echo("manual")
+    else:
+        page.send(type=kind)
+    assert (page.refused, page.token, bench.phones.e_stop) == (["enter the PIN first"], "", False)
+
+
+def test_guesses_are_limited_by_address_and_neither_others_nor_the_driver_s_key_are(bench):
+    driver = bench.drive(1)
+    for number in range(10, 10 + GUESSES_AT_ONCE):
+        bench.open(number).send(type="pin", pin="999999")
+    right = bench.open(20)
+    right.send(type="pin", pin=PIN)
+    assert right.refused == ["too many wrong PINs from this address: wait 10 s"] and not right.key
+    assert bench.join(21, "10.0.0.2").key
+    bench.phones.disconnect(1)
+    again = bench.open(22)
+    again.send(type="key", key=driver.key)
+    assert again.key == driver.key
+    bench.now_ns += 10 * S
+    right = bench.open(23)
+    right.send(type="pin", pin=PIN)
+    assert right.key
+
+
+def test_guesser_with_many_addresses_makes_nothing_grow(bench):
+    for number in range(1000):
+        bench.open(number, f"10.0.{number // 250}.{number % 250}").send(type="pin", pin="999999")
+        bench.phones.disconnect(number)
+    assert len(bench.phones._guesses) <= 256 and not bench.phones._pages
+
+
+def test_connections_that_send_nothing_make_room_and_disturb_no_driver(bench):
+    driver = bench.drive(1)
+    for number in range(100, 300):
+        bench.open(number)
+    bench.deliver()
+    assert sum(not bench.pages[number].closed for number in range(100, 300)) == MAX_WAITING
+    bench.wait(WAIT_NS // MS + 100, driver)
+    assert all(bench.pages[number].closed for number in range(100, 300))
+    assert bench.controls == AHEAD
+
+
+def test_pages_are_limited_and_the_driver_comes_back_among_them(bench):
+    driver = bench.drive(1)
+    watching = [bench.join(number) for number in range(2, 2 + MAX_PAGES)]
+    assert [page.closed for page in watching] == [""] * (MAX_PAGES - 1) + [f"{MAX_PAGES} pages are open already"]
+    bench.phones.disconnect(1)
+    bench.join(50)
+    again = bench.open(51)
+    again.send(type="key", key=driver.key)
+    assert again.key and not again.closed
+
+
+def test_page_that_sends_too_much_is_closed_and_what_it_held_with_it(bench):
+    page = bench.drive()
+    while not page.closed and len(page.sent) < 2 * MESSAGES_AT_ONCE:
+        page.echo("manual")
+    assert page.closed == "too many messages" and bench.controls == NOTHING_HELD
+
+
+# --- malformed messages ---
+
+ECHO = {"type": "echo", "token": "t", "n": 1, "touch": "manual", "steering": 0.0, "throttle": 1, "scale": 0}
+
+
+@pytest.mark.parametrize("text", [
+    "", "{", "[]", "null", "7", '"pin"', "{}", '{"type": 7}', '{"type": ["pin"]}', '{"type": "reboot"}', "[" * 512,
+    '{"type": "pin"}', '{"type": "pin", "pin": 12345}', '{"type": "pin", "pin": "١٢٣٤٥٦"}',
+    '{"type": "pin", "pin": "12345"}', '{"type": "e_stop", "more": 1}', '{"type": "e_stop"}' + " " * 600,
+    b'{"type": "e_stop"}', None,
+    *(json.dumps({**ECHO, **change}) for change in (
+        {"steering": 1.01}, {"throttle": -2}, {"steering": float("nan")}, {"throttle": float("inf")}, {"steering": "0"},
+        {"steering": None}, {"steering": True}, {"n": 1.0}, {"n": -1}, {"n": True}, {"n": 2 ** 60}, {"touch": "both"},
+        {"touch": None}, {"touch": []}, {"scale": 2}, {"scale": 0.5}, {"token": 5}, {"token": "x" * 65})),
+    json.dumps(ECHO).replace('"n": 1', '"n": ' + "9" * 400), json.dumps(ECHO).replace("0.0", "1e999"),
+])
+def test_malformed_message_is_refused_and_counted(bench, text):
+    page = bench.drive()
+    assert parse(text) is None
+    bench.phones.receive(1, text, bench.now_ns)
+    assert bench.phones.counts["malformed"] == 1 and bench.controls == AHEAD and not page.closed
+
+
+def test_page_that_sends_many_malformed_messages_is_closed(bench):
+    page = bench.drive()
+    for _ in range(MAX_MALFORMED + 1):
+        page.send_text("nonsense")
+    assert page.closed == "too many malformed messages" and bench.controls == NOTHING_HELD
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.lists(st.one_of(
+    st.text(max_size=80), st.binary(max_size=20),
+    st.recursive(st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
+                 lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
+                 max_leaves=8).map(json.dumps),
+    st.fixed_dictionaries({name: st.sampled_from([value, None, 7, -1, "", "manual", [], {}, 1e9])
+                           for name, value in ECHO.items()}).map(json.dumps)), max_size=30))
+def test_nothing_that_a_page_sends_raises_or_grants(texts):
+    bench = Bench()
+    bench.join(1).send(type="drive")
+    for text in texts:
+        bench.phones.receive(1, text, bench.now_ns)
+        bench.phones.step(bench.now_ns)
+    assert bench.controls == NOTHING_HELD and not bench.phones.e_stop
