@@ -26,7 +26,7 @@ Next, type
                                    and in a second terminal, to drive by hand, with the keys that it shows,
   {env}; rosrun car_interface keyboard_drive
   {env}; roslaunch car_interface practice.launch
-                                   and go on in {checkout}/docs/calibrate.md, Practise it:
+                                   and go on in {checkout}/docs/calibrate.md, Practise without a car:
                                    the car calibrates its own steering"""
 # An interrupted roslaunch ends its nodes in order, then the master. While it starts it may swallow the signal.
 LAUNCH = ("roslaunch", "--sigint-timeout=4", "--sigterm-timeout=2", "car_interface", "demo.launch", "drive:=false")

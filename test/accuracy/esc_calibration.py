@@ -235,7 +235,7 @@ def _errors(car, written):
         if not min(true, sets_off + late) <= edge <= max(true, sets_off + late):
             yield (f"dead_band_{name} ends at {edge:.0f}, the ESC's at {true:.0f}, and the car sets off at "
                    f"{sets_off:.0f}")
-    if esc.kind == virtual.BRAKE_THEN_REVERSE and not -0.01 <= found["dwell"] - esc.dwell_s <= 0.15:
+    if esc.kind == virtual.BRAKE_THEN_REVERSE and not -0.01 <= found["dwell"] - esc.dwell_s <= 0.2:
         yield f"dwell {found['dwell']} s, the ESC's is {esc.dwell_s:.2f} s"
     forgets_s = found.get("reverse_after_neutral", 0.0)
     is_true = forgets_s <= esc.forget_s and bool(forgets_s) == bool(esc.forget_s)

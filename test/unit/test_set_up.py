@@ -205,4 +205,4 @@ def test_demo_ends_with_steps_to_type_that_there_are():
     started = re.findall(r"ros(?:run|launch) car_interface (\S+)", on_virtual_car.NEXT_STEPS)
     assert started == ["demo.launch", "keyboard_drive", "practice.launch"]
     assert all((ROOT / "launch" / name).exists() or (ROOT / "scripts" / name).exists() for name in started)
-    assert "### Practise it" in (ROOT / "docs/calibrate.md").read_text(encoding="utf-8")
+    assert "## Practise without a car" in (ROOT / "docs/calibrate.md").read_text(encoding="utf-8")

@@ -174,12 +174,12 @@ class CarDisplay:
 
     def _fan(self, index, measured):
         """What a sonar looked at: up to its echo or, without one, up to its range."""
-        if measured is None or math.isnan(measured.range) or measured.range == -math.inf:
+        radius_m = 0.0 if measured is None else min(measured.range, measured.max_range)
+        if not 0 < radius_m < math.inf or not math.isfinite(measured.field_of_view):  # nor is it NaN
             return self._nothing("sonars", index)
         has_echo = measured.range < measured.max_range
         marker = self._marker("sonars", index, Marker.TRIANGLE_LIST, ECHO if has_echo else NO_ECHO,
                               Vector3(1.0, 1.0, 1.0), frame=measured.header.frame_id)
-        radius_m = min(measured.range, measured.max_range)
         angles = [measured.field_of_view * (step / FAN_STEPS - 0.5) for step in range(FAN_STEPS + 1)]
         edge = [Point(radius_m * math.cos(angle), radius_m * math.sin(angle), 0.0) for angle in angles]
         for one, other in zip(edge, edge[1:]):
