@@ -35,13 +35,17 @@ def read_launch(user: str, arguments: Sequence[str], environment: Mapping[str, s
         launch_file: the path of car.launch.
 
     Raises:
-        CarInterfaceError: an argument is none of car.launch's, the folder is missing, or no workspace was sourced.
+        CarInterfaceError: an argument is none of car.launch's, or calibration_drive; the folder is missing, or no
+            workspace was sourced.
     """
     values = dict(argument.split(":=", 1) for argument in arguments)
     known = [each.get("name") for each in ElementTree.parse(launch_file).getroot().findall("arg")]
     unknown = [name for name in values if name not in known]
     if unknown:
         raise CarInterfaceError(f"car.launch has no argument {unknown[0]}; accepted: {', '.join(known)}")
+    if values.get("calibration_drive", "false") != "false":
+        raise CarInterfaceError("calibration_drive is for a drive that somebody watches, and not for each boot: "
+                                "no brake is certain with it")
     if not os.path.isdir(values.get("config", "")):
         raise CarInterfaceError(f"config:= must be the folder with your car's files, as in: {EXAMPLE}")
     values["config"] = os.path.abspath(values["config"])

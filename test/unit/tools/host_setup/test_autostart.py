@@ -91,8 +91,9 @@ def test_systemd_takes_the_unit_also_with_spaces_and_its_own_signs_in_the_paths(
     ([], {}, "config:= must be the folder with your car's files, as in: setup_hardware --autostart config:="),
     (["config:=/nowhere/at/all"], {}, "config:= must be the folder"),
     (["config:=.", "trottle:=true"], {}, "car.launch has no argument trottle; accepted: ns, port, "),
+    (["config:=.", "calibration_drive:=true"], {}, "calibration_drive is for a drive that somebody watches"),
     (["config:=."], {"CMAKE_PREFIX_PATH": "/opt/ros/absent"}, "no catkin workspace was sourced in this terminal"),
-], ids=["no_folder", "absent_folder", "misspelt", "not_sourced"])
+], ids=["no_folder", "absent_folder", "misspelt", "calibration_drive", "not_sourced"])
 def test_what_could_not_start_is_refused_at_once(workspace, arguments, environment, message):
     with pytest.raises(CarInterfaceError, match=f"^{message}"):
         launch_of(workspace, *arguments, **environment)
