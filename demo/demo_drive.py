@@ -90,6 +90,7 @@ class Watch:
         self.stage_yaw_rad = Counter()
         self.sonar_m = {}
         self.rest = None  # the servo board's output before the drive
+        self._push = 0  # of the ESC's duty from there, added up over the drive: its sign is forward
         self.let_go_ns = self.neutral_ns = None
 
     def on_truth(self, message, now_ns):
@@ -125,8 +126,10 @@ class Watch:
         driven = self.duties
         if self.stage == NOBODY:
             self.rest = driven
-        elif self.let_go_ns is not None and self.neutral_ns is None and driven == self.rest:
-            self.neutral_ns = now_ns
+        elif self.let_go_ns is None:
+            self._push += driven[1] - self.rest[1]
+        elif self.neutral_ns is None and driven[0] == self.rest[0] and (driven[1] - self.rest[1]) * self._push <= 0:
+            self.neutral_ns = now_ns  # or it brakes
 
     def on_odometry(self, message, now_ns):
         """Take the pose by odometry."""
@@ -366,7 +369,7 @@ class DemoDrive:
         yield "pings answered", f"{link.pongs} of {link.pings}"
         yield "frames good, bad", f"{link.frames}, {link.bad_frames + link.malformed_frames}"
         neutral = "never" if watch.neutral_ns is None else f"after {self._neutral_after_s() * 1e3:.1f} ms"
-        yield "human let go, outputs neutral", neutral
+        yield "human let go, neutral or braking", neutral
         if bag:
             yield "bag", bag
 
@@ -393,7 +396,7 @@ class DemoDrive:
                drivers[LEFT_CIRCLE] == drivers[RIGHT_CIRCLE] == {PLANNER})
         yield "the left circle wasn't closed", yaw_rad[LEFT_CIRCLE] > 0.95 * TURN_RAD
         yield "the right circle wasn't closed", yaw_rad[RIGHT_CIRCLE] < -0.95 * TURN_RAD
-        yield "the outputs weren't neutral within 0.1 s of letting go", (
+        yield "the outputs weren't neutral within 0.1 s of letting go, nor did it brake", (
             watch.neutral_ns is not None and self._neutral_after_s() < 0.1)
         yield "the car rolled on after the human let go", abs(watch.speed_mps) < 0.05
         error_m, error_deg = watch.odometry_error()
