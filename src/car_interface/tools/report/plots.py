@@ -249,9 +249,8 @@ def _speeds(axes, drive):
 
 def _accelerations(axes, drive):
     title(axes, "Acceleration in m/s²")
-    curve(axes, drive.traces["requested acceleration"], REQUESTED, "requested", linestyle=DASHED)
-    curve(axes, drive.traces["acceleration"], DRIVEN, "by odometry, over 0.3 s", linewidth=0.9)
-    legend(axes)
+    _asked_and_done(axes, drive.traces["requested acceleration"], drive.traces["acceleration"],
+                    "by odometry, over 0.3 s")
 
 
 def _value(axes, drive):
@@ -271,8 +270,12 @@ def _value(axes, drive):
 
 def _motor_speed(axes, drive):
     title(axes, "The VESC's motor speed in ERPM")
-    curve(axes, drive.traces["motor speed asked"], REQUESTED, "asked", linestyle=DASHED)
-    curve(axes, drive.traces["motor speed"], DRIVEN, "measured", linewidth=0.9)
+    _asked_and_done(axes, drive.traces["motor speed asked"], drive.traces["motor speed"], "measured")
+
+
+def _asked_and_done(axes, asked, done, how):
+    curve(axes, asked, REQUESTED, "requested", linestyle=DASHED)
+    curve(axes, done, DRIVEN, how, linewidth=0.9)
     legend(axes)
 
 
