@@ -48,8 +48,7 @@ def no_plots(monkeypatch):
     (["a/x.bag", "b/x.bag", "-o", "."], "would both get the page x.html"),
     (["a.bag"], "a.bag can't be read as a recording: there is no such file"),
     (["a.bag", "-o", "none/a.html"], "there is no folder"),
-    (["a.bag", "--map", "/ekf=wheels"],
-     "bag_report: --map is '/ekf=wheels'; accepted: TOPIC=ROLE with a role of odom, imu, output, "),
+    (["a.bag", "--map", "/ekf=wheels"], "--map is '/ekf=wheels'; accepted: TOPIC=ROLE with a role of odom, imu, out"),
 ], ids=["no_folder", "same_name", "missing", "no_folder_for_the_page", "no_such_role"])
 def test_what_can_not_be_done_is_refused_in_one_line(arguments, words, capsys):
     assert main("bag_report", arguments) == 1

@@ -2,17 +2,16 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import io
 import os
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import virtual_escs
 import yaml
+from accuracy import esc_calibration as drives
 
 from car_interface.throttle.config import load_throttle
 from car_interface.tools.cli.main import main
@@ -21,8 +20,6 @@ from tools.calibration.esc.synthetic import Person
 from written_recordings import Written, odometry, write_ros1
 
 ROOT = Path(__file__).resolve().parents[4]
-sys.path.append(str(ROOT / "test"))
-drives = importlib.import_module("accuracy.esc_calibration")
 SHIPPED = ROOT / "config" / "throttle.yaml"
 SEED = 1  # brake_then_reverse
 RANDOM_ESCS = range(20) if os.environ.get("CAR_INTERFACE_ALL") else (SEED,)

@@ -2,7 +2,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import io
 import math
 import os
@@ -15,6 +14,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import yaml
+from accuracy import virtual_drive
 
 from car_interface.sim.vehicle import Vehicle
 from car_interface.steering.config import load_steering
@@ -25,8 +25,6 @@ from tools.calibration.steering.synthetic import mixed, true_curvature
 from written_recordings import Written, odometry, stamp, write_ros1
 
 ROOT = Path(__file__).resolve().parents[4]
-sys.path.append(str(ROOT / "test"))
-virtual_drive = importlib.import_module("accuracy.virtual_drive")
 STOCK = ROOT / "config" / "turn_arb.yaml"
 SEED, SECONDS = 2, 100.0
 PLACES = mixed(count=36)

@@ -2,26 +2,23 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import re
 import shutil
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from accuracy import virtual_drive
 
 from car_interface.sim.vehicle import true_acceleration_mps2
 from car_interface.throttle.value_map import load_value_map
 from car_interface.tools.cli.calibrate_value_map import add_arguments, source_of
 from car_interface.tools.cli.main import main
 from recorded_drives import recorded
-from tools.calibration.value_map.synthetic import DELAY_S, acceleration, messages_of, output_message, value_message
+from tools.calibration.value_map.synthetic import DELAY_S, acceleration, messages_of, output_at, value_at
 from written_recordings import Written, odometry, write_ros1
 
 ROOT = Path(__file__).resolve().parents[4]
-sys.path.append(str(ROOT / "test"))
-virtual_drive = importlib.import_module("accuracy.virtual_drive")
 KNOWN_DELAY = ("--delay", DELAY_S)  # estimating it takes most of a fit's time
 
 
@@ -78,13 +75,13 @@ def throttle_state(time_s, source, asked=0.5):
 
 
 @pytest.mark.parametrize("messages, expected", [
-    ([value_message(0.0)], "generic/output/value"),
-    ([value_message(0.0), output_message(0.0)], "generic/output/value"),
-    ([output_message(0.0)], "duty:2"),
-    ([value_message(0.0), output_message(0.0), throttle_state(0.1, 3), throttle_state(0.2, 3), throttle_state(0.3, 4)], "duty:2"),
-    ([value_message(0.0), output_message(0.0), throttle_state(0.1, 3), throttle_state(0.2, 4)], "generic/output/value"),
-    ([value_message(0.0), output_message(0.0), throttle_state(0.1, 3, 0.0), throttle_state(0.2, 3, 0.0)], "generic/output/value"),
-    ([value_message(0.0), throttle_state(0.1, 3)], "generic/output/value"),
+    ([value_at(0.0)], "generic/output/value"),
+    ([value_at(0.0), output_at(0.0)], "generic/output/value"),
+    ([output_at(0.0)], "duty:2"),
+    ([value_at(0.0), output_at(0.0), throttle_state(0.1, 3), throttle_state(0.2, 3), throttle_state(0.3, 4)], "duty:2"),
+    ([value_at(0.0), output_at(0.0), throttle_state(0.1, 3), throttle_state(0.2, 4)], "generic/output/value"),
+    ([value_at(0.0), output_at(0.0), throttle_state(0.1, 3, 0.0), throttle_state(0.2, 3, 0.0)], "generic/output/value"),
+    ([value_at(0.0), throttle_state(0.1, 3)], "generic/output/value"),
 ], ids=["value_alone", "value_and_output", "output_alone", "mostly_by_hand", "as_often_by_the_planner",
         "deadman_held_and_nothing_asked", "no_output"])
 def test_without_a_word_the_recording_says_whether_it_was_driven_by_hand(tmp_path, messages, expected):
@@ -194,8 +191,9 @@ def test_map_that_is_not_good_enough_is_refused_and_if_forced_marked(bag, tmp_pa
 
 
 @pytest.mark.parametrize("messages, said", [
-    ([odometry(0.02 * i, speed_mps=1.0) for i in range(9)] + [value_message(0.02 * i) for i in range(9)], "tells an acceleration"),
-    ([odometry(0.02 * i) for i in range(500)] + [value_message(0.02 * i) for i in range(500)], "a stop"),
+    ([odometry(0.02 * i, speed_mps=1.0) for i in range(9)] + [value_at(0.02 * i) for i in range(9)],
+     "tells an acceleration"),
+    ([odometry(0.02 * i) for i in range(500)] + [value_at(0.02 * i) for i in range(500)], "a stop"),
 ], ids=["too_short", "standing"])
 def test_recording_that_tells_nothing_is_refused_in_one_line(tmp_path, capsys, messages, said):
     path = write_ros1(tmp_path / "a.bag", sorted(messages, key=lambda message: message.time_s))

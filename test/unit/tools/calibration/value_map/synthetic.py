@@ -73,11 +73,11 @@ def drive(seed=0, seconds=240.0, uphill=(0.0, 0.0), sag=0.0, turns=True, with_pi
 NAMES = {"odom": "/odom", "value": "/generic/output/value", "output": "/servo/output"}
 
 
-def value_message(time_s, value=1.0, topic=NAMES["value"]):
+def value_at(time_s, value=1.0, topic=NAMES["value"]):
     return Written(time_s, topic, "car_interface/Float64Stamped", {"data": value})
 
 
-def output_message(time_s, steering=5100, esc=4915, topic=NAMES["output"]):
+def output_at(time_s, steering=5100, esc=4915, topic=NAMES["output"]):
     return Written(time_s, topic, "std_msgs/Int32MultiArray", {"data": [steering, esc] + [-1] * 14})
 
 
@@ -92,8 +92,8 @@ def messages_of(seconds, seed=0, names=None, with_imu=False):
     for index in np.flatnonzero(np.append(True, np.diff(value) != 0) | (np.arange(t_s.size) % 20 == 0)):
         esc = 16 * round(float(np.interp(value[index], (-5, 0, 3), (3277, 4915, 6554))) / 16)
         steering = 16 * round((5100 - 1500 * float(turn_rate[index])) / 16)
-        messages += [value_message(t_s[index], value[index], names["value"]),
-                     output_message(t_s[index], steering, esc, names["output"])]
+        messages += [value_at(t_s[index], value[index], names["value"]),
+                     output_at(t_s[index], steering, esc, names["output"])]
     for time_s, number in zip(one.imu.t_s[::2], one.imu.y[::2]) if with_imu else ():
         messages.append(Written(time_s, "/imu/data", "sensor_msgs/Imu", {
             "orientation_covariance": [-1.0] * 9, "linear_acceleration": {"x": number, "z": 9.81}}))
