@@ -4,9 +4,6 @@ import math
 import pytest
 
 from car_interface.common import causes
-from car_interface.common.declared import read
-from car_interface.common.errors import ConfigError
-from car_interface.common.params import Params
 from car_interface.steering.limits import SourceLimits, SteeringLimiter, SteeringLimits, too_tight_reason
 
 MS, S = 1_000_000, 1_000_000_000
@@ -132,25 +129,6 @@ def test_whoever_takes_over_turns_in_from_where_the_car_is():
     turned_in(limiter, 0.5, ticks=1)
     limiter.release(0.4, MS)
     assert limiter.limit(0.5, JERK, 2 * MS).curvature_per_m == 0.5
-
-
-def test_parameters_are_read_by_source_with_the_defaults_that_are_documented():
-    limits = read(Params({}), SteeringLimits)
-    assert limits == SteeringLimits(SourceLimits(0.0, 0.0), SourceLimits(4.0, 40.0), 0.5)
-    assert [SourceLimits(*numbers).is_off for numbers in ((0.0, 0.0), (4.0, 0.0), (0.0, 40.0))] == [True, False, False]
-    params = Params({"human": {"max_lateral_acceleration": 6, "max_lateral_jerk": 80}, "planner":
-                     {"max_lateral_acceleration": 0, "max_lateral_jerk": 0}, "odometry_timeout": 1.0})
-    limits = read(params, SteeringLimits)
-    params.finish()
-    assert limits == SteeringLimits(SourceLimits(6.0, 80.0), SourceLimits(0.0, 0.0), 1.0)
-
-
-@pytest.mark.parametrize(("source", "name", "value"), [
-    ("planner", "max_lateral_acceleration", -1), ("human", "max_lateral_jerk", 2000),
-    ("human", "max_lateral_acceleration", "much")])
-def test_an_impossible_limit_is_refused_by_name(source, name, value):
-    with pytest.raises(ConfigError, match=f"{source}/{name}"):
-        read(Params({source: {name: value}}), SteeringLimits)
 
 
 @pytest.mark.parametrize("asked_m, tightest_m, speed_mps, reason", [

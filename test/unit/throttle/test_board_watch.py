@@ -8,7 +8,6 @@ import pytest
 
 from car_interface.common import causes
 from car_interface.common.declared import read
-from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
 from car_interface.throttle.board_watch import BoardConfig, BoardWatch
 
@@ -216,11 +215,3 @@ def test_configuration_is_read_with_the_board_s_own_limits():
     config = read(Params({"output_required": False, "output_timeout": 0.7,
                           "board": {"pwm_min": 3000, "pwm_max": [6000] * 16, "timeout": 250}}), BoardConfig)
     assert config == BoardConfig(False, 0.7, (3000,) * 16, (6000,) * 16)
-
-
-@pytest.mark.parametrize("values, name", [
-    ({"output_required": "maybe"}, "output_required"), ({"output_timeout": -1}, "output_timeout"),
-    ({"board": {"pwm_min": [1, 2]}}, "board/pwm_min"), ({"board": {"pwm_max": 70000}}, "board/pwm_max")])
-def test_impossible_parameter_is_named(values, name):
-    with pytest.raises(ConfigError, match=name):
-        read(Params(values), BoardConfig)

@@ -18,7 +18,7 @@ from esc_sequences import failure, run, summed_up
 from many_drives import run_on_all_cores
 
 IS_LONG = bool(os.environ.get("CAR_INTERFACE_ALL"))
-DRIVES = 100_000 if IS_LONG else 180
+DRIVES = 100_000 if IS_LONG else 120
 
 
 @pytest.mark.once

@@ -219,8 +219,6 @@ def test_the_sonars_are_those_of_the_hub_s_file_without_the_absent_ones():
 @pytest.mark.parametrize(("values", "name"), [
     ({"obstacle_stop": True}, "sonar_hub/sonars/front_right"),
     ({"obstacle_stop": True, "sonar_hub": {"sonars": {**SONARS, "front_left": [1, 2]}}}, "sonar_hub/sonars/front_left"),
-    ({"obstacle_stop": "yes"}, "obstacle_stop"), ({"obstacle": {"margin": -1}}, "obstacle/margin"),
-    ({"obstacle": {"creep": 1.5}}, "obstacle/creep"), ({"obstacle": {"creep": -0.1}}, "obstacle/creep"),
     ({"obstacle": {"sonars": {"rear_left": "no"}}}, "obstacle/sonars/rear_left")])
 def test_what_makes_no_sense_is_refused_by_name(values, name):
     with pytest.raises(ConfigError, match=name):

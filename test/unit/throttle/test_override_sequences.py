@@ -29,7 +29,7 @@ from car_interface.throttle.esc_config import UNVERIFIED, EscConfig
 
 MS, S = 1_000_000, 1_000_000_000
 TICK_NS = 10 * MS
-DRIVES = 3000 if os.environ.get("CAR_INTERFACE_ALL") else 35
+DRIVES = 3000 if os.environ.get("CAR_INTERFACE_ALL") else 25
 PROMPT_MS, THROTTLE_MS, LATE_MS = 2, 20, 450  # a message takes less
 # From the last moment of another deadman to the last pulse that it may still have asked for, without the stick's delay.
 GRACE_NS = sequences.GRACE_NS

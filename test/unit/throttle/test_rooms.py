@@ -13,7 +13,7 @@ from rooms.room import Outline, Pose, Post, Room, Side
 from rooms.scene import random_scene
 
 IS_ALL = bool(os.environ.get("CAR_INTERFACE_ALL"))
-ROOMS = 1000 if IS_ALL else 60
+ROOMS = 1000 if IS_ALL else 36
 # A slope hardly weaker than the drag, and no brake that is certain: a car that was pushed once rolls on (limits.md).
 LEFT_SHARE = 0.003
 HALF_CONE_RAD = math.radians(15)
@@ -32,14 +32,14 @@ def test_car_is_no_faster_than_it_can_stop_for_what_gave_an_echo_on_its_arc():
 
 @pytest.mark.once
 def test_most_cars_without_obstacle_stop_run_fast_into_something():
-    verdicts = [verdict(seed, stops=False) for seed in range(20)]
-    assert sum(one.speed_mps > 0.3 for one in verdicts) >= 15
+    verdicts = [verdict(seed, stops=False) for seed in range(10)]
+    assert sum(one.speed_mps > 0.3 for one in verdicts) >= 7
 
 
 @pytest.mark.once
 def test_car_in_an_empty_room_is_not_slowed_more_than_its_fan_demands():
     named, baseline = empty.scenes(), empty.read_baseline()
-    sample = named if IS_ALL else list(named)[::7]
+    sample = named if IS_ALL else list(named)[::11]
     speeds = {name: (empty.mean_mps(named[name]), empty.wanted_mps(name, named[name], baseline)) for name in sample}
     assert {name: (mps, wanted_mps) for name, (mps, wanted_mps) in speeds.items() if mps < wanted_mps} == {}
 
