@@ -1,5 +1,4 @@
 """The driver of the PCA9685 over a bus: what it writes, in which order, how little, and what it knows afterwards."""
-from __future__ import annotations
 
 import errno
 

@@ -1,5 +1,4 @@
 """The bus that the board is on, and causes and remedies of a bus's errors; the chips are simulated ones."""
-from __future__ import annotations
 
 import errno
 import os

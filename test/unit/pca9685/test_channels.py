@@ -1,5 +1,4 @@
 """What each of the sixteen channels should hold, and when it goes to its timeout value. Time is passed in."""
-from __future__ import annotations
 
 import math
 
@@ -151,6 +150,7 @@ def test_channel_without_a_timeout_has_timed_out_only_when_it_was_made_safe():
     assert board.timed_out(NOW + 10_000 * MS) == {0: TimedOut(NOW + 10_000 * MS, True)}
 
 
+@pytest.mark.once
 @given(st.sets(st.integers(0, 15)), st.integers(1, 16))
 def test_blocks_of_any_changes_hold_each_once_in_order_and_none_too_long(changed, max_length):
     runs = blocks(dict.fromkeys(changed, 0), max_length)

@@ -1,5 +1,4 @@
 """Parameters of the pca9685 node: defaults, ranges, and the neutrals of those who command the channels."""
-from __future__ import annotations
 
 import pytest
 

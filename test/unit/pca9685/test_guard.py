@@ -1,5 +1,4 @@
 """When a guard acts: the node's silence or death, what it does then and in which order, and when it leaves."""
-from __future__ import annotations
 
 import errno
 

@@ -1,5 +1,4 @@
 """What a node knows of its guard, and when it may obey commands again after it stood still."""
-from __future__ import annotations
 
 import errno
 

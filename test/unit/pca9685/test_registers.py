@@ -1,5 +1,4 @@
 """Duties, counts, register bytes and the prescale, against the data sheet (NXP PCA9685, rev. 4) and exact numbers."""
-from __future__ import annotations
 
 from fractions import Fraction
 from math import floor
@@ -56,6 +55,7 @@ def test_frequency_of_prescale_at_25_mhz(prescale, frequency_hz):
     assert frequency_for(prescale) == pytest.approx(frequency_hz, abs=frequency_hz * 5e-4)
 
 
+@pytest.mark.once
 @given(st.floats(24, 1525))
 def test_prescale_for_any_frequency_is_no_worse_than_its_neighbours(frequency_hz):
     prescale = prescale_for(frequency_hz)

@@ -1,5 +1,4 @@
 """Which nodes command each channel: several nodes are normal, two on one channel are not."""
-from __future__ import annotations
 
 import pytest
 

@@ -1,5 +1,4 @@
 """Keeping a board alive: one repetition, then back-off and a new start, and a chip that forgot is told again."""
-from __future__ import annotations
 
 import pytest
 

@@ -2,7 +2,6 @@
 
 test_captures.py holds the rest against long captures of it. Parser and encoders (teensy_bench) are shared with nothing.
 """
-from __future__ import annotations
 
 import pytest
 

@@ -48,6 +48,7 @@ def test_wheels_of_a_car_on_a_box_turn_alike_and_it_stays_where_it_is():
     assert abs(counts[0] - counts[1]) <= 1 < min(counts) and vehicle.steered_per_m == 1.0
 
 
+@pytest.mark.once
 @given(st.floats(1638, 8192), st.floats(1638, 8192))
 def test_steering_with_more_duty_never_turns_more_to_the_left(one, other):
     vehicle = Vehicle()

@@ -1,5 +1,4 @@
 """The steering's parameters, from the parameter server or from a YAML file."""
-from __future__ import annotations
 
 import ast
 import re

@@ -1,7 +1,6 @@
 """An adversary's sequences, a sample: no stop and no held brake that reverses. ``python3 test/adversary 100000`` and
 ``--sweep`` run them all; test/adversary says what is judged.
 """
-from __future__ import annotations
 
 import json
 import os
@@ -59,6 +58,7 @@ def test_each_fault_is_in_the_sweep_and_in_random_sequences():
     assert {case.group for case in map(sweep_case, range(0, SWEEP_CASES, 997))} == {"right", "unverified", "wrong"}
 
 
+@pytest.mark.once
 def test_a_seed_is_the_same_sequence_again():
     for name in ("7", "s4711"):
         assert runs.case_of(name) == runs.case_of(name)

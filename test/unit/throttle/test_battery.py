@@ -1,5 +1,4 @@
 """When a battery is low, and when it stops the planner: stories of voltages half a second apart."""
-from __future__ import annotations
 
 import math
 

@@ -1,5 +1,4 @@
 """The ESC's table: value → request, request ↔ duty, and what is refused."""
-from __future__ import annotations
 
 import math
 from dataclasses import replace
@@ -36,6 +35,7 @@ def test_request_makes_a_duty(calibration, request_, duty):
     assert DutyMap(calibration).duty(request_) == duty
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("calibration", [SHIPPED, FALLING, FORWARD_ONLY])
 @given(request_=st.floats(-1, 1))
 def test_duty_stands_for_the_request_that_made_it(calibration, request_):

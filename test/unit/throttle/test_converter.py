@@ -1,5 +1,4 @@
 """Accelerations to values: the rules around the map. Time is passed in."""
-from __future__ import annotations
 
 import math
 

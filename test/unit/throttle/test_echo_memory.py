@@ -1,5 +1,4 @@
 """Where echoes came from, while the car drives on."""
-from __future__ import annotations
 
 import math
 
@@ -155,6 +154,7 @@ def test_a_car_without_any_report_for_long_is_moved_on_for_no_more_than_a_second
     assert car.meets() == pytest.approx(before_m - 0.5)
 
 
+@pytest.mark.once
 @given(st.lists(st.tuples(st.sampled_from(sorted(MOUNTS)), st.floats(0.0, 2.0), st.booleans(), st.floats(-0.2, 0.3),
                           st.floats(-1.0, 1.0)), max_size=60))
 def test_there_are_never_more_points_than_a_decision_has_time_for(events):

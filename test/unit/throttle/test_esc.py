@@ -3,7 +3,6 @@
 Here the servo board holds at once what it is sent and the speed is what the test says; test_esc_sequences.py has the
 virtual ESCs and all that goes wrong.
 """
-from __future__ import annotations
 
 import math
 
@@ -143,6 +142,7 @@ def test_second_pull_while_it_rolls_is_an_uncertain_brake_and_no_reverse_at_stan
     assert car.stick(-0.5, 2.0, speed=0.0).state == REVERSE
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("profile", [*KNOWN, "unverified"])
 def test_planner_s_hold_never_becomes_reverse_however_often_the_deadman_is_let_go(profile):
     car = Car(profile)
@@ -219,15 +219,6 @@ def test_locked_wheels_that_read_0_are_no_standstill_for_reverse():
     car.stick(0.0, 0.4, speed=0.0)
     assert car.stick(-0.5, 1.0, speed=0.0).state == NEUTRAL
     assert car.stick(-0.5, 0.8, speed=0.0).state == REVERSE, "6 m/s ÷ 3 m/s² after the brake began"
-
-
-@pytest.mark.parametrize("is_human", [True, False])
-def test_gear_brakes_a_rolling_car_and_reverses_it_at_standstill(is_human):
-    car = Car()
-    car.planner(0.5, 0.5, speed=2.0)
-    request = Request(-0.4, REVERSE_GEAR, is_human)
-    assert car.ask(request, 0.2, speed=1.0).state == BRAKING
-    assert car.ask(request, 2.0, speed=0.0)[:2] == (-0.4, REVERSE)
 
 
 @pytest.mark.parametrize("profile, speed, answer", [
@@ -504,6 +495,7 @@ def test_stop_brakes_on_while_the_car_is_known_to_roll():
     assert car.stop(0.6).fraction == 0.0  # its speed is lost
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("profile, is_measured, rolls_mps, holds", [
     (SEQUENCE, True, 0.6, True), (NO_REVERSE, True, 0.6, True), (SEQUENCE, True, 0.4, False),
     (SEQUENCE, False, 0.6, False), (TURNS, True, 0.6, False)])

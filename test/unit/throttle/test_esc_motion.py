@@ -1,5 +1,4 @@
 """The measured speed: standstill, the least speed, motion against the ESC's state, a hill that drives the car."""
-from __future__ import annotations
 
 import math
 

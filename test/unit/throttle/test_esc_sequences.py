@@ -8,7 +8,6 @@ What can't hold: with a wrong profile and no speed, a person's or a planner's ow
 it is held. Without pulses an ESC does for a while what it did, and a node that is away is obeyed until the board's
 timeout. A guard's neutral must be on /servo/output sooner than the ESC's dwell (0.1 s): here it is within 0.06 s.
 """
-from __future__ import annotations
 
 import os
 

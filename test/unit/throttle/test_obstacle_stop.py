@@ -184,6 +184,7 @@ def test_a_range_of_a_sonar_that_the_car_lacks_is_left_out():
     assert stop.bound(0.0, False, BRAKE, 10 * S).speed_mps == TO_2_M
 
 
+@pytest.mark.once
 @given(st.floats(-1.5, 1.5), st.lists(st.one_of(st.floats(0.0, 4.0), st.just(math.inf)), min_size=3, max_size=3),
        st.floats(0.05, 3.0))
 def test_from_its_speed_the_car_always_stops_within_what_was_looked_at(curvature_per_m, ranges, stop_mps2):

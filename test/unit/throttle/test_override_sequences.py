@@ -8,7 +8,6 @@ profile or none, and with known speed or without.
 With the mode later than throttle_arb's mode_timeout, as by a connection that is that slow all the time, it can't hold;
 nor, with a mode that is late or lost, with calibration_drive, which has the first pull by hand drive backward.
 """
-from __future__ import annotations
 
 import collections
 import os

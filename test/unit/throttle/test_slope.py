@@ -1,5 +1,4 @@
 """How strongly a car slows down by itself, in each direction, as its rolls in neutral show it."""
-from __future__ import annotations
 
 import math
 
@@ -146,6 +145,7 @@ def test_the_present_acceleration_is_that_of_the_magnitude():
     assert Slope(ESC).acceleration_mps2 == 0.0
 
 
+@pytest.mark.once
 @settings(max_examples=40)
 @given(speeds=st.lists(st.one_of(st.floats(-5.0, 5.0), st.just(math.nan), st.just(math.inf)), max_size=80),
        fraction=st.sampled_from([0.0, 0.4, -0.5]), curvature=st.floats(-2.0, 2.0))

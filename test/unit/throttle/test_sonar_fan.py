@@ -1,5 +1,4 @@
 """How far a car gets on an arc until it touches a point, and until it leaves what its sonars look at."""
-from __future__ import annotations
 
 import itertools
 import math
@@ -135,6 +134,7 @@ def is_looked_at(x_m, y_m, reach_m):
     return is_between and any(math.dist((x_m, y_m), mount[:2]) <= reach_m + 0.05 for mount in FRONT.values())
 
 
+@pytest.mark.once
 @given(curvature_per_m=st.floats(-1.5, 1.5), reach_m=st.floats(0.5, 4.0))
 def test_all_the_way_to_the_end_the_bumper_is_inside_of_the_fan_and_beyond_it_outside(curvature_per_m, reach_m):
     end = fan(FRONT).end(curvature_per_m, dict.fromkeys(FRONT, reach_m))
@@ -145,6 +145,7 @@ def test_all_the_way_to_the_end_the_bumper_is_inside_of_the_fan_and_beyond_it_ou
     assert not is_looked_at(x_m + BUMPER_M * math.cos(turn_rad), y_m + BUMPER_M * math.sin(turn_rad), reach_m - 0.05)
 
 
+@pytest.mark.once
 @given(curvature_per_m=st.floats(-1.5, 1.5), reaches_m=st.lists(st.floats(0.0, 4.0), min_size=3, max_size=3))
 def test_left_and_right_are_mirror_images_and_a_shorter_reach_never_frees_an_arc(curvature_per_m, reaches_m):
     reaches = dict(zip(FRONT, reaches_m))
@@ -155,6 +156,7 @@ def test_left_and_right_are_mirror_images_and_a_shorter_reach_never_frees_an_arc
     assert end.distance_m >= 0.0
 
 
+@pytest.mark.once
 @given(curvature_per_m=st.floats(-1.5, 1.5), is_backward=st.booleans(),
        points=st.lists(st.tuples(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0)), max_size=20))
 def test_no_point_that_the_car_touches_fails_the_quick_test(curvature_per_m, is_backward, points):

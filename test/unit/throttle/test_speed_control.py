@@ -2,7 +2,6 @@
 
 The car of ``speed_rig`` has the ESC's dead band, rules and delays, and the odometry of its own Teensy.
 """
-from __future__ import annotations
 
 import itertools
 import math
@@ -142,6 +141,7 @@ def test_direction_changes_at_standstill_only_and_by_gear():
     assert abs(mean_error(rig.run(4.0, SpeedRequest(1.0))[-25:], 1.0)) < 0.03
 
 
+@pytest.mark.once
 def test_request_with_a_smaller_acceleration_is_followed_with_that():
     samples = SpeedRig().run(4.0, SpeedRequest(2.0, acceleration_mps2=1.0))
     assert settled_s(samples, 2.0) == pytest.approx(2.0, abs=0.3)

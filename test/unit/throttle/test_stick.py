@@ -1,5 +1,4 @@
 """The human's throttle stick: dead band, expo, and the scale that two buttons change."""
-from __future__ import annotations
 
 import pytest
 

@@ -1,7 +1,6 @@
 """Frames in a stream of bytes. Every frame here was sent by the real firmware (n = its line in the golden capture),
 or is spelled out by hand from the protocol; none comes from this package's own encoder.
 """
-from __future__ import annotations
 
 import tracemalloc
 from dataclasses import asdict

@@ -1,5 +1,4 @@
 """What is wrong with the link, from counters alone. Time is passed in; a second's counters are spelled out."""
-from __future__ import annotations
 
 import pytest
 

@@ -1,5 +1,4 @@
 """Pings, their pongs, and which checksum to send them with. Time is passed in; the bytes are spelled out by hand."""
-from __future__ import annotations
 
 import pytest
 

@@ -1,5 +1,4 @@
 """A session with a Teensy: bytes and times in; events, and bytes to send, out. Frames are the simulated firmware's."""
-from __future__ import annotations
 
 import math
 import struct

@@ -2,7 +2,6 @@
 
 The truth is made here, in ns and by hand: a crystal that is off by so many ppm, a way out and a way back.
 """
-from __future__ import annotations
 
 import math
 import random
@@ -233,6 +232,7 @@ lateness_ns = st.one_of(st.integers(-3 * MS, 8 * MS), st.integers(-400 * S, 400 
 clocks = st.sampled_from([CONVERGED, UNCONVERGED])
 
 
+@pytest.mark.once
 @given(clocks, ticks, apart, lateness_ns, st.integers(0, 100))
 def test_later_ticks_are_never_earlier_and_none_is_after_its_receipt_less_the_time_on_the_wire(
         clock, tick, apart_ms, late_ns, received_bytes):
@@ -242,6 +242,7 @@ def test_later_ticks_are_never_earlier_and_none_is_after_its_receipt_less_the_ti
     assert earlier <= later <= received_ns - round(received_bytes * BYTE_NS)
 
 
+@pytest.mark.once
 @given(clocks, ticks)
 def test_tick_at_is_the_inverse_of_translate_in_the_middle_of_the_tick(clock, tick):
     assert clock.tick_at(clock.translate(tick).time_ns) == pytest.approx(tick + 0.5, abs=1e-5)
@@ -258,6 +259,7 @@ def test_uncertainty_grows_when_pings_stop_and_shrinks_when_they_come_again():
     assert abs(error_ns(clock, teensy, 3600)) < 2 * MS
 
 
+@pytest.mark.once
 def test_uncertainty_grows_when_pings_stop_though_sonars_go_on():
     teensy = Teensy(skew_ppm=30, ramp_ppm_per_h=20)
     clock = converged(teensy)
@@ -279,6 +281,7 @@ def test_wrap_after_49_days_is_no_restart():
     assert not clock.counts
 
 
+@pytest.mark.once
 @given(start=st.integers(0, UINT32 - 1), steps=st.lists(st.integers(-20_000, 2 ** 31 - 1), max_size=20))
 def test_unwrap_goes_on_from_the_tick_heard_last(start, steps):
     clock = Clock()

@@ -1,5 +1,4 @@
 """How long an echo pulse lasted, by the time since the report before: 16 bits of µs have no more than 65.5 ms."""
-from __future__ import annotations
 
 import pytest
 

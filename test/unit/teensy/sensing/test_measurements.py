@@ -1,5 +1,4 @@
 """The Teensy's records as measurements: what is refused, and the queue. test_captures.py has the numbers."""
-from __future__ import annotations
 
 import pytest
 
@@ -15,6 +14,7 @@ START_NS = 5_000 * S
 ECHO_US = 5824  # there and back over a metre at 20 °C
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("record, reason", (
     (SonarStatus(0, ECHO_US, 2_000), verdicts.TICK_BACK),
     (SonarStatus(0, ECHO_US, 90_000), verdicts.TICK_AHEAD),

@@ -1,5 +1,4 @@
 """Wheel pulses → where the car is: what magnets, directions, resets and gaps do to pose, speed and covariance."""
-from __future__ import annotations
 
 import math
 
@@ -82,6 +81,7 @@ def test_straight_way_is_straight_wherever_the_magnets_stood(phases):
     assert motion.speed_mps == pytest.approx(1.0, rel=0.02)
 
 
+@pytest.mark.once
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.tuples(st.floats(-2, 2), st.floats(-2, 2), st.floats(0.05, 1.0)), max_size=6),
        st.floats(0, 0.999), st.floats(0, 0.999))

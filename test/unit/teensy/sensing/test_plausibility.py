@@ -1,5 +1,4 @@
 """The gates together: on the captures, on clean drives, on anything, and on what the checksum can't see."""
-from __future__ import annotations
 
 import itertools
 import math

@@ -1,5 +1,4 @@
 """Echoes in microseconds to ranges in metres: there and back, nothing, too near, too far, and the median."""
-from __future__ import annotations
 
 import math
 
@@ -51,6 +50,7 @@ def test_no_echo_or_one_from_beyond_or_from_too_near_is_said_as_asked_for(no_ech
     assert ranges(Ranging(RangingConfig(no_echo=no_echo)), echo) == [range_m]
 
 
+@pytest.mark.once
 @given(st.lists(st.tuples(st.sampled_from(range(len(SONARS))), st.integers(1, 2 ** 16 - 1)), max_size=20),
        st.sampled_from((INF, MAX_RANGE)), st.booleans(), st.floats(-50, 60))
 def test_range_of_any_echoes_is_within_the_limits_or_infinite_and_never_nan(echoes, no_echo, median, temperature_c):

@@ -2,7 +2,6 @@
 
 test/accuracy/reboot.py measures it over many drives on the virtual Teensy; a few of them are here, with the rules.
 """
-from __future__ import annotations
 
 import os
 

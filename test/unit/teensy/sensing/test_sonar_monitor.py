@@ -1,5 +1,4 @@
 """Which sonars are alive: told by name within ten seconds, started again only when they are silent."""
-from __future__ import annotations
 
 import pytest
 
@@ -54,6 +53,7 @@ class Listener:
         return next((at_s for at_s, words in self.faults if all(part in words for part in parts)), None)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("name", ["stop_go", "drive_reverse", "wrap", "far"])
 def test_sonars_that_run_are_never_started_and_never_blamed(name):
     listener = Listener(load(name))
@@ -278,6 +278,7 @@ def reports_around_release(released_ms, speed_mps=0.0, wall_us=lambda sensor, at
     return found
 
 
+@pytest.mark.once
 def test_released_pin_ends_another_sonars_echo_and_that_one_is_distrusted():
     cut = 0
     for released_ms in range(150, 330, 5):

@@ -1,5 +1,4 @@
 """The gate for the ticks of the Teensy's clock."""
-from __future__ import annotations
 
 import pytest
 

@@ -1,5 +1,4 @@
 """One wheel from its pulses: times are the Teensy's, in ms; positions are in pulses."""
-from __future__ import annotations
 
 import pytest
 

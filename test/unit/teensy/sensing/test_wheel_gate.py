@@ -1,5 +1,4 @@
 """The gate for the wheels: what it refuses and why, wrong reports that do no harm, true jumps that are accepted."""
-from __future__ import annotations
 
 import pytest
 
