@@ -211,15 +211,6 @@ def test_chip_that_does_not_run_as_before_is_a_mismatch_and_no_foreign_write(run
     assert not isinstance(caught.value, ForeignWrite)
 
 
-def test_read_back_learns_what_another_program_wrote(running):
-    running.chip.write(ALL_LED_OFF_H, [0x00])
-    running.chip.write(LED0_ON_L + 4 * 9, [0, 0x10, 0, 0])
-    running.board.read_back()
-    assert running.board.held == [0] * 9 + [4096] + [0] * 6
-    running.board.held[0] = 1234
-    assert running.board.held[0] == 0  # the list was a copy
-
-
 @pytest.mark.parametrize("act, works_for, held", [
     (lambda board: board.write({3: 100, 4: 100}), 0, [CENTER] * 3 + [None] * 2 + [CENTER] * 11),
     (lambda board: board.write(dict.fromkeys(range(16), 100)), 1, [100] * 8 + [None] * 8),

@@ -143,15 +143,6 @@ def test_node_learns_that_it_was_overruled_though_it_did_not_notice_that_it_stoo
     assert not watched.watch.holds
 
 
-def test_intervention_after_the_node_was_back_is_noticed_too(watched):
-    watched.wait(300)
-    assert watched.watch.stood_still_ns(watched.now_ns)
-    assert watched.live().acknowledged == 0
-    watched.answer(ACTING, interventions=1)
-    assert watched.watch.was_overruled()
-    assert watched.live().acknowledged == 1
-
-
 def test_node_whose_guard_is_lost_obeys_and_a_new_guard_begins_anew(watched):
     watched.answer(ACTING, interventions=2, error=errno.EIO)
     watched.wait(300)

@@ -3,7 +3,7 @@
 import pytest
 
 from car_interface.common import causes
-from car_interface.common.publishers import CommandTopic, FaultLog, Publisher
+from car_interface.common.publishers import CommandTopic, Publisher
 from car_interface.common.units import CHANNELS, NS_PER_S, UNCHANGED
 from car_interface.pca9685.channels import TimedOut
 from car_interface.pca9685.senders import ChannelSenders
@@ -47,15 +47,6 @@ def timeout_faults(timed_out, known, **commanders):
     """The faults of channels that timed out; ``commanders`` are the nodes that commanded c0, c1 … last."""
     senders = senders_of(*((node, [int(channel[1:])], 0) for channel, node in commanders.items()))
     return senders.timeout_faults(timed_out, NOW, known, "/pca9685")
-
-
-def test_channel_that_timed_out_is_a_fault_for_the_log_at_once():
-    assert timeout_faults({}, topics(TURN_ARB), c0="/turn_arb") == []
-    faults = timeout_faults({0: TimedOut(NOW, False)}, topics(TURN_ARB), c0="/turn_arb")
-    assert [(fault.cause, fault.subject) for fault in faults] == [(causes.CHANNEL_TIMED_OUT, "channel 0")]
-    log = FaultLog()
-    assert log.update(faults, NOW) == faults
-    assert log.is_lasting(faults[0], NOW)
 
 
 SILENT = "; /turn_arb on 127.0.0.1, which commanded it last, publishes, but commands nothing there"

@@ -151,19 +151,6 @@ def test_source_names_are_in_the_order_of_the_message_s_constants():
     assert (LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER) == (0, 1, 2, 3, 4)
 
 
-def test_lock_stands_above_everything():
-    arbiter = arbiter_with(HELD, STEERS, ASKS)
-    assert arbiter.decide(NOW).source == TELEOP
-    arbiter.update_e_stop(True, NOW)
-    assert arbiter.decide(NOW)[:4] == (LOCKED, CENTER, "e_stop", "e_stop is true")
-
-
-def test_reason_of_teleop_logi_is_quoted_while_the_deadman_is_false():
-    arbiter = arbiter_with(LET_GO)
-    arbiter.explain_human(False, "no deadman is held", NOW)
-    assert arbiter.decide(NOW).reason == "human_in_loop is false: no deadman is held"
-
-
 def test_slew_limit_moves_the_servo_no_faster_and_no_farther_than_what_is_asked_for():
     arbiter = arbiter_with((True, 0.0), slew_limit=1000.0)
     arbiter.decide(NOW)
@@ -258,26 +245,6 @@ def test_av_steer_req_is_scaled_like_the_gamepad_s_in_the_planner_s_place(steeri
     decision = decide(HELD, teleop, planner, steering=steering)
     assert decision[:4] == (source, duty, cause, reason)
     assert decision.planner_age_s == pytest.approx(min(age_s for _, age_s in filter(None, (steering, planner))))
-
-
-def test_dropped_messages_make_av_steer_req_stale():
-    arbiter = arbiter_with(steering=(0.5, 0.0))
-    arbiter.mark_stale(NOW)
-    later_ns = NOW + 2 * S  # and the e-stop, which may have been among them, has not come
-    arbiter.update_human(False, later_ns)
-    arbiter.update_human(True, later_ns)
-    assert arbiter.decide(later_ns).reason == "av_steer_req was not heard since messages were dropped"
-
-
-@pytest.mark.parametrize("overrides, age_s, reason", [
-    (True, 0.1, "tele_steer_req is 0.500: it overrides the planner"),
-    (False, 0.1, "tele_steer_req is 0.500"),
-    (True, 0.6, "tele_steer_req is 0.500"),
-])
-def test_stick_that_overrides_the_planner_is_reported_as_long_as_teleop_logi_says_so(overrides, age_s, reason):
-    arbiter = arbiter_with(HELD, STEERS)
-    arbiter.explain_teleop(overrides, NOW - round(age_s * S))
-    assert arbiter.decide(NOW)[:4] == (TELEOP, 4450, "teleop", reason)
 
 
 WRONG = "asks for 0.17 m, this car turns on 1.00 m to the left: rad? rad/s? wheelbase?"

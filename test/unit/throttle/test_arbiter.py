@@ -180,13 +180,6 @@ def test_human_drives_by_human_scale_and_brakes_by_brake_scale_and_a_planner_is_
     assert (decision.drive, decision.brake) == (pytest.approx(drive), pytest.approx(brake))
 
 
-def test_buttons_change_the_scale_of_driving_and_the_reason_names_it():
-    arbiter = arbiter_with(teleop=(1.0, 0.1))
-    arbiter.update_scale_button(0)
-    assert arbiter.update_scale_button(1) and arbiter.scale == 0.4
-    assert arbiter.decide(NOW)[2:6] == ("tele_throt_req is 1.000, scaled by 0.4", 1.0, pytest.approx(0.4), 0.8)
-
-
 @pytest.mark.parametrize("human, released", [
     (None, False), ((True, 0.1), False), ((False, 0.1), True), ((False, 0.51), False)])
 def test_deadman_is_known_to_be_released_by_a_fresh_false(human, released):
@@ -254,14 +247,6 @@ def planned(gear="drive", no_request=None, age_s=0.1, value=0.7):
 def test_planner_s_gear_says_whether_it_reverses(gear, asked, esc_gear, reason):
     decision = planned(gear, value=-0.7).decide(NOW)
     assert decision == (PLANNER, "planner", reason, asked, asked, asked, False, esc_gear, 0.0)
-
-
-def test_planner_without_a_request_is_a_stop_with_the_reason_of_planner_interface_and_hinders_no_human():
-    arbiter = planned("reverse", NO_REQUEST)
-    assert arbiter.decide(NOW) == (NEUTRAL, *NO_REQUEST, 0.0, 0.0, 0.0, True, "auto", 0.0)
-    arbiter.update_teleop(FORWARD, NOW)
-    decision = arbiter.decide(NOW)
-    assert (decision.source, decision.gear) == (TELEOP, "auto")
 
 
 def resumed():

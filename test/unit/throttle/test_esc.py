@@ -80,18 +80,6 @@ def test_arming_takes_neutral_at_the_chip_and_forgets_pulls_from_before():
     assert car.stick(-0.5, 2.0, speed=0.0)[:2] == (0.0, NEUTRAL)
 
 
-def test_board_that_lost_its_power_means_arming_again():
-    car = Car()
-    car.stick(0.5, 0.5)
-    car.esc.update_held(None, car.now_ns)
-    car.esc.update_held(0.5, car.now_ns)
-    decision = car.stick(0.5)
-    assert (decision.fraction, decision.state) == (0.0, ARMING)
-    assert decision.reason.startswith("the servo board gave no pulse; let go of the deadman, center the stick")
-    car.stop(1.2)
-    assert car.stick(0.5).state == FORWARD
-
-
 @pytest.mark.parametrize("value, fraction, state, reason", [
     (0.079, 0.0, NEUTRAL, "neutral is requested"),
     (0.08, 0.08, FORWARD, "0.08 is requested"),

@@ -122,17 +122,6 @@ def test_time_out_is_none_also_where_the_maximum_lies_beyond_it():
     assert ranges(ranging, 23_294, NONE_US) == [pytest.approx(4.0, abs=1e-3), INFINITE]
 
 
-def test_temperature_set_while_it_runs_counts_from_then_on_also_for_the_median_unless_no_air_has_it():
-    ranging = Ranging(RangingConfig(median=True))
-    ranges(ranging, *[10_000] * 5)
-    ranging.temperature_c = 0.0
-    for wrong_c in (math.nan, -50.1, 60.1):
-        with pytest.raises(ConfigError, match=r"temperature is .*; accepted: -50 to 60 °C"):
-            ranging.temperature_c = wrong_c
-    assert ranging.temperature_c == 0.0
-    assert ranges(ranging, NONE_US) == [pytest.approx(1.6565)]
-
-
 def test_median_shows_what_is_new_two_reports_later_and_counts_no_echo_as_farther_than_all():
     ranging = Ranging(RangingConfig(median=True))
     ranges(ranging, *[ONE_METRE_US] * 5)

@@ -54,7 +54,7 @@ class Listener:
 
 
 @pytest.mark.once
-@pytest.mark.parametrize("name", ["stop_go", "drive_reverse", "wrap", "far"])
+@pytest.mark.parametrize("name", ["drive_reverse", "wrap"])
 def test_sonars_that_run_are_never_started_and_never_blamed(name):
     listener = Listener(load(name))
     assert (listener.commands, listener.faults) == ([], [])
@@ -317,19 +317,6 @@ def test_last_sonar_of_the_sequence_is_never_dropped():
     sonars.monitor.sequence_set((2,), sonars.now_ns)
     sonars.run(3, sensors=(2,), zeros=(2,))
     assert sonars.command is None and "front_left seems stuck high" in sonars.words
-
-
-def test_configured_sequence_is_sent_at_start_after_a_reboot_and_when_the_port_is_opened_again():
-    sonars = Sonars(SonarMonitor(sequence=(1, 4)))
-    sonars.monitor.frame(sonars.now_ns)
-    assert sonars.command == SEND_SEQUENCE and sonars.monitor.sequence == (1, 4)
-    assert sonars.command is None
-    assert sonars.run(2, sensors=(1, 4)).words == "", "the others aren't missed"
-    for again in (sonars.monitor.rebooted, sonars.monitor.opened):
-        again(sonars.now_ns)
-        sonars.monitor.frame(sonars.now_ns)
-        assert sonars.command == SEND_SEQUENCE
-        assert sonars.command is None
 
 
 def aimed(ahead=AHEAD, sequence=None):
