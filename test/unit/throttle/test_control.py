@@ -3,13 +3,13 @@
 import math
 
 import pytest
+from many_drives import THROTTLE, S
 
 from car_interface.common import causes
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.steering.arbiter import NEUTRAL, PLANNER, TELEOP
 from car_interface.throttle.arbiter import ThrottleArbiterConfig
 from car_interface.throttle.board_watch import BoardConfig
-from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.control import ThrottleControl
 from car_interface.throttle.esc_config import BRAKE_THEN_REVERSE, DIRECT_REVERSE, UNVERIFIED, EscConfig
 from car_interface.throttle.limits import DriveLimits, ThrottleLimits
@@ -17,9 +17,7 @@ from car_interface.throttle.obstacle_stop import Mount, ObstacleConfig
 from car_interface.throttle.stick import StickConfig
 from car_interface.throttle.value_map import ValueMap
 
-S = 1_000_000_000
 TICK = S // 50
-SHIPPED = ThrottleCalibration(channel=1, value_axis=[-5.0, 0.0, 3.0], duty_table=[3277, 4915, 6554], neutral=4915)
 LINEAR = StickConfig(deadband=0.05, human_scale=0.3, brake_scale=1.0)
 FULL_FORWARD, NEUTRAL_DUTY = 6554, 4915
 BY_HAND, REVERSE_BY_HAND = 5407, 4424  # 0.3 of each side
@@ -31,7 +29,7 @@ class Rig:
 
     def __init__(self, profile=UNVERIFIED, mode="", limits=None, obstacles=None, board=None, **esc):
         self.control = ThrottleControl(
-            SHIPPED, ThrottleArbiterConfig(stick=LINEAR, interlock=InterlockConfig(e_stop_timeout_s=0.0), board=board),
+            THROTTLE, ThrottleArbiterConfig(stick=LINEAR, interlock=InterlockConfig(e_stop_timeout_s=0.0), board=board),
             EscConfig(profile=profile, **esc), limits, obstacles)
         self.now_ns = 1000 * S
         self.human, self.stick, self.value, self.speed = False, 0.0, None, 0.0
