@@ -69,12 +69,6 @@ def test_clock_drifts(drift_ppm, ramp_ppm_per_h, after_1h_ms):
     assert teensy.millis(3600 * S) in (after_1h_ms - 1, after_1h_ms)
 
 
-def test_power_up_later_starts_the_clock_then():
-    teensy = TeensyFirmware(FirmwareConfig(clock_start_ms=5), power_up_ns=1000 * S)
-    assert [teensy.millis(1000 * S + after_ns) for after_ns in (0, MS - 1, MS, 2 * MS - 1)] == [5, 5, 6, 6]
-    assert teensy.transmit(1000 * S + MS)[:4] == b"\x7e\xc1\x3e\x7e"
-
-
 def test_time_that_ran_back_changes_nothing():
     bench = Bench(lambda sensor, at_ns: 1000).until(1100 * MS)
     assert bench.teensy.transmit(0) == b""

@@ -101,16 +101,6 @@ def test_decision_carries_the_age_of_each_input():
     assert arbiter.decide(NOW + S // 4).e_stop_age_s == 0.25
 
 
-def test_decision_differs_only_in_source_duty_or_cause():
-    driving = decide(HELD, STEERS)
-    assert driving.differs_by == decide((True, 0.4), (0.5, 0.3)).differs_by
-    assert driving.differs_by != decide(HELD, (0.6, 0.1)).differs_by
-    silent = decide((True, 0.6), STEERS)
-    assert silent.differs_by != driving.differs_by
-    assert silent.differs_by == decide((True, 0.7), STEERS).differs_by
-    assert silent.differs_by != decide(LET_GO, STEERS).differs_by
-
-
 @pytest.mark.parametrize("neutral, deadband, request_, source", [
     (0.0, 0.001, 0.0, NEUTRAL), (0.0, 0.001, 0.0010000000474974513, NEUTRAL),  # as a float32 has its edge
     (0.0, 0.001, -0.001, NEUTRAL), (0.0, 0.001, 0.0011, TELEOP), (0.0, 0.001, -0.0011, TELEOP),
@@ -270,12 +260,6 @@ def test_a_request_tighter_than_the_car_is_cut_and_reported(speed_mps, limits):
     assert (decision.limit, decision.limit_reason, decision.asked_radius_m) == (causes.TOO_TIGHT, WRONG, 0.17)
     assert arbiter.turn_radius_m(decision.duty) == 1.0
     assert (arbiter.cuts, arbiter.too_tight_lately(NOW + 2 * S)) == (1, WRONG)
-
-
-@pytest.mark.parametrize("radius_m", [1.0, -1.0, 0.9001, -0.9001, INF])
-def test_a_planner_that_asks_for_the_car_s_own_tightest_turn_is_not_bothered(radius_m):
-    arbiter, decision = asked_for(1.0, radius_m)
-    assert (decision.limit, decision.limit_reason, arbiter.cuts, arbiter.too_tight_lately(NOW)) == ("", "", 0, "")
 
 
 @pytest.mark.parametrize("radius_m, calibration, limit, max_speed_mps", [

@@ -102,11 +102,6 @@ def test_steps_of_a_planner_that_turn_in_slowly_on_the_whole_pass_unchanged():
         assert turned_in(limiter, wanted, start_ns=step * 50 * MS, ticks=5) == [wanted] * 5
 
 
-def test_both_limits_together_end_at_the_lateral_one():
-    granted = turned_in(limiter_at(4.0), 1.0, SourceLimits(4.0, 40.0))
-    assert granted[0] == pytest.approx(2.0 / 16) and granted[-1] == 0.25
-
-
 def test_what_rises_at_once_is_used_up_until_it_has_grown_again():
     limiter = limiter_at(4.0)
     assert turned_in(limiter, 0.0625, ticks=1) == [0.0625]  # 1 m/s² of the 2 that may rise at once
@@ -122,13 +117,6 @@ def test_cuts_are_counted_when_they_begin():
     limiter.release(0.0, MS)
     limiter.limit(1.0, LATERAL, MS)
     assert limiter.cuts == 3
-
-
-def test_whoever_takes_over_turns_in_from_where_the_car_is():
-    limiter = limiter_at(4.0)
-    turned_in(limiter, 0.5, ticks=1)
-    limiter.release(0.4, MS)
-    assert limiter.limit(0.5, JERK, 2 * MS).curvature_per_m == 0.5
 
 
 @pytest.mark.parametrize("asked_m, tightest_m, speed_mps, reason", [

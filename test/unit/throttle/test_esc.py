@@ -414,21 +414,6 @@ def test_a_weak_pull_waits_until_the_motor_has_let_go_of_a_stronger_one():
     assert not any(pulls[:5]) and pulls[-1] < 0.0
 
 
-def test_stronger_brake_doesn_t_count_on_how_little_a_weaker_one_slowed_the_car():
-    car = Car("unverified")
-    car.stick(0.5, 0.6, speed=3.0)
-    for pull in (-0.2, -1.0):
-        speed_mps = 1.5
-        for _ in range(20):
-            speed_mps -= 0.01
-            car.now_ns += 10 * MS
-            car.esc.update_speed(speed_mps, car.now_ns, 10 * MS)
-            car.stick(-0.2)
-        assert car.decision.fraction == -0.2
-        car.esc.update_speed(1.0, car.now_ns, 10 * MS)
-        assert (car.stick(pull).fraction != 0.0) == (pull == -0.2)
-
-
 @pytest.mark.parametrize("speed, cruise, age_ms, fraction", [
     (-0.4, -0.3, 0, 0.25), (-0.29, -0.3, 0, 0.0), (-0.4, -0.3, 160, 0.0), (-0.15, -0.1, 0, 0.0), (-0.4, 0.0, 0, 0.0),
     (-2.0, 0.0, 0, 0.5)])

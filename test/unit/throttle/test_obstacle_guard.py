@@ -240,15 +240,6 @@ def test_odometry_s_age_counts_with_what_the_car_gains_in_it():
     assert check(guard, asked(0.5), faster)[1]
 
 
-def test_throttle_is_given_back_gradually_and_what_the_car_needs_for_its_speed_at_once():
-    guard = guard_after((NEUTRAL, 0.0, 0.0), ahead_m=math.inf)
-    first = check(guard, asked(1.0), moving(0.5))[0].max_throttle
-    assert 0.0 < first < 0.4
-    for step in range(100):
-        guard.update_esc(decided(FORWARD, 0.15), NOW + step * 20 * MS)
-    assert check(guard, asked(1.0), moving(0.5))[0].max_throttle > first + 0.14
-
-
 def test_the_later_the_odometry_the_less_is_given_back_but_never_less_than_moves_the_car():
     def throttle(age_ms, speed_mps, is_pushed=False):
         guard, speed = guard_after((NEUTRAL, 0.0, 0.0), ahead_m=math.inf), moving(speed_mps, age_ms * MS)

@@ -168,14 +168,3 @@ def test_checksum_that_was_chosen_is_kept_however_many_go_unanswered(checksum, f
     after = go_unanswered(pings, 12)
     assert pings.checksum == checksum
     assert pings.ping(CARRIES, after) == FILLER + frame
-
-
-def test_line_opened_anew_forgets_what_waited_and_pings_at_once():
-    pings = pinger()
-    after = go_unanswered(pings, 2)
-    pings.ping(7, after)
-    pings.restart(after + 10 * S)
-    assert pings.due_ns == after + 10 * S
-    assert pings.expire(after + 100 * S) == []
-    assert pings.pong(7, after + 10 * S) is None
-    assert pings.ping(CARRIES, after + 10 * S) == SHIPPED_FRAME

@@ -117,17 +117,6 @@ def test_speed_sinks_when_pulses_fail_to_come_and_is_zero_after_a_second():
     assert standing.x_m == pytest.approx(at_m, abs=PULSE_M + 0.0005)  # and half a tick's way
 
 
-def test_wheel_reset_in_mid_drive_moves_nothing():
-    axle = Axle()
-    axle.roll((1.0, 1.0), 2.0)
-    axle.wheels = [Wheel(0, NO_DIRECTION, 0, 0, 0)] * 2
-    axle.report((0, 0), restarted=True)
-    motion = axle.roll((1.0, 1.0), 1.0)
-    assert motion.x_m == pytest.approx(3.0, abs=0.03)
-    assert motion.yaw_rad == pytest.approx(0, abs=math.radians(1))
-    assert motion.speed_mps == pytest.approx(1.0, rel=0.03)
-
-
 @pytest.mark.parametrize("pause_ms, pulse_ms, count, pulses, x_m, error_m", [
     pytest.param(300, 3300, 1, 0, 2.3, 0.05, id="those_lost_with_a_reboot_are_made_up_for_by_the_speed"),
     pytest.param(60_000, 63_000, 90_000, 0, 2.0, 0.1, id="but_a_jump_after_a_long_silence_does_not_throw_the_car"),

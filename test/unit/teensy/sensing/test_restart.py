@@ -103,15 +103,6 @@ def test_direction_that_one_wheel_proves_holds_for_both():
     assert [wheel.forward for wheel in some.solve(BEFORE_MS + 5260).wheels] == [True, True]
 
 
-def test_direction_that_comes_long_after_the_first_pulses_leaves_them_in_doubt():
-    some = bridge(speed=0.0)
-    some.report(BEFORE_MS + 310)
-    for side in (LEFT, RIGHT):
-        some.add(side, 2, 0, BEFORE_MS + 5000)
-        some.add(side, 0, 1, BEFORE_MS + 60_000)
-    assert some.solve(BEFORE_MS + 60_000).mean_variance >= 4.0
-
-
 def test_car_that_makes_no_pulse_any_more_has_stopped_on_the_way():
     some = bridge()
     assert not some.report(BEFORE_MS + 310)

@@ -257,20 +257,6 @@ def test_tick_that_goes_back_after_odometers_at_zero_is_a_reboot_at_once():
     assert some.refused == 0
 
 
-def test_after_wheel_reset_every_direction_is_proven():
-    some = crawling(ticks=(LAST.when - 20, LAST.when + 10))
-    zero = report(NEW._replace(when=LAST.when))
-    verdicts = judged([zero, report(forward(1, LAST.when + 50)), report(forward(2, LAST.when + 90))], some.wheels)
-    assert proven(verdicts) == (2, 2) and not any(any(verdict.unproven) for verdict in verdicts)
-
-
-def test_first_pulses_of_a_car_that_has_stood_since_power_up_are_unproven_however_long_ago_that_was():
-    some = Gates()
-    judged([sonar(3_600_000), sonar(3_600_055)], some.sonar)
-    first = [report(NEW), report(NEW), report(Wheel(0, BACKWARD, 3_600_100, 1, 1))]
-    assert [verdict.unproven for verdict in judged(first, some.wheels)] == [(0, 0), (0, 0), (1, 1)]
-
-
 @pytest.mark.parametrize("left, right, pulses, unsplit", [
     ((204, 106), (204, 106), (100, 100), (1, 1)), ((204, 195), (204, 1), (100, 102), (0, 0)),
     ((204, 195), (204, 185), (11, 21), (90, 80)),
