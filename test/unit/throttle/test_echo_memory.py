@@ -110,14 +110,6 @@ def test_an_echo_from_afar_that_was_lost_once_is_kept_also_beside_a_wall():
     assert car.meets() == pytest.approx(2.294, abs=0.02)
 
 
-def test_an_echo_in_between_means_that_it_is_there():
-    car = Car()
-    for _ in range(4):
-        car.sees(1.0)
-        car.sees_nothing(times=3)
-    assert car.meets() == pytest.approx(0.994, abs=0.02)
-
-
 def test_what_something_nearer_hides_is_remembered():
     car = Car()
     car.sees(1.5)

@@ -118,18 +118,6 @@ def test_esc_that_may_reverse_is_braked_above_the_margin_only(profile):
     assert car.stick(-0.4, 2.0, speed=0.0).cause == "at standstill"
 
 
-def test_second_pull_while_it_rolls_is_an_uncertain_brake_and_no_reverse_at_standstill():
-    car = Car()
-    car.stick(0.5, 0.5, speed=3.0)
-    car.stick(-0.5, 0.2, speed=3.0)
-    car.stick(0.0, 0.4, speed=3.0)
-    assert car.stick(-0.5, speed=3.0).state == BRAKING
-    assert car.stick(-0.5, speed=0.6).fraction == 0.0
-    assert car.stick(-0.5, 2.0, speed=0.0).fraction == 0.0
-    car.stick(0.0, 0.4, speed=0.0)
-    assert car.stick(-0.5, 2.0, speed=0.0).state == REVERSE
-
-
 @pytest.mark.once
 @pytest.mark.parametrize("profile", [*KNOWN, "unverified"])
 def test_planner_s_hold_never_becomes_reverse_however_often_the_deadman_is_let_go(profile):
@@ -181,14 +169,6 @@ def test_the_pull_that_only_unlocks_reverse_is_weak_since_another_kind_reverses_
 @pytest.mark.parametrize("profile, speed", [(TURNS, 0.0), (DIRECT, None), ("unverified", 0.0), ("unverified", None)])
 def test_second_pull_reverses_with_other_profiles(profile, speed):
     assert pulled_twice(Car(profile), speed)[-1] == (-0.5, REVERSE)
-
-
-def test_reverse_without_a_brake_before_makes_one_for_the_esc():
-    car = Car()
-    car.stick(0.5, 0.5, speed=1.0)
-    fractions = [car.planner(-0.4, speed=0.0, gear=REVERSE_GEAR).fraction for _ in range(50)]
-    brake, neutral = fractions.index(0.0), fractions.index(-0.4, fractions.index(0.0))
-    assert 14 <= brake <= 17 and 14 <= neutral - brake <= 17 and fractions[-1] == -0.4  # a dwell of 0.3 s each
 
 
 def test_reverse_once_reached_is_taken_again_at_once_and_a_push_forward_from_it_passes_at_once():
@@ -344,16 +324,6 @@ def test_second_pull_is_reverse_though_odometry_shows_late_that_the_car_stood_by
     assert braked.stick(-0.5, 2.0, speed=0.0)[1] != REVERSE
 
 
-def test_second_pull_during_which_the_speed_is_lost_is_no_reverse_if_the_car_rolled_and_the_next_is():
-    car = Car()
-    car.stick(0.5, 0.5, speed=2.0)
-    car.stick(-0.5, 0.4, speed=1.0)
-    car.stick(0.0, 0.4, speed=0.7)
-    assert car.stick(-0.5, 3.0)[1] != REVERSE
-    car.stick(0.0, 0.2)
-    assert car.stick(-0.5, 3.0)[1] == REVERSE
-
-
 def brakes_downhill(profile, speed, cruise=0.3, age_ms=20, is_stop=False, **config):
     """What a whole brake becomes where the car got faster in neutral; its speed doesn't change meanwhile."""
     car = Car(profile, **config)
@@ -383,20 +353,6 @@ def test_downhill_a_car_is_braked_by_a_pull_so_weak_that_it_ends_before_it_becom
     (TURNS, 0.4 / 0.14 / 16), (DIRECT, 0.4 / 0.14 / 16), (SEQUENCE, 0.4 / 0.14 / 16), ("unverified", 0.0)])
 def test_downhill_a_stop_brakes_as_weakly_unless_nobody_has_said_what_the_esc_is(profile, brake):
     assert brakes_downhill(profile, 0.4, is_stop=True) == pytest.approx(-brake)
-
-
-def test_downhill_a_person_s_pull_is_as_weak_and_stays_a_brake():
-    car = Car("unverified")
-    car.stick(0.3, 0.2, speed=0.3)
-    car.stick(0.0, 0.3, speed=0.3)
-    car.stick(0.0, 0.1, speed=0.4)
-    for speed_mps in (0.4, 0.3, 0.2, 0.1, 0.0, 0.0, 0.0, 0.0):
-        car.now_ns += 20 * MS
-        car.esc.update_speed(speed_mps, car.now_ns, 20 * MS)
-        car.stick(-1.0)
-        if speed_mps == 0.4:
-            assert car.decision[:2] == (pytest.approx(-0.4 / 0.14 / 16), BRAKING)
-    assert car.stick(-1.0, 1.0, speed=0.0)[:2] == (0.0, NEUTRAL)
 
 
 def test_a_weak_pull_waits_until_the_motor_has_let_go_of_a_stronger_one():

@@ -46,10 +46,6 @@ def test_locked_wheels_are_no_standstill_until_the_car_must_have_stopped():
     assert locked.stands(1100 * MS) and not locked.rolls_forward(1100 * MS)
 
 
-def test_car_that_has_rolled_out_stands_at_once():
-    assert motion(0.3, 0.2, 0.1, 0.0).stands(300 * MS)
-
-
 def test_least_speed_falls_with_the_age_of_the_last():
     measured = motion(2.0)
     assert measured.least_speed_mps(0) == pytest.approx(2.0 - 8 * 0.04)

@@ -55,12 +55,6 @@ def test_before_the_first_roll_nothing_is_certain_and_a_push_shows_nothing():
     assert slope.coasting(False).certain_mps2 < 0.0 and slope.coasting(False).likely_mps2 == pytest.approx(0.3)
 
 
-def test_the_longer_it_rolls_the_more_is_certain():
-    car = Car(speed_mps=2.0, downhill_mps2=0.1)
-    certain_mps2 = [car.run(0.3).coasting(False).certain_mps2 for _ in range(4)]
-    assert certain_mps2 == sorted(certain_mps2) and certain_mps2[0] < certain_mps2[-1] - 0.1
-
-
 @pytest.mark.parametrize(("speed_mps", "brakes_s"), [(1.6, 0.36), (0.62, 0.3)], ids=["it_rolls_on", "it_stands_soon"])
 def test_what_is_left_of_a_brake_is_not_taken_for_drag(speed_mps, brakes_s):
     car = Car(speed_mps=speed_mps, lag_s=0.15, downhill_mps2=0.25)

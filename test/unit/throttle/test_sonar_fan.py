@@ -90,12 +90,6 @@ def test_an_arc_ends_where_the_middle_of_the_bumper_leaves_the_fan(curvature_per
     assert ends(curvature_per_m, FRONT) == (pytest.approx(distance_m, abs=0.001), sonar, is_edge)
 
 
-def test_a_larger_range_ends_no_arc_sooner_and_moves_no_edge():
-    far = dict.fromkeys(FRONT, 4.0)
-    assert ends(0.0, FRONT, **far)[0] == pytest.approx(3.994, abs=0.001)
-    assert ends(1.0, FRONT, **far) == ends(1.0, FRONT)
-
-
 def test_backward_it_is_the_fan_behind():
     assert ends(0.0, REAR, True) == (pytest.approx(1.998, abs=0.001), "rear_middle", False)
     left, right = ends(0.8, REAR, True), ends(-0.8, REAR, True)

@@ -148,20 +148,6 @@ def test_pings_unanswered_with_an_answer_or_a_new_opening_between_do_not_switch(
     assert pings.checksum == SHIPPED
 
 
-def test_pings_unanswered_while_nothing_is_heard_say_nothing_about_the_checksum():
-    pings = pinger()
-    after = NOW
-    for number in range(47):
-        pings.ping(number, after)
-        after += GIVE_UP
-        assert pings.expire(after, is_alive=False) == [number]
-    assert (pings.checksum, pings.unanswered_in_a_row) == (SHIPPED, 47)
-    after = go_unanswered(pings, 4, after)
-    assert pings.checksum == SHIPPED
-    go_unanswered(pings, 1, after)
-    assert pings.checksum == CORRECTED
-
-
 @pytest.mark.parametrize("checksum, frame", [(SHIPPED, SHIPPED_FRAME), (CORRECTED, CORRECTED_FRAME)])
 def test_checksum_that_was_chosen_is_kept_however_many_go_unanswered(checksum, frame):
     pings = pinger(checksum)

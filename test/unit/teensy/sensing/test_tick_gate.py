@@ -32,14 +32,6 @@ def test_tick_that_can_not_be_is_refused_by_name_and_the_next_is_fine(tick, reas
         assert (after.accepted, after.reason, after.restarted) == (True, "", False)
 
 
-def test_pong_that_overtook_a_sonar_s_report_is_nothing_odd():
-    some = Gates()
-    some.sonar(sonar(10_000))
-    assert some.pong(Pong(7, 10_180), is_ours=True).accepted
-    late = some.sonar(sonar(10_020))
-    assert (late.accepted, late.reason) == (True, "")
-
-
 def test_wrong_tick_that_was_accepted_is_taken_back_and_is_no_reboot():
     some = Gates()
     judged([sonar(10_000), sonar(10_050), sonar(11_500)], some.sonar)
