@@ -49,12 +49,6 @@ def test_single_bus_is_taken_without_asking_any_chip(header, path):
     assert choose_bus(header, 0x40, computer.make_bus) == path and computer.asked == []
 
 
-def test_two_boards_are_refused_with_their_list():
-    with pytest.raises(BoardNotFound, match="there is one on /dev/i2c-7 and on /dev/i2c-1") as caught:
-        choose({MAIN: chips(0x40), OTHER: chips(0x40)})
-    assert caught.value.is_ambiguous and caught.value.remedy == "Choose the car's: i2c:=/dev/i2c-7"
-
-
 @pytest.mark.parametrize("buses, taken, cause, remedy", [
     ({MAIN: {}, OTHER: {}}, (), "no PCA9685 answers at this address on /dev/i2c-7 or /dev/i2c-1", "i2cdetect -y 7"),
     ({MAIN: {}, OTHER: {}}, (), "the buses of the header of a Jetson Orin", "doctor --probe"),

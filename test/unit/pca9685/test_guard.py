@@ -91,14 +91,6 @@ def watching(bench):
     return bench
 
 
-def test_guard_before_the_first_sign_of_life_waits_and_ends_with_its_node(bench):
-    assert bench.guard.next_due_ns() == float("inf")
-    bench.wait(60_000)
-    assert bench.action() == NOTHING
-    bench.die()
-    assert bench.action() == END
-
-
 def test_guard_reaches_for_the_chip_every_second_until_it_could_and_tells_the_node(bench):
     assert bench.status.error == NOT_TRIED
     bench.tell()

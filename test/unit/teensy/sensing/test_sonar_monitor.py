@@ -351,15 +351,6 @@ def test_a_teensy_that_reboots_or_a_port_that_is_opened_again_on_the_way_gets_it
     assert monitor.next_command(S // 5) == SEND_SEQUENCE and monitor.sequence == AHEAD
 
 
-def test_a_stuck_sonar_stays_out_of_both():
-    monitor, _ = aimed()
-    monitor.dropped = (1,)
-    for speed_mps, at_ns, sequence in ((-0.3, S // 5, (0, 2, 3, 4, 5)), (1.0, S // 4, (0, 2, 4))):
-        monitor.update_speed(speed_mps, at_ns)
-        assert monitor.next_command(at_ns) == SEND_SEQUENCE
-        assert monitor.sequence == sequence and monitor.dropped == (1,)
-
-
 @pytest.mark.parametrize("speeds, is_ahead", [
     ([], False), ([(0.0, 0.1)], False), ([(0.0, 0.5)], True),
     ([(0.0, 0.5), (0.9, 0.0)], True), ([(0.0, 0.5), (1.1, 0.0)], False),  # stopped just now, for a second
