@@ -49,6 +49,19 @@ def test_an_echo_is_met_where_the_body_may_touch_it_first():
     assert car.meets(is_backward=True) is None
 
 
+def test_a_place_at_another_cone_s_edge_stands_for_its_neighbours_outside_of_that_cone():
+    car = Car()
+    car.sees(0.73)
+    car.drive(0.45)
+    car.sees(1.0)
+    car.sees(1.0)
+    before_m = car.meets()
+    assert before_m == pytest.approx(0.25, abs=0.02)
+    for _ in range(3):
+        car.sees(1.6, "front_left")
+    assert car.meets() == before_m
+
+
 def test_it_stays_where_it_is_while_the_car_drives_on():
     car = Car()
     car.sees(1.0)
