@@ -4,12 +4,10 @@ from __future__ import annotations
 import math
 
 import pytest
-from car_interface.msg import LinkStatus, WheelDirection
+from car_interface.msg import LinkStatus
 from car_interface.srv import InjectFaultRequest, SetSonarSequenceRequest, SetSonarWaitRequest
 from std_msgs.msg import Int32MultiArray
 from std_srvs.srv import TriggerRequest
-
-from car_interface.common.vehicle_geometry import SONARS as SONAR_NAMES
 
 LINK, PONGS, WHEELS, SONARS, ERRORS = (
     "/teensy_sensor_hub/link", "/teensy_pong", "/teensy_wheel", "/teensy_distance", "/teensy_error")
@@ -98,76 +96,6 @@ def test_stuck_sonar_that_silences_all_others_is_named_and_left_out_and_they_rep
     simulated.sonars(3.5)  # after three more seconds of silence they are started again
     assert set(simulated.sonars()) == ALL - {2}
     assert [line for line in car.graph.lines("/teensy_sensor_hub", level=30) if "front_left" in line]
-
-
-def test_fault_of_a_sonar_is_told_beside_a_reboot(car):
-    simulated = Simulated(car)
-    simulated.sonars()
-    simulated.inject("sonar_missing", 4)
-    car.graph.run_until(lambda: "rear_middle does not report" in simulated.link.words, 4.0)
-    since_ns = car.graph.now_ns
-    simulated.inject("reboot", 0)
-    car.graph.run(12.0)
-    links = car.graph.messages(LINK, since_ns)
-    assert {(link.state, link.level) for link in links} == {("sonar fault", LinkStatus.WARN)}
-    assert all("rear_middle does not report" in link.words for link in links)
-    assert any(link.words.startswith("the Teensy rebooted") for link in links)
-    assert any("power supply" in link.next_step and "Check its plug" in link.next_step for link in links)
-
-
-def test_sonars_that_all_are_missing_are_never_called_fine_again(car):
-    simulated = Simulated(car)
-    simulated.sonars()
-    for sensor in range(6):
-        simulated.inject("sonar_missing", sensor)
-    car.graph.run_until(lambda: "no sonar reports" in simulated.link.words, 10.0)
-    since_ns = car.graph.now_ns
-    car.graph.run(30.0)
-    assert simulated.link.sonar_starts >= 3
-    assert {link.state for link in car.graph.messages(LINK, since_ns)} == {"sonar fault"}
-
-
-def test_pin_that_blinks_and_a_clone_make_no_false_range_and_are_told(car):
-    simulated = Simulated(car, hub={"max_range": 4.0}, clock_start_ms=20_000)
-    topics = [f"/sonar/{name}" for name in SONAR_NAMES]
-    car.graph.record(*topics)
-    simulated.sonars()
-    true_m = {topic: {round(message.range, 1) for message in car.graph.messages(topic)} for topic in topics}
-    assert true_m["/sonar/front_middle"] == {math.inf}
-    for fault, sensor in (("sonar_blink", 1), ("sonar_blink", 4), ("sonar_clone", 1), ("sonar_clone", 5)):
-        simulated.inject(fault, sensor)
-        simulated.sonars(5.0)
-    for topic in topics:
-        assert {round(message.range, 1) for message in car.graph.messages(topic)} == true_m[topic]
-    assert any("front_middle's echo pin was high for over a second" in line.text for line in car.graph.log)
-    link = simulated.link
-    assert (link.state, link.words) == (
-        "sonar fault", "front_middle is a clone that holds its pulse for 200 ms without an echo: its ranges are right")
-    assert "~no_echo_timeouts/front_middle to 200" in link.next_step
-
-
-def test_first_sonar_that_is_missing_at_power_up_costs_only_itself(car):
-    simulated = Simulated(car)
-    simulated.sonars()
-    simulated.inject("sonar_missing", 0)
-    simulated.inject("reboot", 0)
-    car.graph.run_until(lambda: simulated.link.sonar_starts == 1, 6.0)
-    car.graph.run_until(lambda: "front_right does not report" in simulated.link.words, 12.0)
-    assert set(simulated.sonars()) == ALL - {0}
-
-
-def test_wheel_reset_zeroes_both_odometers(car):
-    simulated = Simulated(car)
-    car.graph.run(1.0)
-    simulated.drive(GENTLE)
-    car.graph.run_until(lambda: min(wheel.dist_abs for wheel in simulated.wheels) > 20)
-    simulated.drive(NEUTRAL)
-    car.graph.run_until(lambda: car.speed_mps == 0)
-    car.graph.run(2.0)
-    simulated.call("wheel_reset")
-    car.graph.run(0.5)
-    assert {(wheel.dist, wheel.dist_abs, wheel.direction) for wheel in simulated.wheels} == {
-        (0, 0, WheelDirection.NONE)}
 
 
 def test_hub_finds_out_that_the_receiver_was_repaired_and_the_clock_may_wrap(car):

@@ -240,16 +240,6 @@ def test_auto_keeps_its_bus_in_a_restart_until_the_next_launch_clears_the_parame
     assert {path for path, *_ in jetson.asked} == {MAIN}
 
 
-def test_auto_refuses_two_boards_with_their_list_and_writes_to_neither(graph, jetson):
-    jetson.taken = []
-    jetson.buses.update({MAIN: {0x40: VirtualPca9685()}, OTHER: {0x40: VirtualPca9685()}})
-    auto_bus(graph)
-    graph.run(3.0)
-    line, = graph.lines("/pca9685", level=30)
-    assert "there is one on /dev/i2c-7 and on /dev/i2c-1. Choose the car's: i2c:=/dev/i2c-7" in line
-    assert jetson.written == []
-
-
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can be two users")
 def test_another_users_folder_for_a_virtual_chip_is_told_and_not_used_until_it_is_gone(graph, tmp_path, monkeypatch):
     started = []
@@ -399,32 +389,6 @@ class TestGuard:
         guards = servos.board.guards
         assert [guard.is_alive for guard in guards] == [False, True] and "another node has the board" in guards[0].log
         assert second.is_alive and servos.graph.newest(OUTPUT).data[:2] == (3808, 6000)
-
-    def test_new_node_of_the_same_name_takes_over_from_the_guard_and_begins_with_what_the_chip_holds(self):
-        servos = self.driven()
-        at_ns = servos.graph.now_ns
-        servos.node.kill()
-        servos.graph.run(2.0)
-        servos.graph.silence(VECTOR)
-        started_ns = servos.graph.now_ns
-        servos.node.start()
-        servos.graph.run(1.0)
-        assert not servos.board.since(started_ns, STEERING)
-        assert servos.graph.messages(OUTPUT, started_ns)[0].data[:2] == (5104, 4912)
-        assert [counts for _, counts in servos.board.since(at_ns, ESC)] == [ESC_NEUTRAL]
-        assert [guard.is_alive for guard in servos.board.guards] == [False, True]
-
-    def test_output_is_told_in_the_place_of_a_dead_node_on_change_and_at_10_hz_until_all_is_off(self):
-        servos = self.driven(guard_off_after=8.0)
-        at_ns = servos.graph.now_ns
-        servos.node.kill()
-        servos.graph.run(10.0)
-        told = [record for record in servos.graph.recorded[OUTPUT] if record.at_ns > at_ns]
-        assert {record.sender for record in told} == {"/pca9685_guard"}
-        assert [data[:2] for _, data in servos.outputs(at_ns + 1)] == [(5104, 4912), (0, 0)]
-        assert told[0].at_ns == at_ns + 500 * MS  # its process has started by then
-        assert len(told) == 77 and told[-1].at_ns == at_ns + 8000 * MS
-        assert not servos.graph.publishers[OUTPUT]
 
     def test_node_without_a_guard_says_what_that_means(self, servos):
         servos.graph.run(1.0)

@@ -116,9 +116,9 @@ def test_new_angle_leaves_at_once_and_a_repeated_one_with_the_timer():
     assert [message.data for message in car.graph.messages(RADII, at_ns)] == [pytest.approx(-0.648)]
 
 
-@pytest.mark.parametrize("phase_s", [0.0, 0.0033, 0.01, 0.0199999])
-@pytest.mark.parametrize("speed, brake", [(1.0, -3.0), (-1.0, 3.0)], ids=["drive", "reverse"])
-def test_silence_is_a_radius_of_0_and_a_full_brake_at_its_timeout_and_then_nothing(phase_s, speed, brake):
+@pytest.mark.parametrize("speed, brake, phase_s", [(1.0, -3.0, 0.0), (-1.0, 3.0, 0.0033), (1.0, -3.0, 0.01),
+                                                   (-1.0, 3.0, 0.0199999)])
+def test_silence_is_a_radius_of_0_and_a_full_brake_at_its_timeout_and_then_nothing(speed, brake, phase_s):
     car = Interface("drive")
     graph = car.graph
     graph.link("/drive", delay_s=0.02)
@@ -229,18 +229,6 @@ def test_turn_that_is_too_tight_for_turn_arb_is_told_and_stays_on_diagnostics_fo
     assert any(value.key == "remedy" and value.value for value in status.values)
     car.graph.run(60.0)
     assert car.diagnosis("planner").level == DiagnosticStatus.OK
-
-
-def test_what_turn_arb_said_of_a_turn_counts_for_half_a_second():
-    car = Interface("drive")
-    car.ask(drive(HALF, 1.0))
-    said = SteeringState(limit=causes.TOO_TIGHT, limit_reason="too tight")
-    end = car.graph.repeat("/turn_arb/state", said, 20)
-    car.graph.run(0.42)
-    end()
-    for run_s, is_told in ((0.45, True), (0.15, False)):
-        car.graph.run(run_s)
-        assert car.state.reason.endswith("; too tight") == is_told
 
 
 def test_while_a_human_drives_it_begins_anew_at_the_measured_speed():

@@ -76,10 +76,9 @@ FAULTS = [
 
 
 @pytest.mark.once
-@pytest.mark.parametrize("phase_s", [0.0, 0.37])  # between two judgements
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: f"{fault.fault}_{fault.value}")
-def test_fault_is_told_on_the_link_and_in_the_diagnostics_and_goes_with_it(line, fault, phase_s):
-    line.settled(phase_s)
+def test_fault_is_told_on_the_link_and_in_the_diagnostics_and_goes_with_it(line, fault):
+    line.settled(phase_s=0.37)  # between two judgements
     line.inject(fault.fault, fault.value)
     assert line.seconds_until(fault.state) <= fault.found_s
     line.graph.run(3.0)
