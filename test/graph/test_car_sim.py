@@ -9,8 +9,9 @@ from car_interface.srv import InjectFaultRequest, SetSonarSequenceRequest, SetSo
 from std_msgs.msg import Int32MultiArray
 from std_srvs.srv import TriggerRequest
 
-LINK, PONGS, WHEELS, SONARS, ERRORS = (
-    "/teensy_sensor_hub/link", "/teensy_pong", "/teensy_wheel", "/teensy_distance", "/teensy_error")
+from car_interface.common.vehicle_geometry import SONARS as SONAR_NAMES
+
+LINK, PONGS, SONARS = "/teensy_sensor_hub/link", "/teensy_pong", "/teensy_distance"
 CENTER, LEFT, GENTLE, FAST, NEUTRAL = 5100, 3835, 5700, 6500, 4915
 ALL = set(range(6))
 
@@ -20,7 +21,7 @@ class Simulated:
 
     def __init__(self, car, hub=None, **sim):
         self.graph, self.car = car.graph, car
-        self.graph.record(LINK, PONGS, WHEELS, SONARS, ERRORS, "/car_sim/collisions", "/car_sim/rollovers")
+        self.graph.record(LINK, PONGS, SONARS, "/car_sim/collisions", "/car_sim/rollovers")
         self.sim = car.sim(follows_board=False, **sim)
         car.hub(**(hub or {}))
 
@@ -42,11 +43,6 @@ class Simulated:
     @property
     def link(self):
         return self.graph.newest(LINK)
-
-    @property
-    def wheels(self):
-        wheel = self.graph.newest(WHEELS)
-        return wheel.left, wheel.right
 
 
 def test_room_is_drawn_where_the_sonars_see_it(car):
@@ -96,6 +92,25 @@ def test_stuck_sonar_that_silences_all_others_is_named_and_left_out_and_they_rep
     simulated.sonars(3.5)  # after three more seconds of silence they are started again
     assert set(simulated.sonars()) == ALL - {2}
     assert [line for line in car.graph.lines("/teensy_sensor_hub", level=30) if "front_left" in line]
+
+
+def test_pin_that_blinks_and_a_clone_make_no_false_range_and_are_told(car):
+    simulated = Simulated(car, hub={"max_range": 4.0}, clock_start_ms=20_000)
+    topics = [f"/sonar/{name}" for name in SONAR_NAMES]
+    car.graph.record(*topics)
+    simulated.sonars()
+    true_m = {topic: {round(message.range, 1) for message in car.graph.messages(topic)} for topic in topics}
+    assert true_m["/sonar/front_middle"] == {math.inf}
+    for fault, sensor in (("sonar_blink", 1), ("sonar_blink", 4), ("sonar_clone", 1), ("sonar_clone", 5)):
+        simulated.inject(fault, sensor)
+        simulated.sonars(5.0)
+    for topic in topics:
+        assert {round(message.range, 1) for message in car.graph.messages(topic)} == true_m[topic]
+    assert any("front_middle's echo pin was high for over a second" in line.text for line in car.graph.log)
+    link = simulated.link
+    assert (link.state, link.words) == (
+        "sonar fault", "front_middle is a clone that holds its pulse for 200 ms without an echo: its ranges are right")
+    assert "~no_echo_timeouts/front_middle to 200" in link.next_step
 
 
 def test_hub_finds_out_that_the_receiver_was_repaired_and_the_clock_may_wrap(car):

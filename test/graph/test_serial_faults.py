@@ -94,6 +94,17 @@ def test_fault_is_told_on_the_link_and_in_the_diagnostics_and_goes_with_it(line,
     assert line.call("ping")[0]
 
 
+@pytest.mark.parametrize("fault, value, text", [
+    ("reboot", 0.0, "the Teensy rebooted"), ("cut", 50, "corrupt frames came from the Teensy"),
+    ("out_of_step", 0.0, "a ping went unanswered")])
+def test_fault_that_is_over_at_once_is_logged_and_the_link_goes_on(line, fault, value, text):
+    line.settled()
+    begun_ns = line.inject(fault, value)
+    line.graph.run(3.0)
+    assert any(each.startswith(text) for each in line.graph.lines("/teensy_sensor_hub", begun_ns))
+    assert line.call("ping")[0] and line.link.reboots == (fault == "reboot")
+
+
 def test_fault_and_recovery_are_logged_once_each(line):
     line.settled()
     begun_ns = line.inject("silence", 5)
