@@ -257,6 +257,22 @@ def test_neutral_that_is_not_written_is_given_back(tmp_path, keys, kept):
 
 
 @pytest.mark.once
+def test_neutral_is_given_back_too_where_only_another_file_can_be_written(tmp_path):
+    car = Box(tmp_path).begin()
+    car.skip_to("the steering's direction")
+    car.pad(manual=True, steering=1.0)
+    car.graph.run(0.5)
+    car.type("r")
+    car.graph.run_until(lambda: car.asks == "the ESC's neutral" or car.terminal.__setattr__("typed", "s"), 20)
+    car.push(0.0, 0.3)
+    car.type("++y", 0.4)
+    (car.folder / "throttle.yaml").unlink()
+    car.type("ey", 0.5)
+    assert load_steering(str(car.folder / "turn_arb.yaml")).servo_left == 6700
+    assert car.graph.parameter("/throttle_arb/servo/neutral") == 4915
+
+
+@pytest.mark.once
 def test_neutrals_are_asked_for_one_after_the_other_and_the_newest_last(tmp_path):
     car, tuned, waiting = Box(tmp_path), [], []
     car.tune = lambda namespace, values: tuned.append(values["neutral"])
@@ -271,6 +287,33 @@ def test_neutrals_are_asked_for_one_after_the_other_and_the_newest_last(tmp_path
     assert tuned == [4920, 4930]
     car.type("q", 0.3)
     assert tuned == [4920, 4930, 4915]
+
+
+@pytest.mark.once
+def test_stick_s_sign_is_not_written_to_a_file_that_does_not_count_for_the_gamepad(tmp_path):
+    car = Box(tmp_path)
+    (car.folder / "gamepads.yaml").write_text('"Pad, 6 axes, 11 buttons": {steer_scale: 1.0}\n', encoding="utf-8")
+    car.begin().skip_to("the steering's direction")
+    car.pad(manual=True, steering=-1.0)
+    car.graph.run(0.5)
+    car.type("r")
+    car._pad.header.frame_id = "gamepad: Pad"
+    car.graph.run(0.5)
+    car.type("e", 0.3)
+    assert "teleop_logi.yaml can't be changed: for this gamepad gamepads.yaml has steer_scale" in car.terminal.text
+
+
+@pytest.mark.once
+def test_board_s_node_that_cannot_be_killed_is_not_asked_about(tmp_path):
+    car = Box(tmp_path)
+    car.kill = lambda name: f"{name} runs on another computer"
+    car.begin().type("yep")
+    assert car.asks == "killing the servo board's node"
+    car.pad(autonomous=True)
+    car.graph.run(0.5)
+    car.type("k", 0.3)
+    assert ("not asked       killing the servo board's node: it couldn't be killed: /pca9685 runs on another computer"
+            in car.terminal.lines)
 
 
 @pytest.mark.once
@@ -315,3 +358,11 @@ def test_board_that_is_not_heard_ends_it_with_a_line(tmp_path):
     car.graph.run(3.0)
     car.begin(9.0)
     assert car.program.fault.startswith("it can't begin: /servo/output")
+
+
+@pytest.mark.once
+def test_where_nothing_can_be_drawn_over_each_question_is_printed_once(tmp_path):
+    car = Box(tmp_path, live=False).begin(1.0)
+    car.type("y", 1.0)
+    assert [line for line in car.terminal.lines if " of 20: " in line] == [
+        "1 of 20: the car on a box", "2 of 20: the deadman"]

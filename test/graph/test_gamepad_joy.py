@@ -139,6 +139,14 @@ def test_two_gamepads_are_refused_until_one_is_chosen_or_left(tmp_path):
 
 # --- lost events ---
 
+def test_chosen_one_of_two_gamepads_drives(tmp_path):
+    car = Driven(tmp_path, dev="/dev/input/event6").start(F710_X, DUALSENSE)
+    car.send((KEY, TL, DOWN), pad=0)
+    assert not car.human
+    car.send((KEY, TL, DOWN), pad=1)
+    assert car.human
+
+
 def test_lost_events_release_the_deadman_at_once_and_it_must_be_held_again(tmp_path):
     car = Driven(tmp_path).start(F710_X)
     car.hold()

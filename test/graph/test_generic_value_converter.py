@@ -198,6 +198,13 @@ def test_dropped_messages_take_the_speed_away():
 
 # --- parameters ---
 
+@pytest.mark.parametrize("parameters", [{"convert_value_cmd": False}, {"use_value_ff": False}])
+def test_passthrough_is_clamped_and_needs_neither_map_nor_odometry(parameters):
+    converter = Converter(parameters)
+    assert converter.command(1.5, 100.0, -100.0, 0.0) == [1.5, HIGHEST, LOWEST, 0.0]
+    assert converter.warnings() == []
+
+
 def test_map_with_values_beyond_the_limits_of_the_output_is_warned_of():
     assert re.fullmatch(r".*value_map\.csv has values from \S+ to \S+; min_value and max_value clamp them to -5 to 1",
                         Converter(max_value=1.0).warnings()[0])

@@ -8,6 +8,7 @@ import rospy
 from car_interface.srv import InjectFaultRequest
 from sensor_msgs.msg import Range, Temperature
 from std_msgs.msg import Int32MultiArray
+from std_srvs.srv import TriggerRequest
 
 from car import config
 from car_interface.common.units import stamp_ns
@@ -109,6 +110,13 @@ def test_hub_that_reads_once_in_0_8_s_publishes_odometry_at_its_rate_all_the_sam
     assert max(after - before for before, after in zip(stamps, stamps[1:])) < NS_PER_S // 20
 
 
+def test_without_a_rate_odometry_comes_with_each_report(car):
+    driven = Driven(car, {"odom_rate": 0})
+    since_ns = car.graph.now_ns
+    driven.drive(CENTER, FORWARD, 2.0)
+    assert len(car.graph.messages(ODOM, since_ns)) == len(car.graph.messages("/teensy_wheel", since_ns))
+
+
 def test_transform_and_joints_agree_with_odometry(car):
     driven = Driven(car)
     since_ns = car.graph.now_ns
@@ -200,6 +208,13 @@ def test_clock_is_known_and_its_raw_numbers_are_told_over_its_wrap_too(car):
     report = car.graph.report("teensy_sensor_hub: Teensy clock")
     assert (report.level, report.message) == (0, "the Teensy's clock is known")
     assert report.values["faster than this computer's"] == f"{syncs[-1].skew:.1f} ppm"
+
+
+def test_ping_that_is_asked_for_counts_too(car):
+    Driven(car)
+    syncs = len(car.graph.messages(CLOCK))
+    assert car.graph.call("/teensy_sensor_hub/ping", TriggerRequest()).success
+    assert len(car.graph.messages(CLOCK)) == syncs + 1
 
 
 def test_clock_that_nobody_answers_for_is_told(car):

@@ -390,6 +390,20 @@ class TestGuard:
         assert [guard.is_alive for guard in guards] == [False, True] and "another node has the board" in guards[0].log
         assert second.is_alive and servos.graph.newest(OUTPUT).data[:2] == (3808, 6000)
 
+    def test_new_node_of_the_same_name_takes_over_from_the_guard_and_begins_with_what_the_chip_holds(self):
+        servos = self.driven()
+        at_ns = servos.graph.now_ns
+        servos.node.kill()
+        servos.graph.run(2.0)
+        servos.graph.silence(VECTOR)
+        started_ns = servos.graph.now_ns
+        servos.node.start()
+        servos.graph.run(1.0)
+        assert not servos.board.since(started_ns, STEERING)
+        assert servos.graph.messages(OUTPUT, started_ns)[0].data[:2] == (5104, 4912)
+        assert [counts for _, counts in servos.board.since(at_ns, ESC)] == [ESC_NEUTRAL]
+        assert [guard.is_alive for guard in servos.board.guards] == [False, True]
+
     def test_node_without_a_guard_says_what_that_means(self, servos):
         servos.graph.run(1.0)
         report = servos.graph.report("pca9685: guard")

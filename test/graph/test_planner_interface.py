@@ -231,6 +231,18 @@ def test_turn_that_is_too_tight_for_turn_arb_is_told_and_stays_on_diagnostics_fo
     assert car.diagnosis("planner").level == DiagnosticStatus.OK
 
 
+def test_what_turn_arb_said_of_a_turn_counts_for_half_a_second():
+    car = Interface("drive")
+    car.ask(drive(HALF, 1.0))
+    said = SteeringState(limit=causes.TOO_TIGHT, limit_reason="too tight")
+    end = car.graph.repeat("/turn_arb/state", said, 20)
+    car.graph.run(0.42)
+    end()
+    for run_s, is_told in ((0.45, True), (0.15, False)):
+        car.graph.run(run_s)
+        assert car.state.reason.endswith("; too tight") == is_told
+
+
 def test_while_a_human_drives_it_begins_anew_at_the_measured_speed():
     car = Interface("drive")
     state = ThrottleState(source=ThrottleState.TELEOP, asked=1.0, granted=1.0)
