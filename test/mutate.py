@@ -34,7 +34,6 @@ MUTANTS, PACKAGE = Path("test/mutants"), Path("src/car_interface")
 SEED, MAX_PER_PART, MAX_PER_NODE = 20261125, 60, 15
 # What decides. The Teensy's link and sensing belong to it: limits, obstacle stop and interlock go by their values.
 PARTS = ("interlock", "steering", "throttle", "planner", "teleop", "pca9685", "teensy/link", "teensy/sensing", "nodes")
-DECLARED = "test/unit/test_documentation.py"  # holds declared defaults and ranges against docs/nodes.md
 # A mutant is killed by tests that take this many times as long as in the clean run, and so much more.
 LIMIT_FACTOR, LIMIT_EXTRA_S = 3.0, 15.0
 MAX_MEMORY = 8 * 2 ** 30  # bytes: for a mutant that appends without end
@@ -256,7 +255,7 @@ def tests_of(root: Path, modules: Iterable[str]) -> dict[str, list[str]]:
     """Return the test files of each module, its own first: those of its folder, and those of others that import it.
 
     Tests of the tools (calibration, report and so on) are left out: they take long, and notice by accident. For a node
-    also test/graph; at last the test of what is declared.
+    also test/graph; for declared parameters also the test of their tables in the documentation.
     """
     files = {path.relative_to(root).as_posix(): imported(path, root) for part in (*PARTS, "common", "ros")
              for path in sorted((root / "test/unit" / part).rglob("test_*.py"))}
@@ -267,8 +266,10 @@ def tests_of(root: Path, modules: Iterable[str]) -> dict[str, list[str]]:
         own = [name for name in files if re.fullmatch(rf"{folder}/test_{stem}(_\w+)?\.py", name)]
         near = [name for name in files if Path(name).parent.as_posix() == folder]
         others = [name for name in files if module in files[name]]
-        more = [DECLARED, *(graph if module.startswith("nodes/") else ())]
-        tests[module] = list(dict.fromkeys([*own, *near, *others, *more]))
+        is_declared = any("common.declared" in name for name in imports(root / PACKAGE / module))
+        tables = ["test/unit/test_documentation.py"] if is_declared else []
+        tests[module] = list(dict.fromkeys([
+            *own, *near, *others, *tables, *(graph if module.startswith("nodes/") else ())]))
     return tests
 
 
