@@ -240,6 +240,16 @@ def test_auto_keeps_its_bus_in_a_restart_until_the_next_launch_clears_the_parame
     assert {path for path, *_ in jetson.asked} == {MAIN}
 
 
+def test_auto_refuses_two_boards_with_their_list_and_writes_to_neither(graph, jetson):
+    jetson.taken = []
+    jetson.buses.update({MAIN: {0x40: VirtualPca9685()}, OTHER: {0x40: VirtualPca9685()}})
+    auto_bus(graph)
+    graph.run(3.0)
+    line, = graph.lines("/pca9685", level=30)
+    assert "there is one on /dev/i2c-7 and on /dev/i2c-1. Choose the car's: i2c:=/dev/i2c-7" in line
+    assert jetson.written == []
+
+
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can be two users")
 def test_another_users_folder_for_a_virtual_chip_is_told_and_not_used_until_it_is_gone(graph, tmp_path, monkeypatch):
     started = []

@@ -102,7 +102,8 @@ def test_fault_that_is_over_at_once_is_logged_and_the_link_goes_on(line, fault, 
     begun_ns = line.inject(fault, value)
     line.graph.run(3.0)
     assert any(each.startswith(text) for each in line.graph.lines("/teensy_sensor_hub", begun_ns))
-    assert line.call("ping")[0] and line.link.reboots == (fault == "reboot")
+    assert (line.link.reboots, line.link.state == "rebooted") == ((1, True) if fault == "reboot" else (0, False))
+    assert line.call("ping")[0]
 
 
 def test_fault_and_recovery_are_logged_once_each(line):
