@@ -95,7 +95,7 @@ def test_fault_is_told_on_the_link_and_in_the_diagnostics_and_goes_with_it(line,
 
 
 @pytest.mark.parametrize("fault, value, text", [
-    ("reboot", 0.0, "the Teensy rebooted"), ("cut", 50, "corrupt frames came from the Teensy"),
+    ("reboot", 0.0, "the Teensy rebooted"), ("cut", 5, "corrupt frames came from the Teensy"),
     ("out_of_step", 0.0, "a ping went unanswered")])
 def test_fault_that_is_over_at_once_is_logged_and_the_link_goes_on(line, fault, value, text):
     line.settled()
