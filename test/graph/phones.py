@@ -27,8 +27,10 @@ class Network:
         self._numbers = itertools.count(1)
         self._arrivals_ns: dict[tuple, int] = {}
 
-    def add_node(self, name: str = "phone_drive", **parameters: Any) -> Node:
-        return self.graph.add(partial(PhoneDrive, make_server=self._start, make_pin=lambda: PIN), name, parameters)
+    def add_node(self, name: str = "phone_drive", make: dict | None = None, **parameters: Any) -> Node:
+        """Start phone_drive, with other makers than its own."""
+        return self.graph.add(partial(PhoneDrive, make_server=self._start, make_pin=lambda: PIN, **(make or {})), name,
+                              parameters)
 
     def _start(self, config, inbox, node):
         self.phones = {}
@@ -79,8 +81,8 @@ class Phone:
         echoed_ns: when it last sent an echo.
     """
 
-    def __init__(self, network: Network, address: str = "10.0.0.7"):
-        self._network, self.address = network, address
+    def __init__(self, network: Network, address: str = "10.0.0.7", is_guest: bool = False):
+        self._network, self.address, self._is_guest = network, address, is_guest
         self.touch, self.steering, self.throttle, self.scale = "", 0.0, 0.0, 0
         self.is_frozen = self.is_cut = False
         self.key = ""
@@ -94,7 +96,8 @@ class Phone:
         self.token, self.n, self.status, self.closed, self.refused, self.done, self.file = "", 0, {}, "", "", "", ""
         self.car: dict = {}
         self.number = self._network.connect(self)
-        self.send(**({"type": "key", "key": self.key} if self.key else {"type": "pin", "pin": PIN}))
+        self.send(**({"type": "watch"} if self._is_guest else {"type": "key", "key": self.key} if self.key else
+                     {"type": "pin", "pin": PIN}))
 
     def reload(self) -> None:
         self._network.disconnect(self.number)
