@@ -78,7 +78,7 @@ class Phone:
         touch, steering, throttle: what is touched now.
         is_frozen: it handles nothing, and then all at once.
         is_cut: nothing gets through, and nobody learns of it.
-        echoed_ns: when it last sent an echo.
+        touched_ns: when it last sent an echo of a touch.
     """
 
     def __init__(self, network: Network, address: str = "10.0.0.7", is_guest: bool = False):
@@ -86,7 +86,7 @@ class Phone:
         self.touch, self.steering, self.throttle, self.scale = "", 0.0, 0.0, 0
         self.is_frozen = self.is_cut = False
         self.key = ""
-        self.echoed_ns = 0
+        self.touched_ns = 0
         self.sent: list[str] = []
         self._held_back: list = []
         self.connect()
@@ -124,7 +124,8 @@ class Phone:
             self.take(outgoing)
 
     def echo(self) -> None:
-        self.echoed_ns = self._network.graph.now_ns
+        if self.touch and not self.is_cut:
+            self.touched_ns = self._network.graph.now_ns
         self.evidence("echo", touch=self.touch, steering=self.steering, throttle=self.throttle, scale=self.scale)
 
     def hold(self, touch: str, steering: float = 0.0, throttle: float = 0.0) -> None:
