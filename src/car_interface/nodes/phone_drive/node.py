@@ -64,7 +64,8 @@ class PhoneDrive:
         inbox.on_overflow(lambda now_ns: self._phones.mark_stale())
         for name, message_type in SHOWN.items():
             subscribe(f"{name}/state", message_type, inbox,
-                      lambda message, now_ns, name=name: self._phones.show(name, message.reason), wakes=False)
+                      lambda message, now_ns, name=name: self._phones.show(
+                          name, {"cause": message.cause, "text": message.reason}), wakes=False)
         self._server = make_server(config, inbox, self)
         print(f"The PIN for phones is {pin}", flush=True)  # not to the log, which any node of the network receives
 

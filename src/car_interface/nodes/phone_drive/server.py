@@ -10,6 +10,7 @@ import itertools
 import threading
 from collections import Counter
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from tornado.httpserver import HTTPServer
@@ -30,9 +31,15 @@ MAX_OPEN = 64  # connections that are no WebSocket, or not yet
 MAX_UNHANDLED = 100  # messages of a connection that the node has not handled yet
 MAX_UNSENT = 40  # messages that a page has not taken yet: 2 s of tokens
 END_S = 2
+PAGE = Path(__file__).with_name("page")  # index.html, and what it names
+KINDS = {".html": "text/html; charset=utf-8", ".css": "text/css; charset=utf-8", ".svg": "image/svg+xml",
+         ".js": "text/javascript; charset=utf-8", ".png": "image/png", ".webmanifest": "application/manifest+json"}
+NO_POLICY = "default-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"  # of what shows nothing
+# Of the page. 'self' doesn't allow a WebSocket in Safari before 15.4.
+POLICY = NO_POLICY + ("; script-src 'self'; style-src 'self'; img-src 'self'; manifest-src 'self'; "
+                      "connect-src 'self' ws://{host} wss://{host}")
 HEADERS = {
-    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
-                               "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "Content-Security-Policy": NO_POLICY,
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
     "Cross-Origin-Opener-Policy": "same-origin",
@@ -42,7 +49,7 @@ HEADERS = {
 
 
 class Server:
-    """Serves WebSockets at ``/ws``.
+    """Serves the page at ``/``, and WebSockets at ``/ws``.
 
     Args:
         config: where.
@@ -85,7 +92,9 @@ class Server:
     def _run(self):
         self._loop = asyncio.new_event_loop()
         asyncio.set_event_loop(self._loop)
-        application = Application([("/ws", _Socket, {"server": self})], default_handler_class=_NotFound,
+        application = Application([("/ws", _Socket, {"server": self}),
+                                   (r"/([a-z0-9_.]*)", _Page, {"server": self, "files": read_page()})],
+                                  default_handler_class=_NotFound,
                                   default_handler_args={"server": self}, websocket_max_message_size=MAX_BYTES,
                                   log_function=lambda handler: None)
         http = _HttpServer(application, max_header_size=MAX_HEADER, max_body_size=MAX_BYTES,
@@ -180,6 +189,27 @@ class _NotFound(_Guarded):
         super().prepare()
         if not self._finished:
             self.send_error(404)
+
+
+class _Page(_Guarded):
+    def initialize(self, server, files):
+        super().initialize(server)
+        self._files = files
+
+    def get(self, name):
+        name = name or "index.html"
+        content = self._files.get(name)
+        if content is None:
+            self.send_error(404)
+            return
+        self.set_header("Content-Security-Policy", POLICY.format(host=self.request.host))  # which is one of ours
+        self.set_header("Content-Type", KINDS[Path(name).suffix])
+        self.finish(content)
+
+
+def read_page() -> dict[str, bytes]:
+    """Return the files of the page by name: a request opens none."""
+    return {path.name: path.read_bytes() for path in PAGE.glob("*") if path.suffix in KINDS}
 
 
 class _Socket(_Guarded, WebSocketHandler):
