@@ -33,8 +33,8 @@ export function showCar(car, status) {
   put($("speed-value"), number(car.speed, 1));
   showBar("throttle", throttle, 1);
   showBar("steering", steering, -1);  // left is positive, and left of the middle
-  put($("limit"), [throttle.limit && throttle.limit_text, steering.limit && steering.limit_text].filter(Boolean)
-    .join("; "));
+  const limits = [throttle, steering].filter((one) => one.limit).map((one) => one.limit_text).join("; ");
+  put($("limit"), limits || (car.worst && car.worst.level ? car.worst.text : ""));
   put($("scale"), Number.isFinite(throttle.scale) ? `× ${number(throttle.scale, 2)}` : "–");
   showChips(car, status);
   showWords(car);
