@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
 from functools import partial
 from typing import Any
 
@@ -39,6 +40,9 @@ class Network:
         phone = self.phones.get(outgoing.connection)
         if phone is not None:
             self.carry((outgoing.connection, "out"), lambda: phone.take(outgoing))
+
+    def offer(self, path: str) -> str:
+        return f"/files/ticket/{os.path.basename(path)}"
 
     def stop(self) -> None:
         self.phones = {}
@@ -87,7 +91,8 @@ class Phone:
 
     def connect(self) -> None:
         """Load the page: nothing is known of an earlier one but the key."""
-        self.token, self.n, self.status, self.closed, self.refused = "", 0, {}, "", ""
+        self.token, self.n, self.status, self.closed, self.refused, self.done, self.file = "", 0, {}, "", "", "", ""
+        self.car: dict = {}
         self.number = self._network.connect(self)
         self.send(**({"type": "key", "key": self.key} if self.key else {"type": "pin", "pin": PIN}))
 
@@ -102,8 +107,9 @@ class Phone:
             self._held_back.append(outgoing)
             return
         message = json.loads(outgoing.text)
-        for name in ("key", "status", "closed", "refused"):
+        for name in ("key", "status", "closed", "refused", "done", "file"):
             setattr(self, name, message.get(name, getattr(self, name)))
+        self.car.update(message.get("car", {}))
         if "token" in message:
             self.token = message["token"]
             self.echo()

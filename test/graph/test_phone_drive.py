@@ -76,7 +76,7 @@ def test_phone_drives_without_a_gamepad_and_let_go_it_stops_at_once():
     bench = Bench(joy=False)
     phone = bench.drive()
     assert bench.drives and (bench.state.cause, bench.state.reason) == ("manual", "phone: manual deadman held")
-    assert phone.status["driver"] == "you" and "manual" in phone.status["shown"]["teleop_logi"]
+    assert phone.status["driver"] == "you" and phone.car["who"]["text"] == "phone: manual deadman held"
     phone.hold("")
     bench.run(0.03)
     assert bench.stands

@@ -7,18 +7,21 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import secrets
+import ssl
 import threading
-from collections import Counter
+from collections import Counter, OrderedDict
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from tornado.httpserver import HTTPServer
+from tornado.iostream import StreamClosedError
 from tornado.netutil import bind_sockets
 from tornado.web import Application, RequestHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
-from car_interface.common.errors import DeviceError
+from car_interface.common.errors import ConfigError, DeviceError
 from car_interface.nodes.phone_drive.config import PhoneDriveConfig
 from car_interface.teleop.phone import Outgoing
 from car_interface.teleop.phone_messages import MAX_SIZE
@@ -30,6 +33,10 @@ HEADER_S = 5  # for a request to arrive
 MAX_OPEN = 64  # connections that are no WebSocket, or not yet
 MAX_UNHANDLED = 100  # messages of a connection that the node has not handled yet
 MAX_UNSENT = 40  # messages that a page has not taken yet: 2 s of tokens
+MAX_TICKETS, TICKET_S = 16, 60  # of files, and how long one is good for
+MAX_DOWNLOADS, CHUNK = 2, 65536  # bytes
+# A report is of a recording, whose texts others have written: it runs no script, and is of no origin.
+REPORT_POLICY = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'"
 END_S = 2
 PAGE = Path(__file__).with_name("page")  # index.html, and what it names
 KINDS = {".html": "text/html; charset=utf-8", ".css": "text/css; charset=utf-8", ".svg": "image/svg+xml",
@@ -58,10 +65,15 @@ class Server:
 
     Raises:
         DeviceError: the address can't be used.
+        ConfigError: the certificate or its key can't be.
     """
 
     def __init__(self, config: PhoneDriveConfig, inbox: Any, node: Any):
         self.hosts = {f"{name}:{config.port}" for name in (config.address, *LOOPBACK)}
+        self._tls = _tls(config)
+        self.scheme = "https" if self._tls else "http"
+        self._tickets: OrderedDict[str, tuple[str, float]] = OrderedDict()  # path and end, the oldest first
+        self.downloads = 0
         self._inbox, self._node = inbox, node
         self._sockets: dict[int, _Socket] = {}  # by number; of the server's thread
         self._unhandled: Counter[int] = Counter()
@@ -82,6 +94,12 @@ class Server:
         """Send a text to a page, and close its connection after that where it says so."""
         self._loop.call_soon_threadsafe(self._send, outgoing)
 
+    def offer(self, path: str) -> str:
+        """Return where the next request, and no other, gets a file."""
+        ticket = secrets.token_urlsafe(16)
+        self._loop.call_soon_threadsafe(self._offer, ticket, path)
+        return f"/files/{ticket}/{Path(path).name}"
+
     def stop(self) -> None:
         """Close everything."""
         self._loop.call_soon_threadsafe(self._loop.stop)
@@ -93,12 +111,13 @@ class Server:
         self._loop = asyncio.new_event_loop()
         asyncio.set_event_loop(self._loop)
         application = Application([("/ws", _Socket, {"server": self}),
+                                   (r"/files/([A-Za-z0-9_-]+)/[A-Za-z0-9._-]+", _File, {"server": self}),
                                    (r"/([a-z0-9_.]*)", _Page, {"server": self, "files": read_page()})],
                                   default_handler_class=_NotFound,
                                   default_handler_args={"server": self}, websocket_max_message_size=MAX_BYTES,
                                   log_function=lambda handler: None)
         http = _HttpServer(application, max_header_size=MAX_HEADER, max_body_size=MAX_BYTES,
-                           idle_connection_timeout=HEADER_S, body_timeout=HEADER_S)
+                           idle_connection_timeout=HEADER_S, body_timeout=HEADER_S, ssl_options=self._tls)
         http.add_sockets(self._bound)
         self._loop.call_soon(self._has_started.set)
         self._loop.run_forever()
@@ -133,6 +152,16 @@ class Server:
         self._unhandled.pop(number, None)
         self._inbox.put(self._node.on_disconnect, number)
 
+    def take_ticket(self, ticket: str) -> str | None:
+        """Return the path that a ticket is good for, once; None: there is none."""
+        path, end_s = self._tickets.pop(ticket, (None, 0.0))
+        return path if self._loop.time() < end_s else None
+
+    def _offer(self, ticket, path):
+        self._tickets[ticket] = path, self._loop.time() + TICKET_S
+        if len(self._tickets) > MAX_TICKETS:
+            self._tickets.popitem(last=False)
+
     def _count_handled(self, number):
         if self._unhandled[number] > 0:
             self._unhandled[number] -= 1
@@ -143,6 +172,19 @@ class Server:
         socket = self._sockets.get(outgoing.connection)
         if socket is not None:
             socket.send(outgoing.text, outgoing.closes)
+
+
+def _tls(config):
+    """Return the context of https; None: it is http."""
+    if config.certificate is None:
+        return None
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    try:
+        context.load_cert_chain(config.certificate, config.key)
+    except OSError as error:  # ssl.SSLError is one
+        raise ConfigError("certificate", config.certificate, f"a PEM file with ~key {config.key} ({error})") from error
+    return context
 
 
 class _HttpServer(HTTPServer):
@@ -176,7 +218,7 @@ class _Guarded(RequestHandler):
     def prepare(self):
         self._stream = self.request.connection.stream  # a WebSocket takes it off the request
         origin = self.request.headers.get("Origin")
-        is_own = origin in {f"{scheme}://{self.request.host}" for scheme in ("http", "https")}
+        is_own = origin == f"{self._server.scheme}://{self.request.host}"
         if self.request.host not in self._server.hosts or not is_own and (self.needs_origin or origin is not None):
             self.send_error(403)
 
@@ -189,6 +231,38 @@ class _NotFound(_Guarded):
         super().prepare()
         if not self._finished:
             self.send_error(404)
+
+
+class _File(_Guarded):
+    """A report, shown in a sandbox, or a recording, to be saved."""
+
+    async def get(self, ticket):
+        path = self._server.take_ticket(ticket)
+        if path is None or self._server.downloads >= MAX_DOWNLOADS:
+            self.send_error(404 if path is None else 503)
+            return
+        self._server.downloads += 1
+        try:
+            await self._send_file(path)
+        finally:
+            self._server.downloads -= 1
+
+    async def _send_file(self, path):
+        try:
+            file = open(path, "rb")  # noqa: SIM115 - closed below; an error of the file is one of this line
+        except OSError:
+            self.send_error(404)
+            return
+        with file, suppress(StreamClosedError):
+            is_report = path.endswith(".html")
+            self.set_header("Content-Type", KINDS[".html"] if is_report else "application/octet-stream")
+            if is_report:
+                self.set_header("Content-Security-Policy", REPORT_POLICY)
+            else:
+                self.set_header("Content-Disposition", f'attachment; filename="{Path(path).name}"')
+            while chunk := file.read(CHUNK):
+                self.write(chunk)
+                await self.flush()
 
 
 class _Page(_Guarded):

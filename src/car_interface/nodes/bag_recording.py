@@ -47,7 +47,7 @@ class BagRecording:
         except OSError as error:
             raise ConfigError("bag_dir", folder, f"a folder that can be written to ({error.strerror})") from error
         self.path = os.path.join(folder, SYSTEM.local_time(f"{stem}_%Y-%m-%d_%H-%M-%S.bag"))
-        command = [*_ending_with_parent(), "rosrun", "rosbag", "record", *(topics or ("--all",)), "--quiet", "-O",
+        command = [*ending_with_parent(), "rosrun", "rosbag", "record", *(topics or ("--all",)), "--quiet", "-O",
                    self.path]
         # In a session of its own, a terminal's Ctrl-C and hang-up are for the node, which closes the bag then.
         self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
@@ -79,8 +79,8 @@ class BagRecording:
         return self.path
 
 
-def _ending_with_parent():
-    """What has a command closed by SIGINT when the node is killed, and can't: rosbag would record for ever."""
+def ending_with_parent():
+    """Return what has a command closed by SIGINT when the node is killed, and can't: rosbag would record for ever."""
     return ("setpriv", "--pdeathsig", "INT") if shutil.which("setpriv") else ()
 
 
@@ -101,7 +101,7 @@ class BagPage:
             return ["no recording: rosbag wrote none (rosrun rosbag record says why)"]
         if self._process is None:
             self._output = tempfile.TemporaryFile()  # noqa: SIM115 - it is read once the process has ended
-            self._process = subprocess.Popen([*_command(), self._recording.path], stdin=subprocess.DEVNULL,
+            self._process = subprocess.Popen(["nice", *_command(), self._recording.path], stdin=subprocess.DEVNULL,
                                              stdout=self._output, stderr=subprocess.STDOUT)
         if self._process.poll() is None:
             return None
