@@ -27,7 +27,7 @@ def announce(config: PhoneDriveConfig, pin: str, addresses: Mapping[str, str], i
     url = f"{scheme}://{host}:{config.port}/#{pin}"
     if _is_loopback(config.address):
         return [f"Phones can't reach this car yet: its page is for this computer only, at {url}",
-                "To drive it by phone, give the address at which phones reach this computer:",
+                "To drive it by phone, start it with the address at which phones reach this computer (rosrun, demo: _address:=):",
                 *(f"    phone_address:={address}    ({interface})" for interface, address in addresses.items()),
                 *([] if addresses else ["    it has none: connect it to a network"])]
     code = qr_code(url) if is_terminal else []

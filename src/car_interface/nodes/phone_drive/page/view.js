@@ -53,7 +53,7 @@ function showChips(car, status) {
   showChip("esc", esc.state ? esc.state.toLowerCase() : "ESC", esc.state ? 0 : null);
   showChip("board", "board", (car.board || {level: null}).level);
   showChip("teensy", "Teensy", (car.teensy || {level: null}).level);
-  showChip("battery", volts ? volts[0] : "battery", car.battery ? battery.level : null);
+  showChip("battery", volts ? volts[0] : "battery", volts ? battery.level : null);
   const delay = status && status.delay;
   showChip("link", Number.isFinite(delay) ? `${Math.round(1000 * delay)} ms` : "link",
     Number.isFinite(delay) ? (delay < 0.15 ? 0 : delay < 0.25 ? 1 : 2) : null);
