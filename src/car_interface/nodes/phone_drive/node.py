@@ -43,7 +43,7 @@ from car_interface.teleop.phone_messages import BEGIN, CENTER, FINISH, NEUTRAL
 RATE_HZ = 20
 TICKS_PER_E_STOP = 2
 TICKS_PER_STATE = 4
-TICKS_PER_LISTING = 100  # of the recordings' folder
+TICKS_PER_LISTING = 40  # of the recordings' folder
 CALL_NS = 10 * NS_PER_S  # a save that isn't answered by then isn't waited for
 SAVED_BY = {CENTER: "turn_arb", NEUTRAL: "throttle_arb"}
 
@@ -135,7 +135,7 @@ class PhoneDrive:
             if self._phones.pages:
                 self._show({**self._car.groups(now_ns), "recording": self._recordings.state(now_ns),
                             "calibration": calibration})
-        if self._ticks % TICKS_PER_LISTING == 1 and self._phones.pages:
+        if self._ticks % TICKS_PER_LISTING == 1:
             self._show({"recordings": self._recordings.files()})
 
     def _show(self, groups):
