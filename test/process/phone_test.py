@@ -150,8 +150,7 @@ class Phone(unittest.TestCase):
             with Lateness() as lateness:
                 fault_ns = time.monotonic_ns()
                 fault()
-                stood_ns = max(self.car.chip.wait_for(channel, lambda counts, channel=channel: counts == NEUTRALS[channel],
-                                                      fault_ns, WITHIN_S) for channel in (0, 1))
+                stood_ns = self.stands(fault_ns)
             times_ms.append((stood_ns - fault_ns) / 1e6)
             lates_ms.append(lateness.max_ms)
             restore()
@@ -192,7 +191,39 @@ class Phone(unittest.TestCase):
 
         self.measure("stop by a viewer", lambda: self.tap("stop", viewer), clear, 60)
 
-    def test_4_everything_is_seen_at_each_size_and_nothing_jumps(self):
+    def test_4_keys_drive_it_as_keyboard_drive_does_and_one_stick_as_two_do(self):
+        self.browser.be_phone(*SIZES[-1])
+        self.drive()
+        self.browser.touch("touchEnd")
+        for key in "mwd":
+            self.browser.key("keyDown", key)
+        pressed_ns = time.monotonic_ns()
+        self.car.chip.wait_for(0, lambda counts: counts > CENTER, pressed_ns, WITHIN_S)
+        self.car.chip.wait_for(1, lambda counts: counts > ESC_NEUTRAL, pressed_ns, WITHIN_S)
+        self.browser.key("keyUp", "m")
+        self.stands(time.monotonic_ns())
+        for key in "wd":
+            self.browser.key("keyUp", key)
+        self.choose("one")
+        (x, y), pressed_ns = self.middle("pad-left"), time.monotonic_ns()
+        self.browser.touch("touchStart", (x, y))
+        self.browser.touch("touchMove", (x + 40, y - 40))
+        self.car.chip.wait_for(0, lambda counts: counts > CENTER, pressed_ns, WITHIN_S)
+        self.car.chip.wait_for(1, lambda counts: counts > ESC_NEUTRAL, pressed_ns, WITHIN_S)
+        self.choose("left")  # with the thumb still down
+        self.stands(pressed_ns)
+        self.browser.touch("touchEnd")
+
+    def choose(self, thumbs):
+        self.browser.evaluate(f"""(() => {{ const select = document.getElementById('thumbs'); select.value = '{thumbs}';
+                                            select.dispatchEvent(new Event('change')); }})()""")
+
+    def stands(self, since_ns):
+        """Return when it stood, ns."""
+        return max(self.car.chip.wait_for(channel, lambda counts, channel=channel: counts == NEUTRALS[channel],
+                                          since_ns, WITHIN_S) for channel in (0, 1))
+
+    def test_5_everything_is_seen_at_each_size_and_nothing_jumps(self):
         for width, height in SIZES:
             with self.subTest(f"{width} x {height}"):
                 self.browser.be_phone(width, height, is_dark=width > 700)

@@ -120,9 +120,13 @@ class Browser:
                   features=[{"name": "prefers-color-scheme", "value": "dark" if is_dark else "light"}])
 
     def touch(self, kind: str, *points: tuple[float, float]) -> None:
-        """Have fingers do "touchStart" or "touchMove" at points, the first finger's first, or all of them "touchEnd"."""
+        """Have fingers do "touchStart" or "touchMove" at points, the first finger's first, or all "touchEnd"."""
         self._ask("Input.dispatchTouchEvent", type=kind,
                   touchPoints=[{"x": x, "y": y, "id": finger} for finger, (x, y) in enumerate(points)])
+
+    def key(self, kind: str, key: str) -> None:
+        """Press a key by "keyDown", or release it by "keyUp"."""
+        self._ask("Input.dispatchKeyEvent", type=kind, key=key, code=f"Key{key.upper()}")
 
     def hide(self, is_hidden: bool) -> None:
         """Put another tab in front of the page, or the page again."""

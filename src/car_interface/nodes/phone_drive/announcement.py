@@ -22,17 +22,17 @@ def announce(config: PhoneDriveConfig, pin: str, addresses: Mapping[str, str], i
         addresses: this computer's, by interface.
         is_terminal: false = no QR code, which a log can't show.
     """
-    scheme = "https" if config.certificate else "http"
     host = f"[{config.address}]" if ":" in config.address else config.address
-    url = f"{scheme}://{host}:{config.port}/#{pin}"
+    url = f"{'https' if config.certificate else 'http'}://{host}:{config.port}/#{pin}"
     if _is_loopback(config.address):
         return [f"Phones can't reach this car yet: its page is for this computer only, at {url}",
-                "To drive it by phone, start it with the address at which phones reach this computer (rosrun, demo: _address:=):",
+                "To drive it by phone, start it with the address at which phones reach this computer",
+                "(for rosrun and ./dev demo --phone: _address:=…):",
                 *(f"    phone_address:={address}    ({interface})" for interface, address in addresses.items()),
                 *([] if addresses else ["    it has none: connect it to a network"])]
-    code = qr_code(url) if is_terminal else []
-    return [*code, f"Phones drive this car at {url}",
-            f"The PIN is {pin}; whoever has it can drive" + ("" if config.certificate else ", and so can who reads along: http")]
+    listeners = "" if config.certificate else ", and so can whoever reads along: http"
+    return [*(qr_code(url) if is_terminal else []), f"Phones drive this car at {url}",
+            f"The PIN is {pin}; whoever has it can drive{listeners}"]
 
 
 def _is_loopback(address):

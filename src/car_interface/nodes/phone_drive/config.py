@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from car_interface.common import declared
 from car_interface.common.errors import require
 
-
 AUTO = "auto"
 
 

@@ -73,9 +73,9 @@ $("seat").addEventListener("click", () => {
   $("seat").blur();  // its key, space, lets go of everything
 });
 $("stop").addEventListener("pointerdown", stop);
-$("stop").addEventListener("click", stop);  // by Enter
+$("stop").addEventListener("click", (event) => { if (event.detail === 0) stop(); });  // by Enter
 $("clear").addEventListener("click", () => link.sendEvidence({type: "clear"}));
-addEventListener("keydown", (event) => { if (event.key === "Escape") stop(); });
+addEventListener("keydown", (event) => { if (event.key === "Escape" && !$("gate").open) stop(); });
 addEventListener("contextmenu", (event) => event.preventDefault());
 
 // --- what is shown ---
@@ -176,7 +176,7 @@ function ask(why) {
   if (!$("gate").open) $("gate").showModal();
   show();
 }
-$("gate").addEventListener("cancel", (event) => event.preventDefault());
+$("gate").addEventListener("cancel", (event) => { if (!link.isAdmitted) event.preventDefault(); });  // a guest's
 $("gate-form").addEventListener("submit", (event) => {
   event.preventDefault();
   if ($("pin").hidden) {
