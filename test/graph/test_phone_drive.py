@@ -1,6 +1,7 @@
 """phone_drive and the nodes behind it: a phone drives the car, and stops it, whatever becomes of the phone."""
 from __future__ import annotations
 
+import itertools
 import os
 import random
 from statistics import median
@@ -9,11 +10,13 @@ import pytest
 from std_msgs.msg import Bool
 
 from car import CENTER, ESC, ESC_NEUTRAL, STEERING, Car
+from graph import Graph
 from phones import Network, Phone
 
 NS_PER_S = 1_000_000_000
 MAX_STOP_S = 0.55
 MOMENTS = 1000 if os.environ.get("CAR_INTERFACE_ALL") else 3  # of each loss
+DRIVEN_S = 600 if os.environ.get("CAR_INTERFACE_ALL") else 60
 PAUSE_S = 0.7  # of a phone or its network that goes on after it
 STATE = "/teleop_logi/state"
 REARM = "let go of the deadman, then hold it again"
@@ -189,6 +192,62 @@ def test_e_stop_that_falls_silent_with_its_node_locks_the_gamepad_too(bench):
     assert bench.drives
     bench.run(0.2)
     assert bench.stands and bench.graph.newest("/turn_arb/state").cause == "e_stop silent"
+
+
+# --- networks ---
+
+RETRANSMIT = {"selective": lambda round_trip_s: 0.05 + 1.25 * round_trip_s,  # RFC 8985: the next packet shows the gap
+              "timeout": lambda round_trip_s: 0.2 + round_trip_s}  # Linux's least RTO
+
+
+class Road(Network):
+    """phone_drive alone, for a minute or more, and a person who touches again 0.5 s after a loss."""
+
+    def drive(self, delay_s):
+        """Return how much of the time the touch counts, and how often a minute it is lost."""
+        graph = self.graph
+        graph.record("/phone/joy")
+        self.add_node()
+        phone = Phone(self)
+        graph.run(1.0)
+        phone.hold("")
+        phone.evidence("drive")
+        graph.run(0.5)
+        self.delay_s = delay_s
+        phone.hold("manual", 0.5, 0.5)
+        graph.run(0.5)
+        since_ns = graph.now_ns
+        graph.repeat_each(0.1, lambda: self._touch_again(phone))
+        graph.run(DRIVEN_S)
+        records = [(max(record.at_ns, since_ns), record.message.buttons[0]) for record in graph.recorded["/phone/joy"]
+                   if record.at_ns > since_ns - NS_PER_S // 10]
+        held_ns = sum(later - at_ns for (at_ns, held), (later, _) in zip(records, records[1:]) if held)
+        losses = sum(before and not now for (_, before), (_, now) in zip(records, records[1:]))
+        return held_ns / (records[-1][0] - since_ns), losses * 60 / DRIVEN_S
+
+    def _touch_again(self, phone):
+        if phone.touch and phone.status["why"]:
+            phone.hold("")
+            self.graph.after(0.5, lambda: phone.hold("manual", 0.5, 0.5))
+
+
+def test_touch_counts_99_percent_of_the_time_at_a_round_trip_of_100_ms_with_50_ms_of_jitter():
+    random.seed(1)
+    share, losses_per_min = Road(Graph()).drive(lambda: random.uniform(0.025, 0.075))
+    assert share >= 0.99 and losses_per_min == 0
+
+
+@pytest.mark.parametrize("round_trip_s", [0.005, 0.04])
+@pytest.mark.parametrize("kind, max_losses_per_min", [("selective", 2), ("timeout", 25)])
+def test_one_percent_of_lost_packets_stops_the_car_so_often_a_minute(kind, max_losses_per_min, round_trip_s):
+    random.seed(2)
+
+    def delay_s():
+        lost = next(count for count in itertools.count() if random.random() > 0.01)
+        return round_trip_s / 2 + (2 ** lost - 1) * RETRANSMIT[kind](round_trip_s)
+    share, losses_per_min = Road(Graph()).drive(delay_s)
+    print(f"{kind}, {round_trip_s} s: the touch counts {share:.1%} of the time, {losses_per_min:.1f} losses a minute")
+    assert losses_per_min <= max_losses_per_min
 
 
 # --- losses, each at many moments ---

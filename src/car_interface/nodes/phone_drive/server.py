@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import logging
 import secrets
 import ssl
 import threading
-from collections import Counter, OrderedDict
+from collections import Counter, OrderedDict, deque
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -31,6 +32,9 @@ MAX_BYTES = 4 * MAX_SIZE  # of a message: UTF-8
 MAX_HEADER = 8192
 HEADER_S = 5  # for a request to arrive
 MAX_OPEN = 64  # connections that are no WebSocket, or not yet
+MAX_SOCKETS = 64  # WebSockets; the rules admit 8, and close the others
+MAX_CLOSING = 16  # of these whose pages don't answer to that
+MAX_PINGS = 20  # of a connection; a browser sends none
 MAX_UNHANDLED = 100  # messages of a connection that the node has not handled yet
 MAX_UNSENT = 40  # messages that a page has not taken yet: 2 s of tokens
 MAX_TICKETS, TICKET_S = 16, 60  # of files, and how long one is good for
@@ -76,6 +80,7 @@ class Server:
         self.downloads = 0
         self._inbox, self._node = inbox, node
         self._sockets: dict[int, _Socket] = {}  # by number; of the server's thread
+        self._closing: deque[_Socket] = deque()  # the oldest first
         self._unhandled: Counter[int] = Counter()
         self._numbers = itertools.count(1)
         try:
@@ -108,6 +113,8 @@ class Server:
     # --- the server's thread ---
 
     def _run(self):
+        for name in ("tornado.general", "tornado.access"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)  # whoever sends nonsense must not fill the log
         self._loop = asyncio.new_event_loop()
         asyncio.set_event_loop(self._loop)
         application = Application([("/ws", _Socket, {"server": self}),
@@ -126,6 +133,11 @@ class Server:
             socket.abort()
         self._loop.run_until_complete(asyncio.sleep(0))
         self._loop.close()
+
+    @property
+    def is_full(self) -> bool:
+        """Return whether no WebSocket can be taken for now."""
+        return len(self._sockets) >= MAX_SOCKETS
 
     def open(self, socket: _Socket) -> int:
         """Take a new WebSocket; return its number."""
@@ -170,8 +182,13 @@ class Server:
 
     def _send(self, outgoing):
         socket = self._sockets.get(outgoing.connection)
-        if socket is not None:
-            socket.send(outgoing.text, outgoing.closes)
+        if socket is None:
+            return
+        socket.send(outgoing.text, outgoing.closes)
+        if outgoing.closes:
+            self._closing.append(socket)
+            if len(self._closing) > MAX_CLOSING:
+                self._closing.popleft().abort()
 
 
 def _tls(config):
@@ -291,7 +308,12 @@ class _Socket(_Guarded, WebSocketHandler):
 
     def initialize(self, server):
         super().initialize(server)
-        self._unsent, self._number = 0, None
+        self._unsent, self._pings, self._number = 0, 0, None
+
+    def prepare(self):
+        super().prepare()
+        if not self._finished and self._server.is_full:
+            self.send_error(503)
 
     def check_origin(self, origin):
         return True  # prepare has checked it
@@ -303,6 +325,14 @@ class _Socket(_Guarded, WebSocketHandler):
 
     def on_message(self, message):
         self._server.receive(self._number, message)
+
+    def on_ping(self, data):
+        """Limit what is answered: a page that doesn't take the answers would have them pile up."""
+        self._pings += 1
+        if self._pings > MAX_PINGS:
+            self.abort()
+
+    on_pong = on_ping
 
     def on_close(self):
         if self._number is not None:
