@@ -108,7 +108,7 @@ function stateOf(mine, isStopped, refusal) {
   const {throttle, steering} = car, who = car.who || {text: ""};
   const decisive = throttle || steering || {source: "", text: ""};
   if (!link.isAdmitted) {
-    return ["off", "No contact with the car",
+    return ["off", "No contact",
       isStopped ? "The stop is sent as soon as there is." : refusal || "It stops by itself without a phone."];
   }
   if (isStopped) {
@@ -125,7 +125,7 @@ function stateOf(mine, isStopped, refusal) {
     return ["go", byPhone ? mine ? "You drive" : "A phone drives" : "The gamepad drives", decisive.text];
   }
   if (mine) return ["wait", hands.controls.touch ? "It stands" : "Touch to drive", decisive.text || who.text];
-  return ["off", status && status.driver === "another" ? "Another phone has the seat" : "Nobody drives",
+  return ["off", status && status.driver === "another" ? "Another has the seat" : "Nobody drives",
     decisive.text || who.text];
 }
 

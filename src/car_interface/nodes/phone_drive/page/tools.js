@@ -59,10 +59,9 @@ export class Tools {
     $("calibration-progress").value = fraction || 0;
     $("calibrate-begin").disabled = !isPossible || isOn;
     $("calibrate-finish").disabled = $("calibrate-give-up").disabled = !isPossible || !isOn;
-    const lines = [...(known || []).map((line) => ["✓", line]), ...(missing || []).map((line) => ["…", line])];
-    showList($("calibration-known"), lines, ([mark, line]) => {
+    showList($("calibration-known"), [...(known || []), ...(missing || [])], (line) => {
       const item = document.createElement("li");
-      put(item, `${mark} ${line}`);
+      put(item, line);
       return item;
     });
   }
