@@ -22,8 +22,7 @@ def announce(config: PhoneDriveConfig, pin: str, addresses: Mapping[str, str], i
         addresses: this computer's, by interface.
         is_terminal: false = no QR code, which a log can't show.
     """
-    host = f"[{config.address}]" if ":" in config.address else config.address
-    url = f"{'https' if config.certificate else 'http'}://{host}:{config.port}/#{pin}"
+    url = f"{'https' if config.certificate else 'http'}://{config.host}/#{pin}"
     if _is_loopback(config.address):
         return [f"Phones can't reach this car yet: its page is for this computer only, at {url}",
                 "To drive it by phone, start it with the address at which phones reach this computer",

@@ -33,7 +33,15 @@ class PhoneDriveConfig:
     e_stop: bool = declared.flag(
         "e_stop", False, "the phones' e-stop at start; the node sets it itself, so that a stop outlives it")
 
+    @property
+    def host(self) -> str:
+        """Return the address and the port as a URL has them."""
+        return f"[{self.address}]:{self.port}" if ":" in self.address else f"{self.address}:{self.port}"
+
     def __post_init__(self):
+        # A page under another address than this is refused: RFC 6454's origin has it, and a name could be rebound.
+        require(self.address not in ("0.0.0.0", "::"), "address", self.address,
+                "one of this computer's addresses, or a name of it: the one that phones will open")
         require(self.pin == AUTO or re.fullmatch("[0-9]{6}", str(self.pin)), "pin", self.pin, f"six digits, or {AUTO}")
         require((self.certificate is None) == (self.key is None), "certificate" if self.key else "key", None,
                 "both a certificate and its key, or neither")

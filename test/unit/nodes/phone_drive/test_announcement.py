@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import pytest
 
+from car_interface.common.errors import ConfigError
 from car_interface.nodes.phone_drive.announcement import announce, blocks, own_addresses
 from car_interface.nodes.phone_drive.config import PhoneDriveConfig
 
@@ -39,6 +40,15 @@ def test_qr_code_is_for_a_terminal_only_and_needs_an_address():
     pytest.importorskip("qrcode")
     assert "▀" in "".join(lines(True, address="192.168.4.1"))
     assert "▀" not in "".join(lines(False, address="192.168.4.1")) + "".join(lines(True))
+
+
+@pytest.mark.parametrize("changes, name", [
+    ({"address": "0.0.0.0"}, "address"), ({"pin": 12345}, "pin"), ({"pin": "secret"}, "pin"),
+    ({"key": "/k.pem"}, "cert"),
+], ids=["every_address", "five_digits", "letters", "key_without_certificate"])
+def test_parameters_that_no_page_could_use_are_refused(changes, name):
+    with pytest.raises(ConfigError, match=name):
+        PhoneDriveConfig(**changes)
 
 
 def test_two_rows_of_a_code_become_one_line_black_on_white():
