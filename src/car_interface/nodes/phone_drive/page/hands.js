@@ -134,8 +134,9 @@ export class Hands {
   moveKeys() {
     this.isMoving = this.held.size > 0;
     if (!this.isMoving) return;
+    const before = [this.steering, this.push && this.push.size].join();
     this.stepKeys();
-    this.changed(false);
+    if ([this.steering, this.push && this.push.size].join() !== before) this.changed(false);
     requestAnimationFrame(() => this.moveKeys());
   }
 
@@ -143,6 +144,11 @@ export class Hands {
     const now = performance.now(), elapsedS = Math.min(0.1, (now - (this.movedMs || now)) / 1000);
     const held = new Set(this.held.values()), step = STEERING_PER_S * elapsedS;
     this.movedMs = now;
+    if (!held.has("manual") && !held.has("autonomous")) {
+      this.steering = 0;
+      this.push = null;
+      return;
+    }
     const target = held.has("left") - held.has("right");
     this.steering = Math.max(this.steering - step, Math.min(this.steering + step, target));
     const pushed = PUSHES.find(([ahead, back]) => held.has(ahead) || held.has(back));
@@ -157,8 +163,6 @@ export class Hands {
   release() {
     for (const pad of this.pads) pad.release();
     this.held.clear();
-    this.steering = 0;
-    this.push = null;
     this.afterHeld();
   }
 
@@ -168,10 +172,7 @@ export class Hands {
     const pads = this.pads.filter((pad) => pad.pointer !== null);
     const touch = held.has("autonomous") ? "autonomous" : held.has("manual") || pads.length ? "manual" : "";
     const scale = held.has("more") - held.has("less");
-    if (!touch) {
-      this.steering = 0;
-      return {touch, steering: 0, throttle: 0, scale};
-    }
+    if (!touch) return {touch, steering: 0, throttle: 0, scale};
     const steers = pads.find((pad) => pad.element.dataset.role !== "throttle");
     const pushes = pads.find((pad) => pad.element.dataset.role !== "steering");
     return {touch, scale, steering: steers ? steers.left : this.steering,

@@ -7,6 +7,7 @@ import {Tools} from "./tools.js";
 import {$, Around, put, showCar, showState} from "./view.js";
 
 const MIN_PERIOD_MS = 10;  // between two echoes of a moving thumb: the car takes 150 messages a second
+const CONFIRMED_MS = 1000;
 const ANSWER_MS = 4000;  // an answer is shown
 const PIN_TEXT = "It is in the terminal in which the car was started.";
 
@@ -27,8 +28,8 @@ const link = new Link({
     if (before && (newest.e_stop && !before.e_stop || newest.why && !before.why)) buzz(newest.e_stop ? 600 : 200);
     show();
   },
-  refused(why, wasAdmitted) { wasAdmitted ? note(why, true) : ask(why === "enter the PIN" ? PIN_TEXT : why); },
-  closed(why) { why === "replaced" ? ask("This page was opened elsewhere.") : note(why, true); },
+  refused(why, wasAdmitted) { wasAdmitted ? note(why, true) : openGate(why === "enter the PIN" ? PIN_TEXT : why); },
+  closed(why) { why === "replaced" ? openGate("This page was opened elsewhere.") : note(why, true); },
   other(message) {
     if ("car" in message) Object.assign(car, message.car);
     if ("done" in message) note(message.done, false);
@@ -59,6 +60,15 @@ function echo() {
   link.sendEvidence({type: "echo", ...hands.controls});
 }
 
+// Ask for what the car drops without an answer where the token came back too late.
+function ask(type, isDone) {
+  const askedMs = performance.now();
+  link.sendEvidence({type});
+  setTimeout(() => {
+    if (!isDone() && link.isAdmitted && answer.atMs < askedMs) note("The network is too slow: it took too long.", true);
+  }, CONFIRMED_MS);
+}
+
 function stop() {
   hands.release();
   link.stop();
@@ -67,14 +77,14 @@ function stop() {
 
 $("seat").addEventListener("click", () => {
   hands.release();
-  if (status && status.guest) ask(PIN_TEXT);
+  if (status && status.guest) openGate(PIN_TEXT);
   else if (isMine()) link.send({type: "leave"});
-  else link.sendEvidence({type: "drive"});
+  else ask("drive", isMine);
   $("seat").blur();  // its key, space, lets go of everything
 });
 $("stop").addEventListener("pointerdown", stop);
 $("stop").addEventListener("click", (event) => { if (event.detail === 0) stop(); });  // by Enter
-$("clear").addEventListener("click", () => link.sendEvidence({type: "clear"}));
+$("clear").addEventListener("click", () => ask("clear", () => !link.stopShown));
 addEventListener("keydown", (event) => { if (event.key === "Escape" && !$("gate").open) stop(); });
 addEventListener("contextmenu", (event) => event.preventDefault());
 
@@ -167,7 +177,7 @@ put($("network"), location.protocol === "https:" ? "" : "This page came by http:
 
 // --- admission ---
 
-function ask(why) {
+function openGate(why) {
   const isElsewhere = why.startsWith("This page");
   put($("gate-text"), why);
   $("pin").hidden = isElsewhere;
