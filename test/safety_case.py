@@ -25,8 +25,8 @@ COMMAND_PATH = ("turn_arb", "throttle_arb", "pca9685", "generic_value_converter"
 TITLES = {"topic": "Messages", "wire": "Other links", "node": "Nodes", "device": "Devices", "cause": "Common causes"}
 INTRODUCTION = (
     "Made by `python3 test/safety_case.py` from `test/safety_case.yaml`; `./dev lint` checks it. No standard is "
-    "claimed. The item: steering, throttle and servo board of a car that a person drives, or a planner under a person's "
-    "deadman. How it stops: [Failsafe](safety.md).")
+    "claimed. The item: steering, throttle and servo board of a car that a person drives, or a planner does under a "
+    "person's deadman. How it stops: [Failsafe](safety.md).")
 LEGEND = (
     "*Dead* is whatever sends no more; bounds count from the last message, without delays of the network and of a busy "
     "computer. *Unanswered* is what would happen. Causes are `so`; tests have their names of "

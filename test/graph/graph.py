@@ -542,6 +542,10 @@ class Graph:
         logger.setLevel(logging.DEBUG)
         logger.propagate = False
 
+    @property
+    def ros_now(self) -> rospy.Time:
+        return rospy.Time(nsecs=self.now_ns + self.ros_ahead_ns)
+
     # --- nodes and parameters ---
 
     def add(self, node_class: Callable, name: str, parameters: dict | None = None, remap: dict[str, str] | None = None,

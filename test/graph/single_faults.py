@@ -62,7 +62,7 @@ class Kind(NamedTuple):
         stops: the time-out after which each pin must be at rest, by pin; of those whom ``takes`` names.
         lasts_s: how long they must be; until the end where the deadman must be released before they move.
         takes: the source, human or planner, whose pins these are; empty = whoever drives.
-        modes: in which it can be.
+        modes, actions: in which it can be, and which it leaves the person.
     """
 
     make: Callable[[Any], Any]
@@ -73,6 +73,7 @@ class Kind(NamedTuple):
     lasts_s: float = math.inf
     takes: str = ""
     modes: tuple[str, ...] = tuple(MODES)
+    actions: tuple[str, ...] = ACTIONS
 
 
 # --- links ---
@@ -127,6 +128,24 @@ LINKS = {
 }
 
 
+# A stuck value of these is that of a person who holds on, or of a broken node: what remains, by the page.
+OBEYED = ("joy", "phone/joy", "phone/e_stop", "e_stop", "human_in_loop", "steering command", "ESC command")
+
+
+def stick(drive: Drive, link: Link) -> None:
+    """Have a topic's last message come again and again, with new stamps, in place of those that are sent."""
+    message = drive.graph.newest(link.topic)
+    drive.graph.link(link.topic, link.sender, link.receiver, loses=lambda data: True)
+    drive.graph.link(link.topic, "/stuck", link.receiver)
+
+    def again():
+        for stamped in (getattr(message, "header", None), message):
+            if hasattr(stamped, "stamp"):
+                stamped.stamp = drive.graph.ros_now
+        return message
+    drive.graph.repeat(link.topic, again, 50, "/stuck")
+
+
 def link_kinds() -> Iterable[tuple[str, Kind]]:
     for name, link in LINKS.items():
         ways = link.topic, link.sender, link.receiver
@@ -141,6 +160,10 @@ def link_kinds() -> Iterable[tuple[str, Kind]]:
         yield f"{name} lost", Kind(partial(set_link, loses=lambda data: True), undo, timeout_s, stops=link.stops,
                                    takes=link.takes, modes=link.modes)
         yield f"{name} late", Kind(partial(set_link, delay_s=LATE_S), delay_s=LATE_S * is_stop, modes=link.modes)
+        if name not in OBEYED:
+            yield f"{name} stuck", Kind(lambda drive, link=link: stick(drive, link), modes=link.modes,
+                                        actions=tuple(action for action in ACTIONS
+                                                      if action != "pull" or name != "tele_throt_req"))
         yield f"{name} doubled", Kind(partial(set_link, copies=2), modes=link.modes)
         yield f"{name} with gaps", Kind(
             lambda drive, set_link=set_link: set_link(drive, loses=lambda data: drive.choose.random() < LOST),
@@ -327,7 +350,9 @@ class Drive:
         nodes = {"throttle_arb": {"esc": settings}, "pca9685": {"esc": {**config("throttle.yaml"), "esc": settings},
                                                                 "guard": True},
                  "teleop": {"third_button": THIRD, "third_mode": self.mode.third_mode}}
-        self.car = Car().whole("speed", nodes, esc_kind=ESCS[esc], obstacles=False, collisions=False)
+        self.car = Car()
+        self.car.graph.record(*(link.topic for link in LINKS.values()))
+        self.car.whole("speed", nodes, esc_kind=ESCS[esc], obstacles=False, collisions=False)
         self.graph = self.car.graph
         self.graph.hold("/av_turnrad_req", Float32(2.0), 20, sender="/planner")
         self.graph.hold("/av_speed_req", Float32(1.0), 20, sender="/planner")
@@ -461,7 +486,8 @@ def cases(kinds: dict[str, Kind], draws: int, seed: int) -> list[Case]:
     choose, known = random.Random(seed), set()
     found = []
     for _, moment, (name, kind) in itertools.product(range(draws), range(MOMENTS), kinds.items()):
-        drawn = [Case(name, moment, choose.choice(kind.modes), choose.choice(list(ESCS)), choose.choice(ACTIONS))
+        drawn = [Case(name, moment, choose.choice(kind.modes), choose.choice(list(ESCS)),
+                      choose.choice(kind.actions))
                  for _ in range(6)]
         best = max(drawn, key=lambda case: len(set(itertools.combinations(enumerate(case), 2)) - known))
         known.update(itertools.combinations(enumerate(best), 2))
