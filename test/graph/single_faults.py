@@ -278,7 +278,7 @@ NAN = math.nan
 SERIAL = {"stops": {ESC: 0.5}, "takes": PLANNER}
 OTHERS = {
     "one transfer fails": Kind(nacks(1)),
-    "five transfers fail": Kind(nacks(5), timeout_s=0.3),  # reopened after 0.1 s, and after 0.2 s
+    "five transfers fail": Kind(nacks(5), timeout_s=0.4),  # one, its repetition, and three attempts 0.1 s apart
     "brown-out of the board": Kind(lambda drive: drive.car.board.brown_out()),
     "board without power": Kind(remove_board, return_board),
     "bus held for 0.2 s": Kind(hold_bus, timeout_s=0.3),
@@ -306,7 +306,8 @@ OTHERS = {
     "a false e-stop besides": Kind(also("/e_stop", Bool(False))),
     "another radius besides": Kind(also("/av_turnrad_req", Float32(-2.0))),
     "another speed besides": Kind(also("/av_speed_req", Float32(-1.0))),
-    "another steering command besides": Kind(also(VECTOR, command(STEERING, 6700))),
+    # Two who command the servo: it follows both after a release, too; the throttle ends (R9).
+    "another steering command besides": Kind(also(VECTOR, command(STEERING, 6700)), actions=("nothing", "pull")),
     "wrong type of radius": Kind(also("/av_turnrad_req", Float64(2.0))),
     "wrong type of deadman": Kind(also("/teleop_logi/human_in_loop", Float32(1.0))),
     "wrong type of command": Kind(also(VECTOR, Float32(1.0))),

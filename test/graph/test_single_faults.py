@@ -50,6 +50,7 @@ def drive_each(forker, chosen):
         violations, excess_s = forker.submit(drive_all, *story, list(group)).result()
         found += violations
         longest_s = max(longest_s, excess_s)
+    print(*found, sep="\n")
     print(f"{len(chosen)} runs, the longest reaction {longest_s * 1e3:.3f} ms beyond time-out and delays")
     return found, longest_s
 
