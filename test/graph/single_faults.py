@@ -63,6 +63,7 @@ class Kind(NamedTuple):
         lasts_s: how long they must be; until the end where the deadman must be released before they move.
         takes: the source, human or planner, whose pins these are; empty = whoever drives.
         modes, actions: in which it can be, and which it leaves the person.
+        centers: it takes the steering alone, and the throttle goes on.
     """
 
     make: Callable[[Any], Any]
@@ -74,6 +75,7 @@ class Kind(NamedTuple):
     takes: str = ""
     modes: tuple[str, ...] = tuple(MODES)
     actions: tuple[str, ...] = ACTIONS
+    centers: bool = False
 
 
 # --- links ---
@@ -158,7 +160,7 @@ def link_kinds() -> Iterable[tuple[str, Kind]]:
         # A human's evidence that comes back under a held deadman counts for nothing.
         undo = set_link if link.stops in (both(0.25), both(0.5)) else None
         yield f"{name} lost", Kind(partial(set_link, loses=lambda data: True), undo, timeout_s, stops=link.stops,
-                                   takes=link.takes, modes=link.modes)
+                                   takes=link.takes, modes=link.modes, centers=link.stops.keys() == {STEERING})
         yield f"{name} late", Kind(partial(set_link, delay_s=LATE_S), delay_s=LATE_S * is_stop, modes=link.modes)
         if name not in OBEYED:
             yield f"{name} stuck", Kind(lambda drive, link=link: stick(drive, link), modes=link.modes,
@@ -262,10 +264,10 @@ def e_stop_once(drive):
     drive.graph.publish("/e_stop", Bool(True), "/other")
 
 
-def pad(**state):
-    """Have the gamepad's messages be others than its sticks and buttons, whatever its person does."""
+def pad(axes=6, buttons=11, **state):
+    """Have the gamepad's messages be others than its sticks and buttons, or shorter, whatever its person does."""
     def make(drive):
-        drive.pad_is = state
+        drive.pad_is, drive.pad_has = state, (axes, buttons)
         drive.hold(*drive.held)
     return make
 
@@ -293,8 +295,8 @@ OTHERS = {
     "serial bit errors": Kind(inject("bit_errors", 1e-3)), "serial bytes lost": Kind(inject("cut", 50)),
     "Teensy out of step": Kind(inject("out_of_step", 0)),
     "a sonar missing": Kind(inject("sonar_missing", 1)), "a sonar stuck": Kind(inject("sonar_stuck", 1)),
-    "gamepad without axes": Kind(pad(axes=1), stops=both(0.0), modes=GAMEPAD),
-    "gamepad without buttons": Kind(pad(buttons=2), stops=both(0.0), modes=GAMEPAD),
+    "gamepad of one axis": Kind(pad(axes=1), stops=both(0.0), modes=GAMEPAD),
+    "gamepad of two buttons": Kind(pad(buttons=2), stops=both(0.0), modes=GAMEPAD),
     "gamepad's axis NaN": Kind(pad(steering=NAN, throttle=NAN), stops=both(0.0), modes=GAMEPAD),
     "phone out of range": Kind(lambda drive: setattr(drive.phone, "is_cut", True), timeout_s=0.53, stops=both(0.53),
                                modes=(PHONE,)),
@@ -328,6 +330,27 @@ RESIDUAL = {
 }
 
 
+def together(one: Kind, other: Kind) -> Kind:
+    """Return two faults at once: of a person's stop each has its own delay."""
+    modes = tuple(mode for mode in one.modes if mode in other.modes)
+    actions = tuple(action for action in one.actions if action in other.actions and action != "nothing")
+
+    def make(drive):
+        one.make(drive)
+        other.make(drive)
+    # A time-out may also lengthen the throttle without steering; and there are two ticks.
+    delay_s = one.timeout_s + other.timeout_s + one.delay_s + other.delay_s + TICK_S
+    return Kind(make, delay_s=delay_s, modes=modes, actions=actions, centers=one.centers or other.centers)
+
+
+# Of each sort of fault one, for pairs.
+PAIRED = [name for name in KINDS if name.endswith((" lost", " killed", " frozen 0.6 s", " stalled 0.3 s"))] + [
+    "odom stuck", "odom late", "human_in_loop late", "ESC command late", "output late", "five transfers fail",
+    "brown-out of the board", "foreign write", "guard frozen", "clock an hour back", "Teensy restarted", "serial noise"]
+PAIRS = {f"{one}, {other}": kind for one, other in itertools.combinations(PAIRED, 2)
+         for kind in [together(KINDS[one], KINDS[other])] if kind.modes}
+
+
 # --- a drive ---
 
 class Case(NamedTuple):
@@ -342,7 +365,7 @@ class Drive:
     """A whole car that drives to the left.
 
     Attributes:
-        pad_is: what the gamepad's messages have in place of its state.
+        pad_is, pad_has: what the gamepad's messages have in place of its state; how many axes and buttons.
     """
 
     def __init__(self, mode: str, esc: str):
@@ -358,6 +381,7 @@ class Drive:
         self.graph.hold("/av_turnrad_req", Float32(2.0), 20, sender="/planner")
         self.graph.hold("/av_speed_req", Float32(1.0), 20, sender="/planner")
         self.pad_is: dict = {}
+        self.pad_has = 6, 11
         self.phone: Phone | None = None
         if self.mode.deadman == PHONE:
             network = Network(self.graph)
@@ -387,7 +411,9 @@ class Drive:
             self.phone.hold("manual" if is_held else "", steering, throttle)
         else:
             self.car.pad(**{self.mode.deadman: is_held, "steering": steering, "throttle": throttle, **self.pad_is})
-            self.graph.publish("/joy", self.car.joy_now, "/joy_node")  # a driver of a gamepad tells changes at once
+            joy, (axes, buttons) = self.car.joy_now, self.pad_has
+            joy.axes, joy.buttons = joy.axes[:axes], joy.buttons[:buttons]
+            self.graph.publish("/joy", joy, "/joy_node")  # a gamepad's driver publishes changes at once
 
     def act(self, action: str) -> None:
         """Have the person stop the car."""
@@ -461,7 +487,7 @@ def run(drive: Drive, case: Case, kind: Kind, after_s: float) -> Judged:
     if slowest_mps < -NOISE_MPS:
         found.append(f"G2: it drove backward at {slowest_mps:.2f} m/s")
     alone_s = longest_alone_s(drive.car.board.changes, end_ns)
-    if kind.stops.keys() != {STEERING} and alone_s > TOGETHER_S + kind.delay_s:  # who takes the steering alone may
+    if not kind.centers and alone_s > TOGETHER_S + kind.delay_s:
         found.append(f"G3: throttle without steering for {alone_s:.2f} s")
     return Judged([f"{each}: {case}" for each in found], max(excesses))
 

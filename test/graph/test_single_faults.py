@@ -13,11 +13,12 @@ from functools import partial
 
 import pytest
 
-from single_faults import ACTIONS, ESCS, KINDS, MODES, MOMENTS, RESIDUAL, TICK_S, Case, Drive, cases, run
+from single_faults import ACTIONS, ESCS, KINDS, MODES, MOMENTS, PAIRS, RESIDUAL, TICK_S, Case, Drive, cases, run
 from test_stalls import forked
 
 IS_ALL = bool(os.environ.get("CAR_INTERFACE_ALL"))
-SAMPLE, DRAWS, SEED = int(os.environ.get("SFC_SAMPLE","150")), 4, int(os.environ.get("SFC_SEED","37"))
+SAMPLE, DRAWS, SEED = 150, 4, 37
+PAIRS_SAMPLE, PAIRS_DRAWS = 40, 3
 AFTER_S = (0.05, 0.3)
 
 
@@ -35,7 +36,7 @@ def drive_all(mode, esc, chosen):
     found, longest_s = [], 0.0
     for case in sorted(chosen, key=lambda case: case.moment):
         drive.run_to_moment(case.moment)
-        for each in forked(partial(judged, drive, case, {**KINDS, **RESIDUAL}[case.kind])):
+        for each in forked(partial(judged, drive, case, {**KINDS, **RESIDUAL, **PAIRS}[case.kind])):
             if isinstance(each, str):
                 found.append(each)
             else:
@@ -62,6 +63,18 @@ def test_no_single_fault_breaks_a_goal(forker):
     found, longest_s = drive_each(forker, chosen)
     assert not found, "\n".join(found)
     assert longest_s <= TICK_S
+
+
+@pytest.mark.once
+def test_no_pair_of_faults_breaks_a_goal(forker):
+    choose = random.Random(SEED)
+    chosen = [Case(name, choose.randrange(MOMENTS), choose.choice(kind.modes), choose.choice(list(ESCS)),
+                   choose.choice(kind.actions)) for name, kind in PAIRS.items() for _ in range(PAIRS_DRAWS)]
+    if not IS_ALL:  # one drive's
+        chosen = [case for case in chosen if (case.mode, case.esc) == ("autonomous", "brake_then_reverse")]
+        chosen = choose.sample(chosen, PAIRS_SAMPLE)
+    found, _ = drive_each(forker, chosen)
+    assert not found, "\n".join(found)
 
 
 @pytest.mark.once
