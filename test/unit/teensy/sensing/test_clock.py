@@ -274,6 +274,14 @@ def test_wrong_tick_among_the_first_pongs_does_not_lock_the_right_ones_out(tick_
     assert abs(error_ns(clock, teensy, 15)) < 1.2 * MS
 
 
+def test_wrong_first_pong_is_overruled_by_the_next_two_even_in_the_same_half_second():
+    clock, teensy = Clock(), Teensy()
+    syncs = [teensy.answer(clock, NOW + number * 240 * MS, tick_error=-64 if number == 0 else 0)
+             for number in range(6)]
+    assert [sync.reason for sync in syncs] == ["", reasons.CONTRADICTION, reasons.ONE_WAS_WRONG, "", "", ""]
+    assert [sync.converged for sync in syncs] == [False] * 5 + [True]
+
+
 @pytest.mark.parametrize("wrong_ones", [(18,), (14, 18)], ids=["one", "two"])
 @pytest.mark.parametrize("tick_error", [1, -2, -8])
 def test_wrong_tick_that_a_queue_can_explain_is_thrown_out_without_the_rest_when_three_pongs_say_so(
