@@ -2,6 +2,7 @@
 
 import pytest
 
+from car_interface.common import causes
 from car_interface.common.publishers import CommandTopic, Publisher
 from car_interface.common.units import CHANNELS, NS_PER_S, UNCHANGED
 from car_interface.pca9685.channels import TimedOut
