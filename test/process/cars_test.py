@@ -19,7 +19,7 @@ from std_msgs.msg import Int32MultiArray
 from car_interface.common import causes
 from closing import LAUNCH_S, PARTS, Closing, ask, graph_of, joy, pid_of
 from virtual_car import HERE
-from waiting import config, eventually, set_params, start, start_node
+from waiting import config, eventually, examine, set_params, start, start_node
 
 STRICT = bool(os.environ.get("CAR_INTERFACE_ALL"))
 PEERS = os.path.join(HERE, "half_open_peers.py")
@@ -54,9 +54,7 @@ class TwoCars(Closing):
                     names.setdefault(namespace, set()).add(re.sub("_four|_one", "", name))
             return names["four"] == names["one"] and len(names["one"]) > 12
         eventually(same_reports, lambda: f"the same names: {names}")
-        doctor = start_node(self, "doctor", "--ns", "/one")
-        doctor.wait_for_exit()
-        shown = "\n".join(doctor.stdout.since())
+        shown = examine("--ns", "/one").stdout
         self.assertRegex(shown, f"{', '.join(PARTS)}, .* run in /one")
         self.assertNotIn("not running", shown)
 
