@@ -15,7 +15,7 @@ WIDTHS = (60, 12, 9, 15, 6, 20, 6, 12)  # on a terminal
 
 @dataclass(frozen=True)
 class Summary:
-    """A distribution in four numbers; p99 and max are its bad end, whichever end that is."""
+    """A distribution in four numbers."""
 
     samples: int
     median: float
@@ -23,12 +23,9 @@ class Summary:
     max: float
 
     @classmethod
-    def of(cls, values: Sequence[float], more_is_better: bool = False) -> Summary:
-        """Return the summary of at least one value.
-
-        With ``more_is_better`` p99 is what 99 % of the values reach, and max is the smallest.
-        """
-        ordered = sorted(values, reverse=more_is_better)
+    def of(cls, values: Sequence[float]) -> Summary:
+        """Return the summary of at least one value."""
+        ordered = sorted(values)
         return cls(len(ordered), percentile(ordered, 50), percentile(ordered, 99), ordered[-1])
 
 

@@ -1,7 +1,7 @@
 """The rules by which an ESC is driven, as a table of what is asked, what is known, and what it gets.
 
-Here the servo board holds at once what it is sent and the speed is what the test says; test_esc_sequences.py has the
-virtual ESCs and all that goes wrong.
+Here the servo board holds at once what it is sent and the speed is what the test says; test/adversary has ESCs
+and all that goes wrong.
 """
 from __future__ import annotations
 
