@@ -17,20 +17,21 @@ import os
 import random
 import signal
 import sys
-import threading
 import time
-import xmlrpc.client
 from functools import partial
+from pathlib import Path
 from typing import NamedTuple
 
-import rosgraph
-import rosnode
 import rospy
 from car_interface.msg import Control, LinkStatus, SteeringState
 from car_interface.srv import InjectFault
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32, Int32MultiArray
+
+sys.path.append(str(Path(__file__).resolve().parent / "process"))
+from closing import pid_of
+from waiting import Repeater, eventually
 
 NODES = ("/turn_arb", "/throttle_arb", "/pca9685", "/generic_value_converter", "/teensy_sensor_hub", "/teleop_logi")
 NEUTRALS = {0: 5104, 1: 4912}  # of steering and ESC, by channel, on the chip: 319 and 307 counts
@@ -61,24 +62,12 @@ class Inputs:
         self.undo()
         self._topics = [rospy.Publisher(topic, kind, queue_size=10) for topic, kind in (
             ("joy", Joy), ("av_turnrad_req", Float32), ("control/command/control_cmd", Control), ("e_stop", Bool))]
-        threading.Thread(target=self._run, daemon=True).start()
+        repeater = Repeater(PERIOD_S)
+        repeater.hold(self, None)
+        self.end = repeater.end
 
-    def undo(self):
-        self.deadman: bool | None = True
-        self.radius_m: float | None = RADIUS_M
-        self.acceleration: float | None = 0.0  # added to that of the speed control
-        self.e_stop: bool | None = False
-        self.joy_axis = 0.0
-
-    def _run(self):
-        try:
-            while not rospy.is_shutdown():
-                self._publish()
-                time.sleep(PERIOD_S)
-        except rospy.ROSException:
-            pass  # shutdown
-
-    def _publish(self):
+    def publish(self, _):
+        """Publish all of it, as the sender that a Repeater has."""
         permits = bool(self.deadman) and self.e_stop is False and math.isfinite(self.joy_axis)
         self.may_move_until_s = math.inf if permits else min(self.may_move_until_s, time.monotonic())
         joy = command = None
@@ -92,6 +81,13 @@ class Inputs:
         for topic, message in zip(self._topics, (joy, self.radius_m, command, self.e_stop)):
             if message is not None:
                 topic.publish(message)
+
+    def undo(self):
+        self.deadman: bool | None = True
+        self.radius_m: float | None = RADIUS_M
+        self.acceleration: float | None = 0.0  # added to that of the speed control
+        self.e_stop: bool | None = False
+        self.joy_axis = 0.0
 
 
 class Observer:
@@ -215,15 +211,13 @@ class Soak:
         self._await(lambda: self._observer.has_pong(pongs), RECOVERED_WITHIN_S, "a pong")
 
     def _await(self, condition, within_s, what):
-        deadline_s = time.monotonic() + within_s
-        while not condition():
-            if time.monotonic() > deadline_s:
-                output, state = self._observer.output or (), self._observer.state
-                raise AssertionError(f"not within {within_s:.1f} s: {what} (output {list(output)[:2]}, "
-                                     f"{state.reason if state else 'no state'})")
-            time.sleep(0.01)
+        def missing():
+            output, state = self._observer.output or (), self._observer.state
+            return f"{what} (output {list(output)[:2]}, {state.reason if state else 'no state'})"
+        eventually(condition, missing, within_s)
 
     def _report(self, before, after):
+        self._inputs.end()
         leaks = [f"leak: {node}" for node in before if before[node].has_grown_until(after[node])]
         for node in before:
             print(f"{node:44} {before[node]} before, {after[node]} after")
@@ -252,15 +246,6 @@ def footprint(node):
     with open(f"/proc/{pid}/statm", encoding="ascii") as file:
         memory_mb = int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
     return Footprint(pid, memory_mb, *(len(os.listdir(f"/proc/{pid}/{name}")) for name in ("task", "fd")))
-
-
-def pid_of(node):
-    """Return a node's process id, or None while it cannot be reached."""
-    try:
-        uri = rosnode.get_api_uri(rosgraph.Master("/soak_rosnode"), node, skip_cache=True)
-        return xmlrpc.client.ServerProxy(uri).getPid("/soak")[2] if uri else None
-    except (OSError, xmlrpc.client.Error, rosnode.ROSNodeIOException):
-        return None
 
 
 def main():

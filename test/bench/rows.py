@@ -9,8 +9,8 @@ from dataclasses import asdict, dataclass
 from typing import NamedTuple, Sequence
 
 MEDIAN, P99, WORST = "median", "p99", "max"
-COLUMNS = ("what", "figure", "unit", "to reach", "met", "bare rospy beside it", "ratio", "the original")
-WIDTHS = (60, 12, 9, 15, 6, 20, 6, 12)  # on a terminal
+COLUMNS = ("what", "figure", "unit", "to reach", "met", "bare rospy beside it", "ratio")
+WIDTHS = (60, 12, 9, 15, 6, 20, 6)  # on a terminal
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,6 @@ class Target(NamedTuple):
     statistic: str = MEDIAN
     low: float | None = None
     high: float | None = None
-    original: str = ""  # what the original reaches
     max_ratio: float | None = None
 
     @property
@@ -109,11 +108,10 @@ class Row:
         what = ", ".join(filter(None, (self.what, self._statistic(target))))
         met = {True: "yes", False: "no", None: ""}[self.meets(target)]
         if self.summary is None:
-            return (what, "not measured", self.unit, str(target), met, "", "", target.original)
+            return (what, "not measured", self.unit, str(target), met, "", "")
         value, floor = self._values(target)
         return (what, number(value, self.digits), self.unit, str(target), met,
-                "" if floor is None else number(floor, self.digits), f"{value / floor:.2f}" if floor else "",
-                target.original)
+                "" if floor is None else number(floor, self.digits), f"{value / floor:.2f}" if floor else "")
 
     def as_json(self) -> dict:
         return {**asdict(self), "targets": [{**target._asdict(), "met": self.meets(target)} for target in self.targets]}

@@ -10,13 +10,12 @@ import os
 import pty
 import re
 import select
+import sys
 import tempfile
 import threading
-import time
 import tty
 import unittest
 
-import rospkg
 import rospy
 import rostest
 from car_interface.msg import Distance, Error, LinkStatus, Pong, Wheel
@@ -25,11 +24,12 @@ from std_srvs.srv import Trigger
 
 from closing import ask, pid_of
 from terminal import Terminal
-from waiting import PATIENCE_S, Record, Topic, eventually, executable, start, start_node
+from waiting import PACKAGE, PATIENCE_S, Record, Topic, eventually, executable, start, start_node
 
-TICKS_PER_S = os.sysconf("SC_CLK_TCK")
-MAX_CPU = 0.8
-MAX_GROWTH_KB = 6000
+sys.path.append(os.path.join(PACKAGE, "test"))
+from bench.meters import CpuMeter, rss_mb
+
+MAX_CPU_PERCENT, MAX_GROWTH_MB = 80, 6
 FLAG = b"\x7e"
 PING_HEADER = "02010100"
 CHUNK = 997  # of the capture at once: under 100 frames, the depth of the hub's queues, and no frame boundary
@@ -56,25 +56,14 @@ class Usage:
     """What a process uses, from now on."""
 
     def __init__(self, pid):
-        self._pid = pid
-        self._begun_s, self._used_s, self._before_kb = time.monotonic(), self._cpu_s(), self._memory_kb()
+        self._pid, self._cpu, self._before_mb = pid, CpuMeter(pid), rss_mb(pid)
 
     def check(self, test, what):
         """It leaves CPU to others and does not grow."""
-        share = (self._cpu_s() - self._used_s) / (time.monotonic() - self._begun_s)
-        growth_kb = self._memory_kb() - self._before_kb
-        print(f"{what}: {100 * share:.0f} % CPU, {growth_kb} kB more")
-        test.assertLess(share, MAX_CPU)
-        test.assertLess(growth_kb, MAX_GROWTH_KB)
-
-    def _cpu_s(self):
-        with open(f"/proc/{self._pid}/stat", encoding="ascii") as file:
-            fields = file.read().rpartition(")")[2].split()
-        return (int(fields[11]) + int(fields[12])) / TICKS_PER_S
-
-    def _memory_kb(self):
-        with open(f"/proc/{self._pid}/status", encoding="ascii") as file:
-            return int(re.search(r"VmRSS:\s+(\d+) kB", file.read()).group(1))
+        percent, growth_mb = self._cpu.percent(), rss_mb(self._pid) - self._before_mb
+        print(f"{what}: {percent:.0f} % CPU, {growth_mb:.1f} MB more")
+        test.assertLess(percent, MAX_CPU_PERCENT)
+        test.assertLess(growth_mb, MAX_GROWTH_MB)
 
 
 def are_among(wanted, found):
@@ -199,7 +188,7 @@ class ByItself(unittest.TestCase):
         return topic
 
     def test_capture_of_the_firmware_becomes_its_messages(self):
-        line, data = Line(self.port), os.path.join(rospkg.RosPack().get_path("car_interface"), "test", "data")
+        line, data = Line(self.port), os.path.join(PACKAGE, "test", "data")
         with open(os.path.join(data, "capture_mixed.bin"), "rb") as file:
             stream = file.read()
         with open(os.path.join(data, "capture_mixed.jsonl"), encoding="utf-8") as file:
