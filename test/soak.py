@@ -127,6 +127,7 @@ class Soak:
         self._end_s = time.monotonic() + 60 * minutes
         self._kill_until_s = time.monotonic() + 0.4 * 60 * minutes  # what grows afterwards is a leak
         self._inputs = Inputs()
+        self.end = self._inputs.end
         self._observer = Observer(self._inputs)
         self._failures: list = []
         self._faults = {name: partial(self._change_input, *fault) for name, fault in INPUT_FAULTS.items()}
@@ -217,7 +218,6 @@ class Soak:
         eventually(condition, missing, within_s)
 
     def _report(self, before, after):
-        self._inputs.end()
         leaks = [f"leak: {node}" for node in before if before[node].has_grown_until(after[node])]
         for node in before:
             print(f"{node:44} {before[node]} before, {after[node]} after")
@@ -256,7 +256,11 @@ def main():
     arguments = parser.parse_args(rospy.myargv()[1:])
     rospy.init_node("soak")
     print(f"seed {arguments.seed}", flush=True)
-    sys.exit(0 if Soak(arguments.minutes, arguments.seed).run() else 1)
+    soak = Soak(arguments.minutes, arguments.seed)
+    try:
+        sys.exit(0 if soak.run() else 1)
+    finally:
+        soak.end()
 
 
 if __name__ == "__main__":
