@@ -35,7 +35,8 @@ from waiting import Repeater, eventually
 
 NODES = ("/turn_arb", "/throttle_arb", "/pca9685", "/generic_value_converter", "/teensy_sensor_hub", "/teleop_logi")
 NEUTRALS = {0: 5104, 1: 4912}  # of steering and ESC, by channel, on the chip: 319 and 307 counts
-LEFT, RADIUS_M, SPEED_MPS = 3824, 1.6, 1.0  # what the planner asks for
+COUNT = 16  # duty of one count of the chip
+RADIUS_M, SPEED_MPS = 1.6, 1.0  # what the planner asks for
 PERIOD_S = 0.02
 STOPPED_WITHIN_S = 1.0  # 0.25 s joy, 0.5 s human, and time for a busy machine
 RECOVERED_WITHIN_S = 15.0
@@ -113,7 +114,8 @@ class Observer:
 
     def drives(self):
         return (self.state is not None and self.state.source == SteeringState.PLANNER
-                and self.output is not None and self.output[0] == LEFT and abs(self._inputs.speed_mps) > 0.3)
+                and self.output is not None and abs(self.output[0] - self.state.duty) <= COUNT / 2
+                and abs(self._inputs.speed_mps) > 0.3)
 
     def has_pong(self, after):
         return self.link is not None and self.link.open and self.link.pongs > after
