@@ -49,7 +49,7 @@ class Terminal:
     def hang_up(self):
         """As if its window was closed."""
         self._hangs_up.set()
-        self._reader.join()  # it is no hang-up while a read is under way
+        self._reader.join()  # it is no hang-up while a read is under way, and the next terminal may get the number
         os.close(self._master)
         self._master = None
 
@@ -73,7 +73,7 @@ class Terminal:
             self._process.kill()
             self.wait_for_exit()
         if self._master is not None:
-            os.close(self._master)
+            self.hang_up()
 
     def _read(self):
         rest, has_ended = b"", False
