@@ -18,6 +18,7 @@ from car_interface.ros.clocks import SYSTEM
 # Of a calibration drive: all that the calibrations and bag_report read, and no cameras.
 TOPICS = (
     "odom", "joint_states", "imu/data", "car_sim/truth", "servo/output", "servo/cmdVector", "e_stop", "joy",
+    "phone/joy", "phone/e_stop",
     "turn_arb/state", "throttle_arb/state", "planner_interface/state", "generic_value_converter/state",
     "av_steer_req", "av_speed_req", "planner_interface/output/control_cmd", "generic/output/value",
     "teleop_logi/state", "teleop_logi/human_in_loop", "teleop_logi/mode", "teleop_logi/tele_steer_req",

@@ -16,6 +16,7 @@ Starts, for the driver: rosbag record, bag_report, calibration_drive.
 from __future__ import annotations
 
 import secrets
+import sys
 from functools import partial
 
 from sensor_msgs.msg import Joy
@@ -26,9 +27,10 @@ from car_interface.common.declared import read_all
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import NS_PER_S
+from car_interface.nodes.phone_drive.announcement import announce, own_addresses
 from car_interface.nodes.phone_drive.calibration_program import CalibrationProgram
 from car_interface.nodes.phone_drive.car_state import CarState
-from car_interface.nodes.phone_drive.config import PhoneDriveConfig
+from car_interface.nodes.phone_drive.config import AUTO, PhoneDriveConfig
 from car_interface.nodes.phone_drive.recordings import Recordings, default_folder
 from car_interface.ros.diagnostics import OK, Diagnostics
 from car_interface.ros.runtime import run
@@ -66,7 +68,7 @@ class PhoneDrive:
         config = read_all(params, PhoneDriveConfig)
         self._inbox = inbox
         now_ns = inbox.clocks.now_ns()
-        pin = make_pin()
+        pin = make_pin() if config.pin == AUTO else str(config.pin)
         self._phones = Phones(pin, now_ns, config.watch_without_pin, config.e_stop)
         self._stored_e_stop = config.e_stop
         self._is_storing = False
@@ -83,7 +85,8 @@ class PhoneDrive:
         self._recordings = make_recordings(config.folder or default_folder(), inbox)
         self._calibration = make_calibration(inbox)
         self._server = make_server(config, inbox, self)
-        print(f"The PIN for phones is {pin}", flush=True)  # not to the log, which any node of the network receives
+        # Not to the log, which any node of the network receives.
+        print(*announce(config, pin, own_addresses(), sys.stdout.isatty()), sep="\n", flush=True)
 
     def step(self, now_ns):
         """Handle what arrived; then what is due."""

@@ -13,8 +13,8 @@ from car_interface.ros.inbox import Inbox
 from car_interface.teleop.phone_messages import FILE_NAME, number
 
 # Beside what a calibration's recording has: who asks for what.
-ALL_TOPICS = (*TOPICS, "phone/joy", "phone/e_stop", "drive", "cmd_vel", "av_turnrad_req", "control/command/control_cmd",
-              "control/command/gear_cmd", "battery_state")
+ALL_TOPICS = (*TOPICS, "drive", "cmd_vel", "av_turnrad_req", "control/command/control_cmd", "control/command/gear_cmd",
+              "battery_state")
 # A full disk ends more than the recording: 0.1 MB a second, so that an hour is left.
 MIN_FREE_BYTES = 500_000_000
 MAX_SHOWN = 12

@@ -73,7 +73,7 @@ class Server:
     """
 
     def __init__(self, config: PhoneDriveConfig, inbox: Any, node: Any):
-        self.hosts = {f"{name}:{config.port}" for name in (config.address, *LOOPBACK)}
+        self.hosts = {config.host, *(f"{name}:{config.port}" for name in LOOPBACK)}
         self._tls = _tls(config)
         self.scheme = "https" if self._tls else "http"
         self._tickets: OrderedDict[str, tuple[str, float]] = OrderedDict()  # path and end, the oldest first

@@ -5,6 +5,7 @@ import asyncio
 import http.client
 import json
 import queue
+import re
 import shutil
 import socket
 import ssl
@@ -20,7 +21,7 @@ from tornado.websocket import WebSocketClosedError, websocket_connect
 
 from car_interface.common.errors import ConfigError, DeviceError
 from car_interface.nodes.phone_drive.config import PhoneDriveConfig
-from car_interface.nodes.phone_drive.server import MAX_BYTES, MAX_OPEN, MAX_TICKETS, MAX_UNHANDLED, Server
+from car_interface.nodes.phone_drive.server import MAX_BYTES, MAX_OPEN, MAX_TICKETS, MAX_UNHANDLED, PAGE, Server
 from car_interface.teleop.phone import Outgoing
 
 WITHIN_S = 10
@@ -106,6 +107,17 @@ def ask(port, path, host=None, method="GET"):
     connection.request(method, path, headers={"Host": host or f"127.0.0.1:{port}"})
     answer = connection.getresponse()
     return answer.status, answer.read(), dict(answer.getheaders())
+
+
+@pytest.mark.parametrize("path", ["/", *(f"/{path.name}" for path in PAGE.iterdir())])
+def test_page_is_whole_and_may_load_and_connect_to_its_own_server_only(server, port, path):
+    status, body, headers = ask(port, path)
+    assert (status, body) == (200, (PAGE / (path[1:] or "index.html")).read_bytes())
+    assert set(re.findall(r"[-\w]+:(?://)?[^; ]*|'[-\w]+'", headers["Content-Security-Policy"])) == {
+        "'none'", "'self'", f"ws://127.0.0.1:{port}", f"wss://127.0.0.1:{port}"}
+    text = body.replace(b"http://www.w3.org", b"")
+    assert not re.search(rb"(?:https?:)?//[a-z]+[.]|style=|\son[a-z]+=|<script>", text)
+    assert ask(port, path, "evil.example")[0] == 403
 
 
 @pytest.mark.parametrize("path", ["/x", "/../../etc/passwd", "/%2e%2e/etc/passwd", "/ws/../x", "/<script>", "//x"])
