@@ -589,6 +589,10 @@ class Graph:
         logger.setLevel(logging.DEBUG)
         logger.propagate = False
 
+    @property
+    def ros_now(self) -> rospy.Time:
+        return rospy.Time(nsecs=self.now_ns + self.ros_ahead_ns)
+
     # --- nodes and parameters ---
 
     def add(self, node_class: Callable, name: str, parameters: dict | None = None, remap: dict[str, str] | None = None,
@@ -699,30 +703,32 @@ class Graph:
             self.publish(topic, message, sender)
 
     def link(self, topic: str = "", sender: str = "", receiver: str = "", delay_s: float = 0.0,
-             loses: Callable[[Any], bool] = lambda message: False) -> None:
+             loses: Callable[[Any], bool] = lambda message: False, copies: int = 1) -> None:
         """Set how messages get through, from now on; the newest rule that fits counts. Empty = any.
 
         Args:
             delay_s: until each arrives. A shorter delay than before lets it overtake none of its connection, as TCP.
             loses: whether a message, serialised, is lost.
+            copies: how often each arrives.
         """
-        self._links.append((topic, sender, receiver, delay_s, loses))
+        self._links.append((topic, sender, receiver, delay_s, loses, copies))
 
     def send(self, connection: Connection, data: bytes, at_ns: int) -> None:
         """Deliver a message to one subscription, as the links say."""
         topic, receiver = connection.publisher.topic, connection.subscription.node
-        delay_s = 0.0
-        for wanted_topic, sender, wanted_receiver, rule_delay_s, loses in reversed(self._links):
+        delay_s, times = 0.0, 1
+        for wanted_topic, sender, wanted_receiver, rule_delay_s, loses, copies in reversed(self._links):
             if (wanted_topic in ("", topic) and sender in ("", connection.publisher.node)
                     and wanted_receiver in ("", receiver.name)):
                 if loses(data):
                     return
-                delay_s = rule_delay_s
+                delay_s, times = rule_delay_s, copies
                 break
         arrival_ns = max(at_ns + round(delay_s * NS_PER_S), self._last_arrivals.get(id(connection), 0))
         self._last_arrivals[id(connection)] = arrival_ns
         life = receiver._life
-        self.at(arrival_ns, lambda: receiver.receive(connection, data, life))
+        for _ in range(times):
+            self.at(arrival_ns, lambda: receiver.receive(connection, data, life))
 
     def messages(self, topic: str, since_ns: int = 0) -> list[Any]:
         """Return the recorded messages of a topic since a time."""

@@ -105,6 +105,18 @@ def test_forward_from_reverse_brakes_by_brake_scale_and_then_drives_by_human_sca
     assert max(rig.duties) == BY_HAND
 
 
+def test_calibration_drive_has_the_scale_of_driving_for_brakes_too_so_that_a_pull_stays_the_same_at_standstill():
+    rig = Rig(calibration_drive=True)
+    rig.speed = 2.0
+    rig.pull((1.0, 0.5))
+    rig.stick, rig.duties = -1.0, []
+    for rig.speed in (1.0, 0.0, -1.0):
+        rig.run(0.8)
+    assert (set(rig.duties), rig.pull((1.0, 0.1)).duty) == ({REVERSE_BY_HAND}, BY_HAND)
+    rig.human = False
+    assert rig.run(0.1).duty == NEUTRAL_DUTY
+
+
 def test_stick_that_reverse_s_scale_makes_too_small_drives_nothing():
     """0.2 of the stick brakes, but 0.3 of that is in the ESC's dead band; nor does the state change all the time."""
     rig = Rig(DIRECT_REVERSE)
@@ -136,6 +148,16 @@ def test_what_differs_is_duty_source_cause_esc_mode_and_scale_but_no_number_in_a
     assert first.arbitration.source == NEUTRAL and math.isfinite(first.scale)
     assert set(rig.control.ages_s(0)) == {"e_stop", "human_in_loop", "turn_arb's state", "mode", "tele_throt_req",
                                           "the planner's value", "odometry", "/servo/output"}
+
+
+@pytest.mark.parametrize("max_mps, cause", [(0.5, causes.CURVE_SLOWED), (0.0, ""), (-1.0, ""), (math.nan, ""),
+                                            (math.inf, "")])
+def test_planner_keeps_to_the_speed_of_its_turn_while_turn_arb_names_one(max_mps, cause):
+    rig = Rig()
+    rig.value, rig.speed = 1.5, 4.0
+    rig.control.update_turn(5.0, max_mps)
+    limited = rig.run(0.1).limited
+    assert (limited.cause, limited.max_speed_mps, rig.control.cuts) == (cause, 0.5 if cause else 0.0, len(cause) > 0)
 
 
 def test_max_speed_holds_backward_while_the_esc_reverses():

@@ -56,6 +56,13 @@ def test_value_at_acceleration_and_velocity_is_interpolated_and_clamped(accelera
     assert naive_value_at(VALUES, VELOCITIES, ROWS, acceleration, min(velocity, 1e9)) == pytest.approx(value)
 
 
+@pytest.mark.parametrize("value, velocity, acceleration", [
+    (-2.0, 0.0, -4.0), (3.0, 10.0, 2.0), (0.5, 2.5, 0.25), (-9.0, 5.0, -5.0), (9.0, 5.0, 3.5), (1.0, -1.0, 1.0),
+    (1.0, 11.0, 0.0)])
+def test_acceleration_at_value_and_velocity_is_interpolated_and_clamped(value, velocity, acceleration):
+    assert ValueMap(VALUES, VELOCITIES, ROWS).acceleration_at(value, velocity) == pytest.approx(acceleration)
+
+
 @st.composite
 def rising_axes(draw, start, min_size):
     axis = [draw(start)]

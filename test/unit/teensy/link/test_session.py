@@ -9,7 +9,7 @@ from car_interface.sim.teensy_transmitter import frame_body
 from car_interface.teensy.link.framing import CORRECTED, RESYNC_FILLER, SHIPPED
 from car_interface.teensy.link.health import ABSENT, WAITING
 from car_interface.teensy.link.pinging import AUTO, Answer
-from car_interface.teensy.link.protocol import ErrorCount, Pong, SonarStatus
+from car_interface.teensy.link.protocol import ErrorCount, Malformed, Pong, SonarStatus
 from car_interface.teensy.link.session import (
     MAX_COUNTERS,
     ChecksumChanged,
@@ -144,3 +144,10 @@ def test_counters_are_kept_by_name_as_last_sent_and_no_more_names_than_noise_may
         session.receive(counter(f"noise{number}"), NOW)
     session.receive(counter("noise0", 77), NOW)
     assert len(session.counters) == MAX_COUNTERS and session.counters["noise0"] == 77
+
+
+def test_malformed_frames_are_counted_and_those_of_an_unknown_command_once_more(session):
+    events = session.receive(from_teensy(99, b"") + from_teensy(6, b"short"), NOW)
+    assert types(events) == [Malformed, Malformed]
+    assert (session.malformed, session.unknown_commands) == (2, 1)
+    assert session.counts().records == 0 and session.tally.frames == 2

@@ -2,7 +2,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import io
 import math
 import os
@@ -15,6 +14,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import yaml
+from accuracy import virtual_drive
 
 from car_interface.sim.vehicle import Vehicle
 from car_interface.steering.config import load_steering
@@ -25,10 +25,8 @@ from tools.calibration.steering.synthetic import mixed, true_curvature
 from written_recordings import Written, odometry, stamp, write_ros1
 
 ROOT = Path(__file__).resolve().parents[4]
-sys.path.append(str(ROOT / "test"))
-virtual_drive = importlib.import_module("accuracy.virtual_drive")
 STOCK = ROOT / "config" / "turn_arb.yaml"
-SEED, SECONDS = 2, 130.0
+SEED, SECONDS = 2, 100.0
 PLACES = mixed(count=36)
 
 
@@ -78,7 +76,7 @@ def test_file_keeps_what_else_it_had_tells_how_well_it_is_known_and_the_old_one_
     assert list(before) == list(after)
     assert "slew_limit: 9000  # gently\n" in text and "# of the PCA9685, 0..15" in text
     assert "Traxxas" not in text and text.startswith("# Written by calibrate_steering")
-    assert "# steering by drive.bag: 130 s" in text and "segments of steady steering" in text
+    assert f"# steering by drive.bag: {SECONDS:.0f} s" in text and "segments of steady steering" in text
     assert "backlash of the steering: " in calibrated.out
     (kept,) = calibrated.path.parent.glob("turn_arb.yaml.bak-*")
     assert kept.read_text(encoding="utf-8") == calibrated.base_text
