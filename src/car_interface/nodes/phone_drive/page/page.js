@@ -103,7 +103,7 @@ function show() {
   $("clear").disabled = !(mine && link.stopShown);
   $("seat").disabled = !link.isAdmitted;
   $("seat").classList.toggle("mine", mine);
-  put($("seat"), mine ? "Leave the seat" : status && status.guest ? "PIN" : "Drive");
+  put($("seat"), mine ? "Leave" : status && status.guest ? "PIN" : "Drive");
   for (const name of ["autonomous", "more", "less"]) $(name).disabled = !mine;
   const isRecent = performance.now() - answer.atMs < ANSWER_MS;
   put($("answer"), isRecent ? answer.text : "");
