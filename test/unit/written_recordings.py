@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Iterable, NamedTuple
 
 import numpy as np
-from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -36,17 +35,6 @@ def write_ros1(path: Path, messages: Iterable[Written], chunk_bytes: int | None 
         if chunk_bytes is not None:
             writer.chunk_threshold = chunk_bytes
         _write(writer, store, store.serialize_ros1, messages)
-    return path
-
-
-def rename_topics(bag, path: Path, names: dict) -> Path:
-    """A copy of a ROS 1 bag, in order of time, in which topics have other names, those of somebody else's car."""
-    with Ros1Reader(bag) as reader, Ros1Writer(path) as writer:
-        connections = {one.id: writer.add_connection(
-            names.get(one.topic, one.topic), one.msgtype, typestore=typestore(Stores.ROS1_NOETIC))
-            for one in reader.connections}
-        for connection, time_ns, data in reader.messages():
-            writer.write(connections[connection.id], time_ns, data)
     return path
 
 
