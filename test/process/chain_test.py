@@ -77,10 +77,13 @@ class Driven(unittest.TestCase):
                 for channel in channels]
 
     def hold_meanwhile(self, frozen_ns, deadman="joy"):
-        """Let go of the deadman and hold it again while a process is frozen, for longer than it may stand still."""
+        """Let go of the deadman and hold it again while a process is frozen, once it has stood still for too long.
+
+        Just before it goes on: of a backlog rospy keeps only the newest messages.
+        """
+        eventually(lambda: time.monotonic_ns() - frozen_ns > STALL_S * 1e9, "a stall that takes control away")
         for value in ("0", "1.0"):
             self.car.sent(self.car.processes["pad"], deadman, value)
-        eventually(lambda: time.monotonic_ns() - frozen_ns > STALL_S * 1e9, "a stall that takes control away")
 
     def check_that_it_stands(self, channels=(0, 1), was_frozen=False):
         """For 0.3 s from now on, but for what a process was about to send when it was frozen."""
