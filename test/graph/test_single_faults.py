@@ -58,8 +58,10 @@ def drive_each(forker, chosen):
 
 @pytest.mark.once
 def test_no_single_fault_breaks_a_goal(forker):
-    every = cases(KINDS, DRAWS, SEED)
-    chosen = every if IS_ALL else random.Random(SEED).sample(every, SAMPLE)
+    chosen = cases(KINDS, DRAWS, SEED)
+    if not IS_ALL:  # of five drives, with each mode and each ESC
+        drives = set(zip(MODES, ESCS))
+        chosen = random.Random(SEED).sample([case for case in chosen if (case.mode, case.esc) in drives], SAMPLE)
     found, longest_s = drive_each(forker, chosen)
     assert not found, "\n".join(found)
     assert longest_s <= TICK_S
