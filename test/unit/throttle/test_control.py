@@ -33,6 +33,7 @@ class Rig:
             EscConfig(profile=profile, **esc), limits, obstacles)
         self.now_ns = 1000 * S
         self.human, self.stick, self.value, self.speed = False, 0.0, None, 0.0
+        self.noise = 1e-9
         self.mode, self.gear, self.range_m = mode, "", 1.5  # of the sonar in front
         self.decision = None
         self.duties = []
@@ -53,7 +54,8 @@ class Rig:
                 arbiter.update_planner_state(self.gear, None, self.now_ns)
             if self.value is not None:
                 self.control.update_planner(self.value, self.now_ns)
-            self.control.update_odometry(self.speed, self.now_ns)
+            self.noise = -self.noise  # no two speeds of a car that rolls are the same
+            self.control.update_odometry(self.speed + self.noise, self.now_ns)
             if self.range_m is not None:
                 self.control.update_range("front_middle", self.range_m, self.now_ns)
             self.decision = self.control.decide(self.now_ns)
