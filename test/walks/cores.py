@@ -500,7 +500,7 @@ class Walk:
         rng = self.rng
         odd = rng.choice(ODD)
         link, node, handler, *arguments = rng.choice((
-            ("joy", "teleop", self._on_joy, [odd, odd], [0, 0]), ("joy", "teleop", self._on_joy, [0.0], [1]),
+            ("joy", "teleop", self._on_joy, [odd, odd], [bool(self._hands[PAD][0]), 0]), ("joy", "teleop", self._on_joy, [0.0], [1]),
             ("steer", "turn_arb", self._on_turn, "update_teleop", odd),
             ("throt", "throttle_arb", self._on_throttle, "update_teleop", odd),
             ("mode", "throttle_arb", self._on_throttle, "update_mode", rng.choice(("", "x", "manual\0"))),

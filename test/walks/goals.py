@@ -18,6 +18,7 @@ TRANSIT_NS = 600 * MS  # the ends of a stop and of a press may arrive in either 
 TOGETHER_NS, ROUGH_TOGETHER_NS = 640 * MS, 2000 * MS  # throttle without steering
 LASTING_NS = 60 * MS  # a shorter push backward moves nothing
 SETTLED_NS = 400 * MS  # a stick that was moved so long ago, and the car's answer, are known everywhere
+REST_NS = 200 * MS
 LIMIT_MARGIN_MPS, LIMIT_NS = 0.4, 600 * MS
 STANDS_MPS = 0.35  # a pull that begins below it may want reverse
 DEFLECTED = 0.3
@@ -58,7 +59,7 @@ class Goals:
         self._pressed_ns = 0
         self._sticks = (0.0, 0.0)
         self._sticks_ns = [0, 0]
-        self._counts = [False, False]  # a stick counts once it was centered, and seen so, under the deadman
+        self._counts = [False, False]  # a stick counts once it rested under the deadman
         self._wants_reverse_ns, self._pull_wants = -ROUGH_NS, False
         self._speed_mps = 0.0
         self._alone_ns: int | None = None
@@ -75,8 +76,9 @@ class Goals:
             self._press(now_ns)
             self._counts = [False, False]
         (self._holders.add if is_held else self._holders.discard)(hand)
-        if now_ns > self._rough_until_ns:
-            self._counts = [counts or not stick for counts, stick in zip(self._counts, (steering, throttle))]
+        for index, stick in enumerate(self._sticks):
+            rested_ns = now_ns - max(self._sticks_ns[index], self._pressed_ns, self._rough_until_ns)
+            self._counts[index] |= was_held and is_held and not stick and rested_ns > REST_NS
         if self._holders:
             self._stops.pop("released", None)
         elif was_held:
