@@ -7,6 +7,7 @@ A step is a message that arrives, a timer, or something that a person, a fault o
 from __future__ import annotations
 
 import heapq
+import itertools
 import math
 import random
 import sys
@@ -487,6 +488,10 @@ class Walk:
     def _restart(self, node):
         self._dead.discard(node)
         self._start(node)
+        for name, link in itertools.product(STOPS, ("turn", "throttle")):
+            if name in self._silent or self._loses.get(f"{name}>{link}"):  # R15: never received
+                for each in (name, f"{name} silent", f"{name}>{link} lost"):
+                    self.goals.waive(each)
 
     def _kept(self, node, lasts_ns, rearms):
         """Note that a node is away: whether it must be re-armed, and that others have to wait for it."""

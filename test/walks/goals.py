@@ -120,6 +120,10 @@ class Goals:
         if stop is not None and stop.rearms and now_ns - self._pressed_ns <= TRANSIT_NS:
             self._press(self._pressed_ns)
 
+    def waive(self, name: str) -> None:
+        """Take note that nothing stops for what ``stop`` named any more, by a risk that the page names."""
+        self._stops.pop(name, None)
+
     def rough(self, until_ns: int, but: str = "") -> None:
         """Take note of a fault that delays messages, or what they cause, until a time; of which ``but`` is the stop."""
         self._rough_until_ns = max(self._rough_until_ns, until_ns)
