@@ -59,7 +59,7 @@ class CarState(NamedTuple):
     wheels: tuple[WheelState, WheelState]
     curvature_per_m: float
     curvature_variance: float
-    usual_square: float = 0.0  # of the curvature over the metres before, 1/m²
+    usual_square: float = 0.0  # of the largest curvature on the metres before, 1/m²
 
 
 class WheelStart(NamedTuple):
@@ -113,8 +113,8 @@ class RestartBridge:
         blind_ms, far = self._blind_ms(), 0.0
         if abs(self._mean_before()) <= ROLLING_PER_MS and self._may_have_started(now_ms):
             far = UNEVEN_PER_MS2 * blind_ms ** 2 / 6  # 2 m/s² for all of the time is three sigma
-        elif blind_ms > MAX_BLIND_MS:
-            far = self._mean_before() * blind_ms / 2
+        elif now_ms - self._state.at_ms > MAX_BLIND_MS:  # the wheels are no longer predicted to roll
+            far = self._mean_before() * (now_ms - self._state.at_ms) / 2
         return self._stop_variance + far ** 2
 
     def speed_variance(self, now_ms: float) -> float:
@@ -207,6 +207,7 @@ class RestartBridge:
         blind_ms, started = self._blind_ms(), 0.0
         mean_speed = sum(speeds) / 2
         rolled = sum(guess - wheel.position for guess, wheel in zip(guesses, state.wheels)) / 2
+        length = self._length(rolled, mean_speed) if was_rolling else rolled
         mean_variance = self._stop_variance + PLACE_SIGMA ** 2
         if was_rolling and blind_ms > BLIND_MS:
             mean_variance += (UNEVEN_PER_MS2 * blind_ms ** 2 / 12) ** 2 + (mean_speed * CLOCK_MS) ** 2
@@ -220,7 +221,7 @@ class RestartBridge:
         if blind_ms > MAX_BLIND_MS:
             mean_variance += (max(abs(mean_speed), abs(self._mean_before())) * blind_ms / 2) ** 2
         difference_variance = (DIFFERENCE_SIGMA ** 2 + self._stop_variance * curvature_variance * self._track_m ** 2
-                               + curvature_variance * (rolled * self._track_m) ** 2)
+                               + curvature_variance * (length * self._track_m) ** 2)
         if abs(self._mean_before()) <= ROLLING_PER_MS and was_rolling:
             # Where the distance is uncertain the turn is, too.
             difference_variance += STANDING_DIFFERENCE_VARIANCE + mean_variance * (curvature * self._track_m) ** 2
@@ -343,8 +344,26 @@ class RestartBridge:
                 rolled += math.copysign(_count_at(first, at_ms), mean) if _rate(first) else mean * (at_ms - first_ms)
             if abs(before) <= ROLLING_PER_MS:
                 rolled = math.copysign(min(abs(rolled), self._distance_from_rest(at_ms)), then)
-        side_sign = 1 if side == RIGHT else -1
-        return wheel.position + rolled * (1 + side_sign * curvature * self._track_m / 2)
+        turned = rolled * curvature + (self._uneven_turn(speeds, curvature) if was_rolling else 0.0)
+        return wheel.position + rolled + (1 if side == RIGHT else -1) * turned * self._track_m / 2
+
+    def _length(self, rolled, speed):
+        """Return the length of the path, in pulses: a car that has reversed on the way went to and fro."""
+        before = self._mean_before()
+        if before * speed >= 0:
+            return rolled
+        return (before ** 2 + speed ** 2) / abs(before - speed) / 2 * self._blind_ms()
+
+    def _uneven_turn(self, speeds, curvature):
+        """Return what curvature × distance misses of a turn where curvature and speed both change evenly.
+
+        The mean of their product is the product of their means plus a twelfth of that of their changes.
+        """
+        before = self._mean_before()
+        if abs(before) <= ROLLING_PER_MS or self._blind_ms() <= BLIND_MS:
+            return 0.0
+        curvature_change = 2 * (curvature - self._state.curvature_per_m)
+        return curvature_change * (sum(speeds) / 2 - before) * self._blind_ms() / 12
 
     def _distance_from_rest(self, at_ms):
         """Return the distance since the car stood, by its speed v and acceleration a: v² / 2a."""

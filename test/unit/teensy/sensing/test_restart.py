@@ -26,8 +26,9 @@ def test_heading_stays_right_whatever_the_car_does_meanwhile_and_odometry_is_sil
 
 
 @pytest.mark.once
-@pytest.mark.parametrize("fault, has_sonars", [(reboot_accuracy.REBOOT, False), (reboot_accuracy.UNPLUGGED, True)],
-                         ids=["reboot_without_sonars", "unplugged_for_seconds"])
+@pytest.mark.parametrize("fault, has_sonars", [(reboot_accuracy.REBOOT, False), (reboot_accuracy.UNPLUGGED, True),
+                                               (reboot_accuracy.OFF, True), (reboot_accuracy.BOTH, True)],
+                         ids=["reboot_without_sonars", "unplugged_for_seconds", "off_for_seconds", "both"])
 def test_truth_is_within_three_sigma_from_the_fault_on(fault, has_sonars):
     outcomes = [reboot_accuracy.run(1000 + index, fault, has_sonars) for index in range(REBOOTS // 2)]
     assert [outcome for outcome in outcomes if outcome.heading_sigmas > 3 or outcome.inside < 0.97] == []
@@ -134,6 +135,15 @@ def test_longer_outage_is_known_less_well():
         variances.append(roll(some, BEFORE_MS + blind_ms, (0.066, 0.066), (after, after),
                               BEFORE_MS + blind_ms + 300).mean_variance)
     assert variances == sorted(variances) and variances[-1] > 10 * variances[0]
+
+
+def test_car_that_reversed_unseen_has_turned_on_both_of_its_ways():
+    some = bridge(speed=0.033, curvature=0.5)
+    some.report(BEFORE_MS + 1300)
+    outcome = roll(some, BEFORE_MS + 1300, (-0.03, -0.03), (100.5, 100.5), BEFORE_MS + 1700, forward=False)
+    left, right = (wheel.place for wheel in outcome.wheels)
+    assert abs((left + right) / 2 - 100.5) < 6 and right > left  # it ends near where it began, turned to the left
+    assert outcome.difference_variance > (0.2 * 10 * TRACK_M) ** 2  # 0.2 1/m on ten pulses each way
 
 
 def test_reset_shows_with_its_first_pulse_for_the_firmware_knows_its_direction():
