@@ -102,7 +102,7 @@ class RestartBridge:
         self._track_m = track_m
         self._seen_ms: float | None = None  # from when on pulses were counted again
         self._boot_ms: float | None = None  # from when on each pulse is in the reports
-        self._stop_variance = 0.0
+        self._stop_variance = self._stop_within_ms = 0.0  # of a car that has stopped while pulses weren't counted
         self._pulses: tuple[list, list] = ([], [])
         self._signs = [0, 0]
 
@@ -159,10 +159,15 @@ class RestartBridge:
         if fastest == 0.0 or any(self._pulses) or now_ms - self._seen_ms < max(BLIND_MS, STOPPED_INTERVALS / fastest):
             return False
         blind_ms = min(self._seen_ms - state.at_ms, MAX_BLIND_MS)
-        self._stop_variance = (fastest * blind_ms / 4) ** 2
+        self._note_stop(blind_ms)
         self._state = state._replace(at_ms=now_ms, wheels=tuple(
             wheel._replace(position=wheel.position + wheel.speed * blind_ms / 2, speed=0.0) for wheel in state.wheels))
         return True
+
+    def _note_stop(self, blind_ms):
+        """Take note that the car has stopped within this time, after a quarter to all of it, as one sigma."""
+        fastest = max(abs(wheel.speed) for wheel in self._state.wheels)
+        self._stop_variance, self._stop_within_ms = (fastest * blind_ms / 4) ** 2, blind_ms
 
     @property
     def positions(self) -> tuple[float, float]:
@@ -198,6 +203,8 @@ class RestartBridge:
     def solve(self, now_ms: float) -> Outcome:
         """Return how the wheels go on; call it only when ``is_ready``."""
         was_rolling = self._was_rolling()
+        if not was_rolling and abs(self._mean_before()) > ROLLING_PER_MS and self._blind_ms() > BLIND_MS:
+            self._note_stop(min(self._blind_ms(), MAX_BLIND_MS))
         for pulses in self._pulses if self._boot_ms is not None else ():
             _date_first(pulses)
         state, signs = self._state, self._all_signs(now_ms)
@@ -220,7 +227,7 @@ class RestartBridge:
             mean_variance += started ** 2
         if blind_ms > MAX_BLIND_MS:
             mean_variance += (max(abs(mean_speed), abs(self._mean_before())) * blind_ms / 2) ** 2
-        difference_variance = (DIFFERENCE_SIGMA ** 2 + self._stop_variance * curvature_variance * self._track_m ** 2
+        difference_variance = (DIFFERENCE_SIGMA ** 2 + self._stop_variance * (curvature_variance + curvature ** 2) * self._track_m ** 2
                                + curvature_variance * (length * self._track_m) ** 2)
         if abs(self._mean_before()) <= ROLLING_PER_MS and was_rolling:
             # Where the distance is uncertain the turn is, too.
@@ -228,7 +235,7 @@ class RestartBridge:
         places, doubt = self._search(guesses, signs, mean_variance, difference_variance)
         if was_rolling and blind_ms > BLIND_MS or self._stop_variance:
             doubt = max(doubt, MIN_DIFFERENCE_VARIANCE)
-        if was_rolling and difference_variance > 1.0:  # magnets tell nothing, and the searched ones are too few
+        if (was_rolling or self._stop_variance) and difference_variance > 1.0:  # magnets tell nothing, and the searched ones are too few
             doubt = max(doubt, difference_variance)
         doubt += (started * (self._curvature_after()[0] or 0.0) * self._track_m) ** 2
         # After a rest a car may have turned round, and the direction of its first pulses isn't known.
@@ -297,7 +304,8 @@ class RestartBridge:
         before, before_variance = self._state.curvature_per_m, self._state.curvature_variance
         after, after_variance = self._curvature_after()
         if not was_rolling or after is None or self._blind_ms() <= BLIND_MS:
-            return before, before_variance
+            part = min(1.0, self._stop_within_ms / MANOEUVRE_MS)
+            return before, before_variance + self._state.usual_square / 3 * part ** 2
         if abs(self._mean_before()) <= ROLLING_PER_MS:
             return after, after_variance + CURVATURE_SIGMA ** 2
         # Exact where it changes evenly; a step at an unknown time in between has this spread. Within seconds it may
