@@ -151,10 +151,10 @@ class WheelFilter:
             self._pulse_ms = -math.inf
         for count, at_ms in start.pulses:
             self.update(sign * count, start.forward, at_ms, max(now_ms, at_ms))
-        if len(start.pulses) > 1 and start.pulses[-1][1] - start.pulses[-2][1] > STANDS_AFTER_MS:
-            # Its speed is the mean over a time in which it may have stopped: ``when`` may be a repeat's.
+        if len(start.pulses) > 1 and start.pulses[-1][1] - start.pulses[-2][1] > FAR_APART_MS:
+            # A mean over so long: it may be starting, or turning round; or it has stopped, and ``when`` is a repeat's.
             pp, pv, pa, vv, va, aa = self._variances
-            self._variances = (pp, pv, pa, vv + self.speed ** 2, va, aa)
+            self._variances = (pp, pv, pa, vv + max(FIRST_SPEED_SIGMA, abs(self.speed)) ** 2, va, aa)
 
     def advance(self, now_ms: float) -> None:
         """Predict until now, within the magnets that the wheel can't have passed without a pulse."""
