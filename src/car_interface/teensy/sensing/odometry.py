@@ -157,6 +157,7 @@ class Odometry:
             return self._move(record, has_pulse, now_ms, path=self._reversed_path(record, last, unsplit))
         path = self._reversed_path(record, last, unsplit)
         if path is not None:
+            self._bridge.has_reversed = True
             for pose in (self._pose, self._before_bridge.pose):
                 pose.add_variance(path.along_variance, path.heading_variance, path.across_variance)
         return self._cross_bridge(record, pulses, unproven, (left_ms, right_ms), now_ms)

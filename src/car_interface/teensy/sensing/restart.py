@@ -95,6 +95,9 @@ class RestartBridge:
     Args:
         state: of the car at that report.
         track_m: between the wheels.
+
+    Attributes:
+        has_reversed: it is known from the counts that the car has reversed after the restart.
     """
 
     def __init__(self, state: CarState, track_m: float):
@@ -102,6 +105,7 @@ class RestartBridge:
         self._track_m = track_m
         self._seen_ms: float | None = None  # from when on pulses were counted again
         self._boot_ms: float | None = None  # from when on each pulse is in the reports
+        self.has_reversed = False  # since then
         self._stop_variance = self._stop_within_ms = 0.0  # of a car that has stopped while pulses weren't counted
         self._pulses: tuple[list, list] = ([], [])
         self._signs = [0, 0]
@@ -177,6 +181,8 @@ class RestartBridge:
 
     def add(self, side: int, unproven: int, proven: int, at_ms: float) -> None:
         """Take pulses of a wheel, without and (signed) with a known direction; the newest was at ``at_ms``."""
+        if any(sign * proven < 0 for sign in self._signs):
+            self.restart()  # the car reverses just now: only what follows shows how it goes on
         count, pulses = unproven + abs(proven), self._pulses[side]
         if count > 1 and not pulses and self._boot_ms is not None:
             # At an even pace, the first one half an interval after the boot on average.
@@ -220,8 +226,8 @@ class RestartBridge:
             mean_variance += (UNEVEN_PER_MS2 * blind_ms ** 2 / 12) ** 2 + (mean_speed * CLOCK_MS) ** 2
             if abs(self._mean_before()) <= ROLLING_PER_MS:
                 mean_variance += (UNEVEN_START_RATIO * rolled) ** 2
-            if self._is_late:  # its speed at the boot is between none and twice the mean after it
-                mean_variance += (mean_speed * blind_ms / 2) ** 2 / 3
+            if self._is_late:  # its speed at the boot is between none and twice the mean after it; or, reversed, minus
+                mean_variance += (mean_speed * blind_ms / 2) ** 2 * (7 / 3 if self.has_reversed else 1 / 3)
         elif self._is_late:  # it may have started before the boot, with 2 m/s², or all of the time as three sigma
             started = min(UNEVEN_PER_MS2 * blind_ms ** 2 / 6, mean_speed ** 2 / UNEVEN_PER_MS2 / 4)
             mean_variance += started ** 2

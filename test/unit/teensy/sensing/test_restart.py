@@ -146,6 +146,15 @@ def test_car_that_reversed_unseen_has_turned_on_both_of_its_ways():
     assert outcome.difference_variance > (0.2 * 10 * TRACK_M) ** 2  # 0.2 1/m on ten pulses each way
 
 
+def test_car_that_reverses_before_enough_is_known_is_followed_from_there():
+    some = bridge()
+    some.report(BEFORE_MS + 310)
+    for side in (LEFT, RIGHT):
+        some.add(side, 2, -2, BEFORE_MS + 400)
+    some.add(LEFT, 0, 1, BEFORE_MS + 500)
+    assert [some.pending(side) for side in (LEFT, RIGHT)] == [1, 0]
+
+
 def test_reset_shows_with_its_first_pulse_for_the_firmware_knows_its_direction():
     some = bridge()
     assert some.is_reset((1, 0), (0, 0), BEFORE_MS + 15)
