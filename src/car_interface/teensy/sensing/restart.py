@@ -228,8 +228,8 @@ class RestartBridge:
                 mean_variance += (UNEVEN_START_RATIO * rolled) ** 2
             if self._is_late:  # its speed at the boot is between none and twice the mean after it; or, reversed, minus
                 mean_variance += (mean_speed * blind_ms / 2) ** 2 * (7 / 3 if self.has_reversed else 1 / 3)
-        elif self._is_late:  # it may have started before the boot, with 2 m/s², or all of the time as three sigma
-            started = min(UNEVEN_PER_MS2 * blind_ms ** 2 / 6, mean_speed ** 2 / UNEVEN_PER_MS2 / 4)
+        elif self._is_late:  # it may have started before the boot, at any time; with 2 m/s² is three sigma
+            started = min(UNEVEN_PER_MS2 * blind_ms ** 2 / 6, abs(mean_speed) * blind_ms / math.sqrt(3))
             mean_variance += started ** 2
         if blind_ms > MAX_BLIND_MS:
             mean_variance += (max(abs(mean_speed), abs(self._mean_before())) * blind_ms / 2) ** 2
