@@ -31,7 +31,7 @@ setup(
     python_requires=">=3.8",
     packages=find_packages(str(HERE / "src")),
     package_dir={"": "src"},
-    package_data={"car_interface.tools.report": ["templates/*"]},
+    package_data={"car_interface.tools.report": ["templates/*"], "car_interface.nodes.phone_drive": ["page/*"]},
     data_files=[files("msg", "*.msg"), files("config", "*.yaml"), files("config", "*.csv")],
     extras_require={"tools": ["Jinja2", "matplotlib", "numpy", "PyYAML", ROSBAGS, "scipy", "tqdm"],
                     "cluster": ["distributed>=2023.5.0"]},  # the last for Python 3.8

@@ -40,7 +40,7 @@ from car_interface.common.errors import CarInterfaceError, EndedEarly
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import CHANNELS, NS_PER_S, yaw_rad
 from car_interface.common.vehicle_geometry import SONARS
-from car_interface.nodes.calibration_drive.bag_recording import BagRecording
+from car_interface.nodes.bag_recording import BagRecording
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, subscribe
 from car_interface.steering.arbiter import NO_HUMAN, PLANNER, SOURCE_NAMES

@@ -21,6 +21,7 @@ def main(linters: str, python38: str) -> int:
         [f"{linters}/ruff", "check", "--no-cache", "--quiet", "--output-format=concise", "."],
         [python38, "test/py38_syntax.py", *files],
         [sys.executable, "-B", "test/node_reference.py", "--check"],
+        [sys.executable, "-B", "test/safety_case.py", "--check"],
         # Floats have had is_integer() for ever; vermin takes every call of it for the one of integers.
         [f"{linters}/vermin", "--quiet", "--target=3.8-", "--violations", "--exclude", "int.is_integer", *files],
     ]

@@ -255,7 +255,7 @@ def tests_of(root: Path, modules: Iterable[str]) -> dict[str, list[str]]:
     """Return the test files of each module, its own first: those of its folder, and those of others that import it.
 
     Tests of the tools (calibration, report and so on) are left out: they take long, and notice by accident. For a node
-    also test/graph.
+    also test/graph; for declared parameters also the test of their tables in the documentation.
     """
     files = {path.relative_to(root).as_posix(): imported(path, root) for part in (*PARTS, "common", "ros")
              for path in sorted((root / "test/unit" / part).rglob("test_*.py"))}
@@ -266,7 +266,10 @@ def tests_of(root: Path, modules: Iterable[str]) -> dict[str, list[str]]:
         own = [name for name in files if re.fullmatch(rf"{folder}/test_{stem}(_\w+)?\.py", name)]
         near = [name for name in files if Path(name).parent.as_posix() == folder]
         others = [name for name in files if module in files[name]]
-        tests[module] = list(dict.fromkeys([*own, *near, *others, *(graph if module.startswith("nodes/") else ())]))
+        is_declared = any("common.declared" in name for name in imports(root / PACKAGE / module))
+        tables = ["test/unit/test_documentation.py"] if is_declared else []
+        tests[module] = list(dict.fromkeys([
+            *own, *near, *others, *tables, *(graph if module.startswith("nodes/") else ())]))
     return tests
 
 

@@ -3,7 +3,7 @@
 
 It is gamepad and planner of ``demo.launch drive:=false`` on the master in ROS_MASTER_URI. It injects one fault at a
 time and has the car drive again. Exit code 0: no output moved that must not, the car recovered from each fault, and no
-node leaked. How each input's fault stops the car, and what a restarted node does, graph/test_soak.py tests exactly.
+node leaked. How each input's fault stops the car, and what a restarted node does, graph/test_chain.py tests exactly.
 
 Unsafe is servo or ESC off neutral, on the board, longer after the human's evidence ended than every timeout of the
 chain. The time in which the servo board cannot be reached is not checked, since nothing can change its outputs then;

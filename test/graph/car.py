@@ -394,6 +394,11 @@ class Car:
         for index, held in ((MANUAL, manual), (AUTONOMOUS, autonomous), (THIRD, third)):
             self._pad.buttons[index] = int(held)
 
+    @property
+    def joy_now(self) -> Joy:
+        """The gamepad's message as it is repeated."""
+        return self._pad
+
     def truth(self) -> Any:
         return self.graph.newest("/car_sim/truth")
 

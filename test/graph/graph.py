@@ -20,6 +20,8 @@ from types import SimpleNamespace
 from typing import Any, Callable, Iterator, NamedTuple
 
 import rospy
+from dynamic_reconfigure.msg import Config, ConfigDescription, IntParameter
+from dynamic_reconfigure.srv import ReconfigureResponse
 
 from car_interface.common.publishers import ANY, Publisher
 from car_interface.ros.backlog import MAX_WAIT_NS
@@ -33,6 +35,7 @@ ROS_AHEAD_NS = 1_700_000_000 * NS_PER_S
 SHORTEST_WAIT_NS = 1000  # of a node that wants its next step at once
 WATCH_NS = NS_PER_S
 REAL_POLL_S = 0.001
+CALL_POLL_S = 0.001
 COUNTED_NS, MAX_TURNS = NS_PER_S // 100, 2000  # of a node in such a time; none needs so many
 MACHINE = "127.0.0.1"
 
@@ -233,20 +236,35 @@ class Subscription:
 
 
 class _ReconfigureServer:
-    """dynamic_reconfigure's server, without its own topics: ``Graph.reconfigure`` asks it."""
+    """dynamic_reconfigure's server of integers. ``Graph.reconfigure`` asks it by a dict, a node by the message."""
 
-    def __init__(self, graph: Graph, config_type, callback, namespace: str):
+    def __init__(self, graph: Graph, node: str, config_type, callback, namespace: str):
         self._graph, self._namespace, self._callback = graph, namespace, callback
+        description, self._updates = (
+            TopicPublisher(graph, node, f"{namespace}/{topic}", message_type, True, NodeClocks(graph))
+            for topic, message_type in (("parameter_descriptions", ConfigDescription), ("parameter_updates", Config)))
+        description.publish(max=_config(config_type.max), min=_config(config_type.min))
         self._config = {**config_type.defaults, "groups": {}}
-        self._config = dict(callback(dict(self._config), ~0))
+        self._change({}, ~0)
         graph.services[f"{namespace}/set_parameters"] = self._set
 
-    def _set(self, changes):
-        self._config = dict(self._callback({**self._config, **changes}, 0))
+    def _change(self, changes, level):
+        self._config = dict(self._callback({**self._config, **changes}, level))
+        self._updates.publish(_config(self._config))
         return {name: value for name, value in self._config.items() if name != "groups"}
+
+    def _set(self, changes):
+        if isinstance(changes, dict):
+            return self._change(changes, 0)
+        self._change({each.name: each.value for each in changes.config.ints}, 0)
+        return ReconfigureResponse(_config(self._config))
 
     def close_actions(self):
         return (lambda: self._graph.services.pop(f"{self._namespace}/set_parameters", None),)
+
+
+def _config(values):
+    return Config(ints=[IntParameter(name, value) for name, value in values.items() if name != "groups"])
 
 
 class NodeGraph:
@@ -287,7 +305,23 @@ class NodeGraph:
         self._graph.set_parameter(self.resolve_name(name), value)
 
     def reconfigure_server(self, config_type, callback, namespace: str) -> _ReconfigureServer:
-        return _ReconfigureServer(self._graph, config_type, callback, namespace)
+        return _ReconfigureServer(self._graph, self._node.name, config_type, callback, namespace)
+
+    def call(self, service: str, service_type, request: Any, on_done: Callable[[Any, str], None]) -> None:
+        """The callee answers while time goes on."""
+        if service not in self._graph.services:
+            on_done(None, f"service [{service}] unavailable")
+            return
+        call = self._graph.begin_call(service, request)
+
+        def poll():
+            if not call.is_over:
+                self._graph.after(CALL_POLL_S, poll)
+            elif isinstance(call.answer, Exception):
+                on_done(None, str(call.answer))
+            else:
+                on_done(call.answer, "")
+        poll()
 
     def watch(self, watch) -> None:
         self._node.watches.append(watch)
@@ -492,17 +526,30 @@ class Call:
         over.wait()
         self._sleeps = None
 
-    def finish(self) -> Any:
-        while self._thread.is_alive():
-            if (any(node.inbox.awaits_answer for node in self._graph.nodes.values())
-                    or self._sleeps is not None and not self._sleeps.is_set()):
-                self._graph.run_event()
-            else:
-                self._thread.join(REAL_POLL_S)
+    @property
+    def is_over(self) -> bool:
+        """Whether it is answered; a call that waits for nothing of the graph's time soon is."""
+        while self._thread.is_alive() and not self._waits:
+            self._thread.join(REAL_POLL_S)
+        return not self._thread.is_alive()
+
+    @property
+    def _waits(self):
+        return (any(node.inbox.awaits_answer for node in self._graph.nodes.values())
+                or self._sleeps is not None and not self._sleeps.is_set())
+
+    @property
+    def answer(self) -> Any:
+        """The answer, or the exception that the caller would get."""
         answer, = self._answers
-        if isinstance(answer, Exception):
-            raise answer
         return answer
+
+    def finish(self) -> Any:
+        while not self.is_over:
+            self._graph.run_event()
+        if isinstance(self.answer, Exception):
+            raise self.answer
+        return self.answer
 
 
 class Graph:
@@ -541,6 +588,10 @@ class Graph:
         logger.handlers[:] = [self._handler]
         logger.setLevel(logging.DEBUG)
         logger.propagate = False
+
+    @property
+    def ros_now(self) -> rospy.Time:
+        return rospy.Time(nsecs=self.now_ns + self.ros_ahead_ns)
 
     # --- nodes and parameters ---
 
@@ -652,30 +703,32 @@ class Graph:
             self.publish(topic, message, sender)
 
     def link(self, topic: str = "", sender: str = "", receiver: str = "", delay_s: float = 0.0,
-             loses: Callable[[Any], bool] = lambda message: False) -> None:
+             loses: Callable[[Any], bool] = lambda message: False, copies: int = 1) -> None:
         """Set how messages get through, from now on; the newest rule that fits counts. Empty = any.
 
         Args:
             delay_s: until each arrives. A shorter delay than before lets it overtake none of its connection, as TCP.
             loses: whether a message, serialised, is lost.
+            copies: how often each arrives.
         """
-        self._links.append((topic, sender, receiver, delay_s, loses))
+        self._links.append((topic, sender, receiver, delay_s, loses, copies))
 
     def send(self, connection: Connection, data: bytes, at_ns: int) -> None:
         """Deliver a message to one subscription, as the links say."""
         topic, receiver = connection.publisher.topic, connection.subscription.node
-        delay_s = 0.0
-        for wanted_topic, sender, wanted_receiver, rule_delay_s, loses in reversed(self._links):
+        delay_s, times = 0.0, 1
+        for wanted_topic, sender, wanted_receiver, rule_delay_s, loses, copies in reversed(self._links):
             if (wanted_topic in ("", topic) and sender in ("", connection.publisher.node)
                     and wanted_receiver in ("", receiver.name)):
                 if loses(data):
                     return
-                delay_s = rule_delay_s
+                delay_s, times = rule_delay_s, copies
                 break
         arrival_ns = max(at_ns + round(delay_s * NS_PER_S), self._last_arrivals.get(id(connection), 0))
         self._last_arrivals[id(connection)] = arrival_ns
         life = receiver._life
-        self.at(arrival_ns, lambda: receiver.receive(connection, data, life))
+        for _ in range(times):
+            self.at(arrival_ns, lambda: receiver.receive(connection, data, life))
 
     def messages(self, topic: str, since_ns: int = 0) -> list[Any]:
         """Return the recorded messages of a topic since a time."""

@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
 from functools import partial
 from typing import Any
 
@@ -26,8 +27,10 @@ class Network:
         self._numbers = itertools.count(1)
         self._arrivals_ns: dict[tuple, int] = {}
 
-    def add_node(self, name: str = "phone_drive", **parameters: Any) -> Node:
-        return self.graph.add(partial(PhoneDrive, make_server=self._start, make_pin=lambda: PIN), name, parameters)
+    def add_node(self, name: str = "phone_drive", make: dict | None = None, **parameters: Any) -> Node:
+        """Start phone_drive, with other makers than its own."""
+        return self.graph.add(partial(PhoneDrive, make_server=self._start, make_pin=lambda: PIN, **(make or {})), name,
+                              parameters)
 
     def _start(self, config, inbox, node):
         self.phones = {}
@@ -39,6 +42,9 @@ class Network:
         phone = self.phones.get(outgoing.connection)
         if phone is not None:
             self.carry((outgoing.connection, "out"), lambda: phone.take(outgoing))
+
+    def offer(self, path: str) -> str:
+        return f"/files/ticket/{os.path.basename(path)}"
 
     def stop(self) -> None:
         self.phones = {}
@@ -72,24 +78,26 @@ class Phone:
         touch, steering, throttle: what is touched now.
         is_frozen: it handles nothing, and then all at once.
         is_cut: nothing gets through, and nobody learns of it.
-        echoed_ns: when it last sent an echo.
+        touched_ns: when it last sent an echo of a touch.
     """
 
-    def __init__(self, network: Network, address: str = "10.0.0.7"):
-        self._network, self.address = network, address
+    def __init__(self, network: Network, address: str = "10.0.0.7", is_guest: bool = False):
+        self._network, self.address, self._is_guest = network, address, is_guest
         self.touch, self.steering, self.throttle, self.scale = "", 0.0, 0.0, 0
         self.is_frozen = self.is_cut = False
         self.key = ""
-        self.echoed_ns = 0
+        self.touched_ns = 0
         self.sent: list[str] = []
         self._held_back: list = []
         self.connect()
 
     def connect(self) -> None:
         """Load the page: nothing is known of an earlier one but the key."""
-        self.token, self.n, self.status, self.closed, self.refused = "", 0, {}, "", ""
+        self.token, self.n, self.status, self.closed, self.refused, self.done, self.file = "", 0, {}, "", "", "", ""
+        self.car: dict = {}
         self.number = self._network.connect(self)
-        self.send(**({"type": "key", "key": self.key} if self.key else {"type": "pin", "pin": PIN}))
+        self.send(**({"type": "watch"} if self._is_guest else {"type": "key", "key": self.key} if self.key else
+                     {"type": "pin", "pin": PIN}))
 
     def reload(self) -> None:
         self._network.disconnect(self.number)
@@ -102,8 +110,9 @@ class Phone:
             self._held_back.append(outgoing)
             return
         message = json.loads(outgoing.text)
-        for name in ("key", "status", "closed", "refused"):
+        for name in ("key", "status", "closed", "refused", "done", "file"):
             setattr(self, name, message.get(name, getattr(self, name)))
+        self.car.update(message.get("car", {}))
         if "token" in message:
             self.token = message["token"]
             self.echo()
@@ -115,7 +124,8 @@ class Phone:
             self.take(outgoing)
 
     def echo(self) -> None:
-        self.echoed_ns = self._network.graph.now_ns
+        if self.touch and not self.is_cut:
+            self.touched_ns = self._network.graph.now_ns
         self.evidence("echo", touch=self.touch, steering=self.steering, throttle=self.throttle, scale=self.scale)
 
     def hold(self, touch: str, steering: float = 0.0, throttle: float = 0.0) -> None:

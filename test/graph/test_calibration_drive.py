@@ -14,8 +14,8 @@ from visualization_msgs.msg import Marker
 
 from car import CENTER, CONFIG, ESC, ESC_NEUTRAL, STEERING, Car, config
 from car_interface.common.errors import CarInterfaceError
+from car_interface.nodes.bag_recording import TOPICS
 from car_interface.nodes.calibration_drive import node as calibration_drive
-from car_interface.nodes.calibration_drive.bag_recording import TOPICS
 from car_interface.nodes.calibration_drive.node import CalibrationDriveNode
 from car_interface.tools.calibration.drive.conclusion import Conclusion
 from car_interface.tools.calibration.drive.config import parse

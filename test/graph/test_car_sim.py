@@ -4,15 +4,14 @@ from __future__ import annotations
 import math
 
 import pytest
-from car_interface.msg import LinkStatus, WheelDirection
+from car_interface.msg import LinkStatus
 from car_interface.srv import InjectFaultRequest, SetSonarSequenceRequest, SetSonarWaitRequest
 from std_msgs.msg import Int32MultiArray
 from std_srvs.srv import TriggerRequest
 
 from car_interface.common.vehicle_geometry import SONARS as SONAR_NAMES
 
-LINK, PONGS, WHEELS, SONARS, ERRORS = (
-    "/teensy_sensor_hub/link", "/teensy_pong", "/teensy_wheel", "/teensy_distance", "/teensy_error")
+LINK, PONGS, SONARS = "/teensy_sensor_hub/link", "/teensy_pong", "/teensy_distance"
 CENTER, LEFT, GENTLE, FAST, NEUTRAL = 5100, 3835, 5700, 6500, 4915
 ALL = set(range(6))
 
@@ -22,7 +21,7 @@ class Simulated:
 
     def __init__(self, car, hub=None, **sim):
         self.graph, self.car = car.graph, car
-        self.graph.record(LINK, PONGS, WHEELS, SONARS, ERRORS, "/car_sim/collisions", "/car_sim/rollovers")
+        self.graph.record(LINK, PONGS, SONARS, "/car_sim/collisions", "/car_sim/rollovers")
         self.sim = car.sim(follows_board=False, **sim)
         car.hub(**(hub or {}))
 
@@ -44,11 +43,6 @@ class Simulated:
     @property
     def link(self):
         return self.graph.newest(LINK)
-
-    @property
-    def wheels(self):
-        wheel = self.graph.newest(WHEELS)
-        return wheel.left, wheel.right
 
 
 def test_room_is_drawn_where_the_sonars_see_it(car):
@@ -100,33 +94,6 @@ def test_stuck_sonar_that_silences_all_others_is_named_and_left_out_and_they_rep
     assert [line for line in car.graph.lines("/teensy_sensor_hub", level=30) if "front_left" in line]
 
 
-def test_fault_of_a_sonar_is_told_beside_a_reboot(car):
-    simulated = Simulated(car)
-    simulated.sonars()
-    simulated.inject("sonar_missing", 4)
-    car.graph.run_until(lambda: "rear_middle does not report" in simulated.link.words, 4.0)
-    since_ns = car.graph.now_ns
-    simulated.inject("reboot", 0)
-    car.graph.run(12.0)
-    links = car.graph.messages(LINK, since_ns)
-    assert {(link.state, link.level) for link in links} == {("sonar fault", LinkStatus.WARN)}
-    assert all("rear_middle does not report" in link.words for link in links)
-    assert any(link.words.startswith("the Teensy rebooted") for link in links)
-    assert any("power supply" in link.next_step and "Check its plug" in link.next_step for link in links)
-
-
-def test_sonars_that_all_are_missing_are_never_called_fine_again(car):
-    simulated = Simulated(car)
-    simulated.sonars()
-    for sensor in range(6):
-        simulated.inject("sonar_missing", sensor)
-    car.graph.run_until(lambda: "no sonar reports" in simulated.link.words, 10.0)
-    since_ns = car.graph.now_ns
-    car.graph.run(30.0)
-    assert simulated.link.sonar_starts >= 3
-    assert {link.state for link in car.graph.messages(LINK, since_ns)} == {"sonar fault"}
-
-
 def test_pin_that_blinks_and_a_clone_make_no_false_range_and_are_told(car):
     simulated = Simulated(car, hub={"max_range": 4.0}, clock_start_ms=20_000)
     topics = [f"/sonar/{name}" for name in SONAR_NAMES]
@@ -146,30 +113,6 @@ def test_pin_that_blinks_and_a_clone_make_no_false_range_and_are_told(car):
     assert (link.state, link.words) == (
         "sonar fault", "front_middle is a clone that holds its pulse for 200 ms without an echo: its ranges are right")
     assert "~no_echo_timeouts/front_middle to 200" in link.next_step
-
-
-def test_first_sonar_that_is_missing_at_power_up_costs_only_itself(car):
-    simulated = Simulated(car)
-    simulated.sonars()
-    simulated.inject("sonar_missing", 0)
-    simulated.inject("reboot", 0)
-    car.graph.run_until(lambda: simulated.link.sonar_starts == 1, 6.0)
-    car.graph.run_until(lambda: "front_right does not report" in simulated.link.words, 12.0)
-    assert set(simulated.sonars()) == ALL - {0}
-
-
-def test_wheel_reset_zeroes_both_odometers(car):
-    simulated = Simulated(car)
-    car.graph.run(1.0)
-    simulated.drive(GENTLE)
-    car.graph.run_until(lambda: min(wheel.dist_abs for wheel in simulated.wheels) > 20)
-    simulated.drive(NEUTRAL)
-    car.graph.run_until(lambda: car.speed_mps == 0)
-    car.graph.run(2.0)
-    simulated.call("wheel_reset")
-    car.graph.run(0.5)
-    assert {(wheel.dist, wheel.dist_abs, wheel.direction) for wheel in simulated.wheels} == {
-        (0, 0, WheelDirection.NONE)}
 
 
 def test_hub_finds_out_that_the_receiver_was_repaired_and_the_clock_may_wrap(car):

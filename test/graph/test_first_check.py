@@ -8,7 +8,6 @@ from functools import partial
 import pytest
 from car_interface.srv import InjectFaultRequest
 from sensor_msgs.msg import Range
-from std_msgs.msg import Float32
 
 from car import CENTER, CONFIG, ESC, ESC_NEUTRAL, STEERING, Car
 from car_interface.common.errors import CarInterfaceError
@@ -367,13 +366,3 @@ def test_where_nothing_can_be_drawn_over_each_question_is_printed_once(tmp_path)
     car.type("y", 1.0)
     assert [line for line in car.terminal.lines if " of 20: " in line] == [
         "1 of 20: the car on a box", "2 of 20: the deadman"]
-
-
-@pytest.mark.once
-def test_another_planner_that_steers_is_told_by_turn_arb_s_reason(tmp_path):
-    car = Box(tmp_path).begin()
-    car.skip_to("the steering's center")
-    car.graph.repeat("/av_turnrad_req", Float32(2.0), 20, sender="/other")
-    car.pad(autonomous=True)
-    car.graph.run(0.5)
-    assert "av_turnrad_req and av_steer_req are both published: neither is obeyed" in car.terminal.text

@@ -28,7 +28,7 @@ from car_interface.ros.start import config_class
 ALL = bool(os.environ.get("CAR_INTERFACE_ALL"))
 SEED = int(os.environ.get("CAR_INTERFACE_SEED", random.SystemRandom().randrange(10 ** 6) if ALL else 3))
 READS, STARTS, REQUESTS = (20_000, 1000, 400) if ALL else (300, 25, 20)
-WARM_UP, MESSAGES = (1000, 1000) if ALL else (100, 100)  # to each topic, and as many again in each round
+WARM_UP, MESSAGES = (1000, 1000) if ALL else (50, 60)  # to each topic, and as many again in each round
 MAX_GROWTH = 30 * MESSAGES  # bytes: less than any object that is kept for each message
 ROUNDS = 6  # what is kept for each message grows in every one; Python's own caches grow in the first ones
 

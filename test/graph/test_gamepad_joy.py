@@ -4,14 +4,12 @@ from __future__ import annotations
 from functools import partial
 
 import pytest
-from pads import ABS, DUALSENSE, F710_D, F710_X, KEY, MOTION_SENSORS, RY, RZ, TL, TR, UNKNOWN, Computer, X, listed
+from pads import ABS, DUALSENSE, F710_D, F710_X, KEY, RY, RZ, TL, TR, UNKNOWN, Computer, X
 from sensor_msgs.msg import Joy
 
 from car import Car
 from car_interface.common import causes
 from car_interface.nodes.gamepad_joy import GamepadJoy
-from car_interface.teleop.gamepad_device import GamepadDevice
-from car_interface.teleop.input_devices import parse_pads
 from graph import NS_PER_S
 
 LB, RB = 4, 5  # as config/teleop_logi.yaml has them
@@ -129,15 +127,6 @@ def test_after_a_reconnect_no_other_gamepad_counts_and_the_reason_is_told(tmp_pa
     assert car.state.cause == causes.NOT_REARMED or car.state.cause == causes.NO_DEADMAN
 
 
-def test_second_gamepad_that_is_plugged_in_later_changes_nothing(tmp_path):
-    car = Driven(tmp_path).start(F710_X)
-    car.pads.append(car.computer.plug_in(DUALSENSE, 6, "usb-1"))
-    car.send((KEY, TL, DOWN), pad=1)
-    assert not car.human
-    car.send((KEY, TL, DOWN))
-    assert car.human
-
-
 def test_two_gamepads_are_refused_until_one_is_chosen_or_left(tmp_path):
     car = Driven(tmp_path).start(F710_X, DUALSENSE)
     assert car.device() == (2, ("gamepad: there are several: /dev/input/event5 (Logitech Gamepad F710), "
@@ -148,6 +137,8 @@ def test_two_gamepads_are_refused_until_one_is_chosen_or_left(tmp_path):
     assert car.device() == (0, "DualSense Wireless Controller, 8 axes, 13 buttons")
 
 
+# --- lost events ---
+
 def test_chosen_one_of_two_gamepads_drives(tmp_path):
     car = Driven(tmp_path, dev="/dev/input/event6").start(F710_X, DUALSENSE)
     car.send((KEY, TL, DOWN), pad=0)
@@ -155,15 +146,6 @@ def test_chosen_one_of_two_gamepads_drives(tmp_path):
     car.send((KEY, TL, DOWN), pad=1)
     assert car.human
 
-
-def test_motion_sensors_and_touchpad_of_a_gamepad_are_no_second_one(tmp_path):
-    car = Driven(tmp_path)
-    find = car.computer.find
-    car.computer.find = lambda: parse_pads(listed(MOTION_SENSORS, 7), 64) + find()
-    assert car.start(DUALSENSE).device()[0] == 0
-
-
-# --- lost events ---
 
 def test_lost_events_release_the_deadman_at_once_and_it_must_be_held_again(tmp_path):
     car = Driven(tmp_path).start(F710_X)
@@ -183,15 +165,6 @@ def test_lost_events_release_the_deadman_at_once_and_it_must_be_held_again(tmp_p
     assert not car.human
     car.send((KEY, TL, DOWN))
     assert car.human and car.graph.newest("/teleop_logi/tele_steer_req").data == -1.0
-
-
-def test_release_among_the_lost_events_is_no_deadman_that_stays_held(tmp_path):
-    car = Driven(tmp_path).start(F710_X)
-    car.hold()
-    car.pads[0].lose((KEY, TL, UP), (ABS, X, 100))
-    car.wake()
-    car.graph.run(2.0)
-    assert not car.human
 
 
 def test_gamepad_that_vanishes_while_its_state_is_read_again_is_gone(tmp_path):
@@ -293,13 +266,3 @@ def test_nothing_is_published_while_there_is_no_gamepad_and_the_log_and_diagnost
     level, text = car.device()
     assert (level, car.graph.messages("/joy", at_ns), car.node.is_alive) == (2, [], True)
     assert "the gamepad is gone" in car.warnings()
-
-
-def test_gamepad_that_may_not_be_opened_is_told_with_the_group(tmp_path):
-    car = Driven(tmp_path)
-
-    def refuse(path):
-        raise PermissionError(13, "Permission denied")
-    car.computer.open = lambda pad: GamepadDevice(pad, refuse)
-    level, text = car.start(F710_X).device()
-    assert level == 2 and text.startswith("/dev/input/event5 (Logitech Gamepad F710): no permission to open it")

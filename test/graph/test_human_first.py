@@ -1,12 +1,10 @@
 """A person's hands on the gamepad of a virtual car that a planner drives: who has which actuator, and what it does."""
 from __future__ import annotations
 
-import logging
 import re
 
 import pytest
 from car_interface.msg import SteeringState, ThrottleState
-from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import Float32
 
 from car import THIRD, Car
@@ -14,7 +12,6 @@ from car import THIRD, Car
 SPEED_MPS, RADIUS_M = 1.5, 5.0
 HOLD_S = 0.5
 NOISE_MPS = 0.02
-JOY_S = 0.02
 DEADMEN = [{"autonomous": True}, {"third": True}]  # the third one: the human steers
 TELEOP, PLANNER = ThrottleState.TELEOP, ThrottleState.PLANNER
 
@@ -24,7 +21,7 @@ class Drive:
 
     def __init__(self):
         self.car = Car()
-        self.graph, self.pad, self.joy = self.car.graph, self.car.pad, self.car.joy
+        self.graph, self.pad = self.car.graph, self.car.pad
         self.car.whole("speed", {"throttle_arb": {"esc": {"profile": "brake_then_reverse"}},
                                  "teleop": {"third_button": THIRD}},
                        esc_kind="brake_then_reverse", obstacles=False, collisions=False)
@@ -48,11 +45,6 @@ class Drive:
         self.hold(**{name: value for name, value in what.items() if name not in ("manual", "autonomous", "third")})
         self.hold(**what)
 
-    def play(self, *throttles, **held):
-        """Give the throttle's stick a value for each message; the last one stays."""
-        for throttle in throttles:
-            self.hold(JOY_S, throttle=throttle, **held)
-
     def drive(self, **deadman):
         """Let the planner drive, until it does."""
         self.ask(SPEED_MPS)
@@ -74,10 +66,6 @@ class Drive:
     @property
     def throttle(self):
         return self.graph.newest("/throttle_arb/state")
-
-    @property
-    def teleop(self):
-        return self.graph.newest("/teleop_logi/state")
 
     def stands(self):
         return self.speed == 0.0
@@ -115,29 +103,6 @@ def test_pull_brakes_under_each_planner_s_deadman_and_the_planner_gets_it_back(d
     assert min(drive.speeds(pulled_ns)) > -NOISE_MPS
 
 
-@pytest.mark.once
-def test_pull_never_becomes_reverse_however_often_and_by_hand_it_does(drive):
-    drive.press(autonomous=True)
-    since_ns = drive.graph.now_ns
-    for repeat in (3, 10, 40):  # messages, of 20 ms
-        drive.play(*([-1.0] * repeat + [0.0] * repeat) * 3, autonomous=True)
-    drive.hold(2.0, autonomous=True, throttle=-1.0)
-    assert set(drive.speeds(since_ns)) == {0.0}
-    assert "override" in {state.cause for state in drive.states("throttle_arb", since_ns)}
-    # The human takes over while the stick is pulled: nothing before it was centered and pulled twice.
-    for sticks in ({"autonomous": True, "throttle": -1.0}, {}, {"throttle": -1.0}):
-        drive.hold(0.8, manual=True, **sticks)
-        assert (drive.throttle.mode, drive.throttle.asked < -0.9) == ("manual", "throttle" in sticks)
-    assert "REVERSE" not in {state.esc for state in drive.states("throttle_arb", since_ns)}
-    drive.hold(0.8, manual=True)
-    drive.pad(manual=True, throttle=-1.0)
-    drive.until(lambda: drive.speed < -0.3)
-    # And back, while it rolls backward: a pull brakes, and no more.
-    drive.hold(0.3, autonomous=True, throttle=-1.0)
-    assert (drive.throttle.mode, drive.throttle.cause) == ("autonomous", "override")
-    drive.until(drive.stands)
-
-
 # --- the steering ---
 
 def test_stick_steers_while_the_planner_drives_on_and_half_a_second_longer(drive):
@@ -157,29 +122,6 @@ def test_stick_steers_while_the_planner_drives_on_and_half_a_second_longer(drive
 
 
 # --- what is no stick ---
-
-def test_trigger_in_the_place_of_the_throttle_s_stick_never_drives(drive):
-    drive.ask(SPEED_MPS)
-    drive.joy(False)
-    drive.until(lambda: drive.teleop.cause == "joy silent")  # nothing is known of its axes any more
-    drive.pad(throttle=1.0)
-    drive.joy()
-    drive.until(lambda: drive.teleop.cause == "no deadman")
-    since_ns = drive.graph.now_ns
-    drive.press(manual=True, throttle=1.0)
-    assert drive.throttle.cause == "teleop not finite"
-    assert drive.throttle.reason == (
-        "tele_throt_req is nan, no number to act on: manual deadman held; the gamepad's throttle_axis 4 is 1.00 and "
-        "was not seen at its rest: it doesn't count")
-    drive.play(0.5, 0.0, -0.5, -1.0, -0.5, 0.0, 0.5, 1.0, manual=True)  # pressed, and let go
-    drive.graph.run(1.0)
-    assert set(drive.speeds(since_ns)) == {0.0}
-    assert any(re.search("throttle_axis 4 is 1.00 and was not seen at its rest.*Let go of the stick. If the axis stays "
-                         "where it is, it is a trigger", line)
-               for line in drive.graph.lines("/teleop_logi", since_ns, logging.WARNING))
-    report = drive.graph.report("teleop_logi: gamepad")
-    assert report.level == DiagnosticStatus.WARN and "not seen at its rest" in report.message
-
 
 # --- stop and go ---
 

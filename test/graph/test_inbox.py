@@ -304,8 +304,7 @@ ALL = ("turn_arb", "generic_value_converter", "throttle_arb", "pca9685")
 
 
 @pytest.mark.once
-@pytest.mark.parametrize("after_step", [False, True])
-@pytest.mark.parametrize("seconds", [0.55, 1.5])
+@pytest.mark.parametrize("seconds, after_step", [(0.55, False), (1.5, True)])
 @pytest.mark.parametrize("names, duties", [(("turn_arb",), STANDS), (("throttle_arb",), (DRIVES[0], STANDS[1])),
                                            (ALL, STANDS)], ids=["turn_arb", "throttle_arb", "all"])
 def test_node_that_was_frozen_obeys_nothing_that_was_sent_meanwhile(names, duties, seconds, after_step):

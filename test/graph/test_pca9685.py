@@ -414,18 +414,6 @@ class TestGuard:
         assert [counts for _, counts in servos.board.since(at_ns, ESC)] == [ESC_NEUTRAL]
         assert [guard.is_alive for guard in servos.board.guards] == [False, True]
 
-    def test_output_is_told_in_the_place_of_a_dead_node_on_change_and_at_10_hz_until_all_is_off(self):
-        servos = self.driven(guard_off_after=8.0)
-        at_ns = servos.graph.now_ns
-        servos.node.kill()
-        servos.graph.run(10.0)
-        told = [record for record in servos.graph.recorded[OUTPUT] if record.at_ns > at_ns]
-        assert {record.sender for record in told} == {"/pca9685_guard"}
-        assert [data[:2] for _, data in servos.outputs(at_ns + 1)] == [(5104, 4912), (0, 0)]
-        assert told[0].at_ns == at_ns + 500 * MS  # its process has started by then
-        assert len(told) == 77 and told[-1].at_ns == at_ns + 8000 * MS
-        assert not servos.graph.publishers[OUTPUT]
-
     def test_node_without_a_guard_says_what_that_means(self, servos):
         servos.graph.run(1.0)
         report = servos.graph.report("pca9685: guard")

@@ -78,7 +78,7 @@ def test_first_planner_as_the_page_has_it_drives_to_where_there_is_room_and_hits
     car.pad(autonomous=True)
     program = Program(graph, monkeypatch, "first_planner", first_planner(source))
     first_ns = graph.now_ns
-    graph.run(15.0)
+    graph.run(10.0)
     twists = [message.twist.twist for message in graph.messages("/car_sim/truth", first_ns)]
     assert max(twist.linear.x for twist in twists) == pytest.approx(0.5, abs=0.08)
     assert any(abs(twist.angular.z) > 0.02 for twist in twists)

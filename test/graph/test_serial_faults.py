@@ -76,10 +76,9 @@ FAULTS = [
 
 
 @pytest.mark.once
-@pytest.mark.parametrize("phase_s", [0.0, 0.37])  # between two judgements
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: f"{fault.fault}_{fault.value}")
-def test_fault_is_told_on_the_link_and_in_the_diagnostics_and_goes_with_it(line, fault, phase_s):
-    line.settled(phase_s)
+def test_fault_is_told_on_the_link_and_in_the_diagnostics_and_goes_with_it(line, fault):
+    line.settled(phase_s=0.37)  # between two judgements
     line.inject(fault.fault, fault.value)
     assert line.seconds_until(fault.state) <= fault.found_s
     line.graph.run(3.0)
@@ -92,6 +91,18 @@ def test_fault_is_told_on_the_link_and_in_the_diagnostics_and_goes_with_it(line,
     line.inject("plug" if fault.fault == "unplug" else fault.fault, 0)
     assert line.seconds_until("fine") <= fault.ended_s
     assert line.link.level == OK
+    assert line.call("ping")[0]
+
+
+@pytest.mark.parametrize("fault, value, text", [
+    ("reboot", 0.0, "the Teensy rebooted"), ("cut", 5, "corrupt frames came from the Teensy"),
+    ("out_of_step", 0.0, "a ping went unanswered")])
+def test_fault_that_is_over_at_once_is_logged_and_the_link_goes_on(line, fault, value, text):
+    line.settled()
+    begun_ns = line.inject(fault, value)
+    line.graph.run(3.0)
+    assert any(each.startswith(text) for each in line.graph.lines("/teensy_sensor_hub", begun_ns))
+    assert (line.link.reboots, line.link.state == "rebooted") == ((1, True) if fault == "reboot" else (0, False))
     assert line.call("ping")[0]
 
 

@@ -27,7 +27,7 @@ from graph import NS_PER_S
 
 MS = 1_000_000
 STORY_MS, STALL_MS, STOP_MS = 2000, 600, 1400  # the person stops at STOP_MS
-STEP_MS = 10 if os.environ.get("CAR_INTERFACE_ALL") else 125
+STEP_MS = 10 if os.environ.get("CAR_INTERFACE_ALL") else 250
 AFTER_MS = 120  # of what is judged after the stall and the timeouts
 NOISE_MPS = 0.02
 # How long after the person's stop a stall of the node may delay it: the timeout of who waits for it, and a timer.
@@ -153,7 +153,7 @@ def stalled(story, node, at_ms, number):
     def judged():
         story.run_to(max(at_ms + STALL_MS, STOP_MS + JOY_MS + DELAYS_MS[node]) + AFTER_MS)
         story.check(node, at_ms)
-        if number % 16 == 8:
+        if number % 8 == 4:
             story.check_that_it_drives_again()
         return []
     return judged() if at_ms >= STOP_MS else with_each_stop(story, judged)

@@ -265,17 +265,3 @@ def test_sequence_of_the_parameters_is_sent_when_the_port_opens_and_after_a_rebo
     car.graph.run(2.0)
     assert [command for _, command in teensy.commands] == 2 * expected
     assert car.graph.newest("/teensy_sensor_hub/link").reboots >= 1
-
-
-def test_sonars_that_fall_silent_are_started_again_after_three_seconds(car, start):
-    teensy = start()
-    for _ in range(20):
-        teensy.write(sonar(0, 10000, teensy.tick_ms))
-        car.graph.run(0.05)
-    silent_ns = car.graph.now_ns - 50 * MS
-    for _ in range(25):  # pongs alone are too rare to prove that it lives
-        teensy.write(wheels((0, 0), (teensy.tick_ms,) * 2, 0, 2))
-        car.graph.run(0.2)
-    assert [command for _, command in teensy.commands] == [SONAR_START]
-    assert 3.0 <= (teensy.commands[0][0] - silent_ns) / NS_PER_S <= 4.0  # it is judged once a second
-    assert "no sonar has reported for a while: SONAR_START was sent" in car.graph.lines("/teensy_sensor_hub")

@@ -181,17 +181,6 @@ def test_silence_of_0_27_s_with_the_button_held_on_is_named_once_whatever_the_ti
     assert second == (logging.WARNING, f"human in loop: False (the gamepad was silent; {REARM})")
 
 
-def test_deadman_that_is_held_at_its_start_counts_once_it_was_let_go():
-    """One that was started again while the deadman is held must not have the car drive on."""
-    teleop = Teleop()
-    teleop.hold(manual=1)
-    teleop.run(1.0)
-    assert set(teleop.since(HUMAN, 0)) == {False}
-    assert (logging.WARNING, f"human in loop: False (this node has just started; {REARM})") in teleop.log(0)
-    teleop.press(manual=1)
-    assert teleop.published()[0] is True
-
-
 def test_gamepad_that_was_never_heard_is_a_warning_with_the_remedy_in_its_namespace(graph):
     graph.record("/car7/teleop_logi/state", "/diagnostics")
     graph.add(TeleopLogi, "/car7/teleop_logi", GIVEN)

@@ -198,42 +198,6 @@ def test_buttons_change_the_scale_once_for_each_press_while_it_drives():
     assert arb.duty == BY_HAND
 
 
-STOPPED = SteeringState(source=SteeringState.NO_HUMAN, reason="why")
-LOCKED = SteeringState(source=SteeringState.LOCKED, reason="why")
-NO_VALUE = ConverterState(value=NAN, cause="command not finite", reason="the commanded acceleration is nan")
-LOSSES = {
-    "the planner's value silent for": lambda arb: arb.silence("value"),
-    "the planner's value is nan, no number to act on": lambda arb: arb.plan(NAN),
-    "the commanded acceleration is nan": lambda arb: arb.hold(converter=NO_VALUE),
-    "odometry silent for": lambda arb: arb.silence("speed"),
-    "the velocity in the odometry is nan": lambda arb: arb.hold(speed=NAN),
-    "human_in_loop is false": lambda arb: arb.hold(human=False),
-    "human_in_loop silent for": lambda arb: arb.silence("human"),
-    "turn_arb says NO_HUMAN: why": lambda arb: arb.hold(steering=STOPPED),
-    "turn_arb says LOCKED: why": lambda arb: arb.hold(steering=LOCKED),
-    "turn_arb's state silent for": lambda arb: arb.silence("steering"),
-    "tele_throt_req silent for": lambda arb: arb.silence("teleop"),
-    "tele_throt_req is nan, no number": lambda arb: arb.hold(teleop=NAN),
-    "e_stop is true": lambda arb: arb.hold(e_stop=True),
-    "e_stop silent for": lambda arb: arb.silence("e_stop")}
-
-
-def test_whatever_is_lost_means_neutral_with_its_reason():
-    """Within which time is in test_chain."""
-    arb = Arb()
-    for reason, lose in LOSSES.items():
-        arb.present()
-        arb.plan(3.0)
-        assert arb.duty == FULL_FORWARD
-        lose(arb)
-        arb.graph.run_until(lambda: arb.duty == NEUTRAL, 1.1)
-        since_ns = arb.graph.now_ns + 1
-        arb.run(0.002)
-        assert arb.state.reason.startswith(reason)
-        arb.run(0.5)
-        assert arb.duties(since_ns) == {NEUTRAL}
-
-
 # --- the battery ---
 
 STOPS_BELOW = {"battery": {"warn_below": 7.0, "stop_below": 6.6, "recovery": 0.5}}
@@ -266,21 +230,14 @@ def test_empty_battery_stops_the_planner_with_its_reason_until_it_is_changed_and
     assert arb.duty == BY_PLANNER and battery_report(arb) == (OK, "8.00 V")
 
 
-@pytest.mark.parametrize("lose, message", [
-    (lambda arb: arb.silence("battery"), "battery_state silent for [5-7].* s: the voltage isn't known"),
-    (lambda arb: arb.hold(battery=NAN), "battery_state's voltage is nan, none that a battery has"),
-    (lambda arb: arb.hold(battery=6.8),
-     "the battery has 6.80 V after it fell below warn_below, 7 V: low until it has 7.5 V"),
-], ids=["silent", "nan", "low"])
-def test_battery_that_is_low_silent_or_not_measured_is_a_warning_and_no_stop(lose, message):
+def test_battery_that_is_low_is_a_warning_and_no_stop():
     arb = Arb(**STOPS_BELOW).present(battery=8.0)
     arb.plan(1.2)
-    lose(arb)
+    arb.hold(battery=6.8)
     arb.run(6.0)
-    assert arb.duty == BY_PLANNER
-    level, text = battery_report(arb)
-    assert level == WARN and re.fullmatch(message, text)
-    assert len(arb.warnings()) == 1 and re.fullmatch(f"battery: {message}", arb.warnings()[0])
+    text = "the battery has 6.80 V after it fell below warn_below, 7 V: low until it has 7.5 V"
+    assert arb.duty == BY_PLANNER and battery_report(arb) == (WARN, text)
+    assert arb.warnings() == [f"battery: {text}"]
 
 
 def test_car_on_which_nobody_publishes_a_battery_s_state_is_told_of_nothing():

@@ -74,6 +74,20 @@ class Driven(unittest.TestCase):
         return [self.car.chip.wait_for(channel, lambda counts, neutral=NEUTRALS[channel]: counts == neutral, since_ns)
                 for channel in channels]
 
+    def hold_meanwhile(self, frozen_ns, deadman="joy"):
+        """Let go of the deadman and hold it again while a process is frozen, for longer than it may stand still."""
+        for value in ("0", "1.0"):
+            self.car.sent(self.car.processes["pad"], deadman, value)
+        eventually(lambda: time.monotonic_ns() - frozen_ns > STALL_S * 1e9, "a stall that takes control away")
+
+    def check_that_it_stands(self, channels=(0, 1), was_frozen=False):
+        """For 0.3 s from now on, but for what a process was about to send when it was frozen."""
+        since_ns = time.monotonic_ns()
+        eventually(lambda: time.monotonic_ns() - since_ns > 0.3e9, "0.3 s")
+        for channel in channels:
+            values = self.car.chip.values_since(channel, since_ns)
+            self.assertLessEqual({*values[2 * was_frozen:], self.car.chip.counts(channel)}, {NEUTRALS[channel]})
+
     def measure(self, title, fault, restore, bound_ms, channels=(0, 1)):
         """Make a fault, wait until the car stands, and bring back what it took away."""
         times: dict = {channel: [] for channel in channels}
@@ -111,17 +125,17 @@ class Chain(Driven):
         return self.lost_ns
 
     def bring_back(self, name, number, start, drives_on, channels):
-        """Nothing moves until the deadman was let go, except where ``drives_on``."""
+        """Nothing moves until the deadman was let go, except where ``drives_on``; what was sent meanwhile is lost."""
         if number == signal.SIGSTOP:
-            eventually(lambda: time.monotonic_ns() - self.lost_ns > STALL_S * 1e9, "a stall that takes control away")
+            if name == "pad":
+                eventually(lambda: time.monotonic_ns() - self.lost_ns > STALL_S * 1e9, "a stall")
+            else:
+                self.hold_meanwhile(self.lost_ns)
             self.send(name, signal.SIGCONT)
         else:
             start()
         if not drives_on:
-            since_ns = time.monotonic_ns()
-            eventually(lambda: time.monotonic_ns() - since_ns > 0.3e9, "0.3 s")
-            for channel in channels:
-                self.assertLessEqual(set(self.car.chip.values_since(channel, since_ns)), {NEUTRALS[channel]})
+            self.check_that_it_stands(channels, number == signal.SIGSTOP)
         self.hold()
 
     def test_1_messages_stop_it(self):
@@ -234,11 +248,19 @@ class OneProcess(Driven):
             self.hold("human")
         self.set_clock(0)
 
-    def test_guard_acts_when_it_is_frozen_or_killed(self):
+    def test_guard_acts_when_it_is_frozen_or_killed_and_its_parts_obey_nothing_that_was_sent_meanwhile(self):
+        """The parts share the connections of their process."""
         self.hold("human")
         process = self.car.processes["car_nodes"]
-        self.measure("car_nodes frozen", lambda: int(process.send(signal.SIGSTOP) * 1e9),
-                     lambda: process.send(signal.SIGCONT) and self.hold("human"), 350)
+
+        def go_on():
+            self.hold_meanwhile(time.monotonic_ns(), "human")
+            process.send(signal.SIGCONT)
+            for part in ("turn_arb", "throttle_arb", "pca9685"):
+                process.wait_for_line(f"WARN.*{part}: node stood still")
+            self.check_that_it_stands(was_frozen=True)
+            self.hold("human")
+        self.measure("car_nodes frozen", lambda: int(process.send(signal.SIGSTOP) * 1e9), go_on, 350)
         self.measure("car_nodes killed", lambda: int(self.car.processes["car_nodes"].send(signal.SIGKILL) * 1e9),
                      lambda: self.car.one_process() and self.hold("human"), 350)
 

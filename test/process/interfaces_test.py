@@ -5,7 +5,6 @@ What the nodes decide, and when, is tested in test/graph.
 """
 from __future__ import annotations
 
-import contextlib
 import os
 import shlex
 import shutil
@@ -26,13 +25,11 @@ from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32, Int8, Int32MultiArray, String
 
 from car_interface.common import causes
-from closing import pid_of
-from waiting import PACKAGE, Repeater, Topic, config, eventually, one_process_params, set_params, start, start_node
+from waiting import PACKAGE, Repeater, Topic, config, eventually, set_params, start, start_node
 
-CENTER, LEFT, PLANNER_LEFT = 5100, 3800, 3830
+CENTER, LEFT = 5100, 3800
 NEUTRAL, BY_HAND = 4915, 5407
 CENTER_ON_CHIP = 5104  # 319 counts: 5100 / 16 = 318.75
-FROZEN_S = 3.0
 STATES = {"turn_arb": SteeringState, "throttle_arb": ThrottleState, "teleop_logi": TeleopState,
           "generic_value_converter": ConverterState}
 # By topic: its type, and which of the four nodes publish or subscribe.
@@ -80,12 +77,11 @@ class Inputs(Repeater):
 class Car:
     """An arbiter's human, who lets go whenever a node asks for that, and what it commands."""
 
-    def __init__(self, inputs, namespace=""):
-        self._inputs, self._space = inputs, namespace
-        self.commands = Topic(f"{namespace}/servo/cmdVector", Int32MultiArray)
-        self.states = {name: Topic(f"{namespace}/{name}/state", STATES[name]) for name in ("turn_arb", "throttle_arb")}
-        inputs.hold(f"{namespace}/e_stop", Bool(False))
-        inputs.hold(f"{namespace}/av_turnrad_req", Float32(2.0))
+    def __init__(self, inputs):
+        self.commands = Topic("/servo/cmdVector", Int32MultiArray)
+        self.states = {name: Topic(f"/{name}/state", STATES[name]) for name in ("turn_arb", "throttle_arb")}
+        inputs.hold("/e_stop", Bool(False))
+        inputs.hold("/av_turnrad_req", Float32(2.0))
 
     def lets_go(self):
         """Whether a node waits for it, or for something else than the human."""
@@ -95,29 +91,9 @@ class Car:
         return any("let go" in state.reason or state.cause in ("human absent", "e_stop on", "starting")
                    or "let go" in getattr(state, "esc_reason", "") for state in newest) and time.monotonic() % 0.4 < 0.2
 
-    def hold_deadman(self):
-        self._inputs.hold(f"{self._space}/teleop_logi/human_in_loop", lambda: Bool(not self.lets_go()))
-
-    def human(self, *held):
-        """Send each of these once, and stop sending."""
-        topic = f"{self._space}/teleop_logi/human_in_loop"
-        self._inputs.drop(topic)
-        for each in held:
-            self._inputs.send(topic, Bool(each))
-
-    def duties(self, channel, since):
-        return [command.data[channel] for command in self.commands.since(since) if command.data[channel] != -1]
-
     def wait_for(self, channel, duty, since=None):
         return self.commands.wait_for(lambda command: command.data[channel] == duty,
                                       self.commands.mark() if since is None else since)
-
-
-def go_on(*pids):
-    """Let frozen processes go on that have not ended."""
-    for pid in pids:
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(pid, signal.SIGCONT)
 
 
 class Interfaces(unittest.TestCase):
@@ -130,7 +106,6 @@ class Interfaces(unittest.TestCase):
         cls.values = Topic("/generic/output/value", Float64Stamped)
         cls.human = Topic("/teleop_logi/human_in_loop", Bool)
         cls.pressed = False  # the manual deadman, with the sticks at full left and full ahead
-        cls.lets_go = True  # when a node asks for it
         cls.inputs.hold("/joy", cls.joy)
         for name, message_type in STATES.items():
             topic = Topic(f"/{name}/state", message_type)
@@ -144,7 +119,7 @@ class Interfaces(unittest.TestCase):
 
     @classmethod
     def joy(cls):
-        held = cls.pressed and not (cls.lets_go and cls.car.lets_go())
+        held = cls.pressed and not cls.car.lets_go()
         message = Joy(axes=[0.0] * 8, buttons=[0] * 4 + [int(held)] + [0] * 6)
         if held:
             message.axes[0] = message.axes[4] = 1.0
@@ -264,55 +239,6 @@ class Interfaces(unittest.TestCase):
             self.assertEqual(process.wait_for_exit(), 0)
             eventually(lambda: not deadman.since()[-1].data, "a deadman that was let go")
             self.assertNotIn("/ending/teleop_logi", rosnode.get_node_names())
-
-    def test_node_that_is_frozen_obeys_nothing_that_was_sent_meanwhile(self):
-        """turn_arb, and the parts of car_nodes, which share connections. The deadman is let go and held again."""
-        for part, parameters in {**one_process_params(self.folder, virtual_chip=os.path.join(self.folder, "chip")),
-                                 "car_nodes": {"throttle": True}}.items():
-            set_params(self, f"/one/{part}", parameters)
-        process = start_node(self, "car_nodes", "__ns:=/one", *MOVED,
-                             "generic_value_converter/input/control_cmd:=control_cmd",
-                             "generic_value_converter/input/odometry:=odometry",
-                             "throttle_arb/input/value:=generic_value_converter/output/value",
-                             "throttle_arb/input/odometry:=odometry")
-        process.wait_for_info("running at")
-        one = Car(self.inputs, "/one")
-        command, odometry = Control(), Odometry()
-        command.longitudinal.acceleration = odometry.twist.twist.linear.x = 1.0
-        self.inputs.hold("/one/control_cmd", command)
-        self.inputs.hold("/one/odometry", odometry)
-        one.hold_deadman()
-        one.wait_for(0, PLANNER_LEFT)
-        eventually(lambda: set(one.duties(1, one.commands.mark() - 20)) - {NEUTRAL}, "the ESC driven")
-        self.press()
-        type(self).lets_go = False
-        self.addCleanup(setattr, type(self), "lets_go", True)
-        pids = pid_of("/turn_arb"), process.pid
-        self.addCleanup(go_on, *pids)
-        for each in pids:
-            os.kill(each, signal.SIGSTOP)
-        frozen_s = time.monotonic()
-        eventually(lambda: time.monotonic() - frozen_s > FROZEN_S / 2, "half of it")
-        for held in (False, True):
-            self.inputs.send("/teleop_logi/human_in_loop", Bool(held))
-        one.human(False, False, False, True, True, True, False)
-        eventually(lambda: time.monotonic() - frozen_s > FROZEN_S, "all of it")
-        marks = [(car, car.commands.mark()) for car in (self.car, one)]
-        go_on(*pids)
-        self.log.wait_for(lambda line: line.name == "/turn_arb" and "node stood still for" in line.msg)
-        for part in ("turn_arb", "throttle_arb", "pca9685"):
-            process.wait_for_line(f"WARN.*{part}: node stood still")
-        for car, mark in marks:
-            car.commands.wait_for_count(60, mark)
-            self.assertEqual(set(car.duties(0, mark)[2:]), {CENTER})  # but what it was about to send when it was frozen
-        self.assertEqual(set(one.duties(1, marks[1][1])[2:]), {NEUTRAL})
-        type(self).lets_go = True
-        self.car.wait_for(0, LEFT)
-        one.hold_deadman()
-        one.wait_for(0, PLANNER_LEFT)
-        one.human(False)
-        self.assertEqual(process.end(), 0)
-
 
 if __name__ == "__main__":
     rospy.init_node("interfaces_test")

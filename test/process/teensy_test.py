@@ -5,7 +5,6 @@ What the hub makes of what comes, and when, is tested in test/graph.
 """
 from __future__ import annotations
 
-import json
 import os
 import pty
 import re
@@ -16,14 +15,13 @@ import time
 import tty
 import unittest
 
-import rospkg
 import rospy
 import rostest
 from car_interface.msg import Distance, Error, LinkStatus, Pong, Wheel
 from car_interface.srv import InjectFault, SetSonarSequence, SetSonarWait
 from std_srvs.srv import Trigger
 
-from closing import ask, pid_of
+from closing import pid_of
 from terminal import Terminal
 from waiting import PATIENCE_S, Record, Topic, eventually, executable, start, start_node
 
@@ -32,7 +30,6 @@ MAX_CPU = 0.8
 MAX_GROWTH_KB = 6000
 FLAG = b"\x7e"
 PING_HEADER = "02010100"
-CHUNK = 997  # of the capture at once: under 100 frames, the depth of the hub's queues, and no frame boundary
 # Header, payload and checksum of what each key and each service sends.
 SONAR_START, SONAR_STOP, WHEEL_RESET, GET_COUNTERS = "02010500f7", "02010400f8", "02010800f4", "02010a00f2"
 SEQUENCE_015, SEQUENCE_ALL, WAIT_50_MS = "0201030003000105f0", "0201030006000102030405e4", "02010c0032000000be"
@@ -162,14 +159,6 @@ class LaunchedCar(unittest.TestCase):
         self.assertEqual(link.reconnects, before.reconnects + 1)
         eventually(lambda: call("teensy_sensor_hub", "ping")[0], "a pong in time")
 
-    def test_silence_and_reboot_are_told_and_survived(self):
-        mark = self.fault("silence", 60)
-        self.links.wait_for(lambda link: link.state == "silent", mark)
-        mark = self.fault("silence", 0)
-        self.links.wait_for(lambda link: link.state == "fine", mark)
-        mark = self.fault("reboot")
-        self.assertEqual(self.links.wait_for(lambda link: link.state == "rebooted", mark).what.reboots, 1)
-
     def test_flood_leaves_services_answering_and_cpu_to_others_and_memory_as_it_is(self):
         usage = Usage(pid_of("/teensy_sensor_hub"))
         mark = self.fault("flood", 60)
@@ -197,29 +186,6 @@ class ByItself(unittest.TestCase):
         topic = Topic(f"/{name}/teensy_sensor_hub/link", LinkStatus)
         self.addCleanup(topic.close)
         return topic
-
-    def test_capture_of_the_firmware_becomes_its_messages(self):
-        line, data = Line(self.port), os.path.join(rospkg.RosPack().get_path("car_interface"), "test", "data")
-        with open(os.path.join(data, "capture_mixed.bin"), "rb") as file:
-            stream = file.read()
-        with open(os.path.join(data, "capture_mixed.jsonl"), encoding="utf-8") as file:
-            frames = [frame for frame in map(json.loads, file) if frame["cmd"] is not None]
-        self.hub("captured")
-        topics = {cmd: Topic(f"/captured/teensy_{name}", message_type).connected() for cmd, name, message_type in (
-            (2, "pong", Pong), (6, "distance", Distance), (7, "wheel", Wheel), (9, "error", Error))}
-        line.wait_for(PING_HEADER)  # a hub throws away what arrived before it opened its port
-        # A subscriber counts a publisher that doesn't have it yet, and would send it nothing.
-        eventually(lambda: {topic.name for topic in topics.values()} <= {
-            connection[4] for connection in ask("/captured/teensy_sensor_hub", "getBusInfo") if connection[2] == "o"},
-                   "subscribers that the hub has")
-        for begin in range(0, len(stream), CHUNK):
-            line.write(stream[begin:begin + CHUNK])
-            whole = sum(frame["end"] < begin + CHUNK for frame in frames)
-            eventually(lambda whole=whole: sum(topic.mark() for topic in topics.values()) >= whole, f"{whole} messages")
-        for cmd, count in ((2, 101), (6, 218), (7, 445), (9, 31)):
-            self.assertEqual(topics[cmd].mark(), count)
-        self.assertEqual([(one.sensor, one.distance, one.when) for one in topics[6].since()],
-                         [(frame["sensor"], frame["distance"], frame["when"]) for frame in frames if frame["cmd"] == 6])
 
     def test_port_that_another_program_holds_is_told_with_its_name_and_taken_when_that_ends(self):
         Line(self.port)

@@ -209,16 +209,6 @@ class Tools(unittest.TestCase):
 
     # --- planners ---
 
-    def test_example_of_a_planner_drives_the_car_and_its_death_stops_it(self):
-        self.take_gamepad()
-        process = NodeProcess("python3", os.path.join(PACKAGE, "docs", "examples", "end_to_end.py"))
-        self.addCleanup(process.clean_up)
-        self.hold()
-        self.assertEqual(self.wait_for_steering(SteeringState.PLANNER).reason, "av_steer_req is -0.970")
-        process.end(signal.SIGKILL)
-        self.throttle.wait_for(lambda state: state.reason.startswith("speed silent for "), self.throttle.mark())
-        self.wait_until_it_stands()
-
     def test_first_planners_of_the_page_run_as_they_stand_there(self):
         for topic, message_type, speed in (("cmd_vel", Twist, lambda message: message.linear.x),
                                            ("drive", ackermann_drive_class(), lambda message: message.drive.speed)):

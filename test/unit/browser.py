@@ -85,13 +85,21 @@ class Browser:
         os.close(self._in)
         self._folder.cleanup()
 
-    def open(self, page: Path) -> None:
-        """Open a file and wait until all of it is there."""
-        target = self._ask("Target.createTarget", url="about:blank")["targetId"]
-        self._session = self._ask("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+    def open(self, page: Path | str) -> None:
+        """Open a file or a URL and wait until all of it is there."""
+        self._target = self._ask("Target.createTarget", url="about:blank")["targetId"]
+        self._session = self._ask("Target.attachToTarget", targetId=self._target, flatten=True)["sessionId"]
         for room in ("Page", "Runtime", "Log", "Network"):
             self._ask(room + ".enable")
-        self._ask("Page.navigate", url=page.resolve().as_uri())
+        self._load("Page.navigate", url=page if isinstance(page, str) else page.resolve().as_uri())
+
+    def reload(self) -> None:
+        """Load the page again."""
+        self._load("Page.reload")
+
+    def _load(self, method, **parameters):
+        self._is_loaded = False
+        self._ask(method, **parameters)
         self._until(lambda: self._is_loaded)
 
     def evaluate(self, expression: str) -> Any:
@@ -103,6 +111,36 @@ class Browser:
     def resize(self, width: int) -> None:
         """Give the page so many pixels; a window is never narrower than 500."""
         self._ask("Emulation.setDeviceMetricsOverride", width=width, height=1000, deviceScaleFactor=1, mobile=False)
+
+    def be_phone(self, width: int, height: int, is_dark: bool = False) -> None:
+        """Have so many pixels, and be touched."""
+        self._ask("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=True)
+        self._ask("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=2)
+        self._ask("Emulation.setEmulatedMedia",
+                  features=[{"name": "prefers-color-scheme", "value": "dark" if is_dark else "light"}])
+
+    def touch(self, kind: str, *points: tuple[float, float]) -> None:
+        """Have fingers do "touchStart" or "touchMove" at points, the first finger's first, or all "touchEnd"."""
+        self._ask("Input.dispatchTouchEvent", type=kind,
+                  touchPoints=[{"x": x, "y": y, "id": finger} for finger, (x, y) in enumerate(points)])
+
+    def key(self, kind: str, key: str) -> None:
+        """Press a key by "keyDown", or release it by "keyUp"."""
+        self._ask("Input.dispatchKeyEvent", type=kind, key=key, code=f"Key{key.upper()}")
+
+    def hide(self, is_hidden: bool) -> None:
+        """Put another tab in front of the page, or the page again."""
+        session, self._session = self._session, None
+        if is_hidden:
+            self._in_front = self._ask("Target.createTarget", url="about:blank")["targetId"]
+        else:
+            self._ask("Target.closeTarget", targetId=self._in_front)
+            self._ask("Target.activateTarget", targetId=self._target)
+        self._session = session
+
+    def signal(self, number: int) -> None:
+        """Send a signal to all of its processes."""
+        os.killpg(self._process.pid, number)
 
     def picture(self, height: int | None = None) -> bytes:
         """The page down to a height in pixels, or all of it, as PNG."""

@@ -25,8 +25,9 @@ TOOLS = {"calibration_drive", "doctor", "first_check", "keyboard_drive", "map_ga
 NODES = [script for script in SCRIPTS if script.name not in OFFLINE]
 NODE_TESTS = sorted((ROOT / "test" / "process").glob("*.test"))
 # The rosdep keys of libraries that are not called like their key.
-KEYS = {name: f"python3-{name}" for name in ("evdev", "hypothesis", "jinja2", "matplotlib", "numpy", "pytest", "rospkg",
-                                            "scipy", "serial", "setuptools", "smbus2", "tornado", "tqdm", "yaml")}
+KEYS = {name: f"python3-{name}" for name in ("evdev", "hypothesis", "jinja2", "matplotlib", "numpy", "pytest",
+                                            "qrcode", "rospkg", "scipy", "serial", "setuptools", "smbus2", "tornado",
+                                            "tqdm", "yaml")}
 KEYS["PIL"] = "python3-pil"
 KEYS["rosbags"] = "python3-rosbags-pip"
 EXTRAS = {"distributed"}  # of setup.py, which ROS doesn't install

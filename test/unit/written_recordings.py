@@ -1,13 +1,13 @@
 """Writes small recordings of every kind that rosbags knows, and a drive in which a lot happens."""
 from __future__ import annotations
 
+import functools
 import math
 import sqlite3
 from pathlib import Path
 from typing import Any, Iterable, NamedTuple
 
 import numpy as np
-from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -35,17 +35,6 @@ def write_ros1(path: Path, messages: Iterable[Written], chunk_bytes: int | None 
         if chunk_bytes is not None:
             writer.chunk_threshold = chunk_bytes
         _write(writer, store, store.serialize_ros1, messages)
-    return path
-
-
-def rename_topics(bag, path: Path, names: dict) -> Path:
-    """A copy of a ROS 1 bag, in order of time, in which topics have other names, those of somebody else's car."""
-    with Ros1Reader(bag) as reader, Ros1Writer(path) as writer:
-        connections = {one.id: writer.add_connection(
-            names.get(one.topic, one.topic), one.msgtype, typestore=typestore(Stores.ROS1_NOETIC))
-            for one in reader.connections}
-        for connection, time_ns, data in reader.messages():
-            writer.write(connections[connection.id], time_ns, data)
     return path
 
 
@@ -78,12 +67,17 @@ def write_ros2(path: Path, messages: Iterable[Written], with_definitions: bool =
 
 def typestore(kind: Stores, extra_types: Iterable[tuple[str, str]] = ()) -> Any:
     """The standard types, this package's, and others given as (name, definition)."""
+    return _typestore(kind, tuple(extra_types))
+
+
+@functools.lru_cache(maxsize=None)
+def _typestore(kind, extra_types):
     store = get_typestore(kind)
     types: dict = {}
     for file in sorted((ROOT / "msg").glob("*.msg")):
         types.update(get_types_from_msg(file.read_text(encoding="utf-8"), f"car_interface/msg/{file.stem}"))
     if kind == Stores.ROS1_NOETIC:  # rosbags' lacks this one
-        extra_types = [*extra_types, ("tf2_msgs/TFMessage", "geometry_msgs/TransformStamped[] transforms")]
+        extra_types = (*extra_types, ("tf2_msgs/TFMessage", "geometry_msgs/TransformStamped[] transforms"))
     for name, text in extra_types:
         types.update(get_types_from_msg(text, full(name)))
     store.register(types)
@@ -103,13 +97,18 @@ def made(store: Any, name: str, fields: dict) -> Any:
     return store.types[name](**values)
 
 
+@functools.lru_cache(maxsize=None)
+def _empty(store, name):
+    return made(store, name, {})
+
+
 def _value(store, kind, value):
     node, inside = kind
     if node == BASE:
         empty = "" if inside[0] == "string" else False if inside[0] == "bool" else 0.0 if "float" in inside[0] else 0
         return empty if value is None else value
     if node == NAME:
-        return made(store, inside, value or {})
+        return made(store, inside, value) if value else _empty(store, inside)
     element, length = inside
     if element[0] == BASE and element[1][0] != "string":
         return np.array([0] * (length if node == ARRAY else 0) if value is None else value, element[1][0])

@@ -37,7 +37,7 @@ from car_interface.ros.topics import subscribe
 # took 4.1 % of a core instead of 1.9 (AMD EPYC, Python 3.11).
 TOPICS = (
     "turn_arb/state", "throttle_arb/state", "planner_interface/state", "generic_value_converter/state",
-    "teleop_logi/state", "teleop_logi/mode", "joy", "e_stop",
+    "teleop_logi/state", "teleop_logi/mode", "joy", "e_stop", "phone/joy", "phone/e_stop",
     "drive", "cmd_vel", "control/command/control_cmd", "control/command/gear_cmd",
     "av_turnrad_req", "av_steer_req", "av_speed_req", "servo/output", "odom", "imu/data",
     "teensy_sensor_hub/link", "teensy_clock", "teensy_pong", "teensy_error", *(f"sonar/{name}" for name in SONARS),

@@ -1,8 +1,9 @@
 """Keeps one PCA9685 at its targets, and recovers from faults of bus and chip.
 
-A failed transfer is repeated once; when that fails too, the bus is reopened and the chip initialised again, with
-growing pauses. Twice a second the chip is read back: after a loss of power it has its reset values and still
-acknowledges every write, and another program may have written to its channels.
+A failed transfer is repeated once; when that fails too, the bus is reopened and the chip initialised again: every 100
+ms, since the chip may go on pulsing an old command, or with growing pauses where it has never run. Twice a second the
+chip is read back: after a loss of power it has its reset values and still acknowledges every write, and another program
+may have written to its channels.
 
 Pure: the bus is opened by a function that is passed in, and so is ``now_ns``.
 """
@@ -177,7 +178,8 @@ class BoardSupervisor:
 
     def _wait(self, now_ns):
         self._next_try_ns = now_ns + self._retry_ns
-        self._retry_ns = min(2 * self._retry_ns, LAST_RETRY_NS)
+        if not self.ever_ran:
+            self._retry_ns = min(2 * self._retry_ns, LAST_RETRY_NS)
 
     def close(self) -> None:
         """Close the bus; the chip continues with its registers."""

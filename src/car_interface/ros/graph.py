@@ -51,6 +51,16 @@ class RosGraph:
         """Offer a service; ``handler`` is called in a thread of ROS."""
         return rospy.Service(name, service_type, handler)
 
+    def call(self, service: str, service_type, request: Any, on_done: Callable[[Any, str], None]) -> None:
+        """Call a service beside the node's thread; ``on_done(answer, problem)`` is called there: None if it failed."""
+        def run():
+            try:
+                answer, problem = rospy.ServiceProxy(service, service_type)(request), ""
+            except (rospy.ServiceException, rospy.ROSException, OSError) as error:
+                answer, problem = None, str(error)
+            on_done(answer, problem)
+        self.start_thread(run, "call")
+
     def parameter(self, name: str, default: Any) -> Any:
         """Return a parameter, or the default where there is none."""
         return rospy.get_param(name, default)

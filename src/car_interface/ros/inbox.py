@@ -141,6 +141,17 @@ class Inbox:
         if wakes:
             self.wake()
 
+    def work(self, work: Callable[[], Any], handler: Callable[[Any, int], None]) -> None:
+        """Have ``handler(work(), now_ns)`` called in the node's thread. What ``work`` raises is raised there, too."""
+        def run():
+            try:
+                result = work()
+            except Exception as error:
+                self.put(_fail, error)
+                return
+            self.put(handler, result)
+        self.graph.start_thread(run, "work")
+
     def on_overflow(self, handler: Callable[[int], None]) -> None:
         """Have the node's thread call ``handler(now_ns)`` after messages were dropped, before it handles newer ones."""
         self._overflow_handlers.append(handler)
@@ -221,3 +232,7 @@ class Inbox:
         """Call the handler of each item that has arrived, oldest first."""
         for handler, item, arrival_ns in self.drain():
             handler(item, arrival_ns)
+
+
+def _fail(error, now_ns):
+    raise error

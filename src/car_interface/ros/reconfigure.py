@@ -18,8 +18,8 @@ from typing import Callable, Mapping
 
 import rospy
 from dynamic_reconfigure import server
-from dynamic_reconfigure.msg import Config, IntParameter
-from dynamic_reconfigure.srv import Reconfigure
+from dynamic_reconfigure.msg import Config, ConfigDescription, IntParameter
+from dynamic_reconfigure.srv import Reconfigure, ReconfigureRequest
 from std_srvs.srv import Trigger, TriggerResponse
 
 from car_interface.common.errors import ConfigError
@@ -28,6 +28,7 @@ from car_interface.common.package_files import is_package_file
 from car_interface.common.yaml_edit import Values, save
 from car_interface.ros.inbox import TOO_BUSY, Inbox
 from car_interface.ros.logs import ThrottledWarnings
+from car_interface.ros.topics import subscribe
 
 ANSWER_WITHIN_S = 2.0
 SETTLE_WITHIN_S = 5.0
@@ -152,11 +153,50 @@ class ReconfigureServer:
         return TriggerResponse(success=success, message=message)
 
 
+class TunedNode:
+    """Another node's tunable values, as rqt_reconfigure sees and changes them.
+
+    Args:
+        inbox: of the node that asks.
+        namespace: of the other's dynamic_reconfigure.
+
+    Attributes:
+        values, low, high: by name; empty until the other node has sent them.
+    """
+
+    def __init__(self, inbox: Inbox, namespace: str):
+        self._inbox, self._namespace = inbox, namespace
+        self.values: dict[str, int] = {}
+        self.low: dict[str, int] = {}
+        self.high: dict[str, int] = {}
+        subscribe(f"{namespace}/parameter_descriptions", ConfigDescription, inbox, self._on_description, wakes=False)
+        subscribe(f"{namespace}/parameter_updates", Config, inbox, self._on_values, wakes=False)
+
+    def request(self, values: Mapping[str, int], on_done: Callable[[Mapping[str, int] | None, str], None]) -> None:
+        """Have it tune values; ``on_done(accepted values or None, problem)`` is called in another thread."""
+        self._inbox.graph.call(
+            self._inbox.resolve_name(f"{self._namespace}/set_parameters"), Reconfigure, _request(values),
+            lambda answer, problem: on_done(None if answer is None else _integers(answer.config), problem))
+
+    def _on_description(self, description, now_ns):
+        self.low, self.high = _integers(description.min), _integers(description.max)
+
+    def _on_values(self, config, now_ns):
+        self.values = _integers(config)
+
+
+def _integers(config):
+    return {parameter.name: parameter.value for parameter in config.ints}
+
+
+def _request(values):
+    return ReconfigureRequest(Config(ints=[IntParameter(name, value) for name, value in values.items()]))
+
+
 def request_values(namespace: str, values: Mapping[str, int]) -> None:
     """Have another node tune its values, as rqt_reconfigure does, and wait for that."""
     try:
-        rospy.ServiceProxy(f"{namespace}/set_parameters", Reconfigure)(
-            Config(ints=[IntParameter(name, value) for name, value in values.items()]))
+        rospy.ServiceProxy(f"{namespace}/set_parameters", Reconfigure)(_request(values))
     except (rospy.ServiceException, OSError) as error:
         rospy.logwarn("%s can't be tuned: %s", namespace, error)
 

@@ -40,6 +40,7 @@ CONFIGS = {
     "teleop_logi": "teleop.gamepad.GamepadConfig",
     "gamepad_joy": "teleop.joystick.JoystickConfig",
     "keyboard_drive": "teleop.keyboard.KeyboardConfig",
+    "phone_drive": "nodes.phone_drive.config.PhoneDriveConfig",
     "black_box": "black_box.folder.BlackBoxConfig",
     "car_nodes": "common.fixed_parameters.CarNodesConfig",
     "car_display": "nodes.car_display.config.CarDisplayConfig",

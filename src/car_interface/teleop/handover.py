@@ -13,6 +13,7 @@ from car_interface.common import causes
 from car_interface.teleop.gamepad import NONE, REARM_TEXT, Gamepad, GamepadConfig, Requests
 
 PHONE_TOPIC = "phone/joy"
+PHONE_PREFIX = "phone: "  # of a reason that is about the phone
 PHONE_TIMEOUT_S = 0.25  # phone_drive repeats its message 20 times a second, as a gamepad's driver does
 AXES = STEERING, THROTTLE = 0, 1  # of a message on phone/joy
 BUTTONS = MANUAL, AUTONOMOUS, FASTER, SLOWER = 0, 1, 2, 3
@@ -78,7 +79,7 @@ class Handover:
         elif phone.holds_deadman or not self.gamepad.axes:
             self.phone_is_current = True
         if self.phone_is_current:
-            return self._count(phone, self._phone_must_release, "the gamepad's deadman was held", "phone: ",
+            return self._count(phone, self._phone_must_release, "the gamepad's deadman was held", PHONE_PREFIX,
                                self.gamepad, now_ns)
         return self._count(gamepad, self._gamepad_must_release, "the phone drove", "", self._phone, now_ns)
 

@@ -1,7 +1,8 @@
 """Decides what phones may do to the car: who drives, whether his touch counts, and the emergency stop.
 
 Consumes what happens on connections, each with its arrival on the monotonic clock, and answers with messages to send
-(``teleop.phone_messages``), the driver's controls and the e-stop. It never raises for anything that a page sends.
+(``teleop.phone_messages``), the driver's controls, the e-stop, and the commands that the node is to execute. It never
+raises for anything that a page sends.
 
 A connection proves nothing: it outlives a phone that is frozen, locked or out of range, and buffers what was sent
 meanwhile. So each page gets a changing token 20 times a second, and what it sends counts by the age of the token that
@@ -20,7 +21,7 @@ from car_interface.common.causes import AUTONOMOUS, MANUAL
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import NS_PER_S
 from car_interface.teleop.keyboard import Controls
-from car_interface.teleop.phone_messages import NOTHING, parse, text_of
+from car_interface.teleop.phone_messages import DRIVERS, NOTHING, parse, text_of
 
 TOKEN_HZ = 20
 TICKS_PER_STATUS = 4
@@ -36,7 +37,8 @@ MESSAGES_HZ, MESSAGES_AT_ONCE = 150, 150
 MAX_MALFORMED = 20  # of a connection, before it is closed
 # Of an address: five guesses at once, then one in 10 s: 1e6 PINs take 116 days.
 GUESSES_HZ, GUESSES_AT_ONCE = 0.1, 5
-MAX_SHOWN = 300  # characters of another node's words
+MAX_COMMANDS = 8  # that the node hasn't taken yet
+GUESTS = frozenset({"e_stop", "echo", "leave"})  # what a page without the PIN may send
 LET_GO = "lift your thumbs, then touch again"
 REPLACED = "replaced"
 
@@ -47,6 +49,13 @@ class Outgoing(NamedTuple):
     connection: int
     text: str
     closes: bool = False
+
+
+class Command(NamedTuple):
+    """What a page wants the node to do; ``Phones.answer`` says what became of it."""
+
+    connection: int
+    message: dict[str, Any]
 
 
 class Bucket:
@@ -75,10 +84,16 @@ class _Page:
     address: str
     opened_ns: int
     rate: Bucket
-    key: str = ""  # empty: not admitted
+    key: str = ""  # empty: a guest, or not admitted
+    is_guest: bool = False
+    delay_ns: int | None = None  # from a token to its newest echo
     tokens: deque = field(default_factory=lambda: deque(maxlen=1 + TOKEN_HZ * MAX_AGE_NS // NS_PER_S))
     number: int = -1  # of the newest message that counted
     malformed: int = 0
+
+    @property
+    def is_admitted(self) -> bool:
+        return bool(self.key) or self.is_guest
 
 
 class Phones:
@@ -87,6 +102,8 @@ class Phones:
     Args:
         pin: six digits, which admit a page.
         now_ns: the start.
+        admits_guests: pages that don't know the PIN may see the car, and stop it.
+        e_stop: it is on at the start.
         make_secret: returns a text that nobody can guess; for tokens and keys.
 
     Attributes:
@@ -94,22 +111,25 @@ class Phones:
         counts: what happened how often: "malformed", "stale", "wrong PIN", "loss" and others.
     """
 
-    def __init__(self, pin: str, now_ns: int, make_secret: Callable[[], str] = lambda: secrets.token_urlsafe(16)):
-        self._pin, self._make_secret = pin, make_secret
+    def __init__(self, pin: str, now_ns: int, admits_guests: bool = False, e_stop: bool = False,
+                 make_secret: Callable[[], str] = lambda: secrets.token_urlsafe(16)):
+        self._pin, self._admits_guests, self._make_secret = pin, admits_guests, make_secret
         self._timer = RateTimer(TOKEN_HZ, now_ns)
         self._ticks = 0
         self._pages: dict[int, _Page] = {}
         self._keys: OrderedDict[str, None] = OrderedDict()  # of admitted pages, the oldest first
         self._guesses: OrderedDict[str, Bucket] = OrderedDict()  # by address, the oldest first
         self._outgoing: list[Outgoing] = []
-        self._shown: dict[str, str] = {}
+        self._commands: list[Command] = []
+        self._car: dict[str, Any] = {}  # its state, by group
+        self._changed: set[str] = set()  # groups that were not sent since
         self._driver: int | None = None  # his connection; None: none, or it is lost
         self._driver_key = ""  # empty: nobody has the seat
         self._driver_seen_ns = now_ns
         self._touch = Controls()
         self._fresh_until_ns = now_ns
         self._must_release = True
-        self.e_stop = False
+        self.e_stop = e_stop
         self.counts: Counter[str] = Counter()
 
     @property
@@ -120,16 +140,29 @@ class Phones:
     @property
     def pages(self) -> int:
         """Return how many pages are admitted."""
-        return sum(bool(page.key) for page in self._pages.values())
+        return sum(page.is_admitted for page in self._pages.values())
 
     def controls(self, now_ns: int) -> Controls:
         """Return what the driver asks for; nothing is held unless his touch counts at ``now_ns``."""
         self._look_for_loss(now_ns)
         return Controls() if self.e_stop or self._must_release else self._touch
 
-    def show(self, name: str, text: str) -> None:
-        """Pass a state of the car on to all pages."""
-        self._shown[name] = text[:MAX_SHOWN]
+    def show(self, group: str, state: Any) -> None:
+        """Have all pages show a group of the car's state, as JSON has it."""
+        if group not in self._car or self._car[group] != state:
+            self._car[group] = state
+            self._changed.add(group)
+
+    def take_commands(self) -> list[Command]:
+        """Remove and return what the node is to do, in order."""
+        commands, self._commands = self._commands, []
+        return commands
+
+    def answer(self, connection: int, **fields: str) -> None:
+        """Send a page what became of its command: ``done``, ``refused`` or ``file``."""
+        page = self._pages.get(connection)
+        if page is not None:
+            self._send(page, **fields)
 
     def drain(self) -> list[Outgoing]:
         """Remove and return what is to be sent, in order."""
@@ -143,19 +176,20 @@ class Phones:
             return
         self._ticks += 1
         for page in list(self._pages.values()):
-            if page.key:
+            if page.is_admitted:
                 page.tokens.append((self._make_secret(), now_ns))
                 self._send(page, token=page.tokens[-1][0])
             elif now_ns - page.opened_ns >= WAIT_NS:
                 self._close(page, "no PIN came")
         if self._ticks % TICKS_PER_STATUS == 0:
             self._send_status()
+            self._send_car()
 
     # --- connections ---
 
     def connect(self, connection: int, address: str, now_ns: int) -> None:
         """Take a new connection. It is admitted by its first message; of too many that wait the oldest is closed."""
-        waiting = [page for page in self._pages.values() if not page.key]
+        waiting = [page for page in self._pages.values() if not page.is_admitted]
         if len(waiting) >= MAX_WAITING:
             self.counts["too many connections"] += 1
             self._close(waiting[0], "too many others wait to be admitted")
@@ -188,10 +222,12 @@ class Phones:
         message = parse(data)
         if message is None:
             self._count_malformed(page)
-        elif message["type"] in ("pin", "key"):
+        elif message["type"] in ("pin", "key", "watch"):
             getattr(self, f"_on_{message['type']}")(page, message, now_ns)
-        elif not page.key:
+        elif not page.key and not (page.is_guest and message["type"] in GUESTS):
             self._refuse(page, "enter the PIN first")
+        elif message["type"] in DRIVERS:
+            self._on_drivers_command(page, message, now_ns)
         else:
             getattr(self, f"_on_{message['type']}")(page, message, now_ns)
 
@@ -221,21 +257,42 @@ class Phones:
             self._close(other, REPLACED)
         self._admit(page, message["key"])
 
+    def _on_watch(self, page, message, now_ns):
+        """Admit a guest, who has the seat by no key, and leaves its place to who knows the PIN."""
+        if not self._admits_guests:
+            self._refuse(page, "enter the PIN")
+        elif not page.is_admitted and self._has_room(page):
+            page.is_guest = True
+            self._greet(page)
+
+    def _has_room(self, page):
+        """Return whether one more page is admitted; a guest makes room for a page that isn't one."""
+        if self.pages - page.is_admitted < MAX_PAGES:
+            return True
+        self.counts["too many pages"] += 1
+        self._close(page, f"{MAX_PAGES} pages are open already")
+        return False
+
     def _admit(self, page, key):
-        if self.pages - bool(page.key) >= MAX_PAGES and key != self._driver_key:
-            self.counts["too many pages"] += 1
-            self._close(page, f"{MAX_PAGES} pages are open already")
+        guest = next((each for each in self._pages.values() if each.is_guest and each is not page), None)
+        if guest is not None and self.pages - page.is_admitted >= MAX_PAGES:
+            self._close(guest, "others came who know the PIN")
+        if key != self._driver_key and not self._has_room(page):
             return
         if page.connection == self._driver and key != self._driver_key:
             self._leave()
-        page.key = key
+        page.key, page.is_guest = key, False
         self._keys[key] = None
         self._keys.move_to_end(key)
         kept = {self._driver_key, *(each.key for each in self._pages.values())}
         if len(self._keys) > MAX_KEYS:
             del self._keys[next(old for old in self._keys if old not in kept)]
         self._send(page, key=key)
+        self._greet(page)
+
+    def _greet(self, page):
         self._send_status()
+        self._send(page, car=self._car)
 
     # --- who drives ---
 
@@ -276,7 +333,7 @@ class Phones:
         if issued_ns is None or now_ns - issued_ns >= MAX_AGE_NS or message["n"] <= page.number:
             self.counts["stale"] += 1
             return None
-        page.number = message["n"]
+        page.number, page.delay_ns = message["n"], now_ns - issued_ns
         return issued_ns
 
     def _look_for_loss(self, now_ns):
@@ -304,6 +361,25 @@ class Phones:
         self._release()
         self._send_status()
 
+    # --- what the node does for a page ---
+
+    def _on_drivers_command(self, page, message, now_ns):
+        if self._issued_ns(page, message, now_ns) is None:
+            return
+        if page.connection != self._driver:
+            self._refuse(page, "only who drives may do that")
+        else:
+            self._command(page, message)
+
+    def _on_open(self, page, message, now_ns):
+        self._command(page, message)
+
+    def _command(self, page, message):
+        if len(self._commands) >= MAX_COMMANDS:
+            self._refuse(page, "too many commands at once")
+        else:
+            self._commands.append(Command(page.connection, message))
+
     # --- messages out ---
 
     def _count_malformed(self, page):
@@ -325,7 +401,15 @@ class Phones:
     def _send_status(self):
         why = "the e-stop is on: clear it" if self.e_stop else LET_GO if self._must_release else ""
         for page in self._pages.values():
-            if page.key:
+            if page.is_admitted:
                 role = "you" if page.connection == self._driver else "another" if self._driver_key else "nobody"
-                self._send(page, status={"driver": role, "e_stop": self.e_stop,
-                                         "why": why if role == "you" else "", "shown": self._shown})
+                delay = None if page.delay_ns is None else round(page.delay_ns / NS_PER_S, 3)
+                self._send(page, status={"driver": role, "guest": page.is_guest, "e_stop": self.e_stop,
+                                         "why": why if role == "you" else "", "delay": delay})
+
+    def _send_car(self):
+        changed = {group: self._car[group] for group in sorted(self._changed)}
+        self._changed.clear()
+        if changed:
+            text = text_of(car=changed)
+            self._outgoing += [Outgoing(page.connection, text) for page in self._pages.values() if page.is_admitted]

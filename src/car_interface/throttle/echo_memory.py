@@ -91,11 +91,14 @@ class EchoMemory:
             if is_own:
                 point.is_current = False
             to_x_m, to_y_m = point.x_m - sonar_x_m, point.y_m - sonar_y_m
-            beyond_m = math.hypot(to_x_m, to_y_m) - range_m
+            away_m = math.hypot(to_x_m, to_y_m)
+            beyond_m = away_m - range_m
             off_rad = abs(math.remainder(math.atan2(to_y_m, to_x_m) - axis_rad, 2.0 * math.pi))
             if is_own and is_echo and abs(beyond_m) <= SAME_M and off_rad <= half_rad + ROUNDING_RAD:
                 continue
-            is_in_cone = off_rad <= half_rad + (ROUNDING_RAD if is_own else -EDGE_RAD)
+            # A point stands for its cell: another sonar has looked there if all of that was in its cone.
+            edge_rad = ROUNDING_RAD if is_own else -EDGE_RAD - math.atan2(CELL_M / 2.0, away_m)
+            is_in_cone = off_rad <= half_rad + edge_rad
             if beyond_m < -SAME_M and is_in_cone:
                 point.misses += MISSED_BY_ECHO if is_echo else MISSED_BY_NONE
                 if point.misses >= MISSES:

@@ -68,17 +68,6 @@ def test_what_a_user_renamed_or_put_there_is_neither_counted_nor_removed(folder)
     assert os.path.exists(renamed) and len(recordings(folder)) == MAX_FILES
 
 
-def test_write_that_fails_leaves_the_others_and_no_part(folder, monkeypatch):
-    path = put(folder, 0)
-
-    def fail(*arguments):
-        raise OSError(28, "No space left on device")
-    monkeypatch.setattr("os.fsync", fail)
-    with pytest.raises(OSError, match="No space left"):
-        put(folder, 1)
-    assert os.listdir(folder) == [os.path.basename(path)]
-
-
 @pytest.mark.parametrize("age_s, text", [
     (0, "just now"), (59, "just now"), (60, "1 minute ago"), (12 * 60 + 59, "12 minutes ago"), (3600, "1 hour ago"),
     (3 * 86400 + 5, "3 days ago"), (-100, "by a clock that was set back since")])

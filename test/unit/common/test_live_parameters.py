@@ -8,10 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface.common.declared import read
-from car_interface.common.errors import ConfigError
-from car_interface.common.live_parameters import Tuning, TuningSettings
-from car_interface.common.params import Params
+from car_interface.common.live_parameters import Tuning
 from car_interface.steering.calibration import trimmed
 from slash import SLASH
 
@@ -143,16 +140,3 @@ def test_whatever_is_asked_each_step_is_valid_and_within_the_rate(wanted, ticks,
             assert all(tuned.low[name] <= value <= tuned.high[name] for name, value in tuned.active.items())
             assert max(abs(tuned.active[name] - before[name]) for name in NAMES) <= rate * TICK / S + 1
             before = tuned.active
-
-
-# --- parameters ---
-
-def test_settings_come_from_live_range_and_save_to():
-    def settings(**parameters):
-        return read(Params(parameters), TuningSettings, default=TuningSettings(100))
-    assert settings() == TuningSettings(100, None)
-    assert settings(live_range=0, save_to="/a.yaml") == TuningSettings(0, "/a.yaml")
-    with pytest.raises(ConfigError, match=r"save_to is 'a\.yaml'; accepted: a whole path, from / on"):
-        settings(save_to="a.yaml")
-    with pytest.raises(ConfigError, match="live_range is -1"):
-        settings(live_range=-1)

@@ -1,5 +1,4 @@
 """The driver of the PCA9685 over a bus: what it writes, in which order, how little, and what it knows afterwards."""
-from __future__ import annotations
 
 import errno
 
@@ -210,15 +209,6 @@ def test_chip_that_does_not_run_as_before_is_a_mismatch_and_no_foreign_write(run
     with pytest.raises(BoardMismatch, match=text) as caught:
         running.board.check()
     assert not isinstance(caught.value, ForeignWrite)
-
-
-def test_read_back_learns_what_another_program_wrote(running):
-    running.chip.write(ALL_LED_OFF_H, [0x00])
-    running.chip.write(LED0_ON_L + 4 * 9, [0, 0x10, 0, 0])
-    running.board.read_back()
-    assert running.board.held == [0] * 9 + [4096] + [0] * 6
-    running.board.held[0] = 1234
-    assert running.board.held[0] == 0  # the list was a copy
 
 
 @pytest.mark.parametrize("act, works_for, held", [

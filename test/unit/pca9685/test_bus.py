@@ -1,5 +1,4 @@
 """The bus that the board is on, and causes and remedies of a bus's errors; the chips are simulated ones."""
-from __future__ import annotations
 
 import errno
 import os
@@ -48,12 +47,6 @@ def test_board_on_pins_27_and_28_is_found_at_its_address():
 def test_single_bus_is_taken_without_asking_any_chip(header, path):
     computer = Computer({path: chips(0x40), "/dev/i2c-7": chips(0x40)})
     assert choose_bus(header, 0x40, computer.make_bus) == path and computer.asked == []
-
-
-def test_two_boards_are_refused_with_their_list():
-    with pytest.raises(BoardNotFound, match="there is one on /dev/i2c-7 and on /dev/i2c-1") as caught:
-        choose({MAIN: chips(0x40), OTHER: chips(0x40)})
-    assert caught.value.is_ambiguous and caught.value.remedy == "Choose the car's: i2c:=/dev/i2c-7"
 
 
 @pytest.mark.parametrize("buses, taken, cause, remedy", [

@@ -1,5 +1,4 @@
 """What each of the sixteen channels should hold, and when it goes to its timeout value. Time is passed in."""
-from __future__ import annotations
 
 import math
 
@@ -8,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from car_interface.common.errors import ConfigError
-from car_interface.pca9685.channels import ChannelConfig, Channels, TimedOut, blocks, differences
+from car_interface.pca9685.channels import ChannelConfig, Channels, TimedOut
 
 MS, S = 1_000_000, 1_000_000_000
 NOW = 5_000 * MS
@@ -33,17 +32,6 @@ def test_channels_before_any_command_hold_their_timeout_values_whatever_the_limi
     assert board.expire(NOW) == []
 
 
-@pytest.mark.parametrize("length", [0, 15, 17])
-def test_vector_of_another_length_than_16_is_refused_whole(length):
-    board = channels(live_range=500)
-    with pytest.raises(ValueError, match=f"a command needs 16 values and has {length}$"):
-        board.command([3800] * length, NOW)
-    with pytest.raises(ValueError, match=f"a vector of neutrals needs 16 values and has {length}"):
-        board.follow([5150] * length)
-    assert board.targets == [CENTER_COUNTS] * 16
-    assert board.next_deadline_ns() == math.inf
-
-
 @pytest.mark.parametrize("value", [-2, 65536, -2 ** 31])
 def test_value_that_is_no_duty_is_refused_alone_and_renews_nothing(value):
     board = channels()
@@ -61,27 +49,6 @@ def test_duty_beyond_the_channel_s_limits_is_clamped_and_said_so_and_minus_1_is_
     board = channels(pwm_min=2800, pwm_max=7600)
     assert board.command(vector({0: duty}), NOW) == ([0], clamped, [])
     assert board.targets[:2] == [counts, CENTER_COUNTS]
-
-
-def test_channel_silent_for_its_timeout_goes_to_its_timeout_value_once_until_the_next_command():
-    board = channels()
-    board.command(vector({0: 3800}), NOW)
-    assert board.next_deadline_ns() == NOW + 250 * MS
-    assert board.expire(NOW + 250 * MS - 1) == []
-    assert board.targets[0] == 238
-    assert board.expire(NOW + 250 * MS) == [0]
-    assert board.targets[0] == CENTER_COUNTS
-    assert board.expire(NOW + 1000 * MS) == []
-    assert board.next_deadline_ns() == math.inf
-
-
-def test_channel_with_timeout_0_keeps_its_command_for_ever():
-    board = channels(timeout_ms=0, live_range=500)
-    board.command([3800] * 16, NOW)
-    board.follow(vector({0: 5152}))
-    assert board.next_deadline_ns() == math.inf
-    assert board.expire(NOW + 10 ** 9 * MS) == []
-    assert board.targets == [238] * 16
 
 
 def test_channels_each_have_their_own_timeout_and_value():
@@ -149,21 +116,6 @@ def test_channel_without_a_timeout_has_timed_out_only_when_it_was_made_safe():
     assert board.timed_out(NOW + 10_000 * MS) == {}
     board.make_safe(NOW + 10_000 * MS)
     assert board.timed_out(NOW + 10_000 * MS) == {0: TimedOut(NOW + 10_000 * MS, True)}
-
-
-@given(st.sets(st.integers(0, 15)), st.integers(1, 16))
-def test_blocks_of_any_changes_hold_each_once_in_order_and_none_too_long(changed, max_length):
-    runs = blocks(dict.fromkeys(changed, 0), max_length)
-    assert [channel for run in runs for channel in run] == sorted(changed)
-    assert all(run == list(range(run[0], run[0] + len(run))) and len(run) <= max_length for run in runs)
-    assert all(before[-1] + 1 < after[0] or len(before) == max_length for before, after in zip(runs, runs[1:]))
-
-
-def test_differences_are_the_channels_that_hold_something_else_or_nobody_knows_what():
-    held = [None, 0, 319, 238] + [0] * 12
-    targets = [0, 0, 319, 319] + [0] * 12
-    assert differences(held, targets) == {0: 0, 3: 319}
-    assert differences(targets, targets) == {}
 
 
 def test_timeout_value_follows_a_neutral_at_once_or_for_a_commanded_channel_at_its_next_timeout():

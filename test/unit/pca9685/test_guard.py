@@ -1,5 +1,4 @@
 """When a guard acts: the node's silence or death, what it does then and in which order, and when it leaves."""
-from __future__ import annotations
 
 import errno
 
@@ -90,14 +89,6 @@ def watching(bench):
     bench.do(PROBE)
     assert bench.action() == NOTHING
     return bench
-
-
-def test_guard_before_the_first_sign_of_life_waits_and_ends_with_its_node(bench):
-    assert bench.guard.next_due_ns() == float("inf")
-    bench.wait(60_000)
-    assert bench.action() == NOTHING
-    bench.die()
-    assert bench.action() == END
 
 
 def test_guard_reaches_for_the_chip_every_second_until_it_could_and_tells_the_node(bench):

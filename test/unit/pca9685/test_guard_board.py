@@ -1,5 +1,4 @@
 """What a guard writes to the chip, on the register model: verified, and nothing to a chip that sleeps."""
-from __future__ import annotations
 
 import errno
 

@@ -1,5 +1,4 @@
 """What a guard reads back is published on change, and once a second, but never without a new reading."""
-from __future__ import annotations
 
 import pytest
 

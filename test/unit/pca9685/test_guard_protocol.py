@@ -1,5 +1,4 @@
 """The pipes between node, guard and relay: what goes in comes out, however the bytes are split."""
-from __future__ import annotations
 
 import select
 

@@ -1,5 +1,4 @@
 """What a node knows of its guard, and when it may obey commands again after it stood still."""
-from __future__ import annotations
 
 import errno
 
@@ -45,15 +44,6 @@ def watched(bench):
     bench.answer()
     assert bench.watch.watches and not bench.watch.holds
     return bench
-
-
-def test_node_without_a_guard_obeys(bench):
-    assert not (bench.watch.is_present or bench.watch.watches or bench.watch.holds)
-    assert bench.watch.error == NOT_TRIED
-    bench.live()
-    bench.wait(1000)
-    assert bench.watch.stood_still_ns(bench.now_ns) == 1000 * MS
-    assert not (bench.watch.holds or bench.watch.watches)
 
 
 def test_node_that_had_not_reached_its_chip_before_did_not_stand_still(bench):
@@ -142,15 +132,6 @@ def test_node_learns_that_it_was_overruled_though_it_did_not_notice_that_it_stoo
     watched.live()
     watched.answer(WATCHING, interventions=1)
     assert not watched.watch.holds
-
-
-def test_intervention_after_the_node_was_back_is_noticed_too(watched):
-    watched.wait(300)
-    assert watched.watch.stood_still_ns(watched.now_ns)
-    assert watched.live().acknowledged == 0
-    watched.answer(ACTING, interventions=1)
-    assert watched.watch.was_overruled()
-    assert watched.live().acknowledged == 1
 
 
 def test_node_whose_guard_is_lost_obeys_and_a_new_guard_begins_anew(watched):

@@ -1,5 +1,4 @@
 """A chip by the kernel's SMBus calls: what they are given, by linux/i2c.h and linux/i2c-dev.h, and who has the bus."""
-from __future__ import annotations
 
 import ctypes
 import errno

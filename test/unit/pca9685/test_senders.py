@@ -1,10 +1,8 @@
 """Which nodes command each channel: several nodes are normal, two on one channel are not."""
-from __future__ import annotations
 
 import pytest
 
-from car_interface.common import causes
-from car_interface.common.publishers import CommandTopic, FaultLog, Publisher
+from car_interface.common.publishers import CommandTopic, Publisher
 from car_interface.common.units import CHANNELS, NS_PER_S, UNCHANGED
 from car_interface.pca9685.channels import TimedOut
 from car_interface.pca9685.senders import ChannelSenders
@@ -50,15 +48,6 @@ def timeout_faults(timed_out, known, **commanders):
     return senders.timeout_faults(timed_out, NOW, known, "/pca9685")
 
 
-def test_channel_that_timed_out_is_a_fault_for_the_log_at_once():
-    assert timeout_faults({}, topics(TURN_ARB), c0="/turn_arb") == []
-    faults = timeout_faults({0: TimedOut(NOW, False)}, topics(TURN_ARB), c0="/turn_arb")
-    assert [(fault.cause, fault.subject) for fault in faults] == [(causes.CHANNEL_TIMED_OUT, "channel 0")]
-    log = FaultLog()
-    assert log.update(faults, NOW) == faults
-    assert log.is_lasting(faults[0], NOW)
-
-
 SILENT = "; /turn_arb on 127.0.0.1, which commanded it last, publishes, but commands nothing there"
 PING = "See its report on /diagnostics and whether it hangs: rosnode ping /turn_arb"
 RESTART = ("Start /turn_arb again; or, where nobody is to command channel 0 any more, start this node again: rosnode "
@@ -85,9 +74,3 @@ def test_channels_of_one_commander_are_one_fault_since_the_first_of_them():
     assert [fault.reason for fault in found] == [
         "channel timed out: channels 0, 2, for 3.0 s; /a, which commanded them last, is gone",
         "channel timed out: channel 1, for 2.0 s; /b, which commanded it last, is gone"]
-
-
-def test_conflict_is_a_fault_with_the_machines_of_its_nodes():
-    fault, = senders_of(("/turn_arb", [0], 0), ("/other", [0], 0)).conflict_faults(0, topics(TURN_ARB))
-    assert (fault.cause, fault.subject) == (causes.SECOND_PUBLISHER, "channel 0")
-    assert fault.reason.startswith("2 nodes command channel 0, /other on an unknown machine and /turn_arb on 127.0.0.1")

@@ -1,5 +1,4 @@
 """A virtual chip as a process of its own: it serves several clients as a bus does, and outlives each of them."""
-from __future__ import annotations
 
 import contextlib
 import errno

@@ -54,6 +54,7 @@ def test_outline_meets_a_post_where_it_reaches(post, free):
     assert Obstacles([], [post], OUTLINE).is_free((0.0, 0.0, 0.0)) is free
 
 
+@pytest.mark.once
 @given(st.floats(-5.5, 5.5), st.floats(-4.5, 4.5), st.floats(-math.pi, math.pi), st.floats(-math.pi, math.pi),
        st.floats(0.0, 0.999))
 def test_car_that_moves_less_than_its_clearance_touches_nothing(x_m, y_m, yaw_rad, direction_rad, ratio):

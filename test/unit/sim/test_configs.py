@@ -1,5 +1,4 @@
 """What no car or Teensy of the simulation can be like: values that parameters give together."""
-from __future__ import annotations
 
 import pytest
 

@@ -1,5 +1,4 @@
 """What virtual ESCs make of pulses, as their manuals and owners tell it."""
-from __future__ import annotations
 
 import pytest
 from virtual_escs import crawler, direct, race, vxl, xl5
@@ -79,9 +78,3 @@ def test_esc_without_pulses_holds_for_its_time_then_stops_and_must_be_armed_agai
         FORWARD, FORWARD, COAST, COAST]
     lenient = xl5(cutoff_s=0.2, rearms=False)
     assert play(lenient, [(AHEAD, 0.5, 1.0), (no_pulse, 0.4, 1.0), (AHEAD, 0.5, 1.0)])[-1] == FORWARD
-
-
-@pytest.mark.parametrize("duty, command", [
-    (4915, 0.0), (4995, 0.0), (4835, 0.0), (6554, 1.0), (8000, 1.0), (3277, -1.0), (5774.5, 0.5), (4056, -0.5)])
-def test_command_is_linear_from_the_dead_band_to_the_ends(duty, command):
-    assert virtual.throttle_of(duty, 3277, 4915, 6554, 80, 80) == pytest.approx(command)

@@ -1,5 +1,4 @@
 """A bad serial line: what each fault does to the bytes, by itself. Time is passed in."""
-from __future__ import annotations
 
 import math
 from pathlib import Path

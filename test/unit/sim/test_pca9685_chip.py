@@ -2,7 +2,6 @@
 
 The numbers of registers and bits are written out here, from the data sheet's tables; none is taken from the model.
 """
-from __future__ import annotations
 
 import pytest
 

@@ -2,7 +2,6 @@
 
 test_captures.py holds the rest against long captures of it. Parser and encoders (teensy_bench) are shared with nothing.
 """
-from __future__ import annotations
 
 import pytest
 
@@ -11,7 +10,7 @@ from car_interface.sim.teensy_config import FirmwareConfig
 from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.sim.teensy_transmitter import OutgoingLine, frame_body
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
-from teensy_bench import MS, Bench, S, framed_for_the_receiver, message, parse_wheels, ping, wheel_reports
+from teensy_bench import MS, Bench, S, framed_for_the_receiver, message, ping, wheel_reports
 
 
 def test_captured_frames_built_anew_are_the_captured_bytes():
@@ -68,19 +67,6 @@ def test_clock_drifts(drift_ppm, ramp_ppm_per_h, after_1h_ms):
     teensy = TeensyFirmware(config)
     assert teensy.device_ns(3600 * S) == pytest.approx(after_1h_ms * MS, abs=1000)
     assert teensy.millis(3600 * S) in (after_1h_ms - 1, after_1h_ms)
-
-
-def test_power_up_later_starts_the_clock_then():
-    teensy = TeensyFirmware(FirmwareConfig(clock_start_ms=5), power_up_ns=1000 * S)
-    assert [teensy.millis(1000 * S + after_ns) for after_ns in (0, MS - 1, MS, 2 * MS - 1)] == [5, 5, 6, 6]
-    assert teensy.transmit(1000 * S + MS)[:4] == b"\x7e\xc1\x3e\x7e"
-
-
-def test_time_that_ran_back_changes_nothing():
-    bench = Bench(lambda sensor, at_ns: 1000).until(1100 * MS)
-    assert bench.teensy.transmit(0) == b""
-    bench.teensy.wheel_pulse(LEFT, FORWARD, 0)
-    assert parse_wheels(bench.after(10 * MS).frames(teensy_bench.WHEELS)[-1])[0].when == 300 + 1100
 
 
 def test_next_event_is_when_something_happens():

@@ -48,6 +48,7 @@ def test_wheels_of_a_car_on_a_box_turn_alike_and_it_stays_where_it_is():
     assert abs(counts[0] - counts[1]) <= 1 < min(counts) and vehicle.steered_per_m == 1.0
 
 
+@pytest.mark.once
 @given(st.floats(1638, 8192), st.floats(1638, 8192))
 def test_steering_with_more_duty_never_turns_more_to_the_left(one, other):
     vehicle = Vehicle()
@@ -109,17 +110,6 @@ def test_pulses_of_a_straight_come_every_15_millimetres_of_each_wheel():
         spans_ns = [later - earlier for earlier, later in zip(times_ns, times_ns[1:])]
         assert max(spans_ns) - min(spans_ns) <= 2 and spans_ns[0] == pytest.approx(14_922_565, abs=2)
     assert {pulse.direction for pulse in pulses} == {FORWARD}
-
-
-def test_pulses_do_not_depend_on_the_step():
-    """With an even acceleration: the times of pulses are exact, not those of steps."""
-    drive_train = DriveTrainConfig(drag_per_s=0.0, drag_per_m=0.0, thrust_halves_mps=1e12)
-    even = VehicleConfig(steering=PLAIN.steering, drive=drive_train)
-    fine = drive(rolling(0.0, even), 3, 5000, 5800, dt_ns=100_000)
-    coarse = drive(rolling(0.0, even), 3, 5000, 5800, dt_ns=20 * MS)
-    assert len(fine) == len(coarse) > 400 and (fine, coarse) == (sorted(fine), sorted(coarse))
-    assert [pulse[1:] for pulse in fine] == [pulse[1:] for pulse in coarse]
-    assert all(abs(one.at_ns - other.at_ns) < 100 for one, other in zip(fine, coarse))
 
 
 def test_play_in_the_steering_leaves_the_wheels_half_of_it_behind_on_either_way():

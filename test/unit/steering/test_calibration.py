@@ -1,5 +1,4 @@
 """Radius to duty and back, and the calibration's tables when ends or center are tuned."""
-from __future__ import annotations
 
 import math
 from dataclasses import replace
@@ -42,6 +41,7 @@ def test_turn_radius_of_a_duty_is_the_one_that_the_tables_have_for_it(duty, radi
     assert SLASH.turn_radius_m(duty) == pytest.approx(radius_m)
 
 
+@pytest.mark.once
 @given(st.floats(1, 299), st.sampled_from((-1, 1)))
 def test_turn_radius_of_a_planner_s_duty_is_what_the_planner_asked_for(radius_m, side):
     duty = SLASH.planner_duty(side * radius_m)
@@ -136,6 +136,7 @@ def test_impossible_trim_is_refused(center, wanted, message):
     assert trimmed(calibration, 3800, center, 6700) is calibration
 
 
+@pytest.mark.once
 @given(TRIPLES)
 def test_trimmed_tables_keep_their_order_and_stay_duties(wanted):
     try:

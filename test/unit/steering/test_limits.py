@@ -4,9 +4,6 @@ import math
 import pytest
 
 from car_interface.common import causes
-from car_interface.common.declared import read
-from car_interface.common.errors import ConfigError
-from car_interface.common.params import Params
 from car_interface.steering.limits import SourceLimits, SteeringLimiter, SteeringLimits, too_tight_reason
 
 MS, S = 1_000_000, 1_000_000_000
@@ -105,11 +102,6 @@ def test_steps_of_a_planner_that_turn_in_slowly_on_the_whole_pass_unchanged():
         assert turned_in(limiter, wanted, start_ns=step * 50 * MS, ticks=5) == [wanted] * 5
 
 
-def test_both_limits_together_end_at_the_lateral_one():
-    granted = turned_in(limiter_at(4.0), 1.0, SourceLimits(4.0, 40.0))
-    assert granted[0] == pytest.approx(2.0 / 16) and granted[-1] == 0.25
-
-
 def test_what_rises_at_once_is_used_up_until_it_has_grown_again():
     limiter = limiter_at(4.0)
     assert turned_in(limiter, 0.0625, ticks=1) == [0.0625]  # 1 m/s² of the 2 that may rise at once
@@ -125,32 +117,6 @@ def test_cuts_are_counted_when_they_begin():
     limiter.release(0.0, MS)
     limiter.limit(1.0, LATERAL, MS)
     assert limiter.cuts == 3
-
-
-def test_whoever_takes_over_turns_in_from_where_the_car_is():
-    limiter = limiter_at(4.0)
-    turned_in(limiter, 0.5, ticks=1)
-    limiter.release(0.4, MS)
-    assert limiter.limit(0.5, JERK, 2 * MS).curvature_per_m == 0.5
-
-
-def test_parameters_are_read_by_source_with_the_defaults_that_are_documented():
-    limits = read(Params({}), SteeringLimits)
-    assert limits == SteeringLimits(SourceLimits(0.0, 0.0), SourceLimits(4.0, 40.0), 0.5)
-    assert [SourceLimits(*numbers).is_off for numbers in ((0.0, 0.0), (4.0, 0.0), (0.0, 40.0))] == [True, False, False]
-    params = Params({"human": {"max_lateral_acceleration": 6, "max_lateral_jerk": 80}, "planner":
-                     {"max_lateral_acceleration": 0, "max_lateral_jerk": 0}, "odometry_timeout": 1.0})
-    limits = read(params, SteeringLimits)
-    params.finish()
-    assert limits == SteeringLimits(SourceLimits(6.0, 80.0), SourceLimits(0.0, 0.0), 1.0)
-
-
-@pytest.mark.parametrize(("source", "name", "value"), [
-    ("planner", "max_lateral_acceleration", -1), ("human", "max_lateral_jerk", 2000),
-    ("human", "max_lateral_acceleration", "much")])
-def test_an_impossible_limit_is_refused_by_name(source, name, value):
-    with pytest.raises(ConfigError, match=f"{source}/{name}"):
-        read(Params({source: {name: value}}), SteeringLimits)
 
 
 @pytest.mark.parametrize("asked_m, tightest_m, speed_mps, reason", [

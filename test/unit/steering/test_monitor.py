@@ -1,5 +1,4 @@
 """The driven turn beside the commanded one. Time is passed in; a car is a line that says what it does."""
-from __future__ import annotations
 
 import math
 

@@ -8,9 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from car_interface.common import causes
-from car_interface.common.declared import read
 from car_interface.common.errors import ConfigError
-from car_interface.common.params import Params
 from car_interface.teleop.gamepad import Gamepad, GamepadConfig, missing_index, remedy
 
 S = 1_000_000_000
@@ -140,18 +138,6 @@ def test_buttons_for_the_scale_are_read_while_they_are_fresh_and_a_gamepad_may_l
 def test_button_that_is_taken_is_refused(changes, message):
     with pytest.raises(ConfigError, match=message):
         config(**changes)
-
-
-@pytest.mark.parametrize("name, low, high", [
-    ("steer_scale", -1, 1), ("throttle_scale", -1, 1), ("steer_neutral", -1, 1), ("steer_deadband", 0.0, 0.4),
-    ("override_deadband", 0.02, 0.9), ("steer_axis", 0, 63), ("throttle_axis", -1, 63), ("third_button", -1, 63)])
-def test_parameter_is_read_up_to_the_ends_of_its_range_and_refused_beyond(name, low, high):
-    shipped = {"steer_axis": 0, "throttle_axis": 4, "manual_button": 4, "autonomous_button": 5}
-    for value in (low, high):
-        assert getattr(read(Params({**shipped, name: value}), GamepadConfig), name) == value
-    for value in (low - 1e-3 if isinstance(low, float) else low - 1, high + 1):
-        with pytest.raises(ConfigError, match=f"{name} is {value}; accepted: .* from {low} to {high}"):
-            read(Params({**shipped, name: value}), GamepadConfig)
 
 
 @given(st.lists(st.floats(allow_nan=True, allow_infinity=True), max_size=3),

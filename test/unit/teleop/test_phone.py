@@ -32,10 +32,10 @@ AHEAD = Controls(0.5, 0.25, manual=True)
 class Bench:
     """Phones on a clock, and a server of texts that arrive at once."""
 
-    def __init__(self):
+    def __init__(self, **settings):
         secrets = map("secret {}".format, itertools.count())
         self.now_ns = START
-        self.phones = Phones(PIN, START, lambda: next(secrets))
+        self.phones = Phones(PIN, START, make_secret=lambda: next(secrets), **settings)
         self.pages = {}
 
     def open(self, number, address="10.0.0.1"):

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+from many_drives import MS, THROTTLE, S
 from virtual_escs import xl5
 
 from car_interface.interlock.motion_interlock import InterlockConfig
@@ -21,18 +22,15 @@ from car_interface.teensy.link.pinging import Pinger
 from car_interface.teensy.link.protocol import Pong, WheelStatus, decode
 from car_interface.teensy.sensing.measurements import Measurements
 from car_interface.throttle.arbiter import NoValue, ThrottleArbiterConfig
-from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.control import ThrottleControl
 from car_interface.throttle.converter import ConversionConfig, Converter
 from car_interface.throttle.esc_config import EscConfig
 from car_interface.throttle.speed_control import STOP, SpeedControl, SpeedRequest
 from car_interface.throttle.value_map import ValueMap, load_value_map
 
-MS, S = 1_000_000, 1_000_000_000
 STEP_NS, TICK_NS, ODOM_NS = 4 * MS, 20 * MS, 20 * MS
 START_NS = 1000 * S
 MAP = load_value_map(str(Path(__file__).resolve().parents[3] / "config" / "value_map.csv"))
-SHIPPED_ESC = ThrottleCalibration(channel=1, value_axis=[-5.0, 0.0, 3.0], duty_table=[3277, 4915, 6554], neutral=4915)
 NO_STEERING = -1
 XL5 = xl5()
 
@@ -73,7 +71,7 @@ class SpeedRig:
         self.control = SpeedControl()
         self.converter = Converter(ConversionConfig(), value_map)
         self.throttle = ThrottleControl(
-            SHIPPED_ESC, ThrottleArbiterConfig(interlock=InterlockConfig(grant_at_start=True)),
+            THROTTLE, ThrottleArbiterConfig(interlock=InterlockConfig(grant_at_start=True)),
             EscConfig(profile=profile, profile_measured=is_measured))
         self.request: SpeedRequest | None = STOP
         self.human = False

@@ -1,7 +1,6 @@
 """An adversary's sequences, a sample: no stop and no held brake that reverses. ``python3 test/adversary 100000`` and
 ``--sweep`` run them all; test/adversary says what is judged.
 """
-from __future__ import annotations
 
 import json
 import os
@@ -14,7 +13,7 @@ from adversary.esc_model import BACKWARD, BBR, BRAKE, BTR, DIRECT, FORWARD, FORW
 
 IS_LONG = bool(os.environ.get("CAR_INTERFACE_ALL"))
 SEQUENCES, THIN = (20_000, 7) if IS_LONG else (150, 401)  # 401: no divisor of the sweep's numbers
-SPEEDS_MPS = runs.STOP_SPEEDS if IS_LONG else (2.0, 4.0)
+SPEEDS_MPS = runs.STOP_SPEEDS if IS_LONG else (4.0,)
 BASELINE = Path(runs.__file__).with_name("stops.json")
 
 
@@ -39,7 +38,7 @@ def test_stops_are_as_short_as_they_were():
 
 
 @pytest.mark.once
-@pytest.mark.parametrize("kind, text", [(BTR, "stop"), (BBR, "hold"), (DIRECT, "hold")])
+@pytest.mark.parametrize("kind, text", [(BTR, "stop"), (DIRECT, "hold")])
 def test_careless_rules_are_found_out(kind, text, monkeypatch):
     class Careless(world.ThrottleControl):
         def decide(self, now_ns):
@@ -59,6 +58,7 @@ def test_each_fault_is_in_the_sweep_and_in_random_sequences():
     assert {case.group for case in map(sweep_case, range(0, SWEEP_CASES, 997))} == {"right", "unverified", "wrong"}
 
 
+@pytest.mark.once
 def test_a_seed_is_the_same_sequence_again():
     for name in ("7", "s4711"):
         assert runs.case_of(name) == runs.case_of(name)

@@ -1,5 +1,4 @@
 """When a battery is low, and when it stops the planner: stories of voltages half a second apart."""
-from __future__ import annotations
 
 import math
 
@@ -89,22 +88,6 @@ def test_silence_never_begins_a_stop_nor_ends_one_and_is_reported():
         "battery_state silent for 60.00 s: the voltage isn't known")
 
 
-@pytest.mark.parametrize("config, cause", [(BatteryConfig(), WELL), (BatteryConfig(warn_below_v=7.0), WELL),
-                                           (BatteryConfig(stop_below_v=6.6), causes.BATTERY_STALE)])
-def test_voltage_that_never_came_is_reported_only_where_a_stop_waits_for_it(config, cause):
-    status = Battery(config).watch.status(START)
-    assert (status.cause, status.text.partition(":")[0]) == (cause, "battery_state was never heard")
-
-
 def test_limits_of_0_are_off():
     battery = Battery(BatteryConfig())
     assert battery.has(0.01, 9.0) == WELL and battery.watch.status(battery.now) == ("", "0.01 V")
-
-
-def test_remedy_is_a_battery_or_its_publisher_and_none_while_all_is_well():
-    battery = Battery()
-    assert battery.watch.status(START).remedy.startswith("See who publishes")
-    battery.has(FULL)
-    assert not battery.watch.status(battery.now).remedy
-    battery.has(EMPTY)
-    assert battery.watch.status(battery.now).remedy == "Charge or change the battery"

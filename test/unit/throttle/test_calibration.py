@@ -1,5 +1,4 @@
 """The ESC's table: value → request, request ↔ duty, and what is refused."""
-from __future__ import annotations
 
 import math
 from dataclasses import replace
@@ -8,15 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface.common.declared import read
 from car_interface.common.errors import ConfigError
-from car_interface.common.params import Params
 from car_interface.throttle.calibration import DutyMap, ThrottleCalibration, trimmed
 
 SHIPPED = ThrottleCalibration(channel=1, value_axis=[-5.0, 0.0, 3.0], duty_table=[3277, 4915, 6554], neutral=4915)
 FALLING = replace(SHIPPED, duty_table=[6554, 4915, 3277])
 FORWARD_ONLY = replace(SHIPPED, value_axis=[0.0, 3.0], duty_table=[4915, 6554])
-READ = {"channel": 1, "value_axis": [-5, 0, 3], "duty_table": [3277, 4915, 6554], "neutral": 4915}
 
 
 @pytest.mark.parametrize("value, duty", [
@@ -39,6 +35,7 @@ def test_request_makes_a_duty(calibration, request_, duty):
     assert DutyMap(calibration).duty(request_) == duty
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("calibration", [SHIPPED, FALLING, FORWARD_ONLY])
 @given(request_=st.floats(-1, 1))
 def test_duty_stands_for_the_request_that_made_it(calibration, request_):
@@ -80,22 +77,3 @@ def test_table_moves_along_with_its_neutral_as_far_as_there_are_duties():
     assert (moved.neutral, moved.duty_table) == (4950, [3312, 4950, 6589])
     assert trimmed(replace(SHIPPED, duty_table=[10, 4915, 65530]), 4895).duty_table == [0, 4895, 65510]
     assert trimmed(replace(SHIPPED, duty_table=[10, 4915, 65530]), 4935).duty_table == [30, 4935, 65535]
-
-
-def test_parameters_are_those_below_servo():
-    assert read(Params({"servo": READ}), ThrottleCalibration) == SHIPPED
-    lowest = {"channel": 0, "value_axis": [0, 3], "duty_table": [0, 65535], "neutral": 0}
-    assert read(Params({"servo": lowest}), ThrottleCalibration) == ThrottleCalibration(**lowest)
-
-
-@pytest.mark.parametrize("changes, message", [
-    ({"channel": 16}, "servo/channel is 16; accepted: an integer from 0 to 15"),
-    ({"channel": -1}, "servo/channel is -1"),
-    ({"duty_table": [-1, 4915, 6554]}, "servo/duty_table"),
-    ({"duty_table": [3277, 4915, 65536]}, "servo/duty_table"),
-    ({"neutral": -1}, "servo/neutral is -1; accepted: an integer from 0 to 65535"),
-    ({"neutral": 65536}, "servo/neutral is 65536"),
-])
-def test_parameter_out_of_range_is_refused_by_its_name(changes, message):
-    with pytest.raises(ConfigError, match=message):
-        read(Params({"servo": {**READ, **changes}}), ThrottleCalibration)

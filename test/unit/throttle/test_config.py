@@ -1,5 +1,4 @@
 """A file for throttle_arb, read as the node reads its parameters."""
-from __future__ import annotations
 
 from pathlib import Path
 

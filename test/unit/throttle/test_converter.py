@@ -1,5 +1,4 @@
 """Accelerations to values: the rules around the map. Time is passed in."""
-from __future__ import annotations
 
 import math
 
@@ -83,12 +82,3 @@ def test_newest_odometry_counts_unless_messages_were_dropped():
     assert converter.odometry_age_s(NOW + S) == 1.0
     converter.mark_stale()
     assert converter.convert(2.0, NOW).reason == "odometry was not heard since messages were dropped"
-
-
-@pytest.mark.parametrize("value_map", [MAP, None])
-def test_trouble_with_the_odometry_is_reported_with_a_map_and_without(value_map):
-    converter = Converter(ConversionConfig(), value_map)
-    assert converter.odometry_trouble(NOW).cause == "odometry silent"
-    converter.update_odometry(1.0, NOW)
-    assert converter.odometry_trouble(NOW) is None
-    assert converter.odometry_trouble(NOW + S).cause == "odometry silent"

@@ -1,5 +1,4 @@
 """What is known of the pulses that an ESC has had."""
-from __future__ import annotations
 
 from dataclasses import replace
 

@@ -1,5 +1,4 @@
 """When a pull at the stick means reverse."""
-from __future__ import annotations
 
 import math
 

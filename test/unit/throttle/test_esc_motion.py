@@ -1,5 +1,4 @@
 """The measured speed: standstill, the least speed, motion against the ESC's state, a hill that drives the car."""
-from __future__ import annotations
 
 import math
 
@@ -45,10 +44,6 @@ def test_locked_wheels_are_no_standstill_until_the_car_must_have_stopped():
     assert not locked.stands(1099 * MS)
     locked.update(0.0, 1100 * MS)
     assert locked.stands(1100 * MS) and not locked.rolls_forward(1100 * MS)
-
-
-def test_car_that_has_rolled_out_stands_at_once():
-    assert motion(0.3, 0.2, 0.1, 0.0).stands(300 * MS)
 
 
 def test_least_speed_falls_with_the_age_of_the_last():

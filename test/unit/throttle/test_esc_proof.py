@@ -1,5 +1,4 @@
 """When an ESC has shown that its brake doesn't become reverse: the whole story, and nothing less."""
-from __future__ import annotations
 
 import pytest
 

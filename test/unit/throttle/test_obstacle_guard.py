@@ -1,5 +1,4 @@
 """What a stop guarantees while the car drives, coasts, brakes or reverses, and what the sonars allow by that."""
-from __future__ import annotations
 
 import math
 
@@ -239,23 +238,6 @@ def test_odometry_s_age_counts_with_what_the_car_gains_in_it():
     for index in range(10):
         faster.update(bound.speed_mps - 0.1 + 0.001 * index, NOW - 180 * MS + index * 20 * MS, 150 * MS)
     assert check(guard, asked(0.5), faster)[1]
-
-
-def test_while_reports_are_missing_it_counts_as_pushed_by_full_throttle():
-    guard, speed = guard_after((FORWARD, 0.5, 0.0)), MeasuredSpeed(0.5)
-    for index in range(20):
-        speed.update(0.8, NOW - (20 - index) * 20 * MS - 200 * MS)
-    assert check(guard, asked(0.5), speed)[1] == (speed.highest_mps(NOW) > check(guard, asked(0.5), speed)[0].speed_mps)
-    assert speed.highest_mps(NOW) > 0.8
-
-
-def test_throttle_is_given_back_gradually_and_what_the_car_needs_for_its_speed_at_once():
-    guard = guard_after((NEUTRAL, 0.0, 0.0), ahead_m=math.inf)
-    first = check(guard, asked(1.0), moving(0.5))[0].max_throttle
-    assert 0.0 < first < 0.4
-    for step in range(100):
-        guard.update_esc(decided(FORWARD, 0.15), NOW + step * 20 * MS)
-    assert check(guard, asked(1.0), moving(0.5))[0].max_throttle > first + 0.14
 
 
 def test_the_later_the_odometry_the_less_is_given_back_but_never_less_than_moves_the_car():

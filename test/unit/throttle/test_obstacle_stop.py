@@ -124,17 +124,6 @@ def test_a_sonar_that_looks_elsewhere_does_not_count():
                     names=FRONT[:1] + REAR)[2] == "rear_middle sees nothing to 2 m, which allows"
 
 
-@pytest.mark.parametrize("max_range_m", [2.0, 4.0])
-@pytest.mark.parametrize("curvature_per_m", [0.65, -0.65, 1.0, -1.0, 1.5])
-def test_on_a_tight_arc_it_is_bounded_by_where_the_arc_leaves_the_fan_however_far_the_sonars_see(curvature_per_m,
-                                                                                              max_range_m):
-    speed_mps, _, words = bound_of(dict.fromkeys(FRONT, math.inf), curvature_per_m, names=FRONT,
-                                   max_range_m=max_range_m)
-    assert CREEP < speed_mps < 1.65
-    assert words.startswith("no sonar looks beyond ") and words.endswith(" m of this arc, which allows")
-    assert speed_mps == bound_of(dict.fromkeys(FRONT, math.inf), curvature_per_m, names=FRONT)[0]
-
-
 def test_a_creep_is_left_into_the_unknown_and_none_towards_an_echo():
     everywhere = dict.fromkeys(FRONT, math.inf)
     assert bound_of(everywhere, 5.0, names=FRONT)[0] == CREEP
@@ -184,6 +173,7 @@ def test_a_range_of_a_sonar_that_the_car_lacks_is_left_out():
     assert stop.bound(0.0, False, BRAKE, 10 * S).speed_mps == TO_2_M
 
 
+@pytest.mark.once
 @given(st.floats(-1.5, 1.5), st.lists(st.one_of(st.floats(0.0, 4.0), st.just(math.inf)), min_size=3, max_size=3),
        st.floats(0.05, 3.0))
 def test_from_its_speed_the_car_always_stops_within_what_was_looked_at(curvature_per_m, ranges, stop_mps2):
@@ -219,8 +209,6 @@ def test_the_sonars_are_those_of_the_hub_s_file_without_the_absent_ones():
 @pytest.mark.parametrize(("values", "name"), [
     ({"obstacle_stop": True}, "sonar_hub/sonars/front_right"),
     ({"obstacle_stop": True, "sonar_hub": {"sonars": {**SONARS, "front_left": [1, 2]}}}, "sonar_hub/sonars/front_left"),
-    ({"obstacle_stop": "yes"}, "obstacle_stop"), ({"obstacle": {"margin": -1}}, "obstacle/margin"),
-    ({"obstacle": {"creep": 1.5}}, "obstacle/creep"), ({"obstacle": {"creep": -0.1}}, "obstacle/creep"),
     ({"obstacle": {"sonars": {"rear_left": "no"}}}, "obstacle/sonars/rear_left")])
 def test_what_makes_no_sense_is_refused_by_name(values, name):
     with pytest.raises(ConfigError, match=name):

@@ -8,33 +8,80 @@ profile or none, and with known speed or without.
 With the mode later than throttle_arb's mode_timeout, as by a connection that is that slow all the time, it can't hold;
 nor, with a mode that is late or lost, with calibration_drive, which has the first pull by hand drive backward.
 """
-from __future__ import annotations
 
 import collections
 import os
 import random
 
-import esc_sequences as sequences
 import pytest
+import virtual_escs
 from esc_car import EscCar
+from many_drives import MS, THROTTLE, S, count_duty
 
 from car_interface.common.causes import HUMAN_DRIVES
 from car_interface.sim import esc as virtual
 from car_interface.steering.arbiter import TELEOP
 from car_interface.teleop.gamepad import Gamepad, GamepadConfig
 from car_interface.throttle.arbiter import ThrottleArbiterConfig
-from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.control import ThrottleControl
 from car_interface.throttle.esc_config import UNVERIFIED, EscConfig
 
-MS, S = 1_000_000, 1_000_000_000
+DRIVERS = (virtual_escs.xl5, virtual_escs.vxl, virtual_escs.crawler, virtual_escs.direct, virtual_escs.race)
 TICK_NS = 10 * MS
-DRIVES = 3000 if os.environ.get("CAR_INTERFACE_ALL") else 35
+DRIVES = 3000 if os.environ.get("CAR_INTERFACE_ALL") else 25
 PROMPT_MS, THROTTLE_MS, LATE_MS = 2, 20, 450  # a message takes less
-# From the last moment of another deadman to the last pulse that it may still have asked for, without the stick's delay.
-GRACE_NS = sequences.GRACE_NS
+# From the last moment of another deadman to the last pulse that it may still have asked for, without the stick's delay:
+# the timer, the way to the chip, and a PWM period.
+GRACE_NS = 80 * MS
 MANUAL, AUTONOMOUS, THIRD = range(3)
 NOBODY, BY_HAND, BY_PLANNER = (), (MANUAL,), (AUTONOMOUS,)
+
+
+def send(messages, at_ns, message):
+    """Have a message arrive, and none before another that was sent before it."""
+    messages.append((max(messages[-1][0] if messages else 0, at_ns), message))
+
+
+def arrived(messages, now_ns):
+    """Return those that have arrived by now."""
+    found = []
+    while messages and messages[0][0] <= now_ns:
+        found.append(messages.popleft()[1])
+    return found
+
+
+class Chip:
+    """The servo board's output for the ESC, and what it says of it."""
+
+    def __init__(self, rng, esc):
+        self._rng, self._esc = rng, esc
+        self.neutral = count_duty(esc.neutral_duty)
+        self.duty = self.neutral
+        self._commands, self._messages = collections.deque(), collections.deque()
+        self._newest, self._command_ns = self.neutral, 0
+        self._published, self._published_ns = None, 0
+
+    def command(self, fraction, now_ns):
+        duty = self._esc.neutral_duty + abs(fraction) * self._full(fraction > 0)
+        self._commands.append((now_ns + self._rng.randrange(1, 10) * MS, count_duty(duty)))
+
+    def fraction(self, duty):
+        forward = duty > self._esc.neutral_duty
+        return (duty - self._esc.neutral_duty) / self._full(forward) * (1 if forward else -1)
+
+    def _full(self, forward):
+        esc = self._esc
+        return (esc.full_forward_duty if forward else esc.full_reverse_duty) - esc.neutral_duty
+
+    def tick(self, now_ns):
+        """Return what arrives at the node now."""
+        while self._commands and self._commands[0][0] <= now_ns:
+            self._command_ns, self._newest = self._commands.popleft()
+        self.duty = self.neutral if now_ns - self._command_ns > 250 * MS else self._newest
+        if self.duty != self._published or now_ns - self._published_ns >= 1000 * MS:
+            self._published, self._published_ns = self.duty, now_ns
+            send(self._messages, now_ns + self._rng.randrange(1, 60) * MS, self.fraction(self.duty))
+        return arrived(self._messages, now_ns)
 
 
 class Topic:
@@ -47,10 +94,10 @@ class Topic:
 
     def send(self, message, now_ns):
         if not self.is_cut:
-            sequences.send(self._messages, now_ns + self._rng.randrange(1, self._max_ms) * MS, message)
+            send(self._messages, now_ns + self._rng.randrange(1, self._max_ms) * MS, message)
 
     def tick(self, now_ns):
-        for message in sequences.arrived(self._messages, now_ns):
+        for message in arrived(self._messages, now_ns):
             self._deliver(message, now_ns)
 
 
@@ -59,18 +106,17 @@ class Drive:
 
     def __init__(self, seed):
         self.rng = rng = random.Random(seed)
-        esc = sequences.DRIVERS[seed % 5](
+        esc = DRIVERS[seed % 5](
             dwell_s=rng.uniform(0.1, 0.4), turn_s=rng.uniform(0.0, 0.3), drag_brake=rng.choice((0.0, 0.05, 0.3)),
             second_pull=rng.choice((virtual.REVERSES, virtual.BRAKES, virtual.BRAKES_AND_TURNS)),
             starts_ready=rng.random() < 0.3)
         self.virtual = virtual.VirtualEsc(esc, rng.randrange(20) * MS)
         self.car = EscCar()
-        self.chip = sequences.Chip(rng, esc)
+        self.chip = Chip(rng, esc)
         profile = UNVERIFIED if rng.random() < 0.3 else esc.kind
         calibrates = profile == UNVERIFIED and rng.random() < 0.3
         self.control = ThrottleControl(
-            ThrottleCalibration(channel=1, value_axis=[-5.0, 0.0, 3.0], duty_table=[3277, 4915, 6554], neutral=4915),
-            ThrottleArbiterConfig(),
+            THROTTLE, ThrottleArbiterConfig(),
             EscConfig(profile=profile, profile_measured=profile != UNVERIFIED and rng.random() < 0.5,
                       calibration_drive=calibrates))
         arbiter = self.control.arbiter

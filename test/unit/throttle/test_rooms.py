@@ -1,22 +1,19 @@
 """obstacle_stop in random rooms, judged by room and car alone: a sample of ``python3 test/rooms``."""
-from __future__ import annotations
 
-import math
 import os
 
 import pytest
-from rooms import empty, fan
+from rooms import empty
 from rooms.command_line import OTHERS_SHARE, verdict
 from rooms.drive import Contact, Echo, Record, Sample
 from rooms.judge import ECHO, LOST, NEVER, NONE, OTHER_ARC, RAN_AWAY, ROLLED, TURNED, judge
-from rooms.room import Outline, Pose, Post, Room, Side
+from rooms.room import Pose
 from rooms.scene import random_scene
 
 IS_ALL = bool(os.environ.get("CAR_INTERFACE_ALL"))
-ROOMS = 1000 if IS_ALL else 60
+ROOMS = 1000 if IS_ALL else 36
 # A slope hardly weaker than the drag, and no brake that is certain: a car that was pushed once rolls on (limits.md).
 LEFT_SHARE = 0.003
-HALF_CONE_RAD = math.radians(15)
 
 
 @pytest.mark.once
@@ -32,52 +29,16 @@ def test_car_is_no_faster_than_it_can_stop_for_what_gave_an_echo_on_its_arc():
 
 @pytest.mark.once
 def test_most_cars_without_obstacle_stop_run_fast_into_something():
-    verdicts = [verdict(seed, stops=False) for seed in range(20)]
-    assert sum(one.speed_mps > 0.3 for one in verdicts) >= 15
+    verdicts = [verdict(seed, stops=False) for seed in range(10)]
+    assert sum(one.speed_mps > 0.3 for one in verdicts) >= 7
 
 
 @pytest.mark.once
 def test_car_in_an_empty_room_is_not_slowed_more_than_its_fan_demands():
     named, baseline = empty.scenes(), empty.read_baseline()
-    sample = named if IS_ALL else list(named)[::7]
+    sample = named if IS_ALL else list(named)[::11]
     speeds = {name: (empty.mean_mps(named[name]), empty.wanted_mps(name, named[name], baseline)) for name in sample}
     assert {name: (mps, wanted_mps) for name, (mps, wanted_mps) in speeds.items() if mps < wanted_mps} == {}
-
-
-@pytest.mark.parametrize("thing, range_m", [
-    (Side("wall", 2.0, -5.0, 2.0, 5.0), 2.0),
-    (Side("seen_by_its_end_alone", 2.0, 0.5, 2.0, 5.0), math.hypot(2.0, 0.5)),
-    (Side("along_the_cone", 1.0, 0.1, 3.0, 0.1), math.hypot(1.0, 0.1)),
-    (Side("beside", 1.0, 0.5, 1.0, 3.0), None),
-    (Side("behind", -1.0, -3.0, -1.0, 3.0), None),
-    (Post("ahead", 2.0, 0.0, 0.1), 1.9),
-    (Post("at_the_edge", 2.0, 2.0 * math.tan(HALF_CONE_RAD), 0.1), 2.0 / math.cos(HALF_CONE_RAD) - 0.1),
-    (Post("beside", 1.0, 1.0, 0.1), None),
-    (Post("behind", -1.0, 0.0, 0.1), None)], ids=lambda value: getattr(value, "name", None))
-def test_cone_meets_the_nearest_place_in_it(thing, range_m):
-    for pose in (Pose(0.0, 0.0, 0.0), Pose(3.0, -2.0, 2.5)):  # wherever both stand
-        moved = (Post(thing.name, *pose.place(thing.x_m, thing.y_m), thing.radius_m) if isinstance(thing, Post) else
-                 Side(thing.name, *pose.place(thing.x1_m, thing.y1_m), *pose.place(thing.x2_m, thing.y2_m)))
-        met = Room((moved,)).first_in_cone(pose, HALF_CONE_RAD, 4.0)
-        assert met is None if range_m is None else met.range_m == pytest.approx(range_m)
-
-
-@pytest.mark.parametrize("thing, place", [
-    (Side("ahead", 0.42, -1.0, 0.42, 1.0), (0.42, 0.0)),
-    (Side("corner", 0.4, 0.1, 2.0, 0.1), (0.413, 0.1)),
-    (Side("just_ahead", 0.43, -1.0, 0.43, 1.0), None),
-    (Side("within", 0.1, 0.0, 0.2, 0.0), (0.15, 0.0)),
-    (Post("at_the_flank", 0.2, 0.19, 0.05), (0.2, 0.148)),
-    (Post("beyond_the_corner", 0.46, 0.182, 0.04), None)], ids=lambda value: getattr(value, "name", None))
-def test_outline_touches_what_it_overlaps(thing, place):
-    assert thing.touched(Pose(0.0, 0.0, 0.0), Outline()) == (place if place is None else pytest.approx(place))
-
-
-@pytest.mark.parametrize("curvature, range_m, driven_m", [
-    (0.0, 2.0, 1.99), (0.0, 4.0, 3.99),  # 6 mm of the range are behind the bumper
-    (1.0, 2.0, 0.945), (1.0, 4.0, 0.945)])  # cos(θ − 21.9°) = 1.3 / 1.537 with the edge at y = x − 0.3
-def test_fan_ends_at_the_range_or_at_the_edge_of_the_outer_cone(curvature, range_m, driven_m):
-    assert fan.free(curvature, range_m)[0] == pytest.approx(driven_m, abs=0.01)
 
 
 SCENE = next(one for one in map(random_scene, range(1000)) if one.kind == "measured" and not one.car.slope)

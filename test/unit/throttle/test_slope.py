@@ -1,5 +1,4 @@
 """How strongly a car slows down by itself, in each direction, as its rolls in neutral show it."""
-from __future__ import annotations
 
 import math
 
@@ -54,12 +53,6 @@ def test_a_roll_shows_how_it_slows_down_whatever_the_motor_s_lag(downhill_mps2, 
 def test_before_the_first_roll_nothing_is_certain_and_a_push_shows_nothing():
     slope = Car().run(2.0, 0.4, 1.0)
     assert slope.coasting(False).certain_mps2 < 0.0 and slope.coasting(False).likely_mps2 == pytest.approx(0.3)
-
-
-def test_the_longer_it_rolls_the_more_is_certain():
-    car = Car(speed_mps=2.0, downhill_mps2=0.1)
-    certain_mps2 = [car.run(0.3).coasting(False).certain_mps2 for _ in range(4)]
-    assert certain_mps2 == sorted(certain_mps2) and certain_mps2[0] < certain_mps2[-1] - 0.1
 
 
 @pytest.mark.parametrize(("speed_mps", "brakes_s"), [(1.6, 0.36), (0.62, 0.3)], ids=["it_rolls_on", "it_stands_soon"])
@@ -146,6 +139,7 @@ def test_the_present_acceleration_is_that_of_the_magnitude():
     assert Slope(ESC).acceleration_mps2 == 0.0
 
 
+@pytest.mark.once
 @settings(max_examples=40)
 @given(speeds=st.lists(st.one_of(st.floats(-5.0, 5.0), st.just(math.nan), st.just(math.inf)), max_size=80),
        fraction=st.sampled_from([0.0, 0.4, -0.5]), curvature=st.floats(-2.0, 2.0))

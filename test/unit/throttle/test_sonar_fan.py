@@ -1,5 +1,4 @@
 """How far a car gets on an arc until it touches a point, and until it leaves what its sonars look at."""
-from __future__ import annotations
 
 import itertools
 import math
@@ -91,12 +90,6 @@ def test_an_arc_ends_where_the_middle_of_the_bumper_leaves_the_fan(curvature_per
     assert ends(curvature_per_m, FRONT) == (pytest.approx(distance_m, abs=0.001), sonar, is_edge)
 
 
-def test_a_larger_range_ends_no_arc_sooner_and_moves_no_edge():
-    far = dict.fromkeys(FRONT, 4.0)
-    assert ends(0.0, FRONT, **far)[0] == pytest.approx(3.994, abs=0.001)
-    assert ends(1.0, FRONT, **far) == ends(1.0, FRONT)
-
-
 def test_backward_it_is_the_fan_behind():
     assert ends(0.0, REAR, True) == (pytest.approx(1.998, abs=0.001), "rear_middle", False)
     left, right = ends(0.8, REAR, True), ends(-0.8, REAR, True)
@@ -135,6 +128,7 @@ def is_looked_at(x_m, y_m, reach_m):
     return is_between and any(math.dist((x_m, y_m), mount[:2]) <= reach_m + 0.05 for mount in FRONT.values())
 
 
+@pytest.mark.once
 @given(curvature_per_m=st.floats(-1.5, 1.5), reach_m=st.floats(0.5, 4.0))
 def test_all_the_way_to_the_end_the_bumper_is_inside_of_the_fan_and_beyond_it_outside(curvature_per_m, reach_m):
     end = fan(FRONT).end(curvature_per_m, dict.fromkeys(FRONT, reach_m))
@@ -145,6 +139,7 @@ def test_all_the_way_to_the_end_the_bumper_is_inside_of_the_fan_and_beyond_it_ou
     assert not is_looked_at(x_m + BUMPER_M * math.cos(turn_rad), y_m + BUMPER_M * math.sin(turn_rad), reach_m - 0.05)
 
 
+@pytest.mark.once
 @given(curvature_per_m=st.floats(-1.5, 1.5), reaches_m=st.lists(st.floats(0.0, 4.0), min_size=3, max_size=3))
 def test_left_and_right_are_mirror_images_and_a_shorter_reach_never_frees_an_arc(curvature_per_m, reaches_m):
     reaches = dict(zip(FRONT, reaches_m))
@@ -155,6 +150,7 @@ def test_left_and_right_are_mirror_images_and_a_shorter_reach_never_frees_an_arc
     assert end.distance_m >= 0.0
 
 
+@pytest.mark.once
 @given(curvature_per_m=st.floats(-1.5, 1.5), is_backward=st.booleans(),
        points=st.lists(st.tuples(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0)), max_size=20))
 def test_no_point_that_the_car_touches_fails_the_quick_test(curvature_per_m, is_backward, points):

@@ -2,8 +2,8 @@
 
 The car of ``speed_rig`` has the ESC's dead band, rules and delays, and the odometry of its own Teensy.
 """
-from __future__ import annotations
 
+import itertools
 import math
 import os
 
@@ -31,12 +31,18 @@ DISTURBED = {
 # On this one drag brake and slope are about even: pushes and neutral alternate.
 ROLLS = "5_percent_downhill"
 
-HELD_S = 64.0 if os.environ.get("CAR_INTERFACE_ALL") else 16.0
+IS_ALL = bool(os.environ.get("CAR_INTERFACE_ALL"))
+HELD_S = 64.0 if IS_ALL else 11.0
+
+
+def sample(every, *axes):
+    """All combinations with --all, else one in so many, of which each value has its share."""
+    return list(itertools.product(*axes))[::1 if IS_ALL else every]
 
 
 @pytest.mark.once
-@pytest.mark.parametrize("target", [3.0, -0.3])
-@pytest.mark.parametrize("disturbance", DISTURBED)
+@pytest.mark.parametrize("target, disturbance", [
+    *((3.0, name) for name in DISTURBED), *((-0.3, name) for name, in sample(3, DISTURBED))])
 def test_speed_is_reached_in_time_without_overshoot_and_held(disturbance, target):
     sign, magnitude = math.copysign(1, target), abs(target)
     samples = [sample._replace(speed_mps=sign * sample.speed_mps)
@@ -61,10 +67,10 @@ def test_0_3_mps_is_held_without_a_stall(disturbance):
 
 
 @pytest.mark.once
-@pytest.mark.parametrize("drag_brake, lag_s", [(0.0, 0.05), (0.1, 0.15)])
-@pytest.mark.parametrize("slope, speed_mps, within", [(0.05, 0.3, 0.12), (0.05, 1.0, 0.12), (0.08, 1.0, 0.2)])
-@pytest.mark.parametrize("sign", [1, -1], ids=["forward", "backward"])
-def test_speed_is_held_downhill(drag_brake, lag_s, slope, speed_mps, within, sign):
+@pytest.mark.parametrize("hill, car, sign", sample(
+    3, ((0.05, 0.3, 0.12), (0.05, 1.0, 0.12), (0.08, 1.0, 0.2)), ((0.0, 0.05), (0.1, 0.15)), (1, -1)))
+def test_speed_is_held_downhill(hill, car, sign):
+    (slope, speed_mps, within), (drag_brake, lag_s) = hill, car
     rig = SpeedRig(slope=-sign * slope, esc=xl5(drag_brake=drag_brake), is_measured=True, lag_s=lag_s)
     rig.car.speed_mps = 0.0  # it was held until now
     samples = rig.run(13.0, SpeedRequest(sign * speed_mps))
@@ -76,15 +82,14 @@ def test_speed_is_held_downhill(drag_brake, lag_s, slope, speed_mps, within, sig
 
 
 @pytest.mark.once
-@pytest.mark.parametrize("sign", [1, -1], ids=["forward", "backward"])
-@pytest.mark.parametrize("slope, drag_brake, lag_s", [(0.05, 0.0, 0.15), (0.08, 0.0, 0.05), (0.08, 0.05, 0.15)])
-@pytest.mark.parametrize("esc, profile, is_measured", [
-    (xl5, "unverified", False), (xl5, "brake_then_reverse", False), (crawler, "brake_becomes_reverse", True),
-    (direct, "direct_reverse", True), (crawler, "unverified", False), (direct, "unverified", False),
-    (race, "forward_only", True)])
-def test_no_kind_rolls_away_downhill_at_a_crawl(esc, profile, is_measured, slope, drag_brake, lag_s, sign):
-    if esc is race and sign < 0:
-        pytest.skip("it has no reverse")
+@pytest.mark.parametrize("sign, kind, hill", [case for case in sample(
+    4, (1, -1),
+    ((xl5, "unverified", False), (xl5, "brake_then_reverse", False), (crawler, "brake_becomes_reverse", True),
+     (direct, "direct_reverse", True), (crawler, "unverified", False), (direct, "unverified", False),
+     (race, "forward_only", True)),
+    ((0.05, 0.0, 0.15), (0.08, 0.0, 0.05), (0.08, 0.05, 0.15))) if case[0] > 0 or case[1][0] is not race])
+def test_no_kind_rolls_away_downhill_at_a_crawl(sign, kind, hill):
+    (esc, profile, is_measured), (slope, drag_brake, lag_s) = kind, hill
     rig = SpeedRig(slope=-sign * slope, esc=esc(drag_brake=drag_brake), profile=profile, is_measured=is_measured,
                    lag_s=lag_s)
     rig.car.speed_mps = 0.0  # it was held until now
@@ -94,21 +99,11 @@ def test_no_kind_rolls_away_downhill_at_a_crawl(esc, profile, is_measured, slope
 
 
 @pytest.mark.once
-@pytest.mark.parametrize("drag_brake", [0.0, 0.05])
-def test_the_steepest_hill_at_a_crawl_makes_it_too_fast_for_a_moment(drag_brake):
-    rig = SpeedRig(slope=-0.08, esc=xl5(drag_brake=drag_brake), is_measured=True)
-    rig.car.speed_mps = 0.0
-    samples = rig.run(8.0, SpeedRequest(0.3))
-    assert max(sample.speed_mps for sample in samples) < 0.8
-    assert abs(mean_error(samples[200:], 0.3)) < 0.03
-
-
-@pytest.mark.once
-@pytest.mark.parametrize("lag_s", [0.0, 0.02, 0.1, 0.15])
-@pytest.mark.parametrize("disturbance, limit", [
-    ("as_the_map_says", 0.10), ("map_30_percent_too_strong", 0.15), ("map_30_percent_too_weak", 0.15)])
-@pytest.mark.parametrize("target", [0.3, 1.0])
-def test_speed_isn_t_overshot_whatever_the_motor_s_lag(disturbance, limit, target, lag_s):
+@pytest.mark.parametrize("lag_s, target, map_", sample(
+    5, (0.15, 0.0, 0.02, 0.1), (0.3, 1.0),
+    (("as_the_map_says", 0.10), ("map_30_percent_too_strong", 0.15), ("map_30_percent_too_weak", 0.15))))
+def test_speed_isn_t_overshot_whatever_the_motor_s_lag(lag_s, target, map_):
+    disturbance, limit = map_
     samples = SpeedRig(lag_s=lag_s, **DISTURBED[disturbance]).run(5.0, SpeedRequest(target))
     assert overshoot(samples, target) < limit
     assert abs(mean_error(samples[-75:], target)) < 0.03
@@ -127,15 +122,6 @@ def test_speed_that_falls_is_followed_and_a_stop_ends_at_standstill():
 
 
 @pytest.mark.once
-def test_direction_changes_at_standstill_only_and_by_gear():
-    rig = SpeedRig()
-    rig.run(2.0, SpeedRequest(1.5))
-    samples = rig.run(5.0, SpeedRequest(-1.0))
-    assert all(sample.esc != "REVERSE" or sample.speed_mps < 0.1 for sample in samples)
-    assert abs(mean_error(samples[-25:], -1.0)) < 0.03
-    assert abs(mean_error(rig.run(4.0, SpeedRequest(1.0))[-25:], 1.0)) < 0.03
-
-
 def test_request_with_a_smaller_acceleration_is_followed_with_that():
     samples = SpeedRig().run(4.0, SpeedRequest(2.0, acceleration_mps2=1.0))
     assert settled_s(samples, 2.0) == pytest.approx(2.0, abs=0.3)

@@ -1,5 +1,4 @@
 """The reference speed: limits of acceleration and jerk."""
-from __future__ import annotations
 
 import itertools
 

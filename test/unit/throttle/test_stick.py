@@ -1,11 +1,7 @@
 """The human's throttle stick: dead band, expo, and the scale that two buttons change."""
-from __future__ import annotations
 
 import pytest
 
-from car_interface.common.declared import read
-from car_interface.common.errors import ConfigError
-from car_interface.common.params import Params
 from car_interface.throttle.stick import Scale, StickConfig, shaped
 
 
@@ -43,20 +39,3 @@ def test_scale_ends_at_1_and_at_the_smaller_of_a_step_and_the_start_and_a_step_o
     assert press(scale, 0, 1) == [False, False]
     press(scale, *[0, -1] * 20)
     assert scale.value == pytest.approx(least)
-
-
-def test_defaults_are_a_third_forward_and_the_whole_brake():
-    assert read(Params({}), StickConfig) == StickConfig(deadband=0.05, expo=0.0, human_scale=0.3, brake_scale=1.0,
-                                                 scale_step=0.1)
-
-
-@pytest.mark.parametrize("name, value, accepted", [
-    ("tele_throt_deadband", 0.6, "a number from 0 to 0.5"),
-    ("expo", 1.1, "a number from 0 to 1"),
-    ("human_scale", 1.5, "a number from 0 to 1"),
-    ("brake_scale", -0.1, "a number from 0 to 1"),
-    ("scale_step", "x", "a number from 0 to 1"),
-])
-def test_parameter_out_of_range_is_refused_by_its_name(name, value, accepted):
-    with pytest.raises(ConfigError, match=f"{name} is {value!r}; accepted: {accepted}"):
-        read(Params({name: value}), StickConfig)

@@ -1,5 +1,4 @@
 """The value map: looking values up and back, and the files that are refused."""
-from __future__ import annotations
 
 import math
 import os
@@ -135,16 +134,6 @@ def test_lookup_where_rounding_levels_neighbours_does_not_divide_by_their_differ
     assert values[0] <= value <= values[-1]
 
 
-def test_large_map_looks_up_as_a_small_one_does():
-    size = 400
-    values, velocities = [0.1 * row for row in range(size)], [0.05 * column for column in range(size)]
-    rows = [[value ** 1.5 - 0.3 * velocity - 0.002 * velocity ** 2 for velocity in velocities] for value in values]
-    large = ValueMap(values, velocities, rows)
-    for acceleration, velocity in ((0.0, 0.0), (17.3, 3.14), (-2.0, 11.111), (100.0, 19.95), (999.0, 7.0), (3.0, 99.0)):
-        assert large.value_at(acceleration, velocity) == pytest.approx(
-            naive_value_at(values, velocities, rows, acceleration, velocity))
-
-
 @pytest.mark.parametrize("values, value", [
     ([-2.0, -1.0, 0.0, 1.0, 2.0], 0.0),
     ([1.0, 2.0, 3.0, 4.0, 5.0], 2.0),
@@ -157,13 +146,6 @@ def test_plateau_gives_its_value_of_least_magnitude_between_columns_too(values, 
     rows = [[-1.0, -3.0], [0.5, -1.5], [0.5, -1.5], [0.5, -1.5], [2.0, 2.0]]
     value_map = ValueMap(values, [0.0, 10.0], rows, allow_plateaus=True)
     assert value_map.value_at(0.5 - 0.2 * velocity, velocity) == value
-
-
-def test_plateau_s_sides_are_interpolated_as_ever():
-    value_map = ValueMap([1.0, 2.0, 3.0, 4.0, 5.0], [0.0, 10.0], PLATEAU_ROWS, allow_plateaus=True)
-    assert value_map.value_at(-0.5, 0.0) == pytest.approx(1.5)
-    assert value_map.value_at(1.0, 0.0) == pytest.approx(4.5)
-    assert value_map.value_at(0.25, 10.0) == pytest.approx(3.5)
 
 
 @pytest.mark.parametrize("accelerations, acceleration, value", [

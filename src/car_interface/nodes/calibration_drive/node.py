@@ -4,12 +4,15 @@ It is started by hand, in a terminal of its own; ``--help`` lists its options. I
 topics, so that deadman, e-stop, arming and timeouts hold as for any planner, and asks for nothing while it may not
 drive. With --stick a person drives, and it says where to hold the stick.
 
+A person without its terminal, such as at a phone, sees how far it is by ~state, and ends it by ~finish or a signal.
+
 Publishes, at 50 Hz while it may drive, without --stick:
     av_steer_req (std_msgs/Float32): −1 right .. +1 left.
     av_speed_req (std_msgs/Float32): m/s, for planner_interface with source ``speed``.
 And:
     ~markers (visualization_msgs/MarkerArray, latched, 5 Hz): the area, where it goes, what is known of which radius;
         with --stick what to do in place of the first two.
+    ~state (CalibrationState, 5 Hz): what it does or waits for, what is known and what is missing.
     ~result (std_msgs/String, at the end): the new table, for the recording, of which bag_report makes the page.
 Subscribes:
     odom (nav_msgs/Odometry), servo/output (std_msgs/Int32MultiArray): what it measures.
@@ -17,28 +20,29 @@ Subscribes:
         teleop_logi/state (TeleopState): whether it may drive, and why not.
     sonar/front_right … sonar/rear_left (sensor_msgs/Range): without --no-sonars.
     av_turnrad_req, av_steer_req, av_speed_req (std_msgs/Float32): who else asks.
+    ~finish (std_msgs/Empty): finish now with what is known, as by the key F.
 Parameters: none of its own; it reads those of turn_arb and throttle_arb.
 """
 from __future__ import annotations
 
+import math
 import os
 import sys
 from dataclasses import replace
 from functools import partial
-from typing import Any, Callable
 
 import rospy
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Range
-from std_msgs.msg import Float32, Int32MultiArray, String
+from std_msgs.msg import Empty, Float32, Int32MultiArray, String
 from visualization_msgs.msg import MarkerArray
 
 from car_interface.common.errors import CarInterfaceError, EndedEarly
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import CHANNELS, NS_PER_S, yaw_rad
-from car_interface.msg import PlannerState, SteeringState, TeleopState, ThrottleState
-from car_interface.nodes.calibration_drive.bag_recording import TOPICS, BagPage, BagRecording
+from car_interface.msg import CalibrationState, PlannerState, SteeringState, TeleopState, ThrottleState
+from car_interface.nodes.bag_recording import TOPICS, BagPage, BagRecording
 from car_interface.nodes.calibration_drive.drive_markers import drive_markers, no_markers
 from car_interface.nodes.keyboard_drive.keyboard import Keys
 from car_interface.nodes.live_text import LiveText
@@ -51,7 +55,7 @@ from car_interface.tools.calibration.drive.conclusion import board_center, concl
 from car_interface.tools.calibration.drive.config import drive_config, parse, read_base, read_obstacles
 from car_interface.tools.calibration.drive.grant import Grant, Seen, Steering, Throttle, missing, missing_gamepad
 from car_interface.tools.calibration.drive.knowledge import assess
-from car_interface.tools.calibration.drive.step import BLOCKED, DONE, PAUSED, WAITING
+from car_interface.tools.calibration.drive.step import BLOCKED, DONE, PAUSED, WAITING, Progress
 from car_interface.tools.calibration.drive.stick_guide import StickGuide
 
 NAME = "calibration_drive"
@@ -61,6 +65,7 @@ READY_WITHIN_NS, RECORDER_WITHIN_NS = 8 * NS_PER_S, 15 * NS_PER_S
 OUTPUT_TIMEOUT_S = 2.5  # it comes on change and once a second
 RESULT_ARRIVES_NS = NS_PER_S  # until the recording is closed
 MAX_ODOM_AGE_NS = NS_PER_S // 2  # an older one has an odd stamp
+NO_PROGRESS = Progress(0.0, (), (), 0.0, math.inf, 0, math.nan, math.nan)  # before the drive and after it
 STANDS = frozenset({WAITING, PAUSED, BLOCKED})
 REQUESTS = ("av_turnrad_req", "av_steer_req", "av_speed_req")
 
@@ -104,6 +109,7 @@ class CalibrationDriveNode:
         self._steerings = self._speeds = None
         self._is_over = self._is_ending = self._is_written = False
         self._result = advertise("~result", String, inbox)
+        self._state = advertise("~state", CalibrationState, inbox)
         self._markers = advertise("~markers", MarkerArray, inbox, latch=True)
         self._subscribe()
         self._has_keys = self._keys.start()
@@ -119,6 +125,7 @@ class CalibrationDriveNode:
                 ("teleop_logi/state", TeleopState, self._on_teleop),
                 *((f"sonar/{name}", Range, partial(self._on_range, name)) for name in self._sonars)):
             subscribe(topic, message_type, inbox, handler, queue_size=50)
+        subscribe("~finish", Empty, inbox, lambda message, now_ns: self._drive.finish())
         for topic in REQUESTS if not self._wanted.stick else ():
             subscribe(topic, rospy.AnyMsg, inbox, partial(self._on_request, topic), wakes=False)
 
@@ -226,6 +233,8 @@ class CalibrationDriveNode:
             self._begin_recording(now_ns)
         elif now_ns - self._begun_ns > NS_PER_S:
             self._announce("waiting", [f"waits: {text}" for text in lacks + gamepad], now_ns)
+            if self._ticks % TICKS_PER_SHOW == 0:
+                self._publish_state(WAITING, "; ".join(lacks + gamepad))
 
     def _begin_recording(self, now_ns):
         topics = list(map(self._inbox.resolve_name, (*TOPICS, "~result")))
@@ -257,7 +266,7 @@ class CalibrationDriveNode:
             drive.finish()
         task = drive.take_fit_task()
         if task is not None:
-            in_thread(self._inbox, partial(assess, task), drive.update_knowledge)
+            self._inbox.work(partial(assess, task), drive.update_knowledge)
         self._step = step = drive.step(now_ns)
         if not self._wanted.stick and step.steering is not None:
             self._steerings.publish(Float32(step.steering))
@@ -276,6 +285,7 @@ class CalibrationDriveNode:
         else:
             self._announce(kind, [terminal.plain_line(step.phase, step.text, progress)], now_ns)
         self._show_markers(step, progress)
+        self._publish_state(step.phase, step.text, progress)
 
     def _show_markers(self, step, progress):
         drive, rows = self._drive, progress.rows
@@ -284,6 +294,13 @@ class CalibrationDriveNode:
         self._markers.publish(drive_markers(*self._frames, start, self._config.radius_m, path, rows, self._rows_drawn,
                                             f"{terminal.percent(progress.fraction).strip()}, {text}"))
         self._rows_drawn = len(rows)
+
+    def _publish_state(self, phase, text, progress=NO_PROGRESS):
+        state = CalibrationState(
+            phase=phase, text=text, fraction=progress.fraction, known=terminal.known_lines(progress),
+            missing=terminal.missing_lines(progress.missing), driven=progress.driven_s, left=progress.left_s)
+        state.stamp = self._clocks.ros_now()
+        self._state.publish(state)
 
     def _announce(self, kind, lines, now_ns):
         """Draw lines over; where that can't be, print them when the kind changes, and now and then."""
@@ -310,10 +327,12 @@ class CalibrationDriveNode:
         self._stop_asking()
         self._text.keep()
         self._text.say(f"{self._step.text}. You can let go. Calibrating …")
+        self._publish_state(DONE, f"{self._step.text}. You can let go. Calibrating …", self._drive.progress(
+            self._clocks.now_ns()))
         self._is_ending = True
         name = os.path.basename(self._recording.path)
         samples, base, base_text = self._drive.samples, self._base, self._table.base_text
-        in_thread(self._inbox, lambda: conclude(samples, base, base_text, name), self._on_conclusion)
+        self._inbox.work(lambda: conclude(samples, base, base_text, name), self._on_conclusion)
         self._stage = self._await_conclusion
 
     def _await_conclusion(self, now_ns, typed):
@@ -369,6 +388,8 @@ class CalibrationDriveNode:
         if lines is None:
             seconds = (now_ns - self._waits_from_ns) // NS_PER_S
             self._announce("page", [f"makes the recording's page: {seconds} s"], now_ns)
+            if self._ticks % TICKS_PER_SHOW == 0:
+                self._publish_state(DONE, "it makes the recording's page")
             return
         self._text.show([])
         for line in lines:
@@ -377,22 +398,6 @@ class CalibrationDriveNode:
         self._inbox.end()
         if self._refusal:
             raise EndedEarly(self._refusal)
-
-
-def in_thread(inbox, work: Callable[[], Any], handler: Callable[[Any, int], None]) -> None:
-    """Have ``handler(work(), now_ns)`` called in the node's thread. What ``work`` raises is raised there, too."""
-    def run():
-        try:
-            result = work()
-        except Exception as error:
-            inbox.put(_fail, error)
-            return
-        inbox.put(handler, result)
-    inbox.graph.start_thread(run, "work")
-
-
-def _fail(error, now_ns):
-    raise error
 
 
 def main():

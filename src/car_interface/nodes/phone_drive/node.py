@@ -6,37 +6,50 @@ Publishes:
     phone/joy (sensor_msgs/Joy): what the driver's phone asks for, by the indices of ``teleop.handover``; on a change,
         when it is lost, and 20 times a second. Nothing is held unless his touch counts.
     phone/e_stop (std_msgs/Bool, latched): true = stop, until the driver clears it; on a change and 10 times a second.
+    calibration_drive/finish (std_msgs/Empty): as the driver asks for it.
     /diagnostics: how many pages there are, and what was refused; 1 Hz.
 Subscribes:
-    turn_arb/state (SteeringState), throttle_arb/state (ThrottleState), teleop_logi/state (TeleopState): shown on the
-        pages.
+    The states of the nodes, sonar/* and /diagnostics, for the pages: see ``car_state``.
+Calls, for the driver: turn_arb/set_parameters and ~save, throttle_arb/servo/set_parameters and ~save.
+Starts, for the driver: rosbag record, bag_report, calibration_drive.
 """
 from __future__ import annotations
 
 import secrets
+import sys
 from functools import partial
 
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool
+from std_srvs.srv import Trigger, TriggerRequest
 
 from car_interface.common.declared import read_all
+from car_interface.common.errors import CarInterfaceError
 from car_interface.common.rate_timer import RateTimer
-from car_interface.msg import SteeringState, TeleopState, ThrottleState
-from car_interface.nodes.phone_drive.config import PhoneDriveConfig
+from car_interface.common.units import NS_PER_S
+from car_interface.nodes.phone_drive.announcement import announce, own_addresses
+from car_interface.nodes.phone_drive.calibration_program import CalibrationProgram
+from car_interface.nodes.phone_drive.car_state import CarState
+from car_interface.nodes.phone_drive.config import AUTO, PhoneDriveConfig
+from car_interface.nodes.phone_drive.recordings import Recordings, default_folder
 from car_interface.ros.diagnostics import OK, Diagnostics
 from car_interface.ros.runtime import run
-from car_interface.ros.topics import advertise, subscribe
+from car_interface.ros.topics import advertise
 from car_interface.teleop.handover import PHONE_TOPIC
 from car_interface.teleop.keyboard import Controls
 from car_interface.teleop.phone import Phones
+from car_interface.teleop.phone_messages import BEGIN, CENTER, FINISH, NEUTRAL
 
 RATE_HZ = 20
 TICKS_PER_E_STOP = 2
-SHOWN = {"turn_arb": SteeringState, "throttle_arb": ThrottleState, "teleop_logi": TeleopState}
+TICKS_PER_STATE = 4
+TICKS_PER_LISTING = 40  # of the recordings' folder
+CALL_NS = 10 * NS_PER_S  # a save that isn't answered by then isn't waited for
+SAVED_BY = {CENTER: "turn_arb", NEUTRAL: "throttle_arb"}
 
 
 class PhoneDrive:
-    """Passes what phones send to the rules, and publishes what these grant.
+    """Passes what phones send to the rules, publishes what these grant, and does what the driver asks for.
 
     Args:
         params: the node's parameters.
@@ -44,17 +57,23 @@ class PhoneDrive:
         make_server: called with configuration and inbox; see ``server.Server``. Of each connection it puts into the
             inbox, for ``on_connect``, ``on_message`` and ``on_disconnect``, what happens.
         make_pin: returns six digits.
+        make_recordings, make_calibration: as ``Recordings`` and ``CalibrationProgram``.
     """
 
     # A page's messages count by the age of the token that they echo, however long this node stood still.
     notices_standstill = True
 
-    def __init__(self, params, inbox, make_server, make_pin=lambda: f"{secrets.randbelow(10 ** 6):06d}"):
+    def __init__(self, params, inbox, make_server, make_pin=lambda: f"{secrets.randbelow(10 ** 6):06d}",
+                 make_recordings=Recordings, make_calibration=CalibrationProgram):
         config = read_all(params, PhoneDriveConfig)
         self._inbox = inbox
         now_ns = inbox.clocks.now_ns()
-        pin = make_pin()
-        self._phones = Phones(pin, now_ns)
+        pin = make_pin() if config.pin == AUTO else str(config.pin)
+        self._phones = Phones(pin, now_ns, config.watch_without_pin, config.e_stop)
+        self._stored_e_stop = config.e_stop
+        self._is_storing = False
+        self._calls = 0  # that were begun and not answered
+        self._called_ns = now_ns
         self._timer = RateTimer(RATE_HZ, now_ns)
         self._ticks = 0
         self._published = None  # controls and e-stop
@@ -62,11 +81,12 @@ class PhoneDrive:
         self._e_stop = advertise("phone/e_stop", Bool, inbox, latch=True)
         self._diagnostics = Diagnostics(inbox, "none", {"phones": self._report}, now_ns)
         inbox.on_overflow(lambda now_ns: self._phones.mark_stale())
-        for name, message_type in SHOWN.items():
-            subscribe(f"{name}/state", message_type, inbox,
-                      lambda message, now_ns, name=name: self._phones.show(name, message.reason), wakes=False)
+        self._car = CarState(inbox)
+        self._recordings = make_recordings(config.folder or default_folder(), inbox)
+        self._calibration = make_calibration(inbox)
         self._server = make_server(config, inbox, self)
-        print(f"The PIN for phones is {pin}", flush=True)  # not to the log, which any node of the network receives
+        # Not to the log, which any node of the network receives.
+        print(*announce(config, pin, own_addresses(), sys.stdout.isatty()), sep="\n", flush=True)
 
     def step(self, now_ns):
         """Handle what arrived; then what is due."""
@@ -77,19 +97,20 @@ class PhoneDrive:
         self._phones.step(now_ns)
         self._publish_if_changed(now_ns)
         if self._timer.is_due(now_ns):
-            self._ticks += 1
-            self._publish_joy(self._published[0])
-            if self._ticks % TICKS_PER_E_STOP == 0:
-                self._e_stop.publish(self._published[1])
+            self._tick(now_ns)
+        for command in self._phones.take_commands():
+            self._execute(command, now_ns)
         for outgoing in self._phones.drain():
             self._server.send(outgoing)
         self._diagnostics.step(now_ns)
         return min(self._timer.due_ns, self._phones.due_ns)
 
     def shut_down(self):
-        """Release the deadman."""
+        """Release the deadman; close what was begun."""
         self._publish_joy(Controls())
         self._server.stop()
+        self._calibration.close()
+        self._recordings.close()
 
     def on_connect(self, connection, now_ns):
         """Take (number, address) of a connection."""
@@ -103,19 +124,117 @@ class PhoneDrive:
         """Take note that a connection is gone."""
         self._phones.disconnect(number)
 
+    def _tick(self, now_ns):
+        self._ticks += 1
+        self._publish_joy(self._published[0])
+        if self._ticks % TICKS_PER_E_STOP == 0:
+            self._e_stop.publish(self._published[1])
+        if self._ticks % TICKS_PER_STATE == 0:
+            self._recordings.step()
+            calibration = self._calibration.step(self._car.calibration(now_ns))
+            if self._phones.pages:
+                self._show({**self._car.groups(now_ns), "recording": self._recordings.state(now_ns),
+                            "calibration": calibration})
+        if self._ticks % TICKS_PER_LISTING == 1:
+            self._show({"recordings": self._recordings.files()})
+
+    def _show(self, groups):
+        for group, state in groups.items():
+            self._phones.show(group, state)
+
+    # --- what counts ---
+
     def _publish_if_changed(self, now_ns):
         before = self._published or (None, None)
         self._published = controls, e_stop = self._phones.controls(now_ns), self._phones.e_stop
         if e_stop != before[1]:
             self._e_stop.publish(e_stop)
+            self._store_e_stop()
         if controls != before[0]:
             self._publish_joy(controls)
+
+    def _store_e_stop(self):
+        """Keep the e-stop on the parameter server: this node's successor begins with it."""
+        wanted = self._phones.e_stop
+        if wanted == self._stored_e_stop or self._is_storing:
+            return
+        self._is_storing = True
+
+        def store():
+            try:
+                self._inbox.graph.set_parameter(self._inbox.own_name("~e_stop"), wanted)
+            except OSError:
+                pass  # the master is gone; whoever pressed it repeats it to this node's successor
+            return wanted
+        self._inbox.work(store, self._on_stored)
+
+    def _on_stored(self, stored, now_ns):
+        self._stored_e_stop, self._is_storing = stored, False
+        self._store_e_stop()
 
     def _publish_joy(self, controls):
         message = Joy(axes=[controls.steering, controls.throttle],
                       buttons=[controls.manual, controls.autonomous, controls.scale == 1, controls.scale == -1])
         message.header.stamp = self._inbox.clocks.ros_now()
         self._joy.publish(message)
+
+    # --- what the driver asks for ---
+
+    def _execute(self, command, now_ns):
+        connection, message = command
+        try:
+            answer = getattr(self, f"_do_{message['type']}")(connection, message, now_ns)
+        except CarInterfaceError as error:
+            answer = {"refused": str(error)}
+        if answer:
+            self._phones.answer(connection, **answer)
+
+    def _do_record(self, connection, message, now_ns):
+        done = self._recordings.begin(now_ns) if message["on"] else self._recordings.end()
+        return {"done": done}
+
+    def _do_calibrate(self, connection, message, now_ns):
+        program, what = self._calibration, message["what"]
+        return {"done": program.begin() if what == BEGIN else program.finish() if what == FINISH else program.give_up()}
+
+    def _do_open(self, connection, message, now_ns):
+        path = self._recordings.path_of(message["name"])
+        return {"refused": "there is no such file"} if path is None else {"file": self._server.offer(path)}
+
+    def _do_trim(self, connection, message, now_ns):
+        tuned, name = self._car.tuned[message["name"]]
+        self._begin_call(1, now_ns)
+
+        def on_done(accepted, problem):
+            answer = {"refused": problem} if accepted is None else {
+                "done": f"{message['name']} is {accepted.get(name)} now"}
+            self._inbox.put(self._on_answer, (connection, answer), on_drop=self._forget_calls)
+        tuned.request({name: message["value"]}, on_done)
+
+    def _do_save(self, connection, message, now_ns):
+        nodes = [SAVED_BY[name] for name, (tuned, _) in self._car.tuned.items() if tuned.values]
+        if not nodes:
+            raise CarInterfaceError("no node has anything to save")
+        self._begin_call(len(nodes), now_ns)
+        for node in nodes:
+            def on_done(answer, problem, node=node):
+                text = problem if answer is None else answer.message
+                result = {"done" if answer is not None and answer.success else "refused": f"{node}: {text}"}
+                self._inbox.put(self._on_answer, (connection, result), on_drop=self._forget_calls)
+            self._inbox.graph.call(self._inbox.resolve_name(f"{node}/save"), Trigger, TriggerRequest(), on_done)
+
+    def _begin_call(self, count, now_ns):
+        if self._calls and now_ns - self._called_ns < CALL_NS:
+            raise CarInterfaceError("the last change is not answered yet")
+        self._calls, self._called_ns = count, now_ns
+
+    def _forget_calls(self):
+        self._calls = 0
+
+    def _on_answer(self, answer, now_ns):
+        connection, fields = answer
+        self._calls = max(0, self._calls - 1)
+        self._phones.answer(connection, **fields)
 
     def _report(self, status):
         """How many pages there are, and what was refused, for /diagnostics."""

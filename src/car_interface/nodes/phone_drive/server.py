@@ -7,17 +7,22 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import logging
+import secrets
+import ssl
 import threading
-from collections import Counter
+from collections import Counter, OrderedDict, deque
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from tornado.httpserver import HTTPServer
+from tornado.iostream import StreamClosedError
 from tornado.netutil import bind_sockets
 from tornado.web import Application, RequestHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
-from car_interface.common.errors import DeviceError
+from car_interface.common.errors import ConfigError, DeviceError
 from car_interface.nodes.phone_drive.config import PhoneDriveConfig
 from car_interface.teleop.phone import Outgoing
 from car_interface.teleop.phone_messages import MAX_SIZE
@@ -27,12 +32,25 @@ MAX_BYTES = 4 * MAX_SIZE  # of a message: UTF-8
 MAX_HEADER = 8192
 HEADER_S = 5  # for a request to arrive
 MAX_OPEN = 64  # connections that are no WebSocket, or not yet
+MAX_SOCKETS = 64  # WebSockets; the rules admit 8, and close the others
+MAX_CLOSING = 16  # of these whose pages don't answer to that
+MAX_PINGS = 20  # of a connection; a browser sends none
 MAX_UNHANDLED = 100  # messages of a connection that the node has not handled yet
 MAX_UNSENT = 40  # messages that a page has not taken yet: 2 s of tokens
+MAX_TICKETS, TICKET_S = 16, 60  # of files, and how long one is good for
+MAX_DOWNLOADS, CHUNK = 2, 65536  # bytes
+# A report is of a recording, whose texts others have written: it runs no script, and is of no origin.
+REPORT_POLICY = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'"
 END_S = 2
+PAGE = Path(__file__).with_name("page")  # index.html, and what it names
+KINDS = {".html": "text/html; charset=utf-8", ".css": "text/css; charset=utf-8", ".svg": "image/svg+xml",
+         ".js": "text/javascript; charset=utf-8", ".png": "image/png", ".webmanifest": "application/manifest+json"}
+NO_POLICY = "default-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"  # of what shows nothing
+# Of the page. 'self' doesn't allow a WebSocket in Safari before 15.4.
+POLICY = NO_POLICY + ("; script-src 'self'; style-src 'self'; img-src 'self'; manifest-src 'self'; "
+                      "connect-src 'self' ws://{host} wss://{host}")
 HEADERS = {
-    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
-                               "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "Content-Security-Policy": NO_POLICY,
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
     "Cross-Origin-Opener-Policy": "same-origin",
@@ -42,7 +60,7 @@ HEADERS = {
 
 
 class Server:
-    """Serves WebSockets at ``/ws``.
+    """Serves the page at ``/``, and WebSockets at ``/ws``.
 
     Args:
         config: where.
@@ -51,12 +69,18 @@ class Server:
 
     Raises:
         DeviceError: the address can't be used.
+        ConfigError: the certificate or its key can't be.
     """
 
     def __init__(self, config: PhoneDriveConfig, inbox: Any, node: Any):
-        self.hosts = {f"{name}:{config.port}" for name in (config.address, *LOOPBACK)}
+        self.hosts = {config.host, *(f"{name}:{config.port}" for name in LOOPBACK)}
+        self._tls = _tls(config)
+        self.scheme = "https" if self._tls else "http"
+        self._tickets: OrderedDict[str, tuple[str, float]] = OrderedDict()  # path and end, the oldest first
+        self.downloads = 0
         self._inbox, self._node = inbox, node
         self._sockets: dict[int, _Socket] = {}  # by number; of the server's thread
+        self._closing: deque[_Socket] = deque()  # the oldest first
         self._unhandled: Counter[int] = Counter()
         self._numbers = itertools.count(1)
         try:
@@ -75,6 +99,12 @@ class Server:
         """Send a text to a page, and close its connection after that where it says so."""
         self._loop.call_soon_threadsafe(self._send, outgoing)
 
+    def offer(self, path: str) -> str:
+        """Return where the next request, and no other, gets a file."""
+        ticket = secrets.token_urlsafe(16)
+        self._loop.call_soon_threadsafe(self._offer, ticket, path)
+        return f"/files/{ticket}/{Path(path).name}"
+
     def stop(self) -> None:
         """Close everything."""
         self._loop.call_soon_threadsafe(self._loop.stop)
@@ -83,13 +113,18 @@ class Server:
     # --- the server's thread ---
 
     def _run(self):
+        for name in ("tornado.general", "tornado.access"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)  # whoever sends nonsense must not fill the log
         self._loop = asyncio.new_event_loop()
         asyncio.set_event_loop(self._loop)
-        application = Application([("/ws", _Socket, {"server": self})], default_handler_class=_NotFound,
+        application = Application([("/ws", _Socket, {"server": self}),
+                                   (r"/files/([A-Za-z0-9_-]+)/[A-Za-z0-9._-]+", _File, {"server": self}),
+                                   (r"/([a-z0-9_.]*)", _Page, {"server": self, "files": read_page()})],
+                                  default_handler_class=_NotFound,
                                   default_handler_args={"server": self}, websocket_max_message_size=MAX_BYTES,
                                   log_function=lambda handler: None)
         http = _HttpServer(application, max_header_size=MAX_HEADER, max_body_size=MAX_BYTES,
-                           idle_connection_timeout=HEADER_S, body_timeout=HEADER_S)
+                           idle_connection_timeout=HEADER_S, body_timeout=HEADER_S, ssl_options=self._tls)
         http.add_sockets(self._bound)
         self._loop.call_soon(self._has_started.set)
         self._loop.run_forever()
@@ -98,6 +133,11 @@ class Server:
             socket.abort()
         self._loop.run_until_complete(asyncio.sleep(0))
         self._loop.close()
+
+    @property
+    def is_full(self) -> bool:
+        """Return whether no WebSocket can be taken for now."""
+        return len(self._sockets) >= MAX_SOCKETS
 
     def open(self, socket: _Socket) -> int:
         """Take a new WebSocket; return its number."""
@@ -124,6 +164,16 @@ class Server:
         self._unhandled.pop(number, None)
         self._inbox.put(self._node.on_disconnect, number)
 
+    def take_ticket(self, ticket: str) -> str | None:
+        """Return the path that a ticket is good for, once; None: there is none."""
+        path, end_s = self._tickets.pop(ticket, (None, 0.0))
+        return path if self._loop.time() < end_s else None
+
+    def _offer(self, ticket, path):
+        self._tickets[ticket] = path, self._loop.time() + TICKET_S
+        if len(self._tickets) > MAX_TICKETS:
+            self._tickets.popitem(last=False)
+
     def _count_handled(self, number):
         if self._unhandled[number] > 0:
             self._unhandled[number] -= 1
@@ -132,8 +182,26 @@ class Server:
 
     def _send(self, outgoing):
         socket = self._sockets.get(outgoing.connection)
-        if socket is not None:
-            socket.send(outgoing.text, outgoing.closes)
+        if socket is None:
+            return
+        socket.send(outgoing.text, outgoing.closes)
+        if outgoing.closes:
+            self._closing.append(socket)
+            if len(self._closing) > MAX_CLOSING:
+                self._closing.popleft().abort()
+
+
+def _tls(config):
+    """Return the context of https; None: it is http."""
+    if config.certificate is None:
+        return None
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version = ssl.TLSVersion.TLSv1_2
+    try:
+        context.load_cert_chain(config.certificate, config.key)
+    except OSError as error:  # ssl.SSLError is one
+        raise ConfigError("certificate", config.certificate, f"a PEM file with ~key {config.key} ({error})") from error
+    return context
 
 
 class _HttpServer(HTTPServer):
@@ -167,7 +235,7 @@ class _Guarded(RequestHandler):
     def prepare(self):
         self._stream = self.request.connection.stream  # a WebSocket takes it off the request
         origin = self.request.headers.get("Origin")
-        is_own = origin in {f"{scheme}://{self.request.host}" for scheme in ("http", "https")}
+        is_own = origin == f"{self._server.scheme}://{self.request.host}"
         if self.request.host not in self._server.hosts or not is_own and (self.needs_origin or origin is not None):
             self.send_error(403)
 
@@ -182,12 +250,70 @@ class _NotFound(_Guarded):
             self.send_error(404)
 
 
+class _File(_Guarded):
+    """A report, shown in a sandbox, or a recording, to be saved."""
+
+    async def get(self, ticket):
+        path = self._server.take_ticket(ticket)
+        if path is None or self._server.downloads >= MAX_DOWNLOADS:
+            self.send_error(404 if path is None else 503)
+            return
+        self._server.downloads += 1
+        try:
+            await self._send_file(path)
+        finally:
+            self._server.downloads -= 1
+
+    async def _send_file(self, path):
+        try:
+            file = open(path, "rb")  # noqa: SIM115 - closed below; an error of the file is one of this line
+        except OSError:
+            self.send_error(404)
+            return
+        with file, suppress(StreamClosedError):
+            is_report = path.endswith(".html")
+            self.set_header("Content-Type", KINDS[".html"] if is_report else "application/octet-stream")
+            if is_report:
+                self.set_header("Content-Security-Policy", REPORT_POLICY)
+            else:
+                self.set_header("Content-Disposition", f'attachment; filename="{Path(path).name}"')
+            while chunk := file.read(CHUNK):
+                self.write(chunk)
+                await self.flush()
+
+
+class _Page(_Guarded):
+    def initialize(self, server, files):
+        super().initialize(server)
+        self._files = files
+
+    def get(self, name):
+        name = name or "index.html"
+        content = self._files.get(name)
+        if content is None:
+            self.send_error(404)
+            return
+        self.set_header("Content-Security-Policy", POLICY.format(host=self.request.host))  # which is one of ours
+        self.set_header("Content-Type", KINDS[Path(name).suffix])
+        self.finish(content)
+
+
+def read_page() -> dict[str, bytes]:
+    """Return the files of the page by name: a request opens none."""
+    return {path.name: path.read_bytes() for path in PAGE.glob("*") if path.suffix in KINDS}
+
+
 class _Socket(_Guarded, WebSocketHandler):
     needs_origin = True
 
     def initialize(self, server):
         super().initialize(server)
-        self._unsent, self._number = 0, None
+        self._unsent, self._pings, self._number = 0, 0, None
+
+    def prepare(self):
+        super().prepare()
+        if not self._finished and self._server.is_full:
+            self.send_error(503)
 
     def check_origin(self, origin):
         return True  # prepare has checked it
@@ -199,6 +325,14 @@ class _Socket(_Guarded, WebSocketHandler):
 
     def on_message(self, message):
         self._server.receive(self._number, message)
+
+    def on_ping(self, data):
+        """Limit what is answered: a page that doesn't take the answers would have them pile up."""
+        self._pings += 1
+        if self._pings > MAX_PINGS:
+            self.abort()
+
+    on_pong = on_ping
 
     def on_close(self):
         if self._number is not None:

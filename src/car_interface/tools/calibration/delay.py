@@ -36,12 +36,12 @@ def lagged(value: np.ndarray, step_s: float, lag_s: float) -> np.ndarray:
     """Return an evenly sampled signal (N,) after a first-order lag: (N,)."""
     if lag_s < step_s / 10:
         return np.asarray(value, float)
-    decay = np.exp(-step_s / lag_s)
-    out, now = np.empty(len(value)), float(value[0])
-    for index, wanted in enumerate(value.tolist()):
+    decay = float(np.exp(-step_s / lag_s))
+    out, now = [], float(value[0])
+    for wanted in value.tolist():
         now = wanted + (now - wanted) * decay
-        out[index] = now
-    return out
+        out.append(now)
+    return np.array(out)
 
 
 def estimate(cause_s: np.ndarray, cause: np.ndarray, effect_s: np.ndarray, effect: np.ndarray, weight: np.ndarray,

@@ -8,6 +8,7 @@ from typing import NamedTuple, Sequence
 
 from car_interface.common import causes
 from car_interface.teleop.gamepad import GamepadConfig, is_d_mode_cross, missing_index, remedy
+from car_interface.teleop.handover import PHONE_PREFIX
 from car_interface.tools.doctor.car import Report
 from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
 
@@ -52,7 +53,7 @@ def check_gamepad(gamepad: GamepadFacts) -> list[Finding]:
     """Return one finding: the first thing that keeps a deadman from being held, or that all is well."""
     sample, topic = gamepad.sample, gamepad.topic
     if not sample.messages:
-        return [_nothing_came(gamepad)]
+        return [_phone(gamepad) if gamepad.reason.startswith(PHONE_PREFIX) else _nothing_came(gamepad)]
     if gamepad.cause == causes.JOY_NEVER_RECEIVED:
         return [Finding(BAD, SUBJECT, f"{topic} comes here, but {gamepad.node} says: {gamepad.reason}",
                         f"See whether they reach each other: rosnode info {gamepad.node}; ROS_IP; then start it again")]
@@ -97,13 +98,21 @@ def _read_word(folder, name):
         return ""
 
 
+def _phone(gamepad):
+    """Return how a car fares that only phones drive."""
+    if gamepad.cause in causes.LOSSES:
+        return Finding(WARN, SUBJECT, f"there is none; {gamepad.reason}",
+                       "Lift the thumbs from the phone's page, then touch it again")
+    return Finding(OK, SUBJECT, f"there is none; {gamepad.reason}")
+
+
 def _nothing_came(gamepad):
     topic = gamepad.topic
     if not gamepad.publishers:
         said = f" ({gamepad.reason})" if gamepad.reason else ""
         return Finding(WARN, SUBJECT, f"no node publishes {topic}, so that no deadman can be held{said}",
-                       "Launch the car with gamepad:=true, which starts its driver. With the virtual car: rosrun "
-                       "car_interface keyboard_drive")
+                       "Launch the car with gamepad:=true, which starts its driver, or with phone:=true. With the "
+                       "virtual car: rosrun car_interface keyboard_drive")
     if gamepad.driver:
         return Finding(WARN, SUBJECT, gamepad.driver.message, gamepad.driver.remedy)
     return Finding(WARN, SUBJECT, f"{', '.join(gamepad.publishers)} publishes {topic}, but nothing came",

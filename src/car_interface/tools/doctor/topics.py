@@ -19,6 +19,7 @@ from car_interface.common.params import CONFIG_FOLDER, Params
 from car_interface.msg import LinkStatus, SteeringState, TeleopState
 from car_interface.ros.tcpros_limits import limit_connections
 from car_interface.teleop.gamepad import DRIVER_REPORT, GamepadConfig
+from car_interface.teleop.handover import PHONE_TOPIC
 from car_interface.teleop.mappings import config_for, load_entries, model_of
 from car_interface.tools.doctor.car import Node, Report
 from car_interface.tools.doctor.gamepad import GamepadFacts, JoySample
@@ -90,7 +91,8 @@ def _find_topic(master, path):
     publishers, subscribers, _ = master.ask("getSystemState")
     types = dict(master.ask("getTopicTypes"))
     usual = f"{path.rpartition('/')[0]}/joy"
-    subscribed = [topic for topic, nodes in subscribers if path in nodes and types.get(topic) == JOY_TYPE]
+    subscribed = [topic for topic, nodes in subscribers if path in nodes and types.get(topic) == JOY_TYPE
+                  and not topic.endswith(f"/{PHONE_TOPIC}")]
     topic = usual if usual in subscribed or not subscribed else subscribed[0]
     return topic, next((sorted(nodes) for name, nodes in publishers if name == topic), [])
 

@@ -5,6 +5,7 @@ Humble, those in this package's ``msg`` folder, Autoware's equivalents of these,
 """
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any, Callable
 
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
@@ -69,6 +70,7 @@ class Definitions:
         return lambda data: deserialize(data, name)
 
 
+@lru_cache(maxsize=1)
 def known_types() -> Any:
     """Return the types of ROS 2 Humble, of this package, Autoware's equivalents, and OTHERS, as rosbags' typestore."""
     store = get_typestore(Stores.ROS2_HUMBLE)
@@ -85,6 +87,7 @@ def known_types() -> Any:
     return store
 
 
+@lru_cache(maxsize=200)  # parsing takes longer than reading a small recording, and all of a car have the same ones
 def _store(name, text, is_idl):
     store = get_typestore(Stores.EMPTY)
     try:

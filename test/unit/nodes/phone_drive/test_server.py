@@ -5,7 +5,11 @@ import asyncio
 import http.client
 import json
 import queue
+import re
+import shutil
 import socket
+import ssl
+import subprocess
 import time
 from contextlib import suppress
 
@@ -15,9 +19,9 @@ pytest.importorskip("tornado")
 from tornado.httpclient import HTTPClientError, HTTPRequest
 from tornado.websocket import WebSocketClosedError, websocket_connect
 
-from car_interface.common.errors import DeviceError
+from car_interface.common.errors import ConfigError, DeviceError
 from car_interface.nodes.phone_drive.config import PhoneDriveConfig
-from car_interface.nodes.phone_drive.server import MAX_BYTES, MAX_OPEN, MAX_UNHANDLED, Server
+from car_interface.nodes.phone_drive.server import MAX_BYTES, MAX_OPEN, MAX_TICKETS, MAX_UNHANDLED, PAGE, Server
 from car_interface.teleop.phone import Outgoing
 
 WITHIN_S = 10
@@ -105,13 +109,111 @@ def ask(port, path, host=None, method="GET"):
     return answer.status, answer.read(), dict(answer.getheaders())
 
 
-@pytest.mark.parametrize("path", ["/", "/../../etc/passwd", "/%2e%2e/etc/passwd", "/ws/../x", "/<script>", "//x"])
+@pytest.mark.parametrize("path", ["/", *(f"/{path.name}" for path in PAGE.iterdir())])
+def test_page_is_whole_and_may_load_and_connect_to_its_own_server_only(server, port, path):
+    status, body, headers = ask(port, path)
+    assert (status, body) == (200, (PAGE / (path[1:] or "index.html")).read_bytes())
+    assert set(re.findall(r"[-\w]+:(?://)?[^; ]*|'[-\w]+'", headers["Content-Security-Policy"])) == {
+        "'none'", "'self'", f"ws://127.0.0.1:{port}", f"wss://127.0.0.1:{port}"}
+    text = body.replace(b"http://www.w3.org", b"")
+    assert not re.search(rb"(?:https?:)?//[a-z]+[.]|style=|\son[a-z]+=|<script>", text)
+    assert ask(port, path, "evil.example")[0] == 403
+
+
+@pytest.mark.parametrize("path", ["/x", "/../../etc/passwd", "/%2e%2e/etc/passwd", "/ws/../x", "/<script>", "//x"])
 def test_any_other_path_is_not_found_and_has_a_strict_policy(server, port, path):
     status, body, headers = ask(port, path)
     assert (status, body) == (404, b"404\n")
     assert headers["Content-Security-Policy"].startswith("default-src 'none'; ")
     assert (headers["X-Content-Type-Options"], headers["Referrer-Policy"]) == ("nosniff", "no-referrer")
     assert ask(port, path, "evil.example")[0] == 403
+
+
+def test_page_is_served_with_a_policy_that_names_its_own_address(node, port, tmp_path, monkeypatch):
+    (tmp_path / "index.html").write_bytes(b"page")
+    (tmp_path / "secret.txt").write_bytes(b"secret")
+    monkeypatch.setattr("car_interface.nodes.phone_drive.server.PAGE", tmp_path)
+    server = Server(PhoneDriveConfig(port=port), node, node)
+    status, body, headers = ask(port, "/", f"localhost:{port}")
+    assert (status, body, ask(port, "/secret.txt")[0]) == (200, b"page", 404)
+    server.stop()
+    assert f"connect-src 'self' ws://localhost:{port} " in headers["Content-Security-Policy"]
+    assert "unsafe" not in headers["Content-Security-Policy"]
+
+
+# --- files ---
+
+def test_report_is_served_once_in_a_sandbox_and_a_recording_to_be_saved(server, port, tmp_path):
+    for name, content in (("a.html", b"<script>alert(1)</script>"), ("a.bag", bytes(200_000))):
+        (tmp_path / name).write_bytes(content)
+        path = server.offer(str(tmp_path / name))
+        status, body, headers = ask(port, path)
+        assert (status, body) == (200, content)
+        if name == "a.html":
+            policy = headers["Content-Security-Policy"]
+            assert policy.startswith("sandbox; default-src 'none'; ") and "allow-" not in policy
+            assert "script-src" not in policy
+        else:
+            assert headers["Content-Disposition"] == 'attachment; filename="a.bag"'
+            assert headers["Content-Type"] == "application/octet-stream"
+        assert headers["Cache-Control"] == "no-store" and headers["X-Content-Type-Options"] == "nosniff"
+        assert ask(port, path)[0] == 404
+
+
+@pytest.mark.parametrize("path", ["/files/x/a.bag", "/files/../../etc/passwd", "/files/x/..%2f..%2fetc/passwd",
+                                  "/files//etc/passwd", "/files/{ticket}/../../../etc/passwd"])
+def test_file_without_a_ticket_and_a_path_with_dots_are_refused(server, port, tmp_path, path):
+    (tmp_path / "a.bag").write_bytes(b"a")
+    ticket = server.offer(str(tmp_path / "a.bag")).split("/")[2]
+    assert ask(port, path.format(ticket=ticket))[0] == 404
+
+
+def test_ticket_is_for_a_minute_and_the_newest_16_count(server, port, tmp_path, monkeypatch):
+    (tmp_path / "a.bag").write_bytes(b"a")
+    paths = [server.offer(str(tmp_path / "a.bag")) for _ in range(MAX_TICKETS + 1)]
+    assert [ask(port, path)[0] for path in (paths[0], paths[1])] == [404, 200]
+    monkeypatch.setattr("car_interface.nodes.phone_drive.server.TICKET_S", 0)
+    assert ask(port, server.offer(str(tmp_path / "a.bag")))[0] == 404
+    (tmp_path / "a.bag").unlink()
+    assert ask(port, paths[2])[0] == 404
+
+
+# --- TLS ---
+
+@pytest.fixture
+def certificate(tmp_path):
+    openssl = shutil.which("openssl") or pytest.skip("there is no openssl to make a certificate with")
+    files = tmp_path / "car.pem", tmp_path / "car.key"
+    subprocess.run([openssl, "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes",
+                    "-subj", "/CN=car", "-addext", "subjectAltName=IP:127.0.0.1", "-out", files[0], "-keyout",
+                    files[1]], check=True, capture_output=True)
+    return tuple(map(str, files))
+
+
+def test_page_is_https_with_a_certificate_and_takes_no_origin_of_http(node, port, certificate):
+    server = Server(PhoneDriveConfig(port=port, certificate=certificate[0], key=certificate[1]), node, node)
+    trusting = ssl.create_default_context(cafile=certificate[0])
+
+    async def page(origin):
+        request = HTTPRequest(f"wss://127.0.0.1:{port}/ws", headers={"Origin": f"{origin}://127.0.0.1:{port}"},
+                              ssl_options=trusting)
+        return await websocket_connect(request)
+    try:
+        asyncio.run(page("https"))
+        assert node.next()[0] == "connect"
+        with pytest.raises(HTTPClientError, match="403"):
+            asyncio.run(page("http"))
+        with pytest.raises(OSError):
+            ask(port, "/")
+    finally:
+        server.stop()
+
+
+def test_certificate_that_can_t_be_used_is_an_error_that_names_it(node, port, certificate):
+    with pytest.raises(ConfigError, match=r"^certificate is .*car.key'?; accepted: a PEM file with ~key"):
+        Server(PhoneDriveConfig(port=port, certificate=certificate[1], key=certificate[1]), node, node)
+    with pytest.raises(ConfigError, match="^key is missing; accepted: both a certificate"):
+        PhoneDriveConfig(certificate=certificate[0])
 
 
 def test_message_that_is_too_long_ends_its_connection(server, node, port):

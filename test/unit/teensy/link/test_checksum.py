@@ -2,7 +2,6 @@
 
 That receiver shares nothing with this package's own framing; test/unit/sim holds it against the original's.
 """
-from __future__ import annotations
 
 import pytest
 from hypothesis import example, given
@@ -51,6 +50,7 @@ def test_frame_spelled_out_by_hand(timestamp, shipped, corrected):
     assert encode(ping_body(timestamp), CORRECTED) == bytes.fromhex(corrected)
 
 
+@pytest.mark.once
 def test_half_of_the_textbook_pings_are_answered_as_measured_on_the_real_firmware():
     answered = [bool(received(encode(ping_body(ms), CORRECTED))[0]) for ms in range(0, 60_000, 7)]
     assert sum(answered) / len(answered) == pytest.approx(0.51, abs=0.01)

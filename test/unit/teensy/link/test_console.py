@@ -1,5 +1,4 @@
 """Log-in consoles on the Teensy's port."""
-from __future__ import annotations
 
 import grp
 import os

@@ -1,5 +1,4 @@
 """The serial port, on real pseudo-terminals: opening, reading, writing, losing it, and saying what's wrong with it."""
-from __future__ import annotations
 
 import errno
 import grp

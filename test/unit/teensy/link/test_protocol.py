@@ -1,5 +1,4 @@
 """What the frames say. Bytes here are spelled out by hand from the protocol's table, or are from the golden capture."""
-from __future__ import annotations
 
 import pytest
 from hypothesis import example, given
@@ -108,6 +107,7 @@ def test_body_that_makes_no_sense_is_malformed_with_its_reason_and_bytes(reason)
 HEADERS = st.sampled_from([bytes((1, 2, command, 0)) for command in range(13)]) | st.binary(max_size=4)
 
 
+@pytest.mark.once
 @given(HEADERS, st.binary(max_size=40))
 @example(b"\x01\x02\x09\x00", b"")
 def test_decoding_anything_gives_a_record_and_never_raises(header, payload):

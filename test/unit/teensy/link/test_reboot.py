@@ -1,5 +1,4 @@
 """Reboots of the Teensy, from its own clock; 60 ms lie between two sonar reports."""
-from __future__ import annotations
 
 import pytest
 

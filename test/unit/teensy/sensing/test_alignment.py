@@ -1,5 +1,4 @@
 """Where the wheels' magnets stood at the start: phases are parts of a pulse that each wheel had behind its magnet."""
-from __future__ import annotations
 
 import math
 

@@ -14,14 +14,14 @@ from typing import NamedTuple
 import pytest
 
 from captures import NAMES, NS_PER_US, load, replay
-from car_interface.teensy.link.protocol import BACKWARD, SonarStatus, WheelStatus
+from car_interface.teensy.link.protocol import SonarStatus
 from car_interface.teensy.sensing import verdicts
 from car_interface.teensy.sensing.measurements import MotionMeasurement
 from car_interface.teensy.sensing.ranging import DISTRUSTED, HELD, MICROS_WRAP, STUCK, UNKNOWN
 
 pytestmark = pytest.mark.once
 S_US = 1_000_000
-LISTENS_US = math.inf if os.environ.get("CAR_INTERFACE_ALL") else 75 * S_US  # one capture has 300 s
+LISTENS_US = math.inf if os.environ.get("CAR_INTERFACE_ALL") else 40 * S_US  # one capture has 300 s
 SPEED_OF_SOUND_MPS = 343.42
 MAX_RANGE_M = 2.0
 # Reports after these gaps wait until others confirm them: an unplugged port, or no sonar by whose tick a boot shows.
@@ -166,13 +166,6 @@ def test_host_that_begins_to_listen_later_has_odometry_at_once(name, begin_s):
     assert measurements.gates.refused == 0
     assert found[-1].position_m <= max(0.05, 0.005 * capture.distance_m())
     assert abs(found[-1].yaw_deg) <= 3.0
-
-
-def test_capture_of_reboots_has_the_false_backward_pulses_of_hall_pins_that_are_not_read(replayed):
-    _, moments, _, found = replayed("reboot_rolling")
-    assert any(wheel.direction == BACKWARD for moment in moments if isinstance(moment.record, WheelStatus)
-               for wheel in moment.record)
-    assert all(abs(error.yaw_deg) < 4.5 for error in found)
 
 
 def ranges(capture, moments):

@@ -2,7 +2,6 @@
 
 The truth is made here, in ns and by hand: a crystal that is off by so many ppm, a way out and a way back.
 """
-from __future__ import annotations
 
 import math
 import random
@@ -233,6 +232,7 @@ lateness_ns = st.one_of(st.integers(-3 * MS, 8 * MS), st.integers(-400 * S, 400 
 clocks = st.sampled_from([CONVERGED, UNCONVERGED])
 
 
+@pytest.mark.once
 @given(clocks, ticks, apart, lateness_ns, st.integers(0, 100))
 def test_later_ticks_are_never_earlier_and_none_is_after_its_receipt_less_the_time_on_the_wire(
         clock, tick, apart_ms, late_ns, received_bytes):
@@ -242,6 +242,7 @@ def test_later_ticks_are_never_earlier_and_none_is_after_its_receipt_less_the_ti
     assert earlier <= later <= received_ns - round(received_bytes * BYTE_NS)
 
 
+@pytest.mark.once
 @given(clocks, ticks)
 def test_tick_at_is_the_inverse_of_translate_in_the_middle_of_the_tick(clock, tick):
     assert clock.tick_at(clock.translate(tick).time_ns) == pytest.approx(tick + 0.5, abs=1e-5)
@@ -258,27 +259,7 @@ def test_uncertainty_grows_when_pings_stop_and_shrinks_when_they_come_again():
     assert abs(error_ns(clock, teensy, 3600)) < 2 * MS
 
 
-def test_uncertainty_grows_when_pings_stop_though_sonars_go_on():
-    teensy = Teensy(skew_ppm=30, ramp_ppm_per_h=20)
-    clock = converged(teensy)
-    for number in range(3600):
-        at_ns = NOW + 60 * S + number * S
-        clock.update_tick(teensy.tick(at_ns), at_ns + round(14 * BYTE_NS), 14)
-    error_ns(clock, teensy, 3660)
-    assert clock.translate(teensy.tick(NOW + 3660 * S)).uncertainty_ns > 5 * MS
-    assert not clock.counts
-
-
-def test_wrap_after_49_days_is_no_restart():
-    teensy = Teensy(start_ms=UINT32 - 30_000, skew_ppm=40)
-    clock = converged(teensy)
-    assert teensy.tick(NOW + 60 * S) < 31_000
-    assert clock.unwrap(teensy.tick(NOW + 60 * S)) == UINT32 + teensy.tick(NOW + 60 * S)
-    for at_s in (10, 29.9, 30.1, 59):
-        assert abs(error_ns(clock, teensy, at_s)) < 0.9 * MS
-    assert not clock.counts
-
-
+@pytest.mark.once
 @given(start=st.integers(0, UINT32 - 1), steps=st.lists(st.integers(-20_000, 2 ** 31 - 1), max_size=20))
 def test_unwrap_goes_on_from_the_tick_heard_last(start, steps):
     clock = Clock()
@@ -288,18 +269,6 @@ def test_unwrap_goes_on_from_the_tick_heard_last(start, steps):
         true += step
         assert clock.unwrap(true % UINT32) == true
         clock.update_tick(true % UINT32, NOW, 14)
-
-
-def test_restart_forgets_what_was_before():
-    clock = converged()
-    clock.restart()
-    assert not clock.converged
-    assert clock.translate(7, NOW + 61 * S) == (NOW + 61 * S, UNKNOWN_NS)
-    rebooted = Teensy(start_ms=-70_000, skew_ppm=40)
-    rebooted.keep_answering(clock, 71, 81)
-    assert clock.converged
-    assert abs(error_ns(clock, rebooted, 81)) < 1.2 * MS
-    assert not clock.counts
 
 
 @pytest.mark.parametrize("tick_error", [-128, -4, 4, 1999])
@@ -323,23 +292,6 @@ def test_wrong_tick_among_the_first_pongs_does_not_lock_the_right_ones_out(tick_
                       tick_error=tick_error if number == which else 0)
     assert clock.converged
     assert abs(error_ns(clock, teensy, 15)) < 1.2 * MS
-
-
-def test_wrong_first_pong_is_overruled_by_the_next_two_even_in_the_same_half_second():
-    clock, teensy = Clock(), Teensy()
-    syncs = [teensy.answer(clock, NOW + number * 240 * MS, tick_error=-64 if number == 0 else 0)
-             for number in range(6)]
-    assert [sync.reason for sync in syncs] == ["", reasons.CONTRADICTION, reasons.ONE_WAS_WRONG, "", "", ""]
-    assert [sync.converged for sync in syncs] == [False] * 5 + [True]
-
-
-def test_three_wrong_pongs_in_a_row_that_do_not_agree_overrule_nothing():
-    teensy = Teensy()
-    clock = converged(teensy)
-    for number, tick_error in enumerate((-128, 64, 1024, -32, 128)):
-        teensy.answer(clock, NOW + (60 + number) * S, tick_error=tick_error)
-    assert clock.counts == {reasons.CONTRADICTION: 5}
-    assert abs(error_ns(clock, teensy, 65)) < 0.9 * MS
 
 
 @pytest.mark.parametrize("wrong_ones", [(18,), (14, 18)], ids=["one", "two"])
@@ -392,18 +344,6 @@ def test_three_pongs_that_agree_begin_anew_after_a_clock_stood_still(gap_ms, ahe
     assert found == [reasons.CONTRADICTION, reasons.CONTRADICTION, reasons.BEGUN_ANEW] + 7 * [""]
     assert clock.converged
     assert abs(error_ns(clock, teensy, 70)) < 1.2 * MS
-
-
-def test_until_then_a_tick_that_contradicts_its_receipt_is_as_unsure_as_before_it_had_converged():
-    teensy = Teensy()
-    clock = converged(teensy)
-    teensy.start_ms += 5000
-    at_ns = NOW + 60 * S
-    received_ns = at_ns + 150 * MS
-    clock.update_tick(teensy.tick(at_ns), received_ns, 14)
-    stamp = clock.translate(teensy.tick(at_ns), received_ns, 14)
-    assert stamp.uncertainty_ns >= ONE_WAY_UNCERTAINTY_NS
-    assert abs(stamp.time_ns - at_ns) <= stamp.uncertainty_ns
 
 
 @pytest.mark.once

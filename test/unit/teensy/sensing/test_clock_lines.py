@@ -1,5 +1,4 @@
 """The polygon of lines that pings and pongs allow: ticks in ms, host times in ns."""
-from __future__ import annotations
 
 import pytest
 

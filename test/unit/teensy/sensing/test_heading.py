@@ -1,5 +1,4 @@
 """Heading and curvature, from the wheels' difference and the commanded steering."""
-from __future__ import annotations
 
 import pytest
 

@@ -1,5 +1,4 @@
 """The Teensy's records as measurements: what is refused, and the queue. test_captures.py has the numbers."""
-from __future__ import annotations
 
 import pytest
 
@@ -15,6 +14,7 @@ START_NS = 5_000 * S
 ECHO_US = 5824  # there and back over a metre at 20 °C
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("record, reason", (
     (SonarStatus(0, ECHO_US, 2_000), verdicts.TICK_BACK),
     (SonarStatus(0, ECHO_US, 90_000), verdicts.TICK_AHEAD),
@@ -38,13 +38,6 @@ def test_pongs_alone_are_heard_however_far_apart_the_gates_let_them_be():
         at_ns = START_NS + 10 * S * index
         assert measured.pong(Pong(index, 10_000 * index), Answer(at_ns, 4 * MS, 15), at_ns + 4 * MS).used
     assert not measured.gates.refused
-
-
-def test_commanded_curvature_is_the_odometry_s(monkeypatch):
-    measured, commanded = Measurements(), []
-    monkeypatch.setattr(measured._odometry, "steer", commanded.append)
-    measured.steer(0.3)
-    assert commanded == [0.3]
 
 
 def report_of(count):

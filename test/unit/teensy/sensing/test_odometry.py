@@ -1,5 +1,4 @@
 """Wheel pulses → where the car is: what magnets, directions, resets and gaps do to pose, speed and covariance."""
-from __future__ import annotations
 
 import math
 
@@ -60,13 +59,11 @@ class Axle:
 
 
 @pytest.mark.once
-@pytest.mark.parametrize("name, off_percent, speed_percent", [("crawl 0.05 m/s", 1.0, 10.0), ("8 m/s", 0.5, 2.0)])
-def test_virtual_car_is_where_odometry_says(name, off_percent, speed_percent):
-    score = odometry_accuracy.run(name, (0.3, 0.9), 1)
-    assert 100 * score.position_m / score.distance_m <= off_percent
+def test_virtual_car_that_crawls_is_where_odometry_says():
+    score = odometry_accuracy.run("crawl 0.05 m/s", (0.3, 0.9), 1)
+    assert score.position_m <= 0.01 * score.distance_m
     assert score.yaw_deg <= 2.0
-    speeds = score.crawl if "crawl" in name else score.speed
-    assert 100 * odometry_accuracy.percentile(speeds, 0.95) <= speed_percent
+    assert odometry_accuracy.percentile(score.crawl, 0.95) <= 0.1
     assert score.inside / score.reports >= 0.99
 
 
@@ -82,6 +79,7 @@ def test_straight_way_is_straight_wherever_the_magnets_stood(phases):
     assert motion.speed_mps == pytest.approx(1.0, rel=0.02)
 
 
+@pytest.mark.once
 @settings(max_examples=25, deadline=None)
 @given(st.lists(st.tuples(st.floats(-2, 2), st.floats(-2, 2), st.floats(0.05, 1.0)), max_size=6),
        st.floats(0, 0.999), st.floats(0, 0.999))
@@ -115,17 +113,6 @@ def test_speed_sinks_when_pulses_fail_to_come_and_is_zero_after_a_second():
     standing = axle.roll((0, 0), 1.2)
     assert (standing.speed_mps, standing.yaw_rate_radps, standing.wheel_speeds_radps) == (0, 0, (0, 0))
     assert standing.x_m == pytest.approx(at_m, abs=PULSE_M + 0.0005)  # and half a tick's way
-
-
-def test_wheel_reset_in_mid_drive_moves_nothing():
-    axle = Axle()
-    axle.roll((1.0, 1.0), 2.0)
-    axle.wheels = [Wheel(0, NO_DIRECTION, 0, 0, 0)] * 2
-    axle.report((0, 0), restarted=True)
-    motion = axle.roll((1.0, 1.0), 1.0)
-    assert motion.x_m == pytest.approx(3.0, abs=0.03)
-    assert motion.yaw_rad == pytest.approx(0, abs=math.radians(1))
-    assert motion.speed_mps == pytest.approx(1.0, rel=0.03)
 
 
 @pytest.mark.parametrize("pause_ms, pulse_ms, count, pulses, x_m, error_m", [

@@ -1,6 +1,6 @@
 """The gates together: on the captures, on clean drives, on anything, and on what the checksum can't see."""
-from __future__ import annotations
 
+import itertools
 import math
 
 import pytest
@@ -13,7 +13,6 @@ from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD
 from car_interface.teensy.link.framing import FrameDecoder
 from car_interface.teensy.link.protocol import UINT32, Malformed, Pong, SonarStatus, Wheel, WheelStatus, decode
-from car_interface.teensy.sensing import verdicts as gates
 from car_interface.teensy.sensing.plausibility import GateConfig, Gates
 from car_interface.teensy.sensing.pulse_counts import signed_pulses
 from wheel_reports import CAPTURE, HARM_M, PULSE_M, counted, crawl, judged, proven
@@ -26,22 +25,11 @@ def test_config_out_of_range_is_refused(name, value):
         GateConfig(**{name: value})
 
 
-def records_of_the_capture():
-    return [decode(body) for body in FrameDecoder().feed(CAPTURE)]
-
-
 def through(some, records):
     verdicts = [some.wheels(record) if isinstance(record, WheelStatus)
                 else some.sonar(record) if isinstance(record, SonarStatus) else some.pong(record, True)
                 for record in records if isinstance(record, (WheelStatus, SonarStatus, Pong))]
     return counted(verdicts)
-
-
-def test_nothing_of_the_golden_capture_is_refused_and_its_resets_are_seen():
-    some = Gates()
-    through(some, records_of_the_capture())
-    assert (some.refused, some.accepted) == (0, 445 + 218 + 101)
-    assert some.counts == {gates.FIRST: 2, gates.ODOMETERS_RESET: 2}
 
 
 def drive(speeds_mps, seconds_each=1.0):
@@ -70,7 +58,6 @@ def drive(speeds_mps, seconds_each=1.0):
 @pytest.mark.once
 @pytest.mark.parametrize("speeds_mps", [
     pytest.param([0.0, 0.05, 0.05, 0.0], id="crawl_of_5_cm_per_s"),
-    pytest.param([0.0, 8.0, 0.0, 8.0, 0.0], id="stop_and_go"),
     pytest.param([0.0, 2.0, -2.0, 2.0, -2.0, 0.0], id="reversing"),
     pytest.param([0.0, 19.0, 19.0, 0.0, 0.0], id="almost_the_top_speed"),
 ])
@@ -113,24 +100,22 @@ def wheel_bodies(data):
 
 
 @pytest.mark.once
-@pytest.mark.parametrize("bodies", [
-    pytest.param(wheel_bodies(CAPTURE)[60:70], id="capture_at_0.3_m_per_s"),
-    pytest.param(wheel_bodies(drive([19.0, 19.0])[0])[-60:-50], id="19_m_per_s"),
-    pytest.param(wheel_bodies(drive([-2.0, 2.0, 2.0])[0])[-60:-50], id="2_m_per_s_after_a_reversal"),
+@pytest.mark.parametrize("bodies, index", [
+    pytest.param(wheel_bodies(CAPTURE)[60:70], 4, id="capture_at_0.3_m_per_s"),
+    pytest.param(wheel_bodies(drive([19.0, 19.0])[0])[-60:-50], 5, id="19_m_per_s"),
+    pytest.param(wheel_bodies(drive([-2.0, 2.0, 2.0])[0])[-60:-50], 4, id="2_m_per_s_after_a_reversal"),
 ])
-def test_any_two_flips_that_the_checksum_can_not_see_move_no_wheel_by_10_cm(bodies):
+def test_any_two_flips_that_the_checksum_can_not_see_move_no_wheel_by_10_cm(bodies, index):
     """Exhaustive over the pairs of one column that differ, in a report with others around it; nothing is left of it."""
-    for index in (4, 5):
-        body = bodies[index]
-        for bit in range(8):
-            ones = [place for place in range(4, 36) if body[place] >> bit & 1]
-            zeros = [place for place in range(4, 36) if not body[place] >> bit & 1]
-            for one in ones:
-                for zero in zeros:
-                    wrong = bytearray(body)
-                    wrong[one] ^= 1 << bit
-                    wrong[zero] ^= 1 << bit
-                    check_harm([*bodies[:index], bytes(wrong), *bodies[index + 1:]], bodies)
+    body = bodies[index]
+    for bit in range(8):
+        ones = [place for place in range(4, 36) if body[place] >> bit & 1]
+        zeros = [place for place in range(4, 36) if not body[place] >> bit & 1]
+        for one, zero in itertools.product(ones, zeros):
+            wrong = bytearray(body)
+            wrong[one] ^= 1 << bit
+            wrong[zero] ^= 1 << bit
+            check_harm([*bodies[:index], bytes(wrong), *bodies[index + 1:]], bodies)
 
 
 def check_harm(bodies, truth):

@@ -1,5 +1,4 @@
 """Dead reckoning: where distances and turns lead, and how uncertain that gets."""
-from __future__ import annotations
 
 import math
 import random

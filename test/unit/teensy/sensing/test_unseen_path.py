@@ -1,5 +1,4 @@
 """The paths of cars that nobody saw: the true one is within what is claimed, for many that a car can have driven."""
-from __future__ import annotations
 
 import math
 import random
@@ -46,6 +45,7 @@ def test_car_that_was_steered_to_both_sides_may_have_gone_on_with_it():
     assert curved_path(3.0, 0.0, None, 0.25).across_variance > 0.1, "it stood before"
 
 
+@pytest.mark.once
 def test_reversals_are_as_uncertain_as_the_average_over_all_that_can_have_been():
     rng, length_m = random.Random(2), 2.0
     sigma = math.sqrt(CURVATURE_VARIANCE)

@@ -2,23 +2,24 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import io
 import os
 import re
-import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+import virtual_escs
 import yaml
+from accuracy import esc_calibration as drives
 
 from car_interface.throttle.config import load_throttle
 from car_interface.tools.cli.main import main
 from recorded_drives import recorded
+from tools.calibration.esc.synthetic import Person
+from written_recordings import Written, odometry, write_ros1
 
 ROOT = Path(__file__).resolve().parents[4]
-sys.path.append(str(ROOT / "test"))
-drives = importlib.import_module("accuracy.esc_calibration")
 SHIPPED = ROOT / "config" / "throttle.yaml"
 SEED = 1  # brake_then_reverse
 RANDOM_ESCS = range(20) if os.environ.get("CAR_INTERFACE_ALL") else (SEED,)
@@ -29,8 +30,21 @@ def bag():
     return record()
 
 
-def record(seed=SEED, **changes):
-    return recorded(drives.record_drive, seed, **changes)
+def record(seed=SEED):
+    return recorded(drives.record_drive, seed)
+
+
+def drive_without(path, *leaves_out, start_s=0.0):
+    """A recording of a synthetic drive that lacks some parts."""
+    drive = Person(virtual_escs.xl5(dwell_s=0.25), seed=3).drive(leaves_out)
+    places_m = np.cumsum(drive.speed_mps) * 0.02
+    messages = [odometry(start_s + time_s, place_m, speed_mps=speed_mps)
+                for time_s, place_m, speed_mps in zip(drive.speed_s, places_m, drive.speed_mps)]
+    t_s = np.union1d(drive.duty_s, np.arange(drive.duty_s[0], drive.speed_s[-1], 0.5))
+    for time_s, duty in zip(t_s, drive.duty[np.searchsorted(drive.duty_s, t_s, side="right") - 1]):
+        messages.append(Written(start_s + time_s, "/servo/output", "std_msgs/Int32MultiArray", {
+            "data": [5100, int(duty)] + [-1] * 14}))
+    return write_ros1(path, sorted(messages, key=lambda message: message.time_s))
 
 
 def run(*arguments):
@@ -96,7 +110,7 @@ def test_file_loads_keeps_the_rest_of_its_base_and_says_what_was_seen(bag, calib
 
 @pytest.mark.once
 def test_what_was_not_driven_is_refused_with_what_to_drive_and_if_forced_keeps_the_old_numbers(tmp_path, capsys):
-    path = record(leaves_out=("creep backward",))
+    path = drive_without(tmp_path / "a.bag", "creep backward")
     assert run(path, "-o", tmp_path / "new.yaml") == 1 and not (tmp_path / "new.yaml").exists()
     found = capsys.readouterr()
     said = "esc/dead_band_reverse: from standstill, pull the stick so slowly that the car just sets off"
@@ -114,8 +128,9 @@ def test_what_was_not_driven_is_refused_with_what_to_drive_and_if_forced_keeps_t
 
 @pytest.mark.once
 def test_what_one_recording_lacks_another_one_may_have_and_without_a_profile_nothing_is_forced(tmp_path, capsys):
-    one, other = (record(leaves_out=parts) for parts in (
-        ("creep backward",), ("creep forward", "brake", "pull twice", "wait and pull")))
+    one = drive_without(tmp_path / "one.bag", "creep backward")
+    other = drive_without(tmp_path / "other.bag", "creep forward", "coast", "brake", "pull twice", "wait and pull",
+                          start_s=1000.0)
     assert run(other, "-o", tmp_path / "new.yaml", "--force") == 1
     assert "the drive doesn't show which kind of ESC it is. Drive this, and" in capsys.readouterr().err
     assert not (tmp_path / "new.yaml").exists()

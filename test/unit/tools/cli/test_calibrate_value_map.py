@@ -1,87 +1,71 @@
-"""The command calibrate_value_map, on recordings of a virtual car whose true curve is known."""
+"""The command calibrate_value_map, on drives whose true map is known."""
 from __future__ import annotations
 
 import argparse
-import importlib
 import re
 import shutil
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from accuracy import virtual_drive
 
 from car_interface.sim.vehicle import true_acceleration_mps2
 from car_interface.throttle.value_map import load_value_map
 from car_interface.tools.cli.calibrate_value_map import add_arguments, source_of
 from car_interface.tools.cli.main import main
 from recorded_drives import recorded
-from written_recordings import Written, rename_topics, write_ros1
+from tools.calibration.value_map.synthetic import DELAY_S, acceleration, messages_of, output_at, value_at
+from written_recordings import Written, odometry, write_ros1
 
 ROOT = Path(__file__).resolve().parents[4]
-sys.path.append(str(ROOT / "test"))
-virtual_drive = importlib.import_module("accuracy.virtual_drive")
-SEED, SECONDS = 3, 150.0
-KNOWN_DELAY = ("--delay", "0")  # the virtual car's: estimating it takes most of a fit's time
-QUICK = (*KNOWN_DELAY, "--acceleration", "odom")
+KNOWN_DELAY = ("--delay", DELAY_S)  # estimating it takes most of a fit's time
 
 
 @pytest.fixture(scope="module")
-def bag():
-    return record(imu=True)
+def bag(tmp_path_factory):
+    """A synthetic drive."""
+    return write_ros1(tmp_path_factory.mktemp("drive") / "drive.bag", messages_of(120.0))
 
 
 @pytest.fixture(scope="module")
-def short_bag():
+def short_bag(tmp_path_factory):
     """Too little for a map."""
-    return record(duration_s=12.0, seed=SEED + 1)
-
-
-def record(duration_s=SECONDS, seed=SEED, **options):
-    return recorded(virtual_drive.record, virtual_drive.random_car(SEED), seed=seed, duration_s=duration_s, **options)
-
-
-def odometry(time_s, speed=1.0):
-    return Written(time_s, "/odom", "nav_msgs/Odometry", {"twist": {"twist": {"linear": {"x": speed}}}})
-
-
-def value(time_s, data=1.0):
-    return Written(time_s, "/generic/output/value", "car_interface/Float64Stamped", {"data": data})
+    return write_ros1(tmp_path_factory.mktemp("short") / "short.bag", messages_of(4.0, seed=1))
 
 
 def run(*arguments):
     return main("calibrate_value_map", [str(argument) for argument in arguments])
 
 
-def error_mps2(table):
-    """RMS of a map, by the virtual car's truth in the middle of the drive."""
-    car = virtual_drive.random_car(SEED)
-    thrust = car.drive.thrust(SECONDS / 2)
-    duties = [virtual_drive.duty_of_value(value) for value in table.values]
-    truth = [[true_acceleration_mps2(duty, max(velocity, 1e-3), car.drive, thrust)
-              for velocity in table.velocities] for duty in duties]
-    found = [[table.acceleration_at(value, velocity) for velocity in table.velocities] for value in table.values]
-    return float(np.sqrt(np.mean(np.subtract(found, truth) ** 2)))
+def error_mps2(table, truth=acceleration):
+    """RMS of a map."""
+    return float(np.sqrt(np.mean([(table.acceleration_at(value, velocity) - float(truth(value, velocity))) ** 2
+                                  for value in table.values for velocity in table.velocities])))
 
 
-def test_map_loads_and_is_near_the_truth_and_the_report_lies_beside_it(bag, tmp_path, capsys):
+def test_map_of_a_virtual_car_is_near_the_truth_and_the_report_lies_beside_it(tmp_path, capsys):
+    seconds, car = 80.0, virtual_drive.random_car(3)
+    bag = recorded(virtual_drive.record, car, seed=3, duration_s=seconds)
     assert run(bag, "-o", tmp_path / "map.csv") == 0
-    assert error_mps2(load_value_map(str(tmp_path / "map.csv"))) < 0.08
+    thrust = car.drive.thrust(seconds / 2)  # in the middle of the drive
+    assert error_mps2(load_value_map(str(tmp_path / "map.csv")), lambda value, velocity: true_acceleration_mps2(
+        virtual_drive.duty_of_value(value), max(velocity, 1e-3), car.drive, thrust)) < 0.05
     report = (tmp_path / "map.report.txt").read_text(encoding="utf-8")
     assert "held out (every 5th manoeuvre" in report and "standard error" in report and "ground rises by" in report
-    assert "a stop, or slower than the slowest speed" in report and "missing: value" in report
+    assert "steering: a tight turn, or tyres at work" in report and "missing: value" in report
     assert report.strip() in capsys.readouterr().out
     assert sorted(path.name for path in tmp_path.iterdir()) == ["map.csv", "map.report.txt"]
 
 
 @pytest.mark.once
-def test_recording_with_topics_of_other_names_comes_to_the_map_too(bag, tmp_path, capsys):
-    other = rename_topics(bag, tmp_path / "other.bag", {
-        "/odom": "/ekf/odometry", "/servo/output": "/board/duties", "/generic/output/value": "/esc/value"})
+def test_recording_with_topics_of_other_names_comes_to_the_map_too(tmp_path, capsys):
+    other = write_ros1(tmp_path / "other.bag", messages_of(120.0, names={
+        "odom": "/ekf/odometry", "output": "/board/duties", "value": "/esc/value"}))
     assert run(other, "-o", tmp_path / "map.csv") == 1
     assert "; name another by --map TOPIC=value; it has /esc/value\n" in capsys.readouterr().err
     assert run(other, "-o", tmp_path / "map.csv", "--map", "/esc/value=value", "--map", "/board/duties=output",
-               *QUICK) == 0
+               *KNOWN_DELAY) == 0
     assert "other.bag: odom: /ekf/odometry (the only nav_msgs/Odometry)" in capsys.readouterr().out
     assert error_mps2(load_value_map(str(tmp_path / "map.csv"))) < 0.12
 
@@ -90,18 +74,14 @@ def throttle_state(time_s, source, asked=0.5):
     return Written(time_s, "/throttle_arb/state", "car_interface/ThrottleState", {"source": source, "asked": asked})
 
 
-def held(time_s):
-    return Written(time_s, "/servo/output", "std_msgs/Int32MultiArray", {"data": [5100, 4915] + [-1] * 14})
-
-
 @pytest.mark.parametrize("messages, expected", [
-    ([value(0.0)], "generic/output/value"),
-    ([value(0.0), held(0.0)], "generic/output/value"),
-    ([held(0.0)], "duty:2"),
-    ([value(0.0), held(0.0), throttle_state(0.1, 3), throttle_state(0.2, 3), throttle_state(0.3, 4)], "duty:2"),
-    ([value(0.0), held(0.0), throttle_state(0.1, 3), throttle_state(0.2, 4)], "generic/output/value"),
-    ([value(0.0), held(0.0), throttle_state(0.1, 3, 0.0), throttle_state(0.2, 3, 0.0)], "generic/output/value"),
-    ([value(0.0), throttle_state(0.1, 3)], "generic/output/value"),
+    ([value_at(0.0)], "generic/output/value"),
+    ([value_at(0.0), output_at(0.0)], "generic/output/value"),
+    ([output_at(0.0)], "duty:2"),
+    ([value_at(0.0), output_at(0.0), throttle_state(0.1, 3), throttle_state(0.2, 3), throttle_state(0.3, 4)], "duty:2"),
+    ([value_at(0.0), output_at(0.0), throttle_state(0.1, 3), throttle_state(0.2, 4)], "generic/output/value"),
+    ([value_at(0.0), output_at(0.0), throttle_state(0.1, 3, 0.0), throttle_state(0.2, 3, 0.0)], "generic/output/value"),
+    ([value_at(0.0), throttle_state(0.1, 3)], "generic/output/value"),
 ], ids=["value_alone", "value_and_output", "output_alone", "mostly_by_hand", "as_often_by_the_planner",
         "deadman_held_and_nothing_asked", "no_output"])
 def test_without_a_word_the_recording_says_whether_it_was_driven_by_hand(tmp_path, messages, expected):
@@ -146,9 +126,9 @@ def test_duties_count_as_the_values_that_make_them_and_those_that_none_makes_are
 
 @pytest.mark.once
 def test_what_was_not_driven_is_missing_and_not_made_up(bag, tmp_path, capsys):
-    # Nobody drove faster than 9 m/s, or braked harder than -5.
+    # Nobody drove faster than 9 m/s, or braked harder than -4.
     axes = ("--values", -10, -5, -2, 0, 1, 2, "--velocities", 1, 3, 5, 7, 9, 13)
-    assert run(bag, "-o", tmp_path / "map.csv", *axes, *QUICK) == 0
+    assert run(bag, "-o", tmp_path / "map.csv", *axes, *KNOWN_DELAY) == 0
     table = load_value_map(str(tmp_path / "map.csv"))
     assert table.values[0] >= -5.0 and table.velocities[-1] <= 9.0
     out = capsys.readouterr().out
@@ -156,7 +136,8 @@ def test_what_was_not_driven_is_missing_and_not_made_up(bag, tmp_path, capsys):
 
 
 @pytest.mark.once
-def test_imu_finds_the_map_too(bag, tmp_path):
+def test_imu_finds_the_map_too(tmp_path):
+    bag = write_ros1(tmp_path / "imu.bag", messages_of(120.0, with_imu=True))
     assert run(bag, "-o", tmp_path / "map.csv", "--imu", "imu/data", "--acceleration", "imu", *KNOWN_DELAY) == 0
     assert error_mps2(load_value_map(str(tmp_path / "map.csv"))) < 0.12
 
@@ -167,7 +148,7 @@ def test_prior_gives_the_axes_stays_where_nothing_was_driven_and_is_kept_beside_
     path, before = tmp_path / "map.csv", load_value_map(str(ROOT / "config" / "value_map.csv"))
     shutil.copy(str(ROOT / "config" / "value_map.csv"), str(path))
     (tmp_path / "map.report.txt").write_text("old", encoding="utf-8")
-    assert run(bag, short_bag, "-o", path, "--prior", path, "--jobs", 2, *QUICK) == 0
+    assert run(bag, short_bag, "-o", path, "--prior", path, "--jobs", 2, *KNOWN_DELAY) == 0
     after, out = load_value_map(str(path)), capsys.readouterr().out
     assert (after.values, after.velocities) == (before.values, before.velocities)
     assert after.acceleration_at(3.0, 10.0) == before.acceleration_at(3.0, 10.0)
@@ -181,7 +162,7 @@ def test_prior_gives_the_axes_stays_where_nothing_was_driven_and_is_kept_beside_
 def test_map_that_is_narrower_than_the_old_one_is_said_so_last_in_one_line(bag, tmp_path, capsys):
     path = tmp_path / "map.csv"
     shutil.copy(str(ROOT / "config" / "value_map.csv"), str(path))
-    assert run(bag, "-o", path, *QUICK) == 0
+    assert run(bag, "-o", path, *KNOWN_DELAY) == 0
     new, last = load_value_map(str(path)), capsys.readouterr().out.splitlines()[-1]
     (kept,) = tmp_path.glob("map.csv.bak-*")
     assert last.startswith("narrower than the old map: ")
@@ -210,8 +191,9 @@ def test_map_that_is_not_good_enough_is_refused_and_if_forced_marked(bag, tmp_pa
 
 
 @pytest.mark.parametrize("messages, said", [
-    ([odometry(0.02 * i) for i in range(9)] + [value(0.02 * i) for i in range(9)], "tells an acceleration"),
-    ([odometry(0.02 * i, 0.0) for i in range(500)] + [value(0.02 * i) for i in range(500)], "a stop"),
+    ([odometry(0.02 * i, speed_mps=1.0) for i in range(9)] + [value_at(0.02 * i) for i in range(9)],
+     "tells an acceleration"),
+    ([odometry(0.02 * i) for i in range(500)] + [value_at(0.02 * i) for i in range(500)], "a stop"),
 ], ids=["too_short", "standing"])
 def test_recording_that_tells_nothing_is_refused_in_one_line(tmp_path, capsys, messages, said):
     path = write_ros1(tmp_path / "a.bag", sorted(messages, key=lambda message: message.time_s))

@@ -142,19 +142,6 @@ def test_recording_without_a_drive_or_of_a_killed_recorder_is_a_row_that_says_wh
     assert f": rosbag reindex {folder / 'killed.bag.active'} saves what is left" in errors["killed.bag.active"]
 
 
-def test_random_bytes_are_a_row_that_says_what_they_are_not(tmp_path):
-    for name in ("a.bag", "b.mcap", "c.db3"):
-        (tmp_path / name).write_bytes(bytes(range(255, 0, -1)) * 20)
-    (tmp_path / "d").mkdir()
-    for name in ("metadata.yaml", "d.mcap"):
-        (tmp_path / "d" / name).write_bytes(bytes(range(255, 0, -1)))
-    assert run(str(tmp_path)) == 1
-    assert [row["error"] for row in lines(str(tmp_path))] == [
-        f"{name} can't be read as a recording: {what}" for name, what in (
-            ("a.bag", "it is no bag"), ("b.mcap", "it is no MCAP file"), ("c.db3", "it is no SQLite database"),
-            ("d", "its metadata.yaml isn't a ROS 2 bag's (ros2 bag reindex makes one)"))]
-
-
 def test_folder_in_which_nothing_can_be_read_fails_and_the_terminal_says_why(tmp_path, capsys):
     for name in "abcdefg":
         write_ros1(tmp_path / f"{name}.bag", [odometry(0.0)])

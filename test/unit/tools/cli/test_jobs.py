@@ -20,7 +20,7 @@ def leaving_a_mark(folder, number):
         raise CarInterfaceError("0 is refused")
 
 
-@pytest.mark.parametrize("count", [1, 3])
+@pytest.mark.parametrize("count", [1, 2])
 def test_work_in_processes_comes_back_in_order(count):
     with jobs.workers(7, count) as done_by:
         assert list(jobs.for_each(str, range(7), done_by)) == list("0123456")
@@ -83,7 +83,7 @@ def test_what_kills_each_worker_is_told_and_all_else_is_done(cluster):
 
 
 def test_recording_that_killed_its_workers_says_so_in_its_row():
-    with pytest.raises(CarInterfaceError, match="a.bag ended each worker that read it, maybe for want of memory"):
+    with pytest.raises(CarInterfaceError, match=r"a\.bag ended each worker that read it, maybe for want of memory"):
         jobs.check_not_killed(True, "a.bag")
 
 

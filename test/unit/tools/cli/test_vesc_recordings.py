@@ -1,19 +1,16 @@
-"""Recordings of a car with a VESC, as F1TENTH's are: the virtual car's drive, written as the VESC's nodes would.
+"""Recordings of a car with a VESC, as F1TENTH's are: a synthetic drive, written as the VESC's nodes would.
 
 The messages follow the packages' definitions; no recording of a real car is at hand.
 """
 from __future__ import annotations
 
 import csv
-import importlib
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from car_interface.common.units import stamp_ns, yaw_rad
-from car_interface.steering.config import load_steering
 from car_interface.throttle.value_map import load_value_map
 from car_interface.tools.calibration.steering.recorded import load_steering_drive
 from car_interface.tools.calibration.value_map.recorded import MapSource, load_map_drive
@@ -22,13 +19,10 @@ from car_interface.tools.recordings.recording import read
 from car_interface.tools.report.page import page
 from car_interface.tools.report.plots import plots
 from car_interface.tools.report.summary import summarize
-from recorded_drives import recorded
+from tools.calibration.value_map.synthetic import messages_of
 from written_recordings import START_NS, Written, odometry, stamp, write_ros1, write_ros2
 
-ROOT = Path(__file__).resolve().parents[4]
-sys.path.append(str(ROOT / "test"))
-virtual_drive = importlib.import_module("accuracy.virtual_drive")
-SEED, SECONDS = 2, 130.0
+SECONDS = 130.0
 ERPM_PER_MPS, DUTY_CYCLE_PER_VALUE = 4614.0, 0.2
 PULSE_0, PULSE_1 = 65536 / 20, 65536 / 10  # 1 and 2 ms of 20 ms
 FULL_V, EMPTY_V = 8.2, 7.4
@@ -69,7 +63,7 @@ def number(time_s, topic, data):
 
 
 def as_vesc(bag, layout, below, until_s=SECONDS):
-    """The messages of the virtual car's recording as a VESC's."""
+    """The messages of a recording as a VESC's."""
     speed_mps, messages = 0.0, []
     for time_ns, topic, message in read(bag, ["odom", "/servo/output", "generic/output/value"]):
         time_s = (time_ns - START_NS) / 1e9
@@ -90,8 +84,8 @@ def as_vesc(bag, layout, below, until_s=SECONDS):
 
 
 @pytest.fixture(scope="module")
-def bag():
-    return recorded(virtual_drive.record, virtual_drive.random_car(SEED), seed=SEED, duration_s=SECONDS)
+def bag(tmp_path_factory):
+    return str(write_ros1(tmp_path_factory.mktemp("drive") / "drive.bag", messages_of(SECONDS)))
 
 
 @pytest.fixture(scope="module")
@@ -102,12 +96,13 @@ def vesc_bag(bag, tmp_path_factory):
     return str(write_ros1(tmp_path_factory.mktemp("vesc") / "vesc.bag", messages, extra_types=types("ros1")))
 
 
-def made(layout, tmp_path, bag, until_s=20.0):
-    """A recording of each kind: two of ROS 1, and a ROS 2 one without definitions."""
-    messages = as_vesc(bag, layout, "/", until_s)
-    if layout == "ros2":
-        return str(write_ros2(tmp_path / "vesc", messages, with_definitions=False, extra_types=types(layout)))
-    return str(write_ros1(tmp_path / "vesc.bag", messages, extra_types=types(layout)))
+@pytest.fixture(scope="module", params=LAYOUTS)
+def layout_bag(request, bag, tmp_path_factory):
+    """20 s as each kind of recording: two of ROS 1, and a ROS 2 one without definitions."""
+    messages, folder = as_vesc(bag, request.param, "/", 20.0), tmp_path_factory.mktemp(request.param)
+    if request.param == "ros2":
+        return str(write_ros2(folder / "vesc", messages, with_definitions=False, extra_types=types("ros2")))
+    return str(write_ros1(folder / "vesc.bag", messages, extra_types=types(request.param)))
 
 
 def test_positions_of_the_servo_are_the_pulses_that_the_vesc_makes_of_them(bag, vesc_bag):
@@ -122,12 +117,10 @@ def test_positions_of_the_servo_are_the_pulses_that_the_vesc_makes_of_them(bag, 
                     "count as 3277 to 6554, the pulses of 1 to 2 ms that a VESC makes of them")
 
 
-@pytest.mark.parametrize("layout", LAYOUTS)
-def test_duty_cycle_of_the_vesc_is_the_value_of_a_value_map(layout, bag, tmp_path):
-    path = made(layout, tmp_path, bag)
-    vesc, virtual = load_map_drive(path, MapSource()), load_map_drive(bag, MapSource(measured_by="odom"))
+def test_duty_cycle_of_the_vesc_is_the_value_of_a_value_map(layout_bag, bag):
+    vesc, virtual = (load_map_drive(path, MapSource()) for path in (layout_bag, bag))
     count = vesc.drive.value.y.size
-    assert count > 300
+    assert count > 150
     np.testing.assert_allclose(vesc.drive.value.y, DUTY_CYCLE_PER_VALUE * virtual.drive.value.y[:count], atol=1e-6)
     assert vesc.notes == ("sensors/core: the value is a VESC's duty cycle, -1 to 1",)
 
@@ -140,21 +133,8 @@ def test_value_map_is_made_of_the_vesc_s_recording(vesc_bag, tmp_path, capsys):
     assert "vesc/sensors/core: the value is a VESC's duty cycle" in capsys.readouterr().out
 
 
-@pytest.mark.once
-def test_steering_by_the_vesc_s_recording_is_that_by_the_servo_board_s(bag, vesc_bag, tmp_path, capsys):
-    found = []
-    for path in (bag, vesc_bag):
-        made = str(tmp_path / Path(path).stem)
-        assert main("calibrate_steering", [path, "-o", made, "--axis", "1.5,2,3,5,20"]) == 0
-        found.append(load_steering(made))
-    for radius_m in (2.0, 3.0, 5.0, -2.0, -3.0, -5.0):
-        assert abs(found[0].planner_duty(radius_m) - found[1].planner_duty(radius_m)) <= 16, radius_m
-    assert "pulses of 1 to 2 ms" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("layout", LAYOUTS)
-def test_report_shows_voltage_duty_cycle_servo_and_motor(layout, bag, tmp_path):
-    drive = summarize(made(layout, tmp_path, bag))
+def test_report_shows_voltage_duty_cycle_servo_and_motor(layout_bag):
+    drive = summarize(layout_bag)
     traces = drive.traces
     assert traces["battery voltage"].maximum == pytest.approx(FULL_V, abs=0.01)
     assert traces["battery voltage"].minimum == pytest.approx(FULL_V - 0.8 * 20 / SECONDS, abs=0.01)

@@ -29,6 +29,13 @@ def test_gamepad_that_works_is_ok_with_its_size_and_rate():
     assert found.what == "/joy: 8 axes, 11 buttons, 20.0 times a second; no deadman is held"
 
 
+def test_car_without_a_gamepad_that_phones_drive_is_ok():
+    found = check(NOTHING, publishers=(), reason="phone: no deadman is held")
+    assert (found.level, found.what) == (OK, "there is none; phone: no deadman is held")
+    found = check(NOTHING, publishers=(), cause=causes.JOY_STALE, reason="phone: phone/joy silent for 0.30 s")
+    assert (found.level, found.what) == (WARN, "there is none; phone: phone/joy silent for 0.30 s")
+
+
 @pytest.mark.parametrize("changes, level, what, remedy", [
     pytest.param({"sample": NOTHING, "publishers": (), "reason": "joy was never heard"}, WARN,
                  "no node publishes /joy, so that no deadman can be held (joy was never heard)",

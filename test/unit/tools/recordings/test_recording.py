@@ -128,10 +128,10 @@ def chunk_overwritten(tmp_path):
     return path
 
 
-def with_text(text):
+def with_text(text, name="a.bag"):
     def make(tmp_path):
-        (tmp_path / "a.bag").write_bytes(text)
-        return tmp_path / "a.bag"
+        (tmp_path / name).write_bytes(text)
+        return tmp_path / name
     return make
 
 
@@ -159,6 +159,8 @@ def cut_mcap(tmp_path):
     pytest.param(lambda tmp_path: tmp_path / "a.bag", "there is no such file", id="missing"),
     pytest.param(with_text(b""), "it is empty", id="empty_file"),
     pytest.param(with_text(b"\xff\xfe\x00" * 50), "it is no bag$", id="binary_rubbish"),
+    pytest.param(with_text(b"\xff\xfe\x00" * 50, "a.mcap"), "it is no MCAP file$", id="mcap_of_rubbish"),
+    pytest.param(with_text(b"\xff\xfe\x00" * 50, "a.db3"), "it is no SQLite database$", id="database_of_rubbish"),
     pytest.param(with_text(b"#ROSBAG V2.0\n" + b"\xff\xfe\x00" * 50), "damaged", id="rubbish_behind_the_first_line"),
     pytest.param(with_text(b"#ROSBAG V1.2\n"), r"recording: Bag version \d+ is not supported$", id="old_version"),
     pytest.param(cut, r"a\.bag is cut off or damaged \([\w :.]+\w\): rosbag reindex .*a.bag saves", id="truncated"),

@@ -31,9 +31,9 @@ def status(time_s, level, text):
 
 
 def summary_of(tmp_path, text):
-    messages = [*drive(), status(8.0, OK, "fine"), status(9.0, WARN, OLD_TABLE), status(10.0, OK, "fine"),
+    messages = [*drive(12.0), status(8.0, OK, "fine"), status(9.0, WARN, OLD_TABLE), status(10.0, OK, "fine"),
                 Written(11.0, "/rosout", "rosgraph_msgs/Log", {"level": 4, "name": "/throttle_arb", "msg": COASTS}),
-                Written(59.0, "/calibration_drive/result", "std_msgs/String", {"data": text})]
+                Written(11.5, "/calibration_drive/result", "std_msgs/String", {"data": text})]
     return summarize(str(write_ros1(tmp_path / "drive.bag", sorted(messages, key=lambda one: one.time_s))))
 
 
@@ -48,12 +48,12 @@ def test_result_is_the_same_after_it_was_recorded():
 
 @pytest.mark.parametrize("text", ["", "{}", "[]", "7", "[" * 100_000, RESULT._replace(radii_m=()).text(),
                                   RESULT._replace(curve=((1.0,),)).text(), RESULT._replace(left=((),)).text(),
-                                  RESULT._replace(centers=(5100, math.nan)).text()])
-def test_what_is_no_result_is_said_and_the_page_is_that_of_any_drive(text, tmp_path):
-    seen = summary_of(tmp_path, text)
-    assert seen.calibration is None
-    assert any(note.startswith("the calibration drive's result ") for note in seen.notes)
-    assert 'id="calibration"' not in page(seen, {})
+                                  RESULT._replace(centers=(5100, math.nan)).text()],
+                         ids=["empty", "object", "list", "number", "nested_too_deeply", "no_radii", "short_point",
+                              "short_row", "no_number"])
+def test_what_is_no_result_is_refused(text):
+    with pytest.raises(ValueError, match=r"calibration drive's result (can't be read|has no table)"):
+        parsed(text)
 
 
 def test_page_has_the_new_table_with_the_old_one_beside_it_what_it_rests_on_and_what_to_do_next(tmp_path):
@@ -75,9 +75,13 @@ def test_old_table_is_no_fault_of_a_calibration_drive_nor_that_it_coasts(tmp_pat
     found = row(seen, "drive.bag")
     assert found.left_ratio is found.right_ratio is found.straight_per_m is None
     assert found.notes[-1] == "a calibration drive"
-    (tmp_path / "other").mkdir()
-    other = summary_of(tmp_path / "other", "")
-    assert {OLD_TABLE, COASTS} <= {fault.what for fault in other.faults.entries}
+
+
+def test_drive_whose_result_is_none_says_so_and_has_the_page_of_any_drive(tmp_path):
+    seen = summary_of(tmp_path, "")
+    assert seen.calibration is None and 'id="calibration"' not in page(seen, {})
+    assert any(note.startswith("the calibration drive's result ") for note in seen.notes)
+    assert {OLD_TABLE, COASTS} <= {fault.what for fault in seen.faults.entries}
 
 
 def test_refused_drive_says_why_and_its_texts_are_only_texts(tmp_path):

@@ -122,30 +122,24 @@ def test_pause_of_the_requests_between_two_messages_of_a_slow_odometry_counts_as
     assert drive.asked.speed_ratio().samples == 1, "at 5.0 s"
 
 
-@pytest.mark.parametrize("topics, speeds, turns", [
-    ({"turn_arb": PLANNER, "throttle_arb": PLANNER}, True, True),
-    ({"turn_arb": PLANNER, "throttle_arb": TELEOP}, False, True),
-    ({"turn_arb": TELEOP, "throttle_arb": PLANNER}, True, False),
-    ({"turn_arb": PLANNER}, True, True), ({"turn_arb": TELEOP}, False, False),
-    ({"throttle_arb": PLANNER}, True, True), ({"throttle_arb": NO_HUMAN}, False, False), ({}, True, True),
+@pytest.mark.parametrize("states, speeds, turns", [
+    ([("turn_arb", PLANNER), ("throttle_arb", PLANNER)], True, True),
+    ([("turn_arb", PLANNER), ("throttle_arb", TELEOP)], False, True),
+    ([("turn_arb", TELEOP), ("throttle_arb", PLANNER)], True, False),
+    ([("turn_arb", PLANNER)], True, True), ([("turn_arb", TELEOP)], False, False),
+    ([("throttle_arb", PLANNER)], True, True), ([("throttle_arb", NO_HUMAN)], False, False), ([], True, True),
+    ([("planner_interface", "drive", causes.PLANNER)], True, True),
+    ([("planner_interface", "cmd_vel", causes.PLANNER)], False, False),
+    ([("planner_interface", "drive", causes.REQUEST_REFUSED)], False, False),
 ], ids=["planner", "human_drives", "human_steers", "planner_by_turn_arb", "human_by_turn_arb",
-        "planner_by_throttle_arb", "nobody_by_throttle_arb", "not_recorded"])
-def test_who_has_the_car_says_what_is_compared_with_the_planners_request(topics, speeds, turns, tmp_path):
-    states = [every(0.1, 0, 12, lambda time_s, topic=topic, source=source: state(time_s, topic, source))
-              for topic, source in topics.items()]
-    drive = compared(tmp_path, *states)
+        "planner_by_throttle_arb", "nobody_by_throttle_arb", "not_recorded", "obeyed", "another_source_is", "refused"])
+def test_who_has_the_car_and_what_is_obeyed_say_what_is_compared_with_the_planners_request(
+        states, speeds, turns, tmp_path):
+    drive = compared(tmp_path, *(every(0.1, 0, 12, lambda time_s, topic=topic, source=source, cause=cause: state(
+        time_s, topic, source, cause=cause)) for topic, source, cause in (
+            (*each, "")[:3] for each in states)))
     assert (drive.asked.speed_ratio().samples > 100) is speeds
     assert (drive.motion.by_planner.ratios()[0].samples > 100) is turns
-
-
-@pytest.mark.parametrize("source, cause, is_compared", [
-    ("drive", causes.PLANNER, True), ("cmd_vel", causes.PLANNER, False), ("drive", causes.REQUEST_REFUSED, False),
-], ids=["obeyed", "another_source_is", "refused"])
-def test_request_that_planner_interface_does_not_obey_is_not_compared(source, cause, is_compared, tmp_path):
-    drive = compared(tmp_path, every(0.1, 0, 12, lambda time_s: state(
-        time_s, "planner_interface", source, cause=cause)))
-    assert (drive.asked.speed_ratio().samples > 100) is is_compared
-    assert (drive.motion.by_planner.ratios()[0].samples > 100) is is_compared
 
 
 def test_planner_that_takes_the_car_over_is_compared_a_while_later_and_not_after_the_last_state(tmp_path):

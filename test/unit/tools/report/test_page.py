@@ -74,13 +74,6 @@ def test_page_says_who_drove_what_was_lost_how_the_car_followed_and_how_its_link
         assert words in text
 
 
-@pytest.mark.parametrize("message", [odometry(0.0), Written(0.0, "/turn_arb/state", "car_interface/SteeringState", {}),
-                                     Written(0.0, "/servo/output", "std_msgs/Int32MultiArray", {"data": [0] * 16})])
-def test_single_message_makes_a_page_too(message, tmp_path):
-    seen = summarize(str(write_ros1(tmp_path / "a.bag", [message])))
-    assert "</html>" in page(seen, plots(seen))
-
-
 def test_no_text_from_outside_is_anything_but_text(seen):
     drive = replace(
         copy.deepcopy(seen), path=f"bags/{HOSTILE.replace('/', '')}", namespace=HOSTILE, notes=[HOSTILE, HOSTILE],

@@ -75,6 +75,14 @@ def missing_lines(missing: Iterable[str]) -> list[str]:
     return [f"missing: {text.partition(ADVICE)[0]}" for text in missing]
 
 
+def known_lines(progress: Progress) -> list[str]:
+    """Return what is known of each side, and of straight on."""
+    lines = [f"{side:<6} {radius_marks(progress.rows, side)}" for side in ("left", "right")]
+    if math.isfinite(progress.center_duty):
+        lines.append(f"straight on: duty {progress.center_duty:.0f} ± {progress.center_error:.0f}")
+    return lines
+
+
 def progress_bar(fraction: float, length: int = BAR) -> str:
     """``[####....]``; full only when all is done."""
     full = min(length, max(0, math.floor(length * fraction))) if math.isfinite(fraction) else 0
@@ -123,10 +131,8 @@ def radius_marks(rows: Iterable[RadiusRow], side: str) -> str:
 
 def _progress_lines(progress: Progress, is_over: bool) -> list[str]:
     share = f"{progress_bar(progress.fraction)} {percent(progress.fraction)}"
-    lines = [f"{share}   {_times(progress)}, {progress.positions} position{'s' * (progress.positions != 1)}"]
-    lines += [f"{side:<6} {radius_marks(progress.rows, side)}" for side in ("left", "right")]
-    if math.isfinite(progress.center_duty):
-        lines.append(f"straight on: duty {progress.center_duty:.0f} ± {progress.center_error:.0f}")
+    lines = [f"{share}   {_times(progress)}, {progress.positions} position{'s' * (progress.positions != 1)}",
+             *known_lines(progress)]
     missing = missing_lines(progress.missing)
     if len(missing) > MAX_MISSING:
         missing[MAX_MISSING:] = [f"missing: … and {len(missing) - MAX_MISSING} more"]

@@ -53,8 +53,5 @@ def test_with_delay_and_backlash_given_it_is_the_same_curve_with_the_same_errors
 def test_without_a_curve_there_is_a_reason(duties):
     found = known(duties)
     assert found.reason and found.duties == ()
-
-
-def test_without_samples_there_is_a_reason():
     empty = drive([5200])._replace(**{name: np.zeros(0) for name in drive([5200])._fields})
-    assert assess(FitTask(empty, BASE, None, None, 1)).reason
+    assert assess(FitTask(empty, BASE, None, None, 1)).reason, "without samples"

@@ -99,28 +99,42 @@ class Person:
         self.hold(-self.rng.uniform(0.4, 0.6), self.rng.uniform(1.3, 1.6), lambda speed: speed < -0.8)
         self.center()
 
-    def drive(self) -> EscDrive:
-        """All that calibrate_esc asks for."""
+    def drive(self, leaves_out=()) -> EscDrive:
+        """All that calibrate_esc asks for, but for the parts that are left out."""
+        parts = {"creep forward": self._creep, "coast": self._coast, "brake": self._brake,
+                 "pull twice": self._pull_twice, "creep backward": lambda: self._creep(-1),
+                 "wait and pull": self._wait_and_pull}
         self.center(2.0)
+        for name, part in parts.items():
+            if name not in leaves_out:
+                part()
+        return self.recorded()
+
+    def _creep(self, sign=1):
         for _ in range(3):
-            self.set_off(1)
+            self.set_off(sign)
+
+    def _coast(self):
         for _ in range(3):
             self.forward()
             self.center()
+
+    def _brake(self):
         for _ in range(3):
             self.brake()
             self.center()
+
+    def _pull_twice(self):
         for neutral_s in (0.8, 0.7, 0.9, 0.48, 0.4, 0.3, 0.22, 0.14):
             self.reverse(neutral_s)
-        for _ in range(3):
-            self.set_off(-1)
+
+    def _wait_and_pull(self):
         for neutral_s in (1.0, 6.5):
             self.forward()
             self.center()
             self.center(neutral_s)
             self.hold(-0.5, 1.2, lambda speed: speed < -0.6)
             self.center()
-        return self.recorded()
 
     def recorded(self) -> EscDrive:
         duty, speed = np.array(self._duty), np.array(self._speed)

@@ -10,6 +10,7 @@ import numpy as np
 from car_interface.tools.calibration.value_map.acceleration import MapDrive, Series
 from car_interface.tools.calibration.value_map.fit import Fit, fit
 from car_interface.tools.calibration.value_map.windows import MapFitConfig
+from written_recordings import Written, odometry
 
 PULSE_M, STEP_S, NOTHING = 0.0149, 0.005, Series(np.zeros(0), np.zeros(0))
 DELAY_S = 0.08
@@ -67,6 +68,36 @@ def drive(seed=0, seconds=240.0, uphill=(0.0, 0.0), sag=0.0, turns=True, with_pi
                     wheels if pulses else (),
                     imu=Series(commanded_s[::2], (forces + noise)[::2] + 0.2) if with_imu else None,
                     pitch=Series(t_s[every], pitch[every]) if with_pitch else None)
+
+
+NAMES = {"odom": "/odom", "value": "/generic/output/value", "output": "/servo/output"}
+
+
+def value_at(time_s, value=1.0, topic=NAMES["value"]):
+    return Written(time_s, topic, "car_interface/Float64Stamped", {"data": value})
+
+
+def output_at(time_s, steering=5100, esc=4915, topic=NAMES["output"]):
+    return Written(time_s, topic, "std_msgs/Int32MultiArray", {"data": [steering, esc] + [-1] * 14})
+
+
+def messages_of(seconds, seed=0, names=None, with_imu=False):
+    """A drive as it is recorded: odometry; value and duties when they change, and ten times a second; maybe an IMU."""
+    one, names, messages = drive(seed, seconds, with_imu=with_imu), names or NAMES, []
+    places_m = np.cumsum(one.speed.y * np.exp(1j * one.yaw.y)) * 4 * STEP_S
+    for time_s, speed_mps, yaw_rad, place_m in zip(one.speed.t_s, one.speed.y, one.yaw.y, places_m):
+        messages.append(odometry(time_s, place_m.real, place_m.imag, yaw_rad, speed_mps, names["odom"]))
+    t_s, value = one.value.t_s, one.value.y
+    turn_rate = np.interp(t_s, one.yaw.t_s[1:], np.diff(one.yaw.y)) / (4 * STEP_S)
+    for index in np.flatnonzero(np.append(True, np.diff(value) != 0) | (np.arange(t_s.size) % 20 == 0)):
+        esc = 16 * round(float(np.interp(value[index], (-5, 0, 3), (3277, 4915, 6554))) / 16)
+        steering = 16 * round((5100 - 1500 * float(turn_rate[index])) / 16)
+        messages += [value_at(t_s[index], value[index], names["value"]),
+                     output_at(t_s[index], steering, esc, names["output"])]
+    for time_s, number in zip(one.imu.t_s[::2], one.imu.y[::2]) if with_imu else ():
+        messages.append(Written(time_s, "/imu/data", "sensor_msgs/Imu", {
+            "orientation_covariance": [-1.0] * 9, "linear_acceleration": {"x": number, "z": 9.81}}))
+    return sorted(messages, key=lambda message: message.time_s)
 
 
 @functools.lru_cache(maxsize=None)

@@ -24,6 +24,19 @@ def test_map_of_a_drive_on_a_slope_with_a_sagging_battery_is_the_level_one_at_me
     assert ground.sag_above == pytest.approx(0.1, abs=0.02) and ground.sag_below == pytest.approx(0.0, abs=0.03)
 
 
+def test_error_is_of_the_size_that_the_standard_errors_say():
+    mixed = fitted_mixed()
+    truth = acceleration(mixed.values[:, None], mixed.velocities[None, :])
+    ratios = (np.abs(mixed.accelerations - truth) / mixed.sigma_mps2)[mixed.supported]
+    assert np.mean(ratios < 2) > 0.8
+
+
+def test_held_out_manoeuvres_are_predicted_nearly_as_well_as_the_others():
+    mixed = fitted_mixed()
+    assert mixed.held_out_windows > 50
+    assert mixed.held_out_mps2 < 1.5 * mixed.residual_mps2 + 0.01
+
+
 def test_turns_show_the_slope_and_nothing_else_where_straights_all_go_one_way():
     found = fit([drive(uphill=(0.02, 0.01), circles=True)], None, None, KNOWN_DELAY)
     assert found.rejected[RULES[windowing.STEERING]] > 100

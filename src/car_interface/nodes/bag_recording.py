@@ -18,6 +18,7 @@ from car_interface.ros.clocks import SYSTEM
 # Of a calibration drive: all that the calibrations and bag_report read, and no cameras.
 TOPICS = (
     "odom", "joint_states", "imu/data", "car_sim/truth", "servo/output", "servo/cmdVector", "e_stop", "joy",
+    "phone/joy", "phone/e_stop",
     "turn_arb/state", "throttle_arb/state", "planner_interface/state", "generic_value_converter/state",
     "av_steer_req", "av_speed_req", "planner_interface/output/control_cmd", "generic/output/value",
     "teleop_logi/state", "teleop_logi/human_in_loop", "teleop_logi/mode", "teleop_logi/tele_steer_req",
@@ -47,7 +48,7 @@ class BagRecording:
         except OSError as error:
             raise ConfigError("bag_dir", folder, f"a folder that can be written to ({error.strerror})") from error
         self.path = os.path.join(folder, SYSTEM.local_time(f"{stem}_%Y-%m-%d_%H-%M-%S.bag"))
-        command = [*_ending_with_parent(), "rosrun", "rosbag", "record", *(topics or ("--all",)), "--quiet", "-O",
+        command = [*ending_with_parent(), "rosrun", "rosbag", "record", *(topics or ("--all",)), "--quiet", "-O",
                    self.path]
         # In a session of its own, a terminal's Ctrl-C and hang-up are for the node, which closes the bag then.
         self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
@@ -79,8 +80,8 @@ class BagRecording:
         return self.path
 
 
-def _ending_with_parent():
-    """What has a command closed by SIGINT when the node is killed, and can't: rosbag would record for ever."""
+def ending_with_parent():
+    """Return what has a command closed by SIGINT when the node is killed, and can't: rosbag would record for ever."""
     return ("setpriv", "--pdeathsig", "INT") if shutil.which("setpriv") else ()
 
 
@@ -101,7 +102,7 @@ class BagPage:
             return ["no recording: rosbag wrote none (rosrun rosbag record says why)"]
         if self._process is None:
             self._output = tempfile.TemporaryFile()  # noqa: SIM115 - it is read once the process has ended
-            self._process = subprocess.Popen([*_command(), self._recording.path], stdin=subprocess.DEVNULL,
+            self._process = subprocess.Popen(["nice", *_command(), self._recording.path], stdin=subprocess.DEVNULL,
                                              stdout=self._output, stderr=subprocess.STDOUT)
         if self._process.poll() is None:
             return None

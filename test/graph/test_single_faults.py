@@ -1,0 +1,96 @@
+"""Each fault of ``single_faults``, at each phase of the timers: no goal of docs/safety_case.md is broken.
+
+Each case has a process of its own, forked from the one that drives at that moment.
+"""
+from __future__ import annotations
+
+import gc
+import itertools
+import os
+import random
+import sys
+from functools import partial
+
+import pytest
+
+from single_faults import ACTIONS, ESCS, KINDS, MODES, MOMENTS, PAIRS, RESIDUAL, TICK_S, Case, Drive, cases, run
+from test_stalls import forked
+
+IS_ALL = bool(os.environ.get("CAR_INTERFACE_ALL"))
+SAMPLE, DRAWS, SEED = 150, 3, 37
+PAIRS_SAMPLE, PAIRS_DRAWS = 40, 3
+AFTER_S = (0.05, 0.3)
+
+
+def judged(drive, case, kind):
+    found, excess_s = run(drive, case, kind, AFTER_S[case.moment % 2])
+    return [*found, excess_s]
+
+
+def drive_all(mode, esc, chosen):
+    """Drive without a terminal; return what the cases of a mode and ESC showed: violations, and the longest excess."""
+    sys.stdin = None
+    drive = Drive(mode, esc)
+    gc.collect()
+    gc.freeze()  # children share the pages
+    found, longest_s = [], 0.0
+    for case in sorted(chosen, key=lambda case: case.moment):
+        drive.run_to_moment(case.moment)
+        for each in forked(partial(judged, drive, case, {**KINDS, **RESIDUAL, **PAIRS}[case.kind])):
+            if isinstance(each, str):
+                found.append(each)
+            else:
+                longest_s = max(longest_s, each)
+    return found, longest_s
+
+
+def drive_each(forker, chosen):
+    found, longest_s = [], 0.0
+    by_story = sorted(chosen, key=lambda case: (case.mode, case.esc))
+    for story, group in itertools.groupby(by_story, key=lambda case: (case.mode, case.esc)):
+        violations, excess_s = forker.submit(drive_all, *story, list(group)).result()
+        found += violations
+        longest_s = max(longest_s, excess_s)
+    print(*found, sep="\n")
+    print(f"{len(chosen)} runs, the longest reaction {longest_s * 1e3:.3f} ms beyond time-out and delays")
+    return found, longest_s
+
+
+@pytest.mark.once
+def test_no_single_fault_breaks_a_goal(forker):
+    every = cases(KINDS, DRAWS, SEED)
+    chosen = every if IS_ALL else random.Random(SEED).sample(every, SAMPLE)
+    found, longest_s = drive_each(forker, chosen)
+    assert not found, "\n".join(found)
+    assert longest_s <= TICK_S
+
+
+@pytest.mark.once
+def test_no_pair_of_faults_breaks_a_goal(forker):
+    choose = random.Random(SEED)
+    chosen = [Case(name, choose.randrange(MOMENTS), choose.choice(kind.modes), choose.choice(list(ESCS)),
+                   choose.choice(kind.actions)) for name, kind in PAIRS.items() for _ in range(PAIRS_DRAWS)]
+    if not IS_ALL:  # one drive's
+        chosen = [case for case in chosen if (case.mode, case.esc) == ("autonomous", "brake_then_reverse")]
+        chosen = choose.sample(chosen, PAIRS_SAMPLE)
+    found, _ = drive_each(forker, chosen)
+    assert not found, "\n".join(found)
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("risk", RESIDUAL)
+def test_what_remains_is_found_by_the_same_judge(forker, risk):
+    found, _ = drive_each(forker, [Case(risk, 7, "manual", "direct_reverse", "release")])
+    assert any(each.startswith("G2" if risk == "R8" else "G1") for each in found)
+
+
+@pytest.mark.once
+def test_cases_pair_each_kind_with_each_moment_mode_esc_and_action():
+    assert len(KINDS) >= 60
+    pairs = {pair for case in cases(KINDS, DRAWS, SEED) for pair in itertools.combinations(enumerate(case), 2)}
+    factors = (list(KINDS), range(MOMENTS), list(MODES), list(ESCS), ACTIONS)
+    for (one, ones), (other, others) in itertools.combinations(enumerate(factors), 2):
+        for pair in itertools.product(ones, others):
+            allowed = {2: "modes", 4: "actions"}.get(other) if one == 0 else None
+            if allowed is None or pair[1] in getattr(KINDS[pair[0]], allowed):
+                assert ((one, pair[0]), (other, pair[1])) in pairs, pair

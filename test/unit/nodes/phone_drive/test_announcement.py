@@ -1,0 +1,60 @@
+"""What the terminal says of the phones' page."""
+from __future__ import annotations
+
+import pytest
+
+from car_interface.common.errors import ConfigError
+from car_interface.nodes.phone_drive.announcement import announce, blocks, own_addresses
+from car_interface.nodes.phone_drive.config import PhoneDriveConfig
+
+ADDRESSES = {"wlan0": "192.168.4.1", "eth0": "10.0.0.5"}
+
+
+def lines(is_terminal=False, **config):
+    return announce(PhoneDriveConfig(**config), "271828", ADDRESSES, is_terminal)
+
+
+def test_without_an_address_it_lists_them_and_the_argument_to_type():
+    text = "\n".join(lines())
+    assert "http://127.0.0.1:8484/#271828" in text
+    assert "phone_address:=192.168.4.1    (wlan0)" in text and "phone_address:=10.0.0.5    (eth0)" in text
+
+
+def test_a_computer_without_a_network_is_told_so():
+    assert "connect it to a network" in announce(PhoneDriveConfig(), "271828", {}, False)[-1]
+
+
+@pytest.mark.parametrize("config, url", [
+    ({"address": "192.168.4.1"}, "http://192.168.4.1:8484/#271828"),
+    ({"address": "192.168.4.1", "certificate": "/a.pem", "key": "/k.pem", "port": 9000},
+     "https://192.168.4.1:9000/#271828"),
+    ({"address": "fd00::1"}, "http://[fd00::1]:8484/#271828"),
+], ids=["http", "certificate_and_port", "ipv6"])
+def test_with_an_address_the_page_s_url_has_the_pin_in_its_fragment(config, url):
+    text = "\n".join(lines(**config))
+    assert url in text and "The PIN is 271828" in text and "phone_address:=" not in text
+    assert ("reads along: http" in text) == url.startswith("http:")
+
+
+def test_qr_code_is_for_a_terminal_only_and_needs_an_address():
+    pytest.importorskip("qrcode")
+    assert "▀" in "".join(lines(True, address="192.168.4.1"))
+    assert "▀" not in "".join(lines(False, address="192.168.4.1")) + "".join(lines(True))
+
+
+@pytest.mark.parametrize("changes, name", [
+    ({"address": "0.0.0.0"}, "address"), ({"pin": 12345}, "pin"), ({"pin": "secret"}, "pin"),
+    ({"key": "/k.pem"}, "cert"),
+], ids=["every_address", "five_digits", "letters", "key_without_certificate"])
+def test_parameters_that_no_page_could_use_are_refused(changes, name):
+    with pytest.raises(ConfigError, match=name):
+        PhoneDriveConfig(**changes)
+
+
+def test_two_rows_of_a_code_become_one_line_black_on_white():
+    assert blocks([[True, False, True], [True, True, False], [False, True, False]]) == [
+        "\x1b[30;107m█▄▀\x1b[0m", "\x1b[30;107m ▀ \x1b[0m"]
+
+
+def test_own_addresses_are_ipv4_without_the_loopback():
+    assert all(address.count(".") == 3 and not address.startswith("127.") for address in own_addresses().values())
