@@ -1,8 +1,8 @@
 """Integrates the car's pose and its covariance from distances and turns: dead reckoning.
 
-With the heading off by e, a step of d is off by d sin(e) across it, and by d (cos(e) − 1) along it. The former is taken
-as d e, a linear covariance; the latter is not linear, but a heading that is off by 60° takes away half of the way. For a
-normal e its moments are known, and those of the sum of all steps follow from step to step. Pure.
+With the heading off by e, a step of d is off by d sin(e) across it, and by d (cos(e) − 1) along it. The former is
+taken as d e, a linear covariance; the latter is not linear, but a heading that is off by 60° takes away half of the
+way. For a normal e its moments are known, and those of the sum of all steps follow from step to step. Pure.
 """
 from __future__ import annotations
 

@@ -233,15 +233,16 @@ class RestartBridge:
             mean_variance += started ** 2
         if blind_ms > MAX_BLIND_MS:
             mean_variance += (max(abs(mean_speed), abs(self._mean_before())) * blind_ms / 2) ** 2
-        difference_variance = (DIFFERENCE_SIGMA ** 2 + self._stop_variance * (curvature_variance + curvature ** 2) * self._track_m ** 2
-                               + curvature_variance * (length * self._track_m) ** 2)
+        difference_variance = (DIFFERENCE_SIGMA ** 2 + self._track_m ** 2 * (
+            self._stop_variance * (curvature_variance + curvature ** 2) + curvature_variance * length ** 2))
         if abs(self._mean_before()) <= ROLLING_PER_MS and was_rolling:
             # Where the distance is uncertain the turn is, too.
             difference_variance += STANDING_DIFFERENCE_VARIANCE + mean_variance * (curvature * self._track_m) ** 2
         places, doubt = self._search(guesses, signs, mean_variance, difference_variance)
         if was_rolling and blind_ms > BLIND_MS or self._stop_variance:
             doubt = max(doubt, MIN_DIFFERENCE_VARIANCE)
-        if (was_rolling or self._stop_variance) and difference_variance > 1.0:  # magnets tell nothing, and the searched ones are too few
+        if (was_rolling or self._stop_variance) and difference_variance > 1.0:
+            # Magnets tell nothing, and the searched ones are too few.
             doubt = max(doubt, difference_variance)
         doubt += (started * (self._curvature_after()[0] or 0.0) * self._track_m) ** 2
         # After a rest a car may have turned round, and the direction of its first pulses isn't known.
