@@ -46,9 +46,7 @@ def test_process_that_was_killed_is_told():
 def cluster():
     """Two workers on loopback."""
     distributed = pytest.importorskip("distributed")
-    import dask
-
-    dask.config.set({"distributed.scheduler.allowed-failures": 1})
+    pytest.importorskip("dask").config.set({"distributed.scheduler.allowed-failures": 1})
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None,
                                   silence_logs=logging.CRITICAL) as made:
         yield made
