@@ -218,7 +218,7 @@ class SetUp:
         """Install the linters; print their folder, and the Python that says what 3.8 can't compile."""
         self.apt("python3-venv")
         venv = self._venv("lint", sys.executable, *LINTERS)
-        _print_shell(linters=str(venv / "bin"), python38=find_pythons(PYTHONS[:1]).get(PYTHONS[0], sys.executable))
+        _print_shell(linters=str(venv / "bin"))
 
     def pythons(self, *options: str) -> None:
         """Prepare the Pythons that the tests run on beside the system's; print what tells them apart."""

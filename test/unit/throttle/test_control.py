@@ -208,20 +208,3 @@ def test_calibration_drive_hands_over_the_stick_once_it_was_let_go():
     rig.pull((-1.0, 3.0))
     assert min(rig.duties) == NEUTRAL_DUTY
     assert rig.pull((0.0, 0.1), (-1.0, 0.1)).duty == REVERSE_BY_HAND
-
-
-def test_pull_brakes_a_car_that_its_planner_drives_backward_until_it_is_slow_and_a_push_drives_it_forward():
-    rig = Rig(DIRECT_REVERSE, mode="autonomous")
-    rig.gear, rig.value = "reverse", -2.0
-    assert rig.run(1.0).esc.state_name == "REVERSE"
-    rig.speed = -2.0
-    rig.run(0.5)
-    rig.duties = []
-    decision = rig.pull((-1.0, 0.2))
-    assert (decision.duty, decision.esc.state_name) == (FULL_FORWARD, "BRAKING")
-    rig.speed = -0.4
-    assert rig.run(0.2).duty == NEUTRAL_DUTY
-    rig.speed = 0.0
-    assert rig.run(3.0).duty == min(rig.duties) == NEUTRAL_DUTY
-    decision = rig.pull((1.0, 0.2))
-    assert (decision.duty, decision.esc.state_name) == (BY_HAND, "FORWARD")

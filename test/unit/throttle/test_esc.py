@@ -171,15 +171,6 @@ def test_second_pull_reverses_with_other_profiles(profile, speed):
     assert pulled_twice(Car(profile), speed)[-1] == (-0.5, REVERSE)
 
 
-def test_reverse_once_reached_is_taken_again_at_once_and_a_push_forward_from_it_passes_at_once():
-    car = Car()
-    pulled_twice(car, 0.0)
-    assert car.stick(0.0, 0.06, speed=-0.5).state == NEUTRAL
-    assert car.stick(-0.3, speed=-0.5)[:2] == (-0.3, REVERSE)
-    assert car.stick(0.5, speed=-1.0)[:2] == (0.5, BRAKING)
-    assert car.stick(0.5, speed=0.0)[:2] == (0.5, FORWARD)
-
-
 def test_locked_wheels_that_read_0_are_no_standstill_for_reverse():
     car = Car()
     car.stick(0.5, 0.5, speed=6.0)
@@ -303,25 +294,6 @@ def test_brake_of_a_kind_that_may_reverse_begins_later_where_a_speed_is_late_or_
         car.esc.update_speed(speed_mps, car.now_ns, age_ms * MS)
         car.now_ns -= 20 * MS  # the next step is at the speed's arrival
         assert bool(car.stick(-0.5).fraction) == brakes
-
-
-@pytest.mark.parametrize("age_ms", [300, 0])
-def test_second_pull_is_reverse_though_odometry_shows_late_that_the_car_stood_by_then(age_ms):
-    """Whether its stamps say so or not."""
-    car = Car()
-    car.stick(0.5, 0.5, speed=2.0)
-    car.stick(-0.5, 0.5)
-    car.stick(0.0, 0.2)
-    for index in range(20):  # of 0.3 s ago: when it rolled, and then of when it stood
-        car.esc.update_speed(0.4 if index < 14 else 0.0, car.now_ns, age_ms * MS)
-        car.stick(-0.5)
-    assert car.stick(-0.5, 2.0, speed=0.0)[1] == REVERSE
-    braked = Car()
-    braked.stick(0.5, 0.5, speed=2.0)
-    braked.stick(-0.5, 0.5, speed=0.4)
-    braked.stick(0.0, 0.2, speed=0.4)
-    braked.stick(-0.5, 0.5, speed=0.4)  # it rolled during the pull: that is a brake, and stays one
-    assert braked.stick(-0.5, 2.0, speed=0.0)[1] != REVERSE
 
 
 def brakes_downhill(profile, speed, cruise=0.3, age_ms=20, is_stop=False, **config):

@@ -105,6 +105,15 @@ def test_direction_that_one_wheel_proves_holds_for_both():
     assert [wheel.forward for wheel in some.solve(BEFORE_MS + 5260).wheels] == [True, True]
 
 
+def test_direction_that_comes_long_after_the_first_pulses_leaves_them_in_doubt():
+    some = bridge(speed=0.0)
+    some.report(BEFORE_MS + 310)
+    for side in (LEFT, RIGHT):
+        some.add(side, 2, 0, BEFORE_MS + 5000)
+        some.add(side, 0, 1, BEFORE_MS + 60_000)
+    assert some.solve(BEFORE_MS + 60_000).mean_variance >= 4.0
+
+
 def test_car_that_makes_no_pulse_any_more_has_stopped_on_the_way():
     some = bridge()
     assert not some.report(BEFORE_MS + 310)
@@ -133,6 +142,17 @@ def test_car_that_reverses_before_enough_is_known_is_followed_from_there():
         some.add(side, 2, -2, BEFORE_MS + 400)
     some.add(LEFT, 0, 1, BEFORE_MS + 500)
     assert [some.pending(side) for side in (LEFT, RIGHT)] == [1, 0]
+
+
+def test_longer_outage_is_known_less_well():
+    variances = []
+    for blind_ms in (310, 1500, 5000):
+        some = bridge()
+        some.report(BEFORE_MS + blind_ms)
+        after = 100.5 + 0.066 * blind_ms
+        variances.append(roll(some, BEFORE_MS + blind_ms, (0.066, 0.066), (after, after),
+                              BEFORE_MS + blind_ms + 300).mean_variance)
+    assert variances == sorted(variances) and variances[-1] > 10 * variances[0]
 
 
 def test_reset_shows_with_its_first_pulse_for_the_firmware_knows_its_direction():

@@ -287,14 +287,6 @@ def test_pin_that_stays_stuck_costs_no_range_of_a_wall_that_a_moving_car_comes_n
     assert [trusted for _, _, trusted in found][-3:] == 3 * [True]
 
 
-def test_sonar_that_has_reported_since_sonar_start_holds_no_pin_high():
-    sonars = Sonars()
-    sonars.run(1.0)
-    sonars.monitor.started(sonars.now_ns)
-    sonars.run(1.0)
-    assert sonars.monitor.report(1, 2_000, sonars.now_ns // MS, sonars.now_ns)
-
-
 def test_clone_is_told_with_the_parameter_that_it_needs():
     sonars = Sonars().run(1)
     sonars.monitor.clones = {2: 200.004}

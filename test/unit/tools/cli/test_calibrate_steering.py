@@ -232,23 +232,6 @@ def test_recordings_before_and_after_the_linkage_was_changed_are_forced_together
     assert f"{plain.bag} and {again} disagree by 60 duty about" in text and ": 144 s, " in text
 
 
-@pytest.mark.once
-def test_steady_circles_a_recording_each_are_used_and_what_they_cannot_show_is_named(tmp_path, capsys):
-    folder = tmp_path / "a_long_path_of_a_folder"
-    folder.mkdir()
-    bags = [write_ros1(folder / f"{duty}.bag", held([duty], hold_s=15.0, start_s=100.0 * index))
-            for index, duty in enumerate((4000, 4400, 4800, 5408, 5808, 6192))]
-    given = ("-o", tmp_path / "made.yaml", "--imu", "none", "--jobs", "1")
-    assert run(*bags, *given) == 1
-    printed = capsys.readouterr()
-    assert "aren't known: the duty never changed within a recording" in printed.out
-    reason = printed.err.splitlines()[-1]
-    assert "no calibration is written: " in reason and "drive" in reason and "a_long_path" not in reason
-    assert run(bags[0], *given) == 1
-    assert "4000.bag: no steering can be told from this: the steering was held in fewer than four places" in (
-        capsys.readouterr().err)
-
-
 STILL = [odometry(0.1 * index) for index in range(300)]
 OUTPUT = [output(0.1 * index, 5104) for index in range(300)]
 

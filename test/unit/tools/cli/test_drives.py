@@ -13,7 +13,7 @@ from car_interface.black_box.folder import store
 from car_interface.common import causes
 from car_interface.tools.cli import drives
 from car_interface.tools.cli.main import main
-from written_recordings import Written, drive, odometry, write_ros1, write_ros2
+from written_recordings import drive, odometry, write_ros1, write_ros2
 
 
 @pytest.fixture(scope="module")
@@ -127,19 +127,6 @@ def test_recording_that_breaks_the_table_becomes_a_row(folder, monkeypatch):
         "drive.bag: no row can be made of it (KeyError: 'drive.bag')",
         "day/ros2: no row can be made of it (KeyError: 'day/ros2')",
         "day/broken.bag can't be read as a recording: it is no bag"}
-
-
-def test_recording_without_a_drive_or_of_a_killed_recorder_is_a_row_that_says_why(tmp_path, capsys):
-    folder = tmp_path / "drives"
-    folder.mkdir()
-    write_ros1(folder / "chatter.bag", [Written(0.0, "/chatter", "std_msgs/String", {"data": "x"})])
-    (folder / "killed.bag.active").write_bytes(b"#ROSBAG V2.0\n")
-    assert run(str(folder)) == 1
-    errors = {row["recording"]: row["error"] for row in lines(str(folder))}
-    assert errors["chatter.bag"] == (
-        "chatter.bag has no message of odom, turn_arb/state or /servo/output; it has /chatter")
-    assert errors["killed.bag.active"].startswith("killed.bag.active is cut off or damaged")
-    assert f": rosbag reindex {folder / 'killed.bag.active'} saves what is left" in errors["killed.bag.active"]
 
 
 def test_folder_in_which_nothing_can_be_read_fails_and_the_terminal_says_why(tmp_path, capsys):

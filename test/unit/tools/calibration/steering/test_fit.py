@@ -74,6 +74,8 @@ def test_steady_circles_give_the_curve_and_leave_delay_and_backlash_unknown():
     assert off.max() < 0.01
     # 1/1300 1/m per duty: the wheels may be 10 duty beside the servo, half of the usual backlash.
     assert np.interp(STEADY, found.duties, found.sigmas).min() > 0.006
+    with pytest.raises(NothingToFit, match="the steering was held in fewer than four places"):
+        fit.fit(steady_circles()[:1])
 
 
 def test_steady_circles_beside_a_drive_that_shows_the_backlash_count_as_far_as_that_allows():
