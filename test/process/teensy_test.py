@@ -30,7 +30,7 @@ from bench.meters import CpuMeter, rss_mb
 
 MAX_CPU_PERCENT, MAX_GROWTH_MB = 80, 6
 FLAG = b"\x7e"
-PING_HEADER = "02010100"
+PING_HEADER = "02010100", "0201017d20"  # the other where the checksum would be 7d or 7e: see framing.encode
 # Header, payload and checksum of what each key and each service sends.
 SONAR_START, SONAR_STOP, WHEEL_RESET, GET_COUNTERS = "02010500f7", "02010400f8", "02010800f4", "02010a00f2"
 SEQUENCE_015, SEQUENCE_ALL, WAIT_50_MS = "0201030003000105f0", "0201030006000102030405e4", "02010c0032000000be"

@@ -211,7 +211,7 @@ def test_page_is_https_with_a_certificate_and_takes_no_origin_of_http(node, port
 
 
 def test_certificate_that_can_t_be_used_is_an_error_that_names_it(node, port, certificate):
-    with pytest.raises(ConfigError, match=r"^certificate is .*car.key'?; accepted: a PEM file with ~key"):
+    with pytest.raises(ConfigError, match=r"^certificate is '/.*; accepted: a PEM file with ~key /.*car\.key"):
         Server(PhoneDriveConfig(port=port, certificate=certificate[1], key=certificate[1]), node, node)
     with pytest.raises(ConfigError, match=r"^key is missing; accepted: both a certificate"):
         PhoneDriveConfig(certificate=certificate[0])

@@ -5,7 +5,7 @@ import random
 
 import pytest
 
-from car_interface.teensy.sensing.heading import CURVATURE_NOISE
+from car_interface.teensy.sensing.heading import CURVATURE_NOISE, CURVATURE_VARIANCE
 from car_interface.teensy.sensing.pose import Pose
 from car_interface.teensy.sensing.unseen_path import curved_path, reversed_path
 
@@ -43,6 +43,22 @@ def test_curve_that_changed_on_the_way_is_within_what_is_claimed(distance_m):
 def test_car_that_was_steered_to_both_sides_may_have_gone_on_with_it():
     assert curved_path(3.0, 0.0, 0.0, 0.25).across_variance > 0.1
     assert curved_path(3.0, 0.0, None, 0.25).across_variance > 0.1, "it stood before"
+
+
+def test_reversals_are_as_uncertain_as_the_average_over_all_that_can_have_been():
+    rng, length_m = random.Random(2), 2.0
+    sigma = math.sqrt(CURVATURE_VARIANCE)
+    ends, known = [], []
+    for _ in range(20_000):
+        part, forward, back = rng.random(), rng.gauss(0.0, sigma), rng.gauss(0.0, sigma)
+        legs = [(part * length_m, forward * part * length_m), ((part - 1) * length_m, back * (part - 1) * length_m)]
+        ends.append(((2 * part - 1) * length_m, sum(turn for _, turn in legs)))
+        known.append((forward * part + back * (1 - part)) * length_m)
+    mean_square = sum(difference ** 2 for difference in known) / len(known)
+    path = reversed_path(length_m, math.sqrt(mean_square), False)
+    assert path.legs == ()
+    assert path.along_variance == pytest.approx(sum(along ** 2 for along, _ in ends) / len(ends), rel=0.05)
+    assert path.heading_variance == pytest.approx(sum(turn ** 2 for _, turn in ends) / len(ends), rel=0.15)
 
 
 def test_one_reversal_is_the_likeliest_and_three_are_within_three_sigma():

@@ -12,7 +12,7 @@ from matplotlib import image
 from browser import Browser, find_browser
 from car_interface.tools.cli import bag_report
 from car_interface.tools.cli.main import main
-from written_recordings import drive, write_ros1
+from written_recordings import drive, odometry, write_ros1
 
 PLOTS = ["who", "steering", "path", "speed", "link"]
 
@@ -76,6 +76,15 @@ def test_recording_that_is_none_or_breaks_the_report_stops_no_other(bag, tmp_pat
     assert shown.out == f"{tmp_path / 'drive.html'}\n"
     assert shown.err == (f"bag_report: {bad} can't be read as a recording: it is no bag\n"
                          f"bag_report: {other}: no page can be made of it (KeyError: {other!r})\n")
+
+
+@pytest.mark.once
+def test_pages_are_made_in_processes_too(tmp_path, capsys):
+    bad, bag = tmp_path / "bad.bag", write_ros1(tmp_path / "drive.bag", [odometry(0.0)])
+    bad.write_bytes(b"no bag")
+    assert main("bag_report", [str(bad), str(bag), "-o", str(tmp_path), "--jobs", "2"]) == 1
+    shown = capsys.readouterr()
+    assert shown.out == f"{tmp_path / 'drive.html'}\n" and shown.err.startswith(f"bag_report: {bad} can't be read")
 
 
 def test_page_of_a_car_below_a_namespace_has_that_in_its_name(no_plots, tmp_path, capsys):
