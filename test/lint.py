@@ -1,6 +1,6 @@
 """Runs the linters: ``./dev lint``. Exit code 1 when they find something.
 
-    python3 test/lint.py FOLDER_OF_THE_LINTERS PYTHON38
+    python3 test/lint.py FOLDER_OF_THE_LINTERS
 """
 from __future__ import annotations
 
@@ -12,14 +12,13 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def main(linters: str, python38: str) -> int:
+def main(linters: str) -> int:
     """Run each of them, whatever the one before it found."""
     os.chdir(str(ROOT))
     modules = sorted(path.as_posix() for folder in ("src", "demo", "test") for path in Path(folder).rglob("*.py"))
     files = [*modules, "setup.py", "demo/demo_drive", *sorted(path.as_posix() for path in Path("scripts").iterdir())]
     commands = [
         [f"{linters}/ruff", "check", "--no-cache", "--quiet", "--output-format=concise", "."],
-        [python38, "test/py38_syntax.py", *files],
         [sys.executable, "-B", "test/node_reference.py", "--check"],
         [sys.executable, "-B", "test/safety_case.py", "--check"],
         # Floats have had is_integer() for ever; vermin takes every call of it for the one of integers.

@@ -1,13 +1,9 @@
-"""What the random drives of virtual cars share: times, what the cars' files say, the servo board, all cores."""
+"""What the random drives of virtual cars share: times, what the cars' files say, the servo board."""
 from __future__ import annotations
 
-import argparse
-import multiprocessing
-import os
 import sys
 from collections import deque
 from pathlib import Path
-from typing import Callable
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
 
@@ -38,16 +34,3 @@ class Chip:
         while len(self._duties) > 1 and self._duties[1][0] <= now_ns:
             self._duties.popleft()
         return self._duties[0][1:]
-
-
-def run_on_all_cores(run: Callable, number: int) -> list:
-    """The results of so many drives, by their seeds."""
-    with multiprocessing.get_context("spawn").Pool(os.cpu_count()) as pool:
-        return pool.map(run, range(number), chunksize=10)
-
-
-def asked_for(doc: str) -> int:
-    """How many drives the command line asks for."""
-    parser = argparse.ArgumentParser(description=doc.split("\n")[0])
-    parser.add_argument("number", nargs="?", type=int, default=1000)
-    return parser.parse_args().number

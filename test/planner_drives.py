@@ -9,13 +9,15 @@ alone.
 """
 from __future__ import annotations
 
+import argparse
 import math
+import multiprocessing
 import random
 import sys
 from collections import deque
 from typing import NamedTuple
 
-from many_drives import MS, NEUTRAL, THROTTLE, Chip, S, asked_for, count_duty, run_on_all_cores
+from many_drives import MS, NEUTRAL, THROTTLE, Chip, S, count_duty
 
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.sim.drive_train import DriveTrainConfig
@@ -185,7 +187,10 @@ def run_planner(seed: int) -> Result:
 
 
 if __name__ == "__main__":
-    results = run_on_all_cores(run_planner, asked_for(__doc__))
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("number", nargs="?", type=int, default=1000, help="of drives")
+    with multiprocessing.get_context("spawn").Pool() as pool:
+        results = pool.map(run_planner, range(parser.parse_args().number), chunksize=10)
     tipped = [result for result in results if result.rollovers]
     print(*tipped[:20], sep="\n")
     worst = max(results, key=lambda result: result.max_lateral_mps2 / result.rollover_mps2)

@@ -29,7 +29,9 @@ PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER = 1, 36  # linux/prctl.h
 TIMEOUT_EXIT_CODE = 124  # as timeout(1)
 ENDS = (signal.SIGHUP, signal.SIGINT, signal.SIGPIPE, signal.SIGTERM)
 POLL_S = 0.1
-GRACE_S = 15.0  # in which what a command has started may end after it: a virtual chip in 3 s, a guard in 10
+# In which what a command has started may end after it: a virtual chip in 3 s, a guard in 10, its relay 5 s later, and
+# more on a busy computer.
+GRACE_S = 40.0
 
 
 def adopt_descendants(end_with_parent: bool = False) -> None:

@@ -17,14 +17,11 @@ import os
 import random
 import signal
 import sys
-import threading
 import time
-import xmlrpc.client
 from functools import partial
+from pathlib import Path
 from typing import NamedTuple
 
-import rosgraph
-import rosnode
 import rospy
 from car_interface.msg import Control, LinkStatus, SteeringState
 from car_interface.srv import InjectFault
@@ -32,9 +29,14 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32, Int32MultiArray
 
+sys.path.append(str(Path(__file__).resolve().parent / "process"))
+from closing import pid_of
+from waiting import Repeater, eventually
+
 NODES = ("/turn_arb", "/throttle_arb", "/pca9685", "/generic_value_converter", "/teensy_sensor_hub", "/teleop_logi")
 NEUTRALS = {0: 5104, 1: 4912}  # of steering and ESC, by channel, on the chip: 319 and 307 counts
-LEFT, RADIUS_M, SPEED_MPS = 3824, 1.6, 1.0  # what the planner asks for
+COUNT = 16  # duty of one count of the chip
+RADIUS_M, SPEED_MPS = 1.6, 1.0  # what the planner asks for
 PERIOD_S = 0.02
 STOPPED_WITHIN_S = 1.0  # 0.25 s joy, 0.5 s human, and time for a busy machine
 RECOVERED_WITHIN_S = 15.0
@@ -61,24 +63,12 @@ class Inputs:
         self.undo()
         self._topics = [rospy.Publisher(topic, kind, queue_size=10) for topic, kind in (
             ("joy", Joy), ("av_turnrad_req", Float32), ("control/command/control_cmd", Control), ("e_stop", Bool))]
-        threading.Thread(target=self._run, daemon=True).start()
+        repeater = Repeater(PERIOD_S)
+        repeater.hold(self, None)
+        self.end = repeater.end
 
-    def undo(self):
-        self.deadman: bool | None = True
-        self.radius_m: float | None = RADIUS_M
-        self.acceleration: float | None = 0.0  # added to that of the speed control
-        self.e_stop: bool | None = False
-        self.joy_axis = 0.0
-
-    def _run(self):
-        try:
-            while not rospy.is_shutdown():
-                self._publish()
-                time.sleep(PERIOD_S)
-        except rospy.ROSException:
-            pass  # shutdown
-
-    def _publish(self):
+    def publish(self, _):
+        """Publish all of it, as the sender that a Repeater has."""
         permits = bool(self.deadman) and self.e_stop is False and math.isfinite(self.joy_axis)
         self.may_move_until_s = math.inf if permits else min(self.may_move_until_s, time.monotonic())
         joy = command = None
@@ -92,6 +82,13 @@ class Inputs:
         for topic, message in zip(self._topics, (joy, self.radius_m, command, self.e_stop)):
             if message is not None:
                 topic.publish(message)
+
+    def undo(self):
+        self.deadman: bool | None = True
+        self.radius_m: float | None = RADIUS_M
+        self.acceleration: float | None = 0.0  # added to that of the speed control
+        self.e_stop: bool | None = False
+        self.joy_axis = 0.0
 
 
 class Observer:
@@ -117,7 +114,8 @@ class Observer:
 
     def drives(self):
         return (self.state is not None and self.state.source == SteeringState.PLANNER
-                and self.output is not None and self.output[0] == LEFT and abs(self._inputs.speed_mps) > 0.3)
+                and self.output is not None and abs(self.output[0] - self.state.duty) <= COUNT / 2
+                and abs(self._inputs.speed_mps) > 0.3)
 
     def has_pong(self, after):
         return self.link is not None and self.link.open and self.link.pongs > after
@@ -131,6 +129,7 @@ class Soak:
         self._end_s = time.monotonic() + 60 * minutes
         self._kill_until_s = time.monotonic() + 0.4 * 60 * minutes  # what grows afterwards is a leak
         self._inputs = Inputs()
+        self.end = self._inputs.end
         self._observer = Observer(self._inputs)
         self._failures: list = []
         self._faults = {name: partial(self._change_input, *fault) for name, fault in INPUT_FAULTS.items()}
@@ -215,13 +214,10 @@ class Soak:
         self._await(lambda: self._observer.has_pong(pongs), RECOVERED_WITHIN_S, "a pong")
 
     def _await(self, condition, within_s, what):
-        deadline_s = time.monotonic() + within_s
-        while not condition():
-            if time.monotonic() > deadline_s:
-                output, state = self._observer.output or (), self._observer.state
-                raise AssertionError(f"not within {within_s:.1f} s: {what} (output {list(output)[:2]}, "
-                                     f"{state.reason if state else 'no state'})")
-            time.sleep(0.01)
+        def missing():
+            output, state = self._observer.output or (), self._observer.state
+            return f"{what} (output {list(output)[:2]}, {state.reason if state else 'no state'})"
+        eventually(condition, missing, within_s)
 
     def _report(self, before, after):
         leaks = [f"leak: {node}" for node in before if before[node].has_grown_until(after[node])]
@@ -254,15 +250,6 @@ def footprint(node):
     return Footprint(pid, memory_mb, *(len(os.listdir(f"/proc/{pid}/{name}")) for name in ("task", "fd")))
 
 
-def pid_of(node):
-    """Return a node's process id, or None while it cannot be reached."""
-    try:
-        uri = rosnode.get_api_uri(rosgraph.Master("/soak_rosnode"), node, skip_cache=True)
-        return xmlrpc.client.ServerProxy(uri).getPid("/soak")[2] if uri else None
-    except (OSError, xmlrpc.client.Error, rosnode.ROSNodeIOException):
-        return None
-
-
 def main():
     parser = argparse.ArgumentParser(description="Random faults on the running virtual car.")
     parser.add_argument("--minutes", type=float, default=10.0)
@@ -271,7 +258,11 @@ def main():
     arguments = parser.parse_args(rospy.myargv()[1:])
     rospy.init_node("soak")
     print(f"seed {arguments.seed}", flush=True)
-    sys.exit(0 if Soak(arguments.minutes, arguments.seed).run() else 1)
+    soak = Soak(arguments.minutes, arguments.seed)
+    try:
+        sys.exit(0 if soak.run() else 1)
+    finally:
+        soak.end()
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ Teensy and odometry. A person lets the button go at random for a random time, an
 the middle meanwhile, also where the drive asks for it. The fit answers late, as on a slow computer.
 
 With --releases the button is let go for good at regular moments, too, each time in a copy of the whole, which rolls
-until it stands: whether it stays inside whenever a person lets go. With --rolls nothing but its own drag stops it then.
+until it stands: whether it stays inside whenever a person lets go.
 
 Judged by the vehicle alone: where its corners were, what it ran into; and by turn_arb's core with the table that was
 written, as in steering_calibration.
@@ -55,7 +55,7 @@ from car_interface.throttle.speed_control import SpeedControl, SpeedRequest
 from car_interface.throttle.value_map import load_value_map
 from car_interface.tools.calibration.drive.calibration_drive import CalibrationDrive
 from car_interface.tools.calibration.drive.conclusion import Conclusion, conclude
-from car_interface.tools.calibration.drive.config import DEFAULTS, CalibrationDriveConfig
+from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
 from car_interface.tools.calibration.drive.grant import SLOWS
 from car_interface.tools.calibration.drive.knowledge import assess
 from car_interface.tools.calibration.drive.step import BLOCKED, DONE, PAUSED, Step
@@ -127,11 +127,8 @@ class Release(NamedTuple):
     took_s: float
 
 
-def driving_car(seed: int, rolls: bool = False) -> Car:
-    """The car of that seed, with its ESC, its tyres and its room; its owner found ends and center roughly.
-
-    rolls: its ESC drags nothing in neutral, and nobody calibrated it: let go it only has its own drag.
-    """
+def driving_car(seed: int) -> Car:
+    """The car of that seed, with its ESC, its tyres and its room; its owner found ends and center roughly."""
     rng = random.Random(f"calibration drive {seed}")
     car = random_car(seed)
     duties = [duty for duty, _ in car.steering.curve]
@@ -142,8 +139,6 @@ def driving_car(seed: int, rolls: bool = False) -> Car:
     virtual_esc = make(neutral_duty=car.drive.neutral_duty, forward_band_duty=rng.uniform(60, 110),
                        reverse_band_duty=rng.uniform(60, 110), dwell_s=rng.uniform(0.1, 0.4))
     profile = rng.choice((UNVERIFIED, virtual_esc.kind))
-    if rolls:
-        virtual_esc, profile = replace(virtual_esc, drag_brake=0.0), UNVERIFIED
     esc = EscConfig(profile=profile, profile_measured=profile != UNVERIFIED, drag_deceleration_mps2=0.25)
     tyres = TyreConfig(understeer=rng.uniform(0.0, 0.012), grip_mps2=rng.uniform(5.0, 9.0))
     steering = replace(car.steering, lag_s=rng.uniform(0.04, 0.18))
@@ -208,9 +203,8 @@ class Person:
 class Bench:
     """The car, its chain and the drive."""
 
-    def __init__(self, seed: int, trace=None, rolls: bool = False, braking_mps2: float = DEFAULTS.braking_mps2,
-                 person=None):
-        self._seed, self.car = seed, driving_car(seed, rolls)
+    def __init__(self, seed: int, trace=None, person=None):
+        self._seed, self.car = seed, driving_car(seed)
         car = self.car
         self._rng = rng = random.Random(f"drive {seed}")
         self._trace = trace
@@ -220,8 +214,7 @@ class Bench:
         self._sonars = None if self._world is None else Sonars(rng, self._world)
         mounts = {name: Mount(mount.x_m, mount.y_m, mount.yaw_rad) for name, mount in zip(SONARS, WorldConfig().mounts)}
         config = CalibrationDriveConfig(
-            braking_mps2=braking_mps2, radius_m=HALF_M,
-            obstacles=None if self._world is None else ObstacleConfig(mounts, math.radians(30), 2.0))
+            radius_m=HALF_M, obstacles=None if self._world is None else ObstacleConfig(mounts, math.radians(30), 2.0))
         self.drive = CalibrationDrive(car.base, config)
         interlock = InterlockConfig(grant_at_start=False)
         self._steering = SteeringArbiter(car.base, SteeringArbiterConfig(interlock=interlock))
@@ -429,9 +422,9 @@ def is_good(result: Result, pair: tuple[Errors, Errors] | None) -> bool:
             and meets(*pair))
 
 
-def judge(seed: int, *how) -> tuple[Result, tuple[Errors, Errors] | None]:
-    """Let one car drive: the result, and the errors of its table. The arguments are those of Bench."""
-    result = Bench(seed, *how).run()
+def judge(seed: int, trace=None) -> tuple[Result, tuple[Errors, Errors] | None]:
+    """Let one car drive: the result, and the errors of its table."""
+    result = Bench(seed, trace).run()
     text = result.conclusion.yaml_text
     return result, errors(driving_car(seed), text) if text else None
 
@@ -441,16 +434,13 @@ def main():
     parser.add_argument("--cars", type=int, default=20)
     parser.add_argument("--first", type=int, default=0, metavar="SEED")
     parser.add_argument("--releases", type=float, metavar="EVERY_S")
-    parser.add_argument("--rolls", action="store_true", help="all ESCs are unverified and drag nothing in neutral")
-    parser.add_argument("--braking", type=float, default=DEFAULTS.braking_mps2, metavar="M/S^2",
-                        help="what the drive is told, as the program's option of that name")
     options = parser.parse_args()
     print("  car              | held   | max_x ext col      "
           " | radius, %: beyond | calibrated    | floor: count  | curvature, 1/m: the same")
     judged = []
     for seed in range(options.first, options.first + options.cars):
         releases = None if options.releases is None else Releases(options.releases)
-        judged.append(judge(seed, releases, options.rolls, options.braking))
+        judged.append(judge(seed, releases))
         print(row(*judged[-1]), "" if is_good(*judged[-1]) else " missed", flush=True)
         if releases is not None:
             print("     ", releases.text(), flush=True)

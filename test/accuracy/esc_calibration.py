@@ -182,7 +182,7 @@ class Node:
 
 def script(leaves_out=(), is_calibration_drive=True):
     """For ``virtual_drive.record``: the person at the gamepad, and the node."""
-    def commands(see: View, _) -> Iterator[Command]:
+    def commands(see: View) -> Iterator[Command]:
         person, node = Person(see, leaves_out), Node(is_calibration_drive)
         for _ in person.drive():
             now_ns = START_NS + round(see.now_s * NS_PER_S)

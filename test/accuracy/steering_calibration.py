@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from accuracy.virtual_drive import COUNT, MIXED, NO_FAST, NO_RIGHT, TWO_THIRDS, random_car, record, true_curvature_per_m
+from accuracy.virtual_drive import COUNT, random_car, record, true_curvature_per_m
 from car_interface.steering.config import load_steering
 from car_interface.tools.cli.main import main as command
 
@@ -58,11 +58,11 @@ def floor(car, radii_m, curvatures_per_m) -> Errors:
                   np.array([np.min(np.abs(possible - curvature)) for curvature in curvatures_per_m]))
 
 
-def judge(seed, folder, missing) -> tuple[str, Errors | None, Errors, Errors]:
+def judge(seed, folder, has_gaps) -> tuple[str, Errors | None, Errors, Errors]:
     """Return why no table was written, or the errors of the table; those of the best counts and of the stock table."""
     car = random_car(seed)
     bag, table = Path(folder) / f"{seed}.bag", Path(folder) / f"{seed}.yaml"
-    record(car, bag, seed, missing=missing)
+    record(car, bag, seed, has_gaps=has_gaps)
     said = io.StringIO()
     with redirect_stdout(said), redirect_stderr(said):
         code = command("calibrate_steering", [str(bag), "-o", str(table)])
@@ -109,14 +109,14 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cars", type=int, default=20)
     parser.add_argument("--first", type=int, default=0, metavar="SEED")
-    parser.add_argument("--missing", default=MIXED, choices=(MIXED, NO_RIGHT, NO_FAST, TWO_THIRDS))
+    parser.add_argument("--missing", choices=("third",), help="of each ten seconds three weren't recorded")
     options = parser.parse_args()
     print("             |             radius up to 5 m: error in %, median and p95      |   curvature, all: p95, 1/m")
     print("         car | beyond floor  |   calibrated  |  floor: count |  stock table  | beyond calibr. floor  stock")
     made, met = [], 0
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(options.first, options.first + options.cars):
-            refusal, *errors = judge(seed, folder, options.missing)
+            refusal, *errors = judge(seed, folder, bool(options.missing))
             if refusal:
                 print(f"{seed:12d} | {refusal}", flush=True)
                 continue

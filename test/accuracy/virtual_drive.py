@@ -41,7 +41,7 @@ START_NS = 5_000 * NS_PER_S  # monotonic
 CHANNELS = 16
 LEAST_DUTY, MOST_DUTY = 3350, 7050  # as far as the person turns the stick
 SIDEWAYS_MPS2 = 3.0  # nobody drives faster than that round a bend
-MIXED, NO_RIGHT, NO_FAST, TWO_THIRDS = "mixed", "right", "fast", "third"
+SLOWEST_MPS, FASTEST_MPS = 0.8, 8.5  # straight on
 
 
 def random_car(seed: int) -> VehicleConfig:
@@ -123,14 +123,11 @@ class View:
             self.speed_mps, self.yaw_rad, self.distance_m = motion.speed_mps, motion.yaw_rad, motion.distance_m
 
 
-def mixed_drive(see: View, missing: str = MIXED) -> Iterator[Command]:
-    """Slow circles at ever other positions of the stick, and in between straights with throttle, coasting and brake.
-
-    ``NO_RIGHT`` has no turns to the right but the slightest, ``NO_FAST`` nothing above 3 m/s and no hard braking.
-    """
+def mixed_drive(see: View) -> Iterator[Command]:
+    """Slow circles at ever other positions of the stick, and in between straights with throttle, coasting and brake."""
     yield from rest(see, 2.5)
     yield from straight_on(see, 4.0, 1.5)
-    positions = _positions(see, missing)
+    positions = _positions(see)
     while True:
         for _ in range(9):
             duty = next(positions, None)
@@ -138,9 +135,9 @@ def mixed_drive(see: View, missing: str = MIXED) -> Iterator[Command]:
                 yield from circle(see, duty)
         yield from straight_on(see, 2.0, 2.0)
         if see.random.random() < 0.5:
-            yield from launches(see, 3, missing)
+            yield from launches(see, 3)
         else:
-            yield from steps(see, 18.0, missing)
+            yield from steps(see, 18.0)
         if see.random.random() < 0.25:
             yield from back_off(see)
 
@@ -184,29 +181,27 @@ def straight_on(see, seconds, speed_mps):
         yield Command(steer(), pace(speed_mps))
 
 
-def launches(see, times, missing):
+def launches(see, times):
     """Throttle up to some speed, then let it roll, or brake, or both."""
     rng = see.random
-    fastest_mps, hardest = (3.0, -1.5) if missing == NO_FAST else (8.5, -5.0)
     for _ in range(times):
-        value, top_mps = rng.uniform(0.5, 3.0), rng.uniform(0.4, 1.0) * fastest_mps
+        value, top_mps = rng.uniform(0.5, 3.0), rng.uniform(0.4, 1.0) * FASTEST_MPS
         yield from _hold(see, value, lambda top=top_mps: see.speed_mps > top, 5.0)
         if rng.random() < 0.5:
             lowest_mps = rng.uniform(0.2, 0.8) * see.speed_mps
             yield from _hold(see, rng.choice((0.0, 0.0, 0.2, -0.15)), lambda low=lowest_mps: see.speed_mps < low, 5.0)
-        value = -0.2 + (hardest + 0.2) * rng.random() ** 1.5
+        value = -0.2 - 4.8 * rng.random() ** 1.5
         yield from _hold(see, value, lambda: see.speed_mps < 0.6, 4.0)
 
 
-def steps(see, seconds, missing):
+def steps(see, seconds):
     """Another throttle or brake each second or two."""
     rng, until_s = see.random, see.now_s + seconds
-    slowest_mps, fastest_mps, hardest = (0.8, 3.0, -1.5) if missing == NO_FAST else (0.8, 8.5, -4.0)
     while see.now_s < until_s:
-        faster = rng.random() < (fastest_mps - see.speed_mps) / (fastest_mps - slowest_mps)
-        value = rng.uniform(0.2, 3.0) if faster else rng.uniform(hardest, 0.3)
+        faster = rng.random() < (FASTEST_MPS - see.speed_mps) / (FASTEST_MPS - SLOWEST_MPS)
+        value = rng.uniform(0.2, 3.0) if faster else rng.uniform(-4.0, 0.3)
         yield from _hold(see, value,
-                         lambda: not slowest_mps - 0.2 < see.speed_mps < fastest_mps + 0.5, rng.uniform(0.8, 2.0))
+                         lambda: not SLOWEST_MPS - 0.2 < see.speed_mps < FASTEST_MPS + 0.5, rng.uniform(0.8, 2.0))
 
 
 def back_off(see):
@@ -224,13 +219,10 @@ def _hold(see, value, is_over, max_s):
             return
 
 
-def _positions(see, missing):
+def _positions(see):
     """Of the stick: first all over its way, then in between where it's least clear what the car does there."""
-    least, most = LEAST_DUTY, MOST_DUTY
-    if missing == NO_RIGHT:
-        most = see.straight_duty + 150
     for index in range(9):
-        yield least + (most - least) * index / 8
+        yield LEAST_DUTY + (MOST_DUTY - LEAST_DUTY) * index / 8
     while True:
         duties = sorted(see.seen)
         curvatures = [see.seen[duty] for duty in duties]
@@ -238,7 +230,7 @@ def _positions(see, missing):
                  + 2e-4 * (high - low), low, high)
                 for index, (low, high) in enumerate(zip(duties, duties[1:])) if high - low > COUNT]
         if not gaps:
-            yield see.random.uniform(least, most)
+            yield see.random.uniform(LEAST_DUTY, MOST_DUTY)
             continue
         _, low, high = max(gaps)
         steps = (high - low) / COUNT
@@ -295,19 +287,17 @@ def _straight(see):
     return stick
 
 
-def record(car: VehicleConfig, path, seed: int = 0, script=mixed_drive, missing: str = MIXED, duration_s: float = 300.0,
-           imu: bool = False, servo_topic: str = "/servo/output") -> None:
+def record(car: VehicleConfig, path, seed: int = 0, script=mixed_drive, has_gaps: bool = False,
+           duration_s: float = 300.0, imu: bool = False) -> None:
     """Drive a car and write the bag.
 
     Args:
-        script: ``(View, missing) -> Command``s, 50 a second; its end is the drive's.
-        missing: what the person leaves away; ``TWO_THIRDS``: the recorder ran only 7 s of each 10.
-        servo_topic: ``/servo/output``, or ``/servo/cmdVector`` with its −1 for channels that are left alone.
+        script: ``View -> Command``s, 50 a second; its end is the drive's.
+        has_gaps: the recorder ran only 7 s of each 10.
     """
-    recorder = _Recorder(car, random.Random(seed), imu, servo_topic)
-    commands = script(recorder.see, missing)
-    messages = recorder.drive(commands, duration_s)
-    if missing == TWO_THIRDS:
+    recorder = _Recorder(car, random.Random(seed), imu)
+    messages = recorder.drive(script(recorder.see), duration_s)
+    if has_gaps:
         messages = (message for message in messages if message.time_s % 10 < 7)
     write_ros1(Path(path), messages)
 
@@ -361,12 +351,11 @@ class Hub(Link):
 class _Recorder:
     """The car, its hub, and the messages as they are recorded."""
 
-    def __init__(self, car, rng, imu, servo_topic):
+    def __init__(self, car, rng, imu):
         self._random = rng
         noise = np.random.default_rng(rng.randrange(1 << 30))
         self._car = Vehicle(car, START_NS)
         self._imu = _Imu(noise) if imu else None
-        self._servo_topic = servo_topic
         self._hub = Hub(car, rng, noise)
         self._motion = None
         self._odom, self._odom_due_ns = None, START_NS  # what waits to be published, and until when
@@ -414,14 +403,9 @@ class _Recorder:
         if duties == self._held and now_ns < self._held_ns + OUTPUT_NS:
             return
         self._held, self._held_ns = duties, now_ns
-        steering, throttle = duties
-        vectors = [[steering, throttle]]
-        if self._servo_topic != "/servo/output":
-            vectors = [[steering, -1], [-1, throttle]]
-        layout = {"dim": [{"label": "pwm_channel", "size": CHANNELS, "stride": 1}]}
-        for vector in vectors:
-            yield self._message(now_ns, self._servo_topic, "std_msgs/Int32MultiArray",
-                                {"layout": layout, "data": vector + [-1] * (CHANNELS - 2)})
+        yield self._message(now_ns, "servo/output", "std_msgs/Int32MultiArray", {
+            "layout": {"dim": [{"label": "pwm_channel", "size": CHANNELS, "stride": 1}]},
+            "data": [*duties, *[-1] * (CHANNELS - 2)]})
 
     def _record(self, record, measured, now_ns):
         if isinstance(record, WheelStatus):

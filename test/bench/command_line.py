@@ -10,9 +10,7 @@ import time
 import traceback
 from typing import Iterator, NamedTuple
 
-from .bus import measure_bus
 from .busy import measure_busy
-from .core import measure_decide, measure_decode, measure_encode, measure_lookup
 from .effort import FULL, QUICK, Effort
 from .heartbeat import measure_heartbeat
 from .meters import OthersMeter
@@ -26,9 +24,8 @@ from .throttle import measure_throttle
 from .whole_car import measure_car
 
 GROUPS = {"reaction": measure_reaction, "chip": measure_chip, "heartbeat": measure_heartbeat,
-          "throttle": measure_throttle, "decode": measure_decode, "encode": measure_encode,
-          "serial": measure_serial, "line": measure_line, "lookup": measure_lookup, "decide": measure_decide,
-          "bus": measure_bus, "start": measure_start, "memory": measure_memory, "car": measure_car}
+          "throttle": measure_throttle, "serial": measure_serial, "line": measure_line, "start": measure_start,
+          "memory": measure_memory, "car": measure_car}
 ON_REQUEST = {"one_process": measure_one_process, "busy": measure_busy}
 LOOP_STEPS = 200_000
 
@@ -57,8 +54,7 @@ def measure(names, effort: Effort) -> Iterator[tuple[list[Row], str, Conditions]
             error_text = ""
             begun_s, others = time.monotonic(), OthersMeter()
             try:
-                if name not in ("decode", "encode", "lookup", "decide"):
-                    stage.open()
+                stage.open()
                 rows.extend({**GROUPS, **ON_REQUEST}[name](effort, stage))
             except Exception as error:  # the other groups can still be measured
                 error_text = f"{name}: {type(error).__name__}: {error}"

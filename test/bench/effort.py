@@ -8,12 +8,9 @@ class Effort(NamedTuple):
     reactions: int
     chip_reactions: int
     heartbeat_s: float
-    decode_passes: int
-    calls: int  # of encode, and of a lookup
     frames: int  # one by one
     line_s: float
     line_rounds: int
-    bus_commands: int
     starts: int
     memory_s: float
     drive_s: float
@@ -22,9 +19,7 @@ class Effort(NamedTuple):
     busy_s: float
 
 
-FULL = Effort(reactions=600, chip_reactions=300, heartbeat_s=60, decode_passes=5, calls=300_000, frames=1000, line_s=20,
-              line_rounds=4, bus_commands=100, starts=10, memory_s=15, drive_s=25, cars=(1, 2, 4),
-              busy_reactions=300, busy_s=600)
-QUICK = Effort(reactions=10, chip_reactions=10, heartbeat_s=1, decode_passes=1, calls=50_000, frames=20, line_s=0.3,
-               line_rounds=1, bus_commands=5, starts=1, memory_s=0.5, drive_s=1, cars=(1,), busy_reactions=30,
-               busy_s=15)
+FULL = Effort(reactions=600, chip_reactions=300, heartbeat_s=60, frames=1000, line_s=20, line_rounds=4, starts=10,
+              memory_s=15, drive_s=25, cars=(1, 2, 4), busy_reactions=300, busy_s=600)
+QUICK = Effort(reactions=10, chip_reactions=10, heartbeat_s=1, frames=20, line_s=0.3, line_rounds=1, starts=1,
+               memory_s=0.5, drive_s=1, cars=(1,), busy_reactions=30, busy_s=15)

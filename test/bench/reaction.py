@@ -20,8 +20,7 @@ from .stage import Stage, TimedSubscriber, connected_publisher
 LEFT, CENTER, RIGHT = 3800, 5100, 6700  # config/turn_arb.yaml
 COUNTS = {LEFT: 238, CENTER: 319, RIGHT: 419}
 MEDIAN_RATIO, P99_RATIO = 1.3, 1.5  # to bare rospy
-REACTION = (Target(MEDIAN, original="15.5", max_ratio=MEDIAN_RATIO), Target(P99, original="20.4", max_ratio=P99_RATIO),
-            Target(WORST, original="20.8"))
+REACTION = (Target(MEDIAN, max_ratio=MEDIAN_RATIO), Target(P99, max_ratio=P99_RATIO), Target(WORST))
 TO_CHIP = (Target(MEDIAN, high=0.9), Target(P99, high=1.8), Target(WORST))
 
 

@@ -9,13 +9,13 @@ from dataclasses import asdict, dataclass
 from typing import NamedTuple, Sequence
 
 MEDIAN, P99, WORST = "median", "p99", "max"
-COLUMNS = ("what", "figure", "unit", "to reach", "met", "bare rospy beside it", "ratio", "the original")
-WIDTHS = (60, 12, 9, 15, 6, 20, 6, 12)  # on a terminal
+COLUMNS = ("what", "figure", "unit", "to reach", "met", "bare rospy beside it", "ratio")
+WIDTHS = (60, 12, 9, 15, 6, 20, 6)  # on a terminal
 
 
 @dataclass(frozen=True)
 class Summary:
-    """A distribution in four numbers; p99 and max are its bad end, whichever end that is."""
+    """A distribution in four numbers."""
 
     samples: int
     median: float
@@ -23,12 +23,9 @@ class Summary:
     max: float
 
     @classmethod
-    def of(cls, values: Sequence[float], more_is_better: bool = False) -> Summary:
-        """Return the summary of at least one value.
-
-        With ``more_is_better`` p99 is what 99 % of the values reach, and max is the smallest.
-        """
-        ordered = sorted(values, reverse=more_is_better)
+    def of(cls, values: Sequence[float]) -> Summary:
+        """Return the summary of at least one value."""
+        ordered = sorted(values)
         return cls(len(ordered), percentile(ordered, 50), percentile(ordered, 99), ordered[-1])
 
 
@@ -46,7 +43,6 @@ class Target(NamedTuple):
     statistic: str = MEDIAN
     low: float | None = None
     high: float | None = None
-    original: str = ""  # what the original reaches
     max_ratio: float | None = None
 
     @property
@@ -112,11 +108,10 @@ class Row:
         what = ", ".join(filter(None, (self.what, self._statistic(target))))
         met = {True: "yes", False: "no", None: ""}[self.meets(target)]
         if self.summary is None:
-            return (what, "not measured", self.unit, str(target), met, "", "", target.original)
+            return (what, "not measured", self.unit, str(target), met, "", "")
         value, floor = self._values(target)
         return (what, number(value, self.digits), self.unit, str(target), met,
-                "" if floor is None else number(floor, self.digits), f"{value / floor:.2f}" if floor else "",
-                target.original)
+                "" if floor is None else number(floor, self.digits), f"{value / floor:.2f}" if floor else "")
 
     def as_json(self) -> dict:
         return {**asdict(self), "targets": [{**target._asdict(), "met": self.meets(target)} for target in self.targets]}

@@ -24,7 +24,6 @@ RAW, ALL = "raw", "everything"
 FLOORS = {RAW: "floor_of_raw", ALL: "floor_of_everything"}  # bare rospy with the same messages, ready-made
 KINDS = (*FLOORS.values(), RAW, ALL)  # also their namespaces
 CPU_RATIOS = {RAW: 1.2, ALL: 1.35}  # to bare rospy
-ORIGINALS = {(1, RAW): "5.4", (10, RAW): "34.8"}  # CPU, % of a core
 
 
 def hub(stage: Stage, port: str, namespace: str = "", *arguments: str) -> NodeProcess:
@@ -51,8 +50,7 @@ def measure_serial(effort: Effort, stage: Stage) -> Iterator[Row]:
                 line.drain()
     yield Row("serial", "serial: last byte on the pty → subscriber's callback", "ms",
               Summary.of(delays_ms[0][UNCOUNTED:]),
-              (Target(MEDIAN, original="0.22", max_ratio=1.3), Target(P99, original="0.48", max_ratio=1.5),
-               Target(WORST)),
+              (Target(MEDIAN, max_ratio=1.3), Target(P99, max_ratio=1.5), Target(WORST)),
               Summary.of(delays_ms[1][UNCOUNTED:]), note="bare rospy: reads a pty, publishes a ready-made message")
 
 
@@ -80,12 +78,11 @@ def line_rows(factor: int, loads: dict[str, Load]) -> Iterator[Row]:
     for kind, what in ((RAW, "raw topics only"), (ALL, "everything on")):
         measured, floor = loads[kind], loads[FLOORS[kind]]
         void = f"{measured.lost} frames were lost" if measured.lost else ""
-        target = Target(original=ORIGINALS.get((factor, kind), ""), max_ratio=CPU_RATIOS[kind])
         yield Row("line", f"{rate}: CPU of the hub, {what}", "% of core", Summary.of([measured.cpu_percent]),
-                  (target,), Summary.of([floor.cpu_percent]),
+                  (Target(max_ratio=CPU_RATIOS[kind]),), Summary.of([floor.cpu_percent]),
                   f"{measured.sent_per_s:.0f} frames a second were sent", void=void)
         yield Row("line", f"{rate}: frames lost, {what}", "frames", Summary.of([measured.lost]),
-                  (Target(high=0, original="it loses" if factor > 1 else ""),), Summary.of([floor.lost]))
+                  (Target(high=0),), Summary.of([floor.lost]))
 
 
 @contextmanager

@@ -12,8 +12,8 @@ from std_msgs.msg import Bool, Float32
 
 from .effort import Effort
 from .heartbeat import Heartbeat, heartbeat
-from .reaction import MEDIAN_RATIO, P99_RATIO, Arbiter, Step, both_ways, reactions
-from .rows import MEDIAN, P99, WORST, Row, Summary, Target
+from .reaction import REACTION, Arbiter, Step, both_ways, reactions
+from .rows import Row, Summary
 from .stage import Stage
 
 NEUTRAL, BY_HAND = 4915, 5407  # config/throttle.yaml; 0.3 of the way to full forward
@@ -36,8 +36,7 @@ THROTTLE_ARBS = Heartbeat(
 
 
 def measure_throttle(effort: Effort, stage: Stage) -> Iterator[Row]:
-    targets = (Target(MEDIAN, max_ratio=MEDIAN_RATIO), Target(P99, max_ratio=P99_RATIO), Target(WORST))
     for what, times_ms, floors_ms in reactions(effort.reactions, stage, THROTTLE_ARB):
-        yield Row("throttle", f"throttle: {what} → /servo/cmdVector", "ms", Summary.of(times_ms), targets,
+        yield Row("throttle", f"throttle: {what} → /servo/cmdVector", "ms", Summary.of(times_ms), REACTION,
                   Summary.of(floors_ms))
     yield from heartbeat("throttle", THROTTLE_ARBS, effort, stage)

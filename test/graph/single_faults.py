@@ -133,7 +133,7 @@ LINKS = {
 
 
 # A stuck value of these is that of a person who holds on, or of a broken node: what remains, by the page.
-OBEYED = ("joy", "phone/joy", "phone/e_stop", "e_stop", "human_in_loop", "odom", "steering command", "ESC command")
+OBEYED = ("joy", "phone/joy", "phone/e_stop", "e_stop", "human_in_loop", "steering command", "ESC command")
 
 
 def stick(drive: Drive, link: Link) -> None:
@@ -324,12 +324,11 @@ OTHERS = {
     "throttle NaN": Kind(also("/teleop_logi/tele_throt_req", Float32(NAN))),
 }
 KINDS: dict[str, Kind] = {**dict(link_kinds()), **dict(node_kinds()), **OTHERS}
-# What remains, by the page's number: nothing answers these. A person's release isn't obeyed, or the stop reverses.
+# What remains, by the page's number: against these there is nothing, and a person's release isn't obeyed.
 RESIDUAL = {
     "R1": Kind(pad(manual=True, steering=0.5, throttle=0.6)),
     "R2": Kind(lambda drive: [KINDS[name].make(drive) for name in ("guard killed", "pca9685 killed")]),
     "R6": Kind(also("/teleop_logi/human_in_loop", Bool(True), 200)),
-    "R8": Kind(lambda drive: stick(drive, LINKS["odom"]), timeout_s=1.0),  # so long it is watched
     "R9": Kind(also(VECTOR, command(ESC, 6000), 200)),
 }
 
@@ -349,7 +348,7 @@ def together(one: Kind, other: Kind) -> Kind:
 
 # Of each sort of fault one, for pairs.
 PAIRED = [name for name in KINDS if name.endswith((" lost", " killed", " frozen 0.6 s", " stalled 0.3 s"))] + [
-    "odom late", "human_in_loop late", "ESC command late", "output late", "five transfers fail",
+    "odom stuck", "odom late", "human_in_loop late", "ESC command late", "output late", "five transfers fail",
     "brown-out of the board", "foreign write", "guard frozen", "clock an hour back", "Teensy restarted", "serial noise"]
 PAIRS = {f"{one}, {other}": kind for one, other in itertools.combinations(PAIRED, 2)
          for kind in [together(KINDS[one], KINDS[other])]

@@ -304,8 +304,13 @@ def replay(bench, phone):
     """What a network has recorded comes again, on the same connection and on a new one, after the thumbs are lifted."""
     recorded = [text for text in phone.sent[-40:] if "pin" not in text]
     phone.hold("")
+    bench.run(0.06)
+    assert bench.stands
     for text in recorded:
         phone.send_text(text)
+    for _ in range(20):
+        bench.run(0.005)
+        assert bench.stands
     phone.reload()
     for text in recorded:
         phone.send_text(text)

@@ -58,8 +58,10 @@ def drive_each(forker, chosen):
 
 @pytest.mark.once
 def test_no_single_fault_breaks_a_goal(forker):
-    every = cases(KINDS, DRAWS, SEED)
-    chosen = every if IS_ALL else random.Random(SEED).sample(every, SAMPLE)
+    chosen = cases(KINDS, DRAWS, SEED)
+    if not IS_ALL:  # of five drives, with each mode and each ESC
+        drives = set(zip(MODES, ESCS))
+        chosen = random.Random(SEED).sample([case for case in chosen if (case.mode, case.esc) in drives], SAMPLE)
     found, longest_s = drive_each(forker, chosen)
     assert not found, "\n".join(found)
     assert longest_s <= TICK_S
@@ -81,7 +83,7 @@ def test_no_pair_of_faults_breaks_a_goal(forker):
 @pytest.mark.parametrize("risk", RESIDUAL)
 def test_what_remains_is_found_by_the_same_judge(forker, risk):
     found, _ = drive_each(forker, [Case(risk, 7, "manual", "direct_reverse", "release")])
-    assert any(each.startswith("G2" if risk == "R8" else "G1") for each in found)
+    assert any(each.startswith("G1") for each in found)
 
 
 @pytest.mark.once

@@ -371,6 +371,7 @@ def test_planner_reverses_by_its_gear_and_stops_with_the_reason_of_planner_inter
 
 def test_a_planner_s_car_that_is_too_fast_for_its_turn_slows_down_which_is_told_and_counted():
     arb = Arb().present(speed=4.0)
+    arb.graph.hold("/odom", lambda: odometry(4.0 + arb.graph.now_ns % 97 / 1e9), 20)  # no two are the same
     arb.hold(steering=SteeringState(source=SteeringState.PLANNER, max_speed=2.0))
     arb.plan(1.0)
     reason = "the turn that is asked for allows 2.00 m/s, it has 4.00: it brakes"

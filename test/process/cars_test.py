@@ -19,7 +19,7 @@ from std_msgs.msg import Int32MultiArray
 from car_interface.common import causes
 from closing import LAUNCH_S, PARTS, Closing, ask, graph_of, joy, pid_of
 from virtual_car import HERE
-from waiting import config, eventually, set_params, start, start_node
+from waiting import config, eventually, examine, set_params, start, start_node
 
 STRICT = bool(os.environ.get("CAR_INTERFACE_ALL"))
 PEERS = os.path.join(HERE, "half_open_peers.py")
@@ -54,9 +54,7 @@ class TwoCars(Closing):
                     names.setdefault(namespace, set()).add(re.sub("_four|_one", "", name))
             return names["four"] == names["one"] and len(names["one"]) > 12
         eventually(same_reports, lambda: f"the same names: {names}")
-        doctor = start_node(self, "doctor", "--ns", "/one")
-        doctor.wait_for_exit()
-        shown = "\n".join(doctor.stdout.since())
+        shown = examine("--ns", "/one").stdout
         self.assertRegex(shown, f"{', '.join(PARTS)}, .* run in /one")
         self.assertNotIn("not running", shown)
 
@@ -75,22 +73,26 @@ class TwoCars(Closing):
         names = {topic: eventually(lambda topic=topic: name_on(topic), topic, LAUNCH_S) for topic in publishers}
         start_node(self, "turn_arb", "__ns:=/late")  # the master takes the first publisher's type for the topic's
 
-        def wait_until(node, *texts, level=DiagnosticStatus.ERROR):
-            def wanted(array):
-                return any(status.name == f"{node}: command topics" and status.level == level
-                           and all(text in f"{status.message} {status.values}" for text in texts)
-                           for status in array.status)
-            reports.wait_for(wanted, reports.mark())
-        wait_until("late/turn_arb", "set ROS_IP",
-                   f"{names['/late/av_turnrad_req']} on 127.0.0.1 publishes std_msgs/Float64 on /late/av_turnrad_req",
-                   f"{names['/late/av_steer_req']} publishes on /late/av_steer_req from a computer that it calls "
-                   "no-such-host.invalid, which can't be looked up here: none of its messages is received")
+        def wait_until(node, is_wanted):
+            reports.wait_for(lambda array: any(status.name == f"{node}: command topics" and is_wanted(status)
+                                               for status in array.status), reports.mark())
+
+        def wait_for_error(node, *texts):
+            wait_until(node, lambda status: status.level == DiagnosticStatus.ERROR
+                       and all(text in f"{status.message} {status.values}" for text in texts))
+        wait_for_error(
+            "late/turn_arb", "set ROS_IP",
+            f"{names['/late/av_turnrad_req']} on 127.0.0.1 publishes std_msgs/Float64 on /late/av_turnrad_req",
+            f"{names['/late/av_steer_req']} publishes on /late/av_steer_req from a computer that it calls "
+            "no-such-host.invalid, which can't be looked up here: none of its messages is received")
         for car in ("one", "four"):
             topic = f"/{car}/av_turnrad_req"
-            wait_until(f"{car}/turn_arb", names[topic], f"publishes std_msgs/Float64 on {topic}, which takes "
-                       "std_msgs/Float32: none of its messages is received")
+            wait_for_error(f"{car}/turn_arb", names[topic], f"publishes std_msgs/Float64 on {topic}, which takes "
+                           "std_msgs/Float32: none of its messages is received")
             publishers[topic].end(signal.SIGKILL)
-            wait_until(f"{car}/turn_arb", "each has the publishers that it should have", level=DiagnosticStatus.OK)
+            # By the values: a node that stood still warns of that in each of its reports.
+            wait_until(f"{car}/turn_arb", lambda status: {value.value for value in status.values
+                                                          if value.key in ("cause", topic)} == {"", "no publisher"})
             self.assertEqual(name_on(topic), names[topic])  # it is still registered
 
     def test_nodes_come_back_while_silent_connections_are_opened_on_the_others_again_and_again(self):

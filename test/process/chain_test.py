@@ -28,7 +28,7 @@ from waiting import eventually, skip
 TRIALS = int(os.environ.get("CAR_INTERFACE_TRIALS", "1"))
 TABLE = os.environ.get("CAR_INTERFACE_TABLE")
 STRICT = bool(os.environ.get("CAR_INTERFACE_ALL"))
-ATTEMPT_S = 3.0
+ATTEMPT_S, HOLD_WITHIN_S = 3.0, 90.0
 STALL_S = 0.6  # more than the half second from which on a node that stood still obeys nothing
 HOUR_S = 3600
 CLOCK_CACHE_S = 1  # libfaketime reads its file so often: at each call it would cost a core
@@ -55,7 +55,7 @@ class Driven(unittest.TestCase):
 
     def hold(self, deadman="joy"):
         """Let go of the deadman and hold it again, until the car drives."""
-        deadline_s = time.monotonic() + 60
+        deadline_s = time.monotonic() + HOLD_WITHIN_S
         while True:
             driver = self.car.processes["pad"]
             let_go_ns = self.car.sent(driver, deadman, "0")
@@ -65,9 +65,11 @@ class Driven(unittest.TestCase):
                 self.car.chip.wait_for(0, lambda counts: counts == LEFT, held_ns, ATTEMPT_S)
                 self.car.chip.wait_for(1, lambda counts: counts > ESC_NEUTRAL, held_ns, ATTEMPT_S)
                 return
-            except AssertionError:  # a node joined too late to see the release
+            except AssertionError as error:  # a node joined too late to see the release
                 if time.monotonic() > deadline_s:
-                    raise
+                    said = {name: [*process.stdout.since()[-4:], *process.stderr.since()[-4:]]
+                            for name, process in self.car.processes.items()}
+                    raise AssertionError(f"{error}; {said}") from None
 
     def neutral_ns(self, since_ns, channels=(0, 1)):
         """When the servo was at its center, and the ESC at neutral."""
@@ -75,10 +77,13 @@ class Driven(unittest.TestCase):
                 for channel in channels]
 
     def hold_meanwhile(self, frozen_ns, deadman="joy"):
-        """Let go of the deadman and hold it again while a process is frozen, for longer than it may stand still."""
+        """Let go of the deadman and hold it again while a process is frozen, once it has stood still for too long.
+
+        Just before it goes on: of a backlog rospy keeps only the newest messages.
+        """
+        eventually(lambda: time.monotonic_ns() - frozen_ns > STALL_S * 1e9, "a stall that takes control away")
         for value in ("0", "1.0"):
             self.car.sent(self.car.processes["pad"], deadman, value)
-        eventually(lambda: time.monotonic_ns() - frozen_ns > STALL_S * 1e9, "a stall that takes control away")
 
     def check_that_it_stands(self, channels=(0, 1), was_frozen=False):
         """For 0.3 s from now on, but for what a process was about to send when it was frozen."""

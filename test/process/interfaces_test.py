@@ -85,7 +85,7 @@ class Car:
 
     def lets_go(self):
         """Whether a node waits for it, or for something else than the human."""
-        newest = [topic.since()[-1] for topic in self.states.values() if topic.mark()]
+        newest = [topic.newest for topic in self.states.values() if topic.mark()]
         if any(getattr(state, "esc_cause", "") == causes.ESC_ARMING for state in newest):
             return True  # it takes a second of neutral
         return any("let go" in state.reason or state.cause in ("human absent", "e_stop on", "starting")
@@ -234,10 +234,10 @@ class Interfaces(unittest.TestCase):
         for end in (lambda process: process.send(signal.SIGTERM),
                     lambda process: rosnode.kill_nodes(["/ending/teleop_logi"])):
             process = start_node(self, "teleop_logi", *MOVED, "__ns:=/ending")
-            eventually(lambda: deadman.mark() and deadman.since()[-1].data, "a deadman that is held")
+            eventually(lambda: deadman.mark() and deadman.newest.data, "a deadman that is held")
             end(process)
             self.assertEqual(process.wait_for_exit(), 0)
-            eventually(lambda: not deadman.since()[-1].data, "a deadman that was let go")
+            eventually(lambda: not deadman.newest.data, "a deadman that was let go")
             self.assertNotIn("/ending/teleop_logi", rosnode.get_node_names())
 
 if __name__ == "__main__":

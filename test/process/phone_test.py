@@ -129,9 +129,11 @@ class Phone(unittest.TestCase):
         """Take the seat if need be, and push until the car drives: the ESC may still arm."""
         deadline_s = time.monotonic() + WITHIN_S
         while True:
-            if self.text("seat") == "Drive":
+            while self.text("seat") == "Drive":  # on a busy computer a press may be too old when it arrives
                 self.tap("seat")
-                eventually(lambda: self.text("seat") != "Drive", "the driver's seat", WITHIN_S)
+                until_s = time.monotonic() + 1
+                eventually(lambda: self.text("seat") != "Drive" or time.monotonic() > until_s, "the driver's seat")
+                self.assertLess(until_s, deadline_s, self.text("why"))
             at_ns = self.push()
             try:
                 self.car.chip.wait_for(0, lambda counts: counts < CENTER, at_ns, ATTEMPT_S)
@@ -165,33 +167,39 @@ class Phone(unittest.TestCase):
         if STRICT:
             self.assertLessEqual(statistics.median(times_ms), bound_ms, row)
 
-    def test_1_thumbs_drive_it_and_lifted_it_stops_at_once(self):
-        self.measure("thumbs lifted", lambda: self.browser.touch("touchEnd"), bound_ms=60)
+    def choose(self, thumbs):
+        self.browser.evaluate(f"""(() => {{ const select = document.getElementById('thumbs'); select.value = '{thumbs}';
+                                            select.dispatchEvent(new Event('change')); }})()""")
 
-    def test_2_page_that_is_hidden_or_loaded_again_or_a_frozen_browser_stops_it_and_it_stays_so(self):
+    def stands(self, since_ns):
+        """Return when it stood, ns."""
+        return max(self.car.chip.wait_for(channel, lambda counts, channel=channel: counts == NEUTRALS[channel],
+                                          since_ns, WITHIN_S) for channel in (0, 1))
+
+    def test_1_whatever_becomes_of_the_page_or_a_viewer_s_stop_stops_it_and_it_stays_so(self):
         def lift():
             self.browser.touch("touchEnd")
 
-        self.measure("another tab in front", lambda: self.browser.hide(True),
-                     lambda: (self.browser.hide(False), lift()))
-        self.measure("browser frozen", lambda: self.browser.signal(signal.SIGSTOP),
-                     lambda: self.browser.signal(signal.SIGCONT))
-        lift()
-        self.measure("page loaded again", self.browser.reload, lift)
-
-    def test_3_any_viewer_s_stop_stops_it_until_the_driver_clears_it_and_touches_again(self):
-        viewer = self.open()
-
         def clear():
-            self.browser.touch("touchEnd")
+            lift()
             eventually(lambda: self.text("who") == "Emergency stop", "the driver's page to show it", WITHIN_S)
             self.assertTrue(viewer.evaluate("document.getElementById('clear').disabled"))
             self.tap("clear")
             eventually(lambda: self.text("who") == "Touch to drive", "a stop that is cleared", WITHIN_S)
 
+        self.measure("thumbs lifted", lift, bound_ms=60)
+        self.measure("another tab in front", lambda: self.browser.hide(True),
+                     lambda: (self.browser.hide(False), lift()))
+        self.measure("phone turned", lambda: self.browser.be_phone(*SIZES[1]),
+                     lambda: (self.browser.be_phone(*SIZES[0]), lift()))
+        self.measure("browser frozen", lambda: self.browser.signal(signal.SIGSTOP),
+                     lambda: self.browser.signal(signal.SIGCONT))
+        lift()
+        self.measure("page loaded again", self.browser.reload, lift)
+        viewer = self.open()
         self.measure("stop by a viewer", lambda: self.tap("stop", viewer), clear, 60)
 
-    def test_4_keys_drive_it_as_keyboard_drive_does_and_one_stick_as_two_do(self):
+    def test_2_keys_and_one_stick_drive_it_too_and_everything_is_seen_at_each_size_and_nothing_jumps(self):
         self.browser.be_phone(*SIZES[-1])
         self.drive()
         self.browser.touch("touchEnd")
@@ -213,17 +221,6 @@ class Phone(unittest.TestCase):
         self.choose("left")  # with the thumb still down
         self.stands(pressed_ns)
         self.browser.touch("touchEnd")
-
-    def choose(self, thumbs):
-        self.browser.evaluate(f"""(() => {{ const select = document.getElementById('thumbs'); select.value = '{thumbs}';
-                                            select.dispatchEvent(new Event('change')); }})()""")
-
-    def stands(self, since_ns):
-        """Return when it stood, ns."""
-        return max(self.car.chip.wait_for(channel, lambda counts, channel=channel: counts == NEUTRALS[channel],
-                                          since_ns, WITHIN_S) for channel in (0, 1))
-
-    def test_5_everything_is_seen_at_each_size_and_nothing_jumps(self):
         for width, height in SIZES:
             with self.subTest(f"{width} x {height}"):
                 self.browser.be_phone(width, height, is_dark=width > 700)

@@ -12,8 +12,7 @@ from contextlib import suppress
 
 from waiting import Record, eventually
 
-READ_S = 2.0  # where another process of the program's still has the terminal
-POLL_S = 0.1
+POLL_S = 0.1  # what a program has printed is readable by so long after its end
 
 
 class Terminal:
@@ -27,13 +26,13 @@ class Terminal:
     def __init__(self, *command: str, env: dict[str, str] | None = None):
         self.lines = Record(f"terminal of {command[0]}")
         self._master, terminal = pty.openpty()
+        self.settings_before = self.settings()
         # setsid makes the terminal the program's own: this process has threads, and can't fork.
         self._process = subprocess.Popen(["setsid", "--ctty", *command], stdin=terminal, stdout=terminal,
                                          stderr=terminal, env={**os.environ, **(env or {})})
         os.close(terminal)
         self.pid = self._process.pid
-        self.settings_before = self.settings()
-        self._hangs_up = threading.Event()
+        self._hangs_up, self._is_read = threading.Event(), threading.Event()
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
@@ -50,7 +49,7 @@ class Terminal:
     def hang_up(self):
         """As if its window was closed."""
         self._hangs_up.set()
-        self._reader.join()  # it is no hang-up while a read is under way
+        self._reader.join()  # it is no hang-up while a read is under way, and the next terminal may get the number
         os.close(self._master)
         self._master = None
 
@@ -66,7 +65,7 @@ class Terminal:
                     self.type(keys)
             return not is_running
         eventually(ended, f"the end of {self.lines.name}")
-        self._reader.join(READ_S)
+        self._is_read.wait()
         return self._process.returncode
 
     def clean_up(self):
@@ -74,17 +73,21 @@ class Terminal:
             self._process.kill()
             self.wait_for_exit()
         if self._master is not None:
-            os.close(self._master)
+            self.hang_up()
 
     def _read(self):
-        rest = b""
+        rest, has_ended = b"", False
         while not self._hangs_up.is_set():
-            if not select.select([self._master], [], [], POLL_S)[0]:
-                continue
-            try:
-                data = os.read(self._master, 4096)
-            except OSError:  # the program has ended
-                return
-            *lines, rest = (rest + data).split(b"\n")
-            for line in lines:
-                self.lines.add(line.decode(errors="replace").rstrip("\r"))
+            if select.select([self._master], [], [], POLL_S)[0]:
+                try:
+                    data = os.read(self._master, 4096)
+                except OSError:  # nobody has the terminal open any more
+                    break
+                *lines, rest = (rest + data).split(b"\n")
+                for line in lines:
+                    self.lines.add(line.decode(errors="replace").rstrip("\r"))
+            elif has_ended:  # though another process of the program's still has the terminal
+                self._is_read.set()
+            else:
+                has_ended = self._process.poll() is not None
+        self._is_read.set()

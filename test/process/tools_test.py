@@ -40,6 +40,7 @@ ESCAPES = re.compile(r"\x1b\[[0-9;]*[A-Za-z]|\r")
 READY = "To drive: "
 WAITS = "^waits: no deadman is held; hold the autonomous deadman and it begins"
 NOWHERE = "http://127.0.0.1:1"
+ATTEMPTS, ATTEMPT_S = 6, 20
 
 
 class Hand:
@@ -80,6 +81,7 @@ class Tools(unittest.TestCase):
         cls.steering = Topic("/turn_arb/state", SteeringState).connected()
         cls.throttle = Topic("/throttle_arb/state", ThrottleState).connected()
         cls.throttle.wait_for(lambda state: state.esc != "ARMING")
+        cls.steering.wait_for(lambda _: True)
 
     def setUp(self):
         self.folder = tempfile.mkdtemp(prefix="tools_test")
@@ -100,13 +102,14 @@ class Tools(unittest.TestCase):
 
     def hold_until_it_drives(self, terminal):
         """Deadman, then the key that goes faster; again where a node stood still, which then waits for the release."""
-        for within_s in (10, 20, 60):
-            deadman = Hand(self, terminal, b"m")
-            terminal.wait_for_line("steers: TELEOP, tele_steer_req", terminal.lines.mark())
-            deadman.let_go()
-            hand, mark = Hand(self, terminal, b"w"), self.truth.mark()
+        for _ in range(ATTEMPTS):
+            hand, mark = Hand(self, terminal, b"m"), self.truth.mark()
             try:
-                self.truth.wait_for(lambda truth: truth.twist.twist.linear.x > 0.3, mark, within_s)
+                terminal.lines.wait_for(lambda line: "steers: TELEOP, tele_steer_req" in line, terminal.lines.mark(),
+                                        ATTEMPT_S)
+                hand.let_go()
+                hand = Hand(self, terminal, b"w")
+                self.truth.wait_for(lambda truth: truth.twist.twist.linear.x > 0.3, mark, ATTEMPT_S)
                 return hand
             except AssertionError:
                 hand.let_go()
@@ -184,8 +187,12 @@ class Tools(unittest.TestCase):
         self.assertEqual({message.data for message in human.wait_for_count(5, human.mark())}, {False})
 
     def press(self, button=None):
-        """Hold a deadman of the gamepad from now on; ``None`` = let go."""
-        self.inputs.hold(self.joy, Joy(axes=[0.0] * 8, buttons=[int(index == button) for index in range(11)]))
+        """Hold a deadman of the gamepad from now on, but while an arbiter asks to let go of it; ``None`` = let go."""
+        def joy():
+            has_to_let_go = any("let go" in topic.newest.reason for topic in (self.steering, self.throttle))
+            held = None if has_to_let_go else button
+            return Joy(axes=[0.0] * 8, buttons=[int(index == held) for index in range(11)])
+        self.inputs.hold(self.joy, joy)
 
     def take_gamepad(self):
         self.joy, self.inputs = Sender("/joy", Joy), Repeater(0.02)
@@ -195,17 +202,10 @@ class Tools(unittest.TestCase):
         self.wait_for_steering(SteeringState.NO_HUMAN)
 
     def hold(self):
-        """Hold the autonomous deadman until the car drives; let go of it first where an arbiter asks for that."""
+        """Hold the autonomous deadman until the car drives."""
         mark = self.truth.mark()
-
-        def drives():
-            if any(truth.twist.twist.linear.x > 0.3 for truth in self.truth.since(mark)):
-                return True
-            reasons = self.steering.since()[-1].reason, self.throttle.since()[-1].reason
-            self.press(None if any("let go" in reason for reason in reasons) else AUTONOMOUS)
-            time.sleep(0.2)
-            return False
-        eventually(drives, "a car that drives", 90)
+        self.press(AUTONOMOUS)
+        self.truth.wait_for(lambda truth: truth.twist.twist.linear.x > 0.3, mark, 90)
 
     # --- planners ---
 

@@ -116,11 +116,12 @@ def read_header(connection: socket.socket) -> dict[str, str]:
 def _receive(connection, size, deadline_s):
     received = bytearray()
     while len(received) < size:
-        left_s = deadline_s - SYSTEM.now_ns() / NS_PER_S
-        if left_s <= 0:
-            raise socket.timeout
-        connection.settimeout(left_s)
-        part = connection.recv(size - len(received))
+        # After the deadline what is there already is still read: this process may have stood still meanwhile.
+        connection.settimeout(max(0.0, deadline_s - SYSTEM.now_ns() / NS_PER_S))
+        try:
+            part = connection.recv(size - len(received))
+        except BlockingIOError:
+            raise socket.timeout from None
         if not part:
             raise EOFError
         received += part

@@ -129,17 +129,6 @@ def test_chip_that_already_runs_so_is_neither_put_to_sleep_nor_interrupted(runni
     assert running.high_counts() == board.held == [CENTER, 4096] + [0] * 14
 
 
-def test_chip_put_to_sleep_with_pulses_by_another_program_does_not_bring_them_back(running):
-    running.board.write({0: 4000})
-    running.chip.write(MODE1, [AUTO_INCREMENT | SLEEP])
-    board = running.another_board()
-    board.initialise()
-    assert running.registers() == RUNNING
-    assert running.high_counts() == board.held == [0] * 16
-    board.write({0: CENTER})
-    assert running.high_counts()[0] == CENTER
-
-
 @pytest.mark.parametrize("changes, transfers", [
     ({0: CENTER}, [6]), ({15: CENTER}, [6]), ({1: 10, 2: 20, 9: 90}, [10, 6]),
     ({channel: 100 + channel for channel in range(16)}, [34, 34]), ({}, []),

@@ -51,15 +51,6 @@ def test_duty_beyond_the_channel_s_limits_is_clamped_and_said_so_and_minus_1_is_
     assert board.targets[:2] == [counts, CENTER_COUNTS]
 
 
-def test_channels_each_have_their_own_timeout_and_value():
-    board = Channels([ChannelConfig(timeout_ms=100 + channel, timeout_value=16 * channel) for channel in range(16)])
-    board.command([5100] * 16, NOW)
-    assert board.next_deadline_ns() == NOW + 100 * MS
-    assert board.expire(NOW + 107 * MS) == list(range(8))
-    assert board.targets == [*range(8), *[CENTER_COUNTS] * 8]
-    assert board.next_deadline_ns() == NOW + 108 * MS
-
-
 @pytest.mark.once
 @given(st.lists(st.tuples(st.integers(0, 400), st.dictionaries(st.integers(0, 15), st.integers(-3, 65540)))))
 def test_channels_after_any_commands_hold_the_newest_that_is_young_enough(commands):

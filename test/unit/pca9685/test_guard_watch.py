@@ -46,6 +46,15 @@ def watched(bench):
     return bench
 
 
+def test_node_without_a_guard_obeys(bench):
+    assert not (bench.watch.is_present or bench.watch.watches or bench.watch.holds)
+    assert bench.watch.error == NOT_TRIED
+    bench.live()
+    bench.wait(1000)
+    assert bench.watch.stood_still_ns(bench.now_ns) == 1000 * MS
+    assert not (bench.watch.holds or bench.watch.watches)
+
+
 def test_node_that_had_not_reached_its_chip_before_did_not_stand_still(bench):
     assert bench.watch.due_ns <= bench.now_ns
     for _ in range(2):

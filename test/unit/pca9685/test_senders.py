@@ -2,6 +2,7 @@
 
 import pytest
 
+from car_interface.common import causes
 from car_interface.common.publishers import CommandTopic, Publisher
 from car_interface.common.units import CHANNELS, NS_PER_S, UNCHANGED
 from car_interface.pca9685.channels import TimedOut
@@ -74,3 +75,9 @@ def test_channels_of_one_commander_are_one_fault_since_the_first_of_them():
     assert [fault.reason for fault in found] == [
         "channel timed out: channels 0, 2, for 3.0 s; /a, which commanded them last, is gone",
         "channel timed out: channel 1, for 2.0 s; /b, which commanded it last, is gone"]
+
+
+def test_conflict_is_a_fault_with_the_machines_of_its_nodes():
+    fault, = senders_of(("/turn_arb", [0], 0), ("/other", [0], 0)).conflict_faults(0, topics(TURN_ARB))
+    assert (fault.cause, fault.subject) == (causes.SECOND_PUBLISHER, "channel 0")
+    assert fault.reason.startswith("2 nodes command channel 0, /other on an unknown machine and /turn_arb on 127.0.0.1")

@@ -44,6 +44,17 @@ def test_node_prints_its_usage(script):
     assert len(usage.splitlines()) < 12 + 2 * len(names) or script.name in WITH_OPTIONS
 
 
+def test_phone_drive_goes_without_numpy_which_genpy_imports_where_it_can():
+    code = ("import sys, types\n"
+            "module = sys.modules['car_interface.nodes.phone_drive.node'] = types.ModuleType('node')\n"
+            "module.main = lambda: print(sys.modules['numpy'])\n"
+            "from car_interface.ros.start import start\n"
+            "start('nodes.phone_drive')")
+    done = subprocess.run([sys.executable, "-B", "-S", "-c", code], capture_output=True, text=True, check=False,
+                          timeout=60, env={"PYTHONPATH": str(ROOT / "src")})
+    assert (done.stdout, done.stderr) == ("None\n", "")
+
+
 @pytest.mark.parametrize("script", COMMANDS, ids=lambda script: script.name)
 def test_command_prints_its_usage(script, monkeypatch, capsys):
     if script.name in LIBRARIES and importlib.util.find_spec(LIBRARIES[script.name]) is None:

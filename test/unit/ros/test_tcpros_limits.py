@@ -130,6 +130,15 @@ def only_line(caplog):
     return line
 
 
+def test_header_that_is_there_counts_though_this_process_stood_still_beyond_the_deadline(monkeypatch, listener):
+    monkeypatch.setattr(tcpros_limits, "HANDSHAKE_S", -3.0)
+    with socket.create_connection(listener.getsockname()) as peer, listener.accept()[0] as ours:
+        peer.sendall(header_of())
+        assert read_header(ours)["callerid"] == "/board"
+        with pytest.raises(tcpros_limits.HandshakeTimeout):
+            read_header(ours)
+
+
 def test_silent_and_slow_peers_hold_up_nobody_and_are_dropped_after_a_second_with_one_line(server, caplog):
     began_s = time.monotonic()
     waiting = [server.connect() for _ in range(5)]

@@ -112,7 +112,7 @@ def refusing():
 
 @pytest.fixture(autouse=True)
 def impatience(monkeypatch):
-    monkeypatch.setattr(xmlrpc_calls, "ANSWER_WITHIN_S", 0.1)
+    monkeypatch.setattr(xmlrpc_calls, "ANSWER_WITHIN_S", 30.0)  # of servers in threads on a busy computer
     monkeypatch.setattr(wait_for_name, "POLL_S", 0.01)
 
 
@@ -134,7 +134,8 @@ def test_node_that_answers_is_running_if_it_has_that_name(name, expected):
         assert holder(uri) == expected
 
 
-def test_node_that_accepts_and_does_not_answer_or_is_on_an_unknown_computer_is_silent():
+def test_node_that_accepts_and_does_not_answer_or_is_on_an_unknown_computer_is_silent(monkeypatch):
+    monkeypatch.setattr(xmlrpc_calls, "ANSWER_WITHIN_S", 1.0)
     with socket.create_server(("127.0.0.1", 0)) as frozen:
         assert holder(f"http://127.0.0.1:{frozen.getsockname()[1]}/") == Holder(SILENT, HERE)
     assert holder("http://no-such-computer.invalid:1/") == Holder(SILENT, "no-such-computer.invalid")

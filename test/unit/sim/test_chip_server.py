@@ -18,7 +18,7 @@ from car_interface.sim.chip_link import ANSWER, FAULT, LOG, READ, REQUEST, WRITE
 
 ADDRESS = 0x40
 AWAKE = b"\x20"
-PATIENCE_S = 10.0
+PATIENCE_S = 30.0
 
 
 def eventually(condition):

@@ -66,13 +66,6 @@ def test_tightest_radius_is_that_of_its_side_and_the_widest_of_those_with_its_du
         tightest_m, side)
 
 
-def test_tightest_radius_widens_with_speed_as_turns_do():
-    calibration = replace(SLASH, understeer=0.0078)
-    assert calibration.tightest_radius_m(1.0) == 1.0
-    # a = 4² / 2.18 = 7.34: 1 / 2.18 = 1 − 0.0078 · (3.5 a + a³ / 3.5) / 2
-    assert calibration.tightest_radius_m(1.0, 4.0) == pytest.approx(2.18, rel=0.01)
-
-
 def test_tables_with_fractions_are_interpolated_before_they_are_rounded():
     calibration = replace(SLASH, radius_axis_m=[0.4, 0.9], left_duties=[3800.2, 3800.9],
                           right_duties=[6700.0, 6699.0])

@@ -154,11 +154,6 @@ def test_turn_is_not_judged_when_the_car_is_slow_or_too_fast_for_its_tyres_or_no
     assert set(car.drives(commanded_m, -3.0, 10.0, speed_mps)) == {""}
 
 
-def test_command_that_fell_silent_is_not_judged_any_more(car):
-    car.drives(2.0, 2.0, 2.0)
-    assert set(car.drives(None, 2.0, 0.6) + car.drives(None, -2.0, 10.0)) == {""}
-
-
 @pytest.mark.parametrize("between", [
     lambda car: car.drives(2.0, 4.0, 0.2, speed_mps=0.0),
     lambda car: setattr(car, "now_ns", car.now_ns + round(0.6 * S)),

@@ -12,6 +12,7 @@ from car_interface.teleop.keyboard import Controls
 from car_interface.teleop.phone import (
     ABSENT_NS,
     GUESSES_AT_ONCE,
+    MAX_COMMANDS,
     MAX_MALFORMED,
     MAX_PAGES,
     MAX_WAITING,
@@ -85,7 +86,7 @@ class Page:
     def __init__(self, bench, number):
         self._bench, self.number = bench, number
         self.token = self.key = self.closed = ""
-        self.refused, self.status, self.sent = [], {}, []
+        self.refused, self.status, self.sent, self.car = [], {}, [], []
         self.n, self.touch = 0, ""
 
     def receive(self, message, closes):
@@ -93,10 +94,11 @@ class Page:
         self.refused += [message["refused"]] if "refused" in message else []
         self.closed = message.get("closed", self.closed)
         self.status = message.get("status", self.status)
+        self.car += [message["car"]] if "car" in message else []
         assert closes == ("closed" in message)
 
     def send(self, **message):
-        if message["type"] in ("drive", "clear", "echo"):
+        if message["type"] in ("drive", "clear", "echo", "record", "trim", "save", "calibrate"):
             self.n += 1
             message = {"token": self.token, "n": self.n, **message}
         self.send_text(json.dumps(message))
@@ -418,6 +420,93 @@ def test_page_that_sends_too_much_is_closed_and_what_it_held_with_it(bench):
     assert page.closed == "too many messages" and bench.controls == NOTHING_HELD
 
 
+# --- guests ---
+
+def guest(bench, number):
+    page = bench.open(number)
+    page.send(type="watch")
+    bench.wait(200)
+    return page
+
+
+def test_guest_sees_and_stops_and_may_do_nothing_else():
+    bench = Bench(admits_guests=True)
+    driver, page = bench.drive(1), guest(bench, 2)
+    assert page.status["guest"] and not page.key and page.token
+    for kind in ("drive", "clear", "save", "open"):
+        page.send(type=kind, **({"name": "a.bag"} if kind == "open" else {}))
+    assert page.refused == ["enter the PIN first"] * 4 and bench.controls == AHEAD
+    assert driver.status["driver"] == "you" and bench.phones.take_commands() == []
+    page.send(type="e_stop")
+    assert bench.phones.e_stop
+
+
+def test_guest_becomes_a_driver_by_the_pin():
+    bench = Bench(admits_guests=True)
+    page = guest(bench, 1)
+    page.send(type="pin", pin=PIN)
+    bench.wait(100)
+    page.send(type="drive")
+    page.echo("")
+    page.echo("manual")
+    assert bench.controls == AHEAD and not page.status["guest"]
+
+
+def test_guests_make_room_for_who_knows_the_pin_and_for_no_other_guest():
+    bench = Bench(admits_guests=True)
+    guests = [guest(bench, number) for number in range(MAX_PAGES + 1)]
+    assert [page.closed for page in guests] == [""] * MAX_PAGES + [f"{MAX_PAGES} pages are open already"]
+    assert bench.join(50).key and guests[0].closed == "others came who know the PIN"
+    assert bench.phones.pages == MAX_PAGES
+
+
+def test_guest_is_refused_unless_a_parameter_allows_it(bench):
+    page = guest(bench, 1)
+    assert (page.refused, page.token) == (["enter the PIN"], "")
+
+
+# --- commands ---
+
+COMMANDS = [{"type": "record", "on": True}, {"type": "trim", "name": "neutral", "value": 4900}, {"type": "save"},
+            {"type": "calibrate", "what": "give up"}]
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command["type"])
+def test_command_of_the_driver_s_is_passed_on_once_and_one_of_a_watcher_s_or_an_old_one_is_not(bench, command):
+    driver, watcher = bench.drive(1), bench.join(2)
+    driver.send(**command)
+    sent = driver.sent[-1]
+    (connection, message), = bench.phones.take_commands()
+    assert connection == 1 and {name: message[name] for name in command} == command
+    driver.send_text(sent)
+    watcher.send(**command)
+    assert watcher.refused == ["only who drives may do that"]
+    old = driver.token
+    bench.wait(300, driver)
+    driver.send(**{**command, "token": old})
+    assert bench.phones.take_commands() == [] and bench.controls == AHEAD
+
+
+def test_commands_that_the_node_has_not_taken_are_limited(bench):
+    driver = bench.drive(1)
+    for _ in range(MAX_COMMANDS + 1):
+        driver.send(type="save")
+    assert len(bench.phones.take_commands()) == MAX_COMMANDS and driver.refused == ["too many commands at once"]
+
+
+def test_state_of_the_car_is_sent_as_it_changes_and_whole_to_a_new_page(bench):
+    first = bench.join(1)
+    bench.phones.show("speed", 1.0)
+    bench.phones.show("who", {"text": "nobody"})
+    bench.wait(200)
+    assert first.car == [{}, {"speed": 1.0, "who": {"text": "nobody"}}]
+    bench.phones.show("speed", 2.0)
+    bench.phones.show("who", {"text": "nobody"})
+    bench.wait(400)
+    assert first.car[2:] == [{"speed": 2.0}]
+    assert bench.join(2).car[0] == {"speed": 2.0, "who": {"text": "nobody"}}
+
+
 # --- malformed messages ---
 
 ECHO = {"type": "echo", "token": "t", "n": 1, "touch": "manual", "steering": 0.0, "throttle": 1, "scale": 0}
@@ -426,6 +515,11 @@ ECHO = {"type": "echo", "token": "t", "n": 1, "touch": "manual", "steering": 0.0
 @pytest.mark.parametrize("text", [
     "", "{", "[]", "null", "7", '"pin"', "{}", '{"type": 7}', '{"type": ["pin"]}', '{"type": "reboot"}', "[" * 512,
     '{"type": "pin"}', '{"type": "pin", "pin": 12345}', '{"type": "pin", "pin": "١٢٣٤٥٦"}',
+    '{"type": "open", "name": "../a.bag"}', '{"type": "open", "name": ".a.bag"}', '{"type": "open", "name": "a/b.bag"}',
+    '{"type": "open", "name": "a.yaml"}', '{"type": "trim", "token": "t", "n": 1, "name": "left", "value": 5}',
+    '{"type": "trim", "token": "t", "n": 1, "name": "center", "value": 5.0}',
+    '{"type": "record", "token": "t", "n": 1, "on": 1}', '{"type": "save"}',
+    '{"type": "calibrate", "token": "t", "n": 1, "what": "--output"}',
     '{"type": "pin", "pin": "12345"}', '{"type": "e_stop", "more": 1}', '{"type": "e_stop"}' + " " * 600,
     b'{"type": "e_stop"}', None,
     *(json.dumps({**ECHO, **change}) for change in (

@@ -49,16 +49,6 @@ def test_limit_holds_after_more_than_two_seconds_beyond_it(story, cause):
     assert battery.watch.is_empty == (cause == causes.BATTERY_EMPTY)
 
 
-def test_load_that_comes_and_goes_makes_one_stop_and_no_other():
-    """The battery of a car that starts again whenever it may: 0.4 V less under load."""
-    battery, changes = Battery(), 0
-    for _ in range(60):
-        before = battery.watch.is_empty
-        battery.has(6.9 if before else 6.5, 0.5)
-        changes += battery.watch.is_empty != before
-    assert changes == 1
-
-
 @pytest.mark.parametrize("bad", [NAN, INF, -INF, 0.0, -6.0])
 def test_voltage_that_is_none_never_begins_a_stop_nor_ends_one_and_is_reported(bad):
     battery = Battery()
@@ -86,6 +76,13 @@ def test_silence_never_begins_a_stop_nor_ends_one_and_is_reported():
     assert battery.watch.status(battery.now).text == (
         "the battery has 6.40 V after it fell below stop_below, 6.6 V: no planner drives before it has 7.1 V; "
         "battery_state silent for 60.00 s: the voltage isn't known")
+
+
+@pytest.mark.parametrize("config, cause", [(BatteryConfig(), WELL), (BatteryConfig(warn_below_v=7.0), WELL),
+                                           (BatteryConfig(stop_below_v=6.6), causes.BATTERY_STALE)])
+def test_voltage_that_never_came_is_reported_only_where_a_stop_waits_for_it(config, cause):
+    status = Battery(config).watch.status(START)
+    assert (status.cause, status.text.partition(":")[0]) == (cause, "battery_state was never heard")
 
 
 def test_limits_of_0_are_off():

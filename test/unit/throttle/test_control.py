@@ -33,6 +33,7 @@ class Rig:
             EscConfig(profile=profile, **esc), limits, obstacles)
         self.now_ns = 1000 * S
         self.human, self.stick, self.value, self.speed = False, 0.0, None, 0.0
+        self.noise = 1e-9
         self.mode, self.gear, self.range_m = mode, "", 1.5  # of the sonar in front
         self.decision = None
         self.duties = []
@@ -53,7 +54,8 @@ class Rig:
                 arbiter.update_planner_state(self.gear, None, self.now_ns)
             if self.value is not None:
                 self.control.update_planner(self.value, self.now_ns)
-            self.control.update_odometry(self.speed, self.now_ns)
+            self.noise = -self.noise  # no two speeds of a car that rolls are the same
+            self.control.update_odometry(self.speed + self.noise, self.now_ns)
             if self.range_m is not None:
                 self.control.update_range("front_middle", self.range_m, self.now_ns)
             self.decision = self.control.decide(self.now_ns)
@@ -208,20 +210,3 @@ def test_calibration_drive_hands_over_the_stick_once_it_was_let_go():
     rig.pull((-1.0, 3.0))
     assert min(rig.duties) == NEUTRAL_DUTY
     assert rig.pull((0.0, 0.1), (-1.0, 0.1)).duty == REVERSE_BY_HAND
-
-
-def test_pull_brakes_a_car_that_its_planner_drives_backward_until_it_is_slow_and_a_push_drives_it_forward():
-    rig = Rig(DIRECT_REVERSE, mode="autonomous")
-    rig.gear, rig.value = "reverse", -2.0
-    assert rig.run(1.0).esc.state_name == "REVERSE"
-    rig.speed = -2.0
-    rig.run(0.5)
-    rig.duties = []
-    decision = rig.pull((-1.0, 0.2))
-    assert (decision.duty, decision.esc.state_name) == (FULL_FORWARD, "BRAKING")
-    rig.speed = -0.4
-    assert rig.run(0.2).duty == NEUTRAL_DUTY
-    rig.speed = 0.0
-    assert rig.run(3.0).duty == min(rig.duties) == NEUTRAL_DUTY
-    decision = rig.pull((1.0, 0.2))
-    assert (decision.duty, decision.esc.state_name) == (BY_HAND, "FORWARD")

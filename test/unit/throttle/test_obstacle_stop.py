@@ -140,18 +140,6 @@ def test_an_echo_counts_where_it_is_now_and_a_little_later():
             stopping_speed_mps(1.5 + 0.02 - 0.5 - 0.1, 0.4 + 0.1 + late_s, BRAKE), rel=0.02)
 
 
-def test_what_has_left_its_cone_is_remembered_and_named():
-    stop = seeing({**dict.fromkeys(FRONT, math.inf), "front_left": 0.5}, FRONT)
-    for step in range(15):
-        stop.update_motion(0.5, -1.0, 10 * S + (step + 1) * 20 * MS)
-    now_ns = 10 * S + 300 * MS
-    stop.update_range("front_left", math.inf, now_ns)
-    speed_mps, cause, words, _ = stop.bound(1.0, False, BRAKE, now_ns)
-    assert speed_mps < 0.5 and cause == causes.OBSTACLE_SLOWED
-    assert words.startswith("front_left saw something, 0.") and words.endswith(
-        " m from here on this arc, which allows")
-
-
 def test_without_the_car_s_motion_an_echo_counts_where_it_was_with_its_age():
     stop = ObstacleStop(ObstacleConfig({"front_middle": AHEAD}, outline=CAR))
     stop.update_range("front_middle", 1.0, 10 * S)

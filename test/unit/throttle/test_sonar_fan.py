@@ -90,13 +90,6 @@ def test_an_arc_ends_where_the_middle_of_the_bumper_leaves_the_fan(curvature_per
     assert ends(curvature_per_m, FRONT) == (pytest.approx(distance_m, abs=0.001), sonar, is_edge)
 
 
-def test_backward_it_is_the_fan_behind():
-    assert ends(0.0, REAR, True) == (pytest.approx(1.998, abs=0.001), "rear_middle", False)
-    left, right = ends(0.8, REAR, True), ends(-0.8, REAR, True)
-    assert (left[1], right[1], left[2]) == ("rear_left", "rear_right", True)
-    assert left[0] == pytest.approx(right[0]) and 1.0 < left[0] < 2.5
-
-
 def test_an_echo_hides_what_is_behind_it_in_its_cone():
     """The arc enters the left part 1.2 m from here, which that sonar sees for half a metre only."""
     distance_m, sonar, is_edge = ends(0.3, FRONT, front_left=0.5)

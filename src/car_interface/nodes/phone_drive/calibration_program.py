@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import tempfile
@@ -20,6 +21,7 @@ OFF, STARTING, ON, OVER = "off", "starting", "on", "over"
 # The driver has confirmed on the page that the table is replaced; the old one is kept beside it.
 COMMAND = ("rosrun", "car_interface", "calibration_drive", "--yes")
 TAIL_BYTES, TAIL_LINES = 4000, 8
+LOG_PREFIX = re.compile(r"^(\x1b\[\d+m)?\[[A-Z]+\] \[[\d.]+\]: ", re.M)  # of rospy, in a terminal's colours
 NOTHING_KNOWN = {"phase": "", "fraction": 0.0, "known": [], "missing": [], "driven": None, "left": None}
 
 
@@ -46,7 +48,7 @@ class Program:
         """Return the last lines of its output."""
         size = self._output.seek(0, os.SEEK_END)
         self._output.seek(max(0, size - TAIL_BYTES))
-        lines = self._output.read().decode(errors="replace").strip().splitlines()
+        lines = LOG_PREFIX.sub("", self._output.read().decode(errors="replace")).strip().splitlines()
         return "\n".join(lines[-TAIL_LINES:])
 
 

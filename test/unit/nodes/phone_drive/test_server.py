@@ -10,7 +10,6 @@ import shutil
 import socket
 import ssl
 import subprocess
-import time
 from contextlib import suppress
 
 import pytest
@@ -20,11 +19,12 @@ from tornado.httpclient import HTTPClientError, HTTPRequest
 from tornado.websocket import WebSocketClosedError, websocket_connect
 
 from car_interface.common.errors import ConfigError, DeviceError
+from car_interface.nodes.phone_drive import server as phone_server
 from car_interface.nodes.phone_drive.config import PhoneDriveConfig
 from car_interface.nodes.phone_drive.server import MAX_BYTES, MAX_OPEN, MAX_TICKETS, MAX_UNHANDLED, PAGE, Server
 from car_interface.teleop.phone import Outgoing
 
-WITHIN_S = 10
+WITHIN_S = 30
 
 
 class Node:
@@ -67,7 +67,8 @@ def node():
 
 
 @pytest.fixture
-def server(node, port):
+def server(node, port, monkeypatch):
+    monkeypatch.setattr(phone_server, "HEADER_S", 3600)  # no test waits until silence ends a connection
     server = Server(PhoneDriveConfig(port=port), node, node)
     yield server
     server.stop()
@@ -210,9 +211,9 @@ def test_page_is_https_with_a_certificate_and_takes_no_origin_of_http(node, port
 
 
 def test_certificate_that_can_t_be_used_is_an_error_that_names_it(node, port, certificate):
-    with pytest.raises(ConfigError, match=r"^certificate is .*car.key'?; accepted: a PEM file with ~key"):
+    with pytest.raises(ConfigError, match=r"^certificate is '/.*; accepted: a PEM file with ~key /.*car\.key"):
         Server(PhoneDriveConfig(port=port, certificate=certificate[1], key=certificate[1]), node, node)
-    with pytest.raises(ConfigError, match="^key is missing; accepted: both a certificate"):
+    with pytest.raises(ConfigError, match=r"^key is missing; accepted: both a certificate"):
         PhoneDriveConfig(certificate=certificate[0])
 
 
@@ -251,9 +252,8 @@ def test_page_that_takes_nothing_is_closed(server, node, port):
 
 def test_connections_that_ask_for_nothing_keep_no_page_out(server, node, port):
     silent = [socket.create_connection(("127.0.0.1", port)) for _ in range(MAX_OPEN + 136)]
-    began_s = time.monotonic()
     asyncio.run(connect(port))
-    assert node.next()[0] == "connect" and time.monotonic() - began_s < WITHIN_S / 2
+    assert node.next()[0] == "connect"
     for each in silent:
         each.close()
 

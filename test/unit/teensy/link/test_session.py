@@ -9,7 +9,7 @@ from car_interface.sim.teensy_transmitter import frame_body
 from car_interface.teensy.link.framing import CORRECTED, RESYNC_FILLER, SHIPPED
 from car_interface.teensy.link.health import ABSENT, WAITING
 from car_interface.teensy.link.pinging import AUTO, Answer
-from car_interface.teensy.link.protocol import ErrorCount, Malformed, Pong, SonarStatus
+from car_interface.teensy.link.protocol import ErrorCount, Malformed, Pong, SonarStatus, wheel_reset
 from car_interface.teensy.link.session import (
     MAX_COUNTERS,
     ChecksumChanged,
@@ -116,6 +116,12 @@ def test_checksum_that_answers_is_that_of_the_ping_not_of_the_next_one(session):
     assert session.checksum == CORRECTED
     session.receive(pong(5, 5000), NOW + GIVE_UP + 4)
     assert session.answered_checksum == SHIPPED
+
+
+def test_command_is_sent_with_the_checksum_of_the_pings():
+    frames = {checksum: Session(115200, S, checksum, NOW).encode(wheel_reset()) for checksum in (SHIPPED, CORRECTED)}
+    assert frames[SHIPPED] == frames[CORRECTED] == bytes.fromhex("7e 02010800 f4 7e")  # it carries nothing
+    assert Session(115200, S, CORRECTED, NOW).ping(CARRIES, NOW) == CORRECTED_PING
 
 
 def test_reboot_is_an_event_before_the_record_that_shows_it(session):

@@ -40,6 +40,13 @@ def test_pongs_alone_are_heard_however_far_apart_the_gates_let_them_be():
     assert not measured.gates.refused
 
 
+def test_commanded_curvature_is_the_odometry_s(monkeypatch):
+    measured, commanded = Measurements(), []
+    monkeypatch.setattr(measured._odometry, "steer", commanded.append)
+    measured.steer(0.3)
+    assert commanded == [0.3]
+
+
 def report_of(count):
     return WheelStatus(*2 * (Wheel(10, FORWARD, 1000 + 100 * count, 1, 1 + count),))
 

@@ -131,18 +131,6 @@ def test_pulses_after_a_gap(pause_ms, pulse_ms, count, pulses, x_m, error_m):
     assert motion.speed_mps == pytest.approx(0.0 if count == 90_000 else 1.0, rel=0.1)
 
 
-def test_covariance_grows_with_the_way_and_not_with_the_time():
-    axle = Axle()
-    near = axle.roll((1.0, 1.0), 2.0).pose_covariance
-    axle.roll((0, 0), 3.0)
-    waited = axle.motion.pose_covariance
-    far = axle.roll((1.0, 1.0), 8.0).pose_covariance
-    assert waited[0][0] - near[0][0] < 1e-4
-    for index in range(3):
-        assert far[index][index] > near[index][index]
-    assert far[1][1] > far[0][0]  # a heading that is off a little takes the car aside
-
-
 def test_steering_fills_the_gap_between_pulses_only_when_it_is_used():
     curvature = 0.8
     half = curvature * TRACK_M / 2

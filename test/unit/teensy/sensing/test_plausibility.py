@@ -13,6 +13,7 @@ from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD
 from car_interface.teensy.link.framing import FrameDecoder
 from car_interface.teensy.link.protocol import UINT32, Malformed, Pong, SonarStatus, Wheel, WheelStatus, decode
+from car_interface.teensy.sensing import verdicts as gates
 from car_interface.teensy.sensing.plausibility import GateConfig, Gates
 from car_interface.teensy.sensing.pulse_counts import signed_pulses
 from wheel_reports import CAPTURE, HARM_M, PULSE_M, counted, crawl, judged, proven
@@ -25,11 +26,22 @@ def test_config_out_of_range_is_refused(name, value):
         GateConfig(**{name: value})
 
 
+def records_of_the_capture():
+    return [decode(body) for body in FrameDecoder().feed(CAPTURE)]
+
+
 def through(some, records):
     verdicts = [some.wheels(record) if isinstance(record, WheelStatus)
                 else some.sonar(record) if isinstance(record, SonarStatus) else some.pong(record, True)
                 for record in records if isinstance(record, (WheelStatus, SonarStatus, Pong))]
     return counted(verdicts)
+
+
+def test_nothing_of_the_golden_capture_is_refused_and_its_resets_are_seen():
+    some = Gates()
+    through(some, records_of_the_capture())
+    assert (some.refused, some.accepted) == (0, 445 + 218 + 101)
+    assert some.counts == {gates.FIRST: 2, gates.ODOMETERS_RESET: 2}
 
 
 def drive(speeds_mps, seconds_each=1.0):

@@ -287,20 +287,23 @@ def test_pin_that_stays_stuck_costs_no_range_of_a_wall_that_a_moving_car_comes_n
     assert [trusted for _, _, trusted in found][-3:] == 3 * [True]
 
 
-def test_sonar_that_has_reported_since_sonar_start_holds_no_pin_high():
-    sonars = Sonars()
-    sonars.run(1.0)
-    sonars.monitor.started(sonars.now_ns)
-    sonars.run(1.0)
-    assert sonars.monitor.report(1, 2_000, sonars.now_ns // MS, sonars.now_ns)
-
-
 def test_clone_is_told_with_the_parameter_that_it_needs():
     sonars = Sonars().run(1)
     sonars.monitor.clones = {2: 200.004}
     words, next_step = describe(sonars.monitor.faults(sonars.now_ns))
     assert words == "front_left is a clone that holds its pulse for 200 ms without an echo: its ranges are right"
     assert "~no_echo_timeouts/front_left to 200" in next_step
+
+
+def test_pin_that_blinked_is_told_for_ten_seconds_beside_other_faults():
+    sonars = Sonars().run(1)
+    sonars.monitor.clones = {2: 200.0}
+    sonars.monitor.blinked([1], sonars.now_ns)
+    words, next_step = describe(sonars.monitor.faults(sonars.now_ns))
+    assert "front_left is a clone" in words and "front_middle's echo pin was high for over a second" in words
+    assert "Check its echo wire and supply" in next_step
+    sonars.run(11)
+    assert "front_middle" not in sonars.words
 
 
 def test_last_sonar_of_the_sequence_is_never_dropped():

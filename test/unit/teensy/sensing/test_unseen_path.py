@@ -45,7 +45,6 @@ def test_car_that_was_steered_to_both_sides_may_have_gone_on_with_it():
     assert curved_path(3.0, 0.0, None, 0.25).across_variance > 0.1, "it stood before"
 
 
-@pytest.mark.once
 def test_reversals_are_as_uncertain_as_the_average_over_all_that_can_have_been():
     rng, length_m = random.Random(2), 2.0
     sigma = math.sqrt(CURVATURE_VARIANCE)

@@ -189,6 +189,16 @@ def test_repeat_of_one_wheel_alone_can_not_be():
     assert judged(standing(5)[2:], some.wheels)[-1].accepted
 
 
+def test_setting_off_right_after_a_repeat_is_no_speed():
+    """The time since the repeat says nothing about the time since the pulse before."""
+    some = crawling()
+    judged(standing(3), some.wheels)
+    at_ms = LAST.when + 3 * REST + 1
+    assert some.wheels(report(forward(105, at_ms))).accepted
+    turned = Wheel(0, BACKWARD, at_ms + 30, 106, 106)
+    assert (some.wheels(report(turned)).accepted, some.refused) == (True, 0)
+
+
 # Both wheels rolled on at 1 m/s, as in test/data/firmware: false backward pulses, and pulses without direction.
 BOOT = [
     WheelStatus(NEW, NEW),

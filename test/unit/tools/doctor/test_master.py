@@ -10,7 +10,6 @@ from xmlrpc.server import SimpleXMLRPCServer
 import pytest
 
 from car_interface.common.package_files import package_file
-from car_interface.ros import xmlrpc_calls
 from car_interface.tools.doctor import master as probe
 from car_interface.tools.doctor.car import ABSENT, KILLED, RUNNING, SILENT, Node
 from car_interface.tools.doctor.master import Graph, Master, read_files
@@ -60,9 +59,8 @@ def refused():
 
 
 @pytest.fixture
-def silent(monkeypatch):
+def silent():
     """What takes connections and never answers."""
-    monkeypatch.setattr(xmlrpc_calls, "ANSWER_WITHIN_S", 0.1)
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
         listener.listen(5)

@@ -103,7 +103,7 @@ function show() {
   $("clear").disabled = !(mine && link.stopShown);
   $("seat").disabled = !link.isAdmitted;
   $("seat").classList.toggle("mine", mine);
-  put($("seat"), mine ? "Leave the seat" : status && status.guest ? "PIN" : "Drive");
+  put($("seat"), mine ? "Leave" : status && status.guest ? "PIN" : "Drive");
   for (const name of ["autonomous", "more", "less"]) $(name).disabled = !mine;
   const isRecent = performance.now() - answer.atMs < ANSWER_MS;
   put($("answer"), isRecent ? answer.text : "");
@@ -145,7 +145,8 @@ function buzz(ms) {
 
 // Only a page by https may keep a phone's screen on.
 function keepAwake() {
-  if (navigator.wakeLock && document.visibilityState === "visible") navigator.wakeLock.request("screen").catch(() => {});
+  if (!navigator.wakeLock || document.visibilityState !== "visible") return;
+  navigator.wakeLock.request("screen").catch(() => {});  // a battery that is low refuses it
 }
 document.addEventListener("visibilitychange", keepAwake);
 
@@ -172,8 +173,8 @@ $("open-tools").addEventListener("click", () => {
   $("open-tools").setAttribute("aria-expanded", isOpen);
   put($("open-tools"), isOpen ? "Back" : "More");
 });
-put($("network"), location.protocol === "https:" ? "" : "This page came by http: in a WLAN whoever knows its password can "
-  + "read along, and take the seat. Drive in the car's own WLAN, or give phone_drive a certificate.");
+put($("network"), location.protocol === "https:" ? "" : "This page came by http: in a WLAN whoever knows its password "
+  + "can read along, and take the seat. Drive in the car's own WLAN, or give phone_drive a certificate.");
 
 // --- admission ---
 

@@ -2,6 +2,7 @@
 
 import {$, number, put, showList} from "./view.js";
 
+const CONFIRM_MS = 4000;
 const DUTY_STEP = 16;  // one of the servo board's 4096 steps
 
 export class Tools {
@@ -10,8 +11,8 @@ export class Tools {
     this.car = {};
     const evidence = (id, message) => $(id).addEventListener("click", () => link.sendEvidence(message()));
     evidence("record", () => ({type: "record", on: !this.records}));
-    evidence("save", () => ({type: "save"}));
-    evidence("calibrate-begin", () => ({type: "calibrate", what: "begin"}));
+    this.twice("save", "Again: the car's files are changed", () => ({type: "save"}));
+    this.twice("calibrate-begin", "Again: replace the table", () => ({type: "calibrate", what: "begin"}));
     evidence("calibrate-finish", () => ({type: "calibrate", what: "finish"}));
     evidence("calibrate-give-up", () => ({type: "calibrate", what: "give up"}));
     for (const name of ["center", "neutral"]) {
@@ -19,6 +20,19 @@ export class Tools {
         button.addEventListener("click", () => this.trim(name, Math.sign(Number(button.value)) * DUTY_STEP));
       }
     }
+  }
+
+  // What a second press within CONFIRM_MS does; the first one asks for it.
+  twice(id, question, message) {
+    const button = $(id), label = button.textContent;
+    let timer = null;
+    button.addEventListener("click", () => {
+      const isConfirmed = timer !== null;
+      clearTimeout(timer);
+      timer = isConfirmed ? null : setTimeout(() => { timer = null; put(button, label); }, CONFIRM_MS);
+      put(button, isConfirmed ? label : question);
+      if (isConfirmed) this.link.sendEvidence(message());
+    });
   }
 
   get records() {
@@ -55,7 +69,8 @@ export class Tools {
   showCalibration({state, text, fraction, known, missing, driven, left}, isPossible) {
     const isOn = ["starting", "on"].includes(state);
     const times = isOn && Number.isFinite(left) ? ` ${number(driven, 0)} s driven, ${number(left, 0)} s left.` : "";
-    put($("calibration-text"), (text || "The car drives its circles by itself while you hold the planner's button.") + times);
+    put($("calibration-text"), (text || "In a free area the car drives circles by itself while you hold the planner's "
+      + "button. The steering's table is replaced; the old one is kept beside it.") + times);
     $("calibration-progress").value = fraction || 0;
     $("calibrate-begin").disabled = !isPossible || isOn;
     $("calibrate-finish").disabled = $("calibrate-give-up").disabled = !isPossible || !isOn;

@@ -137,7 +137,8 @@ export class Around {
     for (const name of Object.keys(sonars)) this.sonars[name] = draw("path", {}, this.svg);
     const w = width / 2, inner = 0.6 * w;
     for (const [x, side] of [[0, 1], [0, -1], [front - rear + 0.04, 1], [front - rear + 0.04, -1]]) {
-      draw("rect", {class: "wheel", x: side * (w - 0.03) - 0.03, y: -x - 0.05, width: 0.06, height: 0.1, rx: 0.02}, this.svg);
+      draw("rect", {class: "wheel", x: side * (w - 0.03) - 0.03, y: -x - 0.05, width: 0.06, height: 0.1, rx: 0.02},
+        this.svg);
     }
     draw("path", {class: "body", d: `M${-inner} ${rear}L${-w * 0.75} ${-front * 0.6}L${-inner} ${-front}H${inner}`
       + `L${w * 0.75} ${-front * 0.6}L${inner} ${rear}Z`}, this.svg);
