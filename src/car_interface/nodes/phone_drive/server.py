@@ -133,7 +133,11 @@ class Server:
         http.stop()
         for socket in list(self._sockets.values()):
             socket.abort()
-        self._loop.run_until_complete(asyncio.sleep(0))
+        waiting = asyncio.all_tasks(self._loop)
+        for task in waiting:
+            task.cancel()
+        if waiting:  # or asyncio complains of them on the terminal
+            self._loop.run_until_complete(asyncio.wait(waiting, timeout=END_S / 2))
         self._loop.close()
 
     @property

@@ -290,6 +290,13 @@ def test_connections_that_ask_for_nothing_keep_no_page_out(server, node, port):
         each.close()
 
 
+def test_stop_ends_what_waits_for_a_request(server, port):
+    with socket.create_connection(("127.0.0.1", port)):
+        asyncio.run(connect(port))  # so the other one was taken
+        server.stop()
+    assert not asyncio.all_tasks(server._loop)  # asyncio would print each of them
+
+
 def test_address_that_is_taken_is_an_error_that_names_it(server, node, port):
     with pytest.raises(DeviceError, match=f"~port {port}: .*Set another address"):
         Server(PhoneDriveConfig(port=port), node, node)
