@@ -290,7 +290,8 @@ def test_connections_that_ask_for_nothing_keep_no_page_out(server, node, port):
         each.close()
 
 
-def test_stop_ends_what_waits_for_a_request(server, port):
+def test_stop_ends_what_waits_for_a_request(node, port):
+    server = Server(PhoneDriveConfig(port=port), node, node)
     with socket.create_connection(("127.0.0.1", port)):
         asyncio.run(connect(port))  # so the other one was taken
         server.stop()
