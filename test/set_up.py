@@ -47,6 +47,7 @@ ROS_MODULES = (
 PACKAGE_XML = ROOT / "package.xml"
 # ROS packages that the commands and the tests call, and that package.xml need not name.
 ROS_TOOLS = ("rosbash", "rosmsg", "rosout", "rosparam", "rosservice", "rostopic")
+CLUSTER = ("distributed>=2023.5.0",)  # the extra of setup.py: tools on several computers; 34 MB
 TOOLS = ("cmake", "g++", "iproute2", "make", "python3-pytest-xdist", "python3-venv")
 DEBIAN_TOOLS = ("libfaketime", "ros-environment")
 NOT_NEEDED = ("rviz",)  # large; `./dev demo --display` installs it
@@ -153,7 +154,7 @@ class SetUp:
         """Install what package.xml names and what the tests need."""
         self.apt(*apt_packages(self.distribution))
         # With the system's numpy.
-        self._venv("system", sys.executable, *pip_packages(self.distribution),
+        self._venv("system", sys.executable, *pip_packages(self.distribution), *CLUSTER,
                    f"numpy=={importlib.metadata.version('numpy')}")
         # roslaunch looks localhost up; a bare chroot has no /etc/hosts that knows it.
         if subprocess.run(["getent", "hosts", "localhost"], stdout=subprocess.DEVNULL, check=False).returncode:

@@ -104,6 +104,8 @@ def test_pin_that_blinks_and_a_clone_make_no_false_range_and_are_told(car):
     for fault, sensor in (("sonar_blink", 1), ("sonar_blink", 4), ("sonar_clone", 1), ("sonar_clone", 5)):
         simulated.inject(fault, sensor)
         simulated.sonars(5.0)
+        if fault == "sonar_blink":
+            assert f"{SONAR_NAMES[sensor]}'s echo pin was high for over a second" in simulated.link.words
     for topic in topics:
         assert {round(message.range, 1) for message in car.graph.messages(topic)} == true_m[topic]
     assert any("front_middle's echo pin was high for over a second" in line.text for line in car.graph.log)

@@ -93,16 +93,14 @@ class MeasurementPublisher:
         """Return the time-outs of the sonars that were found to be clones, ms by sensor."""
         return self._measurements.ranging.clones
 
-    def _take_blinks(self):
+    def take_blinks(self) -> set[int]:
+        """Return the sonars whose echo pin was high for over a second, each once."""
         blinks, self._measurements.ranging.blinks = self._measurements.ranging.blinks, set()
         return blinks
 
     def sonar(self, record, received_ns: int, is_trusted: bool, wait_ms: int) -> None:
         """Take a sonar's report, and SONAR_WAIT; publish its range, if it is one."""
         measured = self._measurements.sonar(record, received_ns, is_trusted, wait_ms)
-        for sensor in self._take_blinks():
-            self._warnings.warn(f"blink {sensor}", f"{SONARS[sensor]}'s echo pin was high for over a second, and no "
-                                "sonar fired. Check its echo wire and supply")
         if measured is None or not has_subscribers(self._ranges[measured.sensor]):
             return
         message = self._range_msg

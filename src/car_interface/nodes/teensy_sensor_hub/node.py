@@ -122,6 +122,7 @@ class TeensySensorHub:
             is_trusted = self._sonars.report(record.sensor, record.echo_us, record.when, received_ns)
             if measurements:
                 measurements.sonar(record, received_ns, is_trusted, self._sonars.wait_ms)
+                self._sonars.blinked(measurements.take_blinks(), received_ns)
 
         return {PongReceived: on_pong, protocol.WheelStatus: on_wheels, protocol.SonarStatus: on_sonar,
                 protocol.ErrorCount: lambda record, received_ns: error(*record),

@@ -27,7 +27,7 @@ class HeadingFilter:
 
     def __init__(self):
         self.yaw_rad, self.curvature_per_m = 0.0, 0.0
-        self.recent_curvature = self._mean_square = self._usual_m = 0.0
+        self.recent_curvature = self._largest_square = 0.0
         self._variances = (HEADING_VARIANCE, 0.0, CURVATURE_VARIANCE)
 
     @property
@@ -37,8 +37,8 @@ class HeadingFilter:
 
     @property
     def usual_square(self) -> float:
-        """The mean square of the curvature over the last metres, 1/m²; without its noise."""
-        return max(0.0, self._mean_square - CURVATURE_NOISE ** 2)
+        """The square of the largest curvature on the last metres, 1/m²; without its noise."""
+        return max(0.0, self._largest_square - CURVATURE_NOISE ** 2)
 
     def begin(self, yaw_rad: float, variance: float) -> None:
         """Set a heading that the wheels have measured; the curvature is unknown."""
@@ -50,9 +50,9 @@ class HeadingFilter:
         self.yaw_rad += self.curvature_per_m * distance_m
         if distance_m:
             rolled_m = abs(distance_m)
-            self._usual_m = min(self._usual_m + rolled_m, USUAL_M)
             self.recent_curvature += (self.curvature_per_m - self.recent_curvature) * min(1.0, rolled_m / RECENT_M)
-            self._mean_square += (self.recent_curvature ** 2 - self._mean_square) * min(1.0, rolled_m / self._usual_m)
+            self._largest_square = max(self._largest_square * max(0.0, 1 - rolled_m / USUAL_M),
+                                       self.recent_curvature ** 2)
         yy, yc, cc = self._variances
         yy += distance_m * (2 * yc + distance_m * cc)
         yc += distance_m * cc

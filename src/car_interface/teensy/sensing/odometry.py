@@ -157,6 +157,7 @@ class Odometry:
             return self._move(record, has_pulse, now_ms, path=self._reversed_path(record, last, unsplit))
         path = self._reversed_path(record, last, unsplit)
         if path is not None:
+            self._bridge.has_reversed = True
             for pose in (self._pose, self._before_bridge.pose):
                 pose.add_variance(path.along_variance, path.heading_variance, path.across_variance)
         return self._cross_bridge(record, pulses, unproven, (left_ms, right_ms), now_ms)
@@ -262,16 +263,16 @@ class Odometry:
         if path is not None:
             distance_m, turned_rad = self._move_unseen(path, distance_m, turned_rad)
             curvature_per_m = None  # of the last leg it is unknown
-        if path is not None or is_blind:
-            path = curved_path(distance_m, turned_rad, curvature_per_m, self._heading.usual_square)
-            distance_m, turned_rad = self._move_unseen(path, distance_m, turned_rad)
         if outcome is not None:  # what is uncertain has grown along the part of the path without counts
             uncounted_m = (sum(start.place for start in outcome.wheels) / 2 - before) * self._pulse_m
-            part = max(0.0, min(1.0, uncounted_m / distance_m)) / 2 if distance_m and not is_blind else 0.0
+            part = max(0.0, min(1.0, uncounted_m / distance_m)) / 2 if distance_m else 0.0
             self._pose.move(part * distance_m, part * turned_rad)
             distance_m, turned_rad = (1 - part) * distance_m, (1 - part) * turned_rad
             self._pose.add_variance(outcome.mean_variance * self._pulse_m ** 2,
                                     outcome.difference_variance * self._rad_per_pulse ** 2)
+        if path is not None or is_blind:
+            path = curved_path(distance_m, turned_rad, curvature_per_m, self._heading.usual_square)
+            distance_m, turned_rad = self._move_unseen(path, distance_m, turned_rad)
         self._pose.move(distance_m, turned_rad)
         self._was_rolling = any(wheel.speed for wheel in self._wheels)
         return self._motion(record, now_ms)
@@ -288,9 +289,14 @@ class Odometry:
         left, right = self._wheels
         return (right.position - left.position - self._alignment.difference) * self._rad_per_pulse
 
+    def _turns_on_the_spot(self, record):
+        """Return whether the wheels turn in opposite directions; while a bridge is open these aren't known."""
+        directions = (record.left.direction, record.right.direction)
+        return self._bridge is None and NO_DIRECTION not in directions and directions[0] != directions[1]
+
     def _update_heading(self, record, has_pulse, outcome, has_reversed):
         """Correct the heading by the wheels' difference, if a wheel has made a pulse."""
-        if has_reversed or _turns_on_the_spot(record):
+        if has_reversed or self._turns_on_the_spot(record):
             self._heading.begin(self._measured_yaw_rad(), HEADING_VARIANCE)
         elif has_pulse:
             left, right = self._wheels
@@ -307,7 +313,7 @@ class Odometry:
         scale = self._rad_per_pulse
         speed_mps = (left.speed + right.speed) / 2 * self._pulse_m * 1000
         variance = left.speed_variance + right.speed_variance
-        differs = not self._alignment.is_done or _turns_on_the_spot(record)
+        differs = not self._alignment.is_done or self._turns_on_the_spot(record)
         yaw_rate_radps = ((right.speed - left.speed) * scale * 1000 if differs else
                           self._heading.curvature_per_m * speed_mps)
         to_rad = 2 * self._pulse_m / self._config.wheel_diameter_m
@@ -329,11 +335,13 @@ class Odometry:
     def _bridge_variances(self, place_variance, now_ms):
         """Return the variances of the sum of both wheels' places, m², and of the heading, while both are predicted.
 
-        A car rolls by both wheels: its heading changes by curvature × distance, and its place by the distance times
-        half of that. The curvature changes at an unknown time, for a part of the distance that is evenly in 0 .. 1: its
-        mean has a third of the variance. With the distance the turn by the curvature before is missing, too.
+        A car rolls by both wheels, whose accelerations are mistaken alike: its heading changes by curvature × distance,
+        and its place by the distance times half of that. The curvature changes at an unknown time, for a part of the
+        distance that is evenly in 0 .. 1: its mean has a third of the variance. With the distance the turn by the
+        curvature before is missing, too.
         """
-        along = place_variance / 4 + self._bridge.place_variance(now_ms) * self._pulse_m ** 2
+        alike = 2 if self._before_bridge.was_rolling else 4
+        along = place_variance / alike + self._bridge.place_variance(now_ms) * self._pulse_m ** 2
         square = ((self._mean - self._before_bridge.mean) * self._pulse_m) ** 2
         turn = CURVATURE_VARIANCE / 3 * (square + along) + self._before_bridge.heading.curvature_per_m ** 2 * along
         return 4 * along + turn * square, turn + (UNALIGNED_PULSES * self._rad_per_pulse) ** 2
@@ -342,9 +350,3 @@ class Odometry:
 def _may_learn(record):
     """Return whether the Teensy may not know the direction of a wheel's next pulses yet."""
     return any(wheel.dist_abs < LEARNING_PULSES for wheel in record)
-
-
-def _turns_on_the_spot(record):
-    """Return whether the wheels turn in opposite directions."""
-    directions = (record.left.direction, record.right.direction)
-    return NO_DIRECTION not in directions and directions[0] != directions[1]

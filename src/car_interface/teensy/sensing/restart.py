@@ -59,7 +59,7 @@ class CarState(NamedTuple):
     wheels: tuple[WheelState, WheelState]
     curvature_per_m: float
     curvature_variance: float
-    usual_square: float = 0.0  # of the curvature over the metres before, 1/m²
+    usual_square: float = 0.0  # of the largest curvature on the metres before, 1/m²
 
 
 class WheelStart(NamedTuple):
@@ -95,6 +95,9 @@ class RestartBridge:
     Args:
         state: of the car at that report.
         track_m: between the wheels.
+
+    Attributes:
+        has_reversed: it is known from the counts that the car has reversed after the restart.
     """
 
     def __init__(self, state: CarState, track_m: float):
@@ -102,7 +105,8 @@ class RestartBridge:
         self._track_m = track_m
         self._seen_ms: float | None = None  # from when on pulses were counted again
         self._boot_ms: float | None = None  # from when on each pulse is in the reports
-        self._stop_variance = 0.0
+        self.has_reversed = False  # since then
+        self._stop_variance = self._stop_within_ms = 0.0  # of a car that has stopped while pulses weren't counted
         self._pulses: tuple[list, list] = ([], [])
         self._signs = [0, 0]
 
@@ -113,8 +117,8 @@ class RestartBridge:
         blind_ms, far = self._blind_ms(), 0.0
         if abs(self._mean_before()) <= ROLLING_PER_MS and self._may_have_started(now_ms):
             far = UNEVEN_PER_MS2 * blind_ms ** 2 / 6  # 2 m/s² for all of the time is three sigma
-        elif blind_ms > MAX_BLIND_MS:
-            far = self._mean_before() * blind_ms / 2
+        elif now_ms - self._state.at_ms > MAX_BLIND_MS:  # the wheels are no longer predicted to roll
+            far = self._mean_before() * (now_ms - self._state.at_ms) / 2
         return self._stop_variance + far ** 2
 
     def speed_variance(self, now_ms: float) -> float:
@@ -159,10 +163,15 @@ class RestartBridge:
         if fastest == 0.0 or any(self._pulses) or now_ms - self._seen_ms < max(BLIND_MS, STOPPED_INTERVALS / fastest):
             return False
         blind_ms = min(self._seen_ms - state.at_ms, MAX_BLIND_MS)
-        self._stop_variance = (fastest * blind_ms / 4) ** 2
+        self._note_stop(blind_ms)
         self._state = state._replace(at_ms=now_ms, wheels=tuple(
             wheel._replace(position=wheel.position + wheel.speed * blind_ms / 2, speed=0.0) for wheel in state.wheels))
         return True
+
+    def _note_stop(self, blind_ms):
+        """Take note that the car has stopped within this time, after a quarter to all of it, as one sigma."""
+        fastest = max(abs(wheel.speed) for wheel in self._state.wheels)
+        self._stop_variance, self._stop_within_ms = (fastest * blind_ms / 4) ** 2, blind_ms
 
     @property
     def positions(self) -> tuple[float, float]:
@@ -172,6 +181,8 @@ class RestartBridge:
 
     def add(self, side: int, unproven: int, proven: int, at_ms: float) -> None:
         """Take pulses of a wheel, without and (signed) with a known direction; the newest was at ``at_ms``."""
+        if any(sign * proven < 0 for sign in self._signs):
+            self.restart()  # the car reverses just now: only what follows shows how it goes on
         count, pulses = unproven + abs(proven), self._pulses[side]
         if count > 1 and not pulses and self._boot_ms is not None:
             # At an even pace, the first one half an interval after the boot on average.
@@ -198,6 +209,8 @@ class RestartBridge:
     def solve(self, now_ms: float) -> Outcome:
         """Return how the wheels go on; call it only when ``is_ready``."""
         was_rolling = self._was_rolling()
+        if not was_rolling and abs(self._mean_before()) > ROLLING_PER_MS and self._blind_ms() > BLIND_MS:
+            self._note_stop(min(self._blind_ms(), MAX_BLIND_MS))
         for pulses in self._pulses if self._boot_ms is not None else ():
             _date_first(pulses)
         state, signs = self._state, self._all_signs(now_ms)
@@ -207,27 +220,29 @@ class RestartBridge:
         blind_ms, started = self._blind_ms(), 0.0
         mean_speed = sum(speeds) / 2
         rolled = sum(guess - wheel.position for guess, wheel in zip(guesses, state.wheels)) / 2
+        length = self._length(rolled, mean_speed) if was_rolling else rolled
         mean_variance = self._stop_variance + PLACE_SIGMA ** 2
         if was_rolling and blind_ms > BLIND_MS:
             mean_variance += (UNEVEN_PER_MS2 * blind_ms ** 2 / 12) ** 2 + (mean_speed * CLOCK_MS) ** 2
             if abs(self._mean_before()) <= ROLLING_PER_MS:
                 mean_variance += (UNEVEN_START_RATIO * rolled) ** 2
-            if self._is_late:  # its speed at the boot is between none and twice the mean after it
-                mean_variance += (mean_speed * blind_ms / 2) ** 2 / 3
-        elif self._is_late:  # it may have started before the boot, with 2 m/s², or all of the time as three sigma
-            started = min(UNEVEN_PER_MS2 * blind_ms ** 2 / 6, mean_speed ** 2 / UNEVEN_PER_MS2 / 4)
+            if self._is_late:  # its speed at the boot is between none and twice the mean after it; or, reversed, minus
+                mean_variance += (mean_speed * blind_ms / 2) ** 2 * (7 / 3 if self.has_reversed else 1 / 3)
+        elif self._is_late:  # it may have started before the boot, at any time; with 2 m/s² is three sigma
+            started = min(UNEVEN_PER_MS2 * blind_ms ** 2 / 6, abs(mean_speed) * blind_ms / math.sqrt(3))
             mean_variance += started ** 2
         if blind_ms > MAX_BLIND_MS:
             mean_variance += (max(abs(mean_speed), abs(self._mean_before())) * blind_ms / 2) ** 2
-        difference_variance = (DIFFERENCE_SIGMA ** 2 + self._stop_variance * curvature_variance * self._track_m ** 2
-                               + curvature_variance * (rolled * self._track_m) ** 2)
+        difference_variance = (DIFFERENCE_SIGMA ** 2 + self._track_m ** 2 * (
+            self._stop_variance * (curvature_variance + curvature ** 2) + curvature_variance * length ** 2))
         if abs(self._mean_before()) <= ROLLING_PER_MS and was_rolling:
             # Where the distance is uncertain the turn is, too.
             difference_variance += STANDING_DIFFERENCE_VARIANCE + mean_variance * (curvature * self._track_m) ** 2
         places, doubt = self._search(guesses, signs, mean_variance, difference_variance)
         if was_rolling and blind_ms > BLIND_MS or self._stop_variance:
             doubt = max(doubt, MIN_DIFFERENCE_VARIANCE)
-        if was_rolling and difference_variance > 1.0:  # magnets tell nothing, and the searched ones are too few
+        if (was_rolling or self._stop_variance) and difference_variance > 1.0:
+            # Magnets tell nothing, and the searched ones are too few.
             doubt = max(doubt, difference_variance)
         doubt += (started * (self._curvature_after()[0] or 0.0) * self._track_m) ** 2
         # After a rest a car may have turned round, and the direction of its first pulses isn't known.
@@ -296,7 +311,8 @@ class RestartBridge:
         before, before_variance = self._state.curvature_per_m, self._state.curvature_variance
         after, after_variance = self._curvature_after()
         if not was_rolling or after is None or self._blind_ms() <= BLIND_MS:
-            return before, before_variance
+            part = min(1.0, self._stop_within_ms / MANOEUVRE_MS)
+            return before, before_variance + self._state.usual_square / 3 * part ** 2
         if abs(self._mean_before()) <= ROLLING_PER_MS:
             return after, after_variance + CURVATURE_SIGMA ** 2
         # Exact where it changes evenly; a step at an unknown time in between has this spread. Within seconds it may
@@ -343,8 +359,26 @@ class RestartBridge:
                 rolled += math.copysign(_count_at(first, at_ms), mean) if _rate(first) else mean * (at_ms - first_ms)
             if abs(before) <= ROLLING_PER_MS:
                 rolled = math.copysign(min(abs(rolled), self._distance_from_rest(at_ms)), then)
-        side_sign = 1 if side == RIGHT else -1
-        return wheel.position + rolled * (1 + side_sign * curvature * self._track_m / 2)
+        turned = rolled * curvature + (self._uneven_turn(speeds, curvature) if was_rolling else 0.0)
+        return wheel.position + rolled + (1 if side == RIGHT else -1) * turned * self._track_m / 2
+
+    def _length(self, rolled, speed):
+        """Return the length of the path, in pulses: a car that has reversed on the way went to and fro."""
+        before = self._mean_before()
+        if before * speed >= 0:
+            return rolled
+        return (before ** 2 + speed ** 2) / abs(before - speed) / 2 * self._blind_ms()
+
+    def _uneven_turn(self, speeds, curvature):
+        """Return what curvature × distance misses of a turn where curvature and speed both change evenly.
+
+        The mean of their product is the product of their means plus a twelfth of that of their changes.
+        """
+        before = self._mean_before()
+        if abs(before) <= ROLLING_PER_MS or self._blind_ms() <= BLIND_MS:
+            return 0.0
+        curvature_change = 2 * (curvature - self._state.curvature_per_m)
+        return curvature_change * (sum(speeds) / 2 - before) * self._blind_ms() / 12
 
     def _distance_from_rest(self, at_ms):
         """Return the distance since the car stood, by its speed v and acceleration a: v² / 2a."""

@@ -17,7 +17,7 @@ Pure: ``now_ns`` in, and its memory doesn't grow.
 """
 from __future__ import annotations
 
-from typing import Mapping, NamedTuple, Sequence
+from typing import Iterable, Mapping, NamedTuple, Sequence
 
 from car_interface.common.units import NS_PER_MS, NS_PER_S
 from car_interface.common.vehicle_geometry import SONARS
@@ -37,6 +37,7 @@ SEND_START, SEND_SEQUENCE = "SONAR_START", "SET_SONAR_SEQ"
 # nothing. The two speeds differ, so that a car which stands doesn't switch with the noise of its speed.
 FORWARD_MPS, BACKWARD_MPS = 0.15, -0.1
 STAYS_AHEAD_NS = NS_PER_S
+BLINK_SHOWN_NS = 10 * NS_PER_S  # as long as a reboot is
 ALIVE_NS = NS_PER_S  # a link without any frame for longer shows nothing about sonars
 
 
@@ -79,6 +80,7 @@ class SonarMonitor:
         self._configured = None if sequence is None else tuple(sequence)
         self.starts = 0
         self.clones: Mapping[int, float] = {}
+        self._blinked: dict[int, int] = {}  # sensor: when its pin was last released
         self._zeros = [0] * len(SONARS)  # in a row
         self._stalls = [0] * len(SONARS)  # in a row, at this sensor
         self._missing: set[int] = set()  # until they report
@@ -265,6 +267,10 @@ class SonarMonitor:
             return None
         return self.sequence[(self.sequence.index(self._last) + 1) % len(self.sequence)]
 
+    def blinked(self, sensors: Iterable[int], now_ns: int) -> None:
+        """Take note of sensors whose echo pin was high for over a second and is released."""
+        self._blinked.update((sensor, now_ns) for sensor in sensors)
+
     def faults(self, now_ns: int) -> list[SonarFault]:
         """Return the faults; empty when all sonars in use report, or were stopped."""
         found = [SonarFault(sensor, f"{SONARS[sensor]} is stuck high and was taken out of the sequence",
@@ -274,6 +280,10 @@ class SonarMonitor:
             found.append(SonarFault(sensor, f"{SONARS[sensor]} is a clone that holds its pulse for {timeout_ms:.0f} ms "
                                     "without an echo: its ranges are right", f"Set ~no_echo_timeouts/{SONARS[sensor]} "
                                     f"to {timeout_ms:.0f}, by which it is known from the start"))
+        for sensor, at_ns in sorted(self._blinked.items()):
+            if now_ns - at_ns < BLINK_SHOWN_NS:
+                found.append(SonarFault(sensor, f"{SONARS[sensor]}'s echo pin was high for over a second, and no sonar "
+                                        "fired", "Check its echo wire and supply"))
         if self._stopped or not self._is_alive(now_ns):
             return found
         for sensor in sorted({*self._usual, *(self._ahead or ())}.difference(self.dropped)):

@@ -151,6 +151,10 @@ class WheelFilter:
             self._pulse_ms = -math.inf
         for count, at_ms in start.pulses:
             self.update(sign * count, start.forward, at_ms, max(now_ms, at_ms))
+        if len(start.pulses) > 1 and start.pulses[-1][1] - start.pulses[-2][1] > FAR_APART_MS:
+            # A mean over so long: it may be starting, or turning round; or it has stopped, and ``when`` is a repeat's.
+            pp, pv, pa, vv, va, aa = self._variances
+            self._variances = (pp, pv, pa, vv + max(FIRST_SPEED_SIGMA, abs(self.speed)) ** 2, va, aa)
 
     def advance(self, now_ms: float) -> None:
         """Predict until now, within the magnets that the wheel can't have passed without a pulse."""
@@ -231,6 +235,7 @@ class WheelFilter:
     def _noise(self, elapsed_ms, ratio, fade):
         """Return the variances that unknown changes of acceleration add: Singer's, and its limit for a short time."""
         acceleration = (STARTING_ACCELERATION if self._since_stop < STARTING_PULSES else
+                        USUAL_ACCELERATION if self.is_uncounted else
                         min(USUAL_ACCELERATION, SPEED_CHANGE * self.speed * self.speed))
         variance = acceleration * acceleration
         if ratio < 0.05:

@@ -271,8 +271,9 @@ def _settled(pulses, unsplit, before, rolled, now):
         if rolled[side].direction != direction or not earlier:
             continue  # a single reversal
         if not unsplit[other] and abs(pulses[other]) > earlier / 2:
-            # The other wheel didn't reverse: this one went back over a single magnet.
-            settled[side] += sign * (earlier - 2) - counted
+            # The other wheel didn't reverse: this one went back over a single magnet; or it has just reversed, before
+            # the other one does.
+            settled[side] += (sign * (earlier - 2) if sign * pulses[other] > 0 else -sign * earlier) - counted
             open_[side] = 0
         else:
             settled[side] += -sign - counted

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError
-from car_interface.tools.cli.jobs import failure_text, for_each, workers
+from car_interface.tools.cli.jobs import check_not_killed, failure_text, for_each, workers
 from car_interface.tools.cli.options import add_recording_arguments, add_scheduler_argument, length_m, topics_of
 from car_interface.tools.report.page import page
 from car_interface.tools.report.plots import plots
@@ -88,9 +88,10 @@ def page_path(bag: str, namespace: str, folder: str | None = None) -> Path:
     return Path(folder or place.parent) / ".".join([stem, *filter(None, namespace.split("/")), "html"])
 
 
-def _report(bag, namespace, wheelbase_m, progress, topics):
+def _report(bag, namespace, wheelbase_m, progress, topics, killed=False):
     """Return lines on the topics that a page is about, the page, and an error as text, empty without one."""
     try:
+        check_not_killed(killed, bag)
         drive = summarize(bag, namespace, wheelbase_m, progress=progress, **topics)
         return drive.notes, page(drive, plots(drive)), ""
     except Exception as error:  # one bad recording must not prevent the pages of the others

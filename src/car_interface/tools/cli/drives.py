@@ -16,7 +16,7 @@ from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.tools.cli.bag_report import page_path as report_path
 from car_interface.tools.cli.drives_cache import Cache, find_recordings, fingerprint
-from car_interface.tools.cli.jobs import failure_text, for_each, workers
+from car_interface.tools.cli.jobs import check_not_killed, failure_text, for_each, workers
 from car_interface.tools.cli.main import version
 from car_interface.tools.cli.options import add_recording_arguments, add_scheduler_argument, topics_of
 from car_interface.tools.report.drives_page import csv_text, in_order, page
@@ -134,10 +134,11 @@ def _state(folder, path):
         return None
 
 
-def _read(path, folder, namespace, topics):
+def _read(path, folder, namespace, topics, killed=False):
     """Return the row of one recording; whatever is wrong with it becomes the row's error."""
     full = os.path.join(folder, path)
     try:
+        check_not_killed(killed, full)
         return row(summarize(full, namespace, **topics), path)
     except Exception as error:  # one bad recording must not prevent the table of the others
         # It begins with the recording's name; a command to type keeps the whole path.

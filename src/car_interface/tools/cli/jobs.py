@@ -28,6 +28,7 @@ class Workers(NamedTuple):
 
     executor: Executor  # pickles functions, arguments and results, unless it works in this process
     max_pending: int  # how much it is given at a time
+    killed: tuple = ()  # what a result raises whose workers were killed again and again
 
 
 @contextmanager
@@ -43,8 +44,8 @@ def workers(count: int, jobs: int, scheduler: str | None = None) -> Iterator[Wor
     """
     jobs = min(jobs, count)
     if scheduler is not None and count:
-        with _cluster(scheduler) as executor:
-            yield Workers(executor, MAX_PENDING)
+        with _cluster(scheduler) as done_by:
+            yield done_by
     elif jobs < 2:
         yield Workers(_InTurn(), 1)
     else:
@@ -61,17 +62,33 @@ def workers(count: int, jobs: int, scheduler: str | None = None) -> Iterator[Wor
 
 
 def for_each(function: Callable[[Any], Any], items: Sequence[Any], done_by: Workers) -> Iterator[Any]:
-    """Yield ``function(item)`` for each item, in order; raise whatever the function raises."""
+    """Yield ``function(item)`` for each item, in order; raise whatever the function raises.
+
+    An item whose workers were killed again and again is worked on once more, alone: others that were on their way to
+    these workers are under suspicion, too. If that fails as well, ``function(item, killed=True)`` takes its place.
+    """
     results: deque = deque()
     for item in items:
-        running = [result for result in results if not result.done()]
+        running = [result for _, result in results if not result.done()]
         if len(running) == done_by.max_pending:
             wait(running, return_when=FIRST_COMPLETED)
-        results.append(done_by.executor.submit(function, item))
-        while results and results[0].done():
-            yield results.popleft().result()
+        results.append((item, done_by.executor.submit(function, item)))
+        while results and results[0][1].done():
+            yield _result(function, results, done_by)
     while results:
-        yield results.popleft().result()
+        yield _result(function, results, done_by)
+
+
+def _result(function, results, done_by):
+    item, result = results.popleft()
+    try:
+        return result.result()
+    except done_by.killed:
+        wait([other for _, other in results])
+    try:
+        return done_by.executor.submit(function, item).result()
+    except done_by.killed:
+        return function(item, killed=True)
 
 
 class _InTurn(Executor):
@@ -124,8 +141,8 @@ def _prepare_process():
 
 
 @contextmanager
-def _cluster(address) -> Iterator[Executor]:
-    """Yield the executor of a dask cluster. It gives the work of a worker that was lost to another one."""
+def _cluster(address) -> Iterator[Workers]:
+    """Yield what works on a dask cluster. It gives the work of a worker that was lost to another one."""
     import distributed  # an extra of setup.py
 
     logging.disable(logging.CRITICAL)  # what it logs, by loggers with levels of their own, ends as one line of ours
@@ -140,15 +157,19 @@ def _cluster(address) -> Iterator[Executor]:
         except Exception as error:  # its TimeoutError is another one in each version
             raise CarInterfaceError(f"{place}: it has no worker: start one by dask worker {address}") from error
         try:
-            yield _OnCluster(client.get_executor(pure=False))
-        except distributed.KilledWorker as error:
-            raise CarInterfaceError(f"{place}: several workers were killed by one recording, maybe for want of "
-                                    "memory") from error
+            yield Workers(_OnCluster(client.get_executor(pure=False)), MAX_PENDING, (distributed.KilledWorker,))
         except CancelledError as error:
             raise CarInterfaceError(f"{place}: it has ended before its work was done") from error
         except ModuleNotFoundError as error:
             raise CarInterfaceError(f"{place}: a worker lacks {error.name}: install car_interface[tools,cluster] on "
                                     "each") from error
+
+
+def check_not_killed(killed: bool, path: str) -> None:
+    """Raise CarInterfaceError where all workers that read a recording were killed."""
+    if killed:
+        raise CarInterfaceError(f"{path} ended each worker that read it, maybe for want of memory: read it on a "
+                                "computer with more, without --scheduler")
 
 
 def failure_text(error: Exception, path: str, refusal: str) -> str:

@@ -61,3 +61,13 @@ def test_commanded_curvature_counts_the_more_the_longer_it_lasts_and_nothing_for
         heading.update_curvature(1.0, lasted_s)
     assert 0.0 == none.curvature_per_m < once.curvature_per_m < long.curvature_per_m < 1.0
     assert once.curvature_variance > long.curvature_variance
+
+
+def test_usual_curvature_is_the_largest_of_the_last_metres():
+    heading = HeadingFilter()
+    drive(heading, 0.8, 60)
+    assert heading.usual_square == pytest.approx(0.8 ** 2, abs=0.1)
+    drive(heading, 0.0, 20)
+    assert heading.usual_square > 0.4 ** 2  # a slalom passes through the middle, too
+    drive(heading, 0.0, 800)
+    assert heading.usual_square == 0.0

@@ -24,6 +24,16 @@ def test_heading_stays_right_whatever_the_car_does_meanwhile_and_odometry_is_sil
     assert sum(abs(outcome.heading_deg) > 6 for outcome in steady) <= 0.01 * len(steady), "two pulses"
 
 
+@pytest.mark.once
+@pytest.mark.parametrize("fault, seed", [
+    (reboot_accuracy.OFF, 40083), (reboot_accuracy.OFF, 40193), (reboot_accuracy.BOTH, 1063),
+    (reboot_accuracy.BOTH, 150068), (reboot_accuracy.BOTH, 350160),
+], ids=["stopped_and_turned_unseen", "reverses_as_it_is_seen_again", "slalom", "reversed_after_the_boot",
+        "had_started_before_the_boot"])
+def test_manoeuvre_that_nobody_saw_is_within_three_sigma(fault, seed):
+    assert reboot_accuracy.run(seed, fault).inside > 0.98
+
+
 def bridge(speed=0.066, curvature=0.0, counts=(100, 100)):
     """A car that rolled at so many pulses a ms, 0.066 is 1 m/s, each wheel half-way between two magnets."""
     speeds = [speed * (1 + sign * curvature * TRACK_M / 2) for sign in (-1, 1)]
@@ -114,6 +124,24 @@ def test_car_that_makes_no_pulse_any_more_has_stopped_on_the_way():
     for side in (LEFT, RIGHT):
         some.add(side, 2, 1, BEFORE_MS + 5000)
     assert some.solve(BEFORE_MS + 5000).mean_variance > 4.0, "where on the way nobody knows"
+
+
+def test_car_that_reversed_unseen_has_turned_on_both_of_its_ways():
+    some = bridge(speed=0.033, curvature=0.5)
+    some.report(BEFORE_MS + 1300)
+    outcome = roll(some, BEFORE_MS + 1300, (-0.03, -0.03), (100.5, 100.5), BEFORE_MS + 1700, forward=False)
+    left, right = (wheel.place for wheel in outcome.wheels)
+    assert abs((left + right) / 2 - 100.5) < 6 and right > left  # it ends near where it began, turned to the left
+    assert outcome.difference_variance > (0.2 * 10 * TRACK_M) ** 2  # 0.2 1/m on ten pulses each way
+
+
+def test_car_that_reverses_before_enough_is_known_is_followed_from_there():
+    some = bridge()
+    some.report(BEFORE_MS + 310)
+    for side in (LEFT, RIGHT):
+        some.add(side, 2, -2, BEFORE_MS + 400)
+    some.add(LEFT, 0, 1, BEFORE_MS + 500)
+    assert [some.pending(side) for side in (LEFT, RIGHT)] == [1, 0]
 
 
 def test_longer_outage_is_known_less_well():

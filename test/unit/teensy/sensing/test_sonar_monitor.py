@@ -295,6 +295,17 @@ def test_clone_is_told_with_the_parameter_that_it_needs():
     assert "~no_echo_timeouts/front_left to 200" in next_step
 
 
+def test_pin_that_blinked_is_told_for_ten_seconds_beside_other_faults():
+    sonars = Sonars().run(1)
+    sonars.monitor.clones = {2: 200.0}
+    sonars.monitor.blinked([1], sonars.now_ns)
+    words, next_step = describe(sonars.monitor.faults(sonars.now_ns))
+    assert "front_left is a clone" in words and "front_middle's echo pin was high for over a second" in words
+    assert "Check its echo wire and supply" in next_step
+    sonars.run(11)
+    assert "front_middle" not in sonars.words
+
+
 def test_last_sonar_of_the_sequence_is_never_dropped():
     sonars = Sonars()
     sonars.monitor.sequence_set((2,), sonars.now_ns)

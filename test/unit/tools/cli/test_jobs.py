@@ -46,6 +46,7 @@ def test_process_that_was_killed_is_told():
 def cluster():
     """Two workers on loopback."""
     distributed = pytest.importorskip("distributed")
+    pytest.importorskip("dask").config.set({"distributed.scheduler.allowed-failures": 1})
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None,
                                   silence_logs=logging.CRITICAL) as made:
         yield made
@@ -64,6 +65,25 @@ def test_worker_of_a_cluster_that_is_killed_loses_nothing(cluster, tmp_path):
         found = list(jobs.for_each(partial(killing_its_worker_once, tmp_path), range(12), done_by))
     assert [number for number, _ in found] == list(range(12)) and (tmp_path / "killed").exists()
     assert os.getpid() not in {process for _, process in found}
+
+
+def killing_each_worker(number, killed=False):
+    if killed:
+        return "killed"
+    if number == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+@pytest.mark.once
+def test_what_kills_each_worker_is_told_and_all_else_is_done(cluster):
+    with jobs.workers(8, 1, cluster.scheduler_address) as done_by:
+        assert list(jobs.for_each(killing_each_worker, range(8), done_by)) == [0, 1, "killed", 3, 4, 5, 6, 7]
+
+
+def test_recording_that_killed_its_workers_says_so_in_its_row():
+    with pytest.raises(CarInterfaceError, match=r"a\.bag ended each worker that read it, maybe for want of memory"):
+        jobs.check_not_killed(True, "a.bag")
 
 
 @pytest.mark.once
@@ -92,6 +112,7 @@ def test_table_and_pages_of_a_cluster_are_those_of_this_computer(cluster, tmp_pa
         assert main("drives", [".", "--fresh", *options]) == 0
         assert main("bag_report", [str(tmp_path / "0.bag"), *options]) == 0
         made[options[0]] = [(tmp_path / name).read_bytes() for name in ("drives.csv", "drives.html", "0.html")]
+        (tmp_path / "0.html").unlink()  # drives links to it
     assert made["--jobs"] == made["--scheduler"]
     assert "none.bag is cut off or damaged" in capsys.readouterr().err
 
