@@ -10,13 +10,26 @@ from functools import partial
 
 from geometry_msgs.msg import Twist
 from std_msgs.msg import Bool, Float32, Int32MultiArray, String
+from walks.goals import MS, Goals
 
 from car import CENTER, CONTROL, ESC, ESC_NEUTRAL, STEERING
 from inputs import control, odometry
 from single_faults import (
-    ESCS, LINKS, NAN, NODES, OTHERS, PLANNER, VECTOR, Drive, hold_bus, inject, nacks, remove_board, return_board,
-    set_clock)
-from walks.goals import BOTH, MS, Goals
+    ESCS,
+    LINKS,
+    NAN,
+    NODES,
+    OTHERS,
+    PLANNER,
+    VECTOR,
+    Drive,
+    hold_bus,
+    inject,
+    nacks,
+    remove_board,
+    return_board,
+    set_clock,
+)
 
 BOUNDS_MS = 5, 500, 600, 2500  # of short and of long faults
 ACT, FAULT, ODD = 0.03, 0.004, 0.001  # shares of the steps
@@ -30,7 +43,8 @@ ODDS = (("/joy", lambda drive: type(drive.car.joy_now)()), (VECTOR, lambda drive
         ("/teleop_logi/tele_throt_req", lambda drive: Float32(NAN)),
         ("/teleop_logi/mode", lambda drive: String("x")),
         ("/av_turnrad_req", lambda drive: Float32(NAN)), ("/av_speed_req", lambda drive: Float32(NAN)),
-        (CONTROL, lambda drive: control(NAN)), ("/odom", lambda drive: odometry(NAN)), ("/cmd_vel", lambda drive: Twist()))
+        (CONTROL, lambda drive: control(NAN)), ("/odom", lambda drive: odometry(NAN)),
+        ("/cmd_vel", lambda drive: Twist()))
 
 
 def ways(link):
@@ -58,7 +72,8 @@ class GraphWalk:
     def run(self, steps: int) -> Goals:
         """Take steps, and return the monitor."""
         rng = self.rng
-        for self.steps in range(self.steps + 1, self.steps + steps + 1):
+        for _ in range(steps):
+            self.steps += 1
             draw = rng.random()
             if draw < FAULT:
                 self._fault()
@@ -229,7 +244,7 @@ class GraphWalk:
         name = self.rng.choice(names)
         if name in self._busy or name == "pca9685" and self._now_ns < self._board_busy_until_ns:
             return
-        node, (timeout_s, stops, takes, rearms) = self.graph.nodes[f"/{name}"], NODES[name]
+        node, (_, stops, takes, rearms) = self.graph.nodes[f"/{name}"], NODES[name]
         is_board = name == "pca9685"
         how = self.rng.choice(("kill", "end", "stall", "frozen"))
         is_stalled = how in ("stall", "frozen")

@@ -6,11 +6,11 @@ import os
 import random
 
 import pytest
+from walks.cores import Walk
 
 from car_interface.interlock.motion_interlock import MotionInterlock
 from car_interface.pca9685.channels import Channels
 from car_interface.throttle.arbiter import ThrottleArbiter
-from walks.cores import Walk
 
 IS_ALL = bool(os.environ.get("CAR_INTERFACE_ALL"))
 STEPS = 100_000
