@@ -26,8 +26,8 @@ def test_random_walk_of_the_whole_graph_breaks_no_goal(part):
 
 
 # What is switched off, and a seed that finds it early.
-OFF = [(switched_off.timeout_of_the_deadman, 0), (switched_off.timeout_of_the_gamepad, 0), (switched_off.rearming, 0),
-       (switched_off.stop_of_throttle_without_steering, 0)]
+OFF = [(switched_off.timeout_of_the_deadman, 4), (switched_off.timeout_of_the_gamepad, 0), (switched_off.rearming, 2),
+       (switched_off.stop_of_throttle_without_steering, 1)]
 
 
 @pytest.mark.once
