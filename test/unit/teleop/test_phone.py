@@ -508,6 +508,13 @@ def test_command_of_the_driver_s_is_passed_on_once_and_one_of_a_watcher_s_or_an_
     assert bench.phones.take_commands() == [] and bench.controls == AHEAD
 
 
+def test_answer_with_the_name_of_a_file_that_is_no_utf_8_can_be_sent(bench):
+    page = bench.join(1)
+    bench.phones.answer(page.number, refused="no recording: /home/\udce4")
+    assert [outgoing.text.encode() for outgoing in bench.phones.drain()] == [
+        b'{"refused":"no recording: /home/\\udce4"}']
+
+
 def test_commands_that_the_node_has_not_taken_are_limited(bench):
     driver = bench.drive(1)
     for _ in range(MAX_COMMANDS + 1):
