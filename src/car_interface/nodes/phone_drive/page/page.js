@@ -122,7 +122,9 @@ function stateOf(mine, isStopped, refusal) {
       || (link.stopShown ? "Its emergency stop was on." : "Without a phone the car stops by itself.")];
   }
   if (isStopped) {
-    const next = mine ? "Clear it, then touch again." : "Only the driver's phone can clear it.";
+    const isFree = status && status.driver === "nobody" && !status.guest;
+    const next = mine ? "Clear it, then touch again." : isFree ? "Press Drive, then clear it."
+      : "Only the driver's phone can clear it.";
     return ["stop", link.stopShown ? "Emergency stop" : "Stopping", refusal || next];
   }
   if (refusal) return ["wait", "Not now", refusal];
