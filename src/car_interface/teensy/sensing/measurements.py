@@ -13,6 +13,7 @@ from car_interface.common.units import NS_PER_MS, NS_PER_S
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.teensy.link.pinging import Answer
 from car_interface.teensy.link.protocol import UINT32, Pong, SonarStatus, WheelStatus
+from car_interface.teensy.link.reboot import reached_tick
 from car_interface.teensy.sensing.clock import Clock, ClockConfig, Stamp, Sync
 from car_interface.teensy.sensing.echo_pulses import BOOT_MS, FIRMWARE_WAIT_MS, EchoPulses
 from car_interface.teensy.sensing.odometry import Motion, Odometry, OdometryConfig
@@ -77,6 +78,7 @@ class Measurements:
         self._on_motion = on_motion
         self._queue: list[tuple] = []  # reports of the wheels, and when they were received
         self._has_tick = False
+        self._answered: tuple | None = None  # the newest pong's tick, and when it was received
         self._shift_ms = 0.0  # from the Teensy's clock to the odometry's, which never restarts
         self._newest_ms = -math.inf  # of the wheels' pulses and repeats, on the odometry's clock
         # Of the newest of each kind: stamps rise even when the relation of the clocks changes.
@@ -86,10 +88,12 @@ class Measurements:
     def pong(self, record: Pong, answer: Answer | None, received_ns: int) -> Sync | None:
         """Take a pong, and the ping that it answers (``None``: no ping of ours); return ``None`` if it was refused."""
         self.process_queue()
-        verdict = self.gates.pong(record, answer is not None)
+        reached = self._answered and answer and reached_tick(*self._answered, answer.sent_ns)
+        verdict = self.gates.pong(record, answer is not None, reached)
         if not verdict.accepted:
             return None
         self._update_tick(verdict, record.timestamp2, received_ns)
+        self._answered = (record.timestamp2, received_ns)
         return self.clock.pong(record.timestamp2, answer.sent_ns, answer.sent_bytes, received_ns, PONG_BYTES)
 
     def sonar(self, record: SonarStatus, received_ns: int, is_trusted: bool = True,
@@ -189,6 +193,7 @@ class Measurements:
     def _restart_clock(self, tick, received_ns):
         """Begin with a tick of the new clock: the Teensy rebooted."""
         self._shift_ms += self.clock.tick_at(received_ns) - tick
+        self._answered = None
         self.clock.restart()
         self._pulses.restart()
         self.clock.update_tick(tick, received_ns, 0)
