@@ -450,6 +450,8 @@ class Esc:
             self._saw_speed_in_reverse = True
         if not (state == BRAKING and self._state == BRAKING and abs(fraction - self._fraction) <= SAME_BRAKE):
             self._brakes_since_ns = now_ns
+        if state == BRAKING:
+            self._motion.update_brake(now_ns)
         self._fraction, self._state = fraction, state
         self._history.update_sent(fraction, now_ns)
         if state in (BRAKING, HOLD) and self._motion.rolls_backward(now_ns):

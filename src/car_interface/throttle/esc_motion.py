@@ -51,9 +51,9 @@ class MeasuredMotion:
         self._speed = TimedInput("odom", config.speed_timeout_s)
         self.measured_ns, self.is_stamped = -math.inf, False
         self._slides_until_ns = -math.inf
-        # Since when the newest speed is the same. No two speeds of a car that brakes are; a filter that has lost its
-        # sensor predicts on with one. So a speed that repeats is as old as its first report, where a brake may reverse.
-        self._changed_ns = -math.inf
+        # When the newest speed's first brake began; None: it wasn't braked. A brake changes the speed; a filter that has
+        # lost its sensor predicts on with one. So a speed that repeats is no newer than this, where a brake may reverse.
+        self._braked_ns: int | None = None
         self._speeds: deque = deque(maxlen=SPEEDS)  # (measured_ns, speed without its sign)
         self._backward_ns: int | None = None  # when it last drove or rolled backward; None: it has stopped
 
@@ -62,14 +62,19 @@ class MeasuredMotion:
         if not abs(speed_mps) <= MAX_SPEED_MPS:  # also for NaN
             self._speed.mark_stale(f"it was {speed_mps}")
             return
-        if speed_mps != self._speed.value or self._speed.is_stale(now_ns):
-            self._changed_ns = now_ns - max(0, age_ns)
+        if speed_mps != self._speed.value:
+            self._braked_ns = None
         self._speed.update(speed_mps, now_ns, age_ns)
         self.measured_ns, self.is_stamped = now_ns - max(0, age_ns), age_ns > 0
         self._speeds.append((self.measured_ns, abs(speed_mps)))
         if abs(speed_mps) >= STANDSTILL_MPS:
             slides_until_ns = self.measured_ns + round(abs(speed_mps) / SLIDE_MPS2 * NS_PER_S)
             self._slides_until_ns = max(self._slides_until_ns, slides_until_ns)
+
+    def update_brake(self, now_ns: int) -> None:
+        """Record that the ESC brakes a car that rolls."""
+        if self._braked_ns is None:
+            self._braked_ns = now_ns
 
     def update_reverse(self, now_ns: int) -> None:
         """Record that the ESC drives backward: its motor may push for MOTOR_LAG_NS more."""
@@ -144,11 +149,14 @@ class MeasuredMotion:
     def mps2_to_outlast_a_pull(self, now_ns: int) -> float:
         """Return the deceleration that stops the car just when the board has ended a pull that is given now."""
         speed_mps = self.speed_mps(now_ns)
-        return 0.0 if speed_mps is None else abs(speed_mps) * NS_PER_S / (now_ns - self._changed_ns + PULL_NS)
+        return 0.0 if speed_mps is None else abs(speed_mps) * NS_PER_S / (self._age_ns(now_ns) + PULL_NS)
+
+    def _age_ns(self, now_ns):
+        return now_ns - min(self.measured_ns, math.inf if self._braked_ns is None else self._braked_ns)
 
     def _slows_mps2(self, braked_since_ns, now_ns):
         """Return a bound of the present deceleration: the tyres', or by what the same brake was seen to do."""
-        if braked_since_ns is None or now_ns - self._changed_ns > SEEN_FOR_NS:
+        if braked_since_ns is None or self._age_ns(now_ns) > SEEN_FOR_NS:
             return MAX_DECELERATION_MPS2
         (first_ns, first_mps), (last_ns, last_mps) = self._window(braked_since_ns + MOTOR_LAG_NS)
         if last_ns - first_ns < WINDOW_NS:
@@ -165,7 +173,7 @@ class MeasuredMotion:
         speed_mps = self.speed_mps(now_ns)
         if speed_mps is None:
             return 0.0
-        age_s = (now_ns - self._changed_ns + ahead_ns) / NS_PER_S
+        age_s = (self._age_ns(now_ns) + ahead_ns) / NS_PER_S
         return max(0.0, abs(speed_mps) - slows_mps2 * age_s)
 
 

@@ -12,6 +12,7 @@ from car_interface.teleop.keyboard import Controls
 from car_interface.teleop.phone import (
     ABSENT_NS,
     GUESSES_AT_ONCE,
+    MAX_ADDRESSES,
     MAX_COMMANDS,
     MAX_MALFORMED,
     MAX_PAGES,
@@ -324,6 +325,7 @@ def test_any_page_stops_and_the_driver_s_button_and_a_new_touch_end_it(bench):
     first.echo("")
     first.echo("manual")
     assert bench.controls == NOTHING_HELD
+    bench.wait(100)
     first.send(type="clear")
     first.echo("manual")
     assert not bench.phones.e_stop and bench.controls == NOTHING_HELD
@@ -336,6 +338,7 @@ def test_any_page_stops_and_the_driver_s_button_and_a_new_touch_end_it(bench):
 def test_clear_that_was_sent_before_the_stop_or_arrives_twice_ends_nothing(bench, delay_ms):
     page = bench.drive()
     page.send(type="e_stop")
+    bench.wait(100)
     page.send(type="clear")
     cleared = page.sent[-1]
     assert not bench.phones.e_stop
@@ -343,6 +346,18 @@ def test_clear_that_was_sent_before_the_stop_or_arrives_twice_ends_nothing(bench
     bench.wait(delay_ms)
     page.send_text(cleared)
     assert bench.phones.e_stop
+
+
+def test_clear_for_one_stop_does_not_end_another_one_that_arrived_before_it(bench):
+    driver, viewer = bench.drive(1), bench.join(2)
+    viewer.send(type="e_stop")
+    bench.wait(100)
+    viewer.send(type="e_stop")  # while the driver's answer to the first one is under way
+    driver.send(type="clear")
+    assert bench.phones.e_stop and driver.refused == ["somebody has pressed the stop again: clear that one, too"]
+    bench.wait(100)
+    driver.send(type="clear")
+    assert not bench.phones.e_stop
 
 
 def test_e_stop_outlives_every_page(bench):
@@ -384,11 +399,17 @@ def test_guesses_are_limited_by_address_and_neither_others_nor_the_driver_s_key_
     assert right.key
 
 
-def test_guesser_with_many_addresses_makes_nothing_grow(bench):
-    for number in range(1000):
-        bench.open(number, f"10.0.{number // 250}.{number % 250}").send(type="pin", pin="999999")
+def test_guesser_with_many_addresses_has_no_more_guesses_than_256_and_makes_nothing_grow(bench):
+    for number in range(6000):
+        bench.open(number, f"fd00::{number % 1000}").send(type="pin", pin="999999")
         bench.phones.disconnect(number)
-    assert len(bench.phones._guesses) <= 256 and not bench.phones._pages
+    groups = MAX_ADDRESSES + 1  # and all others
+    assert bench.phones.counts["wrong PIN"] == groups * GUESSES_AT_ONCE
+    assert len(bench.phones._guesses) <= groups and not bench.phones._pages
+    bench.now_ns += 50 * S
+    page = bench.open(1, "10.0.0.1")
+    page.send(type="pin", pin=PIN)
+    assert page.key and len(bench.phones._guesses) == 1
 
 
 def test_connections_that_send_nothing_make_room_and_disturb_no_driver(bench):

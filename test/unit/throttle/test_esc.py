@@ -333,6 +333,16 @@ def test_downhill_a_stop_brakes_as_weakly_unless_nobody_has_said_what_the_esc_is
     assert brakes_downhill(profile, 0.4, is_stop=True) == pytest.approx(-brake)
 
 
+def test_a_brake_that_may_reverse_ends_soon_where_odometry_repeats_a_speed():
+    car, pulls = Car(TURNS), []
+    car.stick(0.5, 0.5, speed=1.5)
+    for _ in range(20):
+        car.now_ns += 20 * MS
+        car.esc.update_speed(1.5, car.now_ns)
+        pulls.append(car.stick(-0.5).fraction)
+    assert pulls[0] < 0.0 and not any(pulls[6:])
+
+
 def test_a_weak_pull_waits_until_the_motor_has_let_go_of_a_stronger_one():
     car = Car(DIRECT)
     request = Request(0.0, DRIVE, is_centered=True, cruise_mps=0.3)

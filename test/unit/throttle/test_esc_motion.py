@@ -63,17 +63,21 @@ def test_a_pull_is_outlasted_by_what_the_tyres_cannot_stop_until_the_board_has_e
     assert not motion().outlasts_a_pull(0)
 
 
-def test_a_speed_that_repeats_is_as_old_as_its_first_report():
+def test_a_speed_that_repeats_under_a_brake_is_no_newer_than_the_brake():
     measured = motion(1.5)
     for at_ms in (20, 40, 60, 80):
         measured.update(1.5, at_ms * MS)
-    assert measured.least_speed_mps(80 * MS) == pytest.approx(1.5 - 8 * 0.12)
-    assert measured.outlasts_a_pull(80 * MS) and not measured.outlasts_a_pull(90 * MS)
+    assert measured.least_speed_mps(80 * MS) == pytest.approx(1.5 - 8 * 0.04)  # a car may hold its speed
+    for at_ms in (80, 100, 120, 140):
+        measured.update_brake(at_ms * MS)
+        measured.update(1.5, (at_ms + 10) * MS)
+    assert measured.least_speed_mps(160 * MS) == pytest.approx(1.5 - 8 * 0.12)
+    assert measured.outlasts_a_pull(160 * MS) and not measured.outlasts_a_pull(170 * MS)
     assert not measured.outlasts_a_pull(300 * MS, braked_since_ns=0)  # it isn't taken for a brake that hardly slows
-    assert measured.mps2_to_outlast_a_pull(80 * MS) == pytest.approx(1.5 / 0.18)
+    assert measured.mps2_to_outlast_a_pull(160 * MS) == pytest.approx(1.5 / 0.18)
     assert measured.speed_mps(500 * MS) == 1.5  # it is fresh all the same
-    measured.update(1.4, 100 * MS)
-    assert measured.least_speed_mps(100 * MS) == pytest.approx(1.4 - 8 * 0.04)
+    measured.update(1.4, 180 * MS)
+    assert measured.least_speed_mps(180 * MS) == pytest.approx(1.4 - 8 * 0.04)
 
 
 @pytest.mark.parametrize("slows_mps2, late_ms, speed_mps, rolls", [

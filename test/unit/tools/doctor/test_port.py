@@ -14,13 +14,7 @@ from car_interface.teensy.link.health import FINE, PORT_FAULTS
 from car_interface.tools.doctor import port
 from car_interface.tools.doctor.car import ABSENT, RUNNING, SILENT, Node
 from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
-from car_interface.tools.doctor.port import (
-    TeensyProbe,
-    check_holders,
-    check_link,
-    check_virtual_port,
-    is_terminal,
-)
+from car_interface.tools.doctor.port import TeensyProbe, check_holders, check_link, check_virtual_port, is_terminal
 
 MS = 1_000_000
 

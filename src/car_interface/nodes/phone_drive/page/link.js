@@ -69,6 +69,7 @@ export class Link {
       this.token = message.token;
       this.seen.token();
     } else if ("key" in message) {
+      if (message.key === this.key) this.stopShown = false;  // the node is the same one: it knows whether its stop is on
       this.key = message.key;
       sessionStorage.setItem("key", this.key);
       this.pin = "";
