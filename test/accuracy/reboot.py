@@ -90,8 +90,9 @@ class Drive:
         self.positions = [rng.uniform(0, 4), rng.uniform(0, 4)]
         whole = tuple(math.floor(position) for position in self.positions)
         self.teensy = TeensyFirmware(FirmwareConfig(
-            clock_start_ms=rng.randrange(300, max_start_ms), clock_drift_ppm=rng.uniform(-50, 50), wheel_positions=whole,
-            seed=rng.randrange(1000), sonars_missing=sonars_missing), lambda sensor, at_ns: 4000 + 900 * sensor)
+            clock_start_ms=rng.randrange(300, max_start_ms), clock_drift_ppm=rng.uniform(-50, 50),
+            wheel_positions=whole, seed=rng.randrange(1000), sonars_missing=sonars_missing),
+            lambda sensor, at_ns: 4000 + 900 * sensor)
 
     def step(self):
         wanted, curvature = self.plan.at(self.now_ns / S)

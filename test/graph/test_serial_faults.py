@@ -120,7 +120,7 @@ def test_reboot_while_unplugged_is_found_though_the_teensy_has_been_on_for_as_lo
     line.inject("unplug")
     line.graph.run(8.0)
     line.inject("plug")
-    line.graph.run(4.0)
+    line.graph.run(8.0)
     assert (line.link.reboots, line.link.state) == (1, "fine")
 
 

@@ -10,8 +10,8 @@ from car_interface.common.units import NS_PER_MS
 LATEST_TICK_MS = 500
 # The Teensy's crystal and the host's differ by 2e-4 at most (their data sheets: 100 ppm each); this leaves room.
 DRIFT_RATIO = 0.001
-# A pong whose tick lags by more shows a reboot of a Teensy that had been up for so long. Less may be a corrupt tick of the
-# pong before: one that is ahead by up to this is accepted.
+# A pong whose tick lags by more shows a reboot of a Teensy that had been up for so long. If it lags by less, the tick
+# of the pong before may have been corrupt: one that is ahead by up to this is accepted.
 MAX_LAG_MS = 2_000
 DAY_MS = 86_400_000  # the longest gap in which a tick that is ahead is not a reboot
 

@@ -27,6 +27,7 @@ PONG_BYTES, SONAR_BYTES, WHEEL_BYTES = 14, 14, 38
 TICK_MIDDLE_MS = 0.5
 # On a full line reports leave up to 16 ms late, so that a clock without pongs yet is late by as much.
 MAX_CLOCK_ERROR_MS = 16
+MAX_SILENCE_NS = NS_PER_S  # a standing car's wheels are reported every 0.2 s
 MAX_QUEUED = 10  # reports of the wheels: raw messages must not wait long behind them
 
 
@@ -77,6 +78,7 @@ class Measurements:
         self._odometry = Odometry(config.odometry)
         self._on_motion = on_motion
         self._queue: list[tuple] = []  # reports of the wheels, and when they were received
+        self._received_ns = 0  # when the newest record was received
         self._has_tick = False
         self._answered: tuple | None = None  # the newest pong's tick, and when it was received
         self._shift_ms = 0.0  # from the Teensy's clock to the odometry's, which never restarts
@@ -88,6 +90,7 @@ class Measurements:
     def pong(self, record: Pong, answer: Answer | None, received_ns: int) -> Sync | None:
         """Take a pong, and the ping that it answers (``None``: no ping of ours); return ``None`` if it was refused."""
         self.process_queue()
+        self._note_receipt(received_ns)
         reached = self._answered and answer and reached_tick(*self._answered, answer.sent_ns)
         verdict = self.gates.pong(record, answer is not None, reached)
         if not verdict.accepted:
@@ -100,6 +103,7 @@ class Measurements:
               wait_ms: int = FIRMWARE_WAIT_MS) -> RangeMeasurement | None:
         """Take a sonar's report, and SONAR_WAIT; return ``None`` if it was refused, or has no range."""
         self.process_queue()
+        self._note_receipt(received_ns)
         verdict = self.gates.sonar(record)
         if not verdict.accepted:
             return None
@@ -142,7 +146,14 @@ class Measurements:
                 self._on_motion(measured, received_ns)
         self._queue.clear()
 
+    def _note_receipt(self, received_ns):
+        """Forget the sonars' rhythm while nothing came: the time to a later report is no echo."""
+        if received_ns - self._received_ns > MAX_SILENCE_NS:
+            self._pulses.restart()
+        self._received_ns = received_ns
+
     def _measure_motion(self, record, received_ns):
+        self._note_receipt(received_ns)
         verdict = self.gates.wheels(record)
         if not verdict.accepted:
             return None
