@@ -180,12 +180,14 @@ def page(case: Case) -> str:
     data = case.data
     goals = [f"{name}|{each['text']}|{each['time']}|{', '.join(each['tests'])}" for name, each in data["goals"].items()]
     risks = [f"{name}|{what}|{remedy}" for name, (what, remedy) in data["risks"].items()]
+    figures = [f"{what}|`{command}`|{found}" for what, command, found in data["figures"]]
     blocks = [
         "# Safety case: what can fail, and what answers it",
         INTRODUCTION,
         "## What it assumes",
         "\n".join(textwrap.fill(f"- {each}", 120, subsequent_indent="  ") for each in data["assumes"]),
         "## Goals", _table(("goal", "what must hold", "within", "tests"), goals),
+        "## Figures", _table(("what", "command", "found"), figures),
         "## What remains, and what you can do", _table(("risk", "what remains", "what you can do"), risks),
         "## Faults", LEGEND]
     for kind, title in TITLES.items():

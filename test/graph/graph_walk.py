@@ -1,6 +1,6 @@
 """A random walk of the whole graph: a person, a planner, and the faults of ``single_faults``, several at a time.
 
-A step is one thing that happens (a message, a fault, a stall, a restart, a release), or none, and 1 to 4 ms. ``Goals``
+A step is one thing that happens (a message, a fault, a stall, a restart, a release), or none, and 1 to 8 ms. ``Goals``
 judges by what the person touches and by servo, ESC and car.
 """
 from __future__ import annotations
@@ -10,28 +10,41 @@ from functools import partial
 
 from geometry_msgs.msg import Twist
 from std_msgs.msg import Bool, Float32, Int32MultiArray, String
+from walks.goals import MS, Goals
 
 from car import CENTER, CONTROL, ESC, ESC_NEUTRAL, STEERING
 from inputs import control, odometry
 from single_faults import (
-    ESCS, LINKS, NAN, NODES, OTHERS, PLANNER, VECTOR, Drive, hold_bus, inject, nacks, remove_board, return_board,
-    set_clock)
-from walks.goals import BOTH, MS, Goals
+    ESCS,
+    LINKS,
+    NAN,
+    NODES,
+    OTHERS,
+    PLANNER,
+    VECTOR,
+    Drive,
+    hold_bus,
+    inject,
+    nacks,
+    remove_board,
+    return_board,
+    set_clock,
+)
 
 BOUNDS_MS = 5, 500, 600, 2500  # of short and of long faults
-ACT, FAULT, ODD = 0.02, 0.0015, 0.001  # shares of the steps
+ACT, FAULT, ODD = 0.03, 0.004, 0.001  # shares of the steps
 GUARD_NS = 1500 * MS  # until a board's guard that was lost is replaced, surely
 IN_TURN_NS = 150 * MS  # a command that was replaced so lately may still be the servo's
 BACKWARD_MPS = -0.05
 SLOW_MPS = 0.8  # the person doesn't pull below it: that may want reverse
-REARM_S = 0.5  # links whose loss takes a re-arming stop both pins within this, or they are e-stops
-BRIEF = {"joy", "human_in_loop", "e_stop"}
+REARMS = {"joy", "human_in_loop", "e_stop"}  # links whose loss takes a press of the deadman
 ODDS = (("/joy", lambda drive: type(drive.car.joy_now)()), (VECTOR, lambda drive: Int32MultiArray(data=[6700] * 15)),
         ("/teleop_logi/tele_steer_req", lambda drive: Float32(NAN)),
         ("/teleop_logi/tele_throt_req", lambda drive: Float32(NAN)),
-        ("/teleop_logi/mode", lambda drive: String("x")), ("/teleop_logi/human_in_loop", lambda drive: Bool(False)),
+        ("/teleop_logi/mode", lambda drive: String("x")),
         ("/av_turnrad_req", lambda drive: Float32(NAN)), ("/av_speed_req", lambda drive: Float32(NAN)),
-        (CONTROL, lambda drive: control(NAN)), ("/odom", lambda drive: odometry(NAN)), ("/cmd_vel", lambda drive: Twist()))
+        (CONTROL, lambda drive: control(NAN)), ("/odom", lambda drive: odometry(NAN)),
+        ("/cmd_vel", lambda drive: Twist()))
 
 
 def ways(link):
@@ -59,7 +72,8 @@ class GraphWalk:
     def run(self, steps: int) -> Goals:
         """Take steps, and return the monitor."""
         rng = self.rng
-        for self.steps in range(self.steps + 1, self.steps + steps + 1):
+        for _ in range(steps):
+            self.steps += 1
             draw = rng.random()
             if draw < FAULT:
                 self._fault()
@@ -69,7 +83,7 @@ class GraphWalk:
                 self._odd()
             elif draw < 0.1:
                 self._plan()
-            self.graph.run(rng.randrange(1, 5) / 1000)
+            self.graph.run(rng.randrange(1, 9) / 1000)
             self._look()
         return self.goals
 
@@ -181,7 +195,8 @@ class GraphWalk:
         self.graph.after(lasts_s, over)
 
     def _link(self, lasts_s):
-        name, link = self.rng.choice(list(LINKS.items()))
+        stopping = [each for each in LINKS.items() if each[1].stops and each[1].takes != PLANNER]
+        name, link = self.rng.choice(stopping if self.rng.random() < 0.7 else list(LINKS.items()))
         if name in self._busy or name.startswith("phone"):
             return
         how = self.rng.choice(("lost", "lost", "gaps", "late", "twice"))
@@ -200,7 +215,7 @@ class GraphWalk:
     def _lose(self, stop, name, link):
         if link.stops and link.takes != PLANNER and (name != "joy" or self._hand[0]):
             self.goals.stop(stop, self._now_ns, max(link.stops.values()) + 0.02, tuple(link.stops),
-                            rearms=name in BRIEF)
+                            rearms=name in REARMS)
 
     def _mend(self, name, link):
         self.graph.link(*ways(link))
@@ -224,10 +239,12 @@ class GraphWalk:
         self.goals.clear("joy silent", self._now_ns)
 
     def _node(self, lasts_s):
-        name = self.rng.choice([name for name in NODES if name != "phone_drive"])
+        names = [name for name, (_, _, takes, _) in NODES.items() if name != "phone_drive"
+                 and (takes != PLANNER or self.rng.random() < 0.4)]
+        name = self.rng.choice(names)
         if name in self._busy or name == "pca9685" and self._now_ns < self._board_busy_until_ns:
             return
-        node, (timeout_s, stops, takes, rearms) = self.graph.nodes[f"/{name}"], NODES[name]
+        node, (_, stops, takes, rearms) = self.graph.nodes[f"/{name}"], NODES[name]
         is_board = name == "pca9685"
         how = self.rng.choice(("kill", "end", "stall", "frozen"))
         is_stalled = how in ("stall", "frozen")
@@ -252,6 +269,8 @@ class GraphWalk:
             self.goals.clear(stop, self._now_ns)
         if not was_stalled:
             node.start()
+            for each in ("e_stop", "e_stop lost") if "e_stop" in self._busy else ():
+                self.goals.waive(each)  # R15: never received
         self._rough(0)
 
     def _device(self, lasts_s):

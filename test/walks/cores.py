@@ -7,6 +7,7 @@ A step is a message that arrives, a timer, or something that a person, a fault o
 from __future__ import annotations
 
 import heapq
+import itertools
 import math
 import random
 import sys
@@ -16,6 +17,7 @@ from typing import Any, Callable
 
 from adversary.car_model import CarModel, CarSpec
 from adversary.esc_model import BACKWARD, FORWARD, KINDS, EscModel, EscSpec
+
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.pca9685.channels import ChannelConfig, Channels
 from car_interface.planner.request import PlannerRequest, Refusal
@@ -102,7 +104,8 @@ class Walk:
 
     def run(self, steps: int) -> Goals:
         """Take steps, and return the monitor."""
-        for self.steps in range(self.steps + 1, self.steps + steps + 1):
+        for _ in range(steps):
+            self.steps += 1
             self.now_ns, _, act, arguments = heapq.heappop(self._events)
             act(*arguments)
         return self.goals
@@ -307,7 +310,7 @@ class Walk:
             self._report()
 
     def _report(self):
-        self._send("output", "throttle_arb", lambda duties, now_ns: self.throttle.update_output(duties, now_ns),
+        self._send("output", "throttle_arb", self.throttle.update_output,
                    [counts * 16 for counts in self.board.targets])
 
     def _pulse(self):
@@ -319,8 +322,7 @@ class Walk:
 
     def _odometry(self):
         self._send("odometry", "throttle_arb", self._on_odometry, self.car.wheel_mps, self.now_ns)
-        self._send("odometry>turn", "turn_arb", lambda speed, now_ns: self.turn.update_odometry(speed, now_ns),
-                   self.car.wheel_mps)
+        self._send("odometry>turn", "turn_arb", self.turn.update_odometry, self.car.wheel_mps)
 
     def _on_odometry(self, speed_mps, stamp_ns, now_ns):
         self.throttle.update_odometry(speed_mps, now_ns, now_ns - stamp_ns)
@@ -367,13 +369,13 @@ class Walk:
 
     def _move(self):
         rng = self.rng
-        for hand, (deadman, steering, throttle) in self._hands.items():
+        for hand, (deadman, *sticks) in self._hands.items():
             if deadman:
                 if rng.random() < 0.5:
-                    steering = rng.choice((0.0, rng.uniform(-1, 1), rng.uniform(-1, 1)))
+                    sticks[0] = rng.choice((0.0, rng.uniform(-1, 1), rng.uniform(-1, 1)))
                 else:
-                    throttle = rng.choice((0.0, 0.0, rng.uniform(0, 1), rng.uniform(0, 1), rng.uniform(-1, 0)))
-                self._set_hand(hand, deadman, steering, throttle)
+                    sticks[1] = rng.choice((0.0, 0.0, rng.uniform(0, 1), rng.uniform(0, 1), rng.uniform(-1, 0)))
+                self._set_hand(hand, deadman, *sticks)
 
     def _plan(self):
         rng = self.rng
@@ -487,6 +489,10 @@ class Walk:
     def _restart(self, node):
         self._dead.discard(node)
         self._start(node)
+        for name, link in itertools.product(STOPS, ("turn", "throttle")):
+            if name in self._silent or self._loses.get(f"{name}>{link}"):  # R15: never received
+                for each in (name, f"{name} silent", f"{name}>{link} lost"):
+                    self.goals.waive(each)
 
     def _kept(self, node, lasts_ns, rearms):
         """Note that a node is away: whether it must be re-armed, and that others have to wait for it."""
@@ -500,7 +506,8 @@ class Walk:
         rng = self.rng
         odd = rng.choice(ODD)
         link, node, handler, *arguments = rng.choice((
-            ("joy", "teleop", self._on_joy, [odd, odd], [bool(self._hands[PAD][0]), 0]), ("joy", "teleop", self._on_joy, [0.0], [1]),
+            ("joy", "teleop", self._on_joy, [odd, odd], [bool(self._hands[PAD][0]), 0]),
+            ("joy", "teleop", self._on_joy, [0.0], [1]),
             ("steer", "turn_arb", self._on_turn, "update_teleop", odd),
             ("throt", "throttle_arb", self._on_throttle, "update_teleop", odd),
             ("mode", "throttle_arb", self._on_throttle, "update_mode", rng.choice(("", "x", "manual\0"))),

@@ -1,7 +1,7 @@
 """A monitor of the goals of docs/safety_case.md: it sees persons and the car, and nothing of what is between them.
 
-Persons touch, let go, push e-stops; servo and ESC get pulses; the motor drives. The times are the page's. It errs on the
-side of the product: what the page leaves open is allowed.
+Persons touch, let go, push e-stops; servo and ESC get pulses; the motor drives. The times are the page's. What the page
+leaves open is allowed.
 """
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ MS = 1_000_000
 SERVO, ESC = 0, 1
 BOTH = (SERVO, ESC)
 SLACK_NS = 100 * MS  # messages, timers of 20 ms and a pulse, where nothing else is wrong
-# All time-outs of the chain one after another (joystick 0.27 s, deadman 0.51 s, board 0.25 s), a stall that is too short
-# to count (0.5 s), and what the walks put on the links.
+# All time-outs of the chain one after another (joystick 0.27 s, deadman 0.51 s, board 0.25 s), a stall that is too
+# short to count (0.5 s), and what the walks put on the links.
 ROUGH_NS = 2000 * MS
 TRANSIT_NS = 600 * MS  # the ends of a stop and of a press may arrive in either order
 TOGETHER_NS, ROUGH_TOGETHER_NS = 640 * MS, 2000 * MS  # throttle without steering
@@ -119,6 +119,10 @@ class Goals:
         stop = self._stops.pop(name, None)
         if stop is not None and stop.rearms and now_ns - self._pressed_ns <= TRANSIT_NS:
             self._press(self._pressed_ns)
+
+    def waive(self, name: str) -> None:
+        """Take note that nothing stops for what ``stop`` named any more, by a risk that the page names."""
+        self._stops.pop(name, None)
 
     def rough(self, until_ns: int, but: str = "") -> None:
         """Take note of a fault that delays messages, or what they cause, until a time; of which ``but`` is the stop."""
