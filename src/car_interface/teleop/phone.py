@@ -288,7 +288,7 @@ class Phones:
     def _admit(self, page, key):
         guest = next((each for each in self._pages.values() if each.is_guest and each is not page), None)
         if guest is not None and self.pages - page.is_admitted >= MAX_PAGES:
-            self._close(guest, "others came who know the PIN")
+            self._close(guest, "this place went to a phone with the PIN")
         if key != self._driver_key and not self._has_room(page):
             return
         if page.connection == self._driver and key != self._driver_key:
@@ -368,10 +368,10 @@ class Phones:
         if issued_ns is None:
             return
         if page.connection != self._driver:
-            self._refuse(page, "the e-stop is cleared by who drives")
+            self._refuse(page, "only the driver can clear the stop")
             return
         if issued_ns <= self._stopped_ns:  # it was sent for an earlier stop
-            self._refuse(page, "somebody has pressed the stop again: clear that one, too")
+            self._refuse(page, "STOP was pressed again: clear it once more")
             return
         self.e_stop = False
         self._release()
@@ -383,7 +383,7 @@ class Phones:
         if self._issued_ns(page, message, now_ns) is None:
             return
         if page.connection != self._driver:
-            self._refuse(page, "only who drives may do that")
+            self._refuse(page, "only the driver may do that")
         else:
             self._command(page, message)
 

@@ -169,5 +169,5 @@ def number(value: float, digits: int = 3) -> float | str | None:
 
 
 def text_of(**fields: Any) -> str:
-    """Return a server's message."""
-    return json.dumps(fields, separators=(",", ":"), ensure_ascii=False)
+    """Return a server's message, in ASCII: a text with a byte that was no UTF-8 could not be sent otherwise."""
+    return json.dumps(fields, separators=(",", ":"))

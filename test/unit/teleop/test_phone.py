@@ -321,7 +321,7 @@ def test_any_page_stops_and_the_driver_s_button_and_a_new_touch_end_it(bench):
     assert bench.phones.e_stop and bench.controls == NOTHING_HELD
     assert first.status["why"] == "the e-stop is on: clear it"
     second.send(type="clear")
-    assert bench.phones.e_stop and second.refused == ["the e-stop is cleared by who drives"]
+    assert bench.phones.e_stop and second.refused == ["only the driver can clear the stop"]
     first.echo("")
     first.echo("manual")
     assert bench.controls == NOTHING_HELD
@@ -354,7 +354,7 @@ def test_clear_for_one_stop_does_not_end_another_one_that_arrived_before_it(benc
     bench.wait(100)
     viewer.send(type="e_stop")  # while the driver's answer to the first one is under way
     driver.send(type="clear")
-    assert bench.phones.e_stop and driver.refused == ["somebody has pressed the stop again: clear that one, too"]
+    assert bench.phones.e_stop and driver.refused == ["STOP was pressed again: clear it once more"]
     bench.wait(100)
     driver.send(type="clear")
     assert not bench.phones.e_stop
@@ -477,7 +477,7 @@ def test_guests_make_room_for_who_knows_the_pin_and_for_no_other_guest():
     bench = Bench(admits_guests=True)
     guests = [guest(bench, number) for number in range(MAX_PAGES + 1)]
     assert [page.closed for page in guests] == [""] * MAX_PAGES + [f"{MAX_PAGES} pages are open already"]
-    assert bench.join(50).key and guests[0].closed == "others came who know the PIN"
+    assert bench.join(50).key and guests[0].closed == "this place went to a phone with the PIN"
     assert bench.phones.pages == MAX_PAGES
 
 
@@ -501,11 +501,18 @@ def test_command_of_the_driver_s_is_passed_on_once_and_one_of_a_watcher_s_or_an_
     assert connection == 1 and {name: message[name] for name in command} == command
     driver.send_text(sent)
     watcher.send(**command)
-    assert watcher.refused == ["only who drives may do that"]
+    assert watcher.refused == ["only the driver may do that"]
     old = driver.token
     bench.wait(300, driver)
     driver.send(**{**command, "token": old})
     assert bench.phones.take_commands() == [] and bench.controls == AHEAD
+
+
+def test_answer_with_the_name_of_a_file_that_is_no_utf_8_can_be_sent(bench):
+    page = bench.join(1)
+    bench.phones.answer(page.number, refused="no recording: /home/\udce4")
+    assert [outgoing.text.encode() for outgoing in bench.phones.drain()] == [
+        b'{"refused":"no recording: /home/\\udce4"}']
 
 
 def test_commands_that_the_node_has_not_taken_are_limited(bench):

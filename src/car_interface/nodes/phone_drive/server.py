@@ -235,7 +235,7 @@ class _HttpServer(HTTPServer):
         self._waiting = []
 
     def handle_stream(self, stream, address):
-        self._waiting = [other for other in self._waiting if not (other.closed() or hasattr(other, "is_websocket"))]
+        self._waiting = [other for other in self._waiting if not (other.closed() or hasattr(other, "is_served"))]
         if len(self._waiting) >= MAX_OPEN:
             self._waiting.pop(0).close()
         self._waiting.append(stream)
@@ -283,6 +283,7 @@ class _File(_Guarded):
             self.send_error(404 if path is None else 503)
             return
         self._server.downloads += 1
+        self._stream.is_served = True
         try:
             await self._send_file(path)
         except (StreamClosedError, asyncio.TimeoutError):
@@ -345,7 +346,7 @@ class _Socket(_Guarded, WebSocketHandler):
         return True  # prepare has checked it
 
     def open(self, *_):
-        self._stream.is_websocket = True
+        self._stream.is_served = True
         self.set_nodelay(True)
         self._number = self._server.open(self)
 

@@ -134,6 +134,17 @@ def test_stop_that_was_shown_is_sent_again_to_a_new_node_only(browser, car, key,
     assert (car.next("e_stop", 1) is not None) == is_sent_again
 
 
+@pytest.mark.parametrize("driver, guest, next_step", [
+    ("you", False, "Clear it, then touch again."), ("nobody", False, "Press Drive, then clear it."),
+    ("another", False, "Only the driver's phone can clear it."),
+    ("nobody", True, "Only the driver's phone can clear it."),
+])
+def test_who_sees_an_emergency_stop_reads_what_ends_it(browser, car, driver, guest, next_step):
+    car.send(status={**STATUS, "driver": driver, "guest": guest, "e_stop": True})
+    car.touch()
+    assert browser.evaluate("document.getElementById('why').textContent") == next_step
+
+
 def test_pin_is_taken_out_of_the_address_also_of_a_tab_that_was_open(browser, car):
     car.send(closed="messages were dropped")
     car.next("key")

@@ -206,6 +206,19 @@ def test_downloads_that_nobody_takes_end_and_make_room(server, port, tmp_path, m
         each.close()
 
 
+def test_download_goes_on_while_others_connect_and_ask_for_nothing(server, port, tmp_path):
+    size = 50_000_000  # more than the sockets' buffers
+    (tmp_path / "a.bag").write_bytes(bytes(size))
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=WITHIN_S)
+    connection.request("GET", server.offer(str(tmp_path / "a.bag")), headers={"Host": f"127.0.0.1:{port}"})
+    answer = connection.getresponse()
+    silent = [socket.create_connection(("127.0.0.1", port)) for _ in range(2 * MAX_OPEN)]
+    asyncio.run(connect(port))  # so all of them were taken
+    assert len(answer.read()) == size
+    for each in silent:
+        each.close()
+
+
 # --- TLS ---
 
 @pytest.fixture

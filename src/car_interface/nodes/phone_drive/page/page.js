@@ -65,7 +65,7 @@ function ask(type, isDone) {
   const askedMs = performance.now();
   link.sendEvidence({type});
   setTimeout(() => {
-    if (!isDone() && link.isAdmitted && answer.atMs < askedMs) note("The network is too slow: it took too long.", true);
+    if (!isDone() && link.isAdmitted && answer.atMs < askedMs) note("The network is too slow: press again.", true);
   }, CONFIRMED_MS);
 }
 
@@ -118,11 +118,13 @@ function stateOf(mine, isStopped, refusal) {
   const {throttle, steering} = car, who = car.who || {text: ""};
   const decisive = throttle || steering || {source: "", text: ""};
   if (!link.isAdmitted) {
-    return ["off", "No contact",
-      isStopped ? "The stop is sent as soon as there is." : refusal || "It stops by itself without a phone."];
+    return ["off", "No contact", link.stopWanted ? "The stop is sent once contact is back." : refusal
+      || (link.stopShown ? "Its emergency stop was on." : "Without a phone the car stops by itself.")];
   }
   if (isStopped) {
-    const next = mine ? "Clear it, then touch again." : "Who drives by phone clears it.";
+    const isFree = status && status.driver === "nobody" && !status.guest;
+    const next = mine ? "Clear it, then touch again." : isFree ? "Press Drive, then clear it."
+      : "Only the driver's phone can clear it.";
     return ["stop", link.stopShown ? "Emergency stop" : "Stopping", refusal || next];
   }
   if (refusal) return ["wait", "Not now", refusal];
