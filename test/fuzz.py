@@ -34,7 +34,10 @@ import rospy
 from std_msgs.msg import Int32MultiArray
 
 TEST = Path(__file__).resolve().parent
-sys.path.extend([str(TEST / "process"), str(TEST / "graph")])
+sys.path.append(str(TEST / "process"))
+sys.path.append(str(TEST / "graph"))
+from soak import NEUTRALS, NODES, footprint
+
 from car import CENTER, ESC, ESC_NEUTRAL, STEERING, Car
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.steering.config import load_steering
@@ -43,9 +46,9 @@ from car_interface.throttle.config import load_throttle
 from car_interface.throttle.value_map import load_value_map
 from car_interface.tools.recordings import calibration_result, recording
 from closing import ask
-from soak import NEUTRALS, NODES, footprint
 
-PERMITS = {"/joy", "/phone/joy", "/teleop_logi/human_in_loop", "/command", "/servo/cmdVector"}  # who sends these may drive
+# Who sends these may drive.
+PERMITS = {"/joy", "/phone/joy", "/teleop_logi/human_in_loop", "/command", "/servo/cmdVector"}
 PIECES = (b"", b"\0", b"nan", b"1e999", b"-", b": ", b"[" * 40, b"{", b"&a *a", b"!!python/object:os.system ", b"\n",
           b'"', b",", b"\xff\xfe", b"9" * 400, b"\t", b"#", b"<<: ")
 MAX_SHOWN = 300  # characters of an input
@@ -171,7 +174,7 @@ READERS = {"turn_arb.yaml": load_steering, "throttle.yaml": load_throttle, "valu
            "drive.bag": read_recording, "drive.mcap": read_recording}
 SIDE = '[[0.5, 3800, 3800.0, 1.0, 2.0, 3, 0.1, "driven"]]'
 RESULT = f'["", ["a"], ["b"], [0.5], {SIDE}, {SIDE}, [5100, 5090], [[5000, 0.1]], [[5000, 0.1, 0.01]], [[5000, 0.1]]]'
-GOOD: dict[str, bytes] = {"result.json": RESULT.encode()}
+GOOD = {"result.json": RESULT.encode(), "drive.mcap": (TEST / "data/autoware_mcap/autoware_mcap.mcap").read_bytes()}
 
 
 def files(choose, note):
@@ -183,8 +186,9 @@ def files(choose, note):
                 for number in range(20):
                     writer.write("/servo/output", Int32MultiArray(data=[number] * 16), rospy.Time(1000 + number))
             GOOD[name] = Path(path).read_bytes()
-        shipped = TEST / "data/autoware_mcap/autoware_mcap.mcap" if name == "drive.mcap" else TEST.parent / "config" / name
-        data = damaged(GOOD[name] if name in GOOD else shipped.read_bytes(), choose)
+        if name not in GOOD:
+            GOOD[name] = (TEST.parent / "config" / name).read_bytes()
+        data = damaged(GOOD[name], choose)
         note((name, data))
         Path(path).write_bytes(data)
         try:
@@ -227,7 +231,8 @@ def peers(choose, note):
         port = ask(node, "requestTopic", topic, [["TCPROS"]])[2]
         fields = {"callerid": "/peer", "topic": topic, "type": "*", "md5sum": "*"}
         fields[choose.choice(sorted(fields))] = choose.choice(graph.TEXTS)
-        body = b"".join(struct.pack("<I", len(each)) + each for each in (f"{k}={v}".encode() for k, v in fields.items()))
+        pairs = [f"{name}={value}".encode() for name, value in fields.items()]
+        body = b"".join(struct.pack("<I", len(pair)) + pair for pair in pairs)
         data = struct.pack("<I", choose.choice((len(body),) * 4 + (0, 2 ** 32 - 1))) + body
     else:
         port = int(rosgraph.Master("/fuzz").lookupNode(node).rstrip("/").rpartition(":")[2])
