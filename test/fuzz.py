@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import importlib.util
 import logging
 import os
 import random
@@ -33,11 +32,13 @@ import rosgraph
 import rospy
 from std_msgs.msg import Int32MultiArray
 
-TEST = Path(__file__).resolve().parent
-sys.path.append(str(TEST / "process"))
-sys.path.append(str(TEST / "graph"))
+sys.path.append(str(Path(__file__).resolve().parent / "process"))
+sys.path.append(str(Path(__file__).resolve().parent / "graph"))
+sys.path.append(str(Path(__file__).resolve().parent / "unit/nodes/phone_drive"))
+import test_attacks as attacks
 from soak import NEUTRALS, NODES, footprint
 
+import test_fuzz as graph
 from car import CENTER, ESC, ESC_NEUTRAL, STEERING, Car
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.steering.config import load_steering
@@ -47,29 +48,18 @@ from car_interface.throttle.value_map import load_value_map
 from car_interface.tools.recordings import calibration_result, recording
 from closing import ask
 
+TEST = Path(__file__).resolve().parent
 # Who sends these may drive.
 PERMITS = {"/joy", "/phone/joy", "/teleop_logi/human_in_loop", "/command", "/servo/cmdVector"}
 PIECES = (b"", b"\0", b"nan", b"1e999", b"-", b": ", b"[" * 40, b"{", b"&a *a", b"!!python/object:os.system ", b"\n",
-          b'"', b",", b"\xff\xfe", b"9" * 400, b"\t", b"#", b"<<: ")
+          b'"', b",", b"\xff\xfe", b"9" * 400, b"\t", b"#", b"<<: ", b"\x7e", b"\x7d", b"\x7e\x7e\x01\x02")
 MAX_SHOWN = 300  # characters of an input
 TURN_S = 1.0  # of one kind, before the next one's
 SETTLE_S = 5.0  # until the peers' last handshakes have ended
 MAX_OPEN = 50  # peers that stay and say no more
 
 
-def module_of(path: str):
-    """Import a module of tests, of which several have the same name."""
-    spec = importlib.util.spec_from_file_location(path.replace("/", "_"), str(TEST / f"{path}.py"))
-    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-line, graph = module_of("unit/test_fuzz"), module_of("graph/test_fuzz")
-attacks = module_of("unit/nodes/phone_drive/test_attacks")
-
-
-def check(fine: bool, what: object) -> None:
+def check(fine: object, what: object) -> None:
     if not fine:
         raise AssertionError(what)
 
@@ -82,18 +72,13 @@ def check_line(error: Exception, names=()) -> None:
 
 def damaged(data: bytes, choose: random.Random) -> bytes:
     """Some places of it lost, doubled, replaced or flipped, or all from one on lost."""
-    found = bytearray(data)
     for _ in range(choose.choice((0, 1, 1, 2, 4, 16))):
-        start = choose.randrange(len(found) + 1)
-        end = start + choose.choice((0, 1, 3, 30, 30, len(found) if choose.random() < 0.1 else 1))
-        change = choose.randrange(5)
-        if change == 4 and start < len(found):
-            found[start] ^= 1 << choose.randrange(8)
-        else:
-            instead = (b"", bytes(found[start:end]) * 2, choose.choice(PIECES), bytes(
-                choose.choices(range(256), k=8)), b"")
-            found[start:end] = instead[change]
-    return bytes(found)
+        start = choose.randrange(len(data) + 1)
+        end = start + choose.choice((0, 1, 1, 1, 3, 30, 30, 30, choose.choice((1, len(data)))))
+        flipped = bytes(byte ^ 1 << choose.randrange(8) for byte in data[start:end][:1])
+        data = data[:start] + choose.choice((b"", data[start:end] * 2, choose.choice(PIECES), flipped, bytes(
+            choose.choices(range(256), k=8)))) + data[end:]
+    return data
 
 
 # --- the kinds: each does one case, and notes what it is about to feed ---
@@ -136,12 +121,11 @@ def memory(choose, note):
     name, graph.SEED = choose.choice(sorted(graph.NODES)), choose.randrange(10 ** 6)
     note((name, graph.SEED))
     graph.test_node_fed_messages_of_any_content_lives_on_and_is_no_larger(Car(), name)
+    if name in graph.SERVING:
+        graph.test_node_asked_anything_by_its_services_answers_in_words(Car(), name)
 
 
-def services(choose, note):
-    name, graph.SEED = choose.choice(graph.SERVING), choose.randrange(10 ** 6)
-    note((name, graph.SEED))
-    graph.test_node_asked_anything_by_its_services_answers_in_words(Car(), name)
+CAPTURE = (TEST / "data/capture_mixed.bin").read_bytes()
 
 
 def serial(choose, note):
@@ -150,7 +134,8 @@ def serial(choose, note):
     nodes = car.sim(), car.hub()
     car.graph.run(0.5)
     for _ in range(50):
-        data = line.mutated(choose)
+        start = choose.randrange(len(CAPTURE))
+        data = damaged(CAPTURE[start:start + choose.choice((5, 20, 40, 200))], choose)
         note(data)
         car.cable.to_computer(data)
         if choose.random() < 0.3 and car.cable.terminal is not None:
@@ -164,14 +149,13 @@ def read_result(path):
         calibration_result.parsed(Path(path).read_text(encoding="utf-8", errors="replace"))
 
 
-def read_recording(path):
-    for _ in recording.read(path, recording.contents(path).topics):
-        pass
+def read(path):
+    return list(recording.read(path, recording.contents(path).topics))
 
 
 READERS = {"turn_arb.yaml": load_steering, "throttle.yaml": load_throttle, "value_map.csv": load_value_map,
            "gamepads.yaml": lambda path: load_entries(os.path.dirname(path)), "result.json": read_result,
-           "drive.bag": read_recording, "drive.mcap": read_recording}
+           "drive.bag": read, "drive.mcap": read}
 SIDE = '[[0.5, 3800, 3800.0, 1.0, 2.0, 3, 0.1, "driven"]]'
 RESULT = f'["", ["a"], ["b"], [0.5], {SIDE}, {SIDE}, [5100, 5090], [[5000, 0.1]], [[5000, 0.1, 0.01]], [[5000, 0.1]]]'
 GOOD = {"result.json": RESULT.encode(), "drive.mcap": (TEST / "data/autoware_mcap/autoware_mcap.mcap").read_bytes()}
@@ -254,7 +238,7 @@ def peers(choose, note):
     check(ask(node, "getPid") is not None, f"{node} answers no more")
 
 
-KINDS = {kind.__name__: kind for kind in (peers, messages, parameters, files, serial, phone, services, memory)}
+KINDS = {kind.__name__: kind for kind in (peers, messages, parameters, files, serial, phone, memory)}
 
 
 class Fuzz:
@@ -283,8 +267,7 @@ class Fuzz:
             self.report(kind, seed, f"{type(error).__name__}: {error} ({where.filename}:{where.lineno})")
 
     def run(self, kinds: list[str], minutes: float) -> None:
-        begun_s, before = time.monotonic(), {}
-        end_s = begun_s + 60 * minutes
+        end_s, before = time.monotonic() + 60 * minutes, {}
         for kind in cycle(kinds):
             until_s = min(time.monotonic() + TURN_S, end_s)
             self.one(kind)
@@ -292,20 +275,20 @@ class Fuzz:
                 self.one(kind)
             if time.monotonic() >= end_s and set(self._counts) == set(kinds):
                 break
-            if not before and minutes and time.monotonic() > (begun_s + end_s) / 2:
-                before = self._footprints()
+            if not before and time.monotonic() > end_s - 30 * minutes:
+                before = footprints()
         self._input = None
-        for node, after in self._footprints().items() if before else ():
-            if before[node].has_grown_until(after):
+        for node, after in footprints().items():
+            if before and before[node].has_grown_until(after):
                 self.report("peers", self._seed, f"{node} has grown: {before[node]}, then {after}")
         print(", ".join(f"{kind} {count}" for kind, count in self._counts.items()))
 
-    @staticmethod
-    def _footprints():
-        while OPEN:
-            OPEN.pop().close()
-        time.sleep(SETTLE_S)
-        return {node: footprint(node) for node in NODES}
+
+def footprints():
+    while OPEN:
+        OPEN.pop().close()
+    time.sleep(SETTLE_S)
+    return {node: footprint(node) for node in NODES}
 
 
 def main() -> int:

@@ -140,7 +140,7 @@ def pip_packages(distribution: str, is_alone: bool = False) -> list[str]:
 
 def names_of(requirements: Iterable[str]) -> list[str]:
     """Return requirements without the bounds of their versions."""
-    return [re.split("[<>=]", each)[0] for each in requirements]
+    return [re.split("[<>=;]", each)[0] for each in requirements]
 
 
 def pins() -> dict[str, tuple[list[str], list[str], list[str]]]:
