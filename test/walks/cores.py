@@ -490,10 +490,9 @@ class Walk:
     def _restart(self, node):
         self._dead.discard(node)
         self._start(node)
-        if node == "turn_arb":
-            # Known, and open: turn_arb has no mode, and takes a stick that it never received for one that isn't in
-            # use. Then a planner steers under the manual deadman.
-            self.goals.waive("steer lost")
+        if node in ("turn_arb", "teleop") and "teleop" not in self._dead:  # teleop_logi's state, which is latched
+            self._push(self.now_ns, self._arrive, "turn_arb", self._lives.get("turn_arb"), self._on_turn,
+                       ("explain_teleop", False))
         for name, link in itertools.product(STOPS, ("turn", "throttle")):
             if name in self._silent or self._loses.get(f"{name}>{link}"):  # R15: never received
                 for each in (name, f"{name} silent", f"{name}>{link} lost"):
