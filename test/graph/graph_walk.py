@@ -269,6 +269,7 @@ class GraphWalk:
             self.goals.clear(stop, self._now_ns)
         if not was_stalled:
             node.start()
+            self.goals.waive("tele_steer_req lost")  # as in walks.cores
             for each in ("e_stop", "e_stop lost") if "e_stop" in self._busy else ():
                 self.goals.waive(each)  # R15: never received
         self._rough(0)
