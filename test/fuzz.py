@@ -54,7 +54,7 @@ PERMITS = {"/joy", "/phone/joy", "/teleop_logi/human_in_loop", "/command", "/ser
 PIECES = (b"", b"\0", b"nan", b"1e999", b"-", b": ", b"[" * 40, b"{", b"&a *a", b"!!python/object:os.system ", b"\n",
           b'"', b",", b"\xff\xfe", b"9" * 400, b"\t", b"#", b"<<: ", b"\x7e", b"\x7d", b"\x7e\x7e\x01\x02")
 MAX_SHOWN = 300  # characters of an input
-TURN_S = 1.0  # of one kind, before the next one's
+TURN_S = 3.0  # of one kind, before the next one's; one case of memory alone takes some 10 s
 SETTLE_S = 5.0  # until the peers' last handshakes have ended
 MAX_OPEN = 50  # peers that stay and say no more
 
