@@ -150,3 +150,9 @@ def test_no_point_that_the_car_touches_fails_the_quick_test(curvature_per_m, is_
     arc = Arc(curvature_per_m, is_backward, CAR, SIDE_M)
     for point, is_swept in zip(points, arc.sweeps(points)):
         assert is_swept or arc.distance_m(*point) is None
+
+
+def test_a_circle_beside_a_sonar_far_in_front_of_the_bumper_is_not_free_for_ever():
+    """Its path never meets the edge of the cone, and is nowhere beyond the sonar's range."""
+    mounts = {"front_left": Mount(1.46, 0.0, 0.9)}
+    assert Fan(mounts, CONE_RAD, BUMPER_M, False).end(-19.0, {"front_left": 2.0}).distance_m < math.pi / 19.0
