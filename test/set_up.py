@@ -39,6 +39,7 @@ APT_GET = ("sh", "-c", 'umask 022; exec env LC_ALL=C.UTF-8 DEBIAN_FRONTEND=nonin
 DPKG_STATUS = Path("/var/lib/dpkg/status")  # written whenever a package is installed or removed
 PYTHONS = ((3, 8), (3, 10), (3, 12), (3, 13))  # on which ./dev test --all runs, those at hand
 LINTERS = ("ruff==0.17.5", "vermin==1.9.2")
+COVERAGE = ("coverage==7.6.1",)  # the last for Python 3.8, which ROS Noetic has
 # ROS modules that nodes on another Python import: plain Python, without the rest of what lies beside them.
 ROS_MODULES = (
     "actionlib_msgs", "catkin", "diagnostic_msgs", "diagnostic_updater", "dynamic_reconfigure", "genmsg", "genpy",
@@ -230,11 +231,17 @@ class SetUp:
         found = find_pythons(versions if "--all" in options else [PYTHONS[0]])
         if not found:
             _say(f"no Python {PYTHONS[0][0]}.{PYTHONS[0][1]} at hand beside the system's {sys.version.split()[0]}")
-        ready = {version: self._other(".".join(map(str, version)), python) for version, python in found.items()}
+        alone = pip_packages(self.distribution, is_alone=True)
+        ready = {version: self._other(".".join(map(str, version)), python, *alone)
+                 for version, python in found.items()}
         if PYTHONS[0] in ready:
             _print_shell(CAR_INTERFACE_PYTHON38=ready[PYTHONS[0]])
         _print_shell(CAR_INTERFACE_OTHER_PYTHONPATH=self._ros_modules())
-        print(f"pythons=({' '.join(f'--python {shlex.quote(python)}' for python in ready.values())})")
+        arguments = [f"--python {shlex.quote(python)}" for python in ready.values()]
+        if "--all" in options:
+            coverage = self._other("coverage", sys.executable, *pip_packages(self.distribution), *COVERAGE)
+            arguments.append(f"--coverage {shlex.quote(coverage)}")
+        print(f"pythons=({' '.join(arguments)})")
 
     def rviz(self) -> None:
         """Install rviz, which is large."""
@@ -258,10 +265,10 @@ class SetUp:
         if not self._run("apt", *apt, "install", "--no-install-recommends", *missing, shows=True):
             raise _end(apt_failure(*(_text_of(self._folder / "log" / name) for name in ("apt-update.log", "apt.log"))))
 
-    def _other(self, name, python):
+    def _other(self, name, python, *wanted):
         """The Python of an environment; without one that can't be made a test counts as skipped."""
         try:
-            self._venv(name, python, *pip_packages(self.distribution, is_alone=True))
+            self._venv(name, python, *wanted)
         except SystemExit as end:
             if end.code != 1:
                 raise

@@ -21,7 +21,7 @@ from car_interface.teleop.phone import (
     WAIT_NS,
     Phones,
 )
-from car_interface.teleop.phone_messages import parse
+from car_interface.teleop.phone_messages import number, parse
 
 MS = 1_000_000
 S = 1000 * MS
@@ -578,6 +578,12 @@ def test_malformed_message_is_refused_and_counted(bench, text):
     assert parse(text) is None
     bench.phones.receive(1, text, bench.now_ns)
     assert bench.phones.counts["malformed"] == 1 and bench.controls == AHEAD and not page.closed
+
+
+@pytest.mark.parametrize("value, sent", [
+    (1.23456, 1.235), (-2.0, -2.0), (float("inf"), "inf"), (float("-inf"), "-inf"), (float("nan"), None)], ids=str)
+def test_number_is_sent_as_json_has_it(value, sent):
+    assert json.loads(json.dumps(number(value), allow_nan=False)) == sent
 
 
 def test_page_that_sends_many_malformed_messages_is_closed(bench):
