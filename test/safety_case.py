@@ -13,6 +13,7 @@ import ast
 import re
 import sys
 import textwrap
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -67,7 +68,7 @@ class Case(NamedTuple):
 
 
 def load(text: str) -> Case:
-    data = yaml.safe_load(text)
+    data = yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
     parts = [Part(part["name"], part["kind"], part.get("any", False),
                   [name for key in ("topics", "nodes", "devices") for name in part.get(key, [])],
                   [Row(*row) for row in part["rows"]]) for part in data["parts"]]
@@ -98,6 +99,7 @@ def _tests(case):
     yield from (f"{alias}: no row names this test" for alias in sorted(set(tests) - used))
 
 
+@lru_cache(maxsize=None)
 def _functions(path):
     return {node.name for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
             if isinstance(node, ast.FunctionDef)}
@@ -178,12 +180,14 @@ def page(case: Case) -> str:
     data = case.data
     goals = [f"{name}|{each['text']}|{each['time']}|{', '.join(each['tests'])}" for name, each in data["goals"].items()]
     risks = [f"{name}|{what}|{remedy}" for name, (what, remedy) in data["risks"].items()]
+    figures = [f"{what}|`{command}`|{found}" for what, command, found in data["figures"]]
     blocks = [
         "# Safety case: what can fail, and what answers it",
         INTRODUCTION,
         "## What it assumes",
         "\n".join(textwrap.fill(f"- {each}", 120, subsequent_indent="  ") for each in data["assumes"]),
         "## Goals", _table(("goal", "what must hold", "within", "tests"), goals),
+        "## Figures", _table(("what", "command", "found"), figures),
         "## What remains, and what you can do", _table(("risk", "what remains", "what you can do"), risks),
         "## Faults", LEGEND]
     for kind, title in TITLES.items():

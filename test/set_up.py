@@ -5,6 +5,7 @@
     set_up.py FOLDER lint                  the linters
     set_up.py FOLDER pythons [--all]       the other Pythons that the tests run on: 3.8, with --all also newer ones
     set_up.py FOLDER rviz                  rviz
+    set_up.py FOLDER renew                 nothing; it pins the newest of pip's packages in test/requirements
 
 It prints lines of shell for ./dev to evaluate, and on stderr what it does. FOLDER is for logs and environments.
 
@@ -14,7 +15,6 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
-import importlib.metadata
 import os
 import re
 import shlex
@@ -38,8 +38,15 @@ APT_GET = ("sh", "-c", 'umask 022; exec env LC_ALL=C.UTF-8 DEBIAN_FRONTEND=nonin
            "-y", "-q", "-o", "DPkg::Lock::Timeout=300")
 DPKG_STATUS = Path("/var/lib/dpkg/status")  # written whenever a package is installed or removed
 PYTHONS = ((3, 8), (3, 10), (3, 12), (3, 13))  # on which ./dev test --all runs, those at hand
-LINTERS = ("ruff==0.17.5", "vermin==1.9.2")
-COVERAGE = ("coverage==7.6.1",)  # the last for Python 3.8, which ROS Noetic has
+LINTERS = ("ruff", "vermin")
+COVERAGE = ("coverage",)
+# What pip installs, pinned with the hashes of their files for every version of Python and every machine.
+REQUIREMENTS = ROOT / "test" / "requirements"
+RENEWS_WITH = ("uv",)
+OLDEST_PYTHON = "3.8.10"  # Ubuntu 20.04's
+# numpy and tornado of Ubuntu 20.04 and 22.04, Debian 12, Ubuntu 24.04, Debian 13: what pip adds must fit them.
+OF_SYSTEMS = (("3.8", "1.17.4", "6.0.3"), ("3.10", "1.21.5", "6.1"), ("3.11", "1.24.2", "6.2"),
+              ("3.12", "1.26.4", "6.4"), ("3.13", "2.2.4", "6.4.2"))
 # ROS modules that nodes on another Python import: plain Python, without the rest of what lies beside them.
 ROS_MODULES = (
     "actionlib_msgs", "catkin", "diagnostic_msgs", "diagnostic_updater", "dynamic_reconfigure", "genmsg", "genpy",
@@ -132,6 +139,18 @@ def pip_packages(distribution: str, is_alone: bool = False) -> list[str]:
     return sorted({PIP.get(key, key[len("python3-"):].replace("-pip", "")) + wanted.get(key, "") for key in named})
 
 
+def pins() -> dict[str, tuple[list[str], list[str], list[str]]]:
+    """Return by the name of a file of requirements: what is wanted, constraints, and what a system's packages have."""
+    has = [f'{name}=={version}; python_version == "{python}"' for python, *versions in OF_SYSTEMS
+           for name, version in zip(("numpy", "tornado"), versions)]
+    debian, noetic = (set(pip_packages(name)) for name in (DEBIAN, "noetic"))
+    of_noetic = [f'{name}; python_version == "3.8"' for name in sorted(noetic - debian)]
+    alone = pip_packages(DEBIAN, is_alone=True)
+    left_out = {re.split("[<>=]", name)[0] for name in alone} - {re.split("[<>=]", name)[0] for name in debian | noetic}
+    return {"system": ([*sorted(debian), *of_noetic, *CLUSTER], has, sorted(left_out)), "alone": (alone, [], []),
+            "lint": (list(LINTERS), [], []), "coverage": (list(COVERAGE), [], []), "renew": (list(RENEWS_WITH), [], [])}
+
+
 def apt_failure(update_log: str, install_log: str) -> str:
     """Return why apt-get could not install packages, and what to do about it, in one line."""
     if re.search("Failed to fetch|Temporary failure|Could not resolve", update_log):
@@ -154,9 +173,7 @@ class SetUp:
     def ros(self) -> None:
         """Install what package.xml names and what the tests need."""
         self.apt(*apt_packages(self.distribution))
-        # With the system's numpy.
-        self._venv("system", sys.executable, *pip_packages(self.distribution), *CLUSTER,
-                   f"numpy=={importlib.metadata.version('numpy')}")
+        self._venv("system", sys.executable, "system")
         # roslaunch looks localhost up; a bare chroot has no /etc/hosts that knows it.
         if subprocess.run(["getent", "hosts", "localhost"], stdout=subprocess.DEVNULL, check=False).returncode:
             line = "127.0.0.1 localhost"
@@ -218,7 +235,7 @@ class SetUp:
     def lint(self) -> None:
         """Install the linters; print their folder, and the Python that says what 3.8 can't compile."""
         self.apt("python3-venv")
-        venv = self._venv("lint", sys.executable, *LINTERS)
+        venv = self._venv("lint", sys.executable, "lint")
         _print_shell(linters=str(venv / "bin"))
 
     def pythons(self, *options: str) -> None:
@@ -231,15 +248,14 @@ class SetUp:
         found = find_pythons(versions if "--all" in options else [PYTHONS[0]])
         if not found:
             _say(f"no Python {PYTHONS[0][0]}.{PYTHONS[0][1]} at hand beside the system's {sys.version.split()[0]}")
-        alone = pip_packages(self.distribution, is_alone=True)
-        ready = {version: self._other(".".join(map(str, version)), python, *alone)
+        ready = {version: self._other(".".join(map(str, version)), python, "alone")
                  for version, python in found.items()}
         if PYTHONS[0] in ready:
             _print_shell(CAR_INTERFACE_PYTHON38=ready[PYTHONS[0]])
         _print_shell(CAR_INTERFACE_OTHER_PYTHONPATH=self._ros_modules())
         arguments = [f"--python {shlex.quote(python)}" for python in ready.values()]
         if "--all" in options:
-            coverage = self._other("coverage", sys.executable, *pip_packages(self.distribution), *COVERAGE)
+            coverage = self._other("coverage", sys.executable, "coverage")
             arguments.append(f"--coverage {shlex.quote(coverage)}")
         print(f"pythons=({' '.join(arguments)})")
 
@@ -265,10 +281,10 @@ class SetUp:
         if not self._run("apt", *apt, "install", "--no-install-recommends", *missing, shows=True):
             raise _end(apt_failure(*(_text_of(self._folder / "log" / name) for name in ("apt-update.log", "apt.log"))))
 
-    def _other(self, name, python, *wanted):
+    def _other(self, name, python, kind):
         """The Python of an environment; without one that can't be made a test counts as skipped."""
         try:
-            self._venv(name, python, *wanted)
+            self._venv(name, python, kind)
         except SystemExit as end:
             if end.code != 1:
                 raise
@@ -286,20 +302,52 @@ class SetUp:
             (folder / module).symlink_to(prefix / "lib/python3/dist-packages" / module)
         return f"{self._folder.parent}/devel/lib/python3/dist-packages:{folder}"
 
-    def _venv(self, name, python, *wanted):
-        """Make a virtual environment, anew when Python or packages are others than before."""
-        venv = self._folder / f"venv-{name}"
+    def renew(self) -> None:
+        """Pin the newest packages, from the index that pip is configured for, on every Python from the oldest on."""
+        (self._folder / "log").mkdir(parents=True, exist_ok=True)
+        venv = self._venv("renew", sys.executable, "renew")
+        # Only the main index has all files of a release, for other machines, too; extra ones often have some.
+        index = os.environ.get("PIP_INDEX_URL") or subprocess.run(
+            [str(venv / "bin/pip"), "config", "get", "global.index-url"], stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL, text=True, check=False).stdout.strip()
+        if index:
+            os.environ["UV_DEFAULT_INDEX"] = index
+        constraints = self._folder / "constraints.txt"
+        for kind, (wanted, constrained, left_out) in pins().items():
+            _say(f"Pinning {kind}")
+            constraints.write_text("\n".join(constrained), encoding="utf-8")
+            wanted_file, target = self._folder / "wanted.txt", REQUIREMENTS / f"{kind}.txt"
+            wanted_file.write_text("\n".join(wanted), encoding="utf-8")
+            if not self._run("renew", str(venv / "bin/uv"), "pip", "compile", "--no-config", "--no-python-downloads", "--universal", "--upgrade",
+                             "--generate-hashes", "--no-header", "--no-annotate", "--python-version", OLDEST_PYTHON,
+                             *(f"--no-emit-package={name}" for name in left_out), "-c", str(constraints),
+                             "-o", str(target), str(wanted_file), shows=True):
+                raise _end(f"the packages of {target.name} could not be pinned")
+
+    def _venv(self, name, python, kind):
+        """Make a virtual environment of what test/requirements pins, anew when that or Python is another than before.
+
+        pip installs only files with these hashes, and nothing that isn't named there.
+        """
+        venv, pinned = self._folder / f"venv-{name}", REQUIREMENTS / f"{kind}.txt"
         version = subprocess.run([python, "-V"], stdout=subprocess.PIPE, text=True, check=True).stdout.strip()
-        made_of = " ".join((python, version, *wanted)) + "\n"
+        made_of = f"{python} {version} {hashlib.sha256(pinned.read_bytes()).hexdigest()}\n"
         record = venv / "made-of"
         if record.exists() and record.read_text(encoding="utf-8") == made_of:
             return venv
-        _say(f"Installing with pip: {' '.join(wanted)}")
+        _say(f"Installing with pip what {pinned.relative_to(ROOT)} names")
         system = ["--system-site-packages"] if python == sys.executable else []
-        if not (self._run("venv", python, "-m", "venv", "--clear", *system, str(venv), shows=True)
-                and self._run("pip", str(venv / "bin" / "python"), "-m", "pip", "install", "-q",
-                              "--disable-pip-version-check", *wanted, shows=True)):
-            raise _end(f"pip could not install {' '.join(wanted)}")
+        if not self._run("venv", python, "-m", "venv", "--clear", *system, str(venv), shows=True):
+            raise _end(f"{python} could not make a virtual environment")
+        if not self._run("pip", str(venv / "bin" / "python"), "-m", "pip", "install", "-q", "--no-deps",
+                         "--disable-pip-version-check", "--require-hashes", "-r", str(pinned)):
+            log = self._folder / "log" / "pip.log"
+            refused = re.search(r"DO NOT MATCH THE HASHES.*?\n\s+(\S+).*? from ", _text_of(log), re.DOTALL)
+            if refused:
+                raise _end(f"pip was given another file of {refused[1]} than the one that test/requirements/{kind}.txt "
+                           "names, and installed nothing; without a reason for that don't trust the index or network")
+            print(end_of_log(log, 40), f"  (all of it: {log})", sep="\n", file=sys.stderr)
+            raise _end(f"pip could not install what test/requirements/{kind}.txt names")
         record.write_text(made_of, encoding="utf-8")
         return venv
 
@@ -321,7 +369,7 @@ def distribution(opt: Path = OPT) -> str:
 def build_inputs(ros: str) -> str:
     """Return what a build depends on: the first line for a whole one, then the files that catkin reads, and apt's."""
     lines = [f"{ros} {sys.version.split()[0]} {ROOT}"]
-    names = ("CMakeLists.txt", "setup.py", "package.xml", "msg/*", "srv/*", "cfg/*", "test/set_up.py")
+    names = ("CMakeLists.txt", "setup.py", "package.xml", "msg/*", "srv/*", "cfg/*", "test/set_up.py", "test/requirements/*")
     for path in sorted(path for name in names for path in ROOT.glob(name)):
         lines.append(f"{hashlib.sha256(path.read_bytes()).hexdigest()} {path.relative_to(ROOT)}")
     if DPKG_STATUS.exists():

@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
 """What a reboot of the Teensy in mid-drive costs of the heading, measured on the virtual Teensy.
 
-    PYTHONPATH=src:test python3 -m accuracy.reboot [--fault off|unplugged|both] [--no-sonars]
+    PYTHONPATH=src:test python3 -m accuracy.reboot [--fault off|unplugged|both|hidden] [--no-sonars]
 
 Wheels roll by a plan, their hall pins stand anywhere, and power is cut in the middle, for up to 0.2 s. Scored is what
 the reboot itself changes: the error of the heading at the end less that just before it; and whether the truth lies
 within the published covariance's three sigma: heading at the end, and place, heading and speed in each message from the
-fault on. Other faults: power off for seconds, the port unplugged for seconds, or unplugged and power off meanwhile.
+fault on. Other faults: power off for seconds, the port unplugged for seconds, or unplugged and power off meanwhile;
+hidden: so long that uptime and counts are higher than before.
 With --no-sonars none is connected.
 """
 from __future__ import annotations
@@ -26,8 +27,9 @@ from car_interface.teensy.sensing.measurements import MotionMeasurement
 
 PULSE_M, TRACK_M = math.pi * 0.095 / 20, 0.296
 STEP_NS, REBOOT_S, END_S = MS, 6.0, 9.0
-REBOOT, OFF, UNPLUGGED, BOTH = "reboot", "off", "unplugged", "both"
-DARK_S = (1.0, 4.0)
+REBOOT, OFF, UNPLUGGED, BOTH, HIDDEN = "reboot", "off", "unplugged", "both", "hidden"
+DARK_S, HIDDEN_S = (1.0, 4.0), (10.0, 14.0)
+HIDDEN_UPTIME_MS = 2_000  # at most, at the start
 DARK_KINDS = ("straight", "curve", "slowing", "slalom", "stopping", "backward", "standing", "turning")
 KINDS = ("straight", "curve", "slowing", "starting", "slalom", "stopping", "backward", "standing")
 STEADY = ("straight", "curve", "slowing", "backward")  # those whose curvature stays
@@ -80,7 +82,7 @@ def make_plan(rng, kinds=KINDS):
 class Drive:
     """A car on rails: its wheels roll by the plan."""
 
-    def __init__(self, plan, rng, sonars_missing=()):
+    def __init__(self, plan, rng, sonars_missing=(), max_start_ms=100_000):
         self.plan = plan
         self.now_ns = 0
         self.speed = self.yaw = self.x = self.y = 0.0
@@ -88,8 +90,9 @@ class Drive:
         self.positions = [rng.uniform(0, 4), rng.uniform(0, 4)]
         whole = tuple(math.floor(position) for position in self.positions)
         self.teensy = TeensyFirmware(FirmwareConfig(
-            clock_start_ms=rng.randrange(300, 100_000), clock_drift_ppm=rng.uniform(-50, 50), wheel_positions=whole,
-            seed=rng.randrange(1000), sonars_missing=sonars_missing), lambda sensor, at_ns: 4000 + 900 * sensor)
+            clock_start_ms=rng.randrange(300, max_start_ms), clock_drift_ppm=rng.uniform(-50, 50),
+            wheel_positions=whole, seed=rng.randrange(1000), sonars_missing=sonars_missing),
+            lambda sensor, at_ns: 4000 + 900 * sensor)
 
     def step(self):
         wanted, curvature = self.plan.at(self.now_ns / S)
@@ -115,13 +118,15 @@ class Drive:
 
 def run(seed: int, fault: str = REBOOT, has_sonars: bool = True) -> Outcome:
     rng = random.Random(seed)
-    drive = Drive(make_plan(rng, KINDS if fault == REBOOT else DARK_KINDS), rng, () if has_sonars else range(6))
+    drive = Drive(make_plan(rng, KINDS if fault == REBOOT else DARK_KINDS), rng, () if has_sonars else range(6),
+                  *(HIDDEN_UPTIME_MS,) if fault == HIDDEN else ())
     link = Link(drive.teensy)
     fault_ns = round((REBOOT_S + rng.uniform(0, 0.2)) * S)
     off_ns = rng.choice((0, 0, rng.randrange(200 * MS)))
-    dark_ns = 0 if fault == REBOOT else round(rng.uniform(*DARK_S) * S)
-    reboot_ns = None if fault == UNPLUGGED else fault_ns + (rng.randrange(dark_ns // 2) if fault == BOTH else 0)
-    unplugged_until_ns = fault_ns + dark_ns if fault in (UNPLUGGED, BOTH) else 0
+    dark_ns = 0 if fault == REBOOT else round(rng.uniform(*HIDDEN_S if fault == HIDDEN else DARK_S) * S)
+    reboot_ns = None if fault == UNPLUGGED else fault_ns + (
+        rng.randrange(dark_ns // 2) if fault == BOTH else rng.randrange(S) if fault == HIDDEN else 0)
+    unplugged_until_ns = fault_ns + dark_ns if fault in (UNPLUGGED, BOTH, HIDDEN) else 0
     before_rad, found, truth, last_ns, gap_ns = None, [], {}, 0, 0
     while drive.now_ns < END_S * S + dark_ns:
         now_ns = drive.now_ns
@@ -160,7 +165,7 @@ def error(result, truth):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--reboots", type=int, default=200)
-    parser.add_argument("--fault", choices=(REBOOT, OFF, UNPLUGGED, BOTH), default=REBOOT)
+    parser.add_argument("--fault", choices=(REBOOT, OFF, UNPLUGGED, BOTH, HIDDEN), default=REBOOT)
     parser.add_argument("--no-sonars", action="store_true")
     options = parser.parse_args()
     outcomes = [run(1000 + index, options.fault, not options.no_sonars) for index in range(options.reboots)]

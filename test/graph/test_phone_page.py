@@ -236,7 +236,7 @@ def test_commands_of_who_watches_and_old_ones_have_no_effect(bench):
     bench.seat(Phone(bench.network))
     for kind, fields in (("trim", {"name": "center", "value": 5300}), ("save", {}), ("record", {"on": True}),
                          ("calibrate", {"what": "begin"})):
-        assert bench.ask(kind, **fields) == ("", "only who drives may do that")
+        assert bench.ask(kind, **fields) == ("", "only the driver may do that")
     driver = bench.phone
     driver.token = "old"
     driver.is_cut = True
@@ -258,13 +258,13 @@ def test_trim_of_a_node_that_is_gone_is_refused_in_words(bench):
 
 def test_driver_records_and_has_the_report_opened(bench):
     phone = bench.seat()
-    assert bench.ask("record", on=False) == ("", "nothing is recorded")
-    assert bench.ask("record", on=True)[0] == "it records car_2026-11-26_12-00-00.bag"
-    assert bench.ask("record", on=True) == ("", "it records already")
+    assert bench.ask("record", on=False) == ("", "no recording is running")
+    assert bench.ask("record", on=True)[0] == "recording car_2026-11-26_12-00-00.bag"
+    assert bench.ask("record", on=True) == ("", "a recording is running already")
     assert "/phone/joy" in bench.bag.topics and "/teleop_logi/state" in bench.bag.topics
     bench.run(2.0)
     assert phone.car["recording"] == {"state": "on", "name": "car_2026-11-26_12-00-00.bag", "age": 2, "size": 2.0,
-                                      "text": "it records"}
+                                      "text": "recording"}
     bench.ask("record", on=False)
     assert phone.car["recording"]["state"] == "report"
     bench.run(6.0)
@@ -311,10 +311,10 @@ def test_recording_that_ends_by_itself_is_told(bench):
 def test_person_with_a_phone_and_no_gamepad_calibrates_the_steering(bench):
     bench.car.joy(False)
     phone = bench.seat()
-    assert bench.ask("calibrate", what="finish") == ("", "calibration_drive doesn't run")
+    assert bench.ask("calibrate", what="finish") == ("", "calibration_drive is not running")
     assert bench.ask("calibrate", what="begin") == ("calibration_drive starts", "")
     assert bench.programs == [(["rosrun", "car_interface", "calibration_drive", "--yes", "odom:=/odom"], "/")]
-    assert bench.ask("calibrate", what="begin") == ("", "calibration_drive runs already")
+    assert bench.ask("calibrate", what="begin") == ("", "calibration_drive is running already")
     bench.run(4.0)
     assert phone.car["calibration"]["state"] == "on" and phone.car["calibration"]["phase"] == "waiting"
     phone.hold("autonomous")
@@ -326,7 +326,7 @@ def test_person_with_a_phone_and_no_gamepad_calibrates_the_steering(bench):
     phone.hold("")
     bench.run(1.0)
     assert phone.car["calibration"]["phase"] == "paused" and abs(bench.car.speed_mps) < 0.3
-    assert bench.ask("calibrate", what="finish")[0] == "it ends with what is known"
+    assert bench.ask("calibrate", what="finish")[0] == "it finishes with what is known"
     bench.run(8.0)
     assert phone.car["calibration"]["state"] == "over"
     assert "no calibration is written" in phone.car["calibration"]["text"]

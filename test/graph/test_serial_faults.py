@@ -106,6 +106,24 @@ def test_fault_that_is_over_at_once_is_logged_and_the_link_goes_on(line, fault, 
     assert line.call("ping")[0]
 
 
+def test_reboot_while_unplugged_is_found_though_the_teensy_has_been_on_for_as_long_as_before(car):
+    line = Line(car, clock_start_ms=300).settled()
+    line.inject("unplug")
+    line.graph.run(1.0)
+    line.inject("reboot")
+    line.graph.run(8.0)
+    begun_ns = line.inject("plug")
+    line.graph.run(4.0)
+    assert line.link.reboots == 1
+    assert any(each.startswith("the Teensy rebooted: its clock went from 14.5 s back to 10.0 s")
+               for each in line.graph.lines("/teensy_sensor_hub", begun_ns))
+    line.inject("unplug")
+    line.graph.run(8.0)
+    line.inject("plug")
+    line.graph.run(8.0)
+    assert (line.link.reboots, line.link.state) == (1, "fine")
+
+
 def test_fault_and_recovery_are_logged_once_each(line):
     line.settled()
     begun_ns = line.inject("silence", 5)

@@ -32,10 +32,11 @@ ABSENT_NS = 5 * NS_PER_S  # without an echo of the driver's, before another page
 MAX_PAGES = 8  # that are admitted
 MAX_WAITING, WAIT_NS = 8, 5 * NS_PER_S  # connections that have not been admitted yet, and for how long
 MAX_KEYS, MAX_ADDRESSES = 64, 256  # that are remembered
+OTHERS = ""  # as an address: all that are more than these
 # A page sends an echo for each token and, as long as a thumb moves, one for each frame of its display (60 Hz, or 120).
 MESSAGES_HZ, MESSAGES_AT_ONCE = 150, 150
 MAX_MALFORMED = 20  # of a connection, before it is closed
-# Of an address: five guesses at once, then one in 10 s: 1e6 PINs take 116 days.
+# Of an address: five guesses at once, then one in 10 s: 1e6 PINs take 116 days; by all addresses together 11 hours.
 GUESSES_HZ, GUESSES_AT_ONCE = 0.1, 5
 MAX_COMMANDS = 8  # that the node hasn't taken yet
 GUESTS = frozenset({"e_stop", "echo", "leave"})  # what a page without the PIN may send
@@ -70,6 +71,11 @@ class Bucket:
         refill = max(0, now_ns - self._at_ns) * self._rate_hz / NS_PER_S
         self._level, self._at_ns = min(self._capacity, self._level + refill), max(now_ns, self._at_ns)
         return self._level >= 1
+
+    def is_full(self, now_ns: int) -> bool:
+        """Return whether all that were taken came back."""
+        self.has_any(now_ns)
+        return self._level >= self._capacity
 
     def take(self, now_ns: int) -> bool:
         """Return whether an event is allowed, and count it if so."""
@@ -118,7 +124,7 @@ class Phones:
         self._ticks = 0
         self._pages: dict[int, _Page] = {}
         self._keys: OrderedDict[str, None] = OrderedDict()  # of admitted pages, the oldest first
-        self._guesses: OrderedDict[str, Bucket] = OrderedDict()  # by address, the oldest first
+        self._guesses: dict[str, Bucket] = {}  # by address
         self._outgoing: list[Outgoing] = []
         self._commands: list[Command] = []
         self._car: dict[str, Any] = {}  # its state, by group
@@ -130,6 +136,7 @@ class Phones:
         self._fresh_until_ns = now_ns
         self._must_release = True
         self.e_stop = e_stop
+        self._stopped_ns = now_ns  # when somebody last pressed it
         self.counts: Counter[str] = Counter()
 
     @property
@@ -234,10 +241,7 @@ class Phones:
     # --- who may ---
 
     def _on_pin(self, page, message, now_ns):
-        guesses = self._guesses.setdefault(page.address, Bucket(GUESSES_HZ, GUESSES_AT_ONCE, now_ns))
-        self._guesses.move_to_end(page.address)
-        if len(self._guesses) > MAX_ADDRESSES:
-            self._guesses.popitem(last=False)
+        guesses = self._guesses_of(page.address, now_ns)
         if not guesses.has_any(now_ns):
             self.counts["guess refused"] += 1
             self._refuse(page, "too many wrong PINs from this address: wait 10 s")
@@ -247,6 +251,14 @@ class Phones:
             self._refuse(page, "wrong PIN")
         else:
             self._admit(page, self._make_secret())
+
+    def _guesses_of(self, address, now_ns):
+        """Return the guesses of an address. One that were forgotten for others could guess anew, so they share."""
+        if address not in self._guesses and len(self._guesses) >= MAX_ADDRESSES:
+            self._guesses = {each: guesses for each, guesses in self._guesses.items() if not guesses.is_full(now_ns)}
+            if len(self._guesses) >= MAX_ADDRESSES:
+                address = OTHERS
+        return self._guesses.setdefault(address, Bucket(GUESSES_HZ, GUESSES_AT_ONCE, now_ns))
 
     def _on_key(self, page, message, now_ns):
         """Admit by key, which no guess finds: whoever guesses PINs at the driver's address does not lock him out."""
@@ -276,7 +288,7 @@ class Phones:
     def _admit(self, page, key):
         guest = next((each for each in self._pages.values() if each.is_guest and each is not page), None)
         if guest is not None and self.pages - page.is_admitted >= MAX_PAGES:
-            self._close(guest, "others came who know the PIN")
+            self._close(guest, "this place went to a phone with the PIN")
         if key != self._driver_key and not self._has_room(page):
             return
         if page.connection == self._driver and key != self._driver_key:
@@ -347,15 +359,19 @@ class Phones:
     # --- emergency stop ---
 
     def _on_e_stop(self, page, message, now_ns):
-        self.e_stop = True
+        self.e_stop, self._stopped_ns = True, now_ns
         self._release()
         self._send_status()
 
     def _on_clear(self, page, message, now_ns):
-        if self._issued_ns(page, message, now_ns) is None:
+        issued_ns = self._issued_ns(page, message, now_ns)
+        if issued_ns is None:
             return
         if page.connection != self._driver:
-            self._refuse(page, "the e-stop is cleared by who drives")
+            self._refuse(page, "only the driver can clear the stop")
+            return
+        if issued_ns <= self._stopped_ns:  # it was sent for an earlier stop
+            self._refuse(page, "STOP was pressed again: clear it once more")
             return
         self.e_stop = False
         self._release()
@@ -367,7 +383,7 @@ class Phones:
         if self._issued_ns(page, message, now_ns) is None:
             return
         if page.connection != self._driver:
-            self._refuse(page, "only who drives may do that")
+            self._refuse(page, "only the driver may do that")
         else:
             self._command(page, message)
 

@@ -39,7 +39,8 @@ The server sends objects with one of these fields:
     {"status": {"driver": "you", "guest": false, "e_stop": false, "why": "…", "delay": 0.04}}    5 times a second, and
         on a change
         driver: "you", "another" or "nobody"; why: why a touch doesn't count, in words, else empty; delay: [s] from a
-        token to its echo, null: none came. A page that showed an e-stop before it was admitted again sends it again.
+        token to its echo, null: none came. A page that showed an e-stop sends it again once it is admitted by another
+        key: to a new node, which may know of none.
     {"car": {…}}           groups of the car's state: all of them at first, then 5 times a second those that changed
 
 Groups, each null until it is known. A number that isn't known is null; infinite ones are "inf" and "-inf". ``cause`` is
@@ -168,5 +169,5 @@ def number(value: float, digits: int = 3) -> float | str | None:
 
 
 def text_of(**fields: Any) -> str:
-    """Return a server's message."""
-    return json.dumps(fields, separators=(",", ":"), ensure_ascii=False)
+    """Return a server's message, in ASCII: a text with a byte that was no UTF-8 could not be sent otherwise."""
+    return json.dumps(fields, separators=(",", ":"))

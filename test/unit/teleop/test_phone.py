@@ -12,6 +12,7 @@ from car_interface.teleop.keyboard import Controls
 from car_interface.teleop.phone import (
     ABSENT_NS,
     GUESSES_AT_ONCE,
+    MAX_ADDRESSES,
     MAX_COMMANDS,
     MAX_KEYS,
     MAX_MALFORMED,
@@ -321,10 +322,11 @@ def test_any_page_stops_and_the_driver_s_button_and_a_new_touch_end_it(bench):
     assert bench.phones.e_stop and bench.controls == NOTHING_HELD
     assert first.status["why"] == "the e-stop is on: clear it"
     second.send(type="clear")
-    assert bench.phones.e_stop and second.refused == ["the e-stop is cleared by who drives"]
+    assert bench.phones.e_stop and second.refused == ["only the driver can clear the stop"]
     first.echo("")
     first.echo("manual")
     assert bench.controls == NOTHING_HELD
+    bench.wait(100)
     first.send(type="clear")
     first.echo("manual")
     assert not bench.phones.e_stop and bench.controls == NOTHING_HELD
@@ -337,6 +339,7 @@ def test_any_page_stops_and_the_driver_s_button_and_a_new_touch_end_it(bench):
 def test_clear_that_was_sent_before_the_stop_or_arrives_twice_ends_nothing(bench, delay_ms):
     page = bench.drive()
     page.send(type="e_stop")
+    bench.wait(100)
     page.send(type="clear")
     cleared = page.sent[-1]
     assert not bench.phones.e_stop
@@ -344,6 +347,18 @@ def test_clear_that_was_sent_before_the_stop_or_arrives_twice_ends_nothing(bench
     bench.wait(delay_ms)
     page.send_text(cleared)
     assert bench.phones.e_stop
+
+
+def test_clear_for_one_stop_does_not_end_another_one_that_arrived_before_it(bench):
+    driver, viewer = bench.drive(1), bench.join(2)
+    viewer.send(type="e_stop")
+    bench.wait(100)
+    viewer.send(type="e_stop")  # while the driver's answer to the first one is under way
+    driver.send(type="clear")
+    assert bench.phones.e_stop and driver.refused == ["STOP was pressed again: clear it once more"]
+    bench.wait(100)
+    driver.send(type="clear")
+    assert not bench.phones.e_stop
 
 
 def test_e_stop_outlives_every_page(bench):
@@ -385,11 +400,17 @@ def test_guesses_are_limited_by_address_and_neither_others_nor_the_driver_s_key_
     assert right.key
 
 
-def test_guesser_with_many_addresses_makes_nothing_grow(bench):
-    for number in range(1000):
-        bench.open(number, f"10.0.{number // 250}.{number % 250}").send(type="pin", pin="999999")
+def test_guesser_with_many_addresses_has_no_more_guesses_than_256_and_makes_nothing_grow(bench):
+    for number in range(6000):
+        bench.open(number, f"fd00::{number % 1000}").send(type="pin", pin="999999")
         bench.phones.disconnect(number)
-    assert len(bench.phones._guesses) <= 256 and not bench.phones._pages
+    groups = MAX_ADDRESSES + 1  # and all others
+    assert bench.phones.counts["wrong PIN"] == groups * GUESSES_AT_ONCE
+    assert len(bench.phones._guesses) <= groups and not bench.phones._pages
+    bench.now_ns += 50 * S
+    page = bench.open(1, "10.0.0.1")
+    page.send(type="pin", pin=PIN)
+    assert page.key and len(bench.phones._guesses) == 1
 
 
 def test_connections_that_send_nothing_make_room_and_disturb_no_driver(bench):
@@ -490,7 +511,7 @@ def test_guests_make_room_for_who_knows_the_pin_and_for_no_other_guest():
     bench = Bench(admits_guests=True)
     guests = [guest(bench, number) for number in range(MAX_PAGES + 1)]
     assert [page.closed for page in guests] == [""] * MAX_PAGES + [f"{MAX_PAGES} pages are open already"]
-    assert bench.join(50).key and guests[0].closed == "others came who know the PIN"
+    assert bench.join(50).key and guests[0].closed == "this place went to a phone with the PIN"
     assert bench.phones.pages == MAX_PAGES
 
 
@@ -514,7 +535,7 @@ def test_command_of_the_driver_s_is_passed_on_once_and_one_of_a_watcher_s_or_an_
     assert connection == 1 and {name: message[name] for name in command} == command
     driver.send_text(sent)
     watcher.send(**command)
-    assert watcher.refused == ["only who drives may do that"]
+    assert watcher.refused == ["only the driver may do that"]
     old = driver.token
     bench.wait(300, driver)
     driver.send(**{**command, "token": old})
@@ -530,6 +551,13 @@ def test_watcher_s_wish_for_a_file_is_passed_on_and_its_answer_goes_to_who_is_st
     bench.phones.disconnect(connection)
     bench.phones.answer(connection, file="/files/2")
     assert bench.phones.drain() == [] and message["name"] == "car.bag"
+
+
+def test_answer_with_the_name_of_a_file_that_is_no_utf_8_can_be_sent(bench):
+    page = bench.join(1)
+    bench.phones.answer(page.number, refused="no recording: /home/\udce4")
+    assert [outgoing.text.encode() for outgoing in bench.phones.drain()] == [
+        b'{"refused":"no recording: /home/\\udce4"}']
 
 
 def test_commands_that_the_node_has_not_taken_are_limited(bench):

@@ -74,7 +74,7 @@ class CalibrationProgram:
             CarInterfaceError: it can't begin.
         """
         if self._program is not None or self._is_seen:
-            raise CarInterfaceError("calibration_drive runs already")
+            raise CarInterfaceError("calibration_drive is running already")
         try:
             self._program = self._make_program(
                 [*COMMAND, f"odom:={self._inbox.resolve_name('odom')}"], self._inbox.graph.namespace())
@@ -87,7 +87,7 @@ class CalibrationProgram:
         """Have it end with what is known; return a line about it."""
         self._check_running()
         self._finish.publish(Empty())
-        return "it ends with what is known"
+        return "it finishes with what is known"
 
     def give_up(self) -> str:
         """End it; return a line about it."""
@@ -124,4 +124,4 @@ class CalibrationProgram:
 
     def _check_running(self):
         if self._program is None and not self._is_seen:
-            raise CarInterfaceError("calibration_drive doesn't run")
+            raise CarInterfaceError("calibration_drive is not running")

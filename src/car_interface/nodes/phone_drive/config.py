@@ -1,6 +1,7 @@
 """The parameters of phone_drive."""
 from __future__ import annotations
 
+import ipaddress
 import re
 from dataclasses import dataclass
 
@@ -35,13 +36,14 @@ class PhoneDriveConfig:
 
     @property
     def host(self) -> str:
-        """Return the address and the port as a URL has them."""
-        return f"[{self.address}]:{self.port}" if ":" in self.address else f"{self.address}:{self.port}"
+        """Return the address and the port as a browser has them in a URL: small letters, IPv6 by RFC 5952."""
+        try:
+            address = ipaddress.ip_address(self.address)
+        except ValueError:
+            return f"{self.address.lower()}:{self.port}"
+        return f"[{address}]:{self.port}" if address.version == 6 else f"{address}:{self.port}"
 
     def __post_init__(self):
-        # A page under another address than this is refused: RFC 6454's origin has it, and a name could be rebound.
-        require(self.address not in ("0.0.0.0", "::"), "address", self.address,
-                "one of this computer's addresses, or a name of it: the one that phones will open")
         require(self.pin == AUTO or re.fullmatch("[0-9]{6}", str(self.pin)), "pin", self.pin, f"six digits, or {AUTO}")
         require((self.certificate is None) == (self.key is None), "certificate" if self.key else "key", None,
                 "both a certificate and its key, or neither")

@@ -225,7 +225,7 @@ class PhoneDrive:
 
     def _begin_call(self, count, now_ns):
         if self._calls and now_ns - self._called_ns < CALL_NS:
-            raise CarInterfaceError("the last change is not answered yet")
+            raise CarInterfaceError("the last change has no answer yet")
         self._calls, self._called_ns = count, now_ns
 
     def _forget_calls(self):

@@ -54,7 +54,8 @@ class Recordings:
             CarInterfaceError: it can't begin.
         """
         if self._recording is not None:
-            raise CarInterfaceError("it records already" if self._page is None else "the last one is being closed")
+            raise CarInterfaceError("a recording is running already" if self._page is None else
+                                    "the last one is being closed")
         try:
             os.makedirs(self._folder, exist_ok=True)
             self._check_disk()
@@ -63,7 +64,7 @@ class Recordings:
         except OSError as error:
             raise CarInterfaceError(f"no recording: {error}") from error
         self._begun_ns, self._text = now_ns, ""
-        return f"it records {self._name}"
+        return f"recording {self._name}"
 
     def end(self) -> str:
         """End the recording, and have its report made; return a line about it.
@@ -72,9 +73,9 @@ class Recordings:
             CarInterfaceError: there is none.
         """
         if self._recording is None or self._page is not None:
-            raise CarInterfaceError("nothing is recorded")
+            raise CarInterfaceError("no recording is running")
         self._page = self._make_page(self._recording)
-        return f"{self._name} ends; its report follows"
+        return f"{self._name} is being closed; its report follows"
 
     def step(self) -> None:
         """Look how far it is; to be called some times a second."""
@@ -109,9 +110,10 @@ class Recordings:
             return {"state": OFF, "name": "", "age": None, "size": None, "text": self._text}
         size = _size(self._recording.path + ".active") or _size(self._recording.path)
         if self._page is None:
-            state, text = (STARTING, "rosbag starts") if size is None else (ON, "it records")
+            state, text = (STARTING, "rosbag starts") if size is None else (ON, "recording")
         else:
-            state, text = (REPORT, "the report is made") if self._recording.has_ended else (CLOSING, "it is closed")
+            state, text = ((REPORT, "the report is being made") if self._recording.has_ended else
+                           (CLOSING, "it is being closed"))
         return {"state": state, "name": self._name, "age": (now_ns - self._begun_ns) // NS_PER_S,
                 "size": None if size is None else number(size / MB, 1), "text": text}
 

@@ -6,6 +6,7 @@ from another origin, messages that are too long, and more connections than it ca
 from __future__ import annotations
 
 import asyncio
+import ipaddress
 import itertools
 import logging
 import secrets
@@ -39,12 +40,17 @@ MAX_UNHANDLED = 100  # messages of a connection that the node has not handled ye
 MAX_UNSENT = 40  # messages that a page has not taken yet: 2 s of tokens
 MAX_TICKETS, TICKET_S = 16, 60  # of files, and how long one is good for
 MAX_DOWNLOADS, CHUNK = 2, 65536  # bytes
+CHUNK_S = 20  # for a page to take a chunk: 3 kB a second; slower ones would keep the others from theirs
 # A report is of a recording, whose texts others have written: it runs no script, and is of no origin.
 REPORT_POLICY = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'"
 END_S = 2
 PAGE = Path(__file__).with_name("page")  # index.html, and what it names
 KINDS = {".html": "text/html; charset=utf-8", ".css": "text/css; charset=utf-8", ".svg": "image/svg+xml",
          ".js": "text/javascript; charset=utf-8", ".png": "image/png", ".webmanifest": "application/manifest+json"}
+# Of a tab that shows a file, or nothing else.
+ERRORS = {403: "Open this page by the address that the terminal shows.",
+          404: "There is no such page; a file's link is good once, for a minute.",
+          503: "Too many files are being sent: try again when they are done."}
 NO_POLICY = "default-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"  # of what shows nothing
 # Of the page. 'self' doesn't allow a WebSocket in Safari before 15.4.
 POLICY = NO_POLICY + ("; script-src 'self'; style-src 'self'; img-src 'self'; manifest-src 'self'; "
@@ -69,7 +75,7 @@ class Server:
 
     Raises:
         DeviceError: the address can't be used.
-        ConfigError: the certificate or its key can't be.
+        ConfigError: the certificate or its key can't be, or the address is all of this computer's.
     """
 
     def __init__(self, config: PhoneDriveConfig, inbox: Any, node: Any):
@@ -83,11 +89,7 @@ class Server:
         self._closing: deque[_Socket] = deque()  # the oldest first
         self._unhandled: Counter[int] = Counter()
         self._numbers = itertools.count(1)
-        try:
-            self._bound = bind_sockets(config.port, config.address)
-        except OSError as error:
-            raise DeviceError(f"phones' page at ~address {config.address}, ~port {config.port}", str(error),
-                              "Set another address of this computer, or another port") from error
+        self._bound = _bind(config)
         self._has_started = threading.Event()
         self._thread = threading.Thread(target=self._run, name="phone server", daemon=True)
         self._thread.start()
@@ -131,7 +133,11 @@ class Server:
         http.stop()
         for socket in list(self._sockets.values()):
             socket.abort()
-        self._loop.run_until_complete(asyncio.sleep(0))
+        waiting = asyncio.all_tasks(self._loop)
+        for task in waiting:
+            task.cancel()
+        if waiting:  # or asyncio complains of them on the terminal
+            self._loop.run_until_complete(asyncio.wait(waiting, timeout=END_S / 2))
         self._loop.close()
 
     @property
@@ -191,6 +197,22 @@ class Server:
                 self._closing.popleft().abort()
 
 
+def _bind(config):
+    """Return sockets that listen at the address alone, also where a name or `0` stands for it."""
+    try:
+        bound = bind_sockets(config.port, config.address)
+    except (OSError, UnicodeError) as error:  # UnicodeError: no name can be so
+        raise DeviceError(f"phones' page at ~address {config.address}, ~port {config.port}", str(error),
+                          "Set another address of this computer, or another port") from error
+    if any(ipaddress.ip_address(each.getsockname()[0].partition("%")[0]).is_unspecified for each in bound):
+        for each in bound:
+            each.close()
+        # A page under another address than this is refused: RFC 6454's origin has it, and a name could be rebound.
+        raise ConfigError("address", config.address,
+                          "one of this computer's addresses, or a name of it: the one that phones will open")
+    return bound
+
+
 def _tls(config):
     """Return the context of https; None: it is http."""
     if config.certificate is None:
@@ -198,9 +220,10 @@ def _tls(config):
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     try:
-        context.load_cert_chain(config.certificate, config.key)
+        context.load_cert_chain(config.certificate, config.key, password="")  # or OpenSSL asks the terminal for one
     except OSError as error:  # ssl.SSLError is one
-        raise ConfigError("certificate", config.certificate, f"a PEM file with ~key {config.key} ({error})") from error
+        raise ConfigError("certificate", config.certificate,
+                          f"a PEM file with ~key {config.key}, which needs no password ({error})") from error
     return context
 
 
@@ -212,7 +235,7 @@ class _HttpServer(HTTPServer):
         self._waiting = []
 
     def handle_stream(self, stream, address):
-        self._waiting = [other for other in self._waiting if not (other.closed() or hasattr(other, "is_websocket"))]
+        self._waiting = [other for other in self._waiting if not (other.closed() or hasattr(other, "is_served"))]
         if len(self._waiting) >= MAX_OPEN:
             self._waiting.pop(0).close()
         self._waiting.append(stream)
@@ -240,7 +263,8 @@ class _Guarded(RequestHandler):
             self.send_error(403)
 
     def write_error(self, status_code, **_):
-        self.finish(f"{status_code}\n")  # nothing of the request, which might be a script
+        # Nothing of the request, which might be a script.
+        self.finish(f"{status_code}. {ERRORS.get(status_code, '')}\n")
 
 
 class _NotFound(_Guarded):
@@ -259,8 +283,11 @@ class _File(_Guarded):
             self.send_error(404 if path is None else 503)
             return
         self._server.downloads += 1
+        self._stream.is_served = True
         try:
             await self._send_file(path)
+        except (StreamClosedError, asyncio.TimeoutError):
+            self._stream.close()
         finally:
             self._server.downloads -= 1
 
@@ -270,7 +297,7 @@ class _File(_Guarded):
         except OSError:
             self.send_error(404)
             return
-        with file, suppress(StreamClosedError):
+        with file:
             is_report = path.endswith(".html")
             self.set_header("Content-Type", KINDS[".html"] if is_report else "application/octet-stream")
             if is_report:
@@ -279,7 +306,7 @@ class _File(_Guarded):
                 self.set_header("Content-Disposition", f'attachment; filename="{Path(path).name}"')
             while chunk := file.read(CHUNK):
                 self.write(chunk)
-                await self.flush()
+                await asyncio.wait_for(self.flush(), CHUNK_S)
 
 
 class _Page(_Guarded):
@@ -319,7 +346,7 @@ class _Socket(_Guarded, WebSocketHandler):
         return True  # prepare has checked it
 
     def open(self, *_):
-        self._stream.is_websocket = True
+        self._stream.is_served = True
         self.set_nodelay(True)
         self._number = self._server.open(self)
 

@@ -107,18 +107,18 @@ class Session:
         return events
 
     def _on_pong(self, pong, now_ns, events):
-        self._on_tick(pong.timestamp2, now_ns, events)
         answer = self._pinger.pong(pong.timestamp1, now_ns)
         if answer is not None:
             self.round_trip_ns = answer.round_trip_ns
+        self._on_tick(pong.timestamp2, now_ns, events, None if answer is None else answer.sent_ns)
         return PongReceived(pong, answer)
 
     def _on_sonar(self, sonar, now_ns, events):
         self._on_tick(sonar.when, now_ns, events)
         return sonar
 
-    def _on_tick(self, tick, now_ns, events):
-        description = self._reboots.update(tick, now_ns)
+    def _on_tick(self, tick, now_ns, events, sent_ns=None):
+        description = self._reboots.update(tick, now_ns, sent_ns)
         if description is not None:
             self._health.rebooted(description, now_ns)
             self._pinger.retry_now()

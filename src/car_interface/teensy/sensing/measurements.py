@@ -13,6 +13,7 @@ from car_interface.common.units import NS_PER_MS, NS_PER_S
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.teensy.link.pinging import Answer
 from car_interface.teensy.link.protocol import UINT32, Pong, SonarStatus, WheelStatus
+from car_interface.teensy.link.reboot import reached_tick
 from car_interface.teensy.sensing.clock import Clock, ClockConfig, Stamp, Sync
 from car_interface.teensy.sensing.echo_pulses import BOOT_MS, FIRMWARE_WAIT_MS, EchoPulses
 from car_interface.teensy.sensing.odometry import Motion, Odometry, OdometryConfig
@@ -26,6 +27,7 @@ PONG_BYTES, SONAR_BYTES, WHEEL_BYTES = 14, 14, 38
 TICK_MIDDLE_MS = 0.5
 # On a full line reports leave up to 16 ms late, so that a clock without pongs yet is late by as much.
 MAX_CLOCK_ERROR_MS = 16
+MAX_SILENCE_NS = NS_PER_S  # a standing car's wheels are reported every 0.2 s
 MAX_QUEUED = 10  # reports of the wheels: raw messages must not wait long behind them
 
 
@@ -76,7 +78,9 @@ class Measurements:
         self._odometry = Odometry(config.odometry)
         self._on_motion = on_motion
         self._queue: list[tuple] = []  # reports of the wheels, and when they were received
+        self._received_ns = 0  # when the newest record was received
         self._has_tick = False
+        self._answered: tuple | None = None  # the newest pong's tick, and when it was received
         self._shift_ms = 0.0  # from the Teensy's clock to the odometry's, which never restarts
         self._newest_ms = -math.inf  # of the wheels' pulses and repeats, on the odometry's clock
         # Of the newest of each kind: stamps rise even when the relation of the clocks changes.
@@ -86,16 +90,20 @@ class Measurements:
     def pong(self, record: Pong, answer: Answer | None, received_ns: int) -> Sync | None:
         """Take a pong, and the ping that it answers (``None``: no ping of ours); return ``None`` if it was refused."""
         self.process_queue()
-        verdict = self.gates.pong(record, answer is not None)
+        self._note_receipt(received_ns)
+        reached = self._answered and answer and reached_tick(*self._answered, answer.sent_ns)
+        verdict = self.gates.pong(record, answer is not None, reached)
         if not verdict.accepted:
             return None
         self._update_tick(verdict, record.timestamp2, received_ns)
+        self._answered = (record.timestamp2, received_ns)
         return self.clock.pong(record.timestamp2, answer.sent_ns, answer.sent_bytes, received_ns, PONG_BYTES)
 
     def sonar(self, record: SonarStatus, received_ns: int, is_trusted: bool = True,
               wait_ms: int = FIRMWARE_WAIT_MS) -> RangeMeasurement | None:
         """Take a sonar's report, and SONAR_WAIT; return ``None`` if it was refused, or has no range."""
         self.process_queue()
+        self._note_receipt(received_ns)
         verdict = self.gates.sonar(record)
         if not verdict.accepted:
             return None
@@ -138,7 +146,14 @@ class Measurements:
                 self._on_motion(measured, received_ns)
         self._queue.clear()
 
+    def _note_receipt(self, received_ns):
+        """Forget the sonars' rhythm while nothing came: the time to a later report is no echo."""
+        if received_ns - self._received_ns > MAX_SILENCE_NS:
+            self._pulses.restart()
+        self._received_ns = received_ns
+
     def _measure_motion(self, record, received_ns):
+        self._note_receipt(received_ns)
         verdict = self.gates.wheels(record)
         if not verdict.accepted:
             return None
@@ -189,6 +204,7 @@ class Measurements:
     def _restart_clock(self, tick, received_ns):
         """Begin with a tick of the new clock: the Teensy rebooted."""
         self._shift_ms += self.clock.tick_at(received_ns) - tick
+        self._answered = None
         self.clock.restart()
         self._pulses.restart()
         self.clock.update_tick(tick, received_ns, 0)

@@ -1,8 +1,8 @@
 """Judges the Teensy's records before odometry, clock and ranges use them.
 
 A checksum of eight bits lets some wrong frames past. Each well-formed record is judged here against earlier ones:
-device ticks against device ticks and pulses against pulses, never against the host's clock. The verdict has whether it
-may be used, why not, and how many pulses it adds to the distance.
+device ticks against device ticks and pulses against pulses, and against the host's clock in one thing only: a pong is
+younger than its ping. The verdict has whether it may be used, why not, and how many pulses it adds to the distance.
 
 Three rules keep one wrong record from doing harm, and a true jump from being locked out:
 
@@ -69,11 +69,16 @@ class Gates:
         self._ticks = TickGate(config.max_gap_ms)
         self._wheels = WheelGate(config.pulse_m, config.max_gap_ms, config.top_speed_mps)
 
-    def pong(self, record: Pong, is_ours: bool) -> Verdict:
-        """Judge a pong; ``is_ours``: it answers a ping that waited (a duplicate answers none)."""
+    def pong(self, record: Pong, is_ours: bool, reached: int | None = None) -> Verdict:
+        """Judge a pong.
+
+        Args:
+            is_ours: it answers a ping that waited (a duplicate answers none).
+            reached: when that ping was sent, the clock had passed this tick, unless it restarted; ``None`` = unknown.
+        """
         if not is_ours:
             return self._counted(Verdict(False, NOT_OUR_PING))
-        return self._counted(self._judge_tick(record.timestamp2))
+        return self._counted(self._judge_tick(record.timestamp2, reached))
 
     def sonar(self, record: SonarStatus) -> Verdict:
         """Judge a sonar's report by its tick: any echo time is possible, see ``ranging``."""
@@ -87,11 +92,11 @@ class Gates:
             self.counts[CLOCK_RESTARTED] += 1
         return self._counted(verdict)
 
-    def _judge_tick(self, tick):
+    def _judge_tick(self, tick, reached=None):
         if self._wheels.is_zero_again and self._ticks.is_young_again(tick):
             self._ticks.restart(tick)
             return Verdict(True, CLOCK_RESTARTED, restarted=True)
-        return self._ticks.judge(tick)
+        return self._ticks.judge(tick, reached)
 
     def _counted(self, verdict):
         if verdict.accepted:

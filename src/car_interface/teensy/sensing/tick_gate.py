@@ -1,6 +1,7 @@
 """Judges the ticks of the Teensy's clock that pongs and sonars carry. Pure."""
 from __future__ import annotations
 
+from car_interface.teensy.link.reboot import MAX_LAG_MS
 from car_interface.teensy.sensing.pulse_counts import ahead
 from car_interface.teensy.sensing.verdicts import (
     AFTER_GAP,
@@ -47,11 +48,17 @@ class TickGate:
         """Return whether a tick can come from a Teensy that has just rebooted."""
         return self.newest is not None and tick < YOUNG_MS and ahead(tick, self.newest) < -OVERTAKEN_MS
 
-    def judge(self, tick: int) -> Verdict:
-        """Judge the next tick, ms modulo 2**32."""
+    def judge(self, tick: int, reached: int | None = None) -> Verdict:
+        """Judge the next tick, ms modulo 2**32.
+
+        Args:
+            reached: the clock has passed this tick, unless it restarted; ``None`` = unknown.
+        """
         if self.newest is None:
             self.newest = tick
             return Verdict(True, FIRST, restarted=True)
+        if reached is not None and ahead(reached, tick) > MAX_LAG_MS:
+            self._before, self.newest = None, reached
         fault = self._fault(self.newest, tick)
         if not fault:
             if ahead(tick, self.newest) > 0:

@@ -137,7 +137,9 @@ class WheelGate:
         if fault and _is_fresh(record):
             return self._restart(record, ODOMETERS_RESET)
         is_boot = clock_restarts != self._clock_restarts or _tick_gone_back(record, newest_tick) is not None
-        return self._consider(record, doubt, bool(fault), is_boot)
+        if is_boot and not fault:
+            self._before = None  # the counts hide a reboot that the clock shows
+        return self._consider(record, doubt, bool(fault) or is_boot, is_boot)
 
     def _accept(self, record, reason, pulses, before):
         for_each_wheel = zip(self._last, record, self._per_ms, self._pulse_ticks)
@@ -172,7 +174,8 @@ class WheelGate:
                 wrong = self._pulses_between(self._before, self._last)
             else:
                 reason, known = ODOMETERS_RESTARTED, list(chain)
-                self._learns = any(ahead(now.when, last.when) < 0 for now, last in zip(chain[0], self._last))
+                self._learns = is_boot or any(ahead(now.when, last.when) < 0
+                                              for now, last in zip(chain[0], self._last))
                 since_boot = self._learns and is_boot
                 if since_boot:
                     known.insert(0, _NOTHING_YET)  # nothing was lost: counts begin with the boot

@@ -10,6 +10,7 @@ import shutil
 import socket
 import ssl
 import subprocess
+import time
 from contextlib import suppress
 
 import pytest
@@ -21,7 +22,15 @@ from tornado.websocket import WebSocketClosedError, websocket_connect
 from car_interface.common.errors import ConfigError, DeviceError
 from car_interface.nodes.phone_drive import server as phone_server
 from car_interface.nodes.phone_drive.config import PhoneDriveConfig
-from car_interface.nodes.phone_drive.server import MAX_BYTES, MAX_OPEN, MAX_TICKETS, MAX_UNHANDLED, PAGE, Server
+from car_interface.nodes.phone_drive.server import (
+    MAX_BYTES,
+    MAX_DOWNLOADS,
+    MAX_OPEN,
+    MAX_TICKETS,
+    MAX_UNHANDLED,
+    PAGE,
+    Server,
+)
 from car_interface.teleop.phone import Outgoing
 
 WITHIN_S = 30
@@ -124,7 +133,7 @@ def test_page_is_whole_and_may_load_and_connect_to_its_own_server_only(server, p
 @pytest.mark.parametrize("path", ["/x", "/../../etc/passwd", "/%2e%2e/etc/passwd", "/ws/../x", "/<script>", "//x"])
 def test_any_other_path_is_not_found_and_has_a_strict_policy(server, port, path):
     status, body, headers = ask(port, path)
-    assert (status, body) == (404, b"404\n")
+    assert (status, body.split()[0]) == (404, b"404.") and b"script" not in body
     assert headers["Content-Security-Policy"].startswith("default-src 'none'; ")
     assert (headers["X-Content-Type-Options"], headers["Referrer-Policy"]) == ("nosniff", "no-referrer")
     assert ask(port, path, "evil.example")[0] == 403
@@ -179,6 +188,37 @@ def test_ticket_is_for_a_minute_and_the_newest_16_count(server, port, tmp_path, 
     assert ask(port, paths[2])[0] == 404
 
 
+def test_downloads_that_nobody_takes_end_and_make_room(server, port, tmp_path, monkeypatch):
+    monkeypatch.setattr(phone_server, "CHUNK_S", 0.2)
+    (tmp_path / "a.bag").write_bytes(bytes(50_000_000))  # more than the sockets' buffers
+    slow = []
+    for _ in range(MAX_DOWNLOADS):
+        path = server.offer(str(tmp_path / "a.bag"))
+        slow.append(socket.create_connection(("127.0.0.1", port)))
+        slow[-1].sendall(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode())
+    deadline_s = time.monotonic() + WITHIN_S
+    while server.downloads < MAX_DOWNLOADS and time.monotonic() < deadline_s:
+        time.sleep(0.01)
+    while server.downloads and time.monotonic() < deadline_s:
+        time.sleep(0.01)
+    assert ask(port, server.offer(str(tmp_path / "a.bag")))[0] == 200
+    for each in slow:
+        each.close()
+
+
+def test_download_goes_on_while_others_connect_and_ask_for_nothing(server, port, tmp_path):
+    size = 50_000_000  # more than the sockets' buffers
+    (tmp_path / "a.bag").write_bytes(bytes(size))
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=WITHIN_S)
+    connection.request("GET", server.offer(str(tmp_path / "a.bag")), headers={"Host": f"127.0.0.1:{port}"})
+    answer = connection.getresponse()
+    silent = [socket.create_connection(("127.0.0.1", port)) for _ in range(2 * MAX_OPEN)]
+    asyncio.run(connect(port))  # so all of them were taken
+    assert len(answer.read()) == size
+    for each in silent:
+        each.close()
+
+
 # --- TLS ---
 
 @pytest.fixture
@@ -213,6 +253,11 @@ def test_page_is_https_with_a_certificate_and_takes_no_origin_of_http(node, port
 def test_certificate_that_can_t_be_used_is_an_error_that_names_it(node, port, certificate):
     with pytest.raises(ConfigError, match=r"^certificate is '/.*; accepted: a PEM file with ~key /.*car\.key"):
         Server(PhoneDriveConfig(port=port, certificate=certificate[1], key=certificate[1]), node, node)
+    encrypted = f"{certificate[1]}.encrypted"
+    subprocess.run(["openssl", "pkey", "-in", certificate[1], "-aes128", "-passout", "pass:secret", "-out", encrypted],
+                   check=True, capture_output=True)
+    with pytest.raises(ConfigError, match="which needs no password"):  # and the terminal isn't asked for one
+        Server(PhoneDriveConfig(port=port, certificate=certificate[0], key=encrypted), node, node)
     with pytest.raises(ConfigError, match=r"^key is missing; accepted: both a certificate"):
         PhoneDriveConfig(certificate=certificate[0])
 
@@ -258,6 +303,26 @@ def test_connections_that_ask_for_nothing_keep_no_page_out(server, node, port):
         each.close()
 
 
+def test_stop_ends_what_waits_for_a_request(node, port):
+    server = Server(PhoneDriveConfig(port=port), node, node)
+    with socket.create_connection(("127.0.0.1", port)):
+        asyncio.run(connect(port))  # so the other one was taken
+        server.stop()
+    assert not asyncio.all_tasks(server._loop)  # asyncio would print each of them
+
+
 def test_address_that_is_taken_is_an_error_that_names_it(server, node, port):
     with pytest.raises(DeviceError, match=f"~port {port}: .*Set another address"):
         Server(PhoneDriveConfig(port=port), node, node)
+
+
+@pytest.mark.parametrize("address", ["0.0.0.0", "::", "0", "0x0", "::0"])
+def test_address_that_is_all_of_this_computer_s_is_refused_however_it_is_written(node, port, address):
+    with pytest.raises(ConfigError, match=r"^address is '"):
+        Server(PhoneDriveConfig(port=port, address=address), node, node)
+
+
+@pytest.mark.parametrize("address", ["a..b", "x" * 70, "300.1.1.1"])
+def test_address_that_is_none_is_an_error_that_names_it(node, port, address):
+    with pytest.raises(DeviceError, match=f"~address {address}, "):
+        Server(PhoneDriveConfig(port=port, address=address), node, node)

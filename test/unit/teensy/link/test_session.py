@@ -153,6 +153,17 @@ def test_pong_shows_a_reboot_too_and_is_followed_by_quick_pings(session):
     assert session.ping_due_ns < NOW + S // 2
 
 
+@pytest.mark.parametrize("lag_ms, reboots", [(0, 0), (1_900, 0), (2_100, 1)])
+def test_pong_that_lags_the_time_since_the_one_before_shows_a_reboot_that_the_clock_hides(session, lag_ms, reboots):
+    session.ping(1, NOW)
+    session.receive(pong(1, 5_000), NOW)
+    session.opened(NOW + 10 * S)
+    for number in (2, 3):
+        session.ping(number, NOW + 10 * S)
+        session.receive(sonar(14_990 - lag_ms) + pong(number, 14_990 - lag_ms), NOW + 10 * S)
+    assert session.reboots == reboots
+
+
 def test_counters_are_kept_by_name_as_last_sent_and_no_more_names_than_noise_may_make_up(session):
     events = session.receive(counter("rxPackets", 5) + counter("pingFail") + counter("rxPackets", 8), NOW)
     assert events == [ErrorCount(5, "rxPackets"), ErrorCount(1, "pingFail"), ErrorCount(8, "rxPackets")]

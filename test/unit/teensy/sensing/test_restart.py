@@ -27,9 +27,10 @@ def test_heading_stays_right_whatever_the_car_does_meanwhile_and_odometry_is_sil
 @pytest.mark.once
 @pytest.mark.parametrize("fault, seed", [
     (reboot_accuracy.OFF, 40083), (reboot_accuracy.OFF, 40193), (reboot_accuracy.BOTH, 1063),
-    (reboot_accuracy.BOTH, 150068), (reboot_accuracy.BOTH, 350160),
+    (reboot_accuracy.BOTH, 150068), (reboot_accuracy.BOTH, 350160), (reboot_accuracy.HIDDEN, 1001),
+    (reboot_accuracy.HIDDEN, 1002),
 ], ids=["stopped_and_turned_unseen", "reverses_as_it_is_seen_again", "slalom", "reversed_after_the_boot",
-        "had_started_before_the_boot"])
+        "had_started_before_the_boot", "on_for_as_long_as_before", "on_for_as_long_as_before_and_standing"])
 def test_manoeuvre_that_nobody_saw_is_within_three_sigma(fault, seed):
     assert reboot_accuracy.run(seed, fault).inside > 0.98
 

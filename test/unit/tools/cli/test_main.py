@@ -117,10 +117,10 @@ def test_setup_ships_every_message_definition_and_the_stock_configuration():
                                                                          "share/car_interface/config"}
 
 
-def test_setup_ships_every_template_of_a_page():
+def test_setup_ships_every_file_of_a_page():
     shipped = {path for package, patterns in setup_arguments()["package_data"].items() for pattern in patterns
                for path in (ROOT / "src" / package.replace(".", "/")).glob(pattern)}
-    assert shipped == {path for path in (ROOT / "src").rglob("*") if path.suffix in (".html", ".css")} != set()
+    assert shipped == {path for path in (ROOT / "src").rglob("*") if path.suffix in (".html", ".css", ".js", ".svg")}
 
 
 def test_setup_makes_the_command_and_names_what_it_needs():

@@ -8,6 +8,7 @@ const KEYS = {a: "left", d: "right", w: "forward", s: "backward", arrowleft: "le
   arrowup: "forward", arrowdown: "backward", e: "slowly forward", c: "slowly backward", "+": "more", "=": "more",
   "-": "less", m: "manual", p: "autonomous"};
 
+const isTyped = (event) => event.target.closest("input, select, dialog");
 const clamp = (value) => Math.max(-1, Math.min(1, value));
 
 // One thumb. It rests where it lands, so that a touch alone asks for nothing.
@@ -36,7 +37,7 @@ class Pad {
 
   move(event) {
     if (event.pointerId !== this.pointer) return;
-    if (event.pointerType === "mouse" && event.buttons === 0) { this.end(event); return; }
+    if (event.pointerType !== "touch" && event.buttons === 0) { this.end(event); return; }
     // Full at a thumb's way: a third of the pad, at most 80 px.
     const reach = Math.min(80, Math.min(this.element.clientWidth, this.element.clientHeight) / 3);
     this.left = clamp((this.from[0] - event.clientX) / reach);
@@ -73,6 +74,7 @@ export class Hands {
     this.pads = pads.map((element) => new Pad(element, changed));
     this.buttons = buttons;
     this.held = new Map();  // by pointer or key code: what it does
+    this.ended = new Set();  // codes of keys that were released together, and may be down still
     this.steering = 0;
     this.push = null;
     for (const [does, element] of Object.entries(buttons)) {
@@ -89,8 +91,15 @@ export class Hands {
     addEventListener("keydown", (event) => this.keyDown(event));
     addEventListener("keyup", (event) => {
       if (["Meta", "Control", "Alt"].includes(event.key)) this.release();  // keys held with them end unseen
+      this.ended.delete(event.code);
       this.let(event.code);
+      // Firefox clicks a button that has the focus as the space bar comes up.
+      if (event.key === " " && !isTyped(event)) event.preventDefault();
     });
+    // No finger touches the screen: whatever pointer is held, its end was lost.
+    for (const end of ["touchend", "touchcancel"]) {
+      addEventListener(end, (event) => { if (!event.touches.length) this.releasePointers(); });
+    }
     for (const lost of ["blur", "pagehide", "orientationchange"]) addEventListener(lost, () => this.release());
     document.addEventListener("visibilitychange", () => this.release());
     document.addEventListener("freeze", () => this.release());
@@ -98,14 +107,15 @@ export class Hands {
   }
 
   keyDown(event) {
-    if (event.target.closest("input, select, dialog")) return;
+    if (isTyped(event)) return;
     const does = KEYS[event.key.toLowerCase()];
     if (event.key === " " || event.ctrlKey || event.metaKey || event.altKey) {
       if (event.key === " ") event.preventDefault();
       this.release();
     } else if (does) {
       event.preventDefault();
-      if (!event.repeat) this.hold(event.code, does);
+      // Chromium on X11 marks no repeat after 2 s in which another window had the keys.
+      if (!event.repeat && !this.ended.has(event.code)) this.hold(event.code, does);
     }
   }
 
@@ -161,8 +171,14 @@ export class Hands {
   }
 
   release() {
-    for (const pad of this.pads) pad.release();
+    for (const what of this.held.keys()) if (typeof what === "string") this.ended.add(what);
     this.held.clear();
+    this.releasePointers();
+  }
+
+  releasePointers() {
+    for (const pad of this.pads) pad.release();
+    for (const what of this.held.keys()) if (typeof what === "number") this.held.delete(what);
     this.afterHeld();
   }
 

@@ -69,10 +69,11 @@ export class Link {
       this.token = message.token;
       this.seen.token();
     } else if ("key" in message) {
+      const isNew = message.key !== this.key;
       this.key = message.key;
       sessionStorage.setItem("key", this.key);
       this.pin = "";
-      this.admit();
+      this.admit(isNew);
     } else if ("refused" in message) {
       const wasAdmitted = this.isAdmitted;
       if (!wasAdmitted) {
@@ -85,7 +86,7 @@ export class Link {
       if (message.closed === "replaced") this.giveUp();
       this.seen.closed(message.closed);
     } else if ("status" in message) {
-      if (!this.isAdmitted) this.admit();  // a guest, who gets no key
+      if (!this.isAdmitted) this.admit(true);  // a guest, who gets no key
       this.stopShown = message.status.e_stop;
       if (this.stopShown) this.stopWanted = false;
       this.seen.status(message.status);
@@ -94,10 +95,11 @@ export class Link {
     }
   }
 
-  admit() {
+  // isNew: the car's node may be a new one, which does not know of the stop that is shown here.
+  admit(isNew) {
     if (this.isAdmitted) return;
     this.isAdmitted = true;
-    if (this.stopShown || this.stopWanted) this.stop();  // the car's node may be a new one, which knows of no stop
+    if (this.stopWanted || this.stopShown && isNew) this.stop();
     this.seen.admitted();
   }
 

@@ -19,7 +19,7 @@ let sentMs = 0;
 let isDue = false;
 
 const link = new Link({
-  token: echo,
+  token() { if (document.visibilityState === "visible") echo(); },  // a page that nobody sees keeps no seat
   admitted() { $("gate").close(); keepAwake(); show(); },
   lost() { status = null; hands.release(); buzz(300); show(); },
   status(newest) {
@@ -65,7 +65,7 @@ function ask(type, isDone) {
   const askedMs = performance.now();
   link.sendEvidence({type});
   setTimeout(() => {
-    if (!isDone() && link.isAdmitted && answer.atMs < askedMs) note("The network is too slow: it took too long.", true);
+    if (!isDone() && link.isAdmitted && answer.atMs < askedMs) note("The network is too slow: press again.", true);
   }, CONFIRMED_MS);
 }
 
@@ -118,22 +118,24 @@ function stateOf(mine, isStopped, refusal) {
   const {throttle, steering} = car, who = car.who || {text: ""};
   const decisive = throttle || steering || {source: "", text: ""};
   if (!link.isAdmitted) {
-    return ["off", "No contact",
-      isStopped ? "The stop is sent as soon as there is." : refusal || "It stops by itself without a phone."];
+    return ["off", "No contact", link.stopWanted ? "The stop is sent once contact is back." : refusal
+      || (link.stopShown ? "Its emergency stop was on." : "Without a phone the car stops by itself.")];
   }
   if (isStopped) {
-    const next = mine ? "Clear it, then touch again." : "Who drives by phone clears it.";
+    const isFree = status && status.driver === "nobody" && !status.guest;
+    const next = mine ? "Clear it, then touch again." : isFree ? "Press Drive, then clear it."
+      : "Only the driver's phone can clear it.";
     return ["stop", link.stopShown ? "Emergency stop" : "Stopping", refusal || next];
   }
   if (refusal) return ["wait", "Not now", refusal];
   if (decisive.source === "locked") return ["stop", "Locked", decisive.text];
-  if (mine && status.why && hands.controls.touch) return ["wait", "Let go", status.why];
   const sources = [throttle, steering].map((one) => one && one.source);
   if (sources.includes("planner")) return ["go", "The planner drives", decisive.text];
   if (sources.includes("teleop")) {
     const byPhone = who.text.startsWith("phone:");
     return ["go", byPhone ? mine ? "You drive" : "A phone drives" : "The gamepad drives", decisive.text];
   }
+  if (mine && status.why && hands.controls.touch) return ["wait", "Let go", status.why];
   if (mine) return ["wait", hands.controls.touch ? "It stands" : "Touch to drive", decisive.text || who.text];
   return ["off", status && status.driver === "another" ? "Another has the seat" : "Nobody drives",
     decisive.text || who.text];
@@ -200,7 +202,12 @@ $("gate-form").addEventListener("submit", (event) => {
 });
 
 arrange();
-const pin = /^#(\d{6})$/.exec(location.hash);
-history.replaceState(null, "", location.pathname);  // or the PIN would stand in the browser's history, and on pictures
-link.open(pin ? pin[1] : "");
+// Open by the PIN in the address, and take it out: it would stand in the browser's history, and on pictures.
+function openByAddress() {
+  const pin = /^#(\d{6})$/.exec(location.hash);
+  history.replaceState(null, "", location.pathname);
+  if (!link.isAdmitted || status && status.guest) link.open(pin ? pin[1] : "");
+}
+addEventListener("hashchange", openByAddress);  // of a new start of the car, in a tab that is open
+openByAddress();
 setInterval(show, 1000);

@@ -11,7 +11,7 @@ export class Tools {
     this.car = {};
     const evidence = (id, message) => $(id).addEventListener("click", () => link.sendEvidence(message()));
     evidence("record", () => ({type: "record", on: !this.records}));
-    this.twice("save", "Again: the car's files are changed", () => ({type: "save"}));
+    this.twice("save", "Press again to change the car's files", () => ({type: "save"}));
     this.twice("calibrate-begin", "Again: replace the table", () => ({type: "calibrate", what: "begin"}));
     evidence("calibrate-finish", () => ({type: "calibrate", what: "finish"}));
     evidence("calibrate-give-up", () => ({type: "calibrate", what: "give up"}));

@@ -12,7 +12,7 @@ from car_interface.tools.calibration.steering.calibrate import SteeringResult
 from car_interface.tools.calibration.steering.errors import BAND
 from car_interface.tools.calibration.steering.fit import Curve
 from car_interface.tools.calibration.steering.table import DRIVEN, LEFT, OLD, RIGHT, Breakpoint, radius_text
-from car_interface.tools.calibration.steering.understeer import Understeer
+from car_interface.tools.calibration.steering.understeer import USUAL, Understeer
 
 SHORT_ROWS = 8
 TABLE_HEAD = "  radius"
@@ -101,7 +101,8 @@ def _understeer_line(understeer: Understeer):
               "positions at several speeds")
     if understeer.is_known:
         return f"  understeer: {number}"
-    known = f"known well enough ({number})" if understeer.places else "known"
+    # Circles of almost the same speed have any number, with an error to match.
+    known = f"known well enough ({number})" if understeer.places and understeer.sigma < USUAL else "known"
     return (f"  by how much turns widen with speed isn't {known}, and understeer stays as it was: drive some circles "
             "at other speeds, too, up to 4 m/s² sideways")
 

@@ -40,7 +40,8 @@ def test_what_steady_circles_cannot_show_is_said_to_be_unknown():
 @pytest.mark.parametrize("sigma, line", [
     (0.0008, "  understeer: 0.0091 ± 0.0016 1/m for each (m/s²)², from 4 positions at several speeds"),
     (0.001, "  by how much turns widen with speed isn't known well enough (0.0091 ± 0.0020 1/m for each (m/s²)², "),
-], ids=["within_a_fifth", "not_within_a_fifth"])
+    (0.1, "  by how much turns widen with speed isn't known, and understeer stays as it was: "),
+], ids=["within_a_fifth", "not_within_a_fifth", "not_at_all"])
 def test_understeer_is_taken_where_it_is_known_within_a_fifth(sigma, line):
     assert lines(line_curve(understeer=Understeer(0.0091, sigma, 4)))[3].startswith(line)
 

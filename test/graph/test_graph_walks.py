@@ -1,0 +1,76 @@
+"""Random walks of the whole graph break no goal of docs/safety_case.md, and the monitor finds what is switched off."""
+import os
+import random
+
+import pytest
+
+from car_interface.interlock.motion_interlock import MotionInterlock
+from car_interface.teleop.gamepad import Gamepad
+from car_interface.throttle.arbiter import ThrottleArbiter
+from graph_walk import GraphWalk
+
+IS_ALL = bool(os.environ.get("CAR_INTERFACE_ALL"))
+STEPS = 10_000
+SEEDS = [1] if not IS_ALL else [random.SystemRandom().randrange(10**9) for _ in range(100)]
+FAILED: tuple = ()  # seeds of walks that once broke a goal: they are walked each time
+
+
+def violations(seed):
+    print(f"seed {seed}")
+    return [f"seed {seed}: {each}" for each in GraphWalk(seed).run(STEPS).found]
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("part", range(10 if IS_ALL else 1))
+def test_random_walk_of_the_whole_graph_breaks_no_goal(part):
+    seeds = [*(SEEDS[part::10] if IS_ALL else SEEDS), *FAILED]
+    assert [each for seed in seeds for each in violations(seed)] == []
+
+
+def without_timeout_of_the_deadman(monkeypatch):
+    start = MotionInterlock.__init__
+
+    def init(self, config):
+        start(self, config)
+        self._human._timeout_ns = float("inf")
+    monkeypatch.setattr(MotionInterlock, "__init__", init)
+
+
+def without_timeout_of_the_gamepad(monkeypatch):
+    start = Gamepad.__init__
+
+    def init(self, *args, **kwargs):
+        start(self, *args, **kwargs)
+        self._joy._timeout_ns = float("inf")
+    monkeypatch.setattr(Gamepad, "__init__", init)
+
+
+def without_rearming(monkeypatch):
+    def nothing(self, now_ns):
+        self._waiting_since_ns, self._rearm_reason = self._waiting_since_ns or now_ns, ""
+    monkeypatch.setattr(MotionInterlock, "_update_rearm_reason", nothing)
+
+
+def without_stop_of_throttle_without_steering(monkeypatch):
+    monkeypatch.setattr(ThrottleArbiter, "_steering_trouble", lambda self, now_ns: None)
+    start = ThrottleArbiter.__init__
+
+    def init(self, config):
+        start(self, config)
+        self._board = None
+    monkeypatch.setattr(ThrottleArbiter, "__init__", init)
+
+
+# What is switched off, and a seed that finds it early.
+OFF = [(without_timeout_of_the_deadman, 0), (without_timeout_of_the_gamepad, 0), (without_rearming, 0),
+       (without_stop_of_throttle_without_steering, 0)]
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("switch_off, seed", OFF, ids=[each[0].__name__ for each in OFF])
+def test_monitor_finds_a_mechanism_that_is_switched_off(monkeypatch, switch_off, seed):
+    switch_off(monkeypatch)
+    walk = GraphWalk(seed)
+    while not walk.goals.found and walk.steps < STEPS:
+        walk.run(200)
+    assert walk.goals.found
