@@ -43,8 +43,9 @@ START_AND_END_S = 60.0  # for rostest to start its master and nodes, and to end 
 END_S = 15.0  # for an interrupted step to end its processes
 POLL_S = 0.2
 PYTEST_RAN_NOTHING = 5  # its exit code
-# What drives the car is measured by its own tests: folders of test/unit, and files of test/graph. See coverage.ini.
-MEASURED_UNIT = ("interlock", "common", "steering", "throttle", "planner", "teleop", "pca9685", "teensy")
+# What drives the car is measured by its own tests: in test/unit, and in test/graph. See coverage.ini.
+MEASURED_UNIT = ("interlock", "common", "steering", "throttle", "planner", "teleop", "pca9685", "teensy/link",
+                 *(f"teensy/sensing/test_{name}.py" for name in ("plausibility", "tick_gate", "wheel_gate")))
 MEASURED_GRAPH = ("inbox", "live_tuning", "phone_drive", "teleop_logi", "throttle_arb", "turn_arb")
 # On another Python only those that could differ there. test/conftest.py explains the marks.
 SECOND_PYTHON = ("-m", "not once and not browser")
@@ -132,8 +133,8 @@ def coverage_step(results: Path, python: Python) -> Step:
     command = ("sh", "-c", '"$0" -m coverage run -m pytest "$@" && "$0" -m coverage report', python.path, "-q",
                "--tb=short", "-p", "no:cacheprovider", *SECOND_PYTHON,
                f"--junitxml={results / 'coverage' / 'junit.xml'}", *map(str, files))
-    environment = {"PYTHONPATH": python.ros_path, "CAR_INTERFACE_ALL": "", "COVERAGE_RCFILE": str(TEST / "coverage.ini"),
-                   "COVERAGE_FILE": str(results / "coverage" / "data")}
+    environment = {"PYTHONPATH": python.ros_path, "CAR_INTERFACE_ALL": "",
+                   "COVERAGE_RCFILE": str(TEST / "coverage.ini"), "COVERAGE_FILE": str(results / "coverage" / "data")}
     return Step("coverage", "coverage", command, {**PYTEST_ENVIRONMENT, **environment}, PYTEST_LIMIT_S, is_pytest=True)
 
 

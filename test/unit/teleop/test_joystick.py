@@ -169,6 +169,6 @@ def test_without_autorepeat_only_changes_are_published():
 
 @pytest.mark.parametrize("dev", ["js0", "none", ""])
 def test_device_is_a_path_or_any(dev):
-    with pytest.raises(ConfigError, match="dev.*auto, or a path such as /dev/input/event5"):
+    with pytest.raises(ConfigError, match=r"dev.*auto, or a path such as /dev/input/event5"):
         JoystickConfig(dev=dev)
     assert [JoystickConfig(dev=right).dev for right in ("auto", "/dev/input/event5")] == ["auto", "/dev/input/event5"]

@@ -22,7 +22,8 @@ from car_interface.teleop.phone import (
     WAIT_NS,
     Phones,
 )
-from car_interface.teleop.phone_messages import number, parse
+from car_interface.teleop.phone_messages import number as sent_number
+from car_interface.teleop.phone_messages import parse
 
 MS = 1_000_000
 S = 1000 * MS
@@ -611,7 +612,7 @@ def test_malformed_message_is_refused_and_counted(bench, text):
 @pytest.mark.parametrize("value, sent", [
     (1.23456, 1.235), (-2.0, -2.0), (float("inf"), "inf"), (float("-inf"), "-inf"), (float("nan"), None)], ids=str)
 def test_number_is_sent_as_json_has_it(value, sent):
-    assert json.loads(json.dumps(number(value), allow_nan=False)) == sent
+    assert json.loads(json.dumps(sent_number(value), allow_nan=False)) == sent
 
 
 def test_page_that_sends_many_malformed_messages_is_closed(bench):

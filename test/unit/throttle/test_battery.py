@@ -91,7 +91,8 @@ def test_limits_of_0_are_off():
 
 
 @pytest.mark.parametrize("voltages, silent_s, remedy", [
-    ([FULL] * 6, 0, ""), ([LOW] * 6, 0, "Charge or change the battery"), ([EMPTY] * 6, 0, "Charge or change the battery"),
+    ([FULL] * 6, 0, ""), ([LOW] * 6, 0, "Charge or change the battery"),
+    ([EMPTY] * 6, 0, "Charge or change the battery"),
     ([FULL] * 6, 6, "See who publishes battery_state: rostopic info battery_state")], ids=str)
 def test_whatever_is_wrong_with_a_battery_has_a_remedy(voltages, silent_s, remedy):
     battery = Battery()

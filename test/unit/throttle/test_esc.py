@@ -507,7 +507,8 @@ def test_second_pull_never_becomes_reverse_if_the_newest_speed_of_the_half_secon
 def test_stop_of_a_car_that_a_hill_drives_holds_the_brake_that_it_began_while_it_rolled():
     car = Car(profile_measured=True)
     cruise = Request(0.0, DRIVE, is_centered=True, cruise_mps=0.3)
-    for value, seconds, speed in ((0.3, 0.5, 0.5), (0.0, 0.3, 0.5), (0.0, 0.1, 0.7), (-0.5, 0.3, 0.5), (-0.5, 0.1, 0.0)):
+    for value, seconds, speed in (
+            (0.3, 0.5, 0.5), (0.0, 0.3, 0.5), (0.0, 0.1, 0.7), (-0.5, 0.3, 0.5), (-0.5, 0.1, 0.0)):
         car.ask(cruise._replace(value=value), seconds, speed)
     decision = car.stop(20.0, speed=0.0)
     assert decision[:4] == (-0.5, HOLD, "stopping", "it stands on a hill, and the brake holds it")
