@@ -43,6 +43,10 @@ START_AND_END_S = 60.0  # for rostest to start its master and nodes, and to end 
 END_S = 15.0  # for an interrupted step to end its processes
 POLL_S = 0.2
 PYTEST_RAN_NOTHING = 5  # its exit code
+# What drives the car is measured by its own tests: in test/unit, and in test/graph. See coverage.ini.
+MEASURED_UNIT = ("interlock", "common", "steering", "throttle", "planner", "teleop", "pca9685", "teensy/link",
+                 *(f"teensy/sensing/test_{name}.py" for name in ("plausibility", "tick_gate", "wheel_gate")))
+MEASURED_GRAPH = ("inbox", "live_tuning", "phone_drive", "teleop_logi", "throttle_arb", "turn_arb")
 # On another Python only those that could differ there. test/conftest.py explains the marks.
 SECOND_PYTHON = ("-m", "not once and not browser")
 # pytest and old versions of Python write byte code beside the source, whatever PYTHONPYCACHEPREFIX says; threads of
@@ -120,6 +124,18 @@ def pytest_step(results: Path, title: str, python: Python, files: list[Path], py
                "-n", str(len(os.sched_getaffinity(0))), "--dist", "loadfile", *marks, *map(str, files))
     return Step(name, title, command, {**PYTEST_ENVIRONMENT, "PYTHONPATH": python_path},
                 LONG_PYTEST_LIMIT_S if is_all else PYTEST_LIMIT_S, is_pytest=True, may_be_empty=python.is_second)
+
+
+def coverage_step(results: Path, python: Python) -> Step:
+    """Return the step that fails unless its own tests run each line and branch of what drives the car."""
+    files = [*(TEST / "unit" / name for name in MEASURED_UNIT),
+             *(TEST / "graph" / f"test_{name}.py" for name in MEASURED_GRAPH)]
+    command = ("sh", "-c", '"$0" -m coverage run -m pytest "$@" && "$0" -m coverage report', python.path, "-q",
+               "--tb=short", "-p", "no:cacheprovider", *SECOND_PYTHON,
+               f"--junitxml={results / 'coverage' / 'junit.xml'}", *map(str, files))
+    environment = {"PYTHONPATH": python.ros_path, "CAR_INTERFACE_ALL": "",
+                   "COVERAGE_RCFILE": str(TEST / "coverage.ini"), "COVERAGE_FILE": str(results / "coverage" / "data")}
+    return Step("coverage", "coverage", command, {**PYTEST_ENVIRONMENT, **environment}, PYTEST_LIMIT_S, is_pytest=True)
 
 
 def process_step(results: Path, path: Path, is_all: bool) -> Step:
@@ -271,6 +287,7 @@ def main() -> int:
     parser.add_argument("--check", action="store_true")
     parser.add_argument("--output", type=Path)
     parser.add_argument("--python", action="append", default=[])
+    parser.add_argument("--coverage")
     parser.add_argument("names", nargs="*")
     arguments = parser.parse_args()
     try:
@@ -289,8 +306,13 @@ def main() -> int:
     first, other = (os.environ.get(name, "") for name in ("PYTHONPATH", "CAR_INTERFACE_OTHER_PYTHONPATH"))
     pythons = [Python(path, other if number else first, number > 0)
                for number, path in enumerate(arguments.python) if os.access(path, os.X_OK)]
-    return run(arguments.output, all_steps(results, pythons, selected, arguments.all), arguments.all,
-               len(arguments.python) - len(pythons))
+    steps, skipped = all_steps(results, pythons, selected, arguments.all), len(arguments.python) - len(pythons)
+    if arguments.coverage and not arguments.names:
+        if os.access(arguments.coverage, os.X_OK):
+            steps.insert(0, coverage_step(results, Python(arguments.coverage, first, False)))
+        else:
+            skipped += 1
+    return run(arguments.output, steps, arguments.all, skipped)
 
 
 if __name__ == "__main__":

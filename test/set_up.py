@@ -39,6 +39,7 @@ APT_GET = ("sh", "-c", 'umask 022; exec env LC_ALL=C.UTF-8 DEBIAN_FRONTEND=nonin
 DPKG_STATUS = Path("/var/lib/dpkg/status")  # written whenever a package is installed or removed
 PYTHONS = ((3, 8), (3, 10), (3, 12), (3, 13))  # on which ./dev test --all runs, those at hand
 LINTERS = ("ruff", "vermin")
+COVERAGE = ("coverage",)
 # What pip installs, pinned with the hashes of their files for every version of Python and every machine.
 REQUIREMENTS = ROOT / "test" / "requirements"
 RENEWS_WITH = ("uv",)
@@ -152,7 +153,7 @@ def pins() -> dict[str, tuple[list[str], list[str], list[str]]]:
     alone = pip_packages(DEBIAN, is_alone=True)
     left_out = set(names_of(alone)) - set(names_of(debian | noetic))
     return {"system": ([*sorted(debian), *of_noetic, *CLUSTER], has, sorted(left_out)), "alone": (alone, [], []),
-            "lint": (list(LINTERS), [], []), "renew": (list(RENEWS_WITH), [], [])}
+            "lint": (list(LINTERS), [], []), "coverage": (list(COVERAGE), [], []), "renew": (list(RENEWS_WITH), [], [])}
 
 
 def apt_failure(update_log: str, install_log: str) -> str:
@@ -252,11 +253,16 @@ class SetUp:
         found = find_pythons(versions if "--all" in options else [PYTHONS[0]])
         if not found:
             _say(f"no Python {PYTHONS[0][0]}.{PYTHONS[0][1]} at hand beside the system's {sys.version.split()[0]}")
-        ready = {version: self._other(".".join(map(str, version)), python) for version, python in found.items()}
+        ready = {version: self._other(".".join(map(str, version)), python, "alone")
+                 for version, python in found.items()}
         if PYTHONS[0] in ready:
             _print_shell(CAR_INTERFACE_PYTHON38=ready[PYTHONS[0]])
         _print_shell(CAR_INTERFACE_OTHER_PYTHONPATH=self._ros_modules())
-        print(f"pythons=({' '.join(f'--python {shlex.quote(python)}' for python in ready.values())})")
+        arguments = [f"--python {shlex.quote(python)}" for python in ready.values()]
+        if "--all" in options:
+            coverage = self._other("coverage", sys.executable, "coverage")
+            arguments.append(f"--coverage {shlex.quote(coverage)}")
+        print(f"pythons=({' '.join(arguments)})")
 
     def rviz(self) -> None:
         """Install rviz, which is large."""
@@ -280,10 +286,10 @@ class SetUp:
         if not self._run("apt", *apt, "install", "--no-install-recommends", *missing, shows=True):
             raise _end(apt_failure(*(_text_of(self._folder / "log" / name) for name in ("apt-update.log", "apt.log"))))
 
-    def _other(self, name, python):
+    def _other(self, name, python, kind):
         """The Python of an environment; without one that can't be made a test counts as skipped."""
         try:
-            self._venv(name, python, "alone")
+            self._venv(name, python, kind)
         except SystemExit as end:
             if end.code != 1:
                 raise

@@ -389,6 +389,17 @@ def test_a_planner_s_car_that_is_too_fast_for_its_turn_slows_down_which_is_told_
     assert "" not in arb.graph.lines("/throttle_arb")
 
 
+def test_limit_without_odometry_is_off_which_is_logged_once():
+    arb = Arb(human={"max_speed": 2.0})
+    arb.hold(e_stop=False, steering=STEERS, teleop=0.0, human=False)
+    arb.run(2.0)
+    arb.hold(human=True, teleop=1.0)
+    arb.run(1.0)
+    reason = "odom was never heard: nothing limits the throttle"
+    assert (arb.duty, arb.state.limit, arb.state.limit_reason) == (BY_HAND, "limits off", reason)
+    assert arb.graph.lines("/throttle_arb").count(reason) == 1
+
+
 def test_what_a_sonar_ahead_sees_stops_the_car_and_a_silent_one_too():
     arb = Arb(obstacle_stop=True, sonar_hub=config("sonars.yaml")).present(
         speed=0.0, steering=SteeringState(source=SteeringState.PLANNER, turn_radius=INF))

@@ -1,6 +1,7 @@
 """test/run.py: which tests run, how many at a time, and what becomes of one that hangs."""
 from __future__ import annotations
 
+import configparser
 import signal
 import subprocess
 import sys
@@ -102,3 +103,10 @@ def test_ci_run_ends_tests_that_hang_whether_or_not_they_end_when_asked_to(tmp_p
         [".ci/run: ./dev test was killed", "0 passed, 1 failed, 0 skipped"], 137)
     for folder in ("ends", "does_not"):
         assert has_ended(hanging_pid(tmp_path / folder))
+
+
+def test_each_module_that_its_tests_must_run_whole_exists():
+    ini = configparser.ConfigParser()
+    ini.read(str(TEST / "coverage.ini"))
+    for pattern in ini["run"]["include"].split():
+        assert list((TEST.parent / "src").glob(pattern[len("*/src/"):])), f"there is no {pattern}"

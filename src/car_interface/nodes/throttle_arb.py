@@ -249,9 +249,7 @@ class ThrottleArb(CommandNode):
 
     def _report(self, status):
         """Who drives, why, and what the ESC gets, for /diagnostics."""
-        decision = self._decision
-        if decision is None:
-            return status
+        decision = self._decision  # there is one: the first tick is due at once, and goes before any report
         arbitration, esc = decision.arbitration, decision.esc
         is_calibration_drive = self._control.is_calibration_drive
         text = f"{source_name(arbitration.source)}: {arbitration.reason}; ESC {esc.state_name}: {esc.reason}"

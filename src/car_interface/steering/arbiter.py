@@ -107,11 +107,6 @@ class SteeringArbiter:
         self._slewed_duty: float = calibration.servo_center
         self._slewed_ns = 0
 
-    @property
-    def calibration(self) -> SteeringCalibration:
-        """The calibration in use."""
-        return self._calibration
-
     def calibrate(self, calibration: SteeringCalibration) -> None:
         """Use another calibration from now on."""
         self._calibration = calibration

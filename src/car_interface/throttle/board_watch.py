@@ -86,10 +86,6 @@ class BoardWatch:
         self._commands.clear()
         self._restart()
 
-    def age_s(self, now_ns: int) -> float:
-        """Return the seconds since the board's last report; inf = it never reported."""
-        return self._output.age_s(now_ns)
-
     def trouble(self, now_ns: int) -> BoardTrouble | None:
         """Return why no throttle may be given at ``now_ns``, or None. It depends on earlier calls."""
         if not self._output.was_received:

@@ -201,11 +201,9 @@ def _is_left(x_m, y_m, edge):
 
 
 def _crosses_edge_rad(part, radius_m, path_m):
-    """Return the angle about the turn's centre, (0, radius), at which the path crosses an edge; inf: never."""
+    """Return the angle about the turn's centre, (0, radius), at which the path crosses an edge, or is closest to it."""
     ratio = (math.cos(part.edge_rad) * (radius_m - part.edge_y_m) + math.sin(part.edge_rad) * part.edge_x_m) / path_m
-    if ratio <= -1.0:
-        return math.inf
-    return part.edge_rad + math.acos(min(1.0, ratio))
+    return part.edge_rad + math.acos(max(-1.0, min(1.0, ratio)))
 
 
 def _leaves_circle_rad(mount, reach_m, radius_m, path_m):

@@ -226,3 +226,10 @@ def test_initialisation_that_fails_at_any_transfer_passes_the_error_on_and_can_b
     bench.log.append(("write", "before the repetition"))
     bench.board.initialise()
     assert bench.registers() == RUNNING
+
+
+def test_check_of_a_board_with_all_channels_on_reads_each_of_them(running):
+    running.board.write(dict.fromkeys(range(16), CENTER))
+    running.another_board().write({15: 100})
+    with pytest.raises(ForeignWrite, match="channel 15 holds 100 counts, not 319"):
+        running.board.check()

@@ -43,6 +43,14 @@ def test_board_on_pins_27_and_28_is_found_at_its_address():
     assert choose({MAIN: chips(0x41), OTHER: chips(0x60)}, address=0x60) == OTHER
 
 
+def test_boards_on_both_buses_are_named_and_neither_is_taken():
+    with pytest.raises(BoardNotFound) as caught:
+        choose({MAIN: chips(0x40), OTHER: chips(0x40)})
+    assert caught.value.is_ambiguous
+    assert explain(caught.value, "", True, ORIN) == (f"there is one on {MAIN} and on {OTHER}",
+                                                     f"Choose the car's: i2c:={MAIN}")
+
+
 @pytest.mark.parametrize("header, path", [(UNKNOWN, "/dev/i2c-1"), (PI, "/dev/i2c-1")], ids=["unknown", "one_bus"])
 def test_single_bus_is_taken_without_asking_any_chip(header, path):
     computer = Computer({path: chips(0x40), "/dev/i2c-7": chips(0x40)})

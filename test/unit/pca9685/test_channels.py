@@ -191,3 +191,12 @@ def test_what_is_a_pull_follows_the_neutral():
     board.follow([5200] * 16)
     board.command(vector({0: 5150, 1: 5200}), NOW)
     assert board.expire(NOW + 80 * MS) == [0]
+
+
+@pytest.mark.parametrize("count", [0, 15, 17])
+def test_vector_of_another_length_is_refused_as_a_whole(count):
+    board = channels()
+    for take in (lambda: board.command([6700] * count, NOW), lambda: board.follow([6700] * count)):
+        with pytest.raises(ValueError, match=f"needs 16 values and has {count}"):
+            take()
+    assert board.targets == [CENTER_COUNTS] * 16 and board.next_deadline_ns() == math.inf

@@ -28,6 +28,8 @@ def test_node_without_parameters_drives_the_first_bus_s_chip_at_50_hz_with_a_gua
 
 @pytest.mark.parametrize("parameters, expected", [
     ({"device": 7}, {"device": "/dev/i2c-7"}),
+    ({"device": "auto"}, {"device": "auto"}),
+    ({"device": "auto", "auto_device": "/dev/i2c-7"}, {"device": "/dev/i2c-7"}),
     ({"device": "/dev/i2c-servo"}, {"device": "/dev/i2c-servo", "virtual_chip": None, "virtual_log": None}),
     ({"device": "virtual", "virtual_chip": "/a", "virtual_log": "/b"},
      {"device": "virtual", "virtual_chip": "/a", "virtual_log": "/b"}),

@@ -128,6 +128,10 @@ def test_node_whose_pipe_ends_is_overruled_at_once_with_its_newest_timeout_value
     assert watching.guard.node_is_dead and watching.guard.timeout_counts[0] == 325
 
 
+def test_guard_waits_for_its_node_s_first_message_for_ever(bench):
+    assert bench.guard.next_due_ns() == float("inf")
+
+
 def test_node_that_never_reached_a_chip_has_nothing_to_guard(bench):
     bench.tell(has_reached=False)
     assert bench.fail() == 1000  # the guard's own attempt

@@ -181,3 +181,11 @@ def test_retry_now_makes_the_next_attempt_at_once(running):
     running.supervisor.retry_now()
     running.update(NEUTRAL)
     assert running.pulses() == NEUTRAL
+
+
+def test_close_closes_the_bus_once_and_without_one_does_nothing(running):
+    running.another_supervisor().close()
+    assert running.closed == 0
+    running.supervisor.close()
+    running.supervisor.close()
+    assert running.closed == 1

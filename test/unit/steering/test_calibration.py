@@ -28,6 +28,11 @@ def test_servo_may_turn_the_other_way_round_or_to_one_side_only(left, right, dut
     assert [calibration.teleop_duty(steering) for steering in (1.0, 0.5, 0.0, -0.5, -1.0)] == duties
 
 
+def test_planner_that_asks_for_straight_on_gets_the_center_also_where_the_tables_end_beside_it():
+    calibration = replace(SLASH, radius_axis_m=(1, 2), left_duties=(3800, 4000), right_duties=(6700, 6000))
+    assert calibration.planner_duty(math.inf) == calibration.planner_duty(-math.inf) == 5100
+
+
 @pytest.mark.parametrize("side, table", [(1, "k_pwmcmd_left_table_servo"), (-1, "k_pwmcmd_right_table_servo")])
 def test_planner_radius_at_each_breakpoint_makes_the_table_s_duty(side, table):
     for radius_m, duty in zip(PARAMETERS["m_turnrad_axis_servo"], PARAMETERS[table]):
@@ -64,6 +69,12 @@ def test_tightest_radius_is_that_of_its_side_and_the_widest_of_those_with_its_du
     assert calibration.tightest_radius_m(side) == tightest_m
     assert calibration.turn_radius_m(calibration.planner_duty(math.copysign(0.2, side))) == math.copysign(
         tightest_m, side)
+
+
+def test_tightest_radius_to_a_side_to_which_the_servo_does_not_turn_is_the_widest_of_the_table():
+    calibration = replace(SLASH, servo_left=5100, radius_axis_m=(1, 2, 4), left_duties=(5100,) * 3,
+                          right_duties=(6700, 6000, 5500))
+    assert calibration.tightest_radius_m(1.0) == 4.0
 
 
 def test_tables_with_fractions_are_interpolated_before_they_are_rounded():

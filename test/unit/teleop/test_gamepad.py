@@ -385,3 +385,10 @@ def test_so_does_one_that_is_held_through_the_change_but_no_later_one(between):
     for _ in range(3):
         assert person.hold((0.0, -1.0), AUTONOMOUS).throttle == -1.0
         person.hold(REST, AUTONOMOUS)
+
+
+def test_gamepad_whose_buttons_nobody_has_explained_drives_nothing_and_says_so():
+    gamepad = Gamepad(config(), unmapped="it is an Unknown Pad")
+    for buttons in (NONE, MANUAL):
+        gamepad.update([0.5, 0.5], buttons, NOW)
+        assert gamepad.requests(NOW)[:5] == (False, 0.0, 0.0, causes.JOY_UNMAPPED, "it is an Unknown Pad")

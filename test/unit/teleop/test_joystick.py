@@ -34,8 +34,9 @@ from pads import (
     listed,
 )
 
+from car_interface.common.errors import ConfigError
 from car_interface.teleop.input_devices import parse_pads
-from car_interface.teleop.joystick import AxisRange, Event, Joystick, Pacing
+from car_interface.teleop.joystick import AxisRange, Event, Joystick, JoystickConfig, Pacing
 
 MS, S = 1_000_000, 1_000_000_000
 END, DROP = Event(SYN, REPORT, 0), Event(SYN, DROPPED, 0)
@@ -164,3 +165,10 @@ def test_without_autorepeat_only_changes_are_published():
     pacing.changed(S)
     pacing.published(S + MS)
     assert pacing.due_ns == math.inf
+
+
+@pytest.mark.parametrize("dev", ["js0", "none", ""])
+def test_device_is_a_path_or_any(dev):
+    with pytest.raises(ConfigError, match=r"dev.*auto, or a path such as /dev/input/event5"):
+        JoystickConfig(dev=dev)
+    assert [JoystickConfig(dev=right).dev for right in ("auto", "/dev/input/event5")] == ["auto", "/dev/input/event5"]

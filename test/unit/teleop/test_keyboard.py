@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from car_interface.common.errors import ConfigError
 from car_interface.teleop.keyboard import (
     AUTONOMOUS,
     BACKWARD,
@@ -20,6 +21,7 @@ from car_interface.teleop.keyboard import (
     SLOWLY_FORWARD,
     Controls,
     Keyboard,
+    KeyboardConfig,
     KeyReader,
     help_text,
 )
@@ -239,3 +241,8 @@ def test_keys_for_the_scale_are_buttons_with_a_deadman_only():
     keyboard.type(LESS, NOW)
     assert keyboard.controls(NOW).scale == 0
     assert keyboard.controls(NOW + S).scale == 0
+
+
+def test_both_deadmen_on_one_button_are_refused():
+    with pytest.raises(ConfigError, match=r"autonomous_button.*a button other than manual_button's"):
+        KeyboardConfig(manual_button=5, autonomous_button=5)

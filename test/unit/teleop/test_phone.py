@@ -14,6 +14,7 @@ from car_interface.teleop.phone import (
     GUESSES_AT_ONCE,
     MAX_ADDRESSES,
     MAX_COMMANDS,
+    MAX_KEYS,
     MAX_MALFORMED,
     MAX_PAGES,
     MAX_WAITING,
@@ -21,6 +22,7 @@ from car_interface.teleop.phone import (
     WAIT_NS,
     Phones,
 )
+from car_interface.teleop.phone_messages import number as sent_number
 from car_interface.teleop.phone_messages import parse
 
 MS = 1_000_000
@@ -434,6 +436,39 @@ def test_pages_are_limited_and_the_driver_comes_back_among_them(bench):
     assert again.key and not again.closed
 
 
+def test_page_that_comes_again_by_its_key_replaces_the_one_that_is_still_open(bench):
+    first = bench.drive(1)
+    again = bench.open(2)
+    again.send(type="key", key=first.key)
+    assert first.closed == "replaced" and again.key == first.key and bench.phones.pages == 1
+
+
+def test_driver_s_page_that_is_admitted_by_the_pin_again_leaves_the_seat(bench):
+    page = bench.drive(1)
+    page.send(type="pin", pin=PIN)
+    bench.wait(100)
+    assert bench.controls == NOTHING_HELD and page.status["driver"] == "nobody"
+
+
+def test_keys_are_limited_and_the_driver_s_is_kept(bench):
+    driver, oldest = bench.drive(1), bench.join(2)
+    bench.phones.disconnect(2)
+    for number in range(3, 3 + MAX_KEYS):
+        bench.join(number)
+        bench.phones.disconnect(number)
+    bench.phones.disconnect(1)
+    for number, page in ((100, oldest), (101, driver)):
+        again = bench.open(number)
+        again.send(type="key", key=page.key)
+        assert (again.key, again.refused) == (("", ["enter the PIN"]) if page is oldest else (driver.key, []))
+
+
+def test_watcher_who_leaves_changes_nothing(bench):
+    bench.drive(1)
+    bench.join(2).send(type="leave")
+    assert bench.phones.controls(bench.now_ns) == bench.controls != NOTHING_HELD
+
+
 def test_page_that_sends_too_much_is_closed_and_what_it_held_with_it(bench):
     page = bench.drive()
     while not page.closed and len(page.sent) < 2 * MESSAGES_AT_ONCE:
@@ -508,6 +543,17 @@ def test_command_of_the_driver_s_is_passed_on_once_and_one_of_a_watcher_s_or_an_
     assert bench.phones.take_commands() == [] and bench.controls == AHEAD
 
 
+def test_watcher_s_wish_for_a_file_is_passed_on_and_its_answer_goes_to_who_is_still_there(bench):
+    watcher = bench.join(1)
+    watcher.send(type="open", name="car.bag")
+    (connection, message), = bench.phones.take_commands()
+    bench.phones.answer(connection, file="/files/1")
+    assert [json.loads(outgoing.text) for outgoing in bench.phones.drain()] == [{"file": "/files/1"}]
+    bench.phones.disconnect(connection)
+    bench.phones.answer(connection, file="/files/2")
+    assert bench.phones.drain() == [] and message["name"] == "car.bag"
+
+
 def test_answer_with_the_name_of_a_file_that_is_no_utf_8_can_be_sent(bench):
     page = bench.join(1)
     bench.phones.answer(page.number, refused="no recording: /home/\udce4")
@@ -561,6 +607,12 @@ def test_malformed_message_is_refused_and_counted(bench, text):
     assert parse(text) is None
     bench.phones.receive(1, text, bench.now_ns)
     assert bench.phones.counts["malformed"] == 1 and bench.controls == AHEAD and not page.closed
+
+
+@pytest.mark.parametrize("value, sent", [
+    (1.23456, 1.235), (-2.0, -2.0), (float("inf"), "inf"), (float("-inf"), "-inf"), (float("nan"), None)], ids=str)
+def test_number_is_sent_as_json_has_it(value, sent):
+    assert json.loads(json.dumps(sent_number(value), allow_nan=False)) == sent
 
 
 def test_page_that_sends_many_malformed_messages_is_closed(bench):

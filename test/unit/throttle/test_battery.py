@@ -88,3 +88,15 @@ def test_voltage_that_never_came_is_reported_only_where_a_stop_waits_for_it(conf
 def test_limits_of_0_are_off():
     battery = Battery(BatteryConfig())
     assert battery.has(0.01, 9.0) == WELL and battery.watch.status(battery.now) == ("", "0.01 V")
+
+
+@pytest.mark.parametrize("voltages, silent_s, remedy", [
+    ([FULL] * 6, 0, ""), ([LOW] * 6, 0, "Charge or change the battery"),
+    ([EMPTY] * 6, 0, "Charge or change the battery"),
+    ([FULL] * 6, 6, "See who publishes battery_state: rostopic info battery_state")], ids=str)
+def test_whatever_is_wrong_with_a_battery_has_a_remedy(voltages, silent_s, remedy):
+    battery = Battery()
+    for voltage in voltages:
+        battery.has(voltage, 0.5)
+    battery.has(None, silent_s)
+    assert battery.watch.status(battery.now).remedy == remedy

@@ -235,6 +235,11 @@ def test_stop_without_odometry_brakes_only_where_the_profile_is_proven(profile, 
     assert (car.decision.stop_mps2 == 1.5, car.decision.coasts_below_mps) == (fraction != 0.0, 0.0)
 
 
+def test_stop_brakes_from_arming_on_where_the_esc_was_measured_to_have_no_reverse():
+    car = Car(NO_REVERSE, armed=False, profile_measured=True)
+    assert car.stop(1.1)[:2] == (-0.5, BRAKING)
+
+
 def brakes_to_standstill_and_drives_again(car):
     """The story that proves a profile: see test_esc_proof.py."""
     car.stick(0.5, 0.5, speed=2.0)
@@ -478,3 +483,32 @@ def test_calibration_drive_passes_a_person_s_stick_once_it_is_armed_and_nobody_e
             "calibration drive: the ESC gets the stick as it is, and a brake may become reverse")
     assert car.stop(speed=-1.0).fraction == 0.0
     assert car.planner(-0.5, speed=0.0).fraction == car.planner(0.01, speed=0.0).fraction == 0.0
+
+
+def test_person_s_pull_in_the_planner_s_gear_drive_pushes_against_a_car_that_rolls_backward_fast_enough():
+    car = Car()
+    pulled_twice(car, 0.0)
+    car.stick(-0.5, 0.6, speed=-2.0)
+    pull = Request(-0.4, DRIVE, is_human=True)
+    assert car.ask(pull, 0.4, speed=-2.0)[:2] == (0.4, BRAKING)
+    assert car.ask(pull, speed=-0.7)[:3] == (0.0, NEUTRAL, "at standstill")
+
+
+@pytest.mark.parametrize("rolled_s, ends", [(0.3, NEUTRAL), (0.6, REVERSE)])
+def test_second_pull_never_becomes_reverse_if_the_newest_speed_of_the_half_second_before_it_was_forward(rolled_s, ends):
+    car = Car(TURNS)
+    car.stick(0.5, 0.5, speed=0.4)
+    car.stick(-0.5, 0.1, speed=0.4)
+    car.stick(0.0, 0.1, speed=0.4)
+    car.stick(0.0, rolled_s)
+    assert car.stick(-0.5, 5.0).state == ends
+
+
+def test_stop_of_a_car_that_a_hill_drives_holds_the_brake_that_it_began_while_it_rolled():
+    car = Car(profile_measured=True)
+    cruise = Request(0.0, DRIVE, is_centered=True, cruise_mps=0.3)
+    for value, seconds, speed in (
+            (0.3, 0.5, 0.5), (0.0, 0.3, 0.5), (0.0, 0.1, 0.7), (-0.5, 0.3, 0.5), (-0.5, 0.1, 0.0)):
+        car.ask(cruise._replace(value=value), seconds, speed)
+    decision = car.stop(20.0, speed=0.0)
+    assert decision[:4] == (-0.5, HOLD, "stopping", "it stands on a hill, and the brake holds it")

@@ -32,6 +32,7 @@ def played(steps, config=CONFIG):
 @pytest.mark.parametrize("steps, certain", [
     pytest.param([], False, id="not_at_the_start"),
     pytest.param(DROVE, True, id="after_forward"),
+    pytest.param([("lost", 0, 20), *DROVE], True, id="after_forward_also_when_messages_were_dropped_before_any_came"),
     pytest.param([("both", 0.4, 490)], False, id="not_after_forward_for_less_than_half_a_second"),
     pytest.param([("both", 0.05, 500)], False, id="not_after_one_within_the_dead_band"),
     pytest.param([("sent", 0.4, 500)], False, id="not_where_the_board_never_said_so"),

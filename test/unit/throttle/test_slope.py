@@ -152,3 +152,12 @@ def test_whatever_it_is_told_it_promises_no_more_than_configured(speeds, fractio
             coasting = slope.coasting(is_backward)
             assert coasting.certain_mps2 <= 0.3 and math.isfinite(coasting.certain_mps2 + coasting.likely_mps2)
         assert math.isfinite(slope.acceleration_mps2) and slope.brake_lacks_mps2 >= 0.0
+
+
+@pytest.mark.parametrize("speed_mps, later_ms", [(math.nan, 20), (math.inf, 20), (5.0, 0), (5.0, -20)])
+def test_speed_that_is_no_number_or_not_newer_changes_nothing(speed_mps, later_ms):
+    car = Car()
+    car.run(0.5, 0.4, 2.3)
+    before = car.run(0.5).coasting(False)
+    car.slope.update_speed(speed_mps, car.now_ns + later_ms * MS, 0.0)
+    assert car.slope.coasting(False) == before

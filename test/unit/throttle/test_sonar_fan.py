@@ -36,6 +36,17 @@ def test_straight_on_it_is_the_way_to_the_bumper_within_the_width_and_a_margin(x
     assert found_m == (None if distance_m is None else pytest.approx(distance_m))
 
 
+@pytest.mark.parametrize("x_m, y_m, distance_m", [
+    # By hand: on 1 m to the left the front's outer corner is √(1.2² + 0.4²) = 1.265 m from the turn's centre, (0, 1).
+    pytest.param(0.0, -0.25, math.acos(1.2 / 1.25), id="beside_the_axle"),
+    pytest.param(0.5, -0.1456, None, id="behind_the_corner_s_way"),
+    pytest.param(0.0, -0.3, None, id="beyond_the_corner"),
+])
+def test_front_that_swings_out_while_the_car_reverses_touches_what_is_beside_it(x_m, y_m, distance_m):
+    found_m = Arc(1.0, True, CAR, SIDE_M).distance_m(x_m, y_m)
+    assert found_m == (None if distance_m is None else pytest.approx(distance_m))
+
+
 def drives_into(x_m, y_m, curvature_per_m, is_backward, step_m=0.002, until_m=1.3):
     """The same by driving: the first distance at which the point is inside the outline, grown by the margin."""
     for step in range(int(until_m / step_m)):
@@ -150,3 +161,9 @@ def test_no_point_that_the_car_touches_fails_the_quick_test(curvature_per_m, is_
     arc = Arc(curvature_per_m, is_backward, CAR, SIDE_M)
     for point, is_swept in zip(points, arc.sweeps(points)):
         assert is_swept or arc.distance_m(*point) is None
+
+
+def test_a_circle_beside_a_sonar_far_in_front_of_the_bumper_is_not_free_for_ever():
+    """Its path never meets the edge of the cone, and is nowhere beyond the sonar's range."""
+    mounts = {"front_left": Mount(1.46, 0.0, 0.9)}
+    assert Fan(mounts, CONE_RAD, BUMPER_M, False).end(-19.0, {"front_left": 2.0}).distance_m < math.pi / 19.0

@@ -12,6 +12,7 @@ from virtual_escs import crawler, direct, race, xl5
 
 from car_interface.common import causes
 from car_interface.steering.arbiter import NEUTRAL, PLANNER, TELEOP
+from car_interface.throttle.arbiter import COAST_GEAR
 from car_interface.throttle.speed_control import HOLD_MPS2, STOP, SpeedControl, SpeedControlConfig, SpeedRequest
 
 from .speed_rig import SpeedRig, mean_error, overshoot, settled_s, wrong_map
@@ -320,3 +321,12 @@ def test_delayed_step_makes_no_jump():
     bench.run(SpeedRequest(2.0), 0.2)
     bench.now_ns += 400 * MS
     assert bench.run(SpeedRequest(2.0)).reference_mps < 0.6
+
+
+def test_gear_neutral_coasts_at_the_measured_speed_and_begins_anew_afterwards():
+    control = SpeedControl()
+    for tick in range(3):
+        control.update_odometry(1.5, tick * TICK_NS)
+        command = control.step(SpeedRequest(2.0, gear=COAST_GEAR), tick * TICK_NS)
+        assert command[:4] == (0.0, 1.5, COAST_GEAR, True)
+    assert control.step(SpeedRequest(2.0), 3 * TICK_NS).reference_mps == pytest.approx(1.5, abs=0.1)

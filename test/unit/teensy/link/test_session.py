@@ -80,6 +80,17 @@ def test_pong_comes_with_the_answer_about_its_ping(session):
     assert session.round_trip_ns == 4 * MS and session.answered_checksum == SHIPPED
 
 
+def test_pong_that_answers_no_ping_says_nothing_about_the_round_trip(session):
+    assert session.receive(pong(7, 5000), NOW) == [PongReceived(Pong(7, 5000), None)]
+    assert math.isnan(session.round_trip_ns) and session.answered_checksum is None
+
+
+def test_ping_is_given_up_when_it_has_waited_and_not_before(session):
+    session.ping(7, NOW)
+    assert session.expire(NOW + GIVE_UP - 1) == []
+    assert session.expire(NOW + GIVE_UP) == [PingExpired(7)]
+
+
 def let_pings_expire(session, count, data=b""):
     events, now_ns = [], NOW
     for number in range(count):

@@ -51,3 +51,10 @@ def test_clock_that_jumped_is_taken_up_with_the_third_consistent_tick(start_ms, 
     assert [verdict.accepted for verdict in verdicts] == [False, False, True, True]
     assert (verdicts[2].reason, verdicts[2].restarted) == (reason, restarted)
     assert (verdicts[3].reason, verdicts[3].restarted) == ("", False)
+
+
+def test_ticks_that_agree_with_none_before_them_begin_the_count_of_three_anew():
+    some = Gates()
+    judged([sonar(10_000), sonar(10_050)], some.sonar)
+    verdicts = judged([sonar(tick) for tick in (99_000, 500_000, 500_050, 500_100)], some.sonar)
+    assert [verdict.accepted for verdict in verdicts] == [False, False, False, True]

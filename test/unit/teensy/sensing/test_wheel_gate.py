@@ -98,6 +98,17 @@ def test_wrong_count_that_was_accepted_is_taken_back(right, pulses):
     assert (verdict.accepted, verdict.reason, verdict.pulses) == (True, gates.PREVIOUS_WRONG, pulses)
 
 
+def test_wrong_count_of_many_pulses_is_taken_back_after_three_reports_that_go_with_the_one_before_it():
+    some = Gates()
+    last = judged([report(forward(100 + 3 * n, LAST.when + 5 * n)) for n in range(10)], some.wheels)
+    at = forward(127, LAST.when + 45)
+    wrong = some.wheels(report(forward(at.dist_abs + 20, at.when + 40)))  # it fits its 9 m/s, but the car stops
+    assert last[-1].accepted and (wrong.accepted, wrong.pulses) == (True, (20, 20))
+    verdicts = judged([report(forward(at.dist_abs + n, at.when + 50 * n)) for n in range(2, 6)], some.wheels)
+    assert [verdict.accepted for verdict in verdicts] == [False, False, True, True]
+    assert verdicts[2].reason == gates.PREVIOUS_WRONG and proven([wrong, *verdicts]) == (5, 5)
+
+
 @pytest.mark.parametrize("wheel", [
     pytest.param(NEXT._replace(dist=NEXT.dist_abs), id="dist_moves_and_direction_does_not"),
     pytest.param(NEXT._replace(when=LAST.when - 1), id="pulse_that_goes_back_by_1_ms"),
