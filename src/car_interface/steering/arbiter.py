@@ -88,7 +88,8 @@ class SteeringArbiter:
 
     Locked or no human → neutral; else the gamepad, if it steers; else the planner, if it requests a radius; else
     neutral. A gamepad that was received once and is stale or not finite means neutral, not the planner: the human may
-    think that they are steering. So does one that was never received while teleop_logi runs. A planner asks by radius or by steering: while both are fresh neither is obeyed.
+    think that they are steering. So does one that was never received while teleop_logi runs. A planner asks by radius
+    or by steering: while both are fresh neither is obeyed.
     """
 
     def __init__(self, calibration: SteeringCalibration, config: SteeringArbiterConfig = SteeringArbiterConfig()):

@@ -51,7 +51,7 @@ class MeasuredMotion:
         self._speed = TimedInput("odom", config.speed_timeout_s)
         self.measured_ns, self.is_stamped = -math.inf, False
         self._slides_until_ns = -math.inf
-        # When the newest speed's first brake began; None: it wasn't braked. A brake changes the speed, and a filter that
+        # When the newest speed's first brake began; None: it wasn't braked. A brake changes it, and a filter that
         # has lost its sensor predicts on with one: so a speed that repeats is no newer than this.
         self._braked_ns: int | None = None
         self._speeds: deque = deque(maxlen=SPEEDS)  # (measured_ns, speed without its sign)
