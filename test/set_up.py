@@ -139,6 +139,11 @@ def pip_packages(distribution: str, is_alone: bool = False) -> list[str]:
     return sorted({PIP.get(key, key[len("python3-"):].replace("-pip", "")) + wanted.get(key, "") for key in named})
 
 
+def names_of(requirements: Iterable[str]) -> list[str]:
+    """Return requirements without the bounds of their versions."""
+    return [re.split("[<>=;]", each)[0] for each in requirements]
+
+
 def pins() -> dict[str, tuple[list[str], list[str], list[str]]]:
     """Return by the name of a file of requirements: what is wanted, constraints, and what a system's packages have."""
     has = [f'{name}=={version}; python_version == "{python}"' for python, *versions in OF_SYSTEMS
@@ -146,7 +151,7 @@ def pins() -> dict[str, tuple[list[str], list[str], list[str]]]:
     debian, noetic = (set(pip_packages(name)) for name in (DEBIAN, "noetic"))
     of_noetic = [f'{name}; python_version == "3.8"' for name in sorted(noetic - debian)]
     alone = pip_packages(DEBIAN, is_alone=True)
-    left_out = {re.split("[<>=]", name)[0] for name in alone} - {re.split("[<>=]", name)[0] for name in debian | noetic}
+    left_out = set(names_of(alone)) - set(names_of(debian | noetic))
     return {"system": ([*sorted(debian), *of_noetic, *CLUSTER], has, sorted(left_out)), "alone": (alone, [], []),
             "lint": (list(LINTERS), [], []), "coverage": (list(COVERAGE), [], []), "renew": (list(RENEWS_WITH), [], [])}
 
@@ -318,8 +323,9 @@ class SetUp:
             constraints.write_text("\n".join(constrained), encoding="utf-8")
             wanted_file, target = self._folder / "wanted.txt", REQUIREMENTS / f"{kind}.txt"
             wanted_file.write_text("\n".join(wanted), encoding="utf-8")
-            if not self._run("renew", str(venv / "bin/uv"), "pip", "compile", "--no-config", "--no-python-downloads", "--universal", "--upgrade",
-                             "--generate-hashes", "--no-header", "--no-annotate", "--python-version", OLDEST_PYTHON,
+            if not self._run("renew", str(venv / "bin/uv"), "pip", "compile", "--no-config", "--no-python-downloads",
+                             "--universal", "--upgrade", "--generate-hashes", "--no-header", "--no-annotate",
+                             "--python-version", OLDEST_PYTHON,
                              *(f"--no-emit-package={name}" for name in left_out), "-c", str(constraints),
                              "-o", str(target), str(wanted_file), shows=True):
                 raise _end(f"the packages of {target.name} could not be pinned")
@@ -369,7 +375,8 @@ def distribution(opt: Path = OPT) -> str:
 def build_inputs(ros: str) -> str:
     """Return what a build depends on: the first line for a whole one, then the files that catkin reads, and apt's."""
     lines = [f"{ros} {sys.version.split()[0]} {ROOT}"]
-    names = ("CMakeLists.txt", "setup.py", "package.xml", "msg/*", "srv/*", "cfg/*", "test/set_up.py", "test/requirements/*")
+    names = ("CMakeLists.txt", "setup.py", "package.xml", "msg/*", "srv/*", "cfg/*", "test/set_up.py",
+             "test/requirements/*")
     for path in sorted(path for name in names for path in ROOT.glob(name)):
         lines.append(f"{hashlib.sha256(path.read_bytes()).hexdigest()} {path.relative_to(ROOT)}")
     if DPKG_STATUS.exists():

@@ -3,10 +3,8 @@ import os
 import random
 
 import pytest
+from walks import switched_off
 
-from car_interface.interlock.motion_interlock import MotionInterlock
-from car_interface.teleop.gamepad import Gamepad
-from car_interface.throttle.arbiter import ThrottleArbiter
 from graph_walk import GraphWalk
 
 IS_ALL = bool(os.environ.get("CAR_INTERFACE_ALL"))
@@ -27,43 +25,9 @@ def test_random_walk_of_the_whole_graph_breaks_no_goal(part):
     assert [each for seed in seeds for each in violations(seed)] == []
 
 
-def without_timeout_of_the_deadman(monkeypatch):
-    start = MotionInterlock.__init__
-
-    def init(self, config):
-        start(self, config)
-        self._human._timeout_ns = float("inf")
-    monkeypatch.setattr(MotionInterlock, "__init__", init)
-
-
-def without_timeout_of_the_gamepad(monkeypatch):
-    start = Gamepad.__init__
-
-    def init(self, *args, **kwargs):
-        start(self, *args, **kwargs)
-        self._joy._timeout_ns = float("inf")
-    monkeypatch.setattr(Gamepad, "__init__", init)
-
-
-def without_rearming(monkeypatch):
-    def nothing(self, now_ns):
-        self._waiting_since_ns, self._rearm_reason = self._waiting_since_ns or now_ns, ""
-    monkeypatch.setattr(MotionInterlock, "_update_rearm_reason", nothing)
-
-
-def without_stop_of_throttle_without_steering(monkeypatch):
-    monkeypatch.setattr(ThrottleArbiter, "_steering_trouble", lambda self, now_ns: None)
-    start = ThrottleArbiter.__init__
-
-    def init(self, config):
-        start(self, config)
-        self._board = None
-    monkeypatch.setattr(ThrottleArbiter, "__init__", init)
-
-
 # What is switched off, and a seed that finds it early.
-OFF = [(without_timeout_of_the_deadman, 0), (without_timeout_of_the_gamepad, 0), (without_rearming, 0),
-       (without_stop_of_throttle_without_steering, 0)]
+OFF = [(switched_off.timeout_of_the_deadman, 4), (switched_off.timeout_of_the_gamepad, 0), (switched_off.rearming, 2),
+       (switched_off.stop_of_throttle_without_steering, 1)]
 
 
 @pytest.mark.once

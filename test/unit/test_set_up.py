@@ -2,10 +2,13 @@
 from __future__ import annotations
 
 import fcntl
+import hashlib
 import os
 import re
 import shutil
 import subprocess
+import sys
+import zipfile
 from pathlib import Path
 
 import on_virtual_car
@@ -130,6 +133,49 @@ def test_apt_writes_into_the_system_what_others_can_read_whatever_the_umask(tmp_
     finally:
         os.umask(before)
     assert printed == "0022\n"
+
+
+# --- pip's packages ---
+
+def test_each_requirement_is_pinned_with_hashes_and_no_index_is_named():
+    assert {path.stem for path in set_up.REQUIREMENTS.iterdir()} == set(set_up.pins())
+    for name, (wanted, _, left_out) in set_up.pins().items():
+        text = (set_up.REQUIREMENTS / f"{name}.txt").read_text(encoding="utf-8")
+        blocks = re.split(r"\n(?=\S)", text.strip())
+        assert all(re.match(r"[\w.-]+==[\w.]+( ;.*)? \\\n +--hash=sha256:[0-9a-f]{64}", block) for block in blocks)
+        assert not re.search(r"https?:|file:|index", text)
+        pinned = {re.split("[= ]", block)[0].replace("-", "_") for block in blocks}
+        assert {each.lower().replace("-", "_") for each in set_up.names_of(wanted)} <= pinned
+        assert not {each.lower().replace("-", "_") for each in left_out} & pinned
+
+
+def wheel(folder: Path) -> Path:
+    """Return a package that pip can install."""
+    path = folder / "tiny-1.0-py3-none-any.whl"
+    with zipfile.ZipFile(str(path), "w") as archive:
+        archive.writestr("tiny.py", "")
+        archive.writestr("tiny-1.0.dist-info/METADATA", "Metadata-Version: 2.1\nName: tiny\nVersion: 1.0\n")
+        archive.writestr("tiny-1.0.dist-info/WHEEL", "Wheel-Version: 1.0\nTag: py3-none-any\n")
+        archive.writestr("tiny-1.0.dist-info/RECORD", "")
+    return path
+
+
+def test_file_with_another_hash_is_refused_in_one_line_and_nothing_is_installed(tmp_path, monkeypatch, capsys):
+    digest = hashlib.sha256(wheel(tmp_path).read_bytes()).hexdigest()
+    monkeypatch.setattr(set_up, "ROOT", tmp_path)
+    monkeypatch.setattr(set_up, "REQUIREMENTS", tmp_path)
+    for name, value in (("CONFIG_FILE", os.devnull), ("NO_INDEX", "1"), ("FIND_LINKS", str(tmp_path))):
+        monkeypatch.setenv(f"PIP_{name}", value)
+    (tmp_path / "log").mkdir()
+    write(tmp_path / "lint.txt", f"tiny==1.0 --hash=sha256:{digest[::-1]}\n")
+    with pytest.raises(SystemExit):
+        set_up.SetUp(tmp_path)._venv("lint", sys.executable, "lint")
+    begun, refused = capsys.readouterr().err.splitlines()
+    assert begun == "Installing with pip what lint.txt names"
+    assert "another file of tiny==1.0 than the one that test/requirements/lint.txt names" in refused
+    assert not list(tmp_path.glob("venv-lint/lib/*/site-packages/tiny.py"))
+    write(tmp_path / "lint.txt", f"tiny==1.0 --hash=sha256:{digest}\n")
+    assert list(set_up.SetUp(tmp_path)._venv("lint", sys.executable, "lint").glob("lib/*/site-packages/tiny.py"))
 
 
 # --- when nothing is to be done ---

@@ -50,8 +50,9 @@ LOST = {"human>turn": (BOTH, 0.51, True), "human>throttle": ((ESC,), 0.51, True)
         "output": ((ESC,), 0.51, False), "servo command": ((SERVO,), 0.25, False), "ESC command": ((ESC,), 0.25, False),
         "e_stop>turn": (BOTH, 1.01, True), "e_stop>throttle": ((ESC,), 1.01, True),
         "phone/e_stop>turn": (BOTH, 1.01, True), "phone/e_stop>throttle": ((ESC,), 1.01, True)}
+DEADMAN = ["human>turn", "human>throttle"]
 ODD = (math.nan, math.inf, -math.inf, 1e9, -1e9)
-ACT_NS = 80 * MS  # on average, between what persons and faults do
+ACT_NS = 60 * MS  # on average, between what persons and faults do
 IN_TURN_NS = 150 * MS  # a command that was replaced so lately may still be the servo's
 DELAY_MS = 5
 
@@ -342,7 +343,7 @@ class Walk:
         rng = self.rng
         self._push(self.now_ns + round(rng.expovariate(1.0) * ACT_NS), self._act)
         act = rng.choices((self._hold, self._let_go, self._move, self._plan, self._push_stop, self._trouble),
-                          (20, 3, 30, 8, 1, 6))[0]
+                          (30, 6, 40, 8, 1, 6))[0]
         act()
 
     def _set_hand(self, hand, deadman, steering, throttle):
@@ -406,7 +407,7 @@ class Walk:
         self.goals.rough(self.now_ns + lasts_ns + 300 * MS, but)
 
     def _lose(self, lasts_ns):
-        link = self.rng.choice(list(LOST) if self.rng.random() < 0.7 else sorted(self._arrivals))
+        link = self.rng.choice([*LOST, *DEADMAN * 3] if self.rng.random() < 0.7 else sorted(self._arrivals))
         if link in self._loses:
             return
         self._loses[link] = self.rng.choice((1.0, 1.0, 0.3))
@@ -489,6 +490,9 @@ class Walk:
     def _restart(self, node):
         self._dead.discard(node)
         self._start(node)
+        if node in ("turn_arb", "teleop") and "teleop" not in self._dead:  # teleop_logi's state, which is latched
+            self._push(self.now_ns, self._arrive, "turn_arb", self._lives.get("turn_arb"), self._on_turn,
+                       ("explain_teleop", False))
         for name, link in itertools.product(STOPS, ("turn", "throttle")):
             if name in self._silent or self._loses.get(f"{name}>{link}"):  # R15: never received
                 for each in (name, f"{name} silent", f"{name}>{link} lost"):

@@ -10,8 +10,8 @@ Subscribes:
     ~input/odometry (nav_msgs/Odometry): its twist.twist.linear.x in m/s, for the limits and the understeer. Never
         received = neither; lost = the last one stays. The steering goes on. With twist.twist.angular.z in rad/s it also
         shows whether the car turns as commanded, once that was other than 0.
-    teleop_logi/state (TeleopState): why human_in_loop is false, and whether the stick overrides the planner; only
-        quoted in the reason.
+    teleop_logi/state (TeleopState): why human_in_loop is false, and whether the stick overrides the planner; quoted in
+        the reason. Once it was heard, no planner steers before tele_steer_req was heard, too.
 Publishes:
     /servo/cmdVector (std_msgs/Int32MultiArray): 16 duties, −1 except for the steering channel.
     ~state (SteeringState, latched): source, cause, duty, limits and ages; on every change and 20 times a second.
@@ -65,7 +65,7 @@ class TurnArb(CommandNode):
         subscribe_changes("av_turnrad_req", Float32, inbox, self._on_planner, self._decide)
         subscribe_changes("av_steer_req", Float32, inbox, self._on_planner_steering, self._decide)
         subscribe("~input/odometry", Odometry, inbox, self._on_odometry, wakes=False)
-        # Only quoted: no line that quotes it is due before the next tick.
+        # No line that quotes it is due before the next tick.
         subscribe("teleop_logi/state", TeleopState, inbox, self._on_teleop_state, wakes=False)
         self._reconfigure = self._offer_tuning(config)
         self._command_topics.start(self._on_publishers, self._on_master)

@@ -88,7 +88,7 @@ class SteeringArbiter:
 
     Locked or no human → neutral; else the gamepad, if it steers; else the planner, if it requests a radius; else
     neutral. A gamepad that was received once and is stale or not finite means neutral, not the planner: the human may
-    think that they are steering. A planner asks by radius or by steering: while both are fresh neither is obeyed.
+    think that they are steering. So does one that was never received while teleop_logi runs. A planner asks by radius or by steering: while both are fresh neither is obeyed.
     """
 
     def __init__(self, calibration: SteeringCalibration, config: SteeringArbiterConfig = SteeringArbiterConfig()):
@@ -128,7 +128,10 @@ class SteeringArbiter:
         self._interlock.explain_human(present, reason, now_ns)
 
     def explain_teleop(self, overrides: bool, now_ns: int) -> None:
-        """Take whether the gamepad overrides the planner, by teleop_logi; it is only quoted in a decision's reason."""
+        """Take whether the gamepad overrides the planner, by teleop_logi; it is quoted in a decision's reason.
+
+        From the first call on the planner steers only once the gamepad's steering was received, too.
+        """
         self._override.update(overrides, now_ns)
 
     def explain_planner(self, explanation: str) -> None:
@@ -251,6 +254,8 @@ class SteeringArbiter:
                 overrides = not self._override.is_stale(now_ns) and self._override.value
                 return (TELEOP, self._calibration.teleop_duty(steering), causes.TELEOP,
                         f"tele_steer_req is {steering:.3f}{': it overrides the planner' if overrides else ''}")
+        elif self._override.was_received:  # the mode may be one in which the human steers
+            return NEUTRAL, center, causes.TELEOP_STALE, "tele_steer_req was never heard, though teleop_logi runs"
         return self._arbitrate_planner(now_ns)
 
     def _arbitrate_planner(self, now_ns):

@@ -82,6 +82,16 @@ def test_arbiter_with_these_inputs_picks_source_duty_and_reason(human, teleop, p
     assert decision.reason.startswith(reason)
 
 
+def test_a_stick_that_was_never_heard_while_teleop_logi_runs_is_no_stick_at_rest():
+    arbiter = arbiter_with(HELD, planner=(5.0, 0.0))
+    assert arbiter.decide(NOW).source == PLANNER  # a teleop without a stick
+    arbiter.explain_teleop(False, NOW)
+    assert arbiter.decide(NOW)[:4] == (NEUTRAL, SLASH.servo_center, causes.TELEOP_STALE,
+                                       "tele_steer_req was never heard, though teleop_logi runs")
+    arbiter.update_teleop(0.0, NOW)
+    assert arbiter.decide(NOW).source == PLANNER
+
+
 @pytest.mark.parametrize("name, human, teleop, planner, source", [
     ("human_timeout_s", (True, 1e6), STEERS, ASKS, TELEOP),
     ("teleop_timeout_s", HELD, (0.5, 1e6), ASKS, TELEOP),

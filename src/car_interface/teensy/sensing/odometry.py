@@ -128,7 +128,8 @@ class Odometry:
             record: the report.
             pulses: signed, for the left and the right wheel, as the gates counted them.
             restarted: the odometers restarted; it is unknown how many pulses weren't counted.
-            left_ms, right_ms: the ticks of each wheel's last pulse or repeat, in ticks that never restart.
+            left_ms, right_ms: the ticks of each wheel's last pulse or repeat, in ticks that never restart; −inf =
+                unknown.
             report_ms: a time before which there was no later pulse; never earlier than the newest of them.
             unproven: further, earlier pulses whose direction isn't known yet.
             unsplit: of ``pulses``, those before each wheel's last reversal.
@@ -200,7 +201,9 @@ class Odometry:
         """Collect pulses until they show how the car goes on."""
         bridge = self._bridge
         for side, wheel in enumerate(self._wheels):
-            bridge.add(side, unproven[side], pulses[side], min(times_ms[side] + TICK_MIDDLE_MS, now_ms))
+            is_known = times_ms[side] > -math.inf  # not that of a damaged report: it has pulses, but no direction
+            bridge.add(side, unproven[side], pulses[side],
+                       min(times_ms[side] + TICK_MIDDLE_MS, now_ms) if is_known else now_ms)
             wheel.pending = bridge.pending(side)
             wheel.advance(now_ms)
         if bridge.report(now_ms):

@@ -97,6 +97,16 @@ def test_whatever_the_wheels_do_each_stays_within_its_pulse_and_a_tick_and_nothi
             assert motion.pose_covariance[index][index] > 0
 
 
+def test_pulses_of_unknown_time_after_a_restart_leave_every_number_finite():
+    axle = Axle()
+    for count in (2, 4, 6, 8):
+        axle.ms += 900.0
+        axle.wheels = [Wheel(0, FORWARD, 0, count, count)] * 2
+        axle.motion = axle.odometry.report(WheelStatus(*axle.wheels), (2, 2), count == 2, -math.inf, -math.inf, axle.ms)
+        assert all(map(math.isfinite, (axle.motion.x_m, axle.motion.speed_mps, axle.motion.speed_variance)))
+    assert math.isfinite(axle.roll((1.0, 1.0), 1.0).x_m)
+
+
 def test_wheels_in_opposite_directions_turn_the_car_where_it_stands():
     motion = Axle().roll((-0.5, 0.5), 2.0)
     assert motion.yaw_rad == pytest.approx(2 * 1.0 / TRACK_M, abs=0.1)
