@@ -46,7 +46,8 @@ PYTEST_RAN_NOTHING = 5  # its exit code
 # What drives the car is measured by its own tests: in test/unit, and in test/graph. See coverage.ini.
 MEASURED_UNIT = ("interlock", "common", "steering", "throttle", "planner", "teleop", "pca9685", "teensy/link",
                  *(f"teensy/sensing/test_{name}.py" for name in ("plausibility", "tick_gate", "wheel_gate")))
-MEASURED_GRAPH = ("inbox", "live_tuning", "phone_drive", "teleop_logi", "throttle_arb", "turn_arb")
+MEASURED_GRAPH = ("brakes", "config", "gamepad_joy", "generic_value_converter", "human_first", "inbox", "live_tuning",
+                  "phone_drive", "planner_interface", "teleop_logi", "throttle_arb", "turn_arb")
 # On another Python only those that could differ there. test/conftest.py explains the marks.
 SECOND_PYTHON = ("-m", "not once and not browser")
 # pytest and old versions of Python write byte code beside the source, whatever PYTHONPYCACHEPREFIX says; threads of

@@ -351,6 +351,15 @@ def test_calibration_drive_passes_a_person_s_pull_at_standstill_on_until_the_dea
     assert arb.duty == NEUTRAL
 
 
+def test_pull_that_may_not_brake_since_nobody_knows_the_esc_s_kind_is_warned_of():
+    arb = Arb(board=True).present(teleop=1.0, speed=0.4)
+    arb.run(0.5)
+    arb.hold(teleop=-1.0)
+    arb.run(0.5)
+    assert (arb.duty, arb.state.esc_cause) == (NEUTRAL, "brake uncertain")
+    assert f"no brake: {arb.state.esc_reason}" in arb.warnings()
+
+
 # --- of planner_interface ---
 
 def test_planner_reverses_by_its_gear_and_stops_with_the_reason_of_planner_interface():

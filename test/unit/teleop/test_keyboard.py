@@ -246,3 +246,4 @@ def test_keys_for_the_scale_are_buttons_with_a_deadman_only():
 def test_both_deadmen_on_one_button_are_refused():
     with pytest.raises(ConfigError, match=r"autonomous_button.*a button other than manual_button's"):
         KeyboardConfig(manual_button=5, autonomous_button=5)
+    assert KeyboardConfig(manual_button=5, autonomous_button=4).manual_button == 5

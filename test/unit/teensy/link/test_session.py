@@ -80,6 +80,11 @@ def test_pong_comes_with_the_answer_about_its_ping(session):
     assert session.round_trip_ns == 4 * MS and session.answered_checksum == SHIPPED
 
 
+def test_report_of_the_wheels_is_passed_on_as_it_is(session):
+    (record,) = session.receive(from_teensy(7, struct.pack("<HBBIIIHBBIII", 0, 1, 0, 5000, 3, 4, *[0] * 6)), NOW)
+    assert (record.left.when, record.left.dist, record.left.dist_abs) == (5000, 3, 4)
+
+
 def test_pong_that_answers_no_ping_says_nothing_about_the_round_trip(session):
     assert session.receive(pong(7, 5000), NOW) == [PongReceived(Pong(7, 5000), None)]
     assert math.isnan(session.round_trip_ns) and session.answered_checksum is None

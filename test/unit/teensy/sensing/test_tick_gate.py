@@ -58,3 +58,11 @@ def test_ticks_that_agree_with_none_before_them_begin_the_count_of_three_anew():
     judged([sonar(10_000), sonar(10_050)], some.sonar)
     verdicts = judged([sonar(tick) for tick in (99_000, 500_000, 500_050, 500_100)], some.sonar)
     assert [verdict.accepted for verdict in verdicts] == [False, False, False, True]
+
+
+def test_tick_behind_what_the_clock_must_have_reached_is_of_one_that_restarted_though_it_may_follow_the_last():
+    some = Gates()
+    judged([sonar(10_000), sonar(10_050)], some.sonar)
+    verdicts = [some.pong(Pong(1, 10_500 + later), True, reached=60_000 + later) for later in (0, 50, 100)]
+    assert [verdict.accepted for verdict in verdicts] == [False, False, True]
+    assert (verdicts[2].reason, verdicts[2].restarted) == (gates.CLOCK_RESTARTED, True)

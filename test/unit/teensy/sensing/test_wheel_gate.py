@@ -2,7 +2,7 @@
 
 import pytest
 
-from car_interface.teensy.link.protocol import BACKWARD, FORWARD, NO_DIRECTION, Wheel, WheelStatus
+from car_interface.teensy.link.protocol import BACKWARD, FORWARD, NO_DIRECTION, Pong, Wheel, WheelStatus
 from car_interface.teensy.sensing import verdicts as gates
 from car_interface.teensy.sensing.plausibility import Gates
 from wheel_reports import (
@@ -263,3 +263,12 @@ def test_first_report_long_after_a_boot_has_all_pulses_since():
     verdicts = judged([report(forward(40 + index, 3000 + 50 * index)) for index in range(3)], some.wheels)
     assert verdicts[-1].since_boot and verdicts[-1].boot_tick == 3100
     assert verdicts[-1].pulses == (40, 40) and verdicts[-1].unproven == (2, 2)
+
+
+def test_jump_of_counts_that_may_have_gone_on_is_a_reboot_if_the_clock_shows_one():
+    some = crawling(ticks=(LAST.when + 10,))
+    for later in (0, 50, 100):
+        some.pong(Pong(1, LAST.when + 1000 + later), True, reached=LAST.when + 60_000 + later)
+    verdicts = judged(crawl(4, LAST.dist_abs + 60, start_ms=LAST.when + 1050), some.wheels)
+    assert [verdict.accepted for verdict in verdicts] == [False, False, True, True]
+    assert (verdicts[2].reason, verdicts[2].restarted) == (gates.ODOMETERS_RESTARTED, True)
