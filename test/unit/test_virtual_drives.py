@@ -40,6 +40,7 @@ def test_moving_picture_of_a_calibration_is_drawn(tmp_path, monkeypatch):
     recorder = picture.Recorder()
     bench = calibration.Bench(picture.SEED, recorder, person=picture.PatientPerson(random.Random(picture.SEED)))
     bench.run(max_s=12.0)
-    picture.save(picture.images(picture.Picture(bench), recorder.moments), str(tmp_path / "made.gif"))
+    with picture.matplotlib.rc_context():  # the picture's style is for the whole process
+        picture.save(picture.images(picture.Picture(bench), recorder.moments), str(tmp_path / "made.gif"))
     with picture.Image.open(tmp_path / "made.gif") as made:
         assert (made.n_frames, made.size) == (3, (800, 430))
