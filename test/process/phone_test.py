@@ -180,12 +180,17 @@ class Phone(unittest.TestCase):
         def lift():
             self.browser.touch("touchEnd")
 
+        def cleared():
+            if self.text("who") == "Emergency stop":
+                self.tap("clear")
+            return self.text("who") == "Touch to drive"
+
         def clear():
             lift()
             eventually(lambda: self.text("who") == "Emergency stop", "the driver's page to show it", WITHIN_S)
             self.assertTrue(viewer.evaluate("document.getElementById('clear').disabled"))
-            self.tap("clear")
-            eventually(lambda: self.text("who") == "Touch to drive", "a stop that is cleared", WITHIN_S)
+            # A person is slower than the next token; one that is older than the stop clears nothing.
+            eventually(cleared, "a stop that is cleared", WITHIN_S)
 
         self.measure("thumbs lifted", lift, bound_ms=60)
         self.measure("another tab in front", lambda: self.browser.hide(True),
