@@ -66,7 +66,9 @@ READY_WITHIN_S = 30
 STILL_S = 0.1  # a drive that was held up for longer may fail for this reason alone
 LINE_PERIOD_S = 0.1 if sys.stdout.isatty() else 2.0
 AXES, BUTTONS, MAX_INDEX = 8, 11, 63
-SETTLING_NS = NS_PER_S // 10  # after a change of stage the source isn't checked
+# After a change of stage the source isn't checked: mode and stick arrive on different topics, and an old stick
+# overrides the planner for 0.5 s.
+SETTLING_NS = NS_PER_S
 # Tolerance of odometry at the end, after some 34 m: as a ratio of the distance; and of the angle by which the car turns
 # when one wheel goes on by a pulse, 2.9 degrees with the shipped wheels. Between two pulses the place is unknown: at
 # either end of the drive each of the two wheels may be off by half of one, together by two.
