@@ -50,6 +50,7 @@ MEASURED_GRAPH = ("brakes", "config", "gamepad_joy", "generic_value_converter", 
                   "phone_drive", "planner_interface", "teleop_logi", "throttle_arb", "turn_arb")
 # On another Python only those that could differ there. test/conftest.py explains the marks.
 SECOND_PYTHON = ("-m", "not once and not browser")
+SAMPLE = ("-m", "not once and not browser and not again", "--hypothesis-profile", "few")
 # Threads of numerical libraries only compete with each other here.
 PYTEST_ENVIRONMENT = {"OPENBLAS_NUM_THREADS": "1"}
 # Older ones write byte code beside the tests, whatever PYTHONPYCACHEPREFIX says.
@@ -116,7 +117,7 @@ def pytest_step(results: Path, title: str, python: Python, files: list[Path], py
     """Return the step of some tests by pytest on one Python, on every CPU."""
     version, pytest_version = subprocess.check_output([python.path, "-c", VERSIONS], text=True).split()
     name = title.split()[0] + (f"-{version}" if python.is_second else "")
-    marks = SECOND_PYTHON if python.is_second else ()
+    marks = () if not python.is_second else SECOND_PYTHON if is_all else SAMPLE
     title = f"{title}, Python {version}"
     if is_all:  # property tests take other cases each time; with the seed, the same again
         seed = random.randrange(2 ** 32)
