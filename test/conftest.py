@@ -8,7 +8,8 @@ A second Python runs what can differ there: syntax, the standard library, and ot
 rosbags, tornado and PyYAML. Once is enough for what takes long and is arithmetic (drives of virtual cars, faults in
 each phase of the timers, fits), for what only reads the checkout, and for the tests of the test runner: that runs on
 the system's Python alone. The short tests of the same module or node run on both, so that each module's code is run on
-both. Of a test with several cases the first runs there, and of a property test a few examples; with --all all of them.
+both. What comes again and again runs there with --all only: another case of a test than its first, more than a few
+examples of a property, and the pages and commands of the tools but for one of each, which draws and prints all of it.
 """
 import os
 import signal
@@ -28,8 +29,11 @@ settings.load_profile("car_interface")
 # What ``./dev test`` leaves out where it runs the same tests on a second Python: the mark, or one of these files.
 ONCE = ("test_documentation", "test_launch", "test_layering", "test_noise", "test_packaging", "test_run",
         "test_safety_case", "test_set_up", "test_tally", "test_virtual_drives")
+# Of these only what is marked `both` runs there without --all.
+SAMPLED = tuple(os.path.join(os.path.dirname(__file__), "unit", "tools", name, "") for name in ("cli", "report"))
 MARKS = ("once: takes long, and comes out the same with every Python: one of them is enough",
-         "again: another case of a test, and not its first",
+         "both: of its folder this is enough for a second Python, without --all",
+         "more: on a second Python with --all only",
          "browser: looks at a page in a real browser")
 
 
@@ -57,8 +61,9 @@ def pytest_collection_modifyitems(items):
         if str(item.fspath) in files:
             item.add_marker(pytest.mark.once)
         test = item.nodeid.partition("[")[0]
-        if test in seen:
-            item.add_marker(pytest.mark.again)
+        is_sampled = str(item.fspath).startswith(SAMPLED)
+        if test in seen or is_sampled and not item.get_closest_marker("both"):
+            item.add_marker(pytest.mark.more)
         seen.add(test)
 
 

@@ -50,7 +50,7 @@ MEASURED_GRAPH = ("brakes", "config", "gamepad_joy", "generic_value_converter", 
                   "phone_drive", "planner_interface", "teleop_logi", "throttle_arb", "turn_arb")
 # On another Python only those that could differ there. test/conftest.py explains the marks.
 SECOND_PYTHON = ("-m", "not once and not browser")
-SAMPLE = ("-m", "not once and not browser and not again", "--hypothesis-profile", "few")
+SAMPLE = ("-m", "not once and not browser and not more", "--hypothesis-profile", "few")
 # Threads of numerical libraries only compete with each other here.
 PYTEST_ENVIRONMENT = {"OPENBLAS_NUM_THREADS": "1"}
 # Older ones write byte code beside the tests, whatever PYTHONPYCACHEPREFIX says.
