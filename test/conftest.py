@@ -11,6 +11,7 @@ the system's Python alone. The short tests of the same module or node run on bot
 both. What comes again and again runs there with --all only: another case of a test than its first, more than a few
 examples of a property, and the pages and commands of the tools but for one of each, which draws and prints all of it.
 """
+import gc
 import os
 import signal
 import tempfile
@@ -65,6 +66,10 @@ def pytest_collection_modifyitems(items):
         if test in seen or is_sampled and not item.get_closest_marker("both"):
             item.add_marker(pytest.mark.more)
         seen.add(test)
+
+
+def pytest_collection_finish():
+    gc.freeze()  # so that each collection of garbage doesn't go through all modules and tests
 
 
 @pytest.hookimpl(hookwrapper=True)
