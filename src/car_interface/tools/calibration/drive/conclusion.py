@@ -24,23 +24,15 @@ BASE = "config/turn_arb.yaml"
 
 
 class Conclusion(NamedTuple):
-    """The end of a drive.
+    """The end of a drive."""
 
-    Attributes:
-        yaml_text: for turn_arb's file, the base with the new values; empty = refused.
-        report: the most important lines of calibrate_steering's own; the file has them all.
-        refusal: why nothing is to be written, in the tool's words; empty = nothing is missing.
-        center_duty: the new servo_center, for servo.yaml too; 0 = refused.
-        missing: what the refusal is made of, where more driving is what it takes: sentences; else empty.
-        result: for the recording; ``None`` = there was nothing to fit.
-    """
-
-    yaml_text: str
-    report: tuple[str, ...]
-    refusal: str
-    center_duty: int
+    yaml_text: str  # for turn_arb's file, the base with the new values; empty = refused
+    report: tuple[str, ...]  # the most important lines of calibrate_steering's own; the file has them all
+    refusal: str  # why nothing is to be written, in the tool's words; empty = nothing is missing
+    center_duty: int  # the new servo_center, for servo.yaml too; 0 = refused
+    # what the refusal is made of, where more driving is what it takes: sentences; else empty
     missing: tuple[str, ...] = ()
-    result: CalibrationResult | None = None
+    result: CalibrationResult | None = None  # for the recording; ``None`` = there was nothing to fit
 
 
 def conclude(samples: Samples, base: SteeringCalibration, base_text: str, name: str) -> Conclusion:

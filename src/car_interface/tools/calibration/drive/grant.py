@@ -139,28 +139,17 @@ def _planner_trouble(source):
 
 @dataclass
 class Seen:
-    """What was received of the car so far.
+    """What was received of the car so far."""
 
-    Attributes:
-        steering, throttle: a state of turn_arb, of throttle_arb.
-        calibrates_esc: throttle_arb was started with calibration_drive:=true.
-        planner: which source planner_interface obeys; ``None``: it was never heard.
-        odom: an odometry.
-        duty: what the servo board holds on the steering's channel; ``None``: it was never heard.
-        gamepad: cause and reason of teleop_logi's state; ``None``: it was never heard.
-        sonars: those that are used and were never heard.
-        others: who else asks for something, as sentences.
-    """
-
-    steering: bool = False
-    throttle: bool = False
-    calibrates_esc: bool = False
-    planner: str | None = None
-    odom: bool = False
-    duty: int | None = None
-    gamepad: tuple[str, str] | None = None
-    sonars: tuple[str, ...] = ()
-    others: list[str] = field(default_factory=list)
+    steering: bool = False  # a state of turn_arb
+    throttle: bool = False  # a state of throttle_arb
+    calibrates_esc: bool = False  # throttle_arb was started with calibration_drive:=true
+    planner: str | None = None  # which source planner_interface obeys; ``None``: it was never heard
+    odom: bool = False  # an odometry
+    duty: int | None = None  # what the servo board holds on the steering's channel; ``None``: it was never heard
+    gamepad: tuple[str, str] | None = None  # cause and reason of teleop_logi's state; ``None``: it was never heard
+    sonars: tuple[str, ...] = ()  # those that are used and were never heard
+    others: list[str] = field(default_factory=list)  # who else asks for something, as sentences
 
 
 def missing(seen: Seen, by_stick: bool) -> list[str]:

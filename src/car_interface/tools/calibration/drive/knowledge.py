@@ -36,54 +36,36 @@ UNSEEN_NEED = 2.0  # so much more a bend is to be found than the tool takes it t
 
 
 class FitTask(NamedTuple):
-    """What to fit.
+    """What to fit."""
 
-    Attributes:
-        drive: the samples by now.
-        base: the calibration before.
-        delay, backlash_duty: by the newest full fit; ``None`` = estimate them, which takes most of the time.
-        number: tasks rise; the answer to an older one is left out.
-        backlash_sigma: the standard error of the backlash that is given.
-    """
-
-    drive: SteeringDrive
-    base: SteeringCalibration
-    delay: Delay | None
+    drive: SteeringDrive  # the samples by now
+    base: SteeringCalibration  # the calibration before
+    delay: Delay | None  # by the newest full fit; ``None`` = estimate them, which takes most of the time
     backlash_duty: float | None
-    number: int
-    backlash_sigma: float = 0.0
+    number: int  # tasks rise; the answer to an older one is left out
+    backlash_sigma: float = 0.0  # the standard error of the backlash that is given
 
 
 class Knowledge(NamedTuple):
-    """What a fit found.
+    """What a fit found."""
 
-    Attributes:
-        number: of the task.
-        reason: why there is no curve yet, the end of a sentence; empty = there is one.
-        duties, curvatures: the curve at the board's counts between its ends, duties rising; curvatures in 1/m, left
-            positive.
-        errors: at each, what isn't known of the curvature, as a ratio of what the tool allows: above 1 it refuses.
-        rows: as in Progress.
-        missing: as in Progress.
-        delay, backlash_duty, backlash_sigma, center_duty, center_error: of the fit; ``None`` and NaN where unknown.
-        has_understeer: it is known by how much turns widen with speed.
-        needs: at each of the duties, how much it is worth to measure it: see ``needs``.
-    """
-
-    number: int
-    reason: str
+    number: int  # of the task
+    reason: str  # why there is no curve yet, the end of a sentence; empty = there is one
+    # the curve at the board's counts between its ends, duties rising; curvatures in 1/m, left positive
     duties: tuple[float, ...] = ()
     curvatures: tuple[float, ...] = ()
+    # at each, what isn't known of the curvature, as a ratio of what the tool allows: above 1 it refuses
     errors: tuple[float, ...] = ()
-    rows: tuple[RadiusRow, ...] = ()
-    missing: tuple[str, ...] = ()
+    rows: tuple[RadiusRow, ...] = ()  # as in Progress
+    missing: tuple[str, ...] = ()  # as in Progress
+    # of the fit; ``None`` and NaN where unknown
     delay: Delay | None = None
     backlash_duty: float | None = None
     backlash_sigma: float = 0.0
     center_duty: float = math.nan
     center_error: float = math.nan
-    has_understeer: bool = False
-    needs: tuple[float, ...] = ()
+    has_understeer: bool = False  # it is known by how much turns widen with speed
+    needs: tuple[float, ...] = ()  # at each of the duties, how much it is worth to measure it: see ``needs``
 
 
 def assess(task: FitTask) -> Knowledge:

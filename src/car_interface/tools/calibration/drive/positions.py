@@ -32,16 +32,11 @@ UNKNOWN_TURN_PER_M = 0.8  # of the ends before they were driven: as wide as a ca
 
 
 class Candidate(NamedTuple):
-    """A position that is worth measuring.
+    """A position that is worth measuring."""
 
-    Attributes:
-        duty: the position.
-        need: how much: the fit's error there as a ratio of what the tool allows, or its rank among the first ones.
-        from_side: the side from which to come to it, in duty: 1 from higher ones, −1 from lower ones, 0 = as it comes.
-    """
-
-    duty: int
-    need: float
+    duty: int  # the position
+    need: float  # how much: the fit's error there as a ratio of what the tool allows, or its rank among the first ones
+    # the side from which to come to it, in duty: 1 from higher ones, −1 from lower ones, 0 = as it comes
     from_side: int
 
 

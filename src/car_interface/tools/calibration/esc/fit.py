@@ -61,28 +61,17 @@ NOTHING_KNOWN = "nothing is known: the recording needs odom and the servo board'
 
 @dataclass(frozen=True)
 class EscFit:
-    """What a drive shows; ``None`` = it does not.
+    """What a drive shows; ``None`` = it does not."""
 
-    Attributes:
-        profile: of esc_config.
-        neutral: the duty in the middle of what the ESC takes for neutral.
-        dead_band_forward, dead_band_reverse: the fraction from that neutral at which the car sets off.
-        dwell_s: neutral that was long enough for reverse, as short as it was seen.
-        reverse_after_neutral_s: 0 where the ESC still braked after LONG_COAST_S.
-        drag_deceleration_mps2: the least in neutral.
-        seen: what shows each, in words.
-        missing: what is not known, and what to drive for it.
-    """
-
-    profile: str | None
-    neutral: float | None
-    dead_band_forward: float | None
-    dead_band_reverse: float | None
-    dwell_s: float | None
-    reverse_after_neutral_s: float | None
-    drag_deceleration_mps2: float | None
-    seen: tuple[str, ...]
-    missing: tuple[str, ...]
+    profile: str | None  # of esc_config
+    neutral: float | None  # the duty in the middle of what the ESC takes for neutral
+    dead_band_forward: float | None  # the fraction from that neutral at which the car sets off
+    dead_band_reverse: float | None  # the same backward
+    dwell_s: float | None  # neutral that was long enough for reverse, as short as it was seen
+    reverse_after_neutral_s: float | None  # 0 where the ESC still braked after LONG_COAST_S
+    drag_deceleration_mps2: float | None  # the least in neutral
+    seen: tuple[str, ...]  # what shows each, in words
+    missing: tuple[str, ...]  # what is not known, and what to drive for it
 
 
 def fit(drive: EscDrive) -> EscFit:

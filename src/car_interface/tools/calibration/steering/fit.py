@@ -58,39 +58,22 @@ MAX_SQUARE = 25.0  # what one segment adds to the contradiction at most
 
 @dataclass(frozen=True)
 class Curve:
-    """A steering curve with K knots, from S observations.
+    """A steering curve with K knots, from S observations."""
 
-    Attributes:
-        duties: knots, rising, half a count apart, (K,).
-        curvatures: at the knots in 1/m, monotone; linear in between, (K,).
-        sigmas: their standard errors, (K,).
-        first_knot: the column of ``observations.weights`` that belongs to the first knot.
-        delay: of the servo.
-        backlash_duty, backlash_sigma: of the linkage, and its standard error.
-        observations: what it rests on, as if driven at a crawl.
-        understeer: by how much its turns widen with speed.
-        used: which of them count, (S,).
-        counts: how many intervals and segments were left out, by reason.
-        scatter: how far observations lie off, in their own standard errors.
-        center: the duty that goes straight; NaN when nothing near it was driven.
-        center_sigma: its standard error.
-        left, right: the ends.
-    """
-
-    duties: np.ndarray
-    curvatures: np.ndarray
-    sigmas: np.ndarray
-    first_knot: int
-    delay: Delay
-    backlash_duty: float
-    backlash_sigma: float
-    observations: Observations
-    understeer: Understeer
-    used: np.ndarray
-    counts: dict
-    scatter: float
-    center: float
-    center_sigma: float
+    duties: np.ndarray  # knots, rising, half a count apart, (K,)
+    curvatures: np.ndarray  # at the knots in 1/m, monotone; linear in between, (K,)
+    sigmas: np.ndarray  # their standard errors, (K,)
+    first_knot: int  # the column of ``observations.weights`` that belongs to the first knot
+    delay: Delay  # of the servo
+    backlash_duty: float  # of the linkage
+    backlash_sigma: float  # its standard error
+    observations: Observations  # what it rests on, as if driven at a crawl
+    understeer: Understeer  # by how much its turns widen with speed
+    used: np.ndarray  # which of them count, (S,)
+    counts: dict  # how many intervals and segments were left out, by reason
+    scatter: float  # how far observations lie off, in their own standard errors
+    center: float  # the duty that goes straight; NaN when nothing near it was driven
+    center_sigma: float  # its standard error
     left: Side
     right: Side
 

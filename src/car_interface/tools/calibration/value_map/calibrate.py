@@ -11,12 +11,11 @@ from car_interface.throttle.value_map import ValueMap
 from car_interface.tools.calibration.shared import NothingToFit, RecordedDrive, names_of
 from car_interface.tools.calibration.value_map import fit as fitting
 from car_interface.tools.calibration.value_map import table as tables
-from car_interface.tools.calibration.value_map.acceleration import WindowConfig
+from car_interface.tools.calibration.value_map.acceleration import WINDOW_S, MapFitConfig
 from car_interface.tools.calibration.value_map.model import HELD_OUT
 from car_interface.tools.calibration.value_map.recorded import BY_IMU, MapSource
 from car_interface.tools.calibration.value_map.surface import MIN_STEP_MPS2
 from car_interface.tools.calibration.value_map.table import number_text
-from car_interface.tools.calibration.value_map.windows import MapFitConfig
 
 MAX_HELD_OUT_MPS2 = 0.5
 MIN_DRIVEN_RATIO = 0.25  # of a map that the drives themselves state
@@ -143,7 +142,7 @@ def _source_lines(recorded, source, fit, prior_path):
 
 def _error_lines(fit):
     windows = sum(fit.rejected.values())
-    yield f"windows of {WindowConfig().window_s:g} s: {windows}, of which count {fit.rejected['counted']}; the others:"
+    yield f"windows of {WINDOW_S:g} s: {windows}, of which count {fit.rejected['counted']}; the others:"
     yield from (f"  {number:6d}  {text}" for text, number in fit.rejected.items() if number and text != "counted")
     yield ""
     yield f"error of single windows: {fit.residual_mps2:.3f} m/s² RMS"

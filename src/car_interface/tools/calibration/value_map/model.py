@@ -17,8 +17,9 @@ import numpy as np
 from scipy import sparse
 
 from car_interface.tools.calibration.value_map import acceleration as windowing
+from car_interface.tools.calibration.value_map.acceleration import MapFitConfig
 from car_interface.tools.calibration.value_map.surface import MIN_STEP_MPS2, Grid, penalties, rising_least_squares
-from car_interface.tools.calibration.value_map.windows import BEYOND, TURNING, Data, MapFitConfig, within_turns
+from car_interface.tools.calibration.value_map.windows import BEYOND, TURNING, Data, within_turns
 
 SLOPE_SIGMA, SAG_SIGMA = 0.05, 0.15  # expected of a slope, and of a battery in one drive
 HUBER = 2.0  # residuals beyond this many sigmas count less
@@ -55,31 +56,21 @@ class Model:
         self.push = [grid.averages(value, speed, weight * side) - grid.averages(coasting, speed, weight * side)
                      for side in (above, ~above)] if sags else []
         kinks = np.abs(grid.rows - config.neutral) <= BENDS * np.ptp(grid.rows)
-        rough = penalties(grid, config.roughness, kinks)
+        rough = penalties(grid, kinks)
         self.penalty = (rough.T @ rough).toarray()
 
 
 @dataclass
 class Solution:
-    """A solution of the model.
+    """A solution of the model."""
 
-    Attributes:
-        nodes: the map, (G,).
-        slope: of each drive's ground along x and y, (2·D,).
-        sag: of each drive above and below neutral, (D, 2).
-        residual: of each window in m/s², (W,); 0 where it wasn't used.
-        weight: of each window, (W,).
-        outlying: which windows are outliers, (W,).
-        columns, normal, prior: of the last pass's equations: (W, U), (U, U), (U, U), with U = G + 4·D unknowns.
-    """
-
-    nodes: np.ndarray
-    slope: np.ndarray
-    sag: np.ndarray
-    residual: np.ndarray
-    weight: np.ndarray
-    outlying: np.ndarray
-    columns: sparse.csr_matrix
+    nodes: np.ndarray  # the map, (G,)
+    slope: np.ndarray  # of each drive's ground along x and y, (2·D,)
+    sag: np.ndarray  # of each drive above and below neutral, (D, 2)
+    residual: np.ndarray  # of each window in m/s², (W,); 0 where it wasn't used
+    weight: np.ndarray  # of each window, (W,)
+    outlying: np.ndarray  # which windows are outliers, (W,)
+    columns: sparse.csr_matrix  # of the last pass's equations: (W, U), (U, U), (U, U), with U = G + 4·D unknowns
     normal: np.ndarray
     prior: np.ndarray
 

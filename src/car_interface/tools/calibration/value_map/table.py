@@ -19,19 +19,13 @@ BRACKET = 2  # nodes: this near on both sides must be supported ones
 
 
 class Table(NamedTuple):
-    """A map of R values and C velocities, as it is written.
+    """A map of R values and C velocities, as it is written."""
 
-    Attributes:
-        values, velocities, accelerations: those of the fit, or part of it: (R,), (C,), (R, C).
-        origin: of each acceleration: DRIVEN, BETWEEN, OLD or MOVED, (R, C).
-        sigma_mps2: standard errors, (R, C); NaN for the prior's.
-    """
-
-    values: np.ndarray
-    velocities: np.ndarray
-    accelerations: np.ndarray
-    origin: np.ndarray
-    sigma_mps2: np.ndarray
+    values: np.ndarray  # those of the fit, or part of it, (R,); so are the next two
+    velocities: np.ndarray  # (C,)
+    accelerations: np.ndarray  # (R, C)
+    origin: np.ndarray  # of each acceleration: DRIVEN, BETWEEN, OLD or MOVED, (R, C)
+    sigma_mps2: np.ndarray  # standard errors, (R, C); NaN for the prior's
 
     def driven_ratio(self) -> float:
         """Return the ratio of accelerations that come from the drives."""
