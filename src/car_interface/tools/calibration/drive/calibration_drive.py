@@ -19,13 +19,13 @@ All of it but ``assess`` and ``conclude`` is called by one thread.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 from car_interface.common.staleness import TimedInput
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.throttle.obstacle_stop import ObstacleStop
 from car_interface.tools.calibration.drive.area import Area, Pose, moved
 from car_interface.tools.calibration.drive.config import DEFAULTS, CalibrationDriveConfig
+from car_interface.tools.calibration.drive.grant import Granted
 from car_interface.tools.calibration.drive.outlook import Outlook
 from car_interface.tools.calibration.drive.pilot import Pilot
 from car_interface.tools.calibration.drive.step import DONE, PAUSED, WAITING, Step
@@ -34,11 +34,6 @@ from car_interface.tools.calibration.drive.survey import MeasuredDrive
 
 GRANT_TIMEOUT_S = 0.5  # the arbiters' states come 10 times a second and more
 MARGIN_M = 0.12  # of the area, for odometry's drift and for what isn't known of the steering
-
-
-class _Grant(NamedTuple):
-    may_drive: bool
-    reason: str
 
 
 class CalibrationDrive(MeasuredDrive):
@@ -108,7 +103,7 @@ class CalibrationDrive(MeasuredDrive):
             reason: why not, in the arbiters' own words; quoted in Step.text.
             now_ns: when it arrived.
         """
-        self._grant.update(_Grant(may_drive, reason), now_ns)
+        self._grant.update(Granted(may_drive, reason), now_ns)
 
     def update_stopping(self, by_itself: bool) -> None:
         """Take whether nothing but its drag and its ESC in neutral slows it: no hands, and throttle_arb doesn't brake.
