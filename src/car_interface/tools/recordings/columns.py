@@ -313,13 +313,8 @@ def value_of(message) -> float:
 
 
 def vesc_number(message, names: tuple[str, str]) -> float:
-    """Return a number in a vesc_msgs/VescStateStamped.
-
-    Args:
-        names: DUTY_CYCLE or VOLTAGE: of F1TENTH's definition, and of that of MIT's for firmware 5.
-
-    Raises:
-        AttributeError: it has neither.
+    """Return a number in a vesc_msgs/VescStateStamped: DUTY_CYCLE or VOLTAGE, by its name in F1TENTH's definition, or
+    in that of MIT's for firmware 5. AttributeError: it has neither.
     """
     known, other = names
     return getattr(message.state, known) if hasattr(message.state, known) else getattr(message.state, other)

@@ -12,11 +12,8 @@ EMPTY = math.nan
 class Trace:
     """A value over time, of which the minimum and the maximum in each bin of time are kept.
 
-    No peak is lost, however short. With fewer than three samples in each bin all of them are kept.
-
-    Args:
-        start_s, end_s: of the drive.
-        bins: how many it is divided into; with twice as many as pixels no difference can be seen.
+    No peak is lost, however short. With fewer than three samples in each bin all of them are kept. With twice as many
+    bins as pixels no difference can be seen.
     """
 
     def __init__(self, start_s: float, end_s: float, bins: int = 1500):

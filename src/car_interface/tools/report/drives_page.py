@@ -29,12 +29,8 @@ def in_order(rows: Sequence[Row]) -> list[Row]:
 
 def page(folder: str, rows: Sequence[Row], trends: str,
          reports: Mapping[str, str] = MappingProxyType({})) -> str:
-    """Return the page on a folder.
-
-    Args:
-        rows: in order.
-        trends: the plots as SVG; empty = none.
-        reports: the URL of the page about a recording, by its path, for those that have one.
+    """Return the page on a folder, by rows in order, trends as SVG (empty = none), and the URLs of the pages about
+    recordings, by their paths.
     """
     drives = [row for row in rows if not row.error]
     bad = [row for row in rows if row.error]

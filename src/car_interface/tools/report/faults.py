@@ -60,12 +60,8 @@ class FaultLog:
             self.dropped += 1
 
     def update_condition(self, time_s: float, key: str, level: int, where: str, what: str) -> None:
-        """Begin, continue or end the condition of a key.
-
-        Args:
-            level: OK ends it.
-            where: who reports it.
-            what: a text that differs in more than its numbers begins another one.
+        """Begin, continue or end (level OK) the condition of a key. A text that differs in more than its numbers begins
+        another one.
         """
         fault, since_s = self._open.get(key), self._starting_s.setdefault(key, time_s)
         if fault is not None and (level == OK or without_numbers(fault.what) != without_numbers(what)):
@@ -83,10 +79,8 @@ class FaultLog:
                 fault._replace(level=max(level, fault.level))
 
     def finish(self, driven_from_s: float = math.inf) -> None:
-        """Add the conditions that lasted until the recording's end, and sort all faults by their starts.
-
-        Args:
-            driven_from_s: when somebody first drove; what a node reported of its start before that is no fault.
+        """Add the conditions that lasted until the recording's end, and sort all faults by their starts. What a node
+        reported of its start before somebody first drove is no fault.
         """
         for fault in (*self._open.values(), *(one for one in self._starts if one.end_s > driven_from_s)):
             self.add(fault)

@@ -103,11 +103,8 @@ def _who(drive):
 
 
 def _lines(text, *curves, **limits):
-    """Return what draws a panel with a title.
-
-    Args:
-        curves: (the trace's name, its colour, its label, its style) of each.
-        limits: of the vertical axis, as for set_ylim; none = by the curves.
+    """Return what draws a panel: its title, its curves (the trace's name, colour, label and style of each), and the
+    limits of its vertical axis, as for set_ylim; none = by the curves.
     """
     def draw(axes, drive):
         title(axes, text)

@@ -309,11 +309,7 @@ class PlannerWatch:
 
 
 class Drivers:
-    """Who has the car, as far as the states that were recorded show.
-
-    Args:
-        present: the recorded topics.
-    """
+    """Who has the car, as far as the states among the recorded topics show."""
 
     def __init__(self, steering: SteeringWatch, throttle: ThrottleWatch, planner: PlannerWatch,
                  present: Collection[str]):

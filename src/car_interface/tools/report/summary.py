@@ -71,7 +71,7 @@ class Summary:
 
     path: str  # of the recording
     namespace: str
-    start_ns: int
+    start_ns: int  # ROS time of the first message
     duration_s: float
     topics: dict  # what it has: a recordings.recording.Topic by name
     notes: list  # a line for each topic that was named, guessed or not found, and for what is odd about one

@@ -37,11 +37,8 @@ MARGIN_M = 0.12  # of the area, for odometry's drift and for what isn't known of
 
 
 class CalibrationDrive(MeasuredDrive):
-    """One drive.
-
-    Args:
-        base: turn_arb's calibration, by which av_steer_req becomes a duty, with the car's ends and rough center; its
-            radii aren't believed.
+    """One drive, by turn_arb's calibration, which makes duties of av_steer_req: its ends and its rough center are the
+    car's, its radii aren't believed.
     """
 
     def __init__(self, base: SteeringCalibration, config: CalibrationDriveConfig = DEFAULTS):
@@ -63,12 +60,8 @@ class CalibrationDrive(MeasuredDrive):
 
     def update_odometry(self, x_m: float, y_m: float, yaw_rad: float, speed_mps: float, measured_ns: int,
                         now_ns: int) -> None:
-        """Take the car's pose (middle of the rear axle, odometry's frame) and speed, forward positive.
-
-        Args:
-            x_m, y_m, yaw_rad, speed_mps: as odom has them; the yaw may be wrapped. One that isn't finite is left out.
-            measured_ns: when that was, on the same scale as now_ns.
-            now_ns: when it arrived.
+        """Take the car's pose (middle of the rear axle, odometry's frame, yaw wrapped or not) and its speed, forward
+        positive, that were measured at ``measured_ns`` and arrived at ``now_ns``. What isn't finite is left out.
         """
         if not all(map(math.isfinite, (x_m, y_m, yaw_rad, speed_mps))):
             return
@@ -96,12 +89,8 @@ class CalibrationDrive(MeasuredDrive):
             self._ranges[name].update(range_m, now_ns)
 
     def update_grant(self, may_drive: bool, reason: str, now_ns: int) -> None:
-        """Take whether turn_arb and throttle_arb obey the planner: the autonomous deadman is held, no e-stop, armed.
-
-        Args:
-            may_drive: both do, or would if something were asked for. Older than 0.5 s it counts as no.
-            reason: why not, in the arbiters' own words; quoted in Step.text.
-            now_ns: when it arrived.
+        """Take whether turn_arb and throttle_arb obey the planner, or would if something were asked for: the autonomous
+        deadman is held, no e-stop, armed. And why not, in the arbiters' own words. Older than 0.5 s it counts as no.
         """
         self._grant.update(Granted(may_drive, reason), now_ns)
 

@@ -81,11 +81,7 @@ class LostTurns:
         self.asked, self._sought, self._since_rad[side] = side, None, 0.0
 
     def text(self, turns_per_m: Sequence[float]) -> str:
-        """Return what to do, for a person.
-
-        Args:
-            turns_per_m: the curvatures of the turns, (2,).
-        """
+        """Return what to do, for a person; the turns have these curvatures, (2,)."""
         name, radius_m = ("left", "right")[self.asked], 1 / abs(turns_per_m[self.asked])
         return (f"{name} turns are missing, and no way leads to one: place the car so that the middle is about "
                 f"{radius_m:.1f} m to its {name}, by hand or by the manual deadman, then hold the button again")

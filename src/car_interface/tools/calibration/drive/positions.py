@@ -84,12 +84,7 @@ class Positions:
         return held.get(base.servo_left, 1.0) < -SURELY_PER_M or held.get(base.servo_right, -1.0) > SURELY_PER_M
 
     def update_knowledge(self, knowledge: Knowledge, measured_since: int) -> None:
-        """Take a fit's result.
-
-        Args:
-            knowledge: with a curve.
-            measured_since: how many positions were held since its samples were taken.
-        """
+        """Take a fit's curve; so many positions were held since its samples were taken."""
         self._knowledge = knowledge
         self._since_fit = self._since_fit[len(self._since_fit) - measured_since:]
 

@@ -25,12 +25,7 @@ MIN_LEFT_S = 5.0  # as long as it isn't over
 
 
 class Survey:
-    """One drive's evidence.
-
-    Args:
-        base: the calibration before.
-        max_time_s: of driving.
-    """
+    """One drive's evidence: of at most ``max_time_s`` of driving, by the calibration before."""
 
     def __init__(self, base: SteeringCalibration, max_time_s: float):
         self.samples = Samples()

@@ -64,11 +64,7 @@ def load_esc_drive(path: str, calibration: ThrottleCalibration, topics: Mapping[
 
 
 def joined(drives: Sequence[EscDrive]) -> EscDrive:
-    """Several drives of one car as one; between them nothing is known of the ESC.
-
-    Args:
-        drives: with the same neutral and ends.
-    """
+    """Several drives of one car, with the same neutral and ends, as one; between them nothing is known of the ESC."""
     columns: tuple[list, ...] = ([], [], [], [])
     wheels = []
     begin_s = 0.0

@@ -48,7 +48,6 @@ def calibrate(recorded: Sequence[RecordedDrive], base: SteeringCalibration, axis
     Args:
         base: the calibration before: its duties fill in where nothing was driven.
         axis_m: radii for the tables; ``None`` = chosen by what was driven.
-        accept_disagreement: use drives that contradict each other, too.
 
     Raises:
         CarInterfaceError: there is nothing to fit, or drives contradict each other, or none was on the axis.

@@ -26,11 +26,9 @@ class Side(NamedTuple):
 
 def find_side(knots: np.ndarray, curvatures: np.ndarray, sigmas: np.ndarray, towards: int, low: float, high: float,
               limits: Sequence[float] = (), backlash_duty: float = 0.0) -> Side:
-    """Return the end of a curve towards lower or higher duties.
+    """Return the end of a curve, (K,) each, towards lower duties (−1) or higher ones (1).
 
     Args:
-        knots, curvatures, sigmas: the curve, (K,) each.
-        towards: −1 = lower duties, 1 = higher ones.
         low, high: the outermost duties that were driven.
         limits: duties beyond which nobody means to steer.
         backlash_duty: of the linkage: where the servo is at its limit the wheels stay behind it by half of that.

@@ -178,16 +178,13 @@ def disagreement(one: Curve, other: Curve) -> tuple[float, float] | None:
 
 
 def estimate_backlash(segmentations: Sequence[Segmentation]) -> tuple[float, float]:
-    """Return the likeliest backlash and its standard error, both in duty.
+    """Return the likeliest backlash and its standard error, both in duty; NothingToFit is raised where no value fits.
 
     With a wrong backlash positions that were approached from both sides contradict each other: no monotone curve goes
     through them. Of the values that remain the likeliest is taken, all compared by noise and smoothness as known with
     one of them: first by a curve that is equally smooth everywhere, because one that may be sharp in places has its
     places where that value puts them; then, near the truth, by one that may, because the smooth one is too flat where
     the car's is steep.
-
-    Raises:
-        NothingToFit: no value fits.
     """
     candidates = np.arange(0.0, MAX_BACKLASH_DUTY + 1.0, STEP_DUTY)
     contradictions = np.array([_contradiction(segmentations, candidate) for candidate in candidates])

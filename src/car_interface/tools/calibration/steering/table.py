@@ -85,13 +85,10 @@ def breakpoints(curve: Curve, radii_m: Sequence[float], side: str) -> list[Break
 
 
 def completed(points: Sequence[Breakpoint], center: float, old: Sequence[float]) -> list[Breakpoint]:
-    """Breakpoints of one side, with old duties where nothing was driven.
+    """Return the breakpoints of one side, radii rising (R,), with old duties (R,) where nothing was driven.
 
-    Args:
-        points: with rising radii, (R,).
-        center: the duty that goes straight.
-        old: a duty for each point, (R,). One that doesn't fit between driven ones is replaced by the nearest that does,
-            so that duties approach the center monotonically as radii rise.
+    An old duty that doesn't fit between driven ones is replaced by the nearest that does, so that duties approach the
+    center monotonically as radii rise.
     """
     driven = [point.duty for point in points if point.source != UNKNOWN]
     towards = math.copysign(1.0, np.mean(driven or old) - center)
@@ -107,11 +104,7 @@ def completed(points: Sequence[Breakpoint], center: float, old: Sequence[float])
 
 
 def find_problems(curve: Curve, points: Mapping[str, Sequence[Breakpoint]]) -> Iterator[str]:
-    """Yield a sentence for each unknown part of the tables, with what to drive.
-
-    Args:
-        points: the breakpoints by side.
-    """
+    """Yield a sentence for each unknown part of the tables, by side, with what to drive."""
     if math.isnan(curve.center):
         yield "the car never went straight, nor to both sides: drive straight on for some seconds, three times"
     elif BAND * float(np.interp(curve.center, curve.duties, curve.sigmas)) > KNOWN_PER_M:

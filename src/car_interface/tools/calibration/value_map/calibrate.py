@@ -24,11 +24,7 @@ SYMBOLS = {tables.DRIVEN: "#", tables.BETWEEN: "+", tables.OLD: "o", tables.MOVE
 
 
 class NoTable(CarInterfaceError):
-    """Drives that support no table.
-
-    Args:
-        coverage: what they do support, as a grid of symbols.
-    """
+    """Drives that support no table; ``coverage`` shows what they do support, as a grid of symbols."""
 
     def __init__(self, text: str, coverage: str):
         super().__init__(text)
@@ -94,14 +90,7 @@ def _prior_at_nodes(prior, fit):
 
 def report(recorded: Sequence[RecordedDrive], source: MapSource, fit: fitting.Fit, table: tables.Table,
            problems: Sequence[str], prior_path: str | None = None) -> Iterator[str]:
-    """Yield the lines.
-
-    Args:
-        source: where their values and accelerations are from.
-        table: the part of it that is written.
-        problems: why it should not be written.
-        prior_path: of the old map, if there was one.
-    """
+    """Yield the lines; ``table`` is the part of the fit that is written, ``problems`` say why it should not be."""
     yield from _source_lines(recorded, source, fit, prior_path)
     yield from _error_lines(fit)
     yield coverage_text(fit, table)

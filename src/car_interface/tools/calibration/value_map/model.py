@@ -32,12 +32,7 @@ HELD_OUT = 5
 
 
 class Model:
-    """The model's matrices under one delay.
-
-    Args:
-        value: under the delay, (W, P).
-        speed: in m/s, (W, P).
-        sags: whether the battery's effect is part of the model.
+    """The model's matrices under one delay, by value and speed (W, P); ``sags``: the battery's effect is part of it.
 
     Attributes:
         map: the nodes' weights in each window, (W, G).
@@ -76,11 +71,8 @@ class Solution:
 
 
 def solve(model: Model, state: np.ndarray, rising: bool = True, passes: int = PASSES) -> Solution:
-    """Solve by Gauss-Newton steps for the battery's effect, with Huber's weights.
-
-    Args:
-        state: of the windows, (W,): MEASURED and TURNING ones are used.
-        rising: whether the map must rise with the value.
+    """Solve by Gauss-Newton steps for the battery's effect, with Huber's weights. Of the windows' states (W,) MEASURED
+    and TURNING are used; ``rising``: the map must rise with the value.
     """
     data, grid = model.data, model.grid
     used = (state == windowing.MEASURED) | (state == TURNING)
@@ -136,11 +128,7 @@ def _robust(residual, sigma, used):
 
 
 def coverage(model: Model, state: np.ndarray, manoeuvre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (seconds of driving around each node (G,), in how many manoeuvres (G,)).
-
-    Args:
-        state, manoeuvre: of each window, (W,).
-    """
+    """Return (seconds of driving around each node (G,), in how many manoeuvres (G,))."""
     used = np.flatnonzero(state == windowing.MEASURED)
     time_s = sparse.diags(model.data.hop_s[used]) @ model.map[used]
     seconds = np.asarray(time_s.sum(axis=0)).ravel()

@@ -185,10 +185,7 @@ def wheel_distances(pulses: Sequence[Pulses], speed: Series) -> tuple[Series, ..
 
 def reached_esc(value: Series, duty: Series, neutral: float, neutral_duty: float) -> Series | None:
     """Return whether the value was what the ESC got, at the times of ``duty``: 0 while only the ESC was at neutral,
-    else 1.
-
-    Returns:
-        ``None`` where the duty never changes: nobody drives that channel.
+    else 1. ``None`` where the duty never changes: nobody drives that channel.
     """
     if duty.t_s.size == 0 or value.t_s.size == 0 or np.ptp(duty.y) <= DUTY_PER_COUNT:
         return None

@@ -59,10 +59,8 @@ class Grid:
 
 
 def penalties(grid: Grid, kinks: np.ndarray) -> sparse.csr_matrix:
-    """Return the second differences of a surface as ratios of the expected ones: a matrix (D, G).
-
-    Args:
-        kinks: (R,), the rows at which the surface may bend freely.
+    """Return the second differences of a surface as ratios of the expected ones: a matrix (D, G). At the rows of
+    ``kinks`` (R,) it may bend freely.
     """
     rows = _second_differences((grid.rows - grid.rows[0]) / np.ptp(grid.rows), ROUGH_ROWS)
     inside = kinks[1:-1]

@@ -112,12 +112,7 @@ def _spread(cos, sin, counted, turning):
 
 
 def within_turns(turning: np.ndarray, drive: np.ndarray) -> sparse.csr_matrix:
-    """Return a matrix (W, W) that subtracts its mean from each turn, clears short turns, and leaves the rest alone.
-
-    Args:
-        turning: which windows are in a turn, (W,).
-        drive: each window's drive, (W,).
-    """
+    """Return a matrix (W, W) that subtracts its mean from each turn, clears short turns, and leaves the rest alone."""
     windows = turning.size
     index = np.flatnonzero(turning)
     turns = np.split(index, np.flatnonzero((np.diff(index) > 1) | (np.diff(drive[index]) > 0)) + 1)
