@@ -106,6 +106,7 @@ def row(drive: Summary, path: str) -> Row:
     source_s = drive.steering.source_s
     turns = drive.motion.by_tables
     left, right, straight = map(_median, (*turns.ratios(), turns.straight_per_m()))
+    lost, battery = [*drive.steering.losses(), *drive.throttle.losses()], drive.traces["battery voltage"]
     notes = list(drive.notes)
     if drive.calibration is not None:  # it drove by the table before
         left = right = straight = None
@@ -115,20 +116,14 @@ def row(drive: Summary, path: str) -> Row:
         path=path, start_ns=drive.start_ns, duration_s=drive.duration_s,
         distance_m=_possible(drive.motion.distance_m) if has_odom else None,
         gamepad_s=source_s[TELEOP] if has_state else None, planner_s=source_s[PLANNER] if has_state else None,
-        losses=_losses(drive) if has_state or drive.throttle.episodes else None,
+        losses=dict(Counter(one.cause or one.reason for one in lost)) if has_state or drive.throttle.episodes else None,
         straight_per_m=straight, left_ratio=left, right_ratio=right,
         drive_mps2=driving, hold_mps2=holding, brake_mps2=braking,
-        battery_v=_least(drive.traces["battery voltage"]), **_link(drive.teensy),
+        battery_v=_possible(round(battery.minimum, 3)) if battery.count else None, **_link(drive.teensy),
         **_faults(drive),
         lacks=[gap.lacks if math.isnan(gap.start_s) else f"{gap.lacks} for {gap.end_s - gap.start_s:.0f} s"
                for gap in drive.coverage.gaps()],
         notes=notes)
-
-
-def _losses(drive):
-    """Return how often something was lost or locked, by cause."""
-    lost = [*drive.steering.losses(), *drive.throttle.losses()]
-    return dict(Counter(one.cause or one.reason for one in lost))
 
 
 def _faults(drive):
@@ -151,10 +146,6 @@ def _link(teensy):
     # The newest ping may still be on its way.
     change["unanswered"] = max(0, change.pop("pings") - change.pop("pongs") - 1)
     return {name: int(count) for name, count in change.items()}
-
-
-def _least(trace):
-    return _possible(round(trace.minimum, 3)) if trace.count else None
 
 
 def _median(found):

@@ -110,8 +110,9 @@ class NodeReports:
             if report == "steering" and self._has_state or report == "Teensy link" and self._has_link \
                     or report == "gamepad" and self._has_gamepad:
                 continue
-            self._faults.update_condition(time_s, status.name, min(_integer(status.level), ERROR), node.strip("/"),
-                                          status.message)
+            # rosbags has a message's byte as a number or as bytes.
+            level = status.level[0] if isinstance(status.level, (bytes, bytearray)) else int(status.level)
+            self._faults.update_condition(time_s, status.name, min(level, ERROR), node.strip("/"), status.message)
 
     def on_log(self, time_s: float, message: Any) -> None:
         """Take a rosgraph_msgs/Log or rcl_interfaces/Log."""
@@ -126,8 +127,3 @@ class NodeReports:
 def without_numbers(text: str) -> str:
     """Return a text with # for its numbers, which may change while what it says stays the same."""
     return NUMBER.sub("#", text)
-
-
-def _integer(level):
-    """Return a message's byte, which rosbags has as a number or as bytes."""
-    return level[0] if isinstance(level, (bytes, bytearray)) else int(level)

@@ -9,6 +9,7 @@ from matplotlib.patches import Patch
 
 from car_interface.tools.report.faults import ERROR
 from car_interface.tools.report.figures import (
+    ABOVE,
     BAD,
     DRIVEN,
     DRIVER_COLOURS,
@@ -19,7 +20,6 @@ from car_interface.tools.report.figures import (
     SENT,
     STYLE,
     WIDTH_IN,
-    above,
     bands,
     curve,
     label_text,
@@ -76,7 +76,7 @@ def _calibration(drive):
     largest = 1.2 * max(np.abs(curvature).max(), 0.1)
     axes.set(ylim=(-largest, largest), xlabel="the servo's duty")
     title(axes, "How tight: 1/radius in 1/m, left up")
-    axes.legend(**{**above(), "ncol": 4})
+    axes.legend(**{**ABOVE, "ncol": 4})
     return figure
 
 
@@ -163,7 +163,7 @@ def _steering_duty(axes, drive):
 def _legend_of_both(axes, beside):
     """Draw one legend for axes and those with another scale beside them."""
     beside.grid(False)
-    axes.legend(handles=axes.get_lines() + beside.get_lines(), **above())
+    axes.legend(handles=axes.get_lines() + beside.get_lines(), **ABOVE)
 
 
 def _throttle(drive):
@@ -182,7 +182,7 @@ def _esc_states(axes, drive):
     title(axes, "The ESC, where it isn't in NEUTRAL or FORWARD")
     axes.set(ylim=(0, 1), yticks=[])
     if found:
-        axes.legend(handles=[Patch(color=ESC_COLOURS.get(esc, INK), label=label_text(esc)) for esc in found], **above())
+        axes.legend(handles=[Patch(color=ESC_COLOURS.get(esc, INK), label=label_text(esc)) for esc in found], **ABOVE)
 
 
 def _path(drive):

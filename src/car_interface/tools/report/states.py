@@ -187,15 +187,6 @@ class SteeringWatch:
             if channel in self.duties:
                 self.duties[channel].add(time_s, duty)
 
-    def on_planner(self, time_s: float, message: Any) -> None:
-        """Take a std_msgs/Float32: the planner's turn radius in m; 0 requests nothing."""
-        if message.data:
-            self._traces["requested curvature"].add(time_s, 1 / message.data)
-
-    def on_gamepad(self, time_s: float, message: Any) -> None:
-        """Take a std_msgs/Float32: the gamepad's steering."""
-        self._traces["gamepad"].add(time_s, message.data)
-
     def stops(self) -> list[Episode]:
         """Return the episodes in which nobody drove any more."""
         return [episode for before, episode in zip(self.episodes, self.episodes[1:])

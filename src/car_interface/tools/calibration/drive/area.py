@@ -54,7 +54,9 @@ class Area:
 
     def extent_m(self, pose: Pose) -> float:
         """Return how far the car's farthest corner is from the center."""
-        return math.sqrt(self._square(self._seen_from(pose)))
+        rel = self._seen_from(pose)
+        along_m = max(abs(rel.real + self._front_m), abs(rel.real - self._rear_m))
+        return math.sqrt(along_m * along_m + (abs(rel.imag) + self._half_m) ** 2)
 
     def ahead_m(self, pose: Pose, radius_m: float) -> float:
         """Return how far the car can go straight on until its front leaves a circle of that radius; 0 = it has."""
@@ -111,12 +113,6 @@ class Area:
         part.
         """
         return complex(pose.x_m - self.center[0], pose.y_m - self.center[1]) * cmath.rect(1.0, -pose.yaw_rad)
-
-    def _square(self, rel):
-        """Return the square of the farthest corner's distance from the center, m²."""
-        ahead_m, left_m, front_m, rear_m, half_m = rel.real, abs(rel.imag), self._front_m, self._rear_m, self._half_m
-        along_m = max(abs(ahead_m + front_m), abs(ahead_m - rear_m))
-        return along_m * along_m + (left_m + half_m) ** 2
 
     def ways_out(self, pose: Pose, curvature_per_m: float, turns: Sequence[Turn]) -> list[float]:
         """Return how far the car's corners get from the center on each of the tight turns, after the arc on which it

@@ -96,8 +96,9 @@ class Grant:
         for timed in (self._steering, self._throttle, self._planner):
             if timed.is_stale(now_ns):
                 return Granted(False, timed.stale_reason(now_ns))
+        source = self._planner.value
         trouble = (_steering_trouble(self._steering.value) or _throttle_trouble(self._throttle.value)
-                   or _planner_trouble(self._planner.value) or "; ".join(self.others(now_ns)))
+                   or (f"planner_interface obeys {source}" if source != SPEED else "; ".join(self.others(now_ns))))
         return Granted(not trouble, trouble)
 
     def decide_by_hand(self, now_ns: int) -> Granted:
@@ -128,10 +129,6 @@ def _throttle_trouble(throttle):
     if throttle.esc == ARMING:
         return throttle.esc_reason
     return "" if throttle.source == PLANNER or throttle.cause in IDLE else throttle.reason
-
-
-def _planner_trouble(source):
-    return "" if source == SPEED else f"planner_interface obeys {source}"
 
 
 # --- before it begins ---

@@ -322,10 +322,10 @@ class Pilot:
         self._side, self._is_side_free = None if is_turn else choice.side, False
         if not is_turn:
             self._avoids = False
-        elif self._survey.wants_speeds and choice.hold.duty in self._ends:
-            self._is_quick = not self._is_quick
-        else:
-            self._is_quick = False
+            return
+        known = self._survey.knowledge  # while it doesn't show by how much turns widen with speed every other is quick
+        self._is_quick = (known is not None and not known.has_understeer and choice.hold.duty in self._ends
+                          and not self._is_quick)
 
     def _finish_hold(self):
         """Note what was measured, and hold it no more."""

@@ -77,11 +77,6 @@ class Survey:
                 and known.number == self._number and not self._is_out)
 
     @property
-    def wants_speeds(self) -> bool:
-        """Whether it isn't known yet by how much turns widen with speed."""
-        return self.knowledge is not None and not self.knowledge.has_understeer
-
-    @property
     def servo_lag_s(self) -> float:
         """The servo's lag by the newest fit; a guess before."""
         return 0.15 if self.knowledge is None else max(0.02, self.knowledge.delay.lag_s)

@@ -108,7 +108,8 @@ class WheelPosition:
         self._runs = list(_runs(self.servo, set(self._starts.tolist())))
         self.off = np.abs(commanded - self.servo)
         self.jump_rad = np.abs(np.diff(np.interp(self.t_s, drive.t_s, drive.yaw_rad), prepend=drive.yaw_rad[0]))
-        self.gap_s = _gap_around_s(drive.t_s, self.t_s)
+        index = np.clip(np.searchsorted(drive.t_s, self.t_s, side="right"), 1, len(drive.t_s) - 1)
+        self.gap_s = np.diff(drive.t_s)[index - 1]
 
     def _follow(self, drive, delay, commanded, start, end):
         """Let the servo follow its commands from one gap to the next."""
@@ -148,12 +149,6 @@ def _runs(servo, starts):
     ends = sorted({*starts, *turns.tolist(), len(servo)})
     for start, end in zip(ends, ends[1:]):
         yield start, end, falls[start], start in starts
-
-
-def _gap_around_s(t_s, at_s):
-    """Return the interval between samples ``t_s`` (N,) in which each of ``at_s`` (M,) lies: (M,)."""
-    index = np.clip(np.searchsorted(t_s, at_s, side="right"), 1, len(t_s) - 1)
-    return t_s[index] - t_s[index - 1]
 
 
 def _since_gap_s(t_s, at_s, gap_s):

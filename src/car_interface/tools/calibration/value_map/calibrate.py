@@ -111,7 +111,9 @@ def _source_lines(recorded, source, fit, prior_path):
     drives, names = [one.drive for one in recorded], [Path(one.path).name for one in recorded]
     value = source.value_topic if source.duty_channel is None else f"{DUTY}{source.duty_channel}"
     yield f"A value map from {', '.join(names)}"
-    yield f"value: {value}; accelerations by {_measured_by(source, drives)}"
+    measured_by = ("the IMU, its bias by the wheels" if source.measured_by == BY_IMU else "pulse times of the wheels"
+                   if all(drive.wheels for drive in drives) else "odometry's speed")
+    yield f"value: {value}; accelerations by {measured_by}"
     if source.throttle:
         duties, values = source.throttle.value_of_duty.axis, source.throttle.value_of_duty.values
         yield (f"a duty counts as the value of which {source.throttle.path} makes it: {duties[0]:g} is {values[0]:g}, "
@@ -159,12 +161,6 @@ def _map_lines(fit, table):
     if level:
         yield (f"from value {number_text(level[0])} to {number_text(level[1])} acceleration hardly changes: the ESC's "
                "neutral band, in which the map rises only as its CSV needs it")
-
-
-def _measured_by(source, drives):
-    if source.measured_by == BY_IMU:
-        return "the IMU, its bias by the wheels"
-    return "pulse times of the wheels" if all(drive.wheels for drive in drives) else "odometry's speed"
 
 
 def narrower_text(table: tables.Table, old: ValueMap, old_path: str) -> str | None:

@@ -165,7 +165,8 @@ def estimate_delay(drives: Sequence[MapDrive], data: Data, grid: Grid, speed: np
                                      MAX_DELAY_S))
         found = [ratios(delay_s, over) for delay_s in delays_s]
         scale = max(1.0, min(float(np.median(ratio)) for ratio in found) / 0.6745)
-        costs = np.array([_cost(ratio / scale) for ratio in found])
+        found = np.array(found) / scale
+        costs = np.where(found < HUBER, found**2, 2 * HUBER * found - HUBER**2).sum(axis=1)  # Huber's
         if np.ptp(costs) < MIN_DIFFERENCE and over is coarse:
             return 0.0, float("nan")
         best, max_offset, step = float(delays_s[np.argmin(costs)]), 1.5 * step, step / 4
@@ -173,11 +174,6 @@ def estimate_delay(drives: Sequence[MapDrive], data: Data, grid: Grid, speed: np
     if a <= 0:
         return best, float("nan")
     return float(np.clip(best - b / (2 * a), 0.0, best + max_offset)), float(1.0 / np.sqrt(a))
-
-
-def _cost(ratio):
-    """Huber's loss of residuals in sigmas."""
-    return float(np.where(ratio < HUBER, ratio**2, 2 * HUBER * ratio - HUBER**2).sum())
 
 
 def _thin(axis, max_steps):
