@@ -183,7 +183,7 @@ class SteeringWatch:
                                  if abs(duty - self._duty) <= DUTY_PER_COUNT)
         for channel, duty in enumerate(message.data):
             if duty > 0 and channel not in self.duties:
-                self.duties[channel] = Trace(0.0, self._duration_s)
+                self.duties[channel] = Trace(self._duration_s)
             if channel in self.duties:
                 self.duties[channel].add(time_s, duty)
 

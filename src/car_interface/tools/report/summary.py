@@ -167,7 +167,7 @@ def _is_read(recorded, free, topic, role, given, namespace):
 
 def _empty(path, namespace, has, present, wheelbase_m):
     duration_s = (has.end_ns - has.start_ns) / NS_PER_S
-    traces = {name: Trace(0.0, duration_s) for name in TRACES}
+    traces = {name: Trace(duration_s) for name in TRACES}
     faults = FaultLog()
     gamepad = GamepadWatch(faults, duration_s)
     steering = SteeringWatch(traces, faults, duration_s, gamepad)

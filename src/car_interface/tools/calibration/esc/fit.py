@@ -78,11 +78,8 @@ def fit(drive: EscDrive) -> EscFit:
     """Return what a drive shows of its ESC."""
     data = sampled(drive)
     if data is None:
-        return EscFit(None, None, None, None, None, None, None, (),
-                      (NOTHING_KNOWN,))
-    seen: list = []
-    missing: list = []
-    found = pulls(data)
+        return EscFit(None, None, None, None, None, None, None, (), (NOTHING_KNOWN,))
+    seen, missing, found = [], [], pulls(data)
     profile = _profile(found, seen, missing)
     forward, backward = _set_off(data, 1, profile), _set_off(data, -1, profile)
     neutral, bands = _dead_band(drive, forward, backward, profile, seen, missing)
@@ -170,8 +167,7 @@ def _is_second(before, pull):
 
 
 def _dwell(found, seen, missing):
-    seconds = [pull for before, pull in zip(found, found[1:])
-               if _is_second(before, pull)]
+    seconds = [pull for before, pull in zip(found, found[1:]) if _is_second(before, pull)]
     enough = [pull.neutral_s for pull in seconds if pull.outcome == BACKWARD]
     short = [pull.neutral_s for pull in seconds if pull.outcome == HELD]
     low, high = _range("dwell_s")

@@ -6,6 +6,7 @@ the power of 1.5, so that segments are as long as they can be.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from typing import NamedTuple, Sequence
 
 import numpy as np
@@ -175,13 +176,9 @@ def all_segments(segmentations: Sequence[Segmentation]) -> list[Segment]:
     return [segment for one in segmentations for segment in one.segments]
 
 
-def total_counts(segmentations: Sequence[Segmentation]) -> dict:
-    """Return how many intervals were left out of all drives, by reason."""
-    counts: dict = {}
-    for one in segmentations:
-        for reason, count in one.counts.items():
-            counts[reason] = counts.get(reason, 0) + count
-    return counts
+def total_counts(segmentations: Sequence[Segmentation]) -> Counter:
+    """Return how many intervals were left out of all drives, by reason; none without one."""
+    return sum((Counter(one.counts) for one in segmentations), Counter())
 
 
 def observations(segmentations: Sequence[Segmentation], backlash_duty: float) -> Observations:
@@ -216,7 +213,7 @@ def knots_of(segmentations: Sequence[Segmentation]) -> np.ndarray:
     """
     servo = [one.wheels.servo[segment.samples] for one in segmentations for segment in one.segments]
     if not servo:
-        left_out = ", ".join(f"{count} {reason}" for reason, count in total_counts(segmentations).items() if count)
+        left_out = ", ".join(f"{count} {reason}" for reason, count in total_counts(segmentations).items())
         raise NothingToFit("the car never held its steering for half a metre at speed"
                            + (f"; intervals that don't count: {left_out}" if left_out else ""))
     low, high = min(duties.min() for duties in servo), max(duties.max() for duties in servo)
