@@ -17,8 +17,8 @@ UNSEEN_RATIO = 0.05
 
 
 def bends(knots: np.ndarray, found: Observations, used: np.ndarray) -> np.ndarray:
-    """Return how far the curve may be off the straight line between the places where it was driven, at the knots (K,):
-    (K,). ``used``: which of the observations count, (S,).
+    """Return how far the curve may be off the straight line between the places where it was driven, at the knots, which
+    are duties (K,): (K,). ``used``: which of the observations count, (S,).
 
     Between two places the curve may continue as steeply as it came and bend anywhere, as at a mechanical stop.
     """

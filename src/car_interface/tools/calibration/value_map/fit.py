@@ -145,7 +145,9 @@ def _ground(index, data, solved):
 
 def estimate_delay(drives: Sequence[MapDrive], data: Data, grid: Grid, speed: np.ndarray,
                    config: MapFitConfig) -> tuple[float, float]:
-    """Return (the delay in s, its standard error); the latter is NaN where the drives don't show one."""
+    """Return (the delay in s, its standard error); the latter is NaN where the drives don't show one. ``speed`` is in
+    m/s, (W, P).
+    """
     coarse = Grid(_thin(grid.rows, COARSE_ROWS), _thin(grid.columns, COARSE_COLUMNS))
     # Only windows that count under every delay are compared, or their number would decide.
     states = [on_grid(*sample(drives, data, delay_s, config), speed, grid) for delay_s in (0.0, MAX_DELAY_S)]

@@ -32,7 +32,8 @@ HELD_OUT = 5
 
 
 class Model:
-    """The model's matrices under one delay, by value and speed (W, P); ``sags``: the battery's effect is part of it.
+    """The model's matrices under one delay, by value and speed in m/s, (W, P) each; ``sags``: the battery's effect is
+    part of it.
 
     Attributes:
         map: the nodes' weights in each window, (W, G).
@@ -128,7 +129,9 @@ def _robust(residual, sigma, used):
 
 
 def coverage(model: Model, state: np.ndarray, manoeuvre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (seconds of driving around each node (G,), in how many manoeuvres (G,))."""
+    """Return (seconds of driving around each node (G,), in how many manoeuvres (G,)), by each window's state and
+    manoeuvre, (W,).
+    """
     used = np.flatnonzero(state == windowing.MEASURED)
     time_s = sparse.diags(model.data.hop_s[used]) @ model.map[used]
     seconds = np.asarray(time_s.sum(axis=0)).ravel()

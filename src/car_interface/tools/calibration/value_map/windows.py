@@ -112,7 +112,9 @@ def _spread(cos, sin, counted, turning):
 
 
 def within_turns(turning: np.ndarray, drive: np.ndarray) -> sparse.csr_matrix:
-    """Return a matrix (W, W) that subtracts its mean from each turn, clears short turns, and leaves the rest alone."""
+    """Return a matrix (W, W) that subtracts its mean from each turn, clears short turns, and leaves the rest alone, by
+    whether each window is in a turn and by its drive, (W,) both.
+    """
     windows = turning.size
     index = np.flatnonzero(turning)
     turns = np.split(index, np.flatnonzero((np.diff(index) > 1) | (np.diff(drive[index]) > 0)) + 1)
