@@ -21,7 +21,7 @@ def drive(duration_s, *episodes):
 
 
 def trace(*samples):
-    made = Trace(0.0, 100.0)
+    made = Trace(100.0)
     for time_s, value in samples:
         made.add(time_s, value)
     return made
