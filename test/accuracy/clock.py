@@ -22,8 +22,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from car_interface.sim.line import BitErrors
-from car_interface.sim.teensy_config import FirmwareConfig
-from car_interface.sim.teensy_firmware import TeensyFirmware
+from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
 from car_interface.sim.teensy_sonars import ECHO_RISE_US
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD
 from car_interface.teensy.link import protocol
@@ -174,7 +173,7 @@ class Bench:
             self._write(self._pinger.ping(timestamp1, now_ns), now_ns, timestamp1)
         if now_ns >= self._counters_ns:
             self._counters_ns += NS_PER_S
-            self._write(encode(protocol.get_counters(), SHIPPED), now_ns)
+            self._write(encode(protocol.SEND_COUNTERS, SHIPPED), now_ns)
 
     def _look(self, now_ns):
         arrived = self._teensy.transmit(now_ns)

@@ -21,8 +21,7 @@ from typing import Callable, NamedTuple
 import numpy as np
 
 from accuracy.clock import percentile
-from car_interface.sim.teensy_config import FirmwareConfig
-from car_interface.sim.teensy_firmware import TeensyFirmware
+from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
 from car_interface.sim.vehicle import Vehicle, VehicleConfig, true_acceleration_mps2
 from car_interface.teensy.link.framing import FrameDecoder
 from car_interface.teensy.link.protocol import SonarStatus, WheelStatus, decode

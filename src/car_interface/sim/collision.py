@@ -95,9 +95,6 @@ class Obstacles:
 class Collisions:
     """Blocks a car's steps into obstacles, and counts how often it ran into one.
 
-    Args:
-        obstacles: what it may run into.
-
     Attributes:
         count: of collisions; a car that keeps pushing, or backs off less than a centimetre, has one.
         speed_mps: of the newest collision, backward negative.

@@ -35,13 +35,9 @@ class DriveTrainConfig:
     neutral_duty: float = 4915.0
     full_forward_duty: float = 6554.0
     neutral_band_duty: float = 25.0
-    forward_mps2: float = declared.number(
-        "forward_acceleration", 5.6, TRUE, "m/s²", above=0.0, high=100)
-    reverse_mps2: float = declared.number(
-        "reverse_acceleration", 3.6, TRUE, "m/s²", above=0.0, high=100)
-    brake_mps2: float = declared.number(
-        "brake_deceleration", 7.0, TRUE, "m/s²", above=0.0,
-        high=100)
+    forward_mps2: float = declared.number("forward_acceleration", 5.6, TRUE, "m/s²", above=0.0, high=100)
+    reverse_mps2: float = declared.number("reverse_acceleration", 3.6, TRUE, "m/s²", above=0.0, high=100)
+    brake_mps2: float = declared.number("brake_deceleration", 7.0, TRUE, "m/s²", above=0.0, high=100)
     thrust_halves_mps: float = 9.4
     drag_mps2: float = 0.35
     drag_per_s: float = 0.08
@@ -52,10 +48,8 @@ class DriveTrainConfig:
 
     def __post_init__(self):
         low, high = self.neutral_duty - self.neutral_band_duty, self.neutral_duty + self.neutral_band_duty
-        require(
-            self.full_reverse_duty < low <= high < self.full_forward_duty,
-            "neutral_duty", self.neutral_duty, "with its band between full reverse and full forward",
-        )  # fmt: skip
+        require(self.full_reverse_duty < low <= high < self.full_forward_duty, "neutral_duty", self.neutral_duty,
+                "with its band between full reverse and full forward")
 
     def thrust(self, elapsed_s: float) -> float:
         """Return the ratio of the stated thrust that the battery gives at a time after the start."""

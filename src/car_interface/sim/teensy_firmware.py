@@ -10,20 +10,18 @@ times and fields are compared with captures of the original in test/unit/sim/tes
 
 The firmware is one loop. Here it is a generator that yields when it goes on: at the next pass with something to do, or,
 while a ping holds it up, when that ends. Interrupts (pulses, the ends of echoes, the timer) happen in between.
-
-All times are true time in nanoseconds (``int``) and never run back; "tick" is the firmware's own millisecond count, not
-wrapped; ``millis()`` and ``micros()`` are wrapped at 2**32.
+Times are those of ``teensy_clock``.
 """
-
 from __future__ import annotations
 
+import math
 import struct
+from dataclasses import dataclass
 from random import Random
 from typing import Callable, Generator
 
 from car_interface.common.errors import require
 from car_interface.sim.teensy_clock import NEVER_NS, NS_PER_US, UINT32, Clock
-from car_interface.sim.teensy_config import BOOT_MS, FirmwareConfig
 from car_interface.sim.teensy_packets import (
     COUNTER_NAMES,
     ERROR_COUNT,
@@ -43,6 +41,7 @@ from car_interface.sim.teensy_packets import (
 )
 from car_interface.sim.teensy_receiver import IncomingLine, Receiver
 from car_interface.sim.teensy_sonars import (
+    LISTEN_US,
     SEQUENCE_MAX,
     SONAR_MISSING,
     SONARS,
@@ -55,13 +54,75 @@ from car_interface.sim.teensy_wheels import FORWARD, HALL_PINS, Axle
 
 U32 = struct.Struct("<I")
 SONAR_ECHO = struct.Struct("<HI")  # echo µs, when: after the sensor and the filler byte
+BOOT_MS = 300  # millis() when a Teensy starts the firmware's own code
+
+
+@dataclass(frozen=True)
+class FirmwareConfig:
+    """The properties of one simulated Teensy; the defaults are the one in the cars.
+
+    Attributes:
+        baud: bits a second on the line, both ways.
+        clock_start_ms: ``millis()`` at power-up, when the boot has ended; near 2**32 it wraps soon.
+            After ``reboot`` it is 300.
+        clock_drift_ppm: how much the Teensy's crystal is too fast (positive) or too slow.
+        clock_ramp_ppm_per_h: how much that changes in an hour (a car that warms up).
+        loop_us: true time of one pass of the loop, µs. The original's is not known.
+        sonar_wait_ms: from an echo to the next sonar's ping, until SONAR_WAIT changes it.
+        sonar_sequence: the sonars' order, until SET_SONAR_SEQ changes it.
+        sonar_pulse_end_us: how long a sensor holds its echo pin high without an echo: 38 ms with an HC-SR04,
+            200 ms with some clones.
+        sonars_missing: the sensors that are not connected at power-up; see ``set_sonar``.
+        wheel_positions: where the wheels (left, right) stand at power-up, in pulses: sets the levels of the hall pins.
+        odometer_start: dist and dist_abs of both wheels at power-up. Not 0: then they have turned
+            forward. After ``reboot`` it is 0.
+        corrected_checksum: True for a firmware whose receiver sums with carry over unescaped bytes. Its other
+            faults stay.
+        pool_size: packets that receiver, queues and transmitter share.
+        uart_buffer: bytes that wait in front of the line: of its 64 the firmware leaves 2 free.
+        boot_byte: the X of the boot frame.
+        seed: of the garbage that the packets' memory holds at power-up; None for zeros.
+
+    Raises:
+        ConfigError: a value that no Teensy could have.
+    """
+
+    baud: int = 115200
+    clock_start_ms: int = BOOT_MS
+    clock_drift_ppm: float = 0.0
+    clock_ramp_ppm_per_h: float = 0.0
+    loop_us: int = 50
+    sonar_wait_ms: int = 50
+    sonar_sequence: tuple[int, ...] = (0, 1, 2, 3, 4, 5)
+    sonar_pulse_end_us: int = 38_000
+    sonars_missing: tuple[int, ...] = ()
+    wheel_positions: tuple[int, int] = (0, 0)
+    odometer_start: int = 0
+    corrected_checksum: bool = False
+    pool_size: int = 32
+    uart_buffer: int = 62
+    boot_byte: int = 0xC1
+    seed: int | None = None
+
+    def __post_init__(self):
+        for name, low, high, accepted in (
+                ("baud", 1, math.inf, "more than 0"), ("clock_start_ms", 0, UINT32, "0 to 2**32 - 1"),
+                ("clock_drift_ppm", -10_000, 10_000, "-10000 to 10000"), ("loop_us", 1, 1000, "1 to 1000"),
+                ("sonar_wait_ms", 0, UINT32, "0 to 2**32 - 1"),
+                ("sonar_pulse_end_us", LISTEN_US + 1, 1_000_000, "more than 11428, up to 1000000"),
+                ("pool_size", 1, math.inf, "more than 0"), ("uart_buffer", 1, math.inf, "more than 0"),
+                ("boot_byte", 0, 0xFF, "0 to 255"), ("odometer_start", 0, UINT32, "0 to 2**32 - 1")):
+            require(low <= getattr(self, name) <= high, name, getattr(self, name), accepted)
+        sequence, missing, sensors = self.sonar_sequence, self.sonars_missing, set(range(SONARS))
+        require(0 < len(sequence) <= SEQUENCE_MAX and set(sequence) <= sensors, "sonar_sequence", sequence,
+                "1 to 24 sensors from 0 to 5")
+        require(set(missing) <= sensors, "sonars_missing", missing, "sensors from 0 to 5")
 
 
 class TeensyFirmware:
     """A powered Teensy with two wheels and six sonars on it.
 
     Args:
-        config: its properties.
         echo_us: ``(sensor, at_ns) -> µs`` from a ping to its echo; 0 when nothing is near enough: then the sensor ends
             its pulse by itself. An attribute too. Without it no sonar gets an echo.
         power_up_ns: the true time at which its boot ends and it begins to work.
@@ -71,12 +132,8 @@ class TeensyFirmware:
         hung: True once only a reboot helps.
     """
 
-    def __init__(
-        self,
-        config: FirmwareConfig,
-        echo_us: Callable[[int, int], float] | None = None,
-        power_up_ns: int = 0,
-    ):
+    def __init__(self, config: FirmwareConfig, echo_us: Callable[[int, int], float] | None = None,
+                 power_up_ns: int = 0):
         self.echo_us = echo_us or (lambda sensor, at_ns: 0)
         self._config = config
         self._period_ns = config.loop_us * NS_PER_US
@@ -104,17 +161,13 @@ class TeensyFirmware:
         self._receiver = Receiver(self._pool.acquire, self.counters, config.corrected_checksum)
         self._transmitter = Transmitter(self._outgoing, self._pool, self.counters, config.boot_byte)
         self._axle = Axle(self.counters)
-        self._sonars = SonarArray(
-            config.sonar_sequence, config.sonar_wait_ms, self._sensors, self._clock, self._pool, self.counters
-        )
+        self._sonars = SonarArray(config.sonar_sequence, config.sonar_wait_ms, self._sensors, self._clock, self._pool,
+                                  self.counters)
         self._commands = {
-            PONG_RESP: self._ignore,
-            SET_SONAR_SEQ: self._set_sonar_sequence,
-            SONAR_STOP: self._stop_sonars,
-            WHEEL_RESET: self._reset_wheels,
-            GET_COUNTERS: self._send_counters,
-            SONAR_WAIT: self._set_sonar_wait,
-        }
+            PONG_RESP: lambda packet: None,  # the firmware knows the command, and never asks for one
+            SET_SONAR_SEQ: self._set_sonar_sequence, SONAR_STOP: self._stop_sonars,
+            WHEEL_RESET: lambda packet: self._axle.reset(), GET_COUNTERS: self._send_counters,
+            SONAR_WAIT: self._set_sonar_wait}
         self._is_booting = True
         self._is_between_passes = False
         self._resume_ns = boot_end_ns
@@ -238,9 +291,7 @@ class TeensyFirmware:
     def _next_pass_ns(self, now_ns: int) -> int:
         """Return the next pass that finds something to do."""
         self._is_between_passes = True
-        wanted_ns = min(
-            self._incoming.next_ns, self._sonars.due_ns, self._axle.due_ns, self._transmitter.due_ns,
-        )  # fmt: skip
+        wanted_ns = min(self._incoming.next_ns, self._sonars.due_ns, self._axle.due_ns, self._transmitter.due_ns)
         return max(self._pass_ns(wanted_ns), self._pass_ns(now_ns + 1))
 
     def _pass_ns(self, at_ns: int) -> int:
@@ -293,9 +344,6 @@ class TeensyFirmware:
         U32.pack_into(packet, 8, self._clock.millis(now_ns))
         self._transmitter.queue_first(packet)
 
-    def _ignore(self, packet: bytearray):
-        """Ignore a pong: the firmware knows the command, and never asks for one."""
-
     def _count_unknown(self, packet: bytearray):
         self.counters["rxErrorUnknown"] += 1
 
@@ -307,9 +355,6 @@ class TeensyFirmware:
 
     def _set_sonar_wait(self, packet: bytearray):
         (self._sonars.wait_ms,) = U32.unpack_from(packet, 4)
-
-    def _reset_wheels(self, packet: bytearray):
-        self._axle.reset()
 
     def _send_counters(self, packet: bytearray):
         for name, count in [item for item in self.counters.items() if item[1]]:

@@ -101,10 +101,8 @@ class SonarArray:
         is_retrying: two sensors in a row have failed; the loop goes on with the second one in its next pass.
     """
 
-    def __init__(
-        self, sequence: tuple[int, ...], wait_ms: int, sensors: list[SonarSensor], clock: Clock, pool: PacketPool,
-        counters: dict[str, int],
-    ):  # fmt: skip
+    def __init__(self, sequence: tuple[int, ...], wait_ms: int, sensors: list[SonarSensor], clock: Clock,
+                 pool: PacketPool, counters: dict[str, int]):
         self._sequence = list(sequence) + [0] * (SEQUENCE_MAX - len(sequence))
         self._length = len(sequence)
         self._index = 0
@@ -151,7 +149,8 @@ class SonarArray:
         self.running = True
         self._attempt = self._wait = None
         now_ns, _ = yield from self._ping(now_ns)
-        return (yield from self._ping_next(now_ns))
+        self._step()
+        return (yield from self._ping_one_of_two(now_ns))
 
     def retry(self, now_ns: int) -> Held:
         """Go on after two sensors that failed."""
@@ -171,12 +170,9 @@ class SonarArray:
                 self._attempt = None
         elif self._wait is not None and self._wait.has_passed(now_ns):
             self._wait = None
-            now_ns = yield from self._ping_next(now_ns)
+            self._step()
+            now_ns = yield from self._ping_one_of_two(now_ns)
         return now_ns
-
-    def _ping_next(self, now_ns: int) -> Held:
-        self._step()
-        return (yield from self._ping_one_of_two(now_ns))
 
     def _ping_one_of_two(self, now_ns: int) -> Held:
         now_ns, has_begun = yield from self._ping(now_ns)

@@ -3,17 +3,9 @@ from __future__ import annotations
 
 from collections import deque
 
+from car_interface.sim import teensy_packets as packets
 from car_interface.sim.teensy_clock import AT_ONCE_NS, NEVER_NS
-from car_interface.sim.teensy_packets import (
-    BITS_PER_BYTE_S,
-    ERROR_COUNT,
-    FLAG,
-    MESSAGE_MAX,
-    RPI,
-    TEENSY,
-    WHEEL_STATUS,
-    PacketPool,
-)
+from car_interface.sim.teensy_packets import BITS_PER_BYTE_S, FLAG, PacketPool
 from car_interface.sim.teensy_sonars import SONARS
 
 
@@ -51,7 +43,7 @@ class Transmitter:
             if packet is None:
                 self._counters["txErrorNoBuf"] += 1
                 return
-        packet[:4] = bytes((RPI, TEENSY, WHEEL_STATUS, 0))
+        packet[:4] = bytes((packets.RPI, packets.TEENSY, packets.WHEEL_STATUS, 0))
         packet[4 : 4 + len(report)] = report
         self._reports[0] = packet
         self._wake()
@@ -162,9 +154,9 @@ class OutgoingLine:
 
 def message_length(packet: bytearray) -> int:
     """Return the bytes of a message that the firmware sends, with the header and without the checksum."""
-    if packet[2] == WHEEL_STATUS:
-        return MESSAGE_MAX
-    if packet[2] == ERROR_COUNT:
+    if packet[2] == packets.WHEEL_STATUS:
+        return packets.MESSAGE_MAX
+    if packet[2] == packets.ERROR_COUNT:
         return packet.index(0, 8) + 1
     return 12  # a pong or a sonar's report
 

@@ -62,10 +62,8 @@ class Wheel:
             self._when_tick = tick
 
     def report(self) -> bytes:
-        return WHEEL.pack(
-            self._speed() & 0xFFFF, self._direction, 0, self._when_tick & UINT32,
-            self._dist & UINT32, self._dist_abs & UINT32,
-        )  # fmt: skip
+        return WHEEL.pack(self._speed() & 0xFFFF, self._direction, 0, self._when_tick & UINT32, self._dist & UINT32,
+                          self._dist_abs & UINT32)
 
     def _speed(self) -> int:
         """Return pulses a second, truncated, over the window; 0 with one entry, or with all of them in one tick."""

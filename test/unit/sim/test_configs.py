@@ -5,7 +5,7 @@ import pytest
 from car_interface.common.errors import ConfigError
 from car_interface.sim.drive_train import DriveTrainConfig
 from car_interface.sim.esc import VirtualEscConfig
-from car_interface.sim.teensy_config import FirmwareConfig
+from car_interface.sim.teensy_firmware import FirmwareConfig
 from car_interface.sim.vehicle import SteeringConfig, VehicleConfig
 
 

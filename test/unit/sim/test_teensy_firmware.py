@@ -6,8 +6,7 @@ test_captures.py holds the rest against long captures of it. Parser and encoders
 import pytest
 
 import teensy_bench
-from car_interface.sim.teensy_config import FirmwareConfig
-from car_interface.sim.teensy_firmware import TeensyFirmware
+from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
 from car_interface.sim.teensy_transmitter import OutgoingLine, frame_body
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
 from teensy_bench import MS, Bench, S, framed_for_the_receiver, message, ping, wheel_reports

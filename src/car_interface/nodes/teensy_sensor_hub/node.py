@@ -130,8 +130,7 @@ class TeensySensorHub:
 
     def step(self, now_ns):
         """Handle requests, read the port, ping, judge, publish; returns when to be called next."""
-        for handler, item, arrival_ns in self._inbox.drain():
-            handler(item, arrival_ns)
+        self._inbox.dispatch()
         self._commands.read_keys()
         port_ns = self._attend_port(now_ns)
         if self._measurements:
@@ -160,7 +159,7 @@ class TeensySensorHub:
     def _next_port_event_ns(self):
         if not self._link.is_open:
             return self._next_try_ns
-        ping_ns = self._session.next_event_ns()
+        ping_ns = self._session.pinger.next_event_ns()
         return ping_ns if self._watched_fd is not None else min(ping_ns, self._rest_until_ns)
 
     def shut_down(self):
@@ -168,8 +167,7 @@ class TeensySensorHub:
         self._commands.restore_terminal()
         self._close("the node ends")
         self._inbox.ending = True
-        for handler, item, arrival_ns in self._inbox.drain():
-            handler(item, arrival_ns)
+        self._inbox.dispatch()
 
     def _try_open(self):
         try:
@@ -269,7 +267,7 @@ class TeensySensorHub:
         return True
 
     def _ping_when_due(self, now_ns):
-        if now_ns < self._session.next_event_ns():
+        if now_ns < self._session.pinger.next_event_ns():
             return
         for event in self._session.expire(now_ns):
             if isinstance(event, ChecksumChanged):
@@ -278,7 +276,7 @@ class TeensySensorHub:
             else:
                 self._commands.answer_ping(event.timestamp1, False, "no pong came back")
                 self._warnings.warn("ping", "a ping went unanswered")
-        if now_ns >= self._session.ping_due_ns:
+        if now_ns >= self._session.pinger.due_ns:
             self._ping()
 
     def _ping(self):
@@ -317,7 +315,7 @@ class TeensySensorHub:
             self._write(self._session.encode(protocol.set_sonar_sequence(self._sonars.sequence)))
         elif command:
             self._warnings.warn("sonar start", "no sonar has reported for a while: SONAR_START was sent")
-            self._write(self._session.encode(protocol.sonar_start()))
+            self._write(self._session.encode(protocol.START_SONARS))
         faults = self._sonars.faults(now_ns)
         if faults:
             kind = f"sonars {sorted(str(fault.sensor) for fault in faults)}"

@@ -9,6 +9,7 @@ import glob
 import os
 import select
 import termios
+from contextlib import suppress
 
 import serial
 
@@ -125,24 +126,17 @@ class SerialLink:
     def close(self) -> None:
         """Close the port, if it is open."""
         if self._serial is not None:
-            try:
+            with suppress(OSError):  # it was pulled out; there is nothing left to close
                 self._serial.close()
-            except OSError:
-                pass  # it was pulled out; there is nothing left to close
             self._serial = self._fd = None
 
     def _close_failed(self, error):
-        self._discard_output()
+        with suppress(OSError, termios.error):  # it was pulled out, and has no unsent bytes
+            # Close would wait for unsent bytes, with some drivers for half a minute.
+            termios.tcflush(self._fd, termios.TCOFLUSH)
         self.close()
         return PortError(self._path, FAILING, f"the port was lost ({error})",
                          "Check its cable and power; it is opened again as soon as it is back")
-
-    def _discard_output(self):
-        """Discard unsent bytes: close would wait for them, with some drivers for half a minute."""
-        try:
-            termios.tcflush(self.fileno(), termios.TCOFLUSH)
-        except (OSError, termios.error):
-            pass  # it was pulled out, and has no unsent bytes
 
     def _explain(self, error):
         """Return state, cause and remedy of a failed open, by the path and the error's number."""

@@ -1,8 +1,8 @@
 """Decodes records from the Teensy, and encodes commands to it: the content of frames.
 
-``decode`` turns the body of a frame into a record, or into ``Malformed`` with the reason; it never raises. The command
-functions return the body of a frame for ``framing.encode``, and raise ProtocolError for arguments that the Teensy
-can't take. All fields are little endian and packed.
+``decode`` turns the body of a frame into a record, or into ``Malformed`` with the reason; it never raises. Commands
+are bodies of frames for ``framing.encode``; their functions raise ProtocolError for arguments that the Teensy can't
+take. All fields are little endian and packed.
 """
 from __future__ import annotations
 
@@ -143,6 +143,12 @@ def _command(command, payload=b""):
     return bytes((TEENSY, HOST, command, 0)) + payload
 
 
+STOP_SONARS, START_SONARS = _command(SONAR_STOP), _command(SONAR_START)
+RESET_WHEELS = _command(WHEEL_RESET)  # both odometers to zero, their direction to "none yet"
+# Every counter that isn't zero. Once a second at most: the answers take the Teensy's time.
+SEND_COUNTERS = _command(GET_COUNTERS)
+
+
 def ping(timestamp1: int) -> bytes:
     """Return PING_QUERY. ``timestamp1``, 0..2**32 − 1, comes back verbatim in the pong.
 
@@ -166,26 +172,6 @@ def set_sonar_sequence(sensors: Sequence[int]) -> bytes:
         if not 0 <= sensor < len(SONARS):
             raise ProtocolError(f"there is no sonar {sensor}: ids go from 0 to {len(SONARS) - 1}")
     return _command(SET_SONAR_SEQ, bytes((len(sensors), *sensors)))
-
-
-def sonar_stop() -> bytes:
-    """Return SONAR_STOP."""
-    return _command(SONAR_STOP)
-
-
-def sonar_start() -> bytes:
-    """Return SONAR_START."""
-    return _command(SONAR_START)
-
-
-def wheel_reset() -> bytes:
-    """Return WHEEL_RESET: both odometers to zero, their direction to "none yet"."""
-    return _command(WHEEL_RESET)
-
-
-def get_counters() -> bytes:
-    """Return GET_COUNTERS: every counter that isn't zero. Once a second at most: the answers take the Teensy's time."""
-    return _command(GET_COUNTERS)
 
 
 def sonar_wait(wait_ms: int) -> bytes:
