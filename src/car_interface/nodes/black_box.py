@@ -187,7 +187,6 @@ class _Buffer(io.BytesIO):
 
 
 def main():
-    """Run the node."""
     with suppress(OSError):
         os.nice(NICENESS)
     run("black_box", BlackBox)

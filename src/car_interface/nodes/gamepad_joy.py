@@ -75,7 +75,6 @@ class GamepadJoy:
                    self._retry_ns if self._device is None else self._diagnostics.due_ns)
 
     def shut_down(self):
-        """Give the device back."""
         self._close()
 
     def _open(self, now_ns):
@@ -130,5 +129,4 @@ class GamepadJoy:
 
 
 def main():
-    """Run the node."""
     run("gamepad_joy", GamepadJoy)

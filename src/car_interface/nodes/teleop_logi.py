@@ -47,8 +47,6 @@ TICKS_PER_STATE = 5
 
 
 class TeleopLogi:
-    """Reads the gamepad and publishes requests."""
-
     def __init__(self, params, inbox):
         self._config = read_all(params, GamepadConfig)
         self._entries = load_entries(params.path(CONFIG_FOLDER, None))
@@ -92,7 +90,6 @@ class TeleopLogi:
         return self._timer.due_ns
 
     def shut_down(self):
-        """Release the deadman."""
         self._human.publish(False)
 
     def _on_joy(self, message, now_ns):
@@ -209,5 +206,4 @@ def _level(requests):
 
 
 def main():
-    """Run the node."""
     run("teleop_logi", TeleopLogi)

@@ -178,7 +178,6 @@ class Channels:
         return Followed(changed, refused)
 
     def make_safe(self, now_ns: int) -> None:
-        """Set every channel to its timeout value now."""
         self._timed_out.update((channel, TimedOut(now_ns, True)) for channel in self._commanded)
         for channel in self._commanded:
             self._follow_side(channel, self.timeout_values[channel], now_ns)

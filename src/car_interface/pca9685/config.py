@@ -110,7 +110,6 @@ class Pca9685Config:
         return round(NS_PER_S * self.guard_off_after_s)
 
     def _channels(self):
-        """Return limits and failsafe of each of the sixteen."""
         timeout_values, live_ranges, pulls = list(self.timeout_values), [0] * CHANNELS, {}
         for channel, neutral, live_range in self._neutrals():
             timeout_values[channel], live_ranges[channel] = neutral, live_range

@@ -77,7 +77,6 @@ class Guard:
 
     @property
     def is_acting(self) -> bool:
-        """Return whether it acts in place of the node."""
         return self.state in (ACTING, SAFE, OFF)
 
     def acts_alone(self, now_ns: int) -> bool:
@@ -89,7 +88,6 @@ class Guard:
         return self.is_acting and (self.node_is_dead or now_ns - self._since_ns >= self._lasting_ns)
 
     def status(self) -> bytes:
-        """Return the message to the node."""
         return GuardMessage(self.state, self._sequence, self.interventions, self._error).encode()
 
     def receive(self, data: bytes, now_ns: int) -> None:
@@ -127,7 +125,6 @@ class Guard:
         return self._error != 0 or self.node_has_reached and not self._is_claimed
 
     def action(self, now_ns: int) -> str:
-        """Return what to do now."""
         if self._is_over or self.node_is_dead and not self.is_acting and not self._has_reached:
             return END
         if not self.is_acting and self._node_is_lost(now_ns):

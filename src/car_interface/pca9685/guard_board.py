@@ -27,7 +27,6 @@ OFF = (0,) * CHANNELS
 
 
 def probe(device) -> None:
-    """Read a register."""
     device.read(MODE1, 1)
 
 

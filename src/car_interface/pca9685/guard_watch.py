@@ -58,7 +58,6 @@ class GuardWatch:
         return self.is_present and self._obeys_from > 0
 
     def start(self, now_ns: int) -> None:
-        """Begin with a new guard, which was started."""
         self.is_present = True
         self.error = NOT_TRIED
         self._messages = guard_reader()
@@ -67,7 +66,6 @@ class GuardWatch:
         self._interventions = self._acknowledged = self._obeys_from = 0
 
     def lose(self) -> None:
-        """Take note that the guard is gone."""
         self.is_present = False
 
     def receive(self, data: bytes, now_ns: int) -> None:

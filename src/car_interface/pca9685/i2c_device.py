@@ -47,7 +47,6 @@ class I2cDevice:
             raise
 
     def close(self) -> None:
-        """Close the bus."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
@@ -80,5 +79,4 @@ class I2cDevice:
         self._transfer(_WRITE, register, data)
 
     def _transfer(self, direction, register, data):
-        pointer, _ = data.buffer_info()
-        fcntl.ioctl(self._fd, I2C_SMBUS, _REQUEST.pack(direction, register, _BLOCK_DATA, pointer))
+        fcntl.ioctl(self._fd, I2C_SMBUS, _REQUEST.pack(direction, register, _BLOCK_DATA, data.buffer_info()[0]))

@@ -30,8 +30,6 @@ Targets = Callable[[], Sequence[int]]
 
 @dataclass
 class BoardTally:
-    """Counts of faults."""
-
     errors: int = 0  # failed transfers, first attempts and repetitions
     reopenings: int = 0  # recoveries of bus and chip
     reinitialisations: int = 0  # of a chip that answered and had been reset
@@ -160,7 +158,6 @@ class BoardSupervisor:
             self._repeat(lambda: self._board.write(differences(self._board.held, targets())))
 
     def _repeat(self, transfer):
-        """Call ``transfer``, and once more when it fails."""
         try:
             transfer()
         except BoardMismatch:

@@ -202,7 +202,6 @@ class ChipServer:
                 self._bus.chips[self._address] = chip
 
     def _pins(self):
-        """Return the counts of the pins; without power 0."""
         has_power = self._address in self._bus.chips
         return tuple(self._chip.high_counts(channel) if has_power else 0 for channel in range(16))
 

@@ -65,8 +65,6 @@ def throttle(duty: int, drive: DriveTrainConfig) -> float | None:
 
 
 class Motor:
-    """The motor, which follows its ESC with a lag."""
-
     def __init__(self, lag_s: float):
         self._lag_s = lag_s
         self._push = self._brake = 0.0

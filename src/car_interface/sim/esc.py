@@ -46,8 +46,6 @@ SHORTEST_PULSE, LONGEST_PULSE = 1638, 8192
 
 
 class MotorState(NamedTuple):
-    """The state of the motor."""
-
     mode: str  # COAST, FORWARD, BRAKE or BACKWARD
     level: float  # 0..1
 

@@ -92,7 +92,6 @@ class VirtualPca9685:
         return ((off_h % 16 * 256 + off_l) - (on_h % 16 * 256 + on_l)) % 4096
 
     def period_s(self, oscillator_hz: float = 25e6) -> float:
-        """Return the PWM period by PRE_SCALE."""
         return 4096 * (self._registers[_PRE_SCALE] + 1) / oscillator_hz
 
 
@@ -119,7 +118,6 @@ class VirtualBus:
         self._on_write = on_write
 
     def read_byte_data(self, address: int, register: int) -> int:
-        """Read one register, as smbus2."""
         return self._chip(address).read(register, 1)[0]
 
     def read_i2c_block_data(self, address: int, register: int, length: int) -> list[int]:
@@ -127,7 +125,6 @@ class VirtualBus:
         return self._chip(address).read(register, _checked_length(length))
 
     def write_byte_data(self, address: int, register: int, value: int) -> None:
-        """Write one register, as smbus2."""
         self._write(address, register, [value])
 
     def write_i2c_block_data(self, address: int, register: int, data: list[int]) -> None:

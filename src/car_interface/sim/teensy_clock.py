@@ -35,11 +35,9 @@ class Clock:
         return self._start_device_ns + elapsed_ns + gained_ns
 
     def tick(self, now_ns: int) -> int:
-        """Return whole milliseconds, not wrapped."""
         return self.device_ns(now_ns) // NS_PER_MS
 
     def millis(self, now_ns: int) -> int:
-        """Return whole milliseconds, modulo 2**32."""
         return self.tick(now_ns) & UINT32
 
     def micros(self, now_ns: int) -> int:

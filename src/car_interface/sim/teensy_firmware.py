@@ -264,7 +264,6 @@ class TeensyFirmware:
     # The loop
 
     def _run(self) -> Generator[int, int, None]:
-        """Run setup() and loop()."""
         now_ns = yield self._resume_ns
         self._is_booting = False
         self._incoming.drop(now_ns)
@@ -295,7 +294,6 @@ class TeensyFirmware:
         return max(self._pass_ns(wanted_ns), self._pass_ns(now_ns + 1))
 
     def _pass_ns(self, at_ns: int) -> int:
-        """Return the first pass at this time or later."""
         return -(-at_ns // self._period_ns) * self._period_ns
 
     def _wake(self, at_ns: int):

@@ -69,7 +69,6 @@ class SonarSensor:
             self.fall_ns = now_ns
 
     def is_high(self, now_ns: int) -> bool:
-        """Return whether its echo pin is high."""
         return self.rise_ns <= now_ns < self.fall_ns
 
     def trigger(self, now_ns: int):
@@ -249,7 +248,6 @@ class SonarArray:
         return echo
 
     def wait(self, now_ns: int):
-        """Begin the wait for the next ping."""
         self._wait = Deadline(self._clock, self.wait_ms if self.wait_ms < 1 << 31 else -1, now_ns)
 
     def set_sequence(self, length: int, sensors: bytes):

@@ -18,8 +18,6 @@ WHEEL = struct.Struct("<HBBIII")  # speed, direction, reserved, when, dist, dist
 
 
 class Wheel:
-    """One wheel's odometer."""
-
     def __init__(self):
         self._pins = HALL_PINS[0]  # assumed at power-up, without reading them
         self._when_tick = 0
@@ -109,7 +107,6 @@ class Axle:
             self._announce(tick)
 
     def begin(self, clock: Clock, now_ns: int):
-        """Begin the checks for wheels that stand."""
         self._check = Deadline(clock, STANDING_CHECK_MS, now_ns)
 
     def report_when_due(self, clock: Clock, now_ns: int) -> bytes | None:

@@ -74,7 +74,6 @@ class Rollovers:
         self.max_lateral_mps2 = 0.0
 
     def update(self, lateral_mps2: float) -> None:
-        """Take the present lateral acceleration."""
         magnitude = abs(lateral_mps2)
         self.max_lateral_mps2 = max(self.max_lateral_mps2, magnitude)
         if self._tips:

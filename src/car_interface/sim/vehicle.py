@@ -284,7 +284,6 @@ class Vehicle:
         return self._along_mps2
 
     def _pose_after(self, distance_m: float, curvature_per_m: float) -> Pose:
-        """Return the pose at the end of an arc."""
         x_m, y_m, yaw_rad = self.pose
         turn_rad = distance_m * curvature_per_m
         # The chord of an arc: its length is distance · sin(h)/h, in the mean of both headings (h: half the turn).

@@ -35,8 +35,6 @@ class Box:
 
 @dataclass(frozen=True)
 class Post:
-    """An upright cylinder."""
-
     x_m: float
     y_m: float
     radius_m: float
@@ -76,8 +74,6 @@ class WorldConfig:
 
 
 class World:
-    """A room with its echoes."""
-
     def __init__(self, config: WorldConfig = WorldConfig()):
         self.config = config
         x_from_m, x_to_m, y_from_m, y_to_m = config.walls
@@ -90,7 +86,6 @@ class World:
 
     @property
     def obstacles(self) -> Obstacles:
-        """Return the obstacles for a car."""
         return Obstacles(self._segments, self._posts)
 
     def echo_us(self, pose: Sequence[float], sensor: int) -> int:

@@ -108,8 +108,6 @@ class GamepadConfig:
 
 
 class Requests(NamedTuple):
-    """The requests of a gamepad."""
-
     human_in_loop: bool
     steering: float  # −1 right .. +1 left
     throttle: float  # −1 .. +1; NaN: stop, as the human drives and no axis for it is trusted
@@ -203,7 +201,6 @@ class Gamepad:
         self._joy.mark_stale()
 
     def requests(self, now_ns: int) -> Requests:
-        """Return the requests at ``now_ns``."""
         if self._joy.is_stale(now_ns):
             cause = causes.JOY_STALE if self._joy.was_received else causes.JOY_NEVER_RECEIVED
             return self._released(cause, self._joy.stale_reason(now_ns))

@@ -50,7 +50,6 @@ class Handover:
         self._phone.update(axes, buttons, now_ns)
 
     def mark_stale(self) -> None:
-        """Take note that messages were dropped."""
         self.gamepad.mark_stale()
         self._phone.mark_stale()
 

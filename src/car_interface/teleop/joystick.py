@@ -168,7 +168,6 @@ class Pacing:
         self.due_ns = min(self.due_ns, now_ns + self._coalesce_ns)
 
     def published(self, now_ns: int) -> None:
-        """Take note that the state was published."""
         self.due_ns = now_ns + self._repeat_ns
 
     def stop(self) -> None:

@@ -106,8 +106,6 @@ class KeyReader:
 
 
 class Controls(NamedTuple):
-    """The requests of the held keys."""
-
     steering: float = 0.0  # −1 right .. +1 left
     throttle: float = 0.0  # −1 .. +1
     manual: bool = False
@@ -137,7 +135,6 @@ class Keyboard:
         self._down[code] = now_ns
 
     def release(self, code: int, now_ns: int) -> None:
-        """Take a release by the keyboard."""
         if self._down.pop(code, None) is not None:
             self._released_ns = now_ns
         self._codes = {key: held for key, held in self._codes.items() if held != code}

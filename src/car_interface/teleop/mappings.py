@@ -25,7 +25,6 @@ Entries = Mapping[str, Any]  # by model, what differs
 
 
 def frame_of(name: str) -> str:
-    """Return the frame_id of a gamepad's messages."""
     return FRAME + name
 
 

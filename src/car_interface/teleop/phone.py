@@ -146,7 +146,6 @@ class Phones:
 
     @property
     def pages(self) -> int:
-        """Return how many pages are admitted."""
         return sum(page.is_admitted for page in self._pages.values())
 
     def controls(self, now_ns: int) -> Controls:
@@ -177,7 +176,6 @@ class Phones:
         return outgoing
 
     def step(self, now_ns: int) -> None:
-        """Send what is due."""
         self._look_for_loss(now_ns)
         if not self._timer.is_due(now_ns):
             return

@@ -72,7 +72,6 @@ class Stick:
 
     @property
     def is_out(self) -> bool:
-        """Return whether it is beyond the dead band."""
         return abs(self.deflection) > self._deadband
 
     def overrides(self, now_ns: int) -> bool:

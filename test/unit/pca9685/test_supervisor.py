@@ -49,7 +49,7 @@ class Bench:
 
     @staticmethod
     def _board(bus):
-        return Board(bus, ADDRESS, 121, 25e6, lambda seconds: None)
+        return Board(bus, ADDRESS, 121, lambda seconds: None)
 
     def update(self, targets, after_ms=0):
         self.now_ns += after_ms * MS

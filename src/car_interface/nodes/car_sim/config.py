@@ -102,7 +102,6 @@ class CarSimConfig:
 
     @property
     def throttle_channel(self) -> int:
-        """The ESC's channel."""
         if self.given_throttle_channel is not None:
             return self.given_throttle_channel
         return self.esc_channel if self.esc_channel >= 0 else 1

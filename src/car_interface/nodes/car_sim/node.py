@@ -92,7 +92,6 @@ class ChipFollower:
             self.close()
 
     def close(self) -> None:
-        """Disconnect."""
         if self._fd is not None:
             self._inbox.unwatch(self._fd)
         self._link.close()
@@ -152,7 +151,6 @@ class CarSim:
         return now_ns + STEP_NS
 
     def shut_down(self):
-        """Take the link to the pseudo-terminal away."""
         self._line.close()
         self._chip.close()
 
@@ -173,7 +171,6 @@ class CarSim:
                 self._firmware.wheel_pulse(pulse.side, pulse.direction, pulse.at_ns)
 
     def _report_collisions(self):
-        """Publish and log each collision once."""
         count = self._collisions.count
         if count != self._reported_collisions:
             self._reported_collisions = count
@@ -182,7 +179,6 @@ class CarSim:
                           "it out the way it came", abs(self._collisions.speed_mps), count)
 
     def _report_rollovers(self):
-        """Publish and log each rollover once."""
         rollovers = self._vehicle.rollovers
         if rollovers.count != self._reported_rollovers:
             self._reported_rollovers = rollovers.count
@@ -204,5 +200,4 @@ class CarSim:
 
 
 def main():
-    """Run the node."""
     run("car_sim", CarSim)

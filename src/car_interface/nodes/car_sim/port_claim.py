@@ -48,7 +48,6 @@ class PortClaim:
         return True
 
     def close(self) -> None:
-        """Give the path back."""
         self._socket.close()
 
 

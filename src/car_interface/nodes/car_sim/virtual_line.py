@@ -88,7 +88,6 @@ class VirtualLine:
             self._terminal.write(sent)
 
     def close(self) -> None:
-        """Take the port away."""
         self._hang_up()
         self._claim.close()
 
@@ -146,11 +145,9 @@ class PseudoTerminal:
         self._put_link()
 
     def fileno(self) -> int:
-        """For the inbox to watch."""
         return self._near
 
     def read(self) -> bytes:
-        """What the program wrote."""
         try:
             return os.read(self._near, READ_SIZE)
         except BlockingIOError:
@@ -164,7 +161,6 @@ class PseudoTerminal:
             pass
 
     def close(self) -> None:
-        """Hang up, and remove the link, unless it's another's by now."""
         try:
             if os.readlink(self._path) == self.name:
                 os.unlink(self._path)

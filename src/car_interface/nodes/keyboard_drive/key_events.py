@@ -41,7 +41,6 @@ class Keyboards:
         return None if was_lost else found
 
     def close(self) -> None:
-        """Close the devices."""
         for device in self._devices:
             device.close()
         self._devices.clear()

@@ -35,7 +35,6 @@ class Keys:
         return True
 
     def fileno(self) -> int:
-        """The file descriptor, for the inbox to watch."""
         return self._fd
 
     def read(self) -> str | None:
@@ -59,7 +58,6 @@ class Keys:
         return not os.isatty(self._fd)
 
     def restore(self) -> None:
-        """Restore the terminal's mode."""
         if self._saved is not None and self._in_foreground():
             termios.tcsetattr(self._fd, termios.TCSADRAIN, self._saved)
         self._saved = None

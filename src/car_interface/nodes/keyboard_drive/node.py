@@ -118,7 +118,6 @@ class KeyboardDrive:
         return self._timer.due_ns
 
     def shut_down(self):
-        """Release the deadman, and restore the terminal."""
         self._keys.restore()
         self._keyboards.close()
         self._publish(Controls())
@@ -233,5 +232,4 @@ class KeyboardDrive:
 
 
 def main():
-    """Run the node."""
     run("keyboard_drive", KeyboardDrive)

@@ -61,7 +61,6 @@ class GuardChild:
 
     @property
     def pid(self) -> int:
-        """Return its process id."""
         return self._process.pid
 
     def read(self) -> bytes | None:
@@ -82,7 +81,6 @@ class GuardChild:
             os.write(self._to_guard.fileno(), data)
 
     def exit_text(self) -> str:
-        """Return how it ended."""
         try:
             code = self._process.wait(0.01)
         except subprocess.TimeoutExpired:
@@ -90,7 +88,6 @@ class GuardChild:
         return f"killed by signal {-code}" if code < 0 else f"exit code {code}"
 
     def kill(self) -> None:
-        """End it at once."""
         self._process.kill()
         self.close()
 
@@ -100,7 +97,6 @@ class GuardChild:
         self._from_guard.close()
 
     def wait_or_kill(self, within_s: float) -> None:
-        """Wait for its end; kill it if it doesn't end in time."""
         try:
             self._process.wait(within_s)
         except subprocess.TimeoutExpired:
@@ -114,8 +110,6 @@ class GuardLink:
         start: starts a guard, as ``GuardChild``, and returns it; ``None`` = there is none.
         off_after_ns: when the guard switches everything off.
         board: returns the board's name, for log lines.
-        warnings: the node's.
-        clocks: the node's.
     """
 
     def __init__(self, start: Callable[[], GuardChild] | None, off_after_ns: int, board: Callable[[], str],

@@ -2,9 +2,9 @@
 
 The node starts it, see ``nodes.pca9685.guard_link``; it is no ROS node. ``pca9685.guard`` decides,
 ``pca9685.guard_board`` writes. It has a session of its own and ignores the signals that end a node: the node
-tells it when all is well. Its arguments: ``i2c`` and the bus's path, or ``virtual`` and the chip's
-socket; the chip's address, the node's process, the
-time to full off in ns, the descriptors of the two pipes, and the resolved names of the node and of its /servo/output.
+tells it when all is well. Its arguments: ``i2c`` and the bus's path, or ``virtual`` and the chip's socket; the chip's
+address, the node's process, the time to full off in ns, the descriptors of the two pipes, and the resolved names of the
+node and of its /servo/output.
 
 While it acts alone it has what the chip holds published in the node's place, by ``nodes.pca9685.output_relay``, a
 process of its own: the guard imports no rospy, so that it is small and can act at once.
@@ -179,10 +179,7 @@ class RelayLink:
             os.close(reader)
 
     def _write(self, message):
-        try:
-            os.write(self._fd, message.encode())
-        except OSError:
-            pass  # it was ended, or hangs
+        _write(self._fd, message.encode())
 
 
 def make_device(kind: str, path: str, address: int):
@@ -194,26 +191,19 @@ def make_device(kind: str, path: str, address: int):
     return I2cDevice(path, address)
 
 
-class Log:
-    """Writes lines to the standard error, which the node has made a file; none twice in succession."""
+def make_log(name: str):
+    """Return a function that writes lines, none twice in a row, to the standard error: a file of the node's."""
+    last = ""
 
-    def __init__(self, name: str):
-        self._name = name
-        self._last = ""
-
-    def write(self, text: str) -> None:
-        """Write a line, with the time."""
-        if text == self._last:
-            return
-        self._last = text
-        try:
-            print(time.strftime("%Y-%m-%d %H:%M:%S"), f"{self._name}: {text}", file=sys.stderr, flush=True)
-        except OSError:
-            pass
+    def log(text):
+        nonlocal last
+        if text != last:
+            last = text
+            _write(sys.stderr.fileno(), f"{time.strftime('%Y-%m-%d %H:%M:%S')} {name}: {text}\n".encode())
+    return log
 
 
 def main() -> None:
-    """Run the guard."""
     kind, path = sys.argv[1:3]
     address, node_pid, off_after_ns, node_fd, answer_fd = map(int, sys.argv[3:8])
     node_name, output_topic = sys.argv[8:10]
@@ -223,14 +213,14 @@ def main() -> None:
     for fd in (node_fd, answer_fd):
         os.set_inheritable(fd, False)
 
-    log = Log(f"guard of 0x{address:02x} on {path}, node {node_pid}")
-    relay = RelayLink(node_name, output_topic, log.write)
+    log = make_log(f"guard of 0x{address:02x} on {path}, node {node_pid}")
+    relay = RelayLink(node_name, output_topic, log)
     GuardProcess(make_device(kind, path, address), Guard(off_after_ns), node_pid,
-                 lambda data: _answer(answer_fd, data), relay, log.write).run(node_fd)
+                 lambda data: _write(answer_fd, data), relay, log).run(node_fd)
 
 
-def _answer(fd, data):
+def _write(fd, data):
     try:
         os.write(fd, data)
     except OSError:
-        pass  # the node is dead, or frozen for long
+        pass  # who reads it is dead or frozen, or the disk is full

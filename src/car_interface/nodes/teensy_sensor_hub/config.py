@@ -80,7 +80,6 @@ class HubConfig:
                 raise ConfigError(f"sonars/{name}", mount, "three numbers: x, y in m, and yaw in rad, in base_link")
 
     def frame(self, name: str) -> str:
-        """Return the name of a frame or joint, with the prefix."""
         return self.frame_prefix + name
 
     @property

@@ -31,11 +31,9 @@ class LinkStatusPublisher:
         self._topic = advertise("~link", LinkStatus, inbox, latch=True)
 
     def publish(self) -> None:
-        """Publish how things are now."""
         self._topic.publish(self._status())
 
     def report(self, report):
-        """Fill in the link's entry on /diagnostics."""
         status = self._status()
         report.summary(status.level, f"{status.words}. {status.next_step}" if status.next_step else status.words)
         report.add("state", status.state)

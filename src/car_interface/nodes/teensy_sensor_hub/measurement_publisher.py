@@ -163,7 +163,6 @@ class MeasurementPublisher:
         return {CLOCK_REPORT: self._report_clock, "Teensy records": self._report_records}
 
     def _report_clock(self, status):
-        """The clock's line on /diagnostics."""
         sync, clock = self._sync, self._measurements.clock
         if sync is None:
             status.summary(WARN, "no ping was answered yet: times go by when reports arrive")
@@ -215,7 +214,6 @@ class MeasurementPublisher:
 
 
 def _transform(stamp, parent, child, x_m, y_m, yaw_rad):
-    """Where a frame is in another."""
     message = TransformStamped(child_frame_id=child)
     message.transform = Transform(Vector3(x_m, y_m, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0))
     message.header.stamp, message.header.frame_id = stamp, parent
@@ -224,7 +222,6 @@ def _transform(stamp, parent, child, x_m, y_m, yaw_rad):
 
 
 def _set_yaw(rotation, yaw_rad):
-    """Make a rotation one about the vertical."""
     rotation.z, rotation.w = math.sin(yaw_rad / 2), math.cos(yaw_rad / 2)
 
 

@@ -163,7 +163,6 @@ class TeensySensorHub:
         return ping_ns if self._watched_fd is not None else min(ping_ns, self._rest_until_ns)
 
     def shut_down(self):
-        """Restore the terminal and close the port."""
         self._commands.restore_terminal()
         self._close("the node ends")
         self._inbox.ending = True
@@ -327,5 +326,4 @@ def _indices(sequence):
 
 
 def main():
-    """Run the node."""
     run("teensy_sensor_hub", TeensySensorHub)

@@ -49,7 +49,6 @@ class TeensyCommands:
         self._has_keys = self._watches_keys = False
 
     def start(self) -> None:
-        """Offer the services and begin to read keys."""
         self._offer_services()
         self._has_keys = self._keys.start()
         if self._has_keys:
@@ -73,7 +72,6 @@ class TeensyCommands:
             future.set_result((success, message))
 
     def answer_pings(self, success: bool, message: str) -> None:
-        """Answer all ~ping calls that wait."""
         for timestamp1 in list(self._waiting_pings):
             self.answer_ping(timestamp1, success, message)
 
@@ -141,7 +139,6 @@ class TeensyCommands:
                 rospy.loginfo(KEY_HELP)
 
     def restore_terminal(self) -> None:
-        """Leave the terminal as it was found."""
         self._keys.restore()
 
 

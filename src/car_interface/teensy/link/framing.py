@@ -91,7 +91,6 @@ class FrameDecoder:
 
     @property
     def pending(self) -> int:
-        """Return how many bytes of an unfinished frame are held."""
         return len(self._pending)
 
     def reset(self) -> None:

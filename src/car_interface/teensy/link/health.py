@@ -121,7 +121,6 @@ class LinkHealth:
         return found
 
     def _restart_window(self):
-        """Begin a new window for the ratio of bad frames."""
         newest = self._samples.pop()
         self._samples.clear()
         self._samples.append(newest)

@@ -124,7 +124,6 @@ class SerialLink:
                 raise self._close_failed(error) from error
 
     def close(self) -> None:
-        """Close the port, if it is open."""
         if self._serial is not None:
             with suppress(OSError):  # it was pulled out; there is nothing left to close
                 self._serial.close()

@@ -24,23 +24,17 @@ MAX_SONAR_WAIT_MS = UINT32 // 2 - 1  # the firmware's comparison of times takes 
 
 
 class Pong(NamedTuple):
-    """The answer to a ping."""
-
     timestamp1: int  # as the host sent it
     timestamp2: int  # the Teensy's clock, ms, wraps at 2**32
 
 
 class SonarStatus(NamedTuple):
-    """One sonar's echo."""
-
     sensor: int  # index in SONARS
     echo_us: int  # there and back, or the sensor's own time-out, see ranging; 0 = its pin was high all the time
     when: int  # the Teensy's clock, ms
 
 
 class Wheel(NamedTuple):
-    """One wheel's odometer."""
-
     speed: int  # pulses per second over the last ten pulses and repeats; falls to 0 within 2 s after a stop
     direction: int  # FORWARD, BACKWARD, NO_DIRECTION yet, DIRECTION_ERROR; meaningless for the first two pulses
     when: int  # the Teensy's clock at the last pulse or repeat, ms; 0 before the first pulse
@@ -49,15 +43,11 @@ class Wheel(NamedTuple):
 
 
 class WheelStatus(NamedTuple):
-    """Both wheels' odometers."""
-
     left: Wheel
     right: Wheel
 
 
 class ErrorCount(NamedTuple):
-    """One of the Teensy's counters."""
-
     count: int
     name: str
 

@@ -19,8 +19,6 @@ MAX_COUNTERS = 64  # the firmware has 27; noise that passes for counters must no
 
 
 class PongReceived(NamedTuple):
-    """A pong came."""
-
     record: Pong
     answer: Answer | None  # the ping that it answers; None = no ping of ours waits for it
 
@@ -32,8 +30,6 @@ class Rebooted(NamedTuple):
 
 
 class PingExpired(NamedTuple):
-    """No pong came back in time."""
-
     timestamp1: int
 
 
@@ -169,7 +165,6 @@ class Session:
 
     @property
     def verdict(self) -> Verdict:
-        """The last verdict."""
         return self._health.verdict
 
     def counts(self) -> Counts:
