@@ -34,8 +34,6 @@ class GamepadJoy:
     """Reads the gamepad and publishes its state.
 
     Args:
-        params: the node's parameters.
-        inbox: the node's.
         find, open_device: as ``find_pads`` and ``GamepadDevice``.
     """
 

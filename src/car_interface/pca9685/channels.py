@@ -71,9 +71,6 @@ class Followed(NamedTuple):
 class Channels:
     """The targets of all channels. At first, and after a timeout, a target is the timeout value.
 
-    Args:
-        configs: one for each of the sixteen channels.
-
     Raises:
         ConfigError: naming the parameter and the channel.
     """

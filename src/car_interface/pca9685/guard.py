@@ -47,11 +47,7 @@ END = "end"
 
 
 class Guard:
-    """The decisions of one guard.
-
-    Args:
-        off_after_ns: it switches every output off this long after it began to act.
-    """
+    """The decisions of one guard, which switches every output off ``off_after_ns`` after it began to act."""
 
     def __init__(self, off_after_ns: int):
         self.state = WAITING

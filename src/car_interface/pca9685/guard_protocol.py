@@ -60,11 +60,7 @@ class OutputMessage(namedtuple("OutputMessage", "kind counts")):
 
 
 class MessageReader:
-    """Assembles messages from the bytes of a pipe.
-
-    Args:
-        decode: makes a message of one structure's fields.
-    """
+    """Assembles messages from the bytes of a pipe."""
 
     def __init__(self, structure, decode):
         self._structure = structure

@@ -22,7 +22,6 @@ class I2cDevice:
     """A chip on a bus; opened when it is first needed, and again after ``close``.
 
     Args:
-        path: of the bus.
         address: of the chip, 7 bits. A lock on this byte of the bus's file is its node's.
     """
 

@@ -51,7 +51,6 @@ class ChipLink:
     To a guard it is what ``pca9685.i2c_device.I2cDevice`` is.
 
     Args:
-        path: of the chip's socket.
         address: of the chip, 7 bits. A lock on this byte of ``lock_path`` is its node's.
     """
 

@@ -108,9 +108,7 @@ def true_acceleration_mps2(
     static drag moves nothing.
 
     Args:
-        esc_duty: of the ESC's channel.
         speed_mps: backward negative.
-        drive: the car's drive train.
         thrust: the ratio of its thrust that the battery gives.
         downhill_mps2: the part of the slope, forward positive; 0 on level ground.
     """

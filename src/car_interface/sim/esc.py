@@ -115,7 +115,6 @@ class VirtualEsc:
     """One ESC under power.
 
     Args:
-        config: its properties.
         phase_ns: when, within the period, it sees a pulse.
     """
 

@@ -22,9 +22,6 @@ class BadLine:
     """The line between the Teensy and the host, with faults that can be switched on.
 
     A duration of 0 ends a fault.
-
-    Args:
-        seed: of the noise.
     """
 
     def __init__(self, seed: int):
@@ -86,11 +83,7 @@ class BadLine:
 
 
 class BitErrors:
-    """Flips bits at random, independently of each other.
-
-    Args:
-        seed: which ones.
-    """
+    """Flips bits at random, independently of each other."""
 
     def __init__(self, seed: int):
         self._random = random.Random(seed)

@@ -18,7 +18,6 @@ class Clock:
         start_ms: its value at ``start_ns``.
         drift_ppm: how much too fast it runs at that time.
         ramp_ppm_per_h: how much faster still it runs each hour after.
-        start_ns: true time at which it starts.
     """
 
     def __init__(self, start_ms: int, drift_ppm: float, ramp_ppm_per_h: float, start_ns: int):

@@ -302,8 +302,7 @@ class TeensyFirmware:
             self._resume_ns = min(self._resume_ns, self._pass_ns(at_ns))
 
     def _read_line(self, now_ns: int) -> Held:
-        if self._sonars.is_retrying:
-            now_ns = yield from self._sonars.retry(now_ns)
+        now_ns = yield from self._sonars.retry(now_ns)
         while self._incoming.next_ns <= now_ns:
             packet = self._receiver.byte(self._incoming.pop())
             if packet is None:

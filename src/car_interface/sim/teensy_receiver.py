@@ -12,7 +12,6 @@ class Receiver:
     """Assembles packets from the host's bytes, with the four faults of the original.
 
     Args:
-        acquire: gets an empty packet, or None.
         corrected_checksum: True to sum with carry, over the unescaped bytes.
     """
 
@@ -103,9 +102,6 @@ class Receiver:
 
 class IncomingLine:
     """The wire from the host: bytes arrive in order, ten bits each, and are taken one at a time.
-
-    Args:
-        baud: bits a second.
 
     Attributes:
         next_ns: when the next byte is complete; NEVER_NS when none is on the wire.

@@ -97,7 +97,6 @@ class SonarArray:
         running: False after SONAR_STOP: the sonar that listens still reports, none follows it.
         wait_ms: from a report to the next ping. 2**31 and more: none.
         interrupt_ns: when the next interrupt comes.
-        is_retrying: two sensors in a row have failed; the loop goes on with the second one in its next pass.
     """
 
     def __init__(self, sequence: tuple[int, ...], wait_ms: int, sensors: list[SonarSensor], clock: Clock,
@@ -130,10 +129,6 @@ class SonarArray:
             return NEVER_NS
         return min(deadline.due_ns if deadline else NEVER_NS for deadline in (self._wait, self._attempt))
 
-    @property
-    def is_retrying(self) -> bool:
-        return self._retry is not None
-
     # Pings, which hold the loop up
 
     def begin(self, now_ns: int) -> Held:
@@ -152,11 +147,12 @@ class SonarArray:
         return (yield from self._ping_one_of_two(now_ns))
 
     def retry(self, now_ns: int) -> Held:
-        """Go on after two sensors that failed."""
-        self._pool.release(self._retry)
-        self._retry = None
-        if self.running:
-            now_ns = yield from self._ping_one_of_two(now_ns)
+        """Go on, in the pass after that in which two sensors in a row failed, with the second one."""
+        if self._retry is not None:
+            self._pool.release(self._retry)
+            self._retry = None
+            if self.running:
+                now_ns = yield from self._ping_one_of_two(now_ns)
         return now_ns
 
     def ping_when_due(self, now_ns: int) -> Held:

@@ -103,7 +103,6 @@ class OutgoingLine:
     """The UART's buffer and the wire behind it: bytes leave in order, ten bits each, never sooner.
 
     Args:
-        baud: bits a second.
         buffer_size: bytes that wait in front of the wire before a writer has to.
     """
 

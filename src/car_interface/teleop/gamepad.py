@@ -156,7 +156,6 @@ class Gamepad:
     """Converts the gamepad's newest message to requests.
 
     Args:
-        config: what its axes and buttons do.
         rearm_reason: why the deadmen must be released first.
         unmapped: why it drives nothing, as nobody has said what they do; empty: somebody has.
         topic, name: in reasons.
@@ -289,7 +288,7 @@ class Gamepad:
         for stick, index, scale, center, humans in sticks:
             if CROSS_TOLERANCE < abs(axes[index]) < 1 - CROSS_TOLERANCE:
                 self._moved_between.add(index)
-            stick.update(_unit(scale * axes[index]) - center, bool(mode) and mode not in humans,
+            stick.update(max(-1.0, min(1.0, scale * axes[index])) - center, bool(mode) and mode not in humans,
                          not self._is_cross(index), now_ns)
 
     def _is_cross(self, index):
@@ -409,17 +408,10 @@ def is_d_mode_cross(index: int, axes: int, buttons: int) -> bool:
 
 def missing_index(config: GamepadConfig, axes: int, buttons: int) -> tuple[str, str] | None:
     """Return parameter and reason of the first configured axis or button that a message of this size lacks."""
-    for name, index, count, singular, plural in (
-            ("steer_axis", config.steer_axis, axes, "axis", "axes"),
-            ("throttle_axis", config.throttle_axis, axes, "axis", "axes"),
-            ("manual_button", config.manual_button, buttons, "button", "buttons"),
-            ("autonomous_button", config.autonomous_button, buttons, "button", "buttons"),
-            ("third_button", config.third_button, buttons, "button", "buttons")):
+    for name in ("steer_axis", "throttle_axis", "manual_button", "autonomous_button", "third_button"):
+        index = getattr(config, name)
+        count, singular, plural = (axes, "axis", "axes") if name.endswith("axis") else (buttons, "button", "buttons")
         if index >= count:
             found = {0: f"no {plural}", 1: f"1 {singular} (0)"}.get(count, f"{count} {plural} (0 to {count - 1})")
             return name, f"the gamepad has {found}, but {name} is {index}"
     return None
-
-
-def _unit(x):
-    return max(-1.0, min(1.0, x))

@@ -73,8 +73,6 @@ class Joystick:
     be released.
 
     Args:
-        keys: the codes of its keys.
-        ranges: of its axes, by code.
         deadzone: within this distance of its middle an axis is 0, 0 to less than 1; beyond it the axis rises from 0.
 
     Attributes:

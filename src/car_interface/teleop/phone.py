@@ -107,7 +107,6 @@ class Phones:
 
     Args:
         pin: six digits, which admit a page.
-        now_ns: the start.
         admits_guests: pages that don't know the PIN may see the car, and stop it.
         e_stop: it is on at the start.
         make_secret: returns a text that nobody can guess; for tokens and keys.

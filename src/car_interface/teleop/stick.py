@@ -46,10 +46,8 @@ class Stick:
         """Take a message's deflection.
 
         Args:
-            deflection: from the center.
             is_planners: a deadman that gives this actuator to the planner is held.
             is_believable: False = other signs show that the axis belongs to no stick.
-            now_ns: its arrival.
         """
         self.deflection = deflection
         is_out = abs(deflection) > self._deadband

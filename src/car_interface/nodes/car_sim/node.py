@@ -56,10 +56,6 @@ RETRY_NS = 200 * NS_PER_MS  # between attempts to find the chip
 class ChipFollower:
     """Follows what the pins of a virtual servo board do, whoever writes to it. Its process may come and go.
 
-    Args:
-        path: of the chip's socket.
-        inbox: woken by a change.
-
     Attributes:
         duties: of the 16 pins, 0 = no pulse; ``None`` while there is no chip.
         problem: why nothing that is at the path is used; empty: nothing is wrong with it.

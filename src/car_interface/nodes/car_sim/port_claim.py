@@ -22,7 +22,6 @@ class PortClaim:
     """A claim on a path, held until ``close`` or the end of the process.
 
     Args:
-        path: of the serial port.
         end_within_s: so long another car_sim may take to end.
 
     Raises:

@@ -19,7 +19,6 @@ class Keyboards:
 
     Args:
         pattern: of the paths of input devices.
-        open_device: as ``evdev.InputDevice``.
     """
 
     def __init__(self, pattern: str, open_device: Callable = InputDevice):

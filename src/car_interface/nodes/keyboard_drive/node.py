@@ -56,8 +56,6 @@ class KeyboardDrive:
     """Reads the keys and publishes joy.
 
     Args:
-        params: the node's parameters.
-        inbox: the node's.
         keys: of the terminal; ``None`` = of the one that the node runs in.
         make_keyboards: called with a pattern of paths, as ``Keyboards``.
         text: draws on the terminal; ``None`` = on this process's.

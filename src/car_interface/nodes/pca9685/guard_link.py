@@ -34,7 +34,6 @@ class GuardChild:
 
     Args:
         kind, path: ``i2c`` and the bus, or ``virtual`` and the socket of a virtual chip.
-        address: the chip's.
         off_after_ns: when the guard switches everything off.
         node_name, output_topic: the resolved names of the node and of the topic on which it tells what the chip holds.
 
@@ -108,7 +107,6 @@ class GuardLink:
 
     Args:
         start: starts a guard, as ``GuardChild``, and returns it; ``None`` = there is none.
-        off_after_ns: when the guard switches everything off.
         board: returns the board's name, for log lines.
     """
 

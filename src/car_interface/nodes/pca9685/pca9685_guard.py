@@ -36,9 +36,6 @@ class GuardProcess:
         device: the chip, as ``pca9685.i2c_device.I2cDevice``.
         node_pid: whose lock doesn't stop the guard.
         answer: called with bytes for the node.
-        relay: publishes what the chip holds.
-        log: called with a line.
-        clock_ns: the monotonic clock.
     """
 
     def __init__(self, device, guard: Guard, node_pid: int, answer, relay: RelayLink, log, clock_ns=time.monotonic_ns):
@@ -141,7 +138,6 @@ class RelayLink:
 
     Args:
         node_name, output_topic: the resolved names of the node and of the topic on which it would publish.
-        log: called with a line.
     """
 
     def __init__(self, node_name: str, output_topic: str, log):

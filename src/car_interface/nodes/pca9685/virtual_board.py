@@ -40,10 +40,7 @@ class VirtualBoardBus:
     """Opens and closes as a real bus does; starts the chip if it isn't there. The chip keeps its state.
 
     Args:
-        path: of the chip's socket.
-        address: the chip's.
         log_path: that of ~virtual_log; ``None`` = no log.
-        inbox: the node's, which offers the faults.
 
     Raises:
         ConfigError: path or log can't be used.

@@ -31,12 +31,7 @@ MAX_REFUSED_RATIO = 0.01  # of a second's records, from which on it's a warning
 
 
 class MeasurementPublisher:
-    """Publishes what ``Measurements`` makes of the Teensy's records.
-
-    Args:
-        config: the node's.
-        inbox: the node's; for the temperature and the steering.
-    """
+    """Publishes what ``Measurements`` makes of the Teensy's records."""
 
     def __init__(self, config: HubConfig, inbox):
         self._config = config

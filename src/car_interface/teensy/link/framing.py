@@ -129,7 +129,6 @@ def encode(body: bytes, checksum: str = SHIPPED) -> bytes:
 
     Args:
         body: header and payload, 4 to 36 bytes.
-        checksum: ``SHIPPED`` or ``CORRECTED``.
     """
     if checksum == CORRECTED:
         # The one's-complement sum, as ``feed`` explains; a header is never all zeros.

@@ -72,9 +72,6 @@ class LinkHealth:
     An open port's verdict changes when two spans in a row contradict it, and then to the verdict of the second one: a
     fault begins in the middle of a span, and a second that is half good shows little. A port that opens or closes, the
     first good second, and a reboot change it at once.
-
-    Args:
-        baud: of the line.
     """
 
     def __init__(self, baud: int):

@@ -29,10 +29,7 @@ class PortError(DeviceError):
     """A port that can't be opened or was lost.
 
     Args:
-        path: of the port.
         state: which fault it is, one of ``health``'s.
-        cause: what went wrong.
-        remedy: what its owner can do or type next.
     """
 
     def __init__(self, path: str, state: str, cause: str, remedy: str):
@@ -44,7 +41,6 @@ class SerialLink:
     """One serial port, 8N1, locked against a second opener.
 
     Args:
-        port: the device's path.
         baud: bits per second; at 8N1 a byte takes ten of them.
     """
 

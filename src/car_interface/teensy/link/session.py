@@ -47,10 +47,7 @@ class Session:
     """The link to one Teensy, over any number of times that its port is opened.
 
     Args:
-        baud: of the line.
-        ping_period_ns: from one ping to the next.
         checksum: which one the Teensy's receiver wants: ``SHIPPED``, ``CORRECTED``, or ``AUTO`` = find out.
-        now_ns: when it begins.
 
     Attributes:
         openings: how often the port was opened.
