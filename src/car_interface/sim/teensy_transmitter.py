@@ -89,8 +89,6 @@ class Transmitter:
     def _next(self) -> bytearray | None:
         if self._first:
             return self._first.popleft()
-        if not any(self._reports):
-            return None
         for _ in self._reports:
             packet, self._reports[self._next_index] = self._reports[self._next_index], None
             if packet is not None:

@@ -26,7 +26,6 @@ RESTART_PAUSE_NS = 500 * NS_PER_MS  # between two starts
 SHOWN_NS = 10 * NS_PER_S  # how long /diagnostics tells of a guard that was lost and is back
 MINUTE_NS = 60 * NS_PER_S
 END_S = 0.3  # for a guard that was told to end
-READ_SIZE = 4096
 
 
 class GuardChild:
@@ -64,15 +63,8 @@ class GuardChild:
 
     def read(self) -> bytes | None:
         """Return what it has written since the last call; None = it has ended, and nothing is left."""
-        data = b""
-        while True:
-            try:
-                more = os.read(self._from_guard.fileno(), READ_SIZE)
-            except BlockingIOError:
-                return data
-            if not more:
-                return data or None
-            data += more
+        data = self._from_guard.readall()  # None = nothing has come, empty = its end is closed
+        return b"" if data is None else data or None
 
     def write(self, data: bytes) -> None:
         """Write to it, if it takes that."""

@@ -41,7 +41,7 @@ from car_interface.ros.topics import advertise, has_subscribers
 from car_interface.teensy.link import protocol
 from car_interface.teensy.link.health import FINE, LINK_REPORT, OK, REBOOTED, WAITING
 from car_interface.teensy.link.port import SerialLink
-from car_interface.teensy.link.session import ChecksumChanged, PongReceived, Rebooted, Session
+from car_interface.teensy.link.session import PongReceived, Rebooted, Session
 from car_interface.teensy.sensing.sonar_monitor import SEND_SEQUENCE, SonarMonitor, describe
 
 QUEUE_SIZE = 100  # a quarter of a second of a saturated line
@@ -268,13 +268,13 @@ class TeensySensorHub:
     def _ping_when_due(self, now_ns):
         if now_ns < self._session.pinger.next_event_ns():
             return
-        for event in self._session.expire(now_ns):
-            if isinstance(event, ChecksumChanged):
-                self._warnings.warn("checksum",
-                                    f"no ping is answered: trying the checksum of a {event.checksum} firmware")
-            else:
-                self._commands.answer_ping(event.timestamp1, False, "no pong came back")
-                self._warnings.warn("ping", "a ping went unanswered")
+        checksum = self._session.pinger.checksum
+        for timestamp1 in self._session.expire(now_ns):
+            self._commands.answer_ping(timestamp1, False, "no pong came back")
+            self._warnings.warn("ping", "a ping went unanswered")
+        if self._session.pinger.checksum != checksum:
+            self._warnings.warn("checksum", "no ping is answered: trying the checksum of a "
+                                            f"{self._session.pinger.checksum} firmware")
         if now_ns >= self._session.pinger.due_ns:
             self._ping()
 

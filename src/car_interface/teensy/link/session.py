@@ -29,16 +29,6 @@ class Rebooted(NamedTuple):
     description: str
 
 
-class PingExpired(NamedTuple):
-    timestamp1: int
-
-
-class ChecksumChanged(NamedTuple):
-    """No ping was answered: from now on pings have the other checksum."""
-
-    checksum: str
-
-
 # The events of ``receive``. Sonar and wheel reports and the Teensy's counters are events themselves.
 Received = Union[PongReceived, SonarStatus, WheelStatus, ErrorCount, Malformed, Rebooted]
 
@@ -132,17 +122,14 @@ class Session:
 
     # To the Teensy
 
-    def expire(self, now_ns: int) -> list[PingExpired | ChecksumChanged]:
-        """Give up on the pings that have waited too long."""
-        checksum, records = self.pinger.checksum, self.counts().records
+    def expire(self, now_ns: int) -> list[int]:
+        """Give up on the pings that have waited too long, and return their timestamps; may change the checksum."""
+        records = self.counts().records
         # An unanswered ping shows nothing about the checksum while nothing at all comes from the Teensy.
         expired = self.pinger.expire(now_ns, is_alive=records > self._records_at_expiry)
         if expired:
             self._records_at_expiry = records
-        events: list = [PingExpired(timestamp1) for timestamp1 in expired]
-        if self.pinger.checksum != checksum:
-            events.append(ChecksumChanged(self.pinger.checksum))
-        return events
+        return expired
 
     def ping(self, timestamp1: int, now_ns: int) -> bytes:
         """Return the bytes of a ping, due or not; ``timestamp1`` comes back in its pong."""
