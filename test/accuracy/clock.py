@@ -134,13 +134,13 @@ class Bench:
         echo_us = self._random.randrange(1_000, 14_000)
         heard_ns = at_ns + (ECHO_RISE_US + echo_us) * NS_PER_US
         if hasattr(self, "_teensy"):
-            self._truth["sonar", sensor, self._teensy.millis(heard_ns)] = heard_ns
+            self._truth["sonar", sensor, self._teensy.clock.millis(heard_ns)] = heard_ns
         return echo_us
 
     def _drive(self, now_ns):
         while self._pulses[0][0] <= now_ns:
             at_ns, side = self._pulses[0]
-            self._truth["wheel", side, self._teensy.millis(at_ns)] = at_ns
+            self._truth["wheel", side, self._teensy.clock.millis(at_ns)] = at_ns
             self._teensy.wheel_pulse(side, BACKWARD if side and not self._scenario.saturated else FORWARD, at_ns)
             self._pulses[0][0] += round(self._period_ns * self._random.uniform(0.97, 1.03))
             self._pulses.sort()

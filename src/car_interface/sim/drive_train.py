@@ -9,7 +9,6 @@ import math
 from dataclasses import dataclass
 
 from car_interface.common import declared
-from car_interface.common.errors import require
 from car_interface.sim.esc import BACKWARD, BRAKE, FORWARD, MotorState, is_pulse, throttle_of
 
 TRUE = "of the full duty, before drag; forward and backward at standstill"  # the meaning of three parameters
@@ -46,11 +45,6 @@ class DriveTrainConfig:
     sag_over_s: float = 300.0
     lag_s: float = 0.0
 
-    def __post_init__(self):
-        low, high = self.neutral_duty - self.neutral_band_duty, self.neutral_duty + self.neutral_band_duty
-        require(self.full_reverse_duty < low <= high < self.full_forward_duty, "neutral_duty", self.neutral_duty,
-                "with its band between full reverse and full forward")
-
     def thrust(self, elapsed_s: float) -> float:
         """Return the ratio of the stated thrust that the battery gives at a time after the start."""
         return 1.0 + self.sag * (0.5 - min(1.0, elapsed_s / self.sag_over_s))
@@ -79,10 +73,8 @@ class Motor:
         return self._push, self._brake
 
 
-def motor_acceleration_mps2(
-    push: float, brake: float, speed_mps: float, drive: DriveTrainConfig, thrust: float = 1.0,
-    downhill_mps2: float = 0.0,
-) -> float:
+def motor_acceleration_mps2(push: float, brake: float, speed_mps: float, drive: DriveTrainConfig, thrust: float = 1.0,
+                            downhill_mps2: float = 0.0) -> float:
     """Return the car's acceleration by its motor; the other arguments as of ``true_acceleration_mps2``."""
     speed = abs(speed_mps)
     resistance_mps2 = drive.drag_mps2 + speed * (drive.drag_per_s + speed * drive.drag_per_m) + brake * drive.brake_mps2
@@ -98,10 +90,8 @@ def motor_acceleration_mps2(
     return push_mps2 - math.copysign(resistance_mps2, speed_mps or push_mps2)
 
 
-def true_acceleration_mps2(
-    esc_duty: int, speed_mps: float, drive: DriveTrainConfig = DriveTrainConfig(), thrust: float = 1.0,
-    downhill_mps2: float = 0.0,
-) -> float:
+def true_acceleration_mps2(esc_duty: int, speed_mps: float, drive: DriveTrainConfig = DriveTrainConfig(),
+                           thrust: float = 1.0, downhill_mps2: float = 0.0) -> float:
     """Return the car's acceleration without an ESC's memory, which a value map for this car approximates.
 
     A duty against the car's motion brakes. At standstill reverse drives backward (no double tap), and a push below the

@@ -91,9 +91,6 @@ class VirtualPca9685:
             return 4096
         return ((off_h % 16 * 256 + off_l) - (on_h % 16 * 256 + on_l)) % 4096
 
-    def period_s(self, oscillator_hz: float = 25e6) -> float:
-        return 4096 * (self._registers[_PRE_SCALE] + 1) / oscillator_hz
-
 
 class VirtualBus:
     """An I²C bus with virtual chips on it, to be used in place of ``smbus2.SMBus``, with the faults of a real one.

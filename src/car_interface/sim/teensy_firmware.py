@@ -14,7 +14,6 @@ Times are those of ``teensy_clock``.
 """
 from __future__ import annotations
 
-import math
 import struct
 from dataclasses import dataclass
 from random import Random
@@ -41,7 +40,6 @@ from car_interface.sim.teensy_packets import (
 )
 from car_interface.sim.teensy_receiver import IncomingLine, Receiver
 from car_interface.sim.teensy_sonars import (
-    LISTEN_US,
     SEQUENCE_MAX,
     SONAR_MISSING,
     SONARS,
@@ -55,6 +53,8 @@ from car_interface.sim.teensy_wheels import FORWARD, HALL_PINS, Axle
 U32 = struct.Struct("<I")
 SONAR_ECHO = struct.Struct("<HI")  # echo µs, when: after the sensor and the filler byte
 BOOT_MS = 300  # millis() when a Teensy starts the firmware's own code
+POOL_SIZE = 32  # packets that receiver, queues and transmitter share
+UART_BUFFER = 62  # bytes that wait in front of the line: of its 64 the firmware leaves 2 free
 
 
 @dataclass(frozen=True)
@@ -78,13 +78,7 @@ class FirmwareConfig:
             forward. After ``reboot`` it is 0.
         corrected_checksum: True for a firmware whose receiver sums with carry over unescaped bytes. Its other
             faults stay.
-        pool_size: packets that receiver, queues and transmitter share.
-        uart_buffer: bytes that wait in front of the line: of its 64 the firmware leaves 2 free.
-        boot_byte: the X of the boot frame.
         seed: of the garbage that the packets' memory holds at power-up; None for zeros.
-
-    Raises:
-        ConfigError: a value that no Teensy could have.
     """
 
     baud: int = 115200
@@ -99,24 +93,7 @@ class FirmwareConfig:
     wheel_positions: tuple[int, int] = (0, 0)
     odometer_start: int = 0
     corrected_checksum: bool = False
-    pool_size: int = 32
-    uart_buffer: int = 62
-    boot_byte: int = 0xC1
     seed: int | None = None
-
-    def __post_init__(self):
-        for name, low, high, accepted in (
-                ("baud", 1, math.inf, "more than 0"), ("clock_start_ms", 0, UINT32, "0 to 2**32 - 1"),
-                ("clock_drift_ppm", -10_000, 10_000, "-10000 to 10000"), ("loop_us", 1, 1000, "1 to 1000"),
-                ("sonar_wait_ms", 0, UINT32, "0 to 2**32 - 1"),
-                ("sonar_pulse_end_us", LISTEN_US + 1, 1_000_000, "more than 11428, up to 1000000"),
-                ("pool_size", 1, math.inf, "more than 0"), ("uart_buffer", 1, math.inf, "more than 0"),
-                ("boot_byte", 0, 0xFF, "0 to 255"), ("odometer_start", 0, UINT32, "0 to 2**32 - 1")):
-            require(low <= getattr(self, name) <= high, name, getattr(self, name), accepted)
-        sequence, missing, sensors = self.sonar_sequence, self.sonars_missing, set(range(SONARS))
-        require(0 < len(sequence) <= SEQUENCE_MAX and set(sequence) <= sensors, "sonar_sequence", sequence,
-                "1 to 24 sensors from 0 to 5")
-        require(set(missing) <= sensors, "sonars_missing", missing, "sensors from 0 to 5")
 
 
 class TeensyFirmware:
@@ -128,6 +105,7 @@ class TeensyFirmware:
         power_up_ns: the true time at which its boot ends and it begins to work.
 
     Attributes:
+        clock: its own; another one after a reboot.
         counters: every counter that GET_COUNTERS can report, by name.
         hung: True once only a reboot helps.
     """
@@ -138,7 +116,7 @@ class TeensyFirmware:
         self._config = config
         self._period_ns = config.loop_us * NS_PER_US
         self._incoming = IncomingLine(config.baud)
-        self._outgoing = OutgoingLine(config.baud, config.uart_buffer)
+        self._outgoing = OutgoingLine(config.baud, UART_BUFFER)
         self._sensors = [self._sensor(number) for number in range(SONARS)]
         for sensor in config.sonars_missing:
             self._sensors[sensor].set_condition(SONAR_MISSING, power_up_ns)
@@ -154,14 +132,14 @@ class TeensyFirmware:
 
     def _switch_on(self, clock_start_ms: int, clock_start_ns: int, boot_end_ns: int):
         config = self._config
-        self._clock = Clock(clock_start_ms, config.clock_drift_ppm, config.clock_ramp_ppm_per_h, clock_start_ns)
+        self.clock = Clock(clock_start_ms, config.clock_drift_ppm, config.clock_ramp_ppm_per_h, clock_start_ns)
         self.counters: dict[str, int] = dict.fromkeys(COUNTER_NAMES, 0)
         self.hung = False
-        self._pool = PacketPool(config.pool_size, config.seed)
+        self._pool = PacketPool(POOL_SIZE, config.seed)
         self._receiver = Receiver(self._pool.acquire, self.counters, config.corrected_checksum)
-        self._transmitter = Transmitter(self._outgoing, self._pool, self.counters, config.boot_byte)
+        self._transmitter = Transmitter(self._outgoing, self._pool, self.counters)
         self._axle = Axle(self.counters)
-        self._sonars = SonarArray(config.sonar_sequence, config.sonar_wait_ms, self._sensors, self._clock, self._pool,
+        self._sonars = SonarArray(config.sonar_sequence, config.sonar_wait_ms, self._sensors, self.clock, self._pool,
                                   self.counters)
         self._commands = {
             PONG_RESP: lambda packet: None,  # the firmware knows the command, and never asks for one
@@ -219,7 +197,7 @@ class TeensyFirmware:
         pins = HALL_PINS[self._positions[side] % 4]
         if self._is_booting or self.hung:
             return
-        self._axle.interrupt(side, before ^ pins, pins, self._clock.tick(self._now_ns))
+        self._axle.interrupt(side, before ^ pins, pins, self.clock.tick(self._now_ns))
         self._wake(self._now_ns)
 
     def reboot(self, now_ns: int, off_ns: int = 0):
@@ -232,7 +210,7 @@ class TeensyFirmware:
         self._outgoing.cut(self._now_ns)
         clock_start_ns = self._now_ns + off_ns
         self._switch_on(0, clock_start_ns, clock_start_ns)
-        self._resume_ns = self._clock.reaches_ns(BOOT_MS, clock_start_ns)
+        self._resume_ns = self.clock.reaches_ns(BOOT_MS, clock_start_ns)
 
     def set_sonar(self, sensor: int, condition: str, now_ns: int):
         """Set a sensor to SONAR_FINE, SONAR_MISSING (not connected), SONAR_STUCK, SONAR_BLINK or SONAR_CLONE.
@@ -248,14 +226,6 @@ class TeensyFirmware:
         self._sensors[int(sensor)].set_condition(condition, self._now_ns)
         self._sonars.schedule()
 
-    def millis(self, now_ns: int) -> int:
-        """Return the firmware's clock at ``now_ns``: whole milliseconds, modulo 2**32; this simulates nothing."""
-        return self._clock.millis(now_ns)
-
-    def device_ns(self, now_ns: int) -> int:
-        """Return the same clock in nanoseconds, neither truncated nor wrapped: the truth for an estimate of it."""
-        return self._clock.device_ns(now_ns)
-
     @property
     def next_event_ns(self) -> int:
         """Return when something will happen by itself; until then ``advance`` has no effect. Bytes may leave sooner."""
@@ -268,11 +238,11 @@ class TeensyFirmware:
         self._is_booting = False
         self._incoming.drop(now_ns)
         now_ns = yield from self._sonars.begin(now_ns)
-        self._axle.begin(self._clock, now_ns)
+        self._axle.begin(self.clock, now_ns)
         while True:
             now_ns = yield from self._read_line(now_ns)
             now_ns = yield from self._sonars.ping_when_due(now_ns)
-            report = self._axle.report_when_due(self._clock, now_ns)
+            report = self._axle.report_when_due(self.clock, now_ns)
             if report is not None:
                 self._transmitter.queue_wheels(report)
             self._transmitter.poll(now_ns)
@@ -338,7 +308,7 @@ class TeensyFirmware:
     def _pong(self, packet: bytearray, now_ns: int):
         """Turn the ping itself into its answer, as the firmware does: the rest of it stays as it was."""
         packet[:3] = bytes((packet[1], TEENSY, PONG_RESP))
-        U32.pack_into(packet, 8, self._clock.millis(now_ns))
+        U32.pack_into(packet, 8, self.clock.millis(now_ns))
         self._transmitter.queue_first(packet)
 
     def _count_unknown(self, packet: bytearray):

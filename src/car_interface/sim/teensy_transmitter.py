@@ -8,6 +8,8 @@ from car_interface.sim.teensy_clock import AT_ONCE_NS, NEVER_NS
 from car_interface.sim.teensy_packets import BITS_PER_BYTE_S, FLAG, PacketPool
 from car_interface.sim.teensy_sonars import SONARS
 
+BOOT_BYTE = 0xC1  # of the frame that the firmware makes of a packet that isn't there, before its complement
+
 
 class Transmitter:
     """Queues packets and frames them for the line.
@@ -19,7 +21,7 @@ class Transmitter:
     It first sends the frame that the firmware makes of a packet that isn't there.
     """
 
-    def __init__(self, line: OutgoingLine, pool: PacketPool, counters: dict[str, int], boot_byte: int):
+    def __init__(self, line: OutgoingLine, pool: PacketPool, counters: dict[str, int]):
         self._line = line
         self._pool = pool
         self._counters = counters
@@ -27,7 +29,7 @@ class Transmitter:
         self._reports: list[bytearray | None] = [None] * (1 + SONARS)  # wheels, then each sonar
         self._next_index = 0
         self._sending: bytearray | None = None
-        self._unsent = bytes([FLAG]) + stuff(bytes([boot_byte, boot_byte ^ 0xFF])) + bytes([FLAG])
+        self._unsent = bytes([FLAG]) + stuff(bytes([BOOT_BYTE, BOOT_BYTE ^ 0xFF])) + bytes([FLAG])
         self.due_ns = AT_ONCE_NS  # when there is space for the next bytes; NEVER_NS when there is nothing to send
 
     def queue_first(self, packet: bytearray):

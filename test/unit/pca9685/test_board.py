@@ -65,7 +65,7 @@ class Bench:
             assert self.high_counts() == [0] * 16
             written_last = max(index for index, entry in enumerate(self.log) if entry[0] == "write")
             paused_s = sum(entry[1] for entry in self.log[written_last + 1:])
-            assert self.chip.period_s(oscillator_hz=23e6) <= paused_s < 0.05
+            assert 4096 * (self.chip.read(PRE_SCALE, 1)[0] + 1) / 23e6 <= paused_s < 0.05
         self.log.append(("write", register, list(data)))
 
     def high_counts(self):
