@@ -123,7 +123,6 @@ class GamepadJoy:
         else:
             status.summary(ERROR, "it was not opened yet")
         status.add("times that events were lost", self._joystick.losses)
-        return status
 
 
 def main():

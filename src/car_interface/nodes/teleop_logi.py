@@ -193,7 +193,6 @@ class TeleopLogi:
         status.add("axes, buttons", f"{self._handover.gamepad.axes}, {self._handover.gamepad.buttons}")
         for cause, count in sorted(self._losses.items()):
             status.add(f"times {cause}", count)
-        return status
 
 
 def _level(requests):

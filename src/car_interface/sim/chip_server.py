@@ -70,7 +70,8 @@ class ChipServer:
         poll.register(self._listener, select.POLLIN)
         alone_since_s = clock()
         while self._clients or clock() - alone_since_s < LINGER_S:
-            for fd, _ in poll.poll(self._wait_ms(clock())):
+            left_s = max(0.0, self._fails_s - clock()) if self._waiting else LINGER_S
+            for fd, _ in poll.poll(1000 * left_s + 1):
                 if fd == self._listener.fileno():
                     self._accept(poll)
                 elif fd in self._clients and not self._serve(fd, clock()):
@@ -92,10 +93,6 @@ class ChipServer:
         client.setblocking(False)
         self._clients[client.fileno()] = client
         poll.register(client, select.POLLIN)
-
-    def _wait_ms(self, now_s):
-        left_s = max(0.0, self._fails_s - now_s) if self._waiting else LINGER_S
-        return 1000 * left_s + 1
 
     def _drop(self, fd):
         self._clients.pop(fd).close()

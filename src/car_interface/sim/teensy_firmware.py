@@ -219,7 +219,7 @@ class TeensyFirmware:
         holds it for 1.5 to 2 s from now on, and is fine then. A clone ends its pulse after 200 ms without an echo.
 
         Raises:
-            ConfigError: no such sensor, no such condition.
+            ConfigError: no such sensor.
         """
         require(sensor in range(SONARS), "sonar", sensor, "a sensor from 0 to 5")
         self.advance(now_ns)

@@ -204,10 +204,10 @@ class GuardLink:
         """Its state, for /diagnostics. A board that the node can't reach either is the node's own report."""
         if self._start_guard is None:
             status.summary(OK, "off (guard: false): the board goes on pulsing if this node dies or hangs")
-            return status
+            return
         if self._guard is None and not self._losses:
             status.summary(OK, "starts as soon as the board's bus is known")
-            return status
+            return
         if not self.watch.is_present:
             status.summary(ERROR, self._absence())
             status.add("cause", GUARD_ABSENT)
@@ -223,7 +223,6 @@ class GuardLink:
         status.add("acted", self.watch.interventions)
         status.add("started anew", self._losses)
         status.add("full off after", f"{self._off_after_ns / NS_PER_S:g} s")
-        return status
 
 
 def _open_log():

@@ -141,7 +141,9 @@ class Pca9685:
                                self._outputs.resolved_name)
         self._guard = GuardLink(guard if config.guard else None, config.guard_off_after_ns, self._name,
                                 self._warnings, inbox.clocks)
-        self._supervisor = BoardSupervisor(self._open_bus, self._make_board, self._on_board_event)
+        self._supervisor = BoardSupervisor(
+            self._open_bus, lambda bus: Board(bus, config.address, config.prescale, self._clocks.sleep),
+            self._on_board_event)
         self._fault = None  # why the board can't be used, as (cause, remedy)
         self._dropped = 0  # commands that arrived meanwhile
         self._held_back = 0  # commands that arrived before the guard had left the chip to this node again
@@ -151,13 +153,17 @@ class Pca9685:
         self._published = [UNCHANGED] * CHANNELS
         # Several nodes publish on each, but no two of them command the same channel.
         self._senders = ChannelSenders()
-        self._command_topics = CommandTopics(inbox, (*COMMANDS, NEUTRALS), self._channel_faults)
+        self._command_topics = CommandTopics(inbox, (*COMMANDS, NEUTRALS), lambda now_ns, topics: [
+            *self._timeout_faults(now_ns, topics), *self._senders.conflict_faults(now_ns, topics)])
         self._diagnostics = Diagnostics(inbox, self._name(), {
             "servo board": self._report,
             "guard": lambda status: self._guard.report(status, self._clocks.now_ns(), self._supervisor.running),
             **self._command_topics.reports}, now_ns)
         if config.required:
-            self._open_or_end(now_ns)
+            try:
+                self._supervisor.open(self._targets, now_ns)
+            except OSError as error:
+                raise DeviceError(self._name(), *self._explain(error)) from error
         inbox.on_overflow(self._channels.make_safe)
         for topic in COMMANDS:
             subscribe(topic, Int32MultiArray, inbox, self._on_command)
@@ -275,10 +281,6 @@ class Pca9685:
         if accepted.clamped:
             self._warnings.warn("clamped", f"{listed(accepted.clamped)}: beyond pwm_min or pwm_max, clamped")
 
-    def _channel_faults(self, now_ns, topics):
-        """The channels that timed out, and those that several nodes command, as faults of the command topics."""
-        return [*self._timeout_faults(now_ns, topics), *self._senders.conflict_faults(now_ns, topics)]
-
     def _timeout_faults(self, now_ns, topics):
         return self._senders.timeout_faults(self._channels.timed_out(now_ns), now_ns, topics,
                                             self._inbox.graph.process_name())
@@ -302,15 +304,6 @@ class Pca9685:
     def _update(self):
         self._supervisor.update(self._targets, self._clocks.now_ns())
         self._publish()
-
-    def _make_board(self, bus):
-        return Board(bus, self._address, self._prescale, self._clocks.sleep)
-
-    def _open_or_end(self, now_ns):
-        try:
-            self._supervisor.open(self._targets, now_ns)
-        except OSError as error:
-            raise DeviceError(self._name(), *self._explain(error)) from error
 
     def _explain(self, error):
         return explain(error, self._bus.name, self._bus.exists, self._header)
@@ -364,7 +357,6 @@ class Pca9685:
             status.add(f"timeouts of channel {channel}", count)
         for kind in ("length", "refused", "clamped"):
             status.add(f"commands {kind}", self._warnings.counts[kind])
-        return status
 
     def _publish(self, always=False):
         duties = self._published  # a chip that is out of reach keeps its last pulses

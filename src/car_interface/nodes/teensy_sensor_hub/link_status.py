@@ -44,7 +44,6 @@ class LinkStatusPublisher:
             report.add(name.replace("_", " "), getattr(status, name))
         for counter in status.counters:
             report.add(f"Teensy's {counter.name}", counter.count)
-        return report
 
     def _status(self):
         session, tally, pinger, verdict = self._session, self._session.tally, self._session.pinger, self._verdict()

@@ -58,7 +58,7 @@ class MeasurementPublisher:
                                  for frame, mount in zip(self._sonar_frames, config.mounts)])
         subscribe("temperature", Temperature, inbox, self._on_temperature)
         if config.odometry.use_steering:
-            inbox.on_overflow(self._on_overflow)
+            inbox.on_overflow(lambda now_ns: self._measurements.steer(math.nan))
             subscribe("turn_arb/state", SteeringState, inbox, self._on_steering)
 
     def _prepare_messages(self):
@@ -161,13 +161,12 @@ class MeasurementPublisher:
         sync, clock = self._sync, self._measurements.clock
         if sync is None:
             status.summary(WARN, "no ping was answered yet: times go by when reports arrive")
-            return status
+            return
         status.summary(OK if clock.converged else WARN, "the Teensy's clock is known" if clock.converged else
                        "too few pings were answered yet: times go by when reports arrive")
         status.add("faster than this computer's", f"{sync.skew_ppm:.1f} ppm")
         status.add("uncertainty", f"{sync.uncertainty_ns / 1e6:.2f} ms")
         status.add("round trip", f"{sync.round_trip_ns / 1e6:.1f} ms")
-        return status
 
     def _report_records(self, status):
         """What the plausibility gates refused, on /diagnostics."""
@@ -181,10 +180,6 @@ class MeasurementPublisher:
         status.add("refused", gates.refused)
         for reason, count in sorted((gates.counts + self._measurements.ranging.counts).items()):
             status.add(reason, count)
-        return status
-
-    def _on_overflow(self, now_ns):
-        self._measurements.steer(math.nan)
 
     def _on_temperature(self, message, now_ns):
         try:

@@ -49,18 +49,15 @@ class TeensyCommands:
         self._has_keys = self._watches_keys = False
 
     def start(self) -> None:
-        self._offer_services()
-        self._has_keys = self._keys.start()
-        if self._has_keys:
-            rospy.loginfo(KEY_HELP)
-
-    def _offer_services(self):
         for name, action in (("ping", self._ping_and_wait), ("sonar_start", self._start_sonars),
                              ("sonar_stop", self._stop_sonars), ("wheel_reset", self._reset_wheels),
                              ("get_counters", self._get_counters)):
             self._serve(name, Trigger, lambda request, action=action: action())
         self._serve("set_sonar_sequence", SetSonarSequence, lambda request: self._set_sonar_sequence(request.sequence))
         self._serve("set_sonar_wait", SetSonarWait, lambda request: self._set_sonar_wait(request.wait_ms))
+        self._has_keys = self._keys.start()
+        if self._has_keys:
+            rospy.loginfo(KEY_HELP)
 
     def _serve(self, name, service_type, action):
         """A service whose ``action(request)`` runs in the node's thread; it returns (success, message), or a Future."""

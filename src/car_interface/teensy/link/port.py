@@ -142,7 +142,9 @@ class SerialLink:
         if number == errno.ENOENT or not os.path.exists(path):
             return ABSENT, "there is no such port", _absence_remedy(path)
         if number in (errno.EACCES, errno.EPERM):
-            return (NO_PERMISSION, *_explain_permission(path))
+            if is_consoles(path):  # whose port is open to no group
+                return NO_PERMISSION, "no permission to open it: a log-in console has it", removal_remedy(path)
+            return (NO_PERMISSION, *explain_denial(path))
         if number in (errno.EAGAIN, errno.EWOULDBLOCK, errno.EBUSY) or "lock" in str(error):
             return (BUSY, *self._explain_busy())
         if number == errno.ENOTTY or "configure" in str(error):
@@ -178,13 +180,6 @@ def _absence_remedy(path):
     note = port_note(path, read_header())
     return note and f"{path}: {note}" or ("Plug the Teensy in and see what it is called: "
                                           "ls /dev/serial/by-id /dev/ttyA*")
-
-
-def _explain_permission(path):
-    """Return cause and remedy: a log-in console's port is open to no group."""
-    if is_consoles(path):
-        return "no permission to open it: a log-in console has it", removal_remedy(path)
-    return explain_denial(path)
 
 
 def _holders(path):
