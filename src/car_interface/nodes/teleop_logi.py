@@ -74,7 +74,8 @@ class TeleopLogi:
                                         now_ns)
         inbox.on_overflow(lambda now_ns: self._handover.mark_stale())
         subscribe("joy", Joy, inbox, self._on_joy)
-        subscribe(PHONE_TOPIC, Joy, inbox, self._on_phone)
+        subscribe(PHONE_TOPIC, Joy, inbox,
+                  lambda message, now_ns: self._handover.phone.update(message.axes, message.buttons, now_ns))
         self._command_topics.start(self._diagnostics.report_now)
 
     def step(self, now_ns):
@@ -98,9 +99,6 @@ class TeleopLogi:
             self._handover.gamepad = self._other_gamepad(model, STARTED if self._model is None else REPLACED)
             self._model = model
         self._handover.gamepad.update(message.axes, message.buttons, now_ns)
-
-    def _on_phone(self, message, now_ns):
-        self._handover.update_phone(message.axes, message.buttons, now_ns)
 
     def _other_gamepad(self, model, rearm_reason):
         try:
@@ -187,8 +185,8 @@ class TeleopLogi:
         status.add("steering stick", requests.steering_stick or "as the mode says")
         status.add("throttle stick", requests.throttle_stick or "as the mode says")
         status.add("age of joy", age_text(self._handover.gamepad.joy_age_s(now_ns)))
-        if self._handover.phone_is_heard:
-            status.add("age of phone/joy", age_text(self._handover.phone_age_s(now_ns)))
+        if self._handover.phone.was_received:
+            status.add("age of phone/joy", age_text(self._handover.phone.joy_age_s(now_ns)))
         status.add("gamepad", self._model or "its messages name none")
         status.add("axes, buttons", f"{self._handover.gamepad.axes}, {self._handover.gamepad.buttons}")
         for cause, count in sorted(self._losses.items()):

@@ -21,11 +21,7 @@ STEERING_FILE, ESC_FILE = "by `turn_arb.yaml`", "by `throttle.yaml`"
 
 @dataclass(frozen=True)
 class Pca9685Config:
-    """The bus, the chip, and the channels' limits and failsafe.
-
-    Raises:
-        ConfigError: naming the parameter.
-    """
+    """The bus, the chip, and the channels' limits and failsafe."""
 
     device: str = declared.text_or_integer(
         "device", "/dev/i2c-1", f"the I²C bus; `{AUTO}` = [the header's](install.md#the-servo-boards-bus); `{VIRTUAL}` "

@@ -65,9 +65,6 @@ class GamepadConfig:
 
     Without a throttle axis (``NONE``) the throttle's request is NaN. A gamepad that lacks one of the buttons that
     change the scale does without.
-
-    Raises:
-        ConfigError: naming the parameter.
     """
 
     steer_axis: int = declared.integer(
@@ -217,6 +214,11 @@ class Gamepad:
     def scale_button(self, now_ns: int) -> int:
         """Return 1 or −1 while the button for more or less speed by hand is pressed; 0: neither is, or both are."""
         return 0 if self._joy.is_stale(now_ns) else self._scale_button
+
+    @property
+    def was_received(self) -> bool:
+        """Return whether a message ever arrived."""
+        return self._joy.was_received
 
     def joy_age_s(self, now_ns: int) -> float:
         """Return the seconds since the last message; inf = never received."""

@@ -24,11 +24,7 @@ RELEASED, PRESSED = 0, 1  # values of EV_KEY; 2 is a repeat
 
 @dataclass(frozen=True)
 class JoystickConfig:
-    """The gamepad, and how its state is published.
-
-    Raises:
-        ConfigError: naming the parameter.
-    """
+    """The gamepad, and how its state is published."""
 
     dev: str = declared.text("dev", ANY, "path of the gamepad's device; `auto` = the only gamepad that there is")
     deadzone: float = declared.number("deadzone", 0.05, "so far from its middle an axis is 0", low=0, high=0.9)

@@ -50,11 +50,7 @@ _scale = partial(_teleop, declared.number, text="only its sign counts", low=-1, 
 
 @dataclass(frozen=True)
 class KeyboardConfig:
-    """Which axis and button does what, as teleop_logi's, and where keys come from.
-
-    Raises:
-        ConfigError: naming the parameter.
-    """
+    """Which axis and button does what, as teleop_logi's, and where keys come from."""
 
     steer_axis: int = _index("steer_axis", 0)
     throttle_axis: int = _index("throttle_axis", 4)

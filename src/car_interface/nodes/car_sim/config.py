@@ -31,11 +31,7 @@ PARTS = 8  # of each interval of a table: linear in the radius as turn_arb reads
 
 @dataclass(frozen=True)
 class CarSimConfig:
-    """The virtual car, its room and its Teensy. Its own parameters go before those of a car's files.
-
-    Raises:
-        ConfigError: naming the parameter.
-    """
+    """The virtual car, its room and its Teensy. Its own parameters go before those of a car's files."""
 
     port: str = declared.text("port", "/tmp/car_sim_teensy", "where the virtual serial port appears", "path")
     virtual_chip: str | None = declared.path(

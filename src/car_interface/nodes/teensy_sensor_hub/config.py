@@ -24,11 +24,7 @@ SLOWEST_ODOM_HZ = 0.1
 
 @dataclass(frozen=True)
 class HubConfig:
-    """The serial line, the car's wheels and sonars, and the frames of the messages.
-
-    Raises:
-        ConfigError: naming the parameter.
-    """
+    """The serial line, the car's wheels and sonars, and the frames of the messages."""
 
     port: str = declared.text("port", "/dev/ttyAMA0", "opened exclusively, reopened when it was lost", "path")
     baud: int = declared.integer("baud", 115200, "of the serial line", low=300, high=4_000_000)
