@@ -3,8 +3,6 @@
 A node that stood still for longer than the guard waits was overruled: the guard has brought the chip to its timeout
 values. The node obeys commands again once the guard has answered a later sign of life, so that the guard's last write
 comes before the node's first.
-
-Pure: bytes of the guard's pipe and ``now_ns`` in.
 """
 from __future__ import annotations
 

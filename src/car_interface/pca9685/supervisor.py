@@ -4,8 +4,6 @@ A failed transfer is repeated once; when that fails too, the bus is reopened and
 ms, since the chip may go on pulsing an old command, or with growing pauses where it has never run. Twice a second the
 chip is read back: after a loss of power it has its reset values and still acknowledges every write, and another program
 may have written to its channels.
-
-Pure: the bus is opened by a function that is passed in, and so is ``now_ns``.
 """
 from __future__ import annotations
 

@@ -149,11 +149,7 @@ class ChipServer:
             self._clients[fd].send(packet)
 
     def _handle(self, fd, packet):
-        """Do what a packet asks for and return the data of the answer.
-
-        Raises:
-            OSError: it failed, or can't be done.
-        """
+        """Do what a packet asks for and return the data of the answer; OSError where that fails or is impossible."""
         if len(packet) < REQUEST.size:
             raise _error(errno.EPROTO)
         if len(packet) > MAX_PACKET:

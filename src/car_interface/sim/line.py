@@ -1,6 +1,6 @@
 """Damages the bytes on a serial line: silence, noise, another baud rate, cuts, a flood.
 
-Pure: bytes and ``now_ns`` in, bytes out. Random numbers come from a seed.
+Random numbers come from a seed.
 """
 from __future__ import annotations
 

@@ -63,21 +63,17 @@ class FirmwareConfig:
 
     Attributes:
         baud: bits a second on the line, both ways.
-        clock_start_ms: ``millis()`` at power-up, when the boot has ended; near 2**32 it wraps soon.
-            After ``reboot`` it is 300.
+        clock_start_ms: ``millis()`` at power-up, when the boot has ended; near 2**32 it wraps soon. 300 after ``reboot``.
         clock_drift_ppm: how much the Teensy's crystal is too fast (positive) or too slow.
         clock_ramp_ppm_per_h: how much that changes in an hour (a car that warms up).
         loop_us: true time of one pass of the loop, µs. The original's is not known.
         sonar_wait_ms: from an echo to the next sonar's ping, until SONAR_WAIT changes it.
         sonar_sequence: the sonars' order, until SET_SONAR_SEQ changes it.
-        sonar_pulse_end_us: how long a sensor holds its echo pin high without an echo: 38 ms with an HC-SR04,
-            200 ms with some clones.
+        sonar_pulse_end_us: how long a sensor holds its echo pin high without an echo: 38 ms with an HC-SR04.
         sonars_missing: the sensors that are not connected at power-up; see ``set_sonar``.
         wheel_positions: where the wheels (left, right) stand at power-up, in pulses: sets the levels of the hall pins.
-        odometer_start: dist and dist_abs of both wheels at power-up. Not 0: then they have turned
-            forward. After ``reboot`` it is 0.
-        corrected_checksum: True for a firmware whose receiver sums with carry over unescaped bytes. Its other
-            faults stay.
+        odometer_start: dist and dist_abs of both wheels, which have turned forward, at power-up. After ``reboot`` 0.
+        corrected_checksum: the receiver sums with carry over unescaped bytes. Its other faults stay.
         seed: of the garbage that the packets' memory holds at power-up; None for zeros.
     """
 
@@ -187,8 +183,6 @@ class TeensyFirmware:
         """Turn one rear wheel from one of its magnets' fields into the next: one of its two hall pins changes.
 
         Args:
-            side: LEFT or RIGHT.
-            direction: FORWARD or BACKWARD.
             at_ns: its true time; pulses come in order, a late one happens now.
         """
         self.advance(at_ns)

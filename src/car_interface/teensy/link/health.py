@@ -1,7 +1,7 @@
 """Judges what is wrong with the link to the Teensy, and what to do next.
 
 ``LinkHealth`` takes the state of the port and, about once a second, the link's counters; it returns a ``Verdict``.
-Pure: ``now_ns`` in, and its memory doesn't grow.
+Its memory doesn't grow.
 """
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Plans the pings, matches pongs with them, and finds out which checksum the Teensy's receiver wants.
-
-Pure: ``now_ns`` in, bytes for the line out.
-"""
+"""Plans the pings, matches pongs with them, and finds out which checksum the Teensy's receiver wants."""
 from __future__ import annotations
 
 from collections import OrderedDict

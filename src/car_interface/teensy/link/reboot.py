@@ -1,7 +1,4 @@
-"""Detects a reboot of the Teensy by its own clock, which pongs and sonar reports carry.
-
-Pure: ticks and ``now_ns`` in.
-"""
+"""Detects a reboot of the Teensy by its own clock, which pongs and sonar reports carry."""
 from __future__ import annotations
 
 from car_interface.common.units import NS_PER_MS
