@@ -63,7 +63,7 @@ class FirmwareConfig:
 
     Attributes:
         baud: bits a second on the line, both ways.
-        clock_start_ms: ``millis()`` at power-up, when the boot has ended; near 2**32 it wraps soon. 300 after ``reboot``.
+        clock_start_ms: ``millis()`` at power-up, as the boot has ended; near 2**32 it wraps soon; 300 after ``reboot``.
         clock_drift_ppm: how much the Teensy's crystal is too fast (positive) or too slow.
         clock_ramp_ppm_per_h: how much that changes in an hour (a car that warms up).
         loop_us: true time of one pass of the loop, µs. The original's is not known.
