@@ -114,7 +114,7 @@ class GamepadJoy:
         return model_of(frame_of(self._pad.name), len(self._joystick.axes), len(self._joystick.buttons))
 
     def _report(self, status):
-        """Whether the gamepad is there, for /diagnostics."""
+        """Report whether the gamepad is there."""
         if self._device is not None:
             status.summary(OK, self._model())
         elif self._fault is not None:

@@ -126,7 +126,7 @@ class TeleopLogi:
             self._publish(requests, now_ns)
 
     def _publish(self, requests, now_ns):
-        """Publish the requests, and the state when it is of another kind than before; whether it is."""
+        """Publish the requests, and the state when it is of another kind than before; return whether it is."""
         before, self._published = self._published, requests
         # A release is sent first; requests are sent before a true, or the planner would steer in between.
         if not requests.human_in_loop:
@@ -175,7 +175,7 @@ class TeleopLogi:
         return remedy(requests.cause, self._topic) or remedy(requests.stick_cause, self._topic)
 
     def _report(self, status):
-        """Cause, remedy and what the gamepad sends, for /diagnostics."""
+        """Report cause, remedy and what the gamepad sends."""
         now_ns = self._clocks.now_ns()
         requests = self._handover.requests(now_ns)
         advice = self._advice(requests)
@@ -194,7 +194,7 @@ class TeleopLogi:
 
 
 def _level(requests):
-    """How bad a cause is: an error needs more than to let go of the deadman and to hold it again."""
+    """Return how bad a cause is: an error needs more than to let go of the deadman and to hold it again."""
     cause = requests.cause
     if cause in causes.JOY_UNUSABLE:
         return ERROR

@@ -57,7 +57,7 @@ class Board:
 
     @property
     def held(self) -> list[int | None]:
-        """The counts last written to or read from each channel; ``None`` = unknown."""
+        """Return the counts last written to or read from each channel; ``None`` = unknown."""
         return list(self._held)
 
     def initialise(self) -> None:

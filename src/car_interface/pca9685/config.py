@@ -102,7 +102,7 @@ class Pca9685Config:
 
     @property
     def guard_off_after_ns(self) -> int:
-        """How long after it began to act the guard switches every output off."""
+        """Return how long after it began to act the guard switches every output off."""
         return round(NS_PER_S * self.guard_off_after_s)
 
     def _channels(self):

@@ -66,7 +66,7 @@ class BoardSupervisor:
 
     @property
     def held(self) -> list[int | None]:
-        """The counts in the chip's registers; ``None`` = unknown."""
+        """Return the counts in the chip's registers; ``None`` = unknown."""
         return [None] * CHANNELS if self._board is None else self._board.held
 
     def next_due_ns(self) -> int:

@@ -125,17 +125,17 @@ class Requests(NamedTuple):
 
     @property
     def kind(self) -> tuple:
-        """All but the numbers; a change of it is published at once, and logged."""
+        """Return all but the numbers; a change of it is published at once, and logged."""
         return self.cause, self.steering_stick, self.throttle_stick
 
     @property
     def differs_by(self) -> tuple:
-        """The kind, and whether the throttle is a stop."""
+        """Return the kind, and whether the throttle is a stop."""
         return (*self.kind, math.isnan(self.throttle))
 
     @property
     def stick_cause(self) -> str:
-        """NOT_AT_REST if an axis isn't trusted, else empty."""
+        """Return NOT_AT_REST if an axis isn't trusted, else empty."""
         return causes.NOT_AT_REST if causes.NOT_AT_REST in (self.steering_stick, self.throttle_stick) else ""
 
 

@@ -77,7 +77,7 @@ class Stick:
         return self._is_active and not self._has_returned(now_ns)
 
     def override(self) -> float:
-        """The deflection by which it overrides: 0 on a side that isn't trusted."""
+        """Return the deflection by which it overrides: 0 on a side that isn't trusted."""
         return self.deflection if self.counts and not self.is_off_center else min(0.0, self.deflection)
 
     def _look_for_rest(self, is_out, is_believable, now_ns):

@@ -51,7 +51,7 @@ class PortClaim:
 
 
 def _holder(name):
-    """Which process holds a claim, in words; empty if it can't be found out."""
+    """Return which process holds a claim, as text; empty if it is not known."""
     with socket.socket(socket.AF_UNIX) as probe:
         probe.setblocking(False)
         try:

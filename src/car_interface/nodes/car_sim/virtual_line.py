@@ -57,7 +57,7 @@ class PseudoTerminal:
             return b""
 
     def write(self, data: bytes) -> None:
-        """Bytes for the program; what doesn't fit any more is lost."""
+        """Send bytes to the program; what doesn't fit any more is lost."""
         with suppress(BlockingIOError):
             os.write(self._near, data)
 
@@ -162,7 +162,7 @@ class VirtualLine:
             self._hang_up()
 
     def _plug(self):
-        """The system gives out the lowest free name; another one is what a port often has when it comes back."""
+        """Connect the port by another name than before, as often happens; the system gives out the lowest free one."""
         if self._terminal is not None:
             return
         self._plug_ns = NEVER_NS
@@ -174,5 +174,5 @@ class VirtualLine:
 
 
 def _is_link_to_a_terminal(path):
-    """What a virtual Teensy that was killed leaves behind; never a real port's name or somebody's file."""
+    """Return whether a killed virtual Teensy has left this path; never a real port's name or somebody's file."""
     return os.path.islink(path) and os.readlink(path).startswith("/dev/pts/")

@@ -28,7 +28,7 @@ class Keyboards:
         return len(self._devices)
 
     def read(self) -> list[tuple[int, bool]] | None:
-        """(code, whether it is pressed) since the last call; ``None`` = some were lost, or a keyboard was unplugged."""
+        """Return each (code, is pressed) since the last call; ``None`` = some were lost or a keyboard was unplugged."""
         found: list[tuple[int, bool]] = []
         was_lost = False
         for device in list(self._devices):
@@ -60,7 +60,7 @@ class Keyboards:
 
 
 def _opened(path, open_device):
-    """A device, in a list; none if it is no keyboard or may not be read."""
+    """Return a device, in a list; none if it is no keyboard or may not be read."""
     try:
         device = open_device(path)
     except OSError:

@@ -189,7 +189,7 @@ class KeyboardDrive:
         self._seen = kind
 
     def _watch_device(self):
-        """A virtual car may be replaced by a real one on the same master."""
+        """Notice when a virtual car was replaced by a real one on the same master."""
         try:
             device = self._inbox.graph.parameter("pca9685/device", self._device)
         except Exception:  # the master is gone: no node can start either

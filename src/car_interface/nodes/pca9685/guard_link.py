@@ -1,6 +1,6 @@
 """The pca9685 node's link to its guard: starts the process, gives it signs of life, and sees whether it is there.
 
-``nodes.pca9685.pca9685_guard`` is the guard. It is started anew when it dies or hangs.
+``nodes.pca9685.pca9685_guard`` is the guard. It is started again when it dies or hangs.
 """
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from car_interface.ros.diagnostics import ERROR, OK, WARN
 from car_interface.ros.logs import ThrottledWarnings
 
 RESTART_PAUSE_NS = 500 * NS_PER_MS  # between two starts
-SHOWN_NS = 10 * NS_PER_S  # how long /diagnostics tells of a guard that was lost and is back
+SHOWN_NS = 10 * NS_PER_S  # how long /diagnostics names a guard that was lost and is back
 MINUTE_NS = 60 * NS_PER_S
 END_S = 0.3  # for a guard that was told to end
 
@@ -34,7 +34,7 @@ class GuardChild:
     Args:
         kind, path: ``i2c`` and the bus, or ``virtual`` and the socket of a virtual chip.
         off_after_ns: when the guard switches everything off.
-        node_name, output_topic: the resolved names of the node and of the topic on which it tells what the chip holds.
+        node_name, output_topic: the resolved names of the node and of its topic with what the chip holds.
 
     Raises:
         OSError: it can't be started.
@@ -168,7 +168,7 @@ class GuardLink:
             guard.wait_or_kill(END_S)  # one that hangs has nothing left to guard
 
     def outlook(self) -> str:
-        """What to add to the report of a node that ends without having reached its board."""
+        """Return what to add to the report of a node that ends without having reached its board."""
         return f"; its guard goes on trying for {GIVE_UP_NS // MINUTE_NS} minutes" if self.watch.is_present else ""
 
     def _start(self, now_ns):
@@ -201,7 +201,7 @@ class GuardLink:
                 "dies or hangs")
 
     def report(self, status, now_ns: int, board_runs: bool):
-        """Its state, for /diagnostics. A board that the node can't reach either is the node's own report."""
+        """Report its state on /diagnostics. A board that the node can't reach either is the node's own report."""
         if self._start_guard is None:
             status.summary(OK, "off (guard: false): the board goes on pulsing if this node dies or hangs")
             return
@@ -226,7 +226,7 @@ class GuardLink:
 
 
 def _open_log():
-    """The file beside the node's log in which the guard writes what it did."""
+    """Open the file beside the node's log in which the guard writes what it did."""
     path = os.environ.get("ROS_LOG_FILENAME")
     try:
         return open(f"{os.path.splitext(path)[0]}-guard.log" if path else os.devnull, "ab")

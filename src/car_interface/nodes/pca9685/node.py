@@ -182,7 +182,7 @@ class Pca9685:
                    self._supervisor.next_due_ns(), self._guard.watch.due_ns)
 
     def _follow_guard(self, now_ns):
-        """Give the guard its sign of life. After standing still: begin anew, and only then acknowledge."""
+        """Give the guard its sign of life. After a standstill start over, and only then acknowledge."""
         self._guard.receive(now_ns)
         still_ns = self._guard.watch.stood_still_ns(now_ns)
         if self._guard.watch.was_overruled() or still_ns:
@@ -201,7 +201,7 @@ class Pca9685:
         return bus
 
     def _begin_anew(self, still_ns):
-        """Timeout values, and no command that was sent before."""
+        """Go to the timeout values, and obey no command that was sent before."""
         self._inbox.begin_anew(self._clocks.now_ns(), still_ns)  # which makes the channels safe
         lasted = f" for {still_ns / NS_PER_S:.2f} s" if still_ns else ""
         self._warnings.warn(NODE_STOOD_STILL, f"{NODE_STOOD_STILL}{lasted}: {self._name()} is at its timeout values; "
@@ -214,7 +214,7 @@ class Pca9685:
         return [counts_of_duty(duty) for duty in self._channels.timeout_values]
 
     def _targets(self):
-        """What the chip should hold now. The supervisor asks at each attempt to write."""
+        """Return what the chip should hold now. The supervisor asks at each attempt to write."""
         now_ns = self._clocks.now_ns()
         if self._guard.watch.is_late(now_ns):
             self._channels.make_safe(now_ns)  # a transfer took so long that the guard acts
@@ -231,7 +231,7 @@ class Pca9685:
             self._warnings.warn(f"timeout of {expired}", f"no command for {listed(expired)}: now at timeout value")
 
     def shut_down(self):
-        """Timeout values for a whole period, then every output off: an ESC sees neutral before it sees nothing."""
+        """Hold the timeout values for a whole period, then switch every output off: an ESC sees neutral before that."""
         is_safe = not self._supervisor.ever_ran
         try:
             if not is_safe:
@@ -249,7 +249,7 @@ class Pca9685:
         self._publish()
 
     def _update_now(self):
-        """Write the targets without waiting for the next attempt; whether the chip has them."""
+        """Write the targets without waiting for the next attempt; return whether the chip has them."""
         self._supervisor.retry_now()
         self._update()
         return self._supervisor.running
@@ -330,7 +330,7 @@ class Pca9685:
             self._warnings.warn(event, f"{self._name()}{was}: {'. '.join(self._fault)}. Trying again")
 
     def _report(self, status):
-        """The board's state and counts, for /diagnostics."""
+        """Report the board's state and counts."""
         tally = self._supervisor.tally
         if self._supervisor.running:
             status.summary(OK, f"running at {self._frequency_hz:.2f} Hz")

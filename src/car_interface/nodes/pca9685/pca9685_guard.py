@@ -102,11 +102,11 @@ class GuardProcess:
                 self._relay.tell(held)
 
     def _is_replaced(self):
-        """Whether a node has the board that isn't this guard's, or had it and left it to a guard of its own."""
+        """Return whether a node has the board that isn't this guard's, or had it and left it to a guard of its own."""
         return self._device.lock_holder() not in (0, self._node_pid) or self._device.successor(self._generation)
 
     def _transfer(self, action):
-        """Do it; what the channels are known to have held."""
+        """Do it; return what the channels are known to have held."""
         device, counts = self._device, self._guard.timeout_counts
         if action == PROBE:
             guard_board.probe(device)
@@ -121,7 +121,7 @@ class GuardProcess:
         return held
 
     def _report(self, is_heard):
-        """Answer a sign of life, and tell the node and the log of a new state."""
+        """Answer a sign of life, and report a new state to the node and the log."""
         state = self._guard.state
         if state != self._state:
             if state == ACTING and self._state == WATCHING:
@@ -134,7 +134,7 @@ class GuardProcess:
 
 
 class RelayLink:
-    """Starts the relay when there is something to tell, and ends it. Nothing depends on it.
+    """Starts the relay when there is something to publish, and ends it. Nothing depends on it.
 
     Args:
         node_name, output_topic: the resolved names of the node and of the topic on which it would publish.
@@ -156,7 +156,7 @@ class RelayLink:
             self._write(OutputMessage(HELD, counts))
 
     def end(self) -> None:
-        """End the relay: a node tells by itself. When the guard itself ends, it ends once it has told the last."""
+        """End the relay: a node publishes by itself. When the guard ends, it publishes the last reading before."""
         if self._fd >= 0:
             self._write(OutputMessage(LEFT_TO_NODE, (0,) * CHANNELS))
             os.close(self._fd)
@@ -179,7 +179,7 @@ class RelayLink:
 
 
 def make_device(kind: str, path: str, address: int):
-    """The chip at an address of a bus, or behind the socket of a virtual one. Only what is needed is imported."""
+    """Return the chip at an address of a bus, or behind a virtual one's socket. Only what is needed is imported."""
     if kind == "virtual":
         from car_interface.sim.chip_link import ChipLink
         return ChipLink(path, address)

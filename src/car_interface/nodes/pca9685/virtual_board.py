@@ -29,7 +29,7 @@ MAX_SOCKET_PATH = 107  # unix(7), without the final zero
 
 
 def chip_path(node_name: str) -> str:
-    """Where the chip of a pca9685 node listens, by the node's name with its namespace."""
+    """Return the socket of a pca9685 node's chip, by the node's name with its namespace."""
     folder = os.path.join(tempfile.gettempdir(), folder_name())
     name = node_name.strip("/").replace("/", "-")
     digest = hashlib.sha256(f"{rosgraph.get_master_uri()} {node_name}".encode()).hexdigest()[:10]

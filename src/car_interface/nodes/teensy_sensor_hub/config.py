@@ -80,7 +80,7 @@ class HubConfig:
 
     @property
     def measurement(self) -> MeasurementConfig:
-        """The configuration of what is measured."""
+        """Return the configuration of what is measured."""
         # Whatever the sonars do, pongs come with the pings, of which one may be lost.
         max_gap_ms = max(GateConfig.max_gap_ms, math.ceil(2000 * self.ping_period_s))
         return MeasurementConfig(

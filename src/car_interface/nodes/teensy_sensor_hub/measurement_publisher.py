@@ -62,7 +62,7 @@ class MeasurementPublisher:
             subscribe("turn_arb/state", SteeringState, inbox, self._on_steering)
 
     def _prepare_messages(self):
-        """Frequent messages are reused: rospy serialises them as it publishes them."""
+        """Make the frequent messages, which are reused: rospy serialises them as it publishes them."""
         self._odom_msg = OdometryMessage(child_frame_id=self._base_frame)
         self._odom_msg.header.frame_id = self._odom_frame
         self._tf_msg = _transform(self._clocks.ros_now(), self._odom_frame, self._base_frame, 0.0, 0.0, 0.0)
@@ -119,7 +119,7 @@ class MeasurementPublisher:
 
     @property
     def due_ns(self) -> float:
-        """When the next step is due: reports that came too soon wait for another one, but not for long."""
+        """Return when the next step is due: reports that came too soon wait for another one, but not for long."""
         timer = self._motion_timer
         return timer.due_ns + timer.period_ns if self._pending or self._measurements.has_queued else math.inf
 
@@ -135,7 +135,7 @@ class MeasurementPublisher:
             self._pending = None
 
     def _publish_motion(self, measured):
-        """Odometry, its transform, and the wheels' joints."""
+        """Publish odometry, its transform, and the wheels' joints."""
         motion = measured.motion
         stamp = self._ros_clock.stamp("motion", measured.stamp.time_ns)  # one for all: they are looked up by it
         if has_subscribers(self._odometry):
@@ -154,7 +154,7 @@ class MeasurementPublisher:
 
     @property
     def reports(self) -> dict:
-        """What goes to /diagnostics, by name."""
+        """Return the reports for /diagnostics, by name."""
         return {CLOCK_REPORT: self._report_clock, "Teensy records": self._report_records}
 
     def _report_clock(self, status):
@@ -169,7 +169,7 @@ class MeasurementPublisher:
         status.add("round trip", f"{sync.round_trip_ns / 1e6:.1f} ms")
 
     def _report_records(self, status):
-        """What the plausibility gates refused, on /diagnostics."""
+        """Report what the plausibility gates refused."""
         gates = self._measurements.gates
         accepted, refused = (now - before for now, before in zip((gates.accepted, gates.refused), self._counted))
         self._counted = (gates.accepted, gates.refused)
@@ -216,7 +216,7 @@ def _set_yaw(rotation, yaw_rad):
 
 
 def _covariance(xx, xy, xa, yy, ya, aa):
-    """Of x, y and the turn about the vertical, as the 6×6 that ROS wants."""
+    """Return a covariance of x, y and the turn about the vertical as ROS wants it: 6×6."""
     return [xx, xy, 0, 0, 0, xa,
             xy, yy, 0, 0, 0, ya,
             0, 0, UNMEASURED, 0, 0, 0,

@@ -88,7 +88,7 @@ class TeensySensorHub:
         self._commands.start()
 
     def _event_handlers(self):
-        """The handler for each type of event, called with the time of the read; records are first published raw."""
+        """Return a handler for each type of event, called with the read's time; records are first published raw."""
         pong = advertise("teensy_pong", Pong, self._inbox, QUEUE_SIZE).publish
         wheel = advertise("teensy_wheel", Wheel, self._inbox, QUEUE_SIZE)
         distance = advertise("teensy_distance", Distance, self._inbox, QUEUE_SIZE)
@@ -193,7 +193,7 @@ class TeensySensorHub:
         self._retry_ns = min(2 * self._retry_ns, LAST_RETRY_NS)
 
     def _watch_port(self, wanted):
-        """Wake on the port, or don't: while it is left alone it would end every wait."""
+        """Wake on the port, or don't: while it isn't read it would end every wait."""
         if wanted and self._watched_fd is None:
             self._watched_fd = self._link.fileno()
             self._inbox.watch(self._watched_fd)
@@ -257,7 +257,7 @@ class TeensySensorHub:
             self._link_status.publish()
 
     def _write(self, data):
-        """Send; whether that worked."""
+        """Send, and return whether that worked."""
         try:
             self._link.write(data)
         except DeviceError as error:

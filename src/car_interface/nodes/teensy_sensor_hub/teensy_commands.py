@@ -60,7 +60,7 @@ class TeensyCommands:
             rospy.loginfo(KEY_HELP)
 
     def _serve(self, name, service_type, action):
-        """A service whose ``action(request)`` runs in the node's thread; it returns (success, message), or a Future."""
+        """Offer a service whose ``action(request)``, in the node's thread, returns (success, message) or a Future."""
         serve(f"~{name}", service_type, self._inbox, lambda request, done: _answer(done, action, request))
 
     def answer_ping(self, timestamp1: int, success: bool, message: str) -> None:

@@ -39,7 +39,7 @@ class LineTally:
 
     @property
     def bad_frames(self) -> int:
-        """Corrupt frames of all kinds, without the short ones, which are harmless."""
+        """Return the corrupt frames of all kinds, without the short ones, which are harmless."""
         return self.bad_checksum + self.bad_escape + self.too_long
 
 

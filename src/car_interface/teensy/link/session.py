@@ -152,7 +152,7 @@ class Session:
         return self._health.verdict
 
     def counts(self) -> Counts:
-        """The counters by which the health of the link is judged."""
+        """Return the counters by which the health of the link is judged."""
         tally = self.tally
         return Counts(bytes_in=tally.bytes_in, records=tally.frames - self.malformed, bad_frames=tally.bad_frames,
                       bad_checksums=tally.bad_checksum, pings_in_vain=self.pinger.unanswered_in_a_row)
