@@ -21,8 +21,6 @@ SILENT_TICKS = TICK_HZ  # of an arbiter that sends its state at 10 Hz or more: i
 
 
 class Stop(NamedTuple):
-    """A stop that nobody asked for."""
-
     cause: str  # one of causes.LOSSES, or which node is silent
     reason: str
 

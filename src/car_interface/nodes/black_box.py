@@ -150,7 +150,6 @@ class BlackBox:
         status.add("newest recording", recording.path if recording else "none")
         status.add("memory", f"{self._ring.size_bytes / 1e6:.1f} MB")
         status.add("messages left out", self._ring.dropped)
-        return status
 
 
 def bag_of(messages: list[Message], offset_ns: int) -> bytes:
@@ -187,7 +186,6 @@ class _Buffer(io.BytesIO):
 
 
 def main():
-    """Run the node."""
     with suppress(OSError):
         os.nice(NICENESS)
     run("black_box", BlackBox)

@@ -195,24 +195,24 @@ class TeensyProbe:
         """Judge, and return what to send now; often nothing."""
         self._session.expire(now_ns)
         self._session.judge(now_ns)
-        if now_ns < self._session.ping_due_ns:
+        if now_ns < self._session.pinger.due_ns:
             return b""
         return self._session.ping(now_ns // NS_PER_MS % protocol.UINT32, now_ns)
 
     def next_event_ns(self) -> int:
         """Return when ``step`` has something to do."""
-        return min(self._session.next_event_ns(), self._end_ns)
+        return min(self._session.pinger.next_event_ns(), self._end_ns)
 
     def is_done(self, now_ns: int) -> bool:
         """Return whether the state is known, or it took too long."""
         has_sonar_reports = len(self._sonars) == len(SONARS) or now_ns >= self._sonars_ns
-        is_fine = self._session.verdict.state == FINE and self._session.pongs > 1 and has_sonar_reports
+        is_fine = self._session.verdict.state == FINE and self._session.pinger.answered > 1 and has_sonar_reports
         return now_ns >= self._end_ns or is_fine and not self._session.tally.bad_frames
 
     def finding(self) -> Finding:
         """Return the finding about the Teensy."""
         verdict = self._session.verdict
-        if verdict.state == FINE and not self._session.pongs:
+        if verdict.state == FINE and not self._session.pinger.answered:
             return Finding(WARN, "Teensy", f"{verdict.description}, but no ping was answered",
                            "Check the wire from this port's TX to the Teensy's RX")
         if verdict.state == WAITING:
@@ -224,7 +224,7 @@ class TeensyProbe:
             return Finding(WARN, "Teensy", f"{verdict.description}, but nothing came from "
                                            f"{_describe_sonars(missing)} in {SONARS_WITHIN_NS / 1e9:g} s",
                            SONARS_REMEDY)
-        pong = _describe_pong(self._session.round_trip_ns / 1e9, self._session.answered_checksum)
+        pong = _describe_pong(self._session.round_trip_ns / 1e9, self._session.pinger.answered_checksum)
         return Finding(OK, "Teensy", f"{verdict.description}; {pong}")
 
 

@@ -8,8 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from car_interface.sim.teensy_config import FirmwareConfig
-from car_interface.sim.teensy_firmware import TeensyFirmware
+from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
 from car_interface.teensy.link.health import FINE, PORT_FAULTS
 from car_interface.tools.doctor import port
 from car_interface.tools.doctor.car import ABSENT, RUNNING, SILENT, Node
