@@ -19,18 +19,17 @@ MAY_IMPORT = {
     "common": (),
     "interlock": ("common",),
     "steering": ("common", "interlock"),
-    "throttle": ("common", "interlock", "steering"),  # the ESC is driven while turn_arb's state says who steers
+    "throttle": ("common", "interlock"),
     "planner": ("common",),
-    "teleop": ("common", "interlock"),
+    "teleop": ("common",),
     "pca9685": ("common",),
-    "black_box": ("common", "steering"),  # which source steers, in turn_arb's state
+    "black_box": ("common",),
     "teensy/link": ("common",),
     "teensy/sensing": SENSING,
     "sim": ("common",),
     "ros": (*PARTS, "sim"),
-    # One node calibrates while it drives; and it writes what calibrate_steering would. Another one checks a new car.
-    "nodes": (*PARTS, "sim", "ros", *(f"tools/{name}" for name in (
-        "calibration", "calibration/drive", "calibration/steering", "first_check"))),
+    # One node calibrates while it drives, and one checks a new car.
+    "nodes": (*PARTS, "sim", "ros", "tools/calibration/drive", "tools/first_check"),
     "tools/recordings": PARTS,
     "tools/report": (*PARTS, "tools/recordings"),
     "tools/calibration": ("common", "tools/recordings"),

@@ -9,8 +9,9 @@ import math
 
 from car_interface.common.units import NS_PER_S
 
-# By a full inbox, or after the node stood still; the newest value may be among the dropped ones.
-DROPPED = "messages were dropped"
+# Reasons why nothing that was received before counts. Messages are dropped by a full inbox, or after the node stood
+# still; the newest value may be among them.
+DROPPED, STARTED = "messages were dropped", "this node has just started"
 
 
 class TimedInput:

@@ -5,7 +5,7 @@ from typing import Any, Iterable, NamedTuple, Sequence
 
 from car_interface.black_box.folder import Recording
 from car_interface.common.publishers import REPORT as COMMAND_TOPICS
-from car_interface.steering.arbiter import source_name
+from car_interface.common.sources import source_name
 from car_interface.throttle.battery import REPORT as BATTERY
 from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
 

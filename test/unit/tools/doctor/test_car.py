@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from car_interface.black_box.folder import Recording
-from car_interface.steering.arbiter import PLANNER
+from car_interface.common.sources import PLANNER
 from car_interface.tools.doctor.car import (
     ABSENT,
     KILLED,
