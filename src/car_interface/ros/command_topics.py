@@ -86,7 +86,7 @@ class CommandTopics:
                 and with an empty line when it is over.
         """
         self._report_now, self._on_fault = report_now, on_fault
-        self._inbox.graph.watch(self)
+        self._inbox.graph.watch(PROCESS_WATCH, self)
 
     @property
     def has_ended(self) -> bool:
