@@ -12,7 +12,7 @@ from mutate import imports
 SRC = Path(__file__).resolve().parents[2] / "src"
 PACKAGE = SRC / "car_interface"
 SENSING = ("common", "teensy/link", "teensy/sensing")
-PARTS = (*SENSING, "interlock", "steering", "throttle", "planner", "teleop", "pca9685", "black_box")
+PARTS = (*SENSING, "interlock", "steering", "throttle", "planner", "teleop", "pca9685")
 FITS = ("tools/recordings", "tools/calibration")
 # What each folder may import beside itself. A simulated device that shared code with what it tests would prove nothing.
 MAY_IMPORT = {
@@ -23,7 +23,6 @@ MAY_IMPORT = {
     "planner": ("common",),
     "teleop": ("common",),
     "pca9685": ("common",),
-    "black_box": ("common",),
     "teensy/link": ("common",),
     "teensy/sensing": SENSING,
     "sim": ("common",),
@@ -47,7 +46,7 @@ ROS = ("nodes/", "ros/", "tools/doctor/topics.py")
 # Libraries, and the only places that import them.
 ONLY_IN = {
     "rospy": ROS,
-    "rosbag": ("nodes/black_box.py",),
+    "rosbag": ("nodes/black_box/node.py",),
     "rosbags": ("tools/recordings/",),
     "evdev": ("nodes/keyboard_drive/key_events.py", "teleop/gamepad_device.py"),
     "jinja2": ("tools/report/html.py",),

@@ -3,7 +3,7 @@ from __future__ import annotations
 
 from typing import Any, Iterable, NamedTuple, Sequence
 
-from car_interface.black_box.folder import Recording
+from car_interface.common.black_box_folder import Recording
 from car_interface.common.publishers import REPORT as COMMAND_TOPICS
 from car_interface.common.sources import source_name
 from car_interface.throttle.battery import REPORT as BATTERY

@@ -10,7 +10,7 @@ import time
 from argparse import Namespace
 from typing import Any, Callable, Iterator, NamedTuple
 
-from car_interface.black_box.folder import default_folder, newest
+from car_interface.common.black_box_folder import default_folder, newest
 from car_interface.common.device_access import STABLE_PORT
 from car_interface.common.errors import ConfigError
 from car_interface.common.package_files import package_file

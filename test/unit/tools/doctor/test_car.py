@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from car_interface.black_box.folder import Recording
+from car_interface.common.black_box_folder import Recording
 from car_interface.common.sources import PLANNER
 from car_interface.tools.doctor.car import (
     ABSENT,
