@@ -32,7 +32,6 @@ def replace(path: str, data: bytes, keeps_old: bool) -> str | None:
 
     Args:
         path: of the file; a link is replaced itself.
-        data: the new content.
         keeps_old: keep the old file in the same folder, under a name with the time.
 
     Returns:

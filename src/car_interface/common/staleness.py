@@ -38,11 +38,7 @@ class TimedInput:
         self.is_marked_stale = False
 
     def mark_stale(self, since: str = DROPPED) -> None:
-        """Make the input stale until its next message, whatever its timeout.
-
-        Args:
-            since: what happened, for a reason: by default messages were dropped.
-        """
+        """Make the input stale until its next message, whatever its timeout; ``since`` says what happened."""
         self.is_marked_stale, self._stale_since = self.was_received, since
 
     @property

@@ -53,7 +53,6 @@ class Backlog:
     """Knows which messages of one node's subscription are old.
 
     Args:
-        graph: of the node.
         takes_latched: obey the message with which a latching publisher's new connection begins. It is the publisher's
             last word, however old.
 

@@ -58,7 +58,6 @@ class ReconfigureServer:
     """A node's tunable values.
 
     Args:
-        inbox: the node's.
         warnings: the node's; clamped and refused requests are counted there.
         tuning: the values, their limits and rate.
         apply: makes values active; called in the node's thread.
@@ -141,10 +140,6 @@ class ReconfigureServer:
 
 class TunedNode:
     """Another node's tunable values, as rqt_reconfigure sees and changes them.
-
-    Args:
-        inbox: of the node that asks.
-        namespace: of the other's dynamic_reconfigure.
 
     Attributes:
         values, low, high: by name; empty until the other node has sent them.

@@ -62,12 +62,9 @@ def main() -> None:
 
 
 def wait_for_name(name: str) -> socket.socket:
-    """Return when a node may register this name: at once unless another node has it and runs.
+    """Return when a node may register this name, with its namespace: at once unless another node has it and runs.
 
     A line about the wait goes to standard error in the format of ROS: rospy can't log before it has registered.
-
-    Args:
-        name: with its namespace.
 
     Returns:
         The claim to the name. To be closed when the node has registered.
@@ -128,11 +125,7 @@ class Holder(NamedTuple):
 
 
 class NameWait:
-    """Waits for a name.
-
-    Args:
-        name: the node's, with its namespace.
-    """
+    """Waits for the name of a node, with its namespace."""
 
     def __init__(self, name: str):
         self._name = name
@@ -192,12 +185,7 @@ class NameWait:
 
 
 class NameLookup:
-    """Asks who has a name, over and over.
-
-    Args:
-        name: the node's, with its namespace.
-        master_uri: the ROS master's.
-    """
+    """Asks who has a name, over and over."""
 
     def __init__(self, name: str, master_uri: str):
         self._name = name

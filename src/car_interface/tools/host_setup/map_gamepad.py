@@ -126,7 +126,6 @@ def ask(device: GamepadDevice, joystick: Joystick, keyboard, report=print) -> di
     """Ask for each control, and return the entry of gamepads.yaml.
 
     Args:
-        device, joystick: the gamepad.
         keyboard: a file on which Enter says that the gamepad lacks a control.
         report: called with each line for the person.
 
