@@ -77,7 +77,8 @@ def wait_for_name(name: str) -> socket.socket:
             holder = Holder(STARTING, "this computer")
         line = wait.update(holder, SYSTEM.now_ns())
         if line:
-            log_warning(line)
+            RosStreamHandler().emit(logging.makeLogRecord(
+                {"name": "rosout", "levelno": logging.WARNING, "levelname": "WARNING", "msg": line}))
         if wait.may_register:
             return claim or socket.socket(socket.AF_UNIX)
         if claim is not None:
@@ -225,9 +226,3 @@ class NameLookup:
 def _machine(uri):
     host = urlsplit(uri).hostname or uri
     return f"{host} (this computer)" if is_local_address(host) else host
-
-
-def log_warning(text: str) -> None:
-    """Log a warning to standard error in the format of ROS."""
-    RosStreamHandler().emit(logging.makeLogRecord({"name": "rosout", "levelno": logging.WARNING, "levelname": "WARNING",
-                                                   "msg": text}))
