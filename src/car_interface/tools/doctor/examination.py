@@ -41,15 +41,13 @@ from car_interface.tools.doctor.car import (
 from car_interface.tools.doctor.computer import probe_clock, probe_groups, probe_packages, probe_versions
 from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, worst
 from car_interface.tools.doctor.gamepad import check_gamepad, probe_driver
-from car_interface.tools.doctor.master import NODES, Graph, Master, read_files, read_parameters
+from car_interface.tools.doctor.master import NODES, REPORTING, Graph, Master, read_files, read_parameters
 from car_interface.tools.doctor.network import probe_network
 from car_interface.tools.doctor.port import check_link, check_virtual_port, is_pseudo_terminal, probe_port
 
 USUAL_PORT, USUAL_BAUD, USUAL_ADDRESS = "/dev/ttyAMA0", 115200, 0x40
 # Names and addresses, then the nodes, then all the rest at the same time: 9 s at most.
 NETWORK_S, SURVEY_S, PROBES_S = 2.0, 2.0, 4.5
-REPORTING = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "throttle_arb", "planner_interface",
-             "teleop_logi")
 NO_GRAPH = Graph({}, frozenset())
 BOARD_REPORT = "servo board"  # the pca9685 node's on /diagnostics
 TICK_S = 0.02
