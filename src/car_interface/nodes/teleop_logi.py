@@ -32,7 +32,7 @@ from car_interface.common.declared import read_all
 from car_interface.common.errors import ConfigError
 from car_interface.common.params import CONFIG_FOLDER
 from car_interface.common.rate_timer import RateTimer
-from car_interface.interlock.motion_interlock import STARTED
+from car_interface.common.staleness import STARTED
 from car_interface.msg import TeleopState
 from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import ERROR, OK, WARN, Diagnostics, age_text

@@ -25,7 +25,6 @@ class Diagnostics:
     """Publishes one node's reports.
 
     Args:
-        inbox: the node's.
         hardware_id: the device that the reports are about, e.g. ``PCA9685 at 0x40 on /dev/i2c-1``.
         reports: functions by name; each fills in a status.
         now_ns: the first report is due a second later.

@@ -17,9 +17,8 @@ from car_interface.common import causes, declared
 from car_interface.common.causes import HUMAN_DRIVES, HUMAN_STEERING, HUMAN_STEERS, HUMAN_THROTTLE, MANUAL, MODES
 from car_interface.common.declared import REQUIRED
 from car_interface.common.errors import ConfigError
-from car_interface.common.staleness import DROPPED, TimedInput
+from car_interface.common.staleness import DROPPED, STARTED, TimedInput
 from car_interface.common.units import NS_PER_S
-from car_interface.interlock.motion_interlock import STARTED
 from car_interface.teleop.stick import Stick
 
 REARM_TEXT = "let go of the deadman, then hold it again"

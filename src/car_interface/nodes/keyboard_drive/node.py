@@ -27,6 +27,7 @@ from car_interface.common.declared import read, read_all
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.params import Params
 from car_interface.common.rate_timer import RateTimer
+from car_interface.common.sources import source_name
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
 from car_interface.common.vehicle_geometry import SONARS
@@ -37,7 +38,6 @@ from car_interface.nodes.keyboard_drive.screen import screen_lines
 from car_interface.nodes.live_text import LiveText
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, subscribe
-from car_interface.steering.arbiter import source_name
 from car_interface.teleop.gamepad import NONE
 from car_interface.teleop.keyboard import QUIT, Controls, Keyboard, KeyboardConfig, KeyReader, help_text
 

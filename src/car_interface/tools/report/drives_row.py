@@ -5,7 +5,7 @@ import math
 from collections import Counter
 from typing import Any, NamedTuple
 
-from car_interface.steering.arbiter import PLANNER, TELEOP
+from car_interface.common.sources import PLANNER, TELEOP
 from car_interface.tools.report.faults import ERROR
 from car_interface.tools.report.summary import Summary
 

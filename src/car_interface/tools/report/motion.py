@@ -8,8 +8,8 @@ import math
 from collections import deque
 from typing import Any, Mapping
 
+from car_interface.common.sources import DRIVE
 from car_interface.common.units import NS_PER_S, stamp_ns, yaw_rad
-from car_interface.planner.source_arbiter import DRIVE
 from car_interface.tools.recordings.columns import (
     MAX_NUMBER,
     POSE_ONLY,

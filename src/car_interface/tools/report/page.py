@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import math
 
-from car_interface.steering.arbiter import PLANNER, TELEOP
+from car_interface.common.sources import PLANNER, TELEOP
 from car_interface.tools.report.downsample import Trace
 from car_interface.tools.report.faults import ERROR, WARN
 from car_interface.tools.report.figures import DRIVER_COLOURS, DRIVER_NAMES

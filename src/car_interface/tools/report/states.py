@@ -11,9 +11,10 @@ from collections import Counter
 from typing import Any, Callable, Collection, Mapping, NamedTuple
 
 from car_interface.common import causes
+from car_interface.common.sources import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.common.units import NS_PER_S, stamp_ns
 from car_interface.pca9685.registers import DUTY_PER_COUNT
-from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP, SteeringArbiterConfig
+from car_interface.steering.arbiter import SteeringArbiterConfig
 from car_interface.tools.report.downsample import Trace
 from car_interface.tools.report.faults import ERROR, MAX_ENTRIES, WARN, Fault, FaultLog
 

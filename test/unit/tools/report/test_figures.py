@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from car_interface.steering.arbiter import LOCKED, NEUTRAL, PLANNER, TELEOP
+from car_interface.common.sources import LOCKED, NEUTRAL, PLANNER, TELEOP
 from car_interface.tools.report.downsample import Trace
 from car_interface.tools.report.figures import bands, curve, label_text, stack, usual_magnitude
 from car_interface.tools.report.states import UNKNOWN_DRIVER, Episode

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from car_interface.steering.arbiter import NEUTRAL, NO_HUMAN, PLANNER, TELEOP
+from car_interface.common.sources import NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.tools.report.downsample import Trace
 from car_interface.tools.report.faults import ERROR, WARN, FaultLog
 from car_interface.tools.report.page import page

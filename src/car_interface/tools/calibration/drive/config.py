@@ -8,7 +8,6 @@ from typing import Any, Sequence
 from car_interface.common.declared import read
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.params import Params
-from car_interface.steering.calibration import SteeringCalibration
 from car_interface.throttle.obstacle_stop import ObstacleConfig, Outline
 
 DESCRIPTION = """calibration_drive: the car calibrates its steering by itself while you hold the
@@ -64,19 +63,6 @@ def read_obstacles(throttle_arb: dict[str, Any]) -> ObstacleConfig:
     except ConfigError as error:
         raise CarInterfaceError(f"of throttle_arb's parameters {error}: launch the car by its launch files, or drive "
                                 "without sonars by --no-sonars") from error
-
-
-def read_base(turn_arb: dict[str, Any]) -> SteeringCalibration:
-    """Return the calibration that turn_arb runs with.
-
-    Raises:
-        CarInterfaceError: it isn't on the parameter server.
-    """
-    try:
-        return read(Params(turn_arb), SteeringCalibration)
-    except ConfigError as error:
-        raise CarInterfaceError(f"turn_arb's calibration isn't known: its parameter {error}. Is the car launched, and "
-                                "in this namespace (ROS_NAMESPACE)?") from error
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:

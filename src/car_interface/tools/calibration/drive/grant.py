@@ -9,9 +9,8 @@ from typing import NamedTuple
 
 from car_interface.common import causes
 from car_interface.common.causes import AUTONOMOUS
+from car_interface.common.sources import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, SPEED, TELEOP
 from car_interface.common.staleness import TimedInput
-from car_interface.planner.source_arbiter import SPEED
-from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.throttle import esc
 
 STATE_TIMEOUT_S = 0.5  # they come 10 times a second and more

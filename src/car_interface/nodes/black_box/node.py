@@ -19,14 +19,14 @@ from types import SimpleNamespace
 import genpy
 import rospy
 
-from car_interface.black_box.folder import TIME_FORMAT, BlackBoxConfig, default_folder, newest, store
-from car_interface.black_box.ring import SPAN_NS, Message, Ring
-from car_interface.black_box.stop_watch import TICK_HZ, Stop, StopWatch
+from car_interface.common.black_box_folder import TIME_FORMAT, BlackBoxConfig, default_folder, newest, store
 from car_interface.common.declared import read_all
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import NS_PER_S
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.msg import SteeringState, TeleopState, ThrottleState
+from car_interface.nodes.black_box.ring import SPAN_NS, Message, Ring
+from car_interface.nodes.black_box.stop_watch import TICK_HZ, Stop, StopWatch
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics
 from car_interface.ros.runtime import describe_error, run
 from car_interface.ros.topics import subscribe
