@@ -1,6 +1,7 @@
 """Which folder imports which: downwards only, from scripts over nodes, ros and the parts to common."""
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -97,8 +98,9 @@ for name in sys.argv[1:]:
 def test_pure_module_imported_alone_pulls_in_no_device_no_ros_and_no_numpy():
     pure = [dotted(path) for path in MODULES if not inside(path).startswith(NOT_PURE)]
     # -S: what site packages import by themselves is not the module's doing.
+    kept = {name: os.environ[name] for name in ("PYTHONPYCACHEPREFIX",) if name in os.environ}
     done = subprocess.run([sys.executable, "-S", "-B", "-c", IMPORT_EACH, *pure],
-                          env={"PYTHONPATH": str(SRC)}, capture_output=True, text=True, check=False)
+                          env={"PYTHONPATH": str(SRC), **kept}, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr, done.stdout) == (0, "", "") and len(pure) > 100
 
 
