@@ -13,25 +13,23 @@ from mutate import imports
 SRC = Path(__file__).resolve().parents[2] / "src"
 PACKAGE = SRC / "car_interface"
 SENSING = ("common", "teensy/link", "teensy/sensing")
-PARTS = (*SENSING, "interlock", "steering", "throttle", "planner", "teleop", "pca9685", "black_box")
+PARTS = (*SENSING, "interlock", "steering", "throttle", "planner", "teleop", "pca9685")
 FITS = ("tools/recordings", "tools/calibration")
 # What each folder may import beside itself. A simulated device that shared code with what it tests would prove nothing.
 MAY_IMPORT = {
     "common": (),
     "interlock": ("common",),
     "steering": ("common", "interlock"),
-    "throttle": ("common", "interlock", "steering"),  # the ESC is driven while turn_arb's state says who steers
+    "throttle": ("common", "interlock"),
     "planner": ("common",),
-    "teleop": ("common", "interlock"),
+    "teleop": ("common",),
     "pca9685": ("common",),
-    "black_box": ("common", "steering"),  # which source steers, in turn_arb's state
     "teensy/link": ("common",),
     "teensy/sensing": SENSING,
     "sim": ("common",),
     "ros": (*PARTS, "sim"),
-    # One node calibrates while it drives; and it writes what calibrate_steering would. Another one checks a new car.
-    "nodes": (*PARTS, "sim", "ros", *(f"tools/{name}" for name in (
-        "calibration", "calibration/drive", "calibration/steering", "first_check"))),
+    # One node calibrates while it drives, and one checks a new car.
+    "nodes": (*PARTS, "sim", "ros", "tools/calibration/drive", "tools/first_check"),
     "tools/recordings": PARTS,
     "tools/report": (*PARTS, "tools/recordings"),
     "tools/calibration": ("common", "tools/recordings"),
@@ -49,7 +47,7 @@ ROS = ("nodes/", "ros/", "tools/doctor/topics.py")
 # Libraries, and the only places that import them.
 ONLY_IN = {
     "rospy": ROS,
-    "rosbag": ("nodes/black_box.py",),
+    "rosbag": ("nodes/black_box/node.py",),
     "rosbags": ("tools/recordings/",),
     "evdev": ("nodes/keyboard_drive/key_events.py", "teleop/gamepad_device.py"),
     "jinja2": ("tools/report/html.py",),

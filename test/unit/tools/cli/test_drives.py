@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from browser import Browser, find_browser
-from car_interface.black_box.folder import store
 from car_interface.common import causes
+from car_interface.common.black_box_folder import store
 from car_interface.tools.cli import drives
 from car_interface.tools.cli.main import main
 from written_recordings import drive, odometry, write_ros1, write_ros2

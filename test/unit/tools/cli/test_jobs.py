@@ -44,9 +44,10 @@ def test_process_that_was_killed_is_told():
 
 @pytest.fixture(scope="module")
 def cluster():
-    """Two workers on loopback."""
+    """Two workers on loopback, which start as forks of one process that has imported all once."""
+    pytest.importorskip("dask").config.set({
+        "distributed.scheduler.allowed-failures": 1, "distributed.worker.multiprocessing-method": "forkserver"})
     distributed = pytest.importorskip("distributed")
-    pytest.importorskip("dask").config.set({"distributed.scheduler.allowed-failures": 1})
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None,
                                   silence_logs=logging.CRITICAL) as made:
         yield made
