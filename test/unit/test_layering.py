@@ -19,8 +19,9 @@ MAY_IMPORT = {
     "common": (),
     "interlock": ("common",),
     "steering": ("common", "interlock"),
-    "throttle": ("common", "interlock", "steering"),  # the ESC is driven while turn_arb's state says who steers
     "planner": ("common",),
+    # The ESC is driven while turn_arb's state says who steers, and the speed control takes a planner's request.
+    "throttle": ("common", "interlock", "steering", "planner"),
     "teleop": ("common", "interlock"),
     "pca9685": ("common",),
     "black_box": ("common", "steering"),  # which source steers, in turn_arb's state

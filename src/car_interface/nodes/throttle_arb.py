@@ -52,8 +52,8 @@ from car_interface.ros.reconfigure import ReconfigureServer
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import one_channel_duty, subscribe, subscribe_changes
 from car_interface.steering.arbiter import LOCKED, source_name
-from car_interface.throttle.arbiter import NoValue
 from car_interface.throttle.battery import REPORT as BATTERY_REPORT
+from car_interface.throttle.board_watch import Trouble
 from car_interface.throttle.calibration import trimmed
 from car_interface.throttle.config import ThrottleConfig
 from car_interface.throttle.control import ThrottleControl
@@ -152,10 +152,10 @@ class ThrottleArb(CommandNode):
 
     def _on_converter(self, message, now_ns):
         has_value = message.cause in (causes.CONVERTING, causes.NO_REQUEST)
-        self._arbiter.update_converter(None if has_value else NoValue(message.cause, message.reason))
+        self._arbiter.update_converter(None if has_value else Trouble(message.cause, message.reason))
 
     def _on_planner_state(self, message, now_ns):
-        no_request = None if message.cause == causes.PLANNER else NoValue(message.cause, message.reason)
+        no_request = None if message.cause == causes.PLANNER else Trouble(message.cause, message.reason)
         self._arbiter.update_planner_state(message.gear, no_request, now_ns, message.speed)
 
     def _on_steering(self, message, now_ns):
@@ -217,7 +217,7 @@ class ThrottleArb(CommandNode):
             log = rospy.logwarn if esc.cause in causes.LOSSES else rospy.loginfo
             log("ESC %s: %s", esc.state_name, esc.reason)
         elif before_state == ARMING != esc.state:
-            rospy.loginfo("ESC armed, profile %s", self._control.profile)
+            rospy.loginfo("ESC armed, profile %s", self._control.esc_config.profile)
             self._warn_of_calibration_drive()
         elif esc.cause == causes.BRAKE_UNCERTAIN != before_cause:
             self._warnings.warn(esc.cause, f"{NO_BRAKE}: {esc.reason}")
@@ -232,7 +232,7 @@ class ThrottleArb(CommandNode):
             rospy.loginfo("%s", limited.reason)
 
     def _warn_of_calibration_drive(self):
-        if self._control.is_calibration_drive:
+        if self._control.esc_config.calibration_drive:
             rospy.logwarn("%s; record it for calibrate_esc, and start without calibration_drive afterwards", PASSES)
 
     def _publish_state(self, decision):
@@ -241,9 +241,9 @@ class ThrottleArb(CommandNode):
         self._states.publish(ThrottleState(
             stamp=self._clocks.ros_now(), source=arbitration.source, cause=arbitration.cause, reason=arbitration.reason,
             mode=decision.mode, human_scale=decision.scale, asked=arbitration.asked, granted=esc.fraction,
-            esc=esc.state_name, esc_cause=esc.cause, esc_reason=esc.reason, profile=self._control.profile,
+            esc=esc.state_name, esc_cause=esc.cause, esc_reason=esc.reason, profile=self._control.esc_config.profile,
             limit=decision.limited.cause, limit_reason=decision.limited.reason,
-            max_speed=decision.limited.max_speed_mps, cuts=self._control.cuts,
+            max_speed=decision.limited.max_speed_mps, cuts=self._control.limiter.cuts,
             duty=decision.duty, speed=self._arbiter.speed_mps(self._now_ns), **{AGES[name]: age_s
                                                                                 for name, age_s in ages_s.items()}))
 
@@ -251,7 +251,7 @@ class ThrottleArb(CommandNode):
         """Who drives, why, and what the ESC gets, for /diagnostics."""
         decision = self._decision  # there is one: the first tick is due at once, and goes before any report
         arbitration, esc = decision.arbitration, decision.esc
-        is_calibration_drive = self._control.is_calibration_drive
+        is_calibration_drive = self._control.esc_config.calibration_drive
         text = f"{source_name(arbitration.source)}: {arbitration.reason}; ESC {esc.state_name}: {esc.reason}"
         status.summary(WARN if is_calibration_drive or _is_alarming(decision) else OK,
                        f"calibration drive; {text}" if is_calibration_drive else text)
@@ -261,10 +261,10 @@ class ThrottleArb(CommandNode):
         status.add("asked, granted", f"{arbitration.asked:.3f}, {esc.fraction:.3f}")
         limited = decision.limited
         status.add("limit", f"{limited.cause}: {limited.reason}" if limited.cause else "none is reached")
-        status.add("requests cut by a limit", self._control.cuts)
+        status.add("requests cut by a limit", self._control.limiter.cuts)
         status.add("mode", decision.mode or "never heard")
         status.add("scale of driving by hand", f"{decision.scale:g}")
-        status.add("profile of the ESC", self._control.profile)
+        status.add("profile of the ESC", self._control.esc_config.profile)
         for name, age_s in self._control.ages_s(self._clocks.now_ns()).items():
             status.add(f"age of {name}", age_text(age_s))
         status.add("tuned live", self._reconfigure.changes)

@@ -21,7 +21,7 @@ from car_interface.common.units import NS_PER_S
 from car_interface.interlock.motion_interlock import EXPLANATION_TIMEOUT_S, InterlockConfig, MotionInterlock
 from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP, source_name
 from car_interface.throttle.battery import BatteryConfig, BatteryStatus, BatteryWatch
-from car_interface.throttle.board_watch import BoardConfig, BoardWatch
+from car_interface.throttle.board_watch import BoardConfig, BoardWatch, Trouble
 from car_interface.throttle.esc_intention import AUTO, DRIVE, REVERSE_GEAR
 from car_interface.throttle.stick import Scale, StickConfig, shaped
 
@@ -54,13 +54,6 @@ class ThrottleArbiterConfig:
     battery: BatteryConfig = declared.group(BatteryConfig(), "battery/")
 
 
-class NoValue(NamedTuple):
-    """The reason for which there is no value for the planner's command."""
-
-    cause: str  # one of car_interface.common.causes
-    reason: str
-
-
 class Arbitration(NamedTuple):
     """The source that drives, and its request to the ESC."""
 
@@ -75,7 +68,7 @@ class Arbitration(NamedTuple):
     cruise_mps: float = 0.0  # the speed that the planner wants the car to keep; 0 = none, or unknown
 
 
-class ThrottleArbiter:
+class ThrottleArbiter(MotionInterlock):
     """Decide who drives, from the newest message of each input.
 
     The first rule that applies decides:
@@ -94,12 +87,11 @@ class ThrottleArbiter:
     """
 
     def __init__(self, config: ThrottleArbiterConfig = ThrottleArbiterConfig()):
+        super().__init__(config.interlock)
         self._stick = config.stick
         self._scale = Scale(config.stick)
-        self._interlock = MotionInterlock(config.interlock)
-        self._human = TimedInput("human_in_loop", config.interlock.human_timeout_s)
         self._steering = TimedInput("turn_arb's state", config.steering_timeout_s)
-        self._explanation = TimedInput("teleop_logi's state", EXPLANATION_TIMEOUT_S)
+        self._teleop_explanation = TimedInput("teleop_logi's state", EXPLANATION_TIMEOUT_S)
         self._teleop = TimedInput("tele_throt_req", config.teleop_timeout_s)
         self._mode = TimedInput("mode", config.mode_timeout_s)
         self._planner = TimedInput("the planner's value", config.command_timeout_s)
@@ -109,7 +101,7 @@ class ThrottleArbiter:
         # When a mode last gave the throttle to the planner, or when the deadman was released after that; None: the
         # stick was centered since then.
         self._gave_ns: int | None = None
-        self._no_value: NoValue | None = None
+        self._no_value: Trouble | None = None
         self._board = None if config.board is None else BoardWatch(config.board)
         self._battery = BatteryWatch(config.battery)
         self._command_timeout_ns = (round(config.command_timeout_s * NS_PER_S) if config.command_timeout_s
@@ -126,18 +118,9 @@ class ThrottleArbiter:
         """Return the newest mode; empty: none was received."""
         return self._mode.value or ""
 
-    def update_e_stop(self, locked: bool, now_ns: int) -> None:
-        """Take the emergency stop: true = stop, whatever is requested."""
-        self._interlock.update_e_stop(locked, now_ns)
-
-    def update_phone_e_stop(self, locked: bool, now_ns: int) -> None:
-        """Take the phones' emergency stop: true = stop, whatever the other one says."""
-        self._interlock.update_phone_e_stop(locked, now_ns)
-
     def update_human(self, present: bool, now_ns: int) -> None:
         """Take the deadman: true while a human holds it."""
-        self._interlock.update_human(present, now_ns)
-        self._human.update(bool(present), now_ns)
+        super().update_human(present, now_ns)
         if not present:
             self._overrode_ns = None
             if self._gave_ns is not None:  # a teleop sends 0 without a deadman, even for a stick that is pulled
@@ -145,8 +128,8 @@ class ThrottleArbiter:
 
     def explain_human(self, present: bool, reason: str, now_ns: int) -> None:
         """Take teleop_logi's explanation of deadman and requests; reasons quote it, nothing depends on it."""
-        self._interlock.explain_human(present, reason, now_ns)
-        self._explanation.update(" ".join(reason.split()), now_ns)
+        super().explain_human(present, reason, now_ns)
+        self._teleop_explanation.update(" ".join(reason.split()), now_ns)
 
     def update_steering(self, source: int, reason: str, now_ns: int) -> None:
         """Take who steers, and why, from turn_arb's state."""
@@ -190,11 +173,11 @@ class ThrottleArbiter:
         """Take the planner's value, and the request that it stands for; both may be NaN or infinite."""
         self._planner.update((value, request), now_ns)
 
-    def update_converter(self, no_value: NoValue | None) -> None:
+    def update_converter(self, no_value: Trouble | None) -> None:
         """Take the converter's reason for having no value for the newest command; ``None`` = it has one."""
         self._no_value = no_value
 
-    def update_planner_state(self, gear: str, no_request: NoValue | None, now_ns: int, speed_mps: float = 0.0) -> None:
+    def update_planner_state(self, gear: str, no_request: Trouble | None, now_ns: int, speed_mps: float = 0.0) -> None:
         """Take planner_interface's state: gear, requested speed, and the reason if there is no request.
 
         When there is a request again, the value from before the pause is stale.
@@ -224,16 +207,11 @@ class ThrottleArbiter:
         self._resumed_ns = None
         if self._mode.was_received:
             self._gave_ns = now_ns  # one of them may have been a planner's mode
-        self._interlock.mark_stale(now_ns)
-        for timed in (self._human, self._steering, self._teleop, self._mode, self._planner, self._planner_state,
-                      self._odometry):
+        super().mark_stale(now_ns)
+        for timed in (self._steering, self._teleop, self._mode, self._planner, self._planner_state, self._odometry):
             timed.mark_stale()
         if self._board is not None:
             self._board.mark_stale()
-
-    def is_released(self, now_ns: int) -> bool:
-        """Return whether the deadman is known to be released."""
-        return not self._human.is_stale(now_ns) and not self._human.value
 
     def is_centered(self, now_ns: int) -> bool:
         """Return whether the gamepad's throttle is within its dead band, or was never received."""
@@ -250,13 +228,13 @@ class ThrottleArbiter:
     def ages_s(self, now_ns: int) -> dict[str, float]:
         """Return the seconds since the last message of each input, by name; inf = never received."""
         timed = (self._steering, self._teleop, self._mode, self._planner, self._odometry)
-        return {"e_stop": self._interlock.e_stop_age_s(now_ns), "human_in_loop": self._interlock.human_age_s(now_ns),
+        return {"e_stop": self.e_stop_age_s(now_ns), "human_in_loop": self.human_age_s(now_ns),
                 **{one.name: one.age_s(now_ns) for one in timed}}
 
     def decide(self, now_ns: int) -> Arbitration:
         """Return who drives at ``now_ns``, with what request, and why."""
         board = self._board and self._board.trouble(now_ns)  # also without a human: agreement takes half a second
-        inhibit = self._interlock.inhibit(now_ns)
+        inhibit = self.inhibit(now_ns)
         if inhibit is not None:
             return _stop(LOCKED if inhibit.locked else NO_HUMAN, inhibit.cause, inhibit.reason)
         return (self._steering_trouble(now_ns) or board and _stop(NEUTRAL, *board) or self._mode_trouble(now_ns)
@@ -292,7 +270,7 @@ class ThrottleArbiter:
             return _stop(NEUTRAL, causes.TELEOP_STALE, self._teleop.stale_reason(now_ns))
         throttle = self._teleop.value
         if not math.isfinite(throttle):
-            explanation = "" if self._explanation.is_stale(now_ns) else f": {self._explanation.value}"
+            explanation = "" if self._teleop_explanation.is_stale(now_ns) else f": {self._teleop_explanation.value}"
             return _stop(NEUTRAL, causes.TELEOP_NOT_FINITE,
                          f"tele_throt_req is {throttle}, no number to act on{explanation}")
         request = shaped(throttle, self._stick.deadband, self._stick.expo)
@@ -356,17 +334,17 @@ class ThrottleArbiter:
     def _planner_trouble(self, now_ns):
         """Return why the planner's value can't be followed, or None; without odometry none can."""
         if self._is_awaited(now_ns):
-            return NoValue(causes.COMMAND_AWAITED, "the planner asks again: its first value is awaited")
+            return Trouble(causes.COMMAND_AWAITED, "the planner asks again: its first value is awaited")
         if self._planner.is_stale(now_ns):
-            return NoValue(causes.COMMAND_STALE, self._planner.stale_reason(now_ns))
+            return Trouble(causes.COMMAND_STALE, self._planner.stale_reason(now_ns))
         (value, _), odometry = self._planner.value, self._odometry
         if not math.isfinite(value):
-            return NoValue(causes.COMMAND_NOT_FINITE, f"the planner's value is {value}, no number to act on")
+            return Trouble(causes.COMMAND_NOT_FINITE, f"the planner's value is {value}, no number to act on")
         if odometry.is_stale(now_ns):
-            return NoValue(causes.ODOMETRY_STALE, odometry.stale_reason(now_ns))
+            return Trouble(causes.ODOMETRY_STALE, odometry.stale_reason(now_ns))
         if not math.isfinite(odometry.value):
-            return NoValue(causes.ODOMETRY_NOT_FINITE, f"the velocity in the odometry is {odometry.value}")
-        return NoValue(*self._battery.status(now_ns)) if self._battery.is_empty else None
+            return Trouble(causes.ODOMETRY_NOT_FINITE, f"the velocity in the odometry is {odometry.value}")
+        return Trouble(*self._battery.status(now_ns)) if self._battery.is_empty else None
 
     def _is_awaited(self, now_ns):
         """Return whether the planner resumed just now: its state arrives before the converter's first value."""

@@ -107,19 +107,12 @@ class Converter:
             return Conversion(None, causes.COMMAND_NOT_FINITE, f"the commanded acceleration is {acceleration}")
         if self._map is None:
             return Conversion(self._clamp(acceleration))
-        trouble = self.odometry_trouble(now_ns)
-        if trouble is not None:
-            return trouble
-        return Conversion(self._clamp(self._map.value_at(acceleration, self._odometry.value)))
-
-    def odometry_trouble(self, now_ns: int) -> Conversion | None:
-        """Return why the velocity can't be used at ``now_ns``; ``None`` = it can."""
-        if self._odometry.is_stale(now_ns):
-            return Conversion(None, causes.ODOMETRY_STALE, self._odometry.stale_reason(now_ns))
-        if not math.isfinite(self._odometry.value):
-            return Conversion(None, causes.ODOMETRY_NOT_FINITE,
-                              f"the velocity in the odometry is {self._odometry.value}")
-        return None
+        odometry = self._odometry
+        if odometry.is_stale(now_ns):
+            return Conversion(None, causes.ODOMETRY_STALE, odometry.stale_reason(now_ns))
+        if not math.isfinite(odometry.value):
+            return Conversion(None, causes.ODOMETRY_NOT_FINITE, f"the velocity in the odometry is {odometry.value}")
+        return Conversion(self._clamp(self._map.value_at(acceleration, odometry.value)))
 
     def odometry_age_s(self, now_ns: int) -> float:
         """Return the seconds since the last odometry; inf = never received."""

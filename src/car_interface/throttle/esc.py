@@ -83,8 +83,7 @@ class EscDecision(NamedTuple):
     state: int
     cause: str  # one of car_interface.common.causes
     reason: str
-    stop_mps2: float  # the deceleration that is certain if the car stops now
-    coasts_below_mps: float  # below this speed only drag is certain; 0: the brake is, down to standstill
+    stop_mps2: float  # the deceleration that is certain, down to standstill, if the car stops now
 
     @property
     def state_name(self) -> str:
@@ -459,20 +458,18 @@ class Esc:
         self._hill.step(fraction, self._motion, now_ns)
         is_push = state == FORWARD and fraction > 0
         self._proof.step(fraction, is_push, self._history.pulled_ns(now_ns), self._motion, now_ns)
-        return EscDecision(fraction, state, cause, reason, *self._stop_guarantee(now_ns))
+        return EscDecision(fraction, state, cause, reason, self._stop_mps2(now_ns))
 
     def _update_lagging_pull(self, now_ns):
         keeps = math.exp((self._finished_ns - now_ns) / (MOTOR_LAG_NS + ACTUATION_NS))
         self._lagging_pull = keeps * self._lagging_pull + (1.0 - keeps) * max(0.0, -self._fraction)
         self._finished_ns = now_ns
 
-    def _stop_guarantee(self, now_ns):
-        """Return (the deceleration of a stop, the speed below which only drag is left), as in ``EscDecision``."""
-        braked_mps2 = self.config.stop_brake * self.config.brake_deceleration_mps2
-        if self._state in (ARMING, REVERSE) or not self._stop_brakes(now_ns):
-            return self.config.drag_deceleration_mps2, 0.0
-        is_certain = self._stop_is_certain(now_ns)
-        return braked_mps2, 0.0 if is_certain else self.config.brake_margin_mps
+    def _stop_mps2(self, now_ns):
+        """Return the deceleration of a stop down to standstill: the brake's if it is certain, else drag's."""
+        if (self._state in (ARMING, REVERSE) or not self._stop_brakes(now_ns) or not self._stop_is_certain(now_ns)):
+            return self.config.drag_deceleration_mps2
+        return self.config.stop_brake * self.config.brake_deceleration_mps2
 
 
 def _clamped(request):

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Callable, NamedTuple, Sequence
+from typing import Callable, NamedTuple
 
 from car_interface.common import causes, declared
 from car_interface.common.errors import ConfigError
@@ -78,6 +78,7 @@ class SpeedBound(NamedTuple):
     cause: str  # one of car_interface.common.causes
     words: str  # what allows the speed, to begin a reason with: ``max_speed``
     max_throttle: float = 1.0  # 0..1: the most throttle on the way to that speed
+    is_stop: bool = False  # the car exceeds it, and has to stop
 
 
 class Limited(NamedTuple):
@@ -114,7 +115,7 @@ class ThrottleLimiter:
         self._request_of_value = request_of_value
 
     def limit(self, arbitration: Arbitration, is_reverse: bool, turn_max_mps: float, now_ns: int,
-              bounds: Sequence[SpeedBound] = (), stop: SpeedBound | None = None) -> Limited:
+              bound: SpeedBound | None = None) -> Limited:
         """Return what an arbitration is granted.
 
         Args:
@@ -122,25 +123,23 @@ class ThrottleLimiter:
             is_reverse: the ESC is in reverse.
             turn_max_mps: the speed up to which the requested turn is allowed; inf = straight on, 0 = no limit.
             now_ns: the time.
-            bounds: further bounds of the speed, in the direction in which the car drives.
-            stop: a bound that the car exceeds, and has to stop for; ``None`` = there is none.
+            bound: another bound of the speed, in the direction in which the car drives; ``None`` = there is none.
         """
-        if stop is not None and arbitration.source in (TELEOP, PLANNER) and not arbitration.is_stop:
-            stopped = arbitration._replace(drive=0.0, brake=0.0, is_stop=True)
-            limited = Limited(stopped, stop.cause, f"{self._words(stop)}: it stops", stop.speed_mps)
-        else:
-            limited = self._limit(arbitration, is_reverse, turn_max_mps, now_ns, bounds)
+        limited = self._limit(arbitration, is_reverse, turn_max_mps, now_ns, bound)
         if limited.is_cut and not self._is_cut:
             self.cuts += 1
         self._is_cut = limited.is_cut
         return limited
 
-    def _limit(self, arbitration, is_reverse, turn_max_mps, now_ns, bounds):
+    def _limit(self, arbitration, is_reverse, turn_max_mps, now_ns, bound):
         source = arbitration.source
         if arbitration.is_stop or source not in (TELEOP, PLANNER):
             return Limited(arbitration)
+        if bound is not None and bound.is_stop:
+            stopped = arbitration._replace(drive=0.0, brake=0.0, is_stop=True)
+            return Limited(stopped, bound.cause, f"{self._words(bound)}: it stops", bound.speed_mps)
         limits = self.limits.planner if source == PLANNER else self.limits.human
-        bounds = list(bounds)
+        bounds = [] if bound is None else [bound]
         if limits.max_speed_mps:
             bounds.append(SpeedBound(limits.max_speed_mps, causes.SPEED_LIMITED, "max_speed"))
         slows_down = turn_max_mps and self.limits.slow_down and source == PLANNER

@@ -1,7 +1,7 @@
 """Turn a requested speed into an acceleration for the converter, whose inverse map is the feed-forward.
 
-``SpeedControl.step`` takes a ``SpeedRequest``, and uses the speed by odometry and throttle_arb's state; it returns a
-``SpeedCommand``. Limits of acceleration and jerk make a reference speed of the request (``speed_reference``). The
+``SpeedControl.step`` takes a planner's request, and uses the speed by odometry and throttle_arb's state; it returns a
+``SpeedCommand``. Limits of acceleration and jerk make a reference speed of the request (``SpeedReference``). The
 reference's acceleration is fed forward, and a small PI controller on the measured speed corrects the errors of map,
 battery and slope. It doesn't wind up: while somebody else drives, or the ESC can't follow (ESC_WAITS), it starts over
 at the measured speed, and while a limit cuts the command the integral stays.
@@ -19,11 +19,11 @@ from car_interface.common import causes, declared
 from car_interface.common.measured_speed import MAX_SPEED_MPS
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
+from car_interface.planner.request import PlannerRequest
 from car_interface.steering.arbiter import PLANNER
 from car_interface.throttle.arbiter import COAST_GEAR
 from car_interface.throttle.esc_intention import DRIVE, REVERSE_GEAR
 from car_interface.throttle.esc_motion import STANDSTILL_MPS
-from car_interface.throttle.speed_reference import SpeedReference
 
 MIN_MAX_SPEED_MPS = 0.2  # twice STANDSTILL_MPS: no car of this kind holds a lower speed
 MAX_STEP_S = 0.1  # a step of a delayed node counts as no longer than this, so that the speed doesn't jump
@@ -71,24 +71,7 @@ class SpeedControlConfig:
         high=0.5)
 
 
-class SpeedRequest(NamedTuple):
-    """A requested speed.
-
-    Attributes:
-        speed_mps: backward negative; finite.
-        acceleration_mps2, jerk_mps3: at most this, within the configured limits; 0 = the limits alone.
-        braking_mps2: brake by at least this, whatever the speed; 0 = as the speed requires.
-        gear: ``drive``, ``reverse``, ``neutral`` (coast), ``park``; ``None`` = by the sign of the speed.
-    """
-
-    speed_mps: float
-    acceleration_mps2: float = 0.0
-    jerk_mps3: float = 0.0
-    braking_mps2: float = 0.0
-    gear: str | None = None
-
-
-STOP = SpeedRequest(0.0)
+STOP = PlannerRequest(None, 0.0)
 
 
 class SpeedCommand(NamedTuple):
@@ -121,6 +104,43 @@ class _Past(NamedTuple):
     at_ns: int
     distance_m: float  # by the references
     speed_mps: float
+
+
+class SpeedReference:
+    """Lead a speed to a target, within limits of acceleration, braking and jerk.
+
+    Attributes:
+        speed_mps: the present speed, 0 or more.
+        acceleration_mps2: the present acceleration; negative = it slows down.
+    """
+
+    def __init__(self):
+        self.speed_mps = self.acceleration_mps2 = 0.0
+
+    def reset(self, speed_mps: float) -> None:
+        """Start over at a speed, without acceleration."""
+        self.speed_mps, self.acceleration_mps2 = max(0.0, speed_mps), 0.0
+
+    def step(self, target_mps: float, max_acceleration_mps2: float, max_braking_mps2: float, max_jerk_mps3: float,
+             dt_s: float) -> None:
+        """Move on by ``dt_s`` towards a target of 0 or more, without overshooting it.
+
+        Near the target the acceleration falls early enough to keep the limit of the jerk j: while an acceleration a
+        falls to 0 in steps of j·dt, the speed still changes by a² / 2j + a·dt / 2.
+        """
+        if dt_s <= 0:
+            return
+        gap_mps = target_mps - self.speed_mps
+        limit_mps2 = max_acceleration_mps2 if gap_mps > 0 else max_braking_mps2
+        step_mps2 = max_jerk_mps3 * dt_s
+        falling_mps2 = math.sqrt((step_mps2 / 2) ** 2 + 2 * max_jerk_mps3 * abs(gap_mps)) - step_mps2 / 2
+        wanted_mps2 = math.copysign(min(limit_mps2, falling_mps2), gap_mps)
+        self.acceleration_mps2 += max(-step_mps2, min(step_mps2, wanted_mps2 - self.acceleration_mps2))
+        speed_mps = self.speed_mps + self.acceleration_mps2 * dt_s
+        if (target_mps - speed_mps) * gap_mps <= 0 or speed_mps < 0:
+            self.speed_mps, self.acceleration_mps2 = target_mps, 0.0
+        else:
+            self.speed_mps = speed_mps
 
 
 class SpeedControl:
@@ -172,7 +192,7 @@ class SpeedControl:
         """Return the newest speed; NaN = none."""
         return math.nan if self._speed.value is None else self._speed.value
 
-    def step(self, request: SpeedRequest, now_ns: int) -> SpeedCommand:
+    def step(self, request: PlannerRequest, now_ns: int) -> SpeedCommand:
         """Return the command from ``now_ns`` on. Call it at 20 Hz at least."""
         dt_s = 0.0 if self._stepped_ns is None else (now_ns - self._stepped_ns) / NS_PER_S
         self._stepped_ns = now_ns

@@ -51,7 +51,7 @@ from car_interface.ros.logs import ThrottledWarnings
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, md5_of, sender_of, subscribe
 from car_interface.steering.limits import TOO_TIGHT_FOR_NS, TOO_TIGHT_REMEDY
-from car_interface.throttle.speed_control import STOP, SpeedControl, SpeedRequest
+from car_interface.throttle.speed_control import STOP, SpeedControl
 
 RATE_HZ = 50
 STEERING_TIMEOUT_S = 0.5  # turn_arb's state comes 20 times a second
@@ -220,8 +220,7 @@ class PlannerInterface:
             self._publish_control(self._command.reference_mps, self._command.acceleration_mps2)
 
     def _control_speed(self, now_ns):
-        request = self._decision.request
-        self._command = self._control.step(STOP if request is None else SpeedRequest(*request[1:]), now_ns)
+        self._command = self._control.step(self._decision.request or STOP, now_ns)
 
     @property
     def _kind(self):
