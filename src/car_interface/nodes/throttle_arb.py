@@ -174,7 +174,7 @@ class ThrottleArb(CommandNode):
         self._arbiter.explain_human(message.human_in_loop, message.reason, now_ns)
 
     def _on_battery(self, message, now_ns):
-        self._arbiter.update_battery(message.voltage, now_ns)
+        self._arbiter.battery.update(message.voltage, now_ns)
 
     def _on_output(self, message, now_ns):
         if len(message.data) == CHANNELS:
@@ -274,7 +274,7 @@ class ThrottleArb(CommandNode):
 
     def _report_battery(self, status):
         """How the battery is, for /diagnostics; a change is logged."""
-        battery = self._arbiter.battery_status(self._clocks.now_ns())
+        battery = self._arbiter.battery.status(self._clocks.now_ns())
         if battery.cause != self._battery_cause:
             log = rospy.logwarn if battery.cause else rospy.loginfo
             log("battery: %s", battery.text)

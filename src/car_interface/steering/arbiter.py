@@ -160,7 +160,8 @@ class SteeringArbiter(MotionInterlock):
         limits = self._sources.get(source)
         ages_s = (self.e_stop_age_s(now_ns), self.human_age_s(now_ns), self._teleop.age_s(now_ns),
                   min(self._planner.age_s(now_ns), self._planner_steering.age_s(now_ns)))
-        requested_m = self._requested_radius_m(source, now_ns)
+        # 0: another source steers, or the planner sent a steering.
+        requested_m = self._planner.value if source == PLANNER and not self._planner.is_stale(now_ns) else 0.0
         too_tight = self._too_tight(requested_m)
         if limits is None or limits.is_off and not too_tight:
             self._unlimited = None if limits is None else duty, now_ns
@@ -170,16 +171,14 @@ class SteeringArbiter(MotionInterlock):
             self.limiter.release(0.0 if before is None else 1.0 / self.turn_radius_m(before), at_ns)
             self._unlimited = None
         asked_m = requested_m or self.turn_radius_m(duty)
-        turn = self.limiter.limit(1.0 / self._possible_m(asked_m), limits, now_ns, too_tight)
+        # Of a turn that is too tight the wheels do the tightest one, driven slowly.
+        possible_m = max(abs(asked_m), self._calibration.tightest_radius_m(asked_m))
+        turn = self.limiter.limit(math.copysign(1.0 / possible_m, asked_m), limits, now_ns, too_tight)
         if turn.is_cut:
             radius_m = 1.0 / turn.curvature_per_m if turn.curvature_per_m else math.inf
             duty = self._calibration.planner_duty(radius_m, self._known_speed_mps)
         return Decision(source, self._slewed(source, duty, now_ns), cause, reason, *ages_s, turn.cause, turn.reason,
                         asked_m, turn.max_speed_mps)
-
-    def _requested_radius_m(self, source, now_ns):
-        """Return the radius of the planner that steers; 0 = it sent a steering instead, or another source steers."""
-        return self._planner.value if source == PLANNER and not self._planner.is_stale(now_ns) else 0.0
 
     def _too_tight(self, radius_m):
         """Return why the wheels can't do a requested radius; empty: they can, or none is requested."""
@@ -188,10 +187,6 @@ class SteeringArbiter(MotionInterlock):
         speed_mps = self._known_speed_mps
         return too_tight_reason(radius_m, self._calibration.tightest_radius_m(radius_m),
                                 self._calibration.tightest_radius_m(radius_m, speed_mps), speed_mps)
-
-    def _possible_m(self, radius_m):
-        """Return the radius, or the tightest one that the wheels can do, driven slowly."""
-        return math.copysign(max(abs(radius_m), self._calibration.tightest_radius_m(radius_m)), radius_m)
 
     @property
     def _known_speed_mps(self):

@@ -20,7 +20,7 @@ from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
 from car_interface.interlock.motion_interlock import EXPLANATION_TIMEOUT_S, InterlockConfig, MotionInterlock
 from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP, source_name
-from car_interface.throttle.battery import BatteryConfig, BatteryStatus, BatteryWatch
+from car_interface.throttle.battery import BatteryConfig, BatteryWatch
 from car_interface.throttle.board_watch import BoardConfig, BoardWatch, Trouble
 from car_interface.throttle.esc_intention import AUTO, DRIVE, REVERSE_GEAR
 from car_interface.throttle.stick import Scale, StickConfig, shaped
@@ -84,6 +84,9 @@ class ThrottleArbiter(MotionInterlock):
     been centered for OVERRIDE_HOLD_S. An override has the gear DRIVE, in which no pull ever becomes reverse. A human
     who takes over from the planner has it, too, until the stick was centered SETTLES_NS later: mode and stick arrive on
     different topics, so a pull that arrives earlier may have been sent under the planner's deadman.
+
+    Attributes:
+        battery: takes its voltages, and says how it is.
     """
 
     def __init__(self, config: ThrottleArbiterConfig = ThrottleArbiterConfig()):
@@ -103,7 +106,7 @@ class ThrottleArbiter(MotionInterlock):
         self._gave_ns: int | None = None
         self._no_value: Trouble | None = None
         self._board = None if config.board is None else BoardWatch(config.board)
-        self._battery = BatteryWatch(config.battery)
+        self.battery = BatteryWatch(config.battery)
         self._command_timeout_ns = (round(config.command_timeout_s * NS_PER_S) if config.command_timeout_s
                                     else math.inf)
         self._resumed_ns: int | None = None  # when the planner asked again after it had no request
@@ -194,14 +197,6 @@ class ThrottleArbiter(MotionInterlock):
         is_no_cars = abs(speed_mps) > MAX_SPEED_MPS
         self._odometry.update(math.copysign(math.inf, speed_mps) if is_no_cars else speed_mps, now_ns, age_ns)
 
-    def update_battery(self, voltage_v: float, now_ns: int) -> None:
-        """Take the battery's voltage."""
-        self._battery.update(voltage_v, now_ns)
-
-    def battery_status(self, now_ns: int) -> BatteryStatus:
-        """Return how the battery is."""
-        return self._battery.status(now_ns)
-
     def mark_stale(self, now_ns: int) -> None:
         """Treat all inputs as stale, since messages were dropped on their way here."""
         self._resumed_ns = None
@@ -279,7 +274,8 @@ class ThrottleArbiter(MotionInterlock):
         if not (request or human_drives):
             return None
         if self._gave_ns is not None:
-            return self._by_taking_over(throttle, request)
+            why = ": it only brakes until the stick was centered, since the planner drove before" if request < 0 else ""
+            return self._without_reverse(causes.TELEOP, throttle, request, why)
         reason = f"tele_throt_req is {throttle:.3f}, scaled by {self.scale:g}"
         return Arbitration(TELEOP, causes.TELEOP, reason, request, request * self.scale,
                            request * self._stick.brake_scale, False)
@@ -300,11 +296,6 @@ class ThrottleArbiter(MotionInterlock):
         return Arbitration(TELEOP, cause, reason, request, request * scale, request * self._stick.brake_scale, False,
                            DRIVE)
 
-    def _by_taking_over(self, throttle, request):
-        """Return the request of a human whose stick wasn't centered since the planner drove."""
-        why = ": it only brakes until the stick was centered, since the planner drove before" if request < 0 else ""
-        return self._without_reverse(causes.TELEOP, throttle, request, why)
-
     def _by_override(self, throttle, request, now_ns):
         """Return a stick's request under a planner's deadman, neutral for a while after it, then None."""
         if request:
@@ -316,7 +307,9 @@ class ThrottleArbiter(MotionInterlock):
 
     def _by_planner(self, now_ns):
         """Return the planner's request, a stop if there is none, or neutral if no planner ever sent a value."""
-        gear, no_request, speed_mps = self._planner_gear(now_ns)
+        gear, no_request, speed_mps = AUTO, None, 0.0  # by AUTO no planner reverses
+        if not self._planner_state.is_stale(now_ns):
+            gear, no_request, speed_mps = self._planner_state.value
         trouble = no_request or self._no_value
         if trouble is None and not self._planner.was_received:
             return Arbitration(NEUTRAL, causes.NO_REQUEST, "neither tele_throt_req nor a planner's value asks for "
@@ -344,16 +337,12 @@ class ThrottleArbiter(MotionInterlock):
             return Trouble(causes.ODOMETRY_STALE, odometry.stale_reason(now_ns))
         if not math.isfinite(odometry.value):
             return Trouble(causes.ODOMETRY_NOT_FINITE, f"the velocity in the odometry is {odometry.value}")
-        return Trouble(*self._battery.status(now_ns)) if self._battery.is_empty else None
+        return Trouble(*self.battery.status(now_ns)) if self.battery.is_empty else None
 
     def _is_awaited(self, now_ns):
         """Return whether the planner resumed just now: its state arrives before the converter's first value."""
         return (self._planner.is_marked_stale and self._resumed_ns is not None
                 and now_ns - self._resumed_ns <= self._command_timeout_ns)
-
-    def _planner_gear(self, now_ns):
-        """Return planner_interface's gear, trouble and speed. If stale: AUTO, by which no planner reverses."""
-        return (AUTO, None, 0.0) if self._planner_state.is_stale(now_ns) else self._planner_state.value
 
 
 def _stop(source, cause, reason):

@@ -182,7 +182,6 @@ class Esc:
         self._check = MotionCheck(self.config)
         self._is_measured = self._is_measured and cause != causes.ESC_MOTION
         self._proof.doubt()
-        self._pulls = Pulls(self.config.dead_band_reverse)
 
     def _neutral_missing_ns(self, now_ns):
         lasts_ns = min(self._history.neutral_ns(now_ns), now_ns - self._armed_after_ns)

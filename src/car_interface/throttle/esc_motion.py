@@ -158,16 +158,12 @@ class MeasuredMotion:
         """Return a bound of the present deceleration: the tyres', or by what the same brake was seen to do."""
         if braked_since_ns is None or self._age_ns(now_ns) > SEEN_FOR_NS:
             return MAX_DECELERATION_MPS2
-        (first_ns, first_mps), (last_ns, last_mps) = self._window(braked_since_ns + MOTOR_LAG_NS)
-        if last_ns - first_ns < WINDOW_NS:
+        since = [each for each in self._speeds if each[0] >= braked_since_ns + MOTOR_LAG_NS]
+        if not since or since[-1][0] - since[0][0] < WINDOW_NS:
             return MAX_DECELERATION_MPS2
+        (first_ns, first_mps), (last_ns, last_mps) = since[0], since[-1]
         seen_mps2 = max(0.0, (first_mps - last_mps) * NS_PER_S / (last_ns - first_ns))
         return min(MAX_DECELERATION_MPS2, SEEN_RATIO * seen_mps2 + SEEN_MPS2)
-
-    def _window(self, since_ns):
-        """Return the oldest and the newest of the speeds that were measured since then."""
-        window = [each for each in self._speeds if each[0] >= since_ns]
-        return (window[0], window[-1]) if window else ((0, 0.0), (0, 0.0))
 
     def _least_mps(self, now_ns, ahead_ns, slows_mps2=MAX_DECELERATION_MPS2):
         speed_mps = self.speed_mps(now_ns)
