@@ -1,4 +1,4 @@
-"""Decides whether the car may move at all, by emergency stop (the lock) and deadman (the human).
+"""Decide whether the car may move at all, by emergency stop (the lock) and deadman (the human).
 
 Consumes both, each with its arrival on the monotonic clock, and answers with an ``Inhibit`` or ``None``. The
 arbiters of steering and throttle are an interlock each, so that they stop together without depending on each other.
@@ -52,7 +52,7 @@ class Inhibit(NamedTuple):
 
 
 class MotionInterlock:
-    """Permits or inhibits motion, by the newest of lock and deadman.
+    """Permit or inhibit motion, by the newest of lock and deadman.
 
     After a stale deadman, a lock, dropped messages, or the start unless ``grant_at_start``, re-arming takes a false of
     the deadman while none of these holds any more, and then a true. The start is the first call with a time.

@@ -66,7 +66,7 @@ LOGGED = frozenset({causes.ESC_MOTION, causes.REVERSE_PENDING, causes.REVERSING,
 
 
 class ThrottleArb(CommandNode):
-    """Receives the inputs, decides, publishes."""
+    """Receive the inputs, decide, publish."""
 
     # A planner's values change the duty as often as the timer ticks: both together would double every command.
     repeats_change = False
@@ -248,7 +248,7 @@ class ThrottleArb(CommandNode):
                                                                                 for name, age_s in ages_s.items()}))
 
     def _report(self, status):
-        """Who drives, why, and what the ESC gets, for /diagnostics."""
+        """Report on /diagnostics who drives, why, and what the ESC gets."""
         decision = self._decision  # there is one: the first tick is due at once, and goes before any report
         arbitration, esc = decision.arbitration, decision.esc
         is_calibration_drive = self._control.esc_config.calibration_drive
@@ -273,7 +273,7 @@ class ThrottleArb(CommandNode):
         return status
 
     def _report_battery(self, status):
-        """How the battery is, for /diagnostics; a change is logged."""
+        """Report on /diagnostics how the battery is, and log a change."""
         battery = self._arbiter.battery.status(self._clocks.now_ns())
         if battery.cause != self._battery_cause:
             log = rospy.logwarn if battery.cause else rospy.loginfo
@@ -293,7 +293,7 @@ AGES = {"e_stop": "e_stop_age", "human_in_loop": "human_age", "turn_arb's state"
 
 
 def _is_alarming(decision):
-    """Whether somebody has to act: the car is locked, an input failed, or the car moved against the ESC's state."""
+    """Return whether somebody has to act: locked, an input failed, or the car moved against the ESC's state."""
     arbitration = decision.arbitration
     return (arbitration.source == LOCKED or arbitration.cause in causes.LOSSES
             or arbitration.cause == causes.BOARD_NEVER_RECEIVED or decision.esc.cause in causes.LOSSES)

@@ -50,7 +50,7 @@ LIVE_RATE = 500  # duty per second, or slew_limit where that is less
 
 
 class TurnArb(CommandNode):
-    """Receives the inputs, decides, publishes."""
+    """Receive the inputs, decide, publish."""
 
     def __init__(self, params, inbox):
         config = read_all(params, TurnArbConfig)
@@ -171,7 +171,7 @@ class TurnArb(CommandNode):
             self._warnings.warn(causes.TOO_TIGHT, f"the planner {self._too_tight}")
 
     def _report(self, status):
-        """Source, cause and ages, for /diagnostics."""
+        """Report source, cause and ages on /diagnostics."""
         decision = self._arbiter.decide(self._clocks.now_ns())  # for its ages
         alarming = _is_alarming(decision)
         too_tight = self._arbiter.limiter.too_tight_lately(self._clocks.now_ns())
@@ -216,7 +216,7 @@ class TurnArb(CommandNode):
 
 
 def _is_alarming(decision):
-    """Whether somebody has to act: the car is locked, or an input failed."""
+    """Return whether somebody has to act: the car is locked, or an input failed."""
     return decision.source == LOCKED or decision.cause in causes.LOSSES or decision.cause == causes.TWO_REQUESTS
 
 

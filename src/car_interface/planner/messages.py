@@ -1,4 +1,4 @@
-"""Converts planners' messages to requests: Ackermann commands, twists, and Autoware's Control with its gear.
+"""Convert planners' messages to requests: Ackermann commands, twists, and Autoware's Control with its gear.
 
 AckermannDrive (ackermann_msgs), as F1TENTH's stacks publish it on ``drive``. By its definition steering_angle is the
 angle of a virtual wheel in the middle of the front axle, left positive; speed, acceleration and jerk are measured at
@@ -63,7 +63,6 @@ def from_twist(linear_x: float, angular_z: float, angular: str, wheelbase_m: flo
     Args:
         linear_x: m/s.
         angular_z: rad/s, or rad with ANGLE.
-        angular: RATE or ANGLE.
         wheelbase_m: between the axles.
     """
     refusal = not_finite(linear__x=linear_x, angular__z=angular_z)

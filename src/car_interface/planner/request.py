@@ -58,7 +58,6 @@ def radius_of_angle(name: str, angle_rad: float, wheelbase_m: float) -> float | 
     """Return the turn radius for the angle of a virtual front wheel in the middle of the front axle, left positive.
 
     Args:
-        name: of the field, for a refusal.
         angle_rad: finite. A right angle or more is refused: it is likely in degrees.
         wheelbase_m: between the axles.
     """

@@ -1,4 +1,4 @@
-"""Obeys one planner, the configured source. The messages of other sources are counted, with their senders.
+"""Obey one planner, the configured source. The messages of other sources are counted, with their senders.
 
 Consumes the requests made of the source's messages, with their arrival; answers with the request, or why there is none.
 A source that falls silent has no request from then on: nothing is repeated for it. A source that sent an angle which no
@@ -34,10 +34,9 @@ class PlannerDecision(NamedTuple):
 
 
 class SourceArbiter:
-    """Keeps the newest command of the source.
+    """Keep the newest command of the source.
 
     Args:
-        source: one of SOURCES.
         timeout_s: a command older than this is no request any more; above 0.
         sane_radius_m: for a source that was refused for an angle, a tighter turn than this isn't sane.
     """

@@ -1,4 +1,4 @@
-"""Decides who steers, and with what duty.
+"""Decide who steers, and with what duty.
 
 Consumes emergency stop, deadman, the gamepad's steering and the planner's turn radius or steering, each with its
 arrival on the monotonic clock, and answers with a ``Decision``: source, duty, cause and reason. Pure: ``now_ns`` is
@@ -84,7 +84,7 @@ class Decision(NamedTuple):
 
 
 class SteeringArbiter(MotionInterlock):
-    """Decides who steers from the newest of each input.
+    """Decide who steers from the newest of each input.
 
     Locked or no human → neutral; else the gamepad, if it steers; else the planner, if it requests a radius; else
     neutral. A gamepad that was received once and is stale or not finite means neutral, not the planner: the human may

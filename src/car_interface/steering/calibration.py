@@ -1,4 +1,4 @@
-"""Converts a steering request or a turn radius to a servo duty, and back: a car's steering calibration.
+"""Convert a steering request or a turn radius to a servo duty, and back: a car's steering calibration.
 
 Steering −1 is full right and +1 full left; a turn radius is in metres, right negative; a duty is 0..65535 of the PWM
 period.
@@ -85,7 +85,6 @@ class SteeringCalibration:
 
         Args:
             side: positive = left, negative = right.
-            speed_mps: the car's speed.
         """
         return driven_radius_m(_tightest_m(self._left if side > 0 else self._right), speed_mps, self.understeer)
 

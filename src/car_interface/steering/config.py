@@ -27,7 +27,6 @@ def load_steering(path: str, text: str | None = None) -> SteeringCalibration:
     """Load the calibration from a YAML file for turn_arb. A file that the node would refuse is refused here too.
 
     Args:
-        path: of the file.
         text: what the file is going to have; ``None`` = it is read.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Limits how tight a car may turn at its speed, and how quickly it may turn in.
+"""Limit how tight a car may turn at its speed, and how quickly it may turn in.
 
 Pure: the requested curvature and the measured speed in, the granted curvature and the reason out. A turn that the
 wheels can't do is reported, and replaced by the tightest one that they can do. The lateral acceleration of a turn is
@@ -63,7 +63,6 @@ def too_tight_reason(asked_m: float, slow_m: float, driven_m: float, speed_mps: 
     Args:
         asked_m: the requested radius, left positive.
         slow_m, driven_m: the tightest one to that side, driven slowly and at this speed.
-        speed_mps: the car's speed.
     """
     radius_m, side = abs(asked_m), "left" if asked_m > 0 else "right"
     if radius_m < TIGHT_RATIO * slow_m:
@@ -93,10 +92,9 @@ class Turn(NamedTuple):
 
 
 class SteeringLimiter:
-    """Limits one car's turns.
+    """Limit one car's turns.
 
     Attributes:
-        speed: the measured speed.
         cuts: how often a request began to be limited.
     """
 
@@ -120,8 +118,6 @@ class SteeringLimiter:
 
         Args:
             curvature_per_m: no more than the wheels can do.
-            limits: of the source.
-            now_ns: the time.
             too_tight: why the request was more than the wheels can do, by ``too_tight_reason``; empty: it wasn't.
         """
         was_cut, turn = self._is_cut, self._by_speed(curvature_per_m, limits, now_ns)

@@ -1,4 +1,4 @@
-"""Checks whether the car turns as commanded: finds a wrong calibration, a reversed servo, a bent linkage.
+"""Check whether the car turns as commanded: find a wrong calibration, a reversed servo, a bent linkage.
 
 Consumes the commanded turn radius (by the steering's calibration), and speed and yaw rate by odometry, each as it
 arrives; answers with a ``Judgement``.
@@ -52,7 +52,7 @@ class _Slice(NamedTuple):
 
 
 class SteeringCheck:
-    """Compares the driven curvature with the commanded one.
+    """Compare the driven curvature with the commanded one.
 
     The mean of the last OFF_FOR_NS, all of it at speed, is compared with the range of commands in that time and in
     SETTLING_NS before it: each curvature in that range is accepted. So a command that changes often has a larger

@@ -38,7 +38,6 @@ def load_throttle(path: str, text: str | None = None) -> ThrottleConfig:
     A file that the node would refuse is refused here, too.
 
     Args:
-        path: of the file.
         text: the file's future content, to check instead; ``None`` = read the file.
 
     Raises:

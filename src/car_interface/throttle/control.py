@@ -56,7 +56,6 @@ class ThrottleControl:
 
     Attributes:
         arbiter: takes e-stop, deadman, steering, teleop, mode, buttons and the converter's state directly.
-        esc_config: as given.
         limiter: counts how often it began to cut a request.
     """
 

@@ -200,7 +200,6 @@ class Esc:
         """Return the request's value, clamped to −1..1; 0 in the dead band, where the ESC may see a pull or neutral.
 
         Args:
-            request: the request.
             keeps_small: pass values within the dead band, so that a calibration drive finds where the car sets off.
         """
         value = request.value if math.isfinite(request.value) else 0.0
@@ -384,11 +383,6 @@ class Esc:
 
     def _stop(self, now_ns, cause=causes.STOPPING, prefix=""):
         """Return the answer to a stop: hold on a hill, brake, brake weakly, or neutral; never a push.
-
-        Args:
-            now_ns: the time.
-            cause: of the stop.
-            prefix: of the reason.
         """
         if self._stop_began_ns is None:
             self._stop_began_ns = now_ns

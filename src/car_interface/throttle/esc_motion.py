@@ -138,7 +138,6 @@ class MeasuredMotion:
         The board ends it by itself if no decision follows.
 
         Args:
-            now_ns: the time.
             above_mps: it must be faster than this now, too.
             braked_since_ns: when the present brake began; ``None`` = it isn't braked.
         """
@@ -190,9 +189,6 @@ class MotionCheck:
         """Return why the motion has contradicted the state for esc/motion_time; empty = it doesn't.
 
         Args:
-            motion: the measured speed.
-            is_reverse: the ESC is in reverse.
-            now_ns: the time.
             wants_backward: the car is meant to roll backward, even by a hill alone.
         """
         speed_mps = motion.speed_mps(now_ns)

@@ -53,10 +53,7 @@ class BrakeProof:
 
         Args:
             fraction: −1..1.
-            is_push: the fraction drives the car forward.
             pulled_ns: how long the servo board is known to have held a pull.
-            motion: the measured speed.
-            now_ns: the time.
         """
         speed_mps = motion.speed_mps(now_ns)
         if speed_mps is None:

@@ -98,12 +98,7 @@ class Limited(NamedTuple):
 class ThrottleLimiter:
     """Limit one car's throttle.
 
-    Args:
-        limits: the limits.
-        request_of_value: the request for one of the value map's values.
-
     Attributes:
-        speed: the measured speed.
         cuts: how often a limit began to cut the request.
     """
 
@@ -119,10 +114,7 @@ class ThrottleLimiter:
         """Return what an arbitration is granted.
 
         Args:
-            arbitration: who drives, with what request.
-            is_reverse: the ESC is in reverse.
             turn_max_mps: the speed up to which the requested turn is allowed; inf = straight on, 0 = no limit.
-            now_ns: the time.
             bound: another bound of the speed, in the direction in which the car drives; ``None`` = there is none.
         """
         limited = self._limit(arbitration, is_reverse, turn_max_mps, now_ns, bound)

@@ -145,9 +145,7 @@ class ObstacleStop:
 
         Args:
             curvature_per_m: of the arc, left positive.
-            is_backward: the car drives backward on it.
             stop_mps2: the deceleration that is certain if the car stops.
-            now_ns: the time.
             late_s: additional time at that speed towards an echo: odometry's age, and the motor's lag.
             counts_sides: the unknown begins at the fan's sides, too. False for a caller that knows the room there.
         """

@@ -56,8 +56,6 @@ class Arc:
 
     Args:
         curvature_per_m: left positive.
-        is_backward: the car drives backward on it.
-        outline: of the car.
         margin_m: added to the body at both sides.
     """
 
@@ -137,7 +135,6 @@ class Fan:
         mounts: of the sonars that the car has at that end, by name.
         field_of_view_rad: the full angle of each cone.
         bumper_m: from the rear axle's middle to the bumper at that end.
-        is_backward: it is the rear end.
     """
 
     def __init__(self, mounts: Mapping[str, Mount], field_of_view_rad: float, bumper_m: float, is_backward: bool):

@@ -148,7 +148,7 @@ class SpeedControl:
 
     def __init__(self, config: SpeedControlConfig = SpeedControlConfig()):
         self._config = config
-        self._speed = TimedInput("odometry", config.odometry_timeout_s)
+        self.speed = TimedInput("odometry", config.odometry_timeout_s)
         self._throttle = TimedInput("throttle_arb's state", THROTTLE_TIMEOUT_S)
         self._reference = SpeedReference()
         self._integral_mps2 = 0.0
@@ -163,9 +163,9 @@ class SpeedControl:
     def update_odometry(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
         """Take the speed, forward positive, and its age at arrival; beyond MAX_SPEED_MPS or NaN it is unknown."""
         if abs(speed_mps) <= MAX_SPEED_MPS:  # not for NaN
-            self._speed.update(speed_mps, now_ns, age_ns)
+            self.speed.update(speed_mps, now_ns, age_ns)
         else:
-            self._speed.mark_stale(f"it was {speed_mps}")
+            self.speed.mark_stale(f"it was {speed_mps}")
 
     def update_throttle(self, source: int, asked: float, granted: float, esc_cause: str, now_ns: int) -> None:
         """Take throttle_arb's state: who drives, the request, what the ESC gets, and the cause of the ESC's state."""
@@ -175,38 +175,29 @@ class SpeedControl:
 
     def mark_stale(self) -> None:
         """Treat all inputs as stale, since messages were dropped on their way here."""
-        self._speed.mark_stale()
+        self.speed.mark_stale()
         self._throttle.mark_stale()
-
-    def odometry_age_s(self, now_ns: int) -> float:
-        """Return the seconds since the last odometry; inf = never received."""
-        return self._speed.age_s(now_ns)
-
-    @property
-    def max_braking_mps2(self) -> float:
-        """Return the limit of braking."""
-        return self._config.max_braking_mps2
 
     @property
     def measured_mps(self) -> float:
         """Return the newest speed; NaN = none."""
-        return math.nan if self._speed.value is None else self._speed.value
+        return math.nan if self.speed.value is None else self.speed.value
 
     def step(self, request: PlannerRequest, now_ns: int) -> SpeedCommand:
         """Return the command from ``now_ns`` on. Call it at 20 Hz at least."""
         dt_s = 0.0 if self._stepped_ns is None else (now_ns - self._stepped_ns) / NS_PER_S
         self._stepped_ns = now_ns
-        if self._speed.is_stale(now_ns):
+        if self.speed.is_stale(now_ns):
             self._was_known = False
             return SpeedCommand(-self._sign * self._config.max_braking_mps2, 0.0, self._gear, False,
-                                self._speed.stale_reason(now_ns))
+                                self.speed.stale_reason(now_ns))
         target_mps, notes = self._target(request)
-        speed_mps = self._sign * self._speed.value  # in the gear's direction
+        speed_mps = self._sign * self.speed.value  # in the gear's direction
         if request.gear == COAST_GEAR or not self._was_known:
             self._begin_anew(speed_mps)
         self._was_known = True
         if request.gear == COAST_GEAR:
-            return SpeedCommand(0.0, self._speed.value, COAST_GEAR, True, "")
+            return SpeedCommand(0.0, self.speed.value, COAST_GEAR, True, "")
         acceleration_mps2 = self._follow(request, target_mps, speed_mps, max(0.0, min(dt_s, MAX_STEP_S)), now_ns)
         notes += self._stall(speed_mps, now_ns) + self._runaway(speed_mps, now_ns)
         return SpeedCommand(self._sign * acceleration_mps2, self._sign * self._reference.speed_mps, self._gear, True,
@@ -234,8 +225,8 @@ class SpeedControl:
             wanted_mps = 0.0
         gear = self._wanted_gear(request, wanted_mps)
         if gear != self._gear:
-            if abs(self._speed.value) >= STANDSTILL_MPS:
-                notes.append(f"it stops before {gear.upper()}: it rolls at {self._speed.value:.2f} m/s")
+            if abs(self.speed.value) >= STANDSTILL_MPS:
+                notes.append(f"it stops before {gear.upper()}: it rolls at {self.speed.value:.2f} m/s")
                 return 0.0, notes
             self._gear = gear
             self._begin_anew(0.0)

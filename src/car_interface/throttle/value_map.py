@@ -33,7 +33,6 @@ class ValueMap:
         velocities: the columns' axis in m/s, at least two, strictly increasing.
         accelerations: a row for each value, in m/s²; along each column rising from row to row.
         allow_plateaus: accept equal accelerations in neighbouring rows, but not in all rows of a column.
-        name: the map's name in an error.
 
     Raises:
         ConfigError: naming the axis, or rows and velocity.
@@ -173,7 +172,6 @@ def read_grid(path: str, text: str | None = None) -> Grid:
     """Read the numbers of a CSV file.
 
     Args:
-        path: of the file.
         text: the file's future content, to check instead; ``None`` = read the file.
 
     The first row is a name and the velocities, every other row a value and its accelerations. CRLF, a byte-order mark,

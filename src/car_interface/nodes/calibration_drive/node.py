@@ -71,12 +71,9 @@ REQUESTS = ("av_turnrad_req", "av_steer_req", "av_speed_req")
 
 
 class CalibrationDriveNode:
-    """Carries messages to the drive and its requests to the car, shows how far it is, and writes the result.
+    """Carry messages to the drive and its requests to the car, show how far it is, and write the result.
 
     Args:
-        wanted: the options.
-        params: none.
-        inbox: the node's.
         text, keys: the terminal; ``None`` = the one that the program runs in.
         make_recording: as ``BagRecording``.
         make_page: as ``BagPage``.
@@ -86,10 +83,9 @@ class CalibrationDriveNode:
         params.finish()  # it has options instead, which don't stay on the server
         graph, self._clocks = inbox.graph, inbox.clocks
         config = drive_config(wanted)
-        self._wanted, self._inbox = wanted, inbox
+        self._wanted, self._inbox, self._config = wanted, inbox, config
         base = self._base = read_base(graph.parameter("turn_arb", {}))
         self._table = find_table_file(wanted.output, wanted.base, graph.parameter("turn_arb/save_to", None), base)
-        self._config = config
         if not wanted.no_sonars and not wanted.stick:
             obstacles = read_obstacles(graph.parameter("throttle_arb", {}))
             self._config = replace(config, obstacles=obstacles, outline=obstacles.outline)
@@ -157,7 +153,7 @@ class CalibrationDriveNode:
             raise EndedEarly("ended before it was over: nothing is written")
 
     def _typed(self):
-        """The keys that were typed, in lower case; Q ends it."""
+        """Return the keys that were typed, in lower case; Q ends it."""
         typed = ((self._keys.read() or "") if self._has_keys else "").lower()
         if "q" in typed:
             self._inbox.end()
@@ -333,10 +329,7 @@ class CalibrationDriveNode:
         name = os.path.basename(self._recording.path)
         samples, base, base_text = self._drive.samples, self._base, self._table.base_text
         self._inbox.work(lambda: conclude(samples, base, base_text, name), self._on_conclusion)
-        self._stage = self._await_conclusion
-
-    def _await_conclusion(self, now_ns, typed):
-        pass
+        self._stage = lambda now_ns, typed: None  # until the conclusion
 
     def _on_conclusion(self, conclusion, now_ns):
         self._say(*conclusion.report)

@@ -61,15 +61,14 @@ TWISTS = {message_type._md5sum: message_type for message_type in (Twist, TwistSt
 
 
 class PlannerInterface:
-    """Converts the source's messages, controls the speed, publishes."""
+    """Convert the source's messages, control the speed, publish."""
 
     def __init__(self, params, inbox):
         config = read_all(params, PlannerInterfaceConfig)
         self._clocks = inbox.clocks
         now_ns = self._clocks.now_ns()
         self._config = config
-        self._sources = SourceArbiter(config.source, config.source_timeout_s,
-                                      sane_radius_m(config.wheelbase_m))
+        self._sources = SourceArbiter(config.source, config.source_timeout_s, sane_radius_m(config.wheelbase_m))
         # Why the wheels can't turn the car as asked, by turn_arb; empty: they can. And the newest such reason.
         self._steering = TimedInput("turn_arb's state", STEERING_TIMEOUT_S)
         self._too_tight = TimedInput("a turn that is too tight", TOO_TIGHT_FOR_NS / NS_PER_S)
@@ -87,7 +86,7 @@ class PlannerInterface:
         self._radii = advertise("av_turnrad_req", Float32, inbox) if self._steers else None
         self._controls = advertise("~output/control_cmd", Control, inbox)
         self._states = advertise("~state", PlannerState, inbox, latch=True)
-        others = tuple(TOPICS[source] for source in TOPICS if source != config.source)
+        others = tuple(topic for source, topic in TOPICS.items() if source != config.source)
         types = {TOPICS[CMD_VEL]: (Twist._type, TwistStamped._type)} if config.source == CMD_VEL else {}
         self._command_topics = CommandTopics(inbox, shared=others, types=types)
         self._diagnostics = Diagnostics(inbox, "none", {"planner": self._report, **self._command_topics.reports},
@@ -224,7 +223,7 @@ class PlannerInterface:
 
     @property
     def _kind(self):
-        """What throttle_arb goes by: cause, gear, and whether the car is to go on."""
+        """Return what throttle_arb goes by: cause, gear, and whether the car is to go on."""
         cause = self._decision.cause
         if cause == causes.PLANNER and not self._command.is_known:
             cause = causes.ODOMETRY_STALE
@@ -234,7 +233,7 @@ class PlannerInterface:
     def _publish_stop(self):
         self._publish_radius(0.0)
         sign = 1.0 if self._command is not None and self._command.gear == "reverse" else -1.0
-        self._publish_control(0.0, sign * self._control.max_braking_mps2)
+        self._publish_control(0.0, sign * self._config.speed.max_braking_mps2)
 
     def _publish_radius(self, radius_m):
         if self._steers:
@@ -262,21 +261,21 @@ class PlannerInterface:
             turn_radius=decision.radius_m, speed=request.speed_mps if request else 0.0,
             reference_speed=command.reference_mps if request else 0.0, measured_speed=self._control.measured_mps,
             acceleration=command.acceleration_mps2 if request else 0.0, source_age=self._sources.age_s(now_ns),
-            odometry_age=self._control.odometry_age_s(now_ns), refused=self._sources.refused,
+            odometry_age=self._control.speed.age_s(now_ns), refused=self._sources.refused,
             others=self._sources.others))
         if before is None or before[0] != cause:
             log = rospy.logwarn if _is_alarming(cause) else rospy.loginfo
             log("%s", self._reason())
 
     def _reason(self):
-        """Why it isn't obeyed, or what is asked for and what differs from that."""
+        """Return why it isn't obeyed, or what is asked for and what differs from that."""
         if self._decision.request is None:
             return self._decision.reason
         too_tight = "" if self._steering.is_stale(self._clocks.now_ns()) else self._steering.value
         return "; ".join(filter(None, (self._decision.reason, too_tight, self._command.note)))
 
     def _report(self, status):
-        """What is asked for, and why it isn't obeyed, for /diagnostics."""
+        """Report on /diagnostics what is asked for, and why it isn't obeyed."""
         if self._command is None:
             return status
         cause, gear, _ = self._kind
@@ -291,14 +290,14 @@ class PlannerInterface:
         status.add("not obeyed", self._sources.others or "nobody")
         status.add("refused", self._sources.refused)
         status.add(f"age of {self._sources.source}", age_text(self._sources.age_s(now_ns)))
-        status.add("age of odometry", age_text(self._control.odometry_age_s(now_ns)))
+        status.add("age of odometry", age_text(self._control.speed.age_s(now_ns)))
         for kind, count in sorted(self._warnings.counts.items()):
             status.add(kind, count)
         return status
 
 
 def _is_alarming(cause):
-    """Whether somebody has to act: an input failed, or asks for what can't be done."""
+    """Return whether somebody has to act: an input failed, or asks for what can't be done."""
     return cause in causes.LOSSES or cause == causes.REQUEST_REFUSED
 
 
