@@ -82,7 +82,7 @@ class ThrottleArb(CommandNode):
                          {"throttle": self._report, BATTERY_REPORT: self._report_battery})
         self._subscribe()
         for sonar in config.obstacles.mounts if config.obstacles else ():
-            subscribe(f"sonar/{sonar}", Range, inbox, self._deciding(partial(self._on_range, sonar)))
+            subscribe(f"sonar/{sonar}", Range, inbox, partial(self._on_range, sonar))
         self._reconfigure = self._offer_tuning(config)
         self._command_topics.start(self._diagnostics.report_now)
         self._warn_of_calibration_drive()
@@ -113,12 +113,6 @@ class ThrottleArb(CommandNode):
 
     def _mark_stale(self, now_ns):
         self._control.mark_stale(now_ns)
-
-    def _deciding(self, handler):
-        def handle(message, now_ns):
-            handler(message, now_ns)
-            self._decide(now_ns)
-        return handle
 
     def _on_teleop(self, message, now_ns):
         self._arbiter.update_teleop(message.data, now_ns)
@@ -169,6 +163,7 @@ class ThrottleArb(CommandNode):
 
     def _on_range(self, sonar, message, now_ns):
         self._control.update_range(sonar, message.range, now_ns)
+        self._decide(now_ns)
 
     def _on_teleop_state(self, message, now_ns):
         self._arbiter.explain_human(message.human_in_loop, message.reason, now_ns)

@@ -18,8 +18,6 @@ from car_interface.planner.request import PlannerRequest, Refusal
 
 DRIVE, CMD_VEL, AUTOWARE, SPEED = "drive", "cmd_vel", "autoware", "speed"
 SOURCES = (DRIVE, CMD_VEL, AUTOWARE, SPEED)
-
-
 # Long enough for a slow swing: with ±3 "rad" and a period of 10 s, 1 s lies within MAX_SANE_RAD.
 SANE_FOR_NS = 2 * NS_PER_S
 
@@ -121,15 +119,14 @@ class SourceArbiter:
         radius_m = 0.0 if self.source == SPEED else self._radius_m
         return PlannerDecision(causes.PLANNER, f"{self.source} asks for {_text(command, radius_m)}", command, radius_m)
 
-
     def _remains(self, now_ns):
         """Return for how long the source stays refused for an angle, in words."""
         if self._refused_for is None:
             return ""
-        if self._sane_since_ns is None:
-            return f"; refused until it was sane for {SANE_FOR_NS / NS_PER_S:g} s"
-        left_s = max(0, SANE_FOR_NS - (now_ns - self._sane_since_ns)) / NS_PER_S
-        return f"; refused until it was sane for {SANE_FOR_NS / NS_PER_S:g} s, {left_s:.1f} s more"
+        left = ""
+        if self._sane_since_ns is not None:
+            left = f", {max(0, SANE_FOR_NS - (now_ns - self._sane_since_ns)) / NS_PER_S:.1f} s more"
+        return f"; refused until it was sane for {SANE_FOR_NS / NS_PER_S:g} s{left}"
 
 
 def _text(request, radius_m):

@@ -83,7 +83,7 @@ class ThrottleControl:
         self.limiter.speed.update(speed_mps, now_ns, age_ns)
         self._esc.update_speed(speed_mps, now_ns, age_ns)
         if self._guard is not None:
-            self._guard.update_speed(speed_mps, now_ns, age_ns, self._curvature_per_m)
+            self._guard.slope.update_speed(speed_mps, now_ns - max(0, age_ns), self._curvature_per_m)
 
     def update_turn(self, radius_m: float, max_speed_mps: float) -> None:
         """Take the turn that turn_arb steers.

@@ -30,12 +30,7 @@ from typing import NamedTuple
 
 from car_interface.common import causes
 from car_interface.common.units import NS_PER_S
-from car_interface.throttle.esc_config import (
-    BRAKE_THEN_REVERSE,
-    FORWARD_ONLY,
-    UNVERIFIED,
-    EscConfig,
-)
+from car_interface.throttle.esc_config import BRAKE_THEN_REVERSE, FORWARD_ONLY, UNVERIFIED, EscConfig
 from car_interface.throttle.esc_history import EscHistory
 from car_interface.throttle.esc_intention import AUTO, DRIVE, REVERSE_GEAR, Pulls, Request
 from car_interface.throttle.esc_motion import (
@@ -199,8 +194,7 @@ class Esc:
     def _value_of(self, request, keeps_small):
         """Return the request's value, clamped to −1..1; 0 in the dead band, where the ESC may see a pull or neutral.
 
-        Args:
-            keeps_small: pass values within the dead band, so that a calibration drive finds where the car sets off.
+        With ``keeps_small`` such values pass, so that a calibration drive finds where the car sets off.
         """
         value = request.value if math.isfinite(request.value) else 0.0
         value = max(-1.0, min(1.0, value))
@@ -276,8 +270,11 @@ class Esc:
     def _brake(self, value, means_reverse, now_ns):
         """Return the answer to a pull that brakes, whole or weakly; None: it may not brake."""
         if self._brakes(value, now_ns):
-            state = HOLD if self._motion.stands(now_ns) else BRAKING
-            return value, state, *self._brake_cause(state, means_reverse)
+            if not self._motion.stands(now_ns):
+                return value, BRAKING, causes.BRAKING, "it rolls forward, or its speed is unknown"
+            if means_reverse and self.config.profile == FORWARD_ONLY:
+                return value, HOLD, causes.REVERSE_REFUSED, "this ESC has no reverse (esc/profile: forward_only)"
+            return value, HOLD, causes.HOLDING, "it stands, and the brake holds it"
         weak = self._weak_pull(value, now_ns)
         return (weak, BRAKING, causes.BRAKING, WEAKLY) if weak else None
 
@@ -327,13 +324,6 @@ class Esc:
         weak = max(value, -motion.mps2_to_outlast_a_pull(now_ns) / SLOWS_MPS2)
         is_let_go = self._lagging_pull <= LETS_GO * -weak
         return weak if weak <= -self.config.dead_band_reverse and is_let_go else 0.0
-
-    def _brake_cause(self, state, means_reverse):
-        if state == BRAKING:
-            return causes.BRAKING, "it rolls forward, or its speed is unknown"
-        if means_reverse and self.config.profile == FORWARD_ONLY:
-            return causes.REVERSE_REFUSED, "this ESC has no reverse (esc/profile: forward_only)"
-        return causes.HOLDING, "it stands, and the brake holds it"
 
     def _withheld(self, means_reverse, now_ns):
         """Return cause and reason for neutral instead of a pull."""

@@ -94,6 +94,10 @@ class Limited(NamedTuple):
         """Return whether less is granted than was requested."""
         return self.cause in causes.THROTTLE_CUTS
 
+    def cut(self, cause: str, reason: str, **changes) -> Limited:
+        """Return the same with changes of the arbitration."""
+        return self._replace(arbitration=self.arbitration._replace(**changes), cause=cause, reason=reason)
+
 
 class ThrottleLimiter:
     """Limit one car's throttle.
@@ -128,8 +132,8 @@ class ThrottleLimiter:
         if arbitration.is_stop or source not in (TELEOP, PLANNER):
             return Limited(arbitration)
         if bound is not None and bound.is_stop:
-            stopped = arbitration._replace(drive=0.0, brake=0.0, is_stop=True)
-            return Limited(stopped, bound.cause, f"{self._words(bound)}: it stops", bound.speed_mps)
+            return Limited(arbitration, max_speed_mps=bound.speed_mps).cut(
+                bound.cause, f"{self._words(bound)}: it stops", drive=0.0, brake=0.0, is_stop=True)
         limits = self.limits.planner if source == PLANNER else self.limits.human
         bounds = [] if bound is None else [bound]
         if limits.max_speed_mps:
@@ -161,22 +165,19 @@ class ThrottleLimiter:
         if over_mps > OVER_MPS and not backward and arbitration.source == PLANNER and not is_reverse:
             brake = -min(MAX_BRAKE, max(MIN_BRAKE, over_mps * BRAKE_PER_MPS))
             if brake < arbitration.brake:
-                reason = f"{self._words(bound)}: it brakes"
-                return limited._replace(arbitration=arbitration._replace(drive=brake, brake=brake), cause=bound.cause,
-                                        reason=reason)
+                return limited.cut(bound.cause, f"{self._words(bound)}: it brakes", drive=brake, brake=brake)
         if drives_on and abs(arbitration.drive) > room:
             drive = room if arbitration.drive > 0 else -room
             reason = f"{self._words(bound)}: {drive:.2f} instead of {arbitration.drive:.2f}"
-            return limited._replace(arbitration=arbitration._replace(drive=drive), cause=bound.cause, reason=reason)
+            return limited.cut(bound.cause, reason, drive=drive)
         return limited
 
     def _without_speed(self, limited, now_ns):
         """Return the same without a push, since reports of the speed are missing."""
-        arbitration = limited.arbitration
-        if arbitration.drive <= 0:
+        if limited.arbitration.drive <= 0:
             return limited
-        return limited._replace(arbitration=arbitration._replace(drive=0.0), cause=causes.SPEED_LATE,
-                                reason=f"{self.speed.lost_reason(now_ns)}: no throttle until its next report")
+        reason = f"{self.speed.lost_reason(now_ns)}: no throttle until its next report"
+        return limited.cut(causes.SPEED_LATE, reason, drive=0.0)
 
     def _words(self, bound):
         return f"{bound.words} {bound.speed_mps:.2f} m/s, it has {self.speed.magnitude_mps:.2f}"
@@ -193,13 +194,10 @@ class ThrottleLimiter:
             if abs(arbitration.drive) > most:
                 drive = most if arbitration.drive > 0 else -most
                 reason = f"{limits.max_acceleration_mps2:g} m/s²: {drive:.2f} instead of {arbitration.drive:.2f}"
-                limited = limited._replace(arbitration=arbitration._replace(drive=drive),
-                                           cause=causes.ACCELERATION_LIMITED, reason=reason)
-                arbitration = limited.arbitration
+                limited = limited.cut(causes.ACCELERATION_LIMITED, reason, drive=drive)
         if limits.max_braking_mps2 and arbitration.brake < 0:
             most = min(0.0, self._request_of_value(value_map.value_at(-limits.max_braking_mps2, speed_mps)))
             if arbitration.brake < most:
                 reason = f"{limits.max_braking_mps2:g} m/s² of braking: {most:.2f} instead of {arbitration.brake:.2f}"
-                limited = limited._replace(arbitration=arbitration._replace(brake=most),
-                                           cause=causes.BRAKING_LIMITED, reason=reason)
+                limited = limited.cut(causes.BRAKING_LIMITED, reason, brake=most)
         return limited

@@ -60,7 +60,12 @@ STEEP = "nothing is certain to stop it on this slope, which allows"
 
 
 class ObstacleGuard:
-    """Follow one car's ESC, and bound its speed by its sonars."""
+    """Follow one car's ESC, and bound its speed by its sonars.
+
+    Attributes:
+        sonars: takes their ranges.
+        slope: takes the measured speed.
+    """
 
     def __init__(self, sonars: ObstacleStop, esc: EscConfig):
         self.sonars = sonars
@@ -92,10 +97,6 @@ class ObstacleGuard:
         holds = max(0.0, (self._steady if self._rolls else self._throttle) - surplus)
         self._steady += (holds - self._steady) * min(1.0, elapsed_s / (STEADY_S + LATE_STEADY * self._late_s))
         self.slope.update_esc(answer.fraction, now_ns)
-
-    def update_speed(self, speed_mps: float, now_ns: int, age_ns: int, curvature_per_m: float) -> None:
-        """Take the measured speed, forward positive, its age at arrival, and the curvature of the arc (1/m)."""
-        self.slope.update_speed(speed_mps, now_ns - max(0, age_ns), curvature_per_m)
 
     def check(self, arbitration: Arbitration, speed: MeasuredSpeed, curvature_per_m: float, now_ns: int
               ) -> SpeedBound | None:

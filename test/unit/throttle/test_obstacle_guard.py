@@ -40,7 +40,7 @@ def decided(state, fraction, stop_mps2=1.5):
 def roll(guard, speeds, from_ns, curvature_per_m=0.0):
     """Reports of speeds, 50 a second; when the last one came."""
     for index, speed_mps in enumerate(speeds):
-        guard.update_speed(speed_mps, from_ns + index * 20 * MS, 0, curvature_per_m)
+        guard.slope.update_speed(speed_mps, from_ns + index * 20 * MS, curvature_per_m)
     return from_ns + (len(speeds) - 1) * 20 * MS
 
 
