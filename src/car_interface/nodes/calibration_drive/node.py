@@ -322,9 +322,9 @@ class CalibrationDriveNode:
     def _begin_end(self):
         self._stop_asking()
         self._text.keep()
-        self._text.say(f"{self._step.text}. You can let go. Calibrating …")
-        self._publish_state(DONE, f"{self._step.text}. You can let go. Calibrating …", self._drive.progress(
-            self._clocks.now_ns()))
+        text = f"{self._step.text}. You can let go. Calibrating …"
+        self._text.say(text)
+        self._publish_state(DONE, text, self._drive.progress(self._clocks.now_ns()))
         self._is_ending = True
         name = os.path.basename(self._recording.path)
         samples, base, base_text = self._drive.samples, self._base, self._table.base_text
@@ -334,8 +334,9 @@ class CalibrationDriveNode:
     def _on_conclusion(self, conclusion, now_ns):
         self._say(*conclusion.report)
         self._conclusion, self._waits_from_ns = conclusion, now_ns
+        # None: a person is asked.
+        replaces = not self._table.is_there or self._wanted.yes or (None if self._has_keys else False)
         if conclusion.result is not None:
-            replaces = not self._table.is_there or self._wanted.yes or (None if self._has_keys else False)
             steps = next_steps(self._table, conclusion.refusal, replaces)
             self._result.publish(String(conclusion.result._replace(next_steps=steps).text()))
         self._page_due_ns = now_ns + RESULT_ARRIVES_NS
@@ -344,14 +345,12 @@ class CalibrationDriveNode:
             self._say(*terminal.missing_lines(conclusion.missing))
             why = terminal.REFUSED if conclusion.missing else conclusion.refusal
             self._refusal = f"no calibration is written: {why}"
-        elif not self._table.is_there or self._wanted.yes:
-            self._write(replaces=True)
-        elif self._has_keys:
+        elif replaces is None:
             question = f"Replace {self._table.path}? The old one is kept beside it."
             self._text.show(terminal.wrapped([question, "Y: yes, N: no"], self._text.width))
             self._stage = self._ask
         else:
-            self._write(replaces=False)
+            self._write(replaces)
 
     def _ask(self, now_ns, typed):
         self._close_recording(now_ns)
