@@ -25,10 +25,7 @@ class CommandNode:
 
     A subclass subscribes to its inputs, and has ``_decide_now``, ``_mark_stale``, ``_publish_state`` and ``_log``.
     It sets ``_reconfigure``, its live tuning, and ``_neutral``, what is published on servo/neutral.
-
-    Args:
-        channel: its own of the servo board.
-        find_unheard: see ``CommandTopics``.
+    For ``find_unheard`` see ``CommandTopics``.
     """
 
     repeats_change = True  # a command that was published since the last tick is published at the next one, too

@@ -96,9 +96,8 @@ class SteeringArbiter(MotionInterlock):
     """
 
     def __init__(self, calibration: SteeringCalibration, config: SteeringArbiterConfig = SteeringArbiterConfig()):
-        self._calibration = calibration
         super().__init__(config.interlock)
-        self._steering_config = config
+        self._calibration, self._steering_config = calibration, config
         self._teleop = TimedInput("tele_steer_req", config.teleop_timeout_s)
         self._override = TimedInput("teleop_logi's state", EXPLANATION_TIMEOUT_S)
         self._planner = TimedInput("av_turnrad_req", config.planner_timeout_s)

@@ -92,16 +92,12 @@ class Turn(NamedTuple):
 
 
 class SteeringLimiter:
-    """Limit one car's turns.
-
-    Attributes:
-        cuts: how often a request began to be limited.
-    """
+    """Limit one car's turns."""
 
     def __init__(self, limits: SteeringLimits):
         self.limits = limits
         self.speed = MeasuredSpeed(limits.odometry_timeout_s)
-        self.cuts = 0
+        self.cuts = 0  # how often a request began to be limited
         self._is_cut = False
         self._too_tight, self._too_tight_ns = "", 0  # the newest reason, and when it held
         self._granted_per_m = 0.0
@@ -116,9 +112,7 @@ class SteeringLimiter:
     def limit(self, curvature_per_m: float, limits: SourceLimits, now_ns: int, too_tight: str = "") -> Turn:
         """Return the turn that is granted to a source that asks for this curvature (1/m, left positive).
 
-        Args:
-            curvature_per_m: no more than the wheels can do.
-            too_tight: why the request was more than the wheels can do, by ``too_tight_reason``; empty: it wasn't.
+        It is no more than the wheels can do; ``too_tight`` says why more was asked for (``too_tight_reason``).
         """
         was_cut, turn = self._is_cut, self._by_speed(curvature_per_m, limits, now_ns)
         if too_tight:

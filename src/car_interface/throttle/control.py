@@ -86,12 +86,9 @@ class ThrottleControl:
             self._guard.slope.update_speed(speed_mps, now_ns - max(0, age_ns), self._curvature_per_m)
 
     def update_turn(self, radius_m: float, max_speed_mps: float) -> None:
-        """Take the turn that turn_arb steers.
+        """Take the radius that turn_arb steers, and the speed up to which the requested turn keeps within its limit.
 
-        Args:
-            radius_m: left positive; inf = straight on.
-            max_speed_mps: up to this speed the requested turn keeps within turn_arb's limit; inf = straight on, 0 = no
-                limit.
+        The radius is left positive. Both are inf straight on; a speed of 0 = no limit.
         """
         self._curvature_per_m = 1.0 / radius_m if abs(radius_m) > 0 else 0.0  # also for NaN
         self._turn_max_mps = max_speed_mps if max_speed_mps > 0 else 0.0

@@ -10,15 +10,12 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from car_interface.common.measured_speed import MAX_SPEED_MPS
+from car_interface.common.measured_speed import MAX_SPEED_MPS, SLIDE_MPS2
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
 from car_interface.throttle.esc_config import EscConfig
 
 STANDSTILL_MPS = 0.1  # a wheel's pulse (1.5 cm) every 0.15 s
-# Wheels that a brake locks read 0 while the car slides on. A slide on dust still slows it by 3 m/s² (0.3 g), so after
-# a measured speed the car slides no longer than that speed divided by this.
-SLIDE_MPS2 = 3.0
 # Rubber on dry asphalt, 0.8 g. With 4 m/s² `python3 test/adversary 400 --seed 700000` finds 2 reversals.
 MAX_DECELERATION_MPS2 = 8.0
 ACTUATION_NS = 40_000_000  # from a decision to the end of the pulse before it: a tick and a period, 20 ms each
@@ -67,7 +64,7 @@ class MeasuredMotion:
         self._speed.update(speed_mps, now_ns, age_ns)
         self.measured_ns, self.is_stamped = now_ns - max(0, age_ns), age_ns > 0
         self._speeds.append((self.measured_ns, abs(speed_mps)))
-        if abs(speed_mps) >= STANDSTILL_MPS:
+        if abs(speed_mps) >= STANDSTILL_MPS:  # wheels that a brake locks read 0 while the car slides on
             slides_until_ns = self.measured_ns + round(abs(speed_mps) / SLIDE_MPS2 * NS_PER_S)
             self._slides_until_ns = max(self._slides_until_ns, slides_until_ns)
 
@@ -188,8 +185,7 @@ class MotionCheck:
     def check(self, motion: MeasuredMotion, is_reverse: bool, now_ns: int, wants_backward: bool = False) -> str:
         """Return why the motion has contradicted the state for esc/motion_time; empty = it doesn't.
 
-        Args:
-            wants_backward: the car is meant to roll backward, even by a hill alone.
+        With ``wants_backward`` the car is meant to roll backward, even by a hill alone.
         """
         speed_mps = motion.speed_mps(now_ns)
         if is_reverse:

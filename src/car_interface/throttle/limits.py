@@ -100,16 +100,12 @@ class Limited(NamedTuple):
 
 
 class ThrottleLimiter:
-    """Limit one car's throttle.
-
-    Attributes:
-        cuts: how often a limit began to cut the request.
-    """
+    """Limit one car's throttle."""
 
     def __init__(self, limits: ThrottleLimits, request_of_value: Callable[[float], float]):
         self.limits = limits
         self.speed = MeasuredSpeed(limits.odometry_timeout_s)
-        self.cuts = 0
+        self.cuts = 0  # how often a limit began to cut the request
         self._is_cut = False
         self._request_of_value = request_of_value
 

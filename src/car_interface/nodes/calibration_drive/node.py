@@ -75,8 +75,7 @@ class CalibrationDriveNode:
 
     Args:
         text, keys: the terminal; ``None`` = the one that the program runs in.
-        make_recording: as ``BagRecording``.
-        make_page: as ``BagPage``.
+        make_recording, make_page: as ``BagRecording`` and ``BagPage``.
     """
 
     def __init__(self, wanted, params, inbox, text=None, keys=None, make_recording=BagRecording, make_page=BagPage):
