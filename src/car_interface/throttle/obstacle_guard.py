@@ -76,7 +76,7 @@ class ObstacleGuard:
         self._will_brake = bool(esc.profile in (BRAKE_THEN_REVERSE, FORWARD_ONLY) and esc.profile_measured
                                 and esc.stop_brake)
         self._least = esc.dead_band_forward, esc.dead_band_reverse
-        self._answer: EscDecision | None = None
+        self._answer = EscDecision(0.0, NEUTRAL, "", "", 0.0)
         self._push_began_ns = self._pushed_ns = self._answered_ns = -math.inf
         self._throttle = 0.0  # the fraction that the ESC has now
         self._steady = 0.0  # the throttle that holds the speed
@@ -107,7 +107,7 @@ class ObstacleGuard:
         if arbitration.is_stop or arbitration.source not in (TELEOP, PLANNER):
             return None
         self._late_s = speed.age_s(now_ns)
-        is_reverse = self._answer is not None and self._answer.state == REVERSE
+        is_reverse = self._answer.state == REVERSE
         is_backward = _drives_backward(arbitration, speed.last_mps, is_reverse)
         gain_mps2 = self._gain_mps2(speed)
         highest_mps = self._highest_mps(speed, gain_mps2, now_ns)
@@ -145,7 +145,7 @@ class ObstacleGuard:
     def _certain_brake_mps2(self, arbitration, coasting, now_ns):
         """Return the deceleration of a brake that will be certain when it is needed; 0: there is none."""
         answer = self._answer
-        if answer is None or answer.stop_mps2 <= self._drag_mps2:
+        if answer.stop_mps2 <= self._drag_mps2:
             return 0.0
         is_trusted = (answer.state == FORWARD or answer.state == BRAKING and arbitration.asked < 0
                       or answer.state == NEUTRAL and now_ns - self._pushed_ns <= TRUSTED_COASTING_NS)
@@ -158,8 +158,7 @@ class ObstacleGuard:
     def _begins(self, arbitration, coasting, is_backward):
         """Return how a car begins to drive that nothing is certain to stop; empty: it isn't driven."""
         if self._will_brake and not is_backward:
-            may_prime = self._answer is None or self._answer.state in (FORWARD, NEUTRAL)
-            return PRIMES if arbitration.asked > 0 and may_prime else ""
+            return PRIMES if arbitration.asked > 0 and self._answer.state in (FORWARD, NEUTRAL) else ""
         return PROBES if coasting.likely_mps2 >= STEEP_MPS2 else ""
 
     def _bound(self, begins, stop_mps2, coasting, reaches_mps, curvature_per_m, is_backward, now_ns):

@@ -35,15 +35,8 @@ from car_interface.msg import Control, PlannerState, SteeringState, ThrottleStat
 from car_interface.nodes.planner_interface.ackermann_messages import ackermann_drive_class
 from car_interface.nodes.planner_interface.config import PlannerInterfaceConfig
 from car_interface.planner.messages import from_ackermann, from_control, from_twist
-from car_interface.planner.request import PlannerRequest, not_finite, sane_radius_m
-from car_interface.planner.source_arbiter import (
-    AUTOWARE,
-    CMD_VEL,
-    DRIVE,
-    SPEED,
-    PlannerDecision,
-    SourceArbiter,
-)
+from car_interface.planner.request import REVERSE, PlannerRequest, not_finite, sane_radius_m
+from car_interface.planner.source_arbiter import AUTOWARE, CMD_VEL, DRIVE, SPEED, PlannerDecision, SourceArbiter
 from car_interface.ros.clocks import StampedAge, odd_stamp
 from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text
@@ -73,17 +66,16 @@ class PlannerInterface:
         self._steering = TimedInput("turn_arb's state", STEERING_TIMEOUT_S)
         self._too_tight = TimedInput("a turn that is too tight", TOO_TIGHT_FOR_NS / NS_PER_S)
         self._control = SpeedControl(config.speed)
-        self._steers = config.source != SPEED
         self._gear_number = None  # the newest of ~input/gear_cmd
         self._inbox = inbox
         self._warnings = ThrottledWarnings(inbox.clocks)
         self._odometry_age = StampedAge("odometry", inbox.clocks)
         self._timer = RateTimer(RATE_HZ, now_ns)
         self._ticks = 0
-        self._decision = self._command = None
+        self._decision, self._command = PlannerDecision("", "before the first decision"), None
         self._published = None  # what throttle_arb goes by, of the newest state
         self._radius_m = None  # the newest that was published
-        self._radii = advertise("av_turnrad_req", Float32, inbox) if self._steers else None
+        self._radii = advertise("av_turnrad_req", Float32, inbox) if config.source != SPEED else None
         self._controls = advertise("~output/control_cmd", Control, inbox)
         self._states = advertise("~state", PlannerState, inbox, latch=True)
         others = tuple(topic for source, topic in TOPICS.items() if source != config.source)
@@ -118,21 +110,17 @@ class PlannerInterface:
         self._inbox.dispatch()
         if self._timer.is_due(now_ns):
             self._tick(now_ns)
-        elif self._has_fallen_silent(now_ns):
-            self._decide(now_ns)
+        elif self._decision.request is not None and self._sources.decide(now_ns).request is None:
+            self._decide(now_ns)  # the source has fallen silent
         self._diagnostics.step(now_ns)
         return min(self._timer.due_ns, self._sources.silent_at_ns(now_ns))
 
     def shut_down(self):
         """Stop: a radius of 0, and full braking."""
-        if self._decision is not None and self._decision.request is not None:
+        if self._decision.request is not None:
             self._publish_stop()
             self._decision = PlannerDecision(causes.NO_REQUEST, "planner_interface has ended")
             self._publish_state(self._clocks.now_ns())
-
-    def _has_fallen_silent(self, now_ns):
-        return (self._decision is not None and self._decision.request is not None
-                and self._sources.decide(now_ns).request is None)
 
     # --- what arrives ---
 
@@ -200,11 +188,11 @@ class PlannerInterface:
         """Have the steering at once; and stop at once when there is no request any more."""
         before, self._decision = self._decision, self._sources.decide(now_ns)
         if self._decision.request is None:
-            if before is not None and before.request is not None:
+            if before.request is not None:
                 self._publish_stop()
         elif self._decision.radius_m != self._radius_m:
             self._publish_radius(self._decision.radius_m)
-        if before is None or before.cause != self._decision.cause:
+        if before.cause != self._decision.cause:
             self._control_speed(now_ns)
             self._publish_state(now_ns)
 
@@ -232,11 +220,11 @@ class PlannerInterface:
 
     def _publish_stop(self):
         self._publish_radius(0.0)
-        sign = 1.0 if self._command is not None and self._command.gear == "reverse" else -1.0
+        sign = 1.0 if self._command.gear == REVERSE else -1.0
         self._publish_control(0.0, sign * self._config.speed.max_braking_mps2)
 
     def _publish_radius(self, radius_m):
-        if self._steers:
+        if self._radii is not None:
             self._radius_m = radius_m
             self._radii.publish(Float32(radius_m))
 
