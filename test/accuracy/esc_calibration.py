@@ -163,7 +163,7 @@ class Node:
         arbiter.update_human(person.holds_deadman, now_ns)
         arbiter.update_mode("manual", now_ns)
         arbiter.update_steering(TELEOP, "", now_ns)
-        arbiter.update_scale_button(person.button)
+        arbiter.scale.update(person.button)
         arbiter.update_teleop(person.stick, now_ns)
         control.update_odometry(speed_mps, now_ns)
         if self._duty is not None:

@@ -129,8 +129,8 @@ class ThrottleArb(CommandNode):
                                                      f"lasts; accepted: {', '.join(MODES)}")
 
     def _on_scale_button(self, message, now_ns):
-        if self._arbiter.update_scale_button(message.data):
-            rospy.loginfo("driving by hand is scaled by %g", self._arbiter.scale)
+        if self._arbiter.scale.update(message.data):
+            rospy.loginfo("driving by hand is scaled by %g", self._arbiter.scale.value)
 
     def _on_value(self, message, now_ns):
         self._control.update_planner(message.data, now_ns)

@@ -87,12 +87,13 @@ class ThrottleArbiter(MotionInterlock):
 
     Attributes:
         battery: takes its voltages, and says how it is.
+        scale: of driving by hand; takes the gamepad's buttons.
     """
 
     def __init__(self, config: ThrottleArbiterConfig = ThrottleArbiterConfig()):
         super().__init__(config.interlock)
         self._stick = config.stick
-        self._scale = Scale(config.stick)
+        self.scale = Scale(config.stick)
         self._steering = TimedInput("turn_arb's state", config.steering_timeout_s)
         self._teleop_explanation = TimedInput("teleop_logi's state", EXPLANATION_TIMEOUT_S)
         self._teleop = TimedInput("tele_throt_req", config.teleop_timeout_s)
@@ -110,11 +111,6 @@ class ThrottleArbiter(MotionInterlock):
         self._command_timeout_ns = (round(config.command_timeout_s * NS_PER_S) if config.command_timeout_s
                                     else math.inf)
         self._resumed_ns: int | None = None  # when the planner asked again after it had no request
-
-    @property
-    def scale(self) -> float:
-        """Return the scale of driving by hand, 0..1."""
-        return self._scale.value
 
     @property
     def mode(self) -> str:
@@ -167,10 +163,6 @@ class ThrottleArbiter(MotionInterlock):
             self._gave_ns = now_ns
         if not self._is_planners:
             self._overrode_ns = None
-
-    def update_scale_button(self, pressed: int) -> bool:
-        """Take the gamepad's buttons for the scale, 1, 0 or −1. Return whether the scale has changed."""
-        return self._scale.update(pressed)
 
     def update_planner(self, value: float, request: float, now_ns: int) -> None:
         """Take the planner's value, and the request that it stands for; both may be NaN or infinite."""
@@ -275,8 +267,8 @@ class ThrottleArbiter(MotionInterlock):
         if self._gave_ns is not None:
             why = ": it only brakes until the stick was centered, since the planner drove before" if request < 0 else ""
             return self._without_reverse(causes.TELEOP, throttle, request, why)
-        reason = f"tele_throt_req is {throttle:.3f}, scaled by {self.scale:g}"
-        return Arbitration(TELEOP, causes.TELEOP, reason, request, request * self.scale,
+        reason = f"tele_throt_req is {throttle:.3f}, scaled by {self.scale.value:g}"
+        return Arbitration(TELEOP, causes.TELEOP, reason, request, request * self.scale.value,
                            request * self._stick.brake_scale, False)
 
     @property
@@ -290,7 +282,7 @@ class ThrottleArbiter(MotionInterlock):
 
     def _without_reverse(self, cause, throttle, request, why):
         """Return a stick's request in the gear DRIVE. Its pull never drives, so it has the brake's scale only."""
-        scale = self._stick.brake_scale if request < 0 else self.scale
+        scale = self._stick.brake_scale if request < 0 else self.scale.value
         reason = f"tele_throt_req is {throttle:.3f}, scaled by {scale:g}{why}"
         return Arbitration(TELEOP, cause, reason, request, request * scale, request * self._stick.brake_scale, False,
                            DRIVE)

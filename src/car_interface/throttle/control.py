@@ -130,7 +130,7 @@ class ThrottleControl:
         if self._guard is not None:
             self._guard.update_esc(esc, now_ns)
         return ThrottleDecision(self._duties.duty(esc.fraction), arbitration, esc, self.arbiter.mode,
-                                self.arbiter.scale, limited)
+                                self.arbiter.scale.value, limited)
 
     def _step(self, limited, now_ns):
         """Return the ESC's answer to what the limits granted.
