@@ -174,7 +174,7 @@ class Node:
         if decision.kind != self._kind or self._ticks % 5 == 0:
             self._kind, esc, arbitration = decision.kind, decision.esc, decision.arbitration
             state = {"source": arbitration.source, "cause": arbitration.cause, "asked": arbitration.asked,
-                     "granted": esc.fraction, "esc": esc.state_name, "esc_cause": esc.cause,
+                     "granted": esc.fraction, "esc": esc.state, "esc_cause": esc.cause,
                      "esc_reason": esc.reason, "profile": control.esc_config.profile, "duty": decision.duty,
                      "human_scale": decision.scale}
         return decision.duty, state

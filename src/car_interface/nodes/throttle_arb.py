@@ -210,7 +210,7 @@ class ThrottleArb(CommandNode):
         before_cause, before_state = (before.esc.cause, before.esc.state) if before else ("", None)
         if esc.cause != before_cause and esc.cause in LOGGED or esc.state == ARMING != before_state:
             log = rospy.logwarn if esc.cause in causes.LOSSES else rospy.loginfo
-            log("ESC %s: %s", esc.state_name, esc.reason)
+            log("ESC %s: %s", esc.state, esc.reason)
         elif before_state == ARMING != esc.state:
             rospy.loginfo("ESC armed, profile %s", self._control.esc_config.profile)
             self._warn_of_calibration_drive()
@@ -236,7 +236,7 @@ class ThrottleArb(CommandNode):
         self._states.publish(ThrottleState(
             stamp=self._clocks.ros_now(), source=arbitration.source, cause=arbitration.cause, reason=arbitration.reason,
             mode=decision.mode, human_scale=decision.scale, asked=arbitration.asked, granted=esc.fraction,
-            esc=esc.state_name, esc_cause=esc.cause, esc_reason=esc.reason, profile=self._control.esc_config.profile,
+            esc=esc.state, esc_cause=esc.cause, esc_reason=esc.reason, profile=self._control.esc_config.profile,
             limit=decision.limited.cause, limit_reason=decision.limited.reason,
             max_speed=decision.limited.max_speed_mps, cuts=self._control.limiter.cuts,
             duty=decision.duty, speed=self._arbiter.speed_mps(self._now_ns), **{AGES[name]: age_s
@@ -247,7 +247,7 @@ class ThrottleArb(CommandNode):
         decision = self._decision  # there is one: the first tick is due at once, and goes before any report
         arbitration, esc = decision.arbitration, decision.esc
         is_calibration_drive = self._control.esc_config.calibration_drive
-        text = f"{source_name(arbitration.source)}: {arbitration.reason}; ESC {esc.state_name}: {esc.reason}"
+        text = f"{source_name(arbitration.source)}: {arbitration.reason}; ESC {esc.state}: {esc.reason}"
         status.summary(WARN if is_calibration_drive or _is_alarming(decision) else OK,
                        f"calibration drive; {text}" if is_calibration_drive else text)
         status.add("cause", arbitration.cause)

@@ -43,8 +43,8 @@ from car_interface.throttle.esc_motion import (
 )
 from car_interface.throttle.esc_proof import BrakeProof
 
-ARMING, NEUTRAL, FORWARD, BRAKING, HOLD, REVERSE = range(6)
-STATE_NAMES = ("ARMING", "NEUTRAL", "FORWARD", "BRAKING", "HOLD", "REVERSE")
+# The states, as ThrottleState.esc has them.
+ARMING, NEUTRAL, FORWARD, BRAKING, HOLD, REVERSE = "ARMING", "NEUTRAL", "FORWARD", "BRAKING", "HOLD", "REVERSE"
 
 STARTED = "this node has just started"
 NO_PULSE = "the servo board gave no pulse"
@@ -75,14 +75,10 @@ class EscDecision(NamedTuple):
     """The fraction for the ESC, with its reason, and the deceleration that a stop would have now."""
 
     fraction: float  # −1..1
-    state: int
+    state: str  # one of ARMING to REVERSE
     cause: str  # one of car_interface.common.causes
     reason: str
     stop_mps2: float  # the deceleration that is certain, down to standstill, if the car stops now
-
-    @property
-    def state_name(self) -> str:
-        return STATE_NAMES[self.state]
 
 
 class Esc:
@@ -112,7 +108,7 @@ class Esc:
         self._lagging_pull, self._finished_ns = 0.0, 0  # the fraction by which a lagging motor still brakes, and when
 
     @property
-    def state(self) -> int:
+    def state(self) -> str:
         """Return the state of the last step."""
         return self._state
 

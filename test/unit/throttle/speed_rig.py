@@ -146,7 +146,7 @@ class SpeedRig:
                                      decision.esc.cause, now_ns)
         self.commands.append(command)
         self.samples.append(Sample((self.car.time_ns - START_NS) / S, self.car.speed_mps, command.acceleration_mps2,
-                                   decision.esc.fraction, decision.esc.state_name))
+                                   decision.esc.fraction, decision.esc.state))
 
 
 def overshoot(samples, target_mps):

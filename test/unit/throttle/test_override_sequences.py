@@ -174,7 +174,7 @@ class Drive:
                 control.update_odometry(self.car.wheel_mps, now_ns)
             decision = control.decide(now_ns)
             self.overrides += decision.arbitration.cause == "override"
-            self.reversed_by_hand += decision.esc.state_name == "REVERSE" and decision.arbitration.source == TELEOP
+            self.reversed_by_hand += decision.esc.state == "REVERSE" and decision.arbitration.source == TELEOP
             if decision.arbitration.source != TELEOP and self.gear == "reverse":
                 self._planner_ns = now_ns
             self.chip.command(decision.esc.fraction, now_ns)
