@@ -52,7 +52,7 @@ class BagRecording:
                                          start_new_session=True)
 
     def has_subscribed(self, topic: str) -> bool:
-        """Return whether a recorder has subscribed to a topic: rosbag takes seconds to start on a busy computer."""
+        """Return whether a recorder has subscribed to a topic: rosbag takes a second to start, or some."""
         try:
             code, _, state = rospy.get_master().getSystemState()
         except OSError:

@@ -72,7 +72,6 @@ class GamepadJoy:
                    self._retry_ns if self._device is None else self._diagnostics.due_ns)
 
     def shut_down(self):
-        """Give the device back."""
         self._close()
 
     def _open(self, now_ns):
@@ -114,7 +113,7 @@ class GamepadJoy:
         return model_of(frame_of(self._pad.name), len(self._joystick.axes), len(self._joystick.buttons))
 
     def _report(self, status):
-        """Report on /diagnostics whether the gamepad is there."""
+        """Report whether the gamepad is there."""
         if self._device is not None:
             status.summary(OK, self._model())
         elif self._fault is not None:
@@ -123,9 +122,7 @@ class GamepadJoy:
         else:
             status.summary(ERROR, "it was not opened yet")
         status.add("times that events were lost", self._joystick.losses)
-        return status
 
 
 def main():
-    """Run the node."""
     run("gamepad_joy", GamepadJoy)

@@ -12,12 +12,11 @@ from collections import Counter
 from typing import NamedTuple
 
 from car_interface.common import causes
+from car_interface.common.sources import SPEED
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
 from car_interface.planner.request import PlannerRequest, Refusal
 
-DRIVE, CMD_VEL, AUTOWARE, SPEED = "drive", "cmd_vel", "autoware", "speed"
-SOURCES = (DRIVE, CMD_VEL, AUTOWARE, SPEED)
 # Long enough for a slow swing: with ±3 "rad" and a period of 10 s, 1 s lies within MAX_SANE_RAD.
 SANE_FOR_NS = 2 * NS_PER_S
 
