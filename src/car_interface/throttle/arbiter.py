@@ -251,9 +251,10 @@ class ThrottleArbiter(MotionInterlock):
     def _by_hand(self, now_ns):
         """Return the human's request, a stop if it is stale or invalid, or None if the human leaves the throttle."""
         human_drives = self._mode.value in HUMAN_DRIVES
+        if not self._teleop.was_received:
+            return _stop(NEUTRAL, causes.TELEOP_STALE, self._teleop.stale_reason(now_ns)) if human_drives else None
         if self._teleop.is_stale(now_ns):
-            is_needed = human_drives or self._teleop.was_received
-            return _stop(NEUTRAL, causes.TELEOP_STALE, self._teleop.stale_reason(now_ns)) if is_needed else None
+            return _stop(NEUTRAL, causes.TELEOP_STALE, self._teleop.stale_reason(now_ns))
         throttle = self._teleop.value
         if not math.isfinite(throttle):
             explanation = "" if self._teleop_explanation.is_stale(now_ns) else f": {self._teleop_explanation.value}"
