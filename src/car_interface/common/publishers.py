@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Callable, Mapping, NamedTuple, Sequence
 
 from car_interface.common import causes
+from car_interface.common.sources import AUTOWARE, CMD_VEL, DRIVE, SPEED
 from car_interface.common.units import NS_PER_S
 
 # ``rostopic pub -1`` registers, sends once and goes within 3 s: such a publisher is reported but not logged.
@@ -19,8 +20,7 @@ ANY = "*"
 OR = " or "
 # By what a planner is known, for each value of the launch argument ``planner``. Accelerations alone are heard without
 # it; Autoware sends a gear beside them.
-PLANNER_TOPICS = {"drive": "drive", "cmd_vel": "cmd_vel", "autoware": "control/command/gear_cmd",
-                  "speed": "av_speed_req"}
+PLANNER_TOPICS = {DRIVE: "drive", CMD_VEL: "cmd_vel", AUTOWARE: "control/command/gear_cmd", SPEED: "av_speed_req"}
 BY_HAND = ("rostopic_", "rqt_gui_py_node")  # the names of tools' nodes begin so
 
 
@@ -125,7 +125,7 @@ def find_unheard_planner(listed: Mapping[str, Sequence[str]], resolve: Callable[
         return []
     steers = senders("av_turnrad_req") or senders("av_steer_req")
     for planner, name in PLANNER_TOPICS.items():
-        if senders(name) and (planner == "speed" or not steers):
+        if senders(name) and (planner == SPEED or not steers):
             return [Fault(causes.PLANNER_UNHEARD, resolve(name),
                           f"{' and '.join(senders(name))} publishes {resolve(name)}, and nobody hears it: "
                           "planner_interface doesn't run", f"Start the launch file with planner:={planner}")]

@@ -1,7 +1,7 @@
 """Runs a virtual PCA9685 as its own process, so that it goes on pulsing when its node dies, as a real one does.
 
 It serves a Unix socket, see ``chip_link``, and ends some seconds after its last client has gone. Its first client
-starts it by ``common.small_process``; its arguments are the socket's path and the chip's address.
+starts it by ``nodes.pca9685.small_process``; its arguments are the socket's path and the chip's address.
 
 No packet ends it. A malformed one is answered with an errno: EPROTO (too short), EMSGSIZE (too long), EOPNOTSUPP (no
 such operation or fault), EINVAL (an impossible length or value). A client loses its connection when it waits for too

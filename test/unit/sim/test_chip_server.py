@@ -12,8 +12,8 @@ import time
 
 import pytest
 
-from car_interface.common import small_process
 from car_interface.common.own_files import UnsafeFile
+from car_interface.nodes.pca9685 import small_process
 from car_interface.sim.chip_link import ANSWER, FAULT, LOG, READ, REQUEST, WRITE, ChipLink
 
 ADDRESS = 0x40

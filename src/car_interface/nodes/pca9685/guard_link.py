@@ -12,9 +12,9 @@ from typing import Callable, Sequence
 
 import rospy
 
-from car_interface.common import small_process
 from car_interface.common.causes import GUARD_ABSENT, GUARD_BLOCKED
 from car_interface.common.units import NS_PER_MS, NS_PER_S
+from car_interface.nodes.pca9685 import small_process
 from car_interface.pca9685.guard import GIVE_UP_NS
 from car_interface.pca9685.guard_protocol import ALIVE, ENDED, ENDING, NOT_TRIED
 from car_interface.pca9685.guard_watch import GuardWatch

@@ -16,11 +16,11 @@ import tempfile
 
 import rosgraph
 
-from car_interface.common import small_process
 from car_interface.common.errors import ConfigError
 from car_interface.common.file_lock import lock_byte
 from car_interface.common.own_files import UnsafeFile, folder_name, make_folder, open_own
 from car_interface.nodes.car_sim.faults import serve_faults
+from car_interface.nodes.pca9685 import small_process
 from car_interface.ros.clocks import SYSTEM
 from car_interface.sim.chip_link import FAULTS, ChipLink
 

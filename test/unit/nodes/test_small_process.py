@@ -4,7 +4,7 @@ from __future__ import annotations
 import os
 import subprocess
 
-from car_interface.common import small_process
+from car_interface.nodes.pca9685 import small_process
 
 
 def run(*command, **environment):

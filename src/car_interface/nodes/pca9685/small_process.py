@@ -19,7 +19,8 @@ def command(module: str, *arguments: str) -> list:
 
 def main() -> None:
     """Run the module that the command line names; its ``main`` finds its arguments in ``sys.argv[1:]``."""
-    sys.path.insert(0, os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__)))))
+    package = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
+    sys.path.insert(0, os.path.dirname(package))
     del sys.argv[0]
     __import__(sys.argv[0])
     sys.modules[sys.argv[0]].main()
