@@ -28,7 +28,7 @@ def test_table_has_no_faults_and_is_the_page():
     ("\"none but OE\", \"\", [], [R2]", "\"none but OE\", \"\", [], []",
      "Computer, dead, frozen, no power: it has neither mechanism and test nor a residual risk"),
     ("\"if foreign:\"", "\"if strange:\"", "switched off: 'if strange:' stands 0 times in pca9685/board"),
-    ("[serial_name]]", "[serial_names]]", "switched off: tests lacks serial_names"),
+    ("[board_two]]", "[board_twos]]", "switched off: tests lacks board_twos"),
     ("[battery_odd]]", "[battery_empty]]",
      "The battery's voltage, dead, corrupted: nothing switches throttle/battery off for one of its tests"),
 ])
