@@ -111,8 +111,8 @@ class _Child:
         self._program, self._terminal = program, terminal
 
     @property
-    def has_ended(self):
-        return not self._program.is_alive
+    def exit_code(self):
+        return None if self._program.is_alive else int(bool(self._program.fault))
 
     def interrupt(self):
         self._program.inbox.end()
@@ -323,6 +323,9 @@ def test_person_with_a_phone_and_no_gamepad_calibrates_the_steering(bench):
     shown = phone.car["calibration"]
     assert shown["phase"] in ("settling", "measuring", "turning") and shown["driven"] >= 1 and shown["left"] > 0
     assert len(shown["known"]) >= 2
+    for kind, fields in (("trim", {"name": "center", "value": 5130}), ("save", {})):
+        assert bench.ask(kind, **fields) == ("", "calibration_drive is running: trim before it or after it")
+    assert phone.car["trims"]["center"]["value"] == 5100
     phone.hold("")
     bench.run(1.0)
     assert phone.car["calibration"]["phase"] == "paused" and abs(bench.car.speed_mps) < 0.3

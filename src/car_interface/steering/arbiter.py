@@ -120,6 +120,10 @@ class SteeringArbiter:
         """Take the phones' emergency stop: true = stop, whatever the other one says."""
         self._interlock.update_phone_e_stop(locked, now_ns)
 
+    def await_phone_e_stop(self) -> None:
+        """Take note that the phones' emergency stop was on as this node started."""
+        self._interlock.await_phone_e_stop()
+
     def update_human(self, present: bool, now_ns: int) -> None:
         """Take the deadman: true while a human holds it."""
         self._interlock.update_human(present, now_ns)

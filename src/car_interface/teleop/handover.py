@@ -60,8 +60,11 @@ class Handover:
         return self._choose(gamepad, self._phone.requests(now_ns), now_ns) if self.phone_is_heard else gamepad
 
     def scale_button(self, now_ns: int) -> int:
-        """Return 1 or −1 while the button for more or less speed by hand is pressed; 0: neither is, or both are."""
-        return (self._phone if self.phone_is_current else self.gamepad).scale_button(now_ns)
+        """Return 1 or −1 while the button for more or less speed by hand is pressed; 0: neither is, or both are.
+
+        Either's counts, whoever drives: a person beside the car makes it slower before he takes over, too.
+        """
+        return self.gamepad.scale_button(now_ns) or self._phone.scale_button(now_ns)
 
     def phone_age_s(self, now_ns: int) -> float:
         """Return the seconds since the phone's last message; inf = never received."""
