@@ -28,8 +28,8 @@ def test_random_walk_of_the_cores_breaks_no_goal(part):
 
 
 # What is switched off; a seed that finds it early; and the goal that it breaks.
-OFF = [(switched_off.timeout_of_the_deadman, 27, "G1"), (switched_off.rearming, 0, "G1"),
-       (switched_off.stop_of_throttle_without_steering, 1, "G1"), (switched_off.timeout_of_the_board, 2, "G6")]
+OFF = [(switched_off.timeout_of_the_deadman, 39, "G1"), (switched_off.rearming, 43, "G1"),
+       (switched_off.stop_of_throttle_without_steering, 4, "G1"), (switched_off.timeout_of_the_board, 4, "G6")]
 
 
 @pytest.mark.once
