@@ -184,7 +184,7 @@ class Walk:
 
     def _on_phone(self, axes, buttons, now_ns):
         self._teleop_changed(now_ns)
-        self.teleop.update_phone(axes, buttons, now_ns)
+        self.teleop.phone.update(axes, buttons, now_ns)
         self._teleop_changed(now_ns)
 
     def _teleop_changed(self, now_ns):
