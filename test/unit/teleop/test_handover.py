@@ -152,7 +152,7 @@ def test_scale_s_button_of_either_counts_whoever_drives_and_the_gamepad_goes_fir
 
     def scale(pad, phone):
         handover.gamepad.update((0.0, 0.0), (0, 0, *pad), NOW)
-        handover.update_phone((0.0, 0.0), (0, 0, *phone), NOW)
+        handover.phone.update((0.0, 0.0), (0, 0, *phone), NOW)
         handover.requests(NOW)
         return handover.scale_button(NOW)
     assert [scale((0, 0), phone) for phone in ((0, 0), (1, 0), (0, 1), (1, 1))] == [0, 1, -1, 0]
