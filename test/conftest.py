@@ -8,8 +8,8 @@ A second Python runs what can differ there: syntax, the standard library, and ot
 rosbags, tornado and PyYAML. Once is enough for what takes long and is arithmetic (drives of virtual cars, faults in
 each phase of the timers, fits), for what only reads the checkout, and for the tests of the test runner: that runs on
 the system's Python alone. The short tests of the same module or node run on both, so that each module's code is run on
-both. What comes again and again runs there with --all only: another case of a test than its first, more than a few
-examples of a property, and the pages and commands of the tools but for one of each, which draws and prints all of it.
+both. What runs the same lines again does so there with --all only: another case of a test than its first, more than a
+few examples of a property, and what is marked `more`: another whole page of a drive, another whole car.
 """
 import gc
 import os
@@ -30,11 +30,8 @@ settings.load_profile("car_interface")
 # What ``./dev test`` leaves out where it runs the same tests on a second Python: the mark, or one of these files.
 ONCE = ("test_documentation", "test_launch", "test_layering", "test_noise", "test_packaging", "test_run",
         "test_safety_case", "test_set_up", "test_tally", "test_virtual_drives")
-# Of these only what is marked `both` runs there without --all.
-SAMPLED = tuple(os.path.join(os.path.dirname(__file__), "unit", "tools", name, "") for name in ("cli", "report"))
 MARKS = ("once: takes long, and comes out the same with every Python: one of them is enough",
-         "both: of its folder this is enough for a second Python, without --all",
-         "more: on a second Python with --all only",
+         "more: the same lines again; on a second Python with --all only",
          "browser: looks at a page in a real browser")
 
 
@@ -62,8 +59,7 @@ def pytest_collection_modifyitems(items):
         if str(item.fspath) in files:
             item.add_marker(pytest.mark.once)
         test = item.nodeid.partition("[")[0]
-        is_sampled = str(item.fspath).startswith(SAMPLED)
-        if test in seen or is_sampled and not item.get_closest_marker("both"):
+        if test in seen:
             item.add_marker(pytest.mark.more)
         seen.add(test)
 

@@ -48,7 +48,7 @@ MEASURED_UNIT = ("interlock", "common", "steering", "throttle", "planner", "tele
                  *(f"teensy/sensing/test_{name}.py" for name in ("plausibility", "tick_gate", "wheel_gate")))
 MEASURED_GRAPH = ("brakes", "config", "gamepad_joy", "generic_value_converter", "human_first", "inbox", "live_tuning",
                   "phone_drive", "planner_interface", "teleop_logi", "throttle_arb", "turn_arb")
-# On another Python only those that could differ there. test/conftest.py explains the marks.
+# On another Python only those that could differ there, without --all a sample. test/conftest.py explains the marks.
 SECOND_PYTHON = ("-m", "not once and not browser")
 SAMPLE = ("-m", "not once and not browser and not more", "--hypothesis-profile", "few")
 # Threads of numerical libraries only compete with each other here.

@@ -37,6 +37,7 @@ from accuracy.virtual_drive import NS_PER_MS, NS_PER_S, START_NS, Hub, count_dut
 from car_interface.common.causes import AUTONOMOUS
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.interlock.motion_interlock import InterlockConfig
+from car_interface.planner.request import PlannerRequest
 from car_interface.sim.collision import Collisions
 from car_interface.sim.tyres import TyreConfig
 from car_interface.sim.vehicle import Pose, Vehicle, VehicleConfig
@@ -51,7 +52,7 @@ from car_interface.throttle.converter import ConversionConfig, Converter
 from car_interface.throttle.esc_config import UNVERIFIED, EscConfig
 from car_interface.throttle.limits import ThrottleLimits
 from car_interface.throttle.obstacle_stop import Mount, ObstacleConfig
-from car_interface.throttle.speed_control import SpeedControl, SpeedRequest
+from car_interface.throttle.speed_control import SpeedControl
 from car_interface.throttle.value_map import load_value_map
 from car_interface.tools.calibration.drive.calibration_drive import CalibrationDrive
 from car_interface.tools.calibration.drive.conclusion import Conclusion, conclude
@@ -331,7 +332,7 @@ class Bench:
         throttle.arbiter.update_teleop(0.0, now_ns)
         if step.steering is not None:
             steering.update_planner_steering(step.steering, now_ns)
-            command = self._speed.step(SpeedRequest(step.speed_mps), now_ns)
+            command = self._speed.step(PlannerRequest(None, step.speed_mps), now_ns)
             throttle.arbiter.update_planner_state(command.gear, None, now_ns)
             converted = self._converter.convert(command.acceleration_mps2, now_ns)
             if converted.value is not None:
@@ -341,7 +342,7 @@ class Bench:
         throttle.update_turn(steering.turn_radius_m(decision.duty), decision.max_speed_mps)
         made = throttle.decide(now_ns)
         arbitration = made.arbitration
-        self.drive.update_stopping(made.esc.state_name not in SLOWS)
+        self.drive.update_stopping(made.esc.state not in SLOWS)
         self._speed.update_throttle(arbitration.source, arbitration.asked, made.esc.fraction, made.esc.cause, now_ns)
         throttle.update_output([-1, made.duty, *[-1] * 14], now_ns)
         duties = [count_duty(decision.duty), count_duty(made.duty)]

@@ -163,7 +163,7 @@ class Node:
         arbiter.update_human(person.holds_deadman, now_ns)
         arbiter.update_mode("manual", now_ns)
         arbiter.update_steering(TELEOP, "", now_ns)
-        arbiter.update_scale_button(person.button)
+        arbiter.scale.update(person.button)
         arbiter.update_teleop(person.stick, now_ns)
         control.update_odometry(speed_mps, now_ns)
         if self._duty is not None:
@@ -174,8 +174,8 @@ class Node:
         if decision.kind != self._kind or self._ticks % 5 == 0:
             self._kind, esc, arbitration = decision.kind, decision.esc, decision.arbitration
             state = {"source": arbitration.source, "cause": arbitration.cause, "asked": arbitration.asked,
-                     "granted": esc.fraction, "esc": esc.state_name, "esc_cause": esc.cause,
-                     "esc_reason": esc.reason, "profile": control.profile, "duty": decision.duty,
+                     "granted": esc.fraction, "esc": esc.state, "esc_cause": esc.cause,
+                     "esc_reason": esc.reason, "profile": control.esc_config.profile, "duty": decision.duty,
                      "human_scale": decision.scale}
         return decision.duty, state
 

@@ -8,9 +8,7 @@ the overshoot and the worst error of the last two seconds, over motors that lag 
 """
 from __future__ import annotations
 
-from unit.throttle.speed_rig import MAP, SpeedRig, overshoot, wrong_map
-
-from car_interface.throttle.speed_control import SpeedRequest
+from unit.throttle.speed_rig import MAP, SpeedRequest, SpeedRig, overshoot, wrong_map
 
 TARGET_MPS = 0.3
 MAPS = {"as the car is": MAP, "30 % too strong": wrong_map(1.3), "30 % too weak": wrong_map(0.7)}

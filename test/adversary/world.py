@@ -464,7 +464,7 @@ class World:
             f"{0.0 if self.duty is None else (self.duty - NEUTRAL) / SPAN:+.2f} held {self.pulse:+.2f} "
             f"{self.esc.motor:8} {self.esc.level:.2f} car {self.car.speed_mps:+.2f} odometry {odometry:+.2f} "
             f"({(self.now_ns - at_ns) / S:.2f} s ago) "
-            f"{state or self.decision and self.decision.esc.state_name} {', '.join(active)}"
+            f"{state or self.decision and self.decision.esc.state} {', '.join(active)}"
             f"{' REVERSAL' if self.back_ns is not None and self.back else ''}")
 
 

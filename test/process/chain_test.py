@@ -218,7 +218,8 @@ class OneProcess(Driven):
                        check=True)
         cls.set_clock(0)
         faked = {"LD_PRELOAD": f"{monotonic}:{library[0]}", "FAKETIME_TIMESTAMP_FILE": cls.clock,
-                 "FAKETIME_CACHE_DURATION": str(CLOCK_CACHE_S), "FAKETIME_DONT_FAKE_MONOTONIC": "1"} if library else {}
+                 "FAKETIME_CACHE_DURATION": str(CLOCK_CACHE_S), "FAKETIME_DONT_FAKE_MONOTONIC": "1",
+                 "NO_FAKE_STAT": "1"} if library else {}  # byte code counts by the time of its source
         car = Car(cls.addClassCleanup, faked, python38=bool(STRICT and PYTHON38))
         car.load_one_process()
         car.one_process()

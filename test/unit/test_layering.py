@@ -20,8 +20,8 @@ MAY_IMPORT = {
     "common": (),
     "interlock": ("common",),
     "steering": ("common", "interlock"),
-    "throttle": ("common", "interlock"),
     "planner": ("common",),
+    "throttle": ("common", "interlock", "planner"),  # the speed control takes a planner's request
     "teleop": ("common",),
     "pca9685": ("common",),
     "teensy/link": ("common",),

@@ -1,7 +1,7 @@
-"""Decides whether the car may move at all, by emergency stop (the lock) and deadman (the human).
+"""Decide whether the car may move at all, by emergency stop (the lock) and deadman (the human).
 
-Consumes both, each with its arrival on the monotonic clock, and answers with an ``Inhibit`` or ``None``. Steering and
-throttle have an interlock each, so that they stop together without depending on each other.
+Consumes both, each with its arrival on the monotonic clock, and answers with an ``Inhibit`` or ``None``. The
+arbiters of steering and throttle are an interlock each, so that they stop together without depending on each other.
 
 Motion is permitted on positive, fresh evidence only, and re-armed by a deliberate act: after the deadman was stale or
 the lock was on, the deadman must be released and held again. Otherwise a car that was stopped while driving would set
@@ -51,7 +51,7 @@ class Inhibit(NamedTuple):
 
 
 class MotionInterlock:
-    """Permits or inhibits motion, by the newest of lock and deadman.
+    """Permit or inhibit motion, by the newest of lock and deadman.
 
     After a stale deadman, a lock, dropped messages, or the start unless ``grant_at_start``, re-arming takes a false of
     the deadman while none of these holds any more, and then a true. The start is the first call with a time.
@@ -121,6 +121,10 @@ class MotionInterlock:
         if self._rearm_reason:
             return Inhibit(False, causes.NOT_REARMED, f"{self._rearm_reason}; {REARM_REASON}")
         return None
+
+    def is_released(self, now_ns: int) -> bool:
+        """Return whether the deadman is known to be released."""
+        return not self._human.is_stale(now_ns) and not self._human.value
 
     def human_age_s(self, now_ns: int) -> float:
         """Return the seconds since the deadman's last message; inf = never received."""

@@ -1,1 +1,1 @@
-"""The ROS nodes, one file each: entry points only."""
+"""The ROS nodes, one file each, or a folder where a node has files that only it needs."""

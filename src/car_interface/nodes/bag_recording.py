@@ -1,4 +1,4 @@
-"""Records topics into a bag by rosbag, and has bag_report make its page, as processes beside a node."""
+"""Record topics into a bag by rosbag, and have bag_report make its page, as processes beside a node."""
 from __future__ import annotations
 
 import os
@@ -37,9 +37,6 @@ class BagRecording:
         folder: made where it isn't there.
         topics: by their resolved names, also those that nobody publishes yet; none = all.
         stem: what the file's name begins with.
-
-    Attributes:
-        path: of the bag.
     """
 
     def __init__(self, folder: str, topics: Sequence[str] = (), stem: str = "car"):
@@ -74,7 +71,7 @@ class BagRecording:
             self._process.send_signal(signal.SIGINT)
 
     def stop(self) -> str:
-        """Close the bag; its path."""
+        """Close the bag, and return its path."""
         self.begin_stop()
         self._process.wait()
         return self.path
@@ -86,7 +83,7 @@ def ending_with_parent():
 
 
 class BagPage:
-    """The end of a recording: ``step`` until it says that it is over."""
+    """End a recording and make its page: call ``step`` until it returns lines."""
 
     def __init__(self, recording: BagRecording):
         self._recording = recording
@@ -95,7 +92,7 @@ class BagPage:
         recording.begin_stop()
 
     def step(self) -> list[str] | None:
-        """Go on; where bag and page are, once both are; ``None`` = not yet."""
+        """Go on; return where bag and page are, once both are there; ``None`` = not yet."""
         if not self._recording.has_ended:
             return None
         if not os.path.exists(self._recording.path):
@@ -109,7 +106,7 @@ class BagPage:
         return [f"recording: {self._recording.path}", self._page_line()]
 
     def close(self) -> None:
-        """Close the bag; no page any more, where it isn't there yet."""
+        """Close the bag, and give up a page that isn't there yet."""
         if self._process is not None and self._process.poll() is None:
             self._process.terminate()
         self._recording.stop()

@@ -1,7 +1,5 @@
 """The car_nodes process: turn_arb, pca9685, teensy_sensor_hub, generic_value_converter, throttle_arb and
-planner_interface in one.
-
-It saves memory.
+planner_interface in one, which saves memory.
 
 Each is the same node class as in a process of its own, with the same topics, services, parameters and diagnostics under
 its own name, and with a thread that decides and publishes. They share one interpreter and one name on the ROS graph.
@@ -109,7 +107,7 @@ class Part:
 
 
 class CarNodes:
-    """Starts the nodes, and restarts those that an error has ended."""
+    """Start the nodes, and restart those that an error has ended."""
 
     def __init__(self, params, inbox):
         config = read_all(params, CarNodesConfig)

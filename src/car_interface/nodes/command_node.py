@@ -21,19 +21,11 @@ LOG_AFTER_NS = 20_000_000  # teleop_logi's state, which a line may quote, arrive
 
 
 class CommandNode:
-    """Publishes decisions, which have a ``duty``, ``differs_by`` (what is published), and ``kind`` (what is logged).
+    """Publish decisions, which have a ``duty``, ``differs_by`` (what is published), and ``kind`` (what is logged).
 
     A subclass subscribes to its inputs, and has ``_decide_now``, ``_mark_stale``, ``_publish_state`` and ``_log``.
     It sets ``_reconfigure``, its live tuning, and ``_neutral``, what is published on servo/neutral.
-
-    Args:
-        inbox: the node's.
-        rate_hz: at which it decides.
-        channel: its own of the servo board.
-        arbiter: gets e-stop and deadman.
-        state_type: of ~state.
-        reports: on /diagnostics, by name.
-        find_unheard: see ``CommandTopics``.
+    For ``find_unheard`` see ``CommandTopics``.
     """
 
     repeats_change = True  # a command that was published since the last tick is published at the next one, too

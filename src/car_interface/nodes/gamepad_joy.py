@@ -31,7 +31,7 @@ OPTION = "joy_device:="  # of the launch files
 
 
 class GamepadJoy:
-    """Reads the gamepad and publishes its state.
+    """Read the gamepad and publish its state.
 
     Args:
         find, open_device: as ``find_pads`` and ``GamepadDevice``.
@@ -39,7 +39,7 @@ class GamepadJoy:
 
     def __init__(self, params, inbox, find=find_pads, open_device=GamepadDevice):
         self._config = read_all(params, JoystickConfig)
-        self._inbox = inbox
+        self._inbox, self._clocks = inbox, inbox.clocks
         self._find, self._open_device = find, open_device
         self._pad: Pad | None = None  # the one that was read first
         self._device: GamepadDevice | None = None
@@ -47,7 +47,6 @@ class GamepadJoy:
         self._pacing = Pacing(self._config.coalesce_s, self._config.autorepeat_hz)
         self._warnings = ThrottledWarnings(inbox.clocks)
         self._fault: DeviceError | None = None
-        self._clocks = inbox.clocks
         now_ns = self._clocks.now_ns()
         self._retry_ns = now_ns
         self._diagnostics = Diagnostics(inbox, self._config.dev, {DRIVER_REPORT: self._report}, now_ns)

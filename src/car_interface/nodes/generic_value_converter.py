@@ -33,7 +33,7 @@ NO_COMMAND = Conversion(None, causes.NO_REQUEST, "waiting for the first command"
 
 
 class GenericValueConverter:
-    """Converts each command."""
+    """Convert each command."""
 
     def __init__(self, params, inbox):
         config = read_all(params, ConverterConfig)
@@ -112,7 +112,7 @@ class GenericValueConverter:
             self._warnings.warn(f"{name} stamp", f"the stamp of {name} {text}; it's obeyed all the same")
 
     def _report(self, status):
-        """Whether commands are converted, and why not, for /diagnostics."""
+        """Report on /diagnostics whether commands are converted, and why not."""
         conversion = self._conversion
         if conversion is NO_COMMAND:
             status.summary(OK, conversion.reason)
@@ -120,7 +120,7 @@ class GenericValueConverter:
             status.summary(WARN, f"no output: {conversion.reason}")
         else:
             status.summary(OK, "converting")
-        status.add("age of odometry", age_text(self._converter.odometry_age_s(self._clocks.now_ns())))
+        status.add("age of odometry", age_text(self._converter.odometry.age_s(self._clocks.now_ns())))
         status.add("cause", conversion.cause or causes.CONVERTING)
         status.add("commands", self._counts["commands"])
         status.add("values sent", self._counts["values"])

@@ -24,7 +24,7 @@ class LiveText:
 
     @property
     def width(self) -> int:
-        """Columns of the terminal."""
+        """Return the columns of the terminal."""
         return shutil.get_terminal_size().columns
 
     def show(self, lines: Sequence[str]) -> None:
@@ -55,6 +55,6 @@ class LiveText:
 
 
 def _writes():
-    """How often this process has written to its terminal."""
+    """Return how often this process has written to its terminal."""
     streams = [stream for stream in (sys.stdout, sys.stderr) if isinstance(stream, LogStream) and stream.isatty()]
     return sum(stream.written for stream in streams)

@@ -52,8 +52,8 @@ from car_interface.ros.diagnostics import ERROR, OK, WARN, age_text
 from car_interface.ros.reconfigure import ReconfigureServer
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import one_channel_duty, subscribe, subscribe_changes
-from car_interface.throttle.arbiter import NoValue
 from car_interface.throttle.battery import REPORT as BATTERY_REPORT
+from car_interface.throttle.board_watch import Trouble
 from car_interface.throttle.calibration import trimmed
 from car_interface.throttle.config import ThrottleConfig
 from car_interface.throttle.control import ThrottleControl
@@ -66,7 +66,7 @@ LOGGED = frozenset({causes.ESC_MOTION, causes.REVERSE_PENDING, causes.REVERSING,
 
 
 class ThrottleArb(CommandNode):
-    """Receives the inputs, decides, publishes."""
+    """Receive the inputs, decide, publish."""
 
     # A planner's values change the duty as often as the timer ticks: both together would double every command.
     repeats_change = False
@@ -82,7 +82,7 @@ class ThrottleArb(CommandNode):
                          {"throttle": self._report, BATTERY_REPORT: self._report_battery})
         self._subscribe()
         for sonar in config.obstacles.mounts if config.obstacles else ():
-            subscribe(f"sonar/{sonar}", Range, inbox, self._deciding(partial(self._on_range, sonar)))
+            subscribe(f"sonar/{sonar}", Range, inbox, partial(self._on_range, sonar))
         self._reconfigure = self._offer_tuning(config)
         self._command_topics.start(self._diagnostics.report_now)
         self._warn_of_calibration_drive()
@@ -114,12 +114,6 @@ class ThrottleArb(CommandNode):
     def _mark_stale(self, now_ns):
         self._control.mark_stale(now_ns)
 
-    def _deciding(self, handler):
-        def handle(message, now_ns):
-            handler(message, now_ns)
-            self._decide(now_ns)
-        return handle
-
     def _on_teleop(self, message, now_ns):
         self._arbiter.update_teleop(message.data, now_ns)
         if not math.isfinite(message.data):
@@ -135,8 +129,8 @@ class ThrottleArb(CommandNode):
                                                      f"lasts; accepted: {', '.join(MODES)}")
 
     def _on_scale_button(self, message, now_ns):
-        if self._arbiter.update_scale_button(message.data):
-            rospy.loginfo("driving by hand is scaled by %g", self._arbiter.scale)
+        if self._arbiter.scale.update(message.data):
+            rospy.loginfo("driving by hand is scaled by %g", self._arbiter.scale.value)
 
     def _on_value(self, message, now_ns):
         self._control.update_planner(message.data, now_ns)
@@ -152,10 +146,10 @@ class ThrottleArb(CommandNode):
 
     def _on_converter(self, message, now_ns):
         has_value = message.cause in (causes.CONVERTING, causes.NO_REQUEST)
-        self._arbiter.update_converter(None if has_value else NoValue(message.cause, message.reason))
+        self._arbiter.update_converter(None if has_value else Trouble(message.cause, message.reason))
 
     def _on_planner_state(self, message, now_ns):
-        no_request = None if message.cause == causes.PLANNER else NoValue(message.cause, message.reason)
+        no_request = None if message.cause == causes.PLANNER else Trouble(message.cause, message.reason)
         self._arbiter.update_planner_state(message.gear, no_request, now_ns, message.speed)
 
     def _on_steering(self, message, now_ns):
@@ -169,12 +163,13 @@ class ThrottleArb(CommandNode):
 
     def _on_range(self, sonar, message, now_ns):
         self._control.update_range(sonar, message.range, now_ns)
+        self._decide(now_ns)
 
     def _on_teleop_state(self, message, now_ns):
         self._arbiter.explain_human(message.human_in_loop, message.reason, now_ns)
 
     def _on_battery(self, message, now_ns):
-        self._arbiter.update_battery(message.voltage, now_ns)
+        self._arbiter.battery.update(message.voltage, now_ns)
 
     def _on_output(self, message, now_ns):
         if len(message.data) == CHANNELS:
@@ -215,9 +210,9 @@ class ThrottleArb(CommandNode):
         before_cause, before_state = (before.esc.cause, before.esc.state) if before else ("", None)
         if esc.cause != before_cause and esc.cause in LOGGED or esc.state == ARMING != before_state:
             log = rospy.logwarn if esc.cause in causes.LOSSES else rospy.loginfo
-            log("ESC %s: %s", esc.state_name, esc.reason)
+            log("ESC %s: %s", esc.state, esc.reason)
         elif before_state == ARMING != esc.state:
-            rospy.loginfo("ESC armed, profile %s", self._control.profile)
+            rospy.loginfo("ESC armed, profile %s", self._control.esc_config.profile)
             self._warn_of_calibration_drive()
         elif esc.cause == causes.BRAKE_UNCERTAIN != before_cause:
             self._warnings.warn(esc.cause, f"{NO_BRAKE}: {esc.reason}")
@@ -232,7 +227,7 @@ class ThrottleArb(CommandNode):
             rospy.loginfo("%s", limited.reason)
 
     def _warn_of_calibration_drive(self):
-        if self._control.is_calibration_drive:
+        if self._control.esc_config.calibration_drive:
             rospy.logwarn("%s; record it for calibrate_esc, and start without calibration_drive afterwards", PASSES)
 
     def _publish_state(self, decision):
@@ -241,18 +236,18 @@ class ThrottleArb(CommandNode):
         self._states.publish(ThrottleState(
             stamp=self._clocks.ros_now(), source=arbitration.source, cause=arbitration.cause, reason=arbitration.reason,
             mode=decision.mode, human_scale=decision.scale, asked=arbitration.asked, granted=esc.fraction,
-            esc=esc.state_name, esc_cause=esc.cause, esc_reason=esc.reason, profile=self._control.profile,
+            esc=esc.state, esc_cause=esc.cause, esc_reason=esc.reason, profile=self._control.esc_config.profile,
             limit=decision.limited.cause, limit_reason=decision.limited.reason,
-            max_speed=decision.limited.max_speed_mps, cuts=self._control.cuts,
+            max_speed=decision.limited.max_speed_mps, cuts=self._control.limiter.cuts,
             duty=decision.duty, speed=self._arbiter.speed_mps(self._now_ns), **{AGES[name]: age_s
                                                                                 for name, age_s in ages_s.items()}))
 
     def _report(self, status):
-        """Who drives, why, and what the ESC gets, for /diagnostics."""
+        """Report on /diagnostics who drives, why, and what the ESC gets."""
         decision = self._decision  # there is one: the first tick is due at once, and goes before any report
         arbitration, esc = decision.arbitration, decision.esc
-        is_calibration_drive = self._control.is_calibration_drive
-        text = f"{source_name(arbitration.source)}: {arbitration.reason}; ESC {esc.state_name}: {esc.reason}"
+        is_calibration_drive = self._control.esc_config.calibration_drive
+        text = f"{source_name(arbitration.source)}: {arbitration.reason}; ESC {esc.state}: {esc.reason}"
         status.summary(WARN if is_calibration_drive or _is_alarming(decision) else OK,
                        f"calibration drive; {text}" if is_calibration_drive else text)
         status.add("cause", arbitration.cause)
@@ -261,10 +256,10 @@ class ThrottleArb(CommandNode):
         status.add("asked, granted", f"{arbitration.asked:.3f}, {esc.fraction:.3f}")
         limited = decision.limited
         status.add("limit", f"{limited.cause}: {limited.reason}" if limited.cause else "none is reached")
-        status.add("requests cut by a limit", self._control.cuts)
+        status.add("requests cut by a limit", self._control.limiter.cuts)
         status.add("mode", decision.mode or "never heard")
         status.add("scale of driving by hand", f"{decision.scale:g}")
-        status.add("profile of the ESC", self._control.profile)
+        status.add("profile of the ESC", self._control.esc_config.profile)
         for name, age_s in self._control.ages_s(self._clocks.now_ns()).items():
             status.add(f"age of {name}", age_text(age_s))
         status.add("tuned live", self._reconfigure.changes)
@@ -273,8 +268,8 @@ class ThrottleArb(CommandNode):
         return status
 
     def _report_battery(self, status):
-        """How the battery is, for /diagnostics; a change is logged."""
-        battery = self._arbiter.battery_status(self._clocks.now_ns())
+        """Report on /diagnostics how the battery is, and log a change."""
+        battery = self._arbiter.battery.status(self._clocks.now_ns())
         if battery.cause != self._battery_cause:
             log = rospy.logwarn if battery.cause else rospy.loginfo
             log("battery: %s", battery.text)
@@ -293,7 +288,7 @@ AGES = {"e_stop": "e_stop_age", "human_in_loop": "human_age", "turn_arb's state"
 
 
 def _is_alarming(decision):
-    """Whether somebody has to act: the car is locked, an input failed, or the car moved against the ESC's state."""
+    """Return whether somebody has to act: locked, an input failed, or the car moved against the ESC's state."""
     arbitration = decision.arbitration
     return (arbitration.source == LOCKED or arbitration.cause in causes.LOSSES
             or arbitration.cause == causes.BOARD_NEVER_RECEIVED or decision.esc.cause in causes.LOSSES)

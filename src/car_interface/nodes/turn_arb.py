@@ -51,7 +51,7 @@ LIVE_RATE = 500  # duty per second, or slew_limit where that is less
 
 
 class TurnArb(CommandNode):
-    """Receives the inputs, decides, publishes."""
+    """Receive the inputs, decide, publish."""
 
     def __init__(self, params, inbox):
         config = read_all(params, TurnArbConfig)
@@ -167,15 +167,15 @@ class TurnArb(CommandNode):
 
     def _log_too_tight(self, now_ns):
         """Log requests that the wheels can't do once, however often the planner's swings are too tight in between."""
-        before, self._too_tight = self._too_tight, self._arbiter.too_tight_lately(now_ns)
+        before, self._too_tight = self._too_tight, self._arbiter.limiter.too_tight_lately(now_ns)
         if self._too_tight and not before:
             self._warnings.warn(causes.TOO_TIGHT, f"the planner {self._too_tight}")
 
     def _report(self, status):
-        """Source, cause and ages, for /diagnostics."""
+        """Report source, cause and ages on /diagnostics."""
         decision = self._arbiter.decide(self._clocks.now_ns())  # for its ages
         alarming = _is_alarming(decision)
-        too_tight = self._arbiter.too_tight_lately(self._clocks.now_ns())
+        too_tight = self._arbiter.limiter.too_tight_lately(self._clocks.now_ns())
         status.summary(WARN if alarming or too_tight else OK, f"{SOURCE_NAMES[decision.source]}: {decision.reason}"
                        + (f"; the planner {too_tight}" if too_tight else ""))
         status.add("cause", decision.cause)
@@ -183,10 +183,10 @@ class TurnArb(CommandNode):
         status.add("duty", decision.duty)
         for name, age_s in (("e_stop", decision.e_stop_age_s), ("human_in_loop", decision.human_age_s),
                             ("tele_steer_req", decision.teleop_age_s), ("av_turnrad_req", decision.planner_age_s),
-                            ("odometry", self._arbiter.odometry_age_s(self._clocks.now_ns()))):
+                            ("odometry", self._arbiter.limiter.speed.age_s(self._clocks.now_ns()))):
             status.add(f"age of {name}", age_text(age_s))
         status.add("limit", f"{decision.limit}: {decision.limit_reason}" if decision.limit else "none is reached")
-        status.add("requests cut by a limit", self._arbiter.cuts)
+        status.add("requests cut by a limit", self._arbiter.limiter.cuts)
         status.add("locked", decision.source == LOCKED)
         status.add("ROS master", self._master_fault or "there")
         status.add("tuned live", self._reconfigure.changes)
@@ -208,16 +208,16 @@ class TurnArb(CommandNode):
         self._check.update_command(radius_m, now_ns)
         self._states.publish(SteeringState(
             stamp=self._clocks.ros_now(), source=decision.source, cause=decision.cause, reason=decision.reason,
-            duty=decision.duty, turn_radius=radius_m, odometry_age=self._arbiter.odometry_age_s(now_ns),
-            speed=self._arbiter.speed_mps,
+            duty=decision.duty, turn_radius=radius_m, odometry_age=self._arbiter.limiter.speed.age_s(now_ns),
+            speed=self._arbiter.limiter.speed.last_mps,
             limit=decision.limit, limit_reason=decision.limit_reason, asked_radius=decision.asked_radius_m,
-            max_speed=decision.max_speed_mps, cuts=self._arbiter.cuts,
+            max_speed=decision.max_speed_mps, cuts=self._arbiter.limiter.cuts,
             e_stop_age=decision.e_stop_age_s, human_age=decision.human_age_s, teleop_age=decision.teleop_age_s,
             planner_age=decision.planner_age_s, channel=self._channel))
 
 
 def _is_alarming(decision):
-    """Whether somebody has to act: the car is locked, or an input failed."""
+    """Return whether somebody has to act: the car is locked, or an input failed."""
     return decision.source == LOCKED or decision.cause in causes.LOSSES or decision.cause == causes.TWO_REQUESTS
 
 

@@ -1,4 +1,4 @@
-"""Converts planners' messages to requests: Ackermann commands, twists, and Autoware's Control with its gear.
+"""Convert planners' messages to requests: Ackermann commands, twists, and Autoware's Control with its gear.
 
 AckermannDrive (ackermann_msgs), as F1TENTH's stacks publish it on ``drive``. By its definition steering_angle is the
 angle of a virtual wheel in the middle of the front axle, left positive; speed, acceleration and jerk are measured at
@@ -58,14 +58,7 @@ def from_ackermann(steering_angle: float, speed: float, acceleration: float, jer
 
 
 def from_twist(linear_x: float, angular_z: float, angular: str, wheelbase_m: float) -> PlannerRequest | Refusal:
-    """Return the request of a twist.
-
-    Args:
-        linear_x: m/s.
-        angular_z: rad/s, or rad with ANGLE.
-        angular: RATE or ANGLE.
-        wheelbase_m: between the axles.
-    """
+    """Return the request of a twist; m/s, and rad/s or, where ``angular`` is ANGLE, rad."""
     refusal = not_finite(linear__x=linear_x, angular__z=angular_z)
     if refusal is not None:
         return refusal
@@ -86,12 +79,9 @@ def _radius_of_rate(linear_x, angular_z):
 
 def from_control(steering_tire_angle: float, velocity: float, acceleration: float, jerk: float, gear: int | None,
                  wheelbase_m: float) -> PlannerRequest | Refusal:
-    """Return the request of a Control command.
+    """Return the request of a Control command; rad, m/s, m/s², m/s³.
 
-    Args:
-        steering_tire_angle, velocity, acceleration, jerk: rad, m/s, m/s², m/s³.
-        gear: the newest GearCommand's number; ``None`` = there was none: DRIVE.
-        wheelbase_m: between the axles.
+    ``gear`` is the newest GearCommand's number; ``None`` = there was none: DRIVE.
     """
     refusal = not_finite(lateral__steering_tire_angle=steering_tire_angle, longitudinal__velocity=velocity,
                          longitudinal__acceleration=acceleration, longitudinal__jerk=jerk)

@@ -57,10 +57,7 @@ def not_finite(**values: float) -> Refusal | None:
 def radius_of_angle(name: str, angle_rad: float, wheelbase_m: float) -> float | Refusal:
     """Return the turn radius for the angle of a virtual front wheel in the middle of the front axle, left positive.
 
-    Args:
-        name: of the field, for a refusal.
-        angle_rad: finite. A right angle or more is refused: it is likely in degrees.
-        wheelbase_m: between the axles.
+    The angle is finite. A right angle or more is refused, by the field's name: it is likely in degrees.
     """
     if abs(angle_rad) >= math.pi / 2:
         return Refusal(causes.REQUEST_REFUSED,

@@ -1,4 +1,4 @@
-"""Obeys one planner, the configured source. The messages of other sources are counted, with their senders.
+"""Obey one planner, the configured source. The messages of other sources are counted, with their senders.
 
 Consumes the requests made of the source's messages, with their arrival; answers with the request, or why there is none.
 A source that falls silent has no request from then on: nothing is repeated for it. A source that sent an angle which no
@@ -31,10 +31,9 @@ class PlannerDecision(NamedTuple):
 
 
 class SourceArbiter:
-    """Keeps the newest command of the source.
+    """Keep the newest command of the source.
 
     Args:
-        source: one of PLANNERS.
         timeout_s: a command older than this is no request any more; above 0.
         sane_radius_m: for a source that was refused for an angle, a tighter turn than this isn't sane.
     """
@@ -119,15 +118,14 @@ class SourceArbiter:
         radius_m = 0.0 if self.source == SPEED else self._radius_m
         return PlannerDecision(causes.PLANNER, f"{self.source} asks for {_text(command, radius_m)}", command, radius_m)
 
-
     def _remains(self, now_ns):
         """Return for how long the source stays refused for an angle, in words."""
         if self._refused_for is None:
             return ""
-        if self._sane_since_ns is None:
-            return f"; refused until it was sane for {SANE_FOR_NS / NS_PER_S:g} s"
-        left_s = max(0, SANE_FOR_NS - (now_ns - self._sane_since_ns)) / NS_PER_S
-        return f"; refused until it was sane for {SANE_FOR_NS / NS_PER_S:g} s, {left_s:.1f} s more"
+        left = ""
+        if self._sane_since_ns is not None:
+            left = f", {max(0, SANE_FOR_NS - (now_ns - self._sane_since_ns)) / NS_PER_S:.1f} s more"
+        return f"; refused until it was sane for {SANE_FOR_NS / NS_PER_S:g} s{left}"
 
 
 def _text(request, radius_m):

@@ -1,4 +1,4 @@
-"""Decides who steers, and with what duty.
+"""Decide who steers, and with what duty.
 
 Consumes emergency stop, deadman, the gamepad's steering and the planner's turn radius or steering, each with its
 arrival on the monotonic clock, and answers with a ``Decision``: source, duty, cause and reason. Pure: ``now_ns`` is
@@ -75,25 +75,27 @@ class Decision(NamedTuple):
         return self.source, self.cause, self.limit
 
 
-class SteeringArbiter:
-    """Decides who steers from the newest of each input.
+class SteeringArbiter(MotionInterlock):
+    """Decide who steers from the newest of each input.
 
     Locked or no human → neutral; else the gamepad, if it steers; else the planner, if it requests a radius; else
     neutral. A gamepad that was received once and is stale or not finite means neutral, not the planner: the human may
     think that they are steering. So does one that was never received while teleop_logi runs. A planner asks by radius
     or by steering: while both are fresh neither is obeyed.
+
+    Attributes:
+        limiter: with the measured speed.
     """
 
     def __init__(self, calibration: SteeringCalibration, config: SteeringArbiterConfig = SteeringArbiterConfig()):
-        self._calibration = calibration
-        self._config = config
-        self._interlock = MotionInterlock(config.interlock)
+        super().__init__(config.interlock)
+        self._calibration, self._steering_config = calibration, config
         self._teleop = TimedInput("tele_steer_req", config.teleop_timeout_s)
         self._override = TimedInput("teleop_logi's state", EXPLANATION_TIMEOUT_S)
         self._planner = TimedInput("av_turnrad_req", config.planner_timeout_s)
         self._planner_steering = TimedInput("av_steer_req", config.planner_timeout_s)
         self._planner_explanation = ""
-        self._limiter = SteeringLimiter(config.limits)
+        self.limiter = SteeringLimiter(config.limits)
         self._sources = {TELEOP: config.limits.human, PLANNER: config.limits.planner}
         # Duty (None: nobody steered) and time of the newest decision, if no limit held for it.
         self._unlimited: tuple[int | None, int] | None = None
@@ -103,26 +105,6 @@ class SteeringArbiter:
     def calibrate(self, calibration: SteeringCalibration) -> None:
         """Use another calibration from now on."""
         self._calibration = calibration
-
-    def update_e_stop(self, locked: bool, now_ns: int) -> None:
-        """Take the emergency stop: true = neutral, regardless of requests."""
-        self._interlock.update_e_stop(locked, now_ns)
-
-    def update_phone_e_stop(self, locked: bool, now_ns: int) -> None:
-        """Take the phones' emergency stop: true = stop, whatever the other one says."""
-        self._interlock.update_phone_e_stop(locked, now_ns)
-
-    def await_phone_e_stop(self) -> None:
-        """Take note that the phones' emergency stop was on as this node started."""
-        self._interlock.await_phone_e_stop()
-
-    def update_human(self, present: bool, now_ns: int) -> None:
-        """Take the deadman: true while a human holds it."""
-        self._interlock.update_human(present, now_ns)
-
-    def explain_human(self, present: bool, reason: str, now_ns: int) -> None:
-        """Take teleop_logi's reason for the deadman; it is only quoted in a decision's reason."""
-        self._interlock.explain_human(present, reason, now_ns)
 
     def explain_teleop(self, overrides: bool, now_ns: int) -> None:
         """Take whether the gamepad overrides the planner, by teleop_logi; it is quoted in a decision's reason.
@@ -149,21 +131,7 @@ class SteeringArbiter:
 
     def update_odometry(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
         """Take the car's speed, forward positive, and how old it was at its arrival."""
-        self._limiter.speed.update(speed_mps, now_ns, age_ns)
-
-    @property
-    def cuts(self) -> int:
-        """Return how often a request began to be limited."""
-        return self._limiter.cuts
-
-    @property
-    def speed_mps(self) -> float:
-        """The newest speed; NaN: none was ever received."""
-        return self._limiter.speed.last_mps
-
-    def odometry_age_s(self, now_ns: int) -> float:
-        """Return the seconds since the newest speed; inf = never received."""
-        return self._limiter.speed.age_s(now_ns)
+        self.limiter.speed.update(speed_mps, now_ns, age_ns)
 
     def turn_radius_m(self, duty: float) -> float:
         """Return the radius on which a duty turns at the newest speed, right negative; inf = straight ahead."""
@@ -171,8 +139,8 @@ class SteeringArbiter:
 
     def mark_stale(self, now_ns: int) -> None:
         """Take note that messages were dropped before they got here: all inputs are stale."""
-        self._limiter.speed.mark_stale()
-        self._interlock.mark_stale(now_ns)
+        super().mark_stale(now_ns)
+        self.limiter.speed.mark_stale()
         self._teleop.mark_stale()
         self._planner.mark_stale()
         self._planner_steering.mark_stale()
@@ -181,32 +149,27 @@ class SteeringArbiter:
         """Return who steers at ``now_ns``, with what duty, and why. With a slew limit earlier calls affect the duty."""
         source, duty, cause, reason = self._arbitrate(now_ns)
         limits = self._sources.get(source)
-        ages_s = (self._interlock.e_stop_age_s(now_ns), self._interlock.human_age_s(now_ns),
-                  self._teleop.age_s(now_ns), min(self._planner.age_s(now_ns), self._planner_steering.age_s(now_ns)))
-        requested_m = self._requested_radius_m(source, now_ns)
+        ages_s = (self.e_stop_age_s(now_ns), self.human_age_s(now_ns), self._teleop.age_s(now_ns),
+                  min(self._planner.age_s(now_ns), self._planner_steering.age_s(now_ns)))
+        # 0: another source steers, or the planner sent a steering.
+        requested_m = self._planner.value if source == PLANNER and not self._planner.is_stale(now_ns) else 0.0
         too_tight = self._too_tight(requested_m)
         if limits is None or limits.is_off and not too_tight:
             self._unlimited = None if limits is None else duty, now_ns
             return Decision(source, self._slewed(source, duty, now_ns), cause, reason, *ages_s)
         if self._unlimited is not None:  # computed only now, when a limit needs it
             before, at_ns = self._unlimited
-            self._limiter.release(0.0 if before is None else 1.0 / self.turn_radius_m(before), at_ns)
+            self.limiter.release(0.0 if before is None else 1.0 / self.turn_radius_m(before), at_ns)
             self._unlimited = None
         asked_m = requested_m or self.turn_radius_m(duty)
-        turn = self._limiter.limit(1.0 / self._possible_m(asked_m), limits, now_ns, too_tight)
+        # Of a turn that is too tight the wheels do the tightest one, driven slowly.
+        possible_m = max(abs(asked_m), self._calibration.tightest_radius_m(asked_m))
+        turn = self.limiter.limit(math.copysign(1.0 / possible_m, asked_m), limits, now_ns, too_tight)
         if turn.is_cut:
             radius_m = 1.0 / turn.curvature_per_m if turn.curvature_per_m else math.inf
             duty = self._calibration.planner_duty(radius_m, self._known_speed_mps)
         return Decision(source, self._slewed(source, duty, now_ns), cause, reason, *ages_s, turn.cause, turn.reason,
                         asked_m, turn.max_speed_mps)
-
-    def too_tight_lately(self, now_ns: int) -> str:
-        """Return why the planner asked for more than the wheels can do, in the last two seconds; empty: it didn't."""
-        return self._limiter.too_tight_lately(now_ns)
-
-    def _requested_radius_m(self, source, now_ns):
-        """Return the radius of the planner that steers; 0 = it sent a steering instead, or another source steers."""
-        return self._planner.value if source == PLANNER and not self._planner.is_stale(now_ns) else 0.0
 
     def _too_tight(self, radius_m):
         """Return why the wheels can't do a requested radius; empty: they can, or none is requested."""
@@ -216,27 +179,23 @@ class SteeringArbiter:
         return too_tight_reason(radius_m, self._calibration.tightest_radius_m(radius_m),
                                 self._calibration.tightest_radius_m(radius_m, speed_mps), speed_mps)
 
-    def _possible_m(self, radius_m):
-        """Return the radius, or the tightest one that the wheels can do, driven slowly."""
-        return math.copysign(max(abs(radius_m), self._calibration.tightest_radius_m(radius_m)), radius_m)
-
     @property
     def _known_speed_mps(self):
         """Return the newest speed; 0: none was ever received."""
-        return self._limiter.speed.last_mps if self._limiter.speed.was_received else 0.0
+        return self.limiter.speed.last_mps if self.limiter.speed.was_received else 0.0
 
     def _slewed(self, source, duty, now_ns):
         """Return ``duty``, or as near to it as the slew limit allows by now. Neutral isn't limited."""
         now_ns = max(now_ns, self._slewed_ns)
-        if source in (TELEOP, PLANNER) and self._config.slew_limit:
-            max_step = self._config.slew_limit * (now_ns - self._slewed_ns) / NS_PER_S
+        if source in (TELEOP, PLANNER) and self._steering_config.slew_limit:
+            max_step = self._steering_config.slew_limit * (now_ns - self._slewed_ns) / NS_PER_S
             duty = max(self._slewed_duty - max_step, min(self._slewed_duty + max_step, duty))
         self._slewed_duty, self._slewed_ns = duty, now_ns
         return round_half_away(duty)
 
     def _arbitrate(self, now_ns):
         center = self._calibration.servo_center
-        inhibit = self._interlock.inhibit(now_ns)
+        inhibit = self.inhibit(now_ns)
         if inhibit is not None:
             return LOCKED if inhibit.locked else NO_HUMAN, center, inhibit.cause, inhibit.reason
         if self._teleop.was_received:
@@ -246,8 +205,8 @@ class SteeringArbiter:
             if not math.isfinite(steering):
                 return (NEUTRAL, center, causes.TELEOP_NOT_FINITE,
                         f"tele_steer_req is {steering}, no number to act on")
-            deadband = self._config.tele_steer_deadband * FLOAT32_TOLERANCE
-            if abs(steering - self._config.tele_steer_neutral) > deadband:
+            deadband = self._steering_config.tele_steer_deadband * FLOAT32_TOLERANCE
+            if abs(steering - self._steering_config.tele_steer_neutral) > deadband:
                 overrides = not self._override.is_stale(now_ns) and self._override.value
                 return (TELEOP, self._calibration.teleop_duty(steering), causes.TELEOP,
                         f"tele_steer_req is {steering:.3f}{': it overrides the planner' if overrides else ''}")

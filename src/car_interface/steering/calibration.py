@@ -1,4 +1,4 @@
-"""Converts a steering request or a turn radius to a servo duty, and back: a car's steering calibration.
+"""Convert a steering request or a turn radius to a servo duty, and back: a car's steering calibration.
 
 Steering −1 is full right and +1 full left; a turn radius is in metres, right negative; a duty is 0..65535 of the PWM
 period.
@@ -79,13 +79,9 @@ class SteeringCalibration:
         return round_half_away(table(slow_radius_m(abs(radius_m), speed_mps, self.understeer)))
 
     def tightest_radius_m(self, side: float, speed_mps: float = 0.0) -> float:
-        """Return the radius of the tightest turn to a side at a speed, positive.
+        """Return the radius of the tightest turn to a side (positive = left) at a speed; it is positive.
 
         Where several radii have the duty of the tightest one, the wheels are at their stop: the widest is taken.
-
-        Args:
-            side: positive = left, negative = right.
-            speed_mps: the car's speed.
         """
         return driven_radius_m(_tightest_m(self._left if side > 0 else self._right), speed_mps, self.understeer)
 

@@ -25,11 +25,9 @@ class TurnArbConfig:
 
 
 def load_steering(path: str, text: str | None = None) -> SteeringCalibration:
-    """Load the calibration from a YAML file for turn_arb. A file that the node would refuse is refused here too.
+    """Load the calibration from a YAML file for turn_arb, or check the file's future content ``text``.
 
-    Args:
-        path: of the file.
-        text: what the file is going to have; ``None`` = it is read.
+    What the node would refuse is refused here, too.
 
     Raises:
         ConfigError: naming the file, the parameter and what is wrong with it.

@@ -1,4 +1,4 @@
-"""Limits how tight a car may turn at its speed, and how quickly it may turn in.
+"""Limit how tight a car may turn at its speed, and how quickly it may turn in.
 
 Pure: the requested curvature and the measured speed in, the granted curvature and the reason out. A turn that the
 wheels can't do is reported, and replaced by the tightest one that they can do. The lateral acceleration of a turn is
@@ -63,7 +63,6 @@ def too_tight_reason(asked_m: float, slow_m: float, driven_m: float, speed_mps: 
     Args:
         asked_m: the requested radius, left positive.
         slow_m, driven_m: the tightest one to that side, driven slowly and at this speed.
-        speed_mps: the car's speed.
     """
     radius_m, side = abs(asked_m), "left" if asked_m > 0 else "right"
     if radius_m < TIGHT_RATIO * slow_m:
@@ -93,17 +92,12 @@ class Turn(NamedTuple):
 
 
 class SteeringLimiter:
-    """Limits one car's turns.
-
-    Attributes:
-        speed: the measured speed.
-        cuts: how often a request began to be limited.
-    """
+    """Limit one car's turns."""
 
     def __init__(self, limits: SteeringLimits):
         self.limits = limits
         self.speed = MeasuredSpeed(limits.odometry_timeout_s)
-        self.cuts = 0
+        self.cuts = 0  # how often a request began to be limited
         self._is_cut = False
         self._too_tight, self._too_tight_ns = "", 0  # the newest reason, and when it held
         self._granted_per_m = 0.0
@@ -118,11 +112,7 @@ class SteeringLimiter:
     def limit(self, curvature_per_m: float, limits: SourceLimits, now_ns: int, too_tight: str = "") -> Turn:
         """Return the turn that is granted to a source that asks for this curvature (1/m, left positive).
 
-        Args:
-            curvature_per_m: no more than the wheels can do.
-            limits: of the source.
-            now_ns: the time.
-            too_tight: why the request was more than the wheels can do, by ``too_tight_reason``; empty: it wasn't.
+        It is no more than the wheels can do; ``too_tight`` says why more was asked for (``too_tight_reason``).
         """
         was_cut, turn = self._is_cut, self._by_speed(curvature_per_m, limits, now_ns)
         if too_tight:

@@ -1,4 +1,4 @@
-"""Checks whether the car turns as commanded: finds a wrong calibration, a reversed servo, a bent linkage.
+"""Check whether the car turns as commanded: find a wrong calibration, a reversed servo, a bent linkage.
 
 Consumes the commanded turn radius (by the steering's calibration), and speed and yaw rate by odometry, each as it
 arrives; answers with a ``Judgement``.
@@ -10,16 +10,22 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
 from typing import NamedTuple
 
-from car_interface.common.errors import ConfigError
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
 
+MIN_SPEED_MPS = 0.5  # below it nothing is judged
+OFF_RATIO = 0.5  # tolerance of the driven radius, as a ratio of the commanded one
+OFF_FOR_NS = 2 * NS_PER_S  # so long out of tolerance, at speed, is a warning
+WRONG_SIDE_FOR_NS = NS_PER_S // 2  # so long turning to the other side is a warning
+STRAIGHT_PER_M = 1 / 20.0  # a turn wider than 20 m is taken for straight ahead
+GRIP_MPS2 = 4.0  # above this commanded lateral acceleration tyres may slide, and nothing is judged
+SETTLING_NS = NS_PER_S // 2  # the servo may take so long after a change of command
+TIMEOUT_S = 0.5  # command or motion older than this are stale, and the history is discarded
 SLICE_NS = NS_PER_S // 10  # the resolution of the history: five reports of odometry at 50 Hz
-ESTIMATE_S = 0.5  # the window of the reported radius
-SPEED_HYSTERESIS = 0.8  # judging stops below this ratio of min_speed
+ESTIMATE_NS = NS_PER_S // 2  # the window of the reported radius
+SPEED_HYSTERESIS = 0.8  # judging stops below this ratio of MIN_SPEED_MPS
 WARNING_HYSTERESIS = 0.8  # a warning ends when the error is below this ratio of the tolerance
 # Uncertainty of the wheels' heading over any distance: one pulse of one wheel, 1.5 cm, on a track of 0.3 m.
 HEADING_SIGMA_RAD = 0.05
@@ -27,46 +33,11 @@ LEFT, RIGHT, STRAIGHT = "left", "right", "straight on"
 UNCALIBRATED = "steering calibration? Measure which duty drives"
 
 
-@dataclass(frozen=True)
-class SteeringCheckConfig:
-    """Conditions and tolerances of the judgement.
-
-    Attributes:
-        min_speed_mps: below it nothing is judged.
-        off_ratio: tolerance of the driven radius, as a ratio of the commanded one.
-        off_for_s: how long the radius must be out of tolerance, at speed, for a warning.
-        wrong_side_for_s: how long the car must turn to the other side for a warning.
-        straight_m: a turn wider than this is taken for straight ahead.
-        grip_mps2: above this commanded lateral acceleration tyres may slide, and nothing is judged.
-        settling_s: how long the servo may take after a change of command.
-        timeout_s: command or motion older than this are stale, and the history is discarded.
-
-    Raises:
-        ConfigError: a value isn't a number above 0, or the ratio isn't below 1.
-    """
-
-    min_speed_mps: float = 0.5
-    off_ratio: float = 0.5
-    off_for_s: float = 2.0
-    wrong_side_for_s: float = 0.5
-    straight_m: float = 20.0
-    grip_mps2: float = 4.0
-    settling_s: float = 0.5
-    timeout_s: float = 0.5
-
-    def __post_init__(self):
-        for name, value in vars(self).items():
-            if not 0 < value < math.inf:
-                raise ConfigError(name, value, "a number above 0")
-        if self.off_ratio >= 1:
-            raise ConfigError("off_ratio", self.off_ratio, "a ratio below 1")
-
-
 class Judgement(NamedTuple):
     """Commanded and driven radius: left positive, right negative, inf = straight ahead, NaN = unknown."""
 
     commanded_m: float
-    estimated_m: float  # over the last 0.5 s; unknown below min_speed_mps
+    estimated_m: float  # over the last 0.5 s; unknown below MIN_SPEED_MPS
     warning: str  # empty: no fault is known
 
 
@@ -81,26 +52,20 @@ class _Slice(NamedTuple):
 
 
 class SteeringCheck:
-    """Compares the driven curvature with the commanded one.
+    """Compare the driven curvature with the commanded one.
 
-    The mean of the last ``off_for_s``, all of it at speed, is compared with the range of commands in that time and in
-    the ``settling_s`` before it: each curvature in that range is accepted. So a command that changes often has a larger
+    The mean of the last OFF_FOR_NS, all of it at speed, is compared with the range of commands in that time and in
+    SETTLING_NS before it: each curvature in that range is accepted. So a command that changes often has a larger
     tolerance, and a command that changes sides isn't judged.
 
     Left, right and straight ahead have a warning each. It stays, also while the car stands, until the mean on that side
     is within tolerance again.
     """
 
-    def __init__(self, config: SteeringCheckConfig = SteeringCheckConfig()):
-        self._config = config
-        self._straight_per_m = 1 / config.straight_m
-        self._off_for_ns = round(config.off_for_s * NS_PER_S)
-        self._wrong_side_for_ns = round(config.wrong_side_for_s * NS_PER_S)
-        self._settling_ns = round(config.settling_s * NS_PER_S)
-        self._command = TimedInput("command", config.timeout_s)
-        self._motion = TimedInput("motion", config.timeout_s)
-        max_ns = max(self._off_for_ns, self._wrong_side_for_ns) + self._settling_ns
-        self._slices: deque = deque(maxlen=math.ceil(max_ns / SLICE_NS) + 1)
+    def __init__(self):
+        self._command = TimedInput("command", TIMEOUT_S)
+        self._motion = TimedInput("motion", TIMEOUT_S)
+        self._slices: deque = deque(maxlen=(OFF_FOR_NS + SETTLING_NS) // SLICE_NS + 1)
         self._since_ns: int | None = None  # start of the current slice; None: not at speed
         self._warnings: dict[str, str] = {}
         self._begin_slice(None)
@@ -119,7 +84,7 @@ class SteeringCheck:
         before, was_stale = self._motion.value, self._motion.is_stale(now_ns)
         elapsed_ns = 0 if was_stale else round(self._motion.age_s(now_ns) * NS_PER_S)
         self._motion.update((speed_mps, yaw_rate_radps), now_ns)
-        min_mps = self._config.min_speed_mps * (1.0 if self._since_ns is None else SPEED_HYSTERESIS)
+        min_mps = MIN_SPEED_MPS * (1.0 if self._since_ns is None else SPEED_HYSTERESIS)
         has_reversed = before is not None and before[0] * speed_mps < 0
         if was_stale or has_reversed or not (abs(speed_mps) >= min_mps and math.isfinite(speed_mps * yaw_rate_radps)):
             self._slices.clear()
@@ -139,7 +104,7 @@ class SteeringCheck:
         commanded_per_m = math.nan if self._command.is_stale(now_ns) else self._command.value
         estimated_per_m = math.nan
         if not self._motion.is_stale(now_ns):
-            driven = self._driven(round(ESTIMATE_S * NS_PER_S))
+            driven = self._driven(ESTIMATE_NS)
             estimated_per_m = driven.yaw_rad / driven.distance_m if driven is not None else math.nan
         return Judgement(_radius_m(commanded_per_m), _radius_m(estimated_per_m), "; ".join(self._warnings.values()))
 
@@ -160,14 +125,14 @@ class SteeringCheck:
 
     def _may_slide(self, curvature_per_m):
         speed_mps = self._motion.value[0] if self._motion.was_received else 0.0
-        return abs(curvature_per_m) * speed_mps * speed_mps > self._config.grip_mps2
+        return abs(curvature_per_m) * speed_mps * speed_mps > GRIP_MPS2
 
     def _end_slice(self, now_ns):
         self._slices.append(_Slice(now_ns - self._since_ns, self._distance_m, self._yaw_rad,
                                    self._min_per_m, self._max_per_m))
         self._begin_slice(now_ns)
-        recent = self._driven(self._wrong_side_for_ns, self._settling_ns)
-        driven = self._driven(self._off_for_ns, self._settling_ns)
+        recent = self._driven(WRONG_SIDE_FOR_NS, SETTLING_NS)
+        driven = self._driven(OFF_FOR_NS, SETTLING_NS)
         side = self._side(driven)
         if self._turns_to_the_wrong_side(recent):
             self._warn(self._side(recent), recent)
@@ -195,11 +160,11 @@ class SteeringCheck:
         """Return the commanded side; ``None``: unknown, or not one side."""
         if driven is None:
             return None
-        if driven.min_per_m > self._straight_per_m:
+        if driven.min_per_m > STRAIGHT_PER_M:
             return LEFT
-        if driven.max_per_m < -self._straight_per_m:
+        if driven.max_per_m < -STRAIGHT_PER_M:
             return RIGHT
-        straight = max(-driven.min_per_m, driven.max_per_m) <= self._straight_per_m
+        straight = max(-driven.min_per_m, driven.max_per_m) <= STRAIGHT_PER_M
         return STRAIGHT if straight else None
 
     def _turns_to_the_wrong_side(self, driven):
@@ -207,20 +172,20 @@ class SteeringCheck:
         if side not in (LEFT, RIGHT):
             return False
         other_side = -1 if side == LEFT else 1
-        return other_side * driven.yaw_rad / driven.distance_m > self._straight_per_m + _sigma_per_m(driven)
+        return other_side * driven.yaw_rad / driven.distance_m > STRAIGHT_PER_M + _sigma_per_m(driven)
 
     def _is_within(self, driven, strictness):
         """Return whether the driven curvature is within tolerance of the range of commands."""
         low, high, curvature = driven.min_per_m, driven.max_per_m, driven.yaw_rad / driven.distance_m
-        if high < -self._straight_per_m:
+        if high < -STRAIGHT_PER_M:
             low, high, curvature = -high, -low, -curvature
-        ratio, sigma_per_m = self._config.off_ratio * strictness, _sigma_per_m(driven)
-        margin_per_m = (self._straight_per_m + sigma_per_m) * strictness
+        ratio, sigma_per_m = OFF_RATIO * strictness, _sigma_per_m(driven)
+        margin_per_m = (STRAIGHT_PER_M + sigma_per_m) * strictness
         lower, upper = min(low, 0.0) - margin_per_m, max(high, 0.0) + margin_per_m
-        if low > self._straight_per_m:
+        if low > STRAIGHT_PER_M:
             # A radius that is larger by a ratio r is a curvature that is smaller by a factor 1 + r, and vice versa.
             wider = min(low / (1 + ratio), low - sigma_per_m)
-            lower = wider if wider > self._straight_per_m else -margin_per_m  # any straight course is accepted
+            lower = wider if wider > STRAIGHT_PER_M else -margin_per_m  # any straight course is accepted
             upper = max(high / (1 - ratio), high + sigma_per_m)
         return lower <= curvature <= upper
 

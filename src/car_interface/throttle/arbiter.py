@@ -20,8 +20,8 @@ from car_interface.common.sources import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TEL
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
 from car_interface.interlock.motion_interlock import EXPLANATION_TIMEOUT_S, InterlockConfig, MotionInterlock
-from car_interface.throttle.battery import BatteryConfig, BatteryStatus, BatteryWatch
-from car_interface.throttle.board_watch import BoardConfig, BoardWatch
+from car_interface.throttle.battery import BatteryConfig, BatteryWatch
+from car_interface.throttle.board_watch import BoardConfig, BoardWatch, Trouble
 from car_interface.throttle.esc_intention import AUTO, DRIVE, REVERSE_GEAR
 from car_interface.throttle.stick import Scale, StickConfig, shaped
 
@@ -54,13 +54,6 @@ class ThrottleArbiterConfig:
     battery: BatteryConfig = declared.group(BatteryConfig(), "battery/")
 
 
-class NoValue(NamedTuple):
-    """The reason for which there is no value for the planner's command."""
-
-    cause: str  # one of car_interface.common.causes
-    reason: str
-
-
 class Arbitration(NamedTuple):
     """The source that drives, and its request to the ESC."""
 
@@ -75,7 +68,7 @@ class Arbitration(NamedTuple):
     cruise_mps: float = 0.0  # the speed that the planner wants the car to keep; 0 = none, or unknown
 
 
-class ThrottleArbiter:
+class ThrottleArbiter(MotionInterlock):
     """Decide who drives, from the newest message of each input.
 
     The first rule that applies decides:
@@ -91,15 +84,18 @@ class ThrottleArbiter:
     been centered for OVERRIDE_HOLD_S. An override has the gear DRIVE, in which no pull ever becomes reverse. A human
     who takes over from the planner has it, too, until the stick was centered SETTLES_NS later: mode and stick arrive on
     different topics, so a pull that arrives earlier may have been sent under the planner's deadman.
+
+    Attributes:
+        battery: takes its voltages, and says how it is.
+        scale: of driving by hand; takes the gamepad's buttons.
     """
 
     def __init__(self, config: ThrottleArbiterConfig = ThrottleArbiterConfig()):
+        super().__init__(config.interlock)
         self._stick = config.stick
-        self._scale = Scale(config.stick)
-        self._interlock = MotionInterlock(config.interlock)
-        self._human = TimedInput("human_in_loop", config.interlock.human_timeout_s)
+        self.scale = Scale(config.stick)
         self._steering = TimedInput("turn_arb's state", config.steering_timeout_s)
-        self._explanation = TimedInput("teleop_logi's state", EXPLANATION_TIMEOUT_S)
+        self._teleop_explanation = TimedInput("teleop_logi's state", EXPLANATION_TIMEOUT_S)
         self._teleop = TimedInput("tele_throt_req", config.teleop_timeout_s)
         self._mode = TimedInput("mode", config.mode_timeout_s)
         self._planner = TimedInput("the planner's value", config.command_timeout_s)
@@ -109,39 +105,21 @@ class ThrottleArbiter:
         # When a mode last gave the throttle to the planner, or when the deadman was released after that; None: the
         # stick was centered since then.
         self._gave_ns: int | None = None
-        self._no_value: NoValue | None = None
+        self._no_value: Trouble | None = None
         self._board = None if config.board is None else BoardWatch(config.board)
-        self._battery = BatteryWatch(config.battery)
+        self.battery = BatteryWatch(config.battery)
         self._command_timeout_ns = (round(config.command_timeout_s * NS_PER_S) if config.command_timeout_s
                                     else math.inf)
         self._resumed_ns: int | None = None  # when the planner asked again after it had no request
-
-    @property
-    def scale(self) -> float:
-        """Return the scale of driving by hand, 0..1."""
-        return self._scale.value
 
     @property
     def mode(self) -> str:
         """Return the newest mode; empty: none was received."""
         return self._mode.value or ""
 
-    def update_e_stop(self, locked: bool, now_ns: int) -> None:
-        """Take the emergency stop: true = stop, whatever is requested."""
-        self._interlock.update_e_stop(locked, now_ns)
-
-    def update_phone_e_stop(self, locked: bool, now_ns: int) -> None:
-        """Take the phones' emergency stop: true = stop, whatever the other one says."""
-        self._interlock.update_phone_e_stop(locked, now_ns)
-
-    def await_phone_e_stop(self) -> None:
-        """Take note that the phones' emergency stop was on as this node started."""
-        self._interlock.await_phone_e_stop()
-
     def update_human(self, present: bool, now_ns: int) -> None:
         """Take the deadman: true while a human holds it."""
-        self._interlock.update_human(present, now_ns)
-        self._human.update(bool(present), now_ns)
+        super().update_human(present, now_ns)
         if not present:
             self._overrode_ns = None
             if self._gave_ns is not None:  # a teleop sends 0 without a deadman, even for a stick that is pulled
@@ -149,8 +127,8 @@ class ThrottleArbiter:
 
     def explain_human(self, present: bool, reason: str, now_ns: int) -> None:
         """Take teleop_logi's explanation of deadman and requests; reasons quote it, nothing depends on it."""
-        self._interlock.explain_human(present, reason, now_ns)
-        self._explanation.update(" ".join(reason.split()), now_ns)
+        super().explain_human(present, reason, now_ns)
+        self._teleop_explanation.update(" ".join(reason.split()), now_ns)
 
     def update_steering(self, source: int, reason: str, now_ns: int) -> None:
         """Take who steers, and why, from turn_arb's state."""
@@ -186,19 +164,15 @@ class ThrottleArbiter:
         if not self._is_planners:
             self._overrode_ns = None
 
-    def update_scale_button(self, pressed: int) -> bool:
-        """Take the gamepad's buttons for the scale, 1, 0 or −1. Return whether the scale has changed."""
-        return self._scale.update(pressed)
-
     def update_planner(self, value: float, request: float, now_ns: int) -> None:
         """Take the planner's value, and the request that it stands for; both may be NaN or infinite."""
         self._planner.update((value, request), now_ns)
 
-    def update_converter(self, no_value: NoValue | None) -> None:
+    def update_converter(self, no_value: Trouble | None) -> None:
         """Take the converter's reason for having no value for the newest command; ``None`` = it has one."""
         self._no_value = no_value
 
-    def update_planner_state(self, gear: str, no_request: NoValue | None, now_ns: int, speed_mps: float = 0.0) -> None:
+    def update_planner_state(self, gear: str, no_request: Trouble | None, now_ns: int, speed_mps: float = 0.0) -> None:
         """Take planner_interface's state: gear, requested speed, and the reason if there is no request.
 
         When there is a request again, the value from before the pause is stale.
@@ -215,29 +189,16 @@ class ThrottleArbiter:
         is_no_cars = abs(speed_mps) > MAX_SPEED_MPS
         self._odometry.update(math.copysign(math.inf, speed_mps) if is_no_cars else speed_mps, now_ns, age_ns)
 
-    def update_battery(self, voltage_v: float, now_ns: int) -> None:
-        """Take the battery's voltage."""
-        self._battery.update(voltage_v, now_ns)
-
-    def battery_status(self, now_ns: int) -> BatteryStatus:
-        """Return how the battery is."""
-        return self._battery.status(now_ns)
-
     def mark_stale(self, now_ns: int) -> None:
         """Treat all inputs as stale, since messages were dropped on their way here."""
         self._resumed_ns = None
         if self._mode.was_received:
             self._gave_ns = now_ns  # one of them may have been a planner's mode
-        self._interlock.mark_stale(now_ns)
-        for timed in (self._human, self._steering, self._teleop, self._mode, self._planner, self._planner_state,
-                      self._odometry):
+        super().mark_stale(now_ns)
+        for timed in (self._steering, self._teleop, self._mode, self._planner, self._planner_state, self._odometry):
             timed.mark_stale()
         if self._board is not None:
             self._board.mark_stale()
-
-    def is_released(self, now_ns: int) -> bool:
-        """Return whether the deadman is known to be released."""
-        return not self._human.is_stale(now_ns) and not self._human.value
 
     def is_centered(self, now_ns: int) -> bool:
         """Return whether the gamepad's throttle is within its dead band, or was never received."""
@@ -254,13 +215,13 @@ class ThrottleArbiter:
     def ages_s(self, now_ns: int) -> dict[str, float]:
         """Return the seconds since the last message of each input, by name; inf = never received."""
         timed = (self._steering, self._teleop, self._mode, self._planner, self._odometry)
-        return {"e_stop": self._interlock.e_stop_age_s(now_ns), "human_in_loop": self._interlock.human_age_s(now_ns),
+        return {"e_stop": self.e_stop_age_s(now_ns), "human_in_loop": self.human_age_s(now_ns),
                 **{one.name: one.age_s(now_ns) for one in timed}}
 
     def decide(self, now_ns: int) -> Arbitration:
         """Return who drives at ``now_ns``, with what request, and why."""
         board = self._board and self._board.trouble(now_ns)  # also without a human: agreement takes half a second
-        inhibit = self._interlock.inhibit(now_ns)
+        inhibit = self.inhibit(now_ns)
         if inhibit is not None:
             return _stop(LOCKED if inhibit.locked else NO_HUMAN, inhibit.cause, inhibit.reason)
         return (self._steering_trouble(now_ns) or board and _stop(NEUTRAL, *board) or self._mode_trouble(now_ns)
@@ -296,7 +257,7 @@ class ThrottleArbiter:
             return _stop(NEUTRAL, causes.TELEOP_STALE, self._teleop.stale_reason(now_ns))
         throttle = self._teleop.value
         if not math.isfinite(throttle):
-            explanation = "" if self._explanation.is_stale(now_ns) else f": {self._explanation.value}"
+            explanation = "" if self._teleop_explanation.is_stale(now_ns) else f": {self._teleop_explanation.value}"
             return _stop(NEUTRAL, causes.TELEOP_NOT_FINITE,
                          f"tele_throt_req is {throttle}, no number to act on{explanation}")
         request = shaped(throttle, self._stick.deadband, self._stick.expo)
@@ -305,9 +266,10 @@ class ThrottleArbiter:
         if not (request or human_drives):
             return None
         if self._gave_ns is not None:
-            return self._by_taking_over(throttle, request)
-        reason = f"tele_throt_req is {throttle:.3f}, scaled by {self.scale:g}"
-        return Arbitration(TELEOP, causes.TELEOP, reason, request, request * self.scale,
+            why = ": it only brakes until the stick was centered, since the planner drove before" if request < 0 else ""
+            return self._without_reverse(causes.TELEOP, throttle, request, why)
+        reason = f"tele_throt_req is {throttle:.3f}, scaled by {self.scale.value:g}"
+        return Arbitration(TELEOP, causes.TELEOP, reason, request, request * self.scale.value,
                            request * self._stick.brake_scale, False)
 
     @property
@@ -321,15 +283,10 @@ class ThrottleArbiter:
 
     def _without_reverse(self, cause, throttle, request, why):
         """Return a stick's request in the gear DRIVE. Its pull never drives, so it has the brake's scale only."""
-        scale = self._stick.brake_scale if request < 0 else self.scale
+        scale = self._stick.brake_scale if request < 0 else self.scale.value
         reason = f"tele_throt_req is {throttle:.3f}, scaled by {scale:g}{why}"
         return Arbitration(TELEOP, cause, reason, request, request * scale, request * self._stick.brake_scale, False,
                            DRIVE)
-
-    def _by_taking_over(self, throttle, request):
-        """Return the request of a human whose stick wasn't centered since the planner drove."""
-        why = ": it only brakes until the stick was centered, since the planner drove before" if request < 0 else ""
-        return self._without_reverse(causes.TELEOP, throttle, request, why)
 
     def _by_override(self, throttle, request, now_ns):
         """Return a stick's request under a planner's deadman, neutral for a while after it, then None."""
@@ -342,7 +299,9 @@ class ThrottleArbiter:
 
     def _by_planner(self, now_ns):
         """Return the planner's request, a stop if there is none, or neutral if no planner ever sent a value."""
-        gear, no_request, speed_mps = self._planner_gear(now_ns)
+        gear, no_request, speed_mps = AUTO, None, 0.0  # by AUTO no planner reverses
+        if not self._planner_state.is_stale(now_ns):
+            gear, no_request, speed_mps = self._planner_state.value
         trouble = no_request or self._no_value
         if trouble is None and not self._planner.was_received:
             return Arbitration(NEUTRAL, causes.NO_REQUEST, "neither tele_throt_req nor a planner's value asks for "
@@ -360,26 +319,22 @@ class ThrottleArbiter:
     def _planner_trouble(self, now_ns):
         """Return why the planner's value can't be followed, or None; without odometry none can."""
         if self._is_awaited(now_ns):
-            return NoValue(causes.COMMAND_AWAITED, "the planner asks again: its first value is awaited")
+            return Trouble(causes.COMMAND_AWAITED, "the planner asks again: its first value is awaited")
         if self._planner.is_stale(now_ns):
-            return NoValue(causes.COMMAND_STALE, self._planner.stale_reason(now_ns))
+            return Trouble(causes.COMMAND_STALE, self._planner.stale_reason(now_ns))
         (value, _), odometry = self._planner.value, self._odometry
         if not math.isfinite(value):
-            return NoValue(causes.COMMAND_NOT_FINITE, f"the planner's value is {value}, no number to act on")
+            return Trouble(causes.COMMAND_NOT_FINITE, f"the planner's value is {value}, no number to act on")
         if odometry.is_stale(now_ns):
-            return NoValue(causes.ODOMETRY_STALE, odometry.stale_reason(now_ns))
+            return Trouble(causes.ODOMETRY_STALE, odometry.stale_reason(now_ns))
         if not math.isfinite(odometry.value):
-            return NoValue(causes.ODOMETRY_NOT_FINITE, f"the velocity in the odometry is {odometry.value}")
-        return NoValue(*self._battery.status(now_ns)) if self._battery.is_empty else None
+            return Trouble(causes.ODOMETRY_NOT_FINITE, f"the velocity in the odometry is {odometry.value}")
+        return Trouble(*self.battery.status(now_ns)) if self.battery.is_empty else None
 
     def _is_awaited(self, now_ns):
         """Return whether the planner resumed just now: its state arrives before the converter's first value."""
         return (self._planner.is_marked_stale and self._resumed_ns is not None
                 and now_ns - self._resumed_ns <= self._command_timeout_ns)
-
-    def _planner_gear(self, now_ns):
-        """Return planner_interface's gear, trouble and speed. If stale: AUTO, by which no planner reverses."""
-        return (AUTO, None, 0.0) if self._planner_state.is_stale(now_ns) else self._planner_state.value
 
 
 def _stop(source, cause, reason):

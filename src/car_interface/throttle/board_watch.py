@@ -48,8 +48,8 @@ class BoardConfig:
     pwm_max: Sequence[int] = declared.duty_of_each("board/pwm_max", (MAX_DUTY,) * CHANNELS, BOARD_LIMITS)
 
 
-class BoardTrouble(NamedTuple):
-    """The reason for which no throttle may be given."""
+class Trouble(NamedTuple):
+    """What keeps the throttle at neutral."""
 
     cause: str  # one of car_interface.common.causes
     reason: str
@@ -86,20 +86,20 @@ class BoardWatch:
         self._commands.clear()
         self._restart()
 
-    def trouble(self, now_ns: int) -> BoardTrouble | None:
+    def trouble(self, now_ns: int) -> Trouble | None:
         """Return why no throttle may be given at ``now_ns``, or None. It depends on earlier calls."""
         if not self._output.was_received:
             if not self._config.output_required:
                 return None
-            return BoardTrouble(causes.BOARD_NEVER_RECEIVED,
+            return Trouble(causes.BOARD_NEVER_RECEIVED,
                                 "/servo/output was never heard, so it isn't known whether the servo follows. A board "
                                 "node that doesn't publish it takes output_required: false")
         if self._output.is_stale(now_ns):
             self._restart()
-            return BoardTrouble(causes.BOARD_STALE, self._output.stale_reason(now_ns))
+            return Trouble(causes.BOARD_STALE, self._output.stale_reason(now_ns))
         if self._judged_ns is None or now_ns - MARGIN_NS - self._judged_ns >= JUDGE_PERIOD_NS:
             self._judge(now_ns)
-        return None if self._follows else BoardTrouble(causes.STEERING_NOT_HELD, self._reason())
+        return None if self._follows else Trouble(causes.STEERING_NOT_HELD, self._reason())
 
     def _restart(self):
         """Require a whole agreement again."""

@@ -69,8 +69,7 @@ class DutyMap:
     def request_of_duty(self, duty: int) -> float | None:
         """Return the request that a duty on the channel stands for; beyond ±1 outside of the table.
 
-        Returns:
-            ``None`` if there is no pulse: −1 (never set), 0 (off), the full duty (on).
+        Without a pulse it is ``None``: −1 (never set), 0 (off), the full duty (on).
         """
         return self._request(duty) if 0 < duty < MAX_DUTY else None
 

@@ -35,11 +35,7 @@ class ThrottleConfig:
 def load_throttle(path: str, text: str | None = None) -> ThrottleConfig:
     """Load the configuration from a YAML file for throttle_arb, without value map and sonars (files of their own).
 
-    A file that the node would refuse is refused here, too.
-
-    Args:
-        path: of the file.
-        text: the file's future content, to check instead; ``None`` = read the file.
+    Or check the file's future content ``text``. What the node would refuse is refused here, too.
 
     Raises:
         ConfigError: naming the file, the parameter and what is wrong with it.

@@ -17,13 +17,13 @@ from __future__ import annotations
 from typing import NamedTuple, Sequence
 
 from car_interface.common.staleness import TimedInput
-from car_interface.throttle.arbiter import PLANNER, TELEOP, Arbitration, ThrottleArbiter, ThrottleArbiterConfig
+from car_interface.throttle.arbiter import PLANNER, Arbitration, ThrottleArbiter, ThrottleArbiterConfig
 from car_interface.throttle.calibration import DutyMap, ThrottleCalibration
 from car_interface.throttle.esc import FORWARD, REVERSE, Esc, EscDecision
 from car_interface.throttle.esc_config import EscConfig
 from car_interface.throttle.esc_intention import AUTO, Request
 from car_interface.throttle.limits import Limited, ThrottleLimiter, ThrottleLimits
-from car_interface.throttle.obstacle_guard import NONE, ObstacleGuard
+from car_interface.throttle.obstacle_guard import ObstacleGuard
 from car_interface.throttle.obstacle_stop import ObstacleConfig, ObstacleStop
 
 DRIVES = (FORWARD, REVERSE)
@@ -38,11 +38,6 @@ class ThrottleDecision(NamedTuple):
     mode: str
     scale: float
     limited: Limited  # what the limits granted
-
-    @property
-    def is_driven(self) -> bool:
-        """Return whether a human or the planner drives and the ESC gets something other than neutral."""
-        return self.arbitration.source in (TELEOP, PLANNER) and bool(self.esc.fraction)
 
     @property
     def differs_by(self) -> tuple:
@@ -61,27 +56,18 @@ class ThrottleControl:
 
     Attributes:
         arbiter: takes e-stop, deadman, steering, teleop, mode, buttons and the converter's state directly.
+        limiter: counts how often it began to cut a request.
     """
 
     def __init__(self, calibration: ThrottleCalibration, arbiter: ThrottleArbiterConfig, esc: EscConfig,
                  limits: ThrottleLimits | None = None, obstacles: ObstacleConfig | None = None):
         self.arbiter = ThrottleArbiter(arbiter)
         self._duties = DutyMap(calibration)
-        self._esc = Esc(esc)
-        self._limiter = ThrottleLimiter(limits or ThrottleLimits(), self._request_of_value)
+        self.esc_config, self._esc = esc, Esc(esc)
+        self.limiter = ThrottleLimiter(limits or ThrottleLimits(), self._request_of_value)
         self._guard = None if obstacles is None else ObstacleGuard(ObstacleStop(obstacles), esc)
         self._turn_max_mps = self._curvature_per_m = 0.0
         self._output = TimedInput("/servo/output", 0.0)
-
-    @property
-    def profile(self) -> str:
-        """Return the ESC's kind (``esc/profile``)."""
-        return self._esc.config.profile
-
-    @property
-    def is_calibration_drive(self) -> bool:
-        """Return whether the ESC gets a person's stick unchanged."""
-        return self._esc.config.calibration_drive
 
     def calibrate(self, calibration: ThrottleCalibration) -> None:
         """Use another calibration from now on."""
@@ -94,18 +80,15 @@ class ThrottleControl:
     def update_odometry(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
         """Take the measured speed, forward positive, and its age at arrival by its stamp; 0 = unknown."""
         self.arbiter.update_odometry(speed_mps, now_ns, age_ns)
-        self._limiter.speed.update(speed_mps, now_ns, age_ns)
+        self.limiter.speed.update(speed_mps, now_ns, age_ns)
         self._esc.update_speed(speed_mps, now_ns, age_ns)
         if self._guard is not None:
-            self._guard.update_speed(speed_mps, now_ns, age_ns, self._curvature_per_m)
+            self._guard.slope.update_speed(speed_mps, now_ns - max(0, age_ns), self._curvature_per_m)
 
     def update_turn(self, radius_m: float, max_speed_mps: float) -> None:
-        """Take the turn that turn_arb steers.
+        """Take the radius that turn_arb steers, and the speed up to which the requested turn keeps within its limit.
 
-        Args:
-            radius_m: left positive; inf = straight on.
-            max_speed_mps: up to this speed the requested turn keeps within turn_arb's limit; inf = straight on, 0 = no
-                limit.
+        The radius is left positive. Both are inf straight on; a speed of 0 = no limit.
         """
         self._curvature_per_m = 1.0 / radius_m if abs(radius_m) > 0 else 0.0  # also for NaN
         self._turn_max_mps = max_speed_mps if max_speed_mps > 0 else 0.0
@@ -114,11 +97,6 @@ class ThrottleControl:
         """Take a sonar's range; ``sonar`` is one of ``vehicle_geometry.SONARS``."""
         if self._guard is not None:
             self._guard.sonars.update_range(sonar, range_m, now_ns)
-
-    @property
-    def cuts(self) -> int:
-        """Return how often a limit began to cut the request."""
-        return self._limiter.cuts
 
     def update_output(self, duties: Sequence[int], now_ns: int) -> None:
         """Take the 16 duties that the servo board holds, −1 = never set."""
@@ -133,7 +111,7 @@ class ThrottleControl:
     def mark_stale(self, now_ns: int) -> None:
         """Treat all inputs as stale, since messages were dropped on their way here."""
         self.arbiter.mark_stale(now_ns)
-        self._limiter.speed.mark_stale()
+        self.limiter.speed.mark_stale()
         if self._guard is not None:
             self._guard.sonars.mark_stale()
         self._output.mark_stale()
@@ -146,15 +124,13 @@ class ThrottleControl:
     def decide(self, now_ns: int) -> ThrottleDecision:
         """Return what the ESC gets from ``now_ns`` on. The rules remember earlier calls: call it at 20 Hz at least."""
         arbitration = self.arbiter.decide(now_ns)
-        obstacle = NONE if self._guard is None else self._guard.check(
-            arbitration, self._limiter.speed, self._curvature_per_m, now_ns)
-        limited = self._limiter.limit(arbitration, self._esc.state == REVERSE, self._turn_max_mps, now_ns,
-                                      obstacle.bounds, obstacle.stop)
+        bound = self._guard and self._guard.check(arbitration, self.limiter.speed, self._curvature_per_m, now_ns)
+        limited = self.limiter.limit(arbitration, self._esc.state == REVERSE, self._turn_max_mps, now_ns, bound)
         esc = self._step(limited, now_ns)
         if self._guard is not None:
             self._guard.update_esc(esc, now_ns)
         return ThrottleDecision(self._duties.duty(esc.fraction), arbitration, esc, self.arbiter.mode,
-                                self.arbiter.scale, limited)
+                                self.arbiter.scale.value, limited)
 
     def _step(self, limited, now_ns):
         """Return the ESC's answer to what the limits granted.
@@ -168,7 +144,7 @@ class ThrottleControl:
         request = Request(arbitration.drive, arbitration.gear, is_human=is_human, is_stop=arbitration.is_stop,
                           is_centered=self.arbiter.is_centered(now_ns), is_released=self.arbiter.is_released(now_ns),
                           cruise_mps=arbitration.cruise_mps)
-        is_as_it_is = self.is_calibration_drive and arbitration.gear == AUTO
+        is_as_it_is = self.esc_config.calibration_drive and arbitration.gear == AUTO
         if arbitration.drive == arbitration.brake or is_as_it_is:
             return self._esc.step(request, now_ns)  # one scale: a pull stays the same when the car stops
         pulls = arbitration.asked < 0 and self._esc.state != REVERSE

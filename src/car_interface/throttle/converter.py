@@ -76,8 +76,10 @@ class Converter:
     """Convert commanded accelerations to values.
 
     Args:
-        config: limits and timeout.
         value_map: the map; ``None`` passes accelerations through, clamped, and needs no odometry.
+
+    Attributes:
+        odometry: the newest velocity in m/s, forward positive.
 
     Raises:
         ConfigError: all values of the map are outside the limits, so that every output would be the same.
@@ -91,15 +93,15 @@ class Converter:
                               f"has values from {value_map.values[0]} to {value_map.values[-1]}")
         self._config = config
         self._map = value_map
-        self._odometry = TimedInput("odometry", config.odometry_timeout_s)
+        self.odometry = TimedInput("odometry", config.odometry_timeout_s)
 
     def update_odometry(self, velocity: float, now_ns: int, age_ns: int = 0) -> None:
         """Take the car's velocity in m/s, forward positive, and its age at arrival."""
-        self._odometry.update(velocity, now_ns, age_ns)
+        self.odometry.update(velocity, now_ns, age_ns)
 
     def mark_stale(self) -> None:
         """Treat the velocity as stale, since messages were dropped on their way here."""
-        self._odometry.mark_stale()
+        self.odometry.mark_stale()
 
     def convert(self, acceleration: float, now_ns: int) -> Conversion:
         """Return the value for a commanded acceleration in m/s² at the newest velocity."""
@@ -107,23 +109,12 @@ class Converter:
             return Conversion(None, causes.COMMAND_NOT_FINITE, f"the commanded acceleration is {acceleration}")
         if self._map is None:
             return Conversion(self._clamp(acceleration))
-        trouble = self.odometry_trouble(now_ns)
-        if trouble is not None:
-            return trouble
-        return Conversion(self._clamp(self._map.value_at(acceleration, self._odometry.value)))
-
-    def odometry_trouble(self, now_ns: int) -> Conversion | None:
-        """Return why the velocity can't be used at ``now_ns``; ``None`` = it can."""
-        if self._odometry.is_stale(now_ns):
-            return Conversion(None, causes.ODOMETRY_STALE, self._odometry.stale_reason(now_ns))
-        if not math.isfinite(self._odometry.value):
-            return Conversion(None, causes.ODOMETRY_NOT_FINITE,
-                              f"the velocity in the odometry is {self._odometry.value}")
-        return None
-
-    def odometry_age_s(self, now_ns: int) -> float:
-        """Return the seconds since the last odometry; inf = never received."""
-        return self._odometry.age_s(now_ns)
+        odometry = self.odometry
+        if odometry.is_stale(now_ns):
+            return Conversion(None, causes.ODOMETRY_STALE, odometry.stale_reason(now_ns))
+        if not math.isfinite(odometry.value):
+            return Conversion(None, causes.ODOMETRY_NOT_FINITE, f"the velocity in the odometry is {odometry.value}")
+        return Conversion(self._clamp(self._map.value_at(acceleration, odometry.value)))
 
     def _clamp(self, value):
         return max(self._config.min_value, min(self._config.max_value, value))

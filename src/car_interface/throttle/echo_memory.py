@@ -49,9 +49,7 @@ class EchoMemory:
     """Keep the places of one car's echoes.
 
     Args:
-        mounts: the sonars, by name.
         field_of_view_rad: the full angle of each cone.
-        outline: of the car.
         margin_m: what the car would pass at a smaller distance is in its way.
     """
 

@@ -31,12 +31,7 @@ from typing import NamedTuple
 from car_interface.common import causes
 from car_interface.common.staleness import STARTED
 from car_interface.common.units import NS_PER_S
-from car_interface.throttle.esc_config import (
-    BRAKE_THEN_REVERSE,
-    FORWARD_ONLY,
-    UNVERIFIED,
-    EscConfig,
-)
+from car_interface.throttle.esc_config import BRAKE_THEN_REVERSE, FORWARD_ONLY, UNVERIFIED, EscConfig
 from car_interface.throttle.esc_history import EscHistory
 from car_interface.throttle.esc_intention import AUTO, DRIVE, REVERSE_GEAR, Pulls, Request
 from car_interface.throttle.esc_motion import (
@@ -49,8 +44,8 @@ from car_interface.throttle.esc_motion import (
 )
 from car_interface.throttle.esc_proof import BrakeProof
 
-ARMING, NEUTRAL, FORWARD, BRAKING, HOLD, REVERSE = range(6)
-STATE_NAMES = ("ARMING", "NEUTRAL", "FORWARD", "BRAKING", "HOLD", "REVERSE")
+# The states, as ThrottleState.esc has them.
+ARMING, NEUTRAL, FORWARD, BRAKING, HOLD, REVERSE = "ARMING", "NEUTRAL", "FORWARD", "BRAKING", "HOLD", "REVERSE"
 
 NO_PULSE = "the servo board gave no pulse"
 NO_BRAKE = "no brake"  # before the reason, in the log
@@ -80,15 +75,10 @@ class EscDecision(NamedTuple):
     """The fraction for the ESC, with its reason, and the deceleration that a stop would have now."""
 
     fraction: float  # −1..1
-    state: int
+    state: str  # one of ARMING to REVERSE
     cause: str  # one of car_interface.common.causes
     reason: str
-    stop_mps2: float  # the deceleration that is certain if the car stops now
-    coasts_below_mps: float  # below this speed only drag is certain; 0: the brake is, down to standstill
-
-    @property
-    def state_name(self) -> str:
-        return STATE_NAMES[self.state]
+    stop_mps2: float  # the deceleration that is certain, down to standstill, if the car stops now
 
 
 class Esc:
@@ -118,7 +108,7 @@ class Esc:
         self._lagging_pull, self._finished_ns = 0.0, 0  # the fraction by which a lagging motor still brakes, and when
 
     @property
-    def state(self) -> int:
+    def state(self) -> str:
         """Return the state of the last step."""
         return self._state
 
@@ -183,7 +173,6 @@ class Esc:
         self._check = MotionCheck(self.config)
         self._is_measured = self._is_measured and cause != causes.ESC_MOTION
         self._proof.doubt()
-        self._pulls = Pulls(self.config.dead_band_reverse)
 
     def _neutral_missing_ns(self, now_ns):
         lasts_ns = min(self._history.neutral_ns(now_ns), now_ns - self._armed_after_ns)
@@ -201,9 +190,7 @@ class Esc:
     def _value_of(self, request, keeps_small):
         """Return the request's value, clamped to −1..1; 0 in the dead band, where the ESC may see a pull or neutral.
 
-        Args:
-            request: the request.
-            keeps_small: pass values within the dead band, so that a calibration drive finds where the car sets off.
+        With ``keeps_small`` such values pass, so that a calibration drive finds where the car sets off.
         """
         value = request.value if math.isfinite(request.value) else 0.0
         value = max(-1.0, min(1.0, value))
@@ -279,8 +266,11 @@ class Esc:
     def _brake(self, value, means_reverse, now_ns):
         """Return the answer to a pull that brakes, whole or weakly; None: it may not brake."""
         if self._brakes(value, now_ns):
-            state = HOLD if self._motion.stands(now_ns) else BRAKING
-            return value, state, *self._brake_cause(state, means_reverse)
+            if not self._motion.stands(now_ns):
+                return value, BRAKING, causes.BRAKING, "it rolls forward, or its speed is unknown"
+            if means_reverse and self.config.profile == FORWARD_ONLY:
+                return value, HOLD, causes.REVERSE_REFUSED, "this ESC has no reverse (esc/profile: forward_only)"
+            return value, HOLD, causes.HOLDING, "it stands, and the brake holds it"
         weak = self._weak_pull(value, now_ns)
         return (weak, BRAKING, causes.BRAKING, WEAKLY) if weak else None
 
@@ -331,13 +321,6 @@ class Esc:
         is_let_go = self._lagging_pull <= LETS_GO * -weak
         return weak if weak <= -self.config.dead_band_reverse and is_let_go else 0.0
 
-    def _brake_cause(self, state, means_reverse):
-        if state == BRAKING:
-            return causes.BRAKING, "it rolls forward, or its speed is unknown"
-        if means_reverse and self.config.profile == FORWARD_ONLY:
-            return causes.REVERSE_REFUSED, "this ESC has no reverse (esc/profile: forward_only)"
-        return causes.HOLDING, "it stands, and the brake holds it"
-
     def _withheld(self, means_reverse, now_ns):
         """Return cause and reason for neutral instead of a pull."""
         if self._motion.speed_mps(now_ns) is None:
@@ -386,11 +369,6 @@ class Esc:
 
     def _stop(self, now_ns, cause=causes.STOPPING, prefix=""):
         """Return the answer to a stop: hold on a hill, brake, brake weakly, or neutral; never a push.
-
-        Args:
-            now_ns: the time.
-            cause: of the stop.
-            prefix: of the reason.
         """
         if self._stop_began_ns is None:
             self._stop_began_ns = now_ns
@@ -459,20 +437,18 @@ class Esc:
         self._hill.step(fraction, self._motion, now_ns)
         is_push = state == FORWARD and fraction > 0
         self._proof.step(fraction, is_push, self._history.pulled_ns(now_ns), self._motion, now_ns)
-        return EscDecision(fraction, state, cause, reason, *self._stop_guarantee(now_ns))
+        return EscDecision(fraction, state, cause, reason, self._stop_mps2(now_ns))
 
     def _update_lagging_pull(self, now_ns):
         keeps = math.exp((self._finished_ns - now_ns) / (MOTOR_LAG_NS + ACTUATION_NS))
         self._lagging_pull = keeps * self._lagging_pull + (1.0 - keeps) * max(0.0, -self._fraction)
         self._finished_ns = now_ns
 
-    def _stop_guarantee(self, now_ns):
-        """Return (the deceleration of a stop, the speed below which only drag is left), as in ``EscDecision``."""
-        braked_mps2 = self.config.stop_brake * self.config.brake_deceleration_mps2
-        if self._state in (ARMING, REVERSE) or not self._stop_brakes(now_ns):
-            return self.config.drag_deceleration_mps2, 0.0
-        is_certain = self._stop_is_certain(now_ns)
-        return braked_mps2, 0.0 if is_certain else self.config.brake_margin_mps
+    def _stop_mps2(self, now_ns):
+        """Return the deceleration of a stop down to standstill: the brake's if it is certain, else drag's."""
+        if (self._state in (ARMING, REVERSE) or not self._stop_brakes(now_ns) or not self._stop_is_certain(now_ns)):
+            return self.config.drag_deceleration_mps2
+        return self.config.stop_brake * self.config.brake_deceleration_mps2
 
 
 def _clamped(request):

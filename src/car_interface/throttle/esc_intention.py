@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 # The direction in which the driver wants to go. AUTO: a stick, whose second pull means reverse.
 AUTO, DRIVE, REVERSE_GEAR = "auto", "drive", "reverse"
-GEARS = (AUTO, DRIVE, REVERSE_GEAR)
 
 
 class Request(NamedTuple):
@@ -34,9 +33,6 @@ class Request(NamedTuple):
     is_centered: bool = False
     is_released: bool = False
     cruise_mps: float = 0.0
-
-
-STOP = Request(is_stop=True)
 
 
 class Pulls:

@@ -10,15 +10,12 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from car_interface.common.measured_speed import MAX_SPEED_MPS
+from car_interface.common.measured_speed import MAX_SPEED_MPS, SLIDE_MPS2
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
 from car_interface.throttle.esc_config import EscConfig
 
 STANDSTILL_MPS = 0.1  # a wheel's pulse (1.5 cm) every 0.15 s
-# Wheels that a brake locks read 0 while the car slides on. A slide on dust still slows it by 3 m/s² (0.3 g), so after
-# a measured speed the car slides no longer than that speed divided by this.
-SLIDE_MPS2 = 3.0
 # Rubber on dry asphalt, 0.8 g. With 4 m/s² `python3 test/adversary 400 --seed 700000` finds 2 reversals.
 MAX_DECELERATION_MPS2 = 8.0
 ACTUATION_NS = 40_000_000  # from a decision to the end of the pulse before it: a tick and a period, 20 ms each
@@ -67,7 +64,7 @@ class MeasuredMotion:
         self._speed.update(speed_mps, now_ns, age_ns)
         self.measured_ns, self.is_stamped = now_ns - max(0, age_ns), age_ns > 0
         self._speeds.append((self.measured_ns, abs(speed_mps)))
-        if abs(speed_mps) >= STANDSTILL_MPS:
+        if abs(speed_mps) >= STANDSTILL_MPS:  # wheels that a brake locks read 0 while the car slides on
             slides_until_ns = self.measured_ns + round(abs(speed_mps) / SLIDE_MPS2 * NS_PER_S)
             self._slides_until_ns = max(self._slides_until_ns, slides_until_ns)
 
@@ -138,7 +135,6 @@ class MeasuredMotion:
         The board ends it by itself if no decision follows.
 
         Args:
-            now_ns: the time.
             above_mps: it must be faster than this now, too.
             braked_since_ns: when the present brake began; ``None`` = it isn't braked.
         """
@@ -158,16 +154,12 @@ class MeasuredMotion:
         """Return a bound of the present deceleration: the tyres', or by what the same brake was seen to do."""
         if braked_since_ns is None or self._age_ns(now_ns) > SEEN_FOR_NS:
             return MAX_DECELERATION_MPS2
-        (first_ns, first_mps), (last_ns, last_mps) = self._window(braked_since_ns + MOTOR_LAG_NS)
-        if last_ns - first_ns < WINDOW_NS:
+        since = [each for each in self._speeds if each[0] >= braked_since_ns + MOTOR_LAG_NS]
+        if not since or since[-1][0] - since[0][0] < WINDOW_NS:
             return MAX_DECELERATION_MPS2
+        (first_ns, first_mps), (last_ns, last_mps) = since[0], since[-1]
         seen_mps2 = max(0.0, (first_mps - last_mps) * NS_PER_S / (last_ns - first_ns))
         return min(MAX_DECELERATION_MPS2, SEEN_RATIO * seen_mps2 + SEEN_MPS2)
-
-    def _window(self, since_ns):
-        """Return the oldest and the newest of the speeds that were measured since then."""
-        window = [each for each in self._speeds if each[0] >= since_ns]
-        return (window[0], window[-1]) if window else ((0, 0.0), (0, 0.0))
 
     def _least_mps(self, now_ns, ahead_ns, slows_mps2=MAX_DECELERATION_MPS2):
         speed_mps = self.speed_mps(now_ns)
@@ -193,11 +185,7 @@ class MotionCheck:
     def check(self, motion: MeasuredMotion, is_reverse: bool, now_ns: int, wants_backward: bool = False) -> str:
         """Return why the motion has contradicted the state for esc/motion_time; empty = it doesn't.
 
-        Args:
-            motion: the measured speed.
-            is_reverse: the ESC is in reverse.
-            now_ns: the time.
-            wants_backward: the car is meant to roll backward, even by a hill alone.
+        With ``wants_backward`` the car is meant to roll backward, even by a hill alone.
         """
         speed_mps = motion.speed_mps(now_ns)
         if is_reverse:

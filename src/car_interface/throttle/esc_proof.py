@@ -28,11 +28,7 @@ DRIVEN, BRAKED, SLOWED, HELD = "driven", "braked", "slowed", "held"
 
 
 class BrakeProof:
-    """Follow what the ESC gets and what the car does.
-
-    Args:
-        min_brake: the least fraction of a brake that counts; MIN_BRAKE if that is more.
-    """
+    """Follow what the ESC gets and what the car does. A brake counts from ``min_brake`` on, and from MIN_BRAKE."""
 
     def __init__(self, min_brake: float):
         self._min_brake = max(MIN_BRAKE, min_brake)
@@ -49,14 +45,9 @@ class BrakeProof:
         self._begin_anew()
 
     def step(self, fraction: float, is_push: bool, pulled_ns: int, motion: MeasuredMotion, now_ns: int) -> None:
-        """Take what the ESC gets from now on, and follow the sequence.
+        """Take the fraction, −1..1, that the ESC gets from now on, and follow the sequence.
 
-        Args:
-            fraction: −1..1.
-            is_push: the fraction drives the car forward.
-            pulled_ns: how long the servo board is known to have held a pull.
-            motion: the measured speed.
-            now_ns: the time.
+        ``pulled_ns`` is for how long the servo board is known to have held a pull.
         """
         speed_mps = motion.speed_mps(now_ns)
         if speed_mps is None:

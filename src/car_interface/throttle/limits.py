@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Callable, NamedTuple, Sequence
+from typing import Callable, NamedTuple
 
 from car_interface.common import causes, declared
 from car_interface.common.errors import ConfigError
@@ -78,6 +78,7 @@ class SpeedBound(NamedTuple):
     cause: str  # one of car_interface.common.causes
     words: str  # what allows the speed, to begin a reason with: ``max_speed``
     max_throttle: float = 1.0  # 0..1: the most throttle on the way to that speed
+    is_stop: bool = False  # the car exceeds it, and has to stop
 
 
 class Limited(NamedTuple):
@@ -93,54 +94,44 @@ class Limited(NamedTuple):
         """Return whether less is granted than was requested."""
         return self.cause in causes.THROTTLE_CUTS
 
+    def cut(self, cause: str, reason: str, **changes) -> Limited:
+        """Return the same with changes of the arbitration."""
+        return self._replace(arbitration=self.arbitration._replace(**changes), cause=cause, reason=reason)
+
 
 class ThrottleLimiter:
-    """Limit one car's throttle.
-
-    Args:
-        limits: the limits.
-        request_of_value: the request for one of the value map's values.
-
-    Attributes:
-        speed: the measured speed.
-        cuts: how often a limit began to cut the request.
-    """
+    """Limit one car's throttle."""
 
     def __init__(self, limits: ThrottleLimits, request_of_value: Callable[[float], float]):
         self.limits = limits
         self.speed = MeasuredSpeed(limits.odometry_timeout_s)
-        self.cuts = 0
+        self.cuts = 0  # how often a limit began to cut the request
         self._is_cut = False
         self._request_of_value = request_of_value
 
     def limit(self, arbitration: Arbitration, is_reverse: bool, turn_max_mps: float, now_ns: int,
-              bounds: Sequence[SpeedBound] = (), stop: SpeedBound | None = None) -> Limited:
+              bound: SpeedBound | None = None) -> Limited:
         """Return what an arbitration is granted.
 
         Args:
-            arbitration: who drives, with what request.
-            is_reverse: the ESC is in reverse.
             turn_max_mps: the speed up to which the requested turn is allowed; inf = straight on, 0 = no limit.
-            now_ns: the time.
-            bounds: further bounds of the speed, in the direction in which the car drives.
-            stop: a bound that the car exceeds, and has to stop for; ``None`` = there is none.
+            bound: another bound of the speed, in the direction in which the car drives; ``None`` = there is none.
         """
-        if stop is not None and arbitration.source in (TELEOP, PLANNER) and not arbitration.is_stop:
-            stopped = arbitration._replace(drive=0.0, brake=0.0, is_stop=True)
-            limited = Limited(stopped, stop.cause, f"{self._words(stop)}: it stops", stop.speed_mps)
-        else:
-            limited = self._limit(arbitration, is_reverse, turn_max_mps, now_ns, bounds)
+        limited = self._limit(arbitration, is_reverse, turn_max_mps, now_ns, bound)
         if limited.is_cut and not self._is_cut:
             self.cuts += 1
         self._is_cut = limited.is_cut
         return limited
 
-    def _limit(self, arbitration, is_reverse, turn_max_mps, now_ns, bounds):
+    def _limit(self, arbitration, is_reverse, turn_max_mps, now_ns, bound):
         source = arbitration.source
         if arbitration.is_stop or source not in (TELEOP, PLANNER):
             return Limited(arbitration)
+        if bound is not None and bound.is_stop:
+            return Limited(arbitration, max_speed_mps=bound.speed_mps).cut(
+                bound.cause, f"{self._words(bound)}: it stops", drive=0.0, brake=0.0, is_stop=True)
         limits = self.limits.planner if source == PLANNER else self.limits.human
-        bounds = list(bounds)
+        bounds = [] if bound is None else [bound]
         if limits.max_speed_mps:
             bounds.append(SpeedBound(limits.max_speed_mps, causes.SPEED_LIMITED, "max_speed"))
         slows_down = turn_max_mps and self.limits.slow_down and source == PLANNER
@@ -170,22 +161,19 @@ class ThrottleLimiter:
         if over_mps > OVER_MPS and not backward and arbitration.source == PLANNER and not is_reverse:
             brake = -min(MAX_BRAKE, max(MIN_BRAKE, over_mps * BRAKE_PER_MPS))
             if brake < arbitration.brake:
-                reason = f"{self._words(bound)}: it brakes"
-                return limited._replace(arbitration=arbitration._replace(drive=brake, brake=brake), cause=bound.cause,
-                                        reason=reason)
+                return limited.cut(bound.cause, f"{self._words(bound)}: it brakes", drive=brake, brake=brake)
         if drives_on and abs(arbitration.drive) > room:
             drive = room if arbitration.drive > 0 else -room
             reason = f"{self._words(bound)}: {drive:.2f} instead of {arbitration.drive:.2f}"
-            return limited._replace(arbitration=arbitration._replace(drive=drive), cause=bound.cause, reason=reason)
+            return limited.cut(bound.cause, reason, drive=drive)
         return limited
 
     def _without_speed(self, limited, now_ns):
         """Return the same without a push, since reports of the speed are missing."""
-        arbitration = limited.arbitration
-        if arbitration.drive <= 0:
+        if limited.arbitration.drive <= 0:
             return limited
-        return limited._replace(arbitration=arbitration._replace(drive=0.0), cause=causes.SPEED_LATE,
-                                reason=f"{self.speed.lost_reason(now_ns)}: no throttle until its next report")
+        reason = f"{self.speed.lost_reason(now_ns)}: no throttle until its next report"
+        return limited.cut(causes.SPEED_LATE, reason, drive=0.0)
 
     def _words(self, bound):
         return f"{bound.words} {bound.speed_mps:.2f} m/s, it has {self.speed.magnitude_mps:.2f}"
@@ -202,13 +190,10 @@ class ThrottleLimiter:
             if abs(arbitration.drive) > most:
                 drive = most if arbitration.drive > 0 else -most
                 reason = f"{limits.max_acceleration_mps2:g} m/s²: {drive:.2f} instead of {arbitration.drive:.2f}"
-                limited = limited._replace(arbitration=arbitration._replace(drive=drive),
-                                           cause=causes.ACCELERATION_LIMITED, reason=reason)
-                arbitration = limited.arbitration
+                limited = limited.cut(causes.ACCELERATION_LIMITED, reason, drive=drive)
         if limits.max_braking_mps2 and arbitration.brake < 0:
             most = min(0.0, self._request_of_value(value_map.value_at(-limits.max_braking_mps2, speed_mps)))
             if arbitration.brake < most:
                 reason = f"{limits.max_braking_mps2:g} m/s² of braking: {most:.2f} instead of {arbitration.brake:.2f}"
-                limited = limited._replace(arbitration=arbitration._replace(brake=most),
-                                           cause=causes.BRAKING_LIMITED, reason=reason)
+                limited = limited.cut(causes.BRAKING_LIMITED, reason, brake=most)
         return limited

@@ -1,7 +1,7 @@
 """Bound the speed by what the sonars see, with the deceleration that ESC and ground guarantee now.
 
-``ObstacleGuard.check`` takes the arbitration, the measured speed and the arc, and returns an ``Obstacle``: a bound of
-the speed with the most throttle on the way to it, or a bound that the car exceeds and has to stop for.
+``ObstacleGuard.check`` takes the arbitration, the measured speed and the arc, and returns a ``SpeedBound``: with the
+most throttle on the way to that speed, or as one that the car exceeds and has to stop for.
 ``obstacle_stop`` knows the distances; this module decides on which deceleration a stop can rely:
 
 * A brake counts while the car is driven or braked, and for TRUSTED_COASTING_NS after a push. An ESC that brakes after
@@ -19,7 +19,6 @@ car's present acceleration will carry it there. Pure: ``now_ns`` is passed in.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 from car_interface.common import causes
 from car_interface.common.measured_speed import UNSEEN_MPS2, MeasuredSpeed
@@ -29,7 +28,7 @@ from car_interface.throttle.esc import BRAKING, FORWARD, NEUTRAL, REVERSE, STOP_
 from car_interface.throttle.esc_config import BRAKE_THEN_REVERSE, FORWARD_ONLY, EscConfig
 from car_interface.throttle.esc_motion import MOTOR_LAG_NS
 from car_interface.throttle.limits import BAND_MPS, SpeedBound
-from car_interface.throttle.obstacle_stop import MIN_STOP_MPS2, Guarantee, ObstacleStop
+from car_interface.throttle.obstacle_stop import MIN_STOP_MPS2, ObstacleStop
 from car_interface.throttle.slope import Slope
 
 ROLLS_MPS, MOVES_MPS = 0.1, 0.05  # a faster car certainly rolls; a slower one may stand
@@ -60,18 +59,13 @@ PROBES, PRIMES = "before it is known how it slows down here it has", "before its
 STEEP = "nothing is certain to stop it on this slope, which allows"
 
 
-class Obstacle(NamedTuple):
-    """The speed that the sonars allow."""
-
-    bounds: tuple[SpeedBound, ...] = ()
-    stop: SpeedBound | None = None  # a bound that the car exceeds
-
-
-NONE = Obstacle()
-
-
 class ObstacleGuard:
-    """Follow one car's ESC, and bound its speed by its sonars."""
+    """Follow one car's ESC, and bound its speed by its sonars.
+
+    Attributes:
+        sonars: takes their ranges.
+        slope: takes the measured speed.
+    """
 
     def __init__(self, sonars: ObstacleStop, esc: EscConfig):
         self.sonars = sonars
@@ -82,7 +76,7 @@ class ObstacleGuard:
         self._will_brake = bool(esc.profile in (BRAKE_THEN_REVERSE, FORWARD_ONLY) and esc.profile_measured
                                 and esc.stop_brake)
         self._least = esc.dead_band_forward, esc.dead_band_reverse
-        self._answer: EscDecision | None = None
+        self._answer = EscDecision(0.0, NEUTRAL, "", "", 0.0)
         self._push_began_ns = self._pushed_ns = self._answered_ns = -math.inf
         self._throttle = 0.0  # the fraction that the ESC has now
         self._steady = 0.0  # the throttle that holds the speed
@@ -104,19 +98,16 @@ class ObstacleGuard:
         self._steady += (holds - self._steady) * min(1.0, elapsed_s / (STEADY_S + LATE_STEADY * self._late_s))
         self.slope.update_esc(answer.fraction, now_ns)
 
-    def update_speed(self, speed_mps: float, now_ns: int, age_ns: int, curvature_per_m: float) -> None:
-        """Take the measured speed, forward positive, its age at arrival, and the curvature of the arc (1/m)."""
-        self.slope.update_speed(speed_mps, now_ns - max(0, age_ns), curvature_per_m)
-
-    def check(self, arbitration: Arbitration, speed: MeasuredSpeed, curvature_per_m: float, now_ns: int) -> Obstacle:
-        """Return what the sonars allow, in the direction in which the car drives, whoever drives it."""
+    def check(self, arbitration: Arbitration, speed: MeasuredSpeed, curvature_per_m: float, now_ns: int
+              ) -> SpeedBound | None:
+        """Return what the sonars allow in the direction in which the car drives; ``None`` = nothing to bound."""
         if not speed.was_received:
-            return NONE
+            return None
         self.sonars.update_motion(speed.last_mps, curvature_per_m, now_ns)
         if arbitration.is_stop or arbitration.source not in (TELEOP, PLANNER):
-            return NONE
+            return None
         self._late_s = speed.age_s(now_ns)
-        is_reverse = self._answer is not None and self._answer.state == REVERSE
+        is_reverse = self._answer.state == REVERSE
         is_backward = _drives_backward(arbitration, speed.last_mps, is_reverse)
         gain_mps2 = self._gain_mps2(speed)
         highest_mps = self._highest_mps(speed, gain_mps2, now_ns)
@@ -128,9 +119,9 @@ class ObstacleGuard:
         bound = self._bound(begins, stop_mps2, coasting, reaches_mps, curvature_per_m, is_backward, now_ns)
         self._rolls = highest_mps >= MOVES_MPS and self._is_in_doubt(coasting, stop_mps2, bound, highest_mps)
         if highest_mps > bound.speed_mps and speed.magnitude_mps >= ROLLS_MPS:
-            return Obstacle(stop=bound)
+            return bound._replace(is_stop=True)
         throttle = self._max_throttle(begins, bound, reaches_mps, highest_mps, is_backward, now_ns)
-        return Obstacle(bounds=(bound._replace(max_throttle=throttle),))
+        return bound._replace(max_throttle=throttle)
 
     def _gain_mps2(self, speed):
         """Return the acceleration, or 0 if odometry's noise may look like it."""
@@ -154,7 +145,7 @@ class ObstacleGuard:
     def _certain_brake_mps2(self, arbitration, coasting, now_ns):
         """Return the deceleration of a brake that will be certain when it is needed; 0: there is none."""
         answer = self._answer
-        if answer is None or answer.coasts_below_mps or answer.stop_mps2 <= self._drag_mps2:
+        if answer.stop_mps2 <= self._drag_mps2:
             return 0.0
         is_trusted = (answer.state == FORWARD or answer.state == BRAKING and arbitration.asked < 0
                       or answer.state == NEUTRAL and now_ns - self._pushed_ns <= TRUSTED_COASTING_NS)
@@ -167,8 +158,7 @@ class ObstacleGuard:
     def _begins(self, arbitration, coasting, is_backward):
         """Return how a car begins to drive that nothing is certain to stop; empty: it isn't driven."""
         if self._will_brake and not is_backward:
-            may_prime = self._answer is None or self._answer.state in (FORWARD, NEUTRAL)
-            return PRIMES if arbitration.asked > 0 and may_prime else ""
+            return PRIMES if arbitration.asked > 0 and self._answer.state in (FORWARD, NEUTRAL) else ""
         return PROBES if coasting.likely_mps2 >= STEEP_MPS2 else ""
 
     def _bound(self, begins, stop_mps2, coasting, reaches_mps, curvature_per_m, is_backward, now_ns):
@@ -182,8 +172,7 @@ class ObstacleGuard:
             stop_mps2 = MIN_STOP_MPS2
         elif stop_mps2 < STEEP_MPS2:
             return SpeedBound(0.0, causes.OBSTACLE_SLOWED, STEEP)
-        guarantee = Guarantee(stop_mps2, 0.0, stop_mps2)
-        bound = self.sonars.bound(curvature_per_m, is_backward, guarantee, now_ns, late_s)
+        bound = self.sonars.bound(curvature_per_m, is_backward, stop_mps2, now_ns, late_s)
         if begins == PRIMES:
             return bound._replace(words=PRIMES)
         if begins == PROBES:

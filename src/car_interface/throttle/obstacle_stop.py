@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field, replace
-from typing import Mapping, NamedTuple, Sequence
+from typing import Mapping, Sequence
 
 from car_interface.common import causes, declared
 from car_interface.common.errors import ConfigError
@@ -94,14 +94,6 @@ def _read_mount(params, name):
     return Mount(*numbers)
 
 
-class Guarantee(NamedTuple):
-    """The deceleration that is certain if the car stops."""
-
-    stop_mps2: float
-    coasts_below_mps: float  # below this speed it is drag_mps2
-    drag_mps2: float
-
-
 class ObstacleStop:
     """Bound one car's speed by its sonars."""
 
@@ -147,15 +139,13 @@ class ObstacleStop:
         for timed in self._ranges.values():
             timed.mark_stale()
 
-    def bound(self, curvature_per_m: float, is_backward: bool, guarantee: Guarantee, now_ns: int,
+    def bound(self, curvature_per_m: float, is_backward: bool, stop_mps2: float, now_ns: int,
               late_s: float = 0.0, counts_sides: bool = True) -> SpeedBound | None:
         """Return the speed that the car may have on an arc; ``None`` = any, which only ``counts_sides=False`` allows.
 
         Args:
             curvature_per_m: of the arc, left positive.
-            is_backward: the car drives backward on it.
-            guarantee: the deceleration that is certain if the car stops.
-            now_ns: the time.
+            stop_mps2: the deceleration that is certain if the car stops.
             late_s: additional time at that speed towards an echo: odometry's age, and the motor's lag.
             counts_sides: the unknown begins at the fan's sides, too. False for a caller that knows the room there.
         """
@@ -163,21 +153,21 @@ class ObstacleStop:
         silent = self._silent(end, curvature_per_m, is_backward, now_ns)
         if silent is not None:
             return silent
-        bound = self._bound_of_unknown(end, guarantee, now_ns) if counts_sides or not end.is_edge else None
+        bound = self._bound_of_unknown(end, stop_mps2, now_ns) if counts_sides or not end.is_edge else None
         for name, met in self._echoes.meets(curvature_per_m, is_backward).items():
             age_s = 0.0 if self._echoes.are_moved else self._ranges[name].age_s(now_ns)
             time_s = age_s + self._cycles_s[name] + self.config.actuation_s + late_s
-            speed_mps = stopping_speed_mps(met.distance_m - self.config.margin_m, time_s, guarantee)
+            speed_mps = stopping_speed_mps(met.distance_m - self.config.margin_m, time_s, stop_mps2)
             if bound is None or speed_mps < bound.speed_mps:
                 bound = SpeedBound(speed_mps, causes.OBSTACLE_SLOWED, self._echo_words(name, met))
         return bound
 
-    def _bound_of_unknown(self, end, guarantee, now_ns):
+    def _bound_of_unknown(self, end, stop_mps2, now_ns):
         config = self.config
         if not end.sonar:
             return SpeedBound(config.creep_mps, causes.OBSTACLE_SLOWED, "no sonar looks along this arc, which allows")
         time_s = max(self._ranges[end.sonar].age_s(now_ns), self._cycles_s[end.sonar]) + config.actuation_s
-        speed_mps = stopping_speed_mps(end.distance_m - config.margin_m, time_s, guarantee)
+        speed_mps = stopping_speed_mps(end.distance_m - config.margin_m, time_s, stop_mps2)
         words = (f"no sonar looks beyond {end.distance_m:.2f} m of this arc, which allows" if end.is_edge
                  else f"{end.sonar} sees nothing to {config.max_range_m:g} m, which allows")
         return SpeedBound(max(config.creep_mps, speed_mps), causes.OBSTACLE_SLOWED, words)
@@ -208,16 +198,8 @@ class ObstacleStop:
                    for x_m, y_m in cone_points(mount, config.max_range_m, config.field_of_view_rad))
 
 
-def stopping_speed_mps(distance_m: float, time_s: float, guarantee: Guarantee) -> float:
+def stopping_speed_mps(distance_m: float, time_s: float, stop_mps2: float) -> float:
     """Return the speed from which a car stops within a distance, after ``time_s`` at that speed; 0 without room."""
-    def speed_mps(way_m, deceleration_mps2):
-        return deceleration_mps2 * (math.sqrt(time_s * time_s + 2.0 * way_m / deceleration_mps2) - time_s)
-
-    if distance_m <= 0.0 or guarantee.stop_mps2 < MIN_STOP_MPS2:
+    if distance_m <= 0.0 or stop_mps2 < MIN_STOP_MPS2:
         return 0.0
-    stop_mps2, coasts_mps, drag_mps2 = guarantee
-    coasting_mps = speed_mps(distance_m, drag_mps2)
-    # The brake ends at coasts_mps, and drag does the rest. The additional distance of that is subtracted first.
-    way_m = distance_m - coasts_mps * coasts_mps / 2.0 * (1.0 / drag_mps2 - 1.0 / stop_mps2)
-    braking_mps = speed_mps(way_m, stop_mps2) if way_m > 0.0 else 0.0
-    return max(coasting_mps, braking_mps) if braking_mps >= coasts_mps else coasting_mps
+    return stop_mps2 * (math.sqrt(time_s * time_s + 2.0 * distance_m / stop_mps2) - time_s)

@@ -56,8 +56,6 @@ class Arc:
 
     Args:
         curvature_per_m: left positive.
-        is_backward: the car drives backward on it.
-        outline: of the car.
         margin_m: added to the body at both sides.
     """
 
@@ -84,10 +82,9 @@ class Arc:
         return [near_m2 <= x_m * x_m + (centre_m - y_m) * (centre_m - y_m) <= far_m2 for x_m, y_m in points]
 
     def distance_m(self, x_m: float, y_m: float) -> float | None:
-        """Return how far the car can drive until it touches a point.
+        """Return how far the rear axle's middle can drive (m) until the car touches a point; ``None``: it never does.
 
-        Returns:
-            Metres of the rear axle's middle; 0 or less: it touches the point already. ``None``: it never does.
+        With 0 or less it touches the point already.
         """
         x_m, y_m = x_m * self._ahead, y_m * self._left
         if self._is_straight:
@@ -137,7 +134,6 @@ class Fan:
         mounts: of the sonars that the car has at that end, by name.
         field_of_view_rad: the full angle of each cone.
         bumper_m: from the rear axle's middle to the bumper at that end.
-        is_backward: it is the rear end.
     """
 
     def __init__(self, mounts: Mapping[str, Mount], field_of_view_rad: float, bumper_m: float, is_backward: bool):
@@ -150,9 +146,7 @@ class Fan:
     def end(self, curvature_per_m: float, reaches_m: Mapping[str, float]) -> FanEnd:
         """Return where the middle of the bumper leaves the fan on an arc (1/m, left positive).
 
-        Args:
-            curvature_per_m: of the arc.
-            reaches_m: the distance that each sonar sees now, by name: to its echo, or its largest range.
+        ``reaches_m`` is the distance that each sonar sees now, by name: to its echo, or its largest range.
         """
         right_rad, parts = self._to_right if curvature_per_m < 0.0 else self._to_left
         radius_m = 1.0 / max(MIN_CURVATURE_PER_M, abs(curvature_per_m))

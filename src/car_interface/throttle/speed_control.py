@@ -1,7 +1,7 @@
 """Turn a requested speed into an acceleration for the converter, whose inverse map is the feed-forward.
 
-``SpeedControl.step`` takes a ``SpeedRequest``, and uses the speed by odometry and throttle_arb's state; it returns a
-``SpeedCommand``. Limits of acceleration and jerk make a reference speed of the request (``speed_reference``). The
+``SpeedControl.step`` takes a planner's request, and uses the speed by odometry and throttle_arb's state; it returns a
+``SpeedCommand``. Limits of acceleration and jerk make a reference speed of the request (``SpeedReference``). The
 reference's acceleration is fed forward, and a small PI controller on the measured speed corrects the errors of map,
 battery and slope. It doesn't wind up: while somebody else drives, or the ESC can't follow (ESC_WAITS), it starts over
 at the measured speed, and while a limit cuts the command the integral stays.
@@ -20,10 +20,10 @@ from car_interface.common.measured_speed import MAX_SPEED_MPS
 from car_interface.common.sources import PLANNER
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
+from car_interface.planner.request import PlannerRequest
 from car_interface.throttle.arbiter import COAST_GEAR
 from car_interface.throttle.esc_intention import DRIVE, REVERSE_GEAR
 from car_interface.throttle.esc_motion import STANDSTILL_MPS
-from car_interface.throttle.speed_reference import SpeedReference
 
 MIN_MAX_SPEED_MPS = 0.2  # twice STANDSTILL_MPS: no car of this kind holds a lower speed
 MAX_STEP_S = 0.1  # a step of a delayed node counts as no longer than this, so that the speed doesn't jump
@@ -71,24 +71,7 @@ class SpeedControlConfig:
         high=0.5)
 
 
-class SpeedRequest(NamedTuple):
-    """A requested speed.
-
-    Attributes:
-        speed_mps: backward negative; finite.
-        acceleration_mps2, jerk_mps3: at most this, within the configured limits; 0 = the limits alone.
-        braking_mps2: brake by at least this, whatever the speed; 0 = as the speed requires.
-        gear: ``drive``, ``reverse``, ``neutral`` (coast), ``park``; ``None`` = by the sign of the speed.
-    """
-
-    speed_mps: float
-    acceleration_mps2: float = 0.0
-    jerk_mps3: float = 0.0
-    braking_mps2: float = 0.0
-    gear: str | None = None
-
-
-STOP = SpeedRequest(0.0)
+STOP = PlannerRequest(None, 0.0)
 
 
 class SpeedCommand(NamedTuple):
@@ -123,12 +106,49 @@ class _Past(NamedTuple):
     speed_mps: float
 
 
+class SpeedReference:
+    """Lead a speed to a target, within limits of acceleration, braking and jerk.
+
+    Attributes:
+        speed_mps: the present speed, 0 or more.
+        acceleration_mps2: the present acceleration; negative = it slows down.
+    """
+
+    def __init__(self):
+        self.speed_mps = self.acceleration_mps2 = 0.0
+
+    def reset(self, speed_mps: float) -> None:
+        """Start over at a speed, without acceleration."""
+        self.speed_mps, self.acceleration_mps2 = max(0.0, speed_mps), 0.0
+
+    def step(self, target_mps: float, max_acceleration_mps2: float, max_braking_mps2: float, max_jerk_mps3: float,
+             dt_s: float) -> None:
+        """Move on by ``dt_s`` towards a target of 0 or more, without overshooting it.
+
+        Near the target the acceleration falls early enough to keep the limit of the jerk j: while an acceleration a
+        falls to 0 in steps of j·dt, the speed still changes by a² / 2j + a·dt / 2.
+        """
+        if dt_s <= 0:
+            return
+        gap_mps = target_mps - self.speed_mps
+        limit_mps2 = max_acceleration_mps2 if gap_mps > 0 else max_braking_mps2
+        step_mps2 = max_jerk_mps3 * dt_s
+        falling_mps2 = math.sqrt((step_mps2 / 2) ** 2 + 2 * max_jerk_mps3 * abs(gap_mps)) - step_mps2 / 2
+        wanted_mps2 = math.copysign(min(limit_mps2, falling_mps2), gap_mps)
+        self.acceleration_mps2 += max(-step_mps2, min(step_mps2, wanted_mps2 - self.acceleration_mps2))
+        speed_mps = self.speed_mps + self.acceleration_mps2 * dt_s
+        if (target_mps - speed_mps) * gap_mps <= 0 or speed_mps < 0:
+            self.speed_mps, self.acceleration_mps2 = target_mps, 0.0
+        else:
+            self.speed_mps = speed_mps
+
+
 class SpeedControl:
     """Control one car's speed."""
 
     def __init__(self, config: SpeedControlConfig = SpeedControlConfig()):
         self._config = config
-        self._speed = TimedInput("odometry", config.odometry_timeout_s)
+        self.speed = TimedInput("odometry", config.odometry_timeout_s)
         self._throttle = TimedInput("throttle_arb's state", THROTTLE_TIMEOUT_S)
         self._reference = SpeedReference()
         self._integral_mps2 = 0.0
@@ -143,9 +163,9 @@ class SpeedControl:
     def update_odometry(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
         """Take the speed, forward positive, and its age at arrival; beyond MAX_SPEED_MPS or NaN it is unknown."""
         if abs(speed_mps) <= MAX_SPEED_MPS:  # not for NaN
-            self._speed.update(speed_mps, now_ns, age_ns)
+            self.speed.update(speed_mps, now_ns, age_ns)
         else:
-            self._speed.mark_stale(f"it was {speed_mps}")
+            self.speed.mark_stale(f"it was {speed_mps}")
 
     def update_throttle(self, source: int, asked: float, granted: float, esc_cause: str, now_ns: int) -> None:
         """Take throttle_arb's state: who drives, the request, what the ESC gets, and the cause of the ESC's state."""
@@ -155,38 +175,29 @@ class SpeedControl:
 
     def mark_stale(self) -> None:
         """Treat all inputs as stale, since messages were dropped on their way here."""
-        self._speed.mark_stale()
+        self.speed.mark_stale()
         self._throttle.mark_stale()
-
-    def odometry_age_s(self, now_ns: int) -> float:
-        """Return the seconds since the last odometry; inf = never received."""
-        return self._speed.age_s(now_ns)
-
-    @property
-    def max_braking_mps2(self) -> float:
-        """Return the limit of braking."""
-        return self._config.max_braking_mps2
 
     @property
     def measured_mps(self) -> float:
         """Return the newest speed; NaN = none."""
-        return math.nan if self._speed.value is None else self._speed.value
+        return math.nan if self.speed.value is None else self.speed.value
 
-    def step(self, request: SpeedRequest, now_ns: int) -> SpeedCommand:
+    def step(self, request: PlannerRequest, now_ns: int) -> SpeedCommand:
         """Return the command from ``now_ns`` on. Call it at 20 Hz at least."""
         dt_s = 0.0 if self._stepped_ns is None else (now_ns - self._stepped_ns) / NS_PER_S
         self._stepped_ns = now_ns
-        if self._speed.is_stale(now_ns):
+        if self.speed.is_stale(now_ns):
             self._was_known = False
             return SpeedCommand(-self._sign * self._config.max_braking_mps2, 0.0, self._gear, False,
-                                self._speed.stale_reason(now_ns))
+                                self.speed.stale_reason(now_ns))
         target_mps, notes = self._target(request)
-        speed_mps = self._sign * self._speed.value  # in the gear's direction
+        speed_mps = self._sign * self.speed.value  # in the gear's direction
         if request.gear == COAST_GEAR or not self._was_known:
             self._begin_anew(speed_mps)
         self._was_known = True
         if request.gear == COAST_GEAR:
-            return SpeedCommand(0.0, self._speed.value, COAST_GEAR, True, "")
+            return SpeedCommand(0.0, self.speed.value, COAST_GEAR, True, "")
         acceleration_mps2 = self._follow(request, target_mps, speed_mps, max(0.0, min(dt_s, MAX_STEP_S)), now_ns)
         notes += self._stall(speed_mps, now_ns) + self._runaway(speed_mps, now_ns)
         return SpeedCommand(self._sign * acceleration_mps2, self._sign * self._reference.speed_mps, self._gear, True,
@@ -214,8 +225,8 @@ class SpeedControl:
             wanted_mps = 0.0
         gear = self._wanted_gear(request, wanted_mps)
         if gear != self._gear:
-            if abs(self._speed.value) >= STANDSTILL_MPS:
-                notes.append(f"it stops before {gear.upper()}: it rolls at {self._speed.value:.2f} m/s")
+            if abs(self.speed.value) >= STANDSTILL_MPS:
+                notes.append(f"it stops before {gear.upper()}: it rolls at {self.speed.value:.2f} m/s")
                 return 0.0, notes
             self._gear = gear
             self._begin_anew(0.0)

@@ -28,11 +28,7 @@ class StickConfig:
 
 
 def shaped(request: float, deadband: float, expo: float) -> float:
-    """Return a stick's request, −1..1: 0 within the dead band, ±1 at the ends.
-
-    Args:
-        request: finite; clamped to −1..1.
-    """
+    """Return a stick's request, −1..1: 0 within the dead band, ±1 at the ends. A finite request is clamped to these."""
     magnitude = min(1.0, abs(request))
     if magnitude <= deadband:
         return 0.0

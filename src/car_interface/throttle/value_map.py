@@ -33,7 +33,6 @@ class ValueMap:
         velocities: the columns' axis in m/s, at least two, strictly increasing.
         accelerations: a row for each value, in m/s²; along each column rising from row to row.
         allow_plateaus: accept equal accelerations in neighbouring rows, but not in all rows of a column.
-        name: the map's name in an error.
 
     Raises:
         ConfigError: naming the axis, or rows and velocity.
@@ -153,11 +152,7 @@ class Grid(NamedTuple):
 
 
 def load_value_map(path: str, allow_plateaus: bool = False, text: str | None = None) -> ValueMap:
-    """Read a map from a CSV file.
-
-    Args:
-        path, text: see ``read_grid``.
-        allow_plateaus: see ``ValueMap``.
+    """Read a map from a CSV file; for the arguments see ``read_grid`` and ``ValueMap``.
 
     Raises:
         ConfigError: naming file, line, column and fault.
@@ -170,11 +165,7 @@ def load_value_map(path: str, allow_plateaus: bool = False, text: str | None = N
 
 
 def read_grid(path: str, text: str | None = None) -> Grid:
-    """Read the numbers of a CSV file.
-
-    Args:
-        path: of the file.
-        text: the file's future content, to check instead; ``None`` = read the file.
+    """Read the numbers of a CSV file, or check its future content ``text``.
 
     The first row is a name and the velocities, every other row a value and its accelerations. CRLF, a byte-order mark,
     spaces around numbers, a comma at the end of a line and blank lines at the end are accepted.

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,17 +15,19 @@ from virtual_escs import xl5
 
 from car_interface.common.sources import TELEOP
 from car_interface.interlock.motion_interlock import InterlockConfig
+from car_interface.planner.request import PlannerRequest
 from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
 from car_interface.sim.vehicle import DriveTrainConfig, Vehicle, VehicleConfig
 from car_interface.teensy.link.framing import SHIPPED, FrameDecoder
 from car_interface.teensy.link.pinging import Pinger
 from car_interface.teensy.link.protocol import Pong, WheelStatus, decode
 from car_interface.teensy.sensing.measurements import Measurements
-from car_interface.throttle.arbiter import NoValue, ThrottleArbiterConfig
+from car_interface.throttle.arbiter import ThrottleArbiterConfig
+from car_interface.throttle.board_watch import Trouble
 from car_interface.throttle.control import ThrottleControl
 from car_interface.throttle.converter import ConversionConfig, Converter
 from car_interface.throttle.esc_config import EscConfig
-from car_interface.throttle.speed_control import STOP, SpeedControl, SpeedRequest
+from car_interface.throttle.speed_control import STOP, SpeedControl
 from car_interface.throttle.value_map import ValueMap, load_value_map
 
 STEP_NS, TICK_NS, ODOM_NS = 4 * MS, 20 * MS, 20 * MS
@@ -32,6 +35,7 @@ START_NS = 1000 * S
 MAP = load_value_map(str(Path(__file__).resolve().parents[3] / "config" / "value_map.csv"))
 NO_STEERING = -1
 XL5 = xl5()
+SpeedRequest = partial(PlannerRequest, None)  # of a speed alone
 
 
 def wrong_map(of_acceleration=1.0, of_value=1.0):
@@ -72,7 +76,7 @@ class SpeedRig:
         self.throttle = ThrottleControl(
             THROTTLE, ThrottleArbiterConfig(interlock=InterlockConfig(grant_at_start=True)),
             EscConfig(profile=profile, profile_measured=is_measured))
-        self.request: SpeedRequest | None = STOP
+        self.request: PlannerRequest | None = STOP
         self.human = False
         self._sees_pulses = sees_pulses
         self.is_deaf = False  # odometry doesn't arrive
@@ -126,7 +130,7 @@ class SpeedRig:
         conversion = self.converter.convert(command.acceleration_mps2, now_ns)
         arbiter = self.throttle.arbiter
         arbiter.update_converter(None if conversion.value is not None
-                                 else NoValue(conversion.cause, conversion.reason))
+                                 else Trouble(conversion.cause, conversion.reason))
         speed_mps = 0.0 if self.request is None else self.request.speed_mps
         arbiter.update_planner_state(command.gear, None, now_ns, speed_mps)
         if conversion.value is not None:
@@ -141,7 +145,7 @@ class SpeedRig:
                                      decision.esc.cause, now_ns)
         self.commands.append(command)
         self.samples.append(Sample((self.car.time_ns - START_NS) / S, self.car.speed_mps, command.acceleration_mps2,
-                                   decision.esc.fraction, decision.esc.state_name))
+                                   decision.esc.fraction, decision.esc.state))
 
 
 def overshoot(samples, target_mps):

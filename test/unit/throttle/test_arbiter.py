@@ -10,7 +10,8 @@ from car_interface.common import causes
 from car_interface.common.causes import AUTONOMOUS, HUMAN_STEERING, HUMAN_THROTTLE, MANUAL, MODES
 from car_interface.common.sources import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.interlock.motion_interlock import InterlockConfig
-from car_interface.throttle.arbiter import NoValue, ThrottleArbiter, ThrottleArbiterConfig
+from car_interface.throttle.arbiter import ThrottleArbiter, ThrottleArbiterConfig
+from car_interface.throttle.board_watch import Trouble
 from car_interface.throttle.stick import StickConfig
 
 S = 1_000_000_000
@@ -20,7 +21,7 @@ FORWARD, REST, BRAKE = 0.525, 0.02, -0.525  # of the stick: half, in the dead ba
 NAN, INF = math.nan, math.inf
 AGE = st.none() | st.sampled_from([0.0, 0.2, 0.3, 0.5, 0.6])
 STICK = st.sampled_from([0.0, 0.04, 0.5, -0.5, 3.0, NAN, INF])
-NO_REQUEST = NoValue("planner silent", "drive silent for 0.50 s")
+NO_REQUEST = Trouble("planner silent", "drive silent for 0.50 s")
 RELEASED = "released"  # instead of a mode: nobody holds a deadman, and the mode is the human's
 
 
@@ -98,7 +99,7 @@ def test_nobody_who_asks_is_no_stop():
     ({"mode": (MANUAL, 0.1)}, NEUTRAL, "teleop silent", "tele_throt_req was never heard"),
     ({"planner": (0.7, 0.51)}, NEUTRAL, "command silent", "the planner's value silent for 0.51 s"),
     ({"planner": (NAN, 0.1)}, NEUTRAL, "command not finite", "the planner's value is nan, no number to act on"),
-    ({"no_value": NoValue("command not finite", "the acceleration is nan")}, NEUTRAL, "command not finite",
+    ({"no_value": Trouble("command not finite", "the acceleration is nan")}, NEUTRAL, "command not finite",
      "the acceleration is nan"),
     ({"odometry": None}, NEUTRAL, "odometry silent", "odometry was never heard"),
     ({"odometry": (1.0, 0.51)}, NEUTRAL, "odometry silent", "odometry silent for 0.51 s"),
@@ -112,7 +113,7 @@ def test_planner_is_stopped_with_cause_and_reason(inputs, source, cause, reason)
 @pytest.mark.parametrize("trouble", [{}, {"steering": (NO_HUMAN, 0.0)}, {"mode": ("", 0.0)}, {"teleop": (INF, 0.0)}])
 def test_human_is_stopped_by_turn_arb_mode_and_stick_but_not_by_planner_and_odometry(trouble):
     decision = decide(**{"teleop": (FORWARD, 0.1), "mode": (MANUAL, 0.1), "planner": (NAN, 0.1), "odometry": None,
-                         "no_value": NoValue("odometry silent", "odometry silent for 0.52 s"), **trouble})
+                         "no_value": Trouble("odometry silent", "odometry silent for 0.52 s"), **trouble})
     assert (decision.is_stop, decision.drive != 0.0) == (bool(trouble), not trouble)
 
 

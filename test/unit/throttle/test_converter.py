@@ -79,6 +79,6 @@ def test_newest_odometry_counts_unless_messages_were_dropped():
     converter.update_odometry(math.nan, NOW)
     converter.update_odometry(10.0, NOW)
     assert converter.convert(2.0, NOW).value == pytest.approx(1.5)
-    assert converter.odometry_age_s(NOW + S) == 1.0
+    assert converter.odometry.age_s(NOW + S) == 1.0
     converter.mark_stale()
     assert converter.convert(2.0, NOW).reason == "odometry was not heard since messages were dropped"

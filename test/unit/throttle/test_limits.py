@@ -35,10 +35,10 @@ def limiter_at(speed_mps, planner=NO_LIMITS, human=NO_LIMITS, **limits):
     return limiter
 
 
-def limited(request, speed_mps, planner=NO_LIMITS, source=PLANNER, is_reverse=False, turn_max_mps=0.0, bounds=(),
+def limited(request, speed_mps, planner=NO_LIMITS, source=PLANNER, is_reverse=False, turn_max_mps=0.0, bound=None,
             at_ns=S // 10, **limits):
     return limiter_at(speed_mps, planner, **limits).limit(asked(request, source), is_reverse, turn_max_mps, at_ns,
-                                                          bounds)
+                                                          bound)
 
 
 @pytest.mark.parametrize(("request_", "speed_mps", "inputs", "drive", "brake", "cause", "reason"), [
@@ -67,23 +67,23 @@ def limited(request, speed_mps, planner=NO_LIMITS, source=PLANNER, is_reverse=Fa
     (-1.0, -2.75, {"planner": TO_3}, -0.5, -1.0, causes.SPEED_LIMITED,
      "max_speed 3.00 m/s, it has 2.75: -0.50 instead of -1.00"),
     (1.0, -5.0, {"planner": TO_3}, 1.0, 1.0, "", ""),  # which brakes it
-    (1.0, -0.09, {"bounds": [SEEN._replace(speed_mps=0.0)]}, 0.0, 1.0, causes.OBSTACLE_SLOWED,
+    (1.0, -0.09, {"bound": SEEN._replace(speed_mps=0.0)}, 0.0, 1.0, causes.OBSTACLE_SLOWED,
      "an obstacle allows 0.00 m/s, it has 0.09: 0.00 instead of 1.00"),
-    (1.0, -0.11, {"bounds": [SEEN._replace(speed_mps=0.0)]}, 1.0, 1.0, "", ""),
+    (1.0, -0.11, {"bound": SEEN._replace(speed_mps=0.0)}, 1.0, 1.0, "", ""),
     # from standstill a pull may become reverse at once; a brake that it is instead stays as it is
-    (-0.4, 0.0, {"bounds": [SEEN._replace(speed_mps=0.0)]}, 0.0, -0.4, causes.OBSTACLE_SLOWED,
+    (-0.4, 0.0, {"bound": SEEN._replace(speed_mps=0.0)}, 0.0, -0.4, causes.OBSTACLE_SLOWED,
      "an obstacle allows 0.00 m/s, it has 0.00: -0.00 instead of -0.40"),
-    (-0.4, 0.11, {"bounds": [SEEN._replace(speed_mps=0.0)]}, -0.4, -0.4, "", ""),
+    (-0.4, 0.11, {"bound": SEEN._replace(speed_mps=0.0)}, -0.4, -0.4, "", ""),
     # a bound may come with a throttle of its own
-    (1.0, 0.2, {"bounds": [SEEN._replace(max_throttle=0.1)]}, 0.1, 1.0, causes.OBSTACLE_SLOWED,
+    (1.0, 0.2, {"bound": SEEN._replace(max_throttle=0.1)}, 0.1, 1.0, causes.OBSTACLE_SLOWED,
      "an obstacle allows 0.50 m/s, it has 0.20: 0.10 instead of 1.00"),
-    (0.05, 0.2, {"bounds": [SEEN._replace(max_throttle=0.1)]}, 0.05, 0.05, "", ""),
+    (0.05, 0.2, {"bound": SEEN._replace(max_throttle=0.1)}, 0.05, 0.05, "", ""),
     # a planner's turn, and the least of several speeds
     (0.3, 4.0, {"turn_max_mps": 2.0}, -0.5, -0.5, causes.CURVE_SLOWED,
      "the turn that is asked for allows 2.00 m/s, it has 4.00: it brakes"),
     (0.3, 4.0, {"turn_max_mps": 2.0, "source": TELEOP}, 0.3, 0.3, "", ""),
     (0.3, 4.0, {"turn_max_mps": 2.0, "slow_down": False}, 0.3, 0.3, "", ""),
-    (1.0, 0.4, {"planner": TO_3, "turn_max_mps": 2.0, "bounds": [SEEN]}, 0.2, 1.0, causes.OBSTACLE_SLOWED,
+    (1.0, 0.4, {"planner": TO_3, "turn_max_mps": 2.0, "bound": SEEN}, 0.2, 1.0, causes.OBSTACLE_SLOWED,
      "an obstacle allows 0.50 m/s, it has 0.40: 0.20 instead of 1.00"),
     # accelerations through the value map
     (0.8, 2.0, {"planner": FASTER_BY_3, "value_map": MAP}, 0.5, 0.8, causes.ACCELERATION_LIMITED,
@@ -111,7 +111,7 @@ def test_request_is_granted_within_the_limits_of_its_source(request_, speed_mps,
 
 def test_max_speed_is_the_least_of_those_in_force():
     assert limited(1.0, 0.4, TO_3).max_speed_mps == 3.0
-    assert limited(1.0, 0.4, TO_3, turn_max_mps=2.0, bounds=[SEEN]).max_speed_mps == 0.5
+    assert limited(1.0, 0.4, TO_3, turn_max_mps=2.0, bound=SEEN).max_speed_mps == 0.5
     assert limited(1.0, 0.4).max_speed_mps == 0.0
 
 

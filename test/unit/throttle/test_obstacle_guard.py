@@ -11,15 +11,14 @@ from car_interface.common.sources import PLANNER, TELEOP
 from car_interface.throttle.arbiter import Arbitration
 from car_interface.throttle.esc import BRAKING, FORWARD, NEUTRAL, REVERSE, EscDecision
 from car_interface.throttle.esc_config import BRAKE_THEN_REVERSE, EscConfig
-from car_interface.throttle.obstacle_guard import MOTOR_LAG_S, NONE, ObstacleGuard
-from car_interface.throttle.obstacle_stop import Guarantee, Mount, ObstacleConfig, ObstacleStop, stopping_speed_mps
+from car_interface.throttle.obstacle_guard import MOTOR_LAG_S, ObstacleGuard
+from car_interface.throttle.obstacle_stop import Mount, ObstacleConfig, ObstacleStop, stopping_speed_mps
 
 MS, S = 1_000_000, 1_000_000_000
 NOW = 10 * S
 AHEAD, BEHIND = Mount(0.42, 0.0, 0.0), Mount(-0.14, 0.0, math.pi)
-CERTAIN, DRAG = Guarantee(1.5, 0.0, 0.3), Guarantee(0.3, 0.0, 0.3)
-BY_BRAKE, BY_DRAG = (pytest.approx(stopping_speed_mps(1.494 - 0.1, 0.4 + 0.1 + MOTOR_LAG_S, guarantee), rel=0.05)
-                     for guarantee in (CERTAIN, DRAG))
+BY_BRAKE, BY_DRAG = (pytest.approx(stopping_speed_mps(1.494 - 0.1, 0.4 + 0.1 + MOTOR_LAG_S, stop_mps2), rel=0.05)
+                     for stop_mps2 in (1.5, 0.3))
 ROLLS_MPS2 = 0.45  # of the cars here, more than their files say
 BRAKES = EscConfig(BRAKE_THEN_REVERSE, profile_measured=True)
 
@@ -34,14 +33,14 @@ def moving(speed_mps, age_ns=0):
     return speed
 
 
-def decided(state, fraction, stop_mps2=1.5, coasts_below_mps=0.0):
-    return EscDecision(fraction, state, causes.DRIVING, "", stop_mps2, coasts_below_mps)
+def decided(state, fraction, stop_mps2=1.5):
+    return EscDecision(fraction, state, causes.DRIVING, "", stop_mps2)
 
 
 def roll(guard, speeds, from_ns, curvature_per_m=0.0):
     """Reports of speeds, 50 a second; when the last one came."""
     for index, speed_mps in enumerate(speeds):
-        guard.update_speed(speed_mps, from_ns + index * 20 * MS, 0, curvature_per_m)
+        guard.slope.update_speed(speed_mps, from_ns + index * 20 * MS, curvature_per_m)
     return from_ns + (len(speeds) - 1) * 20 * MS
 
 
@@ -68,7 +67,7 @@ def guard_after(*answers, ahead_m=1.5, behind_m=1.5, esc=BRAKES, downhill_mps2=0
 
 def check(guard, arbitration, speed, curvature_per_m=0.0):
     found = guard.check(arbitration, speed, curvature_per_m, NOW)
-    return found.stop or found.bounds[0], found.stop is not None
+    return found, found.is_stop
 
 
 def allowed(guard, arbitration, speed_mps, curvature_per_m=0.0):
@@ -89,11 +88,9 @@ def test_a_stop_is_trusted_for_as_long_as_it_is_certain(answers, request_, speed
     assert allowed(guard_after(*answers), asked(request_), 0.5)[0] == speed_mps
 
 
-@pytest.mark.parametrize(("stop_mps2", "coasts_below_mps"), [(0.3, 0.0), (1.5, 0.5)],
-                         ids=["its_brake_was_used_once", "only_while_it_is_fast"])
-def test_a_brake_that_may_be_gone_when_it_is_needed_counts_as_drag(stop_mps2, coasts_below_mps):
+def test_a_brake_that_may_be_gone_when_it_is_needed_counts_as_drag():
     guard = guard_after()
-    guard.update_esc(decided(FORWARD, 0.5, stop_mps2, coasts_below_mps), NOW)
+    guard.update_esc(decided(FORWARD, 0.5, stop_mps2=0.3), NOW)
     assert allowed(guard, asked(0.5), 0.3)[0] == BY_DRAG
 
 
@@ -129,8 +126,8 @@ def test_a_turn_that_leaves_every_cone_is_left_a_creep():
 
 @pytest.mark.parametrize("arbitration", [asked(0.0, PLANNER, stops=True), asked(0.0, NOBODY)])
 def test_where_nobody_drives_or_without_any_odometry_there_is_nothing_to_bound(arbitration):
-    assert guard_after((FORWARD, 0.5, 0.0)).check(arbitration, moving(3.0), 0.0, NOW) is NONE
-    assert guard_after().check(asked(0.5), MeasuredSpeed(0.5), 0.0, NOW) is NONE
+    assert guard_after((FORWARD, 0.5, 0.0)).check(arbitration, moving(3.0), 0.0, NOW) is None
+    assert guard_after().check(asked(0.5), MeasuredSpeed(0.5), 0.0, NOW) is None
 
 
 # --- the ground ---
@@ -191,14 +188,14 @@ def test_its_throttle_rises_from_the_least_until_the_car_moves():
     assert check(guard, asked(1.0), moving(0.0))[0].max_throttle == 0.08
     throttles = []
     for step in range(15):
-        throttles.append(guard.check(asked(1.0), moving(0.0), 0.0, NOW + step * 20 * MS).bounds[0].max_throttle)
+        throttles.append(guard.check(asked(1.0), moving(0.0), 0.0, NOW + step * 20 * MS).max_throttle)
         guard.update_esc(decided(FORWARD, throttles[-1], 0.3), NOW + step * 20 * MS)
     assert throttles[-1] == pytest.approx(0.08 * (1.0 + 0.02 / 0.8) ** 14)
     until_ns = roll(guard, [0.004 * index for index in range(16)], NOW + 280 * MS)  # 0.2 m/s²
     speed = MeasuredSpeed(0.5)
     speed.update(0.06, until_ns)
-    assert guard.check(asked(1.0), speed, 0.0, until_ns + 20 * MS).bounds[0].max_throttle <= throttles[-1]
-    assert guard.check(asked(1.0), speed, 0.0, until_ns).bounds[0].max_throttle > 0.08
+    assert guard.check(asked(1.0), speed, 0.0, until_ns + 20 * MS).max_throttle <= throttles[-1]
+    assert guard.check(asked(1.0), speed, 0.0, until_ns).max_throttle > 0.08
 
 
 @pytest.mark.parametrize("found", [{"is_measured": False}, {"downhill_mps2": 0.4}], ids=["unknown", "steep"])
@@ -246,7 +243,7 @@ def test_the_later_the_odometry_the_less_is_given_back_but_never_less_than_moves
         guard.check(asked(1.0), speed, 0.0, NOW)
         for step in range(15 if is_pushed else 0):
             guard.update_esc(decided(FORWARD, 0.5), NOW + step * 20 * MS)
-        return guard.check(asked(1.0), speed, 0.0, NOW).bounds[0].max_throttle
+        return guard.check(asked(1.0), speed, 0.0, NOW).max_throttle
 
     assert throttle(150, 0.2) < 0.7 * throttle(0, 0.2)
     assert throttle(150, 0.2, True) - throttle(150, 0.2) < 0.6 * (throttle(0, 0.2, True) - throttle(0, 0.2))
@@ -268,5 +265,5 @@ def test_echoes_move_with_the_car_also_while_nobody_drives():
     before_mps = allowed(guard, asked(0.5), 0.0)[0]
     for step in range(50):
         guard.check(asked(0.0, NOBODY), moving(0.5), 0.0, NOW + step * 20 * MS)
-    bound = guard.check(asked(0.5), moving(0.0), 0.0, NOW + 980 * MS).bounds[0]
+    bound = guard.check(asked(0.5), moving(0.0), 0.0, NOW + 980 * MS)
     assert bound.speed_mps < before_mps - 0.2

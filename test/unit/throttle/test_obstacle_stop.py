@@ -10,7 +10,6 @@ from car_interface.common.declared import read
 from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
 from car_interface.throttle.obstacle_stop import (
-    Guarantee,
     Mount,
     ObstacleConfig,
     ObstacleStop,
@@ -19,7 +18,7 @@ from car_interface.throttle.obstacle_stop import (
 )
 
 MS, S = 1_000_000, 1_000_000_000
-BRAKE, DRAG = Guarantee(1.5, 0.0, 0.3), Guarantee(0.3, 0.0, 0.3)
+BRAKE, DRAG = 1.5, 0.3  # m/s²
 CAR = Outline(front_m=0.4, rear_m=0.1, width_m=0.3)
 AHEAD = Mount(0.4, 0.0, 0.0)
 CREEP = 0.3
@@ -30,23 +29,15 @@ SONARS = {"front_right": [0.40, -0.10, -0.5236], "front_middle": [0.42, 0.0, 0.0
 
 @pytest.mark.parametrize("distance_m", [0.05, 1.0, 3.9])
 @pytest.mark.parametrize("time_s", [0.1, 1.0])
-@pytest.mark.parametrize("guarantee", [BRAKE, DRAG])
-def test_from_the_speed_that_is_allowed_the_car_stops_exactly_there(distance_m, time_s, guarantee):
-    speed_mps = stopping_speed_mps(distance_m, time_s, guarantee)
-    assert speed_mps * time_s + speed_mps ** 2 / (2 * guarantee.stop_mps2) == pytest.approx(distance_m)
-    assert stopping_speed_mps(0.0, time_s, guarantee) == stopping_speed_mps(-0.1, time_s, guarantee) == 0.0
-
-
-def test_a_brake_that_ends_early_leaves_the_rest_to_drag_and_where_it_is_too_short_drag_alone_counts():
-    guarantee = Guarantee(1.5, 0.5, 0.3)
-    speed_mps = stopping_speed_mps(1.9, 0.5, guarantee)
-    assert speed_mps > 0.5
-    assert speed_mps * 0.5 + (speed_mps ** 2 - 0.25) / 3.0 + 0.25 / 0.6 == pytest.approx(1.9)
-    assert stopping_speed_mps(0.4, 0.5, guarantee) == stopping_speed_mps(0.4, 0.5, DRAG)
+@pytest.mark.parametrize("stop_mps2", [BRAKE, DRAG])
+def test_from_the_speed_that_is_allowed_the_car_stops_exactly_there(distance_m, time_s, stop_mps2):
+    speed_mps = stopping_speed_mps(distance_m, time_s, stop_mps2)
+    assert speed_mps * time_s + speed_mps ** 2 / (2 * stop_mps2) == pytest.approx(distance_m)
+    assert stopping_speed_mps(0.0, time_s, stop_mps2) == stopping_speed_mps(-0.1, time_s, stop_mps2) == 0.0
 
 
 def test_a_stop_that_is_certain_of_nothing_allows_no_speed():
-    assert stopping_speed_mps(3.0, 0.5, Guarantee(0.01, 0.0, 0.01)) == 0.0
+    assert stopping_speed_mps(3.0, 0.5, 0.01) == 0.0
 
 
 @pytest.mark.parametrize(("arrivals_ms", "cycle_s"), [
@@ -76,11 +67,11 @@ def seeing(ranges, names=("front_middle",), at_ns=10 * S, **config):
 
 
 def bound_of(ranges, curvature_per_m=0.0, is_backward=False, later_ms=0, is_dropped=False, names=("front_middle",),
-             guarantee=BRAKE, **config):
+             stop_mps2=BRAKE, **config):
     stop = seeing(ranges, names, **config)
     if is_dropped:
         stop.mark_stale()
-    return stop.bound(curvature_per_m, is_backward, guarantee, 10 * S + later_ms * MS)[:3]
+    return stop.bound(curvature_per_m, is_backward, stop_mps2, 10 * S + later_ms * MS)[:3]
 
 
 BLIND = ", and the car doesn't drive blind:"
@@ -166,9 +157,8 @@ def test_a_range_of_a_sonar_that_the_car_lacks_is_left_out():
        st.floats(0.05, 3.0))
 def test_from_its_speed_the_car_always_stops_within_what_was_looked_at(curvature_per_m, ranges, stop_mps2):
     """Or it creeps; and no echo is ever in the way of what is allowed."""
-    guarantee = Guarantee(stop_mps2, 0.0, stop_mps2)
     stop = seeing(dict(zip(FRONT, ranges)), FRONT)
-    speed_mps = stop.bound(curvature_per_m, False, guarantee, 10 * S).speed_mps
+    speed_mps = stop.bound(curvature_per_m, False, stop_mps2, 10 * S).speed_mps
     free_m = stop._fans[False].end(curvature_per_m, dict(zip(FRONT, (min(2.0, range_m) for range_m in ranges))))[0]
     way_m = speed_mps * 0.5 + speed_mps ** 2 / (2 * stop_mps2)
     assert speed_mps <= CREEP or way_m <= free_m - 0.1 + 1e-6

@@ -174,7 +174,7 @@ class Drive:
                 control.update_odometry(self.car.wheel_mps, now_ns)
             decision = control.decide(now_ns)
             self.overrides += decision.arbitration.cause == "override"
-            self.reversed_by_hand += decision.esc.state_name == "REVERSE" and decision.arbitration.source == TELEOP
+            self.reversed_by_hand += decision.esc.state == "REVERSE" and decision.arbitration.source == TELEOP
             if decision.arbitration.source != TELEOP and self.gear == "reverse":
                 self._planner_ns = now_ns
             self.chip.command(decision.esc.fraction, now_ns)
@@ -205,7 +205,7 @@ class Drive:
         elif kind == 4:
             self.value = rng.choice((0.0, rng.uniform(0.5, 3), -rng.uniform(0.5, 3)))
             self.hold(rng.uniform(0.1, 2.0), 0.0, BY_PLANNER)
-        elif kind == 5 and not self.control.is_calibration_drive:
+        elif kind == 5 and not self.control.esc_config.calibration_drive:
             self.mode.is_cut = True
             self._pull_often(buttons)
             self.mode.is_cut = False

@@ -13,9 +13,9 @@ from virtual_escs import crawler, direct, race, xl5
 from car_interface.common import causes
 from car_interface.common.sources import NEUTRAL, PLANNER, TELEOP
 from car_interface.throttle.arbiter import COAST_GEAR
-from car_interface.throttle.speed_control import HOLD_MPS2, STOP, SpeedControl, SpeedControlConfig, SpeedRequest
+from car_interface.throttle.speed_control import HOLD_MPS2, STOP, SpeedControl, SpeedControlConfig
 
-from .speed_rig import SpeedRig, mean_error, overshoot, settled_s, wrong_map
+from .speed_rig import SpeedRequest, SpeedRig, mean_error, overshoot, settled_s, wrong_map
 
 MS, S = 1_000_000, 1_000_000_000
 TICK_NS = 20 * MS

@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 
-from car_interface.throttle.speed_reference import SpeedReference
+from car_interface.throttle.speed_control import SpeedReference
 
 DT_S = 0.02
 ROUNDED_JERK = 2 * 20.0 + 1e-6  # to come out exactly at the target the last step may be a double one

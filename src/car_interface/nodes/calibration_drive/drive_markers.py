@@ -9,32 +9,30 @@ from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-CIRCLE_POINTS = 72
+CIRCLE_POINTS, CROSS_M = 72, 0.15
 LINE_M, HEIGHT_M = 0.02, 0.02
 ARC_M, MAX_ARC_RAD, ARC_STEPS = 1.6, 2.6, 16  # of the arcs by radius, from the car
 WIDEST_M = 40.0  # wider turns can't be told from straight on
 TEXT_M, TEXT_COLUMNS = 0.14, 28
 BEHIND_M, ABOVE_M = 0.8, 0.7  # where no arc lies, and seen from above still over car_display's two lines
-AREA, START = ColorRGBA(0.35, 0.35, 0.4, 1.0), ColorRGBA(0.35, 0.35, 0.4, 1.0)
-PATH, TEXT = ColorRGBA(0.75, 0.0, 0.75, 1.0), ColorRGBA(0.1, 0.1, 0.1, 1.0)
+AREA, PATH = ColorRGBA(0.35, 0.35, 0.4, 1.0), ColorRGBA(0.75, 0.0, 0.75, 1.0)
+TEXT = ColorRGBA(0.1, 0.1, 0.1, 1.0)
 # No arc is blue as the trail, which car_display draws, or as orange as its arrow.
 KNOWN, PARTLY = ColorRGBA(0.0, 0.6, 0.2, 0.9), ColorRGBA(0.95, 0.75, 0.0, 0.9)
 UNKNOWN = ColorRGBA(0.85, 0.1, 0.1, 0.9)
 
 
 def drive_markers(odom_frame, base_frame, start, radius_m, path, rows, rows_before, text) -> MarkerArray:
-    """The whole picture; what isn't there is taken away.
+    """Return the whole picture; what isn't there is deleted.
 
     Args:
         odom_frame, base_frame: odometry's frame, and the car's.
         start: the area's center in odometry's frame; ``None`` = it hasn't begun.
-        radius_m: of the area.
         path: where the car is about to go, (x, y) in odometry's frame.
         rows: records with side (left or right), radius_m, is_known and is_measured: an arc each, from the car.
         rows_before: how many there were in the picture before.
-        text: behind the car.
     """
-    markers = [_circle(odom_frame, start, radius_m), _cross(odom_frame, start),
+    markers = [*_area(odom_frame, start, radius_m),
                _line("path", 0, odom_frame, PATH, path, 2 * LINE_M), *_arcs(base_frame, rows),
                *(_line("known", index, base_frame, UNKNOWN, [], LINE_M) for index in range(len(rows), rows_before))]
     label = _marker("text", 0, base_frame, Marker.TEXT_VIEW_FACING, TEXT, Vector3(0.0, 0.0, TEXT_M))
@@ -44,25 +42,19 @@ def drive_markers(odom_frame, base_frame, start, radius_m, path, rows, rows_befo
 
 
 def no_markers(frame) -> MarkerArray:
-    """Takes everything away."""
+    """Return a picture of nothing."""
     return MarkerArray([Marker(header=_header(frame), action=Marker.DELETEALL)])
 
 
-def _circle(frame, start, radius_m):
-    if start is None:
-        return _line("area", 0, frame, AREA, [], LINE_M)
-    angles = [2 * math.pi * index / CIRCLE_POINTS for index in range(CIRCLE_POINTS + 1)]
-    return _line("area", 0, frame, AREA, [(start[0] + radius_m * math.cos(angle), start[1] + radius_m * math.sin(angle))
-                                          for angle in angles], LINE_M)
-
-
-def _cross(frame, start):
-    if start is None:
-        return _line("area", 1, frame, START, [], LINE_M)
-    x_m, y_m = start
-    arm_m = 0.15
-    return _line("area", 1, frame, START, [(x_m - arm_m, y_m), (x_m + arm_m, y_m), (x_m, y_m), (x_m, y_m + arm_m),
-                                           (x_m, y_m - arm_m)], LINE_M)
+def _area(frame, start, radius_m):
+    """Return a circle around the start, and a cross there."""
+    circle, cross = [], []
+    if start is not None:
+        x_m, y_m = start
+        angles = [2 * math.pi * index / CIRCLE_POINTS for index in range(CIRCLE_POINTS + 1)]
+        circle = [(x_m + radius_m * math.cos(angle), y_m + radius_m * math.sin(angle)) for angle in angles]
+        cross = [(x_m - CROSS_M, y_m), (x_m + CROSS_M, y_m), start, (x_m, y_m + CROSS_M), (x_m, y_m - CROSS_M)]
+    return [_line("area", index, frame, AREA, points, LINE_M) for index, points in enumerate((circle, cross))]
 
 
 def _arcs(frame, rows):
@@ -74,7 +66,7 @@ def _arcs(frame, rows):
 
 
 def _arc(curvature_per_m):
-    """Points of an arc that the middle of the rear axle would drive."""
+    """Return points of an arc that the middle of the rear axle would drive."""
     angle_rad = min(MAX_ARC_RAD, ARC_M * abs(curvature_per_m))
     steps = [math.copysign(angle_rad, curvature_per_m) * index / ARC_STEPS for index in range(ARC_STEPS + 1)]
     return [(math.sin(step) / curvature_per_m, (1 - math.cos(step)) / curvature_per_m) for step in steps]

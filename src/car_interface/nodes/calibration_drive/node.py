@@ -72,25 +72,20 @@ REQUESTS = ("av_turnrad_req", "av_steer_req", "av_speed_req")
 
 
 class CalibrationDriveNode:
-    """Carries messages to the drive and its requests to the car, shows how far it is, and writes the result.
+    """Carry messages to the drive and its requests to the car, show how far it is, and write the result.
 
     Args:
-        wanted: the options.
-        params: none.
-        inbox: the node's.
         text, keys: the terminal; ``None`` = the one that the program runs in.
-        make_recording: as ``BagRecording``.
-        make_page: as ``BagPage``.
+        make_recording, make_page: as ``BagRecording`` and ``BagPage``.
     """
 
     def __init__(self, wanted, params, inbox, text=None, keys=None, make_recording=BagRecording, make_page=BagPage):
         params.finish()  # it has options instead, which don't stay on the server
         graph, self._clocks = inbox.graph, inbox.clocks
         config = drive_config(wanted)
-        self._wanted, self._inbox = wanted, inbox
+        self._wanted, self._inbox, self._config = wanted, inbox, config
         base = self._base = calibration_of(graph.parameter("turn_arb", {}))
         self._table = find_table_file(wanted.output, wanted.base, graph.parameter("turn_arb/save_to", None), base)
-        self._config = config
         if not wanted.no_sonars and not wanted.stick:
             obstacles = read_obstacles(graph.parameter("throttle_arb", {}))
             self._config = replace(config, obstacles=obstacles, outline=obstacles.outline)
@@ -158,7 +153,7 @@ class CalibrationDriveNode:
             raise EndedEarly("ended before it was over: nothing is written")
 
     def _typed(self):
-        """The keys that were typed, in lower case; Q ends it."""
+        """Return the keys that were typed, in lower case; Q ends it."""
         typed = ((self._keys.read() or "") if self._has_keys else "").lower()
         if "q" in typed:
             self._inbox.end()
@@ -327,23 +322,21 @@ class CalibrationDriveNode:
     def _begin_end(self):
         self._stop_asking()
         self._text.keep()
-        self._text.say(f"{self._step.text}. You can let go. Calibrating …")
-        self._publish_state(DONE, f"{self._step.text}. You can let go. Calibrating …", self._drive.progress(
-            self._clocks.now_ns()))
+        text = f"{self._step.text}. You can let go. Calibrating …"
+        self._text.say(text)
+        self._publish_state(DONE, text, self._drive.progress(self._clocks.now_ns()))
         self._is_ending = True
         name = os.path.basename(self._recording.path)
         samples, base, base_text = self._drive.samples, self._base, self._table.base_text
         self._inbox.work(lambda: conclude(samples, base, base_text, name), self._on_conclusion)
-        self._stage = self._await_conclusion
-
-    def _await_conclusion(self, now_ns, typed):
-        pass
+        self._stage = lambda now_ns, typed: None  # until the conclusion
 
     def _on_conclusion(self, conclusion, now_ns):
         self._say(*conclusion.report)
         self._conclusion, self._waits_from_ns = conclusion, now_ns
+        # None: a person is asked.
+        replaces = not self._table.is_there or self._wanted.yes or (None if self._has_keys else False)
         if conclusion.result is not None:
-            replaces = not self._table.is_there or self._wanted.yes or (None if self._has_keys else False)
             steps = next_steps(self._table, conclusion.refusal, replaces)
             self._result.publish(String(conclusion.result._replace(next_steps=steps).text()))
         self._page_due_ns = now_ns + RESULT_ARRIVES_NS
@@ -352,14 +345,12 @@ class CalibrationDriveNode:
             self._say(*terminal.missing_lines(conclusion.missing))
             why = terminal.REFUSED if conclusion.missing else conclusion.refusal
             self._refusal = f"no calibration is written: {why}"
-        elif not self._table.is_there or self._wanted.yes:
-            self._write(replaces=True)
-        elif self._has_keys:
+        elif replaces is None:
             question = f"Replace {self._table.path}? The old one is kept beside it."
             self._text.show(terminal.wrapped([question, "Y: yes, N: no"], self._text.width))
             self._stage = self._ask
         else:
-            self._write(replaces=False)
+            self._write(replaces)
 
     def _ask(self, now_ns, typed):
         self._close_recording(now_ns)

@@ -79,12 +79,11 @@ class Trail:
 
 
 class CarDisplay:
-    """Draws the car, its steering command, its sonars and its trail."""
+    """Draw the car, its steering command, its sonars and its trail."""
 
     def __init__(self, params, inbox):
         config = read_all(params, CarDisplayConfig)
-        self._wheelbase_m, self._track_m = config.wheelbase_m, config.track_m
-        self._wheel_m = config.wheel_m
+        self._wheelbase_m, self._track_m, self._wheel_m = config.wheelbase_m, config.track_m, config.wheel_m
         self._odom_frame = config.frame_prefix + config.odom_frame
         self._base_frame = config.frame_prefix + config.base_frame
         self._inbox = inbox
@@ -129,7 +128,7 @@ class CarDisplay:
         self._markers.publish(MarkerArray(markers))
 
     def _body(self):
-        """A box over the axles, and a smaller one on top, towards the rear."""
+        """Draw a box over the axles, and a smaller one on top, towards the rear."""
         length_m = self._wheelbase_m + 2 * OVERHANG_M
         middle_m, height_m = self._wheelbase_m / 2, 0.8 * self._wheel_m
         low = Vector3(length_m, self._track_m - TIRE_WIDTH_M, height_m)
@@ -139,7 +138,7 @@ class CarDisplay:
                              _at(middle_m - 0.1 * length_m, 0.0, CLEARANCE_M + height_m + high.z / 2))]
 
     def _wheels(self, curvature_per_m):
-        """Four cylinders on their sides; each front one perpendicular to the line to the turning center."""
+        """Draw four cylinders on their sides, the front ones perpendicular to the line to the turning center."""
         size = Vector3(self._wheel_m, self._wheel_m, TIRE_WIDTH_M)
         places = [(x_m, y_m) for x_m in (0.0, self._wheelbase_m) for y_m in (self._track_m / 2, -self._track_m / 2)]
         return [self._marker("wheels", index, Marker.CYLINDER, TIRE, size, _at(
@@ -158,7 +157,7 @@ class CarDisplay:
         return [line, head]
 
     def _words(self, steering, throttle):
-        """Who steers and who drives, behind the car."""
+        """Write who steers and who drives behind the car."""
         lines = []
         if steering is not None:
             lines.append(f"steers: {source_name(steering.source)}, {_turn_text(steering.turn_radius)}")
@@ -173,7 +172,7 @@ class CarDisplay:
         return marker
 
     def _fan(self, index, measured):
-        """What a sonar looked at: up to its echo or, without one, up to its range."""
+        """Draw what a sonar looked at: up to its echo or, without one, up to its range."""
         radius_m = 0.0 if measured is None else min(measured.range, measured.max_range)
         if not 0 < radius_m < math.inf or not math.isfinite(measured.field_of_view):  # nor is it NaN
             return self._nothing("sonars", index)
@@ -216,14 +215,14 @@ def _at(x_m, y_m, z_m, orientation=NO_ROTATION):
 
 
 def _lying(heading_rad):
-    """A cylinder's orientation: on its side, rolling in this direction."""
+    """Return the orientation of a cylinder on its side that rolls in this direction."""
     half_rad, factor = heading_rad / 2, math.sqrt(0.5)
     return Quaternion(factor * math.cos(half_rad), factor * math.sin(half_rad), factor * math.sin(half_rad),
                       factor * math.cos(half_rad))
 
 
 def _nose(distance_m, curvature_per_m, nose_m):
-    """x, y and heading of the nose when the middle of the rear axle has driven a distance along its arc."""
+    """Return x, y and heading of the nose when the middle of the rear axle has driven a distance along its arc."""
     heading_rad = curvature_per_m * distance_m
     if abs(heading_rad) < 1e-6:
         return distance_m + nose_m, 0.0, 0.0

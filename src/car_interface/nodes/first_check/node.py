@@ -64,11 +64,9 @@ PAGE = "first_check_%Y-%m-%d_%H-%M-%S.html"
 
 
 class FirstCheckNode:
-    """Carries messages and keys to the check, and its requests to the car.
+    """Carry messages and keys to the check, and its requests to the car.
 
     Args:
-        params: none.
-        inbox: the node's.
         text, keys: the terminal; ``None`` = the one that the program runs in.
         kill: ends a node's process by its name, and returns why it can't; empty: it did.
         request: called with a namespace and values by name, for the node's own live tuning.
@@ -99,14 +97,12 @@ class FirstCheckNode:
 
     def _subscribe(self):
         inbox, car = self._inbox, self._check.car
+        for topic, message_type, timed in (
+                ("human_in_loop", Bool, car.human), ("mode", String, car.mode),
+                ("tele_steer_req", Float32, car.steering_stick), ("tele_throt_req", Float32, car.throttle_stick)):
+            subscribe(f"teleop_logi/{topic}", message_type, inbox, partial(_take, timed), wakes=False)
         for topic, message_type, handler in (
-                ("teleop_logi/human_in_loop", Bool, lambda message, now_ns: car.human.update(message.data, now_ns)),
-                ("teleop_logi/mode", String, lambda message, now_ns: car.mode.update(message.data, now_ns)),
                 ("teleop_logi/state", TeleopState, lambda message, now_ns: car.gamepad.update(message.reason, now_ns)),
-                ("teleop_logi/tele_steer_req", Float32,
-                 lambda message, now_ns: car.steering_stick.update(message.data, now_ns)),
-                ("teleop_logi/tele_throt_req", Float32,
-                 lambda message, now_ns: car.throttle_stick.update(message.data, now_ns)),
                 ("joy", Joy, self._on_joy),
                 ("turn_arb/state", SteeringState, lambda message, now_ns: car.steering.update(
                     Steering(message.source, message.reason, message.duty), now_ns)),
@@ -249,6 +245,10 @@ class FirstCheckNode:
         if written:
             self._text.say(f"to load it, launch again with config:={self._folder}")
         self._inbox.end()
+
+
+def _take(timed, message, now_ns):
+    timed.update(message.data, now_ns)
 
 
 def read_setup(parameter: Callable[[str, Any], Any], folder: str) -> Setup:

@@ -26,7 +26,7 @@ float32 jerk
 
 
 def ackermann_drive_class():
-    """The message's class: the installed package's, or one from its fields."""
+    """Return the message's class: the installed package's, or one from its fields."""
     installed = get_message_class(TYPE)
     if installed is not None:
         return installed

@@ -36,7 +36,7 @@ from car_interface.msg import Control, PlannerState, SteeringState, ThrottleStat
 from car_interface.nodes.planner_interface.ackermann_messages import ackermann_drive_class
 from car_interface.nodes.planner_interface.config import PlannerInterfaceConfig
 from car_interface.planner.messages import from_ackermann, from_control, from_twist
-from car_interface.planner.request import PlannerRequest, not_finite, sane_radius_m
+from car_interface.planner.request import REVERSE, PlannerRequest, not_finite, sane_radius_m
 from car_interface.planner.source_arbiter import PlannerDecision, SourceArbiter
 from car_interface.ros.clocks import StampedAge, odd_stamp
 from car_interface.ros.command_topics import CommandTopics
@@ -45,7 +45,7 @@ from car_interface.ros.logs import ThrottledWarnings
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, md5_of, sender_of, subscribe
 from car_interface.steering.limits import TOO_TIGHT_FOR_NS, TOO_TIGHT_REMEDY
-from car_interface.throttle.speed_control import STOP, SpeedControl, SpeedRequest
+from car_interface.throttle.speed_control import STOP, SpeedControl
 
 RATE_HZ = 50
 STEERING_TIMEOUT_S = 0.5  # turn_arb's state comes 20 times a second
@@ -55,33 +55,31 @@ TWISTS = {message_type._md5sum: message_type for message_type in (Twist, TwistSt
 
 
 class PlannerInterface:
-    """Converts the source's messages, controls the speed, publishes."""
+    """Convert the source's messages, control the speed, publish."""
 
     def __init__(self, params, inbox):
         config = read_all(params, PlannerInterfaceConfig)
         self._clocks = inbox.clocks
         now_ns = self._clocks.now_ns()
         self._config = config
-        self._sources = SourceArbiter(config.source, config.source_timeout_s,
-                                      sane_radius_m(config.wheelbase_m))
+        self._sources = SourceArbiter(config.source, config.source_timeout_s, sane_radius_m(config.wheelbase_m))
         # Why the wheels can't turn the car as asked, by turn_arb; empty: they can. And the newest such reason.
         self._steering = TimedInput("turn_arb's state", STEERING_TIMEOUT_S)
         self._too_tight = TimedInput("a turn that is too tight", TOO_TIGHT_FOR_NS / NS_PER_S)
         self._control = SpeedControl(config.speed)
-        self._steers = config.source != SPEED
         self._gear_number = None  # the newest of ~input/gear_cmd
         self._inbox = inbox
         self._warnings = ThrottledWarnings(inbox.clocks)
         self._odometry_age = StampedAge("odometry", inbox.clocks)
         self._timer = RateTimer(RATE_HZ, now_ns)
         self._ticks = 0
-        self._decision = self._command = None
+        self._decision, self._command = PlannerDecision("", "before the first decision"), None
         self._published = None  # what throttle_arb goes by, of the newest state
         self._radius_m = None  # the newest that was published
-        self._radii = advertise("av_turnrad_req", Float32, inbox) if self._steers else None
+        self._radii = advertise("av_turnrad_req", Float32, inbox) if config.source != SPEED else None
         self._controls = advertise("~output/control_cmd", Control, inbox)
         self._states = advertise("~state", PlannerState, inbox, latch=True)
-        others = tuple(TOPICS[source] for source in TOPICS if source != config.source)
+        others = tuple(topic for source, topic in TOPICS.items() if source != config.source)
         types = {TOPICS[CMD_VEL]: (Twist._type, TwistStamped._type)} if config.source == CMD_VEL else {}
         self._command_topics = CommandTopics(inbox, shared=others, types=types)
         self._diagnostics = Diagnostics(inbox, "none", {"planner": self._report, **self._command_topics.reports},
@@ -113,21 +111,17 @@ class PlannerInterface:
         self._inbox.dispatch()
         if self._timer.is_due(now_ns):
             self._tick(now_ns)
-        elif self._has_fallen_silent(now_ns):
-            self._decide(now_ns)
+        elif self._decision.request is not None and self._sources.decide(now_ns).request is None:
+            self._decide(now_ns)  # the source has fallen silent
         self._diagnostics.step(now_ns)
         return min(self._timer.due_ns, self._sources.silent_at_ns(now_ns))
 
     def shut_down(self):
         """Stop: a radius of 0, and full braking."""
-        if self._decision is not None and self._decision.request is not None:
+        if self._decision.request is not None:
             self._publish_stop()
             self._decision = PlannerDecision(causes.NO_REQUEST, "planner_interface has ended")
             self._publish_state(self._clocks.now_ns())
-
-    def _has_fallen_silent(self, now_ns):
-        return (self._decision is not None and self._decision.request is not None
-                and self._sources.decide(now_ns).request is None)
 
     # --- what arrives ---
 
@@ -195,11 +189,11 @@ class PlannerInterface:
         """Have the steering at once; and stop at once when there is no request any more."""
         before, self._decision = self._decision, self._sources.decide(now_ns)
         if self._decision.request is None:
-            if before is not None and before.request is not None:
+            if before.request is not None:
                 self._publish_stop()
         elif self._decision.radius_m != self._radius_m:
             self._publish_radius(self._decision.radius_m)
-        if before is None or before.cause != self._decision.cause:
+        if before.cause != self._decision.cause:
             self._control_speed(now_ns)
             self._publish_state(now_ns)
 
@@ -214,12 +208,11 @@ class PlannerInterface:
             self._publish_control(self._command.reference_mps, self._command.acceleration_mps2)
 
     def _control_speed(self, now_ns):
-        request = self._decision.request
-        self._command = self._control.step(STOP if request is None else SpeedRequest(*request[1:]), now_ns)
+        self._command = self._control.step(self._decision.request or STOP, now_ns)
 
     @property
     def _kind(self):
-        """What throttle_arb goes by: cause, gear, and whether the car is to go on."""
+        """Return what throttle_arb goes by: cause, gear, and whether the car is to go on."""
         cause = self._decision.cause
         if cause == causes.PLANNER and not self._command.is_known:
             cause = causes.ODOMETRY_STALE
@@ -228,11 +221,11 @@ class PlannerInterface:
 
     def _publish_stop(self):
         self._publish_radius(0.0)
-        sign = 1.0 if self._command is not None and self._command.gear == "reverse" else -1.0
-        self._publish_control(0.0, sign * self._control.max_braking_mps2)
+        sign = 1.0 if self._command.gear == REVERSE else -1.0
+        self._publish_control(0.0, sign * self._config.speed.max_braking_mps2)
 
     def _publish_radius(self, radius_m):
-        if self._steers:
+        if self._radii is not None:
             self._radius_m = radius_m
             self._radii.publish(Float32(radius_m))
 
@@ -257,21 +250,21 @@ class PlannerInterface:
             turn_radius=decision.radius_m, speed=request.speed_mps if request else 0.0,
             reference_speed=command.reference_mps if request else 0.0, measured_speed=self._control.measured_mps,
             acceleration=command.acceleration_mps2 if request else 0.0, source_age=self._sources.age_s(now_ns),
-            odometry_age=self._control.odometry_age_s(now_ns), refused=self._sources.refused,
+            odometry_age=self._control.speed.age_s(now_ns), refused=self._sources.refused,
             others=self._sources.others))
         if before is None or before[0] != cause:
             log = rospy.logwarn if _is_alarming(cause) else rospy.loginfo
             log("%s", self._reason())
 
     def _reason(self):
-        """Why it isn't obeyed, or what is asked for and what differs from that."""
+        """Return why it isn't obeyed, or what is asked for and what differs from that."""
         if self._decision.request is None:
             return self._decision.reason
         too_tight = "" if self._steering.is_stale(self._clocks.now_ns()) else self._steering.value
         return "; ".join(filter(None, (self._decision.reason, too_tight, self._command.note)))
 
     def _report(self, status):
-        """What is asked for, and why it isn't obeyed, for /diagnostics."""
+        """Report on /diagnostics what is asked for, and why it isn't obeyed."""
         if self._command is None:
             return status
         cause, gear, _ = self._kind
@@ -286,14 +279,14 @@ class PlannerInterface:
         status.add("not obeyed", self._sources.others or "nobody")
         status.add("refused", self._sources.refused)
         status.add(f"age of {self._sources.source}", age_text(self._sources.age_s(now_ns)))
-        status.add("age of odometry", age_text(self._control.odometry_age_s(now_ns)))
+        status.add("age of odometry", age_text(self._control.speed.age_s(now_ns)))
         for kind, count in sorted(self._warnings.counts.items()):
             status.add(kind, count)
         return status
 
 
 def _is_alarming(cause):
-    """Whether somebody has to act: an input failed, or asks for what can't be done."""
+    """Return whether somebody has to act: an input failed, or asks for what can't be done."""
     return cause in causes.LOSSES or cause == causes.REQUEST_REFUSED
 
 

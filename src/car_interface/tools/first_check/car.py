@@ -15,10 +15,9 @@ from car_interface.common.units import NS_PER_S
 from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, SONARS
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.teensy.link.protocol import BACKWARD, FORWARD
-from car_interface.throttle import esc
 from car_interface.throttle.calibration import ThrottleCalibration
+from car_interface.throttle.esc import ARMING
 
-ARMING = esc.STATE_NAMES[esc.ARMING]  # of ThrottleState.esc
 COUNTS = 1 << 32  # OneWheel.dist_abs wraps here
 # A Slash reaches 20 m/s; 0.3 of the throttle, the shipped human_scale, is several m/s without a load.
 MAX_WHEEL_SPEED_MPS = 3.0

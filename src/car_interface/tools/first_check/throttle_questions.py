@@ -6,7 +6,7 @@ from functools import partial
 
 from car_interface.common.causes import MANUAL
 from car_interface.common.units import NS_PER_S
-from car_interface.throttle.esc import BRAKING, HOLD, STATE_NAMES
+from car_interface.throttle.esc import BRAKING, HOLD
 from car_interface.throttle.esc_config import (
     BRAKE_BECOMES_REVERSE,
     BRAKE_THEN_REVERSE,
@@ -28,7 +28,7 @@ PUSHED = 0.1  # of a stick: moved on purpose
 NEUTRAL_STEP, MAX_NEUTRAL = 5, 100  # duty; the second is throttle_arb's live_range
 PULL_NS = NS_PER_S  # of a pull, to see what the wheels do
 NEUTRAL_WITHIN_NS = NS_PER_S // 2
-STOPS = [STATE_NAMES[state] for state in (BRAKING, HOLD)]  # of ThrottleState.esc
+STOPS = (BRAKING, HOLD)
 
 
 class _ByStick(Question):

@@ -67,7 +67,6 @@ def test_car_that_is_driven_by_its_own_table_turns_as_it_is_asked(calibrated):
     assert abs(virtual_drive.true_curvature_per_m(virtual_drive.random_car(SEED), center)) < 0.005
 
 
-@pytest.mark.both
 def test_file_keeps_what_else_it_had_tells_how_well_it_is_known_and_the_old_one_stays_beside_it(calibrated):
     text = calibrated.path.read_text(encoding="utf-8")
     before, after = yaml.safe_load(calibrated.base_text), yaml.safe_load(text)
@@ -218,6 +217,7 @@ def test_recording_with_topics_of_other_names_comes_to_the_same_tables_also_in_a
     assert load_steering(str(tmp_path / "made.yaml")) == load_steering(str(plain.table))
 
 
+@pytest.mark.more
 def test_copy_of_a_recording_does_not_count_twice(plain, tmp_path, capsys):
     copy = shutil.copy(str(plain.bag), str(tmp_path / "copy.bag"))
     assert run(plain.bag, copy, "-o", tmp_path / "made.yaml", "--jobs", "1") == 1

@@ -44,7 +44,6 @@ def error_mps2(table, truth=acceleration):
                                   for value in table.values for velocity in table.velocities])))
 
 
-@pytest.mark.both
 def test_map_of_a_virtual_car_is_near_the_truth_and_the_report_lies_beside_it(tmp_path, capsys):
     seconds, car = 80.0, virtual_drive.random_car(3)
     bag = recorded(virtual_drive.record, car, seed=3, duration_s=seconds)
@@ -160,6 +159,7 @@ def test_prior_gives_the_axes_stays_where_nothing_was_driven_and_is_kept_beside_
     assert all(f"; the old one is {tmp_path / name}\n" in out for name in kept)
 
 
+@pytest.mark.more
 def test_map_that_is_narrower_than_the_old_one_is_said_so_last_in_one_line(bag, tmp_path, capsys):
     path = tmp_path / "map.csv"
     shutil.copy(str(ROOT / "config" / "value_map.csv"), str(path))

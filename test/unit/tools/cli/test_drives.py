@@ -59,7 +59,6 @@ def lines(folder, name="drives.csv"):
         return list(csv.DictReader(file))
 
 
-@pytest.mark.both
 def test_table_has_a_row_for_each_recording_of_whatever_kind(folder, capsys):
     assert run(folder) == 0
     shown = capsys.readouterr()

@@ -90,6 +90,7 @@ def test_calibration_that_would_overwrite_its_recording_is_refused(name, run, tm
     assert code == 1 and f"{bag} is one of the recordings" in err and bag.read_bytes() == before
 
 
+@pytest.mark.more
 def test_map_of_an_odd_name_is_drawn_without_a_word(run, tmp_path):
     odd = tmp_path / ("_电池 $x^$ \\frac{ tab\there\nand more" + "x" * 200 + ".csv")
     odd.write_bytes((ROOT / "config" / "value_map.csv").read_bytes())

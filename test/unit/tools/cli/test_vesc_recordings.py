@@ -105,6 +105,7 @@ def layout_bag(request, bag, tmp_path_factory):
     return str(write_ros1(folder / "vesc.bag", messages, extra_types=types(request.param)))
 
 
+@pytest.mark.more
 def test_positions_of_the_servo_are_the_pulses_that_the_vesc_makes_of_them(bag, vesc_bag):
     by_duty, by_position = load_steering_drive(bag, 0, use_imu=False), load_steering_drive(vesc_bag, 0)
     duties = [np.clip(drive.duty, PULSE_0, PULSE_1) for drive in (by_duty.drive, by_position.drive)]
@@ -117,6 +118,7 @@ def test_positions_of_the_servo_are_the_pulses_that_the_vesc_makes_of_them(bag, 
                     "count as 3277 to 6554, the pulses of 1 to 2 ms that a VESC makes of them")
 
 
+@pytest.mark.more
 def test_duty_cycle_of_the_vesc_is_the_value_of_a_value_map(layout_bag, bag):
     vesc, virtual = (load_map_drive(path, MapSource()) for path in (layout_bag, bag))
     count = vesc.drive.value.y.size
@@ -133,6 +135,7 @@ def test_value_map_is_made_of_the_vesc_s_recording(vesc_bag, tmp_path, capsys):
     assert "vesc/sensors/core: the value is a VESC's duty cycle" in capsys.readouterr().out
 
 
+@pytest.mark.more
 def test_report_shows_voltage_duty_cycle_servo_and_motor(layout_bag):
     traces = summarize(layout_bag).traces
     assert traces["battery voltage"].maximum == pytest.approx(FULL_V, abs=0.01)
@@ -143,6 +146,7 @@ def test_report_shows_voltage_duty_cycle_servo_and_motor(layout_bag):
     assert traces["speed"].maximum == pytest.approx(traces["motor speed"].maximum / ERPM_PER_MPS, rel=0.02)
 
 
+@pytest.mark.more
 def test_page_has_the_battery(vesc_bag):
     drive = summarize(vesc_bag)
     drawn = plots(drive)
@@ -151,6 +155,7 @@ def test_page_has_the_battery(vesc_bag):
     assert '<section id="battery">' in text and "<th>Battery</th><td>7.40 to 8.20 V</td>" in text and not drive.notes
 
 
+@pytest.mark.more
 def test_table_of_drives_has_the_least_voltage(vesc_bag, tmp_path):
     assert main("drives", [str(Path(vesc_bag).parent), "-o", str(tmp_path / "drives.html"), "--jobs", "1"]) == 0
     (row,) = csv.DictReader((tmp_path / "drives.csv").open(encoding="utf-8"))
@@ -158,7 +163,6 @@ def test_table_of_drives_has_the_least_voltage(vesc_bag, tmp_path):
     assert row["notes"] == ""
 
 
-@pytest.mark.both
 @pytest.mark.parametrize("battery, expected", [([7.9, 7.1, 7.6], 7.1), ([7.9, 0.0, float("nan")], 7.9),
                                                ([0.0], None)], ids=["least", "not_measured", "never_measured"])
 def test_battery_state_goes_before_the_vesc_s_voltage(battery, expected, tmp_path):
@@ -176,7 +180,6 @@ def test_what_only_has_the_name_of_a_vesc_s_topic_is_not_read(tmp_path):
     assert drive.present == {"odom"}
 
 
-@pytest.mark.both
 def test_position_that_no_servo_has_is_no_duty(tmp_path):
     messages = [odometry(0.1 * index) for index in range(30)] + [
         number(0.1 * index, f"/{SERVO}", position) for index, position in enumerate((0.0, 0.5, 1.0, 1.5, -0.1))]

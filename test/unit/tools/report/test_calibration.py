@@ -56,6 +56,7 @@ def test_what_is_no_result_is_refused(text):
         parsed(text)
 
 
+@pytest.mark.more
 def test_page_has_the_new_table_with_the_old_one_beside_it_what_it_rests_on_and_what_to_do_next(tmp_path):
     seen = summary_of(tmp_path, RESULT.text())
     text = words(page(seen, plots(seen)))

@@ -51,6 +51,7 @@ class Checker(HTMLParser):
             assert self.open.pop() == tag
 
 
+@pytest.mark.more
 def test_page_is_well_formed_loads_nothing_and_lets_no_text_of_the_recording_in(seen, drawn):
     text = page(seen, drawn)
     checker = Checker()
@@ -62,7 +63,6 @@ def test_page_is_well_formed_loads_nothing_and_lets_no_text_of_the_recording_in(
     assert text.index('<table class="summary">') < text.index("<svg")
 
 
-@pytest.mark.both
 def test_page_says_who_drove_what_was_lost_how_the_car_followed_and_how_its_link_was(seen):
     text = " ".join(page(seen, {}).split())
     for words in (
@@ -140,11 +140,13 @@ def test_section_that_would_be_empty_is_left_out_and_one_line_says_what_was_not_
     assert all(topic not in line.split(". ")[0] for topic in drive.present)
 
 
+@pytest.mark.more
 def test_page_of_a_whole_drive_has_every_section_with_something_in_it(seen, drawn):
     found = sections(page(replace(seen, planner=SimpleNamespace(source="drive", others="")), drawn))
     assert list(found) == ["who", "faults", "steering", "throttle", "limits", "path", "speed", "link", "contents"]
 
 
+@pytest.mark.more
 def test_numbers_stand_in_columns_of_numbers_and_every_row_has_as_many_cells_as_the_head(seen, drawn):
     tables = re.findall(r"<table>(.*?)</table>", page(seen, drawn), re.DOTALL)
     assert len(tables) == 4

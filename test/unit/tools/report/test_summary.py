@@ -41,7 +41,6 @@ def test_sonar_hits_are_where_the_car_was(seen):
     assert (seen.sonars.nearest_m, seen.sonars.nearest_sonar) == (pytest.approx(0.8), "front_middle")
 
 
-@pytest.mark.both
 def test_recording_of_ros_2_gives_the_same(seen, tmp_path):
     messages = [message for message in drive() if message.topic != "/rosout"]
     again = summarize(str(write_ros2(tmp_path / "drive", messages, with_definitions=False)))
@@ -49,6 +48,7 @@ def test_recording_of_ros_2_gives_the_same(seen, tmp_path):
     assert str(again.faults.entries) == str([fault for fault in seen.faults.entries if fault.what != HOSTILE])
 
 
+@pytest.mark.more
 def test_car_below_a_namespace_is_found_there(seen, tmp_path):
     path = str(write_ros1(tmp_path / "car1.bag", drive(20.0, "/car1")))
     assert summarize(path, "/car1").motion.distance_m == pytest.approx(15 * SPEED_MPS, rel=0.01)

@@ -11,12 +11,11 @@ from car_interface.common import causes
 from car_interface.common.causes import AUTONOMOUS
 from car_interface.common.sources import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, SPEED, TELEOP
 from car_interface.common.staleness import TimedInput
-from car_interface.throttle import esc
+from car_interface.throttle.esc import ARMING, BRAKING, HOLD, REVERSE
 
 STATE_TIMEOUT_S = 0.5  # they come 10 times a second and more
 OTHER_TIMEOUT_S = 1.0
-ARMING = esc.STATE_NAMES[esc.ARMING]  # of ThrottleState.esc
-SLOWS = frozenset(esc.STATE_NAMES[state] for state in (esc.BRAKING, esc.HOLD, esc.REVERSE))
+SLOWS = frozenset({BRAKING, HOLD, REVERSE})  # of ThrottleState.esc
 PLANNER_DRIVES = ("", AUTONOMOUS)  # modes in which the planner both steers and drives; empty: a deadman without modes
 # Neutral for one of these means only that nothing was asked for.
 IDLE = frozenset({causes.NO_REQUEST, causes.NO_RADIUS, causes.PLANNER_STALE, causes.COMMAND_STALE,

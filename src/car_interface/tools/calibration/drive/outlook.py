@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 
 from car_interface.steering.calibration import SteeringCalibration
-from car_interface.throttle.obstacle_stop import Guarantee, ObstacleStop, stopping_speed_mps
+from car_interface.throttle.obstacle_stop import ObstacleStop, stopping_speed_mps
 from car_interface.tools.calibration.drive.area import Area, Pose, Turn, moved
 from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
 from car_interface.tools.calibration.drive.hold import Hold
@@ -37,13 +37,11 @@ class Outlook:
         self.servo_duty = float(base.servo_center)
         self._config, self._survey, self._motion, self._obstacles = config, survey, motion, obstacles
         self._ends, self._stops = (base.servo_left, base.servo_right), stops
-        self._guarantee = Guarantee(config.braking_mps2, 0.0, config.braking_mps2)
 
-    def _let_go(self):
-        """With what it stops once the button is let go."""
+    def _coasts_mps2(self):
+        """Return the deceleration once the button is let go."""
         assumed_mps2 = min(self._config.braking_mps2, COASTS_MPS2, self._stops.least_mps2)
-        mps2 = max(assumed_mps2, self._stops.sure_mps2)
-        return Guarantee(mps2, 0.0, mps2)
+        return max(assumed_mps2, self._stops.sure_mps2)
 
     # --- where it goes ---
 
@@ -96,8 +94,7 @@ class Outlook:
         sure_mps2 = self._stops.sure_mps2
         if not sure_mps2:
             return SLOW_MPS
-        return max(SLOW_MPS, min(MAX_SLOW_MPS, stopping_speed_mps(SLOW_STOP_M, RELEASE_S, Guarantee(
-            sure_mps2, 0.0, sure_mps2))))
+        return max(SLOW_MPS, min(MAX_SLOW_MPS, stopping_speed_mps(SLOW_STOP_M, RELEASE_S, sure_mps2)))
 
     def extents_m(self, hold: Hold | None, now_ns: int) -> list[float]:
         """Return how far the car's corners get from the center on a tight turn to the left and to the right."""
@@ -114,7 +111,7 @@ class Outlook:
         lead_m = min(speed_mps, self.now_mps) * (self._survey.servo_delay_s + self._survey.servo_lag_s)
         after = moved(self._motion.pose, lead_m, (self.live_per_m() + curvature_per_m) / 2)
         turns = self._turns(duty)
-        coasts_mps2, slow_mps, stop_m = self._let_go().stop_mps2, self.slow_mps, self._stop_m()
+        coasts_mps2, slow_mps, stop_m = self._coasts_mps2(), self.slow_mps, self._stop_m()
 
         def ahead_m(gone_m):  # nothing brakes a car that begins it faster than it may be there
             square = self.now_mps ** 2 - 2 * coasts_mps2 * (lead_m + gone_m)
@@ -135,7 +132,7 @@ class Outlook:
     def _stop_m(self, speed_mps=None):
         """Return what it takes to stop when the button is let go, from a speed or from that at the edge."""
         speed_mps = self.slow_mps if speed_mps is None else speed_mps
-        return RELEASE_S * speed_mps + speed_mps ** 2 / (2 * self._let_go().stop_mps2)
+        return RELEASE_S * speed_mps + speed_mps ** 2 / (2 * self._coasts_mps2())
 
     # --- how fast ---
 
@@ -150,7 +147,7 @@ class Outlook:
         """Return what the sonars allow on an arc."""
         if self._obstacles is None:
             return math.inf
-        bound = self._obstacles.bound(curvature_per_m, False, self._guarantee, now_ns, counts_sides=False)
+        bound = self._obstacles.bound(curvature_per_m, False, self._config.braking_mps2, now_ns, counts_sides=False)
         return math.inf if bound is None else bound.speed_mps
 
     def allowed_mps(self, hold: Hold, is_quick: bool, now_ns: int) -> tuple[float, str]:
@@ -178,7 +175,7 @@ class Outlook:
 
     def _slowed_mps(self, ahead_m):
         """Return the speed from which it stops within a distance when it is let go, and the slow one at least."""
-        return max(self.slow_mps, stopping_speed_mps(ahead_m, RELEASE_S, self._let_go()))
+        return max(self.slow_mps, stopping_speed_mps(ahead_m, RELEASE_S, self._coasts_mps2()))
 
     def _way_back(self):
         """Return where a person is to bring a car without room to turn; in the middle a wide turn has none either."""
@@ -189,6 +186,6 @@ class Outlook:
         return f"place it so that the middle is about {1 / abs(per_m):.1f} m to its {'left' if per_m > 0 else 'right'},"
 
     def _obstacle_text(self, curvature_per_m, now_ns):
-        bound = self._obstacles.bound(curvature_per_m, False, self._guarantee, now_ns, counts_sides=False)
+        bound = self._obstacles.bound(curvature_per_m, False, self._config.braking_mps2, now_ns, counts_sides=False)
         why = f"{bound.words} {bound.speed_mps:.1f} m/s" if bound is not None else "something is near"
         return f"{why}: no way on from here; move the car to where it is free by hand, then hold the button again"
