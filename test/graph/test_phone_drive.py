@@ -114,6 +114,21 @@ def test_planner_s_deadman_scale_and_e_stop_reach_their_topics(bench):
     assert bench.graph.newest("/phone/joy").buttons == (0, 0, 0, 1)
 
 
+def test_scale_is_changed_by_the_phone_with_the_seat_before_it_has_ever_driven(bench):
+    phone = bench.phone()
+    phone.hold("")
+    phone.evidence("drive")
+    bench.run(0.3)
+    before = bench.graph.newest("/throttle_arb/state").human_scale
+    phone.scale = -1
+    phone.hold("")
+    bench.run(0.3)
+    phone.scale = 0
+    phone.hold("")
+    bench.run(0.3)
+    assert bench.graph.newest("/throttle_arb/state").human_scale < before
+
+
 # --- the phone and the gamepad ---
 
 def test_gamepad_goes_first_and_each_change_passes_through_a_stop(bench):
@@ -181,6 +196,28 @@ def test_phone_s_e_stop_stands_against_a_false_on_the_other_topic_until_the_driv
     driver.hold("manual", 0.8, 0.5)
     bench.run(0.3)
     assert bench.drives
+
+
+def test_arbiter_that_starts_while_the_phone_s_stop_is_on_waits_for_it(bench):
+    """Its first message may take a while, and /e_stop says false meanwhile."""
+    phone = bench.drive()
+    phone.send(type="e_stop")
+    bench.run(0.3)
+    bench.car.pad(manual=True, steering=0.6, throttle=0.6)
+    bench.graph.link("/phone/e_stop", delay_s=0.9)
+    for name in ("turn_arb", "throttle_arb"):
+        bench.graph.nodes[f"/{name}"].kill()
+        bench.graph.nodes[f"/{name}"].start()
+    for is_held in (False, True):
+        bench.car.pad(manual=is_held, steering=0.6, throttle=0.6)
+        bench.run(0.3)
+        assert bench.stands
+        for name in ("turn_arb", "throttle_arb"):
+            state = bench.graph.newest(f"/{name}/state")
+            assert (state.cause, state.reason.partition(": ")[2]) == (
+                "starting", "it waits up to 1 s for phone/e_stop"), name
+    bench.run(2.0)
+    assert bench.stands and bench.graph.newest("/turn_arb/state").reason == "phone/e_stop is true"
 
 
 def test_e_stop_that_falls_silent_with_its_node_locks_the_gamepad_too(bench):

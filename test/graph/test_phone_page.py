@@ -4,6 +4,7 @@ from __future__ import annotations
 import os
 import shutil
 from functools import partial
+from types import SimpleNamespace
 
 import pytest
 
@@ -111,8 +112,8 @@ class _Child:
         self._program, self._terminal = program, terminal
 
     @property
-    def has_ended(self):
-        return not self._program.is_alive
+    def exit_code(self):
+        return None if self._program.is_alive else int(bool(self._program.fault))
 
     def interrupt(self):
         self._program.inbox.end()
@@ -333,6 +334,9 @@ def test_person_with_a_phone_and_no_gamepad_calibrates_the_steering(bench):
     shown = phone.car["calibration"]
     assert shown["phase"] in ("settling", "measuring", "turning") and shown["driven"] >= 1 and shown["left"] > 0
     assert len(shown["known"]) >= 2
+    for kind, fields in (("trim", {"name": "center", "value": 5130}), ("save", {})):
+        assert bench.ask(kind, **fields) == ("", "calibration_drive is running: trim before it or after it")
+    assert phone.car["trims"]["center"]["value"] == 5100
     phone.hold("")
     bench.run(1.0)
     assert phone.car["calibration"]["phase"] == "paused" and abs(bench.car.speed_mps) < 0.3
@@ -346,3 +350,16 @@ def test_person_with_a_phone_and_no_gamepad_calibrates_the_steering(bench):
     bench.run(2.0)
     assert phone.car["calibration"] == {**phone.car["calibration"], "state": "over",
                                         "text": "ended before it was over: nothing is written"}
+    assert bench.ask("save", 2.0)[0].startswith("throttle_arb: ")
+
+
+def test_table_that_a_calibration_has_written_is_not_replaced_by_a_save_of_the_one_in_use(tmp_path, monkeypatch):
+    written = SimpleNamespace(exit_code=0, tail=lambda: "turn_arb.yaml written")
+    monkeypatch.setattr(Bench, "_start", lambda self, command, namespace: written)
+    bench = Bench(tmp_path)
+    bench.seat()
+    bench.ask("calibrate", what="begin")
+    assert bench.phone.car["calibration"]["text"] == "turn_arb.yaml written"
+    assert bench.ask("save") == (
+        "", "the file has a new table, which turn_arb would replace by its own: launch again first")
+    assert bench.ask("trim", name="center", value=5130)[0] == "center is 5130 now"

@@ -71,6 +71,14 @@ class Chip:
             return next((times_ns[index] for index in range(first, len(times_ns)) if wanted(counts[index])), None)
         return eventually(found, lambda: f"channel {channel} as wanted; it holds {self.counts(channel)}", within_s)
 
+    def share(self, channel, wanted, since_ns, until_ns):
+        """The part of a time in which a channel held what ``wanted`` accepts."""
+        self._read()
+        first = bisect.bisect_right(self._times_ns[channel], since_ns)
+        edges = [since_ns, *(at_ns for at_ns in self._times_ns[channel][first:] if at_ns < until_ns), until_ns]
+        return sum(end_ns - at_ns for at_ns, end_ns, counts in zip(edges, edges[1:], self._counts[channel][first - 1:])
+                   if wanted(counts)) / (until_ns - since_ns)
+
     def values_since(self, channel, since_ns):
         self._read()
         return self._counts[channel][bisect.bisect_right(self._times_ns[channel], since_ns):]

@@ -28,8 +28,8 @@ MAX_EXPLANATION = 300  # characters, so that another node's text can't flood the
 class InterlockConfig:
     """Timeouts and rules of lock and deadman.
 
-    Unless ``grant_at_start`` the interlock also waits for the first e_stop until its timeout has passed; with a timeout
-    of 0 it doesn't wait.
+    Unless ``grant_at_start`` the interlock also waits for the first e_stop until its timeout has passed, and for the
+    phones' that was on (``await_phone_e_stop``); with a timeout of 0 it doesn't wait.
     """
 
     human_timeout_s: float = declared.timeout("human_timeout", 0.5, "age at which the deadman is stale")
@@ -67,12 +67,13 @@ class MotionInterlock:
         # Why and since when the first e_stop is awaited: a lock that is on may take a while to arrive.
         self._wait_reason = "" if config.grant_at_start else STARTED
         self._waiting_since_ns: int | None = None
+        self._awaits_phone = False
 
     def update_human(self, present: bool, now_ns: int) -> None:
         """Take the deadman: true while a human holds it."""
         self._update_rearm_reason(now_ns)
         self._human.update(bool(present), now_ns)
-        if not present and self._lock(now_ns) is None and not self._waits_for_e_stop(now_ns):
+        if not present and self._lock(now_ns) is None and not self._awaited_e_stop(now_ns):
             self._rearm_reason = ""
 
     def explain_human(self, present: bool, reason: str, now_ns: int) -> None:
@@ -91,6 +92,10 @@ class MotionInterlock:
         self._phone_e_stop.update(bool(locked), now_ns)
         self._update_rearm_reason(now_ns)
 
+    def await_phone_e_stop(self) -> None:
+        """Take note that the phones' emergency stop was on as this node started: it may take a while to arrive."""
+        self._awaits_phone = True
+
     def mark_stale(self, now_ns: int) -> None:
         """Take note that messages were dropped: all are stale, and must be re-armed as after a start."""
         for timed in (self._human, self._e_stop, self._phone_e_stop):
@@ -104,9 +109,10 @@ class MotionInterlock:
         lock = self._lock(now_ns)
         if lock is not None:
             return lock
-        if self._waits_for_e_stop(now_ns):
+        awaited = self._awaited_e_stop(now_ns)
+        if awaited:
             return Inhibit(False, causes.STARTING,
-                           f"{self._wait_reason}: it waits up to {self._config.e_stop_timeout_s:g} s for e_stop")
+                           f"{self._wait_reason}: it waits up to {self._config.e_stop_timeout_s:g} s for {awaited}")
         if self._human.is_stale(now_ns):
             return Inhibit(False, causes.HUMAN_STALE if self._human.was_received else causes.HUMAN_NEVER_RECEIVED,
                            self._human.stale_reason(now_ns))
@@ -143,10 +149,13 @@ class MotionInterlock:
                 return Inhibit(True, causes.E_STOP, f"{e_stop.name} is true")
         return None
 
-    def _waits_for_e_stop(self, now_ns):
-        if not self._wait_reason or self._e_stop.was_received:
-            return False
-        return now_ns - self._waiting_since_ns < round(self._config.e_stop_timeout_s * NS_PER_S)
+    def _awaited_e_stop(self, now_ns):
+        """Return the name of an e-stop that may arrive for the first time yet; empty: none is waited for."""
+        waited_ns = now_ns - self._waiting_since_ns
+        if not self._wait_reason or waited_ns >= round(self._config.e_stop_timeout_s * NS_PER_S):
+            return ""
+        awaited = (self._e_stop, self._phone_e_stop) if self._awaits_phone else (self._e_stop,)
+        return next((each.name for each in awaited if not each.was_received), "")
 
     def _update_rearm_reason(self, now_ns):
         if self._waiting_since_ns is None:

@@ -82,7 +82,10 @@ def subscribe_interlock(inbox: Inbox, arbiter: Any, on_change: Callable[[int], A
     subscribe_changes("/e_stop", Bool, inbox,
                       lambda message, now_ns: arbiter.update_e_stop(message.data, now_ns), on_change,
                       takes_latched=True)
-    # A topic of its own: a false that somebody repeats on /e_stop must not end a stop by phone.
+    # A topic of its own: a false that somebody repeats on /e_stop must not end a stop by phone. phone_drive keeps its
+    # stop as a parameter, too, which is there before its first message.
+    if inbox.graph.parameter(inbox.resolve_name("phone_drive/e_stop"), False):
+        arbiter.await_phone_e_stop()
     subscribe_changes("phone/e_stop", Bool, inbox,
                       lambda message, now_ns: arbiter.update_phone_e_stop(message.data, now_ns), on_change,
                       takes_latched=True)

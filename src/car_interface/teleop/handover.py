@@ -51,8 +51,11 @@ class Handover:
         return self._choose(gamepad, self.phone.requests(now_ns), now_ns) if self.phone.was_received else gamepad
 
     def scale_button(self, now_ns: int) -> int:
-        """Return 1 or −1 while the button for more or less speed by hand is pressed; 0: neither is, or both are."""
-        return (self.phone if self.phone_is_current else self.gamepad).scale_button(now_ns)
+        """Return 1 or −1 while the button for more or less speed by hand is pressed; 0: neither is, or both are.
+
+        Either's counts, whoever drives: a person beside the car makes it slower before he takes over, too.
+        """
+        return self.gamepad.scale_button(now_ns) or self.phone.scale_button(now_ns)
 
     def _choose(self, gamepad, phone, now_ns):
         begins = gamepad.holds_deadman and not self._gamepad_holds

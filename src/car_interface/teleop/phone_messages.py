@@ -39,8 +39,7 @@ The server sends objects with one of these fields:
     {"status": {"driver": "you", "guest": false, "e_stop": false, "why": "…", "delay": 0.04}}    5 times a second, and
         on a change
         driver: "you", "another" or "nobody"; why: why a touch doesn't count, in words, else empty; delay: [s] from a
-        token to its echo, null: none came. A page that showed an e-stop sends it again once it is admitted by another
-        key: to a new node, which may know of none.
+        token to its echo, null: none came
     {"car": {…}}           groups of the car's state: all of them at first, then 5 times a second those that changed
 
 Groups, each null until it is known. A number that isn't known is null; infinite ones are "inf" and "-inf". ``cause`` is

@@ -32,9 +32,11 @@ WERE_DROPPED = (False, "not re-armed", "messages were dropped; let go once: publ
 GAMEPAD = "the gamepad has 4 axes (0 to 3), but throttle_axis is 4"
 
 
-def after(*events, explanation=None, **changes):
+def after(*events, explanation=None, awaits_phone=False, **changes):
     """The inhibit after a row of events, each 10 ms after the one before; ``None`` = the car may move."""
     interlock = MotionInterlock(InterlockConfig(**changes))
+    if awaits_phone:
+        interlock.await_phone_e_stop()
     now_ns = NOW
     interlock.inhibit(now_ns)  # the start
     for kind, value in events:
@@ -149,6 +151,22 @@ def test_lock_that_was_never_received_is_off_unless_it_is_required():
 ], ids=str)
 def test_start_that_grants_nothing_takes_letting_go_once_e_stop_could_have_arrived(events, inhibit):
     assert after(*events, **NOTHING_GRANTED) == inhibit
+
+
+@pytest.mark.parametrize("events, inhibit", [
+    ([RUN, LET_GO, HOLD], "starting"),
+    ([PHONE_CLEARS, LET_GO, HOLD], "starting"),
+    ([RUN, LET_GO, PHONE_CLEARS, HOLD], "not re-armed"),
+    ([RUN, LET_GO, PHONE_STOPS, HOLD], "e_stop"),
+    ([RUN, PHONE_CLEARS, LET_GO, HOLD], None),
+    ([RUN, ("silence", 900 * MS), RUN, LET_GO, HOLD, ("silence", 90 * MS), LET_GO, HOLD], None),
+], ids=str)
+def test_start_while_the_phone_s_stop_was_on_waits_for_that_one_too(events, inhibit):
+    found = after(*events, awaits_phone=True, **NOTHING_GRANTED)
+    assert (found and found.cause) == inhibit
+    if inhibit == "starting":
+        name = "e_stop" if PHONE_CLEARS in events else "phone/e_stop"
+        assert found.reason == f"this node has just started: it waits up to 1 s for {name}"
 
 
 def test_without_an_e_stop_timeout_there_is_nothing_to_wait_for():

@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -144,6 +145,19 @@ def test_without_a_phone_requests_are_the_gamepad_s_own():
             alone.update(*message, now_ns)
         assert handover.requests(now_ns) == alone.requests(now_ns)
         assert handover.scale_button(now_ns) == alone.scale_button(now_ns)
+
+
+def test_scale_s_button_of_either_counts_whoever_drives_and_the_gamepad_goes_first():
+    handover = Handover(replace(CONFIG, faster_button=2, slower_button=3))
+
+    def scale(pad, phone):
+        handover.gamepad.update((0.0, 0.0), (0, 0, *pad), NOW)
+        handover.phone.update((0.0, 0.0), (0, 0, *phone), NOW)
+        handover.requests(NOW)
+        return handover.scale_button(NOW)
+    assert [scale((0, 0), phone) for phone in ((0, 0), (1, 0), (0, 1), (1, 1))] == [0, 1, -1, 0]
+    assert [scale((1, 0), phone) for phone in ((0, 0), (0, 1))] == [1, 1]
+    assert scale((0, 0), (0, 1)) == -1 and handover.scale_button(NOW + 251 * MS) == 0
 
 
 def test_pull_by_phone_just_after_one_by_gamepad_begins_with_a_stop_under_a_planner_s_deadman():

@@ -35,13 +35,13 @@ class Program:
             start_new_session=True, env={**os.environ, "ROS_NAMESPACE": namespace})
 
     @property
-    def has_ended(self) -> bool:
-        """Return whether it has."""
-        return self._process.poll() is not None
+    def exit_code(self) -> int | None:
+        """Return it; None while it runs."""
+        return self._process.poll()
 
     def interrupt(self) -> None:
         """End it as Ctrl-C does; it closes its recording."""
-        if not self.has_ended:
+        if self.exit_code is None:
             self._process.send_signal(signal.SIGINT)
 
     def tail(self) -> str:
@@ -65,6 +65,7 @@ class CalibrationProgram:
         self._program: Any = None
         self._text = ""  # how the last one ended
         self._is_seen = self._awaits_silence = False  # its state; of one that has ended
+        self._has_written = False  # a table that turn_arb doesn't have yet
         self._finish = advertise("calibration_drive/finish", Empty, inbox)
 
     def begin(self) -> str:
@@ -104,7 +105,8 @@ class CalibrationProgram:
             state: its own newest one; None: it is silent.
         """
         self._is_seen = state is not None
-        if self._program is not None and self._program.has_ended:
+        if self._program is not None and self._program.exit_code is not None:
+            self._has_written = self._has_written or self._program.exit_code == 0
             self._text, self._program = self._program.tail(), None
             self._awaits_silence = True
         self._awaits_silence = self._awaits_silence and self._is_seen
@@ -116,6 +118,26 @@ class CalibrationProgram:
         if self._program is not None:
             return {**NOTHING_KNOWN, "state": STARTING, "text": "calibration_drive starts"}
         return {**NOTHING_KNOWN, "state": OVER if self._text else OFF, "text": self._text}
+
+    def check_tuning(self) -> None:
+        """Check that center and neutral may be changed.
+
+        Raises:
+            CarInterfaceError: it would spoil a calibration: one that is running plans by the center that it began with.
+        """
+        if self._program is not None or self._is_seen:
+            raise CarInterfaceError("calibration_drive is running: trim before it or after it")
+
+    def check_saving(self) -> None:
+        """Check that the tuned values may be saved.
+
+        Raises:
+            CarInterfaceError: it would spoil a calibration: with the center turn_arb saves the table that it runs on.
+        """
+        self.check_tuning()
+        if self._has_written:
+            raise CarInterfaceError("the file has a new table, which turn_arb would replace by its own: launch again "
+                                    "first")
 
     def close(self) -> None:
         """End it with the node."""

@@ -130,6 +130,7 @@ class PhoneDrive:
         if self._ticks % TICKS_PER_E_STOP == 0:
             self._e_stop.publish(self._published[1])
         if self._ticks % TICKS_PER_STATE == 0:
+            self._store_e_stop()
             self._recordings.step()
             calibration = self._calibration.step(self._car.calibration(now_ns))
             if self._phones.pages:
@@ -164,13 +165,12 @@ class PhoneDrive:
             try:
                 self._inbox.graph.set_parameter(self._inbox.own_name("~e_stop"), wanted)
             except OSError:
-                pass  # the master is gone; whoever pressed it repeats it to this node's successor
+                return not wanted  # the master doesn't answer: it is tried again
             return wanted
         self._inbox.work(store, self._on_stored)
 
     def _on_stored(self, stored, now_ns):
         self._stored_e_stop, self._is_storing = stored, False
-        self._store_e_stop()
 
     def _publish_joy(self, controls):
         message = Joy(axes=[controls.steering, controls.throttle],
@@ -202,6 +202,7 @@ class PhoneDrive:
         return {"refused": "there is no such file"} if path is None else {"file": self._server.offer(path)}
 
     def _do_trim(self, connection, message, now_ns):
+        self._calibration.check_tuning()
         tuned, name = self._car.tuned[message["name"]]
         self._begin_call(1, now_ns)
 
@@ -212,6 +213,7 @@ class PhoneDrive:
         tuned.request({name: message["value"]}, on_done)
 
     def _do_save(self, connection, message, now_ns):
+        self._calibration.check_saving()
         nodes = [SAVED_BY[name] for name, (tuned, _) in self._car.tuned.items() if tuned.values]
         if not nodes:
             raise CarInterfaceError("no node has anything to save")

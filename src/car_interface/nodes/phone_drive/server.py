@@ -9,6 +9,7 @@ import asyncio
 import ipaddress
 import itertools
 import logging
+import os
 import secrets
 import ssl
 import threading
@@ -24,6 +25,7 @@ from tornado.web import Application, RequestHandler
 from tornado.websocket import WebSocketClosedError, WebSocketHandler
 
 from car_interface.common.errors import ConfigError, DeviceError
+from car_interface.common.input_file import check_kind
 from car_interface.nodes.phone_drive.config import PhoneDriveConfig
 from car_interface.teleop.phone import Outgoing
 from car_interface.teleop.phone_messages import MAX_SIZE
@@ -220,6 +222,8 @@ def _tls(config):
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     try:
+        for path in (config.certificate, config.key):
+            check_kind(os.stat(path))  # OpenSSL would wait for who writes to a pipe
         context.load_cert_chain(config.certificate, config.key, password="")  # or OpenSSL asks the terminal for one
     except OSError as error:  # ssl.SSLError is one
         raise ConfigError("certificate", config.certificate,

@@ -4,6 +4,7 @@ from __future__ import annotations
 import asyncio
 import http.client
 import json
+import os
 import queue
 import re
 import shutil
@@ -258,6 +259,11 @@ def test_certificate_that_can_t_be_used_is_an_error_that_names_it(node, port, ce
                    check=True, capture_output=True)
     with pytest.raises(ConfigError, match="which needs no password"):  # and the terminal isn't asked for one
         Server(PhoneDriveConfig(port=port, certificate=certificate[0], key=encrypted), node, node)
+    pipe = f"{certificate[0]}.pipe"
+    os.mkfifo(pipe)
+    for files in ((pipe, certificate[1]), (certificate[0], pipe)):  # nobody writes to it, and nothing waits for that
+        with pytest.raises(ConfigError, match=r"\(.*it is a pipe\)"):
+            Server(PhoneDriveConfig(port=port, certificate=files[0], key=files[1]), node, node)
     with pytest.raises(ConfigError, match=r"^key is missing; accepted: both a certificate"):
         PhoneDriveConfig(certificate=certificate[0])
 

@@ -69,11 +69,10 @@ export class Link {
       this.token = message.token;
       this.seen.token();
     } else if ("key" in message) {
-      const isNew = message.key !== this.key;
       this.key = message.key;
       sessionStorage.setItem("key", this.key);
       this.pin = "";
-      this.admit(isNew);
+      this.admit();
     } else if ("refused" in message) {
       const wasAdmitted = this.isAdmitted;
       if (!wasAdmitted) {
@@ -86,7 +85,7 @@ export class Link {
       if (message.closed === "replaced") this.giveUp();
       this.seen.closed(message.closed);
     } else if ("status" in message) {
-      if (!this.isAdmitted) this.admit(true);  // a guest, who gets no key
+      if (!this.isAdmitted) this.admit();  // a guest, who gets no key
       this.stopShown = message.status.e_stop;
       if (this.stopShown) this.stopWanted = false;
       this.seen.status(message.status);
@@ -95,11 +94,11 @@ export class Link {
     }
   }
 
-  // isNew: the car's node may be a new one, which does not know of the stop that is shown here.
-  admit(isNew) {
+  // Only a stop that was pressed here and not confirmed is sent: one that was shown here may have been cleared since.
+  admit() {
     if (this.isAdmitted) return;
     this.isAdmitted = true;
-    if (this.stopWanted || this.stopShown && isNew) this.stop();
+    if (this.stopWanted) this.stop();
     this.seen.admitted();
   }
 
