@@ -33,6 +33,7 @@ def test_error_ends_the_work(count, tmp_path):
     assert len(list(tmp_path.iterdir())) < 500  # of 1000; on a busy machine more are done before it's noticed
 
 
+@pytest.mark.both
 def test_process_that_was_killed_is_told():
     with pytest.raises(CarInterfaceError, match="was killed, maybe for want of memory: try again with --jobs 1"), \
             jobs.workers(2, 2) as done_by:
