@@ -80,7 +80,8 @@ class WheelFilter:
     @property
     def speed_variance(self) -> float:
         """The variance of the speed, (pulses/ms)²."""
-        return max(SPEED_SIGMAS ** 2, self._surprise) * self._variances[3] + (PENDING_SPEED_SIGMA ** 2 if self.pending else 0.0)
+        pending = PENDING_SPEED_SIGMA ** 2 if self.pending else 0.0
+        return max(SPEED_SIGMAS ** 2, self._surprise) * self._variances[3] + pending
 
     def begin(self, now_ms: float) -> None:
         """Begin with the first report: the wheel is taken to stand until its first pulse."""
