@@ -249,8 +249,6 @@ class RestartBridge:
         elif self._is_late:  # it may have started before the boot, at any time; with 2 m/s² is three sigma
             started = min(UNEVEN_PER_MS2 * blind_ms ** 2 / 6, abs(mean_speed) * blind_ms / math.sqrt(3))
             mean_variance += started ** 2
-        if blind_ms > MAX_BLIND_MS:
-            mean_variance += (max(abs(mean_speed), abs(self._mean_before())) * blind_ms / 2) ** 2
         # The turn is curvature × distance, and both are uncertain.
         difference_variance = DIFFERENCE_SIGMA ** 2 + self._track_m ** 2 * (
             mean_variance * (curvature_variance + curvature ** 2) + curvature_variance * length ** 2)
