@@ -24,11 +24,11 @@ ROLLING_PER_MS = 0.01  # 0.15 m/s: a wheel that rolls faster is expected to go o
 BLIND_MS = 100.0  # a longer restart was a reboot; a reset of the odometers loses only a report or two
 REPEAT_MS = 450.0  # a standing car is reported more often than this: every 201 ms, and a report may be lost
 # A driver steers to one side and back within this time, so that the mean curvature may be any up to the usual one: 1/3
-# of its square. With 2 s or 1/4 slaloms of accuracy.reboot (--fault off) are beyond three sigma. At the most it may be
-# a car's tightest one, of either side: three sigma. Steering there and back as smoothly within a shorter time t gives a
-# mean that is smaller by t².
+# of its square. With 2 s or 1/4 slaloms of accuracy.reboot (--fault off) are beyond three sigma. At the most it is a
+# car's tightest one, to either side: three sigma. Within a shorter time the mean of a blip that is steered as smoothly,
+# by the same angular acceleration, is smaller by the square of the time.
 MANOEUVRE_MS = 1_500.0
-MAX_CURVATURE = 1.0  # 1/m
+MAX_CURVATURE = 1.0  # 1/m: a car's tightest turns
 MAX_BLIND_MS = 2_000.0  # after a longer time the speed in between is unknown
 # After the restart each wheel's speed is taken over this many pulses and this time, at most until the last of these.
 ENOUGH_PULSES, ENOUGH_SPAN_MS, ENOUGH_MS = 6, 100.0, 250.0
@@ -249,8 +249,6 @@ class RestartBridge:
         elif self._is_late:  # it may have started before the boot, at any time; with 2 m/s² is three sigma
             started = min(UNEVEN_PER_MS2 * blind_ms ** 2 / 6, abs(mean_speed) * blind_ms / math.sqrt(3))
             mean_variance += started ** 2
-        if blind_ms > MAX_BLIND_MS:
-            mean_variance += (max(abs(mean_speed), abs(self._mean_before())) * blind_ms / 2) ** 2
         # The turn is curvature × distance, and both are uncertain.
         difference_variance = DIFFERENCE_SIGMA ** 2 + self._track_m ** 2 * (
             mean_variance * (curvature_variance + curvature ** 2) + curvature_variance * length ** 2)

@@ -78,11 +78,10 @@ def curved_path(distance_m: float, turned_rad: float, curvature_per_m: float | N
     along = across = both = 0.0
     for part, (node, weight) in product(parts, USUAL_NODES):
         off = _end(distance_m, turned_rad, part, curvature_per_m, node * math.sqrt(usual_square)) - guess
-        weight /= len(parts)
         along += weight * off.real ** 2
         across += weight * off.imag ** 2
         both += weight * off.real * off.imag
-    return UnseenPath(legs, along, across, both_covariance=both)
+    return UnseenPath(legs, along / len(parts), across / len(parts), both_covariance=both / len(parts))
 
 
 def _end(distance_m, turned_rad, part, curvature_per_m, swing_per_m):

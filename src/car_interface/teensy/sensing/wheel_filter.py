@@ -29,6 +29,8 @@ USUAL_ACCELERATION, STARTING_ACCELERATION = 7e-5, 2.2e-4
 SPEED_SIGMAS = 1.6
 SPEED_CHANGE = 0.5  # from pulse to pulse a slow wheel's speed changes by this ratio at most
 STARTING_PULSES = 3
+# A pulse that is farther from where it was expected than its sigma, as after a change of the acceleration, shows that
+# the speed is as far off. The filter follows within five pulses: per pulse the surprise fades to this ratio.
 SURPRISE_FADES = 0.8
 MAGNET_VARIANCE = 1e-4  # of a magnet's place, pulses²
 # At the first pulse after a stand, with one sigma. A car with the usual acceleration has 0.18 m/s after half a pulse,
@@ -78,7 +80,8 @@ class WheelFilter:
     @property
     def speed_variance(self) -> float:
         """The variance of the speed, (pulses/ms)²."""
-        return max(SPEED_SIGMAS ** 2, self._surprise) * self._variances[3] + (PENDING_SPEED_SIGMA ** 2 if self.pending else 0.0)
+        pending = PENDING_SPEED_SIGMA ** 2 if self.pending else 0.0
+        return max(SPEED_SIGMAS ** 2, self._surprise) * self._variances[3] + pending
 
     def begin(self, now_ms: float) -> None:
         """Begin with the first report: the wheel is taken to stand until its first pulse."""

@@ -40,6 +40,26 @@ def test_curve_that_changed_on_the_way_is_within_what_is_claimed(distance_m):
     assert sum(off <= 3 for off in offs) >= 198
 
 
+def test_long_slalom_is_as_uncertain_along_its_way_as_the_average_over_all_that_can_have_been():
+    rng, length_m, usual, before, turned = random.Random(3), 8.0, 0.4, 0.3, -0.4
+    path, squares = curved_path(length_m, turned, before, usual ** 2), []
+    guess = drive([*path.legs, (length_m - path.legs[0][0], turned - path.legs[0][1])])
+    latest = 1 - abs(turned / length_m - before) / 2
+    for _ in range(4000):
+        part, swing = rng.uniform(0, latest), rng.uniform(-usual, usual)
+        legs, begin = [], 0.0
+        for until in sorted((part, 0.5, 1.0)):
+            curvature = before if until <= part else (turned / length_m - before * part) / (1 - part)
+            leg_m = (until - begin) * length_m
+            legs.append((leg_m, (curvature + (swing if until <= 0.5 else -swing)) * leg_m))
+            begin = until
+        end = drive(legs)
+        x_m, y_m = end.x_m - guess.x_m, end.y_m - guess.y_m
+        squares.append((x_m ** 2, y_m ** 2, x_m * y_m))
+    means = [sum(values) / len(squares) for values in zip(*squares)]
+    assert (path.along_variance, path.across_variance, path.both_covariance) == pytest.approx(means, rel=0.1)
+
+
 def test_car_that_was_steered_to_both_sides_may_have_gone_on_with_it():
     assert curved_path(3.0, 0.0, 0.0, 0.25).across_variance > 0.1
     assert curved_path(3.0, 0.0, None, 0.25).across_variance > 0.1, "it stood before"

@@ -1,5 +1,7 @@
 """One wheel from its pulses: times are the Teensy's, in ms; positions are in pulses."""
 
+import math
+
 import pytest
 
 from car_interface.teensy.sensing.restart import WheelStart
@@ -66,6 +68,27 @@ def test_wheel_starts_at_the_magnet_that_a_restart_found(wheel):
     wheel.start(WheelStart(60, 0.05, True, [(1, at_ms + 400), (1, at_ms + 420)]), True, at_ms + 420)
     assert wheel.count == 61 and wheel.position == pytest.approx(61, abs=0.1)
     assert wheel.speed == pytest.approx(0.05, rel=0.1)
+
+
+def follow(wheel, speed_at, until_ms, begin_ms=NOW):
+    """Give a wheel the pulses of a car whose speed is known, and yield by how many sigma its own is off at each."""
+    position = 0.0
+    for ms in range(1, until_ms + 1):
+        before, position = position, position + speed_at(ms)
+        if int(position) > int(before):
+            wheel.update(1, True, begin_ms + ms, begin_ms + ms)
+            yield abs(wheel.speed - speed_at(ms)) / math.sqrt(wheel.speed_variance)
+
+
+def test_speed_that_rises_by_2_mps2_and_then_falls_as_fast_is_within_four_sigma(wheel):
+    off = list(follow(wheel, lambda ms: 1.34e-4 * (ms if ms < 750 else 1500 - ms), 1300))
+    assert max(off[10:]) < 4 and sum(one > 3 for one in off[10:]) <= 3
+
+
+def test_slow_wheel_that_stopped_between_two_pulses_and_went_on_is_not_sure_of_its_mean_speed(wheel):
+    at_ms = roll(wheel, 20, 50)
+    wheel.update(1, True, at_ms + 400, at_ms + 400)
+    assert math.sqrt(wheel.speed_variance) > (1 / 50 - 1 / 400) / 2
 
 
 def test_pending_pulses_are_in_the_variance(wheel):
