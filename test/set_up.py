@@ -161,6 +161,8 @@ def apt_failure(update_log: str, install_log: str) -> str:
     if re.search("Failed to fetch|Temporary failure|Could not resolve", update_log):
         return "apt-get could not fetch its lists of packages: connect this computer to the network, and try again"
     unknown = re.findall(r"(?:Unable to locate package |Package ')([\w.+-]+)", install_log)
+    if "dpkg was interrupted" in install_log:
+        return "an earlier installation was interrupted: run 'sudo dpkg --configure -a', and try again"
     if unknown:
         return f"apt has no package {', '.join(sorted(set(unknown)))} for this system; {WHERE_ROS_IS}"
     return "apt-get could not install the packages"
