@@ -38,15 +38,15 @@ from std_msgs.msg import Bool, Float32, Int32MultiArray
 
 from car_interface.common.errors import CarInterfaceError, EndedEarly
 from car_interface.common.rate_timer import RateTimer
+from car_interface.common.sources import NO_HUMAN, PLANNER, SOURCE_NAMES
+from car_interface.common.sources import TELEOP as TELEOP_STEERS
 from car_interface.common.units import CHANNELS, NS_PER_S, yaw_rad
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.nodes.bag_recording import BagRecording
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, subscribe
-from car_interface.steering.arbiter import NO_HUMAN, PLANNER, SOURCE_NAMES
-from car_interface.steering.arbiter import TELEOP as TELEOP_STEERS
 from car_interface.steering.calibration import SteeringCalibration
-from car_interface.tools.calibration.drive.config import read_base
+from car_interface.steering.config import calibration_of
 from demo_script import (
     DONE,
     LEFT_CIRCLE,
@@ -229,7 +229,7 @@ class DemoDrive:
         config = self._config = read_config(params)
         bag_dir = config.bag_dir
         self._inbox = inbox
-        self._calibration = read_base(inbox.graph.parameter("turn_arb", {}))
+        self._calibration = calibration_of(inbox.graph.parameter("turn_arb", {}))
         self._watch = Watch(self._calibration.servo_channel, config.throttle_channel)
         self._drive = None
         self._yaw_rad = 0.0

@@ -5,11 +5,13 @@ CAR_INTERFACE_ALL, as in `./dev test --all`, it takes others on every run, by th
 fails there is kept as an `@example`. In a run of `./dev test` a test that hangs fails, and the others run.
 
 A second Python runs what can differ there: syntax, the standard library, and other versions of numpy, matplotlib,
-rosbags and PyYAML. Once is enough for what takes long and is arithmetic (drives of virtual cars, faults in each phase
-of the timers, fits, properties with hundreds of examples), for what only reads the checkout, and for the tests of the
-test runner: that runs on the system's Python alone. The short tests of the same module or node run on both, so that
-each module's code is run on both.
+rosbags, tornado and PyYAML. Once is enough for what takes long and is arithmetic (drives of virtual cars, faults in
+each phase of the timers, fits), for what only reads the checkout, and for the tests of the test runner: that runs on
+the system's Python alone. The short tests of the same module or node run on both, so that each module's code is run on
+both. What comes again and again runs there with --all only: another case of a test than its first, more than a few
+examples of a property, and the pages and commands of the tools but for one of each, which draws and prints all of it.
 """
+import gc
 import os
 import signal
 import tempfile
@@ -22,12 +24,17 @@ if "HYPOTHESIS_STORAGE_DIRECTORY" not in os.environ:
     set_hypothesis_home_dir(os.path.join(tempfile.gettempdir(), f"hypothesis-{os.getuid()}"))
 IS_RANDOM = bool(os.environ.get("CAR_INTERFACE_ALL"))
 settings.register_profile("car_interface", database=None, deadline=None, derandomize=not IS_RANDOM)
+settings.register_profile("few", settings.get_profile("car_interface"), max_examples=10)
 settings.load_profile("car_interface")
 
 # What ``./dev test`` leaves out where it runs the same tests on a second Python: the mark, or one of these files.
 ONCE = ("test_documentation", "test_launch", "test_layering", "test_noise", "test_packaging", "test_run",
         "test_safety_case", "test_set_up", "test_tally", "test_virtual_drives")
+# Of these only what is marked `both` runs there without --all.
+SAMPLED = tuple(os.path.join(os.path.dirname(__file__), "unit", "tools", name, "") for name in ("cli", "report"))
 MARKS = ("once: takes long, and comes out the same with every Python: one of them is enough",
+         "both: of its folder this is enough for a second Python, without --all",
+         "more: on a second Python with --all only",
          "browser: looks at a page in a real browser")
 
 
@@ -50,9 +57,19 @@ def pytest_configure(config):
 
 def pytest_collection_modifyitems(items):
     files = {os.path.join(os.path.dirname(__file__), "unit", f"{name}.py") for name in ONCE}
+    seen = set()
     for item in items:
         if str(item.fspath) in files:
             item.add_marker(pytest.mark.once)
+        test = item.nodeid.partition("[")[0]
+        is_sampled = str(item.fspath).startswith(SAMPLED)
+        if test in seen or is_sampled and not item.get_closest_marker("both"):
+            item.add_marker(pytest.mark.more)
+        seen.add(test)
+
+
+def pytest_collection_finish():
+    gc.freeze()  # so that each collection of garbage doesn't go through all modules and tests
 
 
 @pytest.hookimpl(hookwrapper=True)

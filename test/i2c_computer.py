@@ -38,7 +38,7 @@ class Computer:
                 self.path = path
                 computer.open.add(path)
                 for address, chip in chips.items():
-                    self.attach(address, chip)
+                    self.chips[address] = chip
 
             def read_byte_data(self, address, register):
                 computer.asked.append((self.path, address, register))

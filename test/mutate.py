@@ -333,7 +333,7 @@ class Slot:
         for number, file in enumerate((os.open(os.devnull, os.O_RDONLY), log, log)):
             os.dup2(file, number)
         os.chdir(str(self._copy))
-        path, tmp = str(self._folder / "path"), str(self._folder / "tmp")
+        path, tmp = (str(self._folder / name) for name in ("path", "tmp"))
         os.environ.update(TMPDIR=tmp, PYTHONPATH=os.pathsep.join([path, os.environ.get("PYTHONPATH", "")]))
         tempfile.tempdir = tmp
         sys.path.insert(0, path)
@@ -347,16 +347,17 @@ class Slot:
         if not job.key:
             threading.settrace(note)
             sys.settrace(note)
-        code = 0
-        if job.tests:
-            code = importlib.import_module("pytest").main(
-                ["-q", "-x", "--tb=short", "-p", "no:cacheprovider", "-p", "no:randomly", "-p", "no:xdist",
-                 "-m", "not browser", f"--basetemp={tmp}/pytest", *job.tests])
+        code = self._pytest(job.tests) if job.tests else 0
         sys.settrace(None)
         package = f"{self._copy / PACKAGE}/"
         (self._folder / "called").write_text("\n".join(
             f"{each.co_filename.replace(package, '')} {each.co_name}" for each in called.values()), encoding="utf-8")
         return int(code)
+
+    def _pytest(self, tests):
+        return importlib.import_module("pytest").main(
+            ["-q", "-x", "--tb=short", "-p", "no:cacheprovider", "-p", "no:randomly", "-p", "no:xdist",
+             "-m", "not browser", f"--basetemp={self._folder}/tmp/pytest", *tests])
 
     def poll(self) -> Result | None:
         """Return how the job ended, or None while it runs."""
@@ -447,6 +448,8 @@ def main() -> int:
     parser.add_argument("modules", nargs="*", metavar="MODULE", help="throttle/control, or a folder such as throttle")
     parser.add_argument("--draw", action="store_true", help="draw the mutants of these modules anew, and run nothing")
     parser.add_argument("--record", action="store_true", help="accept the results of this run")
+    parser.add_argument("--mechanisms", action="store_true", help="switch off the mechanisms of the safety case "
+                        "instead, one at a time: each test that is named for one must fail")
     options = parser.parse_args()
     files = [ROOT / MUTANTS / name for name in ("list.txt", "accepted.txt")]
     (everything, _), (accepted, titles) = (
@@ -457,7 +460,7 @@ def main() -> int:
         files[0].write_text(to_text(draw_list(ROOT, everything, options.modules), {}), encoding="utf-8")
         return 0
     lists = {module: keys for module, keys in everything.items() if is_named(module, options.modules)}
-    if not lists:
+    if not lists and not options.mechanisms:
         parser.error(f"{MUTANTS}/list.txt has no module named {' or '.join(options.modules)}")
     for name in ("pytest", "hypothesis", "numpy", "yaml", "serial"):  # once, for all mutants
         importlib.import_module(name)
@@ -466,7 +469,10 @@ def main() -> int:
     sums, worse, new = Counter(), [], {}
     with tempfile.TemporaryDirectory(prefix="mutate-") as folder:
         os.chmod(folder, 0o755)  # some tests do things as another user
-        slots = [Slot(ROOT, Path(folder, str(index))) for index in range(len(os.sched_getaffinity(0)))]
+        kind = importlib.import_module("mechanisms").ProcessSlot if options.mechanisms else Slot
+        slots = [kind(ROOT, Path(folder, str(index))) for index in range(len(os.sched_getaffinity(0)))]
+        if options.mechanisms:
+            return importlib.import_module("mechanisms").report(ROOT, slots, options.modules)
         for module, survivors, places in run_mutants(ROOT, slots, lists):
             title = f"{module} {len(places) - len(survivors)}/{len(places)}"
             print(title, *(f"  {PACKAGE / module}:{places[key].lineno} {key.change} | {key.line}"

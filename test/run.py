@@ -50,9 +50,12 @@ MEASURED_GRAPH = ("brakes", "config", "gamepad_joy", "generic_value_converter", 
                   "phone_drive", "planner_interface", "teleop_logi", "throttle_arb", "turn_arb")
 # On another Python only those that could differ there. test/conftest.py explains the marks.
 SECOND_PYTHON = ("-m", "not once and not browser")
-# pytest and old versions of Python write byte code beside the source, whatever PYTHONPYCACHEPREFIX says; threads of
-# numerical libraries only compete with each other here.
-PYTEST_ENVIRONMENT = {"PYTHONDONTWRITEBYTECODE": "1", "OPENBLAS_NUM_THREADS": "1"}
+SAMPLE = ("-m", "not once and not browser and not more", "--hypothesis-profile", "few")
+# Threads of numerical libraries only compete with each other here.
+PYTEST_ENVIRONMENT = {"OPENBLAS_NUM_THREADS": "1"}
+# Older ones write byte code beside the tests, whatever PYTHONPYCACHEPREFIX says.
+OLDEST_PYTEST_WITH_PREFIX = 6
+VERSIONS = "import importlib.metadata, platform; print(platform.python_version(), importlib.metadata.version('pytest'))"
 
 
 class Selection(NamedTuple):
@@ -112,10 +115,9 @@ def time_limit_s(path: Path) -> float:
 
 def pytest_step(results: Path, title: str, python: Python, files: list[Path], python_path: str, is_all: bool) -> Step:
     """Return the step of some tests by pytest on one Python, on every CPU."""
-    version = subprocess.check_output([python.path, "-c", "import platform; print(platform.python_version())"],
-                                      text=True).strip()
+    version, pytest_version = subprocess.check_output([python.path, "-c", VERSIONS], text=True).split()
     name = title.split()[0] + (f"-{version}" if python.is_second else "")
-    marks = SECOND_PYTHON if python.is_second else ()
+    marks = () if not python.is_second else SECOND_PYTHON if is_all else SAMPLE
     title = f"{title}, Python {version}"
     if is_all:  # property tests take other cases each time; with the seed, the same again
         seed = random.randrange(2 ** 32)
@@ -123,7 +125,10 @@ def pytest_step(results: Path, title: str, python: Python, files: list[Path], py
     command = (python.path, "-m", "pytest", "-q", "--tb=short", "-p", "no:cacheprovider",
                "-o", f"faulthandler_timeout={PYTEST_TRACEBACK_S}", f"--junitxml={results / name / 'junit.xml'}",
                "-n", str(len(os.sched_getaffinity(0))), "--dist", "loadfile", *marks, *map(str, files))
-    return Step(name, title, command, {**PYTEST_ENVIRONMENT, "PYTHONPATH": python_path},
+    environment = {**PYTEST_ENVIRONMENT, "PYTHONPATH": python_path}
+    if int(pytest_version.split(".")[0]) < OLDEST_PYTEST_WITH_PREFIX:
+        environment["PYTHONDONTWRITEBYTECODE"] = "1"
+    return Step(name, title, command, environment,
                 LONG_PYTEST_LIMIT_S if is_all else PYTEST_LIMIT_S, is_pytest=True, may_be_empty=python.is_second)
 
 

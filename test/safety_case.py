@@ -3,9 +3,10 @@
     safety_case.py [--check]
 
 ``--check`` changes nothing. It ends with code 1 where the page is stale; where a row names a test, module or risk that
-doesn't exist; where a goal has no test; and where a cause, a topic, a node or a device has no row. These are taken from
-where they are declared: common/causes.py, the inputs of the command path's nodes in docs/nodes.md, its headings, and
-the parts in docs/wiring.md.
+doesn't exist; where a goal has no test, or a row no change in ``switched off`` that switches its mechanism off for one
+of its tests; and where a cause, a topic, a node or a device has no row. These are taken from where they are declared:
+common/causes.py, the inputs of the command path's nodes in docs/nodes.md, its headings, and the parts in
+docs/wiring.md.
 """
 from __future__ import annotations
 
@@ -79,7 +80,7 @@ def load(text: str) -> Case:
 
 def faults(case: Case) -> list[str]:
     """Return what is wrong with the table, a line each."""
-    return [*_tests(case), *_references(case), *_modes(case), *_declared(case)]
+    return [*_tests(case), *_references(case), *_modes(case), *_declared(case), *_off(case)]
 
 
 def _tests(case):
@@ -139,6 +140,21 @@ def _declared(case):
     yield from (f"topic {topic} has no row" for topic in sorted(topics() - has_row))
     yield from (f"node {node} has no row" for node in nodes() if node not in has_row | set(case.data["outside"]))
     yield from (f"device {device!r} has no row" for device in devices() if device not in has_row)
+
+
+def _off(case):
+    off = case.data["switched off"]
+    for module, before, _, aliases in off:
+        path = ROOT / "src/car_interface" / f"{module}.py"
+        count = path.read_text(encoding="utf-8").count(before) if path.exists() else 0
+        if count != 1:
+            yield f"switched off: {before!r} stands {count} times in {module}"
+        yield from (f"switched off: tests lacks {alias}" for alias in aliases if alias not in case.data["tests"])
+    noticed = {(f"{module}/", alias) for module, *_, aliases in off for alias in aliases}
+    for part in case.parts:
+        yield from (f"{part.name}, {', '.join(row.modes)}: nothing switches {row.module} off for one of its tests"
+                    for row in part.rows if row.module and not any(
+                        name in row.tests and module.startswith(f"{row.module}/") for module, name in noticed))
 
 
 def causes() -> list[str]:

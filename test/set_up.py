@@ -238,7 +238,7 @@ class SetUp:
         self._compile()
 
     def _compile(self):
-        """Nodes that tests start write no byte code: without this each start compiles all that it imports."""
+        """Compile once what nodes that start at the same time would each compile."""
         workspace = self._folder.parent
         folders = str(workspace / "src/car_interface/src"), str(workspace / "devel/lib/python3")
         subprocess.run([sys.executable, "-m", "compileall", "-q", *folders], stdout=subprocess.DEVNULL, check=False)

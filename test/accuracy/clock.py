@@ -22,8 +22,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from car_interface.sim.line import BitErrors
-from car_interface.sim.teensy_config import FirmwareConfig
-from car_interface.sim.teensy_firmware import TeensyFirmware
+from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
 from car_interface.sim.teensy_sonars import ECHO_RISE_US
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD
 from car_interface.teensy.link import protocol
@@ -135,13 +134,13 @@ class Bench:
         echo_us = self._random.randrange(1_000, 14_000)
         heard_ns = at_ns + (ECHO_RISE_US + echo_us) * NS_PER_US
         if hasattr(self, "_teensy"):
-            self._truth["sonar", sensor, self._teensy.millis(heard_ns)] = heard_ns
+            self._truth["sonar", sensor, self._teensy.clock.millis(heard_ns)] = heard_ns
         return echo_us
 
     def _drive(self, now_ns):
         while self._pulses[0][0] <= now_ns:
             at_ns, side = self._pulses[0]
-            self._truth["wheel", side, self._teensy.millis(at_ns)] = at_ns
+            self._truth["wheel", side, self._teensy.clock.millis(at_ns)] = at_ns
             self._teensy.wheel_pulse(side, BACKWARD if side and not self._scenario.saturated else FORWARD, at_ns)
             self._pulses[0][0] += round(self._period_ns * self._random.uniform(0.97, 1.03))
             self._pulses.sort()
@@ -174,7 +173,7 @@ class Bench:
             self._write(self._pinger.ping(timestamp1, now_ns), now_ns, timestamp1)
         if now_ns >= self._counters_ns:
             self._counters_ns += NS_PER_S
-            self._write(encode(protocol.get_counters(), SHIPPED), now_ns)
+            self._write(encode(protocol.SEND_COUNTERS, SHIPPED), now_ns)
 
     def _look(self, now_ns):
         arrived = self._teensy.transmit(now_ns)

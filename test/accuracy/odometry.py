@@ -21,8 +21,7 @@ from typing import Callable, NamedTuple
 import numpy as np
 
 from accuracy.clock import percentile
-from car_interface.sim.teensy_config import FirmwareConfig
-from car_interface.sim.teensy_firmware import TeensyFirmware
+from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
 from car_interface.sim.vehicle import Vehicle, VehicleConfig, true_acceleration_mps2
 from car_interface.teensy.link.framing import FrameDecoder
 from car_interface.teensy.link.protocol import SonarStatus, WheelStatus, decode
@@ -162,7 +161,7 @@ class Bench:
 
     def _note(self, now_ns):
         car = self.car
-        self._truth.append((self.teensy.device_ns(now_ns) / NS_PER_MS, *car.pose, car.speed_mps))
+        self._truth.append((self.teensy.clock.device_ns(now_ns) / NS_PER_MS, *car.pose, car.speed_mps))
         if len(self._truth) > 400:
             del self._truth[:200]
 
@@ -181,7 +180,7 @@ class Bench:
             return
         newest_ms = max([wheel.when for wheel in record if wheel.when], default=-math.inf)
         has_pulse = any((*verdict.pulses, *verdict.unproven))
-        at_ms = newest_ms + 0.5 if has_pulse else self.teensy.device_ns(now_ns) / NS_PER_MS
+        at_ms = newest_ms + 0.5 if has_pulse else self.teensy.clock.device_ns(now_ns) / NS_PER_MS
         motion = self.odometry.report(record, verdict.pulses, verdict.restarted, record.left.when, record.right.when,
                                       at_ms, verdict.unproven)
         self._judge(motion, self.truth_at(motion.time_ms))

@@ -20,8 +20,7 @@ from typing import NamedTuple
 from many_drives import MS, S
 
 from accuracy.virtual_drive import Link
-from car_interface.sim.teensy_config import FirmwareConfig
-from car_interface.sim.teensy_firmware import TeensyFirmware
+from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD
 from car_interface.teensy.sensing.measurements import MotionMeasurement
 

@@ -18,8 +18,7 @@ import numpy as np
 from many_drives import COUNT, THROTTLE, count_duty
 from unit.written_recordings import Written, stamp, write_ros1
 
-from car_interface.sim.teensy_config import FirmwareConfig
-from car_interface.sim.teensy_firmware import TeensyFirmware
+from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
 from car_interface.sim.teensy_wheels import BACKWARD
 from car_interface.sim.vehicle import GRAVITY_MPS2, DriveTrainConfig, SteeringConfig, Vehicle, VehicleConfig
 from car_interface.teensy.link.framing import SHIPPED, FrameDecoder

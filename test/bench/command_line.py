@@ -16,7 +16,7 @@ from .heartbeat import measure_heartbeat
 from .meters import OthersMeter
 from .nodes import measure_memory, measure_start
 from .one_process import measure_one_process
-from .reaction import measure_chip, measure_reaction
+from .reaction import measure_chip, measure_reaction, measure_tail
 from .rows import COLUMNS, WIDTHS, Row, table, verdict
 from .serial_line import measure_line, measure_serial
 from .stage import Stage
@@ -26,7 +26,7 @@ from .whole_car import measure_car
 GROUPS = {"reaction": measure_reaction, "chip": measure_chip, "heartbeat": measure_heartbeat,
           "throttle": measure_throttle, "serial": measure_serial, "line": measure_line, "start": measure_start,
           "memory": measure_memory, "car": measure_car}
-ON_REQUEST = {"one_process": measure_one_process, "busy": measure_busy}
+ON_REQUEST = {"one_process": measure_one_process, "busy": measure_busy, "tail": measure_tail}
 LOOP_STEPS = 200_000
 
 

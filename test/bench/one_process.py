@@ -36,7 +36,8 @@ def measure_one_process(effort: Effort, stage: Stage) -> Iterator[Row]:
     five, one = used.values()
     for what, unit in (("RSS", "MB"), ("PSS", "MB"), ("CPU", "% of core")):
         for layout, values in (("five processes", five[what]), ("one process", one[what])):
-            bound = MAX_RATIO * Summary.of(five[what]).median if what != "CPU" and layout == "one process" else None
+            is_bound = what != "CPU" and layout == "one process"
+            bound = MAX_RATIO * Summary.of(five[what]).values[MEDIAN] if is_bound else None
             yield Row("one_process", f"car that drives, {layout}: {what}", unit, Summary.of(values),
                       (Target(MEDIAN, high=bound and round(bound, 1)),))
     for layout, kinds in times_ms.items():

@@ -14,7 +14,7 @@ from virtual_car import Chip
 from waiting import eventually
 
 from .effort import Effort
-from .rows import MEDIAN, P99, WORST, Row, Summary, Target
+from .rows import MEDIAN, P99, PERCENT, WORST, Row, Summary, Target
 from .stage import Stage, TimedSubscriber, connected_publisher
 
 LEFT, CENTER, RIGHT = 3800, 5100, 6700  # config/turn_arb.yaml
@@ -22,6 +22,8 @@ COUNTS = {LEFT: 238, CENTER: 319, RIGHT: 419}
 MEDIAN_RATIO, P99_RATIO = 1.3, 1.5  # to bare rospy
 REACTION = (Target(MEDIAN, max_ratio=MEDIAN_RATIO), Target(P99, max_ratio=P99_RATIO), Target(WORST))
 TO_CHIP = (Target(MEDIAN, high=0.9), Target(P99, high=1.8), Target(WORST))
+TAIL = tuple(map(Target, PERCENT))
+PAUSE_S, TAIL_PAUSE_S = (0.012, 0.032), (0.001, 0.012)  # periods of the timer: three at most, and about one
 
 
 class Step(NamedTuple):
@@ -61,8 +63,8 @@ TURN_ARB = Arbiter(
 
 
 class ArbiterInputs:
-    def __init__(self, arbiter: Arbiter, random):
-        self._random = random
+    def __init__(self, arbiter: Arbiter, random, pause_s: tuple[float, float] = PAUSE_S):
+        self._random, self._pause_s = random, pause_s
         self.nothing = arbiter.nothing
         self._publishers = {name: connected_publisher(*topic) for name, topic in arbiter.topics.items()}
 
@@ -76,7 +78,7 @@ class ArbiterInputs:
             self.publish(name, value)
 
     def pause(self) -> None:
-        time.sleep(self._random.uniform(0.012, 0.032))  # periods of the timer: three at most
+        time.sleep(self._random.uniform(*self._pause_s))
 
 
 def trials(inputs: ArbiterInputs, count: int, kind: list[Step], wait_for: Callable,
@@ -106,8 +108,14 @@ def measure_reaction(effort: Effort, stage: Stage) -> Iterator[Row]:
                   Summary.of(floors_ms))
 
 
-def reactions(count: int, stage: Stage, arbiter: Arbiter, kinds: int | None = None
-              ) -> Iterator[tuple[str, list[float], list[float]]]:
+def measure_tail(effort: Effort, stage: Stage) -> Iterator[Row]:
+    """Measure so many releases of the deadman that the rare late ones are among them."""
+    for what, times_ms, floors_ms in reactions(effort.releases, stage, TURN_ARB, 1, TAIL_PAUSE_S):
+        yield Row("tail", f"tail: {what} → /servo/cmdVector", "ms", Summary.of(times_ms), TAIL, Summary.of(floors_ms))
+
+
+def reactions(count: int, stage: Stage, arbiter: Arbiter, kinds: int | None = None,
+              pause_s: tuple[float, float] = PAUSE_S) -> Iterator[tuple[str, list[float], list[float]]]:
     """Yield each kind, or the first ``kinds``, with its latencies to /servo/cmdVector and those of bare rospy, ms."""
     stage.load(f"/{arbiter.node}", arbiter.config)
     with stage.running(stage.node(arbiter.node, *arbiter.arguments),
@@ -116,7 +124,7 @@ def reactions(count: int, stage: Stage, arbiter: Arbiter, kinds: int | None = No
         duties = TimedSubscriber("/servo/cmdVector", Int32MultiArray,
                                  lambda message: message.data[arbiter.channel]).connected()
         relayed = TimedSubscriber("/bench/out", Int32MultiArray).connected()
-        to_relay, inputs = connected_publisher("/bench/in", Bool), ArbiterInputs(arbiter, stage.random)
+        to_relay, inputs = connected_publisher("/bench/in", Bool), ArbiterInputs(arbiter, stage.random, pause_s)
 
         def wait_for(duty, since_ns):
             return duties.first(lambda value: value == duty, since_ns)

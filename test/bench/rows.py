@@ -6,27 +6,26 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
-from typing import NamedTuple, Sequence
+from typing import Mapping, NamedTuple, Sequence
 
-MEDIAN, P99, WORST = "median", "p99", "max"
+MEDIAN, P99, P99_9, P99_99, WORST = "median", "p99", "p99.9", "p99.99", "max"
+PERCENT = {MEDIAN: 50, P99: 99, P99_9: 99.9, P99_99: 99.99, WORST: 100}
 COLUMNS = ("what", "figure", "unit", "to reach", "met", "bare rospy beside it", "ratio")
 WIDTHS = (60, 12, 9, 15, 6, 20, 6)  # on a terminal
 
 
 @dataclass(frozen=True)
 class Summary:
-    """A distribution in four numbers."""
+    """A distribution: the number of its samples, and its percentiles by their names."""
 
     samples: int
-    median: float
-    p99: float
-    max: float
+    values: Mapping[str, float]
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Summary:
         """Return the summary of at least one value."""
         ordered = sorted(values)
-        return cls(len(ordered), percentile(ordered, 50), percentile(ordered, 99), ordered[-1])
+        return cls(len(ordered), {name: percentile(ordered, percent) for name, percent in PERCENT.items()})
 
 
 def percentile(ordered: Sequence[float], percent: float) -> float:
@@ -97,7 +96,7 @@ class Row:
         return f"{self._statistic(target)} {ratio or f'{number(value, self.digits)} {self.unit}'}".lstrip()
 
     def _values(self, target):
-        return getattr(self.summary, target.statistic), self.floor and getattr(self.floor, target.statistic)
+        return self.summary.values[target.statistic], self.floor and self.floor.values[target.statistic]
 
     def _statistic(self, target):
         is_single = self.summary is None or self.summary.samples == 1

@@ -304,7 +304,7 @@ class NodeGraph:
     def set_parameter(self, name: str, value: Any) -> None:
         self._graph.set_parameter(self.resolve_name(name), value)
 
-    def reconfigure_server(self, config_type, callback, namespace: str) -> _ReconfigureServer:
+    def reconfigure_server(self, server_class, config_type, callback, namespace: str) -> _ReconfigureServer:
         return _ReconfigureServer(self._graph, self._node.name, config_type, callback, namespace)
 
     def call(self, service: str, service_type, request: Any, on_done: Callable[[Any, str], None]) -> None:
@@ -323,7 +323,7 @@ class NodeGraph:
                 on_done(call.answer, "")
         poll()
 
-    def watch(self, watch) -> None:
+    def watch(self, process_watch, watch) -> None:
         self._node.watches.append(watch)
 
     def start_thread(self, target: Callable[[], None], name: str) -> None:

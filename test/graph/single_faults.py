@@ -225,13 +225,13 @@ def inject(fault, value):
 
 
 def remove_board(drive):
-    drive.chip = drive.car.board.bus.remove(ADDRESS)
+    drive.chip = drive.car.board.bus.chips.pop(ADDRESS)
     drive.chip.power_up()
     drive.car.board.note()
 
 
 def return_board(drive):
-    drive.car.board.bus.attach(ADDRESS, drive.chip)
+    drive.car.board.bus.chips[ADDRESS] = drive.chip
 
 
 def hold_bus(drive):

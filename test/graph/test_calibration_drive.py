@@ -197,6 +197,7 @@ def test_gamepad_that_is_off_is_waited_for(tmp_path):
 
 # --- the drive ---
 
+@pytest.mark.more
 def test_it_drives_while_the_deadman_is_held_and_only_then_and_refuses_what_is_too_little(tmp_path):
     car = Practice(tmp_path, "--no-sonars").begin()
     graph = car.graph

@@ -48,6 +48,7 @@ FAULTS = {
                             f"2 nodes command channel 0, /rostopic_7 on 127.0.0.1 and /turn_arb on 127.0.0.1: {EACH}")}
 
 
+@pytest.mark.more
 def test_planner_that_nobody_hears_is_named_with_the_launch_argument_where_one_looks_why_the_car_stands(car):
     graph = car.graph
     end = graph.repeat("/cmd_vel", Twist(), 10, sender="/move_base")

@@ -110,6 +110,7 @@ class Box(Car):
         return self.board.counts[:2] == (CENTER, ESC_NEUTRAL)
 
 
+@pytest.mark.more
 def test_whole_conversation_on_a_box_and_its_files_and_page(tmp_path):
     car = Box(tmp_path).begin()
     assert car.asks == "the car on a box"

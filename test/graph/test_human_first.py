@@ -105,6 +105,7 @@ def test_pull_brakes_under_each_planner_s_deadman_and_the_planner_gets_it_back(d
 
 # --- the steering ---
 
+@pytest.mark.more
 def test_stick_steers_while_the_planner_drives_on_and_half_a_second_longer(drive):
     drive.drive()
     assert drive.steering.source == SteeringState.PLANNER

@@ -212,6 +212,7 @@ def driver():
     return hand
 
 
+@pytest.mark.more
 def test_screen_says_who_drives_and_what_is_near_and_by_typed_keys_alone_one_backs_out_of_a_wall(driver):
     """As by ssh: no release is seen, and a key counts for 0.7 s."""
     graph, text = driver.graph, driver.text

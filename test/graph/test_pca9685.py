@@ -313,7 +313,7 @@ def test_what_another_program_writes_is_told_and_written_anew_within_half_a_seco
 
 def test_commands_while_the_chip_is_away_are_dropped_and_counted_and_none_of_them_is_written_later():
     servos = Servos(timeout_value=4912)
-    servos.board.bus.remove(0x40)
+    servos.board.bus.chips.pop(0x40)
     servos.graph.hold(VECTOR, vector(3000))
     at_ns = servos.graph.now_ns
     servos.graph.run(1.0)
@@ -326,7 +326,7 @@ def test_commands_while_the_chip_is_away_are_dropped_and_counted_and_none_of_the
     assert servos.output == (4912,) * 16  # its last pulses
     servos.graph.silence(VECTOR)
     servos.graph.run(0.3)
-    servos.board.bus.attach(0x40, servos.board.chip)
+    servos.board.bus.chips[0x40] = servos.board.chip
     at_ns = servos.graph.now_ns
     servos.graph.run(3.0)
     assert servos.graph.lines("/pca9685", at_ns)[0].endswith("running at 50.03 Hz (prescale 121)")

@@ -152,6 +152,7 @@ def test_page_shows_who_drives_what_is_asked_and_granted_and_how_the_devices_are
     assert phone.status["delay"] == pytest.approx(0.04, abs=0.01)
 
 
+@pytest.mark.more
 def test_node_that_falls_silent_and_the_limit_that_cuts_are_shown_in_words(bench):
     phone = bench.seat()
     bench.car.graph.nodes["/throttle_arb"].kill()
@@ -162,6 +163,7 @@ def test_node_that_falls_silent_and_the_limit_that_cuts_are_shown_in_words(bench
     assert (phone.car["worst"]["level"], phone.car["battery"]["text"]) == (2, "throttle_arb has stopped reporting")
 
 
+@pytest.mark.more
 def test_state_is_sent_when_it_changes_and_whole_to_a_new_page(bench):
     bench.run(1.0)
     late = Phone(bench.network)
@@ -171,6 +173,7 @@ def test_state_is_sent_when_it_changes_and_whole_to_a_new_page(bench):
 
 # --- guests ---
 
+@pytest.mark.more
 def test_guest_sees_and_stops_where_a_parameter_allows_it_and_nothing_else(tmp_path):
     bench = Bench(tmp_path, watch_without_pin=True)
     driver = bench.seat()
@@ -188,6 +191,7 @@ def test_guest_sees_and_stops_where_a_parameter_allows_it_and_nothing_else(tmp_p
     assert driver.status["e_stop"]
 
 
+@pytest.mark.more
 def test_guest_is_refused_by_default(bench):
     guest = Phone(bench.network, is_guest=True)
     bench.run(0.5)
@@ -232,6 +236,7 @@ def test_driver_trims_center_and_neutral_within_the_live_limits_and_saves_them(b
     assert "servo_center: 5120" in (bench.folder / "turn_arb.yaml").read_text(encoding="utf-8")
 
 
+@pytest.mark.more
 def test_commands_of_who_watches_and_old_ones_have_no_effect(bench):
     bench.seat(Phone(bench.network))
     for kind, fields in (("trim", {"name": "center", "value": 5300}), ("save", {}), ("record", {"on": True}),
@@ -247,6 +252,7 @@ def test_commands_of_who_watches_and_old_ones_have_no_effect(bench):
     assert driver.car["trims"]["center"]["value"] == 5100 and bench.programs == []
 
 
+@pytest.mark.more
 def test_trim_of_a_node_that_is_gone_is_refused_in_words(bench):
     bench.seat()
     bench.graph.nodes["/throttle_arb"].kill()
@@ -256,6 +262,7 @@ def test_trim_of_a_node_that_is_gone_is_refused_in_words(bench):
 
 # --- recordings ---
 
+@pytest.mark.more
 def test_driver_records_and_has_the_report_opened(bench):
     phone = bench.seat()
     assert bench.ask("record", on=False) == ("", "no recording is running")
@@ -288,6 +295,7 @@ def test_file_that_isn_t_a_recording_is_refused(bench, name):
     assert (bench.phone.refused, bench.phone.file) == ("there is no such file", "")
 
 
+@pytest.mark.more
 def test_recording_ends_before_the_disk_is_full(bench):
     phone = bench.seat()
     bench.ask("record", on=True)
@@ -308,6 +316,7 @@ def test_recording_that_ends_by_itself_is_told(bench):
 
 # --- calibration ---
 
+@pytest.mark.more
 def test_person_with_a_phone_and_no_gamepad_calibrates_the_steering(bench):
     bench.car.joy(False)
     phone = bench.seat()

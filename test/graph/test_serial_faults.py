@@ -106,6 +106,7 @@ def test_fault_that_is_over_at_once_is_logged_and_the_link_goes_on(line, fault, 
     assert line.call("ping")[0]
 
 
+@pytest.mark.more
 def test_reboot_while_unplugged_is_found_though_the_teensy_has_been_on_for_as_long_as_before(car):
     line = Line(car, clock_start_ms=300).settled()
     line.inject("unplug")

@@ -7,8 +7,7 @@ import struct
 from collections import namedtuple
 from pathlib import Path
 
-from car_interface.sim.teensy_config import FirmwareConfig
-from car_interface.sim.teensy_firmware import TeensyFirmware
+from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
 from car_interface.sim.teensy_packets import COUNTER_NAMES, PacketPool
 from car_interface.sim.teensy_receiver import Receiver
 from car_interface.sim.teensy_wheels import LEFT

@@ -11,7 +11,7 @@ from walks.cores import Walk
 
 IS_ALL = bool(os.environ.get("CAR_INTERFACE_ALL"))
 STEPS = 100_000
-SEEDS = range(3) if not IS_ALL else [random.SystemRandom().randrange(10**9) for _ in range(100)]
+SEEDS = range(2) if not IS_ALL else [random.SystemRandom().randrange(10**9) for _ in range(100)]
 FAILED = (2001,)  # seeds of walks that once broke a goal: they are walked each time
 
 
@@ -28,8 +28,8 @@ def test_random_walk_of_the_cores_breaks_no_goal(part):
 
 
 # What is switched off; a seed that finds it early; and the goal that it breaks.
-OFF = [(switched_off.timeout_of_the_deadman, 27, "G1"), (switched_off.rearming, 0, "G1"),
-       (switched_off.stop_of_throttle_without_steering, 1, "G1"), (switched_off.timeout_of_the_board, 2, "G6")]
+OFF = [(switched_off.timeout_of_the_deadman, 39, "G1"), (switched_off.rearming, 43, "G1"),
+       (switched_off.stop_of_throttle_without_steering, 4, "G1"), (switched_off.timeout_of_the_board, 4, "G6")]
 
 
 @pytest.mark.once

@@ -1,6 +1,7 @@
 """Which folder imports which: downwards only, from scripts over nodes, ros and the parts to common."""
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -12,25 +13,23 @@ from mutate import imports
 SRC = Path(__file__).resolve().parents[2] / "src"
 PACKAGE = SRC / "car_interface"
 SENSING = ("common", "teensy/link", "teensy/sensing")
-PARTS = (*SENSING, "interlock", "steering", "throttle", "planner", "teleop", "pca9685", "black_box")
+PARTS = (*SENSING, "interlock", "steering", "throttle", "planner", "teleop", "pca9685")
 FITS = ("tools/recordings", "tools/calibration")
 # What each folder may import beside itself. A simulated device that shared code with what it tests would prove nothing.
 MAY_IMPORT = {
     "common": (),
     "interlock": ("common",),
     "steering": ("common", "interlock"),
-    "throttle": ("common", "interlock", "steering"),  # the ESC is driven while turn_arb's state says who steers
+    "throttle": ("common", "interlock"),
     "planner": ("common",),
-    "teleop": ("common", "interlock"),
+    "teleop": ("common",),
     "pca9685": ("common",),
-    "black_box": ("common", "steering"),  # which source steers, in turn_arb's state
     "teensy/link": ("common",),
     "teensy/sensing": SENSING,
     "sim": ("common",),
     "ros": (*PARTS, "sim"),
-    # One node calibrates while it drives; and it writes what calibrate_steering would. Another one checks a new car.
-    "nodes": (*PARTS, "sim", "ros", *(f"tools/{name}" for name in (
-        "calibration", "calibration/drive", "calibration/steering", "first_check"))),
+    # One node calibrates while it drives, and one checks a new car.
+    "nodes": (*PARTS, "sim", "ros", "tools/calibration/drive", "tools/first_check"),
     "tools/recordings": PARTS,
     "tools/report": (*PARTS, "tools/recordings"),
     "tools/calibration": ("common", "tools/recordings"),
@@ -48,7 +47,7 @@ ROS = ("nodes/", "ros/", "tools/doctor/topics.py")
 # Libraries, and the only places that import them.
 ONLY_IN = {
     "rospy": ROS,
-    "rosbag": ("nodes/black_box.py",),
+    "rosbag": ("nodes/black_box/node.py",),
     "rosbags": ("tools/recordings/",),
     "evdev": ("nodes/keyboard_drive/key_events.py", "teleop/gamepad_device.py"),
     "jinja2": ("tools/report/html.py",),
@@ -99,8 +98,9 @@ for name in sys.argv[1:]:
 def test_pure_module_imported_alone_pulls_in_no_device_no_ros_and_no_numpy():
     pure = [dotted(path) for path in MODULES if not inside(path).startswith(NOT_PURE)]
     # -S: what site packages import by themselves is not the module's doing.
+    kept = {name: os.environ[name] for name in ("PYTHONPYCACHEPREFIX",) if name in os.environ}
     done = subprocess.run([sys.executable, "-S", "-B", "-c", IMPORT_EACH, *pure],
-                          env={"PYTHONPATH": str(SRC)}, capture_output=True, text=True, check=False)
+                          env={"PYTHONPATH": str(SRC), **kept}, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr, done.stdout) == (0, "", "") and len(pure) > 100
 
 

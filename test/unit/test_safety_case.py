@@ -27,6 +27,10 @@ def test_table_has_no_faults_and_is_the_page():
     ("[R1, R3, R6]", "[R99]", "The deadman's message, stuck value: there is no risk R99"),
     ("\"none but OE\", \"\", [], [R2]", "\"none but OE\", \"\", [], []",
      "Computer, dead, frozen, no power: it has neither mechanism and test nor a residual risk"),
+    ("\"if foreign:\"", "\"if strange:\"", "switched off: 'if strange:' stands 0 times in pca9685/board"),
+    ("[serial_name]]", "[serial_names]]", "switched off: tests lacks serial_names"),
+    ("[battery_odd]]", "[battery_empty]]",
+     "The battery's voltage, dead, corrupted: nothing switches throttle/battery off for one of its tests"),
 ])
 def test_fault_of_the_table_is_named(old, new, found):
     assert old in TEXT

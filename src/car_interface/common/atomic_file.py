@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import glob
 import os
-import re
 import secrets
 import shutil
 import stat
@@ -17,7 +17,7 @@ import time
 from contextlib import suppress
 
 WRITE_BITS = 0o222
-DIGITS = 8  # of the names of files that are not in place yet: .NAME.new-1a2b3c4d
+DIGITS, DIGIT = 8, "[0-9a-f]"  # of the names of files that are not in place yet: .NAME.new-1a2b3c4d
 # Of a second name for a file: the file system has none, as on a USB stick, or the file is another user's.
 NOT_SUPPORTED = (errno.EOPNOTSUPP, errno.EPERM, errno.EMLINK, errno.ENOSYS)
 
@@ -32,7 +32,6 @@ def replace(path: str, data: bytes, keeps_old: bool) -> str | None:
 
     Args:
         path: of the file; a link is replaced itself.
-        data: the new content.
         keeps_old: keep the old file in the same folder, under a name with the time.
 
     Returns:
@@ -82,26 +81,16 @@ def _open_new(path, mode):
 
 def _remove_leftovers(path):
     """Remove what killed processes left behind when they replaced this file."""
-    folder, name = os.path.split(path)
-    is_new = re.compile(rf"\.{re.escape(name)}\.new-[0-9a-f]{{{DIGITS}}}").fullmatch
-    try:
-        found = list(filter(is_new, os.listdir(folder or ".")))
-    except OSError:  # it may be written, but not listed
-        return
-    for other in found:
-        left_path = os.path.join(folder, other)
-        try:
-            # For writing, too: network drives lock nothing else.
-            fd = os.open(left_path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
-        except OSError:  # gone, or somebody else's
-            continue
-        try:
-            if _lock(fd):
+    folder, name = map(glob.escape, os.path.split(path))
+    for left_path in glob.iglob(os.path.join(folder, f".{name}.new-" + DIGIT * DIGITS)):
+        # For writing, too: network drives lock nothing else. An OSError: it is gone, or somebody else's.
+        with suppress(OSError), open(left_path, "r+b", buffering=0, opener=_open_no_link) as left:
+            if _lock(left.fileno()):
                 os.unlink(left_path)
-        except OSError:
-            pass
-        finally:
-            os.close(fd)
+
+
+def _open_no_link(path, flags):
+    return os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK)
 
 
 def _lock(fd):
@@ -151,13 +140,9 @@ def _link_or_copy(path, backup_path):
 
 def _sync_folder(path):
     """Let the new names survive a power failure, too, where the file system can."""
-    try:
+    with suppress(OSError):
         fd = os.open(os.path.dirname(path) or ".", os.O_RDONLY | os.O_CLOEXEC)
-    except OSError:
-        return
-    try:
-        os.fsync(fd)
-    except OSError:
-        pass
-    finally:
-        os.close(fd)
+        try:
+            os.fsync(fd)
+        finally:
+            os.close(fd)

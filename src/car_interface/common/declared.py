@@ -114,7 +114,6 @@ def read(params: Params, config_class: type, is_complete: bool = True, default: 
     """Return a configuration from the parameters that its fields declare.
 
     Args:
-        params: the parameters.
         config_class: the dataclass. Where it has a method ``completed(params)``, that returns what the node uses.
         is_complete: false = as the parameters alone say, without that.
         default: has other defaults than the class.

@@ -33,7 +33,6 @@ class Membership(NamedTuple):
 
 def read_membership() -> Membership:
     """Return the membership of this process."""
-    groups = grp.getgrall()
     try:
         entry = pwd.getpwuid(os.geteuid())
         user, primary = entry.pw_name, entry.pw_gid
@@ -42,14 +41,26 @@ def read_membership() -> Membership:
     of_process = {os.getegid(), *os.getgroups()}
     return Membership(
         user=user, is_root=os.geteuid() == 0,
-        of_process=frozenset(group.gr_name for group in groups if group.gr_gid in of_process),
-        of_user=frozenset(group.gr_name for group in groups if user in group.gr_mem or group.gr_gid == primary),
-        existing=frozenset(group.gr_name for group in groups))
+        of_process=frozenset(group.gr_name for group in grp.getgrall() if group.gr_gid in of_process),
+        of_user=groups_of(user, primary), existing=existing_groups())
+
+
+def groups_of(user: str, primary: int) -> frozenset:
+    """Return the groups that /etc/group gives a user, and the one of a number, by their names."""
+    return frozenset(group.gr_name for group in grp.getgrall() if user in group.gr_mem or group.gr_gid == primary)
+
+
+def existing_groups() -> frozenset:
+    """Return the names of all groups."""
+    return frozenset(group.gr_name for group in grp.getgrall())
 
 
 def group_name(number: int) -> str:
     """Return a group's name, or its number when it has none."""
-    return _name(grp.getgrgid, number)
+    try:
+        return grp.getgrgid(number).gr_name
+    except KeyError:
+        return str(number)
 
 
 def explain_denial(path: str) -> tuple[str, str]:
@@ -58,7 +69,7 @@ def explain_denial(path: str) -> tuple[str, str]:
         status = os.stat(path)
     except OSError:
         return "no permission to open it", SETUP_REMEDY
-    group, user = group_name(status.st_gid), _name(pwd.getpwuid, os.geteuid())
+    group, who = group_name(status.st_gid), read_membership()
     if status.st_gid == 0:  # as a device is before the udev rules are installed
         return "no permission to open it: it is open to root only", SETUP_REMEDY
     if not status.st_mode & stat.S_IRGRP or not status.st_mode & stat.S_IWGRP:
@@ -66,19 +77,7 @@ def explain_denial(path: str) -> tuple[str, str]:
                 f"See whom it is open to: ls -lL {path}; for a Teensy on USB and the I2C bus: {SETUP_COMMAND}")
     if status.st_gid in os.getgroups():
         return f"no permission to open it, in spite of its group, {group}", f"See whom it is open to: ls -lL {path}"
-    if group in _next_groups(user):
-        return f"no permission to open it: {user} joined its group, {group}, after logging in", "Log in anew"
-    return (f"no permission to open it: {user} is not in its group, {group}",
-            SETUP_REMEDY if group in GROUPS else f"Join it and log in anew: sudo usermod -aG {group} {user}")
-
-
-def _name(look_up, number):
-    try:
-        return look_up(number)[0]
-    except KeyError:
-        return str(number)
-
-
-def _next_groups(user):
-    """Return the groups that the user has from the next log-in on; a running process may have fewer."""
-    return [group.gr_name for group in grp.getgrall() if user in group.gr_mem]
+    if group in who.of_user:
+        return f"no permission to open it: {who.user} joined its group, {group}, after logging in", "Log in anew"
+    return (f"no permission to open it: {who.user} is not in its group, {group}",
+            SETUP_REMEDY if group in GROUPS else f"Join it and log in anew: sudo usermod -aG {group} {who.user}")

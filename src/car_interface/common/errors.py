@@ -49,7 +49,6 @@ class DeviceError(CarInterfaceError):
 
     Args:
         what: the device, e.g. ``PCA9685 at 0x40 on /dev/i2c-1``.
-        cause: what went wrong.
         remedy: what the user can do or type next.
     """
 

@@ -19,7 +19,6 @@ class UnsafeFile(PermissionError):
     """Something that another user has made, or can change, where this user's own is expected.
 
     Args:
-        path: of the file or folder.
         cause: what is wrong with it, as the end of a sentence.
         remedy: what the user can do.
     """
@@ -110,7 +109,6 @@ def open_own(path: str, flags: int, mode: int = FILE_MODE) -> int:
     """Open a regular file of this user's, and no link to one; return a descriptor that children don't inherit.
 
     Args:
-        path: of the file.
         flags: as ``os.open``; with O_CREAT it is made if there is none.
         mode: of a file that is made. Where this is FILE_MODE one that is open to others is refused, too.
 

@@ -25,10 +25,10 @@ def package_file(name: str) -> Path:
                             "install the package again")
 
 
-def is_package_file(path: str, folder: str = "config") -> bool:
-    """Return whether ``path`` leads, by any links, into one of this package's own folders."""
+def is_package_file(path: str) -> bool:
+    """Return whether ``path`` leads, by any links, into the package's own folder of configurations."""
     try:
-        own = os.path.realpath(str(package_file(folder)))
+        own = os.path.realpath(str(package_file("config")))
     except CarInterfaceError:
         return False
     return os.path.realpath(path).startswith(own + os.sep)

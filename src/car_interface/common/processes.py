@@ -1,23 +1,21 @@
 """Finds which processes have a device open, and how one was started, by /proc. Only root sees other users' files."""
 from __future__ import annotations
 
+import glob
 import os
+from contextlib import suppress
 
 INTERPRETERS = ("python", "bash", "sh", "perl")
 
 
 def openers(path: str, proc: str = "/proc") -> list[tuple[int, str]]:
-    """Return the other processes that have a file open, as (process id, name).
-
-    Args:
-        path: of the file; links are followed.
-        proc: the proc file system.
-    """
-    wanted, found = os.path.realpath(path), []
-    for pid in filter(str.isdigit, _names_in(proc)):
-        if int(pid) != os.getpid() and any(_target(link) == wanted for link in _links(os.path.join(proc, pid, "fd"))):
-            found.append((int(pid), process_name(int(pid), proc)))
-    return sorted(found)
+    """Return the other processes that have a file open, as (process id, name); links to the file are followed."""
+    wanted, found = os.path.realpath(path), set()
+    for link in glob.iglob(os.path.join(glob.escape(proc), "[0-9]*", "fd", "*")):  # it passes over what it can't read
+        with suppress(OSError):  # it was closed just now
+            if os.readlink(link) == wanted:
+                found.add(int(link.split(os.sep)[-3]))
+    return [(pid, process_name(pid, proc)) for pid in sorted(found - {os.getpid()})]
 
 
 def process_name(pid: int, proc: str = "/proc") -> str:
@@ -26,7 +24,7 @@ def process_name(pid: int, proc: str = "/proc") -> str:
     if not names:
         return "unknown"
     scripts = [name for name in names[1:] if not name.startswith("-")]
-    if names and names[0].startswith(INTERPRETERS) and scripts:
+    if names[0].startswith(INTERPRETERS) and scripts:
         return scripts[0]
     return names[0].rstrip(":")
 
@@ -44,21 +42,3 @@ def _command_line(pid, proc):
             return file.read().decode(errors="replace").split("\0")[:-1]
     except OSError:
         return []
-
-
-def _names_in(folder):
-    try:
-        return os.listdir(folder)
-    except OSError:
-        return []  # another user's, or it has ended
-
-
-def _links(folder):
-    return [os.path.join(folder, name) for name in _names_in(folder)]
-
-
-def _target(link):
-    try:
-        return os.readlink(link)
-    except OSError:
-        return None

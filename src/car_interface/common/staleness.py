@@ -9,8 +9,9 @@ import math
 
 from car_interface.common.units import NS_PER_S
 
-# By a full inbox, or after the node stood still; the newest value may be among the dropped ones.
-DROPPED = "messages were dropped"
+# Reasons why nothing that was received before counts. Messages are dropped by a full inbox, or after the node stood
+# still; the newest value may be among them.
+DROPPED, STARTED = "messages were dropped", "this node has just started"
 
 
 class TimedInput:
@@ -37,11 +38,7 @@ class TimedInput:
         self.is_marked_stale = False
 
     def mark_stale(self, since: str = DROPPED) -> None:
-        """Make the input stale until its next message, whatever its timeout.
-
-        Args:
-            since: what happened, for a reason: by default messages were dropped.
-        """
+        """Make the input stale until its next message, whatever its timeout; ``since`` says what happened."""
         self.is_marked_stale, self._stale_since = self.was_received, since
 
     @property

@@ -45,9 +45,7 @@ def edited(text: str, values: Values, path: str = "the file", keeps_comments: bo
     """Return the text of a YAML file with ``values`` replaced; names that it lacks are appended.
 
     Args:
-        text: of the file.
         values: those that it has already are left alone, however they are spelled.
-        path: of the file, for errors.
         keeps_comments: otherwise the comment behind a value that changes is removed: it may describe the old value.
 
     Raises:
@@ -89,10 +87,7 @@ def rewritten(text: str, values: Values, head: Sequence[str], path: str = "the f
     written from its values, without its comments.
 
     Args:
-        text: the pattern, a mapping.
-        values: the new values.
         head: lines of the comment at the top.
-        path: of the pattern, for errors.
 
     Raises:
         ConfigError: the pattern is no mapping in YAML.

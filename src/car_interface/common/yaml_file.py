@@ -24,7 +24,6 @@ def load_yaml(path: str, text: str | None = None) -> dict[str, Any]:
     """Load the parameters in a YAML file, as ROS would.
 
     Args:
-        path: of the file.
         text: what the file has or is going to have; ``None`` = it is read.
 
     Raises:
@@ -60,11 +59,7 @@ def decode_yaml(data: bytes, path: str) -> str:
 
 
 def compose_yaml(text: str, path: str):
-    """Return the tree of a YAML text that is a mapping: PyYAML's node.
-
-    Args:
-        text: of the file.
-        path: of the file, for errors.
+    """Return the tree of a YAML text that is a mapping: PyYAML's node. The path is for errors.
 
     Raises:
         ConfigError: naming the file, the line and what is accepted.
@@ -89,13 +84,7 @@ def scalar_number(text: str) -> float | None:
 
 
 class _Refused(Exception):
-    """A fault of the text, and its place.
-
-    Args:
-        lines: as a text.
-        found: the present text.
-        accepted: the accepted one.
-    """
+    """A fault of the text, what is accepted there, and its place: the lines, in words."""
 
     def __init__(self, lines, found, accepted):
         super().__init__(found)

@@ -14,10 +14,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from car_interface.common import causes, declared
-from car_interface.common.staleness import DROPPED, TimedInput
+from car_interface.common.staleness import DROPPED, STARTED, TimedInput
 from car_interface.common.units import NS_PER_S
 
-STARTED = "this node has just started"
 UNLOCK = "it unlocks once somebody keeps publishing {} false"
 # How to re-arm, in the state message, the log and /diagnostics.
 REARM_REASON = "let go once: publish false, then true"

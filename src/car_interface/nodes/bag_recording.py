@@ -55,7 +55,7 @@ class BagRecording:
                                          start_new_session=True)
 
     def has_subscribed(self, topic: str) -> bool:
-        """Whether a recorder has subscribed to a topic: rosbag takes a second to start, on a busy computer some."""
+        """Return whether a recorder has subscribed to a topic: rosbag takes a second to start, or some."""
         try:
             code, _, state = rospy.get_master().getSystemState()
         except OSError:
@@ -65,7 +65,7 @@ class BagRecording:
 
     @property
     def has_ended(self) -> bool:
-        """Whether the recorder has closed the bag, or has failed."""
+        """Return whether the recorder has closed the bag, or has failed."""
         return self._process.poll() is not None
 
     def begin_stop(self) -> None:

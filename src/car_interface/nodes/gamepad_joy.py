@@ -34,8 +34,6 @@ class GamepadJoy:
     """Reads the gamepad and publishes its state.
 
     Args:
-        params: the node's parameters.
-        inbox: the node's.
         find, open_device: as ``find_pads`` and ``GamepadDevice``.
     """
 
@@ -75,7 +73,6 @@ class GamepadJoy:
                    self._retry_ns if self._device is None else self._diagnostics.due_ns)
 
     def shut_down(self):
-        """Give the device back."""
         self._close()
 
     def _open(self, now_ns):
@@ -117,7 +114,7 @@ class GamepadJoy:
         return model_of(frame_of(self._pad.name), len(self._joystick.axes), len(self._joystick.buttons))
 
     def _report(self, status):
-        """Whether the gamepad is there, for /diagnostics."""
+        """Report whether the gamepad is there."""
         if self._device is not None:
             status.summary(OK, self._model())
         elif self._fault is not None:
@@ -126,9 +123,7 @@ class GamepadJoy:
         else:
             status.summary(ERROR, "it was not opened yet")
         status.add("times that events were lost", self._joystick.losses)
-        return status
 
 
 def main():
-    """Run the node."""
     run("gamepad_joy", GamepadJoy)

@@ -32,7 +32,7 @@ from car_interface.common.declared import read_all
 from car_interface.common.errors import ConfigError
 from car_interface.common.params import CONFIG_FOLDER
 from car_interface.common.rate_timer import RateTimer
-from car_interface.interlock.motion_interlock import STARTED
+from car_interface.common.staleness import STARTED
 from car_interface.msg import TeleopState
 from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import ERROR, OK, WARN, Diagnostics, age_text
@@ -47,8 +47,6 @@ TICKS_PER_STATE = 5
 
 
 class TeleopLogi:
-    """Reads the gamepad and publishes requests."""
-
     def __init__(self, params, inbox):
         self._config = read_all(params, GamepadConfig)
         self._entries = load_entries(params.path(CONFIG_FOLDER, None))
@@ -76,7 +74,8 @@ class TeleopLogi:
                                         now_ns)
         inbox.on_overflow(lambda now_ns: self._handover.mark_stale())
         subscribe("joy", Joy, inbox, self._on_joy)
-        subscribe(PHONE_TOPIC, Joy, inbox, self._on_phone)
+        subscribe(PHONE_TOPIC, Joy, inbox,
+                  lambda message, now_ns: self._handover.phone.update(message.axes, message.buttons, now_ns))
         self._command_topics.start(self._diagnostics.report_now)
 
     def step(self, now_ns):
@@ -92,7 +91,6 @@ class TeleopLogi:
         return self._timer.due_ns
 
     def shut_down(self):
-        """Release the deadman."""
         self._human.publish(False)
 
     def _on_joy(self, message, now_ns):
@@ -101,9 +99,6 @@ class TeleopLogi:
             self._handover.gamepad = self._other_gamepad(model, STARTED if self._model is None else REPLACED)
             self._model = model
         self._handover.gamepad.update(message.axes, message.buttons, now_ns)
-
-    def _on_phone(self, message, now_ns):
-        self._handover.update_phone(message.axes, message.buttons, now_ns)
 
     def _other_gamepad(self, model, rearm_reason):
         try:
@@ -131,7 +126,7 @@ class TeleopLogi:
             self._publish(requests, now_ns)
 
     def _publish(self, requests, now_ns):
-        """Publish the requests, and the state when it is of another kind than before; whether it is."""
+        """Publish the requests, and the state when it is of another kind than before; return whether it is."""
         before, self._published = self._published, requests
         # A release is sent first; requests are sent before a true, or the planner would steer in between.
         if not requests.human_in_loop:
@@ -180,7 +175,7 @@ class TeleopLogi:
         return remedy(requests.cause, self._topic) or remedy(requests.stick_cause, self._topic)
 
     def _report(self, status):
-        """Cause, remedy and what the gamepad sends, for /diagnostics."""
+        """Report cause, remedy and what the gamepad sends."""
         now_ns = self._clocks.now_ns()
         requests = self._handover.requests(now_ns)
         advice = self._advice(requests)
@@ -190,17 +185,16 @@ class TeleopLogi:
         status.add("steering stick", requests.steering_stick or "as the mode says")
         status.add("throttle stick", requests.throttle_stick or "as the mode says")
         status.add("age of joy", age_text(self._handover.gamepad.joy_age_s(now_ns)))
-        if self._handover.phone_is_heard:
-            status.add("age of phone/joy", age_text(self._handover.phone_age_s(now_ns)))
+        if self._handover.phone.was_received:
+            status.add("age of phone/joy", age_text(self._handover.phone.joy_age_s(now_ns)))
         status.add("gamepad", self._model or "its messages name none")
         status.add("axes, buttons", f"{self._handover.gamepad.axes}, {self._handover.gamepad.buttons}")
         for cause, count in sorted(self._losses.items()):
             status.add(f"times {cause}", count)
-        return status
 
 
 def _level(requests):
-    """How bad a cause is: an error needs more than to let go of the deadman and to hold it again."""
+    """Return how bad a cause is: an error needs more than to let go of the deadman and to hold it again."""
     cause = requests.cause
     if cause in causes.JOY_UNUSABLE:
         return ERROR
@@ -209,5 +203,4 @@ def _level(requests):
 
 
 def main():
-    """Run the node."""
     run("teleop_logi", TeleopLogi)

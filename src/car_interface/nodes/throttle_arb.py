@@ -44,6 +44,7 @@ from car_interface.common.causes import MODES
 from car_interface.common.declared import read_all
 from car_interface.common.live_parameters import Tuning
 from car_interface.common.measured_speed import MAX_SPEED_MPS
+from car_interface.common.sources import LOCKED, source_name
 from car_interface.common.units import CHANNELS
 from car_interface.msg import ConverterState, Float64Stamped, PlannerState, SteeringState, TeleopState, ThrottleState
 from car_interface.nodes.command_node import CommandNode
@@ -51,7 +52,6 @@ from car_interface.ros.diagnostics import ERROR, OK, WARN, age_text
 from car_interface.ros.reconfigure import ReconfigureServer
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import one_channel_duty, subscribe, subscribe_changes
-from car_interface.steering.arbiter import LOCKED, source_name
 from car_interface.throttle.arbiter import NoValue
 from car_interface.throttle.battery import REPORT as BATTERY_REPORT
 from car_interface.throttle.calibration import trimmed

@@ -33,13 +33,14 @@ from car_interface.common import causes
 from car_interface.common.declared import read_all
 from car_interface.common.live_parameters import Tuning
 from car_interface.common.publishers import find_unheard_planner
+from car_interface.common.sources import LOCKED, SOURCE_NAMES
 from car_interface.msg import SteeringState, TeleopState
 from car_interface.nodes.command_node import TICKS_PER_STATE, CommandNode
 from car_interface.ros.diagnostics import OK, WARN, age_text
 from car_interface.ros.reconfigure import ReconfigureServer
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import one_channel_duty, subscribe, subscribe_changes
-from car_interface.steering.arbiter import LOCKED, SOURCE_NAMES, SteeringArbiter
+from car_interface.steering.arbiter import SteeringArbiter
 from car_interface.steering.calibration import trimmed
 from car_interface.steering.config import TurnArbConfig
 from car_interface.steering.limits import TOO_TIGHT_REMEDY

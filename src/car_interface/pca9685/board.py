@@ -21,7 +21,6 @@ from car_interface.pca9685.registers import (
     RESTART,
     SLEEP,
     counts_of_registers,
-    frequency_for,
     register_bytes,
 )
 
@@ -48,22 +47,17 @@ class Board:
             ``read_i2c_block_data(address, register, length)`` and ``write_i2c_block_data(address, register, values)``.
         address: 7-bit I²C address, 0x40..0x7f.
         prescale: PRE_SCALE, 3..255.
-        oscillator_hz: the chip's clock, nominally 25 MHz.
         pause: called with seconds where the chip needs time.
     """
 
-    def __init__(self, bus, address: int, prescale: int, oscillator_hz: float, pause: Callable[[float], None]):
-        self._bus = bus
-        self._address = address
-        self._prescale = prescale
-        self._pause = pause
-        self.period_s = 1.0 / frequency_for(prescale, oscillator_hz)
+    def __init__(self, bus, address: int, prescale: int, pause: Callable[[float], None]):
+        self._bus, self._address, self._prescale, self._pause = bus, address, prescale, pause
         self._held: list[int | None] = [None] * CHANNELS
         self._next_unused = 0  # of the channels that are off: the one at which the next check begins
 
     @property
     def held(self) -> list[int | None]:
-        """The counts last written to or read from each channel; ``None`` = unknown."""
+        """Return the counts last written to or read from each channel; ``None`` = unknown."""
         return list(self._held)
 
     def initialise(self) -> None:
@@ -106,7 +100,6 @@ class Board:
             raise ForeignWrite("; ".join(foreign))
 
     def read_back(self) -> None:
-        """Read back the counts of all channels."""
         self._read_channels(range(CHANNELS))
 
     def _read_channels(self, channels):
@@ -124,7 +117,7 @@ class Board:
 
     def _start(self):
         mode1 = self._read(MODE1)
-        if not (mode1 & SLEEP or self._read(PRE_SCALE) != self._prescale):
+        if not mode1 & SLEEP and self._read(PRE_SCALE) == self._prescale:
             self._write(MODE1, AUTO_INCREMENT)
             self._write(MODE2, TOTEM_POLE)
             return

@@ -44,8 +44,6 @@ def choose_bus(header: Header, address: int, make_bus: Callable[[], Any]) -> str
     """Return the path of the header's bus on which the board is; where there is but one, without asking.
 
     Args:
-        header: the computer's.
-        address: the board's.
         make_bus: makes a closed bus, as ``smbus2.SMBus``.
 
     Raises:
@@ -87,9 +85,7 @@ def explain(error: OSError, device: str, bus_exists: bool, header: Header) -> tu
 
     Args:
         error: of the bus, or BoardMismatch.
-        device: the bus's path.
         bus_exists: there is a file at that path.
-        header: the computer's.
     """
     bus = device.rsplit("-", 1)[-1]
     if isinstance(error, BoardMismatch):

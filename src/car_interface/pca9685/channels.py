@@ -71,9 +71,6 @@ class Followed(NamedTuple):
 class Channels:
     """The targets of all channels. At first, and after a timeout, a target is the timeout value.
 
-    Args:
-        configs: one for each of the sixteen channels.
-
     Raises:
         ConfigError: naming the parameter and the channel.
     """
@@ -178,7 +175,6 @@ class Channels:
         return Followed(changed, refused)
 
     def make_safe(self, now_ns: int) -> None:
-        """Set every channel to its timeout value now."""
         self._timed_out.update((channel, TimedOut(now_ns, True)) for channel in self._commanded)
         for channel in self._commanded:
             self._follow_side(channel, self.timeout_values[channel], now_ns)
@@ -201,12 +197,12 @@ class Channels:
 
     @property
     def targets(self) -> list[int]:
-        """The counts, 0..4096, that each channel should hold."""
+        """Return the counts, 0..4096, that each channel should hold."""
         return list(self._targets)
 
 
 def blocks(changes: dict[int, int], max_length: int) -> list[list[int]]:
-    """Channels to write, as runs of at most ``max_length`` neighbours: one transfer each."""
+    """Return the channels to write, as runs of at most ``max_length`` neighbours: one transfer each."""
     runs: list[list[int]] = []
     for channel in sorted(changes):
         if runs and channel == runs[-1][-1] + 1 and len(runs[-1]) < max_length:
@@ -217,5 +213,5 @@ def blocks(changes: dict[int, int], max_length: int) -> list[list[int]]:
 
 
 def differences(held: Sequence[int | None], targets: Sequence[int]) -> dict[int, int]:
-    """The targets of those channels whose registers (``None`` = unknown) differ from them."""
+    """Return the targets of those channels whose registers (``None`` = unknown) differ from them."""
     return {channel: target for channel, target in enumerate(targets) if held[channel] != target}

@@ -21,11 +21,7 @@ STEERING_FILE, ESC_FILE = "by `turn_arb.yaml`", "by `throttle.yaml`"
 
 @dataclass(frozen=True)
 class Pca9685Config:
-    """The bus, the chip, and the channels' limits and failsafe.
-
-    Raises:
-        ConfigError: naming the parameter.
-    """
+    """The bus, the chip, and the channels' limits and failsafe."""
 
     device: str = declared.text_or_integer(
         "device", "/dev/i2c-1", f"the I²C bus; `{AUTO}` = [the header's](install.md#the-servo-boards-bus); `{VIRTUAL}` "
@@ -106,11 +102,10 @@ class Pca9685Config:
 
     @property
     def guard_off_after_ns(self) -> int:
-        """How long after it began to act the guard switches every output off."""
+        """Return how long after it began to act the guard switches every output off."""
         return round(NS_PER_S * self.guard_off_after_s)
 
     def _channels(self):
-        """Return limits and failsafe of each of the sixteen."""
         timeout_values, live_ranges, pulls = list(self.timeout_values), [0] * CHANNELS, {}
         for channel, neutral, live_range in self._neutrals():
             timeout_values[channel], live_ranges[channel] = neutral, live_range

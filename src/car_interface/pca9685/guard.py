@@ -47,11 +47,7 @@ END = "end"
 
 
 class Guard:
-    """The decisions of one guard.
-
-    Args:
-        off_after_ns: it switches every output off this long after it began to act.
-    """
+    """The decisions of one guard, which switches every output off ``off_after_ns`` after it began to act."""
 
     def __init__(self, off_after_ns: int):
         self.state = WAITING
@@ -77,7 +73,6 @@ class Guard:
 
     @property
     def is_acting(self) -> bool:
-        """Return whether it acts in place of the node."""
         return self.state in (ACTING, SAFE, OFF)
 
     def acts_alone(self, now_ns: int) -> bool:
@@ -89,7 +84,6 @@ class Guard:
         return self.is_acting and (self.node_is_dead or now_ns - self._since_ns >= self._lasting_ns)
 
     def status(self) -> bytes:
-        """Return the message to the node."""
         return GuardMessage(self.state, self._sequence, self.interventions, self._error).encode()
 
     def receive(self, data: bytes, now_ns: int) -> None:
@@ -127,10 +121,10 @@ class Guard:
         return self._error != 0 or self.node_has_reached and not self._is_claimed
 
     def action(self, now_ns: int) -> str:
-        """Return what to do now."""
         if self._is_over or self.node_is_dead and not self.is_acting and not self._has_reached:
             return END
-        if not self.is_acting and self._node_is_lost(now_ns):
+        is_silent = self.state == WATCHING and now_ns - self._last_ns >= self._limit_ns
+        if not self.is_acting and self._has_reached and (self.node_is_dead or is_silent):
             self.interventions += 1
             self.state = ACTING
             self._since_ns = self._try_ns = now_ns
@@ -138,10 +132,6 @@ class Guard:
                 self._lasting_ns = LASTING_NS
             self._retry_ns = FIRST_RETRY_NS
         return self._due_action(now_ns)
-
-    def _node_is_lost(self, now_ns):
-        is_silent = self.state == WATCHING and now_ns - self._last_ns >= self._limit_ns
-        return self._has_reached and (self.node_is_dead or is_silent)
 
     def _due_action(self, now_ns):
         if self.node_is_dead and (self.state == OFF or self.state == ACTING
@@ -152,13 +142,11 @@ class Guard:
         if self.state == ACTING:
             return ASSERT
         if self.state == SAFE:
-            return SWITCH_OFF if now_ns >= self._off_ns() else CHECK
+            off_ns = max(self._since_ns + self._off_after_ns, self._safe_ns + MIN_NEUTRAL_NS)
+            return SWITCH_OFF if now_ns >= off_ns else CHECK
         if self.state == OFF:
             return SWITCH_OFF
         return PROBE if self.state == WATCHING and self._must_probe() else NOTHING
-
-    def _off_ns(self):
-        return max(self._since_ns + self._off_after_ns, self._safe_ns + MIN_NEUTRAL_NS)
 
     def succeeded(self, action: str, now_ns: int) -> None:
         """Take note that an action was done and verified."""

@@ -27,7 +27,6 @@ OFF = (0,) * CHANNELS
 
 
 def probe(device) -> None:
-    """Read a register."""
     device.read(MODE1, 1)
 
 
@@ -44,11 +43,7 @@ def write_counts(device, counts) -> list:
 
 
 def keep_counts(device, counts) -> list:
-    """Bring the channels to these counts; if they held others, these come first in the result.
-
-    Raises:
-        OSError: as ``write_counts``.
-    """
+    """Bring the channels to these counts as ``write_counts``; if they held others, these come first in the result."""
     if not _is_awake(device):
         return [OFF]
     found = _read_all(device)
@@ -59,11 +54,7 @@ def keep_counts(device, counts) -> list:
 
 
 def switch_off(device) -> list:
-    """Set the full-off bit of all channels, unless they are off, and verify it.
-
-    Raises:
-        OSError: as ``write_counts``.
-    """
+    """Set the full-off bit of all channels, unless they are off, and verify it as ``write_counts``."""
     if _is_awake(device) and _read_all(device) != OFF:
         device.write(ALL_LED_OFF_H, bytes((FULL_BIT,)))
         _verified(device, OFF)

@@ -2,8 +2,6 @@
 
 A reading is published when it arrives or not at all: a repetition by a timer could come after another node has begun
 to drive the chip.
-
-Pure: counts and ``now_ns`` in.
 """
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ HELD, LEFT_TO_NODE = 0, 1
 
 NOT_TRIED = -1  # as ``error`` of a guard that has not tried to reach the chip yet
 
-_NODE = struct.Struct(f"=BBII{CHANNELS}H")
+_NODE = struct.Struct(f"=B?II{CHANNELS}H")
 _GUARD = struct.Struct("=BIIi")
 _OUTPUT = struct.Struct(f"=B{CHANNELS}H")
 
@@ -40,7 +40,7 @@ class NodeMessage(namedtuple("NodeMessage", "kind has_reached sequence acknowled
 
     def encode(self) -> bytes:
         """Return the bytes: fewer than PIPE_BUF, so that a pipe takes all or none of them."""
-        return _NODE.pack(self.kind, self.has_reached, self.sequence, self.acknowledged, *self.timeout_counts)
+        return _NODE.pack(*self[:-1], *self.timeout_counts)
 
 
 class GuardMessage(namedtuple("GuardMessage", "state sequence interventions error")):
@@ -49,24 +49,18 @@ class GuardMessage(namedtuple("GuardMessage", "state sequence interventions erro
     """
 
     def encode(self) -> bytes:
-        """Return the bytes."""
-        return _GUARD.pack(self.state, self.sequence, self.interventions, self.error)
+        return _GUARD.pack(*self)
 
 
 class OutputMessage(namedtuple("OutputMessage", "kind counts")):
     """What the channels held, 0..4096 counts."""
 
     def encode(self) -> bytes:
-        """Return the bytes."""
         return _OUTPUT.pack(self.kind, *self.counts)
 
 
 class MessageReader:
-    """Assembles messages from the bytes of a pipe.
-
-    Args:
-        decode: makes a message of one structure's fields.
-    """
+    """Assembles messages from the bytes of a pipe."""
 
     def __init__(self, structure, decode):
         self._structure = structure
@@ -83,16 +77,12 @@ class MessageReader:
 
 
 def node_reader() -> MessageReader:
-    """Return a reader of the node's messages."""
-    return MessageReader(_NODE, lambda kind, has_reached, sequence, acknowledged, *counts: NodeMessage(
-        kind, bool(has_reached), sequence, acknowledged, counts))
+    return MessageReader(_NODE, lambda *fields: NodeMessage(*fields[:-CHANNELS], fields[-CHANNELS:]))
 
 
 def guard_reader() -> MessageReader:
-    """Return a reader of the guard's messages."""
     return MessageReader(_GUARD, GuardMessage)
 
 
 def output_reader() -> MessageReader:
-    """Return a reader of the guard's messages to its relay."""
     return MessageReader(_OUTPUT, lambda kind, *counts: OutputMessage(kind, counts))

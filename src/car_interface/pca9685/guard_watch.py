@@ -3,8 +3,6 @@
 A node that stood still for longer than the guard waits was overruled: the guard has brought the chip to its timeout
 values. The node obeys commands again once the guard has answered a later sign of life, so that the guard's last write
 comes before the node's first.
-
-Pure: bytes of the guard's pipe and ``now_ns`` in.
 """
 from __future__ import annotations
 
@@ -58,7 +56,6 @@ class GuardWatch:
         return self.is_present and self._obeys_from > 0
 
     def start(self, now_ns: int) -> None:
-        """Begin with a new guard, which was started."""
         self.is_present = True
         self.error = NOT_TRIED
         self._messages = guard_reader()
@@ -67,7 +64,6 @@ class GuardWatch:
         self._interventions = self._acknowledged = self._obeys_from = 0
 
     def lose(self) -> None:
-        """Take note that the guard is gone."""
         self.is_present = False
 
     def receive(self, data: bytes, now_ns: int) -> None:

@@ -22,7 +22,6 @@ class I2cDevice:
     """A chip on a bus; opened when it is first needed, and again after ``close``.
 
     Args:
-        path: of the bus.
         address: of the chip, 7 bits. A lock on this byte of the bus's file is its node's.
     """
 
@@ -47,7 +46,6 @@ class I2cDevice:
             raise
 
     def close(self) -> None:
-        """Close the bus."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
@@ -80,5 +78,4 @@ class I2cDevice:
         self._transfer(_WRITE, register, data)
 
     def _transfer(self, direction, register, data):
-        pointer, _ = data.buffer_info()
-        fcntl.ioctl(self._fd, I2C_SMBUS, _REQUEST.pack(direction, register, _BLOCK_DATA, pointer))
+        fcntl.ioctl(self._fd, I2C_SMBUS, _REQUEST.pack(direction, register, _BLOCK_DATA, data.buffer_info()[0]))

@@ -51,7 +51,6 @@ class ChannelSenders:
         """Return a fault for the channels that timed out, one for those that the same node commanded last.
 
         Args:
-            timed_out: by channel.
             now_ns: for how long ago that was, of the first channel of each fault.
             topics: the command topics with their publishers; none = they aren't known yet.
             process: the process whose restart forgets that a channel was ever commanded.

@@ -4,8 +4,6 @@ A failed transfer is repeated once; when that fails too, the bus is reopened and
 ms, since the chip may go on pulsing an old command, or with growing pauses where it has never run. Twice a second the
 chip is read back: after a loss of power it has its reset values and still acknowledges every write, and another program
 may have written to its channels.
-
-Pure: the bus is opened by a function that is passed in, and so is ``now_ns``.
 """
 from __future__ import annotations
 
@@ -30,8 +28,6 @@ Targets = Callable[[], Sequence[int]]
 
 @dataclass
 class BoardTally:
-    """Counts of faults."""
-
     errors: int = 0  # failed transfers, first attempts and repetitions
     reopenings: int = 0  # recoveries of bus and chip
     reinitialisations: int = 0  # of a chip that answered and had been reset
@@ -70,7 +66,7 @@ class BoardSupervisor:
 
     @property
     def held(self) -> list[int | None]:
-        """The counts in the chip's registers; ``None`` = unknown."""
+        """Return the counts in the chip's registers; ``None`` = unknown."""
         return [None] * CHANNELS if self._board is None else self._board.held
 
     def next_due_ns(self) -> int:
@@ -160,7 +156,6 @@ class BoardSupervisor:
             self._repeat(lambda: self._board.write(differences(self._board.held, targets())))
 
     def _repeat(self, transfer):
-        """Call ``transfer``, and once more when it fails."""
         try:
             transfer()
         except BoardMismatch:

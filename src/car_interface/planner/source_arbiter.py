@@ -12,13 +12,10 @@ from collections import Counter
 from typing import NamedTuple
 
 from car_interface.common import causes
+from car_interface.common.sources import SPEED
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
 from car_interface.planner.request import PlannerRequest, Refusal
-
-DRIVE, CMD_VEL, AUTOWARE, SPEED = "drive", "cmd_vel", "autoware", "speed"
-SOURCES = (DRIVE, CMD_VEL, AUTOWARE, SPEED)
-
 
 # Long enough for a slow swing: with ±3 "rad" and a period of 10 s, 1 s lies within MAX_SANE_RAD.
 SANE_FOR_NS = 2 * NS_PER_S
@@ -37,7 +34,7 @@ class SourceArbiter:
     """Keeps the newest command of the source.
 
     Args:
-        source: one of SOURCES.
+        source: one of PLANNERS.
         timeout_s: a command older than this is no request any more; above 0.
         sane_radius_m: for a source that was refused for an angle, a tighter turn than this isn't sane.
     """

@@ -9,20 +9,13 @@ The nodes of one process that subscribe to a topic share its connections. Each o
 from __future__ import annotations
 
 import logging
-import threading
 import traceback
-import weakref
-from collections import deque
-from typing import TYPE_CHECKING, Any, Callable
+from typing import Any, Callable
 
 import rospy
-from rospy.impl.tcpros_pubsub import TCPROSHandler
 
 from car_interface.common.units import NS_PER_MS, NS_PER_S
-from car_interface.ros.clocks import SYSTEM
-
-if TYPE_CHECKING:
-    from car_interface.ros.graph import RosGraph
+from car_interface.ros.graph import RosGraph
 
 # The timeout of the arbiters' inputs (``human_timeout`` and the others): after so long each input is stale anyway, so
 # that a computer which is only busy stops no car that its timeouts wouldn't stop. Less makes an input look younger by
@@ -30,8 +23,6 @@ if TYPE_CHECKING:
 STANDSTILL_NS = 500 * NS_PER_MS
 MAX_WAIT_NS = NS_PER_S  # a node's thread wakes at least so often
 FALLBACK_NS = 1000 * NS_PER_MS  # where connections can't be replaced nothing is obeyed for so long
-SAME_STANDSTILL_NS = 200 * NS_PER_MS  # a replacement for another node of this process counts for so long
-MAX_RETIRED = 32  # connections that may still deliver what they have read: the newest of each topic
 
 Handler = Callable[[Any, int], None]
 
@@ -58,68 +49,10 @@ class StandstillWatch:
             self._expected_ns = int(max(now_ns, min(due_ns, now_ns + MAX_WAIT_NS)))
 
 
-class _Connections:
-    """Those of one topic of this process."""
-
-    def __init__(self, subscription):
-        self._subscription = subscription  # rospy's, a weak reference
-        self._lock = threading.Lock()
-        self._replaced_ns = -SAME_STANDSTILL_NS
-        # rospy gives each connection a header of its own, and every message that of its connection.
-        self._retired_headers: deque = deque(maxlen=MAX_RETIRED)
-
-    def is_retired(self, header) -> bool:
-        return any(header is retired for retired in self._retired_headers)
-
-    def replace(self) -> None:
-        """Replace all of them, unless that has just been done."""
-        with self._lock:
-            subscription, now_ns = self._subscription(), SYSTEM.now_ns()
-            if subscription is None or now_ns - self._replaced_ns < SAME_STANDSTILL_NS:
-                return
-            connections = list(subscription.connections)
-            self._retired_headers.extend(each.header for each in connections if each.header)
-            for connection in connections:
-                self._replace_one(subscription, connection)
-            self._replaced_ns = now_ns
-
-    @staticmethod
-    def _replace_one(subscription, connection):
-        host, port = connection.dest_address
-        done, text, _ = TCPROSHandler().create_transport(
-            subscription.resolved_name, connection.endpoint_id, ["TCPROS", host, port])
-        if not done:
-            raise rospy.ROSException(text)
-        connection.close()
-
-
-_CONNECTIONS: weakref.WeakKeyDictionary = weakref.WeakKeyDictionary()  # by rospy's subscription of the topic
-_CONNECTIONS_LOCK = threading.Lock()
-
-
-def replace_connections(subscriber: rospy.Subscriber) -> Callable[[Any], bool]:
-    """Replace all connections of a subscriber, unless that has just been done for another one of its topic.
-
-    Returns:
-        Whether a message's header is that of a replaced one.
-
-    Raises:
-        Exception: of whatever kind, by another rospy: these are its internals.
-    """
-    subscription = subscriber.impl
-    if subscription is None:  # it is closed
-        return lambda header: False
-    with _CONNECTIONS_LOCK:
-        connections = _CONNECTIONS.setdefault(subscription, _Connections(weakref.ref(subscription)))
-    connections.replace()
-    return connections.is_retired
-
-
 class Backlog:
     """Knows which messages of one node's subscription are old.
 
     Args:
-        graph: of the node.
         takes_latched: obey the message with which a latching publisher's new connection begins. It is the publisher's
             last word, however old.
 

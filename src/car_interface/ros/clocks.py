@@ -75,9 +75,6 @@ class RosClock:
 
     The difference of the clocks is kept until it has changed by more than a reading can be off. Otherwise two messages
     a moment apart could be stamped in the wrong order.
-
-    Args:
-        clocks: the node's.
     """
 
     def __init__(self, clocks: Clocks):
@@ -116,10 +113,6 @@ class StampedAge:
 
     A stamp of 0, one in the future, and any after ROS time was set, until they agree with it again, say nothing: then
     an age is 0, and it counts from arrival alone. Each of these is logged once.
-
-    Args:
-        topic: for the log.
-        clocks: the node's.
     """
 
     def __init__(self, topic: str, clocks: Clocks):

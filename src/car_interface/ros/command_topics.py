@@ -49,7 +49,6 @@ class CommandTopics:
     """Reports on the publishers of all topics that a node subscribes to.
 
     Args:
-        inbox: the node's.
         shared: topics on which several nodes may publish.
         types: of topics that it subscribes to with any type, those that it takes.
         more_faults: what else the node finds, called with ``now_ns`` and the topics.
@@ -86,7 +85,7 @@ class CommandTopics:
                 and with an empty line when it is over.
         """
         self._report_now, self._on_fault = report_now, on_fault
-        self._inbox.graph.watch(self)
+        self._inbox.graph.watch(PROCESS_WATCH, self)
 
     @property
     def has_ended(self) -> bool:

@@ -18,16 +18,15 @@ from car_interface.ros.topics import advertise
 RATE_HZ = 1
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
-Report = Callable[[DiagnosticStatusWrapper], DiagnosticStatusWrapper]
+Report = Callable[[DiagnosticStatusWrapper], None]
 
 
 class Diagnostics:
     """Publishes one node's reports.
 
     Args:
-        inbox: the node's.
         hardware_id: the device that the reports are about, e.g. ``PCA9685 at 0x40 on /dev/i2c-1``.
-        reports: functions by name; each fills in a status and returns it.
+        reports: functions by name; each fills in a status.
         now_ns: the first report is due a second later.
     """
 

@@ -5,13 +5,59 @@ A test gives a node's inbox a graph of its own, in which it delivers the message
 from __future__ import annotations
 
 import threading
+import weakref
+from collections import deque
 from typing import Any, Callable
 
 import rosgraph
 import rospy
+from rospy.impl.tcpros_pubsub import TCPROSHandler
 
-from car_interface.ros.backlog import replace_connections
+from car_interface.common.units import NS_PER_MS
 from car_interface.ros.clocks import SYSTEM
+
+SAME_STANDSTILL_NS = 200 * NS_PER_MS  # a replacement for another node of this process counts for so long
+MAX_RETIRED = 32  # connections that may still deliver what they have read: the newest of each topic
+
+
+class _Connections:
+    """Those of one topic of this process."""
+
+    def __init__(self, subscription):
+        self._subscription = subscription  # rospy's, a weak reference
+        self._lock = threading.Lock()
+        self._replaced_ns = -SAME_STANDSTILL_NS
+        # rospy gives each connection a header of its own, and every message that of its connection.
+        self._retired_headers: deque = deque(maxlen=MAX_RETIRED)
+
+    def is_retired(self, header) -> bool:
+        return any(header is retired for retired in self._retired_headers)
+
+    def replace(self) -> None:
+        """Replace all of them, unless that has just been done."""
+        with self._lock:
+            subscription, now_ns = self._subscription(), SYSTEM.now_ns()
+            if subscription is None or now_ns - self._replaced_ns < SAME_STANDSTILL_NS:
+                return
+            connections = list(subscription.connections)
+            self._retired_headers.extend(each.header for each in connections if each.header)
+            for connection in connections:
+                self._replace_one(subscription, connection)
+            self._replaced_ns = now_ns
+
+    @staticmethod
+    def _replace_one(subscription, connection):
+        host, port = connection.dest_address
+        done, text, _ = TCPROSHandler().create_transport(
+            subscription.resolved_name, connection.endpoint_id, ["TCPROS", host, port])
+        if not done:
+            raise rospy.ROSException(text)
+        connection.close()
+
+
+_CONNECTIONS: weakref.WeakKeyDictionary = weakref.WeakKeyDictionary()  # by rospy's subscription of the topic
+_CONNECTIONS_LOCK = threading.Lock()
+
 
 
 class RosGraph:
@@ -44,8 +90,21 @@ class RosGraph:
         return rospy.Subscriber(name, message_type, callback, queue_size=queue_size, tcp_nodelay=True)
 
     def replace_connections(self, subscriber: rospy.Subscriber) -> Callable[[Any], bool]:
-        """Replace all connections of a subscriber; return whether a message's header is that of an old one."""
-        return replace_connections(subscriber)
+        """Replace all connections of a subscriber, unless that has just been done for another one of its topic.
+
+        Returns:
+            Whether a message's header is that of a replaced one.
+
+        Raises:
+            Exception: of whatever kind, by another rospy: these are its internals.
+        """
+        subscription = subscriber.impl
+        if subscription is None:  # it is closed
+            return lambda header: False
+        with _CONNECTIONS_LOCK:
+            connections = _CONNECTIONS.setdefault(subscription, _Connections(weakref.ref(subscription)))
+        connections.replace()
+        return connections.is_retired
 
     def service(self, name: str, service_type, handler: Callable[[Any], Any]) -> rospy.Service:
         """Offer a service; ``handler`` is called in a thread of ROS."""
@@ -73,15 +132,13 @@ class RosGraph:
         """
         rospy.set_param(name, value)
 
-    def reconfigure_server(self, config_type, callback, namespace: str):
+    def reconfigure_server(self, server_class, config_type, callback, namespace: str):
         """Offer dynamic_reconfigure's interface below a namespace."""
-        from car_interface.ros.reconfigure import Server  # which imports this package's inbox
-        return Server(config_type, callback, namespace)
+        return server_class(config_type, callback, namespace)
 
-    def watch(self, watch) -> None:
-        """Have a node's ``CommandTopics`` updated once a second."""
-        from car_interface.ros.command_topics import PROCESS_WATCH  # likewise
-        PROCESS_WATCH.add(watch)
+    def watch(self, process_watch, watch) -> None:
+        """Have the process's watch of the master update a node's ``CommandTopics`` once a second."""
+        process_watch.add(watch)
 
     def start_thread(self, target: Callable[[], None], name: str) -> None:
         """Run a function beside the node's thread."""

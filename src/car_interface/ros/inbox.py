@@ -96,11 +96,12 @@ class Inbox:
         for done in list(self._open_requests):
             self._refuse(done, ENDED)
 
-    def ask(self, handler: Callable[[Any, Future], None], request: Any) -> Any:
+    def ask(self, handler: Callable[[Any, Future], None], request: Any, within_s: float | None = None) -> Any:
         """Call ``handler(request, future)`` in the node's thread and wait for the future. For other threads.
 
         Raises:
             rospy.ServiceException: the node ended, or the request was dropped.
+            concurrent.futures.TimeoutError: it took longer than ``within_s``; ``None`` = any time.
         """
         done: Future = Future()
         self._open_requests.add(done)
@@ -108,7 +109,7 @@ class Inbox:
         if self._closed:  # ``close`` may have run before this request was added
             self._refuse(done, ENDED)
         try:
-            return done.result()
+            return done.result(within_s)
         finally:
             self._open_requests.discard(done)
 

@@ -24,12 +24,7 @@ WARNING_PERIOD_NS = 10 * NS_PER_S
 
 
 class ThrottledWarnings:
-    """Counts faults by kind, and logs each kind at once and then at most every 10 s.
-
-    Args:
-        clocks: the node's.
-        log: rospy's function of the level.
-    """
+    """Counts faults by kind, and logs each kind at once and then at most every 10 s."""
 
     def __init__(self, clocks: Clocks, log: Callable = rospy.logwarn):
         self.counts: Counter = Counter()

@@ -13,6 +13,8 @@ from __future__ import annotations
 
 import os
 import threading
+from concurrent.futures import TimeoutError as NoAnswer
+from contextlib import suppress
 from types import SimpleNamespace
 from typing import Callable, Mapping
 
@@ -26,7 +28,7 @@ from car_interface.common.errors import ConfigError
 from car_interface.common.live_parameters import Tuning, TuningSettings
 from car_interface.common.package_files import is_package_file
 from car_interface.common.yaml_edit import Values, save
-from car_interface.ros.inbox import TOO_BUSY, Inbox
+from car_interface.ros.inbox import Inbox
 from car_interface.ros.logs import ThrottledWarnings
 from car_interface.ros.topics import subscribe
 
@@ -52,24 +54,10 @@ class Server(server.Server):
         return super()._set_callback(req)
 
 
-class _Request:
-    """Requested values, and whether they were answered."""
-
-    def __init__(self, wanted):
-        self.wanted = wanted
-        self.answered = threading.Event()
-        self.was_dropped = False
-
-    def drop(self):
-        self.was_dropped = True
-        self.answered.set()
-
-
 class ReconfigureServer:
     """A node's tunable values.
 
     Args:
-        inbox: the node's.
         warnings: the node's; clamped and refused requests are counted there.
         tuning: the values, their limits and rate.
         apply: makes values active; called in the node's thread.
@@ -95,7 +83,7 @@ class ReconfigureServer:
         apply(tuning.active)
         full_namespace = f"{inbox.node_name}/{namespace}" if namespace else inbox.node_name
         self._server = inbox.graph.reconfigure_server(
-            _limited(config_class, tuning), self._on_reconfigure, full_namespace)
+            Server, _limited(config_class, tuning), self._on_reconfigure, full_namespace)
         save_service = inbox.graph.service(inbox.own_name("~save"), Trigger, self._on_save)
         for remove in (*self._server.close_actions(), save_service.shutdown):
             inbox.on_close(remove)
@@ -116,12 +104,9 @@ class ReconfigureServer:
     def _on_reconfigure(self, config, level):
         """Pass a request to the node's thread and return the accepted values. Called in a thread of ROS."""
         if self._serving:
-            request = _Request({name: config.get(name) for name in self._tuning.accepted})
-            self._inbox.put(self._on_request, request, on_drop=request.drop)
-            answered = request.answered.wait(ANSWER_WITHIN_S)
-            if request.was_dropped:
-                raise rospy.ServiceException(TOO_BUSY)
-            if answered:
+            with suppress(NoAnswer):
+                self._inbox.ask(self._on_request, {name: config.get(name) for name in self._tuning.accepted},
+                                ANSWER_WITHIN_S)
                 self._set_parameters()
         else:
             self._groups = config["groups"]  # as the .cfg file has them
@@ -138,9 +123,9 @@ class ReconfigureServer:
             except OSError:
                 pass  # the master is gone
 
-    def _on_request(self, request, now_ns):
-        answer = self._tuning.request(request.wanted, now_ns)
-        request.answered.set()
+    def _on_request(self, wanted, done):
+        answer = self._tuning.request(wanted, self._inbox.clocks.now_ns())
+        done.set_result(None)
         if answer.problem:
             self._warnings.warn("live tuning", answer.problem)
 
@@ -155,10 +140,6 @@ class ReconfigureServer:
 
 class TunedNode:
     """Another node's tunable values, as rqt_reconfigure sees and changes them.
-
-    Args:
-        inbox: of the node that asks.
-        namespace: of the other's dynamic_reconfigure.
 
     Attributes:
         values, low, high: by name; empty until the other node has sent them.

@@ -43,7 +43,7 @@ CONFIGS = {
     "gamepad_joy": "teleop.joystick.JoystickConfig",
     "keyboard_drive": "teleop.keyboard.KeyboardConfig",
     "phone_drive": "nodes.phone_drive.config.PhoneDriveConfig",
-    "black_box": "black_box.folder.BlackBoxConfig",
+    "black_box": "common.black_box_folder.BlackBoxConfig",
     "car_nodes": "common.fixed_parameters.CarNodesConfig",
     "car_display": "nodes.car_display.config.CarDisplayConfig",
     "car_sim": "nodes.car_sim.config.CarSimConfig",

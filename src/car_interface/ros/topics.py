@@ -4,6 +4,7 @@ from __future__ import annotations
 import socket
 from concurrent.futures import Future
 from functools import lru_cache
+from operator import attrgetter
 from typing import Any, Callable, Sequence
 
 import rospy
@@ -44,13 +45,9 @@ def subscribe(topic: str, message_type, inbox: Inbox, handler: Callable[[Any, in
     _subscribe(topic, message_type, inbox, backlog, lambda message: inbox.put(handler, message, wakes), queue_size)
 
 
-def _data_of(message):
-    return message.data
-
-
 def subscribe_changes(topic: str, message_type, inbox: Inbox, handler: Callable[[Any, int], None],
                       on_change: Callable[[int], Any] | None = None, takes_latched: bool = False,
-                      value_of: Callable[[Any], Any] = _data_of) -> None:
+                      value_of: Callable[[Any], Any] = attrgetter("data")) -> None:
     """Do the same for a topic whose messages mostly repeat the last value, in a node with a fast timer.
 
     A repeated value doesn't wake the node: it is handled, with its own time of arrival, when the node next wakes. That

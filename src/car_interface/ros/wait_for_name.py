@@ -62,12 +62,9 @@ def main() -> None:
 
 
 def wait_for_name(name: str) -> socket.socket:
-    """Return when a node may register this name: at once unless another node has it and runs.
+    """Return when a node may register this name, with its namespace: at once unless another node has it and runs.
 
     A line about the wait goes to standard error in the format of ROS: rospy can't log before it has registered.
-
-    Args:
-        name: with its namespace.
 
     Returns:
         The claim to the name. To be closed when the node has registered.
@@ -80,7 +77,8 @@ def wait_for_name(name: str) -> socket.socket:
             holder = Holder(STARTING, "this computer")
         line = wait.update(holder, SYSTEM.now_ns())
         if line:
-            log_warning(line)
+            RosStreamHandler().emit(logging.makeLogRecord(
+                {"name": "rosout", "levelno": logging.WARNING, "levelname": "WARNING", "msg": line}))
         if wait.may_register:
             return claim or socket.socket(socket.AF_UNIX)
         if claim is not None:
@@ -128,11 +126,7 @@ class Holder(NamedTuple):
 
 
 class NameWait:
-    """Waits for a name.
-
-    Args:
-        name: the node's, with its namespace.
-    """
+    """Waits for the name of a node, with its namespace."""
 
     def __init__(self, name: str):
         self._name = name
@@ -192,12 +186,7 @@ class NameWait:
 
 
 class NameLookup:
-    """Asks who has a name, over and over.
-
-    Args:
-        name: the node's, with its namespace.
-        master_uri: the ROS master's.
-    """
+    """Asks who has a name, over and over."""
 
     def __init__(self, name: str, master_uri: str):
         self._name = name
@@ -237,9 +226,3 @@ class NameLookup:
 def _machine(uri):
     host = urlsplit(uri).hostname or uri
     return f"{host} (this computer)" if is_local_address(host) else host
-
-
-def log_warning(text: str) -> None:
-    """Log a warning to standard error in the format of ROS."""
-    RosStreamHandler().emit(logging.makeLogRecord({"name": "rosout", "levelno": logging.WARNING, "levelname": "WARNING",
-                                                   "msg": text}))

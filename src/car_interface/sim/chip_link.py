@@ -48,8 +48,9 @@ def peer(connection: socket.socket) -> tuple[int, int]:
 class ChipLink:
     """One client of a chip; connected when it is first needed, and again after ``close``.
 
+    To a guard it is what ``pca9685.i2c_device.I2cDevice`` is.
+
     Args:
-        path: of the chip's socket.
         address: of the chip, 7 bits. A lock on this byte of ``lock_path`` is its node's.
     """
 
@@ -79,7 +80,6 @@ class ChipLink:
             raise
 
     def close(self) -> None:
-        """Disconnect."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None
@@ -94,15 +94,12 @@ class ChipLink:
         return self._lock_fd
 
     def lock_holder(self) -> int:
-        """Return the process that has locked this chip; 0 = none."""
         return lock_holder(self.lock_fd(), self._address)
 
     def claim(self, generation: int) -> None:
-        """Show older guards of this chip that there is a newer one."""
         lock_generation(self.lock_fd(), self._address, generation)
 
     def successor(self, generation: int) -> int:
-        """Return the process of a newer guard; 0 = none."""
         return newer_generation(self.lock_fd(), self._address, generation)
 
     def is_gone(self, error: OSError) -> bool:
@@ -110,11 +107,9 @@ class ChipLink:
         return error.errno in (errno.ENOENT, errno.ECONNREFUSED, errno.ENXIO)
 
     def read(self, register: int, length: int) -> bytes:
-        """Read 1..32 registers, in one transfer."""
         return self.transfer(READ, self._address, register, bytes((length,)))
 
     def write(self, register: int, values: bytes) -> None:
-        """Write 1..32 registers, in one transfer."""
         self.transfer(WRITE, self._address, register, bytes(values))
 
     def inject(self, fault: str, value: float) -> None:

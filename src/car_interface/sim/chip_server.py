@@ -50,12 +50,7 @@ MAX_ADDRESS = 0x7F
 
 
 class ChipServer:
-    """Serves one chip.
-
-    Args:
-        listener: a listening socket.
-        address: the chip's, 7 bits.
-    """
+    """Serves the chip at a 7-bit address to who connects to a listening socket."""
 
     def __init__(self, listener: socket.socket, address: int):
         self._listener = listener
@@ -75,7 +70,8 @@ class ChipServer:
         poll.register(self._listener, select.POLLIN)
         alone_since_s = clock()
         while self._clients or clock() - alone_since_s < LINGER_S:
-            for fd, _ in poll.poll(self._wait_ms(clock())):
+            left_s = max(0.0, self._fails_s - clock()) if self._waiting else LINGER_S
+            for fd, _ in poll.poll(1000 * left_s + 1):
                 if fd == self._listener.fileno():
                     self._accept(poll)
                 elif fd in self._clients and not self._serve(fd, clock()):
@@ -91,20 +87,12 @@ class ChipServer:
             client, _ = self._listener.accept()
         except OSError:  # it has gone again
             return
-        try:
-            if len(self._clients) >= MAX_CLIENTS or peer(client)[1] != os.geteuid():
-                client.close()
-                return
-            client.setblocking(False)
-        except OSError:
+        if len(self._clients) >= MAX_CLIENTS or peer(client)[1] != os.geteuid():
             client.close()
             return
+        client.setblocking(False)
         self._clients[client.fileno()] = client
         poll.register(client, select.POLLIN)
-
-    def _wait_ms(self, now_s):
-        left_s = max(0.0, self._fails_s - now_s) if self._waiting else LINGER_S
-        return 1000 * left_s + 1
 
     def _drop(self, fd):
         self._clients.pop(fd).close()
@@ -151,26 +139,17 @@ class ChipServer:
         if packet[0] == OBSERVE and not number:
             self._outputs = self._pins()
             self._send(fd, OUTPUTS.pack(*self._outputs))
-        elif self._observers:
-            self._tell_observers()
-
-    def _tell_observers(self):
-        outputs = self._pins()
-        if outputs != self._outputs:
-            self._outputs = outputs
+        elif self._observers and self._outputs != self._pins():
+            self._outputs = self._pins()
             for observer in tuple(self._observers):
-                self._send(observer, OUTPUTS.pack(*outputs))
+                self._send(observer, OUTPUTS.pack(*self._outputs))
 
     def _send(self, fd, packet):
         with contextlib.suppress(OSError):  # it is dropped when its end is seen
             self._clients[fd].send(packet)
 
     def _handle(self, fd, packet):
-        """Do what a packet asks for and return the data of the answer.
-
-        Raises:
-            OSError: it failed, or can't be done.
-        """
+        """Do what a packet asks for and return the data of the answer; OSError where that fails or is impossible."""
         if len(packet) < REQUEST.size:
             raise _error(errno.EPROTO)
         if len(packet) > MAX_PACKET:
@@ -207,18 +186,16 @@ class ChipServer:
             self._chip.power_up()
         elif fault == "power" and value:
             self._chip.power_up()
-            self._bus.attach(self._address, self._chip)
+            self._bus.chips[self._address] = self._chip
         elif fault == "power":
-            self._bus.remove(self._address)
+            self._bus.chips.pop(self._address, None)
         elif fault == "address":
-            has_power = self._bus.remove(self._address) is not None
-            self._address = int(value)
-            if has_power:
-                self._bus.attach(self._address, self._chip)
+            chip, self._address = self._bus.chips.pop(self._address, None), int(value)
+            if chip is not None:  # it has power
+                self._bus.chips[self._address] = chip
 
     def _pins(self):
-        """Return the counts of the pins; without power 0."""
-        has_power = self._bus.has(self._address)
+        has_power = self._address in self._bus.chips
         return tuple(self._chip.high_counts(channel) if has_power else 0 for channel in range(16))
 
     def _open_log(self, path):

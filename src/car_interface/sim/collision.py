@@ -6,7 +6,6 @@ Pure: poses in, whether they are free out. A step into an obstacle is not made: 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Sequence
 
 from car_interface.common.vehicle_geometry import FRONT_M, REAR_M, WIDTH_M
@@ -17,30 +16,19 @@ APART_M = 0.01  # a car that has driven this far since it was stopped no longer 
 MAX_CENTER_RATIO = 1.5
 
 
-@dataclass(frozen=True)
-class CarBody:
-    """The car from above, a rectangle: metres behind and before the rear axle's middle, and across.
-
-    The default is a Slash 4x4's.
-    """
-
-    rear_m: float = REAR_M
-    front_m: float = FRONT_M
-    width_m: float = WIDTH_M
-
-
 class Obstacles:
-    """Everything upright in a room, and the outline of the car among it.
+    """Everything upright in a room, and the outline of the car among it, a rectangle: by default a Slash 4x4's.
 
     Args:
         segments: sides of walls and boxes: x and y of one end, and from there to the other, in metres.
         posts: x, y, radius.
-        outline: the car's.
+        rear_m, front_m, width_m: of the car: behind and before the rear axle's middle, and across.
     """
 
-    def __init__(self, segments: Sequence[tuple], posts: Sequence[tuple], outline: CarBody = CarBody()):
+    def __init__(self, segments: Sequence[tuple], posts: Sequence[tuple], rear_m: float = REAR_M,
+                 front_m: float = FRONT_M, width_m: float = WIDTH_M):
         self._segments, self._posts = tuple(segments), tuple(posts)
-        self._low_m, self._high_m, self._half_m = -outline.rear_m, outline.front_m, outline.width_m / 2
+        self._low_m, self._high_m, self._half_m = -rear_m, front_m, width_m / 2
         self._center_m = (self._low_m + self._high_m) / 2
         self._radius_m = math.hypot(self._high_m - self._center_m, self._half_m)  # of the circle around the outline
 
@@ -94,9 +82,6 @@ class Obstacles:
 
 class Collisions:
     """Blocks a car's steps into obstacles, and counts how often it ran into one.
-
-    Args:
-        obstacles: what it may run into.
 
     Attributes:
         count: of collisions; a car that keeps pushing, or backs off less than a centimetre, has one.

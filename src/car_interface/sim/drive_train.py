@@ -9,7 +9,6 @@ import math
 from dataclasses import dataclass
 
 from car_interface.common import declared
-from car_interface.common.errors import require
 from car_interface.sim.esc import BACKWARD, BRAKE, FORWARD, MotorState, is_pulse, throttle_of
 
 TRUE = "of the full duty, before drag; forward and backward at standstill"  # the meaning of three parameters
@@ -35,13 +34,9 @@ class DriveTrainConfig:
     neutral_duty: float = 4915.0
     full_forward_duty: float = 6554.0
     neutral_band_duty: float = 25.0
-    forward_mps2: float = declared.number(
-        "forward_acceleration", 5.6, TRUE, "m/s²", above=0.0, high=100)
-    reverse_mps2: float = declared.number(
-        "reverse_acceleration", 3.6, TRUE, "m/s²", above=0.0, high=100)
-    brake_mps2: float = declared.number(
-        "brake_deceleration", 7.0, TRUE, "m/s²", above=0.0,
-        high=100)
+    forward_mps2: float = declared.number("forward_acceleration", 5.6, TRUE, "m/s²", above=0.0, high=100)
+    reverse_mps2: float = declared.number("reverse_acceleration", 3.6, TRUE, "m/s²", above=0.0, high=100)
+    brake_mps2: float = declared.number("brake_deceleration", 7.0, TRUE, "m/s²", above=0.0, high=100)
     thrust_halves_mps: float = 9.4
     drag_mps2: float = 0.35
     drag_per_s: float = 0.08
@@ -49,13 +44,6 @@ class DriveTrainConfig:
     sag: float = 0.0
     sag_over_s: float = 300.0
     lag_s: float = 0.0
-
-    def __post_init__(self):
-        low, high = self.neutral_duty - self.neutral_band_duty, self.neutral_duty + self.neutral_band_duty
-        require(
-            self.full_reverse_duty < low <= high < self.full_forward_duty,
-            "neutral_duty", self.neutral_duty, "with its band between full reverse and full forward",
-        )  # fmt: skip
 
     def thrust(self, elapsed_s: float) -> float:
         """Return the ratio of the stated thrust that the battery gives at a time after the start."""
@@ -71,8 +59,6 @@ def throttle(duty: int, drive: DriveTrainConfig) -> float | None:
 
 
 class Motor:
-    """The motor, which follows its ESC with a lag."""
-
     def __init__(self, lag_s: float):
         self._lag_s = lag_s
         self._push = self._brake = 0.0
@@ -87,10 +73,8 @@ class Motor:
         return self._push, self._brake
 
 
-def motor_acceleration_mps2(
-    push: float, brake: float, speed_mps: float, drive: DriveTrainConfig, thrust: float = 1.0,
-    downhill_mps2: float = 0.0,
-) -> float:
+def motor_acceleration_mps2(push: float, brake: float, speed_mps: float, drive: DriveTrainConfig, thrust: float = 1.0,
+                            downhill_mps2: float = 0.0) -> float:
     """Return the car's acceleration by its motor; the other arguments as of ``true_acceleration_mps2``."""
     speed = abs(speed_mps)
     resistance_mps2 = drive.drag_mps2 + speed * (drive.drag_per_s + speed * drive.drag_per_m) + brake * drive.brake_mps2
@@ -106,19 +90,15 @@ def motor_acceleration_mps2(
     return push_mps2 - math.copysign(resistance_mps2, speed_mps or push_mps2)
 
 
-def true_acceleration_mps2(
-    esc_duty: int, speed_mps: float, drive: DriveTrainConfig = DriveTrainConfig(), thrust: float = 1.0,
-    downhill_mps2: float = 0.0,
-) -> float:
+def true_acceleration_mps2(esc_duty: int, speed_mps: float, drive: DriveTrainConfig = DriveTrainConfig(),
+                           thrust: float = 1.0, downhill_mps2: float = 0.0) -> float:
     """Return the car's acceleration without an ESC's memory, which a value map for this car approximates.
 
     A duty against the car's motion brakes. At standstill reverse drives backward (no double tap), and a push below the
     static drag moves nothing.
 
     Args:
-        esc_duty: of the ESC's channel.
         speed_mps: backward negative.
-        drive: the car's drive train.
         thrust: the ratio of its thrust that the battery gives.
         downhill_mps2: the part of the slope, forward positive; 0 on level ground.
     """

@@ -25,7 +25,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from car_interface.common.errors import require
 from car_interface.common.units import NS_PER_MS, NS_PER_S
 
 # Kinds, by their reaction to a pulse behind neutral.
@@ -43,11 +42,10 @@ COAST, FORWARD, BRAKE, BACKWARD = "coast", "forward", "brake", "backward"
 PULSE_PERIOD_NS = 20 * NS_PER_MS  # it looks at one pulse each 20 ms
 # 0.5 and 2.5 ms of a period of 20 ms that is 65536 long: servos and ESCs ignore other lengths.
 SHORTEST_PULSE, LONGEST_PULSE = 1638, 8192
+STANDS_MPS = 0.05  # slower wheels stand, to the ESC
 
 
 class MotorState(NamedTuple):
-    """The state of the motor."""
-
     mode: str  # COAST, FORWARD, BRAKE or BACKWARD
     level: float  # 0..1
 
@@ -70,7 +68,6 @@ class VirtualEscConfig:
         arming_s: neutral of this length after power-up, or after a loss of pulses, before the motor runs.
         cutoff_s: the motor stops after this long without a pulse.
         rearms: a loss of pulses must be followed by neutral for ``arming_s``, as power-up.
-        stands_mps: slower wheels stand, to the ESC.
     """
 
     kind: str = BRAKE_THEN_REVERSE
@@ -89,12 +86,6 @@ class VirtualEscConfig:
     arming_s: float = 0.5
     cutoff_s: float = 0.1
     rearms: bool = True
-    stands_mps: float = 0.05
-
-    def __post_init__(self):
-        low, high = self.neutral_duty - self.reverse_band_duty, self.neutral_duty + self.forward_band_duty
-        require(self.full_reverse_duty < low <= high < self.full_forward_duty, "neutral_duty", self.neutral_duty,
-                "with its dead bands between full reverse and full forward")
 
 
 def is_pulse(duty: int) -> bool:
@@ -117,7 +108,6 @@ class VirtualEsc:
     """One ESC under power.
 
     Args:
-        config: its properties.
         phase_ns: when, within the period, it sees a pulse.
     """
 
@@ -170,7 +160,7 @@ class VirtualEsc:
 
     def _answer(self, command, now_ns, wheel_mps):
         config = self.config
-        if abs(wheel_mps) >= config.stands_mps:
+        if abs(wheel_mps) >= STANDS_MPS:
             self._stood_since_ns = None
         elif self._stood_since_ns is None:
             self._stood_since_ns = now_ns
@@ -214,7 +204,7 @@ class VirtualEsc:
         stands = self._stood_since_ns is not None
         if kind == BRAKE_BECOMES_REVERSE:
             turned = stands and now_ns - self._stood_since_ns >= self.config.turn_s * NS_PER_S
-            return turned or self._motor.mode == BACKWARD or wheel_mps <= -self.config.stands_mps
+            return turned or self._motor.mode == BACKWARD or wheel_mps <= -STANDS_MPS
         return self._double_click(now_ns, stands or wheel_mps < 0)
 
     def _double_click(self, now_ns, stands):

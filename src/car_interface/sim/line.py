@@ -1,12 +1,11 @@
 """Damages the bytes on a serial line: silence, noise, another baud rate, cuts, a flood.
 
-Pure: bytes and ``now_ns`` in, bytes out. Random numbers come from a seed.
+Random numbers come from a seed.
 """
 from __future__ import annotations
 
 import math
 import random
-from typing import Iterator
 
 from car_interface.common.errors import require
 from car_interface.common.units import NS_PER_S
@@ -22,9 +21,6 @@ class BadLine:
     """The line between the Teensy and the host, with faults that can be switched on.
 
     A duration of 0 ends a fault.
-
-    Args:
-        seed: of the noise.
     """
 
     def __init__(self, seed: int):
@@ -86,11 +82,7 @@ class BadLine:
 
 
 class BitErrors:
-    """Flips bits at random, independently of each other.
-
-    Args:
-        seed: which ones.
-    """
+    """Flips bits at random, independently of each other."""
 
     def __init__(self, seed: int):
         self._random = random.Random(seed)
@@ -136,7 +128,8 @@ class SlowReceiver:
 
     def receive(self, data: bytes) -> bytes:
         """Return what it receives of bytes that follow each other without a pause."""
-        self._line += "".join(_bits_of(data))
+        # On the line a byte is a start bit 0, the byte from its least bit on, and a stop bit 1.
+        self._line += "".join(f"0{f'{byte:08b}'[::-1]}1" for byte in data)
         received = bytearray()
         start = self._line.find("0")
         while 0 <= start <= len(self._line) - 20:
@@ -147,11 +140,6 @@ class SlowReceiver:
             start = self._line.find("0", start + (20 if is_start else 1))
         self._line = self._line[start:] if start >= 0 else ""
         return bytes(received)
-
-
-def _bits_of(data) -> Iterator[str]:
-    """Yield bytes as bits on the line: a start bit 0, the byte from its least bit on, a stop bit 1."""
-    return (f"0{f'{byte:08b}'[::-1]}1" for byte in data)
 
 
 def _duration_ns(name, duration_s):

@@ -79,24 +79,17 @@ class VirtualPca9685:
         extclk = (before | value) & _EXTCLK  # only a power cycle clears it
         self._registers[_MODE1] = value & 0x3F | extclk | restart
 
-    def _channel_registers(self, channel):
-        start = _LED0 + 4 * channel
-        return self._registers[start: start + 4]
-
     def high_counts(self, channel: int) -> int:
         """Return for how many of 4096 counts the pin of a channel is high; 0 asleep or waiting for a restart."""
         if self._registers[_MODE1] & (_SLEEP | _RESTART):
             return 0
-        on_l, on_h, off_l, off_h = self._channel_registers(channel)
+        start = _LED0 + 4 * channel
+        on_l, on_h, off_l, off_h = self._registers[start: start + 4]
         if off_h & _FULL:
             return 0
         if on_h & _FULL:
             return 4096
         return ((off_h % 16 * 256 + off_l) - (on_h % 16 * 256 + on_l)) % 4096
-
-    def period_s(self, oscillator_hz: float = 25e6) -> float:
-        """Return the PWM period by PRE_SCALE."""
-        return 4096 * (self._registers[_PRE_SCALE] + 1) / oscillator_hz
 
 
 class VirtualBus:
@@ -108,6 +101,7 @@ class VirtualBus:
         on_write: called with (address, register, data) after each write that a chip took.
 
     Attributes:
+        chips: those that are on the bus now.
         nacks_left: how many of the next transfers are not acknowledged.
         held: somebody holds the bus down: every transfer times out.
     """
@@ -116,12 +110,11 @@ class VirtualBus:
                  on_write: Callable[[int, int, Sequence[int]], None] = lambda address, register, data: None):
         self.nacks_left = 0
         self.held = False
-        self._chips = dict(chips)
+        self.chips = dict(chips)
         self._pause = pause
         self._on_write = on_write
 
     def read_byte_data(self, address: int, register: int) -> int:
-        """Read one register, as smbus2."""
         return self._chip(address).read(register, 1)[0]
 
     def read_i2c_block_data(self, address: int, register: int, length: int) -> list[int]:
@@ -129,7 +122,6 @@ class VirtualBus:
         return self._chip(address).read(register, _checked_length(length))
 
     def write_byte_data(self, address: int, register: int, value: int) -> None:
-        """Write one register, as smbus2."""
         self._write(address, register, [value])
 
     def write_i2c_block_data(self, address: int, register: int, data: list[int]) -> None:
@@ -140,18 +132,6 @@ class VirtualBus:
     def close(self) -> None:
         """Close as smbus2; the chips keep their power."""
 
-    def remove(self, address: int) -> VirtualPca9685 | None:
-        """Remove the chip at an address, if there is one, as a loose wire does."""
-        return self._chips.pop(address, None)
-
-    def has(self, address: int) -> bool:
-        """Return whether a chip is on the bus at an address."""
-        return address in self._chips
-
-    def attach(self, address: int, chip: VirtualPca9685) -> None:
-        """Put a chip on the bus."""
-        self._chips[address] = chip
-
     def _write(self, address, register, data):
         self._chip(address).write(register, data)
         self._on_write(address, register, data)
@@ -160,12 +140,10 @@ class VirtualBus:
         if self.held:
             self._pause(_KERNEL_TIMEOUT_S)
             raise OSError(errno.ETIMEDOUT, "Connection timed out")
-        if self.nacks_left:
-            self.nacks_left -= 1
+        nack, self.nacks_left = self.nacks_left > 0, max(0, self.nacks_left - 1)
+        if nack or address not in self.chips:
             raise OSError(errno.EREMOTEIO, "Remote I/O error")
-        if address not in self._chips:
-            raise OSError(errno.EREMOTEIO, "Remote I/O error")
-        return self._chips[address]
+        return self.chips[address]
 
 
 def _checked_length(length):

@@ -18,7 +18,6 @@ class Clock:
         start_ms: its value at ``start_ns``.
         drift_ppm: how much too fast it runs at that time.
         ramp_ppm_per_h: how much faster still it runs each hour after.
-        start_ns: true time at which it starts.
     """
 
     def __init__(self, start_ms: int, drift_ppm: float, ramp_ppm_per_h: float, start_ns: int):
@@ -35,11 +34,9 @@ class Clock:
         return self._start_device_ns + elapsed_ns + gained_ns
 
     def tick(self, now_ns: int) -> int:
-        """Return whole milliseconds, not wrapped."""
         return self.device_ns(now_ns) // NS_PER_MS
 
     def millis(self, now_ns: int) -> int:
-        """Return whole milliseconds, modulo 2**32."""
         return self.tick(now_ns) & UINT32
 
     def micros(self, now_ns: int) -> int:

@@ -10,20 +10,17 @@ times and fields are compared with captures of the original in test/unit/sim/tes
 
 The firmware is one loop. Here it is a generator that yields when it goes on: at the next pass with something to do, or,
 while a ping holds it up, when that ends. Interrupts (pulses, the ends of echoes, the timer) happen in between.
-
-All times are true time in nanoseconds (``int``) and never run back; "tick" is the firmware's own millisecond count, not
-wrapped; ``millis()`` and ``micros()`` are wrapped at 2**32.
+Times are those of ``teensy_clock``.
 """
-
 from __future__ import annotations
 
 import struct
+from dataclasses import dataclass
 from random import Random
 from typing import Callable, Generator
 
 from car_interface.common.errors import require
 from car_interface.sim.teensy_clock import NEVER_NS, NS_PER_US, UINT32, Clock
-from car_interface.sim.teensy_config import BOOT_MS, FirmwareConfig
 from car_interface.sim.teensy_packets import (
     COUNTER_NAMES,
     ERROR_COUNT,
@@ -55,33 +52,67 @@ from car_interface.sim.teensy_wheels import FORWARD, HALL_PINS, Axle
 
 U32 = struct.Struct("<I")
 SONAR_ECHO = struct.Struct("<HI")  # echo µs, when: after the sensor and the filler byte
+BOOT_MS = 300  # millis() when a Teensy starts the firmware's own code
+POOL_SIZE = 32  # packets that receiver, queues and transmitter share
+UART_BUFFER = 62  # bytes that wait in front of the line: of its 64 the firmware leaves 2 free
+
+
+@dataclass(frozen=True)
+class FirmwareConfig:
+    """The properties of one simulated Teensy; the defaults are the one in the cars.
+
+    Attributes:
+        baud: bits a second on the line, both ways.
+        clock_start_ms: ``millis()`` at power-up, as the boot has ended; near 2**32 it wraps soon; 300 after ``reboot``.
+        clock_drift_ppm: how much the Teensy's crystal is too fast (positive) or too slow.
+        clock_ramp_ppm_per_h: how much that changes in an hour (a car that warms up).
+        loop_us: true time of one pass of the loop, µs. The original's is not known.
+        sonar_wait_ms: from an echo to the next sonar's ping, until SONAR_WAIT changes it.
+        sonar_sequence: the sonars' order, until SET_SONAR_SEQ changes it.
+        sonar_pulse_end_us: how long a sensor holds its echo pin high without an echo: 38 ms with an HC-SR04.
+        sonars_missing: the sensors that are not connected at power-up; see ``set_sonar``.
+        wheel_positions: where the wheels (left, right) stand at power-up, in pulses: sets the levels of the hall pins.
+        odometer_start: dist and dist_abs of both wheels, which have turned forward, at power-up. After ``reboot`` 0.
+        corrected_checksum: the receiver sums with carry over unescaped bytes. Its other faults stay.
+        seed: of the garbage that the packets' memory holds at power-up; None for zeros.
+    """
+
+    baud: int = 115200
+    clock_start_ms: int = BOOT_MS
+    clock_drift_ppm: float = 0.0
+    clock_ramp_ppm_per_h: float = 0.0
+    loop_us: int = 50
+    sonar_wait_ms: int = 50
+    sonar_sequence: tuple[int, ...] = (0, 1, 2, 3, 4, 5)
+    sonar_pulse_end_us: int = 38_000
+    sonars_missing: tuple[int, ...] = ()
+    wheel_positions: tuple[int, int] = (0, 0)
+    odometer_start: int = 0
+    corrected_checksum: bool = False
+    seed: int | None = None
 
 
 class TeensyFirmware:
     """A powered Teensy with two wheels and six sonars on it.
 
     Args:
-        config: its properties.
         echo_us: ``(sensor, at_ns) -> µs`` from a ping to its echo; 0 when nothing is near enough: then the sensor ends
             its pulse by itself. An attribute too. Without it no sonar gets an echo.
         power_up_ns: the true time at which its boot ends and it begins to work.
 
     Attributes:
+        clock: its own; another one after a reboot.
         counters: every counter that GET_COUNTERS can report, by name.
         hung: True once only a reboot helps.
     """
 
-    def __init__(
-        self,
-        config: FirmwareConfig,
-        echo_us: Callable[[int, int], float] | None = None,
-        power_up_ns: int = 0,
-    ):
+    def __init__(self, config: FirmwareConfig, echo_us: Callable[[int, int], float] | None = None,
+                 power_up_ns: int = 0):
         self.echo_us = echo_us or (lambda sensor, at_ns: 0)
         self._config = config
         self._period_ns = config.loop_us * NS_PER_US
         self._incoming = IncomingLine(config.baud)
-        self._outgoing = OutgoingLine(config.baud, config.uart_buffer)
+        self._outgoing = OutgoingLine(config.baud, UART_BUFFER)
         self._sensors = [self._sensor(number) for number in range(SONARS)]
         for sensor in config.sonars_missing:
             self._sensors[sensor].set_condition(SONAR_MISSING, power_up_ns)
@@ -97,24 +128,20 @@ class TeensyFirmware:
 
     def _switch_on(self, clock_start_ms: int, clock_start_ns: int, boot_end_ns: int):
         config = self._config
-        self._clock = Clock(clock_start_ms, config.clock_drift_ppm, config.clock_ramp_ppm_per_h, clock_start_ns)
+        self.clock = Clock(clock_start_ms, config.clock_drift_ppm, config.clock_ramp_ppm_per_h, clock_start_ns)
         self.counters: dict[str, int] = dict.fromkeys(COUNTER_NAMES, 0)
         self.hung = False
-        self._pool = PacketPool(config.pool_size, config.seed)
+        self._pool = PacketPool(POOL_SIZE, config.seed)
         self._receiver = Receiver(self._pool.acquire, self.counters, config.corrected_checksum)
-        self._transmitter = Transmitter(self._outgoing, self._pool, self.counters, config.boot_byte)
+        self._transmitter = Transmitter(self._outgoing, self._pool, self.counters)
         self._axle = Axle(self.counters)
-        self._sonars = SonarArray(
-            config.sonar_sequence, config.sonar_wait_ms, self._sensors, self._clock, self._pool, self.counters
-        )
+        self._sonars = SonarArray(config.sonar_sequence, config.sonar_wait_ms, self._sensors, self.clock, self._pool,
+                                  self.counters)
         self._commands = {
-            PONG_RESP: self._ignore,
-            SET_SONAR_SEQ: self._set_sonar_sequence,
-            SONAR_STOP: self._stop_sonars,
-            WHEEL_RESET: self._reset_wheels,
-            GET_COUNTERS: self._send_counters,
-            SONAR_WAIT: self._set_sonar_wait,
-        }
+            PONG_RESP: lambda packet: None,  # the firmware knows the command, and never asks for one
+            SET_SONAR_SEQ: self._set_sonar_sequence, SONAR_STOP: self._stop_sonars,
+            WHEEL_RESET: lambda packet: self._axle.reset(), GET_COUNTERS: self._send_counters,
+            SONAR_WAIT: self._set_sonar_wait}
         self._is_booting = True
         self._is_between_passes = False
         self._resume_ns = boot_end_ns
@@ -156,8 +183,6 @@ class TeensyFirmware:
         """Turn one rear wheel from one of its magnets' fields into the next: one of its two hall pins changes.
 
         Args:
-            side: LEFT or RIGHT.
-            direction: FORWARD or BACKWARD.
             at_ns: its true time; pulses come in order, a late one happens now.
         """
         self.advance(at_ns)
@@ -166,7 +191,7 @@ class TeensyFirmware:
         pins = HALL_PINS[self._positions[side] % 4]
         if self._is_booting or self.hung:
             return
-        self._axle.interrupt(side, before ^ pins, pins, self._clock.tick(self._now_ns))
+        self._axle.interrupt(side, before ^ pins, pins, self.clock.tick(self._now_ns))
         self._wake(self._now_ns)
 
     def reboot(self, now_ns: int, off_ns: int = 0):
@@ -179,7 +204,7 @@ class TeensyFirmware:
         self._outgoing.cut(self._now_ns)
         clock_start_ns = self._now_ns + off_ns
         self._switch_on(0, clock_start_ns, clock_start_ns)
-        self._resume_ns = self._clock.reaches_ns(BOOT_MS, clock_start_ns)
+        self._resume_ns = self.clock.reaches_ns(BOOT_MS, clock_start_ns)
 
     def set_sonar(self, sensor: int, condition: str, now_ns: int):
         """Set a sensor to SONAR_FINE, SONAR_MISSING (not connected), SONAR_STUCK, SONAR_BLINK or SONAR_CLONE.
@@ -188,20 +213,12 @@ class TeensyFirmware:
         holds it for 1.5 to 2 s from now on, and is fine then. A clone ends its pulse after 200 ms without an echo.
 
         Raises:
-            ConfigError: no such sensor, no such condition.
+            ConfigError: no such sensor.
         """
         require(sensor in range(SONARS), "sonar", sensor, "a sensor from 0 to 5")
         self.advance(now_ns)
         self._sensors[int(sensor)].set_condition(condition, self._now_ns)
         self._sonars.schedule()
-
-    def millis(self, now_ns: int) -> int:
-        """Return the firmware's clock at ``now_ns``: whole milliseconds, modulo 2**32; this simulates nothing."""
-        return self._clock.millis(now_ns)
-
-    def device_ns(self, now_ns: int) -> int:
-        """Return the same clock in nanoseconds, neither truncated nor wrapped: the truth for an estimate of it."""
-        return self._clock.device_ns(now_ns)
 
     @property
     def next_event_ns(self) -> int:
@@ -211,16 +228,15 @@ class TeensyFirmware:
     # The loop
 
     def _run(self) -> Generator[int, int, None]:
-        """Run setup() and loop()."""
         now_ns = yield self._resume_ns
         self._is_booting = False
         self._incoming.drop(now_ns)
         now_ns = yield from self._sonars.begin(now_ns)
-        self._axle.begin(self._clock, now_ns)
+        self._axle.begin(self.clock, now_ns)
         while True:
             now_ns = yield from self._read_line(now_ns)
             now_ns = yield from self._sonars.ping_when_due(now_ns)
-            report = self._axle.report_when_due(self._clock, now_ns)
+            report = self._axle.report_when_due(self.clock, now_ns)
             if report is not None:
                 self._transmitter.queue_wheels(report)
             self._transmitter.poll(now_ns)
@@ -238,13 +254,10 @@ class TeensyFirmware:
     def _next_pass_ns(self, now_ns: int) -> int:
         """Return the next pass that finds something to do."""
         self._is_between_passes = True
-        wanted_ns = min(
-            self._incoming.next_ns, self._sonars.due_ns, self._axle.due_ns, self._transmitter.due_ns,
-        )  # fmt: skip
+        wanted_ns = min(self._incoming.next_ns, self._sonars.due_ns, self._axle.due_ns, self._transmitter.due_ns)
         return max(self._pass_ns(wanted_ns), self._pass_ns(now_ns + 1))
 
     def _pass_ns(self, at_ns: int) -> int:
-        """Return the first pass at this time or later."""
         return -(-at_ns // self._period_ns) * self._period_ns
 
     def _wake(self, at_ns: int):
@@ -253,8 +266,7 @@ class TeensyFirmware:
             self._resume_ns = min(self._resume_ns, self._pass_ns(at_ns))
 
     def _read_line(self, now_ns: int) -> Held:
-        if self._sonars.is_retrying:
-            now_ns = yield from self._sonars.retry(now_ns)
+        now_ns = yield from self._sonars.retry(now_ns)
         while self._incoming.next_ns <= now_ns:
             packet = self._receiver.byte(self._incoming.pop())
             if packet is None:
@@ -290,11 +302,8 @@ class TeensyFirmware:
     def _pong(self, packet: bytearray, now_ns: int):
         """Turn the ping itself into its answer, as the firmware does: the rest of it stays as it was."""
         packet[:3] = bytes((packet[1], TEENSY, PONG_RESP))
-        U32.pack_into(packet, 8, self._clock.millis(now_ns))
+        U32.pack_into(packet, 8, self.clock.millis(now_ns))
         self._transmitter.queue_first(packet)
-
-    def _ignore(self, packet: bytearray):
-        """Ignore a pong: the firmware knows the command, and never asks for one."""
 
     def _count_unknown(self, packet: bytearray):
         self.counters["rxErrorUnknown"] += 1
@@ -307,9 +316,6 @@ class TeensyFirmware:
 
     def _set_sonar_wait(self, packet: bytearray):
         (self._sonars.wait_ms,) = U32.unpack_from(packet, 4)
-
-    def _reset_wheels(self, packet: bytearray):
-        self._axle.reset()
 
     def _send_counters(self, packet: bytearray):
         for name, count in [item for item in self.counters.items() if item[1]]:

@@ -12,16 +12,13 @@ class Receiver:
     """Assembles packets from the host's bytes, with the four faults of the original.
 
     Args:
-        acquire: gets an empty packet, or None.
-        counters: counted into.
         corrected_checksum: True to sum with carry, over the unescaped bytes.
     """
 
     IDLE, WAITING, DATA, ESCAPED = "idle", "waiting", "data", "escaped"
 
-    def __init__(
-        self, acquire: Callable[[], bytearray | None], counters: dict[str, int], corrected_checksum: bool = False
-    ):
+    def __init__(self, acquire: Callable[[], bytearray | None], counters: dict[str, int],
+                 corrected_checksum: bool = False):
         self._acquire = acquire
         self._counters = counters
         self._corrected = corrected_checksum
@@ -44,8 +41,10 @@ class Receiver:
                 return None
             self._restart()
         self._counters["rxBytes"] += 1
-        if self._phase == self.WAITING:
-            self._wait_for_flag(byte)
+        if self._phase == self.WAITING and byte == FLAG:
+            self._phase = self.DATA
+        elif self._phase == self.WAITING:
+            self._counters["rxErrorDropped"] += 1
         elif self._phase == self.ESCAPED:
             self._undo_escape(byte)
         elif byte == FLAG:
@@ -61,12 +60,6 @@ class Receiver:
         self._phase = self.WAITING
         self._filled = 0
         self._sum = 0
-
-    def _wait_for_flag(self, byte: int):
-        if byte == FLAG:
-            self._phase = self.DATA
-        else:
-            self._counters["rxErrorDropped"] += 1
 
     def _undo_escape(self, byte: int):
         """Store the unescaped byte, and add the escaped one to the sum.
@@ -109,9 +102,6 @@ class Receiver:
 
 class IncomingLine:
     """The wire from the host: bytes arrive in order, ten bits each, and are taken one at a time.
-
-    Args:
-        baud: bits a second.
 
     Attributes:
         next_ns: when the next byte is complete; NEVER_NS when none is on the wire.

@@ -4,7 +4,6 @@ from __future__ import annotations
 from random import Random
 from typing import Callable, Generator
 
-from car_interface.common.errors import require
 from car_interface.sim.teensy_clock import AT_ONCE_NS, NEVER_NS, NS_PER_US, UINT32, Clock, Deadline
 from car_interface.sim.teensy_packets import PacketPool, PoolEmpty
 
@@ -50,12 +49,7 @@ class SonarSensor:
         self.rise_ns = self.fall_ns = AT_ONCE_NS  # of its last pulse
 
     def set_condition(self, condition: str, now_ns: int):
-        """Set one of SONAR_CONDITIONS; a blink raises the pin at once, and is over by itself.
-
-        Raises:
-            ConfigError: another one.
-        """
-        require(condition in SONAR_CONDITIONS, "sonar condition", condition, ", ".join(SONAR_CONDITIONS))
+        """Set one of SONAR_CONDITIONS; a blink raises the pin at once, and is over by itself."""
         if condition == SONAR_BLINK:
             self.rise_ns = min(self.rise_ns, now_ns) if now_ns < self.fall_ns else now_ns
             self.fall_ns = now_ns + self._rng.randint(BLINK_MIN_NS, BLINK_MAX_NS)
@@ -69,7 +63,6 @@ class SonarSensor:
             self.fall_ns = now_ns
 
     def is_high(self, now_ns: int) -> bool:
-        """Return whether its echo pin is high."""
         return self.rise_ns <= now_ns < self.fall_ns
 
     def trigger(self, now_ns: int):
@@ -98,13 +91,10 @@ class SonarArray:
         running: False after SONAR_STOP: the sonar that listens still reports, none follows it.
         wait_ms: from a report to the next ping. 2**31 and more: none.
         interrupt_ns: when the next interrupt comes.
-        is_retrying: two sensors in a row have failed; the loop goes on with the second one in its next pass.
     """
 
-    def __init__(
-        self, sequence: tuple[int, ...], wait_ms: int, sensors: list[SonarSensor], clock: Clock, pool: PacketPool,
-        counters: dict[str, int],
-    ):  # fmt: skip
+    def __init__(self, sequence: tuple[int, ...], wait_ms: int, sensors: list[SonarSensor], clock: Clock,
+                 pool: PacketPool, counters: dict[str, int]):
         self._sequence = list(sequence) + [0] * (SEQUENCE_MAX - len(sequence))
         self._length = len(sequence)
         self._index = 0
@@ -133,10 +123,6 @@ class SonarArray:
             return NEVER_NS
         return min(deadline.due_ns if deadline else NEVER_NS for deadline in (self._wait, self._attempt))
 
-    @property
-    def is_retrying(self) -> bool:
-        return self._retry is not None
-
     # Pings, which hold the loop up
 
     def begin(self, now_ns: int) -> Held:
@@ -151,14 +137,16 @@ class SonarArray:
         self.running = True
         self._attempt = self._wait = None
         now_ns, _ = yield from self._ping(now_ns)
-        return (yield from self._ping_next(now_ns))
+        self._step()
+        return (yield from self._ping_one_of_two(now_ns))
 
     def retry(self, now_ns: int) -> Held:
-        """Go on after two sensors that failed."""
-        self._pool.release(self._retry)
-        self._retry = None
-        if self.running:
-            now_ns = yield from self._ping_one_of_two(now_ns)
+        """Go on, in the pass after that in which two sensors in a row failed, with the second one."""
+        if self._retry is not None:
+            self._pool.release(self._retry)
+            self._retry = None
+            if self.running:
+                now_ns = yield from self._ping_one_of_two(now_ns)
         return now_ns
 
     def ping_when_due(self, now_ns: int) -> Held:
@@ -171,12 +159,9 @@ class SonarArray:
                 self._attempt = None
         elif self._wait is not None and self._wait.has_passed(now_ns):
             self._wait = None
-            now_ns = yield from self._ping_next(now_ns)
+            self._step()
+            now_ns = yield from self._ping_one_of_two(now_ns)
         return now_ns
-
-    def _ping_next(self, now_ns: int) -> Held:
-        self._step()
-        return (yield from self._ping_one_of_two(now_ns))
 
     def _ping_one_of_two(self, now_ns: int) -> Held:
         now_ns, has_begun = yield from self._ping(now_ns)
@@ -253,7 +238,6 @@ class SonarArray:
         return echo
 
     def wait(self, now_ns: int):
-        """Begin the wait for the next ping."""
         self._wait = Deadline(self._clock, self.wait_ms if self.wait_ms < 1 << 31 else -1, now_ns)
 
     def set_sequence(self, length: int, sensors: bytes):

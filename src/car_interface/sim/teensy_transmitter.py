@@ -3,18 +3,12 @@ from __future__ import annotations
 
 from collections import deque
 
+from car_interface.sim import teensy_packets as packets
 from car_interface.sim.teensy_clock import AT_ONCE_NS, NEVER_NS
-from car_interface.sim.teensy_packets import (
-    BITS_PER_BYTE_S,
-    ERROR_COUNT,
-    FLAG,
-    MESSAGE_MAX,
-    RPI,
-    TEENSY,
-    WHEEL_STATUS,
-    PacketPool,
-)
+from car_interface.sim.teensy_packets import BITS_PER_BYTE_S, FLAG, PacketPool
 from car_interface.sim.teensy_sonars import SONARS
+
+BOOT_BYTE = 0xC1  # of the frame that the firmware makes of a packet that isn't there, before its complement
 
 
 class Transmitter:
@@ -27,7 +21,7 @@ class Transmitter:
     It first sends the frame that the firmware makes of a packet that isn't there.
     """
 
-    def __init__(self, line: OutgoingLine, pool: PacketPool, counters: dict[str, int], boot_byte: int):
+    def __init__(self, line: OutgoingLine, pool: PacketPool, counters: dict[str, int]):
         self._line = line
         self._pool = pool
         self._counters = counters
@@ -35,7 +29,7 @@ class Transmitter:
         self._reports: list[bytearray | None] = [None] * (1 + SONARS)  # wheels, then each sonar
         self._next_index = 0
         self._sending: bytearray | None = None
-        self._unsent = bytes([FLAG]) + stuff(bytes([boot_byte, boot_byte ^ 0xFF])) + bytes([FLAG])
+        self._unsent = bytes([FLAG]) + stuff(bytes([BOOT_BYTE, BOOT_BYTE ^ 0xFF])) + bytes([FLAG])
         self.due_ns = AT_ONCE_NS  # when there is space for the next bytes; NEVER_NS when there is nothing to send
 
     def queue_first(self, packet: bytearray):
@@ -51,7 +45,7 @@ class Transmitter:
             if packet is None:
                 self._counters["txErrorNoBuf"] += 1
                 return
-        packet[:4] = bytes((RPI, TEENSY, WHEEL_STATUS, 0))
+        packet[:4] = bytes((packets.RPI, packets.TEENSY, packets.WHEEL_STATUS, 0))
         packet[4 : 4 + len(report)] = report
         self._reports[0] = packet
         self._wake()
@@ -97,8 +91,6 @@ class Transmitter:
     def _next(self) -> bytearray | None:
         if self._first:
             return self._first.popleft()
-        if not any(self._reports):
-            return None
         for _ in self._reports:
             packet, self._reports[self._next_index] = self._reports[self._next_index], None
             if packet is not None:
@@ -111,7 +103,6 @@ class OutgoingLine:
     """The UART's buffer and the wire behind it: bytes leave in order, ten bits each, never sooner.
 
     Args:
-        baud: bits a second.
         buffer_size: bytes that wait in front of the wire before a writer has to.
     """
 
@@ -162,9 +153,9 @@ class OutgoingLine:
 
 def message_length(packet: bytearray) -> int:
     """Return the bytes of a message that the firmware sends, with the header and without the checksum."""
-    if packet[2] == WHEEL_STATUS:
-        return MESSAGE_MAX
-    if packet[2] == ERROR_COUNT:
+    if packet[2] == packets.WHEEL_STATUS:
+        return packets.MESSAGE_MAX
+    if packet[2] == packets.ERROR_COUNT:
         return packet.index(0, 8) + 1
     return 12  # a pong or a sonar's report
 

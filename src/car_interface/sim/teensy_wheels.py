@@ -18,8 +18,6 @@ WHEEL = struct.Struct("<HBBIII")  # speed, direction, reserved, when, dist, dist
 
 
 class Wheel:
-    """One wheel's odometer."""
-
     def __init__(self):
         self._pins = HALL_PINS[0]  # assumed at power-up, without reading them
         self._when_tick = 0
@@ -62,10 +60,8 @@ class Wheel:
             self._when_tick = tick
 
     def report(self) -> bytes:
-        return WHEEL.pack(
-            self._speed() & 0xFFFF, self._direction, 0, self._when_tick & UINT32,
-            self._dist & UINT32, self._dist_abs & UINT32,
-        )  # fmt: skip
+        return WHEEL.pack(self._speed() & 0xFFFF, self._direction, 0, self._when_tick & UINT32, self._dist & UINT32,
+                          self._dist_abs & UINT32)
 
     def _speed(self) -> int:
         """Return pulses a second, truncated, over the window; 0 with one entry, or with all of them in one tick."""
@@ -111,7 +107,6 @@ class Axle:
             self._announce(tick)
 
     def begin(self, clock: Clock, now_ns: int):
-        """Begin the checks for wheels that stand."""
         self._check = Deadline(clock, STANDING_CHECK_MS, now_ns)
 
     def report_when_due(self, clock: Clock, now_ns: int) -> bytes | None:

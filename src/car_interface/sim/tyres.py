@@ -1,7 +1,5 @@
 """Models the grip of tyres: how a car's path differs from its steering, how hard it can brake, and when it tips.
 
-Pure: the steered curvature, speed and demanded acceleration in; the path's curvature and the possible acceleration out.
-
 The front wheels slip sideways by an angle that grows with the square of the lateral acceleration a: the path is less
 curved than the steering points, by ``understeer`` · a². Measured circles of a 3.5 kg F1TENTH car (motion capture, 0.5
 to 2.5 m/s, 3 steering angles; recordings of Tinker-Twins/F1TENTH-Mocap-Data-Recording-Pipeline) follow that within
@@ -74,7 +72,6 @@ class Rollovers:
         self.max_lateral_mps2 = 0.0
 
     def update(self, lateral_mps2: float) -> None:
-        """Take the present lateral acceleration."""
         magnitude = abs(lateral_mps2)
         self.max_lateral_mps2 = max(self.max_lateral_mps2, magnitude)
         if self._tips:

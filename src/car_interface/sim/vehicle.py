@@ -27,12 +27,7 @@ from car_interface.common.errors import require
 from car_interface.common.units import NS_PER_S
 from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, TRACK_M, WHEEL_DIAMETER_M
 from car_interface.sim.collision import Collisions
-from car_interface.sim.drive_train import (
-    DriveTrainConfig,
-    Motor,
-    motor_acceleration_mps2,
-    true_acceleration_mps2,
-)
+from car_interface.sim.drive_train import DriveTrainConfig, Motor, motor_acceleration_mps2, true_acceleration_mps2
 from car_interface.sim.esc import VirtualEsc, VirtualEscConfig, is_pulse
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
 from car_interface.sim.tyres import Rollovers, TyreConfig, path_curvature_per_m, possible_acceleration_mps2
@@ -141,7 +136,6 @@ class Vehicle:
     """The car at one moment.
 
     Args:
-        config: its properties.
         start_ns: the true time at the start; pulses are stamped on this scale.
         collisions: with obstacles; ``None`` = there are none.
 
@@ -160,13 +154,9 @@ class Vehicle:
 
     def __init__(self, config: VehicleConfig = VehicleConfig(), start_ns: int = 0,
                  collisions: Collisions | None = None):
-        self.config = config
+        self.config, self.time_ns, self.pose = config, start_ns, config.start
         self._collisions = collisions
-        self.time_ns = start_ns
-        self.pose = config.start
-        self.speed_mps = 0.0
-        self.acceleration_mps2 = 0.0
-        self.travel_m = 0.0
+        self.speed_mps = self.acceleration_mps2 = self.travel_m = 0.0
         self.servo_duty = config.steering.center_duty
         self._start_ns = start_ns
         self._esc = None if config.esc is None else VirtualEsc(config.esc, start_ns)
@@ -269,11 +259,8 @@ class Vehicle:
         """Return (speed after the step, distance in it, seconds of it that the car moved)."""
         before_mps = self.speed_mps
         drive = self.config.drive
-        thrust, downhill_mps2 = 1.0, 0.0
-        if drive.sag:
-            thrust = drive.thrust((self.time_ns - self._start_ns) / NS_PER_S)
-        if self._slope_mps2:
-            downhill_mps2 = self._slope_mps2 * math.cos(self.pose.yaw_rad - self.config.uphill_rad)
+        thrust = drive.thrust((self.time_ns - self._start_ns) / NS_PER_S)
+        downhill_mps2 = self._slope_mps2 * math.cos(self.pose.yaw_rad - self.config.uphill_rad)
         if self._esc is None:
             acceleration_mps2 = true_acceleration_mps2(esc_duty, before_mps, drive, thrust, downhill_mps2)
         else:
@@ -297,16 +284,14 @@ class Vehicle:
         return self._along_mps2
 
     def _pose_after(self, distance_m: float, curvature_per_m: float) -> Pose:
-        """Return the pose at the end of an arc."""
         x_m, y_m, yaw_rad = self.pose
         turn_rad = distance_m * curvature_per_m
         # The chord of an arc: its length is distance · sin(h)/h, in the mean of both headings (h: half the turn).
         half_rad = turn_rad / 2
         chord_m = distance_m * (math.sin(half_rad) / half_rad if abs(half_rad) > 1e-6 else 1.0)
         direction_rad = yaw_rad + half_rad
-        return Pose(
-            x_m + chord_m * math.cos(direction_rad), y_m + chord_m * math.sin(direction_rad), yaw_rad + turn_rad
-        )
+        return Pose(x_m + chord_m * math.cos(direction_rad), y_m + chord_m * math.sin(direction_rad),
+                    yaw_rad + turn_rad)
 
     def _roll(self, distance_m: float, moving_s: float, speed_mps: float, curvature_per_m: float) -> list[Pulse]:
         """Turn the wheels along an arc and return the pulses on it."""
@@ -317,9 +302,7 @@ class Vehicle:
         acceleration_mps2 = (speed_mps - self.speed_mps) / moving_s
         left = self._wheel(LEFT, distance_m, 1.0 - widening, acceleration_mps2)
         right = self._wheel(RIGHT, distance_m, 1.0 + widening, acceleration_mps2)
-        if left and right:
-            return sorted(left + right)
-        return left or right
+        return sorted(left + right)
 
     def _wheel(self, side: int, distance_m: float, ratio: float, acceleration_mps2: float) -> list[Pulse]:
         """Turn one wheel, whose distance is ``ratio`` of the axle's, and return its pulses."""
@@ -330,9 +313,8 @@ class Vehicle:
         first, last = math.floor(before), math.floor(after)
         if first == last:
             return []
-        magnets, direction = (
-            (range(first + 1, last + 1), FORWARD) if last > first else (range(first, last, -1), BACKWARD)
-        )
+        magnets, direction = ((range(first + 1, last + 1), FORWARD) if last > first else
+                              (range(first, last, -1), BACKWARD))
         to_axle_m = self._pulse_m / ratio
         return [
             Pulse(self.time_ns + self._time_to_ns((magnet - before) * to_axle_m, acceleration_mps2), side, direction)

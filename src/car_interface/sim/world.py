@@ -35,8 +35,6 @@ class Box:
 
 @dataclass(frozen=True)
 class Post:
-    """An upright cylinder."""
-
     x_m: float
     y_m: float
     radius_m: float
@@ -54,7 +52,7 @@ class WorldConfig:
         boxes, posts: the obstacles in it.
         mounts: the sonars, by their number on the wire.
         cone_rad: the whole angle in which a sonar hears.
-        rays: how many lines the cone is sampled by, both edges included.
+        rays: how many lines, 2 or more, the cone is sampled by, both edges included.
         max_range_m: an echo from farther is none: 4 m with an HC-SR04. The Teensy sets no limit of its own.
         temperature_c: of the air; sound travels 331.3 + 0.606 T m/s.
     """
@@ -76,20 +74,18 @@ class WorldConfig:
 
 
 class World:
-    """A room with its echoes."""
-
     def __init__(self, config: WorldConfig = WorldConfig()):
         self.config = config
-        self._segments = _rectangle(*config.walls)
+        x_from_m, x_to_m, y_from_m, y_to_m = config.walls
+        self._segments = _ring([(x_from_m, y_from_m), (x_to_m, y_from_m), (x_to_m, y_to_m), (x_from_m, y_to_m)])
         for box in config.boxes:
             self._segments += _outline(box)
         self._posts = [(post.x_m, post.y_m, post.radius_m) for post in config.posts]
         self._us_per_m = 2e6 / speed_of_sound_mps(config.temperature_c)
-        self._angles_rad = _spread(config.cone_rad, config.rays)
+        self._angles_rad = [config.cone_rad * (ray / (config.rays - 1) - 0.5) for ray in range(config.rays)]
 
     @property
     def obstacles(self) -> Obstacles:
-        """Return the obstacles for a car."""
         return Obstacles(self._segments, self._posts)
 
     def echo_us(self, pose: Sequence[float], sensor: int) -> int:
@@ -103,9 +99,7 @@ class World:
             The echo of the nearest thing in the cone; 0 when nothing is in range, and never 0 otherwise.
         """
         distance_m = self.distance_m(pose, sensor)
-        if distance_m is None:
-            return 0
-        return max(1, round(distance_m * self._us_per_m))
+        return 0 if distance_m is None else max(1, round(distance_m * self._us_per_m))
 
     def distance_m(self, pose: Sequence[float], sensor: int) -> float | None:
         """Return the metres from a sonar to the nearest thing in its cone; None beyond ``max_range_m``."""
@@ -146,16 +140,6 @@ class World:
 def speed_of_sound_mps(temperature_c: float) -> float:
     """Return the speed of sound in air, linear in the temperature about 0 °C; good between -20 and 40 °C."""
     return 331.3 + 0.606 * temperature_c
-
-
-def _spread(cone_rad: float, rays: int) -> list[float]:
-    if rays == 1:
-        return [0.0]
-    return [cone_rad * (index / (rays - 1) - 0.5) for index in range(rays)]
-
-
-def _rectangle(x_from_m, x_to_m, y_from_m, y_to_m):
-    return _ring([(x_from_m, y_from_m), (x_to_m, y_from_m), (x_to_m, y_to_m), (x_from_m, y_to_m)])
 
 
 def _outline(box: Box):

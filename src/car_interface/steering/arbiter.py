@@ -14,24 +14,16 @@ from typing import NamedTuple
 
 from car_interface.common import causes, declared
 from car_interface.common.lookup_table import round_half_away
+from car_interface.common.sources import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
 from car_interface.interlock.motion_interlock import EXPLANATION_TIMEOUT_S, InterlockConfig, MotionInterlock
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.steering.limits import SteeringLimiter, SteeringLimits, too_tight_reason
 
-# Values of SteeringState.source, in order of priority.
-LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER = range(5)
-SOURCE_NAMES = ("LOCKED", "NO_HUMAN", "NEUTRAL", "TELEOP", "PLANNER")
-
 MAX_SLEW_LIMIT = 1e9  # duty per second: from end to end within a timer period, many times over
 NO_RADIUS_M = 0.001  # a requested radius this close to 0 means "no request", as in the original
 FLOAT32_TOLERANCE = 1 + 2 ** -23  # 0.001 arrives from a Float32 as 0.001000000047
-
-
-def source_name(source: int) -> str:
-    """Return the name of a value of SteeringState.source, or its number when it has none."""
-    return SOURCE_NAMES[source] if 0 <= source < len(SOURCE_NAMES) else str(source)
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from car_interface.common import declared
-from car_interface.common.errors import ConfigError
+from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.live_parameters import TuningSettings
 from car_interface.common.params import Params
 from car_interface.common.yaml_file import load_yaml
@@ -38,3 +39,16 @@ def load_steering(path: str, text: str | None = None) -> SteeringCalibration:
         return declared.read_all(params, TurnArbConfig).calibration
     except ConfigError as error:
         raise error.within(path) from error
+
+
+def calibration_of(turn_arb: dict[str, Any]) -> SteeringCalibration:
+    """Return the calibration that a running turn_arb has, by its parameters on the server.
+
+    Raises:
+        CarInterfaceError: it isn't there.
+    """
+    try:
+        return declared.read(Params(turn_arb), SteeringCalibration)
+    except ConfigError as error:
+        raise CarInterfaceError(f"turn_arb's calibration isn't known: its parameter {error}. Is the car launched, and "
+                                "in this namespace (ROS_NAMESPACE)?") from error

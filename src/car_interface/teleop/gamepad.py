@@ -17,9 +17,8 @@ from car_interface.common import causes, declared
 from car_interface.common.causes import HUMAN_DRIVES, HUMAN_STEERING, HUMAN_STEERS, HUMAN_THROTTLE, MANUAL, MODES
 from car_interface.common.declared import REQUIRED
 from car_interface.common.errors import ConfigError
-from car_interface.common.staleness import DROPPED, TimedInput
+from car_interface.common.staleness import DROPPED, STARTED, TimedInput
 from car_interface.common.units import NS_PER_S
-from car_interface.interlock.motion_interlock import STARTED
 from car_interface.teleop.stick import Stick
 
 REARM_TEXT = "let go of the deadman, then hold it again"
@@ -65,9 +64,6 @@ class GamepadConfig:
 
     Without a throttle axis (``NONE``) the throttle's request is NaN. A gamepad that lacks one of the buttons that
     change the scale does without.
-
-    Raises:
-        ConfigError: naming the parameter.
     """
 
     steer_axis: int = declared.integer(
@@ -108,8 +104,6 @@ class GamepadConfig:
 
 
 class Requests(NamedTuple):
-    """The requests of a gamepad."""
-
     human_in_loop: bool
     steering: float  # −1 right .. +1 left
     throttle: float  # −1 .. +1; NaN: stop, as the human drives and no axis for it is trusted
@@ -130,17 +124,17 @@ class Requests(NamedTuple):
 
     @property
     def kind(self) -> tuple:
-        """All but the numbers; a change of it is published at once, and logged."""
+        """Return all but the numbers; a change of it is published at once, and logged."""
         return self.cause, self.steering_stick, self.throttle_stick
 
     @property
     def differs_by(self) -> tuple:
-        """The kind, and whether the throttle is a stop."""
+        """Return the kind, and whether the throttle is a stop."""
         return (*self.kind, math.isnan(self.throttle))
 
     @property
     def stick_cause(self) -> str:
-        """NOT_AT_REST if an axis isn't trusted, else empty."""
+        """Return NOT_AT_REST if an axis isn't trusted, else empty."""
         return causes.NOT_AT_REST if causes.NOT_AT_REST in (self.steering_stick, self.throttle_stick) else ""
 
 
@@ -158,7 +152,6 @@ class Gamepad:
     """Converts the gamepad's newest message to requests.
 
     Args:
-        config: what its axes and buttons do.
         rearm_reason: why the deadmen must be released first.
         unmapped: why it drives nothing, as nobody has said what they do; empty: somebody has.
         topic, name: in reasons.
@@ -203,7 +196,6 @@ class Gamepad:
         self._joy.mark_stale()
 
     def requests(self, now_ns: int) -> Requests:
-        """Return the requests at ``now_ns``."""
         if self._joy.is_stale(now_ns):
             cause = causes.JOY_STALE if self._joy.was_received else causes.JOY_NEVER_RECEIVED
             return self._released(cause, self._joy.stale_reason(now_ns))
@@ -221,6 +213,11 @@ class Gamepad:
     def scale_button(self, now_ns: int) -> int:
         """Return 1 or −1 while the button for more or less speed by hand is pressed; 0: neither is, or both are."""
         return 0 if self._joy.is_stale(now_ns) else self._scale_button
+
+    @property
+    def was_received(self) -> bool:
+        """Return whether a message ever arrived."""
+        return self._joy.was_received
 
     def joy_age_s(self, now_ns: int) -> float:
         """Return the seconds since the last message; inf = never received."""
@@ -292,7 +289,7 @@ class Gamepad:
         for stick, index, scale, center, humans in sticks:
             if CROSS_TOLERANCE < abs(axes[index]) < 1 - CROSS_TOLERANCE:
                 self._moved_between.add(index)
-            stick.update(_unit(scale * axes[index]) - center, bool(mode) and mode not in humans,
+            stick.update(max(-1.0, min(1.0, scale * axes[index])) - center, bool(mode) and mode not in humans,
                          not self._is_cross(index), now_ns)
 
     def _is_cross(self, index):
@@ -412,17 +409,10 @@ def is_d_mode_cross(index: int, axes: int, buttons: int) -> bool:
 
 def missing_index(config: GamepadConfig, axes: int, buttons: int) -> tuple[str, str] | None:
     """Return parameter and reason of the first configured axis or button that a message of this size lacks."""
-    for name, index, count, singular, plural in (
-            ("steer_axis", config.steer_axis, axes, "axis", "axes"),
-            ("throttle_axis", config.throttle_axis, axes, "axis", "axes"),
-            ("manual_button", config.manual_button, buttons, "button", "buttons"),
-            ("autonomous_button", config.autonomous_button, buttons, "button", "buttons"),
-            ("third_button", config.third_button, buttons, "button", "buttons")):
+    for name in ("steer_axis", "throttle_axis", "manual_button", "autonomous_button", "third_button"):
+        index = getattr(config, name)
+        count, singular, plural = (axes, "axis", "axes") if name.endswith("axis") else (buttons, "button", "buttons")
         if index >= count:
             found = {0: f"no {plural}", 1: f"1 {singular} (0)"}.get(count, f"{count} {plural} (0 to {count - 1})")
             return name, f"the gamepad has {found}, but {name} is {index}"
     return None
-
-
-def _unit(x):
-    return max(-1.0, min(1.0, x))

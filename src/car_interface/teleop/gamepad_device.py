@@ -19,7 +19,6 @@ class GamepadDevice:
     """An open gamepad.
 
     Args:
-        pad: which one.
         open_device: as ``evdev.InputDevice``.
 
     Attributes:

@@ -7,7 +7,6 @@ whose deadman was pressed while the phone drove likewise.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Sequence
 
 from car_interface.common import causes
 from car_interface.teleop.gamepad import NONE, REARM_TEXT, Gamepad, GamepadConfig, Requests
@@ -26,8 +25,7 @@ class Handover:
         config: the gamepad's. The phone has the same neutral and dead bands, and indices of its own.
 
     Attributes:
-        gamepad: for its messages, counts and ages; another one may take its place.
-        phone_is_heard: a phone's message ever arrived.
+        gamepad, phone: for their messages, counts and ages; another gamepad may take the first one's place.
         phone_is_current: the newest requests are the phone's.
     """
 
@@ -36,36 +34,25 @@ class Handover:
         phones = replace(config, steer_axis=STEERING, throttle_axis=THROTTLE, manual_button=MANUAL,
                          autonomous_button=AUTONOMOUS, faster_button=FASTER, slower_button=SLOWER, third_button=NONE,
                          steer_scale=1.0, throttle_scale=1.0, joy_timeout_s=PHONE_TIMEOUT_S)
-        self._phone = Gamepad(phones, topic=PHONE_TOPIC, name="the phone")
+        self.phone = Gamepad(phones, topic=PHONE_TOPIC, name="the phone")
         self._neutral = config.steer_neutral
-        self.phone_is_heard = False
         self._phone_drives = False
         self._gamepad_holds = False
         self._gamepad_must_release = self._phone_must_release = False
         self.phone_is_current = False
 
-    def update_phone(self, axes: Sequence[float], buttons: Sequence[int], now_ns: int) -> None:
-        """Take a message of phone_drive."""
-        self.phone_is_heard = True
-        self._phone.update(axes, buttons, now_ns)
-
     def mark_stale(self) -> None:
-        """Take note that messages were dropped."""
         self.gamepad.mark_stale()
-        self._phone.mark_stale()
+        self.phone.mark_stale()
 
     def requests(self, now_ns: int) -> Requests:
         """Return the requests at ``now_ns``. To be called before and after each message, or an edge would be missed."""
         gamepad = self.gamepad.requests(now_ns)
-        return self._choose(gamepad, self._phone.requests(now_ns), now_ns) if self.phone_is_heard else gamepad
+        return self._choose(gamepad, self.phone.requests(now_ns), now_ns) if self.phone.was_received else gamepad
 
     def scale_button(self, now_ns: int) -> int:
         """Return 1 or −1 while the button for more or less speed by hand is pressed; 0: neither is, or both are."""
-        return (self._phone if self.phone_is_current else self.gamepad).scale_button(now_ns)
-
-    def phone_age_s(self, now_ns: int) -> float:
-        """Return the seconds since the phone's last message; inf = never received."""
-        return self._phone.joy_age_s(now_ns)
+        return (self.phone if self.phone_is_current else self.gamepad).scale_button(now_ns)
 
     def _choose(self, gamepad, phone, now_ns):
         begins = gamepad.holds_deadman and not self._gamepad_holds
@@ -81,7 +68,7 @@ class Handover:
         if self.phone_is_current:
             return self._count(phone, self._phone_must_release, "the gamepad's deadman was held", PHONE_PREFIX,
                                self.gamepad, now_ns)
-        return self._count(gamepad, self._gamepad_must_release, "the phone drove", "", self._phone, now_ns)
+        return self._count(gamepad, self._gamepad_must_release, "the phone drove", "", self.phone, now_ns)
 
     def _count(self, requests, must_release, why, prefix, other, now_ns):
         """Return one source's requests, or that its deadman must be released first."""

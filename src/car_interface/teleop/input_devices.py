@@ -38,7 +38,6 @@ class Pad(NamedTuple):
 
     @property
     def path(self) -> str:
-        """Return the path of its device."""
         return f"/dev/input/{next(handler for handler in self.handlers if handler.startswith('event'))}"
 
     @property

@@ -24,11 +24,7 @@ RELEASED, PRESSED = 0, 1  # values of EV_KEY; 2 is a repeat
 
 @dataclass(frozen=True)
 class JoystickConfig:
-    """The gamepad, and how its state is published.
-
-    Raises:
-        ConfigError: naming the parameter.
-    """
+    """The gamepad, and how its state is published."""
 
     dev: str = declared.text("dev", ANY, "path of the gamepad's device; `auto` = the only gamepad that there is")
     deadzone: float = declared.number("deadzone", 0.05, "so far from its middle an axis is 0", low=0, high=0.9)
@@ -73,8 +69,6 @@ class Joystick:
     be released.
 
     Args:
-        keys: the codes of its keys.
-        ranges: of its axes, by code.
         deadzone: within this distance of its middle an axis is 0, 0 to less than 1; beyond it the axis rises from 0.
 
     Attributes:
@@ -168,7 +162,6 @@ class Pacing:
         self.due_ns = min(self.due_ns, now_ns + self._coalesce_ns)
 
     def published(self, now_ns: int) -> None:
-        """Take note that the state was published."""
         self.due_ns = now_ns + self._repeat_ns
 
     def stop(self) -> None:

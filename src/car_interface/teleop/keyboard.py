@@ -50,11 +50,7 @@ _scale = partial(_teleop, declared.number, text="only its sign counts", low=-1, 
 
 @dataclass(frozen=True)
 class KeyboardConfig:
-    """Which axis and button does what, as teleop_logi's, and where keys come from.
-
-    Raises:
-        ConfigError: naming the parameter.
-    """
+    """Which axis and button does what, as teleop_logi's, and where keys come from."""
 
     steer_axis: int = _index("steer_axis", 0)
     throttle_axis: int = _index("throttle_axis", 4)
@@ -106,8 +102,6 @@ class KeyReader:
 
 
 class Controls(NamedTuple):
-    """The requests of the held keys."""
-
     steering: float = 0.0  # −1 right .. +1 left
     throttle: float = 0.0  # −1 .. +1
     manual: bool = False
@@ -137,7 +131,6 @@ class Keyboard:
         self._down[code] = now_ns
 
     def release(self, code: int, now_ns: int) -> None:
-        """Take a release by the keyboard."""
         if self._down.pop(code, None) is not None:
             self._released_ns = now_ns
         self._codes = {key: held for key, held in self._codes.items() if held != code}

@@ -31,7 +31,6 @@ Entries = Mapping[str, Any]  # by model, what differs
 
 
 def frame_of(name: str) -> str:
-    """Return the frame_id of a gamepad's messages."""
     return FRAME + name
 
 
@@ -73,7 +72,6 @@ def config_for(model: str, config: GamepadConfig, entries: Entries) -> GamepadCo
     Args:
         model: see ``model_of``; empty = by the parameters alone.
         config: by teleop_logi's parameters.
-        entries: see ``load_entries``.
 
     Raises:
         ConfigError: there is no entry, or it can't be used.
@@ -97,8 +95,6 @@ def with_entry(text: str, path: str, model: str, entry: Mapping[str, float]) -> 
     Args:
         text: of the file; empty = there is none yet.
         path: of the file, for errors.
-        model: see ``model_of``.
-        entry: its parameters.
 
     Raises:
         ConfigError: it can't be done without changing anything else.

@@ -107,7 +107,6 @@ class Phones:
 
     Args:
         pin: six digits, which admit a page.
-        now_ns: the start.
         admits_guests: pages that don't know the PIN may see the car, and stop it.
         e_stop: it is on at the start.
         make_secret: returns a text that nobody can guess; for tokens and keys.
@@ -146,7 +145,6 @@ class Phones:
 
     @property
     def pages(self) -> int:
-        """Return how many pages are admitted."""
         return sum(page.is_admitted for page in self._pages.values())
 
     def controls(self, now_ns: int) -> Controls:
@@ -177,7 +175,6 @@ class Phones:
         return outgoing
 
     def step(self, now_ns: int) -> None:
-        """Send what is due."""
         self._look_for_loss(now_ns)
         if not self._timer.is_due(now_ns):
             return

@@ -79,10 +79,11 @@ from car_interface.common.causes import AUTONOMOUS, MANUAL
 from car_interface.common.units import MAX_DUTY
 
 MAX_SIZE = 512  # characters; an echo has 130
-MAX_NUMBER = 2 ** 53  # the integers that JavaScript has
+MAX_NUMBER = 2 ** 53 - 1  # the integers that JavaScript has
 NOTHING = ""  # as touch
 CENTER, NEUTRAL = "center", "neutral"  # trims
 BEGIN, FINISH, GIVE_UP = "begin", "finish", "give up"
+PIN = re.compile("[0-9]{6}")
 FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,90}\.(bag|html)")  # no folder, nothing hidden
 
 
@@ -90,54 +91,42 @@ def _is_text(value):
     return isinstance(value, str) and len(value) <= 64
 
 
-def _is_pin(value):
-    return isinstance(value, str) and len(value) == 6 and value.isascii() and value.isdigit()
-
-
-def _is_count(value):
-    return type(value) is int and 0 <= value < MAX_NUMBER
-
-
 def _is_ratio(value):
     return type(value) in (int, float) and -1 <= value <= 1
-
-
-def _is_sign(value):
-    return type(value) is int and abs(value) <= 1
-
-
-def _is_duty(value):
-    return type(value) is int and 0 <= value <= MAX_DUTY
-
-
-def _is_one_of(*words):
-    return lambda value: isinstance(value, str) and value in words
 
 
 def _is_flag(value):
     return isinstance(value, bool)
 
 
-def _is_file_name(value):
-    return isinstance(value, str) and FILE_NAME.fullmatch(value) is not None
+def _is_one_of(*words):
+    return lambda value: isinstance(value, str) and value in words
 
 
-EVIDENCE = {"token": _is_text, "n": _is_count}
+def _is_integer(low, high):
+    return lambda value: type(value) is int and low <= value <= high
+
+
+def _matches(pattern):
+    return lambda value: isinstance(value, str) and pattern.fullmatch(value) is not None
+
+
+EVIDENCE = {"token": _is_text, "n": _is_integer(0, MAX_NUMBER)}
 FIELDS: Mapping[str, Mapping[str, Callable[[Any], bool]]] = {
-    "pin": {"pin": _is_pin},
+    "pin": {"pin": _matches(PIN)},
     "key": {"key": _is_text},
     "drive": EVIDENCE,
     "leave": {},
     "echo": {**EVIDENCE, "touch": _is_one_of(NOTHING, MANUAL, AUTONOMOUS), "steering": _is_ratio,
-             "throttle": _is_ratio, "scale": _is_sign},
+             "throttle": _is_ratio, "scale": _is_integer(-1, 1)},
     "e_stop": {},
     "clear": EVIDENCE,
     "watch": {},
     "record": {**EVIDENCE, "on": _is_flag},
-    "trim": {**EVIDENCE, "name": _is_one_of(CENTER, NEUTRAL), "value": _is_duty},
+    "trim": {**EVIDENCE, "name": _is_one_of(CENTER, NEUTRAL), "value": _is_integer(0, MAX_DUTY)},
     "save": EVIDENCE,
     "calibrate": {**EVIDENCE, "what": _is_one_of(BEGIN, FINISH, GIVE_UP)},
-    "open": {"name": _is_file_name},
+    "open": {"name": _matches(FILE_NAME)},
 }
 DRIVERS = frozenset({"record", "trim", "save", "calibrate"})  # commands that the node executes for the driver
 

@@ -46,10 +46,8 @@ class Stick:
         """Take a message's deflection.
 
         Args:
-            deflection: from the center.
             is_planners: a deadman that gives this actuator to the planner is held.
             is_believable: False = other signs show that the axis belongs to no stick.
-            now_ns: its arrival.
         """
         self.deflection = deflection
         is_out = abs(deflection) > self._deadband
@@ -72,7 +70,6 @@ class Stick:
 
     @property
     def is_out(self) -> bool:
-        """Return whether it is beyond the dead band."""
         return abs(self.deflection) > self._deadband
 
     def overrides(self, now_ns: int) -> bool:
@@ -80,7 +77,7 @@ class Stick:
         return self._is_active and not self._has_returned(now_ns)
 
     def override(self) -> float:
-        """The deflection by which it overrides: 0 on a side that isn't trusted."""
+        """Return the deflection by which it overrides: 0 on a side that isn't trusted."""
         return self.deflection if self.counts and not self.is_off_center else min(0.0, self.deflection)
 
     def _look_for_rest(self, is_out, is_believable, now_ns):

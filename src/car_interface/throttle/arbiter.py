@@ -16,10 +16,10 @@ from typing import NamedTuple, Sequence
 from car_interface.common import causes, declared
 from car_interface.common.causes import HUMAN_DRIVES, MODES, OVERRIDE_HOLD_S
 from car_interface.common.measured_speed import MAX_SPEED_MPS
+from car_interface.common.sources import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP, source_name
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
 from car_interface.interlock.motion_interlock import EXPLANATION_TIMEOUT_S, InterlockConfig, MotionInterlock
-from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP, source_name
 from car_interface.throttle.battery import BatteryConfig, BatteryStatus, BatteryWatch
 from car_interface.throttle.board_watch import BoardConfig, BoardWatch
 from car_interface.throttle.esc_intention import AUTO, DRIVE, REVERSE_GEAR

@@ -29,6 +29,7 @@ import math
 from typing import NamedTuple
 
 from car_interface.common import causes
+from car_interface.common.staleness import STARTED
 from car_interface.common.units import NS_PER_S
 from car_interface.throttle.esc_config import (
     BRAKE_THEN_REVERSE,
@@ -51,7 +52,6 @@ from car_interface.throttle.esc_proof import BrakeProof
 ARMING, NEUTRAL, FORWARD, BRAKING, HOLD, REVERSE = range(6)
 STATE_NAMES = ("ARMING", "NEUTRAL", "FORWARD", "BRAKING", "HOLD", "REVERSE")
 
-STARTED = "this node has just started"
 NO_PULSE = "the servo board gave no pulse"
 NO_BRAKE = "no brake"  # before the reason, in the log
 PASSES = "calibration drive: the ESC gets the stick as it is, and a brake may become reverse"

@@ -49,7 +49,7 @@ class Bench:
 
     @staticmethod
     def _board(bus):
-        return Board(bus, ADDRESS, 121, 25e6, lambda seconds: None)
+        return Board(bus, ADDRESS, 121, lambda seconds: None)
 
     def update(self, targets, after_ms=0):
         self.now_ns += after_ms * MS
@@ -102,15 +102,15 @@ def test_two_failures_close_the_bus_which_is_opened_again_after_100_ms_with_the_
 
 
 def test_pauses_between_attempts_double_to_2_s_until_the_board_was_there_and_are_100_ms_from_then_on(bench):
-    bench.bus.remove(ADDRESS)
+    bench.bus.chips.pop(ADDRESS)
     bench.update(NEUTRAL)
     assert [bench.update_when_due(NEUTRAL) for _ in range(7)] == [100, 200, 400, 800, 1600, 2000, 2000]
     assert bench.events == [ABSENT] * 8 and bench.supervisor.tally.errors == 8
     assert not bench.supervisor.ever_ran
-    bench.bus.attach(ADDRESS, bench.chip)
+    bench.bus.chips[ADDRESS] = bench.chip
     bench.update_when_due(NEUTRAL)
     assert bench.supervisor.running
-    bench.bus.remove(ADDRESS)
+    bench.bus.chips.pop(ADDRESS)
     bench.update(LEFT, 1)
     assert [bench.update_when_due(LEFT) for _ in range(3)] == [100, 100, 100]  # it may go on pulsing
     assert bench.supervisor.ever_ran

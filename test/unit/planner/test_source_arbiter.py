@@ -6,9 +6,10 @@ import math
 import pytest
 
 from car_interface.common import causes
+from car_interface.common.sources import SPEED
 from car_interface.planner.messages import RATE, from_ackermann, from_twist
 from car_interface.planner.request import PlannerRequest, Refusal, sane_radius_m
-from car_interface.planner.source_arbiter import SPEED, SourceArbiter
+from car_interface.planner.source_arbiter import SourceArbiter
 
 MS, S = 1_000_000, 1_000_000_000
 LEFT = PlannerRequest(2.0, 1.0)

@@ -21,8 +21,7 @@ import pytest
 
 import teensy_bench
 from captures import load
-from car_interface.sim.teensy_config import FirmwareConfig
-from car_interface.sim.teensy_firmware import TeensyFirmware
+from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
 from car_interface.sim.teensy_sonars import SONAR_STUCK
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
 from teensy_bench import framed_for_the_receiver, ones_complement_sum, parse_counter, parse_sonar, parse_wheels

@@ -6,18 +6,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface.sim.collision import CarBody, Collisions, Obstacles
+from car_interface.sim.collision import Collisions, Obstacles
 from car_interface.sim.vehicle import ORIGIN, Pose, Vehicle, VehicleConfig
 from car_interface.sim.world import World
 
 MS, S = 1_000_000, 1_000_000_000
 STRAIGHT, FORWARD, REVERSE = 5070, 5400, 4400
-OUTLINE = CarBody(rear_m=0.1, front_m=0.5, width_m=0.4)
+REAR_M, FRONT_M, WIDTH_M = 0.1, 0.5, 0.4
 WALL_M = 2.0  # an endless one across x
 
 
 def wall_ahead():
-    return Obstacles([(WALL_M, -50.0, 0.0, 100.0)], [], OUTLINE)
+    return Obstacles([(WALL_M, -50.0, 0.0, 100.0)], [], REAR_M, FRONT_M, WIDTH_M)
 
 
 def car_before(obstacles, start=ORIGIN):
@@ -51,7 +51,7 @@ def test_outline_meets_a_wall_where_it_reaches(pose, free):
     ((0.2, 0.0, 0.01), False),  # below the car
 ])
 def test_outline_meets_a_post_where_it_reaches(post, free):
-    assert Obstacles([], [post], OUTLINE).is_free((0.0, 0.0, 0.0)) is free
+    assert Obstacles([], [post], REAR_M, FRONT_M, WIDTH_M).is_free((0.0, 0.0, 0.0)) is free
 
 
 @pytest.mark.once
@@ -69,8 +69,8 @@ def test_car_that_moves_less_than_its_clearance_touches_nothing(x_m, y_m, yaw_ra
 def test_car_that_runs_into_a_wall_stands_before_it_and_its_wheels_stall():
     vehicle, collisions = car_before(wall_ahead())
     drive(vehicle, 4, FORWARD)
-    assert vehicle.pose.x_m == pytest.approx(WALL_M - OUTLINE.front_m, abs=0.005) and vehicle.speed_mps == 0.0
-    assert vehicle.pose.x_m < WALL_M - OUTLINE.front_m
+    assert vehicle.pose.x_m == pytest.approx(WALL_M - FRONT_M, abs=0.005) and vehicle.speed_mps == 0.0
+    assert vehicle.pose.x_m < WALL_M - FRONT_M
     assert collisions.count == 1 and 1.0 < collisions.speed_mps < 3.0
     assert drive(vehicle, 2, FORWARD) == []
     assert vehicle.travel_m == pytest.approx(math.hypot(vehicle.pose.x_m, vehicle.pose.y_m), rel=1e-3)
@@ -86,5 +86,5 @@ def test_car_that_keeps_pushing_has_one_collision_and_a_second_one_after_it_drov
     assert collisions.count == 2 and vehicle.speed_mps == 0.0
     vehicle, collisions = car_before(wall_ahead(), Pose(WALL_M - 1.0, 0.0, math.pi))
     drive(vehicle, 4, REVERSE)
-    assert vehicle.pose.x_m == pytest.approx(WALL_M - OUTLINE.rear_m, abs=0.005)
+    assert vehicle.pose.x_m == pytest.approx(WALL_M - REAR_M, abs=0.005)
     assert collisions.count == 1 and collisions.speed_mps < -0.5

@@ -66,12 +66,6 @@ def test_power_up_after_use_resets_everything(chip):
     assert [chip.high_counts(channel) for channel in range(16)] == [0] * 16
 
 
-@pytest.mark.parametrize("prescale, frequency_hz", [(3, 1526), (255, 23.84), (121, 50.03)])
-def test_prescale_sets_the_period(chip, prescale, frequency_hz):
-    chip.write(0xFE, [prescale])
-    assert 1 / chip.period_s() == pytest.approx(frequency_hz, rel=5e-4)
-
-
 @pytest.mark.parametrize("registers, high", [
     pytest.param("99 01 cc 04", 819, id="section_7_3_3_example_1_a_fifth_after_a_delay"),
     pytest.param("65 0e cb 0c", 3686, id="section_7_3_3_example_2_a_pulse_into_the_next_period"),

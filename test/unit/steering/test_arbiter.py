@@ -8,17 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from car_interface.common import causes
+from car_interface.common.sources import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, SOURCE_NAMES, TELEOP
 from car_interface.interlock.motion_interlock import InterlockConfig
-from car_interface.steering.arbiter import (
-    LOCKED,
-    NEUTRAL,
-    NO_HUMAN,
-    PLANNER,
-    SOURCE_NAMES,
-    TELEOP,
-    SteeringArbiter,
-    SteeringArbiterConfig,
-)
+from car_interface.steering.arbiter import SteeringArbiter, SteeringArbiterConfig
 from car_interface.steering.limits import SourceLimits, SteeringLimits
 from slash import CENTER, SLASH
 

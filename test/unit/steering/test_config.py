@@ -7,11 +7,12 @@ from pathlib import Path
 import pytest
 
 from car_interface.common.declared import read
-from car_interface.common.errors import ConfigError
+from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.params import Params
+from car_interface.common.yaml_file import load_yaml
 from car_interface.steering.arbiter import SteeringArbiterConfig
 from car_interface.steering.calibration import SteeringCalibration
-from car_interface.steering.config import load_steering
+from car_interface.steering.config import calibration_of, load_steering
 from slash import PARAMETERS, SLASH
 
 CONFIG_FILE = Path(__file__).resolve().parents[3] / "config" / "turn_arb.yaml"
@@ -62,3 +63,10 @@ def test_text_that_will_be_a_file_is_checked_before_there_is_one(tmp_path):
         load_steering(str(path), "servo_channel: 0\n")
     assert load_steering(str(path), CONFIG_FILE.read_text(encoding="utf-8")) == load_steering(str(CONFIG_FILE))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_calibration_is_the_one_that_turn_arb_runs_with():
+    assert calibration_of(load_yaml(str(CONFIG_FILE))) == load_steering(str(CONFIG_FILE))
+    with pytest.raises(CarInterfaceError, match=r"turn_arb's calibration isn't known: its parameter servo_left is "
+                                                r"missing.*Is the car launched, and in this namespace"):
+        calibration_of({})

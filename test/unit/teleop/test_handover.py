@@ -34,7 +34,7 @@ class Bench:
                 self.handover.gamepad.update((0.0, PAD if any(self.pad) else 0.0), self.pad, self.now_ns)
             self.handover.requests(self.now_ns)
             if self.phone is not None:
-                self.handover.update_phone((0.0, PHONE if any(self.phone) else 0.0), (*self.phone, 0, 0), self.now_ns)
+                self.handover.phone.update((0.0, PHONE if any(self.phone) else 0.0), (*self.phone, 0, 0), self.now_ns)
             self.handover.requests(self.now_ns)
         return self
 
@@ -153,5 +153,5 @@ def test_pull_by_phone_just_after_one_by_gamepad_begins_with_a_stop_under_a_plan
     bench.then(pad=HELD)
     bench.then(pad=LET_GO)
     bench.now_ns += 50 * MS
-    handover.update_phone((0.0, -1.0), (0, 1, 0, 0), bench.now_ns)
+    handover.phone.update((0.0, -1.0), (0, 1, 0, 0), bench.now_ns)
     assert math.isnan(bench.requests.throttle)

@@ -401,6 +401,7 @@ def test_guesses_are_limited_by_address_and_neither_others_nor_the_driver_s_key_
     assert right.key
 
 
+@pytest.mark.more
 def test_guesser_with_many_addresses_has_no_more_guesses_than_256_and_makes_nothing_grow(bench):
     for number in range(6000):
         bench.open(number, f"fd00::{number % 1000}").send(type="pin", pin="999999")
@@ -622,6 +623,7 @@ def test_page_that_sends_many_malformed_messages_is_closed(bench):
     assert page.closed == "too many malformed messages" and bench.controls == NOTHING_HELD
 
 
+@pytest.mark.more
 @settings(max_examples=300, deadline=None)
 @given(st.lists(st.one_of(
     st.text(max_size=80), st.binary(max_size=20),

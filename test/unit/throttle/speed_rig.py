@@ -12,11 +12,10 @@ from typing import NamedTuple
 from many_drives import MS, THROTTLE, S
 from virtual_escs import xl5
 
+from car_interface.common.sources import TELEOP
 from car_interface.interlock.motion_interlock import InterlockConfig
-from car_interface.sim.teensy_config import FirmwareConfig
-from car_interface.sim.teensy_firmware import TeensyFirmware
+from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
 from car_interface.sim.vehicle import DriveTrainConfig, Vehicle, VehicleConfig
-from car_interface.steering.arbiter import TELEOP
 from car_interface.teensy.link.framing import SHIPPED, FrameDecoder
 from car_interface.teensy.link.pinging import Pinger
 from car_interface.teensy.link.protocol import Pong, WheelStatus, decode

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from car_interface.common import causes
 from car_interface.common.causes import AUTONOMOUS, HUMAN_STEERING, HUMAN_THROTTLE, MANUAL, MODES
+from car_interface.common.sources import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.interlock.motion_interlock import InterlockConfig
-from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.throttle.arbiter import NoValue, ThrottleArbiter, ThrottleArbiterConfig
 from car_interface.throttle.stick import StickConfig
 

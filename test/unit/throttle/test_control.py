@@ -6,8 +6,8 @@ import pytest
 from many_drives import THROTTLE, S
 
 from car_interface.common import causes
+from car_interface.common.sources import NEUTRAL, PLANNER, TELEOP
 from car_interface.interlock.motion_interlock import InterlockConfig
-from car_interface.steering.arbiter import NEUTRAL, PLANNER, TELEOP
 from car_interface.throttle.arbiter import ThrottleArbiterConfig
 from car_interface.throttle.board_watch import BoardConfig
 from car_interface.throttle.control import ThrottleControl

@@ -7,7 +7,7 @@ from car_interface.common import causes
 from car_interface.common.declared import read
 from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
-from car_interface.steering.arbiter import NEUTRAL, PLANNER, TELEOP
+from car_interface.common.sources import NEUTRAL, PLANNER, TELEOP
 from car_interface.throttle.arbiter import Arbitration
 from car_interface.throttle.limits import DriveLimits, SpeedBound, ThrottleLimiter, ThrottleLimits
 from car_interface.throttle.value_map import ValueMap

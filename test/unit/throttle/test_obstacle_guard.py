@@ -6,8 +6,8 @@ import pytest
 
 from car_interface.common import causes
 from car_interface.common.measured_speed import MeasuredSpeed
-from car_interface.steering.arbiter import NEUTRAL as NOBODY
-from car_interface.steering.arbiter import PLANNER, TELEOP
+from car_interface.common.sources import NEUTRAL as NOBODY
+from car_interface.common.sources import PLANNER, TELEOP
 from car_interface.throttle.arbiter import Arbitration
 from car_interface.throttle.esc import BRAKING, FORWARD, NEUTRAL, REVERSE, EscDecision
 from car_interface.throttle.esc_config import BRAKE_THEN_REVERSE, EscConfig

@@ -19,8 +19,8 @@ from esc_car import EscCar
 from many_drives import MS, THROTTLE, S, count_duty
 
 from car_interface.common.causes import HUMAN_DRIVES
+from car_interface.common.sources import TELEOP
 from car_interface.sim import esc as virtual
-from car_interface.steering.arbiter import TELEOP
 from car_interface.teleop.gamepad import Gamepad, GamepadConfig
 from car_interface.throttle.arbiter import ThrottleArbiterConfig
 from car_interface.throttle.control import ThrottleControl

@@ -11,7 +11,7 @@ import pytest
 from virtual_escs import crawler, direct, race, xl5
 
 from car_interface.common import causes
-from car_interface.steering.arbiter import NEUTRAL, PLANNER, TELEOP
+from car_interface.common.sources import NEUTRAL, PLANNER, TELEOP
 from car_interface.throttle.arbiter import COAST_GEAR
 from car_interface.throttle.speed_control import HOLD_MPS2, STOP, SpeedControl, SpeedControlConfig, SpeedRequest
 

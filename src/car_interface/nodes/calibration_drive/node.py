@@ -49,10 +49,11 @@ from car_interface.nodes.live_text import LiveText
 from car_interface.ros.clocks import RosClock
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, sender_of, subscribe
+from car_interface.steering.config import calibration_of
 from car_interface.tools.calibration.drive import terminal
 from car_interface.tools.calibration.drive.calibration_drive import CalibrationDrive
 from car_interface.tools.calibration.drive.conclusion import board_center, conclude, find_table_file, next_steps
-from car_interface.tools.calibration.drive.config import drive_config, parse, read_base, read_obstacles
+from car_interface.tools.calibration.drive.config import drive_config, parse, read_obstacles
 from car_interface.tools.calibration.drive.grant import Grant, Seen, Steering, Throttle, missing, missing_gamepad
 from car_interface.tools.calibration.drive.knowledge import assess
 from car_interface.tools.calibration.drive.step import BLOCKED, DONE, PAUSED, WAITING, Progress
@@ -87,7 +88,7 @@ class CalibrationDriveNode:
         graph, self._clocks = inbox.graph, inbox.clocks
         config = drive_config(wanted)
         self._wanted, self._inbox = wanted, inbox
-        base = self._base = read_base(graph.parameter("turn_arb", {}))
+        base = self._base = calibration_of(graph.parameter("turn_arb", {}))
         self._table = find_table_file(wanted.output, wanted.base, graph.parameter("turn_arb/save_to", None), base)
         self._config = config
         if not wanted.no_sonars and not wanted.stick:

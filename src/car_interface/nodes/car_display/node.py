@@ -25,13 +25,13 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from car_interface.common.declared import read_all
 from car_interface.common.rate_timer import RateTimer
+from car_interface.common.sources import source_name
 from car_interface.common.staleness import TimedInput
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.msg import SteeringState, ThrottleState
 from car_interface.nodes.car_display.config import CarDisplayConfig
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, subscribe
-from car_interface.steering.arbiter import source_name
 
 RATE_HZ = 10
 TICKS_PER_TRAIL = 10  # an unchanged trail is sent once a second, for an rviz that starts late

@@ -11,7 +11,7 @@ from car_interface.common.errors import ConfigError, require
 from car_interface.common.units import CHANNELS, MAX_DUTY
 from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, TRACK_M, WHEEL_DIAMETER_M
 from car_interface.sim.esc import KINDS, VirtualEscConfig
-from car_interface.sim.teensy_config import BOOT_MS, FirmwareConfig
+from car_interface.sim.teensy_firmware import BOOT_MS, FirmwareConfig
 from car_interface.sim.tyres import TyreConfig
 from car_interface.sim.vehicle import DriveTrainConfig, Pose, SteeringConfig, VehicleConfig
 from car_interface.sim.world import World, WorldConfig
@@ -31,11 +31,7 @@ PARTS = 8  # of each interval of a table: linear in the radius as turn_arb reads
 
 @dataclass(frozen=True)
 class CarSimConfig:
-    """The virtual car, its room and its Teensy. Its own parameters go before those of a car's files.
-
-    Raises:
-        ConfigError: naming the parameter.
-    """
+    """The virtual car, its room and its Teensy. Its own parameters go before those of a car's files."""
 
     port: str = declared.text("port", "/tmp/car_sim_teensy", "where the virtual serial port appears", "path")
     virtual_chip: str | None = declared.path(
@@ -102,7 +98,6 @@ class CarSimConfig:
 
     @property
     def throttle_channel(self) -> int:
-        """The ESC's channel."""
         if self.given_throttle_channel is not None:
             return self.given_throttle_channel
         return self.esc_channel if self.esc_channel >= 0 else 1

@@ -22,17 +22,16 @@ from __future__ import annotations
 import math
 
 import rospy
-from geometry_msgs.msg import Point, Quaternion, Vector3
+from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from nav_msgs.msg import Odometry
-from std_msgs.msg import Int32, Int32MultiArray
-from visualization_msgs.msg import MarkerArray
+from std_msgs.msg import ColorRGBA, Header, Int32, Int32MultiArray
+from visualization_msgs.msg import Marker, MarkerArray
 
 from car_interface.common.declared import read_all
 from car_interface.common.own_files import UnsafeFile
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import CHANNELS, NS_PER_MS, NS_PER_S, UNCHANGED
 from car_interface.nodes.car_sim.config import CarSimConfig
-from car_interface.nodes.car_sim.room import room_markers
 from car_interface.nodes.car_sim.virtual_line import VirtualLine
 from car_interface.nodes.pca9685.virtual_board import chip_path
 from car_interface.pca9685.registers import duty_of_counts
@@ -45,20 +44,18 @@ from car_interface.sim.chip_link import ChipLink
 from car_interface.sim.collision import Collisions
 from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.sim.vehicle import Vehicle
-from car_interface.sim.world import World
+from car_interface.sim.world import World, WorldConfig
 
 STEP_NS = 2_000_000  # the car's maximum step, and how often bytes leave
 TRUTH_RATE_HZ = 50
 MAX_CATCH_UP_NS = NS_PER_S // 2  # a simulator that was stopped for longer goes on from now
 RETRY_NS = 200 * NS_PER_MS  # between attempts to find the chip
+HEIGHT_M, WALL_HEIGHT_M, WALL_M = 0.25, 0.12, 0.04  # of the room's things, as they are drawn
+THING, WALL = ColorRGBA(0.55, 0.42, 0.30, 1.0), ColorRGBA(0.45, 0.47, 0.50, 1.0)
 
 
 class ChipFollower:
     """Follows what the pins of a virtual servo board do, whoever writes to it. Its process may come and go.
-
-    Args:
-        path: of the chip's socket.
-        inbox: woken by a change.
 
     Attributes:
         duties: of the 16 pins, 0 = no pulse; ``None`` while there is no chip.
@@ -92,7 +89,6 @@ class ChipFollower:
             self.close()
 
     def close(self) -> None:
-        """Disconnect."""
         if self._fd is not None:
             self._inbox.unwatch(self._fd)
         self._link.close()
@@ -152,7 +148,6 @@ class CarSim:
         return now_ns + STEP_NS
 
     def shut_down(self):
-        """Take the link to the pseudo-terminal away."""
         self._line.close()
         self._chip.close()
 
@@ -173,7 +168,6 @@ class CarSim:
                 self._firmware.wheel_pulse(pulse.side, pulse.direction, pulse.at_ns)
 
     def _report_collisions(self):
-        """Publish and log each collision once."""
         count = self._collisions.count
         if count != self._reported_collisions:
             self._reported_collisions = count
@@ -182,7 +176,6 @@ class CarSim:
                           "it out the way it came", abs(self._collisions.speed_mps), count)
 
     def _report_rollovers(self):
-        """Publish and log each rollover once."""
         rollovers = self._vehicle.rollovers
         if rollovers.count != self._reported_rollovers:
             self._reported_rollovers = rollovers.count
@@ -195,14 +188,36 @@ class CarSim:
         message = Odometry(child_frame_id="base_link")
         message.header.stamp = self._ros_clock.stamp("truth", vehicle.time_ns)
         message.header.frame_id = "odom"
-        message.pose.pose.position = Point(vehicle.pose.x_m, vehicle.pose.y_m, 0.0)
-        half_yaw = vehicle.pose.yaw_rad / 2
-        message.pose.pose.orientation = Quaternion(0.0, 0.0, math.sin(half_yaw), math.cos(half_yaw))
+        message.pose.pose = _pose(vehicle.pose.x_m, vehicle.pose.y_m, 0.0, vehicle.pose.yaw_rad)
         message.twist.twist.linear = Vector3(vehicle.speed_mps, 0.0, 0.0)
         message.twist.twist.angular = Vector3(0.0, 0.0, vehicle.yaw_rate_radps)
         self._truth.publish(message)
 
 
+def room_markers(world: WorldConfig, frame: str) -> MarkerArray:
+    """Return the room as markers in a frame in which the car has begun at x = y = yaw = 0."""
+    x_from_m, x_to_m, y_from_m, y_to_m = world.walls
+    middle_x_m, middle_y_m = (x_from_m + x_to_m) / 2, (y_from_m + y_to_m) / 2
+    length_m, width_m = x_to_m - x_from_m, y_to_m - y_from_m
+    things = [(Marker.CUBE, x_m, y_m, 0.0, size, WALL) for x_m, y_m, size in (
+        (middle_x_m, y_from_m, (length_m, WALL_M)), (middle_x_m, y_to_m, (length_m, WALL_M)),
+        (x_from_m, middle_y_m, (WALL_M, width_m)), (x_to_m, middle_y_m, (WALL_M, width_m)))]
+    things += [(Marker.CUBE, box.x_m, box.y_m, box.yaw_rad, (box.length_m, box.width_m), THING) for box in world.boxes]
+    things += [(Marker.CYLINDER, post.x_m, post.y_m, 0.0, (2 * post.radius_m, 2 * post.radius_m), THING)
+               for post in world.posts]
+    markers = []
+    for index, (kind, x_m, y_m, yaw_rad, size_m, color) in enumerate(things):
+        height_m = WALL_HEIGHT_M if color is WALL else HEIGHT_M
+        markers.append(Marker(
+            header=Header(stamp=rospy.Time(), frame_id=frame), ns="room", id=index, type=kind, action=Marker.ADD,
+            pose=_pose(x_m, y_m, height_m / 2, yaw_rad), scale=Vector3(*size_m, height_m), color=color,
+            frame_locked=True))
+    return MarkerArray(markers)
+
+
+def _pose(x_m, y_m, z_m, yaw_rad):
+    return Pose(Point(x_m, y_m, z_m), Quaternion(0.0, 0.0, math.sin(yaw_rad / 2), math.cos(yaw_rad / 2)))
+
+
 def main():
-    """Run the node."""
     run("car_sim", CarSim)

@@ -22,7 +22,6 @@ class PortClaim:
     """A claim on a path, held until ``close`` or the end of the process.
 
     Args:
-        path: of the serial port.
         end_within_s: so long another car_sim may take to end.
 
     Raises:
@@ -48,12 +47,11 @@ class PortClaim:
         return True
 
     def close(self) -> None:
-        """Give the path back."""
         self._socket.close()
 
 
 def _holder(name):
-    """Which process holds a claim, in words; empty if it can't be found out."""
+    """Return which process holds a claim, as text; empty if it is not known."""
     with socket.socket(socket.AF_UNIX) as probe:
         probe.setblocking(False)
         try:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import os
 import tty
+from contextlib import suppress
 from typing import Any, Callable
 
 from car_interface.common.errors import ConfigError
@@ -28,14 +29,62 @@ MAX_BACKLOG = 4096  # bytes on their way to the Teensy: beyond it the writer wai
 NEVER_NS = 1 << 63
 
 
+class PseudoTerminal:
+    """A serial line without a cable: a link at ``path`` leads to the end that a program opens as its port.
+
+    As on a real line, bytes that nobody reads are lost. Our own hold on the far end keeps the near one alive while no
+    program has it open.
+
+    Raises:
+        ConfigError: when something other than a link is at ``path``, or no link can be put there.
+    """
+
+    def __init__(self, path: str):
+        self._path = path
+        self._near, self._far = os.openpty()
+        tty.setraw(self._far)
+        os.set_blocking(self._near, False)
+        self.name = os.ttyname(self._far)
+        self._put_link()
+
+    def fileno(self) -> int:
+        return self._near
+
+    def read(self) -> bytes:
+        try:
+            return os.read(self._near, READ_SIZE)
+        except BlockingIOError:
+            return b""
+
+    def write(self, data: bytes) -> None:
+        """Send bytes to the program; what doesn't fit any more is lost."""
+        with suppress(BlockingIOError):
+            os.write(self._near, data)
+
+    def close(self) -> None:
+        with suppress(OSError):
+            if os.readlink(self._path) == self.name:
+                os.unlink(self._path)
+        os.close(self._near)
+        os.close(self._far)
+
+    def _put_link(self):
+        new = f"{self._path}.{os.getpid()}"
+        try:
+            if os.path.lexists(self._path) and not _is_link_to_a_terminal(self._path):
+                raise ConfigError("port", self._path, "a path with nothing at it, or a virtual Teensy's old link")
+            os.symlink(self.name, new)
+            os.replace(new, self._path)
+        except OSError as error:
+            raise ConfigError("port", self._path, f"a path where a link can be made ({error.strerror})") from error
+
+
 class VirtualLine:
     """Carries bytes between a virtual Teensy and the program that has opened its port.
 
     Args:
         path: where to put the link to the port.
         firmware: the Teensy, which also lives on while it's unplugged.
-        seed: of the noise.
-        inbox: woken when the program writes.
         make_terminal, make_claim: of other classes where a test connects the port.
 
     Raises:
@@ -43,13 +92,11 @@ class VirtualLine:
             be put there.
     """
 
-    def __init__(self, path: str, firmware, seed: int, inbox, make_terminal: Callable[[str], Any] | None = None,
+    def __init__(self, path: str, firmware, seed: int, inbox, make_terminal: Callable[[str], Any] = PseudoTerminal,
                  make_claim: Callable[[str], Any] = PortClaim):
-        self._make_terminal = make_terminal or PseudoTerminal
+        self._make_terminal = make_terminal
         self._claim = make_claim(path)  # also while it's unplugged
-        self._path = path
-        self._firmware = firmware
-        self._inbox = inbox
+        self._path, self._firmware, self._inbox = path, firmware, inbox
         self._bad = BadLine(seed)
         self._watched_fd = None
         self._terminal = self._make_terminal(path)
@@ -88,7 +135,6 @@ class VirtualLine:
             self._terminal.write(sent)
 
     def close(self) -> None:
-        """Take the port away."""
         self._hang_up()
         self._claim.close()
 
@@ -116,7 +162,7 @@ class VirtualLine:
             self._hang_up()
 
     def _plug(self):
-        """The system gives out the lowest free name; another one is what a port often has when it comes back."""
+        """Connect the port by another name than before, as often happens; the system gives out the lowest free one."""
         if self._terminal is not None:
             return
         self._plug_ns = NEVER_NS
@@ -127,63 +173,6 @@ class VirtualLine:
             same.close()
 
 
-class PseudoTerminal:
-    """A serial line without a cable: a link at ``path`` leads to the end that a program opens as its port.
-
-    As on a real line, bytes that nobody reads are lost. Our own hold on the far end keeps the near one alive while no
-    program has it open.
-
-    Raises:
-        ConfigError: when something other than a link is at ``path``, or no link can be put there.
-    """
-
-    def __init__(self, path: str):
-        self._path = path
-        self._near, self._far = os.openpty()
-        tty.setraw(self._far)
-        os.set_blocking(self._near, False)
-        self.name = os.ttyname(self._far)
-        self._put_link()
-
-    def fileno(self) -> int:
-        """For the inbox to watch."""
-        return self._near
-
-    def read(self) -> bytes:
-        """What the program wrote."""
-        try:
-            return os.read(self._near, READ_SIZE)
-        except BlockingIOError:
-            return b""
-
-    def write(self, data: bytes) -> None:
-        """Bytes for the program; what doesn't fit any more is lost."""
-        try:
-            os.write(self._near, data)
-        except BlockingIOError:
-            pass
-
-    def close(self) -> None:
-        """Hang up, and remove the link, unless it's another's by now."""
-        try:
-            if os.readlink(self._path) == self.name:
-                os.unlink(self._path)
-        except OSError:
-            pass
-        os.close(self._near)
-        os.close(self._far)
-
-    def _put_link(self):
-        new = f"{self._path}.{os.getpid()}"
-        try:
-            if os.path.lexists(self._path) and not _is_link_to_a_terminal(self._path):
-                raise ConfigError("port", self._path, "a path with nothing at it, or a virtual Teensy's old link")
-            os.symlink(self.name, new)
-            os.replace(new, self._path)
-        except OSError as error:
-            raise ConfigError("port", self._path, f"a path where a link can be made ({error.strerror})") from error
-
-
 def _is_link_to_a_terminal(path):
-    """What a virtual Teensy that was killed leaves behind; never a real port's name or somebody's file."""
+    """Return whether a killed virtual Teensy has left this path; never a real port's name or somebody's file."""
     return os.path.islink(path) and os.readlink(path).startswith("/dev/pts/")

@@ -44,11 +44,11 @@ from car_interface.ros.reconfigure import request_values
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, sender_of, subscribe
 from car_interface.ros.xmlrpc_calls import call
+from car_interface.steering.config import calibration_of
 from car_interface.teleop.gamepad import GamepadConfig
 from car_interface.teleop.mappings import KEYBOARD_FRAME, Entries, button_label, config_for, load_entries, model_of
 from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.config import load_throttle
-from car_interface.tools.calibration.drive.config import read_base
 from car_interface.tools.first_check.car import SLOWER, Controls, Output, Setup, Steering, Throttle, WheelCount
 from car_interface.tools.first_check.check import FirstCheck
 from car_interface.tools.first_check.files import find_folder, plan, write, write_page
@@ -278,8 +278,8 @@ def read_setup(parameter: Callable[[str, Any], Any], folder: str) -> Setup:
     used = throttle_arb.get("obstacle", {}).get("sonars", {})
     sequence = set(hub.get("sonar_sequence", ())) or set(range(len(SONARS)))
     return Setup(
-        read_base(parameter("turn_arb", {})), throttle, profile, bool(parameter("throttle_arb/esc/calibration_drive",
-                                                                                False)),
+        calibration_of(parameter("turn_arb", {})), throttle, profile,
+        bool(parameter("throttle_arb/esc/calibration_drive", False)),
         gamepad.get("steer_scale", 1.0), gamepad.get("throttle_scale", 1.0),
         hub.get("pulses_per_revolution", PULSES_PER_REVOLUTION),
         [name for index, name in enumerate(SONARS) if index in sequence and used.get(name) != "absent"])

@@ -19,7 +19,6 @@ class Keyboards:
 
     Args:
         pattern: of the paths of input devices.
-        open_device: as ``evdev.InputDevice``.
     """
 
     def __init__(self, pattern: str, open_device: Callable = InputDevice):
@@ -29,7 +28,7 @@ class Keyboards:
         return len(self._devices)
 
     def read(self) -> list[tuple[int, bool]] | None:
-        """(code, whether it is pressed) since the last call; ``None`` = some were lost, or a keyboard was unplugged."""
+        """Return each (code, is pressed) since the last call; ``None`` = some were lost or a keyboard was unplugged."""
         found: list[tuple[int, bool]] = []
         was_lost = False
         for device in list(self._devices):
@@ -41,7 +40,6 @@ class Keyboards:
         return None if was_lost else found
 
     def close(self) -> None:
-        """Close the devices."""
         for device in self._devices:
             device.close()
         self._devices.clear()
@@ -62,7 +60,7 @@ class Keyboards:
 
 
 def _opened(path, open_device):
-    """A device, in a list; none if it is no keyboard or may not be read."""
+    """Return a device, in a list; none if it is no keyboard or may not be read."""
     try:
         device = open_device(path)
     except OSError:

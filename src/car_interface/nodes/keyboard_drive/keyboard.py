@@ -26,7 +26,7 @@ class Keys:
         self._continued = False  # after Ctrl-Z and fg the shell has reset the terminal's mode
 
     def start(self) -> bool:
-        """Switch the terminal to single keys; whether it can be. It can't for a node that shares its process."""
+        """Switch the terminal to single keys; return whether it can be. It can't for a node that shares its process."""
         if threading.current_thread() is not threading.main_thread() or not self._in_foreground():
             return False
         self._saved = termios.tcgetattr(self._fd)
@@ -35,11 +35,10 @@ class Keys:
         return True
 
     def fileno(self) -> int:
-        """The file descriptor, for the inbox to watch."""
         return self._fd
 
     def read(self) -> str | None:
-        """The keys typed since the last call; ``None`` = the terminal hung up or is another program's by now."""
+        """Return the keys typed since the last call; ``None`` = the terminal hung up or is another program's by now."""
         if not self._in_foreground():
             return None
         try:
@@ -55,11 +54,10 @@ class Keys:
             return None
 
     def is_closed(self) -> bool:
-        """Whether the terminal hung up, as opposed to being another program's for a while."""
+        """Return whether the terminal hung up, as opposed to being another program's for a while."""
         return not os.isatty(self._fd)
 
     def restore(self) -> None:
-        """Restore the terminal's mode."""
         if self._saved is not None and self._in_foreground():
             termios.tcsetattr(self._fd, termios.TCSADRAIN, self._saved)
         self._saved = None

@@ -27,6 +27,7 @@ from car_interface.common.declared import read, read_all
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.params import Params
 from car_interface.common.rate_timer import RateTimer
+from car_interface.common.sources import source_name
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
 from car_interface.common.vehicle_geometry import SONARS
@@ -37,7 +38,6 @@ from car_interface.nodes.keyboard_drive.screen import screen_lines
 from car_interface.nodes.live_text import LiveText
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, subscribe
-from car_interface.steering.arbiter import source_name
 from car_interface.teleop.gamepad import NONE
 from car_interface.teleop.keyboard import QUIT, Controls, Keyboard, KeyboardConfig, KeyReader, help_text
 from car_interface.teleop.mappings import KEYBOARD_FRAME
@@ -57,8 +57,6 @@ class KeyboardDrive:
     """Reads the keys and publishes joy.
 
     Args:
-        params: the node's parameters.
-        inbox: the node's.
         keys: of the terminal; ``None`` = of the one that the node runs in.
         make_keyboards: called with a pattern of paths, as ``Keyboards``.
         text: draws on the terminal; ``None`` = on this process's.
@@ -119,7 +117,6 @@ class KeyboardDrive:
         return self._timer.due_ns
 
     def shut_down(self):
-        """Release the deadman, and restore the terminal."""
         self._keys.restore()
         self._keyboards.close()
         self._publish(Controls())
@@ -193,7 +190,7 @@ class KeyboardDrive:
         self._seen = kind
 
     def _watch_device(self):
-        """A virtual car may be replaced by a real one on the same master."""
+        """Notice when a virtual car was replaced by a real one on the same master."""
         try:
             device = self._inbox.graph.parameter("pca9685/device", self._device)
         except Exception:  # the master is gone: no node can start either
@@ -234,5 +231,4 @@ class KeyboardDrive:
 
 
 def main():
-    """Run the node."""
     run("keyboard_drive", KeyboardDrive)

@@ -6,7 +6,7 @@ import textwrap
 from typing import Any, Mapping
 
 from car_interface.common import causes
-from car_interface.steering.arbiter import source_name
+from car_interface.common.sources import source_name
 
 NEAR_M = 1.0
 BACK_OUT = "you hit a wall. To back out: hold S; then M alone for a second; then S again"

@@ -1,6 +1,6 @@
 """The pca9685 node's link to its guard: starts the process, gives it signs of life, and sees whether it is there.
 
-``nodes.pca9685.pca9685_guard`` is the guard. It is started anew when it dies or hangs.
+``nodes.pca9685.pca9685_guard`` is the guard. It is started again when it dies or hangs.
 """
 from __future__ import annotations
 
@@ -23,10 +23,9 @@ from car_interface.ros.diagnostics import ERROR, OK, WARN
 from car_interface.ros.logs import ThrottledWarnings
 
 RESTART_PAUSE_NS = 500 * NS_PER_MS  # between two starts
-SHOWN_NS = 10 * NS_PER_S  # how long /diagnostics tells of a guard that was lost and is back
+SHOWN_NS = 10 * NS_PER_S  # how long /diagnostics names a guard that was lost and is back
 MINUTE_NS = 60 * NS_PER_S
 END_S = 0.3  # for a guard that was told to end
-READ_SIZE = 4096
 
 
 class GuardChild:
@@ -34,9 +33,8 @@ class GuardChild:
 
     Args:
         kind, path: ``i2c`` and the bus, or ``virtual`` and the socket of a virtual chip.
-        address: the chip's.
         off_after_ns: when the guard switches everything off.
-        node_name, output_topic: the resolved names of the node and of the topic on which it tells what the chip holds.
+        node_name, output_topic: the resolved names of the node and of its topic with what the chip holds.
 
     Raises:
         OSError: it can't be started.
@@ -61,20 +59,12 @@ class GuardChild:
 
     @property
     def pid(self) -> int:
-        """Return its process id."""
         return self._process.pid
 
     def read(self) -> bytes | None:
         """Return what it has written since the last call; None = it has ended, and nothing is left."""
-        data = b""
-        while True:
-            try:
-                more = os.read(self._from_guard.fileno(), READ_SIZE)
-            except BlockingIOError:
-                return data
-            if not more:
-                return data or None
-            data += more
+        data = self._from_guard.readall()  # None = nothing has come, empty = its end is closed
+        return b"" if data is None else data or None
 
     def write(self, data: bytes) -> None:
         """Write to it, if it takes that."""
@@ -82,7 +72,6 @@ class GuardChild:
             os.write(self._to_guard.fileno(), data)
 
     def exit_text(self) -> str:
-        """Return how it ended."""
         try:
             code = self._process.wait(0.01)
         except subprocess.TimeoutExpired:
@@ -90,7 +79,6 @@ class GuardChild:
         return f"killed by signal {-code}" if code < 0 else f"exit code {code}"
 
     def kill(self) -> None:
-        """End it at once."""
         self._process.kill()
         self.close()
 
@@ -100,7 +88,6 @@ class GuardChild:
         self._from_guard.close()
 
     def wait_or_kill(self, within_s: float) -> None:
-        """Wait for its end; kill it if it doesn't end in time."""
         try:
             self._process.wait(within_s)
         except subprocess.TimeoutExpired:
@@ -112,10 +99,7 @@ class GuardLink:
 
     Args:
         start: starts a guard, as ``GuardChild``, and returns it; ``None`` = there is none.
-        off_after_ns: when the guard switches everything off.
         board: returns the board's name, for log lines.
-        warnings: the node's.
-        clocks: the node's.
     """
 
     def __init__(self, start: Callable[[], GuardChild] | None, off_after_ns: int, board: Callable[[], str],
@@ -184,7 +168,7 @@ class GuardLink:
             guard.wait_or_kill(END_S)  # one that hangs has nothing left to guard
 
     def outlook(self) -> str:
-        """What to add to the report of a node that ends without having reached its board."""
+        """Return what to add to the report of a node that ends without having reached its board."""
         return f"; its guard goes on trying for {GIVE_UP_NS // MINUTE_NS} minutes" if self.watch.is_present else ""
 
     def _start(self, now_ns):
@@ -217,13 +201,13 @@ class GuardLink:
                 "dies or hangs")
 
     def report(self, status, now_ns: int, board_runs: bool):
-        """Its state, for /diagnostics. A board that the node can't reach either is the node's own report."""
+        """Report its state on /diagnostics. A board that the node can't reach either is the node's own report."""
         if self._start_guard is None:
             status.summary(OK, "off (guard: false): the board goes on pulsing if this node dies or hangs")
-            return status
+            return
         if self._guard is None and not self._losses:
             status.summary(OK, "starts as soon as the board's bus is known")
-            return status
+            return
         if not self.watch.is_present:
             status.summary(ERROR, self._absence())
             status.add("cause", GUARD_ABSENT)
@@ -239,11 +223,10 @@ class GuardLink:
         status.add("acted", self.watch.interventions)
         status.add("started anew", self._losses)
         status.add("full off after", f"{self._off_after_ns / NS_PER_S:g} s")
-        return status
 
 
 def _open_log():
-    """The file beside the node's log in which the guard writes what it did."""
+    """Open the file beside the node's log in which the guard writes what it did."""
     path = os.environ.get("ROS_LOG_FILENAME")
     try:
         return open(f"{os.path.splitext(path)[0]}-guard.log" if path else os.devnull, "ab")

@@ -27,7 +27,7 @@ from car_interface.common.causes import FOREIGN_WRITE, NODE_STOOD_STILL
 from car_interface.common.declared import read_all
 from car_interface.common.errors import DeviceError
 from car_interface.common.file_lock import lock_byte
-from car_interface.common.header import Header, read_header
+from car_interface.common.header import read_header
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import CHANNELS, MAX_DUTY, NS_PER_S, UNCHANGED
 from car_interface.nodes.pca9685.guard_link import GuardChild, GuardLink
@@ -54,28 +54,32 @@ NEUTRALS = "servo/neutral"
 class SmbusBus:
     """A bus of the kernel, opened by smbus2. A lock on the address excludes a second pca9685 node.
 
+    Args:
+        find: returns the path, or raises BoardNotFound. It is called until it has found one, which stands then.
+
     Attributes:
-        path: the bus's.
+        path: the bus's; empty until it is found.
         name: the path for messages.
     """
 
     kind = "i2c"
 
-    def __init__(self, path: str, address: int):
-        self.path = self.name = path
-        self._address = address
+    def __init__(self, address: int, path: str = "", name: str = "", find: Callable[[], str] | None = None):
+        self._address, self.path, self.name, self._find = address, path, path or name, find
 
     @property
     def exists(self) -> bool:
-        """Return whether there is something at the path."""
-        return os.path.exists(self.path)
+        """Return whether there is something at the path, as far as is known."""
+        return not self.path or os.path.exists(self.path)
 
     def open(self) -> smbus2.SMBus:
-        """The open bus.
+        """Return the open bus.
 
         Raises:
-            OSError: it can't be opened, or another node has the lock.
+            OSError: it can't be opened, another node has the lock; BoardNotFound: as ``find`` raises it.
         """
+        if not self.path:
+            self.path = self.name = self._find()
         bus = smbus2.SMBus()  # in two steps: a device that is no I2C bus fails after it was opened
         try:
             bus.open(self.path)
@@ -85,38 +89,6 @@ class SmbusBus:
             bus.close()
             raise
         return bus
-
-
-class HeaderBus(SmbusBus):
-    """The header's bus that the board is on; the path is empty until it's found, and stands from then on.
-
-    Args:
-        header: the computer's.
-        address: the board's.
-        on_found: called with the path.
-    """
-
-    def __init__(self, header: Header, address: int, on_found: Callable[[str], None]):
-        super().__init__("", address)
-        self.name = " or ".join(header.bus_paths)
-        self._header = header
-        self._on_found = on_found
-
-    @property
-    def exists(self) -> bool:
-        """Return whether it's there, as far as is known."""
-        return not self.path or super().exists
-
-    def open(self) -> smbus2.SMBus:
-        """Open the bus, as SmbusBus.
-
-        Raises:
-            BoardNotFound: the board answers on none of the header's buses, or on several.
-        """
-        if not self.path:
-            self.path = self.name = choose_bus(self._header, self._address, smbus2.SMBus)
-            self._on_found(self.path)
-        return super().open()
 
 
 def make_bus(config, inbox):
@@ -129,14 +101,16 @@ def make_bus(config, inbox):
         path = config.virtual_chip or chip_path(inbox.node_name)
         return VirtualBoardBus(path, config.address, config.virtual_log, inbox)
     if config.device != AUTO:
-        return SmbusBus(config.device, config.address)
+        return SmbusBus(config.address, config.device)
+    header = read_header()
 
-    def keep(path):
-        """Have a restarted node take this bus again, until the next launch, which clears the parameters."""
-        if is_respawned():
+    def find():
+        path = choose_bus(header, config.address, smbus2.SMBus)
+        if is_respawned():  # once restarted it takes this bus again, until the next launch clears the parameters
             with suppress(OSError):  # the master is gone
                 inbox.graph.set_parameter(inbox.own_name("~auto_device"), path)
-    return HeaderBus(read_header(), config.address, keep)
+        return path
+    return SmbusBus(config.address, name=" or ".join(header.bus_paths), find=find)
 
 
 class Pca9685:
@@ -154,8 +128,8 @@ class Pca9685:
         self._clocks = inbox.clocks
         now_ns = self._clocks.now_ns()
         self._channels = Channels(config.channels)
-        self._address = config.address
-        self._prescale, self._oscillator_hz = config.prescale, config.oscillator_hz
+        self._address, self._prescale, self._oscillator_hz = config.address, config.prescale, config.oscillator_hz
+        self._frequency_hz = frequency_for(config.prescale, config.oscillator_hz)
         self._bus = bus = make_bus(config, inbox)
         self._header = read_header()
         self._inbox = inbox
@@ -167,7 +141,9 @@ class Pca9685:
                                self._outputs.resolved_name)
         self._guard = GuardLink(guard if config.guard else None, config.guard_off_after_ns, self._name,
                                 self._warnings, inbox.clocks)
-        self._supervisor = BoardSupervisor(self._open_bus, self._make_board, self._on_board_event)
+        self._supervisor = BoardSupervisor(
+            self._open_bus, lambda bus: Board(bus, config.address, config.prescale, self._clocks.sleep),
+            self._on_board_event)
         self._fault = None  # why the board can't be used, as (cause, remedy)
         self._dropped = 0  # commands that arrived meanwhile
         self._held_back = 0  # commands that arrived before the guard had left the chip to this node again
@@ -177,13 +153,17 @@ class Pca9685:
         self._published = [UNCHANGED] * CHANNELS
         # Several nodes publish on each, but no two of them command the same channel.
         self._senders = ChannelSenders()
-        self._command_topics = CommandTopics(inbox, (*COMMANDS, NEUTRALS), self._channel_faults)
+        self._command_topics = CommandTopics(inbox, (*COMMANDS, NEUTRALS), lambda now_ns, topics: [
+            *self._timeout_faults(now_ns, topics), *self._senders.conflict_faults(now_ns, topics)])
         self._diagnostics = Diagnostics(inbox, self._name(), {
             "servo board": self._report,
             "guard": lambda status: self._guard.report(status, self._clocks.now_ns(), self._supervisor.running),
             **self._command_topics.reports}, now_ns)
         if config.required:
-            self._open_or_end(now_ns)
+            try:
+                self._supervisor.open(self._targets, now_ns)
+            except OSError as error:
+                raise DeviceError(self._name(), *self._explain(error)) from error
         inbox.on_overflow(self._channels.make_safe)
         for topic in COMMANDS:
             subscribe(topic, Int32MultiArray, inbox, self._on_command)
@@ -202,7 +182,7 @@ class Pca9685:
                    self._supervisor.next_due_ns(), self._guard.watch.due_ns)
 
     def _follow_guard(self, now_ns):
-        """Give the guard its sign of life. After standing still: begin anew, and only then acknowledge."""
+        """Give the guard its sign of life. After a standstill start over, and only then acknowledge."""
         self._guard.receive(now_ns)
         still_ns = self._guard.watch.stood_still_ns(now_ns)
         if self._guard.watch.was_overruled() or still_ns:
@@ -221,7 +201,7 @@ class Pca9685:
         return bus
 
     def _begin_anew(self, still_ns):
-        """Timeout values, and no command that was sent before."""
+        """Go to the timeout values, and obey no command that was sent before."""
         self._inbox.begin_anew(self._clocks.now_ns(), still_ns)  # which makes the channels safe
         lasted = f" for {still_ns / NS_PER_S:.2f} s" if still_ns else ""
         self._warnings.warn(NODE_STOOD_STILL, f"{NODE_STOOD_STILL}{lasted}: {self._name()} is at its timeout values; "
@@ -234,7 +214,7 @@ class Pca9685:
         return [counts_of_duty(duty) for duty in self._channels.timeout_values]
 
     def _targets(self):
-        """What the chip should hold now. The supervisor asks at each attempt to write."""
+        """Return what the chip should hold now. The supervisor asks at each attempt to write."""
         now_ns = self._clocks.now_ns()
         if self._guard.watch.is_late(now_ns):
             self._channels.make_safe(now_ns)  # a transfer took so long that the guard acts
@@ -251,7 +231,7 @@ class Pca9685:
             self._warnings.warn(f"timeout of {expired}", f"no command for {listed(expired)}: now at timeout value")
 
     def shut_down(self):
-        """Timeout values for a whole period, then every output off: an ESC sees neutral before it sees nothing."""
+        """Hold the timeout values for a whole period, then switch every output off: an ESC sees neutral before that."""
         is_safe = not self._supervisor.ever_ran
         try:
             if not is_safe:
@@ -264,12 +244,12 @@ class Pca9685:
     def _switch_off(self):
         self._channels.make_safe(self._clocks.now_ns())
         self._retry(self._update_now)
-        self._clocks.sleep(2 / frequency_for(self._prescale, self._oscillator_hz))
+        self._clocks.sleep(2 / self._frequency_hz)
         self._retry(lambda: self._update_now() and self._supervisor.all_off(self._clocks.now_ns()))
         self._publish()
 
     def _update_now(self):
-        """Write the targets without waiting for the next attempt; whether the chip has them."""
+        """Write the targets without waiting for the next attempt; return whether the chip has them."""
         self._supervisor.retry_now()
         self._update()
         return self._supervisor.running
@@ -301,10 +281,6 @@ class Pca9685:
         if accepted.clamped:
             self._warnings.warn("clamped", f"{listed(accepted.clamped)}: beyond pwm_min or pwm_max, clamped")
 
-    def _channel_faults(self, now_ns, topics):
-        """The channels that timed out, and those that several nodes command, as faults of the command topics."""
-        return [*self._timeout_faults(now_ns, topics), *self._senders.conflict_faults(now_ns, topics)]
-
     def _timeout_faults(self, now_ns, topics):
         return self._senders.timeout_faults(self._channels.timed_out(now_ns), now_ns, topics,
                                             self._inbox.graph.process_name())
@@ -329,15 +305,6 @@ class Pca9685:
         self._supervisor.update(self._targets, self._clocks.now_ns())
         self._publish()
 
-    def _make_board(self, bus):
-        return Board(bus, self._address, self._prescale, self._oscillator_hz, self._clocks.sleep)
-
-    def _open_or_end(self, now_ns):
-        try:
-            self._supervisor.open(self._targets, now_ns)
-        except OSError as error:
-            raise DeviceError(self._name(), *self._explain(error)) from error
-
     def _explain(self, error):
         return explain(error, self._bus.name, self._bus.exists, self._header)
 
@@ -348,8 +315,7 @@ class Pca9685:
         elif event == RUNNING:
             self._fault = None
             self._guard.chip_is_reached(self._clocks.now_ns(), self._timeout_counts())
-            rospy.loginfo("%s: running at %.2f Hz (prescale %d)", self._name(),
-                          frequency_for(self._prescale, self._oscillator_hz), self._prescale)
+            rospy.loginfo("%s: running at %.2f Hz (prescale %d)", self._name(), self._frequency_hz, self._prescale)
         elif event == RETRIED:
             self._warnings.warn(event, f"{self._name()}: {error}; tried again")
         elif event == FOREIGN:
@@ -364,10 +330,10 @@ class Pca9685:
             self._warnings.warn(event, f"{self._name()}{was}: {'. '.join(self._fault)}. Trying again")
 
     def _report(self, status):
-        """The board's state and counts, for /diagnostics."""
+        """Report the board's state and counts."""
         tally = self._supervisor.tally
         if self._supervisor.running:
-            status.summary(OK, f"running at {frequency_for(self._prescale, self._oscillator_hz):.2f} Hz")
+            status.summary(OK, f"running at {self._frequency_hz:.2f} Hz")
         else:
             status.summary(ERROR, ". ".join(self._fault or ("not opened yet", "")))
         faults = self._timeout_faults(self._clocks.now_ns(), self._command_topics.topics)
@@ -378,8 +344,8 @@ class Pca9685:
             status.add("remedy", ". ".join(fault.remedy for fault in faults))
         status.add("bus", self._bus.name)
         status.add("address", f"0x{self._address:02x}")
-        period_ms = 1e3 / frequency_for(self._prescale, self._oscillator_hz)
-        status.add("period", f"{period_ms:.3f} ms if the oscillator makes {self._oscillator_hz:.0f} Hz; not measured")
+        status.add("period", f"{1e3 / self._frequency_hz:.3f} ms if the oscillator makes {self._oscillator_hz:.0f} Hz; "
+                             "not measured")
         status.add("failed transfers", tally.errors)
         status.add("reopened", tally.reopenings)
         status.add("initialised anew after a loss of power", tally.reinitialisations)
@@ -391,7 +357,6 @@ class Pca9685:
             status.add(f"timeouts of channel {channel}", count)
         for kind in ("length", "refused", "clamped"):
             status.add(f"commands {kind}", self._warnings.counts[kind])
-        return status
 
     def _publish(self, always=False):
         duties = self._published  # a chip that is out of reach keeps its last pulses
@@ -406,5 +371,4 @@ class Pca9685:
 
 
 def main():
-    """Run the node."""
     run("pca9685", Pca9685)

@@ -36,11 +36,7 @@ READ_SIZE = 4096
 
 
 class OutputRelay:
-    """Publishes the readings that a pipe carries.
-
-    Args:
-        fd: of the pipe.
-    """
+    """Publishes the readings that a pipe carries."""
 
     def __init__(self, fd: int):
         self._fd = fd
@@ -96,7 +92,6 @@ class OutputRelay:
 
 
 def main() -> None:
-    """Run the relay."""
     os.setsid()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: rospy.signal_shutdown("signal"))

@@ -2,9 +2,9 @@
 
 The node starts it, see ``nodes.pca9685.guard_link``; it is no ROS node. ``pca9685.guard`` decides,
 ``pca9685.guard_board`` writes. It has a session of its own and ignores the signals that end a node: the node
-tells it when all is well. Its arguments: ``i2c`` and the bus's path, or ``virtual`` and the chip's
-socket; the chip's address, the node's process, the
-time to full off in ns, the descriptors of the two pipes, and the resolved names of the node and of its /servo/output.
+tells it when all is well. Its arguments: ``i2c`` and the bus's path, or ``virtual`` and the chip's socket; the chip's
+address, the node's process, the time to full off in ns, the descriptors of the two pipes, and the resolved names of the
+node and of its /servo/output.
 
 While it acts alone it has what the chip holds published in the node's place, by ``nodes.pca9685.output_relay``, a
 process of its own: the guard imports no rospy, so that it is small and can act at once.
@@ -36,9 +36,6 @@ class GuardProcess:
         device: the chip, as ``pca9685.i2c_device.I2cDevice``.
         node_pid: whose lock doesn't stop the guard.
         answer: called with bytes for the node.
-        relay: publishes what the chip holds.
-        log: called with a line.
-        clock_ns: the monotonic clock.
     """
 
     def __init__(self, device, guard: Guard, node_pid: int, answer, relay: RelayLink, log, clock_ns=time.monotonic_ns):
@@ -105,11 +102,11 @@ class GuardProcess:
                 self._relay.tell(held)
 
     def _is_replaced(self):
-        """Whether a node has the board that isn't this guard's, or had it and left it to a guard of its own."""
+        """Return whether a node has the board that isn't this guard's, or had it and left it to a guard of its own."""
         return self._device.lock_holder() not in (0, self._node_pid) or self._device.successor(self._generation)
 
     def _transfer(self, action):
-        """Do it; what the channels are known to have held."""
+        """Do it; return what the channels are known to have held."""
         device, counts = self._device, self._guard.timeout_counts
         if action == PROBE:
             guard_board.probe(device)
@@ -124,7 +121,7 @@ class GuardProcess:
         return held
 
     def _report(self, is_heard):
-        """Answer a sign of life, and tell the node and the log of a new state."""
+        """Answer a sign of life, and report a new state to the node and the log."""
         state = self._guard.state
         if state != self._state:
             if state == ACTING and self._state == WATCHING:
@@ -137,11 +134,10 @@ class GuardProcess:
 
 
 class RelayLink:
-    """Starts the relay when there is something to tell, and ends it. Nothing depends on it.
+    """Starts the relay when there is something to publish, and ends it. Nothing depends on it.
 
     Args:
         node_name, output_topic: the resolved names of the node and of the topic on which it would publish.
-        log: called with a line.
     """
 
     def __init__(self, node_name: str, output_topic: str, log):
@@ -160,7 +156,7 @@ class RelayLink:
             self._write(OutputMessage(HELD, counts))
 
     def end(self) -> None:
-        """End the relay: a node tells by itself. When the guard itself ends, it ends once it has told the last."""
+        """End the relay: a node publishes by itself. When the guard ends, it publishes the last reading before."""
         if self._fd >= 0:
             self._write(OutputMessage(LEFT_TO_NODE, (0,) * CHANNELS))
             os.close(self._fd)
@@ -179,14 +175,11 @@ class RelayLink:
             os.close(reader)
 
     def _write(self, message):
-        try:
-            os.write(self._fd, message.encode())
-        except OSError:
-            pass  # it was ended, or hangs
+        _write(self._fd, message.encode())
 
 
 def make_device(kind: str, path: str, address: int):
-    """The chip at an address of a bus, or behind the socket of a virtual one. Only what is needed is imported."""
+    """Return the chip at an address of a bus, or behind a virtual one's socket. Only what is needed is imported."""
     if kind == "virtual":
         from car_interface.sim.chip_link import ChipLink
         return ChipLink(path, address)
@@ -194,26 +187,19 @@ def make_device(kind: str, path: str, address: int):
     return I2cDevice(path, address)
 
 
-class Log:
-    """Writes lines to the standard error, which the node has made a file; none twice in succession."""
+def make_log(name: str):
+    """Return a function that writes lines, none twice in a row, to the standard error: a file of the node's."""
+    last = ""
 
-    def __init__(self, name: str):
-        self._name = name
-        self._last = ""
-
-    def write(self, text: str) -> None:
-        """Write a line, with the time."""
-        if text == self._last:
-            return
-        self._last = text
-        try:
-            print(time.strftime("%Y-%m-%d %H:%M:%S"), f"{self._name}: {text}", file=sys.stderr, flush=True)
-        except OSError:
-            pass
+    def log(text):
+        nonlocal last
+        if text != last:
+            last = text
+            _write(sys.stderr.fileno(), f"{time.strftime('%Y-%m-%d %H:%M:%S')} {name}: {text}\n".encode())
+    return log
 
 
 def main() -> None:
-    """Run the guard."""
     kind, path = sys.argv[1:3]
     address, node_pid, off_after_ns, node_fd, answer_fd = map(int, sys.argv[3:8])
     node_name, output_topic = sys.argv[8:10]
@@ -223,14 +209,14 @@ def main() -> None:
     for fd in (node_fd, answer_fd):
         os.set_inheritable(fd, False)
 
-    log = Log(f"guard of 0x{address:02x} on {path}, node {node_pid}")
-    relay = RelayLink(node_name, output_topic, log.write)
+    log = make_log(f"guard of 0x{address:02x} on {path}, node {node_pid}")
+    relay = RelayLink(node_name, output_topic, log)
     GuardProcess(make_device(kind, path, address), Guard(off_after_ns), node_pid,
-                 lambda data: _answer(answer_fd, data), relay, log.write).run(node_fd)
+                 lambda data: _write(answer_fd, data), relay, log).run(node_fd)
 
 
-def _answer(fd, data):
+def _write(fd, data):
     try:
         os.write(fd, data)
     except OSError:
-        pass  # the node is dead, or frozen for long
+        pass  # who reads it is dead or frozen, or the disk is full

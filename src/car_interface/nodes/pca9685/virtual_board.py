@@ -29,7 +29,7 @@ MAX_SOCKET_PATH = 107  # unix(7), without the final zero
 
 
 def chip_path(node_name: str) -> str:
-    """Where the chip of a pca9685 node listens, by the node's name with its namespace."""
+    """Return the socket of a pca9685 node's chip, by the node's name with its namespace."""
     folder = os.path.join(tempfile.gettempdir(), folder_name())
     name = node_name.strip("/").replace("/", "-")
     digest = hashlib.sha256(f"{rosgraph.get_master_uri()} {node_name}".encode()).hexdigest()[:10]
@@ -40,10 +40,7 @@ class VirtualBoardBus:
     """Opens and closes as a real bus does; starts the chip if it isn't there. The chip keeps its state.
 
     Args:
-        path: of the chip's socket.
-        address: the chip's.
         log_path: that of ~virtual_log; ``None`` = no log.
-        inbox: the node's, which offers the faults.
 
     Raises:
         ConfigError: path or log can't be used.
@@ -64,13 +61,14 @@ class VirtualBoardBus:
         serve_faults(inbox, {fault: lambda value, fault=fault: self._inject(fault, value) for fault in FAULTS})
 
     def open(self) -> VirtualSmbus:
-        """The bus.
+        """Return the open bus.
 
         Raises:
             UnsafeFile: socket, lock or folder aren't this user's own.
             OSError: the chip can't be started, or another node has the lock.
         """
-        self._connect()
+        if not SYSTEM.wait_for(self._is_open, START_S, 0.01):
+            raise OSError(errno.ENXIO, "the virtual chip's process doesn't start")
         try:
             lock_byte(self._link.lock_fd(), self._address)
         except OSError:
@@ -94,10 +92,6 @@ class VirtualBoardBus:
         finally:
             link.close()
 
-    def _connect(self):
-        if not SYSTEM.wait_for(self._is_open, START_S, 0.01):
-            raise OSError(errno.ENXIO, "the virtual chip's process doesn't start")
-
     def _is_open(self):
         try:
             self._link.open()
@@ -120,27 +114,19 @@ class VirtualSmbus:
     """The methods of ``smbus2.SMBus`` that the board uses, over a link to a chip."""
 
     def __init__(self, link: ChipLink):
-        self._link = link
+        self._link, self.close = link, link.close
 
-    def read_byte_data(self, address: int, register: int) -> int:
-        """As smbus2."""
+    def read_byte_data(self, address, register):
         return self._link.read(register, 1)[0]
 
-    def read_i2c_block_data(self, address: int, register: int, length: int) -> list[int]:
-        """As smbus2: at most 32 bytes."""
+    def read_i2c_block_data(self, address, register, length):
         return list(self._link.read(register, length))
 
-    def write_byte_data(self, address: int, register: int, value: int) -> None:
-        """As smbus2."""
+    def write_byte_data(self, address, register, value):
         self._link.write(register, bytes((value,)))
 
-    def write_i2c_block_data(self, address: int, register: int, data: list[int]) -> None:
-        """As smbus2: at most 32 bytes."""
+    def write_i2c_block_data(self, address, register, data):
         self._link.write(register, bytes(data))
-
-    def close(self) -> None:
-        """Disconnect."""
-        self._link.close()
 
 
 def _check_log(path) -> None:

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 from car_interface.common import declared
 from car_interface.common.declared import REQUIRED
+from car_interface.common.sources import PLANNERS
 from car_interface.common.vehicle_geometry import WHEELBASE_M
 from car_interface.planner.messages import ANGULAR, RATE
-from car_interface.planner.source_arbiter import SOURCES
 from car_interface.throttle.speed_control import SpeedControlConfig
 
 
@@ -15,7 +15,7 @@ from car_interface.throttle.speed_control import SpeedControlConfig
 class PlannerInterfaceConfig:
     """The source that is obeyed, how its messages are read, and the speed control."""
 
-    source: str = declared.choice("source", REQUIRED, "whose messages are obeyed", choices=SOURCES)
+    source: str = declared.choice("source", REQUIRED, "whose messages are obeyed", choices=PLANNERS)
     cmd_vel_angular: str = declared.choice(
         "cmd_vel_angular", RATE, "what `angular.z` of `cmd_vel` is: rad/s, or rad of the front wheels", choices=ANGULAR)
     wheelbase_m: float = declared.number(

@@ -29,6 +29,7 @@ from std_msgs.msg import Float32, UInt8
 from car_interface.common import causes
 from car_interface.common.declared import read_all
 from car_interface.common.rate_timer import RateTimer
+from car_interface.common.sources import AUTOWARE, CMD_VEL, DRIVE, SPEED
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
 from car_interface.msg import Control, PlannerState, SteeringState, ThrottleState
@@ -36,14 +37,7 @@ from car_interface.nodes.planner_interface.ackermann_messages import ackermann_d
 from car_interface.nodes.planner_interface.config import PlannerInterfaceConfig
 from car_interface.planner.messages import from_ackermann, from_control, from_twist
 from car_interface.planner.request import PlannerRequest, not_finite, sane_radius_m
-from car_interface.planner.source_arbiter import (
-    AUTOWARE,
-    CMD_VEL,
-    DRIVE,
-    SPEED,
-    PlannerDecision,
-    SourceArbiter,
-)
+from car_interface.planner.source_arbiter import PlannerDecision, SourceArbiter
 from car_interface.ros.clocks import StampedAge, odd_stamp
 from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics, age_text

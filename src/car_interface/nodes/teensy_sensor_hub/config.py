@@ -24,11 +24,7 @@ SLOWEST_ODOM_HZ = 0.1
 
 @dataclass(frozen=True)
 class HubConfig:
-    """The serial line, the car's wheels and sonars, and the frames of the messages.
-
-    Raises:
-        ConfigError: naming the parameter.
-    """
+    """The serial line, the car's wheels and sonars, and the frames of the messages."""
 
     port: str = declared.text("port", "/dev/ttyAMA0", "opened exclusively, reopened when it was lost", "path")
     baud: int = declared.integer("baud", 115200, "of the serial line", low=300, high=4_000_000)
@@ -80,12 +76,11 @@ class HubConfig:
                 raise ConfigError(f"sonars/{name}", mount, "three numbers: x, y in m, and yaw in rad, in base_link")
 
     def frame(self, name: str) -> str:
-        """Return the name of a frame or joint, with the prefix."""
         return self.frame_prefix + name
 
     @property
     def measurement(self) -> MeasurementConfig:
-        """The configuration of what is measured."""
+        """Return the configuration of what is measured."""
         # Whatever the sonars do, pongs come with the pings, of which one may be lost.
         max_gap_ms = max(GateConfig.max_gap_ms, math.ceil(2000 * self.ping_period_s))
         return MeasurementConfig(

@@ -19,11 +19,7 @@ class LinkStatusPublisher:
     """Publishes the verdict on the link and the sonars behind it, and all counters.
 
     Args:
-        port: the path of the Teensy's port.
-        link: the port itself.
-        session: over it.
-        sonars: behind it.
-        inbox: the node's.
+        port: the path of the Teensy's port; ``link`` is the port itself.
     """
 
     def __init__(self, port: str, link: SerialLink, session: Session, sonars: SonarMonitor, inbox):
@@ -35,11 +31,9 @@ class LinkStatusPublisher:
         self._topic = advertise("~link", LinkStatus, inbox, latch=True)
 
     def publish(self) -> None:
-        """Publish how things are now."""
         self._topic.publish(self._status())
 
     def report(self, report):
-        """Fill in the link's entry on /diagnostics."""
         status = self._status()
         report.summary(status.level, f"{status.words}. {status.next_step}" if status.next_step else status.words)
         report.add("state", status.state)
@@ -50,17 +44,16 @@ class LinkStatusPublisher:
             report.add(name.replace("_", " "), getattr(status, name))
         for counter in status.counters:
             report.add(f"Teensy's {counter.name}", counter.count)
-        return report
 
     def _status(self):
-        session, tally, verdict = self._session, self._session.tally, self._verdict()
+        session, tally, pinger, verdict = self._session, self._session.tally, self._session.pinger, self._verdict()
         return LinkStatus(
             stamp=self._clocks.ros_now(), open=self._link.is_open, level=verdict.level, state=verdict.state,
             words=verdict.description, next_step=verdict.next_step, frames=tally.frames, bad_frames=tally.bad_frames,
             malformed_frames=session.malformed, unknown_commands=session.unknown_commands,
             noise_bytes=tally.noise_bytes, resyncs=session.resyncs, reconnects=max(0, session.openings - 1),
-            reboots=session.reboots, pings=session.pings, pongs=session.pongs,
-            round_trip=session.round_trip_ns / NS_PER_S, firmware_checksum=session.checksum,
+            reboots=session.reboots, pings=pinger.sent, pongs=pinger.answered,
+            round_trip=session.round_trip_ns / NS_PER_S, firmware_checksum=pinger.checksum,
             sonar_starts=self._sonars.starts, dropped_sonars=list(self._sonars.dropped),
             counters=[Error(count, name) for name, count in sorted(session.counters.items())])
 

@@ -31,12 +31,7 @@ MAX_REFUSED_RATIO = 0.01  # of a second's records, from which on it's a warning
 
 
 class MeasurementPublisher:
-    """Publishes what ``Measurements`` makes of the Teensy's records.
-
-    Args:
-        config: the node's.
-        inbox: the node's; for the temperature and the steering.
-    """
+    """Publishes what ``Measurements`` makes of the Teensy's records."""
 
     def __init__(self, config: HubConfig, inbox):
         self._config = config
@@ -63,11 +58,11 @@ class MeasurementPublisher:
                                  for frame, mount in zip(self._sonar_frames, config.mounts)])
         subscribe("temperature", Temperature, inbox, self._on_temperature)
         if config.odometry.use_steering:
-            inbox.on_overflow(self._on_overflow)
+            inbox.on_overflow(lambda now_ns: self._measurements.steer(math.nan))
             subscribe("turn_arb/state", SteeringState, inbox, self._on_steering)
 
     def _prepare_messages(self):
-        """Frequent messages are reused: rospy serialises them as it publishes them."""
+        """Make the frequent messages, which are reused: rospy serialises them as it publishes them."""
         self._odom_msg = OdometryMessage(child_frame_id=self._base_frame)
         self._odom_msg.header.frame_id = self._odom_frame
         self._tf_msg = _transform(self._clocks.ros_now(), self._odom_frame, self._base_frame, 0.0, 0.0, 0.0)
@@ -124,7 +119,7 @@ class MeasurementPublisher:
 
     @property
     def due_ns(self) -> float:
-        """When the next step is due: reports that came too soon wait for another one, but not for long."""
+        """Return when the next step is due: reports that came too soon wait for another one, but not for long."""
         timer = self._motion_timer
         return timer.due_ns + timer.period_ns if self._pending or self._measurements.has_queued else math.inf
 
@@ -140,7 +135,7 @@ class MeasurementPublisher:
             self._pending = None
 
     def _publish_motion(self, measured):
-        """Odometry, its transform, and the wheels' joints."""
+        """Publish odometry, its transform, and the wheels' joints."""
         motion = measured.motion
         stamp = self._ros_clock.stamp("motion", measured.stamp.time_ns)  # one for all: they are looked up by it
         if has_subscribers(self._odometry):
@@ -159,24 +154,22 @@ class MeasurementPublisher:
 
     @property
     def reports(self) -> dict:
-        """What goes to /diagnostics, by name."""
+        """Return the reports for /diagnostics, by name."""
         return {CLOCK_REPORT: self._report_clock, "Teensy records": self._report_records}
 
     def _report_clock(self, status):
-        """The clock's line on /diagnostics."""
         sync, clock = self._sync, self._measurements.clock
         if sync is None:
             status.summary(WARN, "no ping was answered yet: times go by when reports arrive")
-            return status
+            return
         status.summary(OK if clock.converged else WARN, "the Teensy's clock is known" if clock.converged else
                        "too few pings were answered yet: times go by when reports arrive")
         status.add("faster than this computer's", f"{sync.skew_ppm:.1f} ppm")
         status.add("uncertainty", f"{sync.uncertainty_ns / 1e6:.2f} ms")
         status.add("round trip", f"{sync.round_trip_ns / 1e6:.1f} ms")
-        return status
 
     def _report_records(self, status):
-        """What the plausibility gates refused, on /diagnostics."""
+        """Report what the plausibility gates refused."""
         gates = self._measurements.gates
         accepted, refused = (now - before for now, before in zip((gates.accepted, gates.refused), self._counted))
         self._counted = (gates.accepted, gates.refused)
@@ -187,10 +180,6 @@ class MeasurementPublisher:
         status.add("refused", gates.refused)
         for reason, count in sorted((gates.counts + self._measurements.ranging.counts).items()):
             status.add(reason, count)
-        return status
-
-    def _on_overflow(self, now_ns):
-        self._measurements.steer(math.nan)
 
     def _on_temperature(self, message, now_ns):
         try:
@@ -215,7 +204,6 @@ class MeasurementPublisher:
 
 
 def _transform(stamp, parent, child, x_m, y_m, yaw_rad):
-    """Where a frame is in another."""
     message = TransformStamped(child_frame_id=child)
     message.transform = Transform(Vector3(x_m, y_m, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0))
     message.header.stamp, message.header.frame_id = stamp, parent
@@ -224,12 +212,11 @@ def _transform(stamp, parent, child, x_m, y_m, yaw_rad):
 
 
 def _set_yaw(rotation, yaw_rad):
-    """Make a rotation one about the vertical."""
     rotation.z, rotation.w = math.sin(yaw_rad / 2), math.cos(yaw_rad / 2)
 
 
 def _covariance(xx, xy, xa, yy, ya, aa):
-    """Of x, y and the turn about the vertical, as the 6×6 that ROS wants."""
+    """Return a covariance of x, y and the turn about the vertical as ROS wants it: 6×6."""
     return [xx, xy, 0, 0, 0, xa,
             xy, yy, 0, 0, 0, ya,
             0, 0, UNMEASURED, 0, 0, 0,

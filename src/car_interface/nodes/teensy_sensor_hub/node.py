@@ -41,7 +41,7 @@ from car_interface.ros.topics import advertise, has_subscribers
 from car_interface.teensy.link import protocol
 from car_interface.teensy.link.health import FINE, LINK_REPORT, OK, REBOOTED, WAITING
 from car_interface.teensy.link.port import SerialLink
-from car_interface.teensy.link.session import ChecksumChanged, PongReceived, Rebooted, Session
+from car_interface.teensy.link.session import PongReceived, Rebooted, Session
 from car_interface.teensy.sensing.sonar_monitor import SEND_SEQUENCE, SonarMonitor, describe
 
 QUEUE_SIZE = 100  # a quarter of a second of a saturated line
@@ -88,7 +88,7 @@ class TeensySensorHub:
         self._commands.start()
 
     def _event_handlers(self):
-        """The handler for each type of event, called with the time of the read; records are first published raw."""
+        """Return a handler for each type of event, called with the read's time; records are first published raw."""
         pong = advertise("teensy_pong", Pong, self._inbox, QUEUE_SIZE).publish
         wheel = advertise("teensy_wheel", Wheel, self._inbox, QUEUE_SIZE)
         distance = advertise("teensy_distance", Distance, self._inbox, QUEUE_SIZE)
@@ -130,8 +130,7 @@ class TeensySensorHub:
 
     def step(self, now_ns):
         """Handle requests, read the port, ping, judge, publish; returns when to be called next."""
-        for handler, item, arrival_ns in self._inbox.drain():
-            handler(item, arrival_ns)
+        self._inbox.dispatch()
         self._commands.read_keys()
         port_ns = self._attend_port(now_ns)
         if self._measurements:
@@ -160,16 +159,14 @@ class TeensySensorHub:
     def _next_port_event_ns(self):
         if not self._link.is_open:
             return self._next_try_ns
-        ping_ns = self._session.next_event_ns()
+        ping_ns = self._session.pinger.next_event_ns()
         return ping_ns if self._watched_fd is not None else min(ping_ns, self._rest_until_ns)
 
     def shut_down(self):
-        """Restore the terminal and close the port."""
         self._commands.restore_terminal()
         self._close("the node ends")
         self._inbox.ending = True
-        for handler, item, arrival_ns in self._inbox.drain():
-            handler(item, arrival_ns)
+        self._inbox.dispatch()
 
     def _try_open(self):
         try:
@@ -196,7 +193,7 @@ class TeensySensorHub:
         self._retry_ns = min(2 * self._retry_ns, LAST_RETRY_NS)
 
     def _watch_port(self, wanted):
-        """Wake on the port, or don't: while it is left alone it would end every wait."""
+        """Wake on the port, or don't: while it isn't read it would end every wait."""
         if wanted and self._watched_fd is None:
             self._watched_fd = self._link.fileno()
             self._inbox.watch(self._watched_fd)
@@ -260,7 +257,7 @@ class TeensySensorHub:
             self._link_status.publish()
 
     def _write(self, data):
-        """Send; whether that worked."""
+        """Send, and return whether that worked."""
         try:
             self._link.write(data)
         except DeviceError as error:
@@ -269,16 +266,16 @@ class TeensySensorHub:
         return True
 
     def _ping_when_due(self, now_ns):
-        if now_ns < self._session.next_event_ns():
+        if now_ns < self._session.pinger.next_event_ns():
             return
-        for event in self._session.expire(now_ns):
-            if isinstance(event, ChecksumChanged):
-                self._warnings.warn("checksum",
-                                    f"no ping is answered: trying the checksum of a {event.checksum} firmware")
-            else:
-                self._commands.answer_ping(event.timestamp1, False, "no pong came back")
-                self._warnings.warn("ping", "a ping went unanswered")
-        if now_ns >= self._session.ping_due_ns:
+        checksum = self._session.pinger.checksum
+        for timestamp1 in self._session.expire(now_ns):
+            self._commands.answer_ping(timestamp1, False, "no pong came back")
+            self._warnings.warn("ping", "a ping went unanswered")
+        if self._session.pinger.checksum != checksum:
+            self._warnings.warn("checksum", "no ping is answered: trying the checksum of a "
+                                            f"{self._session.pinger.checksum} firmware")
+        if now_ns >= self._session.pinger.due_ns:
             self._ping()
 
     def _ping(self):
@@ -317,7 +314,7 @@ class TeensySensorHub:
             self._write(self._session.encode(protocol.set_sonar_sequence(self._sonars.sequence)))
         elif command:
             self._warnings.warn("sonar start", "no sonar has reported for a while: SONAR_START was sent")
-            self._write(self._session.encode(protocol.sonar_start()))
+            self._write(self._session.encode(protocol.START_SONARS))
         faults = self._sonars.faults(now_ns)
         if faults:
             kind = f"sonars {sorted(str(fault.sensor) for fault in faults)}"
@@ -329,5 +326,4 @@ def _indices(sequence):
 
 
 def main():
-    """Run the node."""
     run("teensy_sensor_hub", TeensySensorHub)

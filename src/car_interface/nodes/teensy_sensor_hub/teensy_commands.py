@@ -26,12 +26,9 @@ class TeensyCommands:
     """Offers the services and reads the keys; each command returns (success, message), or a Future of it.
 
     Args:
-        link: the port.
-        session: over it.
-        sonars: behind it; they follow what is commanded.
+        sonars: follow what is commanded.
         write: sends bytes and returns whether that worked.
         ping: sends a ping and returns its timestamp1.
-        inbox: the node's.
     """
 
     def __init__(self, link: SerialLink, session: Session, sonars: SonarMonitor, write: Callable[[bytes], bool],
@@ -45,35 +42,25 @@ class TeensyCommands:
         self._next_counters_ns = 0
         self._waiting_pings = {}  # timestamp1 → the Futures of the ~ping calls that wait for it
         self._key_actions = {
-            "P": self._ping_and_wait,
-            "S": self._start_sonars,
-            "N": self._stop_sonars,
-            "R": lambda: self._send(protocol.wheel_reset()),
-            "C": self._get_counters,
-            "X": lambda: self._set_sonar_sequence((0, 1, 5)),
-            "Y": lambda: self._set_sonar_sequence(range(len(protocol.SONARS))),
-        }
+            "P": self._ping_and_wait, "S": self._start_sonars, "N": self._stop_sonars, "R": self._reset_wheels,
+            "C": self._get_counters, "X": lambda: self._set_sonar_sequence((0, 1, 5)),
+            "Y": lambda: self._set_sonar_sequence(range(len(protocol.SONARS)))}
         self._keys = Keys()
         self._has_keys = self._watches_keys = False
 
     def start(self) -> None:
-        """Offer the services and begin to read keys."""
-        self._offer_services()
+        for name, action in (("ping", self._ping_and_wait), ("sonar_start", self._start_sonars),
+                             ("sonar_stop", self._stop_sonars), ("wheel_reset", self._reset_wheels),
+                             ("get_counters", self._get_counters)):
+            self._serve(name, Trigger, lambda request, action=action: action())
+        self._serve("set_sonar_sequence", SetSonarSequence, lambda request: self._set_sonar_sequence(request.sequence))
+        self._serve("set_sonar_wait", SetSonarWait, lambda request: self._set_sonar_wait(request.wait_ms))
         self._has_keys = self._keys.start()
         if self._has_keys:
             rospy.loginfo(KEY_HELP)
 
-    def _offer_services(self):
-        for name, action in (("sonar_start", self._start_sonars), ("sonar_stop", self._stop_sonars),
-                             ("wheel_reset", lambda: self._send(protocol.wheel_reset()))):
-            self._serve(name, Trigger, lambda request, action=action: action())
-        self._serve("get_counters", Trigger, lambda request: self._get_counters())
-        self._serve("ping", Trigger, lambda request: self._ping_and_wait())
-        self._serve("set_sonar_sequence", SetSonarSequence, lambda request: self._set_sonar_sequence(request.sequence))
-        self._serve("set_sonar_wait", SetSonarWait, lambda request: self._set_sonar_wait(request.wait_ms))
-
     def _serve(self, name, service_type, action):
-        """A service whose ``action(request)`` runs in the node's thread; it returns (success, message), or a Future."""
+        """Offer a service whose ``action(request)``, in the node's thread, returns (success, message) or a Future."""
         serve(f"~{name}", service_type, self._inbox, lambda request, done: _answer(done, action, request))
 
     def answer_ping(self, timestamp1: int, success: bool, message: str) -> None:
@@ -82,7 +69,6 @@ class TeensyCommands:
             future.set_result((success, message))
 
     def answer_pings(self, success: bool, message: str) -> None:
-        """Answer all ~ping calls that wait."""
         for timestamp1 in list(self._waiting_pings):
             self.answer_ping(timestamp1, success, message)
 
@@ -95,45 +81,37 @@ class TeensyCommands:
             self.answer_pings(*NOT_OPEN)
         return future
 
-    def _send(self, body):
-        """Send a command; (success, message) for a service."""
-        if self._link.is_open and self._write(self._session.encode(body)):
-            return True, "sent"
-        return NOT_OPEN
+    def _send(self, body, note_sent=lambda: None, text="sent"):
+        """Send a command, and have the fact noted; return (success, message) for a service."""
+        if not (self._link.is_open and self._write(self._session.encode(body))):
+            return NOT_OPEN
+        note_sent()
+        return True, text
 
     def _start_sonars(self):
-        result = self._send(protocol.sonar_start())
-        if result[0]:
-            self._sonars.started(self._inbox.clocks.now_ns())
-        return result
+        return self._send(protocol.START_SONARS, lambda: self._sonars.started(self._inbox.clocks.now_ns()))
 
     def _stop_sonars(self):
-        result = self._send(protocol.sonar_stop())
-        if result[0]:
-            self._sonars.stopped()
-        return result
+        return self._send(protocol.STOP_SONARS, self._sonars.stopped)
 
     def _set_sonar_sequence(self, sequence):
-        result = self._send(protocol.set_sonar_sequence(sequence))
-        if result[0]:
-            self._sonars.sequence_set(sequence, self._inbox.clocks.now_ns())
-        return result
+        return self._send(protocol.set_sonar_sequence(sequence),
+                          lambda: self._sonars.sequence_set(sequence, self._inbox.clocks.now_ns()))
 
     def _set_sonar_wait(self, wait_ms):
-        result = self._send(protocol.sonar_wait(wait_ms))
-        if result[0]:
-            self._sonars.wait_set(wait_ms)
-        return result
+        return self._send(protocol.sonar_wait(wait_ms), lambda: self._sonars.wait_set(wait_ms))
+
+    def _reset_wheels(self):
+        return self._send(protocol.RESET_WHEELS)
 
     def _get_counters(self):
         now_ns = self._inbox.clocks.now_ns()
         if now_ns < self._next_counters_ns:
             return False, "asked less than a second ago: the Teensy's buffers can't take more"
-        result = self._send(protocol.get_counters())
-        if not result[0]:
-            return result
-        self._next_counters_ns = now_ns + COUNTERS_PERIOD_NS
-        return True, "sent; the counters come on teensy_error"
+
+        def note_sent():
+            self._next_counters_ns = now_ns + COUNTERS_PERIOD_NS
+        return self._send(protocol.SEND_COUNTERS, note_sent, "sent; the counters come on teensy_error")
 
     def _watch_keys(self, wanted):
         """Wake on the terminal only while this process may read it: what isn't read stays readable for ever."""
@@ -158,7 +136,6 @@ class TeensyCommands:
                 rospy.loginfo(KEY_HELP)
 
     def restore_terminal(self) -> None:
-        """Leave the terminal as it was found."""
         self._keys.restore()
 
 

@@ -1,1 +1,4 @@
-"""The serial link to the Teensy: framing, records, port, pings, health."""
+"""The serial link to the Teensy: framing, records, port, pings, health.
+
+All but ``port`` and ``console`` is pure: bytes and ``now_ns`` in, values out.
+"""

@@ -45,7 +45,6 @@ def consoles(path: str, proc: str = "/proc") -> list[tuple[int, str]]:
 
 
 def removal_remedy(path: str) -> str:
-    """Return the remedy for a console on this port."""
     return read_header().console_remedy.format(port=os.path.basename(os.path.realpath(path)))
 
 

@@ -39,7 +39,7 @@ class LineTally:
 
     @property
     def bad_frames(self) -> int:
-        """Corrupt frames of all kinds, without the short ones, which are harmless."""
+        """Return the corrupt frames of all kinds, without the short ones, which are harmless."""
         return self.bad_checksum + self.bad_escape + self.too_long
 
 
@@ -91,7 +91,6 @@ class FrameDecoder:
 
     @property
     def pending(self) -> int:
-        """Return how many bytes of an unfinished frame are held."""
         return len(self._pending)
 
     def reset(self) -> None:
@@ -130,17 +129,13 @@ def encode(body: bytes, checksum: str = SHIPPED) -> bytes:
 
     Args:
         body: header and payload, 4 to 36 bytes.
-        checksum: ``SHIPPED`` or ``CORRECTED``.
     """
-    return _ENCODERS[checksum](body)
-
-
-def _encode_shipped(body):
-    """Return the frame for the shipped receiver, which adds the bytes on the wire without an escape's 7d or a carry.
-
-    It would add an escaped checksum as another value than the one that it stands for. So where the checksum would be 7d
-    or 7e, the reserved byte (0) is sent as ``7d 20``: this adds 20 to the sum and moves the checksum away from both.
-    """
+    if checksum == CORRECTED:
+        # The one's-complement sum, as ``feed`` explains; a header is never all zeros.
+        return FLAG + _escape(body + bytes((0xFE - (sum(body) - 1) % 0xFF,))) + FLAG
+    # The shipped receiver adds the bytes on the wire, without an escape's 7d or a carry. It would add an escaped
+    # checksum as another value than the one that it stands for. So where the checksum would be 7d or 7e, the reserved
+    # byte (0) is sent as ``7d 20``: this adds 20 to the sum and moves the checksum away from both.
     stuffed = _escape(body)
     chk = _shipped_checksum(stuffed)
     if chk in b"\x7d\x7e":
@@ -151,21 +146,6 @@ def _encode_shipped(body):
 
 def _shipped_checksum(stuffed):
     return 0xFF - (sum(stuffed) - 0x7D * stuffed.count(ESCAPE)) % 256
-
-
-def _encode_corrected(body):
-    chk = 0xFF - _ones_complement_sum(body)
-    return FLAG + _escape(body + bytes((chk,))) + FLAG
-
-
-def _ones_complement_sum(data):
-    total = sum(data)
-    while total > 0xFF:
-        total = (total & 0xFF) + (total >> 8)
-    return total
-
-
-_ENCODERS = {SHIPPED: _encode_shipped, CORRECTED: _encode_corrected}
 
 
 def _escape(data):

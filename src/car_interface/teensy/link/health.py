@@ -1,7 +1,7 @@
 """Judges what is wrong with the link to the Teensy, and what to do next.
 
 ``LinkHealth`` takes the state of the port and, about once a second, the link's counters; it returns a ``Verdict``.
-Pure: ``now_ns`` in, and its memory doesn't grow.
+Its memory doesn't grow.
 """
 from __future__ import annotations
 
@@ -72,9 +72,6 @@ class LinkHealth:
     An open port's verdict changes when two spans in a row contradict it, and then to the verdict of the second one: a
     fault begins in the middle of a span, and a second that is half good shows little. A port that opens or closes, the
     first good second, and a reboot change it at once.
-
-    Args:
-        baud: of the line.
     """
 
     def __init__(self, baud: int):
@@ -121,7 +118,6 @@ class LinkHealth:
         return found
 
     def _restart_window(self):
-        """Begin a new window for the ratio of bad frames."""
         newest = self._samples.pop()
         self._samples.clear()
         self._samples.append(newest)

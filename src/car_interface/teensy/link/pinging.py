@@ -1,7 +1,4 @@
-"""Plans the pings, matches pongs with them, and finds out which checksum the Teensy's receiver wants.
-
-Pure: ``now_ns`` in, bytes for the line out.
-"""
+"""Plans the pings, matches pongs with them, and finds out which checksum the Teensy's receiver wants."""
 from __future__ import annotations
 
 from collections import OrderedDict
@@ -42,7 +39,6 @@ class Pinger:
         period_ns: from one ping to the next, on average.
         checksum: ``framing.SHIPPED``, ``framing.CORRECTED``, or ``AUTO``: shipped first, and the other one whenever
             five pings in a row go unanswered while other frames come from the Teensy.
-        now_ns: when to send the first.
 
     Attributes:
         due_ns: when to send the next.
@@ -58,14 +54,10 @@ class Pinger:
         self.checksum = SHIPPED if self._auto else checksum
         self.answered_checksum: str | None = None
         self._waiting: OrderedDict = OrderedDict()  # timestamp1 → (when it was sent, bytes written, checksum)
-        self.unanswered_in_a_row = 0
-        self._missed_pings_of_live_link = 0
-        self.sent = 0
-        self.answered = 0
+        self.sent = self.answered = 0
         self.resyncs = 0  # pings behind the filler
         self._dithered = 0  # how many pings were moved
-        self._plan(now_ns)
-        self.retry_now()
+        self.restart(now_ns)
 
     def restart(self, now_ns: int) -> None:
         """Begin with a line that was opened: waiting pings won't be answered, and the next one is due now."""

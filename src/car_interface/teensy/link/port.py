@@ -9,6 +9,7 @@ import glob
 import os
 import select
 import termios
+from contextlib import suppress
 
 import serial
 
@@ -28,10 +29,7 @@ class PortError(DeviceError):
     """A port that can't be opened or was lost.
 
     Args:
-        path: of the port.
         state: which fault it is, one of ``health``'s.
-        cause: what went wrong.
-        remedy: what its owner can do or type next.
     """
 
     def __init__(self, path: str, state: str, cause: str, remedy: str):
@@ -43,7 +41,6 @@ class SerialLink:
     """One serial port, 8N1, locked against a second opener.
 
     Args:
-        port: the device's path.
         baud: bits per second; at 8N1 a byte takes ten of them.
     """
 
@@ -123,26 +120,18 @@ class SerialLink:
                 raise self._close_failed(error) from error
 
     def close(self) -> None:
-        """Close the port, if it is open."""
         if self._serial is not None:
-            try:
+            with suppress(OSError):  # it was pulled out; there is nothing left to close
                 self._serial.close()
-            except OSError:
-                pass  # it was pulled out; there is nothing left to close
             self._serial = self._fd = None
 
     def _close_failed(self, error):
-        self._discard_output()
+        with suppress(OSError, termios.error):  # it was pulled out, and has no unsent bytes
+            # Close would wait for unsent bytes, with some drivers for half a minute.
+            termios.tcflush(self._fd, termios.TCOFLUSH)
         self.close()
         return PortError(self._path, FAILING, f"the port was lost ({error})",
                          "Check its cable and power; it is opened again as soon as it is back")
-
-    def _discard_output(self):
-        """Discard unsent bytes: close would wait for them, with some drivers for half a minute."""
-        try:
-            termios.tcflush(self.fileno(), termios.TCOFLUSH)
-        except (OSError, termios.error):
-            pass  # it was pulled out, and has no unsent bytes
 
     def _explain(self, error):
         """Return state, cause and remedy of a failed open, by the path and the error's number."""
@@ -153,7 +142,9 @@ class SerialLink:
         if number == errno.ENOENT or not os.path.exists(path):
             return ABSENT, "there is no such port", _absence_remedy(path)
         if number in (errno.EACCES, errno.EPERM):
-            return (NO_PERMISSION, *_explain_permission(path))
+            if is_consoles(path):  # whose port is open to no group
+                return NO_PERMISSION, "no permission to open it: a log-in console has it", removal_remedy(path)
+            return (NO_PERMISSION, *explain_denial(path))
         if number in (errno.EAGAIN, errno.EWOULDBLOCK, errno.EBUSY) or "lock" in str(error):
             return (BUSY, *self._explain_busy())
         if number == errno.ENOTTY or "configure" in str(error):
@@ -189,13 +180,6 @@ def _absence_remedy(path):
     note = port_note(path, read_header())
     return note and f"{path}: {note}" or ("Plug the Teensy in and see what it is called: "
                                           "ls /dev/serial/by-id /dev/ttyA*")
-
-
-def _explain_permission(path):
-    """Return cause and remedy: a log-in console's port is open to no group."""
-    if is_consoles(path):
-        return "no permission to open it: a log-in console has it", removal_remedy(path)
-    return explain_denial(path)
 
 
 def _holders(path):

@@ -1,8 +1,8 @@
 """Decodes records from the Teensy, and encodes commands to it: the content of frames.
 
-``decode`` turns the body of a frame into a record, or into ``Malformed`` with the reason; it never raises. The command
-functions return the body of a frame for ``framing.encode``, and raise ProtocolError for arguments that the Teensy
-can't take. All fields are little endian and packed.
+``decode`` turns the body of a frame into a record, or into ``Malformed`` with the reason; it never raises. Commands
+are bodies of frames for ``framing.encode``; their functions raise ProtocolError for arguments that the Teensy can't
+take. All fields are little endian and packed.
 """
 from __future__ import annotations
 
@@ -24,23 +24,17 @@ MAX_SONAR_WAIT_MS = UINT32 // 2 - 1  # the firmware's comparison of times takes 
 
 
 class Pong(NamedTuple):
-    """The answer to a ping."""
-
     timestamp1: int  # as the host sent it
     timestamp2: int  # the Teensy's clock, ms, wraps at 2**32
 
 
 class SonarStatus(NamedTuple):
-    """One sonar's echo."""
-
     sensor: int  # index in SONARS
     echo_us: int  # there and back, or the sensor's own time-out, see ranging; 0 = its pin was high all the time
     when: int  # the Teensy's clock, ms
 
 
 class Wheel(NamedTuple):
-    """One wheel's odometer."""
-
     speed: int  # pulses per second over the last ten pulses and repeats; falls to 0 within 2 s after a stop
     direction: int  # FORWARD, BACKWARD, NO_DIRECTION yet, DIRECTION_ERROR; meaningless for the first two pulses
     when: int  # the Teensy's clock at the last pulse or repeat, ms; 0 before the first pulse
@@ -49,15 +43,11 @@ class Wheel(NamedTuple):
 
 
 class WheelStatus(NamedTuple):
-    """Both wheels' odometers."""
-
     left: Wheel
     right: Wheel
 
 
 class ErrorCount(NamedTuple):
-    """One of the Teensy's counters."""
-
     count: int
     name: str
 
@@ -143,14 +133,14 @@ def _command(command, payload=b""):
     return bytes((TEENSY, HOST, command, 0)) + payload
 
 
-def ping(timestamp1: int) -> bytes:
-    """Return PING_QUERY. ``timestamp1``, 0..2**32 − 1, comes back verbatim in the pong.
+STOP_SONARS, START_SONARS = _command(SONAR_STOP), _command(SONAR_START)
+RESET_WHEELS = _command(WHEEL_RESET)  # both odometers to zero, their direction to "none yet"
+# Every counter that isn't zero. Once a second at most: the answers take the Teensy's time.
+SEND_COUNTERS = _command(GET_COUNTERS)
 
-    Raises:
-        ProtocolError: for anything else.
-    """
-    if not 0 <= timestamp1 < UINT32:
-        raise ProtocolError(f"a ping's timestamp is 0 to {UINT32 - 1}, not {timestamp1}")
+
+def ping(timestamp1: int) -> bytes:
+    """Return PING_QUERY. ``timestamp1``, 0..2**32 − 1, comes back verbatim in the pong."""
     return _command(PING_QUERY, _PING.pack(timestamp1, 0))
 
 
@@ -166,26 +156,6 @@ def set_sonar_sequence(sensors: Sequence[int]) -> bytes:
         if not 0 <= sensor < len(SONARS):
             raise ProtocolError(f"there is no sonar {sensor}: ids go from 0 to {len(SONARS) - 1}")
     return _command(SET_SONAR_SEQ, bytes((len(sensors), *sensors)))
-
-
-def sonar_stop() -> bytes:
-    """Return SONAR_STOP."""
-    return _command(SONAR_STOP)
-
-
-def sonar_start() -> bytes:
-    """Return SONAR_START."""
-    return _command(SONAR_START)
-
-
-def wheel_reset() -> bytes:
-    """Return WHEEL_RESET: both odometers to zero, their direction to "none yet"."""
-    return _command(WHEEL_RESET)
-
-
-def get_counters() -> bytes:
-    """Return GET_COUNTERS: every counter that isn't zero. Once a second at most: the answers take the Teensy's time."""
-    return _command(GET_COUNTERS)
 
 
 def sonar_wait(wait_ms: int) -> bytes:

@@ -1,7 +1,4 @@
-"""Detects a reboot of the Teensy by its own clock, which pongs and sonar reports carry.
-
-Pure: ticks and ``now_ns`` in.
-"""
+"""Detects a reboot of the Teensy by its own clock, which pongs and sonar reports carry."""
 from __future__ import annotations
 
 from car_interface.common.units import NS_PER_MS
@@ -34,16 +31,12 @@ class RebootDetector:
 
     A tick may lag, since bytes can wait to be read; but a pong's is younger than its ping. So pongs also show a reboot
     that nobody saw, after which the clock has been on for as long as before.
-
-    Attributes:
-        reboots: how many it has found.
     """
 
     def __init__(self):
         self._last: tuple | None = None  # (tick, when it was received)
         self._doubtful: tuple | None = None
         self._answered: tuple | None = None  # likewise of the newest pong
-        self.reboots = 0
 
     def update(self, tick: int, now_ns: int, sent_ns: int | None = None) -> str | None:
         """Take the next tick, ms modulo 2**32; return a description of the reboot that it reveals, or ``None``.
@@ -71,7 +64,6 @@ class RebootDetector:
         self._last, self._doubtful = (tick, now_ns), None
         if tick >= last[0] or 0 < _forward_ms(last[0], tick) <= DAY_MS:
             return None  # it's ahead: this computer was suspended or kept from reading, and perhaps over a wrap
-        self.reboots += 1
         self._answered = None
         return f"its clock went from {last[0] / 1000:.1f} s back to {tick / 1000:.1f} s"
 

@@ -2,14 +2,14 @@
 
 ``Session`` joins the parts of the link: decoder, pinger, health, reboot detector and counters. It opens no port and
 reads no clock. The owner of the port reports its state (``opened``, ``port_failed``), passes in the bytes that it read
-(``receive``), calls ``expire`` at ``next_event_ns``, and sends a ``ping`` from ``ping_due_ns`` on.
+(``receive``), calls ``expire`` at the pinger's ``next_event_ns``, and sends a ``ping`` from its ``due_ns`` on.
 """
 from __future__ import annotations
 
 import math
 from typing import NamedTuple, Union
 
-from car_interface.teensy.link.framing import RESYNC_FILLER, FrameDecoder, LineTally, encode
+from car_interface.teensy.link.framing import RESYNC_FILLER, FrameDecoder, encode
 from car_interface.teensy.link.health import Counts, LinkHealth, Verdict
 from car_interface.teensy.link.pinging import Answer, Pinger
 from car_interface.teensy.link.protocol import ErrorCount, Malformed, Pong, SonarStatus, WheelStatus, decode
@@ -19,8 +19,6 @@ MAX_COUNTERS = 64  # the firmware has 27; noise that passes for counters must no
 
 
 class PongReceived(NamedTuple):
-    """A pong came."""
-
     record: Pong
     answer: Answer | None  # the ping that it answers; None = no ping of ours waits for it
 
@@ -31,18 +29,6 @@ class Rebooted(NamedTuple):
     description: str
 
 
-class PingExpired(NamedTuple):
-    """No pong came back in time."""
-
-    timestamp1: int
-
-
-class ChecksumChanged(NamedTuple):
-    """No ping was answered: from now on pings have the other checksum."""
-
-    checksum: str
-
-
 # The events of ``receive``. Sonar and wheel reports and the Teensy's counters are events themselves.
 Received = Union[PongReceived, SonarStatus, WheelStatus, ErrorCount, Malformed, Rebooted]
 
@@ -51,29 +37,28 @@ class Session:
     """The link to one Teensy, over any number of times that its port is opened.
 
     Args:
-        baud: of the line.
-        ping_period_ns: from one ping to the next.
         checksum: which one the Teensy's receiver wants: ``SHIPPED``, ``CORRECTED``, or ``AUTO`` = find out.
-        now_ns: when it begins.
 
     Attributes:
         openings: how often the port was opened.
         malformed: frames with the right checksum whose content makes no sense.
         unknown_commands: how many of these have a command that the firmware doesn't send.
         counters: the Teensy's own, by name, as it last sent them.
+        tally: the decoder's counts of bytes, frames and faults.
+        pinger: for when pings are due, how many were answered, and the checksum that commands are sent with.
+        reboots: how often the Teensy's clock went back.
         round_trip_ns: of the newest answered ping; NaN = none was answered yet.
     """
 
     def __init__(self, baud: int, ping_period_ns: int, checksum: str, now_ns: int):
         self._decoder = FrameDecoder()
-        self._pinger = Pinger(ping_period_ns, checksum, now_ns)
+        self.tally = self._decoder.tally
+        self.pinger = Pinger(ping_period_ns, checksum, now_ns)
         self._health = LinkHealth(baud)
-        self._reboots = RebootDetector()
+        self._reboot_detector = RebootDetector()
         self._records_at_expiry = 0
         self._must_resync = False
-        self.openings = 0
-        self.malformed = 0
-        self.unknown_commands = 0
+        self.openings = self.malformed = self.unknown_commands = self.reboots = 0
         self.counters: dict[str, int] = {}
         self.round_trip_ns = math.nan
         self._handlers = {Pong: self._on_pong, SonarStatus: self._on_sonar, ErrorCount: self._on_counter,
@@ -87,7 +72,7 @@ class Session:
         self._must_resync = True
         self._decoder.reset()
         self._health.opened(self.counts(), now_ns)
-        self._pinger.restart(now_ns)
+        self.pinger.restart(now_ns)
 
     def port_failed(self, state: str, cause: str, remedy: str) -> None:
         """Take note that the port couldn't be opened or was lost; ``state`` is one of ``health``'s."""
@@ -107,7 +92,7 @@ class Session:
         return events
 
     def _on_pong(self, pong, now_ns, events):
-        answer = self._pinger.pong(pong.timestamp1, now_ns)
+        answer = self.pinger.pong(pong.timestamp1, now_ns)
         if answer is not None:
             self.round_trip_ns = answer.round_trip_ns
         self._on_tick(pong.timestamp2, now_ns, events, None if answer is None else answer.sent_ns)
@@ -118,10 +103,11 @@ class Session:
         return sonar
 
     def _on_tick(self, tick, now_ns, events, sent_ns=None):
-        description = self._reboots.update(tick, now_ns, sent_ns)
+        description = self._reboot_detector.update(tick, now_ns, sent_ns)
         if description is not None:
+            self.reboots += 1
             self._health.rebooted(description, now_ns)
-            self._pinger.retry_now()
+            self.pinger.retry_now()
             events.append(Rebooted(description))
 
     def _on_counter(self, counter, now_ns, events):
@@ -136,36 +122,24 @@ class Session:
 
     # To the Teensy
 
-    def next_event_ns(self) -> int:
-        """Return when a ping is due, or one has waited too long."""
-        return self._pinger.next_event_ns()
-
-    @property
-    def ping_due_ns(self) -> int:
-        """Return when to send the next ping."""
-        return self._pinger.due_ns
-
-    def expire(self, now_ns: int) -> list[PingExpired | ChecksumChanged]:
-        """Give up on the pings that have waited too long."""
-        checksum, records = self._pinger.checksum, self.counts().records
+    def expire(self, now_ns: int) -> list[int]:
+        """Give up on the pings that have waited too long, and return their timestamps; may change the checksum."""
+        records = self.counts().records
         # An unanswered ping shows nothing about the checksum while nothing at all comes from the Teensy.
-        expired = self._pinger.expire(now_ns, is_alive=records > self._records_at_expiry)
+        expired = self.pinger.expire(now_ns, is_alive=records > self._records_at_expiry)
         if expired:
             self._records_at_expiry = records
-        events: list = [PingExpired(timestamp1) for timestamp1 in expired]
-        if self._pinger.checksum != checksum:
-            events.append(ChecksumChanged(self._pinger.checksum))
-        return events
+        return expired
 
     def ping(self, timestamp1: int, now_ns: int) -> bytes:
         """Return the bytes of a ping, due or not; ``timestamp1`` comes back in its pong."""
         filler = RESYNC_FILLER if self._must_resync else b""
         self._must_resync = False
-        return filler + self._pinger.ping(timestamp1, now_ns)
+        return filler + self.pinger.ping(timestamp1, now_ns)
 
     def encode(self, body: bytes) -> bytes:
         """Return the frame of a command, with the checksum that the Teensy's receiver seems to want."""
-        return encode(body, self._pinger.checksum)
+        return encode(body, self.pinger.checksum)
 
     # Health of the link
 
@@ -175,46 +149,15 @@ class Session:
 
     @property
     def verdict(self) -> Verdict:
-        """The last verdict."""
         return self._health.verdict
 
     def counts(self) -> Counts:
-        """The counters by which the health of the link is judged."""
-        tally = self._decoder.tally
+        """Return the counters by which the health of the link is judged."""
+        tally = self.tally
         return Counts(bytes_in=tally.bytes_in, records=tally.frames - self.malformed, bad_frames=tally.bad_frames,
-                      bad_checksums=tally.bad_checksum, pings_in_vain=self._pinger.unanswered_in_a_row)
-
-    @property
-    def tally(self) -> LineTally:
-        """The decoder's counts of bytes, frames and faults."""
-        return self._decoder.tally
-
-    @property
-    def checksum(self) -> str:
-        """The checksum that commands are sent with: ``SHIPPED`` or ``CORRECTED``."""
-        return self._pinger.checksum
-
-    @property
-    def answered_checksum(self) -> str | None:
-        """The checksum of the newest ping that was answered; ``None`` before the first."""
-        return self._pinger.answered_checksum
-
-    @property
-    def pings(self) -> int:
-        """Return how many pings were sent."""
-        return self._pinger.sent
-
-    @property
-    def pongs(self) -> int:
-        """Return how many pings were answered in time."""
-        return self._pinger.answered
+                      bad_checksums=tally.bad_checksum, pings_in_vain=self.pinger.unanswered_in_a_row)
 
     @property
     def resyncs(self) -> int:
         """Return how often the Teensy's receiver was resynchronised: as the port opened, and after unanswered pings."""
-        return self.openings + self._pinger.resyncs
-
-    @property
-    def reboots(self) -> int:
-        """Return how often the Teensy's clock went back."""
-        return self._reboots.reboots
+        return self.openings + self.pinger.resyncs

@@ -271,8 +271,11 @@ class Odometry:
             part = max(0.0, min(1.0, uncounted_m / distance_m)) / 2 if distance_m else 0.0
             self._pose.move(part * distance_m, part * turned_rad)
             distance_m, turned_rad = (1 - part) * distance_m, (1 - part) * turned_rad
-            self._pose.add_variance(outcome.mean_variance * self._pulse_m ** 2,
-                                    outcome.difference_variance * self._rad_per_pulse ** 2)
+            along_variance = outcome.mean_variance * self._pulse_m ** 2
+            turn_variance = outcome.difference_variance * self._rad_per_pulse ** 2
+            # It is unknown where on the way the car turned: evenly, with a variance of 1/12.
+            self._pose.add_variance(along_variance, turn_variance,
+                                    turn_variance * (uncounted_m ** 2 + along_variance) / 12)
         if path is not None or is_blind:
             path = curved_path(distance_m, turned_rad, curvature_per_m, self._heading.usual_square)
             distance_m, turned_rad = self._move_unseen(path, distance_m, turned_rad)
@@ -282,7 +285,7 @@ class Odometry:
 
     def _move_unseen(self, path, distance_m, turned_rad):
         """Move along a path that wasn't reported; return distance and turn of its last leg."""
-        self._pose.add_variance(path.along_variance, path.heading_variance, path.across_variance)
+        self._pose.add_variance(path.along_variance, path.heading_variance, path.across_variance, path.both_covariance)
         for leg_m, leg_rad in path.legs:
             self._pose.move(leg_m, leg_rad)
             distance_m, turned_rad = distance_m - leg_m, turned_rad - leg_rad

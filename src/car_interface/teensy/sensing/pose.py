@@ -1,11 +1,13 @@
 """Integrates the car's pose and its covariance from distances and turns: dead reckoning.
 
-With the heading off by e, a step of d is off by d sin(e) across it, and by d (cos(e) − 1) along it. The former is
-taken as d e, a linear covariance; the latter is not linear, but a heading that is off by 60° takes away half of the
-way. For a normal e its moments are known, and those of the sum of all steps follow from step to step. Pure.
+With the heading off by e, a step of d is off by (exp(i e) − 1) d, as a complex number. A covariance that is linear in e
+fails when the heading is off by 60°: there half of the way is lost, and a place that was off before is not led back by
+a circle. For a normal e of variance v all second moments are known, from E exp(i e) = c = exp(−v / 2),
+E exp(2 i e) = c⁴ and E e exp(i e) = i v c, and those of the sum of all steps follow from step to step. Pure.
 """
 from __future__ import annotations
 
+import cmath
 import math
 
 
@@ -24,62 +26,52 @@ class Pose:
     def __init__(self, distance_sigma: float, heading_sigma: float):
         self._distance_variance, self._heading_variance = distance_sigma ** 2, heading_sigma ** 2  # per metre
         self.x_m = self.y_m = self.yaw_rad = self.distance_m = 0.0
-        self._variances = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # xx, xy, xa, yy, ya, aa
-        # Of the sum of all d (cos(e) − 1): its mean (x, y), mean square (xx, xy, yy), and mean product with cos(e) − 1.
-        self._lost, self._lost_square, self._lost_product = (0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0)
+        self._yaw_variance = 0.0  # v, of the heading's error e
+        # Of the place's error p, x + i y: E p, E |p|², E p², E p e, and E p exp(±i e).
+        self._mean, self._norm, self._square, self._by_yaw = 0j, 0.0, 0j, 0j
+        self._turned, self._turned_back = 0j, 0j
 
     def set_yaw(self, yaw_rad: float, variance: float) -> None:
         """Set the heading, which has become known with this variance."""
         self.yaw_rad = yaw_rad
         self.add_variance(0.0, variance)
 
-    def add_variance(self, along_variance: float, heading_variance: float, across_variance: float = 0.0) -> None:
-        """Add variance: m² along and across the heading, rad² of the heading."""
-        cos, sin = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
-        xx, xy, xa, yy, ya, aa = self._variances
-        self._variances = (xx + along_variance * cos * cos + across_variance * sin * sin,
-                           xy + (along_variance - across_variance) * cos * sin, xa,
-                           yy + along_variance * sin * sin + across_variance * cos * cos, ya, aa + heading_variance)
-        self._turn_lost(heading_variance)
+    def add_variance(self, along_variance: float, heading_variance: float, across_variance: float = 0.0,
+                     both_covariance: float = 0.0) -> None:
+        """Add variance: m² along and across the heading and of both, rad² of the heading."""
+        self._norm += along_variance + across_variance
+        self._square += complex(along_variance - across_variance, 2 * both_covariance) * cmath.exp(2j * self.yaw_rad)
+        self._yaw_variance += heading_variance
+        shrink = math.exp(-heading_variance / 2)
+        self._turned, self._turned_back = self._turned * shrink, self._turned_back * shrink
 
     def move(self, distance_m: float, turned_rad: float) -> None:
         """Move along an arc: its chord is distance · sin(h) / h long, in the mean heading (h: half the turn)."""
         half_rad = turned_rad / 2
         chord_m = distance_m * (math.sin(half_rad) / half_rad if abs(half_rad) > 1e-6 else 1.0)
-        cos, sin = math.cos(self.yaw_rad + half_rad), math.sin(self.yaw_rad + half_rad)
-        dx_m, dy_m = chord_m * cos, chord_m * sin
-        self.x_m += dx_m
-        self.y_m += dy_m
-        self.yaw_rad += turned_rad
+        self.yaw_rad += half_rad
+        step = cmath.rect(1.0, self.yaw_rad) * chord_m
+        self.x_m += step.real
+        self.y_m += step.imag
         self.distance_m += abs(distance_m)
-        xx, xy, xa, yy, ya, aa = self._variances
-        xa_, ya_ = xa - dy_m * aa, ya + dx_m * aa
-        along, turn = self._distance_variance * abs(distance_m), self._heading_variance * abs(distance_m)
-        self._lose(dx_m, dy_m, aa)
-        self._turn_lost(turn)
-        self._variances = (
-            xx - dy_m * (xa + xa_) + along * cos * cos, xy + dx_m * xa - dy_m * ya_ + along * cos * sin, xa_,
-            yy + dx_m * (ya + ya_) + along * sin * sin, ya_, aa + turn)
+        self._add_step(step)
+        self.add_variance(self._distance_variance * abs(distance_m), self._heading_variance * abs(distance_m))
+        self.yaw_rad += half_rad
+
+    def _add_step(self, step):
+        """Add (exp(i e) − 1) · step to the place's error."""
+        c = math.exp(-self._yaw_variance / 2)
+        c4 = c ** 4
+        self._norm += 2 * (step.conjugate() * (self._turned_back - self._mean)).real + (2 - 2 * c) * abs(step) ** 2
+        self._square += 2 * step * (self._turned - self._mean) + step * step * (c4 - 2 * c + 1)
+        self._mean += step * (c - 1)
+        self._by_yaw += step * 1j * self._yaw_variance * c
+        self._turned += step * (c4 - c)
+        self._turned_back += step * (1 - c)
 
     def covariance(self, place_variance: float, heading_variance: float) -> tuple:
         """Return the 3×3 covariance of x, y, yaw, plus these variances: an error below a pulse doesn't accumulate."""
-        xx, xy, xa, yy, ya, aa = self._variances
-        lost_xx, lost_xy, lost_yy = self._lost_square
-        return ((xx + lost_xx + place_variance, xy + lost_xy, xa), (xy + lost_xy, yy + lost_yy + place_variance, ya),
-                (xa, ya, aa + heading_variance))
-
-    def _lose(self, dx_m, dy_m, heading_variance):
-        """Add a step's d (cos(e) − 1): for a normal e, cos(e) has the mean c = exp(−v / 2), its square (1 + c⁴) / 2."""
-        cos = math.exp(-heading_variance / 2)
-        mean, square = cos - 1, (1 + cos ** 4) / 2 - 2 * cos + 1
-        (x, y), (xx, xy, yy), (xc, yc) = self._lost, self._lost_square, self._lost_product
-        self._lost = (x + mean * dx_m, y + mean * dy_m)
-        self._lost_square = (xx + dx_m * (2 * xc + square * dx_m), xy + dx_m * yc + dy_m * xc + square * dx_m * dy_m,
-                             yy + dy_m * (2 * yc + square * dy_m))
-        self._lost_product = (xc + square * dx_m, yc + square * dy_m)
-
-    def _turn_lost(self, variance):
-        """Let the error of the heading grow by an independent one of this variance."""
-        cos = math.exp(-variance / 2)
-        (x, y), (xc, yc) = self._lost, self._lost_product
-        self._lost_product = (cos * xc + (cos - 1) * x, cos * yc + (cos - 1) * y)
+        xx, yy = (self._norm + self._square.real) / 2, (self._norm - self._square.real) / 2
+        xy, xa, ya = self._square.imag / 2, self._by_yaw.real, self._by_yaw.imag
+        return ((xx + place_variance, xy, xa), (xy, yy + place_variance, ya),
+                (xa, ya, self._yaw_variance + heading_variance))

@@ -24,15 +24,18 @@ ROLLING_PER_MS = 0.01  # 0.15 m/s: a wheel that rolls faster is expected to go o
 BLIND_MS = 100.0  # a longer restart was a reboot; a reset of the odometers loses only a report or two
 REPEAT_MS = 450.0  # a standing car is reported more often than this: every 201 ms, and a report may be lost
 # A driver steers to one side and back within this time, so that the mean curvature may be any up to the usual one: 1/3
-# of its square. With 2 s or 1/4 slaloms of accuracy.reboot (--fault off) are beyond three sigma.
+# of its square. With 2 s or 1/4 slaloms of accuracy.reboot (--fault off) are beyond three sigma. At the most it may be
+# a car's tightest one, of either side: three sigma. Steering there and back as smoothly within a shorter time t gives a
+# mean that is smaller by t².
 MANOEUVRE_MS = 1_500.0
+MAX_CURVATURE = 1.0  # 1/m
 MAX_BLIND_MS = 2_000.0  # after a longer time the speed in between is unknown
 # After the restart each wheel's speed is taken over this many pulses and this time, at most until the last of these.
 ENOUGH_PULSES, ENOUGH_SPAN_MS, ENOUGH_MS = 6, 100.0, 250.0
 LATE_INTERVALS = 1.6  # a first pulse later than this many intervals means that the car started only then
 STOPPED_INTERVALS = 3.0  # without a pulse for this many of the earlier intervals: it has stopped
 SEARCHED = 6  # magnets to either side of the likeliest
-UNEVEN_PER_MS2 = 1.3e-4  # one sigma of the acceleration about its mean: 2 m/s²
+UNEVEN_PER_MS2 = 1.34e-4  # the most that the acceleration differs from its mean: 2 m/s²
 CLOCK_MS = 4.0  # one sigma of the duration of a reboot
 PENDING_SPEED_SIGMA = 0.03  # pulses/ms, 0.45 m/s: of a car that has started when its pulses can be placed
 REST_MS, UNPROVEN_VARIANCE = 1000.0, 4.0  # ms; pulses²: two of them in the other direction in less than three sigma
@@ -168,6 +171,19 @@ class RestartBridge:
             wheel._replace(position=wheel.position + wheel.speed * blind_ms / 2, speed=0.0) for wheel in state.wheels))
         return True
 
+    def _uneven_variance(self):
+        """Return the variance of the distance if the speed didn't change evenly while pulses weren't counted, pulses².
+
+        Half of the time with 2 m/s² more and half of it with as much less is three sigma.
+        """
+        within_ms = self._blind_ms()
+        if self._was_rolling():
+            within_ms = max(within_ms, self._first_ms() - self._state.at_ms)
+        elif abs(self._mean_before()) <= ROLLING_PER_MS:
+            within_ms = min(within_ms, MAX_BLIND_MS)  # a parked car
+        within_ms = max(within_ms, self._stop_within_ms)
+        return (UNEVEN_PER_MS2 * within_ms ** 2 / 12) ** 2 if within_ms > BLIND_MS else 0.0
+
     def _note_stop(self, blind_ms):
         """Take note that the car has stopped within this time, after a quarter to all of it, as one sigma."""
         fastest = max(abs(wheel.speed) for wheel in self._state.wheels)
@@ -220,28 +236,30 @@ class RestartBridge:
         blind_ms, started = self._blind_ms(), 0.0
         mean_speed = sum(speeds) / 2
         rolled = sum(guess - wheel.position for guess, wheel in zip(guesses, state.wheels)) / 2
-        length = self._length(rolled, mean_speed) if was_rolling else rolled
-        mean_variance = self._stop_variance + PLACE_SIGMA ** 2
+        length = self._length(rolled, mean_speed) if was_rolling else self._mean_before() * blind_ms / 2
+        mean_variance = self._stop_variance + PLACE_SIGMA ** 2 + self._uneven_variance()
         if was_rolling and blind_ms > BLIND_MS:
-            mean_variance += (UNEVEN_PER_MS2 * blind_ms ** 2 / 12) ** 2 + (mean_speed * CLOCK_MS) ** 2
+            mean_variance += (mean_speed * CLOCK_MS) ** 2
             if abs(self._mean_before()) <= ROLLING_PER_MS:
                 mean_variance += (UNEVEN_START_RATIO * rolled) ** 2
             if self._is_late:  # its speed at the boot is between none and twice the mean after it; or, reversed, minus
                 mean_variance += (mean_speed * blind_ms / 2) ** 2 * (7 / 3 if self.has_reversed else 1 / 3)
+                if self.has_reversed:  # at 2 m/s² all of the time, or against it
+                    mean_variance += (UNEVEN_PER_MS2 * blind_ms ** 2 / 6) ** 2
         elif self._is_late:  # it may have started before the boot, at any time; with 2 m/s² is three sigma
             started = min(UNEVEN_PER_MS2 * blind_ms ** 2 / 6, abs(mean_speed) * blind_ms / math.sqrt(3))
             mean_variance += started ** 2
         if blind_ms > MAX_BLIND_MS:
             mean_variance += (max(abs(mean_speed), abs(self._mean_before())) * blind_ms / 2) ** 2
-        difference_variance = (DIFFERENCE_SIGMA ** 2 + self._track_m ** 2 * (
-            self._stop_variance * (curvature_variance + curvature ** 2) + curvature_variance * length ** 2))
+        # The turn is curvature × distance, and both are uncertain.
+        difference_variance = DIFFERENCE_SIGMA ** 2 + self._track_m ** 2 * (
+            mean_variance * (curvature_variance + curvature ** 2) + curvature_variance * length ** 2)
         if abs(self._mean_before()) <= ROLLING_PER_MS and was_rolling:
-            # Where the distance is uncertain the turn is, too.
-            difference_variance += STANDING_DIFFERENCE_VARIANCE + mean_variance * (curvature * self._track_m) ** 2
+            difference_variance += STANDING_DIFFERENCE_VARIANCE
         places, doubt = self._search(guesses, signs, mean_variance, difference_variance)
         if was_rolling and blind_ms > BLIND_MS or self._stop_variance:
             doubt = max(doubt, MIN_DIFFERENCE_VARIANCE)
-        if (was_rolling or self._stop_variance) and difference_variance > 1.0:
+        if blind_ms + self._stop_within_ms > BLIND_MS and difference_variance > 1.0:
             # Magnets tell nothing, and the searched ones are too few.
             doubt = max(doubt, difference_variance)
         doubt += (started * (self._curvature_after()[0] or 0.0) * self._track_m) ** 2
@@ -311,16 +329,16 @@ class RestartBridge:
         before, before_variance = self._state.curvature_per_m, self._state.curvature_variance
         after, after_variance = self._curvature_after()
         if not was_rolling or after is None or self._blind_ms() <= BLIND_MS:
-            part = min(1.0, self._stop_within_ms / MANOEUVRE_MS)
-            return before, before_variance + self._state.usual_square / 3 * part ** 2
+            within_ms = self._stop_within_ms or self._blind_ms()
+            return before, before_variance + _steered_variance(before, self._state.usual_square, within_ms)
         if abs(self._mean_before()) <= ROLLING_PER_MS:
-            return after, after_variance + CURVATURE_SIGMA ** 2
+            return after, after_variance + CURVATURE_SIGMA ** 2 + _steered_variance(after, 0.0, self._blind_ms())
         # Exact where it changes evenly; a step at an unknown time in between has this spread. Within seconds it may
         # have been another one, and likewise if the one after is a mean over a long time.
-        usual = max(self._state.usual_square, after ** 2) / 3
-        if not self._is_late:
-            usual *= min(1.0, self._blind_ms() / MANOEUVRE_MS) ** 2
-        return (before + after) / 2, (after - before) ** 2 / 12 + CURVATURE_SIGMA ** 2 + usual
+        usual_square = max(self._state.usual_square, after ** 2)
+        within_ms = MANOEUVRE_MS if self._is_late else self._blind_ms()
+        return (before + after) / 2, ((after - before) ** 2 / 12 + CURVATURE_SIGMA ** 2
+                                      + _steered_variance((before + after) / 2, usual_square, within_ms))
 
     def _curvature_after(self):
         """Return curvature and variance by both wheels over the same time; ``None``: there are too few pulses."""
@@ -418,6 +436,12 @@ class RestartBridge:
             return [nearest]  # no pulse was lost, or it stood until pulses were counted again
         possible = [place for place in places if (place - nearest) * sign >= 0]
         return possible or [nearest]
+
+
+def _steered_variance(mean_per_m, usual_square, within_ms):
+    """Return the variance of the mean curvature that a driver can have steered unseen within a time, (1/m)²."""
+    part = min(1.0, within_ms / MANOEUVRE_MS)
+    return max(usual_square / 3 * part ** 2, ((MAX_CURVATURE + abs(mean_per_m)) / 3 * part ** 2) ** 2)
 
 
 def _rate(pulses):

@@ -11,11 +11,16 @@ of single wheels: both have reversed together, and the heading changes by curvat
 """
 from __future__ import annotations
 
+import cmath
+import math
+from itertools import product
 from typing import NamedTuple
 
 from car_interface.teensy.sensing.heading import CURVATURE_NOISE, CURVATURE_VARIANCE
 
 MAX_CURVATURE_CHANGE = 2.0  # 1/m, from end to end: ±1, a car's tightest turns
+PARTS = 6  # of the even distribution: its variance to 3 %
+USUAL_NODES = ((0.0, 4 / 9), (math.sqrt(0.6), 5 / 18), (-math.sqrt(0.6), 5 / 18))  # and weights: Gauss-Legendre
 # With two reversals a part u of the length E was forward, curved by k, the rest backward, curved by m. u is uniform in
 # 0 .. 1; k and m have CURVATURE_VARIANCE each, and c = u k + (1 − u) m is known: the difference of the wheels' counts.
 # Over E the car has advanced by (2u − 1) E: a mean of 0, and a variance of E² / 3.
@@ -37,22 +42,23 @@ class UnseenPath(NamedTuple):
         along_variance: m², along the heading at its start.
         across_variance: m², across it.
         heading_variance: rad².
+        both_covariance: m², of along and across.
     """
 
     legs: tuple = ()
     along_variance: float = 0.0
     across_variance: float = 0.0
     heading_variance: float = 0.0
+    both_covariance: float = 0.0
 
 
 def curved_path(distance_m: float, turned_rad: float, curvature_per_m: float | None, usual_square: float) -> UnseenPath:
     """Return a path without a reversal, of known length S and change of heading.
 
-    Its curvature changed from k to whatever gives the mean m, after a part t of S. The car is then
-    S²/2 · (k + (m − k)(1 − t)) off to the side. No curvature is more than ``MAX_CURVATURE_CHANGE`` from k: 1 − t is
-    between a = |m − k| / MAX_CURVATURE_CHANGE and 1, with a mean of (1 + a) / 2 and a variance of (1 − a)² / 12.
-    Besides, it may have been steered to both sides as before: by ±c over half of S each it is S²/4 · c off, with c
-    evenly up to the usual curvature, a variance of S⁴/48 · c².
+    Its curvature changed from k to whatever gives the mean m, after a part of S that is evenly in 0 .. 1 − a: no
+    curvature is more than ``MAX_CURVATURE_CHANGE`` from k, so that a = |m − k| / MAX_CURVATURE_CHANGE. Besides, it may
+    have been steered to both sides as before: by ±c over half of S each, with c evenly up to the usual curvature. The
+    path with the mean part is given, and the mean squares by which the ends of all of these are off its end.
 
     Args:
         curvature_per_m: at the beginning; ``None``: the car stood.
@@ -60,15 +66,37 @@ def curved_path(distance_m: float, turned_rad: float, curvature_per_m: float | N
     """
     if not distance_m:
         return UnseenPath()
-    across_variance = usual_square * distance_m ** 4 / 48
-    along = min(1.0, turned_rad ** 2)  # as the path turns, what is off to its side comes to be off along its start
     change = 0.0 if curvature_per_m is None else turned_rad / distance_m - curvature_per_m
-    if abs(change) <= CURVATURE_NOISE:
-        return UnseenPath((), along * across_variance, across_variance)
-    ratio = min(1.0, abs(change) / MAX_CURVATURE_CHANGE)
-    before_m = distance_m * (1 - ratio) / 2
-    across_variance += (change * distance_m ** 2 / 2 * (1 - ratio)) ** 2 / 12
-    return UnseenPath(((before_m, curvature_per_m * before_m),), along * across_variance, across_variance)
+    legs, parts, middle = (), [0.0], 0.0
+    if abs(change) > CURVATURE_NOISE:
+        latest = 1 - min(1.0, abs(change) / MAX_CURVATURE_CHANGE)
+        parts, middle = [latest * (index + 0.5) / PARTS for index in range(PARTS)], latest / 2
+        legs = ((distance_m * middle, curvature_per_m * distance_m * middle),)
+    elif not usual_square:
+        return UnseenPath()
+    guess = _end(distance_m, turned_rad, middle, curvature_per_m, 0.0)
+    along = across = both = 0.0
+    for part, (node, weight) in product(parts, USUAL_NODES):
+        off = _end(distance_m, turned_rad, part, curvature_per_m, node * math.sqrt(usual_square)) - guess
+        weight /= len(parts)
+        along += weight * off.real ** 2
+        across += weight * off.imag ** 2
+        both += weight * off.real * off.imag
+    return UnseenPath(legs, along, across, both_covariance=both)
+
+
+def _end(distance_m, turned_rad, part, curvature_per_m, swing_per_m):
+    """Return the end of a curved path, x + i y from its start and its heading there."""
+    before_rad = (curvature_per_m or 0.0) * part * distance_m
+    after_per_m = (turned_rad - before_rad) / (distance_m * (1 - part))
+    end, yaw_rad, begin = 0j, 0.0, 0.0
+    for until in sorted({part, 0.5, 1.0} - {0.0}):
+        curvature = after_per_m if until > part else curvature_per_m
+        turn_rad = (curvature + (swing_per_m if until <= 0.5 else -swing_per_m)) * (until - begin) * distance_m
+        chord_m = (until - begin) * distance_m * (math.sin(turn_rad / 2) / (turn_rad / 2) if turn_rad else 1.0)
+        end += cmath.rect(1.0, yaw_rad + turn_rad / 2) * chord_m
+        yaw_rad, begin = yaw_rad + turn_rad, until
+    return end
 
 
 def reversed_path(unsplit_m: float, difference_rad: float, is_odd: bool) -> UnseenPath:

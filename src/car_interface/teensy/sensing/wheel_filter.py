@@ -29,6 +29,7 @@ USUAL_ACCELERATION, STARTING_ACCELERATION = 7e-5, 2.2e-4
 SPEED_SIGMAS = 1.6
 SPEED_CHANGE = 0.5  # from pulse to pulse a slow wheel's speed changes by this ratio at most
 STARTING_PULSES = 3
+SURPRISE_FADES = 0.8
 MAGNET_VARIANCE = 1e-4  # of a magnet's place, pulses²
 # At the first pulse after a stand, with one sigma. A car with the usual acceleration has 0.18 m/s after half a pulse,
 # another one less: 0.15 and 0.12 m/s.
@@ -64,6 +65,8 @@ class WheelFilter:
         self._pulse_ms = -math.inf  # of the newest
         self._forward = True
         self._since_stop = 0
+        self._interval_speed = 0.0  # the mean over the newest interval between pulses
+        self._surprise = 0.0  # square of the newest innovations over their variance; 1 is as expected
         self._stand()
 
     @property
@@ -75,7 +78,7 @@ class WheelFilter:
     @property
     def speed_variance(self) -> float:
         """The variance of the speed, (pulses/ms)²."""
-        return SPEED_SIGMAS ** 2 * self._variances[3] + (PENDING_SPEED_SIGMA ** 2 if self.pending else 0.0)
+        return max(SPEED_SIGMAS ** 2, self._surprise) * self._variances[3] + (PENDING_SPEED_SIGMA ** 2 if self.pending else 0.0)
 
     def begin(self, now_ms: float) -> None:
         """Begin with the first report: the wheel is taken to stand until its first pulse."""
@@ -108,6 +111,7 @@ class WheelFilter:
             self._set_by_interval(place, pulses / interval_ms, interval_ms, variance)
         else:
             self._correct(place, variance)
+        self._interval_speed = pulses / max(interval_ms, 1.0)
         self._forward, self._pulse_ms = forward, at_ms
         if self.first_pulses is not None:
             self.first_pulses.append((at_ms, place))
@@ -203,7 +207,7 @@ class WheelFilter:
     def _set_by_interval(self, place, speed, interval_ms, variance):
         """Set a slow wheel's speed to the mean over its last interval; estimating its acceleration would ring."""
         self.position, self.speed, self.acceleration = float(place), speed, 0.0
-        speed_variance = (SPEED_RATIO * speed) ** 2
+        speed_variance = (SPEED_RATIO * speed) ** 2 + (speed - self._interval_speed) ** 2 / 4
         acceleration_variance = min(STARTING_ACCELERATION ** 2, speed_variance / interval_ms ** 2)
         self._variances = (variance, 0.0, 0.0, speed_variance, 0.0, acceleration_variance)
 
@@ -258,6 +262,7 @@ class WheelFilter:
         pp, pv, pa, vv, va, aa = self._variances
         total = pp + variance
         innovation = (place - self.position) / total
+        self._surprise = max(self._surprise * SURPRISE_FADES, innovation * (place - self.position))
         self.position += pp * innovation
         self.speed += pv * innovation
         self.acceleration += pa * innovation

@@ -40,15 +40,11 @@ class NothingToFit(ValueError):
 
 
 def write_table(path: str, text: str, load: Callable[[str, str], Any], refusal: str) -> str:
-    """Write a file that a node loads, and keep the old one beside it.
+    """Write a file that a node loads, keep the old one beside it, and return the line that says so.
 
     Args:
-        text: all of it.
         load: loads the file at a path from its text, as the node does.
         refusal: what the message begins with where the node would refuse the file.
-
-    Returns:
-        The line that says what was written.
 
     Raises:
         CarInterfaceError: it can't be written, or the node would refuse it.

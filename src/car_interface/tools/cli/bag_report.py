@@ -71,9 +71,7 @@ def _pages(options):
     if folder is not None and not os.path.isdir(folder):
         raise CarInterfaceError(f"-o {folder} is no folder, and {len(bags)} recordings need one: "
                                 f"mkdir {shlex.quote(folder)}")
-    pages = []
-    for bag in bags:
-        pages.append((bag, str(page_path(bag, options.namespace, folder))))
+    pages = [(bag, str(page_path(bag, options.namespace, folder))) for bag in bags]
     names = [os.path.realpath(page) for _, page in pages]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice:

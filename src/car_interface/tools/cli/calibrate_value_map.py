@@ -18,7 +18,7 @@ from car_interface.common.package_files import package_file
 from car_interface.common.units import CHANNELS
 from car_interface.throttle.value_map import load_value_map
 from car_interface.tools.calibration.shared import RecordedDrive
-from car_interface.tools.calibration.value_map.acceleration import WindowConfig
+from car_interface.tools.calibration.value_map.acceleration import DEFAULTS, MapFitConfig
 from car_interface.tools.calibration.value_map.calibrate import (
     DUTY,
     MapResult,
@@ -38,7 +38,6 @@ from car_interface.tools.calibration.value_map.recorded import (
     load_throttle_table,
 )
 from car_interface.tools.calibration.value_map.table import csv_text
-from car_interface.tools.calibration.value_map.windows import MapFitConfig
 from car_interface.tools.cli.jobs import load_all
 from car_interface.tools.cli.options import (
     add_calibration_arguments,
@@ -53,8 +52,7 @@ ESC_NEUTRAL_DUTY = 4915  # as config/throttle.yaml has it
 NO_CHANNEL = -1
 ROLES = (roles.ODOM, roles.IMU, roles.VALUE, roles.OUTPUT, roles.COMMAND)
 THROTTLE = "config/throttle.yaml"
-VALUE_TIMEOUT_S, DUTY_TIMEOUT_S = 0.5, 1.2  # a duty that doesn't change is repeated only now and then
-LIMITS = WindowConfig()
+DUTY_TIMEOUT_S = 1.2  # a duty that doesn't change is repeated only now and then
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -85,12 +83,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                              f"(default: {ESC_CHANNEL})")
     parser.add_argument("--esc-neutral", type=finite, default=ESC_NEUTRAL_DUTY, metavar="DUTY",
                         help=f"its duty when nobody drives (default: {ESC_NEUTRAL_DUTY})")
-    parser.add_argument("--min-speed", type=finite, default=LIMITS.min_speed_mps, metavar="M/S",
-                        help=f"slower is a stop (default: {LIMITS.min_speed_mps})")
-    parser.add_argument("--max-curvature", type=finite, default=LIMITS.max_curvature_per_m, metavar="1/M",
-                        help=f"of the path; tighter is steering (default: {LIMITS.max_curvature_per_m})")
-    parser.add_argument("--max-lateral", type=finite, default=LIMITS.max_lateral_mps2, metavar="M/S2",
-                        help=f"acceleration sideways; more is steering (default: {LIMITS.max_lateral_mps2})")
+    parser.add_argument("--min-speed", type=finite, default=DEFAULTS.min_speed_mps, metavar="M/S",
+                        help=f"slower is a stop (default: {DEFAULTS.min_speed_mps})")
+    parser.add_argument("--max-curvature", type=finite, default=DEFAULTS.max_curvature_per_m, metavar="1/M",
+                        help=f"of the path; tighter is steering (default: {DEFAULTS.max_curvature_per_m})")
+    parser.add_argument("--max-lateral", type=finite, default=DEFAULTS.max_lateral_mps2, metavar="M/S2",
+                        help=f"acceleration sideways; more is steering (default: {DEFAULTS.max_lateral_mps2})")
     add_recording_arguments(parser, ROLES)
 
 
@@ -157,10 +155,9 @@ def calibrate_by(options: argparse.Namespace, source: MapSource) -> tuple[list[R
         if axis is not None:
             check_axis(axis, name)
     config = MapFitConfig(
-        window=WindowConfig(min_speed_mps=options.min_speed, max_curvature_per_m=options.max_curvature,
-                            max_lateral_mps2=options.max_lateral),
-        neutral=source.neutral, value_timeout_s=VALUE_TIMEOUT_S if source.duty_channel is None else DUTY_TIMEOUT_S,
-        delay_s=options.delay, from_imu=options.acceleration == BY_IMU)
+        options.min_speed, options.max_curvature, options.max_lateral, source.neutral,
+        DEFAULTS.value_timeout_s if source.duty_channel is None else DUTY_TIMEOUT_S, options.delay,
+        options.acceleration == BY_IMU)
     load = partial(load_map_drive, source=source, progress=len(options.bags) == 1 or options.jobs == 1)
     recorded = load_all(load, options.bags, options.jobs)
     return recorded, calibrate(recorded, *axes, config, prior)

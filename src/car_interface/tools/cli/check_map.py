@@ -68,7 +68,10 @@ def run(options: argparse.Namespace) -> int:
     if is_steering:
         lines, notes = steering_picture(table), list(steering_notes(table))
     else:
-        _check_values(limits, table, name)
+        try:
+            Converter(limits, table)
+        except ConfigError as error:
+            raise error.within(name) from error
         lines = map_picture(table, sys.stdout.isatty() and "NO_COLOR" not in os.environ)
         notes = list(map_notes(table, limits))
     node = "turn_arb" if is_steering else "generic_value_converter"
@@ -79,13 +82,6 @@ def run(options: argparse.Namespace) -> int:
     elif options.output:
         print(f"\ndrawn in {options.output}")
     return 0
-
-
-def _check_values(limits, table, path):
-    try:
-        Converter(limits, table)
-    except ConfigError as error:
-        raise error.within(path) from error
 
 
 # --- Autoware's two maps ---

@@ -11,8 +11,8 @@ import time
 from functools import partial
 from urllib.parse import quote
 
-from car_interface.black_box.folder import default_folder, newest
 from car_interface.common import output
+from car_interface.common.black_box_folder import default_folder, newest
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.tools.cli.bag_report import page_path as report_path
 from car_interface.tools.cli.drives_cache import Cache, find_recordings, fingerprint

@@ -42,7 +42,8 @@ def find_recordings(folder: str) -> list[str]:
         OSError: the folder can't be read.
     """
     found = []
-    for place, folders, files in os.walk(folder, onerror=_raise_for(folder)):
+    os.scandir(folder).close()  # os.walk leaves out what it can't read, also the first
+    for place, folders, files in os.walk(folder):
         if METADATA in files and any(name.endswith(ROS2_SUFFIXES) for name in files):
             found.append(os.path.relpath(place, folder))
             folders.clear()
@@ -51,6 +52,12 @@ def find_recordings(folder: str) -> list[str]:
         found += [os.path.relpath(os.path.join(place, name), folder) for name in files
                   if name.endswith((*ROS1_SUFFIXES, *ROS2_SUFFIXES)) and not _is_original(name, files)]
     return sorted(found)
+
+
+def _is_original(name, files):
+    """Return whether the repaired recording lies beside it."""
+    stem, suffix = os.path.splitext(name)
+    return stem.endswith(ORIGINAL) and stem[:-len(ORIGINAL)] + suffix in files
 
 
 def fingerprint(path: str) -> Fingerprint:
@@ -64,20 +71,6 @@ def fingerprint(path: str) -> Fingerprint:
         paths = [os.path.join(path, name) for name in sorted(os.listdir(path))]
     stats = [os.stat(one) for one in paths]
     return Fingerprint(sum(one.st_size for one in stats), max((one.st_mtime_ns for one in stats), default=0))
-
-
-def _is_original(name, files):
-    """Return whether the repaired recording lies beside it."""
-    stem, suffix = os.path.splitext(name)
-    return stem.endswith(ORIGINAL) and stem[:-len(ORIGINAL)] + suffix in files
-
-
-def _raise_for(folder):
-    """Return what os.walk does on a folder that it can't read: below the first one it goes on with the others."""
-    def on_error(error):
-        if error.filename == folder:
-            raise error
-    return on_error
 
 
 class Cache:

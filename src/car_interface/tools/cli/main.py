@@ -106,7 +106,7 @@ def _parser(command, arguments):
     commands.required = True
     named = next((argument for argument in arguments if argument in MODULES), None)
     for name in [named] if named else MODULES:
-        _describe(commands.add_parser(name, help=_first_line(name)), name)
+        _describe(commands.add_parser(name, help=importlib.import_module(MODULES[name]).__doc__.split("\n")[0]), name)
     return parser
 
 
@@ -123,10 +123,6 @@ def _describe(parser, name):
 def _plain(error):
     """Replace characters that the output can't encode."""
     return "".join(PLAIN.get(character, "?") for character in error.object[error.start:error.end]), error.end
-
-
-def _first_line(name):
-    return importlib.import_module(MODULES[name]).__doc__.split("\n")[0]
 
 
 def _failed(command, error):

@@ -60,10 +60,7 @@ def add_scheduler_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def topics_of(options: argparse.Namespace, **named: str | None) -> dict[str, str]:
-    """Return the topics that the user named, by role.
-
-    Args:
-        named: by role, those of other options than ``--map`` and ``--odom``; ``None`` = not given.
+    """Return the topics that the user named, by role; ``named``: those of other options than ``--map`` and ``--odom``.
 
     Raises:
         ConfigError: an unknown role, one that has two topics, or a topic with two roles.

@@ -37,7 +37,6 @@ def probe_board(device: str, settings: BoardSettings, asks_all: bool) -> list[Fi
 
     Args:
         device: the bus; AUTO = the header's, as the pca9685 node finds it.
-        settings: the car's.
         asks_all: look for boards on all other buses, too.
     """
     header, there = read_header(), _buses()
@@ -97,8 +96,6 @@ def check_bus(path: str, exists: bool, is_i2c: bool, denial: tuple[str, str] | N
 
     Args:
         denial: cause and remedy where it isn't open to this user.
-        header: the computer's.
-        there: the buses that there are.
     """
     listed = f"; there are {', '.join(there)}" if there else ""
     if not exists:

@@ -3,9 +3,9 @@ from __future__ import annotations
 
 from typing import Any, Iterable, NamedTuple, Sequence
 
-from car_interface.black_box.folder import Recording
+from car_interface.common.black_box_folder import Recording
 from car_interface.common.publishers import REPORT as COMMAND_TOPICS
-from car_interface.steering.arbiter import source_name
+from car_interface.common.sources import source_name
 from car_interface.throttle.battery import REPORT as BATTERY
 from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
 
@@ -125,44 +125,36 @@ class Report(NamedTuple):
     remedy: str = ""  # its value of this name
 
 
-def check_diagnostics(reports: Sequence[Report], namespace: str, reporting: Sequence[str], reported: Sequence[str] = ()
-                      ) -> list[Finding]:
+def check_diagnostics(reports: Sequence[Report], reporting: Sequence[str],
+                      reported: Sequence[str] = ()) -> list[Finding]:
     """Return one finding for all that is well, and one for each that is not.
 
     Those about command topics and the battery are left out, which have findings of their own.
 
     Args:
-        reports: the newest of each name.
-        namespace: the car's; other cars' reports are left out.
         reporting: the paths of the running nodes, which should each report.
         reported: the names of reports that another finding covers.
     """
-    all_ours = _reports_of(reports, namespace)
-    ours = [report for report in all_ours if not (_is_about_topics(report) or _is_battery(report))]
+    ours = [report for report in reports if not (_is_about_topics(report) or _is_battery(report))]
     good = [report.name for report in ours if report.level == OK]
     found = [Finding(OK, "reports", ", ".join(good))] if good else []
     found += [Finding(min(report.level, BAD), "reports", f"{report.name}: {report.message}", report.remedy or MORE)
               for report in ours if report.level != OK and report.name not in reported]
-    names = [report.name for report in all_ours]
+    names = [report.name for report in reports]
     return found + [Finding(BAD, "reports", f"{path} runs, but doesn't report on /diagnostics",
                             f"See whether it hangs: rosnode ping {path}", by_silence=True)
                     for path in reporting if not any(name.startswith(f"{path.strip('/')}: ") for name in names)]
 
 
-def check_battery(reports: Sequence[Report], namespace: str) -> list[Finding]:
+def check_battery(reports: Sequence[Report]) -> list[Finding]:
     """Return the battery's voltage, or what is wrong with it, as throttle_arb reports it."""
     return [Finding(min(report.level, BAD), "battery", report.message, report.remedy)
-            for report in _reports_of(reports, namespace) if _is_battery(report)]
+            for report in reports if _is_battery(report)]
 
 
-def check_command_topics(reports: Sequence[Report], namespace: str) -> list[Finding]:
-    """Return what is wrong with the publishers of the topics that the nodes obey; each fault once, whoever reports it.
-
-    Args:
-        reports: the newest of each name.
-        namespace: the car's; other cars' reports are left out.
-    """
-    ours = [report for report in _reports_of(reports, namespace) if _is_about_topics(report)]
+def check_command_topics(reports: Sequence[Report]) -> list[Finding]:
+    """Return what is wrong with the publishers of the topics that the nodes obey, each fault once."""
+    ours = [report for report in reports if _is_about_topics(report)]
     nodes: dict[tuple, list[str]] = {}
     for report in ours:
         if report.level != OK:
@@ -173,8 +165,8 @@ def check_command_topics(reports: Sequence[Report], namespace: str) -> list[Find
             for (message, remedy), names in nodes.items()]
 
 
-def _reports_of(reports, namespace):
-    """Return the reports of one car's nodes."""
+def reports_of(reports: Sequence[Report], namespace: str) -> list[Report]:
+    """Return the reports of one car's nodes, without those of other cars."""
     prefix = namespace.strip("/") + "/" if namespace.strip("/") else ""
     return [report for report in reports if report.name.startswith(prefix)
             and "/" not in report.name.partition(":")[0][len(prefix):]]
@@ -204,11 +196,7 @@ def check_files(faults: Sequence[str]) -> list[Finding]:
 
 
 def check_black_box(recording: Recording | None, now_s: float) -> list[Finding]:
-    """Return what the newest recording of the black box is of, if there is one.
-
-    Args:
-        now_s: by the computer's clock, as the recording's.
-    """
+    """Return what the newest recording of the black box is of, if there is one."""
     if recording is None:
         return []
     return [Finding(OK, "black box", f"the last stop that nobody asked for: {recording.describe(now_s)}: "
@@ -219,7 +207,6 @@ def check_folders(readings: Sequence[Reading], package_folder: str, is_virtual: 
     """Return whether the nodes were launched with one folder of files, and a car's own.
 
     Args:
-        readings: of the nodes.
         package_folder: the package's own files.
         is_virtual: the servo board is a virtual one.
     """

@@ -113,11 +113,7 @@ def is_character_device(path: str) -> bool:
 
 
 def probe_clock(uses_sim_time: bool) -> list[Finding]:
-    """Check the wall clock and ROS time; the driving itself goes by the monotonic clock and minds neither.
-
-    Args:
-        uses_sim_time: the parameter /use_sim_time.
-    """
+    """Check the wall clock and ROS time; the driving itself goes by the monotonic clock and minds neither."""
     found, year, synchronised = [], time.gmtime().tm_year, _is_synchronised()
     if year not in PLAUSIBLE_YEARS:
         found.append(Finding(BAD, "clock", f"it's the year {year}: stamps and bags will be wrong",

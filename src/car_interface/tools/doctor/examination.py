@@ -10,7 +10,7 @@ import time
 from argparse import Namespace
 from typing import Any, Callable, Iterator, NamedTuple
 
-from car_interface.black_box.folder import default_folder, newest
+from car_interface.common.black_box_folder import default_folder, newest
 from car_interface.common.device_access import STABLE_PORT
 from car_interface.common.errors import ConfigError
 from car_interface.common.package_files import package_file
@@ -36,19 +36,18 @@ from car_interface.tools.doctor.car import (
     check_several,
     check_steering,
     find_cars,
+    reports_of,
 )
 from car_interface.tools.doctor.computer import probe_clock, probe_groups, probe_packages, probe_versions
 from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, worst
 from car_interface.tools.doctor.gamepad import check_gamepad, probe_driver
-from car_interface.tools.doctor.master import NODES, Graph, Master, read_files, read_parameters
+from car_interface.tools.doctor.master import NODES, REPORTING, Graph, Master, read_files, read_parameters
 from car_interface.tools.doctor.network import probe_network
 from car_interface.tools.doctor.port import check_link, check_virtual_port, is_pseudo_terminal, probe_port
 
 USUAL_PORT, USUAL_BAUD, USUAL_ADDRESS = "/dev/ttyAMA0", 115200, 0x40
 # Names and addresses, then the nodes, then all the rest at the same time: 9 s at most.
 NETWORK_S, SURVEY_S, PROBES_S = 2.0, 2.0, 4.5
-REPORTING = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "throttle_arb", "planner_interface",
-             "teleop_logi")
 NO_GRAPH = Graph({}, frozenset())
 BOARD_REPORT = "servo board"  # the pca9685 node's on /diagnostics
 TICK_S = 0.02
@@ -219,7 +218,7 @@ def examine(options: Namespace) -> Iterator[Finding]:
 def _examine(options):
     uri = os.environ.get("ROS_MASTER_URI", "")
     master = Master(uri)
-    versions = Task("versions", probe_versions)
+    own = [Task("versions", probe_versions)]  # about this computer itself
     network = Task("master", probe_network, uri, master.trouble)
     (of_master, of_address, is_there), trouble = network.wait(time.monotonic() + NETWORK_S, ([], [], False))
     car, survey_trouble = Task("nodes", survey, master if is_there else None, options).wait(time.monotonic() + SURVEY_S)
@@ -227,14 +226,13 @@ def _examine(options):
         is_there, car = False, survey(None, options)
     deadline_s = time.monotonic() + PROBES_S
     if not car.was_chosen:
-        yield from versions.findings(deadline_s)
+        yield from own[0].findings(deadline_s)
         yield from trouble + of_master + of_address + check_several(car.others)
         return
     virtual_port, virtual_bus = car.port_is_virtual or is_pseudo_terminal(car.port), car.bus == VIRTUAL
-    groups = Task("groups", probe_groups, car.port, car.bus, virtual_port, virtual_bus)
-    clock = Task("clock", probe_clock, car.uses_sim_time)
-    packages = Task("packages", probe_packages)
-    drivers = Task("gamepad", probe_driver)
+    own += [Task("packages", probe_packages),
+            Task("groups", probe_groups, car.port, car.bus, virtual_port, virtual_bus),
+            Task("gamepad", probe_driver), Task("clock", probe_clock, car.uses_sim_time)]
     parameters = Task("parameters", _read_all, master, car) if is_there else None
     black_box = Task("black box", _newest_recording, master if is_there else None, car)
     hub = car.runs("teensy_sensor_hub") if car.port_is_the_nodes else None
@@ -243,11 +241,8 @@ def _examine(options):
     reporting = [node.path for node in map(car.runs, REPORTING) if node]
     topics = Task("topics", _listen_to_topics, master, car, hub, reporting) if reporting else None
 
-    yield from versions.findings(deadline_s)
-    yield from packages.findings(deadline_s)
-    yield from groups.findings(deadline_s)
-    yield from drivers.findings(deadline_s)
-    yield from clock.findings(deadline_s)
+    for task in own:
+        yield from task.findings(deadline_s)
     yield from trouble + of_master + of_address + survey_trouble
     if is_there:
         yield from check_nodes(car.nodes, car.namespace, car.others)
@@ -266,8 +261,9 @@ def _examine(options):
     if topic_reports:
         if car.runs("turn_arb"):
             yield from check_steering(topic_reports.steering, car.runs("turn_arb"))
-        yield from check_command_topics(topic_reports.reports, car.namespace)
-        yield from check_battery(topic_reports.reports, car.namespace)
+        reports = reports_of(topic_reports.reports, car.namespace)
+        yield from check_command_topics(reports)
+        yield from check_battery(reports)
         covered = _covered(hub, topic_reports.link)
         if car.runs("pca9685") and worst(of_board) == BAD:
             covered = [*covered, f"{car.runs('pca9685').path.strip('/')}: {BOARD_REPORT}"]
@@ -275,7 +271,7 @@ def _examine(options):
             yield from check_gamepad(topic_reports.gamepad)
             covered = [*covered, f"{topic_reports.gamepad.node.strip('/')}: {GAMEPAD_REPORT}",
                        *([topic_reports.gamepad.driver.name] if topic_reports.gamepad.driver else [])]
-        yield from check_diagnostics(topic_reports.reports, car.namespace, reporting, covered)
+        yield from check_diagnostics(reports, reporting, covered)
     yield from black_box.findings(deadline_s)
 
 

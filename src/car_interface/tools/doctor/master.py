@@ -22,7 +22,8 @@ from car_interface.tools.doctor.network import leads_here
 CALLER = "/doctor"
 # These may be parts of ONE_PROCESS.
 PARTS = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "throttle_arb", "planner_interface")
-NODES = (*PARTS, "teleop_logi", SIMULATOR)
+REPORTING = (*PARTS, "teleop_logi")  # on /diagnostics
+NODES = (*REPORTING, SIMULATOR)
 ON_REQUEST = ("throttle_arb", "planner_interface")  # those of them that ONE_PROCESS may be without
 
 

@@ -131,11 +131,7 @@ def _exposure(master, host, port):
 
 
 def listeners(tables: Iterable[str], port: int) -> tuple[str, ...]:
-    """Return the addresses that something listens on at a TCP port.
-
-    Args:
-        tables: the texts of /proc/net/tcp and /proc/net/tcp6, on a little-endian computer.
-    """
+    """Return the addresses that something listens on at a TCP port, by the texts of /proc/net/tcp and tcp6."""
     found = set()
     for table in tables:
         for line in table.splitlines()[1:]:
@@ -147,7 +143,7 @@ def listeners(tables: Iterable[str], port: int) -> tuple[str, ...]:
 
 
 def _address(hexadecimal):
-    """Return an address of the kernel's table: groups of four bytes, each with its lowest byte first."""
+    """Return an address of the kernel's table: groups of four bytes, the lowest first on a little-endian computer."""
     data = bytes.fromhex(hexadecimal)
     data = b"".join(data[start:start + 4][::-1] for start in range(0, len(data), 4))
     address = ipaddress.ip_address(data)

@@ -39,7 +39,7 @@ def is_pseudo_terminal(port: str) -> bool:
 
 def probe_port(port: str, baud: int):
     """Open the port, unless another program has it, and examine what is behind it."""
-    if _subsystem(port) not in (None, "tty"):
+    if not _may_be_terminal(port):
         return [Finding(BAD, "port", f"{port}: this is not a serial port", LIST_PORTS)]
     # The program behind a pseudo-terminal may hold this end, too.
     is_real = is_character_device(port) and not is_pseudo_terminal(port)
@@ -64,25 +64,16 @@ def probe_port(port: str, baud: int):
     return [Finding(OK, "port", f"{port} is {kind}"), teensy]
 
 
-def _subsystem(path):
-    """Return what kind of device the kernel says it is, such as ``tty``; ``None`` when it says nothing."""
-    try:
-        number = os.stat(path).st_rdev
-    except OSError:
-        return None
-    try:
-        return os.path.basename(os.readlink(f"/sys/dev/char/{os.major(number)}:{os.minor(number)}/subsystem"))
-    except OSError:
-        pass  # pseudo-terminals aren't in there, and in a chroot nothing may be
+def _may_be_terminal(path):
+    """Return whether a path may be opened for a look: to open another kind of device may do anything."""
     if not is_character_device(path):
-        return None
-    if os.major(number) == MEMORY_MAJOR:
-        return "mem"
+        return True  # opening it says more
+    number = os.stat(path).st_rdev
     try:
         with open("/proc/tty/drivers", encoding="ascii", errors="replace") as file:
-            return "tty" if is_terminal(os.major(number), os.minor(number), file.read()) else "unknown"
+            return is_terminal(os.major(number), os.minor(number), file.read())
     except OSError:
-        return None
+        return os.major(number) != MEMORY_MAJOR
 
 
 def _probe(link, baud):
@@ -172,12 +163,7 @@ def _describe_pong(round_trip_s, checksum):
 
 
 class TeensyProbe:
-    """Pings a Teensy and judges the link, until its state is known. No clock, no port: bytes and ``now_ns`` in.
-
-    Args:
-        baud: of the line.
-        now_ns: when the port was opened.
-    """
+    """Pings a Teensy and judges the link, until its state is known. No clock, no port: bytes and ``now_ns`` in."""
 
     def __init__(self, baud: int, now_ns: int):
         self._session = Session(baud, PING_PERIOD_NS, AUTO, now_ns)
@@ -195,24 +181,24 @@ class TeensyProbe:
         """Judge, and return what to send now; often nothing."""
         self._session.expire(now_ns)
         self._session.judge(now_ns)
-        if now_ns < self._session.ping_due_ns:
+        if now_ns < self._session.pinger.due_ns:
             return b""
         return self._session.ping(now_ns // NS_PER_MS % protocol.UINT32, now_ns)
 
     def next_event_ns(self) -> int:
         """Return when ``step`` has something to do."""
-        return min(self._session.next_event_ns(), self._end_ns)
+        return min(self._session.pinger.next_event_ns(), self._end_ns)
 
     def is_done(self, now_ns: int) -> bool:
         """Return whether the state is known, or it took too long."""
         has_sonar_reports = len(self._sonars) == len(SONARS) or now_ns >= self._sonars_ns
-        is_fine = self._session.verdict.state == FINE and self._session.pongs > 1 and has_sonar_reports
+        is_fine = self._session.verdict.state == FINE and self._session.pinger.answered > 1 and has_sonar_reports
         return now_ns >= self._end_ns or is_fine and not self._session.tally.bad_frames
 
     def finding(self) -> Finding:
         """Return the finding about the Teensy."""
         verdict = self._session.verdict
-        if verdict.state == FINE and not self._session.pongs:
+        if verdict.state == FINE and not self._session.pinger.answered:
             return Finding(WARN, "Teensy", f"{verdict.description}, but no ping was answered",
                            "Check the wire from this port's TX to the Teensy's RX")
         if verdict.state == WAITING:
@@ -224,7 +210,7 @@ class TeensyProbe:
             return Finding(WARN, "Teensy", f"{verdict.description}, but nothing came from "
                                            f"{_describe_sonars(missing)} in {SONARS_WITHIN_NS / 1e9:g} s",
                            SONARS_REMEDY)
-        pong = _describe_pong(self._session.round_trip_ns / 1e9, self._session.answered_checksum)
+        pong = _describe_pong(self._session.round_trip_ns / 1e9, self._session.pinger.answered_checksum)
         return Finding(OK, "Teensy", f"{verdict.description}; {pong}")
 
 

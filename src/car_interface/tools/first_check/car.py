@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from typing import Mapping, NamedTuple, Sequence
 
 from car_interface.common.causes import AUTONOMOUS, MANUAL
+from car_interface.common.sources import PLANNER, TELEOP
 from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
 from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, SONARS
-from car_interface.steering.arbiter import PLANNER, TELEOP
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.teensy.link.protocol import BACKWARD, FORWARD
 from car_interface.throttle import esc

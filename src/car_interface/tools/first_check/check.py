@@ -123,7 +123,7 @@ class FirstCheck:
         if question is None:
             return View("end", [], None, self._neutral(), is_over=True, has_quit=has_quit)
         kills, question.kills_board = question.kills_board, False
-        return View(f"{self._index} {question.text()}", self._lines(now_ns, width), question.steering,
+        return View(f"{self._index} {question.text}", self._lines(now_ns, width), question.steering,
                     self._neutral(), kills, has_quit=has_quit)
 
     def _type(self, key, now_ns):
@@ -191,8 +191,8 @@ class FirstCheck:
     def _lines(self, now_ns, width):
         question = self._question
         seen = question.seen(now_ns)
-        parts = [f"{self._index + 1} of {len(self._makers)}: {question.title}", question.text(),
-                 question.help(), f"Now: {seen}" if seen else "", self._warning or question.note,
+        parts = [f"{self._index + 1} of {len(self._makers)}: {question.title}", question.text,
+                 question.help, f"Now: {seen}" if seen else "", self._warning or question.note,
                  KEYS if self._index else FIRST_KEYS]
         columns = min(width, MAX_WIDTH + 1) - 1
         return [line for part in parts for line in textwrap.wrap(part, columns) or [""]]

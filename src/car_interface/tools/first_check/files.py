@@ -80,7 +80,6 @@ def plan(folder: str, changes: Mapping[str, Mapping[str, Any]], mapped: Containe
     """Return the changes of the files in a folder, each checked as its node would load it.
 
     Args:
-        folder: of the car's files.
         changes: new values by file and parameter.
         mapped: the parameters that gamepads.yaml has for the gamepad; teleop_logi.yaml's don't count for it.
     """
@@ -124,8 +123,6 @@ def write_page(path: str, date: str, results: Sequence[tuple[str, Result]], writ
     """Write the page; return a line that says so, or why there is none.
 
     Args:
-        path: of the page.
-        date: for its head.
         results: by the question's title.
         written: lines on what was written.
     """

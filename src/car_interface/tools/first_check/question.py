@@ -39,6 +39,8 @@ class Question:
 
     Attributes:
         title: what it checks.
+        text: what to do, and what is asked.
+        help: the keys.
         result: ``None`` until it is answered.
         steering: the request to turn_arb, −1 right .. +1 left; ``None`` = none.
         neutral: the duty that throttle_arb is to have as its neutral; ``None`` = as it is.
@@ -46,7 +48,7 @@ class Question:
         note: why the last key was not taken.
     """
 
-    title = ""
+    title = text = help = ""
 
     def __init__(self, car: Car):
         self.car, self.setup = car, car.setup
@@ -60,14 +62,6 @@ class Question:
     def missing(self, now_ns: int) -> str:
         """Return why it can't be asked; empty: it can."""
         return ""
-
-    def text(self) -> str:
-        """Return what to do, and what is asked."""
-        raise NotImplementedError
-
-    def help(self) -> str:
-        """Return the keys."""
-        raise NotImplementedError
 
     def seen(self, now_ns: int) -> str:
         """Return what is measured now."""
@@ -100,17 +94,13 @@ class OnBox(Question):
     """Asks before anything else, since the wheels will turn."""
 
     title = "the car on a box"
+    text = ("Put the car on a box, so that all four wheels hang free, and keep hands, hair and cables away from "
+            "them. The battery is connected and the ESC is on. Is that so?")
+    help = "Y yes   N no"
 
     def __init__(self, car):
         super().__init__(car)
         self.keys = {"y": self._yes, "n": lambda now_ns: self._broken("it is on the ground", "put it on a box first")}
-
-    def text(self):
-        return ("Put the car on a box, so that all four wheels hang free, and keep hands, hair and cables away from "
-                "them. The battery is connected and the ESC is on. Is that so?")
-
-    def help(self):
-        return "Y yes   N no"
 
     def _yes(self, now_ns):
         if self.car.stands(now_ns):
@@ -123,6 +113,7 @@ class Deadman(Question):
     """Both deadmen, pressed and released one after the other."""
 
     title = "the deadman"
+    help = "N nothing happens"
     STAGES = (None, MANUAL, None, AUTONOMOUS, None)
 
     def __init__(self, car):
@@ -134,13 +125,11 @@ class Deadman(Question):
     def _wanted(self):
         return self.STAGES[self._stage]
 
+    @property
     def text(self):
         if self._wanted is None:
             return "Let go of all buttons, sticks and keys of the gamepad." if not self._stage else "Let go of it."
         return f"{self._hold(self._wanted)}. It goes on by itself when it sees it."
-
-    def help(self):
-        return "N nothing happens"
 
     def seen(self, now_ns):
         held, reason = self.car.held_mode(now_ns), self.car.gamepad.value

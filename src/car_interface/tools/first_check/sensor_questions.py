@@ -13,6 +13,8 @@ NEAR_M, NEAR_REPORTS = 0.4, 3  # a hand
 class WheelSensor(Question):
     """One rear wheel, turned by hand."""
 
+    help = "Enter it is done"
+
     SIDES = ("left", "right")
 
     def __init__(self, car, side: int):
@@ -25,12 +27,10 @@ class WheelSensor(Question):
     def missing(self, now_ns):
         return "" if not self.car.wheels.is_stale(now_ns) else "no wheel is heard: is the Teensy plugged in?"
 
+    @property
     def text(self):
         return (f"Let go of the gamepad. Turn the {self._name.upper()} rear wheel by hand, one full turn, as when the "
                 "car drives FORWARD. It doesn't matter if the other one turns back.")
-
-    def help(self):
-        return "Enter it is done"
 
     def seen(self, now_ns):
         return ", ".join(f"{name} {count:+d}" for name, count in zip(self.SIDES, self._counts())) + " pulses"
@@ -62,6 +62,8 @@ class WheelSensor(Question):
 class Sonar(Question):
     """One sonar, by a hand before it."""
 
+    help = "N nothing happens   X the car has no such sonar"
+
     def __init__(self, car, name: str):
         super().__init__(car)
         self.name, self._words = name, name.replace("_", " ")
@@ -75,12 +77,10 @@ class Sonar(Question):
         is_heard = any(not timed.is_stale(now_ns) for timed in self.car.ranges.values())
         return "" if is_heard else "no sonar is heard: is the Teensy plugged in?"
 
+    @property
     def text(self):
         return (f"Hold your hand 20 cm in front of the sonar {self._words.upper()}, and nothing near the others. It "
                 "goes on by itself.")
-
-    def help(self):
-        return "N nothing happens   X the car has no such sonar"
 
     def seen(self, now_ns):
         near = [name.replace("_", " ") for name, reports in self._reports.items() if reports]
@@ -140,11 +140,13 @@ class TeensyUnplugged(Question):
     def missing(self, now_ns):
         return "" if self.car.link.was_received else "teensy_sensor_hub isn't heard"
 
+    @property
     def text(self):
         if self._was_lost:
             return "It was noticed. Plug it in again; it goes on by itself."
         return "Pull the Teensy's USB cable (one that is soldered on: S). It goes on by itself."
 
+    @property
     def help(self):
         return "N it is back, and nothing happens" if self._was_lost else "N it is unplugged, and nothing happens"
 

@@ -27,18 +27,17 @@ class SteeringDirection(Question):
     """The stick and the servo, each to the left: by the stick's sign, and by a person's eyes."""
 
     title = "the steering's direction"
+    help = "L to the left   R to the right   N nowhere, they don't move"
 
     def __init__(self, car):
         super().__init__(car)
         self._full, self._duty = 0.0, None  # the stick when it was last at its end, and the servo's duty then
         self.keys = {"l": partial(self._turned, True), "r": partial(self._turned, False), "n": self._nothing}
 
+    @property
     def text(self):
         return (f"{self._hold(MANUAL)} and the left stick fully to the LEFT. Where do the front wheels point, seen "
                 "from behind the car?")
-
-    def help(self):
-        return "L to the left   R to the right   N nowhere, they don't move"
 
     def seen(self, now_ns):
         stick = self._stick(now_ns)
@@ -133,15 +132,14 @@ class Center(_Finds):
     """Straight ahead."""
 
     title = "the steering's center"
+    help = "< a little left   > a little right   Enter they are straight   N they can't be"
     step_size = CENTER_STEP
     low, high = -MAX_CENTER, MAX_CENTER
 
+    @property
     def text(self):
         return (f"{self._hold(AUTONOMOUS)}. Do the front wheels point straight ahead? If not, turn them with < and "
                 "> until they do.")
-
-    def help(self):
-        return "< a little left   > a little right   Enter they are straight   N they can't be"
 
     def _enter(self, now_ns):
         if not self._is_ready(now_ns):
@@ -160,19 +158,19 @@ class Center(_Finds):
 class End(_Finds):
     """The farthest that the wheels turn to one side."""
 
+    help = "< to the left   > to the right   Enter that is the end   N they don't turn"
+
     def __init__(self, car, side: int, is_exchanged: bool = False, center: float = 0.0):
         super().__init__(car, is_exchanged, center)
         self._side, self._name = side, "left" if side > 0 else "right"
         self.title = f"the steering's {self._name} end"
         self.low, self.high = (center, 1.0) if side * self._left > 0 else (-1.0, center)
 
+    @property
     def text(self):
         key = "<" if self._side > 0 else ">"
         return (f"{self._hold(AUTONOMOUS)}. Turn the front wheels to the {self._name} with {key}, until they turn "
                 "no further, a tyre touches something or the servo hums; then one or two steps back.")
-
-    def help(self):
-        return "< to the left   > to the right   Enter that is the end   N they don't turn"
 
     def _enter(self, now_ns):
         if not self._is_ready(now_ns):
@@ -203,6 +201,7 @@ class BoardKilled(_Steers):
         self._is_back = False
         self.keys = {"k": self._kill, "y": partial(self._saw, True), "n": partial(self._saw, False)}
 
+    @property
     def text(self):
         if self._is_back:
             return f"{self._centered_text}, and the node is back. Did the front wheels go straight?"
@@ -211,6 +210,7 @@ class BoardKilled(_Steers):
         return (f"{self._hold(AUTONOMOUS)}: the front wheels turn to the left. Then K kills the node of the servo "
                 "board (kill -9): its guard must center them, and the launch file starts it again.")
 
+    @property
     def help(self):
         if self._killed_ns is None:
             return "K kill it"

@@ -70,6 +70,7 @@ class NeutralDuty(_ByStick):
     """Whether the wheels stand at the ESC's neutral, and at which one they do."""
 
     title = "the ESC's neutral"
+    help = "Y they stand   + or - shift the neutral   N they don't stop"
 
     def __init__(self, car):
         super().__init__(car)
@@ -78,12 +79,10 @@ class NeutralDuty(_ByStick):
         self.keys = {"+": partial(self._move, NEUTRAL_STEP), "-": partial(self._move, -NEUTRAL_STEP),
                      "y": self._stand, ENTER: self._stand, "n": self._no}
 
+    @property
     def text(self):
         return (f"{self._hold(MANUAL)}, and touch no stick. Do all wheels stand still? If they creep, shift the "
                 "neutral with + and - until they stand, and a little further.")
-
-    def help(self):
-        return "Y they stand   + or - shift the neutral   N they don't stop"
 
     def seen(self, now_ns):
         turned = sum(map(abs, self.car.pulses)) - self._pulses
@@ -123,12 +122,14 @@ class ThrottleDirection(_ByStick):
         self._asks_pull = self._was_pulled = False
         self.keys = {"f": self._forward, "b": self._backward, "n": self._nothing, "y": partial(self._pulled, True)}
 
+    @property
     def text(self):
         if self._asks_pull:
             return "Let go of the stick. Now PULL it back gently, and hold it. Do the wheels turn FORWARD, at once?"
         return (f"{self._hold(MANUAL)}. PUSH the right stick forward, slowly, until the wheels just turn. Which "
                 "way do they turn?")
 
+    @property
     def help(self):
         if self._asks_pull:
             return "Y yes   N no, they stop or stand"
@@ -212,12 +213,14 @@ class EscKind(_ByStick):
         return super().missing(now_ns) or ("" if self.setup.calibrates_esc else
                                            "the car was launched without calibration_drive:=true")
 
+    @property
     def text(self):
         if self._asks_second:
             return "Let go of the stick, pull it once more, and hold it for two seconds. Do the wheels turn BACKWARD?"
         return (f"{self._hold(MANUAL)}. Push until the wheels turn, let the stick go, and at once PULL it and hold "
                 "it for two seconds. What do the wheels do?")
 
+    @property
     def help(self):
         if self._asks_second:
             return "Y yes   N no"
@@ -274,6 +277,7 @@ class LettingGo(_ByStick):
         self._took_s: float | None = None
         self.keys = {"y": partial(self._ran_out, True), "n": partial(self._ran_out, False)}
 
+    @property
     def text(self):
         if self._took_s is None:
             return (f"{self._hold(MANUAL)}, push until the wheels turn, and then let go of the deadman ONLY: keep "
@@ -281,6 +285,7 @@ class LettingGo(_ByStick):
         return (f"The ESC got neutral or its brake within {self._took_s:.1f} s of the release. Do the wheels run out, "
                 "and stand?")
 
+    @property
     def help(self):
         return "Y yes   N no" if self._took_s is not None else "N they go on though I let go"
 

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import filecmp
-import grp
 import os
 import pwd
 import shlex
@@ -24,7 +23,7 @@ import sys
 import tempfile
 from typing import NamedTuple, Sequence
 
-from car_interface.common.device_access import GROUPS, STABLE_PORT
+from car_interface.common.device_access import GROUPS, STABLE_PORT, existing_groups, groups_of
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.header import UNKNOWN, Header, read_header
 from car_interface.common.package_files import package_file
@@ -112,11 +111,8 @@ def describe_header(computer: Computer) -> list[str]:
 
 def read_computer(user: str, rules: str) -> Computer:
     """Read how this computer is now."""
-    groups = grp.getgrall()
-    primary = pwd.getpwnam(user).pw_gid
     return Computer(
-        user=user, groups=frozenset(group.gr_name for group in groups),
-        joined=frozenset(group.gr_name for group in groups if user in group.gr_mem or group.gr_gid == primary),
+        user=user, groups=existing_groups(), joined=groups_of(user, pwd.getpwnam(user).pw_gid),
         has_udev=shutil.which("udevadm", path=SYSTEM_PATH) is not None, rules_are_new=_same(rules),
         header=read_header(), has_bus=os.path.exists(read_header().bus_paths[0]))
 

@@ -11,7 +11,7 @@ import select
 import sys
 from typing import Iterable, NamedTuple, Sequence
 
-from car_interface.common import atomic_file
+from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.package_files import is_package_file
 from car_interface.common.yaml_file import read_yaml
@@ -126,7 +126,6 @@ def ask(device: GamepadDevice, joystick: Joystick, keyboard, report=print) -> di
     """Ask for each control, and return the entry of gamepads.yaml.
 
     Args:
-        device, joystick: the gamepad.
         keyboard: a file on which Enter says that the gamepad lacks a control.
         report: called with each line for the person.
 
@@ -166,10 +165,7 @@ def save(folder: str, model: str, entry: dict[str, float]) -> str:
     """
     path = os.path.join(folder, FILE)
     text = with_entry(read_yaml(path) if os.path.exists(path) else "", path, model, entry)
-    try:
-        atomic_file.replace(path, text.encode("utf-8"), keeps_old=True)
-    except OSError as error:
-        raise CarInterfaceError(f"{path} can't be written: {error.strerror}") from error
+    output.write(path, text, keeps_old=True)
     return path
 
 

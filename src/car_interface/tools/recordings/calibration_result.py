@@ -51,18 +51,14 @@ def parsed(text: str) -> CalibrationResult:
         centers, driven, curve, old_curve = columns
         sides = [[SideRow(*map(float, row[:5]), int(row[5]), float(row[6]), str(row[7])) for row in side]
                  for side in (left, right)]
-        result = CalibrationResult(str(refusal), _texts(lines), _texts(steps), _numbers(radii_m), *sides,
-                                   _numbers(centers), *(_points(points, width) for points, width in (
+        result = CalibrationResult(str(refusal), list(map(str, lines)), list(map(str, steps)), _numbers(radii_m),
+                                   *sides, _numbers(centers), *(_points(points, width) for points, width in (
                                        (driven, 2), (curve, 3), (old_curve, 2))))
     except (TypeError, ValueError, IndexError, OverflowError, RecursionError) as error:
         raise ValueError("the calibration drive's result can't be read") from error
     if not len(result.radii_m) == len(result.left) == len(result.right) or len(result.centers) != 2:
         raise ValueError("the calibration drive's result has no table")
     return result
-
-
-def _texts(values: Any) -> list[str]:
-    return [str(value) for value in values]
 
 
 def _numbers(values: Any) -> list[float]:

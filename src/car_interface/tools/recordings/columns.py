@@ -5,7 +5,6 @@ Columns grow as bytes, not as Python's numbers, so that a recording of 10 GB fit
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from array import array
 from collections import Counter
 from typing import Any, Callable
@@ -14,7 +13,6 @@ import numpy as np
 
 from car_interface.common.units import CHANNELS, MAX_DUTY, NS_PER_S, UNCHANGED, stamp_ns, yaw_rad
 from car_interface.pca9685.registers import counts_of_duty, duty_of_counts
-from car_interface.tools.recordings.recording import Recorded
 from car_interface.tools.recordings.series import Ackermann, Imu, Odom, Output, Value
 
 STEP_BACK_S = 1.0  # the recorder's own time goes back by more only when the computer's clock was set
@@ -94,8 +92,12 @@ class Gravity:
                 "turn rate about z isn't the car's")
 
 
-class Column(ABC):
-    """The messages of one topic."""
+class Column:
+    """The messages of one topic.
+
+    ``add(recorded, now_s, timeline)`` adds a message that was recorded at ``now_s``; ``build()`` builds the columns,
+    where there are any.
+    """
 
     def __init__(self, topic: str):
         self.topic = topic
@@ -108,14 +110,6 @@ class Column(ABC):
         """Return whether no message could be used."""
         return not self._times
 
-    @abstractmethod
-    def add(self, recorded: Recorded, now_s: float, timeline: Timeline) -> None:
-        """Add a message that was recorded at ``now_s``."""
-
-    @abstractmethod
-    def build(self) -> Any:
-        """Build the columns; not called when there are none."""
-
     def notes(self) -> list[str]:
         """Return a line for each reason for which messages were left out."""
         return [f"{self.topic}: {count} message{'s' if count > 1 else ''} {reason}"
@@ -123,7 +117,7 @@ class Column(ABC):
 
 
 class StampedColumn(Column):
-    """Messages that count by their stamps, a row of finite numbers each.
+    """Messages that count by their stamps; ``row(message)`` returns the numbers that must be finite, for ``series``.
 
     A stamp that is seconds away from the recording time gives way to that.
     """
@@ -147,10 +141,6 @@ class StampedColumn(Column):
         self._times.append(at_s)
         self._rows.extend(row)
         self._add_more(recorded.message)
-
-    @abstractmethod
-    def row(self, message) -> tuple:
-        """Return the numbers of a message that must be finite."""
 
     def build(self):
         return self.series(*self._columns())
@@ -313,13 +303,8 @@ def value_of(message) -> float:
 
 
 def vesc_number(message, names: tuple[str, str]) -> float:
-    """Return a number in a vesc_msgs/VescStateStamped.
-
-    Args:
-        names: DUTY_CYCLE or VOLTAGE: of F1TENTH's definition, and of that of MIT's for firmware 5.
-
-    Raises:
-        AttributeError: it has neither.
+    """Return a number in a vesc_msgs/VescStateStamped: DUTY_CYCLE or VOLTAGE, by its name in F1TENTH's definition, or
+    in that of MIT's for firmware 5. AttributeError: it has neither.
     """
     known, other = names
     return getattr(message.state, known) if hasattr(message.state, known) else getattr(message.state, other)

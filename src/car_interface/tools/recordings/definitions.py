@@ -40,34 +40,23 @@ class UnknownType(CarInterfaceError):
     """A message type without a definition in the recording or here."""
 
 
-class Definitions:
-    """Turns a recording's bytes into messages; a type's code is generated when it is first used.
+def decoder(connection, is_ros2: bool) -> Callable[[bytes], Any]:
+    """Return a function from the bytes of one connection's messages to messages.
 
     Args:
         is_ros2: whether the bytes are CDR, as ROS 2 has them.
+
+    Raises:
+        UnknownType: neither the recording nor this package has its definition.
     """
-
-    def __init__(self, is_ros2: bool):
-        self._is_ros2 = is_ros2
-        self._by_text: dict = {}  # by name and definition: two publishers may have different ones of a type
-
-    def decoder(self, connection) -> Callable[[bytes], Any]:
-        """Return a function from the bytes of one connection's messages to messages.
-
-        Raises:
-            UnknownType: neither the recording nor this package has its definition.
-        """
-        text, is_idl = _definition(connection)
-        name, key = connection.msgtype, (connection.msgtype, text) if text else None
-        if key not in self._by_text:
-            self._by_text[key] = _store(name, text, is_idl) if text else known_types()
-        store = self._by_text[key]
-        try:
-            store.get_msgdef(name)
-        except (KeyError, TypesysError) as error:
-            raise UnknownType(f"neither the recording nor this package knows all of its type {name}") from error
-        deserialize = store.deserialize_cdr if self._is_ros2 else store.deserialize_ros1
-        return lambda data: deserialize(data, name)
+    name, (text, is_idl) = connection.msgtype, _definition(connection)
+    store = _store(name, text, is_idl) if text else known_types()
+    try:
+        store.get_msgdef(name)
+    except (KeyError, TypesysError) as error:
+        raise UnknownType(f"neither the recording nor this package knows all of its type {name}") from error
+    deserialize = store.deserialize_cdr if is_ros2 else store.deserialize_ros1
+    return lambda data: deserialize(data, name)
 
 
 @lru_cache(maxsize=1)

@@ -40,12 +40,9 @@ def check_paths_differ(paths: Sequence[str]) -> None:
 
 
 def check_no_overlap(trails: Sequence[Trail]) -> None:
-    """Refuse recordings that have driving in common, such as a copy or a part of another one.
+    """Raise NoRecording with the names of two that have driving in common, such as a copy or a part of another one.
 
     Times alone don't show it: a computer without a battery-backed clock may start at the same time again.
-
-    Raises:
-        NoRecording: with the names of two.
     """
     for index, one in enumerate(trails):
         for other in trails[:index]:

@@ -20,7 +20,7 @@ from rosbags.rosbag2 import ReaderError as ReaderError2
 
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.input_file import check_kind
-from car_interface.tools.recordings.definitions import Definitions, UnknownType
+from car_interface.tools.recordings.definitions import UnknownType, decoder
 from car_interface.tools.recordings.rosbag1 import ChunkReader
 
 ROS2_SUFFIXES = (".db3", ".mcap")
@@ -96,13 +96,12 @@ def read(path: str, topics: Sequence[str] | Mapping[str, str | Sequence[str]], n
         connections = [connection for connection in reader.connections if connection.topic in names]
         if not connections:
             return  # for rosbags no connections mean all of them
-        definitions = Definitions(is_ros2=isinstance(reader, Ros2Reader))
         decoders = {}
         for connection in connections:
             if isinstance(topics, Mapping):
                 _check_type(path, connection.topic, connection.msgtype, topics[names[connection.topic]])
             try:
-                decoders[connection.id] = definitions.decoder(connection)
+                decoders[connection.id] = decoder(connection, isinstance(reader, Ros2Reader))
             except UnknownType as error:
                 raise NoRecording(f"{path}: {connection.topic} can't be read: {error}") from error
         messages = reader.messages(connections=connections)

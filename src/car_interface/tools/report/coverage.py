@@ -80,7 +80,7 @@ class Coverage:
             if not recorded:
                 found.append(Gap(question.asks, self._name(question.sources[0])))
                 continue
-            pauses = [(self._pause(source), source) for source in recorded]
+            pauses = [(self._pause_until(source, self._duration_s), source) for source in recorded]
             (start_s, end_s), source = min(pauses, key=lambda pause: pause[0][1] - pause[0][0])
             if end_s - start_s > MAX_PAUSE_S:
                 found.append(Gap(question.asks, self._name(source), start_s, end_s))
@@ -99,11 +99,10 @@ class Coverage:
             self._longest_pause[source] = self._pause_until(source, time_s)
         self._last_s[source] = time_s
 
-    def _pause(self, source):
-        """Return the longest time without a message of a source that was recorded, as its start and end."""
-        return (0.0, 0.0) if source.has_pauses else self._pause_until(source, self._duration_s)
-
     def _pause_until(self, source, time_s):
+        """Return the longest time without a message of a source that was recorded, as its start and end."""
+        if source.has_pauses:
+            return 0.0, 0.0
         newest, longest = (self._last_s.get(source, self._start_s), time_s), self._longest_pause.get(source, (0.0, 0.0))
         return max(longest, newest, key=lambda pause: pause[1] - pause[0])
 

@@ -12,16 +12,12 @@ EMPTY = math.nan
 class Trace:
     """A value over time, of which the minimum and the maximum in each bin of time are kept.
 
-    No peak is lost, however short. With fewer than three samples in each bin all of them are kept.
-
-    Args:
-        start_s, end_s: of the drive.
-        bins: how many it is divided into; with twice as many as pixels no difference can be seen.
+    No peak is lost, however short. With fewer than three samples in each bin all of them are kept. With twice as many
+    bins as pixels no difference can be seen.
     """
 
-    def __init__(self, start_s: float, end_s: float, bins: int = 1500):
-        self._start_s = start_s
-        self._bins_per_s = bins / max(end_s - start_s, 1e-9)
+    def __init__(self, duration_s: float, bins: int = 1500):
+        self._bins_per_s = bins / max(duration_s, 1e-9)
         self._last = bins - 1
         self._minima, self._maxima = ((array("d", [EMPTY]) * bins, array("d", [EMPTY]) * bins) for _ in range(2))
         self.count = 0  # of all samples, as are the next two
@@ -32,7 +28,7 @@ class Trace:
         if not math.isfinite(value):
             return
         self.count += 1
-        slot = min(max(int((time_s - self._start_s) * self._bins_per_s), 0), self._last)
+        slot = min(max(int(time_s * self._bins_per_s), 0), self._last)
         times, values = self._minima
         if not values[slot] <= value:  # also when it is empty
             times[slot], values[slot] = time_s, value

@@ -29,12 +29,8 @@ def in_order(rows: Sequence[Row]) -> list[Row]:
 
 def page(folder: str, rows: Sequence[Row], trends: str,
          reports: Mapping[str, str] = MappingProxyType({})) -> str:
-    """Return the page on a folder.
-
-    Args:
-        rows: in order.
-        trends: the plots as SVG; empty = none.
-        reports: the URL of the page about a recording, by its path, for those that have one.
+    """Return the page on a folder, by rows in order, trends as SVG (empty = none), and the URLs of the pages about
+    recordings, by their paths.
     """
     drives = [row for row in rows if not row.error]
     bad = [row for row in rows if row.error]
@@ -57,38 +53,23 @@ def _figures(drives):
 
 def _cells(row):
     """Return the cells of a row between its recording and its faults, each a list of lines."""
-    columns = (_distance, _drivers, _losses, _steering, _map, _battery, _link)
-    return [[_date(row)], *([*lines(row)] for lines in columns)]
-
-
-def _date(row):
-    return date_text(row.start_ns)[:-len(":00 UTC")] if row.start_ns >= MIN_DATE_NS else "no date"
-
-
-def _distance(row):
-    if row.distance_m is not None:
-        yield f"{row.distance_m / 1000:.3f} km"
-    yield span_text(row.duration_s)
-
-
-def _drivers(row):
-    if row.gamepad_s is None:
-        return ["can't tell"]
-    found = [f"{name} {span_text(seconds)}" for name, seconds in (
+    unknown = ["can't tell"]
+    distance = [] if row.distance_m is None else [f"{row.distance_m / 1000:.3f} km"]
+    drivers = [f"{name} {span_text(seconds)}" for name, seconds in (
         ("gamepad", row.gamepad_s), ("planner", row.planner_s)) if seconds]
-    return found or ["nobody"]
-
-
-def _losses(row):
-    if row.losses is None:
-        return ["can't tell"]
-    return [f"{cause} ({count}×)" if count > 1 else cause
-            for cause, count in Counter(row.losses).most_common()] or ["none"]
+    losses = [f"{cause} ({count}×)" if count > 1 else cause for cause, count in Counter(row.losses).most_common()]
+    by_map = [f"{what}: {difference:+.2f} m/s²" for what, difference in (
+        ("driving", row.drive_mps2), ("holding", row.hold_mps2), ("braking", row.brake_mps2)) if difference is not None]
+    return [[date_text(row.start_ns)[:-len(":00 UTC")] if row.start_ns >= MIN_DATE_NS else "no date"],
+            [*distance, span_text(row.duration_s)],
+            unknown if row.gamepad_s is None else drivers or ["nobody"],
+            unknown if row.losses is None else losses or ["none"],
+            [*_steering(row)] or unknown, by_map or unknown,
+            unknown if row.battery_v is None else [f"{row.battery_v:.2f} V"],
+            unknown if row.frames is None else [*_link(row)]]
 
 
 def _steering(row):
-    if row.straight_per_m is row.left_ratio is row.right_ratio is None:
-        yield "can't tell"
     if row.straight_per_m is not None:
         side = "" if abs(row.straight_per_m) < 0.0005 else " left" if row.straight_per_m > 0 else " right"
         yield f"straight on: {abs(row.straight_per_m):.3f} 1/m{side}"
@@ -98,22 +79,7 @@ def _steering(row):
             yield f"{side}: {ratio_text(wider, 'the tables', 'wider', 'tighter').replace(' than the tables', '')}"
 
 
-def _map(row):
-    if row.drive_mps2 is row.hold_mps2 is row.brake_mps2 is None:
-        yield "can't tell"
-    for what, difference in (("driving", row.drive_mps2), ("holding", row.hold_mps2), ("braking", row.brake_mps2)):
-        if difference is not None:
-            yield f"{what}: {difference:+.2f} m/s²"
-
-
-def _battery(row):
-    return ["can't tell"] if row.battery_v is None else [f"{row.battery_v:.2f} V"]
-
-
 def _link(row):
-    if row.frames is None:
-        yield "can't tell"
-        return
     yield f"{row.corrupt} of {row.frames + row.corrupt} frames corrupt"
     for count, what in ((row.reopened, "port opened again"), (row.reboots, "Teensy started anew"),
                         (row.unanswered, "pings unanswered")):

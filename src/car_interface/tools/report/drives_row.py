@@ -3,9 +3,9 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import Any, Callable, NamedTuple
+from typing import Any, NamedTuple
 
-from car_interface.steering.arbiter import PLANNER, TELEOP
+from car_interface.common.sources import PLANNER, TELEOP
 from car_interface.tools.report.faults import ERROR
 from car_interface.tools.report.summary import Summary
 
@@ -46,8 +46,10 @@ class Row(NamedTuple):
     notes: Any = ()  # which topics were guessed
 
 
-def _is_text(value):
-    return isinstance(value, str)
+# The numbers of a row; all but its duration may be None.
+LENGTHS = ("duration_s", "distance_m", "gamepad_s", "planner_s", "battery_v")
+FIGURES = ("straight_per_m", "left_ratio", "right_ratio", "drive_mps2", "hold_mps2", "brake_mps2")
+LINK = ("frames", "corrupt", "reopened", "reboots", "unanswered")  # all known, or none
 
 
 def _is_count(value):
@@ -58,34 +60,12 @@ def _is_figure(value):
     return type(value) in (int, float) and abs(value) <= MAX_FIGURE  # which NaN isn't
 
 
-def _is_length(value):
-    return _is_figure(value) and value >= 0
-
-
 def _are_texts(value):
-    return isinstance(value, list) and all(map(_is_text, value))
+    return isinstance(value, list) and all(isinstance(text, str) for text in value)
 
 
 def _are_counts(value):
-    return isinstance(value, dict) and all(map(_is_text, value)) and all(map(_is_count, value.values()))
-
-
-def _or_none(is_valid):
-    return lambda value: value is None or is_valid(value)
-
-
-# What a row has to be that comes out of a file, column by column, in the order of Row.
-STRUCTURE: dict[str, Callable[[Any], bool]] = {
-    "path": _is_text, "error": lambda value: value == "", "start_ns": _is_count, "duration_s": _is_length,
-    **{name: _or_none(_is_length) for name in ("distance_m", "gamepad_s", "planner_s")},
-    "losses": _or_none(_are_counts),
-    **{name: _or_none(_is_figure) for name in (
-        "straight_per_m", "left_ratio", "right_ratio", "drive_mps2", "hold_mps2", "brake_mps2")},
-    "battery_v": _or_none(_is_length),
-    **{name: _or_none(_is_count) for name in (
-        "frames", "corrupt", "reopened", "reboots", "unanswered", "faults", "errors")},
-    "lacks": _are_texts, "notes": _are_texts}
-LINK = ("frames", "corrupt", "reopened", "reboots", "unanswered")  # all known, or none
+    return isinstance(value, dict) and all(map(_is_count, value.values()))
 
 
 def stored_row(values: Any, path: str) -> Row | None:
@@ -93,11 +73,15 @@ def stored_row(values: Any, path: str) -> Row | None:
     if not isinstance(values, list) or len(values) != len(Row._fields):
         return None
     found = Row(*values)
-    if found.path != path or not all(is_valid(getattr(found, name)) for name, is_valid in STRUCTURE.items()):
-        return None
-    if len({getattr(found, name) is None for name in LINK}) != 1 or (found.faults is None) != (found.errors is None):
-        return None
-    return found
+
+    def known(*names):
+        return [number for number in (getattr(found, name) for name in names) if number is not None]
+    is_row = ((found.path, found.error) == (path, "") and _is_count(found.start_ns) and found.duration_s is not None
+              and all(map(_is_figure, known(*LENGTHS, *FIGURES))) and all(length >= 0 for length in known(*LENGTHS))
+              and all(map(_is_count, known(*LINK, "faults", "errors"))) and len(known(*LINK)) in (0, len(LINK))
+              and len(known("faults", "errors")) != 1 and (found.losses is None or _are_counts(found.losses))
+              and _are_texts(found.lacks) and _are_texts(found.notes))
+    return found if is_row else None
 
 
 def row(drive: Summary, path: str) -> Row:
@@ -106,6 +90,7 @@ def row(drive: Summary, path: str) -> Row:
     source_s = drive.steering.source_s
     turns = drive.motion.by_tables
     left, right, straight = map(_median, (*turns.ratios(), turns.straight_per_m()))
+    lost, battery = [*drive.steering.losses(), *drive.throttle.losses()], drive.traces["battery voltage"]
     notes = list(drive.notes)
     if drive.calibration is not None:  # it drove by the table before
         left = right = straight = None
@@ -115,20 +100,14 @@ def row(drive: Summary, path: str) -> Row:
         path=path, start_ns=drive.start_ns, duration_s=drive.duration_s,
         distance_m=_possible(drive.motion.distance_m) if has_odom else None,
         gamepad_s=source_s[TELEOP] if has_state else None, planner_s=source_s[PLANNER] if has_state else None,
-        losses=_losses(drive) if has_state or drive.throttle.episodes else None,
+        losses=dict(Counter(one.cause or one.reason for one in lost)) if has_state or drive.throttle.episodes else None,
         straight_per_m=straight, left_ratio=left, right_ratio=right,
         drive_mps2=driving, hold_mps2=holding, brake_mps2=braking,
-        battery_v=_least(drive.traces["battery voltage"]), **_link(drive.teensy),
+        battery_v=_possible(round(battery.minimum, 3)) if battery.count else None, **_link(drive.teensy),
         **_faults(drive),
         lacks=[gap.lacks if math.isnan(gap.start_s) else f"{gap.lacks} for {gap.end_s - gap.start_s:.0f} s"
                for gap in drive.coverage.gaps()],
         notes=notes)
-
-
-def _losses(drive):
-    """Return how often something was lost or locked, by cause."""
-    lost = [*drive.steering.losses(), *drive.throttle.losses()]
-    return dict(Counter(one.cause or one.reason for one in lost))
 
 
 def _faults(drive):
@@ -151,10 +130,6 @@ def _link(teensy):
     # The newest ping may still be on its way.
     change["unanswered"] = max(0, change.pop("pings") - change.pop("pongs") - 1)
     return {name: int(count) for name, count in change.items()}
-
-
-def _least(trace):
-    return _possible(round(trace.minimum, 3)) if trace.count else None
 
 
 def _median(found):

@@ -60,12 +60,8 @@ class FaultLog:
             self.dropped += 1
 
     def update_condition(self, time_s: float, key: str, level: int, where: str, what: str) -> None:
-        """Begin, continue or end the condition of a key.
-
-        Args:
-            level: OK ends it.
-            where: who reports it.
-            what: a text that differs in more than its numbers begins another one.
+        """Begin, continue or end (level OK) the condition of a key. A text that differs in more than its numbers begins
+        another one.
         """
         fault, since_s = self._open.get(key), self._starting_s.setdefault(key, time_s)
         if fault is not None and (level == OK or without_numbers(fault.what) != without_numbers(what)):
@@ -83,10 +79,8 @@ class FaultLog:
                 fault._replace(level=max(level, fault.level))
 
     def finish(self, driven_from_s: float = math.inf) -> None:
-        """Add the conditions that lasted until the recording's end, and sort all faults by their starts.
-
-        Args:
-            driven_from_s: when somebody first drove; what a node reported of its start before that is no fault.
+        """Add the conditions that lasted until the recording's end, and sort all faults by their starts. What a node
+        reported of its start before somebody first drove is no fault.
         """
         for fault in (*self._open.values(), *(one for one in self._starts if one.end_s > driven_from_s)):
             self.add(fault)
@@ -116,8 +110,9 @@ class NodeReports:
             if report == "steering" and self._has_state or report == "Teensy link" and self._has_link \
                     or report == "gamepad" and self._has_gamepad:
                 continue
-            self._faults.update_condition(time_s, status.name, min(_integer(status.level), ERROR), node.strip("/"),
-                                          status.message)
+            # rosbags has a message's byte as a number or as bytes.
+            level = status.level[0] if isinstance(status.level, (bytes, bytearray)) else int(status.level)
+            self._faults.update_condition(time_s, status.name, min(level, ERROR), node.strip("/"), status.message)
 
     def on_log(self, time_s: float, message: Any) -> None:
         """Take a rosgraph_msgs/Log or rcl_interfaces/Log."""
@@ -132,8 +127,3 @@ class NodeReports:
 def without_numbers(text: str) -> str:
     """Return a text with # for its numbers, which may change while what it says stays the same."""
     return NUMBER.sub("#", text)
-
-
-def _integer(level):
-    """Return a message's byte, which rosbags has as a number or as bytes."""
-    return level[0] if isinstance(level, (bytes, bytearray)) else int(level)

@@ -11,7 +11,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
+from car_interface.common.sources import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.tools.report.states import UNKNOWN_DRIVER
 
 # Distinguishable for colour-blind people, too.
@@ -30,6 +30,7 @@ STYLE = {
     "grid.linewidth": 0.8, "axes.axisbelow": True, "lines.linewidth": 1.2, "legend.frameon": False,
     "legend.fontsize": 8.5, "path.simplify": True,
 }
+ABOVE = {"loc": "lower right", "ncol": 3, "bbox_to_anchor": (1.0, 0.98), "borderaxespad": 0.2}  # a legend's place
 MAX_LABEL = 60  # characters: a longer one leaves no room for the plot beside it
 # The board publishes its output when it changes, and otherwise now and then.
 HELD = {"gap_s": 3.0, "drawstyle": "steps-post"}
@@ -126,12 +127,7 @@ def usual_magnitude(trace):
 def legend(axes):
     """Draw a legend above the axes, unless nothing has a label."""
     if axes.get_legend_handles_labels()[0]:
-        axes.legend(**above())
-
-
-def above():
-    """Return the place of a legend above the axes."""
-    return {"loc": "lower right", "ncol": 3, "bbox_to_anchor": (1.0, 0.98), "borderaxespad": 0.2}
+        axes.legend(**ABOVE)
 
 
 def svg_text(figure, name, description):

@@ -8,8 +8,8 @@ import math
 from collections import deque
 from typing import Any, Mapping
 
+from car_interface.common.sources import DRIVE
 from car_interface.common.units import NS_PER_S, stamp_ns, yaw_rad
-from car_interface.planner.source_arbiter import DRIVE
 from car_interface.tools.recordings.columns import (
     MAX_NUMBER,
     POSE_ONLY,
@@ -127,11 +127,7 @@ class PoseSpeed:
 
 
 class MotionWatch:
-    """Follows odometry, and compares it with what steered and drove; gaps and resets are faults.
-
-    Args:
-        start_ns: ROS time of the recording's first message.
-    """
+    """Follows odometry, and compares it with what steered and drove; gaps and resets are faults."""
 
     def __init__(self, traces: Mapping[str, Trace], faults: FaultLog, steering: SteeringWatch, asked: AskedWatch,
                  drivers: Drivers, start_ns: int):
@@ -277,11 +273,7 @@ class ImuWatch:
 
 
 class SonarWatch:
-    """Follows the sonars' ranges and /tf_static: where they saw something, in odometry's frame.
-
-    Args:
-        start_ns: ROS time of the recording's first message.
-    """
+    """Follows the sonars' ranges and /tf_static: where they saw something, in odometry's frame."""
 
     def __init__(self, motion: MotionWatch, start_ns: int):
         self._motion, self._start_ns = motion, start_ns

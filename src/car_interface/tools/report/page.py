@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import math
 
-from car_interface.steering.arbiter import PLANNER, TELEOP
+from car_interface.common.sources import PLANNER, TELEOP
 from car_interface.tools.report.downsample import Trace
 from car_interface.tools.report.faults import ERROR, WARN
 from car_interface.tools.report.figures import DRIVER_COLOURS, DRIVER_NAMES
@@ -24,24 +24,17 @@ def page(drive: Summary, plots: dict[str, str]) -> str:
     """Return the page; ``plots`` are SVGs by name, of which those that are missing are left out."""
     name = drive.path.rstrip("/").rsplit("/", 1)[-1]
     lines = [*_steering_lines(drive.steering), *_motion_lines(drive), *_asked_lines(drive), *_teensy_lines(drive)]
+    has_sonars = not drive.present.isdisjoint(RANGES)
     by_tables = [] if drive.calibration else _known_ratios(drive.motion.by_tables)  # it drove by the table before
     wrong_sides = [(side, _ratio_text(ratio)) for side, ratio in by_tables if abs(ratio - 1) > WRONG_RATIO]
     return render(
         "drive.html", title=f"Drive: {name}", name=name, drive=drive, plots=plots, figures=_figures(drive), lines=lines,
         who_drove=_who_drove(drive.steering.source_s), wrong_sides=wrong_sides, gaps=drive.coverage.gaps(),
         errors=sum(fault.level == ERROR for fault in drive.faults.entries), warn=WARN, reasons=_reasons,
-        absent=_absent(drive), has_sonars=_has_sonars(drive), left_out=_left_out(drive, plots),
+        absent=[topic for topic in TOPICS if topic not in drive.present] + ["sonar/*"] * (not has_sonars),
+        has_sonars=has_sonars, left_out=_left_out(drive, plots),
         driver_names=DRIVER_NAMES, driver_colours=DRIVER_COLOURS, unknown_driver=UNKNOWN_DRIVER, old=OLD,
         moment=lambda time_s: moment_text(time_s, drive.duration_s))
-
-
-def _absent(drive):
-    """Return the topics of the page that weren't recorded."""
-    return [topic for topic in TOPICS if topic not in drive.present] + ([] if _has_sonars(drive) else ["sonar/*"])
-
-
-def _has_sonars(drive):
-    return not drive.present.isdisjoint(RANGES)
 
 
 def _left_out(drive, plots):
@@ -63,7 +56,8 @@ def _figures(drive):
     yield span_text(drive.duration_s), "recorded"
     if "odom" in drive.present:
         yield f"{drive.motion.distance_m:.1f} m", "driven"
-        yield f"{_top_speed(drive.traces['speed']):.2f} m/s", "top speed"
+        speed = drive.traces["speed"]
+        yield f"{max(abs(speed.minimum), abs(speed.maximum)) if speed.count else 0.0:.2f} m/s", "top speed"
     if drive.steering.episodes:
         driven_s = drive.steering.source_s[TELEOP] + drive.steering.source_s[PLANNER]
         yield span_text(driven_s), "somebody drove"
@@ -152,10 +146,6 @@ def _known_ratios(following):
     """Return (side, median ratio of the driven to the sent curvature) for sides with enough samples."""
     return [(side, found.median) for side, found in zip(("left", "right"), following.ratios())
             if found.samples >= MIN_RATIOS]
-
-
-def _top_speed(trace):
-    return max(abs(trace.minimum), abs(trace.maximum)) if trace.count else 0.0
 
 
 def range_text(trace: Trace, unit: str) -> str:

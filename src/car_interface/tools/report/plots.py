@@ -9,6 +9,7 @@ from matplotlib.patches import Patch
 
 from car_interface.tools.report.faults import ERROR
 from car_interface.tools.report.figures import (
+    ABOVE,
     BAD,
     DRIVEN,
     DRIVER_COLOURS,
@@ -19,7 +20,6 @@ from car_interface.tools.report.figures import (
     SENT,
     STYLE,
     WIDTH_IN,
-    above,
     bands,
     curve,
     label_text,
@@ -34,6 +34,8 @@ from car_interface.tools.report.states import UNKNOWN_DRIVER
 from car_interface.tools.report.summary import Summary
 
 DASHED = (0, (4, 2))
+ASKED, DONE = {"linestyle": DASHED}, {"linewidth": 0.9}
+DOTTED = {"gap_s": 5, "marker": ".", "markersize": 4}
 PATH_WIDTH, WIDER = 1.6, 1.6  # of the path of who was the last to begin, and by how much those before are wider
 ESC_COLOURS = {"ARMING": "#b8bfc7", "BRAKING": "#d9822b", "HOLD": "#e8c468", "REVERSE": "#8e5ea2"}
 
@@ -74,7 +76,7 @@ def _calibration(drive):
     largest = 1.2 * max(np.abs(curvature).max(), 0.1)
     axes.set(ylim=(-largest, largest), xlabel="the servo's duty")
     title(axes, "How tight: 1/radius in 1/m, left up")
-    axes.legend(**{**above(), "ncol": 4})
+    axes.legend(**{**ABOVE, "ncol": 4})
     return figure
 
 
@@ -100,14 +102,30 @@ def _who(drive):
     return figure
 
 
+def _lines(text, *curves, **limits):
+    """Return what draws a panel: its title, its curves (the trace's name, colour, label and style of each), and the
+    limits of its vertical axis, as for set_ylim; none = by the curves.
+    """
+    def draw(axes, drive):
+        title(axes, text)
+        for name, colour, label, style in curves:
+            curve(axes, drive.traces[name], colour, label, **style)
+        if limits:
+            axes.set_ylim(**limits)
+        legend(axes)
+    return draw
+
+
 def _steering(drive):
     traces = drive.traces
     return stack(drive, [
         (any(traces[name].count for name in ("requested curvature", "sent curvature", "driven curvature")), 2.6,
          _curvature),
-        (traces["requested angle"].count > 0 and drive.asked.wheelbase_m is None, 1.4, _angle),
+        (traces["requested angle"].count > 0 and drive.asked.wheelbase_m is None, 1.4,
+         _lines("The steering angle that was asked for, in degrees, left up", ("requested angle", REQUESTED, "", {}))),
         (drive.steering.steering_channel in drive.steering.duties or traces["gamepad"].count > 0, 1.7, _steering_duty),
-        (traces["servo position"].count > 0, 1.4, _servo_position)])
+        (traces["servo position"].count > 0, 1.4,
+         _lines("The position of the VESC's servo, 0 to 1", ("servo position", SENT, "", HELD)))])
 
 
 def _curvature(axes, drive):
@@ -122,16 +140,6 @@ def _curvature(axes, drive):
     axes.set_ylim(-1.45 * largest, 1.45 * largest)
     title(axes, "How tight: 1/radius in 1/m, left up")
     legend(axes)
-
-
-def _angle(axes, drive):
-    title(axes, "The steering angle that was asked for, in degrees, left up")
-    curve(axes, drive.traces["requested angle"], REQUESTED, "")
-
-
-def _servo_position(axes, drive):
-    title(axes, "The position of the VESC's servo, 0 to 1")
-    curve(axes, drive.traces["servo position"], SENT, "", **HELD)
 
 
 def _steering_duty(axes, drive):
@@ -155,12 +163,14 @@ def _steering_duty(axes, drive):
 def _legend_of_both(axes, beside):
     """Draw one legend for axes and those with another scale beside them."""
     beside.grid(False)
-    axes.legend(handles=axes.get_lines() + beside.get_lines(), **above())
+    axes.legend(handles=axes.get_lines() + beside.get_lines(), **ABOVE)
 
 
 def _throttle(drive):
     is_recorded = drive.traces["throttle granted"].count > 0
-    return stack(drive, [(is_recorded, 0.4, _esc_states), (is_recorded, 1.7, _throttle_granted)])
+    return stack(drive, [(is_recorded, 0.4, _esc_states), (is_recorded, 1.7, _lines(
+        "Throttle: brake or reverse down", ("throttle asked", REQUESTED, "asked", ASKED),
+        ("throttle granted", SENT, "granted", {}), bottom=-1.1, top=1.1))])
 
 
 def _esc_states(axes, drive):
@@ -172,15 +182,7 @@ def _esc_states(axes, drive):
     title(axes, "The ESC, where it isn't in NEUTRAL or FORWARD")
     axes.set(ylim=(0, 1), yticks=[])
     if found:
-        axes.legend(handles=[Patch(color=ESC_COLOURS.get(esc, INK), label=label_text(esc)) for esc in found], **above())
-
-
-def _throttle_granted(axes, drive):
-    title(axes, "Throttle: brake or reverse down")
-    curve(axes, drive.traces["throttle asked"], REQUESTED, "asked", linestyle=DASHED)
-    curve(axes, drive.traces["throttle granted"], SENT, "granted")
-    axes.set_ylim(-1.1, 1.1)
-    legend(axes)
+        axes.legend(handles=[Patch(color=ESC_COLOURS.get(esc, INK), label=label_text(esc)) for esc in found], **ABOVE)
 
 
 def _path(drive):
@@ -224,9 +226,13 @@ def _speed(drive):
     traces = drive.traces
     return stack(drive, [
         (traces["speed"].count > 0, 2.0, _speeds),
-        (traces["acceleration"].count + traces["requested acceleration"].count > 0, 2.0, _accelerations),
+        (traces["acceleration"].count + traces["requested acceleration"].count > 0, 2.0,
+         _lines("Acceleration in m/s²", ("requested acceleration", REQUESTED, "requested", ASKED),
+                ("acceleration", DRIVEN, "by odometry, over 0.3 s", DONE))),
         (traces["value"].count > 0 or bool(_driven_duties(drive)), 1.6, _value),
-        (traces["motor speed"].count + traces["motor speed asked"].count > 0, 1.6, _motor_speed),
+        (traces["motor speed"].count + traces["motor speed asked"].count > 0, 1.6,
+         _lines("The VESC's motor speed in ERPM", ("motor speed asked", REQUESTED, "requested", ASKED),
+                ("motor speed", DRIVEN, "measured", DONE))),
         (traces["imu turn rate"].count > 0, 1.6, _turn_rates)])
 
 
@@ -247,12 +253,6 @@ def _speeds(axes, drive):
         legend(axes)
 
 
-def _accelerations(axes, drive):
-    title(axes, "Acceleration in m/s²")
-    _asked_and_done(axes, drive.traces["requested acceleration"], drive.traces["acceleration"],
-                    "by odometry, over 0.3 s")
-
-
 def _value(axes, drive):
     duties, has_value = _driven_duties(drive), drive.traces["value"].count > 0
     has_both = has_value and bool(duties)
@@ -268,17 +268,6 @@ def _value(axes, drive):
         legend(axes)
 
 
-def _motor_speed(axes, drive):
-    title(axes, "The VESC's motor speed in ERPM")
-    _asked_and_done(axes, drive.traces["motor speed asked"], drive.traces["motor speed"], "measured")
-
-
-def _asked_and_done(axes, asked, done, how):
-    curve(axes, asked, REQUESTED, "requested", linestyle=DASHED)
-    curve(axes, done, DRIVEN, how, linewidth=0.9)
-    legend(axes)
-
-
 def _turn_rates(axes, drive):
     title(axes, "How fast it turned, in rad/s, left up")
     curve(axes, drive.traces["imu turn rate"], REQUESTED, "by the IMU", linewidth=0.9)
@@ -289,17 +278,14 @@ def _turn_rates(axes, drive):
 
 
 def _battery(drive):
-    return stack(drive, [(drive.traces["battery voltage"].count > 0, 1.5, _voltage)])
-
-
-def _voltage(axes, drive):
-    title(axes, "The battery's voltage")
-    curve(axes, drive.traces["battery voltage"], SENT, "", gap_s=15)  # some publish it once in 10 s
+    return stack(drive, [(drive.traces["battery voltage"].count > 0, 1.5, _lines(
+        "The battery's voltage", ("battery voltage", SENT, "", {"gap_s": 15})))])  # some publish it once in 10 s
 
 
 def _link(drive):
     return stack(drive, [(drive.traces["frames"].count > 0, 1.5, _frames),
-                         (drive.traces["round trip"].count > 0, 1.5, _round_trip),
+                         (drive.traces["round trip"].count > 0, 1.5, _lines(
+                             "Round trip of a ping in ms", ("round trip", SENT, "", DOTTED), bottom=0)),
                          (drive.traces["skew"].count > 0, 1.5, _skew)])
 
 
@@ -311,15 +297,9 @@ def _frames(axes, drive):
     legend(axes)
 
 
-def _round_trip(axes, drive):
-    title(axes, "Round trip of a ping in ms")
-    curve(axes, drive.traces["round trip"], SENT, "", gap_s=5, marker=".", markersize=4)
-    axes.set_ylim(bottom=0)
-
-
 def _skew(axes, drive):
     title(axes, "How much faster the Teensy's clock runs, in ppm")
-    curve(axes, drive.traces["skew"], SENT, "", gap_s=5, marker=".", markersize=4)
+    curve(axes, drive.traces["skew"], SENT, "", **DOTTED)
     low, high = np.nanpercentile(drive.traces["skew"].curve()[1], (10, 90))  # the first few are far off
     margin = max(high - low, 10, 1e-3 * max(abs(low), abs(high)))  # garbage is drawn, too
     axes.set_ylim(low - margin, high + margin)

@@ -11,9 +11,10 @@ from collections import Counter
 from typing import Any, Callable, Collection, Mapping, NamedTuple
 
 from car_interface.common import causes
+from car_interface.common.sources import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.common.units import NS_PER_S, stamp_ns
 from car_interface.pca9685.registers import DUTY_PER_COUNT
-from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP, SteeringArbiterConfig
+from car_interface.steering.arbiter import SteeringArbiterConfig
 from car_interface.tools.report.downsample import Trace
 from car_interface.tools.report.faults import ERROR, MAX_ENTRIES, WARN, Fault, FaultLog
 
@@ -64,9 +65,9 @@ class Episode(NamedTuple):
 
 
 class Episodes:
-    """The episodes of one node's state; ``finish`` takes each that has ended, and returns it as it is to be kept."""
+    """The episodes of one node's state; ``finish`` takes each that has ended, and may return it as it is to be kept."""
 
-    def __init__(self, finish: Callable[[Episode], Episode]):
+    def __init__(self, finish: Callable[[Episode], Episode | None] = lambda ended: None):
         self.kept: list[Episode] = []  # those that have ended, up to MAX_ENTRIES
         self.dropped = 0  # how many more there were
         self.current: Episode | None = None  # the one that lasts; None = there was no state yet
@@ -82,7 +83,8 @@ class Episodes:
     def end(self, time_s: float) -> None:
         """End the one that lasts."""
         if self.current is not None:
-            self.keep(self._finish(self.current._replace(end_s=time_s)))
+            ended = self.current._replace(end_s=time_s)
+            self.keep(self._finish(ended) or ended)
         self.current = None
 
     def keep(self, ended: Episode) -> None:
@@ -98,7 +100,8 @@ class GamepadWatch:
 
     def __init__(self, faults: FaultLog, duration_s: float):
         self._faults, self._duration_s = faults, duration_s
-        self._episodes, self._unused_axes = Episodes(self._finish), Episodes(self._finish_axis)
+        self._episodes, self._unused_axes = Episodes(self._finish), Episodes(
+            lambda ended: faults.add(ended.fault(WARN)))
         self._releases: list[Episode] = []  # what ended each time of a held deadman, a loss or not; up to MAX_ENTRIES
         self._was_held = False
 
@@ -131,11 +134,6 @@ class GamepadWatch:
         never = ended.cause == causes.JOY_NEVER_RECEIVED and ended.end_s - ended.start_s >= NEVER_AFTER_S
         if ended.cause in causes.LOSSES or never:
             self._faults.add(ended.fault(ERROR if ended.cause in causes.JOY_UNUSABLE else WARN))
-        return ended
-
-    def _finish_axis(self, ended):
-        self._faults.add(ended.fault(WARN))
-        return ended
 
 
 class SteeringWatch:
@@ -183,18 +181,9 @@ class SteeringWatch:
                                  if abs(duty - self._duty) <= DUTY_PER_COUNT)
         for channel, duty in enumerate(message.data):
             if duty > 0 and channel not in self.duties:
-                self.duties[channel] = Trace(0.0, self._duration_s)
+                self.duties[channel] = Trace(self._duration_s)
             if channel in self.duties:
                 self.duties[channel].add(time_s, duty)
-
-    def on_planner(self, time_s: float, message: Any) -> None:
-        """Take a std_msgs/Float32: the planner's turn radius in m; 0 requests nothing."""
-        if message.data:
-            self._traces["requested curvature"].add(time_s, 1 / message.data)
-
-    def on_gamepad(self, time_s: float, message: Any) -> None:
-        """Take a std_msgs/Float32: the gamepad's steering."""
-        self._traces["gamepad"].add(time_s, message.data)
 
     def stops(self) -> list[Episode]:
         """Return the episodes in which nobody drove any more."""
@@ -268,7 +257,6 @@ class ThrottleWatch:
     def _finish(self, ended):
         if _is_loss(ended):
             self._faults.add(ended.fault(ERROR if ended.esc_cause == causes.ESC_MOTION else WARN))
-        return ended
 
 
 def _is_loss(episode):
@@ -305,15 +293,10 @@ class PlannerWatch:
     def _finish(self, ended):
         if ended.cause in PLANNER_FAULTS:
             self._faults.add(ended.fault(WARN))
-        return ended
 
 
 class Drivers:
-    """Who has the car, as far as the states that were recorded show.
-
-    Args:
-        present: the recorded topics.
-    """
+    """Who has the car, as far as the states among the recorded topics show."""
 
     def __init__(self, steering: SteeringWatch, throttle: ThrottleWatch, planner: PlannerWatch,
                  present: Collection[str]):
@@ -340,7 +323,7 @@ class LimitsWatch:
     """Follows the limits in the states of turn_arb and throttle_arb: which requests were cut, when, and why."""
 
     def __init__(self):
-        self._episodes = Episodes(lambda ended: ended)
+        self._episodes = Episodes()
         self.episodes = self._episodes.kept  # by their starts once finished
         self.counts: Counter = Counter()  # by node, how often a request began to be limited, by its own count
         self._current: dict[str, Episode] = {}  # by node, up to when it was last seen

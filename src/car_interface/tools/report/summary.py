@@ -71,7 +71,7 @@ class Summary:
 
     path: str  # of the recording
     namespace: str
-    start_ns: int
+    start_ns: int  # ROS time of the first message
     duration_s: float
     topics: dict  # what it has: a recordings.recording.Topic by name
     notes: list  # a line for each topic that was named, guessed or not found, and for what is odd about one
@@ -167,7 +167,7 @@ def _is_read(recorded, free, topic, role, given, namespace):
 
 def _empty(path, namespace, has, present, wheelbase_m):
     duration_s = (has.end_ns - has.start_ns) / NS_PER_S
-    traces = {name: Trace(0.0, duration_s) for name in TRACES}
+    traces = {name: Trace(duration_s) for name in TRACES}
     faults = FaultLog()
     gamepad = GamepadWatch(faults, duration_s)
     steering = SteeringWatch(traces, faults, duration_s, gamepad)
@@ -192,17 +192,17 @@ def _handlers(summary):
         "planner_interface/state": summary.planner.on_state,
         "teleop_logi/state": summary.gamepad.on_state,
         "/servo/output": steering.on_output,
-        "av_turnrad_req": steering.on_planner,
-        "/teleop_logi/tele_steer_req": steering.on_gamepad,
+        "av_turnrad_req": partial(_on_radius, traces["requested curvature"]),
+        "/teleop_logi/tele_steer_req": partial(_add_number, traces["gamepad"]),
         "odom": summary.motion.on_odom,
         "imu/data": summary.imu.on_imu,
         "drive": summary.asked.on_drive,
         "control/command/control_cmd": partial(_on_request, summary),
-        "generic/output/value": lambda time_s, message: traces["value"].add(time_s, value_of(message)),
+        "generic/output/value": partial(_add_number, traces["value"]),
         "battery_state": lambda time_s, message: _add_voltage(summary, time_s, message.voltage),
         "sensors/core": partial(_on_vesc, summary),
-        "sensors/servo_position_command": lambda time_s, message: traces["servo position"].add(time_s, message.data),
-        "commands/motor/speed": lambda time_s, message: traces["motor speed asked"].add(time_s, message.data),
+        "sensors/servo_position_command": partial(_add_number, traces["servo position"]),
+        "commands/motor/speed": partial(_add_number, traces["motor speed asked"]),
         **{name: partial(summary.sonars.on_range, topic=name) for name in RANGES},
         "/tf_static": summary.sonars.on_static_tf,
         "teensy_sensor_hub/link": teensy.on_link,
@@ -212,6 +212,16 @@ def _handlers(summary):
         "/diagnostics": nodes.on_diagnostics,
         "/rosout": nodes.on_log,
     }
+
+
+def _add_number(trace, time_s, message):
+    trace.add(time_s, value_of(message))
+
+
+def _on_radius(trace, time_s, message):
+    """Take a std_msgs/Float32: the planner's turn radius in m; 0 requests nothing."""
+    if message.data:
+        trace.add(time_s, 1 / message.data)
 
 
 def _on_request(summary, time_s, message):
@@ -224,7 +234,7 @@ def _on_vesc(summary, time_s, message):
     """Take a VESC's telemetry; a voltage or a value that has a topic of its own goes before."""
     summary.traces["motor speed"].add(time_s, message.state.speed)
     if "generic/output/value" not in summary.present:
-        summary.traces["value"].add(time_s, value_of(message))
+        _add_number(summary.traces["value"], time_s, message)
     if "battery_state" not in summary.present:
         _add_voltage(summary, time_s, vesc_number(message, VOLTAGE))
 

@@ -20,10 +20,10 @@ COMMANDS = {
     "sequence_of_key_x": (lambda: protocol.set_sonar_sequence([0, 1, 5]), "02010300 03 000105", "f0"),
     "sequence_of_one_as_rospy_delivers_it": (lambda: protocol.set_sonar_sequence(b"\x04"), "02010300 01 04", "f4"),
     "longest_sequence": (lambda: protocol.set_sonar_sequence([2] * 24), "02010300 18" + "02" * 24, "b1"),
-    "sonar_stop": (protocol.sonar_stop, "02010400", "f8"),
-    "sonar_start": (protocol.sonar_start, "02010500", "f7"),
-    "wheel_reset": (protocol.wheel_reset, "02010800", "f4"),
-    "get_counters": (protocol.get_counters, "02010a00", "f2"),
+    "sonar_stop": (lambda: protocol.STOP_SONARS, "02010400", "f8"),
+    "sonar_start": (lambda: protocol.START_SONARS, "02010500", "f7"),
+    "wheel_reset": (lambda: protocol.RESET_WHEELS, "02010800", "f4"),
+    "get_counters": (lambda: protocol.SEND_COUNTERS, "02010a00", "f2"),
     "sonar_wait_of_0": (lambda: protocol.sonar_wait(0), "02010c00 00000000", "f0"),
     "longest_sonar_wait": (lambda: protocol.sonar_wait(2 ** 31 - 1), "02010c00 ffffff7f", "74"),
 }
@@ -42,8 +42,6 @@ def test_command_on_the_line_has_its_own_flags_and_the_receiver_s_checksum(name)
     (protocol.set_sonar_sequence, [-1], "there is no sonar -1: ids go from 0 to 5"),
     (protocol.sonar_wait, -1, "a sonar wait is 0 to 2147483647 ms, not -1"),
     (protocol.sonar_wait, 2 ** 31, "a sonar wait is 0 to 2147483647 ms, not 2147483648"),
-    (protocol.ping, -1, "a ping's timestamp is 0 to 4294967295, not -1"),
-    (protocol.ping, 2 ** 32, "a ping's timestamp is 0 to 4294967295, not 4294967296"),
 ])
 def test_command_that_the_teensy_could_not_take_is_refused_before_a_byte_is_made(command, argument, message):
     with pytest.raises(ProtocolError, match=message):

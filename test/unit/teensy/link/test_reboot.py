@@ -32,7 +32,6 @@ def sonars(first, count=5):
 def test_clock_that_goes_on_is_no_reboot(ticks):
     detector = RebootDetector()
     assert run(detector, ticks) == []
-    assert detector.reboots == 0
 
 
 def test_clock_read_late_or_heard_again_after_days_is_no_reboot():
@@ -46,7 +45,6 @@ def test_clock_that_begins_anew_is_a_reboot_told_once(before):
     detector = RebootDetector()
     assert run(detector, [*sonars(before), *sonars(12)]) == [
         f"its clock went from {(before + 240) / 1000:.1f} s back to 0.1 s"]
-    assert detector.reboots == 1
 
 
 def test_clock_that_begins_anew_again_also_while_the_port_was_away_is_another_reboot():
@@ -54,7 +52,6 @@ def test_clock_that_begins_anew_again_also_while_the_port_was_away_is_another_re
     assert len(run(detector, [*sonars(50_000), *sonars(12, 60), *sonars(12)])) == 2
     run(detector, sonars(1_000_000))
     assert len(run(detector, sonars(2_000), NOW + 30 * S)) == 1
-    assert detector.reboots == 3
 
 
 @pytest.mark.parametrize("ticks, step_ms, reboots", [

@@ -9,11 +9,9 @@ from car_interface.sim.teensy_transmitter import frame_body
 from car_interface.teensy.link.framing import CORRECTED, RESYNC_FILLER, SHIPPED
 from car_interface.teensy.link.health import ABSENT, WAITING
 from car_interface.teensy.link.pinging import AUTO, Answer
-from car_interface.teensy.link.protocol import ErrorCount, Malformed, Pong, SonarStatus, wheel_reset
+from car_interface.teensy.link.protocol import RESET_WHEELS, ErrorCount, Malformed, Pong, SonarStatus
 from car_interface.teensy.link.session import (
     MAX_COUNTERS,
-    ChecksumChanged,
-    PingExpired,
     PongReceived,
     Rebooted,
     Session,
@@ -58,9 +56,9 @@ def types(events):
 
 def test_first_ping_is_due_as_the_port_opens_and_goes_behind_the_filler(session):
     for openings in (1, 2):
-        assert session.next_event_ns() == session.ping_due_ns == NOW
+        assert session.pinger.next_event_ns() == session.pinger.due_ns == NOW
         assert session.ping(CARRIES, NOW) == RESYNC_FILLER + SHIPPED_PING
-        assert session.ping_due_ns > NOW
+        assert session.pinger.due_ns > NOW
         assert session.ping(CARRIES, NOW + S) == SHIPPED_PING
         assert (session.openings, session.resyncs) == (openings, openings)
         session.receive(sonar(5000)[:9], NOW)
@@ -73,11 +71,11 @@ def test_first_ping_is_due_as_the_port_opens_and_goes_behind_the_filler(session)
 
 
 def test_pong_comes_with_the_answer_about_its_ping(session):
-    assert math.isnan(session.round_trip_ns) and session.answered_checksum is None
+    assert math.isnan(session.round_trip_ns) and session.pinger.answered_checksum is None
     session.ping(7, NOW)
     assert session.receive(pong(7, 5000), NOW + 4 * MS) == [PongReceived(Pong(7, 5000), Answer(NOW, 4 * MS, 15))]
-    assert (session.pings, session.pongs) == (1, 1)
-    assert session.round_trip_ns == 4 * MS and session.answered_checksum == SHIPPED
+    assert (session.pinger.sent, session.pinger.answered) == (1, 1)
+    assert session.round_trip_ns == 4 * MS and session.pinger.answered_checksum == SHIPPED
 
 
 def test_report_of_the_wheels_is_passed_on_as_it_is(session):
@@ -87,40 +85,40 @@ def test_report_of_the_wheels_is_passed_on_as_it_is(session):
 
 def test_pong_that_answers_no_ping_says_nothing_about_the_round_trip(session):
     assert session.receive(pong(7, 5000), NOW) == [PongReceived(Pong(7, 5000), None)]
-    assert math.isnan(session.round_trip_ns) and session.answered_checksum is None
+    assert math.isnan(session.round_trip_ns) and session.pinger.answered_checksum is None
 
 
 def test_ping_is_given_up_when_it_has_waited_and_not_before(session):
     session.ping(7, NOW)
     assert session.expire(NOW + GIVE_UP - 1) == []
-    assert session.expire(NOW + GIVE_UP) == [PingExpired(7)]
+    assert session.expire(NOW + GIVE_UP) == [7]
 
 
 def let_pings_expire(session, count, data=b""):
-    events, now_ns = [], NOW
+    expired, now_ns = [], NOW
     for number in range(count):
         session.ping(number, now_ns)
         session.receive(data, now_ns)
         now_ns += GIVE_UP
-        events += session.expire(now_ns)
-    return events, now_ns
+        expired += session.expire(now_ns)
+    return expired, now_ns
 
 
 def test_other_checksum_is_tried_when_no_ping_is_answered_though_frames_come(session):
-    events, now_ns = let_pings_expire(session, 5, sonar(5000))
-    assert events == [*map(PingExpired, range(5)), ChecksumChanged(CORRECTED)]
-    assert session.checksum == CORRECTED and session.answered_checksum is None
+    expired, now_ns = let_pings_expire(session, 5, sonar(5000))
+    assert expired == list(range(5))
+    assert session.pinger.checksum == CORRECTED and session.pinger.answered_checksum is None
     assert session.resyncs == 1 + 4
     assert session.ping(CARRIES, now_ns).endswith(CORRECTED_PING)
     session.receive(pong(CARRIES, 9000), now_ns + MS)
-    assert session.answered_checksum == CORRECTED
+    assert session.pinger.answered_checksum == CORRECTED
 
 
 @pytest.mark.parametrize("data", [b"", from_teensy(99, b"")], ids=["nothing", "malformed_frames"])
 def test_checksum_stays_while_nothing_proves_that_the_teensy_is_there(session, data):
     session.receive(sonar(5000), NOW)  # once
-    events, _ = let_pings_expire(session, 12, data)
-    assert types(events) == 12 * [PingExpired] and session.checksum == SHIPPED
+    expired, _ = let_pings_expire(session, 12, data)
+    assert len(expired) == 12 and session.pinger.checksum == SHIPPED
 
 
 def test_checksum_that_answers_is_that_of_the_ping_not_of_the_next_one(session):
@@ -129,13 +127,13 @@ def test_checksum_that_answers_is_that_of_the_ping_not_of_the_next_one(session):
         session.ping(number, NOW + number)
     session.receive(sonar(5000), NOW)
     session.expire(NOW + GIVE_UP + 4)
-    assert session.checksum == CORRECTED
+    assert session.pinger.checksum == CORRECTED
     session.receive(pong(5, 5000), NOW + GIVE_UP + 4)
-    assert session.answered_checksum == SHIPPED
+    assert session.pinger.answered_checksum == SHIPPED
 
 
 def test_command_is_sent_with_the_checksum_of_the_pings():
-    frames = {checksum: Session(115200, S, checksum, NOW).encode(wheel_reset()) for checksum in (SHIPPED, CORRECTED)}
+    frames = {checksum: Session(115200, S, checksum, NOW).encode(RESET_WHEELS) for checksum in (SHIPPED, CORRECTED)}
     assert frames[SHIPPED] == frames[CORRECTED] == bytes.fromhex("7e 02010800 f4 7e")  # it carries nothing
     assert Session(115200, S, CORRECTED, NOW).ping(CARRIES, NOW) == CORRECTED_PING
 
@@ -155,7 +153,7 @@ def test_pong_shows_a_reboot_too_and_is_followed_by_quick_pings(session):
     session.ping(2, NOW + MS)
     events = session.receive(pong(1, 100) + pong(2, 101), NOW + 2 * MS)
     assert types(events) == [PongReceived, Rebooted, PongReceived]
-    assert session.ping_due_ns < NOW + S // 2
+    assert session.pinger.due_ns < NOW + S // 2
 
 
 @pytest.mark.parametrize("lag_ms, reboots", [(0, 0), (1_900, 0), (2_100, 1)])

@@ -3,11 +3,10 @@
 import pytest
 
 from captures import NS_PER_US, load
-from car_interface.sim.teensy_config import FirmwareConfig
-from car_interface.sim.teensy_firmware import TeensyFirmware
+from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
 from car_interface.sim.teensy_sonars import SONAR_FINE, SONAR_STUCK
 from car_interface.teensy.link.framing import SHIPPED, FrameDecoder, encode
-from car_interface.teensy.link.protocol import Pong, SonarStatus, decode, sonar_start
+from car_interface.teensy.link.protocol import START_SONARS, Pong, SonarStatus, decode
 from car_interface.teensy.sensing.sonar_monitor import SEND_SEQUENCE, SEND_START, SonarAim, SonarMonitor, describe
 
 MS, S = 1_000_000, 1_000_000_000
@@ -265,7 +264,7 @@ def reports_around_release(released_ms, speed_mps=0.0, wall_us=lambda sensor, at
                 found.append((record.sensor, record.echo_us, trusted))
         if started_ns is None and monitor.next_command(now_ns) == SEND_START:
             started_ns = now_ns
-            teensy.receive(encode(sonar_start(), SHIPPED), now_ns)
+            teensy.receive(encode(START_SONARS, SHIPPED), now_ns)
     return found
 
 

@@ -31,6 +31,7 @@ def page(bag, tmp_path_factory):
     return out, shown.getvalue()
 
 
+@pytest.mark.both
 def test_command_writes_the_page_and_says_where(page):
     out, shown = page
     assert shown == f"{out}\n" and out.read_text(encoding="utf-8").endswith("</html>\n")

@@ -69,6 +69,7 @@ def calibrated(bag, tmp_path_factory):
     return path, out.getvalue()
 
 
+@pytest.mark.both
 def test_report_says_what_shows_each_number(bag, calibrated):
     path, out = calibrated
     expected = [
@@ -90,6 +91,7 @@ def test_report_says_what_shows_each_number(bag, calibrated):
         assert re.fullmatch(pattern, line), (line, pattern)
 
 
+@pytest.mark.both
 def test_file_loads_keeps_the_rest_of_its_base_and_says_what_was_seen(bag, calibrated, tmp_path, capsys):
     # Calibrated again from the same drive, with the new file: the neutral of the drive is what it was.
     path, base_text = tmp_path / "throttle.yaml", calibrated[0].read_text(encoding="utf-8")

@@ -67,6 +67,7 @@ def test_car_that_is_driven_by_its_own_table_turns_as_it_is_asked(calibrated):
     assert abs(virtual_drive.true_curvature_per_m(virtual_drive.random_car(SEED), center)) < 0.005
 
 
+@pytest.mark.both
 def test_file_keeps_what_else_it_had_tells_how_well_it_is_known_and_the_old_one_stays_beside_it(calibrated):
     text = calibrated.path.read_text(encoding="utf-8")
     before, after = yaml.safe_load(calibrated.base_text), yaml.safe_load(text)

@@ -44,6 +44,7 @@ def error_mps2(table, truth=acceleration):
                                   for value in table.values for velocity in table.velocities])))
 
 
+@pytest.mark.both
 def test_map_of_a_virtual_car_is_near_the_truth_and_the_report_lies_beside_it(tmp_path, capsys):
     seconds, car = 80.0, virtual_drive.random_car(3)
     bag = recorded(virtual_drive.record, car, seed=3, duration_s=seconds)

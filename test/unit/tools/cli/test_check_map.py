@@ -213,6 +213,7 @@ def test_joined_map_answers_as_autoware_does_with_its_two_maps_but_for_brakes_be
         assert value == pytest.approx(expected, abs=1e-7)
 
 
+@pytest.mark.both
 def test_joined_map_is_shown_written_and_drawn_and_an_old_one_is_kept(joined, capsys):
     arguments = ["--brake", str(joined / "brake_map.csv"), str(joined / "accel_map.csv")]
     assert (joined / "value_map.csv").read_text().splitlines()[:2] == [

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from browser import Browser, find_browser
-from car_interface.black_box.folder import store
 from car_interface.common import causes
+from car_interface.common.black_box_folder import store
 from car_interface.tools.cli import drives
 from car_interface.tools.cli.main import main
 from written_recordings import drive, odometry, write_ros1, write_ros2
@@ -59,6 +59,7 @@ def lines(folder, name="drives.csv"):
         return list(csv.DictReader(file))
 
 
+@pytest.mark.both
 def test_table_has_a_row_for_each_recording_of_whatever_kind(folder, capsys):
     assert run(folder) == 0
     shown = capsys.readouterr()

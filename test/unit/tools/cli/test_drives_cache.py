@@ -51,6 +51,7 @@ def test_row_with_an_error_is_not_kept_nor_one_whose_recording_is_gone(folder):
     assert again.row("b.bag", STATE).path == "b.bag"
 
 
+@pytest.mark.both
 @pytest.mark.parametrize("damage", [
     pytest.param(lambda text: "", id="empty"),
     pytest.param(lambda text: text[:100], id="cut_off"),
@@ -118,6 +119,7 @@ WRONG = {"path": ("text", None), "error": ("text", None), "start_ns": ("5", -1.5
          "duration_s": ("5", -1.5, None), "losses": ("text", 5, []), "lacks": ("text", None, {}), "notes": (None, {})}
 
 
+@pytest.mark.both
 def test_entries_of_another_structure_are_not_used_and_the_others_are(folder):
     stored = content(folder)
     good = stored["rows"]["a.bag"]
@@ -205,6 +207,7 @@ def test_fingerprint_changes_with_size_or_time(tmp_path):
     assert fingerprint(str(path)) == Fingerprint(4, 8_000)
 
 
+@pytest.mark.both
 def test_fingerprint_of_a_folder_is_that_of_all_its_files(tmp_path):
     make(tmp_path, "drive/metadata.yaml", "drive/drive_0.db3")
     for number, name in enumerate(("metadata.yaml", "drive_0.db3"), 1):

@@ -33,6 +33,7 @@ def test_error_ends_the_work(count, tmp_path):
     assert len(list(tmp_path.iterdir())) < 500  # of 1000; on a busy machine more are done before it's noticed
 
 
+@pytest.mark.both
 def test_process_that_was_killed_is_told():
     with pytest.raises(CarInterfaceError, match="was killed, maybe for want of memory: try again with --jobs 1"), \
             jobs.workers(2, 2) as done_by:
@@ -44,9 +45,10 @@ def test_process_that_was_killed_is_told():
 
 @pytest.fixture(scope="module")
 def cluster():
-    """Two workers on loopback."""
+    """Two workers on loopback, which start as forks of one process that has imported all once."""
+    pytest.importorskip("dask").config.set({
+        "distributed.scheduler.allowed-failures": 1, "distributed.worker.multiprocessing-method": "forkserver"})
     distributed = pytest.importorskip("distributed")
-    pytest.importorskip("dask").config.set({"distributed.scheduler.allowed-failures": 1})
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None,
                                   silence_logs=logging.CRITICAL) as made:
         yield made

@@ -44,6 +44,7 @@ def test_command_runs_either_way_and_its_exit_code_is_passed_on(command, name, a
     assert main(name, arguments) == 3
 
 
+@pytest.mark.both
 @pytest.mark.parametrize("error, words", [
     pytest.param(CarInterfaceError("no such bag"), "no such bag", id="refused"),
     pytest.param(OSError(28, "No space left on device", "/out.html"), "/out.html: No space left", id="disk_full"),
@@ -137,6 +138,7 @@ def test_setup_makes_the_command_and_names_what_it_needs():
 # --- help and version ---
 
 
+@pytest.mark.both
 @pytest.mark.parametrize("name", sorted(MODULES))
 def test_every_command_is_started_by_rosrun_and_answers_help_with_a_text_for_each_option(name, capsys):
     module, parser = importlib.import_module(MODULES[name]), argparse.ArgumentParser()

@@ -158,6 +158,7 @@ def test_table_of_drives_has_the_least_voltage(vesc_bag, tmp_path):
     assert row["notes"] == ""
 
 
+@pytest.mark.both
 @pytest.mark.parametrize("battery, expected", [([7.9, 7.1, 7.6], 7.1), ([7.9, 0.0, float("nan")], 7.9),
                                                ([0.0], None)], ids=["least", "not_measured", "never_measured"])
 def test_battery_state_goes_before_the_vesc_s_voltage(battery, expected, tmp_path):
@@ -175,6 +176,7 @@ def test_what_only_has_the_name_of_a_vesc_s_topic_is_not_read(tmp_path):
     assert drive.present == {"odom"}
 
 
+@pytest.mark.both
 def test_position_that_no_servo_has_is_no_duty(tmp_path):
     messages = [odometry(0.1 * index) for index in range(30)] + [
         number(0.1 * index, f"/{SERVO}", position) for index, position in enumerate((0.0, 0.5, 1.0, 1.5, -0.1))]

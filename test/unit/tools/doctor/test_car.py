@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from car_interface.black_box.folder import Recording
-from car_interface.steering.arbiter import PLANNER
+from car_interface.common.black_box_folder import Recording
+from car_interface.common.sources import PLANNER
 from car_interface.tools.doctor.car import (
     ABSENT,
     KILLED,
@@ -27,6 +27,7 @@ from car_interface.tools.doctor.car import (
     check_several,
     check_steering,
     find_cars,
+    reports_of,
 )
 from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
 
@@ -132,23 +133,23 @@ OTHER = Report("car1/pca9685: servo board", BAD, "nothing answers")
 ], ids=["good", "bad", "stale", "another_of_the_same_node", "another_cars", "own_namespace", "one_silent",
          "all_silent"])
 def test_reports(reports, namespace, reporting, told, levels):
-    assert [found.level for found in check_diagnostics(reports, namespace, reporting, told)] == levels
+    assert [found.level for found in check_diagnostics(reports_of(reports, namespace), reporting, told)] == levels
 
 
 def test_complaint_is_told_in_the_nodes_own_words_with_its_remedy():
-    found, = check_diagnostics([BOARD], "/", ["/pca9685"])
+    found, = check_diagnostics([BOARD], ["/pca9685"])
     assert found.what == "pca9685: servo board: nothing answers. Check power" and "rostopic echo" in found.remedy
-    found, = check_diagnostics([BOARD._replace(remedy="Plug it in")], "/", ["/pca9685"])
+    found, = check_diagnostics([BOARD._replace(remedy="Plug it in")], ["/pca9685"])
     assert found.remedy == "Plug it in"
 
 
 def test_battery_is_a_line_of_its_own_and_the_other_car_s_is_left_out():
     battery = Report("throttle_arb: battery", OK, "7.82 V")
     low = battery._replace(level=WARN, message="low", remedy="Charge it")
-    assert check_battery([battery, low._replace(name="car1/throttle_arb: battery")], "/") == [
+    assert check_battery(reports_of([battery, low._replace(name="car1/throttle_arb: battery")], "/")) == [
         (OK, "battery", "7.82 V", "", False)]
-    assert check_battery([low], "/") == [(WARN, "battery", "low", "Charge it", False)]
-    assert not [one for one in check_diagnostics([low], "/", []) if "battery" in one.what]
+    assert check_battery([low]) == [(WARN, "battery", "low", "Charge it", False)]
+    assert not [one for one in check_diagnostics([low], []) if "battery" in one.what]
 
 
 # --- command topics ---
@@ -167,11 +168,11 @@ SECOND = Report("turn_arb: command topics", WARN, "2 nodes publish on /human", "
     ([WRONG._replace(name="car1/turn_arb: command topics")], []),
 ], ids=["in_order", "no_report", "wrong_type", "reported_by_several_nodes", "another_cars"])
 def test_faults_of_command_topics_are_bad_each_told_once_and_not_with_the_other_reports(reports, findings):
-    found = check_command_topics(reports, "/")
+    found = check_command_topics(reports_of(reports, "/"))
     assert [(one.subject, one.level) for one in found] == [("topics", level) for level, _ in findings]
     for one, (level, what) in zip(found, findings):
         assert level == OK or (one.what, one.remedy) == (what, reports[0].remedy)
-    assert [one.level for one in check_diagnostics([STEERING, *reports], "/", ["/turn_arb"])] == [OK]
+    assert [one.level for one in check_diagnostics(reports_of([STEERING, *reports], "/"), ["/turn_arb"])] == [OK]
 
 
 # --- parameters ---

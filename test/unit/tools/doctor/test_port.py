@@ -8,8 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from car_interface.sim.teensy_config import FirmwareConfig
-from car_interface.sim.teensy_firmware import TeensyFirmware
+from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
 from car_interface.teensy.link.health import FINE, PORT_FAULTS
 from car_interface.tools.doctor import port
 from car_interface.tools.doctor.car import ABSENT, RUNNING, SILENT, Node
@@ -175,19 +174,18 @@ def test_port_of_a_virtual_teensy_is_not_to_be_plugged_in(simulator, hub_runs, l
 
 def test_console_that_only_root_sees_at_the_port_is_told_by_its_name(monkeypatch):
     monkeypatch.setattr(port, "is_character_device", lambda path: True)
-    monkeypatch.setattr(port, "_subsystem", lambda path: "tty")
+    monkeypatch.setattr(port, "_may_be_terminal", lambda path: True)
     monkeypatch.setattr(port, "consoles", lambda path: [(612, "agetty")])
     found, = port.probe_port("/dev/ttyAMA7", 115200)
     assert (found.level, found.what) == (BAD, "/dev/ttyAMA7: another program has it open: agetty (process 612)")
     assert "log-in console" in found.remedy and "serial-getty@ttyAMA7" in found.remedy
 
 
-@pytest.mark.parametrize("has_lists", [True, False], ids=["without_sys", "without_the_kernels_lists_too"])
+@pytest.mark.parametrize("has_lists", [True, False], ids=["by_the_kernels_list", "without_it"])
 def test_device_that_is_no_terminal_is_no_port_whoever_has_it_open(monkeypatch, has_lists):
     """Any process may have /dev/null open: as its standard input."""
     def unreadable(*arguments, **keywords):
         raise FileNotFoundError(arguments[0])
-    monkeypatch.setattr(os, "readlink", unreadable)
     if not has_lists:
         monkeypatch.setattr(port, "open", unreadable, raising=False)
     monkeypatch.setattr(port, "openers", lambda path: [(7, "teensy_sensor_hub")])

@@ -8,9 +8,9 @@ import pytest
 
 from car_interface.common.causes import AUTONOMOUS, MANUAL
 from car_interface.common.errors import ConfigError
+from car_interface.common.sources import NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.common.units import NS_PER_S
 from car_interface.common.vehicle_geometry import SONARS
-from car_interface.steering.arbiter import NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.tools.first_check.car import SLOWER, Controls, Output, Setup, Steering, Throttle, WheelCount
 from car_interface.tools.first_check.check import FirstCheck

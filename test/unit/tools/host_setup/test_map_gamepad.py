@@ -175,7 +175,7 @@ def test_folder_that_is_not_the_cars_is_refused_before_anything_is_asked(person,
 def test_file_that_can_not_be_written_is_told(person, tmp_path, monkeypatch):
     def refuse(*_, **__):
         raise PermissionError(13, "Permission denied")
-    monkeypatch.setattr(map_gamepad.atomic_file, "replace", refuse)
+    monkeypatch.setattr(map_gamepad.output, "replace", refuse)
     with pytest.raises(CarInterfaceError, match=r"gamepads\.yaml can't be written: Permission denied"):
         run(monkeypatch, person, str(tmp_path))
 

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from car_interface.tools.recordings.definitions import EQUIVALENTS, IDL_RULE, Definitions, UnknownType, known_types
+from car_interface.tools.recordings.definitions import EQUIVALENTS, IDL_RULE, UnknownType, decoder, known_types
 from car_interface.tools.recordings.recording import read
 from written_recordings import Written, write_ros2
 
@@ -31,7 +31,7 @@ def newer_connection(name, text="", kind="MSG"):
                          ids=["ros1", "ros2"])
 @pytest.mark.parametrize("made", [connection, newer_connection])
 def test_message_has_the_fields_of_the_recordings_definition(is_ros2, data, made):
-    decode = Definitions(is_ros2).decoder(made(DEPTH, "float64 depth"))
+    decode = decoder(made(DEPTH, "float64 depth"), is_ros2)
     assert decode(data).depth == 0.5
 
 
@@ -41,27 +41,25 @@ def test_message_has_the_fields_of_the_recordings_definition(is_ros2, data, made
     newer_connection(DEPTH, DEPTH_IDL, "IDL"),
 ], ids=["rosbags_before_0_10", "with_rule", "without_rule"])
 def test_definition_may_be_in_idl(made):
-    assert Definitions(True).decoder(made)(CDR + struct.pack("<d", -2.5)).depth == -2.5
+    assert decoder(made, True)(CDR + struct.pack("<d", -2.5)).depth == -2.5
 
 
 def test_idl_may_have_a_part_for_each_type():
     text = (f"{IDL_RULE}IDL: depth_msgs/msg/Water\n"
             "module depth_msgs { module msg { struct Water { depth_msgs::msg::Depth level; }; }; };\n"
             f"{IDL_RULE}IDL: depth_msgs/msg/Depth\n{DEPTH_IDL}")
-    decode = Definitions(True).decoder(connection("depth_msgs/msg/Water", text))
+    decode = decoder(connection("depth_msgs/msg/Water", text), True)
     assert decode(CDR + struct.pack("<d", 4.0)).level.depth == 4.0
 
 
 def test_definition_may_contain_those_of_its_fields():
     text = "Depth level\n" + "=" * 80 + "\nMSG: depth_msgs/Depth\nfloat64 depth\n"
-    decode = Definitions(False).decoder(connection("depth_msgs/msg/Water", text))
+    decode = decoder(connection("depth_msgs/msg/Water", text), False)
     assert decode(struct.pack("<d", 4.0)).level.depth == 4.0
 
 
 def test_two_publishers_may_have_different_definitions_of_a_type():
-    definitions = Definitions(False)
-    one = definitions.decoder(connection(DEPTH, "float64 depth"))
-    other = definitions.decoder(connection(DEPTH, "int32 fathoms"))
+    one, other = (decoder(connection(DEPTH, text), False) for text in ("float64 depth", "int32 fathoms"))
     assert one(struct.pack("<d", 1.5)).depth == 1.5
     assert other(struct.pack("<i", -3)).fathoms == -3
 
@@ -72,13 +70,13 @@ def test_two_publishers_may_have_different_definitions_of_a_type():
                  CDR + struct.pack("<iId", 3, 4, 0.5), "data", 0.5, id="type_of_this_package"),
 ])
 def test_known_type_needs_no_definition(name, data, field, value):
-    assert getattr(Definitions(True).decoder(connection(name))(data), field) == value
+    assert getattr(decoder(connection(name), True)(data), field) == value
 
 
 @pytest.mark.parametrize("is_ros2", [False, True], ids=["ros1", "ros2"])
 def test_type_without_any_definition_is_refused_by_name(is_ros2):
     with pytest.raises(UnknownType, match=f"neither the recording nor this package knows all of its type {DEPTH}$"):
-        Definitions(is_ros2).decoder(connection(DEPTH))
+        decoder(connection(DEPTH), is_ros2)
 
 
 @pytest.mark.parametrize("made", [
@@ -87,7 +85,7 @@ def test_type_without_any_definition_is_refused_by_name(is_ros2):
 ], ids=["msg", "idl", "idl_with_rule"])
 def test_definition_that_can_not_be_parsed_is_refused_in_one_line(made):
     with pytest.raises(UnknownType) as caught:
-        Definitions(True).decoder(made)
+        decoder(made, True)
     assert str(caught.value) == f"the recording's definition of its type {DEPTH} makes no sense"
 
 

@@ -12,7 +12,7 @@ from car_interface.tools.report.downsample import Path, Spots, Trace
 
 @given(st.lists(st.tuples(st.floats(0, 10), st.floats(-5, 5)), min_size=1, max_size=300), st.integers(1, 20))
 def test_trace_keeps_every_extreme_and_invents_nothing(samples, bins):
-    trace = Trace(0.0, 10.0, bins)
+    trace = Trace(10.0, bins)
     for time_s, value in samples:
         trace.add(time_s, value)
     times, values = trace.curve(gap_s=100)
@@ -23,7 +23,7 @@ def test_trace_keeps_every_extreme_and_invents_nothing(samples, bins):
 
 
 def test_trace_breaks_where_nothing_came():
-    trace = Trace(0.0, 100.0)
+    trace = Trace(100.0)
     for time_s in (0, 0.5, 1, 50, 50.5):
         trace.add(time_s, 1.0)
     _, values = trace.curve()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from car_interface.steering.arbiter import LOCKED, NEUTRAL, PLANNER, TELEOP
+from car_interface.common.sources import LOCKED, NEUTRAL, PLANNER, TELEOP
 from car_interface.tools.report.downsample import Trace
 from car_interface.tools.report.figures import bands, curve, label_text, stack, usual_magnitude
 from car_interface.tools.report.states import UNKNOWN_DRIVER, Episode
@@ -21,7 +21,7 @@ def drive(duration_s, *episodes):
 
 
 def trace(*samples):
-    made = Trace(0.0, 100.0)
+    made = Trace(100.0)
     for time_s, value in samples:
         made.add(time_s, value)
     return made

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from car_interface.common import causes
-from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
+from car_interface.common.sources import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.tools.report.page import page
 from car_interface.tools.report.plots import plots
 from car_interface.tools.report.summary import summarize

@@ -62,6 +62,7 @@ def test_page_is_well_formed_loads_nothing_and_lets_no_text_of_the_recording_in(
     assert text.index('<table class="summary">') < text.index("<svg")
 
 
+@pytest.mark.both
 def test_page_says_who_drove_what_was_lost_how_the_car_followed_and_how_its_link_was(seen):
     text = " ".join(page(seen, {}).split())
     for words in (

@@ -19,7 +19,7 @@ OBEYED = {"source": "drive", "others": "", "cause": "planner", "reason": "drive 
 def watched(*states):
     """A watch that was given (time, changes of a state that is obeyed) each."""
     faults = FaultLog()
-    traces = {name: Trace(0.0, 10.0) for name in TRACES}
+    traces = {name: Trace(10.0) for name in TRACES}
     watch = PlannerWatch(traces, faults, 10.0)
     for time_s, changes in states:
         watch.on_state(time_s, SimpleNamespace(**{**OBEYED, **changes}))

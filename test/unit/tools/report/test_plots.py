@@ -32,7 +32,7 @@ def test_each_trace_shows_in_its_plot(seen, monkeypatch):
                         (report_plots._speed, "speed, acceleration, requested acceleration, value"),
                         (report_plots._link, "frames, bad frames, round trip, skew")):
         shown.clear()
-        traces = {name: Trace(0.0, seen.duration_s) for name in seen.traces}
+        traces = {name: Trace(seen.duration_s) for name in seen.traces}
         for name in names.split(", "):
             traces[name].add(1.0, 0.3)
         other = copy.copy(seen)

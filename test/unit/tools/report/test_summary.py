@@ -41,6 +41,7 @@ def test_sonar_hits_are_where_the_car_was(seen):
     assert (seen.sonars.nearest_m, seen.sonars.nearest_sonar) == (pytest.approx(0.8), "front_middle")
 
 
+@pytest.mark.both
 def test_recording_of_ros_2_gives_the_same(seen, tmp_path):
     messages = [message for message in drive() if message.topic != "/rosout"]
     again = summarize(str(write_ros2(tmp_path / "drive", messages, with_definitions=False)))

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from car_interface.steering.arbiter import NEUTRAL, NO_HUMAN, PLANNER, TELEOP
+from car_interface.common.sources import NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.tools.report.downsample import Trace
 from car_interface.tools.report.faults import ERROR, WARN, FaultLog
 from car_interface.tools.report.page import page
@@ -23,7 +23,7 @@ USUAL = {"source": TELEOP, "cause": "teleop", "reason": "tele_throt_req is 1.000
 def watched(*states, duration_s=10.0):
     """A watch that was given (time, changes of a state that drives by hand) each."""
     faults = FaultLog()
-    watch = ThrottleWatch({name: Trace(0.0, duration_s) for name in TRACES}, faults, duration_s)
+    watch = ThrottleWatch({name: Trace(duration_s) for name in TRACES}, faults, duration_s)
     for time_s, changes in states:
         watch.on_state(time_s, SimpleNamespace(**{**USUAL, **changes}))
     watch.finish()

@@ -41,12 +41,8 @@ def moved(pose: Pose, distance_m: float, curvature_per_m: float) -> Pose:
 
 
 class Area:
-    """A circle around a start that no part of the car leaves.
-
-    Args:
-        center: x and y in m.
-        radius_m: of the circle.
-        stop_radius_m: of the one in which it comes to a stop when it is let go; ``None`` = of the same.
+    """A circle around a center (x, y) that no part of the car leaves, and one of ``stop_radius_m`` in which it comes to
+    a stop when it is let go; ``None`` = the same.
     """
 
     def __init__(self, center: tuple[float, float], radius_m: float, outline: Outline = SLASH,
@@ -58,7 +54,9 @@ class Area:
 
     def extent_m(self, pose: Pose) -> float:
         """Return how far the car's farthest corner is from the center."""
-        return math.sqrt(self._square(self._seen_from(pose)))
+        rel = self._seen_from(pose)
+        along_m = max(abs(rel.real + self._front_m), abs(rel.real - self._rear_m))
+        return math.sqrt(along_m * along_m + (abs(rel.imag) + self._half_m) ** 2)
 
     def ahead_m(self, pose: Pose, radius_m: float) -> float:
         """Return how far the car can go straight on until its front leaves a circle of that radius; 0 = it has."""
@@ -116,18 +114,9 @@ class Area:
         """
         return complex(pose.x_m - self.center[0], pose.y_m - self.center[1]) * cmath.rect(1.0, -pose.yaw_rad)
 
-    def _square(self, rel):
-        """Return the square of the farthest corner's distance from the center, m²."""
-        ahead_m, left_m, front_m, rear_m, half_m = rel.real, abs(rel.imag), self._front_m, self._rear_m, self._half_m
-        along_m = max(abs(ahead_m + front_m), abs(ahead_m - rear_m))
-        return along_m * along_m + (left_m + half_m) ** 2
-
     def ways_out(self, pose: Pose, curvature_per_m: float, turns: Sequence[Turn]) -> list[float]:
-        """Return how far the car's corners get from the center on each of the tight turns.
-
-        Args:
-            pose: now.
-            curvature_per_m: of the arc on which it goes on until its wheels are turned.
+        """Return how far the car's corners get from the center on each of the tight turns, after the arc on which it
+        goes on until its wheels are turned.
         """
         extents = []
         for turn in turns:
@@ -137,13 +126,8 @@ class Area:
         return extents
 
     def excesses_m(self, pose: Pose, curvature_per_m: float, turns: Sequence[Turn], stop_m: float) -> list[float]:
-        """Return by how much the car leaves the area on each of the tight turns, or where it stops when it is let go on
-        it.
-
-        Args:
-            pose: now.
-            curvature_per_m: as above.
-            stop_m: what it takes to stop, straight on, at the speed of those turns.
+        """Return by how much the car leaves the area on each of the tight turns, as above, or where it stops when it is
+        let go on it: straight on, after ``stop_m``.
         """
         excesses = []
         for turn, extent_m in zip(turns, self.ways_out(pose, curvature_per_m, turns)):
@@ -154,15 +138,13 @@ class Area:
 
     def rooms_m(self, pose: Pose, curvature_per_m: float, turns_at: Callable[[Pose], Sequence[Turn]], max_m: float,
                 stop_m: float = 0.0, min_ahead_m: Callable[[float], float] = lambda gone_m: 0.0) -> list[float]:
-        """Return how far the car can go on an arc to end with each of the tight turns: (T,), at most ``max_m``.
+        """Return how far the car can go on an arc from a pose to end with each of the tight turns: (T,), at most
+        ``max_m``.
 
         From everywhere on its way one of them, whichever, keeps it inside; so does that one at its end.
 
         Args:
-            pose: where the arc begins.
-            curvature_per_m: of the arc.
             turns_at: the tight turns as they could be begun at a pose, T of them.
-            max_m: as above.
             stop_m: what it takes to stop on those turns.
             min_ahead_m: so far it must be able to go straight on after a distance, as it does when it is let go.
         """

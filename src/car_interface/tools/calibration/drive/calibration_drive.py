@@ -19,13 +19,13 @@ All of it but ``assess`` and ``conclude`` is called by one thread.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 from car_interface.common.staleness import TimedInput
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.throttle.obstacle_stop import ObstacleStop
 from car_interface.tools.calibration.drive.area import Area, Pose, moved
 from car_interface.tools.calibration.drive.config import DEFAULTS, CalibrationDriveConfig
+from car_interface.tools.calibration.drive.grant import Granted
 from car_interface.tools.calibration.drive.outlook import Outlook
 from car_interface.tools.calibration.drive.pilot import Pilot
 from car_interface.tools.calibration.drive.step import DONE, PAUSED, WAITING, Step
@@ -36,17 +36,9 @@ GRANT_TIMEOUT_S = 0.5  # the arbiters' states come 10 times a second and more
 MARGIN_M = 0.12  # of the area, for odometry's drift and for what isn't known of the steering
 
 
-class _Grant(NamedTuple):
-    may_drive: bool
-    reason: str
-
-
 class CalibrationDrive(MeasuredDrive):
-    """One drive.
-
-    Args:
-        base: turn_arb's calibration, by which av_steer_req becomes a duty, with the car's ends and rough center; its
-            radii aren't believed.
+    """One drive, by turn_arb's calibration, which makes duties of av_steer_req: its ends and its rough center are the
+    car's, its radii aren't believed.
     """
 
     def __init__(self, base: SteeringCalibration, config: CalibrationDriveConfig = DEFAULTS):
@@ -68,12 +60,8 @@ class CalibrationDrive(MeasuredDrive):
 
     def update_odometry(self, x_m: float, y_m: float, yaw_rad: float, speed_mps: float, measured_ns: int,
                         now_ns: int) -> None:
-        """Take the car's pose (middle of the rear axle, odometry's frame) and speed, forward positive.
-
-        Args:
-            x_m, y_m, yaw_rad, speed_mps: as odom has them; the yaw may be wrapped. One that isn't finite is left out.
-            measured_ns: when that was, on the same scale as now_ns.
-            now_ns: when it arrived.
+        """Take the car's pose (middle of the rear axle, odometry's frame, yaw wrapped or not) and its speed, forward
+        positive, that were measured at ``measured_ns`` and arrived at ``now_ns``. What isn't finite is left out.
         """
         if not all(map(math.isfinite, (x_m, y_m, yaw_rad, speed_mps))):
             return
@@ -101,14 +89,10 @@ class CalibrationDrive(MeasuredDrive):
             self._ranges[name].update(range_m, now_ns)
 
     def update_grant(self, may_drive: bool, reason: str, now_ns: int) -> None:
-        """Take whether turn_arb and throttle_arb obey the planner: the autonomous deadman is held, no e-stop, armed.
-
-        Args:
-            may_drive: both do, or would if something were asked for. Older than 0.5 s it counts as no.
-            reason: why not, in the arbiters' own words; quoted in Step.text.
-            now_ns: when it arrived.
+        """Take whether turn_arb and throttle_arb obey the planner, or would if something were asked for: the autonomous
+        deadman is held, no e-stop, armed. And why not, in the arbiters' own words. Older than 0.5 s it counts as no.
         """
-        self._grant.update(_Grant(may_drive, reason), now_ns)
+        self._grant.update(Granted(may_drive, reason), now_ns)
 
     def update_stopping(self, by_itself: bool) -> None:
         """Take whether nothing but its drag and its ESC in neutral slows it: no hands, and throttle_arb doesn't brake.

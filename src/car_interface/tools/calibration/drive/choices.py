@@ -27,25 +27,17 @@ SEEN_MPS = 0.45  # that the sonars must allow a position that is begun
 
 
 class Choice(NamedTuple):
-    """A position that could be begun now.
+    """A position that could be begun now."""
 
-    Attributes:
-        score: what measuring it is worth for each second, and the turn that follows: with the room that there is.
-            0 = there is no room for it.
-        ideal: the same with all the room that it wants, and with the turn that is worth more.
-        want_m: the length that it wants.
-        hold: its hold, if it is begun now.
-        length_m: how long it could be measured, negative where it wouldn't even settle.
-        worth: for the time that it takes.
-        side: the tight turn with which it is to end: 0 = to the left, 1 = to the right; ``None`` = there is no room.
-    """
-
+    # what measuring it is worth for each second, and the turn that follows: with the room that there is. 0 = there is
+    # no room for it.
     score: float
-    ideal: float
-    want_m: float
-    hold: Hold
-    length_m: float = -math.inf
-    worth: float = 0.0
+    ideal: float  # the same with all the room that it wants, and with the turn that is worth more
+    want_m: float  # the length that it wants
+    hold: Hold  # its hold, if it is begun now
+    length_m: float = -math.inf  # how long it could be measured, negative where it wouldn't even settle
+    worth: float = 0.0  # for the time that it takes
+    # the tight turn with which it is to end: 0 = to the left, 1 = to the right; ``None`` = there is no room
     side: int | None = None
 
 

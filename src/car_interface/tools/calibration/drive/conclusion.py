@@ -24,31 +24,22 @@ BASE = "config/turn_arb.yaml"
 
 
 class Conclusion(NamedTuple):
-    """The end of a drive.
+    """The end of a drive."""
 
-    Attributes:
-        yaml_text: for turn_arb's file, the base with the new values; empty = refused.
-        report: the most important lines of calibrate_steering's own; the file has them all.
-        refusal: why nothing is to be written, in the tool's words; empty = nothing is missing.
-        center_duty: the new servo_center, for servo.yaml too; 0 = refused.
-        missing: what the refusal is made of, where more driving is what it takes: sentences; else empty.
-        result: for the recording; ``None`` = there was nothing to fit.
-    """
-
-    yaml_text: str
-    report: tuple[str, ...]
-    refusal: str
-    center_duty: int
+    yaml_text: str  # for turn_arb's file, the base with the new values; empty = refused
+    report: tuple[str, ...]  # the most important lines of calibrate_steering's own; the file has them all
+    refusal: str  # why nothing is to be written, in the tool's words; empty = nothing is missing
+    center_duty: int  # the new servo_center, for servo.yaml too; 0 = refused
+    # what the refusal is made of, where more driving is what it takes: sentences; else empty
     missing: tuple[str, ...] = ()
-    result: CalibrationResult | None = None
+    result: CalibrationResult | None = None  # for the recording; ``None`` = there was nothing to fit
 
 
 def conclude(samples: Samples, base: SteeringCalibration, base_text: str, name: str) -> Conclusion:
     """Calibrate by a drive's samples, as calibrate_steering would by its recording. Takes a second; never raises.
 
     Args:
-        base: the calibration before.
-        base_text: the text of its file, whose other parameters are kept.
+        base_text: the text of the base's file, whose other parameters are kept.
         name: what the report calls the drive, such as the bag's file name.
     """
     recorded = [RecordedDrive(name, samples.drive(), (), samples.duration_s)]
@@ -128,11 +119,7 @@ class TableFile(NamedTuple):
         return os.path.exists(self.path)
 
     def write(self, text: str, replaces: bool) -> tuple[str, str]:
-        """Write the calibration.
-
-        Args:
-            text: of the file.
-            replaces: the file itself; else the one beside it.
+        """Write the calibration: the file itself is replaced, or else the one beside it is written.
 
         Returns:
             (the path that was written, a line that says so, and where the old one is).
@@ -150,8 +137,7 @@ def find_table_file(wanted: str | None, base: str | None, launched_with: str | N
 
     Args:
         wanted: as the user named it; ``None`` = the file that turn_arb was launched with.
-        base: whose other parameters are kept; ``None`` = that of the file to write, where
-            there is one, else turn_arb's.
+        base: whose other parameters are kept; ``None`` = the file to write, where there is one, else turn_arb's.
         launched_with: turn_arb's own file; ``None`` = unknown.
         running: turn_arb's calibration, which has the channel.
 
@@ -175,11 +161,8 @@ def find_table_file(wanted: str | None, base: str | None, launched_with: str | N
 
 
 def next_steps(table: TableFile, refusal: str, replaces: bool | None) -> list[str]:
-    """Return what to do after the drive, in sentences, for its page.
-
-    Args:
-        refusal: as Conclusion has it.
-        replaces: the file itself, else the new table is beside it; ``None`` = a person is asked, and may say no.
+    """Return what to do after the drive, in sentences, for its page. ``replaces``: the file itself, else the new table
+    is beside it; ``None`` = a person is asked, and may say no.
     """
     if refusal:
         return [("Drive again with more room (--radius 3.5) or more time (--max-time 420), or give this recording and "
@@ -192,12 +175,8 @@ def next_steps(table: TableFile, refusal: str, replaces: bool | None) -> list[st
 
 
 def board_center(center_duty: int, old_duty: int, board_duty: int | None) -> str:
-    """Return a line about the servo board, which is to center the steering by the same duty when nobody commands it.
-
-    Args:
-        center_duty: the new center.
-        old_duty: turn_arb's center so far.
-        board_duty: pca9685's; ``None`` = it has none, as with another driver of the board.
+    """Return a line about the servo board, which is to center the steering by the new duty, too, when nobody commands
+    it. ``old_duty``: turn_arb's center so far; ``board_duty``: pca9685's, ``None`` = another driver runs the board.
     """
     if board_duty == old_duty:
         return f"the servo board centers the steering by the same file (duty {center_duty}): it needs nothing more"

@@ -8,7 +8,6 @@ from typing import Any, Sequence
 from car_interface.common.declared import read
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.params import Params
-from car_interface.steering.calibration import SteeringCalibration
 from car_interface.throttle.obstacle_stop import ObstacleConfig, Outline
 
 DESCRIPTION = """calibration_drive: the car calibrates its steering by itself while you hold the
@@ -26,28 +25,21 @@ docs/nodes.md of the package lists its topics."""
 class CalibrationDriveConfig:
     """Where and how the car drives; the names are those of the ROS parameters.
 
-    Attributes:
-        radius_m: no part of the car leaves a circle of this radius around the start: 3 m is an area of 6 × 6 m.
-        speed_mps: in wide turns; tight ones are slower.
-        tight_speed_mps: in the tightest turns.
-        max_time_s: of driving, that is of the held button; then it ends with what there is.
-        braking_mps2: the deceleration that a stop is certain of, such as the drag's, less a slope's 0.2 m/s² for each
-            2 %, where the kind of ESC isn't known. Where it is seen to stop with less, that counts, and with more once
-            two stops or more without a brake have shown it.
-        outline: of the car from above.
-        obstacles: the sonars, as throttle_arb takes them; ``None`` = none is looked at.
-
     Raises:
         ConfigError: naming the parameter.
     """
 
+    # no part of the car leaves a circle of this radius around the start: 3 m is an area of 6 × 6 m
     radius_m: float = 3.0
-    speed_mps: float = 1.2
-    tight_speed_mps: float = 0.9
-    max_time_s: float = 300.0
+    speed_mps: float = 1.2  # in wide turns; tight ones are slower
+    tight_speed_mps: float = 0.9  # in the tightest turns
+    max_time_s: float = 300.0  # of driving, that is of the held button; then it ends with what there is
+    # the deceleration that a stop is certain of, such as the drag's, less a slope's 0.2 m/s² for each 2 %, where the
+    # kind of ESC isn't known. Where it is seen to stop with less, that counts, and with more once two stops or more
+    # without a brake have shown it.
     braking_mps2: float = 0.15
-    outline: Outline = field(default_factory=Outline)
-    obstacles: ObstacleConfig | None = None
+    outline: Outline = field(default_factory=Outline)  # of the car from above
+    obstacles: ObstacleConfig | None = None  # the sonars, as throttle_arb takes them; ``None`` = none is looked at
 
     def __post_init__(self):
         for name, low, high in (("radius_m", 2.5, 100.0), ("speed_mps", 0.4, 3.0), ("tight_speed_mps", 0.4, 3.0),
@@ -71,19 +63,6 @@ def read_obstacles(throttle_arb: dict[str, Any]) -> ObstacleConfig:
     except ConfigError as error:
         raise CarInterfaceError(f"of throttle_arb's parameters {error}: launch the car by its launch files, or drive "
                                 "without sonars by --no-sonars") from error
-
-
-def read_base(turn_arb: dict[str, Any]) -> SteeringCalibration:
-    """Return the calibration that turn_arb runs with.
-
-    Raises:
-        CarInterfaceError: it isn't on the parameter server.
-    """
-    try:
-        return read(Params(turn_arb), SteeringCalibration)
-    except ConfigError as error:
-        raise CarInterfaceError(f"turn_arb's calibration isn't known: its parameter {error}. Is the car launched, and "
-                                "in this namespace (ROS_NAMESPACE)?") from error
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:

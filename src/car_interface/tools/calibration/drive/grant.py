@@ -9,9 +9,8 @@ from typing import NamedTuple
 
 from car_interface.common import causes
 from car_interface.common.causes import AUTONOMOUS
+from car_interface.common.sources import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, SPEED, TELEOP
 from car_interface.common.staleness import TimedInput
-from car_interface.planner.source_arbiter import SPEED
-from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.throttle import esc
 
 STATE_TIMEOUT_S = 0.5  # they come 10 times a second and more
@@ -96,8 +95,9 @@ class Grant:
         for timed in (self._steering, self._throttle, self._planner):
             if timed.is_stale(now_ns):
                 return Granted(False, timed.stale_reason(now_ns))
+        source = self._planner.value
         trouble = (_steering_trouble(self._steering.value) or _throttle_trouble(self._throttle.value)
-                   or _planner_trouble(self._planner.value) or "; ".join(self.others(now_ns)))
+                   or (f"planner_interface obeys {source}" if source != SPEED else "; ".join(self.others(now_ns))))
         return Granted(not trouble, trouble)
 
     def decide_by_hand(self, now_ns: int) -> Granted:
@@ -130,37 +130,22 @@ def _throttle_trouble(throttle):
     return "" if throttle.source == PLANNER or throttle.cause in IDLE else throttle.reason
 
 
-def _planner_trouble(source):
-    return "" if source == SPEED else f"planner_interface obeys {source}"
-
-
 # --- before it begins ---
 
 
 @dataclass
 class Seen:
-    """What was received of the car so far.
+    """What was received of the car so far."""
 
-    Attributes:
-        steering, throttle: a state of turn_arb, of throttle_arb.
-        calibrates_esc: throttle_arb was started with calibration_drive:=true.
-        planner: which source planner_interface obeys; ``None``: it was never heard.
-        odom: an odometry.
-        duty: what the servo board holds on the steering's channel; ``None``: it was never heard.
-        gamepad: cause and reason of teleop_logi's state; ``None``: it was never heard.
-        sonars: those that are used and were never heard.
-        others: who else asks for something, as sentences.
-    """
-
-    steering: bool = False
-    throttle: bool = False
-    calibrates_esc: bool = False
-    planner: str | None = None
-    odom: bool = False
-    duty: int | None = None
-    gamepad: tuple[str, str] | None = None
-    sonars: tuple[str, ...] = ()
-    others: list[str] = field(default_factory=list)
+    steering: bool = False  # a state of turn_arb
+    throttle: bool = False  # a state of throttle_arb
+    calibrates_esc: bool = False  # throttle_arb was started with calibration_drive:=true
+    planner: str | None = None  # which source planner_interface obeys; ``None``: it was never heard
+    odom: bool = False  # an odometry
+    duty: int | None = None  # what the servo board holds on the steering's channel; ``None``: it was never heard
+    gamepad: tuple[str, str] | None = None  # cause and reason of teleop_logi's state; ``None``: it was never heard
+    sonars: tuple[str, ...] = ()  # those that are used and were never heard
+    others: list[str] = field(default_factory=list)  # who else asks for something, as sentences
 
 
 def missing(seen: Seen, by_stick: bool) -> list[str]:

@@ -19,12 +19,6 @@ class Hold:
         servo_duty: where the servo is about now.
         limits: the lowest and the highest duty that may be asked for.
         lag_s, delay_s: of the servo.
-        now_ns: the time.
-
-    Attributes:
-        duty, from_side: as above, the second what it became.
-        length_m: driven while it was settled.
-        turned_rad: by how much the heading changed meanwhile.
     """
 
     def __init__(self, duty: int, from_side: int, servo_duty: float, limits: tuple[float, float], lag_s: float,

@@ -29,12 +29,7 @@ QUICK_MPS2, MAX_QUICK_MPS = 2.2, 1.6  # sideways, in every other turn: shows by 
 
 
 class Outlook:
-    """The way ahead of one car.
-
-    Attributes:
-        area: in which it stays.
-        servo_duty: what the servo board holds.
-    """
+    """The way ahead of one car, which stays in an area."""
 
     def __init__(self, base: SteeringCalibration, config: CalibrationDriveConfig, survey: Survey, motion: Motion,
                  area: Area, obstacles: ObstacleStop | None, stops: Stops):

@@ -81,11 +81,7 @@ class LostTurns:
         self.asked, self._sought, self._since_rad[side] = side, None, 0.0
 
     def text(self, turns_per_m: Sequence[float]) -> str:
-        """Return what to do, for a person.
-
-        Args:
-            turns_per_m: the curvatures of the turns, (2,).
-        """
+        """Return what to do, for a person; the turns have these curvatures, (2,)."""
         name, radius_m = ("left", "right")[self.asked], 1 / abs(turns_per_m[self.asked])
         return (f"{name} turns are missing, and no way leads to one: place the car so that the middle is about "
                 f"{radius_m:.1f} m to its {name}, by hand or by the manual deadman, then hold the button again")
@@ -326,10 +322,10 @@ class Pilot:
         self._side, self._is_side_free = None if is_turn else choice.side, False
         if not is_turn:
             self._avoids = False
-        elif self._survey.wants_speeds and choice.hold.duty in self._ends:
-            self._is_quick = not self._is_quick
-        else:
-            self._is_quick = False
+            return
+        known = self._survey.knowledge  # while it doesn't show by how much turns widen with speed every other is quick
+        self._is_quick = (known is not None and not known.has_understeer and choice.hold.duty in self._ends
+                          and not self._is_quick)
 
     def _finish_hold(self):
         """Note what was measured, and hold it no more."""

@@ -32,16 +32,11 @@ UNKNOWN_TURN_PER_M = 0.8  # of the ends before they were driven: as wide as a ca
 
 
 class Candidate(NamedTuple):
-    """A position that is worth measuring.
+    """A position that is worth measuring."""
 
-    Attributes:
-        duty: the position.
-        need: how much: the fit's error there as a ratio of what the tool allows, or its rank among the first ones.
-        from_side: the side from which to come to it, in duty: 1 from higher ones, −1 from lower ones, 0 = as it comes.
-    """
-
-    duty: int
-    need: float
+    duty: int  # the position
+    need: float  # how much: the fit's error there as a ratio of what the tool allows, or its rank among the first ones
+    # the side from which to come to it, in duty: 1 from higher ones, −1 from lower ones, 0 = as it comes
     from_side: int
 
 
@@ -89,12 +84,7 @@ class Positions:
         return held.get(base.servo_left, 1.0) < -SURELY_PER_M or held.get(base.servo_right, -1.0) > SURELY_PER_M
 
     def update_knowledge(self, knowledge: Knowledge, measured_since: int) -> None:
-        """Take a fit's result.
-
-        Args:
-            knowledge: with a curve.
-            measured_since: how many positions were held since its samples were taken.
-        """
+        """Take a fit's curve; so many positions were held since its samples were taken."""
         self._knowledge = knowledge
         self._since_fit = self._since_fit[len(self._since_fit) - measured_since:]
 

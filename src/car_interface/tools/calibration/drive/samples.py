@@ -19,12 +19,7 @@ MAX_STEP_S = 0.3  # between two odometries that belong together
 
 
 class Motion:
-    """The car's pose, speed and curvature by its newest odometry.
-
-    Attributes:
-        pose: the newest, its yaw unwrapped.
-        speed_mps: the newest, forward positive.
-    """
+    """The car's pose (its yaw unwrapped), speed (forward positive) and curvature by its newest odometry."""
 
     def __init__(self):
         self.pose = Pose(0.0, 0.0, 0.0)

@@ -14,12 +14,12 @@ from car_interface.tools.calibration.drive.config import DEFAULTS, CalibrationDr
 from car_interface.tools.calibration.drive.positions import Candidate, Measured
 from car_interface.tools.calibration.drive.step import DONE, MEASURING, PAUSED, SETTLING, Guidance, steering_text
 from car_interface.tools.calibration.drive.survey import MeasuredDrive
+from car_interface.tools.calibration.steering.drive import MIN_SPEED_MPS
+from car_interface.tools.calibration.steering.segments import MAX_LATERAL_MPS2, MAX_WANDER_DUTY
 
 HOLD_M = 2.0  # of each position; a person needs no more precision than the fit, which takes what it gets
 NEAR_DUTY = 24.0  # a stick that is held as near as this to the position holds it
-STILL_DUTY = 24.0  # and one that moves by no more than this, as the fit takes a segment: a thumb is on two counts
 SETTLE_NS = NS_PER_S // 2
-SLOW_MPS, MAX_LATERAL_MPS2 = 0.25, 4.0  # as the fit takes a segment
 LEAST_COUNTED_M = 0.6
 
 
@@ -49,7 +49,7 @@ class StickGuide(MeasuredDrive):
         self._odom.update(None, now_ns)
         self.samples.update_odometry(x_m, y_m, yaw_rad, speed_mps, measured_ns)
         distance_m, turned_rad = self._motion.update(Pose(x_m, y_m, yaw_rad), speed_mps, measured_ns)
-        if self._is_held(now_ns) and abs(speed_mps) >= SLOW_MPS:
+        if self._is_held(now_ns) and abs(speed_mps) >= MIN_SPEED_MPS:
             self._length_m += abs(distance_m)
             self._turned_rad += turned_rad * (1 if distance_m > 0 else -1)
 
@@ -58,7 +58,7 @@ class StickGuide(MeasuredDrive):
         self._duty.update(duty, now_ns)
         self.samples.update_duty(duty, now_ns)
         low_duty, high_duty = min(self._low_duty, duty), max(self._high_duty, duty)  # NaN stays
-        if high_duty - low_duty <= STILL_DUTY:
+        if high_duty - low_duty <= MAX_WANDER_DUTY:  # as the fit takes a segment: a thumb is on two counts
             self._low_duty, self._high_duty = low_duty, high_duty
         else:
             self._note()
@@ -73,7 +73,7 @@ class StickGuide(MeasuredDrive):
     def step(self, now_ns: int) -> Guidance:
         """Return what to do now; 10 times a second and more."""
         since_ns = self._tick(now_ns)
-        moves = not self._odom.is_stale(now_ns) and abs(self._motion.speed_mps) >= SLOW_MPS
+        moves = not self._odom.is_stale(now_ns) and abs(self._motion.speed_mps) >= MIN_SPEED_MPS
         self._driven_ns += since_ns if moves else 0
         self._end_if_over()
         if self._end:
@@ -85,7 +85,7 @@ class StickGuide(MeasuredDrive):
     def _guidance(self, moves, now_ns):
         target, steering = self._target, self._steering(self._target.duty)
         left_m = max(0.0, HOLD_M - self._length_m)
-        left_s = left_m / max(SLOW_MPS, abs(self._motion.speed_mps))
+        left_s = left_m / max(MIN_SPEED_MPS, abs(self._motion.speed_mps))
         for timed in (self._odom, self._duty):
             if timed.is_stale(now_ns):
                 return self._say(left_s, PAUSED, f"it waits: {timed.stale_reason(now_ns)}")

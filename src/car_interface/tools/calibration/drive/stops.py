@@ -44,14 +44,8 @@ class Stops:
         self._speed_mps = self._yaw_rad = 0.0
 
     def update(self, moved_m: float, speed_mps: float, yaw_rad: float, is_driven: bool, at_ns: int) -> None:
-        """Take an odometry.
-
-        Args:
-            moved_m: since the last one.
-            speed_mps: forward positive.
-            yaw_rad: the heading.
-            is_driven: the button is held.
-            at_ns: when it was measured.
+        """Take an odometry: how far it moved since the last one, its speed, forward positive, and its heading; whether
+        the button is held, and when it was measured.
         """
         if is_driven:
             self._end(speed_mps, at_ns)

@@ -25,12 +25,7 @@ MIN_LEFT_S = 5.0  # as long as it isn't over
 
 
 class Survey:
-    """One drive's evidence.
-
-    Args:
-        base: the calibration before.
-        max_time_s: of driving.
-    """
+    """One drive's evidence: of at most ``max_time_s`` of driving, by the calibration before."""
 
     def __init__(self, base: SteeringCalibration, max_time_s: float):
         self.samples = Samples()
@@ -80,11 +75,6 @@ class Survey:
         return (known is not None and not known.missing and not self.positions.first_left
                 and max(known.errors) <= ENOUGH and not self.positions.has_gaps
                 and known.number == self._number and not self._is_out)
-
-    @property
-    def wants_speeds(self) -> bool:
-        """Whether it isn't known yet by how much turns widen with speed."""
-        return self.knowledge is not None and not self.knowledge.has_understeer
 
     @property
     def servo_lag_s(self) -> float:

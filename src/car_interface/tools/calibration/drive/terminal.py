@@ -125,7 +125,8 @@ def radius_marks(rows: Iterable[RadiusRow], side: str) -> str:
     open_ones = [row for row in ours if not row.is_known]
     if open_ones:
         worst = max(open_ones, key=lambda row: row.radius_error)
-        text += f", {worst.radius_m:g} m {_error_text(worst)}"
+        error = f"to ±{worst.radius_error:.0%}" if worst.is_measured else "isn't known"
+        text += f", {worst.radius_m:g} m {error}"
     return text
 
 
@@ -144,10 +145,6 @@ def _progress_lines(progress: Progress, is_over: bool) -> list[str]:
 
 def _times(progress):
     return f"{clock_text(progress.driven_s)} driven, about {clock_text(progress.left_s)} left"
-
-
-def _error_text(row):
-    return f"to ±{row.radius_error:.0%}" if row.is_measured else "isn't known"
 
 
 def _cell(steering, length):

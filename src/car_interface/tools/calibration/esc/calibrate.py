@@ -28,9 +28,6 @@ NOT_SHOWN = "not shown by the drive"
 def calibrate(recorded: Sequence[RecordedDrive], base: ThrottleCalibration) -> EscFit:
     """Calibrate by recorded drives. An ESC that takes a shorter pulse for forward gets its neutral mirrored back.
 
-    Args:
-        base: the calibration before.
-
     Raises:
         CarInterfaceError: two were driven with different neutrals.
     """
@@ -69,11 +66,7 @@ def yaml_text(found: EscFit, base: ThrottleConfig, base_text: str, report: Seque
 
 
 def report(found: EscFit, recorded: Sequence[RecordedDrive], base: ThrottleConfig) -> Iterator[str]:
-    """Yield the report's lines: each parameter, its old value, and what shows it.
-
-    Args:
-        base: the configuration before.
-    """
+    """Yield the report's lines: each parameter, its value in the configuration before, and what shows it."""
     seconds = sum(one.duration_s for one in recorded)
     yield f"ESC by {', '.join(one.path for one in recorded)}: {seconds:.0f} s"
     yield from (f"  {note}" for one in recorded for note in one.notes)

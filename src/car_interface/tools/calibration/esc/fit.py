@@ -61,39 +61,25 @@ NOTHING_KNOWN = "nothing is known: the recording needs odom and the servo board'
 
 @dataclass(frozen=True)
 class EscFit:
-    """What a drive shows; ``None`` = it does not.
+    """What a drive shows; ``None`` = it does not."""
 
-    Attributes:
-        profile: of esc_config.
-        neutral: the duty in the middle of what the ESC takes for neutral.
-        dead_band_forward, dead_band_reverse: the fraction from that neutral at which the car sets off.
-        dwell_s: neutral that was long enough for reverse, as short as it was seen.
-        reverse_after_neutral_s: 0 where the ESC still braked after LONG_COAST_S.
-        drag_deceleration_mps2: the least in neutral.
-        seen: what shows each, in words.
-        missing: what is not known, and what to drive for it.
-    """
-
-    profile: str | None
-    neutral: float | None
-    dead_band_forward: float | None
-    dead_band_reverse: float | None
-    dwell_s: float | None
-    reverse_after_neutral_s: float | None
-    drag_deceleration_mps2: float | None
-    seen: tuple[str, ...]
-    missing: tuple[str, ...]
+    profile: str | None  # of esc_config
+    neutral: float | None  # the duty in the middle of what the ESC takes for neutral
+    dead_band_forward: float | None  # the fraction from that neutral at which the car sets off
+    dead_band_reverse: float | None  # the same backward
+    dwell_s: float | None  # neutral that was long enough for reverse, as short as it was seen
+    reverse_after_neutral_s: float | None  # 0 where the ESC still braked after LONG_COAST_S
+    drag_deceleration_mps2: float | None  # the least in neutral
+    seen: tuple[str, ...]  # what shows each, in words
+    missing: tuple[str, ...]  # what is not known, and what to drive for it
 
 
 def fit(drive: EscDrive) -> EscFit:
     """Return what a drive shows of its ESC."""
     data = sampled(drive)
     if data is None:
-        return EscFit(None, None, None, None, None, None, None, (),
-                      (NOTHING_KNOWN,))
-    seen: list = []
-    missing: list = []
-    found = pulls(data)
+        return EscFit(None, None, None, None, None, None, None, (), (NOTHING_KNOWN,))
+    seen, missing, found = [], [], pulls(data)
     profile = _profile(found, seen, missing)
     forward, backward = _set_off(data, 1, profile), _set_off(data, -1, profile)
     neutral, bands = _dead_band(drive, forward, backward, profile, seen, missing)
@@ -181,8 +167,7 @@ def _is_second(before, pull):
 
 
 def _dwell(found, seen, missing):
-    seconds = [pull for before, pull in zip(found, found[1:])
-               if _is_second(before, pull)]
+    seconds = [pull for before, pull in zip(found, found[1:]) if _is_second(before, pull)]
     enough = [pull.neutral_s for pull in seconds if pull.outcome == BACKWARD]
     short = [pull.neutral_s for pull in seconds if pull.outcome == HELD]
     low, high = _range("dwell_s")

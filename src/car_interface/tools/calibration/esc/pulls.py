@@ -24,24 +24,17 @@ BACKWARD, HELD, UNCLEAR = "backward", "held", "unclear"
 
 
 class EscDrive(NamedTuple):
-    """What a drive recorded.
+    """What a drive recorded."""
 
-    Attributes:
-        duty_s, duty: when the servo board's duty for the ESC changed, and to what, (N,) each; rising times. Less than 1
-            = no pulse.
-        speed_s, speed_mps: the odometry, (M,) each; forward positive, rising times.
-        neutral, full_forward, full_reverse: the duties of the centered stick and of the ends, in the configuration that
-            was used.
-        wheels: (times, distances in m) at the pulses of each wheel, backward falling; empty = not recorded.
-    """
-
+    # when the servo board's duty for the ESC changed, and to what, (N,) each; rising times. Less than 1 = no pulse.
     duty_s: np.ndarray
     duty: np.ndarray
-    speed_s: np.ndarray
+    speed_s: np.ndarray  # the odometry, (M,) each; forward positive, rising times
     speed_mps: np.ndarray
-    neutral: float
+    neutral: float  # the duties of the centered stick and of the ends, in the configuration that was used
     full_forward: float
     full_reverse: float
+    # (times, distances in m) at the pulses of each wheel, backward falling; empty = not recorded
     wheels: tuple[tuple[np.ndarray, np.ndarray], ...] = ()
 
 

@@ -64,11 +64,7 @@ def load_esc_drive(path: str, calibration: ThrottleCalibration, topics: Mapping[
 
 
 def joined(drives: Sequence[EscDrive]) -> EscDrive:
-    """Several drives of one car as one; between them nothing is known of the ESC.
-
-    Args:
-        drives: with the same neutral and ends.
-    """
+    """Several drives of one car, with the same neutral and ends, as one; between them nothing is known of the ESC."""
     columns: tuple[list, ...] = ([], [], [], [])
     wheels = []
     begin_s = 0.0
@@ -131,17 +127,13 @@ def _drive_s_neutral(path, namespace, calibration):
 
 def _without_gaps(duty_s, duty, odom_s):
     """Return the duties, with no pulse where odometry or the board's output has a gap: nothing is known there."""
-    times, duties = list(duty_s), list(duty)
-    for begin, end in zip(odom_s, odom_s[1:]):
-        if end - begin > MAX_ODOM_GAP_S:
-            times += [begin, end]
-            duties += [0.0, duty[max(0, int(np.searchsorted(duty_s, end, side="right")) - 1)]]
-    for index in np.flatnonzero(np.diff(duty_s) > MAX_OUTPUT_GAP_S):
-        times.append(duty_s[index] + MAX_OUTPUT_GAP_S)
-        duties.append(0.0)
-    order = np.argsort(np.array(times), kind="stable")
-    times, duties = np.array(times)[order], np.array(duties)[order]
-    for begin, end in zip(odom_s, odom_s[1:]):
-        if end - begin > MAX_ODOM_GAP_S:
-            duties[(times >= begin) & (times < end)] = 0.0
+    gaps, silent = np.diff(odom_s) > MAX_ODOM_GAP_S, np.diff(duty_s) > MAX_OUTPUT_GAP_S
+    begins_s, ends_s, silent_s = odom_s[:-1][gaps], odom_s[1:][gaps], duty_s[:-1][silent] + MAX_OUTPUT_GAP_S
+    resumed = duty[np.maximum(0, np.searchsorted(duty_s, ends_s, side="right") - 1)]
+    times = np.concatenate([duty_s, begins_s, ends_s, silent_s])
+    order = np.argsort(times, kind="stable")
+    times = times[order]
+    duties = np.concatenate([duty, np.zeros(len(begins_s)), resumed, np.zeros(len(silent_s))])[order]
+    for begin_s, end_s in zip(begins_s, ends_s):
+        duties[(times >= begin_s) & (times < end_s)] = 0.0
     return times, duties

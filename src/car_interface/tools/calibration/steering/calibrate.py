@@ -16,7 +16,6 @@ from car_interface.tools.calibration.steering.table import (
     LEFT,
     OLD,
     RIGHT,
-    Breakpoint,
     axis,
     breakpoints,
     completed,
@@ -49,7 +48,6 @@ def calibrate(recorded: Sequence[RecordedDrive], base: SteeringCalibration, axis
     Args:
         base: the calibration before: its duties fill in where nothing was driven.
         axis_m: radii for the tables; ``None`` = chosen by what was driven.
-        accept_disagreement: use drives that contradict each other, too.
 
     Raises:
         CarInterfaceError: there is nothing to fit, or drives contradict each other, or none was on the axis.
@@ -62,9 +60,12 @@ def calibrate(recorded: Sequence[RecordedDrive], base: SteeringCalibration, axis
         curve = fitting.fit([one.drive for one in recorded], config)
     except NothingToFit as error:
         raise CarInterfaceError(f"{names_of(recorded)}: no steering can be told from this: {error}") from error
-    _check_axis_was_driven(axis_m, curve)
+    tightest_per_m = max(curve.left.curvature_per_m, curve.right.curvature_per_m)
+    if axis_m and 1 / axis_m[-1] >= tightest_per_m:
+        raise CarInterfaceError(f"--axis {axis_m[0]:g} to {axis_m[-1]:g} m lies outside of what was driven: the "
+                                f"tightest circle was one of {radius_text(tightest_per_m)}")
     radii_m = widened(axis_m, WIDE_M) if axis_m else axis(curve)
-    points = {side: breakpoints(curve, radii_m, side, config) for side in (LEFT, RIGHT)}
+    points = {side: breakpoints(curve, radii_m, side) for side in (LEFT, RIGHT)}
     problems = list(find_problems(curve, points))
     center = base.servo_center if math.isnan(curve.center) else curve.center
     ends = {}
@@ -77,7 +78,7 @@ def calibrate(recorded: Sequence[RecordedDrive], base: SteeringCalibration, axis
         # calibration would make the range smaller by that.
         is_limit = end.is_end and not end.is_stop and (end.duty - center) * (old_end - center) > 0
         keeps_end = tightest.source == OLD or is_limit
-        ends[side] = _farther(tightest.duty, old_end, center) if keeps_end else end.duty
+        ends[side] = max(tightest.duty, old_end, key=lambda duty: abs(duty - center)) if keeps_end else end.duty
     return SteeringResult(curve, center, ends, points, problems, disagreement)
 
 
@@ -87,27 +88,11 @@ def yaml_text(calibrated: SteeringResult, base_text: str, report: Sequence[str])
         "servo_left": round(calibrated.ends[LEFT]), "servo_center": round(calibrated.center),
         "servo_right": round(calibrated.ends[RIGHT]),
         AXIS: [point.radius_m for point in calibrated.points[LEFT]],
-        LEFT_TABLE: _duties(calibrated.points[LEFT]), RIGHT_TABLE: _duties(calibrated.points[RIGHT]),
-    }
+        **{table: [round(point.duty) for point in calibrated.points[side]]
+           for side, table in ((LEFT, LEFT_TABLE), (RIGHT, RIGHT_TABLE))}}
     if calibrated.curve.understeer.is_known:
         values["understeer"] = round(calibrated.curve.understeer.value, 5)
     return rewritten(base_text, values, [*HEAD, *report])
-
-
-def _duties(points: Sequence[Breakpoint]):
-    return [round(point.duty) for point in points]
-
-
-def _check_axis_was_driven(axis_m, curve):
-    tightest_per_m = max(curve.left.curvature_per_m, curve.right.curvature_per_m)
-    if axis_m and 1 / axis_m[-1] >= tightest_per_m:
-        raise CarInterfaceError(f"--axis {axis_m[0]:g} to {axis_m[-1]:g} m lies outside of what was driven: the "
-                                f"tightest circle was one of {radius_text(tightest_per_m)}")
-
-
-def _farther(duty, other, center):
-    """Return the one that is farther from the center."""
-    return max(duty, other, key=lambda one: abs(one - center))
 
 
 def _disagreement(recorded, config):
@@ -122,9 +107,9 @@ def _disagreement(recorded, config):
         for other_path, other in curves[:index]:
             found = fitting.disagreement(other, curve)
             if found is not None:
-                k = found.curvature_per_m
+                duty, k = found
                 place = (f"{LEFT if k > 0 else RIGHT} turns of {1 / abs(k):.2g} m" if abs(k) > STRAIGHT_PER_M else
                          "straight on")
-                return (f"{other_path} and {path} disagree by {found.duty:.0f} duty about {place}: was the linkage "
+                return (f"{other_path} and {path} disagree by {duty:.0f} duty about {place}: was the linkage "
                         "changed between them")
     return ""

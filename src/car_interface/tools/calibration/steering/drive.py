@@ -1,7 +1,6 @@
-"""One drive as the fit of a steering curve takes it, with the distance that it travelled, and the fit's settings."""
+"""One drive as the fit of a steering curve takes it, the distance that it travelled, and what is given of the car."""
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -13,63 +12,23 @@ from car_interface.tools.recordings.series import Odom
 COUNT = float(DUTY_PER_COUNT)  # the board can't output anything in between
 KNOT = COUNT / 2  # duty from one knot of the curve to the next
 MAX_BACKLASH_DUTY = 80.0
+MIN_SPEED_MPS = 0.25  # at lower speeds the heading changes too little
+MAX_GAP_S = 0.3  # between samples of odometry that belong together
 BIN_S, MIN_BIN_M, MAX_BIN_GAP_S, MAX_BIN_RAD = 1.0, 0.4, 0.3, 2.0  # in which distances are compared
 MIN_BINS = 5
 
 
-@dataclass(frozen=True)
-class CurveFitConfig:
-    """Which driving counts, and how much.
+class CurveFitConfig(NamedTuple):
+    """What is given of a car, and needn't be shown by its drives."""
 
-    Attributes:
-        min_speed_mps: at lower speeds the heading changes too little.
-        max_lateral_mps2: above this tyres may begin to slide.
-        settled_duty: the servo has arrived when it is this near to its command, by delay and lag.
-        max_wander_duty: how far the wheels may move within a segment.
-        min_length_m, max_length_m, min_duration_s: of a segment.
-        max_gap_s: between samples of odometry that belong together.
-        max_jump_rad: of the heading from sample to sample.
-        heading_sigma_rad: standard error of odometry's heading, at most: where a drive shows that it is better, that
-            counts.
-        min_heading_sigma_rad: the same, at least.
-        min_sigma_per_m: no segment's curvature is known better: floors are uneven, tyres flex.
-        delay: of the servo; ``None`` = estimated.
-        backlash_duty: of the linkage; ``None`` = estimated.
-        backlash_sigma: the standard error of the one that is given.
-        max_backlash_duty: the upper bound of that estimate.
-        known_ratio, known_per_m: a breakpoint is supported when its curvature is known to this ratio or to this
-            magnitude, to either side, beyond half of what the board's next count would change.
-        stop_duty: a mechanical stop is one when the curve stays level over this duty.
-        stop_ratio: level is a curvature that differs from the tightest by at most this ratio.
-        understeer: by how much turns widen with speed where a drive doesn't show it.
-        limits: duties beyond which nobody means to steer.
-    """
-
-    min_speed_mps: float = 0.25
-    max_lateral_mps2: float = 4.0
-    settled_duty: float = 6.0
-    max_wander_duty: float = 24.0
-    min_length_m: float = 0.5
-    max_length_m: float = 8.0
-    min_duration_s: float = 0.3
-    max_gap_s: float = 0.3
-    max_jump_rad: float = 0.5
-    heading_sigma_rad: float = 0.008
-    min_heading_sigma_rad: float = 0.003
-    min_sigma_per_m: float = 0.001
-    delay: Delay | None = None
-    backlash_duty: float | None = None
-    backlash_sigma: float = 0.0
-    max_backlash_duty: float = MAX_BACKLASH_DUTY
-    known_ratio: float = 0.08
-    known_per_m: float = 0.01
-    stop_duty: float = 40.0
-    stop_ratio: float = 0.007
-    understeer: float = 0.0
-    limits: tuple = ()
+    delay: Delay | None = None  # of the servo; None = estimated
+    backlash_duty: float | None = None  # of the linkage; None = estimated
+    backlash_sigma: float = 0.0  # the standard error of the one that is given
+    understeer: float = 0.0  # by how much turns widen with speed, where a drive doesn't show it
+    limits: tuple = ()  # duties beyond which nobody means to steer
 
 
-DEFAULTS = CurveFitConfig()
+NOTHING_GIVEN = CurveFitConfig()
 
 
 class SteeringDrive(NamedTuple):

@@ -2,12 +2,14 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, Sequence
 
 import numpy as np
 
-from car_interface.tools.calibration.steering.drive import COUNT, CurveFitConfig
+from car_interface.tools.calibration.steering.drive import COUNT
 
+STOP_DUTY = 40.0  # a mechanical stop is one when the curve stays level over this duty
+STOP_RATIO = 0.007  # level is a curvature that differs from the tightest by at most this ratio
 RISE_LOW, RISE_HIGH = 0.90, 0.97  # of the tightest curvature: between them lies the rise to a stop
 
 
@@ -23,13 +25,12 @@ class Side(NamedTuple):
 
 
 def find_side(knots: np.ndarray, curvatures: np.ndarray, sigmas: np.ndarray, towards: int, low: float, high: float,
-              config: CurveFitConfig, backlash_duty: float = 0.0) -> Side:
-    """Return the end of a curve towards lower or higher duties.
+              limits: Sequence[float] = (), backlash_duty: float = 0.0) -> Side:
+    """Return the end of a curve, (K,) each, towards lower duties (−1) or higher ones (1).
 
     Args:
-        knots, curvatures, sigmas: the curve, (K,) each.
-        towards: −1 = lower duties, 1 = higher ones.
         low, high: the outermost duties that were driven.
+        limits: duties beyond which nobody means to steer.
         backlash_duty: of the linkage: where the servo is at its limit the wheels stay behind it by half of that.
     """
     farthest = float(low if towards < 0 else high)
@@ -39,15 +40,14 @@ def find_side(knots: np.ndarray, curvatures: np.ndarray, sigmas: np.ndarray, tow
     curvature, duty, sigma = curvature[inside] * np.sign(curvature[inside][-1]), duty[inside], sigma[inside]
     tightest = float(curvature[-1])
     # The tightest curvature is as uncertain as those beside it.
-    is_level = curvature >= tightest * (1 - config.stop_ratio) - min(2 * sigma[-1], 2 * config.stop_ratio * tightest)
+    is_level = curvature >= tightest * (1 - STOP_RATIO) - min(2 * sigma[-1], 2 * STOP_RATIO * tightest)
     begin = len(is_level) - int(np.argmin(is_level[::-1])) if not is_level.all() else 0
-    is_stop = (farthest - duty[begin]) * towards >= config.stop_duty and tightest > 5 * sigma[-1]
-    is_end = is_stop or any((farthest - limit) * towards >= -COUNT - backlash_duty / 2 for limit in config.limits
+    is_stop = (farthest - duty[begin]) * towards >= STOP_DUTY and tightest > 5 * sigma[-1]
+    is_end = is_stop or any((farthest - limit) * towards >= -COUNT - backlash_duty / 2 for limit in limits
                             if (limit - np.mean(knots)) * towards > 0)
     end_duty = farthest
     if is_stop:
-        end_duty = _count_at_stop(duty, curvature, tightest, _corner(duty, curvature, tightest, begin),
-                                  config.stop_ratio)
+        end_duty = _count_at_stop(duty, curvature, tightest, _corner(duty, curvature, tightest, begin))
     return Side(end_duty, tightest, float(sigma[begin if is_stop else -1]), bool(is_stop), bool(is_end), farthest)
 
 
@@ -88,10 +88,10 @@ def _corner(duty, curvature, tightest, begin):
     return float(min(max(corner, low), high))
 
 
-def _count_at_stop(duty, curvature, tightest, corner, ratio):
+def _count_at_stop(duty, curvature, tightest, corner):
     """Return the first count from a stop's corner on that turns as tight: the board may round a duty back across it."""
     inward = math.copysign(1.0, duty[0] - duty[-1])
     counts = np.arange(round(corner / COUNT) * COUNT, duty[-1] - inward, -inward * COUNT)
     order = np.argsort(duty)
-    is_level = np.interp(counts, duty[order], curvature[order]) >= tightest * (1 - ratio)
+    is_level = np.interp(counts, duty[order], curvature[order]) >= tightest * (1 - STOP_RATIO)
     return float(counts[np.argmax(is_level)]) if is_level.any() else corner

@@ -17,15 +17,10 @@ UNSEEN_RATIO = 0.05
 
 
 def bends(knots: np.ndarray, found: Observations, used: np.ndarray) -> np.ndarray:
-    """Return how far the curve may be off the straight line between the places where it was driven, at the knots (K,):
-    (K,).
+    """Return how far the curve may be off the straight line between the places where it was driven, at the knots, which
+    are duties (K,): (K,). ``used``: which of the observations count, (S,).
 
     Between two places the curve may continue as steeply as it came and bend anywhere, as at a mechanical stop.
-
-    Args:
-        knots: in duty, (K,).
-        found: the observations, S of them.
-        used: which of them count, (S,).
     """
     duty, curvature, sigma = _places(found, used)
     if len(duty) < 3:
@@ -45,11 +40,6 @@ def bends(knots: np.ndarray, found: Observations, used: np.ndarray) -> np.ndarra
 def unseen(duties: np.ndarray, found: Observations, used: np.ndarray) -> np.ndarray:
     """Return the standard error of a curve at the duties (K,) by bends of its own that show at none of the places where
     it was driven: (K,). A curve that goes straight on before a gap and behind it needn't do so within.
-
-    Args:
-        duties: (K,).
-        found: the observations, S of them.
-        used: which of them count, (S,).
     """
     duty, curvature, _ = _places(found, used)
     if len(duty) < 2:

@@ -13,16 +13,24 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple, Sequence
+from typing import Sequence
 
 import numpy as np
 
 from car_interface.tools.calibration.delay import Delay
 from car_interface.tools.calibration.shared import NothingToFit, rising
-from car_interface.tools.calibration.steering.drive import COUNT, DEFAULTS, KNOT, CurveFitConfig, SteeringDrive
+from car_interface.tools.calibration.steering.drive import (
+    COUNT,
+    KNOT,
+    MAX_BACKLASH_DUTY,
+    NOTHING_GIVEN,
+    CurveFitConfig,
+    SteeringDrive,
+)
 from car_interface.tools.calibration.steering.ends import Side, find_center, find_side
 from car_interface.tools.calibration.steering.errors import BEND_RATIO, bends, bounded, unseen
 from car_interface.tools.calibration.steering.segments import (
+    MIN_SIGMA_PER_M,
     Observations,
     Segmentation,
     all_segments,
@@ -50,39 +58,22 @@ MAX_SQUARE = 25.0  # what one segment adds to the contradiction at most
 
 @dataclass(frozen=True)
 class Curve:
-    """A steering curve with K knots, from S observations.
+    """A steering curve with K knots, from S observations."""
 
-    Attributes:
-        duties: knots, rising, half a count apart, (K,).
-        curvatures: at the knots in 1/m, monotone; linear in between, (K,).
-        sigmas: their standard errors, (K,).
-        first_knot: the column of ``observations.weights`` that belongs to the first knot.
-        delay: of the servo.
-        backlash_duty, backlash_sigma: of the linkage, and its standard error.
-        observations: what it rests on, as if driven at a crawl.
-        understeer: by how much its turns widen with speed.
-        used: which of them count, (S,).
-        counts: how many intervals and segments were left out, by reason.
-        scatter: how far observations lie off, in their own standard errors.
-        center: the duty that goes straight; NaN when nothing near it was driven.
-        center_sigma: its standard error.
-        left, right: the ends.
-    """
-
-    duties: np.ndarray
-    curvatures: np.ndarray
-    sigmas: np.ndarray
-    first_knot: int
-    delay: Delay
-    backlash_duty: float
-    backlash_sigma: float
-    observations: Observations
-    understeer: Understeer
-    used: np.ndarray
-    counts: dict
-    scatter: float
-    center: float
-    center_sigma: float
+    duties: np.ndarray  # knots, rising, half a count apart, (K,)
+    curvatures: np.ndarray  # at the knots in 1/m, monotone; linear in between, (K,)
+    sigmas: np.ndarray  # their standard errors, (K,)
+    first_knot: int  # the column of ``observations.weights`` that belongs to the first knot
+    delay: Delay  # of the servo
+    backlash_duty: float  # of the linkage
+    backlash_sigma: float  # its standard error
+    observations: Observations  # what it rests on, as if driven at a crawl
+    understeer: Understeer  # by how much its turns widen with speed
+    used: np.ndarray  # which of them count, (S,)
+    counts: dict  # how many intervals and segments were left out, by reason
+    scatter: float  # how far observations lie off, in their own standard errors
+    center: float  # the duty that goes straight; NaN when nothing near it was driven
+    center_sigma: float  # its standard error
     left: Side
     right: Side
 
@@ -112,7 +103,7 @@ class Curve:
         return np.interp(curvature, curvatures + steps, duties)
 
 
-def fit(drives: Sequence[SteeringDrive], config: CurveFitConfig = DEFAULTS) -> Curve:
+def fit(drives: Sequence[SteeringDrive], config: CurveFitConfig = NOTHING_GIVEN) -> Curve:
     """Fit the curve.
 
     Raises:
@@ -121,12 +112,12 @@ def fit(drives: Sequence[SteeringDrive], config: CurveFitConfig = DEFAULTS) -> C
     drives = [drive for drive in drives if len(drive.t_s) > 1 and len(drive.duty)]
     if not drives:
         raise NothingToFit("there is no odometry while the servo had a duty")
-    delay = config.delay or estimate_servo_delay(drives, config)
-    segmentations = [segmentation(drive, delay, config) for drive in drives]
+    delay = config.delay or estimate_servo_delay(drives)
+    segmentations = [segmentation(drive, delay) for drive in drives]
     if config.backlash_duty is None and all(one.wheels.is_steady for one in segmentations):
         backlash_duty, backlash_sigma = UNKNOWN_BACKLASH
     elif config.backlash_duty is None:
-        backlash_duty, backlash_sigma = estimate_backlash(segmentations, config)
+        backlash_duty, backlash_sigma = estimate_backlash(segmentations)
     else:
         backlash_duty, backlash_sigma = config.backlash_duty, config.backlash_sigma
     return _curve(segmentations, delay, backlash_duty, backlash_sigma, config)
@@ -152,7 +143,8 @@ def _curve(segmentations, delay, backlash_duty, backlash_sigma, config):
     low, high = found.duty[used].min(), found.duty[used].max()
     inside = (all_knots >= low - KNOT) & (all_knots <= high + KNOT)
     knots, curvatures, sigmas = all_knots[inside], curvatures[inside], sigmas[inside]
-    ends = [find_side(knots, curvatures, sigmas, towards, low, high, config, backlash_duty) for towards in (-1, 1)]
+    ends = [find_side(knots, curvatures, sigmas, towards, low, high, config.limits, backlash_duty)
+            for towards in (-1, 1)]
     left, right = ends[::-1] if curvatures[-1] > curvatures[0] else ends
     center, center_sigma = find_center(knots, curvatures, sigmas)
     counts = {**total_counts(segmentations), "apart from all others": int(np.sum(~used))}
@@ -160,15 +152,9 @@ def _curve(segmentations, delay, backlash_duty, backlash_sigma, config):
                  understeer, used, counts, smooth.scatter, center, center_sigma, left, right)
 
 
-class Disagreement(NamedTuple):
-    """How two curves differ that can't be of the same steering."""
-
-    duty: float  # the median difference where they differ
-    curvature_per_m: float  # where that is the least likely
-
-
-def disagreement(one: Curve, other: Curve) -> Disagreement | None:
-    """Return how two drives show different steerings; ``None`` if they don't.
+def disagreement(one: Curve, other: Curve) -> tuple[float, float] | None:
+    """Return how two drives show different steerings; ``None`` if they don't: the median difference in duty where they
+    differ, and the curvature (1/m) where that is the least likely.
 
     Only duties within a count of what both drove are compared: in the gaps of a short drive its curve may be far off.
     A few counts don't make a disagreement: a changed linkage shows at many.
@@ -185,25 +171,22 @@ def disagreement(one: Curve, other: Curve) -> Disagreement | None:
     bad = (off > DISAGREES_SIGMAS) & (apart >= DISAGREES_DUTY)
     if bad.sum() < max(DISAGREES_COUNTS, DISAGREES_RATIO * len(duties)):
         return None
-    return Disagreement(float(np.median(apart[bad])), float(curvatures[np.argmax(np.where(bad, off, 0.0))]))
+    return float(np.median(apart[bad])), float(curvatures[np.argmax(np.where(bad, off, 0.0))])
 
 
 # --- the linkage's backlash ---
 
 
-def estimate_backlash(segmentations: Sequence[Segmentation], config: CurveFitConfig) -> tuple[float, float]:
-    """Return the likeliest backlash and its standard error, both in duty.
+def estimate_backlash(segmentations: Sequence[Segmentation]) -> tuple[float, float]:
+    """Return the likeliest backlash and its standard error, both in duty; NothingToFit is raised where no value fits.
 
     With a wrong backlash positions that were approached from both sides contradict each other: no monotone curve goes
     through them. Of the values that remain the likeliest is taken, all compared by noise and smoothness as known with
     one of them: first by a curve that is equally smooth everywhere, because one that may be sharp in places has its
     places where that value puts them; then, near the truth, by one that may, because the smooth one is too flat where
     the car's is steep.
-
-    Raises:
-        NothingToFit: no value fits.
     """
-    candidates = np.arange(0.0, config.max_backlash_duty + 1.0, STEP_DUTY)
+    candidates = np.arange(0.0, MAX_BACKLASH_DUTY + 1.0, STEP_DUTY)
     contradictions = np.array([_contradiction(segmentations, candidate) for candidate in candidates])
     candidates = candidates[contradictions <= contradictions.min() + MAX_CONTRADICTION]
     backlash_duty = float(np.median(candidates))
@@ -226,7 +209,7 @@ def _contradiction(segmentations, backlash_duty):
     _, duties = design(segmentations, backlash_duty)
     segments = all_segments(segmentations)
     curvature = np.array([segment.curvature_per_m for segment in segments])
-    sigma = np.hypot([segment.sigma_per_m for segment in segments], 3 * segmentations[0].config.min_sigma_per_m)
+    sigma = np.hypot([segment.sigma_per_m for segment in segments], 3 * MIN_SIGMA_PER_M)
     order = np.argsort(duties, kind="stable")
     smallest = math.inf
     for sign in (1.0, -1.0):

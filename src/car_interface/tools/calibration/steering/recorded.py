@@ -14,7 +14,7 @@ from car_interface.tools.calibration.steering.drive import SteeringDrive, distan
 from car_interface.tools.recordings import roles, signals
 from car_interface.tools.recordings.overlap import trail
 from car_interface.tools.recordings.recording import NoRecording
-from car_interface.tools.recordings.series import Ackermann, Imu, Odom
+from car_interface.tools.recordings.series import Imu, Odom
 
 STRAIGHT_RAD = 1e-6
 IMU_GAP_S = 0.1
@@ -38,23 +38,6 @@ class AngleTable(NamedTuple):
                 table.planner_duty(self.wheelbase_m / math.tan(angle_rad)))
         return duty_of_counts(counts_of_duty(duty))
 
-    def duties(self, asked: Ackermann) -> np.ndarray:
-        """Return the duty for each row, (N,)."""
-        return np.array([self.duty(angle_rad) for angle_rad in asked.angle_rad.tolist()], float)
-
-    def note(self, topic: str) -> str:
-        """Return a line on what such a calibration rests on, and what it can't know."""
-        return (f"no duties of the servo were recorded: the angles on {topic} count as the duties that --base has for "
-                f"them with a wheelbase of {self.wheelbase_m:g} m. What this recording can't tell: whether --base was "
-                "the table on this drive, and whether anything else steered (a gamepad, a trim, a limit)")
-
-
-class ImuHeading(NamedTuple):
-    """A heading by the IMU at odometry's times."""
-
-    yaw_rad: np.ndarray  # (N,)
-    ratio: float  # of odometry's change of yaw to the IMU's
-
 
 def load_steering_drive(path: str, channel: int, topics: Mapping[str, str] | None = None, use_imu: bool = True,
                         namespace: str = "/", angle_table: AngleTable | None = None) -> RecordedDrive:
@@ -76,19 +59,19 @@ def load_steering_drive(path: str, channel: int, topics: Mapping[str, str] | Non
                          **{role: topic for role, topic in (topics or {}).items() if use_imu or role != roles.IMU.name})
     odom, notes = found.odom, [note for note in found.notes
                                if found.output is None and found.servo is None or not _is_on_angles(note)]
-    heading = None if found.imu is None else imu_heading(odom, found.imu)
+    yaw_rad, heading = odom.yaw_rad, None if found.imu is None else imu_heading(odom, found.imu)
     if found.imu is not None and heading is None:
         notes.append(f"{found.topics[roles.IMU.name]} covers too little of the drive, or doesn't follow the "
                      "car's turning: not used")
-    if heading is not None and abs(heading.ratio - 1) > MAX_YAW_DIFFERENCE:
-        notes.append(f"odometry turns {abs(heading.ratio - 1):.0%} {'more' if heading.ratio > 1 else 'less'} than the "
-                     "IMU: measure track and wheel_diameter")
+    if heading is not None:
+        yaw_rad, ratio = heading
+        if abs(ratio - 1) > MAX_YAW_DIFFERENCE:
+            notes.append(f"odometry turns {abs(ratio - 1):.0%} {'more' if ratio > 1 else 'less'} than the IMU: measure "
+                         "track and wheel_diameter")
     duty_s, duty = (_recorded_duties(found, channel) if found.output else _position_duties(found, notes) if found.servo
                     else _asked_duties(found, angle_table, notes))
-    yaw_rad = odom.yaw_rad if heading is None else heading.yaw_rad
     drive = SteeringDrive(odom.t_s, distance_m(odom), yaw_rad, duty_s, duty)
-    return RecordedDrive(path, drive, tuple(notes), found.duration_s, trail(found),
-                         uses_imu=heading is not None)
+    return RecordedDrive(path, drive, tuple(notes), found.duration_s, trail(found), uses_imu=heading is not None)
 
 
 def _recorded_duties(found, channel):
@@ -128,12 +111,18 @@ def _asked_duties(found, angle_table, notes):
     if angle_table is None:
         raise NoRecording(f"{lacks}. The angles that were asked for are on {topic}: with --wheelbase M, and the --base "
                           "that made duties of them on that drive, they are taken")
-    notes.append(angle_table.note(topic))
-    return found.ackermann.t_s, angle_table.duties(found.ackermann)
+    notes.append(f"no duties of the servo were recorded: the angles on {topic} count as the duties that --base has for "
+                 f"them with a wheelbase of {angle_table.wheelbase_m:g} m. What this recording can't tell: whether "
+                 "--base was the table on this drive, and whether anything else steered (a gamepad, a trim, a limit)")
+    return found.ackermann.t_s, np.array(list(map(angle_table.duty, found.ackermann.angle_rad.tolist())), float)
 
 
-def imu_heading(odom: Odom, imu: Imu) -> ImuHeading | None:
-    """Integrate the IMU's yaw rate, less its offset; ``None`` when it covers too little or is unrelated."""
+def imu_heading(odom: Odom, imu: Imu) -> tuple[np.ndarray, float] | None:
+    """Integrate the IMU's yaw rate, less its offset; ``None`` when it covers too little or is unrelated.
+
+    Returns:
+        The yaw at odometry's times in rad (N,), and odometry's change of yaw as a ratio of it.
+    """
     inside = (odom.t_s >= imu.t_s[0]) & (odom.t_s <= imu.t_s[-1])
     gaps = np.diff(imu.t_s) > IMU_GAP_S
     covered = np.mean(inside) - np.sum(np.diff(imu.t_s)[gaps]) / max(odom.t_s[-1] - odom.t_s[0], 1e-9)
@@ -153,4 +142,4 @@ def imu_heading(odom: Odom, imu: Imu) -> ImuHeading | None:
         used = off <= 4 * 1.4826 * np.median(off) + 1e-9
     if not 0.7 < ratio < 1.4:
         return None
-    return ImuHeading(by_rate_rad + offset / ratio * (odom.t_s - odom.t_s[0]), float(ratio))
+    return by_rate_rad + offset / ratio * (odom.t_s - odom.t_s[0]), float(ratio)

@@ -73,8 +73,9 @@ def _curve_lines(curve: Curve):
     yield f"  left out (intervals): {left_out or 'none'}"
     yield _servo_line(curve)
     yield _understeer_line(curve.understeer)
-    fitted = curve.observations.weights @ _at_all_knots(curve)
-    off = np.abs(curve.observations.curvature_per_m - fitted)[curve.used]
+    all_knots = np.zeros(curve.observations.weights.shape[1])  # 0 beyond what was driven
+    all_knots[curve.first_knot:curve.first_knot + len(curve.curvatures)] = curve.curvatures
+    off = np.abs(curve.observations.curvature_per_m - curve.observations.weights @ all_knots)[curve.used]
     yield f"  segments lie off the curve by {np.median(off):.4f} 1/m (median), {np.percentile(off, 95):.4f} (95 %)"
     yield from _center_and_end_lines(curve)
 
@@ -105,13 +106,6 @@ def _understeer_line(understeer: Understeer):
     known = f"known well enough ({number})" if understeer.places and understeer.sigma < USUAL else "known"
     return (f"  by how much turns widen with speed isn't {known}, and understeer stays as it was: drive some circles "
             "at other speeds, too, up to 4 m/s² sideways")
-
-
-def _at_all_knots(curve):
-    """Return the curve at all columns of the observations' weights; 0 beyond what was driven."""
-    values = np.zeros(curve.observations.weights.shape[1])
-    values[curve.first_knot:curve.first_knot + len(curve.curvatures)] = curve.curvatures
-    return values
 
 
 def _cells(point: Breakpoint):

@@ -6,6 +6,7 @@ the power of 1.5, so that segments are as long as they can be.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from typing import NamedTuple, Sequence
 
 import numpy as np
@@ -13,9 +14,24 @@ from scipy import sparse
 
 from car_interface.tools.calibration.delay import Delay
 from car_interface.tools.calibration.shared import NothingToFit, runs
-from car_interface.tools.calibration.steering.drive import COUNT, KNOT, MAX_BACKLASH_DUTY, CurveFitConfig, SteeringDrive
+from car_interface.tools.calibration.steering.drive import (
+    COUNT,
+    KNOT,
+    MAX_BACKLASH_DUTY,
+    MAX_GAP_S,
+    MIN_SPEED_MPS,
+    SteeringDrive,
+)
 from car_interface.tools.calibration.steering.wheels import WheelPosition
 
+MAX_LATERAL_MPS2 = 4.0  # above this tyres may begin to slide
+SETTLED_DUTY = 6.0  # the servo has arrived when it is this near to its command, by delay and lag
+MAX_WANDER_DUTY = 24.0  # how far the wheels may move within a segment
+MIN_LENGTH_M, MAX_LENGTH_M, MIN_DURATION_S = 0.5, 8.0, 0.3  # of a segment
+MAX_JUMP_RAD = 0.5  # of the heading from sample to sample
+# Standard errors of odometry's heading: at most the second; where a drive shows that it is better, that counts.
+MIN_HEADING_SIGMA_RAD, HEADING_SIGMA_RAD = 0.003, 0.008
+MIN_SIGMA_PER_M = 0.001  # no segment's curvature is known better: floors are uneven, tyres flex
 SLOPE_POINTS = 26  # of a segment, from which its slope is taken
 # A slope in least squares is a mean of the curvature along the segment with the weights of a parabola, (25,).
 SLOPE_WEIGHTS = (lambda x: x * (1 - x) / np.sum(x * (1 - x)))(
@@ -48,7 +64,6 @@ class Segmentation(NamedTuple):
     other_lags: list  # the WheelPosition if the servo's lag were smaller and larger
     segments: list
     counts: dict  # how many intervals were left out, by reason
-    config: CurveFitConfig
 
 
 class Observations(NamedTuple):
@@ -64,71 +79,71 @@ class Observations(NamedTuple):
     weights: sparse.csr_matrix  # (S, K): the curvatures are weights @ curve
 
 
-def segmentation(drive: SteeringDrive, delay: Delay, config: CurveFitConfig) -> Segmentation:
+def segmentation(drive: SteeringDrive, delay: Delay) -> Segmentation:
     """Divide one drive into segments."""
-    other_lags = [WheelPosition(drive, delay._replace(lag_s=max(0.0, delay.lag_s + off_s)), config.max_gap_s)
+    other_lags = [WheelPosition(drive, delay._replace(lag_s=max(0.0, delay.lag_s + off_s)))
                   for off_s in (-LAG_SIGMA_S, LAG_SIGMA_S)]
-    wheels = WheelPosition(drive, delay, config.max_gap_s)
-    usable, counts = _usable(wheels, config)
-    segments = [_segment(wheels, first, end, config) for begin, stop in runs(usable)
-                for first, end in _split(wheels, begin, stop, config)]
+    wheels = WheelPosition(drive, delay)
+    usable, counts = _usable(wheels)
+    segments = [_segment(wheels, first, end) for begin, stop in runs(usable)
+                for first, end in _split(wheels, begin, stop)]
     counts["shorter than a segment must be"] = sum(segment is None for segment in segments)
     found = [segment for segment in segments if segment is not None]
-    heading_sigma_rad = _heading_sigma_rad(found, config)
-    found = [one._replace(sigma_per_m=_slope_sigma_per_m(one.length_m, heading_sigma_rad, config)) for one in found]
-    return Segmentation(wheels, other_lags, found, counts, config)
+    heading_sigma_rad = _heading_sigma_rad(found)
+    found = [one._replace(sigma_per_m=_slope_sigma_per_m(one.length_m, heading_sigma_rad)) for one in found]
+    return Segmentation(wheels, other_lags, found, counts)
 
 
-def _heading_sigma_rad(segments, config):
+def _heading_sigma_rad(segments):
     """Return the standard error of this drive's heading: as far as it is off the segments' slopes in nine of ten."""
     if len(segments) < MIN_SEGMENTS:
-        return config.heading_sigma_rad
+        return HEADING_SIGMA_RAD
     seen_rad = float(np.percentile([segment.wander_rad for segment in segments], MOST_PERCENT))
-    return min(max(seen_rad, config.min_heading_sigma_rad), config.heading_sigma_rad)
+    return min(max(seen_rad, MIN_HEADING_SIGMA_RAD), HEADING_SIGMA_RAD)
 
 
-def _slope_sigma_per_m(length_m, heading_sigma_rad, config):
+def _slope_sigma_per_m(length_m, heading_sigma_rad):
     """Return the standard error of a slope of the heading over a way of that length, in 1/m."""
     independent = max(2.0, min(SLOPE_POINTS, length_m / INDEPENDENT_M))
-    return math.hypot(heading_sigma_rad * math.sqrt(12 / independent) / length_m, config.min_sigma_per_m)
+    return math.hypot(heading_sigma_rad * math.sqrt(12 / independent) / length_m, MIN_SIGMA_PER_M)
 
 
-def _usable(wheels, config):
+def _usable(wheels):
     """Return (which samples can be in a segment (N,), how many intervals can't by reason)."""
-    is_slow = np.abs(wheels.speed_mps) < config.min_speed_mps
+    is_slow = np.abs(wheels.speed_mps) < MIN_SPEED_MPS
     yaw_rate_radps = np.convolve(np.gradient(wheels.yaw_rad, wheels.STEP_S), np.full(9, 1 / 9), "same")
-    slides = np.abs(wheels.speed_mps * yaw_rate_radps) > config.max_lateral_mps2
-    unknown = ~wheels.is_known | (wheels.gap_s > config.max_gap_s) | (wheels.jump_rad > config.max_jump_rad)
+    slides = np.abs(wheels.speed_mps * yaw_rate_radps) > MAX_LATERAL_MPS2
+    unknown = ~wheels.is_known | (wheels.gap_s > MAX_GAP_S) | (wheels.jump_rad > MAX_JUMP_RAD)
     usable, counts = np.ones(len(is_slow), bool), {}
     for reason, flags in (("slow or standing", is_slow), ("gaps in odometry or duty", unknown),
                           ("fast in a bend: tyres may slide", slides),
-                          ("servo on its way", wheels.off > config.settled_duty)):
+                          ("servo on its way", wheels.off > SETTLED_DUTY)):
         counts[reason] = int(np.sum(np.diff((flags & usable).astype(int), prepend=0) > 0))
         usable &= ~flags
     return usable, counts
 
 
-def _split(wheels, begin, end, config):
+def _split(wheels, begin, end):
     """Split an interval where the servo wanders, the distance gets long, or the car changes its direction."""
     servo, distance_m, speed = (column[begin:end].tolist()
                                 for column in (wheels.servo, wheels.distance_m, wheels.speed_mps))
     first, low, high = 0, servo[0], servo[0]
     for index, duty in enumerate(servo):
         low, high = min(low, duty), max(high, duty)
-        too_long = abs(distance_m[index] - distance_m[first]) > config.max_length_m
-        if high - low > config.max_wander_duty or too_long or speed[index] * speed[first] < 0:
+        too_long = abs(distance_m[index] - distance_m[first]) > MAX_LENGTH_M
+        if high - low > MAX_WANDER_DUTY or too_long or speed[index] * speed[first] < 0:
             yield begin + first, begin + index
             first, low, high = index, duty, duty
     yield begin + first, end
 
 
-def _segment(wheels, first, end, config):
+def _segment(wheels, first, end):
     """Return the segment of the samples from ``first`` up to before ``end``; ``None``: too short."""
-    if end - first < max(3, config.min_duration_s / wheels.STEP_S):
+    if end - first < max(3, MIN_DURATION_S / wheels.STEP_S):
         return None
     samples = np.arange(first, end)
     length = wheels.distance_m[end - 1] - wheels.distance_m[first]
-    if abs(length) < config.min_length_m:
+    if abs(length) < MIN_LENGTH_M:
         return None
     if length < 0:
         samples = samples[::-1]
@@ -142,7 +157,7 @@ def _segment(wheels, first, end, config):
     wander_rad = math.sqrt(float(beside_rad @ beside_rad) / (SLOPE_POINTS - 2))
     length = abs(length)
     return Segment(samples, distance_m, (at[1:] + at[:-1]) / 2, (wheels.t_s[first] + wheels.t_s[end - 1]) / 2,
-                   curvature, _slope_sigma_per_m(length, config.heading_sigma_rad, config), length,
+                   curvature, _slope_sigma_per_m(length, HEADING_SIGMA_RAD), length,
                    float(np.mean(wheels.speed_mps[samples] ** 4)) ** 0.25, wander_rad)
 
 
@@ -161,13 +176,9 @@ def all_segments(segmentations: Sequence[Segmentation]) -> list[Segment]:
     return [segment for one in segmentations for segment in one.segments]
 
 
-def total_counts(segmentations: Sequence[Segmentation]) -> dict:
-    """Return how many intervals were left out of all drives, by reason."""
-    counts: dict = {}
-    for one in segmentations:
-        for reason, count in one.counts.items():
-            counts[reason] = counts.get(reason, 0) + count
-    return counts
+def total_counts(segmentations: Sequence[Segmentation]) -> Counter:
+    """Return how many intervals were left out of all drives, by reason; none without one."""
+    return sum((Counter(one.counts) for one in segmentations), Counter())
 
 
 def observations(segmentations: Sequence[Segmentation], backlash_duty: float) -> Observations:
@@ -202,7 +213,7 @@ def knots_of(segmentations: Sequence[Segmentation]) -> np.ndarray:
     """
     servo = [one.wheels.servo[segment.samples] for one in segmentations for segment in one.segments]
     if not servo:
-        left_out = ", ".join(f"{count} {reason}" for reason, count in total_counts(segmentations).items() if count)
+        left_out = ", ".join(f"{count} {reason}" for reason, count in total_counts(segmentations).items())
         raise NothingToFit("the car never held its steering for half a metre at speed"
                            + (f"; intervals that don't count: {left_out}" if left_out else ""))
     low, high = min(duties.min() for duties in servo), max(duties.max() for duties in servo)

@@ -19,11 +19,7 @@ NEIGHBOURS, CONTRADICTION_PER_M = 5, 0.03
 
 
 class Smooth:
-    """The spline through observations.
-
-    Args:
-        found: the observations.
-        adapts: whether the strength may vary along the duty.
+    """The spline through observations; ``adapts``: its strength may vary along the duty.
 
     Attributes:
         curvatures: at the knots in 1/m, (K,).

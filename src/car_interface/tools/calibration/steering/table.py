@@ -7,8 +7,8 @@ from typing import Iterator, Mapping, NamedTuple, Sequence
 
 import numpy as np
 
-from car_interface.tools.calibration.steering.drive import COUNT, DEFAULTS, CurveFitConfig
-from car_interface.tools.calibration.steering.ends import slope
+from car_interface.tools.calibration.steering.drive import COUNT
+from car_interface.tools.calibration.steering.ends import STOP_RATIO, slope
 from car_interface.tools.calibration.steering.errors import BAND
 from car_interface.tools.calibration.steering.fit import Curve
 
@@ -16,6 +16,9 @@ LEFT, RIGHT = "left", "right"
 # What a breakpoint's duty rests on.
 DRIVEN, END, OLD, UNKNOWN = "driven", "end", "old", "unknown"
 WIDE_RADII_M = (5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 15.0, 20.0, 30.0, 50.0, 100.0, 300.0)
+# A breakpoint is supported when its curvature is known to this ratio or to this magnitude, to either side, beyond half
+# of what the board's next count would change.
+KNOWN_RATIO, KNOWN_PER_M = 0.08, 0.01
 NEAR_RATIO = 0.25  # segments count for a radius when their curvature differs from its by at most this
 
 
@@ -52,8 +55,7 @@ def widened(radii_m: Sequence[float], wide_m: float) -> list[float]:
     return [*radii_m, *(radius for radius in WIDE_RADII_M if radius > 1.1 * radii_m[-1])]
 
 
-def breakpoints(curve: Curve, radii_m: Sequence[float], side: str,
-                config: CurveFitConfig = DEFAULTS) -> list[Breakpoint]:
+def breakpoints(curve: Curve, radii_m: Sequence[float], side: str) -> list[Breakpoint]:
     """Return the duties for radii (R,) to one side, and what they rest on."""
     sign = 1.0 if side == LEFT else -1.0
     end = curve.left if side == LEFT else curve.right
@@ -69,10 +71,10 @@ def breakpoints(curve: Curve, radii_m: Sequence[float], side: str,
         count = round(duty / COUNT) * COUNT
         sigma = float(np.interp(count, curve.duties, curve.sigmas))
         before, behind = curve.curvature(np.array([count - COUNT, count + COUNT]))
-        near = np.abs(driven - k) <= max(NEAR_RATIO * k, config.known_per_m)
+        near = np.abs(driven - k) <= max(NEAR_RATIO * k, KNOWN_PER_M)
         half_count = abs(behind - before) / 4
-        is_known = BAND * sigma <= max(config.known_ratio * k, config.known_per_m) + half_count
-        if k >= end.curvature_per_m * (1 - config.stop_ratio):
+        is_known = BAND * sigma <= max(KNOWN_RATIO * k, KNOWN_PER_M) + half_count
+        if k >= end.curvature_per_m * (1 - STOP_RATIO):
             duty, source = end.duty, END if end.is_end and is_known else UNKNOWN
         else:
             source = DRIVEN if is_known and driven.size and driven.min() <= k <= driven.max() else UNKNOWN
@@ -83,13 +85,10 @@ def breakpoints(curve: Curve, radii_m: Sequence[float], side: str,
 
 
 def completed(points: Sequence[Breakpoint], center: float, old: Sequence[float]) -> list[Breakpoint]:
-    """Breakpoints of one side, with old duties where nothing was driven.
+    """Return the breakpoints of one side, radii rising (R,), with old duties (R,) where nothing was driven.
 
-    Args:
-        points: with rising radii, (R,).
-        center: the duty that goes straight.
-        old: a duty for each point, (R,). One that doesn't fit between driven ones is replaced by the nearest that does,
-            so that duties approach the center monotonically as radii rise.
+    An old duty that doesn't fit between driven ones is replaced by the nearest that does, so that duties approach the
+    center monotonically as radii rise.
     """
     driven = [point.duty for point in points if point.source != UNKNOWN]
     towards = math.copysign(1.0, np.mean(driven or old) - center)
@@ -105,14 +104,10 @@ def completed(points: Sequence[Breakpoint], center: float, old: Sequence[float])
 
 
 def find_problems(curve: Curve, points: Mapping[str, Sequence[Breakpoint]]) -> Iterator[str]:
-    """Yield a sentence for each unknown part of the tables, with what to drive.
-
-    Args:
-        points: the breakpoints by side.
-    """
+    """Yield a sentence for each unknown part of the tables, by side, with what to drive."""
     if math.isnan(curve.center):
         yield "the car never went straight, nor to both sides: drive straight on for some seconds, three times"
-    elif BAND * float(np.interp(curve.center, curve.duties, curve.sigmas)) > CurveFitConfig().known_per_m:
+    elif BAND * float(np.interp(curve.center, curve.duties, curve.sigmas)) > KNOWN_PER_M:
         yield (f"where the car goes straight is known to ±{BAND * curve.center_sigma:.0f} duty only: drive "
                "straight on for some seconds, three times")
     for side in (LEFT, RIGHT):

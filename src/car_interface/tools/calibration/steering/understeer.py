@@ -53,12 +53,9 @@ def without_understeer(found: Observations, understeer: float) -> Observations:
 
 
 def estimate_understeer(found: Observations, slope_per_m: np.ndarray) -> Understeer:
-    """Estimate it in least squares, each place with a curvature of its own. Outliers count less, but none is left
-    out (Huber's weights): where places differ, that has to show in the standard error.
-
-    Args:
-        found: the observations, S of them.
-        slope_per_m: of the curve at each, in 1/m for each duty, (S,): what a difference in duty is worth.
+    """Estimate it in least squares, each place with a curvature of its own. Outliers count less, but none is left out
+    (Huber's weights): where places differ, that has to show in the standard error. ``slope_per_m``: of the curve at
+    each observation, in 1/m for each duty, (S,): what a difference in duty is worth.
     """
     place = place_numbers(found.duty)
     repeated = np.bincount(place)[place] > 1

@@ -12,7 +12,7 @@ import numpy as np
 from car_interface.tools.calibration import delay as delays
 from car_interface.tools.calibration.delay import Delay
 from car_interface.tools.calibration.shared import NothingToFit
-from car_interface.tools.calibration.steering.drive import DEFAULTS, CurveFitConfig, SteeringDrive
+from car_interface.tools.calibration.steering.drive import MAX_GAP_S, MIN_SPEED_MPS, SteeringDrive
 
 AFTER_GAP_S = 1.0  # so soon after a gap the servo may still follow commands that weren't recorded
 CROSSED_DUTY = 40.0  # a servo that has moved this far has crossed any usual backlash
@@ -23,7 +23,7 @@ BETWEEN_DRIVES_S = 10.0
 UNKNOWN_DELAY = Delay(0.4, 0.4, 0.0)
 
 
-def estimate_servo_delay(drives: Sequence[SteeringDrive], config: CurveFitConfig) -> Delay:
+def estimate_servo_delay(drives: Sequence[SteeringDrive]) -> Delay:
     """Delay and lag from duty to curvature, of all drives together, one behind the other on the time scale.
 
     UNKNOWN_DELAY where all of them are steady: a duty that never changes is followed at any delay.
@@ -44,8 +44,8 @@ def estimate_servo_delay(drives: Sequence[SteeringDrive], config: CurveFitConfig
         step_m, step_rad = (column[2 * HALF_SPAN:] - column[:-2 * HALF_SPAN] for column in (
             np.interp(t_s, drive.t_s, drive.distance_m), np.interp(t_s, drive.t_s, drive.yaw_rad)))
         at_s = t_s[HALF_SPAN:-HALF_SPAN]
-        is_usable = np.abs(step_m) > config.min_speed_mps * 2 * HALF_SPAN * delays.STEP_S
-        is_usable &= _since_gap_s(drive.t_s, at_s, config.max_gap_s) > AFTER_GAP_S
+        is_usable = np.abs(step_m) > MIN_SPEED_MPS * 2 * HALF_SPAN * delays.STEP_S
+        is_usable &= _since_gap_s(drive.t_s, at_s, MAX_GAP_S) > AFTER_GAP_S
         effect.append(step_rad / np.where(is_usable, step_m, 1.0))
         weight.append(np.where(is_usable, step_m ** 2, 0.0))
         effect_s.append(at_s + shift_s)
@@ -64,7 +64,7 @@ def estimate_servo_delay(drives: Sequence[SteeringDrive], config: CurveFitConfig
 
 def is_steady(drive: SteeringDrive) -> bool:
     """Return whether the servo, while the car drove, never moved so far that it crossed any usual backlash."""
-    drives = np.abs(np.gradient(drive.distance_m, drive.t_s)) >= DEFAULTS.min_speed_mps
+    drives = np.abs(np.gradient(drive.distance_m, drive.t_s)) >= MIN_SPEED_MPS
     duty = delays.held(drive.duty_t_s, drive.duty, drive.t_s[drives])
     duty = duty[np.isfinite(duty)]
     return duty.size > 0 and float(np.ptp(duty)) < CROSSED_DUTY
@@ -89,7 +89,7 @@ class WheelPosition:
 
     STEP_S = 0.02
 
-    def __init__(self, drive: SteeringDrive, delay: Delay, max_gap_s: float):
+    def __init__(self, drive: SteeringDrive, delay: Delay):
         self.t_s = np.arange(drive.t_s[0], drive.t_s[-1], self.STEP_S)
         self.distance_m = np.interp(self.t_s, drive.t_s, drive.distance_m)
         self.yaw_rad = np.interp(self.t_s, drive.t_s, drive.yaw_rad)
@@ -101,14 +101,15 @@ class WheelPosition:
         last = np.maximum.accumulate(np.where(np.isfinite(commanded), np.arange(len(commanded)), 0))
         commanded = np.nan_to_num(commanded[last], nan=0.0)
         self.servo = np.empty(len(commanded))
-        gap_ends_s = drive.t_s[1:][np.diff(drive.t_s) > max_gap_s]
+        gap_ends_s = drive.t_s[1:][np.diff(drive.t_s) > MAX_GAP_S]
         self._starts = np.unique(np.concatenate([[0], np.searchsorted(self.t_s, gap_ends_s)]))
         for start, end in zip(self._starts, [*self._starts[1:], len(self.t_s)]):
             self._follow(drive, delay, commanded, start, end)
         self._runs = list(_runs(self.servo, set(self._starts.tolist())))
         self.off = np.abs(commanded - self.servo)
         self.jump_rad = np.abs(np.diff(np.interp(self.t_s, drive.t_s, drive.yaw_rad), prepend=drive.yaw_rad[0]))
-        self.gap_s = _gap_around_s(drive.t_s, self.t_s)
+        index = np.clip(np.searchsorted(drive.t_s, self.t_s, side="right"), 1, len(drive.t_s) - 1)
+        self.gap_s = np.diff(drive.t_s)[index - 1]
 
     def _follow(self, drive, delay, commanded, start, end):
         """Let the servo follow its commands from one gap to the next."""
@@ -148,12 +149,6 @@ def _runs(servo, starts):
     ends = sorted({*starts, *turns.tolist(), len(servo)})
     for start, end in zip(ends, ends[1:]):
         yield start, end, falls[start], start in starts
-
-
-def _gap_around_s(t_s, at_s):
-    """Return the interval between samples ``t_s`` (N,) in which each of ``at_s`` (M,) lies: (M,)."""
-    index = np.clip(np.searchsorted(t_s, at_s, side="right"), 1, len(t_s) - 1)
-    return t_s[index] - t_s[index - 1]
 
 
 def _since_gap_s(t_s, at_s, gap_s):

@@ -15,6 +15,10 @@ from typing import NamedTuple, Sequence
 import numpy as np
 
 TICK_SIGMA_S = 1e-3 / 12**0.5  # a pulse's time is truncated to the millisecond
+WINDOW_S, HOP_S = 0.4, 0.2  # a window's length, and the time from one to the next
+GEAR_CHANGE_S = 0.5  # for this long after rolling backward the ESC may still be changing its direction
+MAX_MPS2 = 10.0  # tyres don't hold more: the wheels slip
+MAX_DIFFERENCE_MPS2 = 3.0  # nor can the accelerations of the two wheels, or those of wheels and IMU, differ by more
 GRID_S = 0.01  # of φ; an ESC gets a pulse every 20 ms
 GOLDEN = 0.6180339887498949  # its multiples, modulo 1, are evenly spread
 SPEED_SPAN_S = 0.1  # a speed is the distance over this time
@@ -27,27 +31,19 @@ MIN_COVERED = 0.7  # of a window, by its samples
 MEASURED, NOT_MEASURED, STANDING, BACKWARD, GEAR_CHANGE, STEERING, SLIPPING = range(7)
 
 
-@dataclass(frozen=True)
-class WindowConfig:
-    """How a drive is divided into windows, and which of them don't count.
+class MapFitConfig(NamedTuple):
+    """Which driving counts, and what a map is fitted by."""
 
-    Attributes:
-        window_s, hop_s: a window's length, and the time from one to the next.
-        min_speed_mps: a window with a lower speed is a stop, in which an ESC holds, reverses or waits.
-        gear_change_s: for this long after rolling backward the ESC may still be changing its direction.
-        max_curvature_per_m, max_lateral_mps2: tyres in a turn brake.
-        max_mps2: tyres don't hold more: the wheels slip.
-        max_difference_mps2: nor can the accelerations of the two wheels, or those of wheels and IMU, differ by more.
-    """
+    min_speed_mps: float = 0.3  # a window with a lower speed is a stop, in which an ESC holds, reverses or waits
+    max_curvature_per_m: float = 0.6  # tyres in a turn brake
+    max_lateral_mps2: float = 2.5  # the same
+    neutral: float = 0.0  # the value at which the actuator neither drives nor brakes; the map may bend there
+    value_timeout_s: float = 0.5  # a value counts for no longer than this
+    delay_s: float | None = None  # from value to acceleration; None = estimated
+    from_imu: bool = False  # accelerations are the IMU's; the wheels' only give its bias
 
-    window_s: float = 0.4
-    hop_s: float = 0.2
-    min_speed_mps: float = 0.3
-    gear_change_s: float = 0.5
-    max_curvature_per_m: float = 0.6
-    max_lateral_mps2: float = 2.5
-    max_mps2: float = 10.0
-    max_difference_mps2: float = 3.0
+
+DEFAULTS = MapFitConfig()
 
 
 class Series(NamedTuple):
@@ -59,70 +55,51 @@ class Series(NamedTuple):
 
 @dataclass(frozen=True)
 class MapDrive:
-    """One recording, on one scale of seconds.
+    """One recording, on one scale of seconds."""
 
-    Attributes:
-        value: the actuator's commanded value, each sample until the next one.
-        speed: m/s, backward negative.
-        yaw: rad, unwrapped.
-        wheels: signed distance of each wheel in m at its pulses; empty = unknown, then the speed is differentiated.
-        imu: forward specific force in m/s², with gravity's part on a slope, as accelerometers measure it.
-        pitch: rad, nose down positive (REP-103).
-        driven: 1 where the value reached the actuator, each sample until the next; ``None`` = always.
-    """
-
-    value: Series
-    speed: Series
-    yaw: Series
+    value: Series  # the actuator's commanded value, each sample until the next one
+    speed: Series  # m/s, backward negative
+    yaw: Series  # rad, unwrapped
+    # signed distance of each wheel in m at its pulses; empty = unknown, then the speed is differentiated
     wheels: Sequence[Series] = ()
+    # forward specific force in m/s², with gravity's part on a slope, as accelerometers measure it
     imu: Series | None = None
-    pitch: Series | None = None
+    pitch: Series | None = None  # rad, nose down positive (REP-103)
+    # 1 where the value reached the actuator, each sample until the next; ``None`` = always
     driven: Series | None = None
 
 
 @dataclass(frozen=True)
 class Windows:
-    """The W windows of a drive, each with P points.
+    """The W windows of a drive, each with P points."""
 
-    Attributes:
-        middle_s: (W,).
-        acceleration_mps2: mean under φ, (W,); NaN where it was not measured.
-        sigma_mps2: standard error by ticks, or by the samples' scatter around the regression, (W,).
-        state: MEASURED, or why not, (W,).
-        t_s, weight, speed_mps: φ's times, its weights (each row's sum is 1), and the speeds, (W, P).
-        cos_yaw, sin_yaw: means under φ, (W,).
-        pitch_rad: mean under φ, (W,); NaN without a sensor.
-        force_mps2, force_sigma_mps2: the IMU's mean under φ and its standard error, (W,); NaN without an IMU.
-    """
-
-    middle_s: np.ndarray
-    acceleration_mps2: np.ndarray
-    sigma_mps2: np.ndarray
-    state: np.ndarray
-    t_s: np.ndarray
-    weight: np.ndarray
-    speed_mps: np.ndarray
-    cos_yaw: np.ndarray
+    middle_s: np.ndarray  # (W,)
+    acceleration_mps2: np.ndarray  # mean under φ, (W,); NaN where it was not measured
+    sigma_mps2: np.ndarray  # standard error by ticks, or by the samples' scatter around the regression, (W,)
+    state: np.ndarray  # MEASURED, or why not, (W,)
+    t_s: np.ndarray  # φ's times, (W, P)
+    weight: np.ndarray  # its weights, (W, P); each row's sum is 1
+    speed_mps: np.ndarray  # (W, P)
+    cos_yaw: np.ndarray  # mean under φ, (W,), as is the next one
     sin_yaw: np.ndarray
-    pitch_rad: np.ndarray
-    force_mps2: np.ndarray
-    force_sigma_mps2: np.ndarray
+    pitch_rad: np.ndarray  # mean under φ, (W,); NaN without a sensor
+    force_mps2: np.ndarray  # the IMU's mean under φ, (W,); NaN without an IMU
+    force_sigma_mps2: np.ndarray  # its standard error
 
 
 @np.errstate(invalid="ignore")  # NaN, for what wasn't measured, compares as false
-def windows(drive: MapDrive, config: WindowConfig = WindowConfig()) -> Windows:
+def windows(drive: MapDrive, config: MapFitConfig = DEFAULTS) -> Windows:
     """Divide a drive into windows and measure each."""
     speed = speed_of_wheels(drive.wheels) if drive.wheels else drive.speed
     begins, ends = drive.speed.t_s[[0, -1]] if drive.speed.t_s.size else (0.0, 0.0)
+    window_s = WINDOW_S
     if not drive.wheels and drive.speed.t_s.size > 1:
-        period_s = float(np.median(np.diff(drive.speed.t_s)))
-        config = replace(config, window_s=max(config.window_s, SPEEDS * period_s))
-    hop_s = max(config.hop_s, (ends - begins) / MAX_WINDOWS)
-    middles = np.arange(begins + config.window_s / 2, ends - config.window_s / 2, hop_s)
+        window_s = max(window_s, SPEEDS * float(np.median(np.diff(drive.speed.t_s))))
+    middles = np.arange(begins + window_s / 2, ends - window_s / 2, max(HOP_S, (ends - begins) / MAX_WINDOWS))
     # Windows in step with the grid of φ, or with commands in step with that, would show a delay in whole steps only.
     middles = middles + (np.arange(middles.size) * GOLDEN % 1.0 - 0.5) * GRID_S
-    steps = round(config.window_s / GRID_S)
-    offsets = (np.arange(steps) + 0.5) * GRID_S - config.window_s / 2
+    steps = round(window_s / GRID_S)
+    offsets = (np.arange(steps) + 0.5) * GRID_S - window_s / 2
     t_s = middles[:, None] + offsets
     weight = np.full(t_s.shape, 1.0 / steps)
     speeds = _at(speed, t_s)
@@ -130,7 +107,7 @@ def windows(drive: MapDrive, config: WindowConfig = WindowConfig()) -> Windows:
     apart = np.zeros(middles.size)
     order, sources, min_samples = (2, drive.wheels, MIN_PULSES) if drive.wheels else (1, (drive.speed,), MIN_SPEEDS)
     for index, middle in enumerate(middles):
-        found = [_regress(source, middle, config.window_s, order, t_s[index], min_samples) for source in sources]
+        found = [_regress(source, middle, window_s, order, t_s[index], min_samples) for source in sources]
         if any(one is None for one in found):
             continue
         values = [one.value for one in found]
@@ -148,7 +125,7 @@ def windows(drive: MapDrive, config: WindowConfig = WindowConfig()) -> Windows:
     found = Windows(middles, measured, sigma, np.zeros(middles.size, int), t_s, weight, speeds,
                   (np.cos(yaw) * weight).sum(axis=1), (np.sin(yaw) * weight).sum(axis=1), pitch, force,
                   force_sigma)
-    return replace(found, state=_states(found, yaw, apart, speed, config))
+    return replace(found, state=_states(found, yaw, apart, speed, window_s, config))
 
 
 def speed_of_wheels(wheels: Sequence[Series]) -> Series:
@@ -209,24 +186,24 @@ def _forces(imu, t_s, weight):
     return np.where(enough, (_at(imu, t_s) * weight).sum(axis=1), np.nan), sigma
 
 
-def _states(found, yaw, apart, speed, config):
+def _states(found, yaw, apart, speed, window_s, config):
     """Return the state of each window (W,): why it doesn't count."""
     state = np.full(found.middle_s.size, MEASURED)
     slowest, fastest = found.speed_mps.min(axis=1), found.speed_mps.max(axis=1)
-    half = config.window_s / 2
+    half = window_s / 2
     backward_s = speed.t_s[speed.y < -config.min_speed_mps / 2]
     if backward_s.size:
         last = np.searchsorted(backward_s, found.middle_s + half) - 1
         since_s = found.middle_s - half - backward_s[np.maximum(last, 0)]
-        changes_gear = (last >= 0) & (since_s < config.gear_change_s)
+        changes_gear = (last >= 0) & (since_s < GEAR_CHANGE_S)
     else:
         changes_gear = np.zeros(state.size, bool)
     distance_m = np.maximum((found.speed_mps * GRID_S).sum(axis=1), 1e-3)
     curvature_per_m = np.abs(yaw[:, -1] - yaw[:, 0]) / distance_m
     lateral_mps2 = curvature_per_m * fastest**2
     force_apart = np.nan_to_num(np.abs(found.force_mps2 - found.acceleration_mps2))
-    slipping = ((np.abs(found.acceleration_mps2) > config.max_mps2) | (apart > config.max_difference_mps2)
-                | (force_apart > config.max_difference_mps2))
+    slipping = ((np.abs(found.acceleration_mps2) > MAX_MPS2) | (apart > MAX_DIFFERENCE_MPS2)
+                | (force_apart > MAX_DIFFERENCE_MPS2))
     for reason, holds in (
         (SLIPPING, slipping),
         (STEERING, (curvature_per_m > config.max_curvature_per_m) | (lateral_mps2 > config.max_lateral_mps2)),

@@ -11,12 +11,11 @@ from car_interface.throttle.value_map import ValueMap
 from car_interface.tools.calibration.shared import NothingToFit, RecordedDrive, names_of
 from car_interface.tools.calibration.value_map import fit as fitting
 from car_interface.tools.calibration.value_map import table as tables
-from car_interface.tools.calibration.value_map.acceleration import WindowConfig
+from car_interface.tools.calibration.value_map.acceleration import WINDOW_S, MapFitConfig
 from car_interface.tools.calibration.value_map.model import HELD_OUT
 from car_interface.tools.calibration.value_map.recorded import BY_IMU, MapSource
 from car_interface.tools.calibration.value_map.surface import MIN_STEP_MPS2
 from car_interface.tools.calibration.value_map.table import number_text
-from car_interface.tools.calibration.value_map.windows import MapFitConfig
 
 MAX_HELD_OUT_MPS2 = 0.5
 MIN_DRIVEN_RATIO = 0.25  # of a map that the drives themselves state
@@ -25,11 +24,7 @@ SYMBOLS = {tables.DRIVEN: "#", tables.BETWEEN: "+", tables.OLD: "o", tables.MOVE
 
 
 class NoTable(CarInterfaceError):
-    """Drives that support no table.
-
-    Args:
-        coverage: what they do support, as a grid of symbols.
-    """
+    """Drives that support no table; ``coverage`` shows what they do support, as a grid of symbols."""
 
     def __init__(self, text: str, coverage: str):
         super().__init__(text)
@@ -95,14 +90,7 @@ def _prior_at_nodes(prior, fit):
 
 def report(recorded: Sequence[RecordedDrive], source: MapSource, fit: fitting.Fit, table: tables.Table,
            problems: Sequence[str], prior_path: str | None = None) -> Iterator[str]:
-    """Yield the lines.
-
-    Args:
-        source: where their values and accelerations are from.
-        table: the part of it that is written.
-        problems: why it should not be written.
-        prior_path: of the old map, if there was one.
-    """
+    """Yield the lines; ``table`` is the part of the fit that is written, ``problems`` say why it should not be."""
     yield from _source_lines(recorded, source, fit, prior_path)
     yield from _error_lines(fit)
     yield coverage_text(fit, table)
@@ -123,7 +111,9 @@ def _source_lines(recorded, source, fit, prior_path):
     drives, names = [one.drive for one in recorded], [Path(one.path).name for one in recorded]
     value = source.value_topic if source.duty_channel is None else f"{DUTY}{source.duty_channel}"
     yield f"A value map from {', '.join(names)}"
-    yield f"value: {value}; accelerations by {_measured_by(source, drives)}"
+    measured_by = ("the IMU, its bias by the wheels" if source.measured_by == BY_IMU else "pulse times of the wheels"
+                   if all(drive.wheels for drive in drives) else "odometry's speed")
+    yield f"value: {value}; accelerations by {measured_by}"
     if source.throttle:
         duties, values = source.throttle.value_of_duty.axis, source.throttle.value_of_duty.values
         yield (f"a duty counts as the value of which {source.throttle.path} makes it: {duties[0]:g} is {values[0]:g}, "
@@ -143,7 +133,7 @@ def _source_lines(recorded, source, fit, prior_path):
 
 def _error_lines(fit):
     windows = sum(fit.rejected.values())
-    yield f"windows of {WindowConfig().window_s:g} s: {windows}, of which count {fit.rejected['counted']}; the others:"
+    yield f"windows of {WINDOW_S:g} s: {windows}, of which count {fit.rejected['counted']}; the others:"
     yield from (f"  {number:6d}  {text}" for text, number in fit.rejected.items() if number and text != "counted")
     yield ""
     yield f"error of single windows: {fit.residual_mps2:.3f} m/s² RMS"
@@ -171,12 +161,6 @@ def _map_lines(fit, table):
     if level:
         yield (f"from value {number_text(level[0])} to {number_text(level[1])} acceleration hardly changes: the ESC's "
                "neutral band, in which the map rises only as its CSV needs it")
-
-
-def _measured_by(source, drives):
-    if source.measured_by == BY_IMU:
-        return "the IMU, its bias by the wheels"
-    return "pulse times of the wheels" if all(drive.wheels for drive in drives) else "odometry's speed"
 
 
 def narrower_text(table: tables.Table, old: ValueMap, old_path: str) -> str | None:

@@ -19,7 +19,7 @@ import numpy as np
 
 from car_interface.tools.calibration.shared import NothingToFit
 from car_interface.tools.calibration.value_map import acceleration as windowing
-from car_interface.tools.calibration.value_map.acceleration import MapDrive
+from car_interface.tools.calibration.value_map.acceleration import DEFAULTS, MapDrive, MapFitConfig
 from car_interface.tools.calibration.value_map.model import (
     HUBER,
     Model,
@@ -31,10 +31,8 @@ from car_interface.tools.calibration.value_map.model import (
 )
 from car_interface.tools.calibration.value_map.surface import Grid, rounded, value_axis, velocity_axis
 from car_interface.tools.calibration.value_map.windows import (
-    DEFAULTS,
     OUTLYING,
     Data,
-    MapFitConfig,
     by_rule,
     gather,
     manoeuvres,
@@ -47,61 +45,42 @@ FIRST_DELAY_S = 0.1  # by which the axes are chosen, before the delay is known
 MAX_DELAY_S = 0.6
 COARSE_STEP_S = 0.04
 COARSE_ROWS, COARSE_COLUMNS = 9, 5
+# A node is supported by at least this much driving around it, in this many manoeuvres, if its standard error is at most
+# this.
+SUPPORT_S, SUPPORT_MANOEUVRES, SUPPORT_SIGMA_MPS2 = 0.1, 2, 0.08
 MIN_DIFFERENCE = 9.0  # of the sum of squares between delays, or they can't be told apart: three sigmas
 
 
 class Ground(NamedTuple):
-    """What was found about one drive besides the map.
+    """What was found about one drive besides the map."""
 
-    Attributes:
-        uphill: the slope in the direction of yaw 0, and in that of 90° to its left; NaN where headings don't spread.
-        sag_above, sag_below: the ratio of its effect that a value above (below) neutral loses from start to end.
-        sag_sigma: their standard errors.
-        pitch_offset_rad: of the pitch sensor; NaN without.
-    """
-
+    # the slope in the direction of yaw 0, and in that of 90° to its left; NaN where headings don't spread
     uphill: tuple[float, float]
-    sag_above: float
-    sag_below: float
-    sag_sigma: tuple[float, float]
-    pitch_offset_rad: float
+    sag_above: float  # the ratio of its effect that a value above neutral loses from start to end
+    sag_below: float  # the same below neutral
+    sag_sigma: tuple[float, float]  # their standard errors
+    pitch_offset_rad: float  # of the pitch sensor; NaN without
 
 
 @dataclass(frozen=True)
 class Fit:
-    """A map of R values and C velocities, and how well it is known.
+    """A map of R values and C velocities, and how well it is known."""
 
-    Attributes:
-        values, velocities: its axes, (R,) and (C,).
-        accelerations: (R, C), in m/s², rounded to the CSV's decimals; every column rises.
-        sigma_mps2: standard errors, (R, C).
-        seconds: of driving around each node, (R, C).
-        supported: which nodes the drives support, (R, C).
-        sure: which nodes have a small standard error, with or without driving around them, (R, C).
-        delay_s, delay_sigma_s: from value to acceleration; the second is NaN where the delay was given or doesn't show.
-        delay_is_given: whether the delay was given.
-        grounds: one for each drive.
-        rejected: windows by rule; those that count are under "counted".
-        residual_mps2: RMS over windows that count.
-        held_out_mps2, held_out_windows: the same over every 5th manoeuvre, from a fit to the others; NaN if there are
-            too few.
-    """
-
-    values: np.ndarray
-    velocities: np.ndarray
-    accelerations: np.ndarray
-    sigma_mps2: np.ndarray
-    seconds: np.ndarray
-    supported: np.ndarray
-    sure: np.ndarray
-    delay_s: float
-    delay_sigma_s: float
+    values: np.ndarray  # (R,)
+    velocities: np.ndarray  # (C,)
+    accelerations: np.ndarray  # (R, C), in m/s², rounded to the CSV's decimals; every column rises
+    sigma_mps2: np.ndarray  # standard errors, (R, C)
+    seconds: np.ndarray  # of driving around each node, (R, C)
+    supported: np.ndarray  # which nodes the drives support, (R, C)
+    sure: np.ndarray  # which nodes have a small standard error, with or without driving around them, (R, C)
+    delay_s: float  # from value to acceleration
+    delay_sigma_s: float  # its standard error; NaN where the delay was given or doesn't show
     delay_is_given: bool
-    grounds: tuple[Ground, ...]
-    rejected: dict[str, int]
-    residual_mps2: float
-    held_out_mps2: float
-    held_out_windows: int
+    grounds: tuple[Ground, ...]  # one for each drive
+    rejected: dict[str, int]  # windows by rule; those that count are under "counted"
+    residual_mps2: float  # RMS over windows that count
+    held_out_mps2: float  # the same over every 5th manoeuvre, from a fit to the others; NaN if there are too few
+    held_out_windows: int  # how many these were
 
 
 @np.errstate(invalid="ignore")  # NaN, for what wasn't measured, compares as false
@@ -120,27 +99,27 @@ def fit(drives: Sequence[MapDrive], values: np.ndarray | None, velocities: np.nd
     counted = data.state == windowing.MEASURED
     if not counted.any():
         raise NothingToFit(why_nothing(data.state))
-    sampled = sample(drives, data, config.delay_s if config.delay_s is not None else FIRST_DELAY_S, config)
-    inside = sampled.state == windowing.MEASURED
+    value, state = sample(drives, data, config.delay_s if config.delay_s is not None else FIRST_DELAY_S, config)
+    inside = state == windowing.MEASURED
     if not inside.any():
-        raise NothingToFit(why_nothing(sampled.state))
+        raise NothingToFit(why_nothing(state))
     speed = np.concatenate([one.speed_mps for one in data.windows])
-    grid = Grid(value_axis(sampled.value[inside], config.neutral) if values is None else np.asarray(values, float),
+    grid = Grid(value_axis(value[inside], config.neutral) if values is None else np.asarray(values, float),
                 velocity_axis(speed[inside]) if velocities is None else np.asarray(velocities, float))
     delay_s, delay_sigma_s = (config.delay_s, float("nan")) if config.delay_s is not None else estimate_delay(
         drives, data, grid, speed, config)
-    sampled = sample(drives, data, delay_s, config)
-    state = on_grid(sampled, speed, grid)
+    value, state = sample(drives, data, delay_s, config)
+    state = on_grid(value, state, speed, grid)
     if not (state == windowing.MEASURED).any():
         raise NothingToFit(why_nothing(state))
-    model = Model(grid, data, sampled.value, speed, config)
-    manoeuvre = manoeuvres(data, sampled.value, state, grid)
+    model = Model(grid, data, value, speed, config)
+    manoeuvre = manoeuvres(data, value, state, grid)
     solved = solve(model, state)
     state = np.where((state == windowing.MEASURED) & solved.outlying, OUTLYING, state)
     seconds, count = coverage(model, state, manoeuvre)
     sigma = standard_errors(model, solved, state, manoeuvre)
-    sure = sigma <= config.support_sigma_mps2
-    supported = sure & (seconds >= config.support_s) & (count >= config.support_manoeuvres)
+    sure = sigma <= SUPPORT_SIGMA_MPS2
+    supported = sure & (seconds >= SUPPORT_S) & (count >= SUPPORT_MANOEUVRES)
     held_out_mps2, held_out_windows = hold_out(model, state, manoeuvre)
     used = state == windowing.MEASURED
     shape = (grid.rows.size, grid.columns.size)
@@ -166,21 +145,19 @@ def _ground(index, data, solved):
 
 def estimate_delay(drives: Sequence[MapDrive], data: Data, grid: Grid, speed: np.ndarray,
                    config: MapFitConfig) -> tuple[float, float]:
-    """Return (the delay in s, its standard error); the latter is NaN where the drives don't show one.
-
-    Args:
-        speed: in m/s, (W, P).
+    """Return (the delay in s, its standard error); the latter is NaN where the drives don't show one. ``speed`` is in
+    m/s, (W, P).
     """
     coarse = Grid(_thin(grid.rows, COARSE_ROWS), _thin(grid.columns, COARSE_COLUMNS))
     # Only windows that count under every delay are compared, or their number would decide.
-    states = [on_grid(sample(drives, data, delay_s, config), speed, grid) for delay_s in (0.0, MAX_DELAY_S)]
+    states = [on_grid(*sample(drives, data, delay_s, config), speed, grid) for delay_s in (0.0, MAX_DELAY_S)]
     state = np.where(states[0] == windowing.MEASURED, states[1], states[0])
     used = state == windowing.MEASURED
     if used.sum() < 2 * coarse.size:
         return 0.0, float("nan")
 
     def ratios(delay_s, grid):
-        value = sample(drives, data, delay_s, config).value
+        value, _ = sample(drives, data, delay_s, config)
         solved = solve(Model(grid, data, value, speed, config, sags=False), state, rising=False, passes=2)
         return np.abs(solved.residual[used] / data.sigma[used])
 
@@ -190,7 +167,8 @@ def estimate_delay(drives: Sequence[MapDrive], data: Data, grid: Grid, speed: np
                                      MAX_DELAY_S))
         found = [ratios(delay_s, over) for delay_s in delays_s]
         scale = max(1.0, min(float(np.median(ratio)) for ratio in found) / 0.6745)
-        costs = np.array([_cost(ratio / scale) for ratio in found])
+        found = np.array(found) / scale
+        costs = np.where(found < HUBER, found**2, 2 * HUBER * found - HUBER**2).sum(axis=1)  # Huber's
         if np.ptp(costs) < MIN_DIFFERENCE and over is coarse:
             return 0.0, float("nan")
         best, max_offset, step = float(delays_s[np.argmin(costs)]), 1.5 * step, step / 4
@@ -198,11 +176,6 @@ def estimate_delay(drives: Sequence[MapDrive], data: Data, grid: Grid, speed: np
     if a <= 0:
         return best, float("nan")
     return float(np.clip(best - b / (2 * a), 0.0, best + max_offset)), float(1.0 / np.sqrt(a))
-
-
-def _cost(ratio):
-    """Huber's loss of residuals in sigmas."""
-    return float(np.where(ratio < HUBER, ratio**2, 2 * HUBER * ratio - HUBER**2).sum())
 
 
 def _thin(axis, max_steps):

@@ -17,8 +17,9 @@ import numpy as np
 from scipy import sparse
 
 from car_interface.tools.calibration.value_map import acceleration as windowing
+from car_interface.tools.calibration.value_map.acceleration import MapFitConfig
 from car_interface.tools.calibration.value_map.surface import MIN_STEP_MPS2, Grid, penalties, rising_least_squares
-from car_interface.tools.calibration.value_map.windows import BEYOND, TURNING, Data, MapFitConfig, within_turns
+from car_interface.tools.calibration.value_map.windows import BEYOND, TURNING, Data, within_turns
 
 SLOPE_SIGMA, SAG_SIGMA = 0.05, 0.15  # expected of a slope, and of a battery in one drive
 HUBER = 2.0  # residuals beyond this many sigmas count less
@@ -31,12 +32,8 @@ HELD_OUT = 5
 
 
 class Model:
-    """The model's matrices under one delay.
-
-    Args:
-        value: under the delay, (W, P).
-        speed: in m/s, (W, P).
-        sags: whether the battery's effect is part of the model.
+    """The model's matrices under one delay, by value and speed in m/s, (W, P) each; ``sags``: the battery's effect is
+    part of it.
 
     Attributes:
         map: the nodes' weights in each window, (W, G).
@@ -55,41 +52,28 @@ class Model:
         self.push = [grid.averages(value, speed, weight * side) - grid.averages(coasting, speed, weight * side)
                      for side in (above, ~above)] if sags else []
         kinks = np.abs(grid.rows - config.neutral) <= BENDS * np.ptp(grid.rows)
-        rough = penalties(grid, config.roughness, kinks)
+        rough = penalties(grid, kinks)
         self.penalty = (rough.T @ rough).toarray()
 
 
 @dataclass
 class Solution:
-    """A solution of the model.
+    """A solution of the model."""
 
-    Attributes:
-        nodes: the map, (G,).
-        slope: of each drive's ground along x and y, (2·D,).
-        sag: of each drive above and below neutral, (D, 2).
-        residual: of each window in m/s², (W,); 0 where it wasn't used.
-        weight: of each window, (W,).
-        outlying: which windows are outliers, (W,).
-        columns, normal, prior: of the last pass's equations: (W, U), (U, U), (U, U), with U = G + 4·D unknowns.
-    """
-
-    nodes: np.ndarray
-    slope: np.ndarray
-    sag: np.ndarray
-    residual: np.ndarray
-    weight: np.ndarray
-    outlying: np.ndarray
-    columns: sparse.csr_matrix
+    nodes: np.ndarray  # the map, (G,)
+    slope: np.ndarray  # of each drive's ground along x and y, (2·D,)
+    sag: np.ndarray  # of each drive above and below neutral, (D, 2)
+    residual: np.ndarray  # of each window in m/s², (W,); 0 where it wasn't used
+    weight: np.ndarray  # of each window, (W,)
+    outlying: np.ndarray  # which windows are outliers, (W,)
+    columns: sparse.csr_matrix  # of the last pass's equations: (W, U), (U, U), (U, U), with U = G + 4·D unknowns
     normal: np.ndarray
     prior: np.ndarray
 
 
 def solve(model: Model, state: np.ndarray, rising: bool = True, passes: int = PASSES) -> Solution:
-    """Solve by Gauss-Newton steps for the battery's effect, with Huber's weights.
-
-    Args:
-        state: of the windows, (W,): MEASURED and TURNING ones are used.
-        rising: whether the map must rise with the value.
+    """Solve by Gauss-Newton steps for the battery's effect, with Huber's weights. Of the windows' states (W,) MEASURED
+    and TURNING are used; ``rising``: the map must rise with the value.
     """
     data, grid = model.data, model.grid
     used = (state == windowing.MEASURED) | (state == TURNING)
@@ -145,10 +129,8 @@ def _robust(residual, sigma, used):
 
 
 def coverage(model: Model, state: np.ndarray, manoeuvre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (seconds of driving around each node (G,), in how many manoeuvres (G,)).
-
-    Args:
-        state, manoeuvre: of each window, (W,).
+    """Return (seconds of driving around each node (G,), in how many manoeuvres (G,)), by each window's state and
+    manoeuvre, (W,).
     """
     used = np.flatnonzero(state == windowing.MEASURED)
     time_s = sparse.diags(model.data.hop_s[used]) @ model.map[used]

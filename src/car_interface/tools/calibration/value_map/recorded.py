@@ -68,27 +68,20 @@ def load_throttle_table(path: str) -> ThrottleTable:
 
 @dataclass(frozen=True)
 class MapSource:
-    """Where a recording's value and accelerations come from.
+    """Where a recording's value and accelerations come from."""
 
-    Attributes:
-        topics: named by the user, by role: see ``signals.load``. That of the value is not used with a duty channel.
-        duty_channel: of the servo board, 0..15, whose duty stands for the value; ``None`` = there is a topic.
-        throttle: by which a duty is a value; with a duty channel.
-        neutral: the value at which the car coasts.
-        measured_by: BY_PULSES, BY_ODOM or BY_IMU; ``None`` = pulses where they were recorded, else odometry.
-        namespace: the car's.
-        esc_channel: of the servo board, 0..15, shows whether a value reached the ESC; ``None`` = unknown.
-        esc_neutral_duty: the duty of that channel when nobody drives.
-    """
-
+    # named by the user, by role: see ``signals.load``. That of the value is not used with a duty channel.
     topics: Mapping[str, str] = field(default_factory=dict)
+    # of the servo board, 0..15, whose duty stands for the value; ``None`` = there is a topic
     duty_channel: int | None = None
-    throttle: ThrottleTable | None = None
-    neutral: float = 0.0
+    throttle: ThrottleTable | None = None  # by which a duty is a value; with a duty channel
+    neutral: float = 0.0  # the value at which the car coasts
+    # BY_PULSES, BY_ODOM or BY_IMU; ``None`` = pulses where they were recorded, else odometry
     measured_by: str | None = None
-    namespace: str = "/"
+    namespace: str = "/"  # the car's
+    # of the servo board, 0..15, shows whether a value reached the ESC; ``None`` = unknown
     esc_channel: int | None = None
-    esc_neutral_duty: float = 0.0
+    esc_neutral_duty: float = 0.0  # the duty of that channel when nobody drives
 
     @property
     def value_topic(self) -> str:
@@ -192,10 +185,7 @@ def wheel_distances(pulses: Sequence[Pulses], speed: Series) -> tuple[Series, ..
 
 def reached_esc(value: Series, duty: Series, neutral: float, neutral_duty: float) -> Series | None:
     """Return whether the value was what the ESC got, at the times of ``duty``: 0 while only the ESC was at neutral,
-    else 1.
-
-    Returns:
-        ``None`` where the duty never changes: nobody drives that channel.
+    else 1. ``None`` where the duty never changes: nobody drives that channel.
     """
     if duty.t_s.size == 0 or value.t_s.size == 0 or np.ptp(duty.y) <= DUTY_PER_COUNT:
         return None

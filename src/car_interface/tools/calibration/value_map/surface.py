@@ -5,7 +5,6 @@ R rows, C columns, G = R·C nodes, counted row by row. Pure numpy and scipy.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -13,6 +12,9 @@ from scipy.optimize import lsq_linear
 
 from car_interface.tools.calibration.shared import rising
 
+# The expected second derivatives, as standard deviations. Along the rows' axis, taken as 1: a throttle curve's (6·u^1.5
+# has 9 on the average). Along the columns', per (m/s)²: a motor's that has half its thrust at 9 m/s.
+ROUGH_ROWS, ROUGH_COLUMNS = 8.0, 0.15
 INTERVALS = 10.0  # of the axis for which a second derivative is expected; on a finer grid nodes differ by less
 DECIMALS = 3  # of a map's CSV, as Autoware's calibrators write it
 RESOLUTION_MPS2 = 10.0**-DECIMALS
@@ -56,32 +58,20 @@ class Grid:
         return sparse.coo_matrix((data, (np.tile(index, 4), node)), shape=(u.shape[0], self.size)).tocsr()
 
 
-class Roughness(NamedTuple):
-    """The expected second derivatives, as standard deviations: along the rows' axis taken as 1, and per unit of the
-    columns' axis."""
-
-    rows: float
-    columns: float
-
-
-def penalties(grid: Grid, roughness: Roughness, kinks: np.ndarray) -> sparse.csr_matrix:
-    """Return the second differences of a surface as ratios of the expected ones: a matrix (D, G).
-
-    Args:
-        kinks: (R,), the rows at which the surface may bend freely.
+def penalties(grid: Grid, kinks: np.ndarray) -> sparse.csr_matrix:
+    """Return the second differences of a surface as ratios of the expected ones: a matrix (D, G). At the rows of
+    ``kinks`` (R,) it may bend freely.
     """
-    rows = _second_differences((grid.rows - grid.rows[0]) / np.ptp(grid.rows), roughness.rows)
+    rows = _second_differences((grid.rows - grid.rows[0]) / np.ptp(grid.rows), ROUGH_ROWS)
     inside = kinks[1:-1]
     rows[inside] *= 0.05
-    columns = _second_differences(grid.columns, roughness.columns)
+    columns = _second_differences(grid.columns, ROUGH_COLUMNS)
     return sparse.vstack([sparse.kron(sparse.csr_matrix(rows), sparse.identity(grid.columns.size)),
                           sparse.kron(sparse.identity(grid.rows.size), sparse.csr_matrix(columns))]).tocsr()
 
 
-def rising_least_squares(grid: Grid, normal: np.ndarray, right: np.ndarray,
-                         min_steps: np.ndarray) -> np.ndarray:
+def rising_least_squares(grid: Grid, normal: np.ndarray, right: np.ndarray, min_steps: np.ndarray) -> np.ndarray:
     """Minimise x·normal·x − 2·x·right over grids that rise by at least ``min_steps`` from row to row: x (U,).
-
 
     Args:
         grid: its nodes are the first of x; those after them are free.

@@ -19,19 +19,13 @@ BRACKET = 2  # nodes: this near on both sides must be supported ones
 
 
 class Table(NamedTuple):
-    """A map of R values and C velocities, as it is written.
+    """A map of R values and C velocities, as it is written."""
 
-    Attributes:
-        values, velocities, accelerations: those of the fit, or part of it: (R,), (C,), (R, C).
-        origin: of each acceleration: DRIVEN, BETWEEN, OLD or MOVED, (R, C).
-        sigma_mps2: standard errors, (R, C); NaN for the prior's.
-    """
-
-    values: np.ndarray
-    velocities: np.ndarray
-    accelerations: np.ndarray
-    origin: np.ndarray
-    sigma_mps2: np.ndarray
+    values: np.ndarray  # those of the fit, or part of it, (R,); so are the next two
+    velocities: np.ndarray  # (C,)
+    accelerations: np.ndarray  # (R, C)
+    origin: np.ndarray  # of each acceleration: DRIVEN, BETWEEN, OLD or MOVED, (R, C)
+    sigma_mps2: np.ndarray  # standard errors, (R, C); NaN for the prior's
 
     def driven_ratio(self) -> float:
         """Return the ratio of accelerations that come from the drives."""
@@ -81,21 +75,14 @@ def table(found: Fit, neutral: float, prior: np.ndarray | None = None) -> Table 
 
 def _between(found):
     """Return which nodes have supported ones on both sides, and are known as well (R, C)."""
-    known = found.supported
-    between = np.zeros(known.shape, bool)
+    between = np.zeros(found.supported.shape, bool)
     for axis in (0, 1):
-        near = []
-        for direction in (1, -1):
-            side = np.zeros(known.shape, bool)
-            for steps in range(1, BRACKET + 1):
-                shifted = np.roll(known, direction * steps, axis)
-                edge = [slice(None), slice(None)]
-                edge[axis] = slice(None, steps) if direction > 0 else slice(-steps, None)
-                shifted[tuple(edge)] = False
-                side |= shifted
-            near.append(side)
-        between |= near[0] & near[1]
-    return between & ~known & found.sure
+        known = np.moveaxis(np.pad(found.supported, [(BRACKET, BRACKET) if axis == one else (0, 0) for one in (0, 1)]),
+                            axis, 0)
+        shifted = [known[begin:len(known) - 2 * BRACKET + begin] for begin in range(2 * BRACKET + 1)]
+        on_both_sides = np.any(shifted[:BRACKET], axis=0) & np.any(shifted[BRACKET + 1:], axis=0)
+        between |= np.moveaxis(on_both_sides, 0, axis)
+    return between & ~found.supported & found.sure
 
 
 def _largest_part(stated, values, velocities, neutral):

@@ -5,24 +5,25 @@ delay along each window. W windows of P points each, of D drives.
 """
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import NamedTuple, Sequence
+from dataclasses import dataclass
+from typing import Sequence
 
 import numpy as np
 from scipy import sparse
 
 from car_interface.tools.calibration.value_map import acceleration as windowing
-from car_interface.tools.calibration.value_map.acceleration import MapDrive, WindowConfig, Windows, windows
-from car_interface.tools.calibration.value_map.surface import Grid, Roughness
+from car_interface.tools.calibration.value_map.acceleration import MapDrive, MapFitConfig, Windows, windows
+from car_interface.tools.calibration.value_map.surface import Grid
 
-# Rows: a throttle curve's (6·u^1.5 has 9 on the average, over a value axis taken as 1). Columns, per (m/s)²: a motor's
-# that has half its thrust at 9 m/s.
-ROUGHNESS = Roughness(8.0, 0.15)
 GRAVITY_MPS2 = 9.81
+MAX_PITCH_RAD = 0.15  # beyond it a window doesn't count
+MIN_SIGMA_MPS2 = 0.03  # no window's acceleration is known better: floors are uneven, tyres flex
 MIN_SPREAD = 0.1  # of headings: the part of a constant that cos and sin of yaw can't explain; 1 for all round
 MIN_TURN = 5  # windows in a row
 VALUE_JUMP = 0.05  # of the range of values: more begins another manoeuvre
 MANOEUVRE_S = 5.0
+NO_VALUE, NOT_DRIVEN, BEYOND, STEEP, OUTLYING = range(10, 15)
+TURNING = 15  # steering, but good enough to show the slope
 # Why a window doesn't count.
 RULES = {
     windowing.BACKWARD: "rolling backward",
@@ -31,144 +32,71 @@ RULES = {
     windowing.NOT_MEASURED: "too few pulses or speeds",
     windowing.STEERING: "steering: a tight turn, or tyres at work",
     windowing.SLIPPING: "wheel slip: more than tyres hold, or wheels that disagree",
-}
-NO_VALUE, NOT_DRIVEN, BEYOND, STEEP, OUTLYING = range(10, 15)
-TURNING = 15  # steering, but good enough to show the slope
-
-
-@dataclass(frozen=True)
-class MapFitConfig:
-    """How a map is fitted, and what supports one.
-
-    Attributes:
-        window: how drives are divided into windows.
-        neutral: the value at which the actuator neither drives nor brakes; the map may bend there.
-        value_timeout_s: a value counts for no longer than this.
-        max_pitch_rad: beyond it a window doesn't count.
-        roughness: the expected second derivatives of the map.
-        min_sigma_mps2: no window's acceleration is known better: floors are uneven, tyres flex.
-        support_s, support_manoeuvres, support_sigma_mps2: a node is supported by at least this much driving around
-            it, in this many manoeuvres, if its standard error is at most this.
-        delay_s: from value to acceleration; ``None`` = estimated.
-        from_imu: accelerations are the IMU's; the wheels' only give its bias.
-    """
-
-    window: WindowConfig = field(default_factory=WindowConfig)
-    neutral: float = 0.0
-    value_timeout_s: float = 0.5
-    max_pitch_rad: float = 0.15
-    roughness: Roughness = ROUGHNESS
-    min_sigma_mps2: float = 0.03
-    support_s: float = 0.1
-    support_manoeuvres: int = 2
-    support_sigma_mps2: float = 0.08
-    delay_s: float | None = None
-    from_imu: bool = False
-
-
-DEFAULTS = MapFitConfig()
-
-
-RULES.update({
     NO_VALUE: "no value, or one that had timed out",
     NOT_DRIVEN: "the value didn't reach the actuator",
     BEYOND: "beyond the map's axes",
     STEEP: "ground steeper than the steepest pitch",
     OUTLYING: "fits nothing else that the car did",
-})
+}
 
 
 @dataclass
 class Data:
-    """All windows of all drives, one drive after the other.
+    """All windows of all drives, one drive after the other."""
 
-    Attributes:
-        windows: of each drive.
-        drive: each window's drive, (W,).
-        acceleration, sigma: in m/s², and its standard error, (W,).
-        slope: gravity per slope of each drive's ground along x and y, (W, 2·D).
-        sees_slope: whether a drive shows its slope, (D,).
-        part: the time from its drive's middle, as a ratio of the drive, −0.5..0.5, (W,).
-        hop_s: how much driving a window stands for, (W,).
-        state: MEASURED, TURNING, or why a window doesn't count, (W,).
-        pitch_offset: of each drive's sensor in rad; NaN without.
-    """
-
-    windows: list[Windows]
-    drive: np.ndarray
-    acceleration: np.ndarray
-    sigma: np.ndarray
-    slope: np.ndarray
-    sees_slope: np.ndarray
-    part: np.ndarray
-    hop_s: np.ndarray
-    state: np.ndarray
-    pitch_offset: list[float]
-
-
-class ValuesBefore(NamedTuple):
-    """The values under one delay."""
-
-    value: np.ndarray  # along each window, (W, P)
-    state: np.ndarray  # of the windows, by their values too, (W,)
-
-
-class _Gathered(NamedTuple):
-    """The windows of one drive; see Data."""
-
-    windows: Windows
-    acceleration: np.ndarray
-    sigma: np.ndarray
-    sees_slope: bool
-    part: np.ndarray
-    hop_s: np.ndarray
-    state: np.ndarray
-    pitch_offset: float
+    windows: list[Windows]  # of each drive
+    drive: np.ndarray  # each window's drive, (W,)
+    acceleration: np.ndarray  # in m/s², (W,)
+    sigma: np.ndarray  # its standard error
+    slope: np.ndarray  # gravity per slope of each drive's ground along x and y, (W, 2·D)
+    sees_slope: np.ndarray  # whether a drive shows its slope, (D,)
+    part: np.ndarray  # the time from its drive's middle, as a ratio of the drive, −0.5..0.5, (W,)
+    hop_s: np.ndarray  # how much driving a window stands for, (W,)
+    state: np.ndarray  # MEASURED, TURNING, or why a window doesn't count, (W,)
+    pitch_offset: list[float]  # of each drive's sensor in rad; NaN without
 
 
 def gather(drives: Sequence[MapDrive], config: MapFitConfig) -> Data:
     """Divide drives into windows, and find which count by everything but the value."""
-    gathered = [_gather(drive, config) for drive in drives]
-    counts = [one.state.size for one in gathered]
-    slope = np.zeros((sum(counts), 2 * len(drives)))
-    number = np.repeat(np.arange(len(drives)), counts)
-    for index, one in enumerate(gathered):
-        slope[number == index, 2 * index] = -GRAVITY_MPS2 * one.windows.cos_yaw
-        slope[number == index, 2 * index + 1] = -GRAVITY_MPS2 * one.windows.sin_yaw
-
-    def column(name):
-        return np.concatenate([getattr(one, name) for one in gathered])
-
-    return Data([one.windows for one in gathered], number, column("acceleration"), column("sigma"), slope,
-                np.array([one.sees_slope for one in gathered]), column("part"), column("hop_s"), column("state"),
-                [one.pitch_offset for one in gathered])
+    all_windows, acceleration, sigma, sees_slope, part, hop_s, state, offset = zip(
+        *(_gather(drive, config) for drive in drives))
+    number = np.repeat(np.arange(len(drives)), [one.size for one in state])
+    slope = np.zeros((number.size, 2 * len(drives)))
+    for index, one in enumerate(all_windows):
+        slope[number == index, 2 * index] = -GRAVITY_MPS2 * one.cos_yaw
+        slope[number == index, 2 * index + 1] = -GRAVITY_MPS2 * one.sin_yaw
+    acceleration, sigma, part, hop_s, state = map(np.concatenate, (acceleration, sigma, part, hop_s, state))
+    return Data(list(all_windows), number, acceleration, sigma, slope, np.array(sees_slope), part, hop_s, state,
+                list(offset))
 
 
 def _gather(drive, config):
-    one = windows(drive, config.window)
+    """Return one drive's windows, and of each what Data has of it."""
+    one = windows(drive, config)
     state = one.state.copy()
     counted = state == windowing.MEASURED
     turning = ((state == windowing.STEERING) & np.isfinite(one.acceleration_mps2 + one.sigma_mps2)
-               & (np.abs(one.acceleration_mps2) < config.window.max_mps2))
+               & (np.abs(one.acceleration_mps2) < windowing.MAX_MPS2))
     spreads = _spread(one.cos_yaw, one.sin_yaw, counted, turning) >= MIN_SPREAD
     acceleration, sigma, offset = one.acceleration_mps2, one.sigma_mps2, float("nan")
     if config.from_imu:
         acceleration, sigma = one.force_mps2 - _bias(one, counted | turning, spreads), one.force_sigma_mps2
         spreads = False  # an accelerometer measures what the car would do on level ground
     elif drive.pitch is not None and np.isfinite(one.pitch_rad).all() and counted.any():
-        offset = _pitch_offset(one, counted | turning) if spreads else 0.0
+        # The part of the pitch that doesn't turn with the heading: a plane ground's would.
+        offset = _constant_part(one.pitch_rad, one, counted | turning) if spreads else 0.0
         pitch = one.pitch_rad - offset
-        state[counted & (np.abs(pitch) > config.max_pitch_rad)] = STEEP
+        state[counted & (np.abs(pitch) > MAX_PITCH_RAD)] = STEEP
         acceleration = acceleration - GRAVITY_MPS2 * np.sin(np.nan_to_num(pitch))
         spreads = False  # gravity is subtracted already
     if spreads:
         state[turning] = TURNING
     state[(state == windowing.MEASURED) & ~np.isfinite(acceleration)] = windowing.NOT_MEASURED
     begin_s, end_s = drive.speed.t_s[[0, -1]] if drive.speed.t_s.size else (0.0, 1.0)
-    hop_s = max(config.window.hop_s, (end_s - begin_s) / windowing.MAX_WINDOWS)
-    return _Gathered(one, acceleration, np.hypot(np.nan_to_num(sigma), config.min_sigma_mps2), spreads,
-                     (one.middle_s - (begin_s + end_s) / 2) / max(end_s - begin_s, 1.0),
-                     np.full(state.size, hop_s), state, offset)
+    hop_s = max(windowing.HOP_S, (end_s - begin_s) / windowing.MAX_WINDOWS)
+    return (one, acceleration, np.hypot(np.nan_to_num(sigma), MIN_SIGMA_MPS2), spreads,
+            (one.middle_s - (begin_s + end_s) / 2) / max(end_s - begin_s, 1.0), np.full(state.size, hop_s), state,
+            offset)
 
 
 def _spread(cos, sin, counted, turning):
@@ -184,11 +112,8 @@ def _spread(cos, sin, counted, turning):
 
 
 def within_turns(turning: np.ndarray, drive: np.ndarray) -> sparse.csr_matrix:
-    """Return a matrix (W, W) that subtracts its mean from each turn, clears short turns, and leaves the rest alone.
-
-    Args:
-        turning: which windows are in a turn, (W,).
-        drive: each window's drive, (W,).
+    """Return a matrix (W, W) that subtracts its mean from each turn, clears short turns, and leaves the rest alone, by
+    whether each window is in a turn and by its drive, (W,) both.
     """
     windows = turning.size
     index = np.flatnonzero(turning)
@@ -201,11 +126,6 @@ def within_turns(turning: np.ndarray, drive: np.ndarray) -> sparse.csr_matrix:
     size = np.maximum(1.0, np.asarray(member.sum(axis=1)).ravel())
     keep = np.where(turning & (number < 0), 0.0, 1.0)
     return (sparse.diags(keep) - member.T @ sparse.diags(1.0 / size) @ member).tocsr()
-
-
-def _pitch_offset(one, counted):
-    """Return the part of the pitch that doesn't turn with the heading: a plane ground's would."""
-    return _constant_part(one.pitch_rad, one, counted)
 
 
 def _bias(one, counted, spreads):
@@ -222,8 +142,9 @@ def _constant_part(y, one, counted):
     return float(np.linalg.lstsq(columns, y[counted], rcond=None)[0][0])
 
 
-def sample(drives: Sequence[MapDrive], data: Data, delay_s: float, config: MapFitConfig) -> ValuesBefore:
-    """Return the values ``delay_s`` earlier, and the windows' states by them."""
+def sample(drives: Sequence[MapDrive], data: Data, delay_s: float,
+           config: MapFitConfig) -> tuple[np.ndarray, np.ndarray]:
+    """Return (the values ``delay_s`` earlier along each window (W, P), the windows' states by them, too (W,))."""
     values, states = [], []
     for index, (drive, one) in enumerate(zip(drives, data.windows)):
         state = data.state[data.drive == index].copy()
@@ -239,7 +160,7 @@ def sample(drives: Sequence[MapDrive], data: Data, delay_s: float, config: MapFi
             state[(state == TURNING) & idle] = windowing.STEERING
         values.append(np.where(np.isfinite(value), value, 0.0))
         states.append(state)
-    return ValuesBefore(np.concatenate(values), np.concatenate(states))
+    return np.concatenate(values), np.concatenate(states)
 
 
 def _held(series, t_s):
@@ -251,10 +172,10 @@ def _held(series, t_s):
     return np.where(last >= 0, series.y[known], np.nan), np.where(last >= 0, t_s - series.t_s[known], np.inf)
 
 
-def on_grid(sampled: ValuesBefore, speed: np.ndarray, grid: Grid) -> np.ndarray:
-    """Return the states (W,) with windows left out that lie beyond a grid; speed in m/s, (W, P)."""
-    inside = grid.has(sampled.value, np.nan_to_num(speed)).all(axis=1)
-    state = np.where((sampled.state == windowing.MEASURED) & ~inside, BEYOND, sampled.state)
+def on_grid(value: np.ndarray, state: np.ndarray, speed: np.ndarray, grid: Grid) -> np.ndarray:
+    """Return the states (W,) with windows left out that lie beyond a grid; value and speed in m/s, (W, P)."""
+    inside = grid.has(value, np.nan_to_num(speed)).all(axis=1)
+    state = np.where((state == windowing.MEASURED) & ~inside, BEYOND, state)
     return np.where((state == TURNING) & ~inside, windowing.STEERING, state)
 
 

@@ -9,12 +9,10 @@ from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.package_files import package_file
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.common.yaml_file import load_yaml
-from car_interface.steering.config import load_steering
 from car_interface.tools.calibration.drive.config import (
     CalibrationDriveConfig,
     drive_config,
     parse,
-    read_base,
     read_obstacles,
 )
 
@@ -33,14 +31,6 @@ def test_throttle_arb_that_does_not_know_the_sonars_is_refused_in_words():
     with pytest.raises(CarInterfaceError, match=r"of throttle_arb's parameters sonar_hub/sonars/front_right is "
                                                 r"missing.*launch the car by its launch files, or .* --no-sonars"):
         read_obstacles({"servo": THROTTLE["servo"]})
-
-
-def test_calibration_is_the_one_that_turn_arb_runs_with():
-    path = str(package_file("config/turn_arb.yaml"))
-    assert read_base(load_yaml(path)) == load_steering(path)
-    with pytest.raises(CarInterfaceError, match=r"turn_arb's calibration isn't known: its parameter servo_left is "
-                                                r"missing.*Is the car launched, and in this namespace"):
-        read_base({})
 
 
 def test_options_are_read_and_those_of_the_drive_are_its_settings():

@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 
 from car_interface.common import causes
+from car_interface.common.sources import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.common.units import NS_PER_S
-from car_interface.steering.arbiter import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.tools.calibration.drive.grant import Grant, Seen, Steering, Throttle, missing, missing_gamepad
 
 IDLE_STEERING = Steering(NEUTRAL, causes.NO_REQUEST, "nothing asks")

@@ -24,5 +24,5 @@ def test_end_that_the_wheels_miss_by_half_of_the_backlash_counts_as_driven(backl
     low, high, limit = 4000.0, 6000.0, 6032.0  # two counts beyond what the wheels did
     knots = np.arange(low, high + 1, 8.0)
     side = find_side(knots, (5000.0 - knots) / 1000, np.full(len(knots), 0.001), 1, low, high,
-                     CurveFitConfig(limits=(3000.0, limit)), backlash_duty)
+                     (3000.0, limit), backlash_duty)
     assert (side.is_end, side.is_stop, side.duty) == (is_end, False, high)

@@ -1,8 +1,6 @@
 """By how much a car's turns widen with speed, from drives of a car whose steering is known."""
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -80,7 +78,7 @@ def test_a_car_that_has_none_gets_none():
 def test_at_one_speed_it_is_not_known_and_the_calibration_s_own_is_taken():
     (one,) = drives(0.0078, (1.9,))
     for given, is_near in ((0.0078, True), (0.0, False)):
-        found = fit.fit([one], replace(KNOWN, understeer=given))
+        found = fit.fit([one], KNOWN._replace(understeer=given))
         assert not found.understeer.is_known
         inside = (found.duties > 4000) & (found.duties < 6300)
         assert (np.abs(found.curvatures - true_curvature(found.duties))[inside].max() < 0.02) is np.bool_(is_near)

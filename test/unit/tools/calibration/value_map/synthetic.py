@@ -7,9 +7,8 @@ import random
 
 import numpy as np
 
-from car_interface.tools.calibration.value_map.acceleration import MapDrive, Series
+from car_interface.tools.calibration.value_map.acceleration import MapDrive, MapFitConfig, Series
 from car_interface.tools.calibration.value_map.fit import Fit, fit
-from car_interface.tools.calibration.value_map.windows import MapFitConfig
 from written_recordings import Written, odometry
 
 PULSE_M, STEP_S, NOTHING = 0.0149, 0.005, Series(np.zeros(0), np.zeros(0))

@@ -5,13 +5,14 @@ import numpy as np
 import pytest
 
 from car_interface.tools.calibration.value_map import acceleration as windowing
-from car_interface.tools.calibration.value_map.acceleration import MapDrive, Series, WindowConfig, windows
+from car_interface.tools.calibration.value_map.acceleration import MapDrive, Series, windows
 from tools.calibration.value_map.synthetic import NOTHING, PULSE_M
 
 pytestmark = pytest.mark.once
 
 
-def test_window_over_a_step_of_the_value_is_exactly_its_mean_under_phi():
+def test_window_over_a_step_of_the_value_is_exactly_its_mean_under_phi(monkeypatch):
+    monkeypatch.setattr(windowing, "MAX_MPS2", 99.0)
     t_s = np.arange(0.0, 4.0, 0.0001)
     a = np.where(t_s < 2.1, 1.0, -3.0)
     v = 3.0 + np.cumsum(a) * 0.0001
@@ -19,7 +20,7 @@ def test_window_over_a_step_of_the_value_is_exactly_its_mean_under_phi():
     places = np.arange(0.0, s[-1], PULSE_M)
     wheel = Series(np.interp(places, s, t_s), places)
     one = MapDrive(NOTHING, Series(t_s[::100], v[::100]), Series(t_s[::100], 0 * t_s[::100]), (wheel, wheel))
-    found = windows(one, WindowConfig(max_mps2=99.0))
+    found = windows(one)
     counts = found.state == windowing.MEASURED
     expected = (np.where(found.t_s < 2.1, 1.0, -3.0) * found.weight).sum(axis=1)
     assert found.acceleration_mps2[counts] == pytest.approx(expected[counts], abs=0.06)  # φ's grid is 10 ms

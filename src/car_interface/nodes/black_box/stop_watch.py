@@ -9,7 +9,7 @@ import math
 from typing import Any, NamedTuple
 
 from car_interface.common import causes
-from car_interface.steering.arbiter import PLANNER, TELEOP
+from car_interface.common.sources import PLANNER, TELEOP
 
 TURN_ARB, THROTTLE_ARB, TELEOP_LOGI = "turn_arb", "throttle_arb", "teleop_logi"
 STANDSTILL_MPS = 0.05  # one pulse of a wheel, 15 mm, in 0.3 s
@@ -21,8 +21,6 @@ SILENT_TICKS = TICK_HZ  # of an arbiter that sends its state at 10 Hz or more: i
 
 
 class Stop(NamedTuple):
-    """A stop that nobody asked for."""
-
     cause: str  # one of causes.LOSSES, or which node is silent
     reason: str
 

@@ -19,14 +19,14 @@ from types import SimpleNamespace
 import genpy
 import rospy
 
-from car_interface.black_box.folder import TIME_FORMAT, BlackBoxConfig, default_folder, newest, store
-from car_interface.black_box.ring import SPAN_NS, Message, Ring
-from car_interface.black_box.stop_watch import TICK_HZ, Stop, StopWatch
+from car_interface.common.black_box_folder import TIME_FORMAT, BlackBoxConfig, default_folder, newest, store
 from car_interface.common.declared import read_all
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import NS_PER_S
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.msg import SteeringState, TeleopState, ThrottleState
+from car_interface.nodes.black_box.ring import SPAN_NS, Message, Ring
+from car_interface.nodes.black_box.stop_watch import TICK_HZ, Stop, StopWatch
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics
 from car_interface.ros.runtime import describe_error, run
 from car_interface.ros.topics import subscribe
@@ -150,7 +150,6 @@ class BlackBox:
         status.add("newest recording", recording.path if recording else "none")
         status.add("memory", f"{self._ring.size_bytes / 1e6:.1f} MB")
         status.add("messages left out", self._ring.dropped)
-        return status
 
 
 def bag_of(messages: list[Message], offset_ns: int) -> bytes:
@@ -187,7 +186,6 @@ class _Buffer(io.BytesIO):
 
 
 def main():
-    """Run the node."""
     with suppress(OSError):
         os.nice(NICENESS)
     run("black_box", BlackBox)

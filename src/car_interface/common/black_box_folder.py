@@ -20,15 +20,11 @@ MINUTE_S, HOUR_S, DAY_S = 60, 3600, 86400
 
 @dataclass(frozen=True)
 class BlackBoxConfig:
-    """Where the recordings go."""
-
     folder: str | None = declared.path("folder", None, "of the recordings",
                                        default_text="`~/.ros/car_interface/black_box`")
 
 
 class Recording(NamedTuple):
-    """A recording in the folder."""
-
     path: str
     cause: str  # of the stop
     written_s: float  # when, by the file system: the computer's clock may have been set since

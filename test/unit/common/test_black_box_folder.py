@@ -5,9 +5,9 @@ import os
 
 import pytest
 
-from car_interface.black_box import folder as folder_module
-from car_interface.black_box.folder import MAX_FILES, default_folder, newest, recordings, store
+from car_interface.common import black_box_folder as folder_module
 from car_interface.common import causes
+from car_interface.common.black_box_folder import MAX_FILES, default_folder, newest, recordings, store
 
 DATA = b"#ROSBAG V2.0"
 

@@ -1,1 +1,0 @@
-"""The black box: what it keeps in memory, which stops have it written, and the folder that they go to."""

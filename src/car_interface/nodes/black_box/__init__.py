@@ -1,0 +1,1 @@
+"""The black_box node, and what only it needs."""

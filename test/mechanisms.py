@@ -1,0 +1,61 @@
+"""Switches off the mechanisms of the safety case, one at a time, and sees that the tests that their rows name fail.
+
+``./dev mutate --mechanisms [MODULE...]``. ``switched off`` in ``test/safety_case.yaml`` has the changes. A test of
+test/process runs as it is started by ``./dev test``, with its whole file.
+"""
+from __future__ import annotations
+
+import subprocess
+from collections import defaultdict
+from pathlib import Path
+from typing import Iterator
+
+from mutate import PACKAGE, Job, Key, Place, Slot, is_named, run
+from safety_case import DATA, Case, load
+
+LIMIT_S = 600.0  # of one test with a change; the longest takes a tenth of it
+
+
+def jobs_of(root: Path, case: Case, names: list[str]) -> list[Job]:
+    """Return a job for each change in the named modules and each test that must notice it."""
+    tests, jobs = case.data["tests"], []
+    for module, before, after, aliases in case.data["switched off"]:
+        path = f"{module}.py"
+        if is_named(path, names):
+            source = (root / PACKAGE / path).read_bytes()
+            start = source.index(before.encode())
+            place = Place(source.count(b"\n", 0, start) + 1, start, start + len(before.encode()), after.encode())
+            jobs += [Job(Key(path, alias, before, after, 1), place, [f"test/{tests[alias]}"], LIMIT_S)
+                     for alias in aliases]
+    return jobs
+
+
+class ProcessSlot(Slot):
+    """A slot that also runs the files of test/process."""
+
+    def _pytest(self, tests):
+        if not tests[0].startswith("test/process/"):
+            return super()._pytest(tests)
+        file = Path(tests[0].partition("::")[0]).resolve()
+        return subprocess.call(["rostest", f"--pkgdir={self._copy}", "--package=car_interface",
+                                f"--results-base-dir={self._folder}", str(file).replace("_test.py", ".test")])
+
+
+def run_mechanisms(root: Path, slots: list[Slot], names: list[str]) -> Iterator[tuple[Key, bool]]:
+    """Run each; yield the change with its test's name as function, and whether the test failed, as it should."""
+    for result in run(slots, jobs_of(root, load(DATA.read_text(encoding="utf-8")), names)):
+        yield result.job.key, not result.passed
+
+
+def report(root: Path, slots: list[Slot], names: list[str]) -> int:
+    """Run and print; return 1 if a test passed without the mechanism that it is named for."""
+    count, passed = 0, defaultdict(list)
+    for key, is_noticed in run_mechanisms(root, slots, names):
+        count += 1
+        print(f"{'noticed' if is_noticed else 'PASSED '} {key.module} {key.line!r} → {key.change!r}: {key.function}",
+              flush=True)
+        if not is_noticed:
+            passed[key.module].append(key.function)
+    print(f"{count} tests without their mechanisms: {count - sum(map(len, passed.values()))} failed, as they should",
+          *(f"  {module}: {', '.join(aliases)} passed" for module, aliases in passed.items()), sep="\n")
+    return 1 if passed else 0
