@@ -44,9 +44,12 @@ COVERAGE = ("coverage",)
 REQUIREMENTS = ROOT / "test" / "requirements"
 RENEWS_WITH = ("uv",)
 OLDEST_PYTHON = "3.8.10"  # Ubuntu 20.04's
-# numpy and tornado of Ubuntu 20.04 and 22.04, Debian 12, Ubuntu 24.04, Debian 13: what pip adds must fit them.
-OF_SYSTEMS = (("3.8", "1.17.4", "6.0.3"), ("3.10", "1.21.5", "6.1"), ("3.11", "1.24.2", "6.2"),
-              ("3.12", "1.26.4", "6.4"), ("3.13", "2.2.4", "6.4.2"))
+# numpy, tornado and jinja2 of Ubuntu 20.04 and 22.04, Debian 12, Ubuntu 24.04, Debian 13: what pip adds must fit them.
+# Ubuntu 20.04's tornado is called 6.0.3+really5.1.1.
+OF_SYSTEMS = (("3.8", "1.17.4", "5.1.1", "2.10.1"), ("3.10", "1.21.5", "6.1", "3.0.3"),
+              ("3.11", "1.24.2", "6.2", "3.1.2"), ("3.12", "1.26.4", "6.4", "3.1.2"),
+              ("3.13", "2.2.4", "6.4.2", "3.1.6"))
+BROUGHT = ("markupsafe",)  # by the system's jinja2, which needs its own: 2.10.1 fails with 2.1
 # ROS modules that nodes on another Python import: plain Python, without the rest of what lies beside them.
 ROS_MODULES = (
     "actionlib_msgs", "catkin", "diagnostic_msgs", "diagnostic_updater", "dynamic_reconfigure", "genmsg", "genpy",
@@ -55,7 +58,8 @@ ROS_MODULES = (
 PACKAGE_XML = ROOT / "package.xml"
 # ROS packages that the commands and the tests call, and that package.xml need not name.
 ROS_TOOLS = ("rosbash", "rosmsg", "rosout", "rosparam", "rosservice", "rostopic")
-CLUSTER = ("distributed>=2023.5.0",)  # the extra of setup.py: tools on several computers; 34 MB
+# The extra of setup.py: tools on several computers; 34 MB. Its last version for Python 3.8 wants tornado 6.0.3.
+CLUSTER = ('distributed>=2023.5.0; python_version >= "3.9"',)
 TOOLS = ("cmake", "g++", "iproute2", "make", "python3-pytest-xdist", "python3-venv")
 DEBIAN_TOOLS = ("libfaketime", "ros-environment")
 NOT_NEEDED = ("rviz",)  # large; `./dev demo --display` installs it
@@ -147,11 +151,11 @@ def names_of(requirements: Iterable[str]) -> list[str]:
 def pins() -> dict[str, tuple[list[str], list[str], list[str]]]:
     """Return by the name of a file of requirements: what is wanted, constraints, and what a system's packages have."""
     has = [f'{name}=={version}; python_version == "{python}"' for python, *versions in OF_SYSTEMS
-           for name, version in zip(("numpy", "tornado"), versions)]
+           for name, version in zip(("numpy", "tornado", "jinja2"), versions)]
     debian, noetic = (set(pip_packages(name)) for name in (DEBIAN, "noetic"))
     of_noetic = [f'{name}; python_version == "3.8"' for name in sorted(noetic - debian)]
     alone = pip_packages(DEBIAN, is_alone=True)
-    left_out = set(names_of(alone)) - set(names_of(debian | noetic))
+    left_out = {*names_of(alone), *BROUGHT} - set(names_of(debian | noetic))
     return {"system": ([*sorted(debian), *of_noetic, *CLUSTER], has, sorted(left_out)), "alone": (alone, [], []),
             "lint": (list(LINTERS), [], []), "coverage": (list(COVERAGE), [], []), "renew": (list(RENEWS_WITH), [], [])}
 
@@ -161,6 +165,8 @@ def apt_failure(update_log: str, install_log: str) -> str:
     if re.search("Failed to fetch|Temporary failure|Could not resolve", update_log):
         return "apt-get could not fetch its lists of packages: connect this computer to the network, and try again"
     unknown = re.findall(r"(?:Unable to locate package |Package ')([\w.+-]+)", install_log)
+    if "dpkg was interrupted" in install_log:
+        return "an earlier installation was interrupted: run 'sudo dpkg --configure -a', and try again"
     if unknown:
         return f"apt has no package {', '.join(sorted(set(unknown)))} for this system; {WHERE_ROS_IS}"
     return "apt-get could not install the packages"

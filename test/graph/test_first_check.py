@@ -305,6 +305,26 @@ def test_stick_s_sign_is_not_written_to_a_file_that_does_not_count_for_the_gamep
 
 
 @pytest.mark.once
+@pytest.mark.parametrize("frame, buttons, name", [
+    ("gamepad: Wireless Controller", 13, "L1"), ("gamepad: Logitech Gamepad F710", 11, "LB"), ("keyboard", 11, "key M"),
+    ("", 11, "button 4")])
+def test_deadman_is_called_as_on_the_gamepad_or_keyboard_that_sends(tmp_path, frame, buttons, name):
+    car = Box(tmp_path).begin()
+    car.pad(axes=8, buttons=buttons)
+    car.joy_now.header.frame_id = frame
+    car.graph.run(0.5)
+    car.type("y", 0.3)
+    assert f"Hold the manual deadman ({name})." in car.terminal.text
+
+
+def test_gamepad_that_is_in_no_file_has_no_names(tmp_path):
+    car = Box(tmp_path).begin()
+    car.joy_now.header.frame_id = "gamepad: Nobody's Pad"
+    car.graph.run(0.5)
+    car.type("y", 0.3)
+    assert "has no entry for this gamepad" in car.terminal.text and "deadman (" not in car.terminal.text
+
+
 def test_board_s_node_that_cannot_be_killed_is_not_asked_about(tmp_path):
     car = Box(tmp_path)
     car.kill = lambda name: f"{name} runs on another computer"

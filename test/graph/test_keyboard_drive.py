@@ -100,7 +100,7 @@ def test_joy_comes_at_50_hz_with_the_axes_and_buttons_of_teleop_logi():
     hand.graph.run(1.0)
     assert len(hand.graph.messages("/joy", at_ns)) == 50
     left = hand.type("ma", 0.3)
-    assert (len(left.axes), len(left.buttons), left.axes[2]) == (10, 13, -1.0)
+    assert (len(left.axes), len(left.buttons), left.axes[2], left.header.frame_id) == (10, 13, -1.0, "keyboard")
     assert [index for index, held in enumerate(left.buttons) if held] == [12]
     hand.graph.run(1.0)
     assert not any(hand.joy.buttons)

@@ -78,8 +78,10 @@ def test_condition_in_package_xml_that_is_not_understood_is_refused():
      "connect this computer to the network"),
     ("", "E: Unable to locate package python3-rospy\nE: Package 'catkin' has no installation candidate",
      "no package catkin, python3-rospy for this system; ROS 1 is in"),
-    ("", "E: dpkg was interrupted", "could not install the packages"),
-], ids=["no_network", "a_system_without_ros_1", "anything_else"])
+    ("", "E: dpkg was interrupted, you must manually run 'dpkg --configure -a' to correct the problem.",
+     "run 'sudo dpkg --configure -a', and try again"),
+    ("", "E: You don't have enough free space", "could not install the packages"),
+], ids=["no_network", "a_system_without_ros_1", "interrupted_before", "anything_else"])
 def test_failure_of_apt_names_its_cause(update, install, expected):
     line = set_up.apt_failure(update, install)
     assert expected in line and "\n" not in line

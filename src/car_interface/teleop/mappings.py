@@ -19,6 +19,12 @@ from car_interface.teleop.gamepad import GamepadConfig
 
 FILE = "gamepads.yaml"
 FRAME = "gamepad: "  # before the gamepad's name
+KEYBOARD_FRAME = "keyboard"  # the frame_id of keyboard_drive's messages
+# What is printed on the buttons 0, 1, …, by how the model begins. Their order is SDL's gamecontrollerdb.txt for Linux.
+LABELS = {
+    "Logitech Gamepad": "A B X Y LB RB", "Logitech Logitech": "X A B Y LB RB", "Microsoft": "A B X Y LB RB",
+    "Xbox Wireless Controller": "A B - X Y - LB RB", "Sony": "cross circle triangle square L1 R1",
+    "Wireless Controller": "cross circle triangle square L1 R1", "DualSense": "cross circle triangle square L1 R1"}
 HEAD = f"# Written by map_gamepad; the package's config/{FILE} says how it is read."
 
 Entries = Mapping[str, Any]  # by model, what differs
@@ -34,6 +40,17 @@ def model_of(frame: str, axes: int, buttons: int) -> str:
     Another mode or driver of the same gamepad has other numbers of axes and buttons, or another name.
     """
     return f"{frame[len(FRAME):]}, {axes} axes, {buttons} buttons" if frame.startswith(FRAME) else ""
+
+
+def button_label(model: str, button: int) -> str:
+    """Return what is printed on a gamepad's button, or its number where that isn't known.
+
+    Args:
+        model: see ``model_of``.
+        button: its number in the message.
+    """
+    labels = next((labels.split() for name, labels in LABELS.items() if model.startswith(name)), [])
+    return labels[button] if 0 <= button < len(labels) and labels[button] != "-" else f"button {button}"
 
 
 def load_entries(folder: str | None) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from car_interface.common.units import NS_PER_S
 # The current's peak at a start is over by then: a car that pulls 5 m/s² has 10 m/s after it.
 SUSTAINED_NS = 2 * NS_PER_S
 REPORT = "battery"  # throttle_arb's on /diagnostics
+SEE_WHO = "See who publishes battery_state: rostopic info battery_state"
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,9 @@ class BatteryStatus(NamedTuple):
         """Return what a person can do; empty: nothing has to be done."""
         if self.cause in (causes.BATTERY_LOW, causes.BATTERY_EMPTY):
             return "Charge or change the battery"
-        return "See who publishes battery_state: rostopic info battery_state" if self.cause else ""
+        if self.cause == causes.BATTERY_STALE:
+            return f"{SEE_WHO}, and whether it does so less often than battery/timeout"
+        return SEE_WHO if self.cause else ""
 
 
 class BatteryWatch:

@@ -9,7 +9,7 @@ from car_interface.common.package_files import package_file
 from car_interface.common.params import Params
 from car_interface.common.yaml_file import load_yaml
 from car_interface.teleop.gamepad import GamepadConfig
-from car_interface.teleop.mappings import HEAD, config_for, frame_of, load_entries, model_of, with_entry
+from car_interface.teleop.mappings import HEAD, button_label, config_for, frame_of, load_entries, model_of, with_entry
 
 SHIPPED = read(Params(load_yaml(str(package_file("config/teleop_logi.yaml")))), GamepadConfig)
 MODEL = "Nobody's \"Pad\", 4 axes, 10 buttons"
@@ -32,6 +32,31 @@ def test_shipped_gamepad_steers_left_drives_right_and_has_its_deadmen_at_the_sho
     assert (config.steer_axis, config.throttle_axis, config.manual_button, config.autonomous_button,
             config.faster_button, config.slower_button) == expected
     assert (config.steer_scale, config.throttle_scale, config.joy_timeout_s) == (1.0, 1.0, 0.25)
+
+
+@pytest.mark.parametrize("model, expected", [
+    ("Xbox Wireless Controller", ["LB", "RB", "Y", "A"]), ("Wireless Controller", ["L1", "R1", "square", "cross"]),
+    ("Nobody's Pad", ["button 4", "button 5", "button 3", "button 0"])])
+def test_button_is_called_what_is_printed_on_it_and_by_its_number_on_an_unknown_gamepad(model, expected):
+    entries = load_entries(None)
+    model = next((known for known in entries if known.startswith(model)), "")
+    config = config_for(model, SHIPPED, entries)
+    assert [button_label(model, number) for number in (config.manual_button, config.autonomous_button,
+                                                       config.faster_button, config.slower_button)] == expected
+
+
+def test_button_that_has_no_label_on_a_known_gamepad_is_called_by_its_number():
+    names = [button_label("Xbox Wireless Controller, 8 axes, 15 buttons", number) for number in (-1, 2, 14)]
+    assert names == ["button -1", "button 2", "button 14"]
+
+
+def test_every_shipped_gamepad_s_deadmen_and_scale_have_names():
+    entries = load_entries(None)
+    for model in entries:
+        config = config_for(model, SHIPPED, entries)
+        names = [button_label(model, number) for number in (config.manual_button, config.autonomous_button,
+                                                            config.faster_button, config.slower_button)]
+        assert names in (["LB", "RB", "Y", "A"], ["L1", "R1", "square", "cross"])
 
 
 def test_every_shipped_entry_can_be_used_with_the_shipped_parameters():

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from car_interface.common import causes
-from car_interface.throttle.battery import BatteryConfig, BatteryWatch
+from car_interface.throttle.battery import SEE_WHO, BatteryConfig, BatteryWatch
 
 S = 1_000_000_000
 START = 1000 * S
@@ -93,7 +93,8 @@ def test_limits_of_0_are_off():
 @pytest.mark.parametrize("voltages, silent_s, remedy", [
     ([FULL] * 6, 0, ""), ([LOW] * 6, 0, "Charge or change the battery"),
     ([EMPTY] * 6, 0, "Charge or change the battery"),
-    ([FULL] * 6, 6, "See who publishes battery_state: rostopic info battery_state")], ids=str)
+    ([math.nan] * 6, 0, SEE_WHO),
+    ([FULL] * 6, 6, f"{SEE_WHO}, and whether it does so less often than battery/timeout")], ids=str)
 def test_whatever_is_wrong_with_a_battery_has_a_remedy(voltages, silent_s, remedy):
     battery = Battery()
     for voltage in voltages:

@@ -38,7 +38,7 @@ def test_change_takes_the_time_that_the_limits_allow(begin, target, limits, take
     assert reached_s(course(begin, target, 4.0, **limits), target) == pytest.approx(takes_s, abs=0.1)
 
 
-@pytest.mark.parametrize("begin, target", itertools.product((0.0, 0.3, 3.0), repeat=2))
+@pytest.mark.parametrize("begin, target", list(itertools.product((0.0, 0.3, 3.0), repeat=2)))
 def test_limits_hold_and_the_target_is_neither_overshot_nor_left(begin, target):
     speeds = course(begin, target)
     assert speeds[-1] == target and min(speeds) >= min(begin, target) and max(speeds) <= max(begin, target)

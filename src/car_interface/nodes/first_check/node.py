@@ -22,14 +22,14 @@ from __future__ import annotations
 import os
 import signal
 from functools import partial
-from typing import Any, Callable
+from typing import Any, Callable, Mapping
 
 import rospy
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy, Range
 from std_msgs.msg import Bool, Float32, Int32MultiArray, String
 
-from car_interface.common.causes import AUTONOMOUS
+from car_interface.common.causes import AUTONOMOUS, MANUAL
 from car_interface.common.declared import read
 from car_interface.common.errors import CarInterfaceError, ConfigError, EndedEarly
 from car_interface.common.params import Params
@@ -45,10 +45,11 @@ from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, sender_of, subscribe
 from car_interface.ros.xmlrpc_calls import call
 from car_interface.steering.config import calibration_of
-from car_interface.teleop.mappings import load_entries, model_of
+from car_interface.teleop.gamepad import GamepadConfig
+from car_interface.teleop.mappings import KEYBOARD_FRAME, Entries, button_label, config_for, load_entries, model_of
 from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.config import load_throttle
-from car_interface.tools.first_check.car import Output, Setup, Steering, Throttle, WheelCount
+from car_interface.tools.first_check.car import SLOWER, Controls, Output, Setup, Steering, Throttle, WheelCount
 from car_interface.tools.first_check.check import FirstCheck
 from car_interface.tools.first_check.files import find_folder, plan, write, write_page
 
@@ -60,6 +61,7 @@ INTRODUCTION = """First check: five minutes, one question at a time, the car on 
 With keyboard_drive in another terminal: M is the manual deadman, P the
 autonomous one, A and D the left stick, W and S the right one, E and C the right
 one slowly."""
+KEYS = {MANUAL: "key M", AUTONOMOUS: "key P", SLOWER: "key -"}  # of keyboard_drive
 PAGE = "first_check_%Y-%m-%d_%H-%M-%S.html"
 
 
@@ -88,7 +90,8 @@ class FirstCheckNode:
         self._steering = advertise("av_steer_req", Float32, inbox)
         self._asked = False  # whether it steered with the last tick
         self._is_tuning = False  # until throttle_arb has answered
-        self._model = ""  # of the newest message's gamepad
+        self._gamepad, self._entries = graph.parameter("teleop_logi", {}), load_entries(self._folder)
+        self._sender, self._model = None, ""  # of the newest joy message
         self._subscribe()
         if not self._keys.start():
             raise CarInterfaceError("no terminal to ask in: start it by rosrun in a terminal of its own, not by "
@@ -117,7 +120,10 @@ class FirstCheckNode:
             subscribe(topic, message_type, inbox, handler, wakes=False)
 
     def _on_joy(self, message, now_ns):
-        self._model = model_of(message.header.frame_id, len(message.axes), len(message.buttons))
+        frame, axes, buttons = message.header.frame_id, len(message.axes), len(message.buttons)
+        if (frame, axes, buttons) != self._sender:
+            self._sender, self._model = (frame, axes, buttons), model_of(frame, axes, buttons)
+            self._check.car.controls = find_controls(frame, self._model, self._gamepad, self._entries)
         self._check.car.buttons.update(
             tuple(index for index, is_held in enumerate(message.buttons) if is_held), now_ns)
 
@@ -212,7 +218,7 @@ class FirstCheckNode:
             self._text.say(f"{result.verdict:<15} {title}: {result.answer}"
                            + (f"\n{'':<15} -> {result.repair}" if result.repair else ""))
         try:
-            mapped = load_entries(self._folder).get(self._model) or ()
+            mapped = self._entries.get(self._model) or ()
             self._edits = plan(self._folder, self._check.changes(), mapped)
         except ConfigError as error:
             self._edits = []
@@ -243,7 +249,7 @@ class FirstCheckNode:
         changed = [line for edit in self._edits for line in edit.lines()] if writes else []
         self._text.say(write_page(page, SYSTEM.local_time("%Y-%m-%d %H:%M"), self._check.results, changed + written))
         if written:
-            self._text.say(f"to load it, launch again with config:={self._folder}")
+            self._text.say(f"to load it, launch again with config:={self._folder}, without calibration_drive")
         self._inbox.end()
 
 
@@ -274,10 +280,29 @@ def read_setup(parameter: Callable[[str, Any], Any], folder: str) -> Setup:
     return Setup(
         calibration_of(parameter("turn_arb", {})), throttle, profile,
         bool(parameter("throttle_arb/esc/calibration_drive", False)),
-        gamepad.get("manual_button", Setup.manual_button), gamepad.get("autonomous_button", Setup.autonomous_button),
         gamepad.get("steer_scale", 1.0), gamepad.get("throttle_scale", 1.0),
         hub.get("pulses_per_revolution", PULSES_PER_REVOLUTION),
         [name for index, name in enumerate(SONARS) if index in sequence and used.get(name) != "absent"])
+
+
+def find_controls(frame: str, model: str, parameters: Mapping[str, Any], entries: Entries) -> Controls:
+    """Return which buttons are the deadmen, and their names.
+
+    Args:
+        frame: the frame_id of the joy message.
+        model: see ``model_of``.
+        parameters: teleop_logi's.
+        entries: see ``load_entries``.
+    """
+    try:
+        config = config_for(model, read(Params(parameters), GamepadConfig), entries)
+    except ConfigError:
+        return Controls()  # it drives nothing, and teleop_logi says so
+    buttons = {MANUAL: config.manual_button, AUTONOMOUS: config.autonomous_button}
+    if frame == KEYBOARD_FRAME:
+        return Controls(buttons, KEYS)
+    names = {mode: button_label(model, number) for mode, number in {**buttons, SLOWER: config.slower_button}.items()}
+    return Controls(buttons, names)
 
 
 def kill_node(name: str) -> str:

@@ -40,6 +40,7 @@ from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, subscribe
 from car_interface.teleop.gamepad import NONE
 from car_interface.teleop.keyboard import QUIT, Controls, Keyboard, KeyboardConfig, KeyReader, help_text
+from car_interface.teleop.mappings import KEYBOARD_FRAME
 
 RATE_HZ, TICKS_PER_SCREEN = 50, 10
 STATE_TIMEOUT_S, RANGE_TIMEOUT_S = 1.0, 1.5
@@ -149,7 +150,7 @@ class KeyboardDrive:
         message = Joy(axes=[0.0] * max(AXES, config.steer_axis + 1, config.throttle_axis + 1),
                       buttons=[0] * (1 + max(BUTTONS - 1, config.manual_button, config.autonomous_button,
                                              config.faster_button, config.slower_button)))
-        message.header.stamp = self._clocks.ros_now()
+        message.header.stamp, message.header.frame_id = self._clocks.ros_now(), KEYBOARD_FRAME
         message.axes[config.steer_axis] = math.copysign(1.0, config.steer_scale) * controls.steering
         message.axes[config.throttle_axis] = math.copysign(1.0, config.throttle_scale) * controls.throttle
         message.buttons[config.manual_button] = int(controls.manual)

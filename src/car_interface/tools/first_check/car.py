@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple, Sequence
+from typing import Mapping, NamedTuple, Sequence
 
 from car_interface.common.causes import AUTONOMOUS, MANUAL
 from car_interface.common.sources import PLANNER, TELEOP
@@ -18,6 +18,7 @@ from car_interface.teensy.link.protocol import BACKWARD, FORWARD
 from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.esc import ARMING
 
+SLOWER = "slower"
 COUNTS = 1 << 32  # OneWheel.dist_abs wraps here
 # A Slash reaches 20 m/s; 0.3 of the throttle, the shipped human_scale, is several m/s without a load.
 MAX_WHEEL_SPEED_MPS = 3.0
@@ -37,7 +38,6 @@ class Setup:
         throttle: throttle_arb's; ``None`` = it doesn't run.
         profile: the kind of ESC in the file.
         calibrates_esc: throttle_arb gives the ESC each pull, as with calibration_drive:=true.
-        manual_button, autonomous_button: of the gamepad.
         steer_scale, throttle_scale: of its axes; negative = inverted.
         pulses_per_revolution: of a rear wheel.
         sonars: those that the car should have.
@@ -47,12 +47,22 @@ class Setup:
     throttle: ThrottleCalibration | None = None
     profile: str = ""
     calibrates_esc: bool = False
-    manual_button: int = 4
-    autonomous_button: int = 5
     steer_scale: float = 1.0
     throttle_scale: float = 1.0
     pulses_per_revolution: int = PULSES_PER_REVOLUTION
     sonars: Sequence[str] = SONARS
+
+
+class Controls(NamedTuple):
+    """The gamepad or keyboard that sends.
+
+    Attributes:
+        buttons: their numbers in its messages, by the deadman's mode.
+        names: what a person knows them by, likewise; SLOWER: of the one that lowers the scale.
+    """
+
+    buttons: Mapping[str, int] = {}
+    names: Mapping[str, str] = {}
 
 
 class Steering(NamedTuple):
@@ -92,6 +102,7 @@ class Car:
     """The newest of each input, and whether the wheels do what they do in the air.
 
     Attributes:
+        controls: of the gamepad or keyboard that sends.
         neutral: the ESC's, as tuned by now; ``None`` = throttle_arb doesn't run.
         pulses: of the left and the right rear wheel since the start, forward ones less backward ones.
         range_reports: how often each sonar reported.
@@ -103,6 +114,7 @@ class Car:
         self.mode = TimedInput("mode", 0.5)
         self.gamepad = TimedInput("teleop_logi's state", 1.0)
         self.buttons = TimedInput("joy", 0.5)
+        self.controls = Controls()
         self.steering_stick = TimedInput("tele_steer_req", 0.5)
         self.throttle_stick = TimedInput("tele_throt_req", 0.5)
         self.steering = TimedInput("turn_arb's state", 0.5)
@@ -180,6 +192,10 @@ class Car:
             return "that was long enough: let go of the stick"
         return ""
 
+    def deadman(self, mode: str) -> str:
+        """Return the name of a mode's deadman, with its button or key as far as that is known."""
+        return f"{mode} deadman{self._in_brackets(self.controls.names.get(mode))}"
+
     def held_mode(self, now_ns: int) -> str | None:
         """Return the mode of the deadman that is held; ``None``: none is held."""
         if self.human.is_stale(now_ns) or not self.human.value:
@@ -189,7 +205,7 @@ class Car:
     def by_hand(self, now_ns: int) -> str:
         """Return why the person's stick doesn't reach the ESC; empty: it does."""
         if self.held_mode(now_ns) != MANUAL:
-            return f"the manual deadman isn't held{self._quoted(self.gamepad, now_ns)}"
+            return f"the manual deadman isn't held{self._reason(now_ns)}"
         if self.throttle.is_stale(now_ns):
             return self.throttle.stale_reason(now_ns)
         throttle = self.throttle.value
@@ -197,13 +213,13 @@ class Car:
             return throttle.esc_reason
         if throttle.scale > MAX_SCALE + 1e-6:
             return (f"a full stick gives {throttle.scale:.1f} of the throttle, too much for this: press the button for "
-                    f"less (A) until it gives {MAX_SCALE:g}")
+                    f"less{self._in_brackets(self.controls.names.get(SLOWER))} until it gives {MAX_SCALE:g}")
         return "" if throttle.source == TELEOP else throttle.reason
 
     def by_program(self, now_ns: int) -> str:
         """Return why turn_arb doesn't steer as this program asks; empty: it does."""
         if self.held_mode(now_ns) != AUTONOMOUS:
-            return f"the autonomous deadman isn't held{self._quoted(self.gamepad, now_ns)}"
+            return f"the autonomous deadman isn't held{self._reason(now_ns)}"
         if self.steering.is_stale(now_ns):
             return self.steering.stale_reason(now_ns)
         return "" if self.steering.value.source == PLANNER else self.steering.value.reason
@@ -212,6 +228,9 @@ class Car:
         """Return the duty that the servo board holds on a channel; ``None``: it isn't known."""
         return None if self.output.is_stale(now_ns) else self.output.value.duties[channel]
 
+    def _reason(self, now_ns):
+        return "" if self.gamepad.is_stale(now_ns) else self._in_brackets(self.gamepad.value)
+
     @staticmethod
-    def _quoted(timed, now_ns):
-        return "" if timed.is_stale(now_ns) or not timed.value else f" ({timed.value})"
+    def _in_brackets(text):
+        return f" ({text})" if text else ""

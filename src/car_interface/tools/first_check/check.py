@@ -30,7 +30,7 @@ from car_interface.tools.first_check.steering_questions import BoardKilled, Cent
 from car_interface.tools.first_check.throttle_questions import EscKind, LettingGo, NeutralDuty, ThrottleDirection
 
 SKIP, AGAIN, PREVIOUS, TO_END, QUIT = "sapeq"
-KEYS = "S skip   A again   P previous   E to the end   Q quit"
+KEYS, FIRST_KEYS = "S skip   A again   P previous   E to the end   Q quit", "Q quit"
 MAX_WIDTH = 79
 Changes = "dict[str, dict[str, Any]]"  # new values of parameters by file, without .yaml, and name
 
@@ -192,7 +192,8 @@ class FirstCheck:
         question = self._question
         seen = question.seen(now_ns)
         parts = [f"{self._index + 1} of {len(self._makers)}: {question.title}", question.text,
-                 question.help, f"Now: {seen}" if seen else "", self._warning or question.note, KEYS]
+                 question.help, f"Now: {seen}" if seen else "", self._warning or question.note,
+                 KEYS if self._index else FIRST_KEYS]
         columns = min(width, MAX_WIDTH + 1) - 1
         return [line for part in parts for line in textwrap.wrap(part, columns) or [""]]
 

@@ -15,7 +15,6 @@ FINE, LEARNED, BROKEN, SKIPPED = "fine", "learned", "to be repaired", "not asked
 ENTER = "\n"
 SAME_DUTY = 8  # half a count of the servo board
 STEERING, THROTTLE, GAMEPAD, HUB = "turn_arb", "throttle", "teleop_logi", "teensy_sensor_hub"  # files
-NAMES = {MANUAL: "manual deadman (LB)", AUTONOMOUS: "autonomous deadman (RB)"}  # buttons as shipped
 
 
 @dataclass(frozen=True)
@@ -78,6 +77,9 @@ class Question:
             self.note = ""
             act(now_ns)
 
+    def _hold(self, mode):
+        return f"Hold the {self.car.deadman(mode)}"
+
     def _fine(self, answer):
         self.result = Result(FINE, answer)
 
@@ -127,13 +129,13 @@ class Deadman(Question):
     def text(self):
         if self._wanted is None:
             return "Let go of all buttons, sticks and keys of the gamepad." if not self._stage else "Let go of it."
-        return f"Hold the {NAMES[self._wanted]}. It goes on by itself when it sees it."
+        return f"{self._hold(self._wanted)}. It goes on by itself when it sees it."
 
     def seen(self, now_ns):
         held, reason = self.car.held_mode(now_ns), self.car.gamepad.value
         if self.car.human.is_stale(now_ns):
             return self.car.human.stale_reason(now_ns) + (f" ({reason})" if reason else "")
-        return "no deadman is held" if held is None else f"the deadman for {held or 'driving'} is held"
+        return reason or "no deadman is held" if held is None else f"the {held or 'driving'} deadman is held"
 
     def step(self, now_ns):
         if self.car.human.is_stale(now_ns) or self.car.held_mode(now_ns) != self._wanted:
@@ -144,13 +146,13 @@ class Deadman(Question):
             self._fine("both were seen held and released")
 
     def _nothing(self, now_ns):
-        wanted, buttons, setup = self._wanted, self.car.buttons, self.setup
+        wanted, buttons = self._wanted, self.car.buttons
         pressed = () if buttons.is_stale(now_ns) else buttons.value
-        others = {MANUAL: setup.autonomous_button, AUTONOMOUS: setup.manual_button}
+        others = [number for mode, number in self.car.controls.buttons.items() if mode != wanted]
         if wanted is None:
             self._broken(f"it is held though nobody holds it: {self.seen(now_ns)}",
                          "end other programs that publish human_in_loop: rosrun car_interface doctor")
-        elif len(pressed) == 1 and pressed[0] != others[wanted]:
+        elif len(pressed) == 1 and pressed[0] not in others:
             self._learned(f"button {pressed[0]} is held, and {wanted}_button is another one", GAMEPAD,
                           **{f"{wanted}_button": pressed[0]})
         else:

@@ -9,7 +9,6 @@ from car_interface.tools.first_check.question import (
     ENTER,
     GAMEPAD,
     LEARNED,
-    NAMES,
     SAME_DUTY,
     SKIPPED,
     STEERING,
@@ -28,32 +27,42 @@ class SteeringDirection(Question):
     """The stick and the servo, each to the left: by the stick's sign, and by a person's eyes."""
 
     title = "the steering's direction"
-    text = (f"Hold the {NAMES[MANUAL]} and the left stick fully to the LEFT. Where do the front wheels point, seen "
-            "from behind the car?")
     help = "L to the left   R to the right   N nowhere, they don't move"
 
     def __init__(self, car):
         super().__init__(car)
+        self._full, self._duty = 0.0, None  # the stick when it was last at its end, and the servo's duty then
         self.keys = {"l": partial(self._turned, True), "r": partial(self._turned, False), "n": self._nothing}
+
+    @property
+    def text(self):
+        return (f"{self._hold(MANUAL)} and the left stick fully to the LEFT. Where do the front wheels point, seen "
+                "from behind the car?")
 
     def seen(self, now_ns):
         stick = self._stick(now_ns)
-        return f"the stick is at {abs(stick):.0%} {'left' if stick > 0 else 'right'}" if stick else "no stick is seen"
+        if not stick:
+            return "the stick was seen" if self._full else "no stick is seen"
+        return f"the stick is at {abs(stick):.0%} {'left' if stick > 0 else 'right'}"
+
+    def step(self, now_ns):
+        stick = self._stick(now_ns)
+        if abs(stick) >= FULL_STICK:
+            self._full = stick
+            self._duty = self.car.held_duty(self.setup.steering.servo_channel, now_ns)
 
     def _stick(self, now_ns):
         is_held = self.car.held_mode(now_ns) == MANUAL and not self.car.steering_stick.is_stale(now_ns)
         return self.car.steering_stick.value if is_held else 0.0
 
-    def _is_ready(self, now_ns):
-        if abs(self._stick(now_ns)) >= FULL_STICK:
-            return True
-        self.note = "hold deadman and stick while you answer"
-        return False
+    def _is_ready(self):
+        self.note = "" if self._full else "hold deadman and stick first"
+        return not self.note
 
     def _turned(self, is_left, now_ns):
-        if not self._is_ready(now_ns):
+        if not self._is_ready():
             return
-        stick_is_left = self._stick(now_ns) > 0
+        stick_is_left = self._full > 0
         changes: dict = {}
         if not stick_is_left:
             changes[GAMEPAD] = {"steer_scale": -self.setup.steer_scale}
@@ -66,10 +75,9 @@ class SteeringDirection(Question):
             self._fine("stick and wheels go to the same side")
 
     def _nothing(self, now_ns):
-        if self._is_ready(now_ns):
-            channel, duty = self.setup.steering.servo_channel, self.car.held_duty(self.setup.steering.servo_channel,
-                                                                                  now_ns)
-            self._broken(f"the front wheels don't move; the servo board's channel {channel} has duty {duty}",
+        if self._is_ready():
+            channel = self.setup.steering.servo_channel
+            self._broken(f"the front wheels don't move; the servo board's channel {channel} has duty {self._duty}",
                          f"look at the servo's plug (channel {channel}), its power (the ESC's BEC) and its horn")
 
 
@@ -124,11 +132,14 @@ class Center(_Finds):
     """Straight ahead."""
 
     title = "the steering's center"
-    text = (f"Hold the {NAMES[AUTONOMOUS]}. Do the front wheels point straight ahead? If not, turn them with < and "
-            "> until they do.")
     help = "< a little left   > a little right   Enter they are straight   N they can't be"
     step_size = CENTER_STEP
     low, high = -MAX_CENTER, MAX_CENTER
+
+    @property
+    def text(self):
+        return (f"{self._hold(AUTONOMOUS)}. Do the front wheels point straight ahead? If not, turn them with < and "
+                "> until they do.")
 
     def _enter(self, now_ns):
         if not self._is_ready(now_ns):
@@ -158,7 +169,7 @@ class End(_Finds):
     @property
     def text(self):
         key = "<" if self._side > 0 else ">"
-        return (f"Hold the {NAMES[AUTONOMOUS]}. Turn the front wheels to the {self._name} with {key}, until they turn "
+        return (f"{self._hold(AUTONOMOUS)}. Turn the front wheels to the {self._name} with {key}, until they turn "
                 "no further, a tyre touches something or the servo hums; then one or two steps back.")
 
     def _enter(self, now_ns):
@@ -196,7 +207,7 @@ class BoardKilled(_Steers):
             return f"{self._centered_text}, and the node is back. Did the front wheels go straight?"
         if self._killed_ns is not None:
             return "It was killed: wait."
-        return (f"Hold the {NAMES[AUTONOMOUS]}: the front wheels turn to the left. Then K kills the node of the servo "
+        return (f"{self._hold(AUTONOMOUS)}: the front wheels turn to the left. Then K kills the node of the servo "
                 "board (kill -9): its guard must center them, and the launch file starts it again.")
 
     @property

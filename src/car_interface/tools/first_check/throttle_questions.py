@@ -17,7 +17,6 @@ from car_interface.tools.first_check.question import (
     ENTER,
     GAMEPAD,
     LEARNED,
-    NAMES,
     SAME_DUTY,
     THROTTLE,
     Question,
@@ -71,8 +70,6 @@ class NeutralDuty(_ByStick):
     """Whether the wheels stand at the ESC's neutral, and at which one they do."""
 
     title = "the ESC's neutral"
-    text = (f"Hold the {NAMES[MANUAL]}, and touch no stick. Do all wheels stand still? If they creep, shift the "
-            "neutral with + and - until they stand, and a little further.")
     help = "Y they stand   + or - shift the neutral   N they don't stop"
 
     def __init__(self, car):
@@ -81,6 +78,11 @@ class NeutralDuty(_ByStick):
         self._pulses = sum(map(abs, car.pulses))
         self.keys = {"+": partial(self._move, NEUTRAL_STEP), "-": partial(self._move, -NEUTRAL_STEP),
                      "y": self._stand, ENTER: self._stand, "n": self._no}
+
+    @property
+    def text(self):
+        return (f"{self._hold(MANUAL)}, and touch no stick. Do all wheels stand still? If they creep, shift the "
+                "neutral with + and - until they stand, and a little further.")
 
     def seen(self, now_ns):
         turned = sum(map(abs, self.car.pulses)) - self._pulses
@@ -124,7 +126,7 @@ class ThrottleDirection(_ByStick):
     def text(self):
         if self._asks_pull:
             return "Let go of the stick. Now PULL it back gently, and hold it. Do the wheels turn FORWARD, at once?"
-        return (f"Hold the {NAMES[MANUAL]}. PUSH the right stick forward, slowly, until the wheels just turn. Which "
+        return (f"{self._hold(MANUAL)}. PUSH the right stick forward, slowly, until the wheels just turn. Which "
                 "way do they turn?")
 
     @property
@@ -215,7 +217,7 @@ class EscKind(_ByStick):
     def text(self):
         if self._asks_second:
             return "Let go of the stick, pull it once more, and hold it for two seconds. Do the wheels turn BACKWARD?"
-        return (f"Hold the {NAMES[MANUAL]}. Push until the wheels turn, let the stick go, and at once PULL it and hold "
+        return (f"{self._hold(MANUAL)}. Push until the wheels turn, let the stick go, and at once PULL it and hold "
                 "it for two seconds. What do the wheels do?")
 
     @property
@@ -278,7 +280,7 @@ class LettingGo(_ByStick):
     @property
     def text(self):
         if self._took_s is None:
-            return (f"Hold the {NAMES[MANUAL]}, push until the wheels turn, and then let go of the deadman ONLY: keep "
+            return (f"{self._hold(MANUAL)}, push until the wheels turn, and then let go of the deadman ONLY: keep "
                     "the stick where it is.")
         return (f"The ESC got neutral or its brake within {self._took_s:.1f} s of the release. Do the wheels run out, "
                 "and stand?")

@@ -12,7 +12,7 @@ from car_interface.common.sources import NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.common.units import NS_PER_S
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.throttle.calibration import ThrottleCalibration
-from car_interface.tools.first_check.car import Output, Setup, Steering, Throttle, WheelCount
+from car_interface.tools.first_check.car import SLOWER, Controls, Output, Setup, Steering, Throttle, WheelCount
 from car_interface.tools.first_check.check import FirstCheck
 from car_interface.tools.first_check.question import BROKEN, FINE, LEARNED, SKIPPED
 from slash import SLASH
@@ -23,6 +23,7 @@ SETUP = Setup(SLASH, ESC, "unverified", calibrates_esc=True)
 FALLING = replace(SETUP, throttle=replace(ESC, duty_table=[6554, 4915, 3277]))
 FORWARD, BACKWARD = 0, 1
 ENTER = "\n"
+PAD = Controls({MANUAL: 4, AUTONOMOUS: 5}, {MANUAL: "L1", AUTONOMOUS: "R1", SLOWER: "cross"})
 
 
 class Bench:
@@ -40,6 +41,7 @@ class Bench:
 
     def __init__(self, setup=SETUP, **state):
         self.check, self.setup, self.now_ns, self.view = FirstCheck(setup), setup, 1000 * NS_PER_S, None
+        self.check.car.controls = PAD
         self.held = None
         self.stick = self.side = self.speed_mps = 0.0
         self.scale, self.near, self.range_m, self.silent = 0.3, (), math.inf, set()
@@ -469,7 +471,7 @@ def test_kind_of_esc_counts_pulls_after_a_push_only_and_the_second_one_after_a_r
 
 @pytest.mark.parametrize("state, text", [
     ({"esc": "ARMING"}, "Now: it needs neutral"),
-    ({"scale": 0.5}, "a full stick gives 0.5 of the throttle, too much for this"),
+    ({"scale": 0.5}, "a full stick gives 0.5 of the throttle, too much for this: press the button for less (cross)"),
     ({"silent": {"mode"}}, "mode"), ({"held": AUTONOMOUS}, "the manual deadman isn't held")])
 def test_stick_counts_only_while_it_reaches_the_esc_and_is_scaled_down(state, text):
     bench = Bench().go_to("throttle's direction")
@@ -578,6 +580,31 @@ def test_without_teensy_sonars_and_throttle_the_rest_is_checked():
     assert bench.result("left rear wheel").answer == "no wheel is heard: is the Teensy plugged in?"
     assert bench.result("sonar rear left").answer == "no sonar is heard: is the Teensy plugged in?"
     assert bench.result("unplugging").answer == "teensy_sensor_hub isn't heard"
+
+
+def test_buttons_are_called_as_on_the_gamepad_that_sends_and_by_no_name_where_that_is_not_known():
+    bench = Bench().go_to("center")
+    assert "Hold the autonomous deadman (R1). Do the front" in bench.text
+    bench.check.car.controls = Controls()
+    assert "Hold the autonomous deadman. Do the front" in bench.run(0.1).text
+
+
+def test_direction_may_be_answered_after_letting_go_by_the_newest_full_stick():
+    bench = Bench().go_to("direction")
+    assert "hold deadman and stick first" in bench.type("l").text
+    hold_left(bench, 0.5)
+    assert "hold deadman and stick first" in bench.type("l").text
+    hold_left(bench)
+    bench.held, bench.side = None, 0.0
+    bench.run(1.5)
+    assert "Now: the stick was seen" in bench.text
+    bench.type("n")
+    assert "channel 0 has duty 3800" in bench.result("direction").answer
+
+
+def test_first_question_can_only_be_answered_or_left():
+    bench = Bench().type("sae")
+    assert bench.check.question.title == "the car on a box" and bench.view.lines[-1] == "Q quit"
 
 
 def test_every_question_fits_a_terminal_of_80_columns_and_24_rows():
