@@ -5,6 +5,8 @@ test/process runs as it is started by ``./dev test``, with its whole file.
 """
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 from collections import defaultdict
 from pathlib import Path
@@ -39,6 +41,18 @@ class ProcessSlot(Slot):
         file = Path(tests[0].partition("::")[0]).resolve()
         return subprocess.call(["rostest", f"--pkgdir={self._copy}", "--package=car_interface",
                                 f"--results-base-dir={self._folder}", str(file).replace("_test.py", ".test")])
+
+
+    def end(self) -> None:
+        """End the job, and what a test of test/process has left behind in sessions of its own."""
+        super().end()
+        mark = f"TMPDIR={self._folder}/tmp".encode()
+        for path in Path("/proc").glob("[0-9]*/environ"):
+            try:
+                if mark in path.read_bytes().split(b"\0"):
+                    os.kill(int(path.parent.name), signal.SIGKILL)
+            except OSError:
+                pass  # it has ended, or is another user's
 
 
 def run_mechanisms(root: Path, slots: list[Slot], names: list[str]) -> Iterator[tuple[Key, bool]]:
