@@ -179,7 +179,7 @@ def run(seed: int, number: int, limited: bool = True) -> Result:
         fastest = max(fastest, abs(vehicle.speed_mps))
     rollovers = vehicle.rollovers
     return Result(seed, number, rollovers.count, rollovers.max_lateral_mps2, car.vehicle.tyres.rollover_mps2, fastest,
-                  steer.cuts, throttle.cuts)
+                  steer.limiter.cuts, throttle.limiter.cuts)
 
 
 def run_planner(seed: int) -> Result:
