@@ -129,7 +129,8 @@ class Esc:
         """Return what the ESC gets from now on. Call it on every change, and at 20 Hz at least."""
         passes = self.config.calibration_drive and request.is_human and request.gear != DRIVE
         value = self._value_of(request, passes)
-        self._history.resume(now_ns)
+        if self._history.resume(now_ns):
+            self._brakes_since_ns = now_ns
         if self._state == REVERSE and self._fraction < 0:
             self._motion.update_reverse(now_ns)
         if self._motion.may_roll_backward(now_ns):

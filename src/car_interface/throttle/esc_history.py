@@ -96,13 +96,15 @@ class EscHistory:
         self._held.update(fraction, now_ns)
         self._look(now_ns)
 
-    def resume(self, now_ns: int) -> None:
-        """Account for a pause of this node, in which the board may have gone to neutral by itself."""
+    def resume(self, now_ns: int) -> bool:
+        """Account for a pause of this node; return whether the board may have gone to neutral by itself in it."""
         holds_ns = self._holds_pull_ns if self._sent.side == PULLED else BOARD_HOLDS_NS
-        if self._sent_ns is not None and now_ns - self._sent_ns > holds_ns:
-            self._look(self._sent_ns + holds_ns)
-            self._sent.update(0.0, self._sent_ns + holds_ns)
-            self._look(now_ns)
+        if self._sent_ns is None or now_ns - self._sent_ns <= holds_ns:
+            return False
+        self._look(self._sent_ns + holds_ns)
+        self._sent.update(0.0, self._sent_ns + holds_ns)
+        self._look(now_ns)
+        return True
 
     def update_sent(self, fraction: float, now_ns: int) -> None:
         """Take what this node sends to the board."""
