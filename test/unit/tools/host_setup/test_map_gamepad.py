@@ -3,7 +3,6 @@ from __future__ import annotations
 
 import os
 import sys
-import threading
 
 import pytest
 from pads import (
@@ -52,17 +51,16 @@ class Person:
         self.keyboard = os.fdopen(read)
 
     def follow(self, *answers):
-        """Returns the entry; an answer is a list of reports, or the text that is typed."""
+        """Returns the entry; an answer is a list of reports and of texts that are typed, or one text."""
         left = list(answers)
 
         def answer(line):
             self.lines.append(line)
-            reports = left.pop(0)
-            if isinstance(reports, str):
-                os.write(self._keyboard, reports.encode())
-                return
-            for report in reports:
-                self.plugged.send(*report)
+            for report in left.pop(0):
+                if isinstance(report, str):
+                    os.write(self._keyboard, report.encode())
+                else:
+                    self.plugged.send(*report)
         entry = map_gamepad.ask(self.device, Joystick(self.device.keys, self.device.ranges), self.keyboard, answer)
         assert left == []
         return entry
@@ -113,9 +111,7 @@ def test_cross_trigger_and_what_is_taken_already_are_refused_with_the_reason(per
 
 
 def test_control_that_is_needed_can_not_be_left_out(person):
-    os.write(person._keyboard, b"\n")
-    threading.Timer(0.05, lambda: [person.plugged.send(*report) for report in push(X, LEFT)]).start()
-    assert person.follow([], push(RY, FORWARD), press(TL), press(TR), "\n", "\n") == ENTRY
+    assert person.follow(["\n", *push(X, LEFT)], push(RY, FORWARD), press(TL), press(TR), "\n", "\n") == ENTRY
 
 
 def test_closed_keyboard_is_no_answer(person):
