@@ -85,7 +85,7 @@ class EscHistory:
         self._sent, self._held = _Account(config), _Account(config)
         self._held_ns: int | None = None  # when the board's last message arrived
         self._sent_ns: int | None = None  # when this node last sent a pulse
-        self._missed = False
+        self._missed = self._let_go = False
         self._drove = False  # it drove forward, and had no more than one pull since then
         self._drives_since_ns = 0  # an earlier push didn't drive forward: the car rolled backward
         self._braked = self._unlocked = False
@@ -93,6 +93,7 @@ class EscHistory:
 
     def update_held(self, fraction: float | None, now_ns: int) -> None:
         """Take what the board holds; ``None`` = no pulse."""
+        self._account_for_pause(now_ns)
         self._look(now_ns)
         self._held_ns = now_ns
         self._missed = self._missed or fraction is None
@@ -100,14 +101,19 @@ class EscHistory:
         self._look(now_ns)
 
     def resume(self, now_ns: int) -> bool:
-        """Account for a pause of this node; return whether the board may have gone to neutral by itself in it."""
+        """Account for a pause of this node; return whether the board may have let go by itself since the last call."""
+        self._account_for_pause(now_ns)
+        let_go, self._let_go = self._let_go, False
+        return let_go
+
+    def _account_for_pause(self, now_ns):
+        """Take the board's neutral after a pause, before what it held meanwhile: that is heard only now."""
         holds_ns = self._holds_pull_ns if self._sent.side == PULLED else BOARD_HOLDS_NS
-        if self._sent_ns is None or now_ns - self._sent_ns <= holds_ns:
-            return False
-        self._look(self._sent_ns + holds_ns)
-        self._sent.update(0.0, self._sent_ns + holds_ns)
-        self._look(now_ns)
-        return True
+        if self._sent_ns is not None and now_ns - self._sent_ns > holds_ns:
+            self._look(self._sent_ns + holds_ns)
+            self._sent.update(0.0, self._sent_ns + holds_ns)
+            self._let_go = True
+            self._look(now_ns)
 
     def update_sent(self, fraction: float, now_ns: int) -> None:
         """Take what this node sends to the board."""

@@ -109,3 +109,11 @@ def test_loss_of_pulses_that_is_over_is_told_once():
     assert history.had_no_pulse() and not history.had_no_pulse()
     history.update_held(None, 10**9)
     assert history.had_no_pulse() and history.had_no_pulse()
+
+
+def test_what_the_board_held_during_a_pause_and_is_heard_after_it_proves_no_push():
+    history, now_ns = played([("both", 0.5, 300)])
+    now_ns += 400 * MS
+    history.update_held(0.5, now_ns)  # as it was soon after the pause began
+    assert not history.brake_is_certain(now_ns)
+    assert history.resume(now_ns)
