@@ -37,7 +37,6 @@ class _Account:
         side: FORWARD, NEUTRAL, PULLED, or FAINT (within the dead band, where the ESC may see neutral or not);
             ``None`` = no pulse.
         since_ns: when that side began.
-        pulled_ns: when it last came to PULLED or FAINT.
         was_pulled: there was a pull since ``forget``.
         was_released: that pull has ended.
     """
@@ -45,7 +44,7 @@ class _Account:
     def __init__(self, config: EscConfig):
         self._config = config
         self.side: str | None = None
-        self.since_ns = self.pulled_ns = 0
+        self.since_ns = 0
         self.forget()
 
     def forget(self) -> None:
@@ -55,7 +54,6 @@ class _Account:
         side = self._side(fraction)
         if side != self.side:
             self.side, self.since_ns = side, now_ns
-            self.pulled_ns = now_ns if side in (PULLED, FAINT) else self.pulled_ns
         if side != PULLED and self.was_pulled:
             self.was_released = True
         if side == PULLED or side == FAINT and fraction < 0:
@@ -89,7 +87,7 @@ class EscHistory:
         self._drove = False  # it drove forward, and had no more than one pull since then
         self._drives_since_ns = 0  # an earlier push didn't drive forward: the car rolled backward
         self._braked = self._unlocked = False
-        self._pull: tuple = ()  # when the newest pull was sent, and held, first
+        self._pull_ns: int | None = None  # when the newest pull was sent first
 
     def update_held(self, fraction: float | None, now_ns: int) -> None:
         """Take what the board holds; ``None`` = no pulse."""
@@ -178,12 +176,12 @@ class EscHistory:
         account = self._sent if self._held_ns is None else self._held
         if account.side in (FORWARD, None) or self._held_ns is not None and not self.is_known(now_ns):
             self._braked = self._unlocked = False
-        elif PULLED in (account.side, self._sent.side) or FAINT in (account.side, self._sent.side):
+        elif self._sent.side in (PULLED, FAINT):
             # One that is too short for a brake undoes an earlier one, also if the ESC may see it as neutral.
-            pull = self._sent.pulled_ns, account.pulled_ns
+            is_same = self._sent.since_ns == self._pull_ns
             lasts_ns = min(account.lasts_ns(PULLED, now_ns), self._sent.lasts_ns(PULLED, now_ns))
-            self._braked = self._unlocked or pull == self._pull and self._braked or lasts_ns >= self._dwell_ns
-            self._pull = pull
+            self._braked = self._unlocked or is_same and self._braked or lasts_ns >= self._dwell_ns
+            self._pull_ns = self._sent.since_ns
         elif self._braked and account.lasts_ns(NEUTRAL, now_ns) >= self._dwell_ns:
             self._unlocked = True
 
