@@ -1,7 +1,7 @@
 """Switches off the mechanisms of the safety case, one at a time, and sees that the tests that their rows name fail.
 
 ``./dev mutate --mechanisms [MODULE...]``. ``switched off`` in ``test/safety_case.yaml`` has the changes. A test of
-test/process runs as it is started by ``./dev test``, with its whole file.
+test/process runs as it is started by ``./dev test``, with its whole file. One that hangs has noticed, too.
 """
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import signal
 import subprocess
 from collections import defaultdict
 from pathlib import Path
-from typing import Iterator
 
 from mutate import PACKAGE, Job, Key, Place, Slot, is_named, run
 from safety_case import DATA, Case, load
@@ -42,7 +41,6 @@ class ProcessSlot(Slot):
         return subprocess.call(["rostest", f"--pkgdir={self._copy}", "--package=car_interface",
                                 f"--results-base-dir={self._folder}", str(file).replace("_test.py", ".test")])
 
-
     def end(self) -> None:
         """End the job, and what a test of test/process has left behind in sessions of its own."""
         super().end()
@@ -55,20 +53,15 @@ class ProcessSlot(Slot):
                 pass  # it has ended, or is another user's
 
 
-def run_mechanisms(root: Path, slots: list[Slot], names: list[str]) -> Iterator[tuple[Key, bool]]:
-    """Run each; yield the change with its test's name as function, and whether the test failed, as it should."""
-    for result in run(slots, jobs_of(root, load(DATA.read_text(encoding="utf-8")), names)):
-        yield result.job.key, not result.passed
-
-
 def report(root: Path, slots: list[Slot], names: list[str]) -> int:
     """Run and print; return 1 if a test passed without the mechanism that it is named for."""
     count, passed = 0, defaultdict(list)
-    for key, is_noticed in run_mechanisms(root, slots, names):
+    for result in run(slots, jobs_of(root, load(DATA.read_text(encoding="utf-8")), names)):
+        key = result.job.key  # its function is the test's name
         count += 1
-        print(f"{'noticed' if is_noticed else 'PASSED '} {key.module} {key.line!r} → {key.change!r}: {key.function}",
+        print(f"{'PASSED ' if result.passed else 'noticed'} {key.module} {key.line!r} → {key.change!r}: {key.function}",
               flush=True)
-        if not is_noticed:
+        if result.passed:
             passed[key.module].append(key.function)
     print(f"{count} tests without their mechanisms: {count - sum(map(len, passed.values()))} failed, as they should",
           *(f"  {module}: {', '.join(aliases)} passed" for module, aliases in passed.items()), sep="\n")
