@@ -19,6 +19,8 @@ import math
 from itertools import product
 from typing import NamedTuple, Sequence
 
+from car_interface.teensy.sensing.unseen_path import UnseenPath
+
 LEFT, RIGHT = 0, 1
 ROLLING_PER_MS = 0.01  # 0.15 m/s: a wheel that rolls faster is expected to go on
 BLIND_MS = 100.0  # a longer restart was a reboot; a reset of the odometers loses only a report or two
@@ -100,7 +102,7 @@ class RestartBridge:
         track_m: between the wheels.
 
     Attributes:
-        has_reversed: it is known from the counts that the car has reversed after the restart.
+        reversed_paths: those after the restart, of which the counts show that the car has reversed on them.
     """
 
     def __init__(self, state: CarState, track_m: float):
@@ -108,7 +110,7 @@ class RestartBridge:
         self._track_m = track_m
         self._seen_ms: float | None = None  # from when on pulses were counted again
         self._boot_ms: float | None = None  # from when on each pulse is in the reports
-        self.has_reversed = False  # since then
+        self.reversed_paths: list[UnseenPath] = []
         self._stop_variance = self._stop_within_ms = 0.0  # of a car that has stopped while pulses weren't counted
         self._pulses: tuple[list, list] = ([], [])
         self._signs = [0, 0]
@@ -243,8 +245,8 @@ class RestartBridge:
             if abs(self._mean_before()) <= ROLLING_PER_MS:
                 mean_variance += (UNEVEN_START_RATIO * rolled) ** 2
             if self._is_late:  # its speed at the boot is between none and twice the mean after it; or, reversed, minus
-                mean_variance += (mean_speed * blind_ms / 2) ** 2 * (7 / 3 if self.has_reversed else 1 / 3)
-                if self.has_reversed:  # at 2 m/s² all of the time, or against it
+                mean_variance += (mean_speed * blind_ms / 2) ** 2 * (7 / 3 if self.reversed_paths else 1 / 3)
+                if self.reversed_paths:  # at 2 m/s² all of the time, or against it
                     mean_variance += (UNEVEN_PER_MS2 * blind_ms ** 2 / 6) ** 2
         elif self._is_late:  # it may have started before the boot, at any time; with 2 m/s² is three sigma
             started = min(UNEVEN_PER_MS2 * blind_ms ** 2 / 6, abs(mean_speed) * blind_ms / math.sqrt(3))

@@ -31,10 +31,12 @@ def test_heading_stays_right_whatever_the_car_does_meanwhile_and_odometry_is_sil
     (reboot_accuracy.BOTH, 150068), (reboot_accuracy.BOTH, 350160), (reboot_accuracy.HIDDEN, 1001),
     (reboot_accuracy.HIDDEN, 1002), (reboot_accuracy.OFF, 440125), (reboot_accuracy.OFF, 440129),
     (reboot_accuracy.BOTH, 450171), (reboot_accuracy.UNPLUGGED, 470109), (reboot_accuracy.HIDDEN, 470103),
+    (reboot_accuracy.BOTH, 470045),
 ], ids=["stopped_and_turned_unseen", "reverses_as_it_is_seen_again", "slalom", "reversed_after_the_boot",
         "had_started_before_the_boot", "on_for_as_long_as_before", "on_for_as_long_as_before_and_standing",
         "slow_slalom_without_power", "circle_after_a_manoeuvre_without_power", "reversed_before_the_boot_and_after",
-        "fast_slalom_without_a_cable", "slalom_that_is_taken_for_circles"])
+        "fast_slalom_without_a_cable", "slalom_that_is_taken_for_circles",
+        "circle_after_reversals_after_the_boot"])
 def test_manoeuvre_that_nobody_saw_is_within_three_sigma(fault, seed):
     assert reboot_accuracy.run(seed, fault).inside >= 0.99
 
