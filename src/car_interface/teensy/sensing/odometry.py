@@ -144,7 +144,7 @@ class Odometry:
                 self._begin_bridge(now_ms)
             return self._move(record, False, now_ms)
         if restarted:
-            self._begin_bridge(self._time_ms)
+            self._begin_bridge(self._time_ms, counted_ms)
             if counted_ms is not None:
                 self._bridge.count_from(counted_ms)
         elif self._bridge is None and any(unproven):
@@ -175,9 +175,9 @@ class Odometry:
                 wheel.update(count, now.direction != BACKWARD, at_ms + TICK_MIDDLE_MS, now_ms)
         return has_pulse
 
-    def _begin_bridge(self, at_ms):
+    def _begin_bridge(self, at_ms, counted_ms=None):
         if self._bridge is not None:
-            self._bridge.restart()
+            self._bridge.restart(counted_ms)
             return
         heading = self._heading
         self._bridge = RestartBridge(
@@ -254,6 +254,8 @@ class Odometry:
             if self._steering_per_m is not None:
                 self._heading.update_curvature(self._steering_per_m, elapsed_s)
             self._update_heading(record, has_pulse, outcome, path is not None)
+        elif self._bridge is not None:
+            pass  # the wheels' places are only predicted
         elif abs(distance_m) > 2 * ALIGNING_PULSES * self._pulse_m:
             self._alignment.skip(left, right)
             self._heading.begin(self._measured_yaw_rad(), (UNALIGNED_PULSES * self._rad_per_pulse) ** 2)
@@ -340,7 +342,7 @@ class Odometry:
         heading = place / self._config.track_m ** 2
         if self._bridge is not None:
             place, heading = self._bridge_variances(place, now_ms)
-            variance += 2 * self._bridge.speed_variance(now_ms)
+            variance += 4 * self._bridge.speed_variance(now_ms)
         if not self._alignment.is_done:
             heading += (UNALIGNED_PULSES * scale) ** 2
         pose = self._pose

@@ -41,6 +41,13 @@ def test_manoeuvre_that_nobody_saw_is_within_three_sigma(fault, seed):
     assert reboot_accuracy.run(seed, fault).inside >= 0.99
 
 
+@pytest.mark.once
+@pytest.mark.parametrize("fault, seed", [(reboot_accuracy.OFF, 700), (reboot_accuracy.OFF, 701),
+                                         (reboot_accuracy.BOTH, 701)])
+def test_car_that_never_moved_and_starts_unseen_is_within_three_sigma(fault, seed):
+    assert reboot_accuracy.run(seed, fault, is_parked=True).inside >= 0.99
+
+
 def bridge(speed=0.066, curvature=0.0, counts=(100, 100)):
     """A car that rolled at so many pulses a ms, 0.066 is 1 m/s, each wheel half-way between two magnets."""
     speeds = [speed * (1 + sign * curvature * TRACK_M / 2) for sign in (-1, 1)]
@@ -191,6 +198,19 @@ def test_reset_shows_with_its_first_pulse_for_the_firmware_knows_its_direction()
     assert some.is_reset((1, 0), (0, 0), BEFORE_MS + 15)
     assert not some.is_reset((0, 0), (1, 0), BEFORE_MS + 15), "a reboot"
     assert not some.is_reset((1, 0), (0, 0), BEFORE_MS + 600), "much was lost"
+
+
+@pytest.mark.parametrize("boot_ms, stood_ms", [(None, 1400), (BEFORE_MS + 1200, 600)], ids=["unknown", "known"])
+def test_parked_car_has_stood_until_the_last_report_before_the_boot(boot_ms, stood_ms):
+    some = bridge(speed=0.0)
+    for after_ms in (0, 200, 400, 600, 1200, 1400):
+        some.report(BEFORE_MS + after_ms)
+    some.restart(boot_ms)
+    some.report(BEFORE_MS + 2400)
+    for side in (LEFT, RIGHT):
+        some.add(side, 2, 1, BEFORE_MS + 2450)
+    farther = 1.34e-4 * (2450 - stood_ms) / 3
+    assert some.speed_variance(BEFORE_MS + 2450) == pytest.approx(farther ** 2, rel=0.01), "by 2 m/s² all the time"
 
 
 def test_second_restart_before_anything_was_known_goes_on_from_the_first():
