@@ -54,9 +54,7 @@ class Plan(NamedTuple):
             speed = speed if now_s < 3.0 else 0.0
             if self.kind == "standing" and now_s > REBOOT_S + 1.0:
                 speed = self.speed_mps
-        elif self.kind == "stopping" and now_s > REBOOT_S - 0.1:
-            speed = 0.0
-        elif self.kind == PARKED and now_s < REBOOT_S + 0.3:
+        elif self.kind == "stopping" and now_s > REBOOT_S - 0.1 or self.kind == PARKED and now_s < REBOOT_S + 0.3:
             speed = 0.0
         elif self.kind == "slalom":
             curvature *= math.sin(2.5 * now_s)
