@@ -123,6 +123,8 @@ class RestartBridge:
         if self._seen_ms is None:
             return 0.0
         elapsed_ms, variance = now_ms - self._state.at_ms, self._stop_variance
+        if self._stop_within_ms:
+            variance += self._uneven_variance()
         if self._may_have_changed(now_ms):
             variance += (UNEVEN_PER_MS2 * elapsed_ms ** 2 / 6) ** 2  # 2 m/s² for all of the time is three sigma
         if elapsed_ms > MAX_BLIND_MS:  # the wheels are no longer predicted to roll

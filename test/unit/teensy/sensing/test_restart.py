@@ -134,6 +134,7 @@ def test_car_that_makes_no_pulse_any_more_has_stopped_on_the_way():
     assert not some.report(BEFORE_MS + 400)
     assert some.report(BEFORE_MS + 411), "that is said"
     assert not some.report(BEFORE_MS + 611), "once"
+    assert some.place_variance(BEFORE_MS + 611) > (1.34e-4 * 310 ** 2 / 12) ** 2 + (0.066 * 310 / 4) ** 2 - 1e-6
     assert some.positions == (pytest.approx(100.5 + 0.066 * 310 / 2), pytest.approx(100.5 + 0.066 * 310 / 2))
     for side in (LEFT, RIGHT):
         some.add(side, 2, 1, BEFORE_MS + 5000)
