@@ -1,6 +1,4 @@
 """Stamps rise strictly while the computer's clock is slewed, read late, or set back a little."""
-from __future__ import annotations
-
 import sys
 from types import ModuleType, SimpleNamespace
 

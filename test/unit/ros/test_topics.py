@@ -1,6 +1,4 @@
 """Messages about servo channels."""
-from __future__ import annotations
-
 import io
 
 import pytest

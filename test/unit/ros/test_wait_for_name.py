@@ -1,6 +1,4 @@
 """When a node may register a name that another node may have, asked of servers that answer as master and nodes do."""
-from __future__ import annotations
-
 import socket
 import threading
 from contextlib import contextmanager

@@ -1,6 +1,4 @@
 """A gamepad's messages as requests. Time is passed in."""
-from __future__ import annotations
-
 import math
 
 import pytest

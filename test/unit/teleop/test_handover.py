@@ -1,6 +1,4 @@
 """Whose requests count: the gamepad's or the phone's. Each change from one to the other passes through a stop."""
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace

@@ -1,6 +1,4 @@
 """The kernel's list of input devices, and which gamepad in it is read."""
-from __future__ import annotations
-
 import os
 
 import pads

@@ -1,6 +1,4 @@
 """Input events as a gamepad's state with the joystick interface's numbers, and when that is published."""
-from __future__ import annotations
-
 import math
 
 import pytest

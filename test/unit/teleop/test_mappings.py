@@ -1,6 +1,4 @@
 """What the axes and buttons of which gamepad do."""
-from __future__ import annotations
-
 import pytest
 
 from car_interface.common.declared import read

@@ -1,6 +1,4 @@
 """What phones may do to the car: whose touch counts, and for how long. Time is passed in; nothing is sent anywhere."""
-from __future__ import annotations
-
 import itertools
 import json
 

@@ -1,6 +1,4 @@
 """What the terminal says of the phones' page."""
-from __future__ import annotations
-
 import pytest
 
 from car_interface.common.errors import ConfigError

@@ -1,6 +1,4 @@
 """What strangers do to phone_drive's server and rules on a real network, while a phone drives: nothing of it counts."""
-from __future__ import annotations
-
 import asyncio
 import json
 import os

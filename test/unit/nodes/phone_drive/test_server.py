@@ -1,6 +1,4 @@
 """phone_drive's server: what gets through between a socket and the node's inbox, and what is refused."""
-from __future__ import annotations
-
 import asyncio
 import http.client
 import json

@@ -1,6 +1,4 @@
 """How long an effect takes to follow its cause, whatever the curve between them."""
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

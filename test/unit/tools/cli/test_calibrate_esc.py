@@ -1,6 +1,4 @@
 """The command calibrate_esc, on recordings of persons who follow docs/calibrate.md with virtual ESCs."""
-from __future__ import annotations
-
 import contextlib
 import io
 import os

@@ -1,6 +1,4 @@
 """The command calibrate_steering: from a recording of a virtual car to a file by which turn_arb drives it better."""
-from __future__ import annotations
-
 import contextlib
 import io
 import math

@@ -1,6 +1,4 @@
 """The command calibrate_value_map, on drives whose true map is known."""
-from __future__ import annotations
-
 import argparse
 import re
 import shutil

@@ -1,6 +1,4 @@
 """check_map: the loader's own verdict, a picture in the terminal, and one in a file."""
-from __future__ import annotations
-
 import bisect
 import re
 import sys

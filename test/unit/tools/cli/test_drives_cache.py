@@ -1,6 +1,4 @@
 """What was read before is kept, and is used only if nothing has changed."""
-from __future__ import annotations
-
 import hashlib
 import json
 import math

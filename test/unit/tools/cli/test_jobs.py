@@ -1,6 +1,4 @@
 """The same work on several recordings at once."""
-from __future__ import annotations
-
 import logging
 import os
 import signal

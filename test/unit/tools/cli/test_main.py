@@ -1,6 +1,4 @@
 """The commands on a laptop without ROS: what they are called, what they say, how they end; and what pip installs."""
-from __future__ import annotations
-
 import argparse
 import importlib
 import os

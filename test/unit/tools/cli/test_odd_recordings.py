@@ -2,8 +2,6 @@
 
 Each warning is an error here, so that its cause shows.
 """
-from __future__ import annotations
-
 import itertools
 import math
 import os

@@ -2,8 +2,6 @@
 
 The messages follow the packages' definitions; no recording of a real car is at hand.
 """
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

@@ -1,6 +1,4 @@
 """Bus and chip, as the doctor judges them; the chip is the simulated one."""
-from __future__ import annotations
-
 import errno
 import os
 import sys

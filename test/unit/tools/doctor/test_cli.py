@@ -1,6 +1,4 @@
 """The doctor's command line, and how its findings are shown."""
-from __future__ import annotations
-
 import io
 import sys
 import types

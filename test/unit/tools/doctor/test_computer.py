@@ -1,6 +1,4 @@
 """Groups, clock and packages, as the doctor judges them, with fakes for files, groups and kernel."""
-from __future__ import annotations
-
 import ctypes
 import grp
 import os

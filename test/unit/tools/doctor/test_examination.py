@@ -1,6 +1,4 @@
 """A look in a thread of its own: its result, its fault, or that it hangs."""
-from __future__ import annotations
-
 import threading
 import time
 

@@ -1,6 +1,4 @@
 """How findings look, and what they add up to."""
-from __future__ import annotations
-
 import pytest
 
 from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, render, summarise, worst

@@ -1,6 +1,4 @@
 """The gamepad, as the doctor judges it: the text that its owner reads."""
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,6 +1,4 @@
 """What the doctor makes of a master's and a node's answers; both are small XML-RPC servers here."""
-from __future__ import annotations
-
 import os
 import shutil
 import socket

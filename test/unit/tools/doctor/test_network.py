@@ -1,6 +1,4 @@
 """The master, who can reach it, and whether the nodes here can be reached."""
-from __future__ import annotations
-
 import io
 import types
 

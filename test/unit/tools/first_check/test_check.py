@@ -1,6 +1,4 @@
 """A first check's questions: each answered right, and each answered wrong once; and the way through them."""
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

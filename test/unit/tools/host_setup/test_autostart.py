@@ -1,6 +1,4 @@
 """The unit that starts the car with the computer: what it runs, and that systemd takes it."""
-from __future__ import annotations
-
 import os
 import pwd
 import shlex

@@ -1,6 +1,4 @@
 """setup_hardware: what it runs, what it shows, and how it ends."""
-from __future__ import annotations
-
 import fnmatch
 import re
 import subprocess

@@ -1,6 +1,4 @@
 """map_gamepad: what a person shows with a gamepad becomes an entry of gamepads.yaml."""
-from __future__ import annotations
-
 import os
 import sys
 

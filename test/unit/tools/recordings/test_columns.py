@@ -1,6 +1,4 @@
 """The columns of a topic: their times, and the messages that are left out."""
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 

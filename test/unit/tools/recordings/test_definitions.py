@@ -1,6 +1,4 @@
 """Messages from bytes, by the recording's own definition or by one that is known here."""
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,6 +1,4 @@
 """Recordings with the same driving in them are refused; others aren't, whatever their clocks."""
-from __future__ import annotations
-
 import pytest
 
 from car_interface.tools.recordings.overlap import check_no_overlap, check_paths_differ, trail

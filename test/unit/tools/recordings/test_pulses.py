@@ -1,6 +1,4 @@
 """The wheels' pulses of a recording: their times, their direction, and what is left out."""
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,6 +1,4 @@
 """Recordings of every kind, good and bad: what comes out, and the one line that says why nothing does."""
-from __future__ import annotations
-
 import io
 import os
 import shutil

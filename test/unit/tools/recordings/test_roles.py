@@ -1,6 +1,4 @@
 """Which recorded topic plays which role: the user's word, the usual name, a guess that is said, or none."""
-from __future__ import annotations
-
 import pytest
 
 from car_interface.tools.recordings.recording import Topic

@@ -1,6 +1,4 @@
 """What a recording tells as columns: their times, what is left out of them, and what is said about that."""
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,6 +1,4 @@
 """A drive of a minute in which a lot happens, and its summary."""
-from __future__ import annotations
-
 import pytest
 
 from car_interface.tools.report.plots import plots

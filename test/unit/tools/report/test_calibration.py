@@ -1,6 +1,4 @@
 """The page about a calibration drive: its new table, not the one by which it drove."""
-from __future__ import annotations
-
 import math
 
 import pytest

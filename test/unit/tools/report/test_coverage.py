@@ -1,6 +1,4 @@
 """What a recording can't tell, and that the report says so instead of that nothing went wrong."""
-from __future__ import annotations
-
 import math
 from html import unescape
 

@@ -1,6 +1,4 @@
 """The table of all drives, as a page and as CSV."""
-from __future__ import annotations
-
 import csv
 import html
 import io

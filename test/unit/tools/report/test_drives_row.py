@@ -1,6 +1,4 @@
 """What of a recording is compared from drive to drive."""
-from __future__ import annotations
-
 import json
 import math
 from types import SimpleNamespace

@@ -1,6 +1,4 @@
 """What went wrong, when, and for how long."""
-from __future__ import annotations
-
 import copy
 import math
 import re

@@ -1,6 +1,4 @@
 """What the plots have in common: episodes as bands, axes over time, curves, and the text of an SVG."""
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 

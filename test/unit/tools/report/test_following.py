@@ -1,6 +1,4 @@
 """How closely a car followed what it was sent."""
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 

@@ -1,6 +1,4 @@
 """What a report says about the gamepad: the text that its owner reads."""
-from __future__ import annotations
-
 import re
 from html import unescape
 from types import SimpleNamespace

@@ -1,6 +1,4 @@
 """Which requests of a drive were cut by a limit."""
-from __future__ import annotations
-
 import re
 from types import SimpleNamespace
 

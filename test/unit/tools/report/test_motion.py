@@ -1,6 +1,4 @@
 """Distance, curvature and acceleration by odometry."""
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 

@@ -1,6 +1,4 @@
 """What the planner asked for, and why it wasn't obeyed."""
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import pytest

@@ -1,6 +1,4 @@
 """The plots of a drive."""
-from __future__ import annotations
-
 import copy
 import math
 import re

@@ -1,6 +1,4 @@
 """What is found in a recording, and which recordings are refused."""
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from rosbags.rosbag1 import Writer as Ros1Writer

@@ -1,6 +1,4 @@
 """Who drove the throttle and why, and what the ESC was given."""
-from __future__ import annotations
-
 import re
 from types import SimpleNamespace
 

@@ -1,6 +1,4 @@
 """What could be held next, and what that is worth from here."""
-from __future__ import annotations
-
 import pytest
 
 from car_interface.tools.calibration.drive.area import Area, Pose

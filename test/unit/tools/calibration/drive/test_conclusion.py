@@ -1,6 +1,4 @@
 """The end of a drive: the tool's own table and report, or its refusal."""
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 from pathlib import Path

@@ -1,6 +1,4 @@
 """What the drive takes from the car's nodes."""
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,6 +1,4 @@
 """Whether the car would obey, by what its arbiters say."""
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

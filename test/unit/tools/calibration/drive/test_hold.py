@@ -1,6 +1,4 @@
 """Holding a position: past it or as it comes, settled, and measured."""
-from __future__ import annotations
-
 import pytest
 
 from car_interface.tools.calibration.drive.hold import CROSSED_DUTY, PAST_DUTY, SETTLED_DUTY, Hold

@@ -1,6 +1,4 @@
 """Where the car goes from here, and how fast it may."""
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 

@@ -1,6 +1,4 @@
 """From position to position: around what the sonars see, and with enough of each."""
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,6 +1,4 @@
 """Samples of a drive: arrays for the fit at any moment."""
-from __future__ import annotations
-
 import math
 
 import numpy as np

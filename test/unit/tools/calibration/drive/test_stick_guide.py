@@ -1,6 +1,4 @@
 """Where to hold the stick, and for how long still."""
-from __future__ import annotations
-
 import pytest
 
 from car_interface.tools.calibration.drive.config import CalibrationDriveConfig

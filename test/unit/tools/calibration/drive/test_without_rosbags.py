@@ -1,6 +1,4 @@
 """A car's own computer may have no rosbags, as Debian has no package of it: the drive needs none."""
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,6 +1,4 @@
 """From what a drive shows to the parameters in a file."""
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 

@@ -1,6 +1,4 @@
 """An ESC told by a drive: right, or refused with what to drive; never wrong."""
-from __future__ import annotations
-
 import dataclasses
 import os
 

@@ -1,6 +1,4 @@
 """The pulls of a drive, told apart by what went before and what the car did."""
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import virtual_escs

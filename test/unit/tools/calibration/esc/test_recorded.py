@@ -1,6 +1,4 @@
 """A recording as the drive that the fit of an ESC takes: its neutral, what is unknown of it, and what is no drive."""
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,6 +1,4 @@
 """Synthetic drives of a car whose steering curve is known."""
-from __future__ import annotations
-
 import functools
 
 import numpy as np

@@ -2,8 +2,6 @@
 
 The curve is a line of 1/1200 1/m per duty: a radius of R m to the left has the duty 5200 − 1200/R.
 """
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,6 +1,4 @@
 """Stops and limits at the ends of a curve."""
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

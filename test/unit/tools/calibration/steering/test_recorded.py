@@ -1,6 +1,4 @@
 """Heading and distance of a recorded drive."""
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -2,8 +2,6 @@
 
 The curve is a line of 1/1200 1/m per duty, with a segment of 2 m at each of its 151 counts.
 """
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,6 +1,4 @@
 """Segments of drives: which are used, which are left out, and how well the wheels' position is known."""
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

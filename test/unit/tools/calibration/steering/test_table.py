@@ -1,6 +1,4 @@
 """Tables of duties over turn radii: only what was driven is stated."""
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 

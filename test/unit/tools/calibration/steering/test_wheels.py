@@ -1,6 +1,4 @@
 """Where the wheels were: the servo's delay and lag, and what is unknown after a gap."""
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

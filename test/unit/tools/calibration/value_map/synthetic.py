@@ -1,6 +1,4 @@
 """Synthetic drives whose value map, slope, battery and delay are known."""
-from __future__ import annotations
-
 import functools
 import math
 import random

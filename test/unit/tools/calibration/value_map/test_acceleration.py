@@ -1,6 +1,4 @@
 """Windows of a drive: their accelerations, and which of them don't count."""
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

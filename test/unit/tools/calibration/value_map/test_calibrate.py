@@ -1,6 +1,4 @@
 """Which fits become a map, and why one should not be written."""
-from __future__ import annotations
-
 import dataclasses
 import math
 from types import SimpleNamespace

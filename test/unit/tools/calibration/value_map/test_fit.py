@@ -1,6 +1,4 @@
 """Value maps from drives: synthetic ones, whose map, slope, battery and delay are known."""
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,6 +1,4 @@
 """The model: the map rises whatever the data, and outliers don't bend it."""
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,6 +1,4 @@
 """Parts of what is read from a recording: the values of duties, whether one reached the ESC, the wheels' distances."""
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

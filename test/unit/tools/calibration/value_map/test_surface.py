@@ -1,6 +1,4 @@
 """A bilinear grid, and columns that rise, rounded or not."""
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,6 +1,4 @@
 """The table that is written: nothing is invented."""
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

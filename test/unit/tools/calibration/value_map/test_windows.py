@@ -1,6 +1,4 @@
 """Which windows count for a fit, and for which reason others don't."""
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
