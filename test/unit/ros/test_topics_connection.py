@@ -13,10 +13,10 @@ from rospy.impl.tcpros_base import TCPROSTransport, TCPROSTransportProtocol
 from rospy.impl.tcpros_pubsub import QueuedConnection
 
 from car_interface.ros.topics import DirectConnection, send_directly
+from loopback import PATIENCE_S, eventually
 
 BIG = 300_000  # bytes: far less than a socket's buffers hold, far more than one segment
 QUEUE = 10
-PATIENCE_S = 30.0
 
 
 class Link:
@@ -65,7 +65,7 @@ class Link:
         while not self.connection._is_relaying:
             self.connection.write_data(message(sent, size))
             sent += 1
-        wait_until(lambda: not self.connection._rest)  # the thread has it
+        eventually(lambda: not self.connection._rest)  # the thread has it
         for number in range(sent, sent + 3 * QUEUE):
             self.connection.write_data(message(number, size))
         return sent + 3 * QUEUE
@@ -75,13 +75,6 @@ class Link:
         self.subscriber.close()
         self.connection._thread.join(PATIENCE_S)
         assert not self.connection._thread.is_alive()
-
-
-def wait_until(is_true):
-    until = time.monotonic() + PATIENCE_S
-    while not is_true():
-        assert time.monotonic() < until
-        time.sleep(0.001)
 
 
 def message(number, size=100):
@@ -112,7 +105,7 @@ def test_subscriber_that_does_not_read_delays_nobody_and_gets_the_newest_message
         numbers += link.receive(1)
     assert numbers == sorted(numbers) and numbers[-QUEUE:] == list(range(sent - QUEUE, sent))
     assert len(numbers) < sent  # older ones were dropped
-    wait_until(lambda: not link.connection._is_relaying)
+    eventually(lambda: not link.connection._is_relaying)
     link.writers.clear()
     link.connection.write_data(message(5))  # directly again
     assert link.receive(1) == [5] and not link.writers

@@ -1,10 +1,8 @@
 """When a node may register a name that another node may have, asked of servers that answer as master and nodes do."""
 import socket
-import threading
-from contextlib import contextmanager
-from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
+from processes import free_port
 
 pytest.importorskip("rosgraph")
 
@@ -22,6 +20,7 @@ from car_interface.ros.wait_for_name import (
     NameWait,
     own_name,
 )
+from loopback import serving
 
 HERE = "127.0.0.1 (this computer)"
 NOBODY, NONE = Holder(FREE), Holder(NO_MASTER)
@@ -75,20 +74,6 @@ def test_silence_is_counted_from_the_last_answer():
     assert not wait.may_register
 
 
-@contextmanager
-def serving(**methods):
-    with SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False) as server:
-        for name, method in methods.items():
-            server.register_function(method, name)
-        thread = threading.Thread(target=server.serve_forever, args=(0.01,))
-        thread.start()
-        try:
-            yield f"http://127.0.0.1:{server.server_address[1]}/"
-        finally:
-            server.shutdown()
-            thread.join()
-
-
 def master(node_uri):
     """The methods of a master that knows /turn_arb at an address, or no node at all."""
     def lookup(caller, name):
@@ -100,12 +85,6 @@ def node(name):
     """The methods of a node of rospy; those of roscpp have no getName."""
     methods = {"getPid": lambda caller: (1, "", 4711)}
     return {**methods, "getName": lambda caller: (1, "", name)} if name else methods
-
-
-def refusing():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"http://127.0.0.1:{probe.getsockname()[1]}/"
 
 
 @pytest.fixture(autouse=True)
@@ -120,8 +99,8 @@ def holder(node_uri):
 
 
 def test_name_is_free_that_the_master_does_not_know_or_whose_process_was_killed():
-    assert holder("") == holder(refusing()) == Holder(FREE)
-    assert NameLookup("/turn_arb", refusing()).holder() == Holder(NO_MASTER)
+    assert holder("") == holder(f"http://127.0.0.1:{free_port()}/") == Holder(FREE)
+    assert NameLookup("/turn_arb", f"http://127.0.0.1:{free_port()}/").holder() == Holder(NO_MASTER)
 
 
 @pytest.mark.parametrize("name, expected", [

@@ -15,7 +15,7 @@ from car_interface.throttle.config import load_throttle
 from car_interface.tools.cli.main import main
 from recorded_drives import recorded
 from tools.calibration.esc.synthetic import Person
-from written_recordings import Written, odometry, write_ros1
+from written_recordings import odometry, output, write_ros1
 
 ROOT = Path(__file__).resolve().parents[4]
 SHIPPED = ROOT / "config" / "throttle.yaml"
@@ -40,8 +40,7 @@ def drive_without(path, *leaves_out, start_s=0.0):
                 for time_s, place_m, speed_mps in zip(drive.speed_s, places_m, drive.speed_mps)]
     t_s = np.union1d(drive.duty_s, np.arange(drive.duty_s[0], drive.speed_s[-1], 0.5))
     for time_s, duty in zip(t_s, drive.duty[np.searchsorted(drive.duty_s, t_s, side="right") - 1]):
-        messages.append(Written(start_s + time_s, "/servo/output", "std_msgs/Int32MultiArray", {
-            "data": [5100, int(duty)] + [-1] * 14}))
+        messages.append(output(start_s + time_s, 5100, duty))
     return write_ros1(path, sorted(messages, key=lambda message: message.time_s))
 
 

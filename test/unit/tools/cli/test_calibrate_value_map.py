@@ -13,10 +13,11 @@ from car_interface.throttle.value_map import load_value_map
 from car_interface.tools.cli.calibrate_value_map import add_arguments, source_of
 from car_interface.tools.cli.main import main
 from recorded_drives import recorded
-from tools.calibration.value_map.synthetic import DELAY_S, acceleration, messages_of, output_at, value_at
-from written_recordings import Written, odometry, write_ros1
+from tools.calibration.value_map.synthetic import DELAY_S, acceleration, messages_of, value_at
+from written_recordings import Written, odometry, output, write_ros1
 
 ROOT = Path(__file__).resolve().parents[4]
+OUTPUT = output(0.0, 5100, 4915)
 KNOWN_DELAY = ("--delay", DELAY_S)  # estimating it takes most of a fit's time
 
 
@@ -74,11 +75,11 @@ def throttle_state(time_s, source, asked=0.5):
 
 @pytest.mark.parametrize("messages, expected", [
     ([value_at(0.0)], "generic/output/value"),
-    ([value_at(0.0), output_at(0.0)], "generic/output/value"),
-    ([output_at(0.0)], "duty:2"),
-    ([value_at(0.0), output_at(0.0), throttle_state(0.1, 3), throttle_state(0.2, 3), throttle_state(0.3, 4)], "duty:2"),
-    ([value_at(0.0), output_at(0.0), throttle_state(0.1, 3), throttle_state(0.2, 4)], "generic/output/value"),
-    ([value_at(0.0), output_at(0.0), throttle_state(0.1, 3, 0.0), throttle_state(0.2, 3, 0.0)], "generic/output/value"),
+    ([value_at(0.0), OUTPUT], "generic/output/value"),
+    ([OUTPUT], "duty:2"),
+    ([value_at(0.0), OUTPUT, throttle_state(0.1, 3), throttle_state(0.2, 3), throttle_state(0.3, 4)], "duty:2"),
+    ([value_at(0.0), OUTPUT, throttle_state(0.1, 3), throttle_state(0.2, 4)], "generic/output/value"),
+    ([value_at(0.0), OUTPUT, throttle_state(0.1, 3, 0.0), throttle_state(0.2, 3, 0.0)], "generic/output/value"),
     ([value_at(0.0), throttle_state(0.1, 3)], "generic/output/value"),
 ], ids=["value_alone", "value_and_output", "output_alone", "mostly_by_hand", "as_often_by_the_planner",
         "deadman_held_and_nothing_asked", "no_output"])

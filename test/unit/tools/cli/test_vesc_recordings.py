@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from car_interface.common.units import stamp_ns, yaw_rad
-from car_interface.throttle.value_map import load_value_map
 from car_interface.tools.calibration.steering.recorded import load_steering_drive
 from car_interface.tools.calibration.value_map.recorded import MapSource, load_map_drive
 from car_interface.tools.cli.main import main
@@ -125,14 +124,6 @@ def test_duty_cycle_of_the_vesc_is_the_value_of_a_value_map(layout_bag, bag):
     assert vesc.notes == ("sensors/core: the value is a VESC's duty cycle, -1 to 1",)
 
 
-@pytest.mark.once
-def test_value_map_is_made_of_the_vesc_s_recording(vesc_bag, tmp_path, capsys):
-    assert main("calibrate_value_map", [vesc_bag, "-o", str(tmp_path / "map.csv"), "--delay", "0"]) == 0
-    table = load_value_map(str(tmp_path / "map.csv"))
-    assert -1 <= min(table.values) < 0 < max(table.values) <= 1
-    assert "vesc/sensors/core: the value is a VESC's duty cycle" in capsys.readouterr().out
-
-
 @pytest.mark.more
 def test_report_shows_voltage_duty_cycle_servo_and_motor(layout_bag):
     traces = summarize(layout_bag).traces
@@ -183,5 +174,3 @@ def test_position_that_no_servo_has_is_no_duty(tmp_path):
         number(0.1 * index, f"/{SERVO}", position) for index, position in enumerate((0.0, 0.5, 1.0, 1.5, -0.1))]
     drive = load_steering_drive(str(write_ros1(tmp_path / "a.bag", messages)), 0).drive
     np.testing.assert_allclose(drive.duty, [3276.8, 4915.2, 6553.6, np.nan, np.nan])
-
-

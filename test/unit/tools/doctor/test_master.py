@@ -2,46 +2,22 @@
 import os
 import shutil
 import socket
-import threading
-from xmlrpc.server import SimpleXMLRPCServer
+from contextlib import ExitStack
 
 import pytest
+from processes import free_port
 
 from car_interface.common.package_files import package_file
 from car_interface.tools.doctor import master as probe
 from car_interface.tools.doctor.car import ABSENT, KILLED, RUNNING, SILENT, Node
 from car_interface.tools.doctor.master import Graph, Master, read_files
-
-
-def uri_of(listener):
-    return f"http://127.0.0.1:{listener.getsockname()[1]}"
-
-
-class Server:
-    """Answers one question after the other; as a master or a node."""
-
-    def __init__(self, **answers):
-        self._server = SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False)
-        for name, answer in answers.items():
-            self._server.register_function(answer, name)
-        self.uri = uri_of(self._server.socket)
-        threading.Thread(target=self._server.serve_forever, args=(0.01,), daemon=True).start()
-
-    def close(self):
-        self._server.shutdown()
-        self._server.server_close()
+from loopback import serving
 
 
 @pytest.fixture
 def served():
-    servers = []
-
-    def serve(**answers):
-        servers.append(Server(**answers))
-        return servers[-1].uri
-    yield serve
-    for server in servers:
-        server.close()
+    with ExitStack() as servers:
+        yield lambda **answers: servers.enter_context(serving(**answers))
 
 
 @pytest.fixture
@@ -51,18 +27,14 @@ def node(served):
 
 @pytest.fixture
 def refused():
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        return uri_of(listener)
+    return f"http://127.0.0.1:{free_port()}"
 
 
 @pytest.fixture
 def silent():
     """What takes connections and never answers."""
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        listener.listen(5)
-        yield uri_of(listener)
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        yield f"http://127.0.0.1:{listener.getsockname()[1]}"
 
 
 @pytest.fixture

@@ -189,6 +189,16 @@ def kill(guarded=True, back=True):
     return act
 
 
+def answered(title, acts, keys):
+    """A bench after the question was asked, acts and keys."""
+    bench = Bench()
+    if title != "on a box":
+        bench.go_to(title)
+    for act in acts:
+        act(bench)
+    return bench.type(keys)
+
+
 RIGHT = [
     ("on a box", [], "y", "all wheels hang free"),
     ("deadman", [press_both], "", "both were seen held and released"),
@@ -209,12 +219,7 @@ RIGHT = [
 
 @pytest.mark.parametrize("title, acts, keys, answer", RIGHT, ids=[row[0].replace(" ", "_") for row in RIGHT])
 def test_right_answer_is_fine_and_changes_nothing(title, acts, keys, answer):
-    bench = Bench()
-    if title != "on a box":
-        bench.go_to(title)
-    for act in acts:
-        act(bench)
-    bench.type(keys)
+    bench = answered(title, acts, keys)
     assert (bench.result(title).verdict, bench.result(title).answer) == (FINE, answer), bench.text
     assert bench.check.changes() == {} and not bench.result(title).repair
 
@@ -263,10 +268,7 @@ LEARNS = [
 
 @pytest.mark.parametrize("title, acts, keys, changes", LEARNS)
 def test_answer_that_a_file_can_take_becomes_its_parameter(title, acts, keys, changes):
-    bench = Bench().go_to(title)
-    for act in acts:
-        act(bench)
-    bench.type(keys)
+    bench = answered(title, acts, keys)
     assert bench.result(title).verdict == LEARNED, bench.text
     assert bench.check.changes() == changes
 
@@ -303,12 +305,7 @@ REPAIRS = [
 
 @pytest.mark.parametrize("title, acts, keys, answer, repair", REPAIRS)
 def test_answer_that_no_file_can_take_says_what_to_repair(title, acts, keys, answer, repair):
-    bench = Bench()
-    if title != "on a box":
-        bench.go_to(title)
-    for act in acts:
-        act(bench)
-    bench.type(keys)
+    bench = answered(title, acts, keys)
     result = bench.result(title)
     assert result.verdict == BROKEN and answer in result.answer and repair in result.repair, (result, bench.text)
     assert bench.check.changes() == {}
@@ -526,9 +523,7 @@ def test_car_on_the_ground_is_not_asked_about_further():
 # --- the way through ---
 
 def test_question_can_be_skipped_repeated_gone_back_to_and_quit():
-    bench = Bench().type("s")
-    assert bench.check.question.title == "the car on a box"  # not this one
-    bench.go_to("center")
+    bench = Bench().go_to("center")
     steer(bench)
     bench.type("<<")
     assert bench.view.steering == 0.02

@@ -109,11 +109,6 @@ def test_root_is_added_to_no_group_and_told_so():
     assert "--user NAME" in " ".join(remarks(root, plan(root, "/share/rules")))
 
 
-def test_only_what_udev_does_by_itself_later_may_fail():
-    assert [step.command[0] for step in plan(computer(), "/share/rules") if step.may_fail] == ["udevadm", "udevadm"]
-    assert all(step.otherwise for step in plan(computer(), "/share/rules") if step.may_fail)
-
-
 @pytest.mark.parametrize("model, has_bus, told", [
     ("Raspberry Pi 5 Model B Rev 1.0", True, ["pins 3 and 5 are /dev/i2c-1", "is on /dev/ttyAMA0: pins 8 and 10",
                                               "dtoverlay=uart0-pi5", "raspi-config, Interface Options"]),

@@ -16,8 +16,8 @@ from car_interface.tools.report.faults import ERROR, WARN, Fault
 from car_interface.tools.report.page import page, range_text
 from car_interface.tools.report.plots import plots
 from car_interface.tools.report.states import Episode
-from car_interface.tools.report.summary import summarize
-from written_recordings import Written, odometry, write_ros1
+from tools.report.summaries import summarized
+from written_recordings import Written, odometry
 
 HOSTILE = "</td><script>alert('\"')</script>&amp;{{ 7 * 7 }}"
 PLOTS = ["who", "steering", "path", "speed", "link"]
@@ -131,7 +131,7 @@ NOTHING_ON = {
 @pytest.mark.parametrize("kind", NOTHING_ON)
 def test_section_that_would_be_empty_is_left_out_and_one_line_says_what_was_not_recorded(kind, tmp_path):
     messages, nothing_on = NOTHING_ON[kind]
-    drive = summarize(str(write_ros1(tmp_path / "a.bag", messages)))
+    drive = summarized(tmp_path, messages)
     text = page(drive, plots(drive))
     found = sections(text)
     assert "contents" in found and all(found.values()), [name for name, inside in found.items() if not inside]

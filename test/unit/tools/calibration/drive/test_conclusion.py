@@ -87,8 +87,6 @@ def test_named_file_keeps_its_other_parameters_or_gets_those_of_turn_arb_or_of_t
     assert "input_timeout: 0.4" in find_table_file(new, None, str(car), RUNNING).base_text
     assert "input_timeout: 0.2" in find_table_file(new, str(base), str(car), RUNNING).base_text
     assert find_table_file(new, None, None, RUNNING).base_text == STOCK_TEXT
-    with pytest.raises(CarInterfaceError, match="is the package's own: name a file of your car's by -o"):
-        find_table_file(str(STOCK), None, None, RUNNING)
 
 
 @pytest.mark.parametrize("launched_with", [None, str(STOCK)])
@@ -106,21 +104,6 @@ def test_folder_that_is_not_there_is_named_before_the_drive(tmp_path):
 def test_file_of_another_channel_is_refused(car):
     with pytest.raises(CarInterfaceError, match="has servo_channel 0, and turn_arb steers channel 3"):
         find_table_file(str(car), None, None, replace(RUNNING, servo_channel=3))
-
-
-def test_replaced_file_stays_beside_the_new_one(car):
-    old = car.read_text()
-    path, line = find_table_file(str(car), None, None, RUNNING).write(STOCK_TEXT, replaces=True)
-    (backup,) = [name for name in os.listdir(car.parent) if ".bak-" in name]
-    assert (path, car.read_text(), (car.parent / backup).read_text()) == (str(car), STOCK_TEXT, old)
-    assert line == f"written: {car}; the old one is {car.parent / backup}"
-
-
-def test_file_that_is_not_replaced_stays_as_it_is(car):
-    old, table = car.read_text(), find_table_file(str(car), None, None, RUNNING)
-    path, line = table.write(STOCK_TEXT, replaces=False)
-    assert path == table.beside == str(car.parent / "turn_arb.new.yaml")
-    assert (car.read_text(), Path(path).read_text(), line) == (old, STOCK_TEXT, f"written: {path}")
 
 
 def test_table_that_turn_arb_would_refuse_is_not_written(car):

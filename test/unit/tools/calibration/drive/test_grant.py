@@ -155,17 +155,3 @@ def test_what_every_drive_needs(lacks, sentence):
 def test_what_only_a_program_needs_that_drives(lacks, sentence):
     assert missing(replace(READY, **lacks), by_stick=False) == [sentence]
     assert missing(replace(READY, **lacks), by_stick=True) == []
-
-
-def test_gamepad_that_is_off_is_waited_for():
-    gone = replace(READY, gamepad=(causes.JOY_STALE, "joy silent for 3.02 s"))
-    assert missing(gone, by_stick=False) == []
-    assert missing_gamepad(gone) == [
-        ("the gamepad isn't there (joy silent for 3.02 s): switch it on, or on the virtual car start keyboard_drive in "
-         "another terminal")]
-    assert missing_gamepad(replace(READY, gamepad=None)) == [
-        "teleop_logi isn't heard, which reads the gamepad with the deadman: is it running?"]
-
-
-def test_several_things_are_all_named():
-    assert len(missing(Seen(), by_stick=False)) == 5

@@ -40,19 +40,6 @@ def _number(words):
     return value if words.endswith("left") else -value
 
 
-def test_it_begins_with_an_end_and_asks_for_a_slow_drive_and_can_be_ended_by_hand():
-    one = car()
-    assert "odom was never heard" in one.drive.step(1).text
-    one.holds = False
-    assert one.tick(0.0, 5184).text == "human_in_loop is false; hold the manual deadman"
-    one.holds = True
-    guidance = one.tick(0.0, 5184)
-    assert guidance.phase == PAUSED and guidance.target_duty == 3900
-    assert guidance.text == "drive slowly, about 1 m/s, with the stick at 100% left"
-    one.drive.finish()
-    assert one.tick(1.0, 5184).phase == DONE
-
-
 def test_it_says_how_long_still_and_then_the_next():
     one = car()
     guidance = obey(one, 3, until=lambda guidance: guidance.phase == MEASURING)

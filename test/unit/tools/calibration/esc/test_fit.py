@@ -74,27 +74,19 @@ def driven(*actions):
 
 
 @pytest.mark.parametrize("actions, hints", [
-    ([("forward", 3)], [
-        ("the profile: full stick for a good second, pull back all the way, and hold until the car has stood for two "
-         "seconds or rolls backward; three times")]),
-    ([("brake", 1), ("reverse", 1, 0.7)], [
-        ("the profile: after a brake, center the stick for a second and pull back all the way for two seconds; four "
-         "times")]),
+    ([("forward", 3)], ["the profile: full stick for a good second, pull back all the way, and hold until the car"]),
+    ([("brake", 1), ("reverse", 1, 0.7)], ["the profile: after a brake, center the stick for a second and pull back"]),
     ([("reverse", 3, 0.8)], [
-        ("esc/dwell: after a brake, center the stick for less than 0.5 s and pull back for a second; several times, "
-         "each a little quicker"),
-        ("esc/reverse_after_neutral: full stick for a good second, center it, and after 8 s pull back all the way for "
-         "two seconds; twice"),
-        ("esc/dead_band_forward: from standstill, push the stick so slowly that the car just sets off; three times")]),
-    ([("set_off", 3, 1), ("reverse", 3, 0.8)], [
-        ("esc/dead_band_reverse: from standstill, pull the stick so slowly that the car just sets off; three times")]),
-    ([("brake", 4)], [
-        ("the profile: after a brake, center the stick for a second and pull back all the way for two seconds; four "
-         "times"),
-        "esc/drag_deceleration: full stick for a good second, then center it until the car stands; three times"]),
+        "esc/dwell: after a brake, center the stick for less than 0.5 s and pull back for a second; several times",
+        "esc/reverse_after_neutral: full stick for a good second, center it, and after 8 s pull back all the way",
+        "esc/dead_band_forward: from standstill, push the stick so slowly that the car just sets off; three times"]),
+    ([("set_off", 3, 1), ("reverse", 3, 0.8)], ["esc/dead_band_reverse: from standstill, pull the stick so slowly"]),
+    ([("brake", 4)], ["the profile: after a brake, center the stick for a second and pull back",
+                      "esc/drag_deceleration: full stick for a good second, then center it until the car stands"]),
 ], ids=["no_brake", "one_of_each", "no_quick_one", "no_creeping_backward", "brakes_alone"])
 def test_what_the_drive_does_not_show_is_refused_with_what_to_drive(actions, hints):
-    assert set(hints) <= set(driven(*actions).missing)
+    missing = driven(*actions).missing
+    assert [hint for hint in hints if not any(text.startswith(hint) for text in missing)] == []
 
 
 def test_brakes_that_contradict_each_other_name_no_profile():

@@ -47,15 +47,15 @@ def test_neutral_since_forward_is_counted():
     assert pull.since_forward_s > 3.0 and abs(pull.speed_mps) < 0.05
 
 
-@pytest.mark.parametrize("action", [(-0.5, 0.3), (-0.1, 3.0)], ids=["short", "weak"])
-def test_pull_that_shows_nothing_is_unclear(action):
-    (pull,) = pulls_of(virtual_escs.xl5, action)
-    assert pull.outcome == UNCLEAR
+UNTIL_IT_STANDS = (-0.5, 5.0, lambda speed: speed <= 0)
 
 
-@pytest.mark.parametrize("held_s, outcome", [(0.5, UNCLEAR), (1.2, HELD)])
-def test_brake_that_is_let_go_soon_after_the_car_stands_is_unclear(held_s, outcome):
-    (pull,) = pulls_of(virtual_escs.xl5, (-0.5, 5.0, lambda speed: speed <= 0), (-0.5, held_s))
+@pytest.mark.parametrize("actions, outcome", [
+    ([(-0.5, 0.3)], UNCLEAR), ([(-0.1, 3.0)], UNCLEAR), ([UNTIL_IT_STANDS, (-0.5, 0.5)], UNCLEAR),
+    ([UNTIL_IT_STANDS, (-0.5, 1.2)], HELD),
+], ids=["short", "weak", "let_go_soon_after_the_car_stands", "held_on"])
+def test_pull_that_shows_nothing_is_unclear(actions, outcome):
+    (pull,) = pulls_of(virtual_escs.xl5, *actions)
     assert pull.outcome == outcome
 
 

@@ -7,16 +7,12 @@ from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.tools.calibration.esc.pulls import pulls, sampled
 from car_interface.tools.calibration.esc.recorded import joined, load_esc_drive
 from car_interface.tools.recordings.recording import NoRecording
-from written_recordings import Written, odometry, write_ros1
+from written_recordings import Written, odometry, output, write_ros1
 
 SHIPPED = ThrottleCalibration(channel=1, value_axis=[-5, 0, 3], duty_table=[3277, 4915, 6554], neutral=4915)
 FALLING = ThrottleCalibration(channel=1, value_axis=[-5, 0, 3], duty_table=[6554, 4915, 3277], neutral=4915)
 ONE_SIDED = ThrottleCalibration(channel=1, value_axis=[0, 3], duty_table=[4915, 6554], neutral=4915)
 END_S = 10.0
-
-
-def output(time_s, duty):
-    return Written(time_s, "/servo/output", "std_msgs/Int32MultiArray", {"data": [5100, duty] + [-1] * 14})
 
 
 def state(time_s, granted=0.0, duty=4915, esc_cause="calibration drive"):
@@ -29,7 +25,7 @@ def outputs(*changes):
     found, duty = [], changes[0][1]
     for time_s in sorted({*(change[0] for change in changes), *np.arange(0.0, END_S, 0.5)}):
         duty = dict(changes).get(time_s, duty)
-        found.append(output(time_s, duty))
+        found.append(output(time_s, 5100, duty))
     return found
 
 
@@ -80,7 +76,7 @@ def test_where_odometry_is_missing_nothing_is_known_of_the_esc(tmp_path, gap, kn
 
 
 def test_where_the_board_s_output_is_missing_nothing_is_known_of_the_esc(tmp_path):
-    held = [output(time_s, duty) for time_s, duty in ((0.0, 4912), (1.0, 4000), (5.0, 4912), (6.0, 4912))]
+    held = [output(time_s, 5100, duty) for time_s, duty in ((0.0, 4912), (1.0, 4000), (5.0, 4912), (6.0, 4912))]
     drive = driven(tmp_path, [*held, state(1.0)]).drive
     assert [duty_at(drive, time_s) for time_s in (3.4, 3.6, 4.9, 5.1)] == [4000, 0, 0, 4912]
 

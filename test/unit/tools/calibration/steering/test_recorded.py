@@ -1,5 +1,4 @@
 """Heading and distance of a recorded drive."""
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -47,12 +46,6 @@ def test_distance_is_as_long_whether_the_recording_has_gaps_or_not():
 TABLE = replace(load_steering(str(package_file("config/turn_arb.yaml"))), radius_axis_m=[0.5, 5.0, 300.0],
                 left_duties=[3800, 4800, 5090], right_duties=[6600, 5400, 5110])
 ANGLES = AngleTable(TABLE, 0.324)
-
-
-@pytest.mark.parametrize("radius_m", [0.9, 2.0, 10.0, -0.9, -2.0, -10.0])
-def test_angle_is_the_duty_of_its_radius_at_the_boards_nearest_count(radius_m):
-    duty = ANGLES.duty(math.atan(0.324 / radius_m))
-    assert abs(duty - TABLE.planner_duty(radius_m)) <= 8 and duty % 16 == 0
 
 
 def test_no_angle_is_the_center_and_more_than_the_table_has_its_end():

@@ -6,9 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from car_interface.common.errors import CarInterfaceError
 from car_interface.throttle.value_map import ValueMap
-from car_interface.tools.calibration.shared import NothingToFit
 from car_interface.tools.calibration.value_map import calibrate as module
 from car_interface.tools.calibration.value_map import table as tables
 from car_interface.tools.calibration.value_map.acceleration import MapFitConfig
@@ -51,14 +49,6 @@ def test_drives_that_support_no_table_are_refused_with_what_they_support(monkeyp
     with pytest.raises(NoTable, match=r"drive\.bag support no two values at the same two velocities") as caught:
         calibrated(monkeypatch, fit_of([[1, 0], [0, 1]]))
     assert caught.value.coverage.startswith("what was driven: # enough, . not enough\n")
-
-
-def test_drives_without_an_acceleration_are_refused_by_name(monkeypatch):
-    def nothing(*_):
-        raise NothingToFit("9 × a stop")
-    monkeypatch.setattr(module.fitting, "fit", nothing)
-    with pytest.raises(CarInterfaceError, match=r"^nothing in drive\.bag tells an acceleration: 9 × a stop$"):
-        calibrate(RECORDED, None, None, MapFitConfig())
 
 
 VALUES, VELOCITIES = np.array([-1.0, 0.0, 1.0]), np.array([0.5, 1.0, 2.0])

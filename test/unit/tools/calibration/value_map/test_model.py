@@ -47,13 +47,6 @@ def test_outliers_do_not_bend_the_map():
     assert error(found) < 0.08
 
 
-def test_velocities_never_driven_are_not_supported():
-    found = fit([drive(seconds=120.0)], np.array([-3.0, 0.0, 2.0]), np.array([0.0, 1.0, 3.0, 5.0, 12.0, 14.0]),
-                MapFitConfig(delay_s=DELAY_S))
-    assert not found.supported[:, 4:].any() and found.supported[:, 2].all()
-    assert (list(found.values), list(found.velocities)) == ([-3.0, 0.0, 2.0], [0.0, 1.0, 3.0, 5.0, 12.0, 14.0])
-
-
 def test_a_drive_of_one_value_supports_no_other():
     one = drive(seconds=60.0)
     lonely = MapDrive(Series(one.value.t_s, np.full(one.value.y.size, 1.0)), one.speed, one.yaw, one.wheels)
