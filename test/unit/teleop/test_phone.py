@@ -130,7 +130,6 @@ def bench():
 
 # --- fresh evidence ---
 
-
 @pytest.mark.parametrize("age_ms", [0, 100, 200, 240])
 def test_echo_counts_by_the_age_of_its_token_and_not_from_its_arrival(bench, age_ms):
     page = bench.drive()

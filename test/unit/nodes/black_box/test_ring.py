@@ -24,6 +24,7 @@ def seconds(ring):
 def test_messages_of_the_last_minute_are_kept():
     assert seconds(filled(message(0.9), message(1), message(30), message(61))) == [1, 30, 61]
     assert SPAN_NS == 60 * NS_PER_S
+    assert Ring().messages() == []
 
 
 def test_oldest_go_first_where_memory_ends():
@@ -50,7 +51,3 @@ def test_latched_message_from_before_is_kept_as_long_as_its_sender_sends_no_othe
         ("/tf_static", b"new", 90 * NS_PER_S), ("/joy", b"data", 90 * NS_PER_S)]
     ring.add(message(91, "/tf_static", b"newer", LATCHED))
     assert [one.data for one in ring.messages()] == [b"data", b"newer"]
-
-
-def test_nothing_has_no_messages():
-    assert Ring().messages() == []

@@ -84,7 +84,6 @@ def test_file_keeps_what_else_it_had_tells_how_well_it_is_known_and_the_old_one_
 
 # --- a steering that is held at one duty after the other, as another package's nodes record it ---
 
-
 def held(duties, command=output, odom="/odom", hold_s=2.0, start_s=0.0, curve=true_curvature, with_imu=False):
     """Odometry at 1.2 m/s, and what ``command`` makes of (time, duty), 20 times a second."""
     x_m = y_m = yaw = 0.0
@@ -109,7 +108,6 @@ def plain(tmp_path_factory):
 
 
 # --- a planner's angles in place of duties ---
-
 
 WHEELBASE_M = 0.3
 

@@ -189,7 +189,6 @@ def test_map_that_is_not_good_enough_is_refused_and_if_forced_marked(bag, tmp_pa
 
 # --- what can't be calibrated with ---
 
-
 @pytest.mark.parametrize("messages, said", [
     ([odometry(0.02 * i, speed_mps=1.0) for i in range(9)] + [value_at(0.02 * i) for i in range(9)],
      "tells an acceleration"),

@@ -143,7 +143,7 @@ def test_what_is_no_file_or_a_file_that_is_too_large_is_not_read_and_said(folder
     assert Cache(folder, "1").problem == f"{path} can't be read (Is a directory)"
 
 
-def test_folder_that_can_not_be_written_has_its_file_in_the_users_cache_folder(tmp_path, elsewhere, monkeypatch):
+def test_file_of_a_folder_that_can_not_be_written_is_in_the_users_cache_or_it_is_said(tmp_path, elsewhere, monkeypatch):
     folder, write = str(tmp_path / "read_only"), drives_cache.replace
 
     def replace(path, data, keeps_old):
@@ -155,9 +155,6 @@ def test_folder_that_can_not_be_written_has_its_file_in_the_users_cache_folder(t
     cache.add(STATE, ROW)
     assert cache.save(["a.bag"]) == "" and len(list(elsewhere.iterdir())) == 1
     assert Cache(folder, "1").row("a.bag", STATE) is not None and Cache(str(tmp_path), "1").row("a.bag", STATE) is None
-
-
-def test_what_can_not_be_kept_anywhere_is_said_with_the_folders_own_file(tmp_path, monkeypatch):
     def replace(path, data, keeps_old):
         raise PermissionError(13, "Permission denied")
     monkeypatch.setattr(drives_cache, "replace", replace)

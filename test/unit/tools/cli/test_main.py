@@ -87,7 +87,6 @@ def test_output_that_nobody_reads_any_more_is_no_fault():
 
 # --- what is installed ---
 
-
 def setup_arguments():
     """What setup.py hands to setup(), as catkin and pip see it."""
     found = {}
@@ -135,7 +134,6 @@ def test_setup_makes_the_command_and_names_what_it_needs():
 
 # --- help and version ---
 
-
 @pytest.mark.parametrize("name", sorted(MODULES))
 def test_every_command_is_started_by_rosrun_and_answers_help_with_a_text_for_each_option(name, capsys):
     module, parser = importlib.import_module(MODULES[name]), argparse.ArgumentParser()
@@ -158,12 +156,9 @@ def test_version_is_that_of_the_package(command_name, arguments, capsys):
     assert capsys.readouterr().out == f"car_interface {setup_arguments()['version']}\n"
 
 
-def test_version_is_the_one_in_package_xml_which_goes_before_the_metadata(monkeypatch):
+def test_version_is_the_one_in_package_xml_else_the_metadata_s_and_is_refused_without_either(monkeypatch):
     monkeypatch.setattr(command_line.metadata, "version", {"car_interface": "1.2.3"}.__getitem__)
     assert command_line.version() == ElementTree.parse(str(ROOT / "package.xml")).findtext("version")
-
-
-def test_version_comes_from_the_metadata_where_there_is_no_package_xml_and_is_refused_without_either(monkeypatch):
     def missing_file(name):
         raise CarInterfaceError(name)
 

@@ -45,6 +45,8 @@ def test_car_without_a_gamepad_that_phones_drive_is_ok():
                  id="driver_without_a_gamepad"),
     pytest.param({"sample": AT_20_HZ._replace(axes=4)}, BAD,
                  "the gamepad has 4 axes (0 to 3), but throttle_axis is 4", "needs its switch at X", id="wrong_mode"),
+    pytest.param({"sample": AT_20_HZ._replace(axes=4), "topic": "/car1/joy"}, BAD, "the gamepad has 4 axes",
+                 "rostopic echo /car1/joy", id="below_a_namespace"),
     pytest.param({"sample": AT_20_HZ._replace(values={4: math.nan})}, BAD,
                  "the gamepad's throttle_axis 4 is nan, no number to act on", "See what sends it", id="nan"),
     pytest.param({"sample": JoySample(4, 0.3, 8, 11, {})}, BAD,
@@ -85,11 +87,6 @@ def test_what_is_wrong_is_named_with_its_remedy(changes, level, what, remedy):
 ])
 def test_what_is_not_wrong_is_ok(changes):
     assert check(**changes).level == OK
-
-
-def test_topic_below_a_namespace_is_named_in_what_to_type():
-    found = check(sample=AT_20_HZ._replace(axes=4), topic="/car1/joy")
-    assert found.remedy.endswith("rostopic echo /car1/joy")
 
 
 # --- its driver ---

@@ -58,26 +58,20 @@ def test_graph_is_who_publishes_subscribes_and_serves(served):
     assert graph == Graph({"/joy": ("/pad", "/other")}, frozenset({"/pad", "/other", "/teleop_logi", "/turn_arb"}))
 
 
-def test_node_that_the_graph_does_not_have_is_absent_although_the_master_can_look_it_up(master, refused):
+def test_node_that_ended_is_absent_without_an_answer_silent_and_where_nobody_listens_killed(master, refused, silent):
     """As every node is after it ended in order."""
     assert look(master({"/turn_arb": refused}, [])).state == ABSENT
-
-
-def test_node_that_does_not_answer_or_whose_host_cannot_be_found_is_silent(master, silent):
     for uri in (silent, "http://no-such-host.invalid:1"):
         assert look(master({"/turn_arb": uri}, ["/turn_arb"])).state == SILENT
+    assert look(master({"/turn_arb": refused}, ["/turn_arb"])).state == KILLED
+    found = look(master({"/car_nodes": refused}, ["/car_nodes"]))
+    assert (found.state, found.process) == (KILLED, "/car_nodes")
 
 
 @pytest.mark.parametrize("name, process", [("turn_arb", "/car_nodes"), ("teleop_logi", "/teleop_logi")])
 def test_four_of_the_nodes_may_be_parts_of_one_process_that_runs(name, process, master, node):
     found = look(master({"/car1/car_nodes": node}, ["/car1/car_nodes"]), name, "/car1")
     assert found == (name, f"/car1/{name}", RUNNING if name == "turn_arb" else ABSENT, f"/car1{process}")
-
-
-def test_node_or_process_of_the_graph_where_nothing_listens_was_killed_and_is_named(master, refused):
-    assert look(master({"/turn_arb": refused}, ["/turn_arb"])).state == KILLED
-    found = look(master({"/car_nodes": refused}, ["/car_nodes"]))
-    assert (found.state, found.process) == (KILLED, "/car_nodes")
 
 
 @pytest.fixture

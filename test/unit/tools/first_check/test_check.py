@@ -226,9 +226,6 @@ def test_right_answer_is_fine_and_changes_nothing(title, acts, keys, answer):
 
 # --- each question, answered wrong ---
 
-TABLES = {"k_pwmcmd_left_table_servo": list(SLASH.left_duties),
-          "k_pwmcmd_right_table_servo": list(SLASH.right_duties)}
-ENDS = {"servo_left": 3800, "servo_center": 5100, "servo_right": 6700}
 EXCHANGED = {"turn_arb": {"servo_left": 6700, "servo_center": 5100, "servo_right": 3800,
                           "k_pwmcmd_left_table_servo": list(SLASH.right_duties),
                           "k_pwmcmd_right_table_servo": list(SLASH.left_duties)}}
@@ -514,12 +511,6 @@ def test_hand_before_a_sonar_and_wheels_that_turn_in_the_air_are_no_ground():
     assert bench.check.refusal == ""
 
 
-def test_car_on_the_ground_is_not_asked_about_further():
-    assert Bench().type("n").check.refusal == "it is on the ground: put it on a box first"
-    moving = Bench(speed_mps=0.5).type("y")
-    assert "the wheels turn: wait until they stand" in moving.text and not moving.check.refusal
-
-
 # --- the way through ---
 
 def test_question_can_be_skipped_repeated_gone_back_to_and_quit():
@@ -595,9 +586,12 @@ def test_direction_may_be_answered_after_letting_go_by_the_newest_full_stick():
     assert "channel 0 has duty 3800" in bench.result("direction").answer
 
 
-def test_first_question_can_only_be_answered_or_left():
+def test_first_question_can_only_be_answered_or_left_and_a_car_on_the_ground_is_asked_no_other():
     bench = Bench().type("sae")
     assert bench.check.question.title == "the car on a box" and bench.view.lines[-1] == "Q quit"
+    assert Bench().type("n").check.refusal == "it is on the ground: put it on a box first"
+    moving = Bench(speed_mps=0.5).type("y")
+    assert "the wheels turn: wait until they stand" in moving.text and not moving.check.refusal
 
 
 def test_every_question_fits_a_terminal_of_80_columns_and_24_rows():

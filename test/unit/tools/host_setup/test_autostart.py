@@ -139,11 +139,8 @@ def test_remove_stops_and_removes_the_unit_where_there_is_one(run):
     assert ran == [] and "Nothing to do" in said
 
 
-def test_dry_run_shows_the_unit_and_runs_nothing(run, workspace):
+def test_dry_run_shows_the_unit_and_runs_nothing_nor_does_a_computer_without_systemd(run, workspace):
     ran, said = run("--autostart", "--dry-run", f"config:={workspace}/bin")
     assert ran == [] and "WantedBy=multi-user.target" in said and f"would install {UNIT_PATH}" in said
-
-
-def test_without_systemd_one_line_says_so(run):
     ran, said = run("--autostart", "config:=.", has_systemd=False)
     assert ran == [] and said.startswith("there is no systemctl here, as in a container")

@@ -54,15 +54,11 @@ def test_odometry_counts_by_its_stamps_and_its_heading_is_unwrapped(tmp_path, wr
 
 # --- columns with stamps ---
 
-
-def test_stamp_up_to_two_seconds_from_the_recording_time_counts_and_others_do_not():
+def test_stamp_up_to_two_seconds_from_the_recording_time_counts_and_each_reason_has_a_note_of_its_own():
     column = values(ValueColumn("v"), (0.0, -1.99, 1), (0.1, -2.2, 2), (3.0, 4.99, 3), (5.1, 7.2, 4))
     assert column.build().t_s == pytest.approx([-1.99, 0.1, 4.99, 5.1])
     assert column.notes() == [
         "v: 2 messages with a stamp seconds away from when it was recorded: recording time taken"]
-
-
-def test_each_reason_has_a_note_of_its_own():
     column = values(ValueColumn("v"), (0.0, 0.0, 1), (0.1, 0.1, math.nan), (0.2, 0.2, math.inf), (0.3, 0.0, 2))
     assert column.notes() == ["v: 2 messages with a number that is none: left out",
                               "v: 1 message with a stamp that doesn't rise: left out"]
@@ -76,7 +72,6 @@ def test_message_that_can_not_be_used_leaves_a_column_empty():
 
 
 # --- odometry without a twist ---
-
 
 def captured(*poses, linear=(0.0, 0.0)):
     """A column of (time in s, x in m, y in m, yaw) each, with the same twist all the time."""
@@ -142,18 +137,12 @@ def pitch_rad(orientation, unknown=False):
 # --- columns of duties ---
 
 
-def test_output_that_does_not_change_has_a_row_each_half_second():
+def test_output_has_a_row_at_each_change_and_each_half_second_and_none_that_was_recorded_before_the_last():
     rows = [(0.1 * index, [5104] * 16) for index in range(11)]
     assert vectors(OutputColumn("o"), *rows).build().t_s == pytest.approx([0.0, 0.5, 1.0])
-
-
-def test_output_that_changes_has_a_row_at_once():
     output = vectors(OutputColumn("o"), (0.0, [1] * 16), (0.001, [2] * 16), (0.002, [1] * 16)).build()
     assert output.t_s.tolist() == [0.0, 0.001, 0.002]
     assert output.duties.shape == (3, 16) and output.duties[:, 15].tolist() == [1, 2, 1]
-
-
-def test_output_that_was_recorded_earlier_than_the_one_before_is_left_out():
     column = vectors(OutputColumn("o"), (1.0, [1] * 16), (0.9, [2] * 16), (1.0, [3] * 16))
     assert column.build().duties[:, 0].tolist() == [1, 3]
     assert column.notes() == ["o: 1 message with a stamp that doesn't rise: left out"]

@@ -83,7 +83,6 @@ def test_definition_that_can_not_be_parsed_is_refused_in_one_line(made):
 
 # --- known types ---
 
-
 def test_autowares_equivalents_have_the_same_fields_as_this_packages_messages():
     known = known_types().types
     for package, names in EQUIVALENTS.items():

@@ -41,12 +41,9 @@ def test_ping_that_is_still_on_its_way_is_not_unanswered(pings, pongs, unanswere
     assert found["unanswered"] == unanswered and found["frames"] == 0
 
 
-def test_row_survives_json(found):
+def test_row_survives_json_and_figures_that_no_car_can_have_are_not_known(found, seen, monkeypatch):
     assert Row(*json.loads(json.dumps(found)))._asdict() == found._asdict()
     assert stored_row(json.loads(json.dumps(found)), "day/drive.bag")._asdict() == found._asdict()
-
-
-def test_figures_that_no_car_can_have_are_not_known(seen, monkeypatch):
     for garbage in (math.nan, math.inf, 1e300):
         monkeypatch.setattr(seen.motion, "distance_m", garbage)
         garbled = row(seen, "day/drive.bag")

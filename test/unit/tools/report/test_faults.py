@@ -62,7 +62,6 @@ def test_repeated_moment_is_one_fault_with_a_count():
 
 # --- a node's start ---
 
-
 def reported(*reports, driven_from_s=20.0):
     """What of (time, level, text) of one key is a fault."""
     log = FaultLog()

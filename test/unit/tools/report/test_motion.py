@@ -165,7 +165,6 @@ def test_acceleration_is_compared_where_the_planner_had_the_throttle_all_along(t
 
 # --- odometry without a twist ---
 
-
 def captured(speed_mps, yaw_rad=0.0, noise_m=0.0, twist=None, duration_s=6.0, rate_hz=100, has_stamp=True):
     """Motion capture of a car that drives straight on for 4 s, then stands: poses, and a twist of (m/s, rad/s)."""
     for step in range(int(duration_s * rate_hz)):

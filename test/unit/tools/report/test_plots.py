@@ -9,11 +9,9 @@ from car_interface.tools.report.figures import DRIVER_COLOURS
 from tools.report.summaries import summarized
 from written_recordings import odometry, output
 
-PLOTS = ["who", "steering", "path", "speed", "link"]
-
 
 def test_each_plot_is_one_svg_with_ids_of_its_own(drawn):
-    assert list(drawn) == PLOTS
+    assert list(drawn) == ["who", "steering", "path", "speed", "link"]
     ids = [name for plot in drawn.values() for name in re.findall(r'\bid="([^"]+)"', plot)]
     assert len(ids) == len(set(ids))
     for plot in drawn.values():

@@ -78,14 +78,10 @@ def test_a_car_with_no_room_to_turn_is_to_be_moved_to_the_middle_or_placed_for_i
     assert "no room to turn: place it so that the middle is about 1.7 m to its left, by hand or by" in text
 
 
-def test_it_has_to_turn_before_the_edge_and_not_in_the_middle():
+def test_it_turns_before_the_edge_and_a_car_that_coasts_far_sooner_unless_it_surely_stops_soon():
     hold, now_ns = settled(CENTER)
     assert not outlook(Pose(-1.5, 0.0, 0.0)).is_outside_soon(hold, now_ns)
     assert outlook(Pose(1.8, 0.0, 0.0)).is_outside_soon(hold, now_ns)
-
-
-def test_a_car_that_coasts_far_turns_sooner_unless_it_surely_stops_soon():
-    hold, now_ns = settled(CENTER)
     # Along the edge the turn alone would do later.
     assert not outlook(Pose(1.0, 1.85, -0.2), 0.4).is_outside_soon(hold, now_ns)
     assert outlook(Pose(1.0, 1.85, -0.2), 0.4, least_mps2=0.1).is_outside_soon(hold, now_ns)

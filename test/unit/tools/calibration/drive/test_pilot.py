@@ -176,24 +176,15 @@ def test_a_turn_is_sought_after_two_to_the_other_side_only_and_lost_after_one_mo
     assert one.seek(lost) == pytest.approx(1.0)
 
 
-def test_what_it_turns_to_that_side_on_its_way_does_not_find_it_again():
+def test_a_lost_turn_is_found_by_a_tight_one_to_that_side_only_and_sought_again_after_two_more():
     one = LostTurns()
     for _ in range(40):
         one.update_motion(-0.5)
-        one.update_motion(0.3)
+        one.update_motion(0.3)  # on its way
     assert one.drive(RIGHT) == LEFT
-
-
-def test_a_tight_turn_to_that_side_does():
-    one = LostTurns()
-    one.update_motion(-TWO_RAD)
     one.drive(LEFT)
     one.update_motion(-1.0)
     assert one.drive(RIGHT) is None
-
-
-def test_it_seeks_again_only_after_two_more():
-    one = LostTurns()
     one.update_motion(-TWO_RAD)
     one.ask(LEFT)
     assert one.asked == LEFT and one.drive(RIGHT) is None

@@ -49,21 +49,20 @@ def test_drive_has_the_duties_of_the_channel_and_the_ends_of_the_table(tmp_path)
     assert set(drive.speed_mps) == {1.0} and drive.wheels == ()
 
 
-def test_neutral_is_that_of_the_drive_whatever_the_file_has(tmp_path):
-    drive = driven(tmp_path, [*outputs((0.0, 4944)), state(1.0, 0.0, 4940), state(2.0, 0.5, 5700)]).drive
-    assert (drive.neutral, drive.full_forward, drive.full_reverse) == (4940, 6579, 3302)
+@pytest.mark.parametrize("calibration, states, neutral_and_ends", [
+    (SHIPPED, [state(1.0, 0.0, 4940), state(2.0, 0.5, 5700)], (4940, 6579, 3302)),
+    (FALLING, [state(1.0)], (4915, 6553, 3276)),
+], ids=["that_of_the_drive_whatever_the_file_has", "mirrored_where_shorter_pulses_are_forward"])
+def test_neutral_and_ends_are(tmp_path, calibration, states, neutral_and_ends):
+    drive = driven(tmp_path, [*outputs((0.0, 4944), (3.0, 4200)), *states], calibration=calibration).drive
+    assert (drive.neutral, drive.full_forward, drive.full_reverse) == neutral_and_ends
+    assert duty_at(drive, 4.0) == (4200 if calibration is SHIPPED else 2 * 4915 - 4200)
 
 
 def test_neutral_that_was_tuned_during_the_drive_is_refused(tmp_path):
     with pytest.raises(CarInterfaceError, match=r"servo/neutral was tuned during the drive \(it was 4900 to 4940\)"):
         driven(tmp_path, [*outputs((0.0, 4912)), *(state(time_s, 0.0, duty) for time_s, duty in
                                                    ((1.0, 4900), (1.1, 4900), (2.0, 4940)))])
-
-
-def test_esc_that_takes_shorter_pulses_for_forward_is_mirrored(tmp_path):
-    drive = driven(tmp_path, [*outputs((0.0, 4915), (3.0, 4200)), state(1.0)], calibration=FALLING).drive
-    assert (drive.neutral, drive.full_forward, drive.full_reverse) == (4915, 6553, 3276)
-    assert duty_at(drive, 4.0) == 2 * 4915 - 4200
 
 
 @pytest.mark.once

@@ -110,7 +110,6 @@ def test_drives_that_show_no_steering_are_refused_by_their_names(fits):
 
 # --- several recordings ---
 
-
 def test_recordings_before_and_after_a_change_of_the_linkage_are_refused_unless_that_is_accepted(fits):
     both = [recorded("a.bag"), recorded("b.bag")]
     fits["b.bag"] = line_curve(center=5201.0)
@@ -130,7 +129,6 @@ def test_recording_that_shows_nothing_alone_may_still_be_used_with_others(fits):
 
 
 # --- turn_arb's file ---
-
 
 def test_file_has_the_values_in_whole_duties_and_the_report_as_its_head(fits):
     text = yaml_text(calibrate([recorded()], BASE, (1.0, 3.0, 100.0)), BASE_TEXT, ["a line of the report"])

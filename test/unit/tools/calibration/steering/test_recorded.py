@@ -19,14 +19,11 @@ def driving(imu_offset_radps=0.0, odom_ratio=1.0, imu_end_s=60.0):
     return odom, Imu(imu_s, 0.5 * np.cos(0.5 * imu_s) + imu_offset_radps, 0 * imu_s, 0 * imu_s)
 
 
-def test_heading_by_the_imu_has_no_offset_and_shows_how_much_odometry_turns_too_far():
+def test_heading_by_the_imu_has_no_offset_and_one_that_covers_too_little_or_is_unrelated_is_not_used():
     odom, imu = driving(imu_offset_radps=0.02, odom_ratio=1.1)
     yaw_rad, ratio = imu_heading(odom, imu)
     assert ratio == pytest.approx(1.1, abs=0.01)
     assert yaw_rad == pytest.approx(np.sin(0.5 * odom.t_s), abs=0.02)
-
-
-def test_imu_that_covers_too_little_or_is_unrelated_is_not_used():
     assert imu_heading(*driving(imu_end_s=50.0)) is None
     odom, imu = driving()
     assert imu_heading(odom, imu._replace(yaw_rate_radps=np.zeros(len(imu.t_s)))) is None

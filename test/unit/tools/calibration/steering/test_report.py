@@ -73,7 +73,6 @@ def test_report_sums_up_the_recordings_what_was_used_of_them_and_what_the_fit_fo
 
 # --- the table ---
 
-
 def row(radius_text, points):
     (found,) = [line.split() for line in lines(points=points) if line.startswith(f"  {radius_text:>6} m ")]
     return found

@@ -20,19 +20,11 @@ def test_map_of_a_drive_on_a_slope_with_a_sagging_battery_is_the_level_one_at_me
     assert mixed.delay_s == pytest.approx(DELAY_S, abs=0.01)
     assert ground.uphill == pytest.approx((0.012, -0.016), abs=0.002)
     assert ground.sag_above == pytest.approx(0.1, abs=0.02) and ground.sag_below == pytest.approx(0.0, abs=0.03)
-
-
-def test_error_is_of_the_size_that_the_standard_errors_say():
-    mixed = fitted_mixed()
     truth = acceleration(mixed.values[:, None], mixed.velocities[None, :])
     ratios = (np.abs(mixed.accelerations - truth) / mixed.sigma_mps2)[mixed.supported]
-    assert np.mean(ratios < 2) > 0.8
-
-
-def test_held_out_manoeuvres_are_predicted_nearly_as_well_as_the_others():
-    mixed = fitted_mixed()
+    assert np.mean(ratios < 2) > 0.8, "its error is of the size that its standard errors say"
     assert mixed.held_out_windows > 50
-    assert mixed.held_out_mps2 < 1.5 * mixed.residual_mps2 + 0.01
+    assert mixed.held_out_mps2 < 1.5 * mixed.residual_mps2 + 0.01, "held-out manoeuvres are predicted nearly as well"
 
 
 def test_turns_show_the_slope_and_nothing_else_where_straights_all_go_one_way():
