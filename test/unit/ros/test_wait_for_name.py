@@ -98,9 +98,13 @@ def holder(node_uri):
         return NameLookup("/turn_arb", master_uri).holder()
 
 
-def test_name_is_free_that_the_master_does_not_know_or_whose_process_was_killed():
+def test_name_is_free_unless_its_node_accepts_and_does_not_answer_or_is_on_an_unknown_computer(monkeypatch):
     assert holder("") == holder(f"http://127.0.0.1:{free_port()}/") == Holder(FREE)
     assert NameLookup("/turn_arb", f"http://127.0.0.1:{free_port()}/").holder() == Holder(NO_MASTER)
+    monkeypatch.setattr(xmlrpc_calls, "ANSWER_WITHIN_S", 1.0)
+    with socket.create_server(("127.0.0.1", 0)) as frozen:
+        assert holder(f"http://127.0.0.1:{frozen.getsockname()[1]}/") == Holder(SILENT, HERE)
+    assert holder("http://no-such-computer.invalid:1/") == Holder(SILENT, "no-such-computer.invalid")
 
 
 @pytest.mark.parametrize("name, expected", [
@@ -109,13 +113,6 @@ def test_name_is_free_that_the_master_does_not_know_or_whose_process_was_killed(
 def test_node_that_answers_is_running_if_it_has_that_name(name, expected):
     with serving(**node(name)) as uri:
         assert holder(uri) == expected
-
-
-def test_node_that_accepts_and_does_not_answer_or_is_on_an_unknown_computer_is_silent(monkeypatch):
-    monkeypatch.setattr(xmlrpc_calls, "ANSWER_WITHIN_S", 1.0)
-    with socket.create_server(("127.0.0.1", 0)) as frozen:
-        assert holder(f"http://127.0.0.1:{frozen.getsockname()[1]}/") == Holder(SILENT, HERE)
-    assert holder("http://no-such-computer.invalid:1/") == Holder(SILENT, "no-such-computer.invalid")
 
 
 def test_node_is_asked_when_the_master_is_gone():

@@ -118,7 +118,6 @@ class Page:
         self.send(type="echo", touch=touch, steering=steering, throttle=throttle, scale=0, **more)
 
     def touch_anew(self, *sticks):
-        """Let go, and touch again."""
         self.echo("")
         self.echo("manual", *sticks)
 

@@ -27,13 +27,10 @@ def test_messages_of_the_last_minute_are_kept():
     assert Ring().messages() == []
 
 
-def test_oldest_go_first_where_memory_ends():
+def test_oldest_go_first_where_memory_ends_and_a_large_message_is_left_out_and_counted():
     ring = filled(message(0), message(1), message(2), max_bytes=2 * (OVERHEAD_BYTES + len(b"data")))
     assert seconds(ring) == [1, 2]
     assert ring.size_bytes == 2 * (OVERHEAD_BYTES + 4)
-
-
-def test_large_message_is_left_out_and_counted():
     ring = filled(message(0, data=bytes(MAX_MESSAGE_BYTES + 1)), message(1, data=bytes(MAX_MESSAGE_BYTES)))
     assert (seconds(ring), ring.dropped) == ([1], 1)
 

@@ -23,7 +23,6 @@ KNOWN_DELAY = ("--delay", DELAY_S)  # estimating it takes most of a fit's time
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
-    """A synthetic drive."""
     return write_ros1(tmp_path_factory.mktemp("drive") / "drive.bag", messages_of(120.0))
 
 
@@ -51,6 +50,7 @@ def test_map_of_a_virtual_car_is_near_the_truth_and_the_report_lies_beside_it(tm
     assert error_mps2(load_value_map(str(tmp_path / "map.csv")), lambda value, velocity: true_acceleration_mps2(
         virtual_drive.duty_of_value(value), max(velocity, 1e-3), car.drive, thrust)) < 0.05
     report = (tmp_path / "map.report.txt").read_text(encoding="utf-8")
+    assert "accelerations by pulse times of the wheels" in report
     assert "held out (every 5th manoeuvre" in report and "standard error" in report and "ground rises by" in report
     assert "steering: a tight turn, or tyres at work" in report and "missing: value" in report
     assert report.strip() in capsys.readouterr().out

@@ -106,16 +106,13 @@ def setup_arguments():
     return found
 
 
-def test_setup_ships_every_message_definition_and_the_stock_configuration():
+def test_setup_ships_every_message_definition_the_stock_configuration_and_every_file_of_a_page():
     shipped = {name for _, names in setup_arguments()["data_files"] for name in names}
     wanted = {path.relative_to(ROOT).as_posix() for pattern in ("msg/*.msg", "config/*.yaml", "config/*.csv")
               for path in ROOT.glob(pattern)}
     assert shipped == wanted
     assert {folder for folder, _ in setup_arguments()["data_files"]} == {"share/car_interface/msg",
                                                                          "share/car_interface/config"}
-
-
-def test_setup_ships_every_file_of_a_page():
     shipped = {path for package, patterns in setup_arguments()["package_data"].items() for pattern in patterns
                for path in (ROOT / "src" / package.replace(".", "/")).glob(pattern)}
     assert shipped == {path for path in (ROOT / "src").rglob("*") if path.suffix in (".html", ".css", ".js", ".svg")}

@@ -36,7 +36,6 @@ def changed(messages, kind, *values):
 
 
 def odd_drives():
-    """Messages of odd drives, by what is odd about them."""
     whole = drive(7.0)
     yield "numbers_are_infinite_or_huge_of_either_sign", [
         odometry(one.time_s, 1e300, 0.0, 0.0, 1e300) if one.topic == "/odom" else one

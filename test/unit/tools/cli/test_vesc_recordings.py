@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from car_interface.common.units import stamp_ns, yaw_rad
+from car_interface.throttle.value_map import load_value_map
 from car_interface.tools.calibration.steering.recorded import load_steering_drive
 from car_interface.tools.calibration.value_map.recorded import MapSource, load_map_drive
 from car_interface.tools.cli.main import main
@@ -60,7 +61,6 @@ def number(time_s, topic, data):
 
 
 def as_vesc(bag, layout, below, until_s=SECONDS):
-    """The messages of a recording as a VESC's."""
     speed_mps, messages = 0.0, []
     for time_ns, topic, message in read(bag, ["odom", "/servo/output", "generic/output/value"]):
         time_s = (time_ns - START_NS) / 1e9
@@ -122,6 +122,14 @@ def test_duty_cycle_of_the_vesc_is_the_value_of_a_value_map(layout_bag, bag):
     assert count > 150
     np.testing.assert_allclose(vesc.drive.value.y, DUTY_CYCLE_PER_VALUE * virtual.drive.value.y[:count], atol=1e-6)
     assert vesc.notes == ("sensors/core: the value is a VESC's duty cycle, -1 to 1",)
+
+
+@pytest.mark.once
+def test_value_map_is_made_of_the_vesc_s_recording(vesc_bag, tmp_path, capsys):
+    assert main("calibrate_value_map", [vesc_bag, "-o", str(tmp_path / "map.csv"), "--delay", "0"]) == 0
+    table = load_value_map(str(tmp_path / "map.csv"))
+    assert -1 <= min(table.values) < 0 < max(table.values) <= 1
+    assert "vesc/sensors/core: the value is a VESC's duty cycle" in capsys.readouterr().out
 
 
 @pytest.mark.more

@@ -21,13 +21,10 @@ def check(sample=AT_20_HZ, publishers=("/joy_node",), config=SHIPPED, topic="/jo
     return found
 
 
-def test_gamepad_that_works_is_ok_with_its_size_and_rate():
+def test_gamepad_that_works_is_ok_and_so_is_none_where_phones_drive():
     found = check()
     assert (found.level, found.subject) == (OK, "gamepad")
     assert found.what == "/joy: 8 axes, 11 buttons, 20.0 times a second; no deadman is held"
-
-
-def test_car_without_a_gamepad_that_phones_drive_is_ok():
     found = check(NOTHING, publishers=(), reason="phone: no deadman is held")
     assert (found.level, found.what) == (OK, "there is none; phone: no deadman is held")
     found = check(NOTHING, publishers=(), cause=causes.JOY_STALE, reason="phone: phone/joy silent for 0.30 s")

@@ -59,7 +59,6 @@ def test_graph_is_who_publishes_subscribes_and_serves(served):
 
 
 def test_node_that_ended_is_absent_without_an_answer_silent_and_where_nobody_listens_killed(master, refused, silent):
-    """As every node is after it ended in order."""
     assert look(master({"/turn_arb": refused}, [])).state == ABSENT
     for uri in (silent, "http://no-such-host.invalid:1"):
         assert look(master({"/turn_arb": uri}, ["/turn_arb"])).state == SILENT

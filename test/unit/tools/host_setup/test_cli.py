@@ -131,7 +131,6 @@ def rules():
 
 
 def applied(subsystem, **attributes):
-    """What the rules assign to a device."""
     assigned = {}
     for wanted, given in rules():
         facts = {"SUBSYSTEM": subsystem, **{f"ATTR{{{name}}}": value for name, value in attributes.items()},

@@ -19,5 +19,4 @@ def seen(bag):
 
 @pytest.fixture(scope="session")
 def drawn(seen):
-    """The plots of that drive."""
     return plots(seen)

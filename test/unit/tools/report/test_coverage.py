@@ -55,7 +55,6 @@ def first_paragraph(text):
 
 
 def verdict(tmp_path, messages, namespace="/"):
-    """The first paragraph of the page, as its reader sees it."""
     return first_paragraph(page(summarized(tmp_path, messages, namespace), {}))
 
 

@@ -21,7 +21,6 @@ STOCK_TEXT = STOCK.read_text(encoding="utf-8")
 
 
 def recorded(whole):
-    """The samples of a synthetic drive."""
     return SimpleNamespace(drive=lambda: whole, duration_s=float(whole.t_s[-1]))
 
 

@@ -40,8 +40,9 @@ def _number(words):
     return value if words.endswith("left") else -value
 
 
-def test_it_says_how_long_still_and_then_the_next():
+def test_it_waits_for_odometry_says_how_long_still_and_then_the_next_until_it_is_ended_by_hand():
     one = car()
+    assert "odom was never heard" in one.drive.step(1).text
     guidance = obey(one, 3, until=lambda guidance: guidance.phase == MEASURING)
     assert guidance.text.startswith("hold 100% left: ") and 1.0 <= guidance.seconds_left <= 2.1
     assert guidance.held == pytest.approx(1.0)
@@ -49,6 +50,8 @@ def test_it_says_how_long_still_and_then_the_next():
         shorter = one.tick(1.0, 3900)
     assert shorter.seconds_left == pytest.approx(guidance.seconds_left - 0.5, abs=0.05)
     assert obey(one, 5, until=lambda guidance: guidance.target_duty != 3900).target_duty == 6400
+    one.drive.finish()
+    assert one.tick(1.0, 5184).phase == DONE
 
 
 def test_the_center_is_come_to_past_one_side():

@@ -51,7 +51,6 @@ class Person:
                 self._speed.append((self._now_ns / 1e9 + 0.03, self.car.wheel_mps + noise))
 
     def replace_esc(self, esc):
-        """Drives on with another one."""
         self._esc = esc
 
     def _pass_magnets(self, before_m, after_m):

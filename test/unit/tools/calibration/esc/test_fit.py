@@ -63,7 +63,6 @@ def test_esc_without_reverse_is_not_asked_for_its_neutral_and_its_drag_brake_is_
 
 
 def driven(*actions):
-    """The fit of a drive of some actions only."""
     person = Person(virtual_escs.xl5(dwell_s=0.25), seed=5)
     person.center(2.0)
     for name, times, *arguments in actions:

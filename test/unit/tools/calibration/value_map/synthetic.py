@@ -95,7 +95,6 @@ def messages_of(seconds, seed=0, names=None, with_imu=False):
 
 @functools.lru_cache(maxsize=None)
 def fitted_mixed():
-    """A fit at which several tests look."""
     return fit([drive(uphill=(0.012, -0.016), sag=0.1)], None, None)
 
 

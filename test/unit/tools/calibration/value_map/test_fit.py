@@ -54,12 +54,9 @@ def test_pitch_takes_gravity_off_and_its_mounting_does_not_matter():
     assert error(found) < 0.03
 
 
-def test_imu_measures_without_gravity_and_its_bias_does_not_matter():
+def test_imu_and_odometry_s_speed_measure_too_and_a_slow_one_gets_longer_windows():
     one = drive(seconds=120.0, uphill=(0.012, -0.016), with_imu=True)
     assert error(fit([one], None, None, MapFitConfig(from_imu=True, delay_s=DELAY_S))) < 0.05
-
-
-def test_odometry_speed_serves_where_no_pulses_were_recorded_and_a_slow_one_gets_longer_windows():
     one = drive(seconds=120.0, pulses=False)
     assert error(fit([one], None, None, KNOWN_DELAY)) < 0.05
     slow = MapDrive(one.value, Series(one.speed.t_s[::5], one.speed.y[::5]), one.yaw)  # 10 a second

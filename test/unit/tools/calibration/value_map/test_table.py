@@ -38,20 +38,14 @@ def test_what_lies_between_driven_nodes_and_is_as_sure_is_stated():
     assert list(unsure.values) == [-1.0, 1.0] and (unsure.origin == tables.DRIVEN).all()
 
 
-def test_prior_stays_where_nothing_was_driven():
+def test_prior_stays_where_nothing_was_driven_is_moved_where_it_contradicts_its_column_and_ends_the_axes():
     prior = np.add.outer(np.arange(3) * 1.0, np.full(3, -0.3))
     found = table(fit_of([[1, 1, 0], [1, 1, 0], [1, 1, 0]]), 0.0, prior)
     assert list(found.accelerations[:, 2]) == [-0.3, 0.7, 1.7]
     assert set(found.origin[:, 2]) == {tables.OLD} and np.isnan(found.sigma_mps2[:, 2]).all()
-
-
-def test_prior_that_contradicts_its_column_is_moved_and_what_was_driven_is_not():
     prior = np.full((3, 2), -5.0)
     found = table(fit_of([[1, 1], [1, 1], [0, 1]]), 0.0, prior)
     assert found.origin[2, 0] == tables.MOVED
     assert found.accelerations[1, 0] == 1.0 and found.accelerations[2, 0] == pytest.approx(1.002, abs=0.001)
-
-
-def test_axes_end_where_the_prior_does():
     prior = np.add.outer(np.arange(3) * 1.0, np.array([0.0, 0.0, np.nan]))
     assert table(fit_of([[1, 1, 0], [1, 0, 0], [1, 1, 0]]), 0.0, prior).accelerations.shape == (3, 2)
