@@ -97,6 +97,7 @@ def test_file_loads_keeps_the_rest_of_its_base_and_says_what_was_seen(bag, calib
     assert config.arbiter.stick.human_scale == 0.45 and config.calibration.channel == 1
     assert list(config.calibration.duty_table) == [config.calibration.neutral + shift for shift in (-1638, 0, 1639)]
     assert yaml.safe_load(text) == {**yaml.safe_load(base_text), "human_scale": 0.45}
+    assert text.startswith("# Written by calibrate_esc; throttle_arb loads it.")
     out = capsys.readouterr().out
     for line in out.splitlines()[:-1]:
         assert f"# {line}\n" in text

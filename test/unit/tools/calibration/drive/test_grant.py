@@ -137,7 +137,6 @@ def test_car_that_has_all_of_it_is_ready():
     ({"others": ["/other publishes /av_turnrad_req, too: end it"]}, "/other publishes /av_turnrad_req, too", False),
 ])
 def test_what_a_program_that_drives_needs_and_what_a_person_with_the_stick_does_too(lacks, sentence, by_stick):
-    for found in (missing(replace(READY, **lacks), False), *([missing(replace(READY, **lacks), True)] * by_stick)):
-        (said,) = found
-        assert said.startswith(sentence)
-    assert by_stick or missing(replace(READY, **lacks), True) == []
+    seen = replace(READY, **lacks)
+    assert [said.startswith(sentence) for said in missing(seen, by_stick=False)] == [True]
+    assert [said.startswith(sentence) for said in missing(seen, by_stick=True)] == [True] * by_stick

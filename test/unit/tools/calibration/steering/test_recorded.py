@@ -1,4 +1,5 @@
 """Heading and distance of a recorded drive."""
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -45,6 +46,9 @@ TABLE = replace(load_steering(str(package_file("config/turn_arb.yaml"))), radius
 ANGLES = AngleTable(TABLE, 0.324)
 
 
-def test_no_angle_is_the_center_and_more_than_the_table_has_its_end():
+def test_angle_is_the_duty_of_its_radius_at_the_board_s_nearest_count_none_the_center_and_more_than_the_table_its_end():
+    for radius_m in (0.9, 2.0, 10.0, -0.9, -2.0, -10.0):
+        duty = ANGLES.duty(math.atan(0.324 / radius_m))
+        assert abs(duty - TABLE.planner_duty(radius_m)) <= 8 and duty % 16 == 0
     assert abs(ANGLES.duty(0.0) - TABLE.servo_center) <= 8 and ANGLES.duty(0.0) == ANGLES.duty(1e-9)
     assert ANGLES.duty(1.4) == ANGLES.duty(1.5) and ANGLES.duty(-1.4) == ANGLES.duty(-1.5) != ANGLES.duty(1.4)
