@@ -3,8 +3,6 @@
 The serial line's cases are pieces of the golden capture, changed, or bytes at random, read in pieces of random sizes: a
 million with CAR_INTERFACE_ALL. Parameters and the nodes' callbacks are fuzzed in test/graph/test_fuzz.py.
 """
-from __future__ import annotations
-
 import csv
 import io
 import math
@@ -63,7 +61,7 @@ def mutated(choose: random.Random) -> bytes:
 
 
 def test_line_fed_cases_made_of_the_capture_stays_in_order():
-    decoder, gates, seen = FrameDecoder(), Gates(), set()
+    decoder, at_once, gates, seen = FrameDecoder(), FrameDecoder(), Gates(), set()
     judges = {protocol.WheelStatus: gates.wheels, protocol.SonarStatus: gates.sonar,
               protocol.Pong: lambda pong: gates.pong(pong, is_ours=True)}
 
@@ -77,14 +75,17 @@ def test_line_fed_cases_made_of_the_capture_stays_in_order():
     for number in range(CASES):
         choose = random.Random(7 * 1_000_003 + number)
         data, size = mutated(choose), choose.choice((1, 3, 7, 64, 4096))
-        for start in range(0, len(data), size):
-            judge(decoder.feed(data[start:start + size]))
+        found = [body for start in range(0, len(data), size) for body in decoder.feed(data[start:start + size])]
+        judge(found)
+        assert found == at_once.feed(data) and decoder.tally == at_once.tally
         tally = decoder.tally
         assert decoder.pending <= MAX_ON_LINE
         assert tally.bytes_in == tally.frame_bytes + tally.flags + tally.noise_bytes + decoder.pending
         if choose.random() < 0.02:
             decoder.reset()
+            at_once.reset()
         found = decoder.feed(MARKER)
+        at_once.feed(MARKER)
         judge(found)
         assert found[-1] == MARKER[1:-2], number
     assert seen == {protocol.Pong, protocol.SonarStatus, protocol.WheelStatus, protocol.ErrorCount, protocol.Malformed}

@@ -1,6 +1,4 @@
 """test/set_up.py and ./dev: what is installed on which ROS, when nothing is, and what is refused in one line."""
-from __future__ import annotations
-
 import fcntl
 import hashlib
 import os

@@ -1,6 +1,4 @@
 """Files are replaced in one step, with mode and backup, and whatever happens nothing else is left."""
-from __future__ import annotations
-
 import errno
 import os
 import signal

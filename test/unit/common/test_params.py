@@ -1,6 +1,4 @@
 """A node's parameters: what each reader accepts and what it says of the rest. No ROS is needed to read them."""
-from __future__ import annotations
-
 import math
 
 import pytest

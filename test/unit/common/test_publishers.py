@@ -1,6 +1,4 @@
 """Who may publish on a topic that a node obeys: the right type, and nobody else."""
-from __future__ import annotations
-
 import pytest
 
 from car_interface.common import causes

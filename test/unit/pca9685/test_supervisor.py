@@ -89,7 +89,8 @@ def test_what_did_not_change_is_not_written_and_the_chip_is_read_twice_a_second(
     assert len(running.writes) == 1 and running.events == []
 
 
-def test_two_failures_close_the_bus_which_is_opened_again_after_100_ms_with_the_newest_target(running):
+def test_two_failures_close_the_bus_which_is_opened_again_after_100_ms_or_at_once_on_request_with_the_newest_target(
+        running):
     running.bus.nacks_left = 2
     running.update(LEFT, 1)
     assert running.events == [RETRIED, DISCONNECTED] and running.supervisor.tally.errors == 2
@@ -99,6 +100,11 @@ def test_two_failures_close_the_bus_which_is_opened_again_after_100_ms_with_the_
     running.update(NEUTRAL, 1)
     assert running.supervisor.running and running.pulses() == NEUTRAL
     assert running.supervisor.tally.reopenings == 1
+    running.bus.nacks_left = 2
+    running.update(LEFT, 1)
+    running.supervisor.retry_now()
+    running.update(NEUTRAL)
+    assert running.pulses() == NEUTRAL
 
 
 def test_pauses_between_attempts_double_to_2_s_until_the_board_was_there_and_are_100_ms_from_then_on(bench):
@@ -173,14 +179,6 @@ def test_all_off_is_repeated_once_and_tells_whether_it_worked(running):
     running.bus.nacks_left = 2
     assert not running.supervisor.all_off(NOW)
     assert not running.supervisor.all_off(NOW)
-
-
-def test_retry_now_makes_the_next_attempt_at_once(running):
-    running.bus.nacks_left = 2
-    running.update(LEFT, 1)
-    running.supervisor.retry_now()
-    running.update(NEUTRAL)
-    assert running.pulses() == NEUTRAL
 
 
 def test_close_closes_the_bus_once_and_without_one_does_nothing(running):

@@ -1,6 +1,4 @@
 """One source at a time; silence; the others by name."""
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -3,8 +3,6 @@
 The truth comes with the captures (test/data/firmware): no code of this package had a part in it. What the hub
 publishes is held in test/graph: test_teensy_sensor_hub.py, of a capture's bytes, and test_measurements.py.
 """
-from __future__ import annotations
-
 import math
 import os
 from collections import Counter
