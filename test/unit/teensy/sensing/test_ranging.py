@@ -67,12 +67,13 @@ def test_minimum_of_zero_takes_every_echo():
     assert Ranging(RangingConfig(min_range_m=0.0)).range(SENSOR, 1, TICK) == pytest.approx(14 * 0.00017171)
 
 
-def test_echo_of_0_is_a_stuck_pin_and_like_one_that_is_not_trusted_makes_no_range_and_does_not_count_for_the_median():
+def test_echo_of_a_stuck_pin_of_unknown_length_or_that_is_not_trusted_makes_no_range_nor_counts_for_the_median():
     ranging = Ranging(RangingConfig(median=True))
     ranges(ranging, *[ONE_METRE_US] * 3)
     assert [ranging.range(SENSOR, 4181, TICK, is_trusted=False) for _ in range(5)] == [None] * 5
     assert [ranging.range(SENSOR, 0, TICK) for _ in range(5)] == [None] * 5
-    assert ranging.counts == {DISTRUSTED: 5, STUCK: 5}
+    assert [ranging.range(SENSOR, None, TICK) for _ in range(5)] == [None] * 5
+    assert ranging.counts == {DISTRUSTED: 5, STUCK: 5, UNKNOWN: 5}
     assert ranges(ranging, ONE_METRE_US) == [pytest.approx(1.0, rel=1e-4)]
 
 
@@ -110,11 +111,6 @@ def test_long_pulse_of_a_loose_wire_or_after_a_lost_report_is_no_clone_s_and_mak
     ranging = Ranging()
     assert ranges(ranging, *echoes_us) == [None] * len(echoes_us)
     assert ranging.clones == {}
-
-
-def test_echo_of_unknown_length_makes_no_range():
-    ranging = Ranging()
-    assert ranging.range(SENSOR, None, TICK) is None and ranging.counts == {UNKNOWN: 1}
 
 
 def test_time_out_is_none_also_where_the_maximum_lies_beyond_it():
