@@ -10,7 +10,6 @@ import os
 import random
 import tempfile
 from itertools import product
-from pathlib import Path
 
 import pytest
 from hypothesis import example, given, settings
@@ -21,8 +20,8 @@ from car_interface.teensy.link import protocol
 from car_interface.teensy.link.framing import MAX_ON_LINE, FrameDecoder
 from car_interface.teensy.sensing.plausibility import Gates
 from car_interface.throttle.value_map import load_value_map
+from teensy_bench import CAPTURE
 
-CAPTURE = (Path(__file__).resolve().parents[1] / "data" / "capture_mixed.bin").read_bytes()
 SPECIAL = (0x7E, 0x7D, 0x5E, 0x5D, 0x00, 0xFF, 0x20)
 MARKER = bytes.fromhex("7e 01020600 006b11057b0000 f9 7e")  # from the capture: a sonar's report
 CASES = 1_000_000 if os.environ.get("CAR_INTERFACE_ALL") else 2000
