@@ -316,13 +316,13 @@ def random_case(seed: int) -> Case:
 def _with_small_values(rng, segments):
     """The same, where half of a planner's zeros, and the ends of half of its reverses, are values in the dead band."""
     for segment in segments:
-        is_small = segment.gear and segment.value is not None and rng.random() < 0.5
+        value, is_small = segment.value, segment.gear and segment.value is not None and rng.random() < 0.5
         if is_small and segment.want == COAST:
-            segment = segment._replace(value=rng.uniform(0.02, 0.3))
+            value = rng.uniform(0.02, 0.3)
         elif is_small and segment.want == SECOND:
             yield segment._replace(end_s=segment.end_s - rng.uniform(0.1, 0.4))
-            segment = segment._replace(value=-rng.uniform(0.05, 0.45))
-        yield segment
+            value = -rng.uniform(0.05, 0.45)
+        yield segment._replace(value=value)
 
 
 def _random_odometry(rng):
