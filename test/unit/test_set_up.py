@@ -269,4 +269,6 @@ def test_demo_ends_with_steps_to_type_that_there_are():
     started = re.findall(r"ros(?:run|launch) car_interface (\S+)", on_virtual_car.NEXT_STEPS)
     assert started == ["demo.launch", "keyboard_drive", "practice.launch"]
     assert all((ROOT / "launch" / name).exists() or (ROOT / "scripts" / name).exists() for name in started)
+    # It ends with a question whether to replace its table: not the package's own.
+    assert "practice.launch config:=$HOME/practice_car\n" in on_virtual_car.NEXT_STEPS
     assert "## Practise without a car" in (ROOT / "docs/calibrate.md").read_text(encoding="utf-8")
