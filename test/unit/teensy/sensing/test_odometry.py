@@ -119,7 +119,7 @@ def test_speed_is_open_by_2_mps2_for_all_of_the_time_without_counts():
     axle = Axle()
     axle.roll((1.0, 1.0), 2.0)
     axle.roll((0, 0), 2.0)
-    assert 3 * math.sqrt(axle.reboot(1500).speed_variance) >= 2.0 * 1.5, "both wheels alike"
+    assert 3 * math.sqrt(axle.reboot(1500).speed_variance) == pytest.approx(2.0 * 1.5, rel=0.01), "both wheels alike"
 
 
 def test_places_that_are_only_predicted_align_no_wheels():
