@@ -127,9 +127,9 @@ class VirtualLine:
             self._plug()
         self._watch(self._terminal is not None and self._firmware.receive_backlog(now_ns) < MAX_BACKLOG)
         if self._watched_fd is not None:
-            written = self._terminal.read()
+            written = self._bad.to_teensy(self._terminal.read(), now_ns)
             if written:
-                self._firmware.receive(self._bad.to_teensy(written, now_ns), now_ns)
+                self._firmware.receive(written, now_ns)
         sent = self._bad.to_host(self._firmware.transmit(now_ns), now_ns)
         if sent and self._terminal is not None:
             self._terminal.write(sent)
