@@ -73,10 +73,23 @@ def test_condition_in_package_xml_that_is_not_understood_is_refused():
      "no package catkin, python3-rospy for this system; ROS 1 is in"),
     ("", "E: dpkg was interrupted, you must manually run 'dpkg --configure -a' to correct the problem.",
      "run 'sudo dpkg --configure -a', and try again"),
+    ("", "sudo: a terminal is required to read the password", "to read the password): have"),
+    ("", "driver is not in the sudoers file.", "have an administrator of this computer run ./dev setup"),
     ("", "E: You don't have enough free space", "could not install the packages"),
-], ids=["no_network", "a_system_without_ros_1", "interrupted_before", "anything_else"])
+], ids=["no_network", "a_system_without_ros_1", "interrupted_before", "nobody_at_the_terminal", "not_a_sudoer",
+        "anything_else"])
 def test_failure_of_apt_names_its_cause(update, install, expected):
     line = set_up.apt_failure(update, install)
+    assert expected in line and "\n" not in line
+
+
+@pytest.mark.parametrize("log, expected", [
+    ("WARNING: Retrying after NewConnectionError('[Errno -3] Temporary failure in name resolution')\n"
+     "ERROR: No matching distribution found for numpy==2.2.4", "connect this computer to the network, and try again"),
+    ("OSError: [Errno 28] No space left on device", "pip could not install what lint.txt names"),
+], ids=["no_network", "anything_else"])
+def test_failure_of_pip_names_its_cause(log, expected):
+    line = set_up.pip_failure(log, "lint.txt")
     assert expected in line and "\n" not in line
 
 
@@ -246,4 +259,6 @@ def test_demo_ends_with_steps_to_type_that_there_are():
     started = re.findall(r"ros(?:run|launch) car_interface (\S+)", on_virtual_car.NEXT_STEPS)
     assert started == ["demo.launch", "keyboard_drive", "practice.launch"]
     assert all((ROOT / "launch" / name).exists() or (ROOT / "scripts" / name).exists() for name in started)
+    # It ends with a question whether to replace its table: not the package's own.
+    assert "practice.launch config:=$HOME/practice_car\n" in on_virtual_car.NEXT_STEPS
     assert "## Practise without a car" in (ROOT / "docs/calibrate.md").read_text(encoding="utf-8")
