@@ -1,6 +1,4 @@
 """What the keyboard's terminal says, by the arbiters' states."""
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 

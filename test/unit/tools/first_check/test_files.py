@@ -1,6 +1,4 @@
 """What a first check writes: single values of the car's files, each checked as its node would load it; and its page."""
-from __future__ import annotations
-
 import builtins
 import os
 import shutil
