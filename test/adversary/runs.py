@@ -174,10 +174,8 @@ def main() -> int:
     parser.add_argument("number", nargs="?", type=int, default=1000, help="of random sequences")
     parser.add_argument("--seed", type=int, default=0, help="of the first one")
     parser.add_argument("--sweep", action="store_true", help="each fault at every 10 ms of a stop, for each kind")
-    parser.add_argument("--thin", type=int, default=1, help="of the sweep, each so manieth case")
     parser.add_argument("--one", metavar="SEED", help="tell one sequence; s and a number: of the sweep")
     parser.add_argument("--stops", metavar="FILE", help="compare distances of stops, or write the file where it is not")
-    parser.add_argument("--cores", type=int, default=os.cpu_count())
     args = parser.parse_args()
     if args.one:
         case = case_of(args.one)
@@ -186,9 +184,9 @@ def main() -> int:
         return 0
     if args.stops:
         return _compare_stops(Path(args.stops))
-    names = [f"s{index}" for index in range(0, SWEEP_CASES, args.thin)] if args.sweep else \
+    names = [f"s{index}" for index in range(SWEEP_CASES)] if args.sweep else \
         [str(seed) for seed in range(args.seed, args.seed + args.number)]
-    summary = run_many(names, args.cores)
+    summary = run_many(names, os.cpu_count())
     print(*summary.lines(), sep="\n")
     return 1 if summary.failures or summary.got < summary.wanted else 0
 

@@ -67,12 +67,6 @@ class Drive:
     def throttle(self):
         return self.graph.newest("/throttle_arb/state")
 
-    def stands(self):
-        return self.speed == 0.0
-
-    def states(self, node, since_ns):
-        return self.graph.messages(f"/{node}/state", since_ns)
-
     def logged(self, node, pattern, since_ns):
         return any(re.search(pattern, line) for line in self.graph.lines(f"/{node}", since_ns))
 
@@ -92,7 +86,7 @@ def test_pull_brakes_under_each_planner_s_deadman_and_the_planner_gets_it_back(d
     braked_ns = drive.until(lambda: drive.throttle.esc == "BRAKING")
     assert braked_ns - pulled_ns <= 20_000_000 + 1_000_000  # the gamepad's period, and the report's delay
     assert (drive.throttle.source, drive.throttle.cause, drive.throttle.asked) == (TELEOP, "override", -1.0)
-    drive.until(drive.stands)
+    drive.until(lambda: drive.speed == 0.0)
     assert drive.logged("teleop_logi", r"the throttle stick overrides the planner by -1\.00", pulled_ns)
     assert drive.logged("throttle_arb", r"^TELEOP: tele_throt_req is -1\.000, .*it overrides the planner", pulled_ns)
     centered_ns = drive.graph.now_ns
@@ -119,10 +113,8 @@ def test_stick_steers_while_the_planner_drives_on_and_half_a_second_longer(drive
     drive.pad(autonomous=True)
     back_ns = drive.until(lambda: drive.steering.source == SteeringState.PLANNER)
     assert HOLD_S <= (back_ns - centered_ns) / 1e9 <= HOLD_S + 0.08
-    assert {state.source for state in drive.states("throttle_arb", since_ns)} == {PLANNER}
+    assert {state.source for state in drive.graph.messages("/throttle_arb/state", since_ns)} == {PLANNER}
 
-
-# --- what is no stick ---
 
 # --- stop and go ---
 

@@ -169,13 +169,6 @@ def test_gamepad_that_comes_back_with_its_deadman_held_stops_the_phone(bench):
     assert bench.stands
 
 
-def test_phone_that_watches_changes_nothing_for_the_gamepad(bench):
-    bench.phone()
-    bench.car.pad(manual=True, steering=0.6, throttle=0.6)
-    bench.run(0.3)
-    assert bench.drives and bench.state.reason == "manual deadman held"
-
-
 # --- e-stop ---
 
 def test_phone_s_e_stop_stands_against_a_false_on_the_other_topic_until_the_driver_clears_it(bench):

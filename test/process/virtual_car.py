@@ -17,6 +17,10 @@ PACKAGE = rospkg.RosPack().get_path("car_interface")
 HERE = os.path.dirname(os.path.abspath(__file__))
 DRIVER = os.path.join(HERE, "chain_driver.py")
 CENTER, LEFT, RIGHT, ESC_NEUTRAL = 319, 238, 419, 307  # counts of 5100, 3800, 6700, 4915
+CONVERTER = ("generic_value_converter/input/control_cmd:=control/command/control_cmd",
+             "generic_value_converter/input/odometry:=localization/kinematic_state")
+THROTTLE = ("throttle_arb/input/value:=generic_value_converter/output/value",
+            "throttle_arb/input/odometry:=localization/kinematic_state")
 START_WITHIN_S = 60  # of a program on a machine with much other work
 PYTHON38 = os.environ.get("CAR_INTERFACE_PYTHON38")  # one that can import rospy, with its PYTHONPATH
 OTHER_PYTHONPATH = os.environ.get("CAR_INTERFACE_OTHER_PYTHONPATH")
@@ -153,12 +157,12 @@ class Car:
         self.load("/generic_value_converter", "generic_value_converter.yaml")
         self.load("/throttle_arb", "throttle.yaml")
 
-    def actors(self, odometry="localization/kinematic_state"):
+    def actors(self):
         self.load_actors()
         self.pca9685()
         self.turn_arb()
-        self.converter(odometry)
-        self.throttle_arb(odometry)
+        self.node("generic_value_converter", *CONVERTER, f"_csv_path_value_map:={PACKAGE}/config/value_map.csv")
+        self.throttle_arb()
 
     def pca9685(self):
         return self.node("pca9685", "_device:=virtual", f"_virtual_log:={self.chip.path}")
@@ -166,15 +170,8 @@ class Car:
     def turn_arb(self):
         return self.node("turn_arb")
 
-    def converter(self, odometry="localization/kinematic_state"):
-        return self.node("generic_value_converter",
-                         "generic_value_converter/input/control_cmd:=control/command/control_cmd",
-                         f"generic_value_converter/input/odometry:={odometry}",
-                         f"_csv_path_value_map:={PACKAGE}/config/value_map.csv")
-
-    def throttle_arb(self, odometry="localization/kinematic_state"):
-        return self.node("throttle_arb", "throttle_arb/input/value:=generic_value_converter/output/value",
-                         f"throttle_arb/input/odometry:={odometry}")
+    def throttle_arb(self):
+        return self.node("throttle_arb", *THROTTLE)
 
     def load_one_process(self):
         """The parameters of car_nodes. Its Teensy is absent."""
@@ -187,10 +184,7 @@ class Car:
             self._rosparam("set", name, value)
 
     def one_process(self):
-        return self.node("car_nodes", "generic_value_converter/input/control_cmd:=control/command/control_cmd",
-                         "generic_value_converter/input/odometry:=localization/kinematic_state",
-                         "throttle_arb/input/value:=generic_value_converter/output/value",
-                         "throttle_arb/input/odometry:=localization/kinematic_state")
+        return self.node("car_nodes", *CONVERTER, *THROTTLE)
 
     def driver(self, name, *names):
         """Start a chain_driver that may publish these names."""

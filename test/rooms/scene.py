@@ -87,18 +87,6 @@ class Scene:
         return (f"{self.kind}, {driver.hand}{' backward' if driver.is_backward else ''}, {driver.path} "
                 f"{driver.curvature_per_m:+.2f}, {self.max_range_m:g} m, slope {self.car.slope:+.0%}")
 
-    def describe(self) -> str:
-        """The draw in one line."""
-        driver, car = self.driver, self.car
-        way = "backward" if driver.is_backward else "forward"
-        sequence = "mostly ahead" if self.is_mostly_ahead else "all in turn"
-        return (f"{self.kind}{' (a crawler)' if car.becomes_reverse else ''}, {driver.hand} {driver.push:.2f} {way}"
-                f"{' fitful' if driver.is_fitful else ''}, {driver.path} {driver.curvature_per_m:+.2f} 1/m, "
-                f"range {self.max_range_m:g} m {sequence}, slope {car.slope:+.0%} towards {car.uphill_rad:+.1f} rad, "
-                f"drag {car.drag_mps2:.2f}, drag brake {car.drag_brake * car.brake_mps2:.2f}, brake "
-                f"{car.brake_mps2:.1f}, push {car.push_mps2:.1f} m/s², lag {car.motor_lag_s:.2f}, "
-                f"odometry {self.odometry_late_s:.2f} s late")
-
 
 def random_car(rng, kind: str, uphill_rad: float) -> CarConfig:
     """A car whose files promise no more than it does; its slope is 0, or 5 % up or down its first way."""
