@@ -52,7 +52,6 @@ class EscCar:
         self.place_m = 0.0
 
     def step(self, dt_s: float, motor: MotorState) -> None:
-        """Move on by ``dt_s``."""
         before_mps = self.speed_mps
         push_mps2, hold_mps2, locks = self._forces(motor)
         if before_mps:

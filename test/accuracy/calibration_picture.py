@@ -141,7 +141,6 @@ def path(moments: list[Moment]) -> list[tuple[float, float]]:
 
 
 def images(picture: Picture, moments: list[Moment]) -> list[Image.Image]:
-    """Draw all frames."""
     made = []
     for index in frame_indices(len(moments)):
         picture.update(moments[:index + 1])

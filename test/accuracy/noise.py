@@ -64,7 +64,6 @@ class Result:
     must_make_sense: float = 0.0
 
     def failures(self) -> list[str]:
-        """What is worse than it must be."""
         found = [f"{count} wrong frames {name} where {must:.1f} must" for name, count, must in (
             ("summed up", self.summed_up, self.must_sum_up), ("made sense", self.made_sense, self.must_make_sense))
             if count > must + MARGIN_SIGMAS * math.sqrt(must) + MARGIN_SIGMAS]

@@ -342,7 +342,6 @@ class Hub(Link):
         self._magnets = _Magnets(car, noise)
 
     def roll(self, pulses, speed_mps: float, now_ns: int) -> None:
-        """The wheels have turned."""
         for at_ns, side, direction in self._magnets.pass_by(pulses, speed_mps, now_ns):
             self.teensy.wheel_pulse(side, direction, at_ns)
 

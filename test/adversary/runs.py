@@ -24,8 +24,6 @@ WORST = 12
 
 
 class Found(NamedTuple):
-    """A reversal and its sequence."""
-
     name: str
     group: str
     kinds: str
@@ -74,8 +72,6 @@ def run_one(name: str) -> tuple[str, list[Found], str, int, int]:
 
 
 class Summary:
-    """Counts of what was found."""
-
     def __init__(self, results: Iterable[tuple]):
         self.found: list[Found] = []
         self.runs, self.wanted, self.got, self.missed = Counter(), 0, 0, []
@@ -162,7 +158,6 @@ def longer_stops(baseline: dict[str, float], now: dict[str, float], by: float = 
 
 
 def run_many(names: list[str], cores: int) -> Summary:
-    """Run them all, on so many cores."""
     if cores == 1:
         return Summary(map(run_one, names))
     with multiprocessing.get_context("spawn").Pool(cores) as pool:

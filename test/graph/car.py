@@ -401,7 +401,6 @@ class Car:
         return self._pad
 
     def inject(self, fault: str, value: float = 0.0) -> None:
-        """Have car_sim make a fault."""
         answer = self.graph.call("/car_sim/inject_fault", InjectFaultRequest(fault, value))
         assert answer.success, answer.message
 

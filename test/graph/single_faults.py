@@ -254,7 +254,6 @@ def nacks(count):
 
 
 def also(topic, message, rate_hz=50):
-    """Have another node publish, too."""
     return lambda drive: drive.graph.repeat(topic, message, rate_hz, sender="/other")
 
 
@@ -416,7 +415,6 @@ class Drive:
             self.graph.publish("/joy", joy, "/joy_node")  # a gamepad's driver publishes changes at once
 
     def act(self, action: str) -> None:
-        """Have the person stop the car."""
         if action == "release":
             self.hold(False, 0.0)
         elif action == "pull":

@@ -1,6 +1,4 @@
 """car_sim: the hub against the virtual Teensy, which answers as the firmware does, and the car that it moves."""
-from __future__ import annotations
-
 import math
 
 import pytest

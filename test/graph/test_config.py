@@ -1,6 +1,4 @@
 """What each node makes of its parameters, and what the launch files give it: reading them does nothing."""
-from __future__ import annotations
-
 import importlib
 import os
 import re

@@ -1,6 +1,4 @@
 """first_check and a person with gamepad and keys, on a virtual car on a box whose steering is far from the file's."""
-from __future__ import annotations
-
 import os
 import shutil
 from functools import partial

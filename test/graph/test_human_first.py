@@ -1,6 +1,4 @@
 """A person's hands on the gamepad of a virtual car that a planner drives: who has which actuator, and what it does."""
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,6 +1,4 @@
 """What teensy_sensor_hub makes of a virtual car's pulses, echoes and ticks, held against where the car really was."""
-from __future__ import annotations
-
 import math
 
 import pytest

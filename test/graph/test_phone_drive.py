@@ -1,6 +1,4 @@
 """phone_drive and the nodes behind it: a phone drives the car, and stops it, whatever becomes of the phone."""
-from __future__ import annotations
-
 import itertools
 import os
 import random

@@ -1,6 +1,4 @@
 """What a phone's page shows of the car, and what its driver has done beside driving: by the nodes themselves."""
-from __future__ import annotations
-
 import os
 import shutil
 from functools import partial

@@ -1,6 +1,4 @@
 """throttle_arb: from its inputs to the ESC's command, with the ESC that it ships with, and with one that brakes."""
-from __future__ import annotations
-
 import logging
 import math
 import re

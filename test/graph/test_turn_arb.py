@@ -1,6 +1,4 @@
 """turn_arb: from its inputs to the command, with the calibration that it ships with."""
-from __future__ import annotations
-
 import logging
 import math
 import re

@@ -1,6 +1,4 @@
 """What tests of several processes share: what they make ends with them; asking nodes and the master."""
-from __future__ import annotations
-
 import re
 import shutil
 import tempfile
@@ -27,7 +25,6 @@ def ask(node, method, *arguments):
 
 
 def pid_of(node):
-    """The process of a node that answers."""
     return ask(node, "getPid")
 
 

@@ -46,8 +46,6 @@ sys.stdin.read()
 
 
 class Examination(NamedTuple):
-    """What one run of the doctor showed."""
-
     code: int
     lines: list
     errors: str

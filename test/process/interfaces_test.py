@@ -3,8 +3,6 @@
 
 What the nodes decide, and when, is tested in test/graph.
 """
-from __future__ import annotations
-
 import os
 import shlex
 import shutil

@@ -1,7 +1,5 @@
 #!/usr/bin/env python3
 """Nodes and ROS itself: parts of one process that fail, names that are taken, a link between two hosts."""
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -3,8 +3,6 @@
 
 What the hub makes of what comes, and when, is tested in test/graph.
 """
-from __future__ import annotations
-
 import os
 import pty
 import re

@@ -1,7 +1,5 @@
 #!/usr/bin/env python3
 """Programs beside a car, as people start them: terminals, keys, a gamepad's device, recordings, live tuning."""
-from __future__ import annotations
-
 import glob
 import os
 import re

@@ -1,6 +1,4 @@
 """A master and a car's nodes, each a process that a test may kill or stop, and what the chip under them was given."""
-from __future__ import annotations
-
 import bisect
 import os
 import shutil
@@ -200,7 +198,6 @@ class Car:
 
 
 def guard_of(pid):
-    """The process id of a node's guard, or None."""
     for name in filter(str.isdigit, os.listdir("/proc")):
         try:
             with open(f"/proc/{name}/stat", encoding="utf-8") as stat, open(f"/proc/{name}/cmdline", "rb") as command:

@@ -64,11 +64,9 @@ class Record:
 
     @property
     def newest(self) -> Any:
-        """The newest of those that arrived."""
         return self._heard[-1].what
 
     def since(self, mark: int = 0) -> list[Any]:
-        """What arrived from ``mark`` on."""
         return [heard.what for heard in self._heard[mark:]]
 
     def wait_for(self, wanted: Callable[[Any], bool], since: int = 0, within_s: float = PATIENCE_S) -> Received:
@@ -220,7 +218,6 @@ class NodeProcess:
         return self.stdout.wait_for(lambda line: re.search(pattern, line), since).what
 
     def wait_for_exit(self, within_s: float = PATIENCE_S) -> int:
-        """The exit code, all output read."""
         try:
             code = self._process.wait(within_s)
         except subprocess.TimeoutExpired:
@@ -231,7 +228,6 @@ class NodeProcess:
         return code
 
     def end(self, number: int = signal.SIGINT, within_s: float = PATIENCE_S) -> int:
-        """Send a signal; the exit code."""
         if self.runs():
             self._process.send_signal(number)
         return self.wait_for_exit(within_s)
@@ -319,7 +315,6 @@ def one_process_params(folder: str, **pca9685) -> dict:
 
 
 def set_params(test, namespace: str, values: dict) -> None:
-    """Put parameters on the server; they go with the test."""
     for name, value in values.items():
         path = os.path.join(namespace, name)
         rospy.set_param(path, value)

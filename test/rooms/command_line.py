@@ -21,7 +21,6 @@ OTHERS_SHARE = 0.02
 
 
 def verdict(seed: int, stops: bool = True):
-    """What became of one drive."""
     return judge(run(random_scene(seed), stops))
 
 

@@ -47,7 +47,6 @@ def mean_mps(scene: Scene) -> float:
 
 
 def wanted_mps(name: str, scene: Scene, baseline: dict[str, float]) -> float:
-    """How fast it should be at least."""
     if scene.driver.curvature_per_m <= WIDE_PER_M:
         rolls = scene.kind != "measured" and scene.driver.curvature_per_m >= ROLLS_FROM_PER_M
         return (ROLLS_SHARE if rolls else WIDE_SHARE) * baseline[COUNTED_ON_A_LAPSED_BRAKE.get(name, name)]

@@ -68,7 +68,6 @@ class Side(NamedTuple):
         return tuple((u1 + share * (u2 - u1), v1 + share * (v2 - v1)) for share in (first, last))
 
     def distance_m(self, x_m: float, y_m: float) -> float:
-        """How far it is from a place."""
         return math.dist((x_m, y_m), _nearest((self.x1_m - x_m, self.y1_m - y_m), (self.x2_m - x_m, self.y2_m - y_m),
                                               (x_m, y_m)))
 
@@ -87,15 +86,12 @@ class Side(NamedTuple):
 
 
 class Post(NamedTuple):
-    """A round thing."""
-
     name: str
     x_m: float
     y_m: float
     radius_m: float
 
     def distance_m(self, x_m: float, y_m: float) -> float:
-        """How far it is from a place."""
         return math.dist((x_m, y_m), (self.x_m, self.y_m)) - self.radius_m
 
     def nearest_in_cone(self, pose: Pose, half_rad: float) -> tuple[float, float] | None:
@@ -128,8 +124,6 @@ class Met(NamedTuple):
 
 @dataclass(frozen=True)
 class Room:
-    """What stands in a room."""
-
     things: tuple
 
     def first_in_cone(self, pose: Pose, half_rad: float, max_range_m: float) -> Met | None:
@@ -145,11 +139,9 @@ class Room:
         return first
 
     def near(self, pose: Pose, distance_m: float) -> list:
-        """What is within a distance of a place."""
         return [thing for thing in self.things if thing.distance_m(pose.x_m, pose.y_m) <= distance_m]
 
     def is_clear(self, pose: Pose, distance_m: float) -> bool:
-        """Whether nothing is within a distance of a place."""
         return not self.near(pose, distance_m)
 
 

@@ -3,8 +3,6 @@
 The serial line's cases are pieces of the golden capture, damaged, and read in pieces of random sizes: a million with
 CAR_INTERFACE_ALL. Parameters and the nodes' callbacks are fuzzed in test/graph/test_fuzz.py.
 """
-from __future__ import annotations
-
 import csv
 import io
 import math

@@ -1,6 +1,4 @@
 """Reports of wheels, spelled out, and what a gate makes of them."""
-from __future__ import annotations
-
 import math
 from pathlib import Path
 
