@@ -151,10 +151,10 @@ def stop_distances(speeds_mps: Sequence[float] = STOP_SPEEDS) -> dict[str, float
     return distances
 
 
-def longer_stops(baseline: dict[str, float], now: dict[str, float], by: float = 0.05) -> list[str]:
-    """The stops that became longer than the baseline's by more than a share and a centimetre."""
+def longer_stops(baseline: dict[str, float], now: dict[str, float]) -> list[str]:
+    """The stops that became longer than the baseline's by more than 5 % and a centimetre."""
     return [f"{name}: {is_m:.2f} m, was {baseline[name]:.2f} m" for name, is_m in now.items()
-            if is_m > baseline[name] * (1 + by) + 0.01]
+            if is_m > baseline[name] * 1.05 + 0.01]
 
 
 def run_many(names: list[str], cores: int) -> Summary:

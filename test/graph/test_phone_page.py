@@ -90,12 +90,11 @@ class Bench:
         self.programs.append((command, namespace))
         return _Child(program, terminal)
 
-    def seat(self, phone=None):
-        phone = phone or self.phone
-        phone.hold("")
-        phone.evidence("drive")
+    def seat(self):
+        self.phone.hold("")
+        self.phone.evidence("drive")
         self.run(0.3)
-        return phone
+        return self.phone
 
     def ask(self, kind, run_s=0.5, **fields):
         """Send a command of the driver's; return what it had, and why none."""

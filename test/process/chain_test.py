@@ -23,7 +23,7 @@ import rospy
 import rostest
 
 from virtual_car import CENTER, ESC_NEUTRAL, HERE, LEFT, PYTHON38, Car, guard_of
-from waiting import eventually, skip
+from waiting import config, eventually, skip
 
 TRIALS = int(os.environ.get("CAR_INTERFACE_TRIALS", "1"))
 TABLE = os.environ.get("CAR_INTERFACE_TABLE")
@@ -114,8 +114,9 @@ class Chain(Driven):
     @classmethod
     def make_car(cls):
         car = Car(cls.addClassCleanup)
-        car.actors()
-        car.load("/teleop_logi", "teleop_logi.yaml")
+        car.load(teleop_logi=config("teleop_logi.yaml"))
+        for start in (car.pca9685, car.turn_arb, car.converter, car.throttle_arb):
+            start()
         car.node("teleop_logi")
         car.driver("pad", "joy")
         return car
@@ -221,7 +222,7 @@ class OneProcess(Driven):
                  "FAKETIME_CACHE_DURATION": str(CLOCK_CACHE_S), "FAKETIME_DONT_FAKE_MONOTONIC": "1",
                  "NO_FAKE_STAT": "1"} if library else {}  # byte code counts by the time of its source
         car = Car(cls.addClassCleanup, faked, python38=bool(STRICT and PYTHON38))
-        car.load_one_process()
+        car.load(car_nodes={"throttle": True})
         car.one_process()
         car.driver("pad", "human", "steering")
         car.sent(car.processes["pad"], "steering", "1.0")

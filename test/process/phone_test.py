@@ -23,7 +23,7 @@ import rostest
 
 from relay import DOWN, UP, Relay
 from virtual_car import CENTER, ESC_NEUTRAL, Car, free_port
-from waiting import PACKAGE, eventually, skip
+from waiting import PACKAGE, config, eventually, skip
 
 sys.path.append(os.path.join(PACKAGE, "test", "unit"))
 from browser import Browser, find_browser
@@ -84,8 +84,7 @@ class Phone(unittest.TestCase):
         if not cls.path:
             return
         cls.car = car = Car(cls.addClassCleanup)
-        car.load_actors()
-        car.load("/teleop_logi", "teleop_logi.yaml")
+        car.load(teleop_logi=config("teleop_logi.yaml"))
         for start in (car.pca9685, car.turn_arb, car.throttle_arb):
             start()
         car.node("teleop_logi")

@@ -337,7 +337,7 @@ class LinkIsCut(unittest.TestCase):
             car = TwoHosts(self.addCleanup)
         except (OSError, subprocess.CalledProcessError):
             skip(self, "no network namespaces here")
-        car.load_actors()
+        car.load()
         car.pca9685()
         car.turn_arb()
         pad = car.driver("pad", "human", "steering")

@@ -8,8 +8,9 @@ import sys
 import tempfile
 
 import rospkg
+import yaml
 
-from waiting import PATIENCE_S, NodeProcess, eventually, executable
+from waiting import PATIENCE_S, NodeProcess, eventually, executable, one_process_params
 
 PACKAGE = rospkg.RosPack().get_path("car_interface")
 HERE = os.path.dirname(os.path.abspath(__file__))
@@ -138,48 +139,26 @@ class Car:
         program = (PYTHON38, os.path.join(PACKAGE, "scripts", node)) if self._python38 else (executable(node),)
         return self.start(node, *program, *arguments, env=self._node_env)
 
-    def load(self, node, *names):
-        for name in names:
-            self._rosparam("load", os.path.join(PACKAGE, "config", name), node)
-
-    def _rosparam(self, *arguments):
-        subprocess.run(self.on_host("rosparam", (shutil.which("rosparam"), *arguments)), check=True,
+    def load(self, **nodes):
+        """Put parameters on the server: those of nodes by name, and what the nodes of car_nodes have."""
+        values = {**one_process_params(self.folder, virtual_log=self.chip.path), **nodes}
+        path = os.path.join(self.folder, "params.yaml")
+        with open(path, "w", encoding="utf-8") as file:
+            yaml.safe_dump(values, file)
+        subprocess.run(self.on_host("rosparam", (shutil.which("rosparam"), "load", path, "/")), check=True,
                        env={**os.environ, **self.env}, stdout=subprocess.DEVNULL)
 
-    def load_actors(self):
-        """The parameters of the four nodes between the senders and the chip."""
-        self.load("/turn_arb", "turn_arb.yaml")
-        self.load("/pca9685", "pca9685.yaml")
-        self.load("/pca9685/steering", "turn_arb.yaml")
-        self.load("/pca9685/esc", "throttle.yaml")
-        self.load("/generic_value_converter", "generic_value_converter.yaml")
-        self.load("/throttle_arb", "throttle.yaml")
-
-    def actors(self):
-        self.load_actors()
-        self.pca9685()
-        self.turn_arb()
-        self.node("generic_value_converter", *CONVERTER, f"_csv_path_value_map:={PACKAGE}/config/value_map.csv")
-        self.throttle_arb()
-
     def pca9685(self):
-        return self.node("pca9685", "_device:=virtual", f"_virtual_log:={self.chip.path}")
+        return self.node("pca9685")
 
     def turn_arb(self):
         return self.node("turn_arb")
 
+    def converter(self):
+        return self.node("generic_value_converter", *CONVERTER)
+
     def throttle_arb(self):
         return self.node("throttle_arb", *THROTTLE)
-
-    def load_one_process(self):
-        """The parameters of car_nodes. Its Teensy is absent."""
-        self.load_actors()
-        self.load("/teensy_sensor_hub", "teensy_sensor_hub.yaml", "sonars.yaml")
-        for name, value in (("/pca9685/device", "virtual"), ("/pca9685/virtual_log", self.chip.path),
-                            ("/car_nodes/throttle", "true"),
-                            ("/teensy_sensor_hub/port", os.path.join(self.folder, "absent")),
-                            ("/generic_value_converter/csv_path_value_map", f"{PACKAGE}/config/value_map.csv")):
-            self._rosparam("set", name, value)
 
     def one_process(self):
         return self.node("car_nodes", *CONVERTER, *THROTTLE)

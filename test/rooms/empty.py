@@ -53,13 +53,13 @@ def wanted_mps(name: str, scene: Scene, baseline: dict[str, float]) -> float:
     return TIGHT_SHARE * bound_mps(scene)
 
 
-def read_baseline(path: Path = BASELINE) -> dict[str, float]:
-    return json.loads(path.read_text(encoding="utf-8"))
+def read_baseline() -> dict[str, float]:
+    return json.loads(BASELINE.read_text(encoding="utf-8"))
 
 
-def write_baseline(speeds: dict[str, float], path: Path = BASELINE) -> None:
+def write_baseline(speeds: dict[str, float]) -> None:
     """Keep today's speeds on the wider arcs, where they are kept."""
     named = scenes()
     kept = {name: round(speed, 3) for name, speed in speeds.items()
             if named[name].driver.curvature_per_m <= WIDE_PER_M}
-    path.write_text(json.dumps(kept, indent=0) + "\n", encoding="utf-8")
+    BASELINE.write_text(json.dumps(kept, indent=0) + "\n", encoding="utf-8")

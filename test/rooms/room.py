@@ -5,6 +5,8 @@ import math
 from dataclasses import dataclass
 from typing import Iterator, NamedTuple
 
+CLEAR_M = 0.6  # of a start
+
 
 class Pose(NamedTuple):
     """Where something stands and looks: m, and rad, left positive."""
@@ -172,12 +174,12 @@ def random_room(rng) -> Room:
     return Room(tuple(things))
 
 
-def random_start(room: Room, rng, clear_m: float = 0.6) -> Pose:
+def random_start(room: Room, rng) -> Pose:
     """A pose from which the middle of the rear axle is clear of everything."""
     walls = room.things[:4]
     while True:
         pose = Pose(rng.uniform(0, walls[0].x2_m), rng.uniform(0, walls[1].y2_m), rng.uniform(-math.pi, math.pi))
-        if room.is_clear(pose, clear_m) and not _is_in_box(room, pose):
+        if not room.near(pose, CLEAR_M) and not _is_in_box(room, pose):
             return pose
 
 
