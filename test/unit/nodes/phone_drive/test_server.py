@@ -202,6 +202,7 @@ def test_downloads_that_nobody_takes_end_and_make_room(server, port, tmp_path, m
         time.sleep(0.01)
     while server.downloads and time.monotonic() < deadline_s:
         time.sleep(0.01)
+    monkeypatch.undo()  # a busy computer may not take a chunk in 0.2 s
     assert ask(port, server.offer(str(tmp_path / "a.bag")))[0] == 200
     for each in slow:
         each.close()
