@@ -19,7 +19,7 @@ from car_interface.msg import LinkStatus
 from car_interface.srv import InjectFault, SetSonarWait
 from std_srvs.srv import Trigger
 
-from closing import pid_of
+from closing import HOLDER, pid_of
 from terminal import Terminal
 from waiting import PACKAGE, PATIENCE_S, Record, Topic, eventually, executable, start, start_node
 
@@ -33,13 +33,6 @@ PING_HEADER = "02010100", "0201017d20"  # the other where the checksum would be 
 SONAR_START, SONAR_STOP, WHEEL_RESET, GET_COUNTERS = "02010500f7", "02010400f8", "02010800f4", "02010a00f2"
 SEQUENCE_015, SEQUENCE_ALL, WAIT_50_MS = "0201030003000105f0", "0201030006000102030405e4", "02010c0032000000be"
 TYPED = [SONAR_START, SONAR_STOP, WHEEL_RESET, GET_COUNTERS, SEQUENCE_015, SEQUENCE_ALL, SONAR_START]
-HOLDER = """
-import fcntl, os, sys
-port = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY)
-fcntl.flock(port, fcntl.LOCK_EX)
-print("open", flush=True)
-while True: os.read(port, 1)
-"""
 
 
 def call(hub, name, service_type=Trigger, *arguments):
