@@ -10,7 +10,6 @@ import os
 import random
 import tempfile
 from itertools import product
-from pathlib import Path
 
 import pytest
 from damage import damaged
@@ -22,14 +21,14 @@ from car_interface.teensy.link import protocol
 from car_interface.teensy.link.framing import MAX_ON_LINE, FrameDecoder
 from car_interface.teensy.sensing.plausibility import Gates
 from car_interface.throttle.value_map import load_value_map
+from teensy_bench import CAPTURE
 
-CAPTURE = (Path(__file__).resolve().parents[1] / "data" / "capture_mixed.bin").read_bytes()
 MARKER = bytes.fromhex("7e 01020600 006b11057b0000 f9 7e")  # from the capture: a sonar's report
 CASES = 1_000_000 if os.environ.get("CAR_INTERFACE_ALL") else 2000
 
 
 def test_line_fed_cases_made_of_the_capture_stays_in_order():
-    decoder, gates, seen = FrameDecoder(), Gates(), set()
+    decoder, at_once, gates, seen = FrameDecoder(), FrameDecoder(), Gates(), set()
     judges = {protocol.WheelStatus: gates.wheels, protocol.SonarStatus: gates.sonar,
               protocol.Pong: lambda pong: gates.pong(pong, is_ours=True)}
 
@@ -42,16 +41,19 @@ def test_line_fed_cases_made_of_the_capture_stays_in_order():
 
     for number in range(CASES):
         choose = random.Random(7 * 1_000_003 + number)
-        start, size = choose.randrange(len(CAPTURE)), choose.choice((1, 3, 7, 64, 4096))
-        data = damaged(CAPTURE[start:start + choose.choice((1, 5, 20, 40, 80, 200))], choose)
-        for place in range(0, len(data), size):
-            judge(decoder.feed(data[place:place + size]))
+        begin, size = choose.randrange(len(CAPTURE)), choose.choice((1, 3, 7, 64, 4096))
+        data = damaged(CAPTURE[begin:begin + choose.choice((1, 5, 20, 40, 80, 200))], choose)
+        found = [body for start in range(0, len(data), size) for body in decoder.feed(data[start:start + size])]
+        judge(found)
+        assert found == at_once.feed(data) and decoder.tally == at_once.tally
         tally = decoder.tally
         assert decoder.pending <= MAX_ON_LINE
         assert tally.bytes_in == tally.frame_bytes + tally.flags + tally.noise_bytes + decoder.pending
         if choose.random() < 0.02:
             decoder.reset()
+            at_once.reset()
         found = decoder.feed(MARKER)
+        at_once.feed(MARKER)
         judge(found)
         assert found[-1] == MARKER[1:-2], number
     assert seen == {protocol.Pong, protocol.SonarStatus, protocol.WheelStatus, protocol.ErrorCount, protocol.Malformed}
