@@ -42,7 +42,8 @@ class Pulls:
     stays pulled through a stop doesn't mean reverse.
 
     Args:
-        dead_band: a pull begins beyond it, and ends within half of it, so that a trembling stick doesn't pull twice.
+        dead_band: a pull begins beyond it, and ends within half of it, so that a trembling stick doesn't pull twice. A
+            push begins at half of it, too: the person wants no reverse, though the car doesn't drive yet.
 
     Attributes:
         began_ns: when the newest pull began.
@@ -64,7 +65,7 @@ class Pulls:
         """Take the newest request."""
         value = request.value
         is_stick = request.is_human and request.gear == AUTO and not request.is_stop
-        if not is_stick or not math.isfinite(value) or value > self._dead_band:
+        if not is_stick or not math.isfinite(value) or value > self._dead_band / 2:
             self._was_one = self._in_pull = False
         elif value <= -self._dead_band:
             if not self._in_pull:

@@ -24,6 +24,8 @@ def means_reverse(values, **changes):
     pytest.param([-0.5, 0.0, -0.5, 0.0, -0.5], True, id="third_pull"),
     pytest.param([-0.5, 0.0, -0.5, 0.0], False, id="center"),
     pytest.param([-0.5, 0.0, 0.5, 0.0, -0.5], False, id="pull_after_forward"),
+    pytest.param([-0.5, 0.0, 0.079, 0.0, -0.5], False, id="pull_after_a_push_by_which_the_esc_does_not_drive"),
+    pytest.param([-0.5, 0.03, -0.5], True, id="stick_that_springs_past_its_center"),
     pytest.param([-0.5, 0.0, STOP, -0.5], False, id="stop_in_between"),
     pytest.param([-0.5, STOP, -0.5, STOP, -0.5], False, id="stick_held_back_while_the_deadman_flaps"),
     pytest.param([-0.5, -0.079, -0.081, -0.079, -0.081], False, id="stick_that_trembles_at_the_dead_band"),
