@@ -73,8 +73,6 @@ class Contact(NamedTuple):
 
 
 class Record(NamedTuple):
-    """All that a drive left."""
-
     scene: Scene
     samples: list
     echoes: list
@@ -108,8 +106,6 @@ class Board:
 
 
 class Sonars:
-    """Six sonars that fire one after another."""
-
     def __init__(self, scene: Scene, rng):
         self._scene, self._rng = scene, rng
         self._number, self._next_s = 0, 0.03
