@@ -181,12 +181,6 @@ def test_human_drives_by_human_scale_and_brakes_by_brake_scale_and_a_planner_is_
     assert (decision.drive, decision.brake) == (pytest.approx(drive), pytest.approx(brake))
 
 
-@pytest.mark.parametrize("human, released", [
-    (None, False), ((True, 0.1), False), ((False, 0.1), True), ((False, 0.51), False)])
-def test_deadman_is_known_to_be_released_by_a_fresh_false(human, released):
-    assert arbiter_with(human=human).is_released(NOW) == released
-
-
 @pytest.mark.parametrize("teleop, centered", [
     (None, True), ((REST, 0.1), True), ((FORWARD, 0.1), False), ((BRAKE, 0.1), False), ((REST, 0.51), False),
     ((NAN, 0.1), False)])
