@@ -116,7 +116,7 @@ class Esc:
         """Take what the servo board holds; ``None`` = no pulse: switched off, never set, or without power."""
         self._history.update_held(fraction, now_ns)
 
-    def update_speed(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
+    def update_speed(self, speed_mps: float, now_ns: int, age_ns: int) -> None:
         """Take the measured speed, forward positive, and its age at arrival."""
         self._motion.update(speed_mps, now_ns, age_ns)
 
@@ -193,8 +193,7 @@ class Esc:
 
         With ``keeps_small`` such values pass, so that a calibration drive finds where the car sets off.
         """
-        value = request.value if math.isfinite(request.value) else 0.0
-        value = max(-1.0, min(1.0, value))
+        value = max(-1.0, min(1.0, request.value))
         is_beyond = value >= self.config.dead_band_forward or value <= -self.config.dead_band_reverse
         return value if is_beyond or keeps_small else 0.0
 
@@ -431,13 +430,13 @@ class Esc:
             self._brakes_since_ns = now_ns
         if state == BRAKING:
             self._motion.update_brake(now_ns)
+        # By the state until now: with this speed no pull is given any more.
+        if self._state in (BRAKING, HOLD) and self._fraction < 0 and self._motion.rolls_backward(now_ns):
+            self._proof.doubt()
         self._fraction, self._state = fraction, state
         self._history.update_sent(fraction, now_ns)
-        if state in (BRAKING, HOLD) and self._motion.rolls_backward(now_ns):
-            self._proof.doubt()
         self._hill.step(fraction, self._motion, now_ns)
-        is_push = state == FORWARD and fraction > 0
-        self._proof.step(fraction, is_push, self._history.pulled_ns(now_ns), self._motion, now_ns)
+        self._proof.step(fraction, state == FORWARD, self._history.pulled_ns(now_ns), self._motion, now_ns)
         return EscDecision(fraction, state, cause, reason, self._stop_mps2(now_ns))
 
     def _update_lagging_pull(self, now_ns):
