@@ -56,7 +56,7 @@ class _Account:
             self.side, self.since_ns = side, now_ns
         if side != PULLED and self.was_pulled:
             self.was_released = True
-        if side == PULLED or side == FAINT and fraction < 0:
+        if fraction is not None and fraction < -NEUTRAL_TOLERANCE:
             self.was_pulled = True
 
     def lasts_ns(self, side: str, now_ns: int) -> int:

@@ -386,16 +386,17 @@ def test_dropped_messages_make_the_speed_unknown():
     assert "the speed is unknown" in car.decision.reason
 
 
-@pytest.mark.parametrize("age_ms, says_s, state", [
-    (0, 0.34, REVERSE), (0, 0.4, NEUTRAL),  # without a stamp it may be 0.35 s old
-    (20, 0.02, REVERSE), (20, 0.04, NEUTRAL),  # measured before the pull, and as it began
+@pytest.mark.parametrize("age_ms, says_s, speed, state", [
+    (0, 0.34, 0.1, REVERSE), (0, 0.4, 0.1, NEUTRAL),  # without a stamp it may be 0.35 s old
+    (20, 0.02, 0.1, REVERSE), (20, 0.04, 0.1, NEUTRAL),  # measured before the pull, and as it began
+    (20, 0.02, 0.4, REVERSE),  # it may slide on, at a speed of 0
 ])
-def test_second_pull_is_a_brake_if_a_speed_that_was_measured_during_it_is_forward(age_ms, says_s, state):
+def test_second_pull_is_a_brake_if_a_speed_that_was_measured_during_it_is_forward(age_ms, says_s, speed, state):
     car = Car(TURNS)
     car.age_ms, car.noise = age_ms, 0.0
     for value in (0.5, -0.5, 0.0):
-        car.stick(value, 0.2, speed=0.1)
-    car.stick(-0.5, says_s, speed=0.1)
+        car.stick(value, 0.2, speed)
+    car.stick(-0.5, says_s, speed)
     assert car.stick(-0.5, 1.0, speed=0.0).state == state
 
 

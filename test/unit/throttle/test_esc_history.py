@@ -34,7 +34,10 @@ def played(steps, config=CONFIG):
     pytest.param(DROVE, True, id="after_forward"),
     pytest.param([("lost", 0, 20), *DROVE], True, id="after_forward_also_when_messages_were_dropped_before_any_came"),
     pytest.param([("both", 0.4, 490)], False, id="not_after_forward_for_less_than_half_a_second"),
-    pytest.param([("both", 0.05, 500)], False, id="not_after_one_within_the_dead_band"),
+    pytest.param([("both", 0.07, 500)], False, id="not_after_one_within_the_dead_band"),
+    pytest.param([("both", 0.071, 500)], True, id="after_one_just_beyond_it"),
+    pytest.param([*DROVE, ("both", 0.05, 20), ("both", 0.0, 20)], True, id="also_after_a_push_within_the_dead_band"),
+    pytest.param([*DROVE, ("both", -0.01, 20), ("both", 0.0, 20)], True, id="also_after_what_rounds_to_neutral"),
     pytest.param([("sent", 0.4, 500)], False, id="not_where_the_board_never_said_so"),
     pytest.param([("both", 0.0, 10), ("sent", 0.4, 500)], False, id="not_while_the_board_holds_neutral"),
     pytest.param([*DROVE, ("both", 0.0, 5000), ("held", 0.0, 10)], False, id="not_while_the_board_is_silent_for_long"),
@@ -65,6 +68,8 @@ def test_esc_that_forgets_is_not_certain_to_brake_after_its_time():
 @pytest.mark.parametrize("steps, unlocked", [
     pytest.param([*BRAKES, ("both", 0.0, 300)], True, id="brake_and_neutral"),
     pytest.param([*BRAKES, ("both", 0.0, 200)], False, id="neutral_too_short"),
+    pytest.param([*DROVE, ("both", -0.07, 400), ("both", 0.0, 300)], False, id="brake_within_the_dead_band"),
+    pytest.param([*DROVE, ("both", -0.071, 400), ("both", 0.0, 300)], True, id="brake_just_beyond_it"),
     pytest.param([*DROVE, ("both", -0.5, 200), ("both", 0.0, 400)], False, id="brake_too_short"),
     pytest.param([*BRAKES, ("both", 0.0, 300), ("both", -0.5, 900), ("both", 0.0, 20), ("both", -0.5, 20)], True,
                  id="again_and_again"),
@@ -98,7 +103,7 @@ def test_node_that_stood_still_while_the_board_held_a_pull_reckons_with_its_neut
 
 
 def test_neutral_counts_where_it_is_sent_and_held():
-    history, now_ns = played([("both", 0.0, 100), ("sent", 0.2, 50), ("sent", 0.0, 300), ("held", 0.004, 200)])
+    history, now_ns = played([("both", 0.0, 100), ("sent", 0.2, 50), ("sent", 0.0, 300), ("held", 0.01, 200)])
     assert history.neutral_ns(now_ns) == 500 * MS
     history.update_held(0.02, now_ns)
     assert history.neutral_ns(now_ns) == 0
