@@ -602,6 +602,12 @@ def test_rolling_forward_in_reverse_ends_in_neutral_or_is_a_brake_where_reverse_
         pulled_twice(blind, speed)
     assert blind.stick(-0.5, 1.0, speed=3.0)[:2] == (-0.5, BRAKING)
     assert blind.stick(-0.5, 3.0, speed=0.0).fraction == 0.0
+    again = Car()
+    pulled_twice(again, 0.0)
+    again.stick(0.0)
+    again.esc.mark_stale()
+    assert again.stick(-0.5).state == REVERSE
+    assert again.stick(-0.5, 0.1, speed=3.0)[:2] == (-0.5, BRAKING)
 
 
 def test_calibration_drive_passes_a_person_s_stick_once_it_is_armed_and_nobody_else_s():
@@ -644,8 +650,9 @@ def test_stop_of_a_car_that_a_hill_drives_holds_the_brake_that_it_began_while_it
     car = Car(profile_measured=True, stop_brake=stop_brake)
     cruise = Request(0.0, DRIVE, is_centered=True, cruise_mps=0.3)
     for value, seconds, speed in (
-            (0.3, 0.5, 0.5), (0.0, 0.3, 0.5), (0.0, 0.1, 0.7), (-0.5, 0.3, 0.5), (-0.5, 0.1, 0.0)):
+            (0.3, 0.5, 0.5), (0.0, 0.3, 0.5), (0.0, 0.1, 0.7), (-0.5, 0.3, 0.5), (-0.5, 0.3, 0.0)):
         car.ask(cruise._replace(value=value), seconds, speed)
+    assert car.stop(speed=0.0).state == (HOLD if holds else NEUTRAL)
     decision = car.stop(20.0, speed=0.0)
     assert decision[:4] == ((-0.5, HOLD, "stopping", "it stands on a hill, and the brake holds it") if holds else
                             (0.0, NEUTRAL, "stopping", "it stops in neutral"))
