@@ -25,6 +25,7 @@ import time
 import tokenize
 from bisect import bisect_right
 from collections import Counter, defaultdict, deque
+from datetime import date
 from functools import lru_cache
 from itertools import accumulate
 from pathlib import Path
@@ -456,6 +457,7 @@ def main() -> int:
     parser.add_argument("modules", nargs="*", metavar="MODULE", help="throttle/control, or a folder such as throttle")
     parser.add_argument("--draw", action="store_true", help="draw the mutants of these modules anew, and run nothing")
     parser.add_argument("--record", action="store_true", help="accept the results of this run")
+    parser.add_argument("--sample", type=int, metavar="N", help="run only N of the mutants, drawn by the day")
     parser.add_argument("--mechanisms", action="store_true", help="switch off the mechanisms of the safety case "
                         "instead, one at a time: each test that is named for one must fail")
     options = parser.parse_args()
@@ -468,6 +470,11 @@ def main() -> int:
         files[0].write_text(to_text(draw_list(ROOT, everything, options.modules), {}, {}), encoding="utf-8")
         return 0
     lists = {module: keys for module, keys in everything.items() if is_named(module, options.modules)}
+    if options.sample:
+        everyone = [key for keys in lists.values() for key in keys]
+        drawn = set(random.Random(date.today().isoformat()).sample(everyone, min(options.sample, len(everyone))))
+        lists = {module: [key for key in keys if key in drawn] for module, keys in lists.items()}
+        lists = {module: keys for module, keys in lists.items() if keys}
     if not lists and not options.mechanisms:
         parser.error(f"{MUTANTS}/list.txt has no module named {' or '.join(options.modules)}")
     for name in ("pytest", "hypothesis", "numpy", "yaml", "serial"):  # once, for all mutants

@@ -93,7 +93,7 @@ class Esc:
         self._history = EscHistory(config)
         self._motion = MeasuredMotion(config)
         self._check = MotionCheck(config)
-        self._pulls = Pulls(config.dead_band_reverse)
+        self._pulls = Pulls(config.dead_band_forward, config.dead_band_reverse)
         self._state = ARMING
         self._arming_cause, self._arming_reason = causes.ESC_ARMING, STARTED
         self._was_released = False  # whether the deadman was, since arming began
@@ -137,8 +137,8 @@ class Esc:
             self._history.mark_backward(now_ns)
         self._pulls.update(request, now_ns)
         self._update_arming(request, now_ns)
-        if self._state == ARMING:
-            self._pulls = Pulls(self.config.dead_band_reverse)  # earlier pulls don't count
+        if self._state == ARMING:  # earlier pulls don't count
+            self._pulls = Pulls(self.config.dead_band_forward, self.config.dead_band_reverse)
             answer = (0.0, ARMING, self._arming_cause, self._arming_text(request, now_ns))
         elif request.is_stop:
             answer = self._stop(now_ns)

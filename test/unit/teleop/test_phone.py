@@ -9,25 +9,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from car_interface.teleop.keyboard import Controls
-from car_interface.teleop.phone import (
-    ABSENT_NS,
-    GUESSES_AT_ONCE,
-    MAX_ADDRESSES,
-    MAX_COMMANDS,
-    MAX_KEYS,
-    MAX_MALFORMED,
-    MAX_PAGES,
-    MAX_WAITING,
-    MESSAGES_AT_ONCE,
-    WAIT_NS,
-    Phones,
-)
+from car_interface.teleop.phone import Bucket, Phones
 from car_interface.teleop.phone_messages import number as sent_number
 from car_interface.teleop.phone_messages import parse
 
 MS = 1_000_000
 S = 1000 * MS
 START = 1000 * S
+ABSENT_MS, WAIT_MS = 5000, 5000
+GUESSES_AT_ONCE, MAX_ADDRESSES, MAX_KEYS, MAX_COMMANDS = 5, 256, 64, 8
+MAX_PAGES, MAX_WAITING, MAX_MALFORMED, MESSAGES_AT_ONCE = 8, 8, 20, 150
 PIN = "012345"
 NOTHING_HELD = Controls()
 AHEAD = Controls(0.5, 0.25, manual=True)
@@ -270,6 +261,35 @@ def test_dropped_messages_release_and_have_each_page_connect_again(bench):
     assert [page.closed for page in pages] == ["messages were dropped"] * 2
 
 
+@pytest.mark.parametrize("later_ns, closed", [(6_640_000, "too many messages"), (6_670_000, "")])  # 1 s / 150
+def test_page_sends_150_messages_at_once_and_as_many_a_second(bench, later_ns, closed):
+    page = bench.open(1)
+    for _ in range(MESSAGES_AT_ONCE):
+        page.send(type="leave")
+    assert not page.closed
+    bench.now_ns += later_ns
+    page.send(type="leave")
+    assert page.closed == closed
+
+
+def test_tokens_are_sent_20_times_a_second_and_the_state_5_times(bench):
+    page, sent = bench.join(1), []
+    page.receive = lambda message, closes: sent.extend(message)
+    for number in range(1000):
+        bench.phones.show("speed", number)
+        bench.wait(1)
+    assert [sent.count(name) for name in ("token", "status", "car")] == [20, 5, 5]
+
+
+def test_bucket_gets_back_what_was_taken_as_time_passes_and_no_more_than_it_holds():
+    bucket = Bucket(1e9, 2, START)  # one each nanosecond
+    assert bucket.is_full(START) and bucket.take(START) and bucket.take(START)
+    for now_ns, is_allowed in ((START, False), (START - 9, False), (START, False), (START + 1, True)):
+        assert bucket.has_any(now_ns) == is_allowed
+    assert not bucket.is_full(START + 1) and bucket.is_full(START + 2)
+    assert [bucket.take(START + 9) for _ in range(3)] == [True, True, False]
+
+
 # --- one driver ---
 
 def test_second_phone_watches_until_the_driver_leaves(bench):
@@ -295,7 +315,7 @@ def test_seat_of_a_driver_who_is_away_is_his_for_5_s(bench, closes):
     second = bench.join(2)
     if closes:
         bench.phones.disconnect(1)
-    bench.wait(ABSENT_NS // MS - 200, second)
+    bench.wait(ABSENT_MS - 200, second)
     second.send(type="drive")
     assert len(second.refused) == 1
     bench.wait(200, second)
@@ -395,7 +415,10 @@ def test_guesses_are_limited_by_address_and_neither_others_nor_the_driver_s_key_
     again = bench.open(22)
     again.send(type="key", key=driver.key)
     assert again.key == driver.key
-    bench.now_ns += 10 * S
+    bench.now_ns += 9_800 * MS  # and 100 as another one joined
+    right.send(type="pin", pin=PIN)
+    assert not right.key
+    bench.now_ns += 100 * MS
     right = bench.open(23)
     right.send(type="pin", pin=PIN)
     assert right.key
@@ -421,7 +444,9 @@ def test_connections_that_send_nothing_make_room_and_disturb_no_driver(bench):
         bench.open(number)
     bench.deliver()
     assert sum(not bench.pages[number].closed for number in range(100, 300)) == MAX_WAITING
-    bench.wait(WAIT_NS // MS + 100, driver)
+    bench.wait(WAIT_MS - 1, driver)
+    assert sum(not bench.pages[number].closed for number in range(100, 300)) == MAX_WAITING
+    bench.wait(50, driver)
     assert all(bench.pages[number].closed for number in range(100, 300))
     assert bench.controls == AHEAD
 

@@ -25,6 +25,8 @@ def motion(*speeds):
 def test_speed_is_unknown_before_the_first_after_half_a_second_and_if_it_is_no_car_s(speeds, age_ms, speed_mps):
     measured = motion(*speeds)
     assert measured.speed_mps((max(0, len(speeds) - 1) * 100 + age_ms) * MS) == speed_mps
+    if not speeds:
+        assert (measured.measured_ns, measured.is_stamped) == (-math.inf, False)
     measured.mark_stale()
     assert measured.speed_mps(0) is None and not measured.rolls_forward(0) and not measured.stands(0)
 
@@ -93,7 +95,16 @@ def test_a_brake_that_is_held_slows_by_little_more_than_it_did(slows_mps2, late_
     now_ns = S + late_ms * MS
     assert measured.outlasts_a_pull(now_ns, 0.0, since_ns) == rolls
     assert not measured.outlasts_a_pull(now_ns, speed_mps, since_ns)
-    assert not measured.outlasts_a_pull(now_ns, 0.0, S - 100 * MS) or speed_mps > 0.8  # braked for too short a time
+    assert measured.outlasts_a_pull(now_ns, 0.0, S - 230 * MS) == rolls
+    assert not measured.outlasts_a_pull(now_ns, 0.0, S - 229 * MS) or speed_mps > 0.8  # braked for too short a time
+
+
+@pytest.mark.parametrize("speed_mps, rolls", [(0.36, True), (0.34, False)])
+def test_what_a_brake_did_more_than_0_3_s_ago_does_not_count(speed_mps, rolls):
+    measured = MeasuredMotion(EscConfig())
+    for index in range(30, -1, -1):
+        measured.update(speed_mps + 2.0 * min(index, 15) * 0.02, S - index * 20 * MS)
+    assert measured.outlasts_a_pull(S, 0.0, 0) == rolls
 
 
 def test_a_speed_is_as_old_as_it_was_when_it_arrived():
@@ -182,6 +193,7 @@ def test_a_car_that_gets_faster_in_neutral_is_driven_by_a_hill(speed_mps, after_
 
 def test_what_the_motor_still_does_just_after_a_push_is_no_hill():
     assert not Roll().then(0.3, 0.5, 0.3).then(0.0, 0.1, 0.36).then(0.0, 0.5, 0.3).watch.drives_the_car
+    assert Roll().then(0.3, 0.5, 0.3).then(0.0, 0.1, 0.3).then(0.0, 0.08, 0.36).watch.drives_the_car
 
 
 def test_it_counts_while_the_car_is_pushed_and_braked_until_it_stood_or_slowed_in_neutral():
