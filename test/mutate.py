@@ -3,8 +3,8 @@
 ``./dev mutate [MODULE...]`` runs the mutants of ``test/mutants/list.txt``, which was drawn by a fixed seed: all of a
 module in WHOLE, a sample of the others. A mutant is known by its function, its source line without comments, its
 change, and its number among equal ones in that function, and so survives edits elsewhere; one whose line was changed is
-reported as gone. ``test/mutants/accepted.txt`` names survivors, and below each the reason why it changes no behaviour. A
-run fails if a mutant of a module in WHOLE survives without a reason, or if more of another survive than are named.
+reported as gone. ``test/mutants/accepted.txt`` names survivors; a line below one says why it changes no behaviour. A run
+fails if a mutant of a module in WHOLE survives without such a reason, or more of another survive than are named.
 """
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ class Pulls:
 
     Args:
         dead_band_forward: a push begins there.
-        dead_band_reverse: a pull begins there, and ends within half of it, so that a trembling stick doesn't pull twice.
+        dead_band_reverse: a pull begins there, and ends within half of it: a trembling stick doesn't pull twice.
 
     Attributes:
         began_ns: when the newest pull began.

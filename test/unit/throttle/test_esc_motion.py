@@ -117,6 +117,63 @@ def test_a_speed_is_as_old_as_it_was_when_it_arrived():
     assert measured.stands(1700 * MS) and not measured.stands(1699 * MS)  # 3 m/s ÷ 3 m/s² after it was measured
 
 
+@pytest.mark.parametrize("age_ns, measured_ns, is_stamped", [(-1, S, False), (0, S, False), (1, S - 1, True)])
+def test_speed_has_a_stamp_if_it_says_an_age(age_ns, measured_ns, is_stamped):
+    measured = MeasuredMotion(EscConfig())
+    measured.update(1.0, S, age_ns)
+    assert (measured.measured_ns, measured.is_stamped) == (measured_ns, is_stamped)
+
+
+def test_speed_is_fresh_for_150_ms_since_it_was_measured():
+    measured = MeasuredMotion(EscConfig())
+    assert not measured.is_fresh(S)
+    measured.update(1.0, S, 50 * MS)
+    assert measured.is_fresh(S + 100 * MS) and not measured.is_fresh(S + 100 * MS + 1)
+
+
+@pytest.mark.parametrize("speed_mps, since_ns, rolled", [
+    (0.1, 0, True), (0.1, 1, False), (0.099, 0, False), (-1.0, 0, False)])
+def test_newest_speed_says_whether_it_rolled_forward_since(speed_mps, since_ns, rolled):
+    assert motion(speed_mps).rolled_forward_since(since_ns) == rolled
+
+
+@pytest.mark.parametrize("speed_mps, stands", [(0.099, True), (0.1, False), (-0.1, False)])
+def test_wheels_that_turned_faster_than_at_standstill_may_be_locked(speed_mps, stands):
+    measured = motion(speed_mps)
+    measured.update(0.0, 33 * MS)
+    assert measured.stands(33 * MS) == stands and measured.stands(34 * MS)  # 0.1 m/s ÷ 3 m/s²
+
+
+def test_car_may_roll_backward_until_a_speed_was_measured_once_the_motor_has_let_go_of_reverse():
+    measured = motion(0.0)
+    assert not measured.may_roll_backward(0)
+    for at_ms, may in ((100, True), (150, True), (151, False), (152, False)):
+        if at_ms < 101:
+            measured.update_reverse(0)
+        measured.update(0.0, at_ms * MS)
+        assert measured.may_roll_backward(at_ms * MS) == may
+
+
+def test_car_that_rolled_backward_may_do_so_until_a_later_speed_says_otherwise():
+    measured = motion(-0.1)
+    assert measured.may_roll_backward(0) and measured.may_roll_backward(10 * S)
+    measured.update(-0.1, 20 * S)
+    assert measured.may_roll_backward(20 * S)
+    measured.update(-0.09, 20 * S)
+    assert measured.may_roll_backward(20 * S)
+    measured.update(-0.09, 20 * S + 1)
+    assert not measured.may_roll_backward(20 * S + 1) and not measured.may_roll_backward(30 * S)
+
+
+def test_without_odometry_a_car_has_rolled_out_3_s_after_the_motor_let_go():
+    measured = motion()
+    measured.update_reverse(0)
+    assert measured.may_roll_backward(3150 * MS) and not measured.may_roll_backward(3150 * MS + 1)
+    lost = motion(0.0)
+    lost.update_reverse(0)
+    assert lost.may_roll_backward(10 * S)
+
+
 def checked(*speeds, is_reverse=False, after_reverse=False, late_ms=0):
     """The first text of a check with speeds 50 ms apart, and when; after a standstill."""
     check, measured = MotionCheck(EscConfig()), MeasuredMotion(EscConfig())
