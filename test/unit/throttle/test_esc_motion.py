@@ -35,8 +35,9 @@ def test_speed_is_unknown_before_the_first_after_half_a_second_and_if_it_is_no_c
     (0.0, True, False, False), (0.09, True, False, False), (0.1, False, True, False), (-0.09, True, False, False),
     (-0.1, False, False, True)])
 def test_standstill_is_below_a_tenth_of_a_meter_a_second(speed_mps, stands, forward, backward):
-    measured = motion(speed_mps)
-    assert (measured.stands(0), measured.rolls_forward(0), measured.rolls_backward(0)) == (stands, forward, backward)
+    measured, later_ns = motion(speed_mps), 100 * MS  # no longer as if its wheels were locked
+    assert (measured.stands(later_ns), measured.rolls_forward(later_ns),
+            measured.rolls_backward(later_ns)) == (stands, forward, backward)
 
 
 def test_locked_wheels_are_no_standstill_until_the_car_must_have_stopped():
@@ -62,7 +63,12 @@ def test_a_pull_is_outlasted_by_what_the_tyres_cannot_stop_until_the_board_has_e
     for measured in (MeasuredMotion(EscConfig()), MeasuredMotion(EscConfig())):
         measured.update(speed_mps, S, age_ms * MS)
         assert measured.outlasts_a_pull(S) == rolls
-    assert not motion().outlasts_a_pull(0)
+    assert not motion().outlasts_a_pull(0) and motion().mps2_to_outlast_a_pull(0) == 0.0
+
+
+@pytest.mark.parametrize("speed_mps, is_faster", [(1.0 + 1e-9, True), (1.0, False)])
+def test_it_is_outlasted_only_by_a_car_that_is_faster_than_a_margin(speed_mps, is_faster):
+    assert motion(speed_mps).outlasts_a_pull(0, above_mps=1.0) == is_faster
 
 
 def test_a_speed_that_repeats_under_a_brake_is_no_newer_than_the_brake():
@@ -85,7 +91,8 @@ def test_a_speed_that_repeats_under_a_brake_is_no_newer_than_the_brake():
 @pytest.mark.parametrize("slows_mps2, late_ms, speed_mps, rolls", [
     (2.0, 0, 0.4, True), (2.0, 0, 0.3, False),  # (1.25 · 2 + 1) · 0.1 s
     (5.6, 0, 0.9, True), (5.6, 0, 0.7, False),  # no more than 8 · 0.1 s
-    (2.0, 90, 0.7, True), (2.0, 90, 0.6, False), (2.0, 110, 1.6, False),  # it may have hit something since
+    (2.0, 100, 0.8, True), (2.0, 90, 0.6, False), (2.0, 110, 1.6, False),  # it may have hit something since
+    (0.0, 0, 0.15, True), (0.0, 0, 0.09, False),  # a brake without effect may begin to have one: 1 · 0.1 s
 ])
 def test_a_brake_that_is_held_slows_by_little_more_than_it_did(slows_mps2, late_ms, speed_mps, rolls):
     measured, since_ns = MeasuredMotion(EscConfig()), 0
@@ -99,11 +106,11 @@ def test_a_brake_that_is_held_slows_by_little_more_than_it_did(slows_mps2, late_
     assert not measured.outlasts_a_pull(now_ns, 0.0, S - 229 * MS) or speed_mps > 0.8  # braked for too short a time
 
 
-@pytest.mark.parametrize("speed_mps, rolls", [(0.36, True), (0.34, False)])
+@pytest.mark.parametrize("speed_mps, rolls", [(0.48, True), (0.46, False)])
 def test_what_a_brake_did_more_than_0_3_s_ago_does_not_count(speed_mps, rolls):
     measured = MeasuredMotion(EscConfig())
-    for index in range(30, -1, -1):
-        measured.update(speed_mps + 2.0 * min(index, 15) * 0.02, S - index * 20 * MS)
+    for index in range(30, -1, -1):  # 0.3 m/s in 20 ms, and then 2 m/s²: 0.9 m/s in 0.3 s, times 1.25, and 1
+        measured.update(speed_mps + 0.04 * min(index, 15) + 0.3 * (index > 14), S - index * 20 * MS)
     assert measured.outlasts_a_pull(S, 0.0, 0) == rolls
 
 
@@ -197,6 +204,7 @@ def checked(*speeds, is_reverse=False, after_reverse=False, late_ms=0):
     ([-0.19] * 9, {}, ("", None)),
     ([-0.3, -0.3, -0.3, 0.0, -0.3, -0.3], {}, ("", None)),
     ([0.4] * 9, {"is_reverse": True}, ("it rolled forward at 0.4 m/s in reverse", 200)),
+    ([0.2] * 9, {"is_reverse": True}, ("", None)), ([-0.2] * 9, {}, ("", None)),
     ([-2.0] * 9, {"is_reverse": True}, ("", None)),
     # it may roll out after reverse, but neither get faster nor set off again
     ([-1.0, -0.9, -0.8, -0.7, -0.6, -0.5], {"after_reverse": True}, ("", None)),
@@ -222,20 +230,54 @@ def test_unknown_speed_neither_tells_nor_forgets():
     assert check.check(measured, False, 350 * MS)
 
 
+def found_at(*steps):
+    """The times (ms) at which a check finds something, of (ms, speed, changes of what it is told)."""
+    check, measured, found = MotionCheck(EscConfig()), MeasuredMotion(EscConfig()), []
+    for at_ms, speed_mps, told in steps:
+        measured.update(speed_mps, S + at_ms * MS)
+        if check.check(measured, now_ns=S + at_ms * MS, **{"is_reverse": False, **told}):
+            found.append(at_ms)
+    return found
+
+
+REVERSES, WANTED = {"is_reverse": True}, {"wants_backward": True}
+
+
+def test_motion_against_the_state_that_lasts_is_found_again_after_the_time():
+    assert found_at((0, 0.0, {}), *((at_ms, -0.5, {}) for at_ms in range(50, 600, 50))) == [250, 500]
+
+
+@pytest.mark.parametrize("told", [REVERSES, WANTED])
+def test_car_may_roll_out_as_fast_as_it_was_when_reverse_or_the_wish_for_it_was_seen_last(told):
+    after = [(at_ms, -0.9, {}) for at_ms in range(300, 900, 50)]
+    assert found_at((0, 0.0, {}), (50, -0.9, told), *after) == []
+    assert found_at((0, 0.0, {}), *after) == [500, 750]
+
+
+@pytest.mark.parametrize("slowed_mps, found", [(-0.09, [300]), (-0.1, [])])
+def test_car_that_stood_may_not_set_off_backward_again(slowed_mps, found):
+    assert found_at((0, -0.5, {}), (50, slowed_mps, {}), *((at_ms, -0.25, {}) for at_ms in (100, 200, 300))) == found
+
+
+@pytest.mark.parametrize("late_ms, found", [(150, []), (151, [380])])
+def test_car_may_get_faster_until_the_motor_has_let_go_of_reverse(late_ms, found):
+    assert found_at((0, -0.5, REVERSES), (late_ms, -0.5, {}), *((at_ms, -0.9, {}) for at_ms in (180, 380))) == found
+
+
 class Roll:
     def __init__(self):
-        self.watch, self._motion = HillWatch(), MeasuredMotion(EscConfig())
-        self._now_ns, self._speed_mps = S, 0.0
+        self.watch, self.motion = HillWatch(), MeasuredMotion(EscConfig())
+        self.now_ns, self._speed_mps = S, 0.0
 
     def then(self, fraction, seconds, speed_mps, noise=0.0):
         """The speed changes evenly to that."""
         steps = round(seconds / 0.02)
         change_mps = (speed_mps - self._speed_mps) / steps
         for index in range(steps):
-            self._now_ns += 20 * MS
+            self.now_ns += 20 * MS
             self._speed_mps += change_mps
-            self._motion.update(self._speed_mps * (1 + noise * (-1) ** index), self._now_ns)
-            self.watch.step(fraction, self._motion, self._now_ns)
+            self.motion.update(self._speed_mps * (1 + noise * (-1) ** index), self.now_ns)
+            self.watch.step(fraction, self.motion, self.now_ns)
         return self
 
 
@@ -249,8 +291,19 @@ def test_a_car_that_gets_faster_in_neutral_is_driven_by_a_hill(speed_mps, after_
 
 
 def test_what_the_motor_still_does_just_after_a_push_is_no_hill():
-    assert not Roll().then(0.3, 0.5, 0.3).then(0.0, 0.1, 0.36).then(0.0, 0.5, 0.3).watch.drives_the_car
-    assert Roll().then(0.3, 0.5, 0.3).then(0.0, 0.1, 0.3).then(0.0, 0.08, 0.36).watch.drives_the_car
+    assert not Roll().then(0.3, 0.5, 0.3).then(0.0, 0.1, 0.36).watch.drives_the_car
+    assert Roll().then(0.3, 0.5, 0.3).then(0.0, 0.12, 0.3).then(0.0, 0.02, 0.36).watch.drives_the_car
+
+
+def test_a_car_at_just_more_than_standstill_rolls():
+    assert Roll().then(0.3, 0.02, 0.1).then(0.0, 0.3, 0.1).then(0.0, 0.02, 0.13).watch.drives_the_car
+
+
+def test_what_it_gained_while_its_speed_was_unknown_is_no_hill_s():
+    roll = Roll().then(0.3, 0.5, 0.3).then(0.0, 0.5, 0.3)
+    roll.motion.mark_stale()
+    roll.watch.step(0.0, roll.motion, roll.now_ns)
+    assert not roll.then(0.0, 0.02, 0.4).then(0.0, 0.3, 0.4).watch.drives_the_car
 
 
 def test_it_counts_while_the_car_is_pushed_and_braked_until_it_stood_or_slowed_in_neutral():
