@@ -279,6 +279,20 @@ def test_tokens_are_sent_20_times_a_second_and_the_state_5_times(bench):
         bench.phones.show("speed", number)
         bench.wait(1)
     assert [sent.count(name) for name in ("token", "status", "car")] == [20, 5, 5]
+    assert sent[:5] == ["token", "status", "car", "token", "token"]  # after three ticks while it joined
+
+
+def test_step_is_due_between_two_tokens_where_the_touch_gets_too_old_then(bench):
+    page = bench.drive()
+    bench.now_ns = issued_ns = bench.phones.due_ns + 3 * MS  # it was late
+    bench.phones.step(issued_ns)
+    bench.deliver()
+    page.echo("manual")
+    due = []
+    for _ in range(7):
+        due.append((bench.phones.due_ns - issued_ns) // MS)
+        bench.phones.step(bench.phones.due_ns)
+    assert due == [47, 97, 147, 197, 247, 250, 297]
 
 
 def test_bucket_gets_back_what_was_taken_as_time_passes_and_no_more_than_it_holds():

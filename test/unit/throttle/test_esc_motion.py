@@ -269,6 +269,11 @@ class Roll:
         self.watch, self.motion = HillWatch(), MeasuredMotion(EscConfig())
         self.now_ns, self._speed_mps = S, 0.0
 
+    def measure(self, speed_mps):
+        self.now_ns += 20 * MS
+        self.motion.update(speed_mps, self.now_ns)
+        self.watch.step(0.0, self.motion, self.now_ns)
+
     def then(self, fraction, seconds, speed_mps, noise=0.0):
         """The speed changes evenly to that."""
         steps = round(seconds / 0.02)
@@ -297,6 +302,22 @@ def test_what_the_motor_still_does_just_after_a_push_is_no_hill():
 
 def test_a_car_at_just_more_than_standstill_rolls():
     assert Roll().then(0.3, 0.02, 0.1).then(0.0, 0.3, 0.1).then(0.0, 0.02, 0.13).watch.drives_the_car
+
+
+@pytest.mark.parametrize("speed_mps, drives", [(0.3 * (1 + 0.03) + 0.02, True), (0.328, False)])
+def test_a_gain_is_one_from_odometry_s_noise_on(speed_mps, drives):
+    roll = Roll().then(0.3, 0.5, 0.3)
+    for each_mps in (*[0.3] * 7, speed_mps):
+        roll.measure(each_mps)
+    assert roll.watch.drives_the_car == drives
+
+
+@pytest.mark.parametrize("speed_mps, drives", [(0.36 - 0.05, False), (0.311, True)])
+def test_a_loss_in_neutral_is_one_from_0_05_on(speed_mps, drives):
+    roll = Roll().then(0.3, 0.5, 0.3)
+    for each_mps in (*[0.3] * 7, 0.36, speed_mps):
+        roll.measure(each_mps)
+    assert roll.watch.drives_the_car == drives
 
 
 def test_what_it_gained_while_its_speed_was_unknown_is_no_hill_s():
