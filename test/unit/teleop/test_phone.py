@@ -465,6 +465,14 @@ def test_connections_that_send_nothing_make_room_and_disturb_no_driver(bench):
     assert bench.controls == AHEAD
 
 
+def test_connection_that_is_not_admitted_is_closed_after_5_s(bench):
+    page = bench.open(1)
+    bench.wait(WAIT_MS - 1)
+    assert not page.closed
+    bench.wait(1)
+    assert page.closed == "no PIN came"
+
+
 def test_pages_are_limited_and_the_driver_comes_back_among_them(bench):
     driver = bench.drive(1)
     watching = [bench.join(number) for number in range(2, 2 + MAX_PAGES)]
