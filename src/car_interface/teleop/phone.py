@@ -208,7 +208,6 @@ class Phones:
 
     def mark_stale(self) -> None:
         """Take note that messages were dropped: nothing is known of any connection, so all begin anew."""
-        self._release()
         for page in list(self._pages.values()):
             self._close(page, "messages were dropped")
 

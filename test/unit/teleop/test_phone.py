@@ -253,6 +253,30 @@ def test_closed_connection_releases_at_once_and_a_reload_drives_by_its_key_and_a
     assert bench.controls == AHEAD
 
 
+def test_another_page_s_connection_of_the_same_number_is_not_the_driver_s(bench):
+    bench.drive(1)
+    bench.phones.disconnect(1)
+    page = bench.join(1)
+    page.echo("")
+    page.echo("manual")
+    assert bench.controls == NOTHING_HELD and page.status["driver"] == "another"
+
+
+def test_message_of_a_connection_that_is_not_known_closes_it(bench):
+    bench.phones.receive(77, "{}", bench.now_ns)
+    assert bench.phones.drain() == [(77, '{"closed":"unknown connection"}', True)]
+
+
+def test_echo_that_comes_after_a_loss_which_nobody_has_seen_yet_does_not_hide_it(bench):
+    page = bench.drive()
+    bench.wait(50)
+    page.echo("manual")
+    bench.wait(200)  # a newer token, and no echo
+    bench.now_ns += 50 * MS
+    page.echo("manual")
+    assert bench.controls == NOTHING_HELD and bench.phones.counts["loss"] == 1
+
+
 def test_dropped_messages_release_and_have_each_page_connect_again(bench):
     pages = [bench.drive(1), bench.join(2)]
     bench.phones.mark_stale()
@@ -457,7 +481,8 @@ def test_connections_that_send_nothing_make_room_and_disturb_no_driver(bench):
     for number in range(100, 300):
         bench.open(number)
     bench.deliver()
-    assert sum(not bench.pages[number].closed for number in range(100, 300)) == MAX_WAITING
+    assert [number for number in range(100, 300) if not bench.pages[number].closed] == [*range(292, 300)]
+    assert bench.phones.counts["too many connections"] == 192
     bench.wait(WAIT_MS - 1, driver)
     assert sum(not bench.pages[number].closed for number in range(100, 300)) == MAX_WAITING
     bench.wait(50, driver)
