@@ -153,7 +153,7 @@ def test_node_that_was_overruled_before_its_first_sign_of_life_waits_for_the_ans
 
 
 def test_half_a_message_of_a_guard_that_was_lost_is_no_part_of_the_next_one_s(watched):
-    watched.watch.receive(b"\x01", watched.now_ns)
+    watched.watch.receive(b"\x03", watched.now_ns)
     watched.watch.lose()
     watched.watch.start(watched.now_ns)
     watched.answer()

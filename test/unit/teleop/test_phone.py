@@ -293,7 +293,7 @@ def test_page_sends_150_messages_at_once_and_as_many_a_second(bench, later_ns, c
     assert not page.closed
     bench.now_ns += later_ns
     page.send(type="leave")
-    assert page.closed == closed
+    assert page.closed == closed and bench.phones.counts["too many messages"] == bool(closed)
 
 
 def test_tokens_are_sent_20_times_a_second_and_the_state_5_times(bench):
@@ -448,6 +448,7 @@ def test_guesses_are_limited_by_address_and_neither_others_nor_the_driver_s_key_
     right = bench.open(20)
     right.send(type="pin", pin=PIN)
     assert right.refused == ["too many wrong PINs from this address: wait 10 s"] and not right.key
+    assert (bench.phones.counts["wrong PIN"], bench.phones.counts["guess refused"]) == (GUESSES_AT_ONCE, 1)
     assert bench.join(21, "10.0.0.2").key
     bench.phones.disconnect(1)
     again = bench.open(22)
@@ -502,6 +503,7 @@ def test_pages_are_limited_and_the_driver_comes_back_among_them(bench):
     driver = bench.drive(1)
     watching = [bench.join(number) for number in range(2, 2 + MAX_PAGES)]
     assert [page.closed for page in watching] == [""] * (MAX_PAGES - 1) + [f"{MAX_PAGES} pages are open already"]
+    assert bench.phones.counts["too many pages"] == 1
     bench.phones.disconnect(1)
     bench.join(50)
     again = bench.open(51)
