@@ -28,8 +28,8 @@ settings.register_profile("few", settings.get_profile("car_interface"), max_exam
 settings.load_profile("car_interface")
 
 # What ``./dev test`` leaves out where it runs the same tests on a second Python: the mark, or one of these files.
-ONCE = ("test_documentation", "test_launch", "test_layering", "test_noise", "test_packaging", "test_run",
-        "test_safety_case", "test_set_up", "test_tally", "test_virtual_drives")
+ONCE = ("test_documentation", "test_layering", "test_noise", "test_packaging", "test_run", "test_safety_case",
+        "test_set_up", "test_tally", "test_virtual_drives")
 MARKS = ("once: takes long, and comes out the same with every Python: one of them is enough",
          "more: the same lines again; on a second Python with --all only",
          "browser: looks at a page in a real browser")

@@ -25,7 +25,8 @@ Next, type
   {env}; roslaunch car_interface demo.launch drive:=false
                                    and in a second terminal, to drive by hand, with the keys that it shows,
   {env}; rosrun car_interface keyboard_drive
-  {env}; roslaunch car_interface practice.launch
+  cp -r {config} ~/practice_car
+  {env}; roslaunch car_interface practice.launch config:=$HOME/practice_car
                                    and go on in {checkout}/docs/calibrate.md, Practise without a car:
                                    the car calibrates its own steering"""
 # An interrupted roslaunch ends its nodes in order, then the master. While it starts it may swallow the signal.
@@ -73,7 +74,8 @@ def report(folder: Path, since_s: float) -> None:
         print(f"  {'report':<32} {page}")
         checkout = Path(__file__).resolve().parents[1]
         env = f'eval "$({shlex.quote(str(checkout / "dev"))} env)"'
-        print(NEXT_STEPS.format(page=shlex.quote(page), env=env, checkout=checkout))
+        print(NEXT_STEPS.format(page=shlex.quote(page), env=env, checkout=checkout,
+                                config=shlex.quote(str(checkout / "config"))))
 
 
 if __name__ == "__main__":

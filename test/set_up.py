@@ -167,9 +167,23 @@ def apt_failure(update_log: str, install_log: str) -> str:
     unknown = re.findall(r"(?:Unable to locate package |Package ')([\w.+-]+)", install_log)
     if "dpkg was interrupted" in install_log:
         return "an earlier installation was interrupted: run 'sudo dpkg --configure -a', and try again"
+    refused = re.search(r"^(?:sudo: .*|.* is not in the sudoers file.*)$", install_log, re.MULTILINE)
+    if refused:
+        return f"no right to install packages ({refused[0]}): have an administrator of this computer run ./dev setup"
     if unknown:
         return f"apt has no package {', '.join(sorted(set(unknown)))} for this system; {WHERE_ROS_IS}"
     return "apt-get could not install the packages"
+
+
+def pip_failure(log: str, pinned: str) -> str:
+    """Return why pip could not install what a file of requirements names, and what to do about it, in one line."""
+    refused = re.search(r"DO NOT MATCH THE HASHES.*?\n\s+(\S+).*? from ", log, re.DOTALL)
+    if refused:
+        return (f"pip was given another file of {refused[1]} than the one that {pinned} names, and installed nothing; "
+                "without a reason for that don't trust the index or network")
+    if re.search("Temporary failure in name resolution|NewConnectionError|ConnectTimeoutError", log):
+        return f"pip could not fetch what {pinned} names: connect this computer to the network, and try again"
+    return f"pip could not install what {pinned} names"
 
 
 class SetUp:
@@ -354,12 +368,10 @@ class SetUp:
         if not self._run("pip", str(venv / "bin" / "python"), "-m", "pip", "install", "-q", "--no-deps",
                          "--disable-pip-version-check", "--require-hashes", "-r", str(pinned)):
             log = self._folder / "log" / "pip.log"
-            refused = re.search(r"DO NOT MATCH THE HASHES.*?\n\s+(\S+).*? from ", _text_of(log), re.DOTALL)
-            if refused:
-                raise _end(f"pip was given another file of {refused[1]} than the one that test/requirements/{kind}.txt "
-                           "names, and installed nothing; without a reason for that don't trust the index or network")
-            print(end_of_log(log, 40), f"  (all of it: {log})", sep="\n", file=sys.stderr)
-            raise _end(f"pip could not install what test/requirements/{kind}.txt names")
+            failure = pip_failure(_text_of(log), f"test/requirements/{kind}.txt")
+            if failure.startswith("pip could not install"):
+                print(end_of_log(log, 40), file=sys.stderr)
+            raise _end(failure)
         record.write_text(made_of, encoding="utf-8")
         return venv
 
@@ -369,7 +381,7 @@ class SetUp:
         with open(str(log), "wb") as file:
             done = subprocess.run(command, stdin=subprocess.DEVNULL, stdout=file, stderr=file, check=False)
         if done.returncode and shows:
-            print(end_of_log(log, 40), f"  (all of it: {log})", sep="\n", file=sys.stderr)
+            print(end_of_log(log, 40), file=sys.stderr)
         return not done.returncode
 
 

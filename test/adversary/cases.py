@@ -307,9 +307,22 @@ def random_case(seed: int) -> Case:
     until_s = rng.uniform(4.0, 7.0)
     (script.by_stick if rng.random() < 0.6 else script.by_planner)(until_s)
     faults = _random_faults(rng, script.segments)
-    return Case(str(seed), group, config, esc, car, script.segments, sorted(faults, key=lambda each: each.start_s),
+    segments = list(_with_small_values(random.Random(f"small values {seed}"), script.segments))
+    return Case(str(seed), group, config, esc, car, segments, sorted(faults, key=lambda each: each.start_s),
                 _random_odometry(rng), rng.uniform(0.3, 1.0),
                 cruise_mps=rng.choice((0.0, rng.uniform(0.2, 2.0))))
+
+
+def _with_small_values(rng, segments):
+    """The same, where half of a planner's zeros, and the ends of half of its reverses, are values in the dead band."""
+    for segment in segments:
+        value, is_small = segment.value, segment.gear and segment.value is not None and rng.random() < 0.5
+        if is_small and segment.want == COAST:
+            value = rng.uniform(0.02, 0.3)
+        elif is_small and segment.want == SECOND:
+            yield segment._replace(end_s=segment.end_s - rng.uniform(0.1, 0.4))
+            value = -rng.uniform(0.05, 0.45)
+        yield segment._replace(value=value)
 
 
 def _random_odometry(rng):

@@ -13,13 +13,13 @@ from typing import Iterable, NamedTuple, Sequence
 from adversary.car_model import CarSpec
 from adversary.cases import SWEEP_CASES, UNVERIFIED, Case, Odometry, Segment, random_case, sweep_case
 from adversary.esc_model import BBR, BTR, DIRECT, FORWARD_ONLY, KINDS, EscSpec
-from adversary.world import HIT, LOCKED, POWERED, RELEARNED, SLOWED, World
+from adversary.world import HIT, LOCKED, NO_STAMP, POWERED, RELEARNED, SLOWED, World
 
 ENDED_S = 0.5  # after odometry that shows it: a wrong kind's, and an ESC's that was powered anew
 # Wheels that a wall stops, or that lock, all at once: no rule can know before odometry shows it, or is half a second
 # old (esc/speed_timeout), and that the message, the timer, the board and the pulse have passed.
 STOOD_S, UNSEEN_S = 0.1, 0.6
-APART = ("no stamp", RELEARNED, POWERED, SLOWED, LOCKED, HIT)  # told apart, the first that applies
+APART = (NO_STAMP, RELEARNED, POWERED, SLOWED, LOCKED, HIT)  # told apart, the first that applies
 WORST = 12
 
 
@@ -42,7 +42,7 @@ class Found(NamedTuple):
 
     @property
     def is_failure(self) -> bool:
-        if self.apart in ("no stamp", RELEARNED, SLOWED):
+        if self.apart in (NO_STAMP, RELEARNED, SLOWED):
             return False
         if self.apart == POWERED or self.group == "wrong" and self.reversal.want != "stop":
             return not self.is_ended

@@ -59,7 +59,7 @@ STANDSTILL_MPS, HIT_MPS = 0.1, 0.05  # odometry that shows standstill; a wall th
 RECENT_NS = 1000 * MS  # a fault that ended so recently is named
 SUDDEN_NS = 300 * MS  # a brake that becomes reverse so soon after the wheels stopped all at once comes of that
 LOCKED, HIT, SLOWED = "locked", "hit a wall", "rolled forward to its end"
-POWERED, RELEARNED = "powered anew", "learned another neutral"
+POWERED, RELEARNED, NO_STAMP = "powered anew", "learned another neutral", "no stamp"
 PULL_MIN = 0.08  # esc/dead_band_reverse: a weaker pull moves nothing
 
 _INPUT, _ODOMETRY, _OUTPUT = range(3)
@@ -315,7 +315,8 @@ class World:
             arbiter.update_e_stop(segment.e_stop, now_ns)
         if segment.mode == AUTONOMOUS and segment.value is not None:
             if has_all and segment.gear:
-                cruise_mps = self.case.cruise_mps if segment.want in (DRIVE, HOLD, COAST) else 0.0
+                keeps_mps = -self.case.cruise_mps if segment.gear == "reverse" else self.case.cruise_mps
+                cruise_mps = 0.0 if segment.want == STOP else keeps_mps
                 arbiter.update_planner_state(segment.gear, None, now_ns, cruise_mps)
             control.update_planner(segment.value, now_ns)
         arbiter.update_teleop(segment.stick, now_ns)
@@ -386,7 +387,7 @@ class World:
         if odometry.delay_s > 0.05:
             named.add(f"odometry {math.ceil(odometry.delay_s * 10) / 10:.1f} s late")
         if not odometry.is_stamped and (odometry.delay_s > 0.05 or ODOMETRY_LATE in named):
-            named.add("no stamp")
+            named.add(NO_STAMP)
         if min(self.car.ahead_m - self.car.x_m, self.car.x_m - self.car.behind_m) < 0.01:
             named.add(WALL)
         return tuple(sorted(named))
@@ -397,7 +398,7 @@ class World:
         if self.car.wheel_mps <= ROLLS_MPS:
             if self.back and not self.driven_ns:
                 want, faults = self.back
-                self.back = want, tuple(sorted({*faults, *({LOCKED, HIT} & set(self._named(now_ns)))}))
+                self.back = want, tuple(sorted({*faults, *({LOCKED, HIT, NO_STAMP} & set(self._named(now_ns)))}))
             self.driven_ns += STEP_NS
         speed, arrived_ns = self.last_odometry
         if arrived_ns > self.back_ns and self.slightly_ns is None and speed < SLIGHTLY_MPS:

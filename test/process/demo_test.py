@@ -129,9 +129,10 @@ class TwoCarsDrive(unittest.TestCase):
                                 ("/joy", 500), ("/odom", 500), ("/teensy_clock", 20), ("/sonar/rear_left", 30)):
             self.assertGreater(counts.get(topic, 0), at_least, topic)
         # What a calibration would print of messages that it leaves out: "…: 3 messages with a stamp that doesn't rise".
-        # A few may be so where the computer was held up for seconds.
-        notes = load(path, PARTS[:2], optional=PARTS).notes
-        self.assertEqual([note for note in notes if not re.search(r": \d messages? with a stamp", note)], [], notes)
+        # Some may be so where the computer was held up for seconds.
+        for note in load(path, PARTS[:2], optional=PARTS).notes:
+            topic, left_out = re.match(r"(.+): (\d+) messages? with a stamp", note).groups()
+            self.assertLess(int(left_out), 0.2 * counts[f"/{topic}"], note)
         self.check_replay(path)
         self.check_report(path)
 

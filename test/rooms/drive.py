@@ -162,7 +162,7 @@ class Odometry:
     def arrive(self, control: ThrottleControl, now_ns: int) -> None:
         speed = self._speeds[0]
         self.speed_mps = speed * (1 + self._rng.gauss(0, 0.01)) + self._rng.gauss(0, 0.01) if speed else 0.0
-        control.update_odometry(self.speed_mps, now_ns, self._late * STEP_NS)
+        control.update_odometry(self.speed_mps, now_ns, max(MS, self._late * STEP_NS))
 
 
 class Hand:

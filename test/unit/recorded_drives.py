@@ -2,8 +2,6 @@
 
 They stay in the folder of temporary files, below a digest of the sources that make them, for a day.
 """
-from __future__ import annotations
-
 import functools
 import hashlib
 import os

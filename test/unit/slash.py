@@ -1,6 +1,4 @@
 """The calibration of a Traxxas Slash 4x4, as its owner published it; and how another car turns at speed."""
-from __future__ import annotations
-
 from car_interface.steering.calibration import SteeringCalibration
 
 PARAMETERS = {

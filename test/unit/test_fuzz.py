@@ -3,8 +3,6 @@
 The serial line's cases are pieces of the golden capture, changed, or bytes at random, read in pieces of random sizes: a
 million with CAR_INTERFACE_ALL. Parameters and the nodes' callbacks are fuzzed in test/graph/test_fuzz.py.
 """
-from __future__ import annotations
-
 import csv
 import io
 import math
@@ -12,7 +10,6 @@ import os
 import random
 import tempfile
 from itertools import product
-from pathlib import Path
 
 import pytest
 from hypothesis import example, given, settings
@@ -23,8 +20,8 @@ from car_interface.teensy.link import protocol
 from car_interface.teensy.link.framing import MAX_ON_LINE, FrameDecoder
 from car_interface.teensy.sensing.plausibility import Gates
 from car_interface.throttle.value_map import load_value_map
+from teensy_bench import CAPTURE
 
-CAPTURE = (Path(__file__).resolve().parents[1] / "data" / "capture_mixed.bin").read_bytes()
 SPECIAL = (0x7E, 0x7D, 0x5E, 0x5D, 0x00, 0xFF, 0x20)
 MARKER = bytes.fromhex("7e 01020600 006b11057b0000 f9 7e")  # from the capture: a sonar's report
 CASES = 1_000_000 if os.environ.get("CAR_INTERFACE_ALL") else 2000
@@ -63,7 +60,7 @@ def mutated(choose: random.Random) -> bytes:
 
 
 def test_line_fed_cases_made_of_the_capture_stays_in_order():
-    decoder, gates, seen = FrameDecoder(), Gates(), set()
+    decoder, at_once, gates, seen = FrameDecoder(), FrameDecoder(), Gates(), set()
     judges = {protocol.WheelStatus: gates.wheels, protocol.SonarStatus: gates.sonar,
               protocol.Pong: lambda pong: gates.pong(pong, is_ours=True)}
 
@@ -77,14 +74,17 @@ def test_line_fed_cases_made_of_the_capture_stays_in_order():
     for number in range(CASES):
         choose = random.Random(7 * 1_000_003 + number)
         data, size = mutated(choose), choose.choice((1, 3, 7, 64, 4096))
-        for start in range(0, len(data), size):
-            judge(decoder.feed(data[start:start + size]))
+        found = [body for start in range(0, len(data), size) for body in decoder.feed(data[start:start + size])]
+        judge(found)
+        assert found == at_once.feed(data) and decoder.tally == at_once.tally
         tally = decoder.tally
         assert decoder.pending <= MAX_ON_LINE
         assert tally.bytes_in == tally.frame_bytes + tally.flags + tally.noise_bytes + decoder.pending
         if choose.random() < 0.02:
             decoder.reset()
+            at_once.reset()
         found = decoder.feed(MARKER)
+        at_once.feed(MARKER)
         judge(found)
         assert found[-1] == MARKER[1:-2], number
     assert seen == {protocol.Pong, protocol.SonarStatus, protocol.WheelStatus, protocol.ErrorCount, protocol.Malformed}

@@ -1,6 +1,4 @@
 """Which folder imports which: downwards only, from scripts over nodes, ros and the parts to common."""
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -1,6 +1,4 @@
 """A short run of the noise measurement (accuracy/noise.py has the long one), and the calculation that it is held to."""
-from __future__ import annotations
-
 import os
 
 import pytest

@@ -1,4 +1,7 @@
-"""What catkin, rosrun, roslaunch and rosdep will find, as far as it can be checked without ROS."""
+"""What catkin, rosrun, roslaunch and rosdep will find, as far as it can be checked without ROS.
+
+Each argument of a launch file says what it is, and none is required that has a default.
+"""
 from __future__ import annotations
 
 import importlib.util
@@ -11,6 +14,8 @@ from xml.etree import ElementTree
 
 import pytest
 from mutate import imports
+
+from car_interface.common.fixed_parameters import FIXED, PARTS
 
 ROOT = Path(__file__).resolve().parents[2]
 CMAKE = (ROOT / "CMakeLists.txt").read_text(encoding="utf-8")
@@ -37,9 +42,13 @@ def name_of(path: Path) -> str:
     return path.relative_to(ROOT).as_posix()
 
 
+def root_of(path: Path) -> ElementTree.Element:
+    return ElementTree.parse(str(path)).getroot()
+
+
 def dependencies(*kinds: str) -> set[tuple[str, str]]:
     """Returns key and condition of each dependency of the given kinds in package.xml."""
-    package = ElementTree.parse(str(ROOT / "package.xml")).getroot()
+    package = root_of(ROOT / "package.xml")
     return {((tag.text or "").strip(), tag.get("condition", "")) for tag in package if tag.tag in kinds}
 
 
@@ -121,7 +130,7 @@ def test_package_declares_what_is_imported(paths, kind):
 
 @pytest.mark.parametrize("path", LAUNCH_FILES + NODE_TESTS, ids=name_of)
 def test_launch_file_starts_and_names_only_what_exists(path):
-    launch = ElementTree.parse(str(path))
+    launch = root_of(path)
     declared = {key for key, _ in dependencies("exec_depend")}
     for node in launch.iter("node"):
         if node.get("pkg") == "car_interface":
@@ -136,10 +145,62 @@ def test_launch_file_starts_and_names_only_what_exists(path):
 
 
 def test_every_node_has_a_launch_file():
-    started = {node.get("type") for path in LAUNCH_FILES for node in ElementTree.parse(str(path)).iter("node")}
+    started = {node.get("type") for path in LAUNCH_FILES for node in root_of(path).iter("node")}
     assert [script.name for script in SCRIPTS if script.name not in started | TOOLS] == []
 
 
 def test_every_node_test_is_run_by_a_test_file():
-    run = {test.get("type") for path in NODE_TESTS for test in ElementTree.parse(str(path)).iter("test")}
+    run = {test.get("type") for path in NODE_TESTS for test in root_of(path).iter("test")}
     assert {path.name for path in (ROOT / "test/process").glob("*_test.py")} == run
+
+
+# --- arguments of launch files ---
+
+ARGUMENTS = [(path.name, arg) for path in LAUNCH_FILES for arg in root_of(path).findall("arg")
+             if not arg.get("name").endswith("_is_refused")]
+
+
+@pytest.mark.parametrize("file, arg", ARGUMENTS, ids=[f"{file}:{arg.get('name')}" for file, arg in ARGUMENTS])
+def test_argument_has_a_short_doc_and_a_default(file, arg):
+    doc, default = arg.get("doc", ""), arg.get("default")
+    assert 0 < len(doc) <= 100 and doc == doc.strip() and not doc.endswith(".")
+    # `roslaunch --ros-args` lists an argument as required whose default is empty, or becomes so when evaluated.
+    assert default and not default.startswith("$(eval")
+
+
+@pytest.mark.parametrize("path", LAUNCH_FILES, ids=name_of)
+def test_included_file_declares_the_arguments_that_it_is_given(path):
+    for include in root_of(path).iter("include"):
+        (name,) = re.findall(r"\$\(find car_interface\)/launch/([\w.]+)$", include.get("file"))
+        declared = {arg.get("name") for file, arg in ARGUMENTS if file == name}
+        assert {arg.get("name") for arg in include.findall("arg")} <= declared
+
+
+def test_an_argument_of_one_name_has_the_same_default_in_every_file():
+    # A simulated car may have no files, the demo's port is the virtual Teensy's, car.launch expects a gamepad, and
+    # planner_interface.launch a planner.
+    differ = {"config", "port", "gamepad", "planner"}
+    defaults = {}
+    for _, arg in ARGUMENTS:
+        if arg.get("name") not in differ:
+            defaults.setdefault(arg.get("name"), set()).add(arg.get("default"))
+    assert {name: found for name, found in defaults.items() if len(found) > 1} == {}
+
+
+DEVICE_NODES = [(path.name, node) for path in LAUNCH_FILES for node in root_of(path).iter("node")
+                if node.get("type") in FIXED]
+
+
+@pytest.mark.parametrize("file, node", DEVICE_NODES, ids=[f"{file}:{node.get('type')}" for file, node in DEVICE_NODES])
+def test_node_gets_its_devices_as_arguments_as_well_as_by_parameters(file, node):
+    kind, text = node.get("type"), node.get("args")
+    given = re.findall(r"--([\w-]+) '([^']+)'", text)  # quoted: a path may have a space
+    assert " ".join(text.split()) == " ".join(f"--{name} '{value}'" for name, value in given)
+    names = {name for each in PARTS.get(kind, (kind,)) for name in FIXED[each]}
+    assert {name.replace("-", "_") for name, _ in given} == names
+    values = {param.get("name"): param.get("value") for param in root_of(ROOT / "launch" / file).iter("param")}
+    assert {name.replace("-", "_"): value for name, value in given} == {name: values[name] for name in names}
+
+
+def test_each_node_that_opens_a_device_is_started_so():
+    assert {node.get("type") for _, node in DEVICE_NODES} == set(FIXED)

@@ -1,6 +1,4 @@
 """test/run.py: which tests run, how many at a time, and what becomes of one that hangs."""
-from __future__ import annotations
-
 import configparser
 import signal
 import subprocess

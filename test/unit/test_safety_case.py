@@ -1,6 +1,4 @@
 """test/safety_case.py: what ``./dev lint`` refuses of the safety case."""
-from __future__ import annotations
-
 import pytest
 import safety_case
 from safety_case import DATA, PAGE, faults, load, page

@@ -1,6 +1,4 @@
 """test/tally.py: what the results in a step's folder count as."""
-from __future__ import annotations
-
 import pytest
 from tally import Tally, tally
 

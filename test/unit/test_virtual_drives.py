@@ -3,8 +3,6 @@
 Samples; with CAR_INTERFACE_ALL 1,000 planners on 20 cars, and 20 calibration drives of 20 s each, of which
 test/graph/test_calibration_drive.py has one.
 """
-from __future__ import annotations
-
 import os
 import random
 

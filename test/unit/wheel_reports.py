@@ -1,15 +1,11 @@
 """Reports of wheels, spelled out, and what a gate makes of them."""
-from __future__ import annotations
-
 import math
-from pathlib import Path
 
 from car_interface.teensy.link.protocol import FORWARD, NO_DIRECTION, SonarStatus, Wheel, WheelStatus
 from car_interface.teensy.sensing.plausibility import Gates
 
 PULSE_M = math.pi * 0.095 / 20
 HARM_M = 0.10
-CAPTURE = (Path(__file__).resolve().parents[1] / "data" / "capture_mixed.bin").read_bytes()
 NEW = Wheel(0, NO_DIRECTION, 0, 0, 0)
 START_MS = 50_000
 

@@ -133,6 +133,16 @@ def odometry(time_s: float, x_m=0.0, y_m=0.0, yaw_rad=0.0, speed_mps=0.0, topic=
         "twist": {"twist": {"linear": {"x": speed_mps}}}})
 
 
+def output(time_s: float, *duties: float, topic="/servo/output") -> Written:
+    """The duties of the servo board's first channels; the others have none."""
+    return Written(time_s, topic, "std_msgs/Int32MultiArray", {
+        "data": [*map(round, duties), *[-1] * (16 - len(duties))]})
+
+
+ANGLE, STAMPED_ANGLE = "ackermann_msgs/AckermannDrive", "ackermann_msgs/AckermannDriveStamped"
+ACKERMANN = [(ANGLE, "\n".join(f"float32 {name}" for name in (
+    "steering_angle", "steering_angle_velocity", "speed", "acceleration", "jerk"))),
+    (STAMPED_ANGLE, f"std_msgs/Header header\n{ANGLE} drive")]
 NO_HUMAN, NEUTRAL, TELEOP, PLANNER = 1, 2, 3, 4
 SPEED_MPS, RADIUS_M = 1.5, 2.0
 HOSTILE = '<script>document.title = "owned"</script> & "quotes" </svg>'

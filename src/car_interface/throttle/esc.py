@@ -69,6 +69,7 @@ FIRST_PULL = 0.15
 # Such a push slows a car that rolls backward by less than 1.5 m/s² (a quarter of a Slash's 5.6 m/s²), which doesn't
 # turn it round between two reports of the speed.
 GENTLE = 0.25
+PULSE_S = 0.02  # the least push comes in pulses of this length: the period of the ESC's
 
 
 class EscDecision(NamedTuple):
@@ -105,6 +106,7 @@ class Esc:
         self._hill = HillWatch()
         self._saw_speed_in_reverse = False
         self._brakes_since_ns = 0  # when the present strength of the brake began
+        self._owed_s = 0.0  # the time of the least push that pulses have yet to give
         self._lagging_pull, self._finished_ns = 0.0, 0  # the fraction by which a lagging motor still brakes, and when
 
     @property
@@ -128,7 +130,7 @@ class Esc:
     def step(self, request: Request, now_ns: int) -> EscDecision:
         """Return what the ESC gets from now on. Call it on every change, and at 20 Hz at least."""
         passes = self.config.calibration_drive and request.is_human and request.gear != DRIVE
-        value = self._value_of(request, passes)
+        value = self._value_of(request, passes, now_ns)
         if self._history.resume(now_ns):
             self._brakes_since_ns = now_ns
         if self._state == REVERSE and self._fraction < 0:
@@ -188,14 +190,40 @@ class Esc:
 
     # --- requests ---
 
-    def _value_of(self, request, keeps_small):
-        """Return the request's value, clamped to −1..1; 0 in the dead band, where the ESC may see a pull or neutral.
+    def _value_of(self, request, keeps_small, now_ns):
+        """Return the request's value, clamped to −1..1; in the dead band 0, or pulses of the least push.
 
         With ``keeps_small`` such values pass, so that a calibration drive finds where the car sets off.
         """
         value = max(-1.0, min(1.0, request.value))
         is_beyond = value >= self.config.dead_band_forward or value <= -self.config.dead_band_reverse
-        return value if is_beyond or keeps_small else 0.0
+        return value if is_beyond or keeps_small else self._pulsed(value, request, now_ns)
+
+    def _pulsed(self, value, request, now_ns):
+        """Return the least push as often as gives a small value on average; 0 where a planner doesn't keep a speed.
+
+        An ESC with a drag brake slows the car in neutral and drives it by the least push. Odometry is late at a crawl,
+        so a speed control that changes between both only when it sees the speed change lets the speed swing.
+        """
+        keeps_speed = value * request.cruise_mps > 0 and not request.is_human and not request.is_stop
+        if not (keeps_speed and self._keeps_driving(value, now_ns)):
+            self._owed_s = 0.0
+            return 0.0
+        least = self.config.dead_band_forward if value > 0 else -self.config.dead_band_reverse
+        elapsed_s = (now_ns - self._finished_ns) / NS_PER_S
+        # This many seconds of the least push are due: what was asked for, less what the ESC had since the last step.
+        owed_s = self._owed_s + (value - self._fraction) / least * elapsed_s
+        self._owed_s = max(-PULSE_S, min(PULSE_S, owed_s))
+        return least if self._owed_s > 0.0 else 0.0
+
+    def _keeps_driving(self, value, now_ns):
+        """Return whether the car rolls, and a push that follows neutral drives it on at once."""
+        if not self._motion.is_fresh(now_ns):
+            return False
+        if value > 0:
+            return self._motion.rolls_forward(now_ns)
+        return (self._motion.rolls_backward(now_ns) and self.config.profile in (BRAKE_THEN_REVERSE, UNVERIFIED)
+                and self._history.is_unlocked(now_ns))
 
     def _pass(self, value, now_ns):
         """Return a person's request as it is, for a calibration drive."""

@@ -55,9 +55,11 @@ class EscConfig:
         "esc/dwell", 0.5, "neutral of this length lets the ESC change to reverse", "s", low=0.1, high=0.5)
     # Not less than the ESC's own dead band. BARC's XL-5 takes 1451 to 1513 µs for neutral, which is ±0.07.
     dead_band_forward: float = declared.number(
-        "esc/dead_band_forward", 0.08, "smaller requests are given as neutral", low=0.02, high=0.3)
+        "esc/dead_band_forward", 0.08, "smaller requests are given as neutral, or [in pulses](throttle.md#downhill)",
+        low=0.02, high=0.3)
     dead_band_reverse: float = declared.number(
-        "esc/dead_band_reverse", 0.08, "smaller requests are given as neutral", low=0.02, high=0.3)
+        "esc/dead_band_reverse", 0.08, "smaller requests are given as neutral, or [in pulses](throttle.md#downhill)",
+        low=0.02, high=0.3)
     # Traxxas' and Tamiya's ESCs never forget. Cheap ones, and HPI's SC-15WP, do after some seconds.
     reverse_after_neutral_s: float = declared.number(
         "esc/reverse_after_neutral", 0.0, "so long in neutral after driving, and the ESC takes the first pull for "

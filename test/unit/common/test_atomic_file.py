@@ -1,6 +1,4 @@
 """Files are replaced in one step, with mode and backup, and whatever happens nothing else is left."""
-from __future__ import annotations
-
 import errno
 import os
 import signal
@@ -16,6 +14,13 @@ from car_interface.common.atomic_file import replace
 from car_interface.common.yaml_edit import save
 
 ROOT = Path(__file__).resolve().parents[3]
+
+
+def failing(number):
+    """What an operation of the system does that fails with this errno."""
+    def fail(*_, **__):
+        raise OSError(number, os.strerror(number))
+    return fail
 
 
 @pytest.fixture
@@ -123,9 +128,7 @@ def test_files_of_others_are_left_alone(path):
 
 
 def test_file_system_without_links_keeps_the_old_file_too(path, monkeypatch):
-    def refused(*_, **__):
-        raise PermissionError(errno.EPERM, "Operation not permitted")
-    monkeypatch.setattr(atomic_file.os, "link", refused)
+    monkeypatch.setattr(atomic_file.os, "link", failing(errno.EPERM))
     monkeypatch.setattr(atomic_file.time, "strftime", lambda _: "now")
     for index in range(2):
         replace(str(path), b"%d" % index, keeps_old=True)
@@ -143,13 +146,8 @@ def test_backup_has_mode_and_time_of_the_old_file(path):
 # --- a full disk ---
 
 def test_copy_that_fails_on_a_file_system_without_links_leaves_nothing_behind(path, monkeypatch):
-    def refused(*_, **__):
-        raise PermissionError(errno.EPERM, "Operation not permitted")
-
-    def full(*_, **__):
-        raise OSError(errno.ENOSPC, "No space left on device")
-    monkeypatch.setattr(atomic_file.os, "link", refused)
-    monkeypatch.setattr(atomic_file.shutil, "copyfileobj", full)
+    monkeypatch.setattr(atomic_file.os, "link", failing(errno.EPERM))
+    monkeypatch.setattr(atomic_file.shutil, "copyfileobj", failing(errno.ENOSPC))
     with pytest.raises(OSError, match="No space left"):
         replace(str(path), b"new", keeps_old=True)
     assert path.read_bytes() == b"old" and os.listdir(path.parent) == ["a.yaml"]
@@ -158,15 +156,10 @@ def test_copy_that_fails_on_a_file_system_without_links_leaves_nothing_behind(pa
 @pytest.mark.parametrize("call, keeps_old", [
     ("fsync", False), ("fsync", True), ("fchmod", False), ("link", True), ("replace", False), ("replace", True)])
 def test_failure_at_any_step_leaves_nothing_behind(path, monkeypatch, call, keeps_old):
-    done = []
-
-    def fail(*_, **__):
-        done.append(call)
-        raise OSError(errno.ENOSPC, "No space left on device")
-    monkeypatch.setattr(atomic_file.os, call, fail)
+    monkeypatch.setattr(atomic_file.os, call, failing(errno.ENOSPC))
     with pytest.raises(OSError, match="No space left"):
         replace(str(path), b"new", keeps_old)
-    assert len(done) == 1 and path.read_bytes() == b"old" and os.listdir(path.parent) == ["a.yaml"]
+    assert path.read_bytes() == b"old" and os.listdir(path.parent) == ["a.yaml"]
 
 
 def test_file_that_may_not_grow_is_not_half_written(tmp_path):

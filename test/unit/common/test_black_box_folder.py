@@ -1,6 +1,4 @@
 """The black box's folder: names, the newest, and what goes when it is full."""
-from __future__ import annotations
-
 import os
 
 import pytest

@@ -1,6 +1,4 @@
 """The cause constants and their sets."""
-from __future__ import annotations
-
 from car_interface.common import causes
 
 CONSTANTS = {name: value for name, value in vars(causes).items() if name.isupper()}

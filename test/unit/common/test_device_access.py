@@ -1,6 +1,4 @@
 """Why a device refuses its user, and what gives access; modes, groups and users are made up."""
-from __future__ import annotations
-
 import grp
 import os
 import pwd

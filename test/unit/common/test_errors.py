@@ -1,6 +1,4 @@
 """The errors: each message is one line."""
-from __future__ import annotations
-
 import pytest
 
 from car_interface.common.errors import ConfigError

@@ -1,6 +1,4 @@
 """Locks on single bytes of a file, between processes."""
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

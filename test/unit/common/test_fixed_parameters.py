@@ -1,6 +1,4 @@
 """What a launch file gives to a process itself, and which parameters are refused because of it."""
-from __future__ import annotations
-
 import pytest
 
 from car_interface.common.errors import ConfigError

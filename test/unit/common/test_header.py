@@ -1,6 +1,4 @@
 """The header of a computer, by the model that its kernel names."""
-from __future__ import annotations
-
 import os
 
 import pytest

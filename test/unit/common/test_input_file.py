@@ -1,6 +1,4 @@
 """Files that people write: what is refused before it is read, and which texts are numbers."""
-from __future__ import annotations
-
 import os
 import socket
 

@@ -1,6 +1,4 @@
 """Tuning while the car drives: what a request may change, and how fast. Time is passed in."""
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

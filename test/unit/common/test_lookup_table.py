@@ -1,6 +1,4 @@
 """Lookup tables and rounding: what a table answers, which tables are refused, and which way a half goes."""
-from __future__ import annotations
-
 import math
 from decimal import ROUND_HALF_UP, Decimal
 from fractions import Fraction

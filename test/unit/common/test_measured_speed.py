@@ -84,10 +84,12 @@ def test_what_is_no_speed_makes_it_lost_and_leaves_the_last(speed_mps, is_lost):
     assert measured.is_lost(now_ns + MS) and "messages were dropped" in measured.lost_reason(now_ns)
 
 
-def test_a_jump_after_a_silence_is_no_acceleration():
+def test_after_a_silence_a_jump_is_no_acceleration_and_a_car_that_was_stopped_meanwhile_stands():
     measured, now_ns = fed([1.0, 1.0])
     measured.update(5.0, now_ns + 2 * S)
     assert measured.highest_mps(now_ns + 2 * S) == 5.0
+    measured.update(0.0, now_ns + 3 * S)
+    assert measured.magnitude_mps == 0.0
 
 
 def test_no_acceleration_beyond_what_tyres_do_is_believed():
@@ -112,12 +114,6 @@ def test_a_fall_is_believed_that_a_tyre_and_noise_can_make_and_else_the_car_slid
 def test_a_hard_brake_is_believed_and_counts_as_fast_as_it_was_measured():
     measured, now_ns = fed([5.0 - 9.0 * 0.02 * index for index in range(20)])
     assert measured.magnitude_mps == measured.highest_mps(now_ns) == pytest.approx(5.0 - 9.0 * 0.38)
-
-
-def test_a_car_that_was_stopped_while_odometry_was_away_stands():
-    measured, now_ns = fed([5.0, 5.0])
-    measured.update(0.0, now_ns + S)
-    assert measured.magnitude_mps == 0.0
 
 
 @pytest.mark.parametrize("late_ms, gained_mps", [(0, 0.0), (20, 0.0), (150, 6.0 * 0.13), (300, 6.0 * 0.28)])

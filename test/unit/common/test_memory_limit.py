@@ -1,6 +1,4 @@
 """A process whose memory is limited takes less of it, or ends with one line that says so."""
-from __future__ import annotations
-
 import errno
 import os
 import resource

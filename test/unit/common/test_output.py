@@ -1,6 +1,4 @@
 """Where results are written: what is refused, and what becomes of an old file."""
-from __future__ import annotations
-
 import os
 
 import pytest

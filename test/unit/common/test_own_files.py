@@ -1,6 +1,4 @@
 """In a folder that everybody can write to nothing but this user's own files is used."""
-from __future__ import annotations
-
 import errno
 import multiprocessing
 import os

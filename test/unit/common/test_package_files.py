@@ -1,6 +1,4 @@
 """Where the package's own files are, in a checkout and where it is installed."""
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

@@ -1,6 +1,4 @@
 """Which processes have a device open."""
-from __future__ import annotations
-
 import os
 
 import pytest

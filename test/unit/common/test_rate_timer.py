@@ -1,6 +1,4 @@
 """The periodic timer. Time is passed in."""
-from __future__ import annotations
-
 import pytest
 
 from car_interface.common.rate_timer import RateTimer

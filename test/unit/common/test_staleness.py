@@ -1,6 +1,4 @@
 """How long ago an input was timed. Time is a number that's passed in; nothing here waits."""
-from __future__ import annotations
-
 import math
 
 import pytest

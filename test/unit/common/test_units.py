@@ -1,6 +1,4 @@
 """Stamps and orientations of rospy's messages and of rosbags', which name their fields differently; duties."""
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 

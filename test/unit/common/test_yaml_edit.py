@@ -1,6 +1,4 @@
 """Values saved back to YAML: what changes in the file, what does not, and when nothing is touched at all."""
-from __future__ import annotations
-
 import os
 import re
 from pathlib import Path

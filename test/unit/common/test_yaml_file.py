@@ -1,6 +1,4 @@
 """The YAML files that are read, and those that are refused before anything is built of them, in one line."""
-from __future__ import annotations
-
 import os
 
 import pytest

@@ -1,6 +1,4 @@
 """Lines that are drawn over on a terminal, and only those that stay elsewhere."""
-from __future__ import annotations
-
 import io
 import sys
 

@@ -1,6 +1,4 @@
 """Running a module without site packages and without the user's environment."""
-from __future__ import annotations
-
 import os
 import subprocess
 

@@ -128,25 +128,13 @@ def test_chip_that_already_runs_so_is_neither_put_to_sleep_nor_interrupted(runni
 
 
 @pytest.mark.parametrize("changes, transfers", [
-    ({0: CENTER}, [6]), ({15: CENTER}, [6]), ({1: 10, 2: 20, 9: 90}, [10, 6]),
+    ({0: CENTER}, [6]), ({15: 4096}, [6]), ({1: 10, 2: 4095, 9: 90}, [10, 6]),
     ({channel: 100 + channel for channel in range(16)}, [34, 34]), ({}, []),
 ], ids=["first", "last", "neighbours_and_a_distant_one", "all", "none"])
 def test_changes_of_neighbours_are_one_transfer_and_the_others_are_left_alone(running, changes, transfers):
     running.board.write(changes)
     assert running.transfers == transfers
     assert running.high_counts() == running.board.held == [changes.get(channel, 0) for channel in range(16)]
-
-
-@pytest.mark.parametrize("counts, registers", [
-    pytest.param(0, [0, 0, 0, 0x10], id="none_is_the_full_off_bit"),
-    pytest.param(4096, [0, 0x10, 0, 0], id="all_is_the_full_on_bit"),
-    pytest.param(4095, [0, 0, 0xFF, 0x0F], id="one_less_is_a_pulse"),
-])
-def test_ends_of_the_range_are_written_as_bits(running, counts, registers):
-    running.board.write({0: 4096 - counts})
-    running.board.write({0: counts})
-    assert running.high_counts()[0] == counts
-    assert running.chip.read(LED0_ON_L, 4) == registers
 
 
 def test_all_off_is_one_transfer_and_does_not_sleep(running):

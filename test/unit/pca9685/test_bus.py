@@ -20,27 +20,24 @@ def chips(*addresses):
     return {address: VirtualPca9685() for address in addresses}
 
 
-def choose(buses, taken=(), header=ORIN, address=0x40):
+def choose(buses, taken=(), address=0x40):
     computer = Computer(buses, taken)
     try:
-        return choose_bus(header, address, computer.make_bus)
+        return choose_bus(ORIN, address, computer.make_bus)
     finally:
         assert computer.open == set() and computer.written == []
 
 
 # --- the header's bus ---
 
-def test_board_is_found_on_the_header_s_bus_and_what_a_driver_has_on_the_other_is_left_alone():
-    """Bus 1 of an Orin Nano has a power monitor at 0x40, which i2cdetect shows as UU."""
-    assert choose({MAIN: chips(0x40), OTHER: {0x40: Ina3221()}}, taken=[(OTHER, 0x40)]) == MAIN
-
-
-def test_fault_of_the_second_bus_keeps_nobody_from_the_board_on_the_first():
-    assert choose({MAIN: chips(0x40), OTHER: errno.EACCES}) == MAIN
-
-
-def test_board_on_pins_27_and_28_is_found_at_its_address():
-    assert choose({MAIN: chips(0x41), OTHER: chips(0x60)}, address=0x60) == OTHER
+@pytest.mark.parametrize("buses, taken, address, found", [
+    # Bus 1 of an Orin Nano has a power monitor at 0x40, which i2cdetect shows as UU.
+    ({MAIN: chips(0x40), OTHER: {0x40: Ina3221()}}, [(OTHER, 0x40)], 0x40, MAIN),
+    ({MAIN: chips(0x40), OTHER: errno.EACCES}, (), 0x40, MAIN),
+    ({MAIN: chips(0x41), OTHER: chips(0x60)}, (), 0x60, OTHER),
+], ids=["beside_what_a_driver_has_on_the_other", "whatever_is_wrong_with_the_other", "on_pins_27_and_28"])
+def test_board_is_found_on_the_bus_where_it_answers_at_its_address(buses, taken, address, found):
+    assert choose(buses, taken, address) == found
 
 
 def test_boards_on_both_buses_are_named_and_neither_is_taken():

@@ -2,17 +2,9 @@
 
 import pytest
 
+from car_interface.pca9685 import supervisor as events
 from car_interface.pca9685.board import Board, BoardMismatch
-from car_interface.pca9685.supervisor import (
-    ABSENT,
-    DISCONNECTED,
-    FOREIGN,
-    FOUND,
-    MISMATCH,
-    RETRIED,
-    RUNNING,
-    BoardSupervisor,
-)
+from car_interface.pca9685.supervisor import BoardSupervisor
 from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
 
 MS = 1_000_000
@@ -73,7 +65,7 @@ def bench():
 @pytest.fixture
 def running(bench):
     bench.update(NEUTRAL)
-    assert bench.events == [FOUND, RUNNING] and bench.supervisor.running
+    assert bench.events == [events.FOUND, events.RUNNING] and bench.supervisor.running
     assert bench.pulses() == bench.supervisor.held == NEUTRAL
     bench.events.clear()
     bench.writes.clear()
@@ -89,23 +81,29 @@ def test_what_did_not_change_is_not_written_and_the_chip_is_read_twice_a_second(
     assert len(running.writes) == 1 and running.events == []
 
 
-def test_two_failures_close_the_bus_which_is_opened_again_after_100_ms_with_the_newest_target(running):
+def test_two_failures_close_the_bus_which_is_opened_again_after_100_ms_or_at_once_on_request_with_the_newest_target(
+        running):
     running.bus.nacks_left = 2
     running.update(LEFT, 1)
-    assert running.events == [RETRIED, DISCONNECTED] and running.supervisor.tally.errors == 2
+    assert running.events == [events.RETRIED, events.DISCONNECTED] and running.supervisor.tally.errors == 2
     assert running.supervisor.held == [None] * 16 and running.closed == 1
     running.update(NEUTRAL, 99)
     assert not running.supervisor.running
     running.update(NEUTRAL, 1)
     assert running.supervisor.running and running.pulses() == NEUTRAL
     assert running.supervisor.tally.reopenings == 1
+    running.bus.nacks_left = 2
+    running.update(LEFT, 1)
+    running.supervisor.retry_now()
+    running.update(NEUTRAL)
+    assert running.pulses() == NEUTRAL
 
 
 def test_pauses_between_attempts_double_to_2_s_until_the_board_was_there_and_are_100_ms_from_then_on(bench):
     bench.bus.chips.pop(ADDRESS)
     bench.update(NEUTRAL)
     assert [bench.update_when_due(NEUTRAL) for _ in range(7)] == [100, 200, 400, 800, 1600, 2000, 2000]
-    assert bench.events == [ABSENT] * 8 and bench.supervisor.tally.errors == 8
+    assert bench.events == [events.ABSENT] * 8 and bench.supervisor.tally.errors == 8
     assert not bench.supervisor.ever_ran
     bench.bus.chips[ADDRESS] = bench.chip
     bench.update_when_due(NEUTRAL)
@@ -121,18 +119,18 @@ def test_what_the_chip_holds_is_known_before_it_is_written_anew(running):
     running.on_event = lambda event: found.append((event, running.supervisor.held))
     running.chip.power_up()
     running.update_when_due(NEUTRAL)
-    assert found == [(MISMATCH, NEUTRAL), (FOUND, [0] * 16)] and running.pulses() == NEUTRAL
+    assert found == [(events.MISMATCH, NEUTRAL), (events.FOUND, [0] * 16)] and running.pulses() == NEUTRAL
     running.update(LEFT, 1)
     running.supervisor = running.another_supervisor()
     found.clear()
     running.update(NEUTRAL, 1)
-    assert found == [(FOUND, LEFT), (RUNNING, NEUTRAL)]
+    assert found == [(events.FOUND, LEFT), (events.RUNNING, NEUTRAL)]
 
 
 def test_channel_that_another_program_wrote_is_reported_and_written_anew_or_known_after_reading_back(running):
     running.chip.write(0x06, [0, 0, 0, 0x08])
     running.update_when_due(NEUTRAL)
-    assert running.events == [FOREIGN]
+    assert running.events == [events.FOREIGN]
     assert running.pulses() == NEUTRAL
     assert running.supervisor.tally.foreign_writes == 1
     running.chip.write(0x06, [0, 0, 0, 0x08])
@@ -153,7 +151,7 @@ def test_repetition_after_a_failure_writes_what_is_wanted_by_then(running):
         raise TimeoutError(110, "Connection timed out")
     running.chip.write = fail_slowly
     running.update(lambda: wanted[0], 1)
-    assert running.events == [RETRIED]
+    assert running.events == [events.RETRIED]
     assert running.pulses() == wanted[0]
     assert LEFT[0] not in [write[2][2] + 256 * write[2][3] for write in running.writes]
 
@@ -161,7 +159,7 @@ def test_repetition_after_a_failure_writes_what_is_wanted_by_then(running):
 def test_chip_that_does_not_keep_its_prescale_counts_as_absent(bench):
     bench.chip.write = lambda register, data: None
     bench.update(NEUTRAL)
-    assert bench.events == [ABSENT]
+    assert bench.events == [events.ABSENT]
     with pytest.raises(BoardMismatch, match="MODE1 is 0x11 and PRE_SCALE 30, not 0x20 and 121"):
         bench.supervisor.open(lambda: NEUTRAL, NOW)
 
@@ -173,14 +171,6 @@ def test_all_off_is_repeated_once_and_tells_whether_it_worked(running):
     running.bus.nacks_left = 2
     assert not running.supervisor.all_off(NOW)
     assert not running.supervisor.all_off(NOW)
-
-
-def test_retry_now_makes_the_next_attempt_at_once(running):
-    running.bus.nacks_left = 2
-    running.update(LEFT, 1)
-    running.supervisor.retry_now()
-    running.update(NEUTRAL)
-    assert running.pulses() == NEUTRAL
 
 
 def test_close_closes_the_bus_once_and_without_one_does_nothing(running):

@@ -4,8 +4,6 @@ Numbers by hand, wheelbase 0.3 m. The tangent of 45° is 1 and that of 0.4636476
 and 0.6 m. Gears as autoware_vehicle_msgs counts them. Twists by REP-103: x forward, counterclockwise positive. A car
 that rolls backward with its wheels to the right turns counterclockwise: its tail swings right, its nose left.
 """
-from __future__ import annotations
-
 import math
 
 import pytest

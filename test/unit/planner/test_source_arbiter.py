@@ -1,6 +1,4 @@
 """One source at a time; silence; the others by name."""
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -34,21 +32,15 @@ def test_newest_command_is_obeyed_and_the_reason_says_it_in_words(command, sourc
     assert received(command, source).decide(MS) == (causes.PLANNER, reason, command, radius_m)
 
 
-def test_silent_source_has_no_request_from_its_timeout_on():
+def test_silent_source_has_no_request_from_its_timeout_on_and_is_obeyed_at_once_when_it_comes_back():
     arbiter = received(at_ns=S)
     assert arbiter.silent_at_ns(S) == S + 500 * MS + 1
     assert arbiter.decide(S + 500 * MS).request == LEFT
     decision = arbiter.decide(arbiter.silent_at_ns(S + 100 * MS))
     assert decision == (causes.PLANNER_STALE, "drive silent for 0.50 s", None, 0.0)
     assert arbiter.silent_at_ns(S + 600 * MS) == math.inf
-
-
-def test_source_that_comes_back_is_obeyed_at_once():
-    arbiter = received()
-    assert arbiter.decide(10 * S).request is None
     arbiter.update(LEFT, 11 * S)
-    assert arbiter.decide(11 * S).request == LEFT
-    assert arbiter.age_s(12 * S) == 1.0
+    assert arbiter.decide(11 * S).request == LEFT and arbiter.age_s(12 * S) == 1.0
 
 
 def test_refusal_is_no_request_and_is_counted():

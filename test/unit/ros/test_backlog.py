@@ -1,6 +1,4 @@
 """When a thread that comes late, or whose step lasts, has stood still; a busy computer's delays don't count."""
-from __future__ import annotations
-
 import pytest
 
 pytest.importorskip("rospy")

@@ -1,6 +1,4 @@
 """What a node says never holds it up, whoever takes it or doesn't."""
-from __future__ import annotations
-
 import subprocess
 import sys
 

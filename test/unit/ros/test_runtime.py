@@ -1,6 +1,4 @@
 """How often refused parameters are read again, and when that is logged."""
-from __future__ import annotations
-
 import pytest
 
 pytest.importorskip("rospy")

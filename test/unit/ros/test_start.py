@@ -1,6 +1,4 @@
 """Every script answers --help without a ROS master; a node's doesn't need rospy."""
-from __future__ import annotations
-
 import importlib.util
 import re
 import runpy

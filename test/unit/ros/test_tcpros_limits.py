@@ -18,8 +18,8 @@ from std_srvs.srv import SetBool, SetBoolResponse
 
 from car_interface.ros import tcpros_limits
 from car_interface.ros.tcpros_limits import MessageTooLong, limit_connections, read_header
+from loopback import PATIENCE_S, eventually
 
-PATIENCE_S = 20.0
 MAX_MESSAGE_SIZE = 300_000  # in here
 FOUR_GIB = struct.pack("<I", 0xffffffff)
 SUBSCRIBER = {"topic": "/steering", "md5sum": String._md5sum, "type": String._type, "callerid": "/board"}
@@ -77,7 +77,7 @@ class Server:
         self.server.shutdown()
         for connection in [*self.peers, *(connection for connection, _ in self.taken)]:
             connection.close()
-        wait_until(lambda: not tcpros_limits._handshakes._waiting)
+        eventually(lambda: not tcpros_limits._handshakes._waiting)
 
 
 @pytest.fixture
@@ -99,13 +99,6 @@ def header_of(caller="/board", **fields):
     return encode_ros_handshake_header({**SUBSCRIBER, "callerid": caller, **fields})
 
 
-def wait_until(is_true):
-    until = time.monotonic() + PATIENCE_S
-    while not is_true():
-        assert time.monotonic() < until
-        time.sleep(0.002)
-
-
 def is_closed(peer):
     peer.setblocking(False)
     try:
@@ -124,7 +117,7 @@ def log_lines(caplog):
 
 def only_line(caplog):
     """What the terminal shows, once it shows something."""
-    wait_until(lambda: log_lines(caplog))
+    eventually(lambda: log_lines(caplog))
     line, = log_lines(caplog)
     assert "\n" not in line
     return line
@@ -145,13 +138,13 @@ def test_silent_and_slow_peers_hold_up_nobody_and_are_dropped_after_a_second_wit
     slow = server.connect()
     server.connect(encode_ros_handshake_header({"service": "/save", "md5sum": "*", "callerid": "/tool"}))
     subscriber = server.connect(header_of())
-    wait_until(lambda: sorted(server.names()) == ["/board", "/tool"])
+    eventually(lambda: sorted(server.names()) == ["/board", "/tool"])
     with pytest.raises(OSError):  # the server closes it before its end, which would take 20 s
         for byte in header_of("/slow"):
             slow.sendall(bytes([byte]))
             time.sleep(0.1)
     assert time.monotonic() - began_s > tcpros_limits.HANDSHAKE_S - 0.1
-    wait_until(lambda: all(map(is_closed, waiting)))
+    eventually(lambda: all(map(is_closed, waiting)))
     line = only_line(caplog)
     assert "Inbound TCP/IP connection failed: 127.0.0.1:" in line and "sent no whole header within 1 s" in line
     assert len(server.taken) == 2 and not is_closed(subscriber)
@@ -161,7 +154,7 @@ def test_header_in_pieces_is_taken_and_what_follows_it_is_left_on_a_connection_w
     peer = server.connect()
     for byte in header_of() + b"the request":
         peer.sendall(bytes([byte]))
-    wait_until(server.names)
+    eventually(server.names)
     (connection, header), = server.taken
     assert connection.gettimeout() is None and header == SUBSCRIBER
     assert connection.recv(11, socket.MSG_WAITALL) == b"the request"
@@ -172,7 +165,7 @@ def test_header_in_pieces_is_taken_and_what_follows_it_is_left_on_a_connection_w
     (b"\x08\0\0\0\x04\0\0\0\xff=\xff\xff", "sends no TCPROS header")], ids=["4 GiB", "not UTF-8"])
 def test_what_is_no_header_ends_its_connection_with_one_line(server, caplog, data, text):
     peer = server.connect(data)
-    wait_until(lambda: is_closed(peer))
+    eventually(lambda: is_closed(peer))
     line = only_line(caplog)
     assert line.startswith("Inbound TCP/IP connection failed: 127.0.0.1:") and text in line
 
@@ -185,7 +178,7 @@ def test_refusal_reaches_the_peer_and_the_log(server, caplog, header, error):
     server.server.topic_connection_handler = lambda *_: "this topic has another type"
     peer = server.connect(header)
     assert read_header(peer) == {"error": error}
-    wait_until(lambda: is_closed(peer))
+    eventually(lambda: is_closed(peer))
     line = only_line(caplog)
     assert line.startswith("Could not process inbound connection of /tool at 127.0.0.1:") and error in line
 
@@ -205,9 +198,9 @@ def test_error_of_a_handler_or_of_accepting_costs_one_connection_at_most(server,
     server.server.topic_connection_handler = fail
     tcp.server_sock = SimpleNamespace(accept=accept, fileno=listening.fileno, close=listening.close)
     first = server.connect(header_of("/first"))  # the accept that waits already takes this
-    wait_until(lambda: is_closed(first))
+    eventually(lambda: is_closed(first))
     server.connect(header_of("/second"))
-    wait_until(lambda: server.names() == ["/second"])
+    eventually(lambda: server.names() == ["/second"])
     assert any("Too many open files" in record.getMessage() for record in caplog.records)
 
 
@@ -260,7 +253,7 @@ def test_publisher_without_a_header_is_tried_again_after_one_line(listener, subs
     if first is None:
         publisher.close()
     with accept(listener, PUBLISHER + string("left")):
-        wait_until(lambda: subscription.messages == ["left"])
+        eventually(lambda: subscription.messages == ["left"])
         assert subscription.transport.socket.gettimeout() is None
     assert first is None or is_closed(publisher)
     line = log_lines(caplog)[0]
@@ -275,8 +268,8 @@ def test_after_a_message_that_is_too_long_or_none_rospy_connects_again(listener,
                                                                      length):
     publisher = accept(listener, PUBLISHER + data)
     with accept(listener, PUBLISHER + string("left")):  # of the first connection nothing is taken for this header
-        wait_until(lambda: subscription.messages == [*before, "left"])
-        wait_until(lambda: is_closed(publisher))
+        eventually(lambda: subscription.messages == [*before, "left"])
+        eventually(lambda: is_closed(publisher))
     if length:
         line = log_lines(caplog)[0]
         assert line.startswith("/steering: 127.0.0.1:") and f"announces a message of {length} bytes" in line
@@ -284,7 +277,7 @@ def test_after_a_message_that_is_too_long_or_none_rospy_connects_again(listener,
 
 def test_message_of_the_longest_length_arrives(listener, subscription):
     with accept(listener, PUBLISHER + string("x" * (MAX_MESSAGE_SIZE - 4))):
-        wait_until(lambda: [len(text) for text in subscription.messages] == [MAX_MESSAGE_SIZE - 4])
+        eventually(lambda: [len(text) for text in subscription.messages] == [MAX_MESSAGE_SIZE - 4])
 
 
 def test_publisher_that_does_not_answer_still_counts_as_one_and_one_that_has_ended_does_not(listener):
@@ -326,7 +319,7 @@ def test_service_answers_and_a_request_of_4_gib_closes_the_connection_with_one_l
         response, = peer.receive_once()
         assert response.success and response.message == "done"
     peer.socket.sendall(FOUR_GIB + b"x")
-    wait_until(lambda: is_closed(peer.socket))
+    eventually(lambda: is_closed(peer.socket))
     line = only_line(caplog)
     assert line.startswith("/save: ") and ": 127.0.0.1:" in line
     assert "announces a message of 4294967295 bytes" in line
@@ -352,7 +345,7 @@ def test_answer_of_4_gib_fails_the_call(listener, ok, size):
     with pytest.raises(MessageTooLong, match=r"127\.0\.0\.1:.* announces a message of 4294967295 bytes"):
         client.receive_once()
     thread.join()
-    wait_until(lambda: is_closed(connections[0]))
+    eventually(lambda: is_closed(connections[0]))
     assert isinstance(MessageTooLong(), rospy.ServiceException)  # what a caller expects
 
 

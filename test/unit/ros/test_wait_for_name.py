@@ -1,12 +1,8 @@
 """When a node may register a name that another node may have, asked of servers that answer as master and nodes do."""
-from __future__ import annotations
-
 import socket
-import threading
-from contextlib import contextmanager
-from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
+from processes import free_port
 
 pytest.importorskip("rosgraph")
 
@@ -24,6 +20,7 @@ from car_interface.ros.wait_for_name import (
     NameWait,
     own_name,
 )
+from loopback import serving
 
 HERE = "127.0.0.1 (this computer)"
 NOBODY, NONE = Holder(FREE), Holder(NO_MASTER)
@@ -77,20 +74,6 @@ def test_silence_is_counted_from_the_last_answer():
     assert not wait.may_register
 
 
-@contextmanager
-def serving(**methods):
-    with SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False) as server:
-        for name, method in methods.items():
-            server.register_function(method, name)
-        thread = threading.Thread(target=server.serve_forever, args=(0.01,))
-        thread.start()
-        try:
-            yield f"http://127.0.0.1:{server.server_address[1]}/"
-        finally:
-            server.shutdown()
-            thread.join()
-
-
 def master(node_uri):
     """The methods of a master that knows /turn_arb at an address, or no node at all."""
     def lookup(caller, name):
@@ -104,12 +87,6 @@ def node(name):
     return {**methods, "getName": lambda caller: (1, "", name)} if name else methods
 
 
-def refusing():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"http://127.0.0.1:{probe.getsockname()[1]}/"
-
-
 @pytest.fixture(autouse=True)
 def impatience(monkeypatch):
     monkeypatch.setattr(xmlrpc_calls, "ANSWER_WITHIN_S", 30.0)  # of servers in threads on a busy computer
@@ -121,9 +98,13 @@ def holder(node_uri):
         return NameLookup("/turn_arb", master_uri).holder()
 
 
-def test_name_is_free_that_the_master_does_not_know_or_whose_process_was_killed():
-    assert holder("") == holder(refusing()) == Holder(FREE)
-    assert NameLookup("/turn_arb", refusing()).holder() == Holder(NO_MASTER)
+def test_name_is_free_unless_its_node_accepts_and_does_not_answer_or_is_on_an_unknown_computer(monkeypatch):
+    assert holder("") == holder(f"http://127.0.0.1:{free_port()}/") == Holder(FREE)
+    assert NameLookup("/turn_arb", f"http://127.0.0.1:{free_port()}/").holder() == Holder(NO_MASTER)
+    monkeypatch.setattr(xmlrpc_calls, "ANSWER_WITHIN_S", 1.0)
+    with socket.create_server(("127.0.0.1", 0)) as frozen:
+        assert holder(f"http://127.0.0.1:{frozen.getsockname()[1]}/") == Holder(SILENT, HERE)
+    assert holder("http://no-such-computer.invalid:1/") == Holder(SILENT, "no-such-computer.invalid")
 
 
 @pytest.mark.parametrize("name, expected", [
@@ -132,13 +113,6 @@ def test_name_is_free_that_the_master_does_not_know_or_whose_process_was_killed(
 def test_node_that_answers_is_running_if_it_has_that_name(name, expected):
     with serving(**node(name)) as uri:
         assert holder(uri) == expected
-
-
-def test_node_that_accepts_and_does_not_answer_or_is_on_an_unknown_computer_is_silent(monkeypatch):
-    monkeypatch.setattr(xmlrpc_calls, "ANSWER_WITHIN_S", 1.0)
-    with socket.create_server(("127.0.0.1", 0)) as frozen:
-        assert holder(f"http://127.0.0.1:{frozen.getsockname()[1]}/") == Holder(SILENT, HERE)
-    assert holder("http://no-such-computer.invalid:1/") == Holder(SILENT, "no-such-computer.invalid")
 
 
 def test_node_is_asked_when_the_master_is_gone():

@@ -15,17 +15,10 @@ import pytest
 from car_interface.common.own_files import UnsafeFile
 from car_interface.nodes.pca9685 import small_process
 from car_interface.sim.chip_link import ANSWER, FAULT, LOG, READ, REQUEST, WRITE, ChipLink
+from loopback import PATIENCE_S, eventually
 
 ADDRESS = 0x40
 AWAKE = b"\x20"
-PATIENCE_S = 30.0
-
-
-def eventually(condition):
-    deadline_s = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.005)
 
 
 @pytest.fixture

@@ -12,15 +12,12 @@ from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
 from teensy_bench import MS, Bench, S, framed_for_the_receiver, message, ping, wheel_reports
 
 
-def test_captured_frames_built_anew_are_the_captured_bytes():
+def test_captured_frames_built_anew_and_a_boot_with_an_old_clock_are_the_captured_bytes():
     frames = teensy_bench.CAPTURED[1:]
     assert (len(teensy_bench.CAPTURE), len(frames)) == (22999, 795)
     for frame in frames:
         wire = b"\x7e" + frame_body(bytes.fromhex(frame["raw"])) + b"\x7e"
         assert wire == teensy_bench.CAPTURE[frame["start"] : frame["end"] + 1], frame["n"]
-
-
-def test_boot_with_an_old_clock_sends_the_capture_s_first_42_bytes():
     # The first wheel report waits already while the boot frame is closed, so they share a flag.
     assert Bench(clock_start_ms=31400).until(10 * MS).sent == teensy_bench.CAPTURE[:42]
 

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from car_interface.common.errors import ConfigError
 from car_interface.sim.drive_train import DriveTrainConfig
 from car_interface.sim.teensy_wheels import FORWARD, LEFT, RIGHT
 from car_interface.sim.tyres import TyreConfig
@@ -164,3 +165,12 @@ def test_a_brake_beyond_the_grip_locks_the_wheels_it_slides_straight_on_and_make
     assert vehicle.speed_mps == pytest.approx(4.0 - 0.5 * 3.0, abs=0.01)
     drive(vehicle, 0.3, 4500, NEUTRAL)
     assert not vehicle.slides and vehicle.pose.yaw_rad > turning
+
+
+@pytest.mark.parametrize("kind, name, value, accepted", [
+    (SteeringConfig, "curve", ((4000, 1.0), (3900, 0.0)), "rising duty, falling 1/m"),
+    (VehicleConfig, "track_m", 3.0, "inside the tightest turn"),
+])
+def test_impossible_config_is_refused(kind, name, value, accepted):
+    with pytest.raises(ConfigError, match=f"{name} is .*; accepted: .*{accepted}"):
+        kind(**{name: value})

@@ -1,6 +1,4 @@
 """A gamepad's messages as requests. Time is passed in."""
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -90,6 +88,7 @@ def test_gamepad_that_was_never_received_or_is_stale_holds_no_deadman():
     dropped = gamepad_at_rest()
     dropped.mark_stale()
     assert dropped.requests(NOW)[3:5] == (causes.JOY_STALE, "joy was not heard since messages were dropped")
+    assert requests([0.5, 0.5], NONE).mode == requests([0.5, 0.5], AUTONOMOUS, age_s=1.0).mode == "manual"
 
 
 @pytest.mark.parametrize("third_mode, buttons, steering, throttle, mode", [
@@ -105,11 +104,6 @@ def test_third_deadman_shares_the_driving(third_mode, buttons, steering, throttl
     read = requests([0.5, 0.25], buttons, third_button=2, third_mode=third_mode)
     assert (read.human_in_loop, read.steering, read.throttle, read.mode) == (True, steering, throttle, mode)
     assert read.reason.startswith(f"{mode} deadman held")
-
-
-def test_without_a_deadman_the_mode_is_the_human_s():
-    assert requests([0.5, 0.5], NONE).mode == "manual"
-    assert requests([0.5, 0.5], AUTONOMOUS, age_s=1.0).mode == "manual"
 
 
 @pytest.mark.parametrize("human, cause, holds", [

@@ -1,6 +1,4 @@
 """A gamepad's device, as a named pipe with the bytes that the kernel sends."""
-from __future__ import annotations
-
 import errno
 import os
 import sys

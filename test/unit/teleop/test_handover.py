@@ -1,6 +1,4 @@
 """Whose requests count: the gamepad's or the phone's. Each change from one to the other passes through a stop."""
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace
@@ -96,7 +94,6 @@ def test_change_of_the_driver_passes_through_a_stop_and_the_gamepad_goes_first(s
 
 
 def test_no_row_of_touches_has_a_source_drive_on_from_the_other_without_a_stop():
-    """Each row of six changes: between the gamepad's requests and the phone's there is one without a human."""
     for row in itertools.product(("pad", "phone"), repeat=6):
         bench, before = Bench(), STOPPED
         for name in row:

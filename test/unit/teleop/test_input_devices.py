@@ -1,6 +1,4 @@
 """The kernel's list of input devices, and which gamepad in it is read."""
-from __future__ import annotations
-
 import os
 
 import pads
@@ -34,16 +32,13 @@ def test_what_lacks_a_gamepads_buttons_or_two_sticks_is_none(model):
     assert parse_pads(listed(model, 5), 64) == []
 
 
-def test_words_of_a_32_bit_process_are_half_as_long():
-    text = listed(F710_X, 5).replace("7cdb000000000000 0 0 0 0", "7cdb0000 0 0 0 0 0 0 0 0 0")
-    assert parse_pads(text, 32) == parse_pads(listed(F710_X, 5), 64)
-
-
-def test_list_is_the_kernels_and_a_computer_without_one_has_no_gamepad(tmp_path, monkeypatch):
+def test_list_is_the_kernels_also_of_a_32_bit_process_and_a_computer_without_one_has_no_gamepad(tmp_path, monkeypatch):
     monkeypatch.setattr(input_devices, "DEVICES", str(tmp_path / "devices"))
     assert find_pads() == []
     (tmp_path / "devices").write_text(listed(KEYBOARD, 0) + listed(pads.F710_X, 5), encoding="utf-8")
     assert [found.name for found in find_pads()] == [F710_X.name]
+    text = listed(F710_X, 5).replace("7cdb000000000000 0 0 0 0", "7cdb0000 0 0 0 0 0 0 0 0 0")
+    assert parse_pads(text, 32) == parse_pads(listed(F710_X, 5), 64)
 
 
 @pytest.mark.parametrize("device", [ANY, "/dev/input/event5", "/dev/input/js0"])

@@ -1,6 +1,4 @@
 """Keys as steering, throttle and deadmen. Time is passed in."""
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st

@@ -1,6 +1,4 @@
 """Which changes of the gamepad's requests are logged. Time is passed in."""
-from __future__ import annotations
-
 from car_interface.common import causes
 from car_interface.teleop.gamepad import Requests, RequestsLogFilter
 

@@ -1,6 +1,4 @@
 """One stick: whether its axis counts, and whether it overrides the planner. Time is passed in."""
-from __future__ import annotations
-
 import math
 
 import pytest

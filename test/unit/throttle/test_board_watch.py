@@ -7,18 +7,13 @@ import pytest
 from car_interface.common import causes
 from car_interface.common.declared import read
 from car_interface.common.params import Params
+from car_interface.common.units import one_channel
 from car_interface.throttle.board_watch import BoardConfig, BoardWatch
 
 MS = 1_000_000
 S = 1000 * MS
 TICK = 10 * MS
 CENTER, LEFT = 5100, 3818
-
-
-def vector(duty, channel=0):
-    duties = [-1] * 16
-    duties[channel] = duty
-    return duties
 
 
 class Car:
@@ -43,7 +38,7 @@ class Car:
             if kind == "state":
                 self.watch.update_command(self.channel, value, at)
             else:
-                self.watch.update_output(vector(value, self.channel), at)
+                self.watch.update_output(one_channel(self.channel, value), at)
         self._arrivals = [a for a in self._arrivals if a[0] > self.now]
         trouble = self.watch.trouble(self.now)
         self.troubles.append(trouble and trouble.cause)
@@ -173,7 +168,7 @@ def test_stalls_of_the_arbiter_excuse_nothing(stall_ms):
         for _ in range(stall_ms // 10):  # messages arrive meanwhile
             car.now += TICK
             car.watch.update_command(0, LEFT, car.now)
-            car.watch.update_output(vector(CENTER), car.now)
+            car.watch.update_output(one_channel(0, CENTER), car.now)
     assert car.now - begun_ns <= 500 * MS + stall_ms * MS + 2 * TICK
 
 

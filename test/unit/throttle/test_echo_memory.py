@@ -62,7 +62,7 @@ def test_a_place_at_another_cone_s_edge_stands_for_its_neighbours_outside_of_tha
     assert car.meets() == before_m
 
 
-def test_it_stays_where_it_is_while_the_car_drives_on():
+def test_it_stays_where_it_is_while_the_car_drives_on_for_a_second_at_most_without_any_report():
     car = Car()
     car.sees(1.0)
     before_m = car.meets()
@@ -70,6 +70,8 @@ def test_it_stays_where_it_is_while_the_car_drives_on():
     assert car.meets() == pytest.approx(before_m - 0.5, abs=0.001)
     car.drive(-0.8)
     assert car.meets() == pytest.approx(before_m + 0.3, abs=0.001)
+    car.memory.move(0.5, 0.0, car.now_ns + 60 * S)
+    assert car.meets() == pytest.approx(before_m + 0.3 - 0.5, abs=0.001)
 
 
 def test_the_next_echo_of_the_same_thing_stands_for_it():
@@ -149,14 +151,6 @@ def test_what_stands_beside_the_car_is_in_the_way_of_its_body_alone_without_the_
         point.x_m, point.y_m = 0.25, 0.168
     assert car.meets(0.0, sonar="front_left") is None
     assert car.meets(1.0, sonar="front_left") is not None
-
-
-def test_a_car_without_any_report_for_long_is_moved_on_for_no_more_than_a_second():
-    car = Car()
-    car.sees(1.5)
-    before_m = car.meets()
-    car.memory.move(0.5, 0.0, 60 * S)
-    assert car.meets() == pytest.approx(before_m - 0.5)
 
 
 @pytest.mark.once

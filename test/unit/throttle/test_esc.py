@@ -432,6 +432,38 @@ def test_car_that_a_hill_rolls_backward_is_armed_again_after_a_second_of_neutral
     assert car.stop(0.3, speed=-0.7).state == ARMING
 
 
+def small_pushes(value, cruise_mps, speed_mps, profile=SEQUENCE, **changes):
+    """What the ESC gets of a small value for two seconds, forward or, after two pulls, backward."""
+    car = Car(profile)
+    if value < 0:
+        pulled_twice(car, 0.0)
+        car.ask(Request(-0.3, REVERSE_GEAR, is_centered=True), 1.5, -0.3)
+    else:
+        car.planner(0.3, 0.5, 0.3)
+    request = Request(value, REVERSE_GEAR if value < 0 else DRIVE, is_centered=True, cruise_mps=cruise_mps)
+    return [car.ask(request._replace(**changes), speed=speed_mps).fraction for _ in range(100)]
+
+
+@pytest.mark.parametrize("value", [0.01, 0.03, 0.04, 0.07, -0.01, -0.05])
+def test_push_in_the_dead_band_by_which_a_planner_keeps_a_speed_comes_in_pulses_of_the_least_push(value):
+    sign = math.copysign(1.0, value)
+    fractions = small_pushes(value, sign * 0.3, sign * 0.3)
+    assert set(fractions) == {0.0, sign * 0.08}
+    assert sum(fractions) / len(fractions) == pytest.approx(value, abs=0.0017)
+
+
+@pytest.mark.parametrize("value, cruise_mps, speed_mps, changes", [
+    pytest.param(0.04, 0.0, 0.3, {}, id="no_speed_is_kept"),
+    pytest.param(0.04, 0.3, 0.3, {"is_human": True}, id="a_person_drives"),
+    pytest.param(0.04, 0.3, 0.3, {"is_stop": True}, id="it_stops"),
+    pytest.param(0.04, 0.3, 0.0, {}, id="it_stands"),
+    pytest.param(0.04, -0.3, 0.3, {}, id="the_speed_is_the_other_way"),
+    pytest.param(-0.04, -0.3, -0.3, {"profile": TURNS}, id="each_neutral_costs_this_esc_its_dwell")])
+def test_push_in_the_dead_band_is_neutral_where(value, cruise_mps, speed_mps, changes):
+    profile = changes.pop("profile", SEQUENCE)
+    assert not any(small_pushes(value, cruise_mps, speed_mps, profile, **changes)[5:])
+
+
 def brakes_downhill(profile, speed, cruise=0.3, age_ms=20, is_stop=False, value=-1.0, **config):
     """What a whole brake becomes where the car got faster in neutral; its speed doesn't change meanwhile."""
     car = Car(profile, **config)
@@ -502,8 +534,8 @@ def test_backward_downhill_a_planner_s_car_is_braked_by_a_gentle_push_while_it_r
     pulled_twice(car, 0.0)
     request = Request(-0.3, REVERSE_GEAR, is_centered=True, cruise_mps=cruise)
     car.ask(request, 0.5, speed + 0.05)
-    car.ask(request._replace(value=-0.02), 0.3, speed + 0.05)
-    car.ask(request._replace(value=-0.02), 0.1, speed)  # it gets faster in neutral
+    car.ask(request._replace(value=0.0), 0.3, speed + 0.05)
+    car.ask(request._replace(value=0.0), 0.1, speed)  # it gets faster in neutral
     car.now_ns += 20 * MS
     car.noise = 0.0
     car.measure(speed, age_ms * MS)

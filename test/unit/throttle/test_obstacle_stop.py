@@ -9,13 +9,7 @@ from car_interface.common import causes
 from car_interface.common.declared import read
 from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
-from car_interface.throttle.obstacle_stop import (
-    Mount,
-    ObstacleConfig,
-    ObstacleStop,
-    Outline,
-    stopping_speed_mps,
-)
+from car_interface.throttle.obstacle_stop import Mount, ObstacleConfig, ObstacleStop, Outline, stopping_speed_mps
 
 MS, S = 1_000_000, 1_000_000_000
 BRAKE, DRAG = 1.5, 0.3  # m/s²

@@ -37,35 +37,42 @@ MANUAL, AUTONOMOUS, THIRD = range(3)
 NOBODY, BY_HAND, BY_PLANNER = (), (MANUAL,), (AUTONOMOUS,)
 
 
-def send(messages, at_ns, message):
-    """Have a message arrive, and none before another that was sent before it."""
-    messages.append((max(messages[-1][0] if messages else 0, at_ns), message))
+class Topic:
+    """Messages in order, each late by itself."""
 
+    def __init__(self, rng, max_ms, deliver):
+        self._rng, self._max_ms, self._deliver = rng, max_ms, deliver
+        self._messages = collections.deque()  # (when it arrives, message)
+        self.is_cut = False
 
-def arrived(messages, now_ns):
-    """Return those that have arrived by now."""
-    found = []
-    while messages and messages[0][0] <= now_ns:
-        found.append(messages.popleft()[1])
-    return found
+    def send(self, message, now_ns):
+        if not self.is_cut:
+            earliest_ns = self._messages[-1][0] if self._messages else 0
+            self._messages.append((max(earliest_ns, now_ns + self._rng.randrange(1, self._max_ms) * MS), message))
+
+    def tick(self, now_ns):
+        while self._messages and self._messages[0][0] <= now_ns:
+            self._deliver(self._messages.popleft()[1], now_ns)
 
 
 class Chip:
-    """The servo board's output for the ESC, and what it says of it."""
+    """The servo board's output for the ESC, and what it reports of it."""
 
-    def __init__(self, rng, esc):
-        self._rng, self._esc = rng, esc
-        self.neutral = count_duty(esc.neutral_duty)
-        self.duty = self.neutral
-        self._commands, self._messages = collections.deque(), collections.deque()
-        self._newest, self._command_ns = self.neutral, 0
-        self._published, self._published_ns = None, 0
+    def __init__(self, rng, esc, report):
+        self._esc = esc
+        self.neutral = self.duty = self._newest = count_duty(esc.neutral_duty)
+        self._commands, self._reports = Topic(rng, 10, self._obey), Topic(rng, 60, report)
+        self._command_ns = self._published_ns = 0
+        self._published = None
 
     def command(self, fraction, now_ns):
         duty = self._esc.neutral_duty + abs(fraction) * self._full(fraction > 0)
-        self._commands.append((now_ns + self._rng.randrange(1, 10) * MS, count_duty(duty)))
+        self._commands.send(count_duty(duty), now_ns)
 
-    def fraction(self, duty):
+    def _obey(self, duty, now_ns):
+        self._newest, self._command_ns = duty, now_ns
+
+    def _fraction(self, duty):
         forward = duty > self._esc.neutral_duty
         return (duty - self._esc.neutral_duty) / self._full(forward) * (1 if forward else -1)
 
@@ -74,31 +81,12 @@ class Chip:
         return (esc.full_forward_duty if forward else esc.full_reverse_duty) - esc.neutral_duty
 
     def tick(self, now_ns):
-        """Return what arrives at the node now."""
-        while self._commands and self._commands[0][0] <= now_ns:
-            self._command_ns, self._newest = self._commands.popleft()
+        self._commands.tick(now_ns)
         self.duty = self.neutral if now_ns - self._command_ns > 250 * MS else self._newest
         if self.duty != self._published or now_ns - self._published_ns >= 1000 * MS:
             self._published, self._published_ns = self.duty, now_ns
-            send(self._messages, now_ns + self._rng.randrange(1, 60) * MS, self.fraction(self.duty))
-        return arrived(self._messages, now_ns)
-
-
-class Topic:
-    """Messages in order, each late by itself."""
-
-    def __init__(self, rng, max_ms, deliver):
-        self._rng, self._max_ms, self._deliver = rng, max_ms, deliver
-        self._messages = collections.deque()
-        self.is_cut = False
-
-    def send(self, message, now_ns):
-        if not self.is_cut:
-            send(self._messages, now_ns + self._rng.randrange(1, self._max_ms) * MS, message)
-
-    def tick(self, now_ns):
-        for message in arrived(self._messages, now_ns):
-            self._deliver(message, now_ns)
+            self._reports.send(self._fraction(self.duty), now_ns)
+        self._reports.tick(now_ns)
 
 
 class Drive:
@@ -112,13 +100,13 @@ class Drive:
             starts_ready=rng.random() < 0.3)
         self.virtual = virtual.VirtualEsc(esc, rng.randrange(20) * MS)
         self.car = EscCar()
-        self.chip = Chip(rng, esc)
         profile = UNVERIFIED if rng.random() < 0.3 else esc.kind
         calibrates = profile == UNVERIFIED and rng.random() < 0.3
         self.control = ThrottleControl(
             THROTTLE, ThrottleArbiterConfig(),
             EscConfig(profile=profile, profile_measured=profile != UNVERIFIED and rng.random() < 0.5,
                       calibration_drive=calibrates))
+        self.chip = Chip(rng, esc, self.control._esc.update_held)
         arbiter = self.control.arbiter
         self.gamepad = Gamepad(GamepadConfig(0, 1, MANUAL, AUTONOMOUS, third_button=THIRD))
         throttle_ms = PROMPT_MS if calibrates else LATE_MS if rng.random() < 0.3 else THROTTLE_MS
@@ -163,8 +151,7 @@ class Drive:
         control = self.control
         for topic in (self.throttle, self.mode, self.human):
             topic.tick(now_ns)
-        for fraction in self.chip.tick(now_ns):
-            control._esc.update_held(fraction, now_ns)
+        self.chip.tick(now_ns)
         self.car.step(TICK_NS / S, self.virtual.step(self.chip.duty, now_ns, self.car.wheel_mps))
         if now_ns % (20 * MS) == 0:
             control.arbiter.update_steering(TELEOP, "", now_ns)

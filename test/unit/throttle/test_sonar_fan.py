@@ -27,23 +27,17 @@ def along(curvature_per_m, way_m):
     return math.sin(turn_rad) / curvature_per_m, (1 - math.cos(turn_rad)) / curvature_per_m, turn_rad
 
 
-@pytest.mark.parametrize(("x_m", "y_m", "is_backward", "distance_m"), [
-    (1.4, 0.0, False, 1.0), (1.4, 0.19, False, 1.0), (1.4, -0.19, False, 1.0), (1.4, 0.21, False, None),
-    (0.4, 0.0, False, 0.0), (-1.0, 0.0, False, None), (0.0, 0.0, False, None), (-1.1, 0.0, True, 1.0),
-    (1.1, 0.0, True, None)])
-def test_straight_on_it_is_the_way_to_the_bumper_within_the_width_and_a_margin(x_m, y_m, is_backward, distance_m):
-    found_m = Arc(0.0, is_backward, CAR, SIDE_M).distance_m(x_m, y_m)
-    assert found_m == (None if distance_m is None else pytest.approx(distance_m))
-
-
-@pytest.mark.parametrize("x_m, y_m, distance_m", [
+@pytest.mark.parametrize(("x_m", "y_m", "curvature_per_m", "is_backward", "distance_m"), [
+    (1.4, 0.0, 0.0, False, 1.0), (1.4, 0.19, 0.0, False, 1.0), (1.4, -0.19, 0.0, False, 1.0),
+    (1.4, 0.21, 0.0, False, None), (0.4, 0.0, 0.0, False, 0.0), (-1.0, 0.0, 0.0, False, None),
+    (0.0, 0.0, 0.0, False, None), (-1.1, 0.0, 0.0, True, 1.0), (1.1, 0.0, 0.0, True, None),
     # By hand: on 1 m to the left the front's outer corner is √(1.2² + 0.4²) = 1.265 m from the turn's centre, (0, 1).
-    pytest.param(0.0, -0.25, math.acos(1.2 / 1.25), id="beside_the_axle"),
-    pytest.param(0.5, -0.1456, None, id="behind_the_corner_s_way"),
-    pytest.param(0.0, -0.3, None, id="beyond_the_corner"),
+    pytest.param(0.0, -0.25, 1.0, True, math.acos(1.2 / 1.25), id="beside_the_axle_as_the_front_swings_out"),
+    pytest.param(0.5, -0.1456, 1.0, True, None, id="behind_the_corner_s_way"),
+    pytest.param(0.0, -0.3, 1.0, True, None, id="beyond_the_corner"),
 ])
-def test_front_that_swings_out_while_the_car_reverses_touches_what_is_beside_it(x_m, y_m, distance_m):
-    found_m = Arc(1.0, True, CAR, SIDE_M).distance_m(x_m, y_m)
+def test_it_is_the_way_until_bumper_or_flank_with_a_margin_touch(x_m, y_m, curvature_per_m, is_backward, distance_m):
+    found_m = Arc(curvature_per_m, is_backward, CAR, SIDE_M).distance_m(x_m, y_m)
     assert found_m == (None if distance_m is None else pytest.approx(distance_m))
 
 

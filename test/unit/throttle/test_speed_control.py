@@ -29,8 +29,6 @@ DISTURBED = {
     "values_30_percent_too_large": {"value_map": wrong_map(1.0, 1.3)},
     "values_30_percent_too_small": {"value_map": wrong_map(1.0, 0.7)},
 }
-# On this one drag brake and slope are about even: pushes and neutral alternate.
-ROLLS = "5_percent_downhill"
 
 IS_ALL = bool(os.environ.get("CAR_INTERFACE_ALL"))
 HELD_S = 64.0 if IS_ALL else 11.0
@@ -60,26 +58,21 @@ def test_speed_is_reached_in_time_without_overshoot_and_held(disturbance, target
 def test_0_3_mps_is_held_without_a_stall(disturbance):
     samples = SpeedRig(**DISTURBED[disturbance]).run(HELD_S, SpeedRequest(0.3))
     assert overshoot(samples[:300], 0.3) < 0.10
-    if disturbance == ROLLS:
-        assert all(0.264 < sample.speed_mps < 0.336 for sample in samples[200:])
-    else:
-        assert min(sample.speed_mps for sample in samples[200:]) > 0.27
-        assert abs(mean_error(samples[200:], 0.3)) < 0.03
+    assert min(sample.speed_mps for sample in samples[200:]) > 0.27
+    assert abs(mean_error(samples[200:], 0.3)) < 0.03
 
 
 @pytest.mark.once
 @pytest.mark.parametrize("hill, car, sign", sample(
-    3, ((0.05, 0.3, 0.12), (0.05, 1.0, 0.12), (0.08, 1.0, 0.2)), ((0.0, 0.05), (0.1, 0.15)), (1, -1)))
+    3, ((0.05, 0.3, 0.12), (0.05, 1.0, 0.12), (0.08, 1.0, 0.2)),
+    ((0.0, 0.05), (0.05, 0.02), (0.1, 0.15), (0.1, 0.02)), (1, -1)))
 def test_speed_is_held_downhill(hill, car, sign):
     (slope, speed_mps, within), (drag_brake, lag_s) = hill, car
     rig = SpeedRig(slope=-sign * slope, esc=xl5(drag_brake=drag_brake), is_measured=True, lag_s=lag_s)
     rig.car.speed_mps = 0.0  # it was held until now
     samples = rig.run(13.0, SpeedRequest(sign * speed_mps))
     assert max(sign * sample.speed_mps for sample in samples) < speed_mps + 0.5
-    assert abs(mean_error(samples[150:], sign * speed_mps)) < within
-    swings = 0.15 if drag_brake and speed_mps == 0.3 else within  # there pushes and neutral alternate
-    assert max(abs(sample.speed_mps) for sample in samples[150:]) < speed_mps * (1 + swings)
-    assert all(sign * sample.speed_mps > 0.1 for sample in samples[150:])
+    assert all(abs(sign * sample.speed_mps / speed_mps - 1.0) < within for sample in samples[200:])
 
 
 @pytest.mark.once

@@ -53,6 +53,8 @@ def _advice(steering, throttle, is_blocked):
         return "the car is silent: does it run?"
     if is_blocked:
         return BACK_OUT
+    if throttle.mode == causes.AUTONOMOUS:
+        return "let go of P to stop"
     if throttle.asked < 0 and throttle.esc_cause in NO_REVERSE:
         return REVERSE
     return "let go of M to stop"

@@ -149,6 +149,8 @@ def _look_up(content, name):
 def _text(value):
     if value is None:
         return "(none)"
-    if isinstance(value, (list, tuple)) and len(value) > MAX_SHOWN:
+    if not isinstance(value, (list, tuple)):
+        return str(value)
+    if len(value) > MAX_SHOWN:
         return f"[{value[0]:g}, … {value[-1]:g}]"
-    return str(list(value) if isinstance(value, tuple) else value)
+    return f"[{', '.join(f'{each:g}' for each in value)}]"

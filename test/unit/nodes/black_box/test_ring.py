@@ -1,6 +1,4 @@
 """The black box's memory: what it keeps, and for how long."""
-from __future__ import annotations
-
 from car_interface.common.units import NS_PER_S
 from car_interface.nodes.black_box.ring import MAX_MESSAGE_BYTES, MAX_PER_S, OVERHEAD_BYTES, SPAN_NS, Message, Ring
 
@@ -26,15 +24,13 @@ def seconds(ring):
 def test_messages_of_the_last_minute_are_kept():
     assert seconds(filled(message(0.9), message(1), message(30), message(61))) == [1, 30, 61]
     assert SPAN_NS == 60 * NS_PER_S
+    assert Ring().messages() == []
 
 
-def test_oldest_go_first_where_memory_ends():
+def test_oldest_go_first_where_memory_ends_and_a_large_message_is_left_out_and_counted():
     ring = filled(message(0), message(1), message(2), max_bytes=2 * (OVERHEAD_BYTES + len(b"data")))
     assert seconds(ring) == [1, 2]
     assert ring.size_bytes == 2 * (OVERHEAD_BYTES + 4)
-
-
-def test_large_message_is_left_out_and_counted():
     ring = filled(message(0, data=bytes(MAX_MESSAGE_BYTES + 1)), message(1, data=bytes(MAX_MESSAGE_BYTES)))
     assert (seconds(ring), ring.dropped) == ([1], 1)
 
@@ -52,7 +48,3 @@ def test_latched_message_from_before_is_kept_as_long_as_its_sender_sends_no_othe
         ("/tf_static", b"new", 90 * NS_PER_S), ("/joy", b"data", 90 * NS_PER_S)]
     ring.add(message(91, "/tf_static", b"newer", LATCHED))
     assert [one.data for one in ring.messages()] == [b"data", b"newer"]
-
-
-def test_nothing_has_no_messages():
-    assert Ring().messages() == []

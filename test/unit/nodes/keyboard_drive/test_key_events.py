@@ -1,6 +1,4 @@
 """Keyboards of the kernel, as named pipes with the bytes that it sends."""
-from __future__ import annotations
-
 import os
 import sys
 

@@ -1,6 +1,4 @@
 """What the keyboard's terminal says, by the arbiters' states."""
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 
@@ -37,6 +35,8 @@ def test_how_it_drives_who_drives_it_and_what_is_near():
     ({"blocked": True}, "you hit a wall. To back out: hold S; then M alone for a second; then S again"),
     ({"asked": -0.5, "esc_cause": causes.AT_STANDSTILL},
      "it stands. To reverse: hold M alone for a second, then S again"),
+    ({"mode": "autonomous"}, "let go of P to stop"),
+    ({"mode": "autonomous", "asked": -0.5, "esc_cause": causes.AT_STANDSTILL}, "let go of P to stop"),
     ({"steering": None}, "the car is silent: does it run?"),
 ])
 def test_what_to_do_next(changes, advice):

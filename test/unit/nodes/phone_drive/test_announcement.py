@@ -1,6 +1,4 @@
 """What the terminal says of the phones' page."""
-from __future__ import annotations
-
 import pytest
 
 from car_interface.common.errors import ConfigError
@@ -14,13 +12,10 @@ def lines(is_terminal=False, **config):
     return announce(PhoneDriveConfig(**config), "271828", ADDRESSES, is_terminal)
 
 
-def test_without_an_address_it_lists_them_and_the_argument_to_type():
+def test_without_an_address_it_lists_them_and_the_argument_to_type_or_says_that_there_is_no_network():
     text = "\n".join(lines())
     assert "http://127.0.0.1:8484/#271828" in text
     assert "phone_address:=192.168.4.1    (wlan0)" in text and "phone_address:=10.0.0.5    (eth0)" in text
-
-
-def test_a_computer_without_a_network_is_told_so():
     assert "connect it to a network" in announce(PhoneDriveConfig(), "271828", {}, False)[-1]
 
 

@@ -1,6 +1,4 @@
 """The page in a real browser, with a test in the node's place: what it sends when events are lost, late or missing."""
-from __future__ import annotations
-
 import json
 import queue
 import time

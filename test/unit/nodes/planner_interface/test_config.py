@@ -1,6 +1,4 @@
 """The source and how its messages are read, from parameters; and the speed control beside them."""
-from __future__ import annotations
-
 from pathlib import Path
 
 import yaml

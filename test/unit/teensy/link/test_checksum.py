@@ -8,24 +8,19 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from car_interface.teensy.link.framing import CORRECTED, RESYNC_FILLER, SHIPPED, encode
-from teensy_bench import received
-
-
-def ping_body(timestamp1):
-    return bytes([2, 1, 1, 0]) + timestamp1.to_bytes(4, "little") + bytes(4)
-
+from teensy_bench import ping, received
 
 BYTES = st.integers(0, 255) | st.sampled_from([0x7d, 0x7e, 0x5d, 0x5e, 0x00, 0xff])
 BODIES = st.tuples(st.integers(1, 12), st.lists(BYTES, max_size=32)).map(
     lambda case: bytes([2, 1, case[0], 0, *case[1]]))
-FLAG_AS_CHECKSUM = ping_body(0x00003e3f)  # 4 + 3e + 3f = 81, ff - 81 = 7e
-ESCAPE_AS_CHECKSUM = ping_body(0x00003f3f)  # 4 + 3f + 3f = 82, ff - 82 = 7d
+FLAG_AS_CHECKSUM = ping(0x00003e3f)  # 4 + 3e + 3f = 81, ff - 81 = 7e
+ESCAPE_AS_CHECKSUM = ping(0x00003f3f)  # 4 + 3f + 3f = 82, ff - 82 = 7d
 
 
 @pytest.mark.once
 @pytest.mark.parametrize("checksum", [SHIPPED, CORRECTED])
 @given(st.lists(BODIES, max_size=4))
-@example([FLAG_AS_CHECKSUM, ESCAPE_AS_CHECKSUM, ping_body(0x0000007e), FLAG_AS_CHECKSUM])
+@example([FLAG_AS_CHECKSUM, ESCAPE_AS_CHECKSUM, ping(0x0000007e), FLAG_AS_CHECKSUM])
 def test_frames_of_any_payloads_are_received_and_leave_the_receiver_in_step(checksum, bodies):
     packets, _ = received(b"".join(encode(body, checksum) for body in bodies), corrected=checksum == CORRECTED)
     assert [packet[:len(body)] for packet, body in zip(packets, bodies)] == bodies and len(packets) == len(bodies)
@@ -46,20 +41,20 @@ def test_frames_of_any_payloads_are_received_and_leave_the_receiver_in_step(chec
                  id="a_checksum_of_7d_is_moved_by_the_reserved_byte"),
 ])
 def test_frame_spelled_out_by_hand(timestamp, shipped, corrected):
-    assert encode(ping_body(timestamp)) == encode(ping_body(timestamp), SHIPPED) == bytes.fromhex(shipped)
-    assert encode(ping_body(timestamp), CORRECTED) == bytes.fromhex(corrected)
+    assert encode(ping(timestamp)) == encode(ping(timestamp), SHIPPED) == bytes.fromhex(shipped)
+    assert encode(ping(timestamp), CORRECTED) == bytes.fromhex(corrected)
 
 
 @pytest.mark.once
 def test_half_of_the_textbook_pings_are_answered_as_measured_on_the_real_firmware():
-    answered = [bool(received(encode(ping_body(ms), CORRECTED))[0]) for ms in range(0, 60_000, 7)]
+    answered = [bool(received(encode(ping(ms), CORRECTED))[0]) for ms in range(0, 60_000, 7)]
     assert sum(answered) / len(answered) == pytest.approx(0.51, abs=0.01)
 
 
 @pytest.mark.parametrize("before", ["7e", "7e 02010100", "7e" + "55" * 50 + "7e"])
 def test_receiver_out_of_step_loses_every_later_frame_until_the_filler_which_changes_nothing_in_step(before):
-    ping = encode(ping_body(1))
-    lost = bytes.fromhex(before) + ping * 10
+    frame = encode(ping(1))
+    lost = bytes.fromhex(before) + frame * 10
     assert received(lost)[0] == []
-    assert len(received(lost + RESYNC_FILLER + ping)[0]) == 1
-    assert len(received(lost + RESYNC_FILLER + ping + RESYNC_FILLER + ping)[0]) == 2
+    assert len(received(lost + RESYNC_FILLER + frame)[0]) == 1
+    assert len(received(lost + RESYNC_FILLER + frame + RESYNC_FILLER + frame)[0]) == 2

@@ -3,8 +3,6 @@
 The truth comes with the captures (test/data/firmware): no code of this package had a part in it. What the hub
 publishes is held in test/graph: test_teensy_sensor_hub.py, of a capture's bytes, and test_measurements.py.
 """
-from __future__ import annotations
-
 import math
 import os
 from collections import Counter
@@ -78,23 +76,17 @@ def replayed():
     return get
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if name not in WAITING])
-def test_no_record_of_a_healthy_firmware_is_refused(replayed, name):
-    _, _, measurements, _ = replayed(name)
-    assert measurements.gates.refused == 0
-    assert set(measurements.gates.counts) <= WORTH_A_WORD
-    assert not measurements.clock.counts
+@pytest.mark.parametrize("name", NAMES)
+def test_no_record_of_a_healthy_firmware_is_refused_but_for_the_few_that_wait_after_a_gap(replayed, name):
+    capture, _, measurements, _ = replayed(name)
+    gaps = sum(event["event"] in ("reboot", "unplug") for event in capture.events) if name in WAITING else 0
+    assert measurements.gates.refused <= 4 * gaps, "two of the wheels, and two ticks"
+    if not gaps:
+        assert set(measurements.gates.counts) <= WORTH_A_WORD and not measurements.clock.counts
 
 
 def test_heading_at_the_end_is_mostly_right_to_half_a_pulse(replayed):
     assert median(abs(replayed(name)[3][-1].yaw_deg) for name in NAMES) <= 1.5
-
-
-@pytest.mark.parametrize("name", WAITING)
-def test_few_reports_wait_after_a_gap(replayed, name):
-    capture, _, measurements, _ = replayed(name)
-    gaps = sum(event["event"] in ("reboot", "unplug") for event in capture.events)
-    assert measurements.gates.refused <= 4 * gaps, "two of the wheels, and two ticks"
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in (*DARK, *REBOOTS)])
@@ -201,14 +193,10 @@ def test_clone_that_ends_its_pulse_after_200_ms_is_found(replayed):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_no_range_is_false(replayed, name):
+def test_no_range_is_false_and_each_echo_of_healthy_sonars_makes_one(replayed, name):
     capture, moments, _, _ = replayed(name)
-    assert all(measured in (None, pytest.approx(truth, abs=0.005)) for measured, truth in ranges(capture, moments))
-
-
-@pytest.mark.parametrize("name", [name for name in NAMES if name not in (
-    "stuck_sonar", "wrap", "sonar_start", "missing_sonars", "stuck_old", "sonar_blink", "clone_200ms", *WAITING)])
-def test_each_echo_of_healthy_sonars_makes_its_range(replayed, name):
-    capture, moments, _, _ = replayed(name)
-    found = ranges(capture, moments)[is_running(moments):]
-    assert all(measured == pytest.approx(truth, abs=0.005) for measured, truth in found)
+    found = ranges(capture, moments)
+    assert all(measured in (None, pytest.approx(truth, abs=0.005)) for measured, truth in found)
+    if name not in ("stuck_sonar", "wrap", "sonar_start", "missing_sonars", "stuck_old", "sonar_blink", "clone_200ms",
+                    *WAITING):
+        assert None not in [measured for measured, _ in found[is_running(moments):]]

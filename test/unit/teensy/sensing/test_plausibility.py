@@ -15,7 +15,8 @@ from car_interface.teensy.link.protocol import UINT32, Malformed, Pong, SonarSta
 from car_interface.teensy.sensing import verdicts as gates
 from car_interface.teensy.sensing.plausibility import GateConfig, Gates
 from car_interface.teensy.sensing.pulse_counts import signed_pulses
-from wheel_reports import CAPTURE, HARM_M, PULSE_M, counted, crawl, judged, proven
+from teensy_bench import CAPTURE
+from wheel_reports import HARM_M, PULSE_M, counted, crawl, judged, proven
 
 
 @pytest.mark.parametrize("name", ["top_speed_mps", "pulse_m", "max_gap_ms"])

@@ -1,11 +1,9 @@
 """Signed pulses from two reports of a wheel."""
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from car_interface.teensy.link.protocol import BACKWARD, FORWARD, NO_DIRECTION, UINT32, Wheel
-from car_interface.teensy.sensing.pulse_counts import ahead, has_pulsed, learning_pulses, signed_pulses, unsplit_pulses
+from car_interface.teensy.link.protocol import BACKWARD, FORWARD, UINT32, Wheel
+from car_interface.teensy.sensing.pulse_counts import learning_pulses, signed_pulses
 from wheel_reports import NEW, forward
 
 
@@ -20,29 +18,6 @@ from wheel_reports import NEW, forward
 ])
 def test_signed_pulses_between_two_reports(before, now, pulses):
     assert signed_pulses(before, now) == pulses
-
-
-@pytest.mark.parametrize("before, now, pulses", [
-    (forward(5, 0), forward(149, 0), 0), (forward(5, 0), forward(149, 0, 120), 114),
-    (forward(5, 0), Wheel(0, BACKWARD, 0, 120, 149), 114), (forward(5, 0), Wheel(0, BACKWARD, 0, 6, 6), 0),
-    (Wheel(0, BACKWARD, 0, 1, UINT32 - 2), forward(3, 0, 2), 3), (NEW, Wheel(0, NO_DIRECTION, 300, 0, 1), 0),
-], ids=["no_reversal", "two_reversals", "one_reversal", "with_the_first_pulse", "over_the_wrap", "no_direction_yet"])
-def test_pulses_before_the_last_reversal_are_unsplit(before, now, pulses):
-    assert unsplit_pulses(before, now) == pulses
-
-
-@pytest.mark.once
-@given(st.integers(0, UINT32 - 1), st.integers(-2 ** 31, 2 ** 31 - 1))
-def test_ahead_is_the_inverse_of_counting_on(counter, step):
-    assert ahead((counter + step) % UINT32, counter) == step
-
-
-@pytest.mark.parametrize("wheel, expected", [
-    (NEW, False), (forward(1, 300), True), (Wheel(0, NO_DIRECTION, 300, 0, 0), True),
-    (Wheel(10, FORWARD, 0, 1, 9), True),
-], ids=["never", "once", "before_a_reset", "at_the_wrap_of_the_clock"])
-def test_time_of_a_wheel_is_a_reading_of_the_clock_once_it_has_pulsed(wheel, expected):
-    assert has_pulsed(wheel) == expected
 
 
 @pytest.mark.parametrize("before, now, expected", [

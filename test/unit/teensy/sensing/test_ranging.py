@@ -8,17 +8,8 @@ from hypothesis import strategies as st
 
 from car_interface.common.errors import ConfigError
 from car_interface.common.vehicle_geometry import SONARS
-from car_interface.teensy.sensing.ranging import (
-    DISTRUSTED,
-    HELD,
-    INF,
-    MAX_RANGE,
-    MICROS_WRAP,
-    STUCK,
-    UNKNOWN,
-    Ranging,
-    RangingConfig,
-)
+from car_interface.teensy.sensing import ranging as reasons
+from car_interface.teensy.sensing.ranging import INF, MAX_RANGE, Ranging, RangingConfig
 
 INFINITE = math.inf
 SENSOR = 1
@@ -67,12 +58,13 @@ def test_minimum_of_zero_takes_every_echo():
     assert Ranging(RangingConfig(min_range_m=0.0)).range(SENSOR, 1, TICK) == pytest.approx(14 * 0.00017171)
 
 
-def test_echo_of_0_is_a_stuck_pin_and_like_one_that_is_not_trusted_makes_no_range_and_does_not_count_for_the_median():
+def test_echo_of_a_stuck_pin_of_unknown_length_or_that_is_not_trusted_makes_no_range_nor_counts_for_the_median():
     ranging = Ranging(RangingConfig(median=True))
     ranges(ranging, *[ONE_METRE_US] * 3)
     assert [ranging.range(SENSOR, 4181, TICK, is_trusted=False) for _ in range(5)] == [None] * 5
     assert [ranging.range(SENSOR, 0, TICK) for _ in range(5)] == [None] * 5
-    assert ranging.counts == {DISTRUSTED: 5, STUCK: 5}
+    assert [ranging.range(SENSOR, None, TICK) for _ in range(5)] == [None] * 5
+    assert ranging.counts == {reasons.DISTRUSTED: 5, reasons.STUCK: 5, reasons.UNKNOWN: 5}
     assert ranges(ranging, ONE_METRE_US) == [pytest.approx(1.0, rel=1e-4)]
 
 
@@ -84,7 +76,7 @@ def test_around_a_wrap_of_micros_no_echo_is_believed(tick, is_near):
     """Every 2**32 µs of uptime; 2**32 ms are 1000 of these."""
     ranging = Ranging()
     assert (ranging.range(SENSOR, 3357, tick) is None) == is_near
-    assert ranging.counts == ({MICROS_WRAP: 1} if is_near else {})
+    assert ranging.counts == ({reasons.MICROS_WRAP: 1} if is_near else {})
 
 
 def test_sensor_that_holds_its_pulse_for_200_ms_is_known_by_its_time_out():
@@ -92,14 +84,14 @@ def test_sensor_that_holds_its_pulse_for_200_ms_is_known_by_its_time_out():
     ranging = Ranging(RangingConfig(timeouts_ms=timeouts_ms))
     assert ranges(ranging, 200_000, 191_000, 210_000, 3392) == [INFINITE] * 3 + [pytest.approx(0.5825, abs=1e-3)]
     assert ranges(ranging, 131_000, 1_500_000) == [None] * 2
-    assert ranging.counts == {HELD: 2} and ranging.clones == {}
+    assert ranging.counts == {reasons.HELD: 2} and ranging.clones == {}
 
 
 def test_three_long_pulses_of_one_length_are_a_clone_s_that_is_found_by_itself():
     ranging = Ranging()
     assert ranges(ranging, 200_000, ONE_METRE_US, 200_100, 200_000, 199_900, 2000, 200_000) == [
         None, pytest.approx(1.0, rel=1e-3), None, None, INFINITE, pytest.approx(0.343, abs=1e-3), INFINITE]
-    assert ranging.counts == {HELD: 3} and ranging.clones == {SENSOR: pytest.approx(200, abs=0.2)}
+    assert ranging.counts == {reasons.HELD: 3} and ranging.clones == {SENSOR: pytest.approx(200, abs=0.2)}
     assert ranges(ranging, 200_000, sensor=SENSOR + 1) == [None], "the others are what they were"
     assert ranges(ranging, NONE_US, 200_000) == [INFINITE, None] and ranging.clones == {}, "it was replaced"
 
@@ -110,11 +102,6 @@ def test_long_pulse_of_a_loose_wire_or_after_a_lost_report_is_no_clone_s_and_mak
     ranging = Ranging()
     assert ranges(ranging, *echoes_us) == [None] * len(echoes_us)
     assert ranging.clones == {}
-
-
-def test_echo_of_unknown_length_makes_no_range():
-    ranging = Ranging()
-    assert ranging.range(SENSOR, None, TICK) is None and ranging.counts == {UNKNOWN: 1}
 
 
 def test_time_out_is_none_also_where_the_maximum_lies_beyond_it():

@@ -39,53 +39,51 @@ def test_manoeuvre_that_nobody_saw_is_within_three_sigma(fault, seed):
     assert reboot_accuracy.run(seed, fault).inside >= 0.99
 
 
-def bridge(speed=0.066, curvature=0.0, counts=(100, 100)):
-    """A car that rolled at so many pulses a ms, 0.066 is 1 m/s, each wheel half-way between two magnets."""
-    speeds = [speed * (1 + sign * curvature * TRACK_M / 2) for sign in (-1, 1)]
-    wheels = tuple(WheelState(count, count + 0.5, one) for count, one in zip(counts, speeds))
-    return RestartBridge(CarState(BEFORE_MS, wheels, curvature, 0.01), TRACK_M)
+class Bridge(RestartBridge):
+    """That of a car which rolled at so many pulses a ms, 0.066 is 1 m/s, each wheel half-way between two magnets.
+
+    Its pulses are counted again after ``blind_ms``; ``places`` is where the wheels are then, if it rolls on.
+    """
+
+    def __init__(self, speed=0.066, curvature=0.0, blind_ms=310):
+        self.speeds = [speed * (1 + sign * curvature * TRACK_M / 2) for sign in (-1, 1)]
+        wheels = tuple(WheelState(100, 100.5, one) for one in self.speeds)
+        super().__init__(CarState(BEFORE_MS, wheels, curvature, 0.01), TRACK_M)
+        self.begin_ms, self.places = BEFORE_MS + blind_ms, [100.5 + one * blind_ms for one in self.speeds]
+        self.report(self.begin_ms)
+
+    def roll(self, lasts_ms=400, speeds=None, places=None):
+        """Roll on, the first two pulses of each wheel unproven, until the outcome is ready."""
+        speeds, times = speeds or self.speeds, []
+        forward = speeds[LEFT] > 0
+        for side, (speed, place) in enumerate(zip(speeds, places or self.places)):
+            first, step = int(place) + forward - place, 1 if forward else -1
+            times += [(self.begin_ms + (first + step * number) / speed, side, number) for number in range(1000)]
+        for at_ms, side, number in sorted(each for each in times if each[0] <= self.begin_ms + lasts_ms):
+            self.report(at_ms)
+            self.add(side, *((1, 0) if number < 2 else (0, step)), round(at_ms))
+            if self.is_ready(at_ms):
+                return self.solve(at_ms)
+        raise AssertionError("never ready")
 
 
-def roll(some, from_ms, speeds, positions, until_ms, forward=True):
-    """The pulses of wheels that are at ``positions`` at ``from_ms``: the first two of each are unproven."""
-    times, step = [], 1 if forward else -1
-    for side in (LEFT, RIGHT):
-        first = int(positions[side]) + forward - positions[side]
-        times += [(from_ms + (first + step * number) / speeds[side], side, number) for number in range(1000)]
-    for at_ms, side, number in sorted(each for each in times if each[0] <= until_ms):
-        some.report(at_ms)
-        some.add(side, *((1, 0) if number < 2 else (0, step)), round(at_ms))
-        if some.is_ready(at_ms):
-            return some.solve(at_ms)
-    raise AssertionError("never ready")
-
-
-@pytest.mark.parametrize("forward", (True, False), ids=("forward", "backward"))
-def test_pulses_that_nobody_counted_are_made_up_for_to_the_magnet(forward):
-    speed = 0.066 if forward else -0.066
-    after = 100.5 + speed * 310
-    some = bridge(speed)
-    some.report(BEFORE_MS + 310)
-    outcome = roll(some, BEFORE_MS + 310, (speed, speed), (after, after), BEFORE_MS + 600, forward)
-    first = int(after) + (1 if forward else 0)
+@pytest.mark.parametrize("speed", [0.066, -0.066], ids=["forward", "backward"])
+def test_pulses_that_nobody_counted_are_made_up_for_to_the_magnet(speed):
+    some = Bridge(speed)
+    outcome = some.roll(290)
+    first = int(some.places[LEFT]) + (speed > 0)
     assert [wheel.place for wheel in outcome.wheels] == [first, first]
-    assert outcome.was_rolling and outcome.wheels[LEFT].forward == forward
+    assert outcome.was_rolling and outcome.wheels[LEFT].forward == (speed > 0)
     assert 1 / 9 <= outcome.difference_variance < 1
 
 
 def test_wheels_in_a_curve_are_placed_each_by_its_own_distance():
-    curvature = 0.8
-    speeds = [0.066 * (1 + sign * curvature * TRACK_M / 2) for sign in (-1, 1)]
-    positions = [100.5 + speed * 310 for speed in speeds]
-    some = bridge(curvature=curvature)
-    some.report(BEFORE_MS + 310)
-    outcome = roll(some, BEFORE_MS + 310, speeds, positions, BEFORE_MS + 600)
-    assert [wheel.place for wheel in outcome.wheels] == [int(position) + 1 for position in positions]
+    some = Bridge(curvature=0.8)
+    assert [wheel.place for wheel in some.roll(290).wheels] == [int(place) + 1 for place in some.places]
 
 
 def test_car_that_stood_goes_on_from_where_it_stood_once_a_direction_is_proven():
-    some = bridge(speed=0.0)
-    some.report(BEFORE_MS + 310)
+    some = Bridge(speed=0.0)
     some.add(LEFT, 1, 0, BEFORE_MS + 5000)
     some.add(RIGHT, 1, 0, BEFORE_MS + 5050)
     assert not some.is_ready(BEFORE_MS + 5050)
@@ -101,8 +99,7 @@ def test_car_that_stood_goes_on_from_where_it_stood_once_a_direction_is_proven()
 
 
 def test_direction_that_one_wheel_proves_holds_for_both():
-    some = bridge(speed=0.0)
-    some.report(BEFORE_MS + 310)
+    some = Bridge(speed=0.0)
     some.add(RIGHT, 2, 0, BEFORE_MS + 5000)
     some.add(LEFT, 2, 1, BEFORE_MS + 5100)
     assert not some.is_ready(BEFORE_MS + 5100), "the other wheel may still prove its own"
@@ -111,8 +108,7 @@ def test_direction_that_one_wheel_proves_holds_for_both():
 
 
 def test_direction_that_comes_long_after_the_first_pulses_leaves_them_in_doubt():
-    some = bridge(speed=0.0)
-    some.report(BEFORE_MS + 310)
+    some = Bridge(speed=0.0)
     for side in (LEFT, RIGHT):
         some.add(side, 2, 0, BEFORE_MS + 5000)
         some.add(side, 0, 1, BEFORE_MS + 60_000)
@@ -120,8 +116,7 @@ def test_direction_that_comes_long_after_the_first_pulses_leaves_them_in_doubt()
 
 
 def test_car_that_makes_no_pulse_any_more_has_stopped_on_the_way():
-    some = bridge()
-    assert not some.report(BEFORE_MS + 310)
+    some = Bridge()
     assert not some.report(BEFORE_MS + 400)
     assert some.report(BEFORE_MS + 411), "that is said"
     assert not some.report(BEFORE_MS + 611), "once"
@@ -132,17 +127,14 @@ def test_car_that_makes_no_pulse_any_more_has_stopped_on_the_way():
 
 
 def test_car_that_reversed_unseen_has_turned_on_both_of_its_ways():
-    some = bridge(speed=0.033, curvature=0.5)
-    some.report(BEFORE_MS + 1300)
-    outcome = roll(some, BEFORE_MS + 1300, (-0.03, -0.03), (100.5, 100.5), BEFORE_MS + 1700, forward=False)
+    outcome = Bridge(0.033, 0.5, 1300).roll(400, (-0.03, -0.03), (100.5, 100.5))
     left, right = (wheel.place for wheel in outcome.wheels)
     assert abs((left + right) / 2 - 100.5) < 6 and right > left  # it ends near where it began, turned to the left
     assert outcome.difference_variance > (0.2 * 10 * TRACK_M) ** 2  # 0.2 1/m on ten pulses each way
 
 
 def test_car_that_reverses_before_enough_is_known_is_followed_from_there():
-    some = bridge()
-    some.report(BEFORE_MS + 310)
+    some = Bridge()
     for side in (LEFT, RIGHT):
         some.add(side, 2, -2, BEFORE_MS + 400)
     some.add(LEFT, 0, 1, BEFORE_MS + 500)
@@ -151,11 +143,9 @@ def test_car_that_reverses_before_enough_is_known_is_followed_from_there():
 
 @pytest.mark.parametrize("speed", [0.0, 0.066], ids=["parked", "rolling"])
 def test_car_may_have_gone_and_come_back_to_its_speed_by_2_mps2_unseen(speed):
-    some, blind_ms = bridge(speed), 1500
-    some.report(BEFORE_MS + blind_ms)
+    some = Bridge(speed, blind_ms=1500)
     if speed:
-        after = 100.5 + speed * blind_ms
-        outcome = roll(some, BEFORE_MS + blind_ms, (speed, speed), (after, after), BEFORE_MS + blind_ms + 400)
+        outcome = some.roll()
     else:
         for side in (LEFT, RIGHT):
             some.add(side, 2, 1, BEFORE_MS + 5000)
@@ -165,39 +155,28 @@ def test_car_may_have_gone_and_come_back_to_its_speed_by_2_mps2_unseen(speed):
 
 
 def test_straight_car_may_have_turned_as_tightly_as_it_can_unseen():
-    some = bridge()
-    some.report(BEFORE_MS + 1500)
-    after = 100.5 + 0.066 * 1500
-    outcome = roll(some, BEFORE_MS + 1500, (0.066, 0.066), (after, after), BEFORE_MS + 1800)
-    turn_rad = math.sqrt(outcome.difference_variance) * PULSE_M / TRACK_M
+    turn_rad = math.sqrt(Bridge(blind_ms=1500).roll(300).difference_variance) * PULSE_M / TRACK_M
     assert 1.0 <= 3 * turn_rad / (0.066 * 1500 * PULSE_M * 1.0) < 1.3
 
 
 def test_longer_outage_is_known_less_well():
-    variances = []
-    for blind_ms in (310, 1500, 5000):
-        some = bridge()
-        some.report(BEFORE_MS + blind_ms)
-        after = 100.5 + 0.066 * blind_ms
-        variances.append(roll(some, BEFORE_MS + blind_ms, (0.066, 0.066), (after, after),
-                              BEFORE_MS + blind_ms + 300).mean_variance)
+    variances = [Bridge(blind_ms=blind_ms).roll(300).mean_variance for blind_ms in (310, 1500, 5000)]
     assert variances == sorted(variances) and variances[-1] > 10 * variances[0]
 
 
 def test_reset_shows_with_its_first_pulse_for_the_firmware_knows_its_direction():
-    some = bridge()
+    some = Bridge()
+    some.restart()  # nothing was reported since
     assert some.is_reset((1, 0), (0, 0), BEFORE_MS + 15)
     assert not some.is_reset((0, 0), (1, 0), BEFORE_MS + 15), "a reboot"
     assert not some.is_reset((1, 0), (0, 0), BEFORE_MS + 600), "much was lost"
 
 
 def test_second_restart_before_anything_was_known_goes_on_from_the_first():
-    some = bridge()
-    some.report(BEFORE_MS + 310)
+    some, other = Bridge(), Bridge(blind_ms=700)
     some.add(LEFT, 1, 0, BEFORE_MS + 320)
     some.restart()
     assert some.pending(LEFT) == 0
-    some.report(BEFORE_MS + 700)
-    after = 100.5 + 0.066 * 700
-    outcome = roll(some, BEFORE_MS + 700, (0.066, 0.066), (after, after), BEFORE_MS + 1000)
-    assert outcome.wheels[LEFT].place == pytest.approx(int(after) + 1, abs=1)
+    some.begin_ms, some.places = other.begin_ms, other.places
+    some.report(some.begin_ms)
+    assert some.roll(300).wheels[LEFT].place == pytest.approx(int(some.places[LEFT]) + 1, abs=1)

@@ -286,23 +286,15 @@ def test_pin_that_stays_stuck_costs_no_range_of_a_wall_that_a_moving_car_comes_n
     assert [trusted for _, _, trusted in found][-3:] == 3 * [True]
 
 
-def test_clone_is_told_with_the_parameter_that_it_needs():
+def test_clone_is_told_with_the_parameter_that_it_needs_and_beside_it_for_ten_seconds_a_pin_that_blinked():
     sonars = Sonars().run(1)
     sonars.monitor.clones = {2: 200.004}
-    words, next_step = describe(sonars.monitor.faults(sonars.now_ns))
-    assert words == "front_left is a clone that holds its pulse for 200 ms without an echo: its ranges are right"
-    assert "~no_echo_timeouts/front_left to 200" in next_step
-
-
-def test_pin_that_blinked_is_told_for_ten_seconds_beside_other_faults():
-    sonars = Sonars().run(1)
-    sonars.monitor.clones = {2: 200.0}
     sonars.monitor.blinked([1], sonars.now_ns)
     words, next_step = describe(sonars.monitor.faults(sonars.now_ns))
-    assert "front_left is a clone" in words and "front_middle's echo pin was high for over a second" in words
-    assert "Check its echo wire and supply" in next_step
+    assert "front_middle's echo pin was high for over a second" in words
+    assert "Check its echo wire and supply" in next_step and "~no_echo_timeouts/front_left to 200" in next_step
     sonars.run(11)
-    assert "front_middle" not in sonars.words
+    assert sonars.words == "front_left is a clone that holds its pulse for 200 ms without an echo: its ranges are right"
 
 
 def test_last_sonar_of_the_sequence_is_never_dropped():

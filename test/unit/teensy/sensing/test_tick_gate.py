@@ -40,24 +40,17 @@ def test_wrong_tick_that_was_accepted_is_taken_back_and_is_no_reboot():
     assert some.refused == 0
 
 
-@pytest.mark.parametrize("start_ms, reason, restarted", [
-    pytest.param(30, gates.CLOCK_RESTARTED, True, id="reboot"),
-    pytest.param(99_000, gates.AFTER_GAP, False, id="frames_lost_for_a_minute"),
+@pytest.mark.parametrize("ticks, waiting, reason, restarted", [
+    pytest.param((30, 80, 130, 180), 2, gates.CLOCK_RESTARTED, True, id="reboot"),
+    pytest.param((99_000, 99_050, 99_100, 99_150), 2, gates.AFTER_GAP, False, id="frames_lost_for_a_minute"),
+    pytest.param((99_000, 500_000, 500_050, 500_100, 500_150), 3, gates.AFTER_GAP, False, id="one_agrees_with_none"),
 ])
-def test_clock_that_jumped_is_taken_up_with_the_third_consistent_tick(start_ms, reason, restarted):
+def test_clock_that_jumped_is_taken_up_with_the_third_consistent_tick(ticks, waiting, reason, restarted):
     some = Gates()
     judged([sonar(10_000), sonar(10_050)], some.sonar)
-    verdicts = judged([sonar(start_ms + 50 * n) for n in range(4)], some.sonar)
-    assert [verdict.accepted for verdict in verdicts] == [False, False, True, True]
-    assert (verdicts[2].reason, verdicts[2].restarted) == (reason, restarted)
-    assert (verdicts[3].reason, verdicts[3].restarted) == ("", False)
-
-
-def test_ticks_that_agree_with_none_before_them_begin_the_count_of_three_anew():
-    some = Gates()
-    judged([sonar(10_000), sonar(10_050)], some.sonar)
-    verdicts = judged([sonar(tick) for tick in (99_000, 500_000, 500_050, 500_100)], some.sonar)
-    assert [verdict.accepted for verdict in verdicts] == [False, False, False, True]
+    verdicts = judged(map(sonar, ticks), some.sonar)
+    assert [verdict.accepted for verdict in verdicts] == [False] * waiting + [True] * 2
+    assert [(verdict.reason, verdict.restarted) for verdict in verdicts[waiting:]] == [(reason, restarted), ("", False)]
 
 
 def test_tick_behind_what_the_clock_must_have_reached_is_of_one_that_restarted_though_it_may_follow_the_last():

@@ -1,6 +1,4 @@
 """How long an effect takes to follow its cause, whatever the curve between them."""
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -45,12 +43,9 @@ def test_too_little_to_tell_has_no_delay(change):
     assert estimate(*change(*a_drive(0.1, 0.1, lambda duty: duty, noise=0.0))) is None
 
 
-def test_held_signal_keeps_its_value_until_the_next_sample():
+def test_held_signal_keeps_its_value_and_a_lagged_step_has_done_63_percent_after_its_lag():
     t_s, value = np.array([1.0, 2.0]), np.array([10.0, 20.0])
     assert held(t_s, value, np.array([0.0, 1.0, 1.99, 2.0, 9.0])).tolist() == [10, 10, 10, 20, 20]
-
-
-def test_lagged_step_has_done_63_percent_after_its_lag():
     step = np.concatenate([np.zeros(1), np.ones(500)])
     assert lagged(step, 0.001, 0.1)[100] == pytest.approx(1 - np.exp(-1), abs=0.01)
     assert lagged(step, 0.001, 0.0) is not None and lagged(step, 0.001, 0.0).tolist() == step.tolist()

@@ -1,6 +1,4 @@
 """The command bag_report: where pages go, what is refused, and a page in a real browser."""
-from __future__ import annotations
-
 import contextlib
 import io
 import pathlib

@@ -1,6 +1,4 @@
 """The command calibrate_esc, on recordings of persons who follow docs/calibrate.md with virtual ESCs."""
-from __future__ import annotations
-
 import contextlib
 import io
 import os
@@ -17,7 +15,7 @@ from car_interface.throttle.config import load_throttle
 from car_interface.tools.cli.main import main
 from recorded_drives import recorded
 from tools.calibration.esc.synthetic import Person
-from written_recordings import Written, odometry, write_ros1
+from written_recordings import odometry, output, write_ros1
 
 ROOT = Path(__file__).resolve().parents[4]
 SHIPPED = ROOT / "config" / "throttle.yaml"
@@ -42,8 +40,7 @@ def drive_without(path, *leaves_out, start_s=0.0):
                 for time_s, place_m, speed_mps in zip(drive.speed_s, places_m, drive.speed_mps)]
     t_s = np.union1d(drive.duty_s, np.arange(drive.duty_s[0], drive.speed_s[-1], 0.5))
     for time_s, duty in zip(t_s, drive.duty[np.searchsorted(drive.duty_s, t_s, side="right") - 1]):
-        messages.append(Written(start_s + time_s, "/servo/output", "std_msgs/Int32MultiArray", {
-            "data": [5100, int(duty)] + [-1] * 14}))
+        messages.append(output(start_s + time_s, 5100, duty))
     return write_ros1(path, sorted(messages, key=lambda message: message.time_s))
 
 
@@ -100,6 +97,7 @@ def test_file_loads_keeps_the_rest_of_its_base_and_says_what_was_seen(bag, calib
     assert config.arbiter.stick.human_scale == 0.45 and config.calibration.channel == 1
     assert list(config.calibration.duty_table) == [config.calibration.neutral + shift for shift in (-1638, 0, 1639)]
     assert yaml.safe_load(text) == {**yaml.safe_load(base_text), "human_scale": 0.45}
+    assert text.startswith("# Written by calibrate_esc; throttle_arb loads it.")
     out = capsys.readouterr().out
     for line in out.splitlines()[:-1]:
         assert f"# {line}\n" in text

@@ -1,6 +1,4 @@
 """The command calibrate_steering: from a recording of a virtual car to a file by which turn_arb drives it better."""
-from __future__ import annotations
-
 import contextlib
 import io
 import math
@@ -22,7 +20,7 @@ from car_interface.tools.calibration.steering.recorded import load_steering_driv
 from car_interface.tools.cli.main import main
 from recorded_drives import recorded
 from tools.calibration.steering.synthetic import mixed, true_curvature
-from written_recordings import Written, odometry, stamp, write_ros1
+from written_recordings import ACKERMANN, STAMPED_ANGLE, Written, odometry, output, stamp, write_ros1
 
 ROOT = Path(__file__).resolve().parents[4]
 STOCK = ROOT / "config" / "turn_arb.yaml"
@@ -86,11 +84,6 @@ def test_file_keeps_what_else_it_had_tells_how_well_it_is_known_and_the_old_one_
 
 # --- a steering that is held at one duty after the other, as another package's nodes record it ---
 
-
-def output(time_s, duty, topic="/servo/output"):
-    return Written(time_s, topic, "std_msgs/Int32MultiArray", {"data": [round(duty)] + [-1] * 15})
-
-
 def held(duties, command=output, odom="/odom", hold_s=2.0, start_s=0.0, curve=true_curvature, with_imu=False):
     """Odometry at 1.2 m/s, and what ``command`` makes of (time, duty), 20 times a second."""
     x_m = y_m = yaw = 0.0
@@ -116,11 +109,7 @@ def plain(tmp_path_factory):
 
 # --- a planner's angles in place of duties ---
 
-
 WHEELBASE_M = 0.3
-ANGLES = [("ackermann_msgs/AckermannDrive", "\n".join(f"float32 {name}" for name in (
-    "steering_angle", "steering_angle_velocity", "speed", "acceleration", "jerk"))),
-    ("ackermann_msgs/AckermannDriveStamped", "std_msgs/Header header\nackermann_msgs/AckermannDrive drive")]
 
 
 @pytest.mark.once
@@ -135,9 +124,9 @@ def test_angles_of_a_planner_give_the_same_table_and_say_what_they_can_not_tell(
 
     def asked(time_s, duty):
         angle_rad = math.atan(WHEELBASE_M / table.turn_radius_m(duty))
-        return Written(time_s, "/drive", ANGLES[1][0], {
+        return Written(time_s, "/drive", STAMPED_ANGLE, {
             "header": {"stamp": stamp(time_s)}, "drive": {"steering_angle": angle_rad, "speed": 1.0}})
-    bag = write_ros1(tmp_path / "angles.bag", held(PLACES, asked, "/racer/odom"), extra_types=ANGLES)
+    bag = write_ros1(tmp_path / "angles.bag", held(PLACES, asked, "/racer/odom"), extra_types=ACKERMANN)
     assert run(bag, "-o", made) == 1
     said = capsys.readouterr().err
     assert "has no topic /servo/output, nor /servo/cmdVector or command: the servo's duties can't be told. " in said
@@ -154,8 +143,8 @@ def test_angles_of_a_planner_give_the_same_table_and_say_what_they_can_not_tell(
 
 
 def test_angles_beside_duties_are_not_used_and_not_spoken_of(tmp_path):
-    angles = [Written(0.1, "/planner", ANGLES[1][0], {"header": {"stamp": stamp(0.1)}})]
-    path = write_ros1(tmp_path / "a.bag", [odometry(0.0), *angles, *OUTPUT], extra_types=ANGLES)
+    angles = [Written(0.1, "/planner", STAMPED_ANGLE, {"header": {"stamp": stamp(0.1)}})]
+    path = write_ros1(tmp_path / "a.bag", [odometry(0.0), *angles, *OUTPUT], extra_types=ACKERMANN)
     found = load_steering_drive(str(path), 0, angle_table=None)
     assert found.notes == () and found.drive.duty[0] == 5104
 
@@ -187,7 +176,7 @@ def test_side_that_was_not_driven_is_refused_with_what_to_drive_and_if_forced_ke
     """By an IMU and commands, which do as well as odometry and output."""
     made = tmp_path / "made.yaml"
     bag = write_ros1(tmp_path / "left.bag", held(mixed(3700, 5250, 24), lambda time_s, duty: output(
-        time_s, duty, "/servo/cmdVector"), with_imu=True))
+        time_s, duty, topic="/servo/cmdVector"), with_imu=True))
     assert run(bag, "-o", made) == 1 and not made.exists()
     (error,) = capsys.readouterr().err.splitlines()
     assert "no data for right turns tighter than" in error and "drive three slow right circles" in error
@@ -206,7 +195,7 @@ def test_side_that_was_not_driven_is_refused_with_what_to_drive_and_if_forced_ke
 @pytest.mark.once
 def test_recording_with_topics_of_other_names_comes_to_the_same_tables_also_in_a_terminal_of_ascii(plain, tmp_path):
     other = write_ros1(tmp_path / "other.bag", held(PLACES, lambda time_s, duty: output(
-        time_s, duty, "/board/duties"), "/ekf/odometry"))
+        time_s, duty, topic="/board/duties"), "/ekf/odometry"))
     done = subprocess.run(
         [sys.executable, "-B", str(ROOT / "scripts" / "calibrate_steering"), str(other), "-o",
          str(tmp_path / "made.yaml"), "--map", "/board/duties=output"], capture_output=True, check=False, env={

@@ -1,6 +1,4 @@
 """The command calibrate_value_map, on drives whose true map is known."""
-from __future__ import annotations
-
 import argparse
 import re
 import shutil
@@ -15,16 +13,16 @@ from car_interface.throttle.value_map import load_value_map
 from car_interface.tools.cli.calibrate_value_map import add_arguments, source_of
 from car_interface.tools.cli.main import main
 from recorded_drives import recorded
-from tools.calibration.value_map.synthetic import DELAY_S, acceleration, messages_of, output_at, value_at
-from written_recordings import Written, odometry, write_ros1
+from tools.calibration.value_map.synthetic import DELAY_S, acceleration, messages_of, value_at
+from written_recordings import Written, odometry, output, write_ros1
 
 ROOT = Path(__file__).resolve().parents[4]
+OUTPUT = output(0.0, 5100, 4915)
 KNOWN_DELAY = ("--delay", DELAY_S)  # estimating it takes most of a fit's time
 
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
-    """A synthetic drive."""
     return write_ros1(tmp_path_factory.mktemp("drive") / "drive.bag", messages_of(120.0))
 
 
@@ -52,6 +50,7 @@ def test_map_of_a_virtual_car_is_near_the_truth_and_the_report_lies_beside_it(tm
     assert error_mps2(load_value_map(str(tmp_path / "map.csv")), lambda value, velocity: true_acceleration_mps2(
         virtual_drive.duty_of_value(value), max(velocity, 1e-3), car.drive, thrust)) < 0.05
     report = (tmp_path / "map.report.txt").read_text(encoding="utf-8")
+    assert "accelerations by pulse times of the wheels" in report
     assert "held out (every 5th manoeuvre" in report and "standard error" in report and "ground rises by" in report
     assert "steering: a tight turn, or tyres at work" in report and "missing: value" in report
     assert report.strip() in capsys.readouterr().out
@@ -76,11 +75,11 @@ def throttle_state(time_s, source, asked=0.5):
 
 @pytest.mark.parametrize("messages, expected", [
     ([value_at(0.0)], "generic/output/value"),
-    ([value_at(0.0), output_at(0.0)], "generic/output/value"),
-    ([output_at(0.0)], "duty:2"),
-    ([value_at(0.0), output_at(0.0), throttle_state(0.1, 3), throttle_state(0.2, 3), throttle_state(0.3, 4)], "duty:2"),
-    ([value_at(0.0), output_at(0.0), throttle_state(0.1, 3), throttle_state(0.2, 4)], "generic/output/value"),
-    ([value_at(0.0), output_at(0.0), throttle_state(0.1, 3, 0.0), throttle_state(0.2, 3, 0.0)], "generic/output/value"),
+    ([value_at(0.0), OUTPUT], "generic/output/value"),
+    ([OUTPUT], "duty:2"),
+    ([value_at(0.0), OUTPUT, throttle_state(0.1, 3), throttle_state(0.2, 3), throttle_state(0.3, 4)], "duty:2"),
+    ([value_at(0.0), OUTPUT, throttle_state(0.1, 3), throttle_state(0.2, 4)], "generic/output/value"),
+    ([value_at(0.0), OUTPUT, throttle_state(0.1, 3, 0.0), throttle_state(0.2, 3, 0.0)], "generic/output/value"),
     ([value_at(0.0), throttle_state(0.1, 3)], "generic/output/value"),
 ], ids=["value_alone", "value_and_output", "output_alone", "mostly_by_hand", "as_often_by_the_planner",
         "deadman_held_and_nothing_asked", "no_output"])
@@ -189,7 +188,6 @@ def test_map_that_is_not_good_enough_is_refused_and_if_forced_marked(bag, tmp_pa
 
 
 # --- what can't be calibrated with ---
-
 
 @pytest.mark.parametrize("messages, said", [
     ([odometry(0.02 * i, speed_mps=1.0) for i in range(9)] + [value_at(0.02 * i) for i in range(9)],

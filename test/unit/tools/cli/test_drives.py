@@ -1,6 +1,4 @@
 """The command drives: what is read, what is kept, and what is said."""
-from __future__ import annotations
-
 import csv
 import os
 import shutil

@@ -1,6 +1,4 @@
 """What was read before is kept, and is used only if nothing has changed."""
-from __future__ import annotations
-
 import hashlib
 import json
 import math
@@ -145,7 +143,7 @@ def test_what_is_no_file_or_a_file_that_is_too_large_is_not_read_and_said(folder
     assert Cache(folder, "1").problem == f"{path} can't be read (Is a directory)"
 
 
-def test_folder_that_can_not_be_written_has_its_file_in_the_users_cache_folder(tmp_path, elsewhere, monkeypatch):
+def test_file_of_a_folder_that_can_not_be_written_is_in_the_users_cache_or_it_is_said(tmp_path, elsewhere, monkeypatch):
     folder, write = str(tmp_path / "read_only"), drives_cache.replace
 
     def replace(path, data, keeps_old):
@@ -157,9 +155,6 @@ def test_folder_that_can_not_be_written_has_its_file_in_the_users_cache_folder(t
     cache.add(STATE, ROW)
     assert cache.save(["a.bag"]) == "" and len(list(elsewhere.iterdir())) == 1
     assert Cache(folder, "1").row("a.bag", STATE) is not None and Cache(str(tmp_path), "1").row("a.bag", STATE) is None
-
-
-def test_what_can_not_be_kept_anywhere_is_said_with_the_folders_own_file(tmp_path, monkeypatch):
     def replace(path, data, keeps_old):
         raise PermissionError(13, "Permission denied")
     monkeypatch.setattr(drives_cache, "replace", replace)
@@ -173,21 +168,17 @@ def make(folder, *names):
         path.write_text("x")
 
 
-def test_recordings_of_every_kind_are_found_in_order_and_nothing_else(tmp_path):
-    make(tmp_path, "b.bag", "a/c.bag", "killed.bag.active", "one.mcap", "old.db3", "notes.txt", "b.html", "c.bag.orig",
-         ".trash/a.bag")
-    assert find_recordings(str(tmp_path)) == ["a/c.bag", "b.bag", "killed.bag.active", "old.db3", "one.mcap"]
-
-
-def test_folder_of_ros_2_is_one_recording_and_not_its_files(tmp_path):
-    make(tmp_path, "drive/metadata.yaml", "drive/drive_0.db3", "drive/drive_1.db3", "drive/more/x.bag",
-         "other/metadata.yaml", "other/a.bag")
-    assert find_recordings(str(tmp_path)) == ["drive", "other/a.bag"]
-
-
-def test_damaged_recording_that_rosbag_has_repaired_is_left_out_but_not_one_of_such_a_name_alone(tmp_path):
-    make(tmp_path, "a.bag", "a.orig.bag", "b.bag.active", "b.bag.orig.active", "c.orig.bag", "d/a.orig.bag")
-    assert find_recordings(str(tmp_path)) == ["a.bag", "b.bag.active", "c.orig.bag", "d/a.orig.bag"]
+@pytest.mark.parametrize("files, found", [
+    ("b.bag a/c.bag killed.bag.active one.mcap old.db3 notes.txt b.html c.bag.orig .trash/a.bag",
+     "a/c.bag b.bag killed.bag.active old.db3 one.mcap"),
+    ("drive/metadata.yaml drive/drive_0.db3 drive/drive_1.db3 drive/more/x.bag other/metadata.yaml other/a.bag",
+     "drive other/a.bag"),
+    ("a.bag a.orig.bag b.bag.active b.bag.orig.active c.orig.bag d/a.orig.bag",
+     "a.bag b.bag.active c.orig.bag d/a.orig.bag"),
+], ids=["every_kind_in_order_and_nothing_else", "a_folder_of_ros_2_is_one", "not_what_rosbag_has_repaired"])
+def test_recordings_are_found(tmp_path, files, found):
+    make(tmp_path, *files.split())
+    assert find_recordings(str(tmp_path)) == found.split()
 
 
 def test_folder_that_is_not_there_is_an_error_with_its_name(tmp_path):
@@ -196,17 +187,9 @@ def test_folder_that_is_not_there_is_an_error_with_its_name(tmp_path):
     assert caught.value.filename == str(tmp_path / "none")
 
 
-def test_fingerprint_changes_with_size_or_time(tmp_path):
-    path = tmp_path / "a.bag"
-    path.write_bytes(b"1234")
-    os.utime(str(path), ns=(5, 7_000))
-    assert fingerprint(str(path)) == Fingerprint(4, 7_000)
-    os.utime(str(path), ns=(5, 8_000))
-    assert fingerprint(str(path)) == Fingerprint(4, 8_000)
-
-
-def test_fingerprint_of_a_folder_is_that_of_all_its_files(tmp_path):
+def test_fingerprint_is_the_size_and_the_newest_time_of_a_file_or_of_all_files_of_a_folder(tmp_path):
     make(tmp_path, "drive/metadata.yaml", "drive/drive_0.db3")
     for number, name in enumerate(("metadata.yaml", "drive_0.db3"), 1):
         os.utime(str(tmp_path / "drive" / name), ns=(0, number * 1000))
     assert fingerprint(str(tmp_path / "drive")) == Fingerprint(2, 2000)
+    assert fingerprint(str(tmp_path / "drive" / "metadata.yaml")) == Fingerprint(1, 1000)

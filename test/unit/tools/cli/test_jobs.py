@@ -1,6 +1,4 @@
 """The same work on several recordings at once."""
-from __future__ import annotations
-
 import logging
 import os
 import signal
@@ -33,14 +31,15 @@ def test_error_ends_the_work(count, tmp_path):
     assert len(list(tmp_path.iterdir())) < 500  # of 1000; on a busy machine more are done before it's noticed
 
 
-def test_process_that_was_killed_is_told():
+def test_process_that_was_killed_is_told_and_by_which_recording():
     with pytest.raises(CarInterfaceError, match="was killed, maybe for want of memory: try again with --jobs 1"), \
             jobs.workers(2, 2) as done_by:
         list(jobs.for_each(os._exit, [9, 9], done_by))
+    with pytest.raises(CarInterfaceError, match=r"a\.bag ended each worker that read it, maybe for want of memory"):
+        jobs.check_not_killed(True, "a.bag")
 
 
 # --- a dask cluster ---
-
 
 @pytest.fixture(scope="module")
 def cluster():
@@ -81,11 +80,6 @@ def test_what_kills_each_worker_is_told_and_all_else_is_done(cluster, monkeypatc
     monkeypatch.setattr(cluster.scheduler, "allowed_failures", 0)  # a new worker takes a second
     with jobs.workers(8, 1, cluster.scheduler_address) as done_by:
         assert list(jobs.for_each(killing_each_worker, range(8), done_by)) == [0, 1, "killed", 3, 4, 5, 6, 7]
-
-
-def test_recording_that_killed_its_workers_says_so_in_its_row():
-    with pytest.raises(CarInterfaceError, match=r"a\.bag ended each worker that read it, maybe for want of memory"):
-        jobs.check_not_killed(True, "a.bag")
 
 
 @pytest.mark.once

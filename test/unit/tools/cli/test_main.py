@@ -1,6 +1,4 @@
 """The commands on a laptop without ROS: what they are called, what they say, how they end; and what pip installs."""
-from __future__ import annotations
-
 import argparse
 import importlib
 import os
@@ -89,7 +87,6 @@ def test_output_that_nobody_reads_any_more_is_no_fault():
 
 # --- what is installed ---
 
-
 def setup_arguments():
     """What setup.py hands to setup(), as catkin and pip see it."""
     found = {}
@@ -109,16 +106,13 @@ def setup_arguments():
     return found
 
 
-def test_setup_ships_every_message_definition_and_the_stock_configuration():
+def test_setup_ships_every_message_definition_the_stock_configuration_and_every_file_of_a_page():
     shipped = {name for _, names in setup_arguments()["data_files"] for name in names}
     wanted = {path.relative_to(ROOT).as_posix() for pattern in ("msg/*.msg", "config/*.yaml", "config/*.csv")
               for path in ROOT.glob(pattern)}
     assert shipped == wanted
     assert {folder for folder, _ in setup_arguments()["data_files"]} == {"share/car_interface/msg",
                                                                          "share/car_interface/config"}
-
-
-def test_setup_ships_every_file_of_a_page():
     shipped = {path for package, patterns in setup_arguments()["package_data"].items() for pattern in patterns
                for path in (ROOT / "src" / package.replace(".", "/")).glob(pattern)}
     assert shipped == {path for path in (ROOT / "src").rglob("*") if path.suffix in (".html", ".css", ".js", ".svg")}
@@ -136,7 +130,6 @@ def test_setup_makes_the_command_and_names_what_it_needs():
 
 
 # --- help and version ---
-
 
 @pytest.mark.parametrize("name", sorted(MODULES))
 def test_every_command_is_started_by_rosrun_and_answers_help_with_a_text_for_each_option(name, capsys):
@@ -160,12 +153,9 @@ def test_version_is_that_of_the_package(command_name, arguments, capsys):
     assert capsys.readouterr().out == f"car_interface {setup_arguments()['version']}\n"
 
 
-def test_version_is_the_one_in_package_xml_which_goes_before_the_metadata(monkeypatch):
+def test_version_is_the_one_in_package_xml_else_the_metadata_s_and_is_refused_without_either(monkeypatch):
     monkeypatch.setattr(command_line.metadata, "version", {"car_interface": "1.2.3"}.__getitem__)
     assert command_line.version() == ElementTree.parse(str(ROOT / "package.xml")).findtext("version")
-
-
-def test_version_comes_from_the_metadata_where_there_is_no_package_xml_and_is_refused_without_either(monkeypatch):
     def missing_file(name):
         raise CarInterfaceError(name)
 

@@ -1,6 +1,4 @@
 """The commands with little memory: each works, or ends with one line. Numpy's OpenBLAS would wait for ever."""
-from __future__ import annotations
-
 import os
 import resource
 import subprocess

@@ -2,8 +2,6 @@
 
 Each warning is an error here, so that its cause shows.
 """
-from __future__ import annotations
-
 import itertools
 import math
 import os
@@ -38,7 +36,6 @@ def changed(messages, kind, *values):
 
 
 def odd_drives():
-    """Messages of odd drives, by what is odd about them."""
     whole = drive(7.0)
     yield "numbers_are_infinite_or_huge_of_either_sign", [
         odometry(one.time_s, 1e300, 0.0, 0.0, 1e300) if one.topic == "/odom" else one

@@ -1,6 +1,4 @@
 """The options by which a user says what a recorded topic is."""
-from __future__ import annotations
-
 import argparse
 
 import pytest

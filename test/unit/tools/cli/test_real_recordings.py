@@ -4,8 +4,6 @@ They are not part of this package: the folder that has them is named by CAR_INTE
 robot_localization's test bags of a Clearpath Husky (husky.bag) and a Jackal (jackal.bag), both steered by their wheels'
 speeds.
 """
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -2,8 +2,6 @@
 
 The messages follow the packages' definitions; no recording of a real car is at hand.
 """
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 
@@ -63,7 +61,6 @@ def number(time_s, topic, data):
 
 
 def as_vesc(bag, layout, below, until_s=SECONDS):
-    """The messages of a recording as a VESC's."""
     speed_mps, messages = 0.0, []
     for time_ns, topic, message in read(bag, ["odom", "/servo/output", "generic/output/value"]):
         time_s = (time_ns - START_NS) / 1e9
@@ -185,5 +182,3 @@ def test_position_that_no_servo_has_is_no_duty(tmp_path):
         number(0.1 * index, f"/{SERVO}", position) for index, position in enumerate((0.0, 0.5, 1.0, 1.5, -0.1))]
     drive = load_steering_drive(str(write_ros1(tmp_path / "a.bag", messages)), 0).drive
     np.testing.assert_allclose(drive.duty, [3276.8, 4915.2, 6553.6, np.nan, np.nan])
-
-

@@ -1,6 +1,4 @@
 """Bus and chip, as the doctor judges them; the chip is the simulated one."""
-from __future__ import annotations
-
 import errno
 import os
 import sys
@@ -11,7 +9,7 @@ from i2c_computer import Computer, Ina3221
 
 from car_interface.common.header import UNKNOWN, header_of
 from car_interface.pca9685.config import AUTO
-from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
+from car_interface.sim.pca9685_chip import VirtualPca9685
 from car_interface.tools.doctor import board
 from car_interface.tools.doctor.board import BoardSettings, Registers
 from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
@@ -82,17 +80,6 @@ def no_answer(error, others=(), header=UNKNOWN, device=OTHER):
     return found
 
 
-def test_chip_at_another_address_is_found_and_nothing_is_written():
-    written = []
-    virtual = VirtualBus({0x41: VirtualPca9685(), 0x42: Ina3221()}, on_write=lambda *write: written.append(write))
-    with pytest.raises(OSError) as caught:
-        board.read_registers(virtual, 0x40)
-    others = board.find_others(virtual, 0x40)
-    found = no_answer(caught.value, others)
-    assert others == [0x41] and "but a PCA9685 at 0x41" in found.what and "address:=0x41" in found.remedy
-    assert board.read_registers(virtual, 0x42) == (0x71, 0x54, False) and written == []
-
-
 @pytest.mark.parametrize("address, error, expected", [
     (0x40, errno.EREMOTEIO, range(0x41, 0x48)), (0x60, errno.EREMOTEIO, range(0x40, 0x48)),
     (0x40, errno.ETIMEDOUT, [0x41])], ids=["all_others", "from_another_kind_s_address", "until_the_bus_fails"])
@@ -154,15 +141,14 @@ def examine(device=OTHER, asks_all=False, **how):
     return [(finding.subject, finding.level) for finding in found], found[-1].what
 
 
-def test_bus_and_chip_are_ok_unless_the_chip_lost_its_power_under_the_node(computer):
+def test_bus_and_chip_are_ok_unless_the_chip_lost_its_power_under_the_node_or_the_bus_can_t_be_opened(computer):
     assert examine() == ([("bus", OK), ("chip", OK)],
                          "0x40 on /dev/i2c-1 is fresh from power-up: MODE1 0x11, PRE_SCALE 30")
-    assert examine(address=0x60) == ([("bus", OK), ("chip", BAD)],
-                                     "nothing answers at 0x60 on /dev/i2c-1, but a PCA9685 at 0x40")
+    computer.buses[OTHER][0x42] = Ina3221()  # which is none
+    found = board.probe_board(OTHER, settings(address=0x60), False)[-1]
+    assert (found.level, found.what) == (BAD, "nothing answers at 0x60 on /dev/i2c-1, but a PCA9685 at 0x40")
+    assert "address:=0x40" in found.remedy
     assert examine(driven=True)[0] == [("bus", OK), ("chip", BAD)]
-
-
-def test_bus_that_can_not_be_opened_is_bad(computer):
     computer.buses[OTHER] = errno.EACCES
     levels, words = examine()
     assert levels == [("bus", OK), ("bus", BAD)] and "Permission denied" in words

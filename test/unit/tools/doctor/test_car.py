@@ -1,6 +1,4 @@
 """The running car: nodes, parameters, steering and reports, as the doctor judges them."""
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import pytest

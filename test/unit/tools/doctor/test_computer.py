@@ -1,6 +1,4 @@
 """Groups, clock and packages, as the doctor judges them, with fakes for files, groups and kernel."""
-from __future__ import annotations
-
 import ctypes
 import grp
 import os
@@ -75,15 +73,12 @@ def missing_groups(virtual_port=False, virtual_bus=False, bus="/dev/i2c-1"):
     return [(finding.level, finding.what) for finding in found]
 
 
-def test_port_and_bus_need_their_groups_unless_they_are_virtual(member):
+def test_port_and_bus_need_their_groups_unless_they_are_virtual_and_a_missing_one_s_is_a_warning_beside_that(member):
     port, bus = (BAD, "ann is not in dialout (the Teensy's port)"), (BAD, "ann is not in i2c (the servo board's bus)")
     assert missing_groups() == [port, bus]
     assert missing_groups(virtual_bus=True) == [port] and missing_groups(virtual_port=True) == [bus]
     assert missing_groups(True, True) == [(OK, "none needed: the devices are virtual")]
     assert missing_groups(bus="auto") == [port, bus]
-
-
-def test_group_of_a_device_that_is_missing_is_no_more_than_a_warning_beside_that(member):
     assert [level for level, _ in missing_groups(bus="/dev/i2c-9")] == [BAD, WARN]
 
 

@@ -1,6 +1,4 @@
 """A look in a thread of its own: its result, its fault, or that it hangs."""
-from __future__ import annotations
-
 import threading
 import time
 
@@ -17,12 +15,9 @@ def soon():
     return time.monotonic() + 30.0
 
 
-def test_task_gives_the_result_of_its_look():
+def test_task_gives_the_result_of_its_look_or_its_fault_as_a_finding():
     assert Task("bus", lambda *arguments: arguments, 1, 2).wait(soon()) == ((1, 2), [])
     assert Task("bus", lambda: FINE).findings(soon()) == FINE
-
-
-def test_look_that_fails_is_a_finding_and_ends_nothing_else():
     def look():
         raise KeyError("what")
     found, = Task("bus", look).findings(soon())

@@ -1,6 +1,4 @@
 """The gamepad, as the doctor judges it: the text that its owner reads."""
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -23,13 +21,10 @@ def check(sample=AT_20_HZ, publishers=("/joy_node",), config=SHIPPED, topic="/jo
     return found
 
 
-def test_gamepad_that_works_is_ok_with_its_size_and_rate():
+def test_gamepad_that_works_is_ok_and_so_is_none_where_phones_drive():
     found = check()
     assert (found.level, found.subject) == (OK, "gamepad")
     assert found.what == "/joy: 8 axes, 11 buttons, 20.0 times a second; no deadman is held"
-
-
-def test_car_without_a_gamepad_that_phones_drive_is_ok():
     found = check(NOTHING, publishers=(), reason="phone: no deadman is held")
     assert (found.level, found.what) == (OK, "there is none; phone: no deadman is held")
     found = check(NOTHING, publishers=(), cause=causes.JOY_STALE, reason="phone: phone/joy silent for 0.30 s")
@@ -47,6 +42,8 @@ def test_car_without_a_gamepad_that_phones_drive_is_ok():
                  id="driver_without_a_gamepad"),
     pytest.param({"sample": AT_20_HZ._replace(axes=4)}, BAD,
                  "the gamepad has 4 axes (0 to 3), but throttle_axis is 4", "needs its switch at X", id="wrong_mode"),
+    pytest.param({"sample": AT_20_HZ._replace(axes=4), "topic": "/car1/joy"}, BAD, "the gamepad has 4 axes",
+                 "rostopic echo /car1/joy", id="below_a_namespace"),
     pytest.param({"sample": AT_20_HZ._replace(values={4: math.nan})}, BAD,
                  "the gamepad's throttle_axis 4 is nan, no number to act on", "See what sends it", id="nan"),
     pytest.param({"sample": JoySample(4, 0.3, 8, 11, {})}, BAD,
@@ -87,11 +84,6 @@ def test_what_is_wrong_is_named_with_its_remedy(changes, level, what, remedy):
 ])
 def test_what_is_not_wrong_is_ok(changes):
     assert check(**changes).level == OK
-
-
-def test_topic_below_a_namespace_is_named_in_what_to_type():
-    found = check(sample=AT_20_HZ._replace(axes=4), topic="/car1/joy")
-    assert found.remedy.endswith("rostopic echo /car1/joy")
 
 
 # --- its driver ---

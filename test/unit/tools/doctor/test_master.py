@@ -1,49 +1,23 @@
 """What the doctor makes of a master's and a node's answers; both are small XML-RPC servers here."""
-from __future__ import annotations
-
 import os
 import shutil
 import socket
-import threading
-from xmlrpc.server import SimpleXMLRPCServer
+from contextlib import ExitStack
 
 import pytest
+from processes import free_port
 
 from car_interface.common.package_files import package_file
 from car_interface.tools.doctor import master as probe
 from car_interface.tools.doctor.car import ABSENT, KILLED, RUNNING, SILENT, Node
 from car_interface.tools.doctor.master import Graph, Master, read_files
-
-
-def uri_of(listener):
-    return f"http://127.0.0.1:{listener.getsockname()[1]}"
-
-
-class Server:
-    """Answers one question after the other; as a master or a node."""
-
-    def __init__(self, **answers):
-        self._server = SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False)
-        for name, answer in answers.items():
-            self._server.register_function(answer, name)
-        self.uri = uri_of(self._server.socket)
-        threading.Thread(target=self._server.serve_forever, args=(0.01,), daemon=True).start()
-
-    def close(self):
-        self._server.shutdown()
-        self._server.server_close()
+from loopback import serving
 
 
 @pytest.fixture
 def served():
-    servers = []
-
-    def serve(**answers):
-        servers.append(Server(**answers))
-        return servers[-1].uri
-    yield serve
-    for server in servers:
-        server.close()
+    with ExitStack() as servers:
+        yield lambda **answers: servers.enter_context(serving(**answers))
 
 
 @pytest.fixture
@@ -53,18 +27,14 @@ def node(served):
 
 @pytest.fixture
 def refused():
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        return uri_of(listener)
+    return f"http://127.0.0.1:{free_port()}"
 
 
 @pytest.fixture
 def silent():
     """What takes connections and never answers."""
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        listener.listen(5)
-        yield uri_of(listener)
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        yield f"http://127.0.0.1:{listener.getsockname()[1]}"
 
 
 @pytest.fixture
@@ -88,26 +58,19 @@ def test_graph_is_who_publishes_subscribes_and_serves(served):
     assert graph == Graph({"/joy": ("/pad", "/other")}, frozenset({"/pad", "/other", "/teleop_logi", "/turn_arb"}))
 
 
-def test_node_that_the_graph_does_not_have_is_absent_although_the_master_can_look_it_up(master, refused):
-    """As every node is after it ended in order."""
+def test_node_that_ended_is_absent_without_an_answer_silent_and_where_nobody_listens_killed(master, refused, silent):
     assert look(master({"/turn_arb": refused}, [])).state == ABSENT
-
-
-def test_node_that_does_not_answer_or_whose_host_cannot_be_found_is_silent(master, silent):
     for uri in (silent, "http://no-such-host.invalid:1"):
         assert look(master({"/turn_arb": uri}, ["/turn_arb"])).state == SILENT
+    assert look(master({"/turn_arb": refused}, ["/turn_arb"])).state == KILLED
+    found = look(master({"/car_nodes": refused}, ["/car_nodes"]))
+    assert (found.state, found.process) == (KILLED, "/car_nodes")
 
 
 @pytest.mark.parametrize("name, process", [("turn_arb", "/car_nodes"), ("teleop_logi", "/teleop_logi")])
 def test_four_of_the_nodes_may_be_parts_of_one_process_that_runs(name, process, master, node):
     found = look(master({"/car1/car_nodes": node}, ["/car1/car_nodes"]), name, "/car1")
     assert found == (name, f"/car1/{name}", RUNNING if name == "turn_arb" else ABSENT, f"/car1{process}")
-
-
-def test_node_or_process_of_the_graph_where_nothing_listens_was_killed_and_is_named(master, refused):
-    assert look(master({"/turn_arb": refused}, ["/turn_arb"])).state == KILLED
-    found = look(master({"/car_nodes": refused}, ["/car_nodes"]))
-    assert (found.state, found.process) == (KILLED, "/car_nodes")
 
 
 @pytest.fixture

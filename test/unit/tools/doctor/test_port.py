@@ -1,6 +1,4 @@
 """The Teensy's port and what is behind it, as the doctor judges them; the Teensy is the simulated one."""
-from __future__ import annotations
-
 import fcntl
 import os
 import random

@@ -1,6 +1,4 @@
 """A first check's questions: each answered right, and each answered wrong once; and the way through them."""
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -191,6 +189,16 @@ def kill(guarded=True, back=True):
     return act
 
 
+def answered(title, acts, keys):
+    """A bench after the question was asked, acts and keys."""
+    bench = Bench()
+    if title != "on a box":
+        bench.go_to(title)
+    for act in acts:
+        act(bench)
+    return bench.type(keys)
+
+
 RIGHT = [
     ("on a box", [], "y", "all wheels hang free"),
     ("deadman", [press_both], "", "both were seen held and released"),
@@ -211,21 +219,13 @@ RIGHT = [
 
 @pytest.mark.parametrize("title, acts, keys, answer", RIGHT, ids=[row[0].replace(" ", "_") for row in RIGHT])
 def test_right_answer_is_fine_and_changes_nothing(title, acts, keys, answer):
-    bench = Bench()
-    if title != "on a box":
-        bench.go_to(title)
-    for act in acts:
-        act(bench)
-    bench.type(keys)
+    bench = answered(title, acts, keys)
     assert (bench.result(title).verdict, bench.result(title).answer) == (FINE, answer), bench.text
     assert bench.check.changes() == {} and not bench.result(title).repair
 
 
 # --- each question, answered wrong ---
 
-TABLES = {"k_pwmcmd_left_table_servo": list(SLASH.left_duties),
-          "k_pwmcmd_right_table_servo": list(SLASH.right_duties)}
-ENDS = {"servo_left": 3800, "servo_center": 5100, "servo_right": 6700}
 EXCHANGED = {"turn_arb": {"servo_left": 6700, "servo_center": 5100, "servo_right": 3800,
                           "k_pwmcmd_left_table_servo": list(SLASH.right_duties),
                           "k_pwmcmd_right_table_servo": list(SLASH.left_duties)}}
@@ -265,10 +265,7 @@ LEARNS = [
 
 @pytest.mark.parametrize("title, acts, keys, changes", LEARNS)
 def test_answer_that_a_file_can_take_becomes_its_parameter(title, acts, keys, changes):
-    bench = Bench().go_to(title)
-    for act in acts:
-        act(bench)
-    bench.type(keys)
+    bench = answered(title, acts, keys)
     assert bench.result(title).verdict == LEARNED, bench.text
     assert bench.check.changes() == changes
 
@@ -305,12 +302,7 @@ REPAIRS = [
 
 @pytest.mark.parametrize("title, acts, keys, answer, repair", REPAIRS)
 def test_answer_that_no_file_can_take_says_what_to_repair(title, acts, keys, answer, repair):
-    bench = Bench()
-    if title != "on a box":
-        bench.go_to(title)
-    for act in acts:
-        act(bench)
-    bench.type(keys)
+    bench = answered(title, acts, keys)
     result = bench.result(title)
     assert result.verdict == BROKEN and answer in result.answer and repair in result.repair, (result, bench.text)
     assert bench.check.changes() == {}
@@ -519,18 +511,10 @@ def test_hand_before_a_sonar_and_wheels_that_turn_in_the_air_are_no_ground():
     assert bench.check.refusal == ""
 
 
-def test_car_on_the_ground_is_not_asked_about_further():
-    assert Bench().type("n").check.refusal == "it is on the ground: put it on a box first"
-    moving = Bench(speed_mps=0.5).type("y")
-    assert "the wheels turn: wait until they stand" in moving.text and not moving.check.refusal
-
-
 # --- the way through ---
 
 def test_question_can_be_skipped_repeated_gone_back_to_and_quit():
-    bench = Bench().type("s")
-    assert bench.check.question.title == "the car on a box"  # not this one
-    bench.go_to("center")
+    bench = Bench().go_to("center")
     steer(bench)
     bench.type("<<")
     assert bench.view.steering == 0.02
@@ -602,9 +586,12 @@ def test_direction_may_be_answered_after_letting_go_by_the_newest_full_stick():
     assert "channel 0 has duty 3800" in bench.result("direction").answer
 
 
-def test_first_question_can_only_be_answered_or_left():
+def test_first_question_can_only_be_answered_or_left_and_a_car_on_the_ground_is_asked_no_other():
     bench = Bench().type("sae")
     assert bench.check.question.title == "the car on a box" and bench.view.lines[-1] == "Q quit"
+    assert Bench().type("n").check.refusal == "it is on the ground: put it on a box first"
+    moving = Bench(speed_mps=0.5).type("y")
+    assert "the wheels turn: wait until they stand" in moving.text and not moving.check.refusal
 
 
 def test_every_question_fits_a_terminal_of_80_columns_and_24_rows():

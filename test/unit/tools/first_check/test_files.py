@@ -1,6 +1,4 @@
 """What a first check writes: single values of the car's files, each checked as its node would load it; and its page."""
-from __future__ import annotations
-
 import builtins
 import os
 import shutil
@@ -18,7 +16,7 @@ from car_interface.tools.first_check.question import BROKEN, FINE, LEARNED, SKIP
 CONFIG = Path(__file__).resolve().parents[4] / "config"
 CHANGES = {"turn_arb": {"servo_left": 3800, "servo_center": 5060}, "teleop_logi": {"steer_scale": -1.0},
            "throttle": {"esc/profile": "forward_only", "servo/neutral": 4925,
-                        "servo/duty_table": [3287, 4925, 6564]},
+                        "servo/duty_table": [3287.0, 4925.0, 6564.0]},
            "teensy_sensor_hub": {"sonar_sequence": [0, 1, 4]}}
 
 
@@ -103,8 +101,15 @@ def test_page_says_what_was_checked_answered_written_and_is_to_be_repaired(tmp_p
                  '<span class="bad level">to be repaired</span>'):
         assert part in text
     assert "script" not in text and "Nothing is to be done" not in text
-    write_page(path, "", RESULTS[:2], [])
+    write_page(path, "", RESULTS[:1], [])
     assert "Nothing is to be done." in Path(path).read_text(encoding="utf-8")
+
+
+def test_page_of_a_check_with_questions_left_out_does_not_say_that_nothing_is_to_be_done(tmp_path):
+    path = str(tmp_path / "page.html")
+    write_page(path, "", RESULTS[:2], [])
+    text = " ".join(Path(path).read_text(encoding="utf-8").split())
+    assert "Nothing is to be done." not in text and "1 of 2 questions were not asked" in text
 
 
 def test_page_that_cannot_be_made_is_said_and_fails_nothing(tmp_path, monkeypatch):

@@ -1,6 +1,4 @@
 """The unit that starts the car with the computer: what it runs, and that systemd takes it."""
-from __future__ import annotations
-
 import os
 import pwd
 import shlex
@@ -62,14 +60,11 @@ def test_unit_launches_the_car_in_its_workspace_with_the_user_s_folder_and_devic
     assert lines_of(text, "User") == [USER]
 
 
-def test_unit_starts_at_boot_again_and_again_and_ends_as_by_ctrl_c():
+def test_unit_starts_at_boot_again_and_again_with_the_network_of_the_terminal_and_ends_as_by_ctrl_c(workspace):
     text = unit_text(Launch("ann", "/ws/devel/env.sh", ["config:=/home/ann/my_car"], {}))
     for line in ("WantedBy=multi-user.target", "Restart=always", "StartLimitIntervalSec=0", "KillSignal=SIGINT",
                  "KillMode=mixed", "User=ann"):
         assert line in text.splitlines()
-
-
-def test_unit_keeps_the_network_of_the_terminal_and_nothing_else_of_it(workspace):
     launch = launch_of(workspace, f"config:={workspace}/bin", ROS_IP="127.0.0.1", ROS_HOSTNAME="", SECRET="x")
     assert lines_of(unit_text(launch), "Environment") == ["PYTHONUNBUFFERED=1", '"ROS_IP=127.0.0.1"']
 
@@ -141,11 +136,8 @@ def test_remove_stops_and_removes_the_unit_where_there_is_one(run):
     assert ran == [] and "Nothing to do" in said
 
 
-def test_dry_run_shows_the_unit_and_runs_nothing(run, workspace):
+def test_dry_run_shows_the_unit_and_runs_nothing_nor_does_a_computer_without_systemd(run, workspace):
     ran, said = run("--autostart", "--dry-run", f"config:={workspace}/bin")
     assert ran == [] and "WantedBy=multi-user.target" in said and f"would install {UNIT_PATH}" in said
-
-
-def test_without_systemd_one_line_says_so(run):
     ran, said = run("--autostart", "config:=.", has_systemd=False)
     assert ran == [] and said.startswith("there is no systemctl here, as in a container")

@@ -1,6 +1,4 @@
 """setup_hardware: what it runs, what it shows, and how it ends."""
-from __future__ import annotations
-
 import fnmatch
 import re
 import subprocess
@@ -14,7 +12,9 @@ from car_interface.common.header import header_of
 from car_interface.tools.host_setup import cli
 from car_interface.tools.host_setup.cli import RULES_NAME, Computer, plan, remarks
 
-COMPUTER = Computer("ann", frozenset({"dialout", "input"}), frozenset(), has_udev=True, rules_are_new=False)
+
+def computer(user="ann", groups=("dialout", "input"), joined=(), has_udev=True, rules_are_new=False):
+    return Computer(user, frozenset(groups), frozenset(joined), has_udev, rules_are_new)
 
 
 @pytest.fixture
@@ -27,7 +27,7 @@ def run(monkeypatch, capsys):
             ran.append(command[0])
             return subprocess.CompletedProcess(command, int(command[0] in failing))
         monkeypatch.setattr(subprocess, "run", execute)
-        monkeypatch.setattr(cli, "read_computer", lambda user, rules: COMPUTER)
+        monkeypatch.setattr(cli, "read_computer", lambda user, rules: computer())
         monkeypatch.setattr(cli, "as_root", list)
         monkeypatch.setattr(cli, "package_file", lambda name: f"/share/{name}")
         monkeypatch.setattr(cli.pwd, "getpwnam", lambda name: None)
@@ -70,10 +70,6 @@ def test_user_who_does_not_exist_is_told(monkeypatch):
 RULES = Path(__file__).resolve().parents[4] / "udev" / RULES_NAME
 
 
-def computer(user="ann", groups=("dialout", "input"), joined=(), has_udev=True, rules_are_new=False):
-    return Computer(user, frozenset(groups), frozenset(joined), has_udev, rules_are_new)
-
-
 def commands(of):
     return [" ".join(step.command) for step in plan(of, "/share/rules")]
 
@@ -98,22 +94,14 @@ def test_only_what_is_missing_is_done_and_told(joined, rules_are_new, expected):
     assert ("log out and in again" in " ".join(remarks(done, plan(done, "/share/rules")))) == (joined != GROUPS)
 
 
-def test_without_udev_the_groups_are_made_and_the_rest_is_told():
+def test_without_udev_the_groups_are_made_and_root_is_added_to_none_and_the_rest_is_told():
     container = computer(has_udev=False)
     steps = plan(container, "/share/rules")
     assert [step.command[0] for step in steps] == ["groupadd", "usermod"]
     assert "There is no udevadm here" in " ".join(remarks(container, steps))
-
-
-def test_root_is_added_to_no_group_and_told_so():
     root = computer(user="root")
     assert "usermod" not in " ".join(commands(root))
     assert "--user NAME" in " ".join(remarks(root, plan(root, "/share/rules")))
-
-
-def test_only_what_udev_does_by_itself_later_may_fail():
-    assert [step.command[0] for step in plan(computer(), "/share/rules") if step.may_fail] == ["udevadm", "udevadm"]
-    assert all(step.otherwise for step in plan(computer(), "/share/rules") if step.may_fail)
 
 
 @pytest.mark.parametrize("model, has_bus, told", [
@@ -132,7 +120,6 @@ def test_pins_of_a_known_computer_are_told_with_what_they_need(model, has_bus, t
 
 # --- the rules ---
 
-
 def rules():
     """Each rule as its comparisons and its assignments."""
     for line in RULES.read_text(encoding="ascii").splitlines():
@@ -144,7 +131,6 @@ def rules():
 
 
 def applied(subsystem, **attributes):
-    """What the rules assign to a device."""
     assigned = {}
     for wanted, given in rules():
         facts = {"SUBSYSTEM": subsystem, **{f"ATTR{{{name}}}": value for name, value in attributes.items()},
@@ -170,9 +156,6 @@ def test_every_teensy_with_a_serial_port_and_every_bus_gets_name_and_group_and_o
     assert applied(subsystem, idVendor=vendor, idProduct=product, interface="00") == given
 
 
-def test_second_port_of_a_teensy_does_not_take_the_name():
+def test_second_port_does_not_take_the_name_and_rules_come_before_modem_manager_s():
     assert "SYMLINK" not in applied("tty", idVendor="16c0", idProduct="048b", interface="02")
-
-
-def test_rules_come_after_the_interface_is_known_and_before_modem_manager():
     assert "60-serial.rules" < RULES_NAME < "77-mm-"

@@ -1,6 +1,4 @@
 """The columns of a topic: their times, and the messages that are left out."""
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 
@@ -11,7 +9,6 @@ from hypothesis import strategies as st
 
 from car_interface.common.units import NS_PER_S
 from car_interface.tools.recordings.columns import (
-    BREAK_S,
     CommandColumn,
     Gravity,
     ImuColumn,
@@ -57,15 +54,11 @@ def test_odometry_counts_by_its_stamps_and_its_heading_is_unwrapped(tmp_path, wr
 
 # --- columns with stamps ---
 
-
-def test_stamp_up_to_two_seconds_from_the_recording_time_counts_and_others_do_not():
+def test_stamp_up_to_two_seconds_from_the_recording_time_counts_and_each_reason_has_a_note_of_its_own():
     column = values(ValueColumn("v"), (0.0, -1.99, 1), (0.1, -2.2, 2), (3.0, 4.99, 3), (5.1, 7.2, 4))
     assert column.build().t_s == pytest.approx([-1.99, 0.1, 4.99, 5.1])
     assert column.notes() == [
         "v: 2 messages with a stamp seconds away from when it was recorded: recording time taken"]
-
-
-def test_each_reason_has_a_note_of_its_own():
     column = values(ValueColumn("v"), (0.0, 0.0, 1), (0.1, 0.1, math.nan), (0.2, 0.2, math.inf), (0.3, 0.0, 2))
     assert column.notes() == ["v: 2 messages with a number that is none: left out",
                               "v: 1 message with a stamp that doesn't rise: left out"]
@@ -79,7 +72,6 @@ def test_message_that_can_not_be_used_leaves_a_column_empty():
 
 
 # --- odometry without a twist ---
-
 
 def captured(*poses, linear=(0.0, 0.0)):
     """A column of (time in s, x in m, y in m, yaw) each, with the same twist all the time."""
@@ -145,18 +137,12 @@ def pitch_rad(orientation, unknown=False):
 # --- columns of duties ---
 
 
-def test_output_that_does_not_change_has_a_row_each_half_second():
+def test_output_has_a_row_at_each_change_and_each_half_second_and_none_that_was_recorded_before_the_last():
     rows = [(0.1 * index, [5104] * 16) for index in range(11)]
     assert vectors(OutputColumn("o"), *rows).build().t_s == pytest.approx([0.0, 0.5, 1.0])
-
-
-def test_output_that_changes_has_a_row_at_once():
     output = vectors(OutputColumn("o"), (0.0, [1] * 16), (0.001, [2] * 16), (0.002, [1] * 16)).build()
     assert output.t_s.tolist() == [0.0, 0.001, 0.002]
     assert output.duties.shape == (3, 16) and output.duties[:, 15].tolist() == [1, 2, 1]
-
-
-def test_output_that_was_recorded_earlier_than_the_one_before_is_left_out():
     column = vectors(OutputColumn("o"), (1.0, [1] * 16), (0.9, [2] * 16), (1.0, [3] * 16))
     assert column.build().duties[:, 0].tolist() == [1, 3]
     assert column.notes() == ["o: 1 message with a stamp that doesn't rise: left out"]
@@ -177,29 +163,22 @@ def test_command_outside_the_range_leaves_its_channel_unchanged(outside):
     assert output.duties[:, :3].tolist() == [[-1, 1600, -1], [3200, 1600, -1], [3200, 4800, -1]]
 
 
-def note(*accelerations):
+@pytest.mark.parametrize("accelerations, axis", [
+    pytest.param([(9.8, 0.3, 0.1)], "x", id="nose_up"), pytest.param([(0.2, -9.8, 0.5)], "y", id="on_its_side"),
+    pytest.param([(7.0, 1.0, 6.5)], "x", id="tilted_by_47_degrees"),
+    pytest.param([(4.0, 0, 9.0)], None, id="tilted_by_24_degrees"), pytest.param([(0, 0, 9.8)], None, id="upright"),
+    pytest.param([(0, 0, -9.8)], None, id="upside_down"), pytest.param([], None, id="without_a_message"),
+    pytest.param([(0, 0, 0)], None, id="nothing"), pytest.param([(3.0, 3.0, 0)], None, id="gravity_taken_off"),
+    pytest.param([(15.0, 0, 9.8), (-15.0, 0, 9.8)] * 5 + [(math.nan, 99.0, 0), (math.inf, 99.0, 0)], None,
+                 id="driving_cancels_out_and_what_is_no_number_does_not_count"),
+])
+def test_imu_on_its_side_is_said_with_the_axis(accelerations, axis):
     gravity = Gravity()
     for x, y, z in accelerations:
         gravity.add(SimpleNamespace(x=x, y=y, z=z))
-    return gravity.note("imu/data")
-
-
-@pytest.mark.parametrize("acceleration, axis", [
-    ((9.8, 0.3, 0.1), "x"), ((0.2, -9.8, 0.5), "y"), ((7.0, 1.0, 6.5), "x"),
-], ids=["nose_up", "on_its_side", "tilted_by_47_degrees"])
-def test_imu_on_its_side_is_said_with_the_axis(acceleration, axis):
-    assert note(acceleration) == (f"imu/data: gravity lies along its {axis} axis, not along z: it is mounted on its "
-                                  "side, and its turn rate about z isn't the car's")
-
-
-@pytest.mark.parametrize("acceleration", [(0, 0, 9.8), (0, 0, -9.8), (4.0, 0, 9.0), (0, 0, 0), (3.0, 3.0, 0)],
-                         ids=["upright", "upside_down", "tilted_by_24_degrees", "nothing", "gravity_taken_off"])
-def test_upright_imu_or_one_without_gravity_needs_no_word(acceleration):
-    assert note(acceleration) == "" and note() == ""
-
-
-def test_driving_cancels_out_and_numbers_that_are_none_do_not_count():
-    assert note(*[(15.0, 0, 9.8), (-15.0, 0, 9.8)] * 5, (math.nan, 99.0, 0), (math.inf, 99.0, 0)) == ""
+    assert gravity.note("imu/data") == ("" if axis is None else (
+        f"imu/data: gravity lies along its {axis} axis, not along z: it is mounted on its side, and its turn rate "
+        "about z isn't the car's"))
 
 
 def test_times_count_from_the_first_message_and_a_small_step_back_is_no_set_clock():
@@ -208,17 +187,6 @@ def test_times_count_from_the_first_message_and_a_small_step_back_is_no_set_cloc
     assert [timeline.recorded_s(START_NS + round(t * NS_PER_S)) for t in times_s] == times_s
     assert (timeline.start_ns, timeline.last_s, timeline.notes()) == (START_NS, 2.0, ())
     assert timeline.stamped_s(START_NS + NS_PER_S) == 1.0
-
-
-def test_clock_that_was_set_back_begins_another_drive_behind_the_first_and_is_noted():
-    timeline = Timeline()
-    for t in (0.0, 100.0):
-        timeline.recorded_s(START_NS + round(t * NS_PER_S))
-    assert timeline.recorded_s(START_NS + 40 * NS_PER_S) == pytest.approx(100.0 + BREAK_S)
-    assert timeline.recorded_s(START_NS + 41 * NS_PER_S) == pytest.approx(101.0 + BREAK_S)
-    assert timeline.stamped_s(START_NS + 40 * NS_PER_S) == pytest.approx(100.0 + BREAK_S)
-    (note,) = timeline.notes()
-    assert note.startswith("the computer's clock was set back by 60.0 s, 100.0 s after the start: ")
 
 
 @given(st.lists(st.integers(0, 10**6), min_size=1, max_size=30))

@@ -1,6 +1,4 @@
 """Messages from bytes, by the recording's own definition or by one that is known here."""
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 from types import SimpleNamespace
@@ -73,12 +71,6 @@ def test_known_type_needs_no_definition(name, data, field, value):
     assert getattr(decoder(connection(name), True)(data), field) == value
 
 
-@pytest.mark.parametrize("is_ros2", [False, True], ids=["ros1", "ros2"])
-def test_type_without_any_definition_is_refused_by_name(is_ros2):
-    with pytest.raises(UnknownType, match=f"neither the recording nor this package knows all of its type {DEPTH}$"):
-        decoder(connection(DEPTH), is_ros2)
-
-
 @pytest.mark.parametrize("made", [
     connection(DEPTH, "flaot64 [epth"), newer_connection(DEPTH, "module {", "IDL"),
     connection(DEPTH, f"{IDL_RULE}IDL: depth_msgs/msg/Depth\nstruct struct"),
@@ -90,7 +82,6 @@ def test_definition_that_can_not_be_parsed_is_refused_in_one_line(made):
 
 
 # --- known types ---
-
 
 def test_autowares_equivalents_have_the_same_fields_as_this_packages_messages():
     known = known_types().types

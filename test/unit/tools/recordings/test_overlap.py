@@ -1,6 +1,4 @@
 """Recordings with the same driving in them are refused; others aren't, whatever their clocks."""
-from __future__ import annotations
-
 import pytest
 
 from car_interface.tools.recordings.overlap import check_no_overlap, check_paths_differ, trail
@@ -10,7 +8,6 @@ from written_recordings import odometry, write_ros1
 
 
 def driving(path, begin, end, towards=1.0):
-    """A recording of a part of a drive."""
     rows = [odometry(0.1 * index, x_m=towards * index, speed_mps=10.0) for index in range(begin, end)]
     return load(str(write_ros1(path, rows)), ["odom"])
 

@@ -1,6 +1,4 @@
 """The wheels' pulses of a recording: their times, their direction, and what is left out."""
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,37 +7,7 @@ import pytest
 from car_interface.tools.recordings.columns import Timeline
 from car_interface.tools.recordings.pulses import CLOCK_TOPIC, WHEEL_TOPIC, PulseColumns
 from car_interface.tools.recordings.recording import Recorded
-from car_interface.tools.recordings.signals import PULSES, load
-from written_recordings import START_NS, Written, stamp, write_ros1
-
-
-def wheel(time_s, left, right, tick, left_turned_at=0):
-    one = {"speed": 10, "when": tick}
-    return Written(time_s, "/teensy_wheel", "car_interface/Wheel", {
-        "left": {**one, "dist_abs": left, "dist": left_turned_at, "direction": int(left_turned_at > 0)},
-        "right": {**one, "dist_abs": right}})
-
-
-def clock(time_s, tick):
-    monotonic_ns = round(time_s * 1e9) + 7_000_000_000
-    return Written(time_s, "/teensy_clock", "car_interface/TeensyClock", {
-        "stamp": stamp(time_s), "sent": monotonic_ns - 4_000_000, "received": monotonic_ns, "sent_bytes": 15,
-        "baud": 115200, "tick": tick})
-
-
-def test_pulses_are_when_the_wheels_made_them_backward_ones_taken_off(tmp_path):
-    messages = [clock(0.2 * index, 1000 + 200 * index) for index in range(20)]
-    messages += [wheel(0.5 + 0.05 * index, index, 2 * index, 1450 + 50 * index) for index in range(60)]
-    messages += [wheel(3.5 + 0.05 * index, 60 + index, 118, 4450 + 50 * index, left_turned_at=60) for index in range(5)]
-    path = write_ros1(tmp_path / "a.bag", sorted(messages, key=lambda message: message.time_s))
-    left, right = load(str(path), [PULSES]).pulses
-    assert left.count[-1] == max(left.count) - 5 and right.count[-1] == 2 * 59
-    made_s = dict(zip(right.count.tolist(), right.t_s))
-    assert made_s[100] == pytest.approx(0.45 + 0.05 * 50, abs=0.02)
-    assert np.all(np.diff(left.t_s) > 0)
-
-
-# --- columns ---
+from written_recordings import START_NS
 
 
 class Recording:
@@ -49,10 +17,10 @@ class Recording:
         self.columns, self._timeline = PulseColumns(WHEEL_TOPIC), Timeline()
         self._timeline.recorded_s(START_NS)
 
-    def wheels(self, time_s, tick, left, right, direction=0):
-        """Both wheels with that many pulses (not negative) since power-up, all in one direction: 0 is forward."""
-        sides = (SimpleNamespace(speed=20, direction=direction, when=tick, dist=0, dist_abs=count)
-                 for count in (left, right))
+    def wheels(self, time_s, tick, left, right, left_turned_at=0):
+        """Both wheels with that many pulses since power-up, the left one's from a number on backward."""
+        sides = (SimpleNamespace(speed=20, direction=int(turned_at > 0), when=tick, dist=turned_at, dist_abs=count)
+                 for count, turned_at in ((left, left_turned_at), (right, 0)))
         self._add(time_s, WHEEL_TOPIC, SimpleNamespace(**dict(zip(("left", "right"), sides))))
 
     def pong(self, time_s, tick):
@@ -69,6 +37,22 @@ class Recording:
     def build(self):
         self.columns.finish(self._timeline)
         return self.columns.build()
+
+
+def test_pulses_are_when_the_wheels_made_them_backward_ones_taken_off():
+    recording = Recording()
+    for step in range(75):
+        if step % 4 == 0:
+            recording.pong(0.05 * step, 1000 + 50 * step)
+        if step >= 10:
+            is_forward = step < 70
+            recording.wheels(0.05 * step, 950 + 50 * step, step - 10, 2 * (step - 10) if is_forward else 118,
+                             left_turned_at=0 if is_forward else 60)
+    left, right = recording.build()
+    assert left.count[-1] == max(left.count) - 5 and right.count[-1] == 2 * 59
+    made_s = dict(zip(right.count.tolist(), right.t_s))
+    assert made_s[100] == pytest.approx(0.45 + 0.05 * 50, abs=0.02)
+    assert np.all(np.diff(left.t_s) > 0)
 
 
 def test_columns_are_empty_without_a_pulse():

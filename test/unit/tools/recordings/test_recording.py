@@ -1,6 +1,4 @@
 """Recordings of every kind, good and bad: what comes out, and the one line that says why nothing does."""
-from __future__ import annotations
-
 import io
 import os
 import shutil
@@ -35,7 +33,6 @@ def bag(request, tmp_path):
 
 # --- what comes out ---
 
-
 def test_messages_come_in_order_with_their_time_and_the_name_asked_for(bag):
     assert {name: topic.type for name, topic in contents(str(bag)).topics.items()} == {
         "/generic/output/value": "car_interface/msg/Float64Stamped", "/odom": "nav_msgs/msg/Odometry"}
@@ -53,9 +50,12 @@ def test_contents_tell_how_much_there_is_and_from_when_to_when(bag):
     assert found.steps_back == 0
 
 
-def test_type_is_checked_by_either_spelling(bag):
+def test_type_is_checked_by_either_spelling_and_a_wrong_one_names_topic_file_and_both_types(bag):
     assert len(list(read(str(bag), {"odom": "nav_msgs/Odometry"}))) == 10
     assert len(list(read(str(bag), {"odom": ("std_msgs/Float32", "nav_msgs/msg/Odometry")}))) == 10
+    with pytest.raises(NoRecording, match="/odom is of type nav_msgs/Odometry; accepted: std_msgs/Float32") as caught:
+        list(read(str(bag), {"odom": "std_msgs/Float32"}))
+    assert str(bag) in str(caught.value)
 
 
 def test_mcap_of_autoware_is_read_by_its_folder_and_by_its_file():
@@ -79,7 +79,6 @@ def test_name_is_looked_up_below_the_namespace_first(asked, namespace, found):
 
 # --- what nobody knows ---
 
-
 @pytest.mark.parametrize("write, definitions", [(write_ros1, {}), (write_ros2, {"with_definitions": False})])
 def test_unknown_type_is_left_alone_unless_it_is_asked_for(write, definitions, tmp_path):
     path = write(tmp_path / "a.bag", [ODD, *VALUES], extra_types=[UNHEARD], **definitions)
@@ -99,7 +98,6 @@ def test_definition_that_makes_no_sense_matters_only_when_it_is_asked_for(tmp_pa
 
 
 # --- bad bags: one line that names topic and file ---
-
 
 def whole(tmp_path):
     return write_ros1(tmp_path / "a.bag", VALUES * 1 + ODOMETRY, chunk_bytes=300)
@@ -198,12 +196,6 @@ def test_what_is_no_file_is_told_by_its_kind_and_not_waited_for(tmp_path, name, 
         contents(str(path))
 
 
-def test_wrong_type_names_topic_file_and_both_types(bag):
-    with pytest.raises(NoRecording, match="/odom is of type nav_msgs/Odometry; accepted: std_msgs/Float32") as caught:
-        list(read(str(bag), {"odom": "std_msgs/Float32"}))
-    assert str(bag) in str(caught.value)
-
-
 def test_damaged_message_names_its_topic(tmp_path):
     path = whole(tmp_path)
     data = path.read_bytes()
@@ -231,7 +223,6 @@ def test_topic_that_its_type_would_refuse_is_not_offered_for_a_missing_one(bag):
 
 
 # --- the bar ---
-
 
 @pytest.mark.parametrize("step_s, is_shown", [(0.6, True), (0.0004, False)])
 def test_bar_shows_after_a_second_and_not_before(monkeypatch, step_s, is_shown):

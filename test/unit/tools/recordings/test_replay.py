@@ -1,6 +1,4 @@
 """Raw records of a recording, put through the measurements again."""
-from __future__ import annotations
-
 import contextlib
 from types import SimpleNamespace
 

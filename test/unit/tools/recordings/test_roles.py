@@ -1,6 +1,4 @@
 """Which recorded topic plays which role: the user's word, the usual name, a guess that is said, or none."""
-from __future__ import annotations
-
 import pytest
 
 from car_interface.tools.recordings.recording import Topic
@@ -31,16 +29,13 @@ def test_usual_name_goes_before_any_other_topic_of_the_type_unless_the_user_name
     assert find(recorded("/ekf/odom", "/odom"), ODOM, given=given) == Found(expected)
 
 
-def test_only_topic_of_the_type_is_guessed_and_said():
+def test_only_topic_of_the_type_is_guessed_and_said_and_of_two_none_and_both_are_named():
     assert find(recorded("/husky_velocity_controller/odom"), ODOM) == Found(
         "/husky_velocity_controller/odom",
         "odom: /husky_velocity_controller/odom (the only nav_msgs/Odometry)")
     assert find(recorded(vesc__drive=DRIVE), ACKERMANN) == Found(
         "/vesc/drive", "ackermann: /vesc/drive (the only ackermann_msgs/AckermannDriveStamped)")
     assert find({"/a": Topic("sensor_msgs/Imu", 1)}, IMU).note == "imu: /a (the only sensor_msgs/Imu)"  # as in ROS 1
-
-
-def test_of_two_topics_of_the_type_none_is_guessed_and_both_are_named():
     assert find(recorded("/ekf", "/wheels"), ODOM) == Found(
         "odom", "odom: there are /ekf and /wheels, and no odom; say which by --map, as in --map /ekf=odom")
 
@@ -71,14 +66,11 @@ def test_types_that_may_be_anything_are_never_guessed(role, kind):
     assert find(recorded(a=kind), role) == Found(role.topics[0])
 
 
-def test_namespace_has_guesses_of_its_own():
+def test_namespace_has_guesses_of_its_own_and_a_topic_of_another_car_is_none():
     both = recorded("/car1/ekf", "/car2/ekf")
     assert find(both, ODOM, "/car2").topic == "/car2/ekf"
     assert find(both, ODOM).note.startswith("odom: there are /car1/ekf and /car2/ekf")
     assert find(recorded("/car10/ekf"), ODOM, "/car1") == Found("odom")
-
-
-def test_topic_of_another_car_is_not_guessed():
     topics = recorded("/car1/ekf", car1__turn_arb__state="car_interface/msg/SteeringState")
     assert find(topics, ODOM) == Found("odom") and other_cars(topics, "/") == {"/car1"}
     assert find(topics, ODOM, "/car1").topic == "/car1/ekf" and other_cars(topics, "/car1") == set()

@@ -1,6 +1,4 @@
 """ROS 1 bags come in order, without the position of every message in memory."""
-from __future__ import annotations
-
 import random
 import struct
 

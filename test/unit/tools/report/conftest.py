@@ -1,6 +1,4 @@
 """A drive of a minute in which a lot happens, and its summary."""
-from __future__ import annotations
-
 import pytest
 
 from car_interface.tools.report.plots import plots
@@ -21,5 +19,4 @@ def seen(bag):
 
 @pytest.fixture(scope="session")
 def drawn(seen):
-    """The plots of that drive."""
     return plots(seen)

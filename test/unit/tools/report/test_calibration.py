@@ -1,6 +1,4 @@
 """The page about a calibration drive: its new table, not the one by which it drove."""
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -10,8 +8,8 @@ from car_interface.tools.report.drives_row import row
 from car_interface.tools.report.faults import OK, WARN
 from car_interface.tools.report.page import page
 from car_interface.tools.report.plots import plots
-from car_interface.tools.report.summary import summarize
-from written_recordings import HOSTILE, Written, drive, write_ros1
+from tools.report.summaries import summarized
+from written_recordings import HOSTILE, Written, drive
 
 LEFT = (SideRow(3800, 1.05, 4000, 4.0, 0.006, 7, 12.4, "driven"), SideRow(3830, 1.03, 4470, 9.0, 0.021, 5, 8.0, "end"))
 RIGHT = (SideRow(6700, 1.05, 6600, 6.0, 0.009, 6, 9.9, "driven"),
@@ -34,7 +32,7 @@ def summary_of(tmp_path, text):
     messages = [*drive(12.0), status(8.0, OK, "fine"), status(9.0, WARN, OLD_TABLE), status(10.0, OK, "fine"),
                 Written(11.0, "/rosout", "rosgraph_msgs/Log", {"level": 4, "name": "/throttle_arb", "msg": COASTS}),
                 Written(11.5, "/calibration_drive/result", "std_msgs/String", {"data": text})]
-    return summarize(str(write_ros1(tmp_path / "drive.bag", sorted(messages, key=lambda one: one.time_s))))
+    return summarized(tmp_path, messages)
 
 
 def words(text):

@@ -1,14 +1,12 @@
 """What a recording can't tell, and that the report says so instead of that nothing went wrong."""
-from __future__ import annotations
-
 import math
 from html import unescape
 
 import pytest
 
 from car_interface.tools.report.page import page
-from car_interface.tools.report.summary import summarize
-from written_recordings import Written, odometry, write_ros1
+from tools.report.summaries import summarized
+from written_recordings import Written, odometry
 
 DURATION_S = 30
 ALL_IS_WELL = "Nothing went wrong that this recording shows."
@@ -52,16 +50,12 @@ def without(messages, *topics):
     return [message for message in messages if message.topic not in topics]
 
 
-def shown(text):
-    """A part of the page with its texts as they are read."""
-    return " ".join(unescape(text).split())
+def first_paragraph(text):
+    return " ".join(unescape(text[text.index('<p class="verdict">'):text.index("</p>")]).split())
 
 
 def verdict(tmp_path, messages, namespace="/"):
-    """The first paragraph of the page, as its reader sees it."""
-    bag = str(write_ros1(tmp_path / "a.bag", sorted(messages, key=lambda message: message.time_s)))
-    text = page(summarize(bag, namespace), {})
-    return shown(text[text.index('<p class="verdict">'):text.index("</p>")])
+    return first_paragraph(page(summarized(tmp_path, messages, namespace), {}))
 
 
 @pytest.mark.parametrize("below", ["", "/car1"], ids=["alone", "in_a_namespace"])
@@ -71,8 +65,8 @@ def test_recording_that_has_everything_and_no_fault_says_so(below, tmp_path):
 
 
 def test_recording_of_odometry_alone_can_tell_nothing_and_has_no_table_of_faults(tmp_path):
-    text = page(summarize(str(write_ros1(tmp_path / "a.bag", wheels(10)))), {})
-    words = shown(text[text.index('<p class="verdict">'):text.index("</p>")])
+    text = page(summarized(tmp_path, wheels(10)), {})
+    words = first_paragraph(text)
     assert "Nothing went wrong" not in words and "no fault" not in words
     assert ("What this recording can't tell: no /turn_arb/state (who drove, and why the car stopped); "
             "no /teensy_sensor_hub/link (errors of the Teensy's link); "
@@ -100,7 +94,6 @@ def test_question_whose_topic_is_missing_is_named_and_the_rest_shows_no_fault(to
 
 def test_link_s_report_on_diagnostics_answers_for_its_topic_and_those_of_other_nodes_for_nothing(tmp_path):
     assert ALL_IS_WELL in verdict(tmp_path, without(healthy_drive(), "/teensy_sensor_hub/link"))
-    (tmp_path / "a.bag").unlink()
     messages = without(healthy_drive(), "/diagnostics") + [diagnostics(second, ["camera: driver"])
                                                             for second in range(DURATION_S)]
     assert "no /diagnostics of pca9685 (errors of the servo board)" in verdict(tmp_path, messages)

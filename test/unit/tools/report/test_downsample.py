@@ -1,6 +1,4 @@
 """Curves, paths and places of any length are kept in bounded memory."""
-from __future__ import annotations
-
 import math
 
 import numpy as np

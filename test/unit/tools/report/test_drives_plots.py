@@ -1,6 +1,4 @@
 """Trends over drives."""
-from __future__ import annotations
-
 import pytest
 
 from car_interface.tools.report import drives_plots

@@ -1,6 +1,4 @@
 """What of a recording is compared from drive to drive."""
-from __future__ import annotations
-
 import json
 import math
 from types import SimpleNamespace
@@ -10,8 +8,8 @@ import pytest
 from car_interface.common import causes
 from car_interface.tools.report import drives_row
 from car_interface.tools.report.drives_row import Row, row, stored_row
-from car_interface.tools.report.summary import summarize
-from written_recordings import SPEED_MPS, START_NS, Written, odometry, stamp, write_ros1
+from tools.report.summaries import summarized
+from written_recordings import SPEED_MPS, START_NS, Written, odometry, stamp
 
 PLANNER, NEUTRAL = 4, 2
 
@@ -43,12 +41,9 @@ def test_ping_that_is_still_on_its_way_is_not_unanswered(pings, pongs, unanswere
     assert found["unanswered"] == unanswered and found["frames"] == 0
 
 
-def test_row_survives_json(found):
+def test_row_survives_json_and_figures_that_no_car_can_have_are_not_known(found, seen, monkeypatch):
     assert Row(*json.loads(json.dumps(found)))._asdict() == found._asdict()
     assert stored_row(json.loads(json.dumps(found)), "day/drive.bag")._asdict() == found._asdict()
-
-
-def test_figures_that_no_car_can_have_are_not_known(seen, monkeypatch):
     for garbage in (math.nan, math.inf, 1e300):
         monkeypatch.setattr(seen.motion, "distance_m", garbage)
         garbled = row(seen, "day/drive.bag")
@@ -56,9 +51,8 @@ def test_figures_that_no_car_can_have_are_not_known(seen, monkeypatch):
 
 
 def test_recording_of_odometry_alone_says_none_and_not_nothing(tmp_path):
-    path = write_ros1(tmp_path / "a.bag", [odometry(0.1 * step, 0.1 * step, speed_mps=1.0, topic="/ekf")
-                                           for step in range(50)])
-    found = row(summarize(str(path)), "a.bag")
+    found = row(summarized(tmp_path, [odometry(0.1 * step, 0.1 * step, speed_mps=1.0, topic="/ekf")
+                                      for step in range(50)]), "a.bag")
     assert found.distance_m == pytest.approx(4.9)
     for name in ("gamepad_s", "planner_s", "losses", "straight_per_m", "left_ratio", "drive_mps2", "hold_mps2",
                  "brake_mps2", "frames", "corrupt", "unanswered", "faults", "errors"):
@@ -71,8 +65,7 @@ def test_value_map_is_judged_by_what_it_got_and_not_by_what_autoware_asked_for_b
              if message.topic == "/control/command/control_cmd"]
     wild = [message._replace(fields={"longitudinal": {"acceleration": 3.0}}) if "control_cmd" in message.topic else
             message for message in accelerating()]
-    messages = sorted([*wild, *asked], key=lambda message: message.time_s)
-    found = row(summarize(str(write_ros1(tmp_path / "a.bag", messages))), "a.bag")
+    found = row(summarized(tmp_path, [*wild, *asked]), "a.bag")
     assert found.drive_mps2 == pytest.approx(-0.2, abs=0.02) and found.notes == []
 
 
@@ -91,12 +84,11 @@ def accelerating(duration_s=4.0, source=PLANNER):
 
 def test_value_map_is_off_by_what_the_car_did_more_than_requested_unless_a_human_drove(tmp_path):
     for source, expected in ((PLANNER, pytest.approx(-0.2, abs=0.02)), (3, None)):
-        path = write_ros1(tmp_path / f"{source}.bag", accelerating(source=source))
-        found = row(summarize(str(path)), "a.bag")
+        found = row(summarized(tmp_path, accelerating(source=source)), "a.bag")
         assert found.drive_mps2 == expected and found.hold_mps2 is found.brake_mps2 is None
 
 
 def test_loss_of_the_throttle_alone_counts_once(tmp_path):
     lost = [message._replace(fields={**message.fields, "source": NEUTRAL, "cause": causes.COMMAND_STALE, "reason": "x"})
             if message.topic == "/throttle_arb/state" and message.time_s > 3 else message for message in accelerating()]
-    assert row(summarize(str(write_ros1(tmp_path / "a.bag", lost))), "a.bag").losses == {causes.COMMAND_STALE: 1}
+    assert row(summarized(tmp_path, lost), "a.bag").losses == {causes.COMMAND_STALE: 1}

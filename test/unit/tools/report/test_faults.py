@@ -1,6 +1,4 @@
 """What went wrong, when, and for how long."""
-from __future__ import annotations
-
 import copy
 import math
 import re
@@ -44,7 +42,7 @@ def test_flood_of_faults_is_kept_to_a_bound_and_counted(seen):
     assert "1000 more are not kept" in page(flooded, {})
 
 
-def test_condition_lasts_until_it_is_ok_another_one_or_the_end_with_its_worst_level():
+def test_condition_lasts_until_it_is_ok_another_one_or_the_end_and_a_repeated_moment_has_a_count():
     log = FaultLog()
     for time_s, level, what in ((1.0, WARN, "late by 1 s"), (2.0, ERROR, "late by 2 s"), (3.0, WARN, "late by 3 s"),
                                 (4.0, OK, "on time"), (5.0, WARN, "late by -1.5e-3 s"), (6.0, WARN, "gone")):
@@ -53,9 +51,6 @@ def test_condition_lasts_until_it_is_ok_another_one_or_the_end_with_its_worst_le
     assert log.entries[:2] == [Fault(1.0, 4.0, ERROR, "node", "late by 1 s"),
                                Fault(5.0, 6.0, WARN, "node", "late by -1.5e-3 s")]
     assert log.entries[2].what == "gone" and math.isnan(log.entries[2].end_s)
-
-
-def test_repeated_moment_is_one_fault_with_a_count():
     log = FaultLog()
     for index in range(3):
         log.add_repeated(float(index), WARN, "node", f"retry {index}")
@@ -63,7 +58,6 @@ def test_repeated_moment_is_one_fault_with_a_count():
 
 
 # --- a node's start ---
-
 
 def reported(*reports, driven_from_s=20.0):
     """What of (time, level, text) of one key is a fault."""

@@ -1,6 +1,4 @@
 """What the plots have in common: episodes as bands, axes over time, curves, and the text of an SVG."""
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 
@@ -34,7 +32,6 @@ def axes():
 
 # --- bands ---
 
-
 @pytest.mark.parametrize("episodes, expected", [
     pytest.param([], [], id="none"),
     pytest.param([(0, 10, TELEOP), (10, 30, PLANNER)], [(0, 10, TELEOP), (10, 20, PLANNER)], id="each_source"),
@@ -53,7 +50,6 @@ def test_bands_are_start_width_and_source(episodes, expected):
 
 # --- axes ---
 
-
 def test_stack_draws_the_wanted_panels_and_labels_the_last_one():
     drawn = []
     figure = stack(drive(60, (0, 30, TELEOP), (30, 60, PLANNER)), [
@@ -68,7 +64,6 @@ def test_stack_draws_the_wanted_panels_and_labels_the_last_one():
 
 
 # --- curves ---
-
 
 def test_curve_has_the_samples_of_its_trace_and_a_gap_where_they_are_missing(axes):
     curve(axes, trace((0, 1.0), (0.5, 2.0), (10, 3.0)), "red", "speed", gap_s=1.0)
@@ -88,7 +83,6 @@ def test_usual_magnitude_ignores_a_single_outlier():
 
 
 # --- SVG ---
-
 
 @pytest.mark.parametrize("text, shown", [
     ("planner silent", "planner silent"), ("电池 low", "?? low"), ("низкий", "низкий"), ("a\tb\nc", "a b c"),

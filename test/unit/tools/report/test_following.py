@@ -1,6 +1,4 @@
 """How closely a car followed what it was sent."""
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 
@@ -30,21 +28,18 @@ def test_bend_is_a_ratio_by_side(sent, driven, sides):
         assert samples == (wanted is not None) and (wanted is None or median == pytest.approx(wanted, abs=0.002))
 
 
-def test_car_that_does_exactly_what_it_was_sent_is_off_by_nothing():
+def test_straight_on_is_a_difference_and_a_car_that_does_exactly_what_it_was_sent_is_off_by_nothing():
     assert following(0.5, 0.5).ratios()[0].median == pytest.approx(1.0, abs=1e-9)
     assert following(0.0, 0.0).straight_per_m().median == pytest.approx(0.0, abs=1e-9)
     assert accelerating(1.0, 1.0) == [0.0, None, None]
+    found = following(0.01, 0.05)
+    assert found.straight_per_m() == MedianOf(pytest.approx(0.04, abs=0.001), 1)
+    assert [one.samples for one in found.ratios()] == [0, 0]
 
 
 @pytest.mark.parametrize("driven", [0.0, -0.3], ids=["goes_straight_on", "turns_to_the_other_side"])
 def test_ratio_of_a_car_that_does_not_turn_has_an_inverse(driven):
     assert 0 < following(0.5, driven).ratios()[0].median < 0.01
-
-
-def test_straight_on_is_a_difference():
-    found = following(0.01, 0.05)
-    assert found.straight_per_m() == MedianOf(pytest.approx(0.04, abs=0.001), 1)
-    assert [one.samples for one in found.ratios()] == [0, 0]
 
 
 @pytest.mark.parametrize("case", [

@@ -1,6 +1,4 @@
 """Texts for numbers and times."""
-from __future__ import annotations
-
 import pytest
 
 from car_interface.tools.report.html import counted, moment_text, span_text

@@ -1,6 +1,4 @@
 """Distance, curvature and acceleration by odometry."""
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 
@@ -11,14 +9,15 @@ from car_interface.common.sources import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TEL
 from car_interface.tools.report.page import page
 from car_interface.tools.report.plots import plots
 from car_interface.tools.report.summary import summarize
-from written_recordings import Written, odometry, stamp, write_ros1
+from tools.report.summaries import summarized
+from written_recordings import ACKERMANN, ANGLE, STAMPED_ANGLE, Written, odometry, stamp, write_ros1
 
 
 def test_curvature_is_that_of_the_steering_backwards_too(tmp_path):
     # Backwards with the wheels to the left, radius 2 m: x and y as on the way there, the heading turns to the right.
     messages = [odometry(0.02 * step, 2 * math.sin(angle), 2 - 2 * math.cos(angle), angle, -1.0)
                 for step, angle in ((step, -0.01 * step) for step in range(200))]
-    seen = summarize(str(write_ros1(tmp_path / "a.bag", messages)))
+    seen = summarized(tmp_path, messages)
     turned = seen.traces["driven curvature"]
     assert (turned.minimum, turned.maximum) == (pytest.approx(0.5, abs=0.01), pytest.approx(0.5, abs=0.01))
 
@@ -26,7 +25,7 @@ def test_curvature_is_that_of_the_steering_backwards_too(tmp_path):
 def test_odometry_that_was_reset_is_no_distance_and_its_gap_is_a_fault(tmp_path):
     jump = [odometry(0.1 * step, 0.1 * step, speed_mps=1.0) for step in range(20)]
     jump += [odometry(5 + 0.1 * step, 50 + 0.1 * step, speed_mps=1.0) for step in range(20)]
-    seen = summarize(str(write_ros1(tmp_path / "a.bag", jump)))
+    seen = summarized(tmp_path, jump)
     assert seen.motion.distance_m == pytest.approx(3.8)
     assert [fault.what for fault in seen.faults.entries] == [
         "silent for 3.10 s", "began anew: 48.1 m from where it was"]
@@ -40,24 +39,26 @@ def test_clock_set_back_is_a_fault_and_leaves_accelerations_sane(tmp_path, back_
     assert any("went back once" in fault.what for fault in seen.faults.entries) is is_fault
 
 
-def test_numbers_that_are_none_are_left_out(tmp_path):
+def test_numbers_that_are_none_are_left_out(tmp_path, bag):
     messages = [odometry(0.02 * step, speed_mps=math.nan if step == 5 else 1.0) for step in range(50)]
     messages.append(Written(0.5, "/av_turnrad_req", "std_msgs/Float32", {"data": math.nan}))
-    seen = summarize(str(write_ros1(tmp_path / "a.bag", messages)))
+    seen = summarized(tmp_path, messages)
     assert seen.traces["speed"].count == 49 and seen.traces["requested curvature"].count == 0
+    drive = summarize(bag)
+    before = drive.traces["requested speed"].count
+    for angle, speed in ((math.nan, 1.0), (0.1, math.inf)):
+        drive.asked.on_drive(9.0, SimpleNamespace(steering_angle=angle, speed=speed))
+    assert drive.traces["requested speed"].count == before
 
 
-STAMPED, PLAIN = "ackermann_msgs/AckermannDriveStamped", "ackermann_msgs/AckermannDrive"
-PLAIN_TEXT = "\n".join(f"float32 {name}" for name in (
-    "steering_angle", "steering_angle_velocity", "speed", "acceleration", "jerk"))
-TYPES = [(PLAIN, PLAIN_TEXT), (STAMPED, f"std_msgs/Header header\n{PLAIN} drive")]
 WHEELBASE_M, RADIUS_M, ASKED_MPS, DRIVEN_MPS = 0.3, 2.0, 1.0, 0.9
 
 
 def asked(time_s, angle_rad, speed_mps, topic="/drive", is_stamped=True):
     drive = {"steering_angle": angle_rad, "speed": speed_mps}
-    return Written(time_s, topic, STAMPED, {"header": {"stamp": stamp(time_s)}, "drive": drive}) if is_stamped else \
-        Written(time_s, topic, PLAIN, drive)
+    if is_stamped:
+        return Written(time_s, topic, STAMPED_ANGLE, {"header": {"stamp": stamp(time_s)}, "drive": drive})
+    return Written(time_s, topic, ANGLE, drive)
 
 
 def circle(duration_s=10.0, topic="/drive", is_stamped=True):
@@ -92,18 +93,14 @@ def compared(tmp_path, *more, driven_mps=lambda time_s: 1.0, asked_until_s=12.0)
                                  driven_mps(time_s)))
         if time_s < asked_until_s:
             messages.append(asked(time_s, math.atan(WHEELBASE_M / RADIUS_M), ASKED_MPS))
-    messages.sort(key=lambda message: message.time_s)
-    return summarize(str(write_ros1(tmp_path / "a.bag", messages, extra_types=TYPES)), wheelbase_m=WHEELBASE_M)
+    return summarized(tmp_path, messages, extra_types=ACKERMANN, wheelbase_m=WHEELBASE_M)
 
 
-def test_car_that_drove_as_asked_and_then_stood_without_a_request_drove_as_asked(tmp_path):
+def test_car_that_drove_as_asked_did_so_and_what_it_does_after_the_last_request_is_not_compared(tmp_path):
     drive = compared(tmp_path, asked_until_s=4.0, driven_mps=lambda time_s: 1.0 if time_s < 4.3 else 0.0)
     median, samples = drive.asked.speed_ratio()
     assert median == pytest.approx(1.0, abs=0.002) and 60 < samples < 80
     assert "<td>as asked</td>" in page(drive, {})
-
-
-def test_turn_after_the_request_has_ended_is_not_compared(tmp_path):
     assert 60 < compared(tmp_path, asked_until_s=4.0).motion.by_planner.ratios()[0].samples < 80
 
 
@@ -116,9 +113,8 @@ def test_request_counts_anew_after_a_pause_once_the_car_has_had_time_to_follow(t
 
 def test_pause_of_the_requests_between_two_messages_of_a_slow_odometry_counts_as_well(tmp_path):
     requests = [asked(time_s, 0.0, ASKED_MPS) for time_s in (2.5, 2.9, 3.3, 3.9, 4.3, 4.7)]
-    messages = sorted([*requests, *(odometry(time_s, speed_mps=0.5) for time_s in (2.6, 3.0, 4.0, 5.0))],
-                      key=lambda message: message.time_s)
-    drive = summarize(str(write_ros1(tmp_path / "a.bag", messages, extra_types=TYPES)))
+    messages = [*requests, *(odometry(time_s, speed_mps=0.5) for time_s in (2.6, 3.0, 4.0, 5.0))]
+    drive = summarized(tmp_path, messages, extra_types=ACKERMANN)
     assert drive.asked.speed_ratio().samples == 1, "at 5.0 s"
 
 
@@ -171,7 +167,6 @@ def test_acceleration_is_compared_where_the_planner_had_the_throttle_all_along(t
 
 # --- odometry without a twist ---
 
-
 def captured(speed_mps, yaw_rad=0.0, noise_m=0.0, twist=None, duration_s=6.0, rate_hz=100, has_stamp=True):
     """Motion capture of a car that drives straight on for 4 s, then stands: poses, and a twist of (m/s, rad/s)."""
     for step in range(int(duration_s * rate_hz)):
@@ -190,7 +185,7 @@ def captured(speed_mps, yaw_rad=0.0, noise_m=0.0, twist=None, duration_s=6.0, ra
     ({"has_stamp": False}, 1.5),
 ], ids=["no_twist", "only_turn_rates", "backward", "body_turned_against_the_car", "five_a_second", "no_stamps"])
 def test_odometry_without_a_twist_has_the_speed_of_its_pose_and_the_page_says_so(case, speed_mps, tmp_path):
-    drive = summarize(str(write_ros1(tmp_path / "a.bag", captured(1.5, **case))))
+    drive = summarized(tmp_path, captured(1.5, **case))
     speed, acceleration = drive.traces["speed"], drive.traces["acceleration"]
     fastest = max(speed.minimum, speed.maximum, key=abs)
     assert fastest == pytest.approx(speed_mps, rel=1e-3)
@@ -205,7 +200,7 @@ def test_odometry_without_a_twist_turns_as_its_pose_does(tmp_path):
     messages = circle()
     for message in messages:
         message.fields.pop("twist", None)
-    drive = summarize(str(write_ros1(tmp_path / "a.bag", messages, extra_types=TYPES)), wheelbase_m=WHEELBASE_M)
+    drive = summarized(tmp_path, messages, extra_types=ACKERMANN, wheelbase_m=WHEELBASE_M)
     assert drive.asked.speed_ratio().median == pytest.approx(0.9, abs=0.003)
     assert drive.motion.by_planner.ratios()[0].median == pytest.approx(1 / 1.2, abs=0.05)
     turned = drive.traces["turn rate"]
@@ -213,21 +208,21 @@ def test_odometry_without_a_twist_turns_as_its_pose_does(tmp_path):
 
 
 def test_noise_of_a_pose_that_stands_is_no_distance(tmp_path):
-    drive = summarize(str(write_ros1(tmp_path / "a.bag", captured(1.0, noise_m=0.001))))
+    drive = summarized(tmp_path, captured(1.0, noise_m=0.001))
     assert drive.motion.distance_m == pytest.approx(4.0, abs=0.1)
     assert drive.motion.moving_s == pytest.approx(4.0, abs=0.2)
-    stood = summarize(str(write_ros1(tmp_path / "b.bag", captured(0.0, noise_m=0.001))))
+    stood = summarized(tmp_path, captured(0.0, noise_m=0.001))
     assert stood.motion.distance_m == 0.0 and not any("twist" in note for note in stood.notes)
 
 
 def test_twist_that_is_there_is_believed(tmp_path):
-    drive = summarize(str(write_ros1(tmp_path / "a.bag", captured(1.5, twist=(1.2, 0.0)))))
+    drive = summarized(tmp_path, captured(1.5, twist=(1.2, 0.0)))
     assert drive.traces["speed"].maximum == 1.2 and not any("twist" in note for note in drive.notes)
 
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
-    return str(write_ros1(tmp_path_factory.mktemp("asked") / "a.bag", circle(), extra_types=TYPES))
+    return str(write_ros1(tmp_path_factory.mktemp("asked") / "a.bag", circle(), extra_types=ACKERMANN))
 
 
 def test_speed_and_curve_are_compared_with_what_was_asked(bag):
@@ -252,26 +247,15 @@ def test_without_the_wheelbase_an_angle_is_only_an_angle_and_the_page_says_so(ba
 
 
 def test_message_without_a_stamp_and_with_another_name_is_guessed(tmp_path):
-    path = write_ros1(tmp_path / "a.bag", circle(3.0, "/planner/out", is_stamped=False), extra_types=TYPES)
-    drive = summarize(str(path))
+    drive = summarized(tmp_path, circle(3.0, "/planner/out", is_stamped=False), extra_types=ACKERMANN)
     assert drive.traces["requested speed"].count == 60
     assert "ackermann: /planner/out (the only ackermann_msgs/AckermannDrive)" in drive.notes
 
 
 def test_topic_called_drive_of_another_type_is_not_read(tmp_path):
     messages = [*circle(1.0, "/x"), Written(0.5, "/drive", "std_msgs/String", {"data": "forward"})]
-    path = write_ros1(tmp_path / "a.bag", sorted(messages, key=lambda one: one.time_s), extra_types=TYPES)
-    assert summarize(str(path)).traces["requested speed"].count == 20
-    path = write_ros1(tmp_path / "b.bag", [message for message in messages if message.topic != "/x"])
-    assert "drive" not in summarize(str(path)).present
-
-
-def test_requests_that_are_none_are_left_out(bag):
-    drive = summarize(bag)
-    before = drive.traces["requested speed"].count
-    for angle, speed in ((math.nan, 1.0), (0.1, math.inf)):
-        drive.asked.on_drive(9.0, SimpleNamespace(steering_angle=angle, speed=speed))
-    assert drive.traces["requested speed"].count == before
+    assert summarized(tmp_path, messages, extra_types=ACKERMANN).traces["requested speed"].count == 20
+    assert "drive" not in summarized(tmp_path, [one for one in messages if one.topic != "/x"]).present
 
 
 def imu(time_s, rate_radps, gravity):
@@ -287,7 +271,7 @@ def spinning(tmp_path, gravity=(0.0, 0.0, 9.8), rate_radps=0.5):
         time_s = step / 50
         messages += [odometry(time_s, 0.0, 0.0, math.remainder(0.75 * time_s, 2 * math.pi)),
                      imu(time_s, rate_radps, gravity)]
-    return summarize(str(write_ros1(tmp_path / f"{rate_radps}.bag", messages)))
+    return summarized(tmp_path, messages)
 
 
 def test_odometry_that_turns_more_than_the_imu_is_said(tmp_path):
@@ -297,22 +281,18 @@ def test_odometry_that_turns_more_than_the_imu_is_said(tmp_path):
     assert "by the IMU" not in drive.notes and "speed" in plots(drive)
 
 
-def test_imu_on_its_side_is_not_compared_and_the_page_says_why(tmp_path):
+def test_imu_on_its_side_or_that_hardly_turns_or_has_no_number_is_not_compared_and_the_page_says_why(tmp_path):
     drive = spinning(tmp_path, (0.0, 9.8, 0.0))
     assert drive.imu.odometry_ratio().samples == 0
     text = page(drive, {})
     assert "Turned by odometry" not in text and "imu/data: gravity lies along its y axis, not along z" in text
+    assert spinning(tmp_path, rate_radps=0.1).imu.odometry_ratio().samples == 0
+    drive = spinning(tmp_path, rate_radps=math.nan)
+    assert drive.imu.odometry_ratio().samples == 0 and drive.traces["imu turn rate"].count == 0
 
 
 def test_turn_rate_of_an_odometry_that_has_ended_is_not_compared_with_the_imu(tmp_path):
     messages = [*(odometry(step / 50, 0.0, 0.0, 0.5 * step / 50) for step in range(100)),
                 *(imu(step / 50, 0.5 if step < 100 else 2.0, (0.0, 0.0, 9.8)) for step in range(400))]
-    messages.sort(key=lambda message: message.time_s)
-    drive = summarize(str(write_ros1(tmp_path / "a.bag", messages)))
+    drive = summarized(tmp_path, messages)
     assert drive.imu.odometry_ratio().median == pytest.approx(1.0, abs=0.01)
-
-
-def test_imu_that_hardly_turns_or_has_no_number_tells_nothing(tmp_path):
-    assert spinning(tmp_path, rate_radps=0.1).imu.odometry_ratio().samples == 0
-    drive = spinning(tmp_path, rate_radps=math.nan)
-    assert drive.imu.odometry_ratio().samples == 0 and drive.traces["imu turn rate"].count == 0

@@ -1,6 +1,4 @@
 """The plots of a drive."""
-from __future__ import annotations
-
 import copy
 import math
 import re
@@ -8,14 +6,12 @@ import re
 from car_interface.tools.report import plots as report_plots
 from car_interface.tools.report.downsample import Trace
 from car_interface.tools.report.figures import DRIVER_COLOURS
-from car_interface.tools.report.summary import summarize
-from written_recordings import Written, odometry, write_ros1
-
-PLOTS = ["who", "steering", "path", "speed", "link"]
+from tools.report.summaries import summarized
+from written_recordings import odometry, output
 
 
 def test_each_plot_is_one_svg_with_ids_of_its_own(drawn):
-    assert list(drawn) == PLOTS
+    assert list(drawn) == ["who", "steering", "path", "speed", "link"]
     ids = [name for plot in drawn.values() for name in re.findall(r'\bid="([^"]+)"', plot)]
     assert len(ids) == len(set(ids))
     for plot in drawn.values():
@@ -44,7 +40,7 @@ def test_each_trace_shows_in_its_plot(seen, monkeypatch):
 def test_steering_shows_what_was_driven_where_that_is_tighter_than_what_was_sent(tmp_path):
     messages = [odometry(0.02 * step, math.sin(0.02 * step), 1 - math.cos(0.02 * step), 0.02 * step, 1.0)
                 for step in range(500)]
-    figure = report_plots._steering(summarize(str(write_ros1(tmp_path / "a.bag", messages))))
+    figure = report_plots._steering(summarized(tmp_path, messages))
     low, high = figure.axes[0].get_ylim()
     assert low < -1.0 and high > 1.0  # 1/m
 
@@ -61,9 +57,7 @@ def test_path_under_a_later_one_stays_visible(seen):
 def test_servos_channel_is_not_drawn_as_the_escs_though_its_channel_is_unknown(tmp_path, monkeypatch):
     drawn = []
     monkeypatch.setattr(report_plots, "curve", lambda axes, trace, colour, label, *_, **__: drawn.append(label))
-    messages = [Written(0.1 * step, "/servo/output", "std_msgs/Int32MultiArray",
-                        {"data": [5000 + 16 * step, 4912 + 16 * step] + [0] * 14}) for step in range(20)]
-    seen = summarize(str(write_ros1(tmp_path / "a.bag", messages)))
+    seen = summarized(tmp_path, [output(0.1 * step, 5000 + 16 * step, 4912 + 16 * step) for step in range(20)])
     with monkeypatch.context() as patch:
         patch.setattr(report_plots, "title", lambda axes, text: drawn.append(text))
         report_plots._speed(seen)

@@ -1,6 +1,4 @@
 """Pictures of a steering calibration and of a value map."""
-from __future__ import annotations
-
 from xml.etree import ElementTree
 
 import pytest

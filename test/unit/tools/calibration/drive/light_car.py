@@ -1,6 +1,4 @@
 """A car for the drive's tests: a servo with a lag, a known curve, speeds that follow, odometry without errors."""
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,6 +1,4 @@
 """The area: where arcs lead, and how far a car can go until no turn keeps it inside."""
-from __future__ import annotations
-
 import math
 import random
 from dataclasses import replace

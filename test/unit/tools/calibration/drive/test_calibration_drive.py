@@ -1,6 +1,4 @@
 """The drive as a whole, with a car that does what it is asked for: it waits, pauses, stays inside, and ends."""
-from __future__ import annotations
-
 import math
 
 import numpy as np

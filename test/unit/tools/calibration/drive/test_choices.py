@@ -1,6 +1,4 @@
 """What could be held next, and what that is worth from here."""
-from __future__ import annotations
-
 import pytest
 
 from car_interface.tools.calibration.drive.area import Area, Pose
@@ -61,18 +59,13 @@ def test_a_way_across_ends_with_the_turn_about_which_less_is_known(monkeypatch, 
     assert (best.hold.duty, best.side, best.length_m) == (5184, side, pytest.approx(1.2))
 
 
-def test_a_way_across_ends_with_the_turn_that_leaves_more_room_where_neither_is_missing(monkeypatch):
+@pytest.mark.parametrize("rooms_m, side", [((1.2, 1.8), 1), ((0.2, 0.5), None)], ids=("more_room", "no_room_for_any"))
+def test_a_way_across_ends_with_the_turn_that_leaves_more_room_where_neither_is_missing(monkeypatch, rooms_m, side):
     offer(monkeypatch, Candidate(5184, 1.0, 0))
-    give_room(monkeypatch, lambda curvature_per_m: (1.2, 1.8))
+    give_room(monkeypatch, lambda curvature_per_m: rooms_m)
     choice, = choices().all(0)
-    assert choice.side == 1 and choice.length_m == pytest.approx(1.8)
-
-
-def test_without_room_it_ends_with_no_turn_and_says_how_much_there_is(monkeypatch):
-    offer(monkeypatch, Candidate(5184, 1.0, 0))
-    give_room(monkeypatch, lambda curvature_per_m: (0.2, 0.5))
-    choice, = choices().all(0)
-    assert choice.side is None and choice.score == 0.0 and choice.length_m == pytest.approx(0.5)
+    assert choice.side == side and (choice.score > 0) == (side is not None)
+    assert choice.length_m == pytest.approx(rooms_m[1])
 
 
 @pytest.mark.parametrize("curvature, length_m", [(0.0, 2.2), (0.05, 2.2), (-1.0, 0.9)])

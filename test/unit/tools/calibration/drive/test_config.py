@@ -1,7 +1,8 @@
-"""What the drive takes from the car's nodes."""
-from __future__ import annotations
-
+"""What the drive takes from the car's nodes, and that it takes no rosbags."""
 import math
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
@@ -20,14 +21,11 @@ THROTTLE = {**load_yaml(str(package_file("config/throttle.yaml"))),
             "sonar_hub": load_yaml(str(package_file("config/sonars.yaml")))}
 
 
-def test_sonars_are_those_of_throttle_arb_though_it_does_not_stop_for_them():
+def test_sonars_are_those_of_throttle_arb_also_where_it_does_not_stop_for_them_and_without_it_is_refused():
     assert THROTTLE["obstacle_stop"] is False
     made = read_obstacles({**THROTTLE, "obstacle": {"sonars": {"rear_left": "absent"}, "front": 0.5}})
     assert set(made.mounts) == set(SONARS) - {"rear_left"}
     assert made.outline.front_m == 0.5
-
-
-def test_throttle_arb_that_does_not_know_the_sonars_is_refused_in_words():
     with pytest.raises(CarInterfaceError, match=r"of throttle_arb's parameters sonar_hub/sonars/front_right is "
                                                 r"missing.*launch the car by its launch files, or .* --no-sonars"):
         read_obstacles({"servo": THROTTLE["servo"]})
@@ -50,3 +48,15 @@ def test_options_are_read_and_those_of_the_drive_are_its_settings():
 def test_an_impossible_number_is_refused_by_its_parameters_name(field, value, parameter):
     with pytest.raises(ConfigError, match=rf"^{parameter}\b.*a number from"):
         CalibrationDriveConfig(**{field: value})
+
+
+def test_drive_and_its_conclusion_are_imported_without_rosbags():
+    """A car's own computer may have none, as Debian has no package of it."""
+    code = ("import sys; sys.modules['rosbags'] = None; "
+            "import car_interface.tools.calibration.drive.calibration_drive, "
+            "car_interface.tools.calibration.drive.conclusion, "
+            "car_interface.tools.calibration.drive.stick_guide")
+    path = [str(Path(__file__).resolve().parents[5] / "src"), *filter(None, sys.path)]
+    done = subprocess.run([sys.executable, "-B", "-c", code], env={"PYTHONPATH": ":".join(path)}, capture_output=True,
+                          text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")

@@ -1,6 +1,4 @@
 """Holding a position: past it or as it comes, settled, and measured."""
-from __future__ import annotations
-
 import pytest
 
 from car_interface.tools.calibration.drive.hold import CROSSED_DUTY, PAST_DUTY, SETTLED_DUTY, Hold
@@ -22,11 +20,6 @@ def servo_at(one, servo, until_ns, lag_s=0.15):
     return servo, min(places), max(places)
 
 
-def test_from_afar_it_is_asked_for_at_once():
-    one = hold(5200, 6000.0)
-    assert one.asked_duty(0) == 5200 and one.from_side == 1
-
-
 @pytest.mark.parametrize("servo, from_side", [(6000.0, -1), (4500.0, 1), (5210.0, 0), (5200.0, -1)],
                          ids=("from_the_far_side", "from_the_other_far_side", "from_next_to_it", "from_itself"))
 def test_otherwise_it_goes_past_it_and_comes_back(servo, from_side):
@@ -45,11 +38,6 @@ def test_when_it_counts_as_settled_the_servo_has_arrived(servo, from_side, lag_s
     assert servo_at(one, servo, one.settled_ns, lag_s)[0] == pytest.approx(5200, abs=SETTLED_DUTY + 1)
 
 
-def test_it_never_asks_for_more_than_the_limits():
-    one = hold(3800, 3810.0, -1)
-    assert one.asked_duty(0) == 3800
-
-
 def test_only_what_is_driven_while_it_is_settled_counts():
     one = hold(5200, 6000.0)
     one.update_motion(1.0, 0.7, one.settled_ns - 1)
@@ -61,7 +49,9 @@ def test_only_what_is_driven_while_it_is_settled_counts():
     assert measured.curvature_per_m == pytest.approx(0.4)
 
 
-def test_seconds_to_settle_run_down():
+def test_from_afar_it_is_asked_for_at_once_within_the_limits_and_the_seconds_to_settle_run_down():
+    assert hold(3800, 3810.0, -1).asked_duty(0) == 3800
     one = hold(5200, 6000.0)
+    assert one.asked_duty(0) == 5200 and one.from_side == 1
     assert one.seconds_to_settle(0) == pytest.approx(one.settled_ns / 1e9)
     assert one.seconds_to_settle(one.settled_ns + MS) == 0.0 and one.is_settled(one.settled_ns)

@@ -1,6 +1,4 @@
 """What a fit of the samples so far knows, and where it knows least."""
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

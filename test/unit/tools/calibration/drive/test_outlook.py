@@ -1,6 +1,4 @@
 """Where the car goes from here, and how fast it may."""
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 
@@ -80,14 +78,10 @@ def test_a_car_with_no_room_to_turn_is_to_be_moved_to_the_middle_or_placed_for_i
     assert "no room to turn: place it so that the middle is about 1.7 m to its left, by hand or by" in text
 
 
-def test_it_has_to_turn_before_the_edge_and_not_in_the_middle():
+def test_it_turns_before_the_edge_and_a_car_that_coasts_far_sooner_unless_it_surely_stops_soon():
     hold, now_ns = settled(CENTER)
     assert not outlook(Pose(-1.5, 0.0, 0.0)).is_outside_soon(hold, now_ns)
     assert outlook(Pose(1.8, 0.0, 0.0)).is_outside_soon(hold, now_ns)
-
-
-def test_a_car_that_coasts_far_turns_sooner_unless_it_surely_stops_soon():
-    hold, now_ns = settled(CENTER)
     # Along the edge the turn alone would do later.
     assert not outlook(Pose(1.0, 1.85, -0.2), 0.4).is_outside_soon(hold, now_ns)
     assert outlook(Pose(1.0, 1.85, -0.2), 0.4, least_mps2=0.1).is_outside_soon(hold, now_ns)
@@ -95,13 +89,10 @@ def test_a_car_that_coasts_far_turns_sooner_unless_it_surely_stops_soon():
     assert far.is_outside_soon(hold, now_ns) and not soon.is_outside_soon(hold, now_ns)
 
 
-def test_room_ends_where_a_car_that_coasts_far_could_no_longer_stop():
+def test_room_ends_where_a_car_that_coasts_far_or_is_too_fast_could_no_longer_stop_inside():
     along = Pose(0.6, 1.85, -0.2)  # where the turn alone would do for longer
     rooms = [max(outlook(along, 0.4, least_mps2=least).rooms_m(CENTER, 0.0, 0.4, 10.0)) for least in (0.1, math.inf)]
     assert rooms[0] < rooms[1]
-
-
-def test_there_is_no_room_where_a_car_is_too_fast_to_coast_to_a_stop_inside():
     rooms = [max(outlook(ACROSS, speed_mps).rooms_m(CENTER, 0.0, 1.2, 10.0)) for speed_mps in (0.5, 0.9, 1.5)]
     # From 0.9 m/s it coasts for 2.2 m with 0.2 m/s², from 1.5 m/s for 5.9 m; there are 4.4.
     assert rooms[0] == pytest.approx(rooms[1], abs=0.3) and 1.2 < rooms[0] < 4.4 and rooms[2] < 0.5

@@ -1,6 +1,4 @@
 """From position to position: around what the sonars see, and with enough of each."""
-from __future__ import annotations
-
 import math
 
 import pytest
@@ -122,20 +120,6 @@ def test_a_turn_goes_on_at_what_was_measured_without_coming_to_it_anew():
         (MEASURING, first.target_duty, first.steering), (TURNING, first.target_duty, first.steering)}
 
 
-@pytest.mark.parametrize("needs, end", [((4.0, 0.1), 3900), ((0.1, 4.0), 6400)], ids=("left", "right"))
-def test_a_way_across_ends_in_time_for_the_turn_about_which_less_is_known(monkeypatch, needs, end):
-    offer(monkeypatch, Candidate(5184, 4.0, 0), Candidate(3900, needs[0], 0), Candidate(6400, needs[1], 0))
-    rooms_m = Outlook.rooms_m
-    # The ends are measured in turns only.
-    monkeypatch.setattr(Outlook, "rooms_m", lambda self, duty, curvature_per_m, *how: (
-        [0.0, 0.0] if abs(curvature_per_m) > 0.5 else rooms_m(self, duty, curvature_per_m, *how)))
-    one = car(fits=False)
-    one.run(30)
-    turns = [step.target_duty for before, step in zip(one.steps, one.steps[1:])
-             if step.phase == TURNING and before.phase == MEASURING]
-    assert len(turns) >= 3 and turns.count(end) >= 0.8 * len(turns)
-
-
 def test_a_person_is_asked_to_place_it_where_no_way_leads_to_the_turns_that_are_missing(monkeypatch):
     offer(monkeypatch, Candidate(6400, 5.0, 0), Candidate(4096, 1.2, 0))
     monkeypatch.setattr(Outlook, "rooms_m", lambda self, duty, curvature_per_m, speed_mps, max_m: [-5.0, -5.0])
@@ -192,24 +176,15 @@ def test_a_turn_is_sought_after_two_to_the_other_side_only_and_lost_after_one_mo
     assert one.seek(lost) == pytest.approx(1.0)
 
 
-def test_what_it_turns_to_that_side_on_its_way_does_not_find_it_again():
+def test_a_lost_turn_is_found_by_a_tight_one_to_that_side_only_and_sought_again_after_two_more():
     one = LostTurns()
     for _ in range(40):
         one.update_motion(-0.5)
-        one.update_motion(0.3)
+        one.update_motion(0.3)  # on its way
     assert one.drive(RIGHT) == LEFT
-
-
-def test_a_tight_turn_to_that_side_does():
-    one = LostTurns()
-    one.update_motion(-TWO_RAD)
     one.drive(LEFT)
     one.update_motion(-1.0)
     assert one.drive(RIGHT) is None
-
-
-def test_it_seeks_again_only_after_two_more():
-    one = LostTurns()
     one.update_motion(-TWO_RAD)
     one.ask(LEFT)
     assert one.asked == LEFT and one.drive(RIGHT) is None

@@ -1,6 +1,4 @@
 """Which position comes next, and what curvature is expected of it."""
-from __future__ import annotations
-
 import pytest
 
 from car_interface.tools.calibration.drive.knowledge import Knowledge

@@ -1,6 +1,4 @@
 """Samples of a drive: arrays for the fit at any moment."""
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -28,11 +26,7 @@ def test_yaw_is_unwrapped_and_distance_is_that_of_the_path():
     assert drive.yaw_rad[-1] == pytest.approx(19.98, abs=1e-6)
     assert drive.distance_m[-1] - drive.distance_m[0] == pytest.approx(19.98, rel=1e-3)
     assert drive.t_s[-1] - drive.t_s[0] == pytest.approx(19.98)
-
-
-def test_times_of_odometry_and_duties_are_on_one_scale():
-    drive = circling(1.0).drive()
-    assert drive.t_s[0] - drive.duty_t_s[0] == pytest.approx(1.0)
+    assert drive.t_s[0] - drive.duty_t_s[0] == pytest.approx(1.0), "on one scale"
 
 
 @pytest.mark.parametrize("duty", [0, -1, 65535, 9000])
@@ -80,12 +74,9 @@ def test_curvature_is_that_of_the_path_and_backward_counts_negative(curvature, s
     assert total_rad == pytest.approx(0.98 * speed_mps * curvature, abs=1e-6)
 
 
-def test_a_car_that_hardly_moves_has_no_curvature():
+def test_car_that_hardly_moves_has_no_curvature_and_what_happened_in_a_gap_does_not_count():
     assert driven(0.5, speed_mps=0.05)[0].curvature_per_m() is None
     assert Motion().curvature_per_m() is None
-
-
-def test_what_happened_in_a_gap_does_not_count():
     motion, _, _ = driven(0.0)
     assert motion.update(Pose(9.0, 9.0, 1.0), 1.0, 9_000 * MS) == (0.0, 0.0)
     assert motion.curvature_per_m() is None and motion.pose.x_m == 9.0

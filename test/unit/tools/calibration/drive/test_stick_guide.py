@@ -1,6 +1,4 @@
 """Where to hold the stick, and for how long still."""
-from __future__ import annotations
-
 import pytest
 
 from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
@@ -42,21 +40,9 @@ def _number(words):
     return value if words.endswith("left") else -value
 
 
-def test_it_begins_with_an_end_and_asks_for_a_slow_drive_and_can_be_ended_by_hand():
+def test_it_waits_for_odometry_says_how_long_still_and_then_the_next_until_it_is_ended_by_hand():
     one = car()
     assert "odom was never heard" in one.drive.step(1).text
-    one.holds = False
-    assert one.tick(0.0, 5184).text == "human_in_loop is false; hold the manual deadman"
-    one.holds = True
-    guidance = one.tick(0.0, 5184)
-    assert guidance.phase == PAUSED and guidance.target_duty == 3900
-    assert guidance.text == "drive slowly, about 1 m/s, with the stick at 100% left"
-    one.drive.finish()
-    assert one.tick(1.0, 5184).phase == DONE
-
-
-def test_it_says_how_long_still_and_then_the_next():
-    one = car()
     guidance = obey(one, 3, until=lambda guidance: guidance.phase == MEASURING)
     assert guidance.text.startswith("hold 100% left: ") and 1.0 <= guidance.seconds_left <= 2.1
     assert guidance.held == pytest.approx(1.0)
@@ -64,6 +50,8 @@ def test_it_says_how_long_still_and_then_the_next():
         shorter = one.tick(1.0, 3900)
     assert shorter.seconds_left == pytest.approx(guidance.seconds_left - 0.5, abs=0.05)
     assert obey(one, 5, until=lambda guidance: guidance.target_duty != 3900).target_duty == 6400
+    one.drive.finish()
+    assert one.tick(1.0, 5184).phase == DONE
 
 
 def test_the_center_is_come_to_past_one_side():

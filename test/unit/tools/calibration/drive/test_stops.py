@@ -1,6 +1,4 @@
 """How the car stopped whenever the button was let go, and with what it surely stops the next time."""
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,6 +1,4 @@
 """Evidence and progress: when a fit is due, and when it is enough."""
-from __future__ import annotations
-
 import math
 
 import pytest

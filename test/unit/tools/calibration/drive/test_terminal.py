@@ -1,6 +1,4 @@
 """What a person reads in the terminal while the car calibrates itself, line by line."""
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -51,7 +51,6 @@ class Person:
                 self._speed.append((self._now_ns / 1e9 + 0.03, self.car.wheel_mps + noise))
 
     def replace_esc(self, esc):
-        """Drives on with another one."""
         self._esc = esc
 
     def _pass_magnets(self, before_m, after_m):
@@ -99,6 +98,14 @@ class Person:
         self.hold(-self.rng.uniform(0.4, 0.6), self.rng.uniform(1.3, 1.6), lambda speed: speed < -0.8)
         self.center()
 
+    def wait_and_pull(self, neutral_s, pull_s=2.0):
+        """A pull so long after driving forward to a standstill."""
+        self.forward()
+        self.center()
+        self.center(neutral_s)
+        self.hold(-0.5, pull_s, lambda speed: speed < -0.6)
+        self.center()
+
     def drive(self, leaves_out=()) -> EscDrive:
         """All that calibrate_esc asks for, but for the parts that are left out."""
         parts = {"creep forward": self._creep, "coast": self._coast, "brake": self._brake,
@@ -130,11 +137,7 @@ class Person:
 
     def _wait_and_pull(self):
         for neutral_s in (1.0, 6.5):
-            self.forward()
-            self.center()
-            self.center(neutral_s)
-            self.hold(-0.5, 1.2, lambda speed: speed < -0.6)
-            self.center()
+            self.wait_and_pull(neutral_s, 1.2)
 
     def recorded(self) -> EscDrive:
         duty, speed = np.array(self._duty), np.array(self._speed)

@@ -1,6 +1,4 @@
 """From what a drive shows to the parameters in a file."""
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 
@@ -58,18 +56,6 @@ def test_values_have_the_table_shifted_by_the_neutral():
         "esc/profile_measured": True, "esc/dead_band_forward": 0.11, "esc/dead_band_reverse": 0.12, "esc/dwell": 0.3,
         "esc/reverse_after_neutral": 0.0, "esc/drag_deceleration": 0.5}
     assert yaml_values(NOTHING, RISING) == {}
-
-
-def test_text_keeps_the_base_and_begins_with_the_report():
-    pattern = ("# old head\nservo:\n  neutral: 4912  # 1.5 ms\n  duty_table: [3277, 4912, 6554]\n"
-               "esc:\n  profile: unverified\n  stop_brake: 0.7  # mine\nexpo: 0.2\n")
-    text = yaml_text(WHOLE, base(), pattern, ["ESC by a.bag"])
-    assert text == (
-        "# Written by calibrate_esc; throttle_arb loads it. Duties are 0..65535 of the PWM period, dead bands "
-        "fractions\n# of the duty between neutral and each end.\n#\n# ESC by a.bag\n\n"
-        "servo:\n  neutral: 4890\n  duty_table: [3255, 4890, 6532]\nesc:\n  profile: brake_then_reverse\n"
-        "  stop_brake: 0.7  # mine\n  profile_measured: true\n  dead_band_forward: 0.11\n  dead_band_reverse: 0.12\n"
-        "  dwell: 0.3\n  reverse_after_neutral: 0\n  drag_deceleration: 0.5\nexpo: 0.2\n")
 
 
 def test_file_that_had_a_calibration_drive_has_none_any_more():

@@ -1,6 +1,4 @@
 """An ESC told by a drive: right, or refused with what to drive; never wrong."""
-from __future__ import annotations
-
 import dataclasses
 import os
 
@@ -65,7 +63,6 @@ def test_esc_without_reverse_is_not_asked_for_its_neutral_and_its_drag_brake_is_
 
 
 def driven(*actions):
-    """The fit of a drive of some actions only."""
     person = Person(virtual_escs.xl5(dwell_s=0.25), seed=5)
     person.center(2.0)
     for name, times, *arguments in actions:
@@ -76,27 +73,19 @@ def driven(*actions):
 
 
 @pytest.mark.parametrize("actions, hints", [
-    ([("forward", 3)], [
-        ("the profile: full stick for a good second, pull back all the way, and hold until the car has stood for two "
-         "seconds or rolls backward; three times")]),
-    ([("brake", 1), ("reverse", 1, 0.7)], [
-        ("the profile: after a brake, center the stick for a second and pull back all the way for two seconds; four "
-         "times")]),
+    ([("forward", 3)], ["the profile: full stick for a good second, pull back all the way, and hold until the car"]),
+    ([("brake", 1), ("reverse", 1, 0.7)], ["the profile: after a brake, center the stick for a second and pull back"]),
     ([("reverse", 3, 0.8)], [
-        ("esc/dwell: after a brake, center the stick for less than 0.5 s and pull back for a second; several times, "
-         "each a little quicker"),
-        ("esc/reverse_after_neutral: full stick for a good second, center it, and after 8 s pull back all the way for "
-         "two seconds; twice"),
-        ("esc/dead_band_forward: from standstill, push the stick so slowly that the car just sets off; three times")]),
-    ([("set_off", 3, 1), ("reverse", 3, 0.8)], [
-        ("esc/dead_band_reverse: from standstill, pull the stick so slowly that the car just sets off; three times")]),
-    ([("brake", 4)], [
-        ("the profile: after a brake, center the stick for a second and pull back all the way for two seconds; four "
-         "times"),
-        "esc/drag_deceleration: full stick for a good second, then center it until the car stands; three times"]),
+        "esc/dwell: after a brake, center the stick for less than 0.5 s and pull back for a second; several times",
+        "esc/reverse_after_neutral: full stick for a good second, center it, and after 8 s pull back all the way",
+        "esc/dead_band_forward: from standstill, push the stick so slowly that the car just sets off; three times"]),
+    ([("set_off", 3, 1), ("reverse", 3, 0.8)], ["esc/dead_band_reverse: from standstill, pull the stick so slowly"]),
+    ([("brake", 4)], ["the profile: after a brake, center the stick for a second and pull back",
+                      "esc/drag_deceleration: full stick for a good second, then center it until the car stands"]),
 ], ids=["no_brake", "one_of_each", "no_quick_one", "no_creeping_backward", "brakes_alone"])
 def test_what_the_drive_does_not_show_is_refused_with_what_to_drive(actions, hints):
-    assert set(hints) <= set(driven(*actions).missing)
+    missing = driven(*actions).missing
+    assert [hint for hint in hints if not any(text.startswith(hint) for text in missing)] == []
 
 
 def test_brakes_that_contradict_each_other_name_no_profile():
@@ -127,10 +116,12 @@ def driven_backward_by(times, make, with_pulses=True, **car):
     return fit(drive if with_pulses else drive._replace(wheels=()))
 
 
-def test_pause_by_the_wheels_pulses_tells_a_crawler_from_a_direct_esc():
+def test_pause_by_the_wheels_pulses_tells_a_crawler_unless_it_turns_at_once_from_a_direct_esc():
     alike = {"brake_mps2": 4.0, "reverse_mps2": 4.0}
     assert driven_backward_by(3, lambda: virtual_escs.crawler(turn_s=0.12), **alike).profile == "brake_becomes_reverse"
     assert driven_backward_by(3, virtual_escs.direct, **alike).profile == "direct_reverse"
+    found = driven_backward_by(4, lambda: virtual_escs.crawler(turn_s=0.0), brake_mps2=8.0, reverse_mps2=2.5)
+    assert found.profile is None and "it is not clear whether it brakes first" in found.missing[0]
 
 
 def test_without_pulses_only_a_long_pause_names_a_profile():
@@ -142,25 +133,12 @@ def test_without_pulses_only_a_long_pause_names_a_profile():
     assert found.missing[0].endswith("and record the wheels' pulses, too (rosbag record -a)")
 
 
-def test_crawler_that_turns_at_once_is_not_taken_for_a_direct_esc():
-    found = driven_backward_by(4, lambda: virtual_escs.crawler(turn_s=0.0), brake_mps2=8.0, reverse_mps2=2.5)
-    assert found.profile is None and "it is not clear whether it brakes first" in found.missing[0]
-
-
 def second_pulls(esc, *neutrals_s):
     person = Person(esc, seed=5)
     person.center(2.0)
     for neutral_s in neutrals_s:
         person.reverse(neutral_s)
     return person
-
-
-def wait_and_pull(person, neutral_s):
-    person.forward()
-    person.center()
-    person.center(neutral_s)
-    person.hold(-0.5, 2.0, lambda speed: speed < -0.6)
-    person.center()
 
 
 def test_second_pulls_that_contradict_each_other_name_no_profile():
@@ -173,7 +151,7 @@ def test_esc_that_was_once_seen_to_reverse_is_not_forward_only():
     esc = virtual_escs.xl5(dwell_s=2.0, forget_s=3.0)
     person = second_pulls(esc, 0.6, 0.7, 0.8, 0.6)
     assert fit(person.recorded()).profile == "forward_only"  # so it looks as yet
-    wait_and_pull(person, 4.0)
+    person.wait_and_pull(4.0)
     assert fit(person.recorded()).profile is None
 
 
@@ -184,7 +162,7 @@ def test_brake_of_a_car_that_still_rolls_does_not_show_that_the_esc_remembers():
     assert person.car.speed_mps > 1.0
     person.hold(-0.5, 3.0, lambda speed: speed < -0.6)
     person.center()
-    wait_and_pull(person, 4.0)
+    person.wait_and_pull(4.0)
     found = fit(person.recorded())
     assert found.reverse_after_neutral_s == 0.5
     assert any(text.endswith("the first pull was reverse, and none from standstill was a brake") for text in found.seen)
@@ -195,7 +173,7 @@ def test_only_a_long_wait_shows_that_an_esc_never_forgets_and_waits_that_contrad
     forgets = virtual.VirtualEsc(virtual_escs.xl5(forget_s=3.0))
     found = []
     for wait_s in (1.0, 6.5, 4.0):
-        wait_and_pull(person, wait_s)
+        person.wait_and_pull(wait_s)
         found.append(fit(person.recorded()))
         if wait_s == 6.5:
             person.replace_esc(forgets)

@@ -1,6 +1,4 @@
 """The pulls of a drive, told apart by what went before and what the car did."""
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import virtual_escs
@@ -32,10 +30,12 @@ def test_brake_that_is_held_stops_the_car_or_drives_it_backward_after_a_pause(ma
     assert pause_s is None or pull.pause_s == pytest.approx(pause_s, abs=0.06)
 
 
-def test_second_pull_follows_the_first_and_knows_its_neutral():
+def test_second_pull_follows_the_first_and_knows_its_neutral_and_that_since_forward():
     first, second = pulls_of(virtual_escs.xl5, (-0.5, 2.0), (0, 0.4), (-0.5, 1.0))
     assert (first.outcome, second.outcome, second.follows_pull) == (HELD, BACKWARD, True)
     assert second.neutral_s == pytest.approx(0.4, abs=0.03) and np.isinf(second.since_forward_s)
+    (pull,) = pulls_of(virtual_escs.xl5, None, (0, 3.0), (-0.5, 1.5))
+    assert pull.since_forward_s > 3.0 and abs(pull.speed_mps) < 0.05
 
 
 @pytest.mark.parametrize("push", [0.5, 0.1], ids=["forward", "a_push_within_the_dead_band"])
@@ -44,20 +44,15 @@ def test_pull_after_a_push_follows_none(push):
     assert not second.follows_pull and (second.since_forward_s == 0) == (push == 0.5)
 
 
-def test_neutral_since_forward_is_counted():
-    (pull,) = pulls_of(virtual_escs.xl5, None, (0, 3.0), (-0.5, 1.5))
-    assert pull.since_forward_s > 3.0 and abs(pull.speed_mps) < 0.05
+UNTIL_IT_STANDS = (-0.5, 5.0, lambda speed: speed <= 0)
 
 
-@pytest.mark.parametrize("action", [(-0.5, 0.3), (-0.1, 3.0)], ids=["short", "weak"])
-def test_pull_that_shows_nothing_is_unclear(action):
-    (pull,) = pulls_of(virtual_escs.xl5, action)
-    assert pull.outcome == UNCLEAR
-
-
-@pytest.mark.parametrize("held_s, outcome", [(0.5, UNCLEAR), (1.2, HELD)])
-def test_brake_that_is_let_go_soon_after_the_car_stands_is_unclear(held_s, outcome):
-    (pull,) = pulls_of(virtual_escs.xl5, (-0.5, 5.0, lambda speed: speed <= 0), (-0.5, held_s))
+@pytest.mark.parametrize("actions, outcome", [
+    ([(-0.5, 0.3)], UNCLEAR), ([(-0.1, 3.0)], UNCLEAR), ([UNTIL_IT_STANDS, (-0.5, 0.5)], UNCLEAR),
+    ([UNTIL_IT_STANDS, (-0.5, 1.2)], HELD),
+], ids=["short", "weak", "let_go_soon_after_the_car_stands", "held_on"])
+def test_pull_that_shows_nothing_is_unclear(actions, outcome):
+    (pull,) = pulls_of(virtual_escs.xl5, *actions)
     assert pull.outcome == outcome
 
 

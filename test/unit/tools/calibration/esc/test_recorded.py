@@ -1,6 +1,4 @@
 """A recording as the drive that the fit of an ESC takes: its neutral, what is unknown of it, and what is no drive."""
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -9,16 +7,12 @@ from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.tools.calibration.esc.pulls import pulls, sampled
 from car_interface.tools.calibration.esc.recorded import joined, load_esc_drive
 from car_interface.tools.recordings.recording import NoRecording
-from written_recordings import Written, odometry, write_ros1
+from written_recordings import Written, odometry, output, write_ros1
 
 SHIPPED = ThrottleCalibration(channel=1, value_axis=[-5, 0, 3], duty_table=[3277, 4915, 6554], neutral=4915)
 FALLING = ThrottleCalibration(channel=1, value_axis=[-5, 0, 3], duty_table=[6554, 4915, 3277], neutral=4915)
 ONE_SIDED = ThrottleCalibration(channel=1, value_axis=[0, 3], duty_table=[4915, 6554], neutral=4915)
 END_S = 10.0
-
-
-def output(time_s, duty):
-    return Written(time_s, "/servo/output", "std_msgs/Int32MultiArray", {"data": [5100, duty] + [-1] * 14})
 
 
 def state(time_s, granted=0.0, duty=4915, esc_cause="calibration drive"):
@@ -31,7 +25,7 @@ def outputs(*changes):
     found, duty = [], changes[0][1]
     for time_s in sorted({*(change[0] for change in changes), *np.arange(0.0, END_S, 0.5)}):
         duty = dict(changes).get(time_s, duty)
-        found.append(output(time_s, duty))
+        found.append(output(time_s, 5100, duty))
     return found
 
 
@@ -55,21 +49,20 @@ def test_drive_has_the_duties_of_the_channel_and_the_ends_of_the_table(tmp_path)
     assert set(drive.speed_mps) == {1.0} and drive.wheels == ()
 
 
-def test_neutral_is_that_of_the_drive_whatever_the_file_has(tmp_path):
-    drive = driven(tmp_path, [*outputs((0.0, 4944)), state(1.0, 0.0, 4940), state(2.0, 0.5, 5700)]).drive
-    assert (drive.neutral, drive.full_forward, drive.full_reverse) == (4940, 6579, 3302)
+@pytest.mark.parametrize("calibration, states, neutral_and_ends", [
+    (SHIPPED, [state(1.0, 0.0, 4940), state(2.0, 0.5, 5700)], (4940, 6579, 3302)),
+    (FALLING, [state(1.0)], (4915, 6553, 3276)),
+], ids=["that_of_the_drive_whatever_the_file_has", "mirrored_where_shorter_pulses_are_forward"])
+def test_neutral_and_ends_are(tmp_path, calibration, states, neutral_and_ends):
+    drive = driven(tmp_path, [*outputs((0.0, 4944), (3.0, 4200)), *states], calibration=calibration).drive
+    assert (drive.neutral, drive.full_forward, drive.full_reverse) == neutral_and_ends
+    assert duty_at(drive, 4.0) == (4200 if calibration is SHIPPED else 2 * 4915 - 4200)
 
 
 def test_neutral_that_was_tuned_during_the_drive_is_refused(tmp_path):
     with pytest.raises(CarInterfaceError, match=r"servo/neutral was tuned during the drive \(it was 4900 to 4940\)"):
         driven(tmp_path, [*outputs((0.0, 4912)), *(state(time_s, 0.0, duty) for time_s, duty in
                                                    ((1.0, 4900), (1.1, 4900), (2.0, 4940)))])
-
-
-def test_esc_that_takes_shorter_pulses_for_forward_is_mirrored(tmp_path):
-    drive = driven(tmp_path, [*outputs((0.0, 4915), (3.0, 4200)), state(1.0)], calibration=FALLING).drive
-    assert (drive.neutral, drive.full_forward, drive.full_reverse) == (4915, 6553, 3276)
-    assert duty_at(drive, 4.0) == 2 * 4915 - 4200
 
 
 @pytest.mark.once
@@ -82,7 +75,7 @@ def test_where_odometry_is_missing_nothing_is_known_of_the_esc(tmp_path, gap, kn
 
 
 def test_where_the_board_s_output_is_missing_nothing_is_known_of_the_esc(tmp_path):
-    held = [output(time_s, duty) for time_s, duty in ((0.0, 4912), (1.0, 4000), (5.0, 4912), (6.0, 4912))]
+    held = [output(time_s, 5100, duty) for time_s, duty in ((0.0, 4912), (1.0, 4000), (5.0, 4912), (6.0, 4912))]
     drive = driven(tmp_path, [*held, state(1.0)]).drive
     assert [duty_at(drive, time_s) for time_s in (3.4, 3.6, 4.9, 5.1)] == [4000, 0, 0, 4912]
 

@@ -1,6 +1,4 @@
 """A fitted steering curve that is a straight line, made by hand: no drive has to be fitted for it."""
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,6 +1,4 @@
 """Synthetic drives of a car whose steering curve is known."""
-from __future__ import annotations
-
 import functools
 
 import numpy as np
@@ -76,7 +74,6 @@ def steep_drive(backlash=6.0):
 
 @functools.lru_cache(maxsize=None)
 def fitted_mixed():
-    """The fit of a plain drive all over, at which several tests look."""
     return fit.fit([drive(mixed())])
 
 

@@ -2,8 +2,6 @@
 
 The curve is a line of 1/1200 1/m per duty: a radius of R m to the left has the duty 5200 − 1200/R.
 """
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -16,7 +14,7 @@ from car_interface.tools.calibration.shared import NothingToFit
 from car_interface.tools.calibration.steering import calibrate as module
 from car_interface.tools.calibration.steering.calibrate import calibrate, yaml_text
 from car_interface.tools.calibration.steering.ends import Side
-from car_interface.tools.calibration.steering.table import DRIVEN, END, LEFT, OLD, RIGHT
+from car_interface.tools.calibration.steering.table import DRIVEN, END, LEFT, RIGHT
 from car_interface.tools.calibration.steering.understeer import Understeer
 from tools.calibration.steering.known_curve import line_curve, recorded
 
@@ -72,16 +70,6 @@ def test_radii_are_chosen_by_the_drives_or_continued_to_almost_straight_on(fits)
     assert [point.radius_m for point in asked] == [1.0, 2.0, 20.0, 30.0, 50.0, 100.0, 300.0]
 
 
-def test_side_that_was_not_driven_keeps_its_old_duties_and_is_a_problem(fits):
-    fits[None] = line_curve(high=5200.0, right=Side(5200.0, 0.0, 0.001, False, False, 5200.0))
-    found = calibrate([recorded()], BASE, (1.0, 2.0, 100.0))
-    assert duties(found, RIGHT) == [6500, 5900, 5200]  # 5110 would be left of the center that was found
-    assert {point.source for point in found.points[RIGHT]} == {OLD}
-    assert found.ends == {LEFT: 4000.0, RIGHT: 6600}
-    assert duties(found, LEFT) == pytest.approx([4000, 4600, 5188])
-    assert [problem.split(":")[0] for problem in found.problems] == ["no data for right turns"]
-
-
 @pytest.mark.parametrize("is_stop, duty", [(False, 3600), (True, 4000.0)], ids=["limit_stays", "stop_is_the_end"])
 def test_limit_that_the_wheels_stay_behind_is_kept(fits, is_stop, duty):
     # Half of the backlash is between servo and wheels: else each calibration would make the range smaller by that.
@@ -122,7 +110,6 @@ def test_drives_that_show_no_steering_are_refused_by_their_names(fits):
 
 # --- several recordings ---
 
-
 def test_recordings_before_and_after_a_change_of_the_linkage_are_refused_unless_that_is_accepted(fits):
     both = [recorded("a.bag"), recorded("b.bag")]
     fits["b.bag"] = line_curve(center=5201.0)
@@ -142,7 +129,6 @@ def test_recording_that_shows_nothing_alone_may_still_be_used_with_others(fits):
 
 
 # --- turn_arb's file ---
-
 
 def test_file_has_the_values_in_whole_duties_and_the_report_as_its_head(fits):
     text = yaml_text(calibrate([recorded()], BASE, (1.0, 3.0, 100.0)), BASE_TEXT, ["a line of the report"])

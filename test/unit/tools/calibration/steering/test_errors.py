@@ -1,6 +1,4 @@
 """Standard errors hold the truth, also between the places that were driven."""
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,6 +1,4 @@
 """From drives to a steering curve: known curves come out; drives that show nothing are refused."""
-from __future__ import annotations
-
 import math
 
 import numpy as np

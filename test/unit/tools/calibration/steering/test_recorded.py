@@ -1,6 +1,4 @@
 """Heading and distance of a recorded drive."""
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -22,14 +20,11 @@ def driving(imu_offset_radps=0.0, odom_ratio=1.0, imu_end_s=60.0):
     return odom, Imu(imu_s, 0.5 * np.cos(0.5 * imu_s) + imu_offset_radps, 0 * imu_s, 0 * imu_s)
 
 
-def test_heading_by_the_imu_has_no_offset_and_shows_how_much_odometry_turns_too_far():
+def test_heading_by_the_imu_has_no_offset_and_one_that_covers_too_little_or_is_unrelated_is_not_used():
     odom, imu = driving(imu_offset_radps=0.02, odom_ratio=1.1)
     yaw_rad, ratio = imu_heading(odom, imu)
     assert ratio == pytest.approx(1.1, abs=0.01)
     assert yaw_rad == pytest.approx(np.sin(0.5 * odom.t_s), abs=0.02)
-
-
-def test_imu_that_covers_too_little_or_is_unrelated_is_not_used():
     assert imu_heading(*driving(imu_end_s=50.0)) is None
     odom, imu = driving()
     assert imu_heading(odom, imu._replace(yaw_rate_radps=np.zeros(len(imu.t_s)))) is None
@@ -51,12 +46,9 @@ TABLE = replace(load_steering(str(package_file("config/turn_arb.yaml"))), radius
 ANGLES = AngleTable(TABLE, 0.324)
 
 
-@pytest.mark.parametrize("radius_m", [0.9, 2.0, 10.0, -0.9, -2.0, -10.0])
-def test_angle_is_the_duty_of_its_radius_at_the_boards_nearest_count(radius_m):
-    duty = ANGLES.duty(math.atan(0.324 / radius_m))
-    assert abs(duty - TABLE.planner_duty(radius_m)) <= 8 and duty % 16 == 0
-
-
-def test_no_angle_is_the_center_and_more_than_the_table_has_its_end():
+def test_angle_is_the_duty_of_its_radius_at_the_board_s_nearest_count_none_the_center_and_more_than_the_table_its_end():
+    for radius_m in (0.9, 2.0, 10.0, -0.9, -2.0, -10.0):
+        duty = ANGLES.duty(math.atan(0.324 / radius_m))
+        assert abs(duty - TABLE.planner_duty(radius_m)) <= 8 and duty % 16 == 0
     assert abs(ANGLES.duty(0.0) - TABLE.servo_center) <= 8 and ANGLES.duty(0.0) == ANGLES.duty(1e-9)
     assert ANGLES.duty(1.4) == ANGLES.duty(1.5) and ANGLES.duty(-1.4) == ANGLES.duty(-1.5) != ANGLES.duty(1.4)

@@ -2,8 +2,6 @@
 
 The curve is a line of 1/1200 1/m per duty, with a segment of 2 m at each of its 151 counts.
 """
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -74,7 +72,6 @@ def test_report_sums_up_the_recordings_what_was_used_of_them_and_what_the_fit_fo
 
 
 # --- the table ---
-
 
 def row(radius_text, points):
     (found,) = [line.split() for line in lines(points=points) if line.startswith(f"  {radius_text:>6} m ")]

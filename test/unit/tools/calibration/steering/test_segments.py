@@ -1,12 +1,15 @@
-"""Segments of drives: which are used, which are left out, and how well the wheels' position is known."""
-from __future__ import annotations
-
+"""Segments of drives: where the wheels were, which are used, which are left out; stops and limits at the ends."""
 import numpy as np
 import pytest
 
+from car_interface.tools.calibration.delay import Delay
 from car_interface.tools.calibration.steering import fit
 from car_interface.tools.calibration.steering.drive import CurveFitConfig
-from tools.calibration.steering.synthetic import KNOWN, KNOWN_DELAY, drive, from_both_sides, mixed, true_curvature
+from car_interface.tools.calibration.steering.ends import find_side
+from car_interface.tools.calibration.steering.table import END, RIGHT, breakpoints
+from car_interface.tools.calibration.steering.wheels import WheelPosition
+from tools.calibration.steering import synthetic
+from tools.calibration.steering.synthetic import KNOWN, KNOWN_DELAY, drive, mixed, true_curvature
 
 pytestmark = pytest.mark.once
 
@@ -44,7 +47,7 @@ def test_what_the_servo_did_in_a_gap_of_the_recording_is_not_taken_for_known():
 
 
 def test_position_of_the_wheels_is_less_known_when_the_linkage_floats_in_its_backlash():
-    sure = np.repeat(from_both_sides(mixed(count=30)), 5)
+    sure = np.repeat(synthetic.from_both_sides(mixed(count=30)), 5)
     # Half a second a little beyond, and back by less than the play: how far it came is a matter of the servo's lag.
     floating = [6000] * 5 + [4940] + [5000] * 6
     found = fit.fit([drive(np.concatenate([sure, floating]), hold_s=0.5, backlash=30.0)],
@@ -61,3 +64,34 @@ def test_the_heading_is_as_good_as_the_drive_shows(noise_rad, heading_sigma_rad)
     independent = np.clip(found.distance_m / 0.15, 2, 26)
     expected = np.hypot(heading_sigma_rad * np.sqrt(12 / independent) / found.distance_m, 0.001)
     assert found.sigma_per_m == pytest.approx(expected, rel=0.2)
+
+
+def test_delay_and_lag_of_the_servo_are_found_though_the_recording_has_gaps():
+    gappy = synthetic.with_gaps(drive(mixed(count=90), lag_s=0.2, hold_s=2.0), every_s=7.0, missed_s=2.5)
+    for found, expected_s, within_s in (
+            (synthetic.fitted_mixed(), 0.15, 0.04), (fit.fit([drive(mixed(), lag_s=0.05, delay_s=0.2)]), 0.25, 0.04),
+            (fit.fit([gappy]), 0.2, 0.03)):
+        assert found.delay.delay_s + found.delay.lag_s == pytest.approx(expected_s, abs=within_s)
+
+
+def test_servo_is_unknown_until_it_had_time_to_arrive_from_anywhere():
+    swings = synthetic.with_gaps(drive(np.tile([4800, 5600], 60), hold_s=0.3), every_s=9.0, missed_s=2.0)
+    wheels = WheelPosition(swings, Delay(0.05, 0.2, 1.0))
+    for end_s in (5.0, 14.0, 23.0):
+        known_s = wheels.t_s[(wheels.t_s > end_s) & wheels.is_known][0] - end_s
+        assert 0.05 + 5 * 0.2 <= known_s < 2.5  # less than 1 % of its way is left, wherever that began
+
+
+def test_limit_of_the_stick_is_an_end_too():
+    found = fit.fit([drive(mixed(low=3700, high=6000))], CurveFitConfig(limits=(3800, 6000), delay=KNOWN_DELAY))
+    assert found.right.is_end and not found.right.is_stop
+    assert breakpoints(found, [1.0], RIGHT)[0].source == END
+
+
+@pytest.mark.parametrize("backlash_duty, is_end", [(0.0, False), (20.0, False), (32.0, True), (60.0, True)])
+def test_end_that_the_wheels_miss_by_half_of_the_backlash_counts_as_driven(backlash_duty, is_end):
+    low, high, limit = 4000.0, 6000.0, 6032.0  # two counts beyond what the wheels did
+    knots = np.arange(low, high + 1, 8.0)
+    side = find_side(knots, (5000.0 - knots) / 1000, np.full(len(knots), 0.001), 1, low, high,
+                     (3000.0, limit), backlash_duty)
+    assert (side.is_end, side.is_stop, side.duty) == (is_end, False, high)

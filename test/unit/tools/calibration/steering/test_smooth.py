@@ -1,6 +1,4 @@
 """The smoothing spline and the nearest monotone sequence."""
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,6 +1,4 @@
 """By how much a car's turns widen with speed, from drives of a car whose steering is known."""
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

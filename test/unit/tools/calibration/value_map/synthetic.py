@@ -1,6 +1,4 @@
 """Synthetic drives whose value map, slope, battery and delay are known."""
-from __future__ import annotations
-
 import functools
 import math
 import random
@@ -9,7 +7,7 @@ import numpy as np
 
 from car_interface.tools.calibration.value_map.acceleration import MapDrive, MapFitConfig, Series
 from car_interface.tools.calibration.value_map.fit import Fit, fit
-from written_recordings import Written, odometry
+from written_recordings import Written, odometry, output
 
 PULSE_M, STEP_S, NOTHING = 0.0149, 0.005, Series(np.zeros(0), np.zeros(0))
 DELAY_S = 0.08
@@ -76,10 +74,6 @@ def value_at(time_s, value=1.0, topic=NAMES["value"]):
     return Written(time_s, topic, "car_interface/Float64Stamped", {"data": value})
 
 
-def output_at(time_s, steering=5100, esc=4915, topic=NAMES["output"]):
-    return Written(time_s, topic, "std_msgs/Int32MultiArray", {"data": [steering, esc] + [-1] * 14})
-
-
 def messages_of(seconds, seed=0, names=None, with_imu=False):
     """A drive as it is recorded: odometry; value and duties when they change, and ten times a second; maybe an IMU."""
     one, names, messages = drive(seed, seconds, with_imu=with_imu), names or NAMES, []
@@ -92,7 +86,7 @@ def messages_of(seconds, seed=0, names=None, with_imu=False):
         esc = 16 * round(float(np.interp(value[index], (-5, 0, 3), (3277, 4915, 6554))) / 16)
         steering = 16 * round((5100 - 1500 * float(turn_rate[index])) / 16)
         messages += [value_at(t_s[index], value[index], names["value"]),
-                     output_at(t_s[index], steering, esc, names["output"])]
+                     output(t_s[index], steering, esc, topic=names["output"])]
     for time_s, number in zip(one.imu.t_s[::2], one.imu.y[::2]) if with_imu else ():
         messages.append(Written(time_s, "/imu/data", "sensor_msgs/Imu", {
             "orientation_covariance": [-1.0] * 9, "linear_acceleration": {"x": number, "z": 9.81}}))
@@ -101,7 +95,6 @@ def messages_of(seconds, seed=0, names=None, with_imu=False):
 
 @functools.lru_cache(maxsize=None)
 def fitted_mixed():
-    """A fit at which several tests look."""
     return fit([drive(uphill=(0.012, -0.016), sag=0.1)], None, None)
 
 

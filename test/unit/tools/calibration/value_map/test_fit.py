@@ -1,6 +1,4 @@
 """Value maps from drives: synthetic ones, whose map, slope, battery and delay are known."""
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -22,19 +20,11 @@ def test_map_of_a_drive_on_a_slope_with_a_sagging_battery_is_the_level_one_at_me
     assert mixed.delay_s == pytest.approx(DELAY_S, abs=0.01)
     assert ground.uphill == pytest.approx((0.012, -0.016), abs=0.002)
     assert ground.sag_above == pytest.approx(0.1, abs=0.02) and ground.sag_below == pytest.approx(0.0, abs=0.03)
-
-
-def test_error_is_of_the_size_that_the_standard_errors_say():
-    mixed = fitted_mixed()
     truth = acceleration(mixed.values[:, None], mixed.velocities[None, :])
     ratios = (np.abs(mixed.accelerations - truth) / mixed.sigma_mps2)[mixed.supported]
-    assert np.mean(ratios < 2) > 0.8
-
-
-def test_held_out_manoeuvres_are_predicted_nearly_as_well_as_the_others():
-    mixed = fitted_mixed()
+    assert np.mean(ratios < 2) > 0.8, "its error is of the size that its standard errors say"
     assert mixed.held_out_windows > 50
-    assert mixed.held_out_mps2 < 1.5 * mixed.residual_mps2 + 0.01
+    assert mixed.held_out_mps2 < 1.5 * mixed.residual_mps2 + 0.01, "held-out manoeuvres are predicted nearly as well"
 
 
 def test_turns_show_the_slope_and_nothing_else_where_straights_all_go_one_way():
@@ -64,12 +54,9 @@ def test_pitch_takes_gravity_off_and_its_mounting_does_not_matter():
     assert error(found) < 0.03
 
 
-def test_imu_measures_without_gravity_and_its_bias_does_not_matter():
+def test_imu_and_odometry_s_speed_measure_too_and_a_slow_one_gets_longer_windows():
     one = drive(seconds=120.0, uphill=(0.012, -0.016), with_imu=True)
     assert error(fit([one], None, None, MapFitConfig(from_imu=True, delay_s=DELAY_S))) < 0.05
-
-
-def test_odometry_speed_serves_where_no_pulses_were_recorded_and_a_slow_one_gets_longer_windows():
     one = drive(seconds=120.0, pulses=False)
     assert error(fit([one], None, None, KNOWN_DELAY)) < 0.05
     slow = MapDrive(one.value, Series(one.speed.t_s[::5], one.speed.y[::5]), one.yaw)  # 10 a second

@@ -1,6 +1,4 @@
 """Parts of what is read from a recording: the values of duties, whether one reached the ESC, the wheels' distances."""
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -20,30 +18,24 @@ def test_duties_become_values_by_the_throttles_table_the_other_way_round(tmp_pat
     assert np.isnan(table.values(np.array([6100, 2900, 0]))).all()
 
 
-def test_value_that_did_not_reach_the_esc_is_seen():
+def test_value_that_did_not_reach_the_esc_is_seen_and_a_channel_that_nobody_drives_shows_nothing():
     t_s = np.arange(0.0, 3.0, 0.02)
     commanded = Series(t_s, np.where(t_s > 0.5, 2.0, 0.0))
     duty = Series(t_s, np.where((t_s > 0.55) & (t_s < 2.0), 6000.0, 4915.0))  # the human lets go after 2 s
     driven = reached_esc(commanded, duty, 0.0, 4915)
     gone = driven.t_s[driven.y == 0]
     assert gone.min() == pytest.approx(2.0, abs=0.03) and gone.max() > 2.9
-
-
-def test_channel_that_nobody_drives_shows_nothing():
     t_s = np.arange(0.0, 3.0, 0.02)
     assert reached_esc(Series(t_s, t_s), Series(t_s, np.full(t_s.size, -1.0)), 0.0, 4915) is None
 
 
-def test_pulses_are_as_long_as_odometry_makes_them():
+def test_pulses_are_as_long_as_odometry_makes_them_but_for_those_while_nothing_was_recorded():
     t_s = np.arange(0.0, 20.0, 0.01)
     wheel = Pulses(t_s[::2], np.floor(t_s[::2] * 2.0 / 0.0149))
     distances = wheel_distances((wheel, wheel), Series(t_s, np.full(t_s.size, 2.0)))
     left = distances[0]
     assert (left.y[-1] - left.y[0]) / (left.t_s[-1] - left.t_s[0]) == pytest.approx(2.0, rel=0.002)
     assert wheel_distances((wheel,), Series(t_s, t_s)) == ()
-
-
-def test_pulses_counted_while_nothing_was_recorded_do_not_change_their_length():
     t_s = np.arange(0.0, 40.0, 0.01)
     speed = np.where((t_s > 11.0) & (t_s < 13.0), 4.0, 1.0)
     count = np.floor(np.cumsum(speed) * 0.01 / 0.0149)

@@ -1,6 +1,4 @@
 """A bilinear grid, and columns that rise, rounded or not."""
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -33,7 +31,4 @@ def test_rounded_columns_rise_and_are_near(rows):
     table = rounded(np.sort(np.array(rows), axis=0) + 0.002 * np.arange(len(rows))[:, None])
     assert (np.diff(table, axis=0) > 0).all()
     assert np.abs(table - np.sort(np.array(rows), axis=0)).max() < 0.002 * len(rows) + 0.001
-
-
-def test_rounding_makes_even_level_columns_rise():
     assert rounded(np.array([[1.0], [1.0], [0.9999]]))[:, 0].tolist() == [1.0, 1.001, 1.002]

@@ -1,14 +1,12 @@
-"""Which windows count for a fit, and for which reason others don't."""
-from __future__ import annotations
-
+"""Windows of a drive: their accelerations, which of them count for a fit, and for which reason others don't."""
 import numpy as np
 import pytest
 
 from car_interface.tools.calibration.value_map import acceleration as windowing
 from car_interface.tools.calibration.value_map import windows as windows_module
-from car_interface.tools.calibration.value_map.acceleration import Series
+from car_interface.tools.calibration.value_map.acceleration import MapDrive, Series, windows
 from car_interface.tools.calibration.value_map.windows import RULES
-from tools.calibration.value_map.synthetic import drive, rejected, with_
+from tools.calibration.value_map.synthetic import NOTHING, PULSE_M, drive, rejected, with_
 
 pytestmark = pytest.mark.once
 
@@ -34,3 +32,37 @@ def test_each_rule_counts_its_own_and_a_clean_drive_loses_little():
     for rule in (windowing.STEERING, windows_module.NO_VALUE, windowing.NOT_MEASURED, windows_module.NOT_DRIVEN,
                  windowing.SLIPPING, windows_module.STEEP):
         assert 24 <= found[RULES[rule]] - clean.get(RULES[rule], 0) <= 36, RULES[rule]
+
+
+def test_window_over_a_step_of_the_value_is_exactly_its_mean_under_phi(monkeypatch):
+    monkeypatch.setattr(windowing, "MAX_MPS2", 99.0)
+    t_s = np.arange(0.0, 4.0, 0.0001)
+    a = np.where(t_s < 2.1, 1.0, -3.0)
+    v = 3.0 + np.cumsum(a) * 0.0001
+    s = np.cumsum(v) * 0.0001
+    places = np.arange(0.0, s[-1], PULSE_M)
+    wheel = Series(np.interp(places, s, t_s), places)
+    one = MapDrive(NOTHING, Series(t_s[::100], v[::100]), Series(t_s[::100], 0 * t_s[::100]), (wheel, wheel))
+    found = windows(one)
+    counts = found.state == windowing.MEASURED
+    expected = (np.where(found.t_s < 2.1, 1.0, -3.0) * found.weight).sum(axis=1)
+    assert found.acceleration_mps2[counts] == pytest.approx(expected[counts], abs=0.06)  # φ's grid is 10 ms
+    assert found.acceleration_mps2[counts][:5] == pytest.approx(1.0, abs=0.01)
+
+
+def test_stops_and_rolling_backward_and_the_change_of_gear_after_it_do_not_count():
+    t_s = np.arange(0.0, 20.0, 0.02)
+    speed = np.interp(t_s, [0, 5, 6, 8, 9, 11, 12, 20], [2, 2, 0, 0, -1, -1, 0.5, 4])
+    state = windows(MapDrive(Series(t_s, t_s), Series(t_s, speed), Series(t_s, 0 * t_s))).state
+    middle = 0.2 + 0.2 * np.arange(state.size)
+    assert set(state[(middle > 6.2) & (middle < 7.8)]) == {windowing.STANDING}
+    assert set(state[(middle > 9.2) & (middle < 10.8)]) == {windowing.BACKWARD}
+    assert windowing.GEAR_CHANGE in state[(middle > 11.2) & (middle < 12.4)]
+    assert set(state[middle > 13.0]) == {windowing.MEASURED}
+
+
+def test_wheels_that_spin_are_slipping():
+    t_s = np.arange(0.0, 10.0, 0.02)
+    speed = np.interp(t_s, [0, 5, 5.5, 6, 10], [2, 2, 9, 2, 2])
+    state = windows(MapDrive(Series(t_s, t_s), Series(t_s, speed), Series(t_s, 0 * t_s))).state
+    assert windowing.SLIPPING in state
