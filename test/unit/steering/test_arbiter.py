@@ -326,6 +326,9 @@ def test_a_car_whose_turns_widen_is_judged_by_what_it_turns_at_its_speed():
 def test_a_turn_that_is_limited_gets_the_duty_of_the_granted_radius():
     _, decision = asked_for(4.0, 2.0, limits=SteeringLimits(planner=SourceLimits(4.0)))
     assert (decision.limit, decision.duty) == (causes.LATERAL_LIMITED, 3850)  # 16 / 4 = 4 m to the left
+    for age_s in (FRESH, STALE):
+        decision = arbiter_with((True, 0.0), planner=(2.0, 0.0), odometry=(4.0, age_s)).decide(NOW)
+        assert ("by the last speed" in decision.limit_reason) == (age_s == STALE)
 
 
 @pytest.mark.parametrize("inputs, source", [({"teleop": (1.0, 0.0)}, TELEOP), ({"steering": (1.0, 0.0)}, PLANNER)])

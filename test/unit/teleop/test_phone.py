@@ -429,6 +429,12 @@ def test_nothing_counts_before_the_pin_and_no_token_is_sent(bench, kind):
     assert (page.refused, page.token, bench.phones.e_stop) == (["enter the PIN first"], "", False)
 
 
+def test_page_that_is_admitted_knows_at_once_who_drives(bench):
+    page = bench.open(1)
+    page.send(type="pin", pin=PIN)
+    assert page.key and page.status == {"driver": "nobody", "guest": False, "e_stop": False, "why": "", "delay": None}
+
+
 def test_guesses_are_limited_by_address_and_neither_others_nor_the_driver_s_key_are(bench):
     driver = bench.drive(1)
     for number in range(10, 10 + GUESSES_AT_ONCE):
@@ -437,6 +443,7 @@ def test_guesses_are_limited_by_address_and_neither_others_nor_the_driver_s_key_
     right.send(type="pin", pin=PIN)
     assert right.refused == ["too many wrong PINs from this address: wait 10 s"] and not right.key
     assert (bench.phones.counts["wrong PIN"], bench.phones.counts["guess refused"]) == (GUESSES_AT_ONCE, 1)
+    assert bench.pages[10].refused == ["wrong PIN"]
     assert bench.join(21, "10.0.0.2").key
     bench.phones.disconnect(1)
     again = bench.reload(22, driver.key)
@@ -520,6 +527,20 @@ def test_keys_are_limited_and_the_driver_s_is_kept(bench):
     for number, page in ((100, oldest), (101, driver)):
         again = bench.reload(number, page.key)
         assert (again.key, again.refused) == (("", ["enter the PIN"]) if page is oldest else (driver.key, []))
+
+
+def test_keys_of_the_pages_that_came_last_are_kept(bench):
+    first, second = bench.join(1), bench.join(2)
+    bench.open(3).send(type="key", key=first.key)
+    for number in range(1, 4):
+        bench.phones.disconnect(number)
+    for number in range(10, 9 + MAX_KEYS):
+        bench.join(number)
+        bench.phones.disconnect(number)
+    for number, page in ((100, first), (101, second)):
+        again = bench.open(number)
+        again.send(type="key", key=page.key)
+        assert bool(again.key) == (page is first)
 
 
 def test_watcher_who_leaves_changes_nothing(bench):
