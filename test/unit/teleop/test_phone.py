@@ -408,6 +408,12 @@ def test_clear_for_one_stop_does_not_end_another_one_that_arrived_before_it(benc
     assert not bench.phones.e_stop
 
 
+def test_touch_that_a_stop_ended_is_no_loss(bench):
+    bench.drive().send(type="e_stop")
+    bench.wait(300)
+    assert bench.phones.counts["loss"] == 0
+
+
 def test_e_stop_outlives_every_page(bench):
     page = bench.drive()
     page.send(type="e_stop")
@@ -505,9 +511,35 @@ def test_pages_are_limited_and_the_driver_comes_back_among_them(bench):
 
 
 def test_page_that_comes_again_by_its_key_replaces_the_one_that_is_still_open(bench):
-    first = bench.drive(1)
+    first, other = bench.drive(1), bench.join(3)
     again = bench.reload(2, first.key)
-    assert first.closed == "replaced" and again.key == first.key and bench.phones.pages == 1
+    assert first.closed == "replaced" and again.key == first.key and not other.closed and bench.phones.pages == 2
+
+
+def test_page_that_is_admitted_again_needs_no_more_room(bench):
+    pages = [bench.join(number) for number in range(MAX_PAGES)]
+    pages[-1].send(type="pin", pin=PIN)
+    assert not any(page.closed for page in pages)
+
+
+@pytest.mark.parametrize("age_ns, is_stale", [(250 * MS - 1, False), (250 * MS, True)])
+def test_command_counts_while_its_token_is_younger_than_250_ms(bench, age_ns, is_stale):
+    page = bench.join(1)
+    bench.wait(50)
+    bench.now_ns = bench.phones.due_ns - 50 * MS + age_ns
+    page.send(type="drive")
+    assert bench.phones.counts["stale"] == is_stale
+
+
+def test_page_sees_how_late_its_echoes_come(bench):
+    page = bench.drive()
+    token = page.token
+    while page.token == token:
+        bench.wait(1)
+    bench.wait(40)
+    page.echo("")
+    bench.wait(200)
+    assert page.status["delay"] == 0.04
 
 
 def test_driver_s_page_that_is_admitted_by_the_pin_again_leaves_the_seat(bench):
@@ -561,6 +593,7 @@ def test_page_that_sends_too_much_is_closed_and_what_it_held_with_it(bench):
 def guest(bench, number):
     page = bench.open(number)
     page.send(type="watch")
+    assert page.closed or page.refused or page.status["guest"] and page.car == [{}]
     bench.wait(200)
     return page
 
@@ -686,6 +719,27 @@ def test_malformed_message_is_refused_and_counted(bench, text):
     assert parse(text) is None
     bench.phones.receive(1, text, bench.now_ns)
     assert bench.phones.counts["malformed"] == 1 and bench.controls == AHEAD and not page.closed
+
+
+TRIM = {"type": "trim", "token": "t", "n": 1, "name": "center"}
+
+
+@pytest.mark.parametrize("message, is_right", [
+    *(({**ECHO, **change}, is_right) for change, is_right in (
+        ({"n": 0}, True), ({"n": 2 ** 53 - 1}, True), ({"n": 2 ** 53}, False), ({"token": "x" * 64}, True),
+        ({"steering": -1, "throttle": 1.0}, True), ({"scale": -1}, True), ({"scale": 1}, True), ({"scale": -2}, False),
+        ({"touch": ""}, True), ({"touch": "autonomous"}, True))),
+    *(({**TRIM, "value": value}, is_right) for value, is_right in ((0, True), (65535, True), (-1, False), (65536, False))),
+    ({"type": "key", "key": "x" * 64}, True), ({"type": "key", "key": "x" * 65}, False),
+    ({"type": "open", "name": "a" * 91 + ".bag"}, True), ({"type": "open", "name": "a" * 92 + ".bag"}, False),
+], ids=str)
+def test_message_is_right_up_to_its_limits(message, is_right):
+    assert parse(json.dumps(message)) == (message if is_right else None)
+
+
+def test_message_has_at_most_512_characters():
+    text = json.dumps({"type": "e_stop"})
+    assert parse(text.ljust(512)) == {"type": "e_stop"} and parse(text.ljust(513)) is None
 
 
 @pytest.mark.parametrize("value, sent", [

@@ -460,8 +460,7 @@ def test_push_in_the_dead_band_by_which_a_planner_keeps_a_speed_comes_in_pulses_
     pytest.param(0.04, -0.3, 0.3, {}, id="the_speed_is_the_other_way"),
     pytest.param(-0.04, -0.3, -0.3, {"profile": TURNS}, id="each_neutral_costs_this_esc_its_dwell")])
 def test_push_in_the_dead_band_is_neutral_where(value, cruise_mps, speed_mps, changes):
-    profile = changes.pop("profile", SEQUENCE)
-    assert not any(small_pushes(value, cruise_mps, speed_mps, profile, **changes)[5:])
+    assert not any(small_pushes(value, cruise_mps, speed_mps, **changes)[5:])
 
 
 def brakes_downhill(profile, speed, cruise=0.3, age_ms=20, is_stop=False, value=-1.0, **config):
