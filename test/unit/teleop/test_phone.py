@@ -376,6 +376,7 @@ def test_any_page_stops_and_the_driver_s_button_and_a_new_touch_end_it(bench):
     assert bench.controls == NOTHING_HELD
     bench.wait(100)
     first.send(type="clear")
+    assert not first.status["e_stop"] and first.status["why"] == "lift your thumbs, then touch again"
     first.echo("manual")
     assert not bench.phones.e_stop and bench.controls == NOTHING_HELD
     first.touch_anew()
@@ -503,7 +504,7 @@ def test_pages_are_limited_and_the_driver_comes_back_among_them(bench):
     driver = bench.drive(1)
     watching = [bench.join(number) for number in range(2, 2 + MAX_PAGES)]
     assert [page.closed for page in watching] == [""] * (MAX_PAGES - 1) + [f"{MAX_PAGES} pages are open already"]
-    assert bench.phones.counts["too many pages"] == 1
+    assert bench.phones.counts["too many pages"] == 1 and not watching[-1].key
     bench.phones.disconnect(1)
     bench.join(50)
     again = bench.reload(51, driver.key)
@@ -537,6 +538,7 @@ def test_page_sees_how_late_its_echoes_come(bench):
     while page.token == token:
         bench.wait(1)
     bench.wait(40)
+    bench.now_ns += 400_000  # less than a millisecond
     page.echo("")
     bench.wait(200)
     assert page.status["delay"] == 0.04
@@ -618,6 +620,13 @@ def test_guest_becomes_a_driver_by_the_pin():
     page.send(type="drive")
     page.touch_anew()
     assert bench.controls == AHEAD and not page.status["guest"]
+
+
+def test_guest_who_enters_the_pin_keeps_its_place_and_takes_nobody_s():
+    bench = Bench(admits_guests=True)
+    guests = [guest(bench, number) for number in range(MAX_PAGES)]
+    guests[1].send(type="pin", pin=PIN)
+    assert guests[1].key and not any(page.closed for page in guests)
 
 
 def test_guests_make_room_for_who_knows_the_pin_and_for_no_other_guest():
