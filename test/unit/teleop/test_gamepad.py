@@ -376,6 +376,9 @@ def test_cross_of_a_gamepad_in_d_mode_does_not_count_until_it_gave_what_no_cross
     person.hold(axes(stick), buttons(1))
     person.hold(axes(0.0), buttons(1), 0.2)
     assert person.hold(axes(1.0), buttons(1)).throttle == 1.0
+    person.now_ns += S  # another gamepad may send since
+    person.hold(axes(0.0), buttons(0), 0.2)
+    assert math.isnan(person.hold(axes(1.0), buttons(1)).throttle)
 
 
 def test_pull_just_after_the_manual_deadman_begins_with_a_stop_so_that_it_is_no_second_pull():
