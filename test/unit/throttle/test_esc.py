@@ -452,6 +452,16 @@ def test_push_in_the_dead_band_by_which_a_planner_keeps_a_speed_comes_in_pulses_
     assert sum(fractions) / len(fractions) == pytest.approx(value, abs=0.0017)
 
 
+def test_pulses_begin_anew_after_each_pause_of_them():
+    car, request = Car(), Request(0.01, DRIVE, is_centered=True, cruise_mps=0.3)
+    for _ in range(2):
+        car.ask(request._replace(cruise_mps=0.0), speed=0.3)
+        assert car.esc.step(request, car.now_ns).fraction == 0.0  # no time has passed
+        assert [car.ask(request, speed=0.3).fraction for _ in range(4)] == [0.08, 0.0, 0.0, 0.0]
+    assert any(car.ask(request).fraction for _ in range(7))
+    assert not any(car.ask(request).fraction for _ in range(50))  # its speed is older than 0.15 s
+
+
 @pytest.mark.parametrize("value, cruise_mps, speed_mps, changes", [
     pytest.param(0.04, 0.0, 0.3, {}, id="no_speed_is_kept"),
     pytest.param(0.04, 0.3, 0.3, {"is_human": True}, id="a_person_drives"),
