@@ -19,6 +19,7 @@ def means_reverse(values, **changes):
 
 @pytest.mark.parametrize("values, expected", [
     pytest.param([-0.5], False, id="first_pull"),
+    pytest.param([0.0, -0.5], False, id="first_pull_from_the_center"),
     pytest.param([-0.5, -0.2, -0.9], False, id="one_pull_of_changing_strength"),
     pytest.param([-0.5, 0.0, -0.5], True, id="second_pull"),
     pytest.param([-0.5, 0.0, -0.5, 0.0, -0.5], True, id="third_pull"),
