@@ -3,8 +3,8 @@
 ``./dev mutate [MODULE...]`` runs the mutants of ``test/mutants/list.txt``, which was drawn by a fixed seed: all of a
 module in WHOLE, a sample of the others. A mutant is known by its function, its source line without comments, its
 change, and its number among equal ones in that function, and so survives edits elsewhere; one whose line was changed is
-reported as gone. ``test/mutants/accepted.txt`` names survivors; a line below one says why it changes no behaviour. A run
-fails if a mutant of a module in WHOLE survives without such a reason, or more of another survive than are named.
+reported as gone. ``test/mutants/accepted.txt`` names survivors; a line below one says why it changes no behaviour, and
+then it isn't run. A run fails if a mutant of a module in WHOLE survives, or more of another survive than are named.
 """
 from __future__ import annotations
 
@@ -469,7 +469,8 @@ def main() -> int:
             parser.error("--draw needs a MODULE")
         files[0].write_text(to_text(draw_list(ROOT, everything, options.modules), {}, {}), encoding="utf-8")
         return 0
-    lists = {module: keys for module, keys in everything.items() if is_named(module, options.modules)}
+    lists = {module: [key for key in keys if key not in reasons]
+             for module, keys in everything.items() if is_named(module, options.modules)}
     if options.sample:
         everyone = [key for keys in lists.values() for key in keys]
         drawn = set(random.Random(date.today().isoformat()).sample(everyone, min(options.sample, len(everyone))))
@@ -494,8 +495,7 @@ def main() -> int:
                            + (f" ({key.number})" if key.number > 1 else "") for key in survivors),
                   *(f"  gone: {key.function}: {key.change} | {key.line}" for key in lists[module] if key not in places),
                   sep="\n", flush=True)
-            known = set(accepted.get(module, ())) & set(places)
-            known &= set(reasons) if WHOLE.match(module) else known
+            known = set() if WHOLE.match(module) else set(accepted.get(module, ())) & set(places)
             fresh = [key for key in survivors if key not in known]
             if fresh and (WHOLE.match(module) or len(survivors) > len(known)):
                 worse.append(f"{module}: {len(survivors)} survive, {len(known)} were accepted. New: " + "; ".join(
@@ -503,7 +503,8 @@ def main() -> int:
             kind = "nodes" if module.startswith("nodes/") else "core"
             sums[kind, "killed"] += len(places) - len(survivors)
             sums[kind, "all"] += len(places)
-            new[module], titles[module] = survivors, title
+            equivalent = [key for key in accepted.get(module, ()) if key in reasons]
+            new[module], titles[module] = sorted([*survivors, *equivalent], key=everything[module].index), title
     for kind in sorted({kind for kind, _ in sums}):
         killed, total = sums[kind, "killed"], sums[kind, "all"]
         print(f"{kind}: {killed} of {total} mutants killed, {100 * killed / max(1, total):.1f} %")
