@@ -451,7 +451,6 @@ def run_mutants(root: Path, slots: list[Slot], lists: dict[str, list[Key]]) -> I
 
 
 def main() -> int:
-    """Run the command; return 1 when more mutants survive than were accepted."""
     parser = argparse.ArgumentParser(prog="./dev mutate", description="Change one place of the source at a time, and "
                                      "count the changes that fail a test.")
     parser.add_argument("modules", nargs="*", metavar="MODULE", help="throttle/control, or a folder such as throttle")

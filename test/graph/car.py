@@ -8,11 +8,13 @@ import errno
 import itertools
 import os
 from contextlib import contextmanager
+from copy import deepcopy
 from functools import lru_cache, partial
 from types import SimpleNamespace
 from typing import Any, Callable, Iterator
 
 import yaml
+from car_interface.srv import InjectFaultRequest
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool
 
@@ -45,7 +47,13 @@ CONTROL, AUTOWARE, GEAR = "/control/command/control_cmd", "/autoware/control_cmd
 
 
 def config(name: str) -> dict:
-    with open(os.path.join(CONFIG, name), encoding="utf-8") as file:
+    """Return what a shipped file has; a new copy each time."""
+    return deepcopy(_loaded(os.path.join(CONFIG, name)))
+
+
+@lru_cache(maxsize=None)
+def _loaded(path):
+    with open(path, encoding="utf-8") as file:
         return yaml.safe_load(file)
 
 
@@ -398,6 +406,10 @@ class Car:
     def joy_now(self) -> Joy:
         """The gamepad's message as it is repeated."""
         return self._pad
+
+    def inject(self, fault: str, value: float = 0.0) -> None:
+        answer = self.graph.call("/car_sim/inject_fault", InjectFaultRequest(fault, value))
+        assert answer.success, answer.message
 
     def truth(self) -> Any:
         return self.graph.newest("/car_sim/truth")

@@ -1,6 +1,4 @@
 """The black box: which stops have a recording written, and what is in it."""
-from __future__ import annotations
-
 import errno
 import math
 import os
@@ -10,7 +8,7 @@ import pytest
 from car_interface.msg import SteeringState, TeleopState, ThrottleState
 from geometry_msgs.msg import Twist
 from rosgraph_msgs.msg import Log
-from sensor_msgs.msg import Joy
+from sensor_msgs.msg import BatteryState, Joy
 from std_msgs.msg import Float32
 from tf2_msgs.msg import TFMessage
 
@@ -192,6 +190,17 @@ def test_topic_of_two_types_is_recorded_with_the_newest_and_a_state_of_another_t
         found = bag.get_type_and_topic_info()[1]
     assert found["/drive"][:2] == ("std_msgs/Float32", 1)
     assert found["/turn_arb/state"].msg_type == "car_interface/SteeringState"
+
+
+def test_recording_of_a_stop_by_the_battery_has_its_voltage(graph, folder):
+    black_box(graph, folder)
+    graph.hold("/battery_state", BatteryState(voltage=6.1), 5)
+    drive(graph)
+    graph.hold("/throttle_arb/state", throttle(ThrottleState.NEUTRAL, causes.BATTERY_EMPTY), 10)
+    graph.run(6.0)
+    with rosbag.Bag(str(next(folder.iterdir()))) as bag:
+        voltages = {round(message.voltage, 1) for _, message, _ in bag.read_messages(["/battery_state"])}
+    assert voltages == {6.1}
 
 
 def test_recording_that_is_due_is_written_when_the_node_ends(graph, folder):

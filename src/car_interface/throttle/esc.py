@@ -69,7 +69,7 @@ FIRST_PULL = 0.15
 # Such a push slows a car that rolls backward by less than 1.5 m/s² (a quarter of a Slash's 5.6 m/s²), which doesn't
 # turn it round between two reports of the speed.
 GENTLE = 0.25
-PULSE_S = 0.02  # the least push comes in pulses of this length: the period of the ESC's
+PULSE_S = 0.02  # the period of the ESC's pulses
 
 
 class EscDecision(NamedTuple):
@@ -106,7 +106,7 @@ class Esc:
         self._hill = HillWatch()
         self._saw_speed_in_reverse = False
         self._brakes_since_ns = 0  # when the present strength of the brake began
-        self._owed_s = 0.0  # the time of the least push that pulses have yet to give
+        self._owed_s = 0.0  # for how long the least push is due, by the mean that was asked for
         self._lagging_pull, self._finished_ns = 0.0, 0  # the fraction by which a lagging motor still brakes, and when
 
     @property
@@ -191,7 +191,7 @@ class Esc:
     # --- requests ---
 
     def _value_of(self, request, keeps_small, now_ns):
-        """Return the request's value, clamped to −1..1; in the dead band 0, or pulses of the least push.
+        """Return the request's value, clamped to −1..1; in the dead band 0, or what ``_pulsed`` makes of it.
 
         With ``keeps_small`` such values pass, so that a calibration drive finds where the car sets off.
         """
@@ -200,10 +200,11 @@ class Esc:
         return value if is_beyond or keeps_small else self._pulsed(value, request, now_ns)
 
     def _pulsed(self, value, request, now_ns):
-        """Return the least push as often as gives a small value on average; 0 where a planner doesn't keep a speed.
+        """Return the least push or neutral, so often that their mean is a value in the dead band.
 
-        An ESC with a drag brake slows the car in neutral and drives it by the least push. Odometry is late at a crawl,
-        so a speed control that changes between both only when it sees the speed change lets the speed swing.
+        That is for a planner that keeps the speed of a car that rolls; else it is neutral. With a drag brake neutral
+        slows the car and the least push drives it. Odometry is late at a crawl: if the speed control changed between
+        both only as it sees the speed, the speed would swing by 15 %.
         """
         keeps_speed = value * request.cruise_mps > 0 and not request.is_human and not request.is_stop
         if not (keeps_speed and self._keeps_driving(value, now_ns)):
@@ -211,7 +212,7 @@ class Esc:
             return 0.0
         least = self.config.dead_band_forward if value > 0 else -self.config.dead_band_reverse
         elapsed_s = (now_ns - self._finished_ns) / NS_PER_S
-        # This many seconds of the least push are due: what was asked for, less what the ESC had since the last step.
+        # What was asked for, less what the ESC had since the last step.
         owed_s = self._owed_s + (value - self._fraction) / least * elapsed_s
         self._owed_s = max(-PULSE_S, min(PULSE_S, owed_s))
         return least if self._owed_s > 0.0 else 0.0

@@ -42,15 +42,16 @@ class Pulls:
     stays pulled through a stop doesn't mean reverse.
 
     Args:
-        dead_band_forward: a push begins there.
-        dead_band_reverse: a pull begins there, and ends within half of it: a trembling stick doesn't pull twice.
+        dead_band_forward: the ESC drives from there on.
+        dead_band_reverse: a pull begins there, and ends within half of it: a trembling stick doesn't pull twice. A push
+            begins at half of it, too: the person wants no reverse, though the car may not drive yet.
 
     Attributes:
         began_ns: when the newest pull began.
     """
 
     def __init__(self, dead_band_forward: float, dead_band_reverse: float):
-        self._dead_band_forward, self._dead_band_reverse = dead_band_forward, dead_band_reverse
+        self._push, self._dead_band = min(dead_band_forward, dead_band_reverse / 2), dead_band_reverse
         self._was_one = False  # there was a pull, and the stick has returned to the center
         self._in_pull = False
         self._is_second = False
@@ -65,12 +66,12 @@ class Pulls:
         """Take the newest request."""
         value = request.value
         is_stick = request.is_human and request.gear == AUTO and not request.is_stop
-        if not is_stick or not math.isfinite(value) or value >= self._dead_band_forward:
+        if not is_stick or not math.isfinite(value) or value >= self._push:
             self._was_one = self._in_pull = False
-        elif value <= -self._dead_band_reverse:
+        elif value <= -self._dead_band:
             if not self._in_pull:
                 self._in_pull, self._is_second, self.began_ns = True, self._was_one, now_ns
-        elif self._in_pull and value > -self._dead_band_reverse / 2:
+        elif self._in_pull and value > -self._dead_band / 2:
             self._in_pull, self._was_one = False, True
 
     def mark_brake(self) -> None:

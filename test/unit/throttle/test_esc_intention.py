@@ -24,8 +24,9 @@ def means_reverse(values, **changes):
     pytest.param([-0.5, 0.0, -0.5], True, id="second_pull"),
     pytest.param([-0.5, 0.0, -0.5, 0.0, -0.5], True, id="third_pull"),
     pytest.param([-0.5, 0.0, -0.5, 0.0], False, id="center"),
-    pytest.param([-0.5, 0.0, 0.1, 0.0, -0.5], False, id="pull_after_forward"),
-    pytest.param([-0.5, 0.0, 0.099, 0.0, -0.5], True, id="second_pull_after_less_than_a_push"),
+    pytest.param([-0.5, 0.0, 0.5, 0.0, -0.5], False, id="pull_after_forward"),
+    pytest.param([-0.5, 0.0, 0.04, 0.0, -0.5], False, id="pull_after_a_push_by_which_the_esc_does_not_drive"),
+    pytest.param([-0.5, 0.039, -0.5], True, id="stick_that_springs_past_its_center"),
     pytest.param([-0.08, 0.0, -0.08], True, id="second_weakest_pull"),
     pytest.param([-0.5, -0.04, -0.5], False, id="stick_that_was_half_way_back"),
     pytest.param([-0.5, -0.039, -0.5], True, id="second_pull_from_farther_back"),
@@ -41,6 +42,14 @@ def test_second_pull_means_reverse(values, expected):
 def test_request_of_nothing_is_a_stick_s_at_0_and_claims_neither_person_nor_stop_nor_release():
     assert Request() == Request(value=0.0, gear=AUTO, is_human=False, is_stop=False, is_centered=False,
                                 is_released=False, cruise_mps=0.0)
+
+
+@pytest.mark.parametrize("push, expected", [(0.02, False), (0.019, True)])
+def test_push_by_which_the_esc_drives_is_one_however_small(push, expected):
+    pulls = Pulls(0.02, 0.3)
+    for now_ns, value in enumerate((-0.5, 0.0, push, -0.5)):
+        pulls.update(Request(value, is_human=True), now_ns)
+    assert pulls.means_reverse == expected
 
 
 def test_planner_and_gear_have_no_second_pull():

@@ -39,7 +39,7 @@ TOPICS = (
     "turn_arb/state", "throttle_arb/state", "planner_interface/state", "generic_value_converter/state",
     "teleop_logi/state", "teleop_logi/mode", "joy", "e_stop", "phone/joy", "phone/e_stop",
     "drive", "cmd_vel", "control/command/control_cmd", "control/command/gear_cmd",
-    "av_turnrad_req", "av_steer_req", "av_speed_req", "servo/output", "odom", "imu/data",
+    "av_turnrad_req", "av_steer_req", "av_speed_req", "servo/output", "odom", "imu/data", "battery_state",
     "teensy_sensor_hub/link", "teensy_clock", "teensy_pong", "teensy_error", *(f"sonar/{name}" for name in SONARS),
     "/tf_static", "/diagnostics", "/rosout")
 QUEUE = 1000  # messages of a topic that wait while this process doesn't get a CPU: some seconds of the fastest
