@@ -94,7 +94,7 @@ class Esc:
         self._history = EscHistory(config)
         self._motion = MeasuredMotion(config)
         self._check = MotionCheck(config)
-        self._pulls = Pulls(config.dead_band_reverse)
+        self._pulls = Pulls(config.dead_band_forward, config.dead_band_reverse)
         self._state = ARMING
         self._arming_cause, self._arming_reason = causes.ESC_ARMING, STARTED
         self._was_released = False  # whether the deadman was, since arming began
@@ -118,7 +118,7 @@ class Esc:
         """Take what the servo board holds; ``None`` = no pulse: switched off, never set, or without power."""
         self._history.update_held(fraction, now_ns)
 
-    def update_speed(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
+    def update_speed(self, speed_mps: float, now_ns: int, age_ns: int) -> None:
         """Take the measured speed, forward positive, and its age at arrival."""
         self._motion.update(speed_mps, now_ns, age_ns)
 
@@ -139,8 +139,8 @@ class Esc:
             self._history.mark_backward(now_ns)
         self._pulls.update(request, now_ns)
         self._update_arming(request, now_ns)
-        if self._state == ARMING:
-            self._pulls = Pulls(self.config.dead_band_reverse)  # earlier pulls don't count
+        if self._state == ARMING:  # earlier pulls don't count
+            self._pulls = Pulls(self.config.dead_band_forward, self.config.dead_band_reverse)
             answer = (0.0, ARMING, self._arming_cause, self._arming_text(request, now_ns))
         elif request.is_stop:
             answer = self._stop(now_ns)
@@ -195,8 +195,7 @@ class Esc:
 
         With ``keeps_small`` such values pass, so that a calibration drive finds where the car sets off.
         """
-        value = request.value if math.isfinite(request.value) else 0.0
-        value = max(-1.0, min(1.0, value))
+        value = max(-1.0, min(1.0, request.value))
         is_beyond = value >= self.config.dead_band_forward or value <= -self.config.dead_band_reverse
         return value if is_beyond or keeps_small else self._pulsed(value, request, now_ns)
 
@@ -460,13 +459,13 @@ class Esc:
             self._brakes_since_ns = now_ns
         if state == BRAKING:
             self._motion.update_brake(now_ns)
+        # By the state until now: with this speed no pull is given any more.
+        if self._state in (BRAKING, HOLD) and self._fraction < 0 and self._motion.rolls_backward(now_ns):
+            self._proof.doubt()
         self._fraction, self._state = fraction, state
         self._history.update_sent(fraction, now_ns)
-        if state in (BRAKING, HOLD) and self._motion.rolls_backward(now_ns):
-            self._proof.doubt()
         self._hill.step(fraction, self._motion, now_ns)
-        is_push = state == FORWARD and fraction > 0
-        self._proof.step(fraction, is_push, self._history.pulled_ns(now_ns), self._motion, now_ns)
+        self._proof.step(fraction, state == FORWARD, self._history.pulled_ns(now_ns), self._motion, now_ns)
         return EscDecision(fraction, state, cause, reason, self._stop_mps2(now_ns))
 
     def _update_lagging_pull(self, now_ns):
