@@ -11,7 +11,8 @@ from functools import lru_cache, partial
 
 import pytest
 
-from single_faults import ACTIONS, ESCS, KINDS, MODES, MOMENTS, PAIRS, RESIDUAL, Case, Drive, cases, run
+from graph import NS_PER_S
+from single_faults import ACTIONS, ESCS, KINDS, MODES, MOMENTS, NOISE_MPS, PAIRS, RESIDUAL, Case, Drive, cases, run
 from test_stalls import forked
 
 IS_ALL = bool(os.environ.get("CAR_INTERFACE_ALL"))
@@ -74,6 +75,32 @@ def test_no_pair_of_faults_breaks_a_goal(forker, mode, esc):
     every = [Case(name, choose.randrange(MOMENTS), choose.choice(kind.modes), choose.choice(list(ESCS)),
                   choose.choice(kind.actions)) for name, kind in PAIRS.items() for _ in range(PAIRS_DRAWS)]
     assert violations(forker, mode, esc, every, PAIRS_SAMPLE) == []
+
+
+def stalls_in_a_stop():
+    """Have throttle_arb, which hears no board, stall for just under a standstill at moments of a stop by hand."""
+    drive = Drive("manual", "brake_then_reverse")
+    drive.hold(True, 1.0)
+    drive.graph.run_until(lambda: drive.car.speed_mps > 2.0)
+    drive.hold(False, 0.0)
+    stopped_ns, slowest = drive.graph.now_ns, []
+
+    def slowest_mps():
+        drive.graph.link("/servo/output", receiver="/throttle_arb", loses=lambda data: True)
+        drive.graph.nodes["/throttle_arb"].stall(0.5)
+        drive.graph.run(1.5)
+        return [min(each.twist.twist.linear.x for each in drive.graph.messages("/car_sim/truth", stopped_ns))]
+
+    for after_s in (0.02, 0.05, 0.1, 0.15, 0.25):
+        drive.graph.run_to(stopped_ns + round(after_s * NS_PER_S))
+        slowest += forked(slowest_mps)
+    return slowest
+
+
+@pytest.mark.once
+def test_what_throttle_arb_handles_late_is_decided_now_so_a_pull_that_the_board_let_go_of_is_not_given_again(forker):
+    """Its messages arrived meanwhile, as it would have braked; but the ESC takes another pull for reverse."""
+    assert min(forker.submit(stalls_in_a_stop).result()) > -NOISE_MPS
 
 
 @pytest.mark.once

@@ -177,8 +177,9 @@ class ThrottleArb(CommandNode):
         else:
             self._warnings.warn("length", f"/servo/output has {len(message.data)} values, not {CHANNELS}: ignored")
 
-    def _decide_now(self, now_ns):
-        self._now_ns = max(now_ns, self._now_ns)
+    def _decide_now(self, _):
+        # Not when a message arrived: the ESC's rules go by when the board gets what they decide.
+        self._now_ns = self._clocks.now_ns()
         return self._control.decide(self._now_ns)
 
     def _offer_tuning(self, config):
