@@ -1,14 +1,15 @@
 #!/usr/bin/env python3
 """What a reboot of the Teensy in mid-drive costs of the heading, measured on the virtual Teensy.
 
-    PYTHONPATH=src:test python3 -m accuracy.reboot [--fault off|unplugged|both|hidden] [--no-sonars]
+    PYTHONPATH=src:test python3 -m accuracy.reboot [--fault off|unplugged|both|hidden] [--no-sonars] [--parked]
 
 Wheels roll by a plan, their hall pins stand anywhere, and power is cut in the middle, for up to 0.2 s. Scored is what
 the reboot itself changes: the error of the heading at the end less that just before it; and whether the truth lies
 within the published covariance's three sigma: heading at the end, and place, heading and speed in each message from the
 fault on. Other faults: power off for seconds, the port unplugged for seconds, or unplugged and power off meanwhile;
 hidden: so long that uptime and counts are higher than before.
-With --no-sonars none is connected.
+With --no-sonars none is connected; with --parked the car hasn't moved since it was switched on, and starts 0.3 s after
+the fault.
 """
 from __future__ import annotations
 
@@ -31,6 +32,7 @@ DARK_S, HIDDEN_S = (1.0, 4.0), (10.0, 14.0)
 HIDDEN_UPTIME_MS = 2_000  # at most, at the start
 DARK_KINDS = ("straight", "curve", "slowing", "slalom", "stopping", "backward", "standing", "turning")
 KINDS = ("straight", "curve", "slowing", "starting", "slalom", "stopping", "backward", "standing")
+PARKED = "parked"
 STEADY = ("straight", "curve", "slowing", "backward")  # those whose curvature stays
 
 
@@ -52,7 +54,7 @@ class Plan(NamedTuple):
             speed = speed if now_s < 3.0 else 0.0
             if self.kind == "standing" and now_s > REBOOT_S + 1.0:
                 speed = self.speed_mps
-        elif self.kind == "stopping" and now_s > REBOOT_S - 0.1:
+        elif self.kind == "stopping" and now_s > REBOOT_S - 0.1 or self.kind == PARKED and now_s < REBOOT_S + 0.3:
             speed = 0.0
         elif self.kind == "slalom":
             curvature *= math.sin(2.5 * now_s)
@@ -115,9 +117,10 @@ class Drive:
         self.now_ns += STEP_NS
 
 
-def run(seed: int, fault: str = REBOOT, has_sonars: bool = True) -> Outcome:
+def run(seed: int, fault: str = REBOOT, has_sonars: bool = True, is_parked: bool = False) -> Outcome:
     rng = random.Random(seed)
-    drive = Drive(make_plan(rng, KINDS if fault == REBOOT else DARK_KINDS), rng, () if has_sonars else range(6),
+    plan = make_plan(rng, KINDS if fault == REBOOT else DARK_KINDS)
+    drive = Drive(plan._replace(kind=PARKED) if is_parked else plan, rng, () if has_sonars else range(6),
                   *(HIDDEN_UPTIME_MS,) if fault == HIDDEN else ())
     link = Link(drive.teensy)
     fault_ns = round((REBOOT_S + rng.uniform(0, 0.2)) * S)
@@ -166,10 +169,12 @@ def main():
     parser.add_argument("--reboots", type=int, default=200)
     parser.add_argument("--fault", choices=(REBOOT, OFF, UNPLUGGED, BOTH, HIDDEN), default=REBOOT)
     parser.add_argument("--no-sonars", action="store_true")
+    parser.add_argument("--parked", action="store_true")
     options = parser.parse_args()
-    outcomes = [run(1000 + index, options.fault, not options.no_sonars) for index in range(options.reboots)]
+    outcomes = [run(1000 + index, options.fault, not options.no_sonars, options.parked)
+                for index in range(options.reboots)]
     print("drive     |   n | heading off, deg | within 3 sigma | messages inside | no odometry, s")
-    all_kinds = KINDS if options.fault == REBOOT else DARK_KINDS
+    all_kinds = (PARKED,) if options.parked else KINDS if options.fault == REBOOT else DARK_KINDS
     for name, kinds in [*((kind, (kind,)) for kind in all_kinds), ("all", all_kinds)]:
         some = [outcome for outcome in outcomes if outcome.plan.kind in kinds]
         if some:

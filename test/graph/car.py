@@ -8,6 +8,7 @@ import errno
 import itertools
 import os
 from contextlib import contextmanager
+from copy import deepcopy
 from functools import lru_cache, partial
 from types import SimpleNamespace
 from typing import Any, Callable, Iterator
@@ -45,7 +46,13 @@ CONTROL, AUTOWARE, GEAR = "/control/command/control_cmd", "/autoware/control_cmd
 
 
 def config(name: str) -> dict:
-    with open(os.path.join(CONFIG, name), encoding="utf-8") as file:
+    """Return what a shipped file has; a new copy each time."""
+    return deepcopy(_loaded(os.path.join(CONFIG, name)))
+
+
+@lru_cache(maxsize=None)
+def _loaded(path):
+    with open(path, encoding="utf-8") as file:
         return yaml.safe_load(file)
 
 

@@ -14,10 +14,9 @@ import itertools
 import logging
 import threading
 from collections import defaultdict
-from contextlib import contextmanager
 from functools import cached_property
 from types import SimpleNamespace
-from typing import Any, Callable, Iterator, NamedTuple
+from typing import Any, Callable, NamedTuple
 
 import rospy
 from dynamic_reconfigure.msg import Config, ConfigDescription, IntParameter
@@ -90,7 +89,7 @@ class NodeInbox(Inbox):
 
     def __init__(self, node: Node, graph: NodeGraph, **arguments):
         self.node = node
-        self._fds: set = set()
+        self.fds: set = set()
         self._has_request = False  # of a service call
         super().__init__(node.name, graph=graph, **arguments)
 
@@ -119,23 +118,19 @@ class NodeInbox(Inbox):
         return self._has_request or not all(done.done() for done in list(self._open_requests))
 
     def watch(self, fd) -> None:
-        self._fds.add(fd)
+        self.fds.add(fd)
 
     def unwatch(self, fd) -> None:
-        self._fds.discard(fd)
-
-    def readable(self, fd) -> None:
-        if fd in self._fds:
-            self.wake()
+        self.fds.discard(fd)
 
     @property
     def has_readable(self) -> bool:
         """Whether a watched device still has something: as with select, the node's wait ends at once then."""
-        return any(getattr(fd, "is_readable", False) for fd in self._fds)
+        return bool(self.fds) and any(getattr(fd, "is_readable", False) for fd in self.fds)
 
     def abandon(self) -> None:
         """Close the devices that the node watches, and the service calls, as the system does for a killed process."""
-        for fd in self._fds:
+        for fd in self.fds:
             getattr(fd, "close", lambda: None)()
         for done in list(self._open_requests):
             self._refuse(done, "the node was killed")
@@ -363,16 +358,25 @@ class Node:
         self.exit_actions: list[Callable[[], None]] = []
         self.stalled_until_ns, self._is_frozen, self._held_back = 0, False, []
         self._planned_ns: int | None = None
+        self._busy_until_ns = 0
         self._life = object()  # turns and deliveries that were planned for another life don't happen
         self._graph = NodeGraph(self.graph, self)
         self.inbox = NodeInbox(self, self._graph, **self._inbox_arguments)
-        with self.graph.turn_of(self.name):
-            self.node = self._class(read_params(self.inbox, {}), self.inbox)
-            self._steps = Steps(self.node, self.inbox)
+        self.node = self._in_turn(lambda: self._class(read_params(self.inbox, {}), self.inbox))
+        self._steps = Steps(self.node, self.inbox)
         self.is_alive = True
         self.plan_step(self._end_turn())
         life = self._life
         self.graph.at(self.graph.now_ns + WATCH_NS // 2, lambda: self._watch(life))
+
+    def _in_turn(self, act, *arguments):
+        """Call something; what it logs are lines of this node."""
+        graph = self.graph
+        before, graph.turn = graph.turn, self.name
+        try:
+            return act(*arguments)
+        finally:
+            graph.turn = before
 
     def _end_turn(self):
         """Return when the node's thread is free again."""
@@ -385,7 +389,7 @@ class Node:
         """Have it step at a time, unless a sooner step is planned."""
         if at_ns == float("inf"):
             return
-        at_ns = max(int(at_ns), self.stalled_until_ns, getattr(self, "_busy_until_ns", 0))
+        at_ns = max(int(at_ns), self.stalled_until_ns, self._busy_until_ns)
         if self._planned_ns is None or at_ns < self._planned_ns:
             self._planned_ns, life = at_ns, self._life
             self.graph.at(at_ns, lambda: self._step(at_ns, life))
@@ -401,13 +405,12 @@ class Node:
         if self.graph.now_ns - self._counted_from[0] >= COUNTED_NS:
             self._counted_from = self.graph.now_ns, self.turns
         assert self.turns - self._counted_from[1] < MAX_TURNS, f"{self.name} takes the whole time of a CPU"
-        with self.graph.turn_of(self.name):
-            try:
-                due_ns = self._steps.step()
-            except Exception as error:
-                self.fault = describe_error(error)
-                self.end()
-                return
+        try:
+            due_ns = self._in_turn(self._steps.step)
+        except Exception as error:
+            self.fault = describe_error(error)
+            self.end()
+            return
         ended_ns = self._end_turn()
         if self.inbox.ending:
             self.end()
@@ -425,8 +428,7 @@ class Node:
         message = rospy.AnyMsg() if subscription.type_class is rospy.AnyMsg else subscription.type_class()
         message.deserialize(data)
         message._connection_header = connection.header
-        with self.graph.turn_of(self.name):
-            subscription.callback(message)
+        self._in_turn(subscription.callback, message)
 
     def stall(self, duration_s: float, frozen: bool = False, after_step: bool = False) -> None:
         """Have its thread stand still from now on.
@@ -469,11 +471,10 @@ class Node:
 
     def end(self) -> None:
         """End it in order, as a signal does."""
-        with self.graph.turn_of(self.name):
-            try:
-                self.node.shut_down()
-            except Exception as error:
-                self.fault = self.fault or describe_error(error)
+        try:
+            self._in_turn(self.node.shut_down)
+        except Exception as error:
+            self.fault = self.fault or describe_error(error)
         self._end_turn()
         self.is_alive = False
         self._life = object()
@@ -561,6 +562,7 @@ class Graph:
         recorded: the messages by topic, as Records; of the topics that ``record`` named.
         log: the log of all nodes, as Lines.
         master_fault: what every node finds wrong with the ROS master.
+        turn: the node that has its turn.
     """
 
     def __init__(self):
@@ -573,7 +575,7 @@ class Graph:
         self.nodes: dict[str, Node] = {}
         self.recorded: dict[str, list[Record]] = {}
         self.log: list[Line] = []
-        self.master_fault = ""
+        self.master_fault = self.turn = ""
         self._parameters: dict = {}
         self._links: list[tuple] = []
         self._last_arrivals: dict[int, int] = {}
@@ -582,7 +584,6 @@ class Graph:
         self._events: list = []
         self.newest_call: Call | None = None
         self._numbers = itertools.count()
-        self._turn = ""
         self._handler = _LogHandler(self)
         logger = logging.getLogger("rosout")
         logger.handlers[:] = [self._handler]
@@ -641,15 +642,6 @@ class Graph:
                 subscription.unregister()
         self.services = {service: handler for service, handler in self.services.items()
                          if not service.startswith(f"{name}/")}
-
-    @contextmanager
-    def turn_of(self, name: str) -> Iterator[None]:
-        """Have the lines that are logged meanwhile be a node's."""
-        before, self._turn = self._turn, name
-        try:
-            yield
-        finally:
-            self._turn = before
 
     # --- messages ---
 
@@ -763,8 +755,8 @@ class Graph:
 
     def readable(self, fd: Any) -> None:
         for node in self.nodes.values():
-            if node.is_alive:
-                node.inbox.readable(fd)
+            if node.is_alive and fd in node.inbox.fds:
+                node.inbox.wake()
 
     # --- time ---
 
@@ -811,7 +803,7 @@ class _LogHandler(logging.Handler):
         self._graph = graph
 
     def emit(self, record):
-        self._graph.log.append(Line(self._graph.now_ns, self._graph._turn, record.levelno, record.getMessage()))
+        self._graph.log.append(Line(self._graph.now_ns, self._graph.turn, record.levelno, record.getMessage()))
 
 
 def _on_wire(value):

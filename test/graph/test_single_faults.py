@@ -9,7 +9,7 @@ import itertools
 import os
 import random
 import sys
-from functools import partial
+from functools import lru_cache, partial
 
 import pytest
 
@@ -22,6 +22,11 @@ SAMPLE, PAIRS_SAMPLE = 30, 40  # of a drive, where not all are made
 AFTER_S = (0.05, 0.3)
 DRIVES = list(itertools.product(MODES, ESCS)) if IS_ALL else list(zip(MODES, ESCS))
 PAIRS_DRIVES = DRIVES if IS_ALL else [("autonomous", "brake_then_reverse")]
+
+
+@lru_cache(maxsize=None)
+def single_cases():
+    return cases(KINDS, DRAWS, SEED)
 
 
 def judged(drive, case, kind):
@@ -61,7 +66,7 @@ def violations(forker, mode, esc, every, sample):
 @pytest.mark.parametrize("mode, esc", DRIVES)
 def test_no_single_fault_breaks_a_goal(forker, mode, esc):
     """And no reaction takes more than a tick beyond time-out and delays."""
-    assert violations(forker, mode, esc, cases(KINDS, DRAWS, SEED), SAMPLE) == []
+    assert violations(forker, mode, esc, single_cases(), SAMPLE) == []
 
 
 @pytest.mark.once
@@ -83,7 +88,7 @@ def test_what_remains_is_found_by_the_same_judge(forker, risk):
 @pytest.mark.once
 def test_cases_pair_each_kind_with_each_moment_mode_esc_and_action():
     assert len(KINDS) >= 60
-    pairs = {pair for case in cases(KINDS, DRAWS, SEED) for pair in itertools.combinations(enumerate(case), 2)}
+    pairs = {pair for case in single_cases() for pair in itertools.combinations(enumerate(case), 2)}
     factors = (list(KINDS), range(MOMENTS), list(MODES), list(ESCS), ACTIONS)
     for (one, ones), (other, others) in itertools.combinations(enumerate(factors), 2):
         for pair in itertools.product(ones, others):

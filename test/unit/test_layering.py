@@ -78,9 +78,9 @@ def folder(name: str) -> str:
     return max((known for known in MAY_IMPORT if parts[:known.count("/") + 1] == known.split("/")), key=len, default="")
 
 
-# Each module in a child of its own, which has imported nothing else.
+# Each module in a child of its own, which has imported nothing else, but for what most need of the standard library.
 IMPORT_EACH = f"""
-import importlib, os, sys
+import argparse, ctypes, dataclasses, importlib, inspect, json, logging, os, random, shutil, sys, tempfile, typing
 for name in sys.argv[1:]:
     if not os.fork():
         importlib.import_module(name)

@@ -30,7 +30,7 @@ def check(path: str, recordings: Iterable[str] = ()) -> None:
     real = os.path.realpath(path)
     folder = os.path.dirname(real)
     if real in map(os.path.realpath, recordings):
-        raise CarInterfaceError(f"{path} is one of the recordings: give the output another name")
+        raise CarInterfaceError(f"{path} is an input: give the output another name")
     if is_stream(path):
         return
     if os.path.isdir(real) or not os.path.basename(path):

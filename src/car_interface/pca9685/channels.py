@@ -81,7 +81,8 @@ class Channels:
                 raise ConfigError(f"pwm_min[{channel}]", config.pwm_min, f"at most pwm_max[{channel}] {config.pwm_max}")
         self._configs = tuple(configs)
         self.timeout_values = [config.timeout_value for config in configs]
-        self._targets = [counts_of_duty(duty) for duty in self.timeout_values]
+        self.timeout_counts = [counts_of_duty(duty) for duty in self.timeout_values]
+        self._targets = list(self.timeout_counts)
         self._commanded: set[int] = set()  # the others are at their timeout value
         self._deadlines_ns: dict[int, int] = {}
         self._timed_out: dict[int, TimedOut] = {}  # until the next command
@@ -147,7 +148,7 @@ class Channels:
         for channel in expired:
             self._timed_out[channel] = TimedOut(self._deadlines_ns.pop(channel), False)
             self._commanded.discard(channel)
-            self._targets[channel] = counts_of_duty(self.timeout_values[channel])
+            self._targets[channel] = self.timeout_counts[channel]
             self._follow_side(channel, self.timeout_values[channel], now_ns)
         return expired
 
@@ -170,8 +171,9 @@ class Channels:
                 refused.append(channel)
                 continue
             changed[channel] = self.timeout_values[channel] = duty
+            self.timeout_counts[channel] = counts_of_duty(duty)
             if channel not in self._commanded:
-                self._targets[channel] = counts_of_duty(duty)
+                self._targets[channel] = self.timeout_counts[channel]
         return Followed(changed, refused)
 
     def make_safe(self, now_ns: int) -> None:
@@ -180,7 +182,7 @@ class Channels:
             self._follow_side(channel, self.timeout_values[channel], now_ns)
         self._deadlines_ns.clear()
         self._commanded.clear()
-        self._targets = [counts_of_duty(duty) for duty in self.timeout_values]
+        self._targets = list(self.timeout_counts)
 
     def timed_out(self, now_ns: int) -> dict[int, TimedOut]:
         """Return the channels that were commanded, are no longer, and are at their timeout values for that.

@@ -27,8 +27,9 @@ NODES = "nodes."
 # 282 at most.
 NEEDED_MIB = 380
 WITH_ROSPY = (NODES, "tools.doctor.")
-# genpy imports numpy, 16 MB, only to take its numbers for fields of messages. These nodes have none.
-WITHOUT_NUMPY = ("nodes.phone_drive",)
+# The nodes that calculate with arrays. genpy imports numpy, 15 MB and a quarter of a node's start, only to take its
+# numbers for fields of messages: the other nodes have none, and go without.
+WITH_NUMPY = ("nodes.calibration_drive", "nodes.first_check")
 # The nodes with options of their own, and the module whose parse() reads them.
 OPTIONS = {"nodes.calibration_drive": "tools.calibration.drive.config"}
 # Where the parameters of each node are declared: classes that can be imported without rospy.
@@ -61,7 +62,7 @@ def start(module: str) -> None:
         return
     try:
         hide_warnings()
-        if module in WITHOUT_NUMPY:
+        if module.startswith(NODES) and module not in WITH_NUMPY:
             sys.modules["numpy"] = None
         memory_limit.adapt(NEEDED_MIB if module.startswith(WITH_ROSPY) else 0)
         main = importlib.import_module(full_name(module)).main

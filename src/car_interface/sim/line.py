@@ -67,6 +67,8 @@ class BadLine:
         return self._carry(TO_TEENSY, data, now_ns)
 
     def _carry(self, direction, data, now_ns):
+        if not data:
+            return data
         if now_ns < self._scrambled_until_ns:
             data = self._receivers[direction].receive(data)
         return self._noise[direction].flip(data)

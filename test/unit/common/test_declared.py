@@ -38,10 +38,12 @@ class Config:
         return replace(self, doubled_m=2 * self.length_m)
 
 
-def test_each_field_is_read_by_its_declaration_and_groups_below_their_namespace():
+def test_each_field_is_read_by_its_declaration_in_the_parents_too_if_that_says_so_and_groups_in_their_namespace():
     config = read_all(Params({"channel": 3, "human": {"max_speed": 1}, "duty": 7, "sonars": {"right": "absent"},
                               "prefix": "car1/", "chip": "/tmp/chip"}), Config)
     assert config == Config(3, Limits(1.0), Limits(3.0), (7,) * 16, ("used", "absent"), "car1/", 1.5, "/tmp/chip", 3.0)
+    config = read(Params({}, {"channel": 5, "prefix": "no"}.get), Config, is_complete=False)
+    assert (config.channel, config.prefix, config.doubled_m) == (5, "", 0.0)  # the last needs more than parameters
 
 
 def test_default_may_be_another_parameter_s_value_or_one_of_another_configuration():
@@ -54,10 +56,6 @@ def test_default_may_be_another_parameter_s_value_or_one_of_another_configuratio
         read(Params({"channel": 3, "wheels": {"length": -4}}), Config)
 
 
-def test_what_needs_more_than_the_parameters_is_left_out_where_they_are_read_alone():
-    assert read(Params({"channel": 3}), Config, is_complete=False).doubled_m == 0.0
-
-
 @pytest.mark.parametrize("values, message", [
     ({}, "^channel is missing; accepted: an integer from 0 to 15$"),
     ({"channel": 3, "planner": {"max_speed": 21}}, "^planner/max_speed is 21; accepted: a number from 0.0 to 20$"),
@@ -67,10 +65,6 @@ def test_what_needs_more_than_the_parameters_is_left_out_where_they_are_read_alo
 def test_refusal_names_the_parameter_with_its_namespace(values, message):
     with pytest.raises(ConfigError, match=message):
         read_all(Params(values), Config)
-
-
-def test_name_is_searched_for_in_the_parents_where_its_declaration_says_so():
-    assert read(Params({}, {"channel": 5, "prefix": "no"}.get), Config).channel == 5
 
 
 def test_configuration_that_is_made_by_hand_can_be_checked():

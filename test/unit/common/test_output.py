@@ -51,8 +51,8 @@ def test_half_written_file_is_none(tmp_path, monkeypatch):
     ("", "is a folder"),
     ("new/", "is a folder"),
     ("none/a", "there is no folder"),
-    ("given.bag", "is one of the recordings"),
-    ("link.html", "is one of the recordings"),
+    ("given.bag", "is an input"),
+    ("link.html", "is an input"),
     ("other.yaml", "is a recording, and would be lost"),
     ("protected.yaml", "is write-protected"),
 ])

@@ -81,8 +81,7 @@ def test_what_did_not_change_is_not_written_and_the_chip_is_read_twice_a_second(
     assert len(running.writes) == 1 and running.events == []
 
 
-def test_two_failures_close_the_bus_which_is_opened_again_after_100_ms_or_at_once_on_request_with_the_newest_target(
-        running):
+def test_two_failures_close_the_bus_which_is_opened_again_after_100_ms_with_the_newest_target(running):
     running.bus.nacks_left = 2
     running.update(LEFT, 1)
     assert running.events == [events.RETRIED, events.DISCONNECTED] and running.supervisor.tally.errors == 2
@@ -94,7 +93,7 @@ def test_two_failures_close_the_bus_which_is_opened_again_after_100_ms_or_at_onc
     assert running.supervisor.tally.reopenings == 1
     running.bus.nacks_left = 2
     running.update(LEFT, 1)
-    running.supervisor.retry_now()
+    running.supervisor.retry_now()  # or at once, where that is asked for
     running.update(NEUTRAL)
     assert running.pulses() == NEUTRAL
 

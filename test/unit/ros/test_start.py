@@ -42,15 +42,17 @@ def test_node_prints_its_usage(script):
     assert len(usage.splitlines()) < 12 + 2 * len(names) or script.name in WITH_OPTIONS
 
 
-def test_phone_drive_goes_without_numpy_which_genpy_imports_where_it_can():
+@pytest.mark.parametrize("node, goes_without", [("phone_drive", True), ("planner_interface", True),
+                                                ("calibration_drive", False), ("first_check", False)])
+def test_node_without_arrays_goes_without_numpy_which_genpy_imports_where_it_can(node, goes_without):
     code = ("import sys, types\n"
-            "module = sys.modules['car_interface.nodes.phone_drive.node'] = types.ModuleType('node')\n"
-            "module.main = lambda: print(sys.modules['numpy'])\n"
+            f"module = sys.modules['car_interface.nodes.{node}.node'] = types.ModuleType('node')\n"
+            "module.main = lambda: print('numpy' in sys.modules and sys.modules['numpy'] is None)\n"
             "from car_interface.ros.start import start\n"
-            "start('nodes.phone_drive')")
+            f"start('nodes.{node}')")
     done = subprocess.run([sys.executable, "-B", "-S", "-c", code], capture_output=True, text=True, check=False,
                           timeout=60, env={"PYTHONPATH": str(ROOT / "src")})
-    assert (done.stdout, done.stderr) == ("None\n", "")
+    assert (done.stdout, done.stderr) == (f"{goes_without}\n", "")
 
 
 @pytest.mark.parametrize("script", COMMANDS, ids=lambda script: script.name)

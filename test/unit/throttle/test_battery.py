@@ -40,42 +40,34 @@ class Battery:
     ([(EMPTY, 2.5), (7.1, 2.0)], causes.BATTERY_EMPTY),
     ([(EMPTY, 2.5), (7.1, 2.5)], causes.BATTERY_LOW),
     ([(EMPTY, 2.5), (FULL, 2.5)], WELL),
+    ([(FULL, 2.5), (None, 5.0)], WELL),
+    ([(FULL, 2.5), (None, 5.5)], causes.BATTERY_STALE),
 ], ids=["full", "a_start_s_fall_of_two_seconds", "low_for_longer", "empty", "low_counts_from_the_first_below_its_limit",
         "falls_with_a_rise_between_them", "at_the_limit", "risen_by_less_than_recovery_once_the_car_stands",
-        "risen_for_two_seconds_only", "risen_enough_for_the_stop_alone", "changed_for_a_full_one"])
+        "risen_for_two_seconds_only", "risen_enough_for_the_stop_alone", "changed_for_a_full_one",
+        "silent_for_its_timeout", "silent_for_longer"])
 def test_limit_holds_after_more_than_two_seconds_beyond_it(story, cause):
     battery = Battery()
     assert [battery.has(*part) for part in story][-1] == cause
     assert battery.watch.is_empty == (cause == causes.BATTERY_EMPTY)
 
 
-@pytest.mark.parametrize("bad", [NAN, INF, -INF, 0.0, -6.0])
-def test_voltage_that_is_none_never_begins_a_stop_nor_ends_one_and_is_reported(bad):
+@pytest.mark.parametrize("bad, lasts_s, words", [
+    *((odd, 0.5, f"battery_state's voltage is {odd:g}, none that a battery has") for odd in (NAN, INF, -INF, 0.0, -6)),
+    pytest.param(None, 60.0, "battery_state silent for 10.00 s: the voltage isn't known", id="silence")])
+def test_voltage_that_is_none_never_begins_a_stop_nor_ends_one_and_is_reported(bad, lasts_s, words):
     battery = Battery()
-    assert battery.has(bad, 10.0) == causes.BATTERY_NOT_FINITE and not battery.watch.is_empty
+    battery.has(FULL if bad is None else bad, 0.5)
+    cause = causes.BATTERY_STALE if bad is None else causes.BATTERY_NOT_FINITE
+    assert battery.has(bad, 10.0) == cause and not battery.watch.is_empty
     battery.has(EMPTY, 2.0)
-    battery.has(bad, 0.5)
+    battery.has(bad, lasts_s)
     battery.has(EMPTY, 2.0)
     assert not battery.watch.is_empty
     assert battery.has(EMPTY, 0.5) == causes.BATTERY_EMPTY
     assert battery.has(bad, 10.0) == causes.BATTERY_EMPTY
-    assert f"battery_state's voltage is {bad:g}" in battery.watch.status(battery.now).text
-
-
-def test_silence_never_begins_a_stop_nor_ends_one_and_is_reported():
-    battery = Battery()
-    assert battery.has(FULL) == WELL
-    assert battery.has(None, 5.0) == WELL
-    assert battery.has(None, 0.5) == causes.BATTERY_STALE
-    battery.has(EMPTY, 0.5)
-    battery.has(None, 60.0)
-    battery.has(EMPTY, 0.5)
-    assert not battery.watch.is_empty
-    assert battery.has(EMPTY, 2.0) == causes.BATTERY_EMPTY
-    assert battery.has(None, 60.0) == causes.BATTERY_EMPTY
     assert battery.watch.status(battery.now).text == (
-        "the battery has 6.40 V after it fell below stop_below, 6.6 V: no planner drives before it has 7.1 V; "
-        "battery_state silent for 60.00 s: the voltage isn't known")
+        f"the battery has 6.40 V after it fell below stop_below, 6.6 V: no planner drives before it has 7.1 V; {words}")
 
 
 @pytest.mark.parametrize("config, cause", [(BatteryConfig(), WELL), (BatteryConfig(warn_below_v=7.0), WELL),

@@ -131,7 +131,7 @@ class VirtualLine:
             if written:
                 self._firmware.receive(written, now_ns)
         sent = self._bad.to_host(self._firmware.transmit(now_ns), now_ns)
-        if self._terminal is not None:
+        if sent and self._terminal is not None:
             self._terminal.write(sent)
 
     def close(self) -> None:

@@ -36,7 +36,7 @@ from car_interface.pca9685.board import Board
 from car_interface.pca9685.bus import choose_bus, explain
 from car_interface.pca9685.channels import Channels
 from car_interface.pca9685.config import AUTO, VIRTUAL, Pca9685Config
-from car_interface.pca9685.registers import counts_of_duty, duty_of_counts, frequency_for
+from car_interface.pca9685.registers import duty_of_counts, frequency_for
 from car_interface.pca9685.senders import ChannelSenders, listed
 from car_interface.pca9685.supervisor import DISCONNECTED, FOREIGN, FOUND, MISMATCH, RETRIED, RUNNING, BoardSupervisor
 from car_interface.ros.command_topics import CommandTopics
@@ -150,7 +150,7 @@ class Pca9685:
         self._timeouts: Counter = Counter()  # by channel
         self._timeout_reported_ns = now_ns - NS_PER_S  # when the last one was
         self._timer = RateTimer(OUTPUT_RATE_HZ, now_ns)
-        self._published = [UNCHANGED] * CHANNELS
+        self._published: list[int | None] = [None] * CHANNELS  # counts; None = unknown
         # Several nodes publish on each, but no two of them command the same channel.
         self._senders = ChannelSenders()
         self._command_topics = CommandTopics(inbox, (*COMMANDS, NEUTRALS), lambda now_ns, topics: [
@@ -190,7 +190,7 @@ class Pca9685:
         self._step_guard()
 
     def _step_guard(self):
-        self._guard.step(self._clocks.now_ns(), self._timeout_counts(), self._supervisor.ever_ran,
+        self._guard.step(self._clocks.now_ns(), self._channels.timeout_counts, self._supervisor.ever_ran,
                          can_start=bool(self._bus.path))
 
     def _open_bus(self):
@@ -209,9 +209,6 @@ class Pca9685:
         self._supervisor.read_back(self._clocks.now_ns())
         self._publish()  # what the guard wrote
         self._update()
-
-    def _timeout_counts(self):
-        return [counts_of_duty(duty) for duty in self._channels.timeout_values]
 
     def _targets(self):
         """Return what the chip should hold now. The supervisor asks at each attempt to write."""
@@ -239,7 +236,7 @@ class Pca9685:
                 is_safe = True
         finally:
             self._supervisor.close()
-            self._guard.end(self._clocks.now_ns(), self._timeout_counts(), is_safe)
+            self._guard.end(self._clocks.now_ns(), self._channels.timeout_counts, is_safe)
 
     def _switch_off(self):
         self._channels.make_safe(self._clocks.now_ns())
@@ -257,7 +254,7 @@ class Pca9685:
     def _retry(self, action):
         """Repeat ``action``, which returns whether it succeeded, for up to a second."""
         def attempt():
-            self._guard.leave_to_node(self._clocks.now_ns(), self._timeout_counts())
+            self._guard.leave_to_node(self._clocks.now_ns(), self._channels.timeout_counts)
             return action()
         if not self._clocks.wait_for(attempt, SWITCH_OFF_TIMEOUT_S, 0.02):
             raise DeviceError(self._name(), "it can't be switched off and goes on pulsing what it was last told",
@@ -314,7 +311,7 @@ class Pca9685:
             self._publish()
         elif event == RUNNING:
             self._fault = None
-            self._guard.chip_is_reached(self._clocks.now_ns(), self._timeout_counts())
+            self._guard.chip_is_reached(self._clocks.now_ns(), self._channels.timeout_counts)
             rospy.loginfo("%s: running at %.2f Hz (prescale %d)", self._name(), self._frequency_hz, self._prescale)
         elif event == RETRIED:
             self._warnings.warn(event, f"{self._name()}: {error}; tried again")
@@ -359,12 +356,12 @@ class Pca9685:
             status.add(f"commands {kind}", self._warnings.counts[kind])
 
     def _publish(self, always=False):
-        duties = self._published  # a chip that is out of reach keeps its last pulses
-        if self._supervisor.running:
-            duties = [UNCHANGED if counts is None else duty_of_counts(counts) for counts in self._supervisor.held]
-        if always or duties != self._published:
-            self._published = duties
-            self._outputs.publish(duty_vector(duties))
+        # A chip that is out of reach keeps its last pulses.
+        held = self._supervisor.held if self._supervisor.running else self._published
+        if always or held != self._published:
+            self._published = held
+            self._outputs.publish(duty_vector([UNCHANGED if counts is None else duty_of_counts(counts)
+                                               for counts in held]))
 
     def _name(self):
         return f"PCA9685 at 0x{self._address:02x} on {self._bus.name}"

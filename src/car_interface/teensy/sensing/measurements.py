@@ -173,7 +173,7 @@ class Measurements:
         is_news = self._newest_ms < newest_ms <= received_ms + MAX_CLOCK_ERROR_MS
         if is_news:
             self._newest_ms = newest_ms
-        counted_ms = newest_ms - newest + BOOT_MS if verdict.since_boot and newest else None
+        counted_ms = self._shift_ms + BOOT_MS if verdict.since_boot else None
         motion = self._odometry.report(record, verdict.pulses, verdict.restarted, left_ms, right_ms,
                                        newest_ms + TICK_MIDDLE_MS if is_news else received_ms, verdict.unproven,
                                        verdict.unsplit, counted_ms)

@@ -144,7 +144,7 @@ class Odometry:
                 self._begin_bridge(now_ms)
             return self._move(record, False, now_ms)
         if restarted:
-            self._begin_bridge(self._time_ms)
+            self._begin_bridge(self._time_ms, counted_ms)
             if counted_ms is not None:
                 self._bridge.count_from(counted_ms)
         elif self._bridge is None and any(unproven):
@@ -158,9 +158,8 @@ class Odometry:
             return self._move(record, has_pulse, now_ms, path=self._reversed_path(record, last, unsplit))
         path = self._reversed_path(record, last, unsplit)
         if path is not None:
-            self._bridge.has_reversed = True
-            for pose in (self._pose, self._before_bridge.pose):
-                pose.add_variance(path.along_variance, path.heading_variance, path.across_variance)
+            self._bridge.reversed_paths.append(path)
+            self._pose.add_path(path)
         return self._cross_bridge(record, pulses, unproven, (left_ms, right_ms), now_ms)
 
     def _update_wheels(self, record, last, pulses, times_ms, now_ms):
@@ -176,9 +175,9 @@ class Odometry:
                 wheel.update(count, now.direction != BACKWARD, at_ms + TICK_MIDDLE_MS, now_ms)
         return has_pulse
 
-    def _begin_bridge(self, at_ms):
+    def _begin_bridge(self, at_ms, counted_ms=None):
         if self._bridge is not None:
-            self._bridge.restart()
+            self._bridge.restart(counted_ms)
             return
         heading = self._heading
         self._bridge = RestartBridge(
@@ -210,6 +209,8 @@ class Odometry:
             for wheel, position in zip(self._wheels, bridge.positions):
                 wheel.stop_at(position)
             self._return_before_bridge()
+            for path in bridge.reversed_paths:
+                self._pose.add_path(path)
         if not bridge.is_ready(now_ms):
             return self._move(record, False, now_ms)
         self._bridge = None
@@ -222,7 +223,7 @@ class Odometry:
                 wheel.advance(now_ms)
             else:
                 wheel.stop_at(start.place)  # its next pulse shows the magnet
-        return self._move(record, True, now_ms, outcome)
+        return self._move(record, True, now_ms, outcome, reversed_paths=bridge.reversed_paths)
 
     def _reversed_path(self, record, last, unsplit):
         """Return the path before the last reversal, or ``None`` if the direction of each pulse is known."""
@@ -233,11 +234,12 @@ class Odometry:
         return reversed_path(sign * (left + right) / 2 * self._pulse_m, sign * (right - left) * self._rad_per_pulse,
                              last.left.direction != record.left.direction)
 
-    def _move(self, record, has_pulse, now_ms, outcome=None, path=None):
+    def _move(self, record, has_pulse, now_ms, outcome=None, reversed_paths=(), path=None):
         """Move the pose by the distances of the wheels.
 
         Args:
             outcome: of a bridge that was just crossed.
+            reversed_paths: driven since the boot that began it, until the last reversal.
             path: driven before the last reversal, since the report before.
         """
         left, right = self._wheels
@@ -252,6 +254,8 @@ class Odometry:
             if self._steering_per_m is not None:
                 self._heading.update_curvature(self._steering_per_m, elapsed_s)
             self._update_heading(record, has_pulse, outcome, path is not None)
+        elif self._bridge is not None:
+            pass  # the wheels' places are only predicted
         elif abs(distance_m) > 2 * ALIGNING_PULSES * self._pulse_m:
             self._alignment.skip(left, right)
             self._heading.begin(self._measured_yaw_rad(), (UNALIGNED_PULSES * self._rad_per_pulse) ** 2)
@@ -266,16 +270,8 @@ class Odometry:
         if path is not None:
             distance_m, turned_rad = self._move_unseen(path, distance_m, turned_rad)
             curvature_per_m = None  # of the last leg it is unknown
-        if outcome is not None:  # what is uncertain has grown along the part of the path without counts
-            uncounted_m = (sum(start.place for start in outcome.wheels) / 2 - before) * self._pulse_m
-            part = max(0.0, min(1.0, uncounted_m / distance_m)) / 2 if distance_m else 0.0
-            self._pose.move(part * distance_m, part * turned_rad)
-            distance_m, turned_rad = (1 - part) * distance_m, (1 - part) * turned_rad
-            along_variance = outcome.mean_variance * self._pulse_m ** 2
-            turn_variance = outcome.difference_variance * self._rad_per_pulse ** 2
-            # It is unknown where on the way the car turned: evenly, with a variance of 1/12.
-            self._pose.add_variance(along_variance, turn_variance,
-                                    turn_variance * (uncounted_m ** 2 + along_variance) / 12)
+        if outcome is not None:
+            distance_m, turned_rad = self._move_uncounted(outcome, reversed_paths, before, distance_m, turned_rad)
         if path is not None or is_blind:
             path = curved_path(distance_m, turned_rad, curvature_per_m, self._heading.usual_square)
             distance_m, turned_rad = self._move_unseen(path, distance_m, turned_rad)
@@ -283,9 +279,28 @@ class Odometry:
         self._was_rolling = any(wheel.speed for wheel in self._wheels)
         return self._motion(record, now_ms)
 
+    def _move_uncounted(self, outcome, reversed_paths, before, distance_m, turned_rad):
+        """Move along the part of a path without counts, whose variance has grown on it; return what is left."""
+        uncounted_m = (sum(start.place for start in outcome.wheels) / 2 - before) * self._pulse_m
+        part = max(0.0, min(1.0, uncounted_m / distance_m)) / 2 if distance_m else 0.0
+        half = part * distance_m, part * turned_rad
+        self._pose.move(*half)
+        along_variance = outcome.mean_variance * self._pulse_m ** 2
+        turn_variance = outcome.difference_variance * self._rad_per_pulse ** 2
+        # It is unknown where on the way the car turned: evenly, with a variance of 1/12.
+        self._pose.add_variance(along_variance, turn_variance,
+                                turn_variance * (uncounted_m ** 2 + along_variance) / 12)
+        left_m, left_rad = distance_m - half[0], turned_rad - half[1]
+        if reversed_paths:
+            self._pose.move(*half)
+            left_m, left_rad = left_m - half[0], left_rad - half[1]
+        for path in reversed_paths:
+            self._pose.add_path(path)
+        return left_m, left_rad
+
     def _move_unseen(self, path, distance_m, turned_rad):
         """Move along a path that wasn't reported; return distance and turn of its last leg."""
-        self._pose.add_variance(path.along_variance, path.heading_variance, path.across_variance, path.both_covariance)
+        self._pose.add_path(path)
         for leg_m, leg_rad in path.legs:
             self._pose.move(leg_m, leg_rad)
             distance_m, turned_rad = distance_m - leg_m, turned_rad - leg_rad
@@ -327,7 +342,7 @@ class Odometry:
         heading = place / self._config.track_m ** 2
         if self._bridge is not None:
             place, heading = self._bridge_variances(place, now_ms)
-            variance += 2 * self._bridge.speed_variance(now_ms)
+            variance += 4 * self._bridge.speed_variance(now_ms)
         if not self._alignment.is_done:
             heading += (UNALIGNED_PULSES * scale) ** 2
         pose = self._pose

@@ -10,6 +10,8 @@ from __future__ import annotations
 import cmath
 import math
 
+from car_interface.teensy.sensing.unseen_path import UnseenPath
+
 
 class Pose:
     """The pose of the middle of the rear axle, with its covariance; it begins at 0 (REP-103: x forward, y left).
@@ -44,6 +46,14 @@ class Pose:
         self._yaw_variance += heading_variance
         shrink = math.exp(-heading_variance / 2)
         self._turned, self._turned_back = self._turned * shrink, self._turned_back * shrink
+
+    def add_path(self, path: UnseenPath) -> None:
+        """Add what is uncertain of a path that wasn't reported."""
+        self.add_variance(path.along_variance, path.heading_variance, path.across_variance, path.both_covariance)
+        step = cmath.rect(path.heading_covariance, self.yaw_rad)
+        turned = step * 1j * math.exp(-self._yaw_variance / 2)
+        self._by_yaw, self._turned, self._turned_back = (
+            self._by_yaw + step, self._turned + turned, self._turned_back - turned)
 
     def move(self, distance_m: float, turned_rad: float) -> None:
         """Move along an arc: its chord is distance · sin(h) / h long, in the mean heading (h: half the turn)."""

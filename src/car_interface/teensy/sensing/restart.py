@@ -16,13 +16,17 @@ than a pulse in three sigma. Pure; units are pulses and milliseconds.
 from __future__ import annotations
 
 import math
+from collections import deque
 from itertools import product
 from typing import NamedTuple, Sequence
+
+from car_interface.teensy.sensing.unseen_path import UnseenPath
 
 LEFT, RIGHT = 0, 1
 ROLLING_PER_MS = 0.01  # 0.15 m/s: a wheel that rolls faster is expected to go on
 BLIND_MS = 100.0  # a longer restart was a reboot; a reset of the odometers loses only a report or two
 REPEAT_MS = 450.0  # a standing car is reported more often than this: every 201 ms, and a report may be lost
+STANDING_REPORTS = 16  # 3 s: a reboot is found by the first pong, and one ping a second may be lost
 # A driver steers to one side and back within this time, so that the mean curvature may be any up to the usual one: 1/3
 # of its square. With 2 s or 1/4 slaloms of accuracy.reboot (--fault off) are beyond three sigma. At the most it is a
 # car's tightest one, to either side: three sigma. Within a shorter time the mean of a blip that is steered as smoothly,
@@ -100,45 +104,55 @@ class RestartBridge:
         track_m: between the wheels.
 
     Attributes:
-        has_reversed: it is known from the counts that the car has reversed after the restart.
+        reversed_paths: those after the restart, of which the counts show that the car has reversed on them.
     """
 
     def __init__(self, state: CarState, track_m: float):
         self._state = state
         self._track_m = track_m
         self._seen_ms: float | None = None  # from when on pulses were counted again
+        self._stood_ms: deque = deque(maxlen=STANDING_REPORTS)  # of the reports since then without a pulse
         self._boot_ms: float | None = None  # from when on each pulse is in the reports
-        self.has_reversed = False  # since then
+        self.reversed_paths: list[UnseenPath] = []
         self._stop_variance = self._stop_within_ms = 0.0  # of a car that has stopped while pulses weren't counted
         self._pulses: tuple[list, list] = ([], [])
         self._signs = [0, 0]
 
     def place_variance(self, now_ms: float) -> float:
-        """Return the variance of the place that a start or a stop on the way or a long time adds, pulses²."""
+        """Return the variance of the place that a change of speed on the way or a long time adds, pulses²."""
         if self._seen_ms is None:
             return 0.0
-        blind_ms, far = self._blind_ms(), 0.0
-        if abs(self._mean_before()) <= ROLLING_PER_MS and self._may_have_started(now_ms):
-            far = UNEVEN_PER_MS2 * blind_ms ** 2 / 6  # 2 m/s² for all of the time is three sigma
-        elif now_ms - self._state.at_ms > MAX_BLIND_MS:  # the wheels are no longer predicted to roll
-            far = self._mean_before() * (now_ms - self._state.at_ms) / 2
-        return self._stop_variance + far ** 2
+        elapsed_ms, variance = now_ms - self._state.at_ms, self._stop_variance
+        if self._stop_within_ms:
+            variance += self._uneven_variance()
+        if self._may_have_changed(now_ms):
+            variance += (UNEVEN_PER_MS2 * elapsed_ms ** 2 / 6) ** 2  # 2 m/s² for all of the time is three sigma
+        if elapsed_ms > MAX_BLIND_MS:  # the wheels are no longer predicted to roll
+            variance += (self._mean_before() * elapsed_ms / 2) ** 2
+        return variance
 
     def speed_variance(self, now_ms: float) -> float:
-        """Return the variance of a wheel's speed that a start on the way adds, (pulses/ms)²."""
-        if not self._may_have_started(now_ms):
+        """Return the variance of the speed that its change on the way adds, of both wheels alike, (pulses/ms)²."""
+        if not self._may_have_changed(now_ms):
             return 0.0
-        return max(PENDING_SPEED_SIGMA, UNEVEN_PER_MS2 * self._blind_ms() / 3) ** 2
+        return max(PENDING_SPEED_SIGMA, UNEVEN_PER_MS2 * (now_ms - self._state.at_ms) / 3) ** 2
 
-    def _may_have_started(self, now_ms):
+    def _may_have_changed(self, now_ms):
         if self._seen_ms is None or self._blind_ms() <= BLIND_MS:
             return False
         if any(self._pulses):
             return self._first_ms() - self._seen_ms <= ENOUGH_MS
         return now_ms - self._seen_ms < BLIND_MS
 
-    def restart(self) -> None:
-        """Begin again after another restart: earlier pulses are dropped."""
+    def restart(self, boot_ms: float | None = None) -> None:
+        """Begin again after another restart: earlier pulses are dropped.
+
+        A car that stood until then has stood until the last report before the boot, where that is known.
+        """
+        if self._stood_ms and not any(wheel.speed for wheel in self._state.wheels):
+            before = [at_ms for at_ms in self._stood_ms if boot_ms is None or at_ms < boot_ms - BLIND_MS]
+            self._state = self._state._replace(at_ms=(before or self._stood_ms)[-1] - self._blind_ms())
+            self._stood_ms.clear()
         self._seen_ms = self._boot_ms = None
         self._pulses = ([], [])
         self._signs = [0, 0]
@@ -161,6 +175,8 @@ class RestartBridge:
         """Take note that pulses are counted; return True once if the car stopped while they weren't."""
         if self._seen_ms is None:
             self._seen_ms = now_ms
+        if not any(self._pulses):
+            self._stood_ms.append(now_ms)
         state = self._state
         fastest = max(abs(wheel.speed) for wheel in state.wheels)
         if fastest == 0.0 or any(self._pulses) or now_ms - self._seen_ms < max(BLIND_MS, STOPPED_INTERVALS / fastest):
@@ -243,8 +259,8 @@ class RestartBridge:
             if abs(self._mean_before()) <= ROLLING_PER_MS:
                 mean_variance += (UNEVEN_START_RATIO * rolled) ** 2
             if self._is_late:  # its speed at the boot is between none and twice the mean after it; or, reversed, minus
-                mean_variance += (mean_speed * blind_ms / 2) ** 2 * (7 / 3 if self.has_reversed else 1 / 3)
-                if self.has_reversed:  # at 2 m/s² all of the time, or against it
+                mean_variance += (mean_speed * blind_ms / 2) ** 2 * (7 / 3 if self.reversed_paths else 1 / 3)
+                if self.reversed_paths:  # at 2 m/s² all of the time, or against it
                     mean_variance += (UNEVEN_PER_MS2 * blind_ms ** 2 / 6) ** 2
         elif self._is_late:  # it may have started before the boot, at any time; with 2 m/s² is three sigma
             started = min(UNEVEN_PER_MS2 * blind_ms ** 2 / 6, abs(mean_speed) * blind_ms / math.sqrt(3))

@@ -25,12 +25,14 @@ USUAL_NODES = ((0.0, 4 / 9), (math.sqrt(0.6), 5 / 18), (-math.sqrt(0.6), 5 / 18)
 # 0 .. 1; k and m have CURVATURE_VARIANCE each, and c = u k + (1 − u) m is known: the difference of the wheels' counts.
 # Over E the car has advanced by (2u − 1) E: a mean of 0, and a variance of E² / 3.
 # The heading has changed by q E with q = u k − (1 − u) m. With w = 2u − 1, q has the mean 2 c w / (1 + w²) and the
-# variance (1 − w²)² / (2 + 2 w²) · CURVATURE_VARIANCE. Averages over w: 0 and 4 c² (π/8 − 1/4), and (π − 8/3) / 2.
+# variance (1 − w²)² / (2 + 2 w²) · CURVATURE_VARIANCE. Averages over w: 0 and 4 c² (π/8 − 1/4), and (π − 8/3) / 2. Both
+# go by w, so that w q averages 2 c (1 − π/4).
 # Across, k u² / 2 − k u (1 − u) + m (1 − u)² / 2 times E² has the variance E⁴ / 12 · CURVATURE_VARIANCE.
 ALONG, ACROSS = 1 / 3, 1 / 12
-HEADING_BY_KNOWN, HEADING_BY_UNKNOWN = 0.571, 0.237
-# One reversal is the simplest explanation of a direction that has changed. With three, E would be shorter by up to
-# 2 E: that is three sigma, a variance of 4 E² / 9, and 1/3 of the mean square (2 E)² / 3 of all possible ones.
+HEADING_BY_KNOWN, HEADING_BY_UNKNOWN, ALONG_BY_KNOWN = 0.571, 0.237, 0.429
+# One reversal is the simplest explanation of a direction that has changed: w = 1. With three, E would be shorter by up
+# to 2 E: that is three sigma, a variance of 4 E² / 9, and 1/3 of the mean square (2 E)² / 3 of all possible ones. Off
+# from w = 1 instead of 0, each average of squares and products is that of their ends larger: (w − 1)² by 1.
 SEVERAL = 1 / 3
 
 
@@ -43,6 +45,7 @@ class UnseenPath(NamedTuple):
         across_variance: m², across it.
         heading_variance: rad².
         both_covariance: m², of along and across.
+        heading_covariance: m rad, of along and heading.
     """
 
     legs: tuple = ()
@@ -50,6 +53,7 @@ class UnseenPath(NamedTuple):
     across_variance: float = 0.0
     heading_variance: float = 0.0
     both_covariance: float = 0.0
+    heading_covariance: float = 0.0
 
 
 def curved_path(distance_m: float, turned_rad: float, curvature_per_m: float | None, usual_square: float) -> UnseenPath:
@@ -110,7 +114,8 @@ def reversed_path(unsplit_m: float, difference_rad: float, is_odd: bool) -> Unse
     part = SEVERAL if is_odd else 1.0
     return UnseenPath(
         ((unsplit_m, difference_rad),) if is_odd else (),
-        along_variance=part * ALONG * square * (4 if is_odd else 1),
+        along_variance=part * (ALONG + is_odd) * square,
         across_variance=part * ACROSS * square ** 2 * CURVATURE_VARIANCE,
-        heading_variance=part * (HEADING_BY_KNOWN * difference_rad ** 2
-                                 + HEADING_BY_UNKNOWN * CURVATURE_VARIANCE * square))
+        heading_variance=part * ((HEADING_BY_KNOWN + is_odd) * difference_rad ** 2
+                                 + HEADING_BY_UNKNOWN * CURVATURE_VARIANCE * square),
+        heading_covariance=part * (ALONG_BY_KNOWN + is_odd) * unsplit_m * difference_rad)

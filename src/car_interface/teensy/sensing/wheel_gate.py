@@ -126,9 +126,16 @@ class WheelGate:
         if self._last is None:
             return self._restart(record, FIRST)
         fault = self._fault(self._last, record, self._per_ms)
-        doubt = fault or self._doubt(record, newest_tick)
+        is_boot = clock_restarts != self._clock_restarts or _tick_gone_back(record, newest_tick) is not None
+        # Of a car that hasn't moved since it was switched on only the clock shows that it was switched on again.
+        is_hidden = is_boot and self._zero is None and _is_zero(self._last)
+        if is_hidden and _is_zero(record):
+            return self._restart(record, ODOMETERS_RESTARTED)._replace(since_boot=True)
+        doubt = fault or self._doubt(record, newest_tick) or (is_hidden and PULSE_BACK)
         if not doubt:
             return self._accept(record, "", self._pulses_between(self._last, record), before=self._last)
+        if is_boot:
+            self._before = None  # the last report wasn't wrong, though the counts alone may follow from that before
         if fault and self._before is not None and not self._fault(self._before, record, self._per_ms):
             pulses = _difference(self._pulses_between(self._before, record),
                                  self._pulses_between(self._before, self._last))
@@ -136,9 +143,6 @@ class WheelGate:
                 return self._accept(record, PREVIOUS_WRONG, pulses, before=self._before)
         if fault and _is_fresh(record):
             return self._restart(record, ODOMETERS_RESET)
-        is_boot = clock_restarts != self._clock_restarts or _tick_gone_back(record, newest_tick) is not None
-        if is_boot and not fault:
-            self._before = None  # the counts hide a reboot that the clock shows
         return self._consider(record, doubt, bool(fault) or is_boot, is_boot)
 
     def _accept(self, record, reason, pulses, before):

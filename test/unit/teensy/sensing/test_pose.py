@@ -6,6 +6,7 @@ import random
 import pytest
 
 from car_interface.teensy.sensing.pose import Pose
+from car_interface.teensy.sensing.unseen_path import UnseenPath
 
 
 def test_there_and_back_is_twice_the_distance():
@@ -58,6 +59,32 @@ def test_heading_that_may_be_off_by_far_makes_the_way_uncertain_along_it_too():
     (xx, _, _), (_, yy, _), _ = pose.covariance(0.0, 0.0)
     true_xx, true_yy = (sum(square ** 2 for square in axis) / len(off) for axis in zip(*off))
     assert (xx, yy) == pytest.approx((true_xx, true_yy), rel=0.1)
+
+
+def test_way_and_heading_that_are_off_together_stay_so_on_a_circle():
+    rng, path = random.Random(1), UnseenPath(along_variance=0.1, heading_variance=0.3, heading_covariance=0.15)
+    steps = [(0.8, 0.9), (1.5, 1.6), (1.5, 1.6)]  # m, rad
+    pose, off = Pose(0.0, 0.0), []
+    pose.move(*steps[0])
+    pose.add_path(path)
+    for _ in range(4000):
+        one, other = rng.gauss(0.0, 1.0), rng.gauss(0.0, 1.0)
+        true = Pose(0.0, 0.0)
+        true.move(*steps[0])
+        turned = math.sqrt(0.3) * one
+        along = 0.15 / math.sqrt(0.3) * one + math.sqrt(0.1 - 0.15 ** 2 / 0.3) * other
+        true.move(along, 0.0)
+        true.yaw_rad += turned
+        for step in steps[1:]:
+            true.move(*step)
+        off.append(true)
+    for step in steps[1:]:
+        pose.move(*step)
+    (xx, xy, xa), (_, yy, ya), _ = pose.covariance(0.0, 0.0)
+    errors = [(true.x_m - pose.x_m, true.y_m - pose.y_m, true.yaw_rad - pose.yaw_rad) for true in off]
+    products = zip(*((x * x, x * y, x * a, y * y, y * a) for x, y, a in errors))
+    moments = [sum(each) / len(errors) for each in products]
+    assert (xx, xy, xa, yy, ya) == pytest.approx(moments, rel=0.1, abs=0.02)
 
 
 def test_variance_along_the_heading_turns_with_it():

@@ -33,12 +33,14 @@ def test_echo_is_half_its_time_at_the_speed_of_sound(echo, temperature_c, range_
     assert ranges(ranging, echo) == [pytest.approx(range_m, rel=1e-4)]
 
 
-@pytest.mark.parametrize("no_echo, echo, range_m", [
-    (INF, NONE_US, INFINITE), (INF, 11_648, INFINITE), (INF, 116, -INFINITE), (INF, 14, -INFINITE),
-    (MAX_RANGE, NONE_US, 2.0), (MAX_RANGE, 14, 0.02),
+@pytest.mark.parametrize("config, echo, range_m", [
+    ({}, NONE_US, INFINITE), ({}, 11_648, INFINITE), ({}, 116, -INFINITE), ({}, 14, -INFINITE),
+    ({"no_echo": MAX_RANGE}, NONE_US, 2.0), ({"no_echo": MAX_RANGE}, 14, 0.02),
+    ({"min_range_m": 0.0}, 14, 14 * 0.00017171),
+    ({"max_range_m": 10.0}, 23_294, 4.0), ({"max_range_m": 10.0}, NONE_US, INFINITE),  # its time-out is nearer
 ])
-def test_no_echo_or_one_from_beyond_or_from_too_near_is_said_as_asked_for(no_echo, echo, range_m):
-    assert ranges(Ranging(RangingConfig(no_echo=no_echo)), echo) == [range_m]
+def test_no_echo_or_one_from_beyond_or_from_too_near_is_said_as_asked_for(config, echo, range_m):
+    assert ranges(Ranging(RangingConfig(**config)), echo) == [pytest.approx(range_m, rel=2.5e-4)]
 
 
 @pytest.mark.once
@@ -52,10 +54,6 @@ def test_range_of_any_echoes_is_within_the_limits_or_infinite_and_never_nan(echo
             assert range_m is None or math.isinf(range_m) or range_m == 2.0
             continue
         assert 0.02 <= range_m <= 2.0 or no_echo == INF and math.isinf(range_m)
-
-
-def test_minimum_of_zero_takes_every_echo():
-    assert Ranging(RangingConfig(min_range_m=0.0)).range(SENSOR, 1, TICK) == pytest.approx(14 * 0.00017171)
 
 
 def test_echo_of_a_stuck_pin_of_unknown_length_or_that_is_not_trusted_makes_no_range_nor_counts_for_the_median():
@@ -102,11 +100,6 @@ def test_long_pulse_of_a_loose_wire_or_after_a_lost_report_is_no_clone_s_and_mak
     ranging = Ranging()
     assert ranges(ranging, *echoes_us) == [None] * len(echoes_us)
     assert ranging.clones == {}
-
-
-def test_time_out_is_none_also_where_the_maximum_lies_beyond_it():
-    ranging = Ranging(RangingConfig(max_range_m=10.0))
-    assert ranges(ranging, 23_294, NONE_US) == [pytest.approx(4.0, abs=1e-3), INFINITE]
 
 
 def test_median_shows_what_is_new_two_reports_later_and_counts_no_echo_as_farther_than_all():

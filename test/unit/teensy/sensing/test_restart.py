@@ -31,12 +31,21 @@ def test_heading_stays_right_whatever_the_car_does_meanwhile_and_odometry_is_sil
     (reboot_accuracy.BOTH, 150068), (reboot_accuracy.BOTH, 350160), (reboot_accuracy.HIDDEN, 1001),
     (reboot_accuracy.HIDDEN, 1002), (reboot_accuracy.OFF, 440125), (reboot_accuracy.OFF, 440129),
     (reboot_accuracy.BOTH, 450171), (reboot_accuracy.UNPLUGGED, 470109), (reboot_accuracy.HIDDEN, 470103),
+    (reboot_accuracy.BOTH, 470045),
 ], ids=["stopped_and_turned_unseen", "reverses_as_it_is_seen_again", "slalom", "reversed_after_the_boot",
         "had_started_before_the_boot", "on_for_as_long_as_before", "on_for_as_long_as_before_and_standing",
         "slow_slalom_without_power", "circle_after_a_manoeuvre_without_power", "reversed_before_the_boot_and_after",
-        "fast_slalom_without_a_cable", "slalom_that_is_taken_for_circles"])
+        "fast_slalom_without_a_cable", "slalom_that_is_taken_for_circles",
+        "circle_after_reversals_after_the_boot"])
 def test_manoeuvre_that_nobody_saw_is_within_three_sigma(fault, seed):
     assert reboot_accuracy.run(seed, fault).inside >= 0.99
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("fault, seed", [(reboot_accuracy.OFF, 700), (reboot_accuracy.OFF, 701),
+                                         (reboot_accuracy.BOTH, 701)])
+def test_car_that_never_moved_and_starts_unseen_is_within_three_sigma(fault, seed):
+    assert reboot_accuracy.run(seed, fault, is_parked=True).inside >= 0.99
 
 
 class Bridge(RestartBridge):
@@ -120,6 +129,7 @@ def test_car_that_makes_no_pulse_any_more_has_stopped_on_the_way():
     assert not some.report(BEFORE_MS + 400)
     assert some.report(BEFORE_MS + 411), "that is said"
     assert not some.report(BEFORE_MS + 611), "once"
+    assert some.place_variance(BEFORE_MS + 611) > (1.34e-4 * 310 ** 2 / 12) ** 2 + (0.066 * 310 / 4) ** 2 - 1e-6
     assert some.positions == (pytest.approx(100.5 + 0.066 * 310 / 2), pytest.approx(100.5 + 0.066 * 310 / 2))
     for side in (LEFT, RIGHT):
         some.add(side, 2, 1, BEFORE_MS + 5000)
@@ -170,6 +180,19 @@ def test_reset_shows_with_its_first_pulse_for_the_firmware_knows_its_direction()
     assert some.is_reset((1, 0), (0, 0), BEFORE_MS + 15)
     assert not some.is_reset((0, 0), (1, 0), BEFORE_MS + 15), "a reboot"
     assert not some.is_reset((1, 0), (0, 0), BEFORE_MS + 600), "much was lost"
+
+
+@pytest.mark.parametrize("boot_ms, stood_ms", [(None, 1400), (BEFORE_MS + 1200, 600)], ids=["unknown", "known"])
+def test_parked_car_has_stood_until_the_last_report_before_the_boot(boot_ms, stood_ms):
+    some = Bridge(speed=0.0, blind_ms=0)
+    for after_ms in (0, 200, 400, 600, 1200, 1400):
+        some.report(BEFORE_MS + after_ms)
+    some.restart(boot_ms)
+    some.report(BEFORE_MS + 2400)
+    for side in (LEFT, RIGHT):
+        some.add(side, 2, 1, BEFORE_MS + 2450)
+    farther = 1.34e-4 * (2450 - stood_ms) / 3
+    assert some.speed_variance(BEFORE_MS + 2450) == pytest.approx(farther ** 2, rel=0.01), "by 2 m/s² all the time"
 
 
 def test_second_restart_before_anything_was_known_goes_on_from_the_first():

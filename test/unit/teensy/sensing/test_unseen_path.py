@@ -79,9 +79,12 @@ def test_reversals_are_as_uncertain_as_the_average_over_all_that_can_have_been()
     assert path.legs == ()
     assert path.along_variance == pytest.approx(sum(along ** 2 for along, _ in ends) / len(ends), rel=0.05)
     assert path.heading_variance == pytest.approx(sum(turn ** 2 for _, turn in ends) / len(ends), rel=0.15)
+    together = sum(along * turn * difference for (along, turn), difference in zip(ends, known)) / len(ends)
+    assert path.heading_covariance * math.sqrt(mean_square) == pytest.approx(together, rel=0.15)
 
 
 def test_one_reversal_is_the_likeliest_and_three_are_within_three_sigma():
     path = reversed_path(-1.5, 0.3, True)
     assert path.legs == ((-1.5, 0.3),)
     assert 3 * math.sqrt(path.along_variance) == pytest.approx(2 * 1.5), "all of it may have been the other way"
+    assert path.heading_covariance ** 2 < path.along_variance * path.heading_variance

@@ -247,6 +247,27 @@ def test_tick_that_goes_back_after_odometers_at_zero_is_a_reboot_at_once():
     assert some.refused == 0
 
 
+def test_car_that_never_moved_was_switched_on_again_if_its_first_pulse_is_older_than_the_clock():
+    some = Gates()
+    for each in (sonar(START_MS), sonar(START_MS + 30)):
+        some.sonar(each)
+    judged([BOOT[0]] * 2, some.wheels)
+    verdicts = judged(BOOT[1:4], some.wheels)
+    assert [verdict.accepted for verdict in verdicts] == [False, False, True]
+    assert verdicts[2].restarted and verdicts[2].since_boot and verdicts[2].boot_tick is not None
+
+
+def test_car_that_never_moved_was_switched_on_again_if_the_clock_shows_it():
+    some = Gates()
+    some.sonar(sonar(START_MS))
+    judged([BOOT[0]] * 2, some.wheels)
+    for later_ms in (0, 50, 100):
+        some.sonar(sonar(303 + later_ms))
+    verdicts = judged([BOOT[0]] * 2, some.wheels)
+    assert [(verdict.accepted, verdict.restarted, verdict.since_boot) for verdict in verdicts] == [
+        (True, True, True), (True, False, False)]
+
+
 @pytest.mark.parametrize("left, right, pulses, unsplit", [
     ((204, 106), (204, 106), (100, 100), (1, 1)), ((204, 195), (204, 1), (100, 102), (0, 0)),
     ((204, 195), (204, 185), (11, 21), (90, 80)),

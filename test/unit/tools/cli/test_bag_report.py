@@ -61,7 +61,7 @@ def test_page_replaces_an_old_one_but_never_a_recording(bag, no_plots, tmp_path,
     assert old.read_text().endswith("</html>\n") and [path.name for path in tmp_path.iterdir()] == ["old.html"]
     capsys.readouterr()
     assert main("bag_report", [bag, "-o", bag]) == 1
-    assert capsys.readouterr().err.startswith(f"bag_report: {bag} is one of the recordings")
+    assert capsys.readouterr().err.startswith(f"bag_report: {bag} is an input")
     assert pathlib.Path(bag).read_bytes() == recording
 
 

@@ -155,7 +155,7 @@ def test_page_goes_where_it_is_wanted_with_the_csv_beside_it_and_never_over_a_re
     assert run(".") == 0
     assert capsys.readouterr().out.endswith("written: ./drives.html, ./drives.csv\n")
     assert f"<h1>Drives in {folder}</h1>" in Path("drives.html").read_text(encoding="utf-8")
-    for output, words in (("drive.bag", "is one of the recordings"), (
+    for output, words in (("drive.bag", "is an input"), (
             "all.csv", "'all.csv'; accepted: the page's name, as in drives.html: the CSV lies beside it")):
         assert run(folder, "-o", output) == 1
         assert words in capsys.readouterr().err

@@ -84,7 +84,7 @@ def test_calibration_that_would_overwrite_its_recording_is_refused(name, run, tm
     bag = write_ros1(tmp_path / "a.bag", [odometry(0.0)])
     before = bag.read_bytes()
     code, _, err = run(name, bag, "-o", bag)
-    assert code == 1 and f"{bag} is one of the recordings" in err and bag.read_bytes() == before
+    assert code == 1 and f"{bag} is an input" in err and bag.read_bytes() == before
 
 
 @pytest.mark.more

@@ -11,7 +11,15 @@ from car_interface.tools.calibration.shared import RecordedDrive
 from car_interface.tools.calibration.steering.calibrate import SteeringResult
 from car_interface.tools.calibration.steering.errors import BAND
 from car_interface.tools.calibration.steering.fit import Curve
-from car_interface.tools.calibration.steering.table import DRIVEN, LEFT, OLD, RIGHT, Breakpoint, radius_text
+from car_interface.tools.calibration.steering.table import (
+    DRIVEN,
+    LEFT,
+    OLD,
+    RIGHT,
+    Breakpoint,
+    radius_text,
+    side_curvatures,
+)
 from car_interface.tools.calibration.steering.understeer import USUAL, Understeer
 
 SHORT_ROWS = 8
@@ -92,6 +100,8 @@ def _center_and_end_lines(curve):
     if not math.isnan(curve.center):
         yield f"  straight on: duty {curve.center:.0f} ± {BAND * curve.center_sigma:.0f}"
     for side, end in ((LEFT, curve.left), (RIGHT, curve.right)):
+        if not (side_curvatures(curve, side) > 0).any():
+            continue
         why = ("the radius shrinks no more" if end.is_stop else "the end that was allowed" if end.is_end else
                "the farthest that was driven; the end was not reached")
         yield f"  {side}: duty {end.duty:.0f}, radius {radius_text(end.curvature_per_m)}: {why}"

@@ -55,12 +55,18 @@ def widened(radii_m: Sequence[float], wide_m: float) -> list[float]:
     return [*radii_m, *(radius for radius in WIDE_RADII_M if radius > 1.1 * radii_m[-1])]
 
 
+def side_curvatures(curve: Curve, side: str) -> np.ndarray:
+    """Return the curvatures that were driven (N,), 1/m, positive to this side."""
+    return (1.0 if side == LEFT else -1.0) * curve.observations.curvature_per_m[curve.used]
+
+
 def breakpoints(curve: Curve, radii_m: Sequence[float], side: str) -> list[Breakpoint]:
     """Return the duties for radii (R,) to one side, and what they rest on."""
     sign = 1.0 if side == LEFT else -1.0
     end = curve.left if side == LEFT else curve.right
     outward = 1.0 if (end.duty - curve.duties.mean()) > 0 else -1.0
-    driven = sign * curve.observations.curvature_per_m[curve.used]
+    driven = side_curvatures(curve, side)
+    is_driven = driven.size > 0 and driven.max() > 0
     lengths_m = curve.observations.distance_m[curve.used]
     found = []
     for radius in radii_m:
@@ -75,9 +81,9 @@ def breakpoints(curve: Curve, radii_m: Sequence[float], side: str) -> list[Break
         half_count = abs(behind - before) / 4
         is_known = BAND * sigma <= max(KNOWN_RATIO * k, KNOWN_PER_M) + half_count
         if k >= end.curvature_per_m * (1 - STOP_RATIO):
-            duty, source = end.duty, END if end.is_end and is_known else UNKNOWN
+            duty, source = end.duty, END if end.is_end and is_known and is_driven else UNKNOWN
         else:
-            source = DRIVEN if is_known and driven.size and driven.min() <= k <= driven.max() else UNKNOWN
+            source = DRIVEN if is_known and is_driven and driven.min() <= k <= driven.max() else UNKNOWN
         steepness = slope(curve.duties, curve.curvatures, duty)
         found.append(Breakpoint(float(radius), duty, sigma / max(steepness, 1e-9), sigma / k ** 2, int(near.sum()),
                                 float(lengths_m[near].sum()), source))

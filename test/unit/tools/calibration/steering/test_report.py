@@ -11,7 +11,17 @@ from car_interface.tools.calibration.steering.calibrate import SteeringResult
 from car_interface.tools.calibration.steering.ends import Side
 from car_interface.tools.calibration.steering.fit import UNKNOWN_BACKLASH
 from car_interface.tools.calibration.steering.report import report, short_report
-from car_interface.tools.calibration.steering.table import DRIVEN, END, LEFT, OLD, RIGHT, Breakpoint
+from car_interface.tools.calibration.steering.table import (
+    DRIVEN,
+    END,
+    LEFT,
+    OLD,
+    RIGHT,
+    UNKNOWN,
+    Breakpoint,
+    breakpoints,
+    find_problems,
+)
 from car_interface.tools.calibration.steering.understeer import Understeer
 from tools.calibration.steering.known_curve import line_curve, recorded
 
@@ -33,6 +43,15 @@ def test_what_steady_circles_cannot_show_is_said_to_be_unknown():
     steady = line_curve(backlash_duty=0.0, backlash_sigma=UNKNOWN_BACKLASH[1])
     assert lines(steady)[2] == ("  how fast the servo follows, and the backlash of the steering, aren't known: the "
                                 "duty never changed within a recording")
+
+
+def test_side_that_was_not_driven_has_no_end():
+    curve = line_curve()
+    left = replace(curve, used=curve.used & (curve.observations.curvature_per_m > 0.05), center=math.nan)
+    assert [line[:8] for line in lines(left) if ": duty" in line] == ["  left: "]
+    points = breakpoints(left, [1.0, 2.0], RIGHT)
+    assert {point.source for point in points} == {UNKNOWN}
+    assert "no data for right turns: " in " ".join(find_problems(left, {LEFT: [], RIGHT: points}))
 
 
 @pytest.mark.parametrize("sigma, line", [

@@ -35,18 +35,18 @@ def test_it_is_found_where_the_same_turns_were_driven_at_several_speeds_and_the_
     assert np.abs(found.curvatures - true_curvature(found.duties))[inside].max() < 0.02
 
 
-def circles(speeds_mps=(0.48, 0.96, 1.44), ratios=(1.0, 1.0, 1.0)):
+def circles(speeds_mps=(0.48, 0.96, 1.44), ratios=()):
     """Steady circles of a real car at three positions, a recording each; true speeds are 4 % below those asked for.
 
     Args:
-        ratios: by which the car's radii at each of the speeds are multiplied.
+        ratios: by which the car's radii at each of the speeds are multiplied; empty = as they are.
     """
     return [drive([5200 - 2000 * angle], curve=lambda duty, radius_m=radius_m: np.full(len(duty), 1 / radius_m),
                   speed_mps=speed_mps, hold_s=20 / speed_mps, seed=index, start_s=1000.0 * index)
             for angle, rows in SKIDPAD.items()
             for index, (speed_mps, radius_m) in enumerate(
                 (speed_mps, rows[round(speed_mps / TRUE_RATIO, 1)] * ratio)
-                for speed_mps, ratio in zip(speeds_mps, ratios))]
+                for speed_mps, ratio in zip(speeds_mps, ratios or [1.0] * len(speeds_mps)))]
 
 
 def test_circles_of_a_real_car_up_to_1_5_mps_tell_its_radii_at_2_and_2_5_mps():
