@@ -35,7 +35,6 @@ class EscCar:
         self.speed_mps = self.wheel_mps = self.place_m = 0.0
 
     def step(self, dt_s: float, motor: MotorState) -> None:
-        """Move on by ``dt_s``."""
         config, before_mps = self.config, self.speed_mps
         push, brake = self._motor.step(motor, dt_s)
         downhill_mps2 = -GRAVITY_MPS2 * math.sin(math.atan(config.slope))

@@ -36,6 +36,7 @@ sys.path.append(str(Path(__file__).resolve().parent / "process"))
 sys.path.append(str(Path(__file__).resolve().parent / "graph"))
 sys.path.append(str(Path(__file__).resolve().parent / "unit/nodes/phone_drive"))
 import test_attacks as attacks
+from damage import damaged
 from soak import NEUTRALS, NODES, footprint
 
 import test_fuzz as graph
@@ -51,8 +52,6 @@ from closing import ask
 TEST = Path(__file__).resolve().parent
 # Who sends these may drive.
 PERMITS = {"/joy", "/phone/joy", "/teleop_logi/human_in_loop", "/command", "/servo/cmdVector"}
-PIECES = (b"", b"\0", b"nan", b"1e999", b"-", b": ", b"[" * 40, b"{", b"&a *a", b"!!python/object:os.system ", b"\n",
-          b'"', b",", b"\xff\xfe", b"9" * 400, b"\t", b"#", b"<<: ", b"\x7e", b"\x7d", b"\x7e\x7e\x01\x02")
 MAX_SHOWN = 300  # characters of an input
 TURN_S = 3.0  # of one kind, before the next one's; one case of memory alone takes some 10 s
 SETTLE_S = 5.0  # until the peers' last handshakes have ended
@@ -68,17 +67,6 @@ def check_line(error: Exception, names=()) -> None:
     """An error of this package is one line, which names one of these."""
     is_named = not names or any(name.split("/")[-1] in str(error) for name in names)
     check(str(error) and "\n" not in str(error) and is_named, f"not one line that names it: {str(error)!r}")
-
-
-def damaged(data: bytes, choose: random.Random) -> bytes:
-    """Some places of it lost, doubled, replaced or flipped, or all from one on lost."""
-    for _ in range(choose.choice((0, 1, 1, 2, 4, 16))):
-        start = choose.randrange(len(data) + 1)
-        end = start + choose.choice((0, 1, 1, 1, 3, 30, 30, 30, choose.choice((1, len(data)))))
-        flipped = bytes(byte ^ 1 << choose.randrange(8) for byte in data[start:end][:1])
-        data = data[:start] + choose.choice((b"", data[start:end] * 2, choose.choice(PIECES), flipped, bytes(
-            choose.choices(range(256), k=8)))) + data[end:]
-    return data
 
 
 # --- the kinds: each does one case, and notes what it is about to feed ---

@@ -1,6 +1,4 @@
 """A computer with several I²C buses, for what finds the servo board; it notes what was asked and written."""
-from __future__ import annotations
-
 import errno
 import os
 

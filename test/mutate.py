@@ -1,9 +1,10 @@
 """Measures what the tests notice: changes one place of the source at a time, and counts the changes that fail a test.
 
-``./dev mutate [MODULE...]`` runs the mutants of ``test/mutants/list.txt``, which was drawn once, by a fixed seed. A
-mutant is known by its function, its source line without comments, its change, and its number among equal ones in that
-function, and so survives edits elsewhere; one whose line was changed is reported as gone. A run fails if more mutants
-of a module survive than ``test/mutants/accepted.txt`` names of those that still exist.
+``./dev mutate [MODULE...]`` runs the mutants of ``test/mutants/list.txt``, which was drawn by a fixed seed: all of a
+module in WHOLE, a sample of the others. A mutant is known by its function, its source line without comments, its
+change, and its number among equal ones in that function, and so survives edits elsewhere; one whose line was changed is
+reported as gone. ``test/mutants/accepted.txt`` names survivors; a line below one says why it changes no behaviour, and
+then it isn't run. A run fails if a mutant of a module in WHOLE survives, or more of another survive than are named.
 """
 from __future__ import annotations
 
@@ -24,6 +25,7 @@ import time
 import tokenize
 from bisect import bisect_right
 from collections import Counter, defaultdict, deque
+from datetime import date
 from functools import lru_cache
 from itertools import accumulate
 from pathlib import Path
@@ -32,6 +34,9 @@ from typing import Iterable, Iterator, NamedTuple
 ROOT = Path(__file__).resolve().parents[1]
 MUTANTS, PACKAGE = Path("test/mutants"), Path("src/car_interface")
 SEED, MAX_PER_PART, MAX_PER_NODE = 20261125, 60, 15
+# No mutant of these may survive: interlock, staleness, arbiters, ESC, channels, guard, gamepad and phone.
+WHOLE = re.compile(r"interlock/|common/staleness|(steering|throttle)/arbiter|planner/source_arbiter|throttle/esc"
+                   r"|pca9685/(channels|guard)|teleop/(gamepad|phone)")
 # What decides. The Teensy's link and sensing belong to it: limits, obstacle stop and interlock go by their values.
 PARTS = ("interlock", "steering", "throttle", "planner", "teleop", "pca9685", "teensy/link", "teensy/sensing", "nodes")
 # A mutant is killed by tests that take this many times as long as in the clean run, and so much more.
@@ -194,8 +199,9 @@ def draw_list(root: Path, before: dict[str, list[Key]], names: list[str]) -> dic
     for path in sorted((root / PACKAGE).rglob("*.py")):
         module = path.relative_to(root / PACKAGE).as_posix()
         if is_named(module, names):
-            limit = MAX_PER_NODE if module.startswith("nodes/") else MAX_PER_PART
-            drawn[module] = draw(module, find(module, path.read_bytes()), limit)
+            found = find(module, path.read_bytes())
+            drawn[module] = list(found) if WHOLE.match(module) else draw(
+                module, found, MAX_PER_NODE if module.startswith("nodes/") else MAX_PER_PART)
     return {module: keys for module, keys in drawn.items() if keys}
 
 
@@ -204,8 +210,8 @@ def is_named(module: str, names: list[str]) -> bool:
     return not names or any(f"{module[:-3]}/".startswith(f"{name.replace('.py', '').strip('/')}/") for name in names)
 
 
-def to_text(lists: dict[str, list[Key]], titles: dict[str, str]) -> str:
-    """Return the text of mutants: a line for each module (its title), function and mutant."""
+def to_text(lists: dict[str, list[Key]], titles: dict[str, str], reasons: dict[Key, str]) -> str:
+    """Return the text of mutants: a line for each module (its title), function, mutant, and reason to accept it."""
     lines = []
     for module, keys in lists.items():
         lines.append(titles.get(module, module))
@@ -213,14 +219,17 @@ def to_text(lists: dict[str, list[Key]], titles: dict[str, str]) -> str:
             if before is None or before.function != key.function:
                 lines.append(f"  {key.function}")
             lines.append(f"    {key.change}\t{key.line}" + (f"\t{key.number}" if key.number > 1 else ""))
+            lines += [f"      {reasons[key]}"] if key in reasons else []
     return "".join(line + "\n" for line in lines)
 
 
-def from_text(text: str) -> tuple[dict[str, list[Key]], dict[str, str]]:
-    """Return the mutants and the title of each module."""
-    lists, titles, module, function = {}, {}, "", ""
+def from_text(text: str) -> tuple[dict[str, list[Key]], dict[str, str], dict[Key, str]]:
+    """Return the mutants and the title of each module, and the reasons to accept a mutant."""
+    lists, titles, reasons, module, function = {}, {}, {}, "", ""
     for line in text.splitlines():
-        if line.startswith("    "):
+        if line.startswith("      "):
+            reasons[lists[module][-1]] = line.strip()
+        elif line.startswith("    "):
             change, code, number = (*line[4:].split("\t"), "1")[:3]
             lists[module].append(Key(module, function, code, change, int(number)))
         elif line.startswith("  "):
@@ -228,7 +237,7 @@ def from_text(text: str) -> tuple[dict[str, list[Key]], dict[str, str]]:
         else:
             module = line.split()[0]
             lists[module], titles[module] = [], line
-    return lists, titles
+    return lists, titles, reasons
 
 
 @lru_cache(maxsize=None)
@@ -442,24 +451,30 @@ def run_mutants(root: Path, slots: list[Slot], lists: dict[str, list[Key]]) -> I
 
 
 def main() -> int:
-    """Run the command; return 1 when more mutants survive than were accepted."""
     parser = argparse.ArgumentParser(prog="./dev mutate", description="Change one place of the source at a time, and "
                                      "count the changes that fail a test.")
     parser.add_argument("modules", nargs="*", metavar="MODULE", help="throttle/control, or a folder such as throttle")
     parser.add_argument("--draw", action="store_true", help="draw the mutants of these modules anew, and run nothing")
     parser.add_argument("--record", action="store_true", help="accept the results of this run")
+    parser.add_argument("--sample", type=int, metavar="N", help="run only N of the mutants, drawn by the day")
     parser.add_argument("--mechanisms", action="store_true", help="switch off the mechanisms of the safety case "
                         "instead, one at a time: each test that is named for one must fail")
     options = parser.parse_args()
     files = [ROOT / MUTANTS / name for name in ("list.txt", "accepted.txt")]
-    (everything, _), (accepted, titles) = (
+    (everything, *_), (accepted, titles, reasons) = (
         from_text(path.read_text(encoding="utf-8") if path.exists() else "") for path in files)
     if options.draw:
         if not options.modules:
             parser.error("--draw needs a MODULE")
-        files[0].write_text(to_text(draw_list(ROOT, everything, options.modules), {}), encoding="utf-8")
+        files[0].write_text(to_text(draw_list(ROOT, everything, options.modules), {}, {}), encoding="utf-8")
         return 0
-    lists = {module: keys for module, keys in everything.items() if is_named(module, options.modules)}
+    lists = {module: [key for key in keys if key not in reasons]
+             for module, keys in everything.items() if is_named(module, options.modules)}
+    if options.sample:
+        everyone = [key for keys in lists.values() for key in keys]
+        drawn = set(random.Random(date.today().isoformat()).sample(everyone, min(options.sample, len(everyone))))
+        lists = {module: [key for key in keys if key in drawn] for module, keys in lists.items()}
+        lists = {module: keys for module, keys in lists.items() if keys}
     if not lists and not options.mechanisms:
         parser.error(f"{MUTANTS}/list.txt has no module named {' or '.join(options.modules)}")
     for name in ("pytest", "hypothesis", "numpy", "yaml", "serial"):  # once, for all mutants
@@ -479,21 +494,23 @@ def main() -> int:
                            + (f" ({key.number})" if key.number > 1 else "") for key in survivors),
                   *(f"  gone: {key.function}: {key.change} | {key.line}" for key in lists[module] if key not in places),
                   sep="\n", flush=True)
-            known = set(accepted.get(module, ())) & set(places)
-            if module in accepted and len(survivors) > len(known):
+            known = set() if WHOLE.match(module) else set(accepted.get(module, ())) & set(places)
+            fresh = [key for key in survivors if key not in known]
+            if fresh and (WHOLE.match(module) or len(survivors) > len(known)):
                 worse.append(f"{module}: {len(survivors)} survive, {len(known)} were accepted. New: " + "; ".join(
-                    f"{key.function}: {key.change} | {key.line}" for key in survivors if key not in known))
+                    f"{key.function}: {key.change} | {key.line}" for key in fresh))
             kind = "nodes" if module.startswith("nodes/") else "core"
             sums[kind, "killed"] += len(places) - len(survivors)
             sums[kind, "all"] += len(places)
-            new[module], titles[module] = survivors, title
+            equivalent = [key for key in accepted.get(module, ()) if key in reasons]
+            new[module], titles[module] = sorted([*survivors, *equivalent], key=everything[module].index), title
     for kind in sorted({kind for kind, _ in sums}):
         killed, total = sums[kind, "killed"], sums[kind, "all"]
         print(f"{kind}: {killed} of {total} mutants killed, {100 * killed / max(1, total):.1f} %")
     if options.record:
         merged = {**accepted, **new}
-        files[1].write_text(to_text({module: merged[module] for module in everything if module in merged}, titles),
-                            encoding="utf-8")
+        files[1].write_text(to_text({module: merged[module] for module in everything if module in merged}, titles,
+                                    reasons), encoding="utf-8")
         return 0
     print(*worse, sep="\n", end="\n" if worse else "")
     return 1 if worse else 0

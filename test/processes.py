@@ -4,7 +4,7 @@ roslaunch gives each node a session of its own, so that neither a process group 
 processes. But a run is their "child subreaper" (prctl(2)): a process whose parent has ended becomes the run's child.
 So the run's descendants are all that it has started, and no other process is among them.
 
-    python3 test/processes.py [--limit SECONDS] [--left-behind FILE] [--grace SECONDS] COMMAND...
+    python3 test/processes.py [--limit SECONDS] [--left-behind FILE] COMMAND...
 
 runs a command like this, until it ends, the time limit is over (exit code 124), a signal comes (128 + its number), or
 the process that started this one ends. Then it ends what is left. When the command ended by itself and processes were
@@ -129,13 +129,12 @@ def main() -> int:
     parser = argparse.ArgumentParser()
     parser.add_argument("--limit", type=float, metavar="SECONDS")
     parser.add_argument("--left-behind", type=Path, metavar="FILE")
-    parser.add_argument("--grace", type=float, metavar="SECONDS", default=GRACE_S)
     parser.add_argument("command", nargs=argparse.REMAINDER)
     arguments = parser.parse_args()
     adopt_descendants(end_with_parent=True)
     try:
         code = start(*arguments.command).wait(arguments.limit)
-        if arguments.left_behind and not wait_until(lambda: not descendants(), arguments.grace):
+        if arguments.left_behind and not wait_until(lambda: not descendants(), GRACE_S):
             arguments.left_behind.write_text(str(len(descendants())), encoding="ascii")
         return code if code >= 0 else 128 - code
     except subprocess.TimeoutExpired:

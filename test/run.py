@@ -145,7 +145,6 @@ def coverage_step(results: Path, python: Python) -> Step:
 
 
 def process_step(results: Path, path: Path, is_all: bool) -> Step:
-    """Return the step of one .test file."""
     folder = results / path.name
     command = ("rostest", f"--pkgdir={ROOT}", "--package=car_interface", f"--results-base-dir={folder}", str(path))
     limit_s = time_limit_s(path) if is_all else min(time_limit_s(path), PROCESS_LIMIT_S)
@@ -164,8 +163,6 @@ def all_steps(results: Path, pythons: list[Python], selected: Selection, is_all:
 
 
 class Running(NamedTuple):
-    """A step at work."""
-
     step: Step
     process: subprocess.Popen
     begun_s: float
@@ -186,7 +183,6 @@ class Runner:
         self._running: list[Running] = []
 
     def run(self, steps: list[Step]) -> None:
-        """Run all of them."""
         waiting = list(steps)
         while waiting or self._running:
             for each in [each for each in self._running if each.process.poll() is not None]:
@@ -253,7 +249,6 @@ class Runner:
 
 
 def print_line(title: str, took_s: float, result: str = "") -> None:
-    """Print how long something took, and with which result."""
     print(f"{title:<44} {took_s:7.1f} s   {result}", flush=True)
 
 

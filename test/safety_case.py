@@ -58,8 +58,6 @@ class Part(NamedTuple):
 
 
 class Case(NamedTuple):
-    """The table of data."""
-
     data: dict[str, Any]
     parts: list[Part]
 
@@ -228,7 +226,6 @@ def _table(head, lines):
 
 
 def main() -> int:
-    """Write the page, or check it; return the exit code."""
     case = load(DATA.read_text(encoding="utf-8"))
     found = faults(case)
     text = page(case)

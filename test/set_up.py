@@ -285,7 +285,6 @@ class SetUp:
         print(f"pythons=({' '.join(arguments)})")
 
     def rviz(self) -> None:
-        """Install rviz, which is large."""
         if not (OPT / self.distribution / "share/rviz").exists():
             self.apt(*apt_names("rviz", self.distribution))
 

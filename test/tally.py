@@ -57,7 +57,6 @@ def crash(folder: Path) -> str | None:
 
 
 def tally(folder: Path) -> Tally:
-    """Count one step's results."""
     outcomes = {"passed": 0, "failed": 0, "skipped": 0}
     failures, unreadable = [], []
     for path in sorted(folder.rglob("*.xml")):

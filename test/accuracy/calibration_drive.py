@@ -165,7 +165,6 @@ class Person:
         self._places = False  # from the middle half round, so that it lies there
 
     def step(self, now_s, car: Vehicle, phase, text):
-        """Decide what the hands do."""
         self._blocked_s = self._blocked_s + 0.02 if phase == BLOCKED else 0.0
         if phase == BLOCKED:
             self._side = 1.0 if "to its left" in text else -1.0 if "to its right" in text else 0.0

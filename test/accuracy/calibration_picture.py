@@ -141,7 +141,6 @@ def path(moments: list[Moment]) -> list[tuple[float, float]]:
 
 
 def images(picture: Picture, moments: list[Moment]) -> list[Image.Image]:
-    """Draw all frames."""
     made = []
     for index in frame_indices(len(moments)):
         picture.update(moments[:index + 1])
@@ -171,10 +170,9 @@ def save(frames: list[Image.Image], file: str) -> None:
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("file")
-    parser.add_argument("--seed", type=int, default=SEED, help="the virtual car")
     options = parser.parse_args()
     recorder = Recorder()
-    bench = Bench(options.seed, recorder, person=PatientPerson(random.Random(options.seed)))
+    bench = Bench(SEED, recorder, person=PatientPerson(random.Random(SEED)))
     result = bench.run()
     save(images(Picture(bench), recorder.moments), options.file)
     print(f"{result.held_s:.0f} s, {result.conclusion.refusal or 'a table was written'}")

@@ -14,7 +14,6 @@ making of a pong. Beside it what one-way methods make of the same bytes: receipt
 """
 from __future__ import annotations
 
-import argparse
 import math
 import random
 import sys
@@ -274,11 +273,9 @@ def row(name: str, score: Score) -> str:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("--seconds", type=float, default=120.0, help="of virtual time per row; the ramp's take 5 times")
     print(HEADING)
     failed = False
-    for each in scenarios(parser.parse_args().seconds):
+    for each in scenarios(120.0):
         score = run(each)
         failed = failed or bool(score.failures())
         print(row(each.name, score), *(f"FAILED: {failure}" for failure in score.failures()), flush=True)

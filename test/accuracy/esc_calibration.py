@@ -53,10 +53,10 @@ def random_car(seed: int) -> VehicleConfig:
 
 
 class Person:
-    """One who follows the page, but for the headings that are left out."""
+    """One who follows the page."""
 
-    def __init__(self, see: View, leaves_out=()):
-        self._see, self._leaves_out = see, leaves_out
+    def __init__(self, see: View):
+        self._see = see
         self.rng = rng = see.random
         self.stick, self.holds_deadman, self.button = 0.0, False, 0
         self._reaction_s = rng.uniform(0.18, 0.32)
@@ -71,11 +71,11 @@ class Person:
         for pressed in (1, 0, 1, 0):  # Y, twice: half of the throttle
             self.button = pressed
             yield from self._hold(0.0, 0.2)
-        steps = {"creep forward": self._creep, "brake": self._brake, "pull twice": self._pull_twice,
-                 "creep backward": lambda: self._creep(-1), "wait and pull": self._wait_and_pull}
-        for heading in steps:
-            if heading not in self._leaves_out:
-                yield from steps[heading]()
+        yield from self._creep(1)
+        yield from self._brake()
+        yield from self._pull_twice()
+        yield from self._creep(-1)
+        yield from self._wait_and_pull()
         self.holds_deadman = False
         yield from self._hold(0.0, 1.0)
 
@@ -118,7 +118,7 @@ class Person:
         strength = -1.0 if self.rng.random() < 0.8 else -self.rng.uniform(0.75, 1.0)
         yield from self._hold(strength, seconds, lambda: self._see.speed_mps < -0.5)
 
-    def _creep(self, sign=1):
+    def _creep(self, sign):
         for _ in range(3):
             per_s, position = self.rng.uniform(0.06, 0.13), self.rng.uniform(0.0, 0.06)
             while abs(self._see.speed_mps) < 0.08 and position < 0.9:
@@ -150,10 +150,10 @@ class Person:
 class Node:
     """throttle_arb, as car.launch calibration_drive:=true starts it, without ROS."""
 
-    def __init__(self, is_calibration_drive=True):
+    def __init__(self):
         self._control = ThrottleControl(
             THROTTLE, ThrottleArbiterConfig(stick=StickConfig(), interlock=InterlockConfig(grant_at_start=False)),
-            EscConfig(profile=UNVERIFIED, calibration_drive=is_calibration_drive))
+            EscConfig(profile=UNVERIFIED, calibration_drive=True))
         self._ticks, self._kind, self._duty = 0, None, None
 
     def step(self, person, speed_mps, now_ns):
@@ -180,20 +180,18 @@ class Node:
         return decision.duty, state
 
 
-def script(leaves_out=(), is_calibration_drive=True):
-    """For ``virtual_drive.record``: the person at the gamepad, and the node."""
-    def commands(see: View) -> Iterator[Command]:
-        person, node = Person(see, leaves_out), Node(is_calibration_drive)
-        for _ in person.drive():
-            now_ns = START_NS + round(see.now_s * NS_PER_S)
-            duty, state = node.step(person, see.speed_mps, now_ns)
-            yield Command(5100.0, 0.0, duty, state)
-    return commands
+def script(see: View) -> Iterator[Command]:
+    """Yield what the person at the gamepad and the node make, for ``virtual_drive.record``."""
+    person, node = Person(see), Node()
+    for _ in person.drive():
+        now_ns = START_NS + round(see.now_s * NS_PER_S)
+        duty, state = node.step(person, see.speed_mps, now_ns)
+        yield Command(5100.0, 0.0, duty, state)
 
 
-def record_drive(seed: int, path, leaves_out=(), **changes) -> None:
+def record_drive(seed: int, path) -> None:
     """Let a person drive the car of a seed by the page, and write the bag."""
-    record(random_car(seed), path, seed, script(leaves_out, **changes), duration_s=240.0)
+    record(random_car(seed), path, seed, script, duration_s=240.0)
 
 
 class Outcome(NamedTuple):

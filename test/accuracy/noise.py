@@ -19,7 +19,6 @@ has a header and the length that goes with it, so that these count for the check
 """
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import sys
@@ -65,7 +64,6 @@ class Result:
     must_make_sense: float = 0.0
 
     def failures(self) -> list[str]:
-        """What is worse than it must be."""
         found = [f"{count} wrong frames {name} where {must:.1f} must" for name, count, must in (
             ("summed up", self.summed_up, self.must_sum_up), ("made sense", self.made_sense, self.must_make_sense))
             if count > must + MARGIN_SIGMAS * math.sqrt(must) + MARGIN_SIGMAS]
@@ -212,9 +210,7 @@ def measure(frames: int, rate: float) -> Result:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--frames", type=int, default=1_000_000, help="at least so many at each rate")
-    results = [measure(parser.parse_args().frames, rate) for rate in RATES]
+    results = [measure(1_000_000, rate) for rate in RATES]
     for name, cell in (
             ("bit errors", "{0.rate:.0e}"), ("frames", "{0.frames:,}"), ("lost", "{0.lost:,}"),
             ("wrong, sum right", "{0.summed_up:,}"), ("must at most", "{0.must_sum_up:,.1f}"),

@@ -6,8 +6,6 @@
 The same virtual car starts to 0.3 m/s twice: by its pulses, and with the true speed as odometry, at once. Printed is
 the overshoot and the worst error of the last two seconds, over motors that lag by 0.02 to 0.15 s.
 """
-from __future__ import annotations
-
 from unit.throttle.speed_rig import MAP, SpeedRequest, SpeedRig, overshoot, wrong_map
 
 TARGET_MPS = 0.3

@@ -82,7 +82,6 @@ def asked_for(left_per_m, right_per_m) -> tuple[np.ndarray, np.ndarray]:
 
 
 def together(errors: list[Errors]) -> Errors:
-    """Those of several cars as one."""
     return Errors(*map(np.concatenate, zip(*errors)))
 
 
@@ -92,7 +91,6 @@ def beyond(made: Errors, best: Errors) -> Errors:
 
 
 def meets(made: Errors, best: Errors) -> bool:
-    """Whether a car's table is within the bounds."""
     more = beyond(made, best)
     return bool(np.median(more.radius) <= MEDIAN_SHARE and np.percentile(more.radius, 95) <= P95_SHARE
                 and np.percentile(more.curvature, 95) <= P95_PER_M)

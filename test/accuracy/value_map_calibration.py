@@ -11,8 +11,6 @@ config/value_map.csv.
 
 Ends with exit code 1 if a target is missed: at most 0.08 m/s² RMS, and half of the published yardstick's.
 """
-from __future__ import annotations
-
 import argparse
 import math
 import sys

@@ -20,7 +20,7 @@ from unit.written_recordings import Written, stamp, write_ros1
 
 from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
 from car_interface.sim.teensy_wheels import BACKWARD
-from car_interface.sim.vehicle import GRAVITY_MPS2, DriveTrainConfig, SteeringConfig, Vehicle, VehicleConfig
+from car_interface.sim.vehicle import DriveTrainConfig, SteeringConfig, Vehicle, VehicleConfig
 from car_interface.teensy.link.framing import SHIPPED, FrameDecoder
 from car_interface.teensy.link.pinging import Pinger
 from car_interface.teensy.link.protocol import Pong, SonarStatus, WheelStatus, decode
@@ -33,7 +33,6 @@ STEP_NS = 4 * NS_PER_MS
 CONTROL_NS = 20 * NS_PER_MS
 OUTPUT_NS = 100 * NS_PER_MS  # /servo/output at the least
 ODOM_NS = 20 * NS_PER_MS  # odom at the most: the hub's odom_rate of 50 Hz
-IMU_NS = 10 * NS_PER_MS
 REACTION_S, MISSED_S, BEYOND_S = 0.25, 0.5, 0.4
 HELD_S = 1.8  # a position of the stick, from either side
 START_NS = 5_000 * NS_PER_S  # monotonic
@@ -287,14 +286,14 @@ def _straight(see):
 
 
 def record(car: VehicleConfig, path, seed: int = 0, script=mixed_drive, has_gaps: bool = False,
-           duration_s: float = 300.0, imu: bool = False) -> None:
+           duration_s: float = 300.0) -> None:
     """Drive a car and write the bag.
 
     Args:
         script: ``View -> Command``s, 50 a second; its end is the drive's.
         has_gaps: the recorder ran only 7 s of each 10.
     """
-    recorder = _Recorder(car, random.Random(seed), imu)
+    recorder = _Recorder(car, random.Random(seed))
     messages = recorder.drive(script(recorder.see), duration_s)
     if has_gaps:
         messages = (message for message in messages if message.time_s % 10 < 7)
@@ -342,7 +341,6 @@ class Hub(Link):
         self._magnets = _Magnets(car, noise)
 
     def roll(self, pulses, speed_mps: float, now_ns: int) -> None:
-        """The wheels have turned."""
         for at_ns, side, direction in self._magnets.pass_by(pulses, speed_mps, now_ns):
             self.teensy.wheel_pulse(side, direction, at_ns)
 
@@ -350,11 +348,10 @@ class Hub(Link):
 class _Recorder:
     """The car, its hub, and the messages as they are recorded."""
 
-    def __init__(self, car, rng, imu):
+    def __init__(self, car, rng):
         self._random = rng
         noise = np.random.default_rng(rng.randrange(1 << 30))
         self._car = Vehicle(car, START_NS)
-        self._imu = _Imu(noise) if imu else None
         self._hub = Hub(car, rng, noise)
         self._motion = None
         self._odom, self._odom_due_ns = None, START_NS  # what waits to be published, and until when
@@ -363,7 +360,7 @@ class _Recorder:
 
     def drive(self, commands, duration_s) -> Iterator[Written]:
         car, now_ns = self._car, START_NS
-        end_ns, control_ns, imu_ns = START_NS + round(duration_s * NS_PER_S), START_NS, START_NS
+        end_ns, control_ns = START_NS + round(duration_s * NS_PER_S), START_NS
         duties = (-1, -1)
         while now_ns < end_ns:
             if now_ns >= control_ns:
@@ -384,9 +381,6 @@ class _Recorder:
             if self._odom is not None and now_ns >= self._odom_due_ns:  # the newest, at most 50 a second
                 yield self._message(now_ns, "odom", "nav_msgs/Odometry", odometry_fields(self._odom))
                 self._odom, self._odom_due_ns = None, now_ns + ODOM_NS
-            if self._imu is not None and now_ns >= imu_ns:
-                imu_ns += IMU_NS
-                yield self._message(now_ns, "imu/data", "sensor_msgs/Imu", self._imu.fields(car, now_ns))
 
     def _message(self, now_ns, topic, type_name, fields):
         received_ns = now_ns + int(self._random.expovariate(2e-6))  # the way from node to recorder takes a while
@@ -435,15 +429,10 @@ def odometry_fields(measured) -> dict:
     twist_covariance[0], twist_covariance[35] = motion.speed_variance, motion.yaw_rate_variance
     return {"header": {"stamp": stamp_of(measured.stamp.time_ns), "frame_id": "odom"}, "child_frame_id": "base_link",
             "pose": {"pose": {"position": {"x": motion.x_m, "y": motion.y_m},
-                              "orientation": quaternion(motion.yaw_rad, 0.0)}, "covariance": pose_covariance.ravel()},
+                              "orientation": {"z": math.sin(motion.yaw_rad / 2), "w": math.cos(motion.yaw_rad / 2)}},
+                     "covariance": pose_covariance.ravel()},
             "twist": {"twist": {"linear": {"x": motion.speed_mps}, "angular": {"z": motion.yaw_rate_radps}},
                       "covariance": twist_covariance}}
-
-
-def quaternion(yaw_rad, pitch_rad) -> dict:
-    """Of a heading and a pitch (nose down positive)."""
-    cy, sy, cp, sp = math.cos(yaw_rad / 2), math.sin(yaw_rad / 2), math.cos(pitch_rad / 2), math.sin(pitch_rad / 2)
-    return {"x": -sp * sy, "y": sp * cy, "z": cp * sy, "w": cp * cy}
 
 
 class _Magnets:
@@ -467,25 +456,3 @@ class _Magnets:
             self._last_ns = self._waiting[-1][0]
         while self._waiting and self._waiting[0][0] <= now_ns:
             yield self._waiting.popleft()
-
-
-class _Imu:
-    """A small one, with noise, and offsets that stay."""
-
-    def __init__(self, noise):
-        self._noise = noise
-        self._yaw_rate_offset, self._acceleration_offset = noise.normal(0, 0.005), noise.normal(0, 0.04)
-        self._pitch_offset = noise.normal(0, 0.003)
-
-    def fields(self, car, now_ns) -> dict:
-        noise = self._noise
-        up_rad = math.atan(car.config.slope) * math.cos(car.pose.yaw_rad - car.config.uphill_rad)
-        yaw_rate_radps = car.yaw_rate_radps + self._yaw_rate_offset + noise.normal(0, 0.02)
-        forward_mps2 = car.acceleration_mps2 + GRAVITY_MPS2 * math.sin(up_rad) + self._acceleration_offset
-        force = {"x": forward_mps2 + noise.normal(0, 0.15),
-                 "y": car.speed_mps * car.yaw_rate_radps + noise.normal(0, 0.15),
-                 "z": GRAVITY_MPS2 + noise.normal(0, 0.15)}
-        pitch_rad = -up_rad + self._pitch_offset + noise.normal(0, 0.004)
-        return {"header": {"stamp": stamp_of(now_ns), "frame_id": "imu_link"},
-                "orientation": quaternion(car.pose.yaw_rad, pitch_rad), "angular_velocity": {"z": yaw_rate_radps},
-                "linear_acceleration": force}

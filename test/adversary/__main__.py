@@ -1,6 +1,4 @@
 """Command line: see the package's docstring."""
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -67,8 +67,6 @@ class Odometry(NamedTuple):
 
 
 class Case(NamedTuple):
-    """One sequence."""
-
     name: str
     group: str  # right, unverified, wrong
     config: dict  # of the rules
@@ -294,7 +292,6 @@ def make_fault(rng, name: str, start_s: float) -> Fault:
 
 
 def random_case(seed: int) -> Case:
-    """The random sequence of a seed."""
     rng = random.Random(f"adversary {seed}")
     group, profile, kind = _kinds(rng)
     esc, car = _random_esc(rng, kind), _random_car(rng)

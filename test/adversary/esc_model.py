@@ -77,7 +77,6 @@ class EscModel:
         return self._next == _BRAKES
 
     def switch(self, is_on: bool) -> None:
-        """Take its power away, or give it back."""
         if is_on and not self.is_on:
             self._power_up()
         self.is_on = is_on

@@ -103,7 +103,6 @@ class Row:
         return "" if is_single and len(self.targets) == 1 else target.statistic
 
     def cells(self, target: Target) -> tuple[str, ...]:
-        """Return the line of the table for a target."""
         what = ", ".join(filter(None, (self.what, self._statistic(target))))
         met = {True: "yes", False: "no", None: ""}[self.meets(target)]
         if self.summary is None:

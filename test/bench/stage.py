@@ -140,14 +140,14 @@ class TimedSubscriber:
         eventually(lambda: self._subscriber.get_num_connections() > 0, f"a publisher of {self._topic}", PATIENCE_S)
         return self
 
-    def first(self, wanted: Callable = lambda value: True, since_ns: int = 0, within_s: float = PATIENCE_S) -> int:
+    def first(self, wanted: Callable = lambda value: True, since_ns: int = 0) -> int:
         """Return when the first wanted value arrived that is not older than ``since_ns``; drop those before it."""
-        deadline_ns = time.monotonic_ns() + round(within_s * 1e9)
+        deadline_ns = time.monotonic_ns() + round(PATIENCE_S * 1e9)
         while True:
             try:
                 at_ns, value = self._received.get(timeout=max(0.0, (deadline_ns - time.monotonic_ns()) / 1e9))
             except Empty:
-                raise AssertionError(f"{self._topic}: not received within {within_s} s") from None
+                raise AssertionError(f"{self._topic}: not received within {PATIENCE_S} s") from None
             if at_ns >= since_ns and wanted(value):
                 return at_ns
 

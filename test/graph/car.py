@@ -14,6 +14,7 @@ from types import SimpleNamespace
 from typing import Any, Callable, Iterator
 
 import yaml
+from car_interface.srv import InjectFaultRequest
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool
 
@@ -405,6 +406,10 @@ class Car:
     def joy_now(self) -> Joy:
         """The gamepad's message as it is repeated."""
         return self._pad
+
+    def inject(self, fault: str, value: float = 0.0) -> None:
+        answer = self.graph.call("/car_sim/inject_fault", InjectFaultRequest(fault, value))
+        assert answer.success, answer.message
 
     def truth(self) -> Any:
         return self.graph.newest("/car_sim/truth")

@@ -70,7 +70,6 @@ class GraphWalk:
         self.graph.run(0.5)
 
     def run(self, steps: int) -> Goals:
-        """Take steps, and return the monitor."""
         rng = self.rng
         for _ in range(steps):
             self.steps += 1

@@ -1,6 +1,7 @@
-"""The inputs of a node by short names, which a test holds, sends once, or lets fall silent."""
+"""The inputs of a node by short names, held, sent once, or silent; and what an arbiter makes of them."""
 from __future__ import annotations
 
+import logging
 from typing import Any, Callable, Dict, Tuple
 
 from car_interface.msg import Control
@@ -55,3 +56,40 @@ class Inputs:
 
     def silence(self, *names: str) -> None:
         self.graph.silence(*(self._topics[name][0] for name in names))
+
+
+class Arbiter(Inputs):
+    """An arbiter in a graph of its own.
+
+    Args:
+        name: of the node, which the test starts.
+        channel: of its command.
+    """
+
+    def __init__(self, graph: Graph, topics: Topics, settle_s: float, name: str, channel: int):
+        super().__init__(graph, topics, settle_s)
+        self._name, self._channel, self.start_ns = name, channel, graph.now_ns
+        graph.record("/servo/cmdVector", "/servo/neutral")
+
+    @property
+    def state(self) -> Any:
+        return self.graph.newest(f"/{self._name}/state")
+
+    @property
+    def duty(self) -> int:
+        return self.graph.newest("/servo/cmdVector").data[self._channel]
+
+    @property
+    def now(self) -> tuple:
+        """Source, reason and duty; the command has that duty, too."""
+        assert self.state.duty == self.duty
+        return self.state.source, self.state.reason, self.duty
+
+    def duties(self, since_ns: int = 0) -> list[int]:
+        return [vector.data[self._channel] for vector in self.graph.messages("/servo/cmdVector", since_ns)]
+
+    def states(self, since_ns: int) -> list[Any]:
+        return self.graph.messages(f"/{self._name}/state", since_ns)
+
+    def warnings(self, since_ns: int = 0) -> list[str]:
+        return self.graph.lines(f"/{self._name}", since_ns, logging.WARNING)

@@ -38,7 +38,6 @@ class Network:
         return self
 
     def send(self, outgoing) -> None:
-        """From the node."""
         phone = self.phones.get(outgoing.connection)
         if phone is not None:
             self.carry((outgoing.connection, "out"), lambda: phone.take(outgoing))

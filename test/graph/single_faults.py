@@ -14,7 +14,6 @@ from types import MappingProxyType
 from typing import Any, Callable, Iterable, Mapping, NamedTuple
 
 from car_interface.msg import Float64Stamped
-from car_interface.srv import InjectFaultRequest
 from std_msgs.msg import Bool, Float32, Float64, Int32MultiArray
 
 from car import ADDRESS, CENTER, CONTROL, ESC, ESC_NEUTRAL, STEERING, THIRD, Car, config
@@ -218,10 +217,7 @@ def node_kinds() -> Iterable[tuple[str, Kind]]:
 # --- devices, the clock, and other senders ---
 
 def inject(fault, value):
-    def make(drive):
-        answer = drive.graph.call("/car_sim/inject_fault", InjectFaultRequest(fault, value))
-        assert answer.success, answer.message
-    return make
+    return lambda drive: drive.car.inject(fault, value)
 
 
 def remove_board(drive):
@@ -258,7 +254,6 @@ def nacks(count):
 
 
 def also(topic, message, rate_hz=50):
-    """Have another node publish, too."""
     return lambda drive: drive.graph.repeat(topic, message, rate_hz, sender="/other")
 
 
@@ -420,7 +415,6 @@ class Drive:
             self.graph.publish("/joy", joy, "/joy_node")  # a gamepad's driver publishes changes at once
 
     def act(self, action: str) -> None:
-        """Have the person stop the car."""
         if action == "release":
             self.hold(False, 0.0)
         elif action == "pull":

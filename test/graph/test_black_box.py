@@ -1,6 +1,4 @@
 """The black box: which stops have a recording written, and what is in it."""
-from __future__ import annotations
-
 import errno
 import math
 import os

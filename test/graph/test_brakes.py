@@ -2,8 +2,6 @@
 
 Each fault has a process of its own, forked from the one that plays the story at that time.
 """
-from __future__ import annotations
-
 import os
 import sys
 from functools import partial

@@ -137,9 +137,9 @@ class Practice(Car):
                     if (one.ns, one.id, one.action) == (ns, index, Marker.ADD))
 
 
-def ended(car, within_s=5.0):
+def ended(car):
     """Run until the program has ended; return what it said at its end."""
-    car.graph.run_until(lambda: not car.program.is_alive, within_s)
+    car.graph.run_until(lambda: not car.program.is_alive, 5.0)
     assert car.terminal.is_restored
     return car.program.fault
 

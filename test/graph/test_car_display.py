@@ -1,6 +1,4 @@
 """The car_display node: what it draws of the car, its trail and its steering."""
-from __future__ import annotations
-
 import math
 
 import pytest

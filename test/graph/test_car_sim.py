@@ -1,11 +1,9 @@
 """car_sim: the hub against the virtual Teensy, which answers as the firmware does, and the car that it moves."""
-from __future__ import annotations
-
 import math
 
 import pytest
 from car_interface.msg import LinkStatus
-from car_interface.srv import InjectFaultRequest, SetSonarSequenceRequest, SetSonarWaitRequest
+from car_interface.srv import SetSonarSequenceRequest, SetSonarWaitRequest
 from std_msgs.msg import Int32MultiArray
 from std_srvs.srv import TriggerRequest
 
@@ -28,9 +26,6 @@ class Simulated:
     def call(self, name, request=None):
         answer = self.graph.call(f"/teensy_sensor_hub/{name}", request or TriggerRequest())
         assert answer.success, answer.message
-
-    def inject(self, fault, value):
-        assert self.graph.call("/car_sim/inject_fault", InjectFaultRequest(fault, value)).success
 
     def drive(self, esc, steering=CENTER):
         self.graph.publish("/servo/output", Int32MultiArray(data=[steering, esc] + 14 * [-1]))
@@ -60,7 +55,7 @@ def test_sonars_fire_as_they_are_commanded_without_one_that_is_missing(car):
     simulated = Simulated(car)
     assert set(simulated.sonars()) == ALL
     for fault, firing in (("sonar_missing", ALL - {3}), ("sonar_fine", ALL)):
-        simulated.inject(fault, 3)
+        car.inject(fault, 3)
         simulated.sonars(0.2)
         assert set(simulated.sonars()) == firing
     simulated.call("set_sonar_sequence", SetSonarSequenceRequest([0, 1, 5]))
@@ -83,7 +78,7 @@ def test_stuck_sonar_that_silences_all_others_is_named_and_left_out_and_they_rep
     """A Teensy that has run for long waits for such a sonar for ever."""
     simulated = Simulated(car, clock_start_ms=200_000)
     assert set(simulated.sonars()) == ALL
-    simulated.inject("sonar_stuck", 2)
+    car.inject("sonar_stuck", 2)
     car.graph.run_until(lambda: "front_left" in simulated.link.words, 10.0)
     link = simulated.link
     assert (link.state, link.level) == ("sonar fault", LinkStatus.WARN) and "Check its echo wire" in link.next_step
@@ -102,7 +97,7 @@ def test_pin_that_blinks_and_a_clone_make_no_false_range_and_are_told(car):
     true_m = {topic: {round(message.range, 1) for message in car.graph.messages(topic)} for topic in topics}
     assert true_m["/sonar/front_middle"] == {math.inf}
     for fault, sensor in (("sonar_blink", 1), ("sonar_blink", 4), ("sonar_clone", 1), ("sonar_clone", 5)):
-        simulated.inject(fault, sensor)
+        car.inject(fault, sensor)
         simulated.sonars(5.0)
         if fault == "sonar_blink":
             assert f"{SONAR_NAMES[sensor]}'s echo pin was high for over a second" in simulated.link.words

@@ -1,6 +1,4 @@
 """What each node makes of its parameters, and what the launch files give it: reading them does nothing."""
-from __future__ import annotations
-
 import importlib
 import os
 import re
@@ -188,11 +186,13 @@ def test_car_grants_nothing_at_its_start_unless_its_owner_s_file_says_so(tmp_pat
     assert [below(launch, f"/{node}/")["grant_at_start"] for node in ("turn_arb", "throttle_arb")] == [grants] * 2
 
 
-@pytest.mark.parametrize("arguments, device", [
-    ([], "auto"), (["joy_device:=/dev/input/js0"], "/dev/input/js0"), (["gamepad:=false"], None)])
+@pytest.mark.parametrize("file, arguments, device", [
+    ("car.launch", [], "auto"), ("car.launch", ["joy_device:=/dev/input/js0"], "/dev/input/js0"),
+    ("car.launch", ["gamepad:=false"], None),
+    ("teleop_logi.launch", ["gamepad:=true", "joy_device:=/dev/input/js7"], "/dev/input/js7")])
 def test_gamepad_is_read_by_this_package_under_the_name_of_the_usual_driver_unless_it_comes_from_elsewhere(
-        arguments, device):
-    launch = loaded("car.launch", *arguments)
+        file, arguments, device):
+    launch = loaded(file, *arguments)
     assert [node.type for node in launch.nodes if node.name == "joy_node"] == ["gamepad_joy"] * (device is not None)
     assert below(launch, "/joy_node/").get("dev") == device
 

@@ -1,6 +1,4 @@
 """The demo's scripted drive, on the package's own files and on those of another car, and the walls of its room."""
-from __future__ import annotations
-
 import sys
 from functools import partial
 from pathlib import Path

@@ -1,6 +1,4 @@
 """generic_value_converter: a value for each command, by the map that it ships with, or why there is none."""
-from __future__ import annotations
-
 import logging
 import math
 import os

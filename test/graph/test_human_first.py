@@ -1,6 +1,4 @@
 """A person's hands on the gamepad of a virtual car that a planner drives: who has which actuator, and what it does."""
-from __future__ import annotations
-
 import re
 
 import pytest
@@ -33,9 +31,6 @@ class Drive:
         self.graph.hold("/av_turnrad_req", Float32(RADIUS_M), 20)
         self.graph.hold("/av_speed_req", Float32(speed_mps), 20)
 
-    def until(self, condition, within_s=8.0):
-        return self.graph.run_until(condition, within_s)
-
     def hold(self, lasts_s=0.1, **what):
         self.pad(**what)
         self.graph.run(lasts_s)
@@ -49,7 +44,7 @@ class Drive:
         """Let the planner drive, until it does."""
         self.ask(SPEED_MPS)
         self.press(**deadman or {"autonomous": True})
-        self.until(lambda: self.speed > 0.9 * SPEED_MPS)
+        self.graph.run_until(lambda: self.speed > 0.9 * SPEED_MPS)
         assert self.throttle.source == PLANNER
 
     @property
@@ -67,12 +62,6 @@ class Drive:
     def throttle(self):
         return self.graph.newest("/throttle_arb/state")
 
-    def stands(self):
-        return self.speed == 0.0
-
-    def states(self, node, since_ns):
-        return self.graph.messages(f"/{node}/state", since_ns)
-
     def logged(self, node, pattern, since_ns):
         return any(re.search(pattern, line) for line in self.graph.lines(f"/{node}", since_ns))
 
@@ -89,17 +78,17 @@ def test_pull_brakes_under_each_planner_s_deadman_and_the_planner_gets_it_back(d
     drive.drive(**deadman)
     pulled_ns = drive.graph.now_ns
     drive.pad(throttle=-1.0, **deadman)
-    braked_ns = drive.until(lambda: drive.throttle.esc == "BRAKING")
+    braked_ns = drive.graph.run_until(lambda: drive.throttle.esc == "BRAKING")
     assert braked_ns - pulled_ns <= 20_000_000 + 1_000_000  # the gamepad's period, and the report's delay
     assert (drive.throttle.source, drive.throttle.cause, drive.throttle.asked) == (TELEOP, "override", -1.0)
-    drive.until(drive.stands)
+    drive.graph.run_until(lambda: drive.speed == 0.0)
     assert drive.logged("teleop_logi", r"the throttle stick overrides the planner by -1\.00", pulled_ns)
     assert drive.logged("throttle_arb", r"^TELEOP: tele_throt_req is -1\.000, .*it overrides the planner", pulled_ns)
     centered_ns = drive.graph.now_ns
     drive.pad(**deadman)
-    back_ns = drive.until(lambda: drive.throttle.source == PLANNER)
+    back_ns = drive.graph.run_until(lambda: drive.throttle.source == PLANNER)
     assert HOLD_S <= (back_ns - centered_ns) / 1e9 <= HOLD_S + 0.08
-    drive.until(lambda: drive.speed > 0.5)
+    drive.graph.run_until(lambda: drive.speed > 0.5)
     assert min(drive.speeds(pulled_ns)) > -NOISE_MPS
 
 
@@ -117,12 +106,10 @@ def test_stick_steers_while_the_planner_drives_on_and_half_a_second_longer(drive
     assert drive.logged("teleop_logi", r"the steering stick overrides the planner by -0\.80", since_ns)
     centered_ns = drive.graph.now_ns
     drive.pad(autonomous=True)
-    back_ns = drive.until(lambda: drive.steering.source == SteeringState.PLANNER)
+    back_ns = drive.graph.run_until(lambda: drive.steering.source == SteeringState.PLANNER)
     assert HOLD_S <= (back_ns - centered_ns) / 1e9 <= HOLD_S + 0.08
-    assert {state.source for state in drive.states("throttle_arb", since_ns)} == {PLANNER}
+    assert {state.source for state in drive.graph.messages("/throttle_arb/state", since_ns)} == {PLANNER}
 
-
-# --- what is no stick ---
 
 # --- stop and go ---
 

@@ -1,6 +1,4 @@
 """What waits for a node's thread, and what becomes of the node when that is too much: all that was heard is lost."""
-from __future__ import annotations
-
 import logging
 import math
 import re

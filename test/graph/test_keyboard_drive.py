@@ -88,8 +88,8 @@ class Hand:
     def deadman(self):
         return self.joy.buttons[MANUAL]
 
-    def held_since(self, at_ns, button=MANUAL):
-        return {message.buttons[button] for message in self.graph.messages("/joy", at_ns)}
+    def held_since(self, at_ns):
+        return {message.buttons[MANUAL] for message in self.graph.messages("/joy", at_ns)}
 
 
 def test_joy_comes_at_50_hz_with_the_axes_and_buttons_of_teleop_logi():

@@ -1,6 +1,4 @@
 """The layouts for Foxglove and PlotJuggler: each topic and field in them is one of a whole car's."""
-from __future__ import annotations
-
 import json
 import os
 import xml.etree.ElementTree as ElementTree

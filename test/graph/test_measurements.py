@@ -1,11 +1,8 @@
 """What teensy_sensor_hub makes of a virtual car's pulses, echoes and ticks, held against where the car really was."""
-from __future__ import annotations
-
 import math
 
 import pytest
 import rospy
-from car_interface.srv import InjectFaultRequest
 from sensor_msgs.msg import Range, Temperature
 from std_msgs.msg import Int32MultiArray
 from std_srvs.srv import TriggerRequest
@@ -232,7 +229,7 @@ def test_records_that_make_no_sense_are_told(car):
     report = car.graph.report("teensy_sensor_hub: Teensy records")
     assert (report.level, report.message) == (0, "wheels, sonars and pongs make sense")
     assert int(report.values["accepted"]) > 20
-    car.graph.call("/car_sim/inject_fault", InjectFaultRequest("bit_errors", 0.02))  # 1 of 255 gets past the checksum
+    car.inject("bit_errors", 0.02)  # 1 of 255 gets past the checksum
     car.graph.run(25)
     levels = {(status.level, status.message.partition(" of ")[2]) for array in car.graph.messages("/diagnostics")
               for status in array.status if status.name == "teensy_sensor_hub: Teensy records"}

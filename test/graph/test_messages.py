@@ -1,6 +1,4 @@
 """The generated messages. Run by itself: src at the front of PYTHONPATH would hide them."""
-from __future__ import annotations
-
 from car_interface import msg
 
 # MD5s of the definitions that the cars' recordings were made with, computed by genmsg from the text that published

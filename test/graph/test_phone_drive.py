@@ -1,6 +1,4 @@
 """phone_drive and the nodes behind it: a phone drives the car, and stops it, whatever becomes of the phone."""
-from __future__ import annotations
-
 import itertools
 import os
 import random
@@ -167,13 +165,6 @@ def test_gamepad_that_comes_back_with_its_deadman_held_stops_the_phone(bench):
     assert bench.stands
     bench.run(2.0)
     assert bench.stands
-
-
-def test_phone_that_watches_changes_nothing_for_the_gamepad(bench):
-    bench.phone()
-    bench.car.pad(manual=True, steering=0.6, throttle=0.6)
-    bench.run(0.3)
-    assert bench.drives and bench.state.reason == "manual deadman held"
 
 
 # --- e-stop ---

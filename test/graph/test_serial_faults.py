@@ -34,18 +34,17 @@ class Line:
         return self.graph.newest(LINK)
 
     def inject(self, fault, value=0.0):
-        answer = self.graph.call("/car_sim/inject_fault", InjectFaultRequest(fault, value))
-        assert answer.success, answer.message
+        self.car.inject(fault, value)
         return self.graph.now_ns
 
     def call(self, name):
         answer = self.graph.call(f"/teensy_sensor_hub/{name}", TriggerRequest())
         return answer.success, answer.message
 
-    def seconds_until(self, state, within_s=30.0):
+    def seconds_until(self, state):
         """Let time go on until that is the state of the link; return for how long it did."""
         begun_ns = self.graph.now_ns
-        return (self.graph.run_until(lambda: self.link.state == state, within_s) - begun_ns) / NS_PER_S
+        return (self.graph.run_until(lambda: self.link.state == state, 30.0) - begun_ns) / NS_PER_S
 
 
 @pytest.fixture

@@ -2,8 +2,6 @@
 
 Each case has a process of its own, forked from the one that drives at that moment.
 """
-from __future__ import annotations
-
 import gc
 import itertools
 import os

@@ -1,6 +1,4 @@
 """A car that drives on the test's clock: the story of "How to write a test" in docs/develop.md."""
-from __future__ import annotations
-
 from car_interface.msg import SteeringState
 from std_msgs.msg import Float32
 

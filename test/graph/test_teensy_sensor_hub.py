@@ -1,6 +1,4 @@
 """teensy_sensor_hub on its line: what firmware sent becomes messages, and what the hub sends is what firmware takes."""
-from __future__ import annotations
-
 import json
 import os
 import struct

@@ -1,6 +1,4 @@
 """teleop_logi: from the gamepad's messages to deadman and requests, for the gamepad that it ships with."""
-from __future__ import annotations
-
 import logging
 import math
 import re

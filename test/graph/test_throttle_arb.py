@@ -1,7 +1,4 @@
 """throttle_arb: from its inputs to the ESC's command, with the ESC that it ships with, and with one that brakes."""
-from __future__ import annotations
-
-import logging
 import math
 import re
 
@@ -12,7 +9,7 @@ from sensor_msgs.msg import BatteryState, Range
 from std_msgs.msg import Bool, Float32, Int8, Int32MultiArray, String
 
 from car import Car, config
-from inputs import Inputs, odometry
+from inputs import Arbiter, odometry
 
 NEUTRAL, FULL_FORWARD = 4915, 6554
 BY_HAND = 5407  # 0.3 of the way to full forward: 4915 + 0.3 · 1639
@@ -44,7 +41,7 @@ TOPICS = {"e_stop": ("/e_stop", Bool), "human": ("/teleop_logi/human_in_loop", B
           "speed": ("/odom", odometry), "battery": ("/battery_state", battery)}
 
 
-class Arb(Inputs):
+class Arb(Arbiter):
     """throttle_arb in a graph of its own, and a servo board.
 
     Attributes:
@@ -54,9 +51,7 @@ class Arb(Inputs):
 
     def __init__(self, board=False, **parameters):
         self.car = Car()
-        super().__init__(self.car.graph, TOPICS, settle_s=0.022)
-        self.graph.record("/servo/cmdVector", "/servo/neutral")
-        self.start_ns = self.graph.now_ns
+        super().__init__(self.car.graph, TOPICS, 0.022, "throttle_arb", 1)
         self.steering, self.pulse = 0, None
         self.node = self.car.throttle_arb(**{"output_required": board, **parameters})
         if board:
@@ -77,29 +72,6 @@ class Arb(Inputs):
 
     def plan(self, value):
         self.hold(converter=ConverterState(value=value, cause="converting"), value=value)
-
-    @property
-    def state(self):
-        return self.graph.newest("/throttle_arb/state")
-
-    @property
-    def duty(self):
-        return self.graph.newest("/servo/cmdVector").data[1]
-
-    @property
-    def now(self):
-        """Source, reason and duty; the command has that duty, too."""
-        assert self.state.duty == self.duty
-        return self.state.source, self.state.reason, self.duty
-
-    def duties(self, since_ns=0):
-        return {vector.data[1] for vector in self.graph.messages("/servo/cmdVector", since_ns)}
-
-    def states(self, since_ns):
-        return self.graph.messages("/throttle_arb/state", since_ns)
-
-    def warnings(self, since_ns=0):
-        return self.graph.lines("/throttle_arb", since_ns, logging.WARNING)
 
     def report(self):
         self.run(1.0)
@@ -156,7 +128,7 @@ def test_change_is_commanded_in_the_instant_in_which_it_arrives_in_each_phase_of
         sent_ns = arb.graph.now_ns
         arb.once("human", False)
         arb.run(0.0)
-        assert arb.duties(sent_ns) == {NEUTRAL} and arb.states(sent_ns)[0].cause == "human absent"
+        assert set(arb.duties(sent_ns)) == {NEUTRAL} and arb.states(sent_ns)[0].cause == "human absent"
         arb.hold(human=False)
         arb.hold(human=True)
 
@@ -328,7 +300,7 @@ def test_board_that_gives_no_pulse_takes_arming_again():
 
 def test_board_that_never_reported_is_not_driven_which_is_told():
     arb = Arb(output_required=True).present(teleop=1.0)
-    assert (arb.state.cause, arb.state.granted, arb.duties()) == ("board never heard", 0.0, {NEUTRAL})
+    assert (arb.state.cause, arb.state.granted, set(arb.duties())) == ("board never heard", 0.0, {NEUTRAL})
     assert "takes output_required: false" in arb.state.reason
     level, message, _ = arb.report()
     assert level == WARN and "/servo/output was never heard" in message

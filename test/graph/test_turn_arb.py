@@ -1,6 +1,4 @@
 """turn_arb: from its inputs to the command, with the calibration that it ships with."""
-from __future__ import annotations
-
 import logging
 import math
 import re
@@ -14,7 +12,7 @@ from std_msgs.msg import Bool, Float32
 from car import Car, config
 from car_interface.nodes.teleop_logi import TeleopLogi
 from car_interface.nodes.turn_arb import TurnArb
-from inputs import Inputs, odometry
+from inputs import Arbiter, odometry
 
 LEFT, CENTER, RIGHT = 3800, 5100, 6700
 NAN, INF = math.nan, math.inf
@@ -32,38 +30,16 @@ CASES = {"teleop": [(1.0, 3800), (-0.5, 5900), (0.25, 4775), (0.002, 5097), (-1.
                      (-INF, 5100)]}
 
 
-class Arb(Inputs):
+class Arb(Arbiter):
     def __init__(self, **parameters):
         self.car = Car()
-        super().__init__(self.car.graph, TOPICS, settle_s=0.012)  # a repeated value is handled at the next tick
-        self.graph.record("/servo/cmdVector", "/servo/neutral")
-        self.start_ns = self.graph.now_ns
+        super().__init__(self.car.graph, TOPICS, 0.012, "turn_arb", 0)  # a repeated value is handled at the next tick
         self.car.turn_arb(**{"grant_at_start": True, **parameters})
 
     def drive(self, **inputs):
         self.once("human", False)
         self.hold(**inputs, human=True)
         return self
-
-    @property
-    def state(self):
-        return self.graph.newest("/turn_arb/state")
-
-    @property
-    def now(self):
-        """Source, reason and duty; the command has that duty, too."""
-        assert self.state.duty == self.duty
-        return self.state.source, self.state.reason, self.duty
-
-    @property
-    def duty(self):
-        return self.graph.newest("/servo/cmdVector").data[0]
-
-    def duties(self, since_ns=0):
-        return [vector.data[0] for vector in self.graph.messages("/servo/cmdVector", since_ns)]
-
-    def warnings(self, since_ns=0):
-        return self.graph.lines("/turn_arb", since_ns, logging.WARNING)
 
 
 # --- what it sends, and when ---

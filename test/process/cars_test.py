@@ -1,7 +1,5 @@
 #!/usr/bin/env python3
 """Two cars beside each other, /four of four processes and more, /one of one process: names, reports, sockets."""
-from __future__ import annotations
-
 import os
 import re
 import signal

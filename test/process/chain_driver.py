@@ -49,8 +49,6 @@ KINDS = {
     "human": ("/teleop_logi/human_in_loop", Bool, lambda value: Bool(float(value) == 1)),
     "e_stop": ("/e_stop", Bool, lambda value: Bool(float(value) == 1)),
     "steering": ("/teleop_logi/tele_steer_req", Float32, lambda value: Float32(float(value))),
-    "radius": ("/av_turnrad_req", Float32, lambda value: Float32(float(value))),
-    "throttle": ("/teleop_logi/tele_throt_req", Float32, lambda value: Float32(float(value))),
     "joy": ("/joy", Joy, joy),
     "acceleration": ("/control/command/control_cmd", Control, control),
     "odometry": ("/localization/kinematic_state", Odometry, odometry),

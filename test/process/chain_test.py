@@ -15,18 +15,16 @@ import statistics
 import subprocess
 import tempfile
 import time
-import unittest
 from pathlib import Path
-from typing import ClassVar
 
 import rospy
 import rostest
 
+from closing import Measured
 from virtual_car import CENTER, ESC_NEUTRAL, HERE, LEFT, PYTHON38, Car, guard_of
-from waiting import eventually, skip
+from waiting import config, eventually, skip
 
 TRIALS = int(os.environ.get("CAR_INTERFACE_TRIALS", "1"))
-TABLE = os.environ.get("CAR_INTERFACE_TABLE")
 STRICT = bool(os.environ.get("CAR_INTERFACE_ALL"))
 ATTEMPT_S, HOLD_WITHIN_S = 3.0, 90.0
 STALL_S = 0.6  # more than the half second from which on a node that stood still obeys nothing
@@ -35,10 +33,8 @@ CLOCK_CACHE_S = 1  # libfaketime reads its file so often: at each call it would 
 NEUTRALS = (CENTER, ESC_NEUTRAL)
 
 
-class Driven(unittest.TestCase):
+class Driven(Measured):
     """A car of processes with a master of its own, which drives by a gamepad and a planner's throttle."""
-
-    rows: ClassVar[list] = []
 
     @classmethod
     def setUpClass(cls):
@@ -46,12 +42,6 @@ class Driven(unittest.TestCase):
         cls.rest = cls.car.driver("rest", "acceleration", "odometry", "e_stop")
         for name, value in (("odometry", "1.0"), ("acceleration", "1.0"), ("e_stop", "0")):
             cls.car.sent(cls.rest, name, value)
-
-    @classmethod
-    def tearDownClass(cls):
-        if TABLE and cls.rows:
-            with open(TABLE, "a", encoding="utf-8") as file:
-                file.write("\n".join(cls.rows) + "\n")
 
     def hold(self, deadman="joy"):
         """Let go of the deadman and hold it again, until the car drives."""
@@ -104,8 +94,7 @@ class Driven(unittest.TestCase):
         for channel, times_ms in times.items():
             row = (f"{title} | {('servo', 'ESC')[channel]} | {TRIALS} | {statistics.median(times_ms):.2f} | "
                    f"{max(times_ms):.2f}")
-            print(row, flush=True)
-            self.rows.append(row)
+            self.add_row(row)
             if STRICT:
                 self.assertLessEqual(max(times_ms), bound_ms, row)
 
@@ -114,8 +103,9 @@ class Chain(Driven):
     @classmethod
     def make_car(cls):
         car = Car(cls.addClassCleanup)
-        car.actors()
-        car.load("/teleop_logi", "teleop_logi.yaml")
+        car.load(teleop_logi=config("teleop_logi.yaml"))
+        for start in (car.pca9685, car.turn_arb, car.converter, car.throttle_arb):
+            start()
         car.node("teleop_logi")
         car.driver("pad", "joy")
         return car
@@ -221,7 +211,7 @@ class OneProcess(Driven):
                  "FAKETIME_CACHE_DURATION": str(CLOCK_CACHE_S), "FAKETIME_DONT_FAKE_MONOTONIC": "1",
                  "NO_FAKE_STAT": "1"} if library else {}  # byte code counts by the time of its source
         car = Car(cls.addClassCleanup, faked, python38=bool(STRICT and PYTHON38))
-        car.load_one_process()
+        car.load(car_nodes={"throttle": True})
         car.one_process()
         car.driver("pad", "human", "steering")
         car.sent(car.processes["pad"], "steering", "1.0")

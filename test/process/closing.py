@@ -1,11 +1,11 @@
 """What tests of several processes share: what they make ends with them; asking nodes and the master."""
-from __future__ import annotations
-
+import os
 import re
 import shutil
 import tempfile
 import time
 import unittest
+from typing import ClassVar
 from xmlrpc.client import ServerProxy
 
 import rosgraph
@@ -15,6 +15,15 @@ from sensor_msgs.msg import Joy
 from waiting import NodeProcess, Repeater, Sender, Topic, eventually
 
 LAUNCH_S = 60
+TABLE = os.environ.get("CAR_INTERFACE_TABLE")
+# Holds a port, and reads from it.
+HOLDER = """
+import fcntl, os, sys
+port = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY)
+fcntl.flock(port, fcntl.LOCK_EX)
+print("open", flush=True)
+while True: os.read(port, 1)
+"""
 PARTS = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "throttle_arb")
 
 
@@ -27,7 +36,6 @@ def ask(node, method, *arguments):
 
 
 def pid_of(node):
-    """The process of a node that answers."""
     return ask(node, "getPid")
 
 
@@ -49,6 +57,23 @@ def joy(held):
 
 def output_of(process):
     return process.stdout.since() + process.stderr.since()
+
+
+class Measured(unittest.TestCase):
+    """Prints rows of measured times, and appends them to the file that $CAR_INTERFACE_TABLE names."""
+
+    rows: ClassVar[list] = []
+
+    @classmethod
+    def tearDownClass(cls):
+        if TABLE and cls.rows:
+            with open(TABLE, "a", encoding="utf-8") as file:
+                file.write("\n".join(cls.rows) + "\n")
+            cls.rows.clear()
+
+    def add_row(self, row):
+        print(row, flush=True)
+        self.rows.append(row)
 
 
 class Closing(unittest.TestCase):

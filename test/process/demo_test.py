@@ -1,7 +1,5 @@
 #!/usr/bin/env python3
 """demo.launch end to end: two cars on one master that drive at the same time, and the bag, its replay and its page."""
-from __future__ import annotations
-
 import glob
 import hashlib
 import itertools

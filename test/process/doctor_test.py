@@ -24,7 +24,7 @@ import rostest
 from car_interface.msg import LinkStatus
 from car_interface.srv import InjectFault
 
-from closing import pid_of
+from closing import HOLDER, pid_of
 from waiting import PATIENCE_S, NodeProcess, Topic, eventually, examine, executable, set_params, start
 
 OK, WARN, BAD = "ok", "warn", "bad"
@@ -36,18 +36,9 @@ NODES = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", 
          "car_sim")
 NO_JOY = (WARN, "gamepad", "no node publishes /car1/joy, so that no deadman can be held", "gamepad:=true")
 VIRTUAL_BUS = (WARN, "bus", "virtual", "demo.launch")
-HOLDER = """
-import fcntl, os, sys
-port = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY)
-fcntl.flock(port, fcntl.LOCK_EX)
-print("open", flush=True)
-sys.stdin.read()
-"""
 
 
 class Examination(NamedTuple):
-    """What one run of the doctor showed."""
-
     code: int
     lines: list
     errors: str

@@ -1,7 +1,5 @@
 #!/usr/bin/env python3
 """car_nodes whose parts fail on request: an Empty on /fail/PART raises, a Float32 on /hang/PART is slept, there."""
-from __future__ import annotations
-
 import sys
 import time
 

@@ -1,7 +1,5 @@
 #!/usr/bin/env python3
 """The servo board's guard as a process: what it does on the bus when its node is killed or frozen, and publishes."""
-from __future__ import annotations
-
 import os
 import select
 import shutil

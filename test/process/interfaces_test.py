@@ -3,8 +3,6 @@
 
 What the nodes decide, and when, is tested in test/graph.
 """
-from __future__ import annotations
-
 import os
 import shlex
 import shutil
@@ -18,16 +16,14 @@ import rosnode
 import rospy
 import rostest
 from car_interface.msg import Control, ConverterState, Float64Stamped, SteeringState, TeleopState, ThrottleState
-from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
-from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool, Float32, Int8, Int32MultiArray, String
 
 from car_interface.common import causes
 from waiting import PACKAGE, Repeater, Topic, config, eventually, set_params, start, start_node
 
-CENTER, LEFT = 5100, 3800
+LEFT = 3800
 NEUTRAL, BY_HAND = 4915, 5407
 CENTER_ON_CHIP = 5104  # 319 counts: 5100 / 16 = 318.75
 STATES = {"turn_arb": SteeringState, "throttle_arb": ThrottleState, "teleop_logi": TeleopState,
@@ -102,8 +98,6 @@ class Interfaces(unittest.TestCase):
         cls.folder = tempfile.mkdtemp()
         cls.inputs = Inputs()
         cls.car = Car(cls.inputs)
-        cls.log = Topic("/rosout", Log)
-        cls.values = Topic("/generic/output/value", Float64Stamped)
         cls.human = Topic("/teleop_logi/human_in_loop", Bool)
         cls.pressed = False  # the manual deadman, with the sticks at full left and full ahead
         cls.inputs.hold("/joy", cls.joy)
@@ -150,16 +144,6 @@ class Interfaces(unittest.TestCase):
         self.assertLessEqual({"/turn_arb/set_parameters", "/turn_arb/save", "/throttle_arb/servo/set_parameters",
                               "/throttle_arb/save"}, services)
 
-    def test_commands_have_sixteen_channels_of_which_each_node_sets_its_own(self):
-        mark = self.car.commands.mark()
-        for channel, sender in ((0, "/turn_arb"), (1, "/throttle_arb")):
-            vector = self.car.commands.wait_for(
-                lambda vector, sender=sender: vector._connection_header["callerid"] == sender, mark).what
-            self.assertEqual((len(vector.data), vector.data[:channel] + vector.data[channel + 1:]), (16, (-1,) * 15))
-            self.assertGreaterEqual(vector.data[channel], 0)
-            self.assertEqual(vector.layout.data_offset, 0)
-            self.assertEqual([(dim.label, dim.size, dim.stride) for dim in vector.layout.dim], [("pwm_channel", 16, 1)])
-
     def test_line_of_the_install_page_commands_a_servo_board_as_typed(self):
         with open(os.path.join(PACKAGE, "docs/install.md"), encoding="utf-8") as file:
             line = next(line for line in file if line.startswith("    rostopic pub /command "))
@@ -173,38 +157,6 @@ class Interfaces(unittest.TestCase):
         typed.end()
         outputs.wait_for(lambda output: output.data == (0,) * 16, outputs.mark())
         self.assertEqual(board.end(), 0)
-
-    def test_states_and_neutrals_are_latched_for_who_comes_late(self):
-        for name, message_type in (*((f"/{node}/state", each) for node, each in STATES.items()),
-                                   ("/servo/neutral", Int32MultiArray)):
-            topic = Topic(name, message_type)
-            self.addCleanup(topic.close)
-            message = topic.wait_for(lambda _: True).what
-            self.assertEqual(message._connection_header["latching"], "1", name)
-            if hasattr(message, "stamp"):
-                self.assertAlmostEqual(message.stamp.to_sec(), time.time(), delta=30)
-
-    def test_gamepad_drives_through_all_nodes_and_letting_go_stops_which_the_log_and_diagnostics_say(self):
-        diagnostics = Topic("/diagnostics", DiagnosticArray)
-        self.addCleanup(diagnostics.close)
-        self.press()
-        log, commands = self.log.mark(), self.car.commands.mark()
-        type(self).pressed = False
-        for channel, rest in ((0, CENTER), (1, NEUTRAL)):
-            self.car.wait_for(channel, rest, commands)
-        for node in ("/turn_arb", "/throttle_arb"):
-            self.log.wait_for(lambda line, node=node: line.name == node and line.msg.startswith("NO_HUMAN: "), log)
-        for name in ("turn_arb: steering", "throttle_arb: throttle", "teleop_logi: gamepad",
-                     "generic_value_converter: converter"):
-            diagnostics.wait_for(lambda array, name=name: name in [status.name for status in array.status])
-
-    def test_acceleration_becomes_a_value_by_the_map_that_the_launch_file_names(self):
-        command, odometry = Control(), Odometry()
-        command.longitudinal.acceleration, odometry.twist.twist.linear.x = 1.479, 1.0  # the map's point for 1.2
-        self.inputs.hold("/control/command/control_cmd", command)
-        self.inputs.hold("/odom", odometry)
-        self.addCleanup(self.inputs.drop, "/control/command/control_cmd", "/odom")
-        self.values.wait_for(lambda value: abs(value.data - 1.2) < 1e-6)
 
     def test_originals_parameters_are_found_in_the_root_namespace_from_two_namespaces_within(self):
         """Where the original's params.yaml is loaded."""

@@ -1,7 +1,5 @@
 #!/usr/bin/env python3
 """Parameters that are lost, exchanged or refused while a car runs."""
-from __future__ import annotations
-
 import os
 import signal
 from xmlrpc.client import ServerProxy

@@ -15,21 +15,19 @@ import statistics
 import sys
 import threading
 import time
-import unittest
-from typing import ClassVar
 
 import rospy
 import rostest
 
+from closing import Measured
 from relay import DOWN, UP, Relay
 from virtual_car import CENTER, ESC_NEUTRAL, Car, free_port
-from waiting import PACKAGE, eventually, skip
+from waiting import PACKAGE, config, eventually, skip
 
 sys.path.append(os.path.join(PACKAGE, "test", "unit"))
 from browser import Browser, find_browser
 
 TRIALS = min(20, int(os.environ.get("CAR_INTERFACE_TRIALS", "1")))
-TABLE = os.environ.get("CAR_INTERFACE_TABLE")
 STRICT = bool(os.environ.get("CAR_INTERFACE_ALL"))
 PIN = "271828"
 WITHIN_S = 60
@@ -74,8 +72,7 @@ class Lateness:
             self.max_ms, before_s = max(self.max_ms, 1000 * (now_s - before_s) - 1), now_s
 
 
-class Phone(unittest.TestCase):
-    rows: ClassVar[list] = []
+class Phone(Measured):
     other = None
 
     @classmethod
@@ -84,8 +81,7 @@ class Phone(unittest.TestCase):
         if not cls.path:
             return
         cls.car = car = Car(cls.addClassCleanup)
-        car.load_actors()
-        car.load("/teleop_logi", "teleop_logi.yaml")
+        car.load(teleop_logi=config("teleop_logi.yaml"))
         for start in (car.pca9685, car.turn_arb, car.throttle_arb):
             start()
         car.node("teleop_logi")
@@ -96,12 +92,6 @@ class Phone(unittest.TestCase):
         cls.node.wait_for_info("Phones")
         cls.relay = Relay((RELAY, port), (NODE, port))
         cls.browser = cls.open()
-
-    @classmethod
-    def tearDownClass(cls):
-        if TABLE and cls.rows:
-            with open(TABLE, "a", encoding="utf-8") as file:
-                file.write("\n".join(cls.rows) + "\n")
 
     def setUp(self):
         if not self.path:
@@ -192,10 +182,6 @@ class Phone(unittest.TestCase):
         self.add_row(row)
         if STRICT:
             self.assertLessEqual(statistics.median(times_ms), bound_ms, row)
-
-    def add_row(self, row):
-        print(row, flush=True)
-        self.rows.append(row)
 
     def wait(self, seconds):
         until_s = time.monotonic() + seconds

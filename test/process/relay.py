@@ -95,7 +95,6 @@ class Relay:
             way.is_cut = True
 
     def mend(self) -> None:
-        """Let new connections pass."""
         self.is_cut = False
 
     def hold(self, name: str) -> None:

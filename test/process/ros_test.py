@@ -1,7 +1,5 @@
 #!/usr/bin/env python3
 """Nodes and ROS itself: parts of one process that fail, names that are taken, a link between two hosts."""
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -339,7 +337,7 @@ class LinkIsCut(unittest.TestCase):
             car = TwoHosts(self.addCleanup)
         except (OSError, subprocess.CalledProcessError):
             skip(self, "no network namespaces here")
-        car.load_actors()
+        car.load()
         car.pca9685()
         car.turn_arb()
         pad = car.driver("pad", "human", "steering")

@@ -1,7 +1,5 @@
 #!/usr/bin/env python3
 """Programs beside a car, as people start them: terminals, keys, a gamepad's device, recordings, live tuning."""
-from __future__ import annotations
-
 import glob
 import os
 import re
@@ -25,7 +23,6 @@ from dynamic_reconfigure.srv import Reconfigure
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy
-from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from car_interface.nodes.planner_interface.ackermann_messages import ackermann_drive_class
@@ -40,7 +37,6 @@ ESCAPES = re.compile(r"\x1b\[[0-9;]*[A-Za-z]|\r")
 READY = "To drive: "
 WAITS = "^waits: no deadman is held; hold the autonomous deadman and it begins"
 NOWHERE = "http://127.0.0.1:1"
-ATTEMPTS, ATTEMPT_S = 6, 20
 
 
 class Hand:
@@ -100,40 +96,11 @@ class Tools(unittest.TestCase):
 
     # --- keys ---
 
-    def hold_until_it_drives(self, terminal):
-        """Deadman, then the key that goes faster; again where a node stood still, which then waits for the release."""
-        for _ in range(ATTEMPTS):
-            hand, mark = Hand(self, terminal, b"m"), self.truth.mark()
-            try:
-                terminal.lines.wait_for(lambda line: "steers: TELEOP, tele_steer_req" in line, terminal.lines.mark(),
-                                        ATTEMPT_S)
-                hand.let_go()
-                hand = Hand(self, terminal, b"w")
-                self.truth.wait_for(lambda truth: truth.twist.twist.linear.x > 0.3, mark, ATTEMPT_S)
-                return hand
-            except AssertionError:
-                hand.let_go()
-                self.wait_for_steering(SteeringState.NO_HUMAN)
-        raise AssertionError("it doesn't drive")
-
-    def test_keyboard_drives_the_car_and_is_alone_and_its_terminal_is_restored(self):
-        terminal = self.terminal(executable("keyboard_drive"))
-        terminal.wait_for_line(READY)
-        self.assertNotEqual(terminal.settings(), terminal.settings_before)
-        terminal.wait_for_line("steers: NO_HUMAN, human_in_loop is false: no deadman is held")
-        faster = self.hold_until_it_drives(terminal)
-        second = self.terminal(executable("keyboard_drive"), "__name:=second")
-        second.wait_for_line("/keyboard_drive publishes /joy already. End it first: rosnode kill /keyboard_drive")
-        self.assertEqual(second.wait_for_exit(), 1)
-        faster.let_go()
-        self.wait_for_steering(SteeringState.NO_HUMAN)
-        self.wait_until_it_stands()
-        self.assertEqual((terminal.wait_for_exit(b"q"), terminal.settings()), (0, terminal.settings_before))
-
     def test_keyboard_restores_its_terminal_however_it_ends_and_is_refused_without_one(self):
         endings = {"ctrl-c": lambda terminal: terminal.type(b"\x03"),
                    "terminate": lambda terminal: os.kill(terminal.pid, signal.SIGTERM),
-                   "hang_up": lambda terminal: os.kill(terminal.pid, signal.SIGHUP)}
+                   "hang_up": lambda terminal: os.kill(terminal.pid, signal.SIGHUP),
+                   "q": lambda terminal: terminal.wait_for_exit(b"q")}
         terminals = {}
         for name in (*endings, "pipe"):
             set_params(self, f"/{name}/pca9685", {"device": "virtual"})
@@ -143,6 +110,7 @@ class Tools(unittest.TestCase):
         for name, end in endings.items():
             terminal = terminals[name]
             terminal.wait_for_line(READY)
+            self.assertNotEqual(terminal.settings(), terminal.settings_before)
             end(terminal)
             eventually(lambda terminal=terminal: terminal.settings() == terminal.settings_before, "the settings")
             self.assertEqual(terminal.wait_for_exit(), 0, name)
@@ -177,14 +145,6 @@ class Tools(unittest.TestCase):
         wait_for_deadman(1)
 
     # --- a gamepad ---
-
-    def test_gamepad_joy_of_the_launch_file_waits_for_a_gamepad_and_its_teleop_logi_grants_nothing(self):
-        human = Topic("/pad/teleop_logi/human_in_loop", Bool)
-        launch = start(self, "roslaunch", "car_interface", "teleop_logi.launch", "ns:=pad", "gamepad:=true",
-                       "joy_device:=/dev/input/js7")
-        self.addCleanup(launch.end)
-        launch.wait_for_line("gamepad: (there is none|/dev/input/js7 is none; there is ).*no joy message until then")
-        self.assertEqual({message.data for message in human.wait_for_count(5, human.mark())}, {False})
 
     def press(self, button=None):
         """Hold a deadman of the gamepad from now on, but while an arbiter asks to let go of it; ``None`` = let go."""

@@ -1,6 +1,4 @@
 """A master and a car's nodes, each a process that a test may kill or stop, and what the chip under them was given."""
-from __future__ import annotations
-
 import bisect
 import os
 import shutil
@@ -10,13 +8,18 @@ import sys
 import tempfile
 
 import rospkg
+import yaml
 
-from waiting import PATIENCE_S, NodeProcess, eventually, executable
+from waiting import PATIENCE_S, NodeProcess, eventually, executable, one_process_params
 
 PACKAGE = rospkg.RosPack().get_path("car_interface")
 HERE = os.path.dirname(os.path.abspath(__file__))
 DRIVER = os.path.join(HERE, "chain_driver.py")
 CENTER, LEFT, RIGHT, ESC_NEUTRAL = 319, 238, 419, 307  # counts of 5100, 3800, 6700, 4915
+CONVERTER = ("generic_value_converter/input/control_cmd:=control/command/control_cmd",
+             "generic_value_converter/input/odometry:=localization/kinematic_state")
+THROTTLE = ("throttle_arb/input/value:=generic_value_converter/output/value",
+            "throttle_arb/input/odometry:=localization/kinematic_state")
 START_WITHIN_S = 60  # of a program on a machine with much other work
 PYTHON38 = os.environ.get("CAR_INTERFACE_PYTHON38")  # one that can import rospy, with its PYTHONPATH
 OTHER_PYTHONPATH = os.environ.get("CAR_INTERFACE_OTHER_PYTHONPATH")
@@ -136,61 +139,29 @@ class Car:
         program = (PYTHON38, os.path.join(PACKAGE, "scripts", node)) if self._python38 else (executable(node),)
         return self.start(node, *program, *arguments, env=self._node_env)
 
-    def load(self, node, *names):
-        for name in names:
-            self._rosparam("load", os.path.join(PACKAGE, "config", name), node)
-
-    def _rosparam(self, *arguments):
-        subprocess.run(self.on_host("rosparam", (shutil.which("rosparam"), *arguments)), check=True,
+    def load(self, **nodes):
+        """Put parameters on the server: those of nodes by name, and what the nodes of car_nodes have."""
+        values = {**one_process_params(self.folder, virtual_log=self.chip.path), **nodes}
+        path = os.path.join(self.folder, "params.yaml")
+        with open(path, "w", encoding="utf-8") as file:
+            yaml.safe_dump(values, file)
+        subprocess.run(self.on_host("rosparam", (shutil.which("rosparam"), "load", path, "/")), check=True,
                        env={**os.environ, **self.env}, stdout=subprocess.DEVNULL)
 
-    def load_actors(self):
-        """The parameters of the four nodes between the senders and the chip."""
-        self.load("/turn_arb", "turn_arb.yaml")
-        self.load("/pca9685", "pca9685.yaml")
-        self.load("/pca9685/steering", "turn_arb.yaml")
-        self.load("/pca9685/esc", "throttle.yaml")
-        self.load("/generic_value_converter", "generic_value_converter.yaml")
-        self.load("/throttle_arb", "throttle.yaml")
-
-    def actors(self, odometry="localization/kinematic_state"):
-        self.load_actors()
-        self.pca9685()
-        self.turn_arb()
-        self.converter(odometry)
-        self.throttle_arb(odometry)
-
     def pca9685(self):
-        return self.node("pca9685", "_device:=virtual", f"_virtual_log:={self.chip.path}")
+        return self.node("pca9685")
 
     def turn_arb(self):
         return self.node("turn_arb")
 
-    def converter(self, odometry="localization/kinematic_state"):
-        return self.node("generic_value_converter",
-                         "generic_value_converter/input/control_cmd:=control/command/control_cmd",
-                         f"generic_value_converter/input/odometry:={odometry}",
-                         f"_csv_path_value_map:={PACKAGE}/config/value_map.csv")
+    def converter(self):
+        return self.node("generic_value_converter", *CONVERTER)
 
-    def throttle_arb(self, odometry="localization/kinematic_state"):
-        return self.node("throttle_arb", "throttle_arb/input/value:=generic_value_converter/output/value",
-                         f"throttle_arb/input/odometry:={odometry}")
-
-    def load_one_process(self):
-        """The parameters of car_nodes. Its Teensy is absent."""
-        self.load_actors()
-        self.load("/teensy_sensor_hub", "teensy_sensor_hub.yaml", "sonars.yaml")
-        for name, value in (("/pca9685/device", "virtual"), ("/pca9685/virtual_log", self.chip.path),
-                            ("/car_nodes/throttle", "true"),
-                            ("/teensy_sensor_hub/port", os.path.join(self.folder, "absent")),
-                            ("/generic_value_converter/csv_path_value_map", f"{PACKAGE}/config/value_map.csv")):
-            self._rosparam("set", name, value)
+    def throttle_arb(self):
+        return self.node("throttle_arb", *THROTTLE)
 
     def one_process(self):
-        return self.node("car_nodes", "generic_value_converter/input/control_cmd:=control/command/control_cmd",
-                         "generic_value_converter/input/odometry:=localization/kinematic_state",
-                         "throttle_arb/input/value:=generic_value_converter/output/value",
-                         "throttle_arb/input/odometry:=localization/kinematic_state")
+        return self.node("car_nodes", *CONVERTER, *THROTTLE)
 
     def driver(self, name, *names):
         """Start a chain_driver that may publish these names."""
@@ -206,7 +177,6 @@ class Car:
 
 
 def guard_of(pid):
-    """The process id of a node's guard, or None."""
     for name in filter(str.isdigit, os.listdir("/proc")):
         try:
             with open(f"/proc/{name}/stat", encoding="utf-8") as stat, open(f"/proc/{name}/cmdline", "rb") as command:

@@ -64,11 +64,9 @@ class Record:
 
     @property
     def newest(self) -> Any:
-        """The newest of those that arrived."""
         return self._heard[-1].what
 
     def since(self, mark: int = 0) -> list[Any]:
-        """What arrived from ``mark`` on."""
         return [heard.what for heard in self._heard[mark:]]
 
     def wait_for(self, wanted: Callable[[Any], bool], since: int = 0, within_s: float = PATIENCE_S) -> Received:
@@ -94,9 +92,9 @@ class Record:
                         f"the last {[h.what for h in seen[-3:]]}")
                 self._grown.wait(left_s)
 
-    def wait_for_count(self, count: int, since: int = 0, within_s: float = PATIENCE_S) -> list[Any]:
+    def wait_for_count(self, count: int, since: int = 0) -> list[Any]:
         """All from ``since`` on, as soon as there are ``count``."""
-        eventually(lambda: len(self._heard) - since >= count, f"{count} on {self.name}", within_s)
+        eventually(lambda: len(self._heard) - since >= count, f"{count} on {self.name}")
         return self.since(since)
 
 
@@ -107,9 +105,9 @@ class Topic(Record):
         super().__init__(name)
         self._subscriber = rospy.Subscriber(name, message_type, self.add, tcp_nodelay=True)
 
-    def connected(self, publishers: int = 1) -> Topic:
-        """Wait until that many nodes publish to it."""
-        eventually(lambda: self._subscriber.get_num_connections() >= publishers, f"a publisher of {self.name}")
+    def connected(self) -> Topic:
+        """Wait until a node publishes to it."""
+        eventually(self._subscriber.get_num_connections, f"a publisher of {self.name}")
         return self
 
     def close(self) -> None:
@@ -119,11 +117,10 @@ class Topic(Record):
 class Sender:
     """Publishes to a topic that has subscribers."""
 
-    def __init__(self, name: str, message_type, listeners: int = 1):
-        self._make = message_type
+    def __init__(self, name: str, message_type):
         self._publisher = rospy.Publisher(name, message_type, queue_size=100, tcp_nodelay=True)
         self.publish = self._publisher.publish
-        eventually(lambda: self._publisher.get_num_connections() >= listeners, f"a subscriber of {name}")
+        eventually(self._publisher.get_num_connections, f"a subscriber of {name}")
 
     def close(self) -> None:
         self._publisher.unregister()
@@ -176,7 +173,6 @@ class NodeProcess:
 
     def __init__(self, *command: str, env: dict[str, str] | None = None):
         self.name = " ".join(command)
-        self.started_s = time.monotonic()
         self._process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
             universal_newlines=True, errors="replace", env={**os.environ, **(env or {})})
@@ -215,12 +211,11 @@ class NodeProcess:
         """The first line on stderr, from ``since`` on, in which the pattern is found."""
         return self.stderr.wait_for(lambda line: re.search(pattern, line), since).what
 
-    def wait_for_info(self, pattern: str, since: int = 0) -> str:
+    def wait_for_info(self, pattern: str) -> str:
         """The first line on stdout in which the pattern is found; rospy logs up to INFO there."""
-        return self.stdout.wait_for(lambda line: re.search(pattern, line), since).what
+        return self.stdout.wait_for(lambda line: re.search(pattern, line)).what
 
     def wait_for_exit(self, within_s: float = PATIENCE_S) -> int:
-        """The exit code, all output read."""
         try:
             code = self._process.wait(within_s)
         except subprocess.TimeoutExpired:
@@ -231,7 +226,6 @@ class NodeProcess:
         return code
 
     def end(self, number: int = signal.SIGINT, within_s: float = PATIENCE_S) -> int:
-        """Send a signal; the exit code."""
         if self.runs():
             self._process.send_signal(number)
         return self.wait_for_exit(within_s)
@@ -319,7 +313,6 @@ def one_process_params(folder: str, **pca9685) -> dict:
 
 
 def set_params(test, namespace: str, values: dict) -> None:
-    """Put parameters on the server; they go with the test."""
     for name, value in values.items():
         path = os.path.join(namespace, name)
         rospy.set_param(path, value)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import itertools
 import multiprocessing
-import os
 from collections import Counter
 from functools import partial
 
@@ -22,7 +21,6 @@ OTHERS_SHARE = 0.02
 
 
 def verdict(seed: int, stops: bool = True):
-    """What became of one drive."""
     return judge(run(random_scene(seed), stops))
 
 
@@ -34,11 +32,10 @@ def main() -> int:
     parser.add_argument("--without", action="store_true", help="obstacle_stop is off")
     parser.add_argument("--empty", action="store_true", help="speeds where there is nothing")
     parser.add_argument("--record", action="store_true", help="with --empty: keep them as what later ones are held to")
-    parser.add_argument("--processes", type=int, default=os.cpu_count())
     args = parser.parse_args()
     if args.one is not None:
         return tell(args.one, not args.without)
-    with multiprocessing.get_context("spawn").Pool(args.processes) as pool:
+    with multiprocessing.get_context("spawn").Pool() as pool:
         if args.empty:
             return compare(pool, args.record)
         seeds = range(args.seed, args.seed + args.number)
@@ -100,7 +97,8 @@ def tell(seed: int, stops: bool) -> int:
     thing = record.contact.name.split(".")[0] if record.contact else ""
     lines = [(one.at_s, _of_echo(one)) for one in record.echoes if one.name.split(".")[0] == thing]
     lines += [(one.at_s, _of_car(one)) for one in record.samples[::5]]
-    print(scene.describe(), *(line for _, line in sorted(lines)), record.contact, judge(record), sep="\n")
+    print(scene.brief, scene.driver, scene.car, *(line for _, line in sorted(lines)), sep="\n")
+    print(record.contact, judge(record), sep="\n")
     return 0
 
 

@@ -73,8 +73,6 @@ class Contact(NamedTuple):
 
 
 class Record(NamedTuple):
-    """All that a drive left."""
-
     scene: Scene
     samples: list
     echoes: list
@@ -108,8 +106,6 @@ class Board:
 
 
 class Sonars:
-    """Six sonars that fire one after another."""
-
     def __init__(self, scene: Scene, rng):
         self._scene, self._rng = scene, rng
         self._number, self._next_s = 0, 0.03
@@ -162,7 +158,8 @@ class Odometry:
     def arrive(self, control: ThrottleControl, now_ns: int) -> None:
         speed = self._speeds[0]
         self.speed_mps = speed * (1 + self._rng.gauss(0, 0.01)) + self._rng.gauss(0, 0.01) if speed else 0.0
-        control.update_odometry(self.speed_mps, now_ns, max(MS, self._late * STEP_NS))
+        age_ns = max(1, self._late * STEP_NS)  # 0 would say that there is no stamp
+        control.update_odometry(self.speed_mps, now_ns, age_ns)
 
 
 class Hand:

@@ -47,20 +47,19 @@ def mean_mps(scene: Scene) -> float:
 
 
 def wanted_mps(name: str, scene: Scene, baseline: dict[str, float]) -> float:
-    """How fast it should be at least."""
     if scene.driver.curvature_per_m <= WIDE_PER_M:
         rolls = scene.kind != "measured" and scene.driver.curvature_per_m >= ROLLS_FROM_PER_M
         return (ROLLS_SHARE if rolls else WIDE_SHARE) * baseline[COUNTED_ON_A_LAPSED_BRAKE.get(name, name)]
     return TIGHT_SHARE * bound_mps(scene)
 
 
-def read_baseline(path: Path = BASELINE) -> dict[str, float]:
-    return json.loads(path.read_text(encoding="utf-8"))
+def read_baseline() -> dict[str, float]:
+    return json.loads(BASELINE.read_text(encoding="utf-8"))
 
 
-def write_baseline(speeds: dict[str, float], path: Path = BASELINE) -> None:
+def write_baseline(speeds: dict[str, float]) -> None:
     """Keep today's speeds on the wider arcs, where they are kept."""
     named = scenes()
     kept = {name: round(speed, 3) for name, speed in speeds.items()
             if named[name].driver.curvature_per_m <= WIDE_PER_M}
-    path.write_text(json.dumps(kept, indent=0) + "\n", encoding="utf-8")
+    BASELINE.write_text(json.dumps(kept, indent=0) + "\n", encoding="utf-8")

@@ -5,6 +5,8 @@ import math
 from dataclasses import dataclass
 from typing import Iterator, NamedTuple
 
+CLEAR_M = 0.6  # of a start
+
 
 class Pose(NamedTuple):
     """Where something stands and looks: m, and rad, left positive."""
@@ -68,7 +70,6 @@ class Side(NamedTuple):
         return tuple((u1 + share * (u2 - u1), v1 + share * (v2 - v1)) for share in (first, last))
 
     def distance_m(self, x_m: float, y_m: float) -> float:
-        """How far it is from a place."""
         return math.dist((x_m, y_m), _nearest((self.x1_m - x_m, self.y1_m - y_m), (self.x2_m - x_m, self.y2_m - y_m),
                                               (x_m, y_m)))
 
@@ -87,15 +88,12 @@ class Side(NamedTuple):
 
 
 class Post(NamedTuple):
-    """A round thing."""
-
     name: str
     x_m: float
     y_m: float
     radius_m: float
 
     def distance_m(self, x_m: float, y_m: float) -> float:
-        """How far it is from a place."""
         return math.dist((x_m, y_m), (self.x_m, self.y_m)) - self.radius_m
 
     def nearest_in_cone(self, pose: Pose, half_rad: float) -> tuple[float, float] | None:
@@ -128,8 +126,6 @@ class Met(NamedTuple):
 
 @dataclass(frozen=True)
 class Room:
-    """What stands in a room."""
-
     things: tuple
 
     def first_in_cone(self, pose: Pose, half_rad: float, max_range_m: float) -> Met | None:
@@ -145,11 +141,9 @@ class Room:
         return first
 
     def near(self, pose: Pose, distance_m: float) -> list:
-        """What is within a distance of a place."""
         return [thing for thing in self.things if thing.distance_m(pose.x_m, pose.y_m) <= distance_m]
 
     def is_clear(self, pose: Pose, distance_m: float) -> bool:
-        """Whether nothing is within a distance of a place."""
         return not self.near(pose, distance_m)
 
 
@@ -180,12 +174,12 @@ def random_room(rng) -> Room:
     return Room(tuple(things))
 
 
-def random_start(room: Room, rng, clear_m: float = 0.6) -> Pose:
+def random_start(room: Room, rng) -> Pose:
     """A pose from which the middle of the rear axle is clear of everything."""
     walls = room.things[:4]
     while True:
         pose = Pose(rng.uniform(0, walls[0].x2_m), rng.uniform(0, walls[1].y2_m), rng.uniform(-math.pi, math.pi))
-        if room.is_clear(pose, clear_m) and not _is_in_box(room, pose):
+        if not room.near(pose, CLEAR_M) and not _is_in_box(room, pose):
             return pose
 
 

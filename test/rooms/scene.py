@@ -47,21 +47,17 @@ class Driver:
     period_s: float
 
     def curvature(self, at_s: float) -> float:
-        """The curvature that it wants."""
         turn = math.sin(2 * math.pi * at_s / self.period_s)
         if self.path == "slalom":
             return math.copysign(self.curvature_per_m, turn)
         return self.curvature_per_m * (turn if self.path == "waves" else 1.0)
 
     def pushes(self, at_s: float) -> bool:
-        """Whether it pushes now."""
         return not self.is_fitful or math.sin(2.4 * at_s) + math.sin(4.1 * at_s) > -0.5
 
 
 @dataclass(frozen=True)
 class Scene:
-    """One draw."""
-
     seed: int
     room: Room
     start: Pose
@@ -77,27 +73,13 @@ class Scene:
 
     @property
     def esc(self) -> EscConfig:
-        """What the car's file says of its ESC."""
         return ESCS[self.kind]
 
     @property
     def brief(self) -> str:
-        """The draw in few words."""
         driver = self.driver
         return (f"{self.kind}, {driver.hand}{' backward' if driver.is_backward else ''}, {driver.path} "
                 f"{driver.curvature_per_m:+.2f}, {self.max_range_m:g} m, slope {self.car.slope:+.0%}")
-
-    def describe(self) -> str:
-        """The draw in one line."""
-        driver, car = self.driver, self.car
-        way = "backward" if driver.is_backward else "forward"
-        sequence = "mostly ahead" if self.is_mostly_ahead else "all in turn"
-        return (f"{self.kind}{' (a crawler)' if car.becomes_reverse else ''}, {driver.hand} {driver.push:.2f} {way}"
-                f"{' fitful' if driver.is_fitful else ''}, {driver.path} {driver.curvature_per_m:+.2f} 1/m, "
-                f"range {self.max_range_m:g} m {sequence}, slope {car.slope:+.0%} towards {car.uphill_rad:+.1f} rad, "
-                f"drag {car.drag_mps2:.2f}, drag brake {car.drag_brake * car.brake_mps2:.2f}, brake "
-                f"{car.brake_mps2:.1f}, push {car.push_mps2:.1f} m/s², lag {car.motor_lag_s:.2f}, "
-                f"odometry {self.odometry_late_s:.2f} s late")
 
 
 def random_car(rng, kind: str, uphill_rad: float) -> CarConfig:
@@ -122,7 +104,6 @@ def random_driver(rng) -> Driver:
 
 
 def random_scene(seed: int) -> Scene:
-    """The draw of a seed."""
     rng = random.Random(seed)
     room, kind, driver = random_room(rng), rng.choice(tuple(ESCS)), random_driver(rng)
     start = random_start(room, rng)

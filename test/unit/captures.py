@@ -10,7 +10,7 @@ import io
 import json
 import math
 import tarfile
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from functools import lru_cache
 from pathlib import Path
 from typing import Iterator, NamedTuple
@@ -74,6 +74,9 @@ class Capture:
         self.events = [line for line in lines if "event" in line and line["event"] != "echo"]
         self.echoes = [(line["t_us"], line["sensor"], line["pulse_us"]) for line in lines
                        if line.get("event") == "echo"]
+        self._echoes_of: dict[int, list] = {}  # by sensor
+        for t_us, sensor, pulse_us in self.echoes:
+            self._echoes_of.setdefault(sensor, []).append((t_us, pulse_us))
         self.truth = [Truth(line["t_us"], line["x"], line["y"], line["yaw"], line["speed_mps"], line["left_pulses"],
                             line["right_pulses"], line["millis"]) for line in lines if "truth" in line]
         self._truth_us = [row.t_us for row in self.truth]
@@ -106,7 +109,8 @@ class Capture:
 
     def pulse_us(self, sensor: int, t_us: int) -> float | None:
         """How long a sonar's newest echo before then took; ``None``: its pin stays high."""
-        return next(pulse_us for at_us, of, pulse_us in reversed(self.echoes) if of == sensor and at_us < t_us)
+        echoes = self._echoes_of[sensor]
+        return next(reversed(echoes[:bisect_left(echoes, (t_us,))]))[1]
 
 
 def _rows(data):

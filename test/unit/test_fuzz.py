@@ -1,7 +1,7 @@
 """Whatever comes in from outside ends as a value, a count or an error of this package; never as anything else.
 
-The serial line's cases are pieces of the golden capture, changed, or bytes at random, read in pieces of random sizes: a
-million with CAR_INTERFACE_ALL. Parameters and the nodes' callbacks are fuzzed in test/graph/test_fuzz.py.
+The serial line's cases are pieces of the golden capture, damaged, and read in pieces of random sizes: a million with
+CAR_INTERFACE_ALL. Parameters and the nodes' callbacks are fuzzed in test/graph/test_fuzz.py.
 """
 import csv
 import io
@@ -12,6 +12,7 @@ import tempfile
 from itertools import product
 
 import pytest
+from damage import damaged
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -22,41 +23,8 @@ from car_interface.teensy.sensing.plausibility import Gates
 from car_interface.throttle.value_map import load_value_map
 from teensy_bench import CAPTURE
 
-SPECIAL = (0x7E, 0x7D, 0x5E, 0x5D, 0x00, 0xFF, 0x20)
 MARKER = bytes.fromhex("7e 01020600 006b11057b0000 f9 7e")  # from the capture: a sonar's report
 CASES = 1_000_000 if os.environ.get("CAR_INTERFACE_ALL") else 2000
-
-
-def piece(choose: random.Random) -> bytearray:
-    """Some bytes of the capture."""
-    start = choose.randrange(len(CAPTURE))
-    return bytearray(CAPTURE[start:start + choose.choice((1, 5, 20, 40, 80, 200))])
-
-
-def mutated(choose: random.Random) -> bytes:
-    """Some bytes at random, or of the capture: some lost, inserted, changed, doubled or cut off."""
-    kind = choose.random()
-    if kind < 0.05:
-        return bytes(choose.choices(SPECIAL, k=choose.randrange(300)))
-    if kind < 0.1:
-        return choose.getrandbits(8 * 120).to_bytes(120, "little")[:choose.randrange(121)]
-    data = piece(choose)
-    for _ in range(choose.choice((0, 1, 1, 2, 4, 8))):
-        place = choose.randrange(len(data) + 1)
-        change = choose.randrange(6)
-        if change == 0:
-            data[place:place + 1] = b""
-        elif change == 1:
-            data[place:place] = bytes((choose.choice(SPECIAL) if choose.random() < 0.5 else choose.randrange(256),))
-        elif change == 2 and place < len(data):
-            data[place] ^= 1 << choose.randrange(8)
-        elif change == 3 and place < len(data):
-            data[place] = choose.choice(SPECIAL)
-        elif change == 4:
-            data[place:place] = piece(choose)[:40]
-        else:
-            del data[place:place + choose.randrange(40)]
-    return bytes(data)
 
 
 def test_line_fed_cases_made_of_the_capture_stays_in_order():
@@ -73,7 +41,8 @@ def test_line_fed_cases_made_of_the_capture_stays_in_order():
 
     for number in range(CASES):
         choose = random.Random(7 * 1_000_003 + number)
-        data, size = mutated(choose), choose.choice((1, 3, 7, 64, 4096))
+        begin, size = choose.randrange(len(CAPTURE)), choose.choice((1, 3, 7, 64, 4096))
+        data = damaged(CAPTURE[begin:begin + choose.choice((1, 5, 20, 40, 80, 200))], choose)
         found = [body for start in range(0, len(data), size) for body in decoder.feed(data[start:start + size])]
         judge(found)
         assert found == at_once.feed(data) and decoder.tally == at_once.tally

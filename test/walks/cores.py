@@ -106,7 +106,6 @@ class Walk:
         self._push(START_NS + 1500 * MS, self._act)
 
     def run(self, steps: int) -> Goals:
-        """Take steps, and return the monitor."""
         for _ in range(steps):
             self.steps += 1
             self.now_ns, _, act, arguments = heapq.heappop(self._events)

@@ -1,6 +1,4 @@
 """Mechanisms that can be switched off, to see that the monitor finds it. Each takes pytest's monkeypatch."""
-from __future__ import annotations
-
 import math
 
 from car_interface.interlock.motion_interlock import MotionInterlock

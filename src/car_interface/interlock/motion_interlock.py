@@ -84,13 +84,11 @@ class MotionInterlock:
         """Take the emergency stop: true = stop, false = not now."""
         self._update_rearm_reason(now_ns)
         self._e_stop.update(bool(locked), now_ns)
-        self._update_rearm_reason(now_ns)
 
     def update_phone_e_stop(self, locked: bool, now_ns: int) -> None:
         """Take the phones' emergency stop: either locks, and a false of one doesn't unlock the other."""
         self._update_rearm_reason(now_ns)
         self._phone_e_stop.update(bool(locked), now_ns)
-        self._update_rearm_reason(now_ns)
 
     def await_phone_e_stop(self) -> None:
         """Take note that the phones' emergency stop was on as this node started: it may take a while to arrive."""

@@ -199,12 +199,11 @@ class Gamepad:
         if self._joy.is_stale(now_ns):
             cause = causes.JOY_STALE if self._joy.was_received else causes.JOY_NEVER_RECEIVED
             return self._released(cause, self._joy.stale_reason(now_ns))
+        if self._mode:
+            return self._held(self._mode, now_ns)
         requests = self._joy.value
-        if requests.cause in MODES:
-            requests = self._held(requests.cause, now_ns)
-        elif requests.cause in (causes.NO_DEADMAN, causes.NOT_REARMED):
-            requests = self._with_sticks(requests, now_ns)
-        return requests
+        is_whole = requests.cause in (causes.NO_DEADMAN, causes.NOT_REARMED)
+        return self._with_sticks(requests, now_ns) if is_whole else requests
 
     def follow(self, now_ns: int) -> None:
         """Take note that another source's deadman counts: its pulls count as earlier ones of this source."""
@@ -247,7 +246,7 @@ class Gamepad:
         return None
 
     def _read(self, axes, buttons, now_ns):
-        """Return the requests without the sticks, which also change with time."""
+        """Return the requests without the sticks, which also change with time; None: a deadman counts."""
         mode = self._held_mode(buttons)
         if not mode:
             self._rearm_reason = ""
@@ -258,7 +257,7 @@ class Gamepad:
             return self._released(causes.NO_DEADMAN, "no deadman is held")
         if self._rearm_reason:
             return self._released(causes.NOT_REARMED, f"{self._rearm_reason}; {REARM_TEXT}")
-        return Requests(True, self._config.steer_neutral, 0.0, mode, f"{mode} deadman held")
+        return None
 
     def _held_mode(self, buttons):
         """Return the mode of the held deadman; empty: none. Of several, the one in which the human does more."""
@@ -320,7 +319,7 @@ class Gamepad:
     def _held(self, mode, now_ns):
         config = self._config
         reason = f"{mode} deadman held"
-        steering, throttle = config.steer_neutral, 0.0
+        steering = config.steer_neutral
         if mode in HUMAN_STEERS:
             steering = self._steered(config.steer_neutral + self._steering.deflection * self._steering.counts)
         elif self._steering.overrides(now_ns):

@@ -36,7 +36,7 @@ class GamepadDevice:
             self._device = open_device(pad.path)
         except OSError as error:
             raise self._error(error) from error
-        capabilities = self._device.capabilities(absinfo=True)
+        capabilities = self._device.capabilities()
         self.keys = capabilities.get(ecodes.EV_KEY, [])
         self.ranges: Mapping[int, AxisRange] = {code: AxisRange(axis.min, axis.max, axis.flat)
                                                 for code, axis in capabilities.get(ecodes.EV_ABS, [])}

@@ -93,7 +93,7 @@ class _Page:
     key: str = ""  # empty: a guest, or not admitted
     is_guest: bool = False
     delay_ns: int | None = None  # from a token to its newest echo
-    tokens: deque = field(default_factory=lambda: deque(maxlen=1 + TOKEN_HZ * MAX_AGE_NS // NS_PER_S))
+    tokens: deque = field(default_factory=lambda: deque(maxlen=TOKEN_HZ))  # of a second, with their times
     number: int = -1  # of the newest message that counted
     malformed: int = 0
 
@@ -208,7 +208,6 @@ class Phones:
 
     def mark_stale(self) -> None:
         """Take note that messages were dropped: nothing is known of any connection, so all begin anew."""
-        self._release()
         for page in list(self._pages.values()):
             self._close(page, "messages were dropped")
 

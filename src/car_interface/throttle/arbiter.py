@@ -177,11 +177,11 @@ class ThrottleArbiter(MotionInterlock):
 
         When there is a request again, the value from before the pause is stale.
         """
-        _, had_none, _ = self._planner_state.value or (gear, None, 0.0)
+        before = self._planner_state.value
         self._planner_state.update((gear, no_request, speed_mps if math.isfinite(speed_mps) else 0.0), now_ns)
         if no_request is not None:
             self._planner.mark_stale("the planner paused")
-        elif had_none is not None:
+        elif before is not None and before[1] is not None:
             self._resumed_ns = now_ns
 
     def update_odometry(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:

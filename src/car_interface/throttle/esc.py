@@ -69,7 +69,7 @@ FIRST_PULL = 0.15
 # Such a push slows a car that rolls backward by less than 1.5 m/s² (a quarter of a Slash's 5.6 m/s²), which doesn't
 # turn it round between two reports of the speed.
 GENTLE = 0.25
-PULSE_S = 0.02  # the least push comes in pulses of this length: the period of the ESC's
+PULSE_S = 0.02  # the period of the ESC's pulses
 
 
 class EscDecision(NamedTuple):
@@ -94,7 +94,7 @@ class Esc:
         self._history = EscHistory(config)
         self._motion = MeasuredMotion(config)
         self._check = MotionCheck(config)
-        self._pulls = Pulls(config.dead_band_reverse)
+        self._pulls = Pulls(config.dead_band_forward, config.dead_band_reverse)
         self._state = ARMING
         self._arming_cause, self._arming_reason = causes.ESC_ARMING, STARTED
         self._was_released = False  # whether the deadman was, since arming began
@@ -106,7 +106,7 @@ class Esc:
         self._hill = HillWatch()
         self._saw_speed_in_reverse = False
         self._brakes_since_ns = 0  # when the present strength of the brake began
-        self._owed_s = 0.0  # the time of the least push that pulses have yet to give
+        self._owed_s = 0.0  # for how long the least push is due, by the mean that was asked for
         self._lagging_pull, self._finished_ns = 0.0, 0  # the fraction by which a lagging motor still brakes, and when
 
     @property
@@ -118,7 +118,7 @@ class Esc:
         """Take what the servo board holds; ``None`` = no pulse: switched off, never set, or without power."""
         self._history.update_held(fraction, now_ns)
 
-    def update_speed(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
+    def update_speed(self, speed_mps: float, now_ns: int, age_ns: int) -> None:
         """Take the measured speed, forward positive, and its age at arrival."""
         self._motion.update(speed_mps, now_ns, age_ns)
 
@@ -139,8 +139,8 @@ class Esc:
             self._history.mark_backward(now_ns)
         self._pulls.update(request, now_ns)
         self._update_arming(request, now_ns)
-        if self._state == ARMING:
-            self._pulls = Pulls(self.config.dead_band_reverse)  # earlier pulls don't count
+        if self._state == ARMING:  # earlier pulls don't count
+            self._pulls = Pulls(self.config.dead_band_forward, self.config.dead_band_reverse)
             answer = (0.0, ARMING, self._arming_cause, self._arming_text(request, now_ns))
         elif request.is_stop:
             answer = self._stop(now_ns)
@@ -191,20 +191,20 @@ class Esc:
     # --- requests ---
 
     def _value_of(self, request, keeps_small, now_ns):
-        """Return the request's value, clamped to −1..1; in the dead band 0, or pulses of the least push.
+        """Return the request's value, clamped to −1..1; in the dead band 0, or what ``_pulsed`` makes of it.
 
         With ``keeps_small`` such values pass, so that a calibration drive finds where the car sets off.
         """
-        value = request.value if math.isfinite(request.value) else 0.0
-        value = max(-1.0, min(1.0, value))
+        value = max(-1.0, min(1.0, request.value))
         is_beyond = value >= self.config.dead_band_forward or value <= -self.config.dead_band_reverse
         return value if is_beyond or keeps_small else self._pulsed(value, request, now_ns)
 
     def _pulsed(self, value, request, now_ns):
-        """Return the least push as often as gives a small value on average; 0 where a planner doesn't keep a speed.
+        """Return the least push or neutral, so often that their mean is a value in the dead band.
 
-        An ESC with a drag brake slows the car in neutral and drives it by the least push. Odometry is late at a crawl,
-        so a speed control that changes between both only when it sees the speed change lets the speed swing.
+        That is for a planner that keeps the speed of a car that rolls; else it is neutral. With a drag brake neutral
+        slows the car and the least push drives it. Odometry is late at a crawl: if the speed control changed between
+        both only as it sees the speed, the speed would swing by 15 %.
         """
         keeps_speed = value * request.cruise_mps > 0 and not request.is_human and not request.is_stop
         if not (keeps_speed and self._keeps_driving(value, now_ns)):
@@ -212,7 +212,7 @@ class Esc:
             return 0.0
         least = self.config.dead_band_forward if value > 0 else -self.config.dead_band_reverse
         elapsed_s = (now_ns - self._finished_ns) / NS_PER_S
-        # This many seconds of the least push are due: what was asked for, less what the ESC had since the last step.
+        # What was asked for, less what the ESC had since the last step.
         owed_s = self._owed_s + (value - self._fraction) / least * elapsed_s
         self._owed_s = max(-PULSE_S, min(PULSE_S, owed_s))
         return least if self._owed_s > 0.0 else 0.0
@@ -459,13 +459,13 @@ class Esc:
             self._brakes_since_ns = now_ns
         if state == BRAKING:
             self._motion.update_brake(now_ns)
+        # By the state until now: with this speed no pull is given any more.
+        if self._state in (BRAKING, HOLD) and self._fraction < 0 and self._motion.rolls_backward(now_ns):
+            self._proof.doubt()
         self._fraction, self._state = fraction, state
         self._history.update_sent(fraction, now_ns)
-        if state in (BRAKING, HOLD) and self._motion.rolls_backward(now_ns):
-            self._proof.doubt()
         self._hill.step(fraction, self._motion, now_ns)
-        is_push = state == FORWARD and fraction > 0
-        self._proof.step(fraction, is_push, self._history.pulled_ns(now_ns), self._motion, now_ns)
+        self._proof.step(fraction, state == FORWARD, self._history.pulled_ns(now_ns), self._motion, now_ns)
         return EscDecision(fraction, state, cause, reason, self._stop_mps2(now_ns))
 
     def _update_lagging_pull(self, now_ns):

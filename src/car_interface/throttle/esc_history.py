@@ -56,7 +56,7 @@ class _Account:
             self.side, self.since_ns = side, now_ns
         if side != PULLED and self.was_pulled:
             self.was_released = True
-        if side == PULLED or side == FAINT and fraction < 0:
+        if fraction is not None and fraction < -NEUTRAL_TOLERANCE:
             self.was_pulled = True
 
     def lasts_ns(self, side: str, now_ns: int) -> int:
@@ -96,7 +96,6 @@ class EscHistory:
         self._held_ns = now_ns
         self._missed = self._missed or fraction is None
         self._held.update(fraction, now_ns)
-        self._look(now_ns)
 
     def resume(self, now_ns: int) -> bool:
         """Account for a pause of this node; return whether the board may have let go by itself since the last call."""
@@ -111,14 +110,12 @@ class EscHistory:
             self._look(self._sent_ns + holds_ns)
             self._sent.update(0.0, self._sent_ns + holds_ns)
             self._let_go = True
-            self._look(now_ns)
 
     def update_sent(self, fraction: float, now_ns: int) -> None:
         """Take what this node sends to the board."""
         self._look(now_ns)
         self._sent_ns = now_ns
         self._sent.update(fraction, now_ns)
-        self._look(now_ns)
 
     def mark_backward(self, now_ns: int) -> None:
         """Record that the car may roll backward: a push only brakes it then, and the next pull may be reverse."""
@@ -129,7 +126,6 @@ class EscHistory:
         """Forget what the board held, since its messages were dropped."""
         self._drove = self._braked = self._unlocked = False
         if self._held_ns is not None:
-            self._held.since_ns = self._held_ns
             self._held.side = FAINT
 
     def had_no_pulse(self) -> bool:

@@ -42,14 +42,16 @@ class Pulls:
     stays pulled through a stop doesn't mean reverse.
 
     Args:
-        dead_band: a pull begins beyond it, and ends within half of it, so that a trembling stick doesn't pull twice.
+        dead_band_forward: the ESC drives from there on.
+        dead_band_reverse: a pull begins there, and ends within half of it: a trembling stick doesn't pull twice. A push
+            begins at half of it, too: the person wants no reverse, though the car may not drive yet.
 
     Attributes:
         began_ns: when the newest pull began.
     """
 
-    def __init__(self, dead_band: float):
-        self._dead_band = dead_band
+    def __init__(self, dead_band_forward: float, dead_band_reverse: float):
+        self._push, self._dead_band = min(dead_band_forward, dead_band_reverse / 2), dead_band_reverse
         self._was_one = False  # there was a pull, and the stick has returned to the center
         self._in_pull = False
         self._is_second = False
@@ -64,7 +66,7 @@ class Pulls:
         """Take the newest request."""
         value = request.value
         is_stick = request.is_human and request.gear == AUTO and not request.is_stop
-        if not is_stick or not math.isfinite(value) or value > self._dead_band:
+        if not is_stick or not math.isfinite(value) or value >= self._push:
             self._was_one = self._in_pull = False
         elif value <= -self._dead_band:
             if not self._in_pull:

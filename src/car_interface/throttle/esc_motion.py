@@ -243,7 +243,7 @@ class HillWatch:
         if fraction:
             self._neutral_ns = None
         elif self._neutral_ns is None:
-            self._neutral_ns, self._least_mps, self._most_mps = now_ns, 1e9, 0.0
+            self._neutral_ns, self._least_mps, self._most_mps = now_ns, math.inf, 0.0
         elif motion.measured_ns - self._neutral_ns >= HILL_AFTER_NS:
             self._least_mps, self._most_mps = min(self._least_mps, speed_mps), max(self._most_mps, speed_mps)
             if speed_mps >= self._least_mps * (1 + HILL_GAIN_RATIO) + HILL_GAIN_MPS:

@@ -10,7 +10,7 @@ Anything else starts the sequence over; a car that rolls backward under a brake 
 from __future__ import annotations
 
 from car_interface.common.units import NS_PER_S
-from car_interface.throttle.esc_motion import STANDSTILL_MPS, MeasuredMotion
+from car_interface.throttle.esc_motion import MeasuredMotion
 
 MIN_BRAKE = 0.5  # of the full brake
 MIN_SPEED_MPS = 1.0  # at the brake's beginning; chosen, test_esc_proof.py fails with 0.3 m/s
@@ -84,7 +84,7 @@ class BrakeProof:
             self._stage = SLOWED if SLOWS_MPS2[0] <= slowed_mps2 <= SLOWS_MPS2[1] else ""
             self._since_ns = None
         elif self._stage == SLOWED:
-            if abs(speed_mps) >= STANDSTILL_MPS or not motion.stands(now_ns):
+            if not motion.stands(now_ns):
                 self._since_ns = None
             elif self._since_ns is None:
                 self._since_ns = motion.measured_ns

@@ -29,6 +29,7 @@ def test_input_is_stale_when_it_is_older_than_its_timeout(timeout_s, age_ns, sta
 @pytest.mark.parametrize("timeout_s", [0.0, 0.5])
 def test_input_that_was_never_received_is_stale_and_stays_so_when_it_is_marked_stale(timeout_s):
     timed = TimedInput("human_in_loop", timeout_s)
+    assert timed.is_stale(AT) and not timed.is_marked_stale and timed.was_late_s == 0.0
     timed.mark_stale()
     assert timed.is_stale(AT) and not timed.was_received and not timed.is_marked_stale
     assert timed.age_s(AT) == math.inf
@@ -63,6 +64,6 @@ def test_what_a_stamp_says_adds_to_the_age_and_a_stamp_in_the_future_takes_nothi
     assert timed.age_s(AT + S // 10) == pytest.approx(0.4) and timed.silence_s(AT + S // 10) == pytest.approx(0.1)
     assert not timed.is_stale(AT + S // 5) and timed.is_stale(AT + S // 5 + 1)
     assert timed.stale_reason(AT + 3 * S // 10 - 1) == "odom is 0.60 s old by its stamp"
-    assert timed.stale_reason(AT + 4 * S // 10) == "odom silent for 0.40 s"
+    assert timed.stale_reason(AT + 3 * S // 10) == "odom silent for 0.30 s"
     timed.update(1.0, AT + S, age_ns=-S)
     assert timed.age_s(AT + S) == timed.was_late_s == 0.0

@@ -73,6 +73,7 @@ PHONE_SILENT = (True, "e_stop silent", f"phone/e_stop silent for 1.13 s; {PHONE_
      (True, "e_stop silent", f"phone/e_stop was not heard since messages were dropped; {PHONE_UNLOCKS}")),
     ([HOLD, PHONE_STOPS, PHONE_CLEARS, DROPPED, RUN, PHONE_CLEARS, HOLD], WERE_DROPPED),
     ([HOLD, PHONE_CLEARS, DROPPED, LONG_SILENCE, PHONE_CLEARS, HOLD], WERE_DROPPED),
+    ([HOLD, PHONE_CLEARS, DROPPED, LONG_SILENCE, HOLD, PHONE_CLEARS], WERE_DROPPED),
 ])
 def test_phone_s_e_stop_is_ored_with_the_other_one_and_must_go_on_once_it_was_heard(events, inhibit):
     assert after(*events) == inhibit
@@ -115,11 +116,13 @@ def test_lock_exactly_as_old_as_its_timeout_is_still_off():
     assert interlock.inhibit(NOW + S + 1).locked
 
 
-def test_loss_that_nobody_asked_about_while_it_lasted_is_a_loss_all_the_same():
+@pytest.mark.parametrize("name", ["update_e_stop", "update_phone_e_stop"])
+def test_loss_that_nobody_asked_about_while_it_lasted_is_a_loss_all_the_same(name):
     interlock = MotionInterlock(InterlockConfig(human_timeout_s=0.0))
+    update = getattr(interlock, name)
     interlock.update_human(True, NOW)
-    interlock.update_e_stop(False, NOW)
-    interlock.update_e_stop(False, NOW + 3 * S)
+    update(False, NOW)
+    update(False, NOW + 3 * S)
     assert interlock.inhibit(NOW + 3 * S).cause == "not re-armed"
 
 
@@ -221,6 +224,15 @@ def test_dropped_messages_are_a_loss_of_everything(before, since, inhibit, grant
     armed = [RUN if RUN in before else LONG_SILENCE, LET_GO, *before]
     assert after(*armed, grant_at_start=grant_at_start) is None
     assert after(*armed, DROPPED, *since, grant_at_start=grant_at_start) == inhibit
+
+
+@pytest.mark.parametrize("human, released", [
+    (None, False), ((True, 0), False), ((False, 500), True), ((False, 501), False)])
+def test_deadman_is_known_to_be_released_by_a_fresh_false(human, released):
+    interlock = MotionInterlock(InterlockConfig())
+    if human is not None:
+        interlock.update_human(human[0], NOW - human[1] * MS)
+    assert interlock.is_released(NOW) is released
 
 
 def test_ages_are_those_of_the_last_messages():

@@ -25,6 +25,11 @@ def vector(duties):
     return [duties.get(channel, LEAVE) for channel in range(16)]
 
 
+def test_channel_that_nobody_configured_is_off_after_250_ms_unlimited_and_no_esc_s():
+    assert ChannelConfig() == ChannelConfig(timeout_ms=250, timeout_value=0, pwm_min=0, pwm_max=65535, live_range=0,
+                                            pulls=0, brakes_first=False, forgets_ms=0)
+
+
 def test_channels_before_any_command_hold_their_timeout_values_whatever_the_limits():
     board = channels(pwm_min=5200)
     assert board.targets == [CENTER_COUNTS] * 16
@@ -126,7 +131,7 @@ def test_timeout_value_follows_a_neutral_at_once_or_for_a_commanded_channel_at_i
 @pytest.mark.parametrize("duty, live_range, timeout_value, followed", [
     (5600, 500, 5100, ({0: 5600}, [])), (65535, 65535, 5100, ({0: 65535}, [])),
     (5601, 500, 5100, ({}, [0])), (4599, 500, 5100, ({}, [0])), (65536, 65535, 5100, ({}, [0])),
-    (0, 6000, 5100, ({}, [0])),  # off is no neutral
+    (0, 6000, 5100, ({}, [0])), (1, 6000, 5100, ({0: 1}, [])),  # off is no neutral
     (5150, 0, 5100, ({}, [])),  # a channel that doesn't follow
     (100, 500, 0, ({}, [])),  # one that is off at rest stays off
     (5100, 500, 5100, ({}, [])),  # the same as ever
@@ -189,7 +194,7 @@ def test_pull_after_one_that_timed_out_may_be_reverse():
 def test_what_is_a_pull_follows_the_neutral():
     board = channels(pulls=-1, live_range=500)
     board.follow([5200] * 16)
-    board.command(vector({0: 5150, 1: 5200}), NOW)
+    board.command(vector({0: 5199, 1: 5200}), NOW)
     assert board.expire(NOW + 80 * MS) == [0]
 
 

@@ -13,6 +13,7 @@ from car_interface.pca9685.guard_protocol import (
     NOT_TRIED,
     OFF,
     SAFE,
+    WAITING,
     WATCHING,
     NodeMessage,
     guard_reader,
@@ -130,6 +131,7 @@ def test_node_whose_pipe_ends_is_overruled_at_once_with_its_newest_timeout_value
 
 def test_guard_waits_for_its_node_s_first_message_for_ever(bench):
     assert bench.guard.next_due_ns() == float("inf")
+    assert bench.status == (WAITING, 0, 0, NOT_TRIED) and bench.guard.timeout_counts == (0,) * 16
 
 
 def test_node_that_never_reached_a_chip_has_nothing_to_guard(bench):
@@ -189,6 +191,15 @@ def test_failed_attempts_are_repeated_after_20_ms_to_200_ms_and_a_chip_that_is_l
     assert watching.fail(None) == 20
     assert (watching.status.state, watching.status.error) == (ACTING, errno.EIO)
     assert watching.action() == ASSERT
+
+
+def test_guard_probes_a_chip_that_failed_as_soon_as_its_node_is_back_and_begins_with_short_retries_again(watching):
+    watching.wait(SILENCE_MS)
+    assert [watching.fail() for _ in range(4)] == [20, 40, 80, 160]
+    watching.wait(-150)
+    watching.tell(acknowledged=1)
+    assert watching.fail() == 250  # of the probe: then the node is silent again
+    assert watching.fail() == 20
 
 
 def test_guard_of_a_dead_node_repeats_a_failed_full_off_and_ends_after_it(watching):

@@ -19,12 +19,13 @@ class Device:
         self.chip = VirtualPca9685()
         self.chip.write(0x00, [AWAKE])
         self.chip.write(LED0, [0, 0, 0xEE, 0, 0, 0, 0x77, 1])
-        self.writes = []
+        self.reads, self.writes = [], []
         self.works_for = None
 
     def read(self, register, length):
         self._count()
         assert length <= 32
+        self.reads.append(length)
         return bytes(self.chip.read(register, length))
 
     def write(self, register, values):
@@ -53,6 +54,7 @@ def test_timeout_values_go_to_every_channel_in_two_transfers_and_once_they_hold_
     assert device.pulses() == COUNTS
     assert guard_board.keep_counts(device, COUNTS) == [COUNTS]
     assert device.writes == [(LED0, 32), (LED0 + 32, 32)]
+    assert device.reads == [1, 32, 32] * 2
 
 
 @pytest.mark.parametrize("act", [
@@ -89,7 +91,7 @@ def test_full_off_is_one_bit_in_one_transfer_and_written_once_and_timeout_values
 def test_chip_that_sleeps_as_after_a_loss_of_power_is_not_written_to(device, act, held):
     device.chip.power_up()
     assert act(device) == held
-    assert device.writes == []
+    assert device.writes == [] and device.reads == [1]
     assert device.pulses() == (0,) * 16
 
 

@@ -32,7 +32,7 @@ def test_readings_are_published_as_duties_on_change(readings):
 
 
 def test_reading_that_stays_the_same_is_repeated_ten_times_a_second_but_not_without_a_reading(readings):
-    at_ms = [*range(0, 401, 50), 5000, 5050]
+    at_ms = [0, 99, *range(100, 401, 50), 5000, 5050]
     assert [ms for ms, _ in published(readings, *((ms, SAFE) for ms in at_ms))] == [0, 100, 200, 300, 400, 5000]
 
 

@@ -13,6 +13,12 @@ GUARD = [(protocol.SAFE, 1, 2, 0), (0, 0, 0, -1), (4, 2 ** 32 - 1, 2 ** 32 - 1, 
 OUTPUT = [(protocol.HELD, COUNTS), (protocol.LEFT_TO_NODE, (0,) * 16)]
 
 
+def test_numbers_of_kinds_and_states_differ_and_no_errno_is_negative():
+    assert (protocol.ALIVE, protocol.ENDING, protocol.ENDED) == (0, 1, 2)
+    assert (protocol.WAITING, protocol.WATCHING, protocol.ACTING, protocol.SAFE, protocol.OFF) == (0, 1, 2, 3, 4)
+    assert (protocol.HELD, protocol.LEFT_TO_NODE, protocol.NOT_TRIED) == (0, 1, -1)
+
+
 @pytest.mark.parametrize("size", [1, 7, 1000], ids="in_pieces_of_{}".format)
 @pytest.mark.parametrize("reader, kind, cases", [
     (protocol.node_reader, NodeMessage, NODE), (protocol.guard_reader, GuardMessage, GUARD),

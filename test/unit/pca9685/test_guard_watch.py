@@ -56,7 +56,7 @@ def watched(bench):
 def test_node_without_a_guard_obeys(bench):
     assert not (bench.watch.is_present or bench.watch.watches or bench.watch.holds)
     assert bench.watch.error == NOT_TRIED
-    bench.live()
+    assert bench.live().acknowledged == 0
     bench.wait(1000)
     assert bench.watch.stood_still_ns(bench.now_ns) == 1000 * MS
     assert not (bench.watch.holds or bench.watch.watches)
@@ -140,6 +140,23 @@ def test_node_learns_that_it_was_overruled_though_it_did_not_notice_that_it_stoo
     watched.live()
     watched.answer(WATCHING, interventions=1)
     assert not watched.watch.holds
+
+
+def test_node_that_was_overruled_before_its_first_sign_of_life_waits_for_the_answer_to_it(bench):
+    bench.watch.start(bench.now_ns)
+    bench.answer(ACTING, interventions=1, sequence=0)
+    assert bench.watch.was_overruled() and bench.watch.holds
+    bench.live()
+    bench.answer(interventions=1)
+    assert not bench.watch.holds
+
+
+def test_half_a_message_of_a_guard_that_was_lost_is_no_part_of_the_next_one_s(watched):
+    watched.watch.receive(b"\x03", watched.now_ns)
+    watched.watch.lose()
+    watched.watch.start(watched.now_ns)
+    watched.answer()
+    assert watched.watch.watches
 
 
 def test_node_whose_guard_is_lost_obeys_and_a_new_guard_begins_anew(watched):

@@ -110,6 +110,12 @@ def test_source_refused_for_an_angle_stays_refused_until_it_was_sane_for_2_s_and
     assert arbiter.decide(3 * S).cause == causes.PLANNER
 
 
+def test_without_a_tightest_turn_any_radius_is_sane():
+    arbiter = SourceArbiter("drive", 0.5)
+    arbiter.update(DEGREES, 0)
+    assert sent(arbiter, PlannerRequest(0.1, 1.0), TWENTIETH, TWENTIETH + 2 * S)[-1].cause == causes.PLANNER
+
+
 @pytest.mark.parametrize("command", [
     DEGREES,
     Refusal(causes.REQUEST_NOT_FINITE, "nan"),

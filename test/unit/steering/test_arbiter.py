@@ -106,6 +106,7 @@ def test_decision_carries_the_age_of_each_input():
 @pytest.mark.parametrize("neutral, deadband, request_, source", [
     (0.0, 0.001, 0.0, NEUTRAL), (0.0, 0.001, 0.0010000000474974513, NEUTRAL),  # as a float32 has its edge
     (0.0, 0.001, -0.001, NEUTRAL), (0.0, 0.001, 0.0011, TELEOP), (0.0, 0.001, -0.0011, TELEOP),
+    (0.0, 0.001, 0.001 * (1 + 2 ** -23), NEUTRAL),  # by one step of a float32
     (0.5, 0.001, 0.4995, NEUTRAL), (0.5, 0.001, 0.0, TELEOP),  # the neutral of an old stack
     (0.0, 0.2, 0.15, NEUTRAL), (0.0, 0.0, 0.0, NEUTRAL), (0.0, 0.0, 1e-9, TELEOP),
 ])
@@ -119,6 +120,7 @@ def test_teleop_request_near_its_neutral_rests(neutral, deadband, request_, sour
     (-1.5, PLANNER, 6675), (1e30, PLANNER, 5100), (-1e30, PLANNER, 5100),
     (0.0011, PLANNER, 3800), (0.001, NEUTRAL, 5100), (-0.0011, PLANNER, 6700), (-0.001, NEUTRAL, 5100),
     (0.0010000000474974513, NEUTRAL, 5100),  # as a float32 has it
+    (0.001 * (1 + 2 ** -23), NEUTRAL, 5100), (0.001 * (1 + 2 ** -22), PLANNER, 3800),
 ])
 def test_planner_s_radius_makes_the_duty_and_within_a_millimetre_of_0_it_is_no_request(radius_m, source, duty):
     decision = decide(HELD, None, (radius_m, 0.1))
@@ -135,7 +137,7 @@ def test_decision_on_anything_heard_stays_between_left_and_right_and_needs_a_fre
     if decision.source in (TELEOP, PLANNER):
         assert human is not None and human[0] and human[1] <= 0.5
     else:
-        assert decision.duty == CENTER
+        assert decision.duty == CENTER and decision[8:] == ("", "", 0.0, 0.0)
 
 
 def test_source_names_are_in_the_order_of_the_message_s_constants():
@@ -187,10 +189,46 @@ def arbiter_at_3_mps(teleop):
     return arbiter
 
 
-@pytest.mark.parametrize("teleop, limit", [(1.0, ""), (0.931, causes.JERK_LIMITED)])  # 1 m, and 10 m to the left
+@pytest.mark.parametrize("teleop, limit", [
+    (1.0, ""), (0.931, causes.JERK_LIMITED), (0.0, causes.JERK_LIMITED)])  # 1 m, 10 m to the left, nobody
 def test_planner_that_takes_over_turns_in_from_where_the_human_steered(teleop, limit):
     decision = arbiter_at_3_mps(teleop).decide(NOW + S // 1000)
     assert (decision.duty == 3840, decision.limit) == (not limit, limit)
+
+
+def test_planner_that_took_over_turns_in_on_from_where_it_steered_itself():
+    arbiter = arbiter_at_3_mps(0.931)
+    limits = [arbiter.decide(NOW + tick * S // 50).limit for tick in range(1, 6)]
+    assert (limits[0], limits[-1]) == (causes.JERK_LIMITED, "")
+
+
+def test_reason_says_whether_the_gamepad_overrides_the_planner_while_that_is_fresh():
+    arbiter = arbiter_with(HELD, STEERS, ASKS)
+    for overrides, at_ns, words in ((True, NOW, ": it overrides the planner"), (False, NOW, ""),
+                                    (True, NOW - S // 2 - 1, "")):
+        arbiter.explain_teleop(overrides, at_ns)
+        assert arbiter.decide(NOW).reason == f"tele_steer_req is 0.500{words}"
+
+
+def test_reason_for_no_planner_is_quoted_until_one_was_received():
+    arbiter = arbiter_with(HELD)
+    arbiter.explain_planner("planner_interface: drive was never heard")
+    assert arbiter.decide(NOW)[2:4] == (causes.NO_REQUEST, "planner_interface: drive was never heard")
+    arbiter.update_planner(0.0, NOW)
+    assert arbiter.decide(NOW).reason == "av_turnrad_req is 0, which asks for nothing"
+
+
+def test_another_calibration_is_used_at_once():
+    arbiter = arbiter_with(HELD, STEERS)
+    assert arbiter.decide(NOW).duty == 4450
+    arbiter.calibrate(replace(SLASH, servo_left=3700))
+    assert arbiter.decide(NOW).duty == 4400
+
+
+def test_decisions_differ_by_source_duty_cause_and_limit_and_are_logged_as_source_cause_or_limit_changes():
+    decision = decide(HELD, STEERS)._replace(limit=causes.LIMITS_OFF)
+    assert decision.differs_by == (TELEOP, 4450, causes.TELEOP, causes.LIMITS_OFF)
+    assert decision.kind == (TELEOP, causes.TELEOP, causes.LIMITS_OFF)
 
 
 def test_dropped_messages_make_every_input_stale():
@@ -282,9 +320,28 @@ def test_a_car_whose_turns_widen_is_judged_by_what_it_turns_at_its_speed():
     assert decision.limit_reason == ("asks for 1.50 m, this car turns on 2.18 m to the left at 4.0 m/s, as its turns "
                                      "widen with speed")
     assert asked_for(1.0, 1.5, calibration=FASTER_IS_WIDER, limits=UNLIMITED)[1].limit == ""
+    assert asked_for(None, calibration=FASTER_IS_WIDER)[0].turn_radius_m(3800) == 1.0  # as it turns slowly
+
+
+def test_a_turn_that_is_limited_gets_the_duty_of_the_granted_radius():
+    _, decision = asked_for(4.0, 2.0, limits=SteeringLimits(planner=SourceLimits(4.0)))
+    assert (decision.limit, decision.duty) == (causes.LATERAL_LIMITED, 3850)  # 16 / 4 = 4 m to the left
+    for age_s in (FRESH, STALE):
+        decision = arbiter_with((True, 0.0), planner=(2.0, 0.0), odometry=(4.0, age_s)).decide(NOW)
+        assert ("by the last speed" in decision.limit_reason) == (age_s == STALE)
 
 
 @pytest.mark.parametrize("inputs, source", [({"teleop": (1.0, 0.0)}, TELEOP), ({"steering": (1.0, 0.0)}, PLANNER)])
 def test_a_stick_at_full_lock_and_a_planner_s_steering_ask_for_no_radius(inputs, source):
     _, decision = asked_for(1.0, limits=SteeringLimits(human=SourceLimits(4.0)), **inputs)
     assert (decision.source, decision.limit) == (source, "")
+
+
+@pytest.mark.parametrize("teleop, planner, steering, source", [
+    (0.5, (0.17, 0.0), None, TELEOP), (None, (0.17, 0.6), (0.5, 0.0), PLANNER)])
+def test_who_steers_is_not_limited_by_a_radius_that_is_not_obeyed(teleop, planner, steering, source):
+    arbiter = arbiter_with((True, 0.0), teleop and (teleop, 0.0), planner, steering, (1.0, 0.0),
+                           limits=SteeringLimits(human=SourceLimits(4.0)))
+    decision = arbiter.decide(NOW)
+    assert (decision.source, decision.limit) == (source, "")
+    assert decision.asked_radius_m == arbiter.turn_radius_m(4450) > 10.0

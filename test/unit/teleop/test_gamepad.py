@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from car_interface.common import causes
 from car_interface.common.errors import ConfigError
-from car_interface.teleop.gamepad import Gamepad, GamepadConfig, missing_index, remedy
+from car_interface.teleop.gamepad import Gamepad, GamepadConfig, Requests, is_d_mode_cross, missing_index, remedy
 
 S = 1_000_000_000
 NOW = 1000 * S
@@ -67,6 +67,7 @@ def test_message_is_read_as_requests(axes, buttons, human, steering, throttle, c
     ([-0.002, 0.0], MANUAL, {}, -0.002, 0.0),
     ([0.01, 0.0], MANUAL, {"steer_deadband": 0.05}, 0.1, 0.0),
     ([0.5, 0.0], MANUAL, {"steer_neutral": 0.5}, 0.498, 0.0),
+    ([0.8, 0.0], MANUAL, {"steer_neutral": 0.5}, 0.8, 0.0),
     ([1.0, 0.0], MANUAL, {"steer_neutral": 1.0}, 0.998, 0.0),
     ([0.0, 0.0], MANUAL, {"steer_deadband": 0.0}, 0.002, 0.0),
     ([0.9, 0.9], AUTONOMOUS, {"steer_neutral": 0.5}, 0.5, 0.0),
@@ -105,6 +106,20 @@ def test_third_deadman_shares_the_driving(third_mode, buttons, steering, throttl
     assert read.reason.startswith(f"{mode} deadman held")
 
 
+@pytest.mark.parametrize("human, cause, holds", [
+    (True, causes.MANUAL, True), (False, causes.NOT_REARMED, True), (False, causes.NO_DEADMAN, False),
+    (False, causes.JOY_STALE, False)])
+def test_deadman_is_held_also_while_it_has_to_be_released_first(human, cause, holds):
+    assert Requests(human, 0.0, 0.0, cause, "").holds_deadman is holds
+
+
+def test_requests_differ_by_cause_and_sticks_and_by_whether_the_throttle_is_a_stop():
+    read = Requests(True, 0.5, NAN, causes.MANUAL, "", causes.OVERRIDE, causes.OFF_CENTER)
+    assert read.kind == (causes.MANUAL, causes.OVERRIDE, causes.OFF_CENTER)
+    assert read.differs_by == (*read.kind, True)
+    assert read._replace(throttle=0.1).differs_by == (*read.kind, False)
+
+
 def test_gamepad_without_a_throttle_axis_steers_and_its_throttle_is_no_number():
     read = requests([0.5], MANUAL, throttle_axis=-1)
     assert (read.human_in_loop, read.steering) == (True, 0.5)
@@ -121,6 +136,8 @@ def test_buttons_for_the_scale_are_read_while_they_are_fresh_and_a_gamepad_may_l
     gamepad = gamepad_at_rest(buttons=len(buttons), **changes)
     gamepad.update([0.0, 0.0], buttons, NOW - round(age_s * S))
     assert gamepad.scale_button(NOW) == pressed
+    gamepad.update([NAN, 0.0], buttons, NOW)
+    assert gamepad.scale_button(NOW) == 0
 
 
 @pytest.mark.parametrize("changes, message", [
@@ -192,9 +209,10 @@ def test_cause_that_letting_go_does_not_cure_has_a_remedy(cause, words):
 
 def test_age_and_size_of_the_newest_message_are_known():
     gamepad = Gamepad(config())
-    assert gamepad.joy_age_s(NOW) == INF
+    assert gamepad.joy_age_s(NOW) == INF and not gamepad.was_received
+    assert (gamepad.axes, gamepad.buttons, gamepad.scale_button(NOW)) == (0, 0, 0)
     gamepad.update([0.0] * 8, [0] * 11, NOW)
-    assert (gamepad.axes, gamepad.buttons, gamepad.joy_age_s(NOW + S)) == (8, 11, 1.0)
+    assert (gamepad.axes, gamepad.buttons, gamepad.joy_age_s(NOW + S)) == (8, 11, 1.0) and gamepad.was_received
 
 
 class Person:
@@ -335,7 +353,13 @@ def test_what_was_seen_of_an_axis_ends_with_a_loss(lose):
     assert math.isnan(person.hold((0.5, 0.5), MANUAL).throttle)
 
 
-def test_cross_of_a_gamepad_in_d_mode_does_not_count_until_it_gave_what_no_cross_gives():
+def test_cross_is_axis_4_and_5_of_6_with_12_buttons():
+    assert [axis for axis in range(7) if is_d_mode_cross(axis, 6, 12)] == [4, 5]
+    assert not is_d_mode_cross(4, 8, 11)
+
+
+@pytest.mark.parametrize("stick", [0.011, -0.3, 0.989])
+def test_cross_of_a_gamepad_in_d_mode_does_not_count_until_it_gave_what_no_cross_gives(stick):
     """Axis 4 of a Logitech F710 with its switch at D: it rests at 0."""
     def axes(throttle):
         return [0.0] * 4 + [throttle, 0.0]
@@ -343,15 +367,18 @@ def test_cross_of_a_gamepad_in_d_mode_does_not_count_until_it_gave_what_no_cross
     def buttons(manual):
         return [0] * 4 + [manual] + [0] * 7
     person = Person(axes(0.0), buttons(0), throttle_axis=4, manual_button=4, autonomous_button=5)
-    for cross in (0.0, 1.0, 0.0, -1.0, 0.0):
+    for cross in (0.0, 1.0, 0.0, -1.0, 0.01, 0.99, 0.0):
         read = person.hold(axes(cross), buttons(1), 0.5)
         assert math.isnan(read.throttle) and read.throttle_stick == causes.NOT_AT_REST
     assert read.reason == ("manual deadman held; the gamepad's throttle_axis 4 is where a gamepad with 6 axes and 12 "
                            "buttons has its cross: it doesn't count")
     assert "needs its switch at X" in remedy(read.stick_cause, "/joy")
-    person.hold(axes(0.3), buttons(1))
+    person.hold(axes(stick), buttons(1))
     person.hold(axes(0.0), buttons(1), 0.2)
     assert person.hold(axes(1.0), buttons(1)).throttle == 1.0
+    person.now_ns += S  # another gamepad may send since
+    person.hold(axes(0.0), buttons(0), 0.2)
+    assert math.isnan(person.hold(axes(1.0), buttons(1)).throttle)
 
 
 def test_pull_just_after_the_manual_deadman_begins_with_a_stop_so_that_it_is_no_second_pull():
@@ -379,6 +406,46 @@ def test_so_does_one_that_is_held_through_the_change_but_no_later_one(between):
     for _ in range(3):
         assert person.hold((0.0, -1.0), AUTONOMOUS).throttle == -1.0
         person.hold(REST, AUTONOMOUS)
+
+
+@pytest.mark.parametrize("pull, is_one", [(-0.02, True), (-0.019, False)])
+def test_a_pull_is_one_from_the_smallest_dead_band_of_an_esc_on(pull, is_one):
+    person = Person()
+    person.hold((0.0, pull), MANUAL, 0.3)
+    person.hold(REST, MANUAL, 0.3)
+    assert math.isnan(person.hold((0.0, -1.0), AUTONOMOUS).throttle) == is_one
+
+
+@pytest.mark.parametrize("released_s, is_second", [(0.95, True), (1.0, False)])
+def test_a_pull_is_forgotten_once_no_deadman_was_held_for_a_second(released_s, is_second):
+    person = Person()
+    person.hold((0.0, -1.0), MANUAL, 0.3)
+    person.hold(REST, MANUAL)
+    person.hold(REST, NONE, released_s)
+    assert math.isnan(person.hold((0.0, -1.0), AUTONOMOUS).throttle) == is_second
+
+
+@pytest.mark.parametrize("watched_s, is_second", [(0.9, True), (0.95, False)])
+def test_throttle_arb_knows_a_planner_s_deadman_after_a_second(watched_s, is_second):
+    person = Person()
+    person.hold((0.0, -1.0), MANUAL)
+    person.hold(REST, AUTONOMOUS, watched_s)
+    assert math.isnan(person.hold((0.0, -1.0), AUTONOMOUS).throttle) == is_second
+
+
+def test_stop_before_a_pull_ends_with_the_planner_s_deadman():
+    person = Person()
+    person.hold((0.0, -1.0), MANUAL)
+    assert math.isnan(person.hold((0.0, -1.0), AUTONOMOUS).throttle)
+    person.hold(REST, MANUAL)
+    assert person.hold(REST, AUTONOMOUS).throttle == 0.0
+
+
+def test_another_source_s_pulls_count_as_its_own():
+    person = Person()
+    person.hold(REST, MANUAL, 0.3)
+    person.gamepad.follow(person.now_ns)
+    assert math.isnan(person.hold((0.0, -1.0), AUTONOMOUS).throttle)
 
 
 def test_gamepad_whose_buttons_nobody_has_explained_drives_nothing_and_says_so():

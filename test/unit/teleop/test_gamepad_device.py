@@ -47,6 +47,25 @@ def test_ranges_and_positions_are_those_of_the_device(computer):
     device.close()
 
 
+def test_what_has_not_arrived_is_not_waited_for(computer, monkeypatch):
+    plugged = computer.plug_in(F710_X)
+    device = opened(computer)
+    waits = []
+    with monkeypatch.context() as patch:
+        patch.setattr("select.select", lambda *args: waits.append(args) or ([], [], []))
+        assert device.read() == []
+    assert waits == [([device.fileno()], [], [], 0)]
+
+    def read():
+        raise BlockingIOError
+    device._device.read = read
+    plugged.send((KEY, TL, 1))
+    assert device.read() == []
+    device.close()
+    with pytest.raises(OSError):
+        os.fstat(waits[0][0][0])
+
+
 def test_gamepad_that_is_unplugged_is_gone(computer):
     plugged = computer.plug_in(F710_X)
     device = opened(computer)

@@ -7,25 +7,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from car_interface.teleop.keyboard import Controls
-from car_interface.teleop.phone import (
-    ABSENT_NS,
-    GUESSES_AT_ONCE,
-    MAX_ADDRESSES,
-    MAX_COMMANDS,
-    MAX_KEYS,
-    MAX_MALFORMED,
-    MAX_PAGES,
-    MAX_WAITING,
-    MESSAGES_AT_ONCE,
-    WAIT_NS,
-    Phones,
-)
+from car_interface.teleop.phone import Bucket, Phones
 from car_interface.teleop.phone_messages import number as sent_number
 from car_interface.teleop.phone_messages import parse
 
 MS = 1_000_000
 S = 1000 * MS
 START = 1000 * S
+ABSENT_MS, WAIT_MS = 5000, 5000
+GUESSES_AT_ONCE, MAX_ADDRESSES, MAX_KEYS, MAX_COMMANDS = 5, 256, 64, 8
+MAX_PAGES, MAX_WAITING, MAX_MALFORMED, MESSAGES_AT_ONCE = 8, 8, 20, 150
 PIN = "012345"
 NOTHING_HELD = Controls()
 AHEAD = Controls(0.5, 0.25, manual=True)
@@ -256,12 +247,79 @@ def test_closed_connection_releases_at_once_and_a_reload_drives_by_its_key_and_a
     assert bench.controls == AHEAD
 
 
+def test_another_page_s_connection_of_the_same_number_is_not_the_driver_s(bench):
+    bench.drive(1)
+    bench.phones.disconnect(1)
+    page = bench.join(1)
+    page.echo("")
+    page.echo("manual")
+    assert bench.controls == NOTHING_HELD and page.status["driver"] == "another"
+
+
+def test_message_of_a_connection_that_is_not_known_closes_it(bench):
+    bench.phones.receive(77, "{}", bench.now_ns)
+    assert bench.phones.drain() == [(77, '{"closed":"unknown connection"}', True)]
+
+
+def test_echo_that_comes_after_a_loss_which_nobody_has_seen_yet_does_not_hide_it(bench):
+    page = bench.drive()
+    bench.wait(50)
+    page.echo("manual")
+    bench.wait(200)  # a newer token, and no echo
+    bench.now_ns += 50 * MS
+    page.echo("manual")
+    assert bench.controls == NOTHING_HELD and bench.phones.counts["loss"] == 1
+
+
 def test_dropped_messages_release_and_have_each_page_connect_again(bench):
     pages = [bench.drive(1), bench.join(2)]
     bench.phones.mark_stale()
     bench.deliver()
     assert bench.controls == NOTHING_HELD
     assert [page.closed for page in pages] == ["messages were dropped"] * 2
+
+
+@pytest.mark.parametrize("later_ns, closed", [(6_640_000, "too many messages"), (6_670_000, "")])  # 1 s / 150
+def test_page_sends_150_messages_at_once_and_as_many_a_second(bench, later_ns, closed):
+    page = bench.open(1)
+    for _ in range(MESSAGES_AT_ONCE):
+        page.send(type="leave")
+    assert not page.closed
+    bench.now_ns += later_ns
+    page.send(type="leave")
+    assert page.closed == closed and bench.phones.counts["too many messages"] == bool(closed)
+
+
+def test_tokens_are_sent_20_times_a_second_and_the_state_5_times(bench):
+    page, sent = bench.join(1), []
+    page.receive = lambda message, closes: sent.extend(message)
+    for number in range(1000):
+        bench.phones.show("speed", number)
+        bench.wait(1)
+    assert [sent.count(name) for name in ("token", "status", "car")] == [20, 5, 5]
+    assert sent[:5] == ["token", "status", "car", "token", "token"]  # after three ticks while it joined
+
+
+def test_step_is_due_between_two_tokens_where_the_touch_gets_too_old_then(bench):
+    page = bench.drive()
+    bench.now_ns = issued_ns = bench.phones.due_ns + 3 * MS  # it was late
+    bench.phones.step(issued_ns)
+    bench.deliver()
+    page.echo("manual")
+    due = []
+    for _ in range(7):
+        due.append((bench.phones.due_ns - issued_ns) // MS)
+        bench.phones.step(bench.phones.due_ns)
+    assert due == [47, 97, 147, 197, 247, 250, 297]
+
+
+def test_bucket_gets_back_what_was_taken_as_time_passes_and_no_more_than_it_holds():
+    bucket = Bucket(1e9, 2, START)  # one each nanosecond
+    assert bucket.is_full(START) and bucket.take(START) and bucket.take(START)
+    for now_ns, is_allowed in ((START, False), (START - 9, False), (START, False), (START + 1, True)):
+        assert bucket.has_any(now_ns) == is_allowed
+    assert not bucket.is_full(START + 1) and bucket.is_full(START + 2)
+    assert [bucket.take(START + 9) for _ in range(3)] == [True, True, False]
 
 
 # --- one driver ---
@@ -272,13 +330,13 @@ def test_second_phone_watches_until_the_driver_leaves(bench):
     second.touch_anew(-1.0, 1.0)
     assert second.refused == ["another phone drives: it has to leave, or to be away for 5 s"]
     assert bench.controls == AHEAD
+    assert (first.status["driver"], second.status["driver"]) == ("you", "another")
     first.send(type="leave")
-    assert bench.controls == NOTHING_HELD
+    assert bench.controls == NOTHING_HELD and second.status["driver"] == "nobody"
     second.send(type="drive")
+    assert (first.status["driver"], second.status["driver"]) == ("another", "you")
     second.touch_anew(-1.0, 1.0)
     assert bench.controls == Controls(-1.0, 1.0, manual=True)
-    bench.wait(300, first, second)
-    assert (first.status["driver"], second.status["driver"]) == ("another", "you")
 
 
 @pytest.mark.parametrize("closes", [False, True])
@@ -287,10 +345,10 @@ def test_seat_of_a_driver_who_is_away_is_his_for_5_s(bench, closes):
     second = bench.join(2)
     if closes:
         bench.phones.disconnect(1)
-    bench.wait(ABSENT_NS // MS - 200, second)
+    bench.wait(ABSENT_MS - 101, second)  # it took 100 to join
     second.send(type="drive")
     assert len(second.refused) == 1
-    bench.wait(200, second)
+    bench.wait(1, second)
     second.send(type="drive")
     assert len(second.refused) == 1
     second.touch_anew()
@@ -318,6 +376,7 @@ def test_any_page_stops_and_the_driver_s_button_and_a_new_touch_end_it(bench):
     assert bench.controls == NOTHING_HELD
     bench.wait(100)
     first.send(type="clear")
+    assert not first.status["e_stop"] and first.status["why"] == "lift your thumbs, then touch again"
     first.echo("manual")
     assert not bench.phones.e_stop and bench.controls == NOTHING_HELD
     first.touch_anew()
@@ -350,6 +409,12 @@ def test_clear_for_one_stop_does_not_end_another_one_that_arrived_before_it(benc
     assert not bench.phones.e_stop
 
 
+def test_touch_that_a_stop_ended_is_no_loss(bench):
+    bench.drive().send(type="e_stop")
+    bench.wait(300)
+    assert bench.phones.counts["loss"] == 0
+
+
 def test_e_stop_outlives_every_page(bench):
     page = bench.drive()
     page.send(type="e_stop")
@@ -371,6 +436,12 @@ def test_nothing_counts_before_the_pin_and_no_token_is_sent(bench, kind):
     assert (page.refused, page.token, bench.phones.e_stop) == (["enter the PIN first"], "", False)
 
 
+def test_page_that_is_admitted_knows_at_once_who_drives(bench):
+    page = bench.open(1)
+    page.send(type="pin", pin=PIN)
+    assert page.key and page.status == {"driver": "nobody", "guest": False, "e_stop": False, "why": "", "delay": None}
+
+
 def test_guesses_are_limited_by_address_and_neither_others_nor_the_driver_s_key_are(bench):
     driver = bench.drive(1)
     for number in range(10, 10 + GUESSES_AT_ONCE):
@@ -378,11 +449,16 @@ def test_guesses_are_limited_by_address_and_neither_others_nor_the_driver_s_key_
     right = bench.open(20)
     right.send(type="pin", pin=PIN)
     assert right.refused == ["too many wrong PINs from this address: wait 10 s"] and not right.key
+    assert (bench.phones.counts["wrong PIN"], bench.phones.counts["guess refused"]) == (GUESSES_AT_ONCE, 1)
+    assert bench.pages[10].refused == ["wrong PIN"]
     assert bench.join(21, "10.0.0.2").key
     bench.phones.disconnect(1)
     again = bench.reload(22, driver.key)
     assert again.key == driver.key
-    bench.now_ns += 10 * S
+    bench.now_ns += 9_800 * MS  # and 100 as another one joined
+    right.send(type="pin", pin=PIN)
+    assert not right.key
+    bench.now_ns += 100 * MS
     right = bench.open(23)
     right.send(type="pin", pin=PIN)
     assert right.key
@@ -407,16 +483,28 @@ def test_connections_that_send_nothing_make_room_and_disturb_no_driver(bench):
     for number in range(100, 300):
         bench.open(number)
     bench.deliver()
+    assert [number for number in range(100, 300) if not bench.pages[number].closed] == [*range(292, 300)]
+    assert bench.phones.counts["too many connections"] == 192
+    bench.wait(WAIT_MS - 1, driver)
     assert sum(not bench.pages[number].closed for number in range(100, 300)) == MAX_WAITING
-    bench.wait(WAIT_NS // MS + 100, driver)
+    bench.wait(50, driver)
     assert all(bench.pages[number].closed for number in range(100, 300))
     assert bench.controls == AHEAD
+
+
+def test_connection_that_is_not_admitted_is_closed_after_5_s(bench):
+    page = bench.open(1)
+    bench.wait(WAIT_MS - 1)
+    assert not page.closed
+    bench.wait(1)
+    assert page.closed == "no PIN came"
 
 
 def test_pages_are_limited_and_the_driver_comes_back_among_them(bench):
     driver = bench.drive(1)
     watching = [bench.join(number) for number in range(2, 2 + MAX_PAGES)]
     assert [page.closed for page in watching] == [""] * (MAX_PAGES - 1) + [f"{MAX_PAGES} pages are open already"]
+    assert bench.phones.counts["too many pages"] == 1 and not watching[-1].key
     bench.phones.disconnect(1)
     bench.join(50)
     again = bench.reload(51, driver.key)
@@ -424,9 +512,36 @@ def test_pages_are_limited_and_the_driver_comes_back_among_them(bench):
 
 
 def test_page_that_comes_again_by_its_key_replaces_the_one_that_is_still_open(bench):
-    first = bench.drive(1)
+    first, other = bench.drive(1), bench.join(3)
     again = bench.reload(2, first.key)
-    assert first.closed == "replaced" and again.key == first.key and bench.phones.pages == 1
+    assert first.closed == "replaced" and again.key == first.key and not other.closed and bench.phones.pages == 2
+
+
+def test_page_that_is_admitted_again_needs_no_more_room(bench):
+    pages = [bench.join(number) for number in range(MAX_PAGES)]
+    pages[-1].send(type="pin", pin=PIN)
+    assert not any(page.closed for page in pages)
+
+
+@pytest.mark.parametrize("age_ns, is_stale", [(250 * MS - 1, False), (250 * MS, True)])
+def test_command_counts_while_its_token_is_younger_than_250_ms(bench, age_ns, is_stale):
+    page = bench.join(1)
+    bench.wait(50)
+    bench.now_ns = bench.phones.due_ns - 50 * MS + age_ns
+    page.send(type="drive")
+    assert bench.phones.counts["stale"] == is_stale
+
+
+def test_page_sees_how_late_its_echoes_come(bench):
+    page = bench.drive()
+    token = page.token
+    while page.token == token:
+        bench.wait(1)
+    bench.wait(40)
+    bench.now_ns += 400_000  # less than a millisecond
+    page.echo("")
+    bench.wait(200)
+    assert page.status["delay"] == 0.04
 
 
 def test_driver_s_page_that_is_admitted_by_the_pin_again_leaves_the_seat(bench):
@@ -448,6 +563,20 @@ def test_keys_are_limited_and_the_driver_s_is_kept(bench):
         assert (again.key, again.refused) == (("", ["enter the PIN"]) if page is oldest else (driver.key, []))
 
 
+def test_keys_of_the_pages_that_came_last_are_kept(bench):
+    first, second = bench.join(1), bench.join(2)
+    bench.open(3).send(type="key", key=first.key)
+    for number in range(1, 4):
+        bench.phones.disconnect(number)
+    for number in range(10, 9 + MAX_KEYS):
+        bench.join(number)
+        bench.phones.disconnect(number)
+    for number, page in ((100, first), (101, second)):
+        again = bench.open(number)
+        again.send(type="key", key=page.key)
+        assert bool(again.key) == (page is first)
+
+
 def test_watcher_who_leaves_changes_nothing(bench):
     bench.drive(1)
     bench.join(2).send(type="leave")
@@ -466,6 +595,7 @@ def test_page_that_sends_too_much_is_closed_and_what_it_held_with_it(bench):
 def guest(bench, number):
     page = bench.open(number)
     page.send(type="watch")
+    assert page.closed or page.refused or page.status["guest"] and page.car == [{}]
     bench.wait(200)
     return page
 
@@ -490,6 +620,13 @@ def test_guest_becomes_a_driver_by_the_pin():
     page.send(type="drive")
     page.touch_anew()
     assert bench.controls == AHEAD and not page.status["guest"]
+
+
+def test_guest_who_enters_the_pin_keeps_its_place_and_takes_nobody_s():
+    bench = Bench(admits_guests=True)
+    guests = [guest(bench, number) for number in range(MAX_PAGES)]
+    guests[1].send(type="pin", pin=PIN)
+    assert guests[1].key and not any(page.closed for page in guests)
 
 
 def test_guests_make_room_for_who_knows_the_pin_and_for_no_other_guest():
@@ -591,6 +728,27 @@ def test_malformed_message_is_refused_and_counted(bench, text):
     assert parse(text) is None
     bench.phones.receive(1, text, bench.now_ns)
     assert bench.phones.counts["malformed"] == 1 and bench.controls == AHEAD and not page.closed
+
+
+TRIM = {"type": "trim", "token": "t", "n": 1, "name": "center"}
+
+
+@pytest.mark.parametrize("message, is_right", [
+    *(({**ECHO, **change}, is_right) for change, is_right in (
+        ({"n": 0}, True), ({"n": 2 ** 53 - 1}, True), ({"n": 2 ** 53}, False), ({"token": "x" * 64}, True),
+        ({"steering": -1, "throttle": 1.0}, True), ({"scale": -1}, True), ({"scale": 1}, True), ({"scale": -2}, False),
+        ({"touch": ""}, True), ({"touch": "autonomous"}, True))),
+    *(({**TRIM, "value": value}, 0 <= value <= 65535) for value in (-1, 0, 65535, 65536)),
+    ({"type": "key", "key": "x" * 64}, True), ({"type": "key", "key": "x" * 65}, False),
+    ({"type": "open", "name": "a" * 91 + ".bag"}, True), ({"type": "open", "name": "a" * 92 + ".bag"}, False),
+], ids=str)
+def test_message_is_right_up_to_its_limits(message, is_right):
+    assert parse(json.dumps(message)) == (message if is_right else None)
+
+
+def test_message_has_at_most_512_characters():
+    text = json.dumps({"type": "e_stop"})
+    assert parse(text.ljust(512)) == {"type": "e_stop"} and parse(text.ljust(513)) is None
 
 
 @pytest.mark.parametrize("value, sent", [

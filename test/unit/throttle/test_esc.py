@@ -25,7 +25,7 @@ class Car:
         self.esc = Esc(EscConfig(profile=profile, **{"dwell_s": 0.3, **changes}))
         self.now_ns, self.board_says = 0, True
         self.decision = None
-        self.noise = 1e-9
+        self.noise, self.age_ms = 1e-9, 0
         if armed:
             self.stop(1.1)
             assert self.decision.state == NEUTRAL
@@ -34,8 +34,9 @@ class Car:
         for _ in range(max(1, round(seconds / 0.02))):
             self.now_ns += 20 * MS
             if speed is not None:
-                self.measure(speed)
+                self.measure(speed, self.age_ms * MS)
             self.decision = self.esc.step(request, self.now_ns)
+            assert self.esc.state == self.decision.state
             if self.board_says:
                 self.esc.update_held(self.decision.fraction, self.now_ns)
         return self.decision
@@ -59,6 +60,13 @@ class Car:
         ask(0.5, 0.5, speed=2.0)
         ask(-0.5, 0.3, speed=1.0)
         return ask(-0.5, 0.8, speed=0.0)
+
+
+    def slow(self, value, from_mps, to_mps, by_mps2):
+        """Hold the stick while the car slows evenly down to a speed, and return the last decision."""
+        for step in range(1, round((from_mps - to_mps) / by_mps2 / 0.02) + 1):
+            self.stick(value, speed=from_mps - by_mps2 * step * 0.02)
+        return self.decision
 
 
 def test_esc_starts_in_arming_and_says_what_is_missing():
@@ -90,7 +98,7 @@ def test_arming_takes_neutral_at_the_chip_and_forgets_pulls_from_before():
     (0.079, 0.0, NEUTRAL, "neutral is requested"),
     (0.08, 0.08, FORWARD, "0.08 is requested"),
     (1.0, 1.0, FORWARD, "1.00 is requested"),
-    (7.0, 1.0, FORWARD, "1.00 is requested (7, clamped)"),
+    (1.5, 1.0, FORWARD, "1.00 is requested (1.5, clamped)"),
     (-0.079, 0.0, NEUTRAL, "neutral is requested"),
     (math.nan, 0.0, NEUTRAL, "the request is nan; it stops in neutral"),
     (-math.inf, 0.0, NEUTRAL, "the request is -inf; it stops in neutral"),
@@ -106,7 +114,15 @@ def test_pull_after_forward_brakes_and_then_holds_the_car_without_odometry_too(p
     car = Car(profile)
     car.stick(0.5, 0.5)
     assert car.stick(-0.4, 5.0)[:2] == (-0.4, BRAKING)
-    assert car.drive_and_brake_to_standstill()[:2] == (-0.5, HOLD)
+    assert car.drive_and_brake_to_standstill()[:4] == (
+        -0.5, HOLD, causes.HOLDING, "it stands, and the brake holds it")
+
+
+@pytest.mark.parametrize("value, fraction", [(-0.079, 0.0), (-0.08, -0.08), (-1.0, -1.0), (-7.0, -1.0)])
+def test_pull_is_passed_beyond_the_dead_band_and_clamped(value, fraction):
+    car = Car()
+    car.stick(0.5, 0.5)
+    assert car.stick(value).fraction == fraction
 
 
 @pytest.mark.parametrize("profile", UNSURE)
@@ -221,8 +237,8 @@ def test_stop_brakes_above_the_margin_with_any_named_profile_and_is_certain_of_d
 @pytest.mark.parametrize("profile, is_measured, coasts_s, fraction", [
     (SEQUENCE, False, 0.0, 0.0),
     (SEQUENCE, True, 0.0, -0.5),
-    (SEQUENCE, True, 0.3, -0.5),
-    (SEQUENCE, True, 0.6, 0.0),  # no ESC is trusted to remember for so long
+    (SEQUENCE, True, 0.5, -0.5),
+    (SEQUENCE, True, 0.52, 0.0),  # no ESC is trusted to remember for so long
     (TURNS, True, 0.0, 0.0),
     (DIRECT, True, 0.0, 0.0),
 ])
@@ -237,7 +253,8 @@ def test_stop_without_odometry_brakes_only_where_the_profile_is_proven(profile, 
 
 def test_stop_brakes_from_arming_on_where_the_esc_was_measured_to_have_no_reverse():
     car = Car(NO_REVERSE, armed=False, profile_measured=True)
-    assert car.stop(1.1)[:2] == (-0.5, BRAKING)
+    assert car.stop(0.9)[1::3] == (ARMING, 0.3)
+    assert car.stop(0.2)[1::3] == (BRAKING, 1.5)
 
 
 def brakes_to_standstill_and_drives_again(car):
@@ -258,18 +275,23 @@ def test_stop_without_odometry_brakes_once_the_esc_has_stopped_and_held_the_car(
     assert car.stop()[:2] == ((-0.5, BRAKING) if proves else (0.0, NEUTRAL))
 
 
-@pytest.mark.parametrize("doubt", ["backward", "no_pulse"])
-def test_doubt_takes_such_a_proof_away(doubt):
+@pytest.mark.parametrize("then, is_proven", [("backward_under_a_brake", False), ("no_pulse", False), ("reverse", True)])
+def test_doubt_takes_such_a_proof_away(then, is_proven):
     car = Car(speed_timeout_s=0.1)
     brakes_to_standstill_and_drives_again(car)
-    if doubt == "backward":
+    if then == "backward_under_a_brake":
         car.stick(-0.6, 0.1, speed=1.0)
         car.stick(-0.6, 0.04, speed=-0.15)  # for less time than the motion check takes
-    else:
+    elif then == "no_pulse":
         car.esc.update_held(None, car.now_ns)
         car.stop(1.2)
-    car.stick(0.5, 1.0)
-    assert car.stop()[:2] == (0.0, NEUTRAL)
+    else:
+        pulled_twice(car, 0.0)
+        assert car.stick(-0.5, 0.5, speed=-1.0)[:2] == (-0.5, REVERSE)
+        assert car.stick(0.5, 0.2, speed=-0.5)[:2] == (0.5, BRAKING)  # by a push, which proves nothing
+    car.stick(0.5, 1.0, speed=0.2)
+    car.stick(0.5, 0.2)
+    assert car.stop()[:2] == ((-0.5, BRAKING) if is_proven else (0.0, NEUTRAL))
 
 
 @pytest.mark.parametrize("after, brakes", [
@@ -307,6 +329,109 @@ def test_brake_of_a_kind_that_may_reverse_begins_later_where_a_speed_is_late_or_
         assert bool(car.stick(-0.5).fraction) == brakes
 
 
+def test_brake_of_a_kind_that_may_reverse_begins_above_its_margin_and_not_at_it():
+    car = Car(TURNS)
+    car.noise = 0.0
+    assert car.stick(-0.5, speed=1.32).fraction == 0.0  # 1.32 − 8 · 0.04 = 2 · 0.5
+
+
+@pytest.mark.parametrize("ends_mps, fraction", [(0.8, -0.5), (0.5, -0.5), (0.44, 0.0)])
+def test_brake_that_may_reverse_is_held_almost_down_to_the_margin_once_it_is_seen_how_it_slows(ends_mps, fraction):
+    car = Car(TURNS)
+    car.age_ms = 20
+    car.stick(0.5, 0.5, speed=3.0)
+    assert car.slow(-0.5, 3.0, ends_mps, 2.0).fraction == fraction
+
+
+@pytest.mark.parametrize("before, after, fractions", [
+    (-0.05, -0.1, (-0.1, -0.1)), (-0.1, -0.05, (-0.05, -0.05)),  # nearly the same
+    (-0.05, -0.11, (0.0, 0.0)), (-0.1, -0.04, (-0.04, 0.0)),  # it slows more, then less and nobody has seen how much
+])
+def test_what_was_seen_of_a_brake_says_nothing_about_another_one(before, after, fractions):
+    car = Car(TURNS, dead_band_reverse=0.02)
+    car.age_ms = 20
+    car.stick(0.5, 0.5, speed=3.0)
+    assert car.slow(before, 3.0, 0.84, 2.0).fraction == before
+    assert (car.stick(after, speed=0.82).fraction, car.stick(after, speed=0.8).fraction) == fractions
+
+
+@pytest.mark.parametrize("before, fraction", [(-0.5, -0.5), (-0.4, 0.0)])
+def test_nor_does_a_pull_about_the_stronger_brake_of_a_stop(before, fraction):
+    car = Car(TURNS)
+    car.age_ms = 20
+    car.stick(0.5, 0.5, speed=3.0)
+    car.slow(before, 3.0, 0.82, 2.0)
+    assert car.stop(speed=0.8).fraction == fraction
+
+
+def test_what_was_seen_before_a_brake_began_or_before_the_board_may_have_let_go_says_nothing_about_it():
+    begins, paused = Car(TURNS), Car(TURNS)
+    for car in (begins, paused):
+        car.age_ms = 20
+        car.stick(0.5, 0.5, speed=3.0)
+    begins.stick(0.0, 0.3, speed=2.08)
+    assert begins.slow(-1.0, 2.08, 1.12, 8.0).fraction == -1.0
+    assert begins.slow(-1.0, 1.12, 0.8, 8.0).fraction == 0.0
+    assert paused.slow(-0.5, 3.0, 0.96, 2.0).fraction == -0.5
+    paused.now_ns += 60 * MS
+    assert paused.stick(-0.5, speed=0.8).fraction == 0.0
+
+
+def test_dropped_messages_make_the_speed_unknown():
+    car = Car(TURNS)
+    car.stick(0.5, 0.5, speed=3.0)
+    assert car.stick(-0.5, speed=3.0).fraction == -0.5
+    car.esc.mark_stale()
+    assert car.stick(-0.5)[:3] == (0.0, NEUTRAL, causes.BRAKE_UNCERTAIN)
+    assert "the speed is unknown" in car.decision.reason
+
+
+@pytest.mark.parametrize("age_ms, says_s, speed, state", [
+    (0, 0.34, 0.1, REVERSE), (0, 0.4, 0.1, NEUTRAL),  # without a stamp it may be 0.35 s old
+    (20, 0.02, 0.1, REVERSE), (20, 0.04, 0.1, NEUTRAL),  # measured before the pull, and as it began
+    (20, 0.02, 0.4, REVERSE),  # it may slide on, at a speed of 0
+])
+def test_second_pull_is_a_brake_if_a_speed_that_was_measured_during_it_is_forward(age_ms, says_s, speed, state):
+    car = Car(TURNS)
+    car.age_ms, car.noise = age_ms, 0.0
+    for value in (0.5, -0.5, 0.0):
+        car.stick(value, 0.2, speed)
+    car.stick(-0.5, says_s, speed)
+    assert car.stick(-0.5, 1.0, speed=0.0).state == state
+
+
+def test_a_person_s_reverse_without_a_speed_begins_with_the_brake_that_the_esc_will_make_of_it():
+    car = Car()
+    car.stick(0.5, 0.5)
+    assert car.ask(Request(-0.5, REVERSE_GEAR, is_human=True), 1.0)[:2] == (-0.5, BRAKING)
+
+
+def test_esc_that_reverses_at_once_gets_neutral_for_the_dwell_before_it():
+    car = Car(DIRECT)
+    car.stick(0.5, 0.5, speed=0.0)
+    car.stick(-0.5, 0.04, speed=0.0)
+    car.stick(0.0, 0.04, speed=0.0)
+    answers = [car.stick(-0.5, speed=0.0)[:3] for _ in range(30)]
+    assert answers == [(0.0, REVERSE, causes.REVERSE_PENDING)] * 11 + [(-0.5, REVERSE, causes.REVERSING)] * 19
+
+
+def test_a_push_drives_forward_0_15_s_after_the_pull_that_only_unlocked_reverse():
+    car = Car(profile_measured=True)
+    assert car.planner(-0.5, 0.5, speed=0.0, gear=REVERSE_GEAR)[:2] == (0.0, REVERSE)  # 0.2 s of neutral
+    car.planner(0.5, 0.56, speed=1.0)
+    assert car.stop(speed=0.4).fraction == -0.5
+
+
+def test_car_that_a_hill_rolls_backward_is_armed_again_after_a_second_of_neutral_and_may_get_no_faster():
+    car = Car()
+    car.stop(3.0, speed=0.0)
+    assert car.stop(0.24, speed=-0.4)[1:3] == (ARMING, causes.ESC_MOTION)
+    assert car.decision.reason.endswith("; 1.0 s of neutral to go")
+    assert car.stop(0.9, speed=-0.4).state == ARMING
+    assert car.stop(0.1, speed=-0.4).state == car.stop(1.0, speed=-0.4).state == NEUTRAL
+    assert car.stop(0.3, speed=-0.7).state == ARMING
+
+
 def small_pushes(value, cruise_mps, speed_mps, profile=SEQUENCE, **changes):
     """What the ESC gets of a small value for two seconds, forward or, after two pulls, backward."""
     car = Car(profile)
@@ -327,6 +452,16 @@ def test_push_in_the_dead_band_by_which_a_planner_keeps_a_speed_comes_in_pulses_
     assert sum(fractions) / len(fractions) == pytest.approx(value, abs=0.0017)
 
 
+def test_pulses_begin_anew_after_each_pause_of_them():
+    car, request = Car(), Request(0.01, DRIVE, is_centered=True, cruise_mps=0.3)
+    for _ in range(2):
+        car.ask(request._replace(cruise_mps=0.0), speed=0.3)
+        assert car.esc.step(request, car.now_ns).fraction == 0.0  # no time has passed
+        assert [car.ask(request, speed=0.3).fraction for _ in range(4)] == [0.08, 0.0, 0.0, 0.0]
+    assert any(car.ask(request).fraction for _ in range(7))
+    assert not any(car.ask(request).fraction for _ in range(50))  # its speed is older than 0.15 s
+
+
 @pytest.mark.parametrize("value, cruise_mps, speed_mps, changes", [
     pytest.param(0.04, 0.0, 0.3, {}, id="no_speed_is_kept"),
     pytest.param(0.04, 0.3, 0.3, {"is_human": True}, id="a_person_drives"),
@@ -335,11 +470,10 @@ def test_push_in_the_dead_band_by_which_a_planner_keeps_a_speed_comes_in_pulses_
     pytest.param(0.04, -0.3, 0.3, {}, id="the_speed_is_the_other_way"),
     pytest.param(-0.04, -0.3, -0.3, {"profile": TURNS}, id="each_neutral_costs_this_esc_its_dwell")])
 def test_push_in_the_dead_band_is_neutral_where(value, cruise_mps, speed_mps, changes):
-    profile = changes.pop("profile", SEQUENCE)
-    assert not any(small_pushes(value, cruise_mps, speed_mps, profile, **changes)[5:])
+    assert not any(small_pushes(value, cruise_mps, speed_mps, **changes)[5:])
 
 
-def brakes_downhill(profile, speed, cruise=0.3, age_ms=20, is_stop=False, **config):
+def brakes_downhill(profile, speed, cruise=0.3, age_ms=20, is_stop=False, value=-1.0, **config):
     """What a whole brake becomes where the car got faster in neutral; its speed doesn't change meanwhile."""
     car = Car(profile, **config)
     request = Request(0.0, DRIVE, is_centered=True, cruise_mps=cruise)
@@ -348,20 +482,25 @@ def brakes_downhill(profile, speed, cruise=0.3, age_ms=20, is_stop=False, **conf
     car.ask(request, 0.1, speed)
     car.now_ns += 20 * MS
     car.measure(speed, age_ms * MS)
-    return car.ask(request._replace(value=-1.0, is_stop=is_stop)).fraction
+    return car.ask(request._replace(value=value, is_stop=is_stop)).fraction
 
 
 @pytest.mark.parametrize("profile", [SEQUENCE, *UNSURE])
 @pytest.mark.parametrize("speed, cruise, age_ms, brake", [
     (0.4, 0.3, 20, 0.4 / 0.14 / 16), (0.4, 0.3, 120, 0.4 / 0.24 / 16), (0.8, 0.3, 20, 0.8 / 0.14 / 16),
     (2.0, 0.3, 20, 1.0),
-    (0.17, 0.1, 20, 0.0),  # less than the ESC takes for a pull
+    (0.21, 0.1, 20, 0.21 / 0.14 / 16), (0.21, 0.1, 60, 0.0),  # less than the ESC takes for a pull
     (0.8, 0.3, 120, 0.8 / 0.24 / 16), (0.8, 0.3, 140, 0.0),  # an old speed
     (0.4, 0.3, 0, 0.0),  # nobody knows how old its speed is
     (0.4, 0.0, 20, 0.4 / 0.14 / 16)])
 def test_downhill_a_car_is_braked_by_a_pull_so_weak_that_it_ends_before_it_becomes_reverse(
         profile, speed, cruise, age_ms, brake):
     assert brakes_downhill(profile, speed, cruise, age_ms) == pytest.approx(-brake)
+
+
+@pytest.mark.parametrize("value, brake", [(-0.079, 0.0), (-0.08, -0.08), (-0.1, -0.1)])
+def test_downhill_a_pull_that_is_weak_itself_is_given_as_it_is(value, brake):
+    assert brakes_downhill(TURNS, 0.4, value=value) == brake
 
 
 @pytest.mark.parametrize("profile, brake", [
@@ -375,7 +514,7 @@ def test_a_brake_that_may_reverse_ends_soon_where_odometry_repeats_a_speed():
     car.stick(0.5, 0.5, speed=1.5)
     for _ in range(20):
         car.now_ns += 20 * MS
-        car.esc.update_speed(1.5, car.now_ns)
+        car.esc.update_speed(1.5, car.now_ns, 0)
         pulls.append(car.stick(-0.5).fraction)
     assert pulls[0] < 0.0 and not any(pulls[6:])
 
@@ -396,8 +535,8 @@ def test_a_weak_pull_waits_until_the_motor_has_let_go_of_a_stronger_one():
 
 
 @pytest.mark.parametrize("speed, cruise, age_ms, fraction", [
-    (-0.4, -0.3, 0, 0.25), (-0.29, -0.3, 0, 0.0), (-0.4, -0.3, 160, 0.0), (-0.15, -0.1, 0, 0.0), (-0.4, 0.0, 0, 0.0),
-    (-2.0, 0.0, 0, 0.5)])
+    (-0.4, -0.3, 0, 0.25), (-0.4, -0.4, 0, 0.0), (-0.29, -0.3, 0, 0.0), (-0.4, -0.3, 160, 0.0),
+    (-0.25, -0.2, 0, 0.25), (-0.19, -0.16, 0, 0.0), (-0.4, 0.0, 0, 0.0), (-2.0, 0.0, 0, 0.5)])
 def test_backward_downhill_a_planner_s_car_is_braked_by_a_gentle_push_while_it_rolls_faster_than_asked(
         speed, cruise, age_ms, fraction):
     car = Car()
@@ -407,6 +546,7 @@ def test_backward_downhill_a_planner_s_car_is_braked_by_a_gentle_push_while_it_r
     car.ask(request._replace(value=0.0), 0.3, speed + 0.05)
     car.ask(request._replace(value=0.0), 0.1, speed)  # it gets faster in neutral
     car.now_ns += 20 * MS
+    car.noise = 0.0
     car.measure(speed, age_ms * MS)
     assert car.ask(request._replace(value=0.5)).fraction == fraction
 
@@ -498,9 +638,17 @@ def test_rolling_forward_in_reverse_ends_in_neutral_or_is_a_brake_where_reverse_
     pulled_twice(car, 0.0)
     assert car.stick(-0.5, 0.5, speed=0.4).cause == "esc motion"
     blind = Car()
-    pulled_twice(blind, None)
+    for speed in (0.0, None):  # what it saw of the first time is over
+        blind.stick(0.5, 0.6)
+        pulled_twice(blind, speed)
     assert blind.stick(-0.5, 1.0, speed=3.0)[:2] == (-0.5, BRAKING)
     assert blind.stick(-0.5, 3.0, speed=0.0).fraction == 0.0
+    again = Car()
+    pulled_twice(again, 0.0)
+    again.stick(0.0)
+    again.esc.mark_stale()
+    assert again.stick(-0.5).state == REVERSE
+    assert again.stick(-0.5, 0.1, speed=3.0)[:2] == (-0.5, BRAKING)
 
 
 def test_calibration_drive_passes_a_person_s_stick_once_it_is_armed_and_nobody_else_s():
@@ -524,6 +672,8 @@ def test_person_s_pull_in_the_planner_s_gear_drive_pushes_against_a_car_that_rol
     pull = Request(-0.4, DRIVE, is_human=True)
     assert car.ask(pull, 0.4, speed=-2.0)[:2] == (0.4, BRAKING)
     assert car.ask(pull, speed=-0.7)[:3] == (0.0, NEUTRAL, "at standstill")
+    car.stick(0.5, 0.5, speed=2.0)
+    assert car.ask(pull, speed=2.0)[:2] == (-0.4, BRAKING)
 
 
 @pytest.mark.parametrize("rolled_s, ends", [(0.3, NEUTRAL), (0.6, REVERSE)])
@@ -536,11 +686,14 @@ def test_second_pull_never_becomes_reverse_if_the_newest_speed_of_the_half_secon
     assert car.stick(-0.5, 5.0).state == ends
 
 
-def test_stop_of_a_car_that_a_hill_drives_holds_the_brake_that_it_began_while_it_rolled():
-    car = Car(profile_measured=True)
+@pytest.mark.parametrize("stop_brake, holds", [(0.5, True), (0.0, False)])
+def test_stop_of_a_car_that_a_hill_drives_holds_the_brake_that_it_began_while_it_rolled(stop_brake, holds):
+    car = Car(profile_measured=True, stop_brake=stop_brake)
     cruise = Request(0.0, DRIVE, is_centered=True, cruise_mps=0.3)
     for value, seconds, speed in (
-            (0.3, 0.5, 0.5), (0.0, 0.3, 0.5), (0.0, 0.1, 0.7), (-0.5, 0.3, 0.5), (-0.5, 0.1, 0.0)):
+            (0.3, 0.5, 0.5), (0.0, 0.3, 0.5), (0.0, 0.1, 0.7), (-0.5, 0.3, 0.5), (-0.5, 0.3, 0.0)):
         car.ask(cruise._replace(value=value), seconds, speed)
+    assert car.stop(speed=0.0).state == (HOLD if holds else NEUTRAL)
     decision = car.stop(20.0, speed=0.0)
-    assert decision[:4] == (-0.5, HOLD, "stopping", "it stands on a hill, and the brake holds it")
+    assert decision[:4] == ((-0.5, HOLD, "stopping", "it stands on a hill, and the brake holds it") if holds else
+                            (0.0, NEUTRAL, "stopping", "it stops in neutral"))

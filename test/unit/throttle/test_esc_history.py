@@ -34,7 +34,10 @@ def played(steps, config=CONFIG):
     pytest.param(DROVE, True, id="after_forward"),
     pytest.param([("lost", 0, 20), *DROVE], True, id="after_forward_also_when_messages_were_dropped_before_any_came"),
     pytest.param([("both", 0.4, 490)], False, id="not_after_forward_for_less_than_half_a_second"),
-    pytest.param([("both", 0.05, 500)], False, id="not_after_one_within_the_dead_band"),
+    pytest.param([("both", 0.07, 500)], False, id="not_after_one_within_the_dead_band"),
+    pytest.param([("both", 0.071, 500)], True, id="after_one_just_beyond_it"),
+    pytest.param([*DROVE, ("both", 0.05, 20), ("both", 0.0, 20)], True, id="also_after_a_push_within_the_dead_band"),
+    pytest.param([*DROVE, ("both", -0.01, 20), ("both", 0.0, 20)], True, id="also_after_what_rounds_to_neutral"),
     pytest.param([("sent", 0.4, 500)], False, id="not_where_the_board_never_said_so"),
     pytest.param([("both", 0.0, 10), ("sent", 0.4, 500)], False, id="not_while_the_board_holds_neutral"),
     pytest.param([*DROVE, ("both", 0.0, 5000), ("held", 0.0, 10)], False, id="not_while_the_board_is_silent_for_long"),
@@ -65,10 +68,13 @@ def test_esc_that_forgets_is_not_certain_to_brake_after_its_time():
 @pytest.mark.parametrize("steps, unlocked", [
     pytest.param([*BRAKES, ("both", 0.0, 300)], True, id="brake_and_neutral"),
     pytest.param([*BRAKES, ("both", 0.0, 200)], False, id="neutral_too_short"),
+    pytest.param([*DROVE, ("both", -0.07, 400), ("both", 0.0, 300)], False, id="brake_within_the_dead_band"),
+    pytest.param([*DROVE, ("both", -0.071, 400), ("both", 0.0, 300)], True, id="brake_just_beyond_it"),
     pytest.param([*DROVE, ("both", -0.5, 200), ("both", 0.0, 400)], False, id="brake_too_short"),
     pytest.param([*BRAKES, ("both", 0.0, 300), ("both", -0.5, 900), ("both", 0.0, 20), ("both", -0.5, 20)], True,
                  id="again_and_again"),
     pytest.param([*BRAKES, ("both", 0.0, 100), ("both", -0.5, 50), ("both", 0.0, 400)], False, id="a_short_pull"),
+    pytest.param([*BRAKES, ("both", 0.0, 100), ("sent", -0.5, 0), ("sent", 0.0, 400)], False, id="one_of_a_moment"),
     pytest.param([*BRAKES, ("both", 0.0, 100), ("both", -0.04, 50), ("both", 0.0, 400)], False, id="a_faint_one"),
     pytest.param([*DROVE, ("both", -0.5, 250), ("sent", 0.0, 20), ("sent", -0.5, 100), ("both", 0.0, 400)], False,
                  id="a_gap_that_the_board_did_not_report"),
@@ -79,6 +85,18 @@ def test_esc_that_forgets_is_not_certain_to_brake_after_its_time():
 def test_reverse_is_unlocked(steps, unlocked):
     history, now_ns = played(steps)
     assert history.is_unlocked(now_ns) == unlocked
+
+
+@pytest.mark.parametrize("steps, has_braked", [
+    pytest.param(BRAKES, True, id="while_it_is_pulled"),
+    pytest.param([*BRAKES, ("held", 0.0, 20)], True, id="though_a_guard_let_go"),
+    pytest.param([*BRAKES, ("both", 0.0, 100), ("both", -0.5, 20)], False, id="not_by_a_new_pull"),
+    pytest.param([*BRAKES, ("both", 0.0, 300), ("both", -0.5, 20)], True, id="by_a_pull_that_reverses"),
+    pytest.param([*BRAKES, ("both", 0.4, 20)], False, id="not_since_a_push"),
+])
+def test_esc_has_had_the_brake_before_reverse(steps, has_braked):
+    history, now_ns = played(steps)
+    assert history.has_braked(now_ns) == has_braked
 
 
 @pytest.mark.parametrize("is_measured, steps, still_ms, certain", [
@@ -97,8 +115,60 @@ def test_node_that_stood_still_while_the_board_held_a_pull_reckons_with_its_neut
     assert history.brake_is_certain(now_ns) == certain
 
 
+def test_push_that_the_board_held_until_its_next_message_counts_to_its_end():
+    history = EscHistory(CONFIG)
+    for at_ms in (0, 150, 300, 450):
+        history.update_sent(0.4, at_ms * MS)
+        history.update_held(0.4, at_ms * MS)
+    history.update_held(0.0, 500 * MS)
+    assert history.brake_is_certain(500 * MS)
+
+
+def test_push_of_a_car_that_may_roll_backward_counts_from_when_that_is_over():
+    history, now_ns = played(DROVE)
+    history.mark_backward(now_ns)
+    for lasts_ms, certain in ((0, False), (490, False), (10, True)):
+        for _ in range(lasts_ms // 10):
+            now_ns += 10 * MS
+            history.update_sent(0.4, now_ns)
+            history.update_held(0.4, now_ns)
+        assert history.brake_is_certain(now_ns) == certain
+
+
+def test_pull_and_neutral_have_lasted_for_the_dwell_also_between_two_messages():
+    history = EscHistory(CONFIG)
+    for at_ms, fraction in ((0, -0.5), (50, -0.5), (250, -0.5), (300, 0.0), (450, 0.0), (590, 0.0)):
+        for update in (history.update_sent, history.update_held):
+            update(fraction, at_ms * MS)
+        if at_ms == 250:
+            assert not history.has_braked(299 * MS) and history.has_braked(300 * MS)
+    assert not history.is_unlocked(599 * MS) and history.is_unlocked(600 * MS)
+
+
+def test_what_the_board_holds_is_known_for_two_and_a_half_seconds_and_counts_for_nothing_afterwards():
+    history, now_ns = played([*BRAKES, ("both", 0.0, 0)])
+    history.update_sent(0.0, now_ns + 2500 * MS)
+    assert history.is_known(now_ns + 2500 * MS) and not history.is_known(now_ns + 2500 * MS + 1)
+    assert history.neutral_ns(now_ns + 2500 * MS) == 2500 * MS
+    assert history.neutral_ns(now_ns + 2500 * MS + 1) == 0
+
+
+def test_pull_is_timed_while_it_is_known_and_ends_the_coasting_after_a_push():
+    history, now_ns = played(BRAKES)
+    assert (history.pulled_ns(now_ns), history.coasted_ns(now_ns)) == (400 * MS, 0)
+    assert history.pulled_ns(now_ns + 2501 * MS) == 0
+    assert played([*BRAKES, ("both", 0.0, 100)])[0].coasted_ns(now_ns + 100 * MS) == 0
+    assert played([*DROVE, ("both", 0.0, 100)])[0].coasted_ns(600 * MS) == 100 * MS
+
+
+def test_board_that_let_go_during_a_pause_has_had_neutral_since_then():
+    history, _ = played([("sent", 0.4, 0), ("held", 0.0, 0)])
+    history.resume(500 * MS)
+    assert history.neutral_ns(500 * MS) == 300 * MS
+
+
 def test_neutral_counts_where_it_is_sent_and_held():
-    history, now_ns = played([("both", 0.0, 100), ("sent", 0.2, 50), ("sent", 0.0, 300), ("held", 0.004, 200)])
+    history, now_ns = played([("both", 0.0, 100), ("sent", 0.2, 50), ("sent", 0.0, 300), ("held", 0.01, 200)])
     assert history.neutral_ns(now_ns) == 500 * MS
     history.update_held(0.02, now_ns)
     assert history.neutral_ns(now_ns) == 0

@@ -25,6 +25,8 @@ def motion(*speeds):
 def test_speed_is_unknown_before_the_first_after_half_a_second_and_if_it_is_no_car_s(speeds, age_ms, speed_mps):
     measured = motion(*speeds)
     assert measured.speed_mps((max(0, len(speeds) - 1) * 100 + age_ms) * MS) == speed_mps
+    if not speeds:
+        assert (measured.measured_ns, measured.is_stamped) == (-math.inf, False)
     measured.mark_stale()
     assert measured.speed_mps(0) is None and not measured.rolls_forward(0) and not measured.stands(0)
 
@@ -33,8 +35,9 @@ def test_speed_is_unknown_before_the_first_after_half_a_second_and_if_it_is_no_c
     (0.0, True, False, False), (0.09, True, False, False), (0.1, False, True, False), (-0.09, True, False, False),
     (-0.1, False, False, True)])
 def test_standstill_is_below_a_tenth_of_a_meter_a_second(speed_mps, stands, forward, backward):
-    measured = motion(speed_mps)
-    assert (measured.stands(0), measured.rolls_forward(0), measured.rolls_backward(0)) == (stands, forward, backward)
+    measured, later_ns = motion(speed_mps), 100 * MS  # no longer as if its wheels were locked
+    assert (measured.stands(later_ns), measured.rolls_forward(later_ns),
+            measured.rolls_backward(later_ns)) == (stands, forward, backward)
 
 
 def test_locked_wheels_are_no_standstill_until_the_car_must_have_stopped():
@@ -60,7 +63,12 @@ def test_a_pull_is_outlasted_by_what_the_tyres_cannot_stop_until_the_board_has_e
     for measured in (MeasuredMotion(EscConfig()), MeasuredMotion(EscConfig())):
         measured.update(speed_mps, S, age_ms * MS)
         assert measured.outlasts_a_pull(S) == rolls
-    assert not motion().outlasts_a_pull(0)
+    assert not motion().outlasts_a_pull(0) and motion().mps2_to_outlast_a_pull(0) == 0.0
+
+
+@pytest.mark.parametrize("speed_mps, is_faster", [(1.0 + 1e-9, True), (1.0, False)])
+def test_it_is_outlasted_only_by_a_car_that_is_faster_than_a_margin(speed_mps, is_faster):
+    assert motion(speed_mps).outlasts_a_pull(0, above_mps=1.0) == is_faster
 
 
 def test_a_speed_that_repeats_under_a_brake_is_no_newer_than_the_brake():
@@ -83,7 +91,8 @@ def test_a_speed_that_repeats_under_a_brake_is_no_newer_than_the_brake():
 @pytest.mark.parametrize("slows_mps2, late_ms, speed_mps, rolls", [
     (2.0, 0, 0.4, True), (2.0, 0, 0.3, False),  # (1.25 · 2 + 1) · 0.1 s
     (5.6, 0, 0.9, True), (5.6, 0, 0.7, False),  # no more than 8 · 0.1 s
-    (2.0, 90, 0.7, True), (2.0, 90, 0.6, False), (2.0, 110, 1.6, False),  # it may have hit something since
+    (2.0, 100, 0.8, True), (2.0, 90, 0.6, False), (2.0, 110, 1.6, False),  # it may have hit something since
+    (0.0, 0, 0.15, True), (0.0, 0, 0.09, False),  # a brake without effect may begin to have one: 1 · 0.1 s
 ])
 def test_a_brake_that_is_held_slows_by_little_more_than_it_did(slows_mps2, late_ms, speed_mps, rolls):
     measured, since_ns = MeasuredMotion(EscConfig()), 0
@@ -93,7 +102,16 @@ def test_a_brake_that_is_held_slows_by_little_more_than_it_did(slows_mps2, late_
     now_ns = S + late_ms * MS
     assert measured.outlasts_a_pull(now_ns, 0.0, since_ns) == rolls
     assert not measured.outlasts_a_pull(now_ns, speed_mps, since_ns)
-    assert not measured.outlasts_a_pull(now_ns, 0.0, S - 100 * MS) or speed_mps > 0.8  # braked for too short a time
+    assert measured.outlasts_a_pull(now_ns, 0.0, S - 230 * MS) == rolls
+    assert not measured.outlasts_a_pull(now_ns, 0.0, S - 229 * MS) or speed_mps > 0.8  # braked for too short a time
+
+
+@pytest.mark.parametrize("speed_mps, rolls", [(0.48, True), (0.46, False)])
+def test_what_a_brake_did_more_than_0_3_s_ago_does_not_count(speed_mps, rolls):
+    measured = MeasuredMotion(EscConfig())
+    for index in range(30, -1, -1):  # 0.3 m/s in 20 ms, and then 2 m/s²: 0.9 m/s in 0.3 s, times 1.25, and 1
+        measured.update(speed_mps + 0.04 * min(index, 15) + 0.3 * (index > 14), S - index * 20 * MS)
+    assert measured.outlasts_a_pull(S, 0.0, 0) == rolls
 
 
 def test_a_speed_is_as_old_as_it_was_when_it_arrived():
@@ -104,6 +122,63 @@ def test_a_speed_is_as_old_as_it_was_when_it_arrived():
     assert measured.speed_mps(1200 * MS) == 3.0 and measured.speed_mps(1201 * MS) is None
     measured.update(0.0, 1650 * MS, 300 * MS)
     assert measured.stands(1700 * MS) and not measured.stands(1699 * MS)  # 3 m/s ÷ 3 m/s² after it was measured
+
+
+@pytest.mark.parametrize("age_ns, measured_ns, is_stamped", [(-1, S, False), (0, S, False), (1, S - 1, True)])
+def test_speed_has_a_stamp_if_it_says_an_age(age_ns, measured_ns, is_stamped):
+    measured = MeasuredMotion(EscConfig())
+    measured.update(1.0, S, age_ns)
+    assert (measured.measured_ns, measured.is_stamped) == (measured_ns, is_stamped)
+
+
+def test_speed_is_fresh_for_150_ms_since_it_was_measured():
+    measured = MeasuredMotion(EscConfig())
+    assert not measured.is_fresh(S)
+    measured.update(1.0, S, 50 * MS)
+    assert measured.is_fresh(S + 100 * MS) and not measured.is_fresh(S + 100 * MS + 1)
+
+
+@pytest.mark.parametrize("speed_mps, since_ns, rolled", [
+    (0.1, 0, True), (0.1, 1, False), (0.099, 0, False), (-1.0, 0, False)])
+def test_newest_speed_says_whether_it_rolled_forward_since(speed_mps, since_ns, rolled):
+    assert motion(speed_mps).rolled_forward_since(since_ns) == rolled
+
+
+@pytest.mark.parametrize("speed_mps, stands", [(0.099, True), (0.1, False), (-0.1, False)])
+def test_wheels_that_turned_faster_than_at_standstill_may_be_locked(speed_mps, stands):
+    measured = motion(speed_mps)
+    measured.update(0.0, 33 * MS)
+    assert measured.stands(33 * MS) == stands and measured.stands(34 * MS)  # 0.1 m/s ÷ 3 m/s²
+
+
+def test_car_may_roll_backward_until_a_speed_was_measured_once_the_motor_has_let_go_of_reverse():
+    measured = motion(0.0)
+    assert not measured.may_roll_backward(0)
+    for at_ms, may in ((100, True), (150, True), (151, False), (152, False)):
+        if at_ms < 101:
+            measured.update_reverse(0)
+        measured.update(0.0, at_ms * MS)
+        assert measured.may_roll_backward(at_ms * MS) == may
+
+
+def test_car_that_rolled_backward_may_do_so_until_a_later_speed_says_otherwise():
+    measured = motion(-0.1)
+    assert measured.may_roll_backward(0) and measured.may_roll_backward(10 * S)
+    measured.update(-0.1, 20 * S)
+    assert measured.may_roll_backward(20 * S)
+    measured.update(-0.09, 20 * S)
+    assert measured.may_roll_backward(20 * S)
+    measured.update(-0.09, 20 * S + 1)
+    assert not measured.may_roll_backward(20 * S + 1) and not measured.may_roll_backward(30 * S)
+
+
+def test_without_odometry_a_car_has_rolled_out_3_s_after_the_motor_let_go():
+    measured = motion()
+    measured.update_reverse(0)
+    assert measured.may_roll_backward(3150 * MS) and not measured.may_roll_backward(3150 * MS + 1)
+    lost = motion(0.0)
+    lost.update_reverse(0)
+    assert lost.may_roll_backward(10 * S)
 
 
 def checked(*speeds, is_reverse=False, after_reverse=False, late_ms=0):
@@ -129,6 +204,7 @@ def checked(*speeds, is_reverse=False, after_reverse=False, late_ms=0):
     ([-0.19] * 9, {}, ("", None)),
     ([-0.3, -0.3, -0.3, 0.0, -0.3, -0.3], {}, ("", None)),
     ([0.4] * 9, {"is_reverse": True}, ("it rolled forward at 0.4 m/s in reverse", 200)),
+    ([0.2] * 9, {"is_reverse": True}, ("", None)), ([-0.2] * 9, {}, ("", None)),
     ([-2.0] * 9, {"is_reverse": True}, ("", None)),
     # it may roll out after reverse, but neither get faster nor set off again
     ([-1.0, -0.9, -0.8, -0.7, -0.6, -0.5], {"after_reverse": True}, ("", None)),
@@ -154,20 +230,59 @@ def test_unknown_speed_neither_tells_nor_forgets():
     assert check.check(measured, False, 350 * MS)
 
 
+def found_at(*steps):
+    """The times (ms) at which a check finds something, of (ms, speed, changes of what it is told)."""
+    check, measured, found = MotionCheck(EscConfig()), MeasuredMotion(EscConfig()), []
+    for at_ms, speed_mps, told in steps:
+        measured.update(speed_mps, S + at_ms * MS)
+        if check.check(measured, now_ns=S + at_ms * MS, **{"is_reverse": False, **told}):
+            found.append(at_ms)
+    return found
+
+
+REVERSES, WANTED = {"is_reverse": True}, {"wants_backward": True}
+
+
+def test_motion_against_the_state_that_lasts_is_found_again_after_the_time():
+    assert found_at((0, 0.0, {}), *((at_ms, -0.5, {}) for at_ms in range(50, 600, 50))) == [250, 500]
+
+
+@pytest.mark.parametrize("told", [REVERSES, WANTED])
+def test_car_may_roll_out_as_fast_as_it_was_when_reverse_or_the_wish_for_it_was_seen_last(told):
+    after = [(at_ms, -0.9, {}) for at_ms in range(300, 900, 50)]
+    assert found_at((0, 0.0, {}), (50, -0.9, told), *after) == []
+    assert found_at((0, 0.0, {}), *after) == [500, 750]
+
+
+@pytest.mark.parametrize("slowed_mps, found", [(-0.09, [300]), (-0.1, [])])
+def test_car_that_stood_may_not_set_off_backward_again(slowed_mps, found):
+    assert found_at((0, -0.5, {}), (50, slowed_mps, {}), *((at_ms, -0.25, {}) for at_ms in (100, 200, 300))) == found
+
+
+@pytest.mark.parametrize("late_ms, found", [(150, []), (151, [380])])
+def test_car_may_get_faster_until_the_motor_has_let_go_of_reverse(late_ms, found):
+    assert found_at((0, -0.5, REVERSES), (late_ms, -0.5, {}), *((at_ms, -0.9, {}) for at_ms in (180, 380))) == found
+
+
 class Roll:
     def __init__(self):
-        self.watch, self._motion = HillWatch(), MeasuredMotion(EscConfig())
-        self._now_ns, self._speed_mps = S, 0.0
+        self.watch, self.motion = HillWatch(), MeasuredMotion(EscConfig())
+        self.now_ns, self._speed_mps = S, 0.0
+
+    def measure(self, speed_mps):
+        self.now_ns += 20 * MS
+        self.motion.update(speed_mps, self.now_ns)
+        self.watch.step(0.0, self.motion, self.now_ns)
 
     def then(self, fraction, seconds, speed_mps, noise=0.0):
         """The speed changes evenly to that."""
         steps = round(seconds / 0.02)
         change_mps = (speed_mps - self._speed_mps) / steps
         for index in range(steps):
-            self._now_ns += 20 * MS
+            self.now_ns += 20 * MS
             self._speed_mps += change_mps
-            self._motion.update(self._speed_mps * (1 + noise * (-1) ** index), self._now_ns)
-            self.watch.step(fraction, self._motion, self._now_ns)
+            self.motion.update(self._speed_mps * (1 + noise * (-1) ** index), self.now_ns)
+            self.watch.step(fraction, self.motion, self.now_ns)
         return self
 
 
@@ -181,7 +296,35 @@ def test_a_car_that_gets_faster_in_neutral_is_driven_by_a_hill(speed_mps, after_
 
 
 def test_what_the_motor_still_does_just_after_a_push_is_no_hill():
-    assert not Roll().then(0.3, 0.5, 0.3).then(0.0, 0.1, 0.36).then(0.0, 0.5, 0.3).watch.drives_the_car
+    assert not Roll().then(0.3, 0.5, 0.3).then(0.0, 0.1, 0.36).watch.drives_the_car
+    assert Roll().then(0.3, 0.5, 0.3).then(0.0, 0.12, 0.3).then(0.0, 0.02, 0.36).watch.drives_the_car
+
+
+def test_a_car_at_just_more_than_standstill_rolls():
+    assert Roll().then(0.3, 0.02, 0.1).then(0.0, 0.3, 0.1).then(0.0, 0.02, 0.13).watch.drives_the_car
+
+
+@pytest.mark.parametrize("speed_mps, drives", [(0.3 * (1 + 0.03) + 0.02, True), (0.328, False)])
+def test_a_gain_is_one_from_odometry_s_noise_on(speed_mps, drives):
+    roll = Roll().then(0.3, 0.5, 0.3)
+    for each_mps in (*[0.3] * 7, speed_mps):
+        roll.measure(each_mps)
+    assert roll.watch.drives_the_car == drives
+
+
+@pytest.mark.parametrize("speed_mps, drives", [(0.36 - 0.05, False), (0.311, True)])
+def test_a_loss_in_neutral_is_one_from_0_05_on(speed_mps, drives):
+    roll = Roll().then(0.3, 0.5, 0.3)
+    for each_mps in (*[0.3] * 7, 0.36, speed_mps):
+        roll.measure(each_mps)
+    assert roll.watch.drives_the_car == drives
+
+
+def test_what_it_gained_while_its_speed_was_unknown_is_no_hill_s():
+    roll = Roll().then(0.3, 0.5, 0.3).then(0.0, 0.5, 0.3)
+    roll.motion.mark_stale()
+    roll.watch.step(0.0, roll.motion, roll.now_ns)
+    assert not roll.then(0.0, 0.02, 0.4).then(0.0, 0.3, 0.4).watch.drives_the_car
 
 
 def test_it_counts_while_the_car_is_pushed_and_braked_until_it_stood_or_slowed_in_neutral():

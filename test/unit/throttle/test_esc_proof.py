@@ -1,5 +1,7 @@
 """When an ESC has shown that its brake doesn't become reverse: the whole story, and nothing less."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from car_interface.throttle.esc_config import EscConfig
@@ -62,6 +64,44 @@ def test_what_is_no_such_story_proves_nothing_however_often(changes):
     for _ in range(5):
         story.once(**changes)
     assert not story.proof.is_given
+
+
+def is_proven(pull_ms=300, pull=-0.5, first_mps=1.0, slowed_ms=300, slow_mps=0.3, lets_go=False, held_ms=1000,
+              pulled_ms=1000, pause_ms=0, push_mps=0.0, wait_ms=1000, again_mps=0.3):
+    """Whether a story is one that proves it; by default it just does, at each of its limits."""
+    proof, now_ns = BrakeProof(0.5), S
+
+    def step(later_ms, fraction, speed_mps, pulled_ms=0):
+        nonlocal now_ns
+        now_ns += later_ms * MS
+        motion = SimpleNamespace(measured_ns=now_ns, speed_mps=lambda _: speed_mps, stands=lambda _: speed_mps < 0.1)
+        proof.step(fraction, fraction > 0, pulled_ms * MS, motion, now_ns)
+
+    step(0, 0.5, 2.0)
+    step(pull_ms, 0.0, first_mps)
+    step(0, pull, first_mps)
+    step(slowed_ms, pull, slow_mps)
+    if lets_go:
+        step(20, 0.0, slow_mps)
+    step(20, pull, 0.0)
+    step(held_ms, pull, 0.0, pulled_ms)
+    step(pause_ms, 0.0, 0.0)
+    step(0, 0.5, push_mps)
+    step(wait_ms, 0.5, 0.0)
+    step(20, 0.5, again_mps)
+    return proof.is_given
+
+
+@pytest.mark.parametrize("changes, proven", [
+    ({}, True), ({"pull_ms": 301}, False), ({"pull": -0.499}, False), ({"first_mps": 0.999}, False),
+    ({"slow_mps": 0.301}, False), ({"first_mps": 1.05, "slowed_ms": 500}, True),  # 1.5 m/s²
+    ({"first_mps": 1.05, "slowed_ms": 501}, False), ({"first_mps": 1.3, "slowed_ms": 100}, True),  # 10 m/s²
+    ({"first_mps": 1.3, "slowed_ms": 99}, False), ({"lets_go": True}, False), ({"held_ms": 999}, False),
+    ({"pulled_ms": 999}, False), ({"pause_ms": 60_000}, True), ({"push_mps": 0.3, "again_mps": 0.0}, False),
+    ({"wait_ms": 1001}, False), ({"again_mps": 0.299}, False),
+], ids=str)
+def test_each_limit_of_the_story(changes, proven):
+    assert is_proven(**changes) == proven
 
 
 def test_a_speed_that_was_unknown_in_between_breaks_the_story_and_takes_away_no_proof():

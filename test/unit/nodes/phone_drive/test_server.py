@@ -102,8 +102,10 @@ def test_texts_pass_both_ways_and_a_closed_page_is_reported(server, node, port):
 
 @pytest.mark.parametrize("origin, host", [
     ("http://evil.example", None), ("null", None), ("", None), ("http://127.0.0.1:1", None),
-    ("http://evil.example:{port}", "evil.example:{port}"), (None, "evil.example:{port}"), (None, "127.0.0.1"),
-], ids=["other_origin", "sandbox", "no_origin", "other_port", "dns_rebinding", "other_host", "host_without_port"])
+    ("https://127.0.0.1:{port}", None), ("http://evil.example:{port}", "evil.example:{port}"),
+    (None, "evil.example:{port}"), (None, "127.0.0.1"),
+], ids=["other_origin", "sandbox", "no_origin", "other_port", "https", "dns_rebinding", "other_host",
+        "host_without_port"])
 def test_page_of_another_origin_or_under_another_name_gets_no_connection(server, node, port, origin, host):
     with pytest.raises(HTTPClientError, match="403"):
         asyncio.run(connect(port, origin and origin.format(port=port), host and host.format(port=port)))

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from car_interface.common.errors import ConfigError
 from car_interface.teensy.link.protocol import BACKWARD, FORWARD, NO_DIRECTION, Wheel, WheelStatus
 from car_interface.teensy.sensing.odometry import Odometry, OdometryConfig
+from car_interface.teensy.sensing.unseen_path import reversed_path
 
 PULSE_M = math.pi * 0.095 / 20
 TRACK_M = 0.296
@@ -29,6 +30,13 @@ class Axle:
         left, right = self.wheels
         self.motion = self.odometry.report(WheelStatus(left, right), pulses, restarted, left.when, right.when,
                                            self.ms if at_ms is None else at_ms)
+        return self.motion
+
+    def reboot(self, after_ms):
+        """Lose all counts: the first report is that of wheels that have made no pulse yet."""
+        self.ms += after_ms
+        self.wheels = [Wheel(0, NO_DIRECTION, 0, 0, 0)] * 2
+        self.motion = self.odometry.report(WheelStatus(*self.wheels), (0, 0), True, -math.inf, -math.inf, self.ms)
         return self.motion
 
     def roll(self, speeds_mps, duration_s, step_ms=1.0):
@@ -105,6 +113,40 @@ def test_pulses_of_unknown_time_after_a_restart_leave_every_number_finite():
         axle.motion = axle.odometry.report(WheelStatus(*axle.wheels), (2, 2), count == 2, -math.inf, -math.inf, axle.ms)
         assert all(map(math.isfinite, (axle.motion.x_m, axle.motion.speed_mps, axle.motion.speed_variance)))
     assert math.isfinite(axle.roll((1.0, 1.0), 1.0).x_m)
+
+
+def test_speed_is_open_by_2_mps2_for_all_of_the_time_without_counts():
+    axle = Axle()
+    axle.roll((1.0, 1.0), 2.0)
+    axle.roll((0, 0), 2.0)
+    assert 3 * math.sqrt(axle.reboot(1500).speed_variance) == pytest.approx(2.0 * 1.5, rel=0.01), "both wheels alike"
+
+
+def test_places_that_are_only_predicted_align_no_wheels():
+    axle = Axle()
+    axle.roll((0.5, 0.4), 0.15)
+    assert axle.motion.yaw_rad == 0.0, "not aligned yet"
+    assert axle.reboot(1200).yaw_rad == 0.0
+
+
+def test_reversals_after_a_boot_are_uncertain_behind_the_part_without_counts():
+    ends = []
+    for unsplit in ((0, 0), (10, 14)):
+        axle = Axle()
+        axle.roll((1.0, 1.0), 2.0)
+        axle.reboot(1000)
+        for count in range(1, 10):
+            axle.ms += 15.0
+            axle.wheels = [Wheel(0, FORWARD, round(axle.ms), 1, count)] * 2
+            unproven = (int(count <= 2),) * 2
+            axle.motion = axle.odometry.report(
+                WheelStatus(*axle.wheels), (1 - unproven[0],) * 2, False, axle.ms, axle.ms, axle.ms + 0.5, unproven,
+                unsplit if count == 4 else (0, 0))
+        ends.append(axle.motion)
+    path = reversed_path(12 * PULSE_M, 4 * PULSE_M / TRACK_M, False)
+    across = ends[1].pose_covariance[1][1] - ends[0].pose_covariance[1][1]
+    rest_m = 10 * PULSE_M
+    assert path.across_variance < across < path.across_variance + path.heading_variance * rest_m ** 2 * 1.1
 
 
 def test_wheels_in_opposite_directions_turn_the_car_where_it_stands():

@@ -188,6 +188,7 @@ def test_parked_car_has_stood_until_the_last_report_before_the_boot(boot_ms, sto
     for after_ms in (0, 200, 400, 600, 1200, 1400):
         some.report(BEFORE_MS + after_ms)
     some.restart(boot_ms)
+    some.restart()
     some.report(BEFORE_MS + 2400)
     for side in (LEFT, RIGHT):
         some.add(side, 2, 1, BEFORE_MS + 2450)

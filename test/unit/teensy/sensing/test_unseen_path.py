@@ -87,4 +87,5 @@ def test_one_reversal_is_the_likeliest_and_three_are_within_three_sigma():
     path = reversed_path(-1.5, 0.3, True)
     assert path.legs == ((-1.5, 0.3),)
     assert 3 * math.sqrt(path.along_variance) == pytest.approx(2 * 1.5), "all of it may have been the other way"
-    assert path.heading_covariance ** 2 < path.along_variance * path.heading_variance
+    tight = reversed_path(-0.5, 0.6, True)
+    assert 0.9 < tight.heading_covariance ** 2 / (tight.along_variance * tight.heading_variance) < 1.0

@@ -14,7 +14,7 @@ from car_interface.tools.calibration.shared import NothingToFit
 from car_interface.tools.calibration.steering import calibrate as module
 from car_interface.tools.calibration.steering.calibrate import calibrate, yaml_text
 from car_interface.tools.calibration.steering.ends import Side
-from car_interface.tools.calibration.steering.table import DRIVEN, END, LEFT, RIGHT
+from car_interface.tools.calibration.steering.table import DRIVEN, END, LEFT, OLD, RIGHT
 from car_interface.tools.calibration.steering.understeer import Understeer
 from tools.calibration.steering.known_curve import line_curve, recorded
 
@@ -68,6 +68,16 @@ def test_radii_are_chosen_by_the_drives_or_continued_to_almost_straight_on(fits)
     assert radii_m == sorted(set(radii_m))
     asked = calibrate([recorded()], BASE, (1.0, 2.0, 20.0)).points[RIGHT]
     assert [point.radius_m for point in asked] == [1.0, 2.0, 20.0, 30.0, 50.0, 100.0, 300.0]
+
+
+def test_side_that_was_not_driven_keeps_its_old_duties_and_is_a_problem(fits):
+    fits[None] = line_curve(high=5200.0, right=Side(5200.0, 0.0, 0.001, False, False, 5200.0))
+    found = calibrate([recorded()], BASE, (1.0, 2.0, 100.0))
+    assert duties(found, RIGHT) == [6500, 5900, 5200]  # 5110 would be left of the center that was found
+    assert {point.source for point in found.points[RIGHT]} == {OLD}
+    assert found.ends == {LEFT: 4000.0, RIGHT: 6600}
+    assert duties(found, LEFT) == pytest.approx([4000, 4600, 5188])
+    assert [problem.split(":")[0] for problem in found.problems] == ["no data for right turns"]
 
 
 @pytest.mark.parametrize("is_stop, duty", [(False, 3600), (True, 4000.0)], ids=["limit_stays", "stop_is_the_end"])
