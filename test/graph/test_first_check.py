@@ -188,6 +188,8 @@ def test_whole_conversation_on_a_box_and_its_files_and_page(tmp_path):
     for line in ("turn_arb.yaml: servo_left 3800 → 38", "turn_arb.yaml: servo_center 5100 → 49",
                  "throttle.yaml: esc/profile unverified → brake_then_reverse", "Y yes, and a page"):
         assert line in text
+    answers = [line for line in car.terminal.lines if line.startswith(("fine ", "learned ", " " * 16))]
+    assert max(map(len, answers)) < car.terminal.width  # so that the terminal cuts no word
     assert sorted(os.listdir(car.folder)) == sorted(os.listdir(CONFIG))  # nothing is written yet
     car.type("y")
     assert not car.program.is_alive and car.program.fault == ""
@@ -305,8 +307,8 @@ def test_board_s_node_that_cannot_be_killed_is_not_asked_about(tmp_path):
     car.pad(autonomous=True)
     car.graph.run(0.5)
     car.type("k", 0.3)
-    assert ("not asked       killing the servo board's node: it couldn't be killed: /pca9685 runs on another computer"
-            in car.terminal.lines)
+    assert ("not asked killing the servo board's node: it couldn't be killed: /pca9685 runs on another computer"
+            in car.terminal.text)
 
 
 @pytest.mark.once

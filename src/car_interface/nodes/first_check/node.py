@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import os
 import signal
+import textwrap
 from functools import partial
 from typing import Any, Callable, Mapping
 
@@ -215,8 +216,9 @@ class FirstCheckNode:
     def _summarize(self):
         self._text.keep()
         for title, result in self._check.results:
-            self._text.say(f"{result.verdict:<15} {title}: {result.answer}"
-                           + (f"\n{'':<15} -> {result.repair}" if result.repair else ""))
+            self._say_beside(result.verdict, f"{title}: {result.answer}")
+            if result.repair:
+                self._say_beside("", f"-> {result.repair}")
         try:
             mapped = self._entries.get(self._model) or ()
             self._edits = plan(self._folder, self._check.changes(), mapped)
@@ -228,6 +230,11 @@ class FirstCheckNode:
         question = f"Write this to {self._folder}? The old files are kept beside it." if lines else "Write the page?"
         self._text.say(f"{question}\nY yes, and a page{'   N only the page' if lines else ''}   P previous   Q nothing")
         self._stage = self._confirm
+
+    def _say_beside(self, verdict, text):
+        """Print a text in a column of its own."""
+        self._text.say(textwrap.fill(text, max(40, self._text.width - 1), initial_indent=f"{verdict:<16}",
+                                     subsequent_indent=" " * 16, break_on_hyphens=False))
 
     def _confirm(self, now_ns, typed):
         answer = next((key for key in typed.lower() if key in "ynpq"), "")
