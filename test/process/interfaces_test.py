@@ -98,6 +98,7 @@ class Interfaces(unittest.TestCase):
         cls.folder = tempfile.mkdtemp()
         cls.inputs = Inputs()
         cls.car = Car(cls.inputs)
+        cls.values = Topic("/generic/output/value", Float64Stamped)
         cls.human = Topic("/teleop_logi/human_in_loop", Bool)
         cls.pressed = False  # the manual deadman, with the sticks at full left and full ahead
         cls.inputs.hold("/joy", cls.joy)
@@ -144,6 +145,16 @@ class Interfaces(unittest.TestCase):
         self.assertLessEqual({"/turn_arb/set_parameters", "/turn_arb/save", "/throttle_arb/servo/set_parameters",
                               "/throttle_arb/save"}, services)
 
+    def test_commands_have_sixteen_channels_of_which_each_node_sets_its_own(self):
+        mark = self.car.commands.mark()
+        for channel, sender in ((0, "/turn_arb"), (1, "/throttle_arb")):
+            vector = self.car.commands.wait_for(
+                lambda vector, sender=sender: vector._connection_header["callerid"] == sender, mark).what
+            self.assertEqual((len(vector.data), vector.data[:channel] + vector.data[channel + 1:]), (16, (-1,) * 15))
+            self.assertGreaterEqual(vector.data[channel], 0)
+            self.assertEqual(vector.layout.data_offset, 0)
+            self.assertEqual([(dim.label, dim.size, dim.stride) for dim in vector.layout.dim], [("pwm_channel", 16, 1)])
+
     def test_line_of_the_install_page_commands_a_servo_board_as_typed(self):
         with open(os.path.join(PACKAGE, "docs/install.md"), encoding="utf-8") as file:
             line = next(line for line in file if line.startswith("    rostopic pub /command "))
@@ -157,6 +168,14 @@ class Interfaces(unittest.TestCase):
         typed.end()
         outputs.wait_for(lambda output: output.data == (0,) * 16, outputs.mark())
         self.assertEqual(board.end(), 0)
+
+    def test_acceleration_becomes_a_value_by_the_map_that_the_launch_file_names(self):
+        command, odometry = Control(), Odometry()
+        command.longitudinal.acceleration, odometry.twist.twist.linear.x = 1.479, 1.0  # the map's point for 1.2
+        self.inputs.hold("/control/command/control_cmd", command)
+        self.inputs.hold("/odom", odometry)
+        self.addCleanup(self.inputs.drop, "/control/command/control_cmd", "/odom")
+        self.values.wait_for(lambda value: abs(value.data - 1.2) < 1e-6)
 
     def test_originals_parameters_are_found_in_the_root_namespace_from_two_namespaces_within(self):
         """Where the original's params.yaml is loaded."""

@@ -15,8 +15,8 @@ import unittest
 
 import rospy
 import rostest
-from car_interface.msg import LinkStatus
-from car_interface.srv import InjectFault, SetSonarWait
+from car_interface.msg import Distance, Error, LinkStatus, Pong, Wheel
+from car_interface.srv import InjectFault, SetSonarSequence, SetSonarWait
 from std_srvs.srv import Trigger
 
 from closing import HOLDER, pid_of
@@ -108,6 +108,25 @@ class LaunchedCar(unittest.TestCase):
         mark = self.links.mark()
         self.assertTrue(self.inject(name, value).success)
         return mark
+
+    def test_raw_topics_have_the_original_names_and_types(self):
+        types = dict(rospy.get_published_topics())
+        topics = {}
+        for name, message_type in (("pong", Pong), ("wheel", Wheel), ("distance", Distance), ("error", Error)):
+            self.assertEqual(types[f"/teensy_{name}"], f"car_interface/{name.capitalize()}")
+            topics[name] = Topic(f"/teensy_{name}", message_type).connected()
+        eventually(lambda: call("teensy_sensor_hub", "get_counters")[0], "a request that isn't too early")
+        for topic in topics.values():
+            topic.wait_for_count(1)
+
+    def test_services_answer_as_on_a_terminal(self):
+        eventually(lambda: re.match(r"pong after \d+\.\d ms$", call("teensy_sensor_hub", "ping")[1]), "a pong in time")
+        for name, service_type, arguments in (
+                ("sonar_stop", Trigger, ()), ("wheel_reset", Trigger, ()), ("sonar_start", Trigger, ()),
+                ("set_sonar_sequence", SetSonarSequence, (range(6),)), ("set_sonar_wait", SetSonarWait, (50,))):
+            self.assertEqual(call("teensy_sensor_hub", name, service_type, *arguments), (True, "sent"))
+        self.assertEqual(call("teensy_sensor_hub", "set_sonar_sequence", SetSonarSequence, [0, 6]),
+                         (False, "there is no sonar 6: ids go from 0 to 5"))
 
     def test_port_that_is_unplugged_is_opened_again_under_another_name_behind_its_link(self):
         device, before = os.readlink(self.port), self.links.since()[-1]

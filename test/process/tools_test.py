@@ -37,6 +37,7 @@ ESCAPES = re.compile(r"\x1b\[[0-9;]*[A-Za-z]|\r")
 READY = "To drive: "
 WAITS = "^waits: no deadman is held; hold the autonomous deadman and it begins"
 NOWHERE = "http://127.0.0.1:1"
+ATTEMPTS, ATTEMPT_S = 6, 20
 
 
 class Hand:
@@ -95,6 +96,36 @@ class Tools(unittest.TestCase):
         self.truth.wait_for(lambda truth: truth.twist.twist.linear.x == 0.0, self.truth.mark())
 
     # --- keys ---
+
+    def hold_until_it_drives(self, terminal):
+        """Deadman, then the key that goes faster; again where a node stood still, which then waits for the release."""
+        for _ in range(ATTEMPTS):
+            hand, mark = Hand(self, terminal, b"m"), self.truth.mark()
+            try:
+                terminal.lines.wait_for(lambda line: "steers: TELEOP, tele_steer_req" in line, terminal.lines.mark(),
+                                        ATTEMPT_S)
+                hand.let_go()
+                hand = Hand(self, terminal, b"w")
+                self.truth.wait_for(lambda truth: truth.twist.twist.linear.x > 0.3, mark, ATTEMPT_S)
+                return hand
+            except AssertionError:
+                hand.let_go()
+                self.wait_for_steering(SteeringState.NO_HUMAN)
+        raise AssertionError("it doesn't drive")
+
+    def test_keyboard_drives_the_car_and_is_alone_and_its_terminal_is_restored(self):
+        terminal = self.terminal(executable("keyboard_drive"))
+        terminal.wait_for_line(READY)
+        self.assertNotEqual(terminal.settings(), terminal.settings_before)
+        terminal.wait_for_line("steers: NO_HUMAN, human_in_loop is false: no deadman is held")
+        faster = self.hold_until_it_drives(terminal)
+        second = self.terminal(executable("keyboard_drive"), "__name:=second")
+        second.wait_for_line("/keyboard_drive publishes /joy already. End it first: rosnode kill /keyboard_drive")
+        self.assertEqual(second.wait_for_exit(), 1)
+        faster.let_go()
+        self.wait_for_steering(SteeringState.NO_HUMAN)
+        self.wait_until_it_stands()
+        self.assertEqual((terminal.wait_for_exit(b"q"), terminal.settings()), (0, terminal.settings_before))
 
     def test_keyboard_restores_its_terminal_however_it_ends_and_is_refused_without_one(self):
         endings = {"ctrl-c": lambda terminal: terminal.type(b"\x03"),
