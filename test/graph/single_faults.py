@@ -452,9 +452,13 @@ def run(drive: Drive, case: Case, kind: Kind, after_s: float) -> Judged:
     """Make the fault, have the person act some time after it, and judge what servo, ESC and car did.
 
     Args:
-        after_s: when the person acts.
+        after_s: when the person acts; below 0: before the fault, which falls into the stop.
     """
-    graph, fault_ns = drive.graph, drive.graph.now_ns
+    graph = drive.graph
+    if after_s < 0 and case.action != "nothing":
+        drive.act(case.action)
+        graph.run(-after_s)
+    fault_ns = graph.now_ns
     way_s = 0.02 * (drive.phone is not None)  # the phones' network
     kind.make(drive)
     stops = {pin: timeout_s for pin, timeout_s in kind.stops.items()
@@ -466,7 +470,7 @@ def run(drive: Drive, case: Case, kind: Kind, after_s: float) -> Judged:
                  UNDO_S + 0.1 if kind.undo and stops else 0.0]) + TICK_S + SETTLE_S
     if kind.undo is not None:
         graph.after(UNDO_S, lambda: kind.undo(drive))
-    if case.action != "nothing":
+    if after_s >= 0 and case.action != "nothing":
         graph.after(after_s, lambda: drive.act(case.action))
     graph.run(end_s)
     end_ns = graph.now_ns
