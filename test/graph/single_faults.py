@@ -315,7 +315,7 @@ OTHERS = {
     "radius NaN": Kind(also("/av_turnrad_req", Float32(NAN))), "speed NaN": Kind(also("/av_speed_req", Float32(NAN))),
     "value NaN": Kind(also("/generic/output/value", Float64Stamped(data=NAN))),
     "acceleration NaN": Kind(also(CONTROL, control(NAN))), "odometry NaN": Kind(also("/odom", odometry(NAN))),
-    "steering NaN": Kind(also("/teleop_logi/tele_steer_req", Float32(NAN))),
+    "steering NaN": Kind(also("/teleop_logi/tele_steer_req", Float32(NAN)), centers=True),
     "throttle NaN": Kind(also("/teleop_logi/tele_throt_req", Float32(NAN))),
 }
 KINDS: dict[str, Kind] = {**dict(link_kinds()), **dict(node_kinds()), **OTHERS}
