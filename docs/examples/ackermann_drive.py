@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
-"""The planner of docs/planners.md by Ackermann's messages: it drives where there is more room, and stops within 0.8 m."""
+"""Drives where there is more room, and stops for a thing within 0.8 m: docs/planners.md's, by Ackermann's messages."""
 import rospy
 from sensor_msgs.msg import Range
+
 from car_interface.nodes.planner_interface.ackermann_messages import ackermann_drive_class
 
 AckermannDriveStamped = ackermann_drive_class()  # else: from ackermann_msgs.msg import AckermannDriveStamped
