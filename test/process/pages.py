@@ -7,9 +7,7 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 
 
 def first_planner(topic: str) -> str:
-    """Return the first planner that publishes on a topic: the example for `drive`, else as planners.md has it."""
-    if topic == "drive":
-        return (DOCS / "examples/ackermann_drive.py").read_text(encoding="utf-8")
+    """Return the program of planners.md that publishes on a topic, as a person would copy it."""
     blocks, lines = [], []
     for line in (DOCS / "planners.md").read_text(encoding="utf-8").splitlines():
         if line.startswith("    ") or not line and lines:
