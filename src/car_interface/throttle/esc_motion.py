@@ -203,7 +203,7 @@ class MotionCheck:
         """
         speed_mps = motion.speed_mps(now_ns)
         if is_reverse:
-            self._reverse_until_ns = now_ns + MOTOR_LAG_NS
+            self._reverse_until_ns, self._max_backward_mps = now_ns + MOTOR_LAG_NS, math.inf
         if speed_mps is None:
             return ""
         was_reverse = wants_backward or motion.measured_ns <= self._reverse_until_ns
@@ -220,7 +220,6 @@ class MotionCheck:
     def _against(self, speed_mps, is_reverse, was_reverse):
         margin_mps = self._config.motion_speed_mps
         if is_reverse:
-            self._max_backward_mps = math.inf
             return f"it rolled forward at {speed_mps:.1f} m/s in reverse" if speed_mps > margin_mps else ""
         if was_reverse:
             self._max_backward_mps = math.inf

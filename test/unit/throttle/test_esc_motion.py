@@ -282,6 +282,16 @@ def test_car_may_get_faster_until_the_motor_has_let_go_of_reverse(late_ms, found
     assert found_at((0, -0.5, REVERSES), (late_ms, -0.5, {}), *((at_ms, -0.9, {}) for at_ms in (180, 380))) == found
 
 
+def test_car_that_reversed_without_a_speed_may_roll_out_of_it():
+    check, measured = MotionCheck(EscConfig()), motion(0.0)
+    assert not check.check(measured, False, 0)
+    measured.mark_stale()
+    assert not check.check(measured, True, S)
+    for at_ms in range(1500, 2000, 50):
+        measured.update(-0.5, at_ms * MS)
+        assert not check.check(measured, False, at_ms * MS)
+
+
 class Roll:
     def __init__(self):
         self.watch, self.motion = HillWatch(), MeasuredMotion(EscConfig())
