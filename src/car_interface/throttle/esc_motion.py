@@ -23,6 +23,8 @@ ACTUATION_NS = 40_000_000  # from a decision to the end of the pulse before it: 
 # ends the pulse that it has begun: another 20 ms. With 20 ms `python3 test/adversary --sweep --thin 149` finds a
 # reversal.
 PULL_NS = 100_000_000
+# A brake_then_reverse's pull it holds as long as any command: neutral between two pulls would let it reverse.
+HELD_PULL_NS = 270_000_000
 # After a silence of FRESH_NS a rolling speed that claims a larger standard deviation is unknown, until one claims a
 # smaller one: m/s, and as a part of the speed. The hub's first ones after a reboot were off by 1 m/s.
 UNCERTAIN_MPS, UNCERTAIN_RATIO = 0.3, 0.1
@@ -156,10 +158,10 @@ class MeasuredMotion:
         return (self._least_mps(now_ns, PULL_NS, slows_mps2) > 0.0
                 and self._least_mps(now_ns, 0, slows_mps2) > above_mps)
 
-    def mps2_to_outlast_a_pull(self, now_ns: int) -> float:
+    def mps2_to_outlast_a_pull(self, now_ns: int, pull_ns: int = PULL_NS) -> float:
         """Return the deceleration that stops the car just when the board has ended a pull that is given now."""
         speed_mps = self.speed_mps(now_ns)
-        return 0.0 if speed_mps is None else abs(speed_mps) * NS_PER_S / (self._age_ns(now_ns) + PULL_NS)
+        return 0.0 if speed_mps is None else abs(speed_mps) * NS_PER_S / (self._age_ns(now_ns) + pull_ns)
 
     def _age_ns(self, now_ns):
         return now_ns - min(self.measured_ns, math.inf if self._braked_ns is None else self._braked_ns)
