@@ -118,9 +118,9 @@ class Esc:
         """Take what the servo board holds; ``None`` = no pulse: switched off, never set, or without power."""
         self._history.update_held(fraction, now_ns)
 
-    def update_speed(self, speed_mps: float, now_ns: int, age_ns: int) -> None:
-        """Take the measured speed, forward positive, and its age at arrival."""
-        self._motion.update(speed_mps, now_ns, age_ns)
+    def update_speed(self, speed_mps: float, now_ns: int, age_ns: int, sigma_mps: float = 0.0) -> None:
+        """Take the measured speed, forward positive, its age at arrival, and its standard deviation."""
+        self._motion.update(speed_mps, now_ns, age_ns, sigma_mps)
 
     def mark_stale(self) -> None:
         """Treat board and speed as unknown, since messages were dropped on their way here."""
