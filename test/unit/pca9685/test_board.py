@@ -187,6 +187,14 @@ def test_chip_that_does_not_run_as_before_is_a_mismatch_and_no_foreign_write(run
     assert not isinstance(caught.value, ForeignWrite)
 
 
+def test_external_clock_is_no_mismatch(running):
+    """EXTCLK can be set asleep only, and stays until the power is off (data sheet 7.3.1)."""
+    for mode1 in (SLEEP, SLEEP | 0x40, AUTO_INCREMENT):
+        running.chip.write(MODE1, [mode1])
+    assert running.registers() == [0x60, *RUNNING[1:]]
+    running.board.check()
+
+
 @pytest.mark.parametrize("act, works_for, held", [
     (lambda board: board.write({3: 100, 4: 100}), 0, [CENTER] * 3 + [None] * 2 + [CENTER] * 11),
     (lambda board: board.write(dict.fromkeys(range(16), 100)), 1, [100] * 8 + [None] * 8),

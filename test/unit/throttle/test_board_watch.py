@@ -3,6 +3,8 @@
 import math
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from car_interface.common import causes
 from car_interface.common.declared import read
@@ -185,6 +187,61 @@ def test_stall_of_the_judge_alone_is_no_difference():
     car.now += 300 * MS
     assert car.run(1000, LEFT, LEFT) is None
     assert set(car.troubles[-100:]) == {None}
+
+
+@pytest.mark.parametrize("lag_ms, follows", [(100, True), (101, False)])
+def test_servo_may_lag_behind_commands_that_sweep_by_a_tenth_of_a_second(lag_ms, follows):
+    watch = BoardWatch(BoardConfig())
+    for ms in range(1300):
+        watch.update_command(0, 10_000 + 40 * ms, S + ms * MS)
+        watch.update_output(one_channel(0, 10_000 + 40 * max(0, ms - lag_ms)), S + ms * MS)
+        trouble = watch.trouble(S + ms * MS)
+    assert (trouble is None) == follows
+
+
+def judged(*calls):
+    """The troubles at (time, commanded, held), from an agreement of a second before S on."""
+    watch = BoardWatch(BoardConfig())
+    troubles = []
+    for now_ns, commanded, held in ((0, CENTER, CENTER), (S - 20 * MS, CENTER, CENTER), *calls):
+        watch.update_command(0, commanded, now_ns)
+        watch.update_output(one_channel(0, held), now_ns)
+        troubles.append(watch.trouble(now_ns))
+    return [trouble is not None for trouble in troubles[2:]]
+
+
+def test_difference_ends_the_throttle_after_exactly_half_a_second():
+    differs = [(S + ms * MS, LEFT, CENTER) for ms in (0, 250, 480)]
+    assert judged(*differs, (S + 500 * MS - 1, LEFT, CENTER)) == [False] * 4
+    assert judged(*differs, (S + 500 * MS, LEFT, CENTER)) == [False] * 3 + [True]
+
+
+@pytest.mark.parametrize("before_ms, is_judged", [(15, True), (14, False)])
+def test_what_comes_within_15_ms_of_a_judgement_is_judged_later(before_ms, is_judged):
+    differs = [(S + ms * MS, LEFT, CENTER) for ms in (0, 250, 500 - before_ms, 500)]
+    assert judged(*differs) == [False] * 3 + [is_judged]
+
+
+DUTIES = st.sampled_from([CENTER, LEFT, CENTER + 500])
+
+
+@pytest.mark.once
+@given(st.lists(st.tuples(DUTIES, st.integers(0, 3), DUTIES, st.integers(0, 3)), min_size=6, max_size=40))
+def test_verdict_does_not_depend_on_how_often_it_is_asked_for(changes):
+    """Each period of 70 ms has a change of the command and one of the board, at multiples of 20 ms."""
+    often, rarely = BoardWatch(BoardConfig()), BoardWatch(BoardConfig())
+    for period, (commanded, command_at, held, report_at) in enumerate([(CENTER, 0, CENTER, 0)] * 10 + changes):
+        begin_ns = S + period * 70 * MS
+        for step in range(4):
+            now_ns = begin_ns + step * 20 * MS
+            for watch in (often, rarely):
+                if step == command_at:
+                    watch.update_command(0, commanded, now_ns)
+                if step == report_at:
+                    watch.update_output(one_channel(0, held), now_ns)
+            often.trouble(now_ns)
+        if period % 4 == 0:
+            assert (often.trouble(now_ns + MS) is None) == (rarely.trouble(now_ns + MS) is None)
 
 
 def test_configuration_is_read_with_the_board_s_own_limits():
