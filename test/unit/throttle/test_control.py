@@ -127,6 +127,15 @@ def test_stick_that_reverse_s_scale_makes_too_small_drives_nothing():
     assert set(rig.duties) == {NEUTRAL_DUTY}
 
 
+def test_stick_that_the_scale_makes_too_small_for_a_push_still_brakes():
+    rig = Rig(BRAKE_THEN_REVERSE)
+    rig.speed = 2.0
+    decision = rig.pull((1.0, 1.0), (-0.2, 0.3))
+    assert decision.esc.state == "BRAKING" and decision.duty < NEUTRAL_DUTY
+    rig.speed = -2.0
+    assert rig.pull((0.0, 0.5), (0.2, 0.3)).duty == NEUTRAL_DUTY  # a push: only in REVERSE would it be a brake
+
+
 def test_after_dropped_messages_nothing_brakes_and_a_board_that_is_checked_must_agree_again():
     rig = Rig(BRAKE_THEN_REVERSE, board=BoardConfig())
     rig.speed = 4.0
