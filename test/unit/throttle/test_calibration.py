@@ -49,7 +49,8 @@ def test_duty_stands_for_the_request_that_made_it(calibration, request_):
 
 @pytest.mark.parametrize("calibration, duty, request_", [(SHIPPED, 6963, 1.25), (SHIPPED, 3000, -1.169),
                                                          (FORWARD_ONLY, 3276, -1.0), (SHIPPED, 1, -3.0),
-                                                         (BACKWARD_ONLY, 6553, 1.0), (BACKWARD_ONLY, 4096, -0.5)])
+                                                         (BACKWARD_ONLY, 6553, 1.0), (BACKWARD_ONLY, 4096, -0.5),
+                                                         (replace(SHIPPED, neutral=6553), 6554, 1.0)])
 def test_duty_beyond_the_table_stands_for_more_than_1(calibration, duty, request_):
     """Another program, or the board's own timeout value, may have put it there."""
     assert DutyMap(calibration).request_of_duty(duty) == pytest.approx(request_, abs=0.001)
