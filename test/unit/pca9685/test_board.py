@@ -111,6 +111,8 @@ def test_chip_that_runs_at_another_frequency_is_stopped_for_a_whole_period_befor
     bench.board.write({0: CENTER, 7: 4096})
     bench.log.clear()
     bench.board.initialise()  # Bench._note asserts it
+    # the longest period that there is: 4096 counts of 256 cycles of 23 MHz
+    assert [entry[1] for entry in bench.log if entry[0] == "pause"] == [pytest.approx(0.04559, abs=1e-5), 500e-6]
     assert bench.registers() == RUNNING
     assert bench.high_counts() == bench.board.held == [0] * 16
 

@@ -10,6 +10,7 @@ from car_interface.common.sources import NEUTRAL, PLANNER, TELEOP
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.throttle.arbiter import ThrottleArbiterConfig
 from car_interface.throttle.board_watch import BoardConfig
+from car_interface.throttle.calibration import trimmed
 from car_interface.throttle.control import ThrottleControl
 from car_interface.throttle.esc_config import BRAKE_THEN_REVERSE, DIRECT_REVERSE, UNVERIFIED, EscConfig
 from car_interface.throttle.limits import DriveLimits, ThrottleLimits
@@ -132,8 +133,18 @@ def test_stick_that_the_scale_makes_too_small_for_a_push_still_brakes():
     rig.speed = 2.0
     decision = rig.pull((1.0, 1.0), (-0.2, 0.3))
     assert decision.esc.state == "BRAKING" and decision.duty < NEUTRAL_DUTY
+    rig = Rig(DIRECT_REVERSE)
+    rig.speed = 2.0
+    rig.pull((0.15, 0.5))
     rig.speed = -2.0
-    assert rig.pull((0.0, 0.5), (0.2, 0.3)).duty == NEUTRAL_DUTY  # a push: only in REVERSE would it be a brake
+    assert rig.pull((0.2, 0.3)).duty == NEUTRAL_DUTY  # a push: only in REVERSE would it be a brake
+
+
+def test_calibration_that_is_tuned_holds_from_then_on():
+    rig = Rig()
+    rig.control.calibrate(trimmed(THROTTLE, NEUTRAL_DUTY + 50))
+    assert rig.run(0.02).duty == NEUTRAL_DUTY + 50
+    assert rig.pull((1.0, 0.1)).duty == BY_HAND + 50
 
 
 def test_after_dropped_messages_nothing_brakes_and_a_board_that_is_checked_must_agree_again():
@@ -160,6 +171,7 @@ def test_what_differs_is_duty_source_cause_esc_mode_and_scale_but_no_number_in_a
     assert first.arbitration.source == NEUTRAL and math.isfinite(first.scale)
     assert set(rig.control.ages_s(0)) == {"e_stop", "human_in_loop", "turn_arb's state", "mode", "tele_throt_req",
                                           "the planner's value", "odometry", "/servo/output"}
+    assert rig.control.ages_s(rig.now_ns)["/servo/output"] == 0.0
 
 
 @pytest.mark.parametrize("max_mps, cause", [(0.5, causes.CURVE_SLOWED), (0.0, ""), (-1.0, ""), (math.nan, ""),
