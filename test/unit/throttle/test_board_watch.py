@@ -216,6 +216,22 @@ def test_difference_ends_the_throttle_after_exactly_half_a_second():
     assert judged(*differs, (S + 500 * MS, LEFT, CENTER)) == [False] * 3 + [True]
 
 
+@pytest.mark.parametrize("after_ns, follows", [(500 * MS - 1, False), (500 * MS, True)])
+@pytest.mark.parametrize("is_new", [True, False])
+def test_throttle_is_given_after_exactly_half_a_second_of_agreement_at_first_and_after_dropped_messages(
+        after_ns, follows, is_new):
+    watch = BoardWatch(BoardConfig())
+    if not is_new:
+        watch.update_output(one_channel(0, CENTER), 0)
+        watch.trouble(0)
+        watch.mark_stale()
+    for now_ns in (S, S + 480 * MS, S + after_ns):
+        watch.update_command(0, CENTER, now_ns)
+        watch.update_output(one_channel(0, CENTER), now_ns)
+        trouble = watch.trouble(now_ns)
+    assert (trouble is None) == follows
+
+
 @pytest.mark.parametrize("before_ms, is_judged", [(15, True), (14, False)])
 def test_what_comes_within_15_ms_of_a_judgement_is_judged_later(before_ms, is_judged):
     differs = [(S + ms * MS, LEFT, CENTER) for ms in (0, 250, 500 - before_ms, 500)]

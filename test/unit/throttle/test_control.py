@@ -140,6 +140,12 @@ def test_stick_that_the_scale_makes_too_small_for_a_push_still_brakes():
     assert rig.pull((0.2, 0.3)).duty == NEUTRAL_DUTY  # a push: only in REVERSE would it be a brake
 
 
+def test_board_that_reports_no_pulse_has_the_esc_armed_again():
+    rig = Rig()
+    rig.control.update_output([5000, -1, *[-1] * 14], rig.now_ns)
+    assert rig.run(0.02).esc.state == "ARMING"
+
+
 def test_calibration_that_is_tuned_holds_from_then_on():
     rig = Rig()
     rig.control.calibrate(trimmed(THROTTLE, NEUTRAL_DUTY + 50))
