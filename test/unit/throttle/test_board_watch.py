@@ -3,8 +3,6 @@
 import math
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from car_interface.common import causes
 from car_interface.common.declared import read
@@ -238,26 +236,19 @@ def test_what_comes_within_15_ms_of_a_judgement_is_judged_later(before_ms, is_ju
     assert judged(*differs) == [False] * 3 + [is_judged]
 
 
-DUTIES = st.sampled_from([CENTER, LEFT, CENTER + 500])
-
-
-@pytest.mark.once
-@given(st.lists(st.tuples(DUTIES, st.integers(0, 3), DUTIES, st.integers(0, 3)), min_size=6, max_size=40))
-def test_verdict_does_not_depend_on_how_often_it_is_asked_for(changes):
-    """Each period of 70 ms has a change of the command and one of the board, at multiples of 20 ms."""
-    often, rarely = BoardWatch(BoardConfig()), BoardWatch(BoardConfig())
-    for period, (commanded, command_at, held, report_at) in enumerate([(CENTER, 0, CENTER, 0)] * 10 + changes):
-        begin_ns = S + period * 70 * MS
-        for step in range(4):
-            now_ns = begin_ns + step * 20 * MS
-            for watch in (often, rarely):
-                if step == command_at:
-                    watch.update_command(0, commanded, now_ns)
-                if step == report_at:
-                    watch.update_output(one_channel(0, held), now_ns)
-            often.trouble(now_ns)
-        if period % 4 == 0:
-            assert (often.trouble(now_ns + MS) is None) == (rarely.trouble(now_ns + MS) is None)
+@pytest.mark.parametrize("asked_every_ms", [10, 400])
+@pytest.mark.parametrize("period_ms, lag_ms, ends", [(500, 170, False), (300, 150, True)])
+def test_verdict_on_a_servo_that_lags_does_not_depend_on_how_often_it_is_asked_for(
+        period_ms, lag_ms, ends, asked_every_ms):
+    watch, troubles = BoardWatch(BoardConfig()), []
+    wave = bursts(2 * period_ms, period_ms)
+    for ms in range(-1000, 3000, 10):
+        now_ns = 2 * S + ms * MS
+        watch.update_command(0, wave(ms) if ms >= 0 else CENTER, now_ns)
+        watch.update_output(one_channel(0, wave(ms - lag_ms) if ms >= lag_ms else CENTER), now_ns)
+        if ms < 0 or ms % asked_every_ms == 0:
+            troubles.append(watch.trouble(now_ns))
+    assert troubles[100] is None and any(troubles[100:]) == ends
 
 
 def test_configuration_is_read_with_the_board_s_own_limits():
