@@ -209,6 +209,14 @@ def test_obstacles_bound_the_speed_on_the_arc_that_is_steered(radius_m, max_mps)
     assert rig.run(0.06).limited.max_speed_mps == pytest.approx(max_mps, abs=0.01)
 
 
+def test_speed_counts_for_the_ground_s_slope_when_it_was_measured():
+    rig = Rig(obstacles=SONAR)
+    for report in range(10):
+        age_ns = report % 2 * S // 100
+        rig.control.update_odometry(2.0 * (report * TICK - age_ns) / S, rig.now_ns + report * TICK, age_ns)
+    assert rig.control._guard.slope.acceleration_mps2 == pytest.approx(2.0)
+
+
 def test_sonar_that_was_dropped_with_other_messages_lets_nobody_drive_towards_it():
     rig = Rig(BRAKE_THEN_REVERSE, obstacles=SONAR)
     assert NEUTRAL_DUTY < rig.pull((1.0, 0.1)).duty <= BY_HAND
