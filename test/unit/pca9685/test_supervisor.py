@@ -118,6 +118,7 @@ def test_what_the_chip_holds_is_known_before_it_is_written_anew(running):
     running.chip.power_up()
     running.update_when_due(NEUTRAL)
     assert found == [(events.MISMATCH, NEUTRAL), (events.FOUND, [0] * 16)] and running.pulses() == NEUTRAL
+    assert running.supervisor.tally.reinitialisations == 1
     running.update(LEFT, 1)
     running.supervisor = running.another_supervisor()
     found.clear()
