@@ -106,7 +106,7 @@ def test_wheels_that_lock_make_no_slow_car():
     assert measured.magnitude_mps == 2.3
 
 
-@pytest.mark.parametrize("after_mps, believed_mps", [(2.53, 2.53), (2.51, 2.94)])
+@pytest.mark.parametrize("after_mps, believed_mps", [(2.53, 2.53), (2.52, 2.52), (2.51, 2.94)])
 def test_a_fall_is_believed_that_a_tyre_and_noise_can_make_and_else_the_car_slides(after_mps, believed_mps):
     measured, _ = fed([3.0, 3.0, after_mps])  # 10 m/s² · 20 ms + 0.1 m/s + 6 %: by up to 0.48 m/s
     assert measured.magnitude_mps == pytest.approx(believed_mps)
