@@ -143,10 +143,9 @@ class FaultLog:
         """Take the present faults; return those to log: lasting ones, at once and every 10 s."""
         keys = [(fault.cause, fault.subject) for fault in faults]
         self._since_ns = {key: self._since_ns.get(key, now_ns) for key in keys}
-        self._next_log_ns = {key: at_ns for key, at_ns in self._next_log_ns.items() if key in keys or at_ns > now_ns}
-        due = {key: fault for key, fault in zip(keys, faults)
-               if self.is_lasting(fault, now_ns) and now_ns >= self._next_log_ns.get(key, now_ns)}
-        self._next_log_ns.update(dict.fromkeys(due, now_ns + LOG_PERIOD_NS))
+        waiting = {key: at_ns for key, at_ns in self._next_log_ns.items() if at_ns > now_ns}
+        due = {key: fault for key, fault in zip(keys, faults) if self.is_lasting(fault, now_ns) and key not in waiting}
+        self._next_log_ns = {**waiting, **dict.fromkeys(due, now_ns + LOG_PERIOD_NS)}
         return list(due.values())
 
     def is_lasting(self, fault: Fault, now_ns: int) -> bool:

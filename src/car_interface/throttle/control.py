@@ -116,7 +116,6 @@ class ThrottleControl:
         self.limiter.speed.mark_stale()
         if self._guard is not None:
             self._guard.sonars.mark_stale()
-        self._output.mark_stale()
         self._esc.mark_stale()
 
     def ages_s(self, now_ns: int) -> dict[str, float]:

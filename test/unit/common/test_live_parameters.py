@@ -101,6 +101,14 @@ def test_accepted_values_are_reached_together_at_the_rate_and_no_faster():
     assert len(seen) == 80 and seen[39] == values(3850, 5150, 6500) and seen[-1] == values(3900, 5200, 6300)
 
 
+def test_change_takes_exactly_as_long_as_the_rate_says():
+    tuned = tuning(rate=1_000_000)  # a duty in 1000 ns
+    tuned.request({"servo_center": 5101}, S)
+    for now_ns, is_changing in ((S + 999, True), (S + 999, True), (S + 1000, False)):
+        tuned.advance(now_ns)
+        assert tuned.is_changing == is_changing
+
+
 @pytest.mark.parametrize("times_ns, center", [([3 * S], 5125), ([S, S - TICK], 5100)])
 def test_node_that_was_held_up_does_not_jump_and_a_clock_that_stands_moves_nothing(times_ns, center):
     tuned = tuning()

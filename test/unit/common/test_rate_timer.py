@@ -11,6 +11,7 @@ NOW = 1000 * MS
     (range(35), [0, 10, 20, 30]),
     ([0, 13, 20], [0, 13, 20]),  # one that is late doesn't shift the others
     ([0, 55, 56, 64, 65], [0, 55, 65]),  # after a stall nothing is caught up
+    ([0, 20, 21], [0, 20]),
 ])
 def test_ticks_are_due_at_once_and_a_period_apart(polls_ms, ticks_ms):
     timer = RateTimer(100, NOW)

@@ -111,6 +111,8 @@ def test_chip_that_runs_at_another_frequency_is_stopped_for_a_whole_period_befor
     bench.board.write({0: CENTER, 7: 4096})
     bench.log.clear()
     bench.board.initialise()  # Bench._note asserts it
+    # the longest period that there is: 4096 counts of 256 cycles of 23 MHz
+    assert [entry[1] for entry in bench.log if entry[0] == "pause"] == [pytest.approx(0.04559, abs=1e-5), 500e-6]
     assert bench.registers() == RUNNING
     assert bench.high_counts() == bench.board.held == [0] * 16
 
@@ -185,6 +187,14 @@ def test_chip_that_does_not_run_as_before_is_a_mismatch_and_no_foreign_write(run
     with pytest.raises(BoardMismatch, match=text) as caught:
         running.board.check()
     assert not isinstance(caught.value, ForeignWrite)
+
+
+def test_external_clock_is_no_mismatch(running):
+    """EXTCLK can be set asleep only, and stays until the power is off (data sheet 7.3.1)."""
+    for mode1 in (SLEEP, SLEEP | 0x40, AUTO_INCREMENT):
+        running.chip.write(MODE1, [mode1])
+    assert running.registers() == [0x60, *RUNNING[1:]]
+    running.board.check()
 
 
 @pytest.mark.parametrize("act, works_for, held", [

@@ -76,8 +76,7 @@ def test_what_did_not_change_is_not_written_and_the_chip_is_read_twice_a_second(
     for targets in (NEUTRAL, LEFT, LEFT):
         running.update(targets, 1)
     assert len(running.writes) == 1 and running.pulses() == LEFT
-    running.update_when_due(LEFT)
-    assert [running.update_when_due(LEFT) for _ in range(4)] == [500] * 4
+    assert [running.update_when_due(LEFT) for _ in range(5)] == [497, *[500] * 4]
     assert len(running.writes) == 1 and running.events == []
 
 
@@ -119,6 +118,7 @@ def test_what_the_chip_holds_is_known_before_it_is_written_anew(running):
     running.chip.power_up()
     running.update_when_due(NEUTRAL)
     assert found == [(events.MISMATCH, NEUTRAL), (events.FOUND, [0] * 16)] and running.pulses() == NEUTRAL
+    assert running.supervisor.tally.reinitialisations == 1
     running.update(LEFT, 1)
     running.supervisor = running.another_supervisor()
     found.clear()

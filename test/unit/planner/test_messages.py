@@ -111,4 +111,4 @@ def test_rate_at_no_speed_is_refused(linear_x, angular_z):
 
 def test_radius_is_never_so_tight_that_it_means_no_request_and_the_sane_one_is_that_of_1_rad():
     assert [clamped_radius(radius_m) for radius_m in (0.0001, -0.0001, -5.0, -INF)] == [0.01, -0.01, -5.0, -INF]
-    assert sane_radius_m(0.6) == pytest.approx(2 * sane_radius_m(0.3))
+    assert sane_radius_m(0.3) == radius_of_angle("angle", 1.0, 0.3) == pytest.approx(0.1926, abs=1e-4)

@@ -74,7 +74,7 @@ def test_tightest_radius_is_that_of_its_side_and_the_widest_of_those_with_its_du
 def test_tightest_radius_to_a_side_to_which_the_servo_does_not_turn_is_the_widest_of_the_table():
     calibration = replace(SLASH, servo_left=5100, radius_axis_m=(1, 2, 4), left_duties=(5100,) * 3,
                           right_duties=(6700, 6000, 5500))
-    assert calibration.tightest_radius_m(1.0) == 4.0
+    assert calibration.tightest_radius_m(1.0) == 4.0 and calibration.turn_radius_m(6700) == -1.0
 
 
 def test_tables_with_fractions_are_interpolated_before_they_are_rounded():

@@ -4,7 +4,7 @@ import math
 import pytest
 
 from car_interface.common import causes
-from car_interface.steering.limits import SourceLimits, SteeringLimiter, SteeringLimits, too_tight_reason
+from car_interface.steering.limits import SourceLimits, SteeringLimiter, SteeringLimits, Turn, too_tight_reason
 
 MS, S = 1_000_000, 1_000_000_000
 LATERAL = SourceLimits(max_lateral_mps2=4.0)
@@ -103,6 +103,7 @@ def test_steps_of_a_planner_that_turn_in_slowly_on_the_whole_pass_unchanged():
 
 
 def test_what_rises_at_once_is_used_up_until_it_has_grown_again():
+    assert limiter_at(4.0).limit(0.125, JERK, 0) == Turn(0.125)  # exactly the 2 m/s²
     limiter = limiter_at(4.0)
     assert turned_in(limiter, 0.0625, ticks=1) == [0.0625]  # 1 m/s² of the 2 that may rise at once
     assert turned_in(limiter, 0.5, start_ns=MS, ticks=1) == [pytest.approx(0.0625 + 1.04 / 16)]

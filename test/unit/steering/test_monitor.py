@@ -168,6 +168,11 @@ def test_rate_of_the_reports_does_not_matter(car, step_ns):
     assert car.judge().estimated_m == pytest.approx(4.0)
 
 
+def test_half_a_second_of_reports_ten_times_a_second_is_enough_for_an_estimate(car):
+    car.drives(2.0, 2.0, 0.7, step_ns=S // 10)  # the first two begin it
+    assert car.judge().estimated_m == pytest.approx(2.0)
+
+
 def test_speed_that_wavers_about_the_least_one_is_at_speed_still(car):
     for index in range(40):
         car.drives(2.0, 8.0, 0.1, speed_mps=0.52 if index % 2 else 0.46)

@@ -187,6 +187,70 @@ def test_stall_of_the_judge_alone_is_no_difference():
     assert set(car.troubles[-100:]) == {None}
 
 
+@pytest.mark.parametrize("lag_ms, follows", [(100, True), (101, False)])
+def test_servo_may_lag_behind_commands_that_sweep_by_a_tenth_of_a_second(lag_ms, follows):
+    watch = BoardWatch(BoardConfig())
+    for ms in range(1300):
+        watch.update_command(0, 10_000 + 40 * ms, S + ms * MS)
+        watch.update_output(one_channel(0, 10_000 + 40 * max(0, ms - lag_ms)), S + ms * MS)
+        trouble = watch.trouble(S + ms * MS)
+    assert (trouble is None) == follows
+
+
+def judged(*calls):
+    """The troubles at (time, commanded, held), from an agreement of a second before S on."""
+    watch = BoardWatch(BoardConfig())
+    troubles = []
+    for now_ns, commanded, held in ((0, CENTER, CENTER), (S - 20 * MS, CENTER, CENTER), *calls):
+        watch.update_command(0, commanded, now_ns)
+        watch.update_output(one_channel(0, held), now_ns)
+        troubles.append(watch.trouble(now_ns))
+    return [trouble is not None for trouble in troubles[2:]]
+
+
+def test_difference_ends_the_throttle_after_exactly_half_a_second():
+    differs = [(S + ms * MS, LEFT, CENTER) for ms in (0, 250, 480)]
+    assert judged(*differs, (S + 500 * MS - 1, LEFT, CENTER)) == [False] * 4
+    assert judged(*differs, (S + 500 * MS, LEFT, CENTER)) == [False] * 3 + [True]
+
+
+@pytest.mark.parametrize("after_ns, follows", [(500 * MS - 1, False), (500 * MS, True)])
+@pytest.mark.parametrize("is_new", [True, False])
+def test_throttle_is_given_after_exactly_half_a_second_of_agreement_at_first_and_after_dropped_messages(
+        after_ns, follows, is_new):
+    watch = BoardWatch(BoardConfig())
+    if not is_new:
+        watch.update_output(one_channel(0, CENTER), 0)
+        watch.trouble(0)
+        watch.mark_stale()
+    for now_ns in (S, S + 480 * MS, S + after_ns):
+        watch.update_command(0, CENTER, now_ns)
+        watch.update_output(one_channel(0, CENTER), now_ns)
+        trouble = watch.trouble(now_ns)
+    assert (trouble is None) == follows
+
+
+@pytest.mark.parametrize("before_ms, is_judged", [(15, True), (14, False)])
+def test_what_comes_within_15_ms_of_a_judgement_is_judged_later(before_ms, is_judged):
+    differs = [(S + ms * MS, LEFT, CENTER) for ms in (0, 250, 500 - before_ms, 500)]
+    assert judged(*differs) == [False] * 3 + [is_judged]
+
+
+@pytest.mark.parametrize("asked_every_ms", [10, 400])
+@pytest.mark.parametrize("period_ms, lag_ms, ends", [(500, 170, False), (300, 150, True)])
+def test_verdict_on_a_servo_that_lags_does_not_depend_on_how_often_it_is_asked_for(
+        period_ms, lag_ms, ends, asked_every_ms):
+    watch, troubles = BoardWatch(BoardConfig()), []
+    wave = bursts(2 * period_ms, period_ms)
+    for ms in range(-1000, 3000, 10):
+        now_ns = 2 * S + ms * MS
+        watch.update_command(0, wave(ms) if ms >= 0 else CENTER, now_ns)
+        watch.update_output(one_channel(0, wave(ms - lag_ms) if ms >= lag_ms else CENTER), now_ns)
+        if ms < 0 or ms % asked_every_ms == 0:
+            troubles.append(watch.trouble(now_ns))
+    assert troubles[100] is None and any(troubles[100:]) == ends
+
+
 def test_configuration_is_read_with_the_board_s_own_limits():
     config = read(Params({"output_required": False, "output_timeout": 0.7,
                           "board": {"pwm_min": 3000, "pwm_max": [6000] * 16, "timeout": 250}}), BoardConfig)

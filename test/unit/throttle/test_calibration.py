@@ -13,6 +13,7 @@ from car_interface.throttle.calibration import DutyMap, ThrottleCalibration, tri
 SHIPPED = ThrottleCalibration(channel=1, value_axis=[-5.0, 0.0, 3.0], duty_table=[3277, 4915, 6554], neutral=4915)
 FALLING = replace(SHIPPED, duty_table=[6554, 4915, 3277])
 FORWARD_ONLY = replace(SHIPPED, value_axis=[0.0, 3.0], duty_table=[4915, 6554])
+BACKWARD_ONLY = replace(SHIPPED, value_axis=[-5.0, 0.0], duty_table=[3277, 4915])
 
 
 @pytest.mark.parametrize("value, duty", [
@@ -28,6 +29,7 @@ def test_value_makes_the_duty_of_the_table(value, duty):
     (SHIPPED, 0.3, 5407),  # 4915 + 0.3 · 1639
     (FALLING, 1.0, 3277), (FALLING, -1.0, 6554), (FORWARD_ONLY, -1.0, 4915), (FORWARD_ONLY, 1.0, 6554),
     (replace(SHIPPED, duty_table=[4915, 4915, 6554]), -1.0, 4915),
+    (replace(FALLING, duty_table=[6554, 4915, 4915]), -1.0, 6554),
     (replace(SHIPPED, neutral=3277), 0.0, 3277), (replace(SHIPPED, neutral=6554), 0.0, 6554),
     (replace(SHIPPED, duty_table=[0, 100, 200], neutral=0), 0.0, 0),
 ])
@@ -46,7 +48,9 @@ def test_duty_stands_for_the_request_that_made_it(calibration, request_):
 
 
 @pytest.mark.parametrize("calibration, duty, request_", [(SHIPPED, 6963, 1.25), (SHIPPED, 3000, -1.169),
-                                                         (FORWARD_ONLY, 3276, -1.0), (SHIPPED, 1, -3.0)])
+                                                         (FORWARD_ONLY, 3276, -1.0), (SHIPPED, 1, -3.0),
+                                                         (BACKWARD_ONLY, 6553, 1.0), (BACKWARD_ONLY, 4096, -0.5),
+                                                         (replace(SHIPPED, neutral=6553), 6554, 1.0)])
 def test_duty_beyond_the_table_stands_for_more_than_1(calibration, duty, request_):
     """Another program, or the board's own timeout value, may have put it there."""
     assert DutyMap(calibration).request_of_duty(duty) == pytest.approx(request_, abs=0.001)

@@ -10,6 +10,7 @@ from car_interface.common.sources import NEUTRAL, PLANNER, TELEOP
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.throttle.arbiter import ThrottleArbiterConfig
 from car_interface.throttle.board_watch import BoardConfig
+from car_interface.throttle.calibration import trimmed
 from car_interface.throttle.control import ThrottleControl
 from car_interface.throttle.esc_config import BRAKE_THEN_REVERSE, DIRECT_REVERSE, UNVERIFIED, EscConfig
 from car_interface.throttle.limits import DriveLimits, ThrottleLimits
@@ -127,11 +128,37 @@ def test_stick_that_reverse_s_scale_makes_too_small_drives_nothing():
     assert set(rig.duties) == {NEUTRAL_DUTY}
 
 
+def test_stick_that_the_scale_makes_too_small_for_a_push_still_brakes():
+    rig = Rig(BRAKE_THEN_REVERSE)
+    rig.speed = 2.0
+    decision = rig.pull((1.0, 1.0), (-0.2, 0.3))
+    assert decision.esc.state == "BRAKING" and decision.duty < NEUTRAL_DUTY
+    rig = Rig(DIRECT_REVERSE)
+    rig.speed = 2.0
+    rig.pull((0.15, 0.5))
+    rig.speed = -2.0
+    assert rig.pull((0.2, 0.3)).duty == NEUTRAL_DUTY  # a push: only in REVERSE would it be a brake
+
+
+def test_board_that_reports_no_pulse_has_the_esc_armed_again():
+    rig = Rig()
+    rig.control.update_output([5000, -1, *[-1] * 14], rig.now_ns)
+    assert rig.run(0.02).esc.state == "ARMING"
+
+
+def test_calibration_that_is_tuned_holds_from_then_on():
+    rig = Rig()
+    rig.control.calibrate(trimmed(THROTTLE, NEUTRAL_DUTY + 50))
+    assert rig.run(0.02).duty == NEUTRAL_DUTY + 50
+    assert rig.pull((1.0, 0.1)).duty == BY_HAND + 50
+
+
 def test_after_dropped_messages_nothing_brakes_and_a_board_that_is_checked_must_agree_again():
     rig = Rig(BRAKE_THEN_REVERSE, board=BoardConfig())
     rig.speed = 4.0
     assert rig.pull((1.0, 1.0)).duty == BY_HAND
     rig.control.mark_stale(rig.now_ns)
+    assert rig.control.limiter.speed.is_lost(rig.now_ns)
     decision = rig.control.decide(rig.now_ns)
     assert (decision.duty, decision.arbitration.is_stop) == (NEUTRAL_DUTY, True)
     rig.human = False
@@ -150,6 +177,7 @@ def test_what_differs_is_duty_source_cause_esc_mode_and_scale_but_no_number_in_a
     assert first.arbitration.source == NEUTRAL and math.isfinite(first.scale)
     assert set(rig.control.ages_s(0)) == {"e_stop", "human_in_loop", "turn_arb's state", "mode", "tele_throt_req",
                                           "the planner's value", "odometry", "/servo/output"}
+    assert rig.control.ages_s(rig.now_ns)["/servo/output"] == 0.0
 
 
 @pytest.mark.parametrize("max_mps, cause", [(0.5, causes.CURVE_SLOWED), (0.0, ""), (-1.0, ""), (math.nan, ""),
@@ -179,6 +207,14 @@ def test_obstacles_bound_the_speed_on_the_arc_that_is_steered(radius_m, max_mps)
     rig.control.update_turn(radius_m, 0.0)
     rig.speed = 0.2
     assert rig.run(0.06).limited.max_speed_mps == pytest.approx(max_mps, abs=0.01)
+
+
+def test_speed_counts_for_the_ground_s_slope_when_it_was_measured():
+    rig = Rig(obstacles=SONAR)
+    for report in range(10):
+        age_ns = report % 2 * S // 100
+        rig.control.update_odometry(2.0 * (report * TICK - age_ns) / S, rig.now_ns + report * TICK, age_ns)
+    assert rig.control._guard.slope.acceleration_mps2 == pytest.approx(2.0)
 
 
 def test_sonar_that_was_dropped_with_other_messages_lets_nobody_drive_towards_it():

@@ -82,6 +82,28 @@ def test_the_next_echo_of_the_same_thing_stands_for_it():
     assert len(car.memory._points) == 9
 
 
+@pytest.mark.parametrize(("range_m", "is_same"), [(1.079, True), (1.081, False), (0.921, True), (0.919, False)])
+def test_an_echo_is_of_the_same_thing_within_0_08_m(range_m, is_same):
+    car = Car()
+    car.sees(1.0)
+    car.sees(range_m)
+    assert (len(car.memory._points) == 9) == is_same
+
+
+def test_an_echo_s_points_are_across_the_cone_where_the_arc_has_brought_the_car():
+    car = Car()
+    car.drive(0.6, 0.8)
+    car.sees(1.0, "front_left")
+    turn_rad = 0.6 * 0.8
+    cos, sin = math.cos(turn_rad), math.sin(turn_rad)
+    sonar_x_m = sin / 0.8 + 0.40 * cos - 0.10 * sin
+    sonar_y_m = (1.0 - cos) / 0.8 + 0.40 * sin + 0.10 * cos
+    for point, part in zip(car.memory._points, range(-4, 5)):
+        angle_rad = turn_rad + CONE_RAD + part / 8 * CONE_RAD
+        assert point.x_m == pytest.approx(sonar_x_m + math.cos(angle_rad), abs=1e-4)
+        assert point.y_m == pytest.approx(sonar_y_m + math.sin(angle_rad), abs=1e-4)
+
+
 def test_one_that_left_its_cone_in_a_turn_is_remembered_and_in_the_way_of_the_turn_back():
     car = Car()
     car.sees(0.5, "front_left")

@@ -15,6 +15,7 @@ from car_interface.throttle.value_map import ValueMap
 S = 1_000_000_000
 # Acceleration is twice the value; the ESC's whole range are the values of -5 and 3.
 MAP = ValueMap([-5.0, 0.0, 3.0], [0.0, 10.0], [[-10.0, -10.0], [0.0, 0.0], [6.0, 6.0]])
+DRAG = ValueMap([-5.0, 0.0, 3.0], [0.0, 10.0], [[-16.0, -16.0], [-6.0, -6.0], [0.0, 0.0]])  # of 6 m/s²
 
 
 NO_LIMITS, TO_3 = DriveLimits(), DriveLimits(max_speed_mps=3.0)
@@ -92,10 +93,14 @@ def limited(request, speed_mps, planner=NO_LIMITS, source=PLANNER, is_reverse=Fa
     (-0.8, 2.0, {"planner": FASTER_BY_3, "value_map": MAP}, -0.8, -0.8, "", ""),
     (-0.8, -2.0, {"planner": FASTER_BY_3, "value_map": MAP}, -0.5, -0.8, causes.ACCELERATION_LIMITED,
      "3 m/s²: -0.50 instead of -0.80"),
+    (-0.8, -0.1, {"planner": FASTER_BY_3, "value_map": MAP}, -0.5, -0.8, causes.ACCELERATION_LIMITED,
+     "3 m/s²: -0.50 instead of -0.80"),
     (-0.8, 2.0, {"planner": BRAKED_BY_4, "value_map": MAP}, -0.8, -0.4, causes.BRAKING_LIMITED,
      "4 m/s² of braking: -0.40 instead of -0.80"),
     (-0.4, 2.0, {"planner": BRAKED_BY_4, "value_map": MAP}, -0.4, -0.4, "", ""),
     (0.8, 2.0, {"planner": BRAKED_BY_4, "value_map": MAP}, 0.8, 0.8, "", ""),
+    (-0.5, 2.0, {"planner": BRAKED_BY_4, "value_map": DRAG}, -0.5, 0.0, causes.BRAKING_LIMITED,
+     "4 m/s² of braking: 0.00 instead of -0.50"),  # drag alone is more; no throttle makes up for it
     (1.0, 6.0, {"planner": DriveLimits(3.0, 0.0, 2.0), "value_map": MAP}, -0.5, -0.2, causes.BRAKING_LIMITED,
      "2 m/s² of braking: -0.20 instead of -0.50"),  # the limiter's own
     # without any odometry nothing is limited, and once it is lost the last speed counts
@@ -112,7 +117,7 @@ def test_request_is_granted_within_the_limits_of_its_source(request_, speed_mps,
 def test_max_speed_is_the_least_of_those_in_force():
     assert limited(1.0, 0.4, TO_3).max_speed_mps == 3.0
     assert limited(1.0, 0.4, TO_3, turn_max_mps=2.0, bound=SEEN).max_speed_mps == 0.5
-    assert limited(1.0, 0.4).max_speed_mps == 0.0
+    assert limited(1.0, 0.4).max_speed_mps == limited(1.0, 0.4, turn_max_mps=math.inf).max_speed_mps == 0.0
 
 
 @pytest.mark.parametrize("speed_mps", [0.0, 5.0])

@@ -174,8 +174,13 @@ def test_on_an_arc_the_ground_counts_on_which_it_will_stop():
     guard = guard_after(esc=EscConfig(), ahead_m=math.inf)
     straight_mps, arc_mps = (allowed(guard, asked(0.5), 0.6, curvature)[0] for curvature in (0.0, 0.1))
     assert arc_mps == pytest.approx(straight_mps, rel=0.1)
-    guard.slope._yaw_rad += math.pi / 2
+    guard.slope._yaw_rad += 0.5
+    away_mps, back_mps = (allowed(guard, asked(0.5), 0.3, curvature)[0] for curvature in (0.15, -0.15))
+    assert away_mps < 0.97 * back_mps  # from the heading that it knows
+    guard.slope._yaw_rad += math.pi / 2 - 0.5
     assert allowed(guard, asked(0.5), 0.2)[0] == 0.25
+    assert guard._turn_rad(1.2, 0.5, False) == -guard._turn_rad(1.2, 0.5, True) == pytest.approx(
+        0.5 * 1.2 ** 2 / (2 * 0.3) / 2)  # halfway to where drag stops it
 
 
 def test_its_throttle_rises_from_the_least_until_the_car_moves():
@@ -200,10 +205,24 @@ def test_a_push_there_lasts_until_the_brake_is_certain_and_begins_only_with_room
     guard = guard_after(**found)
     guard.update_esc(decided(FORWARD, 0.08, 0.3), NOW)
     roll(guard, [0.1 + 0.02 * index for index in range(10)], NOW + 20 * MS)
+    assert allowed(guard, asked(0.0), 0.2) == (0.0, True)  # nobody pushes it
     for speed_mps in (0.28, 0.33):
         bound, is_stop = check(guard, asked(0.5), moving(speed_mps))
         assert not is_stop and bound.max_throttle >= 0.08 and bound.speed_mps - speed_mps > 0.04
     assert check(guard, asked(0.5), moving(1.5))[1]
+
+
+@pytest.mark.parametrize("pushed_s, left_s", [(0.0, 0.6), (0.2, 0.4), (0.7, 0.0)])
+def test_until_the_brake_is_certain_it_drives_on_for_what_is_left_of_0_6_s(pushed_s, left_s):
+    guard = guard_after((FORWARD, 0.08, pushed_s, 0.3), (FORWARD, 0.08, 0.0, 0.3), is_measured=False)
+    assert allowed(guard, asked(0.5), 0.0)[0] == pytest.approx(
+        stopping_speed_mps(1.494 - 0.1, 0.4 + 0.1 + MOTOR_LAG_S + left_s, 1.5), rel=0.01)
+
+
+@pytest.mark.parametrize("speed_mps, throttle", [(0.24, 0.5), (0.25, 0.08)])
+def test_such_a_push_is_the_least_from_a_quarter_of_a_metre_per_second_on(speed_mps, throttle):
+    guard = guard_after((FORWARD, 0.5, 0.3, 0.3), (FORWARD, 0.5, 0.0, 0.3), is_measured=False)
+    assert check(guard, asked(0.5), moving(speed_mps))[0].max_throttle == throttle
 
 
 def test_a_stop_that_brakes_where_drag_is_not_known_goes_on_until_the_car_hardly_rolls():
@@ -216,6 +235,17 @@ def test_a_stop_that_brakes_where_drag_is_not_known_goes_on_until_the_car_hardly
 
 
 # --- what the motor, and odometry, do meanwhile ---
+
+def test_what_holds_the_speed_is_the_throttle_without_the_part_that_accelerates_and_none_is_left_at_the_bound():
+    def throttle(gain_mps2, speed_mps=0.3, curvature_per_m=0.0):
+        guard = guard_after((FORWARD, 0.3, 3.0), ahead_m=math.inf)
+        roll(guard, [0.3 - gain_mps2 * 0.02 * (9 - index) for index in range(10)], NOW - 180 * MS)
+        guard.update_esc(decided(FORWARD, 0.3), NOW)
+        return check(guard, asked(0.5), moving(speed_mps), curvature_per_m)[0].max_throttle
+
+    assert throttle(0.0) - throttle(0.3) == pytest.approx(0.3 / 6.0)  # of a full throttle's 6 m/s²
+    assert throttle(0.0, 0.3, 2.5) == 0.0 < 0.3 < throttle(0.0, 0.29, 2.5)  # a creep is 0.3 m/s
+
 
 def test_odometry_s_age_counts_with_what_the_car_gains_in_it():
     guard = guard_after((FORWARD, 0.5, 0.0))
@@ -248,9 +278,11 @@ def test_the_later_the_odometry_the_less_is_given_back_but_never_less_than_moves
 def test_a_car_that_gets_faster_gets_no_throttle_where_the_motor_s_lag_will_bring_it_to_the_bound():
     guard = guard_after((FORWARD, 0.5, 0.0))
     limit_mps = allowed(guard, asked(0.5), 0.5)[0]
-    for gain_mps2, is_cut in ((0.0, False), (3.0, True)):
-        until_mps = limit_mps - 0.3
-        roll(guard, [until_mps - gain_mps2 * 0.02 * (9 - index) for index in range(10)], NOW + 1 + round(gain_mps2) * S)
+    gains_mps = 3.0 * (0.05 + MOTOR_LAG_S)
+    for second, (gain_mps2, below_mps, is_cut) in enumerate(((0.0, 0.3, False), (3.0, gains_mps - 0.03, True),
+                                                             (3.0, gains_mps + 0.03, False))):
+        until_mps = limit_mps - below_mps
+        roll(guard, [until_mps - gain_mps2 * 0.02 * (9 - index) for index in range(10)], NOW + second * S)
         bound, is_stop = check(guard, asked(0.5), moving(until_mps))
         assert not is_stop and (bound.max_throttle == 0.0) == is_cut
 
@@ -260,5 +292,9 @@ def test_echoes_move_with_the_car_also_while_nobody_drives():
     before_mps = allowed(guard, asked(0.5), 0.0)[0]
     for step in range(50):
         guard.check(asked(0.0, NOBODY), moving(0.5), 0.0, NOW + step * 20 * MS)
-    bound = guard.check(asked(0.5), moving(0.0), 0.0, NOW + 980 * MS)
-    assert bound.speed_mps < before_mps - 0.2
+    speed = MeasuredSpeed(0.5)
+    speed.update(0.0, NOW + 980 * MS)
+    bound = guard.check(asked(0.5), speed, 0.0, NOW + 980 * MS)
+    assert before_mps == BY_BRAKE
+    assert bound.speed_mps == pytest.approx(stopping_speed_mps(
+        1.494 - 0.1 - 0.5 * 0.98, 0.4 + 0.1 + MOTOR_LAG_S, 1.5), rel=0.05)

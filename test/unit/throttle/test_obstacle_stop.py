@@ -93,6 +93,8 @@ LITTLE = pytest.approx(0.1, abs=0.06)
      "front_middle sees nothing to 2 m, which allows"),
     (dict.fromkeys(FRONT[:2], math.inf), {"names": FRONT, "curvature_per_m": -1.0}, 0.0, causes.SONAR_SILENT,
      "front_right was never heard" + BLIND),
+    (dict.fromkeys(FRONT[:2], math.inf), {"names": FRONT, "curvature_per_m": -0.2}, 0.0, causes.SONAR_SILENT,
+     "front_right was never heard" + BLIND),  # which a flank touches
 ])
 def test_speed_is_bounded_by_the_nearest_that_a_sonar_sees_or_may_not_see(ranges, inputs, speed_mps, cause, words):
     assert bound_of(ranges, **inputs) == (speed_mps, cause, words)

@@ -2,12 +2,13 @@
 
 import math
 
+import numpy
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from car_interface.throttle.esc_config import EscConfig
-from car_interface.throttle.slope import Slope
+from car_interface.throttle.slope import Fit, Plane, Slope
 
 MS, S = 1_000_000, 1_000_000_000
 ESC = EscConfig(drag_deceleration_mps2=0.3, brake_deceleration_mps2=3.0)
@@ -161,3 +162,55 @@ def test_speed_that_is_no_number_or_not_newer_changes_nothing(speed_mps, later_m
     before = car.run(0.5).coasting(False)
     car.slope.update_speed(speed_mps, car.now_ns + later_ms * MS, 0.0)
     assert car.slope.coasting(False) == before
+
+
+def test_a_window_s_deceleration_is_that_of_least_squares():
+    times_s, speeds_mps = [0.3, 0.34, 0.4, 0.53], [1.0, 0.97, 0.99, 0.8]
+    fit = Fit()
+    for time_s, speed_mps in zip(times_s, speeds_mps):
+        fit.add(time_s, speed_mps)
+    assert fit.slope() == pytest.approx(numpy.polyfit(times_s, speeds_mps, 1)[0])
+    assert (fit.count, fit.span_s, fit.mean_s) == (4, pytest.approx(0.23), pytest.approx(numpy.mean(times_s)))
+    alone = Fit()
+    alone.add(1.0, 2.0)
+    assert (alone.count, alone.span_s, alone.slope()) == (1, 0.0, 0.0)
+
+
+def state(plane):
+    """Its estimate and the matrix of its errors."""
+    drag, x, y, dd, dx, dy, xx, xy, yy = plane
+    return numpy.array([drag, x, y]), numpy.array([[dd, dx, dy], [dx, xx, xy], [dy, xy, yy]])
+
+
+ROLLS = [(0.4, 0.2, 0.1), (1.5, 0.45, 0.05), (-2.0, 0.1, 0.2)]  # heading, deceleration, its error
+
+
+def test_a_roll_is_taken_by_a_kalman_filter_of_drag_and_the_pull_s_two_components():
+    plane = Plane.unknown(0.3)
+    assert state(plane)[0].tolist() == [0.3, 0.0, 0.0]
+    assert state(plane)[1] == pytest.approx(numpy.diag([0.3 ** 2, 0.35 ** 2, 0.35 ** 2]))
+    for yaw_rad, seen_mps2, bound_mps2 in ROLLS:
+        estimate, errors = state(plane)
+        looks = numpy.array([1.0, -math.cos(yaw_rad), -math.sin(yaw_rad)])
+        variance = looks @ errors @ looks
+        assert plane.coasting(yaw_rad) == (pytest.approx(looks @ estimate), pytest.approx(math.sqrt(variance)))
+        gain = errors @ looks / (variance + bound_mps2 ** 2)
+        plane = plane.measured(yaw_rad, seen_mps2, bound_mps2, 0.3)
+        found, left = state(plane)
+        assert found == pytest.approx(estimate + gain * (seen_mps2 - looks @ estimate))
+        assert left == pytest.approx(errors - numpy.outer(gain, looks @ errors))
+
+
+@pytest.mark.parametrize("beyond", [1.99, 2.01])
+def test_a_roll_that_is_off_by_more_than_twice_the_bound_starts_over(beyond):
+    plane = Plane.unknown(0.3).measured(0.0, 0.25, 0.05, 0.3)
+    likely_mps2, bound_mps2 = plane.coasting(1.0)
+    roll_ = 1.0, likely_mps2 + beyond * math.hypot(bound_mps2, 0.1), 0.1, 0.3
+    assert (plane.measured(*roll_) == Plane.unknown(0.3).measured(*roll_)) == (beyond > 2.0)
+
+
+def test_on_the_way_the_pull_may_change_by_0_015_mps2_in_a_metre_and_drag_does_not():
+    before = Plane.unknown(0.3).measured(*ROLLS[0], 0.3)
+    assert before.after(0.0) is before
+    change = numpy.diag([0.0, 4.0 * 0.015 ** 2, 4.0 * 0.015 ** 2])
+    assert state(before.after(4.0))[1] == pytest.approx(state(before)[1] + change)

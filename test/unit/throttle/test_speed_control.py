@@ -309,6 +309,15 @@ def test_correction_is_limited_and_comes_back_at_once():
     assert bench.run(SpeedRequest(1.0), 0.5).acceleration_mps2 < 0.0
 
 
+def test_integral_grows_no_further_than_the_limit_leaves_beside_the_error_s_own_part():
+    bench = Bench(speed_mps=1.0)
+    bench.run(SpeedRequest(1.0), 2.0)
+    bench.speed_mps = 0.7  # 0.3 m/s too slow: 1.2 m/s² of 2
+    bench.run(SpeedRequest(1.0), 30.0)
+    bench.speed_mps = 1.0
+    assert bench.run(SpeedRequest(1.0)).acceleration_mps2 == pytest.approx(0.8, abs=0.05)
+
+
 def test_delayed_step_makes_no_jump():
     bench = Bench(speed_mps=0.0)
     bench.run(SpeedRequest(2.0), 0.2)

@@ -58,3 +58,9 @@ def test_receiver_out_of_step_loses_every_later_frame_until_the_filler_which_cha
     assert received(lost)[0] == []
     assert len(received(lost + RESYNC_FILLER + frame)[0]) == 1
     assert len(received(lost + RESYNC_FILLER + frame + RESYNC_FILLER + frame)[0]) == 2
+
+
+def test_filler_is_just_long_enough_for_a_receiver_that_waits_for_the_end_of_an_escape():
+    before, frame = bytes.fromhex("7e" + "55" * 37 + "7d"), encode(ping(1))
+    assert [len(received(before + bytes(zeros) + frame)[0]) for zeros in (38, 39)] == [0, 1]
+    assert len(RESYNC_FILLER) == 39 and not any(RESYNC_FILLER)

@@ -73,6 +73,7 @@ CASES = {
 
     "tail_of_a_frame_in_whose_middle_the_port_was_opened": (SONAR[5:] + COUNTER, [COUNTER_BODY], {}),
     "much_noise_before_the_first_flag": (bytes(range(0x7d)) * 3 + SONAR, [SONAR_BODY], {"too_long": 1}),
+    "as_much_of_it_as_a_frame_may_have": (bytes(74) + SONAR, [SONAR_BODY], {}),
     "frame_without_its_closing_flag_waits": (SONAR + COUNTER[:-1], [SONAR_BODY], {}),
     "resync_filler": (SONAR + bytes(39) + COUNTER, [SONAR_BODY, COUNTER_BODY], {"too_long": 1}),
     "bad_frame_between_good_ones": (
@@ -113,7 +114,7 @@ def test_line_reopened_in_the_middle_of_a_frame_forgets_it():
         assert decoder.pending == pending
         decoder.reset()
         assert decoder.pending == 0
-        assert decoder.feed(SONAR) == [SONAR_BODY]
+        assert decoder.feed(COUNTER[5:] + SONAR) == [SONAR_BODY]  # it was opened in the middle of another
         assert decoder.tally.bad_checksum == 0 and adds_up(decoder)
 
 

@@ -5,6 +5,7 @@ import pytest
 from car_interface.teensy.link.protocol import Pong
 from car_interface.teensy.sensing import verdicts as gates
 from car_interface.teensy.sensing.plausibility import Gates
+from car_interface.teensy.sensing.tick_gate import TickGate
 from wheel_reports import judged, sonar
 
 
@@ -59,3 +60,57 @@ def test_tick_behind_what_the_clock_must_have_reached_is_of_one_that_restarted_t
     verdicts = [some.pong(Pong(1, 10_500 + later), True, reached=60_000 + later) for later in (0, 50, 100)]
     assert [verdict.accepted for verdict in verdicts] == [False, False, True]
     assert (verdicts[2].reason, verdicts[2].restarted) == (gates.CLOCK_RESTARTED, True)
+
+
+FIRST, FINE, BACK, AHEAD, WRONG = gates.FIRST, "", gates.TICK_BACK, gates.TICK_AHEAD, gates.PREVIOUS_WRONG
+REBOOT, GAP = gates.CLOCK_RESTARTED, gates.AFTER_GAP
+
+
+@pytest.mark.parametrize("ticks, reasons, newest, restarts", [
+    # between two ticks are up to 2 s; what was overtaken is up to 0.25 s old, and makes nothing older
+    ((10_000, 12_000, 11_750, 14_000), (FIRST, FINE, FINE, FINE), 14_000, 0),
+    ((10_000, 12_001), (FIRST, AHEAD), 10_000, 0),
+    ((10_000, 9_749), (FIRST, BACK), 10_000, 0),
+    # three that agree with each other are the clock, after a reboot or a gap
+    ((10_000, 100, 2_100, 1_850, 1_900), (FIRST, BACK, BACK, REBOOT, FINE), 1_900, 1),
+    ((10_000, 99_000, 99_050, 99_100, 101_100), (FIRST, AHEAD, AHEAD, GAP, FINE), 101_100, 0),
+    ((10_000, 100, 150, 200, 10_000, 10_050, 10_100, 30, 80, 130),
+     (FIRST, BACK, BACK, REBOOT, AHEAD, AHEAD, GAP, BACK, BACK, REBOOT), 130, 2),
+    # they must come in a row
+    ((10_000, 99_000, 99_050, 10_050, 99_100, 99_150), (FIRST, AHEAD, AHEAD, FINE, AHEAD, AHEAD), 10_050, 0),
+    ((10_000, 11_500, 99_000, 99_050, 10_050, 99_100, 99_150),
+     (FIRST, FINE, AHEAD, AHEAD, WRONG, AHEAD, AHEAD), 10_050, 0),
+])
+def test_ticks_are_judged_by_the_newest_one(ticks, reasons, newest, restarts):
+    gate = TickGate(2000)
+    verdicts = [gate.judge(tick) for tick in ticks]
+    assert [verdict.reason for verdict in verdicts] == list(reasons)
+    assert [verdict.accepted for verdict in verdicts] == [reason not in (BACK, AHEAD) for reason in reasons]
+    assert [verdict.restarted for verdict in verdicts] == [reason in (FIRST, REBOOT) for reason in reasons]
+    assert (gate.newest, gate.restarts) == (newest, restarts)
+
+
+def test_after_a_restart_that_is_known_nothing_counts_from_before():
+    gate = TickGate(2000)
+    for tick in (99_950, 100_000, 9_000, 9_050):
+        gate.judge(tick)
+    gate.restart(1000)
+    assert (gate.newest, gate.restarts) == (1000, 1)
+    assert [gate.judge(tick).reason for tick in (9_100, 100_000, 1_050)] == [AHEAD, AHEAD, FINE]
+
+
+@pytest.mark.parametrize("reached, reason", [(12_500, FINE), (12_501, BACK)])
+def test_tick_may_lag_two_seconds_behind_what_the_clock_has_reached(reached, reason):
+    gate = TickGate(2000)
+    gate.judge(10_000)
+    assert gate.judge(10_500, reached).reason == reason
+
+
+@pytest.mark.parametrize("newest, tick, is_young", [
+    (None, 100, False), (10_000, 1_999, True), (10_000, 2_000, False), (1_000, 749, True), (1_000, 750, False),
+])
+def test_tick_of_the_first_two_seconds_that_nothing_has_overtaken_is_that_of_a_reboot(newest, tick, is_young):
+    gate = TickGate(2000)
+    if newest is not None:
+        gate.judge(newest)
+    assert gate.is_young_again(tick) == is_young
