@@ -242,9 +242,8 @@ def test_it_drives_while_the_deadman_is_held_and_only_then_and_refuses_what_is_t
     assert fault.startswith("no calibration is written: ")
     after = car.program.node._drive.samples.drive()
     assert (len(samples.t_s), len(samples.duty)) == (len(after.t_s), len(after.duty)) and len(after.t_s) > 50
-    at_ns = graph.now_ns + 1
     graph.run(3.0)
-    assert car.speed_mps == 0.0 and not graph.messages(REQUESTS, at_ns)  # though it is still held
+    assert car.speed_mps == 0.0 and not graph.messages(REQUESTS, car.recording.closed_ns + 1)  # though it is still held
     assert f"recording: {car.recording.path}" in car.terminal.lines and "report: page" in car.terminal.lines
     assert [marker.action for marker in graph.newest(MARKERS).markers] == [Marker.DELETEALL]
     assert os.listdir(tmp_path) == []
