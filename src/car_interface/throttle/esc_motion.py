@@ -20,8 +20,7 @@ STANDSTILL_MPS = 0.1  # a wheel's pulse (1.5 cm) every 0.15 s
 MAX_DECELERATION_MPS2 = 8.0
 ACTUATION_NS = 40_000_000  # from a decision to the end of the pulse before it: a tick and a period, 20 ms each
 # If no decision follows, the board holds a pull that may become reverse for 80 ms (``pca9685.channels``), and then
-# ends the pulse that it has begun: another 20 ms. With 20 ms `python3 test/adversary --sweep --thin 149` finds a
-# reversal.
+# ends the pulse that it has begun: another 20 ms. With 20 ms `python3 test/adversary --sweep` finds reversals.
 PULL_NS = 100_000_000
 # A brake_then_reverse's pull it holds as long as any command: neutral between two pulls would let it reverse.
 HELD_PULL_NS = 270_000_000
