@@ -1,6 +1,7 @@
 """Renders pages by the templates beside this module, and puts numbers and times into words."""
 from __future__ import annotations
 
+import html
 import math
 import re
 import time
@@ -9,7 +10,6 @@ from pathlib import Path
 from typing import Any, Iterable
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup, escape
 
 from car_interface.common.units import NS_PER_S
 
@@ -29,9 +29,9 @@ def render(template: str, **values: Any) -> str:
     return pages.get_template(template).render(values)
 
 
-def breakable(text: str) -> Markup:
+def breakable(text: str) -> str:
     """Return a text as HTML whose long names, of topics and files, break behind / and _ and not in mid-word."""
-    return Markup(NAME_PART.sub(r"\1<wbr>", str(escape(text))))
+    return NAME_PART.sub(r"\1<wbr>", html.escape(text))
 
 
 def counted(texts: Iterable[str]) -> str:
