@@ -358,6 +358,8 @@ class World:
         if self.esc.motor == BACKWARD:
             if self.second and self.second[1] == self.index:
                 self.second[2] = True
+            if self.back and self._is_reverse_wanted(segment):
+                self._end_of_push_back()  # from now on it's wanted
             if self.back_ns is None:
                 self._begin_push_back(segment)
             self._follow_push_back(segment)
@@ -424,7 +426,7 @@ class World:
                 (self.back_ns - START_NS) / S, want, faults, self.lowest_mps, since(self.back_ns), since(self.shown_ns),
                 since(self.slightly_ns), since(self.seen_ns),
                 since(self.wheels_stand_ns)))
-        self.back_ns = None
+        self.back_ns = self.back = None
 
     def _begin_second(self, segment, now_s):
         """A reverse that must come about: wanted for long enough, of a car that stands, with nothing wrong."""

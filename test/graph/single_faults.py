@@ -65,6 +65,7 @@ class Kind(NamedTuple):
         takes: the source, human or planner, whose pins these are; empty = whoever drives.
         modes, actions: in which it can be, and which it leaves the person.
         centers: it takes the steering alone, and the throttle goes on.
+        holds: the board can't change its pulses, so a pull that may become reverse lasts: R2.
     """
 
     make: Callable[[Any], Any]
@@ -77,6 +78,7 @@ class Kind(NamedTuple):
     modes: tuple[str, ...] = tuple(MODES)
     actions: tuple[str, ...] = ACTIONS
     centers: bool = False
+    holds: bool = False
 
 
 # --- links ---
@@ -277,10 +279,11 @@ NAN = math.nan
 SERIAL = {"stops": {ESC: 0.5}, "takes": PLANNER}
 OTHERS = {
     "one transfer fails": Kind(nacks(1)),
-    "five transfers fail": Kind(nacks(5), timeout_s=0.4),  # one, its repetition, and three attempts 0.1 s apart
+    # One, its repetition, and three attempts 0.1 s apart.
+    "five transfers fail": Kind(nacks(5), timeout_s=0.4, holds=True),
     "brown-out of the board": Kind(lambda drive: drive.car.board.brown_out()),
     "board without power": Kind(remove_board, return_board),
-    "bus held for 0.2 s": Kind(hold_bus, timeout_s=0.3),
+    "bus held for 0.2 s": Kind(hold_bus, timeout_s=0.3, holds=True),
     "foreign write": Kind(write_foreign, timeout_s=0.5),
     "guard killed": Kind(lambda drive: drive.car.board.guards[-1].kill()),
     "guard frozen": Kind(lambda drive: drive.car.board.guards[-1].stall(1.0)),
@@ -338,7 +341,8 @@ def together(one: Kind, other: Kind) -> Kind:
         other.make(drive)
     # A time-out may also lengthen the throttle without steering; and there are two ticks.
     delay_s = one.timeout_s + other.timeout_s + one.delay_s + other.delay_s + TICK_S
-    return Kind(make, delay_s=delay_s, modes=modes, actions=actions, centers=one.centers or other.centers)
+    return Kind(make, delay_s=delay_s, modes=modes, actions=actions, centers=one.centers or other.centers,
+                holds=one.holds or other.holds)
 
 
 # Of each sort of fault one, for pairs.
@@ -484,9 +488,9 @@ def run(drive: Drive, case: Case, kind: Kind, after_s: float) -> Judged:
     for pin, timeout_s in stops.items():
         judge(pin, "G6", fault_ns, min(end_ns, fault_ns + kind.lasts_s * NS_PER_S), timeout_s + kind.delay_s)
     for pin in {"nothing": (), "pull": (ESC,)}.get(case.action, BOTH):
-        judge(pin, "G4" if case.action == "pull" else "G1", act_ns, end_ns, bound_s)
+        judge(pin, "G4" if case.action == "pull" else "G1", max(act_ns, fault_ns), end_ns, bound_s)
     slowest_mps = min(each.twist.twist.linear.x for each in graph.messages("/car_sim/truth", drive.begin_ns))
-    if slowest_mps < -NOISE_MPS:
+    if slowest_mps < -NOISE_MPS and not (kind.holds and case.esc not in ("brake_then_reverse", "forward_only")):
         found.append(f"G2: it drove backward at {slowest_mps:.2f} m/s")
     alone_s = longest_alone_s(drive.car.board.changes, end_ns)
     if not kind.centers and alone_s > TOGETHER_S + kind.delay_s:

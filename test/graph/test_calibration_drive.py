@@ -67,12 +67,12 @@ class Recording:
     has_ended = False
 
     def __init__(self, car, folder, topics, stem):
-        self._car, self.topics, self.path = car, topics, os.path.join(folder, f"{stem}_recorded.bag")
+        self.graph, self.topics, self.path = car.graph, topics, os.path.join(folder, f"{stem}_recorded.bag")
         self.begun_ns = car.graph.now_ns
         car.recording = self
 
     def has_subscribed(self, topic):
-        return topic in self.topics and self._car.graph.now_ns - self.begun_ns > NS_PER_S
+        return topic in self.topics and self.graph.now_ns - self.begun_ns > NS_PER_S
 
     def stop(self):
         self.has_ended = True
@@ -83,6 +83,7 @@ class Page:
 
     def __init__(self, recording):
         self._recording, self._left = recording, 3
+        recording.closed_ns = recording.graph.now_ns
 
     def step(self):
         self._left -= 1
@@ -233,13 +234,16 @@ def test_it_drives_while_the_deadman_is_held_and_only_then_and_refuses_what_is_t
     assert graph.newest(SPEEDS).data == 0.0
     assert re.search(r"ended by hand after \d+ s\. You can let go\. Calibrating", car.terminal.text)
     samples = car.program.node._drive.samples.drive()
-    at_ns = graph.now_ns
+    done_ns = graph.now_ns
     fault = ended(car)
+    # The end of the asking is no fault of the recorded drive.
+    assert {record.message.source for record in graph.recorded["/turn_arb/state"]
+            if done_ns <= record.at_ns <= car.recording.closed_ns} == {SteeringState.PLANNER}
     assert fault.startswith("no calibration is written: ")
     after = car.program.node._drive.samples.drive()
     assert (len(samples.t_s), len(samples.duty)) == (len(after.t_s), len(after.duty)) and len(after.t_s) > 50
     graph.run(3.0)
-    assert car.speed_mps == 0.0 and not graph.messages(REQUESTS, at_ns)  # though it is still held
+    assert car.speed_mps == 0.0 and not graph.messages(REQUESTS, car.recording.closed_ns + 1)  # though it is still held
     assert f"recording: {car.recording.path}" in car.terminal.lines and "report: page" in car.terminal.lines
     assert [marker.action for marker in graph.newest(MARKERS).markers] == [Marker.DELETEALL]
     assert os.listdir(tmp_path) == []

@@ -251,7 +251,8 @@ def test_auto_refuses_two_boards_with_their_list_and_writes_to_neither(graph, je
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can be two users")
-def test_another_users_folder_for_a_virtual_chip_is_told_and_not_used_until_it_is_gone(graph, tmp_path_factory, monkeypatch):
+def test_another_users_folder_for_a_virtual_chip_is_told_and_not_used_until_it_is_gone(graph, tmp_path_factory,
+                                                                                       monkeypatch):
     started, tmp_path = [], tmp_path_factory.mktemp("a")  # a socket's path is short
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setattr(virtual_board.subprocess, "Popen", lambda *_, **__: started.append(1))

@@ -19,6 +19,8 @@ IS_ALL = bool(os.environ.get("CAR_INTERFACE_ALL"))
 DRAWS, PAIRS_DRAWS, SEED = 3, 3, 37
 SAMPLE, PAIRS_SAMPLE = 30, 40  # of a drive, where not all are made
 AFTER_S = (0.05, 0.3, -0.1)
+FOUND = [Case("serial noise", 15, "autonomous", "forward_only", "pull"),
+         Case("Teensy restarted", 12, "autonomous", "brake_becomes_reverse", "pull")]
 DRIVES = list(itertools.product(MODES, ESCS)) if IS_ALL else list(zip(MODES, ESCS))
 PAIRS_DRIVES = DRIVES if IS_ALL else [("autonomous", "brake_then_reverse")]
 
@@ -66,6 +68,13 @@ def violations(forker, mode, esc, every, sample):
 def test_no_single_fault_breaks_a_goal(forker, mode, esc):
     """And no reaction takes more than a tick beyond time-out and delays."""
     assert violations(forker, mode, esc, single_cases(), SAMPLE) == []
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("case", FOUND, ids=lambda case: case.kind)
+def test_speed_that_is_known_to_a_metre_a_second_is_no_speed_to_brake_by(forker, case):
+    """The first odometry after the link was gone: it brakes until the car drives backward, or pushes for a pull."""
+    assert violations(forker, case.mode, case.esc, [case], 1) == []
 
 
 @pytest.mark.once

@@ -38,8 +38,8 @@ class InterlockConfig:
     e_stop_required: bool = declared.flag(
         "e_stop_required", False, "true = an e-stop that was never received counts as true")
     grant_at_start: bool = declared.flag(
-        "grant_at_start", True, "false = a deadman that is held at start must be released first: see "
-                                "[failsafe](safety.md); the launch files set it to false")
+        "grant_at_start", True, "false, as in the launch files = a deadman that is held at start must be "
+                                "[released first](safety.md#deadman-and-re-arming)")
 
 
 class Inhibit(NamedTuple):

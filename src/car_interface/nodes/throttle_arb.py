@@ -139,7 +139,9 @@ class ThrottleArb(CommandNode):
 
     def _on_odometry(self, message, now_ns):
         speed_mps = message.twist.twist.linear.x
-        self._control.update_odometry(speed_mps, now_ns, self._odometry_age.at_arrival_ns(message.header.stamp, now_ns))
+        variance = message.twist.covariance[0]
+        self._control.update_odometry(speed_mps, now_ns, self._odometry_age.at_arrival_ns(message.header.stamp, now_ns),
+                                      math.sqrt(variance) if variance > 0 else 0.0)  # 0 for NaN, too
         if not abs(speed_mps) <= MAX_SPEED_MPS:  # also for NaN
             self._warnings.warn(causes.ODOMETRY_NOT_FINITE,
                                 f"the velocity in the odometry is {speed_mps}: the planner doesn't drive")

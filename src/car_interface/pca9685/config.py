@@ -27,8 +27,8 @@ class Pca9685Config:
         "device", "/dev/i2c-1", f"the I²C bus; `{AUTO}` = [the header's](install.md#the-servo-boards-bus); `{VIRTUAL}` "
                                 "= a PCA9685 in software, register by register")
     auto_device: str | None = declared.path(
-        "auto_device", None, f"the bus that `device: {AUTO}` has found; the node sets it, to keep this bus when "
-                             "roslaunch restarts it", default_text="none yet")
+        "auto_device", None, f"the bus that `device: {AUTO}` has found, to keep it at a restart; the node sets it",
+        default_text="none yet")
     address: int = declared.integer(
         "address", 0x40, "I²C address, 0x40..0x7f", low=0x40, high=0x7F, default_text="0x40")
     frequency_hz: float = declared.number("frequency", 50.0, "PWM frequency", "Hz", above=0.0)
@@ -56,9 +56,9 @@ class Pca9685Config:
         high=CHANNELS - 1, default_text=ESC_FILE)
     esc_neutral: int | None = declared.duty("esc/servo/neutral", None, "its timeout value", default_text=ESC_FILE)
     esc_duties: Sequence[float] = declared.duties(
-        "esc/servo/duty_table", (), "a duty on the table's first side of neutral, a pull, is held for 80 ms at most, "
-                                    f"whatever `timeout` is, but a measured `{BRAKES_FIRST}`'s first one after "
-                                    "a push", default_text=ESC_FILE)
+        "esc/servo/duty_table", (), "a pull, on its first side of neutral, may be held "
+                                    "[less long](safety.md#a-channel-that-nobody-commands-any-more) than `timeout`",
+        default_text=ESC_FILE)
     esc_profile: str = declared.text(
         "esc/esc/profile", "unverified", "the [kind of ESC](throttle.md#the-kind-of-esc)", default_text=ESC_FILE)
     is_esc_measured: bool = declared.flag(

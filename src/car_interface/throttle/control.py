@@ -77,11 +77,13 @@ class ThrottleControl:
         """Take the converter's value for the planner's command."""
         self.arbiter.update_planner(value, self._duties.request_of_value(value), now_ns)
 
-    def update_odometry(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
-        """Take the measured speed, forward positive, and its age at arrival by its stamp; 0 = unknown."""
+    def update_odometry(self, speed_mps: float, now_ns: int, age_ns: int = 0, sigma_mps: float = 0.0) -> None:
+        """Take the measured speed, forward positive, its age at arrival by its stamp (0 = unknown), and its
+        standard deviation.
+        """
         self.arbiter.update_odometry(speed_mps, now_ns, age_ns)
         self.limiter.speed.update(speed_mps, now_ns, age_ns)
-        self._esc.update_speed(speed_mps, now_ns, age_ns)
+        self._esc.update_speed(speed_mps, now_ns, age_ns, sigma_mps)
         if self._guard is not None:
             self._guard.slope.update_speed(speed_mps, now_ns - max(0, age_ns), self._curvature_per_m)
 

@@ -36,7 +36,9 @@ from car_interface.throttle.esc_history import EscHistory
 from car_interface.throttle.esc_intention import AUTO, DRIVE, REVERSE_GEAR, Pulls, Request
 from car_interface.throttle.esc_motion import (
     ACTUATION_NS,
+    HELD_PULL_NS,
     MOTOR_LAG_NS,
+    PULL_NS,
     STANDSTILL_MPS,
     HillWatch,
     MeasuredMotion,
@@ -118,9 +120,9 @@ class Esc:
         """Take what the servo board holds; ``None`` = no pulse: switched off, never set, or without power."""
         self._history.update_held(fraction, now_ns)
 
-    def update_speed(self, speed_mps: float, now_ns: int, age_ns: int) -> None:
-        """Take the measured speed, forward positive, and its age at arrival."""
-        self._motion.update(speed_mps, now_ns, age_ns)
+    def update_speed(self, speed_mps: float, now_ns: int, age_ns: int, sigma_mps: float = 0.0) -> None:
+        """Take the measured speed, forward positive, its age at arrival, and its standard deviation."""
+        self._motion.update(speed_mps, now_ns, age_ns, sigma_mps)
 
     def mark_stale(self) -> None:
         """Treat board and speed as unknown, since messages were dropped on their way here."""
@@ -336,7 +338,7 @@ class Esc:
             margin_mps += BEGINS_OVER_MPS if is_sure else margin_mps
         return motion.least_speed_mps(now_ns) > margin_mps and motion.outlasts_a_pull(now_ns)
 
-    def _weak_pull(self, value, now_ns):
+    def _weak_pull(self, value, now_ns, pull_ns=PULL_NS):
         """Return the part of a pull that ends before the car stands, whatever the ESC makes of it; 0 = none.
 
         Nothing else slows a car downhill whose ESC isn't certain to brake. The speed's age decides how much is safe, so
@@ -346,7 +348,7 @@ class Esc:
         if not (self._hill.drives_the_car and motion.is_stamped and motion.is_fresh(now_ns)
                 and motion.rolls_forward(now_ns)):
             return 0.0  # an old speed doesn't show the effect of later pulls
-        weak = max(value, -motion.mps2_to_outlast_a_pull(now_ns) / SLOWS_MPS2)
+        weak = max(value, -motion.mps2_to_outlast_a_pull(now_ns, pull_ns) / SLOWS_MPS2)
         is_let_go = self._lagging_pull <= LETS_GO * -weak
         return weak if weak <= -self.config.dead_band_reverse and is_let_go else 0.0
 
@@ -416,7 +418,8 @@ class Esc:
         """Return the weak pull of a stop that isn't certain to brake; 0 = neutral."""
         if self._state == REVERSE or self.config.profile == UNVERIFIED or not self._history.is_known(now_ns):
             return 0.0
-        return self._weak_pull(-self.config.stop_brake, now_ns)
+        held_ns = HELD_PULL_NS if self.config.profile == BRAKE_THEN_REVERSE else PULL_NS
+        return self._weak_pull(-self.config.stop_brake, now_ns, held_ns)
 
     def _holds_on_a_hill(self, now_ns):
         """Return whether a stop holds the brake at standstill: on a known hill, if it began while the car rolled."""

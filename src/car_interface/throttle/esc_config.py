@@ -43,8 +43,8 @@ class EscConfig:
     profile_measured: bool = declared.flag(
         "esc/profile_measured", False, "true = calibrate_esc saw it: a stop brakes from the start on")
     calibration_drive: bool = declared.flag(
-        "esc/calibration_drive", False, "true = the ESC gets a person's stick as it is, for calibrate_esc; only with "
-                                        "an unverified one: see [Calibrate your car](calibrate.md#3-the-esc)")
+        "esc/calibration_drive", False, "true = the ESC gets a person's stick as it is, for "
+                                        "[calibrate_esc](calibrate.md#3-the-esc); only with an unverified one")
     # ESCs find their neutral within a second of power-up; BARC's cars wait for that time, too.
     arming_time_s: float = declared.number(
         "esc/arming_time", 1.0, "neutral before anything else, after a start and after the board gave no pulse", "s",

@@ -20,9 +20,13 @@ STANDSTILL_MPS = 0.1  # a wheel's pulse (1.5 cm) every 0.15 s
 MAX_DECELERATION_MPS2 = 8.0
 ACTUATION_NS = 40_000_000  # from a decision to the end of the pulse before it: a tick and a period, 20 ms each
 # If no decision follows, the board holds a pull that may become reverse for 80 ms (``pca9685.channels``), and then
-# ends the pulse that it has begun: another 20 ms. With 20 ms `python3 test/adversary --sweep --thin 149` finds a
-# reversal.
+# ends the pulse that it has begun: another 20 ms. With 20 ms `python3 test/adversary --sweep` finds reversals.
 PULL_NS = 100_000_000
+# A brake_then_reverse's pull it holds as long as any command: neutral between two pulls would let it reverse.
+HELD_PULL_NS = 270_000_000
+# After a silence of FRESH_NS a rolling speed that claims a larger standard deviation is unknown, until one claims a
+# smaller one: m/s, and as a part of the speed. The hub's first ones after a reboot were off by 1 m/s.
+UNCERTAIN_MPS, UNCERTAIN_RATIO = 0.3, 0.1
 FRESH_NS = 150_000_000  # an older speed misses reports: the hub's odometry comes at 50 Hz
 # A brake that is held decelerates by no more than SEEN_RATIO times what was measured over WINDOW_NS, and SEEN_MPS2:
 # the brake's own change, and odometry's noise. Chosen; test_esc_motion.py fails with 1 and 0. SPEEDS reports are kept.
@@ -47,6 +51,7 @@ class MeasuredMotion:
     def __init__(self, config: EscConfig):
         self._speed = TimedInput("odom", config.speed_timeout_s)
         self.measured_ns, self.is_stamped = -math.inf, False
+        self._arrival_ns, self._is_in_doubt = -math.inf, False
         self._slides_until_ns = -math.inf
         # When the newest speed's first brake began; None: it wasn't braked. A brake changes it, and a filter that
         # has lost its sensor predicts on with one: so a speed that repeats is no newer than this.
@@ -54,17 +59,27 @@ class MeasuredMotion:
         self._speeds: deque = deque(maxlen=SPEEDS)  # (measured_ns, speed without its sign)
         self._backward_ns: int | None = None  # when it last drove or rolled backward; None: it has stopped
 
-    def update(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
-        """Take a speed and its age at arrival; one that isn't finite or is beyond MAX_SPEED_MPS is unknown."""
+    def update(self, speed_mps: float, now_ns: int, age_ns: int = 0, sigma_mps: float = 0.0) -> None:
+        """Take a speed, its age at arrival, and its standard deviation.
+
+        One that isn't finite or is beyond MAX_SPEED_MPS is unknown, and so is an uncertain one after a silence.
+        """
+        was_silent, self._arrival_ns = now_ns - self._arrival_ns > FRESH_NS, now_ns
         if not abs(speed_mps) <= MAX_SPEED_MPS:  # also for NaN
             self._speed.mark_stale(f"it was {speed_mps}")
+            return
+        rolls = abs(speed_mps) >= STANDSTILL_MPS
+        is_uncertain = rolls and sigma_mps > max(UNCERTAIN_MPS, UNCERTAIN_RATIO * abs(speed_mps))
+        self._is_in_doubt = is_uncertain and (was_silent or self._is_in_doubt)
+        if self._is_in_doubt:
+            self._speed.mark_stale(f"it was uncertain by {sigma_mps:.1f} m/s")
             return
         if speed_mps != self._speed.value:
             self._braked_ns = None
         self._speed.update(speed_mps, now_ns, age_ns)
         self.measured_ns, self.is_stamped = now_ns - max(0, age_ns), age_ns > 0
         self._speeds.append((self.measured_ns, abs(speed_mps)))
-        if abs(speed_mps) >= STANDSTILL_MPS:  # wheels that a brake locks read 0 while the car slides on
+        if rolls:  # wheels that a brake locks read 0 while the car slides on
             slides_until_ns = self.measured_ns + round(abs(speed_mps) / SLIDE_MPS2 * NS_PER_S)
             self._slides_until_ns = max(self._slides_until_ns, slides_until_ns)
 
@@ -142,10 +157,10 @@ class MeasuredMotion:
         return (self._least_mps(now_ns, PULL_NS, slows_mps2) > 0.0
                 and self._least_mps(now_ns, 0, slows_mps2) > above_mps)
 
-    def mps2_to_outlast_a_pull(self, now_ns: int) -> float:
+    def mps2_to_outlast_a_pull(self, now_ns: int, pull_ns: int = PULL_NS) -> float:
         """Return the deceleration that stops the car just when the board has ended a pull that is given now."""
         speed_mps = self.speed_mps(now_ns)
-        return 0.0 if speed_mps is None else abs(speed_mps) * NS_PER_S / (self._age_ns(now_ns) + PULL_NS)
+        return 0.0 if speed_mps is None else abs(speed_mps) * NS_PER_S / (self._age_ns(now_ns) + pull_ns)
 
     def _age_ns(self, now_ns):
         return now_ns - min(self.measured_ns, math.inf if self._braked_ns is None else self._braked_ns)
@@ -189,7 +204,7 @@ class MotionCheck:
         """
         speed_mps = motion.speed_mps(now_ns)
         if is_reverse:
-            self._reverse_until_ns = now_ns + MOTOR_LAG_NS
+            self._reverse_until_ns, self._max_backward_mps = now_ns + MOTOR_LAG_NS, math.inf
         if speed_mps is None:
             return ""
         was_reverse = wants_backward or motion.measured_ns <= self._reverse_until_ns
@@ -206,7 +221,6 @@ class MotionCheck:
     def _against(self, speed_mps, is_reverse, was_reverse):
         margin_mps = self._config.motion_speed_mps
         if is_reverse:
-            self._max_backward_mps = math.inf
             return f"it rolled forward at {speed_mps:.1f} m/s in reverse" if speed_mps > margin_mps else ""
         if was_reverse:
             self._max_backward_mps = math.inf

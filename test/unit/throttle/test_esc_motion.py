@@ -40,6 +40,24 @@ def test_standstill_is_below_a_tenth_of_a_meter_a_second(speed_mps, stands, forw
             measured.rolls_backward(later_ns)) == (stands, forward, backward)
 
 
+@pytest.mark.parametrize("silent_ms, speed_mps, sigma_mps, is_known", [
+    (151, 2.0, 0.31, False), (151, -2.0, 0.31, False), (151, 2.0, 0.3, True), (150, 2.0, 9.0, True),
+    (151, 8.0, 0.8, True), (151, 8.0, 0.81, False), (151, 0.09, 9.0, True), (151, 0.1, 9.0, False)])
+def test_uncertain_speed_of_a_rolling_car_is_unknown_after_a_silence(silent_ms, speed_mps, sigma_mps, is_known):
+    measured = motion(2.0)
+    measured.update(speed_mps, silent_ms * MS, 0, sigma_mps)
+    assert (measured.speed_mps(silent_ms * MS) is not None) == is_known
+
+
+def test_it_stays_unknown_until_one_is_certain_and_then_later_ones_count_again():
+    measured = motion()
+    for at_ms, sigma_mps, is_known in ((0, 0.5, False), (20, 0.5, False), (40, 0.1, True), (60, 0.5, True)):
+        measured.update(2.0, at_ms * MS, 0, sigma_mps)
+        assert (measured.speed_mps(at_ms * MS) == 2.0) == is_known
+    measured.update(2.0, S, 0, 0.5)
+    assert measured.unknown_reason(S) == "odom was not heard since it was uncertain by 0.5 m/s"
+
+
 def test_locked_wheels_are_no_standstill_until_the_car_must_have_stopped():
     locked = motion(1.0, 3.0, 0.0)  # 3 m/s ÷ 3 m/s²: a second after it was measured
     assert locked.rolls_forward(200 * MS) and not locked.stands(200 * MS)
@@ -262,6 +280,16 @@ def test_car_that_stood_may_not_set_off_backward_again(slowed_mps, found):
 @pytest.mark.parametrize("late_ms, found", [(150, []), (151, [380])])
 def test_car_may_get_faster_until_the_motor_has_let_go_of_reverse(late_ms, found):
     assert found_at((0, -0.5, REVERSES), (late_ms, -0.5, {}), *((at_ms, -0.9, {}) for at_ms in (180, 380))) == found
+
+
+def test_car_that_reversed_without_a_speed_may_roll_out_of_it():
+    check, measured = MotionCheck(EscConfig()), motion(0.0)
+    assert not check.check(measured, False, 0)
+    measured.mark_stale()
+    assert not check.check(measured, True, S)
+    for at_ms in range(1500, 2000, 50):
+        measured.update(-0.5, at_ms * MS)
+        assert not check.check(measured, False, at_ms * MS)
 
 
 class Roll:

@@ -311,6 +311,12 @@ class CalibrationDriveNode:
         if lines:
             self._text.say("\n".join(terminal.wrapped(lines, self._text.width) if self._text.is_live else lines))
 
+    def _stand(self):
+        """Ask the car to stand until the recording is closed: silence would be a fault of the drive on its page."""
+        if self._speeds is not None:
+            self._steerings.publish(Float32(0.0))
+            self._speeds.publish(Float32(0.0))
+
     def _stop_asking(self):
         """No request any more; the last one is to stand."""
         if self._step is not None and self._speeds is not None:
@@ -320,7 +326,7 @@ class CalibrationDriveNode:
     # --- its end ---
 
     def _begin_end(self):
-        self._stop_asking()
+        self._stand()
         self._text.keep()
         text = f"{self._step.text}. You can let go. Calibrating …"
         self._text.say(text)
@@ -329,7 +335,7 @@ class CalibrationDriveNode:
         name = os.path.basename(self._recording.path)
         samples, base, base_text = self._drive.samples, self._base, self._table.base_text
         self._inbox.work(lambda: conclude(samples, base, base_text, name), self._on_conclusion)
-        self._stage = lambda now_ns, typed: None  # until the conclusion
+        self._stage = lambda now_ns, typed: self._stand()  # until the conclusion
 
     def _on_conclusion(self, conclusion, now_ns):
         self._say(*conclusion.report)
@@ -371,8 +377,10 @@ class CalibrationDriveNode:
                                self._inbox.graph.parameter("pca9685/steering/servo_center", None)))
 
     def _close_recording(self, now_ns):
+        self._stand()
         if self._page is None and now_ns >= self._page_due_ns:
             self._page = self._make_page(self._recording)
+            self._stop_asking()
 
     def _await_page(self, now_ns, typed):
         self._close_recording(now_ns)

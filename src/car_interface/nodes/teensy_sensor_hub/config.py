@@ -38,12 +38,11 @@ class HubConfig:
         "sonar_restart", 3.0, "time without any sonar report after which SONAR_START is sent; 0 = never", "s", low=0.0,
         high=3600)
     sonar_sequence: Sequence[float] = declared.numbers(
-        "sonar_sequence", (), "the order in which the sonars fire, sent when the port opens and after each reboot; "
-                              "[] = the firmware's own, all six",
+        "sonar_sequence", (), "the order in which the sonars fire; [] = the firmware's own, all six",
         f"up to {MAX_SEQUENCE}", low=0, high=len(SONARS) - 1)
     sonar_sequence_ahead: Sequence[float] = declared.numbers(
-        "sonar_sequence_ahead", (), "the same while the car drives forward; [] = no other. For "
-                                    "[obstacle_stop](limits.md#obstacle_stop), such as [1, 0, 1, 2, 1, 0, 1, 2, 1, 4]",
+        "sonar_sequence_ahead", (), "the same while the car drives forward, for "
+                                    "[obstacle_stop](limits.md#obstacle_stop); [] = no other",
         f"up to {MAX_SEQUENCE}", low=0, high=len(SONARS) - 1)
     raw_only: bool = declared.flag(
         "raw_only", False, "true = the four raw topics and the link only, for half of the CPU")

@@ -91,6 +91,7 @@ def _report(bag, namespace, wheelbase_m, progress, topics, killed=False):
     try:
         check_not_killed(killed, bag)
         drive = summarize(bag, namespace, wheelbase_m, progress=progress, **topics)
+        drive.path = os.path.abspath(bag)  # whoever reads the page, or a worker elsewhere, is in another folder
         return drive.notes, page(drive, plots(drive)), ""
     except Exception as error:  # one bad recording must not prevent the pages of the others
         return [], "", failure_text(error, bag, "no page can be made of it")

@@ -5,6 +5,8 @@ import math
 import re
 from typing import Any, Collection, NamedTuple
 
+from car_interface.throttle.battery import REPORT as BATTERY_REPORT
+
 OK, WARN, ERROR = range(3)  # as in diagnostic_msgs/DiagnosticStatus
 LOG_LEVELS = {"rosgraph_msgs": (4, 8), "rcl_interfaces": (30, 40)}  # warning and error, by the package of Log
 # A node's first report that is a warning, and becomes OK within so long, before anybody drives, is its start: the hub
@@ -92,7 +94,7 @@ class NodeReports:
 
     Args:
         present: the recorded topics; what turn_arb, the hub and teleop_logi report in topics of their own isn't added
-            twice.
+            twice, nor is the battery, which throttle_arb reports on /diagnostics and logs.
         log_type: the type of /rosout, such as rosgraph_msgs/msg/Log.
     """
 
@@ -101,6 +103,7 @@ class NodeReports:
         self._has_state = "turn_arb/state" in present
         self._has_link = "teensy_sensor_hub/link" in present
         self._has_gamepad = "teleop_logi/state" in present
+        self._has_reports = "/diagnostics" in present
         self._warning, self._error = LOG_LEVELS.get(log_type.split("/")[0], LOG_LEVELS["rosgraph_msgs"])
 
     def on_diagnostics(self, time_s: float, message: Any) -> None:
@@ -118,7 +121,8 @@ class NodeReports:
         """Take a rosgraph_msgs/Log or rcl_interfaces/Log."""
         node = message.name.strip("/")
         is_known = node.endswith("turn_arb") and self._has_state or \
-            self._has_gamepad and message.msg.startswith("human in loop: ")
+            self._has_gamepad and message.msg.startswith("human in loop: ") or \
+            self._has_reports and message.msg.startswith(f"{BATTERY_REPORT}: ")
         if message.level >= self._warning and not is_known:
             level = ERROR if message.level >= self._error else WARN
             self._faults.add_repeated(time_s, level, node, message.msg)

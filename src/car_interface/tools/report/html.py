@@ -2,17 +2,20 @@
 from __future__ import annotations
 
 import math
+import re
 import time
 from collections import Counter
 from pathlib import Path
 from typing import Any, Iterable
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup, escape
 
 from car_interface.common.units import NS_PER_S
 
 SAME_RATIO = 0.015  # from 1: taken for the same
 MANY_TIMES = 10  # more than that is no percentage any more
+NAME_PART = re.compile(r"(?<=[^\W_])([/_]+)(?=\w)")
 MIN_DATE_NS = 1_000_000_000 * NS_PER_S  # September 2001: before ROS; the clock of a simulation begins at 0
 
 
@@ -20,9 +23,15 @@ def render(template: str, **values: Any) -> str:
     """Return a page as HTML by a template such as drive.html; texts are escaped: recordings come from other people."""
     pages = Environment(loader=FileSystemLoader(str(Path(__file__).with_name("templates"))), autoescape=True,
                         undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True)
-    pages.filters.update(counted=counted, date=date_text, span=span_text, times=times_text, radius=radius_text, zip=zip)
+    pages.filters.update(breakable=breakable, counted=counted, date=date_text, span=span_text, times=times_text,
+                         radius=radius_text, zip=zip)
     pages.tests["finite"] = math.isfinite
     return pages.get_template(template).render(values)
+
+
+def breakable(text: str) -> Markup:
+    """Return a text as HTML whose long names, of topics and files, break behind / and _ and not in mid-word."""
+    return Markup(NAME_PART.sub(r"\1<wbr>", str(escape(text))))
 
 
 def counted(texts: Iterable[str]) -> str:

@@ -100,7 +100,8 @@ def test_guess_and_what_the_user_says_are_told_beside_the_page(no_plots, tmp_pat
         assert main("bag_report", [path, *options]) == 0
         shown = capsys.readouterr()
         assert (shown.out, shown.err) == (f"{out}\n", f"bag_report: {path}: {note}\n")
-        assert f"<tr><th>Topics</th><td>{note}</td></tr>" in pathlib.Path(out).read_text(encoding="utf-8")
+        text = pathlib.Path(out).read_text(encoding="utf-8").replace("<wbr>", "")
+        assert f"<tr><th>Topics</th><td>{note}</td></tr>" in text
 
 
 @pytest.mark.browser

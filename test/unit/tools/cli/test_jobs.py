@@ -106,9 +106,11 @@ def test_table_and_pages_of_a_cluster_are_those_of_this_computer(cluster, tmp_pa
     made = {}
     for options in (["--jobs", "1"], ["--scheduler", cluster.scheduler_address]):
         assert main("drives", [".", "--fresh", *options]) == 0
-        assert main("bag_report", [str(tmp_path / "0.bag"), *options]) == 0
-        made[options[0]] = [(tmp_path / name).read_bytes() for name in ("drives.csv", "drives.html", "0.html")]
-        (tmp_path / "0.html").unlink()  # drives links to it
+        assert main("bag_report", ["0.bag", "1.bag", *options]) == 0
+        made[options[0]] = [(tmp_path / name).read_bytes()
+                            for name in ("drives.csv", "drives.html", "0.html", "1.html")]
+        for name in ("0.html", "1.html"):  # drives links to them
+            (tmp_path / name).unlink()
     assert made["--jobs"] == made["--scheduler"]
     assert "none.bag is cut off or damaged" in capsys.readouterr().err
 

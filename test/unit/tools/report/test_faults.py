@@ -2,10 +2,11 @@
 import copy
 import math
 import re
+from types import SimpleNamespace
 
 import pytest
 
-from car_interface.tools.report.faults import ERROR, OK, WARN, Fault, FaultLog
+from car_interface.tools.report.faults import ERROR, OK, WARN, Fault, FaultLog, NodeReports
 from car_interface.tools.report.page import page
 from written_recordings import HOSTILE
 
@@ -58,6 +59,23 @@ def test_condition_lasts_until_it_is_ok_another_one_or_the_end_and_a_repeated_mo
 
 
 # --- a node's start ---
+
+LOW = "the battery has 6.90 V after it fell below warn_below, 7 V: low until it has 7.75 V"
+
+
+@pytest.mark.parametrize("present, listed", [
+    pytest.param(["/diagnostics", "/rosout"], [LOW], id="once"),
+    pytest.param(["/rosout"], [f"battery: {LOW}"], id="from_the_log_alone")])
+def test_low_battery_that_is_reported_and_logged_is_listed_once(present, listed):
+    faults = FaultLog()
+    nodes = NodeReports(faults, present, "rosgraph_msgs/Log")
+    if "/diagnostics" in present:
+        nodes.on_diagnostics(1.0, SimpleNamespace(
+            status=[SimpleNamespace(name="throttle_arb: battery", level=WARN, message=LOW)]))
+    nodes.on_log(1.0, SimpleNamespace(name="/throttle_arb", level=4, msg=f"battery: {LOW}"))
+    faults.finish()
+    assert [fault.what for fault in faults.entries] == listed
+
 
 def reported(*reports, driven_from_s=20.0):
     """What of (time, level, text) of one key is a fault."""

@@ -1,7 +1,7 @@
 """Texts for numbers and times."""
 import pytest
 
-from car_interface.tools.report.html import counted, moment_text, span_text
+from car_interface.tools.report.html import breakable, counted, moment_text, span_text
 
 
 @pytest.mark.parametrize("texts, line", [
@@ -12,6 +12,13 @@ from car_interface.tools.report.html import counted, moment_text, span_text
 ])
 def test_texts_are_counted_and_the_six_most_frequent_are_named(texts, line):
     assert counted(iter(texts)) == line
+
+
+@pytest.mark.parametrize("text, html", [
+    ("/camera/depth_raw", "/camera/<wbr>depth_<wbr>raw"), ("~/car/a.bag", "~/car/<wbr>a.bag"),
+    ("__name_", "__name_"), ("a _ b", "a _ b"), ("</b_c>", "&lt;/b_<wbr>c&gt;"), ("a/&<i>", "a/&amp;&lt;i&gt;")])
+def test_long_name_may_break_behind_its_parts_and_stays_text(text, html):
+    assert breakable(text) == html
 
 
 @pytest.mark.parametrize("time_s, duration_s, text", [

@@ -25,7 +25,7 @@ HOSTILE = "</td><script>alert('\"')</script>&amp;{{ 7 * 7 }}"
 class Checker(HTMLParser):
     """Collects a page's tags, and what they would load."""
 
-    ALONE = ("meta", "path", "use", "br", "rect")
+    ALONE = ("meta", "path", "use", "br", "wbr", "rect")
 
     def __init__(self):
         super().__init__()
