@@ -133,14 +133,15 @@ def test_a_turn_is_too_tight_below_nine_tenths_of_the_tightest_and_the_reason_sa
     assert too_tight_reason(asked_m, *tightest_m, speed_mps) == reason
 
 
-@pytest.mark.parametrize("limiter, limits, turn", [
-    (limiter_at(1.0), LATERAL, (1.0, causes.TOO_TIGHT, "asks for too much", 2.0)),
-    (limiter_at(1.0), JERK, (1.0, causes.TOO_TIGHT, "asks for too much", 0.0)),
-    (limiter_at(1.0), SourceLimits(), (1.0, causes.TOO_TIGHT, "asks for too much", 0.0)),
-    (SteeringLimiter(SteeringLimits()), LATERAL, (1.0, causes.TOO_TIGHT, "asks for too much", 0.0)),
-    (limiter_at(4.0), LATERAL, (0.25, causes.TOO_TIGHT, f"asks for too much; {AT_4_MPS}", 2.0)),
+@pytest.mark.parametrize("speed_mps, limits, turn", [
+    (1.0, LATERAL, (1.0, causes.TOO_TIGHT, "asks for too much", 2.0)),
+    (1.0, JERK, (1.0, causes.TOO_TIGHT, "asks for too much", 0.0)),
+    (1.0, SourceLimits(), (1.0, causes.TOO_TIGHT, "asks for too much", 0.0)),
+    (None, LATERAL, (1.0, causes.TOO_TIGHT, "asks for too much", 0.0)),
+    (4.0, LATERAL, (0.25, causes.TOO_TIGHT, f"asks for too much; {AT_4_MPS}", 2.0)),
 ])
-def test_the_tightest_turn_is_granted_and_its_reason_kept_and_counted_once_when_it_begins(limiter, limits, turn):
+def test_the_tightest_turn_is_granted_and_its_reason_kept_and_counted_once_when_it_begins(speed_mps, limits, turn):
+    limiter = SteeringLimiter(SteeringLimits()) if speed_mps is None else limiter_at(speed_mps)
     for tick in range(1, 10):
         assert limiter.limit(1.0, limits, tick * MS, "asks for too much") == turn
     assert limiter.cuts == 1
