@@ -3,7 +3,8 @@
 A car that stands under a held brake proves little: its ESC may be switched off, its battery low, or a wall behind it.
 So ``BrakeProof`` demands a sequence: the car is driven until just before (DRIVEN), is braked (BRAKED), slows down as a
 brake slows a car (SLOWED), stands for a second with the brake held (HELD), and drives again at the next push.
-Anything else starts the sequence over; a car that rolls backward under a brake withdraws the proof.
+Anything else starts the sequence over. It has to be seen twice, since a wall that a reversing car meets just as it stands
+looks like a brake that holds. A car that rolls backward under a brake withdraws the proof.
 
 ``step`` takes what the ESC gets and the measured motion; ``is_given`` is the result. Pure: ``now_ns`` is passed in.
 """
@@ -24,6 +25,8 @@ SLOW_MPS = 0.3  # the deceleration is measured down to this speed
 HELD_NS = NS_PER_S
 AGAIN_NS = NS_PER_S  # if the car doesn't drive within this time of a push, its ESC may be switched off
 
+TIMES = 2  # a wall where the car comes to stand, twice in a row, is left to esc/profile_measured
+
 DRIVEN, BRAKED, SLOWED, HELD = "driven", "braked", "slowed", "held"
 
 
@@ -37,11 +40,11 @@ class BrakeProof:
     @property
     def is_given(self) -> bool:
         """Return whether the ESC has shown that its brake doesn't become reverse."""
-        return self._is_given
+        return self._times >= TIMES
 
     def doubt(self) -> None:
         """Withdraw the proof: the car moved in a way that a brake can't cause."""
-        self._is_given = False
+        self._times = 0
         self._begin_anew()
 
     def step(self, fraction: float, is_push: bool, pulled_ns: int, motion: MeasuredMotion, now_ns: int) -> None:
@@ -70,7 +73,7 @@ class BrakeProof:
                 if now_ns - self._pushed_ns > AGAIN_NS:
                     self._begin_anew()
                 return
-            self._is_given = True
+            self._times += 1
         self._stage, self._since_ns = DRIVEN, now_ns
 
     def _pull(self, speed_mps, pulled_ns, motion, now_ns):
