@@ -1,7 +1,6 @@
 """Calibrates an ESC by recorded drives: the parameters of throttle.yaml, and a report on what shows each of them."""
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Iterator, Sequence
 
 from car_interface.common.declared import parameter_of
@@ -10,18 +9,15 @@ from car_interface.common.yaml_edit import Value, rewritten
 from car_interface.throttle.calibration import ThrottleCalibration, trimmed
 from car_interface.throttle.config import ThrottleConfig
 from car_interface.throttle.esc_config import EscConfig
-from car_interface.tools.calibration.esc.fit import EscFit, fit
+from car_interface.tools.calibration.esc.fit import NEUTRAL, PROFILE, EscFit, fit
 from car_interface.tools.calibration.esc.recorded import joined
 from car_interface.tools.calibration.shared import RecordedDrive
 
 HEAD = ("Written by calibrate_esc; throttle_arb loads it. Duties are 0..65535 of the PWM period, dead bands fractions",
         "of the duty between neutral and each end.", "")
-PROFILE, NEUTRAL = "esc/profile", "servo/neutral"
-# Numbers of the fit, as throttle.yaml has them.
-FITTED = ("dead_band_forward", "dead_band_reverse", "dwell_s", "reverse_after_neutral_s", "drag_deceleration_mps2")
-UNITS = {"dwell_s": " s", "reverse_after_neutral_s": " s", "drag_deceleration_mps2": " m/s²"}
-# What a line of the fit shows beside the parameter that it begins with.
-SHOWN_WITH = {"dead_band_forward": NEUTRAL, "dead_band_reverse": NEUTRAL}
+# Numbers of the fit, as throttle.yaml has them, and their units.
+FITTED = {"dead_band_forward": "", "dead_band_reverse": "", "dwell_s": " s", "reverse_after_neutral_s": " s",
+          "drag_deceleration_mps2": " m/s²"}
 NOT_SHOWN = "not shown by the drive"
 
 
@@ -38,7 +34,7 @@ def calibrate(recorded: Sequence[RecordedDrive], base: ThrottleCalibration) -> E
                                     f"{one.path} with {one.drive.neutral:.0f}: calibrate by one of them")
     found = fit(joined([one.drive for one in recorded]))
     if found.neutral is not None and base.duty_table[-1] < base.neutral:
-        return replace(found, neutral=2 * first.drive.neutral - found.neutral)
+        found.neutral = 2 * first.drive.neutral - found.neutral
     return found
 
 
@@ -71,18 +67,13 @@ def report(found: EscFit, recorded: Sequence[RecordedDrive], base: ThrottleConfi
     yield f"ESC by {', '.join(one.path for one in recorded)}: {seconds:.0f} s"
     yield from (f"  {note}" for one in recorded for note in one.notes)
     values = yaml_values(found, base.calibration)
-    seen = dict(text.split(": ", 1) for text in found.seen)
-    yield _line(PROFILE, values.get(PROFILE), base.esc.profile, "", seen.get(PROFILE))
-    yield _line(NEUTRAL, values.get(NEUTRAL), base.calibration.neutral, "", seen.get(NEUTRAL))
-    for field in FITTED:
-        name = parameter_of(EscConfig, field).name
-        shown = seen.get(name) or ("from there to where the car sets off" if field in SHOWN_WITH else None)
-        yield _line(name, values.get(name), getattr(base.esc, field), UNITS.get(field, ""), shown)
+    olds = {PROFILE: (base.esc.profile, ""), NEUTRAL: (base.calibration.neutral, ""),
+            **{parameter_of(EscConfig, field).name: (getattr(base.esc, field), unit) for field, unit in FITTED.items()}}
+    for name, (old, unit) in olds.items():
+        if name not in values:
+            yield f"  {name}: {NOT_SHOWN}, stays {old}{unit}"
+            continue
+        changed = f" (was {old}{unit})" if values[name] != old else ""
+        shown = found.seen.get(name) or ("from there to where the car sets off" if "dead_band" in name else "")
+        yield f"  {name}: {values[name]}{unit}{changed}" + (f": {shown}" if shown else "")
     yield from (f"  missing: {problem}" for problem in found.missing)
-
-
-def _line(name, value, old, unit, shown):
-    if value is None:
-        return f"  {name}: {NOT_SHOWN}, stays {old}{unit}"
-    changed = f" (was {old}{unit})" if value != old else ""
-    return f"  {name}: {value}{unit}{changed}" + (f": {shown}" if shown else "")

@@ -11,8 +11,8 @@ A profile is named only if every pull of the drive fits it.
 """
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,7 +34,6 @@ from car_interface.tools.calibration.esc.pulls import (
     STEP_S,
     STRONG,
     EscDrive,
-    Pull,
     Sampled,
     pulls,
     sampled,
@@ -56,95 +55,97 @@ MAX_SET_OFF = 0.35  # a car that needs more to set off stands at something
 COAST_MPS = (0.4, 2.0)
 PUSHED_MPS = (0.1, 1.0)  # where a motor's thrust is still that at standstill
 
+PROFILE, NEUTRAL, DWELL, FORGET, DRAG = (
+    "esc/profile", "servo/neutral", "esc/dwell", "esc/reverse_after_neutral", "esc/drag_deceleration")
 NOTHING_KNOWN = "nothing is known: the recording needs odom and the servo board's output, with servo/neutral in it"
 
 
-@dataclass(frozen=True)
+@dataclass
 class EscFit:
     """What a drive shows; ``None`` = it does not."""
 
-    profile: str | None  # of esc_config
-    neutral: float | None  # the duty in the middle of what the ESC takes for neutral
-    dead_band_forward: float | None  # the fraction from that neutral at which the car sets off
-    dead_band_reverse: float | None  # the same backward
-    dwell_s: float | None  # neutral that was long enough for reverse, as short as it was seen
-    reverse_after_neutral_s: float | None  # 0 where the ESC still braked after LONG_COAST_S
-    drag_deceleration_mps2: float | None  # the least in neutral
-    seen: tuple[str, ...]  # what shows each, in words
-    missing: tuple[str, ...]  # what is not known, and what to drive for it
+    profile: str | None = None  # of esc_config
+    neutral: float | None = None  # the duty in the middle of what the ESC takes for neutral
+    dead_band_forward: float | None = None  # the fraction from that neutral at which the car sets off
+    dead_band_reverse: float | None = None  # the same backward
+    dwell_s: float | None = None  # neutral that was long enough for reverse, as short as it was seen
+    reverse_after_neutral_s: float | None = None  # 0 where the ESC still braked after LONG_COAST_S
+    drag_deceleration_mps2: float | None = None  # the least in neutral
+    seen: dict[str, str] = field(default_factory=dict)  # what shows a parameter, in words, by its name
+    missing: list[str] = field(default_factory=list)  # what is not known, and what to drive for it
 
 
 def fit(drive: EscDrive) -> EscFit:
     """Return what a drive shows of its ESC."""
-    data = sampled(drive)
+    data, found = sampled(drive), EscFit()
     if data is None:
-        return EscFit(None, None, None, None, None, None, None, (), (NOTHING_KNOWN,))
-    seen, missing, found = [], [], pulls(data)
-    profile = _profile(found, seen, missing)
-    forward, backward = _set_off(data, 1, profile), _set_off(data, -1, profile)
-    neutral, bands = _dead_band(drive, forward, backward, profile, seen, missing)
-    dwell_s = forget_s = None
-    if profile == BRAKE_THEN_REVERSE:
-        dwell_s = _dwell(found, seen, missing)
-        forget_s = _forget(found, seen, missing)
-    return EscFit(profile, neutral, *bands, dwell_s, forget_s, _drag(data, seen, missing), tuple(seen), tuple(missing))
+        found.missing.append(NOTHING_KNOWN)
+        return found
+    pulled = pulls(data)
+    found.profile = _profile(found, pulled)
+    _dead_band(found, drive, *(_set_off(data, sign, found.profile) for sign in (1, -1)))
+    if found.profile == BRAKE_THEN_REVERSE:
+        _dwell(found, pulled)
+        _forget(found, pulled)
+    _drag(found, data)
+    return found
 
 
 # --- profile ---
 
 
-def _profile(found: Sequence[Pull], seen, missing):
+def _profile(found, pulled):
     """Return the one profile that all pulls fit, or ``None``."""
-    firsts = [pull for pull in found if pull.since_forward_s <= FRESH_S and pull.speed_mps > MOVES_MPS]
+    firsts = [pull for pull in pulled if pull.since_forward_s <= FRESH_S and pull.speed_mps > MOVES_MPS]
     held = [pull for pull in firsts if pull.outcome == HELD]
     turned = [pull for pull in firsts if pull.outcome == BACKWARD]
     if held and turned:
-        missing.append(f"the profile: of {len(firsts)} brakes after driving forward, {len(held)} held the car and "
-                       f"{len(turned)} drove it backward: on a level floor, again")
+        found.missing.append(f"the profile: of {len(firsts)} brakes after driving forward, {len(held)} held the car "
+                             f"and {len(turned)} drove it backward: on a level floor, again")
         return None
     if len(held) >= MIN_SEEN:
-        return _profile_that_holds(found, held, seen, missing)
+        return _profile_that_holds(found, pulled, held)
     if len(turned) >= MIN_SEEN:
-        return _profile_that_turns(turned, seen, missing)
-    missing.append("the profile: full stick for a good second, pull back all the way, and hold until the car has stood "
-                   "for two seconds or rolls backward; three times")
+        return _profile_that_turns(found, turned)
+    found.missing.append("the profile: full stick for a good second, pull back all the way, and hold until the car has "
+                         "stood for two seconds or rolls backward; three times")
     return None
 
 
-def _profile_that_holds(found, held, seen, missing):
-    seconds = [pull for before, pull in zip(found, found[1:])
-               if _is_second(before, pull) and pull.neutral_s >= FRESH_S]
+def _profile_that_holds(found, pulled, held):
+    seconds = [pull for pull in _seconds(pulled) if pull.neutral_s >= FRESH_S]
     reversed_ = [pull for pull in seconds if pull.outcome == BACKWARD]
     refused = [pull for pull in seconds if pull.outcome == HELD]
+    text = f"{len(held)} brakes held the car,"
     if len(reversed_) >= MIN_SEEN and not refused:
-        seen.append(f"esc/profile: {len(held)} brakes held the car, {len(reversed_)} second pulls drove it backward")
+        found.seen[PROFILE] = f"{text} {len(reversed_)} second pulls drove it backward"
         return BRAKE_THEN_REVERSE
     # A second pull within an unclear one is no second: only those count that certainly had their neutral.
-    if len(refused) > MIN_SEEN and not reversed_ and not any(pull.outcome == BACKWARD for pull in found):
-        seen.append(f"esc/profile: {len(held)} brakes held the car, and {len(refused)} second pulls did, too")
+    if len(refused) > MIN_SEEN and not reversed_ and not any(pull.outcome == BACKWARD for pull in pulled):
+        found.seen[PROFILE] = f"{text} and {len(refused)} second pulls did, too"
         return FORWARD_ONLY
-    missing.append("the profile: after a brake, center the stick for a second and pull back all the way for two "
-                   "seconds; four times")
+    found.missing.append("the profile: after a brake, center the stick for a second and pull back all the way for two "
+                         "seconds; four times")
     return None
 
 
-def _profile_that_turns(turned, seen, missing):
+def _profile_that_turns(found, turned):
     exact = [pull for pull in turned if pull.is_exact]
     clear = exact if len(exact) >= MIN_SEEN else [pull for pull in turned if np.isfinite(pull.pause_s)]
-    text = f"esc/profile: {len(turned)} brakes that were held drove the car backward"
+    text = f"{len(turned)} brakes that were held drove the car backward"
     if len(clear) >= MIN_SEEN:
         # The median: one of them has the noise of a few pulses.
         pause_s = float(np.median([pull.pause_s for pull in clear]))
         if pause_s >= (CLEAR_PAUSE_S if clear is exact else CLEAR_PAUSE_BY_SPEED_S):
-            seen.append(f"{text}, after it had stood for {pause_s:.2f} s")
+            found.seen[PROFILE] = f"{text}, after it had stood for {pause_s:.2f} s"
             return BRAKE_BECOMES_REVERSE
         if clear is exact and pause_s <= NO_PAUSE_S and _is_same_push(clear):
-            seen.append(f"{text}, without a pause, and as strongly as they slowed it")
+            found.seen[PROFILE] = f"{text}, without a pause, and as strongly as they slowed it"
             return DIRECT_REVERSE
-    missing.append("the profile: a brake that is held drives the car backward, but it is not clear whether it brakes "
-                   "first: full stick for a good second, pull back all the way, and hold until it rolls backward; four "
-                   "times more"
-                   + ("" if clear is exact else "; and record the wheels' pulses, too (rosbag record -a)"))
+    found.missing.append("the profile: a brake that is held drives the car backward, but it is not clear whether it "
+                         "brakes first: full stick for a good second, pull back all the way, and hold until it rolls "
+                         "backward; four times more"
+                         + ("" if clear is exact else "; and record the wheels' pulses, too (rosbag record -a)"))
     return None
 
 
@@ -157,50 +158,48 @@ def _is_same_push(turned):
     return bool(np.median(np.abs(slowed - push) / push) <= SAME_PUSH)
 
 
-def _is_second(before, pull):
-    """Return whether a pull from standstill follows a brake, with nothing but neutral in between."""
-    return (before.since_forward_s <= FRESH_S and before.outcome == HELD and abs(pull.speed_mps) < STANDS_MPS
-            and pull.follows_pull and pull.strong_s > 0)
+def _seconds(pulled):
+    """Return the pulls from standstill that follow a brake, with nothing but neutral in between."""
+    return [pull for before, pull in zip(pulled, pulled[1:])
+            if before.since_forward_s <= FRESH_S and before.outcome == HELD and abs(pull.speed_mps) < STANDS_MPS
+            and pull.follows_pull and pull.strong_s > 0]
 
 
 # --- numbers ---
 
 
-def _dwell(found, seen, missing):
-    seconds = [pull for before, pull in zip(found, found[1:]) if _is_second(before, pull)]
-    enough = [pull.neutral_s for pull in seconds if pull.outcome == BACKWARD]
-    short = [pull.neutral_s for pull in seconds if pull.outcome == HELD]
+def _dwell(found, pulled):
+    enough = [pull.neutral_s for pull in _seconds(pulled) if pull.outcome == BACKWARD]
+    short = [pull.neutral_s for pull in _seconds(pulled) if pull.outcome == HELD]
     low, high = _range("dwell_s")
     if not enough or min(enough) > high or short and max(short) >= min(enough):
-        missing.append(f"esc/dwell: after a brake, center the stick for less than {high:g} s and pull back for a "
-                       "second; several times, each a little quicker")
-        return None
-    dwell_s = min(high, max(low, min(enough) + STEP_S))  # the next pulse may come a period later
-    seen.append(f"esc/dwell: {min(enough):.2f} s of neutral were enough"
-                + (f", {max(short):.2f} s were not" if short else ""))
-    return round(float(dwell_s), 2)
+        found.missing.append(f"{DWELL}: after a brake, center the stick for less than {high:g} s and pull back for a "
+                             "second; several times, each a little quicker")
+        return
+    found.dwell_s = round(float(min(high, max(low, min(enough) + STEP_S))), 2)  # the next pulse may be a period later
+    found.seen[DWELL] = (f"{min(enough):.2f} s of neutral were enough"
+                         + (f", {max(short):.2f} s were not" if short else ""))
 
 
-def _forget(found, seen, missing):
-    """Neutral after which the first pull is reverse; 0 = it never is."""
-    firsts = [pull for pull in found if np.isfinite(pull.since_forward_s)]
+def _forget(found, pulled):
+    """Find the neutral after which the first pull is reverse; 0 = it never is."""
     # Some brake a car that still rolls, although they have forgotten: only from standstill it shows.
-    stood = [pull for pull in firsts if abs(pull.speed_mps) < STANDS_MPS]
+    stood = [pull for pull in pulled if np.isfinite(pull.since_forward_s) and abs(pull.speed_mps) < STANDS_MPS]
     braked = [pull.since_forward_s for pull in stood if pull.outcome == HELD]
     forgot = [pull.since_forward_s for pull in stood if pull.outcome == BACKWARD]
     if forgot and max(braked, default=0.0) < min(forgot):
         # Without a brake from standstill nothing longer is trusted than what any known ESC remembers.
         forget_s = max(braked, default=FRESH_S)
-        seen.append(f"esc/reverse_after_neutral: after {min(forgot):.1f} s in neutral the first pull was reverse, "
-                    + (f"after {forget_s:.1f} s a brake" if braked else "and none from standstill was a brake"))
-        return round(float(max(forget_s, FRESH_S)), 2)
-    if braked and not forgot and max(braked) >= LONG_COAST_S:
-        seen.append(f"esc/reverse_after_neutral: after {max(braked):.1f} s in neutral the first pull was a brake")
-        return 0.0
-    missing.append(f"esc/reverse_after_neutral: full stick for a good second, center it, and after "
-                   f"{LONG_COAST_S + 3:g} s pull back all the way for two seconds; twice"
-                   + (" (they contradict each other)" if forgot else ""))
-    return None
+        found.seen[FORGET] = (f"after {min(forgot):.1f} s in neutral the first pull was reverse, "
+                              + (f"after {forget_s:.1f} s a brake" if braked else "and none from standstill was a brake"))
+        found.reverse_after_neutral_s = round(float(max(forget_s, FRESH_S)), 2)
+    elif braked and not forgot and max(braked) >= LONG_COAST_S:
+        found.seen[FORGET] = f"after {max(braked):.1f} s in neutral the first pull was a brake"
+        found.reverse_after_neutral_s = 0.0
+    else:
+        found.missing.append(f"{FORGET}: full stick for a good second, center it, and after {LONG_COAST_S + 3:g} s pull "
+                             "back all the way for two seconds; twice"
+                             + (" (they contradict each other)" if forgot else ""))
 
 
 class _SetOff(NamedTuple):
@@ -237,71 +236,74 @@ def _gain(data, sign, set_off):
     low, high = PUSHED_MPS
     pushed = (data.fraction * sign > STRONG) & (data.speed_mps * sign > low) & (data.speed_mps * sign < high)
     pushed[1:] &= np.diff(data.duty) == 0  # not while the stick moves
-    gains = []
-    for begin, end in runs(pushed):
-        if (end - begin) * STEP_S >= 0.15:
-            slope = np.polyfit(data.t_s[begin:end], data.speed_mps[begin:end], 1)[0] * sign
-            gains.append(slope / ((data.duty[begin] - set_off) * sign))
+    gains = [slope * sign / ((data.duty[begin] - set_off) * sign) for slope, begin in _slopes(data, pushed, 0.15)]
     gains = [gain for gain in gains if gain > 0]
     return float(np.median(gains)) if len(gains) >= MIN_SEEN else None
 
 
-def _dead_band(drive, forward, backward, profile, seen, missing):
-    """Return (neutral, (forward, reverse)): fractions from that neutral, of the distance that both ends have from the
+def _dead_band(found, drive, forward, backward):
+    """Find the neutral and the dead bands: fractions from that neutral, of the distance that both ends have from the
     drive's.
 
     An ESC without reverse shows nothing behind neutral: it keeps the neutral that it has.
     """
-    wanted = [(forward, "forward", "push"), (backward, "reverse", "pull")][:1 if profile == FORWARD_ONLY else 2]
-    for found, name, text in wanted:
-        if found is None:
-            missing.append(f"esc/dead_band_{name}: from standstill, {text} the stick so slowly that the car just sets "
-                           "off; three times")
+    is_forward_only = found.profile == FORWARD_ONLY
+    wanted = [(forward, "forward", "push"), (backward, "reverse", "pull")][:1 if is_forward_only else 2]
+    for side, name, text in wanted:
+        if side is None:
+            found.missing.append(f"esc/dead_band_{name}: from standstill, {text} the stick so slowly that the car just "
+                                 "sets off; three times")
+    if any(side is None for side, _, _ in wanted):
+        if not is_forward_only:
+            found.missing.append(f"{NEUTRAL}: it lies between where the car sets off to both sides")
+        return
     low, high = _range("dead_band_forward")
-    span_forward, span_reverse = drive.full_forward - drive.neutral, drive.neutral - drive.full_reverse
-    if profile == FORWARD_ONLY and forward is not None:
-        band = (forward.duty - drive.neutral) / span_forward
-        if not 0 < band <= high:
-            missing.append(f"esc/dead_band_forward: the car set off at {forward.duty:.0f}; that fits no neutral of "
-                           f"{drive.neutral:.0f}: on a level floor, again, or set servo/neutral")
-            return None, (None, None)
-        seen.append(f"esc/dead_band_forward: the car set off at {forward.duty:.0f} ({forward.times} times)")
-        return None, (round(max(low, band), 3), None)
-    if forward is None or backward is None:
-        if profile != FORWARD_ONLY:
-            missing.append("servo/neutral: it lies between where the car sets off to both sides")
-        return None, (None, None)
-    neutral = (forward.edge + backward.edge) / 2
-    bands = ((forward.duty - neutral) / span_forward, (neutral - backward.duty) / span_reverse)
-    if not forward.edge > backward.edge or not all(0 < band <= high for band in bands):
-        missing.append(f"servo/neutral: the car set off at {backward.duty:.0f} and {forward.duty:.0f}; that fits no "
-                       "neutral: on a level floor, again")
-        return None, (None, None)
-    seen.append(f"servo/neutral: the car set off at {forward.duty:.0f} ({forward.times} times) and {backward.duty:.0f} "
-                f"({backward.times} times)")
-    return round(neutral, 1), tuple(round(max(low, band), 3) for band in bands)
+    neutral = drive.neutral if is_forward_only else (forward.edge + backward.edge) / 2
+    bands = [(forward.duty - neutral) / (drive.full_forward - drive.neutral)]
+    if not is_forward_only:
+        bands.append((neutral - backward.duty) / (drive.neutral - drive.full_reverse))
+    is_possible = all(0 < band <= high for band in bands)
+    sets_off = f"the car set off at {forward.duty:.0f} ({forward.times} times)"
+    if is_forward_only and not is_possible:
+        found.missing.append(f"esc/dead_band_forward: the car set off at {forward.duty:.0f}; that fits no neutral of "
+                             f"{drive.neutral:.0f}: on a level floor, again, or set {NEUTRAL}")
+    elif is_forward_only:
+        found.seen["esc/dead_band_forward"] = sets_off
+    elif not forward.edge > backward.edge or not is_possible:
+        found.missing.append(f"{NEUTRAL}: the car set off at {backward.duty:.0f} and {forward.duty:.0f}; that fits no "
+                             "neutral: on a level floor, again")
+        return
+    else:
+        found.neutral = round(neutral, 1)
+        found.seen[NEUTRAL] = f"{sets_off} and {backward.duty:.0f} ({backward.times} times)"
+    if is_possible:
+        found.dead_band_forward, found.dead_band_reverse = ([round(max(low, band), 3) for band in bands] + [None])[:2]
 
 
-def _drag(data, seen, missing):
-    """Return the least deceleration in neutral at low speed."""
+def _drag(found, data):
+    """Find the least deceleration in neutral at low speed."""
     neutral = np.abs(np.nan_to_num(data.fraction, nan=1.0)) <= NEUTRAL_BAND
     width = round(DELAY_S / STEP_S)
     settled = np.convolve(neutral, np.ones(width), "full")[:neutral.size] >= width
     low, high = COAST_MPS
     rolls = settled & (data.speed_mps > low) & (data.speed_mps < high)
-    slowed = [-np.polyfit(data.t_s[begin:end], data.speed_mps[begin:end], 1)[0]
-              for begin, end in runs(rolls) if (end - begin) * STEP_S >= 0.2]
-    slowed = [value for value in slowed if value > 0]
+    slowed = [-slope for slope, _ in _slopes(data, rolls, 0.2) if slope < 0]
     if len(slowed) < MIN_SEEN:
-        missing.append("esc/drag_deceleration: full stick for a good second, then center it until the car stands; "
-                       "three times")
-        return None
+        found.missing.append(f"{DRAG}: full stick for a good second, then center it until the car stands; three times")
+        return
     least, most = _range("drag_deceleration_mps2")
-    seen.append(f"esc/drag_deceleration: {min(slowed):.2f} to {max(slowed):.2f} m/s² in neutral"
-                + (": the ESC has a drag brake" if min(slowed) > 3 * DRAG_MPS2 else ""))
-    return round(float(min(max(min(slowed), least), most)), 2)
+    found.drag_deceleration_mps2 = round(float(min(max(min(slowed), least), most)), 2)
+    found.seen[DRAG] = (f"{min(slowed):.2f} to {max(slowed):.2f} m/s² in neutral"
+                        + (": the ESC has a drag brake" if min(slowed) > 3 * DRAG_MPS2 else ""))
 
 
-def _range(field):
-    accepted = parameter_of(EscConfig, field).accepted
+def _slopes(data, flags, min_s):
+    """Yield (the acceleration in m/s², the first index) of each run of true in flags (K,) that lasts so long."""
+    for begin, end in runs(flags):
+        if (end - begin) * STEP_S >= min_s:
+            yield np.polyfit(data.t_s[begin:end], data.speed_mps[begin:end], 1)[0], begin
+
+
+def _range(name):
+    accepted = parameter_of(EscConfig, name).accepted
     return accepted["low"], accepted["high"]

@@ -9,7 +9,7 @@ Pure numpy; seconds, metres, radians; x forward, y left, left turns positive (RE
 """
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple, Sequence
 
 import numpy as np
@@ -69,9 +69,8 @@ class MapDrive:
     driven: Series | None = None
 
 
-@dataclass(frozen=True)
-class Windows:
-    """The W windows of a drive, each with P points."""
+class Windows(NamedTuple):
+    """W windows of one drive, or of several, one after the other; each has P points."""
 
     middle_s: np.ndarray  # (W,)
     acceleration_mps2: np.ndarray  # mean under φ, (W,); NaN where it was not measured
@@ -125,7 +124,7 @@ def windows(drive: MapDrive, config: MapFitConfig = DEFAULTS) -> Windows:
     found = Windows(middles, measured, sigma, np.zeros(middles.size, int), t_s, weight, speeds,
                   (np.cos(yaw) * weight).sum(axis=1), (np.sin(yaw) * weight).sum(axis=1), pitch, force,
                   force_sigma)
-    return replace(found, state=_states(found, yaw, apart, speed, window_s, config))
+    return found._replace(state=_states(found, yaw, apart, speed, window_s, config))
 
 
 def speed_of_wheels(wheels: Sequence[Series]) -> Series:

@@ -103,16 +103,15 @@ def fit(drives: Sequence[MapDrive], values: np.ndarray | None, velocities: np.nd
     inside = state == windowing.MEASURED
     if not inside.any():
         raise NothingToFit(why_nothing(state))
-    speed = np.concatenate([one.speed_mps for one in data.windows])
     grid = Grid(value_axis(value[inside], config.neutral) if values is None else np.asarray(values, float),
-                velocity_axis(speed[inside]) if velocities is None else np.asarray(velocities, float))
+                velocity_axis(data.windows.speed_mps[inside]) if velocities is None else np.asarray(velocities, float))
     delay_s, delay_sigma_s = (config.delay_s, float("nan")) if config.delay_s is not None else estimate_delay(
-        drives, data, grid, speed, config)
+        drives, data, grid, config)
     value, state = sample(drives, data, delay_s, config)
-    state = on_grid(value, state, speed, grid)
+    state = on_grid(data, value, state, grid)
     if not (state == windowing.MEASURED).any():
         raise NothingToFit(why_nothing(state))
-    model = Model(grid, data, value, speed, config)
+    model = Model(grid, data, value, config)
     manoeuvre = manoeuvres(data, value, state, grid)
     solved = solve(model, state)
     state = np.where((state == windowing.MEASURED) & solved.outlying, OUTLYING, state)
@@ -143,14 +142,11 @@ def _ground(index, data, solved):
 # --- the delay ---
 
 
-def estimate_delay(drives: Sequence[MapDrive], data: Data, grid: Grid, speed: np.ndarray,
-                   config: MapFitConfig) -> tuple[float, float]:
-    """Return (the delay in s, its standard error); the latter is NaN where the drives don't show one. ``speed`` is in
-    m/s, (W, P).
-    """
+def estimate_delay(drives: Sequence[MapDrive], data: Data, grid: Grid, config: MapFitConfig) -> tuple[float, float]:
+    """Return (the delay in s, its standard error); the latter is NaN where the drives don't show one."""
     coarse = Grid(_thin(grid.rows, COARSE_ROWS), _thin(grid.columns, COARSE_COLUMNS))
     # Only windows that count under every delay are compared, or their number would decide.
-    states = [on_grid(*sample(drives, data, delay_s, config), speed, grid) for delay_s in (0.0, MAX_DELAY_S)]
+    states = [on_grid(data, *sample(drives, data, delay_s, config), grid) for delay_s in (0.0, MAX_DELAY_S)]
     state = np.where(states[0] == windowing.MEASURED, states[1], states[0])
     used = state == windowing.MEASURED
     if used.sum() < 2 * coarse.size:
@@ -158,7 +154,7 @@ def estimate_delay(drives: Sequence[MapDrive], data: Data, grid: Grid, speed: np
 
     def ratios(delay_s, grid):
         value, _ = sample(drives, data, delay_s, config)
-        solved = solve(Model(grid, data, value, speed, config, sags=False), state, rising=False, passes=2)
+        solved = solve(Model(grid, data, value, config, sags=False), state, rising=False, passes=2)
         return np.abs(solved.residual[used] / data.sigma[used])
 
     best, max_offset, step = 0.0, MAX_DELAY_S, COARSE_STEP_S

@@ -32,8 +32,7 @@ HELD_OUT = 5
 
 
 class Model:
-    """The model's matrices under one delay, by value and speed in m/s, (W, P) each; ``sags``: the battery's effect is
-    part of it.
+    """The model's matrices under one delay, by the value (W, P); ``sags``: the battery's effect is part of it.
 
     Attributes:
         map: the nodes' weights in each window, (W, G).
@@ -41,11 +40,9 @@ class Model:
         penalty: of the map's roughness, (G, G).
     """
 
-    def __init__(self, grid: Grid, data: Data, value: np.ndarray, speed: np.ndarray, config: MapFitConfig,
-                 sags: bool = True):
-        self.grid, self.data, self.config = grid, data, config
-        weight = np.concatenate([one.weight for one in data.windows])
-        speed = np.nan_to_num(speed)
+    def __init__(self, grid: Grid, data: Data, value: np.ndarray, config: MapFitConfig, sags: bool = True):
+        self.grid, self.data = grid, data
+        weight, speed = data.windows.weight, np.nan_to_num(data.windows.speed_mps)
         self.map = grid.averages(value, speed, weight)
         above = value > config.neutral
         coasting = np.full(value.shape, config.neutral)

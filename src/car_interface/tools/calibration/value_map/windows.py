@@ -42,36 +42,33 @@ RULES = {
 
 @dataclass
 class Data:
-    """All windows of all drives, one drive after the other."""
+    """All windows of all drives."""
 
-    windows: list[Windows]  # of each drive
+    windows: Windows
     drive: np.ndarray  # each window's drive, (W,)
     acceleration: np.ndarray  # in m/s², (W,)
     sigma: np.ndarray  # its standard error
-    slope: np.ndarray  # gravity per slope of each drive's ground along x and y, (W, 2·D)
-    sees_slope: np.ndarray  # whether a drive shows its slope, (D,)
     part: np.ndarray  # the time from its drive's middle, as a ratio of the drive, −0.5..0.5, (W,)
     hop_s: np.ndarray  # how much driving a window stands for, (W,)
     state: np.ndarray  # MEASURED, TURNING, or why a window doesn't count, (W,)
-    pitch_offset: list[float]  # of each drive's sensor in rad; NaN without
+    slope: np.ndarray  # gravity per slope of each drive's ground along x and y, (W, 2·D)
+    sees_slope: np.ndarray  # whether a drive shows its slope, (D,)
+    pitch_offset: Sequence[float]  # of each drive's sensor in rad; NaN without
 
 
 def gather(drives: Sequence[MapDrive], config: MapFitConfig) -> Data:
     """Divide drives into windows, and find which count by everything but the value."""
-    all_windows, acceleration, sigma, sees_slope, part, hop_s, state, offset = zip(
-        *(_gather(drive, config) for drive in drives))
-    number = np.repeat(np.arange(len(drives)), [one.size for one in state])
-    slope = np.zeros((number.size, 2 * len(drives)))
-    for index, one in enumerate(all_windows):
-        slope[number == index, 2 * index] = -GRAVITY_MPS2 * one.cos_yaw
-        slope[number == index, 2 * index + 1] = -GRAVITY_MPS2 * one.sin_yaw
-    acceleration, sigma, part, hop_s, state = map(np.concatenate, (acceleration, sigma, part, hop_s, state))
-    return Data(list(all_windows), number, acceleration, sigma, slope, np.array(sees_slope), part, hop_s, state,
-                list(offset))
+    found, columns, sees_slope, offset = zip(*(_gather(drive, config) for drive in drives))
+    number = np.repeat(np.arange(len(drives)), [one.middle_s.size for one in found])
+    together = Windows(*map(np.concatenate, zip(*found)))
+    slope, at = np.zeros((number.size, 2 * len(drives))), np.arange(number.size)
+    slope[at, 2 * number] = -GRAVITY_MPS2 * together.cos_yaw
+    slope[at, 2 * number + 1] = -GRAVITY_MPS2 * together.sin_yaw
+    return Data(together, number, *map(np.concatenate, zip(*columns)), slope, np.array(sees_slope), offset)
 
 
 def _gather(drive, config):
-    """Return one drive's windows, and of each what Data has of it."""
+    """Return (one drive's windows, five columns of Data, whether it shows its slope, its pitch's offset)."""
     one = windows(drive, config)
     state = one.state.copy()
     counted = state == windowing.MEASURED
@@ -94,9 +91,9 @@ def _gather(drive, config):
     state[(state == windowing.MEASURED) & ~np.isfinite(acceleration)] = windowing.NOT_MEASURED
     begin_s, end_s = drive.speed.t_s[[0, -1]] if drive.speed.t_s.size else (0.0, 1.0)
     hop_s = max(windowing.HOP_S, (end_s - begin_s) / windowing.MAX_WINDOWS)
-    return (one, acceleration, np.hypot(np.nan_to_num(sigma), MIN_SIGMA_MPS2), spreads,
-            (one.middle_s - (begin_s + end_s) / 2) / max(end_s - begin_s, 1.0), np.full(state.size, hop_s), state,
-            offset)
+    part = (one.middle_s - (begin_s + end_s) / 2) / max(end_s - begin_s, 1.0)
+    sigma = np.hypot(np.nan_to_num(sigma), MIN_SIGMA_MPS2)
+    return one, (acceleration, sigma, part, np.full(state.size, hop_s), state), spreads, offset
 
 
 def _spread(cos, sin, counted, turning):
@@ -145,22 +142,23 @@ def _constant_part(y, one, counted):
 def sample(drives: Sequence[MapDrive], data: Data, delay_s: float,
            config: MapFitConfig) -> tuple[np.ndarray, np.ndarray]:
     """Return (the values ``delay_s`` earlier along each window (W, P), the windows' states by them, too (W,))."""
-    values, states = [], []
-    for index, (drive, one) in enumerate(zip(drives, data.windows)):
-        state = data.state[data.drive == index].copy()
-        t_s = one.t_s - delay_s
+    values, timed_out, idle = [], [], []
+    for index, drive in enumerate(drives):
+        t_s = data.windows.t_s[data.drive == index] - delay_s
         value, age_s = _held(drive.value, t_s)
-        timed_out = ~np.isfinite(value).all(axis=1) | (age_s > config.value_timeout_s).any(axis=1)
-        state[(state == windowing.MEASURED) & timed_out] = NO_VALUE
-        state[(state == TURNING) & timed_out] = windowing.STEERING
-        if drive.driven is not None:
-            driven, _ = _held(drive.driven, t_s)
-            idle = ~(driven >= 0.5).all(axis=1)
-            state[(state == windowing.MEASURED) & idle] = NOT_DRIVEN
-            state[(state == TURNING) & idle] = windowing.STEERING
-        values.append(np.where(np.isfinite(value), value, 0.0))
-        states.append(state)
-    return np.concatenate(values), np.concatenate(states)
+        driven = np.ones(t_s.shape) if drive.driven is None else _held(drive.driven, t_s)[0]
+        values.append(value)
+        timed_out.append(~np.isfinite(value).all(axis=1) | (age_s > config.value_timeout_s).any(axis=1))
+        idle.append(~(driven >= 0.5).all(axis=1))
+    value = np.concatenate(values)
+    state = _left_out(_left_out(data.state, np.concatenate(timed_out), NO_VALUE), np.concatenate(idle), NOT_DRIVEN)
+    return np.where(np.isfinite(value), value, 0.0), state
+
+
+def _left_out(state, which, reason):
+    """Return the states (W,) without those windows: they don't count for a reason, nor do they show the slope."""
+    state = np.where(which & (state == windowing.MEASURED), reason, state)
+    return np.where(which & (state == TURNING), windowing.STEERING, state)
 
 
 def _held(series, t_s):
@@ -172,11 +170,9 @@ def _held(series, t_s):
     return np.where(last >= 0, series.y[known], np.nan), np.where(last >= 0, t_s - series.t_s[known], np.inf)
 
 
-def on_grid(value: np.ndarray, state: np.ndarray, speed: np.ndarray, grid: Grid) -> np.ndarray:
-    """Return the states (W,) with windows left out that lie beyond a grid; value and speed in m/s, (W, P)."""
-    inside = grid.has(value, np.nan_to_num(speed)).all(axis=1)
-    state = np.where((state == windowing.MEASURED) & ~inside, BEYOND, state)
-    return np.where((state == TURNING) & ~inside, windowing.STEERING, state)
+def on_grid(data: Data, value: np.ndarray, state: np.ndarray, grid: Grid) -> np.ndarray:
+    """Return the states (W,) with windows left out that lie beyond a grid; the value is (W, P)."""
+    return _left_out(state, ~grid.has(value, np.nan_to_num(data.windows.speed_mps)).all(axis=1), BEYOND)
 
 
 def manoeuvres(data: Data, value: np.ndarray, state: np.ndarray, grid: Grid) -> np.ndarray:
@@ -187,8 +183,7 @@ def manoeuvres(data: Data, value: np.ndarray, state: np.ndarray, grid: Grid) -> 
     mean = value.mean(axis=1)
     jump = VALUE_JUMP * np.ptp(grid.rows)
     number, numbers = -1, np.full(state.size, -1)
-    begun, before = 0.0, None
-    middle = np.concatenate([one.middle_s for one in data.windows])
+    begun, before, middle = 0.0, None, data.windows.middle_s
     for index in np.flatnonzero(state == windowing.MEASURED):
         goes_on = (before == index - 1 and data.drive[index] == data.drive[before]
                    and abs(mean[index] - mean[before]) <= jump and middle[index] - begun <= MANOEUVRE_S)

@@ -20,8 +20,8 @@ from tools.calibration.esc.synthetic import Person
 
 RISING = ThrottleCalibration(channel=1, value_axis=[-5, 0, 3], duty_table=[3277, 4912, 6554], neutral=4912)
 FALLING = ThrottleCalibration(channel=1, value_axis=[-5, 0, 3], duty_table=[6554, 4912, 3277], neutral=4912)
-WHOLE = EscFit("brake_then_reverse", 4890.4, 0.11, 0.12, 0.3, 0.0, 0.5, ("esc/profile: 3 brakes",), ())
-NOTHING = EscFit(*[None] * 7, (), ("the profile: drive",))
+WHOLE = EscFit("brake_then_reverse", 4890.4, 0.11, 0.12, 0.3, 0.0, 0.5, {"esc/profile": "3 brakes"})
+NOTHING = EscFit(missing=["the profile: drive"])
 
 
 @functools.lru_cache(maxsize=None)
@@ -39,7 +39,7 @@ def base(**esc):
 
 def test_drive_becomes_the_fit_s_numbers_and_the_neutral_of_a_mirrored_one_is_mirrored_back():
     found = calibrate([recorded()], RISING)
-    assert (found.profile, found.missing) == ("brake_then_reverse", ())
+    assert (found.profile, found.missing) == ("brake_then_reverse", [])
     assert found.neutral == pytest.approx(fit(driven()).neutral, abs=0.5)
     assert calibrate([recorded()], FALLING).neutral == pytest.approx(2 * 4912 - found.neutral)
 

@@ -56,9 +56,9 @@ def _assert_it_is_a_configuration(found):
 
 def test_esc_without_reverse_is_not_asked_for_its_neutral_and_its_drag_brake_is_told():
     found = fitted(virtual_escs.race, drag_brake=0.3)
-    assert (found.profile, found.neutral, found.dead_band_reverse, found.missing) == ("forward_only", None, None, ())
+    assert (found.profile, found.neutral, found.dead_band_reverse, found.missing) == ("forward_only", None, None, [])
     assert 0.05 < found.dead_band_forward < 0.2 and found.drag_deceleration_mps2 > 2
-    assert "m/s² in neutral: the ESC has a drag brake" in found.seen[-1]
+    assert "m/s² in neutral: the ESC has a drag brake" in found.seen["esc/drag_deceleration"]
     assert 0.3 < fitted(virtual_escs.race, drag_brake=0.0).drag_deceleration_mps2 < 0.6
 
 
@@ -165,7 +165,7 @@ def test_brake_of_a_car_that_still_rolls_does_not_show_that_the_esc_remembers():
     person.wait_and_pull(4.0)
     found = fit(person.recorded())
     assert found.reverse_after_neutral_s == 0.5
-    assert any(text.endswith("the first pull was reverse, and none from standstill was a brake") for text in found.seen)
+    assert any(text.endswith("the first pull was reverse, and none from standstill was a brake") for text in found.seen.values())
 
 
 def test_only_a_long_wait_shows_that_an_esc_never_forgets_and_waits_that_contradict_each_other_show_nothing():
