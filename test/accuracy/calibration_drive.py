@@ -355,7 +355,7 @@ class Bench:
     def _fit(self, now_ns):
         task = self.drive.take_fit_task()
         if task is not None:
-            self._due.append((now_ns + (FULL_FIT_NS if task.delay is None else QUICK_FIT_NS), assess(task)))
+            self._due.append((now_ns + (FULL_FIT_NS if task[1].delay is None else QUICK_FIT_NS), assess(*task)))
         while self._due and self._due[0][0] <= now_ns:
             self.drive.update_knowledge(self._due.popleft()[1], now_ns)
 

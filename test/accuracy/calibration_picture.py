@@ -64,7 +64,7 @@ class Recorder:
         if now_ns >= self._next_ns and bench.person.holds:
             self._next_ns = now_ns + NS_PER_S // 10
             self.moments.append(Moment(bench.drive.driven_s, tuple(bench.vehicle.pose),
-                                       tuple(bench.drive.progress(now_ns).rows)))
+                                       tuple(bench.drive.progress().rows)))
 
 
 def frame_indices(count: int) -> list[int]:

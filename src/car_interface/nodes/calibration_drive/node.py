@@ -54,7 +54,7 @@ from car_interface.tools.calibration.drive import terminal
 from car_interface.tools.calibration.drive.calibration_drive import CalibrationDrive
 from car_interface.tools.calibration.drive.conclusion import board_center, conclude, find_table_file, next_steps
 from car_interface.tools.calibration.drive.config import drive_config, parse, read_obstacles
-from car_interface.tools.calibration.drive.grant import Grant, Seen, Steering, Throttle, missing, missing_gamepad
+from car_interface.tools.calibration.drive.grant import Grant
 from car_interface.tools.calibration.drive.knowledge import assess
 from car_interface.tools.calibration.drive.step import BLOCKED, DONE, PAUSED, WAITING, Progress
 from car_interface.tools.calibration.drive.stick_guide import StickGuide
@@ -91,8 +91,8 @@ class CalibrationDriveNode:
             self._config = replace(config, obstacles=obstacles, outline=obstacles.outline)
         self._drive = (StickGuide if wanted.stick else CalibrationDrive)(base, self._config)
         self._sonars = tuple(self._config.obstacles.mounts) if self._config.obstacles else ()
-        self._seen, self._grant = Seen(sonars=self._sonars), Grant()
-        self._seen.calibrates_esc = bool(graph.parameter("throttle_arb/esc/calibration_drive", False))
+        self._grant = Grant(wanted.stick, bool(graph.parameter("throttle_arb/esc/calibration_drive", False)),
+                            self._sonars)
         self._output = TimedInput("servo/output", OUTPUT_TIMEOUT_S)
         self._clock, self._text, self._keys = RosClock(inbox.clocks), text or LiveText(), keys or Keys()
         self._make_recording, self._make_page = make_recording, make_page
@@ -162,7 +162,7 @@ class CalibrationDriveNode:
     # --- what arrives ---
 
     def _on_odometry(self, message, now_ns):
-        self._seen.odom = True
+        self._grant.has_odom = True
         if self._is_ending:  # another thread reads what was measured
             return
         self._frames = message.header.frame_id or "odom", message.child_frame_id or "base_link"
@@ -175,30 +175,27 @@ class CalibrationDriveNode:
 
     def _on_output(self, message, now_ns):
         if len(message.data) == CHANNELS and not self._is_ending:
-            self._seen.duty = duty = message.data[self._base.servo_channel]
+            self._grant.duty = duty = message.data[self._base.servo_channel]
             self._output.update(duty, now_ns)
             self._drive.update_duty(duty, now_ns)
 
     def _on_steering(self, message, now_ns):
-        self._seen.steering = True
-        self._grant.update_steering(Steering(message.source, message.cause, message.reason), now_ns)
+        self._grant.update_steering(message, now_ns)
         self._update_grant(now_ns)
 
     def _on_throttle(self, message, now_ns):
-        self._seen.throttle = True
-        self._grant.update_throttle(Throttle(message.source, message.cause, message.reason, message.mode, message.esc,
-                                             message.esc_reason), now_ns)
+        self._grant.update_throttle(message, now_ns)
         self._update_grant(now_ns)
 
     def _on_planner(self, message, now_ns):
-        self._seen.planner = message.source
         self._grant.update_planner(message.source, now_ns)
 
     def _on_teleop(self, message, now_ns):
-        self._seen.gamepad = message.cause, message.reason
+        self._grant.gamepad = message.cause, message.reason
 
     def _on_range(self, name, message, now_ns):
-        self._seen.sonars = tuple(sonar for sonar in self._seen.sonars if sonar != name)
+        if name in self._grant.sonars:
+            self._grant.sonars.remove(name)
         self._drive.update_range(name, message.range, now_ns)
 
     def _on_request(self, topic, message, now_ns):
@@ -207,17 +204,15 @@ class CalibrationDriveNode:
             self._grant.update_other(self._inbox.resolve_name(topic), sender, now_ns)
 
     def _update_grant(self, now_ns):
-        grant = self._grant
-        self._drive.update_grant(*(grant.decide_by_hand if self._wanted.stick else grant.decide)(now_ns), now_ns)
+        self._drive.update_grant(*self._grant.decide(now_ns), now_ns)
         if not self._wanted.stick:
-            self._drive.update_stopping(grant.stops_by_itself)
+            self._drive.update_stopping(self._grant.stops_by_itself)
 
     # --- before the drive ---
 
     def _check(self, now_ns, typed):
         """Wait until all is there; what only another launch would bring isn't waited for long."""
-        self._seen.others = self._grant.others(now_ns)
-        lacks, gamepad = missing(self._seen, self._wanted.stick), missing_gamepad(self._seen)
+        lacks, gamepad = self._grant.missing(now_ns), self._grant.missing_gamepad()
         if lacks and now_ns - self._begun_ns > READY_WITHIN_NS:
             self._text.show([])
             for text in (*lacks, *gamepad):
@@ -234,7 +229,7 @@ class CalibrationDriveNode:
 
     def _begin_recording(self, now_ns):
         topics = list(map(self._inbox.resolve_name, (*TOPICS, "~result")))
-        self._recording = self._make_recording(self._table.folder, topics, self._table.stem)
+        self._recording = self._make_recording(str(self._table.path.parent), topics, self._table.path.stem)
         self._begun_ns, self._stage = now_ns, self._await_recorder
 
     def _await_recorder(self, now_ns, typed):
@@ -262,7 +257,7 @@ class CalibrationDriveNode:
             drive.finish()
         task = drive.take_fit_task()
         if task is not None:
-            self._inbox.work(partial(assess, task), drive.update_knowledge)
+            self._inbox.work(partial(assess, *task), drive.update_knowledge)
         self._step = step = drive.step(now_ns)
         if not self._wanted.stick and step.steering is not None:
             self._steerings.publish(Float32(step.steering))
@@ -273,11 +268,10 @@ class CalibrationDriveNode:
             self._begin_end()
 
     def _show(self, now_ns):
-        step, progress = self._step, self._drive.progress(now_ns)
-        lines = terminal.stick_lines if self._wanted.stick else terminal.drive_lines
+        step, progress = self._step, self._drive.progress()
         kind = step.phase if step.phase in STANDS else "drives"
         if self._text.is_live:
-            self._text.show(lines(step, progress, self._text.width))
+            self._text.show(terminal.drive_lines(step, progress, self._text.width))
         else:
             self._announce(kind, [terminal.plain_line(step.phase, step.text, progress)], now_ns)
         self._show_markers(step, progress)
@@ -330,7 +324,7 @@ class CalibrationDriveNode:
         self._text.keep()
         text = f"{self._step.text}. You can let go. Calibrating …"
         self._text.say(text)
-        self._publish_state(DONE, text, self._drive.progress(self._clocks.now_ns()))
+        self._publish_state(DONE, text, self._drive.progress())
         self._is_ending = True
         name = os.path.basename(self._recording.path)
         samples, base, base_text = self._drive.samples, self._base, self._table.base_text
@@ -341,7 +335,7 @@ class CalibrationDriveNode:
         self._say(*conclusion.report)
         self._conclusion, self._waits_from_ns = conclusion, now_ns
         # None: a person is asked.
-        replaces = not self._table.is_there or self._wanted.yes or (None if self._has_keys else False)
+        replaces = not self._table.path.exists() or self._wanted.yes or (None if self._has_keys else False)
         if conclusion.result is not None:
             steps = next_steps(self._table, conclusion.refusal, replaces)
             self._result.publish(String(conclusion.result._replace(next_steps=steps).text()))
@@ -372,7 +366,7 @@ class CalibrationDriveNode:
         self._text.say(line)
         if path != self._table.path:
             self._text.say(f"{self._table.path} is as it was. To take the new one: mv {path} {self._table.path}")
-        self._text.say(f"to load it, launch again with config:={self._table.folder}")
+        self._text.say(f"to load it, launch again with config:={self._table.path.parent}")
         self._say(board_center(self._conclusion.center_duty, self._base.servo_center,
                                self._inbox.graph.parameter("pca9685/steering/servo_center", None)))
 

@@ -9,9 +9,9 @@ steering and a speed. Pure: ``now_ns`` is passed in. A node's loop:
     on sonar/*:         drive.update_range(name, range, now_ns)
     on *_arb/state:     drive.update_grant(may_drive, reason, now_ns)
     50 times a second:  step = drive.step(now_ns); publish step.steering and step.speed_mps unless steering is None
-    second thread:      task = drive.take_fit_task(); if task: knowledge = assess(task) …
+    second thread:      task = drive.take_fit_task(); if task: knowledge = assess(*task) …
     back in the loop:   drive.update_knowledge(knowledge, now_ns)
-    at any time:        drive.progress(now_ns); drive.path_m(…) for rviz
+    at any time:        drive.progress(); drive.expected_path() for rviz
     step.phase is DONE: conclude(drive.samples, base, base_text, name)
 
 All of it but ``assess`` and ``conclude`` is called by one thread.
@@ -23,20 +23,20 @@ import math
 from car_interface.common.staleness import TimedInput
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.throttle.obstacle_stop import ObstacleStop
-from car_interface.tools.calibration.drive.area import Area, Pose, moved
+from car_interface.tools.calibration.drive.area import Area, moved
 from car_interface.tools.calibration.drive.config import DEFAULTS, CalibrationDriveConfig
 from car_interface.tools.calibration.drive.grant import Granted
 from car_interface.tools.calibration.drive.outlook import Outlook
 from car_interface.tools.calibration.drive.pilot import Pilot
 from car_interface.tools.calibration.drive.step import DONE, PAUSED, WAITING, Step
 from car_interface.tools.calibration.drive.stops import Stops
-from car_interface.tools.calibration.drive.survey import MeasuredDrive
+from car_interface.tools.calibration.drive.survey import Survey
 
 GRANT_TIMEOUT_S = 0.5  # the arbiters' states come 10 times a second and more
 MARGIN_M = 0.12  # of the area, for odometry's drift and for what isn't known of the steering
 
 
-class CalibrationDrive(MeasuredDrive):
+class CalibrationDrive(Survey):
     """One drive, by turn_arb's calibration, which makes duties of av_steer_req: its ends and its rough center are the
     car's, its radii aren't believed.
     """
@@ -50,7 +50,7 @@ class CalibrationDrive(MeasuredDrive):
         self._ranges = {name: TimedInput(name, config.obstacles.timeout_s)
                         for name, mount in (config.obstacles.mounts if config.obstacles else {}).items()
                         if abs(math.remainder(mount.yaw_rad, 2 * math.pi)) < math.pi / 2}  # those that look ahead
-        self._drives = False  # the button is held
+        self._drives = False  # a car that is pushed, or steered by hand meanwhile, shows nothing about its steering
         self._is_slowed = False  # by more than its own drag, or moved by hands
 
     @property
@@ -58,27 +58,12 @@ class CalibrationDrive(MeasuredDrive):
         """The area's center in odometry's frame, for rviz; ``None`` before the button was first held."""
         return None if self._pilot is None else self._pilot.outlook.area.center
 
-    def update_odometry(self, x_m: float, y_m: float, yaw_rad: float, speed_mps: float, measured_ns: int,
-                        now_ns: int) -> None:
-        """Take the car's pose (middle of the rear axle, odometry's frame, yaw wrapped or not) and its speed, forward
-        positive, that were measured at ``measured_ns`` and arrived at ``now_ns``. What isn't finite is left out.
-        """
-        if not all(map(math.isfinite, (x_m, y_m, yaw_rad, speed_mps))):
-            return
-        self._odom.update(None, now_ns)
-        if self._drives:  # a car that is pushed, or steered by hand meanwhile, shows nothing about its steering
-            self.samples.update_odometry(x_m, y_m, yaw_rad, speed_mps, measured_ns)
-        motion = self._motion.update(Pose(x_m, y_m, yaw_rad), speed_mps, measured_ns)
+    def _update_motion(self, distance_m, turned_rad, measured_ns, now_ns):
         if self._is_slowed:
             self._stops.discard()
-        self._stops.update(motion[0], speed_mps, self._motion.pose.yaw_rad, self._drives, measured_ns)
+        self._stops.update(distance_m, self.motion.speed_mps, self.motion.pose.yaw_rad, self._drives, measured_ns)
         if self._pilot is not None:
-            self._pilot.update_motion(*motion, measured_ns)
-
-    def update_duty(self, duty: float, now_ns: int) -> None:
-        """Take what the servo board holds on the steering's channel, by /servo/output."""
-        self._duty.update(duty, now_ns)
-        self.samples.update_duty(duty, now_ns)
+            self._pilot.update_motion(distance_m, turned_rad, measured_ns)
 
     def update_range(self, name: str, range_m: float, now_ns: int) -> None:
         """Take a sonar's range, as on its topic: inf = no echo, −inf = too near, NaN = nonsense. See ``obstacle_stop``.
@@ -112,15 +97,13 @@ class CalibrationDrive(MeasuredDrive):
                 self._pilot.pause()
             return Step(None, 0.0, WAITING if self._pilot is None else PAUSED, trouble)
         if self._pilot is None:
-            outline = self._config.outline
-            middle = moved(self._motion.pose, (outline.front_m - outline.rear_m) / 2, 0.0)
-            radius_m = self._config.radius_m
-            area = Area(middle[:2], radius_m - MARGIN_M, self._config.outline, radius_m)
-            outlook = Outlook(self._base, self._config, self._survey, self._motion, area, self._obstacles, self._stops)
-            self._pilot = Pilot(self._base, self._survey, self._motion, outlook)
+            outline, radius_m = self.config.outline, self.config.radius_m
+            middle = moved(self.motion.pose, (outline.front_m - outline.rear_m) / 2, 0.0)
+            area = Area(middle[:2], radius_m - MARGIN_M, outline, radius_m)
+            self._pilot = Pilot(self, Outlook(self, area, self._obstacles, self._stops))
         self._driven_ns += since_ns
-        if self._survey.positions.is_swapped or self._pilot.turns_wrongly:
-            self._end = (f"servo_left {self._base.servo_left} turns right: exchange servo_left and servo_right in "
+        if self.positions.is_swapped or self._pilot.turns_wrongly:
+            self._end = (f"servo_left {self.base.servo_left} turns right: exchange servo_left and servo_right in "
                          "turn_arb's file, and begin again")
         self._end_if_over()
         if self._end:

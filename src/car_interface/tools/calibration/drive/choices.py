@@ -6,11 +6,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from car_interface.steering.calibration import SteeringCalibration
 from car_interface.tools.calibration.drive.area import Pose
-from car_interface.tools.calibration.drive.hold import Hold
 from car_interface.tools.calibration.drive.outlook import Outlook
-from car_interface.tools.calibration.drive.positions import Candidate
+from car_interface.tools.calibration.drive.positions import Candidate, Hold
 from car_interface.tools.calibration.drive.survey import Survey
 
 MIN_LENGTH_M = 0.9  # of a position that is begun
@@ -44,10 +42,8 @@ class Choice(NamedTuple):
 class Choices:
     """What could be held next by one car."""
 
-    def __init__(self, base: SteeringCalibration, survey: Survey, outlook: Outlook):
-        self._survey, self._outlook = survey, outlook
-        self._ends = (base.servo_left, base.servo_right)
-        self._limits = tuple(float(end) for end in sorted(self._ends))
+    def __init__(self, survey: Survey, outlook: Outlook):
+        self._survey, self._outlook, self._ends = survey, outlook, survey.ends
 
     def all(self, now_ns: int) -> list[Choice]:
         """Return the candidates as they could be begun now, without those that can't be the best any more."""
@@ -135,7 +131,8 @@ class Choices:
 
     def _hold_for(self, candidate, now_ns):
         survey = self._survey
-        return Hold(candidate.duty, candidate.from_side, self._outlook.servo_duty, self._limits, survey.servo_lag_s,
+        limits = tuple(map(float, sorted(self._ends)))
+        return Hold(candidate.duty, candidate.from_side, self._outlook.servo_duty, limits, survey.servo_lag_s,
                     survey.servo_delay_s, now_ns)
 
 

@@ -12,7 +12,7 @@ from car_interface.common.package_files import is_package_file, package_file
 from car_interface.common.yaml_file import read_yaml
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.steering.config import load_steering
-from car_interface.tools.calibration.drive.samples import Samples
+from car_interface.tools.calibration.drive.survey import Samples
 from car_interface.tools.calibration.shared import RecordedDrive, write_table
 from car_interface.tools.calibration.steering.calibrate import NOT_LOADED, SteeringResult, calibrate, yaml_text
 from car_interface.tools.calibration.steering.errors import BAND
@@ -95,30 +95,15 @@ def _swapped(calibrated: SteeringResult, base: SteeringCalibration) -> str:
 class TableFile(NamedTuple):
     """Where the calibration goes."""
 
-    path: str  # to be written
+    path: Path  # to be written
     base_text: str  # of the file whose other parameters are kept
 
     @property
-    def folder(self) -> str:
-        """In which bag and report lie, too."""
-        return os.path.dirname(self.path)
-
-    @property
-    def stem(self) -> str:
-        """The file's name without its extension."""
-        return Path(self.path).stem
-
-    @property
-    def beside(self) -> str:
+    def beside(self) -> Path:
         """The file that is written where this one isn't to be replaced."""
-        return os.path.join(self.folder, f"{self.stem}.new{Path(self.path).suffix}")
+        return self.path.with_name(f"{self.path.stem}.new{self.path.suffix}")
 
-    @property
-    def is_there(self) -> bool:
-        """Whether there is a file to be replaced."""
-        return os.path.exists(self.path)
-
-    def write(self, text: str, replaces: bool) -> tuple[str, str]:
+    def write(self, text: str, replaces: bool) -> tuple[Path, str]:
         """Write the calibration: the file itself is replaced, or else the one beside it is written.
 
         Returns:
@@ -128,7 +113,7 @@ class TableFile(NamedTuple):
             CarInterfaceError: it can't be written, or turn_arb would refuse it.
         """
         path = self.path if replaces else self.beside
-        return path, write_table(path, text, load_steering, NOT_LOADED)
+        return path, write_table(str(path), text, load_steering, NOT_LOADED)
 
 
 def find_table_file(wanted: str | None, base: str | None, launched_with: str | None,
@@ -157,7 +142,7 @@ def find_table_file(wanted: str | None, base: str | None, launched_with: str | N
     if kept.servo_channel != running.servo_channel:
         raise CarInterfaceError(f"{base_path} has servo_channel {kept.servo_channel}, and turn_arb steers channel "
                                 f"{running.servo_channel}: name another file by -o or --base")
-    return TableFile(path, read_yaml(base_path))
+    return TableFile(Path(path), read_yaml(base_path))
 
 
 def next_steps(table: TableFile, refusal: str, replaces: bool | None) -> list[str]:
@@ -169,7 +154,7 @@ def next_steps(table: TableFile, refusal: str, replaces: bool | None) -> list[st
                  "another one to calibrate_steering, which makes one table of both.")]
     take = f"ake the new table by: mv {table.beside} {table.path}"
     taking = [] if replaces else [f"If you answered no, t{take}" if replaces is None else f"T{take}"]
-    return [*taking, f"Launch again with config:={table.folder}, which loads the table.",
+    return [*taking, f"Launch again with config:={table.path.parent}, which loads the table.",
             "Then ask for a circle, and measure it: rostopic pub -r 20 av_turnrad_req std_msgs/Float32 2.0",
             "bag_report of any later drive says how tight its slow turns were against this table."]
 

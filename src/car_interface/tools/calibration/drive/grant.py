@@ -4,8 +4,7 @@ Pure: the newest states of turn_arb, throttle_arb and planner_interface, and who
 """
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple, Sequence
 
 from car_interface.common import causes
 from car_interface.common.causes import AUTONOMOUS
@@ -26,25 +25,6 @@ NO_PULSE = (-1, 0, 65535)  # unknown, off, always on
 UNHEARD = frozenset({causes.JOY_NEVER_RECEIVED, causes.JOY_STALE, *causes.JOY_UNUSABLE})
 
 
-class Steering(NamedTuple):
-    """Of turn_arb's state."""
-
-    source: int
-    cause: str
-    reason: str
-
-
-class Throttle(NamedTuple):
-    """Of throttle_arb's state."""
-
-    source: int
-    cause: str
-    reason: str
-    mode: str
-    esc: str
-    esc_reason: str
-
-
 class Granted(NamedTuple):
     """Whether it may drive, and why not, in the arbiters' own words."""
 
@@ -53,21 +33,34 @@ class Granted(NamedTuple):
 
 
 class Grant:
-    """The newest of each state."""
+    """The newest of each state, and what else was received of the car.
 
-    def __init__(self):
-        self._steering = TimedInput("turn_arb's state", STATE_TIMEOUT_S)
-        self._throttle = TimedInput("throttle_arb's state", STATE_TIMEOUT_S)
-        self._planner = TimedInput("planner_interface's state", STATE_TIMEOUT_S)
+    Args:
+        by_stick: a person drives: neither planner_interface nor throttle_arb is needed, nor the sonars.
+        calibrates_esc: throttle_arb was started with calibration_drive:=true.
+        sonars: those that are used.
+
+    Attributes:
+        has_odom: an odometry was received.
+        duty: what the servo board holds on the steering's channel; ``None`` = it was never heard.
+        gamepad: cause and reason of teleop_logi's state; ``None`` = it was never heard.
+        sonars: those that are used and were never heard.
+    """
+
+    def __init__(self, by_stick: bool = False, calibrates_esc: bool = False, sonars: Sequence[str] = ()):
+        self.has_odom, self.duty, self.gamepad, self.sonars = False, None, None, list(sonars)
+        self._by_stick, self._calibrates_esc = by_stick, calibrates_esc
+        self._steering, self._throttle, self._planner = (TimedInput(f"{name}'s state", STATE_TIMEOUT_S) for name in (
+            "turn_arb", "throttle_arb", "planner_interface"))
         self._others: dict[str, TimedInput] = {}
 
-    def update_steering(self, steering: Steering, now_ns: int) -> None:
-        """Take turn_arb's state."""
-        self._steering.update(steering, now_ns)
+    def update_steering(self, state: Any, now_ns: int) -> None:
+        """Take turn_arb's state, with the fields of SteeringState."""
+        self._steering.update(state, now_ns)
 
-    def update_throttle(self, throttle: Throttle, now_ns: int) -> None:
-        """Take throttle_arb's state."""
-        self._throttle.update(throttle, now_ns)
+    def update_throttle(self, state: Any, now_ns: int) -> None:
+        """Take throttle_arb's state, with the fields of ThrottleState."""
+        self._throttle.update(state, now_ns)
 
     def update_planner(self, source: str, now_ns: int) -> None:
         """Take the source that planner_interface obeys."""
@@ -90,21 +83,58 @@ class Grant:
                 if not timed.is_stale(now_ns)]
 
     def decide(self, now_ns: int) -> Granted:
-        """Decide whether both arbiters obey the planner, or would if it asked for something."""
-        for timed in (self._steering, self._throttle, self._planner):
+        """Decide whether both arbiters obey the planner, or would if it asked for something; by hand whether turn_arb
+        obeys the stick.
+        """
+        for timed in (self._steering,) if self._by_stick else (self._steering, self._throttle, self._planner):
             if timed.is_stale(now_ns):
                 return Granted(False, timed.stale_reason(now_ns))
-        source = self._planner.value
-        trouble = (_steering_trouble(self._steering.value) or _throttle_trouble(self._throttle.value)
-                   or (f"planner_interface obeys {source}" if source != SPEED else "; ".join(self.others(now_ns))))
+        steering, source = self._steering.value, self._planner.value
+        if self._by_stick:
+            trouble = "" if steering.source == TELEOP else _plain(steering.reason)
+        else:
+            trouble = (_steering_trouble(steering) or _throttle_trouble(self._throttle.value)
+                       or (f"planner_interface obeys {source}" if source != SPEED else "; ".join(self.others(now_ns))))
         return Granted(not trouble, trouble)
 
-    def decide_by_hand(self, now_ns: int) -> Granted:
-        """Decide whether turn_arb obeys a person's stick."""
-        if self._steering.is_stale(now_ns):
-            return Granted(False, self._steering.stale_reason(now_ns))
-        steering = self._steering.value
-        return Granted(steering.source == TELEOP, "" if steering.source == TELEOP else _plain(steering.reason))
+    def missing(self, now_ns: int) -> list[str]:
+        """Return what is missing before it begins, most basic first; empty: it can begin."""
+        found = []
+        if not self._steering.was_received:
+            found.append(f"turn_arb isn't heard: is the car launched, and in this namespace? {LAUNCH}")
+        if self.duty is None:
+            found.append("/servo/output isn't heard: is pca9685 running?")
+        elif self.duty in NO_PULSE:
+            found.append("the servo board gives no pulse on the steering's channel: rosrun car_interface doctor")
+        if not self.has_odom:
+            found.append("there is no odometry on odom: is teensy_sensor_hub running, and the Teensy plugged in?")
+        return found if self._by_stick else [*found, *self._missing_of_a_program(), *self.others(now_ns)]
+
+    def _missing_of_a_program(self):
+        if not self._throttle.was_received:
+            yield f"throttle_arb isn't heard, which drives the ESC: launch with throttle:=true ({LAUNCH})"
+        elif self._calibrates_esc:
+            yield ("throttle_arb was launched with calibration_drive:=true, which is for calibrate_esc and lets no "
+                   "stop brake: launch without")
+        if not self._planner.was_received:
+            yield f"planner_interface isn't heard: launch with planner:=speed ({LAUNCH})"
+        elif self._planner.value != SPEED:
+            yield (f"planner_interface obeys {self._planner.value}, not speeds: launch with planner:=speed in its "
+                   "place")
+        if self.sonars:
+            yield (f"no range of the sonar{'s' * (len(self.sonars) > 1)} {', '.join(self.sonars)} is heard: a sonar "
+                   "that the car doesn't have is `absent` in throttle.yaml (obstacle/sonars); --no-sonars drives "
+                   "without any, and then only you keep it from running into something")
+
+    def missing_gamepad(self) -> list[str]:
+        """Return what is missing of the gamepad, which is waited for; empty: nothing."""
+        if self.gamepad is None:
+            return ["teleop_logi isn't heard, which reads the gamepad with the deadman: is it running?"]
+        cause, reason = self.gamepad
+        if cause not in UNHEARD:
+            return []
+        return [(f"the gamepad isn't there ({reason}): switch it on, or on the virtual car start keyboard_drive in "
+                 "another terminal")]
 
 
 def _plain(reason):
@@ -127,69 +157,3 @@ def _throttle_trouble(throttle):
     if throttle.esc == ARMING:
         return throttle.esc_reason
     return "" if throttle.source == PLANNER or throttle.cause in IDLE else throttle.reason
-
-
-# --- before it begins ---
-
-
-@dataclass
-class Seen:
-    """What was received of the car so far."""
-
-    steering: bool = False  # a state of turn_arb
-    throttle: bool = False  # a state of throttle_arb
-    calibrates_esc: bool = False  # throttle_arb was started with calibration_drive:=true
-    planner: str | None = None  # which source planner_interface obeys; ``None``: it was never heard
-    odom: bool = False  # an odometry
-    duty: int | None = None  # what the servo board holds on the steering's channel; ``None``: it was never heard
-    gamepad: tuple[str, str] | None = None  # cause and reason of teleop_logi's state; ``None``: it was never heard
-    sonars: tuple[str, ...] = ()  # those that are used and were never heard
-    others: list[str] = field(default_factory=list)  # who else asks for something, as sentences
-
-
-def missing(seen: Seen, by_stick: bool) -> list[str]:
-    """Return what is missing, most basic first; empty: it can begin.
-
-    Args:
-        by_stick: a person drives: neither planner_interface nor throttle_arb is needed, nor the sonars.
-    """
-    found = []
-    if not seen.steering:
-        found.append(f"turn_arb isn't heard: is the car launched, and in this namespace? {LAUNCH}")
-    if seen.duty is None:
-        found.append("/servo/output isn't heard: is pca9685 running?")
-    elif seen.duty in NO_PULSE:
-        found.append("the servo board gives no pulse on the steering's channel: rosrun car_interface doctor")
-    if not seen.odom:
-        found.append("there is no odometry on odom: is teensy_sensor_hub running, and the Teensy plugged in?")
-    if not by_stick:
-        found += _missing_of_a_program(seen)
-    return found
-
-
-def _missing_of_a_program(seen):
-    if not seen.throttle:
-        yield f"throttle_arb isn't heard, which drives the ESC: launch with throttle:=true ({LAUNCH})"
-    elif seen.calibrates_esc:
-        yield ("throttle_arb was launched with calibration_drive:=true, which is for calibrate_esc and lets no stop "
-               "brake: launch without")
-    if seen.planner is None:
-        yield f"planner_interface isn't heard: launch with planner:=speed ({LAUNCH})"
-    elif seen.planner != SPEED:
-        yield f"planner_interface obeys {seen.planner}, not speeds: launch with planner:=speed in its place"
-    if seen.sonars:
-        yield (f"no range of the sonar{'s' * (len(seen.sonars) > 1)} {', '.join(seen.sonars)} is heard: a sonar that "
-               "the car doesn't have is `absent` in throttle.yaml (obstacle/sonars); --no-sonars drives without any, "
-               "and then only you keep it from running into something")
-    yield from seen.others
-
-
-def missing_gamepad(seen: Seen) -> list[str]:
-    """Return what is missing of the gamepad, which is waited for; empty: nothing."""
-    if seen.gamepad is None:
-        return ["teleop_logi isn't heard, which reads the gamepad with the deadman: is it running?"]
-    cause, reason = seen.gamepad
-    if cause not in UNHEARD:
-        return []
-    return [(f"the gamepad isn't there ({reason}): switch it on, or on the virtual car start keyboard_drive in another "
-             "terminal")]

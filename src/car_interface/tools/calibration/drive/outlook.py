@@ -5,12 +5,9 @@ from __future__ import annotations
 
 import math
 
-from car_interface.steering.calibration import SteeringCalibration
 from car_interface.throttle.obstacle_stop import ObstacleStop, stopping_speed_mps
 from car_interface.tools.calibration.drive.area import Area, Pose, Turn, moved
-from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
-from car_interface.tools.calibration.drive.hold import Hold
-from car_interface.tools.calibration.drive.samples import Motion
+from car_interface.tools.calibration.drive.positions import Hold
 from car_interface.tools.calibration.drive.stops import Stops
 from car_interface.tools.calibration.drive.survey import Survey
 
@@ -31,12 +28,11 @@ QUICK_MPS2, MAX_QUICK_MPS = 2.2, 1.6  # sideways, in every other turn: shows by 
 class Outlook:
     """The way ahead of one car, which stays in an area."""
 
-    def __init__(self, base: SteeringCalibration, config: CalibrationDriveConfig, survey: Survey, motion: Motion,
-                 area: Area, obstacles: ObstacleStop | None, stops: Stops):
+    def __init__(self, survey: Survey, area: Area, obstacles: ObstacleStop | None, stops: Stops):
         self.area = area
-        self.servo_duty = float(base.servo_center)
-        self._config, self._survey, self._motion, self._obstacles = config, survey, motion, obstacles
-        self._ends, self._stops = (base.servo_left, base.servo_right), stops
+        self.servo_duty = float(survey.base.servo_center)
+        self._survey, self._config, self._motion = survey, survey.config, survey.motion
+        self._ends, self._obstacles, self._stops = survey.ends, obstacles, stops
 
     def _coasts_mps2(self):
         """Return the deceleration once the button is let go."""

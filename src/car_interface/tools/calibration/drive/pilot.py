@@ -11,13 +11,10 @@ import math
 from typing import Sequence
 
 from car_interface.common.units import NS_PER_S
-from car_interface.steering.calibration import SteeringCalibration
 from car_interface.tools.calibration.drive.area import INWARD_RAD, moved
 from car_interface.tools.calibration.drive.choices import MIN_LENGTH_M, MISSING_NEED, Choices
-from car_interface.tools.calibration.drive.hold import Hold
 from car_interface.tools.calibration.drive.outlook import FREE_MPS, REACTION_S, Outlook
-from car_interface.tools.calibration.drive.positions import Candidate
-from car_interface.tools.calibration.drive.samples import Motion
+from car_interface.tools.calibration.drive.positions import Candidate, Hold
 from car_interface.tools.calibration.drive.step import (
     AVOIDING,
     BLOCKED,
@@ -90,11 +87,10 @@ class LostTurns:
 class Pilot:
     """Decides steering and speed while the button is held."""
 
-    def __init__(self, base: SteeringCalibration, survey: Survey, motion: Motion, outlook: Outlook):
+    def __init__(self, survey: Survey, outlook: Outlook):
         self.outlook = outlook
-        self._base, self._survey, self._motion = base, survey, motion
-        self._choices = Choices(base, survey, outlook)
-        self._ends = (base.servo_left, base.servo_right)
+        self._survey, self._motion, self._ends = survey, survey.motion, survey.ends
+        self._choices = Choices(survey, outlook)
         self._hold: Hold | None = None
         self._need = 0.0
         self._want_m = 0.0
@@ -256,7 +252,7 @@ class Pilot:
         turn_per_m = self._way_per_m(now_ns) if side is None else self._turns_per_m()[side]
         reaction_m = self._motion.speed_mps * (REACTION_S + self._survey.servo_delay_s + self._survey.servo_lag_s)
         pose = moved(self._motion.pose, reaction_m, self.outlook.path_per_m(self._hold, now_ns))
-        best = Candidate(self._base.servo_left if turn_per_m > 0 else self._base.servo_right, 0.0, 0)
+        best = Candidate(self._ends[0 if turn_per_m > 0 else 1], 0.0, 0)
         if not tightest:
             best = self._choices.tight(turn_per_m, pose, now_ns) or best
         if self._hold is not None and self._hold.duty == best.duty:

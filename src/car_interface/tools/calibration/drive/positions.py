@@ -1,4 +1,4 @@
-"""Which positions of the steering to measure next, and what curvature to expect of them.
+"""Which positions of the steering to measure next, what curvature to expect of them, and how to hold one.
 
 First the ends and the center, and some in between; then wherever the fit knows least. A position is a duty, always one
 of the board's counts.
@@ -29,6 +29,10 @@ MAX_NICE_NEED = 1.0  # of what the tool doesn't refuse
 STEEP_RATIO, STEEP_PER_M, STEEP_NEED = 0.08, 0.03, 1.2  # of the curvature from count to count
 SURELY_PER_M = 0.1  # an end that turns so tightly to the wrong side does so
 UNKNOWN_TURN_PER_M = 0.8  # of the ends before they were driven: as wide as a car in so small an area may turn
+PAST_DUTY = 90.0  # so far it is passed by, which is more than any usual backlash
+CROSSED_DUTY = 50.0  # of these; from there on it comes back
+SETTLED_DUTY = 5.0
+MARGIN_S = 0.06
 
 
 class Candidate(NamedTuple):
@@ -47,6 +51,57 @@ class Measured(NamedTuple):
     from_side: int
     length_m: float
     curvature_per_m: float
+
+
+class Hold:
+    """One position, from the moment at which it is asked for.
+
+    Args:
+        from_side: the side from which to come to it, in duty: 1 = higher, −1 = lower; 0 = as it comes.
+        servo_duty: where the servo is about now.
+        limits: the lowest and the highest duty that may be asked for.
+        lag_s, delay_s: of the servo.
+    """
+
+    def __init__(self, duty: int, from_side: int, servo_duty: float, limits: tuple[float, float], lag_s: float,
+                 delay_s: float, now_ns: int):
+        self.duty = duty
+        natural = 1 if servo_duty > duty else -1
+        self.from_side = from_side or natural
+        self._past_duty = float(duty)
+        self._past_ns = now_ns
+        at_duty = servo_duty
+        if abs(servo_duty - duty) < PAST_DUTY or self.from_side != natural:
+            self._past_duty = min(max(duty + self.from_side * PAST_DUTY, limits[0]), limits[1])
+            crossed = duty + self.from_side * min(CROSSED_DUTY, abs(self._past_duty - duty) * 0.8)
+            past_s = delay_s + _time_s(abs(self._past_duty - servo_duty), abs(self._past_duty - crossed), lag_s)
+            self._past_ns = now_ns + round(past_s * 1e9)
+            at_duty = self._past_duty
+        settle_s = delay_s + MARGIN_S + _time_s(abs(at_duty - duty), SETTLED_DUTY, lag_s)
+        self.settled_ns = self._past_ns + round(settle_s * 1e9)
+        self.length_m = self.turned_rad = 0.0
+
+    def asked_duty(self, now_ns: int) -> float:
+        """Return what to ask for now."""
+        return self._past_duty if now_ns < self._past_ns else float(self.duty)
+
+    def is_settled(self, now_ns: int) -> bool:
+        """Return whether the wheels are where they are to be."""
+        return now_ns >= self.settled_ns
+
+    def update_motion(self, distance_m: float, turned_rad: float, at_ns: int) -> None:
+        """Take what odometry saw since the last call."""
+        if at_ns >= self.settled_ns:
+            self.length_m += distance_m
+            self.turned_rad += turned_rad
+
+    def seconds_to_settle(self, now_ns: int) -> float:
+        """Until it is settled; 0 = it is."""
+        return max(0.0, (self.settled_ns - now_ns) / 1e9)
+
+    def measured(self) -> Measured:
+        """Return the result so far."""
+        return Measured(self.duty, self.from_side, self.length_m, self.turned_rad / max(self.length_m, 1e-6))
 
 
 class Positions:
@@ -116,7 +171,7 @@ class Positions:
     def _lost_ends(self):
         """Yield the ends that aren't on the fit's curve, such as one that was held too shortly for a segment."""
         known, held = self._knowledge, {candidate.duty for candidate in self._first}
-        slack_duty = 2 * COUNT + (known.backlash_duty or 0.0) / 2
+        slack_duty = 2 * COUNT + (known.given.backlash_duty or 0.0) / 2
         for end in (self._base.servo_left, self._base.servo_right):
             is_on_it = known.duties[0] - slack_duty <= end <= known.duties[-1] + slack_duty
             if not is_on_it and end not in held and not any(one.duty == end for one in self._since_fit):
@@ -125,15 +180,12 @@ class Positions:
     def _by_errors(self, count, accepts):
         """Return the greatest errors of the fit, apart from each other; of equal needs that of which least is known."""
         known = self._knowledge
-        unknown = map(max, known.errors, known.needs or known.errors)
-        rows = [(need, much, duty) for need, much, duty in zip(self._needs(), unknown, known.duties) if accepts(duty)]
-        rows.sort(reverse=True)
         found: list[Candidate] = []
-        for need, _, at in rows:
+        for need, _, at in sorted(zip(self._needs(), map(max, known.errors, known.needs), known.duties), reverse=True):
             if len(found) >= count:
                 break
             duty = nearest_count(at, self._base)
-            if all(abs(duty - other.duty) >= APART_DUTY for other in found):
+            if accepts(at) and all(abs(duty - other.duty) >= APART_DUTY for other in found):
                 found.append(Candidate(duty, need, self._other_side(duty)))
         return found
 
@@ -148,7 +200,7 @@ class Positions:
         """
         known = self._knowledge
         needs = [self._remaining(duty, max(min(error, MAX_NEED), min(need, MAX_NICE_NEED)))
-                 for duty, error, need in zip(known.duties, known.errors, known.needs or known.errors)]
+                 for duty, error, need in zip(known.duties, known.errors, known.needs)]
         for index in self._gaps():
             needs[index] = max(needs[index], STEEP_NEED)
         return needs
@@ -245,3 +297,8 @@ def _interpolated(at, places, values):
         return values[-1]
     ratio = (at - places[index - 1]) / (places[index] - places[index - 1])
     return values[index - 1] + ratio * (values[index] - values[index - 1])
+
+
+def _time_s(from_duty, to_duty, lag_s):
+    """Return how long a first-order lag takes from one distance to its target to a smaller one."""
+    return lag_s * math.log(from_duty / to_duty) if from_duty > to_duty > 0 else 0.0

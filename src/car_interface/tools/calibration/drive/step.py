@@ -18,24 +18,16 @@ DONE = "done"  # enough is known, or the time is over; ask for nothing any more,
 class Step(NamedTuple):
     """What to ask for now."""
 
-    # for av_steer_req, −1 right to 1 left; ``None`` = ask for nothing (the button isn't held, it is over)
+    # for av_steer_req, −1 right to 1 left; ``None`` = ask for nothing (the button isn't held, it is over); by hand
+    # where to hold the stick
     steering: float | None
     speed_mps: float  # for av_speed_req; 0 = stop
-    phase: str  # one of the constants above
+    # one of the constants above; by hand PAUSED (it stands or isn't driven slowly enough), SETTLING (steer there, past
+    # it first), MEASURING (hold it) or DONE
+    phase: str
     text: str  # the same in words, one line
     target_duty: int = 0  # the position that is measured or next; 0 = none
-
-
-class Guidance(NamedTuple):
-    """What a person who steers with the stick has to do now."""
-
-    steering: float  # where to hold the stick: tele_steer_req, −1 right to 1 left
-    held: float  # where it is held, by the duty on the board; NaN = unknown
-    seconds_left: float  # how long still, at this speed; 0 = the next position comes
-    # SETTLING (steer there, past it first), MEASURING (hold it), PAUSED (it stands or isn't driven slowly enough), DONE
-    phase: str
-    text: str  # one line for the person, such as ``push past 43 % left, then come back to 40 % left``
-    target_duty: int = 0  # the position
+    held: float | None = None  # by hand where the stick is held, by the duty on the board; NaN = unknown
 
 
 class RadiusRow(NamedTuple):

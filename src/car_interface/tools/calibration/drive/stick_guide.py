@@ -9,11 +9,10 @@ import math
 
 from car_interface.common.units import NS_PER_S
 from car_interface.steering.calibration import SteeringCalibration
-from car_interface.tools.calibration.drive.area import Pose
 from car_interface.tools.calibration.drive.config import DEFAULTS, CalibrationDriveConfig
 from car_interface.tools.calibration.drive.positions import Candidate, Measured
-from car_interface.tools.calibration.drive.step import DONE, MEASURING, PAUSED, SETTLING, Guidance, steering_text
-from car_interface.tools.calibration.drive.survey import MeasuredDrive
+from car_interface.tools.calibration.drive.step import DONE, MEASURING, PAUSED, SETTLING, Step, steering_text
+from car_interface.tools.calibration.drive.survey import Survey
 from car_interface.tools.calibration.steering.drive import MIN_SPEED_MPS
 from car_interface.tools.calibration.steering.segments import MAX_LATERAL_MPS2, MAX_WANDER_DUTY
 
@@ -23,7 +22,7 @@ SETTLE_NS = NS_PER_S // 2
 LEAST_COUNTED_M = 0.6
 
 
-class StickGuide(MeasuredDrive):
+class StickGuide(Survey):
     """One drive by hand.
 
     A stick is never held exactly where it is asked: what counts is a position that is held still near it. One that is
@@ -41,22 +40,14 @@ class StickGuide(MeasuredDrive):
         self._passed = False  # the stick came from the side that was asked for
         self._why_not = ""  # it may not be driven
 
-    def update_odometry(self, x_m: float, y_m: float, yaw_rad: float, speed_mps: float, measured_ns: int,
-                        now_ns: int) -> None:
-        """Take an odometry, as CalibrationDrive does."""
-        if not all(map(math.isfinite, (x_m, y_m, yaw_rad, speed_mps))):
-            return
-        self._odom.update(None, now_ns)
-        self.samples.update_odometry(x_m, y_m, yaw_rad, speed_mps, measured_ns)
-        distance_m, turned_rad = self._motion.update(Pose(x_m, y_m, yaw_rad), speed_mps, measured_ns)
-        if self._is_held(now_ns) and abs(speed_mps) >= MIN_SPEED_MPS:
+    def _update_motion(self, distance_m, turned_rad, measured_ns, now_ns):
+        if self._is_held(now_ns) and abs(self.motion.speed_mps) >= MIN_SPEED_MPS:
             self._length_m += abs(distance_m)
             self._turned_rad += turned_rad * (1 if distance_m > 0 else -1)
 
     def update_duty(self, duty: float, now_ns: int) -> None:
         """Take a duty, as CalibrationDrive does: it shows where the stick is."""
-        self._duty.update(duty, now_ns)
-        self.samples.update_duty(duty, now_ns)
+        super().update_duty(duty, now_ns)
         low_duty, high_duty = min(self._low_duty, duty), max(self._high_duty, duty)  # NaN stays
         if high_duty - low_duty <= MAX_WANDER_DUTY:  # as the fit takes a segment: a thumb is on two counts
             self._low_duty, self._high_duty = low_duty, high_duty
@@ -70,44 +61,38 @@ class StickGuide(MeasuredDrive):
         """Take whether turn_arb obeys the stick: the manual deadman is held; and why not, in its own words."""
         self._why_not = "" if may_drive else reason
 
-    def step(self, now_ns: int) -> Guidance:
+    def step(self, now_ns: int) -> Step:
         """Return what to do now; 10 times a second and more."""
         since_ns = self._tick(now_ns)
-        moves = not self._odom.is_stale(now_ns) and abs(self._motion.speed_mps) >= MIN_SPEED_MPS
+        moves = not self._odom.is_stale(now_ns) and abs(self.motion.speed_mps) >= MIN_SPEED_MPS
         self._driven_ns += since_ns if moves else 0
         self._end_if_over()
         if self._end:
-            return Guidance(0.0, self._held_steering(), 0.0, DONE, self._end)
+            return Step(0.0, 0.0, DONE, self._end, held=self._held_steering())
         if self._target is None or self._is_held(now_ns) and self._length_m >= HOLD_M:
-            self._next()
-        return self._guidance(moves, now_ns)
+            self._note()
+            self._target, self._passed = self.positions.candidates()[0], False  # of which least is known
+        steering = self.positions.steering(self._target.duty)
+        return Step(steering, 0.0, *self._guidance(steering, moves, now_ns), self._target.duty, self._held_steering())
 
-    def _guidance(self, moves, now_ns):
-        target, steering = self._target, self._steering(self._target.duty)
-        left_m = max(0.0, HOLD_M - self._length_m)
-        left_s = left_m / max(MIN_SPEED_MPS, abs(self._motion.speed_mps))
+    def _guidance(self, steering, moves, now_ns):
+        """Return (the phase, what the person has to do now)."""
         for timed in (self._odom, self._duty):
             if timed.is_stale(now_ns):
-                return self._say(left_s, PAUSED, f"it waits: {timed.stale_reason(now_ns)}")
-        curvature = self._motion.curvature_per_m() or 0.0
-        lateral_mps2 = abs(curvature) * self._motion.speed_mps ** 2
-        where = steering_text(steering)
-        if not moves and self._why_not:
-            return self._say(left_s, PAUSED, f"{self._why_not}; hold the manual deadman")
+                return PAUSED, f"it waits: {timed.stale_reason(now_ns)}"
+        target, where, speed_mps = self._target, steering_text(steering), abs(self.motion.speed_mps)
         if not moves:
-            return self._say(left_s, PAUSED, f"drive slowly, about 1 m/s, with the stick at {where}")
-        if lateral_mps2 > MAX_LATERAL_MPS2:
-            return self._say(left_s, PAUSED, "slower: at this speed tyres may slide")
+            return PAUSED, (f"{self._why_not}; hold the manual deadman" if self._why_not else
+                            f"drive slowly, about 1 m/s, with the stick at {where}")
+        if abs(self.motion.curvature_per_m() or 0.0) * speed_mps ** 2 > MAX_LATERAL_MPS2:
+            return PAUSED, "slower: at this speed tyres may slide"
         if self._is_held(now_ns):
-            return self._say(left_s, MEASURING, f"hold {where}: {left_s:.0f} s more at this speed")
-        if target.from_side and not self._passed and abs(self._steering(target.duty)) < 1:
-            past = steering_text(self._steering(target.duty + target.from_side * 80))
-            return self._say(left_s, SETTLING, f"push to {past} first, then come back to {where}")
-        return self._say(left_s, SETTLING, f"hold the stick still at {where}")
-
-    def _say(self, left_s, phase, text):
-        return Guidance(self._steering(self._target.duty), self._held_steering(), left_s, phase, text,
-                        self._target.duty)
+            left_s = max(0.0, HOLD_M - self._length_m) / max(MIN_SPEED_MPS, speed_mps)
+            return MEASURING, f"hold {where}: {left_s:.0f} s more at this speed"
+        if target.from_side and not self._passed and abs(steering) < 1:
+            past = steering_text(self.positions.steering(target.duty + target.from_side * 80))
+            return SETTLING, f"push to {past} first, then come back to {where}"
+        return SETTLING, f"hold the stick still at {where}"
 
     def _is_held(self, now_ns):
         """Return whether the stick is held still at the position, come to from the right side, and the servo has
@@ -115,24 +100,15 @@ class StickGuide(MeasuredDrive):
         """
         target = self._target
         return (target is not None and abs((self._low_duty + self._high_duty) / 2 - target.duty) <= NEAR_DUTY
-                and (self._passed or not target.from_side or target.duty in self._survey.ends)
+                and (self._passed or not target.from_side or target.duty in self.ends)
                 and now_ns - self._still_ns >= SETTLE_NS)
-
-    def _next(self):
-        """Choose the position of which least is known."""
-        self._note()
-        candidates = self._survey.positions.candidates()
-        self._target, self._passed = candidates[0], False
 
     def _note(self):
         """Note what was held, if it was enough."""
         if self._target is not None and self._length_m >= LEAST_COUNTED_M:
-            self._survey.add(Measured(self._target.duty, self._target.from_side or 1, self._length_m,
+            self.add(Measured(self._target.duty, self._target.from_side or 1, self._length_m,
                                       self._turned_rad / self._length_m))
         self._length_m = self._turned_rad = 0.0
 
-    def _steering(self, duty):
-        return self._survey.positions.steering(duty)
-
     def _held_steering(self):
-        return math.nan if self._duty.value is None else self._steering(self._duty.value)
+        return math.nan if self._duty.value is None else self.positions.steering(self._duty.value)

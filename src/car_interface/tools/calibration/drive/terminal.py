@@ -17,7 +17,6 @@ from car_interface.tools.calibration.drive.step import (
     SETTLING,
     TURNING,
     WAITING,
-    Guidance,
     Progress,
     RadiusRow,
     Step,
@@ -52,17 +51,16 @@ def introduction(by_stick: bool, radius_m: float, width: int = 80) -> str:
 
 
 def drive_lines(step: Step, progress: Progress, width: int = 80) -> list[str]:
-    """Return all of a drive's picture, for a terminal that is drawn anew; no line is longer than ``width``."""
-    is_over = step.phase == DONE  # what comes then is printed below
-    headline = [] if is_over else [f"{BEFORE.get(step.phase, '')}{step.text}"]
-    return wrapped([*headline, *_progress_lines(progress, is_over)], width)
-
-
-def stick_lines(guidance: Guidance, progress: Progress, width: int = 80) -> list[str]:
-    """Return the same for a drive by hand, with a bar of where to hold the stick."""
-    is_over = guidance.phase == DONE
-    headline = [] if is_over else [guidance.text, *stick_bar(guidance)]
-    return wrapped([*headline, *_progress_lines(progress, is_over)], width)
+    """Return all of a drive's picture, for a terminal that is drawn anew; no line is longer than ``width``. By
+    hand with a bar of where to hold the stick.
+    """
+    if step.phase == DONE:  # what comes then is printed below
+        headline = []
+    elif step.held is None:
+        headline = [f"{BEFORE.get(step.phase, '')}{step.text}"]
+    else:
+        headline = [step.text, *stick_bar(step)]
+    return wrapped([*headline, *_progress_lines(progress, step.phase == DONE)], width)
 
 
 def plain_line(phase: str, text: str, progress: Progress) -> str:
@@ -71,7 +69,7 @@ def plain_line(phase: str, text: str, progress: Progress) -> str:
 
 
 def missing_lines(missing: Iterable[str]) -> list[str]:
-    """Return what is missing, without the tool's advice for a drive without guidance."""
+    """Return what is missing, without the tool's advice for a drive without step."""
     return [f"missing: {text.partition(ADVICE)[0]}" for text in missing]
 
 
@@ -102,16 +100,16 @@ def clock_text(seconds: float) -> str:
     return f"{whole // 60}:{whole % 60:02d}"
 
 
-def stick_bar(guidance: Guidance, length: int = STICK_BAR) -> list[str]:
+def stick_bar(step: Step, length: int = STICK_BAR) -> list[str]:
     """Two lines: a bar from left to right with the place to hold and where the stick is, and both in words."""
     cells = ["-"] * length
     cells[length // 2] = "+"
-    if math.isfinite(guidance.held):
-        cells[_cell(guidance.held, length)] = "o"
-    target = _cell(guidance.steering, length)
+    if math.isfinite(step.held):
+        cells[_cell(step.held, length)] = "o"
+    target = _cell(step.steering, length)
     cells[target] = "X" if cells[target] == "o" else "V"
     return [f"left |{''.join(cells)}| right  V hold here, o the stick",
-            f"     hold at {steering_text(guidance.steering)}; it is at {steering_text(guidance.held)}"]
+            f"     hold at {steering_text(step.steering)}; it is at {steering_text(step.held)}"]
 
 
 def radius_marks(rows: Iterable[RadiusRow], side: str) -> str:

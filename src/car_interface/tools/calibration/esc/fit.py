@@ -190,15 +190,15 @@ def _forget(found, pulled):
     if forgot and max(braked, default=0.0) < min(forgot):
         # Without a brake from standstill nothing longer is trusted than what any known ESC remembers.
         forget_s = max(braked, default=FRESH_S)
-        found.seen[FORGET] = (f"after {min(forgot):.1f} s in neutral the first pull was reverse, "
-                              + (f"after {forget_s:.1f} s a brake" if braked else "and none from standstill was a brake"))
+        earlier = f"after {forget_s:.1f} s a brake" if braked else "and none from standstill was a brake"
+        found.seen[FORGET] = f"after {min(forgot):.1f} s in neutral the first pull was reverse, {earlier}"
         found.reverse_after_neutral_s = round(float(max(forget_s, FRESH_S)), 2)
     elif braked and not forgot and max(braked) >= LONG_COAST_S:
         found.seen[FORGET] = f"after {max(braked):.1f} s in neutral the first pull was a brake"
         found.reverse_after_neutral_s = 0.0
     else:
-        found.missing.append(f"{FORGET}: full stick for a good second, center it, and after {LONG_COAST_S + 3:g} s pull "
-                             "back all the way for two seconds; twice"
+        found.missing.append(f"{FORGET}: full stick for a good second, center it, and after {LONG_COAST_S + 3:g} s "
+                             "pull back all the way for two seconds; twice"
                              + (" (they contradict each other)" if forgot else ""))
 
 

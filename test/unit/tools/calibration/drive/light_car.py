@@ -60,16 +60,16 @@ class LightCar:
                 drive.update_range(name, range_m, now_ns)
         task = drive.take_fit_task() if self.fits else None
         if task is not None:
-            drive.update_knowledge(assess(task), now_ns)
+            drive.update_knowledge(assess(*task), now_ns)
         step = drive.step(now_ns)
         self.steps.append(step)
         if duty is not None:
             self.duty = duty
-        elif step.steering is not None and hasattr(step, "speed_mps"):
+        elif step.steering is not None and step.held is None:
             self.duty = 16 * round(base().teleop_duty(step.steering) / 16)
         else:
             self.duty = 5184
-        asked_mps = speed_mps if speed_mps is not None else getattr(step, "speed_mps", 0.0)
+        asked_mps = speed_mps if speed_mps is not None else step.speed_mps
         self._move(asked_mps)
         self.now_ns += TICK_NS
         return step

@@ -86,7 +86,7 @@ def test_a_whole_drive_of_a_car_that_only_coasts_stays_inside_and_ends_after_its
         stops_m.append(area.extent_m(moved(one.pose, stop_m, 0.0)))
     assert 2.8 < max(stops_m) < 3.0, "whenever the button is let go"
     assert 2.7 < max(extents_m) < 2.93, "some of the area is kept for what is not known"
-    progress = one.drive.progress(one.now_ns)
+    progress = one.drive.progress()
     assert one.steps[-1].phase == DONE and 100 <= one.seconds <= 101 and progress.left_s == 0.0
     assert progress.positions > 20 and progress.center_duty == pytest.approx(5200, abs=10) and progress.missing == ()
     assert all(row.is_known for row in progress.rows) and progress.rows

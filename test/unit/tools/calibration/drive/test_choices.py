@@ -6,7 +6,6 @@ from car_interface.tools.calibration.drive.choices import Choices, wanted_length
 from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
 from car_interface.tools.calibration.drive.outlook import Outlook
 from car_interface.tools.calibration.drive.positions import Candidate
-from car_interface.tools.calibration.drive.samples import Motion
 from car_interface.tools.calibration.drive.stops import Stops
 from car_interface.tools.calibration.drive.survey import Survey
 from tools.calibration.drive.light_car import base, offer
@@ -16,10 +15,9 @@ START = Pose(0.0, 0.0, 0.0)
 
 def choices(pose=START):
     """Those of a car at a pose that held nothing yet."""
-    motion, survey = Motion(), Survey(base(), 300.0)
-    motion.update(pose, 0.8, 0)
-    outlook = Outlook(base(), CalibrationDriveConfig(), survey, motion, Area((0.0, 0.0), 2.88), None, Stops())
-    return Choices(base(), survey, outlook)
+    survey = Survey(base(), CalibrationDriveConfig())
+    survey.motion.update(pose, 0.8, 0)
+    return Choices(survey, Outlook(survey, Area((0.0, 0.0), 2.88), None, Stops()))
 
 
 def give_room(monkeypatch, lengths_m):

@@ -11,7 +11,7 @@ from car_interface.common.errors import CarInterfaceError
 from car_interface.common.package_files import package_file
 from car_interface.steering.config import load_steering
 from car_interface.tools.calibration.drive.conclusion import board_center, conclude, find_table_file
-from car_interface.tools.calibration.drive.samples import Samples
+from car_interface.tools.calibration.drive.survey import Samples
 from tools.calibration.drive.light_car import base
 from tools.calibration.steering.synthetic import drive, mixed, true_curvature
 
@@ -62,13 +62,12 @@ def car(tmp_path):
 
 def test_file_that_turn_arb_was_launched_with_is_the_default(car, monkeypatch):
     table = find_table_file(None, None, str(car), RUNNING)
-    assert (table.path, table.folder, table.stem) == (str(car), str(car.parent), "turn_arb")
+    assert table.path == car
     assert "input_timeout: 0.4" in table.base_text
-    assert table.is_there
     monkeypatch.chdir(car.parent)
     monkeypatch.setenv("HOME", str(car.parent))
     for typed in ("turn_arb.yaml", "~/turn_arb.yaml"):  # from the folder and the home of who types it
-        assert find_table_file(typed, None, None, RUNNING).path == str(car)
+        assert find_table_file(typed, None, None, RUNNING).path == car
 
 
 def test_named_file_keeps_its_other_parameters_or_gets_those_of_turn_arb_or_of_the_base(car, tmp_path):

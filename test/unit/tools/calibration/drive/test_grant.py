@@ -1,12 +1,32 @@
 """Whether the car would obey, by what its arbiters say."""
-from dataclasses import replace
+from typing import NamedTuple
 
 import pytest
 
 from car_interface.common import causes
 from car_interface.common.sources import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.common.units import NS_PER_S
-from car_interface.tools.calibration.drive.grant import Grant, Seen, Steering, Throttle, missing, missing_gamepad
+from car_interface.tools.calibration.drive.grant import Grant
+
+
+class Steering(NamedTuple):
+    """As SteeringState."""
+
+    source: int
+    cause: str
+    reason: str
+
+
+class Throttle(NamedTuple):
+    """As ThrottleState."""
+
+    source: int
+    cause: str
+    reason: str
+    mode: str
+    esc: str
+    esc_reason: str
+
 
 IDLE_STEERING = Steering(NEUTRAL, causes.NO_REQUEST, "nothing asks")
 IDLE_THROTTLE = Throttle(NEUTRAL, causes.NO_REQUEST, "nothing asks", "autonomous", "NEUTRAL", "neutral is asked for")
@@ -108,35 +128,46 @@ def test_other_program_that_asks_refuses_for_a_second():
     (Steering(LOCKED, causes.E_STOP, "e_stop is on"), (False, "e_stop is on")),
     (Steering(PLANNER, causes.PLANNER, "av_steer_req is 0.2"), (False, "av_steer_req is 0.2"))])
 def test_person_s_stick_is_granted_by_turn_arb_alone(steering, granted):
-    grant = Grant()
-    assert grant.decide_by_hand(0) == (False, "turn_arb's state was never heard")
+    grant = Grant(by_stick=True)
+    assert grant.decide(0) == (False, "turn_arb's state was never heard")
     grant.update_steering(steering, 0)
-    assert grant.decide_by_hand(0) == granted
-    assert grant.decide_by_hand(NS_PER_S) == (False, "turn_arb's state silent for 1.00 s")
+    assert grant.decide(0) == granted
+    assert grant.decide(NS_PER_S) == (False, "turn_arb's state silent for 1.00 s")
 
 
-READY = Seen(steering=True, throttle=True, planner="speed", odom=True, duty=5100,
-             gamepad=(causes.NO_DEADMAN, "no deadman is held"))
+def ready(by_stick, steering=IDLE_STEERING, throttle=IDLE_THROTTLE, planner="speed", calibrates_esc=False, sonars=(),
+          other=None, **seen):
+    """What a car that has all of it gave, but for what is named."""
+    grant = Grant(by_stick, calibrates_esc, sonars)
+    for update, state in ((grant.update_steering, steering), (grant.update_throttle, throttle),
+                          (grant.update_planner, planner)):
+        if state is not None:
+            update(state, 0)
+    if other is not None:
+        grant.update_other("/av_turnrad_req", other, 0)
+    for name, value in {"has_odom": True, "duty": 5100, "gamepad": (causes.NO_DEADMAN, "none is held"), **seen}.items():
+        setattr(grant, name, value)
+    return grant
 
 
-def test_car_that_has_all_of_it_is_ready():
-    assert missing(READY, by_stick=False) == missing(READY, by_stick=True) == missing_gamepad(READY) == []
+@pytest.mark.parametrize("by_stick", [False, True])
+def test_car_that_has_all_of_it_is_ready(by_stick):
+    assert ready(by_stick).missing(0) == ready(by_stick).missing_gamepad() == []
 
 
 @pytest.mark.parametrize(("lacks", "sentence", "by_stick"), [
-    ({"steering": False}, "turn_arb isn't heard: is the car launched, and in this namespace? roslaunch", True),
+    ({"steering": None}, "turn_arb isn't heard: is the car launched, and in this namespace? roslaunch", True),
     ({"duty": None}, "/servo/output isn't heard: is pca9685 running?", True),
     ({"duty": 0}, "the servo board gives no pulse on the steering's channel: rosrun car_interface doctor", True),
     ({"duty": -1}, "the servo board gives no pulse on the steering's channel", True),
-    ({"odom": False}, "there is no odometry on odom: is teensy_sensor_hub running, and the Teensy plugged in?", True),
-    ({"throttle": False}, "throttle_arb isn't heard, which drives the ESC: launch with throttle:=true", False),
+    ({"has_odom": False}, "there is no odometry on odom: is teensy_sensor_hub running, and the", True),
+    ({"throttle": None}, "throttle_arb isn't heard, which drives the ESC: launch with throttle:=true", False),
     ({"calibrates_esc": True}, "throttle_arb was launched with calibration_drive:=true, which is for", False),
     ({"planner": None}, "planner_interface isn't heard: launch with planner:=speed", False),
     ({"planner": "drive"}, "planner_interface obeys drive, not speeds: launch with planner:=speed", False),
     ({"sonars": ("front_left", "rear_left")}, "no range of the sonars front_left, rear_left is heard: a sonar", False),
-    ({"others": ["/other publishes /av_turnrad_req, too: end it"]}, "/other publishes /av_turnrad_req, too", False),
+    ({"other": "/other"}, "/other publishes /av_turnrad_req, too: end it", False),
 ])
 def test_what_a_program_that_drives_needs_and_what_a_person_with_the_stick_does_too(lacks, sentence, by_stick):
-    seen = replace(READY, **lacks)
-    assert [said.startswith(sentence) for said in missing(seen, by_stick=False)] == [True]
-    assert [said.startswith(sentence) for said in missing(seen, by_stick=True)] == [True] * by_stick
+    assert [said.startswith(sentence) for said in ready(False, **lacks).missing(0)] == [True]
+    assert [said.startswith(sentence) for said in ready(True, **lacks).missing(0)] == [True] * by_stick

@@ -1,7 +1,7 @@
 """Holding a position: past it or as it comes, settled, and measured."""
 import pytest
 
-from car_interface.tools.calibration.drive.hold import CROSSED_DUTY, PAST_DUTY, SETTLED_DUTY, Hold
+from car_interface.tools.calibration.drive.positions import CROSSED_DUTY, PAST_DUTY, SETTLED_DUTY, Hold
 
 MS = 1_000_000
 LIMITS = (3800.0, 6700.0)

@@ -2,18 +2,17 @@
 import numpy as np
 import pytest
 
-from car_interface.tools.calibration.drive.knowledge import FitTask, assess
-from car_interface.tools.calibration.steering.drive import COUNT
+from car_interface.tools.calibration.drive.knowledge import assess
+from car_interface.tools.calibration.steering.drive import COUNT, NOTHING_GIVEN, CurveFitConfig
 from tools.calibration.drive.light_car import base
 from tools.calibration.steering.synthetic import drive, from_both_sides, mixed, true_curvature
 
 pytestmark = pytest.mark.once
-BASE = base()
+CONFIG = CurveFitConfig(limits=(base().servo_left, base().servo_right))
 
 
-def known(duties, full=None):
-    sigma = 0.0 if full is None else full.backlash_sigma
-    return assess(FitTask(drive(duties), BASE, full and full.delay, full and full.backlash_duty, 7, sigma))
+def known(duties, config=CONFIG):
+    return assess(drive(duties), config)
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +21,7 @@ def full():
 
 
 def test_a_drive_all_over_is_known_within_what_the_tool_allows(full):
-    assert (full.number, full.reason, full.missing) == (7, "", ())
+    assert (full.reason, full.missing) == ("", ())
     assert max(full.errors) < 1 and full.center_duty == pytest.approx(5200, abs=10)
     assert np.allclose(full.curvatures, true_curvature(np.array(full.duties)), atol=0.02)
     assert {duty % COUNT for duty in full.duties} == {0.0}
@@ -40,9 +39,9 @@ def test_a_gap_is_to_be_measured_sooner_than_the_tool_asks_for_it():
 
 
 def test_with_delay_and_backlash_given_it_is_the_same_curve_with_the_same_errors(full):
-    quick = known(mixed(3900, 6400), full)
+    quick = known(mixed(3900, 6400), full.given)
     assert np.allclose(quick.curvatures, full.curvatures, atol=1e-6)
-    assert full.backlash_sigma > 0
+    assert full.given.backlash_sigma > 0 and full.given.limits == CONFIG.limits
     assert np.allclose(quick.errors, full.errors, atol=1e-6)
 
 
@@ -52,4 +51,4 @@ def test_without_a_curve_there_is_a_reason(duties):
     found = known(duties)
     assert found.reason and found.duties == ()
     empty = drive([5200])._replace(**{name: np.zeros(0) for name in drive([5200])._fields})
-    assert assess(FitTask(empty, BASE, None, None, 1)).reason, "without samples"
+    assert assess(empty, NOTHING_GIVEN).reason, "without samples"

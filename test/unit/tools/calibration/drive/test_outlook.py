@@ -7,12 +7,11 @@ import pytest
 from car_interface.tools.calibration.delay import Delay
 from car_interface.tools.calibration.drive.area import Area, Pose, moved
 from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
-from car_interface.tools.calibration.drive.hold import Hold
 from car_interface.tools.calibration.drive.knowledge import Knowledge
 from car_interface.tools.calibration.drive.outlook import Outlook
-from car_interface.tools.calibration.drive.positions import Measured
-from car_interface.tools.calibration.drive.samples import Motion
+from car_interface.tools.calibration.drive.positions import Hold, Measured
 from car_interface.tools.calibration.drive.survey import Survey
+from car_interface.tools.calibration.steering.drive import CurveFitConfig
 from tools.calibration.drive.light_car import S, base
 
 LEFT, CENTER, RIGHT = 3900, 5184, 6400
@@ -21,13 +20,12 @@ ACROSS = Pose(-2.0, 0.0, 0.0)
 
 def outlook(pose, speed_mps=1.0, braking_mps2=1.0, **stops):
     """Of a car that rolls straight on, is at a pose by now, and was seen to stop as the last arguments say."""
-    motion, config = Motion(), CalibrationDriveConfig(braking_mps2=braking_mps2)
+    survey = Survey(base(), CalibrationDriveConfig(braking_mps2=braking_mps2))
     for tick in range(20):
-        motion.update(moved(pose, -0.02 * speed_mps * (19 - tick), 0.0), speed_mps, tick * S // 50)
-    survey = Survey(base(), 300.0)
-    survey.knowledge = Knowledge(1, "", delay=Delay(0.05, 0.15, 1.0))
+        survey.motion.update(moved(pose, -0.02 * speed_mps * (19 - tick), 0.0), speed_mps, tick * S // 50)
+    survey.knowledge = Knowledge(given=CurveFitConfig(Delay(0.05, 0.15, 1.0)))
     seen = SimpleNamespace(**{"least_mps2": math.inf, "sure_mps2": 0.0, **stops})
-    one = Outlook(base(), config, survey, motion, Area((0.0, 0.0), 2.88), None, seen)
+    one = Outlook(survey, Area((0.0, 0.0), 2.88), None, seen)
     one.servo_duty = CENTER
     return one
 

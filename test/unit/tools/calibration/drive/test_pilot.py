@@ -149,13 +149,13 @@ def test_what_is_held_first_after_a_pause_is_not_counted():
     one.run(10)
     one.holds = False
     one.run(1)
-    counted = one.drive.progress(one.now_ns).positions
+    counted = one.drive.progress().positions
     one.holds = True
     first = one.tick().target_duty
     one.run(30, until=lambda step: step.target_duty != first)
-    assert one.drive.progress(one.now_ns).positions == counted
+    assert one.drive.progress().positions == counted
     one.run(15)
-    assert one.drive.progress(one.now_ns).positions > counted
+    assert one.drive.progress().positions > counted
 
 
 LEFT, RIGHT = 0, 1

@@ -18,7 +18,7 @@ DUTIES = tuple(range(3904, 6401, 16))
 def knowledge(errors=None, number=1):
     errors = {} if errors is None else errors
     curvatures = tuple((5200 - duty) / 1300 for duty in DUTIES)
-    return Knowledge(number, "", DUTIES, curvatures, tuple(errors.get(duty, 0.1) for duty in DUTIES))
+    return Knowledge("", DUTIES, curvatures, *2 * [tuple(errors.get(duty, 0.1) for duty in DUTIES)])
 
 
 def measured(duty, curvature=0.0, from_side=1):

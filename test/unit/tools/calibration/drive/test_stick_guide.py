@@ -44,11 +44,11 @@ def test_it_waits_for_odometry_says_how_long_still_and_then_the_next_until_it_is
     one = car()
     assert "odom was never heard" in one.drive.step(1).text
     guidance = obey(one, 3, until=lambda guidance: guidance.phase == MEASURING)
-    assert guidance.text.startswith("hold 100% left: ") and 1.0 <= guidance.seconds_left <= 2.1
+    assert guidance.text == "hold 100% left: 2 s more at this speed"
     assert guidance.held == pytest.approx(1.0)
-    for _ in range(25):
+    for _ in range(50):
         shorter = one.tick(1.0, 3900)
-    assert shorter.seconds_left == pytest.approx(guidance.seconds_left - 0.5, abs=0.05)
+    assert shorter.text == "hold 100% left: 1 s more at this speed"
     assert obey(one, 5, until=lambda guidance: guidance.target_duty != 3900).target_duty == 6400
     one.drive.finish()
     assert one.tick(1.0, 5184).phase == DONE
@@ -82,6 +82,6 @@ def test_a_person_who_obeys_gets_all_of_it():
     one = car(max_time_s=60.0)
     guidance = obey(one, 80, until=lambda guidance: guidance.phase == DONE)
     assert guidance.phase == DONE
-    progress = one.drive.progress(one.now_ns)
+    progress = one.drive.progress()
     assert progress.positions >= 20 and progress.center_duty == pytest.approx(5200, abs=5)
     assert progress.missing == ()

@@ -10,7 +10,6 @@ from car_interface.tools.calibration.drive.step import (
     MEASURING,
     PAUSED,
     SETTLING,
-    Guidance,
     Progress,
     RadiusRow,
     Step,
@@ -55,7 +54,7 @@ def test_picture_says_how_much_is_missing_and_when_it_can_be_ended_and_is_over()
     assert made[-2:] == ["nothing is missing; it goes on to know it better: F finishes now",
                          "# known   + not well enough   . not yet"]
     for made in (terminal.drive_lines(Step(None, 0.0, DONE, over), progress(rows=[row()])),
-                 terminal.stick_lines(Guidance(0.0, 0.1, 0.0, DONE, over), progress(rows=[row()]))):
+                 terminal.drive_lines(Step(0.0, 0.0, DONE, over, held=0.1), progress(rows=[row()]))):
         assert made[0].startswith("[#####") and made[-2] == "nothing is missing"
     assert terminal.plain_line(PAUSED, "hold the button", progress()) == (
         " 24%, 0:42 driven, about 2:10 left; paused: hold the button")
@@ -84,8 +83,8 @@ def test_steering_and_seconds_in_words():
 
 
 def test_stick_is_shown_beside_the_place_to_hold_it():
-    guidance = Guidance(0.4, 0.1, 1.4, MEASURING, "hold 40% left", 4020)
-    assert terminal.stick_lines(guidance, progress())[:3] == [
+    guidance = Step(0.4, 0.0, MEASURING, "hold 40% left", 4020, 0.1)
+    assert terminal.drive_lines(guidance, progress())[:3] == [
         "hold 40% left",
         "left |-----------V----o-+------------------| right  V hold here, o the stick",
         "     hold at 40% left; it is at 10% left"]
@@ -95,7 +94,7 @@ def test_stick_is_shown_beside_the_place_to_hold_it():
     (1.0, -1.0, "V---+---o"), (-1.0, -0.98, "----+---X"), (0.0, 0.5, "--o-V----"), (0.25, NAN, "---V+----"),
     (3.0, -3.0, "V---+---o")])
 def test_bar_of_the_stick(target, held, expected):
-    line = terminal.stick_bar(Guidance(target, held, 0.0, SETTLING, "", 0), 9)[0]
+    line = terminal.stick_bar(Step(target, 0.0, SETTLING, "", held=held), 9)[0]
     assert line.startswith(f"left |{expected}| right")
 
 
