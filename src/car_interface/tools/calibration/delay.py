@@ -12,6 +12,7 @@ import numpy as np
 
 STEP_S = 0.02  # of the time scale on which delays are tried
 BINS = 60
+MAX_S = 0.4
 COARSE_S, FINE_S = 0.04, 0.01
 MIN_SAMPLES = 200
 
@@ -44,15 +45,14 @@ def lagged(value: np.ndarray, step_s: float, lag_s: float) -> np.ndarray:
     return np.array(out)
 
 
-def estimate(cause_s: np.ndarray, cause: np.ndarray, effect_s: np.ndarray, effect: np.ndarray, weight: np.ndarray,
-             max_delay_s: float = 0.4, max_lag_s: float = 0.4) -> Delay | None:
-    """Find delay and lag.
+def estimate(cause_s: np.ndarray, cause: np.ndarray, effect_s: np.ndarray, effect: np.ndarray,
+             weight: np.ndarray) -> Delay | None:
+    """Find delay and lag, at most MAX_S each.
 
     Args:
         cause_s, cause: the cause, (N,) each, held until the next sample.
         effect_s, effect: samples of the effect at rising times, (M,) each; noise and gaps don't matter.
         weight: of each sample of the effect, (M,); 0 = not used.
-        max_delay_s, max_lag_s: upper bounds.
 
     Returns:
         ``None`` where there are too few samples, or where the cause explains next to nothing.
@@ -66,20 +66,15 @@ def estimate(cause_s: np.ndarray, cause: np.ndarray, effect_s: np.ndarray, effec
     mean = np.average(y, weights=w)
     total = np.sum(w * (y - mean) ** 2)
 
-    lagged_by: dict = {}
+    def best(delays_s, lags_s):
+        """Return the least that remains unexplained, and by which delay and lag."""
+        followed = [(lag_s, lagged(commanded, STEP_S, lag_s)) for lag_s in lags_s]
+        return min((_scatter(np.interp(at_s - delay_s, grid_s, cause), y, w), delay_s, lag_s)
+                   for delay_s in delays_s for lag_s, cause in followed)
 
-    def unexplained(delay_s, lag_s):
-        if lag_s not in lagged_by:
-            lagged_by[lag_s] = lagged(commanded, STEP_S, lag_s)
-        return _scatter(np.interp(at_s - delay_s, grid_s, lagged_by[lag_s]), y, w)
-
-    tried = [(unexplained(delay_s, lag_s), delay_s, lag_s)
-             for delay_s in _steps(0.0, max_delay_s, COARSE_S) for lag_s in _steps(0.0, max_lag_s, COARSE_S)]
-    _, delay_s, lag_s = min(tried)
-    tried = [(unexplained(d, lag), d, lag)
-             for d in _steps(max(0.0, delay_s - COARSE_S), delay_s + COARSE_S, FINE_S)
-             for lag in _steps(max(0.0, lag_s - COARSE_S), lag_s + COARSE_S, FINE_S)]
-    smallest, delay_s, lag_s = min(tried)
+    _, delay_s, lag_s = best(*[_steps(0.0, MAX_S, COARSE_S)] * 2)
+    smallest, delay_s, lag_s = best(*(_steps(max(0.0, near_s - COARSE_S), near_s + COARSE_S, FINE_S)
+                                      for near_s in (delay_s, lag_s)))
     explained = 1 - smallest / total if total > 0 else 0.0
     return Delay(delay_s, lag_s, float(explained)) if explained > 0.1 else None
 

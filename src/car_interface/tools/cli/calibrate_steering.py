@@ -19,9 +19,8 @@ from car_interface.common.package_files import package_file
 from car_interface.common.yaml_file import read_yaml
 from car_interface.steering.config import load_steering
 from car_interface.tools.calibration.shared import write_table
-from car_interface.tools.calibration.steering.calibrate import NOT_LOADED, calibrate, yaml_text
+from car_interface.tools.calibration.steering.calibrate import NOT_LOADED, calibrate, report, yaml_text
 from car_interface.tools.calibration.steering.recorded import AngleTable, load_steering_drive
-from car_interface.tools.calibration.steering.report import report
 from car_interface.tools.cli.jobs import load_all
 from car_interface.tools.cli.options import (
     add_calibration_arguments,

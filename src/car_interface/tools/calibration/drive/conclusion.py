@@ -14,9 +14,16 @@ from car_interface.steering.calibration import SteeringCalibration
 from car_interface.steering.config import load_steering
 from car_interface.tools.calibration.drive.survey import Samples
 from car_interface.tools.calibration.shared import RecordedDrive, write_table
-from car_interface.tools.calibration.steering.calibrate import NOT_LOADED, SteeringResult, calibrate, yaml_text
-from car_interface.tools.calibration.steering.errors import BAND
-from car_interface.tools.calibration.steering.report import TABLE_HEAD, report, short_report
+from car_interface.tools.calibration.steering.calibrate import (
+    NOT_LOADED,
+    TABLE_HEAD,
+    SteeringResult,
+    calibrate,
+    report,
+    short_report,
+    yaml_text,
+)
+from car_interface.tools.calibration.steering.smooth import BAND
 from car_interface.tools.calibration.steering.table import LEFT, RIGHT
 from car_interface.tools.recordings.calibration_result import CalibrationResult, SideRow
 

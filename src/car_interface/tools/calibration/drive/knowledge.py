@@ -14,8 +14,8 @@ import numpy as np
 from car_interface.tools.calibration.drive.step import RadiusRow
 from car_interface.tools.calibration.shared import NothingToFit
 from car_interface.tools.calibration.steering.drive import COUNT, NOTHING_GIVEN, CurveFitConfig, SteeringDrive
-from car_interface.tools.calibration.steering.errors import BAND, unseen
 from car_interface.tools.calibration.steering.fit import fit
+from car_interface.tools.calibration.steering.smooth import BAND, unseen
 from car_interface.tools.calibration.steering.table import (
     KNOWN_PER_M,
     KNOWN_RATIO,

@@ -1,12 +1,19 @@
-"""One drive as the fit of a steering curve takes it, the distance that it travelled, and what is given of the car."""
+"""One drive as the fit of a steering curve takes it: the distance that it travelled, and where the steered wheels were:
+the servo's commands, delayed, lagged, and less the linkage's backlash.
+
+Positions are in duty: the duty at which a servo without delay, lag and backlash would hold the wheels there.
+"""
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from typing import NamedTuple, Sequence
 
 import numpy as np
 
 from car_interface.pca9685.registers import DUTY_PER_COUNT
+from car_interface.tools.calibration import delay as delays
 from car_interface.tools.calibration.delay import Delay
+from car_interface.tools.calibration.shared import NothingToFit
 from car_interface.tools.recordings.series import Odom
 
 COUNT = float(DUTY_PER_COUNT)  # the board can't output anything in between
@@ -16,6 +23,13 @@ MIN_SPEED_MPS = 0.25  # at lower speeds the heading changes too little
 MAX_GAP_S = 0.3  # between samples of odometry that belong together
 BIN_S, MIN_BIN_M, MAX_BIN_GAP_S, MAX_BIN_RAD = 1.0, 0.4, 0.3, 2.0  # in which distances are compared
 MIN_BINS = 5
+AFTER_GAP_S = 1.0  # so soon after a gap the servo may still follow commands that weren't recorded
+CROSSED_DUTY = 40.0  # a servo that has moved this far has crossed any usual backlash
+FORGOTTEN_LAGS = 5.0  # after this many lags the servo's position doesn't depend on where it started
+HALF_SPAN = 3  # samples to either side over which curvature is differenced for the delay
+BETWEEN_DRIVES_S = 10.0
+# Where the duty never changed while the car drove: as slow a servo as is looked for.
+UNKNOWN_DELAY = Delay(0.4, 0.4, 0.0)
 
 
 class CurveFitConfig(NamedTuple):
@@ -84,3 +98,142 @@ def _has_gap(t_s, at_s):
     begun = np.searchsorted(t_s[before], at_s[1:])  # gaps that began before a bin's end
     ended = np.searchsorted(t_s[before + 1], at_s[:-1], side="right")  # gaps that ended before its begin
     return begun > ended
+
+
+# --- the wheels ---
+
+
+def estimate_servo_delay(drives: Sequence[SteeringDrive]) -> Delay:
+    """Delay and lag from duty to curvature, of all drives together, one behind the other on the time scale.
+
+    UNKNOWN_DELAY where all of them are steady: a duty that never changes is followed at any delay.
+
+    Raises:
+        NothingToFit: the drives are too short, or the heading doesn't follow the duty.
+    """
+    cause_s, cause, effect_s, effect, weight = [], [], [], [], []
+    begin_s = 0.0
+    changing = [drive for drive in drives if not is_steady(drive)]
+    if not changing:
+        return UNKNOWN_DELAY
+    for drive in changing:
+        shift_s = begin_s - drive.t_s[0]
+        t_s = np.arange(drive.t_s[0], drive.t_s[-1], delays.STEP_S)
+        if len(t_s) <= 2 * HALF_SPAN:
+            continue
+        step_m, step_rad = (column[2 * HALF_SPAN:] - column[:-2 * HALF_SPAN] for column in (
+            np.interp(t_s, drive.t_s, drive.distance_m), np.interp(t_s, drive.t_s, drive.yaw_rad)))
+        at_s = t_s[HALF_SPAN:-HALF_SPAN]
+        is_usable = np.abs(step_m) > MIN_SPEED_MPS * 2 * HALF_SPAN * delays.STEP_S
+        is_usable &= _since_gap_s(drive.t_s, at_s, MAX_GAP_S) > AFTER_GAP_S
+        effect.append(step_rad / np.where(is_usable, step_m, 1.0))
+        weight.append(np.where(is_usable, step_m ** 2, 0.0))
+        effect_s.append(at_s + shift_s)
+        has_pulse = np.isfinite(drive.duty)
+        cause_s.append(drive.duty_t_s[has_pulse] + shift_s)
+        cause.append(drive.duty[has_pulse])
+        begin_s += drive.t_s[-1] - drive.t_s[0] + BETWEEN_DRIVES_S
+    if not effect:
+        raise NothingToFit("the recordings are shorter than a second")
+    found = delays.estimate(*(np.concatenate(column) for column in (cause_s, cause, effect_s, effect, weight)))
+    if found is None:
+        raise NothingToFit("the heading doesn't follow the steering's duty (is it the right channel? did the car "
+                           "drive?)")
+    return found
+
+
+def is_steady(drive: SteeringDrive) -> bool:
+    """Return whether the servo, while the car drove, never moved so far that it crossed any usual backlash."""
+    drives = np.abs(np.gradient(drive.distance_m, drive.t_s)) >= MIN_SPEED_MPS
+    duty = delays.held(drive.duty_t_s, drive.duty, drive.t_s[drives])
+    duty = duty[np.isfinite(duty)]
+    return duty.size > 0 and float(np.ptp(duty)) < CROSSED_DUTY
+
+
+class WheelPosition:
+    """The steering of one drive, sampled every ``STEP_S``.
+
+    The servo's position before the recording and in its gaps is unknown until a duty was recorded and the servo had
+    time to follow it; the linkage's position within its backlash is unknown until the servo has moved far enough. In a
+    steady drive it never is: the wheels count as in the middle, and that is uncertain.
+
+    Attributes (arrays of the shape (N,)):
+        t_s, distance_m, yaw_rad, speed_mps: the drive, interpolated.
+        servo: the servo's position in duty.
+        off: how far the servo is from its command, in duty.
+        is_known: whether servo and linkage are known.
+        is_steady: the linkage may be anywhere in its backlash.
+        gap_s: the interval between samples of odometry around each time.
+        jump_rad: how much the heading changes from sample to sample.
+    """
+
+    STEP_S = 0.02
+
+    def __init__(self, drive: SteeringDrive, delay: Delay):
+        self.t_s = np.arange(drive.t_s[0], drive.t_s[-1], self.STEP_S)
+        self.distance_m = np.interp(self.t_s, drive.t_s, drive.distance_m)
+        self.yaw_rad = np.interp(self.t_s, drive.t_s, drive.yaw_rad)
+        self.speed_mps = np.gradient(self.distance_m, self.STEP_S)
+        commanded = delays.held(drive.duty_t_s, drive.duty, self.t_s - delay.delay_s)
+        self.is_steady = is_steady(drive)
+        self.is_known = np.isfinite(commanded) & (self.t_s - delay.delay_s >= drive.duty_t_s[0])
+        # Without a pulse a servo stays where it is.
+        last = np.maximum.accumulate(np.where(np.isfinite(commanded), np.arange(len(commanded)), 0))
+        commanded = np.nan_to_num(commanded[last], nan=0.0)
+        self.servo = np.empty(len(commanded))
+        gap_ends_s = drive.t_s[1:][np.diff(drive.t_s) > MAX_GAP_S]
+        self._starts = np.unique(np.concatenate([[0], np.searchsorted(self.t_s, gap_ends_s)]))
+        for start, end in zip(self._starts, [*self._starts[1:], len(self.t_s)]):
+            self._follow(drive, delay, commanded, start, end)
+        self._runs = list(_runs(self.servo, set(self._starts.tolist())))
+        self.off = np.abs(commanded - self.servo)
+        self.jump_rad = np.abs(np.diff(np.interp(self.t_s, drive.t_s, drive.yaw_rad), prepend=drive.yaw_rad[0]))
+        index = np.clip(np.searchsorted(drive.t_s, self.t_s, side="right"), 1, len(drive.t_s) - 1)
+        self.gap_s = np.diff(drive.t_s)[index - 1]
+
+    def _follow(self, drive, delay, commanded, start, end):
+        """Let the servo follow its commands from one gap to the next."""
+        if start >= end:
+            return
+        first = np.searchsorted(drive.duty_t_s, self.t_s[start]) if start else 0
+        first_s = drive.duty_t_s[first] if first < len(drive.duty_t_s) else math.inf
+        follows = min(start + int(np.searchsorted(self.t_s[start:end], first_s + delay.delay_s)), end - 1)
+        self.servo[start:follows] = commanded[follows]
+        self.servo[follows:end] = delays.lagged(commanded[follows:end], self.STEP_S, delay.lag_s)
+        # It may have come from the other end: 3 lags, after which 5 % of the distance are left, are not enough.
+        settled_s = first_s + delay.delay_s + FORGOTTEN_LAGS * delay.lag_s
+        settled = start + int(np.searchsorted(self.t_s[start:end], settled_s))
+        self.is_known[start:settled] = False
+        if settled < end and not self.is_steady:
+            servo = self.servo[settled:end]
+            span = np.maximum.accumulate(servo) - np.minimum.accumulate(servo)
+            self.is_known[settled:end] &= span >= CROSSED_DUTY
+
+    def linkage(self, backlash_duty: float) -> np.ndarray:
+        """Return the wheels' position (N,), which follows the servo once that has crossed the backlash."""
+        if backlash_duty <= 0 or self.is_steady:
+            return self.servo
+        half, now, out = backlash_duty / 2, 0.0, np.empty(len(self.servo))
+        for start, end, falls, is_anew in self._runs:
+            servo = self.servo[start:end]
+            now = servo[0] if is_anew else now
+            out[start:end] = np.minimum(now, servo + half) if falls else np.maximum(now, servo - half)
+            now = out[end - 1]
+        return out
+
+
+def _runs(servo, starts):
+    """Yield runs in which a servo never turns back: begin, end, whether it falls, and whether a gap was before it."""
+    falls = np.diff(servo, prepend=servo[:1]) < 0
+    turns = np.flatnonzero(falls[1:] != falls[:-1]) + 1
+    ends = sorted({*starts, *turns.tolist(), len(servo)})
+    for start, end in zip(ends, ends[1:]):
+        yield start, end, falls[start], start in starts
+
+
+def _since_gap_s(t_s, at_s, gap_s):
+    """Return the time since the last gap between samples ended, for each of ``at_s`` (M,): (M,); 0 within a gap."""
+    starts = np.flatnonzero(np.diff(t_s) >= gap_s)
+    last = np.searchsorted(t_s[starts], at_s, side="right") - 1
+    ends_s = np.append(t_s[starts + 1], -math.inf)  # index −1: no gap before
+    return np.maximum(at_s - ends_s[last], 0.0)

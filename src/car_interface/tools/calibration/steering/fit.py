@@ -26,23 +26,12 @@ from car_interface.tools.calibration.steering.drive import (
     NOTHING_GIVEN,
     CurveFitConfig,
     SteeringDrive,
+    estimate_servo_delay,
 )
 from car_interface.tools.calibration.steering.ends import Side, find_center, find_side
-from car_interface.tools.calibration.steering.errors import BEND_RATIO, bends, bounded, unseen
-from car_interface.tools.calibration.steering.segments import (
-    MIN_SIGMA_PER_M,
-    Observations,
-    Segmentation,
-    all_segments,
-    design,
-    knots_of,
-    observations,
-    segmentation,
-    total_counts,
-)
-from car_interface.tools.calibration.steering.smooth import Smooth
+from car_interface.tools.calibration.steering.segments import MIN_SIGMA_PER_M, Observations, Segments
+from car_interface.tools.calibration.steering.smooth import BEND_RATIO, Smooth, bends, bounded, unseen
 from car_interface.tools.calibration.steering.understeer import Understeer, estimate_understeer, without_understeer
-from car_interface.tools.calibration.steering.wheels import estimate_servo_delay
 
 MIN_WEIGHT = 0.05  # an observation with less is an outlier
 DISAGREES_SIGMAS, DISAGREES_DUTY = 6.0, 2 * COUNT  # tyres and floors may do less
@@ -63,7 +52,6 @@ class Curve:
     duties: np.ndarray  # knots, rising, half a count apart, (K,)
     curvatures: np.ndarray  # at the knots in 1/m, monotone; linear in between, (K,)
     sigmas: np.ndarray  # their standard errors, (K,)
-    first_knot: int  # the column of ``observations.weights`` that belongs to the first knot
     delay: Delay  # of the servo
     backlash_duty: float  # of the linkage
     backlash_sigma: float  # its standard error
@@ -71,7 +59,6 @@ class Curve:
     understeer: Understeer  # by how much its turns widen with speed
     used: np.ndarray  # which of them count, (S,)
     counts: dict  # how many intervals and segments were left out, by reason
-    scatter: float  # how far observations lie off, in their own standard errors
     center: float  # the duty that goes straight; NaN when nothing near it was driven
     center_sigma: float  # its standard error
     left: Side
@@ -113,19 +100,16 @@ def fit(drives: Sequence[SteeringDrive], config: CurveFitConfig = NOTHING_GIVEN)
     if not drives:
         raise NothingToFit("there is no odometry while the servo had a duty")
     delay = config.delay or estimate_servo_delay(drives)
-    segmentations = [segmentation(drive, delay) for drive in drives]
-    if config.backlash_duty is None and all(one.wheels.is_steady for one in segmentations):
-        backlash_duty, backlash_sigma = UNKNOWN_BACKLASH
-    elif config.backlash_duty is None:
-        backlash_duty, backlash_sigma = estimate_backlash(segmentations)
-    else:
-        backlash_duty, backlash_sigma = config.backlash_duty, config.backlash_sigma
-    return _curve(segmentations, delay, backlash_duty, backlash_sigma, config)
+    segments = Segments(drives, delay)
+    if config.backlash_duty is not None:
+        return _curve(segments, delay, config.backlash_duty, config.backlash_sigma, config)
+    backlash = UNKNOWN_BACKLASH if segments.is_steady else estimate_backlash(segments)
+    return _curve(segments, delay, *backlash, config)
 
 
-def _curve(segmentations, delay, backlash_duty, backlash_sigma, config):
+def _curve(segments, delay, backlash_duty, backlash_sigma, config):
     """Return the curve for one backlash, with its errors and ends."""
-    all_knots, found = knots_of(segmentations), observations(segmentations, backlash_duty)
+    all_knots, found = segments.knots, segments.observations(backlash_duty)
     smooth = Smooth(found)
     slope_per_m = found.weights @ np.gradient(smooth.curvatures, KNOT)
     understeer = estimate_understeer(found, slope_per_m)
@@ -147,9 +131,10 @@ def _curve(segmentations, delay, backlash_duty, backlash_sigma, config):
             for towards in (-1, 1)]
     left, right = ends[::-1] if curvatures[-1] > curvatures[0] else ends
     center, center_sigma = find_center(knots, curvatures, sigmas)
-    counts = {**total_counts(segmentations), "apart from all others": int(np.sum(~used))}
-    return Curve(knots, curvatures, sigmas, int(np.argmax(inside)), delay, backlash_duty, backlash_sigma, found,
-                 understeer, used, counts, smooth.scatter, center, center_sigma, left, right)
+    counts = {**segments.counts, "apart from all others": int(np.sum(~used))}
+    return Curve(knots, curvatures, sigmas, delay, backlash_duty, backlash_sigma,
+                 found._replace(weights=found.weights[:, inside]), understeer, used, counts, center, center_sigma, left,
+                 right)
 
 
 def disagreement(one: Curve, other: Curve) -> tuple[float, float] | None:
@@ -177,7 +162,7 @@ def disagreement(one: Curve, other: Curve) -> tuple[float, float] | None:
 # --- the linkage's backlash ---
 
 
-def estimate_backlash(segmentations: Sequence[Segmentation]) -> tuple[float, float]:
+def estimate_backlash(segments: Segments) -> tuple[float, float]:
     """Return the likeliest backlash and its standard error, both in duty; NothingToFit is raised where no value fits.
 
     With a wrong backlash positions that were approached from both sides contradict each other: no monotone curve goes
@@ -187,12 +172,12 @@ def estimate_backlash(segmentations: Sequence[Segmentation]) -> tuple[float, flo
     the car's is steep.
     """
     candidates = np.arange(0.0, MAX_BACKLASH_DUTY + 1.0, STEP_DUTY)
-    contradictions = np.array([_contradiction(segmentations, candidate) for candidate in candidates])
+    contradictions = np.array([_contradiction(segments, candidate) for candidate in candidates])
     candidates = candidates[contradictions <= contradictions.min() + MAX_CONTRADICTION]
     backlash_duty = float(np.median(candidates))
     for adapts in (False, True):
-        smooth = Smooth(observations(segmentations, backlash_duty), adapts)
-        costs = np.array([smooth.cost(design(segmentations, candidate)[0]) for candidate in candidates])
+        smooth = Smooth(segments.observations(backlash_duty), adapts)
+        costs = np.array([smooth.cost(segments.design(candidate)[0]) for candidate in candidates])
         costs = costs + 2 * candidates / PRIOR_SCALE_DUTY
         if not np.isfinite(costs).any():
             raise NothingToFit("no backlash of the steering fits the places where it was held: drive more of them")
@@ -204,12 +189,10 @@ def estimate_backlash(segmentations: Sequence[Segmentation]) -> tuple[float, flo
     return backlash_duty, math.hypot(spread, MIN_SIGMA)
 
 
-def _contradiction(segmentations, backlash_duty):
+def _contradiction(segments, backlash_duty):
     """Return how far the segments lie off the nearest monotone curve: the sum of bounded squares of standard errors."""
-    _, duties = design(segmentations, backlash_duty)
-    segments = all_segments(segmentations)
-    curvature = np.array([segment.curvature_per_m for segment in segments])
-    sigma = np.hypot([segment.sigma_per_m for segment in segments], 3 * MIN_SIGMA_PER_M)
+    _, duties = segments.design(backlash_duty)
+    curvature, sigma = segments.column("curvature_per_m"), np.hypot(segments.column("sigma_per_m"), 3 * MIN_SIGMA_PER_M)
     order = np.argsort(duties, kind="stable")
     smallest = math.inf
     for sign in (1.0, -1.0):

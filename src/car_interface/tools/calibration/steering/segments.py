@@ -21,8 +21,8 @@ from car_interface.tools.calibration.steering.drive import (
     MAX_GAP_S,
     MIN_SPEED_MPS,
     SteeringDrive,
+    WheelPosition,
 )
-from car_interface.tools.calibration.steering.wheels import WheelPosition
 
 MAX_LATERAL_MPS2 = 4.0  # above this tyres may begin to slide
 SETTLED_DUTY = 6.0  # the servo has arrived when it is this near to its command, by delay and lag
@@ -49,7 +49,6 @@ class Segment(NamedTuple):
     samples: np.ndarray  # (K,), indices into the drive, in the order of rising distance
     distance_m: np.ndarray  # (K,), rising
     middles_m: np.ndarray  # (25,), distances at which the duty is averaged with SLOPE_WEIGHTS
-    middle_s: float
     curvature_per_m: float
     sigma_per_m: float
     length_m: float
@@ -57,19 +56,9 @@ class Segment(NamedTuple):
     wander_rad: float  # how far the heading is off its slope, root mean square
 
 
-class Segmentation(NamedTuple):
-    """One drive in segments."""
-
-    wheels: WheelPosition
-    other_lags: list  # the WheelPosition if the servo's lag were smaller and larger
-    segments: list
-    counts: dict  # how many intervals were left out, by reason
-
-
 class Observations(NamedTuple):
     """The segments of all drives for one backlash, S rows; the curve has K knots."""
 
-    t_s: np.ndarray  # (S,), the middle
     curvature_per_m: np.ndarray  # (S,)
     sigma_per_m: np.ndarray  # (S,), standard error of that
     duty: np.ndarray  # (S,), mean position of the wheels
@@ -79,19 +68,91 @@ class Observations(NamedTuple):
     weights: sparse.csr_matrix  # (S, K): the curvatures are weights @ curve
 
 
-def segmentation(drive: SteeringDrive, delay: Delay) -> Segmentation:
-    """Divide one drive into segments."""
-    other_lags = [WheelPosition(drive, delay._replace(lag_s=max(0.0, delay.lag_s + off_s)))
-                  for off_s in (-LAG_SIGMA_S, LAG_SIGMA_S)]
-    wheels = WheelPosition(drive, delay)
+class Segments:
+    """The segments of all drives, one drive after the other: the rows of all arrays (S,).
+
+    Attributes:
+        rows: the segments.
+        knots: the curve's, in duty, the same for each backlash, (K,).
+        counts: how many intervals were left out, by reason; none without one.
+        is_steady: no drive shows where the linkage is in its backlash.
+
+    Raises:
+        NothingToFit: there are too few segments, or they are all at nearly the same duty.
+    """
+
+    def __init__(self, drives: Sequence[SteeringDrive], delay: Delay):
+        self._drives = []  # the segments of each, and where its wheels were, also if the servo's lag were another one
+        self.counts: Counter = Counter()
+        for drive in drives:
+            wheels = [WheelPosition(drive, delay._replace(lag_s=max(0.0, delay.lag_s + off_s)))
+                      for off_s in (0.0, -LAG_SIGMA_S, LAG_SIGMA_S)]
+            segments, counts = _segments(wheels[0])
+            self._drives.append((segments, wheels))
+            self.counts += counts
+        self.rows: list[Segment] = [segment for segments, _ in self._drives for segment in segments]
+        self.knots = self._knots()
+        self.is_steady = all(wheels[0].is_steady for _, wheels in self._drives)
+
+    def _knots(self):
+        servo = [wheels[0].servo[segment.samples] for segments, wheels in self._drives for segment in segments]
+        if not servo:
+            left_out = ", ".join(f"{count} {reason}" for reason, count in self.counts.items())
+            raise NothingToFit("the car never held its steering for half a metre at speed"
+                               + (f"; intervals that don't count: {left_out}" if left_out else ""))
+        low, high = min(duties.min() for duties in servo), max(duties.max() for duties in servo)
+        if len(servo) < MIN_SEGMENTS or high - low < MIN_COUNTS * COUNT:
+            raise NothingToFit("the steering was held in fewer than four places")
+        first, last = math.floor((low - MAX_BACKLASH_DUTY) / KNOT), math.ceil((high + MAX_BACKLASH_DUTY) / KNOT)
+        return np.arange(first, last + 1) * KNOT
+
+    def column(self, name: str) -> np.ndarray:
+        """Return a number of each segment, (S,)."""
+        return np.array([getattr(segment, name) for segment in self.rows])
+
+    def observations(self, backlash_duty: float) -> Observations:
+        """Return all of them, the wheels being where a linkage with this backlash has them."""
+        weights, duty = self.design(backlash_duty)
+        curvature, sigma, length, speed = map(self.column, ("curvature_per_m", "sigma_per_m", "length_m", "speed_mps"))
+        # Where they would be if the servo had another lag.
+        off = np.max([np.abs(self._duties(backlash_duty, other) @ SLOPE_WEIGHTS - duty) for other in (1, 2)], axis=0)
+        # In a steady drive the linkage is anywhere in its backlash, as likely here as there.
+        floats = np.repeat([float(wheels[0].is_steady) for _, wheels in self._drives],
+                           [len(segments) for segments, _ in self._drives])
+        duty_sigma = np.hypot(np.hypot(DUTY_SIGMA, off), floats * backlash_duty / math.sqrt(12))
+        return Observations(curvature, sigma, duty, duty_sigma, length, speed, weights)
+
+    def design(self, backlash_duty: float) -> tuple[sparse.csr_matrix, np.ndarray]:
+        """Return the knots' weights in each segment's curvature (S, K), and the wheels' mean positions in duty (S,)."""
+        duties = self._duties(backlash_duty)
+        place = np.clip((duties - self.knots[0]) / KNOT, 0, len(self.knots) - 1.001)
+        index = place.astype(int)
+        ratio = place - index
+        rows = np.tile(np.repeat(np.arange(len(duties)), duties.shape[1]), 2)
+        weights = sparse.csr_matrix(
+            (np.concatenate([(SLOPE_WEIGHTS * (1 - ratio)).ravel(), (SLOPE_WEIGHTS * ratio).ravel()]),
+             (rows, np.concatenate([index.ravel(), index.ravel() + 1]))), shape=(len(duties), len(self.knots)))
+        return weights, duties @ SLOPE_WEIGHTS
+
+    def _duties(self, backlash_duty, lag=0):
+        """Return the wheels' positions along each segment (S, 25)."""
+        found = []
+        for segments, wheels in self._drives:
+            linkage = wheels[lag].linkage(backlash_duty)
+            found += [np.interp(segment.middles_m, segment.distance_m, linkage[segment.samples])
+                      for segment in segments]
+        return np.array(found)
+
+
+def _segments(wheels):
+    """Return (one drive's segments, how many intervals were left out, by reason)."""
     usable, counts = _usable(wheels)
     segments = [_segment(wheels, first, end) for begin, stop in runs(usable)
                 for first, end in _split(wheels, begin, stop)]
     counts["shorter than a segment must be"] = sum(segment is None for segment in segments)
     found = [segment for segment in segments if segment is not None]
     heading_sigma_rad = _heading_sigma_rad(found)
-    found = [one._replace(sigma_per_m=_slope_sigma_per_m(one.length_m, heading_sigma_rad)) for one in found]
-    return Segmentation(wheels, other_lags, found, counts)
+    return [one._replace(sigma_per_m=_slope_sigma_per_m(one.length_m, heading_sigma_rad)) for one in found], counts
 
 
 def _heading_sigma_rad(segments):
@@ -114,7 +175,7 @@ def _usable(wheels):
     yaw_rate_radps = np.convolve(np.gradient(wheels.yaw_rad, wheels.STEP_S), np.full(9, 1 / 9), "same")
     slides = np.abs(wheels.speed_mps * yaw_rate_radps) > MAX_LATERAL_MPS2
     unknown = ~wheels.is_known | (wheels.gap_s > MAX_GAP_S) | (wheels.jump_rad > MAX_JUMP_RAD)
-    usable, counts = np.ones(len(is_slow), bool), {}
+    usable, counts = np.ones(len(is_slow), bool), Counter()
     for reason, flags in (("slow or standing", is_slow), ("gaps in odometry or duty", unknown),
                           ("fast in a bend: tyres may slide", slides),
                           ("servo on its way", wheels.off > SETTLED_DUTY)):
@@ -156,8 +217,8 @@ def _segment(wheels, first, end):
     beside_rad = yaw_rad - yaw_rad.mean() - off * curvature
     wander_rad = math.sqrt(float(beside_rad @ beside_rad) / (SLOPE_POINTS - 2))
     length = abs(length)
-    return Segment(samples, distance_m, (at[1:] + at[:-1]) / 2, (wheels.t_s[first] + wheels.t_s[end - 1]) / 2,
-                   curvature, _slope_sigma_per_m(length, HEADING_SIGMA_RAD), length,
+    return Segment(samples, distance_m, (at[1:] + at[:-1]) / 2, curvature,
+                   _slope_sigma_per_m(length, HEADING_SIGMA_RAD), length,
                    float(np.mean(wheels.speed_mps[samples] ** 4)) ** 0.25, wander_rad)
 
 
@@ -169,71 +230,3 @@ def place_numbers(duty: np.ndarray) -> np.ndarray:
             number, begin = number + 1, duty[index]
         numbers[index] = number
     return numbers
-
-
-def all_segments(segmentations: Sequence[Segmentation]) -> list[Segment]:
-    """Return the segments of all drives, in order: the rows of all arrays (S,)."""
-    return [segment for one in segmentations for segment in one.segments]
-
-
-def total_counts(segmentations: Sequence[Segmentation]) -> Counter:
-    """Return how many intervals were left out of all drives, by reason; none without one."""
-    return sum((Counter(one.counts) for one in segmentations), Counter())
-
-
-def observations(segmentations: Sequence[Segmentation], backlash_duty: float) -> Observations:
-    """Return all drives' segments, the wheels being where a linkage with this backlash has them."""
-    weights, duty = design(segmentations, backlash_duty)
-    middle_s, curvature, sigma, length, speed = (
-        np.array([getattr(segment, name) for segment in all_segments(segmentations)])
-        for name in ("middle_s", "curvature_per_m", "sigma_per_m", "length_m", "speed_mps"))
-    return Observations(middle_s, curvature, sigma, duty, _duty_sigmas(segmentations, backlash_duty, duty), length,
-                        speed, weights)
-
-
-def design(segmentations: Sequence[Segmentation], backlash_duty: float) -> tuple[sparse.csr_matrix, np.ndarray]:
-    """Return the knots' weights in each segment's curvature (S, K), and the wheels' mean positions in duty (S,)."""
-    knots = knots_of(segmentations)
-    duties = np.concatenate([_wheel_duties(one, one.wheels.linkage(backlash_duty)) for one in segmentations])
-    place = np.clip((duties - knots[0]) / KNOT, 0, len(knots) - 1.001)
-    index = place.astype(int)
-    ratio = place - index
-    rows = np.tile(np.repeat(np.arange(len(duties)), duties.shape[1]), 2)
-    weights = sparse.csr_matrix(
-        (np.concatenate([(SLOPE_WEIGHTS * (1 - ratio)).ravel(), (SLOPE_WEIGHTS * ratio).ravel()]),
-         (rows, np.concatenate([index.ravel(), index.ravel() + 1]))), shape=(len(duties), len(knots)))
-    return weights, duties @ SLOPE_WEIGHTS
-
-
-def knots_of(segmentations: Sequence[Segmentation]) -> np.ndarray:
-    """Return the curve's knots in duty (K,), the same for each backlash.
-
-    Raises:
-        NothingToFit: there are too few segments, or they are all at nearly the same duty.
-    """
-    servo = [one.wheels.servo[segment.samples] for one in segmentations for segment in one.segments]
-    if not servo:
-        left_out = ", ".join(f"{count} {reason}" for reason, count in total_counts(segmentations).items())
-        raise NothingToFit("the car never held its steering for half a metre at speed"
-                           + (f"; intervals that don't count: {left_out}" if left_out else ""))
-    low, high = min(duties.min() for duties in servo), max(duties.max() for duties in servo)
-    if len(servo) < MIN_SEGMENTS or high - low < MIN_COUNTS * COUNT:
-        raise NothingToFit("the steering was held in fewer than four places")
-    first, last = math.floor((low - MAX_BACKLASH_DUTY) / KNOT), math.ceil((high + MAX_BACKLASH_DUTY) / KNOT)
-    return np.arange(first, last + 1) * KNOT
-
-
-def _duty_sigmas(segmentations, backlash_duty, duty):
-    """Standard errors of the wheels' positions (S,): where they would be if the servo had another lag."""
-    others = [np.concatenate([_wheel_duties(one, one.other_lags[index].linkage(backlash_duty))
-                              for one in segmentations]) for index in range(len(segmentations[0].other_lags))]
-    off = np.max([np.abs(other @ SLOPE_WEIGHTS - duty) for other in others], axis=0) if others else 0.0
-    # In a steady drive the linkage is anywhere in its backlash, as likely here as there.
-    floats = np.concatenate([np.full(len(one.segments), float(one.wheels.is_steady)) for one in segmentations])
-    return np.hypot(np.hypot(DUTY_SIGMA, off), floats * backlash_duty / math.sqrt(12))
-
-
-def _wheel_duties(one, linkage):
-    """Return the wheels' positions along each segment of a drive (S, 25)."""
-    rows = [np.interp(segment.middles_m, segment.distance_m, linkage[segment.samples]) for segment in one.segments]
-    return np.array(rows).reshape(-1, SLOPE_POINTS - 1)

@@ -9,8 +9,8 @@ import numpy as np
 
 from car_interface.tools.calibration.steering.drive import COUNT
 from car_interface.tools.calibration.steering.ends import STOP_RATIO, slope
-from car_interface.tools.calibration.steering.errors import BAND
 from car_interface.tools.calibration.steering.fit import Curve
+from car_interface.tools.calibration.steering.smooth import BAND
 
 LEFT, RIGHT = "left", "right"
 # What a breakpoint's duty rests on.

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from car_interface.steering.calibration import lost_per_m
-from car_interface.tools.calibration.steering.errors import BAND
 from car_interface.tools.calibration.steering.segments import Observations, place_numbers
+from car_interface.tools.calibration.steering.smooth import BAND
 
 MIN_PLACES = 2
 MIN_PART = 0.02  # of all that is known of it: a place with less doesn't count

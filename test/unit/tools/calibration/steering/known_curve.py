@@ -21,12 +21,12 @@ def line_curve(low=LEFT_DUTY, high=RIGHT_DUTY, center=CENTER, sigma_per_m=0.001,
     count = len(driven)
     weights = np.zeros((count, len(duties)))
     weights[np.arange(count), driven] = 1.0
-    found = Observations(np.arange(count) * 1.0, curvatures[driven], np.full(count, sigma_per_m), duties[driven],
+    found = Observations(curvatures[driven], np.full(count, sigma_per_m), duties[driven],
                          np.ones(count), np.full(count, 2.0), np.ones(count), weights)
     fields = {
-        "duties": duties, "curvatures": curvatures, "sigmas": np.full(len(duties), sigma_per_m), "first_knot": 0,
+        "duties": duties, "curvatures": curvatures, "sigmas": np.full(len(duties), sigma_per_m),
         "delay": Delay(0.1, 0.15, 0.99), "backlash_duty": 6.0, "backlash_sigma": 1.0, "observations": found,
-        "understeer": UNKNOWN, "used": np.ones(count, bool), "counts": {}, "scatter": 1.0,
+        "understeer": UNKNOWN, "used": np.ones(count, bool), "counts": {},
         "center": center, "center_sigma": 2.0,
         "left": Side(low, max(0.0, curvatures[0]), sigma_per_m, True, True, low),
         "right": Side(high, max(0.0, -curvatures[-1]), sigma_per_m, True, True, high)}

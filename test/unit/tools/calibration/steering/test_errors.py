@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from car_interface.tools.calibration.steering import fit
-from car_interface.tools.calibration.steering.errors import BAND, UNSEEN_RATIO, bends, unseen
+from car_interface.tools.calibration.steering.smooth import BAND, UNSEEN_RATIO, bends, unseen
 from tools.calibration.steering.synthetic import KNOWN, drive, fitted_steep, steep_ends, true_curvature
 
 pytestmark = pytest.mark.once

@@ -7,10 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from car_interface.tools.calibration.steering.calibrate import SteeringResult
+from car_interface.tools.calibration.steering.calibrate import SteeringResult, report, short_report
 from car_interface.tools.calibration.steering.ends import Side
 from car_interface.tools.calibration.steering.fit import UNKNOWN_BACKLASH
-from car_interface.tools.calibration.steering.report import report, short_report
 from car_interface.tools.calibration.steering.table import (
     DRIVEN,
     END,

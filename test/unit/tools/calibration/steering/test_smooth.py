@@ -7,7 +7,7 @@ from scipy import sparse
 
 from car_interface.tools.calibration.shared import rising
 from car_interface.tools.calibration.steering import fit
-from car_interface.tools.calibration.steering.segments import observations, segmentation
+from car_interface.tools.calibration.steering.segments import Segments
 from car_interface.tools.calibration.steering.smooth import Smooth
 from tools.calibration.steering.synthetic import KNOWN, LEFT_STOP, RIGHT_STOP, drive, mixed, true_curvature
 
@@ -25,7 +25,7 @@ def test_smooth_curve_may_bend_a_little_where_it_was_straight_beside_a_sharp_cor
 
 def test_curve_of_a_straight_steering_does_not_depend_on_rounding():  # as another version of LAPACK rounds
     drives = [drive(mixed(3700, 6600, 24), speed_mps=speed_mps, seed=seed) for seed, speed_mps in enumerate((0.7, 1.3))]
-    found = observations([segmentation(one, KNOWN.delay) for one in drives], 0.0)
+    found = Segments(drives, KNOWN.delay).observations(0.0)
     curvatures, rng = Smooth(found).curvatures, np.random.default_rng(1)
     for _ in range(3):
         rounded = found.curvature_per_m * (1 + 1e-14 * rng.standard_normal(len(found.duty)))

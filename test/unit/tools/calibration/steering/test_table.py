@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from car_interface.tools.calibration.steering import fit
 from car_interface.tools.calibration.steering.ends import Side
-from car_interface.tools.calibration.steering.errors import BAND
+from car_interface.tools.calibration.steering.smooth import BAND
 from car_interface.tools.calibration.steering.table import (
     DRIVEN,
     END,
