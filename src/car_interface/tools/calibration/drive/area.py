@@ -28,7 +28,14 @@ class Turn(NamedTuple):
     """A tight turn."""
 
     curvature_per_m: float  # left positive
-    reaction_m: float  # what the car drives until its wheels are turned for it
+    reaction_s: float  # until the wheels are turned for it
+
+
+class WayOut(NamedTuple):
+    """What comes of a tight turn that is begun now."""
+
+    extent_m: float  # how far the car's corners get from the center
+    excess_m: float  # by how much it leaves the area, also where it stops when it is let go on it: straight on
 
 
 def moved(pose: Pose, distance_m: float, curvature_per_m: float) -> Pose:
@@ -114,48 +121,38 @@ class Area:
         """
         return complex(pose.x_m - self.center[0], pose.y_m - self.center[1]) * cmath.rect(1.0, -pose.yaw_rad)
 
-    def ways_out(self, pose: Pose, curvature_per_m: float, turns: Sequence[Turn]) -> list[float]:
-        """Return how far the car's corners get from the center on each of the tight turns, after the arc on which it
-        goes on until its wheels are turned.
+    def ways_out(self, pose: Pose, curvature_per_m: float, turns: Sequence[Turn], speed_mps: float,
+                 stop_m: float) -> list[WayOut]:
+        """Return what comes of each of the tight turns, after the arc on which the car goes on until its wheels are
+        turned; ``stop_m``: what it takes to stop.
         """
-        extents = []
+        ways = []
         for turn in turns:
-            after = moved(pose, turn.reaction_m, curvature_per_m)
-            extents.append(max(self.extent_m(pose), self.extent_m(after),
-                               self.turn_extent_m(after, turn.curvature_per_m)))
-        return extents
+            after = moved(pose, speed_mps * turn.reaction_s, curvature_per_m)
+            extent_m = max(self.extent_m(pose), self.extent_m(after), self.turn_extent_m(after, turn.curvature_per_m))
+            stops_m = self.turn_extent_m(after, turn.curvature_per_m, stop_m)
+            ways.append(WayOut(extent_m, max(extent_m - self.radius_m, stops_m - self.stop_radius_m)))
+        return ways
 
-    def excesses_m(self, pose: Pose, curvature_per_m: float, turns: Sequence[Turn], stop_m: float) -> list[float]:
-        """Return by how much the car leaves the area on each of the tight turns, as above, or where it stops when it is
-        let go on it: straight on, after ``stop_m``.
-        """
-        excesses = []
-        for turn, extent_m in zip(turns, self.ways_out(pose, curvature_per_m, turns)):
-            after = moved(pose, turn.reaction_m, curvature_per_m)
-            excesses.append(max(extent_m - self.radius_m, self.turn_extent_m(
-                after, turn.curvature_per_m, stop_m) - self.stop_radius_m))
-        return excesses
-
-    def rooms_m(self, pose: Pose, curvature_per_m: float, turns_at: Callable[[Pose], Sequence[Turn]], max_m: float,
-                stop_m: float = 0.0, min_ahead_m: Callable[[float], float] = lambda gone_m: 0.0) -> list[float]:
+    def rooms_m(self, pose: Pose, curvature_per_m: float, turns: Sequence[Turn], max_m: float, stop_m: float,
+                speed_mps_at: Callable[[Pose], float], min_ahead_m: Callable[[float], float]) -> list[float]:
         """Return how far the car can go on an arc from a pose to end with each of the tight turns: (T,), at most
         ``max_m``.
 
         From everywhere on its way one of them, whichever, keeps it inside; so does that one at its end.
 
         Args:
-            turns_at: the tight turns as they could be begun at a pose, T of them.
             stop_m: what it takes to stop on those turns.
+            speed_mps_at: with which they would be begun at a pose.
             min_ahead_m: so far it must be able to go straight on after a distance, as it does when it is let go.
         """
         if curvature_per_m and self.circle_extent_m(pose, curvature_per_m) <= self.radius_m:
-            return [max_m for _ in turns_at(pose)]
-        rooms_m = [0.0 for _ in turns_at(pose)]
-        gone_m = 0.0
+            return [max_m for _ in turns]
+        rooms_m, gone_m = [0.0 for _ in turns], 0.0
         while self.ahead_m(pose, self.radius_m) >= min_ahead_m(gone_m):
-            stays = [excess_m <= 0 for excess_m in self.excesses_m(pose, curvature_per_m, turns_at(pose), stop_m)]
-            rooms_m = [gone_m if inside else room_m for inside, room_m in zip(stays, rooms_m)]
-            if not any(stays) or gone_m >= max_m:
+            ways = self.ways_out(pose, curvature_per_m, turns, speed_mps_at(pose), stop_m)
+            rooms_m = [gone_m if way.excess_m <= 0 else room_m for way, room_m in zip(ways, rooms_m)]
+            if min(way.excess_m for way in ways) > 0 or gone_m >= max_m:
                 break
             step_m = min(STEP_M, max_m - gone_m)
             pose, gone_m = moved(pose, step_m, curvature_per_m), gone_m + step_m

@@ -93,7 +93,7 @@ class Choices:
     def _turns_needs(self, candidates):
         return [max((candidate.need for candidate in candidates
                      if self._outlook.expected_per_m(candidate.duty) / turn > TIGHT_WAY_RATIO), default=0.0)
-                for turn in map(self._outlook.expected_per_m, self._ends)]
+                for turn in self._outlook.turns_per_m()]
 
     def _ideal(self, candidate, turn_worth, now_ns):
         """Return what a candidate is worth with all the room that it wants."""

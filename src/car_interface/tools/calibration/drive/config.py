@@ -21,6 +21,15 @@ ROS_NAMESPACE.
 docs/nodes.md of the package lists its topics."""
 
 
+# Field, lowest and highest value, and the option's placeholder and help.
+NUMBERS = (
+    ("radius_m", 2.5, 100.0, "M", "no part of the car leaves a circle of this radius around where it began"),
+    ("speed_mps", 0.4, 3.0, "M/S", "the speed in wide turns"),
+    ("tight_speed_mps", 0.4, 3.0, "M/S", "the speed in the tightest turns"),
+    ("max_time_s", 30.0, 3600.0, "S", "of the held button; then it ends with what there is"),
+    ("braking_mps2", 0.1, 10.0, "M/S^2", "the deceleration that a stop is certain of"))
+
+
 @dataclass(frozen=True)
 class CalibrationDriveConfig:
     """Where and how the car drives; the names are those of the ROS parameters.
@@ -42,11 +51,10 @@ class CalibrationDriveConfig:
     obstacles: ObstacleConfig | None = None  # the sonars, as throttle_arb takes them; ``None`` = none is looked at
 
     def __post_init__(self):
-        for name, low, high in (("radius_m", 2.5, 100.0), ("speed_mps", 0.4, 3.0), ("tight_speed_mps", 0.4, 3.0),
-                                ("max_time_s", 30.0, 3600.0), ("braking_mps2", 0.1, 10.0)):
-            value = getattr(self, name)
+        for field_name, low, high, _, _ in NUMBERS:
+            value = getattr(self, field_name)
             if not low <= value <= high:
-                raise ConfigError(name.rsplit("_", 1)[0], value, f"a number from {low:g} to {high:g}")
+                raise ConfigError(_option(field_name), value, f"a number from {low:g} to {high:g}")
 
 
 DEFAULTS = CalibrationDriveConfig()
@@ -67,7 +75,6 @@ def read_obstacles(throttle_arb: dict[str, Any]) -> ObstacleConfig:
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
     """Parse the options, without ROS's own arguments; it exits with code 2 where they are wrong."""
-    default = CalibrationDriveConfig()
     parser = argparse.ArgumentParser(prog="rosrun car_interface calibration_drive", description=DESCRIPTION,
                                      epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", metavar="YAML", help="the file to write (default: the one that turn_arb was "
@@ -78,14 +85,9 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
                         "beside it")
     parser.add_argument("--stick", action="store_true", help="you drive, by the manual deadman: it says where to hold "
                         "the stick")
-    for name, value, text in (
-            ("radius", default.radius_m, "M: no part of the car leaves a circle of this radius around where it began"),
-            ("speed", default.speed_mps, "M/S: the speed in wide turns"),
-            ("tight-speed", default.tight_speed_mps, "M/S: the speed in the tightest turns"),
-            ("max-time", default.max_time_s, "S: of the held button; then it ends with what there is"),
-            ("braking", default.braking_mps2, "M/S^2: the deceleration that a stop is certain of")):
-        metavar, _, words = text.partition(": ")
-        parser.add_argument(f"--{name}", type=float, default=value, metavar=metavar,
+    for field_name, _, _, metavar, words in NUMBERS:
+        value = getattr(DEFAULTS, field_name)
+        parser.add_argument(f"--{_option(field_name).replace('_', '-')}", type=float, default=value, metavar=metavar,
                             help=f"{words} (default: {value:g})")
     parser.add_argument("--no-sonars", action="store_true", help="look at no sonar: only you keep the car from running "
                         "into something")
@@ -98,6 +100,8 @@ def drive_config(options: argparse.Namespace) -> CalibrationDriveConfig:
     Raises:
         ConfigError: naming the option.
     """
-    return CalibrationDriveConfig(
-        radius_m=options.radius, speed_mps=options.speed, tight_speed_mps=options.tight_speed,
-        max_time_s=options.max_time, braking_mps2=options.braking)
+    return CalibrationDriveConfig(**{name: getattr(options, _option(name)) for name, *_ in NUMBERS})
+
+
+def _option(field_name):
+    return field_name.rsplit("_", 1)[0]  # without its unit

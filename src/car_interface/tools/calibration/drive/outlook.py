@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 
 from car_interface.throttle.obstacle_stop import ObstacleStop, stopping_speed_mps
-from car_interface.tools.calibration.drive.area import Area, Pose, Turn, moved
+from car_interface.tools.calibration.drive.area import Area, Pose, Turn, WayOut, moved
 from car_interface.tools.calibration.drive.positions import Hold
 from car_interface.tools.calibration.drive.stops import Stops
 from car_interface.tools.calibration.drive.survey import Survey
@@ -45,6 +45,10 @@ class Outlook:
         """Return the curvature to expect at a duty."""
         return self._survey.positions.expected_per_m(duty)
 
+    def turns_per_m(self) -> list[float]:
+        """Return the curvatures of the tight turns to the left and to the right."""
+        return [self.expected_per_m(end) for end in self._ends]
+
     def live_per_m(self) -> float:
         """Return the curvature now; that of the duty that is held, where the car hardly moves."""
         curvature = self._motion.curvature_per_m()
@@ -56,28 +60,19 @@ class Outlook:
             return self.live_per_m()
         return (self.live_per_m() + 2 * self.expected_per_m(hold.duty)) / 3
 
-    def turns(self, from_duty: float, speed_mps: float) -> list[Turn]:
+    def turns(self, from_duty: float) -> list[Turn]:
         """Return the tight turns to the left and to the right, begun with the servo at a duty."""
-        return [Turn(curvature, speed_mps * reaction_s) for curvature, reaction_s in self._turns(from_duty)]
-
-    def _turns(self, from_duty):
-        """Return (curvature, time until the wheels are turned for it) of each."""
         survey = self._survey
         found = []
-        for end in self._ends:
+        for end, curvature in zip(self._ends, self.turns_per_m()):
             # The servo creeps up to its end, and some linkages turn the wheels within the last counts.
             near_duty = max(TIGHT_DUTY, abs(end - survey.positions.half_way_duty(end)))
             lags = min(MAX_LAGS, max(1.0, math.log(max(1.0, abs(end - from_duty) / near_duty))))
-            reaction_s = REACTION_S + survey.servo_delay_s + survey.servo_lag_s * lags
-            curvature, live = self.expected_per_m(end), self._motion.curvature_per_m()
+            live = self._motion.curvature_per_m()
             if abs(from_duty - end) < TIGHT_DUTY and live is not None and live / curvature > 1.0:
                 curvature = live  # an end that is just being found out
-            found.append((curvature, reaction_s))
+            found.append(Turn(curvature, REACTION_S + survey.servo_delay_s + survey.servo_lag_s * lags))
         return found
-
-    def turns_now(self) -> list[Turn]:
-        """Return the same from here."""
-        return self.turns(self.servo_duty, self.now_mps)
 
     @property
     def now_mps(self) -> float:
@@ -92,13 +87,10 @@ class Outlook:
             return SLOW_MPS
         return max(SLOW_MPS, min(MAX_SLOW_MPS, stopping_speed_mps(SLOW_STOP_M, RELEASE_S, sure_mps2)))
 
-    def extents_m(self, hold: Hold | None, now_ns: int) -> list[float]:
-        """Return how far the car's corners get from the center on a tight turn to the left and to the right."""
-        return self.area.ways_out(self._motion.pose, self.path_per_m(hold, now_ns), self.turns_now())
-
-    def excesses_m(self, hold: Hold | None, now_ns: int) -> list[float]:
-        """Return by how much it leaves the area on each of these turns, or where it stops when it is let go on it."""
-        return self.area.excesses_m(self._motion.pose, self.path_per_m(hold, now_ns), self.turns_now(), self._stop_m())
+    def ways_out(self, hold: Hold | None, now_ns: int) -> list[WayOut]:
+        """Return what comes of a tight turn to the left, and of one to the right."""
+        return self.area.ways_out(self._motion.pose, self.path_per_m(hold, now_ns), self.turns(self.servo_duty),
+                                  self.now_mps, self._stop_m())
 
     def rooms_m(self, duty: float, curvature_per_m: float, speed_mps: float, max_m: float) -> list[float]:
         """Return how far the car can go from here, to end with the tight turn to the left and with that to the right,
@@ -106,23 +98,21 @@ class Outlook:
         """
         lead_m = min(speed_mps, self.now_mps) * (self._survey.servo_delay_s + self._survey.servo_lag_s)
         after = moved(self._motion.pose, lead_m, (self.live_per_m() + curvature_per_m) / 2)
-        turns = self._turns(duty)
-        coasts_mps2, slow_mps, stop_m = self._coasts_mps2(), self.slow_mps, self._stop_m()
+        coasts_mps2, slow_mps = self._coasts_mps2(), self.slow_mps
 
         def ahead_m(gone_m):  # nothing brakes a car that begins it faster than it may be there
             square = self.now_mps ** 2 - 2 * coasts_mps2 * (lead_m + gone_m)
             return SPARE_M + self._stop_m(math.sqrt(max(slow_mps ** 2, square)))
 
-        def turns_at(pose):
-            slowed_mps = min(speed_mps, self._slowed_mps(self.area.ahead_m(pose, self._config.radius_m)))
-            return [Turn(curvature, slowed_mps * reaction_s) for curvature, reaction_s in turns]
+        def speed_mps_at(pose):
+            return min(speed_mps, self._slowed_mps(self.area.ahead_m(pose, self._config.radius_m)))
 
         return [lead_m + room_m for room_m in self.area.rooms_m(
-            after, curvature_per_m, turns_at, max_m - lead_m, stop_m, ahead_m)]
+            after, curvature_per_m, self.turns(duty), max_m - lead_m, self._stop_m(), speed_mps_at, ahead_m)]
 
     def is_outside_soon(self, hold: Hold, now_ns: int) -> bool:
         """Return whether it has to turn now to stay inside, or to stop inside when it is let go."""
-        return (min(self.excesses_m(hold, now_ns)) > 0
+        return (min(way.excess_m for way in self.ways_out(hold, now_ns)) > 0
                 or self.area.ahead_m(self._motion.pose, self.area.radius_m) < self._stop_m())
 
     def _stop_m(self, speed_mps=None):
@@ -141,10 +131,12 @@ class Outlook:
 
     def sonar_mps(self, curvature_per_m: float, now_ns: int) -> float:
         """Return what the sonars allow on an arc."""
-        if self._obstacles is None:
-            return math.inf
-        bound = self._obstacles.bound(curvature_per_m, False, self._config.braking_mps2, now_ns, counts_sides=False)
+        bound = self._bound(curvature_per_m, now_ns)
         return math.inf if bound is None else bound.speed_mps
+
+    def _bound(self, curvature_per_m, now_ns):
+        return self._obstacles and self._obstacles.bound(
+            curvature_per_m, False, self._config.braking_mps2, now_ns, counts_sides=False)
 
     def allowed_mps(self, hold: Hold, is_quick: bool, now_ns: int) -> tuple[float, str]:
         """Return (the speed for a position, why it stands); ``is_quick``: as fast as the tyres hold, once it is
@@ -157,9 +149,12 @@ class Outlook:
         seen_mps = min(self.sonar_mps(expected, now_ns),
                        self.sonar_mps(self.live_per_m(), now_ns) if speed_now_mps > FREE_MPS else math.inf)
         if seen_mps < (CREEP_MPS if speed_now_mps > CREEP_MPS / 2 else FREE_MPS):
-            return 0.0, self._obstacle_text(expected, now_ns)
+            bound = self._bound(expected, now_ns)
+            why = "something is near" if bound is None else f"{bound.words} {bound.speed_mps:.1f} m/s"
+            return 0.0, (f"{why}: no way on from here; move the car to where it is free by hand, then hold the button "
+                         "again")
         pose, hard_m = self._motion.pose, self._config.radius_m
-        extent_m = min(self.extents_m(hold, now_ns))
+        extent_m = min(way.extent_m for way in self.ways_out(hold, now_ns))
         if extent_m > hard_m:
             speed_mps = min(speed_mps, self.slow_mps)
             if extent_m > hard_m + 0.1 and self.area.inward_rad(pose) > math.pi / 2:
@@ -175,13 +170,8 @@ class Outlook:
 
     def _way_back(self):
         """Return where a person is to bring a car without room to turn; in the middle a wide turn has none either."""
-        per_m = max(map(self.expected_per_m, self._ends), key=abs)
+        per_m = max(self.turns_per_m(), key=abs)
         area = self.area
         if area.circle_extent_m(Pose(*area.center, 0.0), per_m, self._stop_m()) <= area.stop_radius_m:
             return "move it towards the middle"
         return f"place it so that the middle is about {1 / abs(per_m):.1f} m to its {'left' if per_m > 0 else 'right'},"
-
-    def _obstacle_text(self, curvature_per_m, now_ns):
-        bound = self._obstacles.bound(curvature_per_m, False, self._config.braking_mps2, now_ns, counts_sides=False)
-        why = f"{bound.words} {bound.speed_mps:.1f} m/s" if bound is not None else "something is near"
-        return f"{why}: no way on from here; move the car to where it is free by hand, then hold the button again"

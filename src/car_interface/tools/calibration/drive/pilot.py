@@ -137,14 +137,13 @@ class Pilot:
         self._steer_on(now_ns)
         hold = self._hold
         speed_mps, text = self.outlook.allowed_mps(hold, self._is_turn and self._is_quick, now_ns)
-        steering = self._survey.positions.steering(hold.asked_duty(now_ns))
+        phase, said = self._phase(now_ns)
         if self._lost.asked is not None:
-            return Step(steering, 0.0, BLOCKED, self._lost.text(self._turns_per_m()), hold.duty)
-        if now_ns - self._free_ns > STUCK_NS:
-            text = text or f"it doesn't move at {speed_mps:.1f} m/s: is the car held, or the battery empty?"
-            return Step(steering, speed_mps, BLOCKED, text, hold.duty)
-        phase = self._phase(now_ns)
-        return Step(steering, speed_mps, phase, text or self._text(phase, now_ns), hold.duty)
+            speed_mps, phase, text = 0.0, BLOCKED, self._lost.text(self.outlook.turns_per_m())
+        elif now_ns - self._free_ns > STUCK_NS:
+            phase, said = BLOCKED, f"it doesn't move at {speed_mps:.1f} m/s: is the car held, or the battery empty?"
+        steering = self._survey.positions.steering(hold.asked_duty(now_ns))
+        return Step(steering, speed_mps, phase, text or said, hold.duty)
 
     def expected_path(self) -> list[tuple[float, float]]:
         """Return the next 2 m, by the position that is held."""
@@ -184,7 +183,7 @@ class Pilot:
         lost = self._lost.drive(0 if self.outlook.expected_per_m(self._hold.duty) > 0 else 1)
         if lost is None or self._choices.turns_needs()[lost] < MISSING_NEED:
             return False
-        turn_per_m = self._turns_per_m()[lost]
+        turn_per_m = self.outlook.turns_per_m()[lost]
         if not self.outlook.area.has_circle(turn_per_m):
             return False
         sought = self._lost.seek(lost)
@@ -202,9 +201,9 @@ class Pilot:
         if self._side is None:
             return False
         was_free = self._is_side_free
-        self._is_side_free = self.outlook.excesses_m(self._hold, now_ns)[self._side] <= 0
+        self._is_side_free = self.outlook.ways_out(self._hold, now_ns)[self._side].excess_m <= 0
         return (was_free and not self._is_side_free and self._hold.length_m >= KEPT_LENGTH_M
-                and self.outlook.sonar_mps(self._turns_per_m()[self._side], now_ns) >= FREE_MPS)
+                and self.outlook.sonar_mps(self.outlook.turns_per_m()[self._side], now_ns) >= FREE_MPS)
 
     def _is_cut_off(self, now_ns):
         """Return whether the arc ends here: by the area, or by a sonar."""
@@ -213,7 +212,7 @@ class Pilot:
             self._avoids = True
             return True
         if self._is_turn:  # it is on its way back
-            return min(look.excesses_m(self._hold, now_ns)) > 0
+            return min(way.excess_m for way in look.ways_out(self._hold, now_ns)) > 0
         return look.is_outside_soon(self._hold, now_ns)
 
     def _begin_any(self, now_ns):
@@ -230,9 +229,7 @@ class Pilot:
     def _leave_turn(self, now_ns):
         """Take the best position once there is room for it; the longer the turn, the less will do."""
         self._chosen_ns = now_ns
-        if self._hold.length_m >= self._want_m and not self._is_noted:
-            self._survey.add(self._hold.measured())
-            self._is_noted = True
+        self._note_hold(self._want_m)
         choices = self._choices.all(now_ns)
         best = max(choices, key=lambda choice: choice.score, default=None)
         patience = max(0.0, 1.0 - self._turned_rad / PATIENT_RAD)
@@ -249,7 +246,7 @@ class Pilot:
 
     def _turn(self, now_ns, tightest=False, side=None):
         """Turn tightly towards where there is room, or to a side."""
-        turn_per_m = self._way_per_m(now_ns) if side is None else self._turns_per_m()[side]
+        turn_per_m = self._way_per_m(now_ns) if side is None else self.outlook.turns_per_m()[side]
         reaction_m = self._motion.speed_mps * (REACTION_S + self._survey.servo_delay_s + self._survey.servo_lag_s)
         pose = moved(self._motion.pose, reaction_m, self.outlook.path_per_m(self._hold, now_ns))
         best = Candidate(self._ends[0 if turn_per_m > 0 else 1], 0.0, 0)
@@ -266,8 +263,7 @@ class Pilot:
 
         One that is missing may turn less tightly, where there is room for it; else one that is as tight will do.
         """
-        is_left = self.outlook.expected_per_m(self._hold.duty) > 0
-        turn_per_m = self.outlook.expected_per_m(self._ends[0 if is_left else 1])
+        turn_per_m = self.outlook.turns_per_m()[0 if self.outlook.expected_per_m(self._hold.duty) > 0 else 1]
         missing = self._choices.missing_in_turn(self._hold.duty, turn_per_m, now_ns)
         if missing is not None:
             self._begin(missing, True, now_ns, MISSING_NEED)
@@ -276,21 +272,18 @@ class Pilot:
             if other is not None and other.duty != self._hold.duty:
                 self._begin(self._choices.turn(other, turn_per_m, now_ns), True, now_ns, other.need)
 
-    def _turns_per_m(self):
-        """Return the curvatures of the tight turns to the left and to the right."""
-        return [self.outlook.expected_per_m(end) for end in self._ends]
-
     def _way_per_m(self, now_ns):
         """Return the tight turn to take: the one that stays inside and is free; of two the one about which less is
         known.
         """
-        turns = self._turns_per_m()
+        turns = self.outlook.turns_per_m()
         seen = [self.outlook.sonar_mps(turn, now_ns) for turn in turns]
         if min(seen) < FREE_MPS and max(seen) > min(seen) + 0.1:
             return turns[seen.index(max(seen))]
         # A car that looks inward gets out again on the other turn: what counts here is the whole circle of each.
         is_inward = self.outlook.area.inward_rad(self._motion.pose) < INWARD_RAD
-        excesses = self._circle_excesses_m(now_ns) if is_inward else self.outlook.excesses_m(self._hold, now_ns)
+        excesses = self._circle_excesses_m(now_ns) if is_inward else [
+            way.excess_m for way in self.outlook.ways_out(self._hold, now_ns)]
         if max(excesses) > 0:
             return turns[excesses.index(min(excesses))]
         needs = self._choices.turns_needs()
@@ -298,11 +291,12 @@ class Pilot:
 
     def _circle_excesses_m(self, now_ns):
         """Return by how much the whole circle of each tight turn leaves the area."""
-        partly, area = self.outlook.excesses_m(self._hold, now_ns), self.outlook.area
-        reacted = [moved(self._motion.pose, turn.reaction_m, self.outlook.path_per_m(self._hold, now_ns))
-                   for turn in self.outlook.turns_now()]
-        return [max(partly_m, area.circle_extent_m(pose, turn) - area.radius_m)
-                for partly_m, pose, turn in zip(partly, reacted, self._turns_per_m())]
+        look, area, path_per_m = self.outlook, self.outlook.area, self.outlook.path_per_m(self._hold, now_ns)
+        reacted = [moved(self._motion.pose, look.now_mps * turn.reaction_s, path_per_m)
+                   for turn in look.turns(look.servo_duty)]
+        ways = look.ways_out(self._hold, now_ns)
+        return [max(way.excess_m, area.circle_extent_m(pose, turn_per_m) - area.radius_m)
+                for way, pose, turn_per_m in zip(ways, reacted, look.turns_per_m())]
 
     def _begin(self, choice, is_turn, now_ns, need=0.0):
         was_turn = self._is_turn
@@ -328,27 +322,21 @@ class Pilot:
         self._note_hold()
         self._hold, self._is_noted = None, False
 
-    def _note_hold(self):
+    def _note_hold(self, least_m=KEPT_LENGTH_M):
         """Note what was measured, if it was enough."""
         hold = self._hold
-        if hold is not None and hold.length_m >= KEPT_LENGTH_M and not self._is_noted:
+        if hold is not None and hold.length_m >= least_m and not self._is_noted:
             self._survey.add(hold.measured())
             self._is_noted = True
 
     def _phase(self, now_ns):
-        if self._avoids:
-            return AVOIDING
-        if self._is_turn:
-            return TURNING
-        return MEASURING if self._hold.is_settled(now_ns) else SETTLING
-
-    def _text(self, phase, now_ns):
+        """Return (the phase, the same in words)."""
         hold = self._hold
         side = steering_text(self._survey.positions.steering(hold.duty), "straight on")
-        if phase == AVOIDING:
-            return f"a sonar sees something: it turns at {side}"
-        if phase == TURNING:
-            return f"it turns back into the area at {side}"
-        if phase == SETTLING:
-            return f"to {side}, duty {hold.duty}"
-        return f"it measures {side}, duty {hold.duty}: {hold.length_m:.1f} of {self._want_m:.1f} m"
+        if self._avoids:
+            return AVOIDING, f"a sonar sees something: it turns at {side}"
+        if self._is_turn:
+            return TURNING, f"it turns back into the area at {side}"
+        if not hold.is_settled(now_ns):
+            return SETTLING, f"to {side}, duty {hold.duty}"
+        return MEASURING, f"it measures {side}, duty {hold.duty}: {hold.length_m:.1f} of {self._want_m:.1f} m"

@@ -71,24 +71,29 @@ def test_where_it_stops_on_a_turn_is_as_far_as_the_front_of_a_car_that_is_longer
 
 def test_a_turn_leaves_the_area_by_what_the_car_does_or_by_where_it_stops():
     pose, turn = Pose(0.0, 1.0, 0.5), Turn(-1.0, 0.3)
-    extent_m, = area().ways_out(pose, 0.0, (turn,))
     after = moved(pose, 0.3, 0.0)
     for stop_m, stop_radius_m in ((0.0, 9.0), (0.6, 9.0), (0.6, 3.1), (0.6, None)):
         one = Area((0.0, 0.0), 3.0, OUTLINE, stop_radius_m)
-        excess_m, = one.excesses_m(pose, 0.0, (turn,), stop_m)
+        (extent_m, excess_m), = one.ways_out(pose, 0.0, (turn,), 1.0, stop_m)
         stops_m = one.turn_extent_m(after, -1.0, stop_m)
+        assert extent_m == max(one.extent_m(pose), one.extent_m(after), one.turn_extent_m(after, -1.0))
         assert excess_m == pytest.approx(max(extent_m - 3.0, stops_m - (stop_radius_m or 3.0)))
 
 
-def rooms_m(pose, curvature_per_m=0.0, max_m=10.0, stop_m=0.0, min_ahead_m=lambda gone_m: 0.0, one=None):
-    return (one or area()).rooms_m(pose, curvature_per_m, lambda at: TURNS, max_m, stop_m, min_ahead_m)
+def rooms_m(pose, curvature_per_m=0.0, max_m=10.0, stop_m=0.0, min_ahead_m=lambda gone_m: 0.0, one=None,
+            speed_mps_at=lambda at: 1.0):
+    return (one or area()).rooms_m(pose, curvature_per_m, TURNS, max_m, stop_m, speed_mps_at, min_ahead_m)
+
+
+def extents_m(pose, curvature_per_m=0.0):
+    return [way.extent_m for way in area().ways_out(pose, curvature_per_m, TURNS, 1.0, 0.0)]
 
 
 def test_room_ends_where_the_last_turn_would_leave_the_area():
     free_m = max(rooms_m(START))
     assert 0.8 < free_m < 1.8
     beyond = moved(START, free_m + 0.2, 0.0)
-    assert min(area().ways_out(beyond, 0.0, TURNS)) > 3.0
+    assert min(extents_m(beyond)) > 3.0
     assert rooms_m(START, max_m=0.4) == [0.4, 0.4]
     assert rooms_m(START, 1.0, 50.0) == [50.0, 50.0], "a circle that stays inside"
     pose = Pose(-1.0, 1.0, 0.0)
@@ -102,21 +107,20 @@ def test_the_turn_towards_the_center_can_begin_later_than_the_other_one():
     left_m, right_m = rooms_m(pose)
     assert left_m < right_m - 0.3
     for turn, room_m in zip((0, 1), (left_m, right_m)):
-        extents = [area().ways_out(moved(pose, at_m, 0.0), 0.0, TURNS)[turn] for at_m in (room_m, room_m + 0.2)]
+        extents = [extents_m(moved(pose, at_m, 0.0))[turn] for at_m in (room_m, room_m + 0.2)]
         assert extents[0] <= 3.0 < extents[1]
 
 
 def test_a_turn_that_fits_only_later_on_the_way_counts_from_there():
     pose, curvature = Pose(-0.8, 0.7, 0.2), -0.4
-    stays = [area().ways_out(moved(pose, at_m, curvature), curvature, TURNS)[0] <= 3.0 for at_m in (0.0, 0.6, 1.4)]
+    stays = [extents_m(moved(pose, at_m, curvature), curvature)[0] <= 3.0 for at_m in (0.0, 0.6, 1.4)]
     assert stays == [False, True, False]
     assert rooms_m(pose, curvature)[0] == pytest.approx(1.0)
 
 
 def test_a_turn_is_as_late_as_it_is_from_where_it_begins():
-    slow, fast = TURNS, (Turn(1.0, 1.2), Turn(-1.0, 1.2))
-    late_m, slowed_m, early_m = (max(area().rooms_m(Pose(-2.0, 0.0, 0.0), 0.0, turns_at, 10.0)) for turns_at in (
-        lambda at: slow, lambda at: slow if at.x_m > 0.0 else fast, lambda at: fast))
+    late_m, slowed_m, early_m = (max(rooms_m(Pose(-2.0, 0.0, 0.0), speed_mps_at=speed_mps_at)) for speed_mps_at in (
+        lambda at: 1.0, lambda at: 1.0 if at.x_m > 0.0 else 4.0, lambda at: 4.0))
     assert late_m == slowed_m > early_m + 0.5
 
 

@@ -116,10 +116,10 @@ def test_the_path_is_the_positions_while_the_servo_is_on_its_way():
 @pytest.mark.parametrize("half_duty, lags", [(4600, 1.0), (3916, 3.9)], ids=("smooth", "steep_at_its_end"))
 def test_a_linkage_that_turns_the_wheels_within_the_last_counts_turns_later(half_duty, lags):
     one = outlook(ACROSS)
-    from_right, from_left = (one.turns(duty, 1.0)[0].reaction_m for duty in (RIGHT, LEFT))
+    from_right, from_left = (one.turns(duty)[0].reaction_s for duty in (RIGHT, LEFT))
     assert from_right > from_left, "a servo that is at the other end turns later"
     for duty, curvature_per_m in ((LEFT, 1.0), (half_duty, 0.6), (CENTER, 0.0)):
         one._survey.add(Measured(duty, 1, 1.0, curvature_per_m))
-    reaction_m = one.turns(CENTER, 1.0)[0].reaction_m
+    reaction_s = one.turns(CENTER)[0].reaction_s
     # A servo's lag of 0.15 s: after so many of them the wheels turn half as tightly as at the end.
-    assert reaction_m == pytest.approx(0.17 + 0.15 * lags, abs=0.05)
+    assert reaction_s == pytest.approx(0.17 + 0.15 * lags, abs=0.05)
