@@ -24,6 +24,7 @@ from car_interface.tools.calibration.value_map.calibrate import (
     MapResult,
     NoTable,
     calibrate,
+    csv_text,
     narrower_text,
     report,
 )
@@ -37,7 +38,6 @@ from car_interface.tools.calibration.value_map.recorded import (
     load_map_drive,
     load_throttle_table,
 )
-from car_interface.tools.calibration.value_map.table import csv_text
 from car_interface.tools.cli.jobs import load_all
 from car_interface.tools.cli.options import (
     add_calibration_arguments,

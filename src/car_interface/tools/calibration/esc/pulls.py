@@ -51,8 +51,6 @@ class Sampled(NamedTuple):
 class Pull(NamedTuple):
     """A pull: from neutral backward, and to neutral again."""
 
-    begin: int  # indices into Sampled
-    end: int
     strong_s: float  # how long it was STRONG
     neutral_s: float  # of neutral right before it
     since_forward_s: float  # of neutral since the ESC drove forward; inf = there was a pull in between, or no forward
@@ -120,8 +118,8 @@ def _pull(drive, begin, end, neutral_s, since_forward_s, follows_pull):
                 turn = _turn_by_pulses(drive.wheels, *drive.t_s[[begin, end - 1]]) or _turn_by_speed(speed)
         elif speed.min() > -STANDS_MPS and any((stop - start) * STEP_S >= HELD_S for start, stop in runs(stands)):
             outcome = HELD
-    return Pull(int(begin), int(end), float(strong.sum() * STEP_S), neutral_s, since_forward_s,
-                follows_pull, float(drive.speed_mps[begin]), outcome, *turn)
+    return Pull(float(strong.sum() * STEP_S), neutral_s, since_forward_s, follows_pull, float(drive.speed_mps[begin]),
+                outcome, *turn)
 
 
 _NO_TURN = np.nan, np.nan, np.nan, False

@@ -1,4 +1,6 @@
-"""Fits a value map to recorded drives: the table that may be written, why it should not be, and the report."""
+"""Fits a value map to recorded drives: the part that may be written, as nothing is invented, its CSV, why it should not
+be written, and the report.
+"""
 from __future__ import annotations
 
 from pathlib import Path
@@ -10,17 +12,26 @@ from car_interface.common.errors import CarInterfaceError
 from car_interface.throttle.value_map import ValueMap
 from car_interface.tools.calibration.shared import NothingToFit, RecordedDrive, names_of
 from car_interface.tools.calibration.value_map import fit as fitting
-from car_interface.tools.calibration.value_map import table as tables
 from car_interface.tools.calibration.value_map.acceleration import WINDOW_S, MapFitConfig
 from car_interface.tools.calibration.value_map.model import HELD_OUT
 from car_interface.tools.calibration.value_map.recorded import BY_IMU, MapSource
-from car_interface.tools.calibration.value_map.surface import MIN_STEP_MPS2
-from car_interface.tools.calibration.value_map.table import number_text
+from car_interface.tools.calibration.value_map.surface import (
+    DECIMALS,
+    MIN_STEP_MPS2,
+    RESOLUTION_MPS2,
+    rising_column,
+    rounded,
+)
 
 MAX_HELD_OUT_MPS2 = 0.5
 MIN_DRIVEN_RATIO = 0.25  # of a map that the drives themselves state
 DUTY = "duty:"
-SYMBOLS = {tables.DRIVEN: "#", tables.BETWEEN: "+", tables.OLD: "o", tables.MOVED: "m"}
+MIN_NODES = 3  # values, and velocities, of a map that is fit to drive with
+BRACKET = 2  # nodes: this near on both sides must be supported ones
+# The source of an acceleration: the drives; drives next to it on both sides, and as sure; an old map; an old map, moved
+# because its column would not have risen.
+DRIVEN, BETWEEN, OLD, MOVED = range(4)
+SYMBOLS = {DRIVEN: "#", BETWEEN: "+", OLD: "o", MOVED: "m"}
 
 
 class NoTable(CarInterfaceError):
@@ -31,10 +42,24 @@ class NoTable(CarInterfaceError):
         self.coverage = coverage
 
 
+class Table(NamedTuple):
+    """A map of R values and C velocities, as it is written."""
+
+    values: np.ndarray  # those of the fit, or part of it, (R,); so are the next two
+    velocities: np.ndarray  # (C,)
+    accelerations: np.ndarray  # (R, C)
+    origin: np.ndarray  # of each acceleration: DRIVEN, BETWEEN, OLD or MOVED, (R, C)
+    sigma_mps2: np.ndarray  # standard errors, (R, C); NaN for the prior's
+
+    def driven_ratio(self) -> float:
+        """Return the ratio of accelerations that come from the drives."""
+        return float(np.mean(self.origin <= BETWEEN))
+
+
 class MapResult(NamedTuple):
     """A map, and all that is known about it."""
 
-    table: tables.Table
+    table: Table
     fit: fitting.Fit
     problems: list[str]  # why it should not be written; empty = it may be
 
@@ -56,7 +81,7 @@ def calibrate(recorded: Sequence[RecordedDrive], values: Sequence[float] | None,
         fit = fitting.fit([one.drive for one in recorded], values, velocities_mps, config)
     except NothingToFit as error:
         raise CarInterfaceError(f"nothing in {names} tells an acceleration: {error}") from error
-    table = tables.table(fit, config.neutral, _prior_at_nodes(prior, fit))
+    table = supported_table(fit, config.neutral, _prior_at_nodes(prior, fit))
     if table is None:
         raise NoTable(f"no map is written: {names} support no two values at the same two velocities; drive longer, "
                       "with throttle and brake of several strengths", coverage_text(fit, None))
@@ -65,9 +90,9 @@ def calibrate(recorded: Sequence[RecordedDrive], values: Sequence[float] | None,
 
 def _problems(fit, table):
     """Yield why the map should not be written."""
-    if min(table.accelerations.shape) < tables.MIN_NODES:
+    if min(table.accelerations.shape) < MIN_NODES:
         yield (f"the drives support only {table.values.size} values at {table.velocities.size} velocities, "
-               f"less than {tables.MIN_NODES} each")
+               f"less than {MIN_NODES} each")
     if table.driven_ratio() < MIN_DRIVEN_RATIO:
         yield f"the drives tell only {100 * table.driven_ratio():.0f} % of the map, the rest is the prior's"
     if fit.held_out_mps2 > MAX_HELD_OUT_MPS2:
@@ -85,10 +110,97 @@ def _prior_at_nodes(prior, fit):
     return np.where(inside, np.array(table), np.nan)
 
 
+# --- the table ---
+
+
+def supported_table(fit: fitting.Fit, neutral: float, prior: np.ndarray | None = None) -> Table | None:
+    """Return the part of a fit that may be written.
+
+    Where the drives support nothing the prior's accelerations stay; one that contradicts the measured ones of its
+    column is moved so that the column rises. Without a prior the axes are limited to the largest part in which every
+    node is supported.
+
+    Args:
+        neutral: the value at which the car coasts: the map should have values on both sides of it.
+        prior: an old map's accelerations at the fit's nodes, (R, C), NaN where it has none.
+
+    Returns:
+        The table, with at least two values and velocities, or ``None``.
+    """
+    between = _between(fit)
+    origin = np.where(fit.supported, DRIVEN, np.where(between, BETWEEN, OLD))
+    stated = fit.supported | between
+    if prior is not None:
+        stated = stated | np.isfinite(prior)
+    part = _largest_part(stated, fit.values, fit.velocities, neutral)
+    if part is None:
+        return None
+    origin, sigma = origin[part].copy(), fit.sigma_mps2[part].copy()
+    old = origin == OLD
+    wanted = fit.accelerations[part]
+    if old.any():
+        wanted = np.where(old, prior[part], wanted)
+        min_steps = np.full(wanted.shape[0] - 1, MIN_STEP_MPS2)
+        weight = np.where(old, 1.0, 1e9)  # measured ones don't move
+        risen = np.stack([rising_column(wanted[:, k], weight[:, k], min_steps) for k in range(wanted.shape[1])], axis=1)
+        origin[old & (np.abs(risen - wanted) > RESOLUTION_MPS2)] = MOVED
+        wanted = risen
+        sigma[old] = np.nan
+    return Table(fit.values[part[0].ravel()], fit.velocities[part[1].ravel()], rounded(wanted), origin, sigma)
+
+
+def _between(fit):
+    """Return which nodes have supported ones on both sides, and are known as well (R, C)."""
+    between = np.zeros(fit.supported.shape, bool)
+    for axis in (0, 1):
+        known = np.moveaxis(np.pad(fit.supported, [(BRACKET, BRACKET) if axis == one else (0, 0) for one in (0, 1)]),
+                            axis, 0)
+        shifted = [known[begin:len(known) - 2 * BRACKET + begin] for begin in range(2 * BRACKET + 1)]
+        on_both_sides = np.any(shifted[:BRACKET], axis=0) & np.any(shifted[BRACKET + 1:], axis=0)
+        between |= np.moveaxis(on_both_sides, 0, axis)
+    return between & ~fit.supported & fit.sure
+
+
+def _largest_part(stated, values, velocities, neutral):
+    """Rows and columns of the largest part of a map in which every node is stated: at least two each, or ``None``.
+
+    Its velocities are consecutive. Up to BRACKET consecutive values may be left out: the map is linear over them. Its
+    size is the product of its ranges; a part that both drives and brakes is preferred, and one with less than MIN_NODES
+    of either is the last choice.
+    """
+    best, largest = None, 0.0
+    for first in range(velocities.size - 1):
+        for last in range(first + 1, velocities.size):
+            whole = np.flatnonzero(stated[:, first:last + 1].all(axis=1))
+            for rows in np.split(whole, np.flatnonzero(np.diff(whole) > BRACKET + 1) + 1):
+                if rows.size < 2:
+                    continue
+                low, high = values[rows[0]], values[rows[-1]]
+                sides = 4.0 if low < neutral < high else 2.0 if low <= neutral <= high else 1.0
+                few = 0.01 if min(rows.size, last - first + 1) < MIN_NODES else 1.0
+                size = few * sides * (high - low) * (velocities[last] - velocities[first])
+                if size > largest:
+                    best, largest = np.ix_(rows, np.arange(first, last + 1)), size
+    return best
+
+
+def csv_text(written: Table) -> str:
+    """Return the map's CSV, as generic_value_converter loads it."""
+    lines = ["default," + ",".join(number_text(velocity) for velocity in written.velocities)]
+    for value, row in zip(written.values, written.accelerations):
+        lines.append(number_text(value) + "," + ",".join(f"{cell:.{DECIMALS}f}" for cell in row))
+    return "\n".join(lines) + "\n"
+
+
+def number_text(x: float) -> str:
+    """Return a number on an axis, without the errors of binary fractions."""
+    return repr(round(float(x), 9))
+
+
 # --- the report ---
 
 
-def report(recorded: Sequence[RecordedDrive], source: MapSource, fit: fitting.Fit, table: tables.Table,
+def report(recorded: Sequence[RecordedDrive], source: MapSource, fit: fitting.Fit, table: Table,
            problems: Sequence[str], prior_path: str | None = None) -> Iterator[str]:
     """Yield the lines; ``table`` is the part of the fit that is written, ``problems`` say why it should not be."""
     yield from _source_lines(recorded, source, fit, prior_path)
@@ -148,8 +260,8 @@ def _map_lines(fit, table):
     yield (f"the map: {table.values.size} values, {number_text(table.values[0])} to {number_text(table.values[-1])}; "
            f"{table.velocities.size} velocities, {number_text(table.velocities[0])} to "
            f"{number_text(table.velocities[-1])} m/s")
-    for origin, text in ((tables.DRIVEN, "driven"), (tables.BETWEEN, "between what was driven"),
-                         (tables.OLD, "the prior's"), (tables.MOVED, "the prior's, moved so that its column rises")):
+    for origin, text in ((DRIVEN, "driven"), (BETWEEN, "between what was driven"),
+                         (OLD, "the prior's"), (MOVED, "the prior's, moved so that its column rises")):
         number = int((table.origin == origin).sum())
         if number:
             yield f"  {SYMBOLS[origin]}  {number} of {count} {text}"
@@ -163,7 +275,7 @@ def _map_lines(fit, table):
                "neutral band, in which the map rises only as its CSV needs it")
 
 
-def narrower_text(table: tables.Table, old: ValueMap, old_path: str) -> str | None:
+def narrower_text(table: Table, old: ValueMap, old_path: str) -> str | None:
     """Return a line that says by how much a map is narrower than the one that it replaces; ``None`` = it isn't."""
     narrowed = [f"{name} {_range_text(new)} in place of {_range_text(before)}"
                 for name, new, before in (("values", table.values, old.values),
@@ -193,7 +305,7 @@ def _ground_text(ground, has_pitch, from_imu):
             f"{100 * ground.sag_below:.1f} ± {100 * ground.sag_sigma[1]:.1f} %: the map is that of the middle")
 
 
-def coverage_text(fit: fitting.Fit, table: tables.Table | None) -> str:
+def coverage_text(fit: fitting.Fit, table: Table | None) -> str:
     """Return a grid of symbols: which accelerations the drives state, and those in the table by their origin."""
     cells = np.where(fit.supported, "#" if table is None else "(#)", ".").astype(object)
     if table is not None:

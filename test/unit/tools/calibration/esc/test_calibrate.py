@@ -12,8 +12,7 @@ from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.config import ThrottleConfig
 from car_interface.throttle.esc_config import EscConfig
 from car_interface.throttle.limits import ThrottleLimits
-from car_interface.tools.calibration.esc.calibrate import calibrate, yaml_text, yaml_values
-from car_interface.tools.calibration.esc.fit import EscFit, fit
+from car_interface.tools.calibration.esc.calibrate import EscFit, calibrate, fit, yaml_text, yaml_values
 from car_interface.tools.calibration.shared import RecordedDrive
 from car_interface.tools.recordings.overlap import Trail
 from tools.calibration.esc.synthetic import Person

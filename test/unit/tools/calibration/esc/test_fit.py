@@ -9,7 +9,7 @@ from esc_car import EscCarConfig
 
 from car_interface.sim import esc as virtual
 from car_interface.throttle.esc_config import EscConfig
-from car_interface.tools.calibration.esc.fit import fit
+from car_interface.tools.calibration.esc.calibrate import fit
 from car_interface.tools.calibration.esc.pulls import EscDrive
 from tools.calibration.esc.synthetic import FULL_FORWARD, FULL_REVERSE, NEUTRAL, Person, random_esc
 

@@ -8,12 +8,11 @@ import pytest
 
 from car_interface.throttle.value_map import ValueMap
 from car_interface.tools.calibration.value_map import calibrate as module
-from car_interface.tools.calibration.value_map import table as tables
+from car_interface.tools.calibration.value_map import calibrate as tables
 from car_interface.tools.calibration.value_map.acceleration import MapFitConfig
-from car_interface.tools.calibration.value_map.calibrate import NoTable, calibrate, coverage_text, report
+from car_interface.tools.calibration.value_map.calibrate import NoTable, Table, calibrate, coverage_text, report
 from car_interface.tools.calibration.value_map.fit import Fit, Ground
 from car_interface.tools.calibration.value_map.recorded import MapSource
-from car_interface.tools.calibration.value_map.table import Table
 from tools.calibration.value_map.synthetic import fit_of
 
 RECORDED = [SimpleNamespace(drive=None, path="drive.bag")]

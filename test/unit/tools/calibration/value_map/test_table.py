@@ -2,8 +2,8 @@
 import numpy as np
 import pytest
 
-from car_interface.tools.calibration.value_map import table as tables
-from car_interface.tools.calibration.value_map.table import table
+from car_interface.tools.calibration.value_map import calibrate as tables
+from car_interface.tools.calibration.value_map.calibrate import supported_table
 from tools.calibration.value_map.synthetic import fit_of
 
 pytestmark = pytest.mark.once
@@ -22,30 +22,30 @@ BOTH, NONE = [1, 1], [0, 0]
     pytest.param([BOTH, BOTH, NONE, NONE, NONE, BOTH], [-1, 0], [0, 1], id="but_not_across_three"),
 ])
 def test_axes_are_those_of_the_part_that_was_driven(driven, values, velocities):
-    found = table(fit_of(driven), 0.0)
+    found = supported_table(fit_of(driven), 0.0)
     assert (list(found.values), list(found.velocities), found.driven_ratio()) == (values, velocities, 1.0)
 
 
 def test_no_table_where_no_two_values_have_two_velocities():
-    assert table(fit_of([[0, 1, 0], [1, 0, 1]]), 0.0) is None
+    assert supported_table(fit_of([[0, 1, 0], [1, 0, 1]]), 0.0) is None
 
 
 def test_what_lies_between_driven_nodes_and_is_as_sure_is_stated():
     driven = [[1, 1, 1], [1, 0, 1], [1, 1, 1]]
-    found = table(fit_of(driven, sure=np.ones((3, 3))), 0.0)
+    found = supported_table(fit_of(driven, sure=np.ones((3, 3))), 0.0)
     assert found.origin[1, 1] == tables.BETWEEN and found.accelerations.shape == (3, 3)
-    unsure = table(fit_of(driven), 0.0)
+    unsure = supported_table(fit_of(driven), 0.0)
     assert list(unsure.values) == [-1.0, 1.0] and (unsure.origin == tables.DRIVEN).all()
 
 
 def test_prior_stays_where_nothing_was_driven_is_moved_where_it_contradicts_its_column_and_ends_the_axes():
     prior = np.add.outer(np.arange(3) * 1.0, np.full(3, -0.3))
-    found = table(fit_of([[1, 1, 0], [1, 1, 0], [1, 1, 0]]), 0.0, prior)
+    found = supported_table(fit_of([[1, 1, 0], [1, 1, 0], [1, 1, 0]]), 0.0, prior)
     assert list(found.accelerations[:, 2]) == [-0.3, 0.7, 1.7]
     assert set(found.origin[:, 2]) == {tables.OLD} and np.isnan(found.sigma_mps2[:, 2]).all()
     prior = np.full((3, 2), -5.0)
-    found = table(fit_of([[1, 1], [1, 1], [0, 1]]), 0.0, prior)
+    found = supported_table(fit_of([[1, 1], [1, 1], [0, 1]]), 0.0, prior)
     assert found.origin[2, 0] == tables.MOVED
     assert found.accelerations[1, 0] == 1.0 and found.accelerations[2, 0] == pytest.approx(1.002, abs=0.001)
     prior = np.add.outer(np.arange(3) * 1.0, np.array([0.0, 0.0, np.nan]))
-    assert table(fit_of([[1, 1, 0], [1, 0, 0], [1, 1, 0]]), 0.0, prior).accelerations.shape == (3, 2)
+    assert supported_table(fit_of([[1, 1, 0], [1, 0, 0], [1, 1, 0]]), 0.0, prior).accelerations.shape == (3, 2)
