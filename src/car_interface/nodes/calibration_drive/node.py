@@ -204,7 +204,7 @@ class CalibrationDriveNode:
             self._grant.update_other(self._inbox.resolve_name(topic), sender, now_ns)
 
     def _update_grant(self, now_ns):
-        self._drive.update_grant(*self._grant.decide(now_ns), now_ns)
+        self._drive.update_grant(self._grant.trouble(now_ns), now_ns)
         if not self._wanted.stick:
             self._drive.update_stopping(self._grant.stops_by_itself)
 

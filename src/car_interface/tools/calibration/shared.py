@@ -11,6 +11,7 @@ from car_interface.common.errors import CarInterfaceError
 
 if TYPE_CHECKING:  # rosbags comes with it, which a car's own computer may not have
     from car_interface.tools.recordings.overlap import Trail
+    from car_interface.tools.recordings.series import Pulses
 
 MIN_PULSE, MAX_PULSE = 1638, 8192  # duties that a servo or an ESC takes for a command: 0.5 and 2.5 ms of 20 ms
 
@@ -26,6 +27,17 @@ class RecordedDrive(NamedTuple):
     duration_s: float  # from the first message to the last
     trail: Trail | None = None  # to compare it with others; None = of no recording
     uses_imu: bool = False  # its heading is the IMU's
+
+
+def is_pulse(duty: np.ndarray) -> np.ndarray:
+    """Return which duties, of any shape, a servo or an ESC takes for a command."""
+    return (duty >= MIN_PULSE) & (duty <= MAX_PULSE)
+
+
+def new_pulses(wheel: Pulses) -> tuple[np.ndarray, np.ndarray]:
+    """Return (times, counts) of a wheel's pulses: a report without a new one repeats the time of the last."""
+    is_new = np.diff(wheel.count.astype(float), prepend=np.nan) != 0
+    return wheel.t_s[is_new], wheel.count[is_new].astype(float)
 
 
 def names_of(recorded: Sequence[RecordedDrive]) -> str:

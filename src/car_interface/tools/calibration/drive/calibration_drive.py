@@ -7,7 +7,7 @@ steering and a speed. Pure: ``now_ns`` is passed in. A node's loop:
     on odom:            drive.update_odometry(x, y, yaw, speed, measured_ns, now_ns)
     on /servo/output:   drive.update_duty(duty of the channel, now_ns)
     on sonar/*:         drive.update_range(name, range, now_ns)
-    on *_arb/state:     drive.update_grant(may_drive, reason, now_ns)
+    on *_arb/state:     drive.update_grant(trouble, now_ns)
     50 times a second:  step = drive.step(now_ns); publish step.steering and step.speed_mps unless steering is None
     second thread:      task = drive.take_fit_task(); if task: knowledge = assess(*task) …
     back in the loop:   drive.update_knowledge(knowledge, now_ns)
@@ -25,7 +25,6 @@ from car_interface.steering.calibration import SteeringCalibration
 from car_interface.throttle.obstacle_stop import ObstacleStop
 from car_interface.tools.calibration.drive.area import Area, moved
 from car_interface.tools.calibration.drive.config import DEFAULTS, CalibrationDriveConfig
-from car_interface.tools.calibration.drive.grant import Granted
 from car_interface.tools.calibration.drive.outlook import Outlook
 from car_interface.tools.calibration.drive.pilot import Pilot
 from car_interface.tools.calibration.drive.step import DONE, PAUSED, WAITING, Step
@@ -73,11 +72,11 @@ class CalibrationDrive(Survey):
         if name in self._ranges:
             self._ranges[name].update(range_m, now_ns)
 
-    def update_grant(self, may_drive: bool, reason: str, now_ns: int) -> None:
-        """Take whether turn_arb and throttle_arb obey the planner, or would if something were asked for: the autonomous
-        deadman is held, no e-stop, armed. And why not, in the arbiters' own words. Older than 0.5 s it counts as no.
+    def update_grant(self, trouble: str, now_ns: int) -> None:
+        """Take why turn_arb and throttle_arb don't obey the planner, nor would if something were asked for, in their
+        own words; empty: the autonomous deadman is held, no e-stop, armed. Older than 0.5 s it doesn't count.
         """
-        self._grant.update(Granted(may_drive, reason), now_ns)
+        self._grant.update(trouble, now_ns)
 
     def update_stopping(self, by_itself: bool) -> None:
         """Take whether nothing but its drag and its ESC in neutral slows it: no hands, and throttle_arb doesn't brake.
@@ -121,11 +120,8 @@ class CalibrationDrive(Survey):
                 return f"{why}, and the car doesn't drive blind"
         if self._grant.is_stale(now_ns):
             return self._grant.stale_reason(now_ns)
-        grant = self._grant.value
-        if grant.may_drive:
-            return ""
         verb = "begins" if self._pilot is None else "goes on"
-        return f"{grant.reason}; hold the autonomous deadman and it {verb}"
+        return self._grant.value and f"{self._grant.value}; hold the autonomous deadman and it {verb}"
 
     def expected_path(self) -> list[tuple[float, float]]:
         """Return the next seconds' path in odometry's frame, as far as it is known, for rviz: (x, y) in m."""

@@ -50,16 +50,14 @@ def conclude(samples: Samples, base: SteeringCalibration, base_text: str, name: 
         name: what the report calls the drive, such as the bag's file name.
     """
     recorded = [RecordedDrive(name, samples.drive(), (), samples.duration_s)]
-    lines: tuple[str, ...] = ()
-    missing: tuple[str, ...] = ()
-    result = None
+    text, lines, missing, result = "", (), (), None
     try:
         calibrated = calibrate(recorded, base)
-        lines = tuple(short_report(calibrated, recorded))
-        missing = tuple(calibrated.problems)
+        lines, missing = tuple(short_report(calibrated, recorded)), tuple(calibrated.problems)
         refusal = "; ".join(missing) or _swapped(calibrated, base)
-        text = "" if refusal else yaml_text(calibrated, base_text, list(report(calibrated, recorded, None)))
-        result = _result(calibrated, base, refusal, report(calibrated, recorded, None))
+        whole = list(report(calibrated, recorded, None))
+        text = yaml_text(calibrated, base_text, whole)
+        result = _result(calibrated, base, refusal, whole)
     except CarInterfaceError as error:
         refusal = str(error)
     if refusal:

@@ -4,7 +4,7 @@ Pure: the newest states of turn_arb, throttle_arb and planner_interface, and who
 """
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Sequence
+from typing import Any, Sequence
 
 from car_interface.common import causes
 from car_interface.common.causes import AUTONOMOUS
@@ -23,13 +23,6 @@ ABSENT = "human_in_loop is false: "  # how turn_arb begins its reason; what foll
 LAUNCH = "roslaunch car_interface car.launch throttle:=true planner:=speed"
 NO_PULSE = (-1, 0, 65535)  # unknown, off, always on
 UNHEARD = frozenset({causes.JOY_NEVER_RECEIVED, causes.JOY_STALE, *causes.JOY_UNUSABLE})
-
-
-class Granted(NamedTuple):
-    """Whether it may drive, and why not, in the arbiters' own words."""
-
-    may_drive: bool
-    reason: str
 
 
 class Grant:
@@ -82,20 +75,18 @@ class Grant:
         return [f"{timed.value} publishes {topic}, too: end it" for topic, timed in sorted(self._others.items())
                 if not timed.is_stale(now_ns)]
 
-    def decide(self, now_ns: int) -> Granted:
-        """Decide whether both arbiters obey the planner, or would if it asked for something; by hand whether turn_arb
-        obeys the stick.
+    def trouble(self, now_ns: int) -> str:
+        """Return why not both arbiters obey the planner, nor would if it asked for something; by hand why turn_arb
+        doesn't obey the stick. In the arbiters' own words; empty: it may drive.
         """
         for timed in (self._steering,) if self._by_stick else (self._steering, self._throttle, self._planner):
             if timed.is_stale(now_ns):
-                return Granted(False, timed.stale_reason(now_ns))
+                return timed.stale_reason(now_ns)
         steering, source = self._steering.value, self._planner.value
         if self._by_stick:
-            trouble = "" if steering.source == TELEOP else _plain(steering.reason)
-        else:
-            trouble = (_steering_trouble(steering) or _throttle_trouble(self._throttle.value)
-                       or (f"planner_interface obeys {source}" if source != SPEED else "; ".join(self.others(now_ns))))
-        return Granted(not trouble, trouble)
+            return "" if steering.source == TELEOP else _plain(steering.reason)
+        return (_steering_trouble(steering) or _throttle_trouble(self._throttle.value)
+                or (f"planner_interface obeys {source}" if source != SPEED else "; ".join(self.others(now_ns))))
 
     def missing(self, now_ns: int) -> list[str]:
         """Return what is missing before it begins, most basic first; empty: it can begin."""

@@ -122,7 +122,7 @@ class Positions:
         self._all_first = tuple(self._first)
         self._knowledge: Knowledge | None = None
         self._since_fit: list[Measured] = []
-        self._curvatures: list[tuple[int, float]] = []  # sorted, one for each duty that was held
+        self._curvatures: dict[int, float] = {}  # by duty that was held, rising
         self._held: list[int] = []  # sorted, one for each time
         self._sides: dict[int, int] = {}  # by duty: the side from which it was come to last
         self.count = 0
@@ -135,7 +135,7 @@ class Positions:
     @property
     def is_swapped(self) -> bool:
         """Whether an end turns to the other side than its name says."""
-        held, base = dict(self._curvatures), self._base
+        held, base = self._curvatures, self._base
         return held.get(base.servo_left, 1.0) < -SURELY_PER_M or held.get(base.servo_right, -1.0) > SURELY_PER_M
 
     def update_knowledge(self, knowledge: Knowledge, measured_since: int) -> None:
@@ -149,10 +149,7 @@ class Positions:
         self._since_fit.append(measured)
         insort(self._held, measured.duty)
         self._sides[measured.duty] = measured.from_side
-        at = bisect_left(self._curvatures, (measured.duty, -math.inf))
-        if at < len(self._curvatures) and self._curvatures[at][0] == measured.duty:
-            del self._curvatures[at]
-        insort(self._curvatures, (measured.duty, measured.curvature_per_m))
+        self._curvatures = dict(sorted({**self._curvatures, measured.duty: measured.curvature_per_m}.items()))
         for index, candidate in enumerate(self._first):
             if abs(candidate.duty - measured.duty) <= NEAR_DUTY / 2 and candidate.from_side in (0, measured.from_side):
                 del self._first[index]
@@ -216,19 +213,18 @@ class Positions:
             is_steep = changes > max(STEEP_RATIO * abs(curvatures[index]), STEEP_PER_M)
             # What the tool would refuse beside positions that were held often is a bend between them.
             if ((is_steep or self._knowledge.errors[index] > NEARLY) and low <= duties[index] <= high
-                    and not self._was_held(duties[index])):
+                    and not self._times_held(duties[index], COUNT / 2)):
                 yield index
 
-    def _was_held(self, duty):
-        return bisect_left(self._held, duty + COUNT / 2) > bisect_left(self._held, duty - COUNT / 2)
+    def _times_held(self, duty, near_duty):
+        return bisect_left(self._held, duty + near_duty) - bisect_left(self._held, duty - near_duty)
 
     def _remaining(self, duty, error):
         """Return what remains of an error after what was measured there since the fit, and the more often the less."""
         for measured in self._since_fit:
             if abs(measured.duty - duty) <= NEAR_DUTY:
                 error *= ANSWERED
-        near = bisect_left(self._held, duty + NEAR_DUTY) - bisect_left(self._held, duty - NEAR_DUTY)
-        return error / (1 + REPEATED * near)
+        return error / (1 + REPEATED * self._times_held(duty, NEAR_DUTY))
 
     def _other_side(self, duty):
         """Return the side from which a position wasn't come to last; 0 = it is new, and any will do."""
@@ -240,16 +236,11 @@ class Positions:
         knowledge = self._knowledge
         if knowledge is not None and knowledge.duties and knowledge.duties[0] <= duty <= knowledge.duties[-1]:
             return _interpolated(duty, knowledge.duties, knowledge.curvatures)
-        base, outer = self._base, UNKNOWN_TURN_PER_M
-        known = dict([(base.servo_left, outer), (base.servo_center, 0.0), (base.servo_right, -outer)]
-                     if not self._curvatures else [])
-        if self._curvatures:
-            lows, highs = self._curvatures[0], self._curvatures[-1]
-            for end, sign in ((base.servo_left, 1.0), (base.servo_right, -1.0)):
-                if not lows[0] <= end <= highs[0]:
-                    nearest = lows[1] if end < lows[0] else highs[1]
-                    known[end] = sign * max(outer, sign * nearest)
-            known.update(self._curvatures)
+        base, outer, known = self._base, UNKNOWN_TURN_PER_M, dict(self._curvatures) or {self._base.servo_center: 0.0}
+        lowest, highest = min(known), max(known)
+        for end, sign in ((base.servo_left, 1.0), (base.servo_right, -1.0)):
+            if not lowest <= end <= highest:
+                known[end] = sign * max(outer, sign * known[lowest if end < lowest else highest])
         duties = sorted(known)
         index = bisect_left(duties, base.servo_center)
         if 0 < index < len(duties) and known[duties[index - 1]] * known[duties[index]] < 0:
@@ -260,7 +251,7 @@ class Positions:
     def half_way_duty(self, end: int) -> float:
         """Return the held position nearest to the center that turns half as tightly as that end; else the end."""
         tightest = self.expected_per_m(end)
-        found = [at for at, curvature in self._curvatures if curvature * tightest >= tightest * tightest / 2]
+        found = [at for at, curvature in self._curvatures.items() if curvature * tightest >= tightest * tightest / 2]
         return min(found, key=lambda at: abs(at - self._base.servo_center), default=float(end))
 
     def least_per_m(self, duty: float) -> float:
@@ -269,7 +260,7 @@ class Positions:
         between.
         """
         outward = 1 if duty >= self._base.servo_center else -1
-        inner = [curvature for at, curvature in self._curvatures if (duty - at) * outward >= 0]
+        inner = [curvature for at, curvature in self._curvatures.items() if (duty - at) * outward >= 0]
         sign = self._left_sign * outward
         return sign * max(0.0, sign * (inner[-1] if outward > 0 else inner[0])) if inner else 0.0
 

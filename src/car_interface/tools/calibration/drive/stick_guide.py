@@ -57,9 +57,9 @@ class StickGuide(Survey):
         if self._target is not None and (duty - self._target.duty) * self._target.from_side >= NEAR_DUTY:
             self._passed = True
 
-    def update_grant(self, may_drive: bool, reason: str, now_ns: int) -> None:
-        """Take whether turn_arb obeys the stick: the manual deadman is held; and why not, in its own words."""
-        self._why_not = "" if may_drive else reason
+    def update_grant(self, trouble: str, now_ns: int) -> None:
+        """Take why turn_arb doesn't obey the stick, in its own words; empty: the manual deadman is held."""
+        self._why_not = trouble
 
     def step(self, now_ns: int) -> Step:
         """Return what to do now; 10 times a second and more."""

@@ -18,7 +18,7 @@ from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
 from car_interface.tools.calibration.drive.knowledge import Knowledge
 from car_interface.tools.calibration.drive.positions import Measured, Positions
 from car_interface.tools.calibration.drive.step import Progress
-from car_interface.tools.calibration.shared import MAX_PULSE, MIN_PULSE
+from car_interface.tools.calibration.shared import is_pulse
 from car_interface.tools.calibration.steering.drive import CurveFitConfig, SteeringDrive, distance_m
 from car_interface.tools.recordings.series import Odom
 
@@ -106,7 +106,7 @@ class Samples:
         if self._duty[0] and t_s < self._duty[0][-1]:
             return
         self._duty[0].append(t_s)
-        self._duty[1].append(duty if MIN_PULSE <= duty <= MAX_PULSE else math.nan)
+        self._duty[1].append(duty if is_pulse(duty) else math.nan)
 
     def drive(self) -> SteeringDrive:
         """Return all samples so far as new arrays: (N,) of odometry, (M,) of duties; safe to hand to a thread."""

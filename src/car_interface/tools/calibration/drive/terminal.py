@@ -83,21 +83,18 @@ def known_lines(progress: Progress) -> list[str]:
 
 def progress_bar(fraction: float, length: int = BAR) -> str:
     """``[####....]``; full only when all is done."""
-    full = min(length, max(0, math.floor(length * fraction))) if math.isfinite(fraction) else 0
+    full = math.floor(length * fraction)
     return f"[{'#' * full}{'.' * (length - full)}]"
 
 
 def percent(fraction: float) -> str:
     """`` 24%``; 100% only when all is done."""
-    return f"{math.floor(100 * min(1.0, max(0.0, fraction))):3d}%" if math.isfinite(fraction) else "  ?%"
+    return f"{math.floor(100 * fraction):3d}%"
 
 
 def clock_text(seconds: float) -> str:
     """``2:05`` for 125 s."""
-    if not math.isfinite(seconds):
-        return "?"
-    whole = max(0, round(seconds))
-    return f"{whole // 60}:{whole % 60:02d}"
+    return f"{round(seconds) // 60}:{round(seconds) % 60:02d}"
 
 
 def stick_bar(step: Step, length: int = STICK_BAR) -> list[str]:

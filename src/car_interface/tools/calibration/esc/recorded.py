@@ -11,7 +11,7 @@ from car_interface.common.errors import CarInterfaceError
 from car_interface.pca9685.registers import DUTY_PER_COUNT
 from car_interface.throttle.calibration import ThrottleCalibration, trimmed
 from car_interface.tools.calibration.esc.pulls import EscDrive
-from car_interface.tools.calibration.shared import MAX_PULSE, MIN_PULSE, RecordedDrive
+from car_interface.tools.calibration.shared import RecordedDrive, is_pulse, new_pulses
 from car_interface.tools.recordings import recording, roles, signals
 from car_interface.tools.recordings.overlap import trail
 
@@ -51,13 +51,13 @@ def load_esc_drive(path: str, calibration: ThrottleCalibration, topics: Mapping[
         raise CarInterfaceError(f"{path}: servo/neutral {neutral} is an end of servo/duty_table: give the file of this "
                                 "drive by --base")
     duty = found.output.duties[:, calibration.channel].astype(float)
-    is_pulse = (duty >= MIN_PULSE) & (duty <= MAX_PULSE)
-    if not is_pulse.any():
+    pulses = is_pulse(duty)
+    if not pulses.any():
         raise CarInterfaceError(f"{path}: channel {calibration.channel} of the servo board never had a pulse: is the "
                                 "ESC on another one (--channel)?")
     if ends[0] < neutral:
         duty, ends = 2.0 * neutral - duty, (2 * neutral - ends[0], 2 * neutral - ends[1])
-    duty_s, duty = _without_gaps(found.output.t_s, np.where(is_pulse, duty, 0.0), found.odom.t_s)
+    duty_s, duty = _without_gaps(found.output.t_s, np.where(pulses, duty, 0.0), found.odom.t_s)
     drive = EscDrive(duty_s, duty, found.odom.t_s, found.odom.speed_mps, float(neutral), float(ends[0]), float(ends[1]),
                      _wheels(found.pulses or (), found.odom))
     return RecordedDrive(path, drive, (*notes, *found.notes), found.duration_s, trail(found))
@@ -85,8 +85,7 @@ def _wheels(pulses, odom):
     rolled_m = float(np.sum(np.diff(odom.t_s) * np.abs(odom.speed_mps[1:] + odom.speed_mps[:-1]) / 2))
     wheels = []
     for wheel in pulses:
-        is_new = np.concatenate(([True], np.diff(wheel.count) != 0)) if len(wheel.count) else np.zeros(0, bool)
-        t_s, count = wheel.t_s[is_new], wheel.count[is_new].astype(float)
+        t_s, count = new_pulses(wheel)
         counted = np.abs(np.diff(count)).sum()
         if counted >= MIN_PULSES:
             wheels.append((t_s, count * rolled_m / counted))

@@ -9,7 +9,7 @@ import numpy as np
 from car_interface.common.errors import CarInterfaceError
 from car_interface.pca9685.registers import counts_of_duty, duty_of_counts
 from car_interface.steering.calibration import SteeringCalibration
-from car_interface.tools.calibration.shared import MAX_PULSE, MIN_PULSE, RecordedDrive
+from car_interface.tools.calibration.shared import RecordedDrive, is_pulse
 from car_interface.tools.calibration.steering.drive import SteeringDrive, distance_m
 from car_interface.tools.recordings import roles, signals
 from car_interface.tools.recordings.overlap import trail
@@ -77,10 +77,10 @@ def load_steering_drive(path: str, channel: int, topics: Mapping[str, str] | Non
 def _recorded_duties(found, channel):
     """Return (times, duties of the channel), NaN where there is no pulse."""
     duty = found.output.duties[:, channel].astype(float)
-    is_pulse = (duty >= MIN_PULSE) & (duty <= MAX_PULSE)
-    if not is_pulse.any():
+    pulses = is_pulse(duty)
+    if not pulses.any():
         raise CarInterfaceError(f"{found.path}: channel {channel} of the servo board never had a servo's pulse")
-    return found.output.t_s, np.where(is_pulse, duty, np.nan)
+    return found.output.t_s, np.where(pulses, duty, np.nan)
 
 
 def _is_on_angles(note):

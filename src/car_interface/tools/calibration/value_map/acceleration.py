@@ -136,7 +136,7 @@ def speed_of_wheels(wheels: Sequence[Series]) -> Series:
     t_s = np.arange(begins, ends, GRID_S)
     speeds = [(_at(wheel, t_s + SPEED_SPAN_S / 2) - _at(wheel, t_s - SPEED_SPAN_S / 2)) / SPEED_SPAN_S
               for wheel in usable]
-    return Series(t_s, sum(speeds) / len(usable)) if t_s.size else Series(np.zeros(0), np.zeros(0))
+    return Series(t_s, sum(speeds) / len(usable))
 
 
 class _Regressed(NamedTuple):
@@ -190,13 +190,8 @@ def _states(found, yaw, apart, speed, window_s, config):
     state = np.full(found.middle_s.size, MEASURED)
     slowest, fastest = found.speed_mps.min(axis=1), found.speed_mps.max(axis=1)
     half = window_s / 2
-    backward_s = speed.t_s[speed.y < -config.min_speed_mps / 2]
-    if backward_s.size:
-        last = np.searchsorted(backward_s, found.middle_s + half) - 1
-        since_s = found.middle_s - half - backward_s[np.maximum(last, 0)]
-        changes_gear = (last >= 0) & (since_s < GEAR_CHANGE_S)
-    else:
-        changes_gear = np.zeros(state.size, bool)
+    backward_s = np.append(-np.inf, speed.t_s[speed.y < -config.min_speed_mps / 2])
+    since_s = found.middle_s - half - backward_s[np.searchsorted(backward_s, found.middle_s + half) - 1]
     distance_m = np.maximum((found.speed_mps * GRID_S).sum(axis=1), 1e-3)
     curvature_per_m = np.abs(yaw[:, -1] - yaw[:, 0]) / distance_m
     lateral_mps2 = curvature_per_m * fastest**2
@@ -207,7 +202,7 @@ def _states(found, yaw, apart, speed, window_s, config):
         (SLIPPING, slipping),
         (STEERING, (curvature_per_m > config.max_curvature_per_m) | (lateral_mps2 > config.max_lateral_mps2)),
         (NOT_MEASURED, ~np.isfinite(found.acceleration_mps2 + found.sigma_mps2) | ~np.isfinite(slowest + fastest)),
-        (GEAR_CHANGE, changes_gear),
+        (GEAR_CHANGE, since_s < GEAR_CHANGE_S),
         (STANDING, slowest < config.min_speed_mps),
         (BACKWARD, fastest < -config.min_speed_mps),
     ):

@@ -49,7 +49,6 @@ class Table(NamedTuple):
     velocities: np.ndarray  # (C,)
     accelerations: np.ndarray  # (R, C)
     origin: np.ndarray  # of each acceleration: DRIVEN, BETWEEN, OLD or MOVED, (R, C)
-    sigma_mps2: np.ndarray  # standard errors, (R, C); NaN for the prior's
 
     def driven_ratio(self) -> float:
         """Return the ratio of accelerations that come from the drives."""
@@ -135,7 +134,7 @@ def supported_table(fit: fitting.Fit, neutral: float, prior: np.ndarray | None =
     part = _largest_part(stated, fit.values, fit.velocities, neutral)
     if part is None:
         return None
-    origin, sigma = origin[part].copy(), fit.sigma_mps2[part].copy()
+    origin = origin[part].copy()
     old = origin == OLD
     wanted = fit.accelerations[part]
     if old.any():
@@ -145,8 +144,7 @@ def supported_table(fit: fitting.Fit, neutral: float, prior: np.ndarray | None =
         risen = np.stack([rising_column(wanted[:, k], weight[:, k], min_steps) for k in range(wanted.shape[1])], axis=1)
         origin[old & (np.abs(risen - wanted) > RESOLUTION_MPS2)] = MOVED
         wanted = risen
-        sigma[old] = np.nan
-    return Table(fit.values[part[0].ravel()], fit.velocities[part[1].ravel()], rounded(wanted), origin, sigma)
+    return Table(fit.values[part[0].ravel()], fit.velocities[part[1].ravel()], rounded(wanted), origin)
 
 
 def _between(fit):

@@ -13,7 +13,7 @@ from car_interface.common.units import CHANNELS, MAX_DUTY
 from car_interface.common.yaml_file import load_yaml
 from car_interface.pca9685.registers import DUTY_PER_COUNT
 from car_interface.throttle.arbiter import PLANNER, TELEOP
-from car_interface.tools.calibration.shared import MAX_PULSE, MIN_PULSE, RecordedDrive
+from car_interface.tools.calibration.shared import RecordedDrive, is_pulse, new_pulses
 from car_interface.tools.calibration.value_map.acceleration import MapDrive, Series
 from car_interface.tools.recordings import recording, roles, signals
 from car_interface.tools.recordings.overlap import trail
@@ -162,13 +162,7 @@ def wheel_distances(pulses: Sequence[Pulses], speed: Series) -> tuple[Series, ..
     steps_s = np.diff(speed.t_s)
     distance_m = np.concatenate(([0.0], np.cumsum(steps_s * (speed.y[1:] + speed.y[:-1]) / 2)))
     in_gaps_s = np.concatenate(([0.0], np.cumsum(np.where(steps_s > GAP_S, steps_s, 0.0))))
-    counts = []
-    for wheel in pulses:
-        t_s, count = np.asarray(wheel.t_s, float), np.asarray(wheel.count, float)
-        if t_s.size < 2:
-            return ()
-        is_new = np.concatenate(([True], np.diff(count) != 0))  # a report without a new pulse repeats the last time
-        counts.append(Series(t_s[is_new], count[is_new]))
+    counts = [Series(*new_pulses(wheel)) for wheel in pulses]
     if min(count.t_s.size for count in counts) < MIN_PULSES:
         return ()
     rolled_m = counted = 0.0
@@ -199,9 +193,8 @@ def reached_esc(value: Series, duty: Series, neutral: float, neutral_duty: float
 def _value_by_duty(output: Output, source: MapSource):
     """Return (the value by a channel's duty, a note of duties that no value makes)."""
     throttle, duty = source.throttle, output.duties[:, source.duty_channel]
-    is_pulse = (duty >= MIN_PULSE) & (duty <= MAX_PULSE)
-    value = Series(output.t_s, np.where(is_pulse, throttle.values(duty), np.nan))
-    beyond = int((is_pulse & np.isnan(value.y)).sum())
+    value = Series(output.t_s, np.where(is_pulse(duty), throttle.values(duty), np.nan))
+    beyond = int((is_pulse(duty) & np.isnan(value.y)).sum())
     low, high = throttle.value_of_duty.axis[0], throttle.value_of_duty.axis[-1]
     note = (f"{beyond} of {value.y.size} duties lie beyond {low:g} to {high:g}, where {throttle.path} has no value: "
             "left out")

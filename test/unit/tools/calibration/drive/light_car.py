@@ -55,7 +55,7 @@ class LightCar:
                               self.speed_mps, now_ns, now_ns)
         drive.update_duty(self.duty, now_ns)
         if hasattr(drive, "update_grant"):
-            drive.update_grant(self.holds, "human_in_loop is false", now_ns)
+            drive.update_grant("" if self.holds else "human_in_loop is false", now_ns)
             for name, range_m in self.ranges.items():
                 drive.update_range(name, range_m, now_ns)
         task = drive.take_fit_task() if self.fits else None

@@ -71,7 +71,7 @@ def test_an_input_that_falls_silent_pauses(silent):
         if silent != "/servo/output":
             one.drive.update_duty(5184, at_ns)
         if silent != "the arbiters' state":
-            one.drive.update_grant(True, "", at_ns)
+            one.drive.update_grant("", at_ns)
         step = one.drive.step(at_ns)
     assert step.steering is None and step.phase == PAUSED and step.text.startswith(f"{silent} silent for")
 

@@ -37,7 +37,7 @@ def decided(steering=IDLE_STEERING, throttle=IDLE_THROTTLE, planner="speed", aft
     grant.update_steering(steering, 0)
     grant.update_throttle(throttle, 0)
     grant.update_planner(planner, 0)
-    return grant.decide(round(after_s * NS_PER_S))
+    return grant.trouble(round(after_s * NS_PER_S))
 
 
 @pytest.mark.parametrize("steering", [
@@ -48,7 +48,7 @@ def decided(steering=IDLE_STEERING, throttle=IDLE_THROTTLE, planner="speed", aft
     IDLE_THROTTLE._replace(cause=causes.COMMAND_STALE),
     IDLE_THROTTLE._replace(source=PLANNER, cause=causes.PLANNER), IDLE_THROTTLE._replace(mode="")])
 def test_held_autonomous_deadman_grants_whether_or_not_something_is_asked_for(steering, throttle):
-    assert decided(steering, throttle) == (True, "")
+    assert decided(steering, throttle) == ""
 
 
 @pytest.mark.parametrize(("steering", "throttle", "reason"), [
@@ -72,7 +72,7 @@ def test_held_autonomous_deadman_grants_whether_or_not_something_is_asked_for(st
      "turn_arb's state silent"),
 ])
 def test_anything_else_refuses_in_the_arbiters_own_words(steering, throttle, reason):
-    assert decided(steering, throttle) == (False, reason)
+    assert decided(steering, throttle) == reason
 
 
 @pytest.mark.parametrize(("steering", "throttle", "by_itself"), [
@@ -96,15 +96,15 @@ def test_car_whose_esc_brakes_does_not_stop_by_itself(esc, by_itself):
 
 
 def test_state_that_was_never_heard_or_is_old_or_of_another_source_refuses():
-    assert decided(planner="drive") == (False, "planner_interface obeys drive")
+    assert decided(planner="drive") == "planner_interface obeys drive"
     grant = Grant()
-    assert grant.decide(0) == (False, "turn_arb's state was never heard")
+    assert grant.trouble(0) == "turn_arb's state was never heard"
     grant.update_steering(IDLE_STEERING, 0)
-    assert grant.decide(0) == (False, "throttle_arb's state was never heard")
+    assert grant.trouble(0) == "throttle_arb's state was never heard"
     grant.update_throttle(IDLE_THROTTLE, 0)
-    assert grant.decide(0) == (False, "planner_interface's state was never heard")
-    assert decided(after_s=0.5).may_drive
-    assert decided(after_s=0.51) == (False, "turn_arb's state silent for 0.51 s")
+    assert grant.trouble(0) == "planner_interface's state was never heard"
+    assert decided(after_s=0.5) == ""
+    assert decided(after_s=0.51) == "turn_arb's state silent for 0.51 s"
 
 
 def test_other_program_that_asks_refuses_for_a_second():
@@ -116,23 +116,23 @@ def test_other_program_that_asks_refuses_for_a_second():
         if not now_ns:
             grant.update_other("/av_turnrad_req", "/my_planner", now_ns)
         reason = "/my_planner publishes /av_turnrad_req, too: end it" if now_ns <= NS_PER_S else ""
-        assert grant.decide(now_ns) == (not reason, reason)
+        assert grant.trouble(now_ns) == reason
         assert grant.others(now_ns) == ([reason] if reason else [])
 
 
 @pytest.mark.parametrize(("steering", "granted"), [
-    (Steering(TELEOP, causes.TELEOP, "tele_steer_req is 0.2"), (True, "")),
+    (Steering(TELEOP, causes.TELEOP, "tele_steer_req is 0.2"), ""),
     (Steering(NO_HUMAN, causes.HUMAN_ABSENT, "human_in_loop is false: no deadman is held"),
-     (False, "no deadman is held")),
-    (Steering(NO_HUMAN, causes.HUMAN_ABSENT, "human_in_loop is false"), (False, "human_in_loop is false")),
-    (Steering(LOCKED, causes.E_STOP, "e_stop is on"), (False, "e_stop is on")),
-    (Steering(PLANNER, causes.PLANNER, "av_steer_req is 0.2"), (False, "av_steer_req is 0.2"))])
+     "no deadman is held"),
+    (Steering(NO_HUMAN, causes.HUMAN_ABSENT, "human_in_loop is false"), "human_in_loop is false"),
+    (Steering(LOCKED, causes.E_STOP, "e_stop is on"), "e_stop is on"),
+    (Steering(PLANNER, causes.PLANNER, "av_steer_req is 0.2"), "av_steer_req is 0.2")])
 def test_person_s_stick_is_granted_by_turn_arb_alone(steering, granted):
     grant = Grant(by_stick=True)
-    assert grant.decide(0) == (False, "turn_arb's state was never heard")
+    assert grant.trouble(0) == "turn_arb's state was never heard"
     grant.update_steering(steering, 0)
-    assert grant.decide(0) == granted
-    assert grant.decide(NS_PER_S) == (False, "turn_arb's state silent for 1.00 s")
+    assert grant.trouble(0) == granted
+    assert grant.trouble(NS_PER_S) == "turn_arb's state silent for 1.00 s"
 
 
 def ready(by_stick, steering=IDLE_STEERING, throttle=IDLE_THROTTLE, planner="speed", calibrates_esc=False, sonars=(),

@@ -62,8 +62,7 @@ def reported_fit(supported=ALL, **changes):
 
 
 def table_of(origin=tables.DRIVEN, accelerations=ACCELERATIONS, values=VALUES, velocities=VELOCITIES):
-    return Table(values, velocities, accelerations, np.broadcast_to(origin, accelerations.shape),
-                 np.zeros(accelerations.shape))
+    return Table(values, velocities, accelerations, np.broadcast_to(origin, accelerations.shape))
 
 
 def drive_of(notes=(), path="/bags/a.bag", **changes):
