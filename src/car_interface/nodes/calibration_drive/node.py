@@ -54,7 +54,7 @@ from car_interface.tools.calibration.drive import terminal
 from car_interface.tools.calibration.drive.calibration_drive import CalibrationDrive
 from car_interface.tools.calibration.drive.conclusion import board_center, conclude, find_table_file, next_steps
 from car_interface.tools.calibration.drive.config import drive_config, parse, read_obstacles
-from car_interface.tools.calibration.drive.grant import Grant
+from car_interface.tools.calibration.drive.grant import STATES, THROTTLE_ARB, TURN_ARB, Grant
 from car_interface.tools.calibration.drive.knowledge import assess
 from car_interface.tools.calibration.drive.step import BLOCKED, DONE, PAUSED, WAITING, Progress
 from car_interface.tools.calibration.drive.stick_guide import StickGuide
@@ -115,10 +115,8 @@ class CalibrationDriveNode:
         inbox = self._inbox
         for topic, message_type, handler in (
                 ("odom", Odometry, self._on_odometry), ("servo/output", Int32MultiArray, self._on_output),
-                ("turn_arb/state", SteeringState, self._on_steering),
-                ("throttle_arb/state", ThrottleState, self._on_throttle),
-                ("planner_interface/state", PlannerState, self._on_planner),
-                ("teleop_logi/state", TeleopState, self._on_teleop),
+                *((f"{name}/state", message_type, partial(self._on_state, name)) for name, message_type in zip(
+                    STATES, (SteeringState, ThrottleState, PlannerState, TeleopState))),
                 *((f"sonar/{name}", Range, partial(self._on_range, name)) for name in self._sonars)):
             subscribe(topic, message_type, inbox, handler, queue_size=50)
         subscribe("~finish", Empty, inbox, lambda message, now_ns: self._drive.finish())
@@ -179,19 +177,12 @@ class CalibrationDriveNode:
             self._output.update(duty, now_ns)
             self._drive.update_duty(duty, now_ns)
 
-    def _on_steering(self, message, now_ns):
-        self._grant.update_steering(message, now_ns)
-        self._update_grant(now_ns)
-
-    def _on_throttle(self, message, now_ns):
-        self._grant.update_throttle(message, now_ns)
-        self._update_grant(now_ns)
-
-    def _on_planner(self, message, now_ns):
-        self._grant.update_planner(message.source, now_ns)
-
-    def _on_teleop(self, message, now_ns):
-        self._grant.gamepad = message.cause, message.reason
+    def _on_state(self, name, message, now_ns):
+        self._grant.update(name, message, now_ns)
+        if name in (TURN_ARB, THROTTLE_ARB):
+            self._drive.update_grant(self._grant.trouble(now_ns), now_ns)
+            if not self._wanted.stick:
+                self._drive.update_stopping(self._grant.stops_by_itself)
 
     def _on_range(self, name, message, now_ns):
         if name in self._grant.sonars:
@@ -202,11 +193,6 @@ class CalibrationDriveNode:
         sender = sender_of(message)
         if sender != self._inbox.graph.process_name():
             self._grant.update_other(self._inbox.resolve_name(topic), sender, now_ns)
-
-    def _update_grant(self, now_ns):
-        self._drive.update_grant(self._grant.trouble(now_ns), now_ns)
-        if not self._wanted.stick:
-            self._drive.update_stopping(self._grant.stops_by_itself)
 
     # --- before the drive ---
 

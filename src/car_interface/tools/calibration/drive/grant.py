@@ -1,6 +1,7 @@
 """Tells whether the car obeys a program that steers and drives it, and what is missing before a calibration drive.
 
-Pure: the newest states of turn_arb, throttle_arb and planner_interface, and who else asks, each with its arrival.
+Pure: the newest states of turn_arb, throttle_arb, planner_interface and teleop_logi, and who else asks, each with its
+arrival.
 """
 from __future__ import annotations
 
@@ -12,6 +13,8 @@ from car_interface.common.sources import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, SPE
 from car_interface.common.staleness import TimedInput
 from car_interface.throttle.esc import ARMING, BRAKING, HOLD, REVERSE
 
+TURN_ARB, THROTTLE_ARB = "turn_arb", "throttle_arb"
+STATES = (TURN_ARB, THROTTLE_ARB, "planner_interface", "teleop_logi")  # of these nodes
 STATE_TIMEOUT_S = 0.5  # they come 10 times a second and more
 OTHER_TIMEOUT_S = 1.0
 SLOWS = frozenset({BRAKING, HOLD, REVERSE})  # of ThrottleState.esc
@@ -36,28 +39,19 @@ class Grant:
     Attributes:
         has_odom: an odometry was received.
         duty: what the servo board holds on the steering's channel; ``None`` = it was never heard.
-        gamepad: cause and reason of teleop_logi's state; ``None`` = it was never heard.
         sonars: those that are used and were never heard.
     """
 
     def __init__(self, by_stick: bool = False, calibrates_esc: bool = False, sonars: Sequence[str] = ()):
-        self.has_odom, self.duty, self.gamepad, self.sonars = False, None, None, list(sonars)
+        self.has_odom, self.duty, self.sonars = False, None, list(sonars)
         self._by_stick, self._calibrates_esc = by_stick, calibrates_esc
-        self._steering, self._throttle, self._planner = (TimedInput(f"{name}'s state", STATE_TIMEOUT_S) for name in (
-            "turn_arb", "throttle_arb", "planner_interface"))
+        self._states = {name: TimedInput(f"{name}'s state", STATE_TIMEOUT_S) for name in STATES}
+        self._steering, self._throttle, self._planner, self._teleop = self._states.values()
         self._others: dict[str, TimedInput] = {}
 
-    def update_steering(self, state: Any, now_ns: int) -> None:
-        """Take turn_arb's state, with the fields of SteeringState."""
-        self._steering.update(state, now_ns)
-
-    def update_throttle(self, state: Any, now_ns: int) -> None:
-        """Take throttle_arb's state, with the fields of ThrottleState."""
-        self._throttle.update(state, now_ns)
-
-    def update_planner(self, source: str, now_ns: int) -> None:
-        """Take the source that planner_interface obeys."""
-        self._planner.update(source, now_ns)
+    def update(self, name: str, state: Any, now_ns: int) -> None:
+        """Take the state of a node, one of STATES, with the fields of its message."""
+        self._states[name].update(state, now_ns)
 
     def update_other(self, topic: str, sender: str, now_ns: int) -> None:
         """Note that another program published on a topic of a planner."""
@@ -82,9 +76,10 @@ class Grant:
         for timed in (self._steering,) if self._by_stick else (self._steering, self._throttle, self._planner):
             if timed.is_stale(now_ns):
                 return timed.stale_reason(now_ns)
-        steering, source = self._steering.value, self._planner.value
+        steering = self._steering.value
         if self._by_stick:
             return "" if steering.source == TELEOP else _plain(steering.reason)
+        source = self._planner.value.source
         return (_steering_trouble(steering) or _throttle_trouble(self._throttle.value)
                 or (f"planner_interface obeys {source}" if source != SPEED else "; ".join(self.others(now_ns))))
 
@@ -109,9 +104,9 @@ class Grant:
                    "stop brake: launch without")
         if not self._planner.was_received:
             yield f"planner_interface isn't heard: launch with planner:=speed ({LAUNCH})"
-        elif self._planner.value != SPEED:
-            yield (f"planner_interface obeys {self._planner.value}, not speeds: launch with planner:=speed in its "
-                   "place")
+        elif self._planner.value.source != SPEED:
+            yield (f"planner_interface obeys {self._planner.value.source}, not speeds: launch with planner:=speed in "
+                   "its place")
         if self.sonars:
             yield (f"no range of the sonar{'s' * (len(self.sonars) > 1)} {', '.join(self.sonars)} is heard: a sonar "
                    "that the car doesn't have is `absent` in throttle.yaml (obstacle/sonars); --no-sonars drives "
@@ -119,13 +114,12 @@ class Grant:
 
     def missing_gamepad(self) -> list[str]:
         """Return what is missing of the gamepad, which is waited for; empty: nothing."""
-        if self.gamepad is None:
+        if not self._teleop.was_received:
             return ["teleop_logi isn't heard, which reads the gamepad with the deadman: is it running?"]
-        cause, reason = self.gamepad
-        if cause not in UNHEARD:
-            return []
-        return [(f"the gamepad isn't there ({reason}): switch it on, or on the virtual car start keyboard_drive in "
-                 "another terminal")]
+        state = self._teleop.value
+        return [] if state.cause not in UNHEARD else [
+            (f"the gamepad isn't there ({state.reason}): switch it on, or on the virtual car start keyboard_drive in "
+             "another terminal")]
 
 
 def _plain(reason):

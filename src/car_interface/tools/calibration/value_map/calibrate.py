@@ -13,7 +13,6 @@ from car_interface.throttle.value_map import ValueMap
 from car_interface.tools.calibration.shared import NothingToFit, RecordedDrive, names_of
 from car_interface.tools.calibration.value_map import fit as fitting
 from car_interface.tools.calibration.value_map.acceleration import WINDOW_S, MapFitConfig
-from car_interface.tools.calibration.value_map.model import HELD_OUT
 from car_interface.tools.calibration.value_map.recorded import BY_IMU, MapSource
 from car_interface.tools.calibration.value_map.surface import (
     DECIMALS,
@@ -248,7 +247,7 @@ def _error_lines(fit):
     yield ""
     yield f"error of single windows: {fit.residual_mps2:.3f} m/s² RMS"
     if fit.held_out_windows:
-        yield (f"held out (every {HELD_OUT}th manoeuvre, from the others): {fit.held_out_mps2:.3f} m/s² RMS "
+        yield (f"held out (every {fitting.HELD_OUT}th manoeuvre, from the others): {fit.held_out_mps2:.3f} m/s² RMS "
                f"over {fit.held_out_windows} windows")
     yield ""
 

@@ -1,6 +1,15 @@
 """Fits a value map to the accelerations of drives: level-ground acceleration at mean battery over value and velocity.
 
-The model is in ``model``. The delay from value to acceleration is the one with which it fits best.
+The model, solved by least squares that discount outliers:
+
+    acceleration = mean under φ of [ f + k(t)·(f − f at neutral) ] + g·(a·cos yaw + b·sin yaw)
+
+- f is the map: bilinear on its grid, smooth, rising with value by construction, for the value ``delay_s`` before.
+- k is the battery's effect at time t, in proportion to the distance from the drive's middle; separate for values above
+  and below neutral, since an ESC brakes without the battery. The map is that of the middle.
+- a, b are the slope of a plane ground, in the frame of the heading.
+
+The delay from value to acceleration is the one with which it fits best.
 
 The slope of the ground shows where headings go all round. With a pitch sensor gravity is taken off by that instead, and
 the part of the pitch that doesn't turn with the heading is the sensor's mounting. Where the headings of a drive don't
@@ -8,7 +17,7 @@ spread, a slope can't be distinguished from drag, and is ignored. Tight turns, i
 map, but what changes within a turn as the heading goes round shows the slope.
 
 A node is supported where enough driving, in enough manoeuvres, lies around it and its standard error is small. All
-other nodes are not the drive's to state.
+other nodes are not the drive's to state. W windows of P points each, of D drives; the grid has G nodes.
 """
 from __future__ import annotations
 
@@ -16,22 +25,24 @@ from dataclasses import dataclass
 from typing import NamedTuple, Sequence
 
 import numpy as np
+from scipy import sparse
 
 from car_interface.tools.calibration.shared import NothingToFit
 from car_interface.tools.calibration.value_map import acceleration as windowing
 from car_interface.tools.calibration.value_map.acceleration import DEFAULTS, MapDrive, MapFitConfig
-from car_interface.tools.calibration.value_map.model import (
-    HUBER,
-    Model,
-    coverage,
-    hold_out,
-    rms,
-    solve,
-    standard_errors,
+from car_interface.tools.calibration.value_map.surface import (
+    MIN_STEP_MPS2,
+    Grid,
+    penalties,
+    rising_least_squares,
+    rounded,
+    value_axis,
+    velocity_axis,
 )
-from car_interface.tools.calibration.value_map.surface import Grid, rounded, value_axis, velocity_axis
 from car_interface.tools.calibration.value_map.windows import (
+    BEYOND,
     OUTLYING,
+    TURNING,
     Data,
     by_rule,
     gather,
@@ -39,6 +50,7 @@ from car_interface.tools.calibration.value_map.windows import (
     on_grid,
     sample,
     why_nothing,
+    within_turns,
 )
 
 FIRST_DELAY_S = 0.1  # by which the axes are chosen, before the delay is known
@@ -49,6 +61,14 @@ COARSE_ROWS, COARSE_COLUMNS = 9, 5
 # this.
 SUPPORT_S, SUPPORT_MANOEUVRES, SUPPORT_SIGMA_MPS2 = 0.1, 2, 0.08
 MIN_DIFFERENCE = 9.0  # of the sum of squares between delays, or they can't be told apart: three sigmas
+SLOPE_SIGMA, SAG_SIGMA = 0.05, 0.15  # expected of a slope, and of a battery in one drive
+HUBER = 2.0  # residuals beyond this many sigmas count less
+OUTLIER = 5.0  # and beyond this many don't count
+PASSES = 6
+BENDS = 0.05  # of the range of values: this near to neutral the map may bend freely
+MAX_SAG = 0.5
+MIN_S = 0.03  # of driving around a node, for a manoeuvre to count there
+HELD_OUT = 5
 
 
 class Ground(NamedTuple):
@@ -177,3 +197,150 @@ def estimate_delay(drives: Sequence[MapDrive], data: Data, grid: Grid, config: M
 def _thin(axis, max_steps):
     step = -(-(axis.size - 1) // max_steps)
     return np.unique(np.append(axis[::step], axis[-1]))
+
+
+# --- the model ---
+
+
+class Model:
+    """The model's matrices under one delay, by the value (W, P); ``sags``: the battery's effect is part of it.
+
+    Attributes:
+        map: the nodes' weights in each window, (W, G).
+        push: the same of what values above and below neutral add to coasting, two of (W, G).
+        penalty: of the map's roughness, (G, G).
+    """
+
+    def __init__(self, grid: Grid, data: Data, value: np.ndarray, config: MapFitConfig, sags: bool = True):
+        self.grid, self.data = grid, data
+        weight, speed = data.windows.weight, np.nan_to_num(data.windows.speed_mps)
+        self.map = grid.averages(value, speed, weight)
+        above = value > config.neutral
+        coasting = np.full(value.shape, config.neutral)
+        self.push = [grid.averages(value, speed, weight * side) - grid.averages(coasting, speed, weight * side)
+                     for side in (above, ~above)] if sags else []
+        kinks = np.abs(grid.rows - config.neutral) <= BENDS * np.ptp(grid.rows)
+        rough = penalties(grid, kinks)
+        self.penalty = (rough.T @ rough).toarray()
+
+
+@dataclass
+class Solution:
+    """A solution of the model."""
+
+    nodes: np.ndarray  # the map, (G,)
+    slope: np.ndarray  # of each drive's ground along x and y, (2·D,)
+    sag: np.ndarray  # of each drive above and below neutral, (D, 2)
+    residual: np.ndarray  # of each window in m/s², (W,); 0 where it wasn't used
+    weight: np.ndarray  # of each window, (W,)
+    outlying: np.ndarray  # which windows are outliers, (W,)
+    columns: sparse.csr_matrix  # of the last pass's equations: (W, U), (U, U), (U, U), with U = G + 4·D unknowns
+    normal: np.ndarray
+    prior: np.ndarray
+
+
+def solve(model: Model, state: np.ndarray, rising: bool = True, passes: int = PASSES) -> Solution:
+    """Solve by Gauss-Newton steps for the battery's effect, with Huber's weights. Of the windows' states (W,) MEASURED
+    and TURNING are used; ``rising``: the map must rise with the value.
+    """
+    data, grid = model.data, model.grid
+    used = (state == windowing.MEASURED) | (state == TURNING)
+    within = within_turns(state == TURNING, data.drive)
+    drives = data.sees_slope.size
+    sag = np.zeros((drives, 2))
+    # A step below the CSV's resolution would vanish; where the map hardly rises it rises by that.
+    min_steps = np.full(grid.rows.size - 1, MIN_STEP_MPS2)
+    weight = np.where(used, 1.0 / data.sigma**2, 0.0)
+    nodes, spread, outlying = None, 1.0, np.zeros(used.size, bool)
+    prior = np.zeros((grid.size + 4 * drives,) * 2)
+    prior[:grid.size, :grid.size] = model.penalty + 1e-8 * np.eye(grid.size)
+    slope_at = np.arange(grid.size, grid.size + 2 * drives)
+    sag_at = np.arange(grid.size + 2 * drives, grid.size + 4 * drives)
+    prior[slope_at, slope_at] = np.where(np.repeat(data.sees_slope, 2), SLOPE_SIGMA**-2, 1e12)
+    prior[sag_at, sag_at] = SAG_SIGMA**-2
+    acceleration = within @ np.where(used, data.acceleration, 0.0)
+    for _ in range(passes):
+        mapped = model.map.copy()
+        for side, push in enumerate(model.push):
+            mapped = mapped + sparse.diags(data.part * sag[data.drive, side]) @ push
+        sagging = np.zeros((used.size, 2 * drives))
+        if nodes is not None:
+            for side, push in enumerate(model.push):
+                sagging[np.arange(used.size), 2 * data.drive + side] = data.part * (push @ nodes)
+        columns = within @ sparse.hstack([mapped, sparse.csr_matrix(data.slope), sparse.csr_matrix(sagging)]).tocsr()
+        counts = sparse.diags(np.where(outlying, 0.0, weight))
+        normal = (columns.T @ counts @ columns).toarray() / spread**2 + prior
+        # The unknown is the sag's change; its prior is about the sag.
+        right = columns.T @ (counts @ acceleration) / spread**2
+        right[sag_at] -= prior[sag_at, sag_at] * sag.ravel()
+        found = (rising_least_squares(grid, normal, right, min_steps) if rising
+                 else np.linalg.solve(normal, right))
+        nodes, slope = found[:grid.size], found[slope_at]
+        if model.push:
+            sag = np.clip(sag + found[sag_at].reshape(drives, 2), -MAX_SAG, MAX_SAG)
+        residual = acceleration - columns @ found
+        spread, weight, outlying = _robust(residual, data.sigma, used)
+    return Solution(nodes, slope, sag, np.where(used, residual, 0.0), np.where(outlying, 0.0, weight) / spread**2,
+                    outlying, columns, normal, prior)
+
+
+def _robust(residual, sigma, used):
+    """Return (the residuals' scatter in sigmas, Huber's weights (W,), which windows are outliers (W,))."""
+    ratio = np.abs(residual) / sigma
+    spread = max(1.0, float(np.median(ratio[used])) / 0.6745) if used.any() else 1.0
+    ratio = ratio / spread
+    weight = np.where(used, np.minimum(1.0, HUBER / np.maximum(ratio, 1e-12)) / sigma**2, 0.0)
+    return spread, weight, used & (ratio > OUTLIER)
+
+
+# --- how well it is known ---
+
+
+def coverage(model: Model, state: np.ndarray, manoeuvre: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return (seconds of driving around each node (G,), in how many manoeuvres (G,)), by each window's state and
+    manoeuvre, (W,).
+    """
+    used = np.flatnonzero(state == windowing.MEASURED)
+    time_s = sparse.diags(model.data.hop_s[used]) @ model.map[used]
+    seconds = np.asarray(time_s.sum(axis=0)).ravel()
+    around = (_membership(manoeuvre, used) @ time_s).toarray()
+    return seconds, (around >= MIN_S).sum(axis=0)
+
+
+def standard_errors(model: Model, solved: Solution, state: np.ndarray, manoeuvre: np.ndarray) -> np.ndarray:
+    """Standard errors of the nodes in m/s² (G,): the larger of those by window and those by manoeuvre (clustered).
+
+    Windows of one manoeuvre have errors in common that the model doesn't know.
+    """
+    grid = model.grid
+    inverse = np.linalg.inv(solved.normal)
+    by_weight = np.diag(inverse)[:grid.size]
+    used = np.flatnonzero((state == windowing.MEASURED) & ~solved.outlying)
+    scores = sparse.diags(solved.weight[used] * solved.residual[used]) @ solved.columns[used]
+    clusters = (_membership(manoeuvre, used) @ scores).toarray()
+    middle = clusters.T @ clusters + solved.prior
+    by_manoeuvre = np.einsum("ij,jk,ik->i", inverse[:grid.size], middle, inverse[:grid.size])
+    return np.sqrt(np.maximum(by_weight, by_manoeuvre))
+
+
+def hold_out(model: Model, state: np.ndarray, manoeuvre: np.ndarray) -> tuple[float, int]:
+    """Return (RMS in m/s² over every 5th manoeuvre from a fit to all others, windows in it); NaN if there are none."""
+    held = (manoeuvre >= 0) & (manoeuvre % HELD_OUT == HELD_OUT - 1) & (state == windowing.MEASURED)
+    if not held.any():
+        return float("nan"), 0
+    solved = solve(model, np.where(held, BEYOND, state))
+    predicted = model.map @ solved.nodes + model.data.slope @ solved.slope
+    for side, push in enumerate(model.push):
+        predicted = predicted + model.data.part * solved.sag[model.data.drive, side] * (push @ solved.nodes)
+    return rms((model.data.acceleration - predicted)[held]), int(held.sum())
+
+
+def rms(x: np.ndarray) -> float:
+    """Return the root mean square; NaN without numbers."""
+    return float(np.sqrt(np.mean(np.square(x)))) if x.size else float("nan")
+
+
+def _membership(manoeuvre, used):
+    """Return a matrix (M, U) that sums the rows of used windows by manoeuvre."""
+    return sparse.csr_matrix((np.ones(used.size), (manoeuvre[used], np.arange(used.size))),
+                             shape=(manoeuvre.max() + 1, used.size))

@@ -1,4 +1,5 @@
 """Whether the car would obey, by what its arbiters say."""
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import pytest
@@ -34,9 +35,9 @@ IDLE_THROTTLE = Throttle(NEUTRAL, causes.NO_REQUEST, "nothing asks", "autonomous
 
 def decided(steering=IDLE_STEERING, throttle=IDLE_THROTTLE, planner="speed", after_s=0.0):
     grant = Grant()
-    grant.update_steering(steering, 0)
-    grant.update_throttle(throttle, 0)
-    grant.update_planner(planner, 0)
+    grant.update("turn_arb", steering, 0)
+    grant.update("throttle_arb", throttle, 0)
+    grant.update("planner_interface", SimpleNamespace(source=planner), 0)
     return grant.trouble(round(after_s * NS_PER_S))
 
 
@@ -81,9 +82,9 @@ def test_anything_else_refuses_in_the_arbiters_own_words(steering, throttle, rea
 def test_car_that_a_person_drives_with_the_manual_deadman_does_not_stop_by_itself(steering, throttle, by_itself):
     grant = Grant()
     assert grant.stops_by_itself
-    grant.update_steering(IDLE_STEERING._replace(source=steering), 0)
+    grant.update("turn_arb", IDLE_STEERING._replace(source=steering), 0)
     assert grant.stops_by_itself is (steering != TELEOP)
-    grant.update_throttle(IDLE_THROTTLE._replace(source=throttle), 0)
+    grant.update("throttle_arb", IDLE_THROTTLE._replace(source=throttle), 0)
     assert grant.stops_by_itself is by_itself
 
 
@@ -91,7 +92,7 @@ def test_car_that_a_person_drives_with_the_manual_deadman_does_not_stop_by_itsel
                                                 ("HOLD", False), ("REVERSE", False)])
 def test_car_whose_esc_brakes_does_not_stop_by_itself(esc, by_itself):
     grant = Grant()
-    grant.update_throttle(IDLE_THROTTLE._replace(source=NO_HUMAN, esc=esc), 0)
+    grant.update("throttle_arb", IDLE_THROTTLE._replace(source=NO_HUMAN, esc=esc), 0)
     assert grant.stops_by_itself is by_itself
 
 
@@ -99,9 +100,9 @@ def test_state_that_was_never_heard_or_is_old_or_of_another_source_refuses():
     assert decided(planner="drive") == "planner_interface obeys drive"
     grant = Grant()
     assert grant.trouble(0) == "turn_arb's state was never heard"
-    grant.update_steering(IDLE_STEERING, 0)
+    grant.update("turn_arb", IDLE_STEERING, 0)
     assert grant.trouble(0) == "throttle_arb's state was never heard"
-    grant.update_throttle(IDLE_THROTTLE, 0)
+    grant.update("throttle_arb", IDLE_THROTTLE, 0)
     assert grant.trouble(0) == "planner_interface's state was never heard"
     assert decided(after_s=0.5) == ""
     assert decided(after_s=0.51) == "turn_arb's state silent for 0.51 s"
@@ -110,9 +111,9 @@ def test_state_that_was_never_heard_or_is_old_or_of_another_source_refuses():
 def test_other_program_that_asks_refuses_for_a_second():
     grant = Grant()
     for now_ns in (0, NS_PER_S, 3 * NS_PER_S):
-        grant.update_steering(IDLE_STEERING, now_ns)
-        grant.update_throttle(IDLE_THROTTLE, now_ns)
-        grant.update_planner("speed", now_ns)
+        grant.update("turn_arb", IDLE_STEERING, now_ns)
+        grant.update("throttle_arb", IDLE_THROTTLE, now_ns)
+        grant.update("planner_interface", SimpleNamespace(source="speed"), now_ns)
         if not now_ns:
             grant.update_other("/av_turnrad_req", "/my_planner", now_ns)
         reason = "/my_planner publishes /av_turnrad_req, too: end it" if now_ns <= NS_PER_S else ""
@@ -130,7 +131,7 @@ def test_other_program_that_asks_refuses_for_a_second():
 def test_person_s_stick_is_granted_by_turn_arb_alone(steering, granted):
     grant = Grant(by_stick=True)
     assert grant.trouble(0) == "turn_arb's state was never heard"
-    grant.update_steering(steering, 0)
+    grant.update("turn_arb", steering, 0)
     assert grant.trouble(0) == granted
     assert grant.trouble(NS_PER_S) == "turn_arb's state silent for 1.00 s"
 
@@ -139,13 +140,14 @@ def ready(by_stick, steering=IDLE_STEERING, throttle=IDLE_THROTTLE, planner="spe
           other=None, **seen):
     """What a car that has all of it gave, but for what is named."""
     grant = Grant(by_stick, calibrates_esc, sonars)
-    for update, state in ((grant.update_steering, steering), (grant.update_throttle, throttle),
-                          (grant.update_planner, planner)):
+    for name, state in (("turn_arb", steering), ("throttle_arb", throttle),
+                        ("planner_interface", planner and SimpleNamespace(source=planner)),
+                        ("teleop_logi", SimpleNamespace(cause=causes.NO_DEADMAN, reason="none is held"))):
         if state is not None:
-            update(state, 0)
+            grant.update(name, state, 0)
     if other is not None:
         grant.update_other("/av_turnrad_req", other, 0)
-    for name, value in {"has_odom": True, "duty": 5100, "gamepad": (causes.NO_DEADMAN, "none is held"), **seen}.items():
+    for name, value in {"has_odom": True, "duty": 5100, **seen}.items():
         setattr(grant, name, value)
     return grant
 
