@@ -4,7 +4,6 @@ from __future__ import annotations
 import math
 import textwrap
 
-import rospy
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
@@ -43,7 +42,7 @@ def drive_markers(odom_frame, base_frame, start, radius_m, path, rows, rows_befo
 
 def no_markers(frame) -> MarkerArray:
     """Return a picture of nothing."""
-    return MarkerArray([Marker(header=_header(frame), action=Marker.DELETEALL)])
+    return MarkerArray([Marker(header=Header(frame_id=frame), action=Marker.DELETEALL)])
 
 
 def _area(frame, start, radius_m):
@@ -81,9 +80,7 @@ def _line(ns, index, frame, color, points, width_m):
 
 
 def _marker(ns, index, frame, kind, color, scale):
-    return Marker(header=_header(frame), ns=ns, id=index, type=kind, action=Marker.ADD, scale=scale, color=color,
-                  pose=Pose(Point(0.0, 0.0, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0)), frame_locked=True)
-
-
-def _header(frame):
-    return Header(stamp=rospy.Time(), frame_id=frame)  # 0: where the frame is now
+    # A stamp of 0: where the frame is now.
+    return Marker(
+        header=Header(frame_id=frame), ns=ns, id=index, type=kind, action=Marker.ADD, scale=scale, color=color,
+        pose=Pose(Point(0.0, 0.0, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0)), frame_locked=True)

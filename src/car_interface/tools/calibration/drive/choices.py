@@ -4,7 +4,7 @@ there is from here.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, Sequence
 
 from car_interface.tools.calibration.drive.area import Pose
 from car_interface.tools.calibration.drive.outlook import Outlook
@@ -48,7 +48,7 @@ class Choices:
     def all(self, now_ns: int) -> list[Choice]:
         """Return the candidates as they could be begun now, without those that can't be the best any more."""
         candidates = self._survey.positions.candidates()
-        turns_worth = [TURN_WORTH * need ** NEED_POWER for need in self._turns_needs(candidates)]
+        turns_worth = [TURN_WORTH * need ** NEED_POWER for need in self.turns_needs(candidates)]
         ideals = sorted((self._ideal(candidate, max(turns_worth), now_ns) for candidate in candidates),
                         key=lambda choice: -choice.ideal)
         found, best = [], 0.0
@@ -86,11 +86,9 @@ class Choices:
                 return candidate
         return None
 
-    def turns_needs(self) -> list[float]:
-        """Return the greatest need of what each of the tight turns would show."""
-        return self._turns_needs(self._survey.positions.candidates())
-
-    def _turns_needs(self, candidates):
+    def turns_needs(self, candidates: Sequence[Candidate] | None = None) -> list[float]:
+        """Return the greatest need of what each of the tight turns would show, of the candidates by now."""
+        candidates = self._survey.positions.candidates() if candidates is None else candidates
         return [max((candidate.need for candidate in candidates
                      if self._outlook.expected_per_m(candidate.duty) / turn > TIGHT_WAY_RATIO), default=0.0)
                 for turn in self._outlook.turns_per_m()]

@@ -62,16 +62,14 @@ class Outlook:
 
     def turns(self, from_duty: float) -> list[Turn]:
         """Return the tight turns to the left and to the right, begun with the servo at a duty."""
-        survey = self._survey
-        found = []
-        for end, curvature in zip(self._ends, self.turns_per_m()):
+        survey, live, found = self._survey, self._motion.curvature_per_m(), []
+        for end, expected in zip(self._ends, self.turns_per_m()):
             # The servo creeps up to its end, and some linkages turn the wheels within the last counts.
             near_duty = max(TIGHT_DUTY, abs(end - survey.positions.half_way_duty(end)))
             lags = min(MAX_LAGS, max(1.0, math.log(max(1.0, abs(end - from_duty) / near_duty))))
-            live = self._motion.curvature_per_m()
-            if abs(from_duty - end) < TIGHT_DUTY and live is not None and live / curvature > 1.0:
-                curvature = live  # an end that is just being found out
-            found.append(Turn(curvature, REACTION_S + survey.servo_delay_s + survey.servo_lag_s * lags))
+            # An end that is just being found out turns as it is seen to.
+            is_seen = abs(from_duty - end) < TIGHT_DUTY and live is not None and live / expected > 1.0
+            found.append(Turn(live if is_seen else expected, REACTION_S + survey.servo_delay_s + survey.servo_lag_s * lags))
         return found
 
     @property

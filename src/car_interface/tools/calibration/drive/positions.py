@@ -109,28 +109,27 @@ class Positions:
 
     Args:
         base: the ends and the rough center; the signs of its radii, not their values.
+
+    Attributes:
+        first: those of FIRST that weren't measured yet.
+        count: how many positions were held.
     """
 
     def __init__(self, base: SteeringCalibration):
         self._base = base
         self._left_sign = 1 if base.servo_left > base.servo_right else -1  # of the duty towards a left turn
         ends = {1.0: base.servo_left, -1.0: base.servo_right}
-        self._first = [Candidate(ends.get(part, nearest_count(base.teleop_duty(part), base)), need, 0)
+        self.first = [Candidate(ends.get(part, nearest_count(base.teleop_duty(part), base)), need, 0)
                        for part, need in FIRST]
-        center = self._first[2]
-        self._first[2:3] = [center._replace(from_side=1), center._replace(from_side=-1, need=center.need - 0.5)]
-        self._all_first = tuple(self._first)
+        center = self.first[2]
+        self.first[2:3] = [center._replace(from_side=1), center._replace(from_side=-1, need=center.need - 0.5)]
+        self._all_first = tuple(self.first)
         self._knowledge: Knowledge | None = None
         self._since_fit: list[Measured] = []
         self._curvatures: dict[int, float] = {}  # by duty that was held, rising
         self._held: list[int] = []  # sorted, one for each time
         self._sides: dict[int, int] = {}  # by duty: the side from which it was come to last
         self.count = 0
-
-    @property
-    def first_left(self) -> int:
-        """How many of the first positions weren't measured yet."""
-        return len(self._first)
 
     @property
     def is_swapped(self) -> bool:
@@ -150,24 +149,24 @@ class Positions:
         insort(self._held, measured.duty)
         self._sides[measured.duty] = measured.from_side
         self._curvatures = dict(sorted({**self._curvatures, measured.duty: measured.curvature_per_m}.items()))
-        for index, candidate in enumerate(self._first):
+        for index, candidate in enumerate(self.first):
             if abs(candidate.duty - measured.duty) <= NEAR_DUTY / 2 and candidate.from_side in (0, measured.from_side):
-                del self._first[index]
+                del self.first[index]
                 break
 
     def candidates(self, accepts: Callable[[float], bool] = lambda duty: True) -> list[Candidate]:
         """Return what is worth measuring of the duties that ``accepts`` takes, needs falling."""
-        found = [candidate for candidate in self._first if accepts(candidate.duty)]
+        found = [candidate for candidate in self.first if accepts(candidate.duty)]
         if self._knowledge is not None:
             found += [candidate for candidate in self._lost_ends() if accepts(candidate.duty)]
             found += self._by_errors(MAX_CANDIDATES - len(found) // 2, accepts)
-        elif not self._first:  # all were held, and there is no curve yet: once more
+        elif not self.first:  # all were held, and there is no curve yet: once more
             found = [candidate for candidate in self._all_first if accepts(candidate.duty)]
         return sorted(found, key=lambda candidate: -candidate.need)
 
     def _lost_ends(self):
         """Yield the ends that aren't on the fit's curve, such as one that was held too shortly for a segment."""
-        known, held = self._knowledge, {candidate.duty for candidate in self._first}
+        known, held = self._knowledge, {candidate.duty for candidate in self.first}
         slack_duty = 2 * COUNT + (known.given.backlash_duty or 0.0) / 2
         for end in (self._base.servo_left, self._base.servo_right):
             is_on_it = known.duties[0] - slack_duty <= end <= known.duties[-1] + slack_duty

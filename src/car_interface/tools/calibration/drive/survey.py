@@ -199,7 +199,7 @@ class Survey:
     def is_enough(self) -> bool:
         """Whether all is known by far."""
         known = self.knowledge
-        return (known is not None and not known.missing and not self.positions.first_left
+        return (known is not None and not known.missing and not self.positions.first
                 and max(known.errors) <= ENOUGH and not self.positions.has_gaps
                 and self._is_newest and not self._is_fitting)
 

@@ -185,7 +185,9 @@ class WheelPosition:
         self._starts = np.unique(np.concatenate([[0], np.searchsorted(self.t_s, gap_ends_s)]))
         for start, end in zip(self._starts, [*self._starts[1:], len(self.t_s)]):
             self._follow(drive, delay, commanded, start, end)
-        self._runs = list(_runs(self.servo, set(self._starts.tolist())))
+        self._falls = np.diff(self.servo, prepend=self.servo[:1]) < 0
+        turns = np.flatnonzero(self._falls[1:] != self._falls[:-1]) + 1
+        self._runs = np.union1d(np.append(self._starts, len(self.servo)), turns).tolist()
         self.off = np.abs(commanded - self.servo)
         self.jump_rad = np.abs(np.diff(np.interp(self.t_s, drive.t_s, drive.yaw_rad), prepend=drive.yaw_rad[0]))
         index = np.clip(np.searchsorted(drive.t_s, self.t_s, side="right"), 1, len(drive.t_s) - 1)
@@ -213,22 +215,13 @@ class WheelPosition:
         """Return the wheels' position (N,), which follows the servo once that has crossed the backlash."""
         if backlash_duty <= 0 or self.is_steady:
             return self.servo
-        half, now, out = backlash_duty / 2, 0.0, np.empty(len(self.servo))
-        for start, end, falls, is_anew in self._runs:
+        half, now, out, starts = backlash_duty / 2, 0.0, np.empty(len(self.servo)), set(self._starts.tolist())
+        for start, end in zip(self._runs, self._runs[1:]):  # in each the servo never turns back
             servo = self.servo[start:end]
-            now = servo[0] if is_anew else now
-            out[start:end] = np.minimum(now, servo + half) if falls else np.maximum(now, servo - half)
+            now = servo[0] if start in starts else now
+            out[start:end] = np.minimum(now, servo + half) if self._falls[start] else np.maximum(now, servo - half)
             now = out[end - 1]
         return out
-
-
-def _runs(servo, starts):
-    """Yield runs in which a servo never turns back: begin, end, whether it falls, and whether a gap was before it."""
-    falls = np.diff(servo, prepend=servo[:1]) < 0
-    turns = np.flatnonzero(falls[1:] != falls[:-1]) + 1
-    ends = sorted({*starts, *turns.tolist(), len(servo)})
-    for start, end in zip(ends, ends[1:]):
-        yield start, end, falls[start], start in starts
 
 
 def _since_gap_s(t_s, at_s, gap_s):

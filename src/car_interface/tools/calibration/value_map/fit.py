@@ -116,9 +116,8 @@ def fit(drives: Sequence[MapDrive], values: np.ndarray | None, velocities: np.nd
         NothingToFit: no window counts.
     """
     data = gather(drives, config)
-    counted = data.state == windowing.MEASURED
-    if not counted.any():
-        raise NothingToFit(why_nothing(data.state))
+    if not (data.windows.state == windowing.MEASURED).any():
+        raise NothingToFit(why_nothing(data.windows.state))
     value, state = sample(drives, data, config.delay_s if config.delay_s is not None else FIRST_DELAY_S, config)
     inside = state == windowing.MEASURED
     if not inside.any():
@@ -175,7 +174,7 @@ def estimate_delay(drives: Sequence[MapDrive], data: Data, grid: Grid, config: M
     def ratios(delay_s, grid):
         value, _ = sample(drives, data, delay_s, config)
         solved = solve(Model(grid, data, value, config, sags=False), state, rising=False, passes=2)
-        return np.abs(solved.residual[used] / data.sigma[used])
+        return np.abs(solved.residual[used] / data.windows.sigma_mps2[used])
 
     best, max_offset, step = 0.0, MAX_DELAY_S, COARSE_STEP_S
     for over in (coarse, grid, grid):
@@ -250,7 +249,7 @@ def solve(model: Model, state: np.ndarray, rising: bool = True, passes: int = PA
     sag = np.zeros((drives, 2))
     # A step below the CSV's resolution would vanish; where the map hardly rises it rises by that.
     min_steps = np.full(grid.rows.size - 1, MIN_STEP_MPS2)
-    weight = np.where(used, 1.0 / data.sigma**2, 0.0)
+    weight = np.where(used, 1.0 / data.windows.sigma_mps2**2, 0.0)
     nodes, spread, outlying = None, 1.0, np.zeros(used.size, bool)
     prior = np.zeros((grid.size + 4 * drives,) * 2)
     prior[:grid.size, :grid.size] = model.penalty + 1e-8 * np.eye(grid.size)
@@ -258,7 +257,7 @@ def solve(model: Model, state: np.ndarray, rising: bool = True, passes: int = PA
     sag_at = np.arange(grid.size + 2 * drives, grid.size + 4 * drives)
     prior[slope_at, slope_at] = np.where(np.repeat(data.sees_slope, 2), SLOPE_SIGMA**-2, 1e12)
     prior[sag_at, sag_at] = SAG_SIGMA**-2
-    acceleration = within @ np.where(used, data.acceleration, 0.0)
+    acceleration = within @ np.where(used, data.windows.acceleration_mps2, 0.0)
     for _ in range(passes):
         mapped = model.map.copy()
         for side, push in enumerate(model.push):
@@ -279,7 +278,7 @@ def solve(model: Model, state: np.ndarray, rising: bool = True, passes: int = PA
         if model.push:
             sag = np.clip(sag + found[sag_at].reshape(drives, 2), -MAX_SAG, MAX_SAG)
         residual = acceleration - columns @ found
-        spread, weight, outlying = _robust(residual, data.sigma, used)
+        spread, weight, outlying = _robust(residual, data.windows.sigma_mps2, used)
     return Solution(nodes, slope, sag, np.where(used, residual, 0.0), np.where(outlying, 0.0, weight) / spread**2,
                     outlying, columns, normal, prior)
 
@@ -332,7 +331,7 @@ def hold_out(model: Model, state: np.ndarray, manoeuvre: np.ndarray) -> tuple[fl
     predicted = model.map @ solved.nodes + model.data.slope @ solved.slope
     for side, push in enumerate(model.push):
         predicted = predicted + model.data.part * solved.sag[model.data.drive, side] * (push @ solved.nodes)
-    return rms((model.data.acceleration - predicted)[held]), int(held.sum())
+    return rms((model.data.windows.acceleration_mps2 - predicted)[held]), int(held.sum())
 
 
 def rms(x: np.ndarray) -> float:

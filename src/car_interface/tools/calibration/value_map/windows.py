@@ -44,13 +44,10 @@ RULES = {
 class Data:
     """All windows of all drives."""
 
-    windows: Windows
+    windows: Windows  # their acceleration that on level ground; their state also TURNING, STEEP
     drive: np.ndarray  # each window's drive, (W,)
-    acceleration: np.ndarray  # in m/s², (W,)
-    sigma: np.ndarray  # its standard error
     part: np.ndarray  # the time from its drive's middle, as a ratio of the drive, −0.5..0.5, (W,)
     hop_s: np.ndarray  # how much driving a window stands for, (W,)
-    state: np.ndarray  # MEASURED, TURNING, or why a window doesn't count, (W,)
     slope: np.ndarray  # gravity per slope of each drive's ground along x and y, (W, 2·D)
     sees_slope: np.ndarray  # whether a drive shows its slope, (D,)
     pitch_offset: Sequence[float]  # of each drive's sensor in rad; NaN without
@@ -68,7 +65,7 @@ def gather(drives: Sequence[MapDrive], config: MapFitConfig) -> Data:
 
 
 def _gather(drive, config):
-    """Return (one drive's windows, five columns of Data, whether it shows its slope, its pitch's offset)."""
+    """Return (one drive's windows, two columns of Data, whether it shows its slope, its pitch's offset)."""
     one = windows(drive, config)
     state = one.state.copy()
     counted = state == windowing.MEASURED
@@ -92,8 +89,9 @@ def _gather(drive, config):
     begin_s, end_s = drive.speed.t_s[[0, -1]] if drive.speed.t_s.size else (0.0, 1.0)
     hop_s = max(windowing.HOP_S, (end_s - begin_s) / windowing.MAX_WINDOWS)
     part = (one.middle_s - (begin_s + end_s) / 2) / max(end_s - begin_s, 1.0)
-    sigma = np.hypot(np.nan_to_num(sigma), MIN_SIGMA_MPS2)
-    return one, (acceleration, sigma, part, np.full(state.size, hop_s), state), spreads, offset
+    found = one._replace(acceleration_mps2=acceleration, state=state,
+                         sigma_mps2=np.hypot(np.nan_to_num(sigma), MIN_SIGMA_MPS2))
+    return found, (part, np.full(state.size, hop_s)), spreads, offset
 
 
 def _spread(cos, sin, counted, turning):
@@ -151,8 +149,8 @@ def sample(drives: Sequence[MapDrive], data: Data, delay_s: float,
         timed_out.append(~np.isfinite(value).all(axis=1) | (age_s > config.value_timeout_s).any(axis=1))
         idle.append(~(driven >= 0.5).all(axis=1))
     value = np.concatenate(values)
-    state = _left_out(_left_out(data.state, np.concatenate(timed_out), NO_VALUE), np.concatenate(idle), NOT_DRIVEN)
-    return np.where(np.isfinite(value), value, 0.0), state
+    state = _left_out(data.windows.state, np.concatenate(timed_out), NO_VALUE)
+    return np.where(np.isfinite(value), value, 0.0), _left_out(state, np.concatenate(idle), NOT_DRIVEN)
 
 
 def _left_out(state, which, reason):

@@ -1,6 +1,6 @@
 """Whether the car would obey, by what its arbiters say."""
+from collections import namedtuple
 from types import SimpleNamespace
-from typing import NamedTuple
 
 import pytest
 
@@ -9,26 +9,9 @@ from car_interface.common.sources import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TEL
 from car_interface.common.units import NS_PER_S
 from car_interface.tools.calibration.drive.grant import Grant
 
-
-class Steering(NamedTuple):
-    """As SteeringState."""
-
-    source: int
-    cause: str
-    reason: str
-
-
-class Throttle(NamedTuple):
-    """As ThrottleState."""
-
-    source: int
-    cause: str
-    reason: str
-    mode: str
-    esc: str
-    esc_reason: str
-
-
+# Fields of SteeringState and ThrottleState.
+Steering = namedtuple("Steering", "source cause reason")
+Throttle = namedtuple("Throttle", (*Steering._fields, "mode", "esc", "esc_reason"))
 IDLE_STEERING = Steering(NEUTRAL, causes.NO_REQUEST, "nothing asks")
 IDLE_THROTTLE = Throttle(NEUTRAL, causes.NO_REQUEST, "nothing asks", "autonomous", "NEUTRAL", "neutral is asked for")
 

@@ -35,7 +35,7 @@ def test_ends_and_center_from_both_sides_come_first_until_each_was_held_and_agai
     positions.update_knowledge(knowledge({4512: 9.0}), 0)  # a fit of few positions knows nothing
     assert [candidate.duty for candidate in positions.candidates()[:4]] == [3900, 6400, 5184, 5184]
     assert sorted(one.from_side for one in positions.candidates() if one.duty == 5184) == [-1, 1]
-    assert positions.first_left == len(FIRST) + 1
+    assert len(positions.first) == len(FIRST) + 1
     positions = Positions(base())
     positions.add(measured(5184, from_side=1))
     assert [one.from_side for one in positions.candidates() if one.duty == 5184] == [-1]
@@ -43,7 +43,7 @@ def test_ends_and_center_from_both_sides_come_first_until_each_was_held_and_agai
         positions.add(measured(candidate.duty))
     assert positions.candidates(lambda duty: duty > 5200) == [], "while another of the first is left"
     all_first(positions)
-    assert (positions.first_left, positions.count) == (0, len(FIRST) + 1)
+    assert (len(positions.first), positions.count) == (0, len(FIRST) + 1)
     assert len(positions.candidates()) == len(FIRST) + 1
 
 
