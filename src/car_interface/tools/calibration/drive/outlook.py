@@ -69,7 +69,8 @@ class Outlook:
             lags = min(MAX_LAGS, max(1.0, math.log(max(1.0, abs(end - from_duty) / near_duty))))
             # An end that is just being found out turns as it is seen to.
             is_seen = abs(from_duty - end) < TIGHT_DUTY and live is not None and live / expected > 1.0
-            found.append(Turn(live if is_seen else expected, REACTION_S + survey.servo_delay_s + survey.servo_lag_s * lags))
+            reaction_s = REACTION_S + survey.servo_delay_s + survey.servo_lag_s * lags
+            found.append(Turn(live if is_seen else expected, reaction_s))
         return found
 
     @property

@@ -9,6 +9,8 @@ import math
 from bisect import bisect_left, insort
 from typing import Callable, NamedTuple
 
+import numpy as np
+
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.tools.calibration.drive.knowledge import Knowledge
 from car_interface.tools.calibration.steering.drive import COUNT
@@ -188,42 +190,31 @@ class Positions:
     @property
     def has_gaps(self) -> bool:
         """Whether there are counts that weren't held where one count changes much: see ``_needs``."""
-        return self._knowledge is not None and any(self._gaps())
+        return self._knowledge is not None and bool(self._gaps().any())
 
     def _needs(self):
-        """Return what remains of the fit's, (K,). Where one count changes much no fit knows what lies between two of
-        them.
+        """Return what remains of the fit's by what was measured since, and the more often the less, (K,). Where one
+        count changes much no fit knows what lies between two of them.
         """
-        known = self._knowledge
-        needs = [self._remaining(duty, max(min(error, MAX_NEED), min(need, MAX_NICE_NEED)))
-                 for duty, error, need in zip(known.duties, known.errors, known.needs)]
-        for index in self._gaps():
-            needs[index] = max(needs[index], STEEP_NEED)
-        return needs
+        known, duties = self._knowledge, np.array(self._knowledge.duties)
+        needs = np.maximum(np.minimum(known.errors, MAX_NEED), np.minimum(known.needs, MAX_NICE_NEED))
+        for measured in self._since_fit:
+            needs[np.abs(measured.duty - duties) <= NEAR_DUTY] *= ANSWERED
+        needs = needs / (1 + REPEATED * self._times_held(duties, NEAR_DUTY))
+        return np.where(self._gaps(), np.maximum(needs, STEEP_NEED), needs).tolist()
 
     def _gaps(self):
-        """Yield the indices of the counts where one count changes much, or that are nearly refused, and that weren't
-        held.
-        """
-        duties, curvatures = self._knowledge.duties, self._knowledge.curvatures
+        """Return at which counts one count changes much, or that are nearly refused, and that weren't held (K,)."""
+        duties, curvatures = np.array(self._knowledge.duties), np.array(self._knowledge.curvatures)
+        changes = np.abs(curvatures[2:] - curvatures[:-2]) / 2
+        is_steep = changes > np.maximum(STEEP_RATIO * np.abs(curvatures[1:-1]), STEEP_PER_M)
+        # What the tool would refuse beside positions that were held often is a bend between them.
+        is_open = np.pad(is_steep | (np.array(self._knowledge.errors[1:-1]) > NEARLY), 1)
         low, high = sorted((self._base.servo_left, self._base.servo_right))
-        for index in range(1, len(duties) - 1):
-            changes = abs(curvatures[index + 1] - curvatures[index - 1]) / 2
-            is_steep = changes > max(STEEP_RATIO * abs(curvatures[index]), STEEP_PER_M)
-            # What the tool would refuse beside positions that were held often is a bend between them.
-            if ((is_steep or self._knowledge.errors[index] > NEARLY) and low <= duties[index] <= high
-                    and not self._times_held(duties[index], COUNT / 2)):
-                yield index
+        return is_open & (duties >= low) & (duties <= high) & (self._times_held(duties, COUNT / 2) == 0)
 
-    def _times_held(self, duty, near_duty):
-        return bisect_left(self._held, duty + near_duty) - bisect_left(self._held, duty - near_duty)
-
-    def _remaining(self, duty, error):
-        """Return what remains of an error after what was measured there since the fit, and the more often the less."""
-        for measured in self._since_fit:
-            if abs(measured.duty - duty) <= NEAR_DUTY:
-                error *= ANSWERED
-        return error / (1 + REPEATED * self._times_held(duty, NEAR_DUTY))
+    def _times_held(self, duties, near_duty):
+        return np.searchsorted(self._held, duties + near_duty) - np.searchsorted(self._held, duties - near_duty)
 
     def _other_side(self, duty):
         """Return the side from which a position wasn't come to last; 0 = it is new, and any will do."""

@@ -15,7 +15,7 @@ from tools.calibration.drive.light_car import base
 DUTIES = tuple(range(3904, 6401, 16))
 
 
-def knowledge(errors=None, number=1):
+def knowledge(errors=None):
     errors = {} if errors is None else errors
     curvatures = tuple((5200 - duty) / 1300 for duty in DUTIES)
     return Knowledge("", DUTIES, curvatures, *2 * [tuple(errors.get(duty, 0.1) for duty in DUTIES)])
@@ -98,7 +98,7 @@ def test_an_end_that_the_fit_lost_is_asked_for_again():
     all_first(positions)
     short = knowledge()
     positions.update_knowledge(short._replace(duties=short.duties[8:], curvatures=short.curvatures[8:],
-                                              errors=short.errors[8:]), 0)
+                                              errors=short.errors[8:], needs=short.needs[8:]), 0)
     assert positions.candidates()[0].duty == 3900
     positions.add(measured(3900))
     assert positions.candidates()[0].duty != 3900, "the next fit tells"
@@ -110,7 +110,7 @@ def test_what_was_held_since_the_fits_samples_counts_for_less():
     positions.update_knowledge(knowledge({4512: 3.0, 5792: 2.0}), 0)
     positions.add(measured(4512))
     assert positions.candidates()[0].duty == 5792
-    positions.update_knowledge(knowledge({4512: 3.0, 5792: 1.0}, 2), 0)
+    positions.update_knowledge(knowledge({4512: 3.0, 5792: 1.0}), 0)
     assert positions.candidates()[0].duty == 4512, "the new fit has it, and still knows too little"
 
 
