@@ -11,8 +11,6 @@ from typing import NamedTuple, Sequence
 import numpy as np
 
 from car_interface.pca9685.registers import DUTY_PER_COUNT
-from car_interface.tools.calibration import delay as delays
-from car_interface.tools.calibration.delay import Delay
 from car_interface.tools.calibration.shared import NothingToFit
 from car_interface.tools.recordings.series import Odom
 
@@ -28,8 +26,20 @@ CROSSED_DUTY = 40.0  # a servo that has moved this far has crossed any usual bac
 FORGOTTEN_LAGS = 5.0  # after this many lags the servo's position doesn't depend on where it started
 HALF_SPAN = 3  # samples to either side over which curvature is differenced for the delay
 BETWEEN_DRIVES_S = 10.0
-# Where the duty never changed while the car drove: as slow a servo as is looked for.
-UNKNOWN_DELAY = Delay(0.4, 0.4, 0.0)
+STEP_S = 0.02  # of the time scale of the wheels, and of that on which delays are tried
+MAX_S, COARSE_S, FINE_S = 0.4, 0.04, 0.01  # of delays and lags that are tried
+BINS, MIN_SAMPLES = 60, 200
+MIN_EXPLAINED = 0.1  # of the effect's variance: a cause that explains less has no effect
+
+
+class Delay(NamedTuple):
+    """How an effect follows its cause."""
+
+    delay_s: float  # the time until a change begins
+    lag_s: float  # the time from then until 63 % of it are done
+
+
+UNKNOWN_DELAY = Delay(MAX_S, MAX_S)  # where the duty never changed while the car drove: as slow as is looked for
 
 
 class CurveFitConfig(NamedTuple):
@@ -100,7 +110,7 @@ def _has_gap(t_s, at_s):
     return begun > ended
 
 
-# --- the wheels ---
+# --- the servo's delay ---
 
 
 def estimate_servo_delay(drives: Sequence[SteeringDrive]) -> Delay:
@@ -118,13 +128,13 @@ def estimate_servo_delay(drives: Sequence[SteeringDrive]) -> Delay:
         return UNKNOWN_DELAY
     for drive in changing:
         shift_s = begin_s - drive.t_s[0]
-        t_s = np.arange(drive.t_s[0], drive.t_s[-1], delays.STEP_S)
+        t_s = np.arange(drive.t_s[0], drive.t_s[-1], STEP_S)
         if len(t_s) <= 2 * HALF_SPAN:
             continue
         step_m, step_rad = (column[2 * HALF_SPAN:] - column[:-2 * HALF_SPAN] for column in (
             np.interp(t_s, drive.t_s, drive.distance_m), np.interp(t_s, drive.t_s, drive.yaw_rad)))
         at_s = t_s[HALF_SPAN:-HALF_SPAN]
-        is_usable = np.abs(step_m) > MIN_SPEED_MPS * 2 * HALF_SPAN * delays.STEP_S
+        is_usable = np.abs(step_m) > MIN_SPEED_MPS * 2 * HALF_SPAN * STEP_S
         is_usable &= _since_gap_s(drive.t_s, at_s, MAX_GAP_S) > AFTER_GAP_S
         effect.append(step_rad / np.where(is_usable, step_m, 1.0))
         weight.append(np.where(is_usable, step_m ** 2, 0.0))
@@ -135,23 +145,99 @@ def estimate_servo_delay(drives: Sequence[SteeringDrive]) -> Delay:
         begin_s += drive.t_s[-1] - drive.t_s[0] + BETWEEN_DRIVES_S
     if not effect:
         raise NothingToFit("the recordings are shorter than a second")
-    found = delays.estimate(*(np.concatenate(column) for column in (cause_s, cause, effect_s, effect, weight)))
+    found = estimate_delay(*(np.concatenate(column) for column in (cause_s, cause, effect_s, effect, weight)))
     if found is None:
         raise NothingToFit("the heading doesn't follow the steering's duty (is it the right channel? did the car "
                            "drive?)")
     return found
 
 
+def held(t_s: np.ndarray, value: np.ndarray, at_s: np.ndarray) -> np.ndarray:
+    """Return the values at the times ``at_s`` (M,) of a signal (N,) that holds each sample until the next: (M,).
+
+    Before the first sample its value counts.
+    """
+    return value[np.maximum(np.searchsorted(t_s, at_s, side="right") - 1, 0)]
+
+
+def lagged(value: np.ndarray, step_s: float, lag_s: float) -> np.ndarray:
+    """Return an evenly sampled signal (N,) after a first-order lag: (N,)."""
+    if lag_s < step_s / 10:
+        return np.asarray(value, float)
+    decay = float(np.exp(-step_s / lag_s))
+    out, now = [], float(value[0])
+    for wanted in value.tolist():
+        now = wanted + (now - wanted) * decay
+        out.append(now)
+    return np.array(out)
+
+
+def estimate_delay(cause_s: np.ndarray, cause: np.ndarray, effect_s: np.ndarray, effect: np.ndarray,
+                   weight: np.ndarray) -> Delay | None:
+    """Find the delay and the first-order lag from a cause to its effect, at most MAX_S each.
+
+    The effect depends on the cause by an unknown curve. No model of that is needed: with the right delay and lag equal
+    values of the (delayed, lagged) cause have equal effects.
+
+    Args:
+        cause_s, cause: the cause, (N,) each, held until the next sample.
+        effect_s, effect: samples of the effect at rising times, (M,) each; noise and gaps don't matter.
+        weight: of each sample of the effect, (M,); 0 = not used.
+
+    Returns:
+        ``None`` where there are too few samples, or where the cause explains next to nothing.
+    """
+    used = (weight > 0) & np.isfinite(effect) & (effect_s >= cause_s[0]) if len(cause_s) else np.zeros(0, bool)
+    if used.sum() < MIN_SAMPLES or np.ptp(cause) == 0:
+        return None
+    at_s, y, w = effect_s[used], effect[used], weight[used]
+    grid_s = np.arange(cause_s[0], at_s[-1] + STEP_S, STEP_S)
+    commanded = held(cause_s, cause, grid_s)
+    mean = np.average(y, weights=w)
+    total = np.sum(w * (y - mean) ** 2)
+
+    def best(delays_s, lags_s):
+        """Return the least that remains unexplained, and by which delay and lag."""
+        followed = [(lag_s, lagged(commanded, STEP_S, lag_s)) for lag_s in lags_s]
+        return min((_scatter(np.interp(at_s - delay_s, grid_s, cause), y, w), delay_s, lag_s)
+                   for delay_s in delays_s for lag_s, cause in followed)
+
+    _, delay_s, lag_s = best(*[_steps(0.0, MAX_S, COARSE_S)] * 2)
+    smallest, delay_s, lag_s = best(*(_steps(max(0.0, near_s - COARSE_S), near_s + COARSE_S, FINE_S)
+                                      for near_s in (delay_s, lag_s)))
+    explained = 1 - smallest / total if total > 0 else 0.0
+    return Delay(delay_s, lag_s) if explained > MIN_EXPLAINED else None
+
+
+def _steps(low, high, step):
+    return [round(low + step * index, 4) for index in range(round((high - low) / step) + 1)]
+
+
+def _scatter(x, y, w):
+    """Return the weighted sum of squares of ``y`` around straight lines over ``x``, one in each of BINS equal bins."""
+    order = np.argsort(x, kind="stable")
+    x, y, w = x[order], y[order], w[order]
+    starts = np.unique(np.linspace(0, len(x), BINS + 1).astype(int)[:-1])
+    sum_w, sum_x, sum_y = (np.add.reduceat(column, starts) for column in (w, w * x, w * y))
+    counts = np.diff(np.append(starts, len(x)))
+    dx, dy = x - np.repeat(sum_x / sum_w, counts), y - np.repeat(sum_y / sum_w, counts)
+    xx, xy, yy = (np.add.reduceat(column, starts) for column in (w * dx * dx, w * dx * dy, w * dy * dy))
+    return float(np.sum(yy - np.where(xx > 1e-12, xy * xy / np.maximum(xx, 1e-12), 0.0)))
+
+
+# --- the wheels ---
+
+
 def is_steady(drive: SteeringDrive) -> bool:
     """Return whether the servo, while the car drove, never moved so far that it crossed any usual backlash."""
     drives = np.abs(np.gradient(drive.distance_m, drive.t_s)) >= MIN_SPEED_MPS
-    duty = delays.held(drive.duty_t_s, drive.duty, drive.t_s[drives])
+    duty = held(drive.duty_t_s, drive.duty, drive.t_s[drives])
     duty = duty[np.isfinite(duty)]
     return duty.size > 0 and float(np.ptp(duty)) < CROSSED_DUTY
 
 
 class WheelPosition:
-    """The steering of one drive, sampled every ``STEP_S``.
+    """The steering of one drive, sampled every STEP_S.
 
     The servo's position before the recording and in its gaps is unknown until a duty was recorded and the servo had
     time to follow it; the linkage's position within its backlash is unknown until the servo has moved far enough. In a
@@ -167,14 +253,12 @@ class WheelPosition:
         jump_rad: how much the heading changes from sample to sample.
     """
 
-    STEP_S = 0.02
-
     def __init__(self, drive: SteeringDrive, delay: Delay):
-        self.t_s = np.arange(drive.t_s[0], drive.t_s[-1], self.STEP_S)
+        self.t_s = np.arange(drive.t_s[0], drive.t_s[-1], STEP_S)
         self.distance_m = np.interp(self.t_s, drive.t_s, drive.distance_m)
         self.yaw_rad = np.interp(self.t_s, drive.t_s, drive.yaw_rad)
-        self.speed_mps = np.gradient(self.distance_m, self.STEP_S)
-        commanded = delays.held(drive.duty_t_s, drive.duty, self.t_s - delay.delay_s)
+        self.speed_mps = np.gradient(self.distance_m, STEP_S)
+        commanded = held(drive.duty_t_s, drive.duty, self.t_s - delay.delay_s)
         self.is_steady = is_steady(drive)
         self.is_known = np.isfinite(commanded) & (self.t_s - delay.delay_s >= drive.duty_t_s[0])
         # Without a pulse a servo stays where it is.
@@ -201,7 +285,7 @@ class WheelPosition:
         first_s = drive.duty_t_s[first] if first < len(drive.duty_t_s) else math.inf
         follows = min(start + int(np.searchsorted(self.t_s[start:end], first_s + delay.delay_s)), end - 1)
         self.servo[start:follows] = commanded[follows]
-        self.servo[follows:end] = delays.lagged(commanded[follows:end], self.STEP_S, delay.lag_s)
+        self.servo[follows:end] = lagged(commanded[follows:end], STEP_S, delay.lag_s)
         # It may have come from the other end: 3 lags, after which 5 % of the distance are left, are not enough.
         settled_s = first_s + delay.delay_s + FORGOTTEN_LAGS * delay.lag_s
         settled = start + int(np.searchsorted(self.t_s[start:end], settled_s))

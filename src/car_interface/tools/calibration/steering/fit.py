@@ -17,7 +17,6 @@ from typing import Sequence
 
 import numpy as np
 
-from car_interface.tools.calibration.delay import Delay
 from car_interface.tools.calibration.shared import NothingToFit, rising
 from car_interface.tools.calibration.steering.drive import (
     COUNT,
@@ -25,6 +24,7 @@ from car_interface.tools.calibration.steering.drive import (
     MAX_BACKLASH_DUTY,
     NOTHING_GIVEN,
     CurveFitConfig,
+    Delay,
     SteeringDrive,
     estimate_servo_delay,
 )

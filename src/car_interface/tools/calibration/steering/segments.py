@@ -12,7 +12,6 @@ from typing import NamedTuple, Sequence
 import numpy as np
 from scipy import sparse
 
-from car_interface.tools.calibration.delay import Delay
 from car_interface.tools.calibration.shared import NothingToFit, runs
 from car_interface.tools.calibration.steering.drive import (
     COUNT,
@@ -20,6 +19,8 @@ from car_interface.tools.calibration.steering.drive import (
     MAX_BACKLASH_DUTY,
     MAX_GAP_S,
     MIN_SPEED_MPS,
+    STEP_S,
+    Delay,
     SteeringDrive,
     WheelPosition,
 )
@@ -172,7 +173,7 @@ def _slope_sigma_per_m(length_m, heading_sigma_rad):
 def _usable(wheels):
     """Return (which samples can be in a segment (N,), how many intervals can't by reason)."""
     is_slow = np.abs(wheels.speed_mps) < MIN_SPEED_MPS
-    yaw_rate_radps = np.convolve(np.gradient(wheels.yaw_rad, wheels.STEP_S), np.full(9, 1 / 9), "same")
+    yaw_rate_radps = np.convolve(np.gradient(wheels.yaw_rad, STEP_S), np.full(9, 1 / 9), "same")
     slides = np.abs(wheels.speed_mps * yaw_rate_radps) > MAX_LATERAL_MPS2
     unknown = ~wheels.is_known | (wheels.gap_s > MAX_GAP_S) | (wheels.jump_rad > MAX_JUMP_RAD)
     usable, counts = np.ones(len(is_slow), bool), Counter()
@@ -200,7 +201,7 @@ def _split(wheels, begin, end):
 
 def _segment(wheels, first, end):
     """Return the segment of the samples from ``first`` up to before ``end``; ``None``: too short."""
-    if end - first < max(3, MIN_DURATION_S / wheels.STEP_S):
+    if end - first < max(3, MIN_DURATION_S / STEP_S):
         return None
     samples = np.arange(first, end)
     length = wheels.distance_m[end - 1] - wheels.distance_m[first]

@@ -4,14 +4,13 @@ from types import SimpleNamespace
 
 import pytest
 
-from car_interface.tools.calibration.delay import Delay
 from car_interface.tools.calibration.drive.area import Area, Pose, moved
 from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
 from car_interface.tools.calibration.drive.knowledge import Knowledge
 from car_interface.tools.calibration.drive.outlook import Outlook
 from car_interface.tools.calibration.drive.positions import Hold, Measured
 from car_interface.tools.calibration.drive.survey import Survey
-from car_interface.tools.calibration.steering.drive import CurveFitConfig
+from car_interface.tools.calibration.steering.drive import CurveFitConfig, Delay
 from tools.calibration.drive.light_car import S, base
 
 LEFT, CENTER, RIGHT = 3900, 5184, 6400
@@ -23,7 +22,7 @@ def outlook(pose, speed_mps=1.0, braking_mps2=1.0, **stops):
     survey = Survey(base(), CalibrationDriveConfig(braking_mps2=braking_mps2))
     for tick in range(20):
         survey.motion.update(moved(pose, -0.02 * speed_mps * (19 - tick), 0.0), speed_mps, tick * S // 50)
-    survey.knowledge = Knowledge(given=CurveFitConfig(Delay(0.05, 0.15, 1.0)))
+    survey.knowledge = Knowledge(given=CurveFitConfig(Delay(0.05, 0.15)))
     seen = SimpleNamespace(**{"least_mps2": math.inf, "sure_mps2": 0.0, **stops})
     one = Outlook(survey, Area((0.0, 0.0), 2.88), None, seen)
     one.servo_duty = CENTER

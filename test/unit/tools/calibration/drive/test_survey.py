@@ -3,12 +3,11 @@ import math
 
 import pytest
 
-from car_interface.tools.calibration.delay import Delay
 from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
 from car_interface.tools.calibration.drive.knowledge import Knowledge
 from car_interface.tools.calibration.drive.positions import Measured
 from car_interface.tools.calibration.drive.survey import ENOUGH, FULL_FIT_NS, MIN_LEFT_S, MIN_POSITIONS, Survey
-from car_interface.tools.calibration.steering.drive import CurveFitConfig
+from car_interface.tools.calibration.steering.drive import CurveFitConfig, Delay
 from tools.calibration.drive.light_car import base
 
 S = 1_000_000_000
@@ -30,7 +29,7 @@ def hold(one, count):
         one.add(Measured(candidate.duty, candidate.from_side or 1, 1.5, 0.0))
 
 
-GIVEN = CurveFitConfig(Delay(0.02, 0.12, 0.9), 20.0, 1.5)
+GIVEN = CurveFitConfig(Delay(0.02, 0.12), 20.0, 1.5)
 
 
 def knowledge(error=0.1, missing=()):

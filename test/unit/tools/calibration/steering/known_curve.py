@@ -3,8 +3,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from car_interface.tools.calibration.delay import Delay
-from car_interface.tools.calibration.steering.drive import KNOT
+from car_interface.tools.calibration.steering.drive import KNOT, Delay
 from car_interface.tools.calibration.steering.ends import Side
 from car_interface.tools.calibration.steering.fit import Curve
 from car_interface.tools.calibration.steering.segments import Observations
@@ -25,7 +24,7 @@ def line_curve(low=LEFT_DUTY, high=RIGHT_DUTY, center=CENTER, sigma_per_m=0.001,
                          np.ones(count), np.full(count, 2.0), np.ones(count), weights)
     fields = {
         "duties": duties, "curvatures": curvatures, "sigmas": np.full(len(duties), sigma_per_m),
-        "delay": Delay(0.1, 0.15, 0.99), "backlash_duty": 6.0, "backlash_sigma": 1.0, "observations": found,
+        "delay": Delay(0.1, 0.15), "backlash_duty": 6.0, "backlash_sigma": 1.0, "observations": found,
         "understeer": UNKNOWN, "used": np.ones(count, bool), "counts": {},
         "center": center, "center_sigma": 2.0,
         "left": Side(low, max(0.0, curvatures[0]), sigma_per_m, True, True, low),

@@ -3,13 +3,12 @@ import functools
 
 import numpy as np
 
-from car_interface.tools.calibration.delay import Delay, held, lagged
 from car_interface.tools.calibration.steering import fit
-from car_interface.tools.calibration.steering.drive import CurveFitConfig, SteeringDrive
+from car_interface.tools.calibration.steering.drive import CurveFitConfig, Delay, SteeringDrive, held, lagged
 
 STEP_S = 0.02
 LEFT_STOP, CENTER, RIGHT_STOP = 3900, 5200, 6400
-KNOWN_DELAY = Delay(0.0, 0.15, 1.0)  # to find it takes most of a fit's time
+KNOWN_DELAY = Delay(0.0, 0.15)  # to find it takes most of a fit's time
 KNOWN = CurveFitConfig(delay=KNOWN_DELAY, backlash_duty=0.0)  # the synthetic car's, unless it is told otherwise
 
 

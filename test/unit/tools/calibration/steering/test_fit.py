@@ -6,10 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from car_interface.tools.calibration.delay import Delay
 from car_interface.tools.calibration.shared import NothingToFit
 from car_interface.tools.calibration.steering import fit
-from car_interface.tools.calibration.steering.drive import UNKNOWN_DELAY, CurveFitConfig
+from car_interface.tools.calibration.steering.drive import UNKNOWN_DELAY, CurveFitConfig, Delay
 from car_interface.tools.calibration.steering.table import LEFT, RIGHT, breakpoints, completed
 from tools.calibration.steering.synthetic import (
     CENTER,
@@ -115,7 +114,7 @@ def test_curve_and_table_are_monotone_whatever_the_data(places, seed):
     one = drive(duties, curve=lambda at: curvatures[np.argmin(np.abs(at[:, None] - known), axis=1)], seed=seed,
                 lag_s=0.0)
     try:
-        found = fit.fit([one], CurveFitConfig(delay=Delay(0.0, 0.0, 1.0), backlash_duty=0.0))
+        found = fit.fit([one], CurveFitConfig(delay=Delay(0.0, 0.0), backlash_duty=0.0))
     except NothingToFit:
         return
     steps = np.diff(found.curvatures)

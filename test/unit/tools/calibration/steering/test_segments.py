@@ -2,9 +2,8 @@
 import numpy as np
 import pytest
 
-from car_interface.tools.calibration.delay import Delay
 from car_interface.tools.calibration.steering import fit
-from car_interface.tools.calibration.steering.drive import CurveFitConfig, WheelPosition
+from car_interface.tools.calibration.steering.drive import CurveFitConfig, Delay, WheelPosition
 from car_interface.tools.calibration.steering.ends import find_side
 from car_interface.tools.calibration.steering.table import END, RIGHT, breakpoints
 from tools.calibration.steering import synthetic
@@ -75,7 +74,7 @@ def test_delay_and_lag_of_the_servo_are_found_though_the_recording_has_gaps():
 
 def test_servo_is_unknown_until_it_had_time_to_arrive_from_anywhere():
     swings = synthetic.with_gaps(drive(np.tile([4800, 5600], 60), hold_s=0.3), every_s=9.0, missed_s=2.0)
-    wheels = WheelPosition(swings, Delay(0.05, 0.2, 1.0))
+    wheels = WheelPosition(swings, Delay(0.05, 0.2))
     for end_s in (5.0, 14.0, 23.0):
         known_s = wheels.t_s[(wheels.t_s > end_s) & wheels.is_known][0] - end_s
         assert 0.05 + 5 * 0.2 <= known_s < 2.5  # less than 1 % of its way is left, wherever that began

@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from car_interface.tools.calibration.delay import STEP_S, estimate, held, lagged
+from car_interface.tools.calibration.steering.drive import STEP_S, estimate_delay, held, lagged
 
 
 def a_drive(delay_s, lag_s, curve, noise, seed=1):
@@ -22,15 +22,14 @@ def a_drive(delay_s, lag_s, curve, noise, seed=1):
 ), ids=("straight", "steep at its ends", "saturated, the other way round"))
 @pytest.mark.parametrize("delay_s, lag_s", ((0.2, 0.05), (0.0, 0.15)))
 def test_delay_and_lag_are_found_without_knowing_the_curve(curve, delay_s, lag_s):
-    found = estimate(*a_drive(delay_s, lag_s, curve, noise=0.05))
+    found = estimate_delay(*a_drive(delay_s, lag_s, curve, noise=0.05))
     assert found.delay_s + found.lag_s == pytest.approx(delay_s + lag_s, abs=0.03)
     assert found.delay_s == pytest.approx(delay_s, abs=0.04)
-    assert found.explained > 0.8
 
 
 def test_effect_that_has_nothing_to_do_with_the_cause_has_no_delay():
     steps_s, duty, at_s, effect, weight = a_drive(0.1, 0.1, lambda duty: 0.0 * duty, noise=1.0)
-    assert estimate(steps_s, duty, at_s, effect, weight) is None
+    assert estimate_delay(steps_s, duty, at_s, effect, weight) is None
 
 
 @pytest.mark.parametrize("change", (
@@ -40,7 +39,7 @@ def test_effect_that_has_nothing_to_do_with_the_cause_has_no_delay():
     lambda s, d, t, e, w: (s, d, t[:50], e[:50], w[:50]),
 ), ids=("no weight", "a cause that never changes", "no cause", "a second"))
 def test_too_little_to_tell_has_no_delay(change):
-    assert estimate(*change(*a_drive(0.1, 0.1, lambda duty: duty, noise=0.0))) is None
+    assert estimate_delay(*change(*a_drive(0.1, 0.1, lambda duty: duty, noise=0.0))) is None
 
 
 def test_held_signal_keeps_its_value_and_a_lagged_step_has_done_63_percent_after_its_lag():
