@@ -5,6 +5,7 @@ The reports pass the same plausibility checks and the same clock as in a live no
 from __future__ import annotations
 
 from array import array
+from typing import Any
 
 import numpy as np
 
@@ -12,58 +13,54 @@ from car_interface.teensy.link.protocol import Pong, Wheel, WheelStatus
 from car_interface.teensy.sensing.clock import Clock
 from car_interface.teensy.sensing.measurements import PONG_BYTES, WHEEL_BYTES
 from car_interface.teensy.sensing.plausibility import Gates
-from car_interface.tools.recordings.columns import MAX_STAMP_OFFSET_S, Column, message_stamp_ns
-from car_interface.tools.recordings.series import Pulses
+from car_interface.tools.recordings.columns import MAX_STAMP_OFFSET_S, Pulses, Timeline, message_stamp_ns
 
 WHEEL_TOPIC, CLOCK_TOPIC = "teensy_wheel", "teensy_clock"
 REFUSED = "of the wheels that make no sense: left out"
 MIN_STEP_S = 1e-6  # between pulses that were translated to the same time: none may be left out
 
 
-class PulseColumns(Column):
-    """The pulses of the left and the right wheel, from ``WHEEL_TOPIC`` and ``CLOCK_TOPIC``."""
+class PulseColumns:
+    """The pulses of the left and the right wheel, from ``WHEEL_TOPIC`` and ``CLOCK_TOPIC``; like a StampedColumn."""
 
     def __init__(self, topic):
-        super().__init__(topic)
+        self.topic = topic
         self._gates, self._clock = Gates(), Clock()
         self._to_monotonic_ns = None  # from ROS time; known with the first pong
-        self._pending = []  # reports before that
+        self._pending = []  # reports before that: arguments of _add_wheels
         self._has_tick = False
         self._wheel_times, self._counts = (array("d"), array("d")), (array("q"), array("q"))
         self._without_direction = [0, 0]
         self._refused = 0
 
-    @property
-    def is_empty(self):
-        return not (self._wheel_times[0] or self._wheel_times[1])
-
-    def add(self, recorded, now_s, timeline):
+    def add(self, recorded: Any, now_s: float, timeline: Timeline) -> None:
+        """Add a ``recording.Recorded`` that was recorded at ``now_s``."""
         message = recorded.message
         if recorded.topic == CLOCK_TOPIC:
             self._to_monotonic_ns = message.received - message_stamp_ns(message)
-            self._add_pending(timeline)
+            self._add_pending()
             self._add_pong(message)
         elif self._to_monotonic_ns is None:
-            self._pending.append((recorded, now_s))
+            self._pending.append((recorded, now_s, timeline))
         else:
             self._add_wheels(recorded, now_s, timeline)
 
-    def finish(self, timeline):
-        """Add the reports that waited for a pong; without a single one they count by their arrival."""
+    def build(self) -> tuple[tuple[Pulses, Pulses] | None, list[str]]:
+        """Return both wheels' pulses, ``None`` = there is none, and a line on reports that were left out.
+
+        Without a single pong the reports count by their arrival.
+        """
         if self._to_monotonic_ns is None:
             self._to_monotonic_ns = 0
-        self._add_pending(timeline)
+            self._add_pending()
+        notes = [f"{self.topic}: {self._refused} reports {REFUSED}"] if self._refused else []
+        left, right = (Pulses(np.frombuffer(times), np.frombuffer(counts, np.int64))
+                       for times, counts in zip(self._wheel_times, self._counts))
+        return (left, right) if left.t_s.size or right.t_s.size else None, notes
 
-    def notes(self):
-        return [f"{self.topic}: {self._refused} reports {REFUSED}"] if self._refused else []
-
-    def build(self):
-        return tuple(Pulses(np.frombuffer(times), np.frombuffer(counts, np.int64))
-                     for times, counts in zip(self._wheel_times, self._counts))
-
-    def _add_pending(self, timeline):
-        for recorded, now_s in self._pending:
-            self._add_wheels(recorded, now_s, timeline)
+    def _add_pending(self):
+        for pending in self._pending:
+            self._add_wheels(*pending)
         self._pending.clear()
 
     def _add_pong(self, message):

@@ -116,12 +116,16 @@ def read(path: str, topics: Sequence[str] | Mapping[str, str | Sequence[str]], n
             yield Recorded(time_ns, names[connection.topic], message)
 
 
+def prefix(namespace: str) -> str:
+    """Return what the names of a car's topics begin with, such as /car1/."""
+    return "/" + "".join(f"{part}/" for part in namespace.split("/") if part)
+
+
 def absolute_names(recorded: Iterable[str], topics: Iterable[str], namespace: str = "/") -> dict[str, str]:
     """Return the name by which a topic was requested, by each absolute name under which it was recorded."""
-    recorded, prefix = set(recorded), "/" + namespace.strip("/")
-    names = {}
+    recorded, names = set(recorded), {}
     for topic in topics:
-        below = prefix.rstrip("/") + "/" + topic.lstrip("/")
+        below = prefix(namespace) + topic.lstrip("/")
         if below in recorded:
             names[below] = topic
         elif topic.startswith("/") and topic in recorded:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import Mapping, NamedTuple
 
-from car_interface.tools.recordings.recording import Topic, absolute_names, is_of_type
+from car_interface.tools.recordings.recording import Topic, absolute_names, is_of_type, prefix
 
 VALUE_TYPES = ("car_interface/Float64Stamped", "autoware_internal_debug_msgs/Float64Stamped",
                "tier4_debug_msgs/Float64Stamped", "tier4_debug_msgs/Float32Stamped", "std_msgs/Float64",
@@ -105,7 +105,7 @@ def other_cars(recorded: Mapping[str, Topic], namespace: str) -> set[str]:
 
 def _candidates(recorded, role, namespace):
     """Return the topics with messages of a role's type, below the namespace and not another car's."""
-    below = "/" + "/".join([*filter(None, namespace.split("/")), ""])
+    below = prefix(namespace)
     others = tuple(space + "/" for space in other_cars(recorded, namespace) if not below.startswith(space + "/"))
     return [name for name, topic in recorded.items() if topic.count and is_of_type(topic.type, role.types)
             and name.startswith(below) and not (others and name.startswith(others))]

@@ -11,17 +11,22 @@ from typing import Collection, NamedTuple
 from car_interface.common.units import NS_PER_S
 from car_interface.tools.recordings import recording, roles
 from car_interface.tools.recordings.columns import (
+    Ackermann,
     AckermannColumn,
     CommandColumn,
+    Imu,
     ImuColumn,
+    Odom,
     OdomColumn,
+    Output,
     OutputColumn,
+    Pulses,
     Timeline,
+    Value,
     ValueColumn,
 )
 from car_interface.tools.recordings.pulses import CLOCK_TOPIC, WHEEL_TOPIC, PulseColumns
 from car_interface.tools.recordings.recording import NoRecording
-from car_interface.tools.recordings.series import Ackermann, Imu, Odom, Output, Pulses, Value
 
 PULSES = "pulses"  # the only part that plays no role: only this package records it
 PARTS = (*(role.name for role in (
@@ -77,16 +82,14 @@ def load(path: str, wanted: Collection[str], *, optional: Collection[str] = (), 
             by_topic[recorded.topic].add(recorded, timeline.recorded_s(recorded.time_ns), timeline)
         except AttributeError as error:
             raise recording.other_version(path, recorded) from error
-    if PULSES in columns:
-        columns[PULSES].finish(timeline)
-    for part, column in columns.items():
-        if column.is_empty and (part in wanted or topics.get(part)):
-            raise NoRecording(f"{path}: nothing that can be used was recorded of {column.topic}")
-    notes = (*guesses, *(note for column in columns.values() for note in column.notes()), *timeline.notes())
-    built = {part: None if column.is_empty else column.build() for part, column in columns.items()}
+    built = {part: column.build() for part, column in columns.items()}
+    for part, (series, _) in built.items():
+        if series is None and (part in wanted or topics.get(part)):
+            raise NoRecording(f"{path}: nothing that can be used was recorded of {columns[part].topic}")
+    notes = (*guesses, *(note for _, notes in built.values() for note in notes), *timeline.notes())
     return Signals(str(path), timeline.start_ns / NS_PER_S, timeline.last_s, *(
-        built.get(part) for part in PARTS),
-        {part: column.topic for part, column in columns.items() if not column.is_empty}, notes)
+        built.get(part, (None,))[0] for part in PARTS),
+        {part: columns[part].topic for part, (series, _) in built.items() if series is not None}, notes)
 
 
 def _columns(path, wanted, optional, topics, namespace):

@@ -12,9 +12,9 @@ from car_interface.steering.calibration import SteeringCalibration
 from car_interface.tools.calibration.shared import MAX_PULSE, MIN_PULSE, RecordedDrive
 from car_interface.tools.calibration.steering.drive import SteeringDrive, distance_m
 from car_interface.tools.recordings import roles, signals
+from car_interface.tools.recordings.columns import Imu, Odom
 from car_interface.tools.recordings.overlap import trail
 from car_interface.tools.recordings.recording import NoRecording
-from car_interface.tools.recordings.series import Imu, Odom
 
 STRAIGHT_RAD = 1e-6
 IMU_GAP_S = 0.1
