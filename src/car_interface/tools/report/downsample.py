@@ -47,6 +47,18 @@ class Trace:
         return np.insert(times, gaps, times[gaps]) if len(gaps) else times, np.insert(values, gaps, EMPTY)
 
 
+class Traces(dict):
+    """The traces of a drive by their names; one that nobody has written to yet is empty."""
+
+    def __init__(self, duration_s: float):
+        super().__init__()
+        self.duration_s = duration_s
+
+    def __missing__(self, name: str) -> Trace:
+        self[name] = Trace(self.duration_s)
+        return self[name]
+
+
 class Path:
     """A path in the plane, in steps that double whenever there are too many points."""
 

@@ -10,7 +10,6 @@ from car_interface.tools.report.faults import ERROR
 from car_interface.tools.report.summary import Summary
 
 VERSION = 4  # of a row's content: rows of another version are computed again
-MIN_SAMPLES = 30  # for a median
 COUNT_BITS = 64  # times in ns, and the counters of messages, have no more
 MAX_FIGURE = 1e12  # above any distance, duration or ratio that a car can have; page and plots can show so much
 
@@ -88,21 +87,21 @@ def row(drive: Summary, path: str) -> Row:
     """Return the row of a summarized recording, which is shown as ``path``."""
     has_state, has_odom = bool(drive.steering.episodes), "odom" in drive.present
     source_s = drive.steering.source_s
-    turns = drive.motion.by_tables
-    left, right, straight = map(_median, (*turns.ratios(), turns.straight_per_m()))
+    turns, accelerating = drive.motion.by_tables, drive.motion.accelerating
+    left, right, straight = map(_median, (turns.left, turns.right, turns.straight_per_m))
     lost, battery = [*drive.steering.losses(), *drive.throttle.losses()], drive.traces["battery voltage"]
     notes = list(drive.notes)
     if drive.calibration is not None:  # it drove by the table before
         left = right = straight = None
         notes.append("a calibration drive")
-    driving, holding, braking = map(_median, drive.motion.accelerating.differences_mps2())
     return Row(
         path=path, start_ns=drive.start_ns, duration_s=drive.duration_s,
         distance_m=_possible(drive.motion.distance_m) if has_odom else None,
         gamepad_s=source_s[TELEOP] if has_state else None, planner_s=source_s[PLANNER] if has_state else None,
         losses=dict(Counter(one.cause or one.reason for one in lost)) if has_state or drive.throttle.episodes else None,
         straight_per_m=straight, left_ratio=left, right_ratio=right,
-        drive_mps2=driving, hold_mps2=holding, brake_mps2=braking,
+        drive_mps2=_median(accelerating.driving), hold_mps2=_median(accelerating.holding),
+        brake_mps2=_median(accelerating.braking),
         battery_v=_possible(round(battery.minimum, 3)) if battery.count else None, **_link(drive.teensy),
         **_faults(drive),
         lacks=[gap.lacks if math.isnan(gap.start_s) else f"{gap.lacks} for {gap.end_s - gap.start_s:.0f} s"
@@ -132,9 +131,10 @@ def _link(teensy):
     return {name: int(count) for name, count in change.items()}
 
 
-def _median(found):
-    """Return a median in five decimals, no -0.0, if there are enough samples."""
-    return _possible(round(found.median, 5) + 0.0) if found.samples >= MIN_SAMPLES else None
+def _median(bins):
+    """Return a median in five decimals, no -0.0, if it is known."""
+    median = bins.median()
+    return None if median is None else _possible(round(median, 5) + 0.0)
 
 
 def _possible(figure):

@@ -12,6 +12,8 @@ LOG_LEVELS = {"rosgraph_msgs": (4, 8), "rcl_interfaces": (30, 40)}  # warning an
 # A node's first report that is a warning, and becomes OK within so long, before anybody drives, is its start: the hub
 # wants five pings, one a second, and the servo board's guard a second. So is a car that is started with its recording.
 STARTS_WITHIN_S = 8.0
+# Topics that report the same as these reports on /diagnostics, and more of it.
+STATES = {"steering": "turn_arb/state", "Teensy link": "teensy_sensor_hub/link", "gamepad": "teleop_logi/state"}
 NUMBER = re.compile(r"[-+]?\d[\d.,e+-]*|inf|nan")
 MAX_ENTRIES = 2000
 
@@ -55,11 +57,10 @@ class FaultLog:
         index = self._repeated.get(key)
         if index is not None:
             self.entries[index] = self.entries[index]._replace(times=self.entries[index].times + 1)
-        elif len(self.entries) < MAX_ENTRIES:
+            return
+        if len(self.entries) < MAX_ENTRIES:
             self._repeated[key] = len(self.entries)
-            self.add_moment(time_s, level, where, what)
-        else:
-            self.dropped += 1
+        self.add_moment(time_s, level, where, what)
 
     def update_condition(self, time_s: float, key: str, level: int, where: str, what: str) -> None:
         """Begin, continue or end (level OK) the condition of a key. A text that differs in more than its numbers begins
@@ -99,19 +100,14 @@ class NodeReports:
     """
 
     def __init__(self, faults: FaultLog, present: Collection[str], log_type: str):
-        self._faults = faults
-        self._has_state = "turn_arb/state" in present
-        self._has_link = "teensy_sensor_hub/link" in present
-        self._has_gamepad = "teleop_logi/state" in present
-        self._has_reports = "/diagnostics" in present
+        self._faults, self._present = faults, present
         self._warning, self._error = LOG_LEVELS.get(log_type.split("/")[0], LOG_LEVELS["rosgraph_msgs"])
 
     def on_diagnostics(self, time_s: float, message: Any) -> None:
         """Take a diagnostic_msgs/DiagnosticArray."""
         for status in message.status:
             node, _, report = status.name.partition(": ")
-            if report == "steering" and self._has_state or report == "Teensy link" and self._has_link \
-                    or report == "gamepad" and self._has_gamepad:
+            if STATES.get(report) in self._present:
                 continue
             # rosbags has a message's byte as a number or as bytes.
             level = status.level[0] if isinstance(status.level, (bytes, bytearray)) else int(status.level)
@@ -119,13 +115,12 @@ class NodeReports:
 
     def on_log(self, time_s: float, message: Any) -> None:
         """Take a rosgraph_msgs/Log or rcl_interfaces/Log."""
-        node = message.name.strip("/")
-        is_known = node.endswith("turn_arb") and self._has_state or \
-            self._has_gamepad and message.msg.startswith("human in loop: ") or \
-            self._has_reports and message.msg.startswith(f"{BATTERY_REPORT}: ")
+        node, text = message.name.strip("/"), message.msg
+        is_known = node.endswith("turn_arb") and STATES["steering"] in self._present or \
+            text.startswith("human in loop: ") and STATES["gamepad"] in self._present or \
+            text.startswith(f"{BATTERY_REPORT}: ") and "/diagnostics" in self._present
         if message.level >= self._warning and not is_known:
-            level = ERROR if message.level >= self._error else WARN
-            self._faults.add_repeated(time_s, level, node, message.msg)
+            self._faults.add_repeated(time_s, ERROR if message.level >= self._error else WARN, node, text)
 
 
 def without_numbers(text: str) -> str:

@@ -2,8 +2,10 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections import deque
-from typing import Any, NamedTuple
+from itertools import accumulate
+from typing import Any
 
 # The car is compared with what it was sent at speed, and in a real bend or straight on, a while after the last change.
 STEADY_S, MIN_CURVATURE_PER_M, STRAIGHT_PER_M, MIN_SPEED_MPS = 0.7, 0.1, 0.02, 0.3
@@ -11,15 +13,9 @@ STEADY_S, MIN_CURVATURE_PER_M, STRAIGHT_PER_M, MIN_SPEED_MPS = 0.7, 0.1, 0.02, 0
 MAX_LATERAL_MPS2 = 1.5
 # From, to, a bin; what fits exactly, 1 or 0, is the middle of one. A ratio is never 0: radii have its inverse.
 RATIOS, OFFSETS_PER_M, OFFSETS_MPS2 = (0.001, 3.001, 0.002), (-1.0005, 1.0005, 0.001), (-5.005, 5.005, 0.01)
+MIN_SAMPLES = 30  # for a median
 MIN_REQUEST_MPS2 = 0.2  # less holds the speed
 REACTION_S, KEPT_S = 0.1, 2.0  # from a request to the acceleration; how long requests are kept
-
-
-class MedianOf(NamedTuple):
-    """The median of how the car did what it was sent."""
-
-    median: float  # NaN without samples
-    samples: int
 
 
 class Bins:
@@ -33,14 +29,17 @@ class Bins:
         """Add a finite number."""
         self._counts[min(max(int((number - self._low) / self._width), 0), len(self._counts) - 1)] += 1
 
-    def median(self) -> MedianOf:
-        """Return the median: the middle of its bin."""
-        total, seen = sum(self._counts), 0
-        for index, count in enumerate(self._counts):
-            seen += count
-            if total and seen * 2 >= total:
-                return MedianOf(self._low + (index + 0.5) * self._width, total)
-        return MedianOf(math.nan, 0)
+    @property
+    def samples(self) -> int:
+        """Return how many numbers there are."""
+        return sum(self._counts)
+
+    def median(self) -> float | None:
+        """Return the median, the middle of its bin; ``None`` with fewer than MIN_SAMPLES."""
+        seen = list(accumulate(self._counts))
+        if seen[-1] < MIN_SAMPLES:
+            return None
+        return self._low + (bisect_left(seen, seen[-1] / 2) + 0.5) * self._width
 
 
 class Following:
@@ -53,7 +52,8 @@ class Following:
 
     def __init__(self, sender: Any, max_lateral_mps2: float = math.inf):
         self._sender, self._max_lateral_mps2 = sender, max_lateral_mps2
-        self._left, self._right, self._straight = Bins(*RATIOS), Bins(*RATIOS), Bins(*OFFSETS_PER_M)
+        self.left, self.right = Bins(*RATIOS), Bins(*RATIOS)  # the driven curvature as a ratio of the sent one
+        self.straight_per_m = Bins(*OFFSETS_PER_M)  # the driven less the sent one where that was straight on
 
     def add(self, time_s: float, curvature_per_m: float, speed_mps: float) -> None:
         """Compare what the car drives now."""
@@ -63,17 +63,9 @@ class Following:
             return
         if abs(sent) > MIN_CURVATURE_PER_M:
             if speed_mps ** 2 * abs(curvature_per_m) <= self._max_lateral_mps2:
-                (self._left if sent > 0 else self._right).add(curvature_per_m / sent)
+                (self.left if sent > 0 else self.right).add(curvature_per_m / sent)
         elif abs(sent) <= STRAIGHT_PER_M:
-            self._straight.add(curvature_per_m - sent)
-
-    def ratios(self) -> tuple[MedianOf, MedianOf]:
-        """Return (left, right): the driven curvature as a ratio of the sent one."""
-        return self._left.median(), self._right.median()
-
-    def straight_per_m(self) -> MedianOf:
-        """Return the driven curvature less the sent one where that was straight on, left positive."""
-        return self._straight.median()
+            self.straight_per_m.add(curvature_per_m - sent)
 
 
 class Accelerating:
@@ -84,7 +76,8 @@ class Accelerating:
 
     def __init__(self):
         self._requests: deque = deque()  # time, m/s²
-        self._driving, self._holding, self._braking = (Bins(*OFFSETS_MPS2) for _ in range(3))
+        # By how much it accelerated more than requested where it was to drive, to hold its speed, to brake; in m/s².
+        self.driving, self.holding, self.braking = (Bins(*OFFSETS_MPS2) for _ in range(3))
 
     def request(self, time_s: float, acceleration_mps2: float) -> None:
         """Take the planner's request."""
@@ -101,10 +94,6 @@ class Accelerating:
         requested = [wanted for time_s, wanted in self._requests if start_s <= time_s + REACTION_S <= end_s]
         if requested:
             mean_mps2 = sum(requested) / len(requested)
-            bins = (self._holding if abs(mean_mps2) <= MIN_REQUEST_MPS2 else
-                    self._driving if mean_mps2 > 0 else self._braking)
+            bins = (self.holding if abs(mean_mps2) <= MIN_REQUEST_MPS2 else
+                    self.driving if mean_mps2 > 0 else self.braking)
             bins.add(acceleration_mps2 - mean_mps2)
-
-    def differences_mps2(self) -> tuple[MedianOf, MedianOf, MedianOf]:
-        """Return by how much it accelerated more than requested where it was to drive, to hold its speed, to brake."""
-        return self._driving.median(), self._holding.median(), self._braking.median()

@@ -1,12 +1,9 @@
-"""Follows how the car moved, by odometry and IMU: against what was sent and what was asked for, past what it saw.
-
-Each watch writes to those of ``traces`` that TRACES names.
-"""
+"""Follows how the car moved, by odometry and IMU: against what was sent and what was asked for, past what it saw."""
 from __future__ import annotations
 
 import math
 from collections import deque
-from typing import Any, Mapping
+from typing import Any
 
 from car_interface.common.sources import DRIVE
 from car_interface.common.units import NS_PER_S, stamp_ns, yaw_rad
@@ -18,7 +15,7 @@ from car_interface.tools.recordings.columns import (
     ackermann_drive,
     has_twist,
 )
-from car_interface.tools.report.downsample import Path, Spots, Trace
+from car_interface.tools.report.downsample import Path, Spots, Traces
 from car_interface.tools.report.faults import WARN, Fault, FaultLog
 from car_interface.tools.report.following import (
     MAX_LATERAL_MPS2,
@@ -28,7 +25,6 @@ from car_interface.tools.report.following import (
     Accelerating,
     Bins,
     Following,
-    MedianOf,
 )
 from car_interface.tools.report.states import Drivers, SteeringWatch, is_fresh
 
@@ -42,8 +38,6 @@ MAX_POSES = 60
 SAME_RAD, SAME_MPS = 0.02, 0.1  # planners change what they ask for by less all the time
 MIN_RATE_RADPS = 0.2  # of a turn, for its rate to be compared with the IMU's
 LAG_S = WINDOW_S / 2  # as much as odometry's turn rate, which is that of a window
-TRACES = ("speed", "acceleration", "driven curvature", "turn rate", "requested curvature", "requested angle",
-          "requested speed", "imu turn rate")
 
 
 class AskedWatch:
@@ -52,14 +46,14 @@ class AskedWatch:
     A request that is stale is none any more, and while somebody else has the car there is none either.
     """
 
-    def __init__(self, traces: Mapping[str, Trace], wheelbase_m: float | None, drivers: Drivers):
+    def __init__(self, traces: Traces, wheelbase_m: float | None, drivers: Drivers):
         self._traces, self._drivers = traces, drivers
         self.wheelbase_m = wheelbase_m  # None = unknown, and so is the curvature that an angle asks for
         self.curvature_per_m: float | None = None  # asked for now, left positive; None = unknown
         self.unchanged_since_s = 0.0  # when the angle last changed by more than SAME_RAD
         self._angle_rad = self._speed_mps = math.nan  # from which changes count; NaN = no request
         self._speed_since_s, self._received_s = 0.0, -math.inf
-        self._speed_ratios = Bins(*RATIOS)
+        self.speed_ratios = Bins(*RATIOS)  # the driven speed to the one that was asked for, where that was steady
 
     def on_drive(self, time_s: float, message: Any) -> None:
         """Take a request."""
@@ -91,11 +85,7 @@ class AskedWatch:
     def compare_speed(self, time_s: float, speed_mps: float) -> None:
         """Compare the speed with the one that was asked for."""
         if abs(self._speed_mps) > MIN_SPEED_MPS and time_s - self._speed_since_s > STEADY_S:
-            self._speed_ratios.add(speed_mps / self._speed_mps)
-
-    def speed_ratio(self):
-        """Return the driven speed as a ratio of the one that was asked for, where that was steady."""
-        return self._speed_ratios.median()
+            self.speed_ratios.add(speed_mps / self._speed_mps)
 
 
 class PoseSpeed:
@@ -129,7 +119,7 @@ class PoseSpeed:
 class MotionWatch:
     """Follows odometry, and compares it with what steered and drove; gaps and resets are faults."""
 
-    def __init__(self, traces: Mapping[str, Trace], faults: FaultLog, steering: SteeringWatch, asked: AskedWatch,
+    def __init__(self, traces: Traces, faults: FaultLog, steering: SteeringWatch, asked: AskedWatch,
                  drivers: Drivers, start_ns: int):
         self._traces, self._faults, self._steering, self._start_ns = traces, faults, steering, start_ns
         self._asked, self._drivers = asked, drivers
@@ -164,7 +154,7 @@ class MotionWatch:
             self._move(time_s, position, yaw, speed)
         self._newest = (time_s, position.x, position.y, yaw)
         self._poses.append((stamp_s, position.x, position.y, yaw))
-        self.path.add(position.x, position.y, self._steering.source)
+        self.path.add(position.x, position.y, self._steering.driver)
         if math.isfinite(speed):
             self._traces["speed"].add(time_s - lag_s, speed)
             self._asked.compare_speed(time_s, speed)
@@ -244,32 +234,28 @@ def _slope(samples):
 class ImuWatch:
     """Follows sensor_msgs/Imu: how fast the car turned, beside its odometry."""
 
-    def __init__(self, traces: Mapping[str, Trace], motion: MotionWatch):
+    def __init__(self, traces: Traces, motion: MotionWatch):
         self._traces, self._motion, self._gravity = traces, motion, Gravity()
-        self._ratios = Bins(*RATIOS)
+        self.ratios = Bins(*RATIOS)  # odometry's turn rate to the IMU's
         self._rate_radps, self._last_s = 0.0, math.nan
 
     def on_imu(self, time_s: float, message: Any) -> None:
         """Take a measurement."""
-        rate_radps = message.angular_velocity.z
+        rate_radps, acceleration = message.angular_velocity.z, message.linear_acceleration
         if not math.isfinite(rate_radps):
             return
-        self._gravity.add(message.linear_acceleration)
+        self._gravity.add(acceleration.x, acceleration.y, acceleration.z)
         self._traces["imu turn rate"].add(time_s, rate_radps)
         step_s = time_s - self._last_s
         weight = 1 - math.exp(-step_s / LAG_S) if 0 <= step_s < 1 else 1.0
         self._last_s, self._rate_radps = time_s, self._rate_radps + weight * (rate_radps - self._rate_radps)
         by_odometry_radps = self._motion.turn_rate_at(time_s)
         if by_odometry_radps is not None and abs(self._rate_radps) > MIN_RATE_RADPS:
-            self._ratios.add(by_odometry_radps / self._rate_radps)
+            self.ratios.add(by_odometry_radps / self._rate_radps)
 
     def note(self, topic: str) -> str:
         """Return what is wrong with its mounting; empty: nothing."""
         return self._gravity.note(topic)
-
-    def odometry_ratio(self) -> MedianOf:
-        """Return odometry's turn rate as a ratio of the IMU's; no samples where that is mounted on its side."""
-        return MedianOf(math.nan, 0) if self.note("") else self._ratios.median()
 
 
 class SonarWatch:

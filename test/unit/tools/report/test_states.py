@@ -8,7 +8,7 @@ import pytest
 from car_interface.common import causes
 from car_interface.common.sources import NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.tools.report import states
-from car_interface.tools.report.downsample import Trace
+from car_interface.tools.report.downsample import Traces
 from car_interface.tools.report.faults import ERROR, WARN, Fault, FaultLog
 from car_interface.tools.report.page import page
 from car_interface.tools.report.plots import _throttle
@@ -20,8 +20,8 @@ END_S = 10.0
 
 def watched(make, usual, *changes):
     """A watch, its faults and its traces, after (time in s, changes of the usual state) each."""
-    faults, traces = FaultLog(), {name: Trace(END_S) for name in states.TRACES}
-    watch = make(traces, faults, END_S)
+    faults, traces = FaultLog(), Traces(END_S)
+    watch = make(traces, faults)
     for time_s, changed in changes:
         watch.on_state(time_s, SimpleNamespace(**{**usual, **changed}))
     watch.finish()
@@ -241,7 +241,7 @@ def test_what_diagnostics_and_log_say_of_the_gamepad_is_not_listed_twice(tmp_pat
 def gamepad(*steps):
     """A watch, its losses as faults, after (time in s, cause) each."""
     faults = FaultLog()
-    watch = states.GamepadWatch(faults, 60.0)
+    watch = states.GamepadWatch(Traces(60.0), faults)
     for time_s, cause in steps:
         watch.on_state(time_s, SimpleNamespace(
             cause=cause, reason=f"why {cause}", human_in_loop=cause in (causes.MANUAL, causes.AUTONOMOUS),
