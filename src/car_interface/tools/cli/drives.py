@@ -16,7 +16,7 @@ from car_interface.common.black_box_folder import default_folder, newest
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.tools.cli.bag_report import page_path as report_path
 from car_interface.tools.cli.drives_cache import Cache, find_recordings, fingerprint
-from car_interface.tools.cli.jobs import check_not_killed, failure_text, for_each, workers
+from car_interface.tools.cli.jobs import try_each
 from car_interface.tools.cli.main import version
 from car_interface.tools.cli.options import add_recording_arguments, add_scheduler_argument, topics_of
 from car_interface.tools.report.drives_page import csv_text, in_order, page
@@ -112,14 +112,16 @@ def _read_rows(options, topics, paths):
     new = [path for path in paths if known.get(path) is None]
     rows = [known[path] for path in paths if known.get(path) is not None]
     # A worker on another computer has another current folder.
-    read = partial(_read, folder=os.path.abspath(options.folder), namespace=options.namespace, topics=topics)
+    folder = os.path.abspath(options.folder)
+    read = partial(_read, folder=folder, namespace=options.namespace, topics=topics)
+    made = try_each(read, new, "no row can be made of it", options.jobs, options.scheduler)
     try:
-        with workers(len(new), options.jobs, options.scheduler) as done_by:
-            for one in for_each(read, new, done_by):
-                rows.append(one)
-                cache.add(states[one.path], one)
-                if sys.stderr.isatty():
-                    print(f"{len(rows)} of {len(paths)}: {one.path}", file=sys.stderr)
+        for path, (one, error) in zip(new, made):
+            # An error begins with the recording's name; a command to type keeps the whole path.
+            rows.append(one or Row(path, error=error.replace(os.path.join(folder, path), path, 1)))
+            cache.add(states[path], rows[-1])
+            if sys.stderr.isatty():
+                print(f"{len(rows)} of {len(paths)}: {path}", file=sys.stderr)
     finally:
         problem = cache.save(paths) if new or cache.problem or cache.damaged else ""
     if problem:
@@ -134,12 +136,5 @@ def _state(folder, path):
         return None
 
 
-def _read(path, folder, namespace, topics, killed=False):
-    """Return the row of one recording; whatever is wrong with it becomes the row's error."""
-    full = os.path.join(folder, path)
-    try:
-        check_not_killed(killed, full)
-        return row(summarize(full, namespace, **topics), path)
-    except Exception as error:  # one bad recording must not prevent the table of the others
-        # It begins with the recording's name; a command to type keeps the whole path.
-        return Row(path, error=failure_text(error, full, "no row can be made of it").replace(full, path, 1))
+def _read(path, folder, namespace, topics):
+    return row(summarize(os.path.join(folder, path), namespace, **topics), path)

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import Collection, NamedTuple
 
+import numpy as np
+
 from car_interface.common.units import NS_PER_S
 from car_interface.tools.recordings import recording, roles
 from car_interface.tools.recordings.columns import (
@@ -57,6 +59,15 @@ class Signals(NamedTuple):
     notes: tuple[str, ...]  # what was guessed and what was left out, a line each that names the topic
 
 
+class Trail(NamedTuple):
+    """Where the car was, on the computer's clock: shows which recordings contain the same driving; columns (N,)."""
+
+    path: str
+    t_s: np.ndarray  # ROS time
+    x_m: np.ndarray
+    y_m: np.ndarray
+
+
 def load(path: str, wanted: Collection[str], *, optional: Collection[str] = (), namespace: str = "/",
          progress: bool = False, **topics: str | None) -> Signals:
     """Read a recording.
@@ -90,6 +101,13 @@ def load(path: str, wanted: Collection[str], *, optional: Collection[str] = (), 
     return Signals(str(path), timeline.start_ns / NS_PER_S, timeline.last_s, *(
         built.get(part, (None,))[0] for part in PARTS),
         {part: columns[part].topic for part, (series, _) in built.items() if series is not None}, notes)
+
+
+def trail(signals: Signals) -> Trail:
+    """Return the trail of a recording with odometry, without the samples at which the car stood still."""
+    odom = signals.odom
+    moves = np.concatenate(([False], (np.diff(odom.x_m) != 0) | (np.diff(odom.y_m) != 0)))
+    return Trail(signals.path, *(column[moves] for column in (signals.start_s + odom.t_s, odom.x_m, odom.y_m)))
 
 
 def _columns(path, wanted, optional, topics, namespace):
