@@ -19,8 +19,7 @@ from car_interface.tools.cli.drives_cache import Cache, find_recordings, fingerp
 from car_interface.tools.cli.jobs import try_each
 from car_interface.tools.cli.main import version
 from car_interface.tools.cli.options import add_recording_arguments, add_scheduler_argument, topics_of
-from car_interface.tools.report.drives_page import csv_text, in_order, page
-from car_interface.tools.report.drives_plots import trends
+from car_interface.tools.report.drives_page import csv_text, in_order, page, trends
 from car_interface.tools.report.drives_row import VERSION, Row, row
 from car_interface.tools.report.summary import ROLES, summarize
 
@@ -107,7 +106,7 @@ def _read_rows(options, topics, paths):
     if cache.damaged:
         print(f"drives: {cache.path} has damaged rows ({cache.damaged}): their recordings are read again",
               file=sys.stderr)
-    states = {path: _state(options.folder, path) for path in paths}
+    states = {path: fingerprint(os.path.join(options.folder, path)) for path in paths}
     known = {} if options.fresh else {path: cache.row(path, states[path]) for path in paths}
     new = [path for path in paths if known.get(path) is None]
     rows = [known[path] for path in paths if known.get(path) is not None]
@@ -127,13 +126,6 @@ def _read_rows(options, topics, paths):
     if problem:
         print(f"drives: what was read can't be kept for the next time: {problem}", file=sys.stderr)
     return rows, len(new)
-
-
-def _state(folder, path):
-    try:
-        return fingerprint(os.path.join(folder, path))
-    except OSError:  # it is gone: reading it reports that
-        return None
 
 
 def _read(path, folder, namespace, topics):

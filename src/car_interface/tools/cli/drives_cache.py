@@ -7,14 +7,13 @@ used, and what has another one is read again.
 """
 from __future__ import annotations
 
-import errno
 import hashlib
 import json
 import os
-import stat
 from typing import Any, Iterable, NamedTuple
 
 from car_interface.common.atomic_file import replace
+from car_interface.common.input_file import read_file
 from car_interface.tools.recordings.recording import METADATA, ROS2_SUFFIXES
 from car_interface.tools.report.drives_row import Row, stored_row
 
@@ -22,7 +21,7 @@ from car_interface.tools.report.drives_row import Row, stored_row
 ROS1_SUFFIXES = (".bag", ".bag.active")
 ORIGINAL = ".orig"  # rosbag reindex keeps a damaged a.bag as a.orig.bag
 NAME = ".car_interface_drives.json"
-MAX_BYTES = 64 << 20  # a row has about 1 kB: 60,000 recordings
+MAX_BYTES = 64_000_000  # a row has about 1 kB: 60,000 recordings
 
 
 class Fingerprint(NamedTuple):
@@ -60,16 +59,14 @@ def _is_original(name, files):
     return stem.endswith(ORIGINAL) and stem[:-len(ORIGINAL)] + suffix in files
 
 
-def fingerprint(path: str) -> Fingerprint:
-    """Return size and time of change of a recording: of a folder those of all its files together.
-
-    Raises:
-        OSError: it is gone.
+def fingerprint(path: str) -> Fingerprint | None:
+    """Return size and time of change of a recording, of a folder those of all its files together; ``None``: it is gone.
     """
-    paths = [path]
-    if os.path.isdir(path):
-        paths = [os.path.join(path, name) for name in sorted(os.listdir(path))]
-    stats = [os.stat(one) for one in paths]
+    try:
+        paths = [os.path.join(path, name) for name in os.listdir(path)] if os.path.isdir(path) else [path]
+        stats = [os.stat(one) for one in paths]
+    except OSError:
+        return None
     return Fingerprint(sum(one.st_size for one in stats), max((one.st_mtime_ns for one in stats), default=0))
 
 
@@ -86,12 +83,12 @@ class Cache:
         if self.path is not None:
             self._load(self.path)
 
-    def row(self, path: str, state: Fingerprint) -> Row | None:
+    def row(self, path: str, state: Fingerprint | None) -> Row | None:
         """Return the row of a recording that hasn't changed since."""
         before, row = self._rows.get(path, (None, None))
         return row if before == state else None
 
-    def add(self, state: Fingerprint, row: Row) -> None:
+    def add(self, state: Fingerprint | None, row: Row) -> None:
         """Keep a row. One with an error is not kept: what prevents reading may be gone the next time."""
         if not row.error:
             self._rows[row.path] = (state, row)
@@ -113,12 +110,10 @@ class Cache:
 
     def _load(self, path):
         try:
-            checksum, body = _read(path).split("\n")[:2]
-            if checksum != _checksum(body):
-                raise ValueError
+            checksum, body = read_file(path, MAX_BYTES).decode("ascii").split("\n")[:2]
             content = json.loads(body)
             version, rows = content["version"], content["rows"]
-            if not isinstance(version, str) or not isinstance(rows, dict):
+            if checksum != _checksum(body) or not isinstance(version, str) or not isinstance(rows, dict):
                 raise ValueError
         except OSError as error:
             self.problem = f"{path} can't be read ({error.strerror})"
@@ -134,18 +129,6 @@ class Cache:
                 self.damaged += 1
             else:
                 self._rows[name] = found
-
-
-def _read(path):
-    """Return the text of a regular file, which is not waited for: a pipe of this name may have no writer."""
-    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-    with open(handle, encoding="ascii") as file:
-        status = os.fstat(handle)
-        if not stat.S_ISREG(status.st_mode):
-            raise OSError(errno.EINVAL, "it is no regular file")
-        if status.st_size > MAX_BYTES:
-            raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
-        return file.read()
 
 
 def _stored(path: str, entry: Any) -> tuple[Fingerprint, Row] | None:

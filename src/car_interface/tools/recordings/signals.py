@@ -27,8 +27,8 @@ from car_interface.tools.recordings.columns import (
     Value,
     ValueColumn,
 )
-from car_interface.tools.recordings.pulses import CLOCK_TOPIC, WHEEL_TOPIC, PulseColumns
 from car_interface.tools.recordings.recording import NoRecording
+from car_interface.tools.recordings.replay import CLOCK_TOPIC, WHEEL_TOPIC, PulseColumns
 
 PULSES = "pulses"  # the only part that plays no role: only this package records it
 PARTS = (*(role.name for role in (
@@ -118,12 +118,10 @@ def _columns(path, wanted, optional, topics, namespace):
     for part, (role, kind) in KINDS.items():
         if part not in wanted | optional and (part != roles.IMU.name or not topics.get(roles.IMU.name)):
             continue
-        free = roles.without(recorded, topics, role, namespace)
-        topic, note = roles.find(free, role, namespace, topics.get(part))
+        topic, note, is_there, fits = roles.find(recorded, role, namespace, topics)
         guesses += [note] if note else []
         is_needed = part in wanted or topics.get(part) is not None
-        if roles.fits(free, topic, role, namespace) or \
-                is_needed and recording.absolute_names(free, [topic], namespace):
+        if fits or is_needed and is_there:
             columns[part], types[topic] = kind(topic), role.types
         elif is_needed and note:
             raise NoRecording(f"{path}: {note}")

@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Sequence
 
 from car_interface.common.sources import PLANNER, TELEOP
 from car_interface.tools.report.faults import ERROR
@@ -24,7 +24,7 @@ class Row(NamedTuple):
     distance_m: float | None = None  # by odometry
     gamepad_s: float | None = None  # how long the gamepad steered
     planner_s: float | None = None
-    losses: Any = None  # how often something was lost or locked while somebody drove, by cause
+    losses: dict | None = None  # how often something was lost or locked while somebody drove, by cause
     straight_per_m: float | None = None  # the curvature driven when sent straight on, left positive: the center is off
     left_ratio: float | None = None  # the driven curvature to the sent one
     right_ratio: float | None = None
@@ -41,13 +41,11 @@ class Row(NamedTuple):
     unanswered: int | None = None  # pings
     faults: int | None = None
     errors: int | None = None  # among the faults
-    lacks: Any = ()  # what was not recorded, or not all of the time
-    notes: Any = ()  # which topics were guessed
+    lacks: Sequence[str] = ()  # what was not recorded, or not all of the time
+    notes: Sequence[str] = ()  # which topics were guessed
 
 
-# The numbers of a row; all but its duration may be None.
-LENGTHS = ("duration_s", "distance_m", "gamepad_s", "planner_s", "battery_v")
-FIGURES = ("straight_per_m", "left_ratio", "right_ratio", "drive_mps2", "hold_mps2", "brake_mps2")
+LENGTHS = ("duration_s", "distance_m", "gamepad_s", "planner_s", "battery_v")  # 0 or more, or unknown
 LINK = ("frames", "corrupt", "reopened", "reboots", "unanswered")  # all known, or none
 
 
@@ -63,24 +61,22 @@ def _are_texts(value):
     return isinstance(value, list) and all(isinstance(text, str) for text in value)
 
 
-def _are_counts(value):
-    return isinstance(value, dict) and all(map(_is_count, value.values()))
+IS_VALID = {  # what JSON may have for a field, if not null; the others are figures
+    **dict.fromkeys(("start_ns", *LINK, "faults", "errors"), _is_count), "lacks": _are_texts, "notes": _are_texts,
+    "losses": lambda value: isinstance(value, dict) and all(map(_is_count, value.values())),
+}
 
 
 def stored_row(values: Any, path: str) -> Row | None:
     """Return the row of ``path``, a recording that could be read, out of JSON; ``None``: it is no such row."""
     if not isinstance(values, list) or len(values) != len(Row._fields):
         return None
-    found = Row(*values)
-
-    def known(*names):
-        return [number for number in (getattr(found, name) for name in names) if number is not None]
-    is_row = ((found.path, found.error) == (path, "") and _is_count(found.start_ns) and found.duration_s is not None
-              and all(map(_is_figure, known(*LENGTHS, *FIGURES))) and all(length >= 0 for length in known(*LENGTHS))
-              and all(map(_is_count, known(*LINK, "faults", "errors"))) and len(known(*LINK)) in (0, len(LINK))
-              and len(known("faults", "errors")) != 1 and (found.losses is None or _are_counts(found.losses))
-              and _are_texts(found.lacks) and _are_texts(found.notes))
-    return found if is_row else None
+    known = {name: value for name, value in zip(Row._fields[2:], values[2:]) if value is not None}
+    is_row = (values[:2] == [path, ""] and known.keys() >= {"start_ns", "duration_s", "lacks", "notes"}
+              and all(IS_VALID.get(name, _is_figure)(value) for name, value in known.items())
+              and all(known.get(name, 0) >= 0 for name in LENGTHS)
+              and len(known.keys() & {*LINK}) in (0, len(LINK)) and ("faults" in known) == ("errors" in known))
+    return Row(*values) if is_row else None
 
 
 def row(drive: Summary, path: str) -> Row:
@@ -123,12 +119,12 @@ def _link(teensy):
     first, last = teensy.first_link, teensy.link
     if last is None:
         return {}
-    change = {name: getattr(last, field) - getattr(first, field) for name, field in (
-        ("frames", "frames"), ("corrupt", "bad_frames"), ("reopened", "reconnects"), ("reboots", "reboots"),
-        ("pings", "pings"), ("pongs", "pongs"))}
-    # The newest ping may still be on its way.
-    change["unanswered"] = max(0, change.pop("pings") - change.pop("pongs") - 1)
-    return {name: int(count) for name, count in change.items()}
+
+    def change(name):
+        return int(getattr(last, name) - getattr(first, name))
+    return {"frames": change("frames"), "corrupt": change("bad_frames"), "reopened": change("reconnects"),
+            "reboots": change("reboots"),
+            "unanswered": max(0, change("pings") - change("pongs") - 1)}  # the newest may still be on its way
 
 
 def _median(bins):

@@ -116,11 +116,21 @@ def _lines(text, *curves, **limits):
     return draw
 
 
+def _symmetric(largest):
+    return {"bottom": -largest, "top": largest}
+
+
 def _steering(drive):
-    traces = drive.traces
+    traces, which = drive.traces, "the table before" if drive.calibration else "the tables"
+    sent = [trace for trace in (traces["requested curvature"], traces["sent curvature"]) if trace.count]
+    driven = traces["driven curvature"]
+    largest = max([abs(bound) for trace in sent for bound in (trace.minimum, trace.maximum)]
+                  + [0.2, usual_magnitude(driven)])
     return stack(drive, [
-        (any(traces[name].count for name in ("requested curvature", "sent curvature", "driven curvature")), 2.6,
-         _curvature),
+        (bool(sent or driven.count), 2.6, _lines(
+            "How tight: 1/radius in 1/m, left up", ("requested curvature", REQUESTED, "requested (planner)", ASKED),
+            ("sent curvature", SENT, f"sent (by {which})", {"linewidth": 1.6}),
+            ("driven curvature", DRIVEN, "driven (by odometry)", DONE), **_symmetric(1.45 * largest))),
         (traces["requested angle"].count > 0 and drive.asked.wheelbase_m is None, 1.4,
          _lines("The steering angle that was asked for, in degrees, left up", ("requested angle", REQUESTED, "", {}))),
         (drive.steering.steering_channel in drive.steering.duties or traces["gamepad"].count > 0, 1.7, _steering_duty),
@@ -128,42 +138,35 @@ def _steering(drive):
          _lines("The position of the VESC's servo, 0 to 1", ("servo position", SENT, "", HELD)))])
 
 
-def _curvature(axes, drive):
-    traces = drive.traces
-    curve(axes, traces["requested curvature"], REQUESTED, "requested (planner)", linestyle=DASHED)
-    which = "the table before" if drive.calibration else "the tables"
-    curve(axes, traces["sent curvature"], SENT, f"sent (by {which})", linewidth=1.6)
-    curve(axes, traces["driven curvature"], DRIVEN, "driven (by odometry)", linewidth=0.9)
-    largest = max([abs(bound) for name in ("requested curvature", "sent curvature") if traces[name].count
-                   for bound in (traces[name].minimum, traces[name].maximum)]
-                  + [0.2, usual_magnitude(traces["driven curvature"])])
-    axes.set_ylim(-1.45 * largest, 1.45 * largest)
-    title(axes, "How tight: 1/radius in 1/m, left up")
-    legend(axes)
-
-
 def _steering_duty(axes, drive):
     duty, gamepad = drive.steering.duties.get(drive.steering.steering_channel), drive.traces["gamepad"]
     title(axes, "The servo's duty" if duty else "The gamepad's request, left up")
-    if duty is not None:
-        curve(axes, duty, SENT, f"duty on channel {drive.steering.steering_channel}", **HELD)
+    beside = _two_scales(
+        axes, [(duty, SENT, f"duty on channel {drive.steering.steering_channel}", HELD)] if duty else [],
+        [(gamepad, REQUESTED, "the gamepad's request" if duty else "", ASKED)] if gamepad.count else [])
+    if duty:
         margin = max(0.08 * (duty.maximum - duty.minimum), 40)
         axes.set_ylim(duty.minimum - margin, duty.maximum + margin)
-    if not gamepad.count:
+    if gamepad.count:
+        beside.set_ylim(-1.25, 1.25)
+
+
+def _two_scales(axes, left, right):
+    """Draw curves, each a trace with its colour, label and style; where there are both, those at the right have a scale
+    of their own. Return its axes.
+    """
+    has_both = bool(left and right)
+    beside = axes.twinx() if has_both else axes
+    for trace, colour, label, style in left:
+        curve(axes, trace, colour, label, **style)
+    for trace, colour, label, style in right:
+        curve(beside, trace, colour, label + (" (right scale)" if has_both else ""), **style)
+    if has_both:
+        beside.grid(False)
+        axes.legend(handles=axes.get_lines() + beside.get_lines(), **ABOVE)
+    else:
         legend(axes)
-        return
-    beside = axes.twinx() if duty is not None else axes
-    label = "the gamepad's request (right scale)" if duty else "the gamepad"
-    curve(beside, gamepad, REQUESTED, label, linestyle=DASHED)
-    beside.set_ylim(-1.25, 1.25)
-    if duty is not None:
-        _legend_of_both(axes, beside)
-
-
-def _legend_of_both(axes, beside):
-    """Draw one legend for axes and those with another scale beside them."""
-    beside.grid(False)
-    axes.legend(handles=axes.get_lines() + beside.get_lines(), **ABOVE)
+    return beside
 
 
 def _throttle(drive):
@@ -224,6 +227,7 @@ def _path(drive):
 
 def _speed(drive):
     traces = drive.traces
+    fastest = max([0.1, *(1.3 * usual_magnitude(traces[name]) for name in ("imu turn rate", "turn rate"))])
     return stack(drive, [
         (traces["speed"].count > 0, 2.0, _speeds),
         (traces["acceleration"].count + traces["requested acceleration"].count > 0, 2.0,
@@ -233,7 +237,9 @@ def _speed(drive):
         (traces["motor speed"].count + traces["motor speed asked"].count > 0, 1.6,
          _lines("The VESC's motor speed in ERPM", ("motor speed asked", REQUESTED, "requested", ASKED),
                 ("motor speed", DRIVEN, "measured", DONE))),
-        (traces["imu turn rate"].count > 0, 1.6, _turn_rates)])
+        (traces["imu turn rate"].count > 0, 1.6,
+         _lines("How fast it turned, in rad/s, left up", ("imu turn rate", REQUESTED, "by the IMU", DONE),
+                ("turn rate", DRIVEN, "by odometry", DONE), **_symmetric(fastest)))])
 
 
 def _driven_duties(drive):
@@ -254,27 +260,10 @@ def _speeds(axes, drive):
 
 
 def _value(axes, drive):
-    duties, has_value = _driven_duties(drive), drive.traces["value"].count > 0
-    has_both = has_value and bool(duties)
-    title(axes, "Value, and the ESC's duty" if has_both else "Value" if has_value else "The ESC's duty")
-    if has_value:
-        curve(axes, drive.traces["value"], REQUESTED, "value")
-    beside = axes.twinx() if has_both else axes
-    for channel, duty in duties.items():
-        curve(beside, duty, SENT, f"duty on channel {channel}" + (" (right scale)" if has_both else ""), **HELD)
-    if has_both:
-        _legend_of_both(axes, beside)
-    else:
-        legend(axes)
-
-
-def _turn_rates(axes, drive):
-    title(axes, "How fast it turned, in rad/s, left up")
-    curve(axes, drive.traces["imu turn rate"], REQUESTED, "by the IMU", linewidth=0.9)
-    curve(axes, drive.traces["turn rate"], DRIVEN, "by odometry", linewidth=0.9)
-    largest = max([0.1, *(1.3 * usual_magnitude(drive.traces[name]) for name in ("imu turn rate", "turn rate"))])
-    axes.set_ylim(-largest, largest)
-    legend(axes)
+    duties, value = _driven_duties(drive), drive.traces["value"]
+    title(axes, "The ESC's duty" if not value.count else "Value, and the ESC's duty" if duties else "Value")
+    _two_scales(axes, [(value, REQUESTED, "value", {})] if value.count else [],
+                [(duty, SENT, f"duty on channel {channel}", HELD) for channel, duty in duties.items()])
 
 
 def _battery(drive):
@@ -283,23 +272,21 @@ def _battery(drive):
 
 
 def _link(drive):
-    return stack(drive, [(drive.traces["frames"].count > 0, 1.5, _frames),
-                         (drive.traces["round trip"].count > 0, 1.5, _lines(
-                             "Round trip of a ping in ms", ("round trip", SENT, "", DOTTED), bottom=0)),
-                         (drive.traces["skew"].count > 0, 1.5, _skew)])
+    traces = drive.traces
+    return stack(drive, [
+        (traces["frames"].count > 0, 1.5, _lines(
+            "Frames from the Teensy in a second", ("frames", SENT, "good", {"gap_s": 5}),
+            ("bad frames", BAD, "corrupt", {"gap_s": 5}), bottom=-0.03 * max(traces["frames"].maximum, 1))),
+        (traces["round trip"].count > 0, 1.5, _lines(
+            "Round trip of a ping in ms", ("round trip", SENT, "", DOTTED), bottom=0)),
+        (traces["skew"].count > 0, 1.5, _lines(
+            "How much faster the Teensy's clock runs, in ppm", ("skew", SENT, "", DOTTED), **_most(traces["skew"])))])
 
 
-def _frames(axes, drive):
-    title(axes, "Frames from the Teensy in a second")
-    curve(axes, drive.traces["frames"], SENT, "good", gap_s=5)
-    curve(axes, drive.traces["bad frames"], BAD, "corrupt", gap_s=5)
-    axes.set_ylim(bottom=-0.03 * max(drive.traces["frames"].maximum, 1))
-    legend(axes)
-
-
-def _skew(axes, drive):
-    title(axes, "How much faster the Teensy's clock runs, in ppm")
-    curve(axes, drive.traces["skew"], SENT, "", **DOTTED)
-    low, high = np.nanpercentile(drive.traces["skew"].curve()[1], (10, 90))  # the first few are far off
+def _most(skew):
+    """Return limits that leave out the first few values, which are far off."""
+    if not skew.count:
+        return {}
+    low, high = np.nanpercentile(skew.curve()[1], (10, 90))
     margin = max(high - low, 10, 1e-3 * max(abs(low), abs(high)))  # garbage is drawn, too
-    axes.set_ylim(low - margin, high + margin)
+    return {"bottom": low - margin, "top": high + margin}

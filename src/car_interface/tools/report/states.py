@@ -13,7 +13,7 @@ from car_interface.common.sources import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TEL
 from car_interface.common.units import NS_PER_S, stamp_ns
 from car_interface.pca9685.registers import DUTY_PER_COUNT
 from car_interface.steering.arbiter import SteeringArbiterConfig
-from car_interface.tools.report.downsample import Trace, Traces
+from car_interface.tools.report.downsample import Traces
 from car_interface.tools.report.faults import ERROR, MAX_ENTRIES, WARN, Fault, FaultLog
 
 UNKNOWN_DRIVER = -1
@@ -162,7 +162,7 @@ class SteeringWatch(Episodes):
         super().__init__(traces, faults)
         self._gamepad = gamepad
         self.source_s: Counter = Counter()  # seconds by source
-        self.duties: dict = {}  # a Trace by channel, for those that were ever driven
+        self.duties = Traces(traces.duration_s)  # by channel, of those that were ever driven
         self.steering_channel: int | None = None  # that follows turn_arb's duty; None = unknown
         self.curvature_per_m: float | None = None  # sent by turn_arb now, left positive; None = unknown
         self.unchanged_since_s = 0.0  # when turn_arb's duty last changed by a step of the board
@@ -192,9 +192,7 @@ class SteeringWatch(Episodes):
         for channel, duty in enumerate(message.data):
             if self._duty is not None and abs(duty - self._duty) <= DUTY_PER_COUNT:
                 self._matches[channel] += 1
-            if duty > 0 and channel not in self.duties:
-                self.duties[channel] = Trace(self._traces.duration_s)
-            if channel in self.duties:
+            if duty > 0 or channel in self.duties:
                 self.duties[channel].add(time_s, duty)
 
     def stops(self) -> list[Episode]:

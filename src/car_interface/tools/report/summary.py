@@ -1,7 +1,9 @@
 """Summarizes what happened on a drive: its recording is read once, in memory that doesn't grow with its length."""
 from __future__ import annotations
 
-from functools import partial
+from functools import partial, partialmethod
+from operator import attrgetter
+from typing import Any
 
 from car_interface.common.units import NS_PER_S
 from car_interface.common.vehicle_geometry import SONARS
@@ -21,10 +23,9 @@ from car_interface.tools.recordings.recording import (
     read,
     require,
 )
-from car_interface.tools.recordings.roles import find, fits, other_cars, without
-from car_interface.tools.report.coverage import Coverage
+from car_interface.tools.recordings.roles import find, other_cars
 from car_interface.tools.report.downsample import Traces
-from car_interface.tools.report.faults import WARN, FaultLog, NodeReports
+from car_interface.tools.report.faults import WARN, Coverage, FaultLog, NodeReports
 from car_interface.tools.report.motion import AskedWatch, ImuWatch, MotionWatch, SonarWatch
 from car_interface.tools.report.states import (
     Drivers,
@@ -39,30 +40,32 @@ from car_interface.tools.report.states import (
 # Relative names are below the car's namespace, and so are the others where they are found there.
 RANGES = tuple(f"sonar/{name}" for name in SONARS)
 VALUE = roles.VALUE._replace(topics=roles.VALUE.topics[:1])  # a VESC's duty cycle comes with its other numbers
-ROLES = (roles.ODOM, roles.IMU, roles.OUTPUT, VALUE, roles.ACKERMANN, roles.RADIUS, roles.ACCELERATION, roles.STICK,
-         roles.BATTERY, roles.VESC, roles.SERVO, roles.MOTOR)
+# What may be read, and what of Summary takes its messages.
+ROLES = {
+    roles.ODOM: "motion.on_odom", roles.IMU: "imu.on_imu", roles.OUTPUT: "steering.on_output", VALUE: "on_value",
+    roles.ACKERMANN: "asked.on_drive", roles.RADIUS: "on_radius", roles.ACCELERATION: "on_request",
+    roles.STICK: "on_stick", roles.BATTERY: "on_battery", roles.VESC: "on_vesc", roles.SERVO: "on_servo",
+    roles.MOTOR: "on_motor",
+}
+TOPICS = {
+    "turn_arb/state": ("car_interface/SteeringState", "on_steering"),
+    "throttle_arb/state": (roles.THROTTLE_STATE["throttle_arb/state"], "on_throttle"),
+    "planner_interface/state": ("car_interface/PlannerState", "planner.on_state"),
+    "teleop_logi/state": ("car_interface/TeleopState", "gamepad.on_state"),
+    "/tf_static": ("tf2_msgs/TFMessage", "sonars.on_static_tf"),
+    "teensy_sensor_hub/link": ("car_interface/LinkStatus", "teensy.on_link"),
+    "teensy_clock": ("car_interface/TeensyClock", "teensy.on_clock"),
+    "teensy_error": ("car_interface/Error", "teensy.on_error"),
+    calibration_result.TOPIC: ("std_msgs/String", "on_calibration"),
+    "/diagnostics": ("diagnostic_msgs/DiagnosticArray", "reports.on_diagnostics"),
+    "/rosout": (("rosgraph_msgs/Log", "rcl_interfaces/Log"), "reports.on_log"),
+}
 ROLE_OF = {role.topics[0]: role for role in ROLES}
 # A topic with the name of one of these may be something else: it is not read then.
 MAY_BE_OTHERS = (roles.IMU, roles.ACKERMANN, roles.BATTERY, roles.VESC, roles.SERVO, roles.MOTOR)
-TYPES = {
-    **{role.topics[0]: role.types for role in ROLES},
-    **roles.THROTTLE_STATE,
-    "turn_arb/state": "car_interface/SteeringState",
-    "planner_interface/state": "car_interface/PlannerState",
-    "teleop_logi/state": "car_interface/TeleopState",
-    **dict.fromkeys(RANGES, "sensor_msgs/Range"),
-    "/tf_static": "tf2_msgs/TFMessage",
-    "teensy_sensor_hub/link": "car_interface/LinkStatus",
-    "teensy_clock": "car_interface/TeensyClock",
-    "teensy_error": "car_interface/Error",
-    calibration_result.TOPIC: "std_msgs/String",
-    "/diagnostics": "diagnostic_msgs/DiagnosticArray",
-    "/rosout": ("rosgraph_msgs/Log", "rcl_interfaces/Log"),
-}
+TYPES = {**{role.topics[0]: role.types for role in ROLES}, **{topic: types for topic, (types, _) in TOPICS.items()},
+         **dict.fromkeys(RANGES, "sensor_msgs/Range")}
 NEEDED = ("odom", "turn_arb/state", "/servo/output")  # at least one of them
-# Topics with a number, by the trace that shows it.
-NUMBERS = {"/teleop_logi/tele_steer_req": "gamepad", "generic/output/value": "value",
-           "sensors/servo_position_command": "servo position", "commands/motor/speed": "motor speed asked"}
 
 
 class Summary:
@@ -91,36 +94,15 @@ class Summary:
         self.motion = MotionWatch(*found, self.steering, self.asked, drivers, self.start_ns)
         self.imu, self.sonars = ImuWatch(self.traces, self.motion), SonarWatch(self.motion, self.start_ns)
         self.teensy = TeensyWatch(*found)
+        log_type = next((topic.type for name, topic in self.topics.items() if name.lstrip("/") == "rosout"), "")
+        self.reports = NodeReports(self.faults, present, log_type)
 
     def handlers(self) -> dict:
         """Return a function of time in s and message for each of TYPES."""
-        steering, throttle, teensy = self.steering, self.throttle, self.teensy
-        log_type = next((topic.type for name, topic in self.topics.items() if name.lstrip("/") == "rosout"), "")
-        nodes = NodeReports(self.faults, self.present, log_type)
-        return {
-            **{topic: partial(self._on_number, trace) for topic, trace in NUMBERS.items()},
-            "turn_arb/state": lambda *state: (steering.on_state(*state), self.limits.on_state(*state, steering.node)),
-            "throttle_arb/state": lambda *state: (
-                throttle.on_state(*state), self.limits.on_state(*state, throttle.node)),
-            "planner_interface/state": self.planner.on_state,
-            "teleop_logi/state": self.gamepad.on_state,
-            "/servo/output": steering.on_output,
-            "av_turnrad_req": self._on_radius,
-            "odom": self.motion.on_odom,
-            "imu/data": self.imu.on_imu,
-            "drive": self.asked.on_drive,
-            "control/command/control_cmd": self._on_request,
-            "battery_state": lambda time_s, message: self._add_voltage(time_s, message.voltage),
-            "sensors/core": self._on_vesc,
-            **{name: partial(self.sonars.on_range, topic=name) for name in RANGES},
-            "/tf_static": self.sonars.on_static_tf,
-            "teensy_sensor_hub/link": teensy.on_link,
-            "teensy_clock": teensy.on_clock,
-            "teensy_error": teensy.on_error,
-            calibration_result.TOPIC: self._on_calibration,
-            "/diagnostics": nodes.on_diagnostics,
-            "/rosout": nodes.on_log,
-        }
+        names = {**{role.topics[0]: name for role, name in ROLES.items()},
+                 **{topic: name for topic, (_, name) in TOPICS.items()}}
+        return {**{topic: attrgetter(name)(self) for topic, name in names.items()},
+                **{topic: partial(self.sonars.on_range, topic=topic) for topic in RANGES}}
 
     def finish(self, steps_back: int) -> None:
         """End what lasts, and drop what is no fault of this drive; ``steps_back``: how often its clock was set back."""
@@ -135,32 +117,50 @@ class Summary:
             self.faults.entries[:] = [fault for fault in self.faults.entries if not (
                 UNCALIBRATED in fault.what or fault.what.startswith(NO_BRAKE))]
 
-    def _on_number(self, trace, time_s, message):
+    def on_steering(self, time_s: float, message: Any) -> None:
+        """Take a car_interface/SteeringState."""
+        self.steering.on_state(time_s, message)
+        self.limits.on_state(time_s, message, self.steering.node)
+
+    def on_throttle(self, time_s: float, message: Any) -> None:
+        """Take a car_interface/ThrottleState."""
+        self.throttle.on_state(time_s, message)
+        self.limits.on_state(time_s, message, self.throttle.node)
+
+    def on_number(self, trace: str, time_s: float, message: Any) -> None:
+        """Take a message with a number."""
         self.traces[trace].add(time_s, value_of(message))
 
-    def _on_radius(self, time_s, message):
+    on_value, on_stick = partialmethod(on_number, "value"), partialmethod(on_number, "gamepad")
+    on_servo, on_motor = partialmethod(on_number, "servo position"), partialmethod(on_number, "motor speed asked")
+
+    def on_radius(self, time_s: float, message: Any) -> None:
         """Take a std_msgs/Float32: the planner's turn radius in m; 0 requests nothing."""
         if message.data:
             self.traces["requested curvature"].add(time_s, 1 / message.data)
 
-    def _on_request(self, time_s, message):
+    def on_request(self, time_s: float, message: Any) -> None:
         """Take the acceleration that a planner requests."""
         self.traces["requested acceleration"].add(time_s, message.longitudinal.acceleration)
         self.motion.accelerating.request(time_s, message.longitudinal.acceleration)
 
-    def _on_vesc(self, time_s, message):
+    def on_vesc(self, time_s: float, message: Any) -> None:
         """Take a VESC's telemetry; a voltage or a value that has a topic of its own goes before. Speeds are in ERPM."""
         self.traces["motor speed"].add(time_s, message.state.speed)
         if "generic/output/value" not in self.present:
-            self._on_number("value", time_s, message)
+            self.on_number("value", time_s, message)
         if "battery_state" not in self.present:
             self._add_voltage(time_s, vesc_number(message, VOLTAGE))
+
+    def on_battery(self, time_s: float, message: Any) -> None:
+        """Take a sensor_msgs/BatteryState."""
+        self._add_voltage(time_s, message.voltage)
 
     def _add_voltage(self, time_s, voltage_v):
         if voltage_v > 0:  # 0 and NaN: it isn't measured
             self.traces["battery voltage"].add(time_s, voltage_v)
 
-    def _on_calibration(self, time_s, message):
+    def on_calibration(self, time_s: float, message: Any) -> None:
         """Take a calibration drive's result."""
         try:
             self.calibration = calibration_result.parsed(message.data)
@@ -186,10 +186,10 @@ def summarize(path: str, namespace: str = "/", wheelbase_m: float | None = None,
         named = {given[role.name]: role.types for role in ROLES if role.name in given}
         require(path, named, namespace)
         check_types(path, named, namespace)
-    free = {role.name: without(has.topics, given, role, namespace) for role in ROLES}
-    found = {role.topics[0]: find(free[role.name], role, namespace, given.get(role.name)) for role in ROLES}
+    found = {role.topics[0]: find(has.topics, role, namespace, given) for role in ROLES}
     keys = {found[name].topic if name in found else name: name for name in TYPES
-            if name not in found or _is_read(has.topics, free, found[name].topic, ROLE_OF[name], given, namespace)}
+            if name not in found or ROLE_OF[name].name in given
+            or (found[name].fits if ROLE_OF[name] in MAY_BE_OTHERS else found[name].is_there)}
     types = {topic: TYPES[name] for topic, name in keys.items()}
     with_messages = {name: topic for name, topic in has.topics.items() if topic.count}
     names = absolute_names(with_messages, types, namespace)
@@ -212,16 +212,6 @@ def summarize(path: str, namespace: str = "/", wheelbase_m: float | None = None,
     summary.finish(has.steps_back)
     summary.notes += filter(None, [summary.motion.note(found["odom"].topic), summary.imu.note(found["imu/data"].topic)])
     return summary
-
-
-def _is_read(recorded, free, topic, role, given, namespace):
-    """Return whether the topic that was found for a role is read as that."""
-    if role.name in given:
-        return True
-    if role in MAY_BE_OTHERS:
-        return fits(free[role.name], topic, role, namespace)
-    names = absolute_names(recorded, [topic], namespace)
-    return names.keys() <= free[role.name].keys()
 
 
 def _elsewhere(topics, namespace, note):

@@ -134,10 +134,10 @@ def test_what_is_no_file_or_a_file_that_is_too_large_is_not_read_and_said(folder
     path = os.path.join(folder, NAME)
     with open(path, "r+b") as file:
         file.truncate(1 << 40)
-    assert Cache(folder, "1").problem == f"{path} can't be read (File too large)"
+    assert Cache(folder, "1").problem == f"{path} can't be read (it has 1,099,511.6 MB, more than 64 MB)"
     os.unlink(path)
     os.mkfifo(path)
-    assert Cache(folder, "1").problem == f"{path} can't be read (it is no regular file)"
+    assert Cache(folder, "1").problem == f"{path} can't be read (it is a pipe)"
     os.unlink(path)
     os.mkdir(path)
     assert Cache(folder, "1").problem == f"{path} can't be read (Is a directory)"

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from car_interface.tools.recordings.columns import Timeline
-from car_interface.tools.recordings.pulses import CLOCK_TOPIC, WHEEL_TOPIC, PulseColumns
 from car_interface.tools.recordings.recording import Recorded
+from car_interface.tools.recordings.replay import CLOCK_TOPIC, WHEEL_TOPIC, PulseColumns
 from written_recordings import START_NS
 
 

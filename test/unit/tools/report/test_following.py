@@ -4,21 +4,21 @@ from types import SimpleNamespace
 
 import pytest
 
-from car_interface.tools.report.following import MAX_LATERAL_MPS2, MIN_SAMPLES, Accelerating, Bins, Following
+from car_interface.tools.report.motion import MAX_LATERAL_MPS2, MIN_COMPARED, Accelerating, Bins, Following
 
 
 def test_median_is_the_middle_of_its_bin_numbers_beyond_count_at_the_ends_and_few_have_none():
     bins = Bins(0.0, 1.0, 0.1)
     for number in [-5.0] * 14 + [0.31, 0.32, 0.33] + [99.0] * 12:
         bins.add(number)
-    assert bins.median() is None and len([-5.0] * 14 + [0.31] * 3 + [99.0] * 12) == MIN_SAMPLES - 1
+    assert bins.median() is None and len([-5.0] * 14 + [0.31] * 3 + [99.0] * 12) == MIN_COMPARED - 1
     bins.add(99.0)
     assert bins.median() == pytest.approx(0.35)
 
 
 def following(sent, driven, speed_mps=1.0, since_s=0.0, time_s=1.0, **limits):
     found = Following(SimpleNamespace(curvature_per_m=sent, unchanged_since_s=since_s), **limits)
-    for _ in range(MIN_SAMPLES):
+    for _ in range(MIN_COMPARED):
         found.add(time_s, driven, speed_mps)
     return found
 
@@ -64,7 +64,7 @@ def accelerating(requested, driven, speed_mps=1.0):
     found = Accelerating()
     for step in range(20):
         found.request(step / 20, requested)
-    for _ in range(MIN_SAMPLES):
+    for _ in range(MIN_COMPARED):
         found.add(0.5, 0.8, driven, speed_mps)
     medians = [bins.median() for bins in (found.driving, found.holding, found.braking)]
     return [one if one is None else round(one, 2) for one in medians]
@@ -88,7 +88,7 @@ def test_requests_count_for_what_the_car_does_a_reaction_later_and_old_ones_are_
     found = Accelerating()
     for time_s, requested in ((0.0, 3.0), (10.35, 3.0), (10.45, 1.0), (10.65, 1.0), (10.75, 3.0)):
         found.request(time_s, requested)
-    for _ in range(MIN_SAMPLES):
+    for _ in range(MIN_COMPARED):
         found.add(10.5, 10.8, 1.0, 1.0)
     assert found.driving.median() == pytest.approx(0.0, abs=0.011)
     assert len(found._requests) == 4

@@ -10,8 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 from car_interface.tools.recordings.recording import Topic
-from car_interface.tools.report.coverage import Gap
-from car_interface.tools.report.faults import ERROR, WARN, Fault
+from car_interface.tools.report.faults import ERROR, WARN, Fault, Gap
 from car_interface.tools.report.page import page, range_text
 from car_interface.tools.report.plots import plots
 from car_interface.tools.report.states import Episode

@@ -17,8 +17,8 @@ from car_interface.tools.calibration.shared import MAX_PULSE, MIN_PULSE, Recorde
 from car_interface.tools.calibration.value_map.acceleration import MapDrive, Series
 from car_interface.tools.recordings import recording, roles, signals
 from car_interface.tools.recordings.columns import Output, Pulses
-from car_interface.tools.recordings.pulses import WHEEL_TOPIC
 from car_interface.tools.recordings.recording import NoRecording
+from car_interface.tools.recordings.replay import WHEEL_TOPIC
 
 ESC_CHANNEL = 1  # of the ESC, as in config/throttle.yaml
 BY_PULSES, BY_ODOM, BY_IMU = "pulses", "odom", "imu"  # what accelerations are measured by
