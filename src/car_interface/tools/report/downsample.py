@@ -96,20 +96,16 @@ class Spots:
 
     def __init__(self, cell_m: float = 0.02, max_cells: int = 12000):
         self.cell_m, self._max_cells = cell_m, max_cells
-        self._cells: dict = {}
+        self._cells: dict = {}  # whose keys are a set in order
         self.count = 0
 
     def add(self, x_m: float, y_m: float) -> None:
         """Add a place."""
         self.count += 1
-        cell = (round(x_m / self.cell_m), round(y_m / self.cell_m))
-        self._cells[cell] = self._cells.get(cell, 0) + 1
+        self._cells[round(x_m / self.cell_m), round(y_m / self.cell_m)] = None
         if len(self._cells) > self._max_cells:
             self.cell_m *= 2
-            before, self._cells = self._cells, {}
-            for (x, y), count in before.items():
-                cell = (round(x / 2), round(y / 2))
-                self._cells[cell] = self._cells.get(cell, 0) + count
+            self._cells = dict.fromkeys((round(x / 2), round(y / 2)) for x, y in self._cells)
 
     def places(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the middles of the cells: (x_m (N,), y_m (N,))."""

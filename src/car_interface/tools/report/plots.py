@@ -102,18 +102,21 @@ def _who(drive):
     return figure
 
 
-def _lines(text, *curves, **limits):
-    """Return what draws a panel: its title, its curves (the trace's name, colour, label and style of each), and the
-    limits of its vertical axis, as for set_ylim; none = by the curves.
+def _panel(traces, height_in, text, *curves, **limits):
+    """Return a panel for ``stack``, wanted if one of its traces has samples.
+
+    Args:
+        curves: the trace's name, colour, label and style of each.
+        limits: of the vertical axis, as for set_ylim; none = by the curves.
     """
     def draw(axes, drive):
         title(axes, text)
         for name, colour, label, style in curves:
-            curve(axes, drive.traces[name], colour, label, **style)
+            curve(axes, traces[name], colour, label, **style)
         if limits:
             axes.set_ylim(**limits)
         legend(axes)
-    return draw
+    return any(traces[name].count for name, *_ in curves), height_in, draw
 
 
 def _symmetric(largest):
@@ -123,19 +126,18 @@ def _symmetric(largest):
 def _steering(drive):
     traces, which = drive.traces, "the table before" if drive.calibration else "the tables"
     sent = [trace for trace in (traces["requested curvature"], traces["sent curvature"]) if trace.count]
-    driven = traces["driven curvature"]
     largest = max([abs(bound) for trace in sent for bound in (trace.minimum, trace.maximum)]
-                  + [0.2, usual_magnitude(driven)])
+                  + [0.2, usual_magnitude(traces["driven curvature"])])
+    angle = _panel(traces, 1.4, "The steering angle that was asked for, in degrees, left up",
+                   ("requested angle", REQUESTED, "", {}))
     return stack(drive, [
-        (bool(sent or driven.count), 2.6, _lines(
-            "How tight: 1/radius in 1/m, left up", ("requested curvature", REQUESTED, "requested (planner)", ASKED),
-            ("sent curvature", SENT, f"sent (by {which})", {"linewidth": 1.6}),
-            ("driven curvature", DRIVEN, "driven (by odometry)", DONE), **_symmetric(1.45 * largest))),
-        (traces["requested angle"].count > 0 and drive.asked.wheelbase_m is None, 1.4,
-         _lines("The steering angle that was asked for, in degrees, left up", ("requested angle", REQUESTED, "", {}))),
+        _panel(traces, 2.6, "How tight: 1/radius in 1/m, left up",
+               ("requested curvature", REQUESTED, "requested (planner)", ASKED),
+               ("sent curvature", SENT, f"sent (by {which})", {"linewidth": 1.6}),
+               ("driven curvature", DRIVEN, "driven (by odometry)", DONE), **_symmetric(1.45 * largest)),
+        *([angle] if drive.asked.wheelbase_m is None else []),
         (drive.steering.steering_channel in drive.steering.duties or traces["gamepad"].count > 0, 1.7, _steering_duty),
-        (traces["servo position"].count > 0, 1.4,
-         _lines("The position of the VESC's servo, 0 to 1", ("servo position", SENT, "", HELD)))])
+        _panel(traces, 1.4, "The position of the VESC's servo, 0 to 1", ("servo position", SENT, "", HELD))])
 
 
 def _steering_duty(axes, drive):
@@ -170,10 +172,9 @@ def _two_scales(axes, left, right):
 
 
 def _throttle(drive):
-    is_recorded = drive.traces["throttle granted"].count > 0
-    return stack(drive, [(is_recorded, 0.4, _esc_states), (is_recorded, 1.7, _lines(
-        "Throttle: brake or reverse down", ("throttle asked", REQUESTED, "asked", ASKED),
-        ("throttle granted", SENT, "granted", {}), bottom=-1.1, top=1.1))])
+    return stack(drive, [(drive.traces["throttle granted"].count > 0, 0.4, _esc_states), _panel(
+        drive.traces, 1.7, "Throttle: brake or reverse down", ("throttle asked", REQUESTED, "asked", ASKED),
+        ("throttle granted", SENT, "granted", {}), bottom=-1.1, top=1.1)])
 
 
 def _esc_states(axes, drive):
@@ -228,18 +229,17 @@ def _path(drive):
 def _speed(drive):
     traces = drive.traces
     fastest = max([0.1, *(1.3 * usual_magnitude(traces[name]) for name in ("imu turn rate", "turn rate"))])
+    turn_rates = _panel(traces, 1.6, "How fast it turned, in rad/s, left up",
+                        ("imu turn rate", REQUESTED, "by the IMU", DONE), ("turn rate", DRIVEN, "by odometry", DONE),
+                        **_symmetric(fastest))
     return stack(drive, [
         (traces["speed"].count > 0, 2.0, _speeds),
-        (traces["acceleration"].count + traces["requested acceleration"].count > 0, 2.0,
-         _lines("Acceleration in m/s²", ("requested acceleration", REQUESTED, "requested", ASKED),
-                ("acceleration", DRIVEN, "by odometry, over 0.3 s", DONE))),
+        _panel(traces, 2.0, "Acceleration in m/s²", ("requested acceleration", REQUESTED, "requested", ASKED),
+               ("acceleration", DRIVEN, "by odometry, over 0.3 s", DONE)),
         (traces["value"].count > 0 or bool(_driven_duties(drive)), 1.6, _value),
-        (traces["motor speed"].count + traces["motor speed asked"].count > 0, 1.6,
-         _lines("The VESC's motor speed in ERPM", ("motor speed asked", REQUESTED, "requested", ASKED),
-                ("motor speed", DRIVEN, "measured", DONE))),
-        (traces["imu turn rate"].count > 0, 1.6,
-         _lines("How fast it turned, in rad/s, left up", ("imu turn rate", REQUESTED, "by the IMU", DONE),
-                ("turn rate", DRIVEN, "by odometry", DONE), **_symmetric(fastest)))])
+        _panel(traces, 1.6, "The VESC's motor speed in ERPM", ("motor speed asked", REQUESTED, "requested", ASKED),
+               ("motor speed", DRIVEN, "measured", DONE)),
+        *([turn_rates] if traces["imu turn rate"].count else [])])
 
 
 def _driven_duties(drive):
@@ -267,20 +267,18 @@ def _value(axes, drive):
 
 
 def _battery(drive):
-    return stack(drive, [(drive.traces["battery voltage"].count > 0, 1.5, _lines(
-        "The battery's voltage", ("battery voltage", SENT, "", {"gap_s": 15})))])  # some publish it once in 10 s
+    return stack(drive, [_panel(drive.traces, 1.5, "The battery's voltage",
+                                ("battery voltage", SENT, "", {"gap_s": 15}))])  # some publish it once in 10 s
 
 
 def _link(drive):
     traces = drive.traces
     return stack(drive, [
-        (traces["frames"].count > 0, 1.5, _lines(
-            "Frames from the Teensy in a second", ("frames", SENT, "good", {"gap_s": 5}),
-            ("bad frames", BAD, "corrupt", {"gap_s": 5}), bottom=-0.03 * max(traces["frames"].maximum, 1))),
-        (traces["round trip"].count > 0, 1.5, _lines(
-            "Round trip of a ping in ms", ("round trip", SENT, "", DOTTED), bottom=0)),
-        (traces["skew"].count > 0, 1.5, _lines(
-            "How much faster the Teensy's clock runs, in ppm", ("skew", SENT, "", DOTTED), **_most(traces["skew"])))])
+        _panel(traces, 1.5, "Frames from the Teensy in a second", ("frames", SENT, "good", {"gap_s": 5}),
+               ("bad frames", BAD, "corrupt", {"gap_s": 5}), bottom=-0.03 * max(traces["frames"].maximum, 1)),
+        _panel(traces, 1.5, "Round trip of a ping in ms", ("round trip", SENT, "", DOTTED), bottom=0),
+        _panel(traces, 1.5, "How much faster the Teensy's clock runs, in ppm", ("skew", SENT, "", DOTTED),
+               **_most(traces["skew"]))])
 
 
 def _most(skew):
