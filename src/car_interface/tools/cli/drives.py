@@ -15,7 +15,7 @@ from car_interface.common import output
 from car_interface.common.black_box_folder import default_folder, newest
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.tools.cli.bag_report import page_path as report_path
-from car_interface.tools.cli.drives_cache import Cache, find_recordings, fingerprint
+from car_interface.tools.cli.drives_cache import find_recordings, fingerprint, load_rows, save_rows
 from car_interface.tools.cli.jobs import try_each
 from car_interface.tools.cli.main import version
 from car_interface.tools.cli.options import add_recording_arguments, add_scheduler_argument, topics_of
@@ -99,30 +99,29 @@ def _read_rows(options, topics, paths):
 
     What was read is kept even if this is interrupted.
     """
-    settings = [VERSION, version(), options.namespace, sorted(topics.items())]
-    cache = Cache(options.folder, str(settings))
-    if cache.problem:
-        print(f"drives: {cache.problem}: all recordings are read again", file=sys.stderr)
-    if cache.damaged:
-        print(f"drives: {cache.path} has damaged rows ({cache.damaged}): their recordings are read again",
-              file=sys.stderr)
+    settings = str([VERSION, version(), options.namespace, sorted(topics.items())])
+    kept, note = load_rows(options.folder, settings)
+    if note:
+        print(f"drives: {note}", file=sys.stderr)
     states = {path: fingerprint(os.path.join(options.folder, path)) for path in paths}
-    known = {} if options.fresh else {path: cache.row(path, states[path]) for path in paths}
-    new = [path for path in paths if known.get(path) is None]
-    rows = [known[path] for path in paths if known.get(path) is not None]
+    known = {path: kept[path][1] for path in paths
+             if path in kept and kept[path][0] == states[path] and not options.fresh}
+    rows, new = list(known.values()), [path for path in paths if path not in known]
     # A worker on another computer has another current folder.
     folder = os.path.abspath(options.folder)
     read = partial(_read, folder=folder, namespace=options.namespace, topics=topics)
     made = try_each(read, new, "no row can be made of it", options.jobs, options.scheduler)
     try:
         for path, (one, error) in zip(new, made):
-            # An error begins with the recording's name; a command to type keeps the whole path.
+            if not error:  # what prevents reading may be gone the next time
+                kept[path] = states[path], one
+            # It begins with the recording's name; a command to type keeps the whole path.
             rows.append(one or Row(path, error=error.replace(os.path.join(folder, path), path, 1)))
-            cache.add(states[path], rows[-1])
             if sys.stderr.isatty():
                 print(f"{len(rows)} of {len(paths)}: {path}", file=sys.stderr)
     finally:
-        problem = cache.save(paths) if new or cache.problem or cache.damaged else ""
+        present = {path: kept[path] for path in paths if path in kept}
+        problem = save_rows(options.folder, settings, present) if new or note else ""
     if problem:
         print(f"drives: what was read can't be kept for the next time: {problem}", file=sys.stderr)
     return rows, len(new)

@@ -47,7 +47,7 @@ ROLES = {
     roles.STICK: "on_stick", roles.BATTERY: "on_battery", roles.VESC: "on_vesc", roles.SERVO: "on_servo",
     roles.MOTOR: "on_motor",
 }
-TOPICS = {
+TOPICS = {  # without a role: their types, and the same
     "turn_arb/state": ("car_interface/SteeringState", "on_steering"),
     "throttle_arb/state": (roles.THROTTLE_STATE["throttle_arb/state"], "on_throttle"),
     "planner_interface/state": ("car_interface/PlannerState", "planner.on_state"),

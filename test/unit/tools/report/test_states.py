@@ -88,6 +88,13 @@ def test_page_shows_what_was_asked_granted_the_esc_s_state_and_why(tmp_path):
     assert text.index('<section id="who">') < text.index('<section id="throttle">')
 
 
+def test_flood_of_states_is_kept_to_a_bound_and_counted(tmp_path):
+    states = [Written(step / 500, "/throttle_arb/state", "car_interface/ThrottleState",
+                      {**BY_HAND, "source": (TELEOP, PLANNER)[step % 2]}) for step in range(2102)]
+    seen = summarized(tmp_path, [odometry(0.0), *states])
+    assert len(seen.throttle.episodes) == 2000 and seen.faults.dropped == 102
+
+
 # --- the planner ---
 
 OBEYED = {"source": "drive", "others": "", "cause": "planner", "reason": "drive asks for 1.00 m/s, straight on",
@@ -219,6 +226,13 @@ def test_axis_that_was_not_seen_at_its_rest_is_a_fault_while_it_lasts(tmp_path):
     why = "no deadman is held; the gamepad's throttle_axis 4 is 1.00 and was not seen at its rest: it doesn't count"
     odd = [teleop_state(time_s, causes.NO_DEADMAN, why, throttle_stick=causes.NOT_AT_REST) for time_s in (12.02, 13.02)]
     assert report(tmp_path, others=odd)[0] == [(start_s, "teleop_logi", WARN, why) for start_s in (12.0, 13.0)]
+
+
+def test_axis_that_is_never_seen_at_its_rest_is_a_fault_to_the_end():
+    state = {"cause": causes.NO_DEADMAN, "reason": "why", "human_in_loop": False, "steering_stick": causes.NOT_AT_REST,
+             "throttle_stick": ""}
+    _, faults, _ = watched(states.GamepadWatch, state, (1.0, {}), (2.0, {}))
+    assert faults == [Fault(1.0, END_S, WARN, "teleop_logi", "why")]
 
 
 def test_deadman_that_is_let_go_is_no_loss(tmp_path):
