@@ -1,6 +1,8 @@
 """Draws the plots of a drive, each as the text of an SVG that can be part of a page."""
 from __future__ import annotations
 
+from itertools import groupby
+
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
@@ -202,17 +204,15 @@ def _path(drive):
                   alpha=0.55, label="seen by a sonar")
     # By the order in which they first drove: a path under another one stays visible.
     sources = list(dict.fromkeys(kind if kind in DRIVER_COLOURS else UNKNOWN_DRIVER for kind in path.kinds))
-    begin, seen = 0, set()
-    for index in range(1, len(path.kinds) + 1):
-        if index < len(path.kinds) and path.kinds[index] == path.kinds[begin]:
-            continue
-        source = path.kinds[begin] if path.kinds[begin] in DRIVER_COLOURS else UNKNOWN_DRIVER
+    end, seen = 0, set()
+    for kind, points in groupby(path.kinds):
+        begin, end = max(end - 1, 0), end + len(list(points))
+        source = kind if kind in DRIVER_COLOURS else UNKNOWN_DRIVER
         width = PATH_WIDTH + WIDER * (len(sources) - 1 - sources.index(source))
-        axes.plot(path.x_m[max(begin - 1, 0):index], path.y_m[max(begin - 1, 0):index], linewidth=width,
-                  color=DRIVER_COLOURS[source], label=None if source in seen else DRIVER_NAMES[source],
-                  solid_capstyle="round", zorder=3 - width / 10)
+        axes.plot(path.x_m[begin:end], path.y_m[begin:end], linewidth=width, color=DRIVER_COLOURS[source],
+                  label=None if source in seen else DRIVER_NAMES[source], solid_capstyle="round",
+                  zorder=3 - width / 10)
         seen.add(source)
-        begin = index
     if len(path.x_m):
         axes.plot(path.x_m[0], path.y_m[0], marker="o", markersize=8, color="white", markeredgecolor=INK,
                   markeredgewidth=1.5, linestyle="none", label="start")
