@@ -505,7 +505,7 @@ def main() -> int:
             bad = survivors if WHOLE.match(module) else fresh
             if bad:
                 worse.append(f"{module}: " + "; ".join(f"{key.function}: {key.change} | {key.line}" for key in bad))
-            kind = "nodes" if module.startswith("nodes/") else "core"
+            kind = "nodes and ros" if module.startswith(("nodes/", "ros/")) else "core"
             sums[kind, "killed"] += killed
             sums[kind, "all"] += total
             equivalent = [key for key in accepted.get(module, ()) if key in reasons]

@@ -20,7 +20,7 @@ from car_interface.tools.calibration.drive.positions import Measured, Positions
 from car_interface.tools.calibration.drive.step import Progress
 from car_interface.tools.calibration.shared import is_pulse
 from car_interface.tools.calibration.steering.drive import CurveFitConfig, SteeringDrive, distance_m
-from car_interface.tools.recordings.series import Odom
+from car_interface.tools.recordings.columns import Odom
 
 WINDOW_S = 0.25
 MIN_WINDOW_M = 0.08  # a shorter way shows no curvature
