@@ -199,8 +199,8 @@ def estimate_delay(cause_s: np.ndarray, cause: np.ndarray, effect_s: np.ndarray,
     def best(delays_s, lags_s):
         """Return the least that remains unexplained, and by which delay and lag."""
         followed = [(lag_s, lagged(commanded, STEP_S, lag_s)) for lag_s in lags_s]
-        return min((_scatter(np.interp(at_s - delay_s, grid_s, cause), y, w), delay_s, lag_s)
-                   for delay_s in delays_s for lag_s, cause in followed)
+        return min((_scatter(np.interp(at_s - delay_s, grid_s, value), y, w), delay_s, lag_s)
+                   for delay_s in delays_s for lag_s, value in followed)
 
     _, delay_s, lag_s = best(*[_steps(0.0, MAX_S, COARSE_S)] * 2)
     smallest, delay_s, lag_s = best(*(_steps(max(0.0, near_s - COARSE_S), near_s + COARSE_S, FINE_S)
