@@ -179,7 +179,7 @@ def _throttle(options):
 
 def _recorded_value(options):
     """--value by what the recordings hold."""
-    if any(is_by_hand(path, roles.VALUE.topics[0], options.namespace) for path in options.bags):
+    if any(is_by_hand(path, options.namespace) for path in options.bags):
         return f"{DUTY}{_throttle(options).channel}"
     return roles.VALUE.topics[0]
 

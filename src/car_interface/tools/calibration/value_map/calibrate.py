@@ -49,10 +49,6 @@ class Table(NamedTuple):
     accelerations: np.ndarray  # (R, C)
     origin: np.ndarray  # of each acceleration: DRIVEN, BETWEEN, OLD or MOVED, (R, C)
 
-    def driven_ratio(self) -> float:
-        """Return the ratio of accelerations that come from the drives."""
-        return float(np.mean(self.origin <= BETWEEN))
-
 
 class MapResult(NamedTuple):
     """A map, and all that is known about it."""
@@ -91,8 +87,9 @@ def _problems(fit, table):
     if min(table.accelerations.shape) < MIN_NODES:
         yield (f"the drives support only {table.values.size} values at {table.velocities.size} velocities, "
                f"less than {MIN_NODES} each")
-    if table.driven_ratio() < MIN_DRIVEN_RATIO:
-        yield f"the drives tell only {100 * table.driven_ratio():.0f} % of the map, the rest is the prior's"
+    driven_ratio = float(np.mean(table.origin <= BETWEEN))
+    if driven_ratio < MIN_DRIVEN_RATIO:
+        yield f"the drives tell only {100 * driven_ratio:.0f} % of the map, the rest is the prior's"
     if fit.held_out_mps2 > MAX_HELD_OUT_MPS2:
         yield (f"it misses what was held out by {fit.held_out_mps2:.2f} m/s² RMS: something else than value and "
                "velocity moves this car")

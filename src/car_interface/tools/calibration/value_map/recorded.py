@@ -126,7 +126,7 @@ def load_map_drive(path: str, source: MapSource, progress: bool = False) -> Reco
     return RecordedDrive(path, drive, notes, found.duration_s, signals.trail(found))
 
 
-def is_by_hand(path: str, value_topic: str, namespace: str = "/") -> bool:
+def is_by_hand(path: str, namespace: str = "/") -> bool:
     """Return whether the duty of the ESC's channel shows what drove the car, and the value of a planner does not.
 
     So it is where no value was recorded but the board's output was, and where throttle_arb obeyed the gamepad more
@@ -141,7 +141,7 @@ def is_by_hand(path: str, value_topic: str, namespace: str = "/") -> bool:
         return sum(recorded[name].count for name in recording.absolute_names(recorded, [topic], namespace))
     if not count(roles.OUTPUT.topics[0]):
         return False
-    if not count(value_topic):
+    if not count(roles.VALUE.topics[0]):
         return True
     by_hand = by_planner = 0
     for one in recording.read(path, roles.THROTTLE_STATE, namespace):

@@ -23,7 +23,8 @@ BOTH, NONE = [1, 1], [0, 0]
 ])
 def test_axes_are_those_of_the_part_that_was_driven(driven, values, velocities):
     found = supported_table(fit_of(driven), 0.0)
-    assert (list(found.values), list(found.velocities), found.driven_ratio()) == (values, velocities, 1.0)
+    assert (list(found.values), list(found.velocities)) == (values, velocities)
+    assert (found.origin == tables.DRIVEN).all()
 
 
 def test_no_table_where_no_two_values_have_two_velocities():
