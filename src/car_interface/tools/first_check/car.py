@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Mapping, NamedTuple, Sequence
+from typing import Any, Mapping, NamedTuple, Sequence
 
 from car_interface.common.causes import AUTONOMOUS, MANUAL
 from car_interface.common.sources import PLANNER, TELEOP
@@ -65,45 +65,18 @@ class Controls(NamedTuple):
     names: Mapping[str, str] = {}
 
 
-class Steering(NamedTuple):
-    """Of turn_arb's state."""
-
-    source: int
-    reason: str
-    duty: int
-
-
-class Throttle(NamedTuple):
-    """Of throttle_arb's state."""
-
-    source: int
-    reason: str
-    granted: float
-    esc: str
-    esc_reason: str
-    scale: float
-
-
-class Output(NamedTuple):
-    """What the servo board holds, and which node reports it."""
-
-    duties: Sequence[int]
-    sender: str
-
-
-class WheelCount(NamedTuple):
-    """Of one wheel in teensy_wheel."""
-
-    direction: int
-    dist_abs: int
-
-
 class Car:
     """The newest of each input, and whether the wheels do what they do in the air.
 
     Attributes:
+        gamepad: teleop_logi's reason.
+        steering, throttle, wheels: a car_interface/SteeringState, ThrottleState and Wheel.
+        output: what the servo board holds. sender: the node that reports it.
         controls: of the gamepad or keyboard that sends.
         neutral: the ESC's, as tuned by now; ``None`` = throttle_arb doesn't run.
+        center, is_exchanged: learned by now: the request at which the wheels point straight ahead, and whether
+            servo_left turns right.
+        drives_forward: a push drives forward, as far as that is known.
         pulses: of the left and the right rear wheel since the start, forward ones less backward ones.
         range_reports: how often each sonar reported.
     """
@@ -119,12 +92,13 @@ class Car:
         self.throttle_stick = TimedInput("tele_throt_req", 0.5)
         self.steering = TimedInput("turn_arb's state", 0.5)
         self.throttle = TimedInput("throttle_arb's state", 0.5)
-        self.output = TimedInput("/servo/output", 2.5)  # on change and once a second
+        self.output, self.sender = TimedInput("/servo/output", 2.5), ""  # on change and once a second
         self.wheels = TimedInput("teensy_wheel", 1.0)
         self.speed = TimedInput("odom", 0.5)
         self.link = TimedInput("the Teensy's link", 2.5)
         self.ranges = {name: TimedInput(f"sonar/{name}", 2.0) for name in SONARS}
         self.neutral = setup.throttle and setup.throttle.neutral
+        self.center, self.is_exchanged, self.drives_forward = 0.0, False, True
         self.pulses = [0, 0]
         self.range_reports = dict.fromkeys(SONARS, 0)
         self._drives_since_ns: int | None = None
@@ -132,14 +106,20 @@ class Car:
         self._starts: dict[str, tuple[float, float]] = {}  # range and distance when the wheels began to turn
         self._follows = dict.fromkeys(SONARS, 0)  # reports in a row that changed as on the ground
 
-    def update_wheels(self, counts: Sequence[WheelCount], now_ns: int) -> None:
-        """Take the counts of the left and the right wheel."""
+    def update_wheels(self, message: Any, now_ns: int) -> None:
+        """Take the counts of both wheels."""
         before = self.wheels.value
-        self.wheels.update(tuple(counts), now_ns)
-        for side, count in enumerate(counts):
-            more = (count.dist_abs - before[side].dist_abs) % COUNTS if before else 0
+        self.wheels.update(message, now_ns)
+        for side, name in enumerate(("left", "right")):
+            wheel = getattr(message, name)
+            more = (wheel.dist_abs - getattr(before, name).dist_abs) % COUNTS if before else 0
             if more < COUNTS // 2:  # else the Teensy has started anew
-                self.pulses[side] += {FORWARD: more, BACKWARD: -more}.get(count.direction, 0)
+                self.pulses[side] += {FORWARD: more, BACKWARD: -more}.get(wheel.direction, 0)
+
+    def update_output(self, duties: Sequence[int], sender: str, now_ns: int) -> None:
+        """Take what the servo board holds, and which node reports it."""
+        self.output.update(duties, now_ns)
+        self.sender = sender
 
     def update_speed(self, speed_mps: float, now_ns: int) -> None:
         """Take the speed by odometry, forward positive."""
@@ -150,7 +130,7 @@ class Car:
         if abs(speed_mps) < STANDS_MPS:
             self._starts.clear()
 
-    def update_throttle(self, throttle: Throttle, now_ns: int) -> None:
+    def update_throttle(self, throttle: Any, now_ns: int) -> None:
         """Take throttle_arb's state."""
         self.throttle.update(throttle, now_ns)
         self._drives_since_ns = (self._drives_since_ns or now_ns) if throttle.granted else None
@@ -211,8 +191,8 @@ class Car:
         throttle = self.throttle.value
         if throttle.esc == ARMING:
             return throttle.esc_reason
-        if throttle.scale > MAX_SCALE + 1e-6:
-            return (f"a full stick gives {throttle.scale:.1f} of the throttle, too much for this: press the button for "
+        if throttle.human_scale > MAX_SCALE + 1e-6:
+            return (f"a full stick gives {throttle.human_scale:.1f} of the throttle, too much for this: press the button for "
                     f"less{self._in_brackets(self.controls.names.get(SLOWER))} until it gives {MAX_SCALE:g}")
         return "" if throttle.source == TELEOP else throttle.reason
 
@@ -226,7 +206,7 @@ class Car:
 
     def held_duty(self, channel: int, now_ns: int) -> int | None:
         """Return the duty that the servo board holds on a channel; ``None``: it isn't known."""
-        return None if self.output.is_stale(now_ns) else self.output.value.duties[channel]
+        return None if self.output.is_stale(now_ns) else self.output.value[channel]
 
     def _reason(self, now_ns):
         return "" if self.gamepad.is_stale(now_ns) else self._in_brackets(self.gamepad.value)

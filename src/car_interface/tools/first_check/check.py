@@ -62,34 +62,27 @@ class FirstCheck:
 
     Attributes:
         car: takes what arrives.
+        question: that is asked now; ``None``: all were asked.
     """
 
     def __init__(self, setup: Setup):
         self.car, self._setup = Car(setup), setup
-        steered = self._steered
         self._makers: list[Callable[[Car], Question]] = [
-            OnBox, Deadman, SteeringDirection, steered(Center), steered(End, 1), steered(End, -1), NeutralDuty,
-            ThrottleDirection, lambda car: EscKind(car, self._drives_forward()),
-            partial(WheelSensor, side=0), partial(WheelSensor, side=1),
-            *(partial(Sonar, name=name) for name in setup.sonars), LettingGo, TeensyUnplugged, steered(BoardKilled)]
+            OnBox, Deadman, SteeringDirection, Center, partial(End, side=1), partial(End, side=-1), NeutralDuty,
+            ThrottleDirection, EscKind, partial(WheelSensor, side=0), partial(WheelSensor, side=1),
+            *(partial(Sonar, name=name) for name in setup.sonars), LettingGo, TeensyUnplugged, BoardKilled]
         self._results: list[Result | None] = [None] * len(self._makers)
-        self._titles: list[str] = []
         self._titles = [make(self.car).title for make in self._makers]
-        self._index, self._question, self._has_begun, self._warning = 0, self._makers[0](self.car), True, ""
+        self._go(0)
 
-    def _steered(self, question, *arguments):
-        """Return what makes a question that steers, with what is known of the steering by then."""
-        return lambda car: question(car, *arguments, **self._known_steering())
-
-    def _known_steering(self):
-        learned = self.learned().get(STEERING, {})
-        center = learned.get("servo_center", self._setup.steering.servo_center)
-        return {"is_exchanged": "exchanged" in learned, "center": _request(self._setup.steering, center)}
-
-    def _drives_forward(self):
-        """Return whether a push drives forward, as far as that was asked."""
-        result = dict(zip(self._titles, self._results)).get(ThrottleDirection.title)
-        return result is None or result.verdict in (FINE, SKIPPED)
+    def _make(self, index):
+        """Return a question anew, which asks by what is known of the car by now."""
+        calibration, learned = self._setup.steering, self.learned().get(STEERING, {})
+        self.car.is_exchanged = "exchanged" in learned
+        self.car.center = _request(calibration, learned.get("servo_center", calibration.servo_center))
+        direction = self._results[self._titles.index(ThrottleDirection.title)]
+        self.car.drives_forward = direction is None or direction.verdict in (FINE, SKIPPED)
+        return self._makers[index](self.car)
 
     @property
     def refusal(self) -> str:
@@ -98,11 +91,6 @@ class FirstCheck:
         if box is not None and box.repair:
             return f"{box.answer}: {box.repair}"
         return self.car.ground_reason
-
-    @property
-    def question(self) -> Question | None:
-        """Return the question that is asked now; ``None``: all were asked."""
-        return self._question
 
     @property
     def results(self) -> list[tuple[str, Result]]:
@@ -119,7 +107,7 @@ class FirstCheck:
             self._advance(now_ns)  # the next key is for the next question that can be asked
         if not keys:
             self._advance(now_ns)
-        question = self._question
+        question = self.question
         if question is None:
             return View("end", [], None, self._neutral(), is_over=True, has_quit=has_quit)
         kills, question.kills_board = question.kills_board, False
@@ -129,45 +117,45 @@ class FirstCheck:
     def _type(self, key, now_ns):
         if key == PREVIOUS and self._index:
             index = self._index - 1
-            while index and self._makers[index](self.car).missing(now_ns):
+            while index and self._make(index).missing(now_ns):
                 index -= 1
             self._go(index)
-        elif self._question is None:
+        elif self.question is None:
             return
         elif key == AGAIN:
             self._go(self._index)
         elif key == SKIP and self._index:  # whether it stands on a box isn't skipped
             self._answer(Result(SKIPPED, "skipped"))
         elif key == TO_END and self._index:
-            self._index, self._question = len(self._makers), None
+            self._index, self.question = len(self._makers), None
         else:
-            self._question.type(key, now_ns)
+            self.question.type(key, now_ns)
 
     def _go(self, index):
         """Ask a question anew."""
         self._index, self._has_begun, self._warning = index, True, ""
         self._results[index:index + 1] = [None]
-        self._question = self._makers[index](self.car)
+        self.question = self._make(index)
 
     def _answer(self, result):
         self._results[self._index] = result
         self._index, self._has_begun, self._warning = self._index + 1, False, ""
-        self._question = self._makers[self._index](self.car) if self._index < len(self._makers) else None
+        self.question = self._make(self._index) if self._index < len(self._makers) else None
 
     def _advance(self, now_ns):
         """Let the question look, and ask the next one that can be asked."""
-        while self._question is not None:
-            missing = "" if self._has_begun else self._question.missing(now_ns)
+        while self.question is not None:
+            missing = "" if self._has_begun else self.question.missing(now_ns)
             if missing:
                 self._answer(Result(SKIPPED, missing))
                 continue
             self._has_begun = True
             if self._is_warned(now_ns):
                 return
-            self._question.step(now_ns)
-            if self._question.result is None:
+            result = self.question.step(now_ns) or self.question.result
+            if result is None:
                 return
-            self._answer(self._question.result)
+            self._answer(result)
 
     def _is_warned(self, now_ns):
         """Begin the question again where the wheels turn too fast or for too long, once they are let go."""
@@ -181,7 +169,7 @@ class FirstCheck:
 
     def _neutral(self):
         """Return the neutral that throttle_arb is to have: the one that was found."""
-        duty = self._question.neutral if self._question is not None else None
+        duty = self.question.neutral if self.question is not None else None
         if duty is None:
             duty = self.learned().get(THROTTLE, {}).get("neutral")
         if self._setup.throttle is not None:
@@ -189,7 +177,7 @@ class FirstCheck:
         return duty
 
     def _lines(self, now_ns, width):
-        question = self._question
+        question = self.question
         seen = question.seen(now_ns)
         parts = [f"{self._index + 1} of {len(self._makers)}: {question.title}", question.text,
                  question.help, f"Now: {seen}" if seen else "", self._warning or question.note,

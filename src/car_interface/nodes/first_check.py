@@ -50,7 +50,7 @@ from car_interface.teleop.gamepad import GamepadConfig
 from car_interface.teleop.mappings import KEYBOARD_FRAME, Entries, button_label, config_for, load_entries, model_of
 from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.config import load_throttle
-from car_interface.tools.first_check.car import SLOWER, Controls, Output, Setup, Steering, Throttle, WheelCount
+from car_interface.tools.first_check.car import SLOWER, Controls, Setup
 from car_interface.tools.first_check.check import FirstCheck
 from car_interface.tools.first_check.files import find_folder, plan, write, write_page
 
@@ -108,14 +108,12 @@ class FirstCheckNode:
         for topic, message_type, handler in (
                 ("teleop_logi/state", TeleopState, lambda message, now_ns: car.gamepad.update(message.reason, now_ns)),
                 ("joy", Joy, self._on_joy),
-                ("turn_arb/state", SteeringState, lambda message, now_ns: car.steering.update(
-                    Steering(message.source, message.reason, message.duty), now_ns)),
-                ("throttle_arb/state", ThrottleState, self._on_throttle),
+                ("turn_arb/state", SteeringState, car.steering.update),
+                ("throttle_arb/state", ThrottleState, car.update_throttle),
                 ("servo/output", Int32MultiArray, self._on_output),
                 ("teensy_sensor_hub/link", LinkStatus,
                  lambda message, now_ns: car.link.update(message.open, now_ns)),
-                ("teensy_wheel", Wheel, lambda message, now_ns: car.update_wheels(
-                    [WheelCount(wheel.direction, wheel.dist_abs) for wheel in (message.left, message.right)], now_ns)),
+                ("teensy_wheel", Wheel, car.update_wheels),
                 ("odom", Odometry, lambda message, now_ns: car.update_speed(message.twist.twist.linear.x, now_ns)),
                 *((f"sonar/{name}", Range, partial(self._on_range, name)) for name in SONARS)):
             subscribe(topic, message_type, inbox, handler, wakes=False)
@@ -128,13 +126,9 @@ class FirstCheckNode:
         self._check.car.buttons.update(
             tuple(index for index, is_held in enumerate(message.buttons) if is_held), now_ns)
 
-    def _on_throttle(self, message, now_ns):
-        self._check.car.update_throttle(Throttle(message.source, message.reason, message.granted, message.esc,
-                                                 message.esc_reason, message.human_scale), now_ns)
-
     def _on_output(self, message, now_ns):
         if len(message.data) == CHANNELS:
-            self._check.car.output.update(Output(message.data, sender_of(message)), now_ns)
+            self._check.car.update_output(message.data, sender_of(message), now_ns)
 
     def _on_range(self, name, message, now_ns):
         self._check.car.update_range(name, message.range, now_ns)
@@ -178,7 +172,7 @@ class FirstCheckNode:
         self._steer(view.steering if self._check.car.held_mode(now_ns) == AUTONOMOUS else None)
         self._tune(view.neutral)
         if view.kills_board:
-            reason = self._kill(self._check.car.output.value.sender)
+            reason = self._kill(self._check.car.sender)
             if reason:
                 self._check.question.kill_failed(reason)
         if view.is_over:
