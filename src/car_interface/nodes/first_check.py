@@ -38,8 +38,7 @@ from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import CHANNELS, NS_PER_S
 from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, SONARS
 from car_interface.msg import LinkStatus, SteeringState, TeleopState, ThrottleState, Wheel
-from car_interface.nodes.keyboard_drive.keyboard import Keys
-from car_interface.nodes.live_text import LiveText
+from car_interface.nodes.terminal import Keys, LiveText
 from car_interface.ros.clocks import SYSTEM
 from car_interface.ros.reconfigure import request_values
 from car_interface.ros.runtime import run

@@ -192,8 +192,8 @@ class Car:
         if throttle.esc == ARMING:
             return throttle.esc_reason
         if throttle.human_scale > MAX_SCALE + 1e-6:
-            return (f"a full stick gives {throttle.human_scale:.1f} of the throttle, too much for this: press the button for "
-                    f"less{self._in_brackets(self.controls.names.get(SLOWER))} until it gives {MAX_SCALE:g}")
+            return (f"a full stick gives {throttle.human_scale:.1f} of the throttle, too much for this: press the "
+                    f"button for less{self._in_brackets(self.controls.names.get(SLOWER))} until it gives {MAX_SCALE:g}")
         return "" if throttle.source == TELEOP else throttle.reason
 
     def by_program(self, now_ns: int) -> str:
