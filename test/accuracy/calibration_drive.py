@@ -38,10 +38,9 @@ from car_interface.common.causes import AUTONOMOUS
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.planner.request import PlannerRequest
-from car_interface.sim.collision import Collisions
-from car_interface.sim.tyres import TyreConfig
+from car_interface.sim.dynamics import TyreConfig
 from car_interface.sim.vehicle import Pose, Vehicle, VehicleConfig
-from car_interface.sim.world import World, WorldConfig
+from car_interface.sim.world import Collisions, World, WorldConfig
 from car_interface.steering.arbiter import SteeringArbiter, SteeringArbiterConfig
 from car_interface.steering.calibration import SteeringCalibration, trimmed
 from car_interface.steering.config import load_steering

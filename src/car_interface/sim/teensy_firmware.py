@@ -21,7 +21,8 @@ from typing import Callable, Generator
 
 from car_interface.common.errors import require
 from car_interface.sim.teensy_clock import NEVER_NS, NS_PER_US, UINT32, Clock
-from car_interface.sim.teensy_packets import (
+from car_interface.sim.teensy_sonars import SEQUENCE_MAX, SONAR_MISSING, Held, SonarArray, SonarSensor
+from car_interface.sim.teensy_uart import (
     COUNTER_NAMES,
     ERROR_COUNT,
     GET_COUNTERS,
@@ -33,21 +34,16 @@ from car_interface.sim.teensy_packets import (
     SONAR_STATUS,
     SONAR_STOP,
     SONAR_WAIT,
+    SONARS,
     TEENSY,
     WHEEL_RESET,
+    IncomingLine,
+    OutgoingLine,
     PacketPool,
     PoolEmpty,
+    Receiver,
+    Transmitter,
 )
-from car_interface.sim.teensy_receiver import IncomingLine, Receiver
-from car_interface.sim.teensy_sonars import (
-    SEQUENCE_MAX,
-    SONAR_MISSING,
-    SONARS,
-    Held,
-    SonarArray,
-    SonarSensor,
-)
-from car_interface.sim.teensy_transmitter import OutgoingLine, Transmitter
 from car_interface.sim.teensy_wheels import FORWARD, HALL_PINS, Axle
 
 U32 = struct.Struct("<I")

@@ -5,9 +5,8 @@ from random import Random
 from typing import Callable, Generator
 
 from car_interface.sim.teensy_clock import AT_ONCE_NS, NEVER_NS, NS_PER_US, UINT32, Clock, Deadline
-from car_interface.sim.teensy_packets import PacketPool, PoolEmpty
+from car_interface.sim.teensy_uart import SONARS, PacketPool, PoolEmpty
 
-SONARS = 6
 SEQUENCE_MAX = 4 * SONARS
 
 # In µs of the Teensy's clock

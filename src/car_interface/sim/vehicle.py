@@ -5,7 +5,7 @@ curves are the truth that calibration tables only approximate: they are near the
 them on purpose.
 
 REP-103 throughout: metres, radians, seconds, x forward, y left, left turns positive. The pose is that of the middle of
-the rear axle. Tyres widen its turns with speed, slide, and it can tip over: see ``tyres``; without them it is a
+the rear axle. Tyres widen its turns with speed, slide, and it can tip over: see ``dynamics``; without them it is a
 kinematic car. Backlash of the steering, a slope and a sagging battery are options: the default car has none of them.
 
 A brake that is stronger than the tyres' grip locks the wheels: no pulses, and the car slides straight on. A motor that
@@ -26,11 +26,19 @@ from typing import NamedTuple
 from car_interface.common.errors import require
 from car_interface.common.units import NS_PER_S
 from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, TRACK_M, WHEEL_DIAMETER_M
-from car_interface.sim.collision import Collisions
-from car_interface.sim.drive_train import DriveTrainConfig, Motor, motor_acceleration_mps2, true_acceleration_mps2
+from car_interface.sim.dynamics import (
+    DriveTrainConfig,
+    Motor,
+    Rollovers,
+    TyreConfig,
+    motor_acceleration_mps2,
+    path_curvature_per_m,
+    possible_acceleration_mps2,
+    true_acceleration_mps2,
+)
 from car_interface.sim.esc import VirtualEsc, VirtualEscConfig, is_pulse
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
-from car_interface.sim.tyres import Rollovers, TyreConfig, path_curvature_per_m, possible_acceleration_mps2
+from car_interface.sim.world import Collisions
 
 GRAVITY_MPS2 = 9.81
 ARRIVED_DUTY = 0.01  # a servo this near its target has arrived: its creep would never end

@@ -6,9 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface.sim.collision import Collisions, Obstacles
 from car_interface.sim.vehicle import ORIGIN, Pose, Vehicle, VehicleConfig
-from car_interface.sim.world import World
+from car_interface.sim.world import Collisions, Obstacles, World
 
 MS, S = 1_000_000, 1_000_000_000
 STRAIGHT, FORWARD, REVERSE = 5070, 5400, 4400

@@ -10,9 +10,9 @@ from car_interface.common import declared
 from car_interface.common.errors import ConfigError, require
 from car_interface.common.units import CHANNELS, MAX_DUTY
 from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, TRACK_M, WHEEL_DIAMETER_M
+from car_interface.sim.dynamics import TyreConfig
 from car_interface.sim.esc import KINDS, VirtualEscConfig
 from car_interface.sim.teensy_firmware import BOOT_MS, FirmwareConfig
-from car_interface.sim.tyres import TyreConfig
 from car_interface.sim.vehicle import DriveTrainConfig, Pose, SteeringConfig, VehicleConfig
 from car_interface.sim.world import World, WorldConfig
 

@@ -41,10 +41,9 @@ from car_interface.ros.logs import ThrottledWarnings
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, subscribe
 from car_interface.sim.chip_link import ChipLink
-from car_interface.sim.collision import Collisions
 from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.sim.vehicle import Vehicle
-from car_interface.sim.world import World, WorldConfig
+from car_interface.sim.world import Collisions, World, WorldConfig
 
 STEP_NS = 2_000_000  # the car's maximum step, and how often bytes leave
 TRUTH_RATE_HZ = 50

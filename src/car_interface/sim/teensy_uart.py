@@ -1,14 +1,191 @@
-"""The simulated Teensy's transmitter: packets become frames, which leave the UART at the pace of the line."""
+"""The simulated Teensy's serial port: packets, the pool that all parts share, and both directions of the line.
+
+Bytes from the host, at the line's pace, become packets; packets become frames, which leave at the pace of the line.
+"""
 from __future__ import annotations
 
 from collections import deque
+from random import Random
+from typing import Callable
 
-from car_interface.sim import teensy_packets as packets
 from car_interface.sim.teensy_clock import AT_ONCE_NS, NEVER_NS
-from car_interface.sim.teensy_packets import BITS_PER_BYTE_S, FLAG, PacketPool
-from car_interface.sim.teensy_sonars import SONARS
 
+FLAG, ESCAPE, ESCAPE_XOR = 0x7E, 0x7D, 0x20
+RPI, TEENSY = 1, 2
+SONARS = 6
+
+PING_QUERY, PONG_RESP, SET_SONAR_SEQ, SONAR_STOP, SONAR_START, SONAR_STATUS = 1, 2, 3, 4, 5, 6
+WHEEL_STATUS, WHEEL_RESET, ERROR_COUNT, GET_COUNTERS, SONAR_WAIT = 7, 8, 9, 10, 12
+
+HEADER_SIZE = 4
+MESSAGE_MAX = 36  # header + WHEEL_STATUS, the longest message; the checksum follows it
+PACKET_SIZE = MESSAGE_MAX + 4
+COUNTER_NAMES = (
+    "rxErrorChecksum", "rxErrorTooShort", "rxErrorTooLong", "rxErrorBuffer", "rxErrorDropped", "rxErrorUnknown",
+    "txErrorNoBuf", "txInfoSonarDrop", "txInfoWheelDrop", "txBytes", "txPackets", "rxBytes", "rxPackets",
+    "pingFail", "badSeqCommand", "badSonarId", "unknownCommand", "badSeqLen", "badSonarIdx",
+    "rotBufFull", "rotUpdSkip", "errPing0", "errPing1", "errPing2", "errPing3", "errPing4", "errPing5",
+)
+
+BITS_PER_BYTE_S = 10 * 1_000_000_000  # 8N1 sends ten bits a byte; times nanoseconds a second
 BOOT_BYTE = 0xC1  # of the frame that the firmware makes of a packet that isn't there, before its complement
+
+
+class PoolEmpty(Exception):
+    """The firmware wrote through a null pointer, to a packet that it didn't get."""
+
+
+class PacketPool:
+    """The packets that all parts share. A used one keeps its content, which later shows in the filler byte."""
+
+    def __init__(self, size: int, seed: int | None):
+        memory = bytes(size * PACKET_SIZE)
+        if seed is not None:
+            memory = Random(seed).getrandbits(8 * len(memory)).to_bytes(len(memory), "little")
+        chunks = (memory[start : start + PACKET_SIZE] for start in range(0, len(memory), PACKET_SIZE))
+        self._free: deque[bytearray] = deque(bytearray(chunk) for chunk in chunks)
+
+    def acquire(self) -> bytearray | None:
+        """Return the packet that has been free for longest, or None when all are in use."""
+        return self._free.popleft() if self._free else None
+
+    def release(self, packet: bytearray):
+        self._free.append(packet)
+
+
+class Receiver:
+    """Assembles packets from the host's bytes, with the four faults of the original.
+
+    Args:
+        corrected_checksum: True to sum with carry, over the unescaped bytes.
+    """
+
+    IDLE, WAITING, DATA, ESCAPED = "idle", "waiting", "data", "escaped"
+
+    def __init__(self, acquire: Callable[[], bytearray | None], counters: dict[str, int],
+                 corrected_checksum: bool = False):
+        self._acquire = acquire
+        self._counters = counters
+        self._corrected = corrected_checksum
+        self._packet: bytearray | None = None
+        self._phase = self.IDLE
+        self._filled = 0
+        self._sum = 0
+
+    @property
+    def state(self) -> tuple[str, int]:
+        """(phase, bytes in the packet). IDLE holds no packet yet, WAITING does and waits for an opening flag."""
+        return self._phase, self._filled
+
+    def byte(self, byte: int) -> bytearray | None:
+        """Take one byte; return the packet that it completed, checksum included, or None."""
+        if self._packet is None:
+            self._packet = self._acquire()
+            if self._packet is None:
+                self._counters["rxErrorBuffer"] += 1
+                return None
+            self._restart()
+        self._counters["rxBytes"] += 1
+        if self._phase == self.WAITING and byte == FLAG:
+            self._phase = self.DATA
+        elif self._phase == self.WAITING:
+            self._counters["rxErrorDropped"] += 1
+        elif self._phase == self.ESCAPED:
+            self._undo_escape(byte)
+        elif byte == FLAG:
+            return self._close()
+        elif byte == ESCAPE:
+            self._phase = self.ESCAPED
+        else:
+            self._add(byte)
+            self._store(byte)
+        return None
+
+    def _restart(self):
+        self._phase = self.WAITING
+        self._filled = 0
+        self._sum = 0
+
+    def _undo_escape(self, byte: int):
+        """Store the unescaped byte, and add the escaped one to the sum.
+
+        The phase is DATA afterwards in any case, even when the packet was full and thrown away: only this state, full
+        and escaped, takes 39 bytes of 00 to leave.
+        """
+        self._store(byte ^ ESCAPE_XOR)
+        self._add(byte ^ ESCAPE_XOR if self._corrected else byte)
+        self._phase = self.DATA
+
+    def _add(self, byte: int):
+        self._sum += byte
+        if self._sum > 0xFF:
+            self._sum -= 0xFF if self._corrected else 0x100
+
+    def _store(self, byte: int):
+        if self._filled > MESSAGE_MAX:
+            self._counters["rxErrorTooLong"] += 1
+            self._restart()
+            return
+        self._packet[self._filled] = byte
+        self._filled += 1
+
+    def _close(self) -> bytearray | None:
+        """Judge the frame. Its closing flag opens no other, so an odd flag swaps opening and closing for good."""
+        packet, filled, good = self._packet, self._filled, self._sum == 0xFF
+        self._restart()
+        if not good:
+            self._counters["rxErrorChecksum"] += 1
+            return None
+        if filled <= HEADER_SIZE:
+            self._counters["rxErrorTooShort"] += 1
+            return None
+        self._counters["rxPackets"] += 1
+        self._packet = None
+        self._phase = self.IDLE
+        return packet
+
+
+class IncomingLine:
+    """The wire from the host: bytes arrive in order, ten bits each, and are taken one at a time.
+
+    Attributes:
+        next_ns: when the next byte is complete; NEVER_NS when none is on the wire.
+    """
+
+    def __init__(self, baud: int):
+        self._baud = baud
+        self._bytes: deque[int] = deque()
+        self._burst_ns = 0
+        self._popped = 0  # since the burst began
+        self.next_ns = NEVER_NS
+
+    @property
+    def backlog(self) -> int:
+        return len(self._bytes)
+
+    def write(self, data: bytes, now_ns: int):
+        if not self._bytes:
+            self._burst_ns = now_ns
+            self._popped = 0
+        self._bytes.extend(data)
+        self._schedule_next()
+
+    def pop(self) -> int:
+        byte = self._bytes.popleft()
+        self._popped += 1
+        self._schedule_next()
+        return byte
+
+    def drop(self, now_ns: int):
+        """Discard the bytes that have arrived by now, as while it boots."""
+        while self.next_ns <= now_ns:
+            self.pop()
+
+    def _byte_ns(self, count: int) -> int:
+        return self._burst_ns - (-count * BITS_PER_BYTE_S // self._baud)
+
+    def _schedule_next(self):
+        self.next_ns = self._byte_ns(self._popped + 1) if self._bytes else NEVER_NS
 
 
 class Transmitter:
@@ -45,7 +222,7 @@ class Transmitter:
             if packet is None:
                 self._counters["txErrorNoBuf"] += 1
                 return
-        packet[:4] = bytes((packets.RPI, packets.TEENSY, packets.WHEEL_STATUS, 0))
+        packet[:4] = bytes((RPI, TEENSY, WHEEL_STATUS, 0))
         packet[4 : 4 + len(report)] = report
         self._reports[0] = packet
         self._wake()
@@ -153,9 +330,9 @@ class OutgoingLine:
 
 def message_length(packet: bytearray) -> int:
     """Return the bytes of a message that the firmware sends, with the header and without the checksum."""
-    if packet[2] == packets.WHEEL_STATUS:
-        return packets.MESSAGE_MAX
-    if packet[2] == packets.ERROR_COUNT:
+    if packet[2] == WHEEL_STATUS:
+        return MESSAGE_MAX
+    if packet[2] == ERROR_COUNT:
         return packet.index(0, 8) + 1
     return 12  # a pong or a sonar's report
 
