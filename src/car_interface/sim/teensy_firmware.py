@@ -133,11 +133,6 @@ class TeensyFirmware:
         self._axle = Axle(self.counters)
         self._sonars = SonarArray(config.sonar_sequence, config.sonar_wait_ms, self._sensors, self.clock, self._pool,
                                   self.counters)
-        self._commands = {
-            PONG_RESP: lambda packet: None,  # the firmware knows the command, and never asks for one
-            SET_SONAR_SEQ: self._set_sonar_sequence, SONAR_STOP: self._stop_sonars,
-            WHEEL_RESET: lambda packet: self._axle.reset(), GET_COUNTERS: self._send_counters,
-            SONAR_WAIT: self._set_sonar_wait}
         self._is_booting = True
         self._is_between_passes = False
         self._resume_ns = boot_end_ns
@@ -273,7 +268,7 @@ class TeensyFirmware:
             if packet[0] == TEENSY and packet[2] == SONAR_START:
                 now_ns = yield from self._sonars.start(now_ns)
             elif packet[0] == TEENSY:
-                self._commands.get(packet[2], self._count_unknown)(packet)
+                self._obey(packet)
             self._pool.release(packet)
         return now_ns
 
@@ -301,19 +296,22 @@ class TeensyFirmware:
         U32.pack_into(packet, 8, self.clock.millis(now_ns))
         self._transmitter.queue_first(packet)
 
-    def _count_unknown(self, packet: bytearray):
-        self.counters["rxErrorUnknown"] += 1
+    def _obey(self, packet: bytearray):
+        command = packet[2]
+        if command == SET_SONAR_SEQ:
+            self._sonars.set_sequence(packet[4], packet[5 : 5 + SEQUENCE_MAX])
+        elif command == SONAR_STOP:
+            self._sonars.running = False
+        elif command == SONAR_WAIT:
+            (self._sonars.wait_ms,) = U32.unpack_from(packet, 4)
+        elif command == WHEEL_RESET:
+            self._axle.reset()
+        elif command == GET_COUNTERS:
+            self._send_counters()
+        elif command != PONG_RESP:  # which the firmware knows, and never asks for
+            self.counters["rxErrorUnknown"] += 1
 
-    def _set_sonar_sequence(self, packet: bytearray):
-        self._sonars.set_sequence(packet[4], packet[5 : 5 + SEQUENCE_MAX])
-
-    def _stop_sonars(self, packet: bytearray):
-        self._sonars.running = False
-
-    def _set_sonar_wait(self, packet: bytearray):
-        (self._sonars.wait_ms,) = U32.unpack_from(packet, 4)
-
-    def _send_counters(self, packet: bytearray):
+    def _send_counters(self):
         for name, count in [item for item in self.counters.items() if item[1]]:
             answer = self._pool.acquire()
             if answer is None:
