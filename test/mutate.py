@@ -364,9 +364,10 @@ class Slot:
         return int(code)
 
     def _pytest(self, tests):
-        return importlib.import_module("pytest").main(
+        code = importlib.import_module("pytest").main(
             ["-q", "-x", "--tb=short", "-p", "no:cacheprovider", "-p", "no:randomly", "-p", "no:xdist",
              "-m", "not browser", f"--basetemp={self._folder}/tmp/pytest", *tests])
+        return 0 if code == 5 else code  # none of its tests does without a browser
 
     def poll(self) -> Result | None:
         """Return how the job ended, or None while it runs."""

@@ -212,9 +212,10 @@ class GraphWalk:
         self._busily(name, lasts_s, partial(self._mend, name, link))
 
     def _lose(self, stop, name, link):
-        if link.stops and link.takes != PLANNER and (name != "joy" or self._hand[0]):
-            self.goals.stop(stop, self._now_ns, max(link.stops.values()) + 0.02, tuple(link.stops),
-                            rearms=name in REARMS)
+        # The ESC drives again, for as long as G3 allows, after a release in which turn_arb commanded center, too.
+        stops = {STEERING: link.stops[STEERING]} if name == "steering command" else link.stops
+        if stops and link.takes != PLANNER and (name != "joy" or self._hand[0]):
+            self.goals.stop(stop, self._now_ns, max(stops.values()) + 0.02, tuple(stops), rearms=name in REARMS)
 
     def _mend(self, name, link):
         self.graph.link(*ways(link))

@@ -82,6 +82,7 @@ class Walk:
         self._away: dict[str, tuple[int, list]] = {}  # since when a node stands still, and what has arrived since
         self._dead: set[str] = set()
         self._arrivals: dict[str, int] = {}
+        self._heard: set[str] = set()  # e-stops' links on which something arrived since the arbiter's start
         self._loses: dict[str, float] = {}
         self._delays: dict[str, int] = {}
         self._hands = {PAD: ["", 0.0, 0.0], PHONE: ["", 0.0, 0.0]}
@@ -149,11 +150,12 @@ class Walk:
             return
         delay_ns = self._delays.get(link) or self.rng.randrange(DELAY_MS) * MS
         at_ns = self._arrivals[link] = max(self.now_ns + delay_ns, self._arrivals.get(link, 0))
-        self._push(at_ns, self._arrive, node, self._lives.get(node), handler, arguments)
+        self._push(at_ns, self._arrive, node, self._lives.get(node), handler, arguments, link)
 
-    def _arrive(self, node, life, handler, arguments):
+    def _arrive(self, node, life, handler, arguments, link=""):
         if node in self._dead or life != self._lives.get(node):
             return
+        self._heard.add(link)
         if node in self._away:
             self._away[node][1].append((handler, arguments, self.now_ns))
         else:
@@ -237,7 +239,7 @@ class Walk:
         getattr(self.throttle.arbiter, update)(value, now_ns)
         if value is not self._duty.get(update):  # the node decides on changes
             self._duty[update] = value
-            self._decide_throttle(now_ns, False)
+            self._decide_throttle(self.now_ns, False)
 
     def _on_value(self, value, now_ns):
         self.throttle.update_planner(value, now_ns)
@@ -270,7 +272,7 @@ class Walk:
         arbiter.update_steering(decision.source, decision.reason, now_ns)
         arbiter.update_steering_command(SERVO, decision.duty, now_ns)
         self.throttle.update_turn(decision.asked_radius_m, decision.max_speed_mps)
-        self._decide_throttle(now_ns, False)
+        self._decide_throttle(self.now_ns, False)
 
     def _decide_throttle(self, now_ns, repeats):
         decision = self.throttle.decide(now_ns)
@@ -413,7 +415,8 @@ class Walk:
             return
         self._loses[link] = self.rng.choice((1.0, 1.0, 0.3))
         name = f"{link} lost"
-        if self._loses[link] == 1.0 and link in LOST:
+        is_in_use = link.split(">")[0] not in STOPS or link in self._heard  # R15: never received
+        if self._loses[link] == 1.0 and link in LOST and is_in_use:
             actuators, within_s, rearms = LOST[link]
             self.goals.stop(name, self.now_ns, within_s, actuators, rearms)
         self._rough(lasts_ns, name)
@@ -491,9 +494,14 @@ class Walk:
     def _restart(self, node):
         self._dead.discard(node)
         self._start(node)
-        if node in ("turn_arb", "teleop") and "teleop" not in self._dead:  # teleop_logi's state, which is latched
+        if node in ("turn_arb", "throttle_arb", "teleop") and "teleop" not in self._dead:
+            # teleop_logi's state, which is latched
             self._push(self.now_ns, self._arrive, "turn_arb", self._lives.get("turn_arb"), self._on_turn,
                        ("explain_teleop", False))
+            self._push(self.now_ns, self._arrive, "throttle_arb", self._lives.get("throttle_arb"),
+                       self.throttle.arbiter.explain_human, (True, ""))
+        if node in ("turn_arb", "throttle_arb"):
+            self._heard -= {f"{name}>{node[:-4]}" for name in STOPS}
         for name, link in itertools.product(STOPS, ("turn", "throttle")):
             if name in self._silent or self._loses.get(f"{name}>{link}"):  # R15: never received
                 for each in (name, f"{name} silent", f"{name}>{link} lost"):

@@ -74,8 +74,8 @@ class ThrottleArbiter(MotionInterlock):
     The first rule that applies decides:
 
     1. The e-stop, no deadman, a stopped turn_arb, or a servo board that doesn't follow turn_arb: stop.
-    2. A mode, or a stick, that was received before and is now stale or invalid: stop. The planner doesn't get the
-       throttle then, since the human still believes that they drive.
+    2. A mode, or a stick, that was received before and is now stale or invalid, or that was never received while
+       teleop_logi runs: stop. The planner doesn't get the throttle then, since the human still believes that they drive.
     3. The human, if the mode gives them the throttle or the stick is beyond its dead band.
     4. The planner, if it has a value, odometry is fresh and the battery isn't empty; else stop, or neutral if no
        planner ever sent a value.
@@ -126,7 +126,10 @@ class ThrottleArbiter(MotionInterlock):
                 self._gave_ns = now_ns
 
     def explain_human(self, present: bool, reason: str, now_ns: int) -> None:
-        """Take teleop_logi's explanation of deadman and requests; reasons quote it, nothing depends on it."""
+        """Take teleop_logi's explanation of deadman and requests; reasons quote it.
+
+        From the first call on nobody drives before both mode and stick were received.
+        """
         super().explain_human(present, reason, now_ns)
         self._teleop_explanation.update(" ".join(reason.split()), now_ns)
 
@@ -239,8 +242,8 @@ class ThrottleArbiter(MotionInterlock):
 
     def _mode_trouble(self, now_ns):
         """Return a stop for a mode that is stale or unknown, or None."""
-        if not self._mode.was_received:
-            return None  # requests from the command line, or from a teleop without modes
+        if not self._mode.was_received:  # requests from the command line, or from a teleop without modes
+            return self._unheard_trouble(causes.MODE_STALE, self._mode)
         if self._mode.is_stale(now_ns):
             return _stop(NEUTRAL, causes.MODE_STALE, self._mode.stale_reason(now_ns))
         if self._mode.value not in MODES:
@@ -248,11 +251,17 @@ class ThrottleArbiter(MotionInterlock):
                          f"mode is {self._mode.value!r}, which is none of {', '.join(MODES)}")
         return None
 
+    def _unheard_trouble(self, cause, timed):
+        """Return a stop for an input that was never received, though teleop_logi runs, or None."""
+        if self._teleop_explanation.was_received:
+            return _stop(NEUTRAL, cause, f"{timed.name} was never heard, though teleop_logi runs")
+        return None
+
     def _by_hand(self, now_ns):
         """Return the human's request, a stop if it is stale or invalid, or None if the human leaves the throttle."""
         human_drives = self._mode.value in HUMAN_DRIVES
-        if not self._teleop.was_received:
-            return _stop(NEUTRAL, causes.TELEOP_STALE, self._teleop.stale_reason(now_ns)) if human_drives else None
+        if not self._teleop.was_received and not human_drives:
+            return self._unheard_trouble(causes.TELEOP_STALE, self._teleop)
         if self._teleop.is_stale(now_ns):
             return _stop(NEUTRAL, causes.TELEOP_STALE, self._teleop.stale_reason(now_ns))
         throttle = self._teleop.value

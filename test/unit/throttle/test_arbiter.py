@@ -130,6 +130,17 @@ def test_reasons_of_turn_arb_and_teleop_logi_are_quoted():
     assert arbiter.decide(NOW).reason == "human_in_loop is false: no deadman is held"
 
 
+@pytest.mark.parametrize("inputs, cause, name", [
+    ({"teleop": (FORWARD, 0.1)}, "mode silent", "mode"), ({"teleop": (REST, 0.1)}, "mode silent", "mode"),
+    ({"mode": (AUTONOMOUS, 0.1)}, "teleop silent", "tele_throt_req")], ids=["stick", "planner", "planner_s_mode"])
+def test_nobody_drives_before_mode_and_stick_were_heard_once_teleop_logi_is_known_to_run(inputs, cause, name):
+    arbiter = arbiter_with(planner=(0.7, 0.1), **inputs)
+    assert not arbiter.decide(NOW).is_stop
+    arbiter.explain_human(True, "", NOW)
+    assert arbiter.decide(NOW) == (NEUTRAL, cause, f"{name} was never heard, though teleop_logi runs", 0.0, 0.0, 0.0,
+                                   True, "auto", 0.0)
+
+
 @pytest.mark.parametrize("speed_mps", [-100.0, 100.0])
 def test_speed_that_a_car_can_just_have_is_one(speed_mps):
     assert decide(planner=(0.7, 0.1), odometry=(speed_mps, 0.1)).source == PLANNER

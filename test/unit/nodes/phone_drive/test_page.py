@@ -13,7 +13,7 @@ from car_interface.nodes.phone_drive.server import Server
 from car_interface.teleop.phone import Outgoing
 from nodes.phone_drive.test_server import Node, port  # noqa: F401 - a fixture
 
-pytestmark = pytest.mark.once
+pytestmark = [pytest.mark.once, pytest.mark.browser]
 WITHIN_S = 60
 STATUS = {"driver": "you", "guest": False, "e_stop": False, "why": "", "delay": 0.01}
 KEY = "document.body.dispatchEvent(new KeyboardEvent('%s', {key: '%s', code: '%s', bubbles: true, cancelable: true}))"
