@@ -20,30 +20,9 @@ from random import Random
 from typing import Callable, Generator
 
 from car_interface.common.errors import require
+from car_interface.sim import teensy_uart as uart
 from car_interface.sim.teensy_clock import NEVER_NS, NS_PER_US, UINT32, Clock
 from car_interface.sim.teensy_sonars import SEQUENCE_MAX, SONAR_MISSING, Held, SonarArray, SonarSensor
-from car_interface.sim.teensy_uart import (
-    COUNTER_NAMES,
-    ERROR_COUNT,
-    GET_COUNTERS,
-    PING_QUERY,
-    PONG_RESP,
-    RPI,
-    SET_SONAR_SEQ,
-    SONAR_START,
-    SONAR_STATUS,
-    SONAR_STOP,
-    SONAR_WAIT,
-    SONARS,
-    TEENSY,
-    WHEEL_RESET,
-    IncomingLine,
-    OutgoingLine,
-    PacketPool,
-    PoolEmpty,
-    Receiver,
-    Transmitter,
-)
 from car_interface.sim.teensy_wheels import FORWARD, HALL_PINS, Axle
 
 U32 = struct.Struct("<I")
@@ -107,9 +86,9 @@ class TeensyFirmware:
         self.echo_us = echo_us or (lambda sensor, at_ns: 0)
         self._config = config
         self._period_ns = config.loop_us * NS_PER_US
-        self._incoming = IncomingLine(config.baud)
-        self._outgoing = OutgoingLine(config.baud, UART_BUFFER)
-        self._sensors = [self._sensor(number) for number in range(SONARS)]
+        self._incoming = uart.IncomingLine(config.baud)
+        self._outgoing = uart.OutgoingLine(config.baud, UART_BUFFER)
+        self._sensors = [self._sensor(number) for number in range(uart.SONARS)]
         for sensor in config.sonars_missing:
             self._sensors[sensor].set_condition(SONAR_MISSING, power_up_ns)
         self._positions = list(config.wheel_positions)
@@ -125,11 +104,11 @@ class TeensyFirmware:
     def _switch_on(self, clock_start_ms: int, clock_start_ns: int, boot_end_ns: int):
         config = self._config
         self.clock = Clock(clock_start_ms, config.clock_drift_ppm, config.clock_ramp_ppm_per_h, clock_start_ns)
-        self.counters: dict[str, int] = dict.fromkeys(COUNTER_NAMES, 0)
+        self.counters: dict[str, int] = dict.fromkeys(uart.COUNTER_NAMES, 0)
         self.hung = False
-        self._pool = PacketPool(POOL_SIZE, config.seed)
-        self._receiver = Receiver(self._pool.acquire, self.counters, config.corrected_checksum)
-        self._transmitter = Transmitter(self._outgoing, self._pool, self.counters)
+        self._pool = uart.PacketPool(POOL_SIZE, config.seed)
+        self._receiver = uart.Receiver(self._pool.acquire, self.counters, config.corrected_checksum)
+        self._transmitter = uart.Transmitter(self._outgoing, self._pool, self.counters)
         self._axle = Axle(self.counters)
         self._sonars = SonarArray(config.sonar_sequence, config.sonar_wait_ms, self._sensors, self.clock, self._pool,
                                   self.counters)
@@ -206,7 +185,7 @@ class TeensyFirmware:
         Raises:
             ConfigError: no such sensor.
         """
-        require(sensor in range(SONARS), "sonar", sensor, "a sensor from 0 to 5")
+        require(sensor in range(uart.SONARS), "sonar", sensor, "a sensor from 0 to 5")
         self.advance(now_ns)
         self._sensors[int(sensor)].set_condition(condition, self._now_ns)
         self._sonars.schedule()
@@ -238,7 +217,7 @@ class TeensyFirmware:
         self._is_between_passes = False
         try:
             self._resume_ns = self._loop.send(self._now_ns)
-        except PoolEmpty:
+        except uart.PoolEmpty:
             self.hung = True
             self._resume_ns = NEVER_NS
 
@@ -262,12 +241,12 @@ class TeensyFirmware:
             packet = self._receiver.byte(self._incoming.pop())
             if packet is None:
                 continue
-            if packet[0] == TEENSY and packet[2] == PING_QUERY:
+            if packet[0] == uart.TEENSY and packet[2] == uart.PING_QUERY:
                 self._pong(packet, now_ns)
                 continue
-            if packet[0] == TEENSY and packet[2] == SONAR_START:
+            if packet[0] == uart.TEENSY and packet[2] == uart.SONAR_START:
                 now_ns = yield from self._sonars.start(now_ns)
-            elif packet[0] == TEENSY:
+            elif packet[0] == uart.TEENSY:
                 self._obey(packet)
             self._pool.release(packet)
         return now_ns
@@ -283,7 +262,7 @@ class TeensyFirmware:
             self.counters["txErrorNoBuf"] += 1
             return
         sensor, echo_us, when = echo
-        packet[:5] = bytes((RPI, TEENSY, SONAR_STATUS, 0, sensor))
+        packet[:5] = bytes((uart.RPI, uart.TEENSY, uart.SONAR_STATUS, 0, sensor))
         SONAR_ECHO.pack_into(packet, 6, echo_us, when)
         self._transmitter.queue_sonar(sensor, packet)
         self._sonars.wait(now_ns)
@@ -292,23 +271,23 @@ class TeensyFirmware:
 
     def _pong(self, packet: bytearray, now_ns: int):
         """Turn the ping itself into its answer, as the firmware does: the rest of it stays as it was."""
-        packet[:3] = bytes((packet[1], TEENSY, PONG_RESP))
+        packet[:3] = bytes((packet[1], uart.TEENSY, uart.PONG_RESP))
         U32.pack_into(packet, 8, self.clock.millis(now_ns))
         self._transmitter.queue_first(packet)
 
     def _obey(self, packet: bytearray):
         command = packet[2]
-        if command == SET_SONAR_SEQ:
+        if command == uart.SET_SONAR_SEQ:
             self._sonars.set_sequence(packet[4], packet[5 : 5 + SEQUENCE_MAX])
-        elif command == SONAR_STOP:
+        elif command == uart.SONAR_STOP:
             self._sonars.running = False
-        elif command == SONAR_WAIT:
+        elif command == uart.SONAR_WAIT:
             (self._sonars.wait_ms,) = U32.unpack_from(packet, 4)
-        elif command == WHEEL_RESET:
+        elif command == uart.WHEEL_RESET:
             self._axle.reset()
-        elif command == GET_COUNTERS:
+        elif command == uart.GET_COUNTERS:
             self._send_counters()
-        elif command != PONG_RESP:  # which the firmware knows, and never asks for
+        elif command != uart.PONG_RESP:  # which the firmware knows, and never asks for
             self.counters["rxErrorUnknown"] += 1
 
     def _send_counters(self):
@@ -317,7 +296,7 @@ class TeensyFirmware:
             if answer is None:
                 self.counters["txErrorNoBuf"] += 1
                 continue
-            answer[:4] = bytes((RPI, TEENSY, ERROR_COUNT, 0))
+            answer[:4] = bytes((uart.RPI, uart.TEENSY, uart.ERROR_COUNT, 0))
             U32.pack_into(answer, 4, count & UINT32)
             answer[8:32] = name.encode("ascii").ljust(24, b"\0")
             self._transmitter.queue_first(answer)

@@ -127,20 +127,22 @@ class FirstCheck:
         elif key == SKIP and self._index:  # whether it stands on a box isn't skipped
             self._answer(Result(SKIPPED, "skipped"))
         elif key == TO_END and self._index:
-            self._index, self.question = len(self._makers), None
+            self._ask(len(self._makers), False)
         else:
             self.question.type(key, now_ns)
 
     def _go(self, index):
         """Ask a question anew."""
-        self._index, self._has_begun, self._warning = index, True, ""
-        self._results[index:index + 1] = [None]
-        self.question = self._make(index)
+        self._results[index] = None
+        self._ask(index, True)
 
     def _answer(self, result):
         self._results[self._index] = result
-        self._index, self._has_begun, self._warning = self._index + 1, False, ""
-        self.question = self._make(self._index) if self._index < len(self._makers) else None
+        self._ask(self._index + 1, False)
+
+    def _ask(self, index, has_begun):
+        self._index, self._has_begun, self._warning = index, has_begun, ""
+        self.question = self._make(index) if index < len(self._makers) else None
 
     def _advance(self, now_ns):
         """Let the question look, and ask the next one that can be asked."""
@@ -190,11 +192,9 @@ class FirstCheck:
     def learned(self) -> Changes:
         """Return what the answers say, by file: parameters, and what is computed from several of them."""
         found: Changes = {}
-        for result in self._results:
-            for file, values in (result.changes if result is not None else {}).items():
-                for name, value in values.items():
-                    before = found.setdefault(file, {}).get(name, ())
-                    found[file][name] = (*before, *value) if name == "absent" else value
+        for result in filter(None, self._results):
+            for file, values in result.changes.items():
+                found.setdefault(file, {}).update(values)
         return found
 
     def changes(self) -> Changes:
@@ -203,13 +203,12 @@ class FirstCheck:
         Raises:
             ConfigError: they don't go together, such as a center beyond an end.
         """
-        learned = self.learned()
-        found = {GAMEPAD: dict(learned.get(GAMEPAD, {}))}
-        found[STEERING] = _steering_changes(self._setup.steering, learned.get(STEERING, {}))
-        found[THROTTLE] = _throttle_changes(self._setup.throttle, learned.get(THROTTLE, {}))
-        absent = learned.get(HUB, {}).get("absent", ())
-        present = [SONARS.index(name) for name in self._setup.sonars if name not in absent]
-        found[HUB] = {"sonar_sequence": present} if absent and present else {}
+        learned = {file: {} for file in (GAMEPAD, STEERING, THROTTLE, HUB)}
+        learned.update(self.learned())
+        present = [SONARS.index(name) for name in self._setup.sonars if name not in learned[HUB]]
+        found = {GAMEPAD: learned[GAMEPAD], STEERING: _steering_changes(self._setup.steering, learned[STEERING]),
+                 THROTTLE: _throttle_changes(self._setup.throttle, learned[THROTTLE]),
+                 HUB: {"sonar_sequence": present} if learned[HUB] and present else {}}
         return {file: values for file, values in found.items() if values}
 
 

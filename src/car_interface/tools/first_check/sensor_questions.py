@@ -95,7 +95,7 @@ class Sonar(Question):
         timed = self.car.ranges[self.name]
         if key == "x":
             return learned("the car has none", HUB, f"with obstacle_stop set obstacle/sonars/{self.name}: absent in "
-                                                    "throttle.yaml", absent=(self.name,))
+                                                    "throttle.yaml", **{self.name: "absent"})
         if others:
             return broken(f"{others[0]} sees the hand in its place",
                           f"exchange the plugs of {_words(self.name)} and {others[0]}")
