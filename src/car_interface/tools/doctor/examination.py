@@ -39,7 +39,7 @@ from car_interface.tools.doctor.car import (
     reports_of,
 )
 from car_interface.tools.doctor.computer import probe_clock, probe_groups, probe_packages, probe_versions
-from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, worst
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, first, worst
 from car_interface.tools.doctor.gamepad import check_gamepad, probe_driver
 from car_interface.tools.doctor.master import NODES, REPORTING, Graph, Master, read_files, read_parameters
 from car_interface.tools.doctor.network import probe_network
@@ -239,7 +239,7 @@ def _examine(options):
         yield from port.findings(deadline_s)
     elif heard:
         yield from check_link(heard.link, car.port, hub)
-    of_board = board.findings(deadline_s) if board else [_virtual_board(car)]
+    of_board = board.findings(deadline_s) if board else _virtual_board(car)
     yield from of_board + topics_trouble
     if heard:
         yield from _check_heard(car, hub, heard, reporting, worst(of_board) == BAD)
@@ -286,13 +286,11 @@ def _listen_to_topics(car, hub, reporting):
 
 
 def _virtual_board(car):
-    node = car.runs("pca9685")
-    if not car.master:
-        return Finding(OK, "bus", "virtual: the chip is a piece of software; whether it runs only a master can tell")
-    if node:
-        return Finding(OK, "bus", f"virtual: the chip is a piece of software that {node.path} writes to")
-    if car.state("pca9685") != ABSENT:
-        return Finding(WARN, "bus", "virtual: the chip is a piece of software, and the pca9685 node doesn't answer",
-                       "See the nodes above")
-    return Finding(WARN, "bus", "virtual: the chip is a piece of software, and the pca9685 node that starts it "
-                                "doesn't run", "roslaunch car_interface demo.launch; or give the real bus by --i2c")
+    node, chip = car.runs("pca9685"), "virtual: the chip is a piece of software"
+    return first(
+        "bus",
+        (not car.master, OK, f"{chip}; whether it runs only a master can tell"),
+        (node, OK, f"{chip} that {node and node.path} writes to"),
+        (car.state("pca9685") != ABSENT, WARN, f"{chip}, and the pca9685 node doesn't answer", "See the nodes above"),
+        (True, WARN, f"{chip}, and the pca9685 node that starts it doesn't run",
+         "roslaunch car_interface demo.launch; or give the real bus by --i2c"))

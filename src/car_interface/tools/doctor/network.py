@@ -7,7 +7,7 @@ import socket
 from typing import Callable, Iterable, Mapping, Sequence
 from urllib.parse import urlsplit
 
-from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, first
 
 DEFAULT_PORT = 11311
 LISTENING = "0A"  # as /proc/net/tcp has it
@@ -90,41 +90,30 @@ def check_master(uri: str, trouble: str = "", is_here: bool | None = True,
         is_here: whether its host is this one; ``None`` when the host's name can't be resolved.
         listens_on: the addresses that something on this host listens on at its port.
     """
-    if not uri:
-        return [Finding(BAD, "master", "ROS_MASTER_URI is not set: no ROS program can run",
-                        "Source the workspace: source devel/setup.bash")]
-    place = host_and_port(uri)
-    if place is None:
-        return [Finding(BAD, "master", f"ROS_MASTER_URI is {uri}, which is no master's address",
-                        f"export ROS_MASTER_URI=http://localhost:{DEFAULT_PORT}")]
-    if is_here is None:
-        return [Finding(BAD, "master", f"its host, {place[0]}, can't be found",
-                        "Correct ROS_MASTER_URI, or add the name to /etc/hosts")]
-    if not trouble:
-        return [_exposure(uri, is_here, listens_on)]
-    if not is_here:
-        return [Finding(BAD, "master", f"it's on another host, and {uri} doesn't answer ({trouble})",
-                        f"Start it there, or see whether the network lets you: ping {place[0]}")]
-    if listens_on:
-        return [Finding(BAD, "master", f"something listens at {uri}, but doesn't answer as a master does ({trouble})",
-                        "End it, and start roslaunch again")]
-    return [Finding(WARN, "master", f"none runs at {uri}; all that needs one was left out below",
-                    "roslaunch starts one: roslaunch car_interface car.launch")]
-
-
-def _exposure(uri, is_here, listens_on):
-    """Return who can reach a master that answers."""
-    if not is_here:
-        return Finding(WARN, "master", f"{uri} is on another host: whoever reaches it drives the car",
-                       "Keep both in a VPN, as the README says under 'Who can drive the car'")
-    exposed = [address for address in listens_on if not ipaddress.ip_address(address).is_loopback]
-    if exposed:
-        is_any = any(ipaddress.ip_address(address).is_unspecified for address in exposed)
-        where = "every interface" if is_any else ", ".join(exposed)
-        lock_in = LOCAL_ONLY.format(port=host_and_port(uri)[1])
-        return Finding(WARN, "master", f"{uri} listens on {where}: whoever reaches it drives the car",
-                       f"Before roslaunch: {lock_in}; or a firewall or VPN, see the README")
-    return Finding(OK, "master", f"{uri} answers" + (", on the loopback only" if listens_on else ""))
+    host, port = host_and_port(uri) or ("", DEFAULT_PORT)
+    exposed = [ipaddress.ip_address(address) for address in listens_on]
+    exposed = [address for address in exposed if not address.is_loopback]
+    where = "every interface" if any(address.is_unspecified for address in exposed) else ", ".join(map(str, exposed))
+    return first(
+        "master",
+        (not uri, BAD, "ROS_MASTER_URI is not set: no ROS program can run",
+         "Source the workspace: source devel/setup.bash"),
+        (not host, BAD, f"ROS_MASTER_URI is {uri}, which is no master's address",
+         f"export ROS_MASTER_URI=http://localhost:{DEFAULT_PORT}"),
+        (is_here is None, BAD, f"its host, {host}, can't be found",
+         "Correct ROS_MASTER_URI, or add the name to /etc/hosts"),
+        (trouble and not is_here, BAD, f"it's on another host, and {uri} doesn't answer ({trouble})",
+         f"Start it there, or see whether the network lets you: ping {host}"),
+        (trouble and listens_on, BAD, f"something listens at {uri}, but doesn't answer as a master does ({trouble})",
+         "End it, and start roslaunch again"),
+        (trouble, WARN, f"none runs at {uri}; all that needs one was left out below",
+         "roslaunch starts one: roslaunch car_interface car.launch"),
+        (not is_here, WARN, f"{uri} is on another host: whoever reaches it drives the car",
+         "Keep both in a VPN, as the README says under 'Who can drive the car'"),
+        (exposed, WARN, f"{uri} listens on {where}: whoever reaches it drives the car",
+         f"Before roslaunch: {LOCAL_ONLY.format(port=port)}; or a firewall or VPN, see the README"),
+        (listens_on, OK, f"{uri} answers, on the loopback only"),
+        (True, OK, f"{uri} answers"))
 
 
 def listeners(tables: Iterable[str], port: int) -> tuple[str, ...]:
@@ -159,20 +148,17 @@ def check_local_address(environment: Mapping[str, str], master_is_here: bool, na
     """
     both = [variable for variable in ("ROS_HOSTNAME", "ROS_IP") if environment.get(variable)]
     source = both[0] if both else "this host's name"
-    if name == "":
-        fault = "this host has no name, and ROS_IP is not set"
-    elif is_here is None:
-        fault = f"{source}, {name}, can't be looked up: no node can reach another"
-    elif not is_here:
-        fault = f"{source}, {name}, isn't this computer's: no node here can be reached"
-    elif is_loopback and not master_is_here:
-        fault = f"{source} is {name}, but the master is on another host: nodes there can't reach those here"
-    elif len(both) == 2:
-        return [Finding(WARN, "address", f"ROS_HOSTNAME ({name}) and ROS_IP ({environment['ROS_IP']}) are both set; "
-                                         "the first one counts", "unset ROS_IP, or the other one")]
-    else:
-        reach = ": reached from this computer only" if is_loopback else ""
-        return [Finding(OK, "address", f"{source}, {name}{reach}")]
-    return [Finding(BAD, "address", fault, "export ROS_IP=127.0.0.1" if master_is_here else
-                    "export ROS_IP to this computer's address in the network that it shares with the master: ip -br "
-                    "address")]
+    remedy = ("export ROS_IP=127.0.0.1" if master_is_here else
+              "export ROS_IP to this computer's address in the network that it shares with the master: ip -br address")
+    return first(
+        "address",
+        (not name, BAD, "this host has no name, and ROS_IP is not set", remedy),
+        (is_here is None, BAD, f"{source}, {name}, can't be looked up: no node can reach another", remedy),
+        (not is_here, BAD, f"{source}, {name}, isn't this computer's: no node here can be reached", remedy),
+        (is_loopback and not master_is_here, BAD,
+         f"{source} is {name}, but the master is on another host: nodes there can't reach those here", remedy),
+        (len(both) == 2, WARN,
+         f"ROS_HOSTNAME ({name}) and ROS_IP ({environment.get('ROS_IP')}) are both set; the first one counts",
+         "unset ROS_IP, or the other one"),
+        (is_loopback, OK, f"{source}, {name}: reached from this computer only"),
+        (True, OK, f"{source}, {name}"))
