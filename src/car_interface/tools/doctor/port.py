@@ -133,17 +133,12 @@ def check_link(link: Any, port: str, node: Node) -> list[Finding]:
     if link is None:
         return [Finding(BAD, "Teensy", f"{node.path} runs, but its topic link is silent: it hangs",
                         restart_remedy(node.process), by_silence=True)]
+    level, remedy = min(link.level, BAD), link.next_step or f"rostopic echo {node.path}/link"
     if link.state in PORT_FAULTS:
-        return [Finding(min(link.level, BAD), "port", f"{port}: {link.words}",
-                        link.next_step or f"rostopic echo {node.path}/link")]
-    return [Finding(OK, "port", f"{port} is {node.path}'s"), _check_teensy(link, node)]
-
-
-def _check_teensy(link, node):
-    if link.level != OK:
-        return Finding(min(link.level, BAD), "Teensy", link.words,
-                       link.next_step or f"rostopic echo {node.path}/link")
-    return Finding(OK, "Teensy", f"{link.words}; {_describe_pong(link.round_trip, link.firmware_checksum)}")
+        return [Finding(level, "port", f"{port}: {link.words}", remedy)]
+    pong = _describe_pong(link.round_trip, link.firmware_checksum)
+    return [Finding(OK, "port", f"{port} is {node.path}'s"),
+            Finding(level, "Teensy", link.words, remedy) if level else Finding(OK, "Teensy", f"{link.words}; {pong}")]
 
 
 def check_virtual_port(port: str, simulator: str, hub_runs: bool) -> list[Finding]:
