@@ -23,6 +23,7 @@ import os
 import signal
 import textwrap
 from functools import partial
+from operator import attrgetter
 from typing import Any, Callable, Mapping
 
 import rospy
@@ -80,7 +81,6 @@ class FirstCheckNode:
         self._inbox, self._kill, self._request = inbox, kill or kill_node, request
         self._folder = find_folder(graph.parameter("turn_arb/config_folder", None))
         setup = read_setup(graph.parameter, self._folder)
-        self._channel = setup.steering.servo_channel
         self._check, self._start_neutral = FirstCheck(setup), setup.throttle and setup.throttle.neutral
         self._neutral = self._start_neutral  # that throttle_arb was asked for
         self._text, self._keys = text or LiveText(), keys or Keys()
@@ -100,22 +100,21 @@ class FirstCheckNode:
 
     def _subscribe(self):
         inbox, car = self._inbox, self._check.car
-        for topic, message_type, timed in (
-                ("human_in_loop", Bool, car.human), ("mode", String, car.mode),
-                ("tele_steer_req", Float32, car.steering_stick), ("tele_throt_req", Float32, car.throttle_stick)):
-            subscribe(f"teleop_logi/{topic}", message_type, inbox, partial(_take, timed), wakes=False)
-        for topic, message_type, handler in (
-                ("teleop_logi/state", TeleopState, lambda message, now_ns: car.gamepad.update(message.reason, now_ns)),
-                ("joy", Joy, self._on_joy),
-                ("turn_arb/state", SteeringState, car.steering.update),
-                ("throttle_arb/state", ThrottleState, car.update_throttle),
-                ("servo/output", Int32MultiArray, self._on_output),
-                ("teensy_sensor_hub/link", LinkStatus,
-                 lambda message, now_ns: car.link.update(message.open, now_ns)),
-                ("teensy_wheel", Wheel, car.update_wheels),
-                ("odom", Odometry, lambda message, now_ns: car.update_speed(message.twist.twist.linear.x, now_ns)),
-                *((f"sonar/{name}", Range, partial(self._on_range, name)) for name in SONARS)):
-            subscribe(topic, message_type, inbox, handler, wakes=False)
+        for topic, message_type, update, field in (
+                ("teleop_logi/human_in_loop", Bool, car.human.update, "data"),
+                ("teleop_logi/mode", String, car.mode.update, "data"),
+                ("teleop_logi/tele_steer_req", Float32, car.steering_stick.update, "data"),
+                ("teleop_logi/tele_throt_req", Float32, car.throttle_stick.update, "data"),
+                ("teleop_logi/state", TeleopState, car.gamepad.update, "reason"),
+                ("joy", Joy, self._on_joy, ""),
+                ("turn_arb/state", SteeringState, car.steering.update, ""),
+                ("throttle_arb/state", ThrottleState, car.update_throttle, ""),
+                ("servo/output", Int32MultiArray, self._on_output, ""),
+                ("teensy_sensor_hub/link", LinkStatus, car.link.update, "open"),
+                ("teensy_wheel", Wheel, car.update_wheels, ""),
+                ("odom", Odometry, car.update_speed, "twist.twist.linear.x"),
+                *((f"sonar/{name}", Range, partial(car.update_range, name), "range") for name in SONARS)):
+            subscribe(topic, message_type, inbox, _taking(field, update) if field else update, wakes=False)
 
     def _on_joy(self, message, now_ns):
         frame, axes, buttons = message.header.frame_id, len(message.axes), len(message.buttons)
@@ -128,9 +127,6 @@ class FirstCheckNode:
     def _on_output(self, message, now_ns):
         if len(message.data) == CHANNELS:
             self._check.car.update_output(message.data, sender_of(message), now_ns)
-
-    def _on_range(self, name, message, now_ns):
-        self._check.car.update_range(name, message.range, now_ns)
 
     def step(self, now_ns):
         """Handle what arrived; then the stage."""
@@ -253,8 +249,10 @@ class FirstCheckNode:
         self._inbox.end()
 
 
-def _take(timed, message, now_ns):
-    timed.update(message.data, now_ns)
+def _taking(field, update):
+    """Return a handler that hands on a field of the message."""
+    value_of = attrgetter(field)
+    return lambda message, now_ns: update(value_of(message), now_ns)
 
 
 def read_setup(parameter: Callable[[str, Any], Any], folder: str) -> Setup:
