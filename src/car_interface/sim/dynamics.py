@@ -24,34 +24,26 @@ UPRIGHT_RATIO = 0.9  # below this part of the acceleration at which it tips, the
 
 @dataclass(frozen=True)
 class DriveTrainConfig:
-    """The drive train, from the ESC's duty to the car's acceleration.
+    """The drive train, from the ESC's duty to the car's acceleration."""
 
-    Attributes:
-        full_reverse_duty, neutral_duty, full_forward_duty: 1.0, 1.5 and 2.0 ms at 50 Hz.
-        neutral_band_duty: within this distance of neutral the ESC does nothing.
-        thrust_halves_mps: at this speed the motor has half its thrust.
-        drag_mps2, drag_per_s, drag_per_m: resistance at speed v is their sum, the second times v, the third times v².
-            With the defaults full throttle ends at 14 m/s.
-        sag: ratio of the thrust that is lost while the battery empties, from half of it above the stated thrust to half
-            of it below. Brakes don't need the battery.
-        sag_over_s: how long that takes; the thrust stays as it is after that.
-        lag_s: time constant with which the motor's thrust and brake follow the ESC.
-    """
-
-    full_reverse_duty: float = 3277.0
+    full_reverse_duty: float = 3277.0  # 1.0, 1.5 and 2.0 ms at 50 Hz
     neutral_duty: float = 4915.0
     full_forward_duty: float = 6554.0
-    neutral_band_duty: float = 25.0
+    neutral_band_duty: float = 25.0  # within this distance of neutral the ESC does nothing
     forward_mps2: float = declared.number("forward_acceleration", 5.6, TRUE, "m/s²", above=0.0, high=100)
     reverse_mps2: float = declared.number("reverse_acceleration", 3.6, TRUE, "m/s²", above=0.0, high=100)
     brake_mps2: float = declared.number("brake_deceleration", 7.0, TRUE, "m/s²", above=0.0, high=100)
-    thrust_halves_mps: float = 9.4
+    thrust_halves_mps: float = 9.4  # at this speed the motor has half its thrust
+    # Resistance at speed v is the sum of these, the second times v, the third times v². With the defaults full throttle
+    # ends at 14 m/s.
     drag_mps2: float = 0.35
     drag_per_s: float = 0.08
     drag_per_m: float = 0.004
+    # Ratio of the thrust that is lost while the battery empties, from half of it above the stated thrust to half of it
+    # below. Brakes don't need the battery.
     sag: float = 0.0
-    sag_over_s: float = 300.0
-    lag_s: float = 0.0
+    sag_over_s: float = 300.0  # how long that takes; the thrust stays as it is after that
+    lag_s: float = 0.0  # time constant with which the motor's thrust and brake follow the ESC
 
     def thrust(self, elapsed_s: float) -> float:
         """Return the ratio of the stated thrust that the battery gives at a time after the start."""

@@ -34,37 +34,24 @@ UART_BUFFER = 62  # bytes that wait in front of the line: of its 64 the firmware
 
 @dataclass(frozen=True)
 class FirmwareConfig:
-    """The properties of one simulated Teensy; the defaults are the one in the cars.
+    """The properties of one simulated Teensy; the defaults are the one in the cars."""
 
-    Attributes:
-        baud: bits a second on the line, both ways.
-        clock_start_ms: ``millis()`` at power-up, as the boot has ended; near 2**32 it wraps soon; 300 after ``reboot``.
-        clock_drift_ppm: how much the Teensy's crystal is too fast (positive) or too slow.
-        clock_ramp_ppm_per_h: how much that changes in an hour (a car that warms up).
-        loop_us: true time of one pass of the loop, µs. The original's is not known.
-        sonar_wait_ms: from an echo to the next sonar's ping, until SONAR_WAIT changes it.
-        sonar_sequence: the sonars' order, until SET_SONAR_SEQ changes it.
-        sonar_pulse_end_us: how long a sensor holds its echo pin high without an echo: 38 ms with an HC-SR04.
-        sonars_missing: the sensors that are not connected at power-up; see ``set_sonar``.
-        wheel_positions: where the wheels (left, right) stand at power-up, in pulses: sets the levels of the hall pins.
-        odometer_start: dist and dist_abs of both wheels, which have turned forward, at power-up. After ``reboot`` 0.
-        corrected_checksum: the receiver sums with carry over unescaped bytes. Its other faults stay.
-        seed: of the garbage that the packets' memory holds at power-up; None for zeros.
-    """
-
-    baud: int = 115200
+    baud: int = 115200  # bits a second on the line, both ways
+    # ``millis()`` at power-up, as the boot has ended; near 2**32 it wraps soon; 300 after ``reboot``.
     clock_start_ms: int = BOOT_MS
-    clock_drift_ppm: float = 0.0
-    clock_ramp_ppm_per_h: float = 0.0
-    loop_us: int = 50
-    sonar_wait_ms: int = 50
-    sonar_sequence: tuple[int, ...] = (0, 1, 2, 3, 4, 5)
-    sonar_pulse_end_us: int = 38_000
-    sonars_missing: tuple[int, ...] = ()
+    clock_drift_ppm: float = 0.0  # how much the Teensy's crystal is too fast (positive) or too slow
+    clock_ramp_ppm_per_h: float = 0.0  # how much that changes in an hour (a car that warms up)
+    loop_us: int = 50  # true time of one pass of the loop, µs. The original's is not known.
+    sonar_wait_ms: int = 50  # from an echo to the next sonar's ping, until SONAR_WAIT changes it
+    sonar_sequence: tuple[int, ...] = (0, 1, 2, 3, 4, 5)  # the sonars' order, until SET_SONAR_SEQ changes it
+    sonar_pulse_end_us: int = 38_000  # how long a sensor holds its echo pin high without an echo: 38 ms with an HC-SR04
+    sonars_missing: tuple[int, ...] = ()  # the sensors that are not connected at power-up; see ``set_sonar``
+    # Where the wheels (left, right) stand at power-up, in pulses: sets the levels of the hall pins.
     wheel_positions: tuple[int, int] = (0, 0)
+    # The dist and dist_abs of both wheels, which have turned forward, at power-up. After ``reboot`` 0.
     odometer_start: int = 0
-    corrected_checksum: bool = False
-    seed: int | None = None
+    corrected_checksum: bool = False  # the receiver sums with carry over unescaped bytes. Its other faults stay.
+    seed: int | None = None  # of the garbage that the packets' memory holds at power-up; None for zeros
 
 
 class TeensyFirmware:

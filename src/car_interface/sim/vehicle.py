@@ -65,19 +65,11 @@ class Pulse(NamedTuple):
 
 @dataclass(frozen=True)
 class SteeringConfig:
-    """The servo's motion, and the curvature at each of its positions.
+    """The servo's motion, and the curvature at each of its positions."""
 
-    Attributes:
-        curve: (duty, curvature in 1/m, left positive), duties rising, curvatures falling, or rising with a servo that
-            is built in the other way round. Linear in between, saturated at the ends, where the wheels are at their
-            stops: by default 0.97 m is the tightest left turn, 1.03 m the tightest right one.
-        center_duty: where the servo stands at power-up. It steers 1.3e-3 1/m to the right: this car has to be trimmed.
-        rate_duty_per_s: the fastest that the servo turns: 60° (2185 duty, 90° being 1 ms) in 0.17 s.
-        lag_s: time constant with which it creeps up to a near target.
-        backlash_duty: how far the servo turns, after it has turned round, before the wheels follow; the curve is that
-            of the middle between both ways to come there.
-    """
-
+    # Points (duty, curvature in 1/m, left positive), duties rising, curvatures falling, or rising with a servo that is
+    # built in the other way round. Linear in between, saturated at the ends, where the wheels are at their stops: by
+    # default 0.97 m is the tightest left turn, 1.03 m the tightest right one.
     curve: tuple[tuple[float, float], ...] = (
         (3800, 1.030), (3808, 0.812), (3815, 0.692), (3822, 0.601), (3830, 0.516), (3835, 0.415), (3840, 0.344),
         (3850, 0.259), (3860, 0.205), (3870, 0.171), (3880, 0.147), (3890, 0.103), (3900, 0.0515), (3950, 0.0345),
@@ -86,9 +78,12 @@ class SteeringConfig:
         (6350, -0.138), (6400, -0.161), (6450, -0.195), (6500, -0.243), (6550, -0.278), (6600, -0.324), (6625, -0.386),
         (6650, -0.487), (6662, -0.550), (6675, -0.645), (6688, -0.783), (6700, -0.970),
     )  # fmt: skip
+    # Where the servo stands at power-up. It steers 1.3e-3 1/m to the right: this car has to be trimmed.
     center_duty: float = 5100.0
-    rate_duty_per_s: float = 12850.0
-    lag_s: float = 0.015
+    rate_duty_per_s: float = 12850.0  # the fastest that the servo turns: 60° (2185 duty, 90° being 1 ms) in 0.17 s
+    lag_s: float = 0.015  # time constant with which it creeps up to a near target
+    # How far the servo turns, after it has turned round, before the wheels follow; the curve is that of the middle
+    # between both ways to come there.
     backlash_duty: float = 0.0
 
     def __post_init__(self):
@@ -102,31 +97,22 @@ class SteeringConfig:
 
 @dataclass(frozen=True)
 class VehicleConfig:
-    """One car.
-
-    Attributes:
-        track_m: between the rear wheels.
-        wheel_diameter_m, pulses_per_revolution: one pulse each 14.9 mm.
-        pulse_phase: where each rear wheel (left, right) stands at the start, in pulses; at each whole number one of its
-            two hall pins changes, and after four of them their levels are the same again.
-        start: the pose at the start.
-        esc: the speed controller between pulses and motor; ``None`` = one without a memory: a duty against the way the
-            car rolls brakes, and at standstill reverse drives backward.
-        slope: of the ground, all of which is one plane: metres up for each metre, 0.02 is 2 %.
-        uphill_rad: the heading in which it rises.
-        on_box: its wheels hang in the air: they turn as on the ground, and it stays where it is.
-    """
+    """One car."""
 
     steering: SteeringConfig = SteeringConfig()
     drive: DriveTrainConfig = field(default_factory=DriveTrainConfig)
-    track_m: float = TRACK_M
-    wheel_diameter_m: float = WHEEL_DIAMETER_M
+    track_m: float = TRACK_M  # between the rear wheels
+    wheel_diameter_m: float = WHEEL_DIAMETER_M  # with the next: one pulse each 14.9 mm
     pulses_per_revolution: int = PULSES_PER_REVOLUTION
+    # Where each rear wheel (left, right) stands at the start, in pulses; at each whole number one of its two hall pins
+    # changes, and after four of them their levels are the same again.
     pulse_phase: tuple[float, float] = (0.25, 0.75)
     start: Pose = ORIGIN
-    slope: float = 0.0
-    uphill_rad: float = 0.0
-    on_box: bool = False
+    slope: float = 0.0  # of the ground, all of which is one plane: metres up for each metre, 0.02 is 2 %
+    uphill_rad: float = 0.0  # the heading in which it rises
+    on_box: bool = False  # its wheels hang in the air: they turn as on the ground, and it stays where it is
+    # The speed controller between pulses and motor; ``None`` = one without a memory: a duty against the way the car
+    # rolls brakes, and at standstill reverse drives backward.
     esc: VirtualEscConfig | None = None
     tyres: TyreConfig | None = field(default_factory=TyreConfig)
 

@@ -51,31 +51,23 @@ class WorldConfig:
 
     The default room takes a figure-eight with circles of 1.5 to 2 m whose crossing is the origin and which is entered
     along x: a post in the middle of each circle, boxes and posts around both, the walls beyond.
-
-    Attributes:
-        walls: x from, x to, y from, y to, in metres.
-        boxes, posts: the obstacles in it.
-        mounts: the sonars, by their number on the wire.
-        cone_rad: the whole angle in which a sonar hears.
-        rays: how many lines, 2 or more, the cone is sampled by, both edges included.
-        max_range_m: an echo from farther is none: 4 m with an HC-SR04. The Teensy sets no limit of its own.
-        temperature_c: of the air; sound travels 331.3 + 0.606 T m/s.
     """
 
-    walls: tuple[float, float, float, float] = (-6.0, 6.0, -5.0, 5.0)
+    walls: tuple[float, float, float, float] = (-6.0, 6.0, -5.0, 5.0)  # x from, x to, y from, y to, in metres
     boxes: tuple[Box, ...] = (Box(3.1, -1.5, 0.6, 0.4, 0.3), Box(-3.1, 2.6, 1.0, 0.5, -0.2))
     posts: tuple[Post, ...] = (
         Post(0.0, 1.8, 0.12), Post(0.0, -1.8, 0.12), Post(3.0, 1.4, 0.15), Post(3.1, 2.8, 0.15),
         Post(-3.0, -1.2, 0.2), Post(-2.9, -3.2, 0.15), Post(-3.0, 0.5, 0.15),
     )  # fmt: skip
+    # The sonars, by their number on the wire.
     mounts: tuple[Mount, ...] = (
         Mount(0.40, -0.10, math.radians(-30)), Mount(0.42, 0.0, 0.0), Mount(0.40, 0.10, math.radians(30)),
         Mount(-0.12, -0.10, math.radians(-150)), Mount(-0.14, 0.0, math.pi), Mount(-0.12, 0.10, math.radians(150)),
     )  # fmt: skip
-    cone_rad: float = math.radians(30)
-    rays: int = 7
-    max_range_m: float = 4.0
-    temperature_c: float = 20.0
+    cone_rad: float = math.radians(30)  # the whole angle in which a sonar hears
+    rays: int = 7  # how many lines, 2 or more, the cone is sampled by, both edges included
+    max_range_m: float = 4.0  # an echo from farther is none: 4 m with an HC-SR04. The Teensy sets no limit of its own.
+    temperature_c: float = 20.0  # of the air; sound travels 331.3 + 0.606 T m/s
 
 
 class Obstacles:

@@ -31,38 +31,23 @@ GROUND_M, GROUND_RATIO, GROUND_REPORTS = 0.25, 0.5, 3
 
 @dataclass(frozen=True)
 class Setup:
-    """What the car was launched with.
+    """What the car was launched with."""
 
-    Attributes:
-        steering: turn_arb's calibration.
-        throttle: throttle_arb's; ``None`` = it doesn't run.
-        profile: the kind of ESC in the file.
-        calibrates_esc: throttle_arb gives the ESC each pull, as with calibration_drive:=true.
-        steer_scale, throttle_scale: of its axes; negative = inverted.
-        pulses_per_revolution: of a rear wheel.
-        sonars: those that the car should have.
-    """
-
-    steering: SteeringCalibration
-    throttle: ThrottleCalibration | None = None
-    profile: str = ""
-    calibrates_esc: bool = False
-    steer_scale: float = 1.0
+    steering: SteeringCalibration  # turn_arb's
+    throttle: ThrottleCalibration | None = None  # throttle_arb's; ``None`` = it doesn't run
+    profile: str = ""  # the kind of ESC in the file
+    calibrates_esc: bool = False  # throttle_arb gives the ESC each pull, as with calibration_drive:=true
+    steer_scale: float = 1.0  # of teleop_logi's axes; negative = inverted
     throttle_scale: float = 1.0
-    pulses_per_revolution: int = PULSES_PER_REVOLUTION
-    sonars: Sequence[str] = SONARS
+    pulses_per_revolution: int = PULSES_PER_REVOLUTION  # of a rear wheel
+    sonars: Sequence[str] = SONARS  # those that the car should have
 
 
 class Controls(NamedTuple):
-    """The gamepad or keyboard that sends.
+    """The gamepad or keyboard that sends."""
 
-    Attributes:
-        buttons: their numbers in its messages, by the deadman's mode.
-        names: what a person knows them by, likewise; SLOWER: of the one that lowers the scale.
-    """
-
-    buttons: Mapping[str, int] = {}
-    names: Mapping[str, str] = {}
+    buttons: Mapping[str, int] = {}  # their numbers in its messages, by the deadman's mode
+    names: Mapping[str, str] = {}  # what a person knows them by, likewise; SLOWER: of the one that lowers the scale
 
 
 class Car:

@@ -36,25 +36,15 @@ Changes = "dict[str, dict[str, Any]]"  # new values of parameters by file, witho
 
 
 class View(NamedTuple):
-    """What to show, and to ask of the car.
+    """What to show, and to ask of the car."""
 
-    Attributes:
-        kind: changes with the question, and with what it asks.
-        lines: for a terminal, none longer than its width.
-        steering: the request to turn_arb; ``None`` = publish none.
-        neutral: the duty that throttle_arb is to have as its neutral; ``None``: as at the start.
-        kills_board: kill the servo board's node now.
-        is_over: all was asked: ask whether to write.
-        has_quit: the person gave up.
-    """
-
-    kind: str
-    lines: Sequence[str]
-    steering: float | None = None
-    neutral: int | None = None
-    kills_board: bool = False
-    is_over: bool = False
-    has_quit: bool = False
+    kind: str  # changes with the question, and with what it asks
+    lines: Sequence[str]  # for a terminal, none longer than its width
+    steering: float | None = None  # the request to turn_arb; ``None`` = publish none
+    neutral: int | None = None  # the duty that throttle_arb is to have as its neutral; ``None``: as at the start
+    kills_board: bool = False  # kill the servo board's node now
+    is_over: bool = False  # all was asked: ask whether to write
+    has_quit: bool = False  # the person gave up
 
 
 class FirstCheck:

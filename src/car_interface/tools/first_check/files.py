@@ -37,19 +37,12 @@ CLASSES = {FINE: "good", LEARNED: "warn", BROKEN: "bad", SKIPPED: "faint"}
 
 
 class Edit(NamedTuple):
-    """The change of one file.
+    """The change of one file."""
 
-    Attributes:
-        path: of the file.
-        values: new ones, by the parameters' names.
-        before: the old ones.
-        problem: why it can't be written; empty: it can.
-    """
-
-    path: str
-    values: Mapping[str, Any]
-    before: Mapping[str, Any]
-    problem: str = ""
+    path: str  # of the file
+    values: Mapping[str, Any]  # new ones, by the parameters' names
+    before: Mapping[str, Any]  # the old ones
+    problem: str = ""  # why it can't be written; empty: it can
 
     def lines(self) -> list[str]:
         """Return a line for each parameter."""

@@ -19,19 +19,12 @@ STEERING, THROTTLE, GAMEPAD, HUB = "turn_arb", "throttle", "teleop_logi", "teens
 
 @dataclass(frozen=True)
 class Result:
-    """What an answer means.
+    """What an answer means."""
 
-    Attributes:
-        verdict: FINE, LEARNED, BROKEN or SKIPPED.
-        answer: what was seen.
-        changes: new values of parameters, by file and name.
-        repair: what a person has to do.
-    """
-
-    verdict: str
-    answer: str
-    changes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    repair: str = ""
+    verdict: str  # FINE, LEARNED, BROKEN or SKIPPED
+    answer: str  # what was seen
+    changes: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # new values of parameters, by file and name
+    repair: str = ""  # what a person has to do
 
 
 def fine(answer: str) -> Result:
