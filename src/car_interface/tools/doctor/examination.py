@@ -19,25 +19,9 @@ from car_interface.pca9685.config import AUTO, VIRTUAL
 from car_interface.pca9685.registers import prescale_for
 from car_interface.teensy.link.health import CLOCK_REPORT, LINK_REPORT
 from car_interface.teleop.gamepad import REPORT as GAMEPAD_REPORT
+from car_interface.tools.doctor import car as checks
 from car_interface.tools.doctor.board import BoardSettings, probe_board
-from car_interface.tools.doctor.car import (
-    ABSENT,
-    SILENT,
-    SIMULATOR,
-    Node,
-    check_battery,
-    check_black_box,
-    check_command_topics,
-    check_diagnostics,
-    check_files,
-    check_folders,
-    check_nodes,
-    check_parameters,
-    check_several,
-    check_steering,
-    find_cars,
-    reports_of,
-)
+from car_interface.tools.doctor.car import ABSENT, SILENT, SIMULATOR, Node, find_cars
 from car_interface.tools.doctor.computer import probe_clock, probe_groups, probe_packages, probe_versions
 from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, first, worst
 from car_interface.tools.doctor.gamepad import check_gamepad, probe_driver
@@ -212,7 +196,7 @@ def _examine(options):
     deadline_s = time.monotonic() + PROBES_S
     if not car.was_chosen:
         yield from own[0].findings(deadline_s)
-        yield from of_network + check_several(car.others)
+        yield from of_network + checks.check_several(car.others)
         return
     virtual_port, virtual_bus = car.port_is_virtual or is_pseudo_terminal(car.port), car.bus == VIRTUAL
     own += [Task("packages", probe_packages),
@@ -230,7 +214,7 @@ def _examine(options):
         yield from task.findings(deadline_s)
     yield from of_network + survey_trouble
     if parameters:
-        yield from check_nodes(car.nodes, car.namespace, car.others)
+        yield from checks.check_nodes(car.nodes, car.namespace, car.others)
         yield from parameters.findings(deadline_s)
     heard, topics_trouble = topics.wait(deadline_s) if topics else (None, [])
     if car.lacks_simulator:
@@ -250,10 +234,10 @@ def _check_heard(car, hub, heard, reporting, board_is_bad):
     """Yield the findings about who drives, gamepad and reports; a fault that another finding tells is left out."""
     told = []
     if car.runs("turn_arb"):
-        yield from check_steering(heard.steering, car.runs("turn_arb"))
-    reports = reports_of(heard.reports, car.namespace)
-    yield from check_command_topics(reports)
-    yield from check_battery(reports)
+        yield from checks.check_steering(heard.steering, car.runs("turn_arb"))
+    reports = checks.reports_of(heard.reports, car.namespace)
+    yield from checks.check_command_topics(reports)
+    yield from checks.check_battery(reports)
     if hub and heard.link:
         told += [(hub.path, LINK_REPORT)] + [(hub.path, CLOCK_REPORT)] * (heard.link.level != OK)
     if car.runs("pca9685") and board_is_bad:
@@ -263,19 +247,20 @@ def _check_heard(car, hub, heard, reporting, board_is_bad):
         yield from check_gamepad(heard.gamepad)
         told.append((heard.gamepad.node, GAMEPAD_REPORT))
         covered = [heard.gamepad.driver.name] if heard.gamepad.driver else []
-    yield from check_diagnostics(reports, reporting, covered + [f"{path.strip('/')}: {name}" for path, name in told])
+    covered += [f"{path.strip('/')}: {name}" for path, name in told]
+    yield from checks.check_diagnostics(reports, reporting, covered)
 
 
 def _check_all_parameters(car):
     readings = [reading for reading in (read_parameters(car.master, node) for node in car.nodes) if reading is not None]
-    is_virtual = _known(car.parameters("pca9685").text, "device") == VIRTUAL
-    return (check_parameters(readings) + check_folders(readings, os.path.realpath(package_file("config")), is_virtual)
-            + check_files(read_files(car.master, car.nodes)))
+    is_virtual, usual = _known(car.parameters("pca9685").text, "device") == VIRTUAL, package_file("config")
+    return (checks.check_parameters(readings) + checks.check_folders(readings, os.path.realpath(usual), is_virtual)
+            + checks.check_files(read_files(car.master, car.nodes)))
 
 
 def _check_newest_recording(car):
     folder = _known(car.parameters("black_box").text, "folder")
-    return check_black_box(newest(folder or default_folder()), time.time())
+    return checks.check_black_box(newest(folder or default_folder()), time.time())
 
 
 def _listen_to_topics(car, hub, reporting):
