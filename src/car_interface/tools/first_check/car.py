@@ -51,41 +51,31 @@ class Controls(NamedTuple):
 
 
 class Car:
-    """The newest of each input, and whether the wheels do what they do in the air.
-
-    Attributes:
-        gamepad: teleop_logi's reason.
-        steering, throttle, wheels: a car_interface/SteeringState, ThrottleState and Wheel.
-        output: what the servo board holds. sender: the node that reports it.
-        controls: of the gamepad or keyboard that sends.
-        neutral: the ESC's, as tuned by now; ``None`` = throttle_arb doesn't run.
-        center, is_exchanged: learned by now: the request at which the wheels point straight ahead, and whether
-            servo_left turns right.
-        drives_forward: a push drives forward, as far as that is known.
-        pulses: of the left and the right rear wheel since the start, forward ones less backward ones.
-        range_reports: how often each sonar reported.
-    """
+    """The newest of each input, and whether the wheels do what they do in the air."""
 
     def __init__(self, setup: Setup):
         self.setup = setup
         self.human = TimedInput("human_in_loop", 0.5)
         self.mode = TimedInput("mode", 0.5)
-        self.gamepad = TimedInput("teleop_logi's state", 1.0)
+        self.gamepad = TimedInput("teleop_logi's state", 1.0)  # its reason
         self.buttons = TimedInput("joy", 0.5)
         self.controls = Controls()
         self.steering_stick = TimedInput("tele_steer_req", 0.5)
         self.throttle_stick = TimedInput("tele_throt_req", 0.5)
-        self.steering = TimedInput("turn_arb's state", 0.5)
+        self.steering = TimedInput("turn_arb's state", 0.5)  # this and the next two: whole messages
         self.throttle = TimedInput("throttle_arb's state", 0.5)
-        self.output, self.sender = TimedInput("/servo/output", 2.5), ""  # on change and once a second
         self.wheels = TimedInput("teensy_wheel", 1.0)
+        self.output = TimedInput("/servo/output", 2.5)  # what the servo board holds: on change and once a second
+        self.sender = ""  # the node that reports it
         self.speed = TimedInput("odom", 0.5)
         self.link = TimedInput("the Teensy's link", 2.5)
         self.ranges = {name: TimedInput(f"sonar/{name}", 2.0) for name in SONARS}
-        self.neutral = setup.throttle and setup.throttle.neutral
+        self.range_reports = dict.fromkeys(SONARS, 0)  # how often each reported
+        self.pulses = [0, 0]  # of the left and the right rear wheel since the start, forward ones less backward ones
+        self.neutral = setup.throttle and setup.throttle.neutral  # as tuned by now; ``None`` = no throttle_arb
+        # What was learned by now: the request at which the wheels point straight ahead, whether servo_left turns right,
+        # and whether a push drives forward.
         self.center, self.is_exchanged, self.drives_forward = 0.0, False, True
-        self.pulses = [0, 0]
-        self.range_reports = dict.fromkeys(SONARS, 0)
         self._drives_since_ns: int | None = None
         self._distance_m, self._speed_ns = 0.0, 0
         self._starts: dict[str, tuple[float, float]] = {}  # range and distance when the wheels began to turn

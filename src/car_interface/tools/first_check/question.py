@@ -43,25 +43,15 @@ def broken(answer: str, repair: str) -> Result:
 
 
 class Question:
-    """One question.
+    """One question. ``ask`` may have {manual} and {autonomous}: they stand for the order to hold that deadman."""
 
-    Attributes:
-        title: what it checks.
-        ask: what to do, and what is asked; {manual} and {autonomous} stand for the order to hold that deadman.
-        help: the keys, as they are shown.
-        keys: those that it takes, see ``SAME_KEYS``.
-        result: ``None`` until it is answered.
-        steering: the request to turn_arb, −1 right .. +1 left; ``None`` = none.
-        neutral: the duty that throttle_arb is to have as its neutral; ``None`` = as it is.
-        kills_board: whether the servo board's node is to be killed now.
-        note: why the last key was not taken.
-    """
-
-    title = ask = help = keys = note = ""
-    result: Result | None = None
-    steering: float | None = None
-    neutral: int | None = None
-    kills_board = False
+    title = ask = ""  # what it checks; what to do, and what is asked
+    help = keys = ""  # the keys, as they are shown; those that it takes, see SAME_KEYS
+    note = ""  # why the last key was not taken
+    result: Result | None = None  # until it is answered
+    steering: float | None = None  # the request to turn_arb, −1 right .. +1 left; ``None`` = none
+    neutral: int | None = None  # the duty that throttle_arb is to have as its neutral; ``None`` = as it is
+    kills_board = False  # whether the servo board's node is to be killed now
 
     def __init__(self, car: Car):
         self.car, self.setup = car, car.setup

@@ -80,17 +80,12 @@ class _Steers(Question):
 
 
 class _Finds(_Steers):
-    """A person turns the wheels by two keys to a place that is asked for.
-
-    Attributes:
-        step_size: of a key, and the limits: of the request.
-        failure: answer and repair where the place can't be reached.
-    """
+    """A person turns the wheels by two keys to a place that is asked for."""
 
     keys = f",.{ENTER}yn"
-    step_size = END_STEP
+    step_size = END_STEP  # of the request, with each key
     low, high = -1.0, 1.0
-    failure = ("", "")
+    failure = ("", "")  # answer and repair where the place can't be reached
 
     def answer(self, key, now_ns):
         if key == "n":
