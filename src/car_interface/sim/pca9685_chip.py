@@ -115,26 +115,23 @@ class VirtualBus:
         self._on_write = on_write
 
     def read_byte_data(self, address: int, register: int) -> int:
-        return self._chip(address).read(register, 1)[0]
+        return self.read_i2c_block_data(address, register, 1)[0]
 
     def read_i2c_block_data(self, address: int, register: int, length: int) -> list[int]:
         """Read at most 32 registers, as smbus2."""
         return self._chip(address).read(register, _checked_length(length))
 
     def write_byte_data(self, address: int, register: int, value: int) -> None:
-        self._write(address, register, [value])
+        self.write_i2c_block_data(address, register, [value])
 
     def write_i2c_block_data(self, address: int, register: int, data: list[int]) -> None:
         """Write at most 32 registers, as smbus2."""
         _checked_length(len(data))
-        self._write(address, register, data)
+        self._chip(address).write(register, data)
+        self._on_write(address, register, data)
 
     def close(self) -> None:
         """Close as smbus2; the chips keep their power."""
-
-    def _write(self, address, register, data):
-        self._chip(address).write(register, data)
-        self._on_write(address, register, data)
 
     def _chip(self, address):
         if self.held:

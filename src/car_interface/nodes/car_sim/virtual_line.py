@@ -23,7 +23,7 @@ from car_interface.common.errors import ConfigError
 from car_interface.nodes.pca9685.virtual_board import serve_faults
 from car_interface.ros.clocks import SYSTEM
 from car_interface.sim.chip_link import peer
-from car_interface.sim.line import MAX_S, NS_PER_S, BadLine
+from car_interface.sim.line import LASTING, MAX_S, NS_PER_S, BadLine
 from car_interface.sim.teensy_sonars import SONAR_CONDITIONS
 
 READ_SIZE = 4096
@@ -159,9 +159,7 @@ class VirtualLine:
         serve_faults(self._inbox, {
             "unplug": lambda duration_s: self._unplug(duration_s, clock_ns()),
             "plug": lambda value: self._plug(),
-            "silence": lambda duration_s: bad.silence(duration_s, clock_ns()),
-            "scramble": lambda duration_s: bad.scramble(duration_s, clock_ns()),
-            "flood": lambda duration_s: bad.flood(duration_s, clock_ns()),
+            **{fault: lambda duration_s, fault=fault: bad.begin(fault, duration_s, clock_ns()) for fault in LASTING},
             "cut": bad.cut,
             "bit_errors": bad.bit_errors,
             "reboot": lambda off_s: firmware.reboot(clock_ns(), round(off_s * NS_PER_S)),
