@@ -146,46 +146,36 @@ class Receiver:
 
 
 class IncomingLine:
-    """The wire from the host: bytes arrive in order, ten bits each, and are taken one at a time.
-
-    Attributes:
-        next_ns: when the next byte is complete; NEVER_NS when none is on the wire.
-    """
+    """The wire from the host: bytes arrive in order, ten bits each, and are taken one at a time."""
 
     def __init__(self, baud: int):
         self._baud = baud
-        self._bytes: deque[int] = deque()
-        self._burst_ns = 0
-        self._popped = 0  # since the burst began
-        self.next_ns = NEVER_NS
+        self._bytes: deque[tuple[int, int]] = deque()  # when each is complete, and which it is
+        self._burst_ns = self._count = 0  # since when bytes follow each other without a pause, and how many
 
     @property
     def backlog(self) -> int:
         return len(self._bytes)
 
+    @property
+    def next_ns(self) -> int:
+        """Return when the next byte is complete; NEVER_NS when none is on the wire."""
+        return self._bytes[0][0] if self._bytes else NEVER_NS
+
     def write(self, data: bytes, now_ns: int):
         if not self._bytes:
-            self._burst_ns = now_ns
-            self._popped = 0
-        self._bytes.extend(data)
-        self._schedule_next()
+            self._burst_ns, self._count = now_ns, 0
+        for byte in data:
+            self._count += 1
+            self._bytes.append((self._burst_ns + line_ns(self._count, self._baud), byte))
 
     def pop(self) -> int:
-        byte = self._bytes.popleft()
-        self._popped += 1
-        self._schedule_next()
-        return byte
+        return self._bytes.popleft()[1]
 
     def drop(self, now_ns: int):
         """Discard the bytes that have arrived by now, as while it boots."""
         while self.next_ns <= now_ns:
             self.pop()
-
-    def _byte_ns(self, count: int) -> int:
-        return self._burst_ns - (-count * BITS_PER_BYTE_S // self._baud)
-
-    def _schedule_next(self):
-        self.next_ns = self._byte_ns(self._popped + 1) if self._bytes else NEVER_NS
 
 
 class Transmitter:
@@ -286,15 +276,14 @@ class OutgoingLine:
     def __init__(self, baud: int, buffer_size: int):
         self._baud = baud
         self._buffer_size = buffer_size
-        self._chunks: deque[tuple[int, bytes]] = deque()  # when its first bit goes out, its bytes
-        self._collected = 0  # of the first chunk
+        self._bytes: deque[tuple[int, int]] = deque()  # when its last bit is out, and which it is
         self._saved = b""  # from before a cut
         self._free_ns = AT_ONCE_NS
 
     def write(self, data: bytes, now_ns: int):
         start_ns = max(now_ns, self._free_ns)
-        self._chunks.append((start_ns, data))
-        self._free_ns = start_ns - (-len(data) * BITS_PER_BYTE_S // self._baud)  # rounded up: never too fast
+        self._bytes.extend((start_ns + line_ns(count, self._baud), byte) for count, byte in enumerate(data, 1))
+        self._free_ns = start_ns + line_ns(len(data), self._baud)
 
     def free_bytes(self, now_ns: int) -> int:
         """Return how many bytes the buffer takes now."""
@@ -308,24 +297,21 @@ class OutgoingLine:
 
     def collect(self, now_ns: int) -> bytes:
         """Return the bytes whose last bit is out by ``now_ns`` and that weren't collected yet."""
-        out, self._saved = self._saved, b""
-        while self._chunks:
-            start_ns, data = self._chunks[0]
-            gone = max(0, (now_ns - start_ns) * self._baud // BITS_PER_BYTE_S)
-            out += data[self._collected : gone]
-            if gone < len(data):
-                self._collected = max(gone, self._collected)
-                break
-            self._collected = 0
-            self._chunks.popleft()
-        return out
+        out, self._saved = bytearray(self._saved), b""
+        while self._bytes and self._bytes[0][0] <= now_ns:
+            out.append(self._bytes.popleft()[1])
+        return bytes(out)
 
     def cut(self, now_ns: int):
         """Lose the bytes that haven't left the wire yet."""
         self._saved = self.collect(now_ns)
-        self._chunks.clear()
-        self._collected = 0
+        self._bytes.clear()
         self._free_ns = now_ns
+
+
+def line_ns(count: int, baud: int) -> int:
+    """Return how long so many bytes take on the line, rounded up: never too fast."""
+    return -(-count * BITS_PER_BYTE_S // baud)
 
 
 def message_length(packet: bytearray) -> int:
