@@ -3,8 +3,9 @@
 ``./dev mutate [MODULE...]`` runs the mutants of ``test/mutants/list.txt``, which was drawn by a fixed seed: all of a
 module in WHOLE, a sample of the others. A mutant is known by its function, its source line without comments, its
 change, and its number among equal ones in that function, and so survives edits elsewhere; one whose line was changed is
-reported as gone. ``test/mutants/accepted.txt`` names survivors; a line below one says why it changes no behaviour, and
-then it isn't run. A run fails if a mutant of a module in WHOLE survives, or more of another survive than are named.
+reported as gone. ``test/mutants/accepted.txt`` names survivors; a line below one says why it changes no behaviour. None
+of these is run, since a survivor takes the longest; ``--record`` runs those without a reason. A run fails if another
+mutant survives, or if one of a module in WHOLE has no reason.
 """
 from __future__ import annotations
 
@@ -469,7 +470,9 @@ def main() -> int:
             parser.error("--draw needs a MODULE")
         files[0].write_text(to_text(draw_list(ROOT, everything, options.modules), {}, {}), encoding="utf-8")
         return 0
-    lists = {module: [key for key in keys if key not in reasons]
+    known = {module: [key for key in accepted.get(module, ()) if key in keys and key not in reasons]
+             for module, keys in everything.items() if not options.record}
+    lists = {module: [key for key in keys if key not in reasons and key not in known.get(module, ())]
              for module, keys in everything.items() if is_named(module, options.modules)}
     if options.sample:
         everyone = [key for keys in lists.values() for key in keys]
@@ -490,19 +493,21 @@ def main() -> int:
         if options.mechanisms:
             return importlib.import_module("mechanisms").report(ROOT, slots, options.modules)
         for module, survivors, places in run_mutants(ROOT, slots, lists):
-            title = f"{module} {len(places) - len(survivors)}/{len(places)}"
+            fresh = list(survivors)
+            if not options.sample:
+                survivors = [*known.get(module, ()), *survivors]
+            killed, total = len(places) - len(fresh), len(places) + len(survivors) - len(fresh)
+            title = f"{module} {killed}/{total}"
             print(title, *(f"  {PACKAGE / module}:{places[key].lineno} {key.change} | {key.line}"
-                           + (f" ({key.number})" if key.number > 1 else "") for key in survivors),
+                           + (f" ({key.number})" if key.number > 1 else "") for key in fresh),
                   *(f"  gone: {key.function}: {key.change} | {key.line}" for key in lists[module] if key not in places),
                   sep="\n", flush=True)
-            known = set() if WHOLE.match(module) else set(accepted.get(module, ())) & set(places)
-            fresh = [key for key in survivors if key not in known]
-            if fresh and (WHOLE.match(module) or len(survivors) > len(known)):
-                worse.append(f"{module}: {len(survivors)} survive, {len(known)} were accepted. New: " + "; ".join(
-                    f"{key.function}: {key.change} | {key.line}" for key in fresh))
-            kind = "nodes" if module.startswith("nodes/") else "core"
-            sums[kind, "killed"] += len(places) - len(survivors)
-            sums[kind, "all"] += len(places)
+            bad = survivors if WHOLE.match(module) else fresh
+            if bad:
+                worse.append(f"{module}: " + "; ".join(f"{key.function}: {key.change} | {key.line}" for key in bad))
+            kind = "nodes and ros" if module.startswith(("nodes/", "ros/")) else "core"
+            sums[kind, "killed"] += killed
+            sums[kind, "all"] += total
             equivalent = [key for key in accepted.get(module, ()) if key in reasons]
             new[module], titles[module] = sorted([*survivors, *equivalent], key=everything[module].index), title
     for kind in sorted({kind for kind, _ in sums}):
@@ -513,7 +518,7 @@ def main() -> int:
         files[1].write_text(to_text({module: merged[module] for module in everything if module in merged}, titles,
                                     reasons), encoding="utf-8")
         return 0
-    print(*worse, sep="\n", end="\n" if worse else "")
+    print(*(f"Survives, and isn't accepted: {each}" for each in worse), sep="\n", end="\n" if worse else "")
     return 1 if worse else 0
 
 
