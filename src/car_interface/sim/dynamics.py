@@ -146,20 +146,14 @@ def path_curvature_per_m(steered_per_m: float, speed_mps: float, along_mps2: flo
 
 
 class Rollovers:
-    """Counts how often a car would have tipped over. The car drives on.
-
-    Attributes:
-        count: how often; once until it stands on its wheels again.
-        lateral_mps2: of the newest, the largest so far; left turns positive.
-        max_lateral_mps2: the largest magnitude since the start.
-    """
+    """Counts how often a car would have tipped over. The car drives on."""
 
     def __init__(self, rollover_mps2: float):
         self._rollover_mps2 = rollover_mps2
         self._tips = False
-        self.count = 0
-        self.lateral_mps2 = 0.0
-        self.max_lateral_mps2 = 0.0
+        self.count = 0  # how often; once until it stands on its wheels again
+        self.lateral_mps2 = 0.0  # of the newest, the largest so far; left turns positive
+        self.max_lateral_mps2 = 0.0  # the largest magnitude since the start
 
     def update(self, lateral_mps2: float) -> None:
         magnitude = abs(lateral_mps2)

@@ -99,18 +99,13 @@ class VirtualBus:
         chips: by 7-bit address. Any other address answers as an empty one does on Linux: OSError 121 (EREMOTEIO).
         pause: called with seconds while the bus is held and the kernel waits for it in vain.
         on_write: called with (address, register, data) after each write that a chip took.
-
-    Attributes:
-        chips: those that are on the bus now.
-        nacks_left: how many of the next transfers are not acknowledged.
-        held: somebody holds the bus down: every transfer times out.
     """
 
     def __init__(self, chips: dict[int, VirtualPca9685], pause: Callable[[float], None] = lambda seconds: None,
                  on_write: Callable[[int, int, Sequence[int]], None] = lambda address, register, data: None):
-        self.nacks_left = 0
-        self.held = False
-        self.chips = dict(chips)
+        self.nacks_left = 0  # how many of the next transfers are not acknowledged
+        self.held = False  # somebody holds the bus down: every transfer times out
+        self.chips = dict(chips)  # those that are on the bus now
         self._pause = pause
         self._on_write = on_write
 

@@ -85,11 +85,6 @@ class SonarArray:
 
     There is one start time, one "present sensor" and one timer for all sensors. So a ping while another sensor still
     listens (SONAR_START) takes the other's echo for its own.
-
-    Attributes:
-        running: False after SONAR_STOP: the sonar that listens still reports, none follows it.
-        wait_ms: from a report to the next ping. 2**31 and more: none.
-        interrupt_ns: when the next interrupt comes.
     """
 
     def __init__(self, sequence: tuple[int, ...], wait_ms: int, sensors: list[SonarSensor], clock: Clock,
@@ -109,9 +104,9 @@ class SonarArray:
         self._wait: Deadline | None = None  # of the wait for the next ping
         self._attempt: Deadline | None = None  # of the next attempt at a first ping that failed
         self._retry: bytearray | None = None  # the packet by which the firmware reminds itself
-        self.wait_ms = wait_ms
-        self.running = True
-        self.interrupt_ns = NEVER_NS
+        self.wait_ms = wait_ms  # from a report to the next ping. 2**31 and more: none.
+        self.running = True  # False after SONAR_STOP: the sonar that listens still reports, none follows it
+        self.interrupt_ns = NEVER_NS  # when the next interrupt comes
 
     @property
     def due_ns(self) -> int:

@@ -132,26 +132,17 @@ class Vehicle:
     Args:
         start_ns: the true time at the start; pulses are stamped on this scale.
         collisions: with obstacles; ``None`` = there are none.
-
-    Attributes:
-        time_ns: true time now.
-        pose: where it is.
-        speed_mps: of the rear axle, backward negative.
-        acceleration_mps2: during the last step, the mean.
-        steered_per_m: the curvature of the steering: of its path at a crawl, left positive.
-        curvature_per_m: of its path now.
-        slides: its wheels are locked.
-        rollovers: how often it would have tipped over; a kinematic car's stay 0.
-        servo_duty: the place of the steering servo, as the duty that holds it there.
-        travel_m: signed distance so far.
     """
 
     def __init__(self, config: VehicleConfig = VehicleConfig(), start_ns: int = 0,
                  collisions: Collisions | None = None):
-        self.config, self.time_ns, self.pose = config, start_ns, config.start
+        self.config, self.pose = config, config.start
         self._collisions = collisions
-        self.speed_mps = self.acceleration_mps2 = self.travel_m = 0.0
-        self.servo_duty = config.steering.center_duty
+        self.time_ns = start_ns  # true time now
+        self.speed_mps = 0.0  # of the rear axle, backward negative
+        self.acceleration_mps2 = 0.0  # during the last step, the mean
+        self.travel_m = 0.0  # signed distance so far
+        self.servo_duty = config.steering.center_duty  # the place of the servo, as the duty that holds it there
         self._start_ns = start_ns
         self._esc = None if config.esc is None else VirtualEsc(config.esc, start_ns)
         self._motor = Motor(config.drive.lag_s)
@@ -159,10 +150,12 @@ class Vehicle:
         self._half_backlash_duty = config.steering.backlash_duty / 2
         self._slope_mps2 = -GRAVITY_MPS2 * math.sin(math.atan(config.slope))  # when it looks uphill
         self._duties, self._curvatures = (tuple(column) for column in zip(*config.steering.curve))
+        # The curvature of the steering, which is its path's at a crawl, and that of its path now; left positive.
         self.steered_per_m = self.curvature_per_m = self.true_curvature_per_m(self.servo_duty)
-        self.slides = False
+        self.slides = False  # its wheels are locked
         self._along_mps2 = 0.0  # what the tyres transmit along the car
         self._tyres = config.tyres
+        # How often it would have tipped over; a kinematic car's stay 0.
         self.rollovers = Rollovers(config.tyres.rollover_mps2 if config.tyres else math.inf)
         self._half_track_m = config.track_m / 2
         self._pulse_m = config.pulse_m

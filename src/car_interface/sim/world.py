@@ -135,19 +135,14 @@ class Obstacles:
 
 
 class Collisions:
-    """Blocks a car's steps into obstacles, and counts how often it ran into one.
-
-    Attributes:
-        count: of collisions; a car that keeps pushing, or backs off less than a centimetre, has one.
-        speed_mps: of the newest collision, backward negative.
-    """
+    """Blocks a car's steps into obstacles, and counts how often it ran into one."""
 
     def __init__(self, obstacles: Obstacles):
         self._obstacles = obstacles
         self._clear_m = 0.0  # how far it can go before the next check
         self._since_m = math.inf  # driven since it was blocked
-        self.count = 0
-        self.speed_mps = 0.0
+        self.count = 0  # of collisions; a car that keeps pushing, or backs off less than a centimetre, has one
+        self.speed_mps = 0.0  # of the newest collision, backward negative
 
     def blocks(self, pose: Sequence[float], distance_m: float, speed_mps: float) -> bool:
         """Return whether a step that ends at ``pose`` runs into something.

@@ -54,16 +54,11 @@ THING, WALL = ColorRGBA(0.55, 0.42, 0.30, 1.0), ColorRGBA(0.45, 0.47, 0.50, 1.0)
 
 
 class ChipFollower:
-    """Follows what the pins of a virtual servo board do, whoever writes to it. Its process may come and go.
-
-    Attributes:
-        duties: of the 16 pins, 0 = no pulse; ``None`` while there is no chip.
-        problem: why nothing that is at the path is used; empty: nothing is wrong with it.
-    """
+    """Follows what the pins of a virtual servo board do, whoever writes to it. Its process may come and go."""
 
     def __init__(self, path: str, inbox: Inbox):
-        self.duties: list[int] | None = None
-        self.problem = ""
+        self.duties: list[int] | None = None  # of the 16 pins, 0 = no pulse; ``None`` while there is no chip
+        self.problem = ""  # why nothing that is at the path is used; empty: nothing is wrong with it
         self._link = ChipLink(path, 0)
         self._inbox = inbox
         self._fd: int | None = None

@@ -97,7 +97,6 @@ class Car:
         master: ``None`` = none answers.
 
     Attributes:
-        others: the namespaces of other cars.
         was_chosen: False = there are several cars, and no namespace was given.
         port_is_the_nodes: the port is the one that the hub uses.
         port_is_virtual: it's the one that car_sim makes.
@@ -108,7 +107,7 @@ class Car:
         graph = master.graph() if master else NO_GRAPH
         cars = find_cars(graph.nodes)
         self.namespace = options.namespace or (cars[0] if len(cars) == 1 else "/")
-        self.others = [car for car in cars if car != self.namespace]
+        self.others = [car for car in cars if car != self.namespace]  # the namespaces of other cars
         self.was_chosen = options.namespace is not None or self.namespace in cars or not cars
         tasks = [Task("nodes", master.node, name, self.namespace, graph) for name in NODES] if master else []
         nodes = [task.wait(time.monotonic() + SURVEY_S)[0] for task in tasks]

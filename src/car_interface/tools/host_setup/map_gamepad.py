@@ -52,13 +52,12 @@ class GamepadMap:
         crosses: the numbers of the axes that are crosses.
 
     Attributes:
-        entry: what was found, as gamepads.yaml has it.
         step: what is to be shown; ``None`` = all was.
     """
 
     def __init__(self, rest: Sequence[float], crosses: Iterable[int]):
         # A third deadman of the folder's teleop_logi.yaml would be just any button of this gamepad.
-        self.entry: dict[str, float] = {"third_button": NONE}
+        self.entry: dict[str, float] = {"third_button": NONE}  # what was found, as gamepads.yaml has it
         self._rest, self._crosses = tuple(rest), frozenset(crosses)
         self._steps = list(STEPS)
         self._is_at_rest = False  # since the step began
