@@ -26,16 +26,8 @@ from typing import NamedTuple
 from car_interface.common.errors import require
 from car_interface.common.units import NS_PER_S
 from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, TRACK_M, WHEEL_DIAMETER_M
-from car_interface.sim.dynamics import (
-    DriveTrainConfig,
-    Motor,
-    Rollovers,
-    TyreConfig,
-    motor_acceleration_mps2,
-    path_curvature_per_m,
-    possible_acceleration_mps2,
-    true_acceleration_mps2,
-)
+from car_interface.sim import dynamics
+from car_interface.sim.dynamics import DriveTrainConfig, Motor, Rollovers, TyreConfig
 from car_interface.sim.esc import VirtualEsc, VirtualEscConfig, is_pulse
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
 from car_interface.sim.world import Collisions
@@ -221,7 +213,7 @@ class Vehicle:
             return steered_per_m
         if self.slides:
             return 0.0
-        return path_curvature_per_m(steered_per_m, speed_mps, self._along_mps2, self._tyres)
+        return dynamics.path_curvature_per_m(steered_per_m, speed_mps, self._along_mps2, self._tyres)
 
     def _turn_servo(self, dt_s: float, duty: int) -> float:
         """Turn the servo and return the mean curvature during that."""
@@ -249,10 +241,10 @@ class Vehicle:
         thrust = drive.thrust((self.time_ns - self._start_ns) / NS_PER_S)
         downhill_mps2 = self._slope_mps2 * math.cos(self.pose.yaw_rad - self.config.uphill_rad)
         if self._esc is None:
-            acceleration_mps2 = true_acceleration_mps2(esc_duty, before_mps, drive, thrust, downhill_mps2)
+            acceleration_mps2 = dynamics.true_acceleration_mps2(esc_duty, before_mps, drive, thrust, downhill_mps2)
         else:
             push, brake = self._motor.step(self._esc.step(esc_duty, self.time_ns, before_mps), dt_s)
-            acceleration_mps2 = motor_acceleration_mps2(push, brake, before_mps, drive, thrust, downhill_mps2)
+            acceleration_mps2 = dynamics.motor_acceleration_mps2(push, brake, before_mps, drive, thrust, downhill_mps2)
         if self._tyres is not None:
             acceleration_mps2 = self._held_by_tyres(acceleration_mps2 - downhill_mps2) + downhill_mps2
         after_mps = before_mps + acceleration_mps2 * dt_s
@@ -266,7 +258,7 @@ class Vehicle:
 
     def _held_by_tyres(self, demanded_mps2: float) -> float:
         """Return how much of an acceleration the tyres transmit; a stronger brake locks the wheels."""
-        self._along_mps2 = possible_acceleration_mps2(demanded_mps2, self._tyres)
+        self._along_mps2 = dynamics.possible_acceleration_mps2(demanded_mps2, self._tyres)
         self.slides = self._along_mps2 != demanded_mps2 and demanded_mps2 * self.speed_mps < 0.0
         return self._along_mps2
 

@@ -66,7 +66,9 @@ def _probe_chip(device, header, settings, bus):
     try:
         bus.open(device)
         try:
-            return check_chip(name, read_registers(bus, settings.address), settings)
+            registers = Registers(*(bus.read_byte_data(settings.address, register) for register in (MODE1, PRE_SCALE)),
+                                  is_pca9685(bus, settings.address))
+            return check_chip(name, registers, settings)
         except OSError as error:
             return check_no_answer(name, error, device, header, find_others(bus, settings.address))
     except OSError as error:
@@ -115,12 +117,6 @@ class Registers(NamedTuple):
 
     def __str__(self):
         return f"MODE1 0x{self.mode1:02x}, PRE_SCALE {self.prescale}"
-
-
-def read_registers(bus: Any, address: int) -> Registers:
-    """Ask a chip on a bus that has smbus2's ``read_byte_data(address, register)``; OSError when it doesn't answer."""
-    return Registers(bus.read_byte_data(address, MODE1), bus.read_byte_data(address, PRE_SCALE),
-                     is_pca9685(bus, address))
 
 
 def find_others(bus: Any, address: int | None) -> list[int]:

@@ -23,6 +23,7 @@ COUNTS = 1 << 32  # OneWheel.dist_abs wraps here
 # A Slash reaches 20 m/s; 0.3 of the throttle, the shipped human_scale, is several m/s without a load.
 MAX_WHEEL_SPEED_MPS = 3.0
 MAX_SCALE = 0.3
+SAME_DUTY = 8  # half a count of the servo board
 MAX_DRIVE_NS = 8 * NS_PER_S  # at a stretch: a hobby motor without a load heats slowly, and no question needs more
 STANDS_MPS = 0.05
 # Wheels in the air change no range. The cones look up to 30° sideways, and an echo may jump by some centimeters.

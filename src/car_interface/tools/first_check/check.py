@@ -24,6 +24,7 @@ from car_interface.tools.first_check.question import (
     OnBox,
     Question,
     Result,
+    skipped,
 )
 from car_interface.tools.first_check.sensor_questions import Sonar, TeensyUnplugged, WheelSensor
 from car_interface.tools.first_check.steering_questions import BoardKilled, Center, End, SteeringDirection
@@ -85,7 +86,7 @@ class FirstCheck:
     @property
     def results(self) -> list[tuple[str, Result]]:
         """Return what was answered, by the questions' titles."""
-        return [(title, result or Result(SKIPPED, "the check ended before"))
+        return [(title, result or skipped("the check ended before"))
                 for title, result in zip(self._titles, self._results)]
 
     def step(self, now_ns: int, keys: str = "", width: int = MAX_WIDTH) -> View:
@@ -115,7 +116,7 @@ class FirstCheck:
         elif key == AGAIN:
             self._go(self._index)
         elif key == SKIP and self._index:  # whether it stands on a box isn't skipped
-            self._answer(Result(SKIPPED, "skipped"))
+            self._answer(skipped("skipped"))
         elif key == TO_END and self._index:
             self._ask(len(self._makers), False)
         else:
@@ -139,7 +140,7 @@ class FirstCheck:
         while self.question is not None:
             missing = "" if self._has_begun else self.question.missing(now_ns)
             if missing:
-                self._answer(Result(SKIPPED, missing))
+                self._answer(skipped(missing))
                 continue
             self._has_begun = True
             if self._is_warned(now_ns):

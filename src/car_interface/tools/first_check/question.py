@@ -11,9 +11,9 @@ from car_interface.common.causes import AUTONOMOUS, MANUAL
 from car_interface.tools.first_check.car import Car
 
 FINE, LEARNED, BROKEN, SKIPPED = "fine", "learned", "to be repaired", "not asked"
+CLASSES = {FINE: "good", LEARNED: "warn", BROKEN: "bad", SKIPPED: "faint"}  # as which a page shows them
 ENTER = "\n"
 SAME_KEYS = {"<": ",", ">": ".", "=": "+", "\r": ENTER}  # typed as they are, or as the keys that they share
-SAME_DUTY = 8  # half a count of the servo board
 STEERING, THROTTLE, GAMEPAD, HUB = "turn_arb", "throttle", "teleop_logi", "teensy_sensor_hub"  # files
 
 
@@ -32,9 +32,14 @@ def fine(answer: str) -> Result:
     return Result(FINE, answer)
 
 
-def learned(answer: str, file: str, repair: str = "", **values: Any) -> Result:
-    """Return new values of a file's parameters."""
-    return Result(LEARNED, answer, {file: values}, repair)
+def learned(answer: str, changes: Mapping[str, Mapping[str, Any]], repair: str = "") -> Result:
+    """Return new values of parameters, by file and name."""
+    return Result(LEARNED, answer, changes, repair)
+
+
+def skipped(reason: str) -> Result:
+    """Return why it wasn't asked."""
+    return Result(SKIPPED, reason)
 
 
 def broken(answer: str, repair: str) -> Result:
@@ -135,8 +140,8 @@ class Deadman(Question):
             return broken(f"it is held though nobody holds it: {self.seen(now_ns)}",
                           "end other programs that publish human_in_loop: rosrun car_interface doctor")
         if len(pressed) == 1 and pressed[0] not in others:
-            return learned(f"button {pressed[0]} is held, and {wanted}_button is another one", GAMEPAD,
-                           **{f"{wanted}_button": pressed[0]})
+            return learned(f"button {pressed[0]} is held, and {wanted}_button is another one",
+                           {GAMEPAD: {f"{wanted}_button": pressed[0]}})
         which = f"buttons {', '.join(map(str, pressed))} are held" if pressed else "no button of joy is seen"
         return broken(f"the {wanted} deadman isn't seen: {which}",
                       f"switch the gamepad on, and set {wanted}_button in teleop_logi.yaml: rostopic echo /joy "

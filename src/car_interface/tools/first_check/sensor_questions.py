@@ -94,8 +94,8 @@ class Sonar(Question):
         others = [_words(name) for name, reports in self._reports.items() if reports >= NEAR_REPORTS]
         timed = self.car.ranges[self.name]
         if key == "x":
-            return learned("the car has none", HUB, f"with obstacle_stop set obstacle/sonars/{self.name}: absent in "
-                                                    "throttle.yaml", **{self.name: "absent"})
+            return learned("the car has none", {HUB: {self.name: "absent"}},
+                           f"with obstacle_stop set obstacle/sonars/{self.name}: absent in throttle.yaml")
         if others:
             return broken(f"{others[0]} sees the hand in its place",
                           f"exchange the plugs of {_words(self.name)} and {others[0]}")

@@ -3,19 +3,8 @@ from __future__ import annotations
 
 from car_interface.common.causes import MANUAL
 from car_interface.common.units import NS_PER_S
-from car_interface.tools.first_check.question import (
-    ENTER,
-    GAMEPAD,
-    LEARNED,
-    SAME_DUTY,
-    SKIPPED,
-    STEERING,
-    Question,
-    Result,
-    broken,
-    fine,
-    learned,
-)
+from car_interface.tools.first_check.car import SAME_DUTY
+from car_interface.tools.first_check.question import ENTER, GAMEPAD, STEERING, Question, broken, fine, learned, skipped
 
 FULL_STICK = 0.8  # held at its end
 CENTER_STEP, END_STEP = 0.01, 0.05  # of a side's travel
@@ -64,7 +53,7 @@ class SteeringDirection(Question):
         if not changes:
             return fine("stick and wheels go to the same side")
         wrong = " and ".join(["the stick"] * (GAMEPAD in changes) + ["the servo"] * (STEERING in changes))
-        return Result(LEARNED, f"{wrong} went the other way", changes)
+        return learned(f"{wrong} went the other way", changes)
 
 
 class _Steers(Question):
@@ -118,7 +107,7 @@ class Center(_Finds):
         center = self.setup.steering.servo_center
         if abs(duty - center) <= SAME_DUTY:
             return fine(f"straight at duty {center}")
-        return learned(f"straight at duty {duty}", STEERING, servo_center=duty)
+        return learned(f"straight at duty {duty}", {STEERING: {"servo_center": duty}})
 
 
 class End(_Finds):
@@ -141,7 +130,7 @@ class End(_Finds):
             return "that is hardly a turn: go further, or type N"
         if abs(self.steering) >= 1.0:
             return fine(f"free up to the end of the file, duty {duty}")
-        return learned(f"the end is at duty {duty}", STEERING, **{f"servo_{self._name}": duty})
+        return learned(f"the end is at duty {duty}", {STEERING: {f"servo_{self._name}": duty}})
 
 
 class BoardKilled(_Steers):
@@ -167,7 +156,7 @@ class BoardKilled(_Steers):
 
     def kill_failed(self, reason: str) -> None:
         """Take note that it couldn't be killed."""
-        self.result = Result(SKIPPED, f"it couldn't be killed: {reason}")
+        self.result = skipped(f"it couldn't be killed: {reason}")
 
     def step(self, now_ns):
         if self._killed_ns is None or self._is_back:

@@ -5,22 +5,9 @@ import math
 
 from car_interface.common.units import NS_PER_S
 from car_interface.throttle.esc import BRAKING, HOLD
-from car_interface.throttle.esc_config import (
-    BRAKE_BECOMES_REVERSE,
-    BRAKE_THEN_REVERSE,
-    DIRECT_REVERSE,
-    FORWARD_ONLY,
-)
-from car_interface.tools.first_check.question import (
-    ENTER,
-    GAMEPAD,
-    SAME_DUTY,
-    THROTTLE,
-    Question,
-    broken,
-    fine,
-    learned,
-)
+from car_interface.throttle.esc_config import BRAKE_BECOMES_REVERSE, BRAKE_THEN_REVERSE, DIRECT_REVERSE, FORWARD_ONLY
+from car_interface.tools.first_check.car import SAME_DUTY
+from car_interface.tools.first_check.question import ENTER, GAMEPAD, THROTTLE, Question, broken, fine, learned
 
 PUSHED = 0.1  # of a stick: moved on purpose
 NEUTRAL_STEP, MAX_NEUTRAL = 5, 100  # duty; the second is throttle_arb's live_range
@@ -96,7 +83,7 @@ class NeutralDuty(_ByStick):
         if self.car.throttle.value.granted:
             return "let go of the stick"
         text = f"the wheels stand at duty {self._duty()}"
-        return learned(text, THROTTLE, neutral=self._duty()) if self._shift else fine(text)
+        return learned(text, {THROTTLE: {"neutral": self._duty()}}) if self._shift else fine(text)
 
 
 class ThrottleDirection(_ByStick):
@@ -148,11 +135,11 @@ class ThrottleDirection(_ByStick):
         if not self._was_pulled:
             return "pull the stick first, with the deadman held"
         if turns_forward:
-            return learned("this ESC drives forward on the pulses behind neutral", THROTTLE, exchanged=True)
+            return learned("this ESC drives forward on the pulses behind neutral", {THROTTLE: {"exchanged": True}})
         return broken("the motor turns the other way round", "exchange two wires between ESC and motor")
 
     def _inverted(self, answer, repair=""):
-        return learned(answer, GAMEPAD, repair, throttle_scale=-self.setup.throttle_scale)
+        return learned(answer, {GAMEPAD: {"throttle_scale": -self.setup.throttle_scale}}, repair)
 
 
 class EscKind(_ByStick):
@@ -198,8 +185,8 @@ class EscKind(_ByStick):
         kind = {"2": BRAKE_BECOMES_REVERSE, "3": DIRECT_REVERSE, "y": BRAKE_THEN_REVERSE, "n": FORWARD_ONLY}[key]
         if kind == self.setup.profile:
             return fine(f"{kind}, as the file has it")
-        return learned(kind, THROTTLE, "have calibrate_esc measure it: until then a stop brakes only once the ESC has "
-                                       "proved its kind", **{"esc/profile": kind})
+        return learned(kind, {THROTTLE: {"esc/profile": kind}}, "have calibrate_esc measure it: until then a stop "
+                       "brakes only once the ESC has proved its kind")
 
 
 class LettingGo(_ByStick):

@@ -119,15 +119,12 @@ def describe_header(computer: Computer) -> list[str]:
 
 def read_computer(user: str, rules: str) -> Computer:
     """Read how this computer is now."""
+    installed = os.path.join(RULES_FOLDER, RULES_NAME)
     return Computer(
         user=user, groups=existing_groups(), joined=groups_of(user, pwd.getpwnam(user).pw_gid),
-        has_udev=shutil.which("udevadm", path=SYSTEM_PATH) is not None, rules_are_new=_same(rules),
+        has_udev=shutil.which("udevadm", path=SYSTEM_PATH) is not None,
+        rules_are_new=os.path.exists(installed) and filecmp.cmp(rules, installed, shallow=False),
         header=read_header(), has_bus=os.path.exists(read_header().bus_paths[0]))
-
-
-def _same(rules):
-    installed = os.path.join(RULES_FOLDER, RULES_NAME)
-    return os.path.exists(installed) and filecmp.cmp(rules, installed, shallow=False)
 
 
 def run_step(step: SetupStep, is_dry: bool) -> bool:
