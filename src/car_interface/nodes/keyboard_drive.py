@@ -80,34 +80,29 @@ class Keyboards:
 
     def read(self) -> list[tuple[int, bool]] | None:
         """Return each (code, is pressed) since the last call; ``None`` = some were lost or a keyboard was unplugged."""
-        found: list[tuple[int, bool]] = []
-        was_lost = False
+        events, was_lost = [], False
         for device in list(self._devices):
-            for event in self._read(device):
-                was_lost |= event.type == ecodes.EV_SYN and event.code == ecodes.SYN_DROPPED
-                if event.type == ecodes.EV_KEY and event.value in (RELEASED, PRESSED):
-                    found.append((event.code, event.value == PRESSED))
-            was_lost |= device not in self._devices
-        return None if was_lost else found
+            try:
+                while True:
+                    news = list(device.read())
+                    if not news:
+                        raise OSError("it was unplugged")
+                    events += news
+            except BlockingIOError:
+                continue
+            except OSError:
+                device.close()
+                self._devices.remove(device)
+                was_lost = True
+        if was_lost or any(event.type == ecodes.EV_SYN and event.code == ecodes.SYN_DROPPED for event in events):
+            return None
+        return [(event.code, event.value == PRESSED) for event in events
+                if event.type == ecodes.EV_KEY and event.value in (RELEASED, PRESSED)]
 
     def close(self) -> None:
         for device in self._devices:
             device.close()
         self._devices.clear()
-
-    def _read(self, device):
-        while True:
-            try:
-                events = list(device.read())
-            except BlockingIOError:
-                return
-            except OSError:
-                events = []
-            if not events:  # it was unplugged
-                device.close()
-                self._devices.remove(device)
-                return
-            yield from events
 
 
 def _opened(path, open_device):

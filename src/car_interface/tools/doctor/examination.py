@@ -62,13 +62,12 @@ class Task:
         self._subject = subject
         self._result: Any = None
         self._fault: Exception | None = None
-        self._probe = lambda: probe(*arguments)
         self._ended = threading.Event()
-        threading.Thread(target=self._run, name=subject, daemon=True).start()
+        threading.Thread(target=self._run, args=(probe, arguments), name=subject, daemon=True).start()
 
-    def _run(self):
+    def _run(self, probe, arguments):
         try:
-            self._result = self._probe()
+            self._result = probe(*arguments)
         except Exception as error:  # no fault of one probe may end the others
             self._fault = error
         self._ended.set()

@@ -232,13 +232,10 @@ def plan_autostart(unit: str) -> list[SetupStep]:
             SetupStep("have it start at each boot", ("systemctl", "enable", UNIT))]
 
 
-def plan_removal() -> list[SetupStep]:
-    """Return the steps that undo ``plan_autostart``, and stop what it started."""
-    return [SetupStep("stop it, and start it no more", ("systemctl", "disable", "--now", UNIT)),
-            SetupStep(f"remove {UNIT_PATH}", ("rm", UNIT_PATH)),
-            SetupStep("have systemd forget it", ("systemctl", "daemon-reload"))]
-
-
+# What undoes plan_autostart, and stops what it started.
+REMOVAL = (SetupStep("stop it, and start it no more", ("systemctl", "disable", "--now", UNIT)),
+           SetupStep(f"remove {UNIT_PATH}", ("rm", UNIT_PATH)),
+           SetupStep("have systemd forget it", ("systemctl", "daemon-reload")))
 AUTOSTART_REMARK = f"""\
 The car starts at the next boot; now: sudo systemctl restart {UNIT}
 What it says: journalctl --follow --unit {UNIT}
@@ -286,7 +283,7 @@ def _set_autostart(options):
         raise CarInterfaceError("there is no systemctl here, as in a container: nothing could start the car at boot")
     if options.remove:
         if os.path.exists(UNIT_PATH):
-            _run(plan_removal(), options.dry_run, lambda done: [])
+            _run(REMOVAL, options.dry_run, lambda done: [])
         else:
             print(f"Nothing to do: there is no {UNIT_PATH}.")
         return
