@@ -30,7 +30,7 @@ from car_interface.sim import dynamics
 from car_interface.sim.dynamics import DriveTrainConfig, Motor, Rollovers, TyreConfig
 from car_interface.sim.esc import VirtualEsc, VirtualEscConfig, is_pulse
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
-from car_interface.sim.world import Collisions
+from car_interface.sim.world import Obstacles
 
 GRAVITY_MPS2 = 9.81
 ARRIVED_DUTY = 0.01  # a servo this near its target has arrived: its creep would never end
@@ -123,13 +123,12 @@ class Vehicle:
 
     Args:
         start_ns: the true time at the start; pulses are stamped on this scale.
-        collisions: with obstacles; ``None`` = there are none.
+        obstacles: ``None`` = there are none.
     """
 
-    def __init__(self, config: VehicleConfig = VehicleConfig(), start_ns: int = 0,
-                 collisions: Collisions | None = None):
+    def __init__(self, config: VehicleConfig = VehicleConfig(), start_ns: int = 0, obstacles: Obstacles | None = None):
         self.config, self.pose = config, config.start
-        self._collisions = collisions
+        self._obstacles = obstacles
         self.time_ns = start_ns  # true time now
         self.speed_mps = 0.0  # of the rear axle, backward negative
         self.acceleration_mps2 = 0.0  # during the last step, the mean
@@ -193,7 +192,7 @@ class Vehicle:
         pulses = []
         if distance_m:
             pose = self.pose if self.config.on_box else self._pose_after(distance_m, curvature_per_m)
-            if self._collisions is not None and self._collisions.blocks(pose, distance_m, self.speed_mps):
+            if self._obstacles is not None and self._obstacles.blocks(pose, distance_m, self.speed_mps):
                 speed_mps = 0.0
                 self.acceleration_mps2 = -self.speed_mps / dt_s
             else:

@@ -73,6 +73,8 @@ class WorldConfig:
 class Obstacles:
     """Everything upright in a room, and the outline of the car among it, a rectangle: by default a Slash 4x4's.
 
+    It blocks the car's steps into it, and counts how often it ran into something.
+
     Args:
         segments: sides of walls and boxes: x and y of one end, and from there to the other, in metres.
         posts: x, y, radius.
@@ -85,6 +87,30 @@ class Obstacles:
         self._low_m, self._high_m, self._half_m = -rear_m, front_m, width_m / 2
         self._center_m = (self._low_m + self._high_m) / 2
         self._radius_m = math.hypot(self._high_m - self._center_m, self._half_m)  # of the circle around the outline
+        self._clear_m = 0.0  # how far it can go before the next check
+        self._since_m = math.inf  # driven since it was blocked
+        self.count = 0  # of collisions; a car that keeps pushing, or backs off less than a centimetre, has one
+        self.speed_mps = 0.0  # of the newest collision, backward negative
+
+    def blocks(self, pose: Sequence[float], distance_m: float, speed_mps: float) -> bool:
+        """Return whether a step that ends at ``pose`` runs into something.
+
+        Args:
+            pose: of the rear axle's middle after the step.
+            distance_m: of the step, signed.
+            speed_mps: before the step.
+        """
+        self._clear_m -= MAX_CENTER_RATIO * abs(distance_m)
+        if self._clear_m <= 0.0:
+            if not self.is_free(pose):
+                if self._since_m > APART_M:
+                    self.count += 1
+                    self.speed_mps = speed_mps
+                self._since_m = 0.0
+                return True
+            self._clear_m = self.clearance_m(pose)
+        self._since_m += abs(distance_m)
+        return False
 
     def is_free(self, pose: Sequence[float]) -> bool:
         """Return whether a car whose rear axle's middle is at x, y (m) and yaw (rad) touches nothing."""
@@ -134,37 +160,6 @@ class Obstacles:
         return True
 
 
-class Collisions:
-    """Blocks a car's steps into obstacles, and counts how often it ran into one."""
-
-    def __init__(self, obstacles: Obstacles):
-        self._obstacles = obstacles
-        self._clear_m = 0.0  # how far it can go before the next check
-        self._since_m = math.inf  # driven since it was blocked
-        self.count = 0  # of collisions; a car that keeps pushing, or backs off less than a centimetre, has one
-        self.speed_mps = 0.0  # of the newest collision, backward negative
-
-    def blocks(self, pose: Sequence[float], distance_m: float, speed_mps: float) -> bool:
-        """Return whether a step that ends at ``pose`` runs into something.
-
-        Args:
-            pose: of the rear axle's middle after the step.
-            distance_m: of the step, signed.
-            speed_mps: before the step.
-        """
-        self._clear_m -= MAX_CENTER_RATIO * abs(distance_m)
-        if self._clear_m <= 0.0:
-            if not self._obstacles.is_free(pose):
-                if self._since_m > APART_M:
-                    self.count += 1
-                    self.speed_mps = speed_mps
-                self._since_m = 0.0
-                return True
-            self._clear_m = self._obstacles.clearance_m(pose)
-        self._since_m += abs(distance_m)
-        return False
-
-
 class World:
     def __init__(self, config: WorldConfig = WorldConfig()):
         self.config = config
@@ -176,8 +171,8 @@ class World:
         self._us_per_m = 2e6 / speed_of_sound_mps(config.temperature_c)
         self._angles_rad = [config.cone_rad * (ray / (config.rays - 1) - 0.5) for ray in range(config.rays)]
 
-    @property
     def obstacles(self) -> Obstacles:
+        """Return what stops a car, which has run into nothing yet."""
         return Obstacles(self._segments, self._posts)
 
     def echo_us(self, pose: Sequence[float], sensor: int) -> int:

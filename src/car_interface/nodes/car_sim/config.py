@@ -111,7 +111,7 @@ class CarSimConfig:
         if not self.has_obstacles:
             world = replace(world, boxes=(), posts=())
         firmware = self._firmware(rng, seed, vehicle.pulse_phase)
-        if self.collides and not World(world).obstacles.is_free(vehicle.start):
+        if self.collides and not World(world).obstacles().is_free(vehicle.start):
             raise ConfigError("start", list(vehicle.start), "a place where the car touches no wall, box or post, or "
                                                             "collisions: false")
         return replace(self, vehicle=vehicle, world=world, firmware=firmware)
