@@ -135,6 +135,8 @@ class FirstCheckNode:
             typed = self._keys.read()
             if typed is None and self._keys.is_closed():
                 raise EndedEarly("its terminal was closed: nothing is written")
+            if "q" in (typed or "").lower() and self._stage != self._confirm:
+                self._quit()
             self._stage(now_ns, typed or "")
         return self._timer.due_ns
 
@@ -149,8 +151,6 @@ class FirstCheckNode:
 
     def _wait(self, now_ns, typed):
         car = self._check.car
-        if "q" in typed.lower():
-            self._quit()
         if not (car.steering.is_stale(now_ns) or car.output.is_stale(now_ns)):
             self._stage = self._ask
         elif now_ns - self._begun_ns > READY_WITHIN_NS:
@@ -160,8 +160,6 @@ class FirstCheckNode:
 
     def _ask(self, now_ns, typed):
         view = self._check.step(now_ns, typed, self._text.width)
-        if view.has_quit:
-            self._quit()
         if self._check.refusal:
             raise EndedEarly(f"{self._check.refusal}. Nothing is written")
         self._steer(view.steering if self._check.car.held_mode(now_ns) == AUTONOMOUS else None)

@@ -30,7 +30,7 @@ from car_interface.tools.first_check.sensor_questions import Sonar, TeensyUnplug
 from car_interface.tools.first_check.steering_questions import BoardKilled, Center, End, SteeringDirection
 from car_interface.tools.first_check.throttle_questions import EscKind, LettingGo, NeutralDuty, ThrottleDirection
 
-SKIP, AGAIN, PREVIOUS, TO_END, QUIT = "sapeq"
+SKIP, AGAIN, PREVIOUS, TO_END = "sape"  # Q is the caller's
 KEYS, FIRST_KEYS = "S skip   A again   P previous   E to the end   Q quit", "Q quit"
 MAX_WIDTH = 79
 Changes = "dict[str, dict[str, Any]]"  # new values of parameters by file, without .yaml, and name
@@ -45,7 +45,6 @@ class View(NamedTuple):
     neutral: int | None = None  # the duty that throttle_arb is to have as its neutral; ``None``: as at the start
     kills_board: bool = False  # kill the servo board's node now
     is_over: bool = False  # all was asked: ask whether to write
-    has_quit: bool = False  # the person gave up
 
 
 class FirstCheck:
@@ -91,19 +90,17 @@ class FirstCheck:
 
     def step(self, now_ns: int, keys: str = "", width: int = MAX_WIDTH) -> View:
         """Take the keys that were typed, and go on."""
-        has_quit = False
         for key in keys.lower():
-            has_quit = has_quit or key == QUIT
             self._type(key, now_ns)
             self._advance(now_ns)  # the next key is for the next question that can be asked
         if not keys:
             self._advance(now_ns)
         question = self.question
         if question is None:
-            return View("end", [], None, self._neutral(), is_over=True, has_quit=has_quit)
+            return View("end", [], None, self._neutral(), is_over=True)
         kills, question.kills_board = question.kills_board, False
         return View(f"{self._index} {question.text}", self._lines(now_ns, width), question.steering,
-                    self._neutral(), kills, has_quit=has_quit)
+                    self._neutral(), kills)
 
     def _type(self, key, now_ns):
         if key == PREVIOUS and self._index:
