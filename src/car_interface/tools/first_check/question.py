@@ -5,6 +5,7 @@ Pure. A question is answered by a key, or by what it sees.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Mapping
 
 from car_interface.common.causes import AUTONOMOUS, MANUAL
@@ -27,19 +28,8 @@ class Result:
     repair: str = ""  # what a person has to do
 
 
-def fine(answer: str) -> Result:
-    """Return that all is well."""
-    return Result(FINE, answer)
-
-
-def learned(answer: str, changes: Mapping[str, Mapping[str, Any]], repair: str = "") -> Result:
-    """Return new values of parameters, by file and name."""
-    return Result(LEARNED, answer, changes, repair)
-
-
-def skipped(reason: str) -> Result:
-    """Return why it wasn't asked."""
-    return Result(SKIPPED, reason)
+fine, skipped = partial(Result, FINE), partial(Result, SKIPPED)
+learned = partial(Result, LEARNED)  # with the changes, and a repair if there is one
 
 
 def broken(answer: str, repair: str) -> Result:
