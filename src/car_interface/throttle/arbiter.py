@@ -75,7 +75,7 @@ class ThrottleArbiter(MotionInterlock):
 
     1. The e-stop, no deadman, a stopped turn_arb, or a servo board that doesn't follow turn_arb: stop.
     2. A mode, or a stick, that was received before and is now stale or invalid, or that was never received while
-       teleop_logi runs: stop. The planner doesn't get the throttle then, since the human still believes that they drive.
+       teleop_logi runs: stop. The planner doesn't get the throttle then, since the human may believe that they drive.
     3. The human, if the mode gives them the throttle or the stick is beyond its dead band.
     4. The planner, if it has a value, odometry is fresh and the battery isn't empty; else stop, or neutral if no
        planner ever sent a value.

@@ -3,8 +3,8 @@
 A car that stands under a held brake proves little: its ESC may be switched off, its battery low, or a wall behind it.
 So ``BrakeProof`` demands a sequence: the car is driven until just before (DRIVEN), is braked (BRAKED), slows down as a
 brake slows a car (SLOWED), stands for a second with the brake held (HELD), and drives again at the next push.
-Anything else starts the sequence over. It has to be seen twice, since a wall that a reversing car meets just as it stands
-looks like a brake that holds. A car that rolls backward under a brake withdraws the proof.
+Anything else starts the sequence over. It has to be seen twice, since a wall that a reversing car meets just as it
+stands looks like a brake that holds. A car that rolls backward under a brake withdraws the proof.
 
 ``step`` takes what the ESC gets and the measured motion; ``is_given`` is the result. Pure: ``now_ns`` is passed in.
 """

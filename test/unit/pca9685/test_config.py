@@ -89,3 +89,14 @@ def test_settings_of_each_channel_are_its_own():
     numbers = list(range(16))
     configs = read(timeout=numbers, timeout_value=numbers, pwm_min=numbers, pwm_max=[100 + each for each in numbers])
     assert configs.channels[9] == ChannelConfig(timeout_ms=9, timeout_value=9, pwm_min=9, pwm_max=109)
+
+
+def test_esc_of_which_nothing_else_is_known_brakes_at_once_and_never_forgets():
+    servo = {**ESC["esc"]["servo"], "duty_table": [3277, 4915, 6554]}
+    channel = read(esc={"servo": servo, "esc": {"profile": "brake_then_reverse"}}).channels[5]
+    assert (channel.brakes_first, channel.forgets_ms) == (False, 0)
+
+
+def test_limits_that_no_duty_meets_are_refused():
+    with pytest.raises(ConfigError):
+        read(pwm_min=[5000] * 16, pwm_max=[4000] * 16)

@@ -58,6 +58,7 @@ def test_prescale_for_frequency_out_of_reach_is_refused(frequency_hz):
 @pytest.mark.parametrize("registers, counts", [
     ((0x99, 0x01, 0xCC, 0x04), 0x4CC - 0x199),  # data sheet 7.3.3, example 1
     ((0xFF, 0x0E, 0x32, 0x0B), 0xB32 - 0xEFF + 4096),  # across the end of the period
+    ((0xFF, 0xEE, 0x32, 0xEB), 0xB32 - 0xEFF + 4096),  # with the reserved bits
     ((0, 0x10, 0, 0), 4096), ((0, 0, 0, 0x10), 0), ((0, 0x10, 0, 0x10), 0), ((0, 0, 0x3F, 0x11), 0),
 ])
 def test_counts_of_registers(registers, counts):

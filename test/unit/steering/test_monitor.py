@@ -203,3 +203,22 @@ def test_warnings_of_both_sides_are_reported_together(car):
     car.drives(-2.0, 2.0, 3.0)
     assert "commanded left, 2.0 m, the car went right" in car.warning
     assert "; commanded right, 2.0 m, the car went left" in car.warning
+
+
+def test_wrong_side_estimate_and_settling_take_half_a_second_each():
+    """Each report comes after a tenth of a second."""
+    car = Car()
+    warnings = car.drives(2.0, -2.0, 1.3, step_ns=S // 10)
+    # Its own half second, and half a second for the servo, from the second report on.
+    assert [bool(each) for each in warnings].index(True) == 11
+    car = Car()
+    estimates = []
+    for _ in range(8):
+        car.drives(2.0, 2.0, 0.1, step_ns=S // 10)
+        estimates.append(car.judge().estimated_m)
+    assert [math.isnan(each) for each in estimates] == [True] * 6 + [False] * 2
+
+
+@pytest.mark.parametrize("radius_m, text", [(1500.0, "straight on"), (-999.0, "right, 999.0 m")])
+def test_turn_that_is_wider_than_a_kilometre_is_straight_on_in_words(car, radius_m, text):
+    assert f"the car went {text}:" in car.drives(1.0, radius_m, 3.0)[-1]

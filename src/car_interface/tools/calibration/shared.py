@@ -10,7 +10,7 @@ from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError
 
 if TYPE_CHECKING:  # rosbags comes with it, which a car's own computer may not have
-    from car_interface.tools.recordings.overlap import Trail
+    from car_interface.tools.recordings.signals import Trail
 
 MIN_PULSE, MAX_PULSE = 1638, 8192  # duties that a servo or an ESC takes for a command: 0.5 and 2.5 ms of 20 ms
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError
-from car_interface.tools.cli.jobs import check_not_killed, failure_text, for_each, workers
+from car_interface.tools.cli.jobs import try_each
 from car_interface.tools.cli.options import add_recording_arguments, add_scheduler_argument, length_m, topics_of
 from car_interface.tools.report.page import page
 from car_interface.tools.report.plots import plots
@@ -44,17 +44,18 @@ def run(options: argparse.Namespace) -> int:
             failed = _failed(error)
     report = partial(_report, namespace=options.namespace, wheelbase_m=options.wheelbase,
                      progress=len(options.bags) == 1, topics=topics)
-    with workers(len(pages), options.jobs, options.scheduler) as done_by:
-        for (bag, path), (notes, content, error) in zip(pages, for_each(report, [bag for bag, _ in pages], done_by)):
+    made = try_each(report, [bag for bag, _ in pages], "no page can be made of it", options.jobs, options.scheduler)
+    for (bag, path), (report_of_it, error) in zip(pages, made):
+        try:
+            if error:
+                raise CarInterfaceError(error)
+            notes, content = report_of_it
             for note in notes:
                 print(f"bag_report: {bag}: {note}", file=sys.stderr)
-            try:
-                if error:
-                    raise CarInterfaceError(error)
-                output.write(path, content)
-                print(path)
-            except CarInterfaceError as refused:
-                failed = _failed(refused)
+            output.write(path, content)
+            print(path)
+        except CarInterfaceError as refused:
+            failed = _failed(refused)
     return failed
 
 
@@ -86,12 +87,8 @@ def page_path(bag: str, namespace: str, folder: str | None = None) -> Path:
     return Path(folder or place.parent) / ".".join([stem, *filter(None, namespace.split("/")), "html"])
 
 
-def _report(bag, namespace, wheelbase_m, progress, topics, killed=False):
-    """Return lines on the topics that a page is about, the page, and an error as text, empty without one."""
-    try:
-        check_not_killed(killed, bag)
-        drive = summarize(bag, namespace, wheelbase_m, progress=progress, **topics)
-        drive.path = os.path.abspath(bag)  # whoever reads the page, or a worker elsewhere, is in another folder
-        return drive.notes, page(drive, plots(drive)), ""
-    except Exception as error:  # one bad recording must not prevent the pages of the others
-        return [], "", failure_text(error, bag, "no page can be made of it")
+def _report(bag, namespace, wheelbase_m, progress, topics):
+    """Return lines on the topics that a page is about, and the page."""
+    drive = summarize(bag, namespace, wheelbase_m, progress=progress, **topics)
+    drive.path = os.path.abspath(bag)  # whoever reads the page, or a worker elsewhere, is in another folder
+    return drive.notes, page(drive, plots(drive))

@@ -144,12 +144,12 @@ def steering_notes(config: SteeringCalibration) -> Iterator[str]:
     for side, table, end in (("left", config.left_duties, config.servo_left),
                              ("right", config.right_duties, config.servo_right)):
         towards_center = 1 if config.servo_center > end else -1
-        for radius_m, wider_m, tight, wide in zip(config.radius_axis_m, config.radius_axis_m[1:], table, table[1:]):
+        steps = list(zip(config.radius_axis_m, config.radius_axis_m[1:], table, table[1:]))
+        for radius_m, wider_m, tight, wide in steps:
             if (wide - tight) * towards_center < 0:
                 yield (f"to the {side} the duty goes back from {tight:g} to {wide:g} where the turn gets wider, "
                        f"{radius_m:g} to {wider_m:g} m")
-        same = [f"{radius_m:g} and {wider_m:g} m" for radius_m, wider_m, tight, wide in
-                zip(config.radius_axis_m, config.radius_axis_m[1:], table, table[1:])
+        same = [f"{radius_m:g} and {wider_m:g} m" for radius_m, wider_m, tight, wide in steps
                 if round(tight / DUTY_PER_COUNT) == round(wide / DUTY_PER_COUNT)]
         if same:
             yield (f"to the {side} the servo board can't tell apart ({DUTY_PER_COUNT} duty are one count): "

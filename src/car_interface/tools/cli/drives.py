@@ -15,12 +15,11 @@ from car_interface.common import output
 from car_interface.common.black_box_folder import default_folder, newest
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.tools.cli.bag_report import page_path as report_path
-from car_interface.tools.cli.drives_cache import Cache, find_recordings, fingerprint
-from car_interface.tools.cli.jobs import check_not_killed, failure_text, for_each, workers
+from car_interface.tools.cli.drives_cache import find_recordings, fingerprint, load_rows, save_rows
+from car_interface.tools.cli.jobs import try_each
 from car_interface.tools.cli.main import version
 from car_interface.tools.cli.options import add_recording_arguments, add_scheduler_argument, topics_of
-from car_interface.tools.report.drives_page import csv_text, in_order, page
-from car_interface.tools.report.drives_plots import trends
+from car_interface.tools.report.drives_page import csv_text, in_order, page, trends
 from car_interface.tools.report.drives_row import VERSION, Row, row
 from car_interface.tools.report.summary import ROLES, summarize
 
@@ -100,46 +99,33 @@ def _read_rows(options, topics, paths):
 
     What was read is kept even if this is interrupted.
     """
-    settings = [VERSION, version(), options.namespace, sorted(topics.items())]
-    cache = Cache(options.folder, str(settings))
-    if cache.problem:
-        print(f"drives: {cache.problem}: all recordings are read again", file=sys.stderr)
-    if cache.damaged:
-        print(f"drives: {cache.path} has damaged rows ({cache.damaged}): their recordings are read again",
-              file=sys.stderr)
-    states = {path: _state(options.folder, path) for path in paths}
-    known = {} if options.fresh else {path: cache.row(path, states[path]) for path in paths}
-    new = [path for path in paths if known.get(path) is None]
-    rows = [known[path] for path in paths if known.get(path) is not None]
+    settings = str([VERSION, version(), options.namespace, sorted(topics.items())])
+    kept, note = load_rows(options.folder, settings)
+    if note:
+        print(f"drives: {note}", file=sys.stderr)
+    states = {path: fingerprint(os.path.join(options.folder, path)) for path in paths}
+    known = {path: kept[path][1] for path in paths
+             if path in kept and kept[path][0] == states[path] and not options.fresh}
+    rows, new = list(known.values()), [path for path in paths if path not in known]
     # A worker on another computer has another current folder.
-    read = partial(_read, folder=os.path.abspath(options.folder), namespace=options.namespace, topics=topics)
+    folder = os.path.abspath(options.folder)
+    read = partial(_read, folder=folder, namespace=options.namespace, topics=topics)
+    made = try_each(read, new, "no row can be made of it", options.jobs, options.scheduler)
     try:
-        with workers(len(new), options.jobs, options.scheduler) as done_by:
-            for one in for_each(read, new, done_by):
-                rows.append(one)
-                cache.add(states[one.path], one)
-                if sys.stderr.isatty():
-                    print(f"{len(rows)} of {len(paths)}: {one.path}", file=sys.stderr)
+        for path, (one, error) in zip(new, made):
+            if not error:  # what prevents reading may be gone the next time
+                kept[path] = states[path], one
+            # It begins with the recording's name; a command to type keeps the whole path.
+            rows.append(one or Row(path, error=error.replace(os.path.join(folder, path), path, 1)))
+            if sys.stderr.isatty():
+                print(f"{len(rows)} of {len(paths)}: {path}", file=sys.stderr)
     finally:
-        problem = cache.save(paths) if new or cache.problem or cache.damaged else ""
+        present = {path: kept[path] for path in paths if path in kept}
+        problem = save_rows(options.folder, settings, present) if new or note else ""
     if problem:
         print(f"drives: what was read can't be kept for the next time: {problem}", file=sys.stderr)
     return rows, len(new)
 
 
-def _state(folder, path):
-    try:
-        return fingerprint(os.path.join(folder, path))
-    except OSError:  # it is gone: reading it reports that
-        return None
-
-
-def _read(path, folder, namespace, topics, killed=False):
-    """Return the row of one recording; whatever is wrong with it becomes the row's error."""
-    full = os.path.join(folder, path)
-    try:
-        check_not_killed(killed, full)
-        return row(summarize(full, namespace, **topics), path)
-    except Exception as error:  # one bad recording must not prevent the table of the others
-        # It begins with the recording's name; a command to type keeps the whole path.
-        return Row(path, error=failure_text(error, full, "no row can be made of it").replace(full, path, 1))
+def _read(path, folder, namespace, topics):
+    return row(summarize(os.path.join(folder, path), namespace, **topics), path)

@@ -7,14 +7,13 @@ used, and what has another one is read again.
 """
 from __future__ import annotations
 
-import errno
 import hashlib
 import json
 import os
-import stat
-from typing import Any, Iterable, NamedTuple
+from typing import Any, Mapping, NamedTuple
 
 from car_interface.common.atomic_file import replace
+from car_interface.common.input_file import read_file
 from car_interface.tools.recordings.recording import METADATA, ROS2_SUFFIXES
 from car_interface.tools.report.drives_row import Row, stored_row
 
@@ -22,7 +21,7 @@ from car_interface.tools.report.drives_row import Row, stored_row
 ROS1_SUFFIXES = (".bag", ".bag.active")
 ORIGINAL = ".orig"  # rosbag reindex keeps a damaged a.bag as a.orig.bag
 NAME = ".car_interface_drives.json"
-MAX_BYTES = 64 << 20  # a row has about 1 kB: 60,000 recordings
+MAX_BYTES = 64_000_000  # a row has about 1 kB: 60,000 recordings
 
 
 class Fingerprint(NamedTuple):
@@ -60,92 +59,55 @@ def _is_original(name, files):
     return stem.endswith(ORIGINAL) and stem[:-len(ORIGINAL)] + suffix in files
 
 
-def fingerprint(path: str) -> Fingerprint:
-    """Return size and time of change of a recording: of a folder those of all its files together.
-
-    Raises:
-        OSError: it is gone.
+def fingerprint(path: str) -> Fingerprint | None:
+    """Return size and time of change of a recording, of a folder those of all its files together; ``None``: it is gone.
     """
-    paths = [path]
-    if os.path.isdir(path):
-        paths = [os.path.join(path, name) for name in sorted(os.listdir(path))]
-    stats = [os.stat(one) for one in paths]
+    try:
+        paths = [os.path.join(path, name) for name in os.listdir(path)] if os.path.isdir(path) else [path]
+        stats = [os.stat(one) for one in paths]
+    except OSError:
+        return None
     return Fingerprint(sum(one.st_size for one in stats), max((one.st_mtime_ns for one in stats), default=0))
 
 
-class Cache:
-    """The rows of a folder's recordings; those of another ``version``, such as with other options, are not used."""
+def load_rows(folder: str, version: str) -> tuple[dict, str]:
+    """Return the rows that were kept of a folder's recordings; those of another version, as with other options, aren't.
 
-    def __init__(self, folder: str, version: str):
-        self._version = version
-        self._paths = (os.path.join(folder, NAME), _elsewhere(folder))
-        self._rows: dict = {}  # (fingerprint, row) by path
-        self.problem = ""  # why an existing file wasn't used, as the end of a sentence
-        self.damaged = 0  # how many of its rows aren't used since they are none
-        self.path = next((path for path in self._paths if os.path.exists(path)), None)
-        if self.path is not None:
-            self._load(self.path)
+    Returns:
+        (Fingerprint, Row) by path, and in words what can't be used; empty: nothing is wrong.
+    """
+    path = next(filter(os.path.exists, _paths(folder)), None)
+    if path is None:
+        return {}, ""
+    try:
+        checksum, body = read_file(path, MAX_BYTES).decode("ascii").split("\n")[:2]
+        content = json.loads(body)
+        kept_version, entries = content["version"], content["rows"]
+        if checksum != _checksum(body) or not isinstance(kept_version, str) or not isinstance(entries, dict):
+            raise ValueError
+    except OSError as error:
+        return {}, f"{path} can't be read ({error.strerror}): all recordings are read again"
+    except (ValueError, TypeError, KeyError, RecursionError):
+        return {}, f"{path} is damaged: all recordings are read again"
+    if kept_version != version:
+        return {}, ""
+    rows = {name: row for name, row in ((name, _stored(name, entry)) for name, entry in entries.items()) if row}
+    damaged = len(entries) - len(rows)
+    return rows, f"{path} has damaged rows ({damaged}): their recordings are read again" if damaged else ""
 
-    def row(self, path: str, state: Fingerprint) -> Row | None:
-        """Return the row of a recording that hasn't changed since."""
-        before, row = self._rows.get(path, (None, None))
-        return row if before == state else None
 
-    def add(self, state: Fingerprint, row: Row) -> None:
-        """Keep a row. One with an error is not kept: what prevents reading may be gone the next time."""
-        if not row.error:
-            self._rows[row.path] = (state, row)
-
-    def save(self, paths: Iterable[str]) -> str:
-        """Write the file, with the rows of ``paths`` only; return why it can't be written, or an empty text."""
-        kept = {path: [*self._rows[path]] for path in paths if path in self._rows}
-        body = json.dumps({"version": self._version, "rows": kept}, ensure_ascii=True)
-        text = f"{_checksum(body)}\n{body}\n"
-        problem = ""
-        for path in self._paths:
-            try:
-                os.makedirs(os.path.dirname(path), exist_ok=True)
-                replace(path, text.encode("ascii"), keeps_old=False)
-                return ""
-            except OSError as error:
-                problem = problem or f"{path}: {error.strerror}"
-        return problem
-
-    def _load(self, path):
+def save_rows(folder: str, version: str, rows: Mapping[str, tuple[Fingerprint | None, Row]]) -> str:
+    """Keep the rows, as ``load_rows`` returns them; return why they can't be written, or an empty text."""
+    body = json.dumps({"version": version, "rows": rows}, ensure_ascii=True)
+    problem = ""
+    for path in _paths(folder):
         try:
-            checksum, body = _read(path).split("\n")[:2]
-            if checksum != _checksum(body):
-                raise ValueError
-            content = json.loads(body)
-            version, rows = content["version"], content["rows"]
-            if not isinstance(version, str) or not isinstance(rows, dict):
-                raise ValueError
+            os.makedirs(os.path.dirname(path), exist_ok=True)
+            replace(path, f"{_checksum(body)}\n{body}\n".encode("ascii"), keeps_old=False)
+            return ""
         except OSError as error:
-            self.problem = f"{path} can't be read ({error.strerror})"
-            return
-        except (ValueError, TypeError, KeyError, RecursionError):
-            self.problem = f"{path} is damaged"
-            return
-        if version != self._version:
-            return
-        for name, entry in rows.items():
-            found = _stored(name, entry)
-            if found is None:
-                self.damaged += 1
-            else:
-                self._rows[name] = found
-
-
-def _read(path):
-    """Return the text of a regular file, which is not waited for: a pipe of this name may have no writer."""
-    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-    with open(handle, encoding="ascii") as file:
-        status = os.fstat(handle)
-        if not stat.S_ISREG(status.st_mode):
-            raise OSError(errno.EINVAL, "it is no regular file")
-        if status.st_size > MAX_BYTES:
-            raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
-        return file.read()
+            problem = problem or f"{path}: {error.strerror}"
+    return problem
 
 
 def _stored(path: str, entry: Any) -> tuple[Fingerprint, Row] | None:
@@ -158,11 +120,11 @@ def _stored(path: str, entry: Any) -> tuple[Fingerprint, Row] | None:
     return Fingerprint(*state), row
 
 
-def _elsewhere(folder):
-    """Return the file's path for a folder that can't be written."""
+def _paths(folder):
+    """Return where the file may be: in the folder, or, where that can't be written, in the user's cache folder."""
     cache = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
     name = hashlib.sha256(os.path.realpath(folder).encode("utf-8", "surrogateescape")).hexdigest()[:16]
-    return os.path.join(cache, "car_interface", f"drives-{name}.json")
+    return os.path.join(folder, NAME), os.path.join(cache, "car_interface", f"drives-{name}.json")
 
 
 def _checksum(body):

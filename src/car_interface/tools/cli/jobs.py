@@ -3,133 +3,121 @@ from __future__ import annotations
 
 import logging
 import multiprocessing
+import os
 import signal
 import socket
 import threading
 from collections import deque
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, CancelledError, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from typing import Any, Callable, Iterator, NamedTuple, Sequence
+from functools import partial
+from typing import Any, Callable, Iterator, Sequence
+
+import numpy as np
 
 from car_interface.common import memory_limit
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.library_warnings import hide_warnings
 from car_interface.tools.cli.main import version
-from car_interface.tools.recordings.overlap import check_no_overlap, check_paths_differ
+from car_interface.tools.recordings.recording import NoRecording
+from car_interface.tools.recordings.signals import Trail
 
 SCHEDULER_TIMEOUT_S = 10  # to connect, and to have a worker
 MAX_PENDING = 1000  # recordings at a time in a cluster: more than it has workers, and few for its scheduler
+SAME_TIME_S = 1e-5  # odometry of two recordings at the same place within this time is the same message
+MIN_SAME = 50  # so many messages alike are no coincidence
 WORKER_LOCK = threading.Lock()  # a worker may have several threads, and matplotlib is made for one
 
 
-class Workers(NamedTuple):
-    """Where the work is done."""
+def for_each(function: Callable[[Any], Any], items: Sequence[Any], jobs: int,
+             scheduler: str | None = None) -> Iterator[Any]:
+    """Yield ``function(item)`` for each item, in order; raise whatever the function raises.
 
-    executor: Executor  # pickles functions, arguments and results, unless it works in this process
-    max_pending: int  # how much it is given at a time
-    killed: tuple = ()  # what a result raises whose workers were killed again and again
-
-
-@contextmanager
-def workers(count: int, jobs: int, scheduler: str | None = None) -> Iterator[Workers]:
-    """Open what works on ``count`` recordings, and close it in the end.
+    An item whose workers were killed again and again is worked on once more, alone: others that were on their way to
+    these workers are under suspicion, too. If that fails as well, ``function(item, killed=True)`` takes its place.
 
     Args:
-        jobs: how many processes there may be; with one of them this process does the work.
+        jobs: how many processes there may be; with one of them, or for one item, this process does the work.
         scheduler: address of a dask cluster's, which does the work in their place.
 
     Raises:
         CarInterfaceError: a process was killed, or the cluster doesn't do the work.
     """
-    jobs = min(jobs, count)
-    if scheduler is not None and count:
-        with _cluster(scheduler) as done_by:
-            yield done_by
-    elif jobs < 2:
-        yield Workers(_InTurn(), 1)
-    else:
-        # A fork of this process would copy the locks of its threads: numpy's OpenBLAS has some.
-        context = multiprocessing.get_context("spawn")
-        with _Processes(jobs, context, initializer=_prepare_process) as executor:
-            try:
-                # As many as there are processes: pending work would have to be cancelled when other work fails, and in
-                # Python 3.8 a pool that has only cancelled work left never ends.
-                yield Workers(executor, jobs)
-            except BrokenProcessPool as error:
-                raise CarInterfaceError("a process that read a recording was killed, maybe for want of memory: "
-                                        "try again with --jobs 1") from error
+    jobs = min(jobs, len(items))
+    if not items or scheduler is None and jobs < 2:
+        yield from map(function, items)
+        return
+    with _processes(jobs) if scheduler is None else _cluster(scheduler) as (submit, max_pending, killed):
+        results: deque = deque()
+        for item in items:
+            running = [result for _, result in results if not result.done()]
+            if len(running) == max_pending:
+                wait(running, return_when=FIRST_COMPLETED)
+            results.append((item, submit(function, item)))
+            while results and results[0][1].done():
+                yield _result(function, results, submit, killed)
+        while results:
+            yield _result(function, results, submit, killed)
 
 
-def for_each(function: Callable[[Any], Any], items: Sequence[Any], done_by: Workers) -> Iterator[Any]:
-    """Yield ``function(item)`` for each item, in order; raise whatever the function raises.
+def try_each(function: Callable[[str], Any], paths: Sequence[str], refusal: str, jobs: int,
+             scheduler: str | None = None) -> Iterator[tuple[Any, str]]:
+    """Yield (``function(path)``, empty) for each recording, or (``None``, why not, in one line), as ``for_each`` does.
 
-    An item whose workers were killed again and again is worked on once more, alone: others that were on their way to
-    these workers are under suspicion, too. If that fails as well, ``function(item, killed=True)`` takes its place.
+    One bad recording must not prevent the work on the others; ``refusal`` says of it what can't be done.
     """
-    results: deque = deque()
-    for item in items:
-        running = [result for _, result in results if not result.done()]
-        if len(running) == done_by.max_pending:
-            wait(running, return_when=FIRST_COMPLETED)
-        results.append((item, done_by.executor.submit(function, item)))
-        while results and results[0][1].done():
-            yield _result(function, results, done_by)
-    while results:
-        yield _result(function, results, done_by)
+    return for_each(partial(_tried, function, refusal), paths, jobs, scheduler)
 
 
-def _result(function, results, done_by):
+def _tried(function, refusal, path, killed=False):
+    try:
+        if killed:
+            raise CarInterfaceError(f"{path} ended each worker that read it, maybe for want of memory: read it on a "
+                                    "computer with more, without --scheduler")
+        return function(path), ""
+    except CarInterfaceError as error:
+        return None, str(error)
+    except OSError as error:
+        return None, f"{error.filename or path}: {error.strerror}"
+    except Exception as error:
+        why = memory_limit.describe_shortage(error) or f"{type(error).__name__}: {' '.join(str(error).split())}"
+        return None, f"{path}: {refusal} ({why})"
+
+
+def _result(function, results, submit, killed):
     item, result = results.popleft()
     try:
         return result.result()
-    except done_by.killed:
+    except killed:
         wait([other for _, other in results])
     try:
-        return done_by.executor.submit(function, item).result()
-    except done_by.killed:
+        return submit(function, item).result()
+    except killed:
         return function(item, killed=True)
 
 
-class _InTurn(Executor):
-    """Does the work at once, in this process."""
+@contextmanager
+def _processes(jobs):
+    """Yield what ``for_each`` gives the work to, how much at a time, and what a result raises whose workers are killed.
 
-    def submit(self, function, *arguments):
-        done: Future = Future()
+    That is as many as there are processes: pending work would have to be cancelled when other work fails, and in Python
+    3.8 a pool that has only cancelled work left never ends.
+    """
+    # A fork of this process would copy the locks of its threads: numpy's OpenBLAS has some.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(jobs, context, initializer=_prepare_process) as executor:
+        def submit(function, item):  # it starts processes; Ctrl-C is to end them without a traceback, also then
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+            try:
+                return executor.submit(function, item)
+            finally:
+                signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
         try:
-            done.set_result(function(*arguments))
-        except Exception as error:
-            done.set_exception(error)
-        return done
-
-
-class _Processes(ProcessPoolExecutor):
-    """Does the work in processes, which Ctrl-C ends without a traceback, also while they start."""
-
-    def submit(self, function, *arguments):  # it starts them, with the signals that are blocked here
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
-            return super().submit(function, *arguments)
-        finally:
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-
-
-class _OnCluster(Executor):
-    """Does the work on a cluster's workers, by the version that is here."""
-
-    def __init__(self, executor):
-        self._executor, self._version = executor, version()
-
-    def submit(self, function, *arguments):
-        return self._executor.submit(_on_worker, self._version, function, *arguments)
-
-
-def _on_worker(expected, function, *arguments):
-    if version() != expected:  # its rows would be others
-        raise CarInterfaceError(f"the worker on {socket.gethostname()} has car_interface {version()}, here is "
-                                f"{expected}: install the same on both")
-    with WORKER_LOCK:
-        return function(*arguments)
+            yield submit, jobs, ()
+        except BrokenProcessPool as error:
+            raise CarInterfaceError("a process that read a recording was killed, maybe for want of memory: "
+                                    "try again with --jobs 1") from error
 
 
 def _prepare_process():
@@ -141,8 +129,8 @@ def _prepare_process():
 
 
 @contextmanager
-def _cluster(address) -> Iterator[Workers]:
-    """Yield what works on a dask cluster. It gives the work of a worker that was lost to another one."""
+def _cluster(address):
+    """Yield the same for a dask cluster. It gives the work of a worker that was lost to another one."""
     import distributed  # an extra of setup.py
 
     logging.disable(logging.CRITICAL)  # what it logs, by loggers with levels of their own, ends as one line of ours
@@ -156,8 +144,9 @@ def _cluster(address) -> Iterator[Workers]:
             client.wait_for_workers(1, timeout=SCHEDULER_TIMEOUT_S)
         except Exception as error:  # its TimeoutError is another one in each version
             raise CarInterfaceError(f"{place}: it has no worker: start one by dask worker {address}") from error
+        submit = partial(client.get_executor(pure=False).submit, _on_worker, version())
         try:
-            yield Workers(_OnCluster(client.get_executor(pure=False)), MAX_PENDING, (distributed.KilledWorker,))
+            yield submit, MAX_PENDING, (distributed.KilledWorker,)
         except CancelledError as error:
             raise CarInterfaceError(f"{place}: it has ended before its work was done") from error
         except ModuleNotFoundError as error:
@@ -165,21 +154,12 @@ def _cluster(address) -> Iterator[Workers]:
                                     "each") from error
 
 
-def check_not_killed(killed: bool, path: str) -> None:
-    """Raise CarInterfaceError where all workers that read a recording were killed."""
-    if killed:
-        raise CarInterfaceError(f"{path} ended each worker that read it, maybe for want of memory: read it on a "
-                                "computer with more, without --scheduler")
-
-
-def failure_text(error: Exception, path: str, refusal: str) -> str:
-    """Return in one line why the work on a recording failed; the other recordings are worked on all the same."""
-    if isinstance(error, CarInterfaceError):
-        return str(error)
-    if isinstance(error, OSError):
-        return f"{error.filename or path}: {error.strerror}"
-    why = memory_limit.describe_shortage(error) or f"{type(error).__name__}: {' '.join(str(error).split())}"
-    return f"{path}: {refusal} ({why})"
+def _on_worker(expected, function, item):
+    if version() != expected:  # its rows would be others
+        raise CarInterfaceError(f"the worker on {socket.gethostname()} has car_interface {version()}, here is "
+                                f"{expected}: install the same on both")
+    with WORKER_LOCK:
+        return function(item)
 
 
 def load_all(load: Callable[[str], Any], paths: Sequence[str], jobs: int) -> list[Any]:
@@ -189,7 +169,38 @@ def load_all(load: Callable[[str], Any], paths: Sequence[str], jobs: int) -> lis
         NoRecording: two have the same driving in them; besides whatever ``load`` raises.
     """
     check_paths_differ(paths)
-    with workers(len(paths), jobs) as done_by:
-        loaded = list(for_each(load, paths, done_by))
+    loaded = list(for_each(load, paths, jobs))
     check_no_overlap([one.trail for one in loaded])
     return loaded
+
+
+def check_paths_differ(paths: Sequence[str]) -> None:
+    """Raise NoRecording with both names when a file is given twice."""
+    seen: dict = {}
+    for path in paths:
+        real = os.path.realpath(path)
+        if real in seen:
+            raise NoRecording(f"{seen[real]} and {path} are the same recording: it would count twice")
+        seen[real] = path
+
+
+def check_no_overlap(trails: Sequence[Trail]) -> None:
+    """Raise NoRecording with the names of two that have driving in common, such as a copy or a part of another one.
+
+    Times alone don't show it: a computer without a battery-backed clock may start at the same time again.
+    """
+    for index, one in enumerate(trails):
+        for other in trails[:index]:
+            same = _count_same(one, other)
+            if same >= MIN_SAME:
+                raise NoRecording(f"{other.path} and {one.path} have the same driving in them, at {same} moments "
+                                  "of odometry: it would count twice")
+
+
+def _count_same(one, other):
+    if not (one.t_s.size and other.t_s.size):
+        return 0
+    nearest = np.clip(np.searchsorted(other.t_s, one.t_s - SAME_TIME_S), 0, other.t_s.size - 1)
+    same = ((np.abs(other.t_s[nearest] - one.t_s) <= SAME_TIME_S) & (other.x_m[nearest] == one.x_m)
+            & (other.y_m[nearest] == one.y_m))
+    return int(same.sum())

@@ -47,8 +47,7 @@ def parsed(text: str) -> CalibrationResult:
         ValueError: it is no such text. Recordings come from other people.
     """
     try:
-        refusal, lines, steps, radii_m, left, right, *columns = json.loads(text)
-        centers, driven, curve, old_curve = columns
+        refusal, lines, steps, radii_m, left, right, centers, driven, curve, old_curve = json.loads(text)
         sides = [[SideRow(*map(float, row[:5]), int(row[5]), float(row[6]), str(row[7])) for row in side]
                  for side in (left, right)]
         result = CalibrationResult(str(refusal), list(map(str, lines)), list(map(str, steps)), _numbers(radii_m),

@@ -1,19 +1,19 @@
 """Collects the messages of one topic as columns of numbers.
 
-Columns grow as bytes, not as Python's numbers, so that a recording of 10 GB fits into memory.
+Columns grow as bytes, not as Python's numbers, so that a recording of 10 GB fits into memory. Each class of columns
+holds arrays of the same length (N,), a row for each sample; its ``t_s`` is in seconds since the recording's first
+message and never falls.
 """
 from __future__ import annotations
 
 import math
 from array import array
-from collections import Counter
-from typing import Any, Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from car_interface.common.units import CHANNELS, MAX_DUTY, NS_PER_S, UNCHANGED, stamp_ns, yaw_rad
 from car_interface.pca9685.registers import counts_of_duty, duty_of_counts
-from car_interface.tools.recordings.series import Ackermann, Imu, Odom, Output, Value
 
 STEP_BACK_S = 1.0  # the recorder's own time goes back by more only when the computer's clock was set
 BREAK_S = 10.0  # from what was recorded before such a step to what was recorded after it
@@ -30,6 +30,54 @@ STAMP_BACK, ODD_STAMP, NOT_FINITE, WRONG_LENGTH = (
     "with a stamp that doesn't rise: left out",
     "with a stamp seconds away from when it was recorded: recording time taken",
     "with a number that is none: left out", "that don't have 16 duties: left out")
+
+
+class Odom(NamedTuple):
+    """Pose and speed of the car, by odometry; all columns have the shape (N,)."""
+
+    t_s: np.ndarray
+    x_m: np.ndarray
+    y_m: np.ndarray
+    yaw_rad: np.ndarray  # unwrapped
+    speed_mps: np.ndarray  # forward positive
+
+
+class Output(NamedTuple):
+    """The duties that the servo board outputs, each row until the next one."""
+
+    t_s: np.ndarray  # (N,)
+    duties: np.ndarray  # (N, 16), int, a column for each channel; −1 = never set
+
+
+class Imu(NamedTuple):
+    """What an IMU on the car measures; all columns have the shape (N,)."""
+
+    t_s: np.ndarray
+    yaw_rate_radps: np.ndarray
+    acceleration_mps2: np.ndarray  # forward; includes gravity's part on a slope
+    pitch_rad: np.ndarray  # nose down positive; NaN where the message has no orientation
+
+
+class Value(NamedTuple):
+    """A commanded number, each row until the next one; both columns have the shape (N,)."""
+
+    t_s: np.ndarray
+    value: np.ndarray
+
+
+class Ackermann(NamedTuple):
+    """What a planner asks for, each row until the next one; all columns have the shape (N,)."""
+
+    t_s: np.ndarray
+    angle_rad: np.ndarray  # of a wheel in the middle of the front axle, left positive
+    speed_mps: np.ndarray  # of the middle of the rear axle, forward positive
+
+
+class Pulses(NamedTuple):
+    """Encoder pulses of one wheel at the last pulse of each report; both columns have the shape (N,)."""
+
+    t_s: np.ndarray
+    count: np.ndarray  # forward pulses less backward pulses
 
 
 class Timeline:
@@ -74,9 +122,8 @@ class Gravity:
         self._count = 0
         self._sum_mps2 = [0.0, 0.0, 0.0]
 
-    def add(self, acceleration: Any) -> None:
-        """Add the linear_acceleration of a sensor_msgs/Imu."""
-        axes = (acceleration.x, acceleration.y, acceleration.z)
+    def add(self, *axes: float) -> None:
+        """Add the linear acceleration of a sensor_msgs/Imu along x, y and z."""
         if all(map(math.isfinite, axes)):
             self._count += 1
             self._sum_mps2 = [before + now for before, now in zip(self._sum_mps2, axes)]
@@ -92,180 +139,129 @@ class Gravity:
                 "turn rate about z isn't the car's")
 
 
-class Column:
-    """The messages of one topic.
+class StampedColumn:
+    """The messages of one topic that count by their stamps; one that is seconds away from the recording time gives way
+    to that.
 
-    ``add(recorded, now_s, timeline)`` adds a message that was recorded at ``now_s``; ``build()`` builds the columns,
-    where there are any.
+    ``row(message)`` returns its numbers, of which the last ``optional`` may be anything; ``series(times, *columns)``
+    returns the columns, and lines on what is odd about them.
     """
+
+    optional = 0
 
     def __init__(self, topic: str):
         self.topic = topic
-        self._times = array("d")
-        self._left_out: Counter = Counter()  # messages, by reason
-        self._last_s = -math.inf
+        self._rows, self._width = array("d"), 0
 
-    @property
-    def is_empty(self) -> bool:
-        """Return whether no message could be used."""
-        return not self._times
+    def add(self, recorded: Any, now_s: float, timeline: Timeline) -> None:
+        """Add a ``recording.Recorded`` that was recorded at ``now_s``."""
+        numbers, message_ns = self.row(recorded.message), message_stamp_ns(recorded.message)
+        self._rows.extend((now_s, timeline.stamped_s(message_ns) if message_ns else now_s, *numbers))
+        self._width = 2 + len(numbers)
 
-    def notes(self) -> list[str]:
-        """Return a line for each reason for which messages were left out."""
-        return [f"{self.topic}: {count} message{'s' if count > 1 else ''} {reason}"
-                for reason, count in self._left_out.items()]
-
-
-class StampedColumn(Column):
-    """Messages that count by their stamps; ``row(message)`` returns the numbers that must be finite, for ``series``.
-
-    A stamp that is seconds away from the recording time gives way to that.
-    """
-
-    series: Callable  # of times and columns
-
-    def __init__(self, topic):
-        super().__init__(topic)
-        self._rows = array("d")
-
-    def add(self, recorded, now_s, timeline):
-        row = self.row(recorded.message)
-        if not all(math.isfinite(number) and abs(number) <= MAX_NUMBER for number in row):
-            self._left_out[NOT_FINITE] += 1
-            return
-        at_s = self._time_s(recorded.message, now_s, timeline)
-        if at_s <= self._last_s:
-            self._left_out[STAMP_BACK] += 1
-            return
-        self._last_s = at_s
-        self._times.append(at_s)
-        self._rows.extend(row)
-        self._add_more(recorded.message)
-
-    def build(self):
-        return self.series(*self._columns())
-
-    def _add_more(self, message):
-        """Add numbers that may be NaN."""
-
-    def _time_s(self, message, now_s, timeline):
-        message_ns = message_stamp_ns(message)
-        if not message_ns:
-            return now_s
-        at_s = timeline.stamped_s(message_ns)
-        if abs(at_s - now_s) > MAX_STAMP_OFFSET_S:
-            self._left_out[ODD_STAMP] += 1
-            return now_s
-        return at_s
-
-    def _columns(self):
-        return np.frombuffer(self._times), *np.frombuffer(self._rows).reshape(len(self._times), -1).T
+    def build(self) -> tuple[Any, list[str]]:
+        """Return the columns, ``None`` = without a message that can be used, and lines on what is odd or left out."""
+        if not self._width:
+            return None, []
+        rows = np.frombuffer(self._rows).reshape(-1, self._width)
+        is_number = (np.abs(rows[:, 2:self._width - self.optional]) <= MAX_NUMBER).all(axis=1)
+        recorded_s, at_s, *columns = rows[is_number].T
+        is_odd = np.abs(at_s - recorded_s) > MAX_STAMP_OFFSET_S
+        at_s = np.where(is_odd, recorded_s, at_s)
+        rises = at_s > np.maximum.accumulate(np.r_[-np.inf, at_s])[:-1]
+        notes = [*_left_out(self.topic, len(rows) - is_number.sum(), NOT_FINITE),
+                 *_left_out(self.topic, is_odd.sum(), ODD_STAMP), *_left_out(self.topic, (~rises).sum(), STAMP_BACK)]
+        if not rises.any():
+            return None, notes
+        series, odd = self.series(at_s[rises], *(column[rises] for column in columns))
+        return series, [*notes, *odd]
 
 
 class OdomColumn(StampedColumn):
     """nav_msgs/Odometry."""
 
-    def __init__(self, topic):
-        super().__init__(topic)
-        self._has_twist = False
-
     def row(self, message):
         pose = message.pose.pose
-        return pose.position.x, pose.position.y, yaw_rad(pose.orientation), message.twist.twist.linear.x
+        return (pose.position.x, pose.position.y, yaw_rad(pose.orientation), message.twist.twist.linear.x,
+                has_twist(message))
 
-    def build(self):
-        odom = Odom(*self._columns())
-        odom = odom._replace(yaw_rad=np.unwrap(odom.yaw_rad))
-        return odom._replace(speed_mps=_pose_speed_mps(odom)) if self._is_pose_only() else odom
-
-    def notes(self):
-        return [*super().notes(), *([f"{self.topic}: {POSE_ONLY}"] if self._is_pose_only() else [])]
-
-    def _add_more(self, message):
-        self._has_twist = self._has_twist or has_twist(message)
-
-    def _is_pose_only(self):
-        if self._has_twist or self.is_empty:
-            return False
-        _, x_m, y_m, *_ = self._columns()
-        return math.hypot(np.ptp(x_m), np.ptp(y_m)) > MIN_MOVED_M
+    def series(self, t_s, x_m, y_m, yaw_rad, speed_mps, is_moving):
+        odom = Odom(t_s, x_m, y_m, np.unwrap(yaw_rad), speed_mps)
+        if is_moving.any() or math.hypot(np.ptp(x_m), np.ptp(y_m)) <= MIN_MOVED_M:
+            return odom, []
+        return odom._replace(speed_mps=_pose_speed_mps(odom)), [f"{self.topic}: {POSE_ONLY}"]
 
 
 class ImuColumn(StampedColumn):
     """sensor_msgs/Imu."""
 
-    def __init__(self, topic):
-        super().__init__(topic)
-        self._pitch = array("d")
-        self._gravity = Gravity()
+    optional = 3
 
     def row(self, message):
-        return message.angular_velocity.z, message.linear_acceleration.x
+        acceleration = message.linear_acceleration
+        return (message.angular_velocity.z, acceleration.x, acceleration.y, acceleration.z, _pitch_rad(message))
 
-    def notes(self):
-        return [*super().notes(), *filter(None, [self._gravity.note(self.topic)])]
-
-    def _add_more(self, message):
-        self._pitch.append(_pitch_rad(message))
-        self._gravity.add(message.linear_acceleration)
-
-    def build(self):
-        return Imu(*self._columns(), np.frombuffer(self._pitch))
+    def series(self, t_s, yaw_rate_radps, *columns):
+        gravity = Gravity()
+        for axes in zip(*columns[:3]):
+            gravity.add(*axes)
+        return Imu(t_s, yaw_rate_radps, columns[0], columns[-1]), [*filter(None, [gravity.note(self.topic)])]
 
 
 class AckermannColumn(StampedColumn):
     """ackermann_msgs/AckermannDriveStamped, or AckermannDrive, which counts by when it was recorded."""
 
-    series = Ackermann
-
     def row(self, message):
         drive = ackermann_drive(message)
         return drive.steering_angle, drive.speed
+
+    def series(self, *columns):
+        return Ackermann(*columns), []
 
 
 class ValueColumn(StampedColumn):
     """A message with a number named ``data``, or a VESC's telemetry, whose duty cycle it is."""
 
-    series = Value
-
-    def __init__(self, topic):
-        super().__init__(topic)
-        self._is_vesc = False
-
     def row(self, message):
-        self._is_vesc = hasattr(message, "state")
-        return (value_of(message),)
+        return value_of(message), hasattr(message, "state")
 
-    def notes(self):
-        vesc = [f"{self.topic}: the value is a VESC's duty cycle, -1 to 1"] if self._is_vesc else []
-        return [*super().notes(), *vesc]
+    def series(self, t_s, value, is_vesc):
+        return Value(t_s, value), [f"{self.topic}: the value is a VESC's duty cycle, -1 to 1"] if is_vesc.any() else []
 
 
-class OutputColumn(Column):
-    """The duties that the servo board outputs, by recording time."""
+class OutputColumn:
+    """The duties that the servo board outputs, by recording time; otherwise like a StampedColumn."""
 
-    def __init__(self, topic):
-        super().__init__(topic)
-        self._duties = array("i")
+    def __init__(self, topic: str):
+        self.topic = topic
+        self._times, self._duties = array("d"), array("i")
         self._newest: list = []
+        self._wrong_length = self._back = 0
 
-    def add(self, recorded, now_s, timeline):
-        duties = [int(duty) for duty in recorded.message.data]
+    def add(self, recorded: Any, now_s: float, timeline: Timeline) -> None:
+        """Add a ``recording.Recorded`` that was recorded at ``now_s``."""
+        duties, last_s = [int(duty) for duty in recorded.message.data], self._times[-1] if self._times else -math.inf
         if len(duties) != CHANNELS:
-            self._left_out[WRONG_LENGTH] += 1
+            self._wrong_length += 1
             return
         duties = self._resolved(duties)
-        if duties == self._newest and now_s < self._last_s + REPEATED_S:
+        if duties == self._newest and now_s < last_s + REPEATED_S:
             return
-        if now_s < self._last_s:
-            self._left_out[STAMP_BACK] += 1
+        if now_s < last_s:
+            self._back += 1
             return
-        self._newest, self._last_s = duties, now_s
+        self._newest = duties
         self._times.append(now_s)
         self._duties.extend(duties)
 
-    def build(self):
-        return Output(np.frombuffer(self._times), np.frombuffer(self._duties, np.intc).reshape(-1, CHANNELS))
+    def build(self) -> tuple[Output | None, list[str]]:
+        """Return the columns, and lines on what is left out."""
+        notes = [*_left_out(self.topic, self._wrong_length, WRONG_LENGTH),
+                 *_left_out(self.topic, self._back, STAMP_BACK)]
+        if not self._times:
+            return None, notes
+        return Output(np.frombuffer(self._times),
+                      np.frombuffer(self._duties, np.intc).reshape(-1, CHANNELS)), notes
 
     def _resolved(self, duties):
         return duties
@@ -278,6 +274,10 @@ class CommandColumn(OutputColumn):
         before = self._newest or [UNCHANGED] * CHANNELS
         return [duty_of_counts(counts_of_duty(duty)) if 0 <= duty <= MAX_DUTY else held
                 for duty, held in zip(duties, before)]
+
+
+def _left_out(topic, count, reason):
+    return [f"{topic}: {count} message{'s' if count > 1 else ''} {reason}"] if count else []
 
 
 def has_twist(message) -> bool:

@@ -116,12 +116,16 @@ def read(path: str, topics: Sequence[str] | Mapping[str, str | Sequence[str]], n
             yield Recorded(time_ns, names[connection.topic], message)
 
 
+def prefix(namespace: str) -> str:
+    """Return what the names of a car's topics begin with, such as /car1/."""
+    return "/" + "".join(f"{part}/" for part in namespace.split("/") if part)
+
+
 def absolute_names(recorded: Iterable[str], topics: Iterable[str], namespace: str = "/") -> dict[str, str]:
     """Return the name by which a topic was requested, by each absolute name under which it was recorded."""
-    recorded, prefix = set(recorded), "/" + namespace.strip("/")
-    names = {}
+    recorded, names = set(recorded), {}
     for topic in topics:
-        below = prefix.rstrip("/") + "/" + topic.lstrip("/")
+        below = prefix(namespace) + topic.lstrip("/")
         if below in recorded:
             names[below] = topic
         elif topic.startswith("/") and topic in recorded:
@@ -198,7 +202,9 @@ def with_bar(items: Iterable[Any], total: int, text: str) -> Iterator[Any]:
 def _opened(path):
     """Yield a reader of a recording; every error of the file becomes NoRecording."""
     file = Path(path)
-    _check_exists(file)
+    problem = _problem(file)
+    if problem:
+        raise NoRecording(f"{file} can't be read as a recording: {problem}")
     try:
         reader = _reader(file)
         reader.open()
@@ -214,27 +220,27 @@ def _opened(path):
         reader.close()
 
 
-def _check_exists(file):
+def _problem(file):
+    """Return what a file lacks to be a recording, as a sentence, or an empty text."""
     if not file.exists():
-        raise NoRecording(f"{file} can't be read as a recording: there is no such file")
+        return "there is no such file"
     if not os.access(str(file), os.R_OK):
-        raise NoRecording(f"{file} can't be read as a recording: no permission")
-    if not file.is_dir():
-        try:
-            check_kind(file.stat())
-        except OSError as error:
-            raise NoRecording(f"{file} can't be read as a recording: {error.strerror}") from error
-    if file.is_dir() and not (file / METADATA).exists():
-        bags = sorted(str(inside) for inside in file.iterdir() if inside.suffix == ".bag")
-        raise NoRecording(f"{file} can't be read as a recording: a ROS 2 bag's folder has a {METADATA}, this one "
-                          + (f"doesn't; {bags[0]} may be what you mean" if bags else "doesn't (ros2 bag reindex)"))
-    problem = _folder_problem(file) if file.is_dir() else _beginning_problem(file, "it")
-    if problem:
-        raise NoRecording(f"{file} can't be read as a recording: {problem}")
+        return "no permission"
+    if file.is_dir():
+        return _folder_problem(file)
+    try:
+        check_kind(file.stat())
+    except OSError as error:
+        return error.strerror
+    return _beginning_problem(file, "it")
 
 
 def _folder_problem(folder):
-    """Return what in a ROS 2 bag's folder is not what its name says, as a sentence, or an empty text."""
+    """Return the same of a folder, or what in a ROS 2 bag's folder is not what its name says."""
+    if not (folder / METADATA).exists():
+        bags = sorted(str(inside) for inside in folder.iterdir() if inside.suffix == ".bag")
+        return (f"a ROS 2 bag's folder has a {METADATA}, this one "
+                + (f"doesn't; {bags[0]} may be what you mean" if bags else "doesn't (ros2 bag reindex)"))
     if METADATA_KEY not in (folder / METADATA).read_bytes():
         return f"its {METADATA} isn't a ROS 2 bag's (ros2 bag reindex makes one)"
     inside = sorted(file for file in folder.iterdir() if file.suffix in ROS2_SUFFIXES and file.is_file())

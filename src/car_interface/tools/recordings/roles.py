@@ -4,9 +4,10 @@ A guess is made for a few types only, and never between two topics; it always co
 """
 from __future__ import annotations
 
+from types import MappingProxyType
 from typing import Mapping, NamedTuple
 
-from car_interface.tools.recordings.recording import Topic, absolute_names, is_of_type
+from car_interface.tools.recordings.recording import Topic, absolute_names, is_of_type, prefix
 
 VALUE_TYPES = ("car_interface/Float64Stamped", "autoware_internal_debug_msgs/Float64Stamped",
                "tier4_debug_msgs/Float64Stamped", "tier4_debug_msgs/Float32Stamped", "std_msgs/Float64",
@@ -63,38 +64,45 @@ class Found(NamedTuple):
 
     topic: str  # for recording.read; it may be missing all the same
     note: str = ""  # of a guess, or why none was made
+    is_there: bool = False  # whether it was recorded, and the user gave it to no other role
+    fits: bool = False  # whether its type is accepted, too
 
 
-def find(recorded: Mapping[str, Topic], role: Role, namespace: str = "/", given: str | None = None) -> Found:
-    """Find the topic for a role; one ``given`` by the user goes before everything else."""
-    if given is not None and given != role.topics[0]:
-        return Found(given)
-    with_messages = {name: topic for name, topic in recorded.items() if topic.count}
-    names = role.topics if given else (*role.preferred, *role.topics)
-    usual = next((topic for topic in names if fits(with_messages, topic, role, namespace)), None)
-    candidates = _candidates(recorded, role, namespace) if role.is_guessed and usual is None else []
-    if not candidates:
-        there = (topic for topic in role.topics if absolute_names(recorded, [topic], namespace))
-        return Found(usual or next(there, role.topics[0]))
-    kind = recorded[candidates[0]].type.replace("/msg/", "/")
-    if len(candidates) == 1:
-        return Found(candidates[0], f"{role.name}: {candidates[0]} (the only {kind})")
-    return Found(role.topics[0], f"{role.name}: there are {' and '.join(candidates)}, and no {role.topics[0]}; say "
-                                 f"which by --map, as in --map {candidates[0]}={role.name}")
+def find(recorded: Mapping[str, Topic], role: Role, namespace: str = "/",
+         given: Mapping[str, str | None] = MappingProxyType({})) -> Found:
+    """Find the topic for a role.
 
-
-def without(recorded: Mapping[str, Topic], given: Mapping[str, str | None], role: Role,
-            namespace: str) -> dict[str, Topic]:
-    """Return the recorded topics that can play a role: not those that the user gave to others (``None`` = to none)."""
+    Args:
+        given: topics by the roles that the user gave them to; ``None`` = none. They play no other role, and one for
+            this role goes before everything else.
+    """
+    named = given.get(role.name)
     others = [topic for name, topic in given.items() if topic is not None and name != role.name]
     taken = absolute_names(recorded, others, namespace)
-    return {name: topic for name, topic in recorded.items() if name not in taken}
+    free = {name: topic for name, topic in recorded.items() if name not in taken}
+    topic, note = (named, "") if named not in (None, role.topics[0]) else _usual_or_guessed(
+        free, role, namespace, role.topics if named else (*role.preferred, *role.topics))
+    return Found(topic, note, bool(absolute_names(free, [topic], namespace)), _fits(free, topic, role, namespace))
 
 
-def fits(recorded: Mapping[str, Topic], topic: str, role: Role, namespace: str) -> bool:
+def _usual_or_guessed(free, role, namespace, usual_names):
+    """Return the topic for a role among those that are free, and a note."""
+    with_messages = {name: topic for name, topic in free.items() if topic.count}
+    usual = next((topic for topic in usual_names if _fits(with_messages, topic, role, namespace)), None)
+    candidates = _candidates(free, role, namespace) if role.is_guessed and usual is None else []
+    if not candidates:
+        there = (topic for topic in role.topics if absolute_names(free, [topic], namespace))
+        return usual or next(there, role.topics[0]), ""
+    kind = free[candidates[0]].type.replace("/msg/", "/")
+    if len(candidates) == 1:
+        return candidates[0], f"{role.name}: {candidates[0]} (the only {kind})"
+    return role.topics[0], (f"{role.name}: there are {' and '.join(candidates)}, and no {role.topics[0]}; say "
+                            f"which by --map, as in --map {candidates[0]}={role.name}")
+
+
+def _fits(recorded, topic, role, namespace):
     """Return whether a topic, as for ``recording.read``, was recorded with a type that its role accepts."""
-    return any(is_of_type(recorded[name].type, role.types)
-               for name in absolute_names(recorded, [topic], namespace))
+    return any(is_of_type(recorded[name].type, role.types) for name in absolute_names(recorded, [topic], namespace))
 
 
 def other_cars(recorded: Mapping[str, Topic], namespace: str) -> set[str]:
@@ -105,7 +113,7 @@ def other_cars(recorded: Mapping[str, Topic], namespace: str) -> set[str]:
 
 def _candidates(recorded, role, namespace):
     """Return the topics with messages of a role's type, below the namespace and not another car's."""
-    below = "/" + "/".join([*filter(None, namespace.split("/")), ""])
+    below = prefix(namespace)
     others = tuple(space + "/" for space in other_cars(recorded, namespace) if not below.startswith(space + "/"))
     return [name for name, topic in recorded.items() if topic.count and is_of_type(topic.type, role.types)
             and name.startswith(below) and not (others and name.startswith(others))]

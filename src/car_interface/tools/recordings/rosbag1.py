@@ -55,22 +55,16 @@ class ChunkReader(Reader):
         """
         wanted = {connection.id: connection for connection in connections or self.connections}
         chunks = [info for info in self.chunk_infos if not wanted.keys().isdisjoint(info.connection_counts)]
-        if self.steps_back:
-            for info in sorted(chunks, key=lambda info: info.pos):
-                for connection, time_ns, data in self._chunk(info.pos, wanted):
-                    yield wanted[connection], time_ns, data
-            return
         number, pending = 0, []  # chunks may overlap: pending messages go out before a chunk that begins later
-        for info in sorted(chunks, key=lambda info: (info.start_time, info.pos)):
-            while pending and pending[0][0] < info.start_time:
-                time_ns, _, connection, data = heapq.heappop(pending)
+        chunks.sort(key=lambda info: (0 if self.steps_back else info.start_time, info.pos))
+        for info in [*chunks, None]:
+            while pending and (info is None or pending[0][0] < info.start_time):
+                *_, connection, time_ns, data = heapq.heappop(pending)
                 yield wanted[connection], time_ns, data
-            for connection, time_ns, data in self._chunk(info.pos, wanted):
-                heapq.heappush(pending, (time_ns, number, connection, data))
+            for connection, time_ns, data in self._chunk(info.pos, wanted) if info is not None else ():
+                order = -1 if self.steps_back else time_ns  # -1: before the next chunk, as they were written
+                heapq.heappush(pending, (order, number, connection, time_ns, data))
                 number += 1
-        while pending:
-            time_ns, _, connection, data = heapq.heappop(pending)
-            yield wanted[connection], time_ns, data
 
     def _chunk(self, position, wanted) -> Iterator[tuple[int, int, bytes]]:
         chunk = self.chunks[position]

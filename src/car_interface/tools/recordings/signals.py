@@ -8,20 +8,27 @@ from __future__ import annotations
 
 from typing import Collection, NamedTuple
 
+import numpy as np
+
 from car_interface.common.units import NS_PER_S
 from car_interface.tools.recordings import recording, roles
 from car_interface.tools.recordings.columns import (
+    Ackermann,
     AckermannColumn,
     CommandColumn,
+    Imu,
     ImuColumn,
+    Odom,
     OdomColumn,
+    Output,
     OutputColumn,
+    Pulses,
     Timeline,
+    Value,
     ValueColumn,
 )
-from car_interface.tools.recordings.pulses import CLOCK_TOPIC, WHEEL_TOPIC, PulseColumns
 from car_interface.tools.recordings.recording import NoRecording
-from car_interface.tools.recordings.series import Ackermann, Imu, Odom, Output, Pulses, Value
+from car_interface.tools.recordings.replay import CLOCK_TOPIC, WHEEL_TOPIC, PulseColumns
 
 PULSES = "pulses"  # the only part that plays no role: only this package records it
 PARTS = (*(role.name for role in (
@@ -52,6 +59,15 @@ class Signals(NamedTuple):
     notes: tuple[str, ...]  # what was guessed and what was left out, a line each that names the topic
 
 
+class Trail(NamedTuple):
+    """Where the car was, on the computer's clock: shows which recordings contain the same driving; columns (N,)."""
+
+    path: str
+    t_s: np.ndarray  # ROS time
+    x_m: np.ndarray
+    y_m: np.ndarray
+
+
 def load(path: str, wanted: Collection[str], *, optional: Collection[str] = (), namespace: str = "/",
          progress: bool = False, **topics: str | None) -> Signals:
     """Read a recording.
@@ -77,16 +93,21 @@ def load(path: str, wanted: Collection[str], *, optional: Collection[str] = (), 
             by_topic[recorded.topic].add(recorded, timeline.recorded_s(recorded.time_ns), timeline)
         except AttributeError as error:
             raise recording.other_version(path, recorded) from error
-    if PULSES in columns:
-        columns[PULSES].finish(timeline)
-    for part, column in columns.items():
-        if column.is_empty and (part in wanted or topics.get(part)):
-            raise NoRecording(f"{path}: nothing that can be used was recorded of {column.topic}")
-    notes = (*guesses, *(note for column in columns.values() for note in column.notes()), *timeline.notes())
-    built = {part: None if column.is_empty else column.build() for part, column in columns.items()}
+    built = {part: column.build() for part, column in columns.items()}
+    for part, (series, _) in built.items():
+        if series is None and (part in wanted or topics.get(part)):
+            raise NoRecording(f"{path}: nothing that can be used was recorded of {columns[part].topic}")
+    notes = (*guesses, *(note for _, notes in built.values() for note in notes), *timeline.notes())
     return Signals(str(path), timeline.start_ns / NS_PER_S, timeline.last_s, *(
-        built.get(part) for part in PARTS),
-        {part: column.topic for part, column in columns.items() if not column.is_empty}, notes)
+        built.get(part, (None,))[0] for part in PARTS),
+        {part: columns[part].topic for part, (series, _) in built.items() if series is not None}, notes)
+
+
+def trail(signals: Signals) -> Trail:
+    """Return the trail of a recording with odometry, without the samples at which the car stood still."""
+    odom = signals.odom
+    moves = np.concatenate(([False], (np.diff(odom.x_m) != 0) | (np.diff(odom.y_m) != 0)))
+    return Trail(signals.path, *(column[moves] for column in (signals.start_s + odom.t_s, odom.x_m, odom.y_m)))
 
 
 def _columns(path, wanted, optional, topics, namespace):
@@ -97,12 +118,10 @@ def _columns(path, wanted, optional, topics, namespace):
     for part, (role, kind) in KINDS.items():
         if part not in wanted | optional and (part != roles.IMU.name or not topics.get(roles.IMU.name)):
             continue
-        free = roles.without(recorded, topics, role, namespace)
-        topic, note = roles.find(free, role, namespace, topics.get(part))
+        topic, note, is_there, fits = roles.find(recorded, role, namespace, topics)
         guesses += [note] if note else []
         is_needed = part in wanted or topics.get(part) is not None
-        if roles.fits(free, topic, role, namespace) or \
-                is_needed and recording.absolute_names(free, [topic], namespace):
+        if fits or is_needed and is_there:
             columns[part], types[topic] = kind(topic), role.types
         elif is_needed and note:
             raise NoRecording(f"{path}: {note}")

@@ -47,6 +47,18 @@ class Trace:
         return np.insert(times, gaps, times[gaps]) if len(gaps) else times, np.insert(values, gaps, EMPTY)
 
 
+class Traces(dict):
+    """The traces of a drive by their names; one that nobody has written to yet is empty."""
+
+    def __init__(self, duration_s: float):
+        super().__init__()
+        self.duration_s = duration_s
+
+    def __missing__(self, name: str) -> Trace:
+        self[name] = Trace(self.duration_s)
+        return self[name]
+
+
 class Path:
     """A path in the plane, in steps that double whenever there are too many points."""
 
@@ -84,20 +96,16 @@ class Spots:
 
     def __init__(self, cell_m: float = 0.02, max_cells: int = 12000):
         self.cell_m, self._max_cells = cell_m, max_cells
-        self._cells: dict = {}
+        self._cells: dict = {}  # whose keys are a set in order
         self.count = 0
 
     def add(self, x_m: float, y_m: float) -> None:
         """Add a place."""
         self.count += 1
-        cell = (round(x_m / self.cell_m), round(y_m / self.cell_m))
-        self._cells[cell] = self._cells.get(cell, 0) + 1
+        self._cells[round(x_m / self.cell_m), round(y_m / self.cell_m)] = None
         if len(self._cells) > self._max_cells:
             self.cell_m *= 2
-            before, self._cells = self._cells, {}
-            for (x, y), count in before.items():
-                cell = (round(x / 2), round(y / 2))
-                self._cells[cell] = self._cells.get(cell, 0) + count
+            self._cells = dict.fromkeys((round(x / 2), round(y / 2)) for x, y in self._cells)
 
     def places(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the middles of the cells: (x_m (N,), y_m (N,))."""

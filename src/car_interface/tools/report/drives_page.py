@@ -1,14 +1,31 @@
-"""Shows the table of all drives: as a page of HTML with trends, and as CSV."""
+"""Shows the table of all drives: as a page of HTML, as CSV, and as trends from drive to drive."""
 from __future__ import annotations
 
 import math
 import time
 from collections import Counter
+from functools import partial
 from types import MappingProxyType
 from typing import Mapping, Sequence
 
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
 from car_interface.common.units import NS_PER_S
 from car_interface.tools.report.drives_row import Row
+from car_interface.tools.report.figures import (
+    BAD,
+    FAINT,
+    REQUESTED,
+    SENT,
+    STYLE,
+    WIDTH_IN,
+    label_text,
+    legend,
+    svg_text,
+    title,
+)
 from car_interface.tools.report.html import MIN_DATE_NS, date_text, ratio_text, render, span_text
 
 CSV_COLUMNS = ("recording", "start_utc", "duration_s", "distance_km", "gamepad_s", "planner_s", "losses",
@@ -20,6 +37,16 @@ CSV_COLUMNS = ("recording", "start_utc", "duration_s", "distance_km", "gamepad_s
 # come from other people's recordings. The last five: the full-width = + - @ of Japanese keyboards, and the minus sign.
 FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r", "\n", "\uff1d", "\uff0b", "\uff0d", "\uff20", "\u2212")
 TEXT_MARK = "'"  # in a spreadsheet: what follows is text
+MAX_LABELS = 8  # of drives in the trends
+MAX_CAUSES = 5  # that have a colour of their own
+CAUSE_COLOURS = ("#c0392b", "#d9822b", "#2f6fb3", "#1b9e77", "#8e5ea2", "#b8bfc7")
+# Trends that are lines: title, how far from 0 the axis reaches at least, and label and colour by the row's field.
+LINES = (
+    ("Driven when sent straight on: 1/radius in 1/m, left up", 0.01, {"straight_per_m": ("", SENT)}),
+    ("Tighter than the tables say, in % of the radius", 3.0, {"left_ratio": ("left", SENT),
+                                                              "right_ratio": ("right", REQUESTED)}),
+    ("Acceleration beyond what the planner requested, in m/s²", 0.1, {
+        "drive_mps2": ("driving", SENT), "hold_mps2": ("holding the speed", FAINT), "brake_mps2": ("braking", BAD)}))
 
 
 def in_order(rows: Sequence[Row]) -> list[Row]:
@@ -60,13 +87,17 @@ def _cells(row):
     losses = [f"{cause} ({count}×)" if count > 1 else cause for cause, count in Counter(row.losses).most_common()]
     by_map = [f"{what}: {difference:+.2f} m/s²" for what, difference in (
         ("driving", row.drive_mps2), ("holding", row.hold_mps2), ("braking", row.brake_mps2)) if difference is not None]
-    return [[date_text(row.start_ns)[:-len(":00 UTC")] if row.start_ns >= MIN_DATE_NS else "no date"],
-            [*distance, span_text(row.duration_s)],
+    return [[_date(row)], [*distance, span_text(row.duration_s)],
             unknown if row.gamepad_s is None else drivers or ["nobody"],
             unknown if row.losses is None else losses or ["none"],
             [*_steering(row)] or unknown, by_map or unknown,
             unknown if row.battery_v is None else [f"{row.battery_v:.2f} V"],
             unknown if row.frames is None else [*_link(row)]]
+
+
+def _date(row, between=" "):
+    has_date = row.start_ns >= MIN_DATE_NS
+    return date_text(row.start_ns)[:-len(":00 UTC")].replace(" ", between) if has_date else "no date"
 
 
 def _steering(row):
@@ -121,3 +152,105 @@ def _csv_cell(value):
 
 def _rounded(number, digits):
     return None if number is None else round(number, digits)
+
+# --- trends ---
+
+
+def trends(rows: Sequence[Row]) -> str:
+    """Return the SVG of at least two drives, in the order of ``rows``; empty where there is nothing to draw."""
+    panels = [draw for names, draw in (
+        (("distance_m",), _distance), (("losses",), _losses),
+        *((lines[-1], partial(_lines, *lines)) for lines in LINES), (("frames",), _frames))
+        if any(getattr(row, name) is not None for row in rows for name in names)]
+    if len(rows) < 2 or not panels:
+        return ""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH_IN, 1.75 * len(panels) + 0.7), constrained_layout=True)
+        all_axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+        for draw, axes in zip(panels, all_axes):
+            draw(axes=axes, rows=rows)
+        _label(all_axes[-1], rows)
+        return svg_text(figure, "trends", "distance, losses, steering, value map and link errors from drive to drive")
+
+
+def _distance(axes, rows):
+    title(axes, "Distance in m")
+    heights = _column(row.distance_m for row in rows)
+    axes.bar(range(len(rows)), heights, color=SENT, width=0.7)
+    _mark_zeros(axes, heights)
+    axes.set_ylim(0, max(1.0, 1.08 * float(np.nanmax(heights))))
+
+
+def _losses(axes, rows):
+    title(axes, "Lost or locked while somebody drove, times")
+    total = sum((Counter(row.losses or {}) for row in rows), Counter())
+    shown = [cause for cause, _ in total.most_common(MAX_CAUSES)]
+    bottom = np.zeros(len(rows))
+    for cause, colour in zip([*shown, None], CAUSE_COLOURS):
+        heights = np.array([sum(count for name, count in (row.losses or {}).items()
+                                if name == cause or cause is None and name not in shown) for row in rows], float)
+        if heights.any():
+            axes.bar(range(len(rows)), heights, bottom=bottom, color=colour, width=0.7,
+                     label=label_text(cause or "others"))
+            bottom += heights
+    _mark_zeros(axes, np.where([row.losses is None for row in rows], np.nan, bottom))
+    axes.set_ylim(0, max(1.0, 1.15 * bottom.max()))
+    axes.yaxis.get_major_locator().set_params(integer=True)
+    legend(axes)
+
+
+def _mark_zeros(axes, heights):
+    """Draw a point where a bar would have no height; without a bar and a point nothing is known (NaN)."""
+    at = np.flatnonzero(heights == 0)
+    if at.size:  # not clipped and empty would have no place for the layout
+        axes.plot(at, np.zeros(at.size), color=FAINT, marker="o", markersize=3, linestyle="none", clip_on=False)
+
+
+def _lines(text, least, columns, axes, rows):
+    """Draw a line through what is known of each column; the axis reaches at least as far as ``least`` beside 0."""
+    title(axes, text)
+    for name, (label, colour) in columns.items():
+        is_ratio = name.endswith("_ratio")
+        values = _column(_tighter_percent(number) if is_ratio else number
+                         for number in (getattr(row, name) for row in rows))
+        known = np.flatnonzero(~np.isnan(values))
+        axes.axhline(0, color=FAINT, linewidth=0.9)
+        if known.size:
+            axes.plot(known, values[known], color=colour, marker="o", markersize=3.5, label=label or "_")
+            largest = max(least, *np.abs(axes.get_ylim()), 1.15 * np.abs(values[known]).max())
+            axes.set_ylim(-largest, largest)
+    legend(axes)
+
+
+def _frames(axes, rows):
+    title(axes, "Corrupt frames of the Teensy's link, in %; x: its port was opened again, or it started anew")
+    ratios = _column(None if row.frames is None else 100 * row.corrupt / max(row.frames + row.corrupt, 1)
+                     for row in rows)
+    axes.plot(range(len(rows)), ratios, color=SENT, marker="o", markersize=3.5)
+    again = [index for index, row in enumerate(rows) if (row.reopened or 0) + (row.reboots or 0) > 0]
+    axes.plot(again, ratios[again], color=BAD, marker="x", linestyle="none", markersize=7)
+    axes.set_ylim(0, max(0.1, 1.2 * float(np.nanmax(ratios))))
+
+
+def _label(axes, rows):
+    """Put dates below some of the drives."""
+    axes.set_xlim(-0.6, len(rows) - 0.4)
+    step = -(-len(rows) // MAX_LABELS)
+    shown = np.arange(len(rows) - 1, -1, -step)[::-1]  # evenly, so that none covers its neighbour; the newest has one
+    axes.set_xticks(shown)
+    axes.set_xticklabels([_date(rows[index], "\n") for index in shown])
+
+
+def _column(numbers):
+    """Return the numbers as an array (N,), NaN for one that isn't known."""
+    return np.array([np.nan if number is None else number for number in numbers], float)
+
+
+def _tighter_percent(ratio):
+    """Return by how much the radius is less than the tables'; the table of drives has the same number.
+
+    A car that hardly turns is drawn as 100 % wider, for the other drives to be seen.
+    """
+    if ratio is None:
+        return None
+    return max(-100.0, 100 * (1 - 1 / ratio)) if ratio else -100.0

@@ -3,14 +3,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Sequence
 
 from car_interface.common.sources import PLANNER, TELEOP
 from car_interface.tools.report.faults import ERROR
 from car_interface.tools.report.summary import Summary
 
 VERSION = 4  # of a row's content: rows of another version are computed again
-MIN_SAMPLES = 30  # for a median
 COUNT_BITS = 64  # times in ns, and the counters of messages, have no more
 MAX_FIGURE = 1e12  # above any distance, duration or ratio that a car can have; page and plots can show so much
 
@@ -25,7 +24,7 @@ class Row(NamedTuple):
     distance_m: float | None = None  # by odometry
     gamepad_s: float | None = None  # how long the gamepad steered
     planner_s: float | None = None
-    losses: Any = None  # how often something was lost or locked while somebody drove, by cause
+    losses: dict | None = None  # how often something was lost or locked while somebody drove, by cause
     straight_per_m: float | None = None  # the curvature driven when sent straight on, left positive: the center is off
     left_ratio: float | None = None  # the driven curvature to the sent one
     right_ratio: float | None = None
@@ -42,13 +41,11 @@ class Row(NamedTuple):
     unanswered: int | None = None  # pings
     faults: int | None = None
     errors: int | None = None  # among the faults
-    lacks: Any = ()  # what was not recorded, or not all of the time
-    notes: Any = ()  # which topics were guessed
+    lacks: Sequence[str] = ()  # what was not recorded, or not all of the time
+    notes: Sequence[str] = ()  # which topics were guessed
 
 
-# The numbers of a row; all but its duration may be None.
-LENGTHS = ("duration_s", "distance_m", "gamepad_s", "planner_s", "battery_v")
-FIGURES = ("straight_per_m", "left_ratio", "right_ratio", "drive_mps2", "hold_mps2", "brake_mps2")
+LENGTHS = ("duration_s", "distance_m", "gamepad_s", "planner_s", "battery_v")  # 0 or more, or unknown
 LINK = ("frames", "corrupt", "reopened", "reboots", "unanswered")  # all known, or none
 
 
@@ -64,45 +61,43 @@ def _are_texts(value):
     return isinstance(value, list) and all(isinstance(text, str) for text in value)
 
 
-def _are_counts(value):
-    return isinstance(value, dict) and all(map(_is_count, value.values()))
+IS_VALID = {  # what JSON may have for a field, if not null; the others are figures
+    **dict.fromkeys(("start_ns", *LINK, "faults", "errors"), _is_count), "lacks": _are_texts, "notes": _are_texts,
+    "losses": lambda value: isinstance(value, dict) and all(map(_is_count, value.values())),
+}
 
 
 def stored_row(values: Any, path: str) -> Row | None:
     """Return the row of ``path``, a recording that could be read, out of JSON; ``None``: it is no such row."""
     if not isinstance(values, list) or len(values) != len(Row._fields):
         return None
-    found = Row(*values)
-
-    def known(*names):
-        return [number for number in (getattr(found, name) for name in names) if number is not None]
-    is_row = ((found.path, found.error) == (path, "") and _is_count(found.start_ns) and found.duration_s is not None
-              and all(map(_is_figure, known(*LENGTHS, *FIGURES))) and all(length >= 0 for length in known(*LENGTHS))
-              and all(map(_is_count, known(*LINK, "faults", "errors"))) and len(known(*LINK)) in (0, len(LINK))
-              and len(known("faults", "errors")) != 1 and (found.losses is None or _are_counts(found.losses))
-              and _are_texts(found.lacks) and _are_texts(found.notes))
-    return found if is_row else None
+    known = {name: value for name, value in zip(Row._fields[2:], values[2:]) if value is not None}
+    is_row = (values[:2] == [path, ""] and known.keys() >= {"start_ns", "duration_s", "lacks", "notes"}
+              and all(IS_VALID.get(name, _is_figure)(value) for name, value in known.items())
+              and all(known.get(name, 0) >= 0 for name in LENGTHS)
+              and len(known.keys() & {*LINK}) in (0, len(LINK)) and ("faults" in known) == ("errors" in known))
+    return Row(*values) if is_row else None
 
 
 def row(drive: Summary, path: str) -> Row:
     """Return the row of a summarized recording, which is shown as ``path``."""
     has_state, has_odom = bool(drive.steering.episodes), "odom" in drive.present
     source_s = drive.steering.source_s
-    turns = drive.motion.by_tables
-    left, right, straight = map(_median, (*turns.ratios(), turns.straight_per_m()))
+    turns, accelerating = drive.motion.by_tables, drive.motion.accelerating
+    left, right, straight = map(_median, (turns.left, turns.right, turns.straight_per_m))
     lost, battery = [*drive.steering.losses(), *drive.throttle.losses()], drive.traces["battery voltage"]
     notes = list(drive.notes)
     if drive.calibration is not None:  # it drove by the table before
         left = right = straight = None
         notes.append("a calibration drive")
-    driving, holding, braking = map(_median, drive.motion.accelerating.differences_mps2())
     return Row(
         path=path, start_ns=drive.start_ns, duration_s=drive.duration_s,
         distance_m=_possible(drive.motion.distance_m) if has_odom else None,
         gamepad_s=source_s[TELEOP] if has_state else None, planner_s=source_s[PLANNER] if has_state else None,
         losses=dict(Counter(one.cause or one.reason for one in lost)) if has_state or drive.throttle.episodes else None,
         straight_per_m=straight, left_ratio=left, right_ratio=right,
-        drive_mps2=driving, hold_mps2=holding, brake_mps2=braking,
+        drive_mps2=_median(accelerating.driving), hold_mps2=_median(accelerating.holding),
+        brake_mps2=_median(accelerating.braking),
         battery_v=_possible(round(battery.minimum, 3)) if battery.count else None, **_link(drive.teensy),
         **_faults(drive),
         lacks=[gap.lacks if math.isnan(gap.start_s) else f"{gap.lacks} for {gap.end_s - gap.start_s:.0f} s"
@@ -124,17 +119,18 @@ def _link(teensy):
     first, last = teensy.first_link, teensy.link
     if last is None:
         return {}
-    change = {name: getattr(last, field) - getattr(first, field) for name, field in (
-        ("frames", "frames"), ("corrupt", "bad_frames"), ("reopened", "reconnects"), ("reboots", "reboots"),
-        ("pings", "pings"), ("pongs", "pongs"))}
-    # The newest ping may still be on its way.
-    change["unanswered"] = max(0, change.pop("pings") - change.pop("pongs") - 1)
-    return {name: int(count) for name, count in change.items()}
+
+    def change(name):
+        return int(getattr(last, name) - getattr(first, name))
+    return {"frames": change("frames"), "corrupt": change("bad_frames"), "reopened": change("reconnects"),
+            "reboots": change("reboots"),
+            "unanswered": max(0, change("pings") - change("pongs") - 1)}  # the newest may still be on its way
 
 
-def _median(found):
-    """Return a median in five decimals, no -0.0, if there are enough samples."""
-    return _possible(round(found.median, 5) + 0.0) if found.samples >= MIN_SAMPLES else None
+def _median(bins):
+    """Return a median in five decimals, no -0.0, if it is known."""
+    median = bins.median()
+    return None if median is None else _possible(round(median, 5) + 0.0)
 
 
 def _possible(figure):

@@ -1,4 +1,4 @@
-"""Collects what went wrong on a drive: moments, conditions that lasted, and what the nodes reported."""
+"""Collects what went wrong on a drive, and finds the questions that its recording can't answer."""
 from __future__ import annotations
 
 import math
@@ -12,8 +12,24 @@ LOG_LEVELS = {"rosgraph_msgs": (4, 8), "rcl_interfaces": (30, 40)}  # warning an
 # A node's first report that is a warning, and becomes OK within so long, before anybody drives, is its start: the hub
 # wants five pings, one a second, and the servo board's guard a second. So is a car that is started with its recording.
 STARTS_WITHIN_S = 8.0
+# Topics that report the same as these reports on /diagnostics, and more of it.
+OWN_TOPICS = {"steering": "turn_arb/state", "Teensy link": "teensy_sensor_hub/link", "gamepad": "teleop_logi/state"}
 NUMBER = re.compile(r"[-+]?\d[\d.,e+-]*|inf|nan")
 MAX_ENTRIES = 2000
+MAX_PAUSE_S = 5.0  # what answers a question is published at 1 Hz or more; a longer pause is a hole in the recording
+DIAGNOSTICS, LOG = "/diagnostics", "/rosout"
+# What a reader of the report asks, and what answers it: topics, or nodes' reports on /diagnostics, which have a ": " in
+# their names. The first source is the one to record.
+QUESTIONS = {
+    "who drove, and why the car stopped": ("turn_arb/state",),
+    "errors of the Teensy's link": ("teensy_sensor_hub/link", "teensy_sensor_hub: Teensy link"),
+    "errors of the servo board": ("pca9685: servo board",),
+    "why the gamepad released the deadman": ("teleop_logi/state", "teleop_logi: gamepad"),
+    "why the throttle stopped": ("throttle_arb/state", "generic_value_converter: converter"),
+    "warnings in the nodes' logs": (LOG,),
+}
+# By the topic, or by the report's name without its node's, which may have another namespace.
+SOURCES = {source.partition(": ")[2] or source: source for sources in QUESTIONS.values() for source in sources}
 
 
 class Fault(NamedTuple):
@@ -55,11 +71,10 @@ class FaultLog:
         index = self._repeated.get(key)
         if index is not None:
             self.entries[index] = self.entries[index]._replace(times=self.entries[index].times + 1)
-        elif len(self.entries) < MAX_ENTRIES:
+            return
+        if len(self.entries) < MAX_ENTRIES:
             self._repeated[key] = len(self.entries)
-            self.add_moment(time_s, level, where, what)
-        else:
-            self.dropped += 1
+        self.add_moment(time_s, level, where, what)
 
     def update_condition(self, time_s: float, key: str, level: int, where: str, what: str) -> None:
         """Begin, continue or end (level OK) the condition of a key. A text that differs in more than its numbers begins
@@ -99,19 +114,14 @@ class NodeReports:
     """
 
     def __init__(self, faults: FaultLog, present: Collection[str], log_type: str):
-        self._faults = faults
-        self._has_state = "turn_arb/state" in present
-        self._has_link = "teensy_sensor_hub/link" in present
-        self._has_gamepad = "teleop_logi/state" in present
-        self._has_reports = "/diagnostics" in present
+        self._faults, self._present = faults, present
         self._warning, self._error = LOG_LEVELS.get(log_type.split("/")[0], LOG_LEVELS["rosgraph_msgs"])
 
     def on_diagnostics(self, time_s: float, message: Any) -> None:
         """Take a diagnostic_msgs/DiagnosticArray."""
         for status in message.status:
             node, _, report = status.name.partition(": ")
-            if report == "steering" and self._has_state or report == "Teensy link" and self._has_link \
-                    or report == "gamepad" and self._has_gamepad:
+            if OWN_TOPICS.get(report) in self._present:
                 continue
             # rosbags has a message's byte as a number or as bytes.
             level = status.level[0] if isinstance(status.level, (bytes, bytearray)) else int(status.level)
@@ -119,13 +129,73 @@ class NodeReports:
 
     def on_log(self, time_s: float, message: Any) -> None:
         """Take a rosgraph_msgs/Log or rcl_interfaces/Log."""
-        node = message.name.strip("/")
-        is_known = node.endswith("turn_arb") and self._has_state or \
-            self._has_gamepad and message.msg.startswith("human in loop: ") or \
-            self._has_reports and message.msg.startswith(f"{BATTERY_REPORT}: ")
+        node, text = message.name.strip("/"), message.msg
+        is_known = node.endswith("turn_arb") and OWN_TOPICS["steering"] in self._present or \
+            text.startswith("human in loop: ") and OWN_TOPICS["gamepad"] in self._present or \
+            text.startswith(f"{BATTERY_REPORT}: ") and DIAGNOSTICS in self._present
         if message.level >= self._warning and not is_known:
-            level = ERROR if message.level >= self._error else WARN
-            self._faults.add_repeated(time_s, level, node, message.msg)
+            self._faults.add_repeated(time_s, ERROR if message.level >= self._error else WARN, node, text)
+
+
+class Gap(NamedTuple):
+    """A question without an answer, for the whole recording or from ``start_s`` to ``end_s``."""
+
+    asks: str
+    lacks: str  # what was not recorded
+    start_s: float = math.nan
+    end_s: float = math.nan
+
+
+class Coverage:
+    """Follows when the sources of answers were recorded; ``below`` begins the names of the car's topics."""
+
+    def __init__(self, below: str, duration_s: float):
+        self._below, self._duration_s = below, duration_s
+        self._start_s = 0.0  # when the first source was recorded; before it the car's nodes weren't running
+        self._last_s: dict[str, float] = {}
+        self._longest_pause: dict[str, tuple[float, float]] = {}
+
+    def update(self, time_s: float, topic: str, message: Any) -> None:
+        """Note what a recorded message answers."""
+        names = [status.name.partition(": ")[2] for status in message.status] if topic == DIAGNOSTICS else [topic]
+        for source in filter(None, map(SOURCES.get, names)):
+            if source != LOG:
+                if not self._longest_pause:
+                    self._start_s = time_s
+                self._longest_pause[source] = self._pause_until(source, time_s)
+            self._last_s[source] = time_s
+
+    @property
+    def is_blind(self) -> bool:
+        """Return whether nothing was recorded that answers any question."""
+        return not self._last_s
+
+    def gaps(self) -> list[Gap]:
+        """Return the questions that the recording can't answer, for all of it or for a time."""
+        found = []
+        for asks, sources in QUESTIONS.items():
+            pauses = [(self._pause_until(source, self._duration_s), source)
+                      for source in sources if source in self._last_s]
+            if not pauses:
+                found.append(Gap(asks, self._name(sources[0])))
+                continue
+            (start_s, end_s), source = min(pauses, key=lambda pause: pause[0][1] - pause[0][0])
+            if end_s - start_s > MAX_PAUSE_S:
+                found.append(Gap(asks, self._name(source), start_s, end_s))
+        return found
+
+    def _pause_until(self, source, time_s):
+        """Return the longest time without a message of a source that was recorded, as its start and end."""
+        if source == LOG:  # it is published only when there is something to report
+            return 0.0, 0.0
+        newest, longest = (self._last_s.get(source, self._start_s), time_s), self._longest_pause.get(source, (0.0, 0.0))
+        return max(longest, newest, key=lambda pause: pause[1] - pause[0])
+
+    def _name(self, source):
+        node, _, report = source.partition(": ")
+        if report:
+            return f"{DIAGNOSTICS} of {self._below.lstrip('/')}{node}"
+        return source if source == LOG else self._below + source
 
 
 def without_numbers(text: str) -> str:

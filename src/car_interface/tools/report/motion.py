@@ -1,12 +1,11 @@
-"""Follows how the car moved, by odometry and IMU: against what was sent and what was asked for, past what it saw.
-
-Each watch writes to those of ``traces`` that TRACES names.
-"""
+"""Follows how the car moved, by odometry and IMU: against what was sent and what was asked for, past what it saw."""
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections import deque
-from typing import Any, Mapping
+from itertools import accumulate
+from typing import Any
 
 from car_interface.common.sources import DRIVE
 from car_interface.common.units import NS_PER_S, stamp_ns, yaw_rad
@@ -18,18 +17,8 @@ from car_interface.tools.recordings.columns import (
     ackermann_drive,
     has_twist,
 )
-from car_interface.tools.report.downsample import Path, Spots, Trace
+from car_interface.tools.report.downsample import Path, Spots, Traces
 from car_interface.tools.report.faults import WARN, Fault, FaultLog
-from car_interface.tools.report.following import (
-    MAX_LATERAL_MPS2,
-    MIN_SPEED_MPS,
-    RATIOS,
-    STEADY_S,
-    Accelerating,
-    Bins,
-    Following,
-    MedianOf,
-)
 from car_interface.tools.report.states import Drivers, SteeringWatch, is_fresh
 
 WINDOW_S = 0.3  # over which accelerations and curvatures are taken: a dozen reports of the wheels
@@ -42,8 +31,96 @@ MAX_POSES = 60
 SAME_RAD, SAME_MPS = 0.02, 0.1  # planners change what they ask for by less all the time
 MIN_RATE_RADPS = 0.2  # of a turn, for its rate to be compared with the IMU's
 LAG_S = WINDOW_S / 2  # as much as odometry's turn rate, which is that of a window
-TRACES = ("speed", "acceleration", "driven curvature", "turn rate", "requested curvature", "requested angle",
-          "requested speed", "imu turn rate")
+# The car is compared with what it was sent at speed, and in a real bend or straight on, a while after the last change.
+STEADY_S, MIN_CURVATURE_PER_M, STRAIGHT_PER_M, MIN_SPEED_MPS = 0.7, 0.1, 0.02, 0.3
+# Faster in a bend tyres widen it: by an understeer of 0.009, as measured on a 3.5 kg car, 0.028 1/m.
+MAX_LATERAL_MPS2 = 1.5
+# From, to, a bin; what fits exactly, 1 or 0, is the middle of one. A ratio is never 0: radii have its inverse.
+RATIOS, OFFSETS_PER_M, OFFSETS_MPS2 = (0.001, 3.001, 0.002), (-1.0005, 1.0005, 0.001), (-5.005, 5.005, 0.01)
+MIN_COMPARED = 30  # for a median
+MIN_REQUEST_MPS2 = 0.2  # less holds the speed
+REACTION_S, KEPT_S = 0.1, 2.0  # from a request to the acceleration; how long requests are kept
+
+
+class Bins:
+    """Numbers counted in bins, for a median as exact as they are wide; the first and the last take what lies beyond."""
+
+    def __init__(self, low: float, high: float, width: float):
+        self._low, self._width = low, width
+        self._counts = [0] * round((high - low) / width)
+
+    def add(self, number: float) -> None:
+        """Add a finite number."""
+        self._counts[min(max(int((number - self._low) / self._width), 0), len(self._counts) - 1)] += 1
+
+    @property
+    def samples(self) -> int:
+        """Return how many numbers there are."""
+        return sum(self._counts)
+
+    def median(self) -> float | None:
+        """Return the median, the middle of its bin; ``None`` with fewer than MIN_COMPARED."""
+        seen = list(accumulate(self._counts))
+        if seen[-1] < MIN_COMPARED:
+            return None
+        return self._low + (bisect_left(seen, seen[-1] / 2) + 0.5) * self._width
+
+
+class Following:
+    """How tightly a car turned against what it was sent.
+
+    Args:
+        sender: with ``curvature_per_m`` that is sent now, left positive, ``None`` = unknown, and ``unchanged_since_s``.
+        max_lateral_mps2: faster bends don't count; MAX_LATERAL_MPS2 judges a table, which knows no tyres.
+    """
+
+    def __init__(self, sender: Any, max_lateral_mps2: float = math.inf):
+        self._sender, self._max_lateral_mps2 = sender, max_lateral_mps2
+        self.left, self.right = Bins(*RATIOS), Bins(*RATIOS)  # the driven curvature as a ratio of the sent one
+        self.straight_per_m = Bins(*OFFSETS_PER_M)  # the driven less the sent one where that was straight on
+
+    def add(self, time_s: float, curvature_per_m: float, speed_mps: float) -> None:
+        """Compare what the car drives now."""
+        sent = self._sender.curvature_per_m
+        if (sent is None or not math.isfinite(sent) or abs(speed_mps) <= MIN_SPEED_MPS
+                or time_s - self._sender.unchanged_since_s <= STEADY_S):
+            return
+        if abs(sent) > MIN_CURVATURE_PER_M:
+            if speed_mps ** 2 * abs(curvature_per_m) <= self._max_lateral_mps2:
+                (self.left if sent > 0 else self.right).add(curvature_per_m / sent)
+        elif abs(sent) <= STRAIGHT_PER_M:
+            self.straight_per_m.add(curvature_per_m - sent)
+
+
+class Accelerating:
+    """By how much the car's acceleration differed from the one that the planner requested, while the planner drove.
+
+    The value map turns requests into values, so that this is how far the map is off.
+    """
+
+    def __init__(self):
+        self._requests: deque = deque()  # time, m/s²
+        # By how much it accelerated more than requested where it was to drive, to hold its speed, to brake; in m/s².
+        self.driving, self.holding, self.braking = (Bins(*OFFSETS_MPS2) for _ in range(3))
+
+    def request(self, time_s: float, acceleration_mps2: float) -> None:
+        """Take the planner's request."""
+        if not math.isfinite(acceleration_mps2):
+            return
+        self._requests.append((time_s, acceleration_mps2))
+        while not 0 <= time_s - self._requests[0][0] <= KEPT_S:
+            self._requests.popleft()
+
+    def add(self, start_s: float, end_s: float, acceleration_mps2: float, speed_mps: float) -> None:
+        """Compare what the car did from ``start_s`` to ``end_s``, while the planner drove, with the mean request."""
+        if speed_mps <= MIN_SPEED_MPS or not math.isfinite(acceleration_mps2):
+            return
+        requested = [wanted for time_s, wanted in self._requests if start_s <= time_s + REACTION_S <= end_s]
+        if requested:
+            mean_mps2 = sum(requested) / len(requested)
+            bins = (self.holding if abs(mean_mps2) <= MIN_REQUEST_MPS2 else
+                    self.driving if mean_mps2 > 0 else self.braking)
+            bins.add(acceleration_mps2 - mean_mps2)
 
 
 class AskedWatch:
@@ -52,14 +129,14 @@ class AskedWatch:
     A request that is stale is none any more, and while somebody else has the car there is none either.
     """
 
-    def __init__(self, traces: Mapping[str, Trace], wheelbase_m: float | None, drivers: Drivers):
+    def __init__(self, traces: Traces, wheelbase_m: float | None, drivers: Drivers):
         self._traces, self._drivers = traces, drivers
         self.wheelbase_m = wheelbase_m  # None = unknown, and so is the curvature that an angle asks for
         self.curvature_per_m: float | None = None  # asked for now, left positive; None = unknown
         self.unchanged_since_s = 0.0  # when the angle last changed by more than SAME_RAD
         self._angle_rad = self._speed_mps = math.nan  # from which changes count; NaN = no request
         self._speed_since_s, self._received_s = 0.0, -math.inf
-        self._speed_ratios = Bins(*RATIOS)
+        self.speed_ratios = Bins(*RATIOS)  # the driven speed to the one that was asked for, where that was steady
 
     def on_drive(self, time_s: float, message: Any) -> None:
         """Take a request."""
@@ -91,11 +168,7 @@ class AskedWatch:
     def compare_speed(self, time_s: float, speed_mps: float) -> None:
         """Compare the speed with the one that was asked for."""
         if abs(self._speed_mps) > MIN_SPEED_MPS and time_s - self._speed_since_s > STEADY_S:
-            self._speed_ratios.add(speed_mps / self._speed_mps)
-
-    def speed_ratio(self):
-        """Return the driven speed as a ratio of the one that was asked for, where that was steady."""
-        return self._speed_ratios.median()
+            self.speed_ratios.add(speed_mps / self._speed_mps)
 
 
 class PoseSpeed:
@@ -129,7 +202,7 @@ class PoseSpeed:
 class MotionWatch:
     """Follows odometry, and compares it with what steered and drove; gaps and resets are faults."""
 
-    def __init__(self, traces: Mapping[str, Trace], faults: FaultLog, steering: SteeringWatch, asked: AskedWatch,
+    def __init__(self, traces: Traces, faults: FaultLog, steering: SteeringWatch, asked: AskedWatch,
                  drivers: Drivers, start_ns: int):
         self._traces, self._faults, self._steering, self._start_ns = traces, faults, steering, start_ns
         self._asked, self._drivers = asked, drivers
@@ -164,7 +237,7 @@ class MotionWatch:
             self._move(time_s, position, yaw, speed)
         self._newest = (time_s, position.x, position.y, yaw)
         self._poses.append((stamp_s, position.x, position.y, yaw))
-        self.path.add(position.x, position.y, self._steering.source)
+        self.path.add(position.x, position.y, self._steering.driver)
         if math.isfinite(speed):
             self._traces["speed"].add(time_s - lag_s, speed)
             self._asked.compare_speed(time_s, speed)
@@ -172,9 +245,8 @@ class MotionWatch:
 
     def pose_at(self, stamp_s: float) -> tuple[float, float, float] | None:
         """Return (x, y, yaw) of the recent odometry that is nearest in time; ``None`` without any."""
-        if not self._poses:
-            return None
-        return min(self._poses, key=lambda pose: abs(pose[0] - stamp_s))[1:]
+        nearest = min(self._poses, key=lambda pose: abs(pose[0] - stamp_s), default=None)
+        return nearest and nearest[1:]
 
     def turn_rate_at(self, time_s: float) -> float | None:
         """Return the turn rate in rad/s, left positive; ``None`` = unknown, or odometry is silent."""
@@ -244,32 +316,28 @@ def _slope(samples):
 class ImuWatch:
     """Follows sensor_msgs/Imu: how fast the car turned, beside its odometry."""
 
-    def __init__(self, traces: Mapping[str, Trace], motion: MotionWatch):
+    def __init__(self, traces: Traces, motion: MotionWatch):
         self._traces, self._motion, self._gravity = traces, motion, Gravity()
-        self._ratios = Bins(*RATIOS)
+        self.ratios = Bins(*RATIOS)  # odometry's turn rate to the IMU's
         self._rate_radps, self._last_s = 0.0, math.nan
 
     def on_imu(self, time_s: float, message: Any) -> None:
         """Take a measurement."""
-        rate_radps = message.angular_velocity.z
+        rate_radps, acceleration = message.angular_velocity.z, message.linear_acceleration
         if not math.isfinite(rate_radps):
             return
-        self._gravity.add(message.linear_acceleration)
+        self._gravity.add(acceleration.x, acceleration.y, acceleration.z)
         self._traces["imu turn rate"].add(time_s, rate_radps)
         step_s = time_s - self._last_s
         weight = 1 - math.exp(-step_s / LAG_S) if 0 <= step_s < 1 else 1.0
         self._last_s, self._rate_radps = time_s, self._rate_radps + weight * (rate_radps - self._rate_radps)
         by_odometry_radps = self._motion.turn_rate_at(time_s)
         if by_odometry_radps is not None and abs(self._rate_radps) > MIN_RATE_RADPS:
-            self._ratios.add(by_odometry_radps / self._rate_radps)
+            self.ratios.add(by_odometry_radps / self._rate_radps)
 
     def note(self, topic: str) -> str:
         """Return what is wrong with its mounting; empty: nothing."""
         return self._gravity.note(topic)
-
-    def odometry_ratio(self) -> MedianOf:
-        """Return odometry's turn rate as a ratio of the IMU's; no samples where that is mounted on its side."""
-        return MedianOf(math.nan, 0) if self.note("") else self._ratios.median()
 
 
 class SonarWatch:

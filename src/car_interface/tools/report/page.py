@@ -15,7 +15,6 @@ from car_interface.tools.report.summary import RANGES, Summary
 TOPICS = ("turn_arb/state", "throttle_arb/state", "/servo/output", "odom", "av_turnrad_req",
           "/teleop_logi/tele_steer_req", "control/command/control_cmd", "generic/output/value",
           "teensy_sensor_hub/link", "teensy_clock")
-MIN_RATIOS = 30  # samples, for a ratio to be shown
 OLD = "old"  # of a calibration's breakpoint: nothing was driven there
 WRONG_RATIO = 0.05  # of the driven to the sent curvature, from 1: the tables need calibration
 
@@ -103,9 +102,9 @@ def _motion_lines(drive):
     ratios = [f"{side} {_ratio_text(ratio)}" for side, ratio in _known_ratios(motion.by_tables)]
     if ratios and not drive.calibration:
         yield "Slow turns against the tables", "; ".join(ratios)
-    by_imu = drive.imu.odometry_ratio()
-    if by_imu.samples >= MIN_RATIOS:
-        yield "Turned by odometry", ratio_text(by_imu.median, "the IMU says", "more", "less")
+    by_imu = None if drive.imu.note("") else drive.imu.ratios.median()  # mounted on its side it measures no turn
+    if by_imu is not None:
+        yield "Turned by odometry", ratio_text(by_imu, "the IMU says", "more", "less")
     if math.isfinite(sonars.nearest_m):
         yield "Nearest thing seen", (f"{sonars.nearest_m:.2f} m, {sonars.nearest_sonar.replace('_', ' ')}, "
                                      f"at {moment_text(sonars.nearest_s, drive.duration_s)}")
@@ -131,9 +130,9 @@ def _asked_lines(drive):
     """Yield lines on what a planner asked for by AckermannDrive."""
     if not drive.traces["requested speed"].count:
         return
-    ratio = drive.asked.speed_ratio()
-    if ratio.samples >= MIN_RATIOS:
-        yield "Speed against what was asked", ratio_text(ratio.median, "asked", "faster", "slower")
+    ratio = drive.asked.speed_ratios.median()
+    if ratio is not None:
+        yield "Speed against what was asked", ratio_text(ratio, "asked", "faster", "slower")
     if drive.asked.wheelbase_m is None:
         yield "Turned against what was asked", "can't tell: which curve an angle asks for needs --wheelbase"
     else:
@@ -144,8 +143,8 @@ def _asked_lines(drive):
 
 def _known_ratios(following):
     """Return (side, median ratio of the driven to the sent curvature) for sides with enough samples."""
-    return [(side, found.median) for side, found in zip(("left", "right"), following.ratios())
-            if found.samples >= MIN_RATIOS]
+    ratios = ("left", following.left.median()), ("right", following.right.median())
+    return [(side, ratio) for side, ratio in ratios if ratio is not None]
 
 
 def range_text(trace: Trace, unit: str) -> str:

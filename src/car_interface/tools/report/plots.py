@@ -1,6 +1,8 @@
 """Draws the plots of a drive, each as the text of an SVG that can be part of a page."""
 from __future__ import annotations
 
+from itertools import groupby
+
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
@@ -102,75 +104,79 @@ def _who(drive):
     return figure
 
 
-def _lines(text, *curves, **limits):
-    """Return what draws a panel: its title, its curves (the trace's name, colour, label and style of each), and the
-    limits of its vertical axis, as for set_ylim; none = by the curves.
+def _panel(traces, height_in, text, *curves, **limits):
+    """Return a panel for ``stack``, wanted if one of its traces has samples.
+
+    Args:
+        curves: the trace's name, colour, label and style of each.
+        limits: of the vertical axis, as for set_ylim; none = by the curves.
     """
     def draw(axes, drive):
         title(axes, text)
         for name, colour, label, style in curves:
-            curve(axes, drive.traces[name], colour, label, **style)
+            curve(axes, traces[name], colour, label, **style)
         if limits:
             axes.set_ylim(**limits)
         legend(axes)
-    return draw
+    return any(traces[name].count for name, *_ in curves), height_in, draw
+
+
+def _symmetric(largest):
+    return {"bottom": -largest, "top": largest}
 
 
 def _steering(drive):
-    traces = drive.traces
-    return stack(drive, [
-        (any(traces[name].count for name in ("requested curvature", "sent curvature", "driven curvature")), 2.6,
-         _curvature),
-        (traces["requested angle"].count > 0 and drive.asked.wheelbase_m is None, 1.4,
-         _lines("The steering angle that was asked for, in degrees, left up", ("requested angle", REQUESTED, "", {}))),
-        (drive.steering.steering_channel in drive.steering.duties or traces["gamepad"].count > 0, 1.7, _steering_duty),
-        (traces["servo position"].count > 0, 1.4,
-         _lines("The position of the VESC's servo, 0 to 1", ("servo position", SENT, "", HELD)))])
-
-
-def _curvature(axes, drive):
-    traces = drive.traces
-    curve(axes, traces["requested curvature"], REQUESTED, "requested (planner)", linestyle=DASHED)
-    which = "the table before" if drive.calibration else "the tables"
-    curve(axes, traces["sent curvature"], SENT, f"sent (by {which})", linewidth=1.6)
-    curve(axes, traces["driven curvature"], DRIVEN, "driven (by odometry)", linewidth=0.9)
-    largest = max([abs(bound) for name in ("requested curvature", "sent curvature") if traces[name].count
-                   for bound in (traces[name].minimum, traces[name].maximum)]
+    traces, which = drive.traces, "the table before" if drive.calibration else "the tables"
+    sent = [trace for trace in (traces["requested curvature"], traces["sent curvature"]) if trace.count]
+    largest = max([abs(bound) for trace in sent for bound in (trace.minimum, trace.maximum)]
                   + [0.2, usual_magnitude(traces["driven curvature"])])
-    axes.set_ylim(-1.45 * largest, 1.45 * largest)
-    title(axes, "How tight: 1/radius in 1/m, left up")
-    legend(axes)
+    angle = _panel(traces, 1.4, "The steering angle that was asked for, in degrees, left up",
+                   ("requested angle", REQUESTED, "", {}))
+    return stack(drive, [
+        _panel(traces, 2.6, "How tight: 1/radius in 1/m, left up",
+               ("requested curvature", REQUESTED, "requested (planner)", ASKED),
+               ("sent curvature", SENT, f"sent (by {which})", {"linewidth": 1.6}),
+               ("driven curvature", DRIVEN, "driven (by odometry)", DONE), **_symmetric(1.45 * largest)),
+        *([angle] if drive.asked.wheelbase_m is None else []),
+        (drive.steering.steering_channel in drive.steering.duties or traces["gamepad"].count > 0, 1.7, _steering_duty),
+        _panel(traces, 1.4, "The position of the VESC's servo, 0 to 1", ("servo position", SENT, "", HELD))])
 
 
 def _steering_duty(axes, drive):
     duty, gamepad = drive.steering.duties.get(drive.steering.steering_channel), drive.traces["gamepad"]
     title(axes, "The servo's duty" if duty else "The gamepad's request, left up")
-    if duty is not None:
-        curve(axes, duty, SENT, f"duty on channel {drive.steering.steering_channel}", **HELD)
+    beside = _two_scales(
+        axes, [(duty, SENT, f"duty on channel {drive.steering.steering_channel}", HELD)] if duty else [],
+        [(gamepad, REQUESTED, "the gamepad's request" if duty else "", ASKED)] if gamepad.count else [])
+    if duty:
         margin = max(0.08 * (duty.maximum - duty.minimum), 40)
         axes.set_ylim(duty.minimum - margin, duty.maximum + margin)
-    if not gamepad.count:
+    if gamepad.count:
+        beside.set_ylim(-1.25, 1.25)
+
+
+def _two_scales(axes, left, right):
+    """Draw curves, each a trace with its colour, label and style; where there are both, those at the right have a scale
+    of their own. Return its axes.
+    """
+    has_both = bool(left and right)
+    beside = axes.twinx() if has_both else axes
+    for trace, colour, label, style in left:
+        curve(axes, trace, colour, label, **style)
+    for trace, colour, label, style in right:
+        curve(beside, trace, colour, label + (" (right scale)" if has_both else ""), **style)
+    if has_both:
+        beside.grid(False)
+        axes.legend(handles=axes.get_lines() + beside.get_lines(), **ABOVE)
+    else:
         legend(axes)
-        return
-    beside = axes.twinx() if duty is not None else axes
-    label = "the gamepad's request (right scale)" if duty else "the gamepad"
-    curve(beside, gamepad, REQUESTED, label, linestyle=DASHED)
-    beside.set_ylim(-1.25, 1.25)
-    if duty is not None:
-        _legend_of_both(axes, beside)
-
-
-def _legend_of_both(axes, beside):
-    """Draw one legend for axes and those with another scale beside them."""
-    beside.grid(False)
-    axes.legend(handles=axes.get_lines() + beside.get_lines(), **ABOVE)
+    return beside
 
 
 def _throttle(drive):
-    is_recorded = drive.traces["throttle granted"].count > 0
-    return stack(drive, [(is_recorded, 0.4, _esc_states), (is_recorded, 1.7, _lines(
-        "Throttle: brake or reverse down", ("throttle asked", REQUESTED, "asked", ASKED),
-        ("throttle granted", SENT, "granted", {}), bottom=-1.1, top=1.1))])
+    return stack(drive, [(drive.traces["throttle granted"].count > 0, 0.4, _esc_states), _panel(
+        drive.traces, 1.7, "Throttle: brake or reverse down", ("throttle asked", REQUESTED, "asked", ASKED),
+        ("throttle granted", SENT, "granted", {}), bottom=-1.1, top=1.1)])
 
 
 def _esc_states(axes, drive):
@@ -198,17 +204,15 @@ def _path(drive):
                   alpha=0.55, label="seen by a sonar")
     # By the order in which they first drove: a path under another one stays visible.
     sources = list(dict.fromkeys(kind if kind in DRIVER_COLOURS else UNKNOWN_DRIVER for kind in path.kinds))
-    begin, seen = 0, set()
-    for index in range(1, len(path.kinds) + 1):
-        if index < len(path.kinds) and path.kinds[index] == path.kinds[begin]:
-            continue
-        source = path.kinds[begin] if path.kinds[begin] in DRIVER_COLOURS else UNKNOWN_DRIVER
+    end, seen = 0, set()
+    for kind, points in groupby(path.kinds):
+        begin, end = max(end - 1, 0), end + len(list(points))
+        source = kind if kind in DRIVER_COLOURS else UNKNOWN_DRIVER
         width = PATH_WIDTH + WIDER * (len(sources) - 1 - sources.index(source))
-        axes.plot(path.x_m[max(begin - 1, 0):index], path.y_m[max(begin - 1, 0):index], linewidth=width,
-                  color=DRIVER_COLOURS[source], label=None if source in seen else DRIVER_NAMES[source],
-                  solid_capstyle="round", zorder=3 - width / 10)
+        axes.plot(path.x_m[begin:end], path.y_m[begin:end], linewidth=width, color=DRIVER_COLOURS[source],
+                  label=None if source in seen else DRIVER_NAMES[source], solid_capstyle="round",
+                  zorder=3 - width / 10)
         seen.add(source)
-        begin = index
     if len(path.x_m):
         axes.plot(path.x_m[0], path.y_m[0], marker="o", markersize=8, color="white", markeredgecolor=INK,
                   markeredgewidth=1.5, linestyle="none", label="start")
@@ -224,16 +228,18 @@ def _path(drive):
 
 def _speed(drive):
     traces = drive.traces
+    fastest = max([0.1, *(1.3 * usual_magnitude(traces[name]) for name in ("imu turn rate", "turn rate"))])
+    turn_rates = _panel(traces, 1.6, "How fast it turned, in rad/s, left up",
+                        ("imu turn rate", REQUESTED, "by the IMU", DONE), ("turn rate", DRIVEN, "by odometry", DONE),
+                        **_symmetric(fastest))
     return stack(drive, [
         (traces["speed"].count > 0, 2.0, _speeds),
-        (traces["acceleration"].count + traces["requested acceleration"].count > 0, 2.0,
-         _lines("Acceleration in m/s²", ("requested acceleration", REQUESTED, "requested", ASKED),
-                ("acceleration", DRIVEN, "by odometry, over 0.3 s", DONE))),
+        _panel(traces, 2.0, "Acceleration in m/s²", ("requested acceleration", REQUESTED, "requested", ASKED),
+               ("acceleration", DRIVEN, "by odometry, over 0.3 s", DONE)),
         (traces["value"].count > 0 or bool(_driven_duties(drive)), 1.6, _value),
-        (traces["motor speed"].count + traces["motor speed asked"].count > 0, 1.6,
-         _lines("The VESC's motor speed in ERPM", ("motor speed asked", REQUESTED, "requested", ASKED),
-                ("motor speed", DRIVEN, "measured", DONE))),
-        (traces["imu turn rate"].count > 0, 1.6, _turn_rates)])
+        _panel(traces, 1.6, "The VESC's motor speed in ERPM", ("motor speed asked", REQUESTED, "requested", ASKED),
+               ("motor speed", DRIVEN, "measured", DONE)),
+        *([turn_rates] if traces["imu turn rate"].count else [])])
 
 
 def _driven_duties(drive):
@@ -254,52 +260,31 @@ def _speeds(axes, drive):
 
 
 def _value(axes, drive):
-    duties, has_value = _driven_duties(drive), drive.traces["value"].count > 0
-    has_both = has_value and bool(duties)
-    title(axes, "Value, and the ESC's duty" if has_both else "Value" if has_value else "The ESC's duty")
-    if has_value:
-        curve(axes, drive.traces["value"], REQUESTED, "value")
-    beside = axes.twinx() if has_both else axes
-    for channel, duty in duties.items():
-        curve(beside, duty, SENT, f"duty on channel {channel}" + (" (right scale)" if has_both else ""), **HELD)
-    if has_both:
-        _legend_of_both(axes, beside)
-    else:
-        legend(axes)
-
-
-def _turn_rates(axes, drive):
-    title(axes, "How fast it turned, in rad/s, left up")
-    curve(axes, drive.traces["imu turn rate"], REQUESTED, "by the IMU", linewidth=0.9)
-    curve(axes, drive.traces["turn rate"], DRIVEN, "by odometry", linewidth=0.9)
-    largest = max([0.1, *(1.3 * usual_magnitude(drive.traces[name]) for name in ("imu turn rate", "turn rate"))])
-    axes.set_ylim(-largest, largest)
-    legend(axes)
+    duties, value = _driven_duties(drive), drive.traces["value"]
+    title(axes, "The ESC's duty" if not value.count else "Value, and the ESC's duty" if duties else "Value")
+    _two_scales(axes, [(value, REQUESTED, "value", {})] if value.count else [],
+                [(duty, SENT, f"duty on channel {channel}", HELD) for channel, duty in duties.items()])
 
 
 def _battery(drive):
-    return stack(drive, [(drive.traces["battery voltage"].count > 0, 1.5, _lines(
-        "The battery's voltage", ("battery voltage", SENT, "", {"gap_s": 15})))])  # some publish it once in 10 s
+    return stack(drive, [_panel(drive.traces, 1.5, "The battery's voltage",
+                                ("battery voltage", SENT, "", {"gap_s": 15}))])  # some publish it once in 10 s
 
 
 def _link(drive):
-    return stack(drive, [(drive.traces["frames"].count > 0, 1.5, _frames),
-                         (drive.traces["round trip"].count > 0, 1.5, _lines(
-                             "Round trip of a ping in ms", ("round trip", SENT, "", DOTTED), bottom=0)),
-                         (drive.traces["skew"].count > 0, 1.5, _skew)])
+    traces = drive.traces
+    return stack(drive, [
+        _panel(traces, 1.5, "Frames from the Teensy in a second", ("frames", SENT, "good", {"gap_s": 5}),
+               ("bad frames", BAD, "corrupt", {"gap_s": 5}), bottom=-0.03 * max(traces["frames"].maximum, 1)),
+        _panel(traces, 1.5, "Round trip of a ping in ms", ("round trip", SENT, "", DOTTED), bottom=0),
+        _panel(traces, 1.5, "How much faster the Teensy's clock runs, in ppm", ("skew", SENT, "", DOTTED),
+               **_most(traces["skew"]))])
 
 
-def _frames(axes, drive):
-    title(axes, "Frames from the Teensy in a second")
-    curve(axes, drive.traces["frames"], SENT, "good", gap_s=5)
-    curve(axes, drive.traces["bad frames"], BAD, "corrupt", gap_s=5)
-    axes.set_ylim(bottom=-0.03 * max(drive.traces["frames"].maximum, 1))
-    legend(axes)
-
-
-def _skew(axes, drive):
-    title(axes, "How much faster the Teensy's clock runs, in ppm")
-    curve(axes, drive.traces["skew"], SENT, "", **DOTTED)
-    low, high = np.nanpercentile(drive.traces["skew"].curve()[1], (10, 90))  # the first few are far off
+def _most(skew):
+    """Return limits that leave out the first few values, which are far off."""
+    if not skew.count:
+        return {}
+    low, high = np.nanpercentile(skew.curve()[1], (10, 90))
     margin = max(high - low, 10, 1e-3 * max(abs(low), abs(high)))  # garbage is drawn, too
-    axes.set_ylim(low - margin, high + margin)
+    return {"bottom": low - margin, "top": high + margin}

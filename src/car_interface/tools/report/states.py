@@ -1,29 +1,23 @@
 """Follows the states that the nodes published: who drove and why, what was cut, and why gamepad and planner failed.
 
-There is one watch for each node's state. It writes to those of ``traces`` that TRACES names, and adds what went wrong
-to ``faults``. Most keep episodes: times in which a state stayed the same. Of these up to MAX_ENTRIES are kept; more are
-counted as dropped faults.
+There is one watch for each node's state. It writes numbers to ``traces``, and adds what went wrong to ``faults``.
 """
 from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import Any, Callable, Collection, Mapping, NamedTuple
+from typing import Any, Collection, NamedTuple
 
 from car_interface.common import causes
 from car_interface.common.sources import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.common.units import NS_PER_S, stamp_ns
 from car_interface.pca9685.registers import DUTY_PER_COUNT
 from car_interface.steering.arbiter import SteeringArbiterConfig
-from car_interface.tools.report.downsample import Trace
+from car_interface.tools.report.downsample import Traces
 from car_interface.tools.report.faults import ERROR, MAX_ENTRIES, WARN, Fault, FaultLog
 
 UNKNOWN_DRIVER = -1
 STEERING_CHANNEL = 0  # as config/turn_arb.yaml has it
-TRACES = ("requested curvature", "sent curvature", "gamepad", "throttle asked", "throttle granted", "planner's speed",
-          "reference speed",
-          "frames", "bad frames",  # in a second
-          "round trip", "skew", "uncertainty")  # in ms, ppm and ms
 NEVER_AFTER_S = 5.0  # a gamepad that sends nothing for so long from the start on is missing
 APART_S = 1.0  # a release may be recorded so long before or after turn_arb's state that follows it, on a busy computer
 USUAL = ("NEUTRAL", "FORWARD")  # states of the ESC that come and go with the stick: they end no episode
@@ -65,56 +59,73 @@ class Episode(NamedTuple):
 
 
 class Episodes:
-    """The episodes of one node's state; ``finish`` takes each that has ended, and may return it as it is to be kept."""
+    """Follows one node's state as episodes.
 
-    def __init__(self, finish: Callable[[Episode], Episode | None] = lambda ended: None):
-        self.kept: list[Episode] = []  # those that have ended, up to MAX_ENTRIES
+    A watch of a state overrides ``_judge``, which takes each episode that has ended, adds its fault if it is one, and
+    returns the episode as it is kept.
+    """
+
+    node = ""  # whose state it is
+
+    def __init__(self, traces: Traces, faults: FaultLog):
+        self._traces, self._faults = traces, faults
+        self.episodes: list[Episode] = []  # those that have ended, up to MAX_ENTRIES
         self.dropped = 0  # how many more there were
-        self.current: Episode | None = None  # the one that lasts; None = there was no state yet
-        self._finish = finish
+        self.driver, self._state_s = UNKNOWN_DRIVER, -math.inf  # of the newest state
+        self._current: Episode | None = None  # the one that lasts; None = there was no state yet
 
-    def update(self, time_s: float, node: str, cause: str, reason: str, **state: Any) -> None:
+    def driver_at(self, time_s: float) -> int | None:
+        """Return who drives by the newest state; ``None`` = unknown."""
+        return self.driver if is_fresh(self._state_s, time_s) else None
+
+    def finish(self) -> None:
+        """End the last episode at the recording's end."""
+        self._end(self._traces.duration_s)
+
+    def _update(self, time_s: float, message: Any, reason: str = "", source: int = UNKNOWN_DRIVER, *esc: str) -> None:
         """Take a state: the episode goes on, or another one begins."""
-        begun = Episode(time_s, math.inf, node, cause, reason, **state)
-        if self.current is None or not self.current.goes_on(begun):
-            self.end(time_s)
-            self.current = begun
+        self.driver, self._state_s = source, time_s
+        begun = Episode(time_s, math.inf, self.node, message.cause, reason or message.reason, source, *esc)
+        if self._current is None or not self._current.goes_on(begun):
+            self._end(time_s)
+            self._current = begun
 
-    def end(self, time_s: float) -> None:
-        """End the one that lasts."""
-        if self.current is not None:
-            ended = self.current._replace(end_s=time_s)
-            self.keep(self._finish(ended) or ended)
-        self.current = None
+    def _end(self, time_s):
+        if self._current is not None:
+            self._keep(self._judge(self._current._replace(end_s=time_s)))
+        self._current = None
 
-    def keep(self, ended: Episode) -> None:
-        """Keep one, or count it when there are too many."""
-        if len(self.kept) < MAX_ENTRIES:
-            self.kept.append(ended)
+    def _keep(self, ended):
+        if len(self.episodes) < MAX_ENTRIES:
+            self.episodes.append(ended)
         else:
             self.dropped += 1
 
+    def _judge(self, ended: Episode) -> Episode:
+        return ended
 
-class GamepadWatch:
+
+class GamepadWatch(Episodes):
     """Follows teleop_logi's state: what was wrong with the gamepad."""
 
-    def __init__(self, faults: FaultLog, duration_s: float):
-        self._faults, self._duration_s = faults, duration_s
-        self._episodes, self._unused_axes = Episodes(self._finish), Episodes(
-            lambda ended: faults.add(ended.fault(WARN)))
+    node = "teleop_logi"
+
+    def __init__(self, traces: Traces, faults: FaultLog):
+        super().__init__(traces, faults)
+        self._unused_axis: Episode | None = None  # while an axis wasn't seen at its rest
         self._releases: list[Episode] = []  # what ended each time of a held deadman, a loss or not; up to MAX_ENTRIES
         self._was_held = False
 
     def on_state(self, time_s: float, message: Any) -> None:
         """Take a car_interface/TeleopState."""
-        self._episodes.update(time_s, "teleop_logi", message.cause, message.reason)
+        self._update(time_s, message)
         if self._was_held and not message.human_in_loop and len(self._releases) < MAX_ENTRIES:
-            self._releases.append(self._episodes.current)
+            self._releases.append(self._current)
         self._was_held = message.human_in_loop
-        if causes.NOT_AT_REST in (message.steering_stick, message.throttle_stick):
-            self._unused_axes.update(time_s, "teleop_logi", causes.NOT_AT_REST, message.reason)
-        else:
-            self._unused_axes.end(time_s)
+        if causes.NOT_AT_REST not in (message.steering_stick, message.throttle_stick):
+            self._end_unused_axis(time_s)
+        elif self._unused_axis is None:
+            self._unused_axis = Episode(time_s, math.inf, self.node, causes.NOT_AT_REST, message.reason)
 
     def loss_at(self, time_s: float) -> Episode | None:
         """Return the loss for which the deadman was false from a time on; ``None`` = none, or it was let go."""
@@ -122,67 +133,66 @@ class GamepadWatch:
         if near:
             release = min(near, key=lambda release: abs(release.start_s - time_s))
             return release if release.cause in causes.LOSSES else None
-        return next((one for one in (*self._episodes.kept, *filter(None, [self._episodes.current]))
+        return next((one for one in (*self.episodes, *filter(None, [self._current]))
                      if one.cause in causes.LOSSES and one.start_s <= time_s <= one.end_s), None)
 
     def finish(self) -> None:
         """End what lasts."""
-        self._episodes.end(self._duration_s)
-        self._unused_axes.end(self._duration_s)
+        super().finish()
+        self._end_unused_axis(self._traces.duration_s)
 
-    def _finish(self, ended):
+    def _end_unused_axis(self, time_s):
+        if self._unused_axis is not None:
+            self._faults.add(self._unused_axis._replace(end_s=time_s).fault(WARN))
+        self._unused_axis = None
+
+    def _judge(self, ended):
         never = ended.cause == causes.JOY_NEVER_RECEIVED and ended.end_s - ended.start_s >= NEVER_AFTER_S
         if ended.cause in causes.LOSSES or never:
             self._faults.add(ended.fault(ERROR if ended.cause in causes.JOY_UNUSABLE else WARN))
+        return ended
 
 
-class SteeringWatch:
+class SteeringWatch(Episodes):
     """Follows turn_arb's state, the requests, and the board's output; ``gamepad`` says why a deadman was false."""
 
-    def __init__(self, traces: Mapping[str, Trace], faults: FaultLog, duration_s: float, gamepad: GamepadWatch):
-        self._traces, self._faults, self._duration_s, self._gamepad = traces, faults, duration_s, gamepad
-        self._episodes = Episodes(self._finish)
-        self.episodes = self._episodes.kept
+    node = "turn_arb"
+
+    def __init__(self, traces: Traces, faults: FaultLog, gamepad: GamepadWatch):
+        super().__init__(traces, faults)
+        self._gamepad = gamepad
         self.source_s: Counter = Counter()  # seconds by source
-        self.source = UNKNOWN_DRIVER  # who steers now
-        self.duties: dict = {}  # a Trace by channel, for those that were ever driven
+        self.duties = Traces(traces.duration_s)  # by channel, of those that were ever driven
         self.steering_channel: int | None = None  # that follows turn_arb's duty; None = unknown
         self.curvature_per_m: float | None = None  # sent by turn_arb now, left positive; None = unknown
         self.unchanged_since_s = 0.0  # when turn_arb's duty last changed by a step of the board
         self._steady_duty = None  # since then
-        self._state_s, self._duty = -math.inf, None  # of the newest state
+        self._duty = None  # of the newest state
         self.driven_from_s = math.inf  # when somebody first drove
         self._matches: Counter = Counter()  # by channel: how often its output was turn_arb's duty
 
     def on_state(self, time_s: float, message: Any) -> None:
         """Take a car_interface/SteeringState."""
-        self._episodes.update(time_s, "turn_arb", message.cause, message.reason, source=message.source)
         self.curvature_per_m = 1 / message.turn_radius if message.turn_radius else math.nan
         self._traces["sent curvature"].add(time_s, self.curvature_per_m)
         # Understeer moves the duty a little with the speed.
         if (self._steady_duty is None or abs(message.duty - self._steady_duty) >= DUTY_PER_COUNT
                 or not is_fresh(self._state_s, time_s)):
             self._steady_duty, self.unchanged_since_s = message.duty, time_s
-        self._state_s, self.source, self._duty = time_s, message.source, message.duty
-
-    def source_at(self, time_s: float) -> int | None:
-        """Return who steers; ``None`` = unknown."""
-        return self.source if is_fresh(self._state_s, time_s) else None
+        self._duty = message.duty
+        self._update(time_s, message, source=message.source)
 
     def expire(self, time_s: float) -> None:
         """Forget what turn_arb sent if it is silent, or nobody has the car, which may be carried then."""
-        if self.source_at(time_s) in (None, LOCKED, NO_HUMAN):
+        if self.driver_at(time_s) in (None, LOCKED, NO_HUMAN):
             self.curvature_per_m = None
 
     def on_output(self, time_s: float, message: Any) -> None:
         """Take the std_msgs/Int32MultiArray of /servo/output."""
-        if self._duty is not None:
-            self._matches.update(channel for channel, duty in enumerate(message.data)
-                                 if abs(duty - self._duty) <= DUTY_PER_COUNT)
         for channel, duty in enumerate(message.data):
-            if duty > 0 and channel not in self.duties:
-                self.duties[channel] = Trace(self._duration_s)
-            if channel in self.duties:
+            if self._duty is not None and abs(duty - self._duty) <= DUTY_PER_COUNT:
+                self._matches[channel] += 1
+            if duty > 0 or channel in self.duties:
                 self.duties[channel].add(time_s, duty)
 
     def stops(self) -> list[Episode]:
@@ -196,8 +206,7 @@ class SteeringWatch:
 
     def finish(self) -> None:
         """End the last episode, and find the steering channel."""
-        self._episodes.end(self._duration_s)
-        self._faults.dropped += self._episodes.dropped
+        super().finish()
         self.driven_from_s = min((one.start_s for one in self.episodes if one.source in (TELEOP, PLANNER)),
                                  default=math.inf)
         if self._matches:
@@ -205,7 +214,7 @@ class SteeringWatch:
         elif STEERING_CHANNEL in self.duties:  # turn_arb's state was not recorded
             self.steering_channel = STEERING_CHANNEL
 
-    def _finish(self, ended):
+    def _judge(self, ended):
         loss = self._gamepad.loss_at(ended.start_s) if ended.cause == causes.HUMAN_ABSENT else None
         if loss is not None:  # the gamepad's own fault is another line of the table of faults
             ended = ended._replace(cause=loss.cause, reason=f"human_in_loop is false: {loss.reason}")
@@ -216,62 +225,45 @@ class SteeringWatch:
         return ended
 
 
-class ThrottleWatch:
+class ThrottleWatch(Episodes):
     """Follows throttle_arb's state: who drove the throttle and why, what was asked, and what the ESC was given.
 
     Of the losses those are faults that turn_arb doesn't report.
     """
 
-    def __init__(self, traces: Mapping[str, Trace], faults: FaultLog, duration_s: float):
-        self._traces, self._faults, self._duration_s = traces, faults, duration_s
-        self._episodes = Episodes(self._finish)
-        self.episodes = self._episodes.kept
-        self.profile = ""  # the ESC's kind; empty: unknown
-        self._state_s, self._source = -math.inf, UNKNOWN_DRIVER  # of the newest state
+    node = "throttle_arb"
+    profile = ""  # the ESC's kind; empty: unknown
 
     def on_state(self, time_s: float, message: Any) -> None:
         """Take a car_interface/ThrottleState."""
         self.profile = message.profile
-        self._state_s, self._source = time_s, message.source
         self._traces["throttle asked"].add(time_s, message.asked)
         self._traces["throttle granted"].add(time_s, message.granted)
-        reason, esc = message.reason, {}
-        if message.esc not in USUAL:
-            reason = f"{message.reason}; {message.esc}: {message.esc_reason}"
-            esc = {"esc": message.esc, "esc_cause": message.esc_cause}
-        self._episodes.update(time_s, "throttle_arb", message.cause, reason, source=message.source, **esc)
-
-    def source_at(self, time_s: float) -> int | None:
-        """Return who drives; ``None`` = unknown."""
-        return self._source if is_fresh(self._state_s, time_s) else None
+        esc = () if message.esc in USUAL else (message.esc, message.esc_cause)
+        reason = f"{message.reason}; {message.esc}: {message.esc_reason}" if esc else message.reason
+        self._update(time_s, message, reason, message.source, *esc)
 
     def losses(self) -> list[Episode]:
         """Return the episodes with a loss of the throttle's own."""
         return [episode for episode in self.episodes if _is_loss(episode)]
 
-    def finish(self) -> None:
-        """End the last episode."""
-        self._episodes.end(self._duration_s)
-        self._faults.dropped += self._episodes.dropped
-
-    def _finish(self, ended):
+    def _judge(self, ended):
         if _is_loss(ended):
             self._faults.add(ended.fault(ERROR if ended.esc_cause == causes.ESC_MOTION else WARN))
+        return ended
 
 
 def _is_loss(episode):
     return episode.esc_cause == causes.ESC_MOTION or episode.cause in causes.LOSSES - SHARED
 
 
-class PlannerWatch:
+class PlannerWatch(Episodes):
     """Follows planner_interface's state: what the planner asked for, and why it wasn't obeyed."""
 
-    def __init__(self, traces: Mapping[str, Trace], faults: FaultLog, duration_s: float):
-        self._traces, self._faults, self._duration_s = traces, faults, duration_s
-        self._episodes = Episodes(self._finish)
-        self.source = ""  # that was obeyed; empty: unknown
-        self.others = ""  # the sources that weren't, with their messages, at the end; empty: none
-        self._obeyed_s = -math.inf  # when it was last obeyed
+    node = "planner_interface"
+    source = ""  # that was obeyed; empty: unknown
+    others = ""  # the sources that weren't, with their messages, at the end; empty: none
+    _obeyed_s = -math.inf  # when it was last obeyed
 
     def on_state(self, time_s: float, message: Any) -> None:
         """Take a car_interface/PlannerState."""
@@ -280,19 +272,16 @@ class PlannerWatch:
         self._obeyed_s = time_s if is_obeyed else -math.inf
         self._traces["planner's speed"].add(time_s, message.speed if is_obeyed else math.nan)
         self._traces["reference speed"].add(time_s, message.reference_speed if is_obeyed else math.nan)
-        self._episodes.update(time_s, "planner_interface", message.cause, message.reason)
+        self._update(time_s, message)
 
     def obeyed_at(self, time_s: float) -> str:
         """Return the source that is obeyed; empty = none, or it is unknown."""
         return self.source if is_fresh(self._obeyed_s, time_s) else ""
 
-    def finish(self) -> None:
-        """End the last episode."""
-        self._episodes.end(self._duration_s)
-
-    def _finish(self, ended):
+    def _judge(self, ended):
         if ended.cause in PLANNER_FAULTS:
             self._faults.add(ended.fault(WARN))
+        return ended
 
 
 class Drivers:
@@ -302,17 +291,16 @@ class Drivers:
                  present: Collection[str]):
         self._planner = planner if "planner_interface/state" in present else None
         # Where one of them wasn't recorded, the other's stands for both: before throttle_arb who steered drove, too.
-        known = [watch for watch, topic in ((steering, "turn_arb/state"), (throttle, "throttle_arb/state"))
-                 if topic in present]
-        self._steering, self._throttle = (known[0], known[-1]) if known else (None, None)
+        known = [watch for watch in (steering, throttle) if f"{watch.node}/state" in present] or [None]
+        self._steering, self._throttle = known[0], known[-1]
 
     def planner_steers(self, time_s: float) -> bool | None:
         """Return whether the planner steers; ``None``: no state was recorded that shows it."""
-        return None if self._steering is None else self._steering.source_at(time_s) == PLANNER
+        return None if self._steering is None else self._steering.driver_at(time_s) == PLANNER
 
     def planner_drives(self, time_s: float) -> bool | None:
         """Return whether the throttle is the planner's; ``None``: no state was recorded that shows it."""
-        return None if self._throttle is None else self._throttle.source_at(time_s) == PLANNER
+        return None if self._throttle is None else self._throttle.driver_at(time_s) == PLANNER
 
     def planner_interface_obeys(self, source: str, time_s: float) -> bool | None:
         """Return whether planner_interface obeys a source, such as ``drive``; ``None``: its state wasn't recorded."""
@@ -323,8 +311,7 @@ class LimitsWatch:
     """Follows the limits in the states of turn_arb and throttle_arb: which requests were cut, when, and why."""
 
     def __init__(self):
-        self._episodes = Episodes()
-        self.episodes = self._episodes.kept  # by their starts once finished
+        self.episodes: list[Episode] = []  # up to MAX_ENTRIES, by their starts once finished
         self.counts: Counter = Counter()  # by node, how often a request began to be limited, by its own count
         self._current: dict[str, Episode] = {}  # by node, up to when it was last seen
         self._seen: dict[str, int] = {}  # a node's newest count
@@ -339,22 +326,19 @@ class LimitsWatch:
         begun, current = Episode(time_s, time_s, node, message.limit, message.limit_reason), self._current.get(node)
         if current is not None and current.goes_on(begun) and time_s - current.end_s <= SAME_AFTER_S:
             begun = current._replace(end_s=time_s)
-        elif current is not None:
-            self._episodes.keep(current)
+        elif current is not None and len(self.episodes) < MAX_ENTRIES:
+            self.episodes.append(current)
         self._current[node] = begun
 
     def finish(self) -> None:
         """Keep the last episodes, too."""
-        for episode in self._current.values():
-            self._episodes.keep(episode)
-        self._current.clear()
-        self.episodes.sort(key=lambda episode: episode.start_s)
+        self.episodes = sorted([*self.episodes, *self._current.values()], key=lambda one: one.start_s)[:MAX_ENTRIES]
 
 
 class TeensyWatch:
     """Follows the hub's link status, the pongs and the Teensy's counters."""
 
-    def __init__(self, traces: Mapping[str, Trace], faults: FaultLog):
+    def __init__(self, traces: Traces, faults: FaultLog):
         self._traces, self._faults = traces, faults
         self.first_link = self.link = None  # the first and a recent LinkStatus; None without any
         self.counters: dict = {}  # (first, last) value by name

@@ -1,8 +1,8 @@
 """Summarizes what happened on a drive: its recording is read once, in memory that doesn't grow with its length."""
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import partial
+from functools import partial, partialmethod
+from operator import attrgetter
 from typing import Any
 
 from car_interface.common.units import NS_PER_S
@@ -13,19 +13,19 @@ from car_interface.tools.recordings import calibration_result, roles
 from car_interface.tools.recordings.calibration_result import CalibrationResult
 from car_interface.tools.recordings.columns import VOLTAGE, value_of, vesc_number
 from car_interface.tools.recordings.recording import (
+    Contents,
     NoRecording,
     absolute_names,
     check_types,
     contents,
     other_version,
+    prefix,
     read,
     require,
 )
-from car_interface.tools.recordings.roles import find, fits, other_cars, without
-from car_interface.tools.report import motion, states
-from car_interface.tools.report.coverage import Coverage, both
-from car_interface.tools.report.downsample import Trace
-from car_interface.tools.report.faults import WARN, FaultLog, NodeReports
+from car_interface.tools.recordings.roles import find, other_cars
+from car_interface.tools.report.downsample import Traces
+from car_interface.tools.report.faults import WARN, Coverage, FaultLog, NodeReports
 from car_interface.tools.report.motion import AskedWatch, ImuWatch, MotionWatch, SonarWatch
 from car_interface.tools.report.states import (
     Drivers,
@@ -40,56 +40,125 @@ from car_interface.tools.report.states import (
 # Relative names are below the car's namespace, and so are the others where they are found there.
 RANGES = tuple(f"sonar/{name}" for name in SONARS)
 VALUE = roles.VALUE._replace(topics=roles.VALUE.topics[:1])  # a VESC's duty cycle comes with its other numbers
-ROLES = (roles.ODOM, roles.IMU, roles.OUTPUT, VALUE, roles.ACKERMANN, roles.RADIUS, roles.ACCELERATION, roles.STICK,
-         roles.BATTERY, roles.VESC, roles.SERVO, roles.MOTOR)
+# What may be read, and what of Summary takes its messages.
+ROLES = {
+    roles.ODOM: "motion.on_odom", roles.IMU: "imu.on_imu", roles.OUTPUT: "steering.on_output", VALUE: "on_value",
+    roles.ACKERMANN: "asked.on_drive", roles.RADIUS: "on_radius", roles.ACCELERATION: "on_request",
+    roles.STICK: "on_stick", roles.BATTERY: "on_battery", roles.VESC: "on_vesc", roles.SERVO: "on_servo",
+    roles.MOTOR: "on_motor",
+}
+TOPICS = {  # without a role: their types, and the same
+    "turn_arb/state": ("car_interface/SteeringState", "on_steering"),
+    "throttle_arb/state": (roles.THROTTLE_STATE["throttle_arb/state"], "on_throttle"),
+    "planner_interface/state": ("car_interface/PlannerState", "planner.on_state"),
+    "teleop_logi/state": ("car_interface/TeleopState", "gamepad.on_state"),
+    "/tf_static": ("tf2_msgs/TFMessage", "sonars.on_static_tf"),
+    "teensy_sensor_hub/link": ("car_interface/LinkStatus", "teensy.on_link"),
+    "teensy_clock": ("car_interface/TeensyClock", "teensy.on_clock"),
+    "teensy_error": ("car_interface/Error", "teensy.on_error"),
+    calibration_result.TOPIC: ("std_msgs/String", "on_calibration"),
+    "/diagnostics": ("diagnostic_msgs/DiagnosticArray", "reports.on_diagnostics"),
+    "/rosout": (("rosgraph_msgs/Log", "rcl_interfaces/Log"), "reports.on_log"),
+}
 ROLE_OF = {role.topics[0]: role for role in ROLES}
 # A topic with the name of one of these may be something else: it is not read then.
 MAY_BE_OTHERS = (roles.IMU, roles.ACKERMANN, roles.BATTERY, roles.VESC, roles.SERVO, roles.MOTOR)
-TYPES = {
-    **{role.topics[0]: role.types for role in ROLES},
-    **roles.THROTTLE_STATE,
-    "turn_arb/state": "car_interface/SteeringState",
-    "planner_interface/state": "car_interface/PlannerState",
-    "teleop_logi/state": "car_interface/TeleopState",
-    **dict.fromkeys(RANGES, "sensor_msgs/Range"),
-    "/tf_static": "tf2_msgs/TFMessage",
-    "teensy_sensor_hub/link": "car_interface/LinkStatus",
-    "teensy_clock": "car_interface/TeensyClock",
-    "teensy_error": "car_interface/Error",
-    calibration_result.TOPIC: "std_msgs/String",
-    "/diagnostics": "diagnostic_msgs/DiagnosticArray",
-    "/rosout": ("rosgraph_msgs/Log", "rcl_interfaces/Log"),
-}
+TYPES = {**{role.topics[0]: role.types for role in ROLES}, **{topic: types for topic, (types, _) in TOPICS.items()},
+         **dict.fromkeys(RANGES, "sensor_msgs/Range")}
 NEEDED = ("odom", "turn_arb/state", "/servo/output")  # at least one of them
-TRACES = (*states.TRACES, *motion.TRACES, "requested acceleration", "value", "battery voltage", "servo position",
-          "motor speed asked", "motor speed")  # the last two in ERPM
 
 
-@dataclass
 class Summary:
-    """What happened on a drive. Times are in seconds since the recording's first message."""
+    """What happened on a drive. Times are in seconds since the recording's first message.
 
-    path: str  # of the recording
-    namespace: str
-    start_ns: int  # ROS time of the first message
-    duration_s: float
-    topics: dict  # what it has: a recordings.recording.Topic by name
-    notes: list  # a line for each topic that was named, guessed or not found, and for what is odd about one
-    present: set  # those of TYPES that were recorded
-    traces: dict  # a Trace for each of TRACES
-    gamepad: GamepadWatch
-    steering: SteeringWatch
-    throttle: ThrottleWatch
-    limits: LimitsWatch
-    asked: AskedWatch
-    planner: PlannerWatch
-    motion: MotionWatch
-    imu: ImuWatch
-    sonars: SonarWatch
-    teensy: TeensyWatch
-    faults: FaultLog
-    coverage: Coverage
-    calibration: CalibrationResult | None = None  # of a calibration drive, which drove by the table before
+    Args:
+        recorded: the recording's contents.
+        present: those of TYPES that were recorded.
+        wheelbase_m: by which an asked steering angle is a curvature; ``None`` = unknown.
+    """
+
+    def __init__(self, path: str, namespace: str, recorded: Contents, present: set, wheelbase_m: float | None):
+        self.path, self.namespace = path, namespace
+        self.start_ns = recorded.start_ns  # ROS time of the first message
+        self.duration_s = (recorded.end_ns - recorded.start_ns) / NS_PER_S
+        self.topics, self.present = recorded.topics, present
+        self.notes: list = []  # a line for each topic that was named, guessed or not found, or is odd
+        self.calibration: CalibrationResult | None = None  # of a calibration drive, which drove by the table before
+        self.traces, self.faults = Traces(self.duration_s), FaultLog()
+        self.coverage = Coverage(prefix(namespace), self.duration_s)
+        found = self.traces, self.faults
+        self.gamepad, self.throttle, self.planner = GamepadWatch(*found), ThrottleWatch(*found), PlannerWatch(*found)
+        self.steering, self.limits = SteeringWatch(*found, self.gamepad), LimitsWatch()
+        drivers = Drivers(self.steering, self.throttle, self.planner, present)
+        self.asked = AskedWatch(self.traces, wheelbase_m, drivers)
+        self.motion = MotionWatch(*found, self.steering, self.asked, drivers, self.start_ns)
+        self.imu, self.sonars = ImuWatch(self.traces, self.motion), SonarWatch(self.motion, self.start_ns)
+        self.teensy = TeensyWatch(*found)
+        log_type = next((topic.type for name, topic in self.topics.items() if name.lstrip("/") == "rosout"), "")
+        self.reports = NodeReports(self.faults, present, log_type)
+
+    def handlers(self) -> dict:
+        """Return a function of time in s and message for each of TYPES."""
+        names = {**{role.topics[0]: name for role, name in ROLES.items()},
+                 **{topic: name for topic, (_, name) in TOPICS.items()}}
+        return {**{topic: attrgetter(name)(self) for topic, name in names.items()},
+                **{topic: partial(self.sonars.on_range, topic=topic) for topic in RANGES}}
+
+    def finish(self, steps_back: int) -> None:
+        """End what lasts, and drop what is no fault of this drive; ``steps_back``: how often its clock was set back."""
+        if steps_back:
+            times = "once" if steps_back == 1 else f"{steps_back} times"
+            self.faults.add_moment(0.0, WARN, "recording", f"its time went back {times}: the clock was set")
+        for watch in (self.steering, self.throttle, self.planner, self.limits, self.gamepad):
+            watch.finish()
+        self.faults.dropped += self.steering.dropped + self.throttle.dropped
+        self.faults.finish(self.steering.driven_from_s)
+        if self.calibration is not None:  # its table is to be replaced, and it keeps room to coast in
+            self.faults.entries[:] = [fault for fault in self.faults.entries if not (
+                UNCALIBRATED in fault.what or fault.what.startswith(NO_BRAKE))]
+
+    def on_steering(self, time_s: float, message: Any) -> None:
+        """Take a car_interface/SteeringState."""
+        self.steering.on_state(time_s, message)
+        self.limits.on_state(time_s, message, self.steering.node)
+
+    def on_throttle(self, time_s: float, message: Any) -> None:
+        """Take a car_interface/ThrottleState."""
+        self.throttle.on_state(time_s, message)
+        self.limits.on_state(time_s, message, self.throttle.node)
+
+    def on_number(self, trace: str, time_s: float, message: Any) -> None:
+        """Take a message with a number."""
+        self.traces[trace].add(time_s, value_of(message))
+
+    on_value, on_stick = partialmethod(on_number, "value"), partialmethod(on_number, "gamepad")
+    on_servo, on_motor = partialmethod(on_number, "servo position"), partialmethod(on_number, "motor speed asked")
+
+    def on_radius(self, time_s: float, message: Any) -> None:
+        """Take a std_msgs/Float32: the planner's turn radius in m; 0 requests nothing."""
+        if message.data:
+            self.traces["requested curvature"].add(time_s, 1 / message.data)
+
+    def on_request(self, time_s: float, message: Any) -> None:
+        """Take the acceleration that a planner requests."""
+        self.traces["requested acceleration"].add(time_s, message.longitudinal.acceleration)
+        self.motion.accelerating.request(time_s, message.longitudinal.acceleration)
+
+    def on_vesc(self, time_s: float, message: Any) -> None:
+        """Take a VESC's telemetry; a voltage or a value that has a topic of its own goes before. Speeds are in ERPM."""
+        self.traces["motor speed"].add(time_s, message.state.speed)
+        if "generic/output/value" not in self.present:
+            self.on_number("value", time_s, message)
+        if "battery_state" not in self.present:
+            self._add_voltage(time_s, vesc_number(message, VOLTAGE))
+
+    def on_battery(self, time_s: float, message: Any) -> None:
+        """Take a sensor_msgs/BatteryState."""
+        self._add_voltage(time_s, message.voltage)
+
+    def _add_voltage(self, time_s, voltage_v):
+        if voltage_v > 0:  # 0 and NaN: it isn't measured
+            self.traces["battery voltage"].add(time_s, voltage_v)
 
     def on_calibration(self, time_s: float, message: Any) -> None:
         """Take a calibration drive's result."""
@@ -117,131 +186,32 @@ def summarize(path: str, namespace: str = "/", wheelbase_m: float | None = None,
         named = {given[role.name]: role.types for role in ROLES if role.name in given}
         require(path, named, namespace)
         check_types(path, named, namespace)
-    free = {role.name: without(has.topics, given, role, namespace) for role in ROLES}
-    found = {role.topics[0]: find(free[role.name], role, namespace, given.get(role.name)) for role in ROLES}
+    found = {role.topics[0]: find(has.topics, role, namespace, given) for role in ROLES}
     keys = {found[name].topic if name in found else name: name for name in TYPES
-            if name not in found or _is_read(has.topics, free, found[name].topic, ROLE_OF[name], given, namespace)}
+            if name not in found or ROLE_OF[name].name in given
+            or (found[name].fits if ROLE_OF[name] in MAY_BE_OTHERS else found[name].is_there)}
     types = {topic: TYPES[name] for topic, name in keys.items()}
     with_messages = {name: topic for name, topic in has.topics.items() if topic.count}
     names = absolute_names(with_messages, types, namespace)
-    below = "/" + "/".join([*filter(None, namespace.split("/")), ""])  # an absolute name may be another car's
+    below = prefix(namespace)  # an absolute name may be another car's
     if not any(keys[requested] in NEEDED and name.startswith(below) for name, requested in names.items()):
         odom = found["odom"]
         raise NoRecording(f"{path} has no message of {odom.topic}, turn_arb/state or /servo/output"
                           + _elsewhere(with_messages, namespace, odom.note))
-    summary = _empty(path, namespace, has, {keys[name] for name in names.values()}, wheelbase_m)
+    summary = Summary(path, namespace, has, {keys[name] for name in names.values()}, wheelbase_m)
     summary.notes += [f"{name}: {topic} (as you say)" for name, topic in given.items()]
     summary.notes += [one.note for one in found.values() if one.note]
-    handlers = summary.coverage.watched(_handlers(summary))
+    handlers = summary.handlers()
     for recorded in read(path, types, namespace, progress):
+        key, time_s = keys[recorded.topic], (recorded.time_ns - summary.start_ns) / NS_PER_S
         try:
-            handlers[keys[recorded.topic]]((recorded.time_ns - summary.start_ns) / NS_PER_S, recorded.message)
+            summary.coverage.update(time_s, key, recorded.message)
+            handlers[key](time_s, recorded.message)
         except AttributeError as error:
             raise other_version(path, recorded) from error
-    if has.steps_back:
-        times = "once" if has.steps_back == 1 else f"{has.steps_back} times"
-        summary.faults.add_moment(0.0, WARN, "recording", f"its time went back {times}: the clock was set")
-    for watch in (summary.steering, summary.throttle, summary.planner, summary.limits, summary.gamepad):
-        watch.finish()
-    summary.faults.finish(summary.steering.driven_from_s)
-    if summary.calibration is not None:
-        summary.faults.entries[:] = [fault for fault in summary.faults.entries if not _is_meant(fault)]
+    summary.finish(has.steps_back)
     summary.notes += filter(None, [summary.motion.note(found["odom"].topic), summary.imu.note(found["imu/data"].topic)])
     return summary
-
-
-def _is_meant(fault):
-    """Return whether a calibration drive means it: its table is to be replaced, and it keeps room to coast in."""
-    return UNCALIBRATED in fault.what or fault.what.startswith(NO_BRAKE)
-
-
-def _is_read(recorded, free, topic, role, given, namespace):
-    """Return whether the topic that was found for a role is read as that."""
-    if role.name in given:
-        return True
-    if role in MAY_BE_OTHERS:
-        return fits(free[role.name], topic, role, namespace)
-    names = absolute_names(recorded, [topic], namespace)
-    return names.keys() <= free[role.name].keys()
-
-
-def _empty(path, namespace, has, present, wheelbase_m):
-    duration_s = (has.end_ns - has.start_ns) / NS_PER_S
-    traces = {name: Trace(duration_s) for name in TRACES}
-    faults = FaultLog()
-    gamepad = GamepadWatch(faults, duration_s)
-    steering = SteeringWatch(traces, faults, duration_s, gamepad)
-    throttle, planner = ThrottleWatch(traces, faults, duration_s), PlannerWatch(traces, faults, duration_s)
-    drivers = Drivers(steering, throttle, planner, present)
-    wanted = AskedWatch(traces, wheelbase_m, drivers)
-    moves = MotionWatch(traces, faults, steering, wanted, drivers, has.start_ns)
-    return Summary(path, namespace, has.start_ns, duration_s, has.topics, [], present, traces, gamepad, steering,
-                   throttle, LimitsWatch(), wanted, planner, moves, ImuWatch(traces, moves),
-                   SonarWatch(moves, has.start_ns), TeensyWatch(traces, faults), faults,
-                   Coverage(namespace, duration_s))
-
-
-def _handlers(summary):
-    """Return a function of time in s and message for each of TYPES."""
-    steering, teensy, traces = summary.steering, summary.teensy, summary.traces
-    log_type = next((topic.type for name, topic in summary.topics.items() if name.lstrip("/") == "rosout"), "")
-    nodes = NodeReports(summary.faults, summary.present, log_type)
-    return {
-        "turn_arb/state": both(steering.on_state, partial(summary.limits.on_state, node="turn_arb")),
-        "throttle_arb/state": both(summary.throttle.on_state, partial(summary.limits.on_state, node="throttle_arb")),
-        "planner_interface/state": summary.planner.on_state,
-        "teleop_logi/state": summary.gamepad.on_state,
-        "/servo/output": steering.on_output,
-        "av_turnrad_req": partial(_on_radius, traces["requested curvature"]),
-        "/teleop_logi/tele_steer_req": partial(_add_number, traces["gamepad"]),
-        "odom": summary.motion.on_odom,
-        "imu/data": summary.imu.on_imu,
-        "drive": summary.asked.on_drive,
-        "control/command/control_cmd": partial(_on_request, summary),
-        "generic/output/value": partial(_add_number, traces["value"]),
-        "battery_state": lambda time_s, message: _add_voltage(summary, time_s, message.voltage),
-        "sensors/core": partial(_on_vesc, summary),
-        "sensors/servo_position_command": partial(_add_number, traces["servo position"]),
-        "commands/motor/speed": partial(_add_number, traces["motor speed asked"]),
-        **{name: partial(summary.sonars.on_range, topic=name) for name in RANGES},
-        "/tf_static": summary.sonars.on_static_tf,
-        "teensy_sensor_hub/link": teensy.on_link,
-        "teensy_clock": teensy.on_clock,
-        "teensy_error": teensy.on_error,
-        calibration_result.TOPIC: summary.on_calibration,
-        "/diagnostics": nodes.on_diagnostics,
-        "/rosout": nodes.on_log,
-    }
-
-
-def _add_number(trace, time_s, message):
-    trace.add(time_s, value_of(message))
-
-
-def _on_radius(trace, time_s, message):
-    """Take a std_msgs/Float32: the planner's turn radius in m; 0 requests nothing."""
-    if message.data:
-        trace.add(time_s, 1 / message.data)
-
-
-def _on_request(summary, time_s, message):
-    """Take the acceleration that a planner requests."""
-    summary.traces["requested acceleration"].add(time_s, message.longitudinal.acceleration)
-    summary.motion.accelerating.request(time_s, message.longitudinal.acceleration)
-
-
-def _on_vesc(summary, time_s, message):
-    """Take a VESC's telemetry; a voltage or a value that has a topic of its own goes before."""
-    summary.traces["motor speed"].add(time_s, message.state.speed)
-    if "generic/output/value" not in summary.present:
-        _add_number(summary.traces["value"], time_s, message)
-    if "battery_state" not in summary.present:
-        _add_voltage(summary, time_s, vesc_number(message, VOLTAGE))
-
-
-def _add_voltage(summary, time_s, voltage_v):
-    if voltage_v > 0:  # 0 and NaN: it isn't measured
-        summary.traces["battery voltage"].add(time_s, voltage_v)
 
 
 def _elsewhere(topics, namespace, note):

@@ -158,3 +158,16 @@ def test_reboot_does_not_hide_how_the_link_does(link, before, after, states):
     link.live(*before)
     link.health.rebooted("its clock went back", link.now_ns)
     assert link.live(*after) == states
+
+
+def test_three_bad_frames_of_300_are_told_and_half_of_all_are_an_error_before_pings_in_vain(link):
+    assert link.live(*[a_second_of(9000, 297, 3)] * 2)[1] == "bad checksums"
+    link.open()
+    verdict = [link.second(a_second_of(600, 10, 10, pings_in_vain=3)) for _ in range(3)][-1]
+    assert (verdict.state, verdict.level) == ("bad checksums", ERROR)
+
+
+@pytest.mark.parametrize("bytes_in, is_told", [(17_280, False), (17_281, True)])
+def test_one_and_a_half_times_the_bytes_that_a_line_can_carry_are_too_many(link, bytes_in, is_told):
+    verdict = [link.second(a_second_of(bytes_in)) for _ in range(3)][-1]
+    assert ("more than 115200 baud can carry" in verdict.description) == is_told

@@ -154,3 +154,10 @@ def test_checksum_that_was_chosen_is_kept_however_many_go_unanswered(checksum, f
     after = go_unanswered(pings, 12)
     assert pings.checksum == checksum
     assert pings.ping(CARRIES, after) == FILLER + frame
+
+
+def test_pings_lie_within_their_periods_at_the_fractions_of_the_golden_section():
+    """Multiples of 0.618034, modulo 1, of a tenth of the period."""
+    pings = pinger(period_ns=50 * MS)
+    due_ns = keep_pinging(pings, 4, answered=False)
+    assert [round((at_ns - NOW) / MS, 3) for at_ns in due_ns] == [0.0, 53.090, 101.180, 154.271]

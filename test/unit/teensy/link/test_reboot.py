@@ -2,7 +2,7 @@
 
 import pytest
 
-from car_interface.teensy.link.reboot import RebootDetector
+from car_interface.teensy.link.reboot import RebootDetector, reached_tick
 
 MS, S = 1_000_000, 1_000_000_000
 NOW = 100 * S
@@ -63,3 +63,27 @@ def test_clock_that_begins_anew_again_also_while_the_port_was_away_is_another_re
 ])
 def test_tick_fits_from_half_a_second_back_to_half_a_second_and_a_thousandth_ahead(ticks, step_ms, reboots):
     assert len(run(RebootDetector(), ticks, step_ms=step_ms)) == reboots
+
+
+def test_clock_that_goes_on_has_reached_its_tick_and_the_time_since_less_its_drift_modulo_32_bits():
+    assert reached_tick(1000, NOW, NOW + 1000 * S) == 1000 + 999_000
+    assert reached_tick(WRAP - 1000, NOW, NOW + 10 * S) == 8990
+
+
+def test_reboot_that_sonars_have_shown_is_not_shown_again_by_pongs():
+    detector = RebootDetector()
+    assert detector.update(100_000, NOW, NOW - 5 * MS) is None
+    assert len(run(detector, sonars(12), NOW + 60 * MS)) == 1
+    for number in range(4):
+        at_ns = NOW + 400 * MS + number * 60 * MS
+        assert detector.update(352 + 60 * number, at_ns, at_ns - 5 * MS) is None
+
+
+@pytest.mark.parametrize("lag_ms, reboots", [(2000, 0), (2001, 1)])
+def test_pongs_that_lag_by_more_than_two_seconds_show_a_reboot(lag_ms, reboots):
+    detector = RebootDetector()
+    assert detector.update(100_000, NOW, NOW) is None
+    ticks = [reached_tick(100_000, NOW, NOW + 10 * S + number * S // 20) - lag_ms for number in range(2)]
+    found = [detector.update(tick, NOW + 10 * S + number * S // 20, NOW + 10 * S + number * S // 20)
+             for number, tick in enumerate(ticks)]
+    assert len([each for each in found if each]) == reboots

@@ -1,5 +1,6 @@
 """The command drives: what is read, what is kept, and what is said."""
 import csv
+import json
 import os
 import shutil
 from pathlib import Path
@@ -10,6 +11,7 @@ from browser import Browser, find_browser
 from car_interface.common import causes
 from car_interface.common.black_box_folder import store
 from car_interface.tools.cli import drives
+from car_interface.tools.cli.drives_cache import NAME
 from car_interface.tools.cli.main import main
 from written_recordings import drive, odometry, write_ros1, write_ros2
 
@@ -102,6 +104,10 @@ def test_second_run_reads_only_what_is_new_or_has_changed(folder, read, capsys):
     for options in (["--fresh"], ["--map", "/odom=odom"]):
         read.clear()
         assert run(folder, *options) == 0 and len(read) == 3
+    shutil.rmtree(os.path.join(folder, "day"))
+    assert run(folder) == 0
+    kept = json.loads(Path(folder, NAME).read_text(encoding="ascii").split("\n")[1])["rows"]
+    assert sorted(kept) == ["drive.bag", "new.bag"]
 
 
 @pytest.mark.once

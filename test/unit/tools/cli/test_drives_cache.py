@@ -7,7 +7,14 @@ import os
 import pytest
 
 from car_interface.tools.cli import drives_cache
-from car_interface.tools.cli.drives_cache import NAME, Cache, Fingerprint, find_recordings, fingerprint
+from car_interface.tools.cli.drives_cache import (
+    NAME,
+    Fingerprint,
+    find_recordings,
+    fingerprint,
+    load_rows,
+    save_rows,
+)
 from car_interface.tools.report.drives_row import Row
 
 STATE = Fingerprint(100, 5)
@@ -24,29 +31,15 @@ def elsewhere(tmp_path, monkeypatch):
 @pytest.fixture
 def folder(tmp_path):
     (tmp_path / "drives").mkdir()
-    cache = Cache(str(tmp_path / "drives"), "1")
-    cache.add(STATE, ROW)
-    assert cache.save(["a.bag"]) == ""
+    assert save_rows(str(tmp_path / "drives"), "1", {"a.bag": (STATE, ROW)}) == ""
     return str(tmp_path / "drives")
 
 
-@pytest.mark.parametrize("path, state, version", [
-    ("b.bag", STATE, "1"), ("a.bag", Fingerprint(101, 5), "1"), ("a.bag", Fingerprint(100, 6), "1"),
-    ("a.bag", STATE, "2"), ("a.bag", None, "1"),
-], ids=["another_recording", "another_size", "another_time", "another_version", "gone"])
-def test_row_of_something_else_is_not_used(folder, path, state, version):
-    cache = Cache(folder, version)
-    assert cache.row(path, state) is None and cache.problem == ""
-
-
-def test_row_with_an_error_is_not_kept_nor_one_whose_recording_is_gone(folder):
-    cache = Cache(folder, "1")
-    cache.add(STATE, Row("bad.bag", error="no permission"))
-    cache.add(STATE, ROW._replace(path="b.bag"))
-    cache.save(["bad.bag", "b.bag"])
-    again = Cache(folder, "1")
-    assert again.row("bad.bag", STATE) is None and again.row("a.bag", STATE) is None
-    assert again.row("b.bag", STATE).path == "b.bag"
+def test_rows_are_kept_with_their_recordings_state_for_one_version(folder):
+    rows, note = load_rows(folder, "1")
+    ((path, (state, row)),) = rows.items()
+    assert (path, state, row._asdict(), note) == ("a.bag", STATE, ROW._asdict(), "")
+    assert load_rows(folder, "2") == ({}, "")
 
 
 @pytest.mark.parametrize("damage", [
@@ -62,10 +55,8 @@ def test_damaged_file_is_said_and_replaced(folder, damage):
         text = file.read()
     with open(path, "w", encoding="utf-8") as file:
         file.write(damage(text))
-    cache = Cache(folder, "1")
-    assert cache.problem == f"{path} is damaged" and cache.row("a.bag", STATE) is None
-    cache.add(STATE, ROW)
-    assert cache.save(["a.bag"]) == "" and Cache(folder, "1").row("a.bag", STATE) is not None
+    assert load_rows(folder, "1") == ({}, f"{path} is damaged: all recordings are read again")
+    assert save_rows(folder, "1", {"a.bag": (STATE, ROW)}) == "" and list(load_rows(folder, "1")[0]) == ["a.bag"]
 
 
 def rewrite(folder, body):
@@ -88,8 +79,7 @@ def content(folder):
         "row_nested_too_deeply", "no_json"])
 def test_file_with_the_right_checksum_and_another_structure_is_damaged(folder, body):
     path = rewrite(folder, body)
-    cache = Cache(folder, "1")
-    assert cache.problem == f"{path} is damaged" and cache.row("a.bag", STATE) is None and cache.damaged == 0
+    assert load_rows(folder, "1") == ({}, f"{path} is damaged: all recordings are read again")
 
 
 def wrong_entries():
@@ -124,23 +114,23 @@ def test_entries_of_another_structure_are_not_used_and_the_others_are(folder):
         if isinstance(entry, list) and len(entry) > 1 and isinstance(entry[1], list) and entry[1][:1] == ["a.bag"]:
             entry[1][0] = name  # else it is refused for its path alone
     rewrite(folder, json.dumps({**stored, "rows": {**stored["rows"], **wrong}}))
-    cache = Cache(folder, "1")
-    assert [name for name in wrong if cache.row(name, STATE) is not None] == []
-    assert (cache.damaged, cache.problem) == (len(wrong), "")
-    assert cache.row("a.bag", STATE)._asdict() == ROW._asdict() and os.listdir(folder) == [NAME]
+    rows, note = load_rows(folder, "1")
+    assert list(rows) == ["a.bag"] and rows["a.bag"][1]._asdict() == ROW._asdict() and os.listdir(folder) == [NAME]
+    assert note == f"{os.path.join(folder, NAME)} has damaged rows ({len(wrong)}): their recordings are read again"
 
 
 def test_what_is_no_file_or_a_file_that_is_too_large_is_not_read_and_said(folder):
     path = os.path.join(folder, NAME)
     with open(path, "r+b") as file:
         file.truncate(1 << 40)
-    assert Cache(folder, "1").problem == f"{path} can't be read (File too large)"
+    again = "all recordings are read again"
+    assert load_rows(folder, "1") == ({}, f"{path} can't be read (it has 1,099,511.6 MB, more than 64 MB): {again}")
     os.unlink(path)
     os.mkfifo(path)
-    assert Cache(folder, "1").problem == f"{path} can't be read (it is no regular file)"
+    assert load_rows(folder, "1") == ({}, f"{path} can't be read (it is a pipe): {again}")
     os.unlink(path)
     os.mkdir(path)
-    assert Cache(folder, "1").problem == f"{path} can't be read (Is a directory)"
+    assert load_rows(folder, "1") == ({}, f"{path} can't be read (Is a directory): {again}")
 
 
 def test_file_of_a_folder_that_can_not_be_written_is_in_the_users_cache_or_it_is_said(tmp_path, elsewhere, monkeypatch):
@@ -151,14 +141,12 @@ def test_file_of_a_folder_that_can_not_be_written_is_in_the_users_cache_or_it_is
             raise PermissionError(13, "Permission denied")
         return write(path, data, keeps_old)
     monkeypatch.setattr(drives_cache, "replace", replace)
-    cache = Cache(folder, "1")
-    cache.add(STATE, ROW)
-    assert cache.save(["a.bag"]) == "" and len(list(elsewhere.iterdir())) == 1
-    assert Cache(folder, "1").row("a.bag", STATE) is not None and Cache(str(tmp_path), "1").row("a.bag", STATE) is None
+    assert save_rows(folder, "1", {"a.bag": (STATE, ROW)}) == "" and len(list(elsewhere.iterdir())) == 1
+    assert list(load_rows(folder, "1")[0]) == ["a.bag"] and load_rows(str(tmp_path), "1") == ({}, "")
     def replace(path, data, keeps_old):
         raise PermissionError(13, "Permission denied")
     monkeypatch.setattr(drives_cache, "replace", replace)
-    assert Cache(str(tmp_path), "1").save([]) == f"{tmp_path / NAME}: Permission denied"
+    assert save_rows(str(tmp_path), "1", {}) == f"{tmp_path / NAME}: Permission denied"
 
 
 def make(folder, *names):

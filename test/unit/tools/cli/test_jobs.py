@@ -20,23 +20,19 @@ def leaving_a_mark(folder, number):
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_work_in_processes_comes_back_in_order(count):
-    with jobs.workers(7, count) as done_by:
-        assert list(jobs.for_each(str, range(7), done_by)) == list("0123456")
+    assert list(jobs.for_each(str, range(7), count)) == list("0123456")
 
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_error_ends_the_work(count, tmp_path):
-    with pytest.raises(CarInterfaceError, match="0 is refused"), jobs.workers(1000, count) as done_by:
-        list(jobs.for_each(partial(leaving_a_mark, tmp_path), range(1000), done_by))
+    with pytest.raises(CarInterfaceError, match="0 is refused"):
+        list(jobs.for_each(partial(leaving_a_mark, tmp_path), range(1000), count))
     assert len(list(tmp_path.iterdir())) < 500  # of 1000; on a busy machine more are done before it's noticed
 
 
 def test_process_that_was_killed_is_told_and_by_which_recording():
-    with pytest.raises(CarInterfaceError, match="was killed, maybe for want of memory: try again with --jobs 1"), \
-            jobs.workers(2, 2) as done_by:
-        list(jobs.for_each(os._exit, [9, 9], done_by))
-    with pytest.raises(CarInterfaceError, match=r"a\.bag ended each worker that read it, maybe for want of memory"):
-        jobs.check_not_killed(True, "a.bag")
+    with pytest.raises(CarInterfaceError, match="was killed, maybe for want of memory: try again with --jobs 1"):
+        list(jobs.for_each(os._exit, [9, 9], 2))
 
 
 # --- a dask cluster ---
@@ -61,15 +57,13 @@ def killing_its_worker_once(folder, number):
 
 @pytest.mark.once
 def test_worker_of_a_cluster_that_is_killed_loses_nothing(cluster, tmp_path):
-    with jobs.workers(12, 1, cluster.scheduler_address) as done_by:
-        found = list(jobs.for_each(partial(killing_its_worker_once, tmp_path), range(12), done_by))
+    work = partial(killing_its_worker_once, tmp_path)
+    found = list(jobs.for_each(work, range(12), 1, cluster.scheduler_address))
     assert [number for number, _ in found] == list(range(12)) and (tmp_path / "killed").exists()
     assert os.getpid() not in {process for _, process in found}
 
 
-def killing_each_worker(number, killed=False):
-    if killed:
-        return "killed"
+def killing_each_worker(number):
     if number == 2:
         os.kill(os.getpid(), signal.SIGKILL)
     return number
@@ -78,23 +72,23 @@ def killing_each_worker(number, killed=False):
 @pytest.mark.once
 def test_what_kills_each_worker_is_told_and_all_else_is_done(cluster, monkeypatch):
     monkeypatch.setattr(cluster.scheduler, "allowed_failures", 0)  # a new worker takes a second
-    with jobs.workers(8, 1, cluster.scheduler_address) as done_by:
-        assert list(jobs.for_each(killing_each_worker, range(8), done_by)) == [0, 1, "killed", 3, 4, 5, 6, 7]
+    found = list(jobs.try_each(killing_each_worker, range(8), "", 1, cluster.scheduler_address))
+    (_, error) = found.pop(2)
+    assert found == [(number, "") for number in (0, 1, 3, 4, 5, 6, 7)]
+    assert error.startswith("2 ended each worker that read it, maybe for want of memory")
 
 
 @pytest.mark.once
 def test_error_on_a_worker_ends_the_work_here(cluster, tmp_path):
-    with pytest.raises(CarInterfaceError, match="0 is refused"), \
-            jobs.workers(9, 1, cluster.scheduler_address) as done_by:
-        list(jobs.for_each(partial(leaving_a_mark, tmp_path), range(9), done_by))
+    with pytest.raises(CarInterfaceError, match="0 is refused"):
+        list(jobs.for_each(partial(leaving_a_mark, tmp_path), range(9), 1, cluster.scheduler_address))
 
 
 @pytest.mark.once
 def test_worker_with_another_version_is_refused(cluster, monkeypatch):
     monkeypatch.setattr(jobs, "version", lambda: "0.0.1")
-    with pytest.raises(CarInterfaceError, match=r"worker on \S+ has car_interface [\d.]+, here is 0\.0\.1: install"), \
-            jobs.workers(1, 1, cluster.scheduler_address) as done_by:
-        list(jobs.for_each(str, range(1), done_by))
+    with pytest.raises(CarInterfaceError, match=r"worker on \S+ has car_interface [\d.]+, here is 0\.0\.1: install"):
+        list(jobs.for_each(str, range(1), 1, cluster.scheduler_address))
 
 
 @pytest.mark.once
@@ -119,6 +113,5 @@ def test_table_and_pages_of_a_cluster_are_those_of_this_computer(cluster, tmp_pa
 def test_scheduler_that_does_not_answer_is_told(monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr(jobs, "SCHEDULER_TIMEOUT_S", 0.2)
-    with pytest.raises(CarInterfaceError, match=r"tcp://127.*: no scheduler of a dask cluster answers there"), \
-            jobs.workers(1, 1, "tcp://127.0.0.1:1"):
-        pass
+    with pytest.raises(CarInterfaceError, match=r"tcp://127.*: no scheduler of a dask cluster answers there"):
+        list(jobs.for_each(str, range(1), 1, "tcp://127.0.0.1:1"))

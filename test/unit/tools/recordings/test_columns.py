@@ -56,19 +56,21 @@ def test_odometry_counts_by_its_stamps_and_its_heading_is_unwrapped(tmp_path, wr
 
 def test_stamp_up_to_two_seconds_from_the_recording_time_counts_and_each_reason_has_a_note_of_its_own():
     column = values(ValueColumn("v"), (0.0, -1.99, 1), (0.1, -2.2, 2), (3.0, 4.99, 3), (5.1, 7.2, 4))
-    assert column.build().t_s == pytest.approx([-1.99, 0.1, 4.99, 5.1])
-    assert column.notes() == [
+    series, notes = column.build()
+    assert series.t_s == pytest.approx([-1.99, 0.1, 4.99, 5.1])
+    assert notes == [
         "v: 2 messages with a stamp seconds away from when it was recorded: recording time taken"]
     column = values(ValueColumn("v"), (0.0, 0.0, 1), (0.1, 0.1, math.nan), (0.2, 0.2, math.inf), (0.3, 0.0, 2))
-    assert column.notes() == ["v: 2 messages with a number that is none: left out",
-                              "v: 1 message with a stamp that doesn't rise: left out"]
+    assert column.build()[1] == ["v: 2 messages with a number that is none: left out",
+                                 "v: 1 message with a stamp that doesn't rise: left out"]
 
 
 def test_message_that_can_not_be_used_leaves_a_column_empty():
-    assert values(ValueColumn("v"), (0.0, 0.0, math.nan)).is_empty
-    assert not values(ValueColumn("v"), (0.0, 0.0, 1.0)).is_empty
+    assert values(ValueColumn("v")).build() == (None, [])
+    assert values(ValueColumn("v"), (0.0, 0.0, math.nan)).build()[0] is None
+    assert values(ValueColumn("v"), (0.0, 0.0, 1.0)).build()[0] is not None
     output = vectors(OutputColumn("o"), (0.0, [1] * 15), (0.1, [1] * 17), (0.2, []))
-    assert output.is_empty and output.notes() == ["o: 3 messages that don't have 16 duties: left out"]
+    assert output.build() == (None, ["o: 3 messages that don't have 16 duties: left out"])
 
 
 # --- odometry without a twist ---
@@ -94,9 +96,9 @@ def circle(sign=1.0):
 
 @pytest.mark.parametrize("sign", [1.0, -1.0], ids=["forward", "backward"])
 def test_odometry_without_a_twist_has_the_speed_of_its_pose_and_a_note(sign):
-    column = captured(*circle(sign))
-    assert column.build().speed_mps == pytest.approx(2.0 * sign, rel=0.003)
-    assert column.notes() == [
+    odom, notes = captured(*circle(sign)).build()
+    assert odom.speed_mps == pytest.approx(2.0 * sign, rel=0.003)
+    assert notes == [
         "odom: its twist is 0 throughout while its pose moves: speed and turn rate are taken from the pose"]
 
 
@@ -106,8 +108,8 @@ def test_odometry_without_a_twist_has_the_speed_of_its_pose_and_a_note(sign):
     ([(0.0, 1.0, 1.0, 0.0)], (0.0, 0.0), 0.0),
 ], ids=["has_a_twist", "slides_sideways", "stands", "one_pose"])
 def test_twist_that_is_not_0_and_a_pose_that_does_not_move_are_believed(poses, linear, speed_mps):
-    column = captured(*poses, linear=linear)
-    assert column.build().speed_mps == pytest.approx(speed_mps) and column.notes() == []
+    odom, notes = captured(*poses, linear=linear).build()
+    assert odom.speed_mps == pytest.approx(speed_mps) and notes == []
 
 
 @pytest.mark.parametrize("orientation, pitch", [
@@ -129,7 +131,7 @@ def pitch_rad(orientation, unknown=False):
         angular_velocity=SimpleNamespace(z=0.3), linear_acceleration=SimpleNamespace(x=1.5, y=0.0, z=9.8),
         orientation=SimpleNamespace(x=x, y=y, z=z, w=w), orientation_covariance=[-1.0 if unknown else 0.0] * 9)
     column.add(Recorded(0, "imu/data", message), 0.0, Timeline())
-    built = column.build()
+    built, _ = column.build()
     assert (built.yaw_rate_radps[0], built.acceleration_mps2[0]) == (0.3, 1.5)
     return built.pitch_rad[0]
 
@@ -139,13 +141,14 @@ def pitch_rad(orientation, unknown=False):
 
 def test_output_has_a_row_at_each_change_and_each_half_second_and_none_that_was_recorded_before_the_last():
     rows = [(0.1 * index, [5104] * 16) for index in range(11)]
-    assert vectors(OutputColumn("o"), *rows).build().t_s == pytest.approx([0.0, 0.5, 1.0])
-    output = vectors(OutputColumn("o"), (0.0, [1] * 16), (0.001, [2] * 16), (0.002, [1] * 16)).build()
+    assert vectors(OutputColumn("o"), *rows).build()[0].t_s == pytest.approx([0.0, 0.5, 1.0])
+    output = vectors(OutputColumn("o"), (0.0, [1] * 16), (0.001, [2] * 16), (0.002, [1] * 16)).build()[0]
     assert output.t_s.tolist() == [0.0, 0.001, 0.002]
     assert output.duties.shape == (3, 16) and output.duties[:, 15].tolist() == [1, 2, 1]
     column = vectors(OutputColumn("o"), (1.0, [1] * 16), (0.9, [2] * 16), (1.0, [3] * 16))
-    assert column.build().duties[:, 0].tolist() == [1, 3]
-    assert column.notes() == ["o: 1 message with a stamp that doesn't rise: left out"]
+    output, notes = column.build()
+    assert output.duties[:, 0].tolist() == [1, 3]
+    assert notes == ["o: 1 message with a stamp that doesn't rise: left out"]
 
 
 @pytest.mark.parametrize("command, output", [
@@ -153,13 +156,13 @@ def test_output_has_a_row_at_each_change_and_each_half_second_and_none_that_was_
     (7, 0), (8, 16), (5101, 5104), (65527, 65520), (65528, 65535),
 ])
 def test_command_is_the_duty_of_the_nearest_count(command, output):
-    assert vectors(CommandColumn("c"), (0.0, [command] * 16)).build().duties.tolist() == [[output] * 16]
+    assert vectors(CommandColumn("c"), (0.0, [command] * 16)).build()[0].duties.tolist() == [[output] * 16]
 
 
 @pytest.mark.parametrize("outside", [-1, 65536])
 def test_command_outside_the_range_leaves_its_channel_unchanged(outside):
     output = vectors(CommandColumn("c"), (0.0, [outside, 1600] + [-1] * 14),
-                     (0.1, [3200, outside] + [-1] * 14), (0.2, [outside, 4800] + [-1] * 14)).build()
+                     (0.1, [3200, outside] + [-1] * 14), (0.2, [outside, 4800] + [-1] * 14)).build()[0]
     assert output.duties[:, :3].tolist() == [[-1, 1600, -1], [3200, 1600, -1], [3200, 4800, -1]]
 
 
@@ -174,8 +177,8 @@ def test_command_outside_the_range_leaves_its_channel_unchanged(outside):
 ])
 def test_imu_on_its_side_is_said_with_the_axis(accelerations, axis):
     gravity = Gravity()
-    for x, y, z in accelerations:
-        gravity.add(SimpleNamespace(x=x, y=y, z=z))
+    for axes in accelerations:
+        gravity.add(*axes)
     assert gravity.note("imu/data") == ("" if axis is None else (
         f"imu/data: gravity lies along its {axis} axis, not along z: it is mounted on its side, and its turn rate "
         "about z isn't the car's"))

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from car_interface.tools.recordings.columns import Timeline
-from car_interface.tools.recordings.pulses import CLOCK_TOPIC, WHEEL_TOPIC, PulseColumns
 from car_interface.tools.recordings.recording import Recorded
+from car_interface.tools.recordings.replay import CLOCK_TOPIC, WHEEL_TOPIC, PulseColumns
 from written_recordings import START_NS
 
 
@@ -35,8 +35,8 @@ class Recording:
         self.columns.add(Recorded(time_ns, topic, message), self._timeline.recorded_s(time_ns), self._timeline)
 
     def build(self):
-        self.columns.finish(self._timeline)
-        return self.columns.build()
+        """The pulses of both wheels."""
+        return self.columns.build()[0]
 
 
 def test_pulses_are_when_the_wheels_made_them_backward_ones_taken_off():
@@ -60,18 +60,14 @@ def test_columns_are_empty_without_a_pulse():
     recording.pong(0.0, 1000)
     for index in range(5):
         recording.wheels(0.1 * index, 1000 + 100 * index, 0, 0)
-    left, right = recording.build()
-    assert recording.columns.is_empty and len(left.t_s) == len(right.count) == 0
-    assert recording.columns.notes() == []
+    assert recording.columns.build() == (None, [])
 
 
 def test_without_a_pong_pulses_count_by_the_arrival_of_their_reports():
     recording = Recording()
     for index in range(20):
         recording.wheels(1.0 + 0.1 * index, 5000 + 100 * index, 10 + index, 30)
-    assert recording.columns.is_empty  # until it is known that no pong follows
     left, right = recording.build()
-    assert not recording.columns.is_empty
     assert np.diff(left.count).tolist() == [1] * (len(left.count) - 1) and len(left.count) >= 19
     assert left.t_s[-1] == pytest.approx(2.9, abs=0.02)
     assert np.diff(left.t_s) == pytest.approx(0.1, abs=0.02)
@@ -95,9 +91,9 @@ def test_impossible_report_is_left_out_and_noted():
     recording.pong(0.0, 1000)
     for index in range(1, 10):
         recording.wheels(0.1 * index, 1000 + 100 * index, 10 + index, 10 + index)
-    good = recording.columns.build()[0].count.tolist()
+    good = recording.build()[0].count.tolist()
     recording.wheels(1.0, 2000, 1_000_000, 20)
-    left, _ = recording.build()
+    (left, _), notes = recording.columns.build()
     assert left.count.tolist() == good
-    assert recording.columns.notes() == [
+    assert notes == [
         "teensy_wheel: 1 reports of the wheels that make no sense: left out"]

@@ -98,24 +98,24 @@ def compared(tmp_path, *more, driven_mps=lambda time_s: 1.0, asked_until_s=12.0)
 
 def test_car_that_drove_as_asked_did_so_and_what_it_does_after_the_last_request_is_not_compared(tmp_path):
     drive = compared(tmp_path, asked_until_s=4.0, driven_mps=lambda time_s: 1.0 if time_s < 4.3 else 0.0)
-    median, samples = drive.asked.speed_ratio()
-    assert median == pytest.approx(1.0, abs=0.002) and 60 < samples < 80
+    ratios = drive.asked.speed_ratios
+    assert ratios.median() == pytest.approx(1.0, abs=0.002) and 60 < ratios.samples < 80
     assert "<td>as asked</td>" in page(drive, {})
-    assert 60 < compared(tmp_path, asked_until_s=4.0).motion.by_planner.ratios()[0].samples < 80
+    assert 60 < compared(tmp_path, asked_until_s=4.0).motion.by_planner.left.samples < 80
 
 
 def test_request_counts_anew_after_a_pause_once_the_car_has_had_time_to_follow(tmp_path):
     drive = compared(tmp_path, every(0.05, 8.0, 12.0, lambda time_s: asked(time_s, 0.0, ASKED_MPS)), asked_until_s=4.0,
                      driven_mps=lambda time_s: 1.0 if time_s < 4.3 or time_s > 8.6 else 0.0)
-    assert drive.asked.speed_ratio().median == pytest.approx(1.0, abs=0.002)
-    assert 120 < drive.asked.speed_ratio().samples < 150
+    assert drive.asked.speed_ratios.median() == pytest.approx(1.0, abs=0.002)
+    assert 120 < drive.asked.speed_ratios.samples < 150
 
 
 def test_pause_of_the_requests_between_two_messages_of_a_slow_odometry_counts_as_well(tmp_path):
     requests = [asked(time_s, 0.0, ASKED_MPS) for time_s in (2.5, 2.9, 3.3, 3.9, 4.3, 4.7)]
     messages = [*requests, *(odometry(time_s, speed_mps=0.5) for time_s in (2.6, 3.0, 4.0, 5.0))]
     drive = summarized(tmp_path, messages, extra_types=ACKERMANN)
-    assert drive.asked.speed_ratio().samples == 1, "at 5.0 s"
+    assert drive.asked.speed_ratios.samples == 1, "at 5.0 s"
 
 
 @pytest.mark.parametrize("states, speeds, turns", [
@@ -134,16 +134,16 @@ def test_who_has_the_car_and_what_is_obeyed_say_what_is_compared_with_the_planne
     drive = compared(tmp_path, *(every(0.1, 0, 12, lambda time_s, topic=topic, source=source, cause=cause: state(
         time_s, topic, source, cause=cause)) for topic, source, cause in (
             (*each, "")[:3] for each in states)))
-    assert (drive.asked.speed_ratio().samples > 100) is speeds
-    assert (drive.motion.by_planner.ratios()[0].samples > 100) is turns
+    assert (drive.asked.speed_ratios.samples > 100) is speeds
+    assert (drive.motion.by_planner.left.samples > 100) is turns
 
 
 def test_planner_that_takes_the_car_over_is_compared_a_while_later_and_not_after_the_last_state(tmp_path):
     drive = compared(tmp_path, every(0.1, 0, 4, lambda time_s: state(time_s, "turn_arb", TELEOP)),
                      every(0.1, 4, 8, lambda time_s: state(time_s, "turn_arb", PLANNER)),
                      driven_mps=lambda time_s: 1.0 if 4.6 < time_s < 8.4 else 0.4)
-    assert drive.asked.speed_ratio().median == pytest.approx(1.0, abs=0.002)
-    assert 65 < drive.asked.speed_ratio().samples < 80
+    assert drive.asked.speed_ratios.median() == pytest.approx(1.0, abs=0.002)
+    assert 65 < drive.asked.speed_ratios.samples < 80
 
 
 @pytest.mark.parametrize("source, until_s, low, high", [
@@ -152,7 +152,7 @@ def test_planner_that_takes_the_car_over_is_compared_a_while_later_and_not_after
 def test_turns_are_compared_with_the_tables_while_somebody_has_the_car(source, until_s, low, high, tmp_path):
     drive = compared(tmp_path, every(0.05, 0, until_s, lambda time_s: state(
         time_s, "turn_arb", source, duty=4000, turn_radius=RADIUS_M)))
-    assert low <= drive.motion.by_tables.ratios()[0].samples <= high
+    assert low <= drive.motion.by_tables.left.samples <= high
 
 
 def test_acceleration_is_compared_where_the_planner_had_the_throttle_all_along(tmp_path):
@@ -161,8 +161,8 @@ def test_acceleration_is_compared_where_the_planner_had_the_throttle_all_along(t
     drive = compared(tmp_path, requests, every(0.1, 0, 4, lambda time_s: state(time_s, "throttle_arb", TELEOP)),
                      every(0.1, 4, 8, lambda time_s: state(time_s, "throttle_arb", PLANNER)),
                      driven_mps=lambda time_s: 0.5 + (0.5 * (time_s - 4) if 4 < time_s < 9 else 0.0))
-    (driving, samples), *_ = drive.motion.accelerating.differences_mps2()
-    assert driving == pytest.approx(-0.5, abs=0.02) and 70 < samples < 85
+    driving = drive.motion.accelerating.driving
+    assert driving.median() == pytest.approx(-0.5, abs=0.02) and 70 < driving.samples < 85
 
 
 # --- odometry without a twist ---
@@ -201,8 +201,8 @@ def test_odometry_without_a_twist_turns_as_its_pose_does(tmp_path):
     for message in messages:
         message.fields.pop("twist", None)
     drive = summarized(tmp_path, messages, extra_types=ACKERMANN, wheelbase_m=WHEELBASE_M)
-    assert drive.asked.speed_ratio().median == pytest.approx(0.9, abs=0.003)
-    assert drive.motion.by_planner.ratios()[0].median == pytest.approx(1 / 1.2, abs=0.05)
+    assert drive.asked.speed_ratios.median() == pytest.approx(0.9, abs=0.003)
+    assert drive.motion.by_planner.left.median() == pytest.approx(1 / 1.2, abs=0.05)
     turned = drive.traces["turn rate"]
     assert (turned.minimum, turned.maximum) == (pytest.approx(0.375, abs=0.001), pytest.approx(0.375, abs=0.001))
 
@@ -227,9 +227,9 @@ def bag(tmp_path_factory):
 
 def test_speed_and_curve_are_compared_with_what_was_asked(bag):
     drive = summarize(bag, wheelbase_m=WHEELBASE_M)
-    assert drive.asked.speed_ratio().median == pytest.approx(0.9, abs=0.002)
-    (left, samples), (_, none) = drive.motion.by_planner.ratios()
-    assert left == pytest.approx(1 / 1.2, abs=0.05) and samples > 100 and none == 0
+    assert drive.asked.speed_ratios.median() == pytest.approx(0.9, abs=0.002)
+    left, right = drive.motion.by_planner.left, drive.motion.by_planner.right
+    assert left.median() == pytest.approx(1 / 1.2, abs=0.05) and left.samples > 100 and right.samples == 0
     assert drive.traces["requested curvature"].maximum == pytest.approx(0.5, abs=0.02)
     text = page(drive, {}).replace("<wbr>", "")
     assert "<tr><th>Speed against what was asked</th><td>10% slower than asked</td></tr>" in text
@@ -276,23 +276,22 @@ def spinning(tmp_path, gravity=(0.0, 0.0, 9.8), rate_radps=0.5):
 
 def test_odometry_that_turns_more_than_the_imu_is_said(tmp_path):
     drive = spinning(tmp_path)
-    assert drive.imu.odometry_ratio().median == pytest.approx(1.5, abs=0.01)
+    assert drive.imu.ratios.median() == pytest.approx(1.5, abs=0.01)
     assert "<tr><th>Turned by odometry</th><td>50% more than the IMU says</td></tr>" in page(drive, {})
     assert "by the IMU" not in drive.notes and "speed" in plots(drive)
 
 
 def test_imu_on_its_side_or_that_hardly_turns_or_has_no_number_is_not_compared_and_the_page_says_why(tmp_path):
     drive = spinning(tmp_path, (0.0, 9.8, 0.0))
-    assert drive.imu.odometry_ratio().samples == 0
     text = page(drive, {}).replace("<wbr>", "")
     assert "Turned by odometry" not in text and "imu/data: gravity lies along its y axis, not along z" in text
-    assert spinning(tmp_path, rate_radps=0.1).imu.odometry_ratio().samples == 0
+    assert spinning(tmp_path, rate_radps=0.1).imu.ratios.samples == 0
     drive = spinning(tmp_path, rate_radps=math.nan)
-    assert drive.imu.odometry_ratio().samples == 0 and drive.traces["imu turn rate"].count == 0
+    assert drive.imu.ratios.samples == 0 and drive.traces["imu turn rate"].count == 0
 
 
 def test_turn_rate_of_an_odometry_that_has_ended_is_not_compared_with_the_imu(tmp_path):
     messages = [*(odometry(step / 50, 0.0, 0.0, 0.5 * step / 50) for step in range(100)),
                 *(imu(step / 50, 0.5 if step < 100 else 2.0, (0.0, 0.0, 9.8)) for step in range(400))]
     drive = summarized(tmp_path, messages)
-    assert drive.imu.odometry_ratio().median == pytest.approx(1.0, abs=0.01)
+    assert drive.imu.ratios.median() == pytest.approx(1.0, abs=0.01)

@@ -3,7 +3,6 @@ from __future__ import annotations
 
 import copy
 import re
-from dataclasses import replace
 from html import unescape
 from html.parser import HTMLParser
 from types import SimpleNamespace
@@ -11,8 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 from car_interface.tools.recordings.recording import Topic
-from car_interface.tools.report.coverage import Gap
-from car_interface.tools.report.faults import ERROR, WARN, Fault
+from car_interface.tools.report.faults import ERROR, WARN, Fault, Gap
 from car_interface.tools.report.page import page, range_text
 from car_interface.tools.report.plots import plots
 from car_interface.tools.report.states import Episode
@@ -20,6 +18,13 @@ from tools.report.summaries import summarized
 from written_recordings import Written, odometry
 
 HOSTILE = "</td><script>alert('\"')</script>&amp;{{ 7 * 7 }}"
+
+
+def changed(seen, **fields):
+    """A summary with other fields."""
+    other = copy.copy(seen)
+    vars(other).update(fields)
+    return other
 
 
 class Checker(HTMLParser):
@@ -75,9 +80,8 @@ def test_page_says_who_drove_what_was_lost_how_the_car_followed_and_how_its_link
 
 
 def test_no_text_from_outside_is_anything_but_text(seen):
-    drive = replace(
-        copy.deepcopy(seen), path=f"bags/{HOSTILE.replace('/', '')}", namespace=HOSTILE, notes=[HOSTILE, HOSTILE],
-        topics={HOSTILE: Topic(HOSTILE, 1)})
+    drive = changed(copy.deepcopy(seen), path=f"bags/{HOSTILE.replace('/', '')}", namespace=HOSTILE,
+                    notes=[HOSTILE, HOSTILE], topics={HOSTILE: Topic(HOSTILE, 1)})
     drive.steering.episodes = [episode._replace(cause=HOSTILE, reason=HOSTILE) for episode in drive.steering.episodes]
     drive.throttle.episodes = [Episode(0.0, 1.0, HOSTILE, HOSTILE, HOSTILE, 1, HOSTILE)]
     drive.limits.episodes = [Episode(0.0, 1.0, HOSTILE, HOSTILE, HOSTILE)]
@@ -141,7 +145,7 @@ def test_section_that_would_be_empty_is_left_out_and_one_line_says_what_was_not_
 
 @pytest.mark.more
 def test_page_of_a_whole_drive_has_every_section_with_something_in_it(seen, drawn):
-    found = sections(page(replace(seen, planner=SimpleNamespace(source="drive", others="")), drawn))
+    found = sections(page(changed(seen, planner=SimpleNamespace(source="drive", others="")), drawn))
     assert list(found) == ["who", "faults", "steering", "throttle", "limits", "path", "speed", "link", "contents"]
 
 
@@ -158,7 +162,7 @@ def test_numbers_stand_in_columns_of_numbers_and_every_row_has_as_many_cells_as_
 @pytest.mark.parametrize("count, is_folded, more", [
     (0, False, ""), (25, False, ""), (26, True, ""), (500, True, ""), (503, True, "And 3 more.")])
 def test_long_table_is_folded_and_a_very_long_one_ends_early(seen, count, is_folded, more):
-    text = page(replace(seen, topics={f"/topic{number}": Topic("a/b", 1) for number in range(count)}), {})
+    text = page(changed(seen, topics={f"/topic{number}": Topic("a/b", 1) for number in range(count)}), {})
     text = text[text.index('id="contents"'):]
     assert text.count("<td>/topic") == min(count, 500) and ("<table>" in text) == bool(count)
     assert text.count("<details>") == text.count("</details>") == is_folded

@@ -4,7 +4,7 @@ import math
 import re
 
 from car_interface.tools.report import plots as report_plots
-from car_interface.tools.report.downsample import Trace
+from car_interface.tools.report.downsample import Traces
 from car_interface.tools.report.figures import DRIVER_COLOURS
 from tools.report.summaries import summarized
 from written_recordings import odometry, output
@@ -28,7 +28,7 @@ def test_each_trace_shows_in_its_plot(seen, monkeypatch):
                         (report_plots._speed, "speed, acceleration, requested acceleration, value"),
                         (report_plots._link, "frames, bad frames, round trip, skew")):
         shown.clear()
-        traces = {name: Trace(seen.duration_s) for name in seen.traces}
+        traces = Traces(seen.duration_s)
         for name in names.split(", "):
             traces[name].add(1.0, 0.3)
         other = copy.copy(seen)

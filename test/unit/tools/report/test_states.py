@@ -8,7 +8,7 @@ import pytest
 from car_interface.common import causes
 from car_interface.common.sources import NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.tools.report import states
-from car_interface.tools.report.downsample import Trace
+from car_interface.tools.report.downsample import Traces
 from car_interface.tools.report.faults import ERROR, WARN, Fault, FaultLog
 from car_interface.tools.report.page import page
 from car_interface.tools.report.plots import _throttle
@@ -20,8 +20,8 @@ END_S = 10.0
 
 def watched(make, usual, *changes):
     """A watch, its faults and its traces, after (time in s, changes of the usual state) each."""
-    faults, traces = FaultLog(), {name: Trace(END_S) for name in states.TRACES}
-    watch = make(traces, faults, END_S)
+    faults, traces = FaultLog(), Traces(END_S)
+    watch = make(traces, faults)
     for time_s, changed in changes:
         watch.on_state(time_s, SimpleNamespace(**{**usual, **changed}))
     watch.finish()
@@ -86,6 +86,13 @@ def test_page_shows_what_was_asked_granted_the_esc_s_state_and_why(tmp_path):
         assert shown in section(text, "throttle")
     assert _throttle(seen) is not None
     assert text.index('<section id="who">') < text.index('<section id="throttle">')
+
+
+def test_flood_of_states_is_kept_to_a_bound_and_counted(tmp_path):
+    states = [Written(step / 500, "/throttle_arb/state", "car_interface/ThrottleState",
+                      {**BY_HAND, "source": (TELEOP, PLANNER)[step % 2]}) for step in range(2102)]
+    seen = summarized(tmp_path, [odometry(0.0), *states])
+    assert len(seen.throttle.episodes) == 2000 and seen.faults.dropped == 102
 
 
 # --- the planner ---
@@ -221,6 +228,13 @@ def test_axis_that_was_not_seen_at_its_rest_is_a_fault_while_it_lasts(tmp_path):
     assert report(tmp_path, others=odd)[0] == [(start_s, "teleop_logi", WARN, why) for start_s in (12.0, 13.0)]
 
 
+def test_axis_that_is_never_seen_at_its_rest_is_a_fault_to_the_end():
+    state = {"cause": causes.NO_DEADMAN, "reason": "why", "human_in_loop": False, "steering_stick": causes.NOT_AT_REST,
+             "throttle_stick": ""}
+    _, faults, _ = watched(states.GamepadWatch, state, (1.0, {}), (2.0, {}))
+    assert faults == [Fault(1.0, END_S, WARN, "teleop_logi", "why")]
+
+
 def test_deadman_that_is_let_go_is_no_loss(tmp_path):
     faults, text = report(tmp_path)
     assert "The car was stopped" not in text and faults == []
@@ -241,7 +255,7 @@ def test_what_diagnostics_and_log_say_of_the_gamepad_is_not_listed_twice(tmp_pat
 def gamepad(*steps):
     """A watch, its losses as faults, after (time in s, cause) each."""
     faults = FaultLog()
-    watch = states.GamepadWatch(faults, 60.0)
+    watch = states.GamepadWatch(Traces(60.0), faults)
     for time_s, cause in steps:
         watch.on_state(time_s, SimpleNamespace(
             cause=cause, reason=f"why {cause}", human_in_loop=cause in (causes.MANUAL, causes.AUTONOMOUS),

@@ -11,7 +11,7 @@ from car_interface.common.units import NS_PER_S
 from car_interface.tools.calibration.drive.area import Pose
 from car_interface.tools.calibration.shared import MAX_PULSE, MIN_PULSE
 from car_interface.tools.calibration.steering.drive import SteeringDrive, distance_m
-from car_interface.tools.recordings.series import Odom
+from car_interface.tools.recordings.columns import Odom
 
 WINDOW_S = 0.25
 MIN_WINDOW_M = 0.08  # a shorter way shows no curvature

@@ -13,7 +13,6 @@ from car_interface.throttle.calibration import ThrottleCalibration, trimmed
 from car_interface.tools.calibration.esc.pulls import EscDrive
 from car_interface.tools.calibration.shared import MAX_PULSE, MIN_PULSE, RecordedDrive
 from car_interface.tools.recordings import recording, roles, signals
-from car_interface.tools.recordings.overlap import trail
 
 MAX_TUNED_RATIO = 0.05  # of a drive that may have had another neutral, without spoiling what the rest shows
 MAX_ODOM_GAP_S, MAX_OUTPUT_GAP_S = 0.5, 2.5  # odometry comes each 0.2 s at least, the board's output each second
@@ -60,7 +59,7 @@ def load_esc_drive(path: str, calibration: ThrottleCalibration, topics: Mapping[
     duty_s, duty = _without_gaps(found.output.t_s, np.where(is_pulse, duty, 0.0), found.odom.t_s)
     drive = EscDrive(duty_s, duty, found.odom.t_s, found.odom.speed_mps, float(neutral), float(ends[0]), float(ends[1]),
                      _wheels(found.pulses or (), found.odom))
-    return RecordedDrive(path, drive, (*notes, *found.notes), found.duration_s, trail(found))
+    return RecordedDrive(path, drive, (*notes, *found.notes), found.duration_s, signals.trail(found))
 
 
 def joined(drives: Sequence[EscDrive]) -> EscDrive:

@@ -7,7 +7,7 @@ import numpy as np
 
 from car_interface.pca9685.registers import DUTY_PER_COUNT
 from car_interface.tools.calibration.delay import Delay
-from car_interface.tools.recordings.series import Odom
+from car_interface.tools.recordings.columns import Odom
 
 COUNT = float(DUTY_PER_COUNT)  # the board can't output anything in between
 KNOT = COUNT / 2  # duty from one knot of the curve to the next

@@ -12,9 +12,8 @@ from car_interface.steering.calibration import SteeringCalibration
 from car_interface.tools.calibration.shared import MAX_PULSE, MIN_PULSE, RecordedDrive
 from car_interface.tools.calibration.steering.drive import SteeringDrive, distance_m
 from car_interface.tools.recordings import roles, signals
-from car_interface.tools.recordings.overlap import trail
+from car_interface.tools.recordings.columns import Imu, Odom
 from car_interface.tools.recordings.recording import NoRecording
-from car_interface.tools.recordings.series import Imu, Odom
 
 STRAIGHT_RAD = 1e-6
 IMU_GAP_S = 0.1
@@ -71,7 +70,8 @@ def load_steering_drive(path: str, channel: int, topics: Mapping[str, str] | Non
     duty_s, duty = (_recorded_duties(found, channel) if found.output else _position_duties(found, notes) if found.servo
                     else _asked_duties(found, angle_table, notes))
     drive = SteeringDrive(odom.t_s, distance_m(odom), yaw_rad, duty_s, duty)
-    return RecordedDrive(path, drive, tuple(notes), found.duration_s, trail(found), uses_imu=heading is not None)
+    return RecordedDrive(path, drive, tuple(notes), found.duration_s, signals.trail(found),
+                         uses_imu=heading is not None)
 
 
 def _recorded_duties(found, channel):

@@ -16,10 +16,9 @@ from car_interface.throttle.arbiter import PLANNER, TELEOP
 from car_interface.tools.calibration.shared import MAX_PULSE, MIN_PULSE, RecordedDrive
 from car_interface.tools.calibration.value_map.acceleration import MapDrive, Series
 from car_interface.tools.recordings import recording, roles, signals
-from car_interface.tools.recordings.overlap import trail
-from car_interface.tools.recordings.pulses import WHEEL_TOPIC
+from car_interface.tools.recordings.columns import Output, Pulses
 from car_interface.tools.recordings.recording import NoRecording
-from car_interface.tools.recordings.series import Output, Pulses
+from car_interface.tools.recordings.replay import WHEEL_TOPIC
 
 ESC_CHANNEL = 1  # of the ESC, as in config/throttle.yaml
 BY_PULSES, BY_ODOM, BY_IMU = "pulses", "odom", "imu"  # what accelerations are measured by
@@ -124,7 +123,7 @@ def load_map_drive(path: str, source: MapSource, progress: bool = False) -> Reco
         if np.isfinite(found.imu.pitch_rad).all():
             pitch = Series(found.imu.t_s, found.imu.pitch_rad)
     drive = MapDrive(value, speed, Series(found.odom.t_s, found.odom.yaw_rad), wheels, imu, pitch, driven)
-    return RecordedDrive(path, drive, notes, found.duration_s, trail(found))
+    return RecordedDrive(path, drive, notes, found.duration_s, signals.trail(found))
 
 
 def is_by_hand(path: str, value_topic: str, namespace: str = "/") -> bool:

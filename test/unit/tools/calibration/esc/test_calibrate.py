@@ -15,7 +15,7 @@ from car_interface.throttle.limits import ThrottleLimits
 from car_interface.tools.calibration.esc.calibrate import calibrate, yaml_text, yaml_values
 from car_interface.tools.calibration.esc.fit import EscFit, fit
 from car_interface.tools.calibration.shared import RecordedDrive
-from car_interface.tools.recordings.overlap import Trail
+from car_interface.tools.recordings.signals import Trail
 from tools.calibration.esc.synthetic import Person
 
 RISING = ThrottleCalibration(channel=1, value_axis=[-5, 0, 3], duty_table=[3277, 4912, 6554], neutral=4912)

@@ -9,7 +9,7 @@ from car_interface.common.package_files import package_file
 from car_interface.steering.config import load_steering
 from car_interface.tools.calibration.steering.drive import distance_m
 from car_interface.tools.calibration.steering.recorded import AngleTable, imu_heading
-from car_interface.tools.recordings.series import Imu, Odom
+from car_interface.tools.recordings.columns import Imu, Odom
 
 
 def driving(imu_offset_radps=0.0, odom_ratio=1.0, imu_end_s=60.0):

@@ -4,7 +4,7 @@ import pytest
 
 from car_interface.tools.calibration.value_map.acceleration import Series
 from car_interface.tools.calibration.value_map.recorded import load_throttle_table, reached_esc, wheel_distances
-from car_interface.tools.recordings.series import Pulses
+from car_interface.tools.recordings.columns import Pulses
 
 
 def test_duties_become_values_by_the_throttles_table_the_other_way_round(tmp_path):

@@ -1,9 +1,8 @@
 """Trends over drives."""
 import pytest
 
-from car_interface.tools.report import drives_plots
-from car_interface.tools.report.drives_page import page
-from car_interface.tools.report.drives_plots import trends
+from car_interface.tools.report import drives_page
+from car_interface.tools.report.drives_page import page, trends
 from car_interface.tools.report.drives_row import Row
 from written_recordings import START_NS
 
@@ -18,7 +17,7 @@ BLIND = Row("x.bag", start_ns=0, duration_s=60.0, distance_m=5.0)
 def figure(monkeypatch):
     """The figure of the last call, in place of its SVG."""
     made = []
-    monkeypatch.setattr(drives_plots, "svg_text", lambda figure, *_: made.append(figure) or "<svg/>")
+    monkeypatch.setattr(drives_page, "svg_text", lambda figure, *_: made.append(figure) or "<svg/>")
     return made
 
 
@@ -63,7 +62,7 @@ def test_what_no_drive_tells_has_no_panel_and_what_one_lacks_is_a_gap(figure):
 def test_labels_stand_evenly_so_that_none_covers_its_neighbour(figure, count):
     trends(ROWS[:1] * count)
     at = figure[0].axes[-1].get_xticks()
-    assert len(at) <= drives_plots.MAX_LABELS and at[-1] == count - 1
+    assert len(at) <= drives_page.MAX_LABELS and at[-1] == count - 1
     assert len({after - before for before, after in zip(at, at[1:])}) <= 1 and at[0] < max(2, at[-1] / 3)
 
 

@@ -1,9 +1,9 @@
 """Recordings with the same driving in them are refused; others aren't, whatever their clocks."""
 import pytest
 
-from car_interface.tools.recordings.overlap import check_no_overlap, check_paths_differ, trail
+from car_interface.tools.cli.jobs import check_no_overlap, check_paths_differ
 from car_interface.tools.recordings.recording import NoRecording
-from car_interface.tools.recordings.signals import load
+from car_interface.tools.recordings.signals import load, trail
 from written_recordings import odometry, write_ros1
 
 
