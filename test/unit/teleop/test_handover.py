@@ -166,3 +166,26 @@ def test_pull_by_phone_just_after_one_by_gamepad_begins_with_a_stop_under_a_plan
     bench.now_ns += 50 * MS
     handover.phone.update((0.0, -1.0), (0, 1, 0, 0), bench.now_ns)
     assert math.isnan(bench.requests.throttle)
+
+
+def test_pull_by_phone_while_nobody_drove_by_gamepad_is_one():
+    bench = Bench()
+    bench.now_ns += 50 * MS
+    bench.handover.phone.update((0.0, -1.0), (0, 1, 0, 0), bench.now_ns)
+    assert bench.requests.throttle == -1.0
+
+
+def test_gamepad_that_drives_goes_on_when_a_phone_is_heard_first_and_its_reasons_are_its_own():
+    bench = Bench(phone=None)
+    bench.then(pad=HELD)
+    assert bench.then(phone=LET_GO) == (True, PAD)
+    assert Bench().requests.reason == "no deadman is held"
+
+
+def test_phone_has_axes_and_scales_of_its_own():
+    handover = Handover(replace(CONFIG, steer_axis=3, throttle_axis=4, steer_scale=0.5, throttle_scale=0.5))
+    for step, buttons in enumerate(((0, 0, 0, 0), (1, 0, 0, 0), (1, 0, 0, 0))):
+        handover.requests(NOW + step * 50 * MS)
+        handover.phone.update((0.4, 0.8) if step == 2 else (0.0, 0.0), buttons, NOW + step * 50 * MS)
+        requests = handover.requests(NOW + step * 50 * MS)
+    assert (requests.steering, requests.throttle) == pytest.approx((0.4, 0.8))
