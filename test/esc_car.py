@@ -6,7 +6,7 @@ the wheels: these stand, and the car slides on. Backward is negative. Pure.
 import math
 from dataclasses import dataclass
 
-from car_interface.sim.drive_train import DriveTrainConfig, Motor, motor_acceleration_mps2
+from car_interface.sim.dynamics import DriveTrainConfig, Motor, motor_acceleration_mps2
 from car_interface.sim.esc import MotorState
 
 GRAVITY_MPS2 = 9.81

@@ -20,9 +20,8 @@ from typing import NamedTuple
 from many_drives import MS, NEUTRAL, THROTTLE, Chip, S, count_duty
 
 from car_interface.interlock.motion_interlock import InterlockConfig
-from car_interface.sim.drive_train import DriveTrainConfig
+from car_interface.sim.dynamics import DriveTrainConfig, TyreConfig
 from car_interface.sim.esc import VirtualEscConfig
-from car_interface.sim.tyres import TyreConfig
 from car_interface.sim.vehicle import SteeringConfig, Vehicle, VehicleConfig
 from car_interface.steering import arbiter as steering
 from car_interface.steering.calibration import SteeringCalibration

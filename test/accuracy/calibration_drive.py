@@ -38,8 +38,7 @@ from car_interface.common.causes import AUTONOMOUS
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.planner.request import PlannerRequest
-from car_interface.sim.collision import Collisions
-from car_interface.sim.tyres import TyreConfig
+from car_interface.sim.dynamics import TyreConfig
 from car_interface.sim.vehicle import Pose, Vehicle, VehicleConfig
 from car_interface.sim.world import World, WorldConfig
 from car_interface.steering.arbiter import SteeringArbiter, SteeringArbiterConfig
@@ -209,7 +208,7 @@ class Bench:
         self._rng = rng = random.Random(f"drive {seed}")
         self._trace = trace
         self._world = None if car.world is None else World(car.world)
-        self._collisions = None if self._world is None else Collisions(self._world.obstacles)
+        self._collisions = None if self._world is None else self._world.obstacles()
         self.vehicle = Vehicle(car.vehicle, START_NS, self._collisions)
         self._sonars = None if self._world is None else Sonars(rng, self._world)
         mounts = {name: Mount(mount.x_m, mount.y_m, mount.yaw_rad) for name, mount in zip(SONARS, WorldConfig().mounts)}
@@ -287,7 +286,7 @@ class Bench:
         vehicle.speed_mps, curvature = self.person.push(vehicle)
         pose = vehicle._pose_after(vehicle.speed_mps * dt_s, curvature)
         vehicle.time_ns += STEP_NS
-        if self._world is not None and not self._world.obstacles.is_free(pose):
+        if self._world is not None and not self._world.obstacles().is_free(pose):
             vehicle.speed_mps, curvature = -PUSHED_MPS, 0.0  # first straight back
             pose = vehicle._pose_after(vehicle.speed_mps * dt_s, curvature)
         vehicle.pose = pose

@@ -21,8 +21,9 @@ from typing import Callable, NamedTuple
 import numpy as np
 
 from accuracy.clock import percentile
+from car_interface.sim.dynamics import true_acceleration_mps2
 from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
-from car_interface.sim.vehicle import Vehicle, VehicleConfig, true_acceleration_mps2
+from car_interface.sim.vehicle import Vehicle, VehicleConfig
 from car_interface.teensy.link.framing import FrameDecoder
 from car_interface.teensy.link.protocol import SonarStatus, WheelStatus, decode
 from car_interface.teensy.sensing.odometry import Odometry, OdometryConfig

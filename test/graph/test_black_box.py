@@ -13,7 +13,7 @@ from std_msgs.msg import Float32
 from tf2_msgs.msg import TFMessage
 
 from car_interface.common import causes
-from car_interface.nodes.black_box.node import BlackBox
+from car_interface.nodes.black_box import BlackBox
 from car_interface.tools.report.summary import summarize
 from graph import NS_PER_S
 

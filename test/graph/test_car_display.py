@@ -10,7 +10,7 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Range
 from visualization_msgs.msg import Marker, MarkerArray
 
-from car_interface.nodes.car_display.node import CarDisplay
+from car_interface.nodes.car_display import CarDisplay
 from graph import NS_PER_S, START_NS
 
 MARKERS = "/car_display/markers"

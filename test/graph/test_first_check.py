@@ -9,7 +9,7 @@ from sensor_msgs.msg import Range
 from car import CENTER, CONFIG, ESC, ESC_NEUTRAL, STEERING, Car
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.vehicle_geometry import SONARS
-from car_interface.nodes.first_check.node import FirstCheckNode
+from car_interface.nodes.first_check import FirstCheckNode
 from car_interface.steering.config import load_steering
 from car_interface.throttle.config import load_throttle
 from test_calibration_drive import CURVATURES, Terminal

@@ -22,7 +22,7 @@ from car import Car
 from car_interface.common.declared import read_all
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.params import Params
-from car_interface.nodes.car_display.node import CarDisplay
+from car_interface.nodes.car_display import CarDisplay
 from car_interface.ros.start import config_class
 
 ALL = bool(os.environ.get("CAR_INTERFACE_ALL"))

@@ -8,7 +8,7 @@ from sensor_msgs.msg import Joy
 
 from car import Car
 from car_interface.common.errors import CarInterfaceError
-from car_interface.nodes.keyboard_drive.node import KeyboardDrive
+from car_interface.nodes.keyboard_drive import KeyboardDrive
 from graph import Graph
 
 MANUAL = 4  # as config/teleop_logi.yaml has them

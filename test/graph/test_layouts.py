@@ -4,7 +4,7 @@ import os
 import xml.etree.ElementTree as ElementTree
 
 from car import CONFIG, Car
-from car_interface.nodes.car_display.node import CarDisplay
+from car_interface.nodes.car_display import CarDisplay
 
 
 def foxglove():

@@ -8,8 +8,7 @@ from collections import namedtuple
 from pathlib import Path
 
 from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
-from car_interface.sim.teensy_packets import COUNTER_NAMES, PacketPool
-from car_interface.sim.teensy_receiver import Receiver
+from car_interface.sim.teensy_uart import COUNTER_NAMES, PacketPool, Receiver
 from car_interface.sim.teensy_wheels import LEFT
 
 MS, S = 1_000_000, 1_000_000_000

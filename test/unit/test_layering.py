@@ -45,9 +45,9 @@ ROS = ("nodes/", "ros/", "tools/doctor/topics.py")
 # Libraries, and the only places that import them.
 ONLY_IN = {
     "rospy": ROS,
-    "rosbag": ("nodes/black_box/node.py",),
+    "rosbag": ("nodes/black_box.py",),
     "rosbags": ("tools/recordings/",),
-    "evdev": ("nodes/keyboard_drive/key_events.py", "teleop/gamepad_device.py"),
+    "evdev": ("nodes/keyboard_drive.py", "teleop/gamepad_device.py"),
     "jinja2": ("tools/report/html.py",),
     "matplotlib": ("tools/report/",),
     "tqdm": ("tools/recordings/", "tools/cli/"),

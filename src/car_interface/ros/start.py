@@ -46,7 +46,7 @@ CONFIGS = {
     "phone_drive": "nodes.phone_drive.config.PhoneDriveConfig",
     "black_box": "common.black_box_folder.BlackBoxConfig",
     "car_nodes": "common.fixed_parameters.CarNodesConfig",
-    "car_display": "nodes.car_display.config.CarDisplayConfig",
+    "car_display": "nodes.teensy_sensor_hub.config.CarDisplayConfig",
     "car_sim": "nodes.car_sim.config.CarSimConfig",
 }
 

@@ -21,22 +21,7 @@ import time
 
 from car_interface.common.file_lock import lock_byte
 from car_interface.common.own_files import OTHERS_BITS, UnsafeFile, check_socket, open_own
-from car_interface.sim.chip_link import (
-    ANSWER,
-    FAULT,
-    FAULTS,
-    LOG,
-    MAX_BLOCK,
-    MAX_PACKET,
-    OBSERVE,
-    OUTPUTS,
-    READ,
-    REQUEST,
-    WRITE,
-    lock_path,
-    open_lock,
-    peer,
-)
+from car_interface.sim import chip_link as wire
 from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
 
 LINGER_S = 3.0  # after the last client: time for roslaunch to restart a node; a guard is a client, too
@@ -87,7 +72,7 @@ class ChipServer:
             client, _ = self._listener.accept()
         except OSError:  # it has gone again
             return
-        if len(self._clients) >= MAX_CLIENTS or peer(client)[1] != os.geteuid():
+        if len(self._clients) >= MAX_CLIENTS or wire.peer(client)[1] != os.geteuid():
             client.close()
             return
         client.setblocking(False)
@@ -102,14 +87,14 @@ class ChipServer:
     def _serve(self, fd, now_s):
         """Answer one request; return whether the client is still there."""
         try:
-            packet = self._clients[fd].recv(MAX_PACKET + 1)  # of a longer one the rest is lost
+            packet = self._clients[fd].recv(wire.MAX_PACKET + 1)  # of a longer one the rest is lost
         except BlockingIOError:
             return True
         except OSError:
             packet = b""
         if not packet:
             return False
-        if self._bus.held and packet[0] in (READ, WRITE):
+        if self._bus.held and packet[0] in (wire.READ, wire.WRITE):
             if not self._waiting:
                 self._fails_s = now_s + HELD_S
             self._waiting.append((fd, packet))
@@ -121,7 +106,7 @@ class ChipServer:
         """Fail transfers on a bus that is held, one after the other, each after a second."""
         while self._waiting and now_s >= self._fails_s:
             fd, _ = self._waiting.pop(0)
-            self._send(fd, ANSWER.pack(errno.ETIMEDOUT))
+            self._send(fd, wire.ANSWER.pack(errno.ETIMEDOUT))
             if not self._bus.held:  # it was released since: waiting transfers go through
                 for waiting_fd, packet in self._waiting:
                     self._answer(waiting_fd, packet)
@@ -135,14 +120,14 @@ class ChipServer:
             data, number = b"", error.errno or errno.EIO
         except Exception:  # no request may end the chip's pulses, as with a real one
             data, number = b"", errno.EIO
-        self._send(fd, ANSWER.pack(number) + data)
-        if packet[0] == OBSERVE and not number:
+        self._send(fd, wire.ANSWER.pack(number) + data)
+        if packet[0] == wire.OBSERVE and not number:
             self._outputs = self._pins()
-            self._send(fd, OUTPUTS.pack(*self._outputs))
+            self._send(fd, wire.OUTPUTS.pack(*self._outputs))
         elif self._observers and self._outputs != self._pins():
             self._outputs = self._pins()
             for observer in tuple(self._observers):
-                self._send(observer, OUTPUTS.pack(*self._outputs))
+                self._send(observer, wire.OUTPUTS.pack(*self._outputs))
 
     def _send(self, fd, packet):
         with contextlib.suppress(OSError):  # it is dropped when its end is seen
@@ -150,25 +135,25 @@ class ChipServer:
 
     def _handle(self, fd, packet):
         """Do what a packet asks for and return the data of the answer; OSError where that fails or is impossible."""
-        if len(packet) < REQUEST.size:
+        if len(packet) < wire.REQUEST.size:
             raise _error(errno.EPROTO)
-        if len(packet) > MAX_PACKET:
+        if len(packet) > wire.MAX_PACKET:
             raise _error(errno.EMSGSIZE)
-        operation, address, register, value = REQUEST.unpack_from(packet)
-        data = packet[REQUEST.size:]
-        if operation == READ:
-            if len(data) != 1 or not 1 <= data[0] <= MAX_BLOCK:
+        operation, address, register, value = wire.REQUEST.unpack_from(packet)
+        data = packet[wire.REQUEST.size:]
+        if operation == wire.READ:
+            if len(data) != 1 or not 1 <= data[0] <= wire.MAX_BLOCK:
                 raise _error(errno.EINVAL)
             return bytes(self._bus.read_i2c_block_data(address, register, data[0]))
-        if operation == WRITE:
-            if not 1 <= len(data) <= MAX_BLOCK:
+        if operation == wire.WRITE:
+            if not 1 <= len(data) <= wire.MAX_BLOCK:
                 raise _error(errno.EINVAL)
             self._bus.write_i2c_block_data(address, register, list(data))
-        elif operation == FAULT and register < len(FAULTS):
-            self._inject(FAULTS[register], value)
-        elif operation == LOG:
+        elif operation == wire.FAULT and register < len(wire.FAULTS):
+            self._inject(wire.FAULTS[register], value)
+        elif operation == wire.LOG:
             self._open_log(data)
-        elif operation == OBSERVE:
+        elif operation == wire.OBSERVE:
             self._observers.add(fd)
         else:
             raise _error(errno.EOPNOTSUPP)
@@ -227,12 +212,12 @@ def main() -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # it ends after its last client
     try:
-        lock_fd = open_lock(path)
+        lock_fd = wire.open_lock(path)
     except UnsafeFile:  # its first client reports it
         return
     try:
         lock_byte(lock_fd, SERVER_LOCK)
-        if not os.path.samestat(os.fstat(lock_fd), os.stat(lock_path(path))):
+        if not os.path.samestat(os.fstat(lock_fd), os.stat(wire.lock_path(path))):
             return  # the lock of a process that has just ended: the client starts this one again
         with contextlib.suppress(FileNotFoundError):
             check_socket(path)
@@ -246,4 +231,4 @@ def main() -> None:
         listener.listen(16)
         ChipServer(listener, address).run()
         os.unlink(path)
-        os.unlink(lock_path(path))
+        os.unlink(wire.lock_path(path))

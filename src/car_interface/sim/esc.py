@@ -52,40 +52,25 @@ class MotorState(NamedTuple):
 
 @dataclass(frozen=True)
 class VirtualEscConfig:
-    """One ESC.
+    """One ESC."""
 
-    Attributes:
-        kind: one of KINDS.
-        neutral_duty, full_forward_duty, full_reverse_duty: the pulses it was calibrated to.
-        forward_band_duty, reverse_band_duty: within this distance of neutral it does nothing.
-        dwell_s: neutral of at least this, after a brake, makes the next pull reverse.
-        brake_seen_s: a shorter brake is ignored.
-        forget_s: after this much neutral it forgets that it drove forward, and the first pull is reverse; 0 = never.
-        starts_ready: after arming the first pull is reverse.
-        second_pull: REVERSES, BRAKES or BRAKES_AND_TURNS.
-        turn_s: a crawler's wheels must stand this long before its brake becomes reverse.
-        drag_brake: the brake in neutral, 0..1.
-        arming_s: neutral of this length after power-up, or after a loss of pulses, before the motor runs.
-        cutoff_s: the motor stops after this long without a pulse.
-        rearms: a loss of pulses must be followed by neutral for ``arming_s``, as power-up.
-    """
-
-    kind: str = BRAKE_THEN_REVERSE
-    neutral_duty: float = 4915.0
+    kind: str = BRAKE_THEN_REVERSE  # one of KINDS
+    neutral_duty: float = 4915.0  # these three are the pulses it was calibrated to
     full_forward_duty: float = 6554.0
     full_reverse_duty: float = 3277.0
-    forward_band_duty: float = 80.0
+    forward_band_duty: float = 80.0  # within this distance of neutral it does nothing, likewise behind it
     reverse_band_duty: float = 80.0
-    dwell_s: float = 0.2
-    brake_seen_s: float = 0.04
+    dwell_s: float = 0.2  # neutral of at least this, after a brake, makes the next pull reverse
+    brake_seen_s: float = 0.04  # a shorter brake is ignored
+    # After this much neutral it forgets that it drove forward, and the first pull is reverse; 0 = never.
     forget_s: float = 0.0
-    starts_ready: bool = False
-    second_pull: str = REVERSES
-    turn_s: float = 0.1
-    drag_brake: float = 0.0
-    arming_s: float = 0.5
-    cutoff_s: float = 0.1
-    rearms: bool = True
+    starts_ready: bool = False  # after arming the first pull is reverse
+    second_pull: str = REVERSES  # REVERSES, BRAKES or BRAKES_AND_TURNS
+    turn_s: float = 0.1  # a crawler's wheels must stand this long before its brake becomes reverse
+    drag_brake: float = 0.0  # the brake in neutral, 0..1
+    arming_s: float = 0.5  # neutral of this length after power-up, or after a loss of pulses, before the motor runs
+    cutoff_s: float = 0.1  # the motor stops after this long without a pulse
+    rearms: bool = True  # a loss of pulses must be followed by neutral for ``arming_s``, as power-up
 
 
 def is_pulse(duty: int) -> bool:

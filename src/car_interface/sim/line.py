@@ -15,35 +15,30 @@ MAX_LOST = 1_000_000
 FLOOD_PER_S = 1_000_000  # bytes
 MAX_FLOOD = 8192  # at once, after a pause of the simulator's
 TO_HOST, TO_TEENSY = 0, 1
+# Faults that last: nothing reaches the host; each side receives at half the baud rate of the other; random bytes follow
+# the Teensy's.
+LASTING = SILENCE, SCRAMBLE, FLOOD = "silence", "scramble", "flood"
 
 
 class BadLine:
-    """The line between the Teensy and the host, with faults that can be switched on.
-
-    A duration of 0 ends a fault.
-    """
+    """The line between the Teensy and the host, with faults that can be switched on."""
 
     def __init__(self, seed: int):
         self._random = random.Random(seed)
         self._noise = (BitErrors(seed), BitErrors(seed + 1))
         self._receivers = (SlowReceiver(), SlowReceiver())
-        self._muted_until_ns = self._scrambled_until_ns = self._flooded_until_ns = 0
+        self._until_ns = dict.fromkeys(LASTING, 0)
         self._flooded_ns = 0  # until when the flood has been sent
         self._to_lose = 0
 
-    def silence(self, duration_s: float, now_ns: int) -> None:
-        """Let nothing reach the host."""
-        self._muted_until_ns = now_ns + _duration_ns("silence", duration_s)
-
-    def scramble(self, duration_s: float, now_ns: int) -> None:
-        """Let each side receive at half the baud rate of the other."""
-        self._scrambled_until_ns = now_ns + _duration_ns("scramble", duration_s)
-        self._receivers = (SlowReceiver(), SlowReceiver())
-
-    def flood(self, duration_s: float, now_ns: int) -> None:
-        """Send random bytes to the host, behind the Teensy's."""
-        self._flooded_until_ns = now_ns + _duration_ns("flood", duration_s)
-        self._flooded_ns = now_ns
+    def begin(self, fault: str, duration_s: float, now_ns: int) -> None:
+        """Begin one of ``LASTING``; a duration of 0 ends it."""
+        require(0 <= duration_s <= MAX_S, fault, duration_s, f"0 to {MAX_S} s")
+        self._until_ns[fault] = now_ns + round(duration_s * NS_PER_S)
+        if fault == SCRAMBLE:
+            self._receivers = (SlowReceiver(), SlowReceiver())
+        elif fault == FLOOD:
+            self._flooded_ns = now_ns
 
     def cut(self, count: float) -> None:
         """Lose the next ``count`` bytes to the host."""
@@ -57,7 +52,7 @@ class BadLine:
 
     def to_host(self, data: bytes, now_ns: int) -> bytes:
         """Return what arrives at the host of the bytes that the Teensy sent since the last call."""
-        if now_ns < self._muted_until_ns:
+        if now_ns < self._until_ns[SILENCE]:
             data = b""
         data, self._to_lose = data[self._to_lose:], max(0, self._to_lose - len(data))
         return self._carry(TO_HOST, data, now_ns) + self._flood(now_ns)
@@ -69,12 +64,12 @@ class BadLine:
     def _carry(self, direction, data, now_ns):
         if not data:
             return data
-        if now_ns < self._scrambled_until_ns:
+        if now_ns < self._until_ns[SCRAMBLE]:
             data = self._receivers[direction].receive(data)
         return self._noise[direction].flip(data)
 
     def _flood(self, now_ns):
-        until_ns = min(now_ns, self._flooded_until_ns)
+        until_ns = min(now_ns, self._until_ns[FLOOD])
         count = (until_ns - self._flooded_ns) * FLOOD_PER_S // NS_PER_S
         if count <= 0:
             return b""
@@ -142,8 +137,3 @@ class SlowReceiver:
             start = self._line.find("0", start + (20 if is_start else 1))
         self._line = self._line[start:] if start >= 0 else ""
         return bytes(received)
-
-
-def _duration_ns(name, duration_s):
-    require(0 <= duration_s <= MAX_S, name, duration_s, f"0 to {MAX_S} s")
-    return round(duration_s * NS_PER_S)

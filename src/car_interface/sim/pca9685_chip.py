@@ -99,42 +99,34 @@ class VirtualBus:
         chips: by 7-bit address. Any other address answers as an empty one does on Linux: OSError 121 (EREMOTEIO).
         pause: called with seconds while the bus is held and the kernel waits for it in vain.
         on_write: called with (address, register, data) after each write that a chip took.
-
-    Attributes:
-        chips: those that are on the bus now.
-        nacks_left: how many of the next transfers are not acknowledged.
-        held: somebody holds the bus down: every transfer times out.
     """
 
     def __init__(self, chips: dict[int, VirtualPca9685], pause: Callable[[float], None] = lambda seconds: None,
                  on_write: Callable[[int, int, Sequence[int]], None] = lambda address, register, data: None):
-        self.nacks_left = 0
-        self.held = False
-        self.chips = dict(chips)
+        self.nacks_left = 0  # how many of the next transfers are not acknowledged
+        self.held = False  # somebody holds the bus down: every transfer times out
+        self.chips = dict(chips)  # those that are on the bus now
         self._pause = pause
         self._on_write = on_write
 
     def read_byte_data(self, address: int, register: int) -> int:
-        return self._chip(address).read(register, 1)[0]
+        return self.read_i2c_block_data(address, register, 1)[0]
 
     def read_i2c_block_data(self, address: int, register: int, length: int) -> list[int]:
         """Read at most 32 registers, as smbus2."""
         return self._chip(address).read(register, _checked_length(length))
 
     def write_byte_data(self, address: int, register: int, value: int) -> None:
-        self._write(address, register, [value])
+        self.write_i2c_block_data(address, register, [value])
 
     def write_i2c_block_data(self, address: int, register: int, data: list[int]) -> None:
         """Write at most 32 registers, as smbus2."""
         _checked_length(len(data))
-        self._write(address, register, data)
+        self._chip(address).write(register, data)
+        self._on_write(address, register, data)
 
     def close(self) -> None:
         """Close as smbus2; the chips keep their power."""
-
-    def _write(self, address, register, data):
-        self._chip(address).write(register, data)
-        self._on_write(address, register, data)
 
     def _chip(self, address):
         if self.held:

@@ -72,16 +72,12 @@ class Clock:
 
 
 class Deadline:
-    """A time that the loop waits for, compared with ``millis()`` as the firmware compares.
-
-    Attributes:
-        due_ns: when it will have passed; the loop checks then.
-    """
+    """A time that the loop waits for, compared with ``millis()`` as the firmware compares."""
 
     def __init__(self, clock: Clock, wait_ms: int, now_ns: int):
         self._clock = clock
         self._deadline_ms = clock.millis(now_ns) + wait_ms & UINT32
-        self.due_ns = clock.passes_ns(self._deadline_ms, now_ns)
+        self.due_ns = clock.passes_ns(self._deadline_ms, now_ns)  # when it will have passed; the loop checks then
 
     def has_passed(self, now_ns: int) -> bool:
         """Return whether it has passed. Beyond the wrap it seems so until ``millis()`` has wrapped as well."""

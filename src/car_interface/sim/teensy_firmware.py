@@ -20,34 +20,9 @@ from random import Random
 from typing import Callable, Generator
 
 from car_interface.common.errors import require
+from car_interface.sim import teensy_uart as uart
 from car_interface.sim.teensy_clock import NEVER_NS, NS_PER_US, UINT32, Clock
-from car_interface.sim.teensy_packets import (
-    COUNTER_NAMES,
-    ERROR_COUNT,
-    GET_COUNTERS,
-    PING_QUERY,
-    PONG_RESP,
-    RPI,
-    SET_SONAR_SEQ,
-    SONAR_START,
-    SONAR_STATUS,
-    SONAR_STOP,
-    SONAR_WAIT,
-    TEENSY,
-    WHEEL_RESET,
-    PacketPool,
-    PoolEmpty,
-)
-from car_interface.sim.teensy_receiver import IncomingLine, Receiver
-from car_interface.sim.teensy_sonars import (
-    SEQUENCE_MAX,
-    SONAR_MISSING,
-    SONARS,
-    Held,
-    SonarArray,
-    SonarSensor,
-)
-from car_interface.sim.teensy_transmitter import OutgoingLine, Transmitter
+from car_interface.sim.teensy_sonars import SEQUENCE_MAX, SONAR_MISSING, Held, SonarArray, SonarSensor
 from car_interface.sim.teensy_wheels import FORWARD, HALL_PINS, Axle
 
 U32 = struct.Struct("<I")
@@ -59,37 +34,24 @@ UART_BUFFER = 62  # bytes that wait in front of the line: of its 64 the firmware
 
 @dataclass(frozen=True)
 class FirmwareConfig:
-    """The properties of one simulated Teensy; the defaults are the one in the cars.
+    """The properties of one simulated Teensy; the defaults are the one in the cars."""
 
-    Attributes:
-        baud: bits a second on the line, both ways.
-        clock_start_ms: ``millis()`` at power-up, as the boot has ended; near 2**32 it wraps soon; 300 after ``reboot``.
-        clock_drift_ppm: how much the Teensy's crystal is too fast (positive) or too slow.
-        clock_ramp_ppm_per_h: how much that changes in an hour (a car that warms up).
-        loop_us: true time of one pass of the loop, µs. The original's is not known.
-        sonar_wait_ms: from an echo to the next sonar's ping, until SONAR_WAIT changes it.
-        sonar_sequence: the sonars' order, until SET_SONAR_SEQ changes it.
-        sonar_pulse_end_us: how long a sensor holds its echo pin high without an echo: 38 ms with an HC-SR04.
-        sonars_missing: the sensors that are not connected at power-up; see ``set_sonar``.
-        wheel_positions: where the wheels (left, right) stand at power-up, in pulses: sets the levels of the hall pins.
-        odometer_start: dist and dist_abs of both wheels, which have turned forward, at power-up. After ``reboot`` 0.
-        corrected_checksum: the receiver sums with carry over unescaped bytes. Its other faults stay.
-        seed: of the garbage that the packets' memory holds at power-up; None for zeros.
-    """
-
-    baud: int = 115200
+    baud: int = 115200  # bits a second on the line, both ways
+    # ``millis()`` at power-up, as the boot has ended; near 2**32 it wraps soon; 300 after ``reboot``.
     clock_start_ms: int = BOOT_MS
-    clock_drift_ppm: float = 0.0
-    clock_ramp_ppm_per_h: float = 0.0
-    loop_us: int = 50
-    sonar_wait_ms: int = 50
-    sonar_sequence: tuple[int, ...] = (0, 1, 2, 3, 4, 5)
-    sonar_pulse_end_us: int = 38_000
-    sonars_missing: tuple[int, ...] = ()
+    clock_drift_ppm: float = 0.0  # how much the Teensy's crystal is too fast (positive) or too slow
+    clock_ramp_ppm_per_h: float = 0.0  # how much that changes in an hour (a car that warms up)
+    loop_us: int = 50  # true time of one pass of the loop, µs. The original's is not known.
+    sonar_wait_ms: int = 50  # from an echo to the next sonar's ping, until SONAR_WAIT changes it
+    sonar_sequence: tuple[int, ...] = (0, 1, 2, 3, 4, 5)  # the sonars' order, until SET_SONAR_SEQ changes it
+    sonar_pulse_end_us: int = 38_000  # how long a sensor holds its echo pin high without an echo: 38 ms with an HC-SR04
+    sonars_missing: tuple[int, ...] = ()  # the sensors that are not connected at power-up; see ``set_sonar``
+    # Where the wheels (left, right) stand at power-up, in pulses: sets the levels of the hall pins.
     wheel_positions: tuple[int, int] = (0, 0)
+    # The dist and dist_abs of both wheels, which have turned forward, at power-up. After ``reboot`` 0.
     odometer_start: int = 0
-    corrected_checksum: bool = False
-    seed: int | None = None
+    corrected_checksum: bool = False  # the receiver sums with carry over unescaped bytes. Its other faults stay.
+    seed: int | None = None  # of the garbage that the packets' memory holds at power-up; None for zeros
 
 
 class TeensyFirmware:
@@ -111,9 +73,9 @@ class TeensyFirmware:
         self.echo_us = echo_us or (lambda sensor, at_ns: 0)
         self._config = config
         self._period_ns = config.loop_us * NS_PER_US
-        self._incoming = IncomingLine(config.baud)
-        self._outgoing = OutgoingLine(config.baud, UART_BUFFER)
-        self._sensors = [self._sensor(number) for number in range(SONARS)]
+        self._incoming = uart.IncomingLine(config.baud)
+        self._outgoing = uart.OutgoingLine(config.baud, UART_BUFFER)
+        self._sensors = [self._sensor(number) for number in range(uart.SONARS)]
         for sensor in config.sonars_missing:
             self._sensors[sensor].set_condition(SONAR_MISSING, power_up_ns)
         self._positions = list(config.wheel_positions)
@@ -129,19 +91,14 @@ class TeensyFirmware:
     def _switch_on(self, clock_start_ms: int, clock_start_ns: int, boot_end_ns: int):
         config = self._config
         self.clock = Clock(clock_start_ms, config.clock_drift_ppm, config.clock_ramp_ppm_per_h, clock_start_ns)
-        self.counters: dict[str, int] = dict.fromkeys(COUNTER_NAMES, 0)
+        self.counters: dict[str, int] = dict.fromkeys(uart.COUNTER_NAMES, 0)
         self.hung = False
-        self._pool = PacketPool(POOL_SIZE, config.seed)
-        self._receiver = Receiver(self._pool.acquire, self.counters, config.corrected_checksum)
-        self._transmitter = Transmitter(self._outgoing, self._pool, self.counters)
+        self._pool = uart.PacketPool(POOL_SIZE, config.seed)
+        self._receiver = uart.Receiver(self._pool.acquire, self.counters, config.corrected_checksum)
+        self._transmitter = uart.Transmitter(self._outgoing, self._pool, self.counters)
         self._axle = Axle(self.counters)
         self._sonars = SonarArray(config.sonar_sequence, config.sonar_wait_ms, self._sensors, self.clock, self._pool,
                                   self.counters)
-        self._commands = {
-            PONG_RESP: lambda packet: None,  # the firmware knows the command, and never asks for one
-            SET_SONAR_SEQ: self._set_sonar_sequence, SONAR_STOP: self._stop_sonars,
-            WHEEL_RESET: lambda packet: self._axle.reset(), GET_COUNTERS: self._send_counters,
-            SONAR_WAIT: self._set_sonar_wait}
         self._is_booting = True
         self._is_between_passes = False
         self._resume_ns = boot_end_ns
@@ -215,7 +172,7 @@ class TeensyFirmware:
         Raises:
             ConfigError: no such sensor.
         """
-        require(sensor in range(SONARS), "sonar", sensor, "a sensor from 0 to 5")
+        require(sensor in range(uart.SONARS), "sonar", sensor, "a sensor from 0 to 5")
         self.advance(now_ns)
         self._sensors[int(sensor)].set_condition(condition, self._now_ns)
         self._sonars.schedule()
@@ -247,7 +204,7 @@ class TeensyFirmware:
         self._is_between_passes = False
         try:
             self._resume_ns = self._loop.send(self._now_ns)
-        except PoolEmpty:
+        except uart.PoolEmpty:
             self.hung = True
             self._resume_ns = NEVER_NS
 
@@ -271,13 +228,13 @@ class TeensyFirmware:
             packet = self._receiver.byte(self._incoming.pop())
             if packet is None:
                 continue
-            if packet[0] == TEENSY and packet[2] == PING_QUERY:
+            if packet[0] == uart.TEENSY and packet[2] == uart.PING_QUERY:
                 self._pong(packet, now_ns)
                 continue
-            if packet[0] == TEENSY and packet[2] == SONAR_START:
+            if packet[0] == uart.TEENSY and packet[2] == uart.SONAR_START:
                 now_ns = yield from self._sonars.start(now_ns)
-            elif packet[0] == TEENSY:
-                self._commands.get(packet[2], self._count_unknown)(packet)
+            elif packet[0] == uart.TEENSY:
+                self._obey(packet)
             self._pool.release(packet)
         return now_ns
 
@@ -292,7 +249,7 @@ class TeensyFirmware:
             self.counters["txErrorNoBuf"] += 1
             return
         sensor, echo_us, when = echo
-        packet[:5] = bytes((RPI, TEENSY, SONAR_STATUS, 0, sensor))
+        packet[:5] = bytes((uart.RPI, uart.TEENSY, uart.SONAR_STATUS, 0, sensor))
         SONAR_ECHO.pack_into(packet, 6, echo_us, when)
         self._transmitter.queue_sonar(sensor, packet)
         self._sonars.wait(now_ns)
@@ -301,29 +258,32 @@ class TeensyFirmware:
 
     def _pong(self, packet: bytearray, now_ns: int):
         """Turn the ping itself into its answer, as the firmware does: the rest of it stays as it was."""
-        packet[:3] = bytes((packet[1], TEENSY, PONG_RESP))
+        packet[:3] = bytes((packet[1], uart.TEENSY, uart.PONG_RESP))
         U32.pack_into(packet, 8, self.clock.millis(now_ns))
         self._transmitter.queue_first(packet)
 
-    def _count_unknown(self, packet: bytearray):
-        self.counters["rxErrorUnknown"] += 1
+    def _obey(self, packet: bytearray):
+        command = packet[2]
+        if command == uart.SET_SONAR_SEQ:
+            self._sonars.set_sequence(packet[4], packet[5 : 5 + SEQUENCE_MAX])
+        elif command == uart.SONAR_STOP:
+            self._sonars.running = False
+        elif command == uart.SONAR_WAIT:
+            (self._sonars.wait_ms,) = U32.unpack_from(packet, 4)
+        elif command == uart.WHEEL_RESET:
+            self._axle.reset()
+        elif command == uart.GET_COUNTERS:
+            self._send_counters()
+        elif command != uart.PONG_RESP:  # which the firmware knows, and never asks for
+            self.counters["rxErrorUnknown"] += 1
 
-    def _set_sonar_sequence(self, packet: bytearray):
-        self._sonars.set_sequence(packet[4], packet[5 : 5 + SEQUENCE_MAX])
-
-    def _stop_sonars(self, packet: bytearray):
-        self._sonars.running = False
-
-    def _set_sonar_wait(self, packet: bytearray):
-        (self._sonars.wait_ms,) = U32.unpack_from(packet, 4)
-
-    def _send_counters(self, packet: bytearray):
+    def _send_counters(self):
         for name, count in [item for item in self.counters.items() if item[1]]:
             answer = self._pool.acquire()
             if answer is None:
                 self.counters["txErrorNoBuf"] += 1
                 continue
-            answer[:4] = bytes((RPI, TEENSY, ERROR_COUNT, 0))
+            answer[:4] = bytes((uart.RPI, uart.TEENSY, uart.ERROR_COUNT, 0))
             U32.pack_into(answer, 4, count & UINT32)
             answer[8:32] = name.encode("ascii").ljust(24, b"\0")
             self._transmitter.queue_first(answer)

@@ -5,9 +5,8 @@ from random import Random
 from typing import Callable, Generator
 
 from car_interface.sim.teensy_clock import AT_ONCE_NS, NEVER_NS, NS_PER_US, UINT32, Clock, Deadline
-from car_interface.sim.teensy_packets import PacketPool, PoolEmpty
+from car_interface.sim.teensy_uart import SONARS, PacketPool, PoolEmpty
 
-SONARS = 6
 SEQUENCE_MAX = 4 * SONARS
 
 # In µs of the Teensy's clock
@@ -86,11 +85,6 @@ class SonarArray:
 
     There is one start time, one "present sensor" and one timer for all sensors. So a ping while another sensor still
     listens (SONAR_START) takes the other's echo for its own.
-
-    Attributes:
-        running: False after SONAR_STOP: the sonar that listens still reports, none follows it.
-        wait_ms: from a report to the next ping. 2**31 and more: none.
-        interrupt_ns: when the next interrupt comes.
     """
 
     def __init__(self, sequence: tuple[int, ...], wait_ms: int, sensors: list[SonarSensor], clock: Clock,
@@ -110,9 +104,9 @@ class SonarArray:
         self._wait: Deadline | None = None  # of the wait for the next ping
         self._attempt: Deadline | None = None  # of the next attempt at a first ping that failed
         self._retry: bytearray | None = None  # the packet by which the firmware reminds itself
-        self.wait_ms = wait_ms
-        self.running = True
-        self.interrupt_ns = NEVER_NS
+        self.wait_ms = wait_ms  # from a report to the next ping. 2**31 and more: none.
+        self.running = True  # False after SONAR_STOP: the sonar that listens still reports, none follows it
+        self.interrupt_ns = NEVER_NS  # when the next interrupt comes
 
     @property
     def due_ns(self) -> int:

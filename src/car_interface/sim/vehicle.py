@@ -5,7 +5,7 @@ curves are the truth that calibration tables only approximate: they are near the
 them on purpose.
 
 REP-103 throughout: metres, radians, seconds, x forward, y left, left turns positive. The pose is that of the middle of
-the rear axle. Tyres widen its turns with speed, slide, and it can tip over: see ``tyres``; without them it is a
+the rear axle. Tyres widen its turns with speed, slide, and it can tip over: see ``dynamics``; without them it is a
 kinematic car. Backlash of the steering, a slope and a sagging battery are options: the default car has none of them.
 
 A brake that is stronger than the tyres' grip locks the wheels: no pulses, and the car slides straight on. A motor that
@@ -26,11 +26,11 @@ from typing import NamedTuple
 from car_interface.common.errors import require
 from car_interface.common.units import NS_PER_S
 from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, TRACK_M, WHEEL_DIAMETER_M
-from car_interface.sim.collision import Collisions
-from car_interface.sim.drive_train import DriveTrainConfig, Motor, motor_acceleration_mps2, true_acceleration_mps2
+from car_interface.sim import dynamics
+from car_interface.sim.dynamics import DriveTrainConfig, Motor, Rollovers, TyreConfig
 from car_interface.sim.esc import VirtualEsc, VirtualEscConfig, is_pulse
 from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
-from car_interface.sim.tyres import Rollovers, TyreConfig, path_curvature_per_m, possible_acceleration_mps2
+from car_interface.sim.world import Obstacles
 
 GRAVITY_MPS2 = 9.81
 ARRIVED_DUTY = 0.01  # a servo this near its target has arrived: its creep would never end
@@ -57,19 +57,11 @@ class Pulse(NamedTuple):
 
 @dataclass(frozen=True)
 class SteeringConfig:
-    """The servo's motion, and the curvature at each of its positions.
+    """The servo's motion, and the curvature at each of its positions."""
 
-    Attributes:
-        curve: (duty, curvature in 1/m, left positive), duties rising, curvatures falling, or rising with a servo that
-            is built in the other way round. Linear in between, saturated at the ends, where the wheels are at their
-            stops: by default 0.97 m is the tightest left turn, 1.03 m the tightest right one.
-        center_duty: where the servo stands at power-up. It steers 1.3e-3 1/m to the right: this car has to be trimmed.
-        rate_duty_per_s: the fastest that the servo turns: 60° (2185 duty, 90° being 1 ms) in 0.17 s.
-        lag_s: time constant with which it creeps up to a near target.
-        backlash_duty: how far the servo turns, after it has turned round, before the wheels follow; the curve is that
-            of the middle between both ways to come there.
-    """
-
+    # Points (duty, curvature in 1/m, left positive), duties rising, curvatures falling, or rising with a servo that is
+    # built in the other way round. Linear in between, saturated at the ends, where the wheels are at their stops: by
+    # default 0.97 m is the tightest left turn, 1.03 m the tightest right one.
     curve: tuple[tuple[float, float], ...] = (
         (3800, 1.030), (3808, 0.812), (3815, 0.692), (3822, 0.601), (3830, 0.516), (3835, 0.415), (3840, 0.344),
         (3850, 0.259), (3860, 0.205), (3870, 0.171), (3880, 0.147), (3890, 0.103), (3900, 0.0515), (3950, 0.0345),
@@ -78,9 +70,12 @@ class SteeringConfig:
         (6350, -0.138), (6400, -0.161), (6450, -0.195), (6500, -0.243), (6550, -0.278), (6600, -0.324), (6625, -0.386),
         (6650, -0.487), (6662, -0.550), (6675, -0.645), (6688, -0.783), (6700, -0.970),
     )  # fmt: skip
+    # Where the servo stands at power-up. It steers 1.3e-3 1/m to the right: this car has to be trimmed.
     center_duty: float = 5100.0
-    rate_duty_per_s: float = 12850.0
-    lag_s: float = 0.015
+    rate_duty_per_s: float = 12850.0  # the fastest that the servo turns: 60° (2185 duty, 90° being 1 ms) in 0.17 s
+    lag_s: float = 0.015  # time constant with which it creeps up to a near target
+    # How far the servo turns, after it has turned round, before the wheels follow; the curve is that of the middle
+    # between both ways to come there.
     backlash_duty: float = 0.0
 
     def __post_init__(self):
@@ -94,31 +89,22 @@ class SteeringConfig:
 
 @dataclass(frozen=True)
 class VehicleConfig:
-    """One car.
-
-    Attributes:
-        track_m: between the rear wheels.
-        wheel_diameter_m, pulses_per_revolution: one pulse each 14.9 mm.
-        pulse_phase: where each rear wheel (left, right) stands at the start, in pulses; at each whole number one of its
-            two hall pins changes, and after four of them their levels are the same again.
-        start: the pose at the start.
-        esc: the speed controller between pulses and motor; ``None`` = one without a memory: a duty against the way the
-            car rolls brakes, and at standstill reverse drives backward.
-        slope: of the ground, all of which is one plane: metres up for each metre, 0.02 is 2 %.
-        uphill_rad: the heading in which it rises.
-        on_box: its wheels hang in the air: they turn as on the ground, and it stays where it is.
-    """
+    """One car."""
 
     steering: SteeringConfig = SteeringConfig()
     drive: DriveTrainConfig = field(default_factory=DriveTrainConfig)
-    track_m: float = TRACK_M
-    wheel_diameter_m: float = WHEEL_DIAMETER_M
+    track_m: float = TRACK_M  # between the rear wheels
+    wheel_diameter_m: float = WHEEL_DIAMETER_M  # with the next: one pulse each 14.9 mm
     pulses_per_revolution: int = PULSES_PER_REVOLUTION
+    # Where each rear wheel (left, right) stands at the start, in pulses; at each whole number one of its two hall pins
+    # changes, and after four of them their levels are the same again.
     pulse_phase: tuple[float, float] = (0.25, 0.75)
     start: Pose = ORIGIN
-    slope: float = 0.0
-    uphill_rad: float = 0.0
-    on_box: bool = False
+    slope: float = 0.0  # of the ground, all of which is one plane: metres up for each metre, 0.02 is 2 %
+    uphill_rad: float = 0.0  # the heading in which it rises
+    on_box: bool = False  # its wheels hang in the air: they turn as on the ground, and it stays where it is
+    # The speed controller between pulses and motor; ``None`` = one without a memory: a duty against the way the car
+    # rolls brakes, and at standstill reverse drives backward.
     esc: VirtualEscConfig | None = None
     tyres: TyreConfig | None = field(default_factory=TyreConfig)
 
@@ -137,27 +123,17 @@ class Vehicle:
 
     Args:
         start_ns: the true time at the start; pulses are stamped on this scale.
-        collisions: with obstacles; ``None`` = there are none.
-
-    Attributes:
-        time_ns: true time now.
-        pose: where it is.
-        speed_mps: of the rear axle, backward negative.
-        acceleration_mps2: during the last step, the mean.
-        steered_per_m: the curvature of the steering: of its path at a crawl, left positive.
-        curvature_per_m: of its path now.
-        slides: its wheels are locked.
-        rollovers: how often it would have tipped over; a kinematic car's stay 0.
-        servo_duty: the place of the steering servo, as the duty that holds it there.
-        travel_m: signed distance so far.
+        obstacles: ``None`` = there are none.
     """
 
-    def __init__(self, config: VehicleConfig = VehicleConfig(), start_ns: int = 0,
-                 collisions: Collisions | None = None):
-        self.config, self.time_ns, self.pose = config, start_ns, config.start
-        self._collisions = collisions
-        self.speed_mps = self.acceleration_mps2 = self.travel_m = 0.0
-        self.servo_duty = config.steering.center_duty
+    def __init__(self, config: VehicleConfig = VehicleConfig(), start_ns: int = 0, obstacles: Obstacles | None = None):
+        self.config, self.pose = config, config.start
+        self._obstacles = obstacles
+        self.time_ns = start_ns  # true time now
+        self.speed_mps = 0.0  # of the rear axle, backward negative
+        self.acceleration_mps2 = 0.0  # during the last step, the mean
+        self.travel_m = 0.0  # signed distance so far
+        self.servo_duty = config.steering.center_duty  # the place of the servo, as the duty that holds it there
         self._start_ns = start_ns
         self._esc = None if config.esc is None else VirtualEsc(config.esc, start_ns)
         self._motor = Motor(config.drive.lag_s)
@@ -165,10 +141,12 @@ class Vehicle:
         self._half_backlash_duty = config.steering.backlash_duty / 2
         self._slope_mps2 = -GRAVITY_MPS2 * math.sin(math.atan(config.slope))  # when it looks uphill
         self._duties, self._curvatures = (tuple(column) for column in zip(*config.steering.curve))
+        # The curvature of the steering, which is its path's at a crawl, and that of its path now; left positive.
         self.steered_per_m = self.curvature_per_m = self.true_curvature_per_m(self.servo_duty)
-        self.slides = False
+        self.slides = False  # its wheels are locked
         self._along_mps2 = 0.0  # what the tyres transmit along the car
         self._tyres = config.tyres
+        # How often it would have tipped over; a kinematic car's stay 0.
         self.rollovers = Rollovers(config.tyres.rollover_mps2 if config.tyres else math.inf)
         self._half_track_m = config.track_m / 2
         self._pulse_m = config.pulse_m
@@ -214,7 +192,7 @@ class Vehicle:
         pulses = []
         if distance_m:
             pose = self.pose if self.config.on_box else self._pose_after(distance_m, curvature_per_m)
-            if self._collisions is not None and self._collisions.blocks(pose, distance_m, self.speed_mps):
+            if self._obstacles is not None and self._obstacles.blocks(pose, distance_m, self.speed_mps):
                 speed_mps = 0.0
                 self.acceleration_mps2 = -self.speed_mps / dt_s
             else:
@@ -234,7 +212,7 @@ class Vehicle:
             return steered_per_m
         if self.slides:
             return 0.0
-        return path_curvature_per_m(steered_per_m, speed_mps, self._along_mps2, self._tyres)
+        return dynamics.path_curvature_per_m(steered_per_m, speed_mps, self._along_mps2, self._tyres)
 
     def _turn_servo(self, dt_s: float, duty: int) -> float:
         """Turn the servo and return the mean curvature during that."""
@@ -262,10 +240,10 @@ class Vehicle:
         thrust = drive.thrust((self.time_ns - self._start_ns) / NS_PER_S)
         downhill_mps2 = self._slope_mps2 * math.cos(self.pose.yaw_rad - self.config.uphill_rad)
         if self._esc is None:
-            acceleration_mps2 = true_acceleration_mps2(esc_duty, before_mps, drive, thrust, downhill_mps2)
+            acceleration_mps2 = dynamics.true_acceleration_mps2(esc_duty, before_mps, drive, thrust, downhill_mps2)
         else:
             push, brake = self._motor.step(self._esc.step(esc_duty, self.time_ns, before_mps), dt_s)
-            acceleration_mps2 = motor_acceleration_mps2(push, brake, before_mps, drive, thrust, downhill_mps2)
+            acceleration_mps2 = dynamics.motor_acceleration_mps2(push, brake, before_mps, drive, thrust, downhill_mps2)
         if self._tyres is not None:
             acceleration_mps2 = self._held_by_tyres(acceleration_mps2 - downhill_mps2) + downhill_mps2
         after_mps = before_mps + acceleration_mps2 * dt_s
@@ -279,7 +257,7 @@ class Vehicle:
 
     def _held_by_tyres(self, demanded_mps2: float) -> float:
         """Return how much of an acceleration the tyres transmit; a stronger brake locks the wheels."""
-        self._along_mps2 = possible_acceleration_mps2(demanded_mps2, self._tyres)
+        self._along_mps2 = dynamics.possible_acceleration_mps2(demanded_mps2, self._tyres)
         self.slides = self._along_mps2 != demanded_mps2 and demanded_mps2 * self.speed_mps < 0.0
         return self._along_mps2
 

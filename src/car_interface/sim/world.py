@@ -1,7 +1,7 @@
-"""Models the room that the car's six sonars see: walls, boxes, posts, and the time of an echo from them.
+"""Models the room that the car's six sonars see and that stops it: walls, boxes and posts.
 
-Consumes the car's pose, produces echo times. The room is flat, as the sonars' cones are low; everything in it reflects
-and stops the car.
+Pure: poses in; echo times out, and whether the car may be there. The room is flat, as the sonars' cones are low;
+everything in it reflects and stops the car. A step into an obstacle is not made: the car stays where it was before it.
 """
 
 from __future__ import annotations
@@ -10,7 +10,12 @@ import math
 from dataclasses import dataclass
 from typing import Sequence
 
-from car_interface.sim.collision import Obstacles
+from car_interface.common.vehicle_geometry import FRONT_M, REAR_M, WIDTH_M
+
+APART_M = 0.01  # a car that has driven this far since it was stopped no longer touches the obstacle
+# The outline's middle moves farther than the rear axle's on a turn: for c = 0.14 m before it by √(1 + c²/r²), which is
+# 1.38 on the tightest turn that VehicleConfig accepts (r = 0.148 m).
+MAX_CENTER_RATIO = 1.5
 
 
 @dataclass(frozen=True)
@@ -46,31 +51,113 @@ class WorldConfig:
 
     The default room takes a figure-eight with circles of 1.5 to 2 m whose crossing is the origin and which is entered
     along x: a post in the middle of each circle, boxes and posts around both, the walls beyond.
-
-    Attributes:
-        walls: x from, x to, y from, y to, in metres.
-        boxes, posts: the obstacles in it.
-        mounts: the sonars, by their number on the wire.
-        cone_rad: the whole angle in which a sonar hears.
-        rays: how many lines, 2 or more, the cone is sampled by, both edges included.
-        max_range_m: an echo from farther is none: 4 m with an HC-SR04. The Teensy sets no limit of its own.
-        temperature_c: of the air; sound travels 331.3 + 0.606 T m/s.
     """
 
-    walls: tuple[float, float, float, float] = (-6.0, 6.0, -5.0, 5.0)
+    walls: tuple[float, float, float, float] = (-6.0, 6.0, -5.0, 5.0)  # x from, x to, y from, y to, in metres
     boxes: tuple[Box, ...] = (Box(3.1, -1.5, 0.6, 0.4, 0.3), Box(-3.1, 2.6, 1.0, 0.5, -0.2))
     posts: tuple[Post, ...] = (
         Post(0.0, 1.8, 0.12), Post(0.0, -1.8, 0.12), Post(3.0, 1.4, 0.15), Post(3.1, 2.8, 0.15),
         Post(-3.0, -1.2, 0.2), Post(-2.9, -3.2, 0.15), Post(-3.0, 0.5, 0.15),
     )  # fmt: skip
+    # The sonars, by their number on the wire.
     mounts: tuple[Mount, ...] = (
         Mount(0.40, -0.10, math.radians(-30)), Mount(0.42, 0.0, 0.0), Mount(0.40, 0.10, math.radians(30)),
         Mount(-0.12, -0.10, math.radians(-150)), Mount(-0.14, 0.0, math.pi), Mount(-0.12, 0.10, math.radians(150)),
     )  # fmt: skip
-    cone_rad: float = math.radians(30)
-    rays: int = 7
-    max_range_m: float = 4.0
-    temperature_c: float = 20.0
+    cone_rad: float = math.radians(30)  # the whole angle in which a sonar hears
+    rays: int = 7  # how many lines, 2 or more, the cone is sampled by, both edges included
+    max_range_m: float = 4.0  # an echo from farther is none: 4 m with an HC-SR04. The Teensy sets no limit of its own.
+    temperature_c: float = 20.0  # of the air; sound travels 331.3 + 0.606 T m/s
+
+
+class Obstacles:
+    """Everything upright in a room, and the outline of the car among it, a rectangle: by default a Slash 4x4's.
+
+    It blocks the car's steps into it, and counts how often it ran into something.
+
+    Args:
+        segments: sides of walls and boxes: x and y of one end, and from there to the other, in metres.
+        posts: x, y, radius.
+        rear_m, front_m, width_m: of the car: behind and before the rear axle's middle, and across.
+    """
+
+    def __init__(self, segments: Sequence[tuple], posts: Sequence[tuple], rear_m: float = REAR_M,
+                 front_m: float = FRONT_M, width_m: float = WIDTH_M):
+        self._segments, self._posts = tuple(segments), tuple(posts)
+        self._low_m, self._high_m, self._half_m = -rear_m, front_m, width_m / 2
+        self._center_m = (self._low_m + self._high_m) / 2
+        self._radius_m = math.hypot(self._high_m - self._center_m, self._half_m)  # of the circle around the outline
+        self._clear_m = 0.0  # how far it can go before the next check
+        self._since_m = math.inf  # driven since it was blocked
+        self.count = 0  # of collisions; a car that keeps pushing, or backs off less than a centimetre, has one
+        self.speed_mps = 0.0  # of the newest collision, backward negative
+
+    def blocks(self, pose: Sequence[float], distance_m: float, speed_mps: float) -> bool:
+        """Return whether a step that ends at ``pose`` runs into something.
+
+        Args:
+            pose: of the rear axle's middle after the step.
+            distance_m: of the step, signed.
+            speed_mps: before the step.
+        """
+        self._clear_m -= MAX_CENTER_RATIO * abs(distance_m)
+        if self._clear_m <= 0.0:
+            if not self.is_free(pose):
+                if self._since_m > APART_M:
+                    self.count += 1
+                    self.speed_mps = speed_mps
+                self._since_m = 0.0
+                return True
+            self._clear_m = self.clearance_m(pose)
+        self._since_m += abs(distance_m)
+        return False
+
+    def is_free(self, pose: Sequence[float]) -> bool:
+        """Return whether a car whose rear axle's middle is at x, y (m) and yaw (rad) touches nothing."""
+        x_m, y_m, yaw_rad = pose
+        cos_yaw, sin_yaw = math.cos(yaw_rad), math.sin(yaw_rad)
+
+        def seen_from_car(to_x_m, to_y_m):
+            return to_x_m * cos_yaw + to_y_m * sin_yaw, to_y_m * cos_yaw - to_x_m * sin_yaw
+        for start_x_m, start_y_m, along_x_m, along_y_m in self._segments:
+            if self._meets_segment(*seen_from_car(start_x_m - x_m, start_y_m - y_m),
+                                   *seen_from_car(along_x_m, along_y_m)):
+                return False
+        for post_x_m, post_y_m, radius_m in self._posts:
+            ahead_m, left_m = seen_from_car(post_x_m - x_m, post_y_m - y_m)
+            beside_m = ahead_m - min(max(ahead_m, self._low_m), self._high_m)
+            if math.hypot(beside_m, left_m - min(max(left_m, -self._half_m), self._half_m)) < radius_m:
+                return False
+        return True
+
+    def clearance_m(self, pose: Sequence[float]) -> float:
+        """Return how far the outline's middle can move before the car may touch something; 0 or less = it may now."""
+        x_m = pose[0] + self._center_m * math.cos(pose[2])
+        y_m = pose[1] + self._center_m * math.sin(pose[2])
+        nearest_m = math.inf
+        for start_x_m, start_y_m, along_x_m, along_y_m in self._segments:
+            to_x_m, to_y_m = x_m - start_x_m, y_m - start_y_m
+            ratio = (to_x_m * along_x_m + to_y_m * along_y_m) / (along_x_m * along_x_m + along_y_m * along_y_m)
+            ratio = min(max(ratio, 0.0), 1.0)
+            nearest_m = min(nearest_m, math.hypot(to_x_m - ratio * along_x_m, to_y_m - ratio * along_y_m))
+        for post_x_m, post_y_m, radius_m in self._posts:
+            nearest_m = min(nearest_m, math.hypot(x_m - post_x_m, y_m - post_y_m) - radius_m)
+        return nearest_m - self._radius_m
+
+    def _meets_segment(self, ahead_m, left_m, along_m, across_m):
+        """Return whether a segment, seen from the car, has a part inside the outline (Liang and Barsky's clipping)."""
+        first, last = 0.0, 1.0
+        for start_m, to_m, low_m, high_m in ((ahead_m, along_m, self._low_m, self._high_m),
+                                             (left_m, across_m, -self._half_m, self._half_m)):
+            if to_m == 0.0:
+                if not low_m <= start_m <= high_m:
+                    return False
+                continue
+            enters, leaves = sorted(((low_m - start_m) / to_m, (high_m - start_m) / to_m))
+            first, last = max(first, enters), min(last, leaves)
+            if first > last:
+                return False
+        return True
 
 
 class World:
@@ -84,8 +171,8 @@ class World:
         self._us_per_m = 2e6 / speed_of_sound_mps(config.temperature_c)
         self._angles_rad = [config.cone_rad * (ray / (config.rays - 1) - 0.5) for ray in range(config.rays)]
 
-    @property
     def obstacles(self) -> Obstacles:
+        """Return what stops a car, which has run into nothing yet."""
         return Obstacles(self._segments, self._posts)
 
     def echo_us(self, pose: Sequence[float], sensor: int) -> int:

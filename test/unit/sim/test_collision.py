@@ -6,9 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface.sim.collision import Collisions, Obstacles
 from car_interface.sim.vehicle import ORIGIN, Pose, Vehicle, VehicleConfig
-from car_interface.sim.world import World
+from car_interface.sim.world import Obstacles, World
 
 MS, S = 1_000_000, 1_000_000_000
 STRAIGHT, FORWARD, REVERSE = 5070, 5400, 4400
@@ -21,8 +20,7 @@ def wall_ahead():
 
 
 def car_before(obstacles, start=ORIGIN):
-    collisions = Collisions(obstacles)
-    return Vehicle(VehicleConfig(start=start), 0, collisions), collisions
+    return Vehicle(VehicleConfig(start=start), 0, obstacles), obstacles
 
 
 def drive(vehicle, seconds, esc_duty, steering_duty=STRAIGHT):
@@ -58,7 +56,7 @@ def test_outline_meets_a_post_where_it_reaches(post, free):
 @given(st.floats(-5.5, 5.5), st.floats(-4.5, 4.5), st.floats(-math.pi, math.pi), st.floats(-math.pi, math.pi),
        st.floats(0.0, 0.999))
 def test_car_that_moves_less_than_its_clearance_touches_nothing(x_m, y_m, yaw_rad, direction_rad, ratio):
-    obstacles = World().obstacles
+    obstacles = World().obstacles()
     clear_m = obstacles.clearance_m((x_m, y_m, yaw_rad))
     if clear_m > 0:
         moved_m = ratio * clear_m
@@ -67,21 +65,21 @@ def test_car_that_moves_less_than_its_clearance_touches_nothing(x_m, y_m, yaw_ra
 
 
 def test_car_that_runs_into_a_wall_stands_before_it_and_its_wheels_stall_until_it_drives_away():
-    vehicle, collisions = car_before(wall_ahead())
+    vehicle, obstacles = car_before(wall_ahead())
     drive(vehicle, 4, FORWARD)
     assert vehicle.pose.x_m == pytest.approx(WALL_M - FRONT_M, abs=0.005) and vehicle.speed_mps == 0.0
     assert vehicle.pose.x_m < WALL_M - FRONT_M
-    assert collisions.count == 1 and 1.0 < collisions.speed_mps < 3.0
+    assert obstacles.count == 1 and 1.0 < obstacles.speed_mps < 3.0
     assert drive(vehicle, 2, FORWARD) == []
     assert vehicle.travel_m == pytest.approx(math.hypot(vehicle.pose.x_m, vehicle.pose.y_m), rel=1e-3)
     assert drive(vehicle, 1, REVERSE) != [] and vehicle.speed_mps < -0.3
-    assert collisions.count == 1
+    assert obstacles.count == 1
     drive(vehicle, 6, FORWARD)
-    assert collisions.count == 2 and vehicle.speed_mps == 0.0
+    assert obstacles.count == 2 and vehicle.speed_mps == 0.0
 
 
 def test_car_that_runs_into_a_wall_backward_has_a_collision_of_negative_speed():
-    vehicle, collisions = car_before(wall_ahead(), Pose(WALL_M - 1.0, 0.0, math.pi))
+    vehicle, obstacles = car_before(wall_ahead(), Pose(WALL_M - 1.0, 0.0, math.pi))
     drive(vehicle, 4, REVERSE)
     assert vehicle.pose.x_m == pytest.approx(WALL_M - REAR_M, abs=0.005)
-    assert collisions.count == 1 and collisions.speed_mps < -0.5
+    assert obstacles.count == 1 and obstacles.speed_mps < -0.5

@@ -2,8 +2,13 @@
 
 import pytest
 
-from car_interface.sim import drive_train
-from car_interface.sim.drive_train import DriveTrainConfig, Motor, motor_acceleration_mps2, throttle
+from car_interface.sim.dynamics import (
+    DriveTrainConfig,
+    Motor,
+    motor_acceleration_mps2,
+    throttle,
+    true_acceleration_mps2,
+)
 from car_interface.sim.esc import BACKWARD, BRAKE, COAST, FORWARD, MotorState, is_pulse
 
 REVERSE, NEUTRAL, FULL = 3277, 4915, 6554
@@ -50,4 +55,4 @@ def test_motor_agrees_with_the_esc_without_a_memory_where_that_drives():
     level = throttle(6000, DriveTrainConfig())
     for speed_mps in (0.0, 1.0, 5.0):
         assert motor_acceleration_mps2(level, 0.0, speed_mps, DriveTrainConfig(), 0.9, 0.1) == (
-            drive_train.true_acceleration_mps2(6000, speed_mps, DriveTrainConfig(), 0.9, 0.1))
+            true_acceleration_mps2(6000, speed_mps, DriveTrainConfig(), 0.9, 0.1))

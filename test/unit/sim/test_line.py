@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from car_interface.common.errors import ConfigError
-from car_interface.sim.line import BadLine, BitErrors, SlowReceiver
+from car_interface.sim.line import LASTING, BadLine, BitErrors, SlowReceiver
 
 MS, S = 1_000_000, 1_000_000_000
 NOW = 100 * S
@@ -20,16 +20,16 @@ def line():
 
 
 def test_silence_keeps_everything_from_the_host_and_nothing_from_the_teensy_until_it_ends(line):
-    line.silence(2.0, NOW)
+    line.begin("silence", 2.0, NOW)
     assert line.to_host(SOME, NOW) == line.to_host(SOME, NOW + 2 * S - 1) == b""
     assert line.to_teensy(SOME, NOW) == SOME
     assert line.to_host(SOME, NOW + 2 * S) == SOME
 
 
-@pytest.mark.parametrize("begin", [BadLine.silence, BadLine.scramble, BadLine.flood])
-def test_fault_of_no_duration_ends_one_under_way(line, begin):
-    begin(line, 10, NOW)
-    begin(line, 0, NOW + S)
+@pytest.mark.parametrize("fault", LASTING)
+def test_fault_of_no_duration_ends_one_under_way(line, fault):
+    line.begin(fault, 10, NOW)
+    line.begin(fault, 0, NOW + S)
     assert line.to_host(SOME, NOW + S) == SOME
 
 
@@ -39,7 +39,7 @@ def test_cut_loses_so_many_bytes_and_no_more(line):
 
 
 def test_scramble_leaves_nothing_of_what_was_sent_in_either_direction_until_it_ends(line):
-    line.scramble(1.0, NOW)
+    line.begin("scramble", 1.0, NOW)
     for carry in (line.to_host, line.to_teensy):
         garbage = carry(CAPTURE, NOW)
         assert 0.4 < len(garbage) / len(CAPTURE) < 0.6
@@ -59,7 +59,7 @@ def test_receiver_at_half_the_rate_takes_two_bits_for_one(sent, received):
 
 
 def test_flood_is_a_megabyte_a_second_behind_the_teensy_s_bytes(line):
-    line.flood(1.0, NOW)
+    line.begin("flood", 1.0, NOW)
     total = 0
     for now_ns in range(NOW + 2 * MS, NOW + 2 * S, 2 * MS):
         data = line.to_host(b"teensy", now_ns)
@@ -87,13 +87,16 @@ def test_bit_errors_reach_both_directions_and_end(line):
     assert line.to_host(SOME, NOW) == line.to_teensy(SOME, NOW) == SOME
 
 
-@pytest.mark.parametrize("fault, values, accepted", [
-    (BadLine.silence, (-1, NOW), "0 to 3600 s"), (BadLine.scramble, (3601, NOW), "0 to 3600 s"),
-    (BadLine.flood, (-0.1, NOW), "0 to 3600 s"), (BadLine.cut, (-1,), "a whole number from 0 to 1000000"),
-    (BadLine.cut, (1.5,), "a whole number from 0"), (BadLine.bit_errors, (0.6,), "0 to 0.5"),
-    (BadLine.bit_errors, (-0.1,), "0 to 0.5"),
+@pytest.mark.parametrize("fault, refuse, accepted", [
+    ("silence", lambda line: line.begin("silence", -1, NOW), "0 to 3600 s"),
+    ("scramble", lambda line: line.begin("scramble", 3601, NOW), "0 to 3600 s"),
+    ("flood", lambda line: line.begin("flood", -0.1, NOW), "0 to 3600 s"),
+    ("cut", lambda line: line.cut(-1), "a whole number from 0 to 1000000"),
+    ("cut", lambda line: line.cut(1.5), "a whole number from 0"),
+    ("bit_errors", lambda line: line.bit_errors(0.6), "0 to 0.5"),
+    ("bit_errors", lambda line: line.bit_errors(-0.1), "0 to 0.5"),
 ])
-def test_value_that_no_fault_can_have_is_refused(line, fault, values, accepted):
-    with pytest.raises(ConfigError, match=f"^{fault.__name__} is .*; accepted: {accepted}"):
-        fault(line, *values)
+def test_value_that_no_fault_can_have_is_refused(line, fault, refuse, accepted):
+    with pytest.raises(ConfigError, match=f"^{fault} is .*; accepted: {accepted}"):
+        refuse(line)
     assert line.to_host(SOME, NOW + S) == SOME

@@ -2,8 +2,7 @@
 
 import pytest
 
-from car_interface.sim.teensy_packets import COUNTER_NAMES, PacketPool
-from car_interface.sim.teensy_receiver import Receiver
+from car_interface.sim.teensy_uart import COUNTER_NAMES, PacketPool, Receiver
 from teensy_bench import GET_COUNTERS, GOOD, framed_for_the_receiver, message, received
 
 

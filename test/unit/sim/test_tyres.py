@@ -2,7 +2,7 @@
 
 import pytest
 
-from car_interface.sim.tyres import Rollovers, TyreConfig, path_curvature_per_m
+from car_interface.sim.dynamics import Rollovers, TyreConfig, path_curvature_per_m
 from slash import SKIDPAD
 
 FROM_HERE = [(angle, speed, radius) for angle, rows in SKIDPAD.items() for speed, radius in rows.items()]

@@ -44,8 +44,7 @@ from car_interface.common.units import CHANNELS, NS_PER_S, yaw_rad
 from car_interface.msg import CalibrationState, PlannerState, SteeringState, TeleopState, ThrottleState
 from car_interface.nodes.bag_recording import TOPICS, BagPage, BagRecording
 from car_interface.nodes.calibration_drive.drive_markers import drive_markers, no_markers
-from car_interface.nodes.keyboard_drive.keyboard import Keys
-from car_interface.nodes.live_text import LiveText
+from car_interface.nodes.terminal import Keys, LiveText
 from car_interface.ros.clocks import RosClock
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, sender_of, subscribe

@@ -10,9 +10,9 @@ from car_interface.common import declared
 from car_interface.common.errors import ConfigError, require
 from car_interface.common.units import CHANNELS, MAX_DUTY
 from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, TRACK_M, WHEEL_DIAMETER_M
+from car_interface.sim.dynamics import TyreConfig
 from car_interface.sim.esc import KINDS, VirtualEscConfig
 from car_interface.sim.teensy_firmware import BOOT_MS, FirmwareConfig
-from car_interface.sim.tyres import TyreConfig
 from car_interface.sim.vehicle import DriveTrainConfig, Pose, SteeringConfig, VehicleConfig
 from car_interface.sim.world import World, WorldConfig
 
@@ -111,7 +111,7 @@ class CarSimConfig:
         if not self.has_obstacles:
             world = replace(world, boxes=(), posts=())
         firmware = self._firmware(rng, seed, vehicle.pulse_phase)
-        if self.collides and not World(world).obstacles.is_free(vehicle.start):
+        if self.collides and not World(world).obstacles().is_free(vehicle.start):
             raise ConfigError("start", list(vehicle.start), "a place where the car touches no wall, box or post, or "
                                                             "collisions: false")
         return replace(self, vehicle=vehicle, world=world, firmware=firmware)

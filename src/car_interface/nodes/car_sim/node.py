@@ -41,7 +41,6 @@ from car_interface.ros.logs import ThrottledWarnings
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, subscribe
 from car_interface.sim.chip_link import ChipLink
-from car_interface.sim.collision import Collisions
 from car_interface.sim.teensy_firmware import TeensyFirmware
 from car_interface.sim.vehicle import Vehicle
 from car_interface.sim.world import World, WorldConfig
@@ -55,16 +54,11 @@ THING, WALL = ColorRGBA(0.55, 0.42, 0.30, 1.0), ColorRGBA(0.45, 0.47, 0.50, 1.0)
 
 
 class ChipFollower:
-    """Follows what the pins of a virtual servo board do, whoever writes to it. Its process may come and go.
-
-    Attributes:
-        duties: of the 16 pins, 0 = no pulse; ``None`` while there is no chip.
-        problem: why nothing that is at the path is used; empty: nothing is wrong with it.
-    """
+    """Follows what the pins of a virtual servo board do, whoever writes to it. Its process may come and go."""
 
     def __init__(self, path: str, inbox: Inbox):
-        self.duties: list[int] | None = None
-        self.problem = ""
+        self.duties: list[int] | None = None  # of the 16 pins, 0 = no pulse; ``None`` while there is no chip
+        self.problem = ""  # why nothing that is at the path is used; empty: nothing is wrong with it
         self._link = ChipLink(path, 0)
         self._inbox = inbox
         self._fd: int | None = None
@@ -107,9 +101,8 @@ class CarSim:
         now_ns = inbox.clocks.now_ns()
         self._steering_channel, self._throttle_channel = config.steering_channel, config.throttle_channel
         world = World(config.world)
-        self._collisions = Collisions(world.obstacles)
-        self._reported_collisions = self._reported_rollovers = 0
-        self._vehicle = Vehicle(config.vehicle, now_ns, self._collisions if config.collides else None)
+        self._obstacles = world.obstacles()
+        self._vehicle = Vehicle(config.vehicle, now_ns, self._obstacles if config.collides else None)
         self._firmware = TeensyFirmware(
             config.firmware, lambda sensor, at_ns: world.echo_us(self._vehicle.pose, sensor), now_ns)
         self._outputs = [UNCHANGED] * CHANNELS  # by the topic
@@ -120,10 +113,10 @@ class CarSim:
         self._timer = RateTimer(TRUTH_RATE_HZ, now_ns)
         self._ros_clock = RosClock(inbox.clocks)
         self._truth = advertise("~truth", Odometry, inbox)
-        self._collision_counts = advertise("~collisions", Int32, inbox, latch=True)
-        self._collision_counts.publish(0)
-        self._rollover_counts = advertise("~rollovers", Int32, inbox, latch=True)
-        self._rollover_counts.publish(0)
+        self._counts = {}  # by topic: the publisher, and the newest count
+        for topic in ("~collisions", "~rollovers"):
+            self._counts[topic] = advertise(topic, Int32, inbox, latch=True), 0
+            self._counts[topic][0].publish(0)
         self._room = advertise("~room", MarkerArray, inbox, latch=True)
         self._room.publish(room_markers(config.world, f"{inbox.graph.namespace()}odom".lstrip("/")))
         subscribe("/servo/output", Int32MultiArray, inbox, self._on_output)
@@ -141,8 +134,11 @@ class CarSim:
         if self._chip.problem:
             self._warnings.warn("chip", f"the virtual servo board isn't followed: {self._chip.problem}")
         self._line.step(now_ns)
-        self._report_collisions()
-        self._report_rollovers()
+        obstacles, rollovers = self._obstacles, self._vehicle.rollovers
+        self._report("~collisions", obstacles.count, "the car ran into something at %.2f m/s and stands, its wheels "
+                     "stalled (collision %d): drive it out the way it came", abs(obstacles.speed_mps))
+        self._report("~rollovers", rollovers.count, "the car would have tipped over: %.1f m/s² sideways at %.1f m/s "
+                     "(rollover %d)", abs(rollovers.lateral_mps2), abs(self._vehicle.speed_mps))
         if self._timer.is_due(now_ns):
             self._publish_truth()
         return now_ns + STEP_NS
@@ -167,21 +163,13 @@ class CarSim:
             for pulse in vehicle.step(min(STEP_NS, now_ns - vehicle.time_ns), steering, throttle):
                 self._firmware.wheel_pulse(pulse.side, pulse.direction, pulse.at_ns)
 
-    def _report_collisions(self):
-        count = self._collisions.count
-        if count != self._reported_collisions:
-            self._reported_collisions = count
-            self._collision_counts.publish(count)
-            rospy.logwarn("the car ran into something at %.2f m/s and stands, its wheels stalled (collision %d): drive "
-                          "it out the way it came", abs(self._collisions.speed_mps), count)
-
-    def _report_rollovers(self):
-        rollovers = self._vehicle.rollovers
-        if rollovers.count != self._reported_rollovers:
-            self._reported_rollovers = rollovers.count
-            self._rollover_counts.publish(rollovers.count)
-            rospy.logwarn("the car would have tipped over: %.1f m/s² sideways at %.1f m/s (rollover %d)",
-                          abs(rollovers.lateral_mps2), abs(self._vehicle.speed_mps), rollovers.count)
+    def _report(self, topic, count, text, *values):
+        """Publish and log a count once it has grown."""
+        publisher, before = self._counts[topic]
+        if count != before:
+            self._counts[topic] = publisher, count
+            publisher.publish(count)
+            rospy.logwarn(text, *values, count)
 
     def _publish_truth(self):
         vehicle = self._vehicle

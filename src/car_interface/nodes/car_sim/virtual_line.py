@@ -12,21 +12,27 @@ Service:
 """
 from __future__ import annotations
 
+import hashlib
 import os
+import socket
 import tty
 from contextlib import suppress
 from typing import Any, Callable
 
 from car_interface.common.errors import ConfigError
-from car_interface.nodes.car_sim.faults import serve_faults
-from car_interface.nodes.car_sim.port_claim import PortClaim
-from car_interface.sim.line import MAX_S, NS_PER_S, BadLine
+from car_interface.nodes.pca9685.virtual_board import serve_faults
+from car_interface.ros.clocks import SYSTEM
+from car_interface.sim.chip_link import peer
+from car_interface.sim.line import LASTING, MAX_S, NS_PER_S, BadLine
 from car_interface.sim.teensy_sonars import SONAR_CONDITIONS
 
 READ_SIZE = 4096
 ODD_FLAG = b"\x7e"
 MAX_BACKLOG = 4096  # bytes on their way to the Teensy: beyond it the writer waits, as behind a real UART
 NEVER_NS = 1 << 63
+END_WITHIN_S = 2.0  # a car_sim that is just being replaced by one of its name ends within this
+POLL_S = 0.1
+BACKLOG = 128
 
 
 class PseudoTerminal:
@@ -79,6 +85,49 @@ class PseudoTerminal:
             raise ConfigError("port", self._path, f"a path where a link can be made ({error.strerror})") from error
 
 
+def claim_port(path: str, end_within_s: float = END_WITHIN_S) -> socket.socket:
+    """Claim a path: of several simulated cars only one may put its serial port there. Closing what is returned ends it.
+
+    The claim is an abstract Unix socket that is named after the path: it leaves no file, the kernel takes it back when
+    its process ends, however that happens, and it says which process that is.
+
+    Args:
+        end_within_s: so long another car_sim may take to end.
+
+    Raises:
+        ConfigError: another living car_sim holds it.
+    """
+    place = os.path.join(os.path.realpath(os.path.dirname(path)), os.path.basename(path))
+    name = "\0car_interface.car_sim." + hashlib.sha256(os.fsencode(place)).hexdigest()
+    claim = socket.socket(socket.AF_UNIX)
+
+    def has_bound():
+        try:
+            claim.bind(name)
+            claim.listen(BACKLOG)
+        except OSError:  # EADDRINUSE
+            return False
+        return True
+
+    if SYSTEM.wait_for(has_bound, end_within_s, POLL_S):
+        return claim
+    claim.close()
+    raise ConfigError("port", path, "a path that no other car_sim uses: end that one, or start this one with "
+                      f"another port, e.g. port:={path}_2", f"{path} is in use by another car_sim{_holder(name)}")
+
+
+def _holder(name):
+    """Return which process holds a claim, as text; empty if it is not known."""
+    with socket.socket(socket.AF_UNIX) as probe:
+        probe.setblocking(False)
+        try:
+            probe.connect(name)
+            pid, _ = peer(probe)
+        except OSError:  # it has just ended, or too many have asked
+            return ""
+    return f" (process {pid})" if pid else ""
+
+
 class VirtualLine:
     """Carries bytes between a virtual Teensy and the program that has opened its port.
 
@@ -93,7 +142,7 @@ class VirtualLine:
     """
 
     def __init__(self, path: str, firmware, seed: int, inbox, make_terminal: Callable[[str], Any] = PseudoTerminal,
-                 make_claim: Callable[[str], Any] = PortClaim):
+                 make_claim: Callable[[str], Any] = claim_port):
         self._make_terminal = make_terminal
         self._claim = make_claim(path)  # also while it's unplugged
         self._path, self._firmware, self._inbox = path, firmware, inbox
@@ -110,9 +159,7 @@ class VirtualLine:
         serve_faults(self._inbox, {
             "unplug": lambda duration_s: self._unplug(duration_s, clock_ns()),
             "plug": lambda value: self._plug(),
-            "silence": lambda duration_s: bad.silence(duration_s, clock_ns()),
-            "scramble": lambda duration_s: bad.scramble(duration_s, clock_ns()),
-            "flood": lambda duration_s: bad.flood(duration_s, clock_ns()),
+            **{fault: lambda duration_s, fault=fault: bad.begin(fault, duration_s, clock_ns()) for fault in LASTING},
             "cut": bad.cut,
             "bit_errors": bad.bit_errors,
             "reboot": lambda off_s: firmware.reboot(clock_ns(), round(off_s * NS_PER_S)),

@@ -10,19 +10,23 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import math
 import os
 import subprocess
 import tempfile
+from typing import Callable
 
 import rosgraph
+import rospy
 
 from car_interface.common.errors import ConfigError
 from car_interface.common.file_lock import lock_byte
 from car_interface.common.own_files import UnsafeFile, folder_name, make_folder, open_own
-from car_interface.nodes.car_sim.faults import serve_faults
 from car_interface.nodes.pca9685 import small_process
 from car_interface.ros.clocks import SYSTEM
+from car_interface.ros.topics import serve
 from car_interface.sim.chip_link import FAULTS, ChipLink
+from car_interface.srv import InjectFault
 
 START_S = 5.0  # for the chip's process
 MAX_SOCKET_PATH = 107  # unix(7), without the final zero
@@ -137,3 +141,26 @@ def _check_log(path) -> None:
     except OSError as error:
         why = error.cause if isinstance(error, UnsafeFile) else error.strerror
         raise ConfigError("virtual_log", path, f"a file of your own that can be written ({why})") from error
+
+
+def serve_faults(inbox, faults: dict[str, Callable[[float], None]]) -> None:
+    """Offer ~inject_fault of a virtual device, for tests and trials.
+
+    Args:
+        faults: functions by name, which run in the node's thread and raise ConfigError on a bad value.
+    """
+    def inject(request, done):
+        if request.fault not in faults:
+            done.set_result((False, f"there is no fault {request.fault!r}, only {', '.join(sorted(faults))}"))
+        elif not math.isfinite(request.value):
+            done.set_result((False, f"{request.value} is no number to act on"))
+        else:
+            try:
+                faults[request.fault](request.value)
+            except ConfigError as error:
+                done.set_result((False, str(error)))
+                return
+            rospy.logwarn("fault: %s %g", request.fault, request.value)
+            done.set_result((True, "done"))
+
+    serve("~inject_fault", InjectFault, inbox, inject)

@@ -1,4 +1,4 @@
-"""The configuration of the node teensy_sensor_hub."""
+"""The configuration of the node teensy_sensor_hub, and of car_display, which draws by the same frames."""
 from __future__ import annotations
 
 import math
@@ -7,6 +7,7 @@ from typing import Sequence
 
 from car_interface.common import declared
 from car_interface.common.errors import ConfigError
+from car_interface.common.vehicle_geometry import TRACK_M, WHEEL_DIAMETER_M, WHEELBASE_M
 from car_interface.teensy.link.framing import CORRECTED, SHIPPED
 from car_interface.teensy.link.pinging import AUTO
 from car_interface.teensy.link.protocol import MAX_SEQUENCE, SONARS
@@ -85,3 +86,15 @@ class HubConfig:
         return MeasurementConfig(
             gates=replace(self.gates, pulse_m=self.odometry.pulse_m, max_gap_ms=max_gap_ms),
             clock=ClockConfig(baud=self.baud), odometry=self.odometry, ranging=self.ranging)
+
+
+@dataclass(frozen=True)
+class CarDisplayConfig:
+    """The car's size, and the frames, which are to be those of teensy_sensor_hub."""
+
+    wheelbase_m: float = declared.number("wheelbase", WHEELBASE_M, "the car's size", "m", above=0.0, high=10)
+    track_m: float = declared.number("track", TRACK_M, "the car's size", "m", above=0.0, high=10)
+    wheel_m: float = declared.number("wheel_diameter", WHEEL_DIAMETER_M, "the car's size", "m", above=0.0, high=10)
+    odom_frame: str = declared.text("odom_frame", "odom", "as teensy_sensor_hub's")
+    base_frame: str = declared.text("base_frame", "base_link", "as teensy_sensor_hub's")
+    frame_prefix: str = declared.text("frame_prefix", "", "before both frames", may_be_empty=True)

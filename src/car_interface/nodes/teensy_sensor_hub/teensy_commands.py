@@ -9,7 +9,7 @@ from std_srvs.srv import Trigger
 
 from car_interface.common.errors import ProtocolError
 from car_interface.common.units import NS_PER_S
-from car_interface.nodes.keyboard_drive.keyboard import Keys
+from car_interface.nodes.terminal import Keys
 from car_interface.ros.topics import serve
 from car_interface.srv import SetSonarSequence, SetSonarWait
 from car_interface.teensy.link import protocol

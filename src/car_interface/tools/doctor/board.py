@@ -12,7 +12,7 @@ from car_interface.pca9685.bus import NOT_ACKNOWLEDGED, PROBE, BoardNotFound, ch
 from car_interface.pca9685.config import AUTO
 from car_interface.pca9685.registers import AUTO_INCREMENT, EXTCLK, MODE1, PRE_SCALE, SLEEP, frequency_for
 from car_interface.tools.doctor.computer import is_character_device
-from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, first
 
 ADDRESSES = range(0x40, 0x80)  # that the six pins can choose (data sheet 7.1)
 # Where others are looked for: what three pins choose. Who reads a register writes its number first, and chips of other
@@ -66,7 +66,9 @@ def _probe_chip(device, header, settings, bus):
     try:
         bus.open(device)
         try:
-            return check_chip(name, read_registers(bus, settings.address), settings)
+            registers = Registers(*(bus.read_byte_data(settings.address, register) for register in (MODE1, PRE_SCALE)),
+                                  is_pca9685(bus, settings.address))
+            return check_chip(name, registers, settings)
         except OSError as error:
             return check_no_answer(name, error, device, header, find_others(bus, settings.address))
     except OSError as error:
@@ -97,13 +99,9 @@ def check_bus(path: str, exists: bool, is_i2c: bool, denial: tuple[str, str] | N
     Args:
         denial: cause and remedy where it isn't open to this user.
     """
-    listed = f"; there are {', '.join(there)}" if there else ""
-    if not exists:
-        cause, remedy = explain(OSError(errno.ENOENT, ""), path, False, header)
-        return Finding(BAD, "bus", f"{path}: {cause}{listed}", remedy)
-    if not is_i2c:
-        cause, remedy = explain(OSError(errno.ENOTTY, ""), path, True, header)
-        return Finding(BAD, "bus", f"{path}: {cause}{listed}", remedy)
+    if not (exists and is_i2c):
+        cause, remedy = explain(OSError(errno.ENOTTY if exists else errno.ENOENT, ""), path, exists, header)
+        denial = cause + (f"; there are {', '.join(there)}" if there else ""), remedy
     if denial:
         return Finding(BAD, "bus", f"{path}: {denial[0]}", denial[1])
     pins = f", pins 3 and 5 of this {header.computer}" if header.computer and path == header.bus_paths[0] else ""
@@ -119,12 +117,6 @@ class Registers(NamedTuple):
 
     def __str__(self):
         return f"MODE1 0x{self.mode1:02x}, PRE_SCALE {self.prescale}"
-
-
-def read_registers(bus: Any, address: int) -> Registers:
-    """Ask a chip on a bus that has smbus2's ``read_byte_data(address, register)``; OSError when it doesn't answer."""
-    return Registers(bus.read_byte_data(address, MODE1), bus.read_byte_data(address, PRE_SCALE),
-                     is_pca9685(bus, address))
 
 
 def find_others(bus: Any, address: int | None) -> list[int]:
@@ -164,28 +156,24 @@ def ask_buses(paths: Sequence[str], make_bus: Callable[[], Any]) -> list[Finding
 
 def check_chip(name: str, registers: Registers, settings: BoardSettings) -> list[Finding]:
     """Judge what a chip's registers say."""
-    if not registers.is_pca9685:
-        return [Finding(BAD, "chip", f"{name} answers, but not as a PCA9685 does: {registers}",
-                        "See which chip that is: an INA sensor also likes 0x40; move one of them by its solder pads")]
-    if registers.mode1 & EXTCLK:
-        return [Finding(BAD, "chip", f"{name} waits for a clock at its EXTCLK pin: {registers}",
-                        "Cut its power for a moment: this bit can't be cleared")]
-    frequency_hz = frequency_for(registers.prescale, settings.oscillator_hz)
-    frequency = f"{frequency_hz:.1f} Hz"
-    if settings.driven:
-        runs = registers.mode1 & AUTO_INCREMENT and not registers.mode1 & SLEEP
-        if not runs or settings.prescale not in (None, registers.prescale):
-            return [Finding(BAD, "chip", f"{name} doesn't run as the pca9685 node set it: {registers}",
-                            "See who else writes to it, and whether its power holds")]
-        return [Finding(OK, "chip", f"{name} is driven at {frequency}: {registers}")]
-    if (registers.mode1, registers.prescale) == (RESET_MODE1, RESET_PRESCALE):
-        return [Finding(OK, "chip", f"{name} is fresh from power-up: {registers}")]
-    if registers.mode1 & SLEEP:
-        return [Finding(OK, "chip", f"{name} sleeps: {registers}")]
-    if not SERVO_HZ[0] <= frequency_hz <= SERVO_HZ[1]:
-        return [Finding(WARN, "chip", f"{name} runs at {frequency}, which no servo takes: {registers}",
-                        "Nothing, if another program left it so: the pca9685 node sets it")]
-    return [Finding(OK, "chip", f"{name} runs at {frequency}, left so by another program: {registers}")]
+    mode1, frequency_hz = registers.mode1, frequency_for(registers.prescale, settings.oscillator_hz)
+    is_reset = (mode1, registers.prescale) == (RESET_MODE1, RESET_PRESCALE)
+    is_as_set = mode1 & AUTO_INCREMENT and not mode1 & SLEEP and settings.prescale in (None, registers.prescale)
+    return first(
+        "chip",
+        (not registers.is_pca9685, BAD, f"{name} answers, but not as a PCA9685 does: {registers}",
+         "See which chip that is: an INA sensor also likes 0x40; move one of them by its solder pads"),
+        (mode1 & EXTCLK, BAD, f"{name} waits for a clock at its EXTCLK pin: {registers}",
+         "Cut its power for a moment: this bit can't be cleared"),
+        (settings.driven and not is_as_set, BAD, f"{name} doesn't run as the pca9685 node set it: {registers}",
+         "See who else writes to it, and whether its power holds"),
+        (settings.driven, OK, f"{name} is driven at {frequency_hz:.1f} Hz: {registers}"),
+        (is_reset, OK, f"{name} is fresh from power-up: {registers}"),
+        (mode1 & SLEEP, OK, f"{name} sleeps: {registers}"),
+        (not SERVO_HZ[0] <= frequency_hz <= SERVO_HZ[1], WARN,
+         f"{name} runs at {frequency_hz:.1f} Hz, which no servo takes: {registers}",
+         "Nothing, if another program left it so: the pca9685 node sets it"),
+        (True, OK, f"{name} runs at {frequency_hz:.1f} Hz, left so by another program: {registers}"))
 
 
 def check_no_answer(name: str, error: OSError, device: str, header: Header, others: Sequence[int]) -> list[Finding]:

@@ -10,14 +10,14 @@ import os
 import stat
 import sys
 import time
-from typing import NamedTuple, Sequence
+from typing import Sequence
 
 from car_interface.common.device_access import SETUP_REMEDY, Membership, read_membership
 from car_interface.common.header import read_header
 from car_interface.pca9685.config import AUTO
 from car_interface.teensy.link.console import is_consoles
 from car_interface.teleop.input_devices import find_pads
-from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, first
 
 PLAUSIBLE_YEARS = range(2024, 2100)
 TIME_ERROR = 5  # what adjtimex returns while the clock is not synchronised: adjtimex(2)
@@ -52,47 +52,40 @@ TOOLS_ENVIRONMENT = "~/car_tools/bin/car-interface"
 INSTALL_TOOLS = "docs/recordings.md, Install the tools"
 
 
-class Need(NamedTuple):
-    """A group that opens a device."""
-
-    group: str  # its name
-    purpose: str  # what it's for
-    level: int  # how bad it is to be outside
-
-
 def probe_groups(port: str, bus: str, virtual_port: bool, virtual_bus: bool) -> list[Finding]:
     """Check whether this process is in the groups of the devices that the car uses."""
     needs = []
     # Of a device that is missing, that is the first thing to be told as bad.
     if not virtual_port:
-        needs.append(Need(group_of(port, "dialout"), "the Teensy's port", BAD if os.path.exists(port) else WARN))
+        needs.append((group_of(port, "dialout"), "the Teensy's port", BAD if os.path.exists(port) else WARN))
     if not virtual_bus:
         path = read_header().bus_paths[0] if bus == AUTO else bus
-        needs.append(Need(group_of(path, "i2c"), "the servo board's bus", BAD if os.path.exists(path) else WARN))
+        needs.append((group_of(path, "i2c"), "the servo board's bus", BAD if os.path.exists(path) else WARN))
     if any(not os.access(pad.path, os.R_OK) for pad in find_pads()):
-        needs.append(Need("input", "the gamepad", WARN))
+        needs.append(("input", "the gamepad", WARN))
     return check_groups(read_membership(), list(dict.fromkeys(needs)))
 
 
-def check_groups(who: Membership, needs: Sequence[Need]) -> list[Finding]:
-    """Return one finding for all groups that are as they should be, and one for each that isn't."""
+def check_groups(who: Membership, needs: Sequence[tuple[str, str, int]]) -> list[Finding]:
+    """Return one finding for all groups that are as they should be, and one for each that isn't.
+
+    Args:
+        needs: groups that open a device: name, what it's for, and how bad it is to be outside.
+    """
     if who.is_root:
         return [Finding(OK, "groups", "this is root, which needs none; the nodes don't need root")]
     if not needs:
         return [Finding(OK, "groups", "none needed: the devices are virtual")]
-    missing = [need for need in needs if need.group not in who.of_process]
-    inside = [need.group for need in needs if need not in missing]
+    inside = [group for group, _, _ in needs if group in who.of_process]
     found = [Finding(OK, "groups", f"{who.user} is in {', '.join(inside)}")] if inside else []
-    return found + [_outside(who, need) for need in missing]
-
-
-def _outside(who, need):
-    if need.group in who.of_user:
-        return Finding(need.level, "groups", f"{who.user} joined {need.group} ({need.purpose}) after this log-in",
-                       f"Log in anew; for this terminal alone: newgrp {need.group}")
-    if need.group not in who.existing:
-        return Finding(need.level, "groups", f"there is no group {need.group} ({need.purpose})", SETUP_REMEDY)
-    return Finding(need.level, "groups", f"{who.user} is not in {need.group} ({need.purpose})", SETUP_REMEDY)
+    for group, purpose, level in needs:
+        if group not in inside:
+            found += first("groups",
+                           (group in who.of_user, level, f"{who.user} joined {group} ({purpose}) after this log-in",
+                            f"Log in anew; for this terminal alone: newgrp {group}"),
+                           (group not in who.existing, level, f"there is no group {group} ({purpose})", SETUP_REMEDY),
+                           (True, level, f"{who.user} is not in {group} ({purpose})", SETUP_REMEDY))
+    return found
 
 
 def group_of(path: str, usual: str) -> str:
@@ -187,10 +180,11 @@ def check_tools(missing: Sequence[str], environment: str) -> list[Finding]:
         missing: the libraries that this Python lacks.
         environment: the command of a virtual environment that has them; empty = there is none.
     """
-    if not missing:
-        return [Finding(OK, "packages", "the tools for recordings have theirs")]
-    if environment:
-        return [Finding(OK, "packages", f"the tools for recordings are in {environment}")]
-    return [Finding(WARN, "packages", f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing for "
-                                      f"bag_report, check_map and the calibration; driving needs none of it",
-                    f"rosdep install, or on Debian a virtual environment: {INSTALL_TOOLS}")]
+    verb = "is" if len(missing) == 1 else "are"
+    return first(
+        "packages",
+        (not missing, OK, "the tools for recordings have theirs"),
+        (environment, OK, f"the tools for recordings are in {environment}"),
+        (True, WARN,
+         f"{', '.join(missing)} {verb} missing for bag_report, check_map and the calibration; driving needs none of it",
+         f"rosdep install, or on Debian a virtual environment: {INSTALL_TOOLS}"))

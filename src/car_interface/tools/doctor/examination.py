@@ -8,7 +8,7 @@ import os
 import threading
 import time
 from argparse import Namespace
-from typing import Any, Callable, Iterator, NamedTuple
+from typing import Any, Callable, Iterator
 
 from car_interface.common.black_box_folder import default_folder, newest
 from car_interface.common.device_access import STABLE_PORT
@@ -19,27 +19,11 @@ from car_interface.pca9685.config import AUTO, VIRTUAL
 from car_interface.pca9685.registers import prescale_for
 from car_interface.teensy.link.health import CLOCK_REPORT, LINK_REPORT
 from car_interface.teleop.gamepad import REPORT as GAMEPAD_REPORT
+from car_interface.tools.doctor import car as checks
 from car_interface.tools.doctor.board import BoardSettings, probe_board
-from car_interface.tools.doctor.car import (
-    ABSENT,
-    SILENT,
-    SIMULATOR,
-    Node,
-    check_battery,
-    check_black_box,
-    check_command_topics,
-    check_diagnostics,
-    check_files,
-    check_folders,
-    check_nodes,
-    check_parameters,
-    check_several,
-    check_steering,
-    find_cars,
-    reports_of,
-)
+from car_interface.tools.doctor.car import ABSENT, SILENT, SIMULATOR, Node, find_cars
 from car_interface.tools.doctor.computer import probe_clock, probe_groups, probe_packages, probe_versions
-from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, worst
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, first, worst
 from car_interface.tools.doctor.gamepad import check_gamepad, probe_driver
 from car_interface.tools.doctor.master import NODES, REPORTING, Graph, Master, read_files, read_parameters
 from car_interface.tools.doctor.network import probe_network
@@ -78,13 +62,12 @@ class Task:
         self._subject = subject
         self._result: Any = None
         self._fault: Exception | None = None
-        self._probe = lambda: probe(*arguments)
         self._ended = threading.Event()
-        threading.Thread(target=self._run, name=subject, daemon=True).start()
+        threading.Thread(target=self._run, args=(probe, arguments), name=subject, daemon=True).start()
 
-    def _run(self):
+    def _run(self, probe, arguments):
         try:
-            self._result = self._probe()
+            self._result = probe(*arguments)
         except Exception as error:  # no fault of one probe may end the others
             self._fault = error
         self._ended.set()
@@ -106,20 +89,46 @@ class Task:
         return trouble or result
 
 
-class Car(NamedTuple):
-    """What the master knows of the car, and the devices that it goes by."""
+class Car:
+    """What the master knows of the car, and the devices that it goes by: those of the parameters, else the usual ones.
 
-    namespace: str
-    nodes: list
-    uses_sim_time: bool
-    port: str
-    baud: int
-    bus: str
-    board: BoardSettings
-    port_is_the_nodes: bool  # whether the port is the one that the hub uses
-    port_is_virtual: bool  # whether it's the one that car_sim makes
-    others: list  # the namespaces of other cars
-    was_chosen: bool  # False: there are several cars, and no namespace was given
+    Args:
+        master: ``None`` = none answers.
+
+    Attributes:
+        was_chosen: False = there are several cars, and no namespace was given.
+        port_is_the_nodes: the port is the one that the hub uses.
+        port_is_virtual: it's the one that car_sim makes.
+    """
+
+    def __init__(self, master: Master | None, options: Namespace):
+        self.master = master
+        graph = master.graph() if master else NO_GRAPH
+        cars = find_cars(graph.nodes)
+        self.namespace = options.namespace or (cars[0] if len(cars) == 1 else "/")
+        self.others = [car for car in cars if car != self.namespace]  # the namespaces of other cars
+        self.was_chosen = options.namespace is not None or self.namespace in cars or not cars
+        tasks = [Task("nodes", master.node, name, self.namespace, graph) for name in NODES] if master else []
+        nodes = [task.wait(time.monotonic() + SURVEY_S)[0] for task in tasks]
+        self.nodes: list[Node] = [node for node in nodes if node is not None]
+        self.uses_sim_time = bool(master and master.parameter("/use_sim_time"))
+        hub, board = self.parameters("teensy_sensor_hub"), self.parameters("pca9685")
+        of_hub = _known(hub.text, "port")
+        self.port = options.port or of_hub or (STABLE_PORT if os.path.exists(STABLE_PORT) else USUAL_PORT)
+        self.baud = _known(hub.integer, "baud", USUAL_BAUD)
+        self.port_is_the_nodes = bool(of_hub) and os.path.realpath(self.port) == os.path.realpath(of_hub)
+        self.port_is_virtual = self.port == _known(self.parameters(SIMULATOR).text, "port")
+        self.bus = _bus(options.bus) if options.bus else _bus_of(board)
+        prescale, oscillator_hz = _prescale(board)
+        self.board = BoardSettings(options.address or _known(board.integer, "address", USUAL_ADDRESS), prescale,
+                                   self.runs("pca9685") is not None, oscillator_hz)
+
+    def parameters(self, name: str) -> Params:
+        """Return a node's; what its launch file gave to its process goes before what the server holds by now."""
+        values = self.master.parameter(f"{self.namespace.rstrip('/')}/{name}") if self.master else None
+        fixed = [self.master.fixed_parameters(node) for node in self.nodes if node.name == name]
+        given = {key: value for values in fixed for key, value in values.items() if value is not None}
+        return Params({**(values if isinstance(values, dict) else {}), **given})
 
     def runs(self, name: str) -> Node | None:
         """Return a node that is there and answers."""
@@ -136,60 +145,18 @@ class Car(NamedTuple):
                 and (self.state(SIMULATOR) == SILENT or not os.path.exists(self.port)))
 
 
-def survey(master: Master | None, options: Namespace) -> Car:
-    """Ask the master for nodes and for the devices' parameters; without one, take the usual ones."""
-    graph = master.graph() if master else NO_GRAPH
-    cars = find_cars(graph.nodes)
-    namespace = options.namespace or (cars[0] if len(cars) == 1 else "/")
-    tasks = [Task("nodes", master.node, name, namespace, graph) for name in NODES] if master else []
-    nodes = [task.wait(time.monotonic() + SURVEY_S)[0] for task in tasks]
-    nodes = [node for node in nodes if node is not None]
-    hub = _parameters(master, namespace, "teensy_sensor_hub", nodes)
-    board = _parameters(master, namespace, "pca9685", nodes)
-    of_hub = _text(hub, "port")
-    port = options.port or of_hub or (STABLE_PORT if os.path.exists(STABLE_PORT) else USUAL_PORT)
-    prescale, oscillator_hz = _prescale(board)
-    is_driven = any(node.runs and node.name == "pca9685" for node in nodes)
-    return Car(
-        namespace=namespace, others=[car for car in cars if car != namespace],
-        was_chosen=options.namespace is not None or namespace in cars or not cars,
-        port_is_virtual=port == _text(_parameters(master, namespace, SIMULATOR, nodes), "port"),
-        nodes=nodes,
-        uses_sim_time=bool(master and master.parameter("/use_sim_time")),
-        port=port, baud=_number(hub, "baud", USUAL_BAUD),
-        bus=options.bus and _bus(options.bus) or _bus_of(board),
-        board=BoardSettings(options.address or _number(board, "address", USUAL_ADDRESS), prescale, is_driven,
-                            oscillator_hz),
-        port_is_the_nodes=bool(of_hub) and os.path.realpath(port) == os.path.realpath(of_hub))
-
-
-def _parameters(master, namespace, name, nodes):
-    """Return a node's parameters; what its launch file gave to its process goes before what the server holds by now."""
-    values = master.parameter(f"{namespace.rstrip('/')}/{name}") if master else None
-    fixed = [master.fixed_parameters(node) for node in nodes if node.name == name]
-    given = {key: value for values in fixed for key, value in values.items() if value is not None}
-    return Params({**(values if isinstance(values, dict) else {}), **given})
-
-
-def _text(params, name):
-    """Return a text among the parameters; ``None`` = there is none, or nonsense, which ``check_parameters`` reports."""
+def _known(read, name, default=None):
+    """Return a parameter, or the default where there is none or nonsense, which ``check_parameters`` reports."""
     try:
-        return params.text(name, None)
-    except ConfigError:
-        return None
-
-
-def _number(params, name, default):
-    try:
-        return params.integer(name, None) or default
+        return read(name, None) or default
     except ConfigError:
         return default
 
 
 def _bus_of(board):
     """Return the bus of the pca9685 node's parameters: what they name, or AUTO has found."""
-    device = _text(board, "device") or _number(board, "device", AUTO)
-    return _text(board, "auto_device") or AUTO if device == AUTO else _bus(device)
+    device = _known(board.text, "device") or _known(board.integer, "device", AUTO)
+    return _known(board.text, "auto_device", AUTO) if device == AUTO else _bus(device)
 
 
 def _bus(device):
@@ -221,94 +188,92 @@ def _examine(options):
     own = [Task("versions", probe_versions)]  # about this computer itself
     network = Task("master", probe_network, uri, master.trouble)
     (of_master, of_address, is_there), trouble = network.wait(time.monotonic() + NETWORK_S, ([], [], False))
-    car, survey_trouble = Task("nodes", survey, master if is_there else None, options).wait(time.monotonic() + SURVEY_S)
-    if car is None:
-        is_there, car = False, survey(None, options)
+    of_network = trouble + of_master + of_address
+    car, survey_trouble = Task("nodes", Car, master if is_there else None, options).wait(time.monotonic() + SURVEY_S)
+    car = car or Car(None, options)
     deadline_s = time.monotonic() + PROBES_S
     if not car.was_chosen:
         yield from own[0].findings(deadline_s)
-        yield from trouble + of_master + of_address + check_several(car.others)
+        yield from of_network + checks.check_several(car.others)
         return
     virtual_port, virtual_bus = car.port_is_virtual or is_pseudo_terminal(car.port), car.bus == VIRTUAL
     own += [Task("packages", probe_packages),
             Task("groups", probe_groups, car.port, car.bus, virtual_port, virtual_bus),
             Task("gamepad", probe_driver), Task("clock", probe_clock, car.uses_sim_time)]
-    parameters = Task("parameters", _read_all, master, car) if is_there else None
-    black_box = Task("black box", _newest_recording, master if is_there else None, car)
+    parameters = Task("parameters", _check_all_parameters, car) if car.master else None
+    black_box = Task("black box", _check_newest_recording, car)
     hub = car.runs("teensy_sensor_hub") if car.port_is_the_nodes else None
     port = None if hub or car.lacks_simulator else Task("port", probe_port, car.port, car.baud)
     board = None if virtual_bus else Task("bus", probe_board, car.bus, car.board, options.probe)
     reporting = [node.path for node in map(car.runs, REPORTING) if node]
-    topics = Task("topics", _listen_to_topics, master, car, hub, reporting) if reporting else None
+    topics = Task("topics", _listen_to_topics, car, hub, reporting) if reporting else None
 
     for task in own:
         yield from task.findings(deadline_s)
-    yield from trouble + of_master + of_address + survey_trouble
-    if is_there:
-        yield from check_nodes(car.nodes, car.namespace, car.others)
+    yield from of_network + survey_trouble
     if parameters:
+        yield from checks.check_nodes(car.nodes, car.namespace, car.others)
         yield from parameters.findings(deadline_s)
-    topic_reports, topics_trouble = topics.wait(deadline_s) if topics else (None, [])
+    heard, topics_trouble = topics.wait(deadline_s) if topics else (None, [])
     if car.lacks_simulator:
         yield from check_virtual_port(car.port, car.state(SIMULATOR), hub is not None)
     elif port:
         yield from port.findings(deadline_s)
-    elif topic_reports:
-        yield from check_link(topic_reports.link, car.port, hub)
-    of_board = board.findings(deadline_s) if board else [_virtual_board(car, is_there)]
-    yield from of_board
-    yield from topics_trouble
-    if topic_reports:
-        if car.runs("turn_arb"):
-            yield from check_steering(topic_reports.steering, car.runs("turn_arb"))
-        reports = reports_of(topic_reports.reports, car.namespace)
-        yield from check_command_topics(reports)
-        yield from check_battery(reports)
-        covered = _covered(hub, topic_reports.link)
-        if car.runs("pca9685") and worst(of_board) == BAD:
-            covered = [*covered, f"{car.runs('pca9685').path.strip('/')}: {BOARD_REPORT}"]
-        if topic_reports.gamepad:
-            yield from check_gamepad(topic_reports.gamepad)
-            covered = [*covered, f"{topic_reports.gamepad.node.strip('/')}: {GAMEPAD_REPORT}",
-                       *([topic_reports.gamepad.driver.name] if topic_reports.gamepad.driver else [])]
-        yield from check_diagnostics(reports, reporting, covered)
+    elif heard:
+        yield from check_link(heard.link, car.port, hub)
+    of_board = board.findings(deadline_s) if board else _virtual_board(car)
+    yield from of_board + topics_trouble
+    if heard:
+        yield from _check_heard(car, hub, heard, reporting, worst(of_board) == BAD)
     yield from black_box.findings(deadline_s)
 
 
-def _covered(hub, link):
-    """Return the names of the reports on /diagnostics whose fault the finding about the link tells."""
-    names = [] if hub is None or link is None else [LINK_REPORT] if link.level == OK else [LINK_REPORT, CLOCK_REPORT]
-    return [f"{hub.path.strip('/')}: {name}" for name in names]
+def _check_heard(car, hub, heard, reporting, board_is_bad):
+    """Yield the findings about who drives, gamepad and reports; a fault that another finding tells is left out."""
+    told = []
+    if car.runs("turn_arb"):
+        yield from checks.check_steering(heard.steering, car.runs("turn_arb"))
+    reports = checks.reports_of(heard.reports, car.namespace)
+    yield from checks.check_command_topics(reports)
+    yield from checks.check_battery(reports)
+    if hub and heard.link:
+        told += [(hub.path, LINK_REPORT)] + [(hub.path, CLOCK_REPORT)] * (heard.link.level != OK)
+    if car.runs("pca9685") and board_is_bad:
+        told.append((car.runs("pca9685").path, BOARD_REPORT))
+    covered = []
+    if heard.gamepad:
+        yield from check_gamepad(heard.gamepad)
+        told.append((heard.gamepad.node, GAMEPAD_REPORT))
+        covered = [heard.gamepad.driver.name] if heard.gamepad.driver else []
+    covered += [f"{path.strip('/')}: {name}" for path, name in told]
+    yield from checks.check_diagnostics(reports, reporting, covered)
 
 
-def _read_all(master, car):
-    readings = [reading for reading in (read_parameters(master, node) for node in car.nodes) if reading is not None]
-    found = check_parameters(readings)
-    is_virtual = _text(_parameters(master, car.namespace, "pca9685", car.nodes), "device") == VIRTUAL
-    found += check_folders(readings, os.path.realpath(package_file("config")), is_virtual)
-    return found + check_files(read_files(master, car.nodes))
+def _check_all_parameters(car):
+    readings = [reading for reading in (read_parameters(car.master, node) for node in car.nodes) if reading is not None]
+    is_virtual, usual = _known(car.parameters("pca9685").text, "device") == VIRTUAL, package_file("config")
+    return (checks.check_parameters(readings) + checks.check_folders(readings, os.path.realpath(usual), is_virtual)
+            + checks.check_files(read_files(car.master, car.nodes)))
 
 
-def _newest_recording(master, car):
-    folder = _text(_parameters(master, car.namespace, "black_box", car.nodes), "folder")
-    return check_black_box(newest(folder or default_folder()), time.time())
+def _check_newest_recording(car):
+    folder = _known(car.parameters("black_box").text, "folder")
+    return checks.check_black_box(newest(folder or default_folder()), time.time())
 
 
-def _listen_to_topics(master, car, hub, reporting):
+def _listen_to_topics(car, hub, reporting):
     from car_interface.tools.doctor.topics import GamepadListener, listen  # they need rospy, which may be missing
     turn_arb, teleop_logi = car.runs("turn_arb"), car.runs("teleop_logi")
     return listen(hub and hub.path, turn_arb and turn_arb.path, reporting,
-                  teleop_logi and GamepadListener(master, teleop_logi))
+                  teleop_logi and GamepadListener(car.master, teleop_logi))
 
 
-def _virtual_board(car, has_master):
-    node = car.runs("pca9685")
-    if not has_master:
-        return Finding(OK, "bus", "virtual: the chip is a piece of software; whether it runs only a master can tell")
-    if node:
-        return Finding(OK, "bus", f"virtual: the chip is a piece of software that {node.path} writes to")
-    if car.state("pca9685") != ABSENT:
-        return Finding(WARN, "bus", "virtual: the chip is a piece of software, and the pca9685 node doesn't answer",
-                       "See the nodes above")
-    return Finding(WARN, "bus", "virtual: the chip is a piece of software, and the pca9685 node that starts it "
-                                "doesn't run", "roslaunch car_interface demo.launch; or give the real bus by --i2c")
+def _virtual_board(car):
+    node, chip = car.runs("pca9685"), "virtual: the chip is a piece of software"
+    return first(
+        "bus",
+        (not car.master, OK, f"{chip}; whether it runs only a master can tell"),
+        (node, OK, f"{chip} that {node and node.path} writes to"),
+        (car.state("pca9685") != ABSENT, WARN, f"{chip}, and the pca9685 node doesn't answer", "See the nodes above"),
+        (True, WARN, f"{chip}, and the pca9685 node that starts it doesn't run",
+         "roslaunch car_interface demo.launch; or give the real bus by --i2c"))

@@ -32,6 +32,11 @@ class Finding(NamedTuple):
                        "See what keeps it busy (top), and run the doctor again")
 
 
+def first(subject: str, *cases: tuple) -> list[Finding]:
+    """Return the finding of the first case that holds; a case is whether it does, the level, what, and the remedy."""
+    return [next(Finding(level, subject, *texts) for holds, level, *texts in cases if holds)]
+
+
 def worst(findings: Sequence[Finding]) -> int:
     """Return the highest level: the exit code."""
     return max((finding.level for finding in findings), default=OK)

@@ -10,7 +10,7 @@ from car_interface.common import causes
 from car_interface.teleop.gamepad import GamepadConfig, is_d_mode_cross, missing_index, remedy
 from car_interface.teleop.handover import PHONE_PREFIX
 from car_interface.tools.doctor.car import Report
-from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, first
 
 SUBJECT = "gamepad"
 MISSED = 2  # messages in a row that may be lost before the deadman is released, at least
@@ -20,6 +20,9 @@ AUTOREPEAT = "Set its driver's autorepeat_rate to 20, as launching with gamepad:
 XBOX_INTERFACES = (("ff", "5d", "01"), ("ff", "5d", "81"), ("ff", "47", "d0"))
 NO_XPAD_REMEDY = ("sudo modprobe xpad. If there is no such module, as on a Jetson: set the switch of a Logitech at D, "
                   "connect an Xbox gamepad by Bluetooth, or build xpad")
+D_MODE = ", as a Logitech gamepad has in D mode: axes 4 and 5 are its cross then, not a stick"
+LAUNCH_IT = ("Launch the car with gamepad:=true, which starts its driver, or with phone:=true. With the virtual car: "
+             "rosrun car_interface keyboard_drive")
 LET_GO = "Let go of both deadman buttons once, then hold one"
 
 
@@ -51,24 +54,47 @@ class GamepadFacts(NamedTuple):
 
 def check_gamepad(gamepad: GamepadFacts) -> list[Finding]:
     """Return one finding: the first thing that keeps a deadman from being held, or that all is well."""
-    sample, topic = gamepad.sample, gamepad.topic
-    if not sample.messages:
-        return [_phone(gamepad) if gamepad.reason.startswith(PHONE_PREFIX) else _nothing_came(gamepad)]
-    if gamepad.cause == causes.JOY_NEVER_RECEIVED:
-        return [Finding(BAD, SUBJECT, f"{topic} comes here, but {gamepad.node} says: {gamepad.reason}",
-                        f"See whether they reach each other: rosnode info {gamepad.node}; ROS_IP; then start it again")]
-    if gamepad.cause == causes.JOY_UNMAPPED:
-        return [Finding(BAD, SUBJECT, gamepad.reason, remedy(gamepad.cause, topic))]
-    broken = _broken(gamepad) if gamepad.config else None
-    if broken is not None:
-        return [broken]
-    if gamepad.cause in causes.LOSSES:
-        return [Finding(WARN, SUBJECT, gamepad.reason, remedy(gamepad.cause, topic) or LET_GO)]
-    if gamepad.stick_cause:
-        return [Finding(WARN, SUBJECT, gamepad.reason, remedy(gamepad.stick_cause, topic))]
-    said = f"; {gamepad.reason}" if gamepad.reason else ""
-    return [Finding(OK, SUBJECT, f"{topic}: {sample.axes} axes, {sample.buttons} buttons, "
-                                 f"{_rate_text(sample)}{said}")]
+    sample, topic, cause, reason, driver = gamepad.sample, gamepad.topic, gamepad.cause, gamepad.reason, gamepad.driver
+    is_silent, is_lost = not sample.messages, cause in causes.LOSSES
+    by_phone = is_silent and reason.startswith(PHONE_PREFIX)
+    return first(
+        SUBJECT,
+        (by_phone and is_lost, WARN, f"there is none; {reason}",
+         "Lift the thumbs from the phone's page, then touch it again"),
+        (by_phone, OK, f"there is none; {reason}"),
+        (is_silent and not gamepad.publishers, WARN,
+         f"no node publishes {topic}, so that no deadman can be held" + (f" ({reason})" if reason else ""), LAUNCH_IT),
+        (is_silent and driver, WARN, driver and driver.message, driver and driver.remedy),
+        (is_silent, WARN, f"{', '.join(gamepad.publishers)} publishes {topic}, but nothing came",
+         f"{remedy(causes.JOY_NEVER_RECEIVED, topic)}. {AUTOREPEAT.format(joy=topic)}, also while nothing moves"),
+        (cause == causes.JOY_NEVER_RECEIVED, BAD, f"{topic} comes here, but {gamepad.node} says: {reason}",
+         f"See whether they reach each other: rosnode info {gamepad.node}; ROS_IP; then start it again"),
+        (cause == causes.JOY_UNMAPPED, BAD, reason, remedy(cause, topic)),
+        *(_faults(sample, gamepad.config, topic) if gamepad.config else ()),
+        (is_lost, WARN, reason, remedy(cause, topic) or LET_GO),
+        (gamepad.stick_cause, WARN, reason, remedy(gamepad.stick_cause, topic)),
+        (True, OK, f"{topic}: {sample.axes} axes, {sample.buttons} buttons, {_rate_text(sample)}"
+         + (f"; {reason}" if reason else "")))
+
+
+def _faults(sample, config, topic):
+    """Return the cases of what can be wrong with the messages."""
+    missing, timeout_s = missing_index(config, sample.axes, sample.buttons), config.joy_timeout_s or math.inf
+    sticks = {name: getattr(config, name) for name in ("steer_axis", "throttle_axis")}
+    is_d_mode = any(is_d_mode_cross(index, sample.axes, sample.buttons) for index in sticks.values())
+    comes, autorepeat = f"{topic} comes {_rate_text(sample)}", AUTOREPEAT.format(joy=topic)
+    return [
+        (missing, BAD, missing and missing[1], remedy(causes.JOY_INCOMPLETE, topic)),
+        *((index in sample.values, BAD,
+           f"the gamepad's {name} {index} is {sample.values.get(index)}, no number to act on",
+           remedy(causes.JOY_NOT_FINITE, topic)) for name, index in sticks.items()),
+        (sample.period_s > timeout_s, BAD,
+         f"{comes}, too seldom for a joy_timeout of {timeout_s:g} s: the deadman is released again and again",
+         autorepeat),
+        (sample.period_s * MISSED > timeout_s, WARN,
+         f"{comes}: with a joy_timeout of {timeout_s:g} s one message that is late releases the deadman", autorepeat),
+        (is_d_mode, WARN, f"{sample.axes} axes and {sample.buttons} buttons{D_MODE}",
+         remedy(causes.JOY_INCOMPLETE, topic))]
 
 
 def probe_driver(folder: str = "/sys/bus/usb/devices") -> list[Finding]:
@@ -96,54 +122,6 @@ def _read_word(folder, name):
             return file.read().strip()
     except OSError:
         return ""
-
-
-def _phone(gamepad):
-    """Return how a car fares that only phones drive."""
-    if gamepad.cause in causes.LOSSES:
-        return Finding(WARN, SUBJECT, f"there is none; {gamepad.reason}",
-                       "Lift the thumbs from the phone's page, then touch it again")
-    return Finding(OK, SUBJECT, f"there is none; {gamepad.reason}")
-
-
-def _nothing_came(gamepad):
-    topic = gamepad.topic
-    if not gamepad.publishers:
-        said = f" ({gamepad.reason})" if gamepad.reason else ""
-        return Finding(WARN, SUBJECT, f"no node publishes {topic}, so that no deadman can be held{said}",
-                       "Launch the car with gamepad:=true, which starts its driver, or with phone:=true. With the "
-                       "virtual car: rosrun car_interface keyboard_drive")
-    if gamepad.driver:
-        return Finding(WARN, SUBJECT, gamepad.driver.message, gamepad.driver.remedy)
-    return Finding(WARN, SUBJECT, f"{', '.join(gamepad.publishers)} publishes {topic}, but nothing came",
-                   f"{remedy(causes.JOY_NEVER_RECEIVED, topic)}. {AUTOREPEAT.format(joy=topic)}, also while nothing "
-                   "moves")
-
-
-def _broken(gamepad):
-    """Return what is wrong with the messages, or ``None``."""
-    sample, config, topic = gamepad.sample, gamepad.config, gamepad.topic
-    missing = missing_index(config, sample.axes, sample.buttons)
-    if missing is not None:
-        return Finding(BAD, SUBJECT, missing[1], remedy(causes.JOY_INCOMPLETE, topic))
-    for name in ("steer_axis", "throttle_axis"):
-        index = getattr(config, name)
-        if index in sample.values:
-            return Finding(BAD, SUBJECT, f"the gamepad's {name} {index} is {sample.values[index]}, no number to act on",
-                           remedy(causes.JOY_NOT_FINITE, topic))
-    timeout_s = config.joy_timeout_s or math.inf
-    if sample.period_s > timeout_s:
-        return Finding(BAD, SUBJECT, f"{topic} comes {_rate_text(sample)}, too seldom for a joy_timeout of "
-                                     f"{timeout_s:g} s: the deadman is released again and again",
-                       AUTOREPEAT.format(joy=topic))
-    if sample.period_s * MISSED > timeout_s:
-        return Finding(WARN, SUBJECT, f"{topic} comes {_rate_text(sample)}: with a joy_timeout of {timeout_s:g} s one "
-                                      "message that is late releases the deadman", AUTOREPEAT.format(joy=topic))
-    if any(is_d_mode_cross(index, sample.axes, sample.buttons) for index in (config.steer_axis, config.throttle_axis)):
-        return Finding(WARN, SUBJECT, f"{sample.axes} axes and {sample.buttons} buttons, as a Logitech gamepad has in "
-                                      "D mode: axes 4 and 5 are its cross then, not a stick",
-                       remedy(causes.JOY_INCOMPLETE, topic))
-    return None
 
 
 def _rate_text(sample):

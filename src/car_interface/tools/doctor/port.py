@@ -19,7 +19,7 @@ from car_interface.teensy.link.pinging import AUTO
 from car_interface.teensy.link.session import Session
 from car_interface.tools.doctor.car import ABSENT, Node, restart_remedy
 from car_interface.tools.doctor.computer import is_character_device
-from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, first
 
 HUBS = ("teensy_sensor_hub", "car_nodes")  # the processes that the hub may be
 MEMORY_MAJOR = 1  # Documentation/admin-guide/devices.txt of the kernel
@@ -88,7 +88,7 @@ def _probe(link, baud):
         if select.select([link.fileno()], [], [], left_ns / NS_PER_S)[0]:
             probe.update(link.read(), time.monotonic_ns())
         now_ns = time.monotonic_ns()
-    return probe.finding()
+    return probe.findings()[0]
 
 
 def check_holders(path: str, holders: Sequence[tuple[int, str]]) -> list[Finding]:
@@ -133,17 +133,12 @@ def check_link(link: Any, port: str, node: Node) -> list[Finding]:
     if link is None:
         return [Finding(BAD, "Teensy", f"{node.path} runs, but its topic link is silent: it hangs",
                         restart_remedy(node.process), by_silence=True)]
+    level, remedy = min(link.level, BAD), link.next_step or f"rostopic echo {node.path}/link"
     if link.state in PORT_FAULTS:
-        return [Finding(min(link.level, BAD), "port", f"{port}: {link.words}",
-                        link.next_step or f"rostopic echo {node.path}/link")]
-    return [Finding(OK, "port", f"{port} is {node.path}'s"), _check_teensy(link, node)]
-
-
-def _check_teensy(link, node):
-    if link.level != OK:
-        return Finding(min(link.level, BAD), "Teensy", link.words,
-                       link.next_step or f"rostopic echo {node.path}/link")
-    return Finding(OK, "Teensy", f"{link.words}; {_describe_pong(link.round_trip, link.firmware_checksum)}")
+        return [Finding(level, "port", f"{port}: {link.words}", remedy)]
+    pong = _describe_pong(link.round_trip, link.firmware_checksum)
+    return [Finding(OK, "port", f"{port} is {node.path}'s"),
+            Finding(level, "Teensy", link.words, remedy) if level else Finding(OK, "Teensy", f"{link.words}; {pong}")]
 
 
 def check_virtual_port(port: str, simulator: str, hub_runs: bool) -> list[Finding]:
@@ -195,23 +190,21 @@ class TeensyProbe:
         is_fine = self._session.verdict.state == FINE and self._session.pinger.answered > 1 and has_sonar_reports
         return now_ns >= self._end_ns or is_fine and not self._session.tally.bad_frames
 
-    def finding(self) -> Finding:
+    def findings(self) -> list[Finding]:
         """Return the finding about the Teensy."""
-        verdict = self._session.verdict
-        if verdict.state == FINE and not self._session.pinger.answered:
-            return Finding(WARN, "Teensy", f"{verdict.description}, but no ping was answered",
-                           "Check the wire from this port's TX to the Teensy's RX")
-        if verdict.state == WAITING:
-            return Finding(WARN, "Teensy", "too little came to judge it", "Run the doctor again")
-        if verdict.level != OK:
-            return Finding(verdict.level, "Teensy", verdict.description, verdict.next_step)
+        verdict, pinger = self._session.verdict, self._session.pinger
         missing = [name for sensor, name in enumerate(SONARS) if sensor not in self._sonars]
-        if missing:
-            return Finding(WARN, "Teensy", f"{verdict.description}, but nothing came from "
-                                           f"{_describe_sonars(missing)} in {SONARS_WITHIN_NS / 1e9:g} s",
-                           SONARS_REMEDY)
-        pong = _describe_pong(self._session.round_trip_ns / 1e9, self._session.pinger.answered_checksum)
-        return Finding(OK, "Teensy", f"{verdict.description}; {pong}")
+        within = f"{SONARS_WITHIN_NS / 1e9:g} s"
+        pong = _describe_pong(self._session.round_trip_ns / 1e9, pinger.answered_checksum)
+        return first(
+            "Teensy",
+            (verdict.state == FINE and not pinger.answered, WARN, f"{verdict.description}, but no ping was answered",
+             "Check the wire from this port's TX to the Teensy's RX"),
+            (verdict.state == WAITING, WARN, "too little came to judge it", "Run the doctor again"),
+            (verdict.level != OK, verdict.level, verdict.description, verdict.next_step),
+            (missing, WARN, f"{verdict.description}, but nothing came from {_describe_sonars(missing)} in {within}",
+             SONARS_REMEDY),
+            (True, OK, f"{verdict.description}; {pong}"))
 
 
 def _describe_sonars(names):

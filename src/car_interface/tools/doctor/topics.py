@@ -38,52 +38,43 @@ class GamepadListener:
         self._node = node.path
         self._topic, self._publishers = _find_topic(master, node.path)
         self._config, self._entries = _read_config(master, node.path)
-        self._messages: list[Joy] = []
-        self._arrivals_s: list[float] = []  # those of as many messages, or one less
+        self._joys: list[tuple[float, Joy]] = []  # with their arrivals in s
         self._states: list[TeleopState] = []
 
     def start(self) -> None:
         """Subscribe."""
-        rospy.Subscriber(self._topic, Joy, self._on_joy)
+        rospy.Subscriber(self._topic, Joy, lambda message: self._joys.append((time.monotonic(), message)))
         rospy.Subscriber(f"{self._node}/state", TeleopState, self._states.append)
 
     def is_done(self) -> bool:
         """Return whether enough came."""
-        arrivals_s = self._arrivals_s
-        is_sampled = len(arrivals_s) > 1 and arrivals_s[-1] - arrivals_s[0] >= SAMPLE_S
+        is_sampled = len(self._joys) > 1 and self._joys[-1][0] - self._joys[0][0] >= SAMPLE_S
         return bool(self._states) and (is_sampled or not self._publishers)
 
     def result(self) -> GamepadFacts:
         """Return what came so far."""
-        arrivals_s = list(self._arrivals_s)
-        messages, state = self._messages[:len(arrivals_s)], next(reversed(self._states), None)
-        end_s = arrivals_s[-1] if len(arrivals_s) > 1 else time.monotonic()
-        period_s = (end_s - arrivals_s[0]) / max(1, len(arrivals_s) - 1) if arrivals_s else math.inf
-        axes, buttons = (len(messages[-1].axes), len(messages[-1].buttons)) if messages else (0, 0)
-        odd = {index: value for message in messages for index, value in enumerate(message.axes)
+        joys, state = list(self._joys), next(reversed(self._states), None)
+        end_s = joys[-1][0] if len(joys) > 1 else time.monotonic()
+        period_s = (end_s - joys[0][0]) / max(1, len(joys) - 1) if joys else math.inf
+        newest = joys[-1][1] if joys else Joy()
+        odd = {index: value for _, message in joys for index, value in enumerate(message.axes)
                if not math.isfinite(value)}
-        facts = GamepadFacts(self._node, self._topic, self._publishers, self._mapped(messages),
-                             JoySample(len(messages), period_s, axes, buttons, odd))
+        facts = GamepadFacts(self._node, self._topic, self._publishers,
+                             self._mapped(newest) if joys and self._config else self._config,
+                             JoySample(len(joys), period_s, len(newest.axes), len(newest.buttons), odd))
         if state is None:
             return facts
         is_at_rest = causes.NOT_AT_REST not in (state.steering_stick, state.throttle_stick)
         return facts._replace(cause=state.cause, reason=state.reason,
                               stick_cause="" if is_at_rest else causes.NOT_AT_REST)
 
-    def _mapped(self, messages):
-        """Return what the newest message's axes and buttons do; ``None`` = that isn't known."""
-        if self._config is None or not messages:
-            return self._config
-        newest = messages[-1]
+    def _mapped(self, newest):
+        """Return what a message's axes and buttons do; ``None`` = that isn't known."""
+        model = model_of(newest.header.frame_id, len(newest.axes), len(newest.buttons))
         try:
-            return config_for(model_of(newest.header.frame_id, len(newest.axes), len(newest.buttons)), self._config,
-                              self._entries)
+            return config_for(model, self._config, self._entries)
         except CarInterfaceError:
             return None
-
-    def _on_joy(self, message):
-        self._messages.append(message)
-        self._arrivals_s.append(time.monotonic())
 
 
 def _find_topic(master, path):

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Mapping, NamedTuple, Sequence
+from typing import Any, Mapping, NamedTuple, Sequence
 
 from car_interface.common.causes import AUTONOMOUS, MANUAL
 from car_interface.common.sources import PLANNER, TELEOP
@@ -23,6 +23,7 @@ COUNTS = 1 << 32  # OneWheel.dist_abs wraps here
 # A Slash reaches 20 m/s; 0.3 of the throttle, the shipped human_scale, is several m/s without a load.
 MAX_WHEEL_SPEED_MPS = 3.0
 MAX_SCALE = 0.3
+SAME_DUTY = 8  # half a count of the servo board
 MAX_DRIVE_NS = 8 * NS_PER_S  # at a stretch: a hobby motor without a load heats slowly, and no question needs more
 STANDS_MPS = 0.05
 # Wheels in the air change no range. The cones look up to 30° sideways, and an echo may jump by some centimeters.
@@ -31,115 +32,70 @@ GROUND_M, GROUND_RATIO, GROUND_REPORTS = 0.25, 0.5, 3
 
 @dataclass(frozen=True)
 class Setup:
-    """What the car was launched with.
+    """What the car was launched with."""
 
-    Attributes:
-        steering: turn_arb's calibration.
-        throttle: throttle_arb's; ``None`` = it doesn't run.
-        profile: the kind of ESC in the file.
-        calibrates_esc: throttle_arb gives the ESC each pull, as with calibration_drive:=true.
-        steer_scale, throttle_scale: of its axes; negative = inverted.
-        pulses_per_revolution: of a rear wheel.
-        sonars: those that the car should have.
-    """
-
-    steering: SteeringCalibration
-    throttle: ThrottleCalibration | None = None
-    profile: str = ""
-    calibrates_esc: bool = False
-    steer_scale: float = 1.0
+    steering: SteeringCalibration  # turn_arb's
+    throttle: ThrottleCalibration | None = None  # throttle_arb's; ``None`` = it doesn't run
+    profile: str = ""  # the kind of ESC in the file
+    calibrates_esc: bool = False  # throttle_arb gives the ESC each pull, as with calibration_drive:=true
+    steer_scale: float = 1.0  # of teleop_logi's axes; negative = inverted
     throttle_scale: float = 1.0
-    pulses_per_revolution: int = PULSES_PER_REVOLUTION
-    sonars: Sequence[str] = SONARS
+    pulses_per_revolution: int = PULSES_PER_REVOLUTION  # of a rear wheel
+    sonars: Sequence[str] = SONARS  # those that the car should have
 
 
 class Controls(NamedTuple):
-    """The gamepad or keyboard that sends.
+    """The gamepad or keyboard that sends."""
 
-    Attributes:
-        buttons: their numbers in its messages, by the deadman's mode.
-        names: what a person knows them by, likewise; SLOWER: of the one that lowers the scale.
-    """
-
-    buttons: Mapping[str, int] = {}
-    names: Mapping[str, str] = {}
-
-
-class Steering(NamedTuple):
-    """Of turn_arb's state."""
-
-    source: int
-    reason: str
-    duty: int
-
-
-class Throttle(NamedTuple):
-    """Of throttle_arb's state."""
-
-    source: int
-    reason: str
-    granted: float
-    esc: str
-    esc_reason: str
-    scale: float
-
-
-class Output(NamedTuple):
-    """What the servo board holds, and which node reports it."""
-
-    duties: Sequence[int]
-    sender: str
-
-
-class WheelCount(NamedTuple):
-    """Of one wheel in teensy_wheel."""
-
-    direction: int
-    dist_abs: int
+    buttons: Mapping[str, int] = {}  # their numbers in its messages, by the deadman's mode
+    names: Mapping[str, str] = {}  # what a person knows them by, likewise; SLOWER: of the one that lowers the scale
 
 
 class Car:
-    """The newest of each input, and whether the wheels do what they do in the air.
-
-    Attributes:
-        controls: of the gamepad or keyboard that sends.
-        neutral: the ESC's, as tuned by now; ``None`` = throttle_arb doesn't run.
-        pulses: of the left and the right rear wheel since the start, forward ones less backward ones.
-        range_reports: how often each sonar reported.
-    """
+    """The newest of each input, and whether the wheels do what they do in the air."""
 
     def __init__(self, setup: Setup):
         self.setup = setup
         self.human = TimedInput("human_in_loop", 0.5)
         self.mode = TimedInput("mode", 0.5)
-        self.gamepad = TimedInput("teleop_logi's state", 1.0)
+        self.gamepad = TimedInput("teleop_logi's state", 1.0)  # its reason
         self.buttons = TimedInput("joy", 0.5)
         self.controls = Controls()
         self.steering_stick = TimedInput("tele_steer_req", 0.5)
         self.throttle_stick = TimedInput("tele_throt_req", 0.5)
-        self.steering = TimedInput("turn_arb's state", 0.5)
+        self.steering = TimedInput("turn_arb's state", 0.5)  # this and the next two: whole messages
         self.throttle = TimedInput("throttle_arb's state", 0.5)
-        self.output = TimedInput("/servo/output", 2.5)  # on change and once a second
         self.wheels = TimedInput("teensy_wheel", 1.0)
+        self.output = TimedInput("/servo/output", 2.5)  # what the servo board holds: on change and once a second
+        self.sender = ""  # the node that reports it
         self.speed = TimedInput("odom", 0.5)
         self.link = TimedInput("the Teensy's link", 2.5)
         self.ranges = {name: TimedInput(f"sonar/{name}", 2.0) for name in SONARS}
-        self.neutral = setup.throttle and setup.throttle.neutral
-        self.pulses = [0, 0]
-        self.range_reports = dict.fromkeys(SONARS, 0)
+        self.range_reports = dict.fromkeys(SONARS, 0)  # how often each reported
+        self.pulses = [0, 0]  # of the left and the right rear wheel since the start, forward ones less backward ones
+        self.neutral = setup.throttle and setup.throttle.neutral  # as tuned by now; ``None`` = no throttle_arb
+        # What was learned by now: the request at which the wheels point straight ahead, whether servo_left turns right,
+        # and whether a push drives forward.
+        self.center, self.is_exchanged, self.drives_forward = 0.0, False, True
         self._drives_since_ns: int | None = None
         self._distance_m, self._speed_ns = 0.0, 0
         self._starts: dict[str, tuple[float, float]] = {}  # range and distance when the wheels began to turn
         self._follows = dict.fromkeys(SONARS, 0)  # reports in a row that changed as on the ground
 
-    def update_wheels(self, counts: Sequence[WheelCount], now_ns: int) -> None:
-        """Take the counts of the left and the right wheel."""
+    def update_wheels(self, message: Any, now_ns: int) -> None:
+        """Take the counts of both wheels."""
         before = self.wheels.value
-        self.wheels.update(tuple(counts), now_ns)
-        for side, count in enumerate(counts):
-            more = (count.dist_abs - before[side].dist_abs) % COUNTS if before else 0
+        self.wheels.update(message, now_ns)
+        for side, name in enumerate(("left", "right")):
+            wheel = getattr(message, name)
+            more = (wheel.dist_abs - getattr(before, name).dist_abs) % COUNTS if before else 0
             if more < COUNTS // 2:  # else the Teensy has started anew
-                self.pulses[side] += {FORWARD: more, BACKWARD: -more}.get(count.direction, 0)
+                self.pulses[side] += {FORWARD: more, BACKWARD: -more}.get(wheel.direction, 0)
+
+    def update_output(self, duties: Sequence[int], sender: str, now_ns: int) -> None:
+        """Take what the servo board holds, and which node reports it."""
+        self.output.update(duties, now_ns)
+        self.sender = sender
 
     def update_speed(self, speed_mps: float, now_ns: int) -> None:
         """Take the speed by odometry, forward positive."""
@@ -150,7 +106,7 @@ class Car:
         if abs(speed_mps) < STANDS_MPS:
             self._starts.clear()
 
-    def update_throttle(self, throttle: Throttle, now_ns: int) -> None:
+    def update_throttle(self, throttle: Any, now_ns: int) -> None:
         """Take throttle_arb's state."""
         self.throttle.update(throttle, now_ns)
         self._drives_since_ns = (self._drives_since_ns or now_ns) if throttle.granted else None
@@ -211,9 +167,9 @@ class Car:
         throttle = self.throttle.value
         if throttle.esc == ARMING:
             return throttle.esc_reason
-        if throttle.scale > MAX_SCALE + 1e-6:
-            return (f"a full stick gives {throttle.scale:.1f} of the throttle, too much for this: press the button for "
-                    f"less{self._in_brackets(self.controls.names.get(SLOWER))} until it gives {MAX_SCALE:g}")
+        if throttle.human_scale > MAX_SCALE + 1e-6:
+            return (f"a full stick gives {throttle.human_scale:.1f} of the throttle, too much for this: press the "
+                    f"button for less{self._in_brackets(self.controls.names.get(SLOWER))} until it gives {MAX_SCALE:g}")
         return "" if throttle.source == TELEOP else throttle.reason
 
     def by_program(self, now_ns: int) -> str:
@@ -226,7 +182,7 @@ class Car:
 
     def held_duty(self, channel: int, now_ns: int) -> int | None:
         """Return the duty that the servo board holds on a channel; ``None``: it isn't known."""
-        return None if self.output.is_stale(now_ns) else self.output.value.duties[channel]
+        return None if self.output.is_stale(now_ns) else self.output.value[channel]
 
     def _reason(self, now_ns):
         return "" if self.gamepad.is_stale(now_ns) else self._in_brackets(self.gamepad.value)

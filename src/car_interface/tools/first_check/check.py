@@ -24,37 +24,27 @@ from car_interface.tools.first_check.question import (
     OnBox,
     Question,
     Result,
+    skipped,
 )
 from car_interface.tools.first_check.sensor_questions import Sonar, TeensyUnplugged, WheelSensor
 from car_interface.tools.first_check.steering_questions import BoardKilled, Center, End, SteeringDirection
 from car_interface.tools.first_check.throttle_questions import EscKind, LettingGo, NeutralDuty, ThrottleDirection
 
-SKIP, AGAIN, PREVIOUS, TO_END, QUIT = "sapeq"
+SKIP, AGAIN, PREVIOUS, TO_END = "sape"  # Q is the caller's
 KEYS, FIRST_KEYS = "S skip   A again   P previous   E to the end   Q quit", "Q quit"
 MAX_WIDTH = 79
 Changes = "dict[str, dict[str, Any]]"  # new values of parameters by file, without .yaml, and name
 
 
 class View(NamedTuple):
-    """What to show, and to ask of the car.
+    """What to show, and to ask of the car."""
 
-    Attributes:
-        kind: changes with the question, and with what it asks.
-        lines: for a terminal, none longer than its width.
-        steering: the request to turn_arb; ``None`` = publish none.
-        neutral: the duty that throttle_arb is to have as its neutral; ``None``: as at the start.
-        kills_board: kill the servo board's node now.
-        is_over: all was asked: ask whether to write.
-        has_quit: the person gave up.
-    """
-
-    kind: str
-    lines: Sequence[str]
-    steering: float | None = None
-    neutral: int | None = None
-    kills_board: bool = False
-    is_over: bool = False
-    has_quit: bool = False
+    kind: str  # changes with the question, and with what it asks
+    lines: Sequence[str]  # for a terminal, none longer than its width
+    steering: float | None = None  # the request to turn_arb; ``None`` = publish none
+    neutral: int | None = None  # the duty that throttle_arb is to have as its neutral; ``None``: as at the start
+    kills_board: bool = False  # kill the servo board's node now
+    is_over: bool = False  # all was asked: ask whether to write
 
 
 class FirstCheck:
@@ -62,34 +52,27 @@ class FirstCheck:
 
     Attributes:
         car: takes what arrives.
+        question: that is asked now; ``None``: all were asked.
     """
 
     def __init__(self, setup: Setup):
         self.car, self._setup = Car(setup), setup
-        steered = self._steered
         self._makers: list[Callable[[Car], Question]] = [
-            OnBox, Deadman, SteeringDirection, steered(Center), steered(End, 1), steered(End, -1), NeutralDuty,
-            ThrottleDirection, lambda car: EscKind(car, self._drives_forward()),
-            partial(WheelSensor, side=0), partial(WheelSensor, side=1),
-            *(partial(Sonar, name=name) for name in setup.sonars), LettingGo, TeensyUnplugged, steered(BoardKilled)]
+            OnBox, Deadman, SteeringDirection, Center, partial(End, side=1), partial(End, side=-1), NeutralDuty,
+            ThrottleDirection, EscKind, partial(WheelSensor, side=0), partial(WheelSensor, side=1),
+            *(partial(Sonar, name=name) for name in setup.sonars), LettingGo, TeensyUnplugged, BoardKilled]
         self._results: list[Result | None] = [None] * len(self._makers)
-        self._titles: list[str] = []
         self._titles = [make(self.car).title for make in self._makers]
-        self._index, self._question, self._has_begun, self._warning = 0, self._makers[0](self.car), True, ""
+        self._go(0)
 
-    def _steered(self, question, *arguments):
-        """Return what makes a question that steers, with what is known of the steering by then."""
-        return lambda car: question(car, *arguments, **self._known_steering())
-
-    def _known_steering(self):
-        learned = self.learned().get(STEERING, {})
-        center = learned.get("servo_center", self._setup.steering.servo_center)
-        return {"is_exchanged": "exchanged" in learned, "center": _request(self._setup.steering, center)}
-
-    def _drives_forward(self):
-        """Return whether a push drives forward, as far as that was asked."""
-        result = dict(zip(self._titles, self._results)).get(ThrottleDirection.title)
-        return result is None or result.verdict in (FINE, SKIPPED)
+    def _make(self, index):
+        """Return a question anew, which asks by what is known of the car by now."""
+        calibration, learned = self._setup.steering, self.learned().get(STEERING, {})
+        self.car.is_exchanged = "exchanged" in learned
+        self.car.center = _request(calibration, learned.get("servo_center", calibration.servo_center))
+        direction = self._results[self._titles.index(ThrottleDirection.title)]
+        self.car.drives_forward = direction is None or direction.verdict in (FINE, SKIPPED)
+        return self._makers[index](self.car)
 
     @property
     def refusal(self) -> str:
@@ -100,74 +83,69 @@ class FirstCheck:
         return self.car.ground_reason
 
     @property
-    def question(self) -> Question | None:
-        """Return the question that is asked now; ``None``: all were asked."""
-        return self._question
-
-    @property
     def results(self) -> list[tuple[str, Result]]:
         """Return what was answered, by the questions' titles."""
-        return [(title, result or Result(SKIPPED, "the check ended before"))
+        return [(title, result or skipped("the check ended before"))
                 for title, result in zip(self._titles, self._results)]
 
     def step(self, now_ns: int, keys: str = "", width: int = MAX_WIDTH) -> View:
         """Take the keys that were typed, and go on."""
-        has_quit = False
         for key in keys.lower():
-            has_quit = has_quit or key == QUIT
             self._type(key, now_ns)
             self._advance(now_ns)  # the next key is for the next question that can be asked
         if not keys:
             self._advance(now_ns)
-        question = self._question
+        question = self.question
         if question is None:
-            return View("end", [], None, self._neutral(), is_over=True, has_quit=has_quit)
+            return View("end", [], None, self._neutral(), is_over=True)
         kills, question.kills_board = question.kills_board, False
         return View(f"{self._index} {question.text}", self._lines(now_ns, width), question.steering,
-                    self._neutral(), kills, has_quit=has_quit)
+                    self._neutral(), kills)
 
     def _type(self, key, now_ns):
         if key == PREVIOUS and self._index:
             index = self._index - 1
-            while index and self._makers[index](self.car).missing(now_ns):
+            while index and self._make(index).missing(now_ns):
                 index -= 1
             self._go(index)
-        elif self._question is None:
+        elif self.question is None:
             return
         elif key == AGAIN:
             self._go(self._index)
         elif key == SKIP and self._index:  # whether it stands on a box isn't skipped
-            self._answer(Result(SKIPPED, "skipped"))
+            self._answer(skipped("skipped"))
         elif key == TO_END and self._index:
-            self._index, self._question = len(self._makers), None
+            self._ask(len(self._makers), False)
         else:
-            self._question.type(key, now_ns)
+            self.question.type(key, now_ns)
 
     def _go(self, index):
         """Ask a question anew."""
-        self._index, self._has_begun, self._warning = index, True, ""
-        self._results[index:index + 1] = [None]
-        self._question = self._makers[index](self.car)
+        self._results[index] = None
+        self._ask(index, True)
 
     def _answer(self, result):
         self._results[self._index] = result
-        self._index, self._has_begun, self._warning = self._index + 1, False, ""
-        self._question = self._makers[self._index](self.car) if self._index < len(self._makers) else None
+        self._ask(self._index + 1, False)
+
+    def _ask(self, index, has_begun):
+        self._index, self._has_begun, self._warning = index, has_begun, ""
+        self.question = self._make(index) if index < len(self._makers) else None
 
     def _advance(self, now_ns):
         """Let the question look, and ask the next one that can be asked."""
-        while self._question is not None:
-            missing = "" if self._has_begun else self._question.missing(now_ns)
+        while self.question is not None:
+            missing = "" if self._has_begun else self.question.missing(now_ns)
             if missing:
-                self._answer(Result(SKIPPED, missing))
+                self._answer(skipped(missing))
                 continue
             self._has_begun = True
             if self._is_warned(now_ns):
                 return
-            self._question.step(now_ns)
-            if self._question.result is None:
+            result = self.question.step(now_ns) or self.question.result
+            if result is None:
                 return
-            self._answer(self._question.result)
+            self._answer(result)
 
     def _is_warned(self, now_ns):
         """Begin the question again where the wheels turn too fast or for too long, once they are let go."""
@@ -181,7 +159,7 @@ class FirstCheck:
 
     def _neutral(self):
         """Return the neutral that throttle_arb is to have: the one that was found."""
-        duty = self._question.neutral if self._question is not None else None
+        duty = self.question.neutral if self.question is not None else None
         if duty is None:
             duty = self.learned().get(THROTTLE, {}).get("neutral")
         if self._setup.throttle is not None:
@@ -189,7 +167,7 @@ class FirstCheck:
         return duty
 
     def _lines(self, now_ns, width):
-        question = self._question
+        question = self.question
         seen = question.seen(now_ns)
         parts = [f"{self._index + 1} of {len(self._makers)}: {question.title}", question.text,
                  question.help, f"Now: {seen}" if seen else "", self._warning or question.note,
@@ -202,11 +180,9 @@ class FirstCheck:
     def learned(self) -> Changes:
         """Return what the answers say, by file: parameters, and what is computed from several of them."""
         found: Changes = {}
-        for result in self._results:
-            for file, values in (result.changes if result is not None else {}).items():
-                for name, value in values.items():
-                    before = found.setdefault(file, {}).get(name, ())
-                    found[file][name] = (*before, *value) if name == "absent" else value
+        for result in filter(None, self._results):
+            for file, values in result.changes.items():
+                found.setdefault(file, {}).update(values)
         return found
 
     def changes(self) -> Changes:
@@ -215,13 +191,12 @@ class FirstCheck:
         Raises:
             ConfigError: they don't go together, such as a center beyond an end.
         """
-        learned = self.learned()
-        found = {GAMEPAD: dict(learned.get(GAMEPAD, {}))}
-        found[STEERING] = _steering_changes(self._setup.steering, learned.get(STEERING, {}))
-        found[THROTTLE] = _throttle_changes(self._setup.throttle, learned.get(THROTTLE, {}))
-        absent = learned.get(HUB, {}).get("absent", ())
-        present = [SONARS.index(name) for name in self._setup.sonars if name not in absent]
-        found[HUB] = {"sonar_sequence": present} if absent and present else {}
+        learned = {file: {} for file in (GAMEPAD, STEERING, THROTTLE, HUB)}
+        learned.update(self.learned())
+        present = [SONARS.index(name) for name in self._setup.sonars if name not in learned[HUB]]
+        found = {GAMEPAD: learned[GAMEPAD], STEERING: _steering_changes(self._setup.steering, learned[STEERING]),
+                 THROTTLE: _throttle_changes(self._setup.throttle, learned[THROTTLE]),
+                 HUB: {"sonar_sequence": present} if learned[HUB] and present else {}}
         return {file: values for file, values in found.items() if values}
 
 

@@ -19,37 +19,20 @@ from car_interface.steering.config import load_steering
 from car_interface.teleop.gamepad import GamepadConfig
 from car_interface.teleop.mappings import FILE as MAPPINGS
 from car_interface.throttle.config import load_throttle
-from car_interface.tools.first_check.question import (
-    BROKEN,
-    FINE,
-    GAMEPAD,
-    LEARNED,
-    SKIPPED,
-    STEERING,
-    THROTTLE,
-    Result,
-)
+from car_interface.tools.first_check.question import CLASSES, GAMEPAD, STEERING, THROTTLE, Result
 
 MAX_SHOWN = 3  # numbers of a list: a table moves along with what was learned
 LOADS = {STEERING: load_steering, THROTTLE: load_throttle,
          GAMEPAD: lambda path, text: read_all(Params(load_yaml(path, text)), GamepadConfig)}
-CLASSES = {FINE: "good", LEARNED: "warn", BROKEN: "bad", SKIPPED: "faint"}
 
 
 class Edit(NamedTuple):
-    """The change of one file.
+    """The change of one file."""
 
-    Attributes:
-        path: of the file.
-        values: new ones, by the parameters' names.
-        before: the old ones.
-        problem: why it can't be written; empty: it can.
-    """
-
-    path: str
-    values: Mapping[str, Any]
-    before: Mapping[str, Any]
-    problem: str = ""
+    path: str  # of the file
+    values: Mapping[str, Any]  # new ones, by the parameters' names
+    before: Mapping[str, Any]  # the old ones
+    problem: str = ""  # why it can't be written; empty: it can
 
     def lines(self) -> list[str]:
         """Return a line for each parameter."""

@@ -21,19 +21,27 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from typing import NamedTuple, Sequence
+from typing import Mapping, NamedTuple, Sequence
+from xml.etree import ElementTree
 
 from car_interface.common.device_access import GROUPS, STABLE_PORT, existing_groups, groups_of
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.header import UNKNOWN, Header, read_header
 from car_interface.common.package_files import package_file
-from car_interface.tools.host_setup.autostart import UNIT, UNIT_PATH, read_launch, unit_text
 
 RULES_NAME = "70-car-interface.rules"
 RULES_FOLDER = "/etc/udev/rules.d"
 ROOT = "root"
 # A user's PATH often lacks these, where the commands are.
 SYSTEM_PATH = "/usr/sbin:/sbin:/usr/bin:/bin"
+UNIT = "car_interface.service"
+UNIT_PATH = f"/etc/systemd/system/{UNIT}"
+# A workspace's own script, which runs a command in the workspace's environment; catkin generates it.
+ENVIRONMENT_SCRIPT = "env.sh"
+NETWORK = ("ROS_MASTER_URI", "ROS_IP", "ROS_HOSTNAME")  # what the unit keeps of the terminal's environment
+# roslaunch waits 15 s for its nodes, then 2 s for those that it ends by SIGTERM; pca9685's guard acts within 10 s.
+STOP_S = 30
+EXAMPLE = "setup_hardware --autostart config:=$HOME/my_car port:=/dev/teensy_sensor_hub throttle:=true"
 
 
 class Computer(NamedTuple):
@@ -111,15 +119,12 @@ def describe_header(computer: Computer) -> list[str]:
 
 def read_computer(user: str, rules: str) -> Computer:
     """Read how this computer is now."""
+    installed = os.path.join(RULES_FOLDER, RULES_NAME)
     return Computer(
         user=user, groups=existing_groups(), joined=groups_of(user, pwd.getpwnam(user).pw_gid),
-        has_udev=shutil.which("udevadm", path=SYSTEM_PATH) is not None, rules_are_new=_same(rules),
+        has_udev=shutil.which("udevadm", path=SYSTEM_PATH) is not None,
+        rules_are_new=os.path.exists(installed) and filecmp.cmp(rules, installed, shallow=False),
         header=read_header(), has_bus=os.path.exists(read_header().bus_paths[0]))
-
-
-def _same(rules):
-    installed = os.path.join(RULES_FOLDER, RULES_NAME)
-    return os.path.exists(installed) and filecmp.cmp(rules, installed, shallow=False)
 
 
 def run_step(step: SetupStep, is_dry: bool) -> bool:
@@ -143,6 +148,83 @@ def as_root(command) -> list[str]:
     return list(command) if os.geteuid() == 0 else ["sudo", *command]
 
 
+class Launch(NamedTuple):
+    """What the unit starts."""
+
+    user: str
+    script: str  # ENVIRONMENT_SCRIPT, by its whole path
+    arguments: Sequence[str]  # of car.launch
+    network: Mapping[str, str]  # those of NETWORK that are set
+
+
+def read_launch(user: str, arguments: Sequence[str], environment: Mapping[str, str], launch_file: str) -> Launch:
+    """Read what to start.
+
+    Args:
+        arguments: NAME:=VALUE; the folder becomes absolute.
+        environment: of a terminal in which the workspace was sourced.
+        launch_file: the path of car.launch.
+
+    Raises:
+        CarInterfaceError: an argument is none of car.launch's, or calibration_drive; the folder is missing, or no
+            workspace was sourced.
+    """
+    values = dict(argument.split(":=", 1) for argument in arguments)
+    known = [each.get("name") for each in ElementTree.parse(launch_file).getroot().findall("arg")]
+    unknown = [name for name in values if name not in known]
+    if unknown:
+        raise CarInterfaceError(f"car.launch has no argument {unknown[0]}; accepted: {', '.join(known)}")
+    if values.get("calibration_drive", "false") != "false":
+        raise CarInterfaceError("calibration_drive is for a drive that somebody watches, and not for each boot: "
+                                "no brake is certain with it")
+    if not os.path.isdir(values.get("config", "")):
+        raise CarInterfaceError(f"config:= must be the folder with your car's files, as in: {EXAMPLE}")
+    values["config"] = os.path.abspath(values["config"])
+    scripts = [os.path.join(prefix, ENVIRONMENT_SCRIPT)
+               for prefix in environment.get("CMAKE_PREFIX_PATH", "").split(os.pathsep)]
+    script = next((path for path in scripts if os.access(path, os.X_OK)), None)
+    if script is None:
+        raise CarInterfaceError("no catkin workspace was sourced in this terminal: source devel/setup.bash of yours")
+    return Launch(user, script, [f"{name}:={value}" for name, value in values.items()],
+                  {name: environment[name] for name in NETWORK if environment.get(name)})
+
+
+def unit_text(launch: Launch) -> str:
+    """Return the unit. It waits for no device, as the nodes do that themselves."""
+    command = " ".join(map(_quoted, (launch.script, "roslaunch", "car_interface", "car.launch", *launch.arguments)))
+    network = "".join(f"Environment={_quoted(f'{name}={value}', is_command=False)}\n"
+                      for name, value in launch.network.items())
+    return f"""\
+# Written by `rosrun car_interface setup_hardware --autostart`; `--remove` takes it away.
+[Unit]
+Description=Nodes of the car (car_interface)
+After=network.target
+StartLimitIntervalSec=0
+
+[Service]
+User={launch.user}
+WorkingDirectory=~
+Environment=PYTHONUNBUFFERED=1
+{network}ExecStart={command}
+Restart=always
+RestartSec=2
+# roslaunch ends its nodes, and they switch the servo board off.
+KillMode=mixed
+KillSignal=SIGINT
+TimeoutStopSec={STOP_S}
+
+[Install]
+WantedBy=multi-user.target
+"""
+
+
+def _quoted(text, is_command=True):
+    """Return a word as systemd reads it: systemd.syntax(7), systemd.service(5)."""
+    for plain, escaped in (("\\", "\\\\"), ('"', '\\"'), ("%", "%%"), *((("$", "$$"),) if is_command else ())):
+        text = text.replace(plain, escaped)
+    return f'"{text}"'
+
+
 def plan_autostart(unit: str) -> list[SetupStep]:
     """Return the steps that install a unit, which was written to a file."""
     return [SetupStep(f"install {UNIT_PATH}", ("install", "--mode=644", unit, UNIT_PATH)),
@@ -150,13 +232,10 @@ def plan_autostart(unit: str) -> list[SetupStep]:
             SetupStep("have it start at each boot", ("systemctl", "enable", UNIT))]
 
 
-def plan_removal() -> list[SetupStep]:
-    """Return the steps that undo ``plan_autostart``, and stop what it started."""
-    return [SetupStep("stop it, and start it no more", ("systemctl", "disable", "--now", UNIT)),
-            SetupStep(f"remove {UNIT_PATH}", ("rm", UNIT_PATH)),
-            SetupStep("have systemd forget it", ("systemctl", "daemon-reload"))]
-
-
+# What undoes plan_autostart, and stops what it started.
+REMOVAL = (SetupStep("stop it, and start it no more", ("systemctl", "disable", "--now", UNIT)),
+           SetupStep(f"remove {UNIT_PATH}", ("rm", UNIT_PATH)),
+           SetupStep("have systemd forget it", ("systemctl", "daemon-reload")))
 AUTOSTART_REMARK = f"""\
 The car starts at the next boot; now: sudo systemctl restart {UNIT}
 What it says: journalctl --follow --unit {UNIT}
@@ -204,7 +283,7 @@ def _set_autostart(options):
         raise CarInterfaceError("there is no systemctl here, as in a container: nothing could start the car at boot")
     if options.remove:
         if os.path.exists(UNIT_PATH):
-            _run(plan_removal(), options.dry_run, lambda done: [])
+            _run(REMOVAL, options.dry_run, lambda done: [])
         else:
             print(f"Nothing to do: there is no {UNIT_PATH}.")
         return

@@ -52,13 +52,12 @@ class GamepadMap:
         crosses: the numbers of the axes that are crosses.
 
     Attributes:
-        entry: what was found, as gamepads.yaml has it.
         step: what is to be shown; ``None`` = all was.
     """
 
     def __init__(self, rest: Sequence[float], crosses: Iterable[int]):
         # A third deadman of the folder's teleop_logi.yaml would be just any button of this gamepad.
-        self.entry: dict[str, float] = {"third_button": NONE}
+        self.entry: dict[str, float] = {"third_button": NONE}  # what was found, as gamepads.yaml has it
         self._rest, self._crosses = tuple(rest), frozenset(crosses)
         self._steps = list(STEPS)
         self._is_at_rest = False  # since the step began
@@ -86,40 +85,33 @@ class GamepadMap:
         if not self._is_at_rest:
             self._is_at_rest = not any(buttons) and max(offsets, default=0.0) < AT_REST
             return ""
-        return self._take_axis(step, axes, offsets) if step.scale else self._take_button(step, buttons)
-
-    def _take_axis(self, step, axes, offsets):
-        number = max(range(len(axes)), key=offsets.__getitem__, default=None)
-        if number is None or offsets[number] < PUSHED:
+        number, why = self._axis(offsets) if step.scale else self._button(buttons)
+        if number is None:
             return ""
-        if number in self._crosses:
-            return self._refuse("that is the cross: use a stick")
-        if abs(self._rest[number]) > AT_REST:
-            return self._refuse("that axis rests at its end, as a trigger does: use a stick")
-        if self.entry.get("steer_axis") == number:
-            return self._refuse("that axis steers already")
-        self._found(step, number)
-        self.entry[step.scale] = math.copysign(1.0, axes[number])
-        return ""
-
-    def _take_button(self, step, buttons):
-        if not any(buttons):
-            return ""
-        number = list(buttons).index(1)
-        taken = [name for name, value in self.entry.items() if name.endswith("_button") and value == number]
-        if taken:
-            return self._refuse(f"that is {taken[0]} already: press another one")
-        self._found(step, number)
-        return ""
-
-    def _refuse(self, why):
         self._is_at_rest = False
+        if not why:
+            self.entry[step.parameter] = number
+            if step.scale:
+                self.entry[step.scale] = math.copysign(1.0, axes[number])
+            del self._steps[0]
         return why
 
-    def _found(self, step, number):
-        self.entry[step.parameter] = number
-        del self._steps[0]
-        self._is_at_rest = False
+    def _axis(self, offsets):
+        """Return the number of the axis that is pushed, ``None`` = none is, and why it won't do."""
+        number = max(range(len(offsets)), key=offsets.__getitem__, default=None)
+        if number is None or offsets[number] < PUSHED:
+            return None, ""
+        if number in self._crosses:
+            return number, "that is the cross: use a stick"
+        if abs(self._rest[number]) > AT_REST:
+            return number, "that axis rests at its end, as a trigger does: use a stick"
+        return number, "that axis steers already" if self.entry.get("steer_axis") == number else ""
+
+    def _button(self, buttons):
+        """Return the number of the button that is pressed, likewise."""
+        number = next((number for number, is_pressed in enumerate(buttons) if is_pressed), None)
+        taken = [name for name, value in self.entry.items() if name.endswith("_button") and value == number]
+        return number, f"that is {taken[0]} already: press another one" if taken else ""
 
 
 def ask(device: GamepadDevice, joystick: Joystick, keyboard, report=print) -> dict[str, float]:

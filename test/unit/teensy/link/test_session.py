@@ -5,7 +5,7 @@ import struct
 
 import pytest
 
-from car_interface.sim.teensy_transmitter import frame_body
+from car_interface.sim.teensy_uart import frame_body
 from car_interface.teensy.link.framing import CORRECTED, RESYNC_FILLER, SHIPPED
 from car_interface.teensy.link.health import ABSENT, FINE, REBOOTED, WAITING, WARN
 from car_interface.teensy.link.pinging import AUTO, Answer

@@ -17,8 +17,8 @@ NOBODY = Membership("ann", False, frozenset(), frozenset(), frozenset({"dialout"
 
 # --- groups ---
 
-PORT, BUS = computer.Need("dialout", "the port", BAD), computer.Need("i2c", "the bus", BAD)
-PAD = computer.Need("input", "the gamepad", WARN)
+PORT, BUS = ("dialout", "the port", BAD), ("i2c", "the bus", BAD)
+PAD = ("input", "the gamepad", WARN)
 
 
 def member(process=(), user=(), existing=("dialout", "i2c", "input"), is_root=False):

@@ -46,27 +46,27 @@ def test_host_and_port_of_a_uri(uri, place):
 
 
 @pytest.mark.parametrize("master, level, words, remedy", [
-    (network.MasterAddress(URI, "", True, ("127.0.0.1",)), OK, "on the loopback only", ""),
-    (network.MasterAddress(URI, "", True, ()), OK, "answers", ""),
-    (network.MasterAddress(URI, "", True, ("0.0.0.0", "127.0.0.1")), WARN, "every interface", "ROS_IP=127.0.0.1"),
-    (network.MasterAddress(URI, "", True, ("10.1.2.3",)), WARN, "listens on 10.1.2.3", "VPN"),
-    (network.MasterAddress("http://car:11311", "", False), WARN, "on another host", "VPN"),
-    (network.MasterAddress(URI, "Connection refused", True), WARN, "none runs at", "roslaunch starts one"),
-    (network.MasterAddress(URI, "timed out", True, ("0.0.0.0",)), BAD, "doesn't answer as a master", "End it"),
-    (network.MasterAddress("http://car:11311", "timed out", False), BAD, "on another host", "ping car"),
-    (network.MasterAddress("http://car:11311", "no", None), BAD, "can't be found", "/etc/hosts"),
-    (network.MasterAddress("", "no"), BAD, "not set", "setup.bash"),
-    (network.MasterAddress("localhost", "no"), BAD, "no master's address", "export ROS_MASTER_URI"),
+    ((URI, "", True, ("127.0.0.1",)), OK, "on the loopback only", ""),
+    ((URI, "", True, ()), OK, "answers", ""),
+    ((URI, "", True, ("0.0.0.0", "127.0.0.1")), WARN, "every interface", "ROS_IP=127.0.0.1"),
+    ((URI, "", True, ("10.1.2.3",)), WARN, "listens on 10.1.2.3", "VPN"),
+    (("http://car:11311", "", False), WARN, "on another host", "VPN"),
+    ((URI, "Connection refused", True), WARN, "none runs at", "roslaunch starts one"),
+    ((URI, "timed out", True, ("0.0.0.0",)), BAD, "doesn't answer as a master", "End it"),
+    (("http://car:11311", "timed out", False), BAD, "on another host", "ping car"),
+    (("http://car:11311", "no", None), BAD, "can't be found", "/etc/hosts"),
+    (("", "no"), BAD, "not set", "setup.bash"),
+    (("localhost", "no"), BAD, "no master's address", "export ROS_MASTER_URI"),
 ], ids=["loopback", "tables_unreadable", "everywhere", "one_interface", "elsewhere", "none", "other",
          "elsewhere_silent", "unknown_host", "unset", "nonsense"])
 def test_master(master, level, words, remedy):
-    found, = network.check_master(master)
+    found, = network.check_master(*master)
     assert found.level == level
     assert words in found.what and remedy in found.remedy and bool(found.remedy) == (level != OK)
 
 
 def address(name="10.0.0.1", resolves=True, is_here=True, is_loopback=False):
-    return network.LocalAddress(name, resolves, is_here, is_loopback)
+    return name, is_here if resolves else None, is_loopback
 
 
 @pytest.mark.parametrize("environment, own, master_is_here, level, words", [
@@ -80,7 +80,7 @@ def address(name="10.0.0.1", resolves=True, is_here=True, is_loopback=False):
     ({"ROS_IP": "10.0.0.1", "ROS_HOSTNAME": "car"}, address("car"), True, WARN, "the first one counts"),
 ], ids=["loopback", "lan", "host_name", "unknown_name", "no_name", "foreign", "loopback_but_master_elsewhere", "both"])
 def test_own_address(environment, own, master_is_here, level, words):
-    found, = network.check_local_address(environment, own, master_is_here)
+    found, = network.check_local_address(environment, master_is_here, *own)
     assert found.level == level and words in found.what and bool(found.remedy) == (level != OK)
 
 

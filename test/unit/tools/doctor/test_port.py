@@ -56,7 +56,7 @@ def probed(firmware=None, change=lambda data: data, baud=115200, begin_ns=50_000
         firmware.receive(probe.step(now_ns), now_ns)
         probe.update(change(firmware.transmit(now_ns)), now_ns)
         now_ns += 2 * MS
-    return probe.finding(), (now_ns - begin_ns) // MS
+    return probe.findings()[0], (now_ns - begin_ns) // MS
 
 
 def corrupting(share):

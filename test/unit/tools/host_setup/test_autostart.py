@@ -11,7 +11,7 @@ import pytest
 
 from car_interface.common.errors import CarInterfaceError
 from car_interface.tools.host_setup import cli
-from car_interface.tools.host_setup.autostart import UNIT, UNIT_PATH, Launch, read_launch, unit_text
+from car_interface.tools.host_setup.cli import UNIT, UNIT_PATH, Launch, read_launch, unit_text
 
 CAR_LAUNCH = str(Path(__file__).resolve().parents[4] / "launch/car.launch")
 # What catkin generates, as far as it matters here: it sources the workspace, and becomes the command.

@@ -1,6 +1,6 @@
 """The black box's memory: what it keeps, and for how long."""
 from car_interface.common.units import NS_PER_S
-from car_interface.nodes.black_box.ring import MAX_MESSAGE_BYTES, MAX_PER_S, OVERHEAD_BYTES, SPAN_NS, Message, Ring
+from car_interface.nodes.black_box import MAX_MESSAGE_BYTES, MAX_PER_S, OVERHEAD_BYTES, SPAN_NS, Message, Ring
 
 HEADER = {"type": "std_msgs/Bool", "callerid": "/planner", "latching": "0"}
 LATCHED = {**HEADER, "latching": "1"}

@@ -29,7 +29,7 @@ from car_interface.common.sources import source_name
 from car_interface.common.staleness import TimedInput
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.msg import SteeringState, ThrottleState
-from car_interface.nodes.car_display.config import CarDisplayConfig
+from car_interface.nodes.teensy_sensor_hub.config import CarDisplayConfig
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, subscribe
 

@@ -6,10 +6,10 @@ import sys
 import pytest
 
 from car_interface.common.errors import ConfigError
-from car_interface.nodes.car_sim.port_claim import PortClaim
+from car_interface.nodes.car_sim.virtual_line import claim_port
 
-HOLDER = ("import sys, time; from car_interface.nodes.car_sim.port_claim import PortClaim; "
-          "claim = PortClaim(sys.argv[1]); print('held', flush=True); time.sleep(60)")
+HOLDER = ("import sys, time; from car_interface.nodes.car_sim.virtual_line import claim_port; "
+          "claim = claim_port(sys.argv[1]); print('held', flush=True); time.sleep(60)")
 
 
 @pytest.fixture
@@ -22,20 +22,20 @@ def test_path_that_a_living_process_claims_is_refused_with_its_number_and_what_t
         try:
             assert other.stdout.readline() == "held\n"
             with pytest.raises(ConfigError) as caught:
-                PortClaim(path, 0.0)
+                claim_port(path, 0.0)
             assert str(caught.value) == (
                 f"port {path} is in use by another car_sim (process {other.pid}); accepted: a path that no other "
                 f"car_sim uses: end that one, or start this one with another port, e.g. port:={path}_2")
         finally:
             other.kill()
-    PortClaim(path, 1.0).close()  # a killed process leaves nothing behind
+    claim_port(path, 1.0).close()  # a killed process leaves nothing behind
 
 
 def test_path_is_the_same_by_another_way_to_its_folder_and_free_once_it_was_given_back(path, tmp_path):
     (tmp_path / "link").symlink_to(tmp_path)
-    claim = PortClaim(path)
+    claim = claim_port(path)
     with pytest.raises(ConfigError, match=f"in use by another car_sim .process {os.getpid()}."):
-        PortClaim(str(tmp_path / "link" / "teensy"), 0.0)
-    PortClaim(path + "_2", 0.0).close()
+        claim_port(str(tmp_path / "link" / "teensy"), 0.0)
+    claim_port(path + "_2", 0.0).close()
     claim.close()
-    PortClaim(path, 0.0).close()
+    claim_port(path, 0.0).close()

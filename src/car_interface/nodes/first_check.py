@@ -23,6 +23,7 @@ import os
 import signal
 import textwrap
 from functools import partial
+from operator import attrgetter
 from typing import Any, Callable, Mapping
 
 import rospy
@@ -38,8 +39,7 @@ from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import CHANNELS, NS_PER_S
 from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, SONARS
 from car_interface.msg import LinkStatus, SteeringState, TeleopState, ThrottleState, Wheel
-from car_interface.nodes.keyboard_drive.keyboard import Keys
-from car_interface.nodes.live_text import LiveText
+from car_interface.nodes.terminal import Keys, LiveText
 from car_interface.ros.clocks import SYSTEM
 from car_interface.ros.reconfigure import request_values
 from car_interface.ros.runtime import run
@@ -50,7 +50,7 @@ from car_interface.teleop.gamepad import GamepadConfig
 from car_interface.teleop.mappings import KEYBOARD_FRAME, Entries, button_label, config_for, load_entries, model_of
 from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.config import load_throttle
-from car_interface.tools.first_check.car import SLOWER, Controls, Output, Setup, Steering, Throttle, WheelCount
+from car_interface.tools.first_check.car import SLOWER, Controls, Setup
 from car_interface.tools.first_check.check import FirstCheck
 from car_interface.tools.first_check.files import find_folder, plan, write, write_page
 
@@ -81,7 +81,6 @@ class FirstCheckNode:
         self._inbox, self._kill, self._request = inbox, kill or kill_node, request
         self._folder = find_folder(graph.parameter("turn_arb/config_folder", None))
         setup = read_setup(graph.parameter, self._folder)
-        self._channel = setup.steering.servo_channel
         self._check, self._start_neutral = FirstCheck(setup), setup.throttle and setup.throttle.neutral
         self._neutral = self._start_neutral  # that throttle_arb was asked for
         self._text, self._keys = text or LiveText(), keys or Keys()
@@ -101,24 +100,21 @@ class FirstCheckNode:
 
     def _subscribe(self):
         inbox, car = self._inbox, self._check.car
-        for topic, message_type, timed in (
-                ("human_in_loop", Bool, car.human), ("mode", String, car.mode),
-                ("tele_steer_req", Float32, car.steering_stick), ("tele_throt_req", Float32, car.throttle_stick)):
-            subscribe(f"teleop_logi/{topic}", message_type, inbox, partial(_take, timed), wakes=False)
-        for topic, message_type, handler in (
-                ("teleop_logi/state", TeleopState, lambda message, now_ns: car.gamepad.update(message.reason, now_ns)),
-                ("joy", Joy, self._on_joy),
-                ("turn_arb/state", SteeringState, lambda message, now_ns: car.steering.update(
-                    Steering(message.source, message.reason, message.duty), now_ns)),
-                ("throttle_arb/state", ThrottleState, self._on_throttle),
-                ("servo/output", Int32MultiArray, self._on_output),
-                ("teensy_sensor_hub/link", LinkStatus,
-                 lambda message, now_ns: car.link.update(message.open, now_ns)),
-                ("teensy_wheel", Wheel, lambda message, now_ns: car.update_wheels(
-                    [WheelCount(wheel.direction, wheel.dist_abs) for wheel in (message.left, message.right)], now_ns)),
-                ("odom", Odometry, lambda message, now_ns: car.update_speed(message.twist.twist.linear.x, now_ns)),
-                *((f"sonar/{name}", Range, partial(self._on_range, name)) for name in SONARS)):
-            subscribe(topic, message_type, inbox, handler, wakes=False)
+        for topic, message_type, update, field in (
+                ("teleop_logi/human_in_loop", Bool, car.human.update, "data"),
+                ("teleop_logi/mode", String, car.mode.update, "data"),
+                ("teleop_logi/tele_steer_req", Float32, car.steering_stick.update, "data"),
+                ("teleop_logi/tele_throt_req", Float32, car.throttle_stick.update, "data"),
+                ("teleop_logi/state", TeleopState, car.gamepad.update, "reason"),
+                ("joy", Joy, self._on_joy, ""),
+                ("turn_arb/state", SteeringState, car.steering.update, ""),
+                ("throttle_arb/state", ThrottleState, car.update_throttle, ""),
+                ("servo/output", Int32MultiArray, self._on_output, ""),
+                ("teensy_sensor_hub/link", LinkStatus, car.link.update, "open"),
+                ("teensy_wheel", Wheel, car.update_wheels, ""),
+                ("odom", Odometry, car.update_speed, "twist.twist.linear.x"),
+                *((f"sonar/{name}", Range, partial(car.update_range, name), "range") for name in SONARS)):
+            subscribe(topic, message_type, inbox, _taking(field, update) if field else update, wakes=False)
 
     def _on_joy(self, message, now_ns):
         frame, axes, buttons = message.header.frame_id, len(message.axes), len(message.buttons)
@@ -128,16 +124,9 @@ class FirstCheckNode:
         self._check.car.buttons.update(
             tuple(index for index, is_held in enumerate(message.buttons) if is_held), now_ns)
 
-    def _on_throttle(self, message, now_ns):
-        self._check.car.update_throttle(Throttle(message.source, message.reason, message.granted, message.esc,
-                                                 message.esc_reason, message.human_scale), now_ns)
-
     def _on_output(self, message, now_ns):
         if len(message.data) == CHANNELS:
-            self._check.car.output.update(Output(message.data, sender_of(message)), now_ns)
-
-    def _on_range(self, name, message, now_ns):
-        self._check.car.update_range(name, message.range, now_ns)
+            self._check.car.update_output(message.data, sender_of(message), now_ns)
 
     def step(self, now_ns):
         """Handle what arrived; then the stage."""
@@ -146,6 +135,8 @@ class FirstCheckNode:
             typed = self._keys.read()
             if typed is None and self._keys.is_closed():
                 raise EndedEarly("its terminal was closed: nothing is written")
+            if "q" in (typed or "").lower() and self._stage != self._confirm:
+                self._quit()
             self._stage(now_ns, typed or "")
         return self._timer.due_ns
 
@@ -160,8 +151,6 @@ class FirstCheckNode:
 
     def _wait(self, now_ns, typed):
         car = self._check.car
-        if "q" in typed.lower():
-            self._quit()
         if not (car.steering.is_stale(now_ns) or car.output.is_stale(now_ns)):
             self._stage = self._ask
         elif now_ns - self._begun_ns > READY_WITHIN_NS:
@@ -171,14 +160,12 @@ class FirstCheckNode:
 
     def _ask(self, now_ns, typed):
         view = self._check.step(now_ns, typed, self._text.width)
-        if view.has_quit:
-            self._quit()
         if self._check.refusal:
             raise EndedEarly(f"{self._check.refusal}. Nothing is written")
         self._steer(view.steering if self._check.car.held_mode(now_ns) == AUTONOMOUS else None)
         self._tune(view.neutral)
         if view.kills_board:
-            reason = self._kill(self._check.car.output.value.sender)
+            reason = self._kill(self._check.car.sender)
             if reason:
                 self._check.question.kill_failed(reason)
         if view.is_over:
@@ -260,8 +247,10 @@ class FirstCheckNode:
         self._inbox.end()
 
 
-def _take(timed, message, now_ns):
-    timed.update(message.data, now_ns)
+def _taking(field, update):
+    """Return a handler that hands on a field of the message."""
+    value_of = attrgetter(field)
+    return lambda message, now_ns: update(value_of(message), now_ns)
 
 
 def read_setup(parameter: Callable[[str, Any], Any], folder: str) -> Setup:

@@ -16,13 +16,18 @@ Subscribes, for its screen; without a terminal to draw on it prints who steers a
 """
 from __future__ import annotations
 
+import glob
 import math
 import re
+import textwrap
+from typing import Any, Callable, Mapping
 
 import rospy
+from evdev import InputDevice, ecodes
 from sensor_msgs.msg import Joy, Range
 from std_msgs.msg import Int32
 
+from car_interface.common import causes
 from car_interface.common.declared import read, read_all
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.params import Params
@@ -32,10 +37,7 @@ from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.msg import SteeringState, ThrottleState
-from car_interface.nodes.keyboard_drive.key_events import Keyboards
-from car_interface.nodes.keyboard_drive.keyboard import Keys
-from car_interface.nodes.keyboard_drive.screen import screen_lines
-from car_interface.nodes.live_text import LiveText
+from car_interface.nodes.terminal import Keys, LiveText
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, subscribe
 from car_interface.teleop.gamepad import NONE
@@ -50,7 +52,69 @@ VIRTUAL, NO_DEVICES = "virtual", "none"
 WATCH_S = 1.0  # how often pca9685's device is looked at
 HELD_UP_NS = NS_PER_S // 4  # after such a pause, Ctrl-Z for one, keys must be pressed anew
 NUMBER = re.compile(r"[-+]?\d[\d.]*")
+RELEASED, PRESSED = 0, 1  # values of EV_KEY; 2 is a repeat
+# Whatever has these is a keyboard, not a power button or a mouse.
+LETTERS_AND_SPACE = {*range(ecodes.KEY_Q, ecodes.KEY_P + 1), ecodes.KEY_SPACE}
+NEAR_M = 1.0
+BACK_OUT = "you hit a wall. To back out: hold S; then M alone for a second; then S again"
+UNLOCK = "the e-stop is on. To end it: rostopic pub -r 10 /e_stop std_msgs/Bool false"
+REVERSE = "it stands. To reverse: hold M alone for a second, then S again"
+ADVICE = {**dict.fromkeys(causes.LOCKS, UNLOCK), causes.HUMAN_ABSENT: "hold M to drive, P to let the planner drive",
+          causes.NOT_REARMED: "let go of all keys, then hold M or P again"}
+NO_REVERSE = frozenset({causes.AT_STANDSTILL, causes.HOLDING})
 START_VIRTUAL = "Start the virtual car first: roslaunch car_interface demo.launch drive:=false"
+
+
+class Keyboards:
+    """The keyboards that this process may read: presses and releases, whichever program the keys are meant for.
+
+    Args:
+        pattern: of the paths of input devices.
+    """
+
+    def __init__(self, pattern: str, open_device: Callable = InputDevice):
+        self._devices = [device for path in sorted(glob.glob(pattern)) for device in _opened(path, open_device)]
+
+    def __len__(self) -> int:
+        return len(self._devices)
+
+    def read(self) -> list[tuple[int, bool]] | None:
+        """Return each (code, is pressed) since the last call; ``None`` = some were lost or a keyboard was unplugged."""
+        events, was_lost = [], False
+        for device in list(self._devices):
+            try:
+                while True:
+                    news = list(device.read())
+                    if not news:
+                        raise OSError("it was unplugged")
+                    events += news
+            except BlockingIOError:
+                continue
+            except OSError:
+                device.close()
+                self._devices.remove(device)
+                was_lost = True
+        if was_lost or any(event.type == ecodes.EV_SYN and event.code == ecodes.SYN_DROPPED for event in events):
+            return None
+        return [(event.code, event.value == PRESSED) for event in events
+                if event.type == ecodes.EV_KEY and event.value in (RELEASED, PRESSED)]
+
+    def close(self) -> None:
+        for device in self._devices:
+            device.close()
+        self._devices.clear()
+
+
+def _opened(path, open_device):
+    """Return a device, in a list; none if it is no keyboard or may not be read."""
+    try:
+        device = open_device(path)
+    except OSError:
+        return []
+    if LETTERS_AND_SPACE.issubset(device.capabilities().get(ecodes.EV_KEY, ())):
+        return [device]
+    device.close()
+    return []
 
 
 class KeyboardDrive:
@@ -228,6 +292,49 @@ class KeyboardDrive:
                                     f"({self._config.input_devices}): a terminal doesn't say when a key is released. "
                                     "Drive by gamepad; or, with a keyboard on this computer: rosrun car_interface "
                                     "setup_hardware")
+
+
+def screen_lines(steering: Any, throttle: Any, ranges_m: Mapping[str, float], is_blocked: bool,
+                 columns: int) -> list[str]:
+    """Return how the car drives, who drives it and why, what is near, and what to do next.
+
+    Args:
+        steering, throttle: the arbiters' newest states; ``None`` = silent.
+        ranges_m: the newest of each sonar, by its name.
+        is_blocked: the virtual car stands at what it ran into.
+        columns: of the terminal.
+    """
+    lines = []
+    if throttle is not None:
+        speed = "unknown" if math.isnan(throttle.speed) else f"{throttle.speed:.2f} m/s"
+        cut = f", cut: {throttle.limit_reason}" if throttle.limit in causes.THROTTLE_CUTS else ""
+        lines.append(f"speed {speed}   throttle {throttle.granted:.2f} of {throttle.asked:.2f} asked{cut}   "
+                     f"scale {throttle.human_scale:.1f}   mode {throttle.mode or 'none'}")
+        lines.append(f"drives: {source_name(throttle.source)}, {throttle.reason}")
+        if throttle.esc_reason:
+            lines.append(f"ESC:    {throttle.esc}, {throttle.esc_reason}")
+    if steering is not None:
+        lines.append(f"steers: {source_name(steering.source)}, {steering.reason}")
+    near = sorted((range_m, name) for name, range_m in ranges_m.items() if range_m < NEAR_M)
+    lines.append("near:   " + (", ".join(f"{name.replace('_', ' ')} {max(0.0, range_m):.2f} m"
+                                         for range_m, name in near) or f"nothing within {NEAR_M:g} m"))
+    lines.append(f"--> {_advice(steering, throttle, is_blocked)}")
+    return [part for line in lines for part in textwrap.wrap(line, max(20, columns - 1), subsequent_indent="        ")]
+
+
+def _advice(steering, throttle, is_blocked):
+    for state in (steering, throttle):
+        if state is not None and state.cause in ADVICE:
+            return ADVICE[state.cause]
+    if steering is None or throttle is None:
+        return "the car is silent: does it run?"
+    if is_blocked:
+        return BACK_OUT
+    if throttle.mode == causes.AUTONOMOUS:
+        return "let go of P to stop"
+    if throttle.asked < 0 and throttle.esc_cause in NO_REVERSE:
+        return REVERSE
+    return "let go of M to stop"
 
 
 def main():

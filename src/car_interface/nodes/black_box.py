@@ -12,21 +12,24 @@ Publishes:
 from __future__ import annotations
 
 import io
+import math
 import os
+from collections import Counter, deque
 from contextlib import suppress
 from types import SimpleNamespace
+from typing import Any, Mapping, NamedTuple
 
 import genpy
 import rospy
 
+from car_interface.common import causes
 from car_interface.common.black_box_folder import TIME_FORMAT, BlackBoxConfig, default_folder, newest, store
 from car_interface.common.declared import read_all
 from car_interface.common.rate_timer import RateTimer
+from car_interface.common.sources import PLANNER, TELEOP
 from car_interface.common.units import NS_PER_S
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.msg import SteeringState, TeleopState, ThrottleState
-from car_interface.nodes.black_box.ring import SPAN_NS, Message, Ring
-from car_interface.nodes.black_box.stop_watch import TICK_HZ, Stop, StopWatch
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics
 from car_interface.ros.runtime import describe_error, run
 from car_interface.ros.topics import subscribe
@@ -48,6 +51,134 @@ PAUSE_NS = 30 * NS_PER_S  # between two bags: they would have most in common
 CLOCK_SET_NS = NS_PER_S // 2
 NICENESS = 5
 WRITTEN_WITHIN_S, POLL_S = 10.0, 0.02  # at the node's end; roslaunch kills after 15 s
+SPAN_NS = 60 * NS_PER_S
+MAX_BYTES = 20_000_000
+# Of a message in memory beside its bytes: the tuple, the time and the header of the bytes object (sys.getsizeof, 64-bit
+# Python 3.11: 64, 32 and 33).
+OVERHEAD_BYTES = 130
+# What is larger is no state or command: the largest of a car's own are /diagnostics with some 4 kB.
+MAX_MESSAGE_BYTES = 16_384
+# A topic that floods must not push the others out. An IMU at 200 Hz passes.
+MAX_PER_S = 300
+TURN_ARB, THROTTLE_ARB, TELEOP_LOGI = "turn_arb", "throttle_arb", "teleop_logi"
+STANDSTILL_MPS = 0.05  # one pulse of a wheel, 15 mm, in 0.3 s
+MIN_THROTTLE = 0.01
+TICK_HZ = 10
+# A car counts as driven for so long after it moved or had throttle: more than its stop at a time-out of 0.5 s lasts.
+DRIVEN_TICKS = 2 * TICK_HZ
+SILENT_TICKS = TICK_HZ  # of an arbiter that sends its state at 10 Hz or more: it has crashed or hangs
+
+
+class Message(NamedTuple):
+    """A serialized message, and where it came from."""
+
+    at_ns: int  # of the monotonic clock, at its arrival
+    topic: str
+    header: Mapping[str, str]  # of its connection: type, md5sum, message_definition, callerid, latching
+    data: bytes
+
+
+class Ring:
+    """Keeps the messages of the last 60 s, and of each latched topic the last one before those.
+
+    Attributes:
+        size_bytes: what it holds, with Python's overhead.
+        dropped: how many messages were too large, or more than their topic may send.
+    """
+
+    def __init__(self, span_ns: int = SPAN_NS, max_bytes: int = MAX_BYTES):
+        self.size_bytes = self.dropped = 0
+        self._span_ns, self._max_bytes = span_ns, max_bytes
+        self._messages: deque[Message] = deque()
+        self._latched: dict[tuple[str, str], Message] = {}  # by topic and sender, of those that left the ring
+        self._second, self._counts = 0, Counter()  # of the messages by topic in the second of the monotonic clock
+
+    def add(self, message: Message) -> None:
+        """Keep a message, and let go what is too old or too much."""
+        second = message.at_ns // NS_PER_S
+        if second != self._second:
+            self._second, self._counts = second, Counter()
+        self._counts[message.topic] += 1
+        if len(message.data) > MAX_MESSAGE_BYTES or self._counts[message.topic] > MAX_PER_S:
+            self.dropped += 1
+            return
+        self._messages.append(message)
+        self.size_bytes += len(message.data) + OVERHEAD_BYTES
+        while self.size_bytes > self._max_bytes or self._messages[0].at_ns < message.at_ns - self._span_ns:
+            self._drop_oldest()
+
+    def _drop_oldest(self):
+        oldest = self._messages.popleft()
+        self.size_bytes -= len(oldest.data) + OVERHEAD_BYTES
+        if oldest.header.get("latching") == "1":
+            self._latched[oldest.topic, oldest.header.get("callerid", "")] = oldest
+
+    def messages(self) -> list[Message]:
+        """Return all of it, oldest first; a latched message that is older than the rest has the time of the oldest."""
+        kept = list(self._messages)
+        senders = {(message.topic, message.header.get("callerid", "")) for message in kept}
+        return [message._replace(at_ns=kept[0].at_ns) for key, message in self._latched.items()
+                if kept and key not in senders] + kept
+
+
+class Stop(NamedTuple):
+    cause: str  # one of causes.LOSSES, or which node is silent
+    reason: str
+
+
+class StopWatch:
+    """Recognizes a stop that nobody asked for: the car was driven, and what drove it was lost.
+
+    It goes by the states of turn_arb, throttle_arb and teleop_logi. A person who releases the deadman or presses the
+    e-stop asks for the stop, and so does a planner that has stopped the car before it falls silent. ``tick`` is called
+    TICK_HZ times a second; a pause of the caller's counts as one tick.
+
+    A state makes a stop if its node had given the car to somebody by the state before, and now names a loss.
+    """
+
+    def __init__(self):
+        self._driven_ticks = 0  # for how long the car still counts as driven
+        self._has_throttle_arb = False
+        self._quiet_ticks: dict[str, int] = {}  # since the newest state, of the nodes by which somebody has the car
+
+    def on_steering(self, state: Any) -> Stop | None:
+        """Take a car_interface/SteeringState."""
+        speed_mps = state.speed if state.odometry_age < 1.0 else math.nan
+        # Without throttle_arb and without odometry nobody knows whether it moves.
+        if abs(speed_mps) > STANDSTILL_MPS or not self._has_throttle_arb and math.isnan(speed_mps):
+            self._driven_ticks = DRIVEN_TICKS
+        return self._update(TURN_ARB, state.source in (TELEOP, PLANNER), state.cause, state.reason)
+
+    def on_throttle(self, state: Any) -> Stop | None:
+        """Take a car_interface/ThrottleState."""
+        self._has_throttle_arb = True
+        if abs(state.granted) > MIN_THROTTLE or abs(state.speed) > STANDSTILL_MPS:
+            self._driven_ticks = DRIVEN_TICKS
+        if state.esc_cause == causes.ESC_MOTION:
+            return self._update(THROTTLE_ARB, False, state.esc_cause, state.esc_reason)
+        return self._update(THROTTLE_ARB, state.source in (TELEOP, PLANNER), state.cause, state.reason)
+
+    def on_gamepad(self, state: Any) -> Stop | None:
+        """Take a car_interface/TeleopState: why a deadman is false that no hand has released."""
+        return self._update(TELEOP_LOGI, state.human_in_loop, state.cause, state.reason)
+
+    def tick(self) -> Stop | None:
+        """Count the time; return a stop for an arbiter whose states have ended."""
+        self._quiet_ticks = {node: ticks + 1 for node, ticks in self._quiet_ticks.items()}
+        silent = [node for node, ticks in self._quiet_ticks.items() if ticks > SILENT_TICKS]
+        for node in silent:
+            del self._quiet_ticks[node]
+        was_driven, self._driven_ticks = self._driven_ticks > 0, max(0, self._driven_ticks - 1)
+        silent = [node for node in silent if node != TELEOP_LOGI]  # whose silence the arbiters report sooner
+        return Stop(f"{silent[0]} silent", "its states have ended") if silent and was_driven else None
+
+    def _update(self, node, has_car, cause, reason):
+        had_car = self._quiet_ticks.pop(node, None) is not None
+        if has_car:
+            self._quiet_ticks[node] = 0
+        elif had_car and self._driven_ticks and cause in causes.LOSSES:
+            return Stop(cause, reason)
+        return None
 
 
 class BlackBox:

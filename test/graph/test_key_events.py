@@ -5,7 +5,7 @@ import sys
 import pytest
 from evdev import InputDevice, ecodes
 
-from car_interface.nodes.keyboard_drive.key_events import Keyboards
+from car_interface.nodes.keyboard_drive import Keyboards
 
 # What /dev/input/event* of a 64-bit computer gives for W pressed, repeated and released, each with its scan code (type
 # 4) before it and a report (type 0) behind it: as a C program that includes linux/input.h has them in memory. The time

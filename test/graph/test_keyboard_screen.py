@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from car_interface.common import causes
-from car_interface.nodes.keyboard_drive.screen import screen_lines
+from car_interface.nodes.keyboard_drive import screen_lines
 
 STEERING = SimpleNamespace(source=3, cause=causes.TELEOP, reason="tele_steer_req is 0.500")
 THROTTLE = {"source": 3, "cause": causes.DRIVING, "reason": "tele_throt_req is 0.450, scaled by 0.3", "mode": "manual",

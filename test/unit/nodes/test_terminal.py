@@ -6,7 +6,7 @@ import pytest
 
 pytest.importorskip("rospy")
 
-from car_interface.nodes.live_text import LiveText
+from car_interface.nodes.terminal import LiveText
 from car_interface.ros.logs import LogStream
 
 

@@ -1,1 +1,0 @@
-"""The black_box node, and what only it needs."""

@@ -1,1 +1,0 @@
-"""The car_display node, and what only it needs."""

@@ -1,1 +1,0 @@
-"""The keyboard_drive node, and what only it needs."""
