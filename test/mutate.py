@@ -492,10 +492,8 @@ def main() -> int:
         slots = [kind(ROOT, Path(folder, str(index))) for index in range(len(os.sched_getaffinity(0)))]
         if options.mechanisms:
             return importlib.import_module("mechanisms").report(ROOT, slots, options.modules)
-        for module, survivors, places in run_mutants(ROOT, slots, lists):
-            fresh = list(survivors)
-            if not options.sample:
-                survivors = [*known.get(module, ()), *survivors]
+        for module, fresh, places in run_mutants(ROOT, slots, lists):
+            survivors = fresh if options.sample else [*known.get(module, ()), *fresh]
             killed, total = len(places) - len(fresh), len(places) + len(survivors) - len(fresh)
             title = f"{module} {killed}/{total}"
             print(title, *(f"  {PACKAGE / module}:{places[key].lineno} {key.change} | {key.line}"
