@@ -11,7 +11,7 @@ from rooms.room import Pose
 from rooms.scene import random_scene
 
 IS_ALL = bool(os.environ.get("CAR_INTERFACE_ALL"))
-ROOMS = 1000 if IS_ALL else 36
+ROOMS = 1000 if IS_ALL else 60
 # A slope hardly weaker than the drag, and no brake that is certain: a car that was pushed once rolls on (limits.md).
 LEFT_SHARE = 0.003
 
