@@ -116,10 +116,9 @@ class Slope:
         return Coasting(min(self._drag_mps2, likely_mps2 - bound_mps2), likely_mps2)
 
     def _acceleration_mps2(self):
-        first_ns = self._recent[0][0]
         fit = Fit()
         for at_ns, speed_mps in self._recent:
-            fit.add((at_ns - first_ns) / NS_PER_S, abs(speed_mps))
+            fit.add(at_ns / NS_PER_S, abs(speed_mps))
         return fit.slope() if fit.count >= 3 else 0.0
 
     def _coast(self, speed_mps, since_s):

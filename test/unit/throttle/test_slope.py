@@ -64,6 +64,52 @@ def test_what_is_left_of_a_brake_is_not_taken_for_drag(speed_mps, brakes_s):
         assert car.run(0.02).coasting(False).certain_mps2 <= 0.05 + 0.05
 
 
+def test_what_is_left_of_a_brake_too_short_to_show_in_the_reports_is_not_taken_for_drag():
+    car = Car(speed_mps=1.6, lag_s=0.15, downhill_mps2=0.25)
+    car.run(0.5, 0.1, 0.3)
+    car.run(0.1, -0.5, -2.0)
+    for _ in range(40):
+        assert car.run(0.02).coasting(False).certain_mps2 <= 0.05
+
+
+def reported(slope, at_ms, speeds_mps, curvature_per_m=0.0):
+    """A slope that has taken speeds at these times since 10 s."""
+    for time_ms, speed_mps in zip(at_ms, speeds_mps):
+        slope.update_speed(speed_mps, 10 * S + round(time_ms * MS), curvature_per_m)
+    return slope
+
+
+def test_a_brake_leaves_no_force_in_a_car_that_it_has_stopped():
+    slope = Slope(ESC)
+    slope.update_esc(-0.5, 9 * S)
+    reported(slope, range(-500, 1, 20), [0.0] * 26)
+    slope.update_esc(0.0, 10 * S)
+    rolls_s = [0.02 * count for count in range(1, 32)]  # down a hill that pulls by 0.9 m/s²
+    reported(slope, (1000.0 * at_s for at_s in rolls_s), (0.6 * at_s for at_s in rolls_s))
+    assert slope.coasting(False).likely_mps2 == pytest.approx(-0.6, abs=0.04)
+
+
+@pytest.mark.parametrize(("last_ms", "is_measured"), [(129, False), (130, True)])
+def test_a_roll_is_measured_over_a_tenth_of_a_second_at_least(last_ms, is_measured):
+    """It begins 30 ms after the decision for neutral."""
+    slope = Slope(ESC)
+    slope.update_esc(0.4, 9 * S)
+    slope.update_esc(0.0, 10 * S)
+    reported(slope, (30, 60, 90, last_ms), (1.0, 0.98, 0.96, 0.94))
+    assert (slope.coasting(False).likely_mps2 != 0.3) == is_measured
+
+
+def test_a_brake_is_measured_over_half_a_second_at_a_time():
+    """A brake of 1.5 m/s² slows down by 1.0 m/s² and then by 1.3, in reports 62.5 ms apart, as its lag is over."""
+    slope, speed_mps, lacks_mps2 = Slope(ESC), 3.0, []
+    slope.update_esc(-0.5, 10 * S)
+    for count in range(18):
+        reported(slope, [687.5 + 62.5 * count], [speed_mps])
+        speed_mps -= 0.0625 * (1.0 if count < 8 else 1.3)
+        lacks_mps2.append(slope.brake_lacks_mps2)
+    assert lacks_mps2 == pytest.approx([0.0] * 8 + [0.5] * 9 + [0.2])
+
+
 def test_a_weak_brake_lacks_what_it_lacks_and_says_nothing_about_drag():
     slope = Car(speed_mps=3.0).run(1.2, -0.5, -0.7)
     assert slope.brake_lacks_mps2 == pytest.approx(1.5 - 1.0, abs=0.03)
@@ -124,6 +170,22 @@ def test_a_car_that_has_stood_for_long_may_stand_somewhere_else():
     car.speed_mps = 0.0
     assert car.run(2.5, 0.0).coasting(False).certain_mps2 > 0.2
     assert car.run(1.0, 0.0).coasting(False).certain_mps2 < 0.0
+
+
+@pytest.mark.parametrize(("speed_mps", "is_known"), [(0.05, True), (0.0499, False), (-0.05, True)])
+def test_a_car_that_moves_at_0_05_mps_does_not_stand(speed_mps, is_known):
+    slope = Car().run(1.0)
+    reported(slope, range(1100, 5000, 100), [speed_mps] * 39)
+    assert (slope.coasting(False) != Slope(ESC).coasting(False)) == is_known
+
+
+@pytest.mark.parametrize("gap_s", [1.5, 5.0])
+def test_while_no_report_comes_it_drives_on_for_a_second_at_most(gap_s):
+    """On an arc of 1 m at 1.4 m/s, after a roll straight on: it is known best 1.4 rad back."""
+    slope = Car(speed_mps=1.0).run(1.0)
+    reported(slope, [1000 + 1000 * gap_s], [1.4], 1.0)
+    best_mps2 = slope.coasting(False, -1.4).certain_mps2
+    assert best_mps2 > max(slope.coasting(False, turn_rad).certain_mps2 for turn_rad in (-1.3, -1.5))
 
 
 def test_the_slope_may_change_on_the_way():
