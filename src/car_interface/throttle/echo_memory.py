@@ -122,7 +122,6 @@ class EchoMemory:
             if matters_m <= FORGET_M and cell not in cells and not self._is_passed(point.sonar, x_m, y_m):
                 cells.add(cell)
                 found.append((matters_m, point))
-        found.reverse()
         current.reverse()
         if len(found) > MAX_POINTS:
             found = sorted(found, key=lambda one: one[0])[:MAX_POINTS]

@@ -104,6 +104,64 @@ def test_an_echo_s_points_are_across_the_cone_where_the_arc_has_brought_the_car(
         assert point.y_m == pytest.approx(sonar_y_m + math.sin(angle_rad), abs=1e-4)
 
 
+def test_an_echo_is_met_at_the_same_distance_wherever_an_arc_has_brought_the_car():
+    car = Car()
+    car.drive(1.0, 1.0)
+    car.sees(1.0)
+    assert car.meets() == pytest.approx(1.0 - 0.006, abs=0.02)
+
+
+def on_one_spot(*axes_deg, field_of_view_deg=30.0):
+    """Sonars "0", "1"... above the rear axle of a car that is hardly larger; and where the echoes came from."""
+    mounts = {str(index): Mount(0.0, 0.0, math.radians(axis_deg)) for index, axis_deg in enumerate(axes_deg)}
+    memory = EchoMemory(mounts, math.radians(field_of_view_deg), Outline(front_m=0.1, rear_m=0.1, width_m=0.1), 0.0)
+    memory.move(0.0, 0.0, 0)
+    return memory, lambda: [(point.x_m, point.y_m) for point in memory._points]
+
+
+@pytest.mark.parametrize(("turned_deg", "is_same"), [(0.1, True), (0.3, False)])
+def test_an_echo_in_the_same_cone_is_of_the_same_thing(turned_deg, is_same):
+    """By 0.2° a cone's edge may be off."""
+    memory, places = on_one_spot(0.0)
+    memory.look("0", 1.0, True)
+    memory.move(1e-3, math.radians(turned_deg) / 1e-3, S)
+    memory.look("0", 1.0, True)
+    assert (len(places()) == 9) == is_same
+
+
+@pytest.mark.parametrize(("axis_deg", "range_m", "is_kept"), [
+    (10.6, 2.0, False), (10.8, 2.0, True), (0.0, 1.09, False), (0.0, 1.07, True), (0.0, 0.5, True)],
+    ids=["farther", "farther_at_its_cone_s_edge", "farther_by_9_cm", "the_same_thing", "nearer"])
+def test_another_sonar_that_looks_there_twice_and_sees(axis_deg, range_m, is_kept):
+    """A point at 1 m stands for its cell, 8 cm wide: of a cone of ±15° that leaves 15 − 2 − atan(0.04) = 10.71°."""
+    memory, places = on_one_spot(0.0, axis_deg)
+    memory.look("0", 1.0, True)
+    memory.look("1", range_m, True)
+    memory.look("1", range_m, True)
+    assert ((1.0, 0.0) in places()) == is_kept
+
+
+@pytest.mark.parametrize(("range_m", "is_kept"), [(2.5, True), (2.501, False)])
+def test_what_something_nearer_hides_is_remembered_within_2_5_m(range_m, is_kept):
+    memory, places = on_one_spot(0.0)
+    memory.look("0", range_m, True)
+    memory.look("0", 1.0, True)
+    assert ((range_m, 0.0) in places()) == is_kept
+
+
+@pytest.mark.parametrize("was_missed", [False, True])
+def test_besides_the_newest_echo_s_points_it_remembers_32_those_that_were_missed_and_the_nearest(was_missed):
+    memory, places = on_one_spot(0.0, field_of_view_deg=120.0)
+    memory.look("0", 2.0, True)
+    if was_missed:
+        memory.look("0", 2.4, False)
+    for range_m in (0.9, 0.8, 0.7, 0.6, 0.5):
+        memory.look("0", range_m, True)
+    assert len(places()) == 32 + 9
+    assert ((2.0, 0.0) in places()) == was_missed
+    assert (0.5, 0.0) in places() and (0.6, 0.0) in places()
+
+
 def test_one_that_left_its_cone_in_a_turn_is_remembered_and_in_the_way_of_the_turn_back():
     car = Car()
     car.sees(0.5, "front_left")
@@ -162,6 +220,14 @@ def test_behind_it_is_forgotten_when_the_car_has_passed_it_backward():
     assert car.meets(is_backward=True, sonar="rear_middle") == pytest.approx(0.498, abs=0.02)
     car.drive(-1.2)
     car.sees_nothing("rear_middle")
+    assert car.memory.meets(0.0, True) == car.memory.meets(0.0, False) == {}
+
+
+def test_where_the_car_stands_there_is_nothing():
+    car = Car()
+    car.sees(0.3)
+    car.drive(0.3 + 0.42 + 0.1)
+    car.sees_nothing()
     assert car.memory.meets(0.0, True) == car.memory.meets(0.0, False) == {}
 
 

@@ -41,6 +41,16 @@ def test_it_is_the_way_until_bumper_or_flank_with_a_margin_touch(x_m, y_m, curva
     assert found_m == (None if distance_m is None else pytest.approx(distance_m))
 
 
+@pytest.mark.parametrize(("curvature_per_m", "x_m", "y_m", "distance_m"), [
+    pytest.param(0.0, 3.0, 0.5, 1.0, id="left_flank"), pytest.param(0.0, 3.0, -0.5, 1.0, id="right_flank"),
+    pytest.param(1.0, 2.0, -0.5, 0.0, id="outer_corner_of_the_bumper"),
+    pytest.param(1.0, 0.5, 1.0, math.pi / 2, id="inner_flank_in_a_quarter_of_a_turn")])
+def test_what_the_outline_just_touches_is_in_the_way(curvature_per_m, x_m, y_m, distance_m):
+    arc = Arc(curvature_per_m, False, Outline(front_m=2.0, rear_m=1.0, width_m=1.0), 0.0)
+    assert arc.sweeps([(x_m, y_m)]) == [True]
+    assert arc.distance_m(x_m, y_m) == pytest.approx(distance_m)
+
+
 def drives_into(x_m, y_m, curvature_per_m, is_backward, step_m=0.002, until_m=1.3):
     """The same by driving: the first distance at which the point is inside the outline, grown by the margin."""
     for step in range(int(until_m / step_m)):
@@ -112,6 +122,16 @@ def test_sonars_that_the_car_lacks_narrow_the_fan():
     assert ends(0.0, only_left)[0] == ends(-0.5, only_left)[0] == 0.0
     assert ends(1.0, only_left)[0] == pytest.approx(ends(1.0, FRONT)[0])
     assert fan({}).end(0.3, {}) == (0.0, "", True, ())
+
+
+def test_the_area_just_before_the_bumper_counts_as_looked_at():
+    """The right sonar's left edge, at 30°, runs to the right of the bumper's middle, and is moved to it.
+
+    By hand: the arc begins at atan(0.426) = 23.07° and so leaves the moved edge at 30° + 6.93°.
+    """
+    right = {"front_right": FRONT["front_right"]}
+    end = Fan(right, math.radians(120), BUMPER_M, False).end(1.0, {"front_right": 2.0})
+    assert end == (pytest.approx(math.radians(2 * 6.926), abs=1e-4), "front_right", True, ("front_right",))
 
 
 def test_it_tells_through_whose_parts_an_arc_leads():
