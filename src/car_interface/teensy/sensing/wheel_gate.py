@@ -105,8 +105,7 @@ class WheelGate:
         self._clock_restarts = clock_restarts + (boot_tick is not None)
         if not _is_zero(record):
             self._zero = None
-            self._learns = self._learns and any(wheel.dist_abs <= LEARNING_PULSES for wheel in record)
-        elif verdict.reason == FIRST:
+        elif verdict.restarted:
             self._learns = not any(wheel.when for wheel in record)  # which WHEEL_RESET keeps
         return verdict if boot_tick is None else verdict._replace(boot_tick=boot_tick)
 

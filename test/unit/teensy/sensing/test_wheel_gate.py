@@ -4,7 +4,7 @@ import pytest
 
 from car_interface.teensy.link.protocol import BACKWARD, FORWARD, NO_DIRECTION, Pong, Wheel, WheelStatus
 from car_interface.teensy.sensing import verdicts as gates
-from car_interface.teensy.sensing.plausibility import Gates
+from car_interface.teensy.sensing.plausibility import GateConfig, Gates
 from wheel_reports import (
     LAST,
     NEW,
@@ -54,6 +54,19 @@ def test_report_that_can_not_be_is_refused_by_name_and_does_no_harm(wheel, reaso
         after = judged(crawled(3), some.wheels)
         assert [verdict.accepted for verdict in after] == [True] * 3
         assert proven(after) == (3, 3)
+
+
+@pytest.mark.parametrize("speed, is_possible", [(2000, True), (2001, False)])
+def test_a_reported_speed_may_be_twice_the_top_speed_and_that_of_a_tick_more(speed, is_possible):
+    """Magnets may be near to each other; 500 pulses/s are 10 m/s with a pulse every 2 cm."""
+    some = Gates(GateConfig(top_speed_mps=10.0, pulse_m=0.02))
+    assert some.wheels(report(NEXT._replace(speed=speed))).accepted == is_possible
+
+
+def test_two_pulses_in_one_tick_are_a_pulse_in_a_ms():
+    fast = [(100, 0), (101, 1), (102, 1), (112, 11)]
+    verdicts = judged([report(forward(count, START_MS + later_ms)) for count, later_ms in fast], Gates().wheels)
+    assert all(verdict.accepted for verdict in verdicts) and proven(verdicts) == (12, 12)
 
 
 def test_reversal_at_speed_is_refused_and_after_a_stop_it_is_not():
@@ -120,6 +133,15 @@ def test_report_that_goes_with_the_one_before_the_last_is_taken_and_costs_a_puls
     assert max(wrong.pulses) <= 1
     after = judged(crawled(3), some.wheels)
     assert proven([wrong, *after]) == (3, 3)
+
+
+def test_wrong_count_that_ended_a_jump_is_taken_back_by_the_next_report():
+    some = crawling()
+    later = crawl(4, LAST.dist_abs + 40, start_ms=LAST.when + 3000)
+    wrong = report(later[2].left._replace(dist_abs=later[2].left.dist_abs + 2))
+    verdicts = judged([*later[:2], wrong, later[3]], some.wheels)
+    assert [verdict.reason for verdict in verdicts[2:]] == [gates.AFTER_GAP, gates.PREVIOUS_WRONG]
+    assert proven(verdicts) == (43, 43)
 
 
 def test_report_that_may_follow_puts_an_end_to_a_jump_that_nothing_confirmed():
@@ -238,6 +260,14 @@ def test_first_pulse_after_power_up_tells_the_reboot_before_any_tick_has_come():
     assert some.sonar(sonar(330)).reason == "", "the tick gate knows the new clock already"
 
 
+@pytest.mark.parametrize("uptime_ms, boot_tick", [(1999, None), (2000, 311)])
+def test_first_pulse_does_not_tell_the_reboot_of_a_teensy_that_ran_for_less_than_2_s(uptime_ms, boot_tick):
+    some = Gates()
+    judged(crawl(5, start_ms=1700), some.wheels)
+    judged([sonar(uptime_ms - 20), sonar(uptime_ms)], some.sonar)
+    assert judged(BOOT[:2], some.wheels)[1].boot_tick == boot_tick
+
+
 def test_tick_that_goes_back_after_odometers_at_zero_is_a_reboot_at_once():
     some = crawling(ticks=(LAST.when - 20, LAST.when + 10))
     some.wheels(BOOT[0])
@@ -268,15 +298,36 @@ def test_car_that_never_moved_was_switched_on_again_if_the_clock_shows_it():
         (True, True, True), (True, False, False)]
 
 
+def test_first_pulses_of_a_car_that_was_switched_on_again_after_a_reset_are_unproven():
+    """It has not moved since the reset, which keeps the time of the last pulse."""
+    some = Gates()
+    some.sonar(sonar(START_MS))
+    some.wheels(report(NEW._replace(when=LAST.when)))
+    judged([sonar(303 + later_ms) for later_ms in (0, 50, 100)], some.sonar)
+    verdicts = judged(BOOT, some.wheels)
+    assert verdicts[0].since_boot
+    assert tuple(sum(verdict.unproven[side] for verdict in verdicts) for side in (0, 1)) == (2, 2)
+
+
 @pytest.mark.parametrize("left, right, pulses, unsplit", [
     ((204, 106), (204, 106), (100, 100), (1, 1)), ((204, 195), (204, 1), (100, 102), (0, 0)),
+    ((204, 1), (204, 195), (102, 100), (0, 0)), ((204, 195), (144, 1), (11, 42), (90, 0)),
     ((204, 195), (204, 185), (11, 21), (90, 80)),
-], ids=["one_pulse_back_each", "one_wheel_alone_went_back_over_a_magnet", "both_reversed_somewhere"])
+], ids=["one_pulse_back_each", "left_wheel_alone_went_back_over_a_magnet", "right_wheel_alone",
+        "left_wheel_reversed_somewhere", "both_reversed_somewhere"])
 def test_reversals_while_nothing_was_reported_are_settled_by_both_wheels(left, right, pulses, unsplit):
     verdicts = judged([report(*(forward(count + index, START_MS + 5000 + 50 * index, dist)
                                 for count, dist in (left, right))) for index in range(3)], crawling().wheels)
     assert [verdict.accepted for verdict in verdicts] == [False, False, True]
     assert (verdicts[-1].pulses, verdicts[-1].unsplit) == (pulses, unsplit)
+
+
+def test_reversal_of_both_wheels_is_that_of_the_one_that_has_just_reversed_again():
+    """Since 104 forward both went back; the left one has just made 10 pulses forward, of 90 + 10."""
+    verdicts = judged([WheelStatus(forward(204 + index, START_MS + 5000 + 50 * index, 195),
+                                   Wheel(10, BACKWARD, START_MS + 5000 + 50 * index, 105, 204 + index))
+                       for index in range(3)], crawling().wheels)
+    assert (verdicts[-1].pulses, verdicts[-1].unsplit) == ((-90 + 10 + 2, -102), (0, 0))
 
 
 def test_first_report_long_after_a_boot_has_all_pulses_since():
