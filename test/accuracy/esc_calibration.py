@@ -165,7 +165,7 @@ class Node:
         arbiter.update_steering(TELEOP, "", now_ns)
         arbiter.scale.update(person.button)
         arbiter.update_teleop(person.stick, now_ns)
-        control.update_odometry(speed_mps, now_ns)
+        control.update_odometry(speed_mps, now_ns, 0)
         if self._duty is not None:
             control.update_output([-1, self._duty, *[-1] * 14], now_ns)
         decision = control.decide(now_ns)

@@ -6,6 +6,7 @@ release. Without such events it may be held for HOLD_NS after its newest charact
 """
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from functools import partial
@@ -119,7 +120,7 @@ class Keyboard:
     def __init__(self, counts_without_release: bool):
         self._counts_without_release = counts_without_release
         self._down: dict[int, int] = {}  # codes of the keyboard, and when each was pressed
-        self._released_ns = -PAIR_NS  # when the newest release was
+        self._released_ns = -math.inf  # when the newest release was
         self._codes: dict[str, int] = {}  # of the keys that count until their release
         self._typed_ns: dict[str, int] = {}  # of those that count for a time
         self._steering = self._pushed = 0.0

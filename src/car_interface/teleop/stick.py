@@ -33,7 +33,6 @@ class Stick:
     def __init__(self, deadband: float, brakes: bool):
         self._deadband, self._brakes = deadband, brakes
         self.deflection = 0.0
-        self._is_planners = False
         self.distrust()
 
     def distrust(self) -> None:
@@ -50,7 +49,7 @@ class Stick:
             is_believable: False = other signs show that the axis belongs to no stick.
         """
         self.deflection = deflection
-        is_out = abs(deflection) > self._deadband
+        is_out = self.is_out
         self._look_for_rest(is_out, is_believable, now_ns)
         self._look_for_center(is_out, now_ns)
         began, self._is_planners = is_planners and not self._is_planners, is_planners

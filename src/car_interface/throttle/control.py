@@ -77,7 +77,7 @@ class ThrottleControl:
         """Take the converter's value for the planner's command."""
         self.arbiter.update_planner(value, self._duties.request_of_value(value), now_ns)
 
-    def update_odometry(self, speed_mps: float, now_ns: int, age_ns: int = 0, sigma_mps: float = 0.0) -> None:
+    def update_odometry(self, speed_mps: float, now_ns: int, age_ns: int, sigma_mps: float = 0.0) -> None:
         """Take the measured speed, forward positive, its age at arrival by its stamp (0 = unknown), and its
         standard deviation.
         """

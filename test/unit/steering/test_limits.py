@@ -110,6 +110,13 @@ def test_what_rises_at_once_is_used_up_until_it_has_grown_again():
     assert turned_in(limiter, 0.5, start_ns=2 * MS, ticks=1) == [pytest.approx(0.0625 + 1.08 / 16)]
 
 
+def test_after_someone_else_steered_it_may_rise_at_once_again():
+    limiter = limiter_at(4.0)
+    turned_in(limiter, 0.5, ticks=1)
+    limiter.release(0.125, MS)
+    assert turned_in(limiter, 0.5, start_ns=2 * MS, ticks=1) == [pytest.approx(0.125 + 2.0 / 16)]
+
+
 def test_cuts_are_counted_when_they_begin():
     limiter = limiter_at(4.0)
     for asked_per_m in (1.0, 0.9, 0.1, 1.0, 1.0):

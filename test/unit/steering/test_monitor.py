@@ -124,6 +124,7 @@ def test_car_that_does_what_it_is_told_is_never_warned_of(drives):
     (3.0, 1.4, "commanded left, 3.0 m, the car went left, 1.4 m", OFF),
     (2.0, INF, "commanded left, 2.0 m, the car went straight on", OFF),
     (INF, -7.0, "commanded straight on, the car went right, 7.0 m", OFF),
+    (20.0, -7.0, "commanded left, 20.0 m, the car went right, 7.0 m", OFF),
     (2.0, -2.0, "commanded left, 2.0 m, the car went right, 2.0 m", WRONG_SIDE),
     (-2.0, 3.0, "commanded right, 2.0 m, the car went left, 3.0 m", WRONG_SIDE),
 ])
@@ -137,10 +138,19 @@ def test_turn_off_by_more_than_half_or_to_the_other_side_is_a_warning_after_a_wh
     assert advice in car.warning
 
 
-def test_wide_turn_to_the_other_side_takes_longer_to_tell_from_straight_on(car):
-    assert set(car.drives(10.0, -10.0, 1.5)) == {""}
-    car.drives(10.0, -10.0, 1.5)
-    assert "commanded left, 10.0 m, the car went right, 10.0 m" in car.warning
+@pytest.mark.parametrize("commanded_m, words", [
+    (10.0, "commanded left, 10.0 m, the car went right, 10.0 m"),
+    (-10.0, "commanded right, 10.0 m, the car went left, 10.0 m")])
+def test_wide_turn_to_the_other_side_takes_longer_to_tell_from_straight_on(car, commanded_m, words):
+    assert set(car.drives(commanded_m, -commanded_m, 1.5)) == {""}
+    car.drives(commanded_m, -commanded_m, 1.5)
+    assert words in car.warning
+
+
+def test_all_commands_between_two_reports_count(car):
+    for _ in range(200):
+        car.check.update_command(INF, car.now_ns)
+        assert car.drives(2.0, INF, 0.02) == [""]
 
 
 @pytest.mark.parametrize("commanded_m, speed_mps", [(2.0, 0.45), (1.0, 2.5), (NAN, 1.0), (None, 1.0)])
@@ -196,6 +206,14 @@ def test_warning_stays_until_the_same_side_was_driven_right_over_the_last_two_se
 def test_warning_stays_while_the_same_side_is_driven_only_just_right(car):
     car.drives(2.0, 3.2, 3.0)
     assert all(car.drives(2.0, 2.9, 5.0))
+
+
+@pytest.mark.parametrize("driven_m, is_right", [(-15.0, False), (-17.5, True)])
+def test_warning_of_straight_on_ends_at_0_8_of_the_tolerance(car, driven_m, is_right):
+    """At 1 m/s that is 0.8 · (1/20 + 0.05/2) = 0.06 1/m, or 16.7 m."""
+    car.drives(INF, -7.0, 3.0)
+    car.drives(INF, driven_m, 5.0)
+    assert (car.warning == "") == is_right
 
 
 def test_warnings_of_both_sides_are_reported_together(car):

@@ -27,6 +27,13 @@ def test_gamepad_is_found_with_its_keys_and_axes(model, buttons, axes):
     assert found.axes == set(model.ranges)
 
 
+@pytest.mark.parametrize("code, is_gamepad", [(0x120, True), (0x130, True), (0x121, False), (0x131, False)])
+def test_a_gamepad_has_btn_trigger_or_btn_south(code, is_gamepad):
+    """By linux/input-event-codes.h."""
+    keys = f"{1 << code - 0x100:x} 0 0 0 0"
+    assert bool(parse_pads(listed(F710_X._replace(keys=keys), 5), 64)) == is_gamepad
+
+
 @pytest.mark.parametrize("model", [MOTION_SENSORS, TOUCHPAD, KEYBOARD], ids=lambda model: model.name)
 def test_what_lacks_a_gamepads_buttons_or_two_sticks_is_none(model):
     assert parse_pads(listed(model, 5), 64) == []

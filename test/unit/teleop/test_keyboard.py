@@ -135,6 +135,13 @@ STORIES = {
         ("type", MANUAL, 1100, False)]),
     "tap_that_ended_before_its_character_came_does_not_count": (True, [
         ("press", CODE_M, 0, False), ("release", CODE_M, 10, False), ("type", MANUAL, 10, False)]),
+    "character_that_comes_0_3_s_after_its_release_does_not_count": (True, [
+        ("press", CODE_M, 0, False), ("release", CODE_M, 10, False), ("type", MANUAL, 310, False)]),
+    "character_that_comes_later_is_that_of_another_keyboard": (True, [
+        ("press", CODE_M, 0, False), ("release", CODE_M, 10, False), ("type", MANUAL, 311, True)]),
+    "key_that_was_typed_before_its_keyboard_was_read_counts_until_its_release": (True, [
+        ("type", MANUAL, 0, True), ("press", CODE_M, 100, True), ("type", MANUAL, 105, True),
+        ("release", CODE_M, 200, False)]),
     "key_with_shift_is_the_letter_s": (False, [
         ("press", CODE_SHIFT, 0, False), ("press", CODE_M, 50, False), ("type", MANUAL, 50, True),
         ("release", CODE_SHIFT, 1000, True), ("release", CODE_M, 1000, False)]),
@@ -151,6 +158,15 @@ def test_key_of_a_keyboard_that_reports_releases(counts, steps):
     for act, value, at_ms, is_held in steps:
         getattr(keyboard, act)(value, NOW + at_ms * MS)
         assert keyboard.controls(NOW + at_ms * MS) == Controls(manual=is_held)
+
+
+@pytest.mark.parametrize("now_ns", [0, NOW])
+def test_character_whose_key_was_released_already_is_obeyed_and_one_without_a_key_is_not(now_ns):
+    keyboard = Keyboard(counts_without_release=False)
+    assert not keyboard.type(MANUAL, now_ns)
+    keyboard.press(CODE_M, now_ns)
+    keyboard.release(CODE_M, now_ns)
+    assert keyboard.type(MANUAL, now_ns + 300 * MS)
 
 
 def test_key_is_known_by_its_character_and_each_is_released_by_itself():

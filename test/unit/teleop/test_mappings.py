@@ -102,6 +102,11 @@ def test_entry_is_written_and_replaced_and_the_other_lines_stay():
     assert "# mine" in again and again.count("\n") == other.count("\n")
 
 
+def test_entry_of_a_name_with_umlauts_is_replaced_as_it_was_typed():
+    text = with_entry('"Gerät, 2 axes, 2 buttons": {steer_axis: 1}\n', "f", "Gerät, 2 axes, 2 buttons", ENTRY)
+    assert load_yaml("f", text) == {"Gerät, 2 axes, 2 buttons": ENTRY}
+
+
 def test_file_whose_entry_is_on_several_lines_is_left_alone():
     text = with_entry("", "f", MODEL, {}).replace(" {}", "\n  steer_axis: 1")
     with pytest.raises(ConfigError, match=r"f can't be edited safely; accepted: a file whose entry .* is on one line"):

@@ -51,6 +51,7 @@ def test_steering_that_does_not_count_overrides_to_neither_side(deflection):
     ([(0.051, 1)], True),
     ([(0.06, 499), (0.06, 1)], True),
     ([(0.06, 500), (0.06, 1)], False),
+    ([(0.1, 500), (0.1, 1)], False),
     ([(0.06, 300), (0.079, 300), (0.06, 1)], False),
     ([(0.06, 300), (0.081, 300), (0.06, 300), (0.081, 1)], True),
 ])
@@ -58,6 +59,14 @@ def test_stick_is_centered_within_half_its_dead_band_or_where_it_stays(moves, is
     pressed = [(0.0, False, True, 200), (0.5, True, True, 100)]
     stick, _, _ = after([*pressed, *((deflection, True, True, lasts_ms) for deflection, lasts_ms in moves)])
     assert stick.is_off_center == is_off_center
+
+
+@pytest.mark.parametrize("deflection, is_over", [(0.02, True), (0.021, False)])
+def test_override_is_over_half_a_second_after_the_stick_came_to_rest_within_0_02(deflection, is_over):
+    stick = Stick(0.03, brakes=False)
+    for value, at_ms in ((0.0, 0), (0.5, 100), (0.0, 200), (deflection, 500)):
+        stick.update(value, True, True, at_ms * MS)
+    assert stick.overrides(700 * MS) == (not is_over)
 
 
 def test_override_that_has_ended_does_not_come_back_within_the_dead_band():

@@ -56,7 +56,7 @@ class Rig:
             if self.value is not None:
                 self.control.update_planner(self.value, self.now_ns)
             self.noise = -self.noise  # no two speeds of a car that rolls are the same
-            self.control.update_odometry(self.speed + self.noise, self.now_ns)
+            self.control.update_odometry(self.speed + self.noise, self.now_ns, 0)
             if self.range_m is not None:
                 self.control.update_range("front_middle", self.range_m, self.now_ns)
             self.decision = self.control.decide(self.now_ns)
@@ -216,6 +216,13 @@ def test_speed_counts_for_the_ground_s_slope_when_it_was_measured():
         age_ns = report % 2 * S // 100
         rig.control.update_odometry(2.0 * (report * TICK - age_ns) / S, rig.now_ns + report * TICK, age_ns)
     assert rig.control._guard.slope.acceleration_mps2 == pytest.approx(2.0)
+
+
+def test_speed_that_comes_without_its_deviation_is_known_at_once_after_a_silence():
+    rig = Rig(BRAKE_THEN_REVERSE, profile_measured=True)
+    rig.now_ns += S
+    rig.speed = 2.0
+    assert rig.run(0.5).esc.state == "BRAKING"
 
 
 def test_sonar_that_was_dropped_with_other_messages_lets_nobody_drive_towards_it():

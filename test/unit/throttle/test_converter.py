@@ -4,8 +4,10 @@ import math
 
 import pytest
 
+from car_interface.common.declared import read
 from car_interface.common.errors import ConfigError
-from car_interface.throttle.converter import ConversionConfig, Converter
+from car_interface.common.params import Params
+from car_interface.throttle.converter import ConversionConfig, Converter, ConverterConfig
 from car_interface.throttle.value_map import ValueMap
 
 S = 1_000_000_000
@@ -82,3 +84,30 @@ def test_newest_odometry_counts_unless_messages_were_dropped():
     assert converter.odometry.age_s(NOW + S) == 1.0
     converter.mark_stale()
     assert converter.convert(2.0, NOW).reason == "odometry was not heard since messages were dropped"
+
+
+@pytest.fixture
+def path(tmp_path):
+    file = tmp_path / "map.csv"
+    file.write_text("default,0.0,10.0\n-10.0,-20.0,-21.0\n10.0,20.0,19.0\n", encoding="utf-8")
+    return str(file)
+
+
+def configured(**parameters):
+    return read(Params(parameters), ConverterConfig)
+
+
+def test_the_map_is_read_where_it_is_used(path):
+    assert configured(csv_path_value_map=path).value_map.velocities == (0.0, 10.0)
+    with pytest.raises(ConfigError, match="csv_path_value_map"):
+        configured()
+
+
+@pytest.mark.parametrize("name", ["convert_value_cmd", "use_value_ff"])
+def test_where_commands_pass_through_no_map_is_read(name):
+    assert configured(csv_path_value_map="/nowhere", **{name: False}).value_map is None
+
+
+def test_a_map_beyond_the_limits_is_refused_with_its_path(path):
+    with pytest.raises(ConfigError, match=rf"{path}.*value map has values from -10\.0 to 10\.0"):
+        configured(csv_path_value_map=path, min_value=11.0, max_value=12.0)

@@ -158,7 +158,7 @@ class Drive:
             control.arbiter.update_planner_state(self.gear, None, now_ns)
             control.update_planner(self.value, now_ns)
             if self.has_odometry:
-                control.update_odometry(self.car.wheel_mps, now_ns)
+                control.update_odometry(self.car.wheel_mps, now_ns, 0)
             decision = control.decide(now_ns)
             self.overrides += decision.arbitration.cause == "override"
             self.reversed_by_hand += decision.esc.state == "REVERSE" and decision.arbitration.source == TELEOP

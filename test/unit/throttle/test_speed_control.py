@@ -209,7 +209,7 @@ def test_car_that_does_not_move_for_two_seconds_is_told_until_it_moves():
     assert bench.run(SpeedRequest(0.2), 2.0).note == ""
     assert bench.run(SpeedRequest(0.2), 1.0).note == (
         "it doesn't move at 0.20 m/s: too slow for this car, or it is held")
-    bench.speed_mps = 0.2
+    bench.speed_mps = 0.1
     assert bench.run(SpeedRequest(0.2)).note == ""
     bench.throttle = (TELEOP, 1.0, 1.0, causes.DRIVING)
     bench.speed_mps = 0.0
@@ -235,7 +235,9 @@ def test_gear_change_at_speed_stops_first_and_says_so():
     command = bench.run(SpeedRequest(-1.0, gear="reverse"), 0.2)
     assert (command.gear, command.note) == ("drive", "it stops before REVERSE: it rolls at 2.00 m/s")
     assert command.acceleration_mps2 < -2.0
-    bench.speed_mps = 0.05
+    bench.speed_mps = 0.1
+    assert bench.run(SpeedRequest(-1.0, gear="reverse"), 0.1).gear == "drive"
+    bench.speed_mps = 0.099
     command = bench.run(SpeedRequest(-1.0, gear="reverse"), 0.1)
     assert (command.gear, command.note) == ("reverse", "") and command.acceleration_mps2 < 0.0
 

@@ -109,6 +109,12 @@ def test_notes_tell_what_turn_arb_takes_and_an_owner_may_want_to_know(changes, w
         assert any(re.search(word, note) for note in notes), (word, notes)
 
 
+@pytest.mark.parametrize("widest_m, is_enough", [(99, False), (100, True)])
+def test_a_table_should_reach_100_m(widest_m, is_enough, tmp_path):
+    path = steering_file(tmp_path, m_turnrad_axis_servo=[index + 1 for index in range(14)] + [widest_m])
+    assert any("nothing here goes straight on" in note for note in steering_notes(load_steering(str(path)))) != is_enough
+
+
 @pytest.mark.parametrize("values, velocities, accelerations, words", [
     ([-1, 0, 2], [0, 5, 10], [[-2, -3, -4], [-0.1, -1, -2], [3, 1, -0.5]],
      ["at 10 m/s it has no value for 0 m/s², only for -4 to -0.5", "0 m/s² takes the value 0.0645 at 0 m/s"]),
