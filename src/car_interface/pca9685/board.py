@@ -103,7 +103,7 @@ class Board:
         self._read_channels(range(CHANNELS))
 
     def _read_channels(self, channels):
-        for run in blocks(dict.fromkeys(channels, 0), CHANNELS_PER_BLOCK):
+        for run in blocks(set(channels), CHANNELS_PER_BLOCK):
             data = self._bus.read_i2c_block_data(self._address, LED0_ON_L + 4 * run[0], 4 * len(run))
             for index, channel in enumerate(run):
                 self._held[channel] = counts_of_registers(data[4 * index: 4 * index + 4])

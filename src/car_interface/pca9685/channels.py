@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple, Sequence
+from typing import Iterable, NamedTuple, Sequence
 
 from car_interface.common.errors import ConfigError
 from car_interface.common.units import CHANNELS, MAX_DUTY, NS_PER_MS, UNCHANGED
@@ -203,10 +203,10 @@ class Channels:
         return list(self._targets)
 
 
-def blocks(changes: dict[int, int], max_length: int) -> list[list[int]]:
-    """Return the channels to write, as runs of at most ``max_length`` neighbours: one transfer each."""
+def blocks(channels: Iterable[int], max_length: int) -> list[list[int]]:
+    """Return channels, each once, as runs of at most ``max_length`` neighbours: one transfer each."""
     runs: list[list[int]] = []
-    for channel in sorted(changes):
+    for channel in sorted(channels):
         if runs and channel == runs[-1][-1] + 1 and len(runs[-1]) < max_length:
             runs[-1].append(channel)
         else:

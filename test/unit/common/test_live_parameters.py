@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface.common.live_parameters import Tuning
+from car_interface.common.live_parameters import Tuning, TuningSettings
 from car_interface.steering.calibration import trimmed
 from slash import SLASH
 
@@ -38,6 +38,10 @@ def settle(tuned, now_ns):
 
 
 # --- what is accepted ---
+
+def test_nothing_can_be_tuned_unless_the_parameters_allow_it():
+    assert TuningSettings().max_offset == 0
+
 
 @pytest.mark.parametrize("wanted, accepted, problem", [
     ({"servo_center": 5150}, values(center=5150), ""),

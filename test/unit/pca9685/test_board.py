@@ -180,7 +180,8 @@ def test_foreign_write_is_found_and_known(running, channel, checks, on):
 @pytest.mark.parametrize("harm, text", [
     (lambda bench: bench.chip.power_up(), "MODE1 is 0x11 and PRE_SCALE 30, not 0x20 and 121"),
     (lambda bench: bench.another_board(30).initialise(), "MODE1 is 0x20 and PRE_SCALE 30, not 0x20 and 121"),
-], ids=["lost_its_power", "runs_at_another_frequency"])
+    (lambda bench: bench.chip.write(MODE1, [0x21]), "MODE1 is 0x21 and PRE_SCALE 121, not 0x20 and 121"),
+], ids=["lost_its_power", "runs_at_another_frequency", "answers_at_the_address_of_all_boards"])
 def test_chip_that_does_not_run_as_before_is_a_mismatch_and_no_foreign_write(running, harm, text):
     running.board.write({0: CENTER})
     harm(running)

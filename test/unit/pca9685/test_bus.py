@@ -43,7 +43,7 @@ def test_board_is_found_on_the_bus_where_it_answers_at_its_address(buses, taken,
 def test_boards_on_both_buses_are_named_and_neither_is_taken():
     with pytest.raises(BoardNotFound) as caught:
         choose({MAIN: chips(0x40), OTHER: chips(0x40)})
-    assert caught.value.is_ambiguous
+    assert caught.value.is_ambiguous and caught.value.errno == errno.ENODEV
     assert explain(caught.value, "", True, ORIN) == (f"there is one on {MAIN} and on {OTHER}",
                                                      f"Choose the car's: i2c:={MAIN}")
 
@@ -81,6 +81,15 @@ def test_board_is_marked_whatever_it_does_and_other_kinds_are_asked_for_one_regi
     assert is_pca9685(bus, 0x40)
     computer.asked.clear()
     assert not is_pca9685(bus, 0x41) and len(computer.asked) == 1
+
+
+@pytest.mark.parametrize("register", [0x02, 0x03, 0x04, 0x05])
+def test_chip_one_of_whose_further_addresses_was_changed_is_no_pca9685(register):
+    chip = VirtualPca9685()
+    chip.write(register, [0x10])
+    bus = Computer({MAIN: {0x40: chip}}).make_bus()
+    bus.open(MAIN)
+    assert not is_pca9685(bus, 0x40)
 
 
 # --- errors ---

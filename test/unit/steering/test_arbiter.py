@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from car_interface.common import causes
-from car_interface.common.sources import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, SOURCE_NAMES, TELEOP
+from car_interface.common.sources import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, SOURCE_NAMES, TELEOP, source_name
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.steering.arbiter import SteeringArbiter, SteeringArbiterConfig
 from car_interface.steering.limits import SourceLimits, SteeringLimits
@@ -143,6 +143,7 @@ def test_decision_on_anything_heard_stays_between_left_and_right_and_needs_a_fre
 def test_source_names_are_in_the_order_of_the_message_s_constants():
     assert SOURCE_NAMES == ("LOCKED", "NO_HUMAN", "NEUTRAL", "TELEOP", "PLANNER")
     assert (LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER) == (0, 1, 2, 3, 4)
+    assert [source_name(source) for source in (-1, 0, 4, 5)] == ["-1", "LOCKED", "PLANNER", "5"]
 
 
 def test_slew_limit_moves_the_servo_no_faster_and_no_farther_than_what_is_asked_for():

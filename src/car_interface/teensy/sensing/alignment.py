@@ -41,7 +41,7 @@ class Alignment:
             return True
         low, high = max(0.0, -at_0 / slope), min(1.0, (1 - at_0) / slope)
         start = (low + high) / 2
-        self.difference = at_0 + slope * start - start
+        self.difference = max(-1.0, min(1.0, at_0 + slope * start - start))
         return True
 
     def skip(self, left: WheelFilter, right: WheelFilter) -> None:
@@ -64,10 +64,10 @@ def _pairs(left, right):
 
 
 def _line(pairs):
-    """Return slope and value at 0 by least squares; slope 0 when the points give none."""
-    if len(pairs) < 2:
+    """Return slope and value at 0 by least squares; slope 0 when the points are too few or give none."""
+    if len(pairs) < ALIGNING_PULSES:
         return 0.0, 0.0
     mean_x, mean_y = (sum(values) / len(pairs) for values in zip(*pairs))
     spread = sum((x - mean_x) ** 2 for x, _ in pairs)
-    slope = sum((x - mean_x) * (y - mean_y) for x, y in pairs) / spread if spread > 0 else 0.0
+    slope = sum((x - mean_x) * y for x, y in pairs) / spread if spread > 0 else 0.0
     return slope, mean_y - slope * mean_x

@@ -29,7 +29,7 @@ def test_console_is_found_by_the_port_s_name_among_its_arguments(tmp_path):
     for pid, words in commands.items():
         (tmp_path / str(pid)).mkdir()
         (tmp_path / str(pid) / "cmdline").write_bytes(b"".join(word.encode() + b"\0" for word in words))
-    (tmp_path / "10").mkdir()
+    (tmp_path / "10" / "cmdline").mkdir(parents=True)  # can't be read
     assert consoles("/dev/ttyACM7", str(tmp_path)) == [(5, "agetty"), (9, "getty")]
     assert consoles("/dev/ttyACM8", str(tmp_path)) == consoles("/dev/ttyACM7", str(tmp_path / "nowhere")) == []
 

@@ -2,6 +2,7 @@
 
 import errno
 import grp
+import io
 import os
 import pwd
 import select
@@ -209,6 +210,15 @@ def test_port_busy_by_what_proc_does_not_tell_is_still_explained_and_for_modem_m
     monkeypatch.setattr("builtins.open", deny)
     error = refusal(terminal.path)
     assert (error.state, error.cause) == (BUSY, "another program has it open")
+
+
+def test_locks_of_processes_that_proc_does_not_number_have_no_owner(terminal, monkeypatch):
+    """Those outside of a container are 0 in it, and those of open file descriptions -1."""
+    status = os.stat(terminal.path)
+    inode = f"{os.major(status.st_dev):02x}:{os.minor(status.st_dev):02x}:{status.st_ino}"
+    text = "".join(f"{line}: FLOCK  ADVISORY  WRITE {pid} {inode} 0 EOF\n" for line, pid in enumerate((0, -1, 1, 7)))
+    monkeypatch.setattr(port, "open", lambda *_, **__: io.StringIO(text), raising=False)
+    assert port._lock_owners(status) == [1, 7]
 
 
 def test_who_has_a_port_that_stays_busy_is_searched_for_at_each_fifth_attempt(terminal, lock_port, monkeypatch):

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from car_interface.teensy.sensing.alignment import ALIGNED_PULSES, ALIGNING_PULSES, LAST_ALIGNING_PULSES, Alignment
+from car_interface.teensy.sensing.alignment import ALIGNED_PULSES, ALIGNING_PULSES, Alignment
 from car_interface.teensy.sensing.wheel_filter import WheelFilter
 
 
@@ -16,6 +16,44 @@ def rolled(phase, speed, duration_ms):
         at_ms = (number - phase) / speed
         wheel.update(1, True, at_ms, at_ms)
     return wheel
+
+
+def pulsed(*times_ms):
+    """A wheel that made its pulses at these times."""
+    wheel = WheelFilter()
+    wheel.begin(0.0)
+    for at_ms in times_ms:
+        wheel.update(1, True, at_ms, at_ms)
+    return wheel
+
+
+@pytest.mark.parametrize("left, right, ratio, difference", [
+    (0.2, 0.9, 1.25, 0.685), (0.9, 0.2, 1.25, -0.7075), (0.5, 0.5, 0.8, 0.0)],
+    ids=["up_to_the_right_wheel_s_magnet", "up_to_the_left_wheel_s", "anywhere_on_the_line"])
+def test_in_a_turn_the_start_is_in_the_middle_of_all_that_the_line_allows(left, right, ratio, difference):
+    """By hand: right = left · ratio + a, with a = 0.65, −0.925 and 0.1, has both within a pulse for a left place of
+    0 to 0.28, 0.74 to 1, and 0 to 1; difference = a + (ratio − 1) · its middle.
+    """
+    alignment = Alignment()
+    assert alignment.solve(rolled(left, 0.05, 400), rolled(right, 0.05 * ratio, 400))
+    assert alignment.difference == pytest.approx(difference, abs=1e-6)
+
+
+@pytest.mark.parametrize("right_from, left_to, is_done, difference", [
+    (4, 6, True, -1.0), (5, 6, False, 0.0), (23, 23, False, 0.0), (24, 24, True, 0.0)],
+    ids=["six_places", "four_places", "few_places", "few_places_of_many_pulses"])
+def test_six_places_at_the_same_time_are_enough_and_differ_by_a_pulse_at_most(right_from, left_to, is_done, difference):
+    """Of six pulses of the right wheel that begin as the left one has made some; both ends count."""
+    left = pulsed(*range(20, 20 * left_to + 1, 20))
+    right = pulsed(*range(20 * right_from, 20 * (right_from + 5) + 1, 20))
+    alignment = Alignment()
+    assert alignment.solve(left, right) == is_done
+    assert alignment.difference == pytest.approx(difference)
+
+
+def test_pulses_that_all_come_in_one_ms_tell_no_difference():
+    alignment = Alignment()
+    assert alignment.solve(pulsed(*range(20, 140, 20)), pulsed(*[60] * 6)) and alignment.difference == 0.0
 
 
 @pytest.mark.parametrize("ratio", [0.8, 1.0, 1.3], ids=["to_the_right", "straight", "to_the_left"])
@@ -38,8 +76,8 @@ def test_too_few_pulses_tell_nothing_yet():
 def test_wheel_that_stands_ends_the_alignment_after_many_pulses_of_the_other():
     alignment = Alignment()
     standing = rolled(0.5, 0.05, 0)
-    assert not alignment.solve(rolled(0.5, 0.05, 20 * (LAST_ALIGNING_PULSES - 1)), standing)
-    rolling = rolled(0.5, 0.05, 20 * (LAST_ALIGNING_PULSES + 1))
+    assert not alignment.solve(rolled(0.5, 0.05, 20 * 23), standing)
+    rolling = rolled(0.5, 0.05, 20 * 24)
     assert alignment.solve(rolling, standing) and alignment.difference == 0.0
     assert rolling.first_pulses is None and standing.first_pulses is None
 

@@ -113,7 +113,8 @@ def test_before_it_has_converged_a_tick_is_as_unsure_as_the_teensy_s_buffers_are
 
 
 @pytest.mark.parametrize("gap_ms, count, converged", [(1000, CONVERGED_PONGS - 1, False), (300, CONVERGED_PONGS, True),
-                                                      (205, 5, False), (205, 6, True), (20, 25, False)])
+                                                      (205, 5, False), (205, 6, True), (20, 25, False),
+                                                      (224, 5, False), (225, 5, True)])
 def test_it_has_converged_after_five_pongs_over_about_a_second(gap_ms, count, converged):
     clock, teensy = Clock(), Teensy()
     for number in range(count):
@@ -312,6 +313,27 @@ def test_teensy_on_usb_which_has_no_baud_rate_is_known_all_the_same():
     assert found == [reasons.TOO_SOON, reasons.TOO_SOON, reasons.FASTER_LINE] + 17 * [""]
     assert clock.converged
     assert abs(error_ns(clock, teensy, 21)) < 1.2 * MS
+
+
+def test_without_a_baud_rate_bytes_take_no_time_at_all():
+    clock, teensy = Clock(), Teensy()
+    found = [clock.pong(teensy.tick(at(number)), at(number), PING_BYTES, at(number), PONG_BYTES).reason
+             for number in range(4)]
+    assert found == [reasons.TOO_SOON, reasons.TOO_SOON, reasons.FASTER_LINE, ""]
+
+
+@pytest.mark.parametrize("later_ns, reason", [(-1, reasons.TOO_SOON), (0, "")])
+def test_a_pong_may_come_as_soon_as_the_line_allows(later_ns, reason):
+    received_ns = NOW + round(PING_BYTES * BYTE_NS) + round(PONG_BYTES * BYTE_NS) + later_ns
+    assert Clock().pong(50_000, NOW, PING_BYTES, received_ns, PONG_BYTES).reason == reason
+
+
+def test_three_pongs_that_contradict_each_other_overrule_nothing():
+    teensy = Teensy()
+    clock = converged(teensy)
+    found = [teensy.answer(clock, at(60 + number), tick_error=tick_error).reason
+             for number, tick_error in enumerate((1000, -1000, 3000, 0))]
+    assert found == [reasons.CONTRADICTION] * 3 + [""]
 
 
 @pytest.mark.parametrize("gap_ms", [20, 36_000_000], ids=["20_ms", "10_h"])

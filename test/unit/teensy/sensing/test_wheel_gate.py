@@ -27,6 +27,7 @@ def test_reports_of_a_crawl_are_accepted_and_their_pulses_counted():
     assert [verdict.accepted for verdict in verdicts] == [True] * 5
     assert [verdict.reason for verdict in verdicts] == [gates.FIRST, "", "", "", ""]
     assert verdicts[0].restarted and not verdicts[1].restarted
+    assert all(verdict.unsplit == (0, 0) for verdict in verdicts)
     assert proven(verdicts) == (4, 4)
 
 
@@ -87,6 +88,13 @@ def test_pulse_minutes_ahead_of_the_teensy_s_clock_waits_for_others():
     some.sonar(sonar(LAST.when + 20))
     verdict = some.wheels(report(NEXT._replace(when=LAST.when + 2 ** 18), LAST))
     assert (verdict.accepted, verdict.reason) == (False, gates.PULSE_AHEAD)
+
+
+@pytest.mark.parametrize("ahead_ms, accepted", [(2000, True), (2001, False)])
+def test_pulse_may_be_2_s_ahead_of_the_newest_tick(ahead_ms, accepted):
+    some = crawling()
+    some.sonar(sonar(LAST.when + 20))
+    assert some.wheels(report(NEXT._replace(when=LAST.when + 20 + ahead_ms), LAST)).accepted == accepted
 
 
 def test_wheel_that_stood_for_an_hour_goes_on_at_once():
