@@ -33,6 +33,7 @@ from car_interface.throttle.slope import Slope
 
 ROLLS_MPS, MOVES_MPS = 0.1, 0.05  # a faster car certainly rolls; a slower one may stand
 STEEP_MPS2 = 0.1  # less stops no car for certain: a slope of 1 % pulls by as much
+TURNS = 2  # in so many steps the heading at which an arc's roll ends halfway is found
 # A stop must begin, and reach the ESC, before the stop's memory of driving forward ends.
 TRUSTED_COASTING_NS = STOP_MEMORY_NS - round(0.2 * NS_PER_S)
 MOTOR_LAG_S = MOTOR_LAG_NS / NS_PER_S
@@ -112,7 +113,7 @@ class ObstacleGuard:
         gain_mps2 = self._gain_mps2(speed)
         highest_mps = self._highest_mps(speed, gain_mps2, now_ns)
         reaches_mps = highest_mps + gain_mps2 * CUT_S
-        coasting = self.slope.coasting(is_backward, self._turn_rad(reaches_mps, curvature_per_m, is_backward))
+        coasting = self._coasting(reaches_mps, curvature_per_m, is_backward)
         brake_mps2 = 0.0 if is_backward or is_reverse else self._certain_brake_mps2(arbitration, coasting, now_ns)
         stop_mps2 = max(coasting.certain_mps2, brake_mps2)
         begins = self._begins(arbitration, coasting, is_backward) if stop_mps2 < STEEP_MPS2 else ""
@@ -134,13 +135,19 @@ class ObstacleGuard:
             return speed.highest_mps(now_ns)
         return speed.magnitude_mps + gain_mps2 * self._late_s
 
-    def _turn_rad(self, speed_mps, curvature_per_m, is_backward):
-        """Return how far the heading will have turned halfway to where drag stops the car.
+    def _coasting(self, speed_mps, curvature_per_m, is_backward):
+        """Return the mean deceleration in neutral from a speed to standstill.
 
-        Gravity's work on an arc is its work along the chord, and the chord points as the car does halfway.
+        Gravity's work on an arc is its work along the chord, and the chord points as the car does halfway. The less
+        deceleration is certain there, the farther that is.
         """
-        halfway_m = speed_mps * speed_mps / (4.0 * self._drag_mps2)
-        return halfway_m * curvature_per_m * (-1.0 if is_backward else 1.0)
+        coasting = self.slope.coasting(is_backward)
+        if curvature_per_m:
+            for _ in range(TURNS):
+                certain_mps2 = max(STEEP_MPS2, coasting.certain_mps2)
+                halfway_m = speed_mps * speed_mps / (4.0 * certain_mps2)
+                coasting = self.slope.coasting(is_backward, halfway_m * curvature_per_m * (-1 if is_backward else 1))
+        return coasting
 
     def _certain_brake_mps2(self, arbitration, coasting, now_ns):
         """Return the deceleration of a brake that will be certain when it is needed; 0: there is none."""
@@ -190,8 +197,7 @@ class ObstacleGuard:
         left_mps = bound.speed_mps - reaches_mps
         if left_mps <= 0.0 or not curvature_per_m:
             return bound
-        turn_rad = self._turn_rad(bound.speed_mps, curvature_per_m, is_backward)
-        there_mps2 = max(0.0, self.slope.coasting(is_backward, turn_rad).certain_mps2)
+        there_mps2 = max(0.0, self._coasting(bound.speed_mps, curvature_per_m, is_backward).certain_mps2)
         falls_mps = max(0.0, bound.speed_mps * (1.0 - math.sqrt(there_mps2 / stop_mps2)))
         return bound._replace(speed_mps=reaches_mps + left_mps * left_mps / (left_mps + falls_mps))
 

@@ -4,12 +4,14 @@ In neutral only drag and gravity act. On a plane the deceleration at a heading w
 
     c(u) = drag − pull · u,
 
-where pull is the slope as a vector: gravity's acceleration down the slope, in the frame in which the car started. Drag
-and pull are three unknowns, and each roll in neutral measures one c(u). ``Slope`` estimates them by a Kalman filter of
-three states (linear least squares). ``Slope.coasting`` returns the likely deceleration, and the one that is certain
-within the error's bound: tight at a heading where it was measured, wider the farther the car turns from there, and wide
-everywhere before the first roll. A climb one way is expected to be a descent the other way, and rolls at several
-headings of an arc show the whole plane.
+where pull is the slope as a vector: gravity's acceleration down the slope, in the frame in which the car started.
+Right after a push the motor's force F still acts, which was the acceleration plus c: with a share e of it left, the
+speed falls by c − e F. How much is left depends on the motor's lag, and the same lag falsifies each short roll in the
+same way: so it isn't noise, but an unknown like drag and the pull's two components. ``Slope`` estimates these four by
+an extended Kalman filter (Simon, Optimal State Estimation, 13.2). ``Slope.coasting`` returns the likely deceleration,
+and the one that is certain within the error's bound: tight at a heading where it was measured, wider the farther the
+car turns from there, and wide everywhere before the first roll. A climb one way is expected to be a descent the other
+way, and rolls at several headings of an arc show the whole plane.
 
 Pure. All bounds are two standard deviations.
 """
@@ -19,14 +21,18 @@ import math
 from collections import deque
 from typing import NamedTuple
 
+import numpy
+
 from car_interface.common.units import NS_PER_S
 from car_interface.throttle.esc_config import EscConfig
 from car_interface.throttle.esc_motion import MOTOR_LAG_NS
 
-# Bounds before the first measurement. The slope's pull: a floor of 5 % pulls by 0.49 m/s², which is three standard
-# deviations; with a wider bound cars on level arcs roll so often that `python3 test/rooms --empty` finds them slow. And
-# the drag beyond esc/drag_deceleration: a Slash has 0.3 to 0.4 m/s², and its ESC's drag brake adds to that.
-PULL_MPS2, SURPLUS_MPS2 = 0.35, 0.3
+# Before the first roll the slope's pull has this bound: a floor of 5 % pulls by 0.49 m/s². And the drag exceeds
+# esc/drag_deceleration by SURPLUS_MPS2, give or take as much: a Slash has 0.3 to 0.4 m/s², and its ESC's drag brake adds
+# to that. No motor and all of the longest lag are both within the bound of what is left of a force.
+PULL_MPS2, SURPLUS_MPS2, LEFT_BOUND = 0.5, 0.2, 0.7
+# A shorter lag leaves a share that shrinks: so much of the force is uncertain even if the mean share is known.
+SHAPE = 0.25
 CHANGES_MPS2 = 0.015  # the pull's change within a metre; an abrupt change starts over
 ACTUATION_S = 0.03  # from the decision to the ESC's pulse
 LAG_S = MOTOR_LAG_NS / NS_PER_S
@@ -58,22 +64,22 @@ class Slope:
         self.brake_lacks_mps2 = 0.0
         self._fraction = 0.0
         self._held_ns = 0  # when the ESC got this fraction
-        self._force_mps2 = 0.0  # of the motor or the brake at that time
+        self._accelerated_mps2 = self._braked_mps2 = 0.0  # until then, and of this the brake's part
         self._recent: deque = deque()
         self._yaw_rad = 0.0
         self._stood_ns: int | None = None
         self._fit = Fit()
-        self._before = self._plane = Plane.unknown(self._drag_mps2)  # the estimate without and with the present window
+        self._before = self._estimate = Estimate.unknown(self._drag_mps2)  # the estimate without and with the present window
 
     def update_esc(self, fraction: float, now_ns: int) -> None:
         """Take the fraction that the ESC gets from now on."""
         if fraction == self._fraction:
             return
         self._close_window()
-        force_mps2 = self.acceleration_mps2 + self._drag_mps2
+        self._accelerated_mps2, self._braked_mps2 = self.acceleration_mps2, 0.0
         if self._fraction < 0.0 < self._speed_mps:
-            force_mps2 = min(force_mps2, self._fraction * self._brake_mps2)
-        self._fraction, self._held_ns, self._force_mps2 = fraction, now_ns, force_mps2
+            self._braked_mps2 = min(self._accelerated_mps2 + self._drag_mps2, self._fraction * self._brake_mps2)
+        self._fraction, self._held_ns = fraction, now_ns
 
     @property
     def _speed_mps(self):
@@ -88,7 +94,7 @@ class Slope:
         self._yaw_rad += way_m * curvature_per_m
         self._before = self._before.after(abs(way_m))
         if not self._fit.count:
-            self._plane = self._before
+            self._estimate = self._before
         recent.append((measured_ns, speed_mps))
         while recent[0][0] < measured_ns - round(RECENT_S * NS_PER_S):
             recent.popleft()
@@ -112,7 +118,7 @@ class Slope:
     def coasting(self, is_backward: bool, turn_rad: float = 0.0) -> Coasting:
         """Return the deceleration in neutral, forward or backward, after the heading has turned by ``turn_rad``."""
         yaw_rad = self._yaw_rad + turn_rad + (math.pi if is_backward else 0.0)
-        likely_mps2, bound_mps2 = self._plane.coasting(yaw_rad)
+        likely_mps2, bound_mps2 = self._estimate.coasting(yaw_rad)
         return Coasting(min(self._drag_mps2, likely_mps2 - bound_mps2), likely_mps2)
 
     def _acceleration_mps2(self):
@@ -122,16 +128,19 @@ class Slope:
         return fit.slope() if fit.count >= 3 else 0.0
 
     def _coast(self, speed_mps, since_s):
-        """Measure in neutral. Of the last force between nothing and what the longest lag leaves may still act."""
+        """Measure in neutral. Of a brake, between nothing and what the longest lag leaves may still act."""
         fit = self._fit
         fit.add(since_s, abs(speed_mps))
         if fit.count < MIN_REPORTS or fit.span_s < MIN_WINDOW_S:
             return
-        left_mps2 = self._force_mps2 * math.exp(-fit.mean_s / LAG_S)
-        noise_mps2 = (NOISE_MPS + NOISE_RATIO * abs(speed_mps)) * math.sqrt(12.0 / fit.count) / fit.span_s
+        slows_mps2, left = -fit.slope(), math.exp(-fit.mean_s / LAG_S)
+        bound_mps2 = (NOISE_MPS + NOISE_RATIO * abs(speed_mps)) * math.sqrt(12.0 / fit.count) / fit.span_s
+        if self._braked_mps2:
+            half_mps2 = left * self._braked_mps2 / 2.0
+            slows_mps2, bound_mps2, left = slows_mps2 + half_mps2, math.hypot(half_mps2, bound_mps2), 0.0
         yaw_rad = self._yaw_rad + (math.pi if speed_mps < 0.0 else 0.0)
-        self._plane = self._before.measured(yaw_rad, left_mps2 / 2.0 - fit.slope(),
-                                            math.hypot(left_mps2 / 2.0, noise_mps2), self._drag_mps2)
+        roll = Roll(yaw_rad, slows_mps2, bound_mps2, self._accelerated_mps2, left)
+        self._estimate = self._before.measured(roll, self._drag_mps2)
         if fit.span_s >= WINDOW_S:
             self._close_window()
 
@@ -144,14 +153,14 @@ class Slope:
             self._close_window()
 
     def _close_window(self):
-        self._before = self._plane
+        self._before = self._estimate
         self._fit = Fit()
 
     def _stand(self, measured_ns):
         if self._stood_ns is None:
             self._stood_ns = measured_ns
         elif measured_ns - self._stood_ns > STOOD_NS:
-            self._before = self._plane = Plane.unknown(self._drag_mps2)
+            self._before = self._estimate = self._estimate.elsewhere(self._drag_mps2)
 
 
 class Fit:
@@ -181,52 +190,77 @@ class Fit:
         return (self.count * self._tv - self._t * self._v) / spread if spread else 0.0
 
 
-class Plane(NamedTuple):
-    """Drag and the pull's two components, in m/s², and the symmetric matrix of their squared error bounds."""
+class Roll(NamedTuple):
+    """One measurement in neutral.
 
-    drag: float
-    x: float
-    y: float
-    dd: float
-    dx: float
-    dy: float
-    xx: float
-    xy: float
-    yy: float
+    Attributes:
+        slows_mps2: the deceleration that was seen, with its error's bound ``bound_mps2``.
+        accelerated_mps2: the acceleration before, of which a motor with the lag LAG_S still has a share ``left``.
+    """
+
+    yaw_rad: float
+    slows_mps2: float
+    bound_mps2: float
+    accelerated_mps2: float = 0.0
+    left: float = 0.0
+
+
+class Estimate(NamedTuple):
+    """What slows a car in neutral, and how long its motor's force lasts.
+
+    Attributes:
+        state: drag, the pull's two components (m/s²), and the share of what LAG_S leaves that is truly left, 0 to 1.
+        errors: the symmetric matrix of their squared error bounds, 4 × 4.
+    """
+
+    state: numpy.ndarray
+    errors: numpy.ndarray
 
     @classmethod
-    def unknown(cls, drag_mps2: float) -> Plane:
-        """Return level ground with the bounds before any measurement."""
-        return cls(drag_mps2, 0.0, 0.0, SURPLUS_MPS2 ** 2, 0.0, 0.0, PULL_MPS2 ** 2, 0.0, PULL_MPS2 ** 2)
+    def unknown(cls, drag_mps2: float) -> Estimate:
+        """Return level ground and half of the longest lag, with the bounds before any measurement."""
+        return cls(numpy.array([drag_mps2 + SURPLUS_MPS2, 0.0, 0.0, 0.5]),
+                   numpy.diag([SURPLUS_MPS2 ** 2, PULL_MPS2 ** 2, PULL_MPS2 ** 2, LEFT_BOUND ** 2]))
 
-    def after(self, way_m: float) -> Plane:
+    def elsewhere(self, drag_mps2: float) -> Estimate:
+        """Return the same motor on unknown ground."""
+        other = Estimate.unknown(drag_mps2)
+        other.state[3], other.errors[3, 3] = self.state[3], self.errors[3, 3]
+        return other
+
+    def after(self, way_m: float) -> Estimate:
         """Return the same after a distance on which the slope may have changed."""
-        changed = CHANGES_MPS2 ** 2 * way_m
-        return self._replace(xx=self.xx + changed, yy=self.yy + changed) if changed else self
+        if not way_m:
+            return self
+        errors = self.errors.copy()
+        errors[1, 1] += CHANGES_MPS2 ** 2 * way_m
+        errors[2, 2] += CHANGES_MPS2 ** 2 * way_m
+        return self._replace(errors=errors)
 
     def coasting(self, yaw_rad: float) -> tuple[float, float]:
         """Return the deceleration at a heading, and the bound of its error."""
         cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
-        square = (self.dd + self.xx * cos * cos + self.yy * sin * sin
-                  + 2.0 * (self.xy * cos * sin - self.dx * cos - self.dy * sin))
-        return self.drag - self.x * cos - self.y * sin, math.sqrt(max(0.0, square))
+        drag, x, y, _ = self.state.tolist()
+        (dd, dx, dy, _), (_, xx, xy, _), (_, _, yy, _), _ = self.errors.tolist()
+        square = dd + xx * cos * cos + yy * sin * sin + 2.0 * (xy * cos * sin - dx * cos - dy * sin)
+        return drag - x * cos - y * sin, math.sqrt(max(0.0, square))
 
-    def measured(self, yaw_rad: float, seen_mps2: float, bound_mps2: float, drag_mps2: float) -> Plane:
-        """Return the estimate with a deceleration that was measured at a heading.
+    def measured(self, roll: Roll, drag_mps2: float) -> Estimate:
+        """Return the estimate with a roll. One that is off by more than twice the bound belongs to other ground."""
+        taken, is_other_ground = self._taken(roll)
+        return self.elsewhere(drag_mps2)._taken(roll)[0] if is_other_ground else taken
 
-        One that is off by more than twice the bound belongs to other ground: then the estimate starts over.
-        """
-        cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
-        d = self.dd - self.dx * cos - self.dy * sin
-        x = self.dx - self.xx * cos - self.xy * sin
-        y = self.dy - self.xy * cos - self.yy * sin
-        square = d - x * cos - y * sin + bound_mps2 * bound_mps2
-        wrong_mps2 = seen_mps2 - (self.drag - self.x * cos - self.y * sin)
-        if wrong_mps2 * wrong_mps2 > 4.0 * square:
-            unknown = Plane.unknown(drag_mps2)
-            if self != unknown:
-                return unknown.measured(yaw_rad, seen_mps2, bound_mps2, drag_mps2)
-        gain = wrong_mps2 / square
-        return Plane(self.drag + gain * d, self.x + gain * x, self.y + gain * y,
-                     self.dd - d * d / square, self.dx - d * x / square, self.dy - d * y / square,
-                     self.xx - x * x / square, self.xy - x * y / square, self.yy - y * y / square)
+    def _taken(self, roll):
+        looks = numpy.array([1.0, -math.cos(roll.yaw_rad), -math.sin(roll.yaw_rad), 0.0])
+        coasts_mps2, share = looks @ self.state, roll.left * self.state[3]
+        force_mps2 = max(0.0, roll.accelerated_mps2 + coasts_mps2)
+        wrong_mps2 = roll.slows_mps2 - (coasts_mps2 - share * force_mps2)
+        if force_mps2:
+            looks *= 1.0 - share
+        looks[3] = -roll.left * force_mps2
+        square = looks @ self.errors @ looks + roll.bound_mps2 ** 2 + (SHAPE * looks[3]) ** 2
+        gain = self.errors @ looks / square
+        state = self.state + gain * wrong_mps2
+        state[3] = min(1.0, max(0.0, state[3]))
+        taken = Estimate(state, self.errors - numpy.outer(gain, looks @ self.errors))
+        return taken, wrong_mps2 ** 2 > 4.0 * square

@@ -13,6 +13,7 @@ from car_interface.throttle.esc import BRAKING, FORWARD, NEUTRAL, REVERSE, EscDe
 from car_interface.throttle.esc_config import BRAKE_THEN_REVERSE, EscConfig
 from car_interface.throttle.obstacle_guard import MOTOR_LAG_S, ObstacleGuard
 from car_interface.throttle.obstacle_stop import Mount, ObstacleConfig, ObstacleStop, stopping_speed_mps
+from car_interface.throttle.slope import Coasting
 
 MS, S = 1_000_000, 1_000_000_000
 NOW = 10 * S
@@ -179,8 +180,23 @@ def test_on_an_arc_the_ground_counts_on_which_it_will_stop():
     assert away_mps < 0.97 * back_mps  # from the heading that it knows
     guard.slope._yaw_rad += math.pi / 2 - 0.5
     assert allowed(guard, asked(0.5), 0.2)[0] == 0.25
-    assert guard._turn_rad(1.2, 0.5, False) == -guard._turn_rad(1.2, 0.5, True) == pytest.approx(
-        0.5 * 1.2 ** 2 / (2 * 0.3) / 2)  # halfway to where drag stops it
+
+
+def test_the_less_stops_it_on_an_arc_the_farther_on_its_arc_it_stops():
+    """At 1.2 m/s halfway is 1.2 m with 0.3 m/s², which is 0.6 rad on this arc; there 0.18 are certain, so it is 2 m."""
+    guard, turns = guard_after(esc=EscConfig()), []
+
+    def coasting(is_backward, turn_rad=0.0):
+        turns.append(turn_rad)
+        return Coasting(max(-0.5, 0.3 - 0.2 * abs(turn_rad)), 0.5)
+
+    guard.slope.coasting = coasting
+    assert guard._coasting(1.2, 0.5, False).certain_mps2 == pytest.approx(0.1)
+    assert guard._coasting(1.2, 0.5, True).certain_mps2 == pytest.approx(0.1)
+    assert guard._coasting(1.2, 0.0, False).certain_mps2 == 0.3
+    assert turns == pytest.approx([0.0, 0.6, 1.0, 0.0, -0.6, -1.0, 0.0])
+    assert guard._coasting(3.0, 0.5, False).certain_mps2 == -0.5
+    assert turns[-1] == pytest.approx(0.5 * 3.0 ** 2 / (4 * 0.1))  # where nothing stops it, as on 1 %
 
 
 def test_its_throttle_rises_from_the_least_until_the_car_moves():
