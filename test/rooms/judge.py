@@ -128,8 +128,11 @@ def _stop_m(record, began, there):
 
 
 def _has_rolled(record, contact):
-    """Whether gravity alone brought the car there: since it was last pushed that way it stood, or it crept at most when
-    that ended and rolled on for a second; and from there on drag took no more energy than gravity gave.
+    """Whether gravity alone brought the car there.
+
+    Since it was last pushed that way it stood, or it crept at most when that ended and rolled on for a second. From
+    there on drag took no more energy than gravity gave; or gravity was stronger than drag there, and on level ground
+    the car would have stood before the contact.
     """
     way = _way(contact)
     pushed = max((sample.at_s for sample in record.samples if sample.request * way > 0.02), default=-1.0)
@@ -139,7 +142,11 @@ def _has_rolled(record, contact):
         since = since[stood[-1]:]
     elif len(since) * TICK_S <= 1.0 or abs(since[0].speed_mps) >= CREEPS_MPS:
         return False
-    return sum(_coasts_mps2(record, sample, way) * abs(sample.speed_mps) for sample in since) <= 0.0
+    coasts_mps2 = [_coasts_mps2(record, sample, way) for sample in since]
+    if sum(mps2 * abs(sample.speed_mps) for mps2, sample in zip(coasts_mps2, since)) <= 0.0:
+        return True
+    level_mps2 = coasts_mps2[0] + way * since[0].gravity_mps2
+    return coasts_mps2[0] <= 0.0 and level_mps2 * _driven_m(record, since[0].at_s) >= since[0].speed_mps ** 2 / 2.0
 
 
 def _is_sure_to_brake(record, contact):

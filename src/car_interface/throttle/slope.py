@@ -28,8 +28,8 @@ from car_interface.throttle.esc_config import EscConfig
 from car_interface.throttle.esc_motion import MOTOR_LAG_NS
 
 # Before the first roll the slope's pull has this bound: a floor of 5 % pulls by 0.49 m/s². And the drag exceeds
-# esc/drag_deceleration by SURPLUS_MPS2, give or take as much: a Slash has 0.3 to 0.4 m/s², and its ESC's drag brake adds
-# to that. No motor and all of the longest lag are both within the bound of what is left of a force.
+# esc/drag_deceleration by SURPLUS_MPS2, give or take as much: a Slash has 0.3 to 0.4 m/s², and its ESC's drag brake
+# adds to that. Of a force, nothing and all that the longest lag leaves are both within the bound.
 PULL_MPS2, SURPLUS_MPS2, LEFT_BOUND = 0.5, 0.2, 0.7
 # A shorter lag leaves a share that shrinks: so much of the force is uncertain even if the mean share is known.
 SHAPE = 0.25
@@ -69,7 +69,8 @@ class Slope:
         self._yaw_rad = 0.0
         self._stood_ns: int | None = None
         self._fit = Fit()
-        self._before = self._estimate = Estimate.unknown(self._drag_mps2)  # the estimate without and with the present window
+        # Without and with the present window.
+        self._before = self._estimate = Estimate.unknown(self._drag_mps2)
 
     def update_esc(self, fraction: float, now_ns: int) -> None:
         """Take the fraction that the ESC gets from now on."""
