@@ -269,7 +269,8 @@ class Phone(Measured):
                 eventually(lambda: self.text("who") != "Touch to drive", "another state", WITHIN_S)
                 self.assertEqual(self.browser.evaluate(RECTANGLES % json.dumps(PARTS)), resting)
                 self.browser.touch("touchEnd")
-                eventually(lambda: self.text("who") == "Touch to drive", "the state at rest", WITHIN_S)
+                eventually(lambda: self.text("who") == "Touch to drive",
+                           lambda: f"the state at rest: {self.text('who')}, {self.text('why')}", WITHIN_S)
         self.assertEqual(self.browser.complaints, [])
         self.assertEqual([url for url in self.browser.requests if not url.startswith((self.url, "ws:"))], [])
 
