@@ -401,6 +401,15 @@ class TestGuard:
         assert [guard.is_alive for guard in guards] == [False, True] and "another node has the board" in guards[0].log
         assert second.is_alive and servos.graph.newest(OUTPUT).data[:2] == (3808, 6000)
 
+    def test_node_that_wakes_up_publishes_what_the_guard_left_before_it_writes(self):
+        servos = self.driven(guard_off_after=0.5)
+        servos.node.stall(2.0)
+        servos.graph.run(1.95)
+        at_ns = servos.graph.now_ns
+        servos.graph.run(0.2)
+        outputs = [message.data for message in servos.graph.messages(OUTPUT, at_ns)]
+        assert outputs[:2] == [OFF, (5104, 4912) + (0,) * 14] and outputs[-1][:2] == (3808, 6000)
+
     def test_new_node_of_the_same_name_takes_over_from_the_guard_and_begins_with_what_the_chip_holds(self):
         servos = self.driven()
         at_ns = servos.graph.now_ns
