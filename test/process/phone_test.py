@@ -8,6 +8,7 @@ time stands how late a thread of this test woke up meanwhile. Bounds hold with C
 from __future__ import annotations
 
 import json
+import operator
 import os
 import random
 import signal
@@ -115,6 +116,10 @@ class Phone(Measured):
     def text(self, name, browser=None):
         return (browser or self.browser).evaluate(f"document.getElementById('{name}').textContent")
 
+    def shown(self, browser=None):
+        """What the page says."""
+        return ", ".join(self.text(name, browser) for name in ("who", "why", "answer", "seat"))
+
     def middle(self, name, browser=None):
         (left, top, right, bottom), = (browser or self.browser).evaluate(RECTANGLES % json.dumps([name]))
         return (left + right) / 2, (top + bottom) / 2
@@ -125,19 +130,24 @@ class Phone(Measured):
         browser.touch("touchEnd")
 
     def push(self, browser=None):
-        """Put down both thumbs and push; return when the first was put down, ns."""
+        """Put down both thumbs and push."""
         browser = browser or self.browser
         left, right = self.middle("pad-left", browser), self.middle("pad-right", browser)
-        at_ns = time.monotonic_ns()
         browser.touch("touchStart", left, right)
         browser.touch("touchMove", (left[0] - 40, left[1]), (right[0], right[1] - 40))
-        return at_ns
 
     def lift(self, browser=None):
         (browser or self.browser).touch("touchEnd")
 
     def drive(self, browser=None):
-        """Take the seat if need be, and push until the car drives: the ESC may still arm. Return when, ns."""
+        """Take the seat if need be, and push until the car drives. Return when, ns."""
+        return self.drive_by(lambda: self.push(browser), lambda: self.lift(browser), operator.lt, browser)
+
+    def drive_by(self, push, lift, steers, browser=None):
+        """The same with other hands. The ESC may still arm, and a page that was held up wants all to be touched anew.
+
+        ``steers`` compares channel 0 with the center.
+        """
         deadline_s = time.monotonic() + WITHIN_S
         while True:
             while self.text("seat", browser) == "Drive":  # on a busy computer a press may be too old when it arrives
@@ -146,15 +156,17 @@ class Phone(Measured):
                 eventually(lambda: self.text("seat", browser) != "Drive" or time.monotonic() > until_s,
                            "the driver's seat")
                 self.assertLess(until_s, deadline_s, self.text("why", browser))
-            at_ns = self.push(browser)
+            at_ns = time.monotonic_ns()
+            push()
             try:
-                self.car.chip.wait_for(0, lambda counts: counts < CENTER, at_ns, ATTEMPT_S)
+                self.car.chip.wait_for(0, lambda counts: steers(counts, CENTER), at_ns, ATTEMPT_S)
                 self.car.chip.wait_for(1, lambda counts: counts > ESC_NEUTRAL, at_ns, ATTEMPT_S)
                 return at_ns
-            except AssertionError:
-                self.lift(browser)
+            except AssertionError as error:
+                shown = self.shown(browser)
+                lift()
                 if time.monotonic() > deadline_s:
-                    raise
+                    raise AssertionError(f"{error}: {shown}") from None
 
     def measure(self, title, fault, restore=lambda: None, bound_ms=MAX_STOP_MS, resume=lambda: None):
         """Make a fault while it drives, wait until it stands, and see that it stays so while the thumbs stay.
@@ -221,7 +233,7 @@ class Phone(Measured):
             eventually(lambda: self.text("who") == "Emergency stop", "the driver's page to show it", WITHIN_S)
             self.assertTrue(viewer.evaluate("document.getElementById('clear').disabled"))
             # A person is slower than the next token; one that is older than the stop clears nothing.
-            eventually(cleared, "a stop that is cleared", WITHIN_S)
+            eventually(cleared, lambda: f"a stop that is cleared: {self.shown()}", WITHIN_S)
 
         self.measure("thumbs lifted", self.lift, bound_ms=60)
         self.measure("another tab in front", lambda: self.browser.hide(True), lambda: self.browser.hide(False),
@@ -237,25 +249,27 @@ class Phone(Measured):
     def test_2_keys_and_one_stick_drive_it_too_and_everything_is_seen_at_each_size_and_nothing_jumps(self):
         self.browser.be_phone(*SIZES[-1])
         self.drive()
-        self.browser.touch("touchEnd")
-        for key in "mwd":
-            self.browser.key("keyDown", key)
-        pressed_ns = time.monotonic_ns()
-        self.car.chip.wait_for(0, lambda counts: counts > CENTER, pressed_ns, WITHIN_S)
-        self.car.chip.wait_for(1, lambda counts: counts > ESC_NEUTRAL, pressed_ns, WITHIN_S)
-        self.browser.key("keyUp", "m")
+        self.lift()
+
+        def keys(does, which="mwd"):
+            for key in which:
+                self.browser.key(does, key)
+
+        self.drive_by(lambda: keys("keyDown"), lambda: keys("keyUp"), operator.gt)
+        keys("keyUp", "m")
         self.stands(time.monotonic_ns())
-        for key in "wd":
-            self.browser.key("keyUp", key)
+        keys("keyUp", "wd")
         self.choose("one")
-        (x, y), pressed_ns = self.middle("pad-left"), time.monotonic_ns()
-        self.browser.touch("touchStart", (x, y))
-        self.browser.touch("touchMove", (x + 40, y - 40))
-        self.car.chip.wait_for(0, lambda counts: counts > CENTER, pressed_ns, WITHIN_S)
-        self.car.chip.wait_for(1, lambda counts: counts > ESC_NEUTRAL, pressed_ns, WITHIN_S)
+        x, y = self.middle("pad-left")
+
+        def push():
+            self.browser.touch("touchStart", (x, y))
+            self.browser.touch("touchMove", (x + 40, y - 40))
+
+        pressed_ns = self.drive_by(push, self.lift, operator.gt)
         self.choose("left")  # with the thumb still down
         self.stands(pressed_ns)
-        self.browser.touch("touchEnd")
+        self.lift()
         for width, height in SIZES:
             with self.subTest(f"{width} x {height}"):
                 self.browser.be_phone(width, height, is_dark=width > 700)
@@ -270,7 +284,7 @@ class Phone(Measured):
                 self.assertEqual(self.browser.evaluate(RECTANGLES % json.dumps(PARTS)), resting)
                 self.browser.touch("touchEnd")
                 eventually(lambda: self.text("who") == "Touch to drive",
-                           lambda: f"the state at rest: {self.text('who')}, {self.text('why')}", WITHIN_S)
+                           lambda: f"the state at rest: {self.shown()}", WITHIN_S)
         self.assertEqual(self.browser.complaints, [])
         self.assertEqual([url for url in self.browser.requests if not url.startswith((self.url, "ws:"))], [])
 
