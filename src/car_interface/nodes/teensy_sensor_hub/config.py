@@ -11,7 +11,6 @@ from car_interface.common.vehicle_geometry import TRACK_M, WHEEL_DIAMETER_M, WHE
 from car_interface.teensy.link.framing import CORRECTED, SHIPPED
 from car_interface.teensy.link.pinging import AUTO
 from car_interface.teensy.link.protocol import MAX_SEQUENCE, SONARS
-from car_interface.teensy.sensing.clock import ClockConfig
 from car_interface.teensy.sensing.measurements import MeasurementConfig
 from car_interface.teensy.sensing.odometry import OdometryConfig
 from car_interface.teensy.sensing.plausibility import GateConfig
@@ -85,7 +84,7 @@ class HubConfig:
         max_gap_ms = max(GateConfig.max_gap_ms, math.ceil(2000 * self.ping_period_s))
         return MeasurementConfig(
             gates=replace(self.gates, pulse_m=self.odometry.pulse_m, max_gap_ms=max_gap_ms),
-            clock=ClockConfig(baud=self.baud), odometry=self.odometry, ranging=self.ranging)
+            baud=self.baud, odometry=self.odometry, ranging=self.ranging)
 
 
 @dataclass(frozen=True)

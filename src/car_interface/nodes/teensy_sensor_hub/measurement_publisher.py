@@ -183,7 +183,7 @@ class MeasurementPublisher:
 
     def _on_temperature(self, message, now_ns):
         try:
-            self._measurements.ranging.temperature_c = message.temperature
+            self._measurements.ranging.set_temperature(message.temperature)
         except ConfigError as error:
             self._warnings.warn("temperature", f"{error}: the one before it counts on")
 

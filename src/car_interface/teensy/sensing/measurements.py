@@ -14,7 +14,7 @@ from car_interface.common.vehicle_geometry import SONARS
 from car_interface.teensy.link.pinging import Answer
 from car_interface.teensy.link.protocol import UINT32, Pong, SonarStatus, WheelStatus
 from car_interface.teensy.link.reboot import reached_tick
-from car_interface.teensy.sensing.clock import Clock, ClockConfig, Stamp, Sync
+from car_interface.teensy.sensing.clock import Clock, Stamp, Sync
 from car_interface.teensy.sensing.echo_pulses import BOOT_MS, FIRMWARE_WAIT_MS, EchoPulses
 from car_interface.teensy.sensing.odometry import Motion, Odometry, OdometryConfig
 from car_interface.teensy.sensing.plausibility import GateConfig, Gates
@@ -36,7 +36,7 @@ class MeasurementConfig:
     """One car's sensors."""
 
     gates: GateConfig = field(default_factory=GateConfig)
-    clock: ClockConfig = field(default_factory=ClockConfig)
+    baud: int = 115200  # of the serial line
     odometry: OdometryConfig = field(default_factory=OdometryConfig)
     ranging: RangingConfig = field(default_factory=RangingConfig)
 
@@ -66,13 +66,13 @@ class Measurements:
     Attributes:
         gates: count the refused records, by reason.
         clock: the relation of the Teensy's clock to the host's.
-        ranging: its temperature may be set at any time.
+        ranging: takes the temperature of the air at any time.
     """
 
     def __init__(self, config: MeasurementConfig = MeasurementConfig(),
                  on_motion: Callable[[MotionMeasurement, int], None] = lambda measured, received_ns: None):
         self.gates = Gates(config.gates)
-        self.clock = Clock(config.clock)
+        self.clock = Clock(config.baud)
         self.ranging = Ranging(config.ranging)
         self._pulses = EchoPulses()
         self._odometry = Odometry(config.odometry)
