@@ -48,7 +48,7 @@ class Handover:
     def requests(self, now_ns: int) -> Requests:
         """Return the requests at ``now_ns``. To be called before and after each message, or an edge would be missed."""
         gamepad = self.gamepad.requests(now_ns)
-        return self._choose(gamepad, self.phone.requests(now_ns), now_ns) if self.phone.was_received else gamepad
+        return self._choose(gamepad, self.phone.requests(now_ns), now_ns) if self.phone.joy.was_received else gamepad
 
     def scale_button(self, now_ns: int) -> int:
         """Return 1 or −1 while the button for more or less speed by hand is pressed; 0: neither is, or both are.

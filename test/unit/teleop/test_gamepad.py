@@ -209,10 +209,10 @@ def test_cause_that_letting_go_does_not_cure_has_a_remedy(cause, words):
 
 def test_age_and_size_of_the_newest_message_are_known():
     gamepad = Gamepad(config())
-    assert gamepad.joy_age_s(NOW) == INF and not gamepad.was_received
+    assert gamepad.joy.age_s(NOW) == INF and not gamepad.joy.was_received
     assert (gamepad.axes, gamepad.buttons, gamepad.scale_button(NOW)) == (0, 0, 0)
     gamepad.update([0.0] * 8, [0] * 11, NOW)
-    assert (gamepad.axes, gamepad.buttons, gamepad.joy_age_s(NOW + S)) == (8, 11, 1.0) and gamepad.was_received
+    assert (gamepad.axes, gamepad.buttons, gamepad.joy.age_s(NOW + S)) == (8, 11, 1.0) and gamepad.joy.was_received
 
 
 class Person:

@@ -68,7 +68,7 @@ class TeensySensorHub:
         self._sonars = SonarMonitor(config.sonar_restart_s, _indices(config.sonar_sequence),
                                     _indices(config.sonar_sequence_ahead))
         if self._measurements:
-            self._sonars.clones = self._measurements.clones
+            self._sonars.clones = self._measurements.ranging.clones
         self._inbox = inbox
         self._warnings = ThrottledWarnings(inbox.clocks)
         self._retry_ns = FIRST_RETRY_NS
@@ -122,7 +122,8 @@ class TeensySensorHub:
             is_trusted = self._sonars.report(record.sensor, record.echo_us, record.when, received_ns)
             if measurements:
                 measurements.sonar(record, received_ns, is_trusted, self._sonars.wait_ms)
-                self._sonars.blinked(measurements.take_blinks(), received_ns)
+                while measurements.ranging.blinks:
+                    self._sonars.blinked(measurements.ranging.blinks.pop(), received_ns)
 
         return {PongReceived: on_pong, protocol.WheelStatus: on_wheels, protocol.SonarStatus: on_sonar,
                 protocol.ErrorCount: lambda record, received_ns: error(*record),
@@ -163,7 +164,7 @@ class TeensySensorHub:
         return ping_ns if self._watched_fd is not None else min(ping_ns, self._rest_until_ns)
 
     def shut_down(self):
-        self._commands.restore_terminal()
+        self._commands.keys.restore()
         self._close("the node ends")
         self._inbox.ending = True
         self._inbox.dispatch()
@@ -173,8 +174,7 @@ class TeensySensorHub:
             self._open()
         except DeviceError as error:
             self._warnings.warn(error.state, f"{error}. Trying again")
-            self._note_failure(error)
-            self._plan_retry()
+            self._retry_after(error)
 
     def _open(self):
         """Open the port, bring the Teensy's receiver in step, and ping it."""
@@ -187,10 +187,6 @@ class TeensySensorHub:
         self._sonars.opened(now_ns)
         self._link_status.publish()
         self._ping()
-
-    def _plan_retry(self):
-        self._next_try_ns = self._clocks.now_ns() + self._retry_ns
-        self._retry_ns = min(2 * self._retry_ns, LAST_RETRY_NS)
 
     def _watch_port(self, wanted):
         """Wake on the port, or don't: while it isn't read it would end every wait."""
@@ -246,15 +242,16 @@ class TeensySensorHub:
     def _lose(self, error):
         self._warnings.warn(error.state, f"{error}")
         self._close(str(error))
-        self._note_failure(error)
-        self._plan_retry()
+        self._retry_after(error)
 
-    def _note_failure(self, error):
-        """Publish at once that the port is gone; that it still is waits for the next second."""
+    def _retry_after(self, error):
+        """Plan the next try. That the port is gone is published at once; that it still is waits for the next second."""
         before = self._session.verdict.state
         self._session.port_failed(error.state, error.cause, error.remedy)
         if error.state != before:
             self._link_status.publish()
+        self._next_try_ns = self._clocks.now_ns() + self._retry_ns
+        self._retry_ns = min(2 * self._retry_ns, LAST_RETRY_NS)
 
     def _write(self, data):
         """Send, and return whether that worked."""
@@ -319,6 +316,7 @@ class TeensySensorHub:
         if faults:
             kind = f"sonars {sorted(str(fault.sensor) for fault in faults)}"
             self._warnings.warn(kind, "{}. {}".format(*describe(faults)))
+
 
 def _indices(sequence):
     """Return the order of the sonars, or None where the firmware's own is wanted."""

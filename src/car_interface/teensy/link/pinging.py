@@ -1,7 +1,6 @@
 """Plans the pings, matches pongs with them, and finds out which checksum the Teensy's receiver wants."""
 from __future__ import annotations
 
-from collections import OrderedDict
 from typing import NamedTuple
 
 from car_interface.common.units import NS_PER_S
@@ -53,7 +52,7 @@ class Pinger:
         self._auto = checksum == AUTO
         self.checksum = SHIPPED if self._auto else checksum
         self.answered_checksum: str | None = None
-        self._waiting: OrderedDict = OrderedDict()  # timestamp1 → (when it was sent, bytes written, checksum)
+        self._waiting: dict = {}  # timestamp1 → (when it was sent, bytes written, checksum)
         self.sent = self.answered = 0
         self.resyncs = 0  # pings behind the filler
         self._dithered = 0  # how many pings were moved

@@ -12,7 +12,7 @@ from collections import Counter
 from typing import NamedTuple
 
 from car_interface.common.units import NS_PER_MS, NS_PER_S
-from car_interface.teensy.link.protocol import UINT32
+from car_interface.teensy.link.protocol import ahead
 from car_interface.teensy.sensing.clock_lines import MAX_SKEW_PPM, Bound, ClockLines, PongBounds, rise_ns
 
 BITS_PER_BYTE = 10  # start bit, eight, stop bit
@@ -135,8 +135,7 @@ class Clock:
 
     def unwrap(self, tick: int) -> int:
         """Return the tick without its wraps: of all that it may stand for, the one nearest to the newest tick."""
-        last = self._last
-        return tick if last is None else last + (tick - last + UINT32 // 2) % UINT32 - UINT32 // 2
+        return tick if self._last is None else self._last + ahead(tick, self._last)
 
     def tick_at(self, host_ns: int) -> float:
         """Return the Teensy's clock at a monotonic time: ms, unwrapped, with their fraction.

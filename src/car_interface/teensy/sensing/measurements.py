@@ -12,13 +12,13 @@ from typing import Callable, NamedTuple
 from car_interface.common.units import NS_PER_MS, NS_PER_S
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.teensy.link.pinging import Answer
-from car_interface.teensy.link.protocol import UINT32, Pong, SonarStatus, WheelStatus
+from car_interface.teensy.link.protocol import UINT32, Pong, SonarStatus, WheelStatus, ahead
 from car_interface.teensy.link.reboot import reached_tick
 from car_interface.teensy.sensing.clock import Clock, Stamp, Sync
 from car_interface.teensy.sensing.echo_pulses import BOOT_MS, FIRMWARE_WAIT_MS, EchoPulses
 from car_interface.teensy.sensing.odometry import Motion, Odometry, OdometryConfig
 from car_interface.teensy.sensing.plausibility import GateConfig, Gates
-from car_interface.teensy.sensing.pulse_counts import ahead, has_pulsed
+from car_interface.teensy.sensing.pulse_counts import has_pulsed
 from car_interface.teensy.sensing.ranging import Ranging, RangingConfig
 
 # The smallest frames on the line: with checksum and closing flag, without escapes, with a shared opening flag. The time

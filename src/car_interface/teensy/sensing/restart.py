@@ -227,7 +227,7 @@ class RestartBridge:
 
     def is_ready(self, now_ms: float) -> bool:
         """Return whether enough is known to go on."""
-        if not any(self._pulses) or not self._find_sign(now_ms):
+        if not any(self._pulses) or not self._find_sign():
             return False
         if now_ms - self._first_ms() > ENOUGH_MS:
             return True
@@ -245,7 +245,8 @@ class RestartBridge:
             self._note_stop(min(self._blind_ms(), MAX_BLIND_MS))
         for pulses in self._pulses if self._boot_ms is not None else ():
             _date_first(pulses)
-        state, signs = self._state, self._all_signs(now_ms)
+        state, sign = self._state, self._find_sign()
+        signs = [proven or sign for proven in self._signs]
         speeds = self._speeds(signs, now_ms)
         curvature, curvature_variance = self._curvature(speeds, was_rolling)
         guesses = [self._guess(side, speeds, curvature, was_rolling, signs) for side in (LEFT, RIGHT)]
@@ -301,7 +302,7 @@ class RestartBridge:
     def _mean_before(self):
         return sum(wheel.speed for wheel in self._state.wheels) / 2
 
-    def _find_sign(self, now_ms):
+    def _find_sign(self):
         """Return the car's direction, proven by a wheel or as it rolled before; 0 = unknown."""
         proven = next((sign for sign in self._signs if sign), 0)
         if proven:
@@ -310,10 +311,6 @@ class RestartBridge:
         if abs(before) > ROLLING_PER_MS and self._blind_ms() < MAX_BLIND_MS:
             return 1 if before > 0 else -1
         return 0
-
-    def _all_signs(self, now_ms):
-        sign = self._find_sign(now_ms)
-        return [proven or sign for proven in self._signs]
 
     def _was_rolling(self):
         """Return whether the car rolled when pulses were counted again; else it started later."""

@@ -17,7 +17,7 @@ Pure: ``now_ns`` in, and its memory doesn't grow.
 """
 from __future__ import annotations
 
-from typing import Iterable, Mapping, NamedTuple, Sequence
+from typing import Mapping, NamedTuple, Sequence
 
 from car_interface.common.units import NS_PER_MS, NS_PER_S
 from car_interface.common.vehicle_geometry import SONARS
@@ -265,9 +265,9 @@ class SonarMonitor:
             return None
         return self.sequence[(self.sequence.index(self._last) + 1) % len(self.sequence)]
 
-    def blinked(self, sensors: Iterable[int], now_ns: int) -> None:
-        """Take note of sensors whose echo pin was high for over a second and is released."""
-        self._blinked.update((sensor, now_ns) for sensor in sensors)
+    def blinked(self, sensor: int, now_ns: int) -> None:
+        """Take note of a sensor whose echo pin was high for over a second and is released."""
+        self._blinked[sensor] = now_ns
 
     def faults(self, now_ns: int) -> list[SonarFault]:
         """Return the faults; empty when all sonars in use report, or were stopped."""

@@ -1,8 +1,8 @@
 """Judges the ticks of the Teensy's clock that pongs and sonars carry. Pure."""
 from __future__ import annotations
 
+from car_interface.teensy.link.protocol import ahead
 from car_interface.teensy.link.reboot import MAX_LAG_MS
-from car_interface.teensy.sensing.pulse_counts import ahead
 from car_interface.teensy.sensing.verdicts import (
     AFTER_GAP,
     CLOCK_RESTARTED,
