@@ -15,15 +15,7 @@ CONTAINER_REMEDY = "The kernel lists it: a container must be given /dev/input"
 
 
 class GamepadDevice:
-    """An open gamepad.
-
-    Args:
-        open_device: as ``evdev.InputDevice``.
-
-    Attributes:
-        pad: as given.
-        keys: the codes of its keys.
-        ranges: evdev.AbsInfo of each axis, by code.
+    """An open gamepad, with the codes of its keys, and evdev.AbsInfo of each axis, by code.
 
     Raises:
         DeviceError: it can't be opened.

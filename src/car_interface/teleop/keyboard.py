@@ -112,8 +112,7 @@ class Controls(NamedTuple):
 class Keyboard:
     """The keys that are held.
 
-    Args:
-        counts_without_release: a key whose release nothing reports is held for HOLD_NS after each of its characters.
+    With ``counts_without_release`` a key whose release nothing reports is held for HOLD_NS after each character.
     """
 
     def __init__(self, counts_without_release: bool):

@@ -16,11 +16,7 @@ COUNTS = ("frames", "bad_frames", "malformed_frames", "unknown_commands", "noise
 
 
 class LinkStatusPublisher:
-    """Publishes the verdict on the link and the sonars behind it, and all counters.
-
-    Args:
-        port: the path of the Teensy's port; ``link`` is the port itself.
-    """
+    """Publishes the verdict on the link and the sonars behind it, and all counters; ``port`` is the port's path."""
 
     def __init__(self, port: str, link: SerialLink, session: Session, sonars: SonarMonitor, inbox):
         self._port = port

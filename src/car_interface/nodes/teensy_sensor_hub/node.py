@@ -51,11 +51,7 @@ SHORTEST_REST_NS = NS_PER_S // 250
 
 
 class TeensySensorHub:
-    """Keeps the port open, runs the session over it, and publishes what comes through it.
-
-    Args:
-        make_link: another class where a test connects a Teensy.
-    """
+    """Keeps the port open, runs the session over it, and publishes what comes through it."""
 
     def __init__(self, params, inbox, make_link=SerialLink):
         self._clocks = inbox.clocks

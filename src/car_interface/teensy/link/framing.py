@@ -125,10 +125,9 @@ def _unescape(segment: bytes) -> bytes:
 
 
 def encode(body: bytes, checksum: str = SHIPPED) -> bytes:
-    """Return one frame for the Teensy, with its own opening and closing flag (the Teensy's receiver shares none).
+    """Return one frame for the Teensy from header and payload, 4 to 36 bytes.
 
-    Args:
-        body: header and payload, 4 to 36 bytes.
+    It has an opening and a closing flag of its own: the Teensy's receiver shares none.
     """
     if checksum == CORRECTED:
         # The one's-complement sum, as ``feed`` explains; a header is never all zeros.

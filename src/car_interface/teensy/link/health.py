@@ -46,19 +46,12 @@ class Counts(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """The health of the link.
+    """The health of the link."""
 
-    Attributes:
-        state: one of the names above.
-        level: OK, WARN or ERROR.
-        description: what is wrong, or that nothing is.
-        next_step: what its owner can do or type; empty = nothing.
-    """
-
-    state: str
-    level: int
-    description: str
-    next_step: str
+    state: str  # one of the names above
+    level: int  # OK, WARN or ERROR
+    description: str  # what is wrong, or that nothing is
+    next_step: str  # what its owner can do or type; empty = nothing
 
 
 class _Sample(NamedTuple):

@@ -24,9 +24,7 @@ class PongReceived(NamedTuple):
 
 
 class Rebooted(NamedTuple):
-    """The Teensy's clock went back; the event after this one is the record that showed it."""
-
-    description: str
+    description: str  # of how the Teensy's clock went back; the event after this one is the record that showed it
 
 
 # The events of ``receive``. Sonar and wheel reports and the Teensy's counters are events themselves.
@@ -86,9 +84,7 @@ class Session:
         for body in self._decoder.feed(data):
             record = decode(body)
             handle = self._handlers.get(type(record))
-            if handle is not None:
-                record = handle(record, now_ns, events)
-            events.append(record)
+            events.append(record if handle is None else handle(record, now_ns, events))
         return events
 
     def _on_pong(self, pong, now_ns, events):

@@ -90,10 +90,8 @@ class Gates:
         return self._ticks.judge(tick, reached)
 
     def _counted(self, verdict):
-        if verdict.accepted:
-            self.accepted += 1
-        else:
-            self.refused += 1
+        self.accepted += verdict.accepted
+        self.refused += not verdict.accepted
         if verdict.reason:
             self.counts[verdict.reason] += 1
         return verdict

@@ -55,9 +55,6 @@ class RangingConfig:
 
     ``no_echo``: with ``inf`` no echo is +inf, one from too near −inf. With ``max_range`` no echo is ``max_range_m``,
     one from too near is ``min_range_m``: something stands there, and a costmap shall keep it.
-
-    Raises:
-        ConfigError: naming the parameter.
     """
 
     temperature_c: float = declared.number(
@@ -83,23 +80,17 @@ class RangingConfig:
 
 
 class Ranging:
-    """Turns each sonar's echoes into ranges.
-
-    Attributes:
-        counts: echoes that made no range, by reason.
-        clones: the time-outs that were found, ms by sensor; nobody configured them.
-        blinks: sensors whose pin was high for longer than any clone's; the owner takes them out when it has logged it.
-    """
+    """Turns each sonar's echoes into ranges."""
 
     def __init__(self, config: RangingConfig = RangingConfig()):
         self._config = config
         self._temperature_c = config.temperature_c
         self._nothing_m = math.inf if config.no_echo == INF else config.max_range_m
         self._too_near_m = -math.inf if config.no_echo == INF else config.min_range_m
-        self.counts: Counter = Counter()
+        self.counts: Counter = Counter()  # echoes that made no range, by reason
         self._timeouts_us = [round(1000 * timeout_ms) for timeout_ms in config.timeouts_ms]
-        self.clones: dict[int, float] = {}
-        self.blinks: set[int] = set()
+        self.clones: dict[int, float] = {}  # the time-outs that were found, ms by sensor; nobody configured them
+        self.blinks: set[int] = set()  # whose pin was high for longer than any clone's; the owner takes them out
         self._held_us = [deque(maxlen=CLONE_PULSES) for _ in SONARS]
         self._newest_us = [deque(maxlen=MEDIAN_OF if config.median else 1) for _ in SONARS]
 

@@ -70,19 +70,12 @@ class CarState(NamedTuple):
 
 
 class WheelStart(NamedTuple):
-    """The state in which a wheel goes on.
+    """The state in which a wheel goes on."""
 
-    Attributes:
-        place: of its first pulse's magnet; without pulses the wheel's own, anywhere between two.
-        speed: at that time.
-        forward: its direction.
-        pulses: (number, at ms), the first of which was at ``place``.
-    """
-
-    place: float
-    speed: float
-    forward: bool
-    pulses: list
+    place: float  # of its first pulse's magnet; without pulses the wheel's own, anywhere between two
+    speed: float  # at that time
+    forward: bool  # its direction
+    pulses: list  # (number, at ms), the first of which was at ``place``
 
 
 class Outcome(NamedTuple):

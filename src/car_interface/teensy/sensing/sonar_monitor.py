@@ -44,17 +44,9 @@ ALIVE_NS = NS_PER_S  # a link without any frame for longer shows nothing about s
 
 
 class SonarFault(NamedTuple):
-    """A fault of the sonars.
-
-    Attributes:
-        sensor: index in ``SONARS``; ``None`` for all of them.
-        description: what is wrong.
-        next_step: what its owner can do.
-    """
-
-    sensor: int | None
-    description: str
-    next_step: str
+    sensor: int | None  # index in ``SONARS``; ``None`` for all of them
+    description: str  # what is wrong
+    next_step: str  # what its owner can do
 
 
 class SonarMonitor:
