@@ -157,7 +157,7 @@ class Gamepad:
         topic, name: in reasons.
 
     Attributes:
-        joy: the newest message, with its age.
+        joy: the newest message, with its age; once it is marked stale no deadman is obeyed until all were released.
         axes, buttons: how many it had.
     """
 
@@ -194,10 +194,6 @@ class Gamepad:
             self._scale_button = 0
             self._distrust_sticks()
             self.joy.update(broken, now_ns)
-
-    def mark_stale(self) -> None:
-        """Take note that messages were dropped: no deadman is obeyed until all were released."""
-        self.joy.mark_stale()
 
     def requests(self, now_ns: int) -> Requests:
         if self.joy.is_stale(now_ns):

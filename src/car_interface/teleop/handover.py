@@ -42,8 +42,8 @@ class Handover:
         self.phone_is_current = False
 
     def mark_stale(self) -> None:
-        self.gamepad.mark_stale()
-        self.phone.mark_stale()
+        self.gamepad.joy.mark_stale()
+        self.phone.joy.mark_stale()
 
     def requests(self, now_ns: int) -> Requests:
         """Return the requests at ``now_ns``. To be called before and after each message, or an edge would be missed."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Iterable, Mapping, NamedTuple
 
 from car_interface.common import declared
-from car_interface.common.errors import ConfigError
+from car_interface.common.errors import require
 from car_interface.teleop.input_devices import ANY
 
 EV_SYN, EV_KEY, EV_ABS = 0, 1, 3  # linux/input-event-codes.h
@@ -33,8 +33,8 @@ class JoystickConfig:
         "coalesce_interval", 0.001, "an axis waits so long for others", "s", low=0, high=1)
 
     def __post_init__(self):
-        if self.dev != ANY and not self.dev.startswith("/"):
-            raise ConfigError("dev", self.dev, f"{ANY}, or a path such as /dev/input/event5")
+        require(self.dev == ANY or self.dev.startswith("/"), "dev", self.dev,
+                f"{ANY}, or a path such as /dev/input/event5")
 
 
 class Change(NamedTuple):

@@ -43,7 +43,7 @@ class LinkStatusPublisher:
 
     def _status(self):
         session = self._session
-        tally, pinger, verdict = session.tally, session.pinger, session.verdict
+        tally, pinger, verdict = session.tally, session.pinger, session.health.verdict
         faults = self._sonars.faults(self._clocks.now_ns()) if self._link.is_open else ()
         if faults:
             verdict = with_sonars(verdict, *describe(faults))

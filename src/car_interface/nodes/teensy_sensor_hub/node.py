@@ -147,13 +147,8 @@ class TeensySensorHub:
                 self._read(now_ns)
         elif now_ns >= self._next_try_ns:
             self._try_open()
-        due_ns = self._next_port_event_ns()
-        if now_ns < due_ns or not self._link.is_open:
-            return due_ns
-        self._ping_when_due(now_ns)
-        return self._next_port_event_ns()
-
-    def _next_port_event_ns(self):
+        if self._link.is_open and now_ns >= self._session.pinger.next_event_ns():
+            self._ping_when_due(now_ns)
         if not self._link.is_open:
             return self._next_try_ns
         ping_ns = self._session.pinger.next_event_ns()
@@ -221,19 +216,18 @@ class TeensySensorHub:
             self._note_noise(noise_bytes, len(data), began_ns)
 
     def _note_noise(self, noise_bytes, read_bytes, began_ns):
-        """Warn of corrupt frames; after a long read that is mostly noise leave the port alone for a while."""
+        """Warn of corrupt frames. After a long read that is mostly noise leave the port alone for as long as it took.
+
+        A flood must not take the whole CPU.
+        """
         corrupt = self._session.tally.bad_frames - self._corrupt
         if corrupt:
             self._corrupt += corrupt
             self._warnings.warn("corrupt", "corrupt frames came from the Teensy", corrupt)
         if read_bytes >= LONG_READ and 2 * noise_bytes > read_bytes:
-            self._rest(began_ns)
-
-    def _rest(self, began_ns):
-        """Leave the port alone for as long as this read took: a flood must not take the whole CPU."""
-        now_ns = self._clocks.now_ns()
-        self._rest_until_ns = now_ns + max(now_ns - began_ns, SHORTEST_REST_NS)
-        self._watch_port(False)
+            now_ns = self._clocks.now_ns()
+            self._rest_until_ns = now_ns + max(now_ns - began_ns, SHORTEST_REST_NS)
+            self._watch_port(False)
 
     def _lose(self, error):
         self._warnings.warn(error.state, f"{error}")
@@ -242,8 +236,8 @@ class TeensySensorHub:
 
     def _retry_after(self, error):
         """Plan the next try. That the port is gone is published at once; that it still is waits for the next second."""
-        before = self._session.verdict.state
-        self._session.port_failed(error.state, error.cause, error.remedy)
+        before = self._session.health.verdict.state
+        self._session.health.port_failed(error.state, error.cause, error.remedy)
         if error.state != before:
             self._link_status.publish()
         self._next_try_ns = self._clocks.now_ns() + self._retry_ns
@@ -259,8 +253,6 @@ class TeensySensorHub:
         return True
 
     def _ping_when_due(self, now_ns):
-        if now_ns < self._session.pinger.next_event_ns():
-            return
         checksum = self._session.pinger.checksum
         for timestamp1 in self._session.expire(now_ns):
             self._commands.answer_ping(timestamp1, False, "no pong came back")
@@ -288,7 +280,7 @@ class TeensySensorHub:
         """Judge the link; log what is new, or still bad. A port that fails is logged by itself."""
         if not self._link.is_open:
             return
-        before = self._session.verdict
+        before = self._session.health.verdict
         verdict = self._session.judge(self._clocks.now_ns())
         is_news = verdict.state != before.state
         if verdict.level != OK and verdict.state not in (WAITING, REBOOTED):  # a reboot was logged as it was detected

@@ -1,8 +1,8 @@
 """One session with a Teensy: bytes and ``now_ns`` in; events, and bytes to send, out.
 
 ``Session`` joins the parts of the link: decoder, pinger, health, reboot detector and counters. It opens no port and
-reads no clock. The owner of the port reports its state (``opened``, ``port_failed``), passes in the bytes that it read
-(``receive``), calls ``expire`` at the pinger's ``next_event_ns``, and sends a ``ping`` from its ``due_ns`` on.
+reads no clock. The owner of the port reports its state (``opened``, ``health.port_failed``), passes in the bytes that
+it read (``receive``), calls ``expire`` at the pinger's ``next_event_ns``, and sends a ``ping`` from its ``due_ns`` on.
 """
 from __future__ import annotations
 
@@ -43,6 +43,7 @@ class Session:
         unknown_commands: how many of these have a command that the firmware doesn't send.
         counters: the Teensy's own, by name, as it last sent them.
         tally: the decoder's counts of bytes, frames and faults.
+        health: the newest verdict on the link.
         pinger: for when pings are due, how many were answered, and the checksum that commands are sent with.
         reboots: how often the Teensy's clock went back.
         round_trip_ns: of the newest answered ping; NaN = none was answered yet.
@@ -52,7 +53,7 @@ class Session:
         self._decoder = FrameDecoder()
         self.tally = self._decoder.tally
         self.pinger = Pinger(ping_period_ns, checksum, now_ns)
-        self._health = LinkHealth(baud)
+        self.health = LinkHealth(baud)
         self._reboot_detector = RebootDetector()
         self._records_at_expiry = 0
         self._must_resync = False
@@ -69,12 +70,8 @@ class Session:
         self.openings += 1
         self._must_resync = True
         self._decoder.reset()
-        self._health.opened(self.counts(), now_ns)
+        self.health.opened(self.counts(), now_ns)
         self.pinger.restart(now_ns)
-
-    def port_failed(self, state: str, cause: str, remedy: str) -> None:
-        """Take note that the port couldn't be opened or was lost; ``state`` is one of ``health``'s."""
-        self._health.port_failed(state, cause, remedy)
 
     # From the Teensy
 
@@ -102,7 +99,7 @@ class Session:
         description = self._reboot_detector.update(tick, now_ns, sent_ns)
         if description is not None:
             self.reboots += 1
-            self._health.rebooted(description, now_ns)
+            self.health.rebooted(description, now_ns)
             self.pinger.retry_now()
             events.append(Rebooted(description))
 
@@ -141,11 +138,7 @@ class Session:
 
     def judge(self, now_ns: int) -> Verdict:
         """Return the link's verdict by the present counters; call it about once a second."""
-        return self._health.judge(self.counts(), now_ns)
-
-    @property
-    def verdict(self) -> Verdict:
-        return self._health.verdict
+        return self.health.judge(self.counts(), now_ns)
 
     def counts(self) -> Counts:
         """Return the counters by which the health of the link is judged."""

@@ -8,7 +8,6 @@ Pure: ticks and monotonic nanoseconds in, the same out.
 from __future__ import annotations
 
 import math
-from collections import Counter
 from typing import NamedTuple
 
 from car_interface.common.units import NS_PER_MS, NS_PER_S
@@ -27,11 +26,10 @@ AGREEING = 3  # pongs in a row that overrule the ones before them
 BUCKETS, BUCKET_NS = 120, NS_PER_S // 2
 KEPT_BUCKETS = 5  # with pongs, of any age: old bounds fade, and are better than none when pings are rare or paused
 
-# Why something isn't used.
+# Why a pong isn't used.
 TOO_SOON = "a pong sooner than ping and pong take on the line"
 FASTER_LINE = "one pong after the other sooner than the line takes: it has no baud rate, as on USB; no more wire time"
 CONTRADICTION = "a pong that contradicts the ones before it"
-FROM_THE_FUTURE = "a tick that can't have been yet"
 # Why a pong that is used is notable.
 ONE_WAS_WRONG = "three pongs in a row say that one before them was wrong"
 BEGUN_ANEW = "three pongs in a row contradict those before them: a clock jumped or stood still"
@@ -63,18 +61,16 @@ class Clock:
         baud: bits per second on the line.
 
     Attributes:
-        counts: pongs and ticks that weren't used or were notable, by reason.
         converged: the pongs are enough for a line; before that, times are estimated by the newest tick.
     """
 
     def __init__(self, baud: int = 115200):
         self._byte_ns = BITS_PER_BYTE * NS_PER_S / baud
         self._too_soon = 0  # pongs in a row
-        self.counts: Counter = Counter()
         self.restart()
 
     def restart(self) -> None:
-        """Forget all but the counts: the Teensy's clock restarted."""
+        """Begin anew: the Teensy's clock restarted."""
         self._last = None  # the newest tick, unwrapped
         self._last_ns = 0  # when it was, at the latest
         self._buckets: dict = {}  # number of the bucket, counted in host time → its bounds
@@ -96,8 +92,6 @@ class Clock:
         latest_ns = received_ns - self._wire_ns(received_bytes)
         tick = self._update_last(tick, latest_ns)
         used, reason = self._take(PongBounds(Bound(tick + 1, sent_by_ns), Bound(tick, latest_ns)))
-        if reason:
-            self.counts[reason] += 1
         uncertainty_ns = self._stamp(tick, latest_ns).uncertainty_ns
         if self.converged:
             offset_ns, skew_ppm = self._lines.offset_ns(), self._lines.skew_ppm()
@@ -112,12 +106,8 @@ class Clock:
         """
         latest_ns = received_ns - self._wire_ns(received_bytes)
         bound = Bound(self._update_last(tick, latest_ns), latest_ns)
-        if self._lines is None:
-            return
-        if self._lines.admit(None, bound):
+        if self._lines is not None and self._lines.admit(None, bound):  # else it can't have been yet
             self._bucket(latest_ns).tighten(None, bound, self._lines.slope)
-        else:
-            self.counts[FROM_THE_FUTURE] += 1
 
     def translate(self, tick: int, received_ns: int | None = None, received_bytes: int = 0) -> Stamp:
         """Return when a tick was. With the same bounds and receipt, a later tick never comes out earlier.

@@ -185,8 +185,9 @@ class Odometry:
                        min(times_ms[side] + TICK_MIDDLE_MS, now_ms) if is_known else now_ms)
             wheel.pending = bridge.pending(side)
             wheel.advance(now_ms)
-        if bridge.report(now_ms):
-            for wheel, position in zip(self._wheels, bridge.positions):
+        positions = bridge.report(now_ms)
+        if positions:
+            for wheel, position in zip(self._wheels, positions):
                 wheel.stop_at(position)
             self._return_before_bridge()
             for path in bridge.reversed_paths:

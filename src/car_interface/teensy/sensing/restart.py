@@ -164,8 +164,8 @@ class RestartBridge:
         """Take note that every pulse since a boot is counted, though the first report comes later."""
         self._seen_ms = self._boot_ms = max(boot_ms, self._state.at_ms)
 
-    def report(self, now_ms: float) -> bool:
-        """Take note that pulses are counted; return True once if the car stopped while they weren't."""
+    def report(self, now_ms: float) -> list[float] | None:
+        """Take note that pulses are counted; return once where the wheels are if they stopped while none were."""
         if self._seen_ms is None:
             self._seen_ms = now_ms
         if not any(self._pulses):
@@ -173,12 +173,13 @@ class RestartBridge:
         state = self._state
         fastest = max(abs(wheel.speed) for wheel in state.wheels)
         if fastest == 0.0 or any(self._pulses) or now_ms - self._seen_ms < max(BLIND_MS, STOPPED_INTERVALS / fastest):
-            return False
+            return None
         blind_ms = min(self._seen_ms - state.at_ms, MAX_BLIND_MS)
         self._note_stop(blind_ms)
+        positions = [wheel.position + wheel.speed * blind_ms / 2 for wheel in state.wheels]
         self._state = state._replace(at_ms=now_ms, wheels=tuple(
-            wheel._replace(position=wheel.position + wheel.speed * blind_ms / 2, speed=0.0) for wheel in state.wheels))
-        return True
+            wheel._replace(position=position, speed=0.0) for wheel, position in zip(state.wheels, positions)))
+        return positions
 
     def _uneven_variance(self):
         """Return the variance of the distance if the speed didn't change evenly while pulses weren't counted, pulses².
@@ -197,12 +198,6 @@ class RestartBridge:
         """Take note that the car has stopped within this time, after a quarter to all of it, as one sigma."""
         fastest = max(abs(wheel.speed) for wheel in self._state.wheels)
         self._stop_variance, self._stop_within_ms = (fastest * blind_ms / 4) ** 2, blind_ms
-
-    @property
-    def positions(self) -> tuple[float, float]:
-        """Return where the wheels stand, after ``report`` found that the car has stopped."""
-        left, right = self._state.wheels
-        return left.position, right.position
 
     def add(self, side: int, unproven: int, proven: int, at_ms: float) -> None:
         """Take pulses of a wheel, without and (signed) with a known direction; the newest was at ``at_ms``."""

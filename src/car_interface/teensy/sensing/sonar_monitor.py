@@ -202,8 +202,6 @@ class SonarMonitor:
 
     def _is_trusted(self, tick):
         left, until = self._trusted_after
-        if not left and not until:
-            return True
         if until:
             if tick < until - AFTER_START_MS - BEFORE_START_MS:
                 return True  # it was on its way as SONAR_START was sent
