@@ -23,14 +23,10 @@ class Handover:
 
     Args:
         config: the gamepad's. The phone has the same neutral and dead bands, and indices of its own.
-
-    Attributes:
-        gamepad, phone: for their messages, counts and ages; another gamepad may take the first one's place.
-        phone_is_current: the newest requests are the phone's.
     """
 
     def __init__(self, config: GamepadConfig):
-        self.gamepad = Gamepad(config)
+        self.gamepad = Gamepad(config)  # another one may take its place
         phones = replace(config, steer_axis=STEERING, throttle_axis=THROTTLE, manual_button=MANUAL,
                          autonomous_button=AUTONOMOUS, faster_button=FASTER, slower_button=SLOWER, third_button=NONE,
                          steer_scale=1.0, throttle_scale=1.0, joy_timeout_s=PHONE_TIMEOUT_S)
@@ -39,7 +35,7 @@ class Handover:
         self._phone_drives = False
         self._gamepad_holds = False
         self._gamepad_must_release = self._phone_must_release = False
-        self.phone_is_current = False
+        self.phone_is_current = False  # the newest requests are the phone's
 
     def mark_stale(self) -> None:
         self.gamepad.joy.mark_stale()

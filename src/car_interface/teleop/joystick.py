@@ -55,12 +55,6 @@ class Joystick:
         keys: the codes of its keys.
         ranges: evdev.AbsInfo of each axis, by code, in the device's units; within ``flat`` of its middle an axis is 0.
         deadzone: within this distance of its middle an axis is 0, 0 to less than 1; beyond it the axis rises from 0.
-
-    Attributes:
-        axes: −1..1; left and forward are positive, as in sensor_msgs/Joy of the package joy.
-        buttons: 0 or 1.
-        losses: how often the kernel dropped events, as this was read too late.
-        is_lost: events were dropped, and the positions of the axes must be read: ``read_axes``.
     """
 
     def __init__(self, keys: Iterable[int], ranges: Mapping[int, Any], deadzone: float = 0.05):
@@ -69,9 +63,10 @@ class Joystick:
         self._axes = {code: number for number, code in enumerate(sorted(ranges))}
         self._ranges = ranges
         self._deadzone = deadzone
-        self.axes = [0.0] * len(ranges)
+        self.axes = [0.0] * len(ranges)  # −1..1; left and forward are positive, as in messages of the package joy
         self.buttons = [0] * len(buttons)
-        self.losses = 0
+        self.losses = 0  # how often the kernel dropped events, as this was read too late
+        # ``is_lost``: events were dropped, and the positions of the axes must be read: ``read_axes``.
         self.is_lost = self._is_dropping = self._has_button = self._has_axis = False
 
     def read_axes(self, positions: Mapping[int, int]) -> Change:

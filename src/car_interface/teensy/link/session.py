@@ -36,17 +36,6 @@ class Session:
 
     Args:
         checksum: which one the Teensy's receiver wants: ``SHIPPED``, ``CORRECTED``, or ``AUTO`` = find out.
-
-    Attributes:
-        openings: how often the port was opened.
-        malformed: frames with the right checksum whose content makes no sense.
-        unknown_commands: how many of these have a command that the firmware doesn't send.
-        counters: the Teensy's own, by name, as it last sent them.
-        tally: the decoder's counts of bytes, frames and faults.
-        health: the newest verdict on the link.
-        pinger: for when pings are due, how many were answered, and the checksum that commands are sent with.
-        reboots: how often the Teensy's clock went back.
-        round_trip_ns: of the newest answered ping; NaN = none was answered yet.
     """
 
     def __init__(self, baud: int, ping_period_ns: int, checksum: str, now_ns: int):
@@ -57,9 +46,12 @@ class Session:
         self._reboot_detector = RebootDetector()
         self._records_at_expiry = 0
         self._must_resync = False
-        self.openings = self.malformed = self.unknown_commands = self.reboots = 0
-        self.counters: dict[str, int] = {}
-        self.round_trip_ns = math.nan
+        self.openings = 0  # of the port
+        self.reboots = 0  # how often the Teensy's clock went back
+        self.malformed = 0  # frames with the right checksum whose content makes no sense
+        self.unknown_commands = 0  # of these, whose command the firmware doesn't send
+        self.counters: dict[str, int] = {}  # the Teensy's own, by name, as it last sent them
+        self.round_trip_ns = math.nan  # of the newest answered ping; NaN = none was answered yet
         self._handlers = {Pong: self._on_pong, SonarStatus: self._on_sonar, ErrorCount: self._on_counter,
                           Malformed: self._on_malformed}
 

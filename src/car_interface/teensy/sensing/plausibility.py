@@ -32,18 +32,13 @@ from car_interface.teensy.sensing.wheel_gate import WheelGate
 
 @dataclass(frozen=True)
 class GateConfig:
-    """The bounds of the possible.
-
-    Args:
-        pulse_m: a wheel's distance from pulse to pulse; 20 on the circumference of a 9.5 cm wheel.
-        max_gap_ms: between ticks of a line that is whole; at least two periods of the pings, of which one may be
-            lost.
-    """
+    """The bounds of the possible."""
 
     top_speed_mps: float = declared.number(
         "top_speed", 20.0, "of a wheel; anything faster is rejected as line noise", "m/s",
         above=0.0, high=1000)
-    pulse_m: float = math.pi * 0.095 / 20
+    pulse_m: float = math.pi * 0.095 / 20  # a wheel's distance from pulse to pulse: 20 around a 9.5 cm wheel
+    # Between ticks of a line that is whole; at least two periods of the pings, of which one may be lost.
     max_gap_ms: int = 2_000
 
 

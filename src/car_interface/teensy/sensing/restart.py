@@ -90,26 +90,15 @@ class Outcome(NamedTuple):
 
 
 class RestartBridge:
-    """From the last report before a restart to the pulses that show how the car goes on.
-
-    Args:
-        state: of the car at that report.
-        track_m: between the wheels.
-
-    Attributes:
-        reversed_paths: those after the restart, of which the counts show that the car has reversed on them.
-    """
+    """From the last report before a restart, with the car's state then, to the pulses that show how the car goes on."""
 
     def __init__(self, state: CarState, track_m: float):
         self._state = state
         self._track_m = track_m
-        self._seen_ms: float | None = None  # from when on pulses were counted again
-        self._stood_ms: deque = deque(maxlen=STANDING_REPORTS)  # of the reports since then without a pulse
-        self._boot_ms: float | None = None  # from when on each pulse is in the reports
-        self.reversed_paths: list[UnseenPath] = []
+        self._stood_ms: deque = deque(maxlen=STANDING_REPORTS)  # of the reports without a pulse since they are counted
+        self.reversed_paths: list[UnseenPath] = []  # those after the restart, by the counts
         self._stop_variance = self._stop_within_ms = 0.0  # of a car that has stopped while pulses weren't counted
-        self._pulses: tuple[list, list] = ([], [])
-        self._signs = [0, 0]
+        self.restart()
 
     def place_variance(self, now_ms: float) -> float:
         """Return the variance of the place that a change of speed on the way or a long time adds, pulses²."""
@@ -146,8 +135,9 @@ class RestartBridge:
             before = [at_ms for at_ms in self._stood_ms if boot_ms is None or at_ms < boot_ms - BLIND_MS]
             self._state = self._state._replace(at_ms=(before or self._stood_ms)[-1] - self._blind_ms())
             self._stood_ms.clear()
-        self._seen_ms = self._boot_ms = None
-        self._pulses = ([], [])
+        self._seen_ms: float | None = None  # from when on pulses were counted again
+        self._boot_ms: float | None = None  # from when on each pulse is in the reports
+        self._pulses: tuple[list, list] = ([], [])
         self._signs = [0, 0]
 
     def pending(self, side: int) -> int:

@@ -56,14 +56,6 @@ class SonarMonitor:
         restart_s: SONAR_START is wanted after this long without a report, while there should be some; 0 = never.
         sequence: the sonars in use, to be sent to each Teensy that boots; ``None`` = the firmware's own order.
         ahead: the sequence while the car drives forward; ``None`` = the same one.
-
-    Attributes:
-        sequence: the sonars in use, as the firmware fires them.
-        starts: how many SONAR_STARTs it asked for.
-        dropped: stuck sensors that were taken out of the sequence.
-        wait_ms: SONAR_WAIT as last commanded.
-        clones: by sensor the ms after which it ends its pulse without an echo, though nobody configured that; the
-            owner sets it to what ``Ranging`` finds.
     """
 
     def __init__(self, restart_s: float = 3.0, sequence: Sequence[int] | None = None,
@@ -71,7 +63,9 @@ class SonarMonitor:
         self._ahead = None if ahead is None else tuple(ahead)
         self._restart_ns = round(restart_s * NS_PER_S)
         self._configured = None if sequence is None else tuple(sequence)
-        self.starts = 0
+        self.starts = 0  # how many SONAR_STARTs it asked for
+        # By sensor the ms after which it ends its pulse without an echo, though nobody configured that; the owner sets
+        # it to what ``Ranging`` finds.
         self.clones: Mapping[int, float] = {}
         self._blinked: dict[int, int] = {}  # sensor: when its pin was last released
         self._zeros = [0] * len(SONARS)  # in a row
@@ -88,10 +82,10 @@ class SonarMonitor:
         self._forget_reports(0)
 
     def _forget_commands(self):
-        self._usual = self.sequence = self._configured or tuple(range(len(SONARS)))
+        self._usual = self.sequence = self._configured or tuple(range(len(SONARS)))  # as the firmware fires them
         self._is_ahead = False  # whether the sequence is the one for driving forward
-        self.dropped: tuple = ()
-        self.wait_ms = FIRMWARE_WAIT_MS
+        self.dropped: tuple = ()  # stuck sensors that were taken out of the sequence
+        self.wait_ms = FIRMWARE_WAIT_MS  # as last commanded
         self._must_send = self._configured is not None
 
     def _forget_reports(self, now_ns):
