@@ -27,7 +27,7 @@ from car_interface.sim.teensy_wheels import BACKWARD, FORWARD
 from car_interface.teensy.link import protocol
 from car_interface.teensy.link.framing import RESYNC_FILLER, SHIPPED, FrameDecoder, encode
 from car_interface.teensy.link.pinging import Pinger
-from car_interface.teensy.sensing.clock import Clock, ClockConfig
+from car_interface.teensy.sensing.clock import Clock
 from car_interface.teensy.sensing.plausibility import Gates
 
 NS_PER_S, NS_PER_MS, NS_PER_US = 1_000_000_000, 1_000_000, 1_000
@@ -103,7 +103,7 @@ class Bench:
         self._decoder = FrameDecoder()
         self._gates = Gates()
         self._pinger = Pinger(NS_PER_S, SHIPPED, START_NS + NS_PER_S // 2)
-        self._clock = Clock(ClockConfig())
+        self._clock = Clock()
         self._newest_ns = None  # receipt minus tick
         self._score_from_ns = START_NS + SCORED_AFTER_NS
         self._score = Score()

@@ -182,8 +182,8 @@ class Bench:
         newest_ms = max([wheel.when for wheel in record if wheel.when], default=-math.inf)
         has_pulse = any((*verdict.pulses, *verdict.unproven))
         at_ms = newest_ms + 0.5 if has_pulse else self.teensy.clock.device_ns(now_ns) / NS_PER_MS
-        motion = self.odometry.report(record, verdict.pulses, verdict.restarted, record.left.when, record.right.when,
-                                      at_ms, verdict.unproven)
+        motion = self.odometry.report(record, verdict._replace(unsplit=(0, 0)), (record.left.when, record.right.when),
+                                      at_ms)
         self._judge(motion, self.truth_at(motion.time_ms))
 
     def _judge(self, motion, truth):

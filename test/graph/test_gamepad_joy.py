@@ -250,6 +250,13 @@ def test_axes_are_published_together_buttons_at_once_and_the_state_at_the_asked_
     assert {after - before for before, after in zip(times_ns, times_ns[1:])} == {NS_PER_S // 5}
 
 
+def test_state_is_not_repeated_at_a_rate_of_0(tmp_path):
+    car = Driven(tmp_path, autorepeat_rate=0).start(F710_X)
+    at_ns = car.graph.now_ns
+    car.send((KEY, TL, DOWN), run_s=2.0)
+    assert [message.buttons[LB] for message in car.graph.messages("/joy", at_ns)] == [1]
+
+
 def test_nothing_is_published_while_there_is_no_gamepad_and_the_log_and_diagnostics_say_what_to_do(tmp_path):
     car = Driven(tmp_path).start()
     text = ("gamepad: there is none. Plug in the gamepad or its receiver, and switch it on. If it is: rosrun "

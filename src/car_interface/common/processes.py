@@ -20,7 +20,7 @@ def openers(path: str, proc: str = "/proc") -> list[tuple[int, str]]:
 
 def process_name(pid: int, proc: str = "/proc") -> str:
     """Return the name of a program; for an interpreter the name of its script."""
-    names = [os.path.basename(part) for part in _command_line(pid, proc) if part]
+    names = [os.path.basename(part) for part in command_line(pid, proc) if part]
     if not names:
         return "unknown"
     scripts = [name for name in names[1:] if not name.startswith("-")]
@@ -31,12 +31,13 @@ def process_name(pid: int, proc: str = "/proc") -> str:
 
 def script_arguments(pid: int, script: str, proc: str = "/proc") -> list[str]:
     """Return the arguments of a process that runs a script of this name; empty: it runs something else or has ended."""
-    words = _command_line(pid, proc)
+    words = command_line(pid, proc)
     places = [place for place, word in enumerate(words) if os.path.basename(word) == script]
     return words[places[0] + 1:] if places else []
 
 
-def _command_line(pid, proc):
+def command_line(pid: int, proc: str = "/proc") -> list[str]:
+    """Return program and arguments; empty: the process has ended, or is the kernel's."""
     try:
         with open(os.path.join(proc, str(pid), "cmdline"), "rb") as file:
             return file.read().decode(errors="replace").split("\0")[:-1]

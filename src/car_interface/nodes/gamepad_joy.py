@@ -10,6 +10,8 @@ Publishes:
 """
 from __future__ import annotations
 
+import math
+
 import rospy
 from sensor_msgs.msg import Joy
 
@@ -23,7 +25,7 @@ from car_interface.ros.topics import advertise
 from car_interface.teleop.gamepad import DRIVER_REPORT
 from car_interface.teleop.gamepad_device import GamepadDevice
 from car_interface.teleop.input_devices import Pad, choose_pad, find_pads
-from car_interface.teleop.joystick import Joystick, JoystickConfig, Pacing
+from car_interface.teleop.joystick import Joystick, JoystickConfig
 from car_interface.teleop.mappings import frame_of, model_of
 
 RETRY_NS = NS_PER_S // 2
@@ -44,7 +46,9 @@ class GamepadJoy:
         self._pad: Pad | None = None  # the one that was read first
         self._device: GamepadDevice | None = None
         self._joystick = Joystick([], {})
-        self._pacing = Pacing(self._config.coalesce_s, self._config.autorepeat_hz)
+        self._coalesce_ns = round(self._config.coalesce_s * NS_PER_S)
+        self._repeat_ns = NS_PER_S / self._config.autorepeat_hz if self._config.autorepeat_hz else math.inf
+        self._due_ns = math.inf  # of the next message; inf = there is nothing to publish
         self._warnings = ThrottledWarnings(inbox.clocks)
         self._fault: DeviceError | None = None
         now_ns = self._clocks.now_ns()
@@ -64,11 +68,11 @@ class GamepadJoy:
             self._close()
             self._fault = error
             self._warnings.warn(error.cause, f"{error} (no joy message until then)")
-        if now_ns >= self._pacing.due_ns:
+        if now_ns >= self._due_ns:
             self._publish(self._joystick.axes, self._joystick.buttons, now_ns)
         self._diagnostics.step(now_ns)
         self._inbox.dispatch()
-        return min(self._pacing.due_ns, self._diagnostics.due_ns,
+        return min(self._due_ns, self._diagnostics.due_ns,
                    self._retry_ns if self._device is None else self._diagnostics.due_ns)
 
     def shut_down(self):
@@ -88,16 +92,19 @@ class GamepadJoy:
             if change.is_urgent:
                 self._publish(change.axes, change.buttons, now_ns)
             else:
-                self._pacing.changed(now_ns)
+                self._publish_soon(now_ns)
         if self._joystick.is_lost:
             self._read_axes(now_ns)
 
     def _read_axes(self, now_ns):
         self._joystick.read_axes(self._device.positions())
-        self._pacing.changed(now_ns)
+        self._publish_soon(now_ns)
+
+    def _publish_soon(self, now_ns):
+        self._due_ns = min(self._due_ns, now_ns + self._coalesce_ns)
 
     def _close(self):
-        self._pacing.stop()
+        self._due_ns = math.inf
         if self._device is not None:
             self._inbox.unwatch(self._device.fileno())
             self._device.close()
@@ -107,7 +114,7 @@ class GamepadJoy:
         message = Joy(axes=list(axes), buttons=list(buttons))
         message.header.stamp, message.header.frame_id = self._clocks.ros_now(), frame_of(self._pad.name)
         self._publisher.publish(message)
-        self._pacing.published(now_ns)
+        self._due_ns = now_ns + self._repeat_ns
 
     def _model(self):
         return model_of(frame_of(self._pad.name), len(self._joystick.axes), len(self._joystick.buttons))

@@ -200,14 +200,11 @@ class KeyboardDrive:
         for key in self._reader.feed(typed):
             if key == QUIT:
                 self._inbox.end()
-            elif not self._keyboard.type(key, now_ns):
-                self._warn_of_uncounted_key()
-
-    def _warn_of_uncounted_key(self):
-        if not self._was_warned:
-            self._was_warned = True
-            rospy.logwarn("a key was typed here, but not on a keyboard of this computer: its release can't be seen, so "
-                          "it doesn't count. Use a keyboard of the computer that this runs on, or a gamepad")
+            elif not self._keyboard.type(key, now_ns) and not self._was_warned:
+                self._was_warned = True
+                rospy.logwarn("a key was typed here, but not on a keyboard of this computer: its release can't be "
+                              "seen, so it doesn't count. Use a keyboard of the computer that this runs on, or a "
+                              "gamepad")
 
     def _publish(self, controls):
         config = self._config

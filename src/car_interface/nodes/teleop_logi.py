@@ -161,7 +161,7 @@ class TeleopLogi:
             stamp=self._clocks.ros_now(), human_in_loop=requests.human_in_loop,
             cause=requests.cause, reason=requests.reason,
             steering_stick=requests.steering_stick, throttle_stick=requests.throttle_stick,
-            joy_age=self._handover.gamepad.joy_age_s(now_ns)))
+            joy_age=self._handover.gamepad.joy.age_s(now_ns)))
 
     def _log(self, requests):
         is_loss = requests.cause in causes.LOSSES
@@ -184,9 +184,9 @@ class TeleopLogi:
         status.add("human in loop", requests.human_in_loop)
         status.add("steering stick", requests.steering_stick or "as the mode says")
         status.add("throttle stick", requests.throttle_stick or "as the mode says")
-        status.add("age of joy", age_text(self._handover.gamepad.joy_age_s(now_ns)))
-        if self._handover.phone.was_received:
-            status.add("age of phone/joy", age_text(self._handover.phone.joy_age_s(now_ns)))
+        status.add("age of joy", age_text(self._handover.gamepad.joy.age_s(now_ns)))
+        if self._handover.phone.joy.was_received:
+            status.add("age of phone/joy", age_text(self._handover.phone.joy.age_s(now_ns)))
         status.add("gamepad", self._model or "its messages name none")
         status.add("axes, buttons", f"{self._handover.gamepad.axes}, {self._handover.gamepad.buttons}")
         for cause, count in sorted(self._losses.items()):

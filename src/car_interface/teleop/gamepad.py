@@ -155,15 +155,19 @@ class Gamepad:
         rearm_reason: why the deadmen must be released first.
         unmapped: why it drives nothing, as nobody has said what they do; empty: somebody has.
         topic, name: in reasons.
+
+    Attributes:
+        joy: the newest message, with its age; once it is marked stale no deadman is obeyed until all were released.
+        axes, buttons: how many it had.
     """
 
     def __init__(self, config: GamepadConfig, rearm_reason: str = STARTED, unmapped: str = "", topic: str = "joy",
                  name: str = "the gamepad"):
         self._config, self._name = config, name
         self._unmapped = unmapped
-        self._joy = TimedInput(topic, config.joy_timeout_s)
+        self.joy = TimedInput(topic, config.joy_timeout_s)
         self._rearm_reason = rearm_reason  # empty: they were released
-        self.axes = self.buttons = 0  # how many the newest message had
+        self.axes = self.buttons = 0
         self._scale_button = 0
         self._steering = Stick(config.override_deadband, brakes=False)
         self._throttle = Stick(config.override_deadband, brakes=True)
@@ -175,9 +179,9 @@ class Gamepad:
 
     def update(self, axes: Sequence[float], buttons: Sequence[int], now_ns: int) -> None:
         """Take a message: axes −1..1, buttons 0 or 1."""
-        was_stale = self._joy.was_received and self._joy.is_stale(now_ns)
+        was_stale = self.joy.was_received and self.joy.is_stale(now_ns)
         if was_stale:
-            self._rearm_reason = DROPPED if self._joy.is_marked_stale else f"{self._name} was silent"
+            self._rearm_reason = DROPPED if self.joy.is_marked_stale else f"{self._name} was silent"
         if was_stale or (len(axes), len(buttons)) != (self.axes, self.buttons):
             self._distrust_sticks()
         self.axes, self.buttons = len(axes), len(buttons)
@@ -185,23 +189,19 @@ class Gamepad:
         if broken is None:
             self._scale_button = (self._is_pressed(self._config.faster_button, buttons)
                                   - self._is_pressed(self._config.slower_button, buttons))
-            self._joy.update(self._read(axes, buttons, now_ns), now_ns)
+            self.joy.update(self._read(axes, buttons, now_ns), now_ns)
         else:
             self._scale_button = 0
             self._distrust_sticks()
-            self._joy.update(broken, now_ns)
-
-    def mark_stale(self) -> None:
-        """Take note that messages were dropped: no deadman is obeyed until all were released."""
-        self._joy.mark_stale()
+            self.joy.update(broken, now_ns)
 
     def requests(self, now_ns: int) -> Requests:
-        if self._joy.is_stale(now_ns):
-            cause = causes.JOY_STALE if self._joy.was_received else causes.JOY_NEVER_RECEIVED
-            return self._released(cause, self._joy.stale_reason(now_ns))
+        if self.joy.is_stale(now_ns):
+            cause = causes.JOY_STALE if self.joy.was_received else causes.JOY_NEVER_RECEIVED
+            return self._released(cause, self.joy.stale_reason(now_ns))
         if self._mode:
             return self._held(self._mode, now_ns)
-        requests = self._joy.value
+        requests = self.joy.value
         is_whole = requests.cause in (causes.NO_DEADMAN, causes.NOT_REARMED)
         return self._with_sticks(requests, now_ns) if is_whole else requests
 
@@ -211,16 +211,7 @@ class Gamepad:
 
     def scale_button(self, now_ns: int) -> int:
         """Return 1 or −1 while the button for more or less speed by hand is pressed; 0: neither is, or both are."""
-        return 0 if self._joy.is_stale(now_ns) else self._scale_button
-
-    @property
-    def was_received(self) -> bool:
-        """Return whether a message ever arrived."""
-        return self._joy.was_received
-
-    def joy_age_s(self, now_ns: int) -> float:
-        """Return the seconds since the last message; inf = never received."""
-        return self._joy.age_s(now_ns)
+        return 0 if self.joy.is_stale(now_ns) else self._scale_button
 
     def _released(self, cause, reason):
         return Requests(False, self._config.steer_neutral, 0.0, cause, reason)

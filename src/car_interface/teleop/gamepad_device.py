@@ -3,28 +3,19 @@ from __future__ import annotations
 
 import errno
 import select
-from typing import Callable, Mapping
+from typing import Callable
 
-from evdev import InputDevice, ecodes
+from evdev import InputDevice, InputEvent, ecodes
 
 from car_interface.common.device_access import explain_denial
 from car_interface.common.errors import DeviceError
 from car_interface.teleop.input_devices import MISSING_REMEDY, Pad
-from car_interface.teleop.joystick import AxisRange, Event
 
 CONTAINER_REMEDY = "The kernel lists it: a container must be given /dev/input"
 
 
 class GamepadDevice:
-    """An open gamepad.
-
-    Args:
-        open_device: as ``evdev.InputDevice``.
-
-    Attributes:
-        pad: as given.
-        keys: the codes of its keys.
-        ranges: of its axes, by code.
+    """An open gamepad, with the codes of its keys, and evdev.AbsInfo of each axis, by code.
 
     Raises:
         DeviceError: it can't be opened.
@@ -38,14 +29,13 @@ class GamepadDevice:
             raise self._error(error) from error
         capabilities = self._device.capabilities()
         self.keys = capabilities.get(ecodes.EV_KEY, [])
-        self.ranges: Mapping[int, AxisRange] = {code: AxisRange(axis.min, axis.max, axis.flat)
-                                                for code, axis in capabilities.get(ecodes.EV_ABS, [])}
+        self.ranges = dict(capabilities.get(ecodes.EV_ABS, []))
 
     def fileno(self) -> int:
         """Return the file descriptor, for the inbox to watch."""
         return self._device.fd
 
-    def read(self) -> list[Event]:
+    def read(self) -> list[InputEvent]:
         """Return the events that have arrived.
 
         Raises:
@@ -55,7 +45,7 @@ class GamepadDevice:
         if not select.select([self._device.fd], [], [], 0)[0]:
             return []
         try:
-            events = [Event(event.type, event.code, event.value) for event in self._device.read()]
+            events = list(self._device.read())
         except BlockingIOError:
             return []
         except OSError as error:

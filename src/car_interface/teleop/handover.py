@@ -23,14 +23,10 @@ class Handover:
 
     Args:
         config: the gamepad's. The phone has the same neutral and dead bands, and indices of its own.
-
-    Attributes:
-        gamepad, phone: for their messages, counts and ages; another gamepad may take the first one's place.
-        phone_is_current: the newest requests are the phone's.
     """
 
     def __init__(self, config: GamepadConfig):
-        self.gamepad = Gamepad(config)
+        self.gamepad = Gamepad(config)  # another one may take its place
         phones = replace(config, steer_axis=STEERING, throttle_axis=THROTTLE, manual_button=MANUAL,
                          autonomous_button=AUTONOMOUS, faster_button=FASTER, slower_button=SLOWER, third_button=NONE,
                          steer_scale=1.0, throttle_scale=1.0, joy_timeout_s=PHONE_TIMEOUT_S)
@@ -39,16 +35,16 @@ class Handover:
         self._phone_drives = False
         self._gamepad_holds = False
         self._gamepad_must_release = self._phone_must_release = False
-        self.phone_is_current = False
+        self.phone_is_current = False  # the newest requests are the phone's
 
     def mark_stale(self) -> None:
-        self.gamepad.mark_stale()
-        self.phone.mark_stale()
+        self.gamepad.joy.mark_stale()
+        self.phone.joy.mark_stale()
 
     def requests(self, now_ns: int) -> Requests:
         """Return the requests at ``now_ns``. To be called before and after each message, or an edge would be missed."""
         gamepad = self.gamepad.requests(now_ns)
-        return self._choose(gamepad, self.phone.requests(now_ns), now_ns) if self.phone.was_received else gamepad
+        return self._choose(gamepad, self.phone.requests(now_ns), now_ns) if self.phone.joy.was_received else gamepad
 
     def scale_button(self, now_ns: int) -> int:
         """Return 1 or −1 while the button for more or less speed by hand is pressed; 0: neither is, or both are.

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Iterable, Mapping, NamedTuple
+from typing import Any, Iterable, Mapping, NamedTuple
 
 from car_interface.common import declared
-from car_interface.common.errors import ConfigError
-from car_interface.common.units import NS_PER_S
+from car_interface.common.errors import require
 from car_interface.teleop.input_devices import ANY
 
 EV_SYN, EV_KEY, EV_ABS = 0, 1, 3  # linux/input-event-codes.h
@@ -34,24 +33,8 @@ class JoystickConfig:
         "coalesce_interval", 0.001, "an axis waits so long for others", "s", low=0, high=1)
 
     def __post_init__(self):
-        if self.dev != ANY and not self.dev.startswith("/"):
-            raise ConfigError("dev", self.dev, f"{ANY}, or a path such as /dev/input/event5")
-
-
-class Event(NamedTuple):
-    """An input event: evdev.InputEvent has the same names."""
-
-    type: int
-    code: int
-    value: int
-
-
-class AxisRange(NamedTuple):
-    """The range of an axis, in the device's units."""
-
-    minimum: int
-    maximum: int
-    flat: int  # so far from its middle it is 0
+        require(self.dev == ANY or self.dev.startswith("/"), "dev", self.dev,
+                f"{ANY}, or a path such as /dev/input/event5")
 
 
 class Change(NamedTuple):
@@ -69,24 +52,21 @@ class Joystick:
     be released.
 
     Args:
+        keys: the codes of its keys.
+        ranges: evdev.AbsInfo of each axis, by code, in the device's units; within ``flat`` of its middle an axis is 0.
         deadzone: within this distance of its middle an axis is 0, 0 to less than 1; beyond it the axis rises from 0.
-
-    Attributes:
-        axes: −1..1; left and forward are positive, as in sensor_msgs/Joy of the package joy.
-        buttons: 0 or 1.
-        losses: how often the kernel dropped events, as this was read too late.
-        is_lost: events were dropped, and the positions of the axes must be read: ``read_axes``.
     """
 
-    def __init__(self, keys: Iterable[int], ranges: Mapping[int, AxisRange], deadzone: float = 0.05):
+    def __init__(self, keys: Iterable[int], ranges: Mapping[int, Any], deadzone: float = 0.05):
         buttons = sorted((code for code in keys if code >= BTN_MISC), key=lambda code: (code < BTN_JOYSTICK, code))
         self._buttons = {code: number for number, code in enumerate(buttons)}
         self._axes = {code: number for number, code in enumerate(sorted(ranges))}
         self._ranges = ranges
         self._deadzone = deadzone
-        self.axes = [0.0] * len(ranges)
+        self.axes = [0.0] * len(ranges)  # −1..1; left and forward are positive, as in messages of the package joy
         self.buttons = [0] * len(buttons)
-        self.losses = 0
+        self.losses = 0  # how often the kernel dropped events, as this was read too late
+        # ``is_lost``: events were dropped, and the positions of the axes must be read: ``read_axes``.
         self.is_lost = self._is_dropping = self._has_button = self._has_axis = False
 
     def read_axes(self, positions: Mapping[int, int]) -> Change:
@@ -96,8 +76,8 @@ class Joystick:
             self.axes[self._axes[code]] = self._scaled(code, position)
         return self._change(is_urgent=False)
 
-    def receive(self, events: Iterable[Event]) -> list[Change]:
-        """Return the changes by all events that were read at once, a report each."""
+    def receive(self, events: Iterable[Any]) -> list[Change]:
+        """Return the changes by all evdev.InputEvent that were read at once, a report each."""
         changes = []
         for event in events:
             if event.type == EV_SYN and event.code == SYN_DROPPED:
@@ -135,35 +115,10 @@ class Joystick:
 
     def _scaled(self, code, position):
         """Return an axis's value; the kernel's are negative to the left and forward."""
-        low, high, flat = self._ranges[code]
-        middle, half = int((low + high) / 2), (high - low) // 2 - 2 * flat
+        axis = self._ranges[code]
+        middle, half = int((axis.min + axis.max) / 2), (axis.max - axis.min) // 2 - 2 * axis.flat
         if half <= 0:
             return 0.0
-        ratio = min(max(0, abs(position - middle) - flat) / half, 1.0)
+        ratio = min(max(0, abs(position - middle) - axis.flat) / half, 1.0)
         beyond = max(0.0, ratio - self._deadzone) / (1.0 - self._deadzone)
         return math.copysign(beyond, middle - position) if beyond else 0.0
-
-
-class Pacing:
-    """Decides when the state is published: a button at once, axes together after a moment, the same state repeatedly.
-
-    Args:
-        coalesce_s: an axis waits this long for others.
-        autorepeat_hz: the state is published this often without a change; 0 = never.
-    """
-
-    def __init__(self, coalesce_s: float, autorepeat_hz: float):
-        self._coalesce_ns = round(coalesce_s * NS_PER_S)
-        self._repeat_ns = NS_PER_S / autorepeat_hz if autorepeat_hz else math.inf
-        self.due_ns = math.inf  # of the next message; inf = there is nothing to publish
-
-    def changed(self, now_ns: int) -> None:
-        """Take note of a change that isn't urgent."""
-        self.due_ns = min(self.due_ns, now_ns + self._coalesce_ns)
-
-    def published(self, now_ns: int) -> None:
-        self.due_ns = now_ns + self._repeat_ns
-
-    def stop(self) -> None:
-        """Stop repeating the last state: the device is gone."""
-        self.due_ns = math.inf

@@ -13,7 +13,7 @@ from functools import partial
 from typing import NamedTuple
 
 from car_interface.common import declared
-from car_interface.common.errors import ConfigError
+from car_interface.common.errors import require
 from car_interface.common.units import NS_PER_S
 from car_interface.teleop.gamepad import MAX_INDEX, NONE
 
@@ -65,8 +65,8 @@ class KeyboardConfig:
         "input_devices", "/dev/input/event*", "the keyboards; `none` = only the terminal is read")
 
     def __post_init__(self):
-        if self.manual_button == self.autonomous_button:
-            raise ConfigError("autonomous_button", self.autonomous_button, "a button other than manual_button's")
+        require(self.manual_button != self.autonomous_button, "autonomous_button", self.autonomous_button,
+                "a button other than manual_button's")
 
 
 def help_text(has_releases: bool) -> str:
@@ -113,8 +113,7 @@ class Controls(NamedTuple):
 class Keyboard:
     """The keys that are held.
 
-    Args:
-        counts_without_release: a key whose release nothing reports is held for HOLD_NS after each of its characters.
+    With ``counts_without_release`` a key whose release nothing reports is held for HOLD_NS after each character.
     """
 
     def __init__(self, counts_without_release: bool):

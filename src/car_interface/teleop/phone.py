@@ -110,10 +110,6 @@ class Phones:
         admits_guests: pages that don't know the PIN may see the car, and stop it.
         e_stop: it is on at the start.
         make_secret: returns a text that nobody can guess; for tokens and keys.
-
-    Attributes:
-        e_stop: true = stop.
-        counts: what happened how often: "malformed", "stale", "wrong PIN", "loss" and others.
     """
 
     def __init__(self, pin: str, now_ns: int, admits_guests: bool = False, e_stop: bool = False,
@@ -136,7 +132,7 @@ class Phones:
         self._must_release = True
         self.e_stop = e_stop
         self._stopped_ns = now_ns  # when somebody last pressed it
-        self.counts: Counter[str] = Counter()
+        self.counts: Counter[str] = Counter()  # how often what happened: "malformed", "stale", "wrong PIN", "loss" …
 
     @property
     def due_ns(self) -> int:

@@ -131,11 +131,7 @@ DRIVERS = frozenset({"record", "trim", "save", "calibrate"})  # commands that th
 
 
 def parse(data: Any) -> dict[str, Any] | None:
-    """Return a page's message, or None where it is malformed. It never raises.
-
-    Args:
-        data: what arrived: text, or bytes of a binary message, which is malformed.
-    """
+    """Return a page's message, or None where it is malformed, as a binary one is. It never raises."""
     if not isinstance(data, str) or len(data) > MAX_SIZE:
         return None
     try:

@@ -25,7 +25,6 @@ class Stick:
 
     Attributes:
         counts: the axis is trusted, as it was seen at its rest.
-        deflection: the newest.
         is_off_center: it was off its center when a deadman that gives its actuator to the planner was pressed, and has
             not been centered since.
     """

@@ -86,7 +86,7 @@ def test_gamepad_that_was_never_received_or_is_stale_holds_no_deadman():
     assert requests([0.5, 0.5], MANUAL, age_s=0.26)[:5] == (False, 0.0, 0.0, causes.JOY_STALE, "joy silent for 0.26 s")
     assert requests([0.5, 0.5], MANUAL, age_s=1e6, joy_timeout_s=0.0).human_in_loop
     dropped = gamepad_at_rest()
-    dropped.mark_stale()
+    dropped.joy.mark_stale()
     assert dropped.requests(NOW)[3:5] == (causes.JOY_STALE, "joy was not heard since messages were dropped")
     assert requests([0.5, 0.5], NONE).mode == requests([0.5, 0.5], AUTONOMOUS, age_s=1.0).mode == "manual"
 
@@ -166,7 +166,7 @@ def test_message_of_anything_is_in_range_and_without_a_held_button_nobody_is_the
     # The node may be the successor of one that died while the car was driving.
     (lambda gamepad: Gamepad(config()), 0.0, "this node has just started"),
     (lambda gamepad: None, 0.26, "the gamepad was silent"),
-    (lambda gamepad: gamepad.mark_stale(), 0.0, "messages were dropped"),  # in which the hand may have let go
+    (lambda gamepad: gamepad.joy.mark_stale(), 0.0, "messages were dropped"),  # in which the hand may have let go
     (lambda gamepad: gamepad.update([NAN, 0.0], MANUAL, NOW), 0.0, "the gamepad's steer_axis was nan"),
     (lambda gamepad: gamepad.update([0.0, INF], MANUAL, NOW), 0.0, "the gamepad's throttle_axis was inf"),
     (lambda gamepad: gamepad.update([0.0], MANUAL, NOW), 0.0, "the gamepad had no throttle_axis"),
@@ -209,10 +209,10 @@ def test_cause_that_letting_go_does_not_cure_has_a_remedy(cause, words):
 
 def test_age_and_size_of_the_newest_message_are_known():
     gamepad = Gamepad(config())
-    assert gamepad.joy_age_s(NOW) == INF and not gamepad.was_received
+    assert gamepad.joy.age_s(NOW) == INF and not gamepad.joy.was_received
     assert (gamepad.axes, gamepad.buttons, gamepad.scale_button(NOW)) == (0, 0, 0)
     gamepad.update([0.0] * 8, [0] * 11, NOW)
-    assert (gamepad.axes, gamepad.buttons, gamepad.joy_age_s(NOW + S)) == (8, 11, 1.0) and gamepad.was_received
+    assert (gamepad.axes, gamepad.buttons, gamepad.joy.age_s(NOW + S)) == (8, 11, 1.0) and gamepad.joy.was_received
 
 
 class Person:
@@ -341,7 +341,7 @@ def test_axis_counts_once_it_stayed_at_its_rest_which_a_trigger_only_passes():
 @pytest.mark.parametrize("lose", [
     lambda person: person.gamepad.update((0.5, 0.5, 0.0), [0, 0, 0], person.now_ns),
     lambda person: setattr(person, "now_ns", person.now_ns + S),
-    lambda person: person.gamepad.mark_stale(),
+    lambda person: person.gamepad.joy.mark_stale(),
     lambda person: person.hold((NAN, 0.0), NONE),
     lambda person: person.hold((), NONE),
 ], ids=["another_mode", "silence", "dropped_messages", "no_number", "no_axes"])

@@ -1,7 +1,9 @@
 """Input events as a gamepad's state with the joystick interface's numbers, and when that is published."""
 import math
+from typing import NamedTuple
 
 import pytest
+from evdev import AbsInfo
 from hypothesis import given
 from hypothesis import strategies as st
 from pads import (
@@ -34,18 +36,30 @@ from pads import (
 
 from car_interface.common.errors import ConfigError
 from car_interface.teleop.input_devices import parse_pads
-from car_interface.teleop.joystick import AxisRange, Event, Joystick, JoystickConfig, Pacing
+from car_interface.teleop.joystick import Joystick, JoystickConfig
 
-MS, S = 1_000_000, 1_000_000_000
+
+class Event(NamedTuple):
+    """What an evdev.InputEvent has."""
+
+    type: int
+    code: int
+    value: int
+
+
 END, DROP = Event(SYN, REPORT, 0), Event(SYN, DROPPED, 0)
 LB_DOWN, LB_UP, LB_REPEATS = Event(KEY, TL, 1), Event(KEY, TL, 0), Event(KEY, TL, 2)
 LEFT, RIGHT = Event(ABS, X, -32768), Event(ABS, X, 32767)
 LB = 4
 
 
+def axis(low, high, flat):
+    return AbsInfo(0, low, high, 0, flat, 0)
+
+
 def joystick(model=F710_X, deadzone=0.0):
     (pad,) = parse_pads(listed(model, 5), 64)
-    return Joystick(pad.keys, {code: AxisRange(*values) for code, values in model.ranges.items()}, deadzone)
+    return Joystick(pad.keys, {code: axis(*values) for code, values in model.ranges.items()}, deadzone)
 
 
 # As jstest numbers them on these gamepads.
@@ -94,7 +108,7 @@ def test_axis_is_scaled_as_the_joystick_interface_does(position, limits):
     middle, slope = int((low + high) / 2), (1 << 29) // ((high - low) // 2 - 2 * flat)
     beyond = position - middle - flat if position > middle + flat else min(0, position - middle + flat)
     expected = -max(-32767, min(32767, slope * beyond >> 14)) / 32767
-    state = Joystick([], {X: AxisRange(*limits)}, 0.0)
+    state = Joystick([], {X: axis(*limits)}, 0.0)
     state.receive([Event(ABS, X, position), END])
     assert state.axes == [pytest.approx(expected, abs=1e-3)]
 
@@ -110,7 +124,7 @@ def test_axis_is_zero_in_its_dead_zone_and_rises_to_one_beyond_it(position, expe
 
 @pytest.mark.parametrize("limits", [(0, 0, 0), (0, 10, 5)])
 def test_axis_without_a_range_stays_at_zero(limits):
-    state = Joystick([], {X: AxisRange(*limits)}, 0.0)
+    state = Joystick([], {X: axis(*limits)}, 0.0)
     state.receive([Event(ABS, X, 10), END])
     assert state.axes == [0.0]
 
@@ -137,22 +151,6 @@ def test_lost_events_release_every_button_at_once_and_nothing_counts_until_the_a
     assert (change.axes[0], change.buttons, state.is_lost) == (-1.0, (0,) * 11, False)
     assert state.receive([LB_UP, END])[0].buttons[LB] == 0
     assert state.receive([LB_DOWN, END])[0].buttons[LB] == 1
-
-
-def test_axes_wait_for_each_other_and_the_state_is_repeated_until_the_device_is_gone():
-    pacing = Pacing(0.001, 20.0)
-    assert pacing.due_ns == math.inf  # nothing was received: there is nothing to publish
-    pacing.changed(5 * S)
-    pacing.changed(5 * S + MS // 2)
-    assert pacing.due_ns == 5 * S + MS
-    pacing.published(5 * S + MS)
-    assert pacing.due_ns == 5 * S + 51 * MS
-    pacing.stop()
-    assert pacing.due_ns == math.inf
-    pacing = Pacing(0.001, 0.0)  # without autorepeat
-    pacing.changed(S)
-    pacing.published(S + MS)
-    assert pacing.due_ns == math.inf
 
 
 @pytest.mark.parametrize("dev", ["js0", "none", ""])

@@ -53,12 +53,7 @@ class Program:
 
 
 class CalibrationProgram:
-    """Begins and ends calibration_drive, and shows how far it is, also of one that was begun in a terminal.
-
-    Args:
-        inbox: the node's.
-        make_program: as ``Program``.
-    """
+    """Begins and ends calibration_drive, and shows how far it is, also of one that was begun in a terminal."""
 
     def __init__(self, inbox: Inbox, make_program=Program):
         self._inbox, self._make_program = inbox, make_program
@@ -99,11 +94,7 @@ class CalibrationProgram:
         return "calibration_drive ends; nothing is written"
 
     def step(self, state: CalibrationState | None) -> dict[str, Any]:
-        """Return how far it is, as JSON has it.
-
-        Args:
-            state: its own newest one; None: it is silent.
-        """
+        """Return how far it is, as JSON has it, by its own newest state; None: it is silent."""
         self._is_seen = state is not None
         if self._program is not None and self._program.exit_code is not None:
             self._has_written = self._has_written or self._program.exit_code == 0

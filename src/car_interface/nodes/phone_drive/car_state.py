@@ -5,6 +5,7 @@ It listens to topics alone, and asks neither the master nor a node.
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any, Callable, Mapping
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -41,11 +42,7 @@ BOARD = "servo board"  # pca9685's on /diagnostics
 
 
 class CarState:
-    """The newest of what the nodes publish.
-
-    Args:
-        inbox: phone_drive's.
-    """
+    """The newest of what the nodes publish."""
 
     def __init__(self, inbox: Inbox):
         self._newest: dict[str, tuple[Any, int]] = {}  # message and arrival, by topic
@@ -55,16 +52,16 @@ class CarState:
         self.tuned = {CENTER: (TunedNode(inbox, "turn_arb"), "servo_center"),
                       NEUTRAL: (TunedNode(inbox, "throttle_arb/servo"), "neutral")}
         for topic, message_type in STATES.items():
-            subscribe(topic, message_type, inbox, self._keeper(topic), wakes=False)
+            subscribe(topic, message_type, inbox, partial(self._keep, topic), wakes=False)
         subscribe("/diagnostics", DiagnosticArray, inbox, self._on_reports, queue_size=50, wakes=False)
 
     def groups(self, now_ns: int) -> dict[str, Any]:
         """Return all groups but those of recordings, as JSON has them."""
-        steering = self._state("turn_arb/state", now_ns, self._steering)
-        throttle = self._state("throttle_arb/state", now_ns, _throttle)
         return {
             "who": self._state("teleop_logi/state", now_ns, _cause),
-            "steering": steering, "throttle": throttle, "speed": self._speed(now_ns),
+            "steering": self._state("turn_arb/state", now_ns, self._steering),
+            "throttle": self._state("throttle_arb/state", now_ns, _throttle),
+            "speed": self._speed(now_ns),
             "planner": self._state("planner_interface/state", now_ns, lambda state: {
                 **_cause(state), "source": state.source, "speed": number(state.speed, 2)}),
             "esc": self._state("throttle_arb/state", now_ns, lambda state: {
@@ -85,10 +82,8 @@ class CarState:
 
     # --- what arrives ---
 
-    def _keeper(self, topic):
-        def keep(message, now_ns):
-            self._newest[topic] = message, now_ns
-        return keep
+    def _keep(self, topic, message, now_ns):
+        self._newest[topic] = message, now_ns
 
     def _on_reports(self, array, now_ns):
         for status in array.status[:MAX_REPORTS]:

@@ -13,11 +13,7 @@ AUTO = "auto"
 
 @dataclass(frozen=True)
 class PhoneDriveConfig:
-    """Where phones find the car, and what they may do.
-
-    Raises:
-        ConfigError: naming the parameter.
-    """
+    """Where phones find the car, and what they may do."""
 
     address: str = declared.text(
         "address", "127.0.0.1", "this computer's, as phones reach it; 127.0.0.1 = from this computer only")

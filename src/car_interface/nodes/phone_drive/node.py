@@ -38,7 +38,7 @@ from car_interface.ros.topics import advertise
 from car_interface.teleop.handover import PHONE_TOPIC
 from car_interface.teleop.keyboard import Controls
 from car_interface.teleop.phone import Phones
-from car_interface.teleop.phone_messages import BEGIN, CENTER, FINISH, NEUTRAL
+from car_interface.teleop.phone_messages import BEGIN, CENTER, FINISH, GIVE_UP, NEUTRAL
 
 RATE_HZ = 20
 TICKS_PER_E_STOP = 2
@@ -52,8 +52,6 @@ class PhoneDrive:
     """Passes what phones send to the rules, publishes what these grant, and does what the driver asks for.
 
     Args:
-        params: the node's parameters.
-        inbox: the node's.
         make_server: called with configuration and inbox; see ``server.Server``. Of each connection it puts into the
             inbox, for ``on_connect``, ``on_message`` and ``on_disconnect``, what happens.
         make_pin: returns six digits.
@@ -190,12 +188,12 @@ class PhoneDrive:
             self._phones.answer(connection, **answer)
 
     def _do_record(self, connection, message, now_ns):
-        done = self._recordings.begin(now_ns) if message["on"] else self._recordings.end()
-        return {"done": done}
+        return {"done": self._recordings.begin(now_ns) if message["on"] else self._recordings.end()}
 
     def _do_calibrate(self, connection, message, now_ns):
-        program, what = self._calibration, message["what"]
-        return {"done": program.begin() if what == BEGIN else program.finish() if what == FINISH else program.give_up()}
+        program = self._calibration
+        actions = {BEGIN: program.begin, FINISH: program.finish, GIVE_UP: program.give_up}
+        return {"done": actions[message["what"]]()}
 
     def _do_open(self, connection, message, now_ns):
         path = self._recordings.path_of(message["name"])
@@ -239,15 +237,12 @@ class PhoneDrive:
         self._phones.answer(connection, **fields)
 
     def _report(self, status):
-        """How many pages there are, and what was refused, for /diagnostics."""
         status.summary(OK, "the e-stop is on" if self._phones.e_stop else "phones are served")
         status.add("pages", self._phones.pages)
         for what, count in sorted(self._phones.counts.items()):
             status.add(f"times {what}", count)
-        return status
 
 
 def main():
-    """Run the node."""
     from car_interface.nodes.phone_drive.server import Server  # here: nothing else of the package needs tornado
     run("phone_drive", partial(PhoneDrive, make_server=Server))

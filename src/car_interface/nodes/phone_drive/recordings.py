@@ -29,14 +29,7 @@ def default_folder() -> str:
 
 
 class Recordings:
-    """The folder, and what is being recorded.
-
-    Args:
-        folder: of the recordings.
-        inbox: the node's.
-        make_recording, make_page: as ``BagRecording`` and ``BagPage``.
-        free_bytes: of the disk with a folder.
-    """
+    """The folder, and what is being recorded; ``free_bytes`` are those of the disk with a folder."""
 
     def __init__(self, folder: str, inbox: Inbox, make_recording=BagRecording, make_page=BagPage,
                  free_bytes: Callable[[str], int] = lambda folder: shutil.disk_usage(folder).free):
@@ -79,23 +72,20 @@ class Recordings:
 
     def step(self) -> None:
         """Look how far it is; to be called some times a second."""
-        if self._recording is None:
-            return
-        if self._page is None:
-            if self._recording.has_ended:
-                self._text = "the recording has ended by itself: rosrun rosbag record says why"
-                self._recording = None
-                return
+        if self._page is not None:
+            lines = self._page.step()
+            if lines is not None:
+                self._text = "; ".join(filter(None, (self._text, lines[-1])))
+                self._recording = self._page = None
+        elif self._recording is not None and self._recording.has_ended:
+            self._text = "the recording has ended by itself: rosrun rosbag record says why"
+            self._recording = None
+        elif self._recording is not None:
             try:
                 self._check_disk()
             except (CarInterfaceError, OSError) as error:
                 self.end()
                 self._text = str(error)
-            return
-        lines = self._page.step()
-        if lines is not None:
-            self._text = "; ".join(filter(None, (self._text, lines[-1])))
-            self._recording = self._page = None
 
     def close(self) -> None:
         """End the recording, without a report that isn't there yet. To be called at the node's end."""

@@ -87,7 +87,7 @@ class Server:
         self._tickets: OrderedDict[str, tuple[str, float]] = OrderedDict()  # path and end, the oldest first
         self.downloads = 0
         self._inbox, self._node = inbox, node
-        self._sockets: dict[int, _Socket] = {}  # by number; of the server's thread
+        self.sockets: dict[int, _Socket] = {}  # by number; of the server's thread
         self._closing: deque[_Socket] = deque()  # the oldest first
         self._unhandled: Counter[int] = Counter()
         self._numbers = itertools.count(1)
@@ -133,7 +133,7 @@ class Server:
         self._loop.call_soon(self._has_started.set)
         self._loop.run_forever()
         http.stop()
-        for socket in list(self._sockets.values()):
+        for socket in list(self.sockets.values()):
             socket.abort()
         waiting = asyncio.all_tasks(self._loop)
         for task in waiting:
@@ -142,22 +142,17 @@ class Server:
             self._loop.run_until_complete(asyncio.wait(waiting, timeout=END_S / 2))
         self._loop.close()
 
-    @property
-    def is_full(self) -> bool:
-        """Return whether no WebSocket can be taken for now."""
-        return len(self._sockets) >= MAX_SOCKETS
-
     def open(self, socket: _Socket) -> int:
         """Take a new WebSocket; return its number."""
         number = next(self._numbers)
-        self._sockets[number] = socket
+        self.sockets[number] = socket
         self._inbox.put(self._node.on_connect, (number, socket.request.remote_ip))
         return number
 
     def receive(self, number: int, data: Any) -> None:
         """Pass a message on; end a connection that sends faster than the node handles."""
         if self._unhandled[number] >= MAX_UNHANDLED:
-            self._sockets[number].abort()
+            self.sockets[number].abort()
             return
         self._unhandled[number] += 1
 
@@ -168,7 +163,7 @@ class Server:
 
     def close(self, number: int) -> None:
         """Take note that a WebSocket is closed."""
-        self._sockets.pop(number, None)
+        self.sockets.pop(number, None)
         self._unhandled.pop(number, None)
         self._inbox.put(self._node.on_disconnect, number)
 
@@ -185,11 +180,11 @@ class Server:
     def _count_handled(self, number):
         if self._unhandled[number] > 0:
             self._unhandled[number] -= 1
-        if number not in self._sockets:
+        if number not in self.sockets:
             del self._unhandled[number]
 
     def _send(self, outgoing):
-        socket = self._sockets.get(outgoing.connection)
+        socket = self.sockets.get(outgoing.connection)
         if socket is None:
             return
         socket.send(outgoing.text, outgoing.closes)
@@ -234,9 +229,7 @@ def _tls(config):
 class _HttpServer(HTTPServer):
     """Ends the oldest of too many connections that don't ask for anything."""
 
-    def initialize(self, *args, **kwargs):
-        super().initialize(*args, **kwargs)
-        self._waiting = []
+    _waiting = ()
 
     def handle_stream(self, stream, address):
         self._waiting = [other for other in self._waiting if not (other.closed() or hasattr(other, "is_served"))]
@@ -343,7 +336,7 @@ class _Socket(_Guarded, WebSocketHandler):
 
     def prepare(self):
         super().prepare()
-        if not self._finished and self._server.is_full:
+        if not self._finished and len(self._server.sockets) >= MAX_SOCKETS:
             self.send_error(503)
 
     def check_origin(self, origin):

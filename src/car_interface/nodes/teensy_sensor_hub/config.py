@@ -6,12 +6,11 @@ from dataclasses import dataclass, replace
 from typing import Sequence
 
 from car_interface.common import declared
-from car_interface.common.errors import ConfigError
+from car_interface.common.errors import require
 from car_interface.common.vehicle_geometry import TRACK_M, WHEEL_DIAMETER_M, WHEELBASE_M
 from car_interface.teensy.link.framing import CORRECTED, SHIPPED
 from car_interface.teensy.link.pinging import AUTO
 from car_interface.teensy.link.protocol import MAX_SEQUENCE, SONARS
-from car_interface.teensy.sensing.clock import ClockConfig
 from car_interface.teensy.sensing.measurements import MeasurementConfig
 from car_interface.teensy.sensing.odometry import OdometryConfig
 from car_interface.teensy.sensing.plausibility import GateConfig
@@ -65,15 +64,14 @@ class HubConfig:
     ranging: RangingConfig = declared.group(RangingConfig())
 
     def __post_init__(self):
-        for name, sequence in (("sonar_sequence", self.sonar_sequence),
-                               ("sonar_sequence_ahead", self.sonar_sequence_ahead)):
-            if len(sequence) > MAX_SEQUENCE or any(sensor % 1 for sensor in sequence):
-                raise ConfigError(name, sequence, f"up to {MAX_SEQUENCE} whole numbers from 0 to 5")
-        if 0 < self.odom_rate_hz < SLOWEST_ODOM_HZ:
-            raise ConfigError("odom_rate", self.odom_rate_hz, f"0, or a number from {SLOWEST_ODOM_HZ} to 1000")
+        for name in ("sonar_sequence", "sonar_sequence_ahead"):
+            sequence = getattr(self, name)
+            require(len(sequence) <= MAX_SEQUENCE and not any(sensor % 1 for sensor in sequence), name, sequence,
+                    f"up to {MAX_SEQUENCE} whole numbers from 0 to 5")
+        require(not 0 < self.odom_rate_hz < SLOWEST_ODOM_HZ, "odom_rate", self.odom_rate_hz,
+                f"0, or a number from {SLOWEST_ODOM_HZ} to 1000")
         for name, mount in zip(SONARS, self.mounts):
-            if len(mount) != 3:
-                raise ConfigError(f"sonars/{name}", mount, "three numbers: x, y in m, and yaw in rad, in base_link")
+            require(len(mount) == 3, f"sonars/{name}", mount, "three numbers: x, y in m, and yaw in rad, in base_link")
 
     def frame(self, name: str) -> str:
         return self.frame_prefix + name
@@ -85,7 +83,7 @@ class HubConfig:
         max_gap_ms = max(GateConfig.max_gap_ms, math.ceil(2000 * self.ping_period_s))
         return MeasurementConfig(
             gates=replace(self.gates, pulse_m=self.odometry.pulse_m, max_gap_ms=max_gap_ms),
-            clock=ClockConfig(baud=self.baud), odometry=self.odometry, ranging=self.ranging)
+            baud=self.baud, odometry=self.odometry, ranging=self.ranging)
 
 
 @dataclass(frozen=True)

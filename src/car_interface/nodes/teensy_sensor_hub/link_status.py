@@ -16,11 +16,7 @@ COUNTS = ("frames", "bad_frames", "malformed_frames", "unknown_commands", "noise
 
 
 class LinkStatusPublisher:
-    """Publishes the verdict on the link and the sonars behind it, and all counters.
-
-    Args:
-        port: the path of the Teensy's port; ``link`` is the port itself.
-    """
+    """Publishes the verdict on the link and the sonars behind it, and all counters; ``port`` is the port's path."""
 
     def __init__(self, port: str, link: SerialLink, session: Session, sonars: SonarMonitor, inbox):
         self._port = port
@@ -46,7 +42,11 @@ class LinkStatusPublisher:
             report.add(f"Teensy's {counter.name}", counter.count)
 
     def _status(self):
-        session, tally, pinger, verdict = self._session, self._session.tally, self._session.pinger, self._verdict()
+        session = self._session
+        tally, pinger, verdict = session.tally, session.pinger, session.health.verdict
+        faults = self._sonars.faults(self._clocks.now_ns()) if self._link.is_open else ()
+        if faults:
+            verdict = with_sonars(verdict, *describe(faults))
         return LinkStatus(
             stamp=self._clocks.ros_now(), open=self._link.is_open, level=verdict.level, state=verdict.state,
             words=verdict.description, next_step=verdict.next_step, frames=tally.frames, bad_frames=tally.bad_frames,
@@ -56,8 +56,3 @@ class LinkStatusPublisher:
             round_trip=session.round_trip_ns / NS_PER_S, firmware_checksum=pinger.checksum,
             sonar_starts=self._sonars.starts, dropped_sonars=list(self._sonars.dropped),
             counters=[Error(count, name) for name, count in sorted(session.counters.items())])
-
-    def _verdict(self):
-        verdict = self._session.verdict
-        faults = self._sonars.faults(self._clocks.now_ns()) if self._link.is_open else ()
-        return with_sonars(verdict, *describe(faults)) if faults else verdict

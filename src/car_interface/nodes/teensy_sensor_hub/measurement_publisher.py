@@ -31,21 +31,26 @@ MAX_REFUSED_RATIO = 0.01  # of a second's records, from which on it's a warning
 
 
 class MeasurementPublisher:
-    """Publishes what ``Measurements`` makes of the Teensy's records."""
+    """Publishes what ``Measurements`` makes of the Teensy's records.
+
+    Attributes:
+        ranging: has what it found out about the sonars.
+        speed_mps: the newest.
+    """
 
     def __init__(self, config: HubConfig, inbox):
         self._config = config
-        self._ranging = config.ranging
         self._odom_frame, self._base_frame = config.frame(config.odom_frame), config.frame(config.base_frame)
         self._sonar_frames = [config.frame(f"sonar_{name}") for name in SONARS]
         self._measurements = Measurements(config.measurement, self._on_motion)
+        self.ranging = self._measurements.ranging
         self._clocks = inbox.clocks
         self._ros_clock = RosClock(inbox.clocks)
         self._warnings = ThrottledWarnings(inbox.clocks)
         self._sync = None
         self._counted = (0, 0)
         self._pending = None  # the newest motion, while it isn't published
-        self.speed_mps = 0.0  # the newest
+        self.speed_mps = 0.0
         self._motion_timer = RateTimer(config.odom_rate_hz or math.inf, 0)
         self._prepare_messages()
         self._odometry = advertise("odom", OdometryMessage, inbox, QUEUE_SIZE)
@@ -68,7 +73,8 @@ class MeasurementPublisher:
         self._tf_msg = _transform(self._clocks.ros_now(), self._odom_frame, self._base_frame, 0.0, 0.0, 0.0)
         self._joint_msg = JointState(name=[self._config.frame(name) for name in WHEEL_JOINTS])
         self._range_msg = Range(radiation_type=Range.ULTRASOUND, field_of_view=self._config.field_of_view_rad,
-                            min_range=self._ranging.min_range_m, max_range=self._ranging.max_range_m)
+                                min_range=self._config.ranging.min_range_m,
+                                max_range=self._config.ranging.max_range_m)
 
     def pong(self, record, answer, received_ns: int) -> None:
         """Take a pong, with the ping that it answers or ``None``; publish how the clocks relate."""
@@ -78,20 +84,9 @@ class MeasurementPublisher:
         self._sync = sync
         self._clock.publish(TeensyClock(
             stamp=self._ros_clock.stamp("clock", received_ns), sent=answer.sent_ns, received=received_ns,
-            sent_bytes=answer.sent_bytes,
-            baud=self._config.baud, tick=record.timestamp2, used=sync.used, reason=sync.reason,
-            converged=sync.converged, offset=sync.offset_ns / NS_PER_S, skew=sync.skew_ppm,
+            sent_bytes=answer.sent_bytes, baud=self._config.baud, tick=record.timestamp2, used=sync.used,
+            reason=sync.reason, converged=sync.converged, offset=sync.offset_ns / NS_PER_S, skew=sync.skew_ppm,
             uncertainty=sync.uncertainty_ns / NS_PER_S, round_trip=sync.round_trip_ns / NS_PER_S))
-
-    @property
-    def clones(self) -> dict[int, float]:
-        """Return the time-outs of the sonars that were found to be clones, ms by sensor."""
-        return self._measurements.ranging.clones
-
-    def take_blinks(self) -> set[int]:
-        """Return the sonars whose echo pin was high for over a second, each once."""
-        blinks, self._measurements.ranging.blinks = self._measurements.ranging.blinks, set()
-        return blinks
 
     def sonar(self, record, received_ns: int, is_trusted: bool, wait_ms: int) -> None:
         """Take a sonar's report, and SONAR_WAIT; publish its range, if it is one."""
@@ -178,12 +173,12 @@ class MeasurementPublisher:
                        "wheels, sonars and pongs make sense")
         status.add("accepted", gates.accepted)
         status.add("refused", gates.refused)
-        for reason, count in sorted((gates.counts + self._measurements.ranging.counts).items()):
+        for reason, count in sorted((gates.counts + self.ranging.counts).items()):
             status.add(reason, count)
 
     def _on_temperature(self, message, now_ns):
         try:
-            self._measurements.ranging.temperature_c = message.temperature
+            self.ranging.set_temperature(message.temperature)
         except ConfigError as error:
             self._warnings.warn("temperature", f"{error}: the one before it counts on")
 

@@ -51,11 +51,7 @@ SHORTEST_REST_NS = NS_PER_S // 250
 
 
 class TeensySensorHub:
-    """Keeps the port open, runs the session over it, and publishes what comes through it.
-
-    Args:
-        make_link: another class where a test connects a Teensy.
-    """
+    """Keeps the port open, runs the session over it, and publishes what comes through it."""
 
     def __init__(self, params, inbox, make_link=SerialLink):
         self._clocks = inbox.clocks
@@ -68,7 +64,7 @@ class TeensySensorHub:
         self._sonars = SonarMonitor(config.sonar_restart_s, _indices(config.sonar_sequence),
                                     _indices(config.sonar_sequence_ahead))
         if self._measurements:
-            self._sonars.clones = self._measurements.clones
+            self._sonars.clones = self._measurements.ranging.clones
         self._inbox = inbox
         self._warnings = ThrottledWarnings(inbox.clocks)
         self._retry_ns = FIRST_RETRY_NS
@@ -122,7 +118,8 @@ class TeensySensorHub:
             is_trusted = self._sonars.report(record.sensor, record.echo_us, record.when, received_ns)
             if measurements:
                 measurements.sonar(record, received_ns, is_trusted, self._sonars.wait_ms)
-                self._sonars.blinked(measurements.take_blinks(), received_ns)
+                while measurements.ranging.blinks:
+                    self._sonars.blinked(measurements.ranging.blinks.pop(), received_ns)
 
         return {PongReceived: on_pong, protocol.WheelStatus: on_wheels, protocol.SonarStatus: on_sonar,
                 protocol.ErrorCount: lambda record, received_ns: error(*record),
@@ -150,20 +147,15 @@ class TeensySensorHub:
                 self._read(now_ns)
         elif now_ns >= self._next_try_ns:
             self._try_open()
-        due_ns = self._next_port_event_ns()
-        if now_ns < due_ns or not self._link.is_open:
-            return due_ns
-        self._ping_when_due(now_ns)
-        return self._next_port_event_ns()
-
-    def _next_port_event_ns(self):
+        if self._link.is_open and now_ns >= self._session.pinger.next_event_ns():
+            self._ping_when_due(now_ns)
         if not self._link.is_open:
             return self._next_try_ns
         ping_ns = self._session.pinger.next_event_ns()
         return ping_ns if self._watched_fd is not None else min(ping_ns, self._rest_until_ns)
 
     def shut_down(self):
-        self._commands.restore_terminal()
+        self._commands.keys.restore()
         self._close("the node ends")
         self._inbox.ending = True
         self._inbox.dispatch()
@@ -173,8 +165,7 @@ class TeensySensorHub:
             self._open()
         except DeviceError as error:
             self._warnings.warn(error.state, f"{error}. Trying again")
-            self._note_failure(error)
-            self._plan_retry()
+            self._retry_after(error)
 
     def _open(self):
         """Open the port, bring the Teensy's receiver in step, and ping it."""
@@ -187,10 +178,6 @@ class TeensySensorHub:
         self._sonars.opened(now_ns)
         self._link_status.publish()
         self._ping()
-
-    def _plan_retry(self):
-        self._next_try_ns = self._clocks.now_ns() + self._retry_ns
-        self._retry_ns = min(2 * self._retry_ns, LAST_RETRY_NS)
 
     def _watch_port(self, wanted):
         """Wake on the port, or don't: while it isn't read it would end every wait."""
@@ -229,32 +216,32 @@ class TeensySensorHub:
             self._note_noise(noise_bytes, len(data), began_ns)
 
     def _note_noise(self, noise_bytes, read_bytes, began_ns):
-        """Warn of corrupt frames; after a long read that is mostly noise leave the port alone for a while."""
+        """Warn of corrupt frames. After a long read that is mostly noise leave the port alone for as long as it took.
+
+        A flood must not take the whole CPU.
+        """
         corrupt = self._session.tally.bad_frames - self._corrupt
         if corrupt:
             self._corrupt += corrupt
             self._warnings.warn("corrupt", "corrupt frames came from the Teensy", corrupt)
         if read_bytes >= LONG_READ and 2 * noise_bytes > read_bytes:
-            self._rest(began_ns)
-
-    def _rest(self, began_ns):
-        """Leave the port alone for as long as this read took: a flood must not take the whole CPU."""
-        now_ns = self._clocks.now_ns()
-        self._rest_until_ns = now_ns + max(now_ns - began_ns, SHORTEST_REST_NS)
-        self._watch_port(False)
+            now_ns = self._clocks.now_ns()
+            self._rest_until_ns = now_ns + max(now_ns - began_ns, SHORTEST_REST_NS)
+            self._watch_port(False)
 
     def _lose(self, error):
         self._warnings.warn(error.state, f"{error}")
         self._close(str(error))
-        self._note_failure(error)
-        self._plan_retry()
+        self._retry_after(error)
 
-    def _note_failure(self, error):
-        """Publish at once that the port is gone; that it still is waits for the next second."""
-        before = self._session.verdict.state
-        self._session.port_failed(error.state, error.cause, error.remedy)
+    def _retry_after(self, error):
+        """Plan the next try. That the port is gone is published at once; that it still is waits for the next second."""
+        before = self._session.health.verdict.state
+        self._session.health.port_failed(error.state, error.cause, error.remedy)
         if error.state != before:
             self._link_status.publish()
+        self._next_try_ns = self._clocks.now_ns() + self._retry_ns
+        self._retry_ns = min(2 * self._retry_ns, LAST_RETRY_NS)
 
     def _write(self, data):
         """Send, and return whether that worked."""
@@ -266,8 +253,6 @@ class TeensySensorHub:
         return True
 
     def _ping_when_due(self, now_ns):
-        if now_ns < self._session.pinger.next_event_ns():
-            return
         checksum = self._session.pinger.checksum
         for timestamp1 in self._session.expire(now_ns):
             self._commands.answer_ping(timestamp1, False, "no pong came back")
@@ -295,7 +280,7 @@ class TeensySensorHub:
         """Judge the link; log what is new, or still bad. A port that fails is logged by itself."""
         if not self._link.is_open:
             return
-        before = self._session.verdict
+        before = self._session.health.verdict
         verdict = self._session.judge(self._clocks.now_ns())
         is_news = verdict.state != before.state
         if verdict.level != OK and verdict.state not in (WAITING, REBOOTED):  # a reboot was logged as it was detected
@@ -319,6 +304,7 @@ class TeensySensorHub:
         if faults:
             kind = f"sonars {sorted(str(fault.sensor) for fault in faults)}"
             self._warnings.warn(kind, "{}. {}".format(*describe(faults)))
+
 
 def _indices(sequence):
     """Return the order of the sonars, or None where the firmware's own is wanted."""

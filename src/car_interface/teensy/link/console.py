@@ -11,6 +11,7 @@ import stat
 
 from car_interface.common.device_access import group_name
 from car_interface.common.header import read_header
+from car_interface.common.processes import command_line
 
 CONSOLES_GROUP = "tty"
 PROGRAMS = ("agetty", "getty")
@@ -30,29 +31,19 @@ def is_consoles(path: str) -> bool:
 
 
 def consoles(path: str, proc: str = "/proc") -> list[tuple[int, str]]:
-    """Return the log-in consoles that were started for a port, as (process, name); any user may see these.
+    """Return the log-in consoles that were started for a port, as (process, name); links to it are followed.
 
-    Args:
-        path: of the port; links are followed.
-        proc: the folder to search.
+    Any user may see these.
     """
     wanted, found = os.path.realpath(path), []
-    for file in glob.glob(os.path.join(proc, "[0-9]*", "cmdline")):
-        program, *arguments = _command(file)
-        if program in PROGRAMS and any(os.path.realpath(os.path.join("/dev", name)) == wanted for name in arguments):
-            found.append((int(os.path.basename(os.path.dirname(file))), program))
+    for folder in glob.glob(os.path.join(proc, "[0-9]*")):
+        pid = int(os.path.basename(folder))
+        program, *arguments = command_line(pid, proc) or [""]
+        name = os.path.basename(program)
+        if name in PROGRAMS and any(os.path.realpath(os.path.join("/dev", tty)) == wanted for tty in arguments):
+            found.append((pid, name))
     return sorted(found)
 
 
 def removal_remedy(path: str) -> str:
     return read_header().console_remedy.format(port=os.path.basename(os.path.realpath(path)))
-
-
-def _command(path):
-    """Return program and arguments; the program's name is empty if the process has ended, or is the kernel's."""
-    try:
-        with open(path, "rb") as file:
-            program, *arguments = file.read().decode(errors="replace").split("\0")
-    except OSError:
-        return [""]
-    return [os.path.basename(program), *filter(None, arguments)]

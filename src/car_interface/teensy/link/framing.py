@@ -25,21 +25,18 @@ RESYNC_FILLER = bytes(39)
 
 @dataclass
 class LineTally:
-    """Counts of the decoder. ``bytes_in == frame_bytes + flags + noise_bytes + the decoder's pending bytes``."""
+    """Counts of the decoder."""
 
     bytes_in: int = 0
-    flags: int = 0
     frames: int = 0  # whole, and their checksum right
-    frame_bytes: int = 0  # of these, as they came on the line, escapes and checksum included
-    noise_bytes: int = 0  # of everything else
+    noise_bytes: int = 0  # all but these, flags, and what is still pending
     bad_checksum: int = 0
     bad_escape: int = 0  # an escape before a flag (an aborted frame) or before a byte that needs none
-    too_short: int = 0  # the Teensy's boot frame is one
     too_long: int = 0
 
     @property
     def bad_frames(self) -> int:
-        """Return the corrupt frames of all kinds, without the short ones, which are harmless."""
+        """Return the corrupt frames of all kinds."""
         return self.bad_checksum + self.bad_escape + self.too_long
 
 
@@ -63,14 +60,12 @@ class FrameDecoder:
         tally.bytes_in += len(data)
         segments = (self._pending + data).split(FLAG)
         self._pending = segments.pop()
-        tally.flags += len(segments)
         if segments and (self._overlong or not self._begun):
             tail = segments.pop(0)
             tally.noise_bytes += len(tail)
             tally.too_long += not self._overlong and len(tail) > MAX_ON_LINE
             self._begun, self._overlong = True, False
         bodies = []
-        frame_bytes = 0
         for segment in segments:
             if not segment:
                 continue
@@ -78,11 +73,9 @@ class FrameDecoder:
             number = int.from_bytes(frame, "little")
             if not number % 255 and number and HEADER_SIZE < len(frame) <= MAX_BODY + 1:
                 bodies.append(frame[:-1])
-                frame_bytes += len(segment)
             else:
                 self._reject(segment, frame)
         tally.frames += len(bodies)
-        tally.frame_bytes += frame_bytes
         if self._overlong or len(self._pending) > MAX_ON_LINE:
             tally.too_long += not self._overlong
             self._overlong = True
@@ -105,9 +98,7 @@ class FrameDecoder:
             tally.too_long += 1
         elif not frame:
             tally.bad_escape += 1
-        elif len(frame) <= HEADER_SIZE:
-            tally.too_short += 1
-        else:
+        elif len(frame) > HEADER_SIZE:  # a shorter one is harmless: the Teensy's boot frame is one
             tally.bad_checksum += 1
 
     def _discard_pending(self):
@@ -125,10 +116,9 @@ def _unescape(segment: bytes) -> bytes:
 
 
 def encode(body: bytes, checksum: str = SHIPPED) -> bytes:
-    """Return one frame for the Teensy, with its own opening and closing flag (the Teensy's receiver shares none).
+    """Return one frame for the Teensy from header and payload, 4 to 36 bytes.
 
-    Args:
-        body: header and payload, 4 to 36 bytes.
+    It has an opening and a closing flag of its own: the Teensy's receiver shares none.
     """
     if checksum == CORRECTED:
         # The one's-complement sum, as ``feed`` explains; a header is never all zeros.

@@ -46,24 +46,12 @@ class Counts(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """The health of the link.
+    """The health of the link."""
 
-    Attributes:
-        state: one of the names above.
-        level: OK, WARN or ERROR.
-        description: what is wrong, or that nothing is.
-        next_step: what its owner can do or type; empty = nothing.
-    """
-
-    state: str
-    level: int
-    description: str
-    next_step: str
-
-
-class _Sample(NamedTuple):
-    at_ns: int
-    counts: Counts
+    state: str  # one of the names above
+    level: int  # OK, WARN or ERROR
+    description: str  # what is wrong, or that nothing is
+    next_step: str  # what its owner can do or type; empty = nothing
 
 
 class LinkHealth:
@@ -76,7 +64,7 @@ class LinkHealth:
 
     def __init__(self, baud: int):
         self._baud = baud
-        self._samples: deque = deque(maxlen=WINDOW + 1)
+        self._samples: deque = deque(maxlen=WINDOW + 1)  # (ns, counts)
         self._doubted = False  # the span before this one contradicted the verdict
         self._reboot: str | None = None
         self._reboot_ns = 0
@@ -90,7 +78,7 @@ class LinkHealth:
     def opened(self, counts: Counts, now_ns: int) -> None:
         """Take note that the port is open; the judgement starts over."""
         self._samples.clear()
-        self._samples.append(_Sample(now_ns, counts))
+        self._samples.append((now_ns, counts))
         self._doubted = False
         self.verdict = Verdict(WAITING, WARN, "the port is open, nothing is known about the Teensy yet", "")
 
@@ -102,9 +90,9 @@ class LinkHealth:
 
     def judge(self, counts: Counts, now_ns: int) -> Verdict:
         """Return the verdict by the present counters. A call too soon after the one before changes nothing."""
-        if not self._samples or now_ns - self._samples[-1].at_ns < SHORTEST_SPAN_NS:
+        if not self._samples or now_ns - self._samples[-1][0] < SHORTEST_SPAN_NS:
             return self.verdict
-        self._samples.append(_Sample(now_ns, counts))
+        self._samples.append((now_ns, counts))
         found = self._find(now_ns)
         is_news = _kind(found) != _kind(self.verdict)
         at_once = self.verdict.state == WAITING and found.level == OK
@@ -123,16 +111,16 @@ class LinkHealth:
         self._samples.append(newest)
 
     def _find(self, now_ns) -> Verdict:
-        before, newest = self._samples[-2], self._samples[-1]
-        span_s = (newest.at_ns - before.at_ns) / NS_PER_S
+        (before_ns, before), (_, newest) = self._samples[-2], self._samples[-1]
+        span_s = (now_ns - before_ns) / NS_PER_S
         bytes_in, records, bad, bad_checksums = (
-            new - old for new, old in zip(newest.counts[:4], before.counts[:4]))
+            new - old for new, old in zip(newest[:4], before[:4]))
         if not records or records < GOOD_RATIO * (records + bad):
             self._restart_window()
             return self._no_frames(bytes_in, bytes_in / span_s, bad_checksums)
         ratio, bad = self._bad_ratio()
         corrupt = bad >= FEWEST_BAD and ratio >= MAX_BAD_RATIO
-        in_vain = newest.counts.pings_in_vain
+        in_vain = newest.pings_in_vain
         if in_vain >= PINGS_IN_VAIN and not (corrupt and ratio >= MAX_BAD):
             return Verdict(NO_PONGS, WARN, f"frames come, but none of the last {in_vain} pings was answered",
                            "Check the wire from this port's TX to the Teensy's RX, and ~firmware_checksum: auto tries "
@@ -159,7 +147,7 @@ class LinkHealth:
 
     def _bad_ratio(self):
         """Return the ratio of bad frames over the window, and their number."""
-        oldest, newest = self._samples[0].counts, self._samples[-1].counts
+        (_, oldest), (_, newest) = self._samples[0], self._samples[-1]
         bad = newest.bad_frames - oldest.bad_frames
         return bad / max(1, bad + newest.records - oldest.records), bad
 

@@ -1,7 +1,6 @@
 """Plans the pings, matches pongs with them, and finds out which checksum the Teensy's receiver wants."""
 from __future__ import annotations
 
-from collections import OrderedDict
 from typing import NamedTuple
 
 from car_interface.common.units import NS_PER_S
@@ -25,8 +24,6 @@ QUICK_PERIOD_NS = NS_PER_S // 5  # five pings within the second; faster isn't ne
 
 
 class Answer(NamedTuple):
-    """The ping that a pong answers."""
-
     sent_ns: int
     round_trip_ns: int
     sent_bytes: int  # all that were written with it, filler too
@@ -36,14 +33,9 @@ class Pinger:
     """Keeps the pings that wait for an answer.
 
     Args:
-        period_ns: from one ping to the next, on average.
+        period_ns: the mean time from one ping to the next.
         checksum: ``framing.SHIPPED``, ``framing.CORRECTED``, or ``AUTO``: shipped first, and the other one whenever
             five pings in a row go unanswered while other frames come from the Teensy.
-
-    Attributes:
-        due_ns: when to send the next.
-        checksum: the one that pings are sent with.
-        answered_checksum: of the newest ping that was answered; ``None`` before the first.
     """
 
     def __init__(self, period_ns: int, checksum: str, now_ns: int):
@@ -51,9 +43,9 @@ class Pinger:
         self._quick_period_ns = max(period_ns // QUICKER, min(period_ns, QUICK_PERIOD_NS))
         self._dither_ns = min(DITHER_NS, period_ns // DITHER_RATIO)
         self._auto = checksum == AUTO
-        self.checksum = SHIPPED if self._auto else checksum
-        self.answered_checksum: str | None = None
-        self._waiting: OrderedDict = OrderedDict()  # timestamp1 → (when it was sent, bytes written, checksum)
+        self.checksum = SHIPPED if self._auto else checksum  # of the pings to come
+        self.answered_checksum: str | None = None  # of the newest ping that was answered
+        self._waiting: dict = {}  # timestamp1 → (when it was sent, bytes written, checksum)
         self.sent = self.answered = 0
         self.resyncs = 0  # pings behind the filler
         self._dithered = 0  # how many pings were moved
@@ -126,7 +118,7 @@ class Pinger:
     def _plan(self, at_ns, dither_ns=0):
         """Plan the next ping for this time; later ones keep to this place in the period, but not to its dither."""
         self._planned_ns = at_ns
-        self.due_ns = at_ns + dither_ns
+        self.due_ns = at_ns + dither_ns  # when to send it
 
     def _dither(self):
         self._dithered += 1

@@ -26,11 +26,7 @@ SEARCHED_EVERY = 5  # refusals of a busy port: every 10 s at 2 s between attempt
 
 
 class PortError(DeviceError):
-    """A port that can't be opened or was lost.
-
-    Args:
-        state: which fault it is, one of ``health``'s.
-    """
+    """A port that can't be opened or was lost; ``state`` is one of the faults in ``health``."""
 
     def __init__(self, path: str, state: str, cause: str, remedy: str):
         self.state = state
@@ -38,11 +34,7 @@ class PortError(DeviceError):
 
 
 class SerialLink:
-    """One serial port, 8N1, locked against a second opener.
-
-    Args:
-        baud: bits per second; at 8N1 a byte takes ten of them.
-    """
+    """One serial port, 8N1, locked against a second opener; ``baud`` is in bits per second."""
 
     def __init__(self, port: str, baud: int):
         self._path = port
@@ -54,7 +46,6 @@ class SerialLink:
 
     @property
     def is_open(self) -> bool:
-        """Return whether the port is open, as far as is known."""
         return self._serial is not None
 
     def fileno(self) -> int:

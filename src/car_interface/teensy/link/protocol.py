@@ -23,6 +23,11 @@ UINT32 = 2 ** 32
 MAX_SONAR_WAIT_MS = UINT32 // 2 - 1  # the firmware's comparison of times takes more than this for no wait at all
 
 
+def ahead(later: int, earlier: int) -> int:
+    """Return how far one wrapping 32-bit counter is ahead of another: −2**31 .. 2**31 − 1."""
+    return (later - earlier + UINT32 // 2) % UINT32 - UINT32 // 2
+
+
 class Pong(NamedTuple):
     timestamp1: int  # as the host sent it
     timestamp2: int  # the Teensy's clock, ms, wraps at 2**32

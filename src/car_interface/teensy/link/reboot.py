@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 from car_interface.common.units import NS_PER_MS
+from car_interface.teensy.link.protocol import UINT32, ahead
 
 # Sonar reports wait behind pongs in the Teensy's queues, so ticks come a little out of order: 0.2 s at most.
 LATEST_TICK_MS = 500
@@ -20,7 +21,7 @@ def reached_tick(tick: int, received_ns: int, sent_ns: int) -> int:
         tick: of an earlier pong, which was received at ``received_ns``.
         sent_ns: when the later ping was sent.
     """
-    return int(tick + (sent_ns - received_ns) / NS_PER_MS * (1 - DRIFT_RATIO)) % 2 ** 32
+    return int(tick + (sent_ns - received_ns) / NS_PER_MS * (1 - DRIFT_RATIO)) % UINT32
 
 
 class RebootDetector:
@@ -46,7 +47,7 @@ class RebootDetector:
         """
         if sent_ns is not None and self._answered is not None:
             reached = reached_tick(*self._answered, sent_ns)
-            if _forward_ms(tick, reached) > MAX_LAG_MS:
+            if ahead(reached, tick) > MAX_LAG_MS:
                 self._last = (reached, sent_ns)
         description = self._judge(tick, now_ns)
         if sent_ns is not None and self._last == (tick, now_ns):
@@ -62,18 +63,13 @@ class RebootDetector:
             self._doubtful = (tick, now_ns)
             return None
         self._last, self._doubtful = (tick, now_ns), None
-        if tick >= last[0] or 0 < _forward_ms(last[0], tick) <= DAY_MS:
+        if tick >= last[0] or 0 < ahead(tick, last[0]) <= DAY_MS:
             return None  # it's ahead: this computer was suspended or kept from reading, and perhaps over a wrap
         self._answered = None
         return f"its clock went from {last[0] / 1000:.1f} s back to {tick / 1000:.1f} s"
 
 
-def _forward_ms(tick_before, tick):
-    """Return how far one tick is ahead of another, modulo 2**32: −2**31 to 2**31 − 1."""
-    return (tick - tick_before + 2 ** 31) % 2 ** 32 - 2 ** 31
-
-
 def _fits(before, tick, now_ns):
     """Return whether a clock that was at ``before`` can be at ``tick`` now, or less: bytes can wait to be read."""
     elapsed_ms = (now_ns - before[1]) / NS_PER_MS
-    return -LATEST_TICK_MS <= _forward_ms(before[0], tick) <= elapsed_ms * (1 + DRIFT_RATIO) + LATEST_TICK_MS
+    return -LATEST_TICK_MS <= ahead(tick, before[0]) <= elapsed_ms * (1 + DRIFT_RATIO) + LATEST_TICK_MS

@@ -1,8 +1,8 @@
 """One session with a Teensy: bytes and ``now_ns`` in; events, and bytes to send, out.
 
 ``Session`` joins the parts of the link: decoder, pinger, health, reboot detector and counters. It opens no port and
-reads no clock. The owner of the port reports its state (``opened``, ``port_failed``), passes in the bytes that it read
-(``receive``), calls ``expire`` at the pinger's ``next_event_ns``, and sends a ``ping`` from its ``due_ns`` on.
+reads no clock. The owner of the port reports its state (``opened``, ``health.port_failed``), passes in the bytes that
+it read (``receive``), calls ``expire`` at the pinger's ``next_event_ns``, and sends a ``ping`` from its ``due_ns`` on.
 """
 from __future__ import annotations
 
@@ -24,9 +24,7 @@ class PongReceived(NamedTuple):
 
 
 class Rebooted(NamedTuple):
-    """The Teensy's clock went back; the event after this one is the record that showed it."""
-
-    description: str
+    description: str  # of how the Teensy's clock went back; the event after this one is the record that showed it
 
 
 # The events of ``receive``. Sonar and wheel reports and the Teensy's counters are events themselves.
@@ -38,29 +36,22 @@ class Session:
 
     Args:
         checksum: which one the Teensy's receiver wants: ``SHIPPED``, ``CORRECTED``, or ``AUTO`` = find out.
-
-    Attributes:
-        openings: how often the port was opened.
-        malformed: frames with the right checksum whose content makes no sense.
-        unknown_commands: how many of these have a command that the firmware doesn't send.
-        counters: the Teensy's own, by name, as it last sent them.
-        tally: the decoder's counts of bytes, frames and faults.
-        pinger: for when pings are due, how many were answered, and the checksum that commands are sent with.
-        reboots: how often the Teensy's clock went back.
-        round_trip_ns: of the newest answered ping; NaN = none was answered yet.
     """
 
     def __init__(self, baud: int, ping_period_ns: int, checksum: str, now_ns: int):
         self._decoder = FrameDecoder()
         self.tally = self._decoder.tally
         self.pinger = Pinger(ping_period_ns, checksum, now_ns)
-        self._health = LinkHealth(baud)
+        self.health = LinkHealth(baud)
         self._reboot_detector = RebootDetector()
         self._records_at_expiry = 0
         self._must_resync = False
-        self.openings = self.malformed = self.unknown_commands = self.reboots = 0
-        self.counters: dict[str, int] = {}
-        self.round_trip_ns = math.nan
+        self.openings = 0  # of the port
+        self.reboots = 0  # how often the Teensy's clock went back
+        self.malformed = 0  # frames with the right checksum whose content makes no sense
+        self.unknown_commands = 0  # of these, whose command the firmware doesn't send
+        self.counters: dict[str, int] = {}  # the Teensy's own, by name, as it last sent them
+        self.round_trip_ns = math.nan  # of the newest answered ping; NaN = none was answered yet
         self._handlers = {Pong: self._on_pong, SonarStatus: self._on_sonar, ErrorCount: self._on_counter,
                           Malformed: self._on_malformed}
 
@@ -71,12 +62,8 @@ class Session:
         self.openings += 1
         self._must_resync = True
         self._decoder.reset()
-        self._health.opened(self.counts(), now_ns)
+        self.health.opened(self.counts(), now_ns)
         self.pinger.restart(now_ns)
-
-    def port_failed(self, state: str, cause: str, remedy: str) -> None:
-        """Take note that the port couldn't be opened or was lost; ``state`` is one of ``health``'s."""
-        self._health.port_failed(state, cause, remedy)
 
     # From the Teensy
 
@@ -86,9 +73,7 @@ class Session:
         for body in self._decoder.feed(data):
             record = decode(body)
             handle = self._handlers.get(type(record))
-            if handle is not None:
-                record = handle(record, now_ns, events)
-            events.append(record)
+            events.append(record if handle is None else handle(record, now_ns, events))
         return events
 
     def _on_pong(self, pong, now_ns, events):
@@ -106,7 +91,7 @@ class Session:
         description = self._reboot_detector.update(tick, now_ns, sent_ns)
         if description is not None:
             self.reboots += 1
-            self._health.rebooted(description, now_ns)
+            self.health.rebooted(description, now_ns)
             self.pinger.retry_now()
             events.append(Rebooted(description))
 
@@ -145,11 +130,7 @@ class Session:
 
     def judge(self, now_ns: int) -> Verdict:
         """Return the link's verdict by the present counters; call it about once a second."""
-        return self._health.judge(self.counts(), now_ns)
-
-    @property
-    def verdict(self) -> Verdict:
-        return self._health.verdict
+        return self.health.judge(self.counts(), now_ns)
 
     def counts(self) -> Counts:
         """Return the counters by which the health of the link is judged."""

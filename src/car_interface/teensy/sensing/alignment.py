@@ -14,15 +14,11 @@ MAX_RATIO = 2.0  # of the wheels' speeds in a turn: 1.35 on a radius of 1 m with
 
 
 class Alignment:
-    """Estimates by how much the two wheels' magnets differ at the start.
-
-    Attributes:
-        is_done: whether the difference is settled.
-        difference: of the starting positions, right minus left, in pulses; 0 is the mean of all possible values.
-    """
+    """Estimates by how much the two wheels' magnets differ at the start."""
 
     def __init__(self):
-        self.is_done = False
+        self.is_done = False  # the difference is settled
+        # Of the starting positions, right minus left, in pulses; 0 is the mean of all possible values.
         self.difference = 0.0
 
     def solve(self, left: WheelFilter, right: WheelFilter) -> bool:

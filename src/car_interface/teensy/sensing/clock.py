@@ -8,14 +8,11 @@ Pure: ticks and monotonic nanoseconds in, the same out.
 from __future__ import annotations
 
 import math
-from collections import Counter
-from dataclasses import dataclass
 from typing import NamedTuple
 
-from car_interface.common.errors import ConfigError
 from car_interface.common.units import NS_PER_MS, NS_PER_S
-from car_interface.teensy.link.protocol import UINT32
-from car_interface.teensy.sensing.clock_lines import Bound, ClockLines, PongBounds, rise_ns
+from car_interface.teensy.link.protocol import ahead
+from car_interface.teensy.sensing.clock_lines import MAX_SKEW_PPM, Bound, ClockLines, PongBounds, rise_ns
 
 BITS_PER_BYTE = 10  # start bit, eight, stop bit
 # Bytes in the Teensy's buffers go first: some 2 kB, 0.2 s at 115200 baud; then the host takes its time.
@@ -25,44 +22,17 @@ CONVERGED_PONGS = 5  # the quick pings of the first second: see ``pinging``
 CONVERGED_AFTER_MS = 900  # over a shorter time a tick of 1 ms bounds the skew less than the crystals' data sheets
 SENDING_NS = 100_000  # about the time from reading the clock until the first bit is on the wire
 AGREEING = 3  # pongs in a row that overrule the ones before them
-BUCKETS = 120  # in a window. Each keeps its tightest bounds: neither memory nor time grows with the rate of pings
+# A ping is used for 60 s. Each bucket keeps its tightest bounds: neither memory nor time grows with the rate of pings.
+BUCKETS, BUCKET_NS = 120, NS_PER_S // 2
 KEPT_BUCKETS = 5  # with pongs, of any age: old bounds fade, and are better than none when pings are rare or paused
 
-# Why something isn't used.
+# Why a pong isn't used.
 TOO_SOON = "a pong sooner than ping and pong take on the line"
 FASTER_LINE = "one pong after the other sooner than the line takes: it has no baud rate, as on USB; no more wire time"
 CONTRADICTION = "a pong that contradicts the ones before it"
-FROM_THE_FUTURE = "a tick that can't have been yet"
 # Why a pong that is used is notable.
 ONE_WAS_WRONG = "three pongs in a row say that one before them was wrong"
 BEGUN_ANEW = "three pongs in a row contradict those before them: a clock jumped or stood still"
-
-
-@dataclass(frozen=True)
-class ClockConfig:
-    """The properties of line and clocks.
-
-    Args:
-        baud: bits per second on the line.
-        window_s: how long a ping is used.
-        max_skew_ppm: the largest difference of the clocks' rates; crystals have up to 100 each.
-        wander_ppm_per_h: the largest change of that in an hour; a car that warms up makes 20.
-
-    Raises:
-        ConfigError: one of them isn't a number above 0, or impossible for a line.
-    """
-
-    baud: int = 115200
-    window_s: float = 60.0
-    max_skew_ppm: float = 500.0
-    wander_ppm_per_h: float = 100.0
-
-    def __post_init__(self):
-        for name, value in vars(self).items():
-            if not 0 < value < math.inf:
-                raise ConfigError(name, value, "a number above 0")
-        if self.max_skew_ppm > 10_000:
-            raise ConfigError("max_skew_ppm", self.max_skew_ppm, "at most 10000")
 
 
 class Stamp(NamedTuple):
@@ -87,21 +57,20 @@ class Sync(NamedTuple):
 class Clock:
     """Learns the relation of the Teensy's clock to the host's from pongs, and translates its ticks.
 
+    Args:
+        baud: bits per second on the line.
+
     Attributes:
-        counts: pongs and ticks that weren't used or were notable, by reason.
         converged: the pongs are enough for a line; before that, times are estimated by the newest tick.
     """
 
-    def __init__(self, config: ClockConfig = ClockConfig()):
-        self._config = config
-        self._byte_ns = BITS_PER_BYTE * NS_PER_S / config.baud
+    def __init__(self, baud: int = 115200):
+        self._byte_ns = BITS_PER_BYTE * NS_PER_S / baud
         self._too_soon = 0  # pongs in a row
-        self._bucket_ns = max(1, round(config.window_s * NS_PER_S / BUCKETS))
-        self.counts: Counter = Counter()
         self.restart()
 
     def restart(self) -> None:
-        """Forget all but the counts: the Teensy's clock restarted."""
+        """Begin anew: the Teensy's clock restarted."""
         self._last = None  # the newest tick, unwrapped
         self._last_ns = 0  # when it was, at the latest
         self._buckets: dict = {}  # number of the bucket, counted in host time → its bounds
@@ -123,8 +92,6 @@ class Clock:
         latest_ns = received_ns - self._wire_ns(received_bytes)
         tick = self._update_last(tick, latest_ns)
         used, reason = self._take(PongBounds(Bound(tick + 1, sent_by_ns), Bound(tick, latest_ns)))
-        if reason:
-            self.counts[reason] += 1
         uncertainty_ns = self._stamp(tick, latest_ns).uncertainty_ns
         if self.converged:
             offset_ns, skew_ppm = self._lines.offset_ns(), self._lines.skew_ppm()
@@ -139,12 +106,8 @@ class Clock:
         """
         latest_ns = received_ns - self._wire_ns(received_bytes)
         bound = Bound(self._update_last(tick, latest_ns), latest_ns)
-        if self._lines is None:
-            return
-        if self._lines.admit(None, bound):
+        if self._lines is not None and self._lines.admit(None, bound):  # else it can't have been yet
             self._bucket(latest_ns).tighten(None, bound, self._lines.slope)
-        else:
-            self.counts[FROM_THE_FUTURE] += 1
 
     def translate(self, tick: int, received_ns: int | None = None, received_bytes: int = 0) -> Stamp:
         """Return when a tick was. With the same bounds and receipt, a later tick never comes out earlier.
@@ -162,8 +125,7 @@ class Clock:
 
     def unwrap(self, tick: int) -> int:
         """Return the tick without its wraps: of all that it may stand for, the one nearest to the newest tick."""
-        last = self._last
-        return tick if last is None else last + (tick - last + UINT32 // 2) % UINT32 - UINT32 // 2
+        return tick if self._last is None else self._last + ahead(tick, self._last)
 
     def tick_at(self, host_ns: int) -> float:
         """Return the Teensy's clock at a monotonic time: ms, unwrapped, with their fraction.
@@ -175,9 +137,6 @@ class Clock:
             return self._lines.tick_at(host_ns)
         self._require_tick()
         return self._last + 0.5 + (host_ns - self._last_ns) / NS_PER_MS
-
-    def _lines_of(self, pong):
-        return ClockLines(pong, self._config.max_skew_ppm, self._config.wander_ppm_per_h)
 
     def _wire_ns(self, byte_count):
         return round(byte_count * self._byte_ns)
@@ -208,7 +167,7 @@ class Clock:
         self._require_tick()
         apart_ms = tick - self._last
         time_ns = self._last_ns + apart_ms * NS_PER_MS
-        uncertainty_ns = ONE_WAY_UNCERTAINTY_NS + NS_PER_MS + math.ceil(abs(apart_ms) * self._config.max_skew_ppm)
+        uncertainty_ns = ONE_WAY_UNCERTAINTY_NS + NS_PER_MS + math.ceil(abs(apart_ms) * MAX_SKEW_PPM)
         if latest_ns is None or time_ns <= latest_ns:
             return Stamp(time_ns, uncertainty_ns)
         return Stamp(latest_ns, uncertainty_ns + time_ns - latest_ns)
@@ -226,7 +185,7 @@ class Clock:
             self._suspects.clear()
             self._add(pong)
             return True, ""
-        lines = self._lines_of(pong)
+        lines = ClockLines(pong)
         if not all(lines.admit(*suspect) for suspect in self._suspects):
             self._suspects.clear()
         self._suspects.append(pong)
@@ -244,10 +203,9 @@ class Clock:
     def _overrule(self):
         suspects, self._suspects = self._suspects, []
         for suspect in suspects:
-            self._buckets.pop(self._key(suspect.latest.ns), None)
+            self._buckets.pop(suspect.latest.ns // BUCKET_NS, None)
         for suspect in suspects:
-            bucket = self._bucket(suspect.latest.ns)
-            bucket.count(suspect, NS_PER_MS)
+            self._bucket(suspect.latest.ns).count(suspect, NS_PER_MS)
         goes_on = self._rebuild(suspects[-1])
         self._settle(suspects[-1])
         return ONE_WAS_WRONG if goes_on else BEGUN_ANEW
@@ -257,7 +215,7 @@ class Clock:
 
         A bucket that doesn't is left out; after the second one in a row, so is everything before it.
         """
-        self._lines = self._lines_of(pong)
+        self._lines = ClockLines(pong)
         contradictions = 0
         for key in sorted(self._buckets, reverse=True):
             bucket = self._buckets[key]
@@ -281,12 +239,9 @@ class Clock:
     def _pongs(self):
         return sum(bucket.pongs for bucket in self._buckets.values())
 
-    def _key(self, host_ns):
-        return host_ns // self._bucket_ns
-
     def _bucket(self, host_ns):
         """Return the bucket of this time. A new one drops those that are too old."""
-        key = self._key(host_ns)
+        key = host_ns // BUCKET_NS
         if key not in self._buckets:
             kept = set([key for key, bucket in self._buckets.items() if bucket.pongs][-KEPT_BUCKETS:])
             self._buckets = {old: bucket for old, bucket in self._buckets.items() if old > key - BUCKETS or old in kept}

@@ -28,7 +28,9 @@ from typing import NamedTuple
 
 from car_interface.common.units import NS_PER_MS
 
-BEND_PER_PPM_PER_H = 0.5 * 1e-6 / 3600 * 1e-6 * 1e9  # of ½ wander τ² in ns, τ in ms
+MAX_SKEW_PPM = 500.0  # the largest difference of the clocks' rates; crystals have up to 100 each
+WANDER_PPM_PER_H = 100.0  # the largest change of that in an hour; a car that warms up makes 20
+BEND = 0.5 * 1e-6 / 3600 * 1e-6 * 1e9 * WANDER_PPM_PER_H  # of ½ wander τ² in ns, τ in ms
 
 
 class Bound(NamedTuple):
@@ -52,11 +54,10 @@ class ClockLines:
     (offset, skew) of the polygon go around it.
     """
 
-    def __init__(self, pong: PongBounds, max_skew_ppm: float, wander_ppm_per_h: float):
+    def __init__(self, pong: PongBounds):
         self._tick, self._ns = pong.latest
-        self._bend = BEND_PER_PPM_PER_H * wander_ppm_per_h
         min_ns = pong.earliest.ns - self._ns - 2 * NS_PER_MS  # below the pong's own bound at any skew
-        self._corners = [(min_ns, -max_skew_ppm), (0.0, -max_skew_ppm), (0.0, max_skew_ppm), (min_ns, max_skew_ppm)]
+        self._corners = [(min_ns, -MAX_SKEW_PPM), (0.0, -MAX_SKEW_PPM), (0.0, MAX_SKEW_PPM), (min_ns, MAX_SKEW_PPM)]
         self._middle = 0.0
         self._gap_ns = 0.0
         self._chosen = None
@@ -108,7 +109,7 @@ class ClockLines:
         base_ns = self._ns + x * NS_PER_MS
         low = min([offset + skew * x for offset, skew in self._corners])
         high = max([offset + skew * (x + 1) for offset, skew in self._corners])
-        bend_ns = self._bend * (abs(x) + 1) ** 2
+        bend_ns = BEND * (abs(x) + 1) ** 2
         return (base_ns + NS_PER_MS // 2 + round(offset + skew * (x + 0.5)), base_ns + math.floor(low - bend_ns),
                 base_ns + NS_PER_MS + math.ceil(high + bend_ns))
 
@@ -125,7 +126,7 @@ class ClockLines:
     def _place(self, bound, side):
         """Return a bound relative to the reference, loosened up (1) or down (-1) by the largest bend of the truth."""
         x = bound.tick - self._tick
-        return x, bound.ns - self._ns - x * NS_PER_MS + side * self._bend * x * x
+        return x, bound.ns - self._ns - x * NS_PER_MS + side * BEND * x * x
 
 
 def rise_ns(before: Bound, after: Bound, slope: float) -> float:

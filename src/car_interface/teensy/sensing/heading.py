@@ -17,17 +17,12 @@ STEERING_S, STEERING_RATIO, STEERING_PER_M = 0.5, 0.3, 0.05
 
 
 class HeadingFilter:
-    """A Kalman filter of heading and curvature, over the distance that the car rolls.
-
-    Attributes:
-        yaw_rad: not wrapped, left positive.
-        curvature_per_m: 1 / turn radius, left positive.
-        recent_curvature: its mean over the last decimetres.
-    """
+    """A Kalman filter of heading and curvature, over the distance that the car rolls."""
 
     def __init__(self):
-        self.yaw_rad, self.curvature_per_m = 0.0, 0.0
-        self.recent_curvature = self._largest_square = 0.0
+        self.yaw_rad = 0.0  # not wrapped, left positive
+        self.curvature_per_m = 0.0  # 1 / turn radius, left positive
+        self.recent_curvature = self._largest_square = 0.0  # the former: its mean over the last decimetres
         self._variances = (HEADING_VARIANCE, 0.0, CURVATURE_VARIANCE)
 
     @property
@@ -67,21 +62,19 @@ class HeadingFilter:
 
     def update(self, yaw_rad: float, variance: float) -> None:
         """Correct by a heading that the wheels have measured."""
-        yy, yc, cc = self._variances
-        total = yy + variance
-        innovation = (yaw_rad - self.yaw_rad) / total
-        self.yaw_rad += yy * innovation
-        self.curvature_per_m += yc * innovation
-        self._variances = (yy - yy * yy / total, yc - yy * yc / total, cc - yc * yc / total)
+        self._correct(yaw_rad - self.yaw_rad, *self._variances[:2], self._variances[0] + variance)
 
     def update_curvature(self, curvature_per_m: float, elapsed_s: float) -> None:
         """Correct by the commanded curvature, weighted by the time since the last call."""
         if elapsed_s <= 0:
             return
-        yy, yc, cc = self._variances
         variance = (STEERING_RATIO * abs(curvature_per_m) + STEERING_PER_M) ** 2 * max(1.0, STEERING_S / elapsed_s)
-        total = cc + variance
-        innovation = (curvature_per_m - self.curvature_per_m) / total
-        self.yaw_rad += yc * innovation
-        self.curvature_per_m += cc * innovation
-        self._variances = (yy - yc * yc / total, yc - yc * cc / total, cc - cc * cc / total)
+        self._correct(curvature_per_m - self.curvature_per_m, *self._variances[1:], self._variances[2] + variance)
+
+    def _correct(self, off, by_yaw, by_curvature, total):
+        """Correct by a measurement: how far it is off, its covariances with heading and curvature, both variances."""
+        yy, yc, cc = self._variances
+        self.yaw_rad += by_yaw * (off / total)
+        self.curvature_per_m += by_curvature * (off / total)
+        self._variances = (yy - by_yaw * by_yaw / total, yc - by_yaw * by_curvature / total,
+                           cc - by_curvature * by_curvature / total)

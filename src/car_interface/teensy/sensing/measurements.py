@@ -12,13 +12,13 @@ from typing import Callable, NamedTuple
 from car_interface.common.units import NS_PER_MS, NS_PER_S
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.teensy.link.pinging import Answer
-from car_interface.teensy.link.protocol import UINT32, Pong, SonarStatus, WheelStatus
+from car_interface.teensy.link.protocol import UINT32, Pong, SonarStatus, WheelStatus, ahead
 from car_interface.teensy.link.reboot import reached_tick
-from car_interface.teensy.sensing.clock import Clock, ClockConfig, Stamp, Sync
+from car_interface.teensy.sensing.clock import Clock, Stamp, Sync
 from car_interface.teensy.sensing.echo_pulses import BOOT_MS, FIRMWARE_WAIT_MS, EchoPulses
 from car_interface.teensy.sensing.odometry import Motion, Odometry, OdometryConfig
 from car_interface.teensy.sensing.plausibility import GateConfig, Gates
-from car_interface.teensy.sensing.pulse_counts import ahead, has_pulsed
+from car_interface.teensy.sensing.pulse_counts import has_pulsed
 from car_interface.teensy.sensing.ranging import Ranging, RangingConfig
 
 # The smallest frames on the line: with checksum and closing flag, without escapes, with a shared opening flag. The time
@@ -36,22 +36,18 @@ class MeasurementConfig:
     """One car's sensors."""
 
     gates: GateConfig = field(default_factory=GateConfig)
-    clock: ClockConfig = field(default_factory=ClockConfig)
+    baud: int = 115200  # of the serial line
     odometry: OdometryConfig = field(default_factory=OdometryConfig)
     ranging: RangingConfig = field(default_factory=RangingConfig)
 
 
 class RangeMeasurement(NamedTuple):
-    """One sonar's range."""
-
     stamp: Stamp
     sensor: int  # index in SONARS
     range_m: float  # never NaN
 
 
 class MotionMeasurement(NamedTuple):
-    """The car's place and motion."""
-
     stamp: Stamp
     motion: Motion
 
@@ -60,19 +56,13 @@ class Measurements:
     """Everything that one Teensy measures.
 
     Args:
-        config: of the car.
         on_motion: called with the measurement of each queued report of the wheels, and when that was received.
-
-    Attributes:
-        gates: count the refused records, by reason.
-        clock: the relation of the Teensy's clock to the host's.
-        ranging: its temperature may be set at any time.
     """
 
     def __init__(self, config: MeasurementConfig = MeasurementConfig(),
                  on_motion: Callable[[MotionMeasurement, int], None] = lambda measured, received_ns: None):
         self.gates = Gates(config.gates)
-        self.clock = Clock(config.clock)
+        self.clock = Clock(config.baud)
         self.ranging = Ranging(config.ranging)
         self._pulses = EchoPulses()
         self._odometry = Odometry(config.odometry)
@@ -133,7 +123,6 @@ class Measurements:
 
     @property
     def has_queued(self) -> bool:
-        """Return whether reports of the wheels wait in the queue."""
         return bool(self._queue)
 
     def process_queue(self) -> None:
@@ -166,17 +155,16 @@ class Measurements:
         if verdict.boot_tick is not None:
             self._restart_clock(verdict.boot_tick, received_ns)
         received_ms = self.clock.tick_at(received_ns) + self._shift_ms
-        left_ms, right_ms = (self.clock.unwrap(wheel.when) + self._shift_ms if has_pulsed(wheel) else -math.inf
-                             for wheel in record)
+        times_ms = [self.clock.unwrap(wheel.when) + self._shift_ms if has_pulsed(wheel) else -math.inf
+                    for wheel in record]
         # It is unknown when a report was sent; but there was no later pulse before its newest pulse or repeat.
         newest_ms = -math.inf if newest is None else self.clock.unwrap(newest) + self._shift_ms
         is_news = self._newest_ms < newest_ms <= received_ms + MAX_CLOCK_ERROR_MS
         if is_news:
             self._newest_ms = newest_ms
         counted_ms = self._shift_ms + BOOT_MS if verdict.since_boot else None
-        motion = self._odometry.report(record, verdict.pulses, verdict.restarted, left_ms, right_ms,
-                                       newest_ms + TICK_MIDDLE_MS if is_news else received_ms, verdict.unproven,
-                                       verdict.unsplit, counted_ms)
+        motion = self._odometry.report(record, verdict, times_ms,
+                                       newest_ms + TICK_MIDDLE_MS if is_news else received_ms, counted_ms)
         stamp = self._stamp(motion.time_ms - self._shift_ms, received_ns)
         # While a stamp is uncertain, an accelerating car's speed at that stamp is, too: a bound is three sigma.
         late_mps = self._odometry.acceleration_mps2 * stamp.uncertainty_ns / NS_PER_S / 3

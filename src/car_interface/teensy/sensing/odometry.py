@@ -24,6 +24,7 @@ from car_interface.teensy.sensing.pose import Pose
 from car_interface.teensy.sensing.pulse_counts import LEARNING_PULSES
 from car_interface.teensy.sensing.restart import REPEAT_MS, CarState, RestartBridge, WheelState
 from car_interface.teensy.sensing.unseen_path import curved_path, reversed_path
+from car_interface.teensy.sensing.verdicts import Verdict
 from car_interface.teensy.sensing.wheel_filter import TICK_MIDDLE_MS, WheelFilter
 
 MIN_LENGTH_M = 0.001  # of a car's dimensions: a division by far less would overflow floats
@@ -31,11 +32,7 @@ MIN_LENGTH_M = 0.001  # of a car's dimensions: a division by far less would over
 
 @dataclass(frozen=True)
 class OdometryConfig:
-    """One car's wheels.
-
-    Raises:
-        ConfigError: naming the parameter.
-    """
+    """One car's wheels."""
 
     pulses_per_revolution: int = declared.integer(
         "pulses_per_revolution", PULSES_PER_REVOLUTION, "of a rear wheel", low=1, high=10_000)
@@ -62,7 +59,7 @@ class OdometryConfig:
 
 
 class Motion(NamedTuple):
-    """The car's pose and motion at one time."""
+    """The car's pose and motion."""
 
     time_ms: float  # the Teensy's
     x_m: float
@@ -78,15 +75,15 @@ class Motion(NamedTuple):
     distance_m: float  # driven, forward and backward
 
 
-class _BeforeBridge(NamedTuple):
-    """The state from which a bridge begins: what is published until it is crossed is a prediction."""
+@dataclass
+class _Car:
+    """The car at the last report."""
 
     pose: Pose
     heading: HeadingFilter
-    mean: float
-    yaw_rad: float
-    was_rolling: bool
-    time_ms: float
+    mean: float  # of its wheels' positions, pulses
+    was_rolling: bool = False
+    time_ms: float = -math.inf
 
 
 class Odometry:
@@ -98,16 +95,11 @@ class Odometry:
         self._rad_per_pulse = config.pulse_m / config.track_m  # of heading
         self._wheels = (WheelFilter(), WheelFilter())
         self._alignment = Alignment()
-        self._heading = HeadingFilter()
-        self._pose = Pose(config.distance_sigma, config.heading_sigma)
+        self._car = _Car(Pose(config.distance_sigma, config.heading_sigma), HeadingFilter(), self._wheels[0].position)
         self._last: WheelStatus | None = None
-        self._time_ms = -math.inf
-        self._mean = (self._wheels[0].position + self._wheels[1].position) / 2  # pulses
-        self._yaw_rad = 0.0
-        self._was_rolling = False  # at the last report
         self._steering_per_m: float | None = None
         self._bridge: RestartBridge | None = None  # over pulses that weren't counted, until enough is known
-        self._before_bridge: _BeforeBridge | None = None
+        self._before_bridge = self._car  # what is published since then, until it is crossed, is a prediction
 
     @property
     def acceleration_mps2(self) -> float:
@@ -119,48 +111,42 @@ class Odometry:
         if self._config.use_steering:
             self._steering_per_m = curvature_per_m if math.isfinite(curvature_per_m) else None
 
-    def report(self, record: WheelStatus, pulses: Sequence[int], restarted: bool, left_ms: float, right_ms: float,
-               report_ms: float, unproven: Sequence[int] = (0, 0), unsplit: Sequence[int] = (0, 0),
+    def report(self, record: WheelStatus, verdict: Verdict, times_ms: Sequence[float], report_ms: float,
                counted_ms: float | None = None) -> Motion:
-        """Take a report that the gates have accepted.
+        """Take a report that the gates have accepted, with their verdict.
 
         Args:
-            record: the report.
-            pulses: signed, for the left and the right wheel, as the gates counted them.
-            restarted: the odometers restarted; it is unknown how many pulses weren't counted.
-            left_ms, right_ms: the ticks of each wheel's last pulse or repeat, in ticks that never restart; −inf =
-                unknown.
+            times_ms: the ticks of each wheel's last pulse or repeat, in ticks that never restart; −inf = unknown.
             report_ms: a time before which there was no later pulse; never earlier than the newest of them.
-            unproven: further, earlier pulses whose direction isn't known yet.
-            unsplit: of ``pulses``, those before each wheel's last reversal.
-            counted_ms: the time from which on a Teensy that has rebooted counted all ``pulses`` and ``unproven``.
+            counted_ms: the time from which on a Teensy that has rebooted counted all pulses.
         """
-        now_ms = max(report_ms, self._time_ms)
+        pulses, unproven = verdict.pulses, verdict.unproven
+        now_ms = max(report_ms, self._car.time_ms)
         last, self._last = self._last, record
         if last is None:
             for wheel in self._wheels:
                 wheel.begin(now_ms)
-            if _may_learn(record):
+            if any(wheel.dist_abs < LEARNING_PULSES for wheel in record):  # the next ones may have no known direction
                 self._begin_bridge(now_ms)
             return self._move(record, False, now_ms)
-        if restarted:
-            self._begin_bridge(self._time_ms, counted_ms)
+        if verdict.restarted:
+            self._begin_bridge(self._car.time_ms, counted_ms)
             if counted_ms is not None:
                 self._bridge.count_from(counted_ms)
         elif self._bridge is None and any(unproven):
             self._begin_bridge(now_ms)
         if self._bridge is not None and self._bridge.is_reset(pulses, unproven, now_ms):
             self._bridge = None  # each wheel's next pulse shows where it is
+        path = self._reversed_path(record, last, verdict.unsplit)
         if self._bridge is None:
-            has_pulse = self._update_wheels(record, last, pulses, (left_ms, right_ms), now_ms)
+            has_pulse = self._update_wheels(record, last, pulses, times_ms, now_ms)
             for wheel in self._wheels:
                 wheel.advance(now_ms)
-            return self._move(record, has_pulse, now_ms, path=self._reversed_path(record, last, unsplit))
-        path = self._reversed_path(record, last, unsplit)
+            return self._move(record, has_pulse, now_ms, path=path)
         if path is not None:
             self._bridge.reversed_paths.append(path)
-            self._pose.add_path(path)
-        return self._cross_bridge(record, pulses, unproven, (left_ms, right_ms), now_ms)
+            self._car.pose.add_path(path)
+        return self._cross_bridge(record, pulses, unproven, times_ms, now_ms)
 
     def _update_wheels(self, record, last, pulses, times_ms, now_ms):
         """Pass the wheels their pulses; return whether there was a new one."""
@@ -169,32 +155,26 @@ class Odometry:
             if not count and now.dist_abs in (0, before.dist_abs):
                 continue
             has_pulse = True
-            if wheel.is_uncounted:
-                wheel.resume(count, now.direction != BACKWARD, at_ms + TICK_MIDDLE_MS, now_ms)
-            else:
-                wheel.update(count, now.direction != BACKWARD, at_ms + TICK_MIDDLE_MS, now_ms)
+            take = wheel.resume if wheel.is_uncounted else wheel.update
+            take(count, now.direction != BACKWARD, at_ms + TICK_MIDDLE_MS, now_ms)
         return has_pulse
 
     def _begin_bridge(self, at_ms, counted_ms=None):
         if self._bridge is not None:
             self._bridge.restart(counted_ms)
             return
-        heading = self._heading
+        heading = self._car.heading
         self._bridge = RestartBridge(
             CarState(at_ms, tuple(WheelState(wheel.count, wheel.position, wheel.speed) for wheel in self._wheels),
                      heading.curvature_per_m, heading.curvature_variance, heading.usual_square), self._config.track_m)
-        self._before_bridge = _BeforeBridge(self._pose, heading, self._mean, self._yaw_rad, self._was_rolling,
-                                            self._time_ms)
+        self._before_bridge = self._car
         self._return_before_bridge()
         for wheel in self._wheels:
             wheel.is_uncounted = True
 
     def _return_before_bridge(self):
         """Forget the path that was only predicted since the bridge began."""
-        before = self._before_bridge
-        self._pose, self._heading = copy.copy(before.pose), copy.copy(before.heading)
-        self._mean, self._yaw_rad = before.mean, before.yaw_rad
-        self._was_rolling, self._time_ms = before.was_rolling, before.time_ms
+        self._car = copy.deepcopy(self._before_bridge)
 
     def _cross_bridge(self, record, pulses, unproven, times_ms, now_ms):
         """Collect pulses until they show how the car goes on."""
@@ -205,12 +185,13 @@ class Odometry:
                        min(times_ms[side] + TICK_MIDDLE_MS, now_ms) if is_known else now_ms)
             wheel.pending = bridge.pending(side)
             wheel.advance(now_ms)
-        if bridge.report(now_ms):
-            for wheel, position in zip(self._wheels, bridge.positions):
+        positions = bridge.report(now_ms)
+        if positions:
+            for wheel, position in zip(self._wheels, positions):
                 wheel.stop_at(position)
             self._return_before_bridge()
             for path in bridge.reversed_paths:
-                self._pose.add_path(path)
+                self._car.pose.add_path(path)
         if not bridge.is_ready(now_ms):
             return self._move(record, False, now_ms)
         self._bridge = None
@@ -242,41 +223,40 @@ class Odometry:
             reversed_paths: driven since the boot that began it, until the last reversal.
             path: driven before the last reversal, since the report before.
         """
-        left, right = self._wheels
-        elapsed_s = max(0.0, now_ms - self._time_ms) / 1000 if self._time_ms > -math.inf else 0.0
-        mean = (left.position + right.position) / 2
-        before, distance_m = self._mean, (mean - self._mean) * self._pulse_m
-        self._time_ms, self._mean = now_ms, mean
+        (left, right), car = self._wheels, self._car
+        heading, pose = car.heading, car.pose
+        elapsed_s = max(0.0, now_ms - car.time_ms) / 1000 if car.time_ms > -math.inf else 0.0
+        mean, before_rad = (left.position + right.position) / 2, heading.yaw_rad
+        before, distance_m = car.mean, (mean - car.mean) * self._pulse_m
+        car.time_ms, car.mean = now_ms, mean
         is_blind = elapsed_s > REPEAT_MS / 1000 and has_pulse
-        curvature_per_m = self._heading.recent_curvature if self._was_rolling else None
+        curvature_per_m = heading.recent_curvature if car.was_rolling else None
         if self._alignment.is_done:
-            self._heading.predict(distance_m, elapsed_s)
+            heading.predict(distance_m, elapsed_s)
             if self._steering_per_m is not None:
-                self._heading.update_curvature(self._steering_per_m, elapsed_s)
+                heading.update_curvature(self._steering_per_m, elapsed_s)
             self._update_heading(record, has_pulse, outcome, path is not None)
         elif self._bridge is not None:
             pass  # the wheels' places are only predicted
         elif abs(distance_m) > 2 * ALIGNING_PULSES * self._pulse_m:
             self._alignment.skip(left, right)
-            self._heading.begin(self._measured_yaw_rad(), (UNALIGNED_PULSES * self._rad_per_pulse) ** 2)
-            self._pose.set_yaw(0.0, (UNALIGNED_PULSES * self._rad_per_pulse) ** 2)
+            heading.begin(self._measured_yaw_rad(), (UNALIGNED_PULSES * self._rad_per_pulse) ** 2)
+            pose.set_yaw(0.0, (UNALIGNED_PULSES * self._rad_per_pulse) ** 2)
         elif self._alignment.solve(left, right):
-            yaw_rad, variance = self._measured_yaw_rad(), (ALIGNED_PULSES * self._rad_per_pulse) ** 2
-            self._heading.begin(yaw_rad, variance)
-            self._pose.set_yaw(yaw_rad, variance)
-            self._yaw_rad = yaw_rad
-        turned_rad = self._heading.yaw_rad - self._yaw_rad
-        self._yaw_rad = self._heading.yaw_rad
+            before_rad, variance = self._measured_yaw_rad(), (ALIGNED_PULSES * self._rad_per_pulse) ** 2
+            heading.begin(before_rad, variance)
+            pose.set_yaw(before_rad, variance)
+        turned_rad = heading.yaw_rad - before_rad
         if path is not None:
             distance_m, turned_rad = self._move_unseen(path, distance_m, turned_rad)
             curvature_per_m = None  # of the last leg it is unknown
         if outcome is not None:
             distance_m, turned_rad = self._move_uncounted(outcome, reversed_paths, before, distance_m, turned_rad)
         if path is not None or is_blind:
-            path = curved_path(distance_m, turned_rad, curvature_per_m, self._heading.usual_square)
+            path = curved_path(distance_m, turned_rad, curvature_per_m, heading.usual_square)
             distance_m, turned_rad = self._move_unseen(path, distance_m, turned_rad)
-        self._pose.move(distance_m, turned_rad)
-        self._was_rolling = any(wheel.speed for wheel in self._wheels)
+        pose.move(distance_m, turned_rad)
+        car.was_rolling = any(wheel.speed for wheel in self._wheels)
         return self._motion(record, now_ms)
 
     def _move_uncounted(self, outcome, reversed_paths, before, distance_m, turned_rad):
@@ -284,25 +264,25 @@ class Odometry:
         uncounted_m = (sum(start.place for start in outcome.wheels) / 2 - before) * self._pulse_m
         part = max(0.0, min(1.0, uncounted_m / distance_m)) / 2 if distance_m else 0.0
         half = part * distance_m, part * turned_rad
-        self._pose.move(*half)
+        pose = self._car.pose
+        pose.move(*half)
         along_variance = outcome.mean_variance * self._pulse_m ** 2
         turn_variance = outcome.difference_variance * self._rad_per_pulse ** 2
         # It is unknown where on the way the car turned: evenly, with a variance of 1/12.
-        self._pose.add_variance(along_variance, turn_variance,
-                                turn_variance * (uncounted_m ** 2 + along_variance) / 12)
+        pose.add_variance(along_variance, turn_variance, turn_variance * (uncounted_m ** 2 + along_variance) / 12)
         left_m, left_rad = distance_m - half[0], turned_rad - half[1]
         if reversed_paths:
-            self._pose.move(*half)
+            pose.move(*half)
             left_m, left_rad = left_m - half[0], left_rad - half[1]
         for path in reversed_paths:
-            self._pose.add_path(path)
+            pose.add_path(path)
         return left_m, left_rad
 
     def _move_unseen(self, path, distance_m, turned_rad):
         """Move along a path that wasn't reported; return distance and turn of its last leg."""
-        self._pose.add_path(path)
+        self._car.pose.add_path(path)
         for leg_m, leg_rad in path.legs:
-            self._pose.move(leg_m, leg_rad)
+            self._car.pose.move(leg_m, leg_rad)
             distance_m, turned_rad = distance_m - leg_m, turned_rad - leg_rad
         return distance_m, turned_rad
 
@@ -317,17 +297,17 @@ class Odometry:
 
     def _update_heading(self, record, has_pulse, outcome, has_reversed):
         """Correct the heading by the wheels' difference, if a wheel has made a pulse."""
+        heading = self._car.heading
         if has_reversed or self._turns_on_the_spot(record):
-            self._heading.begin(self._measured_yaw_rad(), HEADING_VARIANCE)
+            heading.begin(self._measured_yaw_rad(), HEADING_VARIANCE)
         elif has_pulse:
             left, right = self._wheels
             variance = ((left.position_variance + right.position_variance) * self._rad_per_pulse * self._rad_per_pulse
                         + HEADING_VARIANCE)
             if outcome is None:
-                self._heading.update(self._measured_yaw_rad(), variance)
+                heading.update(self._measured_yaw_rad(), variance)
             else:
-                self._heading.resume(self._measured_yaw_rad(), variance, outcome.curvature_per_m,
-                                     outcome.curvature_variance)
+                heading.resume(self._measured_yaw_rad(), variance, outcome.curvature_per_m, outcome.curvature_variance)
 
     def _motion(self, record, now_ms):
         left, right = self._wheels
@@ -336,7 +316,7 @@ class Odometry:
         variance = left.speed_variance + right.speed_variance
         differs = not self._alignment.is_done or self._turns_on_the_spot(record)
         yaw_rate_radps = ((right.speed - left.speed) * scale * 1000 if differs else
-                          self._heading.curvature_per_m * speed_mps)
+                          self._car.heading.curvature_per_m * speed_mps)
         to_rad = 2 * self._pulse_m / self._config.wheel_diameter_m
         place = (left.position_variance + right.position_variance) * self._pulse_m ** 2
         heading = place / self._config.track_m ** 2
@@ -345,7 +325,7 @@ class Odometry:
             variance += 4 * self._bridge.speed_variance(now_ms)
         if not self._alignment.is_done:
             heading += (UNALIGNED_PULSES * scale) ** 2
-        pose = self._pose
+        pose = self._car.pose
         return Motion(
             now_ms, pose.x_m, pose.y_m, pose.yaw_rad, speed_mps, yaw_rate_radps,
             pose.covariance(place / 4 + HEADING_VARIANCE, heading + HEADING_VARIANCE),
@@ -363,11 +343,6 @@ class Odometry:
         """
         alike = 2 if self._before_bridge.was_rolling else 4
         along = place_variance / alike + self._bridge.place_variance(now_ms) * self._pulse_m ** 2
-        square = ((self._mean - self._before_bridge.mean) * self._pulse_m) ** 2
+        square = ((self._car.mean - self._before_bridge.mean) * self._pulse_m) ** 2
         turn = CURVATURE_VARIANCE / 3 * (square + along) + self._before_bridge.heading.curvature_per_m ** 2 * along
         return 4 * along + turn * square, turn + (UNALIGNED_PULSES * self._rad_per_pulse) ** 2
-
-
-def _may_learn(record):
-    """Return whether the Teensy may not know the direction of a wheel's next pulses yet."""
-    return any(wheel.dist_abs < LEARNING_PULSES for wheel in record)

@@ -19,15 +19,12 @@ class Pose:
     Args:
         distance_sigma: of the distance after a metre, m; it grows with the root of the distance.
         heading_sigma: of the heading after a metre, rad.
-
-    Attributes:
-        x_m, y_m, yaw_rad: the pose; the yaw isn't wrapped.
-        distance_m: driven, forward and backward.
     """
 
     def __init__(self, distance_sigma: float, heading_sigma: float):
         self._distance_variance, self._heading_variance = distance_sigma ** 2, heading_sigma ** 2  # per metre
-        self.x_m = self.y_m = self.yaw_rad = self.distance_m = 0.0
+        self.x_m = self.y_m = self.yaw_rad = 0.0  # the yaw isn't wrapped
+        self.distance_m = 0.0  # driven, forward and backward
         self._yaw_variance = 0.0  # v, of the heading's error e
         # Of the place's error p, x + i y: E p, E |p|², E p², E p e, and E p exp(±i e).
         self._mean, self._norm, self._square, self._by_yaw = 0j, 0.0, 0j, 0j

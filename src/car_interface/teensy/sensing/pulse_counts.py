@@ -6,14 +6,9 @@ pulses are unproven. Pure.
 """
 from __future__ import annotations
 
-from car_interface.teensy.link.protocol import BACKWARD, FORWARD, NO_DIRECTION, UINT32, Wheel
+from car_interface.teensy.link.protocol import BACKWARD, FORWARD, NO_DIRECTION, Wheel, ahead
 
 LEARNING_PULSES = 2  # of a wheel after power-up, until the firmware knows both pins of its hall sensor
-
-
-def ahead(later: int, earlier: int) -> int:
-    """Return how far one wrapping 32-bit counter is ahead of another: −2**31 .. 2**31 − 1."""
-    return (later - earlier + UINT32 // 2) % UINT32 - UINT32 // 2
 
 
 def has_pulsed(wheel: Wheel) -> bool:

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from typing import Sequence
 
 from car_interface.common import declared
-from car_interface.common.errors import ConfigError
+from car_interface.common.errors import require
 from car_interface.common.vehicle_geometry import SONARS
 
 INF, MAX_RANGE = "inf", "max_range"
@@ -49,24 +49,16 @@ HELD = "a pin that was high for longer than any echo"
 UNKNOWN = "an echo of unknown length: the report before it is missing"
 
 
-def _check_temperature(temperature_c):
-    if not COLDEST_C <= temperature_c <= HOTTEST_C:  # nor is NaN
-        raise ConfigError("temperature", temperature_c, f"{COLDEST_C:g} to {HOTTEST_C:g} °C")
-
-
 @dataclass(frozen=True)
 class RangingConfig:
     """The rules by which echoes become ranges.
 
     ``no_echo``: with ``inf`` no echo is +inf, one from too near −inf. With ``max_range`` no echo is ``max_range_m``,
     one from too near is ``min_range_m``: something stands there, and a costmap shall keep it.
-
-    Raises:
-        ConfigError: naming the parameter.
     """
 
     temperature_c: float = declared.number(
-        "temperature", 20.0, "of the air, until the topic `temperature` arrives", "°C", low=-50, high=60)
+        "temperature", 20.0, "of the air, until the topic `temperature` arrives", "°C", low=COLDEST_C, high=HOTTEST_C)
     min_range_m: float = declared.number(
         "min_range", 0.02, "what is nearer is too near to be measured: the sonar itself still rings", "m", low=0.0,
         high=100)
@@ -83,51 +75,33 @@ class RangingConfig:
         high=MAX_TIMEOUT_MS)
 
     def __post_init__(self):
-        for name, timeout_ms in zip(SONARS, self.timeouts_ms):
-            if not 0 < timeout_ms <= MAX_TIMEOUT_MS:  # nor is NaN
-                raise ConfigError(f"no_echo_timeouts/{name}", timeout_ms, f"more than 0, up to {MAX_TIMEOUT_MS:g} ms")
-        _check_temperature(self.temperature_c)
-        if not 0 <= self.min_range_m < math.inf:
-            raise ConfigError("min_range", self.min_range_m, "0 m or more")
-        if not self.min_range_m < self.max_range_m < math.inf:
-            raise ConfigError("max_range", self.max_range_m, f"more than min_range, {self.min_range_m} m")
-        if self.no_echo not in (INF, MAX_RANGE):
-            raise ConfigError("no_echo", self.no_echo, f"{INF} or {MAX_RANGE}")
+        require(self.min_range_m < self.max_range_m, "max_range", self.max_range_m,
+                f"more than min_range, {self.min_range_m} m")
 
 
 class Ranging:
-    """Turns each sonar's echoes into ranges.
-
-    Attributes:
-        counts: echoes that made no range, by reason.
-        clones: the time-outs that were found, ms by sensor; nobody configured them.
-        blinks: sensors whose pin was high for longer than any clone's; the owner takes them out when it has logged it.
-    """
+    """Turns each sonar's echoes into ranges."""
 
     def __init__(self, config: RangingConfig = RangingConfig()):
         self._config = config
         self._temperature_c = config.temperature_c
         self._nothing_m = math.inf if config.no_echo == INF else config.max_range_m
         self._too_near_m = -math.inf if config.no_echo == INF else config.min_range_m
-        self.counts: Counter = Counter()
+        self.counts: Counter = Counter()  # echoes that made no range, by reason
         self._timeouts_us = [round(1000 * timeout_ms) for timeout_ms in config.timeouts_ms]
-        self.clones: dict[int, float] = {}
-        self.blinks: set[int] = set()
+        self.clones: dict[int, float] = {}  # the time-outs that were found, ms by sensor; nobody configured them
+        self.blinks: set[int] = set()  # whose pin was high for longer than any clone's; the owner takes them out
         self._held_us = [deque(maxlen=CLONE_PULSES) for _ in SONARS]
         self._newest_us = [deque(maxlen=MEDIAN_OF if config.median else 1) for _ in SONARS]
 
-    @property
-    def temperature_c(self) -> float:
-        """The temperature of the air.
+    def set_temperature(self, temperature_c: float) -> None:
+        """Take the temperature of the air.
 
         Raises:
-            ConfigError: it is set to anything but a number from −50 to 60; the one before stays.
+            ConfigError: it isn't a number from −50 to 60; the one before stays.
         """
-        return self._temperature_c
-
-    @temperature_c.setter
-    def temperature_c(self, temperature_c: float) -> None:
-        _check_temperature(temperature_c)
+        require(COLDEST_C <= temperature_c <= HOTTEST_C, "temperature", temperature_c,
+                f"{COLDEST_C:g} to {HOTTEST_C:g} °C")
         self._temperature_c = temperature_c
 
     def range(self, sensor: int, echo_us: int | None, tick: int, is_trusted: bool = True) -> float | None:

@@ -70,19 +70,12 @@ class CarState(NamedTuple):
 
 
 class WheelStart(NamedTuple):
-    """The state in which a wheel goes on.
+    """The state in which a wheel goes on."""
 
-    Attributes:
-        place: of its first pulse's magnet; without pulses the wheel's own, anywhere between two.
-        speed: at that time.
-        forward: its direction.
-        pulses: (number, at ms), the first of which was at ``place``.
-    """
-
-    place: float
-    speed: float
-    forward: bool
-    pulses: list
+    place: float  # of its first pulse's magnet; without pulses the wheel's own, anywhere between two
+    speed: float  # at that time
+    forward: bool  # its direction
+    pulses: list  # (number, at ms), the first of which was at ``place``
 
 
 class Outcome(NamedTuple):
@@ -97,26 +90,15 @@ class Outcome(NamedTuple):
 
 
 class RestartBridge:
-    """From the last report before a restart to the pulses that show how the car goes on.
-
-    Args:
-        state: of the car at that report.
-        track_m: between the wheels.
-
-    Attributes:
-        reversed_paths: those after the restart, of which the counts show that the car has reversed on them.
-    """
+    """From the last report before a restart, with the car's state then, to the pulses that show how the car goes on."""
 
     def __init__(self, state: CarState, track_m: float):
         self._state = state
         self._track_m = track_m
-        self._seen_ms: float | None = None  # from when on pulses were counted again
-        self._stood_ms: deque = deque(maxlen=STANDING_REPORTS)  # of the reports since then without a pulse
-        self._boot_ms: float | None = None  # from when on each pulse is in the reports
-        self.reversed_paths: list[UnseenPath] = []
+        self._stood_ms: deque = deque(maxlen=STANDING_REPORTS)  # of the reports without a pulse since they are counted
+        self.reversed_paths: list[UnseenPath] = []  # those after the restart, by the counts
         self._stop_variance = self._stop_within_ms = 0.0  # of a car that has stopped while pulses weren't counted
-        self._pulses: tuple[list, list] = ([], [])
-        self._signs = [0, 0]
+        self.restart()
 
     def place_variance(self, now_ms: float) -> float:
         """Return the variance of the place that a change of speed on the way or a long time adds, pulses²."""
@@ -153,8 +135,9 @@ class RestartBridge:
             before = [at_ms for at_ms in self._stood_ms if boot_ms is None or at_ms < boot_ms - BLIND_MS]
             self._state = self._state._replace(at_ms=(before or self._stood_ms)[-1] - self._blind_ms())
             self._stood_ms.clear()
-        self._seen_ms = self._boot_ms = None
-        self._pulses = ([], [])
+        self._seen_ms: float | None = None  # from when on pulses were counted again
+        self._boot_ms: float | None = None  # from when on each pulse is in the reports
+        self._pulses: tuple[list, list] = ([], [])
         self._signs = [0, 0]
 
     def pending(self, side: int) -> int:
@@ -171,8 +154,8 @@ class RestartBridge:
         """Take note that every pulse since a boot is counted, though the first report comes later."""
         self._seen_ms = self._boot_ms = max(boot_ms, self._state.at_ms)
 
-    def report(self, now_ms: float) -> bool:
-        """Take note that pulses are counted; return True once if the car stopped while they weren't."""
+    def report(self, now_ms: float) -> list[float] | None:
+        """Take note that pulses are counted; return once where the wheels are if they stopped while none were."""
         if self._seen_ms is None:
             self._seen_ms = now_ms
         if not any(self._pulses):
@@ -180,12 +163,13 @@ class RestartBridge:
         state = self._state
         fastest = max(abs(wheel.speed) for wheel in state.wheels)
         if fastest == 0.0 or any(self._pulses) or now_ms - self._seen_ms < max(BLIND_MS, STOPPED_INTERVALS / fastest):
-            return False
+            return None
         blind_ms = min(self._seen_ms - state.at_ms, MAX_BLIND_MS)
         self._note_stop(blind_ms)
+        positions = [wheel.position + wheel.speed * blind_ms / 2 for wheel in state.wheels]
         self._state = state._replace(at_ms=now_ms, wheels=tuple(
-            wheel._replace(position=wheel.position + wheel.speed * blind_ms / 2, speed=0.0) for wheel in state.wheels))
-        return True
+            wheel._replace(position=position, speed=0.0) for wheel, position in zip(state.wheels, positions)))
+        return positions
 
     def _uneven_variance(self):
         """Return the variance of the distance if the speed didn't change evenly while pulses weren't counted, pulses².
@@ -205,12 +189,6 @@ class RestartBridge:
         fastest = max(abs(wheel.speed) for wheel in self._state.wheels)
         self._stop_variance, self._stop_within_ms = (fastest * blind_ms / 4) ** 2, blind_ms
 
-    @property
-    def positions(self) -> tuple[float, float]:
-        """Return where the wheels stand, after ``report`` found that the car has stopped."""
-        left, right = self._state.wheels
-        return left.position, right.position
-
     def add(self, side: int, unproven: int, proven: int, at_ms: float) -> None:
         """Take pulses of a wheel, without and (signed) with a known direction; the newest was at ``at_ms``."""
         if any(sign * proven < 0 for sign in self._signs):
@@ -227,7 +205,7 @@ class RestartBridge:
 
     def is_ready(self, now_ms: float) -> bool:
         """Return whether enough is known to go on."""
-        if not any(self._pulses) or not self._find_sign(now_ms):
+        if not any(self._pulses) or not self._find_sign():
             return False
         if now_ms - self._first_ms() > ENOUGH_MS:
             return True
@@ -245,7 +223,8 @@ class RestartBridge:
             self._note_stop(min(self._blind_ms(), MAX_BLIND_MS))
         for pulses in self._pulses if self._boot_ms is not None else ():
             _date_first(pulses)
-        state, signs = self._state, self._all_signs(now_ms)
+        state, sign = self._state, self._find_sign()
+        signs = [proven or sign for proven in self._signs]
         speeds = self._speeds(signs, now_ms)
         curvature, curvature_variance = self._curvature(speeds, was_rolling)
         guesses = [self._guess(side, speeds, curvature, was_rolling, signs) for side in (LEFT, RIGHT)]
@@ -301,7 +280,7 @@ class RestartBridge:
     def _mean_before(self):
         return sum(wheel.speed for wheel in self._state.wheels) / 2
 
-    def _find_sign(self, now_ms):
+    def _find_sign(self):
         """Return the car's direction, proven by a wheel or as it rolled before; 0 = unknown."""
         proven = next((sign for sign in self._signs if sign), 0)
         if proven:
@@ -310,10 +289,6 @@ class RestartBridge:
         if abs(before) > ROLLING_PER_MS and self._blind_ms() < MAX_BLIND_MS:
             return 1 if before > 0 else -1
         return 0
-
-    def _all_signs(self, now_ms):
-        sign = self._find_sign(now_ms)
-        return [proven or sign for proven in self._signs]
 
     def _was_rolling(self):
         """Return whether the car rolled when pulses were counted again; else it started later."""

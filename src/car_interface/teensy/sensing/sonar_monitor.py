@@ -17,7 +17,7 @@ Pure: ``now_ns`` in, and its memory doesn't grow.
 """
 from __future__ import annotations
 
-from typing import Iterable, Mapping, NamedTuple, Sequence
+from typing import Mapping, NamedTuple, Sequence
 
 from car_interface.common.units import NS_PER_MS, NS_PER_S
 from car_interface.common.vehicle_geometry import SONARS
@@ -34,7 +34,9 @@ CUT_US, US_PER_M = 100, 5830  # an echo is cut if it is shorter by more, 2 cm; o
 MAX_RETRY_NS = 60 * NS_PER_S  # between SONAR_STARTs that don't help
 SEND_START, SEND_SEQUENCE = "SONAR_START", "SET_SONAR_SEQ"
 # The sonars fire mostly ahead while the car drives forward, and for a while after it stopped: a short stop changes
-# nothing. The two speeds differ, so that a car which stands doesn't switch with the noise of its speed.
+# nothing. With obstacle_stop the speed that is allowed grows with the number of echoes a second from ahead; echoes from
+# behind are of use to a car that stands or reverses. The two speeds differ, so that a car which stands doesn't switch
+# with the noise of its speed.
 FORWARD_MPS, BACKWARD_MPS = 0.15, -0.1
 STAYS_AHEAD_NS = NS_PER_S
 BLINK_SHOWN_NS = 10 * NS_PER_S  # as long as a reboot is
@@ -42,17 +44,9 @@ ALIVE_NS = NS_PER_S  # a link without any frame for longer shows nothing about s
 
 
 class SonarFault(NamedTuple):
-    """A fault of the sonars.
-
-    Attributes:
-        sensor: index in ``SONARS``; ``None`` for all of them.
-        description: what is wrong.
-        next_step: what its owner can do.
-    """
-
-    sensor: int | None
-    description: str
-    next_step: str
+    sensor: int | None  # index in ``SONARS``; ``None`` for all of them
+    description: str  # what is wrong
+    next_step: str  # what its owner can do
 
 
 class SonarMonitor:
@@ -62,23 +56,16 @@ class SonarMonitor:
         restart_s: SONAR_START is wanted after this long without a report, while there should be some; 0 = never.
         sequence: the sonars in use, to be sent to each Teensy that boots; ``None`` = the firmware's own order.
         ahead: the sequence while the car drives forward; ``None`` = the same one.
-
-    Attributes:
-        sequence: the sonars in use, as the firmware fires them.
-        starts: how many SONAR_STARTs it asked for.
-        dropped: stuck sensors that were taken out of the sequence.
-        wait_ms: SONAR_WAIT as last commanded.
-        clones: by sensor the ms after which it ends its pulse without an echo, though nobody configured that; the
-            owner sets it to what ``Ranging`` finds.
     """
 
     def __init__(self, restart_s: float = 3.0, sequence: Sequence[int] | None = None,
                  ahead: Sequence[int] | None = None):
         self._ahead = None if ahead is None else tuple(ahead)
-        self._aim = SonarAim()
         self._restart_ns = round(restart_s * NS_PER_S)
         self._configured = None if sequence is None else tuple(sequence)
-        self.starts = 0
+        self.starts = 0  # how many SONAR_STARTs it asked for
+        # By sensor the ms after which it ends its pulse without an echo, though nobody configured that; the owner sets
+        # it to what ``Ranging`` finds.
         self.clones: Mapping[int, float] = {}
         self._blinked: dict[int, int] = {}  # sensor: when its pin was last released
         self._zeros = [0] * len(SONARS)  # in a row
@@ -89,15 +76,16 @@ class SonarMonitor:
         self._stopped = False
         self._echoes: dict[int, tuple[int, int]] = {}  # the newest: (µs, when it was received)
         self._speed_mps = 0.0
+        self._wants_ahead, self._forward_ns = False, 0  # the latter: when it last drove forward
         self._frame_ns: int | None = None
         self._forget_commands()
         self._forget_reports(0)
 
     def _forget_commands(self):
-        self._usual = self.sequence = self._configured or tuple(range(len(SONARS)))
+        self._usual = self.sequence = self._configured or tuple(range(len(SONARS)))  # as the firmware fires them
         self._is_ahead = False  # whether the sequence is the one for driving forward
-        self.dropped: tuple = ()
-        self.wait_ms = FIRMWARE_WAIT_MS
+        self.dropped: tuple = ()  # stuck sensors that were taken out of the sequence
+        self.wait_ms = FIRMWARE_WAIT_MS  # as last commanded
         self._must_send = self._configured is not None
 
     def _forget_reports(self, now_ns):
@@ -146,8 +134,7 @@ class SonarMonitor:
         """Take note that SONAR_START was sent."""
         self._stopped = False
         self._since_ns = now_ns
-        if self._silent_ns is None:
-            self._silent_ns = now_ns
+        self._silent_ns = now_ns if self._silent_ns is None else self._silent_ns
         suspect = self._suspect()
         self._held, self._last = self._held if suspect is None else suspect, None
         until = 0
@@ -164,7 +151,10 @@ class SonarMonitor:
     def update_speed(self, speed_mps: float, now_ns: int) -> None:
         """Take the measured speed, forward positive: while the car drives forward, the sonars fire mostly ahead."""
         self._speed_mps = abs(speed_mps)
-        self._aim.update(speed_mps, now_ns)
+        if speed_mps >= FORWARD_MPS:
+            self._wants_ahead, self._forward_ns = True, now_ns
+        elif speed_mps <= BACKWARD_MPS or now_ns - self._forward_ns > STAYS_AHEAD_NS:
+            self._wants_ahead = False
 
     def _use(self, sequence, now_ns):
         self.sequence = tuple(sequence)
@@ -206,8 +196,6 @@ class SonarMonitor:
 
     def _is_trusted(self, tick):
         left, until = self._trusted_after
-        if not left and not until:
-            return True
         if until:
             if tick < until - AFTER_START_MS - BEFORE_START_MS:
                 return True  # it was on its way as SONAR_START was sent
@@ -223,8 +211,8 @@ class SonarMonitor:
         if self._must_send:
             self._must_send = False
             return SEND_SEQUENCE
-        if self._ahead and self._aim.is_ahead != self._is_ahead:
-            self._is_ahead = self._aim.is_ahead
+        if self._ahead and self._wants_ahead != self._is_ahead:
+            self._is_ahead = self._wants_ahead
             wanted = self._ahead if self._is_ahead else self._usual
             dropped, in_use = self.dropped, [sensor for sensor in wanted if sensor not in self.dropped]
             if in_use:
@@ -233,13 +221,15 @@ class SonarMonitor:
                 return SEND_SEQUENCE
         if self._stopped:
             return None
-        for sensor in set(self.sequence):
-            if self._is_stuck(sensor) and len(set(self.sequence)) > 1:
+        in_use = set(self.sequence)
+        for sensor in in_use if len(in_use) > 1 else ():
+            if self._zeros[sensor] >= DROPPED_ZEROS or self._stalls[sensor] >= MAX_STALLS:
                 self.sequence = tuple(other for other in self.sequence if other != sensor)
                 self.dropped += (sensor,)
                 self._last = None
                 return SEND_SEQUENCE
-        if not self._is_overdue(now_ns):
+        patience_ns = max(self._retry_ns, 2 * self.wait_ms * NS_PER_MS)
+        if not self._restart_ns or now_ns - self._since_ns < patience_ns:
             return None
         suspect = self._suspect()
         if suspect is not None:
@@ -253,23 +243,15 @@ class SonarMonitor:
     def _is_alive(self, now_ns):
         return self._frame_ns is not None and now_ns - self._frame_ns <= ALIVE_NS
 
-    def _is_stuck(self, sensor):
-        return self._zeros[sensor] >= DROPPED_ZEROS or self._stalls[sensor] >= MAX_STALLS
-
-    def _is_overdue(self, now_ns):
-        """Return whether reports have been missing for long enough to start the sonars."""
-        patience_ns = max(self._retry_ns, 2 * self.wait_ms * NS_PER_MS)
-        return bool(self._restart_ns) and now_ns - self._since_ns >= patience_ns
-
     def _suspect(self):
         """Return the sonar at which they stopped: the one after the last that reported."""
         if self.sequence.count(self._last) != 1:  # one that fires more often has more than one after it
             return None
         return self.sequence[(self.sequence.index(self._last) + 1) % len(self.sequence)]
 
-    def blinked(self, sensors: Iterable[int], now_ns: int) -> None:
-        """Take note of sensors whose echo pin was high for over a second and is released."""
-        self._blinked.update((sensor, now_ns) for sensor in sensors)
+    def blinked(self, sensor: int, now_ns: int) -> None:
+        """Take note of a sensor whose echo pin was high for over a second and is released."""
+        self._blinked[sensor] = now_ns
 
     def faults(self, now_ns: int) -> list[SonarFault]:
         """Return the faults; empty when all sonars in use report, or were stopped."""
@@ -307,25 +289,3 @@ def describe(faults: Sequence[SonarFault]) -> tuple[str, str]:
     """Return all faults in one text, and all next steps in another."""
     steps = dict.fromkeys(fault.next_step for fault in faults)
     return "; ".join(fault.description for fault in faults), ". ".join(steps)
-
-
-class SonarAim:
-    """Decides whether the sonars should fire mostly ahead: while the car drives forward.
-
-    With obstacle_stop the speed that is allowed grows with the number of echoes a second from ahead; echoes from behind
-    are of use to a car that stands or reverses.
-
-    Attributes:
-        is_ahead: the sonars should fire mostly ahead.
-    """
-
-    def __init__(self):
-        self.is_ahead = False
-        self._forward_ns = 0
-
-    def update(self, speed_mps: float, now_ns: int) -> None:
-        """Take the measured speed, forward positive."""
-        if speed_mps >= FORWARD_MPS:
-            self.is_ahead, self._forward_ns = True, now_ns
-        elif speed_mps <= BACKWARD_MPS or now_ns - self._forward_ns > STAYS_AHEAD_NS:
-            self.is_ahead = False

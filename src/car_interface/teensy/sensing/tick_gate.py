@@ -1,8 +1,8 @@
 """Judges the ticks of the Teensy's clock that pongs and sonars carry. Pure."""
 from __future__ import annotations
 
+from car_interface.teensy.link.protocol import ahead
 from car_interface.teensy.link.reboot import MAX_LAG_MS
-from car_interface.teensy.sensing.pulse_counts import ahead
 from car_interface.teensy.sensing.verdicts import (
     AFTER_GAP,
     CLOCK_RESTARTED,
@@ -21,20 +21,12 @@ YOUNG_MS = 2_000  # a Teensy with a shorter uptime may have just rebooted
 
 
 class TickGate:
-    """Judges ticks, which come nearly in order.
-
-    Args:
-        max_gap_ms: between two ticks of a line that is whole.
-
-    Attributes:
-        newest: the newest accepted tick; ``None`` before the first.
-        restarts: how often the clock was found to have restarted.
-    """
+    """Judges ticks, which come nearly in order: ``max_gap_ms`` lies between two of a line that is whole."""
 
     def __init__(self, max_gap_ms: float):
         self._max_gap_ms = max_gap_ms
-        self.newest: int | None = None
-        self.restarts = 0
+        self.newest: int | None = None  # accepted tick
+        self.restarts = 0  # of the clock
         self._before = None  # the newest before that
         self._candidates: list = []
 

@@ -37,23 +37,14 @@ SEVERAL = 1 / 3
 
 
 class UnseenPath(NamedTuple):
-    """What a car may have driven while nothing was reported.
+    """What a car may have driven while nothing was reported."""
 
-    Attributes:
-        legs: (distance_m, turned_rad) of one after the other, without the last one.
-        along_variance: m², along the heading at its start.
-        across_variance: m², across it.
-        heading_variance: rad².
-        both_covariance: m², of along and across.
-        heading_covariance: m rad, of along and heading.
-    """
-
-    legs: tuple = ()
-    along_variance: float = 0.0
-    across_variance: float = 0.0
-    heading_variance: float = 0.0
-    both_covariance: float = 0.0
-    heading_covariance: float = 0.0
+    legs: tuple = ()  # (distance_m, turned_rad) of one after the other, without the last one
+    along_variance: float = 0.0  # m², along the heading at its start
+    across_variance: float = 0.0  # m², across it
+    heading_variance: float = 0.0  # rad²
+    both_covariance: float = 0.0  # m², of along and across
+    heading_covariance: float = 0.0  # m rad, of along and heading
 
 
 def curved_path(distance_m: float, turned_rad: float, curvature_per_m: float | None, usual_square: float) -> UnseenPath:

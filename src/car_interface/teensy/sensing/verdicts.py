@@ -29,29 +29,17 @@ ODOMETERS_RESET = "odometers that were reset"
 
 
 class Verdict(NamedTuple):
-    """The verdict on a record.
+    """The verdict on a record; of two numbers the first is the left wheel's."""
 
-    Attributes:
-        accepted: it may be used.
-        reason: why not, or why it is notable; empty for most.
-        pulses: to add to the distance of the left and the right wheel, signed.
-        restarted: the state before it no longer holds.
-        unproven: further pulses of the left and the right wheel, made before those of ``pulses``, whose direction the
-            firmware could not know yet.
-        unsplit: those of ``pulses`` that were made before a wheel's last reversal, left and right; see
-            ``unseen_path``.
-        since_boot: ``pulses`` and ``unproven`` are all that were counted since the Teensy's boot.
-        boot_tick: a tick of the clock after a reboot that this report of the wheels reveals; else ``None``.
-    """
-
-    accepted: bool
-    reason: str
-    pulses: tuple[int, int] = (0, 0)
-    restarted: bool = False
+    accepted: bool  # it may be used
+    reason: str  # why not, or why it is notable; empty for most
+    pulses: tuple[int, int] = (0, 0)  # to add to the distance of each wheel, signed
+    restarted: bool = False  # the state before it no longer holds
+    # Further pulses, made before those of ``pulses``, whose direction the firmware could not know yet.
     unproven: tuple[int, int] = (0, 0)
-    unsplit: tuple[int, int] = (0, 0)
-    since_boot: bool = False
-    boot_tick: int | None = None
+    unsplit: tuple[int, int] = (0, 0)  # of ``pulses`` those before the wheel's last reversal; see ``unseen_path``
+    since_boot: bool = False  # ``pulses`` and ``unproven`` are all that were counted since the Teensy's boot
+    boot_tick: int | None = None  # of the clock after a reboot that this report of the wheels reveals
 
 
 FINE = Verdict(True, "")

@@ -43,25 +43,14 @@ UNKNOWN_TIME_VARIANCE = 100.0  # of a pulse whose time can't be, ms²
 
 
 class WheelFilter:
-    """One wheel: position in pulses, speed in pulses/ms, acceleration in pulses/ms².
-
-    Attributes:
-        count: signed pulses so far: the wheel is within [count, count + 1).
-        position: the estimate at the time of the last call.
-        speed: likewise.
-        acceleration: likewise.
-        updates: how many times a report had a new pulse of it.
-        first_pulses: as (ms, position), for the alignment; ``None`` once it is done.
-        is_uncounted: it has made pulses that the Teensy didn't count; the next one shows where it is.
-        pending: pulses that were counted but whose positions aren't known yet.
-    """
+    """One wheel at the time of the last call: position in pulses, speed in pulses/ms, acceleration in pulses/ms²."""
 
     def __init__(self):
-        self.count = 0
-        self.updates = 0
-        self.first_pulses: list | None = []
-        self.is_uncounted = False
-        self.pending = 0
+        self.count = 0  # signed pulses so far: the wheel is within [count, count + 1)
+        self.updates = 0  # how many times a report had a new pulse of it
+        self.first_pulses: list | None = []  # as (ms, position), for the alignment; ``None`` once it is done
+        self.is_uncounted = False  # it has made pulses that the Teensy didn't count; the next one shows where it is
+        self.pending = 0  # pulses that were counted but whose positions aren't known yet
         self.position, self.speed, self.acceleration = 0.5, 0.0, 0.0
         self._time_ms = 0.0
         self._pulse_ms = -math.inf  # of the newest

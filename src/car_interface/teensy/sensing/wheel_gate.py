@@ -12,10 +12,9 @@ Pure.
 """
 from __future__ import annotations
 
-from car_interface.teensy.link.protocol import DIRECTION_ERROR, FORWARD, NO_DIRECTION, Wheel, WheelStatus
+from car_interface.teensy.link.protocol import DIRECTION_ERROR, FORWARD, NO_DIRECTION, Wheel, WheelStatus, ahead
 from car_interface.teensy.sensing.pulse_counts import (
     LEARNING_PULSES,
-    ahead,
     has_pulsed,
     learning_pulses,
     signed_pulses,

@@ -187,12 +187,12 @@ class TeensyProbe:
     def is_done(self, now_ns: int) -> bool:
         """Return whether the state is known, or it took too long."""
         has_sonar_reports = len(self._sonars) == len(SONARS) or now_ns >= self._sonars_ns
-        is_fine = self._session.verdict.state == FINE and self._session.pinger.answered > 1 and has_sonar_reports
+        is_fine = self._session.health.verdict.state == FINE and self._session.pinger.answered > 1 and has_sonar_reports
         return now_ns >= self._end_ns or is_fine and not self._session.tally.bad_frames
 
     def findings(self) -> list[Finding]:
         """Return the finding about the Teensy."""
-        verdict, pinger = self._session.verdict, self._session.pinger
+        verdict, pinger = self._session.health.verdict, self._session.pinger
         missing = [name for sensor, name in enumerate(SONARS) if sensor not in self._sonars]
         within = f"{SONARS_WITHIN_NS / 1e9:g} s"
         pong = _describe_pong(self._session.round_trip_ns / 1e9, pinger.answered_checksum)

@@ -57,10 +57,10 @@ def test_first_ping_is_due_as_the_port_opens_and_goes_behind_the_filler(session)
         assert session.ping(CARRIES, NOW + S) == SHIPPED_PING
         assert (session.openings, session.resyncs) == (openings, openings)
         session.receive(sonar(5000)[:9], NOW)
-        session.port_failed(ABSENT, "it is gone", "plug it in")
-        assert (session.verdict.state, session.judge(NOW).state) == (ABSENT, ABSENT)
+        session.health.port_failed(ABSENT, "it is gone", "plug it in")
+        assert (session.health.verdict.state, session.judge(NOW).state) == (ABSENT, ABSENT)
         session.opened(NOW)
-        assert session.verdict.state == WAITING
+        assert session.health.verdict.state == WAITING
         session.receive(sonar(5000)[1:], NOW)
         assert session.tally.bad_frames == 0  # the two halves are no frame
 
@@ -133,9 +133,10 @@ def test_reboot_is_the_verdict_on_a_link_that_is_fine(session):
         session.ping(second, now_ns)
         session.receive(pong(second, 90_000 + 1000 * second) + sonar(90_010 + 1000 * second) * 20, now_ns)
         session.judge(now_ns)
-    assert session.verdict.state == FINE
+    assert session.health.verdict.state == FINE
     session.receive(sonar(100) + sonar(160), now_ns + MS)
-    assert session.verdict[:3] == (REBOOTED, WARN, "the Teensy rebooted: its clock went from 95.0 s back to 0.2 s")
+    assert session.health.verdict[:3] == (
+        REBOOTED, WARN, "the Teensy rebooted: its clock went from 95.0 s back to 0.2 s")
 
 
 def test_pong_shows_a_reboot_too_and_is_followed_by_quick_pings(session):

@@ -14,7 +14,7 @@ def pong(tick, delay_ns):
 
 
 def lines_of(*pongs):
-    lines = ClockLines(pongs[0], 500.0, 100.0)
+    lines = ClockLines(pongs[0])
     assert all(lines.admit(*other) for other in pongs[1:])
     return lines
 

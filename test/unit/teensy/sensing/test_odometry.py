@@ -11,9 +11,11 @@ from car_interface.common.errors import ConfigError
 from car_interface.teensy.link.protocol import BACKWARD, FORWARD, NO_DIRECTION, Wheel, WheelStatus
 from car_interface.teensy.sensing.odometry import Odometry, OdometryConfig
 from car_interface.teensy.sensing.unseen_path import reversed_path
+from car_interface.teensy.sensing.verdicts import Verdict
 
 PULSE_M = math.pi * 0.095 / 20
 TRACK_M = 0.296
+UNKNOWN_MS = (-math.inf, -math.inf)
 
 
 class Axle:
@@ -28,15 +30,16 @@ class Axle:
 
     def report(self, pulses, restarted=False, at_ms=None):
         left, right = self.wheels
-        self.motion = self.odometry.report(WheelStatus(left, right), pulses, restarted, left.when, right.when,
-                                           self.ms if at_ms is None else at_ms)
+        self.motion = self.odometry.report(WheelStatus(left, right), Verdict(True, "", pulses, restarted),
+                                           (left.when, right.when), self.ms if at_ms is None else at_ms)
         return self.motion
 
     def reboot(self, after_ms):
         """Lose all counts: the first report is that of wheels that have made no pulse yet."""
         self.ms += after_ms
         self.wheels = [Wheel(0, NO_DIRECTION, 0, 0, 0)] * 2
-        self.motion = self.odometry.report(WheelStatus(*self.wheels), (0, 0), True, -math.inf, -math.inf, self.ms)
+        self.motion = self.odometry.report(WheelStatus(*self.wheels), Verdict(True, "", restarted=True), UNKNOWN_MS,
+                                           self.ms)
         return self.motion
 
     def roll(self, speeds_mps, duration_s, step_ms=1.0):
@@ -110,7 +113,8 @@ def test_pulses_of_unknown_time_after_a_restart_leave_every_number_finite():
     for count in (2, 4, 6, 8):
         axle.ms += 900.0
         axle.wheels = [Wheel(0, FORWARD, 0, count, count)] * 2
-        axle.motion = axle.odometry.report(WheelStatus(*axle.wheels), (2, 2), count == 2, -math.inf, -math.inf, axle.ms)
+        axle.motion = axle.odometry.report(WheelStatus(*axle.wheels), Verdict(True, "", (2, 2), count == 2), UNKNOWN_MS,
+                                           axle.ms)
         assert all(map(math.isfinite, (axle.motion.x_m, axle.motion.speed_mps, axle.motion.speed_variance)))
     assert math.isfinite(axle.roll((1.0, 1.0), 1.0).x_m)
 
@@ -139,9 +143,8 @@ def test_reversals_after_a_boot_are_uncertain_behind_the_part_without_counts():
             axle.ms += 15.0
             axle.wheels = [Wheel(0, FORWARD, round(axle.ms), 1, count)] * 2
             unproven = (int(count <= 2),) * 2
-            axle.motion = axle.odometry.report(
-                WheelStatus(*axle.wheels), (1 - unproven[0],) * 2, False, axle.ms, axle.ms, axle.ms + 0.5, unproven,
-                unsplit if count == 4 else (0, 0))
+            verdict = Verdict(True, "", (1 - unproven[0],) * 2, False, unproven, unsplit if count == 4 else (0, 0))
+            axle.motion = axle.odometry.report(WheelStatus(*axle.wheels), verdict, (axle.ms,) * 2, axle.ms + 0.5)
         ends.append(axle.motion)
     path = reversed_path(12 * PULSE_M, 4 * PULSE_M / TRACK_M, False)
     across = ends[1].pose_covariance[1][1] - ends[0].pose_covariance[1][1]

@@ -7,7 +7,7 @@ from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
 from car_interface.sim.teensy_sonars import SONAR_FINE, SONAR_STUCK
 from car_interface.teensy.link.framing import SHIPPED, FrameDecoder, encode
 from car_interface.teensy.link.protocol import START_SONARS, Pong, SonarStatus, decode
-from car_interface.teensy.sensing.sonar_monitor import SEND_SEQUENCE, SEND_START, SonarAim, SonarMonitor, describe
+from car_interface.teensy.sensing.sonar_monitor import SEND_SEQUENCE, SEND_START, SonarMonitor, describe
 
 MS, S = 1_000_000, 1_000_000_000
 ALL = (0, 1, 2, 3, 4, 5)
@@ -289,7 +289,7 @@ def test_pin_that_stays_stuck_costs_no_range_of_a_wall_that_a_moving_car_comes_n
 def test_clone_is_told_with_the_parameter_that_it_needs_and_beside_it_for_ten_seconds_a_pin_that_blinked():
     sonars = Sonars().run(1)
     sonars.monitor.clones = {2: 200.004}
-    sonars.monitor.blinked([1], sonars.now_ns)
+    sonars.monitor.blinked(1, sonars.now_ns)
     words, next_step = describe(sonars.monitor.faults(sonars.now_ns))
     assert "front_middle's echo pin was high for over a second" in words
     assert "Check its echo wire and supply" in next_step and "~no_echo_timeouts/front_left to 200" in next_step
@@ -351,7 +351,10 @@ def test_a_teensy_that_reboots_or_a_port_that_is_opened_again_on_the_way_gets_it
     ([(0.0, 0.5), (0.1, -0.2)], False), ([(5.0, -0.2), (5.1, 0.05)], False),  # reverses
 ])
 def test_sonars_fire_ahead_while_the_car_drives_forward(speeds, is_ahead):
-    aim = SonarAim()
+    monitor, now_ns = SonarMonitor(ahead=AHEAD), 0
     for at_s, speed_mps in speeds:
-        aim.update(speed_mps, round(at_s * S))
-    assert aim.is_ahead == is_ahead
+        now_ns = round(at_s * S)
+        monitor.update_speed(speed_mps, now_ns)
+    monitor.frame(now_ns)
+    assert monitor.next_command(now_ns) == (SEND_SEQUENCE if is_ahead else None)
+    assert monitor.sequence == (AHEAD if is_ahead else ALL)
