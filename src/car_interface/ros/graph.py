@@ -5,8 +5,6 @@ A test gives a node's inbox a graph of its own, in which it delivers the message
 from __future__ import annotations
 
 import threading
-import weakref
-from collections import deque
 from typing import Any, Callable
 
 import rosgraph
@@ -20,44 +18,7 @@ SAME_STANDSTILL_NS = 200 * NS_PER_MS  # a replacement for another node of this p
 MAX_RETIRED = 32  # connections that may still deliver what they have read: the newest of each topic
 
 
-class _Connections:
-    """Those of one topic of this process."""
-
-    def __init__(self, subscription):
-        self._subscription = subscription  # rospy's, a weak reference
-        self._lock = threading.Lock()
-        self._replaced_ns = -SAME_STANDSTILL_NS
-        # rospy gives each connection a header of its own, and every message that of its connection.
-        self._retired_headers: deque = deque(maxlen=MAX_RETIRED)
-
-    def is_retired(self, header) -> bool:
-        return any(header is retired for retired in self._retired_headers)
-
-    def replace(self) -> None:
-        """Replace all of them, unless that has just been done."""
-        with self._lock:
-            subscription, now_ns = self._subscription(), SYSTEM.now_ns()
-            if subscription is None or now_ns - self._replaced_ns < SAME_STANDSTILL_NS:
-                return
-            connections = list(subscription.connections)
-            self._retired_headers.extend(each.header for each in connections if each.header)
-            for connection in connections:
-                self._replace_one(subscription, connection)
-            self._replaced_ns = now_ns
-
-    @staticmethod
-    def _replace_one(subscription, connection):
-        host, port = connection.dest_address
-        done, text, _ = TCPROSHandler().create_transport(
-            subscription.resolved_name, connection.endpoint_id, ["TCPROS", host, port])
-        if not done:
-            raise rospy.ROSException(text)
-        connection.close()
-
-
-_CONNECTIONS: weakref.WeakKeyDictionary = weakref.WeakKeyDictionary()  # by rospy's subscription of the topic
-_CONNECTIONS_LOCK = threading.Lock()
-
+_REPLACING = threading.Lock()
 
 
 class RosGraph:
@@ -101,10 +62,17 @@ class RosGraph:
         subscription = subscriber.impl
         if subscription is None:  # it is closed
             return lambda header: False
-        with _CONNECTIONS_LOCK:
-            connections = _CONNECTIONS.setdefault(subscription, _Connections(weakref.ref(subscription)))
-        connections.replace()
-        return connections.is_retired
+        with _REPLACING:
+            # rospy gives each connection a header of its own, and every message that of its connection.
+            retired, replaced_ns = getattr(subscription, "car_interface_retired", ((), -SAME_STANDSTILL_NS))
+            now_ns = self.clocks.now_ns()
+            if now_ns - replaced_ns >= SAME_STANDSTILL_NS:
+                connections = list(subscription.connections)
+                retired = (*retired, *(each.header for each in connections if each.header))[-MAX_RETIRED:]
+                for connection in connections:
+                    _replace(subscription, connection)
+                subscription.car_interface_retired = retired, now_ns
+        return lambda header: any(header is one for one in retired)
 
     def service(self, name: str, service_type, handler: Callable[[Any], Any]) -> rospy.Service:
         """Offer a service; ``handler`` is called in a thread of ROS."""
@@ -144,15 +112,6 @@ class RosGraph:
         """Run a function beside the node's thread."""
         threading.Thread(target=target, name=name, daemon=True).start()
 
-    def repeat_in_thread(self, target: Callable[[], None], period_s: float, is_over: Callable[[], bool],
-                         name: str) -> None:
-        """Call a function again and again beside the node's thread, first after ``period_s``."""
-        def run():
-            while not (rospy.is_shutdown() or is_over()):
-                self.clocks.sleep(period_s)
-                target()
-        self.start_thread(run, name)
-
     def publishers(self, topic: str) -> list[str]:
         """Return the names of the nodes that publish on a topic."""
         published, _, _ = rosgraph.Master(rospy.get_name()).getSystemState()
@@ -160,3 +119,13 @@ class RosGraph:
 
 
 ROS = RosGraph()
+
+
+def _replace(subscription, connection):
+    """Replace one of rospy's connections to a publisher."""
+    host, port = connection.dest_address
+    done, text, _ = TCPROSHandler().create_transport(
+        subscription.resolved_name, connection.endpoint_id, ["TCPROS", host, port])
+    if not done:
+        raise rospy.ROSException(text)
+    connection.close()

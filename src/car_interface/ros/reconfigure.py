@@ -124,10 +124,10 @@ class ReconfigureServer:
                 pass  # the master is gone
 
     def _on_request(self, wanted, done):
-        answer = self._tuning.request(wanted, self._inbox.clocks.now_ns())
+        problem = self._tuning.request(wanted, self._inbox.clocks.now_ns())
         done.set_result(None)
-        if answer.problem:
-            self._warnings.warn("live tuning", answer.problem)
+        if problem:
+            self._warnings.warn("live tuning", problem)
 
     def _on_save(self, _request):
         """Save the accepted values, once they are active. Called in a thread of ROS."""
