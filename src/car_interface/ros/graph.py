@@ -16,8 +16,6 @@ from car_interface.ros.clocks import SYSTEM
 
 SAME_STANDSTILL_NS = 200 * NS_PER_MS  # a replacement for another node of this process counts for so long
 MAX_RETIRED = 32  # connections that may still deliver what they have read: the newest of each topic
-
-
 _REPLACING = threading.Lock()
 
 
@@ -29,18 +27,12 @@ class RosGraph:
     """
 
     clocks = SYSTEM
-
-    def process_name(self) -> str:
-        """Return the name that this process has registered."""
-        return rospy.get_name()
-
-    def namespace(self) -> str:
-        """Return the namespace of the process's name, with a slash at both ends."""
-        return rospy.get_namespace()
-
-    def resolve_name(self, name: str) -> str:
-        """Return the full name of a topic or service, as remapped."""
-        return rospy.resolve_name(name)
+    process_name = staticmethod(rospy.get_name)  # with its namespace
+    namespace = staticmethod(rospy.get_namespace)  # of the process, with a slash at both ends
+    resolve_name = staticmethod(rospy.resolve_name)  # of a topic or service, as remapped
+    parameter = staticmethod(rospy.get_param)  # name, default
+    set_parameter = staticmethod(rospy.set_param)  # name, value; raises OSError when the master is gone
+    service = staticmethod(rospy.Service)  # name, type, handler, which is called in a thread of ROS
 
     def publisher(self, name: str, message_type, queue_size: int, latch: bool) -> rospy.Publisher:
         """Advertise a topic."""
@@ -74,10 +66,6 @@ class RosGraph:
                 subscription.car_interface_retired = retired, now_ns
         return lambda header: any(header is one for one in retired)
 
-    def service(self, name: str, service_type, handler: Callable[[Any], Any]) -> rospy.Service:
-        """Offer a service; ``handler`` is called in a thread of ROS."""
-        return rospy.Service(name, service_type, handler)
-
     def call(self, service: str, service_type, request: Any, on_done: Callable[[Any, str], None]) -> None:
         """Call a service beside the node's thread; ``on_done(answer, problem)`` is called there: None if it failed."""
         def run():
@@ -87,18 +75,6 @@ class RosGraph:
                 answer, problem = None, str(error)
             on_done(answer, problem)
         self.start_thread(run, "call")
-
-    def parameter(self, name: str, default: Any) -> Any:
-        """Return a parameter, or the default where there is none."""
-        return rospy.get_param(name, default)
-
-    def set_parameter(self, name: str, value: Any) -> None:
-        """Set a parameter.
-
-        Raises:
-            OSError: the master is gone.
-        """
-        rospy.set_param(name, value)
 
     def reconfigure_server(self, server_class, config_type, callback, namespace: str):
         """Offer dynamic_reconfigure's interface below a namespace."""

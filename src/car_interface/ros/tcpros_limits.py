@@ -63,10 +63,6 @@ class PeerGone(HandshakeError):
     """The peer has closed the connection."""
 
 
-class _Replaced(HandshakeError):
-    """The peer has made a newer connection meanwhile."""
-
-
 class MessageTooLong(TransportException, ServiceException):
     """A peer announced a message that is longer than ``MAX_MESSAGE_SIZE``.
 
@@ -152,8 +148,11 @@ class _Handshakes:
         """Take a connection. Called in the thread that accepts them."""
         with self._lock:
             self._waiting.append(connection)
-            if len(self._waiting) > MAX_HANDSHAKES:
-                _shut_down(self._waiting.pop(0))  # wakes its thread, which closes it
+            dropped = self._waiting.pop(0) if len(self._waiting) > MAX_HANDSHAKES else None
+        if dropped is not None:
+            _warnings.warn("dropped", f"Inbound TCP/IP connection failed: {_address(dropped)} was dropped, since "
+                                      f"{MAX_HANDSHAKES} newer ones wait for a header, too")
+            _shut_down(dropped)  # wakes its thread, which closes it
         try:
             threading.Thread(target=self._run, args=(server, connection, address, SYSTEM.now_ns()), daemon=True).start()
         except RuntimeError as error:  # no more threads
@@ -175,22 +174,18 @@ class _Handshakes:
                 header = read_header(connection)
             finally:
                 was_waiting = self._end_waiting(connection)
-            if not was_waiting:
-                raise HandshakeError(f"{_named(address)} was dropped")
-            self._hand_on(server, connection, address, header, began_ns)
+            if was_waiting:
+                self._hand_on(server, connection, address, header, began_ns)
+            else:
+                connection.close()
         except Exception as error:
             connection.close()
-            if not rospy.core.is_shutdown_requested():
-                self._report(error, address, was_waiting)
+            if was_waiting and not rospy.core.is_shutdown_requested():
+                self._report(error, address)
 
     @staticmethod
-    def _report(error, address, was_waiting):
-        if not was_waiting:
-            _warnings.warn("dropped", f"Inbound TCP/IP connection failed: {_named(address)} was dropped, since "
-                                      f"{MAX_HANDSHAKES} newer ones wait for a header, too")
-        elif isinstance(error, _Replaced):
-            _log.info("%s", error)
-        elif isinstance(error, HandshakeError):
+    def _report(error, address):
+        if isinstance(error, HandshakeError):
             _warnings.warn(type(error).__name__, f"Inbound TCP/IP connection failed: {_clip(error)}")
         else:
             if not isinstance(error, OSError):
@@ -226,7 +221,9 @@ class _Handshakes:
         """
         key = header["topic"], header.get("callerid", "")
         if self._newest_ns.get(key, began_ns) > began_ns:
-            raise _Replaced(f"{_clip(key[1])} has connected to {_clip(key[0])} again meanwhile")
+            _log.info("%s has connected to %s again meanwhile", _clip(key[1]), _clip(key[0]))
+            connection.close()
+            return ""
         refusal = server.topic_connection_handler(connection, address, header)
         if not refusal:
             self._newest_ns.pop(key, None)
