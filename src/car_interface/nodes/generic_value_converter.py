@@ -53,7 +53,7 @@ class GenericValueConverter:
         self._odometry_age = StampedAge("odometry", inbox.clocks)
         self._values = advertise("~output/value", Float64Stamped, inbox)
         self._states = advertise("~state", ConverterState, inbox, latch=True)
-        inbox.on_overflow(self._on_overflow)
+        inbox.on_overflow(lambda now_ns: self._converter.mark_stale())
         rospy.loginfo("waiting for odometry on %s and commands on %s",
                       *(inbox.resolve_name(name) for name in ("~input/odometry", "~input/control_cmd")))
         subscribe("~input/odometry", Odometry, inbox, self._on_odometry, wakes=False)  # only a command asks for it
@@ -70,9 +70,6 @@ class GenericValueConverter:
 
     def shut_down(self):
         """Nothing to do: without values throttle_arb stops the car."""
-
-    def _on_overflow(self, now_ns):
-        self._converter.mark_stale()
 
     def _on_odometry(self, message, now_ns):
         velocity = message.twist.twist.linear.x

@@ -75,7 +75,7 @@ class ThrottleArb(CommandNode):
         config = read_all(params, ThrottleConfig)
         self._control = ThrottleControl(config.calibration, config.arbiter, config.esc, config.limits,
                                         config.obstacles)
-        self._arbiter = self._control.arbiter
+        self._arbiter, self._mark_stale = self._control.arbiter, self._control.mark_stale
         self._now_ns = inbox.clocks.now_ns()  # of the newest decision
         self._battery_cause = ""  # of the newest line in the log
         super().__init__(inbox, RATE_HZ, config.calibration.channel, self._arbiter, ThrottleState,
@@ -110,9 +110,6 @@ class ThrottleArb(CommandNode):
     def shut_down(self):
         """Set the ESC to neutral; the servo board's timeout keeps it there."""
         self._commands.publish(self._neutral)
-
-    def _mark_stale(self, now_ns):
-        self._control.mark_stale(now_ns)
 
     def _on_teleop(self, message, now_ns):
         self._arbiter.update_teleop(message.data, now_ns)

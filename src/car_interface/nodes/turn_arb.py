@@ -56,6 +56,7 @@ class TurnArb(CommandNode):
     def __init__(self, params, inbox):
         config = read_all(params, TurnArbConfig)
         self._arbiter = SteeringArbiter(config.calibration, config.arbiter)
+        self._decide_now = self._arbiter.decide
         self._check = SteeringCheck()
         self._has_yaw_rate = False  # odometry of a speed alone has 0, as of a car that always goes straight on
         self._too_tight = ""  # as was logged; empty: no request was too tight lately
@@ -115,9 +116,6 @@ class TurnArb(CommandNode):
     def _on_teleop_state(self, message, now_ns):
         self._arbiter.explain_human(message.human_in_loop, message.reason, now_ns)
         self._arbiter.explain_teleop(message.steering_stick == causes.OVERRIDE, now_ns)
-
-    def _decide_now(self, now_ns):
-        return self._arbiter.decide(now_ns)
 
     def _offer_tuning(self, config):
         """Have ends and center tuned while the car drives, relative to the calibration at start."""
