@@ -149,8 +149,8 @@ class Inbox:
                 result = work()
             except Exception as error:
                 self.put(_fail, error)
-                return
-            self.put(handler, result)
+            else:
+                self.put(handler, result)
         self.graph.start_thread(run, "work")
 
     def on_overflow(self, handler: Callable[[int], None]) -> None:
