@@ -55,17 +55,13 @@ class Backlog:
     Args:
         takes_latched: obey the message with which a latching publisher's new connection begins. It is the publisher's
             last word, however old.
-
-    Attributes:
-        dropped: how many messages were old.
-        subscriber: the subscription, once there is one.
     """
 
     def __init__(self, graph: RosGraph, takes_latched: bool = False):
-        self.dropped = 0
+        self.dropped = 0  # how many messages were old
         self._graph = graph
         self._takes_latched = takes_latched
-        self.subscriber: rospy.Subscriber | None = None
+        self.subscriber: rospy.Subscriber | None = None  # until there is one
         self._is_retired: Callable[[Any], bool] = lambda header: False
         self._old_until_ns = -1  # what arrived until then is old
         self._is_renewed = False  # every connection was replaced

@@ -53,11 +53,6 @@ class CommandTopics:
         types: of topics that it subscribes to with any type, those that it takes.
         more_faults: what else the node finds, called with ``now_ns`` and the topics.
         find_unheard: finds faults in the names of all publishers by topic; called with a function that resolves a name.
-
-    Attributes:
-        topics: as they were found last; none = not yet.
-        unheard: what ``find_unheard`` found last.
-        reports: for ``Diagnostics``.
     """
 
     def __init__(self, inbox: Inbox, shared: tuple[str, ...] = (),
@@ -72,9 +67,9 @@ class CommandTopics:
         self._log = FaultLog()
         self._master_fault = ""  # these two: of the watch's thread
         self._found: tuple[list[CommandTopic], list[Fault]] = [], []
-        self.topics: list[CommandTopic] = []
-        self.unheard: list[Fault] = []
-        self.reports = {REPORT: self._report}
+        self.topics: list[CommandTopic] = []  # as they were found last; none = not yet
+        self.unheard: list[Fault] = []  # what ``find_unheard`` found last
+        self.reports = {REPORT: self._report}  # for ``Diagnostics``
 
     def start(self, report_now: Callable[[], None], on_fault: Callable[[str, int], None] | None = None) -> None:
         """Begin, once the node has subscribed to its topics.

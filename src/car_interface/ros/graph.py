@@ -20,13 +20,9 @@ _REPLACING = threading.Lock()
 
 
 class RosGraph:
-    """The graph that rospy has joined.
+    """The graph that rospy has joined."""
 
-    Attributes:
-        clocks: of the nodes in it.
-    """
-
-    clocks = SYSTEM
+    clocks = SYSTEM  # of the nodes in it
     process_name = staticmethod(rospy.get_name)  # with its namespace
     namespace = staticmethod(rospy.get_namespace)  # of the process, with a slash at both ends
     resolve_name = staticmethod(rospy.resolve_name)  # of a topic or service, as remapped

@@ -8,6 +8,7 @@ import select
 import threading
 import traceback
 from concurrent.futures import Future, InvalidStateError
+from contextlib import suppress
 from typing import Any, Callable
 
 import rospy
@@ -115,10 +116,8 @@ class Inbox:
 
     @staticmethod
     def _refuse(done, reason):
-        try:
+        with suppress(InvalidStateError):  # it was answered meanwhile
             done.set_exception(rospy.ServiceException(reason))
-        except InvalidStateError:
-            pass  # it was answered meanwhile
 
     def put(self, handler: Callable[[Any, int], None], item: Any, wakes: bool = True,
             on_drop: Callable[[], None] | None = None) -> None:
