@@ -47,10 +47,9 @@ class ChannelConfig:
 
 
 class Accepted(NamedTuple):
-    """The channels that a command set, clamped and didn't set."""
+    """The channels that a command set to a limit, and that it didn't set."""
 
-    channels: Sequence[int]
-    clamped: Sequence[int]  # of these, the ones whose duty was beyond pwm_min or pwm_max
+    clamped: Sequence[int]  # those whose duty was beyond pwm_min or pwm_max
     refused: Sequence[int]  # those whose value is not a duty; they keep their target, and their timeout runs on
 
 
@@ -97,7 +96,7 @@ class Channels:
         """
         if len(duties) != CHANNELS:
             raise ValueError(f"a command needs {CHANNELS} values and has {len(duties)}")
-        given, clamped, refused = [], [], []
+        clamped, refused = [], []
         for channel, duty in enumerate(duties):
             if duty == UNCHANGED:
                 continue
@@ -117,8 +116,7 @@ class Channels:
                 self._deadlines_ns[channel] = now_ns + timeout_ms * NS_PER_MS
             else:
                 self._deadlines_ns.pop(channel, None)
-            given.append(channel)
-        return Accepted(given, clamped, refused)
+        return Accepted(clamped, refused)
 
     def _timeout_ms(self, channel, duty):
         config = self._configs[channel]
