@@ -79,7 +79,9 @@ class GenericValueConverter:
             self._warnings.warn(causes.ODOMETRY_NOT_FINITE, f"the velocity in the odometry is {velocity}: no output")
 
     def _on_command(self, message, now_ns):
-        self._note_odd_stamp("control_cmd", message.stamp)
+        odd = odd_stamp(message.stamp, self._clocks.ros_now())
+        if odd:  # the message is used all the same: freshness is measured by arrival
+            self._warnings.warn("control_cmd stamp", f"the stamp of control_cmd {odd}; it's obeyed all the same")
         before, conversion = self._conversion, self._converter.convert(message.longitudinal.acceleration, now_ns)
         self._conversion = conversion
         self._counts["commands"] += 1
@@ -101,12 +103,6 @@ class GenericValueConverter:
         else:
             cause, reason = causes.CONVERTING, f"the value is {value:.3f}"
         self._states.publish(ConverterState(stamp=self._clocks.ros_now(), value=value, cause=cause, reason=reason))
-
-    def _note_odd_stamp(self, name, stamp):
-        """Count an odd stamp. The message is used all the same: freshness is measured by arrival."""
-        text = odd_stamp(stamp, self._clocks.ros_now())
-        if text:
-            self._warnings.warn(f"{name} stamp", f"the stamp of {name} {text}; it's obeyed all the same")
 
     def _report(self, status):
         """Report on /diagnostics whether commands are converted, and why not."""
