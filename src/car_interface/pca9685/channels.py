@@ -22,28 +22,20 @@ DROVE_NS = 450 * NS_PER_MS
 
 @dataclass(frozen=True)
 class ChannelConfig:
-    """One channel's limits and failsafe.
+    """One channel's limits and failsafe."""
 
-    Attributes:
-        timeout_ms: without a command for this long the channel goes to its timeout value; 0 = never.
-        timeout_value: duty 0..65535; 0 = off. Not subject to the limits.
-        pwm_min, pwm_max: commanded duties are clamped to these, 0 too.
-        live_range: the largest change of the timeout value by ``follow``, in duty; 0 = none.
-        pulls: on which side of the timeout value a duty is a pull of an ESC's that may become reverse, −1 below it, 1
-            above; 0 = none. A pull's timeout is PULL_TIMEOUT_MS at most.
-        brakes_first: the ESC is known to take a pull after DROVE_NS of push for a brake, until the pull ends. That pull
-            is held for ``timeout_ms``: a gap of neutral would make the rest of it reverse.
-        forgets_ms: so much neutral after a push, and it takes no pull for a brake any more; 0 = it doesn't forget.
-    """
-
-    timeout_ms: int = 250
-    timeout_value: int = 0
-    pwm_min: int = 0
+    timeout_ms: int = 250  # without a command for this long the channel goes to its timeout value; 0 = never
+    timeout_value: int = 0  # duty 0..65535; 0 = off. Not subject to the limits
+    pwm_min: int = 0  # commanded duties are clamped to these two, 0 too
     pwm_max: int = MAX_DUTY
-    live_range: int = 0
+    live_range: int = 0  # the largest change of the timeout value by ``follow``, in duty; 0 = none
+    # On which side of the timeout value a duty is a pull of an ESC's that may become reverse: −1 below it, 1 above; 0 =
+    # none. A pull's timeout is PULL_TIMEOUT_MS at most.
     pulls: int = 0
+    # The ESC is known to take a pull after DROVE_NS of push for a brake, until the pull ends. That pull is held for
+    # ``timeout_ms``: a gap of neutral would make the rest of it reverse.
     brakes_first: bool = False
-    forgets_ms: int = 0
+    forgets_ms: int = 0  # so much neutral after a push, and it takes no pull for a brake any more; 0 = never
 
 
 class Accepted(NamedTuple):
