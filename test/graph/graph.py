@@ -324,14 +324,6 @@ class NodeGraph:
     def start_thread(self, target: Callable[[], None], name: str) -> None:
         target()  # its result is there at once
 
-    def repeat_in_thread(self, target: Callable[[], None], period_s: float, is_over: Callable[[], bool],
-                         name: str) -> None:
-        def repeat():
-            if not is_over():
-                target()
-                self._graph.after(period_s, repeat)
-        self._graph.after(period_s, repeat)
-
     def publishers(self, topic: str) -> list[str]:
         return [publisher.node for publisher in self._graph.publishers[topic]]
 

@@ -9,6 +9,7 @@ import pytest
 import rospy
 from car_interface.msg import Float64Stamped, SteeringState, TeleopState, ThrottleState
 from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_updater import DiagnosticStatusWrapper
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Joy, Temperature
 from std_msgs.msg import Bool, Float32, Int32MultiArray
@@ -41,6 +42,12 @@ class Queue:
         self.inbox.dispatch()
         return self.taken
 
+    @property
+    def level(self):
+        status = DiagnosticStatusWrapper()
+        self.inbox.report(status)
+        return status.level
+
 
 @pytest.fixture
 def queue():
@@ -50,7 +57,7 @@ def queue():
 def test_inbox_that_is_full_has_lost_nothing(queue):
     queue.put(*range(5))
     assert queue.take() == [0, 1, 2, 3, 4]
-    assert queue.inbox.dropped == 0 and not queue.inbox.overflowed_recently(time.monotonic_ns())
+    assert queue.inbox.dropped == 0 and queue.level == DiagnosticStatus.OK
 
 
 @pytest.mark.parametrize("count", [6, 10, 100])
@@ -59,7 +66,7 @@ def test_inbox_that_overflows_drops_all_that_waits_says_so_once_and_goes_on_with
     taken = list(queue.take())
     assert taken == ["overflow", *range(count - len(taken) + 1, count)] and len(taken) <= 5
     assert queue.inbox.dropped == count - len(taken) + 1  # each item once
-    assert queue.inbox.overflowed_recently(time.monotonic_ns())
+    assert queue.level == DiagnosticStatus.ERROR
     queue.put("more")
     assert queue.take() == [*taken, "more"]
     queue.put(*range(6))

@@ -65,8 +65,7 @@ class Row(NamedTuple):
 def parameter(kind: str, name: str, default: Any, text: str, unit: str = "", family: Sequence[str] = (),
               same_as: str = "", default_text: str = "", **accepted: Any) -> Any:
     """Return a dataclass's field for a parameter that the method ``kind`` of Params reads; see ``Parameter``."""
-    declaration = Parameter(kind, name, text, unit, accepted, family, same_as, default_text)
-    return _field(default, declaration)
+    return _field(default, Parameter(kind, name, text, unit, accepted, family, same_as, default_text))
 
 
 number, integer, numbers, integers, flag, text, path, text_or_integer, choice, timeout = (

@@ -14,20 +14,12 @@ STABLE_PORT = "/dev/teensy_sensor_hub"  # the name that setup_hardware's udev ru
 
 
 class Membership(NamedTuple):
-    """The user who runs this process, and the groups.
-
-    Attributes:
-        user: the name.
-        is_root: root may open everything.
-        of_process: the groups of this process, from the log-in.
-        of_user: the groups that /etc/group gives the user, from the next log-in on.
-        existing: all groups that there are.
-    """
+    """The user who runs this process, and the groups."""
 
     user: str
-    is_root: bool
-    of_process: frozenset
-    of_user: frozenset
+    is_root: bool  # root may open everything
+    of_process: frozenset  # from the log-in
+    of_user: frozenset  # by /etc/group, from the next log-in on
     existing: frozenset
 
 

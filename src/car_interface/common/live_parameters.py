@@ -6,7 +6,7 @@ together, linearly, so that every intermediate set is a mean of two valid ones.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Callable, Mapping, NamedTuple
+from typing import Any, Callable, Mapping
 
 from car_interface.common import declared
 from car_interface.common.errors import ConfigError
@@ -25,13 +25,6 @@ class TuningSettings:
         "save_to", None, "the file that `~save` writes", default_text="none; the launch file's own")
     saves_to_package: bool = declared.flag(
         "save_to_package", True, "false = `~save` refuses a file in the package's own `config`, as in the demo")
-
-
-class Answer(NamedTuple):
-    """The result of a request."""
-
-    values: Mapping[str, int]  # the accepted values
-    problem: str = ""  # what was clamped or refused, and why
 
 
 class Tuning:
@@ -68,17 +61,20 @@ class Tuning:
         return ", ".join(f"{name} {self._start[name]} → {value}" for name, value in self.accepted.items()
                          if value != self._start[name])
 
-    def request(self, wanted: Mapping[str, Any], now_ns: int) -> Answer:
+    def request(self, wanted: Mapping[str, Any], now_ns: int) -> str:
         """Accept the values of a request, each clamped to its limits; all of them or none.
 
         Unknown and missing names are ignored.
+
+        Returns:
+            What was clamped or refused, and why; empty = nothing.
         """
         problems = []
         values = dict(self.accepted)
         for name in values:
             value = wanted.get(name, values[name])
             if isinstance(value, bool) or not isinstance(value, int):
-                return Answer(self.accepted, f"{name} {value!r} is no duty: refused")
+                return f"{name} {value!r} is no duty: refused"
             values[name] = max(self.low[name], min(self.high[name], value))
             if values[name] != value:
                 problems.append(f"{name} {value} is beyond {self.low[name]} to {self.high[name]}: clamped to "
@@ -86,11 +82,11 @@ class Tuning:
         try:
             self._check(values)
         except ConfigError as error:
-            return Answer(self.accepted, f"{error}: refused")
+            return f"{error}: refused"
         if values != self.accepted:
             self.accepted, self._from = values, self.active
             self._elapsed_ns, self._stepped_ns = 0, now_ns
-        return Answer(self.accepted, "; ".join(problems))
+        return "; ".join(problems)
 
     def advance(self, now_ns: int) -> bool:
         """Step towards the accepted values; return whether the active values have changed."""

@@ -101,21 +101,15 @@ def describe_shortage(error: BaseException) -> str | None:
 
 def _kind(error):
     text = str(error)
-    if isinstance(error, MemoryError) or isinstance(error, OSError) and error.errno == errno.ENOMEM:
-        return "out of memory"
-    if isinstance(error, ImportError) and any(words in text.lower() for words in LINKER_TEXTS):
-        return "out of memory"
-    if isinstance(error, SystemError) and any(words in text for words in LOST_ERRORS) and limit_bytes() is not None:
-        return "out of memory"
-    if _is_of_compiler(error) and limit_bytes() is not None:
-        return "out of memory"
     if isinstance(error, RuntimeError) and NO_THREAD in text:
         return NO_THREAD
-    return None
+    is_want = (isinstance(error, MemoryError) or isinstance(error, OSError) and error.errno == errno.ENOMEM
+               or isinstance(error, ImportError) and any(words in text.lower() for words in LINKER_TEXTS))
+    return "out of memory" if is_want or limit_bytes() is not None and _is_lost(error, text) else None
 
 
-def _is_of_compiler(error):
-    """Return whether an import failed because its compilation had no memory left; nothing else compiles here."""
-    if isinstance(error, SyntaxError):
-        return error.msg == LOST_END
-    return isinstance(error, ValueError) and LOST_NODE.match(str(error)) is not None
+def _is_lost(error, text):
+    """Return whether an error may stand for one of memory that was lost; nothing but imports compiles here."""
+    return (isinstance(error, SystemError) and any(words in text for words in LOST_ERRORS)
+            or isinstance(error, SyntaxError) and error.msg == LOST_END
+            or isinstance(error, ValueError) and LOST_NODE.match(text) is not None)

@@ -20,13 +20,13 @@ class UnsafeFile(PermissionError):
 
     Args:
         cause: what is wrong with it, as the end of a sentence.
-        remedy: what the user can do.
+        remedy: what the user can do; empty = to look, and remove it.
     """
 
-    def __init__(self, path: str, cause: str, remedy: str):
+    def __init__(self, path: str, cause: str, remedy: str = ""):
         super().__init__(errno.EACCES, f"it {cause}", path)
         self.cause = f"{path} {cause}"
-        self.remedy = remedy
+        self.remedy = remedy or f"See what it is (ls -l {path}) and remove it, or choose another path"
 
     def __str__(self):
         return f"{self.cause}. {self.remedy}"
@@ -91,7 +91,7 @@ def check_socket(path: str) -> None:
     check_folder(os.path.dirname(path))
     status = os.lstat(path)
     if not stat.S_ISSOCK(status.st_mode):
-        raise UnsafeFile(path, "is no socket", _look_remedy(path))
+        raise UnsafeFile(path, "is no socket")
     check_owner(status.st_uid, path)
 
 
@@ -102,7 +102,7 @@ def check_owner(user: int, path: str) -> None:
         UnsafeFile: it is another one's.
     """
     if user != os.geteuid():
-        raise UnsafeFile(path, f"is another user's: {_name(user)}'s", _look_remedy(path))
+        raise UnsafeFile(path, f"is another user's: {_name(user)}'s")
 
 
 def open_own(path: str, flags: int, mode: int = FILE_MODE) -> int:
@@ -124,23 +124,18 @@ def open_own(path: str, flags: int, mode: int = FILE_MODE) -> int:
         if error.errno not in REFUSALS or not os.path.lexists(path):
             raise
         cause = "is a link" if error.errno == errno.ELOOP else f"can't be opened ({error.strerror})"
-        raise UnsafeFile(path, cause, _look_remedy(path)) from error
+        raise UnsafeFile(path, cause) from error
     try:
         status = os.fstat(handle)
         if not stat.S_ISREG(status.st_mode):
-            raise UnsafeFile(path, "is no regular file", _look_remedy(path))
+            raise UnsafeFile(path, "is no regular file")
         check_owner(status.st_uid, path)
         if mode == FILE_MODE and status.st_mode & OTHERS_BITS:
-            raise UnsafeFile(path, f"is open to other users (mode {stat.S_IMODE(status.st_mode):o})",
-                             _look_remedy(path))
+            raise UnsafeFile(path, f"is open to other users (mode {stat.S_IMODE(status.st_mode):o})")
     except OSError:
         os.close(handle)
         raise
     return handle
-
-
-def _look_remedy(path):
-    return f"See what it is (ls -l {path}) and remove it, or choose another path"
 
 
 def _name(user):

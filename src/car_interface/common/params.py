@@ -56,8 +56,15 @@ class Params:
 
     def numbers(self, name: str, default=REQUIRED, low=-math.inf, high=math.inf, search_parents=False) -> list[float]:
         """Return a list of finite numbers from ``low`` to ``high``, or the default, which may be ``None``."""
-        return self._list(name, default, search_parents, lambda value: _number(value, low, high, None),
-                          "a number" + _range_text(low, high))
+        element = "a number" + _range_text(low, high)
+        accepted = f"a list, each {element}"
+        value = self._get(name, default, search_parents, accepted)
+        if value is None:
+            return None
+        if not isinstance(value, (list, tuple)):
+            raise ConfigError(name, value, accepted)
+        return [self._checked(f"{name}[{index}]", x, lambda x: _number(x, low, high, None), element)
+                for index, x in enumerate(value)]
 
     def integers(self, name: str, default, length: int, low: int, high: int) -> tuple[int, ...]:
         """Return ``length`` integers; a scalar stands for all of them."""
@@ -146,15 +153,6 @@ class Params:
         if result is None or result != read_fixed(fixed):
             raise ConfigError(name, value, f"{fixed}, {BY_LAUNCH_FILE}")
         return result
-
-    def _list(self, name, default, search_parents, read, element):
-        accepted = f"a list, each {element}"
-        value = self._get(name, default, search_parents, accepted)
-        if value is None:
-            return None
-        if not isinstance(value, (list, tuple)):
-            raise ConfigError(name, value, accepted)
-        return [self._checked(f"{name}[{index}]", x, read, element) for index, x in enumerate(value)]
 
     def _get(self, name, default, search_parents, accepted=""):
         self._known.add(name)

@@ -25,52 +25,31 @@ BY_HAND = ("rostopic_", "rqt_gui_py_node")  # the names of tools' nodes begin so
 
 
 class Publisher(NamedTuple):
-    """A node that publishes on a topic.
+    """A node that publishes on a topic."""
 
-    Attributes:
-        node: its name, with its namespace.
-        machine: the host that it runs on, as its address names it.
-        type: the type of its messages, such as ``std_msgs/Bool``; empty = it can't be asked, as its machine's name
-            can't be looked up.
-    """
-
-    node: str
-    machine: str
-    type: str
+    node: str  # with its namespace
+    machine: str  # the host that it runs on, as its address names it
+    type: str  # such as std_msgs/Bool; empty = it can't be asked, as its machine's name can't be looked up
 
     def __str__(self):
         return f"{self.node} on {self.machine}"
 
 
 class CommandTopic(NamedTuple):
-    """A topic that a node obeys.
+    """A topic that a node obeys."""
 
-    Attributes:
-        name: resolved, after remapping.
-        type: the type of the messages that the node takes; several with " or " between them, or ANY.
-        publishers: those that were found.
-        is_shared: whether several may publish on it.
-    """
-
-    name: str
-    type: str
-    publishers: Sequence[Publisher]
-    is_shared: bool = False
+    name: str  # resolved, after remapping
+    type: str  # that the node takes; several with " or " between them, or ANY
+    publishers: Sequence[Publisher]  # that were found
+    is_shared: bool = False  # whether several may publish on it
 
 
 class Fault(NamedTuple):
-    """A fault of the publishers of a topic.
+    """A fault of the publishers of a topic."""
 
-    Attributes:
-        cause: one of ``causes``.
-        subject: the topic, or a part of what it carries.
-        reason: what is wrong, with node, machine and type.
-        remedy: what to do about it.
-    """
-
-    cause: str
-    subject: str
-    reason: str
+    cause: str  # one of ``causes``
+    subject: str  # the topic, or a part of what it carries
+    reason: str  # with node, machine and type
     remedy: str
 
     @property

@@ -55,23 +55,23 @@ def edited(text: str, values: Values, path: str = "the file", keeps_comments: bo
     nodes = {name: _find(root, name.split("/")) for name in values}
     if not any(nodes.values()):
         raise ConfigError(path, None, "a file with at least one of them", f"has none of {', '.join(values)}")
-    values = {name: value for name, value in values.items()
-              if nodes[name] is None or not _has_value(nodes[name], value)}
-    result, added = text, ""
-    edits = [edit for name, value in values.items() if nodes[name] is not None for edit in _edits(nodes[name], value)]
+    added = {name: value for name, value in values.items() if nodes[name] is None}
+    for name in added:
+        if "/" in name:
+            raise ConfigError(path, None, f"a file with {name}", "lacks it")
+    changed = {name: value for name, value in values.items()
+               if name not in added and not _has_value(nodes[name], value)}
+    edits = [edit for name, value in changed.items() for edit in _edits(nodes[name], value)]
     if not keeps_comments:
-        edits += _comments_behind(text, edits, [nodes[name] for name in values if nodes[name] is not None])
+        edits += _comments_behind(text, edits, [nodes[name] for name in changed])
+    result = text
     for begin, end, new_text in sorted(edits, reverse=True):
         result = result[:begin] + new_text + result[end:]
-    for name, value in values.items():
-        if nodes[name] is None:
-            if "/" in name:
-                raise ConfigError(path, None, f"a file with {name}", "lacks it")
-            added += f"{name}: {_format(value)}\n"
-    if added:
-        result += ("" if result.endswith("\n") else "\n") + added
+    if added and not result.endswith("\n"):
+        result += "\n"
+    result += "".join(f"{name}: {_format(value)}\n" for name, value in added.items())
     try:
-        is_right = _shape(compose_yaml(result, path)) == _shape(root, values)
+        is_right = _shape(compose_yaml(result, path)) == _shape(root, {**changed, **added})
     except ConfigError:
         is_right = False
     if not is_right:

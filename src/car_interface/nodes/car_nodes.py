@@ -153,5 +153,4 @@ def _name_part(record):
 
 
 def main():
-    """Run the process."""
     run(PROCESS, CarNodes)

@@ -5,10 +5,14 @@ follows in the log.
 """
 from __future__ import annotations
 
+import math
+
 import rospy
 from std_msgs.msg import Int32MultiArray
 
+from car_interface.common import causes
 from car_interface.common.rate_timer import RateTimer
+from car_interface.common.sources import source_name
 from car_interface.ros.clocks import StampedAge
 from car_interface.ros.command_topics import CommandTopics
 from car_interface.ros.diagnostics import Diagnostics
@@ -87,6 +91,19 @@ class CommandNode:
             self._log(*self._unlogged.pop(0)[1:])
         if self._ticks % self._rate_hz == 0:  # a topic latches one message in a process, also for two nodes in it
             self._neutrals.publish(self._neutral)
+
+    def _check_request(self, who, name, value, cause, effect):
+        """Warn of a request that isn't finite, for a cause and with an effect, or that is beyond −1..1."""
+        if not math.isfinite(value):
+            self._warnings.warn(cause, f"{name} is {value}: {effect}")
+        elif abs(value) > 1:
+            self._warnings.warn(f"{who} clamped", f"{name} is {value:.3f}: clamped to -1..1")
+
+    @staticmethod
+    def _log_source(decision, newest, is_alarming):
+        """Log who commands, and why. Why no human holds the deadman may have become known since the decision."""
+        reason = newest.reason if newest.cause == decision.cause == causes.HUMAN_ABSENT else decision.reason
+        (rospy.logwarn if is_alarming else rospy.loginfo)("%s: %s", source_name(decision.source), reason)
 
     def _publish_command(self):
         self._commands.publish(one_channel_duty(self._channel, self._decision.duty))

@@ -53,7 +53,7 @@ class GenericValueConverter:
         self._odometry_age = StampedAge("odometry", inbox.clocks)
         self._values = advertise("~output/value", Float64Stamped, inbox)
         self._states = advertise("~state", ConverterState, inbox, latch=True)
-        inbox.on_overflow(self._on_overflow)
+        inbox.on_overflow(lambda now_ns: self._converter.mark_stale())
         rospy.loginfo("waiting for odometry on %s and commands on %s",
                       *(inbox.resolve_name(name) for name in ("~input/odometry", "~input/control_cmd")))
         subscribe("~input/odometry", Odometry, inbox, self._on_odometry, wakes=False)  # only a command asks for it
@@ -71,9 +71,6 @@ class GenericValueConverter:
     def shut_down(self):
         """Nothing to do: without values throttle_arb stops the car."""
 
-    def _on_overflow(self, now_ns):
-        self._converter.mark_stale()
-
     def _on_odometry(self, message, now_ns):
         velocity = message.twist.twist.linear.x
         age_ns = self._odometry_age.at_arrival_ns(message.header.stamp, now_ns)
@@ -82,7 +79,9 @@ class GenericValueConverter:
             self._warnings.warn(causes.ODOMETRY_NOT_FINITE, f"the velocity in the odometry is {velocity}: no output")
 
     def _on_command(self, message, now_ns):
-        self._note_odd_stamp("control_cmd", message.stamp)
+        odd = odd_stamp(message.stamp, self._clocks.ros_now())
+        if odd:  # the message is used all the same: freshness is measured by arrival
+            self._warnings.warn("control_cmd stamp", f"the stamp of control_cmd {odd}; it's obeyed all the same")
         before, conversion = self._conversion, self._converter.convert(message.longitudinal.acceleration, now_ns)
         self._conversion = conversion
         self._counts["commands"] += 1
@@ -105,12 +104,6 @@ class GenericValueConverter:
             cause, reason = causes.CONVERTING, f"the value is {value:.3f}"
         self._states.publish(ConverterState(stamp=self._clocks.ros_now(), value=value, cause=cause, reason=reason))
 
-    def _note_odd_stamp(self, name, stamp):
-        """Count an odd stamp. The message is used all the same: freshness is measured by arrival."""
-        text = odd_stamp(stamp, self._clocks.ros_now())
-        if text:
-            self._warnings.warn(f"{name} stamp", f"the stamp of {name} {text}; it's obeyed all the same")
-
     def _report(self, status):
         """Report on /diagnostics whether commands are converted, and why not."""
         conversion = self._conversion
@@ -126,7 +119,6 @@ class GenericValueConverter:
         status.add("values sent", self._counts["values"])
         for kind, count in sorted(self._warnings.counts.items()):
             status.add(kind, count)
-        return status
 
 
 def _warn_of_clamped_values(config):
@@ -138,5 +130,4 @@ def _warn_of_clamped_values(config):
 
 
 def main():
-    """Run the node."""
     run("generic_value_converter", GenericValueConverter)

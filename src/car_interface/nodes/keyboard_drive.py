@@ -49,7 +49,7 @@ STATE_TIMEOUT_S, RANGE_TIMEOUT_S = 1.0, 1.5
 FREE_MPS = 0.15  # a car that is faster has left the wall that it hit
 AXES, BUTTONS = 8, 11  # at least: as many as the shipped gamepad has
 VIRTUAL, NO_DEVICES = "virtual", "none"
-WATCH_S = 1.0  # how often pca9685's device is looked at
+WATCH_NS = NS_PER_S  # how often pca9685's device is looked at
 HELD_UP_NS = NS_PER_S // 4  # after such a pause, Ctrl-Z for one, keys must be pressed anew
 NUMBER = re.compile(r"[-+]?\d[\d.]*")
 RELEASED, PRESSED = 0, 1  # values of EV_KEY; 2 is a repeat
@@ -161,7 +161,7 @@ class KeyboardDrive:
             raise CarInterfaceError("no terminal to read keys from: start it by rosrun in a terminal of its own, not "
                                     "by roslaunch and not in the background")
         self._text.say(help_text(len(self._keyboards) > 0))
-        inbox.graph.repeat_in_thread(self._watch_device, WATCH_S, lambda: inbox.ending, "watch of pca9685")
+        self._watch_ns = now_ns + WATCH_NS  # when the device is looked at; inf: it is just being looked at
 
     @property
     def _is_virtual(self):
@@ -172,6 +172,9 @@ class KeyboardDrive:
         self._inbox.dispatch()
         if self._fault:
             raise CarInterfaceError(self._fault)
+        if now_ns >= self._watch_ns:
+            self._watch_ns = math.inf
+            self._inbox.work(self._look_at_device, self._on_device)
         if self._timer.is_due(now_ns):
             self._read_keys(now_ns)
             self._publish(self._keyboard.controls(now_ns))
@@ -250,17 +253,18 @@ class KeyboardDrive:
             print(text, flush=True)
         self._seen = kind
 
-    def _watch_device(self):
-        """Notice when a virtual car was replaced by a real one on the same master."""
+    def _look_at_device(self):
         try:
-            device = self._inbox.graph.parameter("pca9685/device", self._device)
+            return self._inbox.graph.parameter("pca9685/device", self._device)
         except Exception:  # the master is gone: no node can start either
-            return
-        if device != self._device:
-            self._inbox.put(self._on_device, device)
+            return self._device
 
     def _on_device(self, device, now_ns):
-        self._fault = f"pca9685's device was {self._device} when this node started and is {device} now: start it again"
+        """Notice when a virtual car was replaced by a real one on the same master."""
+        self._watch_ns = now_ns + WATCH_NS
+        if device != self._device:
+            self._fault = (f"pca9685's device was {self._device} when this node started and is {device} now: start it "
+                           "again")
 
     def _check_no_other_publisher(self, name):
         """Refuse to be a second one: each would undo what the other holds.

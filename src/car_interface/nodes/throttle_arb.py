@@ -75,7 +75,7 @@ class ThrottleArb(CommandNode):
         config = read_all(params, ThrottleConfig)
         self._control = ThrottleControl(config.calibration, config.arbiter, config.esc, config.limits,
                                         config.obstacles)
-        self._arbiter = self._control.arbiter
+        self._arbiter, self._mark_stale = self._control.arbiter, self._control.mark_stale
         self._now_ns = inbox.clocks.now_ns()  # of the newest decision
         self._battery_cause = ""  # of the newest line in the log
         super().__init__(inbox, RATE_HZ, config.calibration.channel, self._arbiter, ThrottleState,
@@ -111,16 +111,10 @@ class ThrottleArb(CommandNode):
         """Set the ESC to neutral; the servo board's timeout keeps it there."""
         self._commands.publish(self._neutral)
 
-    def _mark_stale(self, now_ns):
-        self._control.mark_stale(now_ns)
-
     def _on_teleop(self, message, now_ns):
         self._arbiter.update_teleop(message.data, now_ns)
-        if not math.isfinite(message.data):
-            self._warnings.warn(causes.TELEOP_NOT_FINITE,
-                                f"tele_throt_req is {message.data}: the throttle is neutral while it lasts")
-        elif abs(message.data) > 1:
-            self._warnings.warn("teleop clamped", f"tele_throt_req is {message.data:.3f}: clamped to -1..1")
+        self._check_request("teleop", "tele_throt_req", message.data, causes.TELEOP_NOT_FINITE,
+                            "the throttle is neutral while it lasts")
 
     def _on_mode(self, message, now_ns):
         self._arbiter.update_mode(message.data, now_ns)
@@ -205,11 +199,7 @@ class ThrottleArb(CommandNode):
     def _log(self, before, decision):
         arbitration, esc = decision.arbitration, decision.esc
         if before is None or before.arbitration[:2] != arbitration[:2]:
-            newest = self._control.arbiter.decide(self._now_ns)
-            reason = (newest.reason if newest.cause == arbitration.cause == causes.HUMAN_ABSENT
-                      else arbitration.reason)
-            log = rospy.logwarn if _is_alarming(decision) else rospy.loginfo
-            log("%s: %s", source_name(arbitration.source), reason)
+            self._log_source(arbitration, self._arbiter.decide(self._now_ns), _is_alarming(decision))
         before_cause, before_state = (before.esc.cause, before.esc.state) if before else ("", None)
         if esc.cause != before_cause and esc.cause in LOGGED or esc.state == ARMING != before_state:
             log = rospy.logwarn if esc.cause in causes.LOSSES else rospy.loginfo
@@ -219,9 +209,7 @@ class ThrottleArb(CommandNode):
             self._warn_of_calibration_drive()
         elif esc.cause == causes.BRAKE_UNCERTAIN != before_cause:
             self._warnings.warn(esc.cause, f"{NO_BRAKE}: {esc.reason}")
-        self._log_limit(before, decision.limited)
-
-    def _log_limit(self, before, limited):
+        limited = decision.limited
         if not limited.cause or before is not None and before.limited.cause == limited.cause:
             return
         if limited.is_cut:
@@ -268,7 +256,6 @@ class ThrottleArb(CommandNode):
         status.add("tuned live", self._reconfigure.changes)
         for kind, count in sorted(self._warnings.counts.items()):
             status.add(f"warnings of {kind}", count)
-        return status
 
     def _report_battery(self, status):
         """Report on /diagnostics how the battery is, and log a change."""
@@ -281,7 +268,6 @@ class ThrottleArb(CommandNode):
         status.add("cause", battery.cause)
         if battery.remedy:
             status.add("remedy", battery.remedy)
-        return status
 
 
 # Fields of ThrottleState for the ages by the inputs' names.
@@ -298,5 +284,4 @@ def _is_alarming(decision):
 
 
 def main():
-    """Run the node."""
     run("throttle_arb", ThrottleArb)

@@ -56,6 +56,7 @@ class TurnArb(CommandNode):
     def __init__(self, params, inbox):
         config = read_all(params, TurnArbConfig)
         self._arbiter = SteeringArbiter(config.calibration, config.arbiter)
+        self._decide_now = self._arbiter.decide
         self._check = SteeringCheck()
         self._has_yaw_rate = False  # odometry of a speed alone has 0, as of a car that always goes straight on
         self._too_tight = ""  # as was logged; empty: no request was too tight lately
@@ -89,11 +90,8 @@ class TurnArb(CommandNode):
 
     def _on_teleop(self, message, now_ns):
         self._arbiter.update_teleop(message.data, now_ns)
-        if not math.isfinite(message.data):
-            self._warnings.warn(causes.TELEOP_NOT_FINITE,
-                                  f"tele_steer_req is {message.data}: the steering is neutral while it lasts")
-        elif abs(message.data) > 1:
-            self._warnings.warn("teleop clamped", f"tele_steer_req is {message.data:.3f}: clamped to -1..1")
+        self._check_request("teleop", "tele_steer_req", message.data, causes.TELEOP_NOT_FINITE,
+                            "the steering is neutral while it lasts")
 
     def _on_planner(self, message, now_ns):
         self._arbiter.update_planner(message.data, now_ns)
@@ -102,10 +100,7 @@ class TurnArb(CommandNode):
 
     def _on_planner_steering(self, message, now_ns):
         self._arbiter.update_planner_steering(message.data, now_ns)
-        if not math.isfinite(message.data):
-            self._warnings.warn(causes.PLANNER_NOT_FINITE, f"av_steer_req is {message.data}: taken for no request")
-        elif abs(message.data) > 1:
-            self._warnings.warn("planner clamped", f"av_steer_req is {message.data:.3f}: clamped to -1..1")
+        self._check_request("planner", "av_steer_req", message.data, causes.PLANNER_NOT_FINITE, "taken for no request")
 
     def _on_odometry(self, message, now_ns):
         speed_mps = message.twist.twist.linear.x
@@ -121,9 +116,6 @@ class TurnArb(CommandNode):
     def _on_teleop_state(self, message, now_ns):
         self._arbiter.explain_human(message.human_in_loop, message.reason, now_ns)
         self._arbiter.explain_teleop(message.steering_stick == causes.OVERRIDE, now_ns)
-
-    def _decide_now(self, now_ns):
-        return self._arbiter.decide(now_ns)
 
     def _offer_tuning(self, config):
         """Have ends and center tuned while the car drives, relative to the calibration at start."""
@@ -152,14 +144,9 @@ class TurnArb(CommandNode):
 
     def _log(self, before, decision):
         if before is None or before.kind[:2] != decision.kind[:2]:
-            newest = self._decide_now(self._clocks.now_ns())
-            reason = newest.reason if newest.cause == decision.cause == causes.HUMAN_ABSENT else decision.reason
-            log = rospy.logwarn if _is_alarming(decision) else rospy.loginfo
-            log("%s: %s", SOURCE_NAMES[decision.source], reason)
-        if decision.limit and (before is None or before.limit != decision.limit):
-            self._log_limit(decision)
-
-    def _log_limit(self, decision):
+            self._log_source(decision, self._decide_now(self._clocks.now_ns()), _is_alarming(decision))
+        if not decision.limit or before is not None and before.limit == decision.limit:
+            return
         if decision.limit == causes.LIMITS_OFF:
             rospy.loginfo("%s", decision.limit_reason)
         elif decision.limit != causes.TOO_TIGHT:
@@ -192,7 +179,6 @@ class TurnArb(CommandNode):
         status.add("tuned live", self._reconfigure.changes)
         for kind, count in sorted(self._warnings.counts.items()):
             status.add(f"warnings of {kind}", count)
-        return status
 
     def _report_check(self, status):
         """Report on /diagnostics whether the car turns as commanded."""
@@ -201,7 +187,6 @@ class TurnArb(CommandNode):
                        judgement.warning or "the car turns as it is told to, or stands")
         status.add("commanded turn radius", f"{judgement.commanded_m:.2f} m")
         status.add("estimated_turn_radius", f"{judgement.estimated_m:.2f} m")
-        return status
 
     def _publish_state(self, decision):
         now_ns, radius_m = self._clocks.now_ns(), self._arbiter.turn_radius_m(decision.duty)
@@ -222,5 +207,4 @@ def _is_alarming(decision):
 
 
 def main():
-    """Run the node."""
     run("turn_arb", TurnArb)

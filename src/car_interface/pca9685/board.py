@@ -4,7 +4,7 @@ It opens no bus and calls no clock. Errors of the bus (OSError) pass through to 
 """
 from __future__ import annotations
 
-from typing import Callable
+from typing import Callable, Iterable
 
 from car_interface.common.units import CHANNELS
 from car_interface.pca9685.channels import blocks
@@ -93,16 +93,13 @@ class Board:
         turn = sorted(unused, key=lambda channel: (channel < self._next_unused, channel))[:UNUSED_PER_CHECK]
         if turn:
             self._next_unused = (turn[-1] + 1) % CHANNELS
-        self._read_channels([*used, *turn])
+        self.read_back([*used, *turn])
         foreign = [f"channel {channel} holds {found} counts, not {written}"
                    for channel, (written, found) in enumerate(zip(before, self._held)) if written not in (None, found)]
         if foreign:
             raise ForeignWrite("; ".join(foreign))
 
-    def read_back(self) -> None:
-        self._read_channels(range(CHANNELS))
-
-    def _read_channels(self, channels):
+    def read_back(self, channels: Iterable[int] = range(CHANNELS)) -> None:
         for run in blocks(set(channels), CHANNELS_PER_BLOCK):
             data = self._bus.read_i2c_block_data(self._address, LED0_ON_L + 4 * run[0], 4 * len(run))
             for index, channel in enumerate(run):

@@ -22,35 +22,26 @@ DROVE_NS = 450 * NS_PER_MS
 
 @dataclass(frozen=True)
 class ChannelConfig:
-    """One channel's limits and failsafe.
+    """One channel's limits and failsafe."""
 
-    Attributes:
-        timeout_ms: without a command for this long the channel goes to its timeout value; 0 = never.
-        timeout_value: duty 0..65535; 0 = off. Not subject to the limits.
-        pwm_min, pwm_max: commanded duties are clamped to these, 0 too.
-        live_range: the largest change of the timeout value by ``follow``, in duty; 0 = none.
-        pulls: on which side of the timeout value a duty is a pull of an ESC's that may become reverse, −1 below it, 1
-            above; 0 = none. A pull's timeout is PULL_TIMEOUT_MS at most.
-        brakes_first: the ESC is known to take a pull after DROVE_NS of push for a brake, until the pull ends. That pull
-            is held for ``timeout_ms``: a gap of neutral would make the rest of it reverse.
-        forgets_ms: so much neutral after a push, and it takes no pull for a brake any more; 0 = it doesn't forget.
-    """
-
-    timeout_ms: int = 250
-    timeout_value: int = 0
-    pwm_min: int = 0
+    timeout_ms: int = 250  # without a command for this long the channel goes to its timeout value; 0 = never
+    timeout_value: int = 0  # duty 0..65535; 0 = off. Not subject to the limits
+    pwm_min: int = 0  # commanded duties are clamped to these two, 0 too
     pwm_max: int = MAX_DUTY
-    live_range: int = 0
+    live_range: int = 0  # the largest change of the timeout value by ``follow``, in duty; 0 = none
+    # On which side of the timeout value a duty is a pull of an ESC's that may become reverse: −1 below it, 1 above; 0 =
+    # none. A pull's timeout is PULL_TIMEOUT_MS at most.
     pulls: int = 0
+    # The ESC is known to take a pull after DROVE_NS of push for a brake, until the pull ends. That pull is held for
+    # ``timeout_ms``: a gap of neutral would make the rest of it reverse.
     brakes_first: bool = False
-    forgets_ms: int = 0
+    forgets_ms: int = 0  # so much neutral after a push, and it takes no pull for a brake any more; 0 = never
 
 
 class Accepted(NamedTuple):
-    """The channels that a command set, clamped and didn't set."""
+    """The channels that a command set to a limit, and that it didn't set."""
 
-    channels: Sequence[int]
-    clamped: Sequence[int]  # of these, the ones whose duty was beyond pwm_min or pwm_max
+    clamped: Sequence[int]  # those whose duty was beyond pwm_min or pwm_max
     refused: Sequence[int]  # those whose value is not a duty; they keep their target, and their timeout runs on
 
 
@@ -97,7 +88,7 @@ class Channels:
         """
         if len(duties) != CHANNELS:
             raise ValueError(f"a command needs {CHANNELS} values and has {len(duties)}")
-        given, clamped, refused = [], [], []
+        clamped, refused = [], []
         for channel, duty in enumerate(duties):
             if duty == UNCHANGED:
                 continue
@@ -117,8 +108,7 @@ class Channels:
                 self._deadlines_ns[channel] = now_ns + timeout_ms * NS_PER_MS
             else:
                 self._deadlines_ns.pop(channel, None)
-            given.append(channel)
-        return Accepted(given, clamped, refused)
+        return Accepted(clamped, refused)
 
     def _timeout_ms(self, channel, duty):
         config = self._configs[channel]

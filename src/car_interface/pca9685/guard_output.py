@@ -13,14 +13,10 @@ MAX_PENDING = 100  # older ones are dropped: 10 s at 10 Hz
 
 
 class OutputReadings:
-    """The readings of one guard.
-
-    Attributes:
-        pending: vectors of 16 duties that are due, oldest first; their publisher removes them.
-    """
+    """The readings of one guard."""
 
     def __init__(self):
-        self.pending: list[list[int]] = []
+        self.pending: list[list[int]] = []  # 16 duties each, oldest first; their publisher removes them
         self._newest: tuple[int, ...] | None = None
         self._repeat_ns = 0
 

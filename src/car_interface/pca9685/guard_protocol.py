@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import struct
 from collections import namedtuple
+from functools import partial
 
 from car_interface.common.units import CHANNELS
 
@@ -76,13 +77,6 @@ class MessageReader:
         return [self._decode(*fields) for fields in self._structure.iter_unpack(complete)]
 
 
-def node_reader() -> MessageReader:
-    return MessageReader(_NODE, lambda *fields: NodeMessage(*fields[:-CHANNELS], fields[-CHANNELS:]))
-
-
-def guard_reader() -> MessageReader:
-    return MessageReader(_GUARD, GuardMessage)
-
-
-def output_reader() -> MessageReader:
-    return MessageReader(_OUTPUT, lambda kind, *counts: OutputMessage(kind, counts))
+node_reader = partial(MessageReader, _NODE, lambda *fields: NodeMessage(*fields[:-CHANNELS], fields[-CHANNELS:]))
+guard_reader = partial(MessageReader, _GUARD, GuardMessage)
+output_reader = partial(MessageReader, _OUTPUT, lambda kind, *counts: OutputMessage(kind, counts))

@@ -19,18 +19,12 @@ BUSY_NS = 3 * NS_PER_S  # the same for a guard that starts, or may wait for a tr
 
 
 class GuardWatch:
-    """The node's knowledge of its guard.
-
-    Attributes:
-        is_present: a guard runs and answers, as far as is known.
-        error: errno of the guard's last attempt on the chip; 0 = it worked, NOT_TRIED = none yet.
-        interventions: how often guards have acted, as far as the node knows.
-    """
+    """The node's knowledge of its guard."""
 
     def __init__(self):
-        self.is_present = False
-        self.error = NOT_TRIED
-        self.interventions = 0
+        self.is_present = False  # a guard runs and answers, as far as is known
+        self.error = NOT_TRIED  # errno of the guard's last attempt on the chip; 0 = it worked
+        self.interventions = 0  # how often guards have acted, as far as the node knows
         self._messages = guard_reader()
         self._sequence = 0
         self._sent_ns = -math.inf  # the newest sign of life

@@ -7,7 +7,6 @@ may have written to its channels.
 """
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Callable, Sequence
 
 from car_interface.common.units import CHANNELS, NS_PER_MS
@@ -26,14 +25,6 @@ FOREIGN = "foreign"  # another program wrote to channels: they are written again
 Targets = Callable[[], Sequence[int]]
 
 
-@dataclass
-class BoardTally:
-    errors: int = 0  # failed transfers, first attempts and repetitions
-    reopenings: int = 0  # recoveries of bus and chip
-    reinitialisations: int = 0  # of a chip that answered and had been reset
-    foreign_writes: int = 0  # checks that found channels which another program had written
-
-
 class BoardSupervisor:
     """Opens, writes, checks and reopens bus and chip.
 
@@ -44,11 +35,15 @@ class BoardSupervisor:
 
     Attributes:
         ever_ran: the chip was connected at least once, so that it may be pulsing now.
+        errors: failed transfers, first attempts and repetitions.
+        reopenings: recoveries of bus and chip.
+        reinitialisations: of a chip that answered and had been reset.
+        foreign_writes: checks that found channels which another program had written.
     """
 
     def __init__(self, open_bus: Callable, make_board: Callable[..., Board],
                  on_event: Callable[[str, Exception | None], None]):
-        self.tally = BoardTally()
+        self.errors = self.reopenings = self.reinitialisations = self.foreign_writes = 0
         self._open_bus = open_bus
         self._make_board = make_board
         self._on_event = on_event
@@ -101,10 +96,10 @@ class BoardSupervisor:
             self._on_event(FOUND, None)
             board.write(differences(board.held, targets()))
         except OSError:
-            self.tally.errors += 1
+            self.errors += 1
             self.close()
             raise
-        self.tally.reopenings += self.ever_ran
+        self.reopenings += self.ever_ran
         self.ever_ran = True
         self._retry_ns = FIRST_RETRY_NS
         self._next_check_ns = now_ns + CHECK_PERIOD_NS
@@ -143,12 +138,12 @@ class BoardSupervisor:
         try:
             self._repeat(self._board.check)
         except ForeignWrite as found:
-            self.tally.foreign_writes += 1
+            self.foreign_writes += 1
             self._on_event(FOREIGN, found)
         except BoardMismatch as mismatch:
             self._on_event(MISMATCH, mismatch)
             self._board.initialise()
-            self.tally.reinitialisations += 1
+            self.reinitialisations += 1
             self._on_event(FOUND, None)
 
     def _write(self, targets):
@@ -161,12 +156,12 @@ class BoardSupervisor:
         except BoardMismatch:
             raise
         except OSError as error:
-            self.tally.errors += 1
+            self.errors += 1
             self._on_event(RETRIED, error)
             transfer()
 
     def _disconnect(self, error, now_ns):
-        self.tally.errors += 1
+        self.errors += 1
         self._on_event(DISCONNECTED, error)
         self.close()
         self._wait(now_ns)

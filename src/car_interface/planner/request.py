@@ -19,23 +19,14 @@ MAX_SANE_RAD = 1.0
 
 
 class PlannerRequest(NamedTuple):
-    """A command that can be obeyed.
+    """A command that can be obeyed."""
 
-    Attributes:
-        radius_m: ``None`` = as before: a command to stop that has no steering.
-        speed_mps: backward negative.
-        acceleration_mps2: how quickly the speed may change, 0 or more; 0 = as quickly as allowed.
-        jerk_mps3: how quickly that may change, 0 or more; 0 = as quickly as allowed.
-        braking_mps2: brake with at least this, regardless of the speed; 0 or more.
-        gear: DRIVE, REVERSE, NEUTRAL or PARK; ``None`` = by the sign of the speed.
-    """
-
-    radius_m: float | None
-    speed_mps: float
-    acceleration_mps2: float = 0.0
-    jerk_mps3: float = 0.0
-    braking_mps2: float = 0.0
-    gear: str | None = None
+    radius_m: float | None  # ``None`` = as before: a command to stop that has no steering
+    speed_mps: float  # backward negative
+    acceleration_mps2: float = 0.0  # how quickly the speed may change, 0 or more; 0 = as quickly as allowed
+    jerk_mps3: float = 0.0  # how quickly that may change, 0 or more; 0 = as quickly as allowed
+    braking_mps2: float = 0.0  # brake with at least this, regardless of the speed; 0 or more
+    gear: str | None = None  # DRIVE, REVERSE, NEUTRAL or PARK; ``None`` = by the sign of the speed
 
 
 class Refusal(NamedTuple):

@@ -55,24 +55,17 @@ class Backlog:
     Args:
         takes_latched: obey the message with which a latching publisher's new connection begins. It is the publisher's
             last word, however old.
-
-    Attributes:
-        dropped: how many messages were old.
     """
 
     def __init__(self, graph: RosGraph, takes_latched: bool = False):
-        self.dropped = 0
+        self.dropped = 0  # how many messages were old
         self._graph = graph
         self._takes_latched = takes_latched
-        self._subscriber: rospy.Subscriber | None = None
+        self.subscriber: rospy.Subscriber | None = None  # until there is one
         self._is_retired: Callable[[Any], bool] = lambda header: False
         self._old_until_ns = -1  # what arrived until then is old
         self._is_renewed = False  # every connection was replaced
         self._latched_headers: list[dict] = []  # of new connections that have delivered their latched message
-
-    def attach(self, subscriber: rospy.Subscriber) -> None:
-        """Name the subscription whose messages these are."""
-        self._subscriber = subscriber
 
     def without_old(self, handler: Handler) -> Handler:
         """Return a handler that gets what isn't old."""
@@ -87,7 +80,7 @@ class Backlog:
         """Replace every connection. What arrived before, and what still arrives over the old ones, is old."""
         self._latched_headers = []
         try:
-            self._is_retired = self._graph.replace_connections(self._subscriber)
+            self._is_retired = self._graph.replace_connections(self.subscriber)
             self._old_until_ns = self._graph.clocks.now_ns()
             self._is_renewed = True
         except Exception:  # of another rospy

@@ -30,22 +30,14 @@ AGREES_NS = NS_PER_S
 class Clocks:
     """The clocks of this computer."""
 
-    def now_ns(self) -> int:
-        """Return the time of the monotonic clock, ns: for ages and timers."""
-        return time.monotonic_ns()
+    now_ns = staticmethod(time.monotonic_ns)  # of the monotonic clock: for ages and timers
+    local_time = staticmethod(time.strftime)  # date and time of day in a format: for the names of files
+    sleep = staticmethod(time.sleep)  # seconds
 
     def ros_now(self) -> rospy.Time:
         """Return ROS time: for stamps."""
         import rospy  # not for those that run before ROS is there
         return rospy.Time.now()
-
-    def local_time(self, form: str) -> str:
-        """Return the date and time of day as ``time.strftime`` formats it: for the names of files."""
-        return time.strftime(form)
-
-    def sleep(self, duration_s: float) -> None:
-        """Block the calling thread."""
-        time.sleep(duration_s)
 
     def wait_for(self, condition: Callable[[], bool], within_s: float, poll_s: float) -> bool:
         """Block until a condition is true; return False if it isn't after ``within_s``."""

@@ -53,18 +53,13 @@ class CommandTopics:
         types: of topics that it subscribes to with any type, those that it takes.
         more_faults: what else the node finds, called with ``now_ns`` and the topics.
         find_unheard: finds faults in the names of all publishers by topic; called with a function that resolves a name.
-
-    Attributes:
-        topics: as they were found last; none = not yet.
-        unheard: what ``find_unheard`` found last.
-        reports: for ``Diagnostics``.
     """
 
     def __init__(self, inbox: Inbox, shared: tuple[str, ...] = (),
                  more_faults: Callable[[int, list[CommandTopic]], list[Fault]] | None = None,
                  types: Mapping[str, tuple[str, ...]] = MappingProxyType({}),
                  find_unheard: Callable[[Mapping[str, list[str]], Callable[[str], str]], list[Fault]] | None = None):
-        self._inbox = inbox
+        self.inbox = inbox
         self._shared = {inbox.resolve_name(name) for name in (*shared, *REPORTS)}
         self._types = {inbox.resolve_name(name): OR.join(taken) for name, taken in types.items()}
         self._more_faults = more_faults or (lambda now_ns, topics: [])
@@ -72,9 +67,9 @@ class CommandTopics:
         self._log = FaultLog()
         self._master_fault = ""  # these two: of the watch's thread
         self._found: tuple[list[CommandTopic], list[Fault]] = [], []
-        self.topics: list[CommandTopic] = []
-        self.unheard: list[Fault] = []
-        self.reports = {REPORT: self._report}
+        self.topics: list[CommandTopic] = []  # as they were found last; none = not yet
+        self.unheard: list[Fault] = []  # what ``find_unheard`` found last
+        self.reports = {REPORT: self._report}  # for ``Diagnostics``
 
     def start(self, report_now: Callable[[], None], on_fault: Callable[[str, int], None] | None = None) -> None:
         """Begin, once the node has subscribed to its topics.
@@ -85,12 +80,7 @@ class CommandTopics:
                 and with an empty line when it is over.
         """
         self._report_now, self._on_fault = report_now, on_fault
-        self._inbox.graph.watch(PROCESS_WATCH, self)
-
-    @property
-    def has_ended(self) -> bool:
-        """Return whether the node has ended."""
-        return self._inbox.ending
+        self.inbox.graph.watch(PROCESS_WATCH, self)
 
     def update(self, fault: str, listed: Mapping[str, list[str]], lookup: PublisherLookup) -> None:
         """Pass what is new to the node's thread. Called in the watch's thread.
@@ -101,14 +91,14 @@ class CommandTopics:
             lookup: finds out about each.
         """
         if self._on_fault is not None and (fault or self._master_fault):
-            self._inbox.put(self._on_fault, fault)
+            self.inbox.put(self._on_fault, fault)
         self._master_fault = fault
-        subscriptions = [subscriber.impl for subscriber in self._inbox.subscribers]
+        subscriptions = [backlog.subscriber.impl for backlog in self.inbox.backlogs]
         topics = [self._look_up(each, listed, lookup) for each in subscriptions if each is not None]  # None: closed
-        found = topics, self._find_unheard(listed, self._inbox.resolve_name)
+        found = topics, self._find_unheard(listed, self.inbox.resolve_name)
         if found != self._found:
             self._found = found
-            self._inbox.put(self._on_topics, found, on_drop=self._forget)
+            self.inbox.put(self._on_topics, found, on_drop=self._forget)
 
     def _forget(self):
         """Have what was found passed on again."""
@@ -125,7 +115,7 @@ class CommandTopics:
 
     def _report(self, status):
         """For /diagnostics: each fault with its remedy, and all publishers."""
-        now_ns = self._inbox.clocks.now_ns()
+        now_ns = self.inbox.clocks.now_ns()
         faults = [fault for topic in self.topics for fault in find_faults(topic)]
         faults += [*self.unheard, *self._more_faults(now_ns, self.topics)]
         for fault in self._log.update(faults, now_ns):
@@ -137,7 +127,6 @@ class CommandTopics:
         status.add("remedy", ". ".join(dict.fromkeys(fault.remedy for fault in faults)))
         for topic in self.topics:
             status.add(topic.name, ", ".join(map(str, topic.publishers)) or "no publisher")
-        return status
 
 
 class _ProcessWatch:
@@ -146,14 +135,12 @@ class _ProcessWatch:
     def __init__(self):
         self._watches: list[CommandTopics] = []
         self._lock = threading.Lock()
-        self._has_started = False
 
     def add(self, watch: CommandTopics) -> None:
         with self._lock:
-            self._watches = [other for other in self._watches if not other.has_ended] + [watch]
-            if not self._has_started:
-                self._has_started = True
+            if not self._watches:
                 threading.Thread(target=self._run, name="master watch", daemon=True).start()
+            self._watches = [other for other in self._watches if not other.inbox.ending] + [watch]
 
     def _run(self):
         master = _Master()
@@ -162,7 +149,7 @@ class _ProcessWatch:
             fault, listed = master.ask()
             lookup.begin()
             for watch in self._watches:
-                if not watch.has_ended:
+                if not watch.inbox.ending:
                     watch.update(fault, listed, lookup)
             SYSTEM.sleep(CONNECTING_NS / NS_PER_S if lookup.is_waiting else POLL_S)
 
@@ -213,17 +200,14 @@ class PublisherLookup:
     def __init__(self, node_uri: Callable[[str], str]):
         self._node_uri = node_uri
         self._answers: dict[tuple[str, str], _Answer] = {}  # by topic and node
-        self._asked: set[tuple[str, str]] = set()
-        self._first_seen_ns: dict[tuple[str, str], int] = {}
+        self._before = self._answers  # those of the round before
         self.is_waiting = False  # for connections: look again after CONNECTING_NS
         self._was_slow = False  # somebody let a question time out: the others are asked the next time
 
     def begin(self) -> None:
         """Begin anew: forget the answers of those that aren't listed any more."""
         self._was_slow = self.is_waiting = False
-        self._first_seen_ns = {key: at_ns for key, at_ns in self._first_seen_ns.items() if key in self._asked}
-        self._answers = {key: answer for key, answer in self._answers.items() if key in self._asked}
-        self._asked = set()
+        self._before, self._answers = self._answers, {}
 
     def publishers(self, subscription: Any, listed: Iterable[str]) -> list[Publisher]:
         """Return all publishers of a topic, sorted.
@@ -240,18 +224,15 @@ class PublisherLookup:
 
     def _ask(self, subscription, node):
         """Return a publisher without a connection; ``None`` = it's gone, or doesn't answer."""
-        key = subscription.resolved_name, node
-        self._asked.add(key)
-        now_ns = SYSTEM.now_ns()
-        if now_ns - self._first_seen_ns.setdefault(key, now_ns) < CONNECTING_NS:
+        key, now_ns = (subscription.resolved_name, node), SYSTEM.now_ns()
+        answer = self._answers.get(key) or self._before.get(key)
+        if answer is None:
+            answer = _Answer(None, now_ns + CONNECTING_NS)
             self.is_waiting = True
-            return None
-        answer = self._answers.get(key)
-        if answer is None or now_ns >= answer.until_ns:
-            if self._was_slow:
-                return answer and answer.publisher
-            self._answers[key] = answer = self._ask_now(subscription, node, now_ns)
+        elif now_ns >= answer.until_ns and not self._was_slow:
+            answer = self._ask_now(subscription, node, now_ns)
             self._was_slow = SYSTEM.now_ns() - now_ns >= SLOW_NS
+        self._answers[key] = answer
         return answer.publisher
 
     def _ask_now(self, subscription, node, now_ns):

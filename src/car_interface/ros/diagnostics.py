@@ -59,18 +59,10 @@ class Diagnostics:
 
     def _status(self, name, report):
         """Return a report under the node's name, which may differ from the process's, and what the inbox dropped."""
-        inbox, now_ns = self._inbox, self._inbox.clocks.now_ns()
-        status = DiagnosticStatusWrapper(
-            level=ERROR, name=f"{inbox.node_name[1:]}: {name}", message="no report", hardware_id=self._hardware_id)
+        status = DiagnosticStatusWrapper(level=ERROR, name=f"{self._inbox.node_name[1:]}: {name}", message="no report",
+                                         hardware_id=self._hardware_id)
         report(status)
-        if inbox.stood_still_recently(now_ns):
-            status.mergeSummary(WARN, inbox.standstill_text)
-        if inbox.overflowed_recently(now_ns):
-            status.mergeSummary(ERROR, inbox.overflow_text)
-        if inbox.dropped:
-            status.add("messages dropped by its inbox", inbox.dropped)
-        if inbox.old_messages:
-            status.add("messages dropped after it stood still", inbox.old_messages)
+        self._inbox.report(status)
         return status
 
 

@@ -5,8 +5,6 @@ A test gives a node's inbox a graph of its own, in which it delivers the message
 from __future__ import annotations
 
 import threading
-import weakref
-from collections import deque
 from typing import Any, Callable
 
 import rosgraph
@@ -18,68 +16,19 @@ from car_interface.ros.clocks import SYSTEM
 
 SAME_STANDSTILL_NS = 200 * NS_PER_MS  # a replacement for another node of this process counts for so long
 MAX_RETIRED = 32  # connections that may still deliver what they have read: the newest of each topic
-
-
-class _Connections:
-    """Those of one topic of this process."""
-
-    def __init__(self, subscription):
-        self._subscription = subscription  # rospy's, a weak reference
-        self._lock = threading.Lock()
-        self._replaced_ns = -SAME_STANDSTILL_NS
-        # rospy gives each connection a header of its own, and every message that of its connection.
-        self._retired_headers: deque = deque(maxlen=MAX_RETIRED)
-
-    def is_retired(self, header) -> bool:
-        return any(header is retired for retired in self._retired_headers)
-
-    def replace(self) -> None:
-        """Replace all of them, unless that has just been done."""
-        with self._lock:
-            subscription, now_ns = self._subscription(), SYSTEM.now_ns()
-            if subscription is None or now_ns - self._replaced_ns < SAME_STANDSTILL_NS:
-                return
-            connections = list(subscription.connections)
-            self._retired_headers.extend(each.header for each in connections if each.header)
-            for connection in connections:
-                self._replace_one(subscription, connection)
-            self._replaced_ns = now_ns
-
-    @staticmethod
-    def _replace_one(subscription, connection):
-        host, port = connection.dest_address
-        done, text, _ = TCPROSHandler().create_transport(
-            subscription.resolved_name, connection.endpoint_id, ["TCPROS", host, port])
-        if not done:
-            raise rospy.ROSException(text)
-        connection.close()
-
-
-_CONNECTIONS: weakref.WeakKeyDictionary = weakref.WeakKeyDictionary()  # by rospy's subscription of the topic
-_CONNECTIONS_LOCK = threading.Lock()
-
+_REPLACING = threading.Lock()
 
 
 class RosGraph:
-    """The graph that rospy has joined.
+    """The graph that rospy has joined."""
 
-    Attributes:
-        clocks: of the nodes in it.
-    """
-
-    clocks = SYSTEM
-
-    def process_name(self) -> str:
-        """Return the name that this process has registered."""
-        return rospy.get_name()
-
-    def namespace(self) -> str:
-        """Return the namespace of the process's name, with a slash at both ends."""
-        return rospy.get_namespace()
-
-    def resolve_name(self, name: str) -> str:
-        """Return the full name of a topic or service, as remapped."""
-        return rospy.resolve_name(name)
+    clocks = SYSTEM  # of the nodes in it
+    process_name = staticmethod(rospy.get_name)  # with its namespace
+    namespace = staticmethod(rospy.get_namespace)  # of the process, with a slash at both ends
+    resolve_name = staticmethod(rospy.resolve_name)  # of a topic or service, as remapped
+    parameter = staticmethod(rospy.get_param)  # name, default
+    set_parameter = staticmethod(rospy.set_param)  # name, value; raises OSError when the master is gone
+    service = staticmethod(rospy.Service)  # name, type, handler, which is called in a thread of ROS
 
     def publisher(self, name: str, message_type, queue_size: int, latch: bool) -> rospy.Publisher:
         """Advertise a topic."""
@@ -101,14 +50,17 @@ class RosGraph:
         subscription = subscriber.impl
         if subscription is None:  # it is closed
             return lambda header: False
-        with _CONNECTIONS_LOCK:
-            connections = _CONNECTIONS.setdefault(subscription, _Connections(weakref.ref(subscription)))
-        connections.replace()
-        return connections.is_retired
-
-    def service(self, name: str, service_type, handler: Callable[[Any], Any]) -> rospy.Service:
-        """Offer a service; ``handler`` is called in a thread of ROS."""
-        return rospy.Service(name, service_type, handler)
+        with _REPLACING:
+            # rospy gives each connection a header of its own, and every message that of its connection.
+            retired, replaced_ns = getattr(subscription, "car_interface_retired", ((), -SAME_STANDSTILL_NS))
+            now_ns = self.clocks.now_ns()
+            if now_ns - replaced_ns >= SAME_STANDSTILL_NS:
+                connections = list(subscription.connections)
+                retired = (*retired, *(each.header for each in connections if each.header))[-MAX_RETIRED:]
+                for connection in connections:
+                    _replace(subscription, connection)
+                subscription.car_interface_retired = retired, now_ns
+        return lambda header: any(header is one for one in retired)
 
     def call(self, service: str, service_type, request: Any, on_done: Callable[[Any, str], None]) -> None:
         """Call a service beside the node's thread; ``on_done(answer, problem)`` is called there: None if it failed."""
@@ -119,18 +71,6 @@ class RosGraph:
                 answer, problem = None, str(error)
             on_done(answer, problem)
         self.start_thread(run, "call")
-
-    def parameter(self, name: str, default: Any) -> Any:
-        """Return a parameter, or the default where there is none."""
-        return rospy.get_param(name, default)
-
-    def set_parameter(self, name: str, value: Any) -> None:
-        """Set a parameter.
-
-        Raises:
-            OSError: the master is gone.
-        """
-        rospy.set_param(name, value)
 
     def reconfigure_server(self, server_class, config_type, callback, namespace: str):
         """Offer dynamic_reconfigure's interface below a namespace."""
@@ -144,15 +84,6 @@ class RosGraph:
         """Run a function beside the node's thread."""
         threading.Thread(target=target, name=name, daemon=True).start()
 
-    def repeat_in_thread(self, target: Callable[[], None], period_s: float, is_over: Callable[[], bool],
-                         name: str) -> None:
-        """Call a function again and again beside the node's thread, first after ``period_s``."""
-        def run():
-            while not (rospy.is_shutdown() or is_over()):
-                self.clocks.sleep(period_s)
-                target()
-        self.start_thread(run, name)
-
     def publishers(self, topic: str) -> list[str]:
         """Return the names of the nodes that publish on a topic."""
         published, _, _ = rosgraph.Master(rospy.get_name()).getSystemState()
@@ -160,3 +91,13 @@ class RosGraph:
 
 
 ROS = RosGraph()
+
+
+def _replace(subscription, connection):
+    """Replace one of rospy's connections to a publisher."""
+    host, port = connection.dest_address
+    done, text, _ = TCPROSHandler().create_transport(
+        subscription.resolved_name, connection.endpoint_id, ["TCPROS", host, port])
+    if not done:
+        raise rospy.ROSException(text)
+    connection.close()

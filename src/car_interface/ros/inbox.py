@@ -8,9 +8,11 @@ import select
 import threading
 import traceback
 from concurrent.futures import Future, InvalidStateError
+from contextlib import suppress
 from typing import Any, Callable
 
 import rospy
+from diagnostic_msgs.msg import DiagnosticStatus
 
 from car_interface.common.causes import NODE_STOOD_STILL
 from car_interface.common.staleness import DROPPED
@@ -20,7 +22,7 @@ from car_interface.ros.graph import ROS, RosGraph
 from car_interface.ros.logs import ThrottledWarnings
 
 INBOX_LIMIT = 10_000  # more than any node receives while its thread waits for a device
-OVERFLOW_SHOWN_NS = STANDSTILL_SHOWN_NS = 10 * NS_PER_S  # how long /diagnostics reports one
+SHOWN_NS = 10 * NS_PER_S  # how long /diagnostics reports an overflow or a standstill
 # Errors for the caller of a service.
 ENDED, TOO_BUSY = "the node has ended", f"the node was held up for too long: {DROPPED}, and this request with them"
 
@@ -45,15 +47,14 @@ class Inbox:
         self.graph = graph
         self.clocks = graph.clocks
         self.ending = False
-        self.subscribers: list[rospy.Subscriber] = []  # of the node's topics
-        self.backlogs: list[Backlog] = []  # one for each of them
+        self.backlogs: list[Backlog] = []  # one for each topic that the node subscribes to
         self._node_name = node_name
         self._close_actions: list[Callable[[], None]] = []
         self._open_requests: set[Future] = set()  # service calls that wait for an answer
         self._closed = False
         self.dropped = 0
-        self._dropped_ns = -OVERFLOW_SHOWN_NS  # when the node handled the last overflow
-        self._stood_still_ns = -STANDSTILL_SHOWN_NS  # when the node last noticed that
+        self._dropped_ns = -SHOWN_NS  # when the node handled the last overflow
+        self._stood_still_ns = -SHOWN_NS  # when the node last noticed that
         self.standstill_text = ""  # and a line about it
         self._overflow_handlers: list[Callable[[int], None]] = []
         self._overflow_warnings = ThrottledWarnings(self.clocks, rospy.logerr)
@@ -115,10 +116,8 @@ class Inbox:
 
     @staticmethod
     def _refuse(done, reason):
-        try:
+        with suppress(InvalidStateError):  # it was answered meanwhile
             done.set_exception(rospy.ServiceException(reason))
-        except InvalidStateError:
-            pass  # it was answered meanwhile
 
     def put(self, handler: Callable[[Any, int], None], item: Any, wakes: bool = True,
             on_drop: Callable[[], None] | None = None) -> None:
@@ -149,8 +148,8 @@ class Inbox:
                 result = work()
             except Exception as error:
                 self.put(_fail, error)
-                return
-            self.put(handler, result)
+            else:
+                self.put(handler, result)
         self.graph.start_thread(run, "work")
 
     def on_overflow(self, handler: Callable[[int], None]) -> None:
@@ -176,24 +175,27 @@ class Inbox:
         """Return how many messages were dropped because the node stood still when they were sent."""
         return sum(backlog.dropped for backlog in self.backlogs)
 
-    def stood_still_recently(self, now_ns: int) -> bool:
-        """Return whether that was in the last 10 s."""
-        return now_ns - self._stood_still_ns < STANDSTILL_SHOWN_NS
+    def report(self, status) -> None:
+        """Add to a report whether the node stood still or messages were dropped in the last 10 s, and how many ever."""
+        now_ns = self.clocks.now_ns()
+        if now_ns - self._stood_still_ns < SHOWN_NS:
+            status.mergeSummary(DiagnosticStatus.WARN, self.standstill_text)
+        if now_ns - self._dropped_ns < SHOWN_NS:
+            status.mergeSummary(DiagnosticStatus.ERROR, self._overflow_text)
+        if self.dropped:
+            status.add("messages dropped by its inbox", self.dropped)
+        if self.old_messages:
+            status.add("messages dropped after it stood still", self.old_messages)
 
     def _on_overflow(self, _, now_ns):
         self._dropped_ns = now_ns
-        self._overflow_warnings.warn("overflow", f"{self.overflow_text}; all that was heard before counts as lost")
+        self._overflow_warnings.warn("overflow", f"{self._overflow_text}; all that was heard before counts as lost")
         for handler in self._overflow_handlers:
             handler(now_ns)
 
     @property
-    def overflow_text(self) -> str:
-        """Return a log line with how many items were dropped so far."""
+    def _overflow_text(self):
         return f"the inbox of this node overflowed: {DROPPED}, {self.dropped} in all"
-
-    def overflowed_recently(self, now_ns: int) -> bool:
-        """Return whether items were dropped in the last 10 s."""
-        return now_ns - self._dropped_ns < OVERFLOW_SHOWN_NS
 
     def wake(self) -> None:
         """End the node's wait, now or the next one. For signal handlers too."""

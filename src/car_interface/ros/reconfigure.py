@@ -114,20 +114,17 @@ class ReconfigureServer:
 
     def _set_parameters(self):
         """Set the tuned values on the parameter server, for a restart of the node."""
-        if self._tuning.changes:
-            self._has_set_parameters = True
+        self._has_set_parameters |= bool(self._tuning.changes)
         if self._has_set_parameters:
-            try:
+            with suppress(OSError):  # the master is gone
                 for name, value in self._parameters(self._tuning.accepted).items():
                     self._inbox.graph.set_parameter(self._inbox.own_name(f"~{name}"), value)
-            except OSError:
-                pass  # the master is gone
 
     def _on_request(self, wanted, done):
-        answer = self._tuning.request(wanted, self._inbox.clocks.now_ns())
+        problem = self._tuning.request(wanted, self._inbox.clocks.now_ns())
         done.set_result(None)
-        if answer.problem:
-            self._warnings.warn("live tuning", answer.problem)
+        if problem:
+            self._warnings.warn("live tuning", problem)
 
     def _on_save(self, _request):
         """Save the accepted values, once they are active. Called in a thread of ROS."""

@@ -81,21 +81,20 @@ def run(name: str, node_class) -> None:
     # at 100 Hz, of 1.2 ms at most.
     gc.collect()
     gc.freeze()
-    failed = False
+    code = 1
     try:
         spin(node_class, inbox, lambda: fixed_parameters(name, sys.argv[1:]))
+        code = 0
     except EndedEarly as error:
         rospy.logwarn("%s", error)
-        failed = True
     except Exception as error:
         rospy.logfatal("%s", describe_error(error))
-        failed = True
     ended.set()
     rospy.signal_shutdown("ended")  # returns at once if another thread does that already
     unregistered.wait(SHUT_DOWN_S)
     if not logs.flush(FLUSH_S):
-        os._exit(1 if failed else 0)  # Python's own exit would wait for the log handler that hangs
-    sys.exit(1 if failed else 0)
+        os._exit(code)  # Python's own exit would wait for the log handler that hangs
+    sys.exit(code)
 
 
 def _register(name):
@@ -297,8 +296,7 @@ class _RefusedStart:
     def _report(self, status):
         if self.error is None:
             status.summary(OK, "accepted")
-            return status
+            return
         status.summary(ERROR, f"this node doesn't run, as it refuses a parameter: {self.error}")
         status.add("cause", causes.PARAMETER_REFUSED)
         status.add("parameter", self.error.name)
-        return status

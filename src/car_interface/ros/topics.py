@@ -124,11 +124,9 @@ def has_subscribers(publisher: rospy.Publisher) -> bool:
 
 
 def _subscribe(topic, message_type, inbox, backlog, receive, queue_size=10):
-    subscriber = inbox.graph.subscriber(inbox.own_name(topic), message_type, receive, queue_size)
-    backlog.attach(subscriber)
-    inbox.subscribers.append(subscriber)
+    backlog.subscriber = inbox.graph.subscriber(inbox.own_name(topic), message_type, receive, queue_size)
     inbox.backlogs.append(backlog)
-    inbox.on_close(subscriber.unregister)
+    inbox.on_close(backlog.subscriber.unregister)
 
 
 class DirectConnection(QueuedConnection):

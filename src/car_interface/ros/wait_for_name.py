@@ -108,18 +108,13 @@ def own_name(default: str, arguments: Sequence[str]) -> str:
 
 
 class Holder(NamedTuple):
-    """What has a node's name.
+    """What has a node's name."""
 
-    Attributes:
-        state: FREE, STARTING (about to register, on this computer), RUNNING (it answers), SILENT (it is registered and
-            doesn't answer), or NO_MASTER (which doesn't answer; a node that was found before has ended).
-        machine: where, for RUNNING and SILENT, e.g. ``127.0.0.1 (this computer)``.
-        pid: the process there; 0 where unknown.
-    """
-
+    # FREE, STARTING (about to register, on this computer), RUNNING (it answers), SILENT (it is registered and doesn't
+    # answer), or NO_MASTER (which doesn't answer; a node that was found before has ended).
     state: str
-    machine: str = ""
-    pid: int = 0
+    machine: str = ""  # where, for RUNNING and SILENT, e.g. ``127.0.0.1 (this computer)``
+    pid: int = 0  # there; 0 where unknown
 
     def __str__(self) -> str:
         return f"on {self.machine}" + (f", process {self.pid}" if self.pid else "")

@@ -41,7 +41,7 @@ def test_channels_before_any_command_hold_their_timeout_values_whatever_the_limi
 def test_value_that_is_no_duty_is_refused_alone_and_renews_nothing(value):
     board = channels()
     board.command(vector({3: 6700}), NOW)
-    assert board.command(vector({3: value, 4: 0, 5: 65535}), NOW + 200 * MS) == ([4, 5], [], [3])
+    assert board.command(vector({3: value, 4: 0, 5: 65535}), NOW + 200 * MS) == ([], [3])
     assert board.targets[3:6] == [419, 0, 4096]
     assert board.expire(NOW + 250 * MS) == [3]
     board.command(vector({3: value}), NOW + 300 * MS)
@@ -52,7 +52,7 @@ def test_value_that_is_no_duty_is_refused_alone_and_renews_nothing(value):
     (2800, 175, []), (2799, 175, [0]), (0, 175, [0]), (7600, 475, []), (7601, 475, [0]), (65535, 475, [0])])
 def test_duty_beyond_the_channel_s_limits_is_clamped_and_said_so_and_minus_1_is_no_duty(duty, counts, clamped):
     board = channels(pwm_min=2800, pwm_max=7600)
-    assert board.command(vector({0: duty}), NOW) == ([0], clamped, [])
+    assert board.command(vector({0: duty}), NOW) == (clamped, [])
     assert board.targets[:2] == [counts, CENTER_COUNTS]
 
 

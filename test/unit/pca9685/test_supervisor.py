@@ -83,13 +83,13 @@ def test_what_did_not_change_is_not_written_and_the_chip_is_read_twice_a_second(
 def test_two_failures_close_the_bus_which_is_opened_again_after_100_ms_with_the_newest_target(running):
     running.bus.nacks_left = 2
     running.update(LEFT, 1)
-    assert running.events == [events.RETRIED, events.DISCONNECTED] and running.supervisor.tally.errors == 2
+    assert running.events == [events.RETRIED, events.DISCONNECTED] and running.supervisor.errors == 2
     assert running.supervisor.held == [None] * 16 and running.closed == 1
     running.update(NEUTRAL, 99)
     assert not running.supervisor.running
     running.update(NEUTRAL, 1)
     assert running.supervisor.running and running.pulses() == NEUTRAL
-    assert running.supervisor.tally.reopenings == 1
+    assert running.supervisor.reopenings == 1
     running.bus.nacks_left = 2
     running.update(LEFT, 1)
     running.supervisor.retry_now()  # or at once, where that is asked for
@@ -101,7 +101,7 @@ def test_pauses_between_attempts_double_to_2_s_until_the_board_was_there_and_are
     bench.bus.chips.pop(ADDRESS)
     bench.update(NEUTRAL)
     assert [bench.update_when_due(NEUTRAL) for _ in range(7)] == [100, 200, 400, 800, 1600, 2000, 2000]
-    assert bench.events == [events.ABSENT] * 8 and bench.supervisor.tally.errors == 8
+    assert bench.events == [events.ABSENT] * 8 and bench.supervisor.errors == 8
     assert not bench.supervisor.ever_ran
     bench.bus.chips[ADDRESS] = bench.chip
     bench.update_when_due(NEUTRAL)
@@ -118,7 +118,7 @@ def test_what_the_chip_holds_is_known_before_it_is_written_anew(running):
     running.chip.power_up()
     running.update_when_due(NEUTRAL)
     assert found == [(events.MISMATCH, NEUTRAL), (events.FOUND, [0] * 16)] and running.pulses() == NEUTRAL
-    assert running.supervisor.tally.reinitialisations == 1
+    assert running.supervisor.reinitialisations == 1
     running.update(LEFT, 1)
     running.supervisor = running.another_supervisor()
     found.clear()
@@ -131,7 +131,7 @@ def test_channel_that_another_program_wrote_is_reported_and_written_anew_or_know
     running.update_when_due(NEUTRAL)
     assert running.events == [events.FOREIGN]
     assert running.pulses() == NEUTRAL
-    assert running.supervisor.tally.foreign_writes == 1
+    assert running.supervisor.foreign_writes == 1
     running.chip.write(0x06, [0, 0, 0, 0x08])
     running.supervisor.read_back(running.now_ns)
     assert running.supervisor.held == [2048] + [0] * 15

@@ -21,23 +21,22 @@ KNOWN, PARTLY = ColorRGBA(0.0, 0.6, 0.2, 0.9), ColorRGBA(0.95, 0.75, 0.0, 0.9)
 UNKNOWN = ColorRGBA(0.85, 0.1, 0.1, 0.9)
 
 
-def drive_markers(odom_frame, base_frame, start, radius_m, path, rows, rows_before, text) -> MarkerArray:
-    """Return the whole picture; what isn't there is deleted.
+def drive_markers(odom_frame, base_frame, start, radius_m, path, rows, text) -> MarkerArray:
+    """Return the whole picture, which takes the place of the one before.
 
     Args:
         odom_frame, base_frame: odometry's frame, and the car's.
         start: the area's center in odometry's frame; ``None`` = it hasn't begun.
         path: where the car is about to go, (x, y) in odometry's frame.
         rows: records with side (left or right), radius_m, is_known and is_measured: an arc each, from the car.
-        rows_before: how many there were in the picture before.
     """
-    markers = [*_area(odom_frame, start, radius_m),
-               _line("path", 0, odom_frame, PATH, path, 2 * LINE_M), *_arcs(base_frame, rows),
-               *(_line("known", index, base_frame, UNKNOWN, [], LINE_M) for index in range(len(rows), rows_before))]
+    lines = [*_area(odom_frame, start, radius_m), _line("path", 0, odom_frame, PATH, path, 2 * LINE_M),
+             *_arcs(base_frame, rows)]
     label = _marker("text", 0, base_frame, Marker.TEXT_VIEW_FACING, TEXT, Vector3(0.0, 0.0, TEXT_M))
     label.pose.position = Point(-BEHIND_M, 0.0, ABOVE_M)
     label.text = textwrap.fill(text, TEXT_COLUMNS)
-    return MarkerArray([*markers, label])
+    # rviz reports a line of fewer points as an error.
+    return MarkerArray([*no_markers(odom_frame).markers, *(line for line in lines if len(line.points) >= 2), label])
 
 
 def no_markers(frame) -> MarkerArray:
@@ -74,8 +73,6 @@ def _arc(curvature_per_m):
 def _line(ns, index, frame, color, points, width_m):
     marker = _marker(ns, index, frame, Marker.LINE_STRIP, color, Vector3(width_m, 0.0, 0.0))
     marker.points = [Point(x_m, y_m, HEIGHT_M) for x_m, y_m in points]
-    if len(points) < 2:  # rviz reports that as an error
-        marker.action = Marker.DELETE
     return marker
 
 

@@ -100,7 +100,7 @@ class CalibrationDriveNode:
         self._stage = self._check
         self._step = self._recording = self._page = self._refusal = None
         self._shown_kind, self._shown_ns = "", 0
-        self._frames, self._rows_drawn = ("odom", "base_link"), 0
+        self._frames = "odom", "base_link"
         self._steerings = self._speeds = None
         self._is_over = self._is_ending = self._is_written = False
         self._result = advertise("~result", String, inbox)
@@ -263,12 +263,11 @@ class CalibrationDriveNode:
         self._publish_state(step.phase, step.text, progress)
 
     def _show_markers(self, step, progress):
-        drive, rows = self._drive, progress.rows
+        drive = self._drive
         start, path = (None, []) if self._wanted.stick else (drive.start, drive.expected_path())
         text = step.text if self._wanted.stick else terminal.HEADLINES.get(step.phase, step.phase)
-        self._markers.publish(drive_markers(*self._frames, start, self._config.radius_m, path, rows, self._rows_drawn,
+        self._markers.publish(drive_markers(*self._frames, start, self._config.radius_m, path, progress.rows,
                                             f"{terminal.percent(progress.fraction).strip()}, {text}"))
-        self._rows_drawn = len(rows)
 
     def _publish_state(self, phase, text, progress=NO_PROGRESS):
         state = CalibrationState(
@@ -380,5 +379,4 @@ class CalibrationDriveNode:
 
 
 def main():
-    """Run the program."""
     run(NAME, partial(CalibrationDriveNode, parse(rospy.myargv(sys.argv)[1:])))

@@ -77,7 +77,9 @@ class PseudoTerminal:
     def _put_link(self):
         new = f"{self._path}.{os.getpid()}"
         try:
-            if os.path.lexists(self._path) and not _is_link_to_a_terminal(self._path):
+            # A killed virtual Teensy leaves its link; a real port's name or somebody's file stays.
+            is_left = os.path.islink(self._path) and os.readlink(self._path).startswith("/dev/pts/")
+            if os.path.lexists(self._path) and not is_left:
                 raise ConfigError("port", self._path, "a path with nothing at it, or a virtual Teensy's old link")
             os.symlink(self.name, new)
             os.replace(new, self._path)
@@ -218,8 +220,3 @@ class VirtualLine:
             same = self._terminal
             self._terminal = self._make_terminal(self._path)
             same.close()
-
-
-def _is_link_to_a_terminal(path):
-    """Return whether a killed virtual Teensy has left this path; never a real port's name or somebody's file."""
-    return os.path.islink(path) and os.readlink(path).startswith("/dev/pts/")

@@ -16,7 +16,7 @@ from car_interface.common.causes import GUARD_ABSENT, GUARD_BLOCKED
 from car_interface.common.units import NS_PER_MS, NS_PER_S
 from car_interface.nodes.pca9685 import small_process
 from car_interface.pca9685.guard import GIVE_UP_NS
-from car_interface.pca9685.guard_protocol import ALIVE, ENDED, ENDING, NOT_TRIED
+from car_interface.pca9685.guard_protocol import ENDED, ENDING, NOT_TRIED
 from car_interface.pca9685.guard_watch import GuardWatch
 from car_interface.ros.clocks import Clocks
 from car_interface.ros.diagnostics import ERROR, OK, WARN
@@ -144,12 +144,12 @@ class GuardLink:
         if self._guard is None and self._start_guard is not None and can_start and now_ns >= self._start_ns:
             self._start(now_ns)
         if now_ns >= self.watch.due_ns:
-            self._write(self.watch.sign_of_life(now_ns, timeout_counts, has_reached, ALIVE))
+            self._write(self.watch.sign_of_life(now_ns, timeout_counts, has_reached))
 
     def chip_is_reached(self, now_ns: int, timeout_counts: Sequence[int]) -> None:
         """Have the guard know at once that the chip may be pulsing: with a node that never reached it, it ends."""
         if self._guard is not None:
-            self._write(self.watch.sign_of_life(now_ns, timeout_counts, True, ALIVE))
+            self._write(self.watch.sign_of_life(now_ns, timeout_counts, True))
 
     def leave_to_node(self, now_ns: int, timeout_counts: Sequence[int]) -> None:
         """Have the guard leave the chip to this node, which makes it safe now, for as long as it lives."""

@@ -328,7 +328,6 @@ class Pca9685:
 
     def _report(self, status):
         """Report the board's state and counts."""
-        tally = self._supervisor.tally
         if self._supervisor.running:
             status.summary(OK, f"running at {self._frequency_hz:.2f} Hz")
         else:
@@ -343,10 +342,10 @@ class Pca9685:
         status.add("address", f"0x{self._address:02x}")
         status.add("period", f"{1e3 / self._frequency_hz:.3f} ms if the oscillator makes {self._oscillator_hz:.0f} Hz; "
                              "not measured")
-        status.add("failed transfers", tally.errors)
-        status.add("reopened", tally.reopenings)
-        status.add("initialised anew after a loss of power", tally.reinitialisations)
-        status.add("channels that another program wrote", tally.foreign_writes)
+        status.add("failed transfers", self._supervisor.errors)
+        status.add("reopened", self._supervisor.reopenings)
+        status.add("initialised anew after a loss of power", self._supervisor.reinitialisations)
+        status.add("channels that another program wrote", self._supervisor.foreign_writes)
         status.add("commands dropped while it was away", self._dropped)
         status.add("commands dropped after this node stood still", self._held_back + self._inbox.old_messages)
         status.add("timeout values", " ".join(map(str, self._channels.timeout_values)))

@@ -54,7 +54,7 @@ class OutputRelay:
             if self._is_left:
                 return
             self._publish()
-        SYSTEM.wait_for(lambda: self._has_published() or rospy.is_shutdown(), LAST_S, REGISTER_POLL_S)
+        SYSTEM.wait_for(lambda: self._publish() or rospy.is_shutdown(), LAST_S, REGISTER_POLL_S)
         if self._publisher is not None:
             SYSTEM.sleep(DELIVERY_S)
 
@@ -82,13 +82,11 @@ class OutputRelay:
             self._is_left |= message.kind == LEFT_TO_NODE
             self._readings.update(message.counts, SYSTEM.now_ns())
 
-    def _has_published(self):
-        self._publish()
-        return not self._readings.pending
-
     def _publish(self):
+        """Publish what is pending; return whether nothing is any more."""
         while self._publisher is not None and self._readings.pending:
             self._publisher.publish(duty_vector(self._readings.pending.pop(0)))
+        return not self._readings.pending
 
 
 def main() -> None:

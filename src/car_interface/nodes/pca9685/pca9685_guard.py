@@ -153,12 +153,12 @@ class RelayLink:
         if self._fd < 0:
             self._start()
         for counts in readings:
-            self._write(OutputMessage(HELD, counts))
+            _write(self._fd, OutputMessage(HELD, counts).encode())
 
     def end(self) -> None:
         """End the relay: a node publishes by itself. When the guard ends, it publishes the last reading before."""
         if self._fd >= 0:
-            self._write(OutputMessage(LEFT_TO_NODE, (0,) * CHANNELS))
+            _write(self._fd, OutputMessage(LEFT_TO_NODE, (0,) * CHANNELS).encode())
             os.close(self._fd)
             self._fd = -1
 
@@ -173,9 +173,6 @@ class RelayLink:
             self._log(f"nobody publishes what the board holds: {error}")
         finally:
             os.close(reader)
-
-    def _write(self, message):
-        _write(self._fd, message.encode())
 
 
 def make_device(kind: str, path: str, address: int):
