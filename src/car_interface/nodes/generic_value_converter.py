@@ -126,7 +126,6 @@ class GenericValueConverter:
         status.add("values sent", self._counts["values"])
         for kind, count in sorted(self._warnings.counts.items()):
             status.add(kind, count)
-        return status
 
 
 def _warn_of_clamped_values(config):

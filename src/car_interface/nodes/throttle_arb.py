@@ -268,7 +268,6 @@ class ThrottleArb(CommandNode):
         status.add("tuned live", self._reconfigure.changes)
         for kind, count in sorted(self._warnings.counts.items()):
             status.add(f"warnings of {kind}", count)
-        return status
 
     def _report_battery(self, status):
         """Report on /diagnostics how the battery is, and log a change."""
@@ -281,7 +280,6 @@ class ThrottleArb(CommandNode):
         status.add("cause", battery.cause)
         if battery.remedy:
             status.add("remedy", battery.remedy)
-        return status
 
 
 # Fields of ThrottleState for the ages by the inputs' names.

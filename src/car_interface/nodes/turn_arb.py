@@ -192,7 +192,6 @@ class TurnArb(CommandNode):
         status.add("tuned live", self._reconfigure.changes)
         for kind, count in sorted(self._warnings.counts.items()):
             status.add(f"warnings of {kind}", count)
-        return status
 
     def _report_check(self, status):
         """Report on /diagnostics whether the car turns as commanded."""
@@ -201,7 +200,6 @@ class TurnArb(CommandNode):
                        judgement.warning or "the car turns as it is told to, or stands")
         status.add("commanded turn radius", f"{judgement.commanded_m:.2f} m")
         status.add("estimated_turn_radius", f"{judgement.estimated_m:.2f} m")
-        return status
 
     def _publish_state(self, decision):
         now_ns, radius_m = self._clocks.now_ns(), self._arbiter.turn_radius_m(decision.duty)

@@ -137,7 +137,6 @@ class CommandTopics:
         status.add("remedy", ". ".join(dict.fromkeys(fault.remedy for fault in faults)))
         for topic in self.topics:
             status.add(topic.name, ", ".join(map(str, topic.publishers)) or "no publisher")
-        return status
 
 
 class _ProcessWatch:

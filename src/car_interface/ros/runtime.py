@@ -297,8 +297,7 @@ class _RefusedStart:
     def _report(self, status):
         if self.error is None:
             status.summary(OK, "accepted")
-            return status
+            return
         status.summary(ERROR, f"this node doesn't run, as it refuses a parameter: {self.error}")
         status.add("cause", causes.PARAMETER_REFUSED)
         status.add("parameter", self.error.name)
-        return status

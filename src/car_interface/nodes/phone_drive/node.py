@@ -244,7 +244,6 @@ class PhoneDrive:
         status.add("pages", self._phones.pages)
         for what, count in sorted(self._phones.counts.items()):
             status.add(f"times {what}", count)
-        return status
 
 
 def main():

@@ -266,7 +266,7 @@ class PlannerInterface:
     def _report(self, status):
         """Report on /diagnostics what is asked for, and why it isn't obeyed."""
         if self._command is None:
-            return status
+            return
         cause, gear, _ = self._kind
         now_ns = self._clocks.now_ns()
         reason, too_tight = self._reason(), "" if self._too_tight.is_stale(now_ns) else self._too_tight.value
@@ -282,7 +282,6 @@ class PlannerInterface:
         status.add("age of odometry", age_text(self._control.speed.age_s(now_ns)))
         for kind, count in sorted(self._warnings.counts.items()):
             status.add(kind, count)
-        return status
 
 
 def _is_alarming(cause):
