@@ -1,5 +1,6 @@
 """car_sim: the hub against the virtual Teensy, which answers as the firmware does, and the car that it moves."""
 import math
+from types import SimpleNamespace
 
 import pytest
 from car_interface.msg import LinkStatus
@@ -8,6 +9,8 @@ from std_msgs.msg import Int32MultiArray
 from std_srvs.srv import TriggerRequest
 
 from car_interface.common.vehicle_geometry import SONARS as SONAR_NAMES
+from car_interface.nodes.car_sim.node import RETRY_NS, ChipFollower, room_markers
+from car_interface.sim.world import Post, WorldConfig
 
 LINK, PONGS, SONARS = "/teensy_sensor_hub/link", "/teensy_pong", "/teensy_distance"
 CENTER, LEFT, GENTLE, FAST, NEUTRAL = 5100, 3835, 5700, 6500, 4915
@@ -49,6 +52,31 @@ def test_room_is_drawn_where_the_sonars_see_it(car):
     echo_m = min(report.distance for report in car.graph.messages(SONARS) if report.sensor == 1) * 343.4e-6 / 2
     assert -5.0 - 0.42 - echo_m == pytest.approx(first.pose.position.x, abs=0.02)  # its front sonar is 0.42 m ahead
     assert {marker.header.frame_id for marker in walls.markers} == {"odom"} and len(walls.markers) == 4 + 2 + 7
+
+
+def test_walls_are_drawn_low_from_corner_to_corner_and_things_high_where_they_stand():
+    room = WorldConfig(walls=(-1.0, 3.0, -2.0, 6.0), boxes=(), posts=(Post(0.5, 0.7, 0.1),))
+    drawn = [(each.pose.position, each.scale) for each in room_markers(room, "odom").markers]
+    assert [(at.x, at.y, at.z, size.x, size.y, size.z) for at, size in drawn] == [pytest.approx(each) for each in (
+        (1.0, -2.0, 0.06, 4.0, 0.04, 0.12), (1.0, 6.0, 0.06, 4.0, 0.04, 0.12), (-1.0, 2.0, 0.06, 0.04, 8.0, 0.12),
+        (3.0, 2.0, 0.06, 0.04, 8.0, 0.12), (0.5, 0.7, 0.125, 0.2, 0.2, 0.25))]
+
+
+def test_a_virtual_servo_board_is_looked_for_again_after_a_pause_and_not_while_it_is_there(tmp_path):
+    follower, opened, is_there = ChipFollower(str(tmp_path / "none"), SimpleNamespace(watch=set().add)), [], []
+
+    def open_link():
+        opened.append(True)
+        if not is_there:
+            raise OSError("no such file")
+    follower._link = SimpleNamespace(open=open_link, observe=lambda: 5, changes=list, close=dict)
+    for now_ns, count in ((0, 1), (RETRY_NS - 1, 1), (RETRY_NS, 2)):
+        follower.step(now_ns)
+        assert len(opened) == count
+    is_there.append(True)
+    for periods in (2, 3, 4):
+        follower.step(periods * RETRY_NS)
+    assert len(opened) == 3
 
 
 def test_sonars_fire_as_they_are_commanded_without_one_that_is_missing(car):

@@ -1,5 +1,6 @@
 """When a node may register a name that another node may have, asked of servers that answer as master and nodes do."""
 import socket
+from types import SimpleNamespace
 
 import pytest
 from processes import free_port
@@ -130,3 +131,66 @@ def test_node_is_asked_when_the_master_is_gone():
 def test_own_name_is_that_of_ros(monkeypatch, arguments, namespace, name):
     monkeypatch.setenv("ROS_NAMESPACE", namespace)
     assert own_name("turn_arb", ["turn_arb", *arguments]) == name
+
+
+@pytest.fixture
+def waiting(monkeypatch):
+    """Wait for /turn_arb while the master answers with holders, one at each poll; what is done in each pause."""
+    monkeypatch.setenv("ROS_MASTER_URI", f"http://127.0.0.1:{free_port()}/")
+    now_ns, pauses = 0, []
+
+    def wait(holders, in_pause):
+        answers = iter(holders)
+
+        def sleep(seconds):
+            nonlocal now_ns
+            now_ns += round(seconds * NS_PER_S)
+            pauses.append(seconds)
+            in_pause(len(pauses))
+        monkeypatch.setattr(wait_for_name, "SYSTEM", SimpleNamespace(now_ns=lambda: now_ns, sleep=sleep))
+        monkeypatch.setattr(NameLookup, "holder", lambda self: next(answers))
+        return wait_for_name.wait_for_name("/turn_arb"), pauses
+    return wait
+
+
+def is_claimed(name="/turn_arb"):
+    claim = wait_for_name._claim(name)
+    if claim is not None:
+        claim.close()
+    return claim is None
+
+
+def test_free_name_is_claimed_at_once_and_until_the_node_has_registered(waiting):
+    claim, pauses = waiting([NOBODY], None)
+    assert is_claimed() and not is_claimed("/pca9685") and pauses == []
+    claim.close()
+    assert not is_claimed()
+
+
+def test_name_that_a_running_node_has_is_not_claimed_until_it_ends(waiting):
+    claimed = []
+    claim, pauses = waiting([RUNS, RUNS, NOBODY], lambda count: claimed.append(is_claimed()))
+    assert claimed == [False, False] and pauses == [0.01, 0.01]
+    with claim:
+        assert is_claimed()
+
+
+def test_name_that_another_node_of_this_computer_has_claimed_is_waited_for(waiting):
+    other = wait_for_name._claim("/turn_arb")
+    claim, pauses = waiting([NOBODY] * 3, lambda count: other.close() if count == 2 else None)
+    with claim:
+        assert len(pauses) == 2 and is_claimed()
+
+
+def test_name_that_is_claimed_for_ten_seconds_is_taken_over(waiting, monkeypatch):
+    monkeypatch.setattr(wait_for_name, "POLL_S", 5.0)
+    with wait_for_name._claim("/turn_arb"):
+        claim, pauses = waiting([NOBODY] * 3, lambda count: None)
+        assert len(pauses) == 2 and claim.fileno() >= 0
+        claim.close()
+
+
+def test_name_of_any_length_can_be_claimed(waiting):
+    name = "/car" * 50
+    with wait_for_name._claim(name):
+        assert is_claimed(name)
