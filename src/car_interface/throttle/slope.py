@@ -21,8 +21,6 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-import numpy
-
 from car_interface.common.units import NS_PER_S
 from car_interface.throttle.esc_config import EscConfig
 from car_interface.throttle.esc_motion import MOTOR_LAG_NS
@@ -30,7 +28,7 @@ from car_interface.throttle.esc_motion import MOTOR_LAG_NS
 # Before the first roll the slope's pull has this bound: a floor of 5 % pulls by 0.49 m/s². And the drag exceeds
 # esc/drag_deceleration by SURPLUS_MPS2, give or take as much: a Slash has 0.3 to 0.4 m/s², and its ESC's drag brake
 # adds to that. Of a force, nothing and all that the longest lag leaves are both within the bound.
-PULL_MPS2, SURPLUS_MPS2, LEFT_BOUND = 0.5, 0.2, 0.7
+PULL_MPS2, SURPLUS_MPS2, SHARE_BOUND = 0.5, 0.2, 0.7
 # A shorter lag leaves a share that shrinks: so much of the force is uncertain even if the mean share is known.
 SHAPE = 0.25
 CHANGES_MPS2 = 0.015  # the pull's change within a metre; an abrupt change starts over
@@ -210,41 +208,37 @@ class Estimate(NamedTuple):
     """What slows a car in neutral, and how long its motor's force lasts.
 
     Attributes:
-        state: drag, the pull's two components (m/s²), and the share of what LAG_S leaves that is truly left, 0 to 1.
-        errors: the symmetric matrix of their squared error bounds, 4 × 4.
+        state: drag and the pull's two components (m/s²), and the share of what LAG_S leaves that is truly left, 0 to 1.
+        errors: the rows of the symmetric matrix of their squared error bounds.
     """
 
-    state: numpy.ndarray
-    errors: numpy.ndarray
+    state: tuple[float, ...]
+    errors: tuple[tuple[float, ...], ...]
 
     @classmethod
-    def unknown(cls, drag_mps2: float) -> Estimate:
+    def unknown(cls, drag_mps2: float, share: float = 0.5, share_square: float = SHARE_BOUND ** 2) -> Estimate:
         """Return level ground and half of the longest lag, with the bounds before any measurement."""
-        return cls(numpy.array([drag_mps2 + SURPLUS_MPS2, 0.0, 0.0, 0.5]),
-                   numpy.diag([SURPLUS_MPS2 ** 2, PULL_MPS2 ** 2, PULL_MPS2 ** 2, LEFT_BOUND ** 2]))
+        pull = PULL_MPS2 ** 2
+        return cls((drag_mps2 + SURPLUS_MPS2, 0.0, 0.0, share),
+                   ((SURPLUS_MPS2 ** 2, 0.0, 0.0, 0.0), (0.0, pull, 0.0, 0.0), (0.0, 0.0, pull, 0.0),
+                    (0.0, 0.0, 0.0, share_square)))
 
     def elsewhere(self, drag_mps2: float) -> Estimate:
         """Return the same motor on unknown ground."""
-        other = Estimate.unknown(drag_mps2)
-        other.state[3], other.errors[3, 3] = self.state[3], self.errors[3, 3]
-        return other
+        return Estimate.unknown(drag_mps2, self.state[3], self.errors[3][3])
 
     def after(self, way_m: float) -> Estimate:
         """Return the same after a distance on which the slope may have changed."""
         if not way_m:
             return self
-        errors = self.errors.copy()
-        errors[1, 1] += CHANGES_MPS2 ** 2 * way_m
-        errors[2, 2] += CHANGES_MPS2 ** 2 * way_m
-        return self._replace(errors=errors)
+        drag, (xd, xx, xy, xs), (yd, yx, yy, ys), share = self.errors
+        changed = CHANGES_MPS2 ** 2 * way_m
+        return self._replace(errors=(drag, (xd, xx + changed, xy, xs), (yd, yx, yy + changed, ys), share))
 
     def coasting(self, yaw_rad: float) -> tuple[float, float]:
         """Return the deceleration at a heading, and the bound of its error."""
-        cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
-        drag, x, y, _ = self.state.tolist()
-        (dd, dx, dy, _), (_, xx, xy, _), (_, _, yy, _), _ = self.errors.tolist()
-        square = dd + xx * cos * cos + yy * sin * sin + 2.0 * (xy * cos * sin - dx * cos - dy * sin)
-        return drag - x * cos - y * sin, math.sqrt(max(0.0, square))
+        looks = _looks(yaw_rad)
+        return _dot(looks, self.state), math.sqrt(max(0.0, _dot(looks, self._times(looks))))
 
     def measured(self, roll: Roll, drag_mps2: float) -> Estimate:
         """Return the estimate with a roll. One that is off by more than twice the bound belongs to other ground."""
@@ -252,16 +246,27 @@ class Estimate(NamedTuple):
         return self.elsewhere(drag_mps2)._taken(roll)[0] if is_other_ground else taken
 
     def _taken(self, roll):
-        looks = numpy.array([1.0, -math.cos(roll.yaw_rad), -math.sin(roll.yaw_rad), 0.0])
-        coasts_mps2, share = looks @ self.state, roll.left * self.state[3]
+        looks, left = _looks(roll.yaw_rad), roll.left * self.state[3]
+        coasts_mps2 = _dot(looks, self.state)
         force_mps2 = max(0.0, roll.accelerated_mps2 + coasts_mps2)
-        wrong_mps2 = roll.slows_mps2 - (coasts_mps2 - share * force_mps2)
-        if force_mps2:
-            looks *= 1.0 - share
-        looks[3] = -roll.left * force_mps2
-        square = looks @ self.errors @ looks + roll.bound_mps2 ** 2 + (SHAPE * looks[3]) ** 2
-        gain = self.errors @ looks / square
-        state = self.state + gain * wrong_mps2
-        state[3] = min(1.0, max(0.0, state[3]))
-        taken = Estimate(state, self.errors - numpy.outer(gain, looks @ self.errors))
-        return taken, wrong_mps2 ** 2 > 4.0 * square
+        wrong_mps2 = roll.slows_mps2 - (coasts_mps2 - left * force_mps2)
+        by_ground = 1.0 - left if force_mps2 else 1.0
+        looks = (*(by_ground * part for part in looks[:3]), -roll.left * force_mps2)
+        blurred = self._times(looks)
+        square = _dot(looks, blurred) + roll.bound_mps2 ** 2 + (SHAPE * looks[3]) ** 2
+        drag, x, y, share = (value + wrong_mps2 / square * part for value, part in zip(self.state, blurred))
+        errors = tuple(tuple(value - row * column / square for value, column in zip(values, blurred))
+                       for values, row in zip(self.errors, blurred))
+        return Estimate((drag, x, y, min(1.0, max(0.0, share))), errors), wrong_mps2 ** 2 > 4.0 * square
+
+    def _times(self, vector):
+        return tuple(_dot(row, vector) for row in self.errors)
+
+
+def _looks(yaw_rad):
+    """Return how the deceleration at a heading depends on the state."""
+    return 1.0, -math.cos(yaw_rad), -math.sin(yaw_rad), 0.0
+
+
+def _dot(one, other):
+    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2] + one[3] * other[3]
