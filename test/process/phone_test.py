@@ -286,7 +286,8 @@ class Phone(Measured):
                 eventually(lambda: self.text("who") == "Touch to drive",
                            lambda: f"the state at rest: {self.shown()}", WITHIN_S)
         # A page that was held up for 1.5 s connects anew.
-        self.assertEqual([one for one in self.browser.complaints if "WebSocket connection to" not in json.dumps(one)], [])
+        complaints = [one for one in self.browser.complaints if "WebSocket connection to" not in json.dumps(one)]
+        self.assertEqual(complaints, [])
         self.assertEqual([url for url in self.browser.requests if not url.startswith((self.url, "ws:"))], [])
 
     def test_3_network_that_is_gone_late_or_delivers_old_messages_moves_nothing_and_another_phone_takes_over(self):

@@ -185,6 +185,12 @@ def test_a_car_that_has_stood_for_long_may_stand_somewhere_else():
     assert car.run(1.0, 0.0).coasting(False).certain_mps2 < 0.0
 
 
+def test_two_short_stands_are_not_a_long_one():
+    slope = Car().run(1.0)
+    reported(slope, range(1100, 5200, 100), [0.0] * 20 + [0.1] + [0.0] * 20)
+    assert slope.coasting(False) != Slope(ESC).coasting(False)
+
+
 @pytest.mark.parametrize(("speed_mps", "is_known"), [(0.05, True), (0.0499, False), (-0.05, True)])
 def test_a_car_that_moves_at_0_05_mps_does_not_stand(speed_mps, is_known):
     slope = Car().run(1.0)
@@ -213,6 +219,13 @@ def test_the_present_acceleration_is_that_of_the_magnitude():
     assert Car(speed_mps=1.0).run(0.5, 0.5, 1.3).acceleration_mps2 == pytest.approx(1.0, abs=0.05)
     assert Car(speed_mps=-1.0).run(0.5, -0.5, -1.3).acceleration_mps2 == pytest.approx(1.0, abs=0.05)
     assert Slope(ESC).acceleration_mps2 == 0.0
+
+
+def test_the_present_acceleration_is_that_of_the_last_0_12_s():
+    slope, times_ms, speeds_mps = Slope(ESC), range(0, 180, 20), (1.0, 3.0, 1.0, 1.1, 1.3, 1.6, 2.0, 2.5, 3.1)
+    reported(slope, times_ms, speeds_mps)
+    times_s = numpy.array(times_ms) / 1000
+    assert slope.acceleration_mps2 == pytest.approx(numpy.polyfit(times_s[2:], speeds_mps[2:], 1)[0])
 
 
 @pytest.mark.once
