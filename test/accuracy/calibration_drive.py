@@ -301,7 +301,7 @@ class Bench:
             self.drive.update_odometry(motion.x_m, motion.y_m, motion.yaw_rad, motion.speed_mps,
                                        self._odom.stamp.time_ns, now_ns)
             for one in (self._steering, self._throttle, self._speed):
-                one.update_odometry(motion.speed_mps, now_ns)
+                one.update_odometry(motion.speed_mps, now_ns, 0)
             self._converter.update_odometry(motion.speed_mps, now_ns)
             self._odom = None
         if self._sonars is not None:

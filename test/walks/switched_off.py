@@ -21,7 +21,7 @@ def timeout_of_the_deadman(monkeypatch):
 
 
 def timeout_of_the_gamepad(monkeypatch):
-    _after_init(monkeypatch, Gamepad, lambda self: setattr(self._joy, "_timeout_ns", math.inf))
+    _after_init(monkeypatch, Gamepad, lambda self: setattr(self.joy, "_timeout_ns", math.inf))
 
 
 def rearming(monkeypatch):

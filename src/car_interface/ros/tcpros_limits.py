@@ -16,6 +16,7 @@ An established connection blocks as before. See http://wiki.ros.org/ROS/TCPROS f
 from __future__ import annotations
 
 import inspect
+import itertools
 import logging
 import socket
 import struct
@@ -23,7 +24,7 @@ import sys
 import threading
 import traceback
 from contextlib import suppress
-from typing import Any
+from typing import Any, NamedTuple
 
 import rospy
 from rosgraph.network import decode_ros_handshake_header, write_ros_handshake_header
@@ -39,7 +40,12 @@ from car_interface.ros.xmlrpc_calls import call
 
 HANDSHAKE_S = 1.0  # a header arrives within a round trip: 0.2 ms on one computer, 2 to 100 ms over Wi-Fi
 MAX_HANDSHAKES = 64
+# None is dropped before it has lasted so long, which is a slow round trip: a flood of connections must not end that of
+# a real subscriber. Until then new connections wait in the kernel's queue, so that a flood of them is taken at
+# MAX_HANDSHAKES / MIN_HANDSHAKE_S = 640 a second at most, and the whole queue in 1.6 s.
+MIN_HANDSHAKE_S = 0.1
 ACCEPT_QUEUE = 1024  # rospy's 5 would overflow, and the kernel tries again a second later
+ROOM_POLL_S = 0.005
 ACCEPT_PAUSE_S = 0.1  # after an error, such as too many open files
 MAX_MESSAGE_SIZE = 16_000_000  # bytes; this package's longest message has some 10 kB, a camera's image 6 MB
 MAX_HEADER_SIZE = 256_000  # bytes; MAX_HANDSHAKES of them are one message. The longest definitions have some 100 kB
@@ -61,6 +67,10 @@ class HandshakeTimeout(HandshakeError):
 
 class PeerGone(HandshakeError):
     """The peer has closed the connection."""
+
+
+class _Replaced(HandshakeError):
+    """The peer has made a newer connection meanwhile."""
 
 
 class MessageTooLong(TransportException, ServiceException):
@@ -135,69 +145,86 @@ def _read_header_into(connection, buffer, _):
     return read_header(connection)
 
 
+class _Handshake(NamedTuple):
+    connection: socket.socket
+    began_s: float
+
+
 class _Handshakes:
     """Those of this process's TCPROS server."""
 
     def __init__(self):
         self._lock = threading.Lock()
-        self._waiting: list[socket.socket] = []  # for their header, oldest first
+        self._numbers = itertools.count()
+        self._waiting: dict[int, _Handshake] = {}  # for their header, by number, oldest first
         self._handing_on = threading.Lock()
-        self._newest_ns: dict[tuple[str, str], int] = {}  # by topic and subscriber; of the last MAX_HANDSHAKES
+        self._newest: dict[tuple[str, str], int] = {}  # by topic and subscriber; of the last MAX_HANDSHAKES
 
     def begin(self, server: Any, connection: socket.socket, address: tuple) -> None:
         """Take a connection. Called in the thread that accepts them."""
+        self._make_room()
         with self._lock:
-            self._waiting.append(connection)
-            dropped = self._waiting.pop(0) if len(self._waiting) > MAX_HANDSHAKES else None
-        if dropped is not None:
-            _warnings.warn("dropped", f"Inbound TCP/IP connection failed: {_address(dropped)} was dropped, since "
-                                      f"{MAX_HANDSHAKES} newer ones wait for a header, too")
-            _shut_down(dropped)  # wakes its thread, which closes it
+            number = next(self._numbers)
+            self._waiting[number] = _Handshake(connection, SYSTEM.now_ns() / NS_PER_S)
         try:
-            threading.Thread(target=self._run, args=(server, connection, address, SYSTEM.now_ns()), daemon=True).start()
+            threading.Thread(target=self._run, args=(server, connection, address, number), daemon=True).start()
         except RuntimeError as error:  # no more threads
-            self._end_waiting(connection)
+            self._end_waiting(number)
             connection.close()
             _warnings.warn("thread", f"Inbound TCP/IP connection failed: {error}")
 
-    def _end_waiting(self, connection):
+    def _make_room(self):
+        while True:
+            with self._lock:
+                if len(self._waiting) < MAX_HANDSHAKES:
+                    return
+                number, oldest = next(iter(self._waiting.items()))
+                left_s = oldest.began_s + MIN_HANDSHAKE_S - SYSTEM.now_ns() / NS_PER_S
+                if left_s <= 0:
+                    del self._waiting[number]
+                    _shut_down(oldest.connection)  # wakes its thread, which closes it
+                    return
+            SYSTEM.sleep(min(left_s, ROOM_POLL_S))
+
+    def _end_waiting(self, number):
         """Return whether it was waiting, and not dropped before."""
         with self._lock:
-            is_waiting = connection in self._waiting
-            if is_waiting:
-                self._waiting.remove(connection)
-            return is_waiting
+            return self._waiting.pop(number, None) is not None
 
-    def _run(self, server, connection, address, began_ns):
+    def _run(self, server, connection, address, number):
         try:
             try:
                 header = read_header(connection)
             finally:
-                was_waiting = self._end_waiting(connection)
-            if was_waiting:
-                self._hand_on(server, connection, address, header, began_ns)
-            else:
-                connection.close()
+                was_waiting = self._end_waiting(number)
+            if not was_waiting:
+                raise HandshakeError(f"{_named(address)} was dropped")
+            self._hand_on(server, connection, address, header, number)
         except Exception as error:
             connection.close()
-            if was_waiting and not rospy.core.is_shutdown_requested():
-                self._report(error, address)
+            if not rospy.core.is_shutdown_requested():
+                self._report(error, address, was_waiting)
 
     @staticmethod
-    def _report(error, address):
-        if isinstance(error, HandshakeError):
+    def _report(error, address, was_waiting):
+        if not was_waiting:
+            _warnings.warn("dropped", f"Inbound TCP/IP connection failed: {_named(address)} was dropped, since "
+                                      f"{MAX_HANDSHAKES} newer ones wait for a header, too")
+        elif isinstance(error, _Replaced):
+            _log.info("%s", error)
+        elif isinstance(error, HandshakeError):
             _warnings.warn(type(error).__name__, f"Inbound TCP/IP connection failed: {_clip(error)}")
         else:
             if not isinstance(error, OSError):
                 _log.error("%s", traceback.format_exc())
             _warnings.warn(type(error).__name__, f"Inbound TCP/IP connection failed: {_named(address)}: {_clip(error)}")
 
-    def _hand_on(self, server, connection, address, header, began_ns):
+    def _hand_on(self, server, connection, address, header, number):
         """Have rospy take a connection whose header is there."""
         # One at a time, as rospy's thread does it.
         with self._handing_on:
             if "topic" in header:
-                refusal = self._hand_on_in_order(server, connection, address, header, began_ns)
+                refusal = self._hand_on_in_order(server, connection, address, header, number)
             elif "service" in header:
                 refusal = server.service_connection_handler(connection, address, header)
             else:
@@ -213,23 +240,21 @@ class _Handshakes:
             _warnings.warn(f"refused {hash(caller) % REFUSAL_KINDS}",
                            f"Could not process inbound connection of {caller} at {_named(address)}: {_clip(refusal)}")
 
-    def _hand_on_in_order(self, server, connection, address, header, began_ns):
+    def _hand_on_in_order(self, server, connection, address, header, number):
         """Keep an older connection of a subscriber from taking the place of its newer one.
 
         rospy has one of each subscriber and drops the other. Accepted one after the other, two of them may get their
         headers at the same time.
         """
         key = header["topic"], header.get("callerid", "")
-        if self._newest_ns.get(key, began_ns) > began_ns:
-            _log.info("%s has connected to %s again meanwhile", _clip(key[1]), _clip(key[0]))
-            connection.close()
-            return ""
+        if self._newest.get(key, -1) > number:
+            raise _Replaced(f"{_clip(key[1])} has connected to {_clip(key[0])} again meanwhile")
         refusal = server.topic_connection_handler(connection, address, header)
         if not refusal:
-            self._newest_ns.pop(key, None)
-            self._newest_ns[key] = began_ns
-            if len(self._newest_ns) > MAX_HANDSHAKES:
-                del self._newest_ns[next(iter(self._newest_ns))]
+            self._newest.pop(key, None)
+            self._newest[key] = number
+            if len(self._newest) > MAX_HANDSHAKES:
+                del self._newest[next(iter(self._newest))]
         return refusal
 
 
@@ -254,12 +279,29 @@ def _check_length(buffer, offset, connection):
                              "connection")
 
 
+def _read_topic(self, buffer, messages, connection):
+    """Take the place of ``read_messages`` of a subscription; of a message that is whole the length needs no check."""
+    tcpros_base.deserialize_messages(buffer, messages, self.recv_data_class, queue_size=self.queue_size)
+    if not messages:
+        try:
+            _check_length(buffer, 0, connection)
+        except MessageTooLong as error:
+            _warnings.warn(f"length {self.resolved_name}", f"{self.resolved_name}: {error}")
+            raise
+
+
+def _read_request(self, buffer, messages, connection):
+    """Take the place of ``read_messages`` of a service."""
+    tcpros_base.deserialize_messages(buffer, messages, self.recv_data_class, queue_size=self.queue_size)
+    if not messages:
+        _check_length(buffer, 0, connection)
+
+
 def _replacements() -> list[tuple[Any, str, Any]]:
     """Return what takes the place of what in rospy: owner, attribute, new value."""
     server, transport, client = tcpros_base.TCPServer, tcpros_base.TCPROSTransport, tcpros_service.TCPROSServiceClient
-    protocol = tcpros_base.TCPROSTransportProtocol  # of topics and of a service's server
     serve, create_socket, connect = server.run, server._create_server_sock, transport.connect
-    read, read_response, read_error = protocol.read_messages, client.read_messages, client._read_service_error
+    read_response, read_error = client.read_messages, client._read_service_error
     handle, log_error = tcpros_service.ServiceImpl.handle, tcpros_base.rospyerr
 
     def begin_handshake(self, connection, address):
@@ -293,15 +335,6 @@ def _replacements() -> list[tuple[Any, str, Any]]:
                 _warnings.warn(f"connect {self.name}", f"{self.name}: {error}; trying again")
             raise
 
-    def read_of_length(self, buffer, messages, connection):
-        read(self, buffer, messages, connection)
-        if not messages:  # of a message that is whole the length needs no check
-            try:
-                _check_length(buffer, 0, connection)
-            except MessageTooLong as error:
-                _warnings.warn(f"length {self.resolved_name}", f"{self.resolved_name}: {error}")
-                raise
-
     def read_response_of_length(self, buffer, messages, connection):
         read_response(self, buffer, messages, connection)
         if not messages:
@@ -317,9 +350,8 @@ def _replacements() -> list[tuple[Any, str, Any]]:
         try:
             handle(self, connection, header)
         except TransportException as error:
-            if not isinstance(error, MessageTooLong):  # that is logged already
-                _warnings.warn(f"length {self.resolved_name}",
-                               f"{self.resolved_name}: {_clip(connection.endpoint_id)}: {_clip(error)}")
+            _warnings.warn(f"length {self.resolved_name}",
+                           f"{self.resolved_name}: {_clip(connection.endpoint_id)}: {_clip(error)}")
             connection.close()
 
     def log_other_error(*arguments):
@@ -332,8 +364,9 @@ def _replacements() -> list[tuple[Any, str, Any]]:
             (tcpros_base, "write_ros_handshake_header", _write_header),
             (tcpros_base, "rospyerr", log_other_error),
             (transport, "connect", connect_or_be_ready_again),
-            (protocol, "read_messages", read_of_length),
+            (tcpros_pubsub.TCPROSSub, "read_messages", _read_topic),
             (tcpros_pubsub, "check_if_still_publisher", _is_still_publisher),
+            (tcpros_service.TCPService, "read_messages", _read_request),
             (client, "read_messages", read_response_of_length),
             (client, "_read_service_error", read_error_of_length),
             (tcpros_service.ServiceImpl, "handle", handle_or_close)]
@@ -361,7 +394,9 @@ def unknown_in_rospy() -> str:
                 return f"{owner.__name__}.{name} takes {', '.join(taken)}"
     except AttributeError as error:
         return str(error)
-    return ""
+    owners = (tcpros_pubsub.TCPROSSub, tcpros_service.TCPService)  # whose base's method is replaced
+    return next((f"{owner.__name__} has a read_messages of its own" for owner in owners
+                 if "read_messages" in vars(owner)), "")
 
 
 def limit_connections() -> str:

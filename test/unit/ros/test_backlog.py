@@ -61,7 +61,7 @@ class Node:
         self.now_ns, self.fails, self.retired, self.replaced, self.obeyed = 0, False, [], [], []
         graph = SimpleNamespace(clocks=SimpleNamespace(now_ns=lambda: self.now_ns), replace_connections=self.replace)
         self.backlog = Backlog(graph) if takes_latched is None else Backlog(graph, takes_latched)
-        self.backlog.attach("subscriber")
+        self.backlog.subscriber = "subscriber"
         self._handle = self.backlog.without_old(lambda message, arrival_ns: self.obeyed.append(arrival_ns))
 
     def replace(self, subscriber):

@@ -29,7 +29,10 @@ ORIGINALS = [(owner, name, vars(owner).get(name)) for owner, name, _ in tcpros_l
 
 def restore_rospy():
     for owner, name, value in ORIGINALS:
-        setattr(owner, name, value)
+        if value is not None:
+            setattr(owner, name, value)
+        elif name in vars(owner):
+            delattr(owner, name)  # it was its base's
 
 
 def functions_of_rospy():
@@ -349,7 +352,9 @@ def test_answer_of_4_gib_fails_the_call(listener, ok, size):
 @pytest.mark.parametrize("owner, name, value, reason", [
     (tcpros_base.TCPServer, "run", None, "type object 'TCPServer' has no attribute 'run'"),
     (tcpros_service.ServiceImpl, "handle", lambda self, transport: None, "ServiceImpl.handle takes self, transport"),
-], ids=["missing", "other parameters"])
+    (tcpros_pubsub.TCPROSSub, "read_messages", lambda self, buffer, messages, connection: None,
+     "TCPROSSub has a read_messages of its own"),
+], ids=["missing", "other parameters", "overridden"])
 def test_rospy_that_is_not_known_is_left_alone_with_a_line_for_the_log(owner, name, value, reason):
     restore_rospy()
     with pytest.MonkeyPatch.context() as patch:
