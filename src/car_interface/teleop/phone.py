@@ -257,8 +257,13 @@ class Phones:
         if message["key"] not in self._keys:
             self._refuse(page, "enter the PIN")
             return
-        for other in [each for each in self._pages.values() if each.key == message["key"] and each is not page]:
-            self._close(other, REPLACED)
+        same = [each for each in self._pages.values() if each.key == message["key"]]
+        if any(each.connection > page.connection for each in same):
+            self._close(page, REPLACED)  # the page has given it up, and what it had sent comes late
+            return
+        for other in same:
+            if other is not page:
+                self._close(other, REPLACED)
         self._admit(page, message["key"])
 
     def _on_watch(self, page, message, now_ns):

@@ -517,6 +517,14 @@ def test_page_that_comes_again_by_its_key_replaces_the_one_that_is_still_open(be
     assert first.closed == "replaced" and again.key == first.key and not other.closed and bench.phones.pages == 2
 
 
+def test_what_a_page_sent_before_it_connected_anew_does_not_replace_its_newer_connection(bench):
+    first = bench.drive(1)
+    given_up = bench.open(2)
+    again = bench.reload(3, first.key)
+    given_up.send(type="key", key=first.key)
+    assert given_up.closed == "replaced" and again.key == first.key and not again.closed and bench.phones.pages == 1
+
+
 def test_page_that_is_admitted_again_needs_no_more_room(bench):
     pages = [bench.join(number) for number in range(MAX_PAGES)]
     pages[-1].send(type="pin", pin=PIN)
