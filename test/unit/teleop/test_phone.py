@@ -525,6 +525,12 @@ def test_what_a_page_sent_before_it_connected_anew_does_not_replace_its_newer_co
     assert given_up.closed == "replaced" and again.key == first.key and not again.closed and bench.phones.pages == 1
 
 
+def test_page_that_sends_its_key_again_stays(bench):
+    page = bench.join(1)
+    page.send(type="key", key=page.key)
+    assert not page.closed and bench.phones.pages == 1
+
+
 def test_page_that_is_admitted_again_needs_no_more_room(bench):
     pages = [bench.join(number) for number in range(MAX_PAGES)]
     pages[-1].send(type="pin", pin=PIN)
