@@ -415,7 +415,8 @@ class Phones:
         why = "the e-stop is on: clear it" if self.e_stop else LET_GO if self._must_release else ""
         for page in self._pages.values():
             if page.is_admitted:
-                role = "you" if page.connection == self._driver else "another" if self._driver_key else "nobody"
+                is_free = self._driver_key in ("", page.key)  # it is this page's own after a pause of the network
+                role = "you" if page.connection == self._driver else "nobody" if is_free else "another"
                 delay = None if page.delay_ns is None else round(page.delay_ns / NS_PER_S, 3)
                 self._send(page, status={"driver": role, "guest": page.is_guest, "e_stop": self.e_stop,
                                          "why": why if role == "you" else "", "delay": delay})

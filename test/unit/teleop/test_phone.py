@@ -233,11 +233,12 @@ def test_driver_who_asks_to_drive_again_has_to_let_go(bench):
 
 
 def test_closed_connection_releases_at_once_and_a_reload_drives_by_its_key_and_a_new_touch(bench):
-    page = bench.drive()
+    page, other = bench.drive(), bench.join(9)
     bench.phones.disconnect(1)
     assert bench.controls == NOTHING_HELD
     again = bench.reload(2, page.key)
-    bench.wait(50)
+    bench.wait(200)
+    assert (again.status["driver"], other.status["driver"]) == ("nobody", "another")
     again.echo("manual")
     assert bench.controls == NOTHING_HELD
     again.send(type="drive")  # its seat: it waits for nobody's absence
