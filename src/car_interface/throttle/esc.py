@@ -65,6 +65,9 @@ SAME_BRAKE = 0.05  # brakes that differ by no more than this fraction slow the c
 # dry asphalt (MAX_DECELERATION_MPS2).
 SLOWS_MPS2 = 16.0
 LETS_GO = 1.5  # a weak pull follows once the motor's lag leaves no more than this many times as much of a stronger one
+# A stop still brakes for this time after odometry's standstill, which is below 0.1 m/s, if the brake is certain. So the
+# car comes to rest: a brake of 1 m/s² takes 0.1 s, and the motor's lag as much. On a hill it would roll off from there.
+REST_NS = round(0.2 * NS_PER_S)
 WEAKLY = "as much of a brake as certainly ends before it stands"
 # The strength of the pull before reverse: some ESCs reverse by it at once, and nothing corrects that for esc/dwell.
 FIRST_PULL = 0.15
@@ -103,6 +106,7 @@ class Esc:
         self._armed_after_ns: int | None = None  # neutral counts from here on
         self._fraction = 0.0
         self._stop_began_ns: int | None = None
+        self._rolled_ns = -math.inf  # until then the car wasn't known to stand
         self._is_measured = config.profile_measured  # until the car moves against the ESC's state
         self._proof = BrakeProof(config.stop_brake)
         self._hill = HillWatch()
@@ -139,6 +143,8 @@ class Esc:
             self._motion.update_reverse(now_ns)
         if self._motion.may_roll_backward(now_ns):
             self._history.mark_backward(now_ns)
+        if not self._motion.stands(now_ns):
+            self._rolled_ns = now_ns
         self._pulls.update(request, now_ns)
         self._update_arming(request, now_ns)
         if self._state == ARMING:  # earlier pulls don't count
@@ -410,7 +416,8 @@ class Esc:
             return (weak, BRAKING, cause, prefix + WEAKLY) if weak else (
                 0.0, NEUTRAL, cause, f"{prefix}it stops in neutral")
         lasts_ns = now_ns - self._stop_began_ns
-        if lasts_ns > self.config.stop_brake_time_s * NS_PER_S and not self._motion.rolls_forward(now_ns):
+        rolls = self._motion.rolls_forward(now_ns) or self._comes_to_rest(now_ns)
+        if lasts_ns > self.config.stop_brake_time_s * NS_PER_S and not rolls:
             return 0.0, NEUTRAL, cause, f"{prefix}it has braked for {self.config.stop_brake_time_s:g} s"
         return -self.config.stop_brake, BRAKING, cause, f"{prefix}it brakes"
 
@@ -434,9 +441,14 @@ class Esc:
         """
         if self.config.profile == UNVERIFIED or not self.config.stop_brake or not self._history.is_known(now_ns):
             return False
-        if self._motion.rolls_backward(now_ns) or self._motion.stands(now_ns):
+        if self._motion.rolls_backward(now_ns) or self._motion.stands(now_ns) and not self._comes_to_rest(now_ns):
             return False
         return self._stop_is_certain(now_ns) or self._is_fast(-self.config.stop_brake, now_ns)
+
+    def _comes_to_rest(self, now_ns):
+        """Return whether the brake has only just brought the car to odometry's standstill: it may still roll."""
+        return (self._state == BRAKING and self._fraction < 0 and self._motion.stands(now_ns)
+                and now_ns - self._rolled_ns <= REST_NS)
 
     def _stop_is_certain(self, now_ns):
         """Return whether the ESC takes a stop's pull for a brake down to standstill, by its kind and its history."""

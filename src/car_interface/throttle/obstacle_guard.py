@@ -24,7 +24,7 @@ from car_interface.common import causes
 from car_interface.common.measured_speed import UNSEEN_MPS2, MeasuredSpeed
 from car_interface.common.units import NS_PER_S
 from car_interface.throttle.arbiter import PLANNER, TELEOP, Arbitration
-from car_interface.throttle.esc import BRAKING, FORWARD, NEUTRAL, REVERSE, STOP_MEMORY_NS, EscDecision
+from car_interface.throttle.esc import BRAKING, FORWARD, HOLD, NEUTRAL, REVERSE, STOP_MEMORY_NS, EscDecision
 from car_interface.throttle.esc_config import BRAKE_THEN_REVERSE, FORWARD_ONLY, EscConfig
 from car_interface.throttle.esc_motion import MOTOR_LAG_NS
 from car_interface.throttle.limits import BAND_MPS, SpeedBound
@@ -119,10 +119,13 @@ class ObstacleGuard:
         begins = self._begins(arbitration, coasting, is_backward) if stop_mps2 < STEEP_MPS2 else ""
         bound = self._bound(begins, stop_mps2, coasting, reaches_mps, curvature_per_m, is_backward, now_ns)
         self._rolls = highest_mps >= MOVES_MPS and self._is_in_doubt(coasting, stop_mps2, bound, highest_mps)
-        if highest_mps > bound.speed_mps and speed.magnitude_mps >= ROLLS_MPS:
+        rolls = speed.magnitude_mps >= ROLLS_MPS
+        if rolls and highest_mps > bound.speed_mps:
             return bound._replace(is_stop=True)
         throttle = self._max_throttle(begins, bound, reaches_mps, highest_mps, is_backward, now_ns)
-        return bound._replace(max_throttle=throttle)
+        # The brake of a stop is let go only where the car may drive again: on a hill it would roll.
+        is_held = self._answer.cause == causes.STOPPING and self._answer.state in (BRAKING, HOLD)
+        return bound._replace(max_throttle=throttle, is_stop=is_held and not rolls and not throttle)
 
     def _gain_mps2(self, speed):
         """Return the acceleration, or 0 if odometry's noise may look like it."""
@@ -165,7 +168,7 @@ class ObstacleGuard:
     def _begins(self, arbitration, coasting, is_backward):
         """Return how a car begins to drive that nothing is certain to stop; empty: it isn't driven."""
         if self._will_brake and not is_backward:
-            return PRIMES if arbitration.asked > 0 and self._answer.state in (FORWARD, NEUTRAL) else ""
+            return PRIMES if arbitration.asked > 0 and self._answer.state in (FORWARD, HOLD, NEUTRAL) else ""
         return PROBES if coasting.likely_mps2 >= STEEP_MPS2 else ""
 
     def _bound(self, begins, stop_mps2, coasting, reaches_mps, curvature_per_m, is_backward, now_ns):

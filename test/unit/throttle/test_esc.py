@@ -584,6 +584,26 @@ def test_stop_brakes_no_longer_than_its_time_and_not_at_standstill():
     assert standing.stop(speed=0.0).fraction == 0.0
 
 
+@pytest.mark.parametrize("profile, is_measured, on_s", [
+    (SEQUENCE, True, 0.2), (NO_REVERSE, True, 0.2), (SEQUENCE, False, 0.0), (TURNS, True, 0.0), (DIRECT, True, 0.0)])
+def test_a_stop_that_is_certain_brakes_on_for_0_2_s_at_odometry_s_standstill(profile, is_measured, on_s):
+    """Which is anything below 0.1 m/s: neutral would let the car roll on a hill. Also after esc/stop_brake_time."""
+    car = Car(profile, armed=False, profile_measured=is_measured, stop_brake_time_s=0.5)
+    car.stop(1.1)
+    car.stick(0.5, 0.5, speed=2.0)
+    for step in range(48):
+        car.stop(speed=2.0 - 0.04 * step)
+    car.stop(speed=0.09)  # after 0.12 m/s the wheels may have locked, and the car slide for 0.04 s
+    braked = [car.stop(speed=0.09)[:2] for _ in range(30)]
+    assert braked == [(-0.5, BRAKING)] * round(on_s / 0.02) + [(0.0, NEUTRAL)] * round((0.6 - on_s) / 0.02)
+
+
+def test_a_stop_of_a_car_that_already_stood_does_not_brake():
+    car = Car(profile_measured=True)
+    car.stick(0.5, 0.6, speed=0.0)
+    assert car.stop(speed=0.0)[:2] == (0.0, NEUTRAL)
+
+
 def test_stop_brakes_on_while_the_car_is_known_to_roll():
     car = Car(profile_measured=True, stop_brake_time_s=1.0)
     car.stick(0.5, 0.5, speed=2.0)

@@ -9,7 +9,7 @@ from car_interface.common.measured_speed import MeasuredSpeed
 from car_interface.common.sources import NEUTRAL as NOBODY
 from car_interface.common.sources import PLANNER, TELEOP
 from car_interface.throttle.arbiter import Arbitration
-from car_interface.throttle.esc import BRAKING, FORWARD, NEUTRAL, REVERSE, EscDecision
+from car_interface.throttle.esc import BRAKING, FORWARD, HOLD, NEUTRAL, REVERSE, EscDecision
 from car_interface.throttle.esc_config import BRAKE_THEN_REVERSE, EscConfig
 from car_interface.throttle.obstacle_guard import MOTOR_LAG_S, ObstacleGuard
 from car_interface.throttle.obstacle_stop import Mount, ObstacleConfig, ObstacleStop, stopping_speed_mps
@@ -112,6 +112,20 @@ def test_a_car_that_is_faster_has_to_stop_whoever_drives(source):
     assert allowed(guard, asked(0.5, source), 3.0)[1]
     assert not allowed(guard, asked(0.5, source), 1.0)[1]
     assert allowed(guard_after((FORWARD, 0.5, 0.0), ahead_m=0.05), asked(0.5, source), 0.1) == (0.0, True)
+
+
+@pytest.mark.parametrize(("state", "cause", "ahead_m", "asks", "is_stop"), [
+    (BRAKING, causes.STOPPING, 0.05, 0.5, True),
+    (HOLD, causes.STOPPING, 0.05, 0.5, True),
+    (HOLD, causes.STOPPING, 0.05, 0.0, True),
+    (HOLD, causes.STOPPING, 0.05, -0.5, False),  # backward is clear
+    (HOLD, causes.STOPPING, 1.5, 0.5, False),
+    (HOLD, causes.HOLDING, 0.05, -0.5, False),  # a planner's own brake
+    (NEUTRAL, causes.STOPPING, 0.05, 0.5, False)])
+def test_the_brake_of_a_stop_is_let_go_only_where_the_car_may_drive_again(state, cause, ahead_m, asks, is_stop):
+    guard = guard_after(ahead_m=ahead_m)
+    guard.update_esc(EscDecision(-0.5, state, cause, "", 1.5), NOW)
+    assert check(guard, asked(asks), moving(0.05))[1] == is_stop
 
 
 def test_a_turn_that_leaves_every_cone_is_left_a_creep():
