@@ -129,8 +129,8 @@ class Sonars:
         sequence = MOSTLY_AHEAD if is_ahead and self._scene.is_mostly_ahead else ALL_IN_TURN
         self._number += 1
         sonar = SONARS[sequence[self._number % len(sequence)]]
-        met = self._scene.room.first_in_cone(pose.mounted(MOUNTS[sonar]), FIELD_OF_VIEW_RAD / 2,
-                                             self._scene.max_range_m)
+        met = self._scene.room_at(at_s).first_in_cone(pose.mounted(MOUNTS[sonar]), FIELD_OF_VIEW_RAD / 2,
+                                                   self._scene.max_range_m)
         range_m, flight_s = math.inf, 0.038
         if met is not None:
             is_lost = self._rng.random() < self._scene.dropouts
@@ -200,7 +200,8 @@ def run(scene: Scene, stops: bool = True, drive_s: float = DRIVE_S) -> Record:
     odometry, hand = Odometry(scene.odometry_late_s, rng), Hand(scene)
     decides, reports, pulses = rng.randrange(TICK_STEPS), rng.randrange(TICK_STEPS), rng.randrange(TICK_STEPS)
     start_ns = 100 * S
-    request, steered, contact, samples, moved_s, near = 0.0, 0.0, None, [], BEGINS_S, []
+    request, steered, contact, samples, near = 0.0, 0.0, None, [], []
+    moved_s = BEGINS_S if math.isinf(scene.gone_s) else scene.gone_s
     for step in range(round(drive_s / STEP_S)):
         now_ns, at_s = start_ns + step * STEP_NS, step * STEP_S
         wanted = scene.driver.curvature(at_s)
@@ -217,7 +218,7 @@ def run(scene: Scene, stops: bool = True, drive_s: float = DRIVE_S) -> Record:
             board.command(decision.duty, now_ns)
             samples.append(Sample(at_s, car.pose, car.speed_mps, car.curvature_per_m, wanted, _request(decision.duty),
                                   car.gravity_mps2, decision.limited.cause))
-            near = scene.room.near(car.pose, OUTLINE.radius_m + abs(car.speed_mps) * 0.05 + 0.05)
+            near = scene.room_at(at_s).near(car.pose, OUTLINE.radius_m + abs(car.speed_mps) * 0.05 + 0.05)
         if step % TICK_STEPS == pulses:
             request = _request(board.duty(now_ns))
         car.step(request, steered, STEP_S)

@@ -58,6 +58,8 @@ class Driver:
 
 @dataclass(frozen=True)
 class Scene:
+    """A draw; from ``gone_s`` on its room is empty."""
+
     seed: int
     room: Room
     start: Pose
@@ -70,6 +72,10 @@ class Scene:
     dropouts: float
     noise_m: float
     odometry_late_s: float
+    gone_s: float = math.inf
+
+    def room_at(self, at_s: float) -> Room:
+        return self.room if at_s < self.gone_s else Room(())
 
     @property
     def esc(self) -> EscConfig:

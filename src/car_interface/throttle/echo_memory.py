@@ -1,14 +1,15 @@
 """Remember where the echoes of a car's sonars came from, while the car drives on.
 
 ``look`` takes a range, ``move`` the car's motion, and ``meets`` returns what the car meets first on an arc. An echo
-shows how far something is, but not its direction: it may be anywhere in the cone at that range, so points across the
-cone stand for it. The points keep their place while the car moves (by its integrated speed and curvature), even where
-no cone reaches them: at the bumper's corners, and beside the car in a turn. A point is forgotten when
+shows how far something is, but not its direction: it may be anywhere in the cone at that range, and reach into the
+strip beside it. So points across the cone, and one beside each edge, stand for it. They keep their place while the car
+moves (by its integrated speed and curvature), even where no cone reaches them: at the bumper's corners, and beside the
+car in a turn. They are forgotten
 
-* its sonar's next echo has the same range, and so replaces it,
-* a sonar has looked there again and seen farther: twice with an echo, or four times without any, since a single echo
-  may get lost,
-* the car has passed it, or stands where it was.
+* all together, when the sonar's next echo may come from one of them: that echo's points stand for the thing now,
+* each when a sonar has looked there again and seen farther: twice with an echo, or four times without any, since a
+  single echo may get lost,
+* each when the car has passed it, or stands where it was.
 
 Pure. The frame is the car's frame at its start.
 """
@@ -24,7 +25,10 @@ MISSES, MISSED_BY_ECHO, MISSED_BY_NONE = 4, 2, 1  # if one echo in 20 is lost, f
 SAME_M = 0.08  # ranges that differ by less are of the same thing: noise of sonar and odometry
 # A place this near to a cone's edge may be inside or outside of the cone. A sonar's own echo did come from inside.
 EDGE_RAD, ROUNDING_RAD = math.radians(2.0), math.radians(0.2)
-MAX_POINTS = 32  # besides the newest echoes': the nearest, and those that a sonar has missed, are kept
+MAX_POINTS = 32  # besides the newest echoes': the nearest are kept
+# What echoes at a cone's edge may reach so far beyond it: half of the strip between two front cones. A sonar that looks
+# again sees its own points there too, and SLIP_M farther towards the next cone: a car that stops creeps on until then.
+BESIDE_M, SLIP_M = 0.05, 0.02
 CELL_M = 0.08  # one point of a sonar stands for all its points in a square of this size
 FORGET_M = 2.5  # from the rear axle's middle; the sonars see what is farther again before the car gets there
 MAX_STEP_S = 1.0  # without reports the car is moved on for this long at most
@@ -38,10 +42,10 @@ class Met(NamedTuple):
 
 
 class _Point:
-    __slots__ = ("is_current", "misses", "sonar", "x_m", "y_m")
+    __slots__ = ("beside_m", "echo", "is_current", "misses", "sonar", "x_m", "y_m")
 
-    def __init__(self, x_m, y_m, sonar):
-        self.x_m, self.y_m, self.sonar = x_m, y_m, sonar
+    def __init__(self, x_m, y_m, beside_m, sonar, echo):
+        self.x_m, self.y_m, self.beside_m, self.sonar, self.echo = x_m, y_m, beside_m, sonar, echo
         self.misses, self.is_current = 0, True
 
 
@@ -55,10 +59,12 @@ class EchoMemory:
 
     def __init__(self, mounts: Mapping[str, Mount], field_of_view_rad: float, outline: Outline, margin_m: float):
         self._mounts, self._field_of_view_rad = mounts, field_of_view_rad
+        self._neighbours = {name: _neighbours(mount, mounts.values()) for name, mount in mounts.items()}
         self._outline, self._margin_m = outline, margin_m
         self._x_m = self._y_m = self._yaw_rad = 0.0
         self._moved_ns: int | None = None
         self._points: list[_Point] = []
+        self._echoes = 0  # so far; an echo's number is that of its points
 
     @property
     def are_moved(self) -> bool:
@@ -83,7 +89,7 @@ class EchoMemory:
         sonar_x_m = self._x_m + mount.x_m * cos_yaw - mount.y_m * sin_yaw
         sonar_y_m = self._y_m + mount.x_m * sin_yaw + mount.y_m * cos_yaw
         axis_rad = self._yaw_rad + mount.yaw_rad
-        kept = []
+        kept, seen_again = [], set()
         for point in self._points:
             is_own = point.sonar == sonar
             if is_own:
@@ -91,22 +97,26 @@ class EchoMemory:
             to_x_m, to_y_m = point.x_m - sonar_x_m, point.y_m - sonar_y_m
             away_m = math.hypot(to_x_m, to_y_m)
             beyond_m = away_m - range_m
-            off_rad = abs(math.remainder(math.atan2(to_y_m, to_x_m) - axis_rad, 2.0 * math.pi))
-            if is_own and is_echo and abs(beyond_m) <= SAME_M and off_rad <= half_rad + ROUNDING_RAD:
-                continue
-            # A point stands for its cell: another sonar has looked there if all of that was in its cone.
-            edge_rad = ROUNDING_RAD if is_own else -EDGE_RAD - math.atan2(CELL_M / 2.0, away_m)
-            is_in_cone = off_rad <= half_rad + edge_rad
+            left_rad = math.remainder(math.atan2(to_y_m, to_x_m) - axis_rad, 2.0 * math.pi)
+            if is_own:
+                slip_m = SLIP_M if self._neighbours[sonar][left_rad > 0.0] else 0.0
+                edge_rad = ROUNDING_RAD + _beside_rad(point.beside_m + slip_m, away_m)
+            else:  # a point stands for its cell, and all of that must be in this cone
+                edge_rad = -EDGE_RAD - math.atan2(CELL_M / 2.0, away_m)
+            is_in_cone = abs(left_rad) <= half_rad + edge_rad
+            if is_own and is_echo and is_in_cone and abs(beyond_m) <= SAME_M:
+                seen_again.add(point.echo)
             if beyond_m < -SAME_M and is_in_cone:
                 point.misses += MISSED_BY_ECHO if is_echo else MISSED_BY_NONE
                 if point.misses >= MISSES:
                     continue
             kept.append(point)
-        self._points = self._remembered(kept)
+        self._points = self._remembered([point for point in kept if point.echo not in seen_again])
         if is_echo:
-            for x_m, y_m in cone_points(mount, range_m, self._field_of_view_rad):
+            self._echoes += 1
+            for x_m, y_m, beside_m in _places(mount, range_m, self._field_of_view_rad):
                 self._points.append(_Point(self._x_m + x_m * cos_yaw - y_m * sin_yaw,
-                                           self._y_m + x_m * sin_yaw + y_m * cos_yaw, sonar))
+                                           self._y_m + x_m * sin_yaw + y_m * cos_yaw, beside_m, sonar, self._echoes))
 
     def _remembered(self, points):
         """Return the points that the car hasn't passed: the newest echoes', and MAX_POINTS others at most."""
@@ -118,10 +128,10 @@ class EchoMemory:
             x_m, y_m = self._from_car(point)
             away_m = math.hypot(x_m, y_m)
             cell = point.sonar, round(point.x_m / CELL_M), round(point.y_m / CELL_M)
-            matters_m = 0.0 if point.misses else away_m
-            if matters_m <= FORGET_M and cell not in cells and not self._is_passed(point.sonar, x_m, y_m):
+            is_near = point.misses or away_m <= FORGET_M
+            if is_near and cell not in cells and not self._is_passed(point.sonar, x_m, y_m):
                 cells.add(cell)
-                found.append((matters_m, point))
+                found.append((away_m, point))
         current.reverse()
         if len(found) > MAX_POINTS:
             found = sorted(found, key=lambda one: one[0])[:MAX_POINTS]
@@ -163,3 +173,25 @@ class EchoMemory:
                 if before is None or distance_m < before.distance_m:
                     found[point.sonar] = Met(distance_m, point.is_current)
         return found
+
+
+def _neighbours(mount, mounts):
+    """Return whether other sonars at this end of the car look farther to the right, and to the left."""
+    turns_rad = [math.remainder(other.yaw_rad - mount.yaw_rad, 2.0 * math.pi)
+                 for other in mounts if other.looks_back == mount.looks_back]
+    return min(turns_rad) < 0.0, max(turns_rad) > 0.0
+
+
+def _beside_rad(beside_m, away_m):
+    """Return the angle beyond a cone's edge of what is so far beside it; all around at the sonar itself."""
+    return math.asin(beside_m / away_m) if away_m > beside_m else math.pi
+
+
+def _places(mount, range_m, field_of_view_rad):
+    """Return where an echo may come from, as (x, y, how far beside the cone)."""
+    across = [(x_m, y_m, 0.0) for x_m, y_m in cone_points(mount, range_m, field_of_view_rad)]
+    beside = []
+    for (x_m, y_m, _), side_m in ((across[0], -BESIDE_M), (across[-1], BESIDE_M)):
+        edge_rad = mount.yaw_rad + math.copysign(field_of_view_rad / 2.0, side_m)
+        beside.append((x_m - side_m * math.sin(edge_rad), y_m + side_m * math.cos(edge_rad), BESIDE_M))
+    return beside + across
