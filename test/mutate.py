@@ -506,7 +506,7 @@ def main() -> int:
             kind = "nodes and ros" if module.startswith(("nodes/", "ros/")) else "core"
             sums[kind, "killed"] += killed
             sums[kind, "all"] += total
-            equivalent = [key for key in accepted.get(module, ()) if key in reasons]
+            equivalent = [key for key in accepted.get(module, ()) if key in reasons and key in everything[module]]
             new[module], titles[module] = sorted([*survivors, *equivalent], key=everything[module].index), title
     for kind in sorted({kind for kind, _ in sums}):
         killed, total = sums[kind, "killed"], sums[kind, "all"]

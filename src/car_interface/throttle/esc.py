@@ -447,8 +447,7 @@ class Esc:
 
     def _comes_to_rest(self, now_ns):
         """Return whether the brake has only just brought the car to odometry's standstill: it may still roll."""
-        return (self._state == BRAKING and self._fraction < 0 and self._motion.stands(now_ns)
-                and now_ns - self._rolled_ns <= REST_NS)
+        return self._state == BRAKING and self._motion.stands(now_ns) and now_ns - self._rolled_ns <= REST_NS
 
     def _stop_is_certain(self, now_ns):
         """Return whether the ESC takes a stop's pull for a brake down to standstill, by its kind and its history."""

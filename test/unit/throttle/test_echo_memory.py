@@ -129,17 +129,31 @@ def test_what_echoes_at_a_cone_s_edge_may_reach_5_cm_beyond_it():
         assert y_m == pytest.approx(side * (math.sin(edge_rad) + 0.05 * math.cos(edge_rad)))
 
 
-@pytest.mark.parametrize(("next_deg", "turned_deg", "is_same"), [
-    ((), 35.9, True), ((), 35.95, False), ((30.0,), 35.95, False), ((-30.0,), 37.05, True), ((-30.0,), 37.1, False)])
-def test_an_echo_is_of_the_same_thing_if_one_of_its_places_is_still_in_the_cone(next_deg, turned_deg, is_same):
-    """The last one is 5 cm beside the left edge. It counts to 0.2° behind the right one: 15 + atan(0.05) + 15 +
-    asin(0.05) + 0.2 = 35.92°, and 2 cm farther towards the next cone: 37.07°.
+@pytest.mark.parametrize(("axes_deg", "turned_deg", "is_same"), [
+    ((0.0,), 35.9, True), ((0.0,), 35.95, False), ((0.0, 30.0), 35.95, False), ((0.0, -30.0), 37.05, True),
+    ((0.0, -30.0), 37.1, False), ((0.0, -30.0), -35.95, False), ((0.0, 30.0), -37.05, True),
+    ((180.0, -150.0), -37.05, True), ((180.0, -150.0), 35.95, False)])
+def test_an_echo_is_of_the_same_thing_if_one_of_its_places_is_still_in_the_cone(axes_deg, turned_deg, is_same):
+    """The last one is 5 cm beside one edge. It counts to 0.2° behind the other: 15 + atan(0.05) + 15 + asin(0.05) + 0.2
+    = 35.92°, and 2 cm farther towards the next cone: 37.07°.
     """
-    memory, places = on_one_spot(0.0, *next_deg)
+    memory, places = on_one_spot(*axes_deg)
     memory.look("0", 1.0, True)
     memory.move(1e-3, math.radians(turned_deg) / 1e-3, S)
     memory.look("0", 1.0, True)
     assert (len(places()) == PLACES) == is_same
+
+
+def test_other_sonars_looks_do_not_change_which_points_stand_for_their_cells():
+    found = []
+    for others in (0, 1, 2):
+        car = Car()
+        car.sees(0.3, "front_left")
+        for _ in range(others):
+            car.sees_nothing("rear_middle")
+        car.sees_nothing("front_left")
+        found.append({(point.x_m, point.y_m) for point in car.memory._points})
+    assert found[0] == found[1] == found[2]
 
 
 @pytest.mark.parametrize(("axis_deg", "range_m", "is_kept"), [
@@ -256,6 +270,13 @@ def test_behind_it_is_forgotten_when_the_car_has_passed_it_backward():
     car.drive(-1.2)
     car.sees_nothing("rear_middle")
     assert car.memory.meets(0.0, True) == car.memory.meets(0.0, False) == {}
+
+
+def test_behind_it_is_forgotten_once_it_has_gone():
+    car = Car()
+    car.sees(0.5, "rear_middle")
+    car.sees_nothing("rear_middle", 4)
+    assert car.memory.meets(0.0, True) == {}
 
 
 def test_where_the_car_stands_there_is_nothing():

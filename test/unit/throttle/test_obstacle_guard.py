@@ -11,6 +11,7 @@ from car_interface.common.sources import PLANNER, TELEOP
 from car_interface.throttle.arbiter import Arbitration
 from car_interface.throttle.esc import BRAKING, FORWARD, HOLD, NEUTRAL, REVERSE, EscDecision
 from car_interface.throttle.esc_config import BRAKE_THEN_REVERSE, EscConfig
+from car_interface.throttle.limits import SpeedBound
 from car_interface.throttle.obstacle_guard import MOTOR_LAG_S, ObstacleGuard
 from car_interface.throttle.obstacle_stop import Mount, ObstacleConfig, ObstacleStop, stopping_speed_mps
 from car_interface.throttle.slope import Coasting
@@ -213,6 +214,14 @@ def test_the_less_stops_it_on_an_arc_the_farther_on_its_arc_it_stops():
     assert turns[-1] == pytest.approx(0.5 * 3.0 ** 2 / (4 * 0.1))  # where nothing stops it, as on 1 %
 
 
+def test_a_car_that_is_faster_than_its_bound_on_an_arc_is_not_allowed_more_for_stopping_farther_on_it():
+    guard = guard_after(esc=EscConfig())
+    guard.slope.coasting = lambda is_backward, turn_rad=0.0: Coasting(0.0, 0.5)
+    bound = SpeedBound(0.5, causes.OBSTACLE_SLOWED, "")
+    assert guard._sustained(bound, 0.3, 0.6, 0.5, False) == bound
+    assert 0.4 < guard._sustained(bound, 0.3, 0.4, 0.5, False).speed_mps < 0.5
+
+
 def test_its_throttle_rises_from_the_least_until_the_car_moves():
     guard = guard_after(is_measured=False, ahead_m=math.inf, esc=EscConfig())
     assert check(guard, asked(1.0), moving(0.0))[0].max_throttle == 0.08
@@ -230,7 +239,7 @@ def test_its_throttle_rises_from_the_least_until_the_car_moves():
 
 @pytest.mark.parametrize("found", [{"is_measured": False}, {"downhill_mps2": 0.4}], ids=["unknown", "steep"])
 def test_a_push_there_lasts_until_the_brake_is_certain_and_begins_only_with_room_for_it(found):
-    for ahead_m, is_begun in ((1.5, True), (0.5, False)):
+    for ahead_m, is_begun in ((1.5, True), (1.0, True), (0.5, False)):
         assert (check(guard_after(ahead_m=ahead_m, **found), asked(0.5), moving(0.0))[0].max_throttle > 0.0) == is_begun
     guard = guard_after(**found)
     guard.update_esc(decided(FORWARD, 0.08, 0.3), NOW)
