@@ -190,6 +190,7 @@ def test_gamepad_that_is_off_is_waited_for(tmp_path):
     car.begin(10.0)
     assert car.terminal.block[0].startswith("waits: the gamepad isn't there (joy silent for")
     assert not hasattr(car, "recording")
+    assert "F: finish now with what is known. Q: give up." in car.terminal.lines
     car.graph.link("/joy")
     car.wait_for(f"^.*waits: {HOLD_IT} begins")
     car.type("q")
@@ -299,7 +300,7 @@ def test_without_a_terminal_there_are_plain_lines_of_what_it_waits_for_and_does(
     assert all(driven.match(line) for line in lines[1:-1])
     assert 2 <= len(lines[1:-1]) <= 3  # at each change, and each 10 s
     assert re.match(f".* left; paused: {HOLD_IT} goes on", lines[-1])
-    assert car.terminal.block == []
+    assert car.terminal.block == [] and "F: finish" not in car.terminal.text  # there are no keys
 
 
 # --- its end ---

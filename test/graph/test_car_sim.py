@@ -1,5 +1,6 @@
 """car_sim: the hub against the virtual Teensy, which answers as the firmware does, and the car that it moves."""
 import math
+from functools import partial
 from types import SimpleNamespace
 
 import pytest
@@ -8,8 +9,10 @@ from car_interface.srv import SetSonarSequenceRequest, SetSonarWaitRequest
 from std_msgs.msg import Int32MultiArray
 from std_srvs.srv import TriggerRequest
 
+from car import Pins
 from car_interface.common.vehicle_geometry import SONARS as SONAR_NAMES
-from car_interface.nodes.car_sim.node import RETRY_NS, ChipFollower, room_markers
+from car_interface.nodes.car_sim.node import RETRY_NS, CarSim, ChipFollower, room_markers
+from car_interface.nodes.pca9685.virtual_board import chip_path
 from car_interface.sim.world import Post, WorldConfig
 
 LINK, PONGS, SONARS = "/teensy_sensor_hub/link", "/teensy_pong", "/teensy_distance"
@@ -52,6 +55,32 @@ def test_room_is_drawn_where_the_sonars_see_it(car):
     echo_m = min(report.distance for report in car.graph.messages(SONARS) if report.sensor == 1) * 343.4e-6 / 2
     assert -5.0 - 0.42 - echo_m == pytest.approx(first.pose.position.x, abs=0.02)  # its front sonar is 0.42 m ahead
     assert {marker.header.frame_id for marker in walls.markers} == {"odom"} and len(walls.markers) == 4 + 2 + 7
+
+
+def test_who_comes_later_gets_the_room_and_the_counts_too(car):
+    Simulated(car)
+    for name in ("room", "collisions", "rollovers"):
+        (publisher,) = car.graph.publishers[f"/car_sim/{name}"]
+        assert publisher.latch
+
+
+@pytest.mark.parametrize("steering", [{}, {"steering_duties": [4000, 5000, 6000], "steering_curvatures": [1, 0, -1]}])
+def test_steering_of_another_car_is_told(car, steering):
+    Simulated(car, **steering)
+    assert any("is another one than turn_arb's file says, on purpose" in line
+               for line in car.graph.lines("/car_sim")) == bool(steering)
+
+
+@pytest.mark.parametrize("given, path", [({}, chip_path("/pca9685")), ({"virtual_chip": "/a/chip"}, "/a/chip")])
+def test_servo_board_is_the_one_of_this_namespace_unless_a_parameter_says_another(car, given, path):
+    paths = []
+
+    def make_chip(path, inbox):
+        paths.append(path)
+        return Pins(None)
+    line = SimpleNamespace(step=lambda now_ns: None, close=lambda: None)
+    car.graph.add(partial(CarSim, make_chip=make_chip, make_line=lambda *_: line), "car_sim", given)
+    assert paths == [path]
 
 
 def test_walls_are_drawn_low_from_corner_to_corner_and_things_high_where_they_stand():
