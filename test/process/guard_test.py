@@ -124,10 +124,10 @@ class Relayed(Guarded):
     def test_guard_is_small_and_no_signal_that_ends_a_node_ends_it(self):
         process, _, guard = self.start_and_drive("small")
         self.assertEqual(os.getsid(guard), guard)
-        with open(f"/proc/{guard}/status", encoding="ascii") as file:
-            resident_kb = next(int(line.split()[1]) for line in file if line.startswith("VmRSS"))
-        self.assertLessEqual(resident_kb, 12_000)
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        self.assertLessEqual(int(status_of(guard, "VmRSS")), 12_000)  # kB
+        signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        eventually(lambda: ignores(guard, signals), "a guard that ignores signals: it has just been started")
+        for number in signals:
             os.kill(guard, number)
         reports = Topic("/diagnostics", DiagnosticArray)
         self.addCleanup(reports.close)
@@ -236,6 +236,18 @@ class Relayed(Guarded):
         self.assertEqual("\n".join(poor.stderr.since()), (
             "pca9685: it needs 380 MB of address space, and its limit is 292 MB: raise that in the shell that starts "
             "it (ulimit -v unlimited)"))
+
+
+def status_of(pid, name):
+    """A value that the system has of a process."""
+    with open(f"/proc/{pid}/status", encoding="ascii") as file:
+        return next(line.split()[1] for line in file if line.startswith(name))
+
+
+def ignores(pid, signals):
+    """Whether a process ignores all of these signals."""
+    mask = int(status_of(pid, "SigIgn"), 16)
+    return all(mask >> number - 1 & 1 for number in signals)
 
 
 def relays(topic):

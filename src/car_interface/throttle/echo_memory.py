@@ -26,9 +26,9 @@ SAME_M = 0.08  # ranges that differ by less are of the same thing: noise of sona
 # A place this near to a cone's edge may be inside or outside of the cone. A sonar's own echo did come from inside.
 EDGE_RAD, ROUNDING_RAD = math.radians(2.0), math.radians(0.2)
 MAX_POINTS = 32  # besides the newest echoes': the nearest are kept
-# What echoes at a cone's edge may reach so far beyond it: half of the strip between two front cones. A sonar that looks
-# again sees its own points there too, and SLIP_M farther towards the next cone: a car that stops creeps on until then.
-BESIDE_M, SLIP_M = 0.05, 0.02
+# What echoes at a cone's edge may reach so far beyond it: half of the strip between two front cones. Its sonar looks
+# there again only as long as the car has not moved that place farther out: a thin post in the strip is seen by no one.
+BESIDE_M = 0.05
 CELL_M = 0.08  # one point of a sonar stands for all its points in a square of this size
 FORGET_M = 2.5  # from the rear axle's middle; the sonars see what is farther again before the car gets there
 MAX_STEP_S = 1.0  # without reports the car is moved on for this long at most
@@ -59,7 +59,6 @@ class EchoMemory:
 
     def __init__(self, mounts: Mapping[str, Mount], field_of_view_rad: float, outline: Outline, margin_m: float):
         self._mounts, self._field_of_view_rad = mounts, field_of_view_rad
-        self._neighbours = {name: _neighbours(mount, mounts.values()) for name, mount in mounts.items()}
         self._outline, self._margin_m = outline, margin_m
         self._x_m = self._y_m = self._yaw_rad = 0.0
         self._moved_ns: int | None = None
@@ -97,13 +96,11 @@ class EchoMemory:
             to_x_m, to_y_m = point.x_m - sonar_x_m, point.y_m - sonar_y_m
             away_m = math.hypot(to_x_m, to_y_m)
             beyond_m = away_m - range_m
-            left_rad = math.remainder(math.atan2(to_y_m, to_x_m) - axis_rad, 2.0 * math.pi)
-            if is_own:
-                slip_m = SLIP_M if self._neighbours[sonar][left_rad > 0.0] else 0.0
-                edge_rad = ROUNDING_RAD + _beside_rad(point.beside_m + slip_m, away_m)
-            else:  # a point stands for its cell, and all of that must be in this cone
-                edge_rad = -EDGE_RAD - math.atan2(CELL_M / 2.0, away_m)
-            is_in_cone = abs(left_rad) <= half_rad + edge_rad
+            off_rad = abs(math.remainder(math.atan2(to_y_m, to_x_m) - axis_rad, 2.0 * math.pi))
+            # A point stands for its cell: another sonar has looked there if all of that was in its cone.
+            edge_rad = (ROUNDING_RAD + _beside_rad(point.beside_m, away_m) if is_own
+                        else -EDGE_RAD - math.atan2(CELL_M / 2.0, away_m))
+            is_in_cone = off_rad <= half_rad + edge_rad
             if is_own and is_echo and is_in_cone and abs(beyond_m) <= SAME_M:
                 seen_again.add(point.echo)
             if beyond_m < -SAME_M and is_in_cone:
@@ -173,13 +170,6 @@ class EchoMemory:
                 if before is None or distance_m < before.distance_m:
                     found[point.sonar] = Met(distance_m, point.is_current)
         return found
-
-
-def _neighbours(mount, mounts):
-    """Return whether other sonars at this end of the car look farther to the right, and to the left."""
-    turns_rad = [math.remainder(other.yaw_rad - mount.yaw_rad, 2.0 * math.pi)
-                 for other in mounts if other.looks_back == mount.looks_back]
-    return min(turns_rad) < 0.0, max(turns_rad) > 0.0
 
 
 def _beside_rad(beside_m, away_m):

@@ -123,9 +123,10 @@ class ObstacleGuard:
         if rolls and highest_mps > bound.speed_mps:
             return bound._replace(is_stop=True)
         throttle = self._max_throttle(begins, bound, reaches_mps, highest_mps, is_backward, now_ns)
-        # The brake of a stop is let go only where the car may drive again: on a hill it would roll.
+        # The brake of a stop is let go only for a push: on a hill the car would roll.
+        is_pushed = min(throttle, abs(arbitration.asked)) >= self._least[is_backward]
         is_held = self._answer.cause == causes.STOPPING and self._answer.state in (BRAKING, HOLD)
-        return bound._replace(max_throttle=throttle, is_stop=is_held and not rolls and not throttle)
+        return bound._replace(max_throttle=throttle, is_stop=is_held and not rolls and not is_pushed)
 
     def _gain_mps2(self, speed):
         """Return the acceleration, or 0 if odometry's noise may look like it."""

