@@ -575,6 +575,7 @@ class Graph:
         self._held: dict[tuple[str, str], Callable[[], None]] = {}
         self._events: list = []
         self.newest_call: Call | None = None
+        self._calls: list[Call] = []  # that were not over after the last event
         self._numbers = itertools.count()
         self._handler = _LogHandler(self)
         logger = logging.getLogger("rosout")
@@ -739,7 +740,9 @@ class Graph:
 
     def begin_call(self, service: str, request: Any) -> Call:
         """Call a service that answers while time goes on."""
-        return Call(self, self.services[service], request)
+        call = Call(self, self.services[service], request)
+        self._calls.append(call)
+        return call
 
     def reconfigure(self, namespace: str, **changes: Any) -> dict:
         """Change values by dynamic_reconfigure; return those that count now."""
@@ -778,6 +781,7 @@ class Graph:
     def run_event(self) -> None:
         self.now_ns, _, event = heapq.heappop(self._events)
         event()
+        self._calls = [call for call in self._calls if not call.is_over]  # a call that is answered ends in no time
 
 
 class _Lookup:
