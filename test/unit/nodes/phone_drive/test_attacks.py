@@ -95,10 +95,8 @@ class Driver:
         await self._link.write_message(json.dumps({"type": "pin", "pin": PIN}))
         self._tasks = [asyncio.ensure_future(self._echo()), asyncio.ensure_future(self._watch())]
         await self._until(lambda: self.status and self._token)
-        await self._send("drive")
-        await self._until(lambda: self.status["driver"] == "you" and not self.status["why"])
-        self.touch = "manual"
-        await self._until(self._is_obeyed)
+        await self._until(lambda: self.status["driver"] == "you" and not self.status["why"], self._drive)
+        await self._until(self._is_obeyed, self._hold)
         self.losses, self._core.latest_s, self.latest_s = self._core.phones.counts["loss"], 0.0, 0.0
         return self
 
@@ -116,12 +114,23 @@ class Driver:
     def _is_obeyed(self):
         return self._core.phones.controls(time.monotonic_ns()).manual
 
-    async def _until(self, condition):
-        for _ in range(1000):
+    async def _until(self, condition, press=None):
+        """Wait; press each second again, as a person would: what a machine that stood still sent is too old to count."""
+        for poll in range(1000):
             if condition():
                 return
+            if press is not None and poll % 50 == 0:
+                await press()
             await asyncio.sleep(0.02)
         raise AssertionError(f"not within 20 s: {self.status}")
+
+    async def _drive(self):
+        await self._send("drive")
+
+    async def _hold(self):
+        self.touch = ""
+        await asyncio.sleep(0.1)
+        self.touch = "manual"
 
     async def _send(self, kind, **fields):
         self.n += 1
