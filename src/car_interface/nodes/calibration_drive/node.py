@@ -86,8 +86,7 @@ class CalibrationDriveNode:
         base = self._base = calibration_of(graph.parameter("turn_arb", {}))
         self._table = find_table_file(wanted.output, wanted.base, graph.parameter("turn_arb/save_to", None), base)
         if not wanted.no_sonars and not wanted.stick:
-            obstacles = read_obstacles(graph.parameter("throttle_arb", {}))
-            self._config = replace(config, obstacles=obstacles, outline=obstacles.outline)
+            self._config = replace(config, obstacles=read_obstacles(graph.parameter("throttle_arb", {})))
         self._drive = (StickGuide if wanted.stick else CalibrationDrive)(base, self._config)
         self._sonars = tuple(self._config.obstacles.mounts) if self._config.obstacles else ()
         self._grant = Grant(wanted.stick, bool(graph.parameter("throttle_arb/esc/calibration_drive", False)),

@@ -24,7 +24,7 @@ from car_interface.common.staleness import TimedInput
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.throttle.obstacle_stop import ObstacleStop
 from car_interface.tools.calibration.drive.area import Area, moved
-from car_interface.tools.calibration.drive.config import DEFAULTS, CalibrationDriveConfig
+from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
 from car_interface.tools.calibration.drive.outlook import Outlook
 from car_interface.tools.calibration.drive.pilot import Pilot
 from car_interface.tools.calibration.drive.step import DONE, PAUSED, WAITING, Step
@@ -40,7 +40,7 @@ class CalibrationDrive(Survey):
     car's, its radii aren't believed.
     """
 
-    def __init__(self, base: SteeringCalibration, config: CalibrationDriveConfig = DEFAULTS):
+    def __init__(self, base: SteeringCalibration, config: CalibrationDriveConfig):
         super().__init__(base, config)
         self._stops = Stops()
         self._obstacles = None if config.obstacles is None else ObstacleStop(config.obstacles)

@@ -9,7 +9,7 @@ import math
 
 from car_interface.common.units import NS_PER_S
 from car_interface.steering.calibration import SteeringCalibration
-from car_interface.tools.calibration.drive.config import DEFAULTS, CalibrationDriveConfig
+from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
 from car_interface.tools.calibration.drive.positions import Candidate, Measured
 from car_interface.tools.calibration.drive.step import DONE, MEASURING, PAUSED, SETTLING, Step, steering_text
 from car_interface.tools.calibration.drive.survey import Survey
@@ -31,7 +31,7 @@ class StickGuide(Survey):
 
     OF_DRIVING = " of driving"
 
-    def __init__(self, base: SteeringCalibration, config: CalibrationDriveConfig = DEFAULTS):
+    def __init__(self, base: SteeringCalibration, config: CalibrationDriveConfig):
         super().__init__(base, config)
         self._target: Candidate | None = None
         self._low_duty = self._high_duty = math.nan  # between which the stick is held, and since when

@@ -20,7 +20,7 @@ def car(**options):
 
 
 def test_without_inputs_it_waits_and_says_for_what():
-    drive = CalibrationDrive(base())
+    drive = CalibrationDrive(base(), CalibrationDriveConfig())
     assert drive.step(S).phase == WAITING and "odom was never heard" in drive.step(S).text
     drive.update_odometry(0.0, 0.0, 0.0, 0.0, S, S)
     assert "/servo/output was never heard" in drive.step(S).text
