@@ -58,7 +58,7 @@ from car_interface.tools.calibration.drive.conclusion import Conclusion, conclud
 from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
 from car_interface.tools.calibration.drive.grant import SLOWS
 from car_interface.tools.calibration.drive.knowledge import assess
-from car_interface.tools.calibration.drive.step import BLOCKED, DONE, PAUSED, Step
+from car_interface.tools.calibration.drive.survey import BLOCKED, DONE, PAUSED, Step
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 STOCK, MAP = CONFIG / "turn_arb.yaml", CONFIG / "value_map.csv"
@@ -240,7 +240,7 @@ class Bench:
         while self.vehicle.time_ns < end_ns and not (self._step is not None and self._step.phase == DONE):
             self._advance()
         base_text = STOCK.read_text(encoding="utf-8")
-        conclusion = conclude(self.drive.samples, self.car.base, base_text, "calibration drive")
+        conclusion = conclude(self.drive.samples.drive(), self.car.base, base_text, "calibration drive")
         return Result(self._seed, conclusion, self.drive.driven_s, self._max_m, self._extent_m,
                       self._collisions.count if self._collisions else 0)
 

@@ -25,7 +25,6 @@ Parameters: none of its own; it reads those of turn_arb and throttle_arb.
 """
 from __future__ import annotations
 
-import math
 import os
 import sys
 from dataclasses import replace
@@ -55,7 +54,7 @@ from car_interface.tools.calibration.drive.conclusion import board_center, concl
 from car_interface.tools.calibration.drive.config import drive_config, parse, read_obstacles
 from car_interface.tools.calibration.drive.grant import STATES, THROTTLE_ARB, TURN_ARB, Grant
 from car_interface.tools.calibration.drive.knowledge import assess
-from car_interface.tools.calibration.drive.step import BLOCKED, DONE, PAUSED, WAITING, Progress
+from car_interface.tools.calibration.drive.survey import BLOCKED, DONE, PAUSED, WAITING, Progress
 from car_interface.tools.calibration.drive.stick_guide import StickGuide
 
 NAME = "calibration_drive"
@@ -65,7 +64,7 @@ READY_WITHIN_NS, RECORDER_WITHIN_NS = 8 * NS_PER_S, 15 * NS_PER_S
 OUTPUT_TIMEOUT_S = 2.5  # it comes on change and once a second
 RESULT_ARRIVES_NS = NS_PER_S  # until the recording is closed
 MAX_ODOM_AGE_NS = NS_PER_S // 2  # an older one has an odd stamp
-NO_PROGRESS = Progress(0.0, (), (), 0.0, math.inf, 0, math.nan, math.nan)  # before the drive and after it
+NO_PROGRESS = Progress()  # before the drive and after it
 STANDS = frozenset({WAITING, PAUSED, BLOCKED})
 REQUESTS = ("av_turnrad_req", "av_steer_req", "av_speed_req")
 
@@ -265,13 +264,13 @@ class CalibrationDriveNode:
         drive = self._drive
         start, path = (None, []) if self._wanted.stick else (drive.start, drive.expected_path())
         text = step.text if self._wanted.stick else terminal.HEADLINES.get(step.phase, step.phase)
-        self._markers.publish(drive_markers(*self._frames, start, self._config.radius_m, path, progress.rows,
+        self._markers.publish(drive_markers(*self._frames, start, self._config.radius_m, path, progress.known.rows,
                                             f"{terminal.percent(progress.fraction).strip()}, {text}"))
 
     def _publish_state(self, phase, text, progress=NO_PROGRESS):
         state = CalibrationState(
-            phase=phase, text=text, fraction=progress.fraction, known=terminal.known_lines(progress),
-            missing=terminal.missing_lines(progress.missing), driven=progress.driven_s, left=progress.left_s)
+            phase=phase, text=text, fraction=progress.fraction, known=terminal.known_lines(progress.known),
+            missing=terminal.missing_lines(progress.known.missing), driven=progress.driven_s, left=progress.left_s)
         state.stamp = self._clocks.ros_now()
         self._state.publish(state)
 
@@ -310,7 +309,7 @@ class CalibrationDriveNode:
         self._publish_state(DONE, text, self._drive.progress())
         self._is_ending = True
         name = os.path.basename(self._recording.path)
-        samples, base, base_text = self._drive.samples, self._base, self._table.base_text
+        samples, base, base_text = self._drive.samples.drive(), self._base, self._table.base_text
         self._inbox.work(lambda: conclude(samples, base, base_text, name), self._on_conclusion)
         self._stage = lambda now_ns, typed: self._stand()  # until the conclusion
 

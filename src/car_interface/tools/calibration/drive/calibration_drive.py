@@ -27,9 +27,8 @@ from car_interface.tools.calibration.drive.area import Area, moved
 from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
 from car_interface.tools.calibration.drive.outlook import Outlook
 from car_interface.tools.calibration.drive.pilot import Pilot
-from car_interface.tools.calibration.drive.step import DONE, PAUSED, WAITING, Step
 from car_interface.tools.calibration.drive.stops import Stops
-from car_interface.tools.calibration.drive.survey import Survey
+from car_interface.tools.calibration.drive.survey import DONE, PAUSED, WAITING, Step, Survey
 
 GRANT_TIMEOUT_S = 0.5  # the arbiters' states come 10 times a second and more
 MARGIN_M = 0.12  # of the area, for odometry's drift and for what isn't known of the steering
@@ -48,7 +47,7 @@ class CalibrationDrive(Survey):
         self._grant = TimedInput("the arbiters' state", GRANT_TIMEOUT_S)
         self._ranges = {name: TimedInput(name, config.obstacles.timeout_s)
                         for name, mount in (config.obstacles.mounts if config.obstacles else {}).items()
-                        if abs(math.remainder(mount.yaw_rad, 2 * math.pi)) < math.pi / 2}  # those that look ahead
+                        if not mount.looks_back}
         self._drives = False  # a car that is pushed, or steered by hand meanwhile, shows nothing about its steering
         self._is_slowed = False  # by more than its own drag, or moved by hands
 
@@ -101,7 +100,7 @@ class CalibrationDrive(Survey):
             area = Area(middle[:2], radius_m - MARGIN_M, outline, radius_m)
             self._pilot = Pilot(self, Outlook(self, area, self._obstacles, self._stops))
         self._driven_ns += since_ns
-        if self.positions.is_swapped or self._pilot.turns_wrongly:
+        if self._pilot.turns_wrongly:
             self._end = (f"servo_left {self.base.servo_left} turns right: exchange servo_left and servo_right in "
                          "turn_arb's file, and begin again")
         self._end_if_over()

@@ -128,10 +128,7 @@ class Choices:
         return best
 
     def _hold_for(self, candidate, now_ns):
-        survey = self._survey
-        limits = tuple(map(float, sorted(self._ends)))
-        return Hold(candidate.duty, candidate.from_side, self._outlook.servo_duty, limits, survey.servo_lag_s,
-                    survey.servo_delay_s, now_ns)
+        return Hold(candidate, self._outlook.servo_duty, sorted(self._ends), self._survey.servo_delay, now_ns)
 
 
 def wanted_length_m(curvature_per_m):

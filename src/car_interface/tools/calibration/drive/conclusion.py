@@ -6,13 +6,14 @@ import os
 from pathlib import Path
 from typing import Iterable, NamedTuple
 
+import numpy as np
+
 from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.package_files import is_package_file, package_file
 from car_interface.common.yaml_file import read_yaml
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.steering.config import load_steering
-from car_interface.tools.calibration.drive.survey import Samples
 from car_interface.tools.calibration.shared import RecordedDrive, write_table
 from car_interface.tools.calibration.steering.calibrate import (
     NOT_LOADED,
@@ -23,6 +24,7 @@ from car_interface.tools.calibration.steering.calibrate import (
     short_report,
     yaml_text,
 )
+from car_interface.tools.calibration.steering.drive import SteeringDrive
 from car_interface.tools.calibration.steering.smooth import BAND
 from car_interface.tools.calibration.steering.table import LEFT, RIGHT
 from car_interface.tools.recordings.calibration_result import CalibrationResult, SideRow
@@ -42,14 +44,15 @@ class Conclusion(NamedTuple):
     result: CalibrationResult | None = None  # for the recording; ``None`` = there was nothing to fit
 
 
-def conclude(samples: Samples, base: SteeringCalibration, base_text: str, name: str) -> Conclusion:
-    """Calibrate by a drive's samples, as calibrate_steering would by its recording. Takes a second; never raises.
+def conclude(drive: SteeringDrive, base: SteeringCalibration, base_text: str, name: str) -> Conclusion:
+    """Calibrate by a drive, as calibrate_steering would by its recording. Takes a second; never raises.
 
     Args:
         base_text: the text of the base's file, whose other parameters are kept.
         name: what the report calls the drive, such as the bag's file name.
     """
-    recorded = [RecordedDrive(name, samples.drive(), (), samples.duration_s)]
+    duration_s = float(np.ptp(drive.t_s)) if len(drive.t_s) else 0.0
+    recorded = [RecordedDrive(name, drive, (), duration_s)]
     text, lines, missing, result = "", (), (), None
     try:
         calibrated = calibrate(recorded, base)

@@ -62,15 +62,14 @@ class Outlook:
 
     def turns(self, from_duty: float) -> list[Turn]:
         """Return the tight turns to the left and to the right, begun with the servo at a duty."""
-        survey, live, found = self._survey, self._motion.curvature_per_m(), []
+        live, delay, found = self._motion.curvature_per_m(), self._survey.servo_delay, []
         for end, expected in zip(self._ends, self.turns_per_m()):
             # The servo creeps up to its end, and some linkages turn the wheels within the last counts.
-            near_duty = max(TIGHT_DUTY, abs(end - survey.positions.half_way_duty(end)))
+            near_duty = max(TIGHT_DUTY, abs(end - self._survey.positions.half_way_duty(end)))
             lags = min(MAX_LAGS, max(1.0, math.log(max(1.0, abs(end - from_duty) / near_duty))))
             # An end that is just being found out turns as it is seen to.
             is_seen = abs(from_duty - end) < TIGHT_DUTY and live is not None and live / expected > 1.0
-            reaction_s = REACTION_S + survey.servo_delay_s + survey.servo_lag_s * lags
-            found.append(Turn(live if is_seen else expected, reaction_s))
+            found.append(Turn(live if is_seen else expected, REACTION_S + delay.delay_s + delay.lag_s * lags))
         return found
 
     @property
@@ -95,7 +94,7 @@ class Outlook:
         """Return how far the car can go from here, to end with the tight turn to the left and with that to the right,
         if it steers that duty now and that gives that curvature.
         """
-        lead_m = min(speed_mps, self.now_mps) * (self._survey.servo_delay_s + self._survey.servo_lag_s)
+        lead_m = min(speed_mps, self.now_mps) * sum(self._survey.servo_delay)
         after = moved(self._motion.pose, lead_m, (self.live_per_m() + curvature_per_m) / 2)
         coasts_mps2, slow_mps = self._coasts_mps2(), self.slow_mps
 
@@ -126,7 +125,7 @@ class Outlook:
         config = self._config
         ratio = min(1.0, abs(curvature_per_m) / TIGHT_PER_M)
         speed_mps = config.speed_mps + (config.tight_speed_mps - config.speed_mps) * ratio
-        return min(speed_mps, EARLY_MPS) if self._survey.knowledge is None else speed_mps
+        return min(speed_mps, EARLY_MPS) if self._survey.positions.knowledge is None else speed_mps
 
     def sonar_mps(self, curvature_per_m: float, now_ns: int) -> float:
         """Return what the sonars allow on an arc."""

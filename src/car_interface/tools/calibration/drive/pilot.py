@@ -15,16 +15,16 @@ from car_interface.tools.calibration.drive.area import INWARD_RAD, moved
 from car_interface.tools.calibration.drive.choices import MIN_LENGTH_M, MISSING_NEED, Choices
 from car_interface.tools.calibration.drive.outlook import FREE_MPS, REACTION_S, Outlook
 from car_interface.tools.calibration.drive.positions import Candidate, Hold
-from car_interface.tools.calibration.drive.step import (
+from car_interface.tools.calibration.drive.survey import (
     AVOIDING,
     BLOCKED,
     MEASURING,
     SETTLING,
     TURNING,
     Step,
+    Survey,
     steering_text,
 )
-from car_interface.tools.calibration.drive.survey import Survey
 
 SOUGHT_RAD, LOST_RAD = 2 * 2 * math.pi, 3 * 2 * math.pi  # turned to the other side meanwhile, one turn of it in search
 KEPT_LENGTH_M = 0.5  # one that was cut short counts from here on
@@ -247,7 +247,7 @@ class Pilot:
     def _turn(self, now_ns, tightest=False, side=None):
         """Turn tightly towards where there is room, or to a side."""
         turn_per_m = self._way_per_m(now_ns) if side is None else self.outlook.turns_per_m()[side]
-        reaction_m = self._motion.speed_mps * (REACTION_S + self._survey.servo_delay_s + self._survey.servo_lag_s)
+        reaction_m = self._motion.speed_mps * (REACTION_S + sum(self._survey.servo_delay))
         pose = moved(self._motion.pose, reaction_m, self.outlook.path_per_m(self._hold, now_ns))
         best = Candidate(self._ends[0 if turn_per_m > 0 else 1], 0.0, 0)
         if not tightest:
@@ -313,7 +313,7 @@ class Pilot:
         if not is_turn:
             self._avoids = False
             return
-        known = self._survey.knowledge  # while it doesn't show by how much turns widen with speed every other is quick
+        known = self._survey.positions.knowledge  # while it doesn't show by how much turns widen with speed every other is quick
         self._is_quick = (known is not None and not known.has_understeer and choice.hold.duty in self._ends
                           and not self._is_quick)
 
@@ -326,7 +326,7 @@ class Pilot:
         """Note what was measured, if it was enough."""
         hold = self._hold
         if hold is not None and hold.length_m >= least_m and not self._is_noted:
-            self._survey.add(hold.measured())
+            self._survey.positions.add(hold.measured())
             self._is_noted = True
 
     def _phase(self, now_ns):

@@ -11,8 +11,7 @@ from car_interface.common.units import NS_PER_S
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
 from car_interface.tools.calibration.drive.positions import Candidate, Measured
-from car_interface.tools.calibration.drive.step import DONE, MEASURING, PAUSED, SETTLING, Step, steering_text
-from car_interface.tools.calibration.drive.survey import Survey
+from car_interface.tools.calibration.drive.survey import DONE, MEASURING, PAUSED, SETTLING, Step, Survey, steering_text
 from car_interface.tools.calibration.steering.drive import MIN_SPEED_MPS
 from car_interface.tools.calibration.steering.segments import MAX_LATERAL_MPS2, MAX_WANDER_DUTY
 
@@ -106,8 +105,8 @@ class StickGuide(Survey):
     def _note(self):
         """Note what was held, if it was enough."""
         if self._target is not None and self._length_m >= LEAST_COUNTED_M:
-            self.add(Measured(self._target.duty, self._target.from_side or 1, self._length_m,
-                                      self._turned_rad / self._length_m))
+            self.positions.add(Measured(self._target.duty, self._target.from_side or 1,
+                                        self._turned_rad / self._length_m))
         self._length_m = self._turned_rad = 0.0
 
     def _held_steering(self):

@@ -8,7 +8,8 @@ import math
 import textwrap
 from typing import Iterable, Sequence
 
-from car_interface.tools.calibration.drive.step import (
+from car_interface.tools.calibration.drive.knowledge import Knowledge, RadiusRow
+from car_interface.tools.calibration.drive.survey import (
     AVOIDING,
     BLOCKED,
     DONE,
@@ -18,7 +19,6 @@ from car_interface.tools.calibration.drive.step import (
     TURNING,
     WAITING,
     Progress,
-    RadiusRow,
     Step,
     steering_text,
 )
@@ -73,11 +73,11 @@ def missing_lines(missing: Iterable[str]) -> list[str]:
     return [f"missing: {text.partition(ADVICE)[0]}" for text in missing]
 
 
-def known_lines(progress: Progress) -> list[str]:
+def known_lines(known: Knowledge) -> list[str]:
     """Return what is known of each side, and of straight on."""
-    lines = [f"{side:<6} {radius_marks(progress.rows, side)}" for side in ("left", "right")]
-    if math.isfinite(progress.center_duty):
-        lines.append(f"straight on: duty {progress.center_duty:.0f} ± {progress.center_error:.0f}")
+    lines = [f"{side:<6} {radius_marks(known.rows, side)}" for side in ("left", "right")]
+    if math.isfinite(known.center_duty):
+        lines.append(f"straight on: duty {known.center_duty:.0f} ± {known.center_error:.0f}")
     return lines
 
 
@@ -126,16 +126,16 @@ def radius_marks(rows: Iterable[RadiusRow], side: str) -> str:
 
 
 def _progress_lines(progress: Progress, is_over: bool) -> list[str]:
-    share = f"{progress_bar(progress.fraction)} {percent(progress.fraction)}"
+    share, known = f"{progress_bar(progress.fraction)} {percent(progress.fraction)}", progress.known
     lines = [f"{share}   {_times(progress)}, {progress.positions} position{'s' * (progress.positions != 1)}",
-             *known_lines(progress)]
-    missing = missing_lines(progress.missing)
+             *known_lines(known)]
+    missing = missing_lines(known.missing)
     if len(missing) > MAX_MISSING:
         missing[MAX_MISSING:] = [f"missing: … and {len(missing) - MAX_MISSING} more"]
     lines += missing
-    if progress.rows and not missing:
+    if known.rows and not missing:
         lines.append(ENOUGH if is_over else ENOUGH + GOES_ON)
-    return [*lines, LEGEND] if progress.rows else lines
+    return [*lines, LEGEND] if known.rows else lines
 
 
 def _times(progress):

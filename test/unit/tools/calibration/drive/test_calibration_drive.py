@@ -8,7 +8,7 @@ from car_interface.tools.calibration.drive.area import Area, Pose, moved
 from car_interface.tools.calibration.drive.calibration_drive import CalibrationDrive
 from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
 from car_interface.tools.calibration.drive.positions import Candidate
-from car_interface.tools.calibration.drive.step import BLOCKED, DONE, MEASURING, PAUSED, SETTLING, TURNING, WAITING
+from car_interface.tools.calibration.drive.survey import BLOCKED, DONE, MEASURING, PAUSED, SETTLING, TURNING, WAITING
 from tools.calibration.drive.light_car import CURVE, LightCar, S, base, offer
 
 pytestmark = pytest.mark.once
@@ -51,10 +51,10 @@ def test_letting_go_pauses_at_once_and_holding_goes_on():
     step = one.tick()
     assert (step.phase, step.steering, step.speed_mps) == (PAUSED, None, 0.0)
     assert step.text == "human_in_loop is false; hold the autonomous deadman and it goes on"
-    driven_s, samples, start = one.drive.driven_s, len(one.drive.samples), one.drive.start
+    driven_s, samples, start = one.drive.driven_s, len(one.drive.samples.drive().t_s), one.drive.start
     one.run(5)
     assert one.drive.driven_s == driven_s and one.drive.start == start
-    assert len(one.drive.samples) <= samples + 1, "a car that is pushed shows nothing about its steering"
+    assert len(one.drive.samples.drive().t_s) <= samples + 1, "a car that is pushed shows nothing about its steering"
     one.holds = True
     assert one.run(2).phase in (SETTLING, MEASURING, TURNING)
 
@@ -86,10 +86,10 @@ def test_a_whole_drive_of_a_car_that_only_coasts_stays_inside_and_ends_after_its
         stops_m.append(area.extent_m(moved(one.pose, stop_m, 0.0)))
     assert 2.8 < max(stops_m) < 3.0, "whenever the button is let go"
     assert 2.7 < max(extents_m) < 2.93, "some of the area is kept for what is not known"
-    progress = one.drive.progress()
+    progress, known = one.drive.progress(), one.drive.progress().known
     assert one.steps[-1].phase == DONE and 100 <= one.seconds <= 101 and progress.left_s == 0.0
-    assert progress.positions > 20 and progress.center_duty == pytest.approx(5200, abs=10) and progress.missing == ()
-    assert all(row.is_known for row in progress.rows) and progress.rows
+    assert progress.positions > 20 and known.center_duty == pytest.approx(5200, abs=10) and known.missing == ()
+    assert all(row.is_known for row in known.rows) and known.rows
     held = [step.target_duty for step in one.steps if step.phase in (MEASURING, TURNING)]
     assert {3900, 6400, 5184} <= set(held), "both ends and the center"
     assert all(-1.0 <= step.steering <= 1.0 and 0.0 <= step.speed_mps <= 1.6 for step in one.steps[:-1])

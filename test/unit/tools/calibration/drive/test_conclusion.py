@@ -1,7 +1,6 @@
 """The end of a drive: the tool's own table and report, or its refusal."""
 import os
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,12 +19,8 @@ STOCK = package_file("config/turn_arb.yaml")
 STOCK_TEXT = STOCK.read_text(encoding="utf-8")
 
 
-def recorded(whole):
-    return SimpleNamespace(drive=lambda: whole, duration_s=float(whole.t_s[-1]))
-
-
 def test_enough_gives_the_file_with_center_and_ends_unless_its_base_cannot_be_edited():
-    whole = recorded(drive(mixed(3900, 6400)))
+    whole = drive(mixed(3900, 6400))
     found = conclude(whole, base(), STOCK_TEXT, "drive.bag")
     assert found.refusal == "" and found.center_duty == pytest.approx(5200, abs=10)
     values = yaml.safe_load(found.yaml_text)
@@ -39,13 +34,13 @@ def test_enough_gives_the_file_with_center_and_ends_unless_its_base_cannot_be_ed
     assert found.yaml_text == "" and found.refusal
 
 
-@pytest.mark.parametrize("samples, said", [
-    (recorded(drive(mixed(5200, 6400))), "left turns"),
-    (Samples(), "drive.bag: no steering can be told from this"),
-    (recorded(drive(mixed(3900, 6400), curve=lambda duty: -true_curvature(duty))), "exchange servo_left and"),
+@pytest.mark.parametrize("whole, said", [
+    (drive(mixed(5200, 6400)), "left turns"),
+    (Samples().drive(), "drive.bag: no steering can be told from this"),
+    (drive(mixed(3900, 6400), curve=lambda duty: -true_curvature(duty)), "exchange servo_left and"),
 ], ids=["too_little", "nothing", "exchanged_ends"])
-def test_what_gives_no_table_is_refused_in_the_tool_s_words(samples, said):
-    found = conclude(samples, base(), STOCK_TEXT, "drive.bag")
+def test_what_gives_no_table_is_refused_in_the_tool_s_words(whole, said):
+    found = conclude(whole, base(), STOCK_TEXT, "drive.bag")
     assert found.yaml_text == "" and said in found.refusal
     assert found.center_duty == 0 and bool(found.report) == (said != "drive.bag: no steering can be told from this")
     assert "; ".join(found.missing) == (found.refusal if said == "left turns" else "")

@@ -10,7 +10,7 @@ from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
 from car_interface.tools.calibration.drive.outlook import Outlook
 from car_interface.tools.calibration.drive.pilot import LostTurns
 from car_interface.tools.calibration.drive.positions import Candidate, Positions
-from car_interface.tools.calibration.drive.step import AVOIDING, BLOCKED, MEASURING, TURNING
+from car_interface.tools.calibration.drive.survey import AVOIDING, BLOCKED, MEASURING, TURNING
 from tools.calibration.drive.light_car import LightCar, base, offer
 
 pytestmark = pytest.mark.once

@@ -2,7 +2,7 @@
 import pytest
 
 from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
-from car_interface.tools.calibration.drive.step import DONE, MEASURING, PAUSED, SETTLING
+from car_interface.tools.calibration.drive.survey import DONE, MEASURING, PAUSED, SETTLING
 from car_interface.tools.calibration.drive.stick_guide import StickGuide
 from tools.calibration.drive.light_car import LightCar, base
 
@@ -83,5 +83,5 @@ def test_a_person_who_obeys_gets_all_of_it():
     guidance = obey(one, 80, until=lambda guidance: guidance.phase == DONE)
     assert guidance.phase == DONE
     progress = one.drive.progress()
-    assert progress.positions >= 20 and progress.center_duty == pytest.approx(5200, abs=5)
-    assert progress.missing == ()
+    assert progress.positions >= 20 and progress.known.center_duty == pytest.approx(5200, abs=5)
+    assert progress.known.missing == ()
