@@ -75,6 +75,7 @@ class Hold:
         settle_s = MARGIN_S + _time_s(abs(at_duty - duty), SETTLED_DUTY, delay)
         self.settled_ns = self._past_ns + round(settle_s * 1e9)
         self.length_m = self.turned_rad = 0.0
+        self.is_noted = False  # it was measured, and goes on
 
     def asked_duty(self, now_ns: int) -> float:
         """Return what to ask for now."""

@@ -2,7 +2,7 @@
 import pytest
 
 from car_interface.tools.calibration.drive.area import Area, Pose
-from car_interface.tools.calibration.drive.choices import Choices, wanted_length_m
+from car_interface.tools.calibration.drive.pilot import Choices, wanted_length_m
 from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
 from car_interface.tools.calibration.drive.outlook import Outlook
 from car_interface.tools.calibration.drive.positions import Candidate
