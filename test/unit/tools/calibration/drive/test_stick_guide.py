@@ -42,7 +42,7 @@ def _number(words):
 
 def test_it_waits_for_odometry_says_how_long_still_and_then_the_next_until_it_is_ended_by_hand():
     one = car()
-    assert "odom was never heard" in one.drive.step(1).text
+    assert "odom was never heard" in one.drive.step(1, "").text
     guidance = obey(one, 3, until=lambda guidance: guidance.phase == MEASURING)
     assert guidance.text == "hold 100% left: 2 s more at this speed"
     assert guidance.held == pytest.approx(1.0)

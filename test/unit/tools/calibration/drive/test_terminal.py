@@ -64,7 +64,7 @@ def test_picture_says_how_much_is_missing_and_when_it_can_be_ended_and_is_over()
 def test_instruction_that_is_longer_than_the_terminal_is_wrapped_and_whole():
     text = ("it stands 2.9 m from where it began, with no room to turn: move it towards the middle by hand or by the "
             "manual deadman, then hold the button again")
-    made = terminal.drive_lines(Step(0.0, 0.0, BLOCKED, text), progress(), width=60)
+    made = terminal.wrapped(terminal.drive_lines(Step(0.0, 0.0, BLOCKED, text), progress()), 60)
     assert max(map(len, made)) < 60
     assert f"blocked: {text}" in " ".join(" ".join(made).split())
 
