@@ -25,22 +25,24 @@ Parameters: none of its own; it reads those of turn_arb and throttle_arb.
 """
 from __future__ import annotations
 
+import math
 import os
 import sys
+import textwrap
 from functools import partial
 
 import rospy
+from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Range
-from std_msgs.msg import Empty, Float32, Int32MultiArray, String
-from visualization_msgs.msg import MarkerArray
+from std_msgs.msg import ColorRGBA, Empty, Float32, Header, Int32MultiArray, String
+from visualization_msgs.msg import Marker, MarkerArray
 
 from car_interface.common.errors import CarInterfaceError, EndedEarly
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import CHANNELS, NS_PER_S, yaw_rad
 from car_interface.msg import CalibrationState, PlannerState, SteeringState, TeleopState, ThrottleState
 from car_interface.nodes.bag_recording import TOPICS, BagPage, BagRecording
-from car_interface.nodes.calibration_drive.drive_markers import drive_markers, no_markers
 from car_interface.nodes.terminal import Keys, LiveText
 from car_interface.ros.clocks import RosClock
 from car_interface.ros.runtime import run
@@ -64,6 +66,18 @@ MAX_ODOM_AGE_NS = NS_PER_S // 2  # an older one has an odd stamp
 NO_PROGRESS = Progress()  # before the drive and after it
 STANDS = frozenset({WAITING, PAUSED, BLOCKED})
 REQUESTS = ("av_turnrad_req", "av_steer_req", "av_speed_req")
+# Of the picture in rviz.
+CIRCLE_POINTS, CROSS_M = 72, 0.15
+LINE_M, HEIGHT_M = 0.02, 0.02
+ARC_M, MAX_ARC_RAD, ARC_STEPS = 1.6, 2.6, 16  # of the arcs by radius, from the car
+WIDEST_M = 40.0  # wider turns can't be told from straight on
+TEXT_M, TEXT_COLUMNS = 0.14, 28
+BEHIND_M, ABOVE_M = 0.8, 0.7  # where no arc lies, and seen from above still over car_display's two lines
+AREA, PATH = ColorRGBA(0.35, 0.35, 0.4, 1.0), ColorRGBA(0.75, 0.0, 0.75, 1.0)
+TEXT = ColorRGBA(0.1, 0.1, 0.1, 1.0)
+# No arc is blue as the trail, which car_display draws, or as orange as its arrow.
+KNOWN, PARTLY = ColorRGBA(0.0, 0.6, 0.2, 0.9), ColorRGBA(0.95, 0.75, 0.0, 0.9)
+UNKNOWN = ColorRGBA(0.85, 0.1, 0.1, 0.9)
 
 
 class CalibrationDriveNode:
@@ -99,7 +113,10 @@ class CalibrationDriveNode:
         self._markers = advertise("~markers", MarkerArray, inbox, latch=True)
         self._subscribe()
         self._has_keys = self._keys.start()
-        self._introduce()
+        self._say(terminal.introduction(wanted.stick, config.radius_m))
+        self._text.say(f"It will write {self._table.path}.")
+        if self._has_keys:
+            self._text.say("F: finish now with what is known. Q: give up.")
 
     def _subscribe(self):
         inbox = self._inbox
@@ -112,12 +129,6 @@ class CalibrationDriveNode:
         subscribe("~finish", Empty, inbox, lambda message, now_ns: self._drive.finish())
         for topic in REQUESTS if not self._wanted.stick else ():
             subscribe(topic, rospy.AnyMsg, inbox, partial(self._on_request, topic), wakes=False)
-
-    def _introduce(self):
-        self._say(terminal.introduction(self._wanted.stick, self._config.radius_m))
-        self._text.say(f"It will write {self._table.path}.")
-        if self._has_keys:
-            self._text.say("F: finish now with what is known. Q: give up.")
 
     def step(self, now_ns):
         """Handle what arrived; then the stage."""
@@ -183,24 +194,20 @@ class CalibrationDriveNode:
 
     def _check(self, now_ns, typed):
         """Wait until all is there; what only another launch would bring isn't waited for long."""
-        lacks, gamepad = self._grant.missing(now_ns), self._grant.missing_gamepad()
-        if lacks and now_ns - self._begun_ns > READY_WITHIN_NS:
+        lacks = self._grant.missing(now_ns)
+        missing, waited_ns = lacks + self._grant.missing_gamepad(), now_ns - self._begun_ns
+        if not missing:
+            topics = list(map(self._inbox.resolve_name, (*TOPICS, "~result")))
+            self._recording = self._make_recording(str(self._table.path.parent), topics, self._table.path.stem)
+            self._enter(self._await_recorder, now_ns)
+        elif lacks and waited_ns > READY_WITHIN_NS:
             self._text.show([])
-            for text in (*lacks, *gamepad):
-                self._say(f"  - {text}")
-            raise CarInterfaceError("it can't begin: " + ("these are missing" if len(lacks + gamepad) > 1 else
-                                                          "this is missing") + ", see above")
-        if not lacks and not gamepad:
-            self._begin_recording(now_ns)
-        elif now_ns - self._begun_ns > NS_PER_S:
-            self._announce("waiting", [f"waits: {text}" for text in lacks + gamepad], now_ns)
-            if self._ticks % TICKS_PER_SHOW == 0:
-                self._publish_state(WAITING, "; ".join(lacks + gamepad))
-
-    def _begin_recording(self, now_ns):
-        topics = list(map(self._inbox.resolve_name, (*TOPICS, "~result")))
-        self._recording = self._make_recording(str(self._table.path.parent), topics, self._table.path.stem)
-        self._enter(self._await_recorder, now_ns)
+            self._say(*(f"  - {text}" for text in missing))
+            are = "these are" if len(missing) > 1 else "this is"
+            raise CarInterfaceError(f"it can't begin: {are} missing, see above")
+        elif waited_ns > NS_PER_S and self._ticks % TICKS_PER_SHOW == 0:
+            self._announce("waiting", [f"waits: {text}" for text in missing], now_ns)
+            self._publish_state(WAITING, "; ".join(missing))
 
     def _await_recorder(self, now_ns, typed):
         recording = self._recording
@@ -261,14 +268,10 @@ class CalibrationDriveNode:
         if lines:
             self._text.say("\n".join(terminal.wrapped(lines, self._text.width) if self._text.is_live else lines))
 
-    def _ask_for(self, *values):
-        """Ask for a steering and a speed; by hand for nothing."""
-        for publisher, value in zip(self._requests, values):
+    def _ask_for(self, steering=0.0, speed_mps=0.0):
+        """Ask for a steering and a speed, or to stand; by hand for nothing."""
+        for publisher, value in zip(self._requests, (steering, speed_mps)):
             publisher.publish(Float32(value))
-
-    def _stand(self):
-        """Ask the car to stand until the recording is closed: silence would be a fault of the drive on its page."""
-        self._ask_for(0.0, 0.0)
 
     def _stop_asking(self):
         """No request any more; the last one is to stand."""
@@ -282,7 +285,7 @@ class CalibrationDriveNode:
     # --- its end ---
 
     def _begin_end(self):
-        self._stand()
+        self._ask_for()
         self._text.keep()
         text = f"{self._step.text}. You can let go. Calibrating …"
         self._text.say(text)
@@ -290,7 +293,8 @@ class CalibrationDriveNode:
         name = os.path.basename(self._recording.path)
         samples, base, base_text = self._drive.samples.drive(), self._base, self._table.base_text
         self._inbox.work(lambda: conclude(samples, base, base_text, name), self._on_conclusion)
-        self._stage = lambda now_ns, typed: self._stand()  # until the conclusion
+        # It asks to stand until the recording is closed: silence would be a fault of the drive on its page.
+        self._stage = lambda now_ns, typed: self._ask_for()
 
     def _on_conclusion(self, conclusion, now_ns):
         self._say(*conclusion.report)
@@ -307,7 +311,7 @@ class CalibrationDriveNode:
             self._refusal = f"no calibration is written: {why}"
         elif replaces is None:
             question = f"Replace {self._table.path}? The old one is kept beside it."
-            self._text.show(terminal.wrapped([question, "Y: yes, N: no"], self._text.width))
+            self._announce("question", [question, "Y: yes, N: no"], now_ns)
             self._stage = self._ask
         else:
             self._write(replaces)
@@ -321,17 +325,14 @@ class CalibrationDriveNode:
             self._enter(self._await_page, now_ns)
 
     def _write(self, replaces):
-        path, line = self._table.write(self._conclusion.yaml_text, replaces)
+        lines = self._table.write(self._conclusion.yaml_text, replaces)
         self._is_written = True
-        self._text.say(line)
-        if path != self._table.path:
-            self._text.say(f"{self._table.path} is as it was. To take the new one: mv {path} {self._table.path}")
-        self._text.say(f"to load it, launch again with config:={self._table.path.parent}")
+        self._text.say("\n".join(lines))
         self._say(board_center(self._conclusion.center_duty, self._base.servo_center,
                                self._inbox.graph.parameter("pca9685/steering/servo_center", None)))
 
     def _close_recording(self, now_ns):
-        self._stand()
+        self._ask_for()
         if self._page is None and now_ns - self._begun_ns >= RESULT_ARRIVES_NS:
             self._page = self._make_page(self._recording)
             self._stop_asking()
@@ -345,12 +346,67 @@ class CalibrationDriveNode:
                 self._publish_state(DONE, "it makes the recording's page")
             return
         self._text.show([])
-        for line in lines:
-            self._text.say(line)
+        self._text.say("\n".join(lines))
         self._is_over = True
         self._inbox.end()
         if self._refusal:
             raise EndedEarly(self._refusal)
+
+
+# --- what rviz shows ---
+
+
+def drive_markers(odom_frame, base_frame, start, radius_m, path, rows, text) -> MarkerArray:
+    """Return the whole picture, which takes the place of the one before.
+
+    Args:
+        odom_frame, base_frame: odometry's frame, and the car's.
+        start: the area's center in odometry's frame; ``None`` = it hasn't begun.
+        path: where the car is about to go, (x, y) in odometry's frame.
+        rows: how well each radius is known: an arc each, from the car.
+    """
+    markers = no_markers(odom_frame).markers
+    if start is not None:
+        x_m, y_m = start
+        angles = [2 * math.pi * index / CIRCLE_POINTS for index in range(CIRCLE_POINTS + 1)]
+        circle = [(x_m + radius_m * math.cos(angle), y_m + radius_m * math.sin(angle)) for angle in angles]
+        cross = [(x_m - CROSS_M, y_m), (x_m + CROSS_M, y_m), start, (x_m, y_m + CROSS_M), (x_m, y_m - CROSS_M)]
+        markers += [_line("area", index, odom_frame, AREA, points) for index, points in enumerate((circle, cross))]
+    if path:  # rviz reports a line of fewer points than two as an error
+        markers.append(_line("path", 0, odom_frame, PATH, path, 2 * LINE_M))
+    for index, row in enumerate(rows):
+        if row.radius_m <= WIDEST_M:
+            color = KNOWN if row.is_known else PARTLY if row.is_measured else UNKNOWN
+            markers.append(_line("known", index, base_frame, color, _arc(row)))
+    label = _marker("text", 0, base_frame, Marker.TEXT_VIEW_FACING, TEXT, Vector3(0.0, 0.0, TEXT_M))
+    label.pose.position = Point(-BEHIND_M, 0.0, ABOVE_M)
+    label.text = textwrap.fill(text, TEXT_COLUMNS)
+    return MarkerArray([*markers, label])
+
+
+def no_markers(frame) -> MarkerArray:
+    """Return a picture of nothing."""
+    return MarkerArray([Marker(header=Header(frame_id=frame), action=Marker.DELETEALL)])
+
+
+def _arc(row):
+    """Return points of an arc that the middle of the rear axle would drive."""
+    radius_m, angle_rad = row.radius_m if row.side == "left" else -row.radius_m, min(MAX_ARC_RAD, ARC_M / row.radius_m)
+    steps = [angle_rad * index / ARC_STEPS for index in range(ARC_STEPS + 1)]
+    return [(abs(radius_m) * math.sin(step), radius_m * (1 - math.cos(step))) for step in steps]
+
+
+def _line(ns, index, frame, color, points, width_m=LINE_M):
+    marker = _marker(ns, index, frame, Marker.LINE_STRIP, color, Vector3(width_m, 0.0, 0.0))
+    marker.points = [Point(x_m, y_m, HEIGHT_M) for x_m, y_m in points]
+    return marker
+
+
+def _marker(ns, index, frame, kind, color, scale):
+    # A stamp of 0: where the frame is now.
+    return Marker(
+        header=Header(frame_id=frame), ns=ns, id=index, type=kind, action=Marker.ADD, scale=scale, color=color,
+        pose=Pose(Point(0.0, 0.0, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0)), frame_locked=True)
 
 
 def main():

@@ -1,19 +1,8 @@
 """A car that drives its own steering calibration while a person holds a button and watches.
 
 Consumes odometry, the duty that the servo board holds, six sonars' ranges and whether it may drive; answers with a
-steering and a speed. Pure: ``now_ns`` is passed in. A node's loop:
-
-    drive = CalibrationDrive(base, config)
-    on odom:            drive.update_odometry(x, y, yaw, speed, measured_ns, now_ns)
-    on /servo/output:   drive.update_duty(duty of the channel, now_ns)
-    on sonar/*:         drive.update_range(name, range, now_ns)
-    50 times a second:  step = drive.step(now_ns, refusal); publish step.steering and step.speed_mps, unless None
-    second thread:      task = drive.take_fit_task(); if task: knowledge = assess(*task) …
-    back in the loop:   drive.update_knowledge(knowledge, now_ns)
-    at any time:        drive.progress(); drive.expected_path() for rviz
-    step.phase is DONE: conclude(drive.samples, base, base_text, name)
-
-All of it but ``assess`` and ``conclude`` is called by one thread.
+steering and a speed. Pure: ``now_ns`` is passed in. A node passes on what it hears and calls ``step`` 50 times a
+second; in a second thread it has ``assess`` do what ``take_fit_task`` returns, and ``conclude`` once the step is DONE.
 """
 from __future__ import annotations
 
@@ -95,12 +84,10 @@ class CalibrationDrive(Survey):
             middle = moved(self.motion.pose, (outline.front_m - outline.rear_m) / 2, 0.0)
             area = Area(middle[:2], radius_m - MARGIN_M, outline, radius_m)
             self._pilot = Pilot(self, Outlook(self, area, self._obstacles, self._stops))
-        self._driven_ns += since_ns
         if self._pilot.turns_wrongly:
             self._end = (f"servo_left {self.base.servo_left} turns right: exchange servo_left and servo_right in "
                          "turn_arb's file, and begin again")
-        self._end_if_over()
-        if self._end:
+        if self._is_over(since_ns):
             return Step(None, 0.0, DONE, self._end)
         return self._pilot.step(self._duty.value, now_ns)
 

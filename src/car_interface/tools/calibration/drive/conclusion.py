@@ -111,17 +111,21 @@ class TableFile(NamedTuple):
         """The file that is written where this one isn't to be replaced."""
         return self.path.with_name(f"{self.path.stem}.new{self.path.suffix}")
 
-    def write(self, text: str, replaces: bool) -> tuple[Path, str]:
-        """Write the calibration: the file itself is replaced, or else the one beside it is written.
+    @property
+    def taking(self) -> str:
+        """The command that takes it."""
+        return f"mv {self.beside} {self.path}"
 
-        Returns:
-            (the path that was written, a line that says so, and where the old one is).
+    def write(self, text: str, replaces: bool) -> list[str]:
+        """Write the calibration: the file itself is replaced, or else the one beside it is written. Return lines that
+        say so.
 
         Raises:
             CarInterfaceError: it can't be written, or turn_arb would refuse it.
         """
-        path = self.path if replaces else self.beside
-        return path, write_table(str(path), text, load_steering, NOT_LOADED)
+        written = write_table(str(self.path if replaces else self.beside), text, load_steering, NOT_LOADED)
+        kept = [] if replaces else [f"{self.path} is as it was. To take the new one: {self.taking}"]
+        return [written, *kept, f"to load it, launch again with config:={self.path.parent}"]
 
 
 def find_table_file(wanted: str | None, base: str | None, launched_with: str | None,
@@ -160,9 +164,8 @@ def next_steps(table: TableFile, refusal: str, replaces: bool | None) -> list[st
     if refusal:
         return [("Drive again with more room (--radius 3.5) or more time (--max-time 420), or give this recording and "
                  "another one to calibrate_steering, which makes one table of both.")]
-    take = f"ake the new table by: mv {table.beside} {table.path}"
-    taking = [] if replaces else [f"If you answered no, t{take}" if replaces is None else f"T{take}"]
-    return [*taking, f"Launch again with config:={table.path.parent}, which loads the table.",
+    answered = "If you answered no, take" if replaces is None else "Take"
+    return [*([] if replaces else [f"{answered} the new table by: {table.taking}"]), f"Launch again with config:={table.path.parent}, which loads the table.",
             "Then ask for a circle, and measure it: rostopic pub -r 20 av_turnrad_req std_msgs/Float32 2.0",
             "bag_report of any later drive says how tight its slow turns were against this table."]
 

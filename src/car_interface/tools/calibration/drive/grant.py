@@ -85,15 +85,13 @@ class Grant:
 
     def missing(self, now_ns: int) -> list[str]:
         """Return what is missing before it begins, most basic first; empty: it can begin."""
-        found = []
-        if not self._steering.was_received:
-            found.append(f"turn_arb isn't heard: is the car launched, and in this namespace? {LAUNCH}")
-        if self.duty is None:
-            found.append("/servo/output isn't heard: is pca9685 running?")
-        elif self.duty in NO_PULSE:
-            found.append("the servo board gives no pulse on the steering's channel: rosrun car_interface doctor")
-        if not self.has_odom:
-            found.append("there is no odometry on odom: is teensy_sensor_hub running, and the Teensy plugged in?")
+        found = [text for is_so, text in (
+            (not self._steering.was_received, f"turn_arb isn't heard: is the car launched, and in this namespace? {LAUNCH}"),
+            (self.duty is None, "/servo/output isn't heard: is pca9685 running?"),
+            (self.duty in NO_PULSE, "the servo board gives no pulse on the steering's channel: rosrun car_interface "
+                                    "doctor"),
+            (not self.has_odom, "there is no odometry on odom: is teensy_sensor_hub running, and the Teensy plugged in?"),
+        ) if is_so]
         return found if self._by_stick else [*found, *self._missing_of_a_program(), *self.others(now_ns)]
 
     def _missing_of_a_program(self):

@@ -196,14 +196,15 @@ class LostTurns:
         return 1 - side if self._since_rad[1 - side] >= SOUGHT_RAD else None
 
     def seek(self, side: int) -> float:
-        """Seek that one; return for how many turns it is sought by now: from 1 on it is lost."""
+        """Seek that one; return for how many turns it is sought by now: from 1 on it is lost, and a person is asked for
+        it. It is sought again after two more turns to the other side.
+        """
         if self._sought != side:
             self._sought, self._since_rad[side] = side, SOUGHT_RAD
-        return (self._since_rad[side] - SOUGHT_RAD) / (LOST_RAD - SOUGHT_RAD)
-
-    def ask(self, side: int) -> None:
-        """Ask a person for that one; it is sought again after two more turns to the other side."""
-        self.asked, self._sought, self._since_rad[side] = side, None, 0.0
+        sought = (self._since_rad[side] - SOUGHT_RAD) / (LOST_RAD - SOUGHT_RAD)
+        if sought >= 1:
+            self.asked, self._sought, self._since_rad[side] = side, None, 0.0
+        return sought
 
     def text(self, turns_per_m: Sequence[float]) -> str:
         """Return what to do, for a person; the turns have these curvatures, (2,)."""
@@ -309,13 +310,10 @@ class Pilot:
         if not look.area.has_circle(turn_per_m):
             return False
         sought = self._lost.seek(lost)
-        if sought >= 1:
-            self._lost.ask(lost)
-        elif (self._circle_excesses_m(look.ways_out(self._hold, now_ns))[lost] <= -ACROSS_M * (1 - sought)
-                and look.sonar_mps(turn_per_m, now_ns) >= FREE_MPS):
-            self._turn(now_ns, lost)
-        else:
-            self._turn(now_ns, 1 - lost, tightest=True)
+        is_free = (self._circle_excesses_m(look.ways_out(self._hold, now_ns))[lost] <= -ACROSS_M * (1 - sought)
+                   and look.sonar_mps(turn_per_m, now_ns) >= FREE_MPS)
+        if sought < 1:
+            self._turn(now_ns, lost if is_free else 1 - lost, tightest=not is_free)
         return True
 
     def _misses_turn(self, now_ns):

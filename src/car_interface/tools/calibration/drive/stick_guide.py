@@ -63,9 +63,7 @@ class StickGuide(Survey):
         """
         since_ns = self._tick(now_ns)
         moves = not self._odom.is_stale(now_ns) and abs(self.motion.speed_mps) >= MIN_SPEED_MPS
-        self._driven_ns += since_ns if moves else 0
-        self._end_if_over()
-        if self._end:
+        if self._is_over(since_ns if moves else 0):
             return Step(0.0, 0.0, DONE, self._end, held=self._held_steering())
         if self._target is None or self._is_held(now_ns) and self._length_m >= HOLD_M:
             self._note()

@@ -84,15 +84,15 @@ class Motion:
     def __init__(self):
         self.pose = Pose(0.0, 0.0, 0.0)
         self.speed_mps = 0.0
-        self._at_ns: int | None = None
+        self._at_ns = -math.inf
         self._window: deque = deque()  # (time, distance, change of yaw)
 
     def update(self, pose: Pose, speed_mps: float, at_ns: int) -> tuple[float, float]:
         """Take an odometry: (the distance since the last one, backward negative; the change of yaw)."""
-        since_s = 0.0 if self._at_ns is None else (at_ns - self._at_ns) / NS_PER_S
+        since_s = (at_ns - self._at_ns) / NS_PER_S
         turned_rad = math.remainder(pose.yaw_rad - self.pose.yaw_rad, 2 * math.pi)
         moved_m = math.copysign(math.hypot(pose.x_m - self.pose.x_m, pose.y_m - self.pose.y_m), speed_mps)
-        if self._at_ns is None or not 0 < since_s <= MAX_STEP_S:
+        if not 0 < since_s <= MAX_STEP_S:
             moved_m = 0.0
             self._window.clear()
         self.pose = pose._replace(yaw_rad=self.pose.yaw_rad + turned_rad)
@@ -105,9 +105,7 @@ class Motion:
     def curvature_per_m(self) -> float | None:
         """Return the path's curvature in the last quarter of a second, left positive; ``None``: it hardly moved."""
         distance_m = sum(entry[1] for entry in self._window)
-        if distance_m < MIN_WINDOW_M:
-            return None
-        return sum(entry[2] for entry in self._window) / distance_m
+        return sum(entry[2] for entry in self._window) / distance_m if distance_m >= MIN_WINDOW_M else None
 
 
 class Samples:
@@ -130,9 +128,7 @@ class Samples:
 
     def update_duty(self, duty: float, at_ns: int) -> None:
         """Add what the board holds on the steering's channel; what is no servo's pulse (0, off) is unknown."""
-        t_s = self._seconds(at_ns)
-        if not self._duty or t_s >= self._duty[-2]:
-            self._duty.extend((t_s, duty if is_pulse(duty) else math.nan))
+        self._duty.extend((self._seconds(at_ns), duty if is_pulse(duty) else math.nan))
 
     def drive(self) -> SteeringDrive:
         """Return all samples so far as new arrays: (N,) of odometry, (M,) of duties; safe to hand to a thread."""
@@ -257,9 +253,11 @@ class Survey:
         self._stepped_ns = now_ns
         return since_ns
 
-    def _end_if_over(self):
-        """End where enough is known, or the time is over."""
+    def _is_over(self, counts_ns):
+        """Count so much more time; return whether that is over, enough is known, or it was ended."""
+        self._driven_ns += counts_ns
         if self.is_enough:
             self._end = self._end or f"enough is known after {self.driven_s:.0f} s{self.OF_DRIVING}"
         elif self.driven_s >= self.config.max_time_s:
             self._end = self._end or f"the time of {self.config.max_time_s:g} s is over"
+        return bool(self._end)

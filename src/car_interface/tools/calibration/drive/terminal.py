@@ -50,12 +50,19 @@ def introduction(by_stick: bool, radius_m: float) -> str:
 def drive_lines(step: Step, progress: Progress) -> list[str]:
     """Return all of a drive's picture, for a terminal that is drawn anew. By hand with a bar of where to hold the stick.
     """
-    lines = _progress_lines(progress, step.phase == DONE)
-    if step.phase == DONE:  # what comes then is printed below
-        return lines
+    is_over, rows, missing = step.phase == DONE, progress.known.rows, missing_lines(progress.known.missing)
     if step.held is None:
-        return [f"{BEFORE.get(step.phase, '')}{step.text}", *lines]
-    return [step.text, *stick_bar(step), *lines]
+        headline = [f"{BEFORE.get(step.phase, '')}{step.text}"]
+    else:
+        headline = [step.text, *stick_bar(step)]
+    if len(missing) > MAX_MISSING:
+        missing[MAX_MISSING:] = [f"missing: … and {len(missing) - MAX_MISSING} more"]
+    elif rows and not missing:
+        missing = [ENOUGH if is_over else ENOUGH + GOES_ON]
+    return [*([] if is_over else headline),  # what comes then is printed below
+            f"{progress_bar(progress.fraction)} {percent(progress.fraction)}   {_times(progress)}, "
+            f"{progress.positions} position{'s' * (progress.positions != 1)}",
+            *known_lines(progress.known), *missing, *([LEGEND] if rows else [])]
 
 
 def plain_line(phase: str, text: str, progress: Progress) -> str:
@@ -110,27 +117,12 @@ def radius_marks(rows: Iterable[RadiusRow], side: str) -> str:
     if not ours:
         return "nothing known yet"
     marks = "".join(KNOWN if row.is_known else PARTLY if row.is_measured else UNKNOWN for row in ours)
-    known = sum(row.is_known for row in ours)
-    text = f"{ours[0].radius_m:g} m {marks} {ours[-1].radius_m:g} m: {known} of {len(ours)}"
-    open_ones = [row for row in ours if not row.is_known]
-    if open_ones:
-        worst = max(open_ones, key=lambda row: row.radius_error)
-        error = f"to ±{worst.radius_error:.0%}" if worst.is_measured else "isn't known"
-        text += f", {worst.radius_m:g} m {error}"
-    return text
-
-
-def _progress_lines(progress: Progress, is_over: bool) -> list[str]:
-    share, known = f"{progress_bar(progress.fraction)} {percent(progress.fraction)}", progress.known
-    lines = [f"{share}   {_times(progress)}, {progress.positions} position{'s' * (progress.positions != 1)}",
-             *known_lines(known)]
-    missing = missing_lines(known.missing)
-    if len(missing) > MAX_MISSING:
-        missing[MAX_MISSING:] = [f"missing: … and {len(missing) - MAX_MISSING} more"]
-    lines += missing
-    if known.rows and not missing:
-        lines.append(ENOUGH if is_over else ENOUGH + GOES_ON)
-    return [*lines, LEGEND] if known.rows else lines
+    text = f"{ours[0].radius_m:g} m {marks} {ours[-1].radius_m:g} m: {marks.count(KNOWN)} of {len(ours)}"
+    worst = max((row for row in ours if not row.is_known), key=lambda row: row.radius_error, default=None)
+    if worst is None:
+        return text
+    error = f"to ±{worst.radius_error:.0%}" if worst.is_measured else "isn't known"
+    return f"{text}, {worst.radius_m:g} m {error}"
 
 
 def _times(progress):
