@@ -213,7 +213,7 @@ class Bench:
         self._sonars = None if self._world is None else Sonars(rng, self._world)
         mounts = {name: Mount(mount.x_m, mount.y_m, mount.yaw_rad) for name, mount in zip(SONARS, WorldConfig().mounts)}
         config = CalibrationDriveConfig(
-            radius_m=HALF_M, obstacles=None if self._world is None else ObstacleConfig(mounts, math.radians(30), 2.0))
+            radius_m=HALF_M, obstacles=ObstacleConfig(mounts if self._world else {}, math.radians(30), 2.0))
         self.drive = CalibrationDrive(car.base, config)
         interlock = InterlockConfig(grant_at_start=False)
         self._steering = SteeringArbiter(car.base, SteeringArbiterConfig(interlock=interlock))

@@ -97,7 +97,7 @@ class CalibrationDriveNode:
         self._config = config = drive_config(wanted, graph.parameter("throttle_arb", {}))
         self._drive = (StickGuide if wanted.stick else CalibrationDrive)(base, config)
         self._grant = Grant(wanted.stick, bool(graph.parameter("throttle_arb/esc/calibration_drive", False)),
-                            config.obstacles.mounts if config.obstacles else ())
+                            config.obstacles.mounts)
         self._clock, self._text, self._keys = RosClock(inbox.clocks), text or LiveText(), keys or Keys()
         self._make_recording, self._make_page = make_recording, make_page
         now_ns = self._clocks.now_ns()
@@ -238,14 +238,14 @@ class CalibrationDriveNode:
             self._begin_end()
 
     def _show(self, now_ns):
-        step, progress, drive, by_stick = self._step, self._drive.progress(), self._drive, self._wanted.stick
+        step, progress = self._step, self._drive.progress()
         self._announce(step.phase if step.phase in STANDS else "drives",
                        terminal.drive_lines(step, progress) if self._text.is_live else
                        [terminal.plain_line(step.phase, step.text, progress)], now_ns)
-        start, path = (None, []) if by_stick else (drive.start, drive.expected_path())
-        text = step.text if by_stick else terminal.HEADLINES[step.phase]
-        self._markers.publish(drive_markers(*self._frames, start, self._config.radius_m, path, progress.known.rows,
-                                            f"{terminal.percent(progress.fraction).strip()}, {text}"))
+        text = step.text if self._wanted.stick else terminal.HEADLINES[step.phase]
+        self._markers.publish(drive_markers(
+            *self._frames, *self._drive.picture(), self._config.radius_m, progress.known.rows,
+            f"{terminal.percent(progress.fraction).strip()}, {text}"))
         self._publish_state(step.phase, step.text, progress)
 
     def _publish_state(self, phase, text, progress=NO_PROGRESS):
@@ -356,13 +356,14 @@ class CalibrationDriveNode:
 # --- what rviz shows ---
 
 
-def drive_markers(odom_frame, base_frame, start, radius_m, path, rows, text) -> MarkerArray:
+def drive_markers(odom_frame, base_frame, start, path, radius_m, rows, text) -> MarkerArray:
     """Return the whole picture, which takes the place of the one before.
 
     Args:
         odom_frame, base_frame: odometry's frame, and the car's.
         start: the area's center in odometry's frame; ``None`` = it hasn't begun.
         path: where the car is about to go, (x, y) in odometry's frame.
+        radius_m: the area's.
         rows: how well each radius is known: an arc each, from the car.
     """
     markers = no_markers(odom_frame).markers

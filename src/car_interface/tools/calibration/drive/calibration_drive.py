@@ -29,18 +29,12 @@ class CalibrationDrive(Survey):
     def __init__(self, base: SteeringCalibration, config: CalibrationDriveConfig):
         super().__init__(base, config)
         self._stops = Stops()
-        self._obstacles = None if config.obstacles is None else ObstacleStop(config.obstacles)
-        self._pilot: Pilot | None = None
+        self._obstacles = ObstacleStop(config.obstacles)
+        self._pilot: Pilot | None = None  # from when the button was first held
         self._ranges = {name: TimedInput(name, config.obstacles.timeout_s)
-                        for name, mount in (config.obstacles.mounts if config.obstacles else {}).items()
-                        if not mount.looks_back}
+                        for name, mount in config.obstacles.mounts.items() if not mount.looks_back}
         self._drives = False  # a car that is pushed, or steered by hand meanwhile, shows nothing about its steering
         self._is_slowed = False  # by more than its own drag, or moved by hands
-
-    @property
-    def start(self) -> tuple[float, float] | None:
-        """The area's center in odometry's frame, for rviz; ``None`` before the button was first held."""
-        return None if self._pilot is None else self._pilot.outlook.area.center
 
     def _update_motion(self, distance_m, turned_rad, measured_ns, now_ns):
         if self._is_slowed:
@@ -52,8 +46,7 @@ class CalibrationDrive(Survey):
     def update_range(self, name: str, range_m: float, now_ns: int) -> None:
         """Take a sonar's range, as on its topic: inf = no echo, −inf = too near, NaN = nonsense. See ``obstacle_stop``.
         """
-        if self._obstacles is not None:
-            self._obstacles.update_range(name, range_m, now_ns)
+        self._obstacles.update_range(name, range_m, now_ns)
         if name in self._ranges:
             self._ranges[name].update(range_m, now_ns)
 
@@ -80,7 +73,7 @@ class CalibrationDrive(Survey):
                 self._pilot.pause()
             return Step(None, 0.0, WAITING if self._pilot is None else PAUSED, trouble)
         if self._pilot is None:
-            outline, radius_m = self.config.outline, self.config.radius_m
+            outline, radius_m = self.config.obstacles.outline, self.config.radius_m
             middle = moved(self.motion.pose, (outline.front_m - outline.rear_m) / 2, 0.0)
             area = Area(middle[:2], radius_m - MARGIN_M, outline, radius_m)
             self._pilot = Pilot(self, Outlook(self, area, self._obstacles, self._stops))
@@ -103,6 +96,6 @@ class CalibrationDrive(Survey):
         verb = "begins" if self._pilot is None else "goes on"
         return refusal and f"{refusal}; hold the autonomous deadman and it {verb}"
 
-    def expected_path(self) -> list[tuple[float, float]]:
-        """Return the next seconds' path in odometry's frame, as far as it is known, for rviz: (x, y) in m."""
-        return [] if self._pilot is None else self._pilot.expected_path()
+    def picture(self) -> tuple[tuple[float, float] | None, list[tuple[float, float]]]:
+        """Return the area's center and the path, as Survey; none before the button was first held."""
+        return super().picture() if self._pilot is None else (self._pilot.outlook.area.center, self._pilot.path())

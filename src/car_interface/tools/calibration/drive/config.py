@@ -8,7 +8,7 @@ from typing import Any, Sequence
 from car_interface.common.declared import DECLARATION, number, read
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.params import Params
-from car_interface.throttle.obstacle_stop import ObstacleConfig, Outline
+from car_interface.throttle.obstacle_stop import ObstacleConfig
 
 DESCRIPTION = """calibration_drive: the car calibrates its steering by itself while you hold the
 autonomous deadman and watch. Launch it with throttle:=true planner:=speed. It
@@ -35,12 +35,8 @@ class CalibrationDriveConfig:
     # stop with less, that counts, and with more once two stops or more without a brake have shown it.
     braking_mps2: float = number("braking", 0.15, "the deceleration that a stop is certain of", "m/s^2",
                                  low=0.1, high=10)
-    obstacles: ObstacleConfig | None = None  # the sonars, as throttle_arb takes them; ``None`` = none is looked at
-
-    @property
-    def outline(self) -> Outline:
-        """The car from above."""
-        return Outline() if self.obstacles is None else self.obstacles.outline
+    # The car from above and its sonars, as throttle_arb takes them; without mounts none is looked at.
+    obstacles: ObstacleConfig = ObstacleConfig()
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:

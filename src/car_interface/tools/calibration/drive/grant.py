@@ -22,7 +22,7 @@ PLANNER_DRIVES = ("", AUTONOMOUS)  # modes in which the planner both steers and 
 # Neutral for one of these means only that nothing was asked for.
 IDLE = frozenset({causes.NO_REQUEST, causes.NO_RADIUS, causes.PLANNER_STALE, causes.COMMAND_STALE,
                   causes.COMMAND_AWAITED})
-ABSENT = "human_in_loop is false: "  # how turn_arb begins its reason; what follows says it to a person
+ABSENT = "human_in_loop is false: "  # how an arbiter begins its reason; what follows says it to a person
 LAUNCH = "roslaunch car_interface car.launch throttle:=true planner:=speed"
 NO_PULSE = (-1, 0, 65535)  # unknown, off, always on
 UNHEARD = frozenset({causes.JOY_NEVER_RECEIVED, causes.JOY_STALE, *causes.JOY_UNUSABLE})
@@ -78,7 +78,7 @@ class Grant:
                 return timed.stale_reason(now_ns)
         steering = self._steering.value
         if self._by_stick:
-            return "" if steering.source == TELEOP else _plain(steering.reason)
+            return "" if steering.source == TELEOP else steering.reason.replace(ABSENT, "")
         source = self._planner.value.source
         return (_steering_trouble(steering) or _throttle_trouble(self._throttle.value)
                 or (f"planner_interface obeys {source}" if source != SPEED else "; ".join(self.others(now_ns))))
@@ -120,19 +120,15 @@ class Grant:
              "another terminal")]
 
 
-def _plain(reason):
-    return reason[len(ABSENT):] if reason.startswith(ABSENT) else reason
-
-
 def _steering_trouble(steering):
     if steering.source == PLANNER or steering.source == NEUTRAL and steering.cause in IDLE:
         return ""
-    return f"the gamepad steers ({steering.reason})" if steering.source == TELEOP else _plain(steering.reason)
+    return f"the gamepad steers ({steering.reason})" if steering.source == TELEOP else steering.reason.replace(ABSENT, "")
 
 
 def _throttle_trouble(throttle):
     if throttle.source in (LOCKED, NO_HUMAN):
-        return _plain(throttle.reason)
+        return throttle.reason.replace(ABSENT, "")
     if throttle.source == TELEOP:
         return f"the gamepad drives ({throttle.reason})"
     if throttle.mode not in PLANNER_DRIVES:

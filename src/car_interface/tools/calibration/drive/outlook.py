@@ -28,7 +28,7 @@ QUICK_MPS2, MAX_QUICK_MPS = 2.2, 1.6  # sideways, in every other turn: shows by 
 class Outlook:
     """The way ahead of one car, which stays in an area."""
 
-    def __init__(self, survey: Survey, area: Area, obstacles: ObstacleStop | None, stops: Stops):
+    def __init__(self, survey: Survey, area: Area, obstacles: ObstacleStop, stops: Stops):
         self.area = area
         self.servo_duty = float(survey.base.servo_center)
         self._survey, self._config, self._motion = survey, survey.config, survey.motion
@@ -133,8 +133,7 @@ class Outlook:
         return math.inf if bound is None else bound.speed_mps
 
     def _bound(self, curvature_per_m, now_ns):
-        return self._obstacles and self._obstacles.bound(
-            curvature_per_m, False, self._config.braking_mps2, now_ns, counts_sides=False)
+        return self._obstacles.bound(curvature_per_m, False, self._config.braking_mps2, now_ns, counts_sides=False)
 
     def allowed_mps(self, hold: Hold, is_quick: bool, now_ns: int) -> tuple[float, str]:
         """Return (the speed for a position, why it stands); ``is_quick``: as fast as the tyres hold, once it is

@@ -94,14 +94,20 @@ class Choices:
         want_m = wanted_length_m(self._outlook.turns_per_m()[side])
         return Choice(self._hold_for(candidate, now_ns), want_m, candidate.need)
 
-    def missing_in_turn(self, held_duty: int, side: int, now_ns: int) -> Choice | None:
-        """Return the best one to that side, other than what is held, that is refused or a gap by now; ``None``: there
-        is none with room for it.
+    def in_turn(self, held: Hold, side: int, now_ns: int) -> Choice | None:
+        """Return what a turn to that side that has to go on could measure in place of what is held; ``None``: nothing.
+
+        One that is refused or a gap by now may turn less tightly, where there is room for it; else, once what is held was
+        measured, one that is as tight will do.
         """
         choices = [self._from_here(self._ideal(candidate, 0.0, now_ns), (0.0, 0.0), now_ns)._replace(need=candidate.need)
                    for candidate in self._survey.positions.candidates(lambda duty: self._turns(duty, side, SAME_TURN_RATIO))
-                   if candidate.need >= MISSING_NEED and candidate.duty != held_duty]
-        return max((choice for choice in choices if choice.score), key=lambda choice: choice.score, default=None)
+                   if candidate.need >= MISSING_NEED and candidate.duty != held.duty]
+        best = max((choice for choice in choices if choice.score), key=lambda choice: choice.score, default=None)
+        if best is None and held.is_noted:
+            other = self.tight(side, self._survey.motion.pose, now_ns, LITTLE_NEED)
+            return None if other is None or other.duty == held.duty else self.turn(other, side, now_ns)
+        return best
 
     def tight(self, side: int, pose: Pose, now_ns: int, least_need: float = 0.0) -> Candidate | None:
         """Return the tight position to that side of which least is known, and that stays inside; ``None``: there is
@@ -269,7 +275,7 @@ class Pilot:
         steering = self._survey.positions.steering(hold.asked_duty(now_ns))
         return Step(steering, speed_mps, phase, text or said, hold.duty)
 
-    def expected_path(self) -> list[tuple[float, float]]:
+    def path(self) -> list[tuple[float, float]]:
         """Return the next 2 m, by the position that is held."""
         if self._hold is None:
             return []
@@ -353,8 +359,10 @@ class Pilot:
             farthest = max(choices, key=lambda choice: choice.length_m)
             if farthest.length_m > -MIN_LENGTH_M:
                 self._begin(farthest, False, now_ns)
-        elif self._hold.is_noted or self._choice.need < LITTLE_NEED:
-            self._measure_in_turn(now_ns)
+        elif self._hold.is_noted or self._choice.need < LITTLE_NEED:  # it has to go on, where enough is known
+            other = self._choices.in_turn(self._hold, self._held_side(), now_ns)
+            if other is not None:
+                self._begin(other, True, now_ns)
 
     def _begin_best(self, choices, ratio, now_ns):
         """Begin the best of them, if its worth is this part of what any would have with all the room; return whether it
@@ -378,21 +386,6 @@ class Pilot:
             self._is_turn, self._choice = True, self._choice._replace(side=None)
         else:
             self._begin(self._choices.turn(best, side, now_ns), True, now_ns)
-
-    def _measure_in_turn(self, now_ns):
-        """In a turn that has to go on, at a position that is known by now, take another one that turns to the same
-        side.
-
-        One that is missing may turn less tightly, where there is room for it; else one that is as tight will do.
-        """
-        side, held = self._held_side(), self._hold
-        missing = self._choices.missing_in_turn(held.duty, side, now_ns)
-        if missing is not None:
-            self._begin(missing, True, now_ns)
-        elif held.is_noted:
-            other = self._choices.tight(side, self._motion.pose, now_ns, LITTLE_NEED)
-            if other is not None and other.duty != held.duty:
-                self._begin(self._choices.turn(other, side, now_ns), True, now_ns)
 
     def _held_side(self):
         """Return to which side it turns."""

@@ -118,29 +118,21 @@ class Samples:
     def __init__(self):
         self._odom = array("d")  # t_s, x_m, y_m, yaw_rad, speed_mps, and again
         self._duty = array("d")  # t_s, duty, and again
-        self._first_ns: int | None = None
 
     def update_odometry(self, pose: Pose, speed_mps: float, at_ns: int) -> None:
         """Add one odometry, its yaw unwrapped. One that isn't later than the last is left out."""
-        t_s = self._seconds(at_ns)
-        if not self._odom or t_s > self._odom[-5]:
-            self._odom.extend((t_s, *pose, speed_mps))
+        if not self._odom or at_ns / NS_PER_S > self._odom[-5]:
+            self._odom.extend((at_ns / NS_PER_S, *pose, speed_mps))
 
     def update_duty(self, duty: float, at_ns: int) -> None:
         """Add what the board holds on the steering's channel; what is no servo's pulse (0, off) is unknown."""
-        self._duty.extend((self._seconds(at_ns), duty if is_pulse(duty) else math.nan))
+        self._duty.extend((at_ns / NS_PER_S, duty if is_pulse(duty) else math.nan))
 
     def drive(self) -> SteeringDrive:
         """Return all samples so far as new arrays: (N,) of odometry, (M,) of duties; safe to hand to a thread."""
         odom = Odom(*np.array(self._odom).reshape(-1, 5).T.copy())
         along_m = distance_m(odom) if len(odom.t_s) else np.zeros(0)
         return SteeringDrive(odom.t_s, along_m, odom.yaw_rad, *np.array(self._duty).reshape(-1, 2).T.copy())
-
-    def _seconds(self, at_ns):
-        """Since the first sample: small numbers keep their microseconds."""
-        if self._first_ns is None:
-            self._first_ns = at_ns
-        return (at_ns - self._first_ns) / NS_PER_S
 
 
 class Survey:
@@ -223,6 +215,12 @@ class Survey:
         """The servo's by the newest fit; a guess before."""
         known = self.positions.knowledge
         return GUESSED_DELAY if known is None else known.given.delay._replace(lag_s=max(0.02, known.given.delay.lag_s))
+
+    def picture(self) -> tuple[tuple[float, float] | None, list[tuple[float, float]]]:
+        """Return for rviz the area's center, ``None`` = there is none, and the next seconds' path as far as it is known:
+        (x, y) in m in odometry's frame.
+        """
+        return None, []
 
     def progress(self) -> Progress:
         """Return how far it is."""

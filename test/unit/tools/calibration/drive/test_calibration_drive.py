@@ -32,12 +32,12 @@ def test_without_the_button_it_asks_for_nothing_and_quotes_the_reason_until_it_b
     step = one.tick()
     assert (step.phase, step.steering, step.speed_mps) == (WAITING, None, 0.0)
     assert step.text == "human_in_loop is false; hold the autonomous deadman and it begins"
-    assert one.drive.start is None and one.drive.expected_path() == []
+    assert one.drive.picture() == (None, [])
     one.holds = True
     one.tick()
-    assert one.drive.start == pytest.approx((0.142, 0.0)), "the area is around the car's middle where it began"
+    assert one.drive.picture()[0] == pytest.approx((0.142, 0.0)), "the area is around the car's middle where it began"
     one.run(5)
-    path = one.drive.expected_path()
+    _, path = one.drive.picture()
     assert math.dist(path[0], one.pose[:2]) < 0.1 and len(path) == 21
     one.drive.finish()
     step = one.tick()
@@ -51,9 +51,9 @@ def test_letting_go_pauses_at_once_and_holding_goes_on():
     step = one.tick()
     assert (step.phase, step.steering, step.speed_mps) == (PAUSED, None, 0.0)
     assert step.text == "human_in_loop is false; hold the autonomous deadman and it goes on"
-    driven_s, samples, start = one.drive.driven_s, len(one.drive.samples.drive().t_s), one.drive.start
+    driven_s, samples, start = one.drive.driven_s, len(one.drive.samples.drive().t_s), one.drive.picture()[0]
     one.run(5)
-    assert one.drive.driven_s == driven_s and one.drive.start == start
+    assert one.drive.driven_s == driven_s and one.drive.picture()[0] == start
     assert len(one.drive.samples.drive().t_s) <= samples + 1, "a car that is pushed shows nothing about its steering"
     one.holds = True
     assert one.run(2).phase in (SETTLING, MEASURING, TURNING)

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from car_interface.throttle.obstacle_stop import ObstacleConfig, ObstacleStop
 from car_interface.tools.calibration.drive.area import Area, Pose, moved
 from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
 from car_interface.tools.calibration.drive.knowledge import Knowledge
@@ -26,7 +27,7 @@ def outlook(pose, speed_mps=1.0, braking_mps2=1.0, **stops):
     at = np.array([0.0])  # of no duty that is driven
     survey.positions.update_knowledge(Knowledge("", at, at, at, at, given=CurveFitConfig(Delay(0.05, 0.15))), 0)
     seen = SimpleNamespace(**{"least_mps2": math.inf, "sure_mps2": 0.0, **stops})
-    one = Outlook(survey, Area((0.0, 0.0), 2.88), None, seen)
+    one = Outlook(survey, Area((0.0, 0.0), 2.88), ObstacleStop(ObstacleConfig()), seen)
     one.servo_duty = CENTER
     return one
 
