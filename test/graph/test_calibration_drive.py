@@ -314,7 +314,7 @@ def test_table_that_is_there_is_replaced_after_a_question_or_the_new_one_is_writ
     old = (tmp_path / "turn_arb.yaml").read_text(encoding="utf-8")
     new = old.replace("servo_center: 5100", "servo_center: 5050")
     result = CalibrationResult("", (), (), (), (), (), (5100, 5050), (), (), ())
-    conclusion = Conclusion(new, ("it is so",), "", 5050, result=result)
+    conclusion = Conclusion(new, ("it is so",), "", result=result)
     monkeypatch.setattr(calibration_drive, "conclude", lambda *_: conclusion)
     car = Practice(tmp_path, "--no-sonars", *arguments, live=live).begin()
     car.hold()

@@ -328,7 +328,7 @@ class CalibrationDriveNode:
         lines = self._table.write(self._conclusion.yaml_text, replaces)
         self._is_written = True
         self._text.say("\n".join(lines))
-        self._say(board_center(self._conclusion.center_duty, self._base.servo_center,
+        self._say(board_center(self._conclusion.result.centers,
                                self._inbox.graph.parameter("pca9685/steering/servo_center", None)))
 
     def _close_recording(self, now_ns):

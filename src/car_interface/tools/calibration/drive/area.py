@@ -100,8 +100,8 @@ class Area:
         middle_m, middle_rad = abs(middle), cmath.phase(middle)
         until_rad = _inward_after_rad(turn_m / max(middle_m, 1e-9), middle_rad)
         farthest_m = 0.0
-        for ahead_m, left_m in itertools.product((self._front_m + stop_m, -self._rear_m), (self._half_m, -self._half_m)):
-            corner = complex(ahead_m, left_m - turn_m)
+        ahead_m, left_m = (self._front_m + stop_m, -self._rear_m), (self._half_m, -self._half_m)
+        for corner in (complex(ahead, left - turn_m) for ahead, left in itertools.product(ahead_m, left_m)):
             if (middle_rad - cmath.phase(corner)) % (2 * math.pi) <= until_rad:
                 farthest_m = max(farthest_m, middle_m + abs(corner))
             else:

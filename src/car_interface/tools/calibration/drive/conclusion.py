@@ -4,7 +4,7 @@ from __future__ import annotations
 import itertools
 import os
 from pathlib import Path
-from typing import Iterable, NamedTuple
+from typing import Iterable, NamedTuple, Sequence
 
 import numpy as np
 
@@ -38,7 +38,6 @@ class Conclusion(NamedTuple):
     yaml_text: str  # for turn_arb's file, the base with the new values; empty = refused
     report: tuple[str, ...]  # the most important lines of calibrate_steering's own; the file has them all
     refusal: str  # why nothing is to be written, in the tool's words; empty = nothing is missing
-    center_duty: int  # the new servo_center, for servo.yaml too; 0 = refused
     # what the refusal is made of, where more driving is what it takes: sentences; else empty
     missing: tuple[str, ...] = ()
     result: CalibrationResult | None = None  # for the recording; ``None`` = there was nothing to fit
@@ -64,8 +63,8 @@ def conclude(drive: SteeringDrive, base: SteeringCalibration, base_text: str, na
     except CarInterfaceError as error:
         refusal = str(error)
     if refusal:
-        return Conclusion("", lines, refusal, 0, missing, result)
-    return Conclusion(text, lines, "", round(calibrated.center), (), result)
+        return Conclusion("", lines, refusal, missing, result)
+    return Conclusion(text, lines, "", (), result)
 
 
 def _result(calibrated: SteeringResult, base: SteeringCalibration, refusal: str, lines: Iterable[str]):
@@ -165,15 +164,17 @@ def next_steps(table: TableFile, refusal: str, replaces: bool | None) -> list[st
         return [("Drive again with more room (--radius 3.5) or more time (--max-time 420), or give this recording and "
                  "another one to calibrate_steering, which makes one table of both.")]
     answered = "If you answered no, take" if replaces is None else "Take"
-    return [*([] if replaces else [f"{answered} the new table by: {table.taking}"]), f"Launch again with config:={table.path.parent}, which loads the table.",
+    return [*([] if replaces else [f"{answered} the new table by: {table.taking}"]),
+            f"Launch again with config:={table.path.parent}, which loads the table.",
             "Then ask for a circle, and measure it: rostopic pub -r 20 av_turnrad_req std_msgs/Float32 2.0",
             "bag_report of any later drive says how tight its slow turns were against this table."]
 
 
-def board_center(center_duty: int, old_duty: int, board_duty: int | None) -> str:
+def board_center(centers: Sequence[float], board_duty: int | None) -> str:
     """Return a line about the servo board, which is to center the steering by the new duty, too, when nobody commands
-    it. ``old_duty``: turn_arb's center so far; ``board_duty``: pca9685's, ``None`` = another driver runs the board.
+    it. ``centers``: turn_arb's, old and new; ``board_duty``: pca9685's, ``None`` = another driver runs the board.
     """
+    old_duty, center_duty = map(round, centers)
     if board_duty == old_duty:
         return f"the servo board centers the steering by the same file (duty {center_duty}): it needs nothing more"
     if board_duty is None:

@@ -86,11 +86,13 @@ class Grant:
     def missing(self, now_ns: int) -> list[str]:
         """Return what is missing before it begins, most basic first; empty: it can begin."""
         found = [text for is_so, text in (
-            (not self._steering.was_received, f"turn_arb isn't heard: is the car launched, and in this namespace? {LAUNCH}"),
+            (not self._steering.was_received,
+             f"turn_arb isn't heard: is the car launched, and in this namespace? {LAUNCH}"),
             (self.duty is None, "/servo/output isn't heard: is pca9685 running?"),
-            (self.duty in NO_PULSE, "the servo board gives no pulse on the steering's channel: rosrun car_interface "
-                                    "doctor"),
-            (not self.has_odom, "there is no odometry on odom: is teensy_sensor_hub running, and the Teensy plugged in?"),
+            (self.duty in NO_PULSE,
+             "the servo board gives no pulse on the steering's channel: rosrun car_interface doctor"),
+            (not self.has_odom,
+             "there is no odometry on odom: is teensy_sensor_hub running, and the Teensy plugged in?"),
         ) if is_so]
         return found if self._by_stick else [*found, *self._missing_of_a_program(), *self.others(now_ns)]
 
@@ -123,7 +125,9 @@ class Grant:
 def _steering_trouble(steering):
     if steering.source == PLANNER or steering.source == NEUTRAL and steering.cause in IDLE:
         return ""
-    return f"the gamepad steers ({steering.reason})" if steering.source == TELEOP else steering.reason.replace(ABSENT, "")
+    if steering.source == TELEOP:
+        return f"the gamepad steers ({steering.reason})"
+    return steering.reason.replace(ABSENT, "")
 
 
 def _throttle_trouble(throttle):

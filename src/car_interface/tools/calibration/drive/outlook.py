@@ -31,7 +31,8 @@ class Outlook:
     def __init__(self, survey: Survey, area: Area, obstacles: ObstacleStop, stops: Stops):
         self.area = area
         self.servo_duty = float(survey.base.servo_center)
-        self._survey, self._config, self._motion = survey, survey.config, survey.motion
+        self._survey, self._config, self._motion, self._positions = (
+            survey, survey.config, survey.motion, survey.positions)
         self._ends, self._obstacles, self._stops = survey.ends, obstacles, stops
 
     def _coasts_mps2(self):
@@ -41,31 +42,27 @@ class Outlook:
 
     # --- where it goes ---
 
-    def expected_per_m(self, duty: float) -> float:
-        """Return the curvature to expect at a duty."""
-        return self._survey.positions.expected_per_m(duty)
-
     def turns_per_m(self) -> list[float]:
         """Return the curvatures of the tight turns to the left and to the right."""
-        return [self.expected_per_m(end) for end in self._ends]
+        return [self._positions.expected_per_m(end) for end in self._ends]
 
     def live_per_m(self) -> float:
         """Return the curvature now; that of the duty that is held, where the car hardly moves."""
         curvature = self._motion.curvature_per_m()
-        return self.expected_per_m(self.servo_duty) if curvature is None else curvature
+        return self._positions.expected_per_m(self.servo_duty) if curvature is None else curvature
 
     def path_per_m(self, hold: Hold | None, now_ns: int) -> float:
         """Return the curvature of the arc ahead: as measured, or, while the servo is on its way, as expected."""
         if hold is None or hold.is_settled(now_ns):
             return self.live_per_m()
-        return (self.live_per_m() + 2 * self.expected_per_m(hold.duty)) / 3
+        return (self.live_per_m() + 2 * self._positions.expected_per_m(hold.duty)) / 3
 
     def turns(self, from_duty: float) -> list[Turn]:
         """Return the tight turns to the left and to the right, begun with the servo at a duty."""
         live, delay, found = self._motion.curvature_per_m(), self._survey.servo_delay, []
         for end, expected in zip(self._ends, self.turns_per_m()):
             # The servo creeps up to its end, and some linkages turn the wheels within the last counts.
-            near_duty = max(TIGHT_DUTY, abs(end - self._survey.positions.half_way_duty(end)))
+            near_duty = max(TIGHT_DUTY, abs(end - self._positions.half_way_duty(end)))
             lags = min(MAX_LAGS, max(1.0, math.log(max(1.0, abs(end - from_duty) / near_duty))))
             # An end that is just being found out turns as it is seen to.
             is_seen = abs(from_duty - end) < TIGHT_DUTY and live is not None and live / expected > 1.0
@@ -80,10 +77,8 @@ class Outlook:
     @property
     def slow_mps(self) -> float:
         """The speed at the edge."""
-        sure_mps2 = self._stops.sure_mps2
-        if not sure_mps2:
-            return SLOW_MPS
-        return max(SLOW_MPS, min(MAX_SLOW_MPS, stopping_speed_mps(SLOW_STOP_M, RELEASE_S, sure_mps2)))
+        sure_mps = stopping_speed_mps(SLOW_STOP_M, RELEASE_S, self._stops.sure_mps2)
+        return max(SLOW_MPS, min(MAX_SLOW_MPS, sure_mps))
 
     def ways_out(self, hold: Hold | None, now_ns: int) -> list[WayOut]:
         """Return what comes of a tight turn to the left, and of one to the right."""
@@ -125,7 +120,7 @@ class Outlook:
         config = self._config
         ratio = min(1.0, abs(curvature_per_m) / TIGHT_PER_M)
         speed_mps = config.speed_mps + (config.tight_speed_mps - config.speed_mps) * ratio
-        return min(speed_mps, EARLY_MPS) if self._survey.positions.knowledge is None else speed_mps
+        return min(speed_mps, EARLY_MPS) if self._positions.knowledge is None else speed_mps
 
     def sonar_mps(self, curvature_per_m: float, now_ns: int) -> float:
         """Return what the sonars allow on an arc."""
@@ -139,7 +134,7 @@ class Outlook:
         """Return (the speed for a position, why it stands); ``is_quick``: as fast as the tyres hold, once it is
         settled.
         """
-        expected, speed_now_mps = self.expected_per_m(hold.duty), self._motion.speed_mps
+        expected, speed_now_mps = self._positions.expected_per_m(hold.duty), self._motion.speed_mps
         speed_mps = self.cruise_mps(expected)
         if is_quick and hold.is_settled(now_ns):
             speed_mps = max(speed_mps, min(MAX_QUICK_MPS, math.sqrt(QUICK_MPS2 / abs(expected))))

@@ -58,10 +58,11 @@ class Choice(NamedTuple):
 
     hold: Hold  # its hold, if it is begun now
     want_m: float  # the length that it wants
-    need: float = 0.0  # of a tight turn, how much it is worth to measure that
+    is_turn: bool = False  # it turns back into the area
+    need: float = 0.0  # of such a turn, how much it is worth to measure it
     worth: float = 0.0  # of another position, for the time that it takes
-    # what measuring it is worth for each second, and the turn that follows: with all the room that it wants and with the
-    # turn that is worth more, and with the room that there is. 0 = there is no room for it.
+    # what measuring it is worth for each second, and the turn that follows: with all the room that it wants and the turn
+    # that is worth more, and with the room that there is. 0 = there is no room for it.
     ideal: float = 0.0
     score: float = 0.0
     length_m: float = -math.inf  # how long it could be measured, negative where it wouldn't even settle
@@ -92,22 +93,23 @@ class Choices:
     def turn(self, candidate: Candidate, side: int, now_ns: int) -> Choice:
         """Return a tight turn at a position, whatever room there is."""
         want_m = wanted_length_m(self._outlook.turns_per_m()[side])
-        return Choice(self._hold_for(candidate, now_ns), want_m, candidate.need)
+        return Choice(self._hold_for(candidate, now_ns), want_m, True, candidate.need)
 
     def in_turn(self, held: Hold, side: int, now_ns: int) -> Choice | None:
         """Return what a turn to that side that has to go on could measure in place of what is held; ``None``: nothing.
 
-        One that is refused or a gap by now may turn less tightly, where there is room for it; else, once what is held was
-        measured, one that is as tight will do.
+        One that is refused or a gap by now may turn less tightly, where there is room for it; else, once what is held
+        was measured, one that is as tight will do.
         """
-        choices = [self._from_here(self._ideal(candidate, 0.0, now_ns), (0.0, 0.0), now_ns)._replace(need=candidate.need)
-                   for candidate in self._survey.positions.candidates(lambda duty: self._turns(duty, side, SAME_TURN_RATIO))
-                   if candidate.need >= MISSING_NEED and candidate.duty != held.duty]
-        best = max((choice for choice in choices if choice.score), key=lambda choice: choice.score, default=None)
-        if best is None and held.is_noted:
-            other = self.tight(side, self._survey.motion.pose, now_ns, LITTLE_NEED)
-            return None if other is None or other.duty == held.duty else self.turn(other, side, now_ns)
-        return best
+        missing = [candidate for candidate in self._survey.positions.candidates(
+            lambda duty: self._turns(duty, side, SAME_TURN_RATIO))
+            if candidate.need >= MISSING_NEED and candidate.duty != held.duty]
+        choices = [self._from_here(self._ideal(candidate, 0.0, now_ns), (0.0, 0.0), now_ns) for candidate in missing]
+        best = max(choices, key=lambda choice: choice.score, default=None)
+        if best is not None and best.score:
+            return best._replace(is_turn=True, need=MISSING_NEED, side=None)
+        other = self.tight(side, self._survey.motion.pose, now_ns, LITTLE_NEED) if held.is_noted else None
+        return None if other is None or other.duty == held.duty else self.turn(other, side, now_ns)
 
     def tight(self, side: int, pose: Pose, now_ns: int, least_need: float = 0.0) -> Candidate | None:
         """Return the tight position to that side of which least is known, and that stays inside; ``None``: there is
@@ -128,20 +130,21 @@ class Choices:
                     default=0.0) for side in (0, 1)]
 
     def _turns(self, duty, side, ratio):
-        """Return whether a position is expected to turn to that side, and by that ratio as tightly as its tight turn."""
-        return self._outlook.expected_per_m(duty) / self._outlook.turns_per_m()[side] > ratio
+        """Return whether a position is expected to turn to that side, more than that ratio of its tight turn."""
+        return self._survey.positions.expected_per_m(duty) / self._outlook.turns_per_m()[side] > ratio
 
     def _ideal(self, candidate, turn_worth, now_ns):
         """Return what a candidate is worth with all the room that it wants."""
-        curvature = self._outlook.expected_per_m(candidate.duty)
-        hold, want_m, worth = self._hold_for(candidate, now_ns), wanted_length_m(curvature), candidate.need ** NEED_POWER
+        curvature = self._survey.positions.expected_per_m(candidate.duty)
+        hold, want_m = self._hold_for(candidate, now_ns), wanted_length_m(curvature)
+        worth = candidate.need ** NEED_POWER
         seconds = hold.seconds_to_settle(now_ns) + want_m / self._outlook.cruise_mps(curvature)
         return Choice(hold, want_m, worth=worth, ideal=(worth + turn_worth) / (seconds + TURN_S))
 
     def _from_here(self, ideal, turns_worth, now_ns):
         """Return what it is worth from here, ending with the tight turn that makes it worth most."""
         hold, want_m = ideal.hold, ideal.want_m
-        curvature = self._outlook.expected_per_m(hold.duty)
+        curvature = self._survey.positions.expected_per_m(hold.duty)
         seen_mps = self._outlook.sonar_mps(curvature, now_ns)
         if seen_mps < SEEN_MPS:
             return ideal
@@ -228,7 +231,7 @@ class Pilot:
         self._choices = Choices(survey, outlook)
         self._choice: Choice | None = None  # that is held; ``None`` = nothing was yet
         self._hold: Hold | None = None  # its hold; ``None`` = the button was let go
-        self._is_turn = self._avoids = False
+        self._avoids = False
         self._turned_rad = 0.0
         self._chosen_ns = 0
         self._free_ns: int | None = None  # when it last had moved on
@@ -266,7 +269,7 @@ class Pilot:
             self._free_ns, self._stood_m = now_ns, 0.0
         self._steer_on(now_ns)
         hold = self._hold
-        speed_mps, text = self.outlook.allowed_mps(hold, self._is_turn and self._is_quick, now_ns)
+        speed_mps, text = self.outlook.allowed_mps(hold, self._choice.is_turn and self._is_quick, now_ns)
         phase, said = self._phase(now_ns)
         if self._lost.asked is not None:
             speed_mps, phase, text = 0.0, BLOCKED, self._lost.text(self.outlook.turns_per_m())
@@ -279,7 +282,7 @@ class Pilot:
         """Return the next 2 m, by the position that is held."""
         if self._hold is None:
             return []
-        pose, curvature = self._motion.pose, self.outlook.expected_per_m(self._hold.duty)
+        pose, curvature = self._motion.pose, self._survey.positions.expected_per_m(self._hold.duty)
         return [moved(pose, 0.1 * index, curvature)[:2] for index in range(21)]
 
     # --- which position ---
@@ -291,12 +294,12 @@ class Pilot:
             self._begin_any(now_ns)
             return
         is_due = now_ns - self._chosen_ns >= CHOICE_NS
-        is_tightest = self._is_turn and hold.duty in self._ends and self._turned_rad < TURNED_RAD
+        is_tightest = choice.is_turn and hold.duty in self._ends and self._turned_rad < TURNED_RAD
         if not is_tightest and self._is_cut_off(now_ns):
-            self._turn(now_ns, tightest=self._is_turn)
+            self._turn(now_ns, tightest=choice.is_turn)
         elif self._misses_turn(now_ns):
             self._turn(now_ns, choice.side)
-        elif not self._is_turn:
+        elif not choice.is_turn:
             if hold.length_m >= choice.want_m:
                 self._begin_any(now_ns)
         elif not self._takes_lost_turn(now_ns) and is_due and (
@@ -337,7 +340,7 @@ class Pilot:
         if look.sonar_mps(look.path_per_m(self._hold, now_ns), now_ns) < FREE_MPS:
             self._avoids = True
             return True
-        if self._is_turn:  # it is on its way back
+        if self._choice.is_turn:  # it is on its way back
             return min(way.excess_m for way in look.ways_out(self._hold, now_ns)) > 0
         return look.is_outside_soon(self._hold, now_ns)
 
@@ -358,11 +361,11 @@ class Pilot:
             # A circle around the middle leaves room for nothing: from one at the edge the way across is longer.
             farthest = max(choices, key=lambda choice: choice.length_m)
             if farthest.length_m > -MIN_LENGTH_M:
-                self._begin(farthest, False, now_ns)
+                self._begin(farthest, now_ns)
         elif self._hold.is_noted or self._choice.need < LITTLE_NEED:  # it has to go on, where enough is known
             other = self._choices.in_turn(self._hold, self._held_side(), now_ns)
             if other is not None:
-                self._begin(other, True, now_ns)
+                self._begin(other, now_ns)
 
     def _begin_best(self, choices, ratio, now_ns):
         """Begin the best of them, if its worth is this part of what any would have with all the room; return whether it
@@ -372,7 +375,7 @@ class Pilot:
         best = max(choices, key=lambda choice: choice.score, default=None)
         if best is None or not best.score or best.score < ratio * max(choice.ideal for choice in choices):
             return False
-        self._begin(best, False, now_ns)
+        self._begin(best, now_ns)
         return True
 
     def _turn(self, now_ns, side=None, tightest=False):
@@ -383,13 +386,13 @@ class Pilot:
         best = None if tightest else self._choices.tight(side, pose, now_ns)
         best = best or Candidate(self._ends[side], 0.0, 0)
         if self._hold is not None and self._hold.duty == best.duty:
-            self._is_turn, self._choice = True, self._choice._replace(side=None)
+            self._choice = self._choice._replace(is_turn=True, side=None)
         else:
-            self._begin(self._choices.turn(best, side, now_ns), True, now_ns)
+            self._begin(self._choices.turn(best, side, now_ns), now_ns)
 
     def _held_side(self):
         """Return to which side it turns."""
-        return 0 if self.outlook.expected_per_m(self._hold.duty) > 0 else 1
+        return 0 if self._survey.positions.expected_per_m(self._hold.duty) > 0 else 1
 
     def _way(self, now_ns):
         """Return the tight turn to take: the one that stays inside and is free; of two the one about which less is
@@ -411,17 +414,16 @@ class Pilot:
         """Return by how much the whole circle of each tight turn leaves the area."""
         return [max(way.excess_m, way.circle_m - self.outlook.area.radius_m) for way in ways]
 
-    def _begin(self, choice, is_turn, now_ns):
+    def _begin(self, choice, now_ns):
         self._note_hold()
-        if not (is_turn and self._is_turn):
+        if not (choice.is_turn and self._choice is not None and self._choice.is_turn):
             self._turned_rad = 0.0
-        self._hold, self._is_turn, self._chosen_ns, self._is_side_free = choice.hold, is_turn, now_ns, False
+        self._hold, self._choice, self._chosen_ns, self._is_side_free = choice.hold, choice, now_ns, False
         if self._was_paused:
             # Meanwhile the servo went elsewhere, and the fit doesn't know at which side of its backlash the linkage
             # lies until the servo has moved once more: what is held first shows nothing.
-            self._was_paused, self._hold.is_noted, choice = False, True, choice._replace(want_m=BLIND_M)
-        self._choice = choice._replace(side=None) if is_turn else choice
-        if not is_turn:
+            self._was_paused, self._hold.is_noted, self._choice = False, True, choice._replace(want_m=BLIND_M)
+        if not choice.is_turn:
             self._avoids = False
             return
         known = self._survey.positions.knowledge  # while it doesn't show by how much turns widen every other is quick
@@ -441,7 +443,7 @@ class Pilot:
         side = steering_text(self._survey.positions.steering(hold.duty), "straight on")
         if self._avoids:
             return AVOIDING, f"a sonar sees something: it turns at {side}"
-        if self._is_turn:
+        if self._choice.is_turn:
             return TURNING, f"it turns back into the area at {side}"
         if not hold.is_settled(now_ns):
             return SETTLING, f"to {side}, duty {hold.duty}"

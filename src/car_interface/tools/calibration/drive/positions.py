@@ -233,8 +233,9 @@ class Positions:
         """
         outward = 1 if duty >= self._base.servo_center else -1
         inner = [one for one in self._newest.values() if (duty - one.duty) * outward >= 0]
+        next_one = min(inner, key=lambda one: abs(one.duty - duty), default=None)
         sign = self._left_sign * outward
-        return sign * max(0.0, sign * min(inner, key=lambda one: abs(one.duty - duty)).curvature_per_m) if inner else 0.0
+        return sign * max(0.0, sign * next_one.curvature_per_m) if next_one else 0.0
 
     def steering(self, duty: float) -> float:
         """Return the request, −1 right to 1 left, that turn_arb makes this duty of."""

@@ -217,8 +217,8 @@ class Survey:
         return GUESSED_DELAY if known is None else known.given.delay._replace(lag_s=max(0.02, known.given.delay.lag_s))
 
     def picture(self) -> tuple[tuple[float, float] | None, list[tuple[float, float]]]:
-        """Return for rviz the area's center, ``None`` = there is none, and the next seconds' path as far as it is known:
-        (x, y) in m in odometry's frame.
+        """Return for rviz the area's center, ``None`` = there is none, and the path of the next seconds as far as it is
+        known: (x, y) in m in odometry's frame.
         """
         return None, []
 

@@ -41,14 +41,15 @@ REFUSED = ("what is missing stands above: drive again, longer or with more room.
 def introduction(by_stick: bool, radius_m: float) -> str:
     """Return what is about to happen."""
     if by_stick:
-        return ("You drive, holding the manual deadman: slowly, about 1 m/s, and away from walls. It says where to hold "
-                "the stick.")
+        return ("You drive, holding the manual deadman: slowly, about 1 m/s, and away from walls. It says where to "
+                "hold the stick.")
     return (f"The car drives by itself while you hold the autonomous deadman, within {radius_m:g} m of where it stands "
             f"when you first hold it: {2 * radius_m:g} x {2 * radius_m:g} m have to be free. Let go, and it stops.")
 
 
 def drive_lines(step: Step, progress: Progress) -> list[str]:
-    """Return all of a drive's picture, for a terminal that is drawn anew. By hand with a bar of where to hold the stick.
+    """Return all of a drive's picture, for a terminal that is drawn anew; by hand with a bar of where to hold the
+    stick.
     """
     is_over, rows, missing = step.phase == DONE, progress.known.rows, missing_lines(progress.known.missing)
     if step.held is None:

@@ -21,7 +21,8 @@ THROTTLE = {**load_yaml(str(package_file("config/throttle.yaml"))),
 
 def test_sonars_are_those_of_throttle_arb_also_where_it_does_not_stop_for_them_and_without_it_is_refused():
     assert THROTTLE["obstacle_stop"] is False
-    made = drive_config(parse([]), {**THROTTLE, "obstacle": {"sonars": {"rear_left": "absent"}, "front": 0.5}}).obstacles
+    obstacle = {"sonars": {"rear_left": "absent"}, "front": 0.5}
+    made = drive_config(parse([]), {**THROTTLE, "obstacle": obstacle}).obstacles
     assert set(made.mounts) == set(SONARS) - {"rear_left"}
     assert made.outline.front_m == 0.5
     with pytest.raises(CarInterfaceError, match=r"of throttle_arb's parameters sonar_hub/sonars/front_right is "
