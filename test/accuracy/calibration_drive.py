@@ -339,7 +339,7 @@ class Bench:
         throttle.update_turn(steering.turn_radius_m(decision.duty), decision.max_speed_mps)
         made = throttle.decide(now_ns)
         arbitration = made.arbitration
-        self.drive.update_stopping(made.esc.state not in SLOWS)
+        self.drive.is_slowed = made.esc.state in SLOWS
         self._speed.update_throttle(arbitration.source, arbitration.asked, made.esc.fraction, made.esc.cause, now_ns)
         throttle.update_output([-1, made.duty, *[-1] * 14], now_ns)
         duties = [count_duty(decision.duty), count_duty(made.duty)]

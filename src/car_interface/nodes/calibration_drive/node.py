@@ -122,7 +122,7 @@ class CalibrationDriveNode:
         inbox = self._inbox
         for topic, message_type, handler in (
                 ("odom", Odometry, self._on_odometry), ("servo/output", Int32MultiArray, self._on_output),
-                *((f"{name}/state", message_type, partial(self._on_state, name)) for name, message_type in zip(
+                *((f"{name}/state", message_type, partial(self._grant.update, name)) for name, message_type in zip(
                     STATES, (SteeringState, ThrottleState, PlannerState, TeleopState))),
                 *((f"sonar/{name}", Range, partial(self._on_range, name)) for name in self._grant.sonars)):
             subscribe(topic, message_type, inbox, handler, queue_size=50)
@@ -175,11 +175,6 @@ class CalibrationDriveNode:
             self._grant.duty = duty = message.data[self._base.servo_channel]
             self._drive.update_duty(duty, now_ns)
 
-    def _on_state(self, name, message, now_ns):
-        self._grant.update(name, message, now_ns)
-        if not self._wanted.stick:
-            self._drive.update_stopping(self._grant.stops_by_itself)
-
     def _on_range(self, name, message, now_ns):
         if name in self._grant.sonars:
             self._grant.sonars.remove(name)
@@ -229,6 +224,7 @@ class CalibrationDriveNode:
         task = drive.take_fit_task()
         if task is not None:
             self._inbox.work(partial(assess, *task), drive.update_knowledge)
+        drive.is_slowed = self._grant.is_slowed
         self._step = step = drive.step(now_ns, self._grant.trouble(now_ns))
         if step.steering is not None:
             self._ask_for(step.steering, step.speed_mps)

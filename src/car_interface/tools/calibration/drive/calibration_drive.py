@@ -34,10 +34,9 @@ class CalibrationDrive(Survey):
         self._ranges = {name: TimedInput(name, config.obstacles.timeout_s)
                         for name, mount in config.obstacles.mounts.items() if not mount.looks_back}
         self._drives = False  # a car that is pushed, or steered by hand meanwhile, shows nothing about its steering
-        self._is_slowed = False  # by more than its own drag, or moved by hands
 
     def _update_motion(self, distance_m, turned_rad, measured_ns, now_ns):
-        if self._is_slowed:
+        if self.is_slowed:
             self._stops.discard()
         self._stops.update(distance_m, self.motion.speed_mps, self.motion.pose.yaw_rad, self._drives, measured_ns)
         if self._pilot is not None:
@@ -49,12 +48,6 @@ class CalibrationDrive(Survey):
         self._obstacles.update_range(name, range_m, now_ns)
         if name in self._ranges:
             self._ranges[name].update(range_m, now_ns)
-
-    def update_stopping(self, by_itself: bool) -> None:
-        """Take whether nothing but its drag and its ESC in neutral slows it: no hands, and throttle_arb doesn't brake.
-        That brakes only while it is sure that no reverse comes of it: the next time it may not.
-        """
-        self._is_slowed = not by_itself
 
     def step(self, now_ns: int, refusal: str) -> Step:
         """Return what to ask for now. Call it 20 to 100 times a second; it takes 0.1 to 3 ms on a PC.

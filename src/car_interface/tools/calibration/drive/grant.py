@@ -58,11 +58,10 @@ class Grant:
         self._others.setdefault(topic, TimedInput(topic, OTHER_TIMEOUT_S)).update(sender, now_ns)
 
     @property
-    def stops_by_itself(self) -> bool:
-        """Whether nobody steers or drives now with the manual deadman, and the ESC neither brakes nor reverses."""
-        is_by_hand = any(timed.was_received and timed.value.source == TELEOP
-                         for timed in (self._steering, self._throttle))
-        return not is_by_hand and not (self._throttle.was_received and self._throttle.value.esc in SLOWS)
+    def is_slowed(self) -> bool:
+        """Whether somebody steers or drives now with the manual deadman, or the ESC brakes or reverses."""
+        states = [timed.value for timed in (self._steering, self._throttle) if timed.was_received]
+        return any(state.source == TELEOP or getattr(state, "esc", None) in SLOWS for state in states)
 
     def others(self, now_ns: int) -> list[str]:
         """Return who else publishes, as sentences."""

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from car_interface.tools.calibration.shared import NothingToFit
-from car_interface.tools.calibration.steering.drive import COUNT, NOTHING_GIVEN, CurveFitConfig, SteeringDrive
+from car_interface.tools.calibration.steering.drive import COUNT, NOTHING_GIVEN, CurveFitConfig, Delay, SteeringDrive
 from car_interface.tools.calibration.steering.fit import fit
 from car_interface.tools.calibration.steering.smooth import BAND, unseen
 from car_interface.tools.calibration.steering.table import (
@@ -61,6 +61,11 @@ class Knowledge(NamedTuple):
     center_error: float = math.nan  # two standard errors of that
     given: CurveFitConfig = NOTHING_GIVEN  # to the next fit, with its delay and backlash
     has_understeer: bool = False  # it is known by how much turns widen with speed
+
+
+# Before the first fit, with a guess of the servo's delay.
+NOTHING_KNOWN = Knowledge("no fit was made", missing=("everything; the ends and straight on come first",),
+                          given=NOTHING_GIVEN._replace(delay=Delay(0.05, 0.15)))
 
 
 def assess(drive: SteeringDrive, config: CurveFitConfig) -> Knowledge:

@@ -23,6 +23,7 @@ SLOW_MPS, MAX_SLOW_MPS, SLOW_STOP_M = 0.33, 0.6, 0.42  # at the edge: as fast as
 EARLY_MPS = 0.8  # as long as there is no curve
 FREE_MPS, CREEP_MPS = 0.35, 0.2  # a sonar that allows less means: not there; and stop, if it was begun
 QUICK_MPS2, MAX_QUICK_MPS = 2.2, 1.6  # sideways, in every other turn: shows by how much turns widen with speed
+BY_HAND = "by hand or by the manual deadman, then hold the button again"
 
 
 class Outlook:
@@ -120,7 +121,7 @@ class Outlook:
         config = self._config
         ratio = min(1.0, abs(curvature_per_m) / TIGHT_PER_M)
         speed_mps = config.speed_mps + (config.tight_speed_mps - config.speed_mps) * ratio
-        return min(speed_mps, EARLY_MPS) if self._positions.knowledge is None else speed_mps
+        return min(speed_mps, EARLY_MPS) if self._positions.knowledge.reason else speed_mps
 
     def sonar_mps(self, curvature_per_m: float, now_ns: int) -> float:
         """Return what the sonars allow on an arc."""
@@ -151,7 +152,7 @@ class Outlook:
             speed_mps = min(speed_mps, self.slow_mps)
             if extent_m > hard_m + 0.1 and self.area.inward_rad(pose) > math.pi / 2:
                 return 0.0, (f"it stands {self.area.extent_m(pose):.1f} m from where it began, with no room to turn: "
-                             f"{self._way_back()} by hand or by the manual deadman, then hold the button again")
+                             f"{self._way_back()} {BY_HAND}")
         # Whenever the button is let go the steering goes to the center, and the car is to stop inside all the same.
         speed_mps = min(speed_mps, self._slowed_mps(self.area.ahead_m(pose, hard_m) - LATE_M))
         return min(speed_mps, seen_mps), ""
@@ -166,4 +167,10 @@ class Outlook:
         area = self.area
         if area.circle_extent_m(Pose(*area.center, 0.0), per_m, self._stop_m()) <= area.stop_radius_m:
             return "move it towards the middle"
-        return f"place it so that the middle is about {1 / abs(per_m):.1f} m to its {'left' if per_m > 0 else 'right'},"
+        return f"place it {beside_middle(per_m)},"
+
+
+def beside_middle(curvature_per_m: float) -> str:
+    """Return in words how a car is to be placed for a turn around the middle of the area."""
+    return (f"so that the middle is about {1 / abs(curvature_per_m):.1f} m to its "
+            f"{'left' if curvature_per_m > 0 else 'right'}")

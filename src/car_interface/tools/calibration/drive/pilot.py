@@ -14,7 +14,7 @@ from typing import NamedTuple, Sequence
 
 from car_interface.common.units import NS_PER_S
 from car_interface.tools.calibration.drive.area import INWARD_RAD, Pose, moved
-from car_interface.tools.calibration.drive.outlook import FREE_MPS, REACTION_S, Outlook
+from car_interface.tools.calibration.drive.outlook import BY_HAND, FREE_MPS, REACTION_S, Outlook, beside_middle
 from car_interface.tools.calibration.drive.positions import Candidate, Hold
 from car_interface.tools.calibration.drive.survey import (
     AVOIDING,
@@ -79,11 +79,10 @@ class Choices:
 
     def all(self, now_ns: int) -> list[Choice]:
         """Return the candidates as they could be begun now, without those that can't be the best any more."""
-        candidates = self._survey.positions.candidates()
-        turns_worth = [TURN_WORTH * need ** NEED_POWER for need in self.turns_needs(candidates)]
+        turns_worth = [TURN_WORTH * need ** NEED_POWER for need in self.turns_needs()]
+        ideals = [self._ideal(candidate, max(turns_worth), now_ns) for candidate in self._survey.positions.candidates()]
         found, best = [], 0.0
-        for ideal in sorted((self._ideal(candidate, max(turns_worth), now_ns) for candidate in candidates),
-                            key=lambda choice: -choice.ideal):
+        for ideal in sorted(ideals, key=lambda choice: -choice.ideal):
             if ideal.ideal < best:
                 break
             found.append(self._from_here(ideal, turns_worth, now_ns))
@@ -123,9 +122,9 @@ class Choices:
                 return candidate
         return None
 
-    def turns_needs(self, candidates: Sequence[Candidate] | None = None) -> list[float]:
+    def turns_needs(self) -> list[float]:
         """Return the greatest need of what each of the tight turns would show, of the candidates by now."""
-        candidates = self._survey.positions.candidates() if candidates is None else candidates
+        candidates = self._survey.positions.candidates()
         return [max((candidate.need for candidate in candidates if self._turns(candidate.duty, side, TIGHT_WAY_RATIO)),
                     default=0.0) for side in (0, 1)]
 
@@ -217,9 +216,8 @@ class LostTurns:
 
     def text(self, turns_per_m: Sequence[float]) -> str:
         """Return what to do, for a person; the turns have these curvatures, (2,)."""
-        name, radius_m = ("left", "right")[self.asked], 1 / abs(turns_per_m[self.asked])
-        return (f"{name} turns are missing, and no way leads to one: place the car so that the middle is about "
-                f"{radius_m:.1f} m to its {name}, by hand or by the manual deadman, then hold the button again")
+        return (f"{('left', 'right')[self.asked]} turns are missing, and no way leads to one: place the car "
+                f"{beside_middle(turns_per_m[self.asked])}, {BY_HAND}")
 
 
 class Pilot:
@@ -427,8 +425,7 @@ class Pilot:
             self._avoids = False
             return
         known = self._survey.positions.knowledge  # while it doesn't show by how much turns widen every other is quick
-        self._is_quick = (known is not None and not known.has_understeer and choice.hold.duty in self._ends
-                          and not self._is_quick)
+        self._is_quick = not (known.reason or known.has_understeer or self._is_quick) and choice.hold.duty in self._ends
 
     def _note_hold(self, least_m=KEPT_LENGTH_M):
         """Note what was measured, if it was enough."""

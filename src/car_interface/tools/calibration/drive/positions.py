@@ -11,7 +11,7 @@ from typing import Callable, NamedTuple, Sequence
 import numpy as np
 
 from car_interface.steering.calibration import SteeringCalibration
-from car_interface.tools.calibration.drive.knowledge import Knowledge
+from car_interface.tools.calibration.drive.knowledge import NOTHING_KNOWN, Knowledge
 from car_interface.tools.calibration.steering.drive import COUNT, Delay
 
 # Parts of the way from the center to each end, with their needs: ends and center, from both sides, count for most.
@@ -107,7 +107,7 @@ class Positions:
         base: the ends and the rough center; the signs of its radii, not their values.
 
     Attributes:
-        knowledge: the newest with a curve; ``None`` = there was none yet.
+        knowledge: the newest with a curve; as long as there was none NOTHING_KNOWN, with a reason.
         first: those of FIRST that weren't measured yet.
         held: the duties that were held, one for each time.
     """
@@ -119,7 +119,7 @@ class Positions:
         self._all_first = [Candidate(duty if abs(part) == 1 else nearest_count(duty, base), need, from_side)
                            for duty, (part, need, from_side) in zip(duties, FIRST)]
         self.first = list(self._all_first)
-        self.knowledge: Knowledge | None = None
+        self.knowledge = NOTHING_KNOWN
         self.held: list[int] = []
         self._known = 0  # how many of them its samples have
         self._newest: dict[int, Measured] = {}  # by duty
@@ -139,7 +139,7 @@ class Positions:
 
     def candidates(self, accepts: Callable[[float], bool] = lambda duty: True) -> list[Candidate]:
         """Return what is worth measuring of the duties that ``accepts`` takes, needs falling."""
-        if self.knowledge is None:  # where all were held, and there is no curve yet, once more
+        if self.knowledge.reason:  # where all were held, and there is no curve yet, once more
             found = [candidate for candidate in self.first or self._all_first if accepts(candidate.duty)]
         else:
             found = [candidate for candidate in (*self.first, *self._lost_ends()) if accepts(candidate.duty)]
@@ -170,7 +170,7 @@ class Positions:
     @property
     def has_gaps(self) -> bool:
         """Whether there are counts that weren't held where one count changes much: see ``_needs``."""
-        return self.knowledge is not None and bool(self._gaps().any())
+        return not self.knowledge.reason and bool(self._gaps().any())
 
     def _needs(self):
         """Return what remains of the fit's by what was measured since, and the more often the less, (K,). Where one
@@ -207,7 +207,7 @@ class Positions:
     def expected_per_m(self, duty: float) -> float:
         """Return the curvature to expect at a duty: by the fit, else by what was driven, else a guess by the ends."""
         known = self.knowledge
-        if known is not None and known.duties[0] <= duty <= known.duties[-1]:
+        if not known.reason and known.duties[0] <= duty <= known.duties[-1]:
             return float(np.interp(duty, known.duties, known.curvatures))
         base, curve = self._base, {one.duty: one.curvature_per_m for one in self._newest.values()}
         curve = curve or {base.servo_center: 0.0}

@@ -32,8 +32,6 @@ MIN_POSITIONS = 5  # before the first fit
 ENOUGH = 0.1  # of what the tool allows: an error below this anywhere ends the drive
 EARLY_S = 240.0  # of the whole drive, a guess while nothing is known
 MIN_LEFT_S = 5.0  # as long as it isn't over
-GUESSED_DELAY = Delay(0.05, 0.15)  # of the servo, while nothing is known
-NOTHING_KNOWN = Knowledge(missing=("everything; the ends and straight on come first",))
 # Phases of a drive, for programs; Step.text says the same to people, with numbers.
 WAITING = "waiting"  # the button was never held, or an input is missing: the text says which
 PAUSED = "paused"  # the button was let go; it goes on when it is held again, wherever the car stands by then
@@ -143,6 +141,8 @@ class Survey:
 
     Attributes:
         ends: the duties of its ends to the left and to the right.
+        is_slowed: more than its drag and its ESC in neutral slows it now, hands or throttle_arb's brake; it is to be
+            set. That brakes only while it is sure that no reverse comes of it: the next time it may not.
     """
 
     OF_DRIVING = ""  # what the time that counts is, behind its number
@@ -151,8 +151,9 @@ class Survey:
         self.base, self.config, self.ends = base, config, (base.servo_left, base.servo_right)
         self.samples, self.motion, self.positions = Samples(), Motion(), Positions(base)
         self._odom, self._duty = TimedInput("odom", ODOM_TIMEOUT_S), TimedInput("/servo/output", OUTPUT_TIMEOUT_S)
+        self.is_slowed = False
         self._drives = True  # what odometry says now shows something about the steering
-        self._is_fitting = self._is_newest = False  # now; the knowledge is of the last fit
+        self._is_fitting = self._is_newest = False  # now; the knowledge is of the last fit, which has ended
         self._fitted = 0  # how many positions had been held when the newest fit was begun
         self._full_ns = -FULL_FIT_NS
         self._driven_ns, self._stepped_ns = 0, None
@@ -186,8 +187,8 @@ class Survey:
         held, known = len(self.positions.held), self.positions.knowledge
         if self._is_fitting or held == self._fitted or held < MIN_POSITIONS:
             return None
-        self._is_fitting, self._fitted = True, held
-        if known is not None and self._stepped_ns - self._full_ns < FULL_FIT_NS:
+        self._is_fitting, self._is_newest, self._fitted = True, False, held
+        if not known.reason and self._stepped_ns - self._full_ns < FULL_FIT_NS:
             return self.samples.drive(), known.given
         self._full_ns = self._stepped_ns
         return self.samples.drive(), CurveFitConfig(understeer=self.base.understeer, limits=self.ends)
@@ -206,15 +207,14 @@ class Survey:
     def is_enough(self) -> bool:
         """Whether all is known by far."""
         known = self.positions.knowledge
-        return (known is not None and not known.missing and not self.positions.first
-                and known.errors.max() <= ENOUGH and not self.positions.has_gaps
-                and self._is_newest and not self._is_fitting)
+        return (self._is_newest and not known.missing and not self.positions.first
+                and known.errors.max() <= ENOUGH and not self.positions.has_gaps)
 
     @property
     def servo_delay(self) -> Delay:
         """The servo's by the newest fit; a guess before."""
-        known = self.positions.knowledge
-        return GUESSED_DELAY if known is None else known.given.delay._replace(lag_s=max(0.02, known.given.delay.lag_s))
+        delay = self.positions.knowledge.given.delay
+        return delay._replace(lag_s=max(0.02, delay.lag_s))
 
     def picture(self) -> tuple[tuple[float, float] | None, list[tuple[float, float]]]:
         """Return for rviz the area's center, ``None`` = there is none, and the path of the next seconds as far as it is
@@ -226,8 +226,7 @@ class Survey:
         """Return how far it is."""
         driven_s, left_s = self.driven_s, min(max(0.0, self.config.max_time_s - self.driven_s), self._left_s())
         fraction = driven_s / (driven_s + left_s) if driven_s > 0 else 0.0
-        known = self.positions.knowledge or NOTHING_KNOWN
-        return Progress(fraction, known, driven_s, left_s, len(self.positions.held))
+        return Progress(fraction, self.positions.knowledge, driven_s, left_s, len(self.positions.held))
 
     def _left_s(self):
         """Return an estimate: an error shrinks with the root of the time that is spent on it, and none has to be
@@ -236,7 +235,7 @@ class Survey:
         known = self.positions.knowledge
         if self.is_enough:
             return 0.0
-        if known is None:
+        if known.reason:
             return max(MIN_LEFT_S, EARLY_S - self.driven_s)
         ratio = float(np.mean(np.maximum(1.0, known.errors / ENOUGH) ** 2))
         return max(MIN_LEFT_S, max(1.0, self.driven_s) * (ratio - 1))

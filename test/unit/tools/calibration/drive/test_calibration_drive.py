@@ -127,7 +127,7 @@ def test_while_it_does_not_stop_by_itself_nothing_is_learned_of_how_it_stops():
         one = car()
         one.run(3)
         one.holds = False
-        one.drive.update_stopping(by_itself)
+        one.drive.is_slowed = not by_itself
         for _ in range(100):
             one.tick(speed_mps=0.0)
         assert (one.drive._stops.least_mps2 == math.inf) is not by_itself
