@@ -54,8 +54,8 @@ from car_interface.tools.calibration.drive.conclusion import board_center, concl
 from car_interface.tools.calibration.drive.config import drive_config, parse
 from car_interface.tools.calibration.drive.grant import STATES, Grant
 from car_interface.tools.calibration.drive.knowledge import assess
-from car_interface.tools.calibration.drive.survey import BLOCKED, DONE, PAUSED, WAITING, Progress
 from car_interface.tools.calibration.drive.stick_guide import StickGuide
+from car_interface.tools.calibration.drive.survey import BLOCKED, DONE, PAUSED, WAITING, Progress
 
 NAME = "calibration_drive"
 RATE_HZ, TICKS_PER_SHOW = 50, 10

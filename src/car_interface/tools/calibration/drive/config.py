@@ -19,6 +19,7 @@ EPILOG = """Remappings such as odom:=my_odom may follow; for a car in a namespac
 ROS_NAMESPACE.
 
 docs/nodes.md of the package lists its topics."""
+NO_SONARS = ObstacleConfig()
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class CalibrationDriveConfig:
     braking_mps2: float = number("braking", 0.15, "the deceleration that a stop is certain of", "m/s^2",
                                  low=0.1, high=10)
     # The car from above and its sonars, as throttle_arb takes them; without mounts none is looked at.
-    obstacles: ObstacleConfig = ObstacleConfig()
+    obstacles: ObstacleConfig = NO_SONARS
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:

@@ -61,8 +61,8 @@ class Choice(NamedTuple):
     is_turn: bool = False  # it turns back into the area
     need: float = 0.0  # of such a turn, how much it is worth to measure it
     worth: float = 0.0  # of another position, for the time that it takes
-    # what measuring it is worth for each second, and the turn that follows: with all the room that it wants and the turn
-    # that is worth more, and with the room that there is. 0 = there is no room for it.
+    # what measuring it is worth for each second, and the turn that follows: with all the room that it wants and the
+    # turn that is worth more, and with the room that there is. 0 = there is no room for it.
     ideal: float = 0.0
     score: float = 0.0
     length_m: float = -math.inf  # how long it could be measured, negative where it wouldn't even settle

@@ -52,17 +52,14 @@ def drive_lines(step: Step, progress: Progress) -> list[str]:
     stick.
     """
     is_over, rows, missing = step.phase == DONE, progress.known.rows, missing_lines(progress.known.missing)
-    if step.held is None:
-        headline = [f"{BEFORE.get(step.phase, '')}{step.text}"]
-    else:
-        headline = [step.text, *stick_bar(step)]
+    headline = [BEFORE.get(step.phase, "") + step.text] if step.held is None else [step.text, *stick_bar(step)]
     if len(missing) > MAX_MISSING:
         missing[MAX_MISSING:] = [f"missing: … and {len(missing) - MAX_MISSING} more"]
     elif rows and not missing:
         missing = [ENOUGH if is_over else ENOUGH + GOES_ON]
+    bar, positions = progress_bar(progress.fraction), f"{progress.positions} position{'s' * (progress.positions != 1)}"
     return [*([] if is_over else headline),  # what comes then is printed below
-            f"{progress_bar(progress.fraction)} {percent(progress.fraction)}   {_times(progress)}, "
-            f"{progress.positions} position{'s' * (progress.positions != 1)}",
+            f"{bar} {percent(progress.fraction)}   {_times(progress)}, {positions}",
             *known_lines(progress.known), *missing, *([LEGEND] if rows else [])]
 
 

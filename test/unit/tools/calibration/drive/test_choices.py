@@ -3,9 +3,9 @@ import pytest
 
 from car_interface.throttle.obstacle_stop import ObstacleConfig, ObstacleStop
 from car_interface.tools.calibration.drive.area import Area, Pose
-from car_interface.tools.calibration.drive.pilot import Choices, wanted_length_m
 from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
 from car_interface.tools.calibration.drive.outlook import Outlook
+from car_interface.tools.calibration.drive.pilot import Choices, wanted_length_m
 from car_interface.tools.calibration.drive.positions import Candidate
 from car_interface.tools.calibration.drive.stops import Stops
 from car_interface.tools.calibration.drive.survey import Survey

@@ -2,8 +2,8 @@
 import pytest
 
 from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
-from car_interface.tools.calibration.drive.survey import DONE, MEASURING, PAUSED, SETTLING
 from car_interface.tools.calibration.drive.stick_guide import StickGuide
+from car_interface.tools.calibration.drive.survey import DONE, MEASURING, PAUSED, SETTLING
 from tools.calibration.drive.light_car import LightCar, base
 
 pytestmark = pytest.mark.once
