@@ -58,7 +58,7 @@ from car_interface.tools.calibration.drive.conclusion import Conclusion, conclud
 from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
 from car_interface.tools.calibration.drive.grant import SLOWS
 from car_interface.tools.calibration.drive.knowledge import assess
-from car_interface.tools.calibration.drive.step import BLOCKED, DONE, PAUSED, Step
+from car_interface.tools.calibration.drive.survey import BLOCKED, DONE, PAUSED, Step
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 STOCK, MAP = CONFIG / "turn_arb.yaml", CONFIG / "value_map.csv"
@@ -213,7 +213,7 @@ class Bench:
         self._sonars = None if self._world is None else Sonars(rng, self._world)
         mounts = {name: Mount(mount.x_m, mount.y_m, mount.yaw_rad) for name, mount in zip(SONARS, WorldConfig().mounts)}
         config = CalibrationDriveConfig(
-            radius_m=HALF_M, obstacles=None if self._world is None else ObstacleConfig(mounts, math.radians(30), 2.0))
+            radius_m=HALF_M, obstacles=ObstacleConfig(mounts if self._world else {}, math.radians(30), 2.0))
         self.drive = CalibrationDrive(car.base, config)
         interlock = InterlockConfig(grant_at_start=False)
         self._steering = SteeringArbiter(car.base, SteeringArbiterConfig(interlock=interlock))
@@ -240,7 +240,7 @@ class Bench:
         while self.vehicle.time_ns < end_ns and not (self._step is not None and self._step.phase == DONE):
             self._advance()
         base_text = STOCK.read_text(encoding="utf-8")
-        conclusion = conclude(self.drive.samples, self.car.base, base_text, "calibration drive")
+        conclusion = conclude(self.drive.samples.drive(), self.car.base, base_text, "calibration drive")
         return Result(self._seed, conclusion, self.drive.driven_s, self._max_m, self._extent_m,
                       self._collisions.count if self._collisions else 0)
 
@@ -312,9 +312,8 @@ class Bench:
         person, drive = self.person, self.drive
         person.step((now_ns - START_NS) / NS_PER_S, self.vehicle, self._step.phase if self._step else "",
                     self._step.text if self._step else "")
-        drive.update_grant("" if person.holds else "nobody holds it", now_ns)
         self._fit(now_ns)
-        self._step = step = drive.step(now_ns)
+        self._step = step = drive.step(now_ns, "" if person.holds else "nobody holds it")
         self._arbitrate(step, now_ns)
         self._judge()
         if self._trace:
@@ -340,7 +339,7 @@ class Bench:
         throttle.update_turn(steering.turn_radius_m(decision.duty), decision.max_speed_mps)
         made = throttle.decide(now_ns)
         arbitration = made.arbitration
-        self.drive.update_stopping(made.esc.state not in SLOWS)
+        self.drive.is_slowed = made.esc.state in SLOWS
         self._speed.update_throttle(arbitration.source, arbitration.asked, made.esc.fraction, made.esc.cause, now_ns)
         throttle.update_output([-1, made.duty, *[-1] * 14], now_ns)
         duties = [count_duty(decision.duty), count_duty(made.duty)]

@@ -25,7 +25,7 @@ from PIL import Image
 
 from accuracy.calibration_drive import HALF_M, Bench, Person
 from accuracy.virtual_drive import NS_PER_S
-from car_interface.tools.calibration.drive.step import RadiusRow
+from car_interface.tools.calibration.drive.knowledge import RadiusRow
 
 SEED = 0  # a car without walls around it
 FRAMES_PER_S, MOVING_S, END_S = 10, 9.0, 2.0
@@ -64,7 +64,7 @@ class Recorder:
         if now_ns >= self._next_ns and bench.person.holds:
             self._next_ns = now_ns + NS_PER_S // 10
             self.moments.append(Moment(bench.drive.driven_s, tuple(bench.vehicle.pose),
-                                       tuple(bench.drive.progress().rows)))
+                                       tuple(bench.drive.progress().known.rows)))
 
 
 def frame_indices(count: int) -> list[int]:

@@ -241,8 +241,7 @@ def test_it_drives_while_the_deadman_is_held_and_only_then_and_refuses_what_is_t
     assert {record.message.source for record in graph.recorded["/turn_arb/state"]
             if done_ns <= record.at_ns <= car.recording.closed_ns} == {SteeringState.PLANNER}
     assert fault.startswith("no calibration is written: ")
-    after = car.program.node._drive.samples.drive()
-    assert (len(samples.t_s), len(samples.duty)) == (len(after.t_s), len(after.duty)) and len(after.t_s) > 50
+    assert len(samples.t_s) > 50
     graph.run(3.0)
     assert car.speed_mps == 0.0 and not graph.messages(REQUESTS, car.recording.closed_ns + 1)  # though it is still held
     assert f"recording: {car.recording.path}" in car.terminal.lines and "report: page" in car.terminal.lines
@@ -315,7 +314,7 @@ def test_table_that_is_there_is_replaced_after_a_question_or_the_new_one_is_writ
     old = (tmp_path / "turn_arb.yaml").read_text(encoding="utf-8")
     new = old.replace("servo_center: 5100", "servo_center: 5050")
     result = CalibrationResult("", (), (), (), (), (), (5100, 5050), (), (), ())
-    conclusion = Conclusion(new, ("it is so",), "", 5050, result=result)
+    conclusion = Conclusion(new, ("it is so",), "", result=result)
     monkeypatch.setattr(calibration_drive, "conclude", lambda *_: conclusion)
     car = Practice(tmp_path, "--no-sonars", *arguments, live=live).begin()
     car.hold()

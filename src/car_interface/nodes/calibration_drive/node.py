@@ -28,22 +28,21 @@ from __future__ import annotations
 import math
 import os
 import sys
-from dataclasses import replace
+import textwrap
 from functools import partial
 
 import rospy
+from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Range
-from std_msgs.msg import Empty, Float32, Int32MultiArray, String
-from visualization_msgs.msg import MarkerArray
+from std_msgs.msg import ColorRGBA, Empty, Float32, Header, Int32MultiArray, String
+from visualization_msgs.msg import Marker, MarkerArray
 
 from car_interface.common.errors import CarInterfaceError, EndedEarly
 from car_interface.common.rate_timer import RateTimer
-from car_interface.common.staleness import TimedInput
 from car_interface.common.units import CHANNELS, NS_PER_S, yaw_rad
 from car_interface.msg import CalibrationState, PlannerState, SteeringState, TeleopState, ThrottleState
 from car_interface.nodes.bag_recording import TOPICS, BagPage, BagRecording
-from car_interface.nodes.calibration_drive.drive_markers import drive_markers, no_markers
 from car_interface.nodes.terminal import Keys, LiveText
 from car_interface.ros.clocks import RosClock
 from car_interface.ros.runtime import run
@@ -52,22 +51,33 @@ from car_interface.steering.config import calibration_of
 from car_interface.tools.calibration.drive import terminal
 from car_interface.tools.calibration.drive.calibration_drive import CalibrationDrive
 from car_interface.tools.calibration.drive.conclusion import board_center, conclude, find_table_file, next_steps
-from car_interface.tools.calibration.drive.config import drive_config, parse, read_obstacles
-from car_interface.tools.calibration.drive.grant import STATES, THROTTLE_ARB, TURN_ARB, Grant
+from car_interface.tools.calibration.drive.config import drive_config, parse
+from car_interface.tools.calibration.drive.grant import STATES, Grant
 from car_interface.tools.calibration.drive.knowledge import assess
-from car_interface.tools.calibration.drive.step import BLOCKED, DONE, PAUSED, WAITING, Progress
 from car_interface.tools.calibration.drive.stick_guide import StickGuide
+from car_interface.tools.calibration.drive.survey import BLOCKED, DONE, PAUSED, WAITING, Progress
 
 NAME = "calibration_drive"
 RATE_HZ, TICKS_PER_SHOW = 50, 10
 PLAIN_PERIOD_NS = 10 * NS_PER_S  # between two lines where nothing can be drawn over
 READY_WITHIN_NS, RECORDER_WITHIN_NS = 8 * NS_PER_S, 15 * NS_PER_S
-OUTPUT_TIMEOUT_S = 2.5  # it comes on change and once a second
 RESULT_ARRIVES_NS = NS_PER_S  # until the recording is closed
 MAX_ODOM_AGE_NS = NS_PER_S // 2  # an older one has an odd stamp
-NO_PROGRESS = Progress(0.0, (), (), 0.0, math.inf, 0, math.nan, math.nan)  # before the drive and after it
+NO_PROGRESS = Progress()  # before the drive and after it
 STANDS = frozenset({WAITING, PAUSED, BLOCKED})
 REQUESTS = ("av_turnrad_req", "av_steer_req", "av_speed_req")
+# Of the picture in rviz.
+CIRCLE_POINTS, CROSS_M = 72, 0.15
+LINE_M, HEIGHT_M = 0.02, 0.02
+ARC_M, MAX_ARC_RAD, ARC_STEPS = 1.6, 2.6, 16  # of the arcs by radius, from the car
+WIDEST_M = 40.0  # wider turns can't be told from straight on
+TEXT_M, TEXT_COLUMNS = 0.14, 28
+BEHIND_M, ABOVE_M = 0.8, 0.7  # where no arc lies, and seen from above still over car_display's two lines
+AREA, PATH = ColorRGBA(0.35, 0.35, 0.4, 1.0), ColorRGBA(0.75, 0.0, 0.75, 1.0)
+TEXT = ColorRGBA(0.1, 0.1, 0.1, 1.0)
+# No arc is blue as the trail, which car_display draws, or as orange as its arrow.
+KNOWN, PARTLY = ColorRGBA(0.0, 0.6, 0.2, 0.9), ColorRGBA(0.95, 0.75, 0.0, 0.9)
+UNKNOWN = ColorRGBA(0.85, 0.1, 0.1, 0.9)
 
 
 class CalibrationDriveNode:
@@ -81,52 +91,44 @@ class CalibrationDriveNode:
     def __init__(self, wanted, params, inbox, text=None, keys=None, make_recording=BagRecording, make_page=BagPage):
         params.finish()  # it has options instead, which don't stay on the server
         graph, self._clocks = inbox.graph, inbox.clocks
-        config = drive_config(wanted)
-        self._wanted, self._inbox, self._config = wanted, inbox, config
+        self._wanted, self._inbox = wanted, inbox
         base = self._base = calibration_of(graph.parameter("turn_arb", {}))
         self._table = find_table_file(wanted.output, wanted.base, graph.parameter("turn_arb/save_to", None), base)
-        if not wanted.no_sonars and not wanted.stick:
-            obstacles = read_obstacles(graph.parameter("throttle_arb", {}))
-            self._config = replace(config, obstacles=obstacles, outline=obstacles.outline)
-        self._drive = (StickGuide if wanted.stick else CalibrationDrive)(base, self._config)
-        self._sonars = tuple(self._config.obstacles.mounts) if self._config.obstacles else ()
+        self._config = config = drive_config(wanted, graph.parameter("throttle_arb", {}))
+        self._drive = (StickGuide if wanted.stick else CalibrationDrive)(base, config)
         self._grant = Grant(wanted.stick, bool(graph.parameter("throttle_arb/esc/calibration_drive", False)),
-                            self._sonars)
-        self._output = TimedInput("servo/output", OUTPUT_TIMEOUT_S)
+                            config.obstacles.mounts)
         self._clock, self._text, self._keys = RosClock(inbox.clocks), text or LiveText(), keys or Keys()
         self._make_recording, self._make_page = make_recording, make_page
         now_ns = self._clocks.now_ns()
-        self._timer, self._ticks, self._begun_ns = RateTimer(RATE_HZ, now_ns), 0, now_ns
-        self._stage = self._check
+        self._timer, self._ticks = RateTimer(RATE_HZ, now_ns), 0
+        self._enter(self._check, now_ns)
         self._step = self._recording = self._page = self._refusal = None
         self._shown_kind, self._shown_ns = "", 0
         self._frames = "odom", "base_link"
-        self._steerings = self._speeds = None
-        self._is_over = self._is_ending = self._is_written = False
+        self._requests = ()  # to steer and to drive, while it asks for something
+        self._is_over = self._is_written = False
         self._result = advertise("~result", String, inbox)
         self._state = advertise("~state", CalibrationState, inbox)
         self._markers = advertise("~markers", MarkerArray, inbox, latch=True)
         self._subscribe()
         self._has_keys = self._keys.start()
-        self._introduce()
+        self._say(terminal.introduction(wanted.stick, config.radius_m))
+        self._text.say(f"It will write {self._table.path}.")
+        if self._has_keys:
+            self._text.say("F: finish now with what is known. Q: give up.")
 
     def _subscribe(self):
         inbox = self._inbox
         for topic, message_type, handler in (
                 ("odom", Odometry, self._on_odometry), ("servo/output", Int32MultiArray, self._on_output),
-                *((f"{name}/state", message_type, partial(self._on_state, name)) for name, message_type in zip(
+                *((f"{name}/state", message_type, partial(self._grant.update, name)) for name, message_type in zip(
                     STATES, (SteeringState, ThrottleState, PlannerState, TeleopState))),
-                *((f"sonar/{name}", Range, partial(self._on_range, name)) for name in self._sonars)):
+                *((f"sonar/{name}", Range, partial(self._on_range, name)) for name in self._grant.sonars)):
             subscribe(topic, message_type, inbox, handler, queue_size=50)
         subscribe("~finish", Empty, inbox, lambda message, now_ns: self._drive.finish())
         for topic in REQUESTS if not self._wanted.stick else ():
             subscribe(topic, rospy.AnyMsg, inbox, partial(self._on_request, topic), wakes=False)
-
-    def _introduce(self):
-        self._text.say(terminal.introduction(self._wanted.stick, self._config.radius_m, self._text.width))
-        self._text.say(f"It will write {self._table.path}.")
-        if self._has_keys:
-            self._text.say("F: finish now with what is known. Q: give up.")
 
     def step(self, now_ns):
         """Handle what arrived; then the stage."""
@@ -160,8 +162,6 @@ class CalibrationDriveNode:
 
     def _on_odometry(self, message, now_ns):
         self._grant.has_odom = True
-        if self._is_ending:  # another thread reads what was measured
-            return
         self._frames = message.header.frame_id or "odom", message.child_frame_id or "base_link"
         measured_ns = self._clock.monotonic_ns(message.header.stamp)
         if not 0 <= now_ns - measured_ns <= MAX_ODOM_AGE_NS:
@@ -171,17 +171,9 @@ class CalibrationDriveNode:
                                     message.twist.twist.linear.x, measured_ns, now_ns)
 
     def _on_output(self, message, now_ns):
-        if len(message.data) == CHANNELS and not self._is_ending:
+        if len(message.data) == CHANNELS:
             self._grant.duty = duty = message.data[self._base.servo_channel]
-            self._output.update(duty, now_ns)
             self._drive.update_duty(duty, now_ns)
-
-    def _on_state(self, name, message, now_ns):
-        self._grant.update(name, message, now_ns)
-        if name in (TURN_ARB, THROTTLE_ARB):
-            self._drive.update_grant(self._grant.trouble(now_ns), now_ns)
-            if not self._wanted.stick:
-                self._drive.update_stopping(self._grant.stops_by_itself)
 
     def _on_range(self, name, message, now_ns):
         if name in self._grant.sonars:
@@ -197,82 +189,65 @@ class CalibrationDriveNode:
 
     def _check(self, now_ns, typed):
         """Wait until all is there; what only another launch would bring isn't waited for long."""
-        lacks, gamepad = self._grant.missing(now_ns), self._grant.missing_gamepad()
-        if lacks and now_ns - self._begun_ns > READY_WITHIN_NS:
+        lacks = self._grant.missing(now_ns)
+        missing, waited_ns = lacks + self._grant.missing_gamepad(), now_ns - self._begun_ns
+        if not missing:
+            topics = list(map(self._inbox.resolve_name, (*TOPICS, "~result")))
+            self._recording = self._make_recording(str(self._table.path.parent), topics, self._table.path.stem)
+            self._enter(self._await_recorder, now_ns)
+        elif lacks and waited_ns > READY_WITHIN_NS:
             self._text.show([])
-            for text in (*lacks, *gamepad):
-                self._say(f"  - {text}")
-            self._is_over = True
-            raise CarInterfaceError("it can't begin: " + ("these are missing" if len(lacks + gamepad) > 1 else
-                                                          "this is missing") + ", see above")
-        if not lacks and not gamepad:
-            self._begin_recording(now_ns)
-        elif now_ns - self._begun_ns > NS_PER_S:
-            self._announce("waiting", [f"waits: {text}" for text in lacks + gamepad], now_ns)
-            if self._ticks % TICKS_PER_SHOW == 0:
-                self._publish_state(WAITING, "; ".join(lacks + gamepad))
-
-    def _begin_recording(self, now_ns):
-        topics = list(map(self._inbox.resolve_name, (*TOPICS, "~result")))
-        self._recording = self._make_recording(str(self._table.path.parent), topics, self._table.path.stem)
-        self._begun_ns, self._stage = now_ns, self._await_recorder
+            self._say(*(f"  - {text}" for text in missing))
+            are = "these are" if len(missing) > 1 else "this is"
+            raise CarInterfaceError(f"it can't begin: {are} missing, see above")
+        elif waited_ns > NS_PER_S and self._ticks % TICKS_PER_SHOW == 0:
+            self._announce("waiting", [f"waits: {text}" for text in missing], now_ns)
+            self._publish_state(WAITING, "; ".join(missing))
 
     def _await_recorder(self, now_ns, typed):
         recording = self._recording
-        if self._ticks % RATE_HZ == 0 and recording.has_subscribed(self._inbox.resolve_name("odom")):
-            self._begin_drive()
-        elif recording.has_ended or now_ns - self._begun_ns > RECORDER_WITHIN_NS:
+        if self._ticks % RATE_HZ or not recording.has_subscribed(self._inbox.resolve_name("odom")):
+            if not recording.has_ended and now_ns - self._begun_ns <= RECORDER_WITHIN_NS:
+                return
             self._say("no recording: rosrun rosbag record doesn't run; the calibration doesn't need it")
-            self._begin_drive()
-
-    def _begin_drive(self):
         if not self._wanted.stick:
-            self._steerings, self._speeds = (advertise(topic, Float32, self._inbox) for topic in REQUESTS[1:])
-        self._stage = self._go
+            self._requests = tuple(advertise(topic, Float32, self._inbox) for topic in REQUESTS[1:])
+        self._enter(self._go, now_ns)
 
     # --- the drive ---
 
     def _go(self, now_ns, typed):
         """Ask for the next step, and show how far it is."""
         drive = self._drive
-        is_shown = self._ticks % TICKS_PER_SHOW == 0
-        if is_shown and not self._output.is_stale(now_ns):
-            drive.update_duty(self._output.value, now_ns)  # it is published on change only
         if "f" in typed:
             drive.finish()
         task = drive.take_fit_task()
         if task is not None:
             self._inbox.work(partial(assess, *task), drive.update_knowledge)
-        self._step = step = drive.step(now_ns)
-        if not self._wanted.stick and step.steering is not None:
-            self._steerings.publish(Float32(step.steering))
-            self._speeds.publish(Float32(step.speed_mps))
-        if is_shown or step.phase == DONE:
+        drive.is_slowed = self._grant.is_slowed
+        self._step = step = drive.step(now_ns, self._grant.trouble(now_ns))
+        if step.steering is not None:
+            self._ask_for(step.steering, step.speed_mps)
+        if self._ticks % TICKS_PER_SHOW == 0 or step.phase == DONE:
             self._show(now_ns)
         if step.phase == DONE:
             self._begin_end()
 
     def _show(self, now_ns):
         step, progress = self._step, self._drive.progress()
-        kind = step.phase if step.phase in STANDS else "drives"
-        if self._text.is_live:
-            self._text.show(terminal.drive_lines(step, progress, self._text.width))
-        else:
-            self._announce(kind, [terminal.plain_line(step.phase, step.text, progress)], now_ns)
-        self._show_markers(step, progress)
+        self._announce(step.phase if step.phase in STANDS else "drives",
+                       terminal.drive_lines(step, progress) if self._text.is_live else
+                       [terminal.plain_line(step.phase, step.text, progress)], now_ns)
+        text = step.text if self._wanted.stick else terminal.HEADLINES[step.phase]
+        self._markers.publish(drive_markers(
+            *self._frames, *self._drive.picture(), self._config.radius_m, progress.known.rows,
+            f"{terminal.percent(progress.fraction).strip()}, {text}"))
         self._publish_state(step.phase, step.text, progress)
-
-    def _show_markers(self, step, progress):
-        drive = self._drive
-        start, path = (None, []) if self._wanted.stick else (drive.start, drive.expected_path())
-        text = step.text if self._wanted.stick else terminal.HEADLINES.get(step.phase, step.phase)
-        self._markers.publish(drive_markers(*self._frames, start, self._config.radius_m, path, progress.rows,
-                                            f"{terminal.percent(progress.fraction).strip()}, {text}"))
 
     def _publish_state(self, phase, text, progress=NO_PROGRESS):
         state = CalibrationState(
-            phase=phase, text=text, fraction=progress.fraction, known=terminal.known_lines(progress),
-            missing=terminal.missing_lines(progress.missing), driven=progress.driven_s, left=progress.left_s)
+            phase=phase, text=text, fraction=progress.fraction, known=terminal.known_lines(progress.known),
+            missing=terminal.missing_lines(progress.known.missing), driven=progress.driven_s, left=progress.left_s)
         state.stamp = self._clocks.ros_now()
         self._state.publish(state)
 
@@ -289,49 +264,50 @@ class CalibrationDriveNode:
         if lines:
             self._text.say("\n".join(terminal.wrapped(lines, self._text.width) if self._text.is_live else lines))
 
-    def _stand(self):
-        """Ask the car to stand until the recording is closed: silence would be a fault of the drive on its page."""
-        if self._speeds is not None:
-            self._steerings.publish(Float32(0.0))
-            self._speeds.publish(Float32(0.0))
+    def _ask_for(self, steering=0.0, speed_mps=0.0):
+        """Ask for a steering and a speed, or to stand; by hand for nothing."""
+        for publisher, value in zip(self._requests, (steering, speed_mps)):
+            publisher.publish(Float32(value))
 
     def _stop_asking(self):
         """No request any more; the last one is to stand."""
-        if self._step is not None and self._speeds is not None:
-            self._speeds.publish(Float32(0.0))
-            self._speeds = None
+        for speeds in self._requests[1:]:
+            speeds.publish(Float32(0.0))
+        self._requests = ()
+
+    def _enter(self, stage, now_ns):
+        self._stage, self._begun_ns = stage, now_ns
 
     # --- its end ---
 
     def _begin_end(self):
-        self._stand()
+        self._ask_for()
         self._text.keep()
         text = f"{self._step.text}. You can let go. Calibrating …"
         self._text.say(text)
         self._publish_state(DONE, text, self._drive.progress())
-        self._is_ending = True
         name = os.path.basename(self._recording.path)
-        samples, base, base_text = self._drive.samples, self._base, self._table.base_text
+        samples, base, base_text = self._drive.samples.drive(), self._base, self._table.base_text
         self._inbox.work(lambda: conclude(samples, base, base_text, name), self._on_conclusion)
-        self._stage = lambda now_ns, typed: self._stand()  # until the conclusion
+        # It asks to stand until the recording is closed: silence would be a fault of the drive on its page.
+        self._stage = lambda now_ns, typed: self._ask_for()
 
     def _on_conclusion(self, conclusion, now_ns):
         self._say(*conclusion.report)
-        self._conclusion, self._waits_from_ns = conclusion, now_ns
+        self._conclusion = conclusion
         # None: a person is asked.
         replaces = not self._table.path.exists() or self._wanted.yes or (None if self._has_keys else False)
         if conclusion.result is not None:
             steps = next_steps(self._table, conclusion.refusal, replaces)
             self._result.publish(String(conclusion.result._replace(next_steps=steps).text()))
-        self._page_due_ns = now_ns + RESULT_ARRIVES_NS
-        self._stage = self._await_page
+        self._enter(self._await_page, now_ns)
         if conclusion.refusal:
             self._say(*terminal.missing_lines(conclusion.missing))
             why = terminal.REFUSED if conclusion.missing else conclusion.refusal
             self._refusal = f"no calibration is written: {why}"
         elif replaces is None:
             question = f"Replace {self._table.path}? The old one is kept beside it."
-            self._text.show(terminal.wrapped([question, "Y: yes, N: no"], self._text.width))
+            self._announce("question", [question, "Y: yes, N: no"], now_ns)
             self._stage = self._ask
         else:
             self._write(replaces)
@@ -342,21 +318,18 @@ class CalibrationDriveNode:
         if answer:
             self._text.keep()
             self._write(replaces=answer == "y")
-            self._stage, self._waits_from_ns = self._await_page, now_ns
+            self._enter(self._await_page, now_ns)
 
     def _write(self, replaces):
-        path, line = self._table.write(self._conclusion.yaml_text, replaces)
+        lines = self._table.write(self._conclusion.yaml_text, replaces)
         self._is_written = True
-        self._text.say(line)
-        if path != self._table.path:
-            self._text.say(f"{self._table.path} is as it was. To take the new one: mv {path} {self._table.path}")
-        self._text.say(f"to load it, launch again with config:={self._table.path.parent}")
-        self._say(board_center(self._conclusion.center_duty, self._base.servo_center,
+        self._text.say("\n".join(lines))
+        self._say(board_center(self._conclusion.result.centers,
                                self._inbox.graph.parameter("pca9685/steering/servo_center", None)))
 
     def _close_recording(self, now_ns):
-        self._stand()
-        if self._page is None and now_ns >= self._page_due_ns:
+        self._ask_for()
+        if self._page is None and now_ns - self._begun_ns >= RESULT_ARRIVES_NS:
             self._page = self._make_page(self._recording)
             self._stop_asking()
 
@@ -364,18 +337,73 @@ class CalibrationDriveNode:
         self._close_recording(now_ns)
         lines = None if self._page is None else self._page.step()
         if lines is None:
-            seconds = (now_ns - self._waits_from_ns) // NS_PER_S
-            self._announce("page", [f"makes the recording's page: {seconds} s"], now_ns)
+            self._announce("page", [f"makes the recording's page: {(now_ns - self._begun_ns) // NS_PER_S} s"], now_ns)
             if self._ticks % TICKS_PER_SHOW == 0:
                 self._publish_state(DONE, "it makes the recording's page")
             return
         self._text.show([])
-        for line in lines:
-            self._text.say(line)
+        self._text.say("\n".join(lines))
         self._is_over = True
         self._inbox.end()
         if self._refusal:
             raise EndedEarly(self._refusal)
+
+
+# --- what rviz shows ---
+
+
+def drive_markers(odom_frame, base_frame, start, path, radius_m, rows, text) -> MarkerArray:
+    """Return the whole picture, which takes the place of the one before.
+
+    Args:
+        odom_frame, base_frame: odometry's frame, and the car's.
+        start: the area's center in odometry's frame; ``None`` = it hasn't begun.
+        path: where the car is about to go, (x, y) in odometry's frame.
+        radius_m: the area's.
+        rows: how well each radius is known: an arc each, from the car.
+    """
+    markers = no_markers(odom_frame).markers
+    if start is not None:
+        x_m, y_m = start
+        angles = [2 * math.pi * index / CIRCLE_POINTS for index in range(CIRCLE_POINTS + 1)]
+        circle = [(x_m + radius_m * math.cos(angle), y_m + radius_m * math.sin(angle)) for angle in angles]
+        cross = [(x_m - CROSS_M, y_m), (x_m + CROSS_M, y_m), start, (x_m, y_m + CROSS_M), (x_m, y_m - CROSS_M)]
+        markers += [_line("area", index, odom_frame, AREA, points) for index, points in enumerate((circle, cross))]
+    if path:  # rviz reports a line of fewer points than two as an error
+        markers.append(_line("path", 0, odom_frame, PATH, path, 2 * LINE_M))
+    for index, row in enumerate(rows):
+        if row.radius_m <= WIDEST_M:
+            color = KNOWN if row.is_known else PARTLY if row.is_measured else UNKNOWN
+            markers.append(_line("known", index, base_frame, color, _arc(row)))
+    label = _marker("text", 0, base_frame, Marker.TEXT_VIEW_FACING, TEXT, Vector3(0.0, 0.0, TEXT_M))
+    label.pose.position = Point(-BEHIND_M, 0.0, ABOVE_M)
+    label.text = textwrap.fill(text, TEXT_COLUMNS)
+    return MarkerArray([*markers, label])
+
+
+def no_markers(frame) -> MarkerArray:
+    """Return a picture of nothing."""
+    return MarkerArray([Marker(header=Header(frame_id=frame), action=Marker.DELETEALL)])
+
+
+def _arc(row):
+    """Return points of an arc that the middle of the rear axle would drive."""
+    radius_m, angle_rad = row.radius_m if row.side == "left" else -row.radius_m, min(MAX_ARC_RAD, ARC_M / row.radius_m)
+    steps = [angle_rad * index / ARC_STEPS for index in range(ARC_STEPS + 1)]
+    return [(abs(radius_m) * math.sin(step), radius_m * (1 - math.cos(step))) for step in steps]
+
+
+def _line(ns, index, frame, color, points, width_m=LINE_M):
+    marker = _marker(ns, index, frame, Marker.LINE_STRIP, color, Vector3(width_m, 0.0, 0.0))
+    marker.points = [Point(x_m, y_m, HEIGHT_M) for x_m, y_m in points]
+    return marker
+
+
+def _marker(ns, index, frame, kind, color, scale):
+    # A stamp of 0: where the frame is now.
+    return Marker(
+        header=Header(frame_id=frame), ns=ns, id=index, type=kind, action=Marker.ADD, scale=scale, color=color,
+        pose=Pose(Point(0.0, 0.0, 0.0), Quaternion(0.0, 0.0, 0.0, 1.0)), frame_locked=True)
 
 
 def main():

@@ -5,15 +5,15 @@ A pose is that of the middle of the rear axle, in odometry's frame; curvatures a
 from __future__ import annotations
 
 import cmath
+import itertools
 import math
 from typing import Callable, NamedTuple, Sequence
 
 from car_interface.throttle.obstacle_stop import Outline
 
-STEP_M = 0.2  # from one pose that is looked at to the next
 SLASH = Outline()
+STEP_M = 0.2  # from one pose that is looked at to the next
 INWARD_RAD = math.radians(60)  # a car that looks to the center within this angle is on its way back
-INWARD_COS = math.cos(INWARD_RAD)
 
 
 class Pose(NamedTuple):
@@ -35,6 +35,7 @@ class WayOut(NamedTuple):
     """What comes of a tight turn that is begun now."""
 
     extent_m: float  # how far the car's corners get from the center
+    circle_m: float  # the same on its whole circle
     excess_m: float  # by how much it leaves the area, also where it stops when it is let go on it: straight on
 
 
@@ -56,41 +57,37 @@ class Area:
                  stop_radius_m: float | None = None):
         self.center, self.radius_m = center, radius_m
         self.stop_radius_m = radius_m if stop_radius_m is None else stop_radius_m
-        half_m = outline.width_m / 2
-        self._front_m, self._rear_m, self._half_m = outline.front_m, outline.rear_m, half_m
+        self._front_m, self._rear_m, self._half_m = outline.front_m, outline.rear_m, outline.width_m / 2
 
     def extent_m(self, pose: Pose) -> float:
         """Return how far the car's farthest corner is from the center."""
         rel = self._seen_from(pose)
         along_m = max(abs(rel.real + self._front_m), abs(rel.real - self._rear_m))
-        return math.sqrt(along_m * along_m + (abs(rel.imag) + self._half_m) ** 2)
+        return math.hypot(along_m, abs(rel.imag) + self._half_m)
 
     def ahead_m(self, pose: Pose, radius_m: float) -> float:
         """Return how far the car can go straight on until its front leaves a circle of that radius; 0 = it has."""
-        cos_yaw, sin_yaw = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
-        x_m = pose.x_m + self._front_m * cos_yaw - self.center[0]
-        y_m = pose.y_m + self._front_m * sin_yaw - self.center[1]
-        along_m, square = x_m * cos_yaw + y_m * sin_yaw, x_m * x_m + y_m * y_m - radius_m * radius_m
-        return max(0.0, -along_m + math.sqrt(along_m * along_m - square)) if square < 0 else 0.0
+        front = self._seen_from(pose) + self._front_m
+        square = abs(front) ** 2 - radius_m ** 2
+        return max(0.0, math.sqrt(front.real ** 2 - square) - front.real) if square < 0 else 0.0
 
     def inward_rad(self, pose: Pose) -> float:
         """Return the angle between the car's heading and the direction to the center, 0 to π."""
-        towards_rad = math.atan2(self.center[1] - pose.y_m, self.center[0] - pose.x_m)
-        return abs(math.remainder(towards_rad - pose.yaw_rad, 2 * math.pi))
+        return math.pi - abs(cmath.phase(self._seen_from(pose)))
 
     def circle_extent_m(self, pose: Pose, curvature_per_m: float, stop_m: float = 0.0) -> float:
         """Return how far the car's farthest corner is from the center anywhere on the whole circle of an arc, or after
         it went straight on from there for ``stop_m``.
         """
-        radius_m = 1 / curvature_per_m
-        x_m = pose.x_m - radius_m * math.sin(pose.yaw_rad) - self.center[0]
-        y_m = pose.y_m + radius_m * math.cos(pose.yaw_rad) - self.center[1]
-        return math.hypot(x_m, y_m) + math.hypot(abs(radius_m) + self._half_m, self._front_m + stop_m)
+        return abs(self._seen_from(pose) + 1j / curvature_per_m) + self._swept_m(curvature_per_m, stop_m)
 
     def has_circle(self, curvature_per_m: float) -> bool:
         """Return whether the car stays inside on a whole circle around the center."""
-        centered = Pose(self.center[0], self.center[1] - 1 / curvature_per_m, 0.0)
-        return self.circle_extent_m(centered, curvature_per_m) <= self.radius_m
+        return self._swept_m(curvature_per_m, 0.0) <= self.radius_m
+
+    def _swept_m(self, curvature_per_m, stop_m):
+        """Return how far the same corner is from the middle of the arc."""
+        return math.hypot(1 / abs(curvature_per_m) + self._half_m, self._front_m + stop_m)
 
     def turn_extent_m(self, pose: Pose, curvature_per_m: float, stop_m: float = 0.0) -> float:
         """Return the same on a tight turn from here until the car looks inward again."""
@@ -98,21 +95,17 @@ class Area:
         if whole_m <= self.radius_m:
             return whole_m
         # In the car's frame, and a right turn mirrored: every corner moves on a circle around the turn's center.
-        turn_m = 1 / abs(curvature_per_m)
-        rel = self._seen_from(pose)
+        turn_m, rel = 1 / abs(curvature_per_m), self._seen_from(pose)
         middle = (rel if curvature_per_m > 0 else rel.conjugate()) + 1j * turn_m
         middle_m, middle_rad = abs(middle), cmath.phase(middle)
         until_rad = _inward_after_rad(turn_m / max(middle_m, 1e-9), middle_rad)
         farthest_m = 0.0
-        for ahead_m in (self._front_m + stop_m, -self._rear_m):
-            for left_m in (self._half_m, -self._half_m):
-                corner = complex(ahead_m, left_m - turn_m)
-                off_rad = (middle_rad - cmath.phase(corner)) % (2 * math.pi)
-                if off_rad <= until_rad:
-                    farthest_m = max(farthest_m, middle_m + abs(corner))
-                else:
-                    farthest_m = max(farthest_m, abs(middle + corner),
-                                     abs(middle + corner * cmath.rect(1.0, until_rad)))
+        ahead_m, left_m = (self._front_m + stop_m, -self._rear_m), (self._half_m, -self._half_m)
+        for corner in (complex(ahead, left - turn_m) for ahead, left in itertools.product(ahead_m, left_m)):
+            if (middle_rad - cmath.phase(corner)) % (2 * math.pi) <= until_rad:
+                farthest_m = max(farthest_m, middle_m + abs(corner))
+            else:
+                farthest_m = max(farthest_m, abs(middle + corner), abs(middle + corner * cmath.rect(1.0, until_rad)))
         return farthest_m
 
     def _seen_from(self, pose):
@@ -131,7 +124,8 @@ class Area:
             after = moved(pose, speed_mps * turn.reaction_s, curvature_per_m)
             extent_m = max(self.extent_m(pose), self.extent_m(after), self.turn_extent_m(after, turn.curvature_per_m))
             stops_m = self.turn_extent_m(after, turn.curvature_per_m, stop_m)
-            ways.append(WayOut(extent_m, max(extent_m - self.radius_m, stops_m - self.stop_radius_m)))
+            ways.append(WayOut(extent_m, self.circle_extent_m(after, turn.curvature_per_m),
+                               max(extent_m - self.radius_m, stops_m - self.stop_radius_m)))
         return ways
 
     def rooms_m(self, pose: Pose, curvature_per_m: float, turns: Sequence[Turn], max_m: float, stop_m: float,
@@ -168,7 +162,7 @@ def _inward_after_rad(ratio, middle_rad):
     """
     # With φ = middle_rad less what was turned it looks inward where −cos φ ≥ c √(1 + ratio² − 2 ratio sin φ): a
     # quadratic equation for sin φ.
-    square = INWARD_COS * INWARD_COS
+    square = math.cos(INWARD_RAD) ** 2
     root = 1 - square + square * ratio * ratio * (square - 1)
     if root < 0:
         return 2 * math.pi  # it never does

@@ -4,7 +4,9 @@ from __future__ import annotations
 import itertools
 import os
 from pathlib import Path
-from typing import Iterable, NamedTuple
+from typing import Iterable, NamedTuple, Sequence
+
+import numpy as np
 
 from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError
@@ -12,7 +14,6 @@ from car_interface.common.package_files import is_package_file, package_file
 from car_interface.common.yaml_file import read_yaml
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.steering.config import load_steering
-from car_interface.tools.calibration.drive.survey import Samples
 from car_interface.tools.calibration.shared import RecordedDrive, write_table
 from car_interface.tools.calibration.steering.calibrate import (
     NOT_LOADED,
@@ -23,6 +24,7 @@ from car_interface.tools.calibration.steering.calibrate import (
     short_report,
     yaml_text,
 )
+from car_interface.tools.calibration.steering.drive import SteeringDrive
 from car_interface.tools.calibration.steering.smooth import BAND
 from car_interface.tools.calibration.steering.table import LEFT, RIGHT
 from car_interface.tools.recordings.calibration_result import CalibrationResult, SideRow
@@ -36,20 +38,20 @@ class Conclusion(NamedTuple):
     yaml_text: str  # for turn_arb's file, the base with the new values; empty = refused
     report: tuple[str, ...]  # the most important lines of calibrate_steering's own; the file has them all
     refusal: str  # why nothing is to be written, in the tool's words; empty = nothing is missing
-    center_duty: int  # the new servo_center, for servo.yaml too; 0 = refused
     # what the refusal is made of, where more driving is what it takes: sentences; else empty
     missing: tuple[str, ...] = ()
     result: CalibrationResult | None = None  # for the recording; ``None`` = there was nothing to fit
 
 
-def conclude(samples: Samples, base: SteeringCalibration, base_text: str, name: str) -> Conclusion:
-    """Calibrate by a drive's samples, as calibrate_steering would by its recording. Takes a second; never raises.
+def conclude(drive: SteeringDrive, base: SteeringCalibration, base_text: str, name: str) -> Conclusion:
+    """Calibrate by a drive, as calibrate_steering would by its recording. Takes a second; never raises.
 
     Args:
         base_text: the text of the base's file, whose other parameters are kept.
         name: what the report calls the drive, such as the bag's file name.
     """
-    recorded = [RecordedDrive(name, samples.drive(), (), samples.duration_s)]
+    duration_s = float(np.ptp(drive.t_s)) if len(drive.t_s) else 0.0
+    recorded = [RecordedDrive(name, drive, (), duration_s)]
     text, lines, missing, result = "", (), (), None
     try:
         calibrated = calibrate(recorded, base)
@@ -61,8 +63,8 @@ def conclude(samples: Samples, base: SteeringCalibration, base_text: str, name: 
     except CarInterfaceError as error:
         refusal = str(error)
     if refusal:
-        return Conclusion("", lines, refusal, 0, missing, result)
-    return Conclusion(text, lines, "", round(calibrated.center), (), result)
+        return Conclusion("", lines, refusal, missing, result)
+    return Conclusion(text, lines, "", (), result)
 
 
 def _result(calibrated: SteeringResult, base: SteeringCalibration, refusal: str, lines: Iterable[str]):
@@ -108,17 +110,21 @@ class TableFile(NamedTuple):
         """The file that is written where this one isn't to be replaced."""
         return self.path.with_name(f"{self.path.stem}.new{self.path.suffix}")
 
-    def write(self, text: str, replaces: bool) -> tuple[Path, str]:
-        """Write the calibration: the file itself is replaced, or else the one beside it is written.
+    @property
+    def taking(self) -> str:
+        """The command that takes it."""
+        return f"mv {self.beside} {self.path}"
 
-        Returns:
-            (the path that was written, a line that says so, and where the old one is).
+    def write(self, text: str, replaces: bool) -> list[str]:
+        """Write the calibration: the file itself is replaced, or else the one beside it is written. Return lines that
+        say so.
 
         Raises:
             CarInterfaceError: it can't be written, or turn_arb would refuse it.
         """
-        path = self.path if replaces else self.beside
-        return path, write_table(str(path), text, load_steering, NOT_LOADED)
+        written = write_table(str(self.path if replaces else self.beside), text, load_steering, NOT_LOADED)
+        kept = [] if replaces else [f"{self.path} is as it was. To take the new one: {self.taking}"]
+        return [written, *kept, f"to load it, launch again with config:={self.path.parent}"]
 
 
 def find_table_file(wanted: str | None, base: str | None, launched_with: str | None,
@@ -157,17 +163,18 @@ def next_steps(table: TableFile, refusal: str, replaces: bool | None) -> list[st
     if refusal:
         return [("Drive again with more room (--radius 3.5) or more time (--max-time 420), or give this recording and "
                  "another one to calibrate_steering, which makes one table of both.")]
-    take = f"ake the new table by: mv {table.beside} {table.path}"
-    taking = [] if replaces else [f"If you answered no, t{take}" if replaces is None else f"T{take}"]
-    return [*taking, f"Launch again with config:={table.path.parent}, which loads the table.",
+    answered = "If you answered no, take" if replaces is None else "Take"
+    return [*([] if replaces else [f"{answered} the new table by: {table.taking}"]),
+            f"Launch again with config:={table.path.parent}, which loads the table.",
             "Then ask for a circle, and measure it: rostopic pub -r 20 av_turnrad_req std_msgs/Float32 2.0",
             "bag_report of any later drive says how tight its slow turns were against this table."]
 
 
-def board_center(center_duty: int, old_duty: int, board_duty: int | None) -> str:
+def board_center(centers: Sequence[float], board_duty: int | None) -> str:
     """Return a line about the servo board, which is to center the steering by the new duty, too, when nobody commands
-    it. ``old_duty``: turn_arb's center so far; ``board_duty``: pca9685's, ``None`` = another driver runs the board.
+    it. ``centers``: turn_arb's, old and new; ``board_duty``: pca9685's, ``None`` = another driver runs the board.
     """
+    old_duty, center_duty = map(round, centers)
     if board_duty == old_duty:
         return f"the servo board centers the steering by the same file (duty {center_duty}): it needs nothing more"
     if board_duty is None:

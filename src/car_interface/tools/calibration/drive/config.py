@@ -2,13 +2,13 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass, field
+from dataclasses import dataclass, fields, replace
 from typing import Any, Sequence
 
-from car_interface.common.declared import read
+from car_interface.common.declared import DECLARATION, number, read
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.params import Params
-from car_interface.throttle.obstacle_stop import ObstacleConfig, Outline
+from car_interface.throttle.obstacle_stop import ObstacleConfig
 
 DESCRIPTION = """calibration_drive: the car calibrates its steering by itself while you hold the
 autonomous deadman and watch. Launch it with throttle:=true planner:=speed. It
@@ -19,58 +19,25 @@ EPILOG = """Remappings such as odom:=my_odom may follow; for a car in a namespac
 ROS_NAMESPACE.
 
 docs/nodes.md of the package lists its topics."""
-
-
-# Field, lowest and highest value, and the option's placeholder and help.
-NUMBERS = (
-    ("radius_m", 2.5, 100.0, "M", "no part of the car leaves a circle of this radius around where it began"),
-    ("speed_mps", 0.4, 3.0, "M/S", "the speed in wide turns"),
-    ("tight_speed_mps", 0.4, 3.0, "M/S", "the speed in the tightest turns"),
-    ("max_time_s", 30.0, 3600.0, "S", "of the held button; then it ends with what there is"),
-    ("braking_mps2", 0.1, 10.0, "M/S^2", "the deceleration that a stop is certain of"))
+NO_SONARS = ObstacleConfig()
 
 
 @dataclass(frozen=True)
 class CalibrationDriveConfig:
-    """Where and how the car drives; the names are those of the ROS parameters.
+    """Where and how the car drives: the options that are numbers, and what throttle_arb knows."""
 
-    Raises:
-        ConfigError: naming the parameter.
-    """
-
-    # no part of the car leaves a circle of this radius around the start: 3 m is an area of 6 × 6 m
-    radius_m: float = 3.0
-    speed_mps: float = 1.2  # in wide turns; tight ones are slower
-    tight_speed_mps: float = 0.9  # in the tightest turns
-    max_time_s: float = 300.0  # of driving, that is of the held button; then it ends with what there is
-    # the deceleration that a stop is certain of, such as the drag's, less a slope's 0.2 m/s² for each 2 %, where the
-    # kind of ESC isn't known. Where it is seen to stop with less, that counts, and with more once two stops or more
-    # without a brake have shown it.
-    braking_mps2: float = 0.15
-    outline: Outline = field(default_factory=Outline)  # of the car from above
-    obstacles: ObstacleConfig | None = None  # the sonars, as throttle_arb takes them; ``None`` = none is looked at
-
-    def __post_init__(self):
-        for field_name, low, high, _, _ in NUMBERS:
-            value = getattr(self, field_name)
-            if not low <= value <= high:
-                raise ConfigError(_option(field_name), value, f"a number from {low:g} to {high:g}")
-
-
-DEFAULTS = CalibrationDriveConfig()
-
-
-def read_obstacles(throttle_arb: dict[str, Any]) -> ObstacleConfig:
-    """Return the car's outline and sonars as throttle_arb has them, whether or not it stops for them itself.
-
-    Raises:
-        CarInterfaceError: it doesn't know the sonars.
-    """
-    try:
-        return read(Params({**throttle_arb, "obstacle_stop": True}), ObstacleConfig)
-    except ConfigError as error:
-        raise CarInterfaceError(f"of throttle_arb's parameters {error}: launch the car by its launch files, or drive "
-                                "without sonars by --no-sonars") from error
+    radius_m: float = number("radius", 3.0, "no part of the car leaves a circle of this radius around where it began",
+                             "m", low=2.5, high=100)
+    speed_mps: float = number("speed", 1.2, "the speed in wide turns", "m/s", low=0.4, high=3)
+    tight_speed_mps: float = number("tight_speed", 0.9, "the speed in the tightest turns", "m/s", low=0.4, high=3)
+    max_time_s: float = number("max_time", 300.0, "of the held button; then it ends with what there is", "s",
+                               low=30, high=3600)
+    # Such as the drag's, less a slope's 0.2 m/s² for each 2 %, where the kind of ESC isn't known. Where it is seen to
+    # stop with less, that counts, and with more once two stops or more without a brake have shown it.
+    braking_mps2: float = number("braking", 0.15, "the deceleration that a stop is certain of", "m/s^2",
+                                 low=0.1, high=10)
+    # The car from above and its sonars, as throttle_arb takes them; without mounts none is looked at.
+    obstacles: ObstacleConfig = NO_SONARS
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
@@ -85,23 +52,28 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
                         "beside it")
     parser.add_argument("--stick", action="store_true", help="you drive, by the manual deadman: it says where to hold "
                         "the stick")
-    for field_name, _, _, metavar, words in NUMBERS:
-        value = getattr(DEFAULTS, field_name)
-        parser.add_argument(f"--{_option(field_name).replace('_', '-')}", type=float, default=value, metavar=metavar,
-                            help=f"{words} (default: {value:g})")
+    for each in fields(CalibrationDriveConfig):
+        option = each.metadata.get(DECLARATION)
+        if option is not None:
+            parser.add_argument(f"--{option.name.replace('_', '-')}", type=float, default=each.default,
+                                metavar=option.unit.upper(), help=f"{option.text} (default: {each.default:g})")
     parser.add_argument("--no-sonars", action="store_true", help="look at no sonar: only you keep the car from running "
                         "into something")
     return parser.parse_args(arguments)
 
 
-def drive_config(options: argparse.Namespace) -> CalibrationDriveConfig:
-    """Return where and how it drives, without the car's sonars and outline.
+def drive_config(options: argparse.Namespace, throttle_arb: dict[str, Any]) -> CalibrationDriveConfig:
+    """Return where and how it drives; the car's outline and its sonars are as throttle_arb has them, whether or not it
+    stops for them itself.
 
     Raises:
-        ConfigError: naming the option.
+        CarInterfaceError: naming the option, or throttle_arb doesn't know the sonars.
     """
-    return CalibrationDriveConfig(**{name: getattr(options, _option(name)) for name, *_ in NUMBERS})
-
-
-def _option(field_name):
-    return field_name.rsplit("_", 1)[0]  # without its unit
+    config = read(Params(vars(options)), CalibrationDriveConfig)
+    if options.no_sonars or options.stick:
+        return config
+    try:
+        return replace(config, obstacles=read(Params({**throttle_arb, "obstacle_stop": True}), ObstacleConfig))
+    except ConfigError as error:
+        raise CarInterfaceError(f"of throttle_arb's parameters {error}: launch the car by its launch files, or drive "
+                                "without sonars by --no-sonars") from error

@@ -22,7 +22,7 @@ PLANNER_DRIVES = ("", AUTONOMOUS)  # modes in which the planner both steers and 
 # Neutral for one of these means only that nothing was asked for.
 IDLE = frozenset({causes.NO_REQUEST, causes.NO_RADIUS, causes.PLANNER_STALE, causes.COMMAND_STALE,
                   causes.COMMAND_AWAITED})
-ABSENT = "human_in_loop is false: "  # how turn_arb begins its reason; what follows says it to a person
+ABSENT = "human_in_loop is false: "  # how an arbiter begins its reason; what follows says it to a person
 LAUNCH = "roslaunch car_interface car.launch throttle:=true planner:=speed"
 NO_PULSE = (-1, 0, 65535)  # unknown, off, always on
 UNHEARD = frozenset({causes.JOY_NEVER_RECEIVED, causes.JOY_STALE, *causes.JOY_UNUSABLE})
@@ -58,11 +58,10 @@ class Grant:
         self._others.setdefault(topic, TimedInput(topic, OTHER_TIMEOUT_S)).update(sender, now_ns)
 
     @property
-    def stops_by_itself(self) -> bool:
-        """Whether nobody steers or drives now with the manual deadman, and the ESC neither brakes nor reverses."""
-        is_by_hand = any(timed.was_received and timed.value.source == TELEOP
-                         for timed in (self._steering, self._throttle))
-        return not is_by_hand and not (self._throttle.was_received and self._throttle.value.esc in SLOWS)
+    def is_slowed(self) -> bool:
+        """Whether somebody steers or drives now with the manual deadman, or the ESC brakes or reverses."""
+        states = [timed.value for timed in (self._steering, self._throttle) if timed.was_received]
+        return any(state.source == TELEOP or getattr(state, "esc", None) in SLOWS for state in states)
 
     def others(self, now_ns: int) -> list[str]:
         """Return who else publishes, as sentences."""
@@ -78,22 +77,22 @@ class Grant:
                 return timed.stale_reason(now_ns)
         steering = self._steering.value
         if self._by_stick:
-            return "" if steering.source == TELEOP else _plain(steering.reason)
+            return "" if steering.source == TELEOP else steering.reason.replace(ABSENT, "")
         source = self._planner.value.source
         return (_steering_trouble(steering) or _throttle_trouble(self._throttle.value)
                 or (f"planner_interface obeys {source}" if source != SPEED else "; ".join(self.others(now_ns))))
 
     def missing(self, now_ns: int) -> list[str]:
         """Return what is missing before it begins, most basic first; empty: it can begin."""
-        found = []
-        if not self._steering.was_received:
-            found.append(f"turn_arb isn't heard: is the car launched, and in this namespace? {LAUNCH}")
-        if self.duty is None:
-            found.append("/servo/output isn't heard: is pca9685 running?")
-        elif self.duty in NO_PULSE:
-            found.append("the servo board gives no pulse on the steering's channel: rosrun car_interface doctor")
-        if not self.has_odom:
-            found.append("there is no odometry on odom: is teensy_sensor_hub running, and the Teensy plugged in?")
+        found = [text for is_so, text in (
+            (not self._steering.was_received,
+             f"turn_arb isn't heard: is the car launched, and in this namespace? {LAUNCH}"),
+            (self.duty is None, "/servo/output isn't heard: is pca9685 running?"),
+            (self.duty in NO_PULSE,
+             "the servo board gives no pulse on the steering's channel: rosrun car_interface doctor"),
+            (not self.has_odom,
+             "there is no odometry on odom: is teensy_sensor_hub running, and the Teensy plugged in?"),
+        ) if is_so]
         return found if self._by_stick else [*found, *self._missing_of_a_program(), *self.others(now_ns)]
 
     def _missing_of_a_program(self):
@@ -122,19 +121,17 @@ class Grant:
              "another terminal")]
 
 
-def _plain(reason):
-    return reason[len(ABSENT):] if reason.startswith(ABSENT) else reason
-
-
 def _steering_trouble(steering):
     if steering.source == PLANNER or steering.source == NEUTRAL and steering.cause in IDLE:
         return ""
-    return f"the gamepad steers ({steering.reason})" if steering.source == TELEOP else _plain(steering.reason)
+    if steering.source == TELEOP:
+        return f"the gamepad steers ({steering.reason})"
+    return steering.reason.replace(ABSENT, "")
 
 
 def _throttle_trouble(throttle):
     if throttle.source in (LOCKED, NO_HUMAN):
-        return _plain(throttle.reason)
+        return throttle.reason.replace(ABSENT, "")
     if throttle.source == TELEOP:
         return f"the gamepad drives ({throttle.reason})"
     if throttle.mode not in PLANNER_DRIVES:

@@ -11,9 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from car_interface.tools.calibration.drive.step import RadiusRow
 from car_interface.tools.calibration.shared import NothingToFit
-from car_interface.tools.calibration.steering.drive import COUNT, NOTHING_GIVEN, CurveFitConfig, SteeringDrive
+from car_interface.tools.calibration.steering.drive import COUNT, NOTHING_GIVEN, CurveFitConfig, Delay, SteeringDrive
 from car_interface.tools.calibration.steering.fit import fit
 from car_interface.tools.calibration.steering.smooth import BAND, unseen
 from car_interface.tools.calibration.steering.table import (
@@ -33,22 +32,40 @@ NEEDED_RATIO = 0.25
 UNSEEN_NEED = 2.0  # so much more a bend is to be found than the tool takes it to be likely
 
 
+class RadiusRow(NamedTuple):
+    """How well one radius is known, as a row of the tool's own report."""
+
+    side: str  # ``left`` or ``right``
+    radius_m: float  # of the turn
+    duty: float  # for it; NaN = unknown
+    radius_error: float  # two standard errors of the radius, as a ratio of it; inf = unknown
+    is_known: bool  # the tool would write this one
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether anything is known; with an error as large as the radius it may be any."""
+        return self.radius_error < 1.0
+
+
 class Knowledge(NamedTuple):
-    """What a fit found."""
+    """What a fit found; the columns are of the board's counts between the curve's ends, (K,), duties rising."""
 
     reason: str = ""  # why there is no curve yet, the end of a sentence; empty = there is one
-    # the curve at the board's counts between its ends, duties rising; curvatures in 1/m, left positive
-    duties: tuple[float, ...] = ()
-    curvatures: tuple[float, ...] = ()
-    # at each, what isn't known of the curvature, as a ratio of what the tool allows: above 1 it refuses
-    errors: tuple[float, ...] = ()
-    needs: tuple[float, ...] = ()  # at each, how much it is worth to measure it; as errors, but stricter
-    rows: tuple[RadiusRow, ...] = ()  # as in Progress, and so are the next three
-    missing: tuple[str, ...] = ()
-    center_duty: float = math.nan
-    center_error: float = math.nan
+    duties: np.ndarray = np.zeros(0)
+    curvatures: np.ndarray = np.zeros(0)  # in 1/m, left positive
+    errors: np.ndarray = np.zeros(0)  # what isn't known of them, as ratios of what the tool allows: above 1 it refuses
+    needs: np.ndarray = np.zeros(0)  # how much it is worth to measure each; as errors, but stricter
+    rows: tuple[RadiusRow, ...] = ()  # per side and radius, tight first
+    missing: tuple[str, ...] = ()  # what the tool would refuse the drive for, sentences; empty: it would write
+    center_duty: float = math.nan  # where it goes straight; NaN: unknown
+    center_error: float = math.nan  # two standard errors of that
     given: CurveFitConfig = NOTHING_GIVEN  # to the next fit, with its delay and backlash
     has_understeer: bool = False  # it is known by how much turns widen with speed
+
+
+# Before the first fit, with a guess of the servo's delay.
+NOTHING_KNOWN = Knowledge("no fit was made", missing=("everything; the ends and straight on come first",),
+                          given=NOTHING_GIVEN._replace(delay=Delay(0.05, 0.15)))
 
 
 def assess(drive: SteeringDrive, config: CurveFitConfig) -> Knowledge:
@@ -74,7 +91,7 @@ def assess(drive: SteeringDrive, config: CurveFitConfig) -> Knowledge:
     sigmas = np.interp(duties, curve.duties, curve.sigmas)
     greater = np.maximum(sigmas, UNSEEN_NEED * unseen(duties, curve.observations, curve.used))
     given = config._replace(delay=curve.delay, backlash_duty=curve.backlash_duty, backlash_sigma=curve.backlash_sigma)
-    return Knowledge("", *(tuple(column.tolist()) for column in (
-        duties, curve.curvature(duties), BAND * sigmas / (allowed_per_m + half_count),
-        BAND * greater / (allowed_per_m + NEEDED_RATIO * half_count))), rows, tuple(find_problems(curve, points)),
+    return Knowledge(
+        "", duties, curve.curvature(duties), BAND * sigmas / (allowed_per_m + half_count),
+        BAND * greater / (allowed_per_m + NEEDED_RATIO * half_count), rows, tuple(find_problems(curve, points)),
         curve.center, BAND * curve.center_sigma, given, curve.understeer.is_known)

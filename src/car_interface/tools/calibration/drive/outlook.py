@@ -23,15 +23,17 @@ SLOW_MPS, MAX_SLOW_MPS, SLOW_STOP_M = 0.33, 0.6, 0.42  # at the edge: as fast as
 EARLY_MPS = 0.8  # as long as there is no curve
 FREE_MPS, CREEP_MPS = 0.35, 0.2  # a sonar that allows less means: not there; and stop, if it was begun
 QUICK_MPS2, MAX_QUICK_MPS = 2.2, 1.6  # sideways, in every other turn: shows by how much turns widen with speed
+BY_HAND = "by hand or by the manual deadman, then hold the button again"
 
 
 class Outlook:
     """The way ahead of one car, which stays in an area."""
 
-    def __init__(self, survey: Survey, area: Area, obstacles: ObstacleStop | None, stops: Stops):
+    def __init__(self, survey: Survey, area: Area, obstacles: ObstacleStop, stops: Stops):
         self.area = area
         self.servo_duty = float(survey.base.servo_center)
-        self._survey, self._config, self._motion = survey, survey.config, survey.motion
+        self._survey, self._config, self._motion, self._positions = (
+            survey, survey.config, survey.motion, survey.positions)
         self._ends, self._obstacles, self._stops = survey.ends, obstacles, stops
 
     def _coasts_mps2(self):
@@ -41,36 +43,31 @@ class Outlook:
 
     # --- where it goes ---
 
-    def expected_per_m(self, duty: float) -> float:
-        """Return the curvature to expect at a duty."""
-        return self._survey.positions.expected_per_m(duty)
-
     def turns_per_m(self) -> list[float]:
         """Return the curvatures of the tight turns to the left and to the right."""
-        return [self.expected_per_m(end) for end in self._ends]
+        return [self._positions.expected_per_m(end) for end in self._ends]
 
     def live_per_m(self) -> float:
         """Return the curvature now; that of the duty that is held, where the car hardly moves."""
         curvature = self._motion.curvature_per_m()
-        return self.expected_per_m(self.servo_duty) if curvature is None else curvature
+        return self._positions.expected_per_m(self.servo_duty) if curvature is None else curvature
 
     def path_per_m(self, hold: Hold | None, now_ns: int) -> float:
         """Return the curvature of the arc ahead: as measured, or, while the servo is on its way, as expected."""
         if hold is None or hold.is_settled(now_ns):
             return self.live_per_m()
-        return (self.live_per_m() + 2 * self.expected_per_m(hold.duty)) / 3
+        return (self.live_per_m() + 2 * self._positions.expected_per_m(hold.duty)) / 3
 
     def turns(self, from_duty: float) -> list[Turn]:
         """Return the tight turns to the left and to the right, begun with the servo at a duty."""
-        survey, live, found = self._survey, self._motion.curvature_per_m(), []
+        live, delay, found = self._motion.curvature_per_m(), self._survey.servo_delay, []
         for end, expected in zip(self._ends, self.turns_per_m()):
             # The servo creeps up to its end, and some linkages turn the wheels within the last counts.
-            near_duty = max(TIGHT_DUTY, abs(end - survey.positions.half_way_duty(end)))
+            near_duty = max(TIGHT_DUTY, abs(end - self._positions.half_way_duty(end)))
             lags = min(MAX_LAGS, max(1.0, math.log(max(1.0, abs(end - from_duty) / near_duty))))
             # An end that is just being found out turns as it is seen to.
             is_seen = abs(from_duty - end) < TIGHT_DUTY and live is not None and live / expected > 1.0
-            reaction_s = REACTION_S + survey.servo_delay_s + survey.servo_lag_s * lags
-            found.append(Turn(live if is_seen else expected, reaction_s))
+            found.append(Turn(live if is_seen else expected, REACTION_S + delay.delay_s + delay.lag_s * lags))
         return found
 
     @property
@@ -81,10 +78,8 @@ class Outlook:
     @property
     def slow_mps(self) -> float:
         """The speed at the edge."""
-        sure_mps2 = self._stops.sure_mps2
-        if not sure_mps2:
-            return SLOW_MPS
-        return max(SLOW_MPS, min(MAX_SLOW_MPS, stopping_speed_mps(SLOW_STOP_M, RELEASE_S, sure_mps2)))
+        sure_mps = stopping_speed_mps(SLOW_STOP_M, RELEASE_S, self._stops.sure_mps2)
+        return max(SLOW_MPS, min(MAX_SLOW_MPS, sure_mps))
 
     def ways_out(self, hold: Hold | None, now_ns: int) -> list[WayOut]:
         """Return what comes of a tight turn to the left, and of one to the right."""
@@ -95,7 +90,7 @@ class Outlook:
         """Return how far the car can go from here, to end with the tight turn to the left and with that to the right,
         if it steers that duty now and that gives that curvature.
         """
-        lead_m = min(speed_mps, self.now_mps) * (self._survey.servo_delay_s + self._survey.servo_lag_s)
+        lead_m = min(speed_mps, self.now_mps) * sum(self._survey.servo_delay)
         after = moved(self._motion.pose, lead_m, (self.live_per_m() + curvature_per_m) / 2)
         coasts_mps2, slow_mps = self._coasts_mps2(), self.slow_mps
 
@@ -126,7 +121,7 @@ class Outlook:
         config = self._config
         ratio = min(1.0, abs(curvature_per_m) / TIGHT_PER_M)
         speed_mps = config.speed_mps + (config.tight_speed_mps - config.speed_mps) * ratio
-        return min(speed_mps, EARLY_MPS) if self._survey.knowledge is None else speed_mps
+        return min(speed_mps, EARLY_MPS) if self._positions.knowledge.reason else speed_mps
 
     def sonar_mps(self, curvature_per_m: float, now_ns: int) -> float:
         """Return what the sonars allow on an arc."""
@@ -134,14 +129,13 @@ class Outlook:
         return math.inf if bound is None else bound.speed_mps
 
     def _bound(self, curvature_per_m, now_ns):
-        return self._obstacles and self._obstacles.bound(
-            curvature_per_m, False, self._config.braking_mps2, now_ns, counts_sides=False)
+        return self._obstacles.bound(curvature_per_m, False, self._config.braking_mps2, now_ns, counts_sides=False)
 
     def allowed_mps(self, hold: Hold, is_quick: bool, now_ns: int) -> tuple[float, str]:
         """Return (the speed for a position, why it stands); ``is_quick``: as fast as the tyres hold, once it is
         settled.
         """
-        expected, speed_now_mps = self.expected_per_m(hold.duty), self._motion.speed_mps
+        expected, speed_now_mps = self._positions.expected_per_m(hold.duty), self._motion.speed_mps
         speed_mps = self.cruise_mps(expected)
         if is_quick and hold.is_settled(now_ns):
             speed_mps = max(speed_mps, min(MAX_QUICK_MPS, math.sqrt(QUICK_MPS2 / abs(expected))))
@@ -158,7 +152,7 @@ class Outlook:
             speed_mps = min(speed_mps, self.slow_mps)
             if extent_m > hard_m + 0.1 and self.area.inward_rad(pose) > math.pi / 2:
                 return 0.0, (f"it stands {self.area.extent_m(pose):.1f} m from where it began, with no room to turn: "
-                             f"{self._way_back()} by hand or by the manual deadman, then hold the button again")
+                             f"{self._way_back()} {BY_HAND}")
         # Whenever the button is let go the steering goes to the center, and the car is to stop inside all the same.
         speed_mps = min(speed_mps, self._slowed_mps(self.area.ahead_m(pose, hard_m) - LATE_M))
         return min(speed_mps, seen_mps), ""
@@ -173,4 +167,10 @@ class Outlook:
         area = self.area
         if area.circle_extent_m(Pose(*area.center, 0.0), per_m, self._stop_m()) <= area.stop_radius_m:
             return "move it towards the middle"
-        return f"place it so that the middle is about {1 / abs(per_m):.1f} m to its {'left' if per_m > 0 else 'right'},"
+        return f"place it {beside_middle(per_m)},"
+
+
+def beside_middle(curvature_per_m: float) -> str:
+    """Return in words how a car is to be placed for a turn around the middle of the area."""
+    return (f"so that the middle is about {1 / abs(curvature_per_m):.1f} m to its "
+            f"{'left' if curvature_per_m > 0 else 'right'}")

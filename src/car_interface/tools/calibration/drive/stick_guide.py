@@ -9,10 +9,9 @@ import math
 
 from car_interface.common.units import NS_PER_S
 from car_interface.steering.calibration import SteeringCalibration
-from car_interface.tools.calibration.drive.config import DEFAULTS, CalibrationDriveConfig
+from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
 from car_interface.tools.calibration.drive.positions import Candidate, Measured
-from car_interface.tools.calibration.drive.step import DONE, MEASURING, PAUSED, SETTLING, Step, steering_text
-from car_interface.tools.calibration.drive.survey import Survey
+from car_interface.tools.calibration.drive.survey import DONE, MEASURING, PAUSED, SETTLING, Step, Survey, steering_text
 from car_interface.tools.calibration.steering.drive import MIN_SPEED_MPS
 from car_interface.tools.calibration.steering.segments import MAX_LATERAL_MPS2, MAX_WANDER_DUTY
 
@@ -31,14 +30,13 @@ class StickGuide(Survey):
 
     OF_DRIVING = " of driving"
 
-    def __init__(self, base: SteeringCalibration, config: CalibrationDriveConfig = DEFAULTS):
+    def __init__(self, base: SteeringCalibration, config: CalibrationDriveConfig):
         super().__init__(base, config)
         self._target: Candidate | None = None
         self._low_duty = self._high_duty = math.nan  # between which the stick is held, and since when
         self._still_ns = 0
         self._length_m = self._turned_rad = 0.0  # while it was held
         self._passed = False  # the stick came from the side that was asked for
-        self._why_not = ""  # it may not be driven
 
     def _update_motion(self, distance_m, turned_rad, measured_ns, now_ns):
         if self._is_held(now_ns) and abs(self.motion.speed_mps) >= MIN_SPEED_MPS:
@@ -57,32 +55,31 @@ class StickGuide(Survey):
         if self._target is not None and (duty - self._target.duty) * self._target.from_side >= NEAR_DUTY:
             self._passed = True
 
-    def update_grant(self, trouble: str, now_ns: int) -> None:
-        """Take why turn_arb doesn't obey the stick, in its own words; empty: the manual deadman is held."""
-        self._why_not = trouble
+    def step(self, now_ns: int, refusal: str) -> Step:
+        """Return what to do now; 10 times a second and more.
 
-    def step(self, now_ns: int) -> Step:
-        """Return what to do now; 10 times a second and more."""
+        Args:
+            refusal: why turn_arb doesn't obey the stick, in its own words; empty: the manual deadman is held.
+        """
         since_ns = self._tick(now_ns)
         moves = not self._odom.is_stale(now_ns) and abs(self.motion.speed_mps) >= MIN_SPEED_MPS
-        self._driven_ns += since_ns if moves else 0
-        self._end_if_over()
-        if self._end:
+        if self._is_over(since_ns if moves else 0):
             return Step(0.0, 0.0, DONE, self._end, held=self._held_steering())
         if self._target is None or self._is_held(now_ns) and self._length_m >= HOLD_M:
             self._note()
             self._target, self._passed = self.positions.candidates()[0], False  # of which least is known
         steering = self.positions.steering(self._target.duty)
-        return Step(steering, 0.0, *self._guidance(steering, moves, now_ns), self._target.duty, self._held_steering())
+        return Step(steering, 0.0, *self._guidance(steering, moves, refusal, now_ns), self._target.duty,
+                    self._held_steering())
 
-    def _guidance(self, steering, moves, now_ns):
+    def _guidance(self, steering, moves, refusal, now_ns):
         """Return (the phase, what the person has to do now)."""
-        for timed in (self._odom, self._duty):
-            if timed.is_stale(now_ns):
-                return PAUSED, f"it waits: {timed.stale_reason(now_ns)}"
+        silence = self._silence(now_ns)
+        if silence:
+            return PAUSED, f"it waits: {silence}"
         target, where, speed_mps = self._target, steering_text(steering), abs(self.motion.speed_mps)
         if not moves:
-            return PAUSED, (f"{self._why_not}; hold the manual deadman" if self._why_not else
+            return PAUSED, (f"{refusal}; hold the manual deadman" if refusal else
                             f"drive slowly, about 1 m/s, with the stick at {where}")
         if abs(self.motion.curvature_per_m() or 0.0) * speed_mps ** 2 > MAX_LATERAL_MPS2:
             return PAUSED, "slower: at this speed tyres may slide"
@@ -106,8 +103,8 @@ class StickGuide(Survey):
     def _note(self):
         """Note what was held, if it was enough."""
         if self._target is not None and self._length_m >= LEAST_COUNTED_M:
-            self.add(Measured(self._target.duty, self._target.from_side or 1, self._length_m,
-                                      self._turned_rad / self._length_m))
+            self.positions.add(Measured(self._target.duty, self._target.from_side or 1,
+                                        self._turned_rad / self._length_m))
         self._length_m = self._turned_rad = 0.0
 
     def _held_steering(self):

@@ -33,15 +33,14 @@ class Stops:
     """The stops of one drive."""
 
     def __init__(self):
-        self._directions_rad: list[float] = []  # in which it rolled, one for each stop
+        self._units: list[tuple] = []  # of each stop, with the direction in which it rolled, as UNITS
         self._seen_mps2: list[float] = []  # with what it stopped
         self._sure_mps2 = 0.0
         self._slowest_mps2 = math.inf  # of each second that it rolled
         self._begin: tuple[int, float, float] | None = None  # time, speed and heading as the button was let go
         self._second: tuple[int, float] | None = None  # time and speed as this one began
         self._rolled_m = 0.0  # since then
-        self._was_driven = False
-        self._speed_mps = self._yaw_rad = 0.0
+        self._driven: tuple[float, float] | None = None  # speed and heading while the button is held
 
     def update(self, moved_m: float, speed_mps: float, yaw_rad: float, is_driven: bool, at_ns: int) -> None:
         """Take an odometry: how far it moved since the last one, its speed, forward positive, and its heading; whether
@@ -49,9 +48,10 @@ class Stops:
         """
         if is_driven:
             self._end(speed_mps, at_ns)
-        elif self._was_driven:
-            self._begin, self._rolled_m = (at_ns, self._speed_mps, self._yaw_rad), moved_m
-            self._second = None
+            self._driven = speed_mps, yaw_rad
+        elif self._driven is not None:
+            self._begin, self._rolled_m = (at_ns, *self._driven), moved_m
+            self._driven = self._second = None
         elif self._begin is not None:
             self._rolled_m += moved_m
             if speed_mps > self._begin[1] + PUSHED_MPS or speed_mps < -STANDS_MPS:
@@ -60,7 +60,6 @@ class Stops:
                 self._end(speed_mps, at_ns)
             else:
                 self._roll(speed_mps, at_ns)
-        self._was_driven, self._speed_mps, self._yaw_rad = is_driven, speed_mps, yaw_rad
 
     def discard(self) -> None:
         """Discard the stop that is under way: hands move the car, or a person drives it."""
@@ -88,7 +87,7 @@ class Stops:
         if begin_mps < MIN_BEGIN_MPS or not stands and rolled_m < MIN_ROLLED_M:
             return
         lost = begin_mps ** 2 - (0.0 if stands else speed_mps ** 2)
-        self._directions_rad.append(yaw_rad)
+        self._units.append((1.0, math.cos(yaw_rad), math.sin(yaw_rad)))
         self._seen_mps2.append(max(0.0, lost / (2 * (rolled_m + PULSE_M))))
         if len(self._seen_mps2) >= MIN_STOPS:
             self._sure_mps2 = self._estimate()
@@ -105,11 +104,10 @@ class Stops:
 
     def _estimate(self):
         """Return what is certain in the worst of the directions: least squares, with a slope that isn't steep."""
-        units = np.array([(1.0, math.cos(yaw), math.sin(yaw)) for yaw in self._directions_rad])
-        seen = np.minimum(self._seen_mps2, MAX_MPS2)
+        units, seen = np.array(self._units), np.minimum(self._seen_mps2, MAX_MPS2)
         weights = (NOISE_RATIO * seen + NOISE_MPS2) ** -2
-        information = units.T @ (units * weights[:, None]) + np.diag([0.0, SLOPE_MPS2 ** -2, SLOPE_MPS2 ** -2])
-        covariance = np.linalg.inv(information)
+        slopes = np.diag([0.0, SLOPE_MPS2 ** -2, SLOPE_MPS2 ** -2])
+        covariance = np.linalg.inv(units.T @ (units * weights[:, None]) + slopes)
         found = covariance @ (units.T @ (weights * seen))
         sigmas = np.sqrt(np.einsum("ij,jk,ik->i", UNITS, covariance, UNITS))
         return min(MAX_MPS2, max(0.0, float(np.min(UNITS @ found - SURE * sigmas))))

@@ -8,7 +8,8 @@ import math
 import textwrap
 from typing import Iterable, Sequence
 
-from car_interface.tools.calibration.drive.step import (
+from car_interface.tools.calibration.drive.knowledge import Knowledge, RadiusRow
+from car_interface.tools.calibration.drive.survey import (
     AVOIDING,
     BLOCKED,
     DONE,
@@ -18,7 +19,6 @@ from car_interface.tools.calibration.drive.step import (
     TURNING,
     WAITING,
     Progress,
-    RadiusRow,
     Step,
     steering_text,
 )
@@ -38,29 +38,29 @@ REFUSED = ("what is missing stands above: drive again, longer or with more room.
            "both recordings, too")
 
 
-def introduction(by_stick: bool, radius_m: float, width: int = 80) -> str:
+def introduction(by_stick: bool, radius_m: float) -> str:
     """Return what is about to happen."""
     if by_stick:
-        text = ("You drive, holding the manual deadman: slowly, about 1 m/s, and away from walls. It says where to "
+        return ("You drive, holding the manual deadman: slowly, about 1 m/s, and away from walls. It says where to "
                 "hold the stick.")
-    else:
-        text = (f"The car drives by itself while you hold the autonomous deadman, within {radius_m:g} m of where it "
-                f"stands when you first hold it: {2 * radius_m:g} x {2 * radius_m:g} m have to be free. Let go, and it "
-                "stops.")
-    return "\n".join(wrapped([text], width))
+    return (f"The car drives by itself while you hold the autonomous deadman, within {radius_m:g} m of where it stands "
+            f"when you first hold it: {2 * radius_m:g} x {2 * radius_m:g} m have to be free. Let go, and it stops.")
 
 
-def drive_lines(step: Step, progress: Progress, width: int = 80) -> list[str]:
-    """Return all of a drive's picture, for a terminal that is drawn anew; no line is longer than ``width``. By
-    hand with a bar of where to hold the stick.
+def drive_lines(step: Step, progress: Progress) -> list[str]:
+    """Return all of a drive's picture, for a terminal that is drawn anew; by hand with a bar of where to hold the
+    stick.
     """
-    if step.phase == DONE:  # what comes then is printed below
-        headline = []
-    elif step.held is None:
-        headline = [f"{BEFORE.get(step.phase, '')}{step.text}"]
-    else:
-        headline = [step.text, *stick_bar(step)]
-    return wrapped([*headline, *_progress_lines(progress, step.phase == DONE)], width)
+    is_over, rows, missing = step.phase == DONE, progress.known.rows, missing_lines(progress.known.missing)
+    headline = [BEFORE.get(step.phase, "") + step.text] if step.held is None else [step.text, *stick_bar(step)]
+    if len(missing) > MAX_MISSING:
+        missing[MAX_MISSING:] = [f"missing: … and {len(missing) - MAX_MISSING} more"]
+    elif rows and not missing:
+        missing = [ENOUGH if is_over else ENOUGH + GOES_ON]
+    bar, positions = progress_bar(progress.fraction), f"{progress.positions} position{'s' * (progress.positions != 1)}"
+    return [*([] if is_over else headline),  # what comes then is printed below
+            f"{bar} {percent(progress.fraction)}   {_times(progress)}, {positions}",
+            *known_lines(progress.known), *missing, *([LEGEND] if rows else [])]
 
 
 def plain_line(phase: str, text: str, progress: Progress) -> str:
@@ -73,11 +73,11 @@ def missing_lines(missing: Iterable[str]) -> list[str]:
     return [f"missing: {text.partition(ADVICE)[0]}" for text in missing]
 
 
-def known_lines(progress: Progress) -> list[str]:
+def known_lines(known: Knowledge) -> list[str]:
     """Return what is known of each side, and of straight on."""
-    lines = [f"{side:<6} {radius_marks(progress.rows, side)}" for side in ("left", "right")]
-    if math.isfinite(progress.center_duty):
-        lines.append(f"straight on: duty {progress.center_duty:.0f} ± {progress.center_error:.0f}")
+    lines = [f"{side:<6} {radius_marks(known.rows, side)}" for side in ("left", "right")]
+    if math.isfinite(known.center_duty):
+        lines.append(f"straight on: duty {known.center_duty:.0f} ± {known.center_error:.0f}")
     return lines
 
 
@@ -115,27 +115,12 @@ def radius_marks(rows: Iterable[RadiusRow], side: str) -> str:
     if not ours:
         return "nothing known yet"
     marks = "".join(KNOWN if row.is_known else PARTLY if row.is_measured else UNKNOWN for row in ours)
-    known = sum(row.is_known for row in ours)
-    text = f"{ours[0].radius_m:g} m {marks} {ours[-1].radius_m:g} m: {known} of {len(ours)}"
-    open_ones = [row for row in ours if not row.is_known]
-    if open_ones:
-        worst = max(open_ones, key=lambda row: row.radius_error)
-        error = f"to ±{worst.radius_error:.0%}" if worst.is_measured else "isn't known"
-        text += f", {worst.radius_m:g} m {error}"
-    return text
-
-
-def _progress_lines(progress: Progress, is_over: bool) -> list[str]:
-    share = f"{progress_bar(progress.fraction)} {percent(progress.fraction)}"
-    lines = [f"{share}   {_times(progress)}, {progress.positions} position{'s' * (progress.positions != 1)}",
-             *known_lines(progress)]
-    missing = missing_lines(progress.missing)
-    if len(missing) > MAX_MISSING:
-        missing[MAX_MISSING:] = [f"missing: … and {len(missing) - MAX_MISSING} more"]
-    lines += missing
-    if progress.rows and not missing:
-        lines.append(ENOUGH if is_over else ENOUGH + GOES_ON)
-    return [*lines, LEGEND] if progress.rows else lines
+    text = f"{ours[0].radius_m:g} m {marks} {ours[-1].radius_m:g} m: {marks.count(KNOWN)} of {len(ours)}"
+    worst = max((row for row in ours if not row.is_known), key=lambda row: row.radius_error, default=None)
+    if worst is None:
+        return text
+    error = f"to ±{worst.radius_error:.0%}" if worst.is_measured else "isn't known"
+    return f"{text}, {worst.radius_m:g} m {error}"
 
 
 def _times(progress):

@@ -54,14 +54,12 @@ class LightCar:
         drive.update_odometry(self.pose.x_m, self.pose.y_m, math.remainder(self.pose.yaw_rad, 2 * math.pi),
                               self.speed_mps, now_ns, now_ns)
         drive.update_duty(self.duty, now_ns)
-        if hasattr(drive, "update_grant"):
-            drive.update_grant("" if self.holds else "human_in_loop is false", now_ns)
-            for name, range_m in self.ranges.items():
-                drive.update_range(name, range_m, now_ns)
+        for name, range_m in self.ranges.items():
+            drive.update_range(name, range_m, now_ns)
         task = drive.take_fit_task() if self.fits else None
         if task is not None:
             drive.update_knowledge(assess(*task), now_ns)
-        step = drive.step(now_ns)
+        step = drive.step(now_ns, "" if self.holds else "human_in_loop is false")
         self.steps.append(step)
         if duty is not None:
             self.duty = duty

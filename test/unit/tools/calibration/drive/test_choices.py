@@ -1,10 +1,11 @@
 """What could be held next, and what that is worth from here."""
 import pytest
 
+from car_interface.throttle.obstacle_stop import ObstacleConfig, ObstacleStop
 from car_interface.tools.calibration.drive.area import Area, Pose
-from car_interface.tools.calibration.drive.choices import Choices, wanted_length_m
 from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
 from car_interface.tools.calibration.drive.outlook import Outlook
+from car_interface.tools.calibration.drive.pilot import Choices, wanted_length_m
 from car_interface.tools.calibration.drive.positions import Candidate
 from car_interface.tools.calibration.drive.stops import Stops
 from car_interface.tools.calibration.drive.survey import Survey
@@ -17,7 +18,7 @@ def choices(pose=START):
     """Those of a car at a pose that held nothing yet."""
     survey = Survey(base(), CalibrationDriveConfig())
     survey.motion.update(pose, 0.8, 0)
-    return Choices(survey, Outlook(survey, Area((0.0, 0.0), 2.88), None, Stops()))
+    return Choices(survey, Outlook(survey, Area((0.0, 0.0), 2.88), ObstacleStop(ObstacleConfig()), Stops()))
 
 
 def give_room(monkeypatch, lengths_m):

@@ -1,7 +1,6 @@
 """The end of a drive: the tool's own table and report, or its refusal."""
 import os
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,16 +19,12 @@ STOCK = package_file("config/turn_arb.yaml")
 STOCK_TEXT = STOCK.read_text(encoding="utf-8")
 
 
-def recorded(whole):
-    return SimpleNamespace(drive=lambda: whole, duration_s=float(whole.t_s[-1]))
-
-
 def test_enough_gives_the_file_with_center_and_ends_unless_its_base_cannot_be_edited():
-    whole = recorded(drive(mixed(3900, 6400)))
+    whole = drive(mixed(3900, 6400))
     found = conclude(whole, base(), STOCK_TEXT, "drive.bag")
-    assert found.refusal == "" and found.center_duty == pytest.approx(5200, abs=10)
+    assert found.refusal == "" and found.result.centers == pytest.approx((5180, 5200), abs=10)
     values = yaml.safe_load(found.yaml_text)
-    assert values["servo_center"] == found.center_duty and values["input_timeout"] == 0.5
+    assert values["servo_center"] == round(found.result.centers[1]) and values["input_timeout"] == 0.5
     radii, duties = values["m_turnrad_axis_servo"], values["k_pwmcmd_left_table_servo"]
     inside = [(radius, duty) for radius, duty in zip(radii, duties) if 1.3 < radius < 6]
     assert np.allclose([true_curvature(duty) for _, duty in inside], [1 / radius for radius, _ in inside], rtol=0.03)
@@ -39,15 +34,15 @@ def test_enough_gives_the_file_with_center_and_ends_unless_its_base_cannot_be_ed
     assert found.yaml_text == "" and found.refusal
 
 
-@pytest.mark.parametrize("samples, said", [
-    (recorded(drive(mixed(5200, 6400))), "left turns"),
-    (Samples(), "drive.bag: no steering can be told from this"),
-    (recorded(drive(mixed(3900, 6400), curve=lambda duty: -true_curvature(duty))), "exchange servo_left and"),
+@pytest.mark.parametrize("whole, said", [
+    (drive(mixed(5200, 6400)), "left turns"),
+    (Samples().drive(), "drive.bag: no steering can be told from this"),
+    (drive(mixed(3900, 6400), curve=lambda duty: -true_curvature(duty)), "exchange servo_left and"),
 ], ids=["too_little", "nothing", "exchanged_ends"])
-def test_what_gives_no_table_is_refused_in_the_tool_s_words(samples, said):
-    found = conclude(samples, base(), STOCK_TEXT, "drive.bag")
+def test_what_gives_no_table_is_refused_in_the_tool_s_words(whole, said):
+    found = conclude(whole, base(), STOCK_TEXT, "drive.bag")
     assert found.yaml_text == "" and said in found.refusal
-    assert found.center_duty == 0 and bool(found.report) == (said != "drive.bag: no steering can be told from this")
+    assert bool(found.report) == (said != "drive.bag: no steering can be told from this")
     assert "; ".join(found.missing) == (found.refusal if said == "left turns" else "")
 
 
@@ -107,4 +102,4 @@ def test_table_that_turn_arb_would_refuse_is_not_written(car):
     (None, "the servo board doesn't read this file: give its driver the new center, too, 4983"),
     (4900, "pca9685 has another center than turn_arb had, 4900 in place of 5100: launch it with this folder, too")])
 def test_servo_board_is_to_have_the_same_center(board, text):
-    assert board_center(4983, 5100, board).startswith(text)
+    assert board_center((5100, 4983.2), board).startswith(text)

@@ -59,24 +59,24 @@ def test_anything_else_refuses_in_the_arbiters_own_words(steering, throttle, rea
     assert decided(steering, throttle) == reason
 
 
-@pytest.mark.parametrize(("steering", "throttle", "by_itself"), [
-    (NEUTRAL, NEUTRAL, True), (PLANNER, PLANNER, True), (NO_HUMAN, NO_HUMAN, True), (TELEOP, NEUTRAL, False),
-    (NEUTRAL, TELEOP, False)])
-def test_car_that_a_person_drives_with_the_manual_deadman_does_not_stop_by_itself(steering, throttle, by_itself):
+@pytest.mark.parametrize(("steering", "throttle", "is_slowed"), [
+    (NEUTRAL, NEUTRAL, False), (PLANNER, PLANNER, False), (NO_HUMAN, NO_HUMAN, False), (TELEOP, NEUTRAL, True),
+    (NEUTRAL, TELEOP, True)])
+def test_car_that_a_person_drives_with_the_manual_deadman_does_not_stop_by_itself(steering, throttle, is_slowed):
     grant = Grant()
-    assert grant.stops_by_itself
+    assert not grant.is_slowed
     grant.update("turn_arb", IDLE_STEERING._replace(source=steering), 0)
-    assert grant.stops_by_itself is (steering != TELEOP)
+    assert grant.is_slowed is (steering == TELEOP)
     grant.update("throttle_arb", IDLE_THROTTLE._replace(source=throttle), 0)
-    assert grant.stops_by_itself is by_itself
+    assert grant.is_slowed is is_slowed
 
 
-@pytest.mark.parametrize(("esc", "by_itself"), [("NEUTRAL", True), ("FORWARD", True), ("BRAKING", False),
-                                                ("HOLD", False), ("REVERSE", False)])
-def test_car_whose_esc_brakes_does_not_stop_by_itself(esc, by_itself):
+@pytest.mark.parametrize(("esc", "is_slowed"), [("NEUTRAL", False), ("FORWARD", False), ("BRAKING", True),
+                                                ("HOLD", True), ("REVERSE", True)])
+def test_car_whose_esc_brakes_does_not_stop_by_itself(esc, is_slowed):
     grant = Grant()
     grant.update("throttle_arb", IDLE_THROTTLE._replace(source=NO_HUMAN, esc=esc), 0)
-    assert grant.stops_by_itself is by_itself
+    assert grant.is_slowed is is_slowed
 
 
 def test_state_that_was_never_heard_or_is_old_or_of_another_source_refuses():

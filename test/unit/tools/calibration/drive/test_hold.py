@@ -1,14 +1,15 @@
 """Holding a position: past it or as it comes, settled, and measured."""
 import pytest
 
-from car_interface.tools.calibration.drive.positions import CROSSED_DUTY, PAST_DUTY, SETTLED_DUTY, Hold
+from car_interface.tools.calibration.drive.positions import CROSSED_DUTY, PAST_DUTY, SETTLED_DUTY, Candidate, Hold
+from car_interface.tools.calibration.steering.drive import Delay
 
 MS = 1_000_000
 LIMITS = (3800.0, 6700.0)
 
 
 def hold(duty, servo, from_side=0, lag_s=0.15):
-    return Hold(duty, from_side, servo, LIMITS, lag_s, 0.03, 0)
+    return Hold(Candidate(duty, 1.0, from_side), servo, LIMITS, Delay(0.03, lag_s), 0)
 
 
 def servo_at(one, servo, until_ns, lag_s=0.15):
@@ -45,7 +46,7 @@ def test_only_what_is_driven_while_it_is_settled_counts():
     one.update_motion(1.0, 0.5, one.settled_ns)
     one.update_motion(1.0, 0.3, one.settled_ns + MS)
     measured = one.measured()
-    assert (measured.duty, measured.from_side, measured.length_m) == (5200, 1, 2.0)
+    assert (measured.duty, measured.from_side, one.length_m) == (5200, 1, 2.0)
     assert measured.curvature_per_m == pytest.approx(0.4)
 
 

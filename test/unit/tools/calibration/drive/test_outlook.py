@@ -2,13 +2,15 @@
 import math
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+from car_interface.throttle.obstacle_stop import ObstacleConfig, ObstacleStop
 from car_interface.tools.calibration.drive.area import Area, Pose, moved
 from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
 from car_interface.tools.calibration.drive.knowledge import Knowledge
 from car_interface.tools.calibration.drive.outlook import Outlook
-from car_interface.tools.calibration.drive.positions import Hold, Measured
+from car_interface.tools.calibration.drive.positions import Candidate, Hold, Measured
 from car_interface.tools.calibration.drive.survey import Survey
 from car_interface.tools.calibration.steering.drive import CurveFitConfig, Delay
 from tools.calibration.drive.light_car import S, base
@@ -22,15 +24,16 @@ def outlook(pose, speed_mps=1.0, braking_mps2=1.0, **stops):
     survey = Survey(base(), CalibrationDriveConfig(braking_mps2=braking_mps2))
     for tick in range(20):
         survey.motion.update(moved(pose, -0.02 * speed_mps * (19 - tick), 0.0), speed_mps, tick * S // 50)
-    survey.knowledge = Knowledge(given=CurveFitConfig(Delay(0.05, 0.15)))
+    at = np.array([0.0])  # of no duty that is driven
+    survey.positions.update_knowledge(Knowledge("", at, at, at, at, given=CurveFitConfig(Delay(0.05, 0.15))), 0)
     seen = SimpleNamespace(**{"least_mps2": math.inf, "sure_mps2": 0.0, **stops})
-    one = Outlook(survey, Area((0.0, 0.0), 2.88), None, seen)
+    one = Outlook(survey, Area((0.0, 0.0), 2.88), ObstacleStop(ObstacleConfig()), seen)
     one.servo_duty = CENTER
     return one
 
 
 def settled(duty):
-    return Hold(duty, 0, duty, (LEFT, RIGHT), 0.1, 0.05, 0), 10 * S
+    return Hold(Candidate(duty, 1.0, 0), duty, (LEFT, RIGHT), Delay(0.05, 0.1), 0), 10 * S
 
 
 def allowed_mps(one):
@@ -70,7 +73,7 @@ def test_a_car_with_no_room_to_turn_is_to_be_moved_to_the_middle_or_placed_for_i
     assert speed_mps == 0.0 and "no room to turn: move it towards the middle by hand or by" in text
     wide = outlook(Pose(2.0, 0.0, 0.0), 0.0)
     for duty, curvature_per_m in ((LEFT, 0.6), (RIGHT, -0.55)):
-        wide._survey.add(Measured(duty, 1, 1.0, curvature_per_m))
+        wide._survey.positions.add(Measured(duty, 1, curvature_per_m))
     text = allowed_mps(wide)[1]
     assert "no room to turn: place it so that the middle is about 1.7 m to its left, by hand or by" in text
 
@@ -106,7 +109,7 @@ def test_room_counts_with_the_speed_that_it_has_while_it_steers():
 
 def test_the_path_is_the_positions_while_the_servo_is_on_its_way():
     one = outlook(ACROSS)
-    hold = Hold(LEFT, 0, CENTER, (LEFT, RIGHT), 0.1, 0.05, 0)
+    hold = Hold(Candidate(LEFT, 1.0, 0), CENTER, (LEFT, RIGHT), Delay(0.05, 0.1), 0)
     assert one.path_per_m(None, 0) == pytest.approx(0.0, abs=1e-6)
     assert one.path_per_m(hold, 0) > 0.3
     assert one.path_per_m(hold, 10 * S) == pytest.approx(0.0, abs=1e-6), "settled: as it is measured"
@@ -118,7 +121,7 @@ def test_a_linkage_that_turns_the_wheels_within_the_last_counts_turns_later(half
     from_right, from_left = (one.turns(duty)[0].reaction_s for duty in (RIGHT, LEFT))
     assert from_right > from_left, "a servo that is at the other end turns later"
     for duty, curvature_per_m in ((LEFT, 1.0), (half_duty, 0.6), (CENTER, 0.0)):
-        one._survey.add(Measured(duty, 1, 1.0, curvature_per_m))
+        one._survey.positions.add(Measured(duty, 1, curvature_per_m))
     reaction_s = one.turns(CENTER)[0].reaction_s
     # A servo's lag of 0.15 s: after so many of them the wheels turn half as tightly as at the end.
     assert reaction_s == pytest.approx(0.17 + 0.15 * lags, abs=0.05)

@@ -2,8 +2,8 @@
 import pytest
 
 from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
-from car_interface.tools.calibration.drive.step import DONE, MEASURING, PAUSED, SETTLING
 from car_interface.tools.calibration.drive.stick_guide import StickGuide
+from car_interface.tools.calibration.drive.survey import DONE, MEASURING, PAUSED, SETTLING
 from tools.calibration.drive.light_car import LightCar, base
 
 pytestmark = pytest.mark.once
@@ -42,7 +42,7 @@ def _number(words):
 
 def test_it_waits_for_odometry_says_how_long_still_and_then_the_next_until_it_is_ended_by_hand():
     one = car()
-    assert "odom was never heard" in one.drive.step(1).text
+    assert "odom was never heard" in one.drive.step(1, "").text
     guidance = obey(one, 3, until=lambda guidance: guidance.phase == MEASURING)
     assert guidance.text == "hold 100% left: 2 s more at this speed"
     assert guidance.held == pytest.approx(1.0)
@@ -83,5 +83,5 @@ def test_a_person_who_obeys_gets_all_of_it():
     guidance = obey(one, 80, until=lambda guidance: guidance.phase == DONE)
     assert guidance.phase == DONE
     progress = one.drive.progress()
-    assert progress.positions >= 20 and progress.center_duty == pytest.approx(5200, abs=5)
-    assert progress.missing == ()
+    assert progress.positions >= 20 and progress.known.center_duty == pytest.approx(5200, abs=5)
+    assert progress.known.missing == ()

@@ -1,6 +1,7 @@
 """Evidence and progress: when a fit is due, and when it is enough."""
 import math
 
+import numpy as np
 import pytest
 
 from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
@@ -26,21 +27,21 @@ def task_at(one, now_ns):
 
 def hold(one, count):
     for candidate in one.positions.candidates()[:count]:
-        one.add(Measured(candidate.duty, candidate.from_side or 1, 1.5, 0.0))
+        one.positions.add(Measured(candidate.duty, candidate.from_side or 1, 0.0))
 
 
 GIVEN = CurveFitConfig(Delay(0.02, 0.12), 20.0, 1.5)
 
 
 def knowledge(error=0.1, missing=()):
-    duties = tuple(range(3904, 6401, 16))
-    errors = (error,) * len(duties)
-    return Knowledge("", duties, (0.0,) * len(duties), errors, errors, (), missing, 5200.0, 8.0, GIVEN)
+    duties = np.arange(3904.0, 6401.0, 16.0)
+    errors = np.full(len(duties), error)
+    return Knowledge("", duties, 0 * duties, errors, errors, (), missing, 5200.0, 8.0, GIVEN)
 
 
 def test_one_fit_at_a_time_after_some_positions_and_only_after_something_new():
     one = survey()
-    assert one.progress().missing == ("everything; the ends and straight on come first",)
+    assert one.progress().known.missing == ("everything; the ends and straight on come first",)
     hold(one, MIN_POSITIONS - 1)
     assert task_at(one, 0) is None, "too few positions"
     hold(one, 1)
@@ -89,14 +90,14 @@ def test_it_is_enough_when_all_is_known_by_far():
 def test_it_is_not_enough_while_a_count_was_not_held_where_one_changes_much():
     one = finished(0.9 * ENOUGH)
     assert one.is_enough
-    flat = one.knowledge
-    steep = tuple(0.2 if duty < 5008 else -0.1 for duty in flat.duties)
+    flat = one.progress().known
+    steep = np.where(flat.duties < 5008, 0.2, -0.1)
     hold(one, 1)
     task_at(one, S)
     one.update_knowledge(flat._replace(curvatures=steep), S)
     assert not one.is_enough
     for duty in (4992, 5008):
-        one.add(Measured(duty, 1, 1.5, 0.0))
+        one.positions.add(Measured(duty, 1, 0.0))
     task_at(one, 2 * S)
     one.update_knowledge(flat._replace(curvatures=steep), S)
     assert one.is_enough

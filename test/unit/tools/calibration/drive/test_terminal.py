@@ -4,14 +4,14 @@ import math
 import pytest
 
 from car_interface.tools.calibration.drive import terminal
-from car_interface.tools.calibration.drive.step import (
+from car_interface.tools.calibration.drive.knowledge import Knowledge, RadiusRow
+from car_interface.tools.calibration.drive.survey import (
     BLOCKED,
     DONE,
     MEASURING,
     PAUSED,
     SETTLING,
     Progress,
-    RadiusRow,
     Step,
     steering_text,
 )
@@ -24,7 +24,8 @@ def row(side="left", radius_m=1.0, error=0.01):
 
 
 def progress(fraction=0.24, rows=(), missing=(), center=NAN, left_s=130.0):
-    return Progress(fraction, tuple(rows), tuple(missing), 42.0, left_s, 9, center, 12.0)
+    known = Knowledge(rows=tuple(rows), missing=tuple(missing), center_duty=center, center_error=12.0)
+    return Progress(fraction, known, 42.0, left_s, 9)
 
 
 def test_picture_of_a_drive():
@@ -63,7 +64,7 @@ def test_picture_says_how_much_is_missing_and_when_it_can_be_ended_and_is_over()
 def test_instruction_that_is_longer_than_the_terminal_is_wrapped_and_whole():
     text = ("it stands 2.9 m from where it began, with no room to turn: move it towards the middle by hand or by the "
             "manual deadman, then hold the button again")
-    made = terminal.drive_lines(Step(0.0, 0.0, BLOCKED, text), progress(), width=60)
+    made = terminal.wrapped(terminal.drive_lines(Step(0.0, 0.0, BLOCKED, text), progress()), 60)
     assert max(map(len, made)) < 60
     assert f"blocked: {text}" in " ".join(" ".join(made).split())
 
