@@ -15,7 +15,9 @@ from car_interface.steering.config import load_steering
 from car_interface.tools.calibration.drive.survey import Samples
 from car_interface.tools.calibration.shared import RecordedDrive, write_table
 from car_interface.tools.calibration.steering.calibrate import (
+    LEFT,
     NOT_LOADED,
+    RIGHT,
     TABLE_HEAD,
     SteeringResult,
     calibrate,
@@ -24,7 +26,6 @@ from car_interface.tools.calibration.steering.calibrate import (
     yaml_text,
 )
 from car_interface.tools.calibration.steering.smooth import BAND
-from car_interface.tools.calibration.steering.table import LEFT, RIGHT
 from car_interface.tools.recordings.calibration_result import CalibrationResult, SideRow
 
 BASE = "config/turn_arb.yaml"
@@ -75,7 +76,7 @@ def _result(calibrated: SteeringResult, base: SteeringCalibration, refusal: str,
             yield SideRow(old_duty, sign * float(curve.curvature(old_duty)), point.duty, BAND * point.duty_sigma,
                           BAND * point.radius_sigma_m / point.radius_m, point.segments, point.distance_m, point.source)
     duties = curve.duties.tolist()
-    held = curve.observations.duty[curve.used], curve.observations.curvature_per_m[curve.used]
+    held = curve.observations.duty, curve.observations.curvature_per_m
     before_table = itertools.takewhile(lambda line: not line.startswith(TABLE_HEAD), lines)
     return CalibrationResult(
         refusal, tuple(line.strip() for line in before_table), (), radii_m, tuple(rows(LEFT, 1.0)),

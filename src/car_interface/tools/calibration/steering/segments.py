@@ -68,6 +68,10 @@ class Observations(NamedTuple):
     speed_mps: np.ndarray  # (S,), without its sign
     weights: sparse.csr_matrix  # (S, K): the curvatures are weights @ curve
 
+    def those(self, which: np.ndarray) -> Observations:
+        """Return some of them, by a flag for each, (S,)."""
+        return Observations(*(column[which] for column in self))
+
 
 class Segments:
     """The segments of all drives, one drive after the other: the rows of all arrays (S,).

@@ -162,13 +162,13 @@ def _banded(matrix, height=None):
 # --- errors beyond the spline's ---
 
 
-def bends(knots: np.ndarray, found: Observations, used: np.ndarray) -> np.ndarray:
+def bends(knots: np.ndarray, found: Observations) -> np.ndarray:
     """Return how far the curve may be off the straight line between the places where it was driven, at the knots, which
-    are duties (K,): (K,). ``used``: which of the observations count, (S,).
+    are duties (K,): (K,).
 
     Between two places the curve may continue as steeply as it came and bend anywhere, as at a mechanical stop.
     """
-    duty, curvature, sigma = _places(found, used)
+    duty, curvature, sigma = _places(found)
     if len(duty) < 3:
         return np.zeros(len(knots))
     width = np.diff(duty)
@@ -183,11 +183,11 @@ def bends(knots: np.ndarray, found: Observations, used: np.ndarray) -> np.ndarra
     return np.minimum(begins[at] * from_begin, ends[at] * to_end)
 
 
-def unseen(duties: np.ndarray, found: Observations, used: np.ndarray) -> np.ndarray:
+def unseen(duties: np.ndarray, found: Observations) -> np.ndarray:
     """Return the standard error of a curve at the duties (K,) by bends of its own that show at none of the places where
     it was driven: (K,). A curve that goes straight on before a gap and behind it needn't do so within.
     """
-    duty, curvature, _ = _places(found, used)
+    duty, curvature, _ = _places(found)
     if len(duty) < 2:
         return np.zeros(len(duties))
     at = np.clip(np.searchsorted(duty, duties) - 1, 0, len(duty) - 2)
@@ -209,12 +209,11 @@ def _beyond_noise(difference, sigma):
     return np.abs(difference) * squared / np.maximum(squared + sigma ** 2, 1e-30)
 
 
-def _places(found, used):
+def _places(found):
     """Return (duty, curvature, standard error) (P,) of the observations, duties rising; within half a count they are
     one.
     """
-    duty, weight = found.duty[used], 1 / found.sigma_per_m[used] ** 2
-    place = place_numbers(duty)
+    weight, place = 1 / found.sigma_per_m ** 2, place_numbers(found.duty)
     total = np.bincount(place, weight)
-    return (np.bincount(place, weight * duty) / total,
-            np.bincount(place, weight * found.curvature_per_m[used]) / total, 1 / np.sqrt(total))
+    return (np.bincount(place, weight * found.duty) / total,
+            np.bincount(place, weight * found.curvature_per_m) / total, 1 / np.sqrt(total))
