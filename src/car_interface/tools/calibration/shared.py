@@ -64,12 +64,11 @@ def wheel_distances(pulses: Sequence[Pulses], speed: Series) -> tuple[Series, ..
     new = [np.diff(wheel.count.astype(float), prepend=np.nan) != 0 for wheel in pulses]  # reports repeat the last pulse
     counts = [Series(wheel.t_s[is_new], wheel.count[is_new].astype(float)) for wheel, is_new in zip(pulses, new)]
     counts = [count for count in counts if count.t_s.size >= MIN_PULSES]
-    distance_m, steps_s = integral(speed.t_s, speed.y), np.diff(speed.t_s)
-    in_gaps_s = np.append(0.0, np.cumsum(np.where(steps_s > PULSE_GAP_S, steps_s, 0.0)))
+    distance_m = integral(speed.t_s, speed.y)
     rolled_m = counted = 0.0
     for count in counts:
         # In a gap of odometry the distance is unknown, while pulses are counted on.
-        is_known = np.diff(np.interp(count.t_s, speed.t_s, in_gaps_s)) == 0
+        is_known = ~has_gap(speed.t_s, count.t_s[:-1], count.t_s[1:], PULSE_GAP_S)
         rolled_m += np.abs(np.diff(np.interp(count.t_s, speed.t_s, distance_m)))[is_known].sum()
         counted += np.abs(np.diff(count.y))[is_known].sum()
     if rolled_m <= 0 or counted < MIN_PULSES:
@@ -95,6 +94,13 @@ def interval_s(t_s: np.ndarray, at_s: np.ndarray) -> np.ndarray:
     return np.diff(t_s)[np.clip(np.searchsorted(t_s, at_s, side="right"), 1, len(t_s) - 1) - 1]
 
 
+def has_gap(t_s: np.ndarray, begin_s: np.ndarray, end_s: np.ndarray, max_s: float) -> np.ndarray:
+    """Return which spans of time (M,) hold an interval between samples (N,) longer than ``max_s``, or a part of one."""
+    steps_s = np.diff(t_s)
+    in_gaps_s = np.append(0.0, np.cumsum(np.where(steps_s > max_s, steps_s, 0.0)))
+    return np.interp(begin_s, t_s, in_gaps_s) < np.interp(end_s, t_s, in_gaps_s)
+
+
 def names_of(recorded: Sequence[RecordedDrive]) -> str:
     """Return the recordings' names without their folders, in front of a reason: of many the first ones and a count."""
     names = [Path(one.path).name for one in recorded[:MAX_NAMES]]
@@ -106,12 +112,12 @@ class NothingToFit(ValueError):
     """Drives that show nothing of what is fitted; the text is the end of a sentence that says why."""
 
 
-def write_table(path: str, text: str, load: Callable[[str, str], Any], refusal: str) -> str:
+def write_table(path: str, text: str, load: Callable[[str, str], Any], node: str) -> str:
     """Write a file that a node loads, keep the old one beside it, and return the line that says so.
 
     Args:
         load: loads the file at a path from its text, as the node does.
-        refusal: what the message begins with where the node would refuse the file.
+        node: its name.
 
     Raises:
         CarInterfaceError: it can't be written, or the node would refuse it.
@@ -119,7 +125,7 @@ def write_table(path: str, text: str, load: Callable[[str, str], Any], refusal: 
     try:
         load(path, text)
     except CarInterfaceError as error:
-        raise CarInterfaceError(f"{refusal}: {error}") from error
+        raise CarInterfaceError(f"nothing is written, {node} would refuse it: {error}") from error
     return output.written_text(path, output.write(path, text, keeps_old=True))
 
 

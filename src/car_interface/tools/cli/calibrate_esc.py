@@ -57,6 +57,6 @@ def run(options: argparse.Namespace) -> int:
         raise CarInterfaceError(f"nothing is written: the drive doesn't show {what}. Drive this, and give that "
                                 f"recording as well{remedy}: {'; '.join(found.missing)}")
     written = write_table(options.output, yaml_text(found, base, read_yaml(base_path), lines), load_throttle,
-                          "nothing is written, throttle_arb would refuse it")
+                          "throttle_arb")
     print("\n".join([*lines, written]))
     return 0

@@ -19,7 +19,7 @@ from car_interface.common.package_files import package_file
 from car_interface.common.yaml_file import read_yaml
 from car_interface.steering.config import load_steering
 from car_interface.tools.calibration.shared import write_table
-from car_interface.tools.calibration.steering.calibrate import NOT_LOADED, calibrate, report, yaml_text
+from car_interface.tools.calibration.steering.calibrate import calibrate, report, yaml_text
 from car_interface.tools.calibration.steering.recorded import AngleTable, load_steering_drive
 from car_interface.tools.cli.jobs import load_all
 from car_interface.tools.cli.options import (
@@ -72,7 +72,7 @@ def run(options: argparse.Namespace) -> int:
         print("\n".join(lines))
         raise CarInterfaceError("no calibration is written: " + "; ".join(calibrated.problems)
                                 + ". Give that recording as well, or keep the old duties there by --force")
-    written = write_table(options.output, yaml_text(calibrated, read_yaml(base_path), lines), load_steering, NOT_LOADED)
+    written = write_table(options.output, yaml_text(calibrated, read_yaml(base_path), lines), load_steering, "turn_arb")
     print("\n".join([*lines, written]))
     return 0
 

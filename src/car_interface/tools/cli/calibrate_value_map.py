@@ -18,7 +18,6 @@ from car_interface.common.package_files import package_file
 from car_interface.common.units import CHANNELS
 from car_interface.throttle.value_map import load_value_map
 from car_interface.tools.calibration.shared import RecordedDrive
-from car_interface.tools.calibration.value_map.acceleration import DEFAULTS, MapFitConfig
 from car_interface.tools.calibration.value_map.calibrate import (
     DUTY,
     MapResult,
@@ -38,6 +37,7 @@ from car_interface.tools.calibration.value_map.recorded import (
     load_map_drive,
     load_throttle_table,
 )
+from car_interface.tools.calibration.value_map.windows import DEFAULTS, MapFitConfig
 from car_interface.tools.cli.jobs import load_all
 from car_interface.tools.cli.options import (
     add_calibration_arguments,
@@ -127,7 +127,7 @@ def run(options: argparse.Namespace) -> int:
     except NoTable as error:
         print(error.coverage)
         raise
-    text = "\n".join(report(recorded, source, found.fit, found.table, found.problems, options.prior))
+    text = "\n".join(report(recorded, source, found, options.prior))
     if found.problems and not options.force:
         print(text)
         raise CarInterfaceError("no map is written: " + "; ".join(found.problems)
@@ -158,8 +158,7 @@ def calibrate_by(options: argparse.Namespace, source: MapSource) -> tuple[list[R
         options.min_speed, options.max_curvature, options.max_lateral, source.neutral,
         DEFAULTS.value_timeout_s if source.duty_channel is None else DUTY_TIMEOUT_S, options.delay,
         options.acceleration == BY_IMU)
-    load = partial(load_map_drive, source=source, progress=len(options.bags) == 1 or options.jobs == 1)
-    recorded = load_all(load, options.bags, options.jobs)
+    recorded = load_all(partial(load_map_drive, source=source), options.bags, options.jobs)
     return recorded, calibrate(recorded, *axes, config, prior)
 
 

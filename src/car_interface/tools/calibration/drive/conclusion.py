@@ -16,7 +16,6 @@ from car_interface.tools.calibration.drive.survey import Samples
 from car_interface.tools.calibration.shared import RecordedDrive, write_table
 from car_interface.tools.calibration.steering.calibrate import (
     LEFT,
-    NOT_LOADED,
     RIGHT,
     TABLE_HEAD,
     SteeringResult,
@@ -119,7 +118,7 @@ class TableFile(NamedTuple):
             CarInterfaceError: it can't be written, or turn_arb would refuse it.
         """
         path = self.path if replaces else self.beside
-        return path, write_table(str(path), text, load_steering, NOT_LOADED)
+        return path, write_table(str(path), text, load_steering, "turn_arb")
 
 
 def find_table_file(wanted: str | None, base: str | None, launched_with: str | None,

@@ -1,5 +1,5 @@
-"""A steering calibration from recorded drives: the curve as turn_arb's tables of duties over turn radii, what of them is
-unsupported, and the report.
+"""A steering calibration from recorded drives: the curve as turn_arb's tables of duties over turn radii, what is
+unsupported of them, and the report.
 """
 from __future__ import annotations
 
@@ -30,7 +30,6 @@ KNOWN_RATIO, KNOWN_PER_M = 0.08, 0.01
 NEAR_RATIO = 0.25  # segments count for a radius when their curvature differs from its by at most this
 STRAIGHT_PER_M = 0.02  # a curvature that is called straight on
 AXIS, LEFT_TABLE, RIGHT_TABLE = "m_turnrad_axis_servo", "k_pwmcmd_left_table_servo", "k_pwmcmd_right_table_servo"
-NOT_LOADED = "no calibration is written, turn_arb would refuse it"
 SHORT_ROWS = 8
 TABLE_HEAD = "  radius"
 HEAD = ("Written by calibrate_steering; turn_arb loads it. Duties are 0..65535 of the PWM period.", "")

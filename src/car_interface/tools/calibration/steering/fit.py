@@ -142,9 +142,8 @@ def fit(drives: Sequence[SteeringDrive], config: CurveFitConfig = NOTHING_GIVEN)
         raise NothingToFit("there is no odometry while the servo had a duty")
     delay = config.delay or estimate_servo_delay(drives)
     segments = Segments(drives, delay)
-    if config.backlash_duty is not None:
-        return _curve(segments, delay, config.backlash_duty, config.backlash_sigma, config)
-    backlash = UNKNOWN_BACKLASH if segments.is_steady else estimate_backlash(segments)
+    backlash = ((config.backlash_duty, config.backlash_sigma) if config.backlash_duty is not None else
+                UNKNOWN_BACKLASH if segments.is_steady else estimate_backlash(segments))
     return _curve(segments, delay, *backlash, config)
 
 
@@ -222,7 +221,6 @@ def estimate_backlash(segments: Segments) -> tuple[float, float]:
         costs = costs + 2 * candidates / PRIOR_SCALE_DUTY
         if not np.isfinite(costs).any():
             raise NothingToFit("no backlash of the steering fits the places where it was held: drive more of them")
-        costs = np.where(np.isfinite(costs), costs, np.inf)
         likelihood = np.exp(-(costs - costs.min()) / 2 / CORRELATION)
         likelihood /= likelihood.sum()
         backlash_duty = float(likelihood @ candidates)
@@ -233,13 +231,11 @@ def estimate_backlash(segments: Segments) -> tuple[float, float]:
 def _contradiction(segments, backlash_duty):
     """Return how far the segments lie off the nearest monotone curve: the sum of bounded squares of standard errors."""
     _, duties = segments.design(backlash_duty)
-    curvature, sigma = segments.column("curvature_per_m"), np.hypot(segments.column("sigma_per_m"), 3 * MIN_SIGMA_PER_M)
     order = np.argsort(duties, kind="stable")
-    smallest = math.inf
-    for sign in (1.0, -1.0):
-        y, weight = sign * curvature[order], 1 / sigma[order] ** 2
-        smallest = min(smallest, float(np.minimum(weight * (y - rising(y, weight)) ** 2, MAX_SQUARE).sum()))
-    return smallest
+    weight = 1 / np.hypot(segments.column("sigma_per_m"), 3 * MIN_SIGMA_PER_M)[order] ** 2
+    y = segments.column("curvature_per_m")[order]
+    return min(float(np.minimum(weight * (y - sign * rising(sign * y, weight)) ** 2, MAX_SQUARE).sum())
+               for sign in (1.0, -1.0))
 
 
 # --- the ends and the center ---
@@ -278,15 +274,9 @@ def find_center(knots: np.ndarray, curvatures: np.ndarray, sigmas: np.ndarray) -
         return math.nan, math.nan
     sign = 1.0 if curvatures[-1] > curvatures[0] else -1.0
     up = sign * curvatures
-    at = int(np.clip(np.searchsorted(up, 0.0), 1, len(knots) - 1))
-    level = np.flatnonzero(np.abs(up) < 1e-9)
-    if len(level):  # level at 0: its middle
-        center = float(knots[level].mean())
-    else:
-        low, high = up[at - 1], up[at]
-        center = float(knots[at - 1] + (0 - low) / (high - low) * (knots[at] - knots[at - 1]))
-    steepness = slope(knots, up, center)
-    return center, float(np.interp(center, knots, sigmas) / max(steepness, 1e-9))
+    level = knots[np.abs(up) < 1e-9]
+    center = float(level.mean() if len(level) else np.interp(0.0, up, knots))  # where it is level at 0: its middle
+    return center, float(np.interp(center, knots, sigmas) / max(slope(knots, up, center), 1e-9))
 
 
 def slope(knots: np.ndarray, curvatures: np.ndarray, duty: float) -> float:

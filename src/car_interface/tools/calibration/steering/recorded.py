@@ -6,10 +6,9 @@ from typing import Mapping, NamedTuple
 
 import numpy as np
 
-from car_interface.common.errors import CarInterfaceError
 from car_interface.pca9685.registers import counts_of_duty, duty_of_counts
 from car_interface.steering.calibration import SteeringCalibration
-from car_interface.tools.calibration.shared import RecordedDrive, is_pulse
+from car_interface.tools.calibration.shared import RecordedDrive, integral, recorded_duty
 from car_interface.tools.calibration.steering.drive import SteeringDrive, distance_m
 from car_interface.tools.recordings import roles, signals
 from car_interface.tools.recordings.columns import Imu, Odom
@@ -67,20 +66,11 @@ def load_steering_drive(path: str, channel: int, topics: Mapping[str, str] | Non
         if abs(ratio - 1) > MAX_YAW_DIFFERENCE:
             notes.append(f"odometry turns {abs(ratio - 1):.0%} {'more' if ratio > 1 else 'less'} than the IMU: measure "
                          "track and wheel_diameter")
-    duty_s, duty = (_recorded_duties(found, channel) if found.output else _position_duties(found, notes) if found.servo
-                    else _asked_duties(found, angle_table, notes))
+    duty_s, duty = (recorded_duty(found, channel, "servo") if found.output else
+                    _position_duties(found, notes) if found.servo else _asked_duties(found, angle_table, notes))
     drive = SteeringDrive(odom.t_s, distance_m(odom), yaw_rad, duty_s, duty)
     return RecordedDrive(path, drive, tuple(notes), found.duration_s, signals.trail(found),
                          uses_imu=heading is not None)
-
-
-def _recorded_duties(found, channel):
-    """Return (times, duties of the channel), NaN where there is no pulse."""
-    duty = found.output.duties[:, channel].astype(float)
-    pulses = is_pulse(duty)
-    if not pulses.any():
-        raise CarInterfaceError(f"{found.path}: channel {channel} of the servo board never had a servo's pulse")
-    return found.output.t_s, np.where(pulses, duty, np.nan)
 
 
 def _is_on_angles(note):
@@ -128,8 +118,7 @@ def imu_heading(odom: Odom, imu: Imu) -> tuple[np.ndarray, float] | None:
     covered = np.mean(inside) - np.sum(np.diff(imu.t_s)[gaps]) / max(odom.t_s[-1] - odom.t_s[0], 1e-9)
     if len(imu.t_s) < 100 or covered < MIN_IMU_RATIO:
         return None
-    steps = np.diff(imu.t_s) * (imu.yaw_rate_radps[1:] + imu.yaw_rate_radps[:-1]) / 2
-    by_rate_rad = np.interp(odom.t_s, imu.t_s, np.concatenate([[0.0], np.cumsum(steps)]))
+    by_rate_rad = np.interp(odom.t_s, imu.t_s, integral(imu.t_s, imu.yaw_rate_radps))
     # Ratio and offset by a straight line through the changes of yaw in each second, twice without its outliers.
     at_s = np.arange(odom.t_s[0], odom.t_s[-1], 1.0)
     by_odom, by_imu = (np.diff(np.interp(at_s, odom.t_s, yaw)) for yaw in (odom.yaw_rad, by_rate_rad))

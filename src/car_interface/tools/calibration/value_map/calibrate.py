@@ -10,9 +10,8 @@ import numpy as np
 
 from car_interface.common.errors import CarInterfaceError
 from car_interface.throttle.value_map import ValueMap
-from car_interface.tools.calibration.shared import NothingToFit, RecordedDrive, names_of
+from car_interface.tools.calibration.shared import NothingToFit, RecordedDrive, names_of, runs
 from car_interface.tools.calibration.value_map import fit as fitting
-from car_interface.tools.calibration.value_map.acceleration import WINDOW_S, MapFitConfig
 from car_interface.tools.calibration.value_map.recorded import BY_IMU, MapSource
 from car_interface.tools.calibration.value_map.surface import (
     DECIMALS,
@@ -21,6 +20,7 @@ from car_interface.tools.calibration.value_map.surface import (
     rising_column,
     rounded,
 )
+from car_interface.tools.calibration.value_map.windows import WINDOW_S, MapFitConfig
 
 MAX_HELD_OUT_MPS2 = 0.5
 MIN_DRIVEN_RATIO = 0.25  # of a map that the drives themselves state
@@ -122,12 +122,9 @@ def supported_table(fit: fitting.Fit, neutral: float, prior: np.ndarray | None =
     Returns:
         The table, with at least two values and velocities, or ``None``.
     """
-    between = _between(fit)
-    origin = np.where(fit.supported, DRIVEN, np.where(between, BETWEEN, OLD))
-    stated = fit.supported | between
-    if prior is not None:
-        stated = stated | np.isfinite(prior)
-    part = _largest_part(stated, fit.values, fit.velocities, neutral)
+    origin = np.where(fit.supported, DRIVEN, np.where(_between(fit), BETWEEN, OLD))
+    has_prior = False if prior is None else np.isfinite(prior)
+    part = _largest_part((origin != OLD) | has_prior, fit.values, fit.velocities, neutral)
     if part is None:
         return None
     origin = origin[part].copy()
@@ -135,9 +132,8 @@ def supported_table(fit: fitting.Fit, neutral: float, prior: np.ndarray | None =
     wanted = fit.accelerations[part]
     if old.any():
         wanted = np.where(old, prior[part], wanted)
-        min_steps = np.full(wanted.shape[0] - 1, MIN_STEP_MPS2)
         weight = np.where(old, 1.0, 1e9)  # measured ones don't move
-        risen = np.stack([rising_column(wanted[:, k], weight[:, k], min_steps) for k in range(wanted.shape[1])], axis=1)
+        risen = np.array(list(map(rising_column, wanted.T, weight.T))).T
         origin[old & (np.abs(risen - wanted) > RESOLUTION_MPS2)] = MOVED
         wanted = risen
     return Table(fit.values[part[0].ravel()], fit.velocities[part[1].ravel()], rounded(wanted), origin)
@@ -145,14 +141,11 @@ def supported_table(fit: fitting.Fit, neutral: float, prior: np.ndarray | None =
 
 def _between(fit):
     """Return which nodes have supported ones on both sides, and are known as well (R, C)."""
-    between = np.zeros(fit.supported.shape, bool)
-    for axis in (0, 1):
-        known = np.moveaxis(np.pad(fit.supported, [(BRACKET, BRACKET) if axis == one else (0, 0) for one in (0, 1)]),
-                            axis, 0)
-        shifted = [known[begin:len(known) - 2 * BRACKET + begin] for begin in range(2 * BRACKET + 1)]
-        on_both_sides = np.any(shifted[:BRACKET], axis=0) & np.any(shifted[BRACKET + 1:], axis=0)
-        between |= np.moveaxis(on_both_sides, 0, axis)
-    return between & ~fit.supported & fit.sure
+    def on_both_sides(known):
+        padded = np.pad(known, [(BRACKET, BRACKET), (0, 0)])
+        shifted = [padded[begin:begin + len(known)] for begin in range(2 * BRACKET + 1)]
+        return np.any(shifted[:BRACKET], axis=0) & np.any(shifted[BRACKET + 1:], axis=0)
+    return (on_both_sides(fit.supported) | on_both_sides(fit.supported.T).T) & ~fit.supported & fit.sure
 
 
 def _largest_part(stated, values, velocities, neutral):
@@ -194,9 +187,10 @@ def number_text(x: float) -> str:
 # --- the report ---
 
 
-def report(recorded: Sequence[RecordedDrive], source: MapSource, fit: fitting.Fit, table: Table,
-           problems: Sequence[str], prior_path: str | None = None) -> Iterator[str]:
-    """Yield the lines; ``table`` is the part of the fit that is written, ``problems`` say why it should not be."""
+def report(recorded: Sequence[RecordedDrive], source: MapSource, found: MapResult,
+           prior_path: str | None = None) -> Iterator[str]:
+    """Yield the lines."""
+    table, fit, problems = found
     yield from _source_lines(recorded, source, fit, prior_path)
     yield from _error_lines(fit)
     yield coverage_text(fit, table)
@@ -221,7 +215,7 @@ def _source_lines(recorded, source, fit, prior_path):
                    if all(drive.wheels for drive in drives) else "odometry's speed")
     yield f"value: {value}; accelerations by {measured_by}"
     if source.throttle:
-        duties, values = source.throttle.value_of_duty.axis, source.throttle.value_of_duty.values
+        duties, values = source.throttle.duties, source.throttle.values
         yield (f"a duty counts as the value of which {source.throttle.path} makes it: {duties[0]:g} is {values[0]:g}, "
                f"{duties[-1]:g} is {values[-1]:g}")
     if prior_path:
@@ -319,13 +313,12 @@ def _grid(values, velocities, cells, form):
 def _missing(fit):
     """Yield what to drive, a line for each value."""
     for value, row in zip(fit.values[::-1], fit.supported[::-1]):
-        gaps = np.flatnonzero(~row)
-        if gaps.size == row.size:
+        gaps = [fit.velocities[begin:end] for begin, end in runs(~row)]
+        if not row.any():
             yield f"value {number_text(value)}: at any speed"
-        elif gaps.size:
-            runs = [fit.velocities[run] for run in np.split(gaps, np.flatnonzero(np.diff(gaps) > 1) + 1)]
+        elif gaps:
             yield f"value {number_text(value)}: at " + ", ".join(
-                number_text(run[0]) + (f" to {number_text(run[-1])}" if run.size > 1 else "") for run in runs) + " m/s"
+                number_text(gap[0]) + (f" to {number_text(gap[-1])}" if gap.size > 1 else "") for gap in gaps) + " m/s"
 
 
 def _level_values(table):

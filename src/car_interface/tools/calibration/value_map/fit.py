@@ -28,10 +28,7 @@ import numpy as np
 from scipy import sparse
 
 from car_interface.tools.calibration.shared import NothingToFit
-from car_interface.tools.calibration.value_map import acceleration as windowing
-from car_interface.tools.calibration.value_map.acceleration import DEFAULTS, MapDrive, MapFitConfig
 from car_interface.tools.calibration.value_map.surface import (
-    MIN_STEP_MPS2,
     Grid,
     penalties,
     rising_least_squares,
@@ -41,9 +38,13 @@ from car_interface.tools.calibration.value_map.surface import (
 )
 from car_interface.tools.calibration.value_map.windows import (
     BEYOND,
+    DEFAULTS,
+    MEASURED,
     OUTLYING,
     TURNING,
     Data,
+    MapDrive,
+    MapFitConfig,
     by_rule,
     gather,
     manoeuvres,
@@ -116,36 +117,37 @@ def fit(drives: Sequence[MapDrive], values: np.ndarray | None, velocities: np.nd
         NothingToFit: no window counts.
     """
     data = gather(drives, config)
-    if not (data.windows.state == windowing.MEASURED).any():
-        raise NothingToFit(why_nothing(data.windows.state))
-    value, state = sample(drives, data, config.delay_s if config.delay_s is not None else FIRST_DELAY_S, config)
-    inside = state == windowing.MEASURED
-    if not inside.any():
-        raise NothingToFit(why_nothing(state))
+    _counting(data.windows.state)
+    is_given = config.delay_s is not None
+    value, state = sample(drives, data, config.delay_s if is_given else FIRST_DELAY_S, config)
+    inside = _counting(state)
     grid = Grid(value_axis(value[inside], config.neutral) if values is None else np.asarray(values, float),
                 velocity_axis(data.windows.speed_mps[inside]) if velocities is None else np.asarray(velocities, float))
-    delay_s, delay_sigma_s = (config.delay_s, float("nan")) if config.delay_s is not None else estimate_delay(
-        drives, data, grid, config)
+    delay_s, delay_sigma_s = (config.delay_s, np.nan) if is_given else estimate_delay(drives, data, grid, config)
     value, state = sample(drives, data, delay_s, config)
     state = on_grid(data, value, state, grid)
-    if not (state == windowing.MEASURED).any():
-        raise NothingToFit(why_nothing(state))
-    model = Model(grid, data, value, config)
-    manoeuvre = manoeuvres(data, value, state, grid)
+    counts = _counting(state)
+    model, manoeuvre = Model(grid, data, value, config), manoeuvres(data, value, state, grid)
     solved = solve(model, state)
-    state = np.where((state == windowing.MEASURED) & solved.outlying, OUTLYING, state)
+    state = np.where(counts & solved.outlying, OUTLYING, state)
     seconds, count = coverage(model, state, manoeuvre)
     sigma = standard_errors(model, solved, state, manoeuvre)
     sure = sigma <= SUPPORT_SIGMA_MPS2
     supported = sure & (seconds >= SUPPORT_S) & (count >= SUPPORT_MANOEUVRES)
-    held_out_mps2, held_out_windows = hold_out(model, state, manoeuvre)
-    used = state == windowing.MEASURED
-    shape = (grid.rows.size, grid.columns.size)
+    by_node = [column.reshape(grid.rows.size, grid.columns.size)
+               for column in (solved.nodes, sigma, seconds, supported, sure)]
     grounds = tuple(_ground(index, data, solved) for index in range(len(drives)))
-    return Fit(grid.rows, grid.columns, rounded(solved.nodes.reshape(shape)), sigma.reshape(shape),
-               seconds.reshape(shape), supported.reshape(shape), sure.reshape(shape),
-               float(delay_s), float(delay_sigma_s), config.delay_s is not None, grounds, by_rule(state),
-               rms(solved.residual[used]), held_out_mps2, held_out_windows)
+    return Fit(grid.rows, grid.columns, rounded(by_node[0]), *by_node[1:], float(delay_s), float(delay_sigma_s),
+               is_given, grounds, by_rule(state), rms(solved.residual[state == MEASURED]),
+               *hold_out(model, state, manoeuvre))
+
+
+def _counting(state):
+    """Return which windows count, by their states (W,); NothingToFit is raised where none does."""
+    counts = state == MEASURED
+    if not counts.any():
+        raise NothingToFit(why_nothing(state))
+    return counts
 
 
 def _ground(index, data, solved):
@@ -166,8 +168,8 @@ def estimate_delay(drives: Sequence[MapDrive], data: Data, grid: Grid, config: M
     coarse = Grid(_thin(grid.rows, COARSE_ROWS), _thin(grid.columns, COARSE_COLUMNS))
     # Only windows that count under every delay are compared, or their number would decide.
     states = [on_grid(data, *sample(drives, data, delay_s, config), grid) for delay_s in (0.0, MAX_DELAY_S)]
-    state = np.where(states[0] == windowing.MEASURED, states[1], states[0])
-    used = state == windowing.MEASURED
+    state = np.where(states[0] == MEASURED, states[1], states[0])
+    used = state == MEASURED
     if used.sum() < 2 * coarse.size:
         return 0.0, float("nan")
 
@@ -243,12 +245,10 @@ def solve(model: Model, state: np.ndarray, rising: bool = True, passes: int = PA
     and TURNING are used; ``rising``: the map must rise with the value.
     """
     data, grid = model.data, model.grid
-    used = (state == windowing.MEASURED) | (state == TURNING)
+    used = (state == MEASURED) | (state == TURNING)
     within = within_turns(state == TURNING, data.drive)
     drives = data.sees_slope.size
     sag = np.zeros((drives, 2))
-    # A step below the CSV's resolution would vanish; where the map hardly rises it rises by that.
-    min_steps = np.full(grid.rows.size - 1, MIN_STEP_MPS2)
     weight = np.where(used, 1.0 / data.windows.sigma_mps2**2, 0.0)
     nodes, spread, outlying = None, 1.0, np.zeros(used.size, bool)
     prior = np.zeros((grid.size + 4 * drives,) * 2)
@@ -261,19 +261,18 @@ def solve(model: Model, state: np.ndarray, rising: bool = True, passes: int = PA
     for _ in range(passes):
         mapped = model.map.copy()
         for side, push in enumerate(model.push):
-            mapped = mapped + sparse.diags(data.part * sag[data.drive, side]) @ push
+            mapped = mapped + sparse.diags(data.windows.part * sag[data.drive, side]) @ push
         sagging = np.zeros((used.size, 2 * drives))
         if nodes is not None:
             for side, push in enumerate(model.push):
-                sagging[np.arange(used.size), 2 * data.drive + side] = data.part * (push @ nodes)
+                sagging[np.arange(used.size), 2 * data.drive + side] = data.windows.part * (push @ nodes)
         columns = within @ sparse.hstack([mapped, sparse.csr_matrix(data.slope), sparse.csr_matrix(sagging)]).tocsr()
         counts = sparse.diags(np.where(outlying, 0.0, weight))
         normal = (columns.T @ counts @ columns).toarray() / spread**2 + prior
         # The unknown is the sag's change; its prior is about the sag.
         right = columns.T @ (counts @ acceleration) / spread**2
         right[sag_at] -= prior[sag_at, sag_at] * sag.ravel()
-        found = (rising_least_squares(grid, normal, right, min_steps) if rising
-                 else np.linalg.solve(normal, right))
+        found = rising_least_squares(grid, normal, right) if rising else np.linalg.solve(normal, right)
         nodes, slope = found[:grid.size], found[slope_at]
         if model.push:
             sag = np.clip(sag + found[sag_at].reshape(drives, 2), -MAX_SAG, MAX_SAG)
@@ -299,8 +298,8 @@ def coverage(model: Model, state: np.ndarray, manoeuvre: np.ndarray) -> tuple[np
     """Return (seconds of driving around each node (G,), in how many manoeuvres (G,)), by each window's state and
     manoeuvre, (W,).
     """
-    used = np.flatnonzero(state == windowing.MEASURED)
-    time_s = sparse.diags(model.data.hop_s[used]) @ model.map[used]
+    used = np.flatnonzero(state == MEASURED)
+    time_s = sparse.diags(model.data.windows.hop_s[used]) @ model.map[used]
     seconds = np.asarray(time_s.sum(axis=0)).ravel()
     around = (_membership(manoeuvre, used) @ time_s).toarray()
     return seconds, (around >= MIN_S).sum(axis=0)
@@ -314,7 +313,7 @@ def standard_errors(model: Model, solved: Solution, state: np.ndarray, manoeuvre
     grid = model.grid
     inverse = np.linalg.inv(solved.normal)
     by_weight = np.diag(inverse)[:grid.size]
-    used = np.flatnonzero((state == windowing.MEASURED) & ~solved.outlying)
+    used = np.flatnonzero((state == MEASURED) & ~solved.outlying)
     scores = sparse.diags(solved.weight[used] * solved.residual[used]) @ solved.columns[used]
     clusters = (_membership(manoeuvre, used) @ scores).toarray()
     middle = clusters.T @ clusters + solved.prior
@@ -324,13 +323,13 @@ def standard_errors(model: Model, solved: Solution, state: np.ndarray, manoeuvre
 
 def hold_out(model: Model, state: np.ndarray, manoeuvre: np.ndarray) -> tuple[float, int]:
     """Return (RMS in m/s² over every 5th manoeuvre from a fit to all others, windows in it); NaN if there are none."""
-    held = (manoeuvre >= 0) & (manoeuvre % HELD_OUT == HELD_OUT - 1) & (state == windowing.MEASURED)
+    held = (manoeuvre >= 0) & (manoeuvre % HELD_OUT == HELD_OUT - 1) & (state == MEASURED)
     if not held.any():
         return float("nan"), 0
     solved = solve(model, np.where(held, BEYOND, state))
     predicted = model.map @ solved.nodes + model.data.slope @ solved.slope
     for side, push in enumerate(model.push):
-        predicted = predicted + model.data.part * solved.sag[model.data.drive, side] * (push @ solved.nodes)
+        predicted = predicted + model.data.windows.part * solved.sag[model.data.drive, side] * (push @ solved.nodes)
     return rms((model.data.windows.acceleration_mps2 - predicted)[held]), int(held.sum())
 
 

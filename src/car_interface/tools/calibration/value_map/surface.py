@@ -18,7 +18,8 @@ ROUGH_ROWS, ROUGH_COLUMNS = 8.0, 0.15
 INTERVALS = 10.0  # of the axis for which a second derivative is expected; on a finer grid nodes differ by less
 DECIMALS = 3  # of a map's CSV, as Autoware's calibrators write it
 RESOLUTION_MPS2 = 10.0**-DECIMALS
-# A step of two roundings' width is still one when both of its ends are rounded towards each other.
+# A smaller step would vanish in the CSV: one of two roundings' width is still one when both of its ends are rounded
+# towards each other. Where a map hardly rises it rises by that.
 MIN_STEP_MPS2 = 2 * RESOLUTION_MPS2
 NEAR = 0.25  # of the step between rows: two more rows lie this far from neutral
 VALUES, VELOCITIES = 10, 8  # about as many
@@ -70,20 +71,19 @@ def penalties(grid: Grid, kinks: np.ndarray) -> sparse.csr_matrix:
                           sparse.kron(sparse.identity(grid.rows.size), sparse.csr_matrix(columns))]).tocsr()
 
 
-def rising_least_squares(grid: Grid, normal: np.ndarray, right: np.ndarray, min_steps: np.ndarray) -> np.ndarray:
-    """Minimise x·normal·x − 2·x·right over grids that rise by at least ``min_steps`` from row to row: x (U,).
+def rising_least_squares(grid: Grid, normal: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Minimise x·normal·x − 2·x·right over grids that rise by at least MIN_STEP_MPS2 from row to row: x (U,).
 
     Args:
         grid: its nodes are the first of x; those after them are free.
         normal, right: of the normal equations, (U, U), positive definite, and (U,).
-        min_steps: (R−1,).
     """
     count, columns = grid.size, grid.columns.size
     # Unknowns are the first row and the steps: x = sums · z + the minimum steps.
     sums = np.eye(normal.shape[0])
     sums[:count, :count] = np.kron(np.tril(np.ones((grid.rows.size, grid.rows.size))), np.eye(columns))
     offset = np.zeros(normal.shape[0])
-    offset[:count] = np.repeat(np.concatenate(([0.0], np.cumsum(min_steps))), columns)
+    offset[:count] = np.repeat(MIN_STEP_MPS2 * np.arange(grid.rows.size), columns)
     scale = 1.0 / np.sqrt(np.diag(normal))
     factor = np.linalg.cholesky((normal * scale).T * scale).T  # of the scaled unknowns
     wanted = np.linalg.solve(factor.T, (right - normal @ offset) * scale)
@@ -96,12 +96,11 @@ def rising_least_squares(grid: Grid, normal: np.ndarray, right: np.ndarray, min_
     return sums @ z + offset
 
 
-def rising_column(wanted: np.ndarray, weight: np.ndarray, min_steps: np.ndarray) -> np.ndarray:
-    """Return the column (R,) nearest to ``wanted`` (R,) that rises by at least ``min_steps`` (R−1,).
-
-    In least squares weighted by ``weight`` (R,), by pooling adjacent violators.
+def rising_column(wanted: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Return the column (R,) nearest to ``wanted`` (R,), in least squares with weights (R,), that rises by at least
+    MIN_STEP_MPS2 from row to row.
     """
-    offset = np.concatenate(([0.0], np.cumsum(min_steps)))
+    offset = MIN_STEP_MPS2 * np.arange(wanted.size)
     return rising(wanted - offset, weight) + offset
 
 

@@ -5,8 +5,9 @@ import random
 
 import numpy as np
 
-from car_interface.tools.calibration.value_map.acceleration import MapDrive, MapFitConfig, Series
+from car_interface.tools.calibration.shared import Series
 from car_interface.tools.calibration.value_map.fit import Fit, fit
+from car_interface.tools.calibration.value_map.windows import MapDrive, MapFitConfig
 from written_recordings import Written, odometry, output
 
 PULSE_M, STEP_S, NOTHING = 0.0149, 0.005, Series(np.zeros(0), np.zeros(0))

@@ -9,10 +9,17 @@ import pytest
 from car_interface.throttle.value_map import ValueMap
 from car_interface.tools.calibration.value_map import calibrate as module
 from car_interface.tools.calibration.value_map import calibrate as tables
-from car_interface.tools.calibration.value_map.acceleration import MapFitConfig
-from car_interface.tools.calibration.value_map.calibrate import NoTable, Table, calibrate, coverage_text, report
+from car_interface.tools.calibration.value_map.calibrate import (
+    MapResult,
+    NoTable,
+    Table,
+    calibrate,
+    coverage_text,
+    report,
+)
 from car_interface.tools.calibration.value_map.fit import Fit, Ground
 from car_interface.tools.calibration.value_map.recorded import MapSource
+from car_interface.tools.calibration.value_map.windows import MapFitConfig
 from tools.calibration.value_map.synthetic import fit_of
 
 RECORDED = [SimpleNamespace(drive=None, path="drive.bag")]
@@ -72,8 +79,8 @@ def drive_of(notes=(), path="/bags/a.bag", **changes):
 
 def lines(recorded=None, source=None, fit=None, table=None, problems=(), prior_path=None):
     source = source or MapSource(topics={"value": "throttle"})
-    return "\n".join(report(recorded or [drive_of()], source, fit or reported_fit(), table or table_of(), problems,
-                            prior_path)).split("\n")
+    found = MapResult(table or table_of(), fit or reported_fit(), list(problems))
+    return "\n".join(report(recorded or [drive_of()], source, found, prior_path)).split("\n")
 
 
 # --- what it rests on ---

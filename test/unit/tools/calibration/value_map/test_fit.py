@@ -2,11 +2,9 @@
 import numpy as np
 import pytest
 
-from car_interface.tools.calibration.shared import NothingToFit
-from car_interface.tools.calibration.value_map import acceleration as windowing
-from car_interface.tools.calibration.value_map.acceleration import MapDrive, Series
+from car_interface.tools.calibration.shared import NothingToFit, Series
 from car_interface.tools.calibration.value_map.fit import fit
-from car_interface.tools.calibration.value_map.windows import RULES, MapFitConfig
+from car_interface.tools.calibration.value_map.windows import RULES, STEERING, MapDrive, MapFitConfig
 from tools.calibration.value_map.synthetic import DELAY_S, NOTHING, acceleration, drive, error, fitted_mixed
 
 pytestmark = pytest.mark.once
@@ -29,7 +27,7 @@ def test_map_of_a_drive_on_a_slope_with_a_sagging_battery_is_the_level_one_at_me
 
 def test_turns_show_the_slope_and_nothing_else_where_straights_all_go_one_way():
     found = fit([drive(uphill=(0.02, 0.01), circles=True)], None, None, KNOWN_DELAY)
-    assert found.rejected[RULES[windowing.STEERING]] > 100
+    assert found.rejected[RULES[STEERING]] > 100
     assert found.grounds[0].uphill == pytest.approx((0.02, 0.01), abs=0.003)
     assert error(found) < 0.04
 

@@ -5,11 +5,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from car_interface.throttle.value_map import ValueMap
-from car_interface.tools.calibration.value_map import windows as windows_module
-from car_interface.tools.calibration.value_map.acceleration import MapDrive, Series
+from car_interface.tools.calibration.shared import Series
 from car_interface.tools.calibration.value_map.fit import fit
 from car_interface.tools.calibration.value_map.surface import DECIMALS
-from car_interface.tools.calibration.value_map.windows import RULES, MapFitConfig
+from car_interface.tools.calibration.value_map.windows import OUTLYING, RULES, MapDrive, MapFitConfig
 from tools.calibration.value_map.synthetic import DELAY_S, acceleration, drive, error, with_
 
 pytestmark = pytest.mark.once
@@ -43,7 +42,7 @@ def test_outliers_do_not_bend_the_map():
     bump = np.where((one.speed.t_s % 20 > 10) & (one.speed.t_s % 20 < 10.6), 1.0, 0.0)
     kicked = with_(one, speed=Series(one.speed.t_s, one.speed.y + bump), wheels=())
     found = fit([kicked], None, None, MapFitConfig(delay_s=DELAY_S))
-    assert found.rejected[RULES[windows_module.OUTLYING]] > 5
+    assert found.rejected[RULES[OUTLYING]] > 5
     assert error(found) < 0.08
 
 
