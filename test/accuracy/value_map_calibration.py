@@ -79,7 +79,7 @@ def judge(seed, folder):
     parser = argparse.ArgumentParser()
     command.add_arguments(parser)
     options = parser.parse_args([str(path), "-o", "unused.csv", "--jobs", "1"])
-    (recorded_drive,), done = command.calibrate_by(options, command.source_of(options))
+    (recorded_drive,), done = command.calibrate_by(options, command.config_of(options))
     table, drive = done.table, recorded_drive.drive
     stated, true = table.origin <= tables.BETWEEN, truth(car, table)
     stock = load_value_map(str(STOCK_MAP))

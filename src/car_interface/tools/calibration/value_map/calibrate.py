@@ -12,7 +12,7 @@ from car_interface.common.errors import CarInterfaceError
 from car_interface.throttle.value_map import ValueMap
 from car_interface.tools.calibration.shared import NothingToFit, RecordedDrive, names_of, runs
 from car_interface.tools.calibration.value_map import fit as fitting
-from car_interface.tools.calibration.value_map.recorded import BY_IMU, MapSource
+from car_interface.tools.calibration.value_map.recorded import BY_IMU, MapConfig
 from car_interface.tools.calibration.value_map.surface import (
     DECIMALS,
     MIN_STEP_MPS2,
@@ -20,11 +20,10 @@ from car_interface.tools.calibration.value_map.surface import (
     rising_column,
     rounded,
 )
-from car_interface.tools.calibration.value_map.windows import WINDOW_S, MapFitConfig
+from car_interface.tools.calibration.value_map.windows import WINDOW_S
 
 MAX_HELD_OUT_MPS2 = 0.5
 MIN_DRIVEN_RATIO = 0.25  # of a map that the drives themselves state
-DUTY = "duty:"
 MIN_NODES = 3  # values, and velocities, of a map that is fit to drive with
 BRACKET = 2  # nodes: this near on both sides must be supported ones
 # The source of an acceleration: the drives; drives next to it on both sides, and as sure; an old map; an old map, moved
@@ -59,7 +58,7 @@ class MapResult(NamedTuple):
 
 
 def calibrate(recorded: Sequence[RecordedDrive], values: Sequence[float] | None, velocities_mps: Sequence[float] | None,
-              config: MapFitConfig, prior: ValueMap | None = None) -> MapResult:
+              config: MapConfig, prior: ValueMap | None = None) -> MapResult:
     """Fit a map to recorded drives.
 
     Args:
@@ -187,11 +186,11 @@ def number_text(x: float) -> str:
 # --- the report ---
 
 
-def report(recorded: Sequence[RecordedDrive], source: MapSource, found: MapResult,
+def report(recorded: Sequence[RecordedDrive], config: MapConfig, found: MapResult,
            prior_path: str | None = None) -> Iterator[str]:
     """Yield the lines."""
     table, fit, problems = found
-    yield from _source_lines(recorded, source, fit, prior_path)
+    yield from _source_lines(recorded, config, fit, prior_path)
     yield from _error_lines(fit)
     yield coverage_text(fit, table)
     yield ""
@@ -207,16 +206,15 @@ def report(recorded: Sequence[RecordedDrive], source: MapSource, found: MapResul
         yield from (f"not good enough: {problem}" for problem in problems)
 
 
-def _source_lines(recorded, source, fit, prior_path):
+def _source_lines(recorded, config, fit, prior_path):
     drives, names = [one.drive for one in recorded], [Path(one.path).name for one in recorded]
-    value = source.value_topic if source.duty_channel is None else f"{DUTY}{source.duty_channel}"
     yield f"A value map from {', '.join(names)}"
-    measured_by = ("the IMU, its bias by the wheels" if source.measured_by == BY_IMU else "pulse times of the wheels"
+    measured_by = ("the IMU, its bias by the wheels" if config.measured_by == BY_IMU else "pulse times of the wheels"
                    if all(drive.wheels for drive in drives) else "odometry's speed")
-    yield f"value: {value}; accelerations by {measured_by}"
-    if source.throttle:
-        duties, values = source.throttle.duties, source.throttle.values
-        yield (f"a duty counts as the value of which {source.throttle.path} makes it: {duties[0]:g} is {values[0]:g}, "
+    yield f"value: {config.value_name}; accelerations by {measured_by}"
+    if config.throttle:
+        duties, values = config.throttle.duties, config.throttle.values
+        yield (f"a duty counts as the value of which {config.throttle.path} makes it: {duties[0]:g} is {values[0]:g}, "
                f"{duties[-1]:g} is {values[-1]:g}")
     if prior_path:
         yield f"prior: {prior_path}"
@@ -227,7 +225,7 @@ def _source_lines(recorded, source, fit, prior_path):
     how = "given" if fit.delay_is_given else "estimated" if has_sigma else "the drives don't tell it"
     yield f"from value to acceleration: {1000 * fit.delay_s:.0f}{sigma} ms ({how})"
     for name, drive, ground in zip(names, drives, fit.grounds):
-        yield f"{name}: {_ground_text(ground, drive.pitch is not None, source.measured_by == BY_IMU)}"
+        yield f"{name}: {_ground_text(ground, drive.pitch is not None, config.measured_by == BY_IMU)}"
     yield ""
 
 

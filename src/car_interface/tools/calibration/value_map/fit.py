@@ -28,6 +28,7 @@ import numpy as np
 from scipy import sparse
 
 from car_interface.tools.calibration.shared import NothingToFit
+from car_interface.tools.calibration.value_map.recorded import DEFAULTS, MapConfig, MapDrive
 from car_interface.tools.calibration.value_map.surface import (
     Grid,
     penalties,
@@ -38,13 +39,10 @@ from car_interface.tools.calibration.value_map.surface import (
 )
 from car_interface.tools.calibration.value_map.windows import (
     BEYOND,
-    DEFAULTS,
     MEASURED,
     OUTLYING,
     TURNING,
     Data,
-    MapDrive,
-    MapFitConfig,
     by_rule,
     gather,
     manoeuvres,
@@ -106,7 +104,7 @@ class Fit:
 
 @np.errstate(invalid="ignore")  # NaN, for what wasn't measured, compares as false
 def fit(drives: Sequence[MapDrive], values: np.ndarray | None, velocities: np.ndarray | None,
-        config: MapFitConfig = DEFAULTS) -> Fit:
+        config: MapConfig = DEFAULTS) -> Fit:
     """Fit a map to drives.
 
     Args:
@@ -163,7 +161,7 @@ def _ground(index, data, solved):
 # --- the delay ---
 
 
-def estimate_delay(drives: Sequence[MapDrive], data: Data, grid: Grid, config: MapFitConfig) -> tuple[float, float]:
+def estimate_delay(drives: Sequence[MapDrive], data: Data, grid: Grid, config: MapConfig) -> tuple[float, float]:
     """Return (the delay in s, its standard error); the latter is NaN where the drives don't show one."""
     coarse = Grid(_thin(grid.rows, COARSE_ROWS), _thin(grid.columns, COARSE_COLUMNS))
     # Only windows that count under every delay are compared, or their number would decide.
@@ -212,7 +210,7 @@ class Model:
         penalty: of the map's roughness, (G, G).
     """
 
-    def __init__(self, grid: Grid, data: Data, value: np.ndarray, config: MapFitConfig, sags: bool = True):
+    def __init__(self, grid: Grid, data: Data, value: np.ndarray, config: MapConfig, sags: bool = True):
         self.grid, self.data = grid, data
         weight, speed = data.windows.weight, np.nan_to_num(data.windows.speed_mps)
         self.map = grid.averages(value, speed, weight)

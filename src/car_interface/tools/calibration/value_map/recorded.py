@@ -1,8 +1,9 @@
 """Reads a recording as the drive that the fit of a value map takes."""
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Mapping, NamedTuple
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Mapping, NamedTuple, Sequence
 
 import numpy as np
 
@@ -14,13 +15,13 @@ from car_interface.pca9685.registers import DUTY_PER_COUNT
 from car_interface.throttle.arbiter import PLANNER, TELEOP
 from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.tools.calibration.shared import RecordedDrive, Series, held, is_pulse, wheel_distances
-from car_interface.tools.calibration.value_map.windows import MapDrive
 from car_interface.tools.recordings import recording, roles, signals
 from car_interface.tools.recordings.columns import Output
 from car_interface.tools.recordings.recording import NoRecording
 from car_interface.tools.recordings.replay import WHEEL_TOPIC
 
 ESC_CHANNEL = 1  # of the ESC, as in config/throttle.yaml
+DUTY = "duty:"
 BY_PULSES, BY_ODOM, BY_IMU = "pulses", "odom", "imu"  # what accelerations are measured by
 SETTLED_S = 0.15  # from a value to its duty on the board
 
@@ -32,7 +33,7 @@ class ThrottleTable(NamedTuple):
     values: tuple[float, ...]  # of each of them
     neutral: float  # value
     path: str
-    channel: int  # of the servo board
+    channel: int  # of the servo board, whose duties they are
 
     def value_of(self, duty: np.ndarray) -> np.ndarray:
         """Return the value of each duty (N,); NaN for one that no value makes, by more than the board's rounding."""
@@ -61,59 +62,81 @@ def load_throttle_table(path: str) -> ThrottleTable:
     return ThrottleTable(duties, values, float(np.interp(table.neutral, duties, values)), path, table.channel)
 
 
-@dataclass(frozen=True)
-class MapSource:
-    """Where a recording's value and accelerations come from."""
+class MapConfig(NamedTuple):
+    """Where a recording's value and accelerations come from, which driving counts, and what a map is fitted by."""
 
-    # named by the user, by role: see ``signals.load``. That of the value is not used with a duty channel.
-    topics: Mapping[str, str] = field(default_factory=dict)
-    # of the servo board, 0..15, whose duty stands for the value; ``None`` = there is a topic
-    duty_channel: int | None = None
-    throttle: ThrottleTable | None = None  # by which a duty is a value; with a duty channel
-    neutral: float = 0.0  # the value at which the car coasts
-    # BY_PULSES, BY_ODOM or BY_IMU; ``None`` = pulses where they were recorded, else odometry
+    topics: Mapping[str, str] = MappingProxyType({})  # named by the user, by role: see ``signals.load``
+    # by which a duty of its channel is the value, whatever the topic of a value; ``None`` = there is a topic
+    throttle: ThrottleTable | None = None
+    # BY_PULSES, BY_ODOM or BY_IMU (the wheels only give its bias); ``None`` = pulses if recorded, else odometry
     measured_by: str | None = None
     namespace: str = "/"  # the car's
-    # of the servo board, 0..15, shows whether a value reached the ESC; ``None`` = unknown
-    esc_channel: int | None = None
+    esc_channel: int | None = None  # of the board, 0..15, shows whether a value reached the ESC; ``None`` = unknown
     esc_neutral_duty: float = 0.0  # the duty of that channel when nobody drives
+    min_speed_mps: float = 0.3  # a window with a lower speed is a stop, in which an ESC holds, reverses or waits
+    max_curvature_per_m: float = 0.6  # tyres in a turn brake
+    max_lateral_mps2: float = 2.5  # the same
+    neutral: float = 0.0  # the value at which the actuator neither drives nor brakes; the map may bend there
+    value_timeout_s: float = 0.5  # a value counts for no longer than this
+    delay_s: float | None = None  # from value to acceleration; None = estimated
 
     @property
-    def value_topic(self) -> str:
-        """The topic of the commanded value."""
+    def value_name(self) -> str:
+        """The topic of the value, or the duty that stands for it."""
+        if self.throttle is not None:
+            return f"{DUTY}{self.throttle.channel}"
         return self.topics.get(roles.VALUE.name, roles.VALUE.topics[0])
 
 
-def load_map_drive(path: str, source: MapSource) -> RecordedDrive:
+DEFAULTS = MapConfig()
+
+
+@dataclass(frozen=True)
+class MapDrive:
+    """One recording, on one scale of seconds."""
+
+    value: Series  # the actuator's commanded value, each sample until the next one
+    speed: Series  # m/s, backward negative
+    yaw: Series  # rad, unwrapped
+    # signed distance of each wheel in m at its pulses; empty = unknown, then the speed is differentiated
+    wheels: Sequence[Series] = ()
+    # forward specific force in m/s², with gravity's part on a slope, as accelerometers measure it
+    imu: Series | None = None
+    pitch: Series | None = None  # rad, nose down positive (REP-103)
+    # 1 where the value reached the actuator, each sample until the next; ``None`` = always
+    driven: Series | None = None
+
+
+def load_map_drive(path: str, config: MapConfig) -> RecordedDrive:
     """Read one recording.
 
     Raises:
         NoRecording: it can't be read, or lacks what is needed.
     """
-    by_duty = source.duty_channel is not None
+    by_duty = config.throttle is not None
     wanted, optional = [roles.ODOM.name, roles.OUTPUT.name if by_duty else roles.VALUE.name], []
-    if source.measured_by == BY_PULSES:
+    if config.measured_by == BY_PULSES:
         wanted.append(signals.PULSES)
-    elif source.measured_by is None:
+    elif config.measured_by is None:
         optional.append(signals.PULSES)
-    if not by_duty and source.esc_channel is not None:
+    if not by_duty and config.esc_channel is not None:
         optional.append(roles.OUTPUT.name)
-    found = signals.load(path, wanted, optional=optional, namespace=source.namespace, progress=True, **source.topics)
+    found = signals.load(path, wanted, optional=optional, namespace=config.namespace, progress=True, **config.topics)
     speed, notes, driven = Series(found.odom.t_s, found.odom.speed_mps), found.notes, None
     wheels = wheel_distances(found.pulses or (), speed)
     if len(wheels) < 2:
         wheels = ()
-    if source.measured_by == BY_PULSES and not wheels:
+    if config.measured_by == BY_PULSES and not wheels:
         raise NoRecording(f"{path} has too few pulses of the wheels on {WHEEL_TOPIC}: "
                           f"try --acceleration {BY_ODOM}")
     if by_duty:
-        value, beyond = _value_by_duty(found.output, source)
+        value, beyond = _value_by_duty(found.output, config.throttle)
         notes += beyond
     else:
         value = Series(found.value.t_s, found.value.value)
-        if found.output is not None and source.esc_channel is not None:
-            driven = reached_esc(value, Series(found.output.t_s, found.output.duties[:, source.esc_channel]),
-                                 source.neutral, source.esc_neutral_duty)
+        if found.output is not None and config.esc_channel is not None:
+            driven = reached_esc(value, Series(found.output.t_s, found.output.duties[:, config.esc_channel]),
+                                 config.neutral, config.esc_neutral_duty)
     imu = pitch = None
     if found.imu is not None:
         imu = Series(found.imu.t_s, found.imu.acceleration_mps2)
@@ -158,9 +181,9 @@ def reached_esc(value: Series, duty: Series, neutral: float, neutral_duty: float
     return Series(duty.t_s, np.where(is_lost & held(value.t_s, is_driving, duty.t_s - SETTLED_S), 0.0, 1.0))
 
 
-def _value_by_duty(output: Output, source: MapSource):
+def _value_by_duty(output: Output, throttle: ThrottleTable):
     """Return (the value by a channel's duty, a note of duties that no value makes)."""
-    throttle, duty = source.throttle, output.duties[:, source.duty_channel]
+    duty = output.duties[:, throttle.channel]
     value = Series(output.t_s, np.where(is_pulse(duty), throttle.value_of(duty), np.nan))
     beyond = int((is_pulse(duty) & np.isnan(value.y)).sum())
     return value, (f"{beyond} of {value.y.size} duties lie beyond {throttle.duties[0]:g} to {throttle.duties[-1]:g}, "

@@ -18,6 +18,7 @@ import numpy as np
 from scipy import sparse
 
 from car_interface.tools.calibration.shared import Series
+from car_interface.tools.calibration.value_map.recorded import BY_IMU, DEFAULTS, MapConfig, MapDrive
 from car_interface.tools.calibration.value_map.surface import Grid
 
 TICK_SIGMA_S = 1e-3 / 12**0.5  # a pulse's time is truncated to the millisecond
@@ -58,37 +59,6 @@ RULES = {
 }
 
 
-class MapFitConfig(NamedTuple):
-    """Which driving counts, and what a map is fitted by."""
-
-    min_speed_mps: float = 0.3  # a window with a lower speed is a stop, in which an ESC holds, reverses or waits
-    max_curvature_per_m: float = 0.6  # tyres in a turn brake
-    max_lateral_mps2: float = 2.5  # the same
-    neutral: float = 0.0  # the value at which the actuator neither drives nor brakes; the map may bend there
-    value_timeout_s: float = 0.5  # a value counts for no longer than this
-    delay_s: float | None = None  # from value to acceleration; None = estimated
-    from_imu: bool = False  # accelerations are the IMU's; the wheels' only give its bias
-
-
-DEFAULTS = MapFitConfig()
-
-
-@dataclass(frozen=True)
-class MapDrive:
-    """One recording, on one scale of seconds."""
-
-    value: Series  # the actuator's commanded value, each sample until the next one
-    speed: Series  # m/s, backward negative
-    yaw: Series  # rad, unwrapped
-    # signed distance of each wheel in m at its pulses; empty = unknown, then the speed is differentiated
-    wheels: Sequence[Series] = ()
-    # forward specific force in m/s², with gravity's part on a slope, as accelerometers measure it
-    imu: Series | None = None
-    pitch: Series | None = None  # rad, nose down positive (REP-103)
-    # 1 where the value reached the actuator, each sample until the next; ``None`` = always
-    driven: Series | None = None
-
-
 class Windows(NamedTuple):
     """W windows of one drive, or of several, one after the other; each has P points."""
 
@@ -109,7 +79,7 @@ class Windows(NamedTuple):
 
 
 @np.errstate(invalid="ignore")  # NaN, for what wasn't measured, compares as false
-def windows(drive: MapDrive, config: MapFitConfig = DEFAULTS) -> Windows:
+def windows(drive: MapDrive, config: MapConfig = DEFAULTS) -> Windows:
     """Divide a drive into windows and measure each."""
     begin_s, end_s = drive.speed.t_s[[0, -1]] if drive.speed.t_s.size else (0.0, 0.0)
     if drive.wheels:
@@ -249,7 +219,7 @@ class Data:
     pitch_offset: Sequence[float]  # of each drive's sensor in rad; NaN without
 
 
-def gather(drives: Sequence[MapDrive], config: MapFitConfig) -> Data:
+def gather(drives: Sequence[MapDrive], config: MapConfig) -> Data:
     """Divide drives into windows, and find which count by everything but the value."""
     found, sees_slope, offset = zip(*(_gather(drive, config) for drive in drives))
     number = np.repeat(np.arange(len(drives)), [one.middle_s.size for one in found])
@@ -269,7 +239,7 @@ def _gather(drive, config):
                & (np.abs(one.acceleration_mps2) < MAX_MPS2))
     spreads = _spread(one.cos_yaw, one.sin_yaw, counted, turning) >= MIN_SPREAD
     acceleration, sigma, offset = one.acceleration_mps2, one.sigma_mps2, float("nan")
-    if config.from_imu:
+    if config.measured_by == BY_IMU:
         acceleration, sigma = one.force_mps2 - _bias(one, counted | turning, spreads), one.force_sigma_mps2
         spreads = False  # an accelerometer measures what the car would do on level ground
     elif drive.pitch is not None and np.isfinite(one.pitch_rad).all() and counted.any():
@@ -330,7 +300,7 @@ def _constant_part(y, one, counted):
 
 
 def sample(drives: Sequence[MapDrive], data: Data, delay_s: float,
-           config: MapFitConfig) -> tuple[np.ndarray, np.ndarray]:
+           config: MapConfig) -> tuple[np.ndarray, np.ndarray]:
     """Return (the values ``delay_s`` earlier along each window (W, P), the windows' states by them, too (W,))."""
     values, timed_out, idle = [], [], []
     for index, drive in enumerate(drives):

@@ -7,7 +7,7 @@ import numpy as np
 
 from car_interface.tools.calibration.shared import Series
 from car_interface.tools.calibration.value_map.fit import Fit, fit
-from car_interface.tools.calibration.value_map.windows import MapDrive, MapFitConfig
+from car_interface.tools.calibration.value_map.recorded import MapConfig, MapDrive
 from written_recordings import Written, odometry, output
 
 PULSE_M, STEP_S, NOTHING = 0.0149, 0.005, Series(np.zeros(0), np.zeros(0))
@@ -117,7 +117,7 @@ def fit_of(supported, sure=None, held_out_mps2=0.0):
 
 
 def rejected(one, config=None):
-    found = fit([one], None, None, config or MapFitConfig(delay_s=DELAY_S))
+    found = fit([one], None, None, config or MapConfig(delay_s=DELAY_S))
     return {text: number for text, number in found.rejected.items() if number and text != "counted"}
 
 

@@ -18,8 +18,7 @@ from car_interface.tools.calibration.value_map.calibrate import (
     report,
 )
 from car_interface.tools.calibration.value_map.fit import Fit, Ground
-from car_interface.tools.calibration.value_map.recorded import MapSource
-from car_interface.tools.calibration.value_map.windows import MapFitConfig
+from car_interface.tools.calibration.value_map.recorded import MapConfig
 from tools.calibration.value_map.synthetic import fit_of
 
 RECORDED = [SimpleNamespace(drive=None, path="drive.bag")]
@@ -27,7 +26,7 @@ RECORDED = [SimpleNamespace(drive=None, path="drive.bag")]
 
 def calibrated(monkeypatch, fit, prior=None):
     monkeypatch.setattr(module.fitting, "fit", lambda *_: fit)
-    return calibrate(RECORDED, None, None, MapFitConfig(), prior)
+    return calibrate(RECORDED, None, None, MapConfig(), prior)
 
 
 @pytest.mark.parametrize("fit, problem", [
@@ -78,7 +77,7 @@ def drive_of(notes=(), path="/bags/a.bag", **changes):
 
 
 def lines(recorded=None, source=None, fit=None, table=None, problems=(), prior_path=None):
-    source = source or MapSource(topics={"value": "throttle"})
+    source = source or MapConfig(topics={"value": "throttle"})
     found = MapResult(table or table_of(), fit or reported_fit(), list(problems))
     return "\n".join(report(recorded or [drive_of()], source, found, prior_path)).split("\n")
 

@@ -4,11 +4,12 @@ import pytest
 
 from car_interface.tools.calibration.shared import NothingToFit, Series
 from car_interface.tools.calibration.value_map.fit import fit
-from car_interface.tools.calibration.value_map.windows import RULES, STEERING, MapDrive, MapFitConfig
+from car_interface.tools.calibration.value_map.recorded import MapConfig, MapDrive
+from car_interface.tools.calibration.value_map.windows import RULES, STEERING
 from tools.calibration.value_map.synthetic import DELAY_S, NOTHING, acceleration, drive, error, fitted_mixed
 
 pytestmark = pytest.mark.once
-KNOWN_DELAY = MapFitConfig(delay_s=DELAY_S)
+KNOWN_DELAY = MapConfig(delay_s=DELAY_S)
 
 
 def test_map_of_a_drive_on_a_slope_with_a_sagging_battery_is_the_level_one_at_mean_battery():
@@ -54,7 +55,7 @@ def test_pitch_takes_gravity_off_and_its_mounting_does_not_matter():
 
 def test_imu_and_odometry_s_speed_measure_too_and_a_slow_one_gets_longer_windows():
     one = drive(seconds=120.0, uphill=(0.012, -0.016), with_imu=True)
-    assert error(fit([one], None, None, MapFitConfig(from_imu=True, delay_s=DELAY_S))) < 0.05
+    assert error(fit([one], None, None, MapConfig(measured_by="imu", delay_s=DELAY_S))) < 0.05
     one = drive(seconds=120.0, pulses=False)
     assert error(fit([one], None, None, KNOWN_DELAY)) < 0.05
     slow = MapDrive(one.value, Series(one.speed.t_s[::5], one.speed.y[::5]), one.yaw)  # 10 a second

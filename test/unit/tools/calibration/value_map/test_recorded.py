@@ -7,7 +7,7 @@ import pytest
 from car_interface.tools.calibration.shared import Series, wheel_distances
 from car_interface.tools.calibration.value_map import recorded
 from car_interface.tools.calibration.value_map.recorded import (
-    MapSource,
+    MapConfig,
     load_map_drive,
     load_throttle_table,
     reached_esc,
@@ -63,4 +63,4 @@ def test_accelerations_are_by_the_wheels_where_both_made_enough_pulses(monkeypat
         odom=SimpleNamespace(t_s=t_s, x_m=t_s, y_m=zeros, yaw_rad=zeros, speed_mps=zeros + 1.0),
         value=SimpleNamespace(t_s=t_s, value=zeros), pulses=(pulses, Pulses(t_s[:count], np.arange(count))))
     monkeypatch.setattr(recorded.signals, "load", lambda *_, **__: found)
-    assert len(load_map_drive("a.bag", MapSource()).drive.wheels) == wheels
+    assert len(load_map_drive("a.bag", MapConfig()).drive.wheels) == wheels

@@ -4,7 +4,8 @@ import pytest
 
 from car_interface.tools.calibration.shared import Series
 from car_interface.tools.calibration.value_map import windows as windowing
-from car_interface.tools.calibration.value_map.windows import RULES, MapDrive, windows
+from car_interface.tools.calibration.value_map.recorded import MapDrive
+from car_interface.tools.calibration.value_map.windows import RULES, windows
 from tools.calibration.value_map.synthetic import NOTHING, PULSE_M, drive, rejected, with_
 
 pytestmark = pytest.mark.once
