@@ -17,11 +17,11 @@ from car_interface.common.lookup_table import check_axis
 from car_interface.common.package_files import package_file
 from car_interface.common.units import CHANNELS
 from car_interface.throttle.value_map import load_value_map
-from car_interface.tools.calibration.shared import RecordedDrive
+from car_interface.tools.calibration.shared import RecordedDrive, names_of
 from car_interface.tools.calibration.value_map.calibrate import (
     MapResult,
-    NoTable,
     calibrate,
+    coverage_text,
     csv_text,
     narrower_text,
     report,
@@ -122,11 +122,11 @@ def run(options: argparse.Namespace) -> int:
     beside = [] if output.is_stream(options.output) else [str(Path(options.output).with_suffix(".report.txt"))]
     for path in beside:
         output.check(path, options.bags)
-    try:
-        recorded, found = calibrate_by(options, config)
-    except NoTable as error:
-        print(error.coverage)
-        raise
+    recorded, found = calibrate_by(options, config)
+    if found.table is None:
+        print(coverage_text(found.fit, None))
+        raise CarInterfaceError(f"no map is written: {names_of(recorded)} support no two values at the same two "
+                                "velocities; drive longer, with throttle and brake of several strengths")
     text = "\n".join(report(recorded, config, found, options.prior))
     if found.problems and not options.force:
         print(text)

@@ -19,6 +19,7 @@ KNOT = COUNT / 2  # duty from one knot of the curve to the next
 MAX_BACKLASH_DUTY = 80.0
 MIN_SPEED_MPS = 0.25  # at lower speeds the heading changes too little
 MAX_GAP_S = 0.3  # between samples of odometry that belong together
+MAX_JUMP_RAD = 0.5  # of the heading from sample to sample
 BIN_S, MIN_BIN_M, MAX_BIN_RAD = 1.0, 0.4, 2.0  # in which distances are compared
 MIN_BINS = 5
 AFTER_GAP_S = 1.0  # so soon after a gap the servo may still follow commands that weren't recorded
@@ -227,10 +228,8 @@ class WheelPosition:
         t_s, distance_m, yaw_rad, speed_mps: the drive, interpolated.
         servo: the servo's position in duty.
         off: how far the servo is from its command, in duty.
-        is_known: whether servo and linkage are known.
+        is_known: whether servo and linkage are known, and odometry is without a gap and its heading without a jump.
         is_steady: the linkage may be anywhere in its backlash.
-        gap_s: the interval between samples of odometry around each time.
-        jump_rad: how much the heading changes from sample to sample.
     """
 
     def __init__(self, drive: SteeringDrive, delay: Delay):
@@ -253,8 +252,8 @@ class WheelPosition:
         turns = np.flatnonzero(self._falls[1:] != self._falls[:-1]) + 1
         self._runs = np.union1d(np.append(self._starts, len(self.servo)), turns).tolist()
         self.off = np.abs(commanded - self.servo)
-        self.jump_rad = np.abs(np.diff(np.interp(self.t_s, drive.t_s, drive.yaw_rad), prepend=drive.yaw_rad[0]))
-        self.gap_s = interval_s(drive.t_s, self.t_s)
+        jump_rad = np.abs(np.diff(self.yaw_rad, prepend=drive.yaw_rad[0]))
+        self.is_known &= (interval_s(drive.t_s, self.t_s) <= MAX_GAP_S) & (jump_rad <= MAX_JUMP_RAD)
 
     def _follow(self, drive, delay, commanded, start, end):
         """Let the servo follow its commands from one gap to the next."""

@@ -32,14 +32,6 @@ DRIVEN, BETWEEN, OLD, MOVED = range(4)
 SYMBOLS = {DRIVEN: "#", BETWEEN: "+", OLD: "o", MOVED: "m"}
 
 
-class NoTable(CarInterfaceError):
-    """Drives that support no table; ``coverage`` shows what they do support, as a grid of symbols."""
-
-    def __init__(self, text: str, coverage: str):
-        super().__init__(text)
-        self.coverage = coverage
-
-
 class Table(NamedTuple):
     """A map of R values and C velocities, as it is written."""
 
@@ -52,7 +44,7 @@ class Table(NamedTuple):
 class MapResult(NamedTuple):
     """A map, and all that is known about it."""
 
-    table: Table
+    table: Table | None  # ``None`` = the drives support none
     fit: fitting.Fit
     problems: list[str]  # why it should not be written; empty = it may be
 
@@ -66,19 +58,14 @@ def calibrate(recorded: Sequence[RecordedDrive], values: Sequence[float] | None,
         prior: an old map, which stays where the drives support nothing.
 
     Raises:
-        NoTable: the drives support too little.
         CarInterfaceError: there is nothing to fit.
     """
-    names = names_of(recorded)
     try:
         fit = fitting.fit([one.drive for one in recorded], values, velocities_mps, config)
     except NothingToFit as error:
-        raise CarInterfaceError(f"nothing in {names} tells an acceleration: {error}") from error
+        raise CarInterfaceError(f"nothing in {names_of(recorded)} tells an acceleration: {error}") from error
     table = supported_table(fit, config.neutral, _prior_at_nodes(prior, fit))
-    if table is None:
-        raise NoTable(f"no map is written: {names} support no two values at the same two velocities; drive longer, "
-                      "with throttle and brake of several strengths", coverage_text(fit, None))
-    return MapResult(table, fit, list(_problems(fit, table)))
+    return MapResult(table, fit, [] if table is None else list(_problems(fit, table)))
 
 
 def _problems(fit, table):
@@ -222,7 +209,7 @@ def _source_lines(recorded, config, fit, prior_path):
     yield ""
     has_sigma = fit.delay_sigma_s >= 0
     sigma = f" ± {max(1.0, 1000 * fit.delay_sigma_s):.0f}" if has_sigma else ""
-    how = "given" if fit.delay_is_given else "estimated" if has_sigma else "the drives don't tell it"
+    how = "given" if config.delay_s is not None else "estimated" if has_sigma else "the drives don't tell it"
     yield f"from value to acceleration: {1000 * fit.delay_s:.0f}{sigma} ms ({how})"
     for name, drive, ground in zip(names, drives, fit.grounds):
         yield f"{name}: {_ground_text(ground, drive.pitch is not None, config.measured_by == BY_IMU)}"

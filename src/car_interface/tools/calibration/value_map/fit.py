@@ -94,7 +94,6 @@ class Fit:
     sure: np.ndarray  # which nodes have a small standard error, with or without driving around them, (R, C)
     delay_s: float  # from value to acceleration
     delay_sigma_s: float  # its standard error; NaN where the delay was given or doesn't show
-    delay_is_given: bool
     grounds: tuple[Ground, ...]  # one for each drive
     rejected: dict[str, int]  # windows by rule; those that count are under "counted"
     residual_mps2: float  # RMS over windows that count
@@ -136,8 +135,7 @@ def fit(drives: Sequence[MapDrive], values: np.ndarray | None, velocities: np.nd
                for column in (solved.nodes, sigma, seconds, supported, sure)]
     grounds = tuple(_ground(index, data, solved) for index in range(len(drives)))
     return Fit(grid.rows, grid.columns, rounded(by_node[0]), *by_node[1:], float(delay_s), float(delay_sigma_s),
-               is_given, grounds, by_rule(state), rms(solved.residual[state == MEASURED]),
-               *hold_out(model, state, manoeuvre))
+               grounds, by_rule(state), rms(solved.residual[state == MEASURED]), *hold_out(model, state, manoeuvre))
 
 
 def _counting(state):

@@ -113,7 +113,7 @@ def fit_of(supported, sure=None, held_out_mps2=0.0):
     accelerations = np.add.outer(np.arange(rows) * 1.0, -0.1 * np.arange(columns))
     return Fit(np.arange(rows) - 1.0, np.arange(columns) * 1.0, accelerations, np.full(supported.shape, 0.05),
                np.ones(supported.shape), supported,
-               supported if sure is None else np.array(sure, bool), 0.0, 0.0, False, (), {}, 0.0, held_out_mps2, 1)
+               supported if sure is None else np.array(sure, bool), 0.0, 0.0, (), {}, 0.0, held_out_mps2, 1)
 
 
 def rejected(one, config=None):
