@@ -160,10 +160,8 @@ def calibrate_by(options: argparse.Namespace, config: MapConfig) -> tuple[list[R
 
 def _old_map(path):
     """Return the map that is about to be replaced; ``None`` = there is none that can be read."""
-    if output.is_stream(path) or not Path(path).exists():
-        return None
     try:
-        return load_value_map(path, allow_plateaus=True)
+        return None if output.is_stream(path) else load_value_map(path, allow_plateaus=True)
     except CarInterfaceError:
         return None
 

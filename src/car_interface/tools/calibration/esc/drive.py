@@ -60,10 +60,11 @@ class Pull(NamedTuple):
     follows_pull: bool  # with nothing but neutral in between
     speed_mps: float  # at its begin
     outcome: str  # BACKWARD, HELD (the car stood under it) or UNCLEAR
-    pause_s: float  # of a BACKWARD one that began rolling: how long the car stood in between; NaN otherwise
-    slowed_mps2: float  # the deceleration while it rolled forward, and the acceleration backward; NaN
-    backed_mps2: float
-    is_exact: bool  # the last three are by the wheels' pulses
+    # Of a BACKWARD one that began rolling:
+    pause_s: float = np.nan  # how long the car stood in between
+    slowed_mps2: float = np.nan  # the deceleration while it rolled forward, and the acceleration backward
+    backed_mps2: float = np.nan
+    is_exact: bool = False  # the last three are by the wheels' pulses
 
 
 def load_esc_drive(path: str, calibration: ThrottleCalibration, topics: Mapping[str, str] | None = None,
@@ -178,7 +179,7 @@ def pulls(drive: EscDrive) -> list[Pull]:
 def _pull(drive, begin, end, neutral_s, since_forward_s, follows_pull):
     strong = drive.fraction[begin:end] <= -STRONG
     speed = drive.speed_mps[begin:end]
-    outcome, turn = UNCLEAR, _NO_TURN
+    outcome, turn = UNCLEAR, ()
     if strong.any():
         stands = (np.abs(speed) < STANDS_MPS) & strong
         if (speed[int(strong.argmax()):] < -MOVES_MPS).any():
@@ -191,14 +192,11 @@ def _pull(drive, begin, end, neutral_s, since_forward_s, follows_pull):
                 outcome, *turn)
 
 
-_NO_TURN = np.nan, np.nan, np.nan, False
-
-
 def _turn_by_pulses(wheels, begin_s, end_s):
     """Return how long it stood between forward and backward, deceleration before, acceleration after, and ``True``.
 
     The deceleration is constant shortly before it stands, and so is the acceleration after: both are parabolas through
-    pulses, and their vertices are where it came to stand, and left. ``None`` = too few pulses.
+    pulses, and their vertices are where it came to stand, and left. Nothing where there are too few pulses.
     """
     turns = []
     for wheel_s, wheel_m in wheels:
@@ -214,7 +212,7 @@ def _turn_by_pulses(wheels, begin_s, end_s):
         go_s, backed = _vertex(t_s[after], distance_m[after])
         if min(slowed, backed) > 0.1:
             turns.append((go_s - stop_s, slowed, backed))
-    return (*(float(value) for value in np.mean(turns, axis=0)), True) if turns else None
+    return (*(float(value) for value in np.mean(turns, axis=0)), True) if turns else ()
 
 
 def _vertex(t_s, distance_m):
@@ -230,10 +228,10 @@ def _turn_by_speed(speed):
     width = round(0.2 / STEP_S)
     before, after = speed[max(0, stop - width):stop + 1], speed[go:go + width + 1]
     if before.size < 4 or after.size < 4:
-        return _NO_TURN
+        return ()
     slowed = -np.polyfit(np.arange(before.size) * STEP_S, before, 1)[0]
     backed = -np.polyfit(np.arange(after.size) * STEP_S, after, 1)[0]
     if slowed <= 0.1 or backed <= 0.1:
-        return _NO_TURN
+        return ()
     pause_s = (go - stop) * STEP_S - speed[stop] / slowed + speed[go] / backed
     return float(pause_s), float(slowed), float(backed), False

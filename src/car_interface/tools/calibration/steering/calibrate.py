@@ -81,7 +81,7 @@ def calibrate(recorded: Sequence[RecordedDrive], base: SteeringCalibration, axis
     if axis_m and 1 / axis_m[-1] >= tightest_per_m:
         raise CarInterfaceError(f"--axis {axis_m[0]:g} to {axis_m[-1]:g} m lies outside of what was driven: the "
                                 f"tightest circle was one of {radius_text(tightest_per_m)}")
-    radii_m = widened(axis_m, WIDE_M) if axis_m else axis(curve)
+    radii_m = widened(axis_m) if axis_m else axis(curve)
     points = {side: breakpoints(curve, radii_m, side) for side in SIGNS}
     problems = list(find_problems(curve, points))
     center = base.servo_center if math.isnan(curve.center) else curve.center
@@ -142,15 +142,13 @@ def axis(curve: Curve) -> list[float]:
     return [*radii, *WIDE_RADII_M]
 
 
-def widened(radii_m: Sequence[float], wide_m: float) -> list[float]:
-    """Radii in m, continued to almost straight on if they end before ``wide_m``.
+def widened(radii_m: Sequence[float]) -> list[float]:
+    """Radii in m, continued to almost straight on if they end before WIDE_M.
 
     Beyond its last radius turn_arb holds that radius' duty. A single very wide radius would not do: linear
     interpolation over the radius is far from linear in the curvature.
     """
-    if radii_m[-1] >= wide_m:
-        return list(radii_m)
-    return [*radii_m, *(radius for radius in WIDE_RADII_M if radius > 1.1 * radii_m[-1])]
+    return [*radii_m, *(radius for radius in WIDE_RADII_M if radius > 1.1 * radii_m[-1] and radii_m[-1] < WIDE_M)]
 
 
 def side_curvatures(curve: Curve, side: str) -> np.ndarray:
@@ -194,14 +192,14 @@ def completed(points: Sequence[Breakpoint], center: float, old: Sequence[float])
     """
     driven = [point.duty for point in points if point.source != UNKNOWN]
     towards = math.copysign(1.0, np.mean(driven or old) - center)
-    heights = [towards * ((duty if point.source == UNKNOWN else point.duty) - center)
-               for point, duty in zip(points, old)]
-    is_old = [point.source == UNKNOWN for point in points]
     made, upper = [], math.inf
-    for index, point in enumerate(points):
-        lower = max((height for height, doubted in zip(heights[index:], is_old[index:]) if not doubted), default=0.0)
-        upper = min(upper, max(heights[index], lower, 0.0) if is_old[index] else max(heights[index], 0.0))
-        made.append(point._replace(duty=center + towards * upper, source=OLD if is_old[index] else point.source))
+    for index, (point, duty) in enumerate(zip(points, old)):
+        fitting_duties = [point.duty]
+        if point.source == UNKNOWN:
+            fitting_duties = [duty, *(later.duty for later in points[index:] if later.source != UNKNOWN)]
+            point = point._replace(source=OLD)
+        upper = min(upper, max(0.0, *(towards * (one - center) for one in fitting_duties)))
+        made.append(point._replace(duty=center + towards * upper))
     return made
 
 

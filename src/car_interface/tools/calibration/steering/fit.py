@@ -155,7 +155,8 @@ def _curve(segments, delay, backlash_duty, backlash_sigma, config):
     understeer = estimate_understeer(found, slope_per_m)
     value = understeer.value if understeer.is_known else config.understeer
     if value:
-        found = without_understeer(found, value)
+        lost = lost_per_m(found.curvature_per_m, found.speed_mps, value)
+        found = found._replace(curvature_per_m=found.curvature_per_m + lost)  # as if driven at a crawl
         smooth = Smooth(found)
     used = smooth.weight > MIN_WEIGHT
     found = found.those(used)
@@ -309,12 +310,6 @@ def _count_at_stop(duty, curvature, tightest, corner):
 
 
 # --- understeer ---
-
-
-def without_understeer(found: Observations, understeer: float) -> Observations:
-    """Return the observations as if they had been driven at a crawl."""
-    lost = lost_per_m(found.curvature_per_m, found.speed_mps, understeer)
-    return found._replace(curvature_per_m=found.curvature_per_m + lost)
 
 
 def estimate_understeer(found: Observations, slope_per_m: np.ndarray) -> Understeer:

@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 import math
-from typing import Mapping, NamedTuple
+from typing import Mapping
 
 import numpy as np
 
@@ -23,30 +23,17 @@ MIN_IMU_RATIO = 0.95  # of a drive that an IMU must cover to be used
 MAX_YAW_DIFFERENCE = 0.03  # of odometry's and the IMU's yaw, as a ratio, without a note
 
 
-class AngleTable(NamedTuple):
-    """By what a planner's angles became duties on a drive on which only the angles were recorded."""
-
-    calibration: SteeringCalibration
-    wheelbase_m: float
-
-    def duty(self, angle_rad: float) -> int:
-        """Return what the servo board outputs for an angle of the front wheels, left positive."""
-        table = self.calibration
-        duty = (table.servo_center if abs(angle_rad) < STRAIGHT_RAD else
-                table.planner_duty(self.wheelbase_m / math.tan(angle_rad)))
-        return duty_of_counts(counts_of_duty(duty))
-
-
 def load_steering_drive(path: str, channel: int, topics: Mapping[str, str] | None = None, use_imu: bool = True,
-                        namespace: str = "/", angle_table: AngleTable | None = None) -> RecordedDrive:
+                        namespace: str = "/", base: SteeringCalibration | None = None,
+                        wheelbase_m: float | None = None) -> RecordedDrive:
     """Read one recording.
 
     Args:
         channel: of the steering servo, 0..15.
         topics: named by the user, by role: see ``signals.load``.
         use_imu: whether the heading may come from an IMU.
-        angle_table: makes duties of the angles that a planner asked for, where no duties were recorded; ``None`` =
-            such a recording is refused.
+        base, wheelbase_m: make duties of the angles that a planner asked for, where no duties were recorded; without a
+            wheelbase such a recording is refused.
 
     Raises:
         NoRecording: it can't be read, or lacks what is needed.
@@ -67,7 +54,7 @@ def load_steering_drive(path: str, channel: int, topics: Mapping[str, str] | Non
             notes.append(f"odometry turns {abs(ratio - 1):.0%} {'more' if ratio > 1 else 'less'} than the IMU: measure "
                          "track and wheel_diameter")
     duty_s, duty = (recorded_duty(found, channel, "servo") if found.output else
-                    _position_duties(found, notes) if found.servo else _asked_duties(found, angle_table, notes))
+                    _position_duties(found, notes) if found.servo else _asked_duties(found, base, wheelbase_m, notes))
     drive = SteeringDrive(odom.t_s, distance_m(odom), yaw_rad, duty_s, duty)
     return RecordedDrive(path, drive, tuple(notes), found.duration_s, signals.trail(found),
                          uses_imu=heading is not None)
@@ -88,7 +75,7 @@ def _position_duties(found, notes):
     return found.servo.t_s, np.where((position >= 0) & (position <= 1), duty, np.nan)
 
 
-def _asked_duties(found, angle_table, notes):
+def _asked_duties(found, base, wheelbase_m, notes):
     """Return (times, duties) by the angles that a planner asked for."""
     commands = " or ".join(roles.COMMAND.topics)
     lacks = f"{found.path} has no topic {roles.OUTPUT.topics[0]}, nor {commands}: the servo's duties can't be told"
@@ -98,13 +85,20 @@ def _asked_duties(found, angle_table, notes):
         raise NoRecording(f"{lacks}, and no {roles.ACKERMANN.types[0]} that could stand for them. Name a topic of "
                           "another name by --map TOPIC=output")
     topic = found.topics[roles.ACKERMANN.name]
-    if angle_table is None:
+    if wheelbase_m is None:
         raise NoRecording(f"{lacks}. The angles that were asked for are on {topic}: with --wheelbase M, and the --base "
                           "that made duties of them on that drive, they are taken")
     notes.append(f"no duties of the servo were recorded: the angles on {topic} count as the duties that --base has for "
-                 f"them with a wheelbase of {angle_table.wheelbase_m:g} m. What this recording can't tell: whether "
+                 f"them with a wheelbase of {wheelbase_m:g} m. What this recording can't tell: whether "
                  "--base was the table on this drive, and whether anything else steered (a gamepad, a trim, a limit)")
-    return found.ackermann.t_s, np.array(list(map(angle_table.duty, found.ackermann.angle_rad.tolist())), float)
+    return found.ackermann.t_s, np.array([duty_of_angle(base, wheelbase_m, angle_rad)
+                                          for angle_rad in found.ackermann.angle_rad.tolist()], float)
+
+
+def duty_of_angle(base: SteeringCalibration, wheelbase_m: float, angle_rad: float) -> int:
+    """Return what the servo board outputs for an angle of the front wheels, left positive."""
+    radius_m = math.inf if abs(angle_rad) < STRAIGHT_RAD else wheelbase_m / math.tan(angle_rad)
+    return duty_of_counts(counts_of_duty(base.planner_duty(radius_m)))
 
 
 def imu_heading(odom: Odom, imu: Imu) -> tuple[np.ndarray, float] | None:

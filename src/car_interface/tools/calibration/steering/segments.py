@@ -49,10 +49,10 @@ class Segment(NamedTuple):
     distance_m: np.ndarray  # (K,), rising
     middles_m: np.ndarray  # (25,), distances at which the duty is averaged with SLOPE_WEIGHTS
     curvature_per_m: float
-    sigma_per_m: float
     length_m: float
     speed_mps: float  # the mean of its fourth power, as turns widen by that
     wander_rad: float  # how far the heading is off its slope, root mean square
+    sigma_per_m: float = math.nan  # by the whole drive's heading
 
 
 class Observations(NamedTuple):
@@ -214,8 +214,7 @@ def _segment(wheels, first, end):
     curvature = float(off @ yaw_rad / (off @ off))
     beside_rad = yaw_rad - yaw_rad.mean() - off * curvature
     wander_rad = math.sqrt(float(beside_rad @ beside_rad) / (SLOPE_POINTS - 2))
-    return Segment(samples, distance_m, (at[1:] + at[:-1]) / 2, curvature,
-                   _slope_sigma_per_m(length, HEADING_SIGMA_RAD), length,
+    return Segment(samples, distance_m, (at[1:] + at[:-1]) / 2, curvature, length,
                    float(np.mean(wheels.speed_mps[samples] ** 4)) ** 0.25, wander_rad)
 
 

@@ -33,9 +33,9 @@ from car_interface.tools.calibration.value_map.surface import (
     Grid,
     penalties,
     rising_least_squares,
+    round_axis,
     rounded,
     value_axis,
-    velocity_axis,
 )
 from car_interface.tools.calibration.value_map.windows import (
     BEYOND,
@@ -52,6 +52,7 @@ from car_interface.tools.calibration.value_map.windows import (
     within_turns,
 )
 
+VELOCITIES = 8  # of a map, about as many
 FIRST_DELAY_S = 0.1  # by which the axes are chosen, before the delay is known
 MAX_DELAY_S = 0.6
 COARSE_STEP_S = 0.04
@@ -119,7 +120,8 @@ def fit(drives: Sequence[MapDrive], values: np.ndarray | None, velocities: np.nd
     value, state = sample(drives, data, config.delay_s if is_given else FIRST_DELAY_S, config)
     inside = _counting(state)
     grid = Grid(value_axis(value[inside], config.neutral) if values is None else np.asarray(values, float),
-                velocity_axis(data.windows.speed_mps[inside]) if velocities is None else np.asarray(velocities, float))
+                round_axis(data.windows.speed_mps[inside], 0.0, VELOCITIES) if velocities is None else
+                np.asarray(velocities, float))
     delay_s, delay_sigma_s = (config.delay_s, np.nan) if is_given else estimate_delay(drives, data, grid, config)
     value, state = sample(drives, data, delay_s, config)
     state = on_grid(data, value, state, grid)

@@ -22,7 +22,7 @@ RESOLUTION_MPS2 = 10.0**-DECIMALS
 # towards each other. Where a map hardly rises it rises by that.
 MIN_STEP_MPS2 = 2 * RESOLUTION_MPS2
 NEAR = 0.25  # of the step between rows: two more rows lie this far from neutral
-VALUES, VELOCITIES = 10, 8  # about as many
+VALUES = 10  # about as many
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,7 @@ class Grid:
 
     def has(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return whether points, of any shape, are on the grid."""
-        rows, columns = self.rows, self.columns
-        return (u >= rows[0]) & (u <= rows[-1]) & (v >= columns[0]) & (v <= columns[-1])
+        return ((u >= self.rows[0]) & (u <= self.rows[-1]) & (v >= self.columns[0]) & (v <= self.columns[-1]))
 
     def averages(self, u: np.ndarray, v: np.ndarray, weight: np.ndarray) -> sparse.csr_matrix:
         """Return the nodes' weights (W, G) in the weighted sums over the points of each row of the arguments (W, P).
@@ -127,14 +126,9 @@ def _second_differences(axis, expected):
 
 def value_axis(value: np.ndarray, neutral: float) -> np.ndarray:
     """Round numbers over the driven values, of any shape, and two more near neutral, where an ESC's curve bends."""
-    axis = _round_axis(value, neutral, VALUES)
+    axis = round_axis(value, neutral, VALUES)
     near = neutral + np.array([-NEAR, NEAR]) * (axis[1] - axis[0])
     return np.union1d(axis, near[(near > axis[0]) & (near < axis[-1])])
-
-
-def velocity_axis(speed_mps: np.ndarray) -> np.ndarray:
-    """Round numbers over the driven speeds, of any shape, 0 among them."""
-    return _round_axis(speed_mps, 0.0, VELOCITIES)
 
 
 def rounded(accelerations: np.ndarray) -> np.ndarray:
@@ -145,8 +139,10 @@ def rounded(accelerations: np.ndarray) -> np.ndarray:
     return counts / 10.0**DECIMALS
 
 
-def _round_axis(x, zero, wanted):
-    """Round numbers, ``zero`` among them, about as many as wanted, up to a quarter of their step past the data."""
+def round_axis(x: np.ndarray, zero: float, wanted: int) -> np.ndarray:
+    """Round numbers over the data, of any shape, ``zero`` among them, about as many as wanted, up to a quarter of their
+    step past the data.
+    """
     low, high = min(float(np.min(x)), zero), max(float(np.max(x)), zero)
     rough = max(high - low, 1e-6) / wanted
     power = 10.0 ** np.floor(np.log10(rough))
