@@ -67,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
                    base=base, wheelbase_m=options.wheelbase)
     recorded = load_all(load, options.bags, options.jobs)
     calibrated = calibrate(recorded, base, options.axis, accept_disagreement=options.force)
-    lines = list(report(calibrated, recorded, options.axis))
+    lines = report(calibrated, recorded, options.axis)
     if calibrated.problems and not options.force:
         print("\n".join(lines))
         raise CarInterfaceError("no calibration is written: " + "; ".join(calibrated.problems)

@@ -100,7 +100,9 @@ def config_of(options: argparse.Namespace) -> MapConfig:
     Raises:
         ConfigError: naming the option or the file.
     """
-    value = options.value or topics_of(options).get(roles.VALUE.name) or _recorded_value(options)
+    value = options.value or topics_of(options).get(roles.VALUE.name) or (
+        f"{DUTY}{_throttle(options).channel}" if any(is_by_hand(path, options.namespace) for path in options.bags) else
+        roles.VALUE.topics[0])
     is_duty = value.startswith(DUTY)
     throttle = _throttle(options)._replace(channel=_duty_channel(value)) if is_duty else None
     topics = topics_of(options, value=None if is_duty else value, imu=options.imu)
@@ -117,17 +119,16 @@ def config_of(options: argparse.Namespace) -> MapConfig:
 
 def run(options: argparse.Namespace) -> int:
     """Calibrate, print the report, and write the files."""
-    output.check(options.output, options.bags)
-    config = config_of(options)
     beside = [] if output.is_stream(options.output) else [str(Path(options.output).with_suffix(".report.txt"))]
-    for path in beside:
+    for path in (options.output, *beside):
         output.check(path, options.bags)
+    config = config_of(options)
     recorded, found = calibrate_by(options, config)
     if found.table is None:
         print(coverage_text(found.fit, None))
         raise CarInterfaceError(f"no map is written: {names_of(recorded)} support no two values at the same two "
                                 "velocities; drive longer, with throttle and brake of several strengths")
-    text = "\n".join(report(recorded, config, found, options.prior))
+    text = report(recorded, config, found, options.prior)
     if found.problems and not options.force:
         print(text)
         raise CarInterfaceError("no map is written: " + "; ".join(found.problems)
@@ -135,8 +136,8 @@ def run(options: argparse.Namespace) -> int:
     csv = csv_text(found.table)
     load_value_map(options.output, text=csv)
     old = _old_map(options.output)
-    contents = {options.output: csv, **dict.fromkeys(beside, text + "\n")}
-    kept = {path: output.write(path, content, keeps_old=True) for path, content in contents.items()}
+    kept = {path: output.write(path, content, keeps_old=True)
+            for path, content in zip((options.output, *beside), (csv, text + "\n"))}
     narrower = None if old is None else narrower_text(found.table, old, kept[options.output])
     print("\n".join([text, *(output.written_text(*pair) for pair in kept.items()), *filter(None, [narrower])]))
     return 0
@@ -168,13 +169,6 @@ def _old_map(path):
 
 def _throttle(options):
     return load_throttle_table(options.throttle or str(package_file(THROTTLE)))
-
-
-def _recorded_value(options):
-    """--value by what the recordings hold."""
-    if any(is_by_hand(path, options.namespace) for path in options.bags):
-        return f"{DUTY}{_throttle(options).channel}"
-    return roles.VALUE.topics[0]
 
 
 def _duty_channel(value):

@@ -55,7 +55,7 @@ def conclude(samples: Samples, base: SteeringCalibration, base_text: str, name: 
         calibrated = calibrate(recorded, base)
         lines, missing = tuple(short_report(calibrated, recorded)), tuple(calibrated.problems)
         refusal = "; ".join(missing) or _swapped(calibrated, base)
-        whole = list(report(calibrated, recorded, None))
+        whole = report(calibrated, recorded, None)
         text = yaml_text(calibrated, base_text, whole)
         result = _result(calibrated, base, refusal, whole)
     except CarInterfaceError as error:

@@ -66,6 +66,7 @@ FIELDS = ("profile", "dead_band_forward", "dead_band_reverse", "dwell_s", "rever
           "drag_deceleration_mps2")  # of EscConfig
 PARAMETERS = [parameter_of(EscConfig, name) for name in FIELDS]
 PROFILE, FORWARD_BAND, REVERSE_BAND, DWELL, FORGET, DRAG = (parameter.name for parameter in PARAMETERS)
+ACCEPTED = {parameter.name: parameter.accepted for parameter in PARAMETERS}
 NOTHING_KNOWN = "nothing is known: the recording needs odom and the servo board's output, with servo/neutral in it"
 HEAD = ("Written by calibrate_esc; throttle_arb loads it. Duties are 0..65535 of the PWM period, dead bands fractions",
         "of the duty between neutral and each end.", "")
@@ -227,7 +228,7 @@ def _dwell(found, pulled):
     seconds = _seconds(pulled)
     enough = [pull.neutral_s for pull in seconds if pull.outcome == BACKWARD]
     short = [pull.neutral_s for pull in seconds if pull.outcome == HELD]
-    _, high = _range(DWELL)
+    high = ACCEPTED[DWELL]["high"]
     if not enough or min(enough) > high or short and max(short) >= min(enough):
         found.missing.append(f"{DWELL}: after a brake, center the stick for less than {high:g} s and pull back for a "
                              "second; several times, each a little quicker")
@@ -316,7 +317,7 @@ def _dead_band(found, drives):
     neutral = drives[0].neutral if is_forward_only else (forward.edge + backward.edge) / 2
     spans = drives[0].full_forward - drives[0].neutral, drives[0].full_reverse - drives[0].neutral
     bands = {name: (side.duty - neutral) / span for (side, name, _), span in zip(wanted, spans)}
-    is_possible = all(0 < band <= _range(name)[1] for name, band in bands.items())
+    is_possible = all(0 < band <= ACCEPTED[name]["high"] for name, band in bands.items())
     shown = sets_off = f"the car set off at {forward.duty:.0f} ({forward.times} times)"
     if is_forward_only and not is_possible:
         found.missing.append(f"{FORWARD_BAND}: the car set off at {forward.duty:.0f}; that fits no neutral of "
@@ -360,12 +361,6 @@ def _slopes(drives, flags_of, min_s):
                 yield np.polyfit(drive.t_s[begin:end], drive.speed_mps[begin:end], 1)[0], drive.duty[begin]
 
 
-def _range(name):
-    accepted = next(parameter.accepted for parameter in PARAMETERS if parameter.name == name)
-    return accepted["low"], accepted["high"]
-
-
 def _in_range(name, value, digits):
     """Return a value as near as its parameter may have it, rounded."""
-    low, high = _range(name)
-    return round(float(min(high, max(low, value))), digits)
+    return round(float(min(ACCEPTED[name]["high"], max(ACCEPTED[name]["low"], value))), digits)

@@ -154,13 +154,11 @@ def sampled(duty: Series, speed: Series, neutral: float, full_forward: float, fu
 
 def pulls(drive: EscDrive) -> list[Pull]:
     """Return the pulls of a drive, in their order."""
-    side = np.where(drive.fraction > NEUTRAL_BAND, 1, np.where(drive.fraction < -NEUTRAL_BAND, -1, 0))
-    side = np.where(np.isnan(drive.fraction), 2, side)
-    edges = np.flatnonzero(np.diff(side)) + 1
-    begins, ends = np.r_[0, edges], np.r_[edges, side.size]
+    side = np.where(np.abs(drive.fraction) <= NEUTRAL_BAND, 0, np.nan_to_num(np.sign(drive.fraction), nan=2))
+    edges = np.r_[0, np.flatnonzero(np.diff(side)) + 1, side.size]
     found: list = []
     neutral_s, since_forward_s, follows_pull = 0.0, np.inf, False
-    for begin, end in zip(begins, ends):
+    for begin, end in zip(edges, edges[1:]):
         if side[begin] == 0:
             neutral_s = (end - begin) * STEP_S
             since_forward_s += neutral_s

@@ -246,42 +246,40 @@ def _gap(curve, side, table, first, last):
 
 
 def report(calibrated: SteeringResult, recorded: Sequence[RecordedDrive],
-           axis_m: Sequence[float] | None) -> Iterator[str]:
-    """Yield the report's lines, which head the file, too; ``axis_m`` are the radii that were asked for, if they were.
+           axis_m: Sequence[float] | None) -> list[str]:
+    """Return the report's lines, which head the file, too; ``axis_m`` are the radii that were asked for, if they were.
     """
-    points = calibrated.points
-    yield _first_line(calibrated.curve, recorded)
-    for one in recorded:
-        yield from (f"  {one.path}: {note}" for note in one.notes)
-    yield from _curve_lines(calibrated.curve)
-    added = [point.radius_m for point in points[LEFT] if axis_m and point.radius_m > axis_m[-1]]
-    if added:
-        yield (f"  --axis ends at {axis_m[-1]:g} m: {added[0]:g} to {added[-1]:g} m are added, or turn_arb would "
-               "turn as tight as there when asked for straight on")
-    yield f"{TABLE_HEAD}         left  ±duty   ±radius segments    m        right  ±duty   ±radius segments    m"
-    for left, right in zip(points[LEFT], points[RIGHT]):
-        yield f"  {left.radius_m:6g} m  {_cells(left)}   {_cells(right)}"
-    yield "  (±: two standard errors; segments: driven about as tight; e: the end, no tighter turn can be had;"
-    yield "  *: nothing was driven)"
-    yield from (f"  missing: {problem}" for problem in calibrated.problems)
-    if calibrated.disagreement:
-        yield f"  {calibrated.disagreement}?"
-
-
-def short_report(calibrated: SteeringResult, recorded: Sequence[RecordedDrive]) -> Iterator[str]:
-    """Yield the most important of it, for a terminal: a table of few radii that fits 80 columns, and no problems."""
     curve, points = calibrated.curve, calibrated.points
-    yield _first_line(curve, recorded)
-    yield _servo_line(curve)
-    yield from _center_and_end_lines(curve)
-    yield f"{TABLE_HEAD}         left  ±duty   ±radius        right  ±duty   ±radius"
-    rows = list(zip(points[LEFT], points[RIGHT]))
+    left_out = ", ".join(f"{count} {reason}" for reason, count in curve.counts.items() if count)
+    off = np.abs(curve.observations.curvature_per_m - curve.observations.weights @ curve.curvatures)
+    added = [point.radius_m for point in points[LEFT] if axis_m and point.radius_m > axis_m[-1]]
+    return [
+        _first_line(curve, recorded), *(f"  {one.path}: {note}" for one in recorded for note in one.notes),
+        f"  left out (intervals): {left_out or 'none'}", _servo_line(curve), _understeer_line(curve.understeer),
+        f"  segments lie off the curve by {np.median(off):.4f} 1/m (median), {np.percentile(off, 95):.4f} (95 %)",
+        *_center_and_end_lines(curve),
+        *([f"  --axis ends at {axis_m[-1]:g} m: {added[0]:g} to {added[-1]:g} m are added, or turn_arb would turn as "
+           "tight as there when asked for straight on"] if added else []),
+        f"{TABLE_HEAD}         left  ±duty   ±radius segments    m        right  ±duty   ±radius segments    m",
+        *(f"  {left.radius_m:6g} m  {_cells(left)}   {_cells(right)}"
+          for left, right in zip(points[LEFT], points[RIGHT])),
+        "  (±: two standard errors; segments: driven about as tight; e: the end, no tighter turn can be had;",
+        "  *: nothing was driven)", *(f"  missing: {problem}" for problem in calibrated.problems),
+        *([f"  {calibrated.disagreement}?"] if calibrated.disagreement else [])]
+
+
+def short_report(calibrated: SteeringResult, recorded: Sequence[RecordedDrive]) -> list[str]:
+    """Return the most important of it, for a terminal: a table of few radii that fits 80 columns, and no problems."""
+    curve, rows = calibrated.curve, list(zip(calibrated.points[LEFT], calibrated.points[RIGHT]))
     shown = min(len(rows), SHORT_ROWS)
-    for index in range(shown):
-        left, right = rows[round(index * (len(rows) - 1) / max(1, shown - 1))]
-        yield f"  {left.radius_m:6g} m  {_few_cells(left)}   {_few_cells(right)}"
-    yield (f"  ({shown} of {len(rows)} radii; ±: two standard errors; e: the end, the tightest turn"
-           + ("; *: nothing was driven" if any(one.source == OLD for row in rows for one in row) else "") + ")")
+    few = [rows[round(index * (len(rows) - 1) / max(1, shown - 1))] for index in range(shown)]
+    has_old = any(one.source == OLD for row in rows for one in row)
+    return [
+        _first_line(curve, recorded), _servo_line(curve), *_center_and_end_lines(curve),
+        f"{TABLE_HEAD}         left  ±duty   ±radius        right  ±duty   ±radius",
+        *(f"  {left.radius_m:6g} m  {_few_cells(left)}   {_few_cells(right)}" for left, right in few),
+        f"  ({shown} of {len(rows)} radii; ±: two standard errors; e: the end, the tightest turn"
+        f"{'; *: nothing was driven' if has_old else ''})"]
 
 
 def _first_line(curve, recorded):
@@ -290,16 +288,6 @@ def _first_line(curve, recorded):
             f"{sum(one.duration_s for one in recorded):.0f} s, {length_m.size} segments of steady steering, "
             f"{length_m.sum():.0f} m in them"
             + (", heading by the IMU" if all(one.uses_imu for one in recorded) else ""))
-
-
-def _curve_lines(curve: Curve):
-    left_out = ", ".join(f"{count} {reason}" for reason, count in curve.counts.items() if count)
-    yield f"  left out (intervals): {left_out or 'none'}"
-    yield _servo_line(curve)
-    yield _understeer_line(curve.understeer)
-    off = np.abs(curve.observations.curvature_per_m - curve.observations.weights @ curve.curvatures)
-    yield f"  segments lie off the curve by {np.median(off):.4f} 1/m (median), {np.percentile(off, 95):.4f} (95 %)"
-    yield from _center_and_end_lines(curve)
 
 
 def _servo_line(curve):
@@ -334,9 +322,8 @@ def _understeer_line(understeer: Understeer):
 
 
 def _cells(point: Breakpoint):
-    if point.source == OLD:
-        return f"{point.duty:8.0f} *{'old':>26}{'':8}"
-    return f"{_few_cells(point)} {point.segments:7d} {point.distance_m:6.0f}"
+    driven = "" if point.source == OLD else f" {point.segments:7d} {point.distance_m:6.0f}"
+    return f"{_few_cells(point)}{driven:15}"
 
 
 def _few_cells(point: Breakpoint):

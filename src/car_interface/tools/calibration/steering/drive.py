@@ -94,12 +94,10 @@ def _distance_ratio(odom, by_speed_m):
              & ~has_gap(odom.t_s, at_s[:-1], at_s[1:], MAX_GAP_S))
     if drove.sum() < MIN_BINS:
         return 1.0
-    ratios = arc_m[drove] / np.abs(speed_m[drove])
-    usual = np.median(ratios)
-    inliers = np.abs(ratios - usual) < 0.1 * usual
-    if not inliers.any():
-        return 1.0
-    ratio = float(arc_m[drove][inliers].sum() / np.abs(speed_m[drove][inliers]).sum())
+    arc_m, speed_m = arc_m[drove], np.abs(speed_m[drove])
+    usual = np.median(arc_m / speed_m)
+    inliers = np.abs(arc_m / speed_m - usual) < 0.1 * usual
+    ratio = float(arc_m[inliers].sum() / max(speed_m[inliers].sum(), 1e-9))
     return ratio if 0.5 < ratio < 2.0 else 1.0
 
 

@@ -263,9 +263,8 @@ def find_side(knots: np.ndarray, curvatures: np.ndarray, sigmas: np.ndarray, tow
     is_stop = (farthest - duty[begin]) * towards >= STOP_DUTY and tightest > 5 * sigma[-1]
     is_end = is_stop or any((farthest - limit) * towards >= -COUNT - backlash_duty / 2 for limit in limits
                             if (limit - np.mean(knots)) * towards > 0)
-    end_duty = farthest
-    if is_stop:
-        end_duty = _count_at_stop(duty, curvature, tightest, _corner(duty, curvature, tightest, begin))
+    end_duty = farthest if not is_stop else _count_at_stop(
+        duty, curvature, tightest, _corner(duty, curvature, tightest, begin))
     return Side(end_duty, tightest, bool(is_stop), bool(is_end), farthest)
 
 

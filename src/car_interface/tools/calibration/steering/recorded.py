@@ -8,7 +8,7 @@ import numpy as np
 
 from car_interface.pca9685.registers import counts_of_duty, duty_of_counts
 from car_interface.steering.calibration import SteeringCalibration
-from car_interface.tools.calibration.shared import RecordedDrive, integral, recorded_duty
+from car_interface.tools.calibration.shared import RecordedDrive, has_gap, integral, recorded_duty
 from car_interface.tools.calibration.steering.drive import SteeringDrive, distance_m
 from car_interface.tools.recordings import roles, signals
 from car_interface.tools.recordings.columns import Imu, Odom
@@ -107,10 +107,9 @@ def imu_heading(odom: Odom, imu: Imu) -> tuple[np.ndarray, float] | None:
     Returns:
         The yaw at odometry's times in rad (N,), and odometry's change of yaw as a ratio of it.
     """
-    inside = (odom.t_s >= imu.t_s[0]) & (odom.t_s <= imu.t_s[-1])
-    gaps = np.diff(imu.t_s) > IMU_GAP_S
-    covered = np.mean(inside) - np.sum(np.diff(imu.t_s)[gaps]) / max(odom.t_s[-1] - odom.t_s[0], 1e-9)
-    if len(imu.t_s) < 100 or covered < MIN_IMU_RATIO:
+    covered = ((odom.t_s[:-1] >= imu.t_s[0]) & (odom.t_s[1:] <= imu.t_s[-1])
+               & ~has_gap(imu.t_s, odom.t_s[:-1], odom.t_s[1:], IMU_GAP_S))
+    if len(imu.t_s) < 100 or np.mean(covered) < MIN_IMU_RATIO:
         return None
     by_rate_rad = np.interp(odom.t_s, imu.t_s, integral(imu.t_s, imu.yaw_rate_radps))
     # Ratio and offset by a straight line through the changes of yaw in each second, twice without its outliers.

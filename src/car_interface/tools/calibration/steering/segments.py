@@ -162,8 +162,8 @@ def _heading_sigma_rad(segments):
     """Return the standard error of this drive's heading: as far as it is off the segments' slopes in nine of ten."""
     if len(segments) < MIN_SEGMENTS:
         return HEADING_SIGMA_RAD
-    seen_rad = float(np.percentile([segment.wander_rad for segment in segments], MOST_PERCENT))
-    return min(max(seen_rad, MIN_HEADING_SIGMA_RAD), HEADING_SIGMA_RAD)
+    seen_rad = np.percentile([segment.wander_rad for segment in segments], MOST_PERCENT)
+    return float(np.clip(seen_rad, MIN_HEADING_SIGMA_RAD, HEADING_SIGMA_RAD))
 
 
 def _slope_sigma_per_m(length_m, heading_sigma_rad):

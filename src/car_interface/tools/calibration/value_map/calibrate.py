@@ -4,7 +4,7 @@ be written, and the report.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Iterator, NamedTuple, Sequence
+from typing import NamedTuple, Sequence
 
 import numpy as np
 
@@ -113,7 +113,7 @@ def supported_table(fit: fitting.Fit, neutral: float, prior: np.ndarray | None =
     part = _largest_part((origin != OLD) | has_prior, fit.values, fit.velocities, neutral)
     if part is None:
         return None
-    origin = origin[part].copy()
+    origin = origin[part]
     old = origin == OLD
     wanted = fit.accelerations[part]
     if old.any():
@@ -174,30 +174,23 @@ def number_text(x: float) -> str:
 
 
 def report(recorded: Sequence[RecordedDrive], config: MapConfig, found: MapResult,
-           prior_path: str | None = None) -> Iterator[str]:
-    """Yield the lines."""
+           prior_path: str | None = None) -> str:
+    """Return the report's text."""
     table, fit, problems = found
-    yield from _source_lines(recorded, config, fit, prior_path)
-    yield from _error_lines(fit)
-    yield coverage_text(fit, table)
-    yield ""
-    yield from _map_lines(fit, table)
-    yield ""
-    yield "standard error in m/s²"
-    yield from _grid(fit.values, fit.velocities, fit.sigma_mps2, "{:.3f}")
-    yield ""
-    yield "seconds of driving"
-    yield from _grid(fit.values, fit.velocities, fit.seconds, "{:.1f}")
-    if problems:
-        yield ""
-        yield from (f"not good enough: {problem}" for problem in problems)
+    sections = (
+        _source_lines(recorded, config, prior_path), _delay_and_ground_lines(recorded, config, fit),
+        _window_lines(fit), _error_lines(fit), [coverage_text(fit, table)], _map_lines(fit, table),
+        ["standard error in m/s²", *_grid(fit.values, fit.velocities, fit.sigma_mps2, "{:.3f}")],
+        ["seconds of driving", *_grid(fit.values, fit.velocities, fit.seconds, "{:.1f}")],
+        [f"not good enough: {problem}" for problem in problems])
+    return "\n\n".join(filter(None, map("\n".join, sections)))
 
 
-def _source_lines(recorded, config, fit, prior_path):
-    drives, names = [one.drive for one in recorded], [Path(one.path).name for one in recorded]
+def _source_lines(recorded, config, prior_path):
+    names = [Path(one.path).name for one in recorded]
     yield f"A value map from {', '.join(names)}"
     measured_by = ("the IMU, its bias by the wheels" if config.measured_by == BY_IMU else "pulse times of the wheels"
-                   if all(drive.wheels for drive in drives) else "odometry's speed")
+                   if all(one.drive.wheels for one in recorded) else "odometry's speed")
     yield f"value: {config.value_name}; accelerations by {measured_by}"
     if config.throttle:
         duties, values = config.throttle.duties, config.throttle.values
@@ -206,33 +199,35 @@ def _source_lines(recorded, config, fit, prior_path):
     if prior_path:
         yield f"prior: {prior_path}"
     yield from (f"{name}: {note}" for name, one in zip(names, recorded) for note in one.notes)
-    yield ""
+
+
+def _delay_and_ground_lines(recorded, config, fit):
     has_sigma = fit.delay_sigma_s >= 0
     sigma = f" ± {max(1.0, 1000 * fit.delay_sigma_s):.0f}" if has_sigma else ""
     how = "given" if config.delay_s is not None else "estimated" if has_sigma else "the drives don't tell it"
     yield f"from value to acceleration: {1000 * fit.delay_s:.0f}{sigma} ms ({how})"
-    for name, drive, ground in zip(names, drives, fit.grounds):
-        yield f"{name}: {_ground_text(ground, drive.pitch is not None, config.measured_by == BY_IMU)}"
-    yield ""
+    for one, ground in zip(recorded, fit.grounds):
+        text = _ground_text(ground, one.drive.pitch is not None, config.measured_by == BY_IMU)
+        yield f"{Path(one.path).name}: {text}"
 
 
-def _error_lines(fit):
+def _window_lines(fit):
     windows = sum(fit.rejected.values())
     yield f"windows of {WINDOW_S:g} s: {windows}, of which count {fit.rejected['counted']}; the others:"
     yield from (f"  {number:6d}  {text}" for text, number in fit.rejected.items() if number and text != "counted")
-    yield ""
+
+
+def _error_lines(fit):
     yield f"error of single windows: {fit.residual_mps2:.3f} m/s² RMS"
     if fit.held_out_windows:
         yield (f"held out (every {fitting.HELD_OUT}th manoeuvre, from the others): {fit.held_out_mps2:.3f} m/s² RMS "
                f"over {fit.held_out_windows} windows")
-    yield ""
 
 
 def _map_lines(fit, table):
     count = table.accelerations.size
-    yield (f"the map: {table.values.size} values, {number_text(table.values[0])} to {number_text(table.values[-1])}; "
-           f"{table.velocities.size} velocities, {number_text(table.velocities[0])} to "
-           f"{number_text(table.velocities[-1])} m/s")
+    yield (f"the map: {table.values.size} values, {_range_text(table.values)}; {table.velocities.size} velocities, "
+           f"{_range_text(table.velocities)} m/s")
     for origin, text in ((DRIVEN, "driven"), (BETWEEN, "between what was driven"),
                          (OLD, "the prior's"), (MOVED, "the prior's, moved so that its column rises")):
         number = int((table.origin == origin).sum())
@@ -244,8 +239,8 @@ def _map_lines(fit, table):
                "reverses where it says brake")
     level = _level_values(table)
     if level:
-        yield (f"from value {number_text(level[0])} to {number_text(level[1])} acceleration hardly changes: the ESC's "
-               "neutral band, in which the map rises only as its CSV needs it")
+        yield (f"from value {_range_text(level)} acceleration hardly changes: the ESC's neutral band, in which the map "
+               "rises only as its CSV needs it")
 
 
 def narrower_text(table: Table, old: ValueMap, old_path: str) -> str | None:
@@ -302,8 +297,8 @@ def _missing(fit):
         if not row.any():
             yield f"value {number_text(value)}: at any speed"
         elif gaps:
-            yield f"value {number_text(value)}: at " + ", ".join(
-                number_text(gap[0]) + (f" to {number_text(gap[-1])}" if gap.size > 1 else "") for gap in gaps) + " m/s"
+            texts = [_range_text(gap) if gap.size > 1 else number_text(gap[0]) for gap in gaps]
+            yield f"value {number_text(value)}: at {', '.join(texts)} m/s"
 
 
 def _level_values(table):

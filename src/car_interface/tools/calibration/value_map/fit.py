@@ -21,6 +21,7 @@ other nodes are not the drive's to state. W windows of P points each, of D drive
 """
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple, Sequence
 
@@ -122,7 +123,7 @@ def fit(drives: Sequence[MapDrive], values: np.ndarray | None, velocities: np.nd
     grid = Grid(value_axis(value[inside], config.neutral) if values is None else np.asarray(values, float),
                 round_axis(data.windows.speed_mps[inside], 0.0, VELOCITIES) if velocities is None else
                 np.asarray(velocities, float))
-    delay_s, delay_sigma_s = (config.delay_s, np.nan) if is_given else estimate_delay(drives, data, grid, config)
+    delay_s, delay_sigma_s = (config.delay_s, math.nan) if is_given else estimate_delay(drives, data, grid, config)
     value, state = sample(drives, data, delay_s, config)
     state = on_grid(data, value, state, grid)
     counts = _counting(state)
@@ -149,13 +150,10 @@ def _counting(state):
 
 
 def _ground(index, data, solved):
-    sees = data.sees_slope[index]
-    uphill = tuple(float(x) if sees else float("nan") for x in solved.slope[2 * index:2 * index + 2])
-    inverse = np.linalg.inv(solved.normal)
+    uphill = solved.slope[2 * index:2 * index + 2].tolist() if data.sees_slope[index] else (math.nan, math.nan)
     at = solved.nodes.size + 2 * data.sees_slope.size + 2 * index
-    sigma = np.sqrt(np.diag(inverse)[at:at + 2])
-    above, below = (float(-x) for x in solved.sag[index])
-    return Ground(uphill, above, below, (float(sigma[0]), float(sigma[1])), float(data.pitch_offset[index]))
+    sigma = np.sqrt(np.diag(np.linalg.inv(solved.normal))[at:at + 2]).tolist()
+    return Ground(tuple(uphill), *(-solved.sag[index]).tolist(), tuple(sigma), float(data.pitch_offset[index]))
 
 
 # --- the delay ---
@@ -169,7 +167,7 @@ def estimate_delay(drives: Sequence[MapDrive], data: Data, grid: Grid, config: M
     state = np.where(states[0] == MEASURED, states[1], states[0])
     used = state == MEASURED
     if used.sum() < 2 * coarse.size:
-        return 0.0, float("nan")
+        return 0.0, math.nan
 
     def ratios(delay_s, grid):
         value, _ = sample(drives, data, delay_s, config)
@@ -185,11 +183,11 @@ def estimate_delay(drives: Sequence[MapDrive], data: Data, grid: Grid, config: M
         found = np.array(found) / scale
         costs = np.where(found < HUBER, found**2, 2 * HUBER * found - HUBER**2).sum(axis=1)  # Huber's
         if np.ptp(costs) < MIN_DIFFERENCE and over is coarse:
-            return 0.0, float("nan")
+            return 0.0, math.nan
         best, max_offset, step = float(delays_s[np.argmin(costs)]), 1.5 * step, step / 4
     a, b, _ = np.polyfit(delays_s - best, costs, 2)
     if a <= 0:
-        return best, float("nan")
+        return best, math.nan
     return float(np.clip(best - b / (2 * a), 0.0, best + max_offset)), float(1.0 / np.sqrt(a))
 
 
@@ -230,7 +228,7 @@ class Solution:
     nodes: np.ndarray  # the map, (G,)
     slope: np.ndarray  # of each drive's ground along x and y, (2·D,)
     sag: np.ndarray  # of each drive above and below neutral, (D, 2)
-    residual: np.ndarray  # of each window in m/s², (W,); 0 where it wasn't used
+    residual: np.ndarray  # of each window in m/s², (W,); of no meaning, as the next two, where it wasn't used
     weight: np.ndarray  # of each window, (W,)
     outlying: np.ndarray  # which windows are outliers, (W,)
     columns: sparse.csr_matrix  # of the last pass's equations: (W, U), (U, U), (U, U), with U = G + 4·D unknowns
@@ -247,8 +245,8 @@ def solve(model: Model, state: np.ndarray, rising: bool = True, passes: int = PA
     within = within_turns(state == TURNING, data.drive)
     drives = data.sees_slope.size
     sag = np.zeros((drives, 2))
-    weight = np.where(used, 1.0 / data.windows.sigma_mps2**2, 0.0)
-    nodes, spread, outlying = None, 1.0, np.zeros(used.size, bool)
+    nodes = np.zeros(grid.size)
+    spread, weight, outlying = _robust(np.zeros(used.size), data.windows.sigma_mps2, used)
     prior = np.zeros((grid.size + 4 * drives,) * 2)
     prior[:grid.size, :grid.size] = model.penalty + 1e-8 * np.eye(grid.size)
     slope_at = np.arange(grid.size, grid.size + 2 * drives)
@@ -257,13 +255,10 @@ def solve(model: Model, state: np.ndarray, rising: bool = True, passes: int = PA
     prior[sag_at, sag_at] = SAG_SIGMA**-2
     acceleration = within @ np.where(used, data.windows.acceleration_mps2, 0.0)
     for _ in range(passes):
-        mapped = model.map.copy()
+        mapped, sagging = model.map, np.zeros((used.size, 2 * drives))
         for side, push in enumerate(model.push):
             mapped = mapped + sparse.diags(data.windows.part * sag[data.drive, side]) @ push
-        sagging = np.zeros((used.size, 2 * drives))
-        if nodes is not None:
-            for side, push in enumerate(model.push):
-                sagging[np.arange(used.size), 2 * data.drive + side] = data.windows.part * (push @ nodes)
+            sagging[np.arange(used.size), 2 * data.drive + side] = data.windows.part * (push @ nodes)
         columns = within @ sparse.hstack([mapped, sparse.csr_matrix(data.slope), sparse.csr_matrix(sagging)]).tocsr()
         counts = sparse.diags(np.where(outlying, 0.0, weight))
         normal = (columns.T @ counts @ columns).toarray() / spread**2 + prior
@@ -272,12 +267,10 @@ def solve(model: Model, state: np.ndarray, rising: bool = True, passes: int = PA
         right[sag_at] -= prior[sag_at, sag_at] * sag.ravel()
         found = rising_least_squares(grid, normal, right) if rising else np.linalg.solve(normal, right)
         nodes, slope = found[:grid.size], found[slope_at]
-        if model.push:
-            sag = np.clip(sag + found[sag_at].reshape(drives, 2), -MAX_SAG, MAX_SAG)
+        sag = np.clip(sag + found[sag_at].reshape(drives, 2), -MAX_SAG, MAX_SAG)
         residual = acceleration - columns @ found
         spread, weight, outlying = _robust(residual, data.windows.sigma_mps2, used)
-    return Solution(nodes, slope, sag, np.where(used, residual, 0.0), np.where(outlying, 0.0, weight) / spread**2,
-                    outlying, columns, normal, prior)
+    return Solution(nodes, slope, sag, residual, weight / spread**2, outlying, columns, normal, prior)
 
 
 def _robust(residual, sigma, used):
@@ -323,7 +316,7 @@ def hold_out(model: Model, state: np.ndarray, manoeuvre: np.ndarray) -> tuple[fl
     """Return (RMS in m/s² over every 5th manoeuvre from a fit to all others, windows in it); NaN if there are none."""
     held = (manoeuvre >= 0) & (manoeuvre % HELD_OUT == HELD_OUT - 1) & (state == MEASURED)
     if not held.any():
-        return float("nan"), 0
+        return math.nan, 0
     solved = solve(model, np.where(held, BEYOND, state))
     predicted = model.map @ solved.nodes + model.data.slope @ solved.slope
     for side, push in enumerate(model.push):
@@ -333,7 +326,7 @@ def hold_out(model: Model, state: np.ndarray, manoeuvre: np.ndarray) -> tuple[fl
 
 def rms(x: np.ndarray) -> float:
     """Return the root mean square; NaN without numbers."""
-    return float(np.sqrt(np.mean(np.square(x)))) if x.size else float("nan")
+    return float(np.sqrt(np.mean(np.square(x)))) if x.size else math.nan
 
 
 def _membership(manoeuvre, used):

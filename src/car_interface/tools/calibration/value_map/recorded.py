@@ -114,13 +114,10 @@ def load_map_drive(path: str, config: MapConfig) -> RecordedDrive:
         NoRecording: it can't be read, or lacks what is needed.
     """
     by_duty = config.throttle is not None
-    wanted, optional = [roles.ODOM.name, roles.OUTPUT.name if by_duty else roles.VALUE.name], []
-    if config.measured_by == BY_PULSES:
-        wanted.append(signals.PULSES)
-    elif config.measured_by is None:
-        optional.append(signals.PULSES)
-    if not by_duty and config.esc_channel is not None:
-        optional.append(roles.OUTPUT.name)
+    wanted = [roles.ODOM.name, roles.OUTPUT.name if by_duty else roles.VALUE.name,
+              *[signals.PULSES] * (config.measured_by == BY_PULSES)]
+    optional = [*[signals.PULSES] * (config.measured_by is None),
+                *[roles.OUTPUT.name] * (config.esc_channel is not None)]
     found = signals.load(path, wanted, optional=optional, namespace=config.namespace, progress=True, **config.topics)
     speed, notes, driven = Series(found.odom.t_s, found.odom.speed_mps), found.notes, None
     wheels = wheel_distances(found.pulses or (), speed)

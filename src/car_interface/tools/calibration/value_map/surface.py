@@ -113,15 +113,14 @@ def _second_differences(axis, expected):
     """Return the slope's change at each inner node as a ratio of the one expected between nodes at that distance: (N−2,
     N).
     """
-    steps = np.diff(axis)
-    differences = np.zeros((max(0, axis.size - 2), axis.size))
-    for index in range(axis.size - 2):
-        before, after = steps[index], steps[index + 1]
-        span = (before + after) / 2
-        # The second derivative is a random walk: the variance of its mean goes with 1 / span.
-        factor = 1.0 / (expected * span * (np.ptp(axis) / INTERVALS / span) ** 0.5)
-        differences[index, index:index + 3] = (factor / before, -factor / before - factor / after, factor / after)
-    return differences
+    before, after = np.diff(axis)[:-1], np.diff(axis)[1:]
+    span = (before + after) / 2
+    # The second derivative is a random walk: the variance of its mean goes with 1 / span.
+    factor = 1.0 / (expected * span * (np.ptp(axis) / INTERVALS / span) ** 0.5)
+    inner, nodes = np.arange(1, axis.size - 1), np.arange(axis.size)
+    return ((factor / before)[:, None] * (nodes == inner[:, None] - 1)
+            - (factor / before + factor / after)[:, None] * (nodes == inner[:, None])
+            + (factor / after)[:, None] * (nodes == inner[:, None] + 1))
 
 
 def value_axis(value: np.ndarray, neutral: float) -> np.ndarray:
@@ -133,10 +132,9 @@ def value_axis(value: np.ndarray, neutral: float) -> np.ndarray:
 
 def rounded(accelerations: np.ndarray) -> np.ndarray:
     """Round a map (R, C) to the CSV's decimals so that each column still rises from row to row."""
+    rows = np.arange(len(accelerations))[:, None]
     counts = np.round(accelerations / RESOLUTION_MPS2).astype(np.int64)
-    for row in range(1, counts.shape[0]):
-        counts[row] = np.maximum(counts[row], counts[row - 1] + 1)
-    return counts / 10.0**DECIMALS
+    return (np.maximum.accumulate(counts - rows) + rows) / 10.0**DECIMALS
 
 
 def round_axis(x: np.ndarray, zero: float, wanted: int) -> np.ndarray:

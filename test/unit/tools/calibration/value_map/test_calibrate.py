@@ -78,7 +78,7 @@ def drive_of(notes=(), path="/bags/a.bag", **changes):
 def lines(recorded=None, fit=None, table=None, problems=(), prior_path=None, delay_s=None):
     config = MapConfig(topics={"value": "throttle"}, delay_s=delay_s)
     found = MapResult(table or table_of(), fit or reported_fit(), list(problems))
-    return "\n".join(report(recorded or [drive_of()], config, found, prior_path)).split("\n")
+    return report(recorded or [drive_of()], config, found, prior_path).split("\n")
 
 
 # --- what it rests on ---
