@@ -172,15 +172,13 @@ def bends(knots: np.ndarray, found: Observations) -> np.ndarray:
     if len(duty) < 3:
         return np.zeros(len(knots))
     width = np.diff(duty)
-    steep, steep_sigma = np.diff(curvature) / width, np.hypot(sigma[1:], sigma[:-1]) / width
     # Beyond the outermost places it may be level, as at a stop.
-    before, behind = np.append(0.0, steep[:-1]), np.append(steep[1:], 0.0)
-    before_sigma, behind_sigma = np.append(0.0, steep_sigma[:-1]), np.append(steep_sigma[1:], 0.0)
-    begins = _beyond_noise(steep - before, np.hypot(steep_sigma, before_sigma))
-    ends = _beyond_noise(behind - steep, np.hypot(steep_sigma, behind_sigma))
+    steep, steep_sigma = np.pad(np.diff(curvature) / width, 1), np.pad(np.hypot(sigma[1:], sigma[:-1]) / width, 1)
+    squared, noise = np.diff(steep) ** 2, np.hypot(steep_sigma[1:], steep_sigma[:-1])
+    change = np.sqrt(squared) * squared / np.maximum(squared + noise ** 2, 1e-30)  # reduced as far as it may be noise
     at = np.clip(np.searchsorted(duty, knots) - 1, 0, len(width) - 1)
     from_begin, to_end = np.clip(knots - duty[at], 0, None), np.clip(duty[at + 1] - knots, 0, None)
-    return np.minimum(begins[at] * from_begin, ends[at] * to_end)
+    return np.minimum(change[at] * from_begin, change[at + 1] * to_end)
 
 
 def unseen(duties: np.ndarray, found: Observations) -> np.ndarray:
@@ -201,12 +199,6 @@ def bounded(curvatures: np.ndarray, sigmas: np.ndarray) -> np.ndarray:
     upper = np.minimum.accumulate((up + BAND * sigmas)[::-1])[::-1]
     lower = np.maximum.accumulate(up - BAND * sigmas)
     return np.minimum(sigmas, np.maximum(np.maximum(upper - up, up - lower), 0.0) / BAND)
-
-
-def _beyond_noise(difference, sigma):
-    """Return the magnitude of a difference, reduced as far as it may be noise."""
-    squared = difference ** 2
-    return np.abs(difference) * squared / np.maximum(squared + sigma ** 2, 1e-30)
 
 
 def _places(found):

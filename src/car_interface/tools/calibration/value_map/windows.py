@@ -81,7 +81,7 @@ class Windows(NamedTuple):
 @np.errstate(invalid="ignore")  # NaN, for what wasn't measured, compares as false
 def windows(drive: MapDrive, config: MapConfig = DEFAULTS) -> Windows:
     """Divide a drive into windows and measure each."""
-    begin_s, end_s = drive.speed.t_s[[0, -1]] if drive.speed.t_s.size else (0.0, 0.0)
+    begin_s, end_s = drive.speed.t_s[[0, -1]]
     if drive.wheels:
         speed, order, sources, min_samples = speed_of_wheels(drive.wheels), 2, drive.wheels, MIN_PULSES
     else:
@@ -200,9 +200,8 @@ def _states(found, yaw, apart, speed, window_s, config):
 
 
 def _at(series, t_s):
-    """Linear between samples, the end values beyond them; NaN without samples."""
-    is_there = series is not None and series.t_s.size
-    return np.interp(t_s, series.t_s, series.y) if is_there else np.full(np.shape(t_s), np.nan)
+    """Linear between samples, the end values beyond them; NaN without a series."""
+    return np.full(np.shape(t_s), np.nan) if series is None else np.interp(t_s, series.t_s, series.y)
 
 
 # --- all drives together ---
@@ -272,17 +271,13 @@ def within_turns(turning: np.ndarray, drive: np.ndarray) -> sparse.csr_matrix:
     """Return a matrix (W, W) that subtracts its mean from each turn, clears short turns, and leaves the rest alone, by
     whether each window is in a turn and by its drive, (W,) both.
     """
-    windows = turning.size
-    index = np.flatnonzero(turning)
-    turns = np.split(index, np.flatnonzero((np.diff(index) > 1) | (np.diff(drive[index]) > 0)) + 1)
-    number = np.full(windows, -1)
-    for turn, members in enumerate(turns):
-        number[members] = turn if members.size >= MIN_TURN else -1
-    long = np.flatnonzero(number >= 0)
-    member = sparse.csr_matrix((np.ones(long.size), (number[long], long)), shape=(max(1, len(turns)), windows))
-    size = np.maximum(1.0, np.asarray(member.sum(axis=1)).ravel())
-    keep = np.where(turning & (number < 0), 0.0, 1.0)
-    return (sparse.diags(keep) - member.T @ sparse.diags(1.0 / size) @ member).tocsr()
+    begins = turning & np.append(True, ~turning[:-1] | (np.diff(drive) > 0))
+    number = np.maximum(np.cumsum(begins) - 1, 0)  # of a window's turn
+    size = np.bincount(number[turning], minlength=1)[number]
+    is_long = turning & (size >= MIN_TURN)
+    long = np.flatnonzero(is_long)
+    member = sparse.csr_matrix((size[long] ** -0.5, (number[long], long)), shape=(turning.size, turning.size))
+    return (sparse.diags(np.where(turning & ~is_long, 0.0, 1.0)) - member.T @ member).tocsr()
 
 
 def _bias(one, counted, spreads):
@@ -323,8 +318,6 @@ def _left_out(state, which, reason):
 
 def _held(series, t_s):
     """Return (the newest sample at each time, its age in s), of the shape of ``t_s``; NaN and inf before the first."""
-    if not series.t_s.size:
-        return np.full(t_s.shape, np.nan), np.full(t_s.shape, np.inf)
     last = np.searchsorted(series.t_s, t_s, side="right") - 1
     known = np.maximum(last, 0)
     return np.where(last >= 0, series.y[known], np.nan), np.where(last >= 0, t_s - series.t_s[known], np.inf)

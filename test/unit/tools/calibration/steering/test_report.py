@@ -112,9 +112,10 @@ def test_row_has_both_sides_with_two_standard_errors(left, right, cells):
 
 def test_columns_are_below_each_other_whatever_a_duty_rests_on():
     points = [point(2.0, 4600.0), point(3.0, 4700.0, OLD), point(4.0, 4800.0, END)]
-    rows = [line for line in lines(points={LEFT: points, RIGHT: points}) if line[8:10] == " m"]
-    places = [(len(row), row.index(duty), row.rindex(duty)) for row, duty in zip(rows, ("4600", "4700", "4800"))]
-    assert len(places) == 3 and len(set(places)) == 1
+    found = lines(points={LEFT: points, RIGHT: points})
+    for one in points:
+        (line,) = [line for line in found if line.startswith(f"  {one.radius_m:6g} m  ")]
+        assert [line.find(f"{one.duty:.0f}"), line.rfind(f"{one.duty:.0f}"), len(line)] == [16, 58, 93]
 
 
 def test_short_report_fits_80_columns_with_eight_radii_and_both_ends():

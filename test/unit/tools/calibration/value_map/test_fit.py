@@ -6,7 +6,7 @@ from car_interface.tools.calibration.shared import NothingToFit, Series
 from car_interface.tools.calibration.value_map.fit import fit
 from car_interface.tools.calibration.value_map.recorded import MapConfig, MapDrive
 from car_interface.tools.calibration.value_map.windows import RULES, STEERING
-from tools.calibration.value_map.synthetic import DELAY_S, NOTHING, acceleration, drive, error, fitted_mixed
+from tools.calibration.value_map.synthetic import DELAY_S, acceleration, drive, error, fitted_mixed
 
 pytestmark = pytest.mark.once
 KNOWN_DELAY = MapConfig(delay_s=DELAY_S)
@@ -70,11 +70,11 @@ def test_two_drives_with_slopes_of_their_own_make_one_map():
 
 
 @pytest.mark.parametrize("one", [
-    MapDrive(NOTHING, NOTHING, NOTHING),
-    MapDrive(NOTHING, Series(np.arange(9) / 9, np.ones(9)), Series(np.arange(9) / 9, np.ones(9))),
+    MapDrive(*[Series(np.zeros(1), np.ones(1))] * 3),
+    MapDrive(Series(np.ones(1), np.ones(1)), *[Series(np.arange(90) / 90, np.ones(90))] * 2),
     MapDrive(Series(np.zeros(1), np.zeros(1)), Series(np.arange(900) / 9, np.zeros(900)),
              Series(np.arange(900) / 9, np.zeros(900))),
-], ids=["nothing_recorded", "no_value", "stood_still"])
+], ids=["one_message_of_each", "no_value", "stood_still"])
 def test_nothing_to_fit_says_why(one):
     with pytest.raises(NothingToFit, match=r"shorter than a window|no value|a stop|too few"):
         fit([one], None, None)
