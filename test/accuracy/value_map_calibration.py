@@ -79,8 +79,10 @@ def judge(seed, folder):
     parser = argparse.ArgumentParser()
     command.add_arguments(parser)
     options = parser.parse_args([str(path), "-o", "unused.csv", "--jobs", "1"])
-    (recorded_drive,), done = command.calibrate_by(options, command.source_of(options))
+    (recorded_drive,), done = command.calibrate_by(options, command.config_of(options))
     table, drive = done.table, recorded_drive.drive
+    if table is None:
+        raise CarInterfaceError("the drive supports no map")
     stated, true = table.origin <= tables.BETWEEN, truth(car, table)
     stock = load_value_map(str(STOCK_MAP))
     start = [[stock.acceleration_at(value, velocity) for velocity in table.velocities] for value in table.values]

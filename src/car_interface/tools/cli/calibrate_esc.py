@@ -17,8 +17,8 @@ from car_interface.common.errors import CarInterfaceError
 from car_interface.common.package_files import package_file
 from car_interface.common.yaml_file import read_yaml
 from car_interface.throttle.config import load_throttle
-from car_interface.tools.calibration.esc.calibrate import calibrate, report, yaml_text
-from car_interface.tools.calibration.esc.recorded import load_esc_drive
+from car_interface.tools.calibration.esc.calibrate import PROFILE, calibrate, report, yaml_text
+from car_interface.tools.calibration.esc.drive import load_esc_drive
 from car_interface.tools.calibration.shared import write_table
 from car_interface.tools.cli.jobs import load_all
 from car_interface.tools.cli.options import add_calibration_arguments, add_recording_arguments, check_channel, topics_of
@@ -50,13 +50,13 @@ def run(options: argparse.Namespace) -> int:
     recorded = load_all(load, options.bags, options.jobs)
     found = calibrate(recorded, base.calibration)
     lines = list(report(found, recorded, base))
-    if found.profile is None or found.missing and not options.force:
+    if PROFILE not in found.values or found.missing and not options.force:
         print("\n".join(lines))
-        what, remedy = (("which kind of ESC it is", "") if found.profile is None else
+        what, remedy = (("which kind of ESC it is", "") if PROFILE not in found.values else
                         ("all of it", ", or keep the old numbers there by --force"))
         raise CarInterfaceError(f"nothing is written: the drive doesn't show {what}. Drive this, and give that "
                                 f"recording as well{remedy}: {'; '.join(found.missing)}")
     written = write_table(options.output, yaml_text(found, base, read_yaml(base_path), lines), load_throttle,
-                          "nothing is written, throttle_arb would refuse it")
+                          "throttle_arb")
     print("\n".join([*lines, written]))
     return 0

@@ -19,8 +19,8 @@ from car_interface.common.package_files import package_file
 from car_interface.common.yaml_file import read_yaml
 from car_interface.steering.config import load_steering
 from car_interface.tools.calibration.shared import write_table
-from car_interface.tools.calibration.steering.calibrate import NOT_LOADED, calibrate, report, yaml_text
-from car_interface.tools.calibration.steering.recorded import AngleTable, load_steering_drive
+from car_interface.tools.calibration.steering.calibrate import calibrate, report, yaml_text
+from car_interface.tools.calibration.steering.recorded import load_steering_drive
 from car_interface.tools.cli.jobs import load_all
 from car_interface.tools.cli.options import (
     add_calibration_arguments,
@@ -64,15 +64,15 @@ def run(options: argparse.Namespace) -> int:
     base = load_steering(base_path)
     load = partial(load_steering_drive, channel=base.servo_channel if options.channel is None else options.channel,
                    topics=topics, use_imu=topics.get(roles.IMU.name) != NO_IMU, namespace=options.namespace,
-                   angle_table=None if options.wheelbase is None else AngleTable(base, options.wheelbase))
+                   base=base, wheelbase_m=options.wheelbase)
     recorded = load_all(load, options.bags, options.jobs)
     calibrated = calibrate(recorded, base, options.axis, accept_disagreement=options.force)
-    lines = list(report(calibrated, recorded, options.axis))
+    lines = report(calibrated, recorded, options.axis)
     if calibrated.problems and not options.force:
         print("\n".join(lines))
         raise CarInterfaceError("no calibration is written: " + "; ".join(calibrated.problems)
                                 + ". Give that recording as well, or keep the old duties there by --force")
-    written = write_table(options.output, yaml_text(calibrated, read_yaml(base_path), lines), load_steering, NOT_LOADED)
+    written = write_table(options.output, yaml_text(calibrated, read_yaml(base_path), lines), load_steering, "turn_arb")
     print("\n".join([*lines, written]))
     return 0
 

@@ -17,13 +17,11 @@ from car_interface.common.lookup_table import check_axis
 from car_interface.common.package_files import package_file
 from car_interface.common.units import CHANNELS
 from car_interface.throttle.value_map import load_value_map
-from car_interface.tools.calibration.shared import RecordedDrive
-from car_interface.tools.calibration.value_map.acceleration import DEFAULTS, MapFitConfig
+from car_interface.tools.calibration.shared import RecordedDrive, names_of
 from car_interface.tools.calibration.value_map.calibrate import (
-    DUTY,
     MapResult,
-    NoTable,
     calibrate,
+    coverage_text,
     csv_text,
     narrower_text,
     report,
@@ -32,8 +30,10 @@ from car_interface.tools.calibration.value_map.recorded import (
     BY_IMU,
     BY_ODOM,
     BY_PULSES,
+    DEFAULTS,
+    DUTY,
     ESC_CHANNEL,
-    MapSource,
+    MapConfig,
     is_by_hand,
     load_map_drive,
     load_throttle_table,
@@ -92,42 +92,43 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_recording_arguments(parser, ROLES)
 
 
-def source_of(options: argparse.Namespace) -> MapSource:
-    """Return where value and accelerations are from.
+def config_of(options: argparse.Namespace) -> MapConfig:
+    """Return where value and accelerations are from, and what counts.
 
     Reads the table of --throttle, and without --value whether the recordings are of drives by hand.
 
     Raises:
         ConfigError: naming the option or the file.
     """
-    value = options.value or topics_of(options).get(roles.VALUE.name) or _recorded_value(options)
-    channel = _duty_channel(value)
-    throttle = None if channel is None else _throttle(options)
-    topics = topics_of(options, value=value if channel is None else None, imu=options.imu)
+    value = options.value or topics_of(options).get(roles.VALUE.name) or (
+        f"{DUTY}{_throttle(options).channel}" if any(is_by_hand(path, options.namespace) for path in options.bags) else
+        roles.VALUE.topics[0])
+    is_duty = value.startswith(DUTY)
+    throttle = _throttle(options)._replace(channel=_duty_channel(value)) if is_duty else None
+    topics = topics_of(options, value=None if is_duty else value, imu=options.imu)
     esc_channel = None if options.esc_channel == NO_CHANNEL else options.esc_channel
     check_channel("--esc-channel", esc_channel, "a channel of the servo board, 0 to 15, or -1")
     if options.acceleration == BY_IMU and roles.IMU.name not in topics:
         raise ConfigError("--imu", None, f"the IMU's topic, as --acceleration {BY_IMU} needs it")
-    return MapSource(
-        topics=topics, duty_channel=channel, throttle=throttle,
-        neutral=options.neutral if options.neutral is not None else throttle.neutral if throttle else 0.0,
-        measured_by=options.acceleration, namespace=options.namespace, esc_channel=esc_channel,
-        esc_neutral_duty=options.esc_neutral)
+    neutral = options.neutral if options.neutral is not None else throttle.neutral if throttle else DEFAULTS.neutral
+    return MapConfig(
+        topics, throttle, options.acceleration, options.namespace, esc_channel, options.esc_neutral, options.min_speed,
+        options.max_curvature, options.max_lateral, neutral, DUTY_TIMEOUT_S if is_duty else DEFAULTS.value_timeout_s,
+        options.delay)
 
 
 def run(options: argparse.Namespace) -> int:
     """Calibrate, print the report, and write the files."""
-    output.check(options.output, options.bags)
-    source = source_of(options)
     beside = [] if output.is_stream(options.output) else [str(Path(options.output).with_suffix(".report.txt"))]
-    for path in beside:
+    for path in (options.output, *beside):
         output.check(path, options.bags)
-    try:
-        recorded, found = calibrate_by(options, source)
-    except NoTable as error:
-        print(error.coverage)
-        raise
-    text = "\n".join(report(recorded, source, found.fit, found.table, found.problems, options.prior))
+    config = config_of(options)
+    recorded, found = calibrate_by(options, config)
+    if found.table is None:
+        print(coverage_text(found.fit, None))
+        raise CarInterfaceError(f"no map is written: {names_of(recorded)} support no two values at the same two "
+                                "velocities; drive longer, with throttle and brake of several strengths")
+    text = report(recorded, config, found, options.prior)
     if found.problems and not options.force:
         print(text)
         raise CarInterfaceError("no map is written: " + "; ".join(found.problems)
@@ -135,14 +136,14 @@ def run(options: argparse.Namespace) -> int:
     csv = csv_text(found.table)
     load_value_map(options.output, text=csv)
     old = _old_map(options.output)
-    contents = {options.output: csv, **dict.fromkeys(beside, text + "\n")}
-    kept = {path: output.write(path, content, keeps_old=True) for path, content in contents.items()}
+    kept = {path: output.write(path, content, keeps_old=True)
+            for path, content in zip((options.output, *beside), (csv, text + "\n"))}
     narrower = None if old is None else narrower_text(found.table, old, kept[options.output])
     print("\n".join([text, *(output.written_text(*pair) for pair in kept.items()), *filter(None, [narrower])]))
     return 0
 
 
-def calibrate_by(options: argparse.Namespace, source: MapSource) -> tuple[list[RecordedDrive], MapResult]:
+def calibrate_by(options: argparse.Namespace, config: MapConfig) -> tuple[list[RecordedDrive], MapResult]:
     """Read all recordings and fit a map to them, on the axes that are given, or else on those of --prior.
 
     Raises:
@@ -154,21 +155,14 @@ def calibrate_by(options: argparse.Namespace, source: MapSource) -> tuple[list[R
     for name, axis in zip(("--values", "--velocities"), axes):
         if axis is not None:
             check_axis(axis, name)
-    config = MapFitConfig(
-        options.min_speed, options.max_curvature, options.max_lateral, source.neutral,
-        DEFAULTS.value_timeout_s if source.duty_channel is None else DUTY_TIMEOUT_S, options.delay,
-        options.acceleration == BY_IMU)
-    load = partial(load_map_drive, source=source, progress=len(options.bags) == 1 or options.jobs == 1)
-    recorded = load_all(load, options.bags, options.jobs)
+    recorded = load_all(partial(load_map_drive, config=config), options.bags, options.jobs)
     return recorded, calibrate(recorded, *axes, config, prior)
 
 
 def _old_map(path):
     """Return the map that is about to be replaced; ``None`` = there is none that can be read."""
-    if output.is_stream(path) or not Path(path).exists():
-        return None
     try:
-        return load_value_map(path, allow_plateaus=True)
+        return None if output.is_stream(path) else load_value_map(path, allow_plateaus=True)
     except CarInterfaceError:
         return None
 
@@ -177,17 +171,8 @@ def _throttle(options):
     return load_throttle_table(options.throttle or str(package_file(THROTTLE)))
 
 
-def _recorded_value(options):
-    """--value by what the recordings hold."""
-    if any(is_by_hand(path, options.namespace) for path in options.bags):
-        return f"{DUTY}{_throttle(options).channel}"
-    return roles.VALUE.topics[0]
-
-
 def _duty_channel(value):
-    """Return the channel in --value duty:CHANNEL; ``None`` for a topic."""
-    if value is None or not value.startswith(DUTY):
-        return None
+    """Return the channel in --value duty:CHANNEL."""
     text = value[len(DUTY):]
     if not text.isdecimal() or int(text) >= CHANNELS:
         raise ConfigError("--value", value, f"a topic, or {DUTY}CHANNEL with a channel of 0 to 15")

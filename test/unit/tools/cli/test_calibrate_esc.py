@@ -37,10 +37,9 @@ def drive_without(path, *leaves_out, start_s=0.0):
     drive = Person(virtual_escs.xl5(dwell_s=0.25), seed=3).drive(leaves_out)
     places_m = np.cumsum(drive.speed_mps) * 0.02
     messages = [odometry(start_s + time_s, place_m, speed_mps=speed_mps)
-                for time_s, place_m, speed_mps in zip(drive.speed_s, places_m, drive.speed_mps)]
-    t_s = np.union1d(drive.duty_s, np.arange(drive.duty_s[0], drive.speed_s[-1], 0.5))
-    for time_s, duty in zip(t_s, drive.duty[np.searchsorted(drive.duty_s, t_s, side="right") - 1]):
-        messages.append(output(start_s + time_s, 5100, duty))
+                for time_s, place_m, speed_mps in zip(drive.t_s, places_m, drive.speed_mps)]
+    is_said = (np.diff(drive.duty, prepend=0) != 0) | (np.arange(drive.t_s.size) % 25 == 0)
+    messages += [output(start_s + time_s, 5100, duty) for time_s, duty in zip(drive.t_s[is_said], drive.duty[is_said])]
     return write_ros1(path, sorted(messages, key=lambda message: message.time_s))
 
 

@@ -145,7 +145,7 @@ def test_angles_of_a_planner_give_the_same_table_and_say_what_they_can_not_tell(
 def test_angles_beside_duties_are_not_used_and_not_spoken_of(tmp_path):
     angles = [Written(0.1, "/planner", STAMPED_ANGLE, {"header": {"stamp": stamp(0.1)}})]
     path = write_ros1(tmp_path / "a.bag", [odometry(0.0), *angles, *OUTPUT], extra_types=ACKERMANN)
-    found = load_steering_drive(str(path), 0, angle_table=None)
+    found = load_steering_drive(str(path), 0)
     assert found.notes == () and found.drive.duty[0] == 5104
 
 

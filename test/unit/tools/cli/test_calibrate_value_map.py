@@ -10,7 +10,7 @@ from accuracy import virtual_drive
 
 from car_interface.sim.dynamics import true_acceleration_mps2
 from car_interface.throttle.value_map import load_value_map
-from car_interface.tools.cli.calibrate_value_map import add_arguments, source_of
+from car_interface.tools.cli.calibrate_value_map import add_arguments, config_of
 from car_interface.tools.cli.main import main
 from recorded_drives import recorded
 from tools.calibration.value_map.synthetic import DELAY_S, acceleration, messages_of, value_at
@@ -89,8 +89,8 @@ def test_without_a_word_the_recording_says_whether_it_was_driven_by_hand(tmp_pat
                                        "neutral: 4915}")
     parser = argparse.ArgumentParser()
     add_arguments(parser)
-    source = source_of(parser.parse_args([str(path), "-o", "map.csv", "--throttle", str(throttle)]))
-    assert (source.value_topic if source.duty_channel is None else f"duty:{source.duty_channel}") == expected
+    config = config_of(parser.parse_args([str(path), "-o", "map.csv", "--throttle", str(throttle)]))
+    assert config.value_name == expected
 
 
 def throttle_file(tmp_path, text):

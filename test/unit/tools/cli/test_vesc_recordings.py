@@ -11,7 +11,7 @@ import pytest
 from car_interface.common.units import stamp_ns, yaw_rad
 from car_interface.throttle.value_map import load_value_map
 from car_interface.tools.calibration.steering.recorded import load_steering_drive
-from car_interface.tools.calibration.value_map.recorded import MapSource, load_map_drive
+from car_interface.tools.calibration.value_map.recorded import MapConfig, load_map_drive
 from car_interface.tools.cli.main import main
 from car_interface.tools.recordings.recording import read
 from car_interface.tools.report.page import page
@@ -117,7 +117,7 @@ def test_positions_of_the_servo_are_the_pulses_that_the_vesc_makes_of_them(bag, 
 
 @pytest.mark.more
 def test_duty_cycle_of_the_vesc_is_the_value_of_a_value_map(layout_bag, bag):
-    vesc, virtual = (load_map_drive(path, MapSource()) for path in (layout_bag, bag))
+    vesc, virtual = (load_map_drive(path, MapConfig()) for path in (layout_bag, bag))
     count = vesc.drive.value.y.size
     assert count > 150
     np.testing.assert_allclose(vesc.drive.value.y, DUTY_CYCLE_PER_VALUE * virtual.drive.value.y[:count], atol=1e-6)

@@ -16,7 +16,8 @@ from car_interface.steering.calibration import SteeringCalibration
 from car_interface.steering.config import load_steering
 from car_interface.tools.calibration.shared import RecordedDrive, write_table
 from car_interface.tools.calibration.steering.calibrate import (
-    NOT_LOADED,
+    LEFT,
+    RIGHT,
     TABLE_HEAD,
     SteeringResult,
     calibrate,
@@ -26,7 +27,6 @@ from car_interface.tools.calibration.steering.calibrate import (
 )
 from car_interface.tools.calibration.steering.drive import SteeringDrive
 from car_interface.tools.calibration.steering.smooth import BAND
-from car_interface.tools.calibration.steering.table import LEFT, RIGHT
 from car_interface.tools.recordings.calibration_result import CalibrationResult, SideRow
 
 BASE = "config/turn_arb.yaml"
@@ -57,7 +57,7 @@ def conclude(drive: SteeringDrive, base: SteeringCalibration, base_text: str, na
         calibrated = calibrate(recorded, base)
         lines, missing = tuple(short_report(calibrated, recorded)), tuple(calibrated.problems)
         refusal = "; ".join(missing) or _swapped(calibrated, base)
-        whole = list(report(calibrated, recorded, None))
+        whole = report(calibrated, recorded, None)
         text = yaml_text(calibrated, base_text, whole)
         result = _result(calibrated, base, refusal, whole)
     except CarInterfaceError as error:
@@ -77,7 +77,7 @@ def _result(calibrated: SteeringResult, base: SteeringCalibration, refusal: str,
             yield SideRow(old_duty, sign * float(curve.curvature(old_duty)), point.duty, BAND * point.duty_sigma,
                           BAND * point.radius_sigma_m / point.radius_m, point.segments, point.distance_m, point.source)
     duties = curve.duties.tolist()
-    held = curve.observations.duty[curve.used], curve.observations.curvature_per_m[curve.used]
+    held = curve.observations.duty, curve.observations.curvature_per_m
     before_table = itertools.takewhile(lambda line: not line.startswith(TABLE_HEAD), lines)
     return CalibrationResult(
         refusal, tuple(line.strip() for line in before_table), (), radii_m, tuple(rows(LEFT, 1.0)),
@@ -122,7 +122,7 @@ class TableFile(NamedTuple):
         Raises:
             CarInterfaceError: it can't be written, or turn_arb would refuse it.
         """
-        written = write_table(str(self.path if replaces else self.beside), text, load_steering, NOT_LOADED)
+        written = write_table(str(self.path if replaces else self.beside), text, load_steering, "turn_arb")
         kept = [] if replaces else [f"{self.path} is as it was. To take the new one: {self.taking}"]
         return [written, *kept, f"to load it, launch again with config:={self.path.parent}"]
 

@@ -12,10 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from car_interface.tools.calibration.shared import NothingToFit
-from car_interface.tools.calibration.steering.drive import COUNT, NOTHING_GIVEN, CurveFitConfig, Delay, SteeringDrive
-from car_interface.tools.calibration.steering.fit import fit
-from car_interface.tools.calibration.steering.smooth import BAND, unseen
-from car_interface.tools.calibration.steering.table import (
+from car_interface.tools.calibration.steering.calibrate import (
     KNOWN_PER_M,
     KNOWN_RATIO,
     LEFT,
@@ -25,6 +22,9 @@ from car_interface.tools.calibration.steering.table import (
     breakpoints,
     find_problems,
 )
+from car_interface.tools.calibration.steering.drive import COUNT, NOTHING_GIVEN, CurveFitConfig, Delay, SteeringDrive
+from car_interface.tools.calibration.steering.fit import fit
+from car_interface.tools.calibration.steering.smooth import BAND, unseen
 
 # Where one count changes much the tool allows an error of half of that. But with less of one the nearest count to a
 # radius is the best one more often.
@@ -84,12 +84,12 @@ def assess(drive: SteeringDrive, config: CurveFitConfig) -> Knowledge:
     rows = tuple(RadiusRow(side, point.radius_m, point.duty,
                            BAND * point.radius_sigma_m / point.radius_m, point.source != UNKNOWN)
                  for side in (LEFT, RIGHT) for point in points[side])
-    # Errors by the rule of table.breakpoints; needs are greater where one count changes much and between places that
-    # are far apart.
+    # Errors by the rule of breakpoints(); needs are greater where one count changes much and between places that are far
+    # apart.
     allowed_per_m = np.maximum(KNOWN_RATIO * np.abs(curve.curvature(duties)), KNOWN_PER_M)
     half_count = np.abs(curve.curvature(duties + COUNT) - curve.curvature(duties - COUNT)) / 4
     sigmas = np.interp(duties, curve.duties, curve.sigmas)
-    greater = np.maximum(sigmas, UNSEEN_NEED * unseen(duties, curve.observations, curve.used))
+    greater = np.maximum(sigmas, UNSEEN_NEED * unseen(duties, curve.observations))
     given = config._replace(delay=curve.delay, backlash_duty=curve.backlash_duty, backlash_sigma=curve.backlash_sigma)
     return Knowledge(
         "", duties, curve.curvature(duties), BAND * sigmas / (allowed_per_m + half_count),

@@ -29,9 +29,8 @@ from car_interface.throttle.esc_config import (
     FORWARD_ONLY,
     EscConfig,
 )
-from car_interface.tools.calibration.esc.pulls import (
+from car_interface.tools.calibration.esc.drive import (
     BACKWARD,
-    DELAY_S,
     HELD,
     MOVES_MPS,
     NEUTRAL_BAND,
@@ -39,11 +38,8 @@ from car_interface.tools.calibration.esc.pulls import (
     STEP_S,
     STRONG,
     EscDrive,
-    Sampled,
     pulls,
-    sampled,
 )
-from car_interface.tools.calibration.esc.recorded import joined
 from car_interface.tools.calibration.shared import RecordedDrive, runs
 
 MIN_SEEN = 2  # nothing counts that was seen once
@@ -52,6 +48,7 @@ LONG_COAST_S = 5.0  # an ESC that still brakes then is taken for one that never 
 # Between forward and backward a direct ESC doesn't pause, a crawler's does. By the wheels' pulses a pause is known to
 # 0.03 s (of 80 turns of virtual cars without one the longest was 0.022 s), by odometry to 0.1 s.
 NO_PAUSE_S, CLEAR_PAUSE_S, CLEAR_PAUSE_BY_SPEED_S = 0.03, 0.08, 0.2
+DELAY_S = 0.3  # what the car did by a pull shows no later: the chip, a period, the odometry, the motor
 SAME_PUSH = 0.3  # an ESC without a brake slows the car as strongly as it drives it backward, give or take this
 DRAG_MPS2 = 0.35
 CREEP_MPS = 0.05
@@ -61,15 +58,35 @@ MAX_SET_OFF = 0.35  # a car that needs more to set off stands at something
 COAST_MPS = (0.4, 2.0)
 PUSHED_MPS = (0.1, 1.0)  # where a motor's thrust is still that at standstill
 
-PROFILE, NEUTRAL, DWELL, FORGET, DRAG = (
-    "esc/profile", "servo/neutral", "esc/dwell", "esc/reverse_after_neutral", "esc/drag_deceleration")
+MIN_SAMPLES = 50  # of a drive: a second
+
+NEUTRAL = "servo/neutral"
+# The parameters that a drive may show beside that.
+FIELDS = ("profile", "dead_band_forward", "dead_band_reverse", "dwell_s", "reverse_after_neutral_s",
+          "drag_deceleration_mps2")  # of EscConfig
+PARAMETERS = [parameter_of(EscConfig, name) for name in FIELDS]
+PROFILE, FORWARD_BAND, REVERSE_BAND, DWELL, FORGET, DRAG = (parameter.name for parameter in PARAMETERS)
+ACCEPTED = {parameter.name: parameter.accepted for parameter in PARAMETERS}
 NOTHING_KNOWN = "nothing is known: the recording needs odom and the servo board's output, with servo/neutral in it"
 HEAD = ("Written by calibrate_esc; throttle_arb loads it. Duties are 0..65535 of the PWM period, dead bands fractions",
         "of the duty between neutral and each end.", "")
-# Numbers of the fit, as throttle.yaml has them, and their units.
-FITTED = {"dead_band_forward": "", "dead_band_reverse": "", "dwell_s": " s", "reverse_after_neutral_s": " s",
-          "drag_deceleration_mps2": " m/s²"}
-NOT_SHOWN = "not shown by the drive"
+
+
+@dataclass
+class EscFit:
+    """What a drive shows."""
+
+    # By name: the profile; the duty in the middle of what the ESC takes for neutral; the fractions from there to each
+    # end at which the car sets off; neutral that was long enough for reverse, as short as it was seen; the neutral
+    # after which the first pull is reverse, 0 where the ESC still braked after LONG_COAST_S; the least deceleration in
+    # neutral.
+    values: dict[str, Value] = field(default_factory=dict)
+    seen: dict[str, str] = field(default_factory=dict)  # what shows a parameter, in words, by its name
+    missing: list[str] = field(default_factory=list)  # what is not known, and what to drive for it
+
+    def show(self, name: str, value: Value, seen: str) -> None:
+        """Keep a parameter's value and what shows it."""
+        self.values[name], self.seen[name] = value, seen
 
 
 def calibrate(recorded: Sequence[RecordedDrive], base: ThrottleCalibration) -> EscFit:
@@ -83,33 +100,20 @@ def calibrate(recorded: Sequence[RecordedDrive], base: ThrottleCalibration) -> E
         if one.drive.neutral != first.drive.neutral:
             raise CarInterfaceError(f"{first.path} was driven with servo/neutral {first.drive.neutral:.0f} and "
                                     f"{one.path} with {one.drive.neutral:.0f}: calibrate by one of them")
-    found = fit(joined([one.drive for one in recorded]))
-    if found.neutral is not None and base.duty_table[-1] < base.neutral:
-        found.neutral = 2 * first.drive.neutral - found.neutral
+    found = fit([one.drive for one in recorded])
+    if NEUTRAL in found.values:
+        neutral = found.values[NEUTRAL]
+        if base.duty_table[-1] < base.neutral:
+            neutral = 2 * first.drive.neutral - neutral
+        found.values[NEUTRAL] = round(neutral)
+        found.values["servo/duty_table"] = list(trimmed(base, round(neutral)).duty_table)
     return found
-
-
-def yaml_values(found: EscFit, base: ThrottleCalibration) -> dict[str, Value]:
-    """Return the parameters that the drives show, by name."""
-    values = {}
-    if found.neutral is not None:
-        neutral = round(found.neutral)
-        values = {NEUTRAL: neutral, "servo/duty_table": list(trimmed(base, neutral).duty_table)}
-    if found.profile is not None:
-        values.update({PROFILE: found.profile, "esc/profile_measured": True})
-    for name in FITTED:
-        value = getattr(found, name)
-        if value is not None:
-            values[parameter_of(EscConfig, name).name] = value
-    return values
 
 
 def yaml_text(found: EscFit, base: ThrottleConfig, base_text: str, report: Sequence[str]) -> str:
     """Return the text of throttle_arb's file: the base with what the drives show, and the report as its head."""
-    values = yaml_values(found, base.calibration)
-    if base.esc.calibration_drive:
-        values["esc/calibration_drive"] = False
-    return rewritten(base_text, values, [*HEAD, *report])
+    over = {"esc/calibration_drive": False} if base.esc.calibration_drive else {}
+    return rewritten(base_text, {**found.values, **over}, [*HEAD, *report])
 
 
 def report(found: EscFit, recorded: Sequence[RecordedDrive], base: ThrottleConfig) -> Iterator[str]:
@@ -117,50 +121,33 @@ def report(found: EscFit, recorded: Sequence[RecordedDrive], base: ThrottleConfi
     seconds = sum(one.duration_s for one in recorded)
     yield f"ESC by {', '.join(one.path for one in recorded)}: {seconds:.0f} s"
     yield from (f"  {note}" for one in recorded for note in one.notes)
-    values = yaml_values(found, base.calibration)
-    olds = {PROFILE: (base.esc.profile, ""), NEUTRAL: (base.calibration.neutral, ""),
-            **{parameter_of(EscConfig, name).name: (getattr(base.esc, name), unit) for name, unit in FITTED.items()}}
-    for name, (old, unit) in olds.items():
-        if name not in values:
-            yield f"  {name}: {NOT_SHOWN}, stays {old}{unit}"
+    profile, *numbers = ((parameter.name, getattr(base.esc, name), f" {parameter.unit}".rstrip())
+                         for name, parameter in zip(FIELDS, PARAMETERS))
+    for name, old, unit in (profile, (NEUTRAL, base.calibration.neutral, ""), *numbers):
+        if name not in found.values:
+            yield f"  {name}: not shown by the drive, stays {old}{unit}"
             continue
-        changed = f" (was {old}{unit})" if values[name] != old else ""
-        shown = found.seen.get(name) or ("from there to where the car sets off" if "dead_band" in name else "")
-        yield f"  {name}: {values[name]}{unit}{changed}" + (f": {shown}" if shown else "")
+        changed = f" (was {old}{unit})" if found.values[name] != old else ""
+        yield f"  {name}: {found.values[name]}{unit}{changed}: {found.seen[name]}"
     yield from (f"  missing: {problem}" for problem in found.missing)
 
 
-# --- what a drive shows ---
+# --- what drives show ---
 
 
-@dataclass
-class EscFit:
-    """What a drive shows; ``None`` = it does not."""
-
-    profile: str | None = None  # of esc_config
-    neutral: float | None = None  # the duty in the middle of what the ESC takes for neutral
-    dead_band_forward: float | None = None  # the fraction from that neutral at which the car sets off
-    dead_band_reverse: float | None = None  # the same backward
-    dwell_s: float | None = None  # neutral that was long enough for reverse, as short as it was seen
-    reverse_after_neutral_s: float | None = None  # 0 where the ESC still braked after LONG_COAST_S
-    drag_deceleration_mps2: float | None = None  # the least in neutral
-    seen: dict[str, str] = field(default_factory=dict)  # what shows a parameter, in words, by its name
-    missing: list[str] = field(default_factory=list)  # what is not known, and what to drive for it
-
-
-def fit(drive: EscDrive) -> EscFit:
-    """Return what a drive shows of its ESC."""
-    data, found = sampled(drive), EscFit()
-    if data is None:
+def fit(drives: Sequence[EscDrive]) -> EscFit:
+    """Return what drives with the same neutral and ends show of their ESC."""
+    found, drives = EscFit(), [drive for drive in drives if drive.t_s.size >= MIN_SAMPLES]
+    if not any((np.abs(drive.fraction) <= NEUTRAL_BAND).any() for drive in drives):
         found.missing.append(NOTHING_KNOWN)
         return found
-    pulled = pulls(data)
-    found.profile = _profile(found, pulled)
-    _dead_band(found, drive, *(_set_off(data, sign, found.profile) for sign in (1, -1)))
-    if found.profile == BRAKE_THEN_REVERSE:
+    pulled = [pull for drive in drives for pull in pulls(drive)]
+    _profile(found, pulled)
+    _dead_band(found, drives)
+    if found.values.get(PROFILE) == BRAKE_THEN_REVERSE:
         _dwell(found, pulled)
         _forget(found, pulled)
-    _drag(found, data)
+    _drag(found, drives)
     return found
 
 
@@ -168,58 +155,54 @@ def fit(drive: EscDrive) -> EscFit:
 
 
 def _profile(found, pulled):
-    """Return the one profile that all pulls fit, or ``None``."""
+    """Find the one profile that all pulls fit."""
     firsts = [pull for pull in pulled if pull.since_forward_s <= FRESH_S and pull.speed_mps > MOVES_MPS]
     held = [pull for pull in firsts if pull.outcome == HELD]
     turned = [pull for pull in firsts if pull.outcome == BACKWARD]
     if held and turned:
         found.missing.append(f"the profile: of {len(firsts)} brakes after driving forward, {len(held)} held the car "
                              f"and {len(turned)} drove it backward: on a level floor, again")
-        return None
-    if len(held) >= MIN_SEEN:
-        return _profile_that_holds(found, pulled, held)
-    if len(turned) >= MIN_SEEN:
-        return _profile_that_turns(found, turned)
-    found.missing.append("the profile: full stick for a good second, pull back all the way, and hold until the car has "
-                         "stood for two seconds or rolls backward; three times")
-    return None
+    elif len(held) >= MIN_SEEN:
+        _profile_that_holds(found, pulled, f"{len(held)} brakes held the car,")
+    elif len(turned) >= MIN_SEEN:
+        _profile_that_turns(found, turned)
+    else:
+        found.missing.append("the profile: full stick for a good second, pull back all the way, and hold until the car "
+                             "has stood for two seconds or rolls backward; three times")
+    if PROFILE in found.values:
+        found.values["esc/profile_measured"] = True
 
 
-def _profile_that_holds(found, pulled, held):
+def _profile_that_holds(found, pulled, text):
     seconds = [pull for pull in _seconds(pulled) if pull.neutral_s >= FRESH_S]
-    reversed_ = [pull for pull in seconds if pull.outcome == BACKWARD]
-    refused = [pull for pull in seconds if pull.outcome == HELD]
-    text = f"{len(held)} brakes held the car,"
-    if len(reversed_) >= MIN_SEEN and not refused:
-        found.seen[PROFILE] = f"{text} {len(reversed_)} second pulls drove it backward"
-        return BRAKE_THEN_REVERSE
+    reversed_ = sum(pull.outcome == BACKWARD for pull in seconds)
+    refused = sum(pull.outcome == HELD for pull in seconds)
+    if reversed_ >= MIN_SEEN and not refused:
+        found.show(PROFILE, BRAKE_THEN_REVERSE, f"{text} {reversed_} second pulls drove it backward")
     # A second pull within an unclear one is no second: only those count that certainly had their neutral.
-    if len(refused) > MIN_SEEN and not reversed_ and not any(pull.outcome == BACKWARD for pull in pulled):
-        found.seen[PROFILE] = f"{text} and {len(refused)} second pulls did, too"
-        return FORWARD_ONLY
-    found.missing.append("the profile: after a brake, center the stick for a second and pull back all the way for two "
-                         "seconds; four times")
-    return None
+    elif refused > MIN_SEEN and not reversed_ and not any(pull.outcome == BACKWARD for pull in pulled):
+        found.show(PROFILE, FORWARD_ONLY, f"{text} and {refused} second pulls did, too")
+    else:
+        found.missing.append("the profile: after a brake, center the stick for a second and pull back all the way for "
+                             "two seconds; four times")
 
 
 def _profile_that_turns(found, turned):
     exact = [pull for pull in turned if pull.is_exact]
-    clear = exact if len(exact) >= MIN_SEEN else [pull for pull in turned if np.isfinite(pull.pause_s)]
+    is_exact = len(exact) >= MIN_SEEN
+    clear = exact if is_exact else [pull for pull in turned if np.isfinite(pull.pause_s)]
     text = f"{len(turned)} brakes that were held drove the car backward"
-    if len(clear) >= MIN_SEEN:
-        # The median: one of them has the noise of a few pulses.
-        pause_s = float(np.median([pull.pause_s for pull in clear]))
-        if pause_s >= (CLEAR_PAUSE_S if clear is exact else CLEAR_PAUSE_BY_SPEED_S):
-            found.seen[PROFILE] = f"{text}, after it had stood for {pause_s:.2f} s"
-            return BRAKE_BECOMES_REVERSE
-        if clear is exact and pause_s <= NO_PAUSE_S and _is_same_push(clear):
-            found.seen[PROFILE] = f"{text}, without a pause, and as strongly as they slowed it"
-            return DIRECT_REVERSE
-    found.missing.append("the profile: a brake that is held drives the car backward, but it is not clear whether it "
-                         "brakes first: full stick for a good second, pull back all the way, and hold until it rolls "
-                         "backward; four times more"
-                         + ("" if clear is exact else "; and record the wheels' pulses, too (rosbag record -a)"))
-    return None
+    # The median: one of them has the noise of a few pulses.
+    pause_s = float(np.median([pull.pause_s for pull in clear])) if len(clear) >= MIN_SEEN else np.nan
+    if pause_s >= (CLEAR_PAUSE_S if is_exact else CLEAR_PAUSE_BY_SPEED_S):
+        found.show(PROFILE, BRAKE_BECOMES_REVERSE, f"{text}, after it had stood for {pause_s:.2f} s")
+    elif is_exact and pause_s <= NO_PAUSE_S and _is_same_push(exact):
+        found.show(PROFILE, DIRECT_REVERSE, f"{text}, without a pause, and as strongly as they slowed it")
+    else:
+        found.missing.append("the profile: a brake that is held drives the car backward, but it is not clear whether "
+                             "it brakes first: full stick for a good second, pull back all the way, and hold until it "
+                             "rolls backward; four times more"
+                             + ("" if is_exact else "; and record the wheels' pulses, too (rosbag record -a)"))
 
 
 def _is_same_push(turned):
@@ -242,16 +225,16 @@ def _seconds(pulled):
 
 
 def _dwell(found, pulled):
-    enough = [pull.neutral_s for pull in _seconds(pulled) if pull.outcome == BACKWARD]
-    short = [pull.neutral_s for pull in _seconds(pulled) if pull.outcome == HELD]
-    low, high = _range("dwell_s")
+    seconds = _seconds(pulled)
+    enough = [pull.neutral_s for pull in seconds if pull.outcome == BACKWARD]
+    short = [pull.neutral_s for pull in seconds if pull.outcome == HELD]
+    high = ACCEPTED[DWELL]["high"]
     if not enough or min(enough) > high or short and max(short) >= min(enough):
         found.missing.append(f"{DWELL}: after a brake, center the stick for less than {high:g} s and pull back for a "
                              "second; several times, each a little quicker")
-        return
-    found.dwell_s = round(float(min(high, max(low, min(enough) + STEP_S))), 2)  # the next pulse may be a period later
-    found.seen[DWELL] = (f"{min(enough):.2f} s of neutral were enough"
-                         + (f", {max(short):.2f} s were not" if short else ""))
+    else:  # the next pulse may be a period later
+        found.show(DWELL, _in_range(DWELL, min(enough) + STEP_S, 2), f"{min(enough):.2f} s of neutral were enough"
+                   + (f", {max(short):.2f} s were not" if short else ""))
 
 
 def _forget(found, pulled):
@@ -264,11 +247,10 @@ def _forget(found, pulled):
         # Without a brake from standstill nothing longer is trusted than what any known ESC remembers.
         forget_s = max(braked, default=FRESH_S)
         earlier = f"after {forget_s:.1f} s a brake" if braked else "and none from standstill was a brake"
-        found.seen[FORGET] = f"after {min(forgot):.1f} s in neutral the first pull was reverse, {earlier}"
-        found.reverse_after_neutral_s = round(float(max(forget_s, FRESH_S)), 2)
+        found.show(FORGET, round(float(max(forget_s, FRESH_S)), 2),
+                   f"after {min(forgot):.1f} s in neutral the first pull was reverse, {earlier}")
     elif braked and not forgot and max(braked) >= LONG_COAST_S:
-        found.seen[FORGET] = f"after {max(braked):.1f} s in neutral the first pull was a brake"
-        found.reverse_after_neutral_s = 0.0
+        found.show(FORGET, 0.0, f"after {max(braked):.1f} s in neutral the first pull was a brake")
     else:
         found.missing.append(f"{FORGET}: full stick for a good second, center it, and after {LONG_COAST_S + 3:g} s "
                              "pull back all the way for two seconds; twice"
@@ -283,100 +265,102 @@ class _SetOff(NamedTuple):
     edge: float  # the duty where the ESC begins to push, by how much more it takes to move the car
 
 
-def _set_off(data: Sampled, sign, profile):
+def _set_off(drives, sign):
     """Return where the car sets off; ``None`` = not seen."""
-    if sign < 0 and profile == FORWARD_ONLY:
-        return None
-    creeps = data.speed_mps * sign > CREEP_MPS
-    begins = np.flatnonzero(creeps[1:] & ~creeps[:-1]) + 1
     ago, still = round(SET_OFF_S / STEP_S), round(0.2 / STEP_S)
     found = []
-    for begin in begins[begins >= ago + still]:
-        pushed = data.fraction[begin - ago] * sign
-        stood = np.abs(data.speed_mps[begin - ago - still:begin - ago]).max() < CREEP_MPS
-        slowly = (data.fraction[begin] - data.fraction[begin - ago]) * sign <= MAX_JUMP
-        if stood and slowly and NEUTRAL_BAND < pushed < MAX_SET_OFF:
-            found.append(float(data.duty[begin - ago]))
+    for drive in drives:
+        creeps = drive.speed_mps * sign > CREEP_MPS
+        begins = np.flatnonzero(creeps[1:] & ~creeps[:-1]) + 1
+        for begin in begins[begins >= ago + still]:
+            pushed = drive.fraction[begin - ago] * sign
+            stood = np.abs(drive.speed_mps[begin - ago - still:begin - ago]).max() < CREEP_MPS
+            slowly = (drive.fraction[begin] - drive.fraction[begin - ago]) * sign <= MAX_JUMP
+            if stood and slowly and NEUTRAL_BAND < pushed < MAX_SET_OFF:
+                found.append(float(drive.duty[begin - ago]))
     if len(found) < MIN_SEEN:
         return None
     duty = min(found, key=lambda one: one * sign)
-    gain = _gain(data, sign, duty)
+    gain = _gain(drives, sign, duty)
     return None if gain is None else _SetOff(duty, len(found), duty - sign * DRAG_MPS2 / gain)
 
 
-def _gain(data, sign, set_off):
+def _gain(drives, sign, set_off):
     """Return the acceleration by each duty beyond where the car sets off; ``None`` = not seen."""
     low, high = PUSHED_MPS
-    pushed = (data.fraction * sign > STRONG) & (data.speed_mps * sign > low) & (data.speed_mps * sign < high)
-    pushed[1:] &= np.diff(data.duty) == 0  # not while the stick moves
-    gains = [slope * sign / ((data.duty[begin] - set_off) * sign) for slope, begin in _slopes(data, pushed, 0.15)]
+
+    def is_pushed(drive):
+        speed_mps = drive.speed_mps * sign
+        pushed = (drive.fraction * sign > STRONG) & (speed_mps > low) & (speed_mps < high)
+        pushed[1:] &= np.diff(drive.duty) == 0  # not while the stick moves
+        return pushed
+    gains = [slope / (duty - set_off) for slope, duty in _slopes(drives, is_pushed, 0.15)]
     gains = [gain for gain in gains if gain > 0]
     return float(np.median(gains)) if len(gains) >= MIN_SEEN else None
 
 
-def _dead_band(found, drive, forward, backward):
+def _dead_band(found, drives):
     """Find the neutral and the dead bands: fractions from that neutral, of the distance that both ends have from the
     drive's.
 
     An ESC without reverse shows nothing behind neutral: it keeps the neutral that it has.
     """
-    is_forward_only = found.profile == FORWARD_ONLY
-    wanted = [(forward, "forward", "push"), (backward, "reverse", "pull")][:1 if is_forward_only else 2]
-    for side, name, text in wanted:
-        if side is None:
-            found.missing.append(f"esc/dead_band_{name}: from standstill, {text} the stick so slowly that the car just "
-                                 "sets off; three times")
+    is_forward_only = found.values.get(PROFILE) == FORWARD_ONLY
+    forward, backward = _set_off(drives, 1), None if is_forward_only else _set_off(drives, -1)
+    wanted = [(forward, FORWARD_BAND, "push"), (backward, REVERSE_BAND, "pull")][:1 if is_forward_only else 2]
+    found.missing += [f"{name}: from standstill, {text} the stick so slowly that the car just sets off; three times"
+                      for side, name, text in wanted if side is None]
     if any(side is None for side, _, _ in wanted):
         if not is_forward_only:
             found.missing.append(f"{NEUTRAL}: it lies between where the car sets off to both sides")
         return
-    low, high = _range("dead_band_forward")
-    neutral = drive.neutral if is_forward_only else (forward.edge + backward.edge) / 2
-    bands = [(forward.duty - neutral) / (drive.full_forward - drive.neutral)]
-    if not is_forward_only:
-        bands.append((neutral - backward.duty) / (drive.neutral - drive.full_reverse))
-    is_possible = all(0 < band <= high for band in bands)
-    sets_off = f"the car set off at {forward.duty:.0f} ({forward.times} times)"
+    neutral = drives[0].neutral if is_forward_only else (forward.edge + backward.edge) / 2
+    spans = drives[0].full_forward - drives[0].neutral, drives[0].full_reverse - drives[0].neutral
+    bands = {name: (side.duty - neutral) / span for (side, name, _), span in zip(wanted, spans)}
+    is_possible = all(0 < band <= ACCEPTED[name]["high"] for name, band in bands.items())
+    shown = sets_off = f"the car set off at {forward.duty:.0f} ({forward.times} times)"
     if is_forward_only and not is_possible:
-        found.missing.append(f"esc/dead_band_forward: the car set off at {forward.duty:.0f}; that fits no neutral of "
-                             f"{drive.neutral:.0f}: on a level floor, again, or set {NEUTRAL}")
-    elif is_forward_only:
-        found.seen["esc/dead_band_forward"] = sets_off
-    elif not forward.edge > backward.edge or not is_possible:
-        found.missing.append(f"{NEUTRAL}: the car set off at {backward.duty:.0f} and {forward.duty:.0f}; that fits no "
-                             "neutral: on a level floor, again")
+        found.missing.append(f"{FORWARD_BAND}: the car set off at {forward.duty:.0f}; that fits no neutral of "
+                             f"{neutral:.0f}: on a level floor, again, or set {NEUTRAL}")
         return
-    else:
-        found.neutral = round(neutral, 1)
-        found.seen[NEUTRAL] = f"{sets_off} and {backward.duty:.0f} ({backward.times} times)"
-    if is_possible:
-        found.dead_band_forward, found.dead_band_reverse = ([round(max(low, band), 3) for band in bands] + [None])[:2]
+    if not is_forward_only:
+        if not is_possible or forward.edge <= backward.edge:
+            found.missing.append(f"{NEUTRAL}: the car set off at {backward.duty:.0f} and {forward.duty:.0f}; that fits "
+                                 "no neutral: on a level floor, again")
+            return
+        found.show(NEUTRAL, round(neutral, 1), f"{sets_off} and {backward.duty:.0f} ({backward.times} times)")
+        shown = "from there to where the car sets off"
+    for name, band in bands.items():
+        found.show(name, _in_range(name, band, 3), shown)
 
 
-def _drag(found, data):
+def _drag(found, drives):
     """Find the least deceleration in neutral at low speed."""
-    neutral = np.abs(np.nan_to_num(data.fraction, nan=1.0)) <= NEUTRAL_BAND
-    width = round(DELAY_S / STEP_S)
-    settled = np.convolve(neutral, np.ones(width), "full")[:neutral.size] >= width
     low, high = COAST_MPS
-    rolls = settled & (data.speed_mps > low) & (data.speed_mps < high)
-    slowed = [-slope for slope, _ in _slopes(data, rolls, 0.2) if slope < 0]
+    width = round(DELAY_S / STEP_S)
+
+    def is_rolling(drive):
+        neutral = np.abs(np.nan_to_num(drive.fraction, nan=1.0)) <= NEUTRAL_BAND
+        settled = np.convolve(neutral, np.ones(width), "full")[:neutral.size] >= width
+        return settled & (drive.speed_mps > low) & (drive.speed_mps < high)
+    slowed = [-slope for slope, _ in _slopes(drives, is_rolling, 0.2) if slope < 0]
     if len(slowed) < MIN_SEEN:
         found.missing.append(f"{DRAG}: full stick for a good second, then center it until the car stands; three times")
-        return
-    least, most = _range("drag_deceleration_mps2")
-    found.drag_deceleration_mps2 = round(float(min(max(min(slowed), least), most)), 2)
-    found.seen[DRAG] = (f"{min(slowed):.2f} to {max(slowed):.2f} m/s² in neutral"
-                        + (": the ESC has a drag brake" if min(slowed) > 3 * DRAG_MPS2 else ""))
+    else:
+        found.show(DRAG, _in_range(DRAG, min(slowed), 2), f"{min(slowed):.2f} to {max(slowed):.2f} m/s² in neutral"
+                   + (": the ESC has a drag brake" if min(slowed) > 3 * DRAG_MPS2 else ""))
 
 
-def _slopes(data, flags, min_s):
-    """Yield (the acceleration in m/s², the first index) of each run of true in flags (K,) that lasts so long."""
-    for begin, end in runs(flags):
-        if (end - begin) * STEP_S >= min_s:
-            yield np.polyfit(data.t_s[begin:end], data.speed_mps[begin:end], 1)[0], begin
+def _slopes(drives, flags_of, min_s):
+    """Yield (the acceleration in m/s², the duty at its begin) of each run of samples that a function of a drive flags,
+    if it lasts so long.
+    """
+    for drive in drives:
+        for begin, end in runs(flags_of(drive)):
+            if (end - begin) * STEP_S >= min_s:
+                yield np.polyfit(drive.t_s[begin:end], drive.speed_mps[begin:end], 1)[0], drive.duty[begin]
 
 
-def _range(name):
-    accepted = parameter_of(EscConfig, name).accepted
-    return accepted["low"], accepted["high"]
+def _in_range(name, value, digits):
+    """Return a value as near as its parameter may have it, rounded."""
+    return round(float(min(ACCEPTED[name]["high"], max(ACCEPTED[name]["low"], value))), digits)

@@ -11,7 +11,7 @@ from typing import NamedTuple, Sequence
 import numpy as np
 
 from car_interface.pca9685.registers import DUTY_PER_COUNT
-from car_interface.tools.calibration.shared import NothingToFit
+from car_interface.tools.calibration.shared import NothingToFit, has_gap, held, integral, interval_s
 from car_interface.tools.recordings.columns import Odom
 
 COUNT = float(DUTY_PER_COUNT)  # the board can't output anything in between
@@ -19,7 +19,8 @@ KNOT = COUNT / 2  # duty from one knot of the curve to the next
 MAX_BACKLASH_DUTY = 80.0
 MIN_SPEED_MPS = 0.25  # at lower speeds the heading changes too little
 MAX_GAP_S = 0.3  # between samples of odometry that belong together
-BIN_S, MIN_BIN_M, MAX_BIN_GAP_S, MAX_BIN_RAD = 1.0, 0.4, 0.3, 2.0  # in which distances are compared
+MAX_JUMP_RAD = 0.5  # of the heading from sample to sample
+BIN_S, MIN_BIN_M, MAX_BIN_RAD = 1.0, 0.4, 2.0  # in which distances are compared
 MIN_BINS = 5
 AFTER_GAP_S = 1.0  # so soon after a gap the servo may still follow commands that weren't recorded
 CROSSED_DUTY = 40.0  # a servo that has moved this far has crossed any usual backlash
@@ -74,12 +75,11 @@ def distance_m(odom: Odom) -> np.ndarray:
     It is the integral of the speed, scaled to the distances between positions: speeds show small steps and their
     direction better, positions long distances.
     """
-    dx, dy = np.diff(odom.x_m), np.diff(odom.y_m)
-    if np.any(odom.speed_mps):
-        steps_m = np.diff(odom.t_s) * (odom.speed_mps[1:] + odom.speed_mps[:-1]) / 2
-    else:
+    by_speed_m = integral(odom.t_s, odom.speed_mps)
+    if not np.any(odom.speed_mps):
+        dx, dy = np.diff(odom.x_m), np.diff(odom.y_m)
         steps_m = np.hypot(dx, dy) * np.sign(dx * np.cos(odom.yaw_rad[:-1]) + dy * np.sin(odom.yaw_rad[:-1]))
-    by_speed_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+        by_speed_m = np.append(0.0, np.cumsum(steps_m))
     return by_speed_m * _distance_ratio(odom, by_speed_m)
 
 
@@ -90,24 +90,15 @@ def _distance_ratio(odom, by_speed_m):
                                   for column in (odom.x_m, odom.y_m, odom.yaw_rad, by_speed_m))
     half_rad = np.clip(np.abs(yaw_rad) / 2, 1e-6, 1.5)
     arc_m = np.hypot(x_m, y_m) * half_rad / np.sin(half_rad)  # from the chord
-    drove = (np.abs(speed_m) > MIN_BIN_M) & (np.abs(yaw_rad) < MAX_BIN_RAD) & ~_has_gap(odom.t_s, at_s)
+    drove = ((np.abs(speed_m) > MIN_BIN_M) & (np.abs(yaw_rad) < MAX_BIN_RAD)
+             & ~has_gap(odom.t_s, at_s[:-1], at_s[1:], MAX_GAP_S))
     if drove.sum() < MIN_BINS:
         return 1.0
-    ratios = arc_m[drove] / np.abs(speed_m[drove])
-    usual = np.median(ratios)
-    inliers = np.abs(ratios - usual) < 0.1 * usual
-    if not inliers.any():
-        return 1.0
-    ratio = float(arc_m[drove][inliers].sum() / np.abs(speed_m[drove][inliers]).sum())
+    arc_m, speed_m = arc_m[drove], np.abs(speed_m[drove])
+    usual = np.median(arc_m / speed_m)
+    inliers = np.abs(arc_m / speed_m - usual) < 0.1 * usual
+    ratio = float(arc_m[inliers].sum() / max(speed_m[inliers].sum(), 1e-9))
     return ratio if 0.5 < ratio < 2.0 else 1.0
-
-
-def _has_gap(t_s, at_s):
-    """Return which bins between the times ``at_s`` (M,) contain a gap between samples ``t_s``: (M−1,)."""
-    before = np.flatnonzero(np.diff(t_s) > MAX_BIN_GAP_S)
-    begun = np.searchsorted(t_s[before], at_s[1:])  # gaps that began before a bin's end
-    ended = np.searchsorted(t_s[before + 1], at_s[:-1], side="right")  # gaps that ended before its begin
-    return begun > ended
 
 
 # --- the servo's delay ---
@@ -121,11 +112,10 @@ def estimate_servo_delay(drives: Sequence[SteeringDrive]) -> Delay:
     Raises:
         NothingToFit: the drives are too short, or the heading doesn't follow the duty.
     """
-    cause_s, cause, effect_s, effect, weight = [], [], [], [], []
-    begin_s = 0.0
     changing = [drive for drive in drives if not is_steady(drive)]
     if not changing:
         return UNKNOWN_DELAY
+    columns, begin_s = [], 0.0
     for drive in changing:
         shift_s = begin_s - drive.t_s[0]
         t_s = np.arange(drive.t_s[0], drive.t_s[-1], STEP_S)
@@ -134,30 +124,19 @@ def estimate_servo_delay(drives: Sequence[SteeringDrive]) -> Delay:
         step_m, step_rad = (column[2 * HALF_SPAN:] - column[:-2 * HALF_SPAN] for column in (
             np.interp(t_s, drive.t_s, drive.distance_m), np.interp(t_s, drive.t_s, drive.yaw_rad)))
         at_s = t_s[HALF_SPAN:-HALF_SPAN]
-        is_usable = np.abs(step_m) > MIN_SPEED_MPS * 2 * HALF_SPAN * STEP_S
-        is_usable &= _since_gap_s(drive.t_s, at_s, MAX_GAP_S) > AFTER_GAP_S
-        effect.append(step_rad / np.where(is_usable, step_m, 1.0))
-        weight.append(np.where(is_usable, step_m ** 2, 0.0))
-        effect_s.append(at_s + shift_s)
+        is_usable = ((np.abs(step_m) > MIN_SPEED_MPS * 2 * HALF_SPAN * STEP_S)
+                     & ~has_gap(drive.t_s, at_s - AFTER_GAP_S, at_s, MAX_GAP_S))
         has_pulse = np.isfinite(drive.duty)
-        cause_s.append(drive.duty_t_s[has_pulse] + shift_s)
-        cause.append(drive.duty[has_pulse])
+        columns.append((drive.duty_t_s[has_pulse] + shift_s, drive.duty[has_pulse], at_s + shift_s,
+                        step_rad / np.where(is_usable, step_m, 1.0), np.where(is_usable, step_m ** 2, 0.0)))
         begin_s += drive.t_s[-1] - drive.t_s[0] + BETWEEN_DRIVES_S
-    if not effect:
+    if not columns:
         raise NothingToFit("the recordings are shorter than a second")
-    found = estimate_delay(*(np.concatenate(column) for column in (cause_s, cause, effect_s, effect, weight)))
+    found = estimate_delay(*map(np.concatenate, zip(*columns)))
     if found is None:
         raise NothingToFit("the heading doesn't follow the steering's duty (is it the right channel? did the car "
                            "drive?)")
     return found
-
-
-def held(t_s: np.ndarray, value: np.ndarray, at_s: np.ndarray) -> np.ndarray:
-    """Return the values at the times ``at_s`` (M,) of a signal (N,) that holds each sample until the next: (M,).
-
-    Before the first sample its value counts.
-    """
-    return value[np.maximum(np.searchsorted(t_s, at_s, side="right") - 1, 0)]
 
 
 def lagged(value: np.ndarray, step_s: float, lag_s: float) -> np.ndarray:
@@ -247,10 +226,8 @@ class WheelPosition:
         t_s, distance_m, yaw_rad, speed_mps: the drive, interpolated.
         servo: the servo's position in duty.
         off: how far the servo is from its command, in duty.
-        is_known: whether servo and linkage are known.
+        is_known: whether servo and linkage are known, and odometry is without a gap and its heading without a jump.
         is_steady: the linkage may be anywhere in its backlash.
-        gap_s: the interval between samples of odometry around each time.
-        jump_rad: how much the heading changes from sample to sample.
     """
 
     def __init__(self, drive: SteeringDrive, delay: Delay):
@@ -273,9 +250,8 @@ class WheelPosition:
         turns = np.flatnonzero(self._falls[1:] != self._falls[:-1]) + 1
         self._runs = np.union1d(np.append(self._starts, len(self.servo)), turns).tolist()
         self.off = np.abs(commanded - self.servo)
-        self.jump_rad = np.abs(np.diff(np.interp(self.t_s, drive.t_s, drive.yaw_rad), prepend=drive.yaw_rad[0]))
-        index = np.clip(np.searchsorted(drive.t_s, self.t_s, side="right"), 1, len(drive.t_s) - 1)
-        self.gap_s = np.diff(drive.t_s)[index - 1]
+        jump_rad = np.abs(np.diff(self.yaw_rad, prepend=drive.yaw_rad[0]))
+        self.is_known &= (interval_s(drive.t_s, self.t_s) <= MAX_GAP_S) & (jump_rad <= MAX_JUMP_RAD)
 
     def _follow(self, drive, delay, commanded, start, end):
         """Let the servo follow its commands from one gap to the next."""
@@ -306,11 +282,3 @@ class WheelPosition:
             out[start:end] = np.minimum(now, servo + half) if self._falls[start] else np.maximum(now, servo - half)
             now = out[end - 1]
         return out
-
-
-def _since_gap_s(t_s, at_s, gap_s):
-    """Return the time since the last gap between samples ended, for each of ``at_s`` (M,): (M,); 0 within a gap."""
-    starts = np.flatnonzero(np.diff(t_s) >= gap_s)
-    last = np.searchsorted(t_s[starts], at_s, side="right") - 1
-    ends_s = np.append(t_s[starts + 1], -math.inf)  # index −1: no gap before
-    return np.maximum(at_s - ends_s[last], 0.0)

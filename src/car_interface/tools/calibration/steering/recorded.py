@@ -2,14 +2,13 @@
 from __future__ import annotations
 
 import math
-from typing import Mapping, NamedTuple
+from typing import Mapping
 
 import numpy as np
 
-from car_interface.common.errors import CarInterfaceError
 from car_interface.pca9685.registers import counts_of_duty, duty_of_counts
 from car_interface.steering.calibration import SteeringCalibration
-from car_interface.tools.calibration.shared import RecordedDrive, is_pulse
+from car_interface.tools.calibration.shared import RecordedDrive, has_gap, integral, recorded_duty
 from car_interface.tools.calibration.steering.drive import SteeringDrive, distance_m
 from car_interface.tools.recordings import roles, signals
 from car_interface.tools.recordings.columns import Imu, Odom
@@ -24,30 +23,17 @@ MIN_IMU_RATIO = 0.95  # of a drive that an IMU must cover to be used
 MAX_YAW_DIFFERENCE = 0.03  # of odometry's and the IMU's yaw, as a ratio, without a note
 
 
-class AngleTable(NamedTuple):
-    """By what a planner's angles became duties on a drive on which only the angles were recorded."""
-
-    calibration: SteeringCalibration
-    wheelbase_m: float
-
-    def duty(self, angle_rad: float) -> int:
-        """Return what the servo board outputs for an angle of the front wheels, left positive."""
-        table = self.calibration
-        duty = (table.servo_center if abs(angle_rad) < STRAIGHT_RAD else
-                table.planner_duty(self.wheelbase_m / math.tan(angle_rad)))
-        return duty_of_counts(counts_of_duty(duty))
-
-
 def load_steering_drive(path: str, channel: int, topics: Mapping[str, str] | None = None, use_imu: bool = True,
-                        namespace: str = "/", angle_table: AngleTable | None = None) -> RecordedDrive:
+                        namespace: str = "/", base: SteeringCalibration | None = None,
+                        wheelbase_m: float | None = None) -> RecordedDrive:
     """Read one recording.
 
     Args:
         channel: of the steering servo, 0..15.
         topics: named by the user, by role: see ``signals.load``.
         use_imu: whether the heading may come from an IMU.
-        angle_table: makes duties of the angles that a planner asked for, where no duties were recorded; ``None`` =
-            such a recording is refused.
+        base, wheelbase_m: make duties of the angles that a planner asked for, where no duties were recorded; without a
+            wheelbase such a recording is refused.
 
     Raises:
         NoRecording: it can't be read, or lacks what is needed.
@@ -67,20 +53,11 @@ def load_steering_drive(path: str, channel: int, topics: Mapping[str, str] | Non
         if abs(ratio - 1) > MAX_YAW_DIFFERENCE:
             notes.append(f"odometry turns {abs(ratio - 1):.0%} {'more' if ratio > 1 else 'less'} than the IMU: measure "
                          "track and wheel_diameter")
-    duty_s, duty = (_recorded_duties(found, channel) if found.output else _position_duties(found, notes) if found.servo
-                    else _asked_duties(found, angle_table, notes))
+    duty_s, duty = (recorded_duty(found, channel, "servo") if found.output else
+                    _position_duties(found, notes) if found.servo else _asked_duties(found, base, wheelbase_m, notes))
     drive = SteeringDrive(odom.t_s, distance_m(odom), yaw_rad, duty_s, duty)
     return RecordedDrive(path, drive, tuple(notes), found.duration_s, signals.trail(found),
                          uses_imu=heading is not None)
-
-
-def _recorded_duties(found, channel):
-    """Return (times, duties of the channel), NaN where there is no pulse."""
-    duty = found.output.duties[:, channel].astype(float)
-    pulses = is_pulse(duty)
-    if not pulses.any():
-        raise CarInterfaceError(f"{found.path}: channel {channel} of the servo board never had a servo's pulse")
-    return found.output.t_s, np.where(pulses, duty, np.nan)
 
 
 def _is_on_angles(note):
@@ -98,7 +75,7 @@ def _position_duties(found, notes):
     return found.servo.t_s, np.where((position >= 0) & (position <= 1), duty, np.nan)
 
 
-def _asked_duties(found, angle_table, notes):
+def _asked_duties(found, base, wheelbase_m, notes):
     """Return (times, duties) by the angles that a planner asked for."""
     commands = " or ".join(roles.COMMAND.topics)
     lacks = f"{found.path} has no topic {roles.OUTPUT.topics[0]}, nor {commands}: the servo's duties can't be told"
@@ -108,13 +85,20 @@ def _asked_duties(found, angle_table, notes):
         raise NoRecording(f"{lacks}, and no {roles.ACKERMANN.types[0]} that could stand for them. Name a topic of "
                           "another name by --map TOPIC=output")
     topic = found.topics[roles.ACKERMANN.name]
-    if angle_table is None:
+    if wheelbase_m is None:
         raise NoRecording(f"{lacks}. The angles that were asked for are on {topic}: with --wheelbase M, and the --base "
                           "that made duties of them on that drive, they are taken")
     notes.append(f"no duties of the servo were recorded: the angles on {topic} count as the duties that --base has for "
-                 f"them with a wheelbase of {angle_table.wheelbase_m:g} m. What this recording can't tell: whether "
+                 f"them with a wheelbase of {wheelbase_m:g} m. What this recording can't tell: whether "
                  "--base was the table on this drive, and whether anything else steered (a gamepad, a trim, a limit)")
-    return found.ackermann.t_s, np.array(list(map(angle_table.duty, found.ackermann.angle_rad.tolist())), float)
+    return found.ackermann.t_s, np.array([duty_of_angle(base, wheelbase_m, angle_rad)
+                                          for angle_rad in found.ackermann.angle_rad.tolist()], float)
+
+
+def duty_of_angle(base: SteeringCalibration, wheelbase_m: float, angle_rad: float) -> int:
+    """Return what the servo board outputs for an angle of the front wheels, left positive."""
+    radius_m = math.inf if abs(angle_rad) < STRAIGHT_RAD else wheelbase_m / math.tan(angle_rad)
+    return duty_of_counts(counts_of_duty(base.planner_duty(radius_m)))
 
 
 def imu_heading(odom: Odom, imu: Imu) -> tuple[np.ndarray, float] | None:
@@ -123,13 +107,11 @@ def imu_heading(odom: Odom, imu: Imu) -> tuple[np.ndarray, float] | None:
     Returns:
         The yaw at odometry's times in rad (N,), and odometry's change of yaw as a ratio of it.
     """
-    inside = (odom.t_s >= imu.t_s[0]) & (odom.t_s <= imu.t_s[-1])
-    gaps = np.diff(imu.t_s) > IMU_GAP_S
-    covered = np.mean(inside) - np.sum(np.diff(imu.t_s)[gaps]) / max(odom.t_s[-1] - odom.t_s[0], 1e-9)
-    if len(imu.t_s) < 100 or covered < MIN_IMU_RATIO:
+    covered = ((odom.t_s[:-1] >= imu.t_s[0]) & (odom.t_s[1:] <= imu.t_s[-1])
+               & ~has_gap(imu.t_s, odom.t_s[:-1], odom.t_s[1:], IMU_GAP_S))
+    if len(imu.t_s) < 100 or np.mean(covered) < MIN_IMU_RATIO:
         return None
-    steps = np.diff(imu.t_s) * (imu.yaw_rate_radps[1:] + imu.yaw_rate_radps[:-1]) / 2
-    by_rate_rad = np.interp(odom.t_s, imu.t_s, np.concatenate([[0.0], np.cumsum(steps)]))
+    by_rate_rad = np.interp(odom.t_s, imu.t_s, integral(imu.t_s, imu.yaw_rate_radps))
     # Ratio and offset by a straight line through the changes of yaw in each second, twice without its outliers.
     at_s = np.arange(odom.t_s[0], odom.t_s[-1], 1.0)
     by_odom, by_imu = (np.diff(np.interp(at_s, odom.t_s, yaw)) for yaw in (odom.yaw_rad, by_rate_rad))

@@ -17,7 +17,6 @@ from car_interface.tools.calibration.steering.drive import (
     COUNT,
     KNOT,
     MAX_BACKLASH_DUTY,
-    MAX_GAP_S,
     MIN_SPEED_MPS,
     STEP_S,
     Delay,
@@ -29,7 +28,6 @@ MAX_LATERAL_MPS2 = 4.0  # above this tyres may begin to slide
 SETTLED_DUTY = 6.0  # the servo has arrived when it is this near to its command, by delay and lag
 MAX_WANDER_DUTY = 24.0  # how far the wheels may move within a segment
 MIN_LENGTH_M, MAX_LENGTH_M, MIN_DURATION_S = 0.5, 8.0, 0.3  # of a segment
-MAX_JUMP_RAD = 0.5  # of the heading from sample to sample
 # Standard errors of odometry's heading: at most the second; where a drive shows that it is better, that counts.
 MIN_HEADING_SIGMA_RAD, HEADING_SIGMA_RAD = 0.003, 0.008
 MIN_SIGMA_PER_M = 0.001  # no segment's curvature is known better: floors are uneven, tyres flex
@@ -51,10 +49,10 @@ class Segment(NamedTuple):
     distance_m: np.ndarray  # (K,), rising
     middles_m: np.ndarray  # (25,), distances at which the duty is averaged with SLOPE_WEIGHTS
     curvature_per_m: float
-    sigma_per_m: float
     length_m: float
     speed_mps: float  # the mean of its fourth power, as turns widen by that
     wander_rad: float  # how far the heading is off its slope, root mean square
+    sigma_per_m: float = math.nan  # by the whole drive's heading
 
 
 class Observations(NamedTuple):
@@ -67,6 +65,10 @@ class Observations(NamedTuple):
     distance_m: np.ndarray  # (S,), length
     speed_mps: np.ndarray  # (S,), without its sign
     weights: sparse.csr_matrix  # (S, K): the curvatures are weights @ curve
+
+    def those(self, which: np.ndarray) -> Observations:
+        """Return some of them, by a flag for each, (S,)."""
+        return Observations(*(column[which] for column in self))
 
 
 class Segments:
@@ -160,8 +162,8 @@ def _heading_sigma_rad(segments):
     """Return the standard error of this drive's heading: as far as it is off the segments' slopes in nine of ten."""
     if len(segments) < MIN_SEGMENTS:
         return HEADING_SIGMA_RAD
-    seen_rad = float(np.percentile([segment.wander_rad for segment in segments], MOST_PERCENT))
-    return min(max(seen_rad, MIN_HEADING_SIGMA_RAD), HEADING_SIGMA_RAD)
+    seen_rad = np.percentile([segment.wander_rad for segment in segments], MOST_PERCENT)
+    return float(np.clip(seen_rad, MIN_HEADING_SIGMA_RAD, HEADING_SIGMA_RAD))
 
 
 def _slope_sigma_per_m(length_m, heading_sigma_rad):
@@ -175,9 +177,8 @@ def _usable(wheels):
     is_slow = np.abs(wheels.speed_mps) < MIN_SPEED_MPS
     yaw_rate_radps = np.convolve(np.gradient(wheels.yaw_rad, STEP_S), np.full(9, 1 / 9), "same")
     slides = np.abs(wheels.speed_mps * yaw_rate_radps) > MAX_LATERAL_MPS2
-    unknown = ~wheels.is_known | (wheels.gap_s > MAX_GAP_S) | (wheels.jump_rad > MAX_JUMP_RAD)
     usable, counts = np.ones(len(is_slow), bool), Counter()
-    for reason, flags in (("slow or standing", is_slow), ("gaps in odometry or duty", unknown),
+    for reason, flags in (("slow or standing", is_slow), ("gaps in odometry or duty", ~wheels.is_known),
                           ("fast in a bend: tyres may slide", slides),
                           ("servo on its way", wheels.off > SETTLED_DUTY)):
         counts[reason] = int(np.sum(np.diff((flags & usable).astype(int), prepend=0) > 0))
@@ -201,15 +202,11 @@ def _split(wheels, begin, end):
 
 def _segment(wheels, first, end):
     """Return the segment of the samples from ``first`` up to before ``end``; ``None``: too short."""
-    if end - first < max(3, MIN_DURATION_S / STEP_S):
-        return None
-    samples = np.arange(first, end)
     length = wheels.distance_m[end - 1] - wheels.distance_m[first]
-    if abs(length) < MIN_LENGTH_M:
+    if end - first < max(3, MIN_DURATION_S / STEP_S) or abs(length) < MIN_LENGTH_M:
         return None
-    if length < 0:
-        samples = samples[::-1]
-    distance_m = wheels.distance_m[samples]
+    samples = np.arange(first, end)[::1 if length > 0 else -1]
+    distance_m, length = wheels.distance_m[samples], abs(length)
     # Evenly by distance, so that where the car was slow doesn't count for more.
     at = np.linspace(distance_m[0], distance_m[-1], SLOPE_POINTS)
     off = at - at.mean()
@@ -217,9 +214,7 @@ def _segment(wheels, first, end):
     curvature = float(off @ yaw_rad / (off @ off))
     beside_rad = yaw_rad - yaw_rad.mean() - off * curvature
     wander_rad = math.sqrt(float(beside_rad @ beside_rad) / (SLOPE_POINTS - 2))
-    length = abs(length)
-    return Segment(samples, distance_m, (at[1:] + at[:-1]) / 2, curvature,
-                   _slope_sigma_per_m(length, HEADING_SIGMA_RAD), length,
+    return Segment(samples, distance_m, (at[1:] + at[:-1]) / 2, curvature, length,
                    float(np.mean(wheels.speed_mps[samples] ** 4)) ** 0.25, wander_rad)
 
 

@@ -162,32 +162,30 @@ def _banded(matrix, height=None):
 # --- errors beyond the spline's ---
 
 
-def bends(knots: np.ndarray, found: Observations, used: np.ndarray) -> np.ndarray:
+def bends(knots: np.ndarray, found: Observations) -> np.ndarray:
     """Return how far the curve may be off the straight line between the places where it was driven, at the knots, which
-    are duties (K,): (K,). ``used``: which of the observations count, (S,).
+    are duties (K,): (K,).
 
     Between two places the curve may continue as steeply as it came and bend anywhere, as at a mechanical stop.
     """
-    duty, curvature, sigma = _places(found, used)
+    duty, curvature, sigma = _places(found)
     if len(duty) < 3:
         return np.zeros(len(knots))
     width = np.diff(duty)
-    steep, steep_sigma = np.diff(curvature) / width, np.hypot(sigma[1:], sigma[:-1]) / width
     # Beyond the outermost places it may be level, as at a stop.
-    before, behind = np.append(0.0, steep[:-1]), np.append(steep[1:], 0.0)
-    before_sigma, behind_sigma = np.append(0.0, steep_sigma[:-1]), np.append(steep_sigma[1:], 0.0)
-    begins = _beyond_noise(steep - before, np.hypot(steep_sigma, before_sigma))
-    ends = _beyond_noise(behind - steep, np.hypot(steep_sigma, behind_sigma))
+    steep, steep_sigma = np.pad(np.diff(curvature) / width, 1), np.pad(np.hypot(sigma[1:], sigma[:-1]) / width, 1)
+    squared, noise = np.diff(steep) ** 2, np.hypot(steep_sigma[1:], steep_sigma[:-1])
+    change = np.sqrt(squared) * squared / np.maximum(squared + noise ** 2, 1e-30)  # reduced as far as it may be noise
     at = np.clip(np.searchsorted(duty, knots) - 1, 0, len(width) - 1)
     from_begin, to_end = np.clip(knots - duty[at], 0, None), np.clip(duty[at + 1] - knots, 0, None)
-    return np.minimum(begins[at] * from_begin, ends[at] * to_end)
+    return np.minimum(change[at] * from_begin, change[at + 1] * to_end)
 
 
-def unseen(duties: np.ndarray, found: Observations, used: np.ndarray) -> np.ndarray:
+def unseen(duties: np.ndarray, found: Observations) -> np.ndarray:
     """Return the standard error of a curve at the duties (K,) by bends of its own that show at none of the places where
     it was driven: (K,). A curve that goes straight on before a gap and behind it needn't do so within.
     """
-    duty, curvature, _ = _places(found, used)
+    duty, curvature, _ = _places(found)
     if len(duty) < 2:
         return np.zeros(len(duties))
     at = np.clip(np.searchsorted(duty, duties) - 1, 0, len(duty) - 2)
@@ -203,18 +201,11 @@ def bounded(curvatures: np.ndarray, sigmas: np.ndarray) -> np.ndarray:
     return np.minimum(sigmas, np.maximum(np.maximum(upper - up, up - lower), 0.0) / BAND)
 
 
-def _beyond_noise(difference, sigma):
-    """Return the magnitude of a difference, reduced as far as it may be noise."""
-    squared = difference ** 2
-    return np.abs(difference) * squared / np.maximum(squared + sigma ** 2, 1e-30)
-
-
-def _places(found, used):
+def _places(found):
     """Return (duty, curvature, standard error) (P,) of the observations, duties rising; within half a count they are
     one.
     """
-    duty, weight = found.duty[used], 1 / found.sigma_per_m[used] ** 2
-    place = place_numbers(duty)
+    weight, place = 1 / found.sigma_per_m ** 2, place_numbers(found.duty)
     total = np.bincount(place, weight)
-    return (np.bincount(place, weight * duty) / total,
-            np.bincount(place, weight * found.curvature_per_m[used]) / total, 1 / np.sqrt(total))
+    return (np.bincount(place, weight * found.duty) / total,
+            np.bincount(place, weight * found.curvature_per_m) / total, 1 / np.sqrt(total))

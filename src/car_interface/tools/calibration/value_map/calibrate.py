@@ -4,16 +4,15 @@ be written, and the report.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Iterator, NamedTuple, Sequence
+from typing import NamedTuple, Sequence
 
 import numpy as np
 
 from car_interface.common.errors import CarInterfaceError
 from car_interface.throttle.value_map import ValueMap
-from car_interface.tools.calibration.shared import NothingToFit, RecordedDrive, names_of
+from car_interface.tools.calibration.shared import NothingToFit, RecordedDrive, names_of, runs
 from car_interface.tools.calibration.value_map import fit as fitting
-from car_interface.tools.calibration.value_map.acceleration import WINDOW_S, MapFitConfig
-from car_interface.tools.calibration.value_map.recorded import BY_IMU, MapSource
+from car_interface.tools.calibration.value_map.recorded import BY_IMU, MapConfig
 from car_interface.tools.calibration.value_map.surface import (
     DECIMALS,
     MIN_STEP_MPS2,
@@ -21,24 +20,16 @@ from car_interface.tools.calibration.value_map.surface import (
     rising_column,
     rounded,
 )
+from car_interface.tools.calibration.value_map.windows import WINDOW_S
 
 MAX_HELD_OUT_MPS2 = 0.5
 MIN_DRIVEN_RATIO = 0.25  # of a map that the drives themselves state
-DUTY = "duty:"
 MIN_NODES = 3  # values, and velocities, of a map that is fit to drive with
 BRACKET = 2  # nodes: this near on both sides must be supported ones
 # The source of an acceleration: the drives; drives next to it on both sides, and as sure; an old map; an old map, moved
 # because its column would not have risen.
 DRIVEN, BETWEEN, OLD, MOVED = range(4)
 SYMBOLS = {DRIVEN: "#", BETWEEN: "+", OLD: "o", MOVED: "m"}
-
-
-class NoTable(CarInterfaceError):
-    """Drives that support no table; ``coverage`` shows what they do support, as a grid of symbols."""
-
-    def __init__(self, text: str, coverage: str):
-        super().__init__(text)
-        self.coverage = coverage
 
 
 class Table(NamedTuple):
@@ -53,13 +44,13 @@ class Table(NamedTuple):
 class MapResult(NamedTuple):
     """A map, and all that is known about it."""
 
-    table: Table
+    table: Table | None  # ``None`` = the drives support none
     fit: fitting.Fit
     problems: list[str]  # why it should not be written; empty = it may be
 
 
 def calibrate(recorded: Sequence[RecordedDrive], values: Sequence[float] | None, velocities_mps: Sequence[float] | None,
-              config: MapFitConfig, prior: ValueMap | None = None) -> MapResult:
+              config: MapConfig, prior: ValueMap | None = None) -> MapResult:
     """Fit a map to recorded drives.
 
     Args:
@@ -67,19 +58,14 @@ def calibrate(recorded: Sequence[RecordedDrive], values: Sequence[float] | None,
         prior: an old map, which stays where the drives support nothing.
 
     Raises:
-        NoTable: the drives support too little.
         CarInterfaceError: there is nothing to fit.
     """
-    names = names_of(recorded)
     try:
         fit = fitting.fit([one.drive for one in recorded], values, velocities_mps, config)
     except NothingToFit as error:
-        raise CarInterfaceError(f"nothing in {names} tells an acceleration: {error}") from error
+        raise CarInterfaceError(f"nothing in {names_of(recorded)} tells an acceleration: {error}") from error
     table = supported_table(fit, config.neutral, _prior_at_nodes(prior, fit))
-    if table is None:
-        raise NoTable(f"no map is written: {names} support no two values at the same two velocities; drive longer, "
-                      "with throttle and brake of several strengths", coverage_text(fit, None))
-    return MapResult(table, fit, list(_problems(fit, table)))
+    return MapResult(table, fit, [] if table is None else list(_problems(fit, table)))
 
 
 def _problems(fit, table):
@@ -122,22 +108,18 @@ def supported_table(fit: fitting.Fit, neutral: float, prior: np.ndarray | None =
     Returns:
         The table, with at least two values and velocities, or ``None``.
     """
-    between = _between(fit)
-    origin = np.where(fit.supported, DRIVEN, np.where(between, BETWEEN, OLD))
-    stated = fit.supported | between
-    if prior is not None:
-        stated = stated | np.isfinite(prior)
-    part = _largest_part(stated, fit.values, fit.velocities, neutral)
+    origin = np.where(fit.supported, DRIVEN, np.where(_between(fit), BETWEEN, OLD))
+    has_prior = False if prior is None else np.isfinite(prior)
+    part = _largest_part((origin != OLD) | has_prior, fit.values, fit.velocities, neutral)
     if part is None:
         return None
-    origin = origin[part].copy()
+    origin = origin[part]
     old = origin == OLD
     wanted = fit.accelerations[part]
     if old.any():
         wanted = np.where(old, prior[part], wanted)
-        min_steps = np.full(wanted.shape[0] - 1, MIN_STEP_MPS2)
         weight = np.where(old, 1.0, 1e9)  # measured ones don't move
-        risen = np.stack([rising_column(wanted[:, k], weight[:, k], min_steps) for k in range(wanted.shape[1])], axis=1)
+        risen = np.array(list(map(rising_column, wanted.T, weight.T))).T
         origin[old & (np.abs(risen - wanted) > RESOLUTION_MPS2)] = MOVED
         wanted = risen
     return Table(fit.values[part[0].ravel()], fit.velocities[part[1].ravel()], rounded(wanted), origin)
@@ -145,14 +127,11 @@ def supported_table(fit: fitting.Fit, neutral: float, prior: np.ndarray | None =
 
 def _between(fit):
     """Return which nodes have supported ones on both sides, and are known as well (R, C)."""
-    between = np.zeros(fit.supported.shape, bool)
-    for axis in (0, 1):
-        known = np.moveaxis(np.pad(fit.supported, [(BRACKET, BRACKET) if axis == one else (0, 0) for one in (0, 1)]),
-                            axis, 0)
-        shifted = [known[begin:len(known) - 2 * BRACKET + begin] for begin in range(2 * BRACKET + 1)]
-        on_both_sides = np.any(shifted[:BRACKET], axis=0) & np.any(shifted[BRACKET + 1:], axis=0)
-        between |= np.moveaxis(on_both_sides, 0, axis)
-    return between & ~fit.supported & fit.sure
+    def on_both_sides(known):
+        padded = np.pad(known, [(BRACKET, BRACKET), (0, 0)])
+        shifted = [padded[begin:begin + len(known)] for begin in range(2 * BRACKET + 1)]
+        return np.any(shifted[:BRACKET], axis=0) & np.any(shifted[BRACKET + 1:], axis=0)
+    return (on_both_sides(fit.supported) | on_both_sides(fit.supported.T).T) & ~fit.supported & fit.sure
 
 
 def _largest_part(stated, values, velocities, neutral):
@@ -194,66 +173,61 @@ def number_text(x: float) -> str:
 # --- the report ---
 
 
-def report(recorded: Sequence[RecordedDrive], source: MapSource, fit: fitting.Fit, table: Table,
-           problems: Sequence[str], prior_path: str | None = None) -> Iterator[str]:
-    """Yield the lines; ``table`` is the part of the fit that is written, ``problems`` say why it should not be."""
-    yield from _source_lines(recorded, source, fit, prior_path)
-    yield from _error_lines(fit)
-    yield coverage_text(fit, table)
-    yield ""
-    yield from _map_lines(fit, table)
-    yield ""
-    yield "standard error in m/s²"
-    yield from _grid(fit.values, fit.velocities, fit.sigma_mps2, "{:.3f}")
-    yield ""
-    yield "seconds of driving"
-    yield from _grid(fit.values, fit.velocities, fit.seconds, "{:.1f}")
-    if problems:
-        yield ""
-        yield from (f"not good enough: {problem}" for problem in problems)
+def report(recorded: Sequence[RecordedDrive], config: MapConfig, found: MapResult,
+           prior_path: str | None = None) -> str:
+    """Return the report's text."""
+    table, fit, problems = found
+    sections = (
+        _source_lines(recorded, config, prior_path), _delay_and_ground_lines(recorded, config, fit),
+        _window_lines(fit), _error_lines(fit), [coverage_text(fit, table)], _map_lines(fit, table),
+        ["standard error in m/s²", *_grid(fit.values, fit.velocities, fit.sigma_mps2, "{:.3f}")],
+        ["seconds of driving", *_grid(fit.values, fit.velocities, fit.seconds, "{:.1f}")],
+        [f"not good enough: {problem}" for problem in problems])
+    return "\n\n".join(filter(None, map("\n".join, sections)))
 
 
-def _source_lines(recorded, source, fit, prior_path):
-    drives, names = [one.drive for one in recorded], [Path(one.path).name for one in recorded]
-    value = source.value_topic if source.duty_channel is None else f"{DUTY}{source.duty_channel}"
+def _source_lines(recorded, config, prior_path):
+    names = [Path(one.path).name for one in recorded]
     yield f"A value map from {', '.join(names)}"
-    measured_by = ("the IMU, its bias by the wheels" if source.measured_by == BY_IMU else "pulse times of the wheels"
-                   if all(drive.wheels for drive in drives) else "odometry's speed")
-    yield f"value: {value}; accelerations by {measured_by}"
-    if source.throttle:
-        duties, values = source.throttle.value_of_duty.axis, source.throttle.value_of_duty.values
-        yield (f"a duty counts as the value of which {source.throttle.path} makes it: {duties[0]:g} is {values[0]:g}, "
+    measured_by = ("the IMU, its bias by the wheels" if config.measured_by == BY_IMU else "pulse times of the wheels"
+                   if all(one.drive.wheels for one in recorded) else "odometry's speed")
+    yield f"value: {config.value_name}; accelerations by {measured_by}"
+    if config.throttle:
+        duties, values = config.throttle.duties, config.throttle.values
+        yield (f"a duty counts as the value of which {config.throttle.path} makes it: {duties[0]:g} is {values[0]:g}, "
                f"{duties[-1]:g} is {values[-1]:g}")
     if prior_path:
         yield f"prior: {prior_path}"
     yield from (f"{name}: {note}" for name, one in zip(names, recorded) for note in one.notes)
-    yield ""
+
+
+def _delay_and_ground_lines(recorded, config, fit):
     has_sigma = fit.delay_sigma_s >= 0
     sigma = f" ± {max(1.0, 1000 * fit.delay_sigma_s):.0f}" if has_sigma else ""
-    how = "given" if fit.delay_is_given else "estimated" if has_sigma else "the drives don't tell it"
+    how = "given" if config.delay_s is not None else "estimated" if has_sigma else "the drives don't tell it"
     yield f"from value to acceleration: {1000 * fit.delay_s:.0f}{sigma} ms ({how})"
-    for name, drive, ground in zip(names, drives, fit.grounds):
-        yield f"{name}: {_ground_text(ground, drive.pitch is not None, source.measured_by == BY_IMU)}"
-    yield ""
+    for one, ground in zip(recorded, fit.grounds):
+        text = _ground_text(ground, one.drive.pitch is not None, config.measured_by == BY_IMU)
+        yield f"{Path(one.path).name}: {text}"
 
 
-def _error_lines(fit):
+def _window_lines(fit):
     windows = sum(fit.rejected.values())
     yield f"windows of {WINDOW_S:g} s: {windows}, of which count {fit.rejected['counted']}; the others:"
     yield from (f"  {number:6d}  {text}" for text, number in fit.rejected.items() if number and text != "counted")
-    yield ""
+
+
+def _error_lines(fit):
     yield f"error of single windows: {fit.residual_mps2:.3f} m/s² RMS"
     if fit.held_out_windows:
         yield (f"held out (every {fitting.HELD_OUT}th manoeuvre, from the others): {fit.held_out_mps2:.3f} m/s² RMS "
                f"over {fit.held_out_windows} windows")
-    yield ""
 
 
 def _map_lines(fit, table):
     count = table.accelerations.size
-    yield (f"the map: {table.values.size} values, {number_text(table.values[0])} to {number_text(table.values[-1])}; "
-           f"{table.velocities.size} velocities, {number_text(table.velocities[0])} to "
-           f"{number_text(table.velocities[-1])} m/s")
+    yield (f"the map: {table.values.size} values, {_range_text(table.values)}; {table.velocities.size} velocities, "
+           f"{_range_text(table.velocities)} m/s")
     for origin, text in ((DRIVEN, "driven"), (BETWEEN, "between what was driven"),
                          (OLD, "the prior's"), (MOVED, "the prior's, moved so that its column rises")):
         number = int((table.origin == origin).sum())
@@ -265,8 +239,8 @@ def _map_lines(fit, table):
                "reverses where it says brake")
     level = _level_values(table)
     if level:
-        yield (f"from value {number_text(level[0])} to {number_text(level[1])} acceleration hardly changes: the ESC's "
-               "neutral band, in which the map rises only as its CSV needs it")
+        yield (f"from value {_range_text(level)} acceleration hardly changes: the ESC's neutral band, in which the map "
+               "rises only as its CSV needs it")
 
 
 def narrower_text(table: Table, old: ValueMap, old_path: str) -> str | None:
@@ -319,13 +293,12 @@ def _grid(values, velocities, cells, form):
 def _missing(fit):
     """Yield what to drive, a line for each value."""
     for value, row in zip(fit.values[::-1], fit.supported[::-1]):
-        gaps = np.flatnonzero(~row)
-        if gaps.size == row.size:
+        gaps = [fit.velocities[begin:end] for begin, end in runs(~row)]
+        if not row.any():
             yield f"value {number_text(value)}: at any speed"
-        elif gaps.size:
-            runs = [fit.velocities[run] for run in np.split(gaps, np.flatnonzero(np.diff(gaps) > 1) + 1)]
-            yield f"value {number_text(value)}: at " + ", ".join(
-                number_text(run[0]) + (f" to {number_text(run[-1])}" if run.size > 1 else "") for run in runs) + " m/s"
+        elif gaps:
+            texts = [_range_text(gap) if gap.size > 1 else number_text(gap[0]) for gap in gaps]
+            yield f"value {number_text(value)}: at {', '.join(texts)} m/s"
 
 
 def _level_values(table):

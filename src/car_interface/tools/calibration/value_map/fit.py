@@ -21,6 +21,7 @@ other nodes are not the drive's to state. W windows of P points each, of D drive
 """
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple, Sequence
 
@@ -28,19 +29,18 @@ import numpy as np
 from scipy import sparse
 
 from car_interface.tools.calibration.shared import NothingToFit
-from car_interface.tools.calibration.value_map import acceleration as windowing
-from car_interface.tools.calibration.value_map.acceleration import DEFAULTS, MapDrive, MapFitConfig
+from car_interface.tools.calibration.value_map.recorded import DEFAULTS, MapConfig, MapDrive
 from car_interface.tools.calibration.value_map.surface import (
-    MIN_STEP_MPS2,
     Grid,
     penalties,
     rising_least_squares,
+    round_axis,
     rounded,
     value_axis,
-    velocity_axis,
 )
 from car_interface.tools.calibration.value_map.windows import (
     BEYOND,
+    MEASURED,
     OUTLYING,
     TURNING,
     Data,
@@ -53,6 +53,7 @@ from car_interface.tools.calibration.value_map.windows import (
     within_turns,
 )
 
+VELOCITIES = 8  # of a map, about as many
 FIRST_DELAY_S = 0.1  # by which the axes are chosen, before the delay is known
 MAX_DELAY_S = 0.6
 COARSE_STEP_S = 0.04
@@ -95,7 +96,6 @@ class Fit:
     sure: np.ndarray  # which nodes have a small standard error, with or without driving around them, (R, C)
     delay_s: float  # from value to acceleration
     delay_sigma_s: float  # its standard error; NaN where the delay was given or doesn't show
-    delay_is_given: bool
     grounds: tuple[Ground, ...]  # one for each drive
     rejected: dict[str, int]  # windows by rule; those that count are under "counted"
     residual_mps2: float  # RMS over windows that count
@@ -105,7 +105,7 @@ class Fit:
 
 @np.errstate(invalid="ignore")  # NaN, for what wasn't measured, compares as false
 def fit(drives: Sequence[MapDrive], values: np.ndarray | None, velocities: np.ndarray | None,
-        config: MapFitConfig = DEFAULTS) -> Fit:
+        config: MapConfig = DEFAULTS) -> Fit:
     """Fit a map to drives.
 
     Args:
@@ -116,60 +116,58 @@ def fit(drives: Sequence[MapDrive], values: np.ndarray | None, velocities: np.nd
         NothingToFit: no window counts.
     """
     data = gather(drives, config)
-    if not (data.windows.state == windowing.MEASURED).any():
-        raise NothingToFit(why_nothing(data.windows.state))
-    value, state = sample(drives, data, config.delay_s if config.delay_s is not None else FIRST_DELAY_S, config)
-    inside = state == windowing.MEASURED
-    if not inside.any():
-        raise NothingToFit(why_nothing(state))
+    _counting(data.windows.state)
+    is_given = config.delay_s is not None
+    value, state = sample(drives, data, config.delay_s if is_given else FIRST_DELAY_S, config)
+    inside = _counting(state)
     grid = Grid(value_axis(value[inside], config.neutral) if values is None else np.asarray(values, float),
-                velocity_axis(data.windows.speed_mps[inside]) if velocities is None else np.asarray(velocities, float))
-    delay_s, delay_sigma_s = (config.delay_s, float("nan")) if config.delay_s is not None else estimate_delay(
-        drives, data, grid, config)
+                round_axis(data.windows.speed_mps[inside], 0.0, VELOCITIES) if velocities is None else
+                np.asarray(velocities, float))
+    delay_s, delay_sigma_s = (config.delay_s, math.nan) if is_given else estimate_delay(drives, data, grid, config)
     value, state = sample(drives, data, delay_s, config)
     state = on_grid(data, value, state, grid)
-    if not (state == windowing.MEASURED).any():
-        raise NothingToFit(why_nothing(state))
-    model = Model(grid, data, value, config)
-    manoeuvre = manoeuvres(data, value, state, grid)
+    counts = _counting(state)
+    model, manoeuvre = Model(grid, data, value, config), manoeuvres(data, value, state, grid)
     solved = solve(model, state)
-    state = np.where((state == windowing.MEASURED) & solved.outlying, OUTLYING, state)
+    state = np.where(counts & solved.outlying, OUTLYING, state)
     seconds, count = coverage(model, state, manoeuvre)
     sigma = standard_errors(model, solved, state, manoeuvre)
     sure = sigma <= SUPPORT_SIGMA_MPS2
     supported = sure & (seconds >= SUPPORT_S) & (count >= SUPPORT_MANOEUVRES)
-    held_out_mps2, held_out_windows = hold_out(model, state, manoeuvre)
-    used = state == windowing.MEASURED
-    shape = (grid.rows.size, grid.columns.size)
+    by_node = [column.reshape(grid.rows.size, grid.columns.size)
+               for column in (solved.nodes, sigma, seconds, supported, sure)]
     grounds = tuple(_ground(index, data, solved) for index in range(len(drives)))
-    return Fit(grid.rows, grid.columns, rounded(solved.nodes.reshape(shape)), sigma.reshape(shape),
-               seconds.reshape(shape), supported.reshape(shape), sure.reshape(shape),
-               float(delay_s), float(delay_sigma_s), config.delay_s is not None, grounds, by_rule(state),
-               rms(solved.residual[used]), held_out_mps2, held_out_windows)
+    return Fit(grid.rows, grid.columns, rounded(by_node[0]), *by_node[1:], float(delay_s), float(delay_sigma_s),
+               grounds, by_rule(state), rms(solved.residual[state == MEASURED]), *hold_out(model, state, manoeuvre))
+
+
+def _counting(state):
+    """Return which windows count, by their states (W,); NothingToFit is raised where none does."""
+    counts = state == MEASURED
+    if not counts.any():
+        raise NothingToFit(why_nothing(state))
+    return counts
 
 
 def _ground(index, data, solved):
-    sees = data.sees_slope[index]
-    uphill = tuple(float(x) if sees else float("nan") for x in solved.slope[2 * index:2 * index + 2])
-    inverse = np.linalg.inv(solved.normal)
+    uphill = solved.slope[2 * index:2 * index + 2].tolist() if data.sees_slope[index] else (math.nan, math.nan)
     at = solved.nodes.size + 2 * data.sees_slope.size + 2 * index
-    sigma = np.sqrt(np.diag(inverse)[at:at + 2])
-    above, below = (float(-x) for x in solved.sag[index])
-    return Ground(uphill, above, below, (float(sigma[0]), float(sigma[1])), float(data.pitch_offset[index]))
+    sigma = np.sqrt(np.diag(np.linalg.inv(solved.normal))[at:at + 2]).tolist()
+    return Ground(tuple(uphill), *(-solved.sag[index]).tolist(), tuple(sigma), float(data.pitch_offset[index]))
 
 
 # --- the delay ---
 
 
-def estimate_delay(drives: Sequence[MapDrive], data: Data, grid: Grid, config: MapFitConfig) -> tuple[float, float]:
+def estimate_delay(drives: Sequence[MapDrive], data: Data, grid: Grid, config: MapConfig) -> tuple[float, float]:
     """Return (the delay in s, its standard error); the latter is NaN where the drives don't show one."""
     coarse = Grid(_thin(grid.rows, COARSE_ROWS), _thin(grid.columns, COARSE_COLUMNS))
     # Only windows that count under every delay are compared, or their number would decide.
     states = [on_grid(data, *sample(drives, data, delay_s, config), grid) for delay_s in (0.0, MAX_DELAY_S)]
-    state = np.where(states[0] == windowing.MEASURED, states[1], states[0])
-    used = state == windowing.MEASURED
+    state = np.where(states[0] == MEASURED, states[1], states[0])
+    used = state == MEASURED
     if used.sum() < 2 * coarse.size:
-        return 0.0, float("nan")
+        return 0.0, math.nan
 
     def ratios(delay_s, grid):
         value, _ = sample(drives, data, delay_s, config)
@@ -185,11 +183,11 @@ def estimate_delay(drives: Sequence[MapDrive], data: Data, grid: Grid, config: M
         found = np.array(found) / scale
         costs = np.where(found < HUBER, found**2, 2 * HUBER * found - HUBER**2).sum(axis=1)  # Huber's
         if np.ptp(costs) < MIN_DIFFERENCE and over is coarse:
-            return 0.0, float("nan")
+            return 0.0, math.nan
         best, max_offset, step = float(delays_s[np.argmin(costs)]), 1.5 * step, step / 4
     a, b, _ = np.polyfit(delays_s - best, costs, 2)
     if a <= 0:
-        return best, float("nan")
+        return best, math.nan
     return float(np.clip(best - b / (2 * a), 0.0, best + max_offset)), float(1.0 / np.sqrt(a))
 
 
@@ -210,7 +208,7 @@ class Model:
         penalty: of the map's roughness, (G, G).
     """
 
-    def __init__(self, grid: Grid, data: Data, value: np.ndarray, config: MapFitConfig, sags: bool = True):
+    def __init__(self, grid: Grid, data: Data, value: np.ndarray, config: MapConfig, sags: bool = True):
         self.grid, self.data = grid, data
         weight, speed = data.windows.weight, np.nan_to_num(data.windows.speed_mps)
         self.map = grid.averages(value, speed, weight)
@@ -230,7 +228,7 @@ class Solution:
     nodes: np.ndarray  # the map, (G,)
     slope: np.ndarray  # of each drive's ground along x and y, (2·D,)
     sag: np.ndarray  # of each drive above and below neutral, (D, 2)
-    residual: np.ndarray  # of each window in m/s², (W,); 0 where it wasn't used
+    residual: np.ndarray  # of each window in m/s², (W,); of no meaning, as the next two, where it wasn't used
     weight: np.ndarray  # of each window, (W,)
     outlying: np.ndarray  # which windows are outliers, (W,)
     columns: sparse.csr_matrix  # of the last pass's equations: (W, U), (U, U), (U, U), with U = G + 4·D unknowns
@@ -243,14 +241,12 @@ def solve(model: Model, state: np.ndarray, rising: bool = True, passes: int = PA
     and TURNING are used; ``rising``: the map must rise with the value.
     """
     data, grid = model.data, model.grid
-    used = (state == windowing.MEASURED) | (state == TURNING)
+    used = (state == MEASURED) | (state == TURNING)
     within = within_turns(state == TURNING, data.drive)
     drives = data.sees_slope.size
     sag = np.zeros((drives, 2))
-    # A step below the CSV's resolution would vanish; where the map hardly rises it rises by that.
-    min_steps = np.full(grid.rows.size - 1, MIN_STEP_MPS2)
-    weight = np.where(used, 1.0 / data.windows.sigma_mps2**2, 0.0)
-    nodes, spread, outlying = None, 1.0, np.zeros(used.size, bool)
+    nodes = np.zeros(grid.size)
+    spread, weight, outlying = _robust(np.zeros(used.size), data.windows.sigma_mps2, used)
     prior = np.zeros((grid.size + 4 * drives,) * 2)
     prior[:grid.size, :grid.size] = model.penalty + 1e-8 * np.eye(grid.size)
     slope_at = np.arange(grid.size, grid.size + 2 * drives)
@@ -259,28 +255,22 @@ def solve(model: Model, state: np.ndarray, rising: bool = True, passes: int = PA
     prior[sag_at, sag_at] = SAG_SIGMA**-2
     acceleration = within @ np.where(used, data.windows.acceleration_mps2, 0.0)
     for _ in range(passes):
-        mapped = model.map.copy()
+        mapped, sagging = model.map, np.zeros((used.size, 2 * drives))
         for side, push in enumerate(model.push):
-            mapped = mapped + sparse.diags(data.part * sag[data.drive, side]) @ push
-        sagging = np.zeros((used.size, 2 * drives))
-        if nodes is not None:
-            for side, push in enumerate(model.push):
-                sagging[np.arange(used.size), 2 * data.drive + side] = data.part * (push @ nodes)
+            mapped = mapped + sparse.diags(data.windows.part * sag[data.drive, side]) @ push
+            sagging[np.arange(used.size), 2 * data.drive + side] = data.windows.part * (push @ nodes)
         columns = within @ sparse.hstack([mapped, sparse.csr_matrix(data.slope), sparse.csr_matrix(sagging)]).tocsr()
         counts = sparse.diags(np.where(outlying, 0.0, weight))
         normal = (columns.T @ counts @ columns).toarray() / spread**2 + prior
         # The unknown is the sag's change; its prior is about the sag.
         right = columns.T @ (counts @ acceleration) / spread**2
         right[sag_at] -= prior[sag_at, sag_at] * sag.ravel()
-        found = (rising_least_squares(grid, normal, right, min_steps) if rising
-                 else np.linalg.solve(normal, right))
+        found = rising_least_squares(grid, normal, right) if rising else np.linalg.solve(normal, right)
         nodes, slope = found[:grid.size], found[slope_at]
-        if model.push:
-            sag = np.clip(sag + found[sag_at].reshape(drives, 2), -MAX_SAG, MAX_SAG)
+        sag = np.clip(sag + found[sag_at].reshape(drives, 2), -MAX_SAG, MAX_SAG)
         residual = acceleration - columns @ found
         spread, weight, outlying = _robust(residual, data.windows.sigma_mps2, used)
-    return Solution(nodes, slope, sag, np.where(used, residual, 0.0), np.where(outlying, 0.0, weight) / spread**2,
-                    outlying, columns, normal, prior)
+    return Solution(nodes, slope, sag, residual, weight / spread**2, outlying, columns, normal, prior)
 
 
 def _robust(residual, sigma, used):
@@ -299,8 +289,8 @@ def coverage(model: Model, state: np.ndarray, manoeuvre: np.ndarray) -> tuple[np
     """Return (seconds of driving around each node (G,), in how many manoeuvres (G,)), by each window's state and
     manoeuvre, (W,).
     """
-    used = np.flatnonzero(state == windowing.MEASURED)
-    time_s = sparse.diags(model.data.hop_s[used]) @ model.map[used]
+    used = np.flatnonzero(state == MEASURED)
+    time_s = sparse.diags(model.data.windows.hop_s[used]) @ model.map[used]
     seconds = np.asarray(time_s.sum(axis=0)).ravel()
     around = (_membership(manoeuvre, used) @ time_s).toarray()
     return seconds, (around >= MIN_S).sum(axis=0)
@@ -314,7 +304,7 @@ def standard_errors(model: Model, solved: Solution, state: np.ndarray, manoeuvre
     grid = model.grid
     inverse = np.linalg.inv(solved.normal)
     by_weight = np.diag(inverse)[:grid.size]
-    used = np.flatnonzero((state == windowing.MEASURED) & ~solved.outlying)
+    used = np.flatnonzero((state == MEASURED) & ~solved.outlying)
     scores = sparse.diags(solved.weight[used] * solved.residual[used]) @ solved.columns[used]
     clusters = (_membership(manoeuvre, used) @ scores).toarray()
     middle = clusters.T @ clusters + solved.prior
@@ -324,19 +314,19 @@ def standard_errors(model: Model, solved: Solution, state: np.ndarray, manoeuvre
 
 def hold_out(model: Model, state: np.ndarray, manoeuvre: np.ndarray) -> tuple[float, int]:
     """Return (RMS in m/s² over every 5th manoeuvre from a fit to all others, windows in it); NaN if there are none."""
-    held = (manoeuvre >= 0) & (manoeuvre % HELD_OUT == HELD_OUT - 1) & (state == windowing.MEASURED)
+    held = (manoeuvre >= 0) & (manoeuvre % HELD_OUT == HELD_OUT - 1) & (state == MEASURED)
     if not held.any():
-        return float("nan"), 0
+        return math.nan, 0
     solved = solve(model, np.where(held, BEYOND, state))
     predicted = model.map @ solved.nodes + model.data.slope @ solved.slope
     for side, push in enumerate(model.push):
-        predicted = predicted + model.data.part * solved.sag[model.data.drive, side] * (push @ solved.nodes)
+        predicted = predicted + model.data.windows.part * solved.sag[model.data.drive, side] * (push @ solved.nodes)
     return rms((model.data.windows.acceleration_mps2 - predicted)[held]), int(held.sum())
 
 
 def rms(x: np.ndarray) -> float:
     """Return the root mean square; NaN without numbers."""
-    return float(np.sqrt(np.mean(np.square(x)))) if x.size else float("nan")
+    return float(np.sqrt(np.mean(np.square(x)))) if x.size else math.nan
 
 
 def _membership(manoeuvre, used):

@@ -18,10 +18,11 @@ ROUGH_ROWS, ROUGH_COLUMNS = 8.0, 0.15
 INTERVALS = 10.0  # of the axis for which a second derivative is expected; on a finer grid nodes differ by less
 DECIMALS = 3  # of a map's CSV, as Autoware's calibrators write it
 RESOLUTION_MPS2 = 10.0**-DECIMALS
-# A step of two roundings' width is still one when both of its ends are rounded towards each other.
+# A smaller step would vanish in the CSV: one of two roundings' width is still one when both of its ends are rounded
+# towards each other. Where a map hardly rises it rises by that.
 MIN_STEP_MPS2 = 2 * RESOLUTION_MPS2
 NEAR = 0.25  # of the step between rows: two more rows lie this far from neutral
-VALUES, VELOCITIES = 10, 8  # about as many
+VALUES = 10  # about as many
 
 
 @dataclass(frozen=True)
@@ -38,8 +39,7 @@ class Grid:
 
     def has(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return whether points, of any shape, are on the grid."""
-        rows, columns = self.rows, self.columns
-        return (u >= rows[0]) & (u <= rows[-1]) & (v >= columns[0]) & (v <= columns[-1])
+        return ((u >= self.rows[0]) & (u <= self.rows[-1]) & (v >= self.columns[0]) & (v <= self.columns[-1]))
 
     def averages(self, u: np.ndarray, v: np.ndarray, weight: np.ndarray) -> sparse.csr_matrix:
         """Return the nodes' weights (W, G) in the weighted sums over the points of each row of the arguments (W, P).
@@ -70,20 +70,19 @@ def penalties(grid: Grid, kinks: np.ndarray) -> sparse.csr_matrix:
                           sparse.kron(sparse.identity(grid.rows.size), sparse.csr_matrix(columns))]).tocsr()
 
 
-def rising_least_squares(grid: Grid, normal: np.ndarray, right: np.ndarray, min_steps: np.ndarray) -> np.ndarray:
-    """Minimise x·normal·x − 2·x·right over grids that rise by at least ``min_steps`` from row to row: x (U,).
+def rising_least_squares(grid: Grid, normal: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Minimise x·normal·x − 2·x·right over grids that rise by at least MIN_STEP_MPS2 from row to row: x (U,).
 
     Args:
         grid: its nodes are the first of x; those after them are free.
         normal, right: of the normal equations, (U, U), positive definite, and (U,).
-        min_steps: (R−1,).
     """
     count, columns = grid.size, grid.columns.size
     # Unknowns are the first row and the steps: x = sums · z + the minimum steps.
     sums = np.eye(normal.shape[0])
     sums[:count, :count] = np.kron(np.tril(np.ones((grid.rows.size, grid.rows.size))), np.eye(columns))
     offset = np.zeros(normal.shape[0])
-    offset[:count] = np.repeat(np.concatenate(([0.0], np.cumsum(min_steps))), columns)
+    offset[:count] = np.repeat(MIN_STEP_MPS2 * np.arange(grid.rows.size), columns)
     scale = 1.0 / np.sqrt(np.diag(normal))
     factor = np.linalg.cholesky((normal * scale).T * scale).T  # of the scaled unknowns
     wanted = np.linalg.solve(factor.T, (right - normal @ offset) * scale)
@@ -96,12 +95,11 @@ def rising_least_squares(grid: Grid, normal: np.ndarray, right: np.ndarray, min_
     return sums @ z + offset
 
 
-def rising_column(wanted: np.ndarray, weight: np.ndarray, min_steps: np.ndarray) -> np.ndarray:
-    """Return the column (R,) nearest to ``wanted`` (R,) that rises by at least ``min_steps`` (R−1,).
-
-    In least squares weighted by ``weight`` (R,), by pooling adjacent violators.
+def rising_column(wanted: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Return the column (R,) nearest to ``wanted`` (R,), in least squares with weights (R,), that rises by at least
+    MIN_STEP_MPS2 from row to row.
     """
-    offset = np.concatenate(([0.0], np.cumsum(min_steps)))
+    offset = MIN_STEP_MPS2 * np.arange(wanted.size)
     return rising(wanted - offset, weight) + offset
 
 
@@ -115,39 +113,34 @@ def _second_differences(axis, expected):
     """Return the slope's change at each inner node as a ratio of the one expected between nodes at that distance: (N−2,
     N).
     """
-    steps = np.diff(axis)
-    differences = np.zeros((max(0, axis.size - 2), axis.size))
-    for index in range(axis.size - 2):
-        before, after = steps[index], steps[index + 1]
-        span = (before + after) / 2
-        # The second derivative is a random walk: the variance of its mean goes with 1 / span.
-        factor = 1.0 / (expected * span * (np.ptp(axis) / INTERVALS / span) ** 0.5)
-        differences[index, index:index + 3] = (factor / before, -factor / before - factor / after, factor / after)
-    return differences
+    before, after = np.diff(axis)[:-1], np.diff(axis)[1:]
+    span = (before + after) / 2
+    # The second derivative is a random walk: the variance of its mean goes with 1 / span.
+    factor = 1.0 / (expected * span * (np.ptp(axis) / INTERVALS / span) ** 0.5)
+    inner, nodes = np.arange(1, axis.size - 1), np.arange(axis.size)
+    return ((factor / before)[:, None] * (nodes == inner[:, None] - 1)
+            - (factor / before + factor / after)[:, None] * (nodes == inner[:, None])
+            + (factor / after)[:, None] * (nodes == inner[:, None] + 1))
 
 
 def value_axis(value: np.ndarray, neutral: float) -> np.ndarray:
     """Round numbers over the driven values, of any shape, and two more near neutral, where an ESC's curve bends."""
-    axis = _round_axis(value, neutral, VALUES)
+    axis = round_axis(value, neutral, VALUES)
     near = neutral + np.array([-NEAR, NEAR]) * (axis[1] - axis[0])
     return np.union1d(axis, near[(near > axis[0]) & (near < axis[-1])])
 
 
-def velocity_axis(speed_mps: np.ndarray) -> np.ndarray:
-    """Round numbers over the driven speeds, of any shape, 0 among them."""
-    return _round_axis(speed_mps, 0.0, VELOCITIES)
-
-
 def rounded(accelerations: np.ndarray) -> np.ndarray:
     """Round a map (R, C) to the CSV's decimals so that each column still rises from row to row."""
+    rows = np.arange(len(accelerations))[:, None]
     counts = np.round(accelerations / RESOLUTION_MPS2).astype(np.int64)
-    for row in range(1, counts.shape[0]):
-        counts[row] = np.maximum(counts[row], counts[row - 1] + 1)
-    return counts / 10.0**DECIMALS
+    return (np.maximum.accumulate(counts - rows) + rows) / 10.0**DECIMALS
 
 
-def _round_axis(x, zero, wanted):
-    """Round numbers, ``zero`` among them, about as many as wanted, up to a quarter of their step past the data."""
+def round_axis(x: np.ndarray, zero: float, wanted: int) -> np.ndarray:
+    """Round numbers over the data, of any shape, ``zero`` among them, about as many as wanted, up to a quarter of their
+    step past the data.
+    """
     low, high = min(float(np.min(x)), zero), max(float(np.max(x)), zero)
     rough = max(high - low, 1e-6) / wanted
     power = 10.0 ** np.floor(np.log10(rough))

@@ -9,7 +9,8 @@ import virtual_escs
 from esc_car import EscCar, EscCarConfig
 
 from car_interface.sim import esc as virtual
-from car_interface.tools.calibration.esc.pulls import EscDrive
+from car_interface.tools.calibration.esc.drive import EscDrive, sampled
+from car_interface.tools.calibration.shared import Series
 
 MS = 1_000_000
 PULSE_M = 0.0149
@@ -17,7 +18,7 @@ NEUTRAL, FULL_FORWARD, FULL_REVERSE = 4912.0, 6554.0, 3277.0
 
 
 class Person:
-    """Drives and records: duty at each change, odometry at 50 Hz, 30 ms old and with some noise.
+    """Drives and records: duty at each change and each second, odometry at 50 Hz, 30 ms old and with some noise.
 
     Args:
         esc, car: what is driven.
@@ -41,7 +42,7 @@ class Person:
         duty = 16 * round((self._resting + abs(fraction) * (full - self._resting)) / 16)
         while self._now_ns < end_ns and not until(self.car.speed_mps):
             self._now_ns += 10 * MS
-            if not self._duty or self._duty[-1][1] != duty:
+            if not self._duty or self._duty[-1][1] != duty or self._now_ns % 1_000_000_000 == 0:
                 self._duty.append((self._now_ns / 1e9, duty))
             before_m = self.car.place_m
             self.car.step(0.01, self._esc.step(duty, self._now_ns, self.car.wheel_mps))
@@ -141,8 +142,8 @@ class Person:
 
     def recorded(self) -> EscDrive:
         duty, speed = np.array(self._duty), np.array(self._speed)
-        return EscDrive(duty[:, 0], duty[:, 1], speed[:, 0], speed[:, 1], self._resting, FULL_FORWARD, FULL_REVERSE,
-                        (tuple(np.array(self._pulses).T),) if self._pulses else ())
+        return sampled(Series(*duty.T), Series(*speed.T), self._resting, FULL_FORWARD, FULL_REVERSE,
+                       (Series(*np.array(self._pulses).T),) if self._pulses else ())
 
 
 def random_esc(seed) -> tuple[virtual.VirtualEscConfig, EscCarConfig]:

@@ -1,6 +1,6 @@
 """An ESC told by a drive: right, or refused with what to drive; never wrong."""
-import dataclasses
 import os
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,11 +9,21 @@ from esc_car import EscCarConfig
 
 from car_interface.sim import esc as virtual
 from car_interface.throttle.esc_config import EscConfig
-from car_interface.tools.calibration.esc.calibrate import fit
-from car_interface.tools.calibration.esc.pulls import EscDrive
-from tools.calibration.esc.synthetic import FULL_FORWARD, FULL_REVERSE, NEUTRAL, Person, random_esc
+from car_interface.tools.calibration.esc import calibrate
+from tools.calibration.esc.synthetic import FULL_FORWARD, FULL_REVERSE, Person, random_esc
 
 RANDOM_ESCS = 200 if os.environ.get("CAR_INTERFACE_ALL") else 10
+
+
+FIELDS = {declaration.name: name for name, declaration in zip(calibrate.FIELDS, calibrate.PARAMETERS)}
+
+
+def fit(*drives):
+    """What drives show, by the names of the configuration's fields; None = they don't."""
+    found = calibrate.fit(drives)
+    values = {FIELDS.get(name, name.split("/")[1]): value for name, value in found.values.items()}
+    return SimpleNamespace(**{**dict.fromkeys((*FIELDS.values(), "neutral")), **values}, seen=found.seen,
+                           missing=found.missing)
 
 
 def fitted(make, seed=1, **changes):
@@ -49,8 +59,7 @@ def _assert_numbers_are_true(found, esc, text):
 
 def _assert_it_is_a_configuration(found):
     if found.profile:
-        values = {field.name: getattr(found, field.name) for field in dataclasses.fields(EscConfig)
-                  if getattr(found, field.name, None) is not None}
+        values = {name: getattr(found, name) for name in calibrate.FIELDS if getattr(found, name) is not None}
         assert EscConfig(**values, profile_measured=True, stop_brake=0.5).profile == found.profile
 
 
@@ -95,12 +104,7 @@ def test_brakes_that_contradict_each_other_name_no_profile():
         for _ in range(3):
             person.brake()
             person.center()
-    one, other = holds.recorded(), turns.recorded()
-    later_s = one.speed_s[-1] + 1
-    both = EscDrive(np.r_[one.duty_s, other.duty_s + later_s], np.r_[one.duty, other.duty],
-                    np.r_[one.speed_s, other.speed_s + later_s], np.r_[one.speed_mps, other.speed_mps],
-                    NEUTRAL, FULL_FORWARD, FULL_REVERSE)
-    found = fit(both)
+    found = fit(holds.recorded(), turns.recorded())
     assert found.profile is None
     assert "of 6 brakes after driving forward, 3 held the car and 3 drove it backward" in found.missing[0]
 

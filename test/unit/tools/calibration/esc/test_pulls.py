@@ -3,7 +3,9 @@ import numpy as np
 import pytest
 import virtual_escs
 
-from car_interface.tools.calibration.esc.pulls import BACKWARD, HELD, UNCLEAR, EscDrive, pulls, sampled
+from car_interface.tools.calibration.esc.calibrate import NOTHING_KNOWN, fit
+from car_interface.tools.calibration.esc.drive import BACKWARD, HELD, UNCLEAR, pulls, sampled
+from car_interface.tools.calibration.shared import Series
 from tools.calibration.esc.synthetic import Person
 
 
@@ -15,7 +17,7 @@ def pulls_of(make, *actions):
     for action in actions:
         person.center() if action is None else person.hold(*action)
     person.hold(0, 0.5)
-    return pulls(sampled(person.recorded()))
+    return pulls(person.recorded())
 
 
 @pytest.mark.parametrize("make, outcome, pause_s", [
@@ -56,16 +58,18 @@ def test_pull_that_shows_nothing_is_unclear(actions, outcome):
     assert pull.outcome == outcome
 
 
+def drive_of(duty_s, duty, end_s):
+    """The drive of a car that stands."""
+    t_s = np.arange(0.0, end_s, 0.1)
+    return sampled(Series(np.array(duty_s), np.array(duty)), Series(t_s, np.zeros(t_s.size)), 4912.0, 6554.0, 3277.0)
+
+
 def test_pulls_across_a_loss_of_pulses_do_not_belong_together():
-    drive = EscDrive(np.array([0.0, 1.0, 2.0, 2.5, 3.0]), np.array([4912, 4096, 4912, 0, 4096]),
-                     np.array([0.0, 5.0]), np.array([0.0, 0.0]), 4912.0, 6554.0, 3277.0)
-    assert [pull.follows_pull for pull in pulls(sampled(drive))] == [False, False]
+    drive = drive_of([0.0, 1.0, 2.0, 2.5, 3.0], [4912, 4096, 4912, np.nan, 4096], 5.0)
+    assert [pull.follows_pull for pull in pulls(drive)] == [False, False]
 
 
-@pytest.mark.parametrize("drive", [
-    EscDrive(*[np.zeros(0)] * 4, 4912.0, 6554.0, 3277.0),
-    EscDrive(np.zeros(1), np.zeros(1), np.array([0.0, 9.0]), np.zeros(2), 4912.0, 6554.0, 3277.0),
-    EscDrive(np.zeros(1), np.full(1, 4912.0), np.array([0.0, 0.1]), np.zeros(2), 4912.0, 6554.0, 3277.0),
-], ids=["empty", "without_a_pulse", "too_short"])
-def test_recording_without_a_drive_is_none(drive):
-    assert sampled(drive) is None
+@pytest.mark.parametrize("duty, end_s", [(np.nan, 9.0), (4912.0, 0.3)], ids=["without_a_pulse", "too_short"])
+def test_recording_without_a_drive_shows_nothing(duty, end_s):
+    found = fit([drive_of([0.0], [duty], end_s)])
+    assert (found.values, found.missing) == ({}, [NOTHING_KNOWN])

@@ -4,8 +4,7 @@ import pytest
 
 from car_interface.common.errors import CarInterfaceError
 from car_interface.throttle.calibration import ThrottleCalibration
-from car_interface.tools.calibration.esc.pulls import pulls, sampled
-from car_interface.tools.calibration.esc.recorded import joined, load_esc_drive
+from car_interface.tools.calibration.esc.drive import load_esc_drive, pulls
 from car_interface.tools.recordings.recording import NoRecording
 from written_recordings import Written, odometry, output, write_ros1
 
@@ -38,7 +37,7 @@ def driven(tmp_path, messages, gap=(END_S, END_S), calibration=SHIPPED):
 
 
 def duty_at(drive, time_s):
-    return drive.duty[np.searchsorted(drive.duty_s, time_s, side="right") - 1]
+    return drive.duty[np.searchsorted(drive.t_s, time_s, side="right") - 1]
 
 
 def test_drive_has_the_duties_of_the_channel_and_the_ends_of_the_table(tmp_path):
@@ -70,33 +69,30 @@ def test_neutral_that_was_tuned_during_the_drive_is_refused(tmp_path):
 def test_where_odometry_is_missing_nothing_is_known_of_the_esc(tmp_path, gap, known, unknown):
     drive = driven(tmp_path, [*outputs((0.0, 4912), (5.0, 4000)), state(1.0)], gap).drive
     assert all(duty_at(drive, time_s) > 0 for time_s in known)
-    assert all(duty_at(drive, time_s) == 0 for time_s in unknown)
+    assert all(np.isnan(duty_at(drive, time_s)) for time_s in unknown)
     assert duty_at(drive, 7.0) == 4000
 
 
 def test_where_the_board_s_output_is_missing_nothing_is_known_of_the_esc(tmp_path):
     held = [output(time_s, 5100, duty) for time_s, duty in ((0.0, 4912), (1.0, 4000), (5.0, 4912), (6.0, 4912))]
     drive = driven(tmp_path, [*held, state(1.0)]).drive
-    assert [duty_at(drive, time_s) for time_s in (3.4, 3.6, 4.9, 5.1)] == [4000, 0, 0, 4912]
+    np.testing.assert_equal([duty_at(drive, time_s) for time_s in (3.4, 3.6, 4.9, 5.1)], [4000, np.nan, np.nan, 4912])
 
 
 @pytest.mark.once
 def test_duty_that_is_no_pulse_counts_as_none_and_without_throttle_arb_s_state_there_is_a_note(tmp_path):
     changes = ((0.0, 4912), (2.0, -1), (4.0, 0), (6.0, 65535), (8.0, 4912))
     found = driven(tmp_path, outputs(*changes))
-    assert [duty_at(found.drive, time_s) for time_s in (1.0, 3.0, 5.0, 7.0, 9.0)] == [4912, 0, 0, 0, 4912]
+    np.testing.assert_equal([duty_at(found.drive, time_s) for time_s in (1.0, 3.0, 5.0, 7.0, 9.0)],
+                            [4912, np.nan, np.nan, np.nan, 4912])
     assert found.drive.neutral == 4915
     assert found.notes[0].endswith("has no throttle_arb/state: who drove, and whether by hand, isn't known")
 
 
-def test_pulls_of_two_recordings_do_not_belong_together(tmp_path):
-    forward = driven(tmp_path, [*outputs((0.0, 4912), (5.0, 6000)), state(1.0)]).drive
-    (tmp_path / "a.bag").unlink()
-    pulled = driven(tmp_path, [*outputs((0.0, 4000), (3.0, 4912)), state(1.0)]).drive
-    both = sampled(joined([forward, pulled]))
-    (pull,) = pulls(both)
+def test_pull_with_which_a_recording_begins_follows_nothing_whatever_the_one_before_ended_with(tmp_path):
+    drive = driven(tmp_path, [*outputs((0.0, 4000), (3.0, 4912)), state(1.0)]).drive
+    (pull,) = pulls(drive)
     assert np.isinf(pull.since_forward_s) and not pull.follows_pull
-    assert both.t_s[-1] > 2 * END_S
 
 
 @pytest.mark.once

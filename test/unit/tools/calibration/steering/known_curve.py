@@ -4,10 +4,10 @@ from types import SimpleNamespace
 import numpy as np
 
 from car_interface.tools.calibration.steering.drive import KNOT, Delay
-from car_interface.tools.calibration.steering.ends import Side
+from car_interface.tools.calibration.steering.fit import Side
 from car_interface.tools.calibration.steering.fit import Curve
 from car_interface.tools.calibration.steering.segments import Observations
-from car_interface.tools.calibration.steering.understeer import UNKNOWN
+from car_interface.tools.calibration.steering.fit import UNKNOWN_UNDERSTEER
 
 CENTER, LEFT_DUTY, RIGHT_DUTY = 5200.0, 4000.0, 6400.0
 
@@ -25,10 +25,10 @@ def line_curve(low=LEFT_DUTY, high=RIGHT_DUTY, center=CENTER, sigma_per_m=0.001,
     fields = {
         "duties": duties, "curvatures": curvatures, "sigmas": np.full(len(duties), sigma_per_m),
         "delay": Delay(0.1, 0.15), "backlash_duty": 6.0, "backlash_sigma": 1.0, "observations": found,
-        "understeer": UNKNOWN, "used": np.ones(count, bool), "counts": {},
+        "understeer": UNKNOWN_UNDERSTEER, "counts": {},
         "center": center, "center_sigma": 2.0,
-        "left": Side(low, max(0.0, curvatures[0]), sigma_per_m, True, True, low),
-        "right": Side(high, max(0.0, -curvatures[-1]), sigma_per_m, True, True, high)}
+        "left": Side(low, max(0.0, curvatures[0]), True, True, low),
+        "right": Side(high, max(0.0, -curvatures[-1]), True, True, high)}
     return Curve(**{**fields, **changes})
 
 

@@ -3,8 +3,9 @@ import functools
 
 import numpy as np
 
+from car_interface.tools.calibration.shared import held
 from car_interface.tools.calibration.steering import fit
-from car_interface.tools.calibration.steering.drive import CurveFitConfig, Delay, SteeringDrive, held, lagged
+from car_interface.tools.calibration.steering.drive import CurveFitConfig, Delay, SteeringDrive, lagged
 
 STEP_S = 0.02
 LEFT_STOP, CENTER, RIGHT_STOP = 3900, 5200, 6400

@@ -13,9 +13,9 @@ from car_interface.steering.calibration import SteeringCalibration
 from car_interface.tools.calibration.shared import NothingToFit
 from car_interface.tools.calibration.steering import calibrate as module
 from car_interface.tools.calibration.steering.calibrate import calibrate, yaml_text
-from car_interface.tools.calibration.steering.ends import Side
-from car_interface.tools.calibration.steering.table import DRIVEN, END, LEFT, OLD, RIGHT
-from car_interface.tools.calibration.steering.understeer import Understeer
+from car_interface.tools.calibration.steering.fit import Side
+from car_interface.tools.calibration.steering.calibrate import DRIVEN, END, LEFT, OLD, RIGHT
+from car_interface.tools.calibration.steering.fit import Understeer
 from tools.calibration.steering.known_curve import line_curve, recorded
 
 BASE = SteeringCalibration(servo_left=3600, servo_center=5100, servo_right=6600, servo_channel=0,
@@ -71,7 +71,7 @@ def test_radii_are_chosen_by_the_drives_or_continued_to_almost_straight_on(fits)
 
 
 def test_side_that_was_not_driven_keeps_its_old_duties_and_is_a_problem(fits):
-    fits[None] = line_curve(high=5200.0, right=Side(5200.0, 0.0, 0.001, False, False, 5200.0))
+    fits[None] = line_curve(high=5200.0, right=Side(5200.0, 0.0, False, False, 5200.0))
     found = calibrate([recorded()], BASE, (1.0, 2.0, 100.0))
     assert duties(found, RIGHT) == [6500, 5900, 5200]  # 5110 would be left of the center that was found
     assert {point.source for point in found.points[RIGHT]} == {OLD}
@@ -83,14 +83,14 @@ def test_side_that_was_not_driven_keeps_its_old_duties_and_is_a_problem(fits):
 @pytest.mark.parametrize("is_stop, duty", [(False, 3600), (True, 4000.0)], ids=["limit_stays", "stop_is_the_end"])
 def test_limit_that_the_wheels_stay_behind_is_kept(fits, is_stop, duty):
     # Half of the backlash is between servo and wheels: else each calibration would make the range smaller by that.
-    fits[None] = line_curve(left=Side(4000.0, 1.0, 0.001, is_stop, True, 4000.0))
+    fits[None] = line_curve(left=Side(4000.0, 1.0, is_stop, True, 4000.0))
     found = calibrate([recorded()], BASE, AXIS_M)
     assert found.ends == {LEFT: duty, RIGHT: 6400.0}
     assert found.points[LEFT][0].duty == pytest.approx(4000)
 
 
 def test_limit_on_the_other_side_of_the_center_is_not_kept(fits):
-    fits[None] = line_curve(left=Side(4000.0, 1.0, 0.001, False, True, 4000.0))
+    fits[None] = line_curve(left=Side(4000.0, 1.0, False, True, 4000.0))
     swapped = replace(BASE, servo_left=6600, servo_right=3600, left_duties=(6500, 5900, 5110),
                       right_duties=(3700, 4400, 5090))
     assert calibrate([recorded()], swapped, AXIS_M).ends[LEFT] == 4000.0

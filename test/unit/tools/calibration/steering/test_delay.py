@@ -2,7 +2,8 @@
 import numpy as np
 import pytest
 
-from car_interface.tools.calibration.steering.drive import STEP_S, estimate_delay, held, lagged
+from car_interface.tools.calibration.shared import held
+from car_interface.tools.calibration.steering.drive import STEP_S, estimate_delay, lagged
 
 
 def a_drive(delay_s, lag_s, curve, noise, seed=1):

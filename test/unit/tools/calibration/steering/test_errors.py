@@ -24,7 +24,7 @@ def test_between_places_that_differ_the_band_holds_a_stop_that_nobody_drove_at()
     inside = (found.duties > 3700) & (found.duties < 3984)
     off = np.abs(found.curvatures - true_curvature(found.duties))[inside]
     assert np.all(off <= BAND * found.sigmas[inside])
-    bend = bends(found.duties, found.observations, found.used)[inside]
+    bend = bends(found.duties, found.observations)[inside]
     assert bend.max() > 0.03 and BAND * found.sigmas[inside].max() > bend.max() / 2
 
 
@@ -51,17 +51,16 @@ def observations_at(duty, curvature):
 def test_curve_may_bend_between_two_places_as_far_as_both_neighbours_lead():
     stop = observations_at([0, 100, 400, 500], [0.0, 0.0, 0.1, 0.2])  # level up to a corner at 300
     knots = np.array([100.0, 200.0, 300.0, 350.0, 400.0])
-    bend = bends(knots, stop, np.ones(4, bool))
+    bend = bends(knots, stop)
     assert bend == pytest.approx([0.0, 0.1 / 3, 0.2 / 3, 0.1 / 3, 0.0], abs=1e-3)
     straight = observations_at([0, 100, 400, 500], [0.0, 0.1, 0.4, 0.5])
-    assert bends(knots, straight, np.ones(4, bool)) == pytest.approx(np.zeros(5), abs=1e-9)
+    assert bends(knots, straight) == pytest.approx(np.zeros(5), abs=1e-9)
 
 
 def test_unseen_bends_are_likelier_where_the_curve_changes_more_and_none_is_at_a_place_or_beyond_all():
     straight = observations_at([0, 100, 400, 800], [0.0, 0.1, 0.4, 0.4])
     duties = np.array([-50.0, 0.0, 50.0, 100.0, 175.0, 250.0, 400.0, 600.0, 900.0])
-    assert unseen(duties, straight, np.ones(4, bool)) == pytest.approx(
+    assert unseen(duties, straight) == pytest.approx(
         UNSEEN_RATIO * np.array([0.0, 0.0, 0.1, 0.0, 0.225, 0.3, 0.0, 0.0, 0.0]))
-    assert unseen(np.array([200.0]), observations_at([0, 100, 400], [0.0, 0.3, 0.4]), np.array(
-        [True, False, True])) == pytest.approx([UNSEEN_RATIO * 0.4]), "an outlier leaves a gap"
-    assert unseen(duties[:2], observations_at([0], [0.1]), np.ones(1, bool)) == pytest.approx([0.0, 0.0])
+    assert unseen(np.array([200.0]), observations_at([0, 400], [0.0, 0.4])) == pytest.approx([UNSEEN_RATIO * 0.4])
+    assert unseen(duties[:2], observations_at([0], [0.1])) == pytest.approx([0.0, 0.0])

@@ -1,6 +1,7 @@
 """Heading and distance of a recorded drive."""
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from car_interface.common.package_files import package_file
 from car_interface.steering.config import load_steering
 from car_interface.tools.calibration.steering.drive import distance_m
-from car_interface.tools.calibration.steering.recorded import AngleTable, imu_heading
+from car_interface.tools.calibration.steering.recorded import duty_of_angle, imu_heading
 from car_interface.tools.recordings.columns import Imu, Odom
 
 
@@ -43,12 +44,12 @@ def test_distance_is_as_long_whether_the_recording_has_gaps_or_not():
 # The package's own table is so flat that it can't tell radii apart.
 TABLE = replace(load_steering(str(package_file("config/turn_arb.yaml"))), radius_axis_m=[0.5, 5.0, 300.0],
                 left_duties=[3800, 4800, 5090], right_duties=[6600, 5400, 5110])
-ANGLES = AngleTable(TABLE, 0.324)
+duty_of = partial(duty_of_angle, TABLE, 0.324)
 
 
 def test_angle_is_the_duty_of_its_radius_at_the_board_s_nearest_count_none_the_center_and_more_than_the_table_its_end():
     for radius_m in (0.9, 2.0, 10.0, -0.9, -2.0, -10.0):
-        duty = ANGLES.duty(math.atan(0.324 / radius_m))
+        duty = duty_of(math.atan(0.324 / radius_m))
         assert abs(duty - TABLE.planner_duty(radius_m)) <= 8 and duty % 16 == 0
-    assert abs(ANGLES.duty(0.0) - TABLE.servo_center) <= 8 and ANGLES.duty(0.0) == ANGLES.duty(1e-9)
-    assert ANGLES.duty(1.4) == ANGLES.duty(1.5) and ANGLES.duty(-1.4) == ANGLES.duty(-1.5) != ANGLES.duty(1.4)
+    assert abs(duty_of(0.0) - TABLE.servo_center) <= 8 and duty_of(0.0) == duty_of(1e-9)
+    assert duty_of(1.4) == duty_of(1.5) and duty_of(-1.4) == duty_of(-1.5) != duty_of(1.4)

@@ -5,12 +5,13 @@ The curve is a line of 1/1200 1/m per duty, with a segment of 2 m at each of its
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from car_interface.tools.calibration.steering.calibrate import SteeringResult, report, short_report
-from car_interface.tools.calibration.steering.ends import Side
+from car_interface.tools.calibration.steering.fit import Side
 from car_interface.tools.calibration.steering.fit import UNKNOWN_BACKLASH
-from car_interface.tools.calibration.steering.table import (
+from car_interface.tools.calibration.steering.calibrate import (
     DRIVEN,
     END,
     LEFT,
@@ -21,7 +22,7 @@ from car_interface.tools.calibration.steering.table import (
     breakpoints,
     find_problems,
 )
-from car_interface.tools.calibration.steering.understeer import Understeer
+from car_interface.tools.calibration.steering.fit import Understeer
 from tools.calibration.steering.known_curve import line_curve, recorded
 
 
@@ -46,7 +47,8 @@ def test_what_steady_circles_cannot_show_is_said_to_be_unknown():
 
 def test_side_that_was_not_driven_has_no_end():
     curve = line_curve()
-    left = replace(curve, used=curve.used & (curve.observations.curvature_per_m > 0.05), center=math.nan)
+    found = curve.observations
+    left = replace(curve, observations=found.those(found.curvature_per_m > 0.05), center=math.nan)
     assert [line[:8] for line in lines(left) if ": duty" in line] == ["  left: "]
     points = breakpoints(left, [1.0, 2.0], RIGHT)
     assert {point.source for point in points} == {UNKNOWN}
@@ -74,9 +76,9 @@ def test_report_sums_up_the_recordings_what_was_used_of_them_and_what_the_fit_fo
         "  left: duty 4000, radius 1.00 m: the radius shrinks no more",
         "  right: duty 6400, radius 1.00 m: the radius shrinks no more"]
     curve = replace(line_curve(counts={"slow or standing": 3, "servo on its way": 0, "gaps in odometry or duty": 1}),
-                    center=math.nan, right=Side(5200.0, 0.0, 0.001, False, False, 5200.0))
-    curve.used[:51] = False
+                    center=math.nan, right=Side(5200.0, 0.0, False, False, 5200.0))
     curve.observations.curvature_per_m[:] += 0.0125
+    curve = replace(curve, observations=curve.observations.those(np.arange(151) > 50))
     two = [recorded("x/a.bag", duration_s=30.4, notes=("no IMU", "short")), recorded("x/b.bag", duration_s=12.0)]
     found = lines(curve, two)
     assert found[:5] == [
@@ -106,6 +108,14 @@ def row(radius_text, points):
 ], ids=["both_driven", "ends_are_marked_and_a_large_error_is_limited", "old_duty_is_marked_and_has_no_error"])
 def test_row_has_both_sides_with_two_standard_errors(left, right, cells):
     assert row(cells.split()[0], {LEFT: [left], RIGHT: [right]}) == cells.split()
+
+
+def test_columns_are_below_each_other_whatever_a_duty_rests_on():
+    points = [point(2.0, 4600.0), point(3.0, 4700.0, OLD), point(4.0, 4800.0, END)]
+    found = lines(points={LEFT: points, RIGHT: points})
+    for one in points:
+        (line,) = [line for line in found if line.startswith(f"  {one.radius_m:6g} m  ")]
+        assert [line.find(f"{one.duty:.0f}"), line.rfind(f"{one.duty:.0f}"), len(line)] == [16, 58, 93]
 
 
 def test_short_report_fits_80_columns_with_eight_radii_and_both_ends():

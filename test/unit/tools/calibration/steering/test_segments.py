@@ -3,9 +3,10 @@ import numpy as np
 import pytest
 
 from car_interface.tools.calibration.steering import fit
+from car_interface.tools.calibration.steering.calibrate import END, RIGHT, breakpoints
 from car_interface.tools.calibration.steering.drive import CurveFitConfig, Delay, WheelPosition
-from car_interface.tools.calibration.steering.ends import find_side
-from car_interface.tools.calibration.steering.table import END, RIGHT, breakpoints
+from car_interface.tools.calibration.steering.fit import find_side
+from car_interface.tools.calibration.steering.segments import Segments
 from tools.calibration.steering import synthetic
 from tools.calibration.steering.synthetic import KNOWN, KNOWN_DELAY, drive, mixed, true_curvature
 
@@ -16,7 +17,7 @@ def test_several_drives_count_together():
     halves = mixed(count=40)
     found = fit.fit([drive(halves[:20]), drive(halves[20:], seed=5, start_s=1000.0)], KNOWN)
     assert found.curvature(5800) == pytest.approx(true_curvature(5800), abs=0.01)
-    assert len(found.used) > 1.8 * len(fit.fit([drive(halves[:20])], KNOWN).used)
+    assert len(found.observations.duty) > 1.8 * len(fit.fit([drive(halves[:20])], KNOWN).observations.duty)
 
 
 def test_intervals_that_are_left_out_are_counted_by_reason():
@@ -38,10 +39,10 @@ def test_what_the_servo_did_in_a_gap_of_the_recording_is_not_taken_for_known():
     gappy = whole._replace(t_s=whole.t_s[~missed], distance_m=whole.distance_m[~missed], yaw_rad=whole.yaw_rad[~missed],
                            duty_t_s=whole.duty_t_s[kept_duty], duty=whole.duty[kept_duty])
     assert missed.any()
-    found = fit.fit([gappy], CurveFitConfig(delay=KNOWN_DELAY))
     # Each piece, not the curve: that one is robust, and would pass over a few that rest on a duty from before the gap.
-    assert len(found.observations.duty) > 15
-    assert np.abs(found.observations.curvature_per_m - true_curvature(found.observations.duty)).max() < 0.05
+    found = Segments([gappy], KNOWN_DELAY).observations(backlash_duty=0.0)
+    assert len(found.duty) > 15
+    assert np.abs(found.curvature_per_m - true_curvature(found.duty)).max() < 0.05
 
 
 def test_position_of_the_wheels_is_less_known_when_the_linkage_floats_in_its_backlash():

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from car_interface.tools.calibration.steering import fit
-from car_interface.tools.calibration.steering.ends import Side
+from car_interface.tools.calibration.steering.fit import Side
 from car_interface.tools.calibration.steering.smooth import BAND
-from car_interface.tools.calibration.steering.table import (
+from car_interface.tools.calibration.steering.calibrate import (
     DRIVEN,
     END,
     LEFT,
@@ -121,7 +121,7 @@ RADII_M = (1.0, 2.0, 5.0, 20.0)
 
 
 def curve(center=5100.0, sigma=1e-4):
-    end = Side(3900.0, 1.0, 0.01, False, False, 3950.0)
+    end = Side(3900.0, 1.0, False, False, 3950.0)
     return SimpleNamespace(center=center, center_sigma=12.0, left=end, right=end._replace(farthest_duty=6400.0),
                            duties=np.array([3900.0, 6500.0]), sigmas=np.full(2, sigma))
 

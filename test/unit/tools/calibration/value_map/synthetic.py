@@ -5,8 +5,9 @@ import random
 
 import numpy as np
 
-from car_interface.tools.calibration.value_map.acceleration import MapDrive, MapFitConfig, Series
+from car_interface.tools.calibration.shared import Series
 from car_interface.tools.calibration.value_map.fit import Fit, fit
+from car_interface.tools.calibration.value_map.recorded import MapConfig, MapDrive
 from written_recordings import Written, odometry, output
 
 PULSE_M, STEP_S, NOTHING = 0.0149, 0.005, Series(np.zeros(0), np.zeros(0))
@@ -112,11 +113,11 @@ def fit_of(supported, sure=None, held_out_mps2=0.0):
     accelerations = np.add.outer(np.arange(rows) * 1.0, -0.1 * np.arange(columns))
     return Fit(np.arange(rows) - 1.0, np.arange(columns) * 1.0, accelerations, np.full(supported.shape, 0.05),
                np.ones(supported.shape), supported,
-               supported if sure is None else np.array(sure, bool), 0.0, 0.0, False, (), {}, 0.0, held_out_mps2, 1)
+               supported if sure is None else np.array(sure, bool), 0.0, 0.0, (), {}, 0.0, held_out_mps2, 1)
 
 
 def rejected(one, config=None):
-    found = fit([one], None, None, config or MapFitConfig(delay_s=DELAY_S))
+    found = fit([one], None, None, config or MapConfig(delay_s=DELAY_S))
     return {text: number for text, number in found.rejected.items() if number and text != "counted"}
 
 

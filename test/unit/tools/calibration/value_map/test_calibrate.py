@@ -9,10 +9,15 @@ import pytest
 from car_interface.throttle.value_map import ValueMap
 from car_interface.tools.calibration.value_map import calibrate as module
 from car_interface.tools.calibration.value_map import calibrate as tables
-from car_interface.tools.calibration.value_map.acceleration import MapFitConfig
-from car_interface.tools.calibration.value_map.calibrate import NoTable, Table, calibrate, coverage_text, report
+from car_interface.tools.calibration.value_map.calibrate import (
+    MapResult,
+    Table,
+    calibrate,
+    coverage_text,
+    report,
+)
 from car_interface.tools.calibration.value_map.fit import Fit, Ground
-from car_interface.tools.calibration.value_map.recorded import MapSource
+from car_interface.tools.calibration.value_map.recorded import MapConfig
 from tools.calibration.value_map.synthetic import fit_of
 
 RECORDED = [SimpleNamespace(drive=None, path="drive.bag")]
@@ -20,7 +25,7 @@ RECORDED = [SimpleNamespace(drive=None, path="drive.bag")]
 
 def calibrated(monkeypatch, fit, prior=None):
     monkeypatch.setattr(module.fitting, "fit", lambda *_: fit)
-    return calibrate(RECORDED, None, None, MapFitConfig(), prior)
+    return calibrate(RECORDED, None, None, MapConfig(), prior)
 
 
 @pytest.mark.parametrize("fit, problem", [
@@ -40,10 +45,10 @@ def test_map_that_is_mostly_the_priors_has_a_problem(monkeypatch):
     assert found == "the drives tell only 12 % of the map, the rest is the prior's"
 
 
-def test_drives_that_support_no_table_are_refused_with_what_they_support(monkeypatch):
-    with pytest.raises(NoTable, match=r"drive\.bag support no two values at the same two velocities") as caught:
-        calibrated(monkeypatch, fit_of([[1, 0], [0, 1]]))
-    assert caught.value.coverage.startswith("what was driven: # enough, . not enough\n")
+def test_drives_that_support_no_table_have_none_but_what_they_support(monkeypatch):
+    found = calibrated(monkeypatch, fit_of([[1, 0], [0, 1]]))
+    assert found.table is None
+    assert coverage_text(found.fit, None).startswith("what was driven: # enough, . not enough\n")
 
 
 VALUES, VELOCITIES = np.array([-1.0, 0.0, 1.0]), np.array([0.5, 1.0, 2.0])
@@ -56,7 +61,7 @@ ALL = np.ones((3, 3), bool)
 def reported_fit(supported=ALL, **changes):
     supported = np.array(supported, bool)
     made = Fit(VALUES, VELOCITIES, ACCELERATIONS, np.full((3, 3), 0.05), np.full((3, 3), 1.5),
-               supported, supported, 0.08, 0.004, False, (GROUND,), {"counted": 40, "a stop": 9, "steep": 0}, 0.12, 0.2,
+               supported, supported, 0.08, 0.004, (GROUND,), {"counted": 40, "a stop": 9, "steep": 0}, 0.12, 0.2,
                8)
     return dataclasses.replace(made, **changes)
 
@@ -70,10 +75,10 @@ def drive_of(notes=(), path="/bags/a.bag", **changes):
     return SimpleNamespace(path=path, drive=drive, notes=notes)
 
 
-def lines(recorded=None, source=None, fit=None, table=None, problems=(), prior_path=None):
-    source = source or MapSource(topics={"value": "throttle"})
-    return "\n".join(report(recorded or [drive_of()], source, fit or reported_fit(), table or table_of(), problems,
-                            prior_path)).split("\n")
+def lines(recorded=None, fit=None, table=None, problems=(), prior_path=None, delay_s=None):
+    config = MapConfig(topics={"value": "throttle"}, delay_s=delay_s)
+    found = MapResult(table or table_of(), fit or reported_fit(), list(problems))
+    return report(recorded or [drive_of()], config, found, prior_path).split("\n")
 
 
 # --- what it rests on ---
@@ -105,14 +110,14 @@ def test_report_names_prior_notes_problems_and_what_holds_at_standstill():
     assert found[-3:] == ["", "not good enough: too few values", "not good enough: poor"]
 
 
-@pytest.mark.parametrize("changes, text", [
-    ({}, "80 ± 4 ms (estimated)"),
-    ({"delay_sigma_s": 0.0001}, "80 ± 1 ms (estimated)"),
-    ({"delay_sigma_s": math.nan, "delay_is_given": True}, "80 ms (given)"),
-    ({"delay_sigma_s": math.nan}, "80 ms (the drives don't tell it)"),
+@pytest.mark.parametrize("sigma_s, given_s, text", [
+    (0.004, None, "80 ± 4 ms (estimated)"),
+    (0.0001, None, "80 ± 1 ms (estimated)"),
+    (math.nan, 0.08, "80 ms (given)"),
+    (math.nan, None, "80 ms (the drives don't tell it)"),
 ], ids=["estimated", "at_least_1_ms", "given", "unknown"])
-def test_delay_has_its_standard_error_and_where_it_is_from(changes, text):
-    assert f"from value to acceleration: {text}" in lines(fit=reported_fit(**changes))
+def test_delay_has_its_standard_error_and_where_it_is_from(sigma_s, given_s, text):
+    assert f"from value to acceleration: {text}" in lines(fit=reported_fit(delay_sigma_s=sigma_s), delay_s=given_s)
 
 
 def ground_line(ground, **changes):

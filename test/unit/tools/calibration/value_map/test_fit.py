@@ -2,15 +2,14 @@
 import numpy as np
 import pytest
 
-from car_interface.tools.calibration.shared import NothingToFit
-from car_interface.tools.calibration.value_map import acceleration as windowing
-from car_interface.tools.calibration.value_map.acceleration import MapDrive, Series
+from car_interface.tools.calibration.shared import NothingToFit, Series
 from car_interface.tools.calibration.value_map.fit import fit
-from car_interface.tools.calibration.value_map.windows import RULES, MapFitConfig
-from tools.calibration.value_map.synthetic import DELAY_S, NOTHING, acceleration, drive, error, fitted_mixed
+from car_interface.tools.calibration.value_map.recorded import MapConfig, MapDrive
+from car_interface.tools.calibration.value_map.windows import RULES, STEERING
+from tools.calibration.value_map.synthetic import DELAY_S, acceleration, drive, error, fitted_mixed
 
 pytestmark = pytest.mark.once
-KNOWN_DELAY = MapFitConfig(delay_s=DELAY_S)
+KNOWN_DELAY = MapConfig(delay_s=DELAY_S)
 
 
 def test_map_of_a_drive_on_a_slope_with_a_sagging_battery_is_the_level_one_at_mean_battery():
@@ -29,7 +28,7 @@ def test_map_of_a_drive_on_a_slope_with_a_sagging_battery_is_the_level_one_at_me
 
 def test_turns_show_the_slope_and_nothing_else_where_straights_all_go_one_way():
     found = fit([drive(uphill=(0.02, 0.01), circles=True)], None, None, KNOWN_DELAY)
-    assert found.rejected[RULES[windowing.STEERING]] > 100
+    assert found.rejected[RULES[STEERING]] > 100
     assert found.grounds[0].uphill == pytest.approx((0.02, 0.01), abs=0.003)
     assert error(found) < 0.04
 
@@ -56,7 +55,7 @@ def test_pitch_takes_gravity_off_and_its_mounting_does_not_matter():
 
 def test_imu_and_odometry_s_speed_measure_too_and_a_slow_one_gets_longer_windows():
     one = drive(seconds=120.0, uphill=(0.012, -0.016), with_imu=True)
-    assert error(fit([one], None, None, MapFitConfig(from_imu=True, delay_s=DELAY_S))) < 0.05
+    assert error(fit([one], None, None, MapConfig(measured_by="imu", delay_s=DELAY_S))) < 0.05
     one = drive(seconds=120.0, pulses=False)
     assert error(fit([one], None, None, KNOWN_DELAY)) < 0.05
     slow = MapDrive(one.value, Series(one.speed.t_s[::5], one.speed.y[::5]), one.yaw)  # 10 a second
@@ -71,11 +70,11 @@ def test_two_drives_with_slopes_of_their_own_make_one_map():
 
 
 @pytest.mark.parametrize("one", [
-    MapDrive(NOTHING, NOTHING, NOTHING),
-    MapDrive(NOTHING, Series(np.arange(9) / 9, np.ones(9)), Series(np.arange(9) / 9, np.ones(9))),
+    MapDrive(*[Series(np.zeros(1), np.ones(1))] * 3),
+    MapDrive(Series(np.ones(1), np.ones(1)), *[Series(np.arange(90) / 90, np.ones(90))] * 2),
     MapDrive(Series(np.zeros(1), np.zeros(1)), Series(np.arange(900) / 9, np.zeros(900)),
              Series(np.arange(900) / 9, np.zeros(900))),
-], ids=["nothing_recorded", "no_value", "stood_still"])
+], ids=["one_message_of_each", "no_value", "stood_still"])
 def test_nothing_to_fit_says_why(one):
     with pytest.raises(NothingToFit, match=r"shorter than a window|no value|a stop|too few"):
         fit([one], None, None)

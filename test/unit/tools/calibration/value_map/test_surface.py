@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from car_interface.tools.calibration.value_map.surface import Grid, rising_column, rounded
+from car_interface.tools.calibration.value_map.surface import MIN_STEP_MPS2, Grid, rising_column, rounded
 
 pytestmark = pytest.mark.once
 
@@ -19,10 +19,9 @@ def test_grid_gives_back_its_nodes_and_what_is_linear_between():
 
 @given(st.lists(st.floats(-10, 10), min_size=2, max_size=8))
 def test_rising_column_rises_and_leaves_alone_what_does(column):
-    least = np.full(len(column) - 1, 0.01)
-    risen = rising_column(np.array(column), np.ones(len(column)), least)
-    assert (np.diff(risen) >= 0.01 - 1e-12).all()
-    again = rising_column(risen, np.ones(len(column)), least - 1e-9)
+    risen = rising_column(np.array(column), np.ones(len(column)))
+    assert (np.diff(risen) >= MIN_STEP_MPS2 - 1e-12).all()
+    again = rising_column(risen, np.ones(len(column)))
     assert again == pytest.approx(risen, abs=1e-6)
 
 

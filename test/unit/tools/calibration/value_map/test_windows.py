@@ -2,10 +2,10 @@
 import numpy as np
 import pytest
 
-from car_interface.tools.calibration.value_map import acceleration as windowing
-from car_interface.tools.calibration.value_map import windows as windows_module
-from car_interface.tools.calibration.value_map.acceleration import MapDrive, Series, windows
-from car_interface.tools.calibration.value_map.windows import RULES
+from car_interface.tools.calibration.shared import Series
+from car_interface.tools.calibration.value_map import windows as windowing
+from car_interface.tools.calibration.value_map.recorded import MapDrive
+from car_interface.tools.calibration.value_map.windows import RULES, windows
 from tools.calibration.value_map.synthetic import NOTHING, PULSE_M, drive, rejected, with_
 
 pytestmark = pytest.mark.once
@@ -29,8 +29,8 @@ def test_each_rule_counts_its_own_and_a_clean_drive_loses_little():
         pitch=Series(t_s, np.where(within(t_s, 70.0), 0.5, 0.0)))
     clean, found = rejected(one), rejected(spoiled)
     assert sum(clean.values()) < 40
-    for rule in (windowing.STEERING, windows_module.NO_VALUE, windowing.NOT_MEASURED, windows_module.NOT_DRIVEN,
-                 windowing.SLIPPING, windows_module.STEEP):
+    for rule in (windowing.STEERING, windowing.NO_VALUE, windowing.NOT_MEASURED, windowing.NOT_DRIVEN,
+                 windowing.SLIPPING, windowing.STEEP):
         assert 24 <= found[RULES[rule]] - clean.get(RULES[rule], 0) <= 36, RULES[rule]
 
 
