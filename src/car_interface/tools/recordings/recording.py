@@ -9,7 +9,6 @@ import os
 import re
 import shlex
 import sys
-import time
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Iterable, Iterator, Mapping, NamedTuple, Sequence
@@ -29,8 +28,6 @@ METADATA_KEY = b"rosbag2_bagfile_information"  # under which it has everything
 # What a file begins with, and is not without it, by its suffix; one of another suffix is taken for a ROS 1 bag.
 BEGINS = {".bag": (b"#ROSBAG V", "bag"), ".db3": (b"SQLite format 3\0", "SQLite database"),
           ".mcap": (b"\x89MCAP", "MCAP file")}
-BAR_AFTER_S = 1.0
-MESSAGES_PER_CLOCK_CHECK = 256
 NESTED = re.compile(r"""\((["'])(.*?)\1,\)""")  # the arguments of another error, within rosbags' text of one
 
 
@@ -86,7 +83,7 @@ def read(path: str, topics: Sequence[str] | Mapping[str, str | Sequence[str]], n
         topics: their names below ``namespace``; those that weren't recorded yield nothing. A name that begins with a
             slash and isn't found below the namespace is looked up as it is. In a dict each name has the accepted type,
             such as ``nav_msgs/Odometry``, or several of them.
-        progress: show a bar on a terminal's standard error when it takes more than a second.
+        progress: show a bar on a terminal's standard error.
 
     Raises:
         NoRecording: it can't be read, or the type of a topic isn't accepted or isn't known.
@@ -98,15 +95,19 @@ def read(path: str, topics: Sequence[str] | Mapping[str, str | Sequence[str]], n
             return  # for rosbags no connections mean all of them
         decoders = {}
         for connection in connections:
-            if isinstance(topics, Mapping):
-                _check_type(path, connection.topic, connection.msgtype, topics[names[connection.topic]])
+            accepted = _types(topics, names[connection.topic])
+            if accepted and not is_of_type(connection.msgtype, accepted):
+                raise NoRecording(f"{path}: {connection.topic} is of type {_short(connection.msgtype)}; accepted: "
+                                  + _either(accepted))
             try:
                 decoders[connection.id] = decoder(connection, isinstance(reader, Ros2Reader))
             except UnknownType as error:
                 raise NoRecording(f"{path}: {connection.topic} can't be read: {error}") from error
         messages = reader.messages(connections=connections)
         if progress and sys.stderr.isatty():
-            messages = with_bar(messages, sum(connection.msgcount for connection in connections), Path(path).name)
+            from tqdm import tqdm  # slow to import
+            messages = tqdm(messages, Path(path).name, sum(connection.msgcount for connection in connections),
+                            leave=False, unit=" messages", unit_scale=True)
         for connection, time_ns, data in messages:
             try:
                 message = decoders[connection.id](data)
@@ -149,26 +150,14 @@ def require(path: str, topics: Sequence[str] | Mapping[str, str | Sequence[str]]
     found = set(absolute_names(recorded, topics, namespace).values())
     for topic in topics:
         if topic not in found:
-            accepted = topics[topic] if isinstance(topics, Mapping) else ()
-            accepted = (accepted,) if isinstance(accepted, str) else accepted
+            accepted = _types(topics, topic)
             offered = [name for name, one in recorded.items() if not accepted or is_of_type(one.type, accepted)]
             last = topic.rstrip("/").rsplit("/", 1)[-1]
             similar = [name for name in offered if last in name][:5] or offered[:8]
             below = "" if namespace.strip("/") == "" else f" below {namespace}"
-            none = f"none of type {' or '.join(map(_short, accepted))}" if recorded and accepted else "none at all"
+            none = f"none of type {_either(accepted)}" if recorded and accepted else "none at all"
             raise NoRecording(f"{path} has no topic {topic}{below}{', ' + why if why else ''}"
                               + (f"{hint}; it has {', '.join(similar)}" if similar else f"; it has {none}"))
-
-
-def check_types(path: str, topics: Mapping[str, str | Sequence[str]], namespace: str = "/") -> None:
-    """Check that topics, as for ``read``, have an accepted type where they were recorded.
-
-    Raises:
-        NoRecording: names the first that hasn't.
-    """
-    recorded = contents(path).topics
-    for name, topic in absolute_names(recorded, topics, namespace).items():
-        _check_type(path, name, recorded[name].type, topics[topic])
 
 
 def is_of_type(kind: str, accepted: Iterable[str]) -> bool:
@@ -182,22 +171,6 @@ def other_version(path: str, recorded: Recorded) -> NoRecording:
                        f"{_short(recorded.message.__msgtype__)}")
 
 
-def with_bar(items: Iterable[Any], total: int, text: str) -> Iterator[Any]:
-    """Yield the items; after a second with a progress bar on standard error."""
-    begin_s, bar = time.monotonic(), None
-    try:
-        for number, item in enumerate(items, 1):
-            yield item
-            if bar is not None:
-                bar.update()
-            elif number % MESSAGES_PER_CLOCK_CHECK == 0 and time.monotonic() - begin_s > BAR_AFTER_S:
-                from tqdm import tqdm  # slow to import
-                bar = tqdm(total=total, initial=number, desc=text, unit=" messages", unit_scale=True, leave=False)
-    finally:
-        if bar is not None:
-            bar.close()
-
-
 @contextmanager
 def _opened(path):
     """Yield a reader of a recording; every error of the file becomes NoRecording."""
@@ -206,18 +179,12 @@ def _opened(path):
     if problem:
         raise NoRecording(f"{file} can't be read as a recording: {problem}")
     try:
-        reader = _reader(file)
-        reader.open()
-    except Exception as error:  # a damaged file makes rosbags raise almost anything
-        raise NoRecording(_error_text(file, error)) from error
-    try:
-        yield reader
+        with _reader(file) as reader:
+            yield reader
     except CarInterfaceError:
         raise
-    except Exception as error:
+    except Exception as error:  # a damaged file makes rosbags raise almost anything
         raise NoRecording(_error_text(file, error)) from error
-    finally:
-        reader.close()
 
 
 def _problem(file):
@@ -263,10 +230,14 @@ def _reader(file):
     return ChunkReader(file)
 
 
-def _check_type(path, name, kind, accepted):
-    accepted = (accepted,) if isinstance(accepted, str) else accepted
-    if not is_of_type(kind, accepted):
-        raise NoRecording(f"{path}: {name} is of type {_short(kind)}; accepted: " + " or ".join(map(_short, accepted)))
+def _types(topics, requested):
+    """Return the accepted types of a topic that was requested; empty: all are."""
+    types = topics[requested] if isinstance(topics, Mapping) else ()
+    return (types,) if isinstance(types, str) else types
+
+
+def _either(types):
+    return " or ".join(map(_short, types))
 
 
 def _short(name):

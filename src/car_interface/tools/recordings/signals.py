@@ -33,13 +33,12 @@ from car_interface.tools.recordings.replay import CLOCK_TOPIC, WHEEL_TOPIC, Puls
 PULSES = "pulses"  # the only part that plays no role: only this package records it
 PARTS = (*(role.name for role in (
     roles.ODOM, roles.OUTPUT, roles.IMU, roles.VALUE, roles.ACKERMANN, roles.SERVO)), PULSES)
-# The parts with a topic of their own.
 KINDS = {role.name: (role, kind) for role, kind in (
     (roles.ODOM, OdomColumn), (roles.IMU, ImuColumn), (roles.VALUE, ValueColumn), (roles.ACKERMANN, AckermannColumn),
     (roles.SERVO, ValueColumn))}
 BOARD = ((roles.OUTPUT, OutputColumn), (roles.COMMAND, CommandColumn))
-ROLES = tuple(role for role, _ in (*KINDS.values(), *BOARD))
-PULSE_TYPES = {WHEEL_TOPIC: "car_interface/Wheel", CLOCK_TOPIC: "car_interface/TeensyClock"}
+TYPES = {roles.OUTPUT.name: roles.DUTY_TYPES, PULSES: "car_interface/Wheel",
+         **{part: role.types for part, (role, _) in KINDS.items()}}
 
 
 class Signals(NamedTuple):
@@ -82,11 +81,10 @@ def load(path: str, wanted: Collection[str], *, optional: Collection[str] = (), 
     Raises:
         NoRecording: it can't be read, lacks a topic, or has no usable message of one.
     """
-    columns, types, guesses = _columns(path, set(wanted), set(optional), topics, namespace)
-    by_topic = {column.topic: column for column in columns.values()}
+    columns, guesses = _columns(path, set(wanted), set(optional), topics, namespace)
+    by_topic, types = ({column.topic: what[part] for part, column in columns.items()} for what in (columns, TYPES))
     if PULSES in columns:
-        by_topic[CLOCK_TOPIC] = columns[PULSES]
-        types.update(PULSE_TYPES)
+        by_topic[CLOCK_TOPIC], types[CLOCK_TOPIC] = columns[PULSES], "car_interface/TeensyClock"
     timeline = Timeline()
     for recorded in recording.read(path, types, namespace, progress):
         try:
@@ -111,18 +109,17 @@ def trail(signals: Signals) -> Trail:
 
 
 def _columns(path, wanted, optional, topics, namespace):
-    """Return an empty column for each part that will be read, the accepted types by topic, and what was guessed."""
+    """Return an empty column for each part that will be read, and what was guessed."""
     recorded = recording.contents(path).topics
-    recording.check_types(path, {topics[role.name]: role.types for role in ROLES if topics.get(role.name)}, namespace)
-    columns, types, guesses = {}, {}, []
+    columns, guesses = {}, []
     for part, (role, kind) in KINDS.items():
-        if part not in wanted | optional and (part != roles.IMU.name or not topics.get(roles.IMU.name)):
+        if part not in wanted | optional and (part != roles.IMU.name or not topics.get(part)):
             continue
         topic, note, is_there, fits = roles.find(recorded, role, namespace, topics)
         guesses += [note] if note else []
         is_needed = part in wanted or topics.get(part) is not None
         if fits or is_needed and is_there:
-            columns[part], types[topic] = kind(topic), role.types
+            columns[part] = kind(topic)
         elif is_needed and note:
             raise NoRecording(f"{path}: {note}")
         elif is_needed:
@@ -130,12 +127,11 @@ def _columns(path, wanted, optional, topics, namespace):
             recording.require(path, {topic: role.types}, namespace, f"the {part}: {role.what}", hint)
     if roles.OUTPUT.name in wanted | optional:
         columns.update(_output_column(path, recorded, roles.OUTPUT.name in wanted, topics, namespace))
-        types.update((column.topic, roles.DUTY_TYPES) for part, column in columns.items() if part == roles.OUTPUT.name)
     if PULSES in wanted:
         recording.require(path, [WHEEL_TOPIC], namespace)
     if PULSES in wanted or PULSES in optional and recording.absolute_names(recorded, [WHEEL_TOPIC], namespace):
         columns[PULSES] = PulseColumns(WHEEL_TOPIC)
-    return columns, types, guesses
+    return columns, guesses
 
 
 def _output_column(path, recorded, is_wanted, topics, namespace):

@@ -16,7 +16,6 @@ from car_interface.tools.recordings.recording import (
     Contents,
     NoRecording,
     absolute_names,
-    check_types,
     contents,
     other_version,
     prefix,
@@ -60,11 +59,10 @@ TOPICS = {  # without a role: their types, and the same
     "/diagnostics": ("diagnostic_msgs/DiagnosticArray", "reports.on_diagnostics"),
     "/rosout": (("rosgraph_msgs/Log", "rcl_interfaces/Log"), "reports.on_log"),
 }
-ROLE_OF = {role.topics[0]: role for role in ROLES}
 # A topic with the name of one of these may be something else: it is not read then.
 MAY_BE_OTHERS = (roles.IMU, roles.ACKERMANN, roles.BATTERY, roles.VESC, roles.SERVO, roles.MOTOR)
-TYPES = {**{role.topics[0]: role.types for role in ROLES}, **{topic: types for topic, (types, _) in TOPICS.items()},
-         **dict.fromkeys(RANGES, "sensor_msgs/Range")}
+READS = {**{role.topics[0]: (role.types, name) for role, name in ROLES.items()}, **TOPICS,
+         **dict.fromkeys(RANGES, ("sensor_msgs/Range", "sonars.on_range"))}
 NEEDED = ("odom", "turn_arb/state", "/servo/output")  # at least one of them
 
 
@@ -73,7 +71,7 @@ class Summary:
 
     Args:
         recorded: the recording's contents.
-        present: those of TYPES that were recorded.
+        present: those of READS that were recorded.
         wheelbase_m: by which an asked steering angle is a curvature; ``None`` = unknown.
     """
 
@@ -98,10 +96,8 @@ class Summary:
         self.reports = NodeReports(self.faults, present, log_type)
 
     def handlers(self) -> dict:
-        """Return a function of time in s and message for each of TYPES."""
-        names = {**{role.topics[0]: name for role, name in ROLES.items()},
-                 **{topic: name for topic, (_, name) in TOPICS.items()}}
-        return {**{topic: attrgetter(name)(self) for topic, name in names.items()},
+        """Return a function of time in s and message for each of READS."""
+        return {**{topic: attrgetter(name)(self) for topic, (_, name) in READS.items()},
                 **{topic: partial(self.sonars.on_range, topic=topic) for topic in RANGES}}
 
     def finish(self, steps_back: int) -> None:
@@ -183,19 +179,17 @@ def summarize(path: str, namespace: str = "/", wheelbase_m: float | None = None,
     has = contents(path)
     given = {name: topic for name, topic in topics.items() if topic is not None}
     if given:
-        named = {given[role.name]: role.types for role in ROLES if role.name in given}
-        require(path, named, namespace)
-        check_types(path, named, namespace)
-    found = {role.topics[0]: find(has.topics, role, namespace, given) for role in ROLES}
-    keys = {found[name].topic if name in found else name: name for name in TYPES
-            if name not in found or ROLE_OF[name].name in given
-            or (found[name].fits if ROLE_OF[name] in MAY_BE_OTHERS else found[name].is_there)}
-    types = {topic: TYPES[name] for topic, name in keys.items()}
+        require(path, {given[role.name]: role.types for role in ROLES if role.name in given}, namespace)
+    found = {role: find(has.topics, role, namespace, given) for role in ROLES}
+    keys = {**{one.topic: role.topics[0] for role, one in found.items()
+               if role.name in given or (one.fits if role in MAY_BE_OTHERS else one.is_there)},
+            **{topic: topic for topic in (*TOPICS, *RANGES)}}
+    types = {topic: READS[name][0] for topic, name in keys.items()}
     with_messages = {name: topic for name, topic in has.topics.items() if topic.count}
     names = absolute_names(with_messages, types, namespace)
     below = prefix(namespace)  # an absolute name may be another car's
     if not any(keys[requested] in NEEDED and name.startswith(below) for name, requested in names.items()):
-        odom = found["odom"]
+        odom = found[roles.ODOM]
         raise NoRecording(f"{path} has no message of {odom.topic}, turn_arb/state or /servo/output"
                           + _elsewhere(with_messages, namespace, odom.note))
     summary = Summary(path, namespace, has, {keys[name] for name in names.values()}, wheelbase_m)
@@ -210,7 +204,7 @@ def summarize(path: str, namespace: str = "/", wheelbase_m: float | None = None,
         except AttributeError as error:
             raise other_version(path, recorded) from error
     summary.finish(has.steps_back)
-    summary.notes += filter(None, [summary.motion.note(found["odom"].topic), summary.imu.note(found["imu/data"].topic)])
+    summary.notes += filter(None, [summary.motion.note(found[roles.ODOM].topic), summary.imu.note(found[roles.IMU].topic)])
     return summary
 
 

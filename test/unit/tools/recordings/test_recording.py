@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from car_interface.tools.recordings import recording
-from car_interface.tools.recordings.recording import NoRecording, contents, read, require, with_bar
+from car_interface.tools.recordings.recording import NoRecording, contents, read, require
 from written_recordings import START_NS, Written, odometry, write_ros1, write_ros2
 
 MCAP = Path(__file__).resolve().parents[3] / "data" / "autoware_mcap"
@@ -224,10 +224,10 @@ def test_topic_that_its_type_would_refuse_is_not_offered_for_a_missing_one(bag):
 
 # --- the bar ---
 
-@pytest.mark.parametrize("step_s, is_shown", [(0.6, True), (0.0004, False)])
-def test_bar_shows_after_a_second_and_not_before(monkeypatch, step_s, is_shown):
-    shown, clock = io.StringIO(), iter(range(10_000))
-    monkeypatch.setattr(recording.time, "monotonic", lambda: next(clock) * step_s)
+@pytest.mark.parametrize("is_terminal", [True, False])
+def test_bar_with_the_recordings_name_shows_on_a_terminal_only(bag, monkeypatch, is_terminal):
+    shown = io.StringIO()
+    shown.isatty = lambda: is_terminal
     monkeypatch.setattr(sys, "stderr", shown)
-    assert list(with_bar(range(2000), 2000, "a.bag")) == list(range(2000))
-    assert ("a.bag" in shown.getvalue()) is is_shown
+    assert len(list(read(str(bag), ["odom"], progress=True))) == len(ODOMETRY)
+    assert (bag.name in shown.getvalue()) is is_terminal
