@@ -6,7 +6,7 @@ import math
 from car_interface.common.sources import PLANNER, TELEOP
 from car_interface.tools.report.downsample import Trace
 from car_interface.tools.report.faults import ERROR, WARN
-from car_interface.tools.report.figures import DRIVER_COLOURS, DRIVER_NAMES
+from car_interface.tools.report.plots import DRIVER_COLOURS, DRIVER_NAMES
 from car_interface.tools.report.html import counted, moment_text, ratio_text, render, span_text, times_text
 from car_interface.tools.report.states import UNKNOWN_DRIVER
 from car_interface.tools.report.summary import RANGES, Summary

@@ -17,7 +17,7 @@ from car_interface.tools.report.downsample import Traces
 from car_interface.tools.report.faults import ERROR, MAX_ENTRIES, WARN, Fault, FaultLog
 
 UNKNOWN_DRIVER = -1
-STEERING_CHANNEL = 0  # as config/turn_arb.yaml has it
+STEERING_CHANNEL = 0  # as config/turn_arb.yaml has it: where turn_arb's state says none, or was not recorded
 NEVER_AFTER_S = 5.0  # a gamepad that sends nothing for so long from the start on is missing
 APART_S = 1.0  # a release may be recorded so long before or after turn_arb's state that follows it, on a busy computer
 USUAL = ("NEUTRAL", "FORWARD")  # states of the ESC that come and go with the stick: they end no episode
@@ -163,13 +163,11 @@ class SteeringWatch(Episodes):
         self._gamepad = gamepad
         self.source_s: Counter = Counter()  # seconds by source
         self.duties = Traces(traces.duration_s)  # by channel, of those that were ever driven
-        self.steering_channel: int | None = None  # that follows turn_arb's duty; None = unknown
+        self.steering_channel = STEERING_CHANNEL  # that carries turn_arb's duty
         self.curvature_per_m: float | None = None  # sent by turn_arb now, left positive; None = unknown
         self.unchanged_since_s = 0.0  # when turn_arb's duty last changed by a step of the board
         self._steady_duty = None  # since then
-        self._duty = None  # of the newest state
         self.driven_from_s = math.inf  # when somebody first drove
-        self._matches: Counter = Counter()  # by channel: how often its output was turn_arb's duty
 
     def on_state(self, time_s: float, message: Any) -> None:
         """Take a car_interface/SteeringState."""
@@ -179,7 +177,7 @@ class SteeringWatch(Episodes):
         if (self._steady_duty is None or abs(message.duty - self._steady_duty) >= DUTY_PER_COUNT
                 or not is_fresh(self._state_s, time_s)):
             self._steady_duty, self.unchanged_since_s = message.duty, time_s
-        self._duty = message.duty
+        self.steering_channel = getattr(message, "channel", STEERING_CHANNEL)
         self._update(time_s, message, source=message.source)
 
     def expire(self, time_s: float) -> None:
@@ -190,8 +188,6 @@ class SteeringWatch(Episodes):
     def on_output(self, time_s: float, message: Any) -> None:
         """Take the std_msgs/Int32MultiArray of /servo/output."""
         for channel, duty in enumerate(message.data):
-            if self._duty is not None and abs(duty - self._duty) <= DUTY_PER_COUNT:
-                self._matches[channel] += 1
             if duty > 0 or channel in self.duties:
                 self.duties[channel].add(time_s, duty)
 
@@ -205,14 +201,10 @@ class SteeringWatch(Episodes):
         return [stop for stop in self.stops() if stop.source == LOCKED or stop.cause in causes.LOSSES]
 
     def finish(self) -> None:
-        """End the last episode, and find the steering channel."""
+        """End the last episode, and find out when somebody first drove."""
         super().finish()
         self.driven_from_s = min((one.start_s for one in self.episodes if one.source in (TELEOP, PLANNER)),
                                  default=math.inf)
-        if self._matches:
-            self.steering_channel = self._matches.most_common(1)[0][0]
-        elif STEERING_CHANNEL in self.duties:  # turn_arb's state was not recorded
-            self.steering_channel = STEERING_CHANNEL
 
     def _judge(self, ended):
         loss = self._gamepad.loss_at(ended.start_s) if ended.cause == causes.HUMAN_ABSENT else None

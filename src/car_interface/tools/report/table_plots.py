@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.throttle.value_map import ValueMap
-from car_interface.tools.report.figures import FAINT, REQUESTED, SENT, STYLE, label_text, title
+from car_interface.tools.report.plots import FAINT, REQUESTED, SENT, STYLE, label_text, title
 
 DPI = 120
 CURVES = 9  # of a map's velocities
