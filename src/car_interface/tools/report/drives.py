@@ -30,7 +30,6 @@ from car_interface.tools.report.html import MIN_DATE_NS, date_text, ratio_text, 
 from car_interface.tools.report.summary import Summary
 
 VERSION = 4  # of a row's content: rows of another version are computed again
-MAX_FIGURE = 1e12  # above any distance, duration or ratio that a car can have; page and plots can show so much
 CSV_COLUMNS = ("recording", "start_utc", "duration_s", "distance_km", "gamepad_s", "planner_s", "losses",
                "losses_by_cause", "straight_per_m", "left_ratio", "right_ratio", "map_drive_mps2", "map_hold_mps2",
                "map_brake_mps2", "battery_min_v", "frames", "corrupt_frames", "port_reopened", "teensy_reboots",
@@ -99,13 +98,13 @@ def row(drive: Summary, path: str) -> Row:
         notes.append("a calibration drive")
     return Row(
         path=path, start_ns=drive.start_ns, duration_s=drive.duration_s,
-        distance_m=_possible(drive.motion.distance_m) if has_odom else None,
+        distance_m=drive.motion.distance_m if has_odom else None,
         gamepad_s=source_s[TELEOP] if has_state else None, planner_s=source_s[PLANNER] if has_state else None,
-        losses=dict(Counter(one.cause or one.reason for one in lost)) if has_state or drive.throttle.episodes else None,
+        losses=dict(Counter(one.why for one in lost)) if has_state or drive.throttle.episodes else None,
         straight_per_m=straight, left_ratio=left, right_ratio=right,
         drive_mps2=_median(accelerating.driving), hold_mps2=_median(accelerating.holding),
         brake_mps2=_median(accelerating.braking),
-        battery_v=_possible(round(battery.minimum, 3)) if battery.count else None, **_link_counts(drive.teensy),
+        battery_v=round(battery.minimum, 3) if battery.count else None, **_link_counts(drive.teensy),
         **_faults(drive),
         lacks=[gap.lacks if math.isnan(gap.start_s) else f"{gap.lacks} for {gap.end_s - gap.start_s:.0f} s"
                for gap in drive.coverage.gaps()],
@@ -139,10 +138,6 @@ def _median(bins):
     median = bins.median()
     return None if median is None else round(median, 5) + 0.0
 
-
-def _possible(figure):
-    """Return a figure; ``None`` instead of one that no car can have: its odometry is garbage."""
-    return figure if abs(figure) <= MAX_FIGURE else None  # nor of NaN
 
 # --- page and CSV ---
 

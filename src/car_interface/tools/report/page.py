@@ -29,7 +29,7 @@ def page(drive: Summary, plots: dict[str, str]) -> str:
     return render(
         "drive.html", title=f"Drive: {name}", name=name, drive=drive, plots=plots, figures=_figures(drive), lines=lines,
         who_drove=_who_drove(drive.steering.source_s), wrong_sides=wrong_sides, gaps=drive.coverage.gaps(),
-        errors=sum(fault.level == ERROR for fault in drive.faults.entries), warn=WARN, reasons=_reasons,
+        errors=sum(fault.level == ERROR for fault in drive.faults.entries), warn=WARN,
         absent=[topic for topic in TOPICS if topic not in drive.present] + ["sonar/*"] * (not has_sonars),
         has_sonars=has_sonars, left_out=_left_out(drive, plots),
         driver_names=DRIVER_NAMES, driver_colours=DRIVER_COLOURS, unknown_driver=UNKNOWN_DRIVER, old=OLD,
@@ -73,10 +73,6 @@ def _who_drove(source_s):
     return text[0].upper() + text[1:]
 
 
-def _reasons(stops):
-    return [stop.cause or stop.reason for stop in stops]
-
-
 def _steering_lines(steering):
     """Yield lines of the table at the top: name, and text."""
     episodes = steering.episodes
@@ -86,7 +82,7 @@ def _steering_lines(steering):
     yield "Who drove", ", ".join(f"{DRIVER_NAMES.get(source, source)} {seconds / total:.0%}"
                                  for source, seconds in steering.source_s.most_common())
     stops = steering.stops()
-    yield "Went neutral", times_text(len(stops)) + (f": {counted(_reasons(stops))}" if stops else "")
+    yield "Went neutral", times_text(len(stops)) + (f": {counted(stop.why for stop in stops)}" if stops else "")
 
 
 def _motion_lines(drive):
@@ -102,7 +98,7 @@ def _motion_lines(drive):
     ratios = [f"{side} {_ratio_text(ratio)}" for side, ratio in _known_ratios(motion.by_tables)]
     if ratios and not drive.calibration:
         yield "Slow turns against the tables", "; ".join(ratios)
-    by_imu = None if drive.imu.note("") else drive.imu.ratios.median()  # mounted on its side it measures no turn
+    by_imu = None if drive.imu.gravity.note("") else drive.imu.ratios.median()  # mounted on its side it measures no turn
     if by_imu is not None:
         yield "Turned by odometry", ratio_text(by_imu, "the IMU says", "more", "less")
     if math.isfinite(sonars.nearest_m):

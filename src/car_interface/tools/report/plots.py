@@ -7,6 +7,7 @@ import io
 import re
 from functools import lru_cache
 from itertools import groupby
+from typing import TYPE_CHECKING
 
 import matplotlib
 import numpy as np
@@ -20,7 +21,9 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from car_interface.common.sources import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
 from car_interface.tools.report.faults import ERROR
 from car_interface.tools.report.states import UNKNOWN_DRIVER
-from car_interface.tools.report.summary import Summary
+
+if TYPE_CHECKING:  # a table is drawn without the libraries that read recordings
+    from car_interface.tools.report.summary import Summary
 
 # Distinguishable for colour-blind people, too.
 DRIVER_COLOURS = {LOCKED: "#c0392b", NO_HUMAN: "#b8bfc7", NEUTRAL: "#e8c468", TELEOP: "#2f6fb3", PLANNER: "#1b9e77",

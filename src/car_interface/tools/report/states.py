@@ -49,6 +49,11 @@ class Episode(NamedTuple):
     esc: str = ""  # the ESC's state; empty = one of USUAL
     esc_cause: str = ""
 
+    @property
+    def why(self) -> str:
+        """Return its cause, the reason where a state gives none."""
+        return self.cause or self.reason
+
     def goes_on(self, later: Episode) -> bool:
         """Return whether the state that begins a later episode is this one's, whatever its reason."""
         return (self.node, self.cause, *self[5:]) == (later.node, later.cause, *later[5:])

@@ -204,7 +204,7 @@ def summarize(path: str, namespace: str = "/", wheelbase_m: float | None = None,
         except AttributeError as error:
             raise other_version(path, recorded) from error
     summary.finish(has.steps_back)
-    summary.notes += filter(None, [summary.motion.note(found[roles.ODOM].topic), summary.imu.note(found[roles.IMU].topic)])
+    summary.notes += filter(None, [summary.motion.note(found[roles.ODOM].topic), summary.imu.gravity.note(found[roles.IMU].topic)])
     return summary
 
 

@@ -1,6 +1,5 @@
 """What of a recording is compared from drive to drive."""
 import json
-import math
 from types import SimpleNamespace
 
 import pytest
@@ -41,11 +40,8 @@ def test_ping_that_is_still_on_its_way_is_not_unanswered(pings, pongs, unanswere
     assert found["unanswered"] == unanswered and found["frames"] == 0
 
 
-def test_row_survives_json_and_figures_that_no_car_can_have_are_not_known(found, seen, monkeypatch):
+def test_row_survives_json(found):
     assert Row(*json.loads(json.dumps(found)))._asdict() == found._asdict()
-    for garbage in (math.nan, math.inf, 1e300):
-        monkeypatch.setattr(seen.motion, "distance_m", garbage)
-        assert row(seen, "day/drive.bag").distance_m is None
 
 
 def test_recording_of_odometry_alone_says_none_and_not_nothing(tmp_path):
