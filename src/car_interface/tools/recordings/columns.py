@@ -59,18 +59,10 @@ class Imu(NamedTuple):
 
 
 class Value(NamedTuple):
-    """A commanded number, each row until the next one; both columns have the shape (N,)."""
+    """A commanded number, or a planner's angle, each row until the next one; both columns have the shape (N,)."""
 
     t_s: np.ndarray
     value: np.ndarray
-
-
-class Ackermann(NamedTuple):
-    """What a planner asks for, each row until the next one; all columns have the shape (N,)."""
-
-    t_s: np.ndarray
-    angle_rad: np.ndarray  # of a wheel in the middle of the front axle, left positive
-    speed_mps: np.ndarray  # of the middle of the rear axle, forward positive
 
 
 class Pulses(NamedTuple):
@@ -149,6 +141,9 @@ class StampedColumn:
 
     optional = 0
 
+    def series(self, *columns):
+        return Value(*columns), []
+
     def __init__(self, topic: str):
         self.topic = topic
         self._rows, self._width = array("d"), 0
@@ -209,14 +204,12 @@ class ImuColumn(StampedColumn):
 
 
 class AckermannColumn(StampedColumn):
-    """ackermann_msgs/AckermannDriveStamped, or AckermannDrive, which counts by when it was recorded."""
+    """The steering angle in ackermann_msgs/AckermannDriveStamped, or AckermannDrive, which counts by when it was
+    recorded: in rad, of a wheel in the middle of the front axle, left positive.
+    """
 
     def row(self, message):
-        drive = ackermann_drive(message)
-        return drive.steering_angle, drive.speed
-
-    def series(self, *columns):
-        return Ackermann(*columns), []
+        return (ackermann_drive(message).steering_angle,)
 
 
 class ValueColumn(StampedColumn):

@@ -1,26 +1,36 @@
 """Reads messages from a recording: ROS 1 bags, and ROS 2 bags in SQLite or MCAP.
 
 A recording is read once, from the beginning to the end; memory doesn't grow with the file. Only the requested topics
-are deserialized, so that others may have unknown types.
+are deserialized, so that others may have unknown types: by the recording's own definitions or by those that are known
+here. ROS 1 bags always contain their definitions, ROS 2 bags since Iron. For older ones there are the standard types of
+ROS 2 Humble, those in this package's ``msg`` folder, Autoware's equivalents of these, ackermann_msgs, and a VESC's
+telemetry.
 """
 from __future__ import annotations
 
+import heapq
 import os
 import re
 import shlex
 import sys
+from collections import Counter
 from contextlib import contextmanager
+from functools import lru_cache
+from io import BytesIO
 from pathlib import Path
-from typing import Any, Iterable, Iterator, Mapping, NamedTuple, Sequence
+from typing import Any, Callable, Iterable, Iterator, Mapping, NamedTuple, Sequence
 
+import numpy as np
 from rosbags.rosbag1 import ReaderError as ReaderError1
+from rosbags.rosbag1.reader import Header, Reader, RecordType, read_bytes, read_uint32
 from rosbags.rosbag2 import Reader as Ros2Reader
 from rosbags.rosbag2 import ReaderError as ReaderError2
+from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.input_file import check_kind
-from car_interface.tools.recordings.definitions import UnknownType, decoder
-from car_interface.tools.recordings.rosbag1 import ChunkReader
+from car_interface.common.package_files import package_file
+from car_interface.common.units import NS_PER_S
 
 ROS2_SUFFIXES = (".db3", ".mcap")
 METADATA = "metadata.yaml"
@@ -29,6 +39,27 @@ METADATA_KEY = b"rosbag2_bagfile_information"  # under which it has everything
 BEGINS = {".bag": (b"#ROSBAG V", "bag"), ".db3": (b"SQLite format 3\0", "SQLite database"),
           ".mcap": (b"\x89MCAP", "MCAP file")}
 NESTED = re.compile(r"""\((["'])(.*?)\1,\)""")  # the arguments of another error, within rosbags' text of one
+PACKAGE = "car_interface"
+# Autoware's packages with messages that have the fields of ours.
+EQUIVALENTS = {
+    "autoware_control_msgs": ("Control", "Lateral", "Longitudinal"),
+    "autoware_internal_debug_msgs": ("Float64Stamped",),
+    "tier4_debug_msgs": ("Float64Stamped",),
+}
+# Common types that ROS 2 itself doesn't have.
+OTHERS = {
+    "ackermann_msgs/msg/AckermannDrive": "\n".join(f"float32 {name}" for name in (
+        "steering_angle", "steering_angle_velocity", "speed", "acceleration", "jerk")),
+    "ackermann_msgs/msg/AckermannDriveStamped": "std_msgs/Header header\nackermann_msgs/AckermannDrive drive",
+    # As F1TENTH's ROS 2 driver has it; cars with a Humble or an older ROS 2 record it without its definition.
+    "vesc_msgs/msg/VescState": "\n".join(f"{kind} {name}" for kind, names in (
+        ("float64", "temp_fet temp_motor current_motor current_input avg_id avg_iq duty_cycle speed"),
+        ("float64", "voltage_input charge_drawn charge_regen energy_drawn energy_regen"),
+        ("int32", "displacement distance_traveled fault_code"), ("float64", "pid_pos_now"), ("int32", "controller_id"),
+        ("float64", "ntc_temp_mos1 ntc_temp_mos2 ntc_temp_mos3 avg_vd avg_vq")) for name in names.split()),
+    "vesc_msgs/msg/VescStateStamped": "std_msgs/Header header\nvesc_msgs/VescState state",
+}
+IDL_RULE = "=" * 80 + "\n"
 
 
 class Recorded(NamedTuple):
@@ -57,6 +88,10 @@ class Contents(NamedTuple):
 
 class NoRecording(CarInterfaceError):
     """A file that can't be read as a recording, or one that lacks what is requested."""
+
+
+class UnknownType(CarInterfaceError):
+    """A message type without a definition in the recording or here."""
 
 
 def contents(path: str) -> Contents:
@@ -260,3 +295,134 @@ def _error_text(file, error):
     elif not isinstance(error, (ReaderError1, ReaderError2, OSError)):
         text = "it's cut off or damaged; ros2 bag reindex saves what is left"
     return f"{file} can't be read as a recording: {text}"
+
+# --- ROS 1 bags ---
+
+
+class ChunkReader(Reader):
+    """Reads a ROS 1 bag in the order in which it was recorded, with the memory of a few of its chunks.
+
+    rosbags' own reader keeps the position of each message, which takes 170 MB for a million of them, some 20 minutes of
+    a car's topics (measured with 0.9.23 and 0.11.9), and sorts them by time: after the clock was set back it alternates
+    between two chunks, and mixes what was driven before and after. This reader goes from chunk to chunk, in 4 MB.
+
+    It overrides ``read_index_data``, and uses the reader's attributes and its module's functions, which rosbags doesn't
+    document: setup.py limits rosbags to the versions that this was tested with.
+    """
+
+    def __init__(self, path):
+        super().__init__(path)
+        self.steps_back = 0  # how often a topic's recording time went back
+        self.clock_steps_back = 0  # how often by more than a second: the clock was set
+        self._newest: dict = {}  # time of the newest message, by connection
+
+    def open(self) -> None:
+        """Open it and read its index. rosbags would count messages by the positions that this reader leaves out."""
+        super().open()
+        counts: Counter = Counter()
+        for info in self.chunk_infos:
+            counts.update(info.connection_counts)
+        self.connections = [connection._replace(msgcount=counts[connection.id]) for connection in self.connections]
+
+    def read_index_data(self, pos, indexes):
+        """Read only the times from a chunk's index; rosbags calls this once for each connection of each chunk."""
+        connection = Header.read(self.bio).get_uint32("conn")
+        entries = np.frombuffer(read_bytes(self.bio, read_uint32(self.bio)), "<u4").reshape(-1, 3)
+        times = entries[:, 0].astype(np.int64) * NS_PER_S + entries[:, 1]
+        if len(times):
+            steps_ns = np.diff(times, prepend=self._newest.get(connection, times[0]))
+            self.steps_back += int((steps_ns < 0).sum())
+            self.clock_steps_back += int((steps_ns < -NS_PER_S).sum())
+            self._newest[connection] = times[-1]
+
+    def messages(self, connections=(), start=None, stop=None) -> Iterator[tuple]:
+        """Yield connection, time in ns and bytes: by time, or, if the clock was ever set back, as they were written.
+
+        ``start`` and ``stop`` are parameters of rosbags; they are ignored.
+        """
+        wanted = {connection.id: connection for connection in connections or self.connections}
+        chunks = [info for info in self.chunk_infos if not wanted.keys().isdisjoint(info.connection_counts)]
+        number, pending = 0, []  # chunks may overlap: pending messages go out before a chunk that begins later
+        chunks.sort(key=lambda info: (0 if self.steps_back else info.start_time, info.pos))
+        for info in [*chunks, None]:
+            while pending and (info is None or pending[0][0] < info.start_time):
+                *_, connection, time_ns, data = heapq.heappop(pending)
+                yield wanted[connection], time_ns, data
+            for connection, time_ns, data in self._chunk(info.pos, wanted) if info is not None else ():
+                order = -1 if self.steps_back else time_ns  # -1: before the next chunk, as they were written
+                heapq.heappush(pending, (order, number, connection, time_ns, data))
+                number += 1
+
+    def _chunk(self, position, wanted) -> Iterator[tuple[int, int, bytes]]:
+        chunk = self.chunks[position]
+        self.bio.seek(chunk.datapos)
+        data = chunk.decompressor(read_bytes(self.bio, chunk.datasize))
+        records = BytesIO(data)
+        while records.tell() < len(data):
+            header = Header.read(records)
+            content = read_bytes(records, read_uint32(records))
+            if header.get_uint8("op") == RecordType.MSGDATA and header.get_uint32("conn") in wanted:
+                yield header.get_uint32("conn"), header.get_time("time"), content
+
+
+# --- definitions of messages ---
+
+
+def decoder(connection, is_ros2: bool) -> Callable[[bytes], Any]:
+    """Return a function from the bytes of one connection's messages to messages.
+
+    Args:
+        is_ros2: whether the bytes are CDR, as ROS 2 has them.
+
+    Raises:
+        UnknownType: neither the recording nor this package has its definition.
+    """
+    name, (text, is_idl) = connection.msgtype, _definition(connection)
+    store = _store(name, text, is_idl) if text else known_types()
+    try:
+        store.get_msgdef(name)
+    except (KeyError, TypesysError) as error:
+        raise UnknownType(f"neither the recording nor this package knows all of its type {name}") from error
+    deserialize = store.deserialize_cdr if is_ros2 else store.deserialize_ros1
+    return lambda data: deserialize(data, name)
+
+
+@lru_cache(maxsize=1)
+def known_types() -> Any:
+    """Return the types of ROS 2 Humble, of this package, Autoware's equivalents, and OTHERS, as rosbags' typestore."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types: dict = {}
+    for path in sorted(package_file("msg").glob("*.msg")):
+        text = path.read_text(encoding="utf-8")
+        types.update(get_types_from_msg(text, f"{PACKAGE}/msg/{path.stem}"))
+        for package, names in EQUIVALENTS.items():
+            if path.stem in names:
+                types.update(get_types_from_msg(text, f"{package}/msg/{path.stem}"))
+    for name, text in OTHERS.items():
+        types.update(get_types_from_msg(text, name))
+    store.register(types)
+    return store
+
+
+@lru_cache(maxsize=200)  # parsing takes longer than reading a small recording, and all of a car have the same ones
+def _store(name, text, is_idl):
+    store = get_typestore(Stores.EMPTY)
+    try:
+        if not is_idl:
+            store.register(get_types_from_msg(text, name))
+        elif text.startswith(IDL_RULE):
+            for part in text.split(IDL_RULE)[1:]:
+                store.register(get_types_from_idl(part.split("\n", 1)[1]))
+        else:
+            store.register(get_types_from_idl(text))
+    except Exception as error:  # a parser may stumble over anything in a damaged text
+        raise UnknownType(f"the recording's definition of its type {name} makes no sense") from error
+    return store
+
+
+def _definition(connection):
+    """Return the text of a definition, empty when the recording has none, and whether it's in IDL."""
+    definition = connection.msgdef
+    if isinstance(definition, str):  # rosbags before 0.10
+        return definition, definition.startswith(IDL_RULE + "IDL: ")
+    return definition.data, definition.format.name == "IDL"

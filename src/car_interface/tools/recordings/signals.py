@@ -13,7 +13,6 @@ import numpy as np
 from car_interface.common.units import NS_PER_S
 from car_interface.tools.recordings import recording, roles
 from car_interface.tools.recordings.columns import (
-    Ackermann,
     AckermannColumn,
     CommandColumn,
     Imu,
@@ -51,7 +50,7 @@ class Signals(NamedTuple):
     output: Output | None
     imu: Imu | None
     value: Value | None
-    ackermann: Ackermann | None
+    ackermann: Value | None  # steering angles in rad that a planner asks for
     servo: Value | None  # positions of a VESC's, 0 to 1
     pulses: tuple[Pulses, Pulses] | None  # of the left and the right wheel
     topics: dict[str, str]  # of each part that is there, by the part

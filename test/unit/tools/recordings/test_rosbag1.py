@@ -5,8 +5,7 @@ import struct
 import pytest
 from rosbags.rosbag1 import Reader, ReaderError, Writer
 
-from car_interface.tools.recordings.recording import contents
-from car_interface.tools.recordings.rosbag1 import ChunkReader
+from car_interface.tools.recordings.recording import ChunkReader, contents
 from written_recordings import START_NS, Written, write_ros1
 
 

@@ -114,7 +114,7 @@ def _asked_duties(found, angle_table, notes):
     notes.append(f"no duties of the servo were recorded: the angles on {topic} count as the duties that --base has for "
                  f"them with a wheelbase of {angle_table.wheelbase_m:g} m. What this recording can't tell: whether "
                  "--base was the table on this drive, and whether anything else steered (a gamepad, a trim, a limit)")
-    return found.ackermann.t_s, np.array(list(map(angle_table.duty, found.ackermann.angle_rad.tolist())), float)
+    return found.ackermann.t_s, np.array(list(map(angle_table.duty, found.ackermann.value.tolist())), float)
 
 
 def imu_heading(odom: Odom, imu: Imu) -> tuple[np.ndarray, float] | None:
