@@ -62,7 +62,8 @@ def run(options: argparse.Namespace) -> int:
     rows, read = _read_rows(options, topics, paths)
     rows = in_order(rows)
     drawn = trends([one for one in rows if not one.error])
-    shown = page(_title(folder), rows, drawn, _reports(options, page_path, rows))
+    is_named = os.path.basename(os.path.normpath(folder)).strip(".")  # "." says nothing to who reads the page
+    shown = page(folder if is_named else os.path.realpath(folder), rows, drawn, _reports(options, page_path, rows))
     for path, text in ((csv_path, csv_text(rows)), (page_path, shown)):
         output.write(path, text.encode("utf-8", "replace"))  # a file's name may be no UTF-8
     bad = [one for one in rows if one.error]
@@ -86,12 +87,6 @@ def _reports(options, own_path, rows):
     beside = os.path.dirname(os.path.abspath(own_path))
     return {path: quote(os.path.relpath(str(page), beside).encode("utf-8", "surrogateescape"))
             for path, page in pages.items() if page.is_file()}
-
-
-def _title(folder):
-    """Return the folder's name for its readers; "." has none."""
-    is_named = os.path.basename(os.path.normpath(folder)).strip(".")
-    return folder if is_named else os.path.realpath(folder)
 
 
 def _check_output(outputs, recordings, is_default):

@@ -83,7 +83,6 @@ class Contents(NamedTuple):
     start_ns: int  # ROS time of the first message; 0 when there is none
     end_ns: int
     topics: dict  # Topic by absolute name
-    steps_back: int  # how often the recording time went back by more than a second; known of ROS 1 bags only
 
 
 class NoRecording(CarInterfaceError):
@@ -106,7 +105,7 @@ def contents(path: str) -> Contents:
             count = connection.msgcount + (found[connection.topic].count if connection.topic in found else 0)
             found[connection.topic] = Topic(connection.msgtype, count)
         begin, end = (reader.start_time, reader.end_time) if any(topic.count for topic in found.values()) else (0, 0)
-        return Contents(begin, end, dict(sorted(found.items())), getattr(reader, "clock_steps_back", 0))
+        return Contents(begin, end, dict(sorted(found.items())))
 
 
 def read(path: str, topics: Sequence[str] | Mapping[str, str | Sequence[str]], namespace: str = "/",
@@ -313,7 +312,6 @@ class ChunkReader(Reader):
     def __init__(self, path):
         super().__init__(path)
         self.steps_back = 0  # how often a topic's recording time went back
-        self.clock_steps_back = 0  # how often by more than a second: the clock was set
         self._newest: dict = {}  # time of the newest message, by connection
 
     def open(self) -> None:
@@ -330,9 +328,7 @@ class ChunkReader(Reader):
         entries = np.frombuffer(read_bytes(self.bio, read_uint32(self.bio)), "<u4").reshape(-1, 3)
         times = entries[:, 0].astype(np.int64) * NS_PER_S + entries[:, 1]
         if len(times):
-            steps_ns = np.diff(times, prepend=self._newest.get(connection, times[0]))
-            self.steps_back += int((steps_ns < 0).sum())
-            self.clock_steps_back += int((steps_ns < -NS_PER_S).sum())
+            self.steps_back += int((np.diff(times, prepend=self._newest.get(connection, times[0])) < 0).sum())
             self._newest[connection] = times[-1]
 
     def messages(self, connections=(), start=None, stop=None) -> Iterator[tuple]:

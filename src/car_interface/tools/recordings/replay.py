@@ -100,15 +100,12 @@ class PulseColumns:
             undirected, self._without_direction[side] = self._without_direction[side], 0
             time_ns = self._clock.translate(one.when, received_ns, WHEEL_BYTES).time_ns
             at_s = timeline.stamped_s(time_ns - self._to_monotonic_ns)
-            self._append(side, at_s if abs(at_s - now_s) <= MAX_STAMP_OFFSET_S else now_s,
-                         pulses + (undirected if pulses > 0 else -undirected))
-
-    def _append(self, side, at_s, pulses):
-        times, counts = self._wheel_times[side], self._counts[side]
-        if times and at_s <= times[-1]:
-            at_s = times[-1] + MIN_STEP_S
-        times.append(at_s)
-        counts.append((counts[-1] if counts else 0) + pulses)
+            at_s = at_s if abs(at_s - now_s) <= MAX_STAMP_OFFSET_S else now_s
+            times, counts = self._wheel_times[side], self._counts[side]
+            if times and at_s <= times[-1]:
+                at_s = times[-1] + MIN_STEP_S
+            times.append(at_s)
+            counts.append((counts[-1] if counts else 0) + pulses + (undirected if pulses > 0 else -undirected))
 
 
 def _wheels(message):

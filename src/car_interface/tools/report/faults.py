@@ -8,7 +8,8 @@ from typing import Any, Collection, NamedTuple
 from car_interface.throttle.battery import REPORT as BATTERY_REPORT
 
 OK, WARN, ERROR = range(3)  # as in diagnostic_msgs/DiagnosticStatus
-LOG_LEVELS = {"rosgraph_msgs": (4, 8), "rcl_interfaces": (30, 40)}  # warning and error, by the package of Log
+# By the level in a rosgraph_msgs/Log or rcl_interfaces/Log, which have none in common; below these it is no fault.
+LOG_LEVELS = {4: WARN, 8: ERROR, 16: ERROR, 30: WARN, 40: ERROR, 50: ERROR}
 # A node's first report that is a warning, and becomes OK within so long, before anybody drives, is its start: the hub
 # wants five pings, one a second, and the servo board's guard a second. So is a car that is started with its recording.
 STARTS_WITHIN_S = 8.0
@@ -110,12 +111,10 @@ class NodeReports:
     Args:
         present: the recorded topics; what turn_arb, the hub and teleop_logi report in topics of their own isn't added
             twice, nor is the battery, which throttle_arb reports on /diagnostics and logs.
-        log_type: the type of /rosout, such as rosgraph_msgs/msg/Log.
     """
 
-    def __init__(self, faults: FaultLog, present: Collection[str], log_type: str):
+    def __init__(self, faults: FaultLog, present: Collection[str]):
         self._faults, self._present = faults, present
-        self._warning, self._error = LOG_LEVELS.get(log_type.split("/")[0], LOG_LEVELS["rosgraph_msgs"])
 
     def on_diagnostics(self, time_s: float, message: Any) -> None:
         """Take a diagnostic_msgs/DiagnosticArray."""
@@ -129,12 +128,12 @@ class NodeReports:
 
     def on_log(self, time_s: float, message: Any) -> None:
         """Take a rosgraph_msgs/Log or rcl_interfaces/Log."""
-        node, text = message.name.strip("/"), message.msg
+        node, text, level = message.name.strip("/"), message.msg, LOG_LEVELS.get(message.level, OK)
         is_known = node.endswith("turn_arb") and OWN_TOPICS["steering"] in self._present or \
             text.startswith("human in loop: ") and OWN_TOPICS["gamepad"] in self._present or \
             text.startswith(f"{BATTERY_REPORT}: ") and DIAGNOSTICS in self._present
-        if message.level >= self._warning and not is_known:
-            self._faults.add_repeated(time_s, ERROR if message.level >= self._error else WARN, node, text)
+        if level != OK and not is_known:
+            self._faults.add_repeated(time_s, level, node, text)
 
 
 class Gap(NamedTuple):

@@ -10,7 +10,7 @@ from collections import Counter, deque
 from statistics import median_low
 from typing import Any
 
-from car_interface.common.sources import DRIVE
+from car_interface.common.sources import DRIVE, PLANNER
 from car_interface.common.units import NS_PER_S, stamp_ns, yaw_rad
 from car_interface.tools.recordings.columns import (
     MAX_NUMBER,
@@ -160,11 +160,11 @@ class AskedWatch:
 
     def expire(self, time_s: float) -> None:
         """Drop the request if it is stale, or its part that somebody else decides."""
-        holds = is_fresh(self._received_s, time_s) and \
-            self._drivers.planner_interface_obeys(DRIVE, time_s) is not False
-        if not holds or self._drivers.planner_steers(time_s) is False:
+        steering, throttle, planner = self._drivers
+        holds = is_fresh(self._received_s, time_s) and (planner is None or planner.obeyed_at(time_s) == DRIVE)
+        if not holds or steering is not None and steering.driver_at(time_s) != PLANNER:
             self._angle_rad, self.curvature_per_m = math.nan, None
-        if not holds or self._drivers.planner_drives(time_s) is False:
+        if not holds or throttle is not None and throttle.driver_at(time_s) != PLANNER:
             self._speed_mps = math.nan
 
     def compare_speed(self, time_s: float, speed_mps: float) -> None:
@@ -207,7 +207,7 @@ class MotionWatch:
     def __init__(self, traces: Traces, faults: FaultLog, steering: SteeringWatch, asked: AskedWatch,
                  drivers: Drivers, start_ns: int):
         self._traces, self._faults, self._steering, self._start_ns = traces, faults, steering, start_ns
-        self._asked, self._drivers = asked, drivers
+        self._asked, self._throttle = asked, drivers.throttle
         self._others_s = -math.inf  # when the throttle was last not the planner's
         self.path = Path()  # where the car was, by who steered
         self.distance_m = self.moving_s = 0.0  # how far, and how long it drove
@@ -245,8 +245,9 @@ class MotionWatch:
             self._asked.compare_speed(time_s, speed)
             self._update_window(time_s, stamp_s, speed)
 
-    def pose_at(self, stamp_s: float) -> tuple[complex, float] | None:
-        """Return (place, yaw) of the recent odometry that is nearest in time; ``None`` without any."""
+    def pose_at(self, stamp: Any) -> tuple[complex, float] | None:
+        """Return (place, yaw) of the recent odometry that is nearest to a stamp; ``None`` without any."""
+        stamp_s = (stamp_ns(stamp) - self._start_ns) / NS_PER_S
         nearest = min(self._poses, key=lambda pose: abs(pose[0] - stamp_s), default=None)
         return nearest and nearest[1:]
 
@@ -291,7 +292,7 @@ class MotionWatch:
         middle_s = time_s - span_s / 2
         acceleration_mps2 = _slope(window)
         self._traces["acceleration"].add(middle_s, acceleration_mps2)
-        if not self._drivers.planner_drives(time_s):
+        if self._throttle is None or self._throttle.driver_at(time_s) != PLANNER:
             self._others_s = time_s
         elif self._others_s < time_s - span_s:
             self.accelerating.add(time_s - span_s, time_s, acceleration_mps2, speed)
@@ -343,8 +344,8 @@ class ImuWatch:
 class SonarWatch:
     """Follows the sonars' ranges and /tf_static: where they saw something, in odometry's frame."""
 
-    def __init__(self, motion: MotionWatch, start_ns: int):
-        self._motion, self._start_ns = motion, start_ns
+    def __init__(self, motion: MotionWatch):
+        self._motion = motion
         self.echoes = Spots()
         self.nearest_m, self.nearest_s, self.nearest_sonar = math.inf, math.nan, ""  # the shortest range; inf = none
         self.frames_without_mount: set = set()  # of sonars whose place on the car wasn't recorded
@@ -363,12 +364,10 @@ class SonarWatch:
             return
         if range_m < self.nearest_m:
             self.nearest_m, self.nearest_s, self.nearest_sonar = range_m, time_s, topic.rsplit("/", 1)[-1]
-        mount = self._mounts.get(message.header.frame_id)
+        mount, pose = self._mounts.get(message.header.frame_id), self._motion.pose_at(message.header.stamp)
         if mount is None:
             self.frames_without_mount.add(message.header.frame_id)
-            return
-        pose = self._motion.pose_at((stamp_ns(message.header.stamp) - self._start_ns) / NS_PER_S)
-        if pose is not None:
+        elif pose is not None:
             (place, yaw), (ahead, mount_yaw) = pose, mount
             spot = place + cmath.rect(1, yaw) * (ahead + cmath.rect(range_m, mount_yaw))
             self.echoes.add(spot.real, spot.imag)

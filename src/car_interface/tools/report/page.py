@@ -8,7 +8,6 @@ from car_interface.tools.report.downsample import Trace
 from car_interface.tools.report.faults import ERROR, WARN
 from car_interface.tools.report.plots import DRIVER_COLOURS, DRIVER_NAMES
 from car_interface.tools.report.html import counted, moment_text, ratio_text, render, span_text, times_text
-from car_interface.tools.report.states import UNKNOWN_DRIVER
 from car_interface.tools.report.summary import RANGES, Summary
 
 # What the page shows, as far as it was recorded; the sonars' topics are one here.
@@ -32,7 +31,7 @@ def page(drive: Summary, plots: dict[str, str]) -> str:
         errors=sum(fault.level == ERROR for fault in drive.faults.entries), warn=WARN,
         absent=[topic for topic in TOPICS if topic not in drive.present] + ["sonar/*"] * (not has_sonars),
         has_sonars=has_sonars, left_out=_left_out(drive, plots),
-        driver_names=DRIVER_NAMES, driver_colours=DRIVER_COLOURS, unknown_driver=UNKNOWN_DRIVER, old=OLD,
+        driver_names=DRIVER_NAMES, driver_colours=DRIVER_COLOURS, old=OLD,
         moment=lambda time_s: moment_text(time_s, drive.duration_s))
 
 
@@ -79,7 +78,7 @@ def _steering_lines(steering):
     if not episodes:
         return
     total = sum(steering.source_s.values()) or 1
-    yield "Who drove", ", ".join(f"{DRIVER_NAMES.get(source, source)} {seconds / total:.0%}"
+    yield "Who drove", ", ".join(f"{DRIVER_NAMES[source]} {seconds / total:.0%}"
                                  for source, seconds in steering.source_s.most_common())
     stops = steering.stops()
     yield "Went neutral", times_text(len(stops)) + (f": {counted(stop.why for stop in stops)}" if stops else "")

@@ -167,17 +167,15 @@ def _path(drive):
     if len(echo_x):
         axes.plot(echo_x, echo_y, linestyle="none", marker="o", markersize=2.6, markeredgewidth=0, color=REQUESTED,
                   alpha=0.55, label="seen by a sonar")
-    # By the order in which they first drove: a path under another one stays visible.
-    sources = list(dict.fromkeys(kind if kind in DRIVER_COLOURS else UNKNOWN_DRIVER for kind in path.kinds))
-    end, seen = 0, set()
-    for kind, points in groupby(path.kinds):
+    sources = list(dict.fromkeys(path.kinds))  # as they first drove: a path under a later one stays visible
+    end, unseen = 0, set(sources)
+    for source, points in groupby(path.kinds):
         begin, end = max(end - 1, 0), end + len(list(points))
-        source = kind if kind in DRIVER_COLOURS else UNKNOWN_DRIVER
         width = PATH_WIDTH + WIDER * (len(sources) - 1 - sources.index(source))
         axes.plot(path.x_m[begin:end], path.y_m[begin:end], linewidth=width, color=DRIVER_COLOURS[source],
-                  label=None if source in seen else DRIVER_NAMES[source], solid_capstyle="round",
+                  label=DRIVER_NAMES[source] if source in unseen else None, solid_capstyle="round",
                   zorder=3 - width / 10)
-        seen.add(source)
+        unseen.discard(source)
     if len(path.x_m):
         axes.plot(path.x_m[0], path.y_m[0], marker="o", markersize=8, color="white", markeredgecolor=INK,
                   markeredgewidth=1.5, linestyle="none", label="start")
@@ -346,8 +344,7 @@ def bands(drive):
             bands[-1][1] = episode.end_s - bands[-1][0]
         else:
             bands.append([episode.start_s, episode.end_s - episode.start_s, episode.source])
-    return [(start_s, max(width_s, shortest_s), source if source in DRIVER_COLOURS else UNKNOWN_DRIVER)
-            for start_s, width_s, source in bands]
+    return [(start_s, max(width_s, shortest_s), source) for start_s, width_s, source in bands]
 
 
 def curve(axes, trace, colour, label, gap_s=1.0, **style):

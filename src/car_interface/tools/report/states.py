@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import Any, Collection, NamedTuple
+from typing import Any, NamedTuple
 
 from car_interface.common import causes
 from car_interface.common.sources import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
@@ -16,6 +16,7 @@ from car_interface.steering.arbiter import SteeringArbiterConfig
 from car_interface.tools.report.downsample import Traces
 from car_interface.tools.report.faults import ERROR, MAX_ENTRIES, WARN, Fault, FaultLog
 
+DRIVERS = (LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER)
 UNKNOWN_DRIVER = -1
 STEERING_CHANNEL = 0  # as config/turn_arb.yaml has it: where turn_arb's state says none, or was not recorded
 NEVER_AFTER_S = 5.0  # a gamepad that sends nothing for so long from the start on is missing
@@ -45,7 +46,7 @@ class Episode(NamedTuple):
     node: str  # whose state it is
     cause: str  # a constant of common.causes
     reason: str  # in words, at its start
-    source: int = UNKNOWN_DRIVER  # who drives, a value of SteeringState.source or ThrottleState.source
+    source: int = UNKNOWN_DRIVER  # who drives, else one of DRIVERS
     esc: str = ""  # the ESC's state; empty = one of USUAL
     esc_cause: str = ""
 
@@ -89,8 +90,8 @@ class Episodes:
 
     def _update(self, time_s: float, message: Any, reason: str = "", source: int = UNKNOWN_DRIVER, *esc: str) -> None:
         """Take a state: the episode goes on, or another one begins."""
-        self.driver, self._state_s = source, time_s
-        begun = Episode(time_s, math.inf, self.node, message.cause, reason or message.reason, source, *esc)
+        self.driver, self._state_s = source if source in DRIVERS else UNKNOWN_DRIVER, time_s
+        begun = Episode(time_s, math.inf, self.node, message.cause, reason or message.reason, self.driver, *esc)
         if self._current is None or not self._current.goes_on(begun):
             self._end(time_s)
             self._current = begun
@@ -281,27 +282,12 @@ class PlannerWatch(Episodes):
         return ended
 
 
-class Drivers:
-    """Who has the car, as far as the states among the recorded topics show."""
+class Drivers(NamedTuple):
+    """The watches that show who has the car; ``None``: no state was recorded that shows it."""
 
-    def __init__(self, steering: SteeringWatch, throttle: ThrottleWatch, planner: PlannerWatch,
-                 present: Collection[str]):
-        self._planner = planner if "planner_interface/state" in present else None
-        # Where one of them wasn't recorded, the other's stands for both: before throttle_arb who steered drove, too.
-        known = [watch for watch in (steering, throttle) if f"{watch.node}/state" in present] or [None]
-        self._steering, self._throttle = known[0], known[-1]
-
-    def planner_steers(self, time_s: float) -> bool | None:
-        """Return whether the planner steers; ``None``: no state was recorded that shows it."""
-        return None if self._steering is None else self._steering.driver_at(time_s) == PLANNER
-
-    def planner_drives(self, time_s: float) -> bool | None:
-        """Return whether the throttle is the planner's; ``None``: no state was recorded that shows it."""
-        return None if self._throttle is None else self._throttle.driver_at(time_s) == PLANNER
-
-    def planner_interface_obeys(self, source: str, time_s: float) -> bool | None:
-        """Return whether planner_interface obeys a source, such as ``drive``; ``None``: its state wasn't recorded."""
-        return None if self._planner is None else self._planner.obeyed_at(time_s) == source
+    steering: Episodes | None
+    throttle: Episodes | None
+    planner: PlannerWatch | None  # which source is obeyed
 
 
 class LimitsWatch:

@@ -80,6 +80,7 @@ class Summary:
         self.start_ns = recorded.start_ns  # ROS time of the first message
         self.duration_s = (recorded.end_ns - recorded.start_ns) / NS_PER_S
         self.topics, self.present = recorded.topics, present
+        self.steps_back = 0  # how often its clock was set back
         self.notes: list = []  # a line for each topic that was named, guessed or not found, or is odd
         self.calibration: CalibrationResult | None = None  # of a calibration drive, which drove by the table before
         self.traces, self.faults = Traces(self.duration_s), FaultLog()
@@ -87,23 +88,25 @@ class Summary:
         found = self.traces, self.faults
         self.gamepad, self.throttle, self.planner = GamepadWatch(*found), ThrottleWatch(*found), PlannerWatch(*found)
         self.steering, self.limits = SteeringWatch(*found, self.gamepad), LimitsWatch()
-        drivers = Drivers(self.steering, self.throttle, self.planner, present)
+        # Where one state wasn't recorded, the other's stands for both: before throttle_arb who steered drove, too.
+        steering, throttle, planner = (watch if f"{watch.node}/state" in present else None
+                                       for watch in (self.steering, self.throttle, self.planner))
+        drivers = Drivers(steering or throttle, throttle or steering, planner)
         self.asked = AskedWatch(self.traces, wheelbase_m, drivers)
         self.motion = MotionWatch(*found, self.steering, self.asked, drivers, self.start_ns)
-        self.imu, self.sonars = ImuWatch(self.traces, self.motion), SonarWatch(self.motion, self.start_ns)
+        self.imu, self.sonars = ImuWatch(self.traces, self.motion), SonarWatch(self.motion)
         self.teensy = TeensyWatch(*found)
-        log_type = next((topic.type for name, topic in self.topics.items() if name.lstrip("/") == "rosout"), "")
-        self.reports = NodeReports(self.faults, present, log_type)
+        self.reports = NodeReports(self.faults, present)
 
     def handlers(self) -> dict:
         """Return a function of time in s and message for each of READS."""
         return {**{topic: attrgetter(name)(self) for topic, (_, name) in READS.items()},
                 **{topic: partial(self.sonars.on_range, topic=topic) for topic in RANGES}}
 
-    def finish(self, steps_back: int) -> None:
-        """End what lasts, and drop what is no fault of this drive; ``steps_back``: how often its clock was set back."""
-        if steps_back:
-            times = "once" if steps_back == 1 else f"{steps_back} times"
+    def finish(self) -> None:
+        """End what lasts, and drop what is no fault of this drive."""
+        if self.steps_back:
+            times = "once" if self.steps_back == 1 else f"{self.steps_back} times"
             self.faults.add_moment(0.0, WARN, "recording", f"its time went back {times}: the clock was set")
         for watch in (self.steering, self.throttle, self.planner, self.limits, self.gamepad):
             watch.finish()
@@ -146,13 +149,11 @@ class Summary:
         if "generic/output/value" not in self.present:
             self.on_number("value", time_s, message)
         if "battery_state" not in self.present:
-            self._add_voltage(time_s, vesc_number(message, VOLTAGE))
+            self.on_battery(time_s, message)
 
     def on_battery(self, time_s: float, message: Any) -> None:
-        """Take a sensor_msgs/BatteryState."""
-        self._add_voltage(time_s, message.voltage)
-
-    def _add_voltage(self, time_s, voltage_v):
+        """Take a sensor_msgs/BatteryState, or a VESC's telemetry."""
+        voltage_v = vesc_number(message, VOLTAGE) if hasattr(message, "state") else message.voltage
         if voltage_v > 0:  # 0 and NaN: it isn't measured
             self.traces["battery voltage"].add(time_s, voltage_v)
 
@@ -195,15 +196,17 @@ def summarize(path: str, namespace: str = "/", wheelbase_m: float | None = None,
     summary = Summary(path, namespace, has, {keys[name] for name in names.values()}, wheelbase_m)
     summary.notes += [f"{name}: {topic} (as you say)" for name, topic in given.items()]
     summary.notes += [one.note for one in found.values() if one.note]
-    handlers = summary.handlers()
+    handlers, before_ns = summary.handlers(), 0
     for recorded in read(path, types, namespace, progress):
         key, time_s = keys[recorded.topic], (recorded.time_ns - summary.start_ns) / NS_PER_S
+        summary.steps_back += before_ns - recorded.time_ns > NS_PER_S
+        before_ns = recorded.time_ns
         try:
             summary.coverage.update(time_s, key, recorded.message)
             handlers[key](time_s, recorded.message)
         except AttributeError as error:
             raise other_version(path, recorded) from error
-    summary.finish(has.steps_back)
+    summary.finish()
     summary.notes += filter(None, [summary.motion.note(found[roles.ODOM].topic), summary.imu.gravity.note(found[roles.IMU].topic)])
     return summary
 

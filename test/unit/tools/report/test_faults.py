@@ -68,7 +68,7 @@ LOW = "the battery has 6.90 V after it fell below warn_below, 7 V: low until it 
     pytest.param(["/rosout"], [f"battery: {LOW}"], id="from_the_log_alone")])
 def test_low_battery_that_is_reported_and_logged_is_listed_once(present, listed):
     faults = FaultLog()
-    nodes = NodeReports(faults, present, "rosgraph_msgs/Log")
+    nodes = NodeReports(faults, present)
     if "/diagnostics" in present:
         nodes.on_diagnostics(1.0, SimpleNamespace(
             status=[SimpleNamespace(name="throttle_arb: battery", level=WARN, message=LOW)]))

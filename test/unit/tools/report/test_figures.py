@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from car_interface.common.sources import LOCKED, NEUTRAL, PLANNER, TELEOP
 from car_interface.tools.report.downsample import Trace
 from car_interface.tools.report.plots import bands, curve, label_text, stack, usual_magnitude
-from car_interface.tools.report.states import UNKNOWN_DRIVER, Episode
+from car_interface.tools.report.states import Episode
 
 
 def drive(duration_s, *episodes):
@@ -36,7 +36,6 @@ def axes():
     pytest.param([], [], id="none"),
     pytest.param([(0, 10, TELEOP), (10, 30, PLANNER)], [(0, 10, TELEOP), (10, 20, PLANNER)], id="each_source"),
     pytest.param([(0, 10, TELEOP), (10, 30, TELEOP)], [(0, 30, TELEOP)], id="same_source_is_one"),
-    pytest.param([(0, 10, TELEOP), (10, 30, 99)], [(0, 10, TELEOP), (10, 20, UNKNOWN_DRIVER)], id="unknown_source"),
     # Of 1000 s, 0.7 s can just be seen.
     pytest.param([(0, 0.1, NEUTRAL), (50, 60, TELEOP)], [(0, 0.7, NEUTRAL), (50, 10, TELEOP)], id="short_is_drawn"),
     pytest.param([(0, 0.1, NEUTRAL), (0.1, 0.2, LOCKED), (0.2, 50, TELEOP)], [(0, 0.7, NEUTRAL), (0.2, 49.8, TELEOP)],

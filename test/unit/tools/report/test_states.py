@@ -57,6 +57,11 @@ def test_episode_ends_with_source_cause_or_an_unusual_state_of_the_esc():
     assert watch.episodes[1].reason == "tele_throt_req is 1.000, scaled by 0.3; BRAKING: it rolls forward"
 
 
+def test_driver_that_no_version_has_is_not_known():
+    watch, _, _ = watched(states.ThrottleWatch, BY_HAND, (0.0, {"source": 99}))
+    assert [episode.source for episode in watch.episodes] == [states.UNKNOWN_DRIVER]
+
+
 @pytest.mark.parametrize("changes, level", [
     pytest.param({"source": NEUTRAL, "cause": "command silent", "reason": "the planner's value silent for 0.52 s"},
                  WARN, id="a_planner_that_falls_silent"),
