@@ -79,16 +79,15 @@ class Timeline:
     """
 
     def __init__(self):
-        self.start_ns = 0  # ROS time of the first message
+        self.start_ns: int | None = None  # ROS time of the first message; None = there is none
         self.last_s = 0.0  # of the newest message
         self._shift_s = 0.0
         self._steps = []  # (time in s, step back in s)
-        self._has_started = False
 
     def recorded_s(self, time_ns: int) -> float:
         """Return the time at which a message was recorded; called once for each message, in order."""
-        if not self._has_started:
-            self.start_ns, self._has_started = time_ns, True
+        if self.start_ns is None:
+            self.start_ns = time_ns
         now_s = (time_ns - self.start_ns) / NS_PER_S + self._shift_s
         if now_s < self.last_s - STEP_BACK_S:
             self._steps.append((self.last_s, self.last_s - now_s))

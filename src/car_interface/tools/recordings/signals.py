@@ -95,7 +95,7 @@ def load(path: str, wanted: Collection[str], *, optional: Collection[str] = (), 
         if series is None and (part in wanted or topics.get(part)):
             raise NoRecording(f"{path}: nothing that can be used was recorded of {columns[part].topic}")
     notes = (*guesses, *(note for _, notes in built.values() for note in notes), *timeline.notes())
-    return Signals(str(path), timeline.start_ns / NS_PER_S, timeline.last_s, *(
+    return Signals(str(path), (timeline.start_ns or 0) / NS_PER_S, timeline.last_s, *(
         built.get(part, (None,))[0] for part in PARTS),
         {part: columns[part].topic for part, (series, _) in built.items() if series is not None}, notes)
 

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from car_interface.common.sources import PLANNER, TELEOP
 from car_interface.common.units import NS_PER_S
 from car_interface.tools.report.faults import ERROR
+from car_interface.tools.report.html import MIN_DATE_NS, date_text, ratio_text, render, span_text
 from car_interface.tools.report.plots import (
     BAD,
     FAINT,
@@ -26,7 +27,6 @@ from car_interface.tools.report.plots import (
     svg_text,
     title,
 )
-from car_interface.tools.report.html import MIN_DATE_NS, date_text, ratio_text, render, span_text
 from car_interface.tools.report.summary import Summary
 
 VERSION = 4  # of a row's content: rows of another version are computed again

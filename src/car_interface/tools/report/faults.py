@@ -150,31 +150,28 @@ class Coverage:
 
     def __init__(self, below: str, duration_s: float):
         self._below, self._duration_s = below, duration_s
-        self._start_s = 0.0  # when the first source was recorded; before it the car's nodes weren't running
-        self._last_s: dict[str, float] = {}
-        self._longest_pause: dict[str, tuple[float, float]] = {}
+        self._start_s: float | None = None  # when the first source was; before it the car's nodes weren't running
+        self._seen: dict[str, tuple] = {}  # by source: its longest pause, from and to, and when it was last recorded
 
     def update(self, time_s: float, topic: str, message: Any) -> None:
         """Note what a recorded message answers."""
         names = [status.name.partition(": ")[2] for status in message.status] if topic == DIAGNOSTICS else [topic]
         for source in filter(None, map(SOURCES.get, names)):
-            if source != LOG:
-                if not self._longest_pause:
-                    self._start_s = time_s
-                self._longest_pause[source] = self._pause_until(source, time_s)
-            self._last_s[source] = time_s
+            if self._start_s is None and source != LOG:
+                self._start_s = time_s
+            self._seen[source] = self._longest_pause(source, time_s), time_s
 
     @property
     def is_blind(self) -> bool:
         """Return whether nothing was recorded that answers any question."""
-        return not self._last_s
+        return not self._seen
 
     def gaps(self) -> list[Gap]:
         """Return the questions that the recording can't answer, for all of it or for a time."""
         found = []
         for asks, sources in QUESTIONS.items():
-            pauses = [(self._pause_until(source, self._duration_s), source)
-                      for source in sources if source in self._last_s]
+            pauses = [(self._longest_pause(source, self._duration_s), source)
+                      for source in sources if source in self._seen]
             if not pauses:
                 found.append(Gap(asks, self._name(sources[0])))
                 continue
@@ -183,12 +180,12 @@ class Coverage:
                 found.append(Gap(asks, self._name(source), start_s, end_s))
         return found
 
-    def _pause_until(self, source, time_s):
-        """Return the longest time without a message of a source that was recorded, as its start and end."""
+    def _longest_pause(self, source, time_s):
+        """Return the longest time without a message of a source, up to a time, as its start and end."""
         if source == LOG:  # it is published only when there is something to report
             return 0.0, 0.0
-        newest, longest = (self._last_s.get(source, self._start_s), time_s), self._longest_pause.get(source, (0.0, 0.0))
-        return max(longest, newest, key=lambda pause: pause[1] - pause[0])
+        longest, last_s = self._seen.get(source, ((0.0, 0.0), self._start_s))
+        return max(longest, (last_s, time_s), key=lambda pause: pause[1] - pause[0])
 
     def _name(self, source):
         node, _, report = source.partition(": ")

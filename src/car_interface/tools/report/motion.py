@@ -239,7 +239,7 @@ class MotionWatch:
             self._move(time_s, place, yaw, speed)
         self._newest_s = time_s
         self._poses.append((stamp_s, place, yaw))
-        self.path.add(place.real, place.imag, self._steering.driver)
+        self.path.add(place, self._steering.driver)
         if math.isfinite(speed):
             self._traces["speed"].add(time_s - lag_s, speed)
             self._asked.compare_speed(time_s, speed)
@@ -369,5 +369,4 @@ class SonarWatch:
             self.frames_without_mount.add(message.header.frame_id)
         elif pose is not None:
             (place, yaw), (ahead, mount_yaw) = pose, mount
-            spot = place + cmath.rect(1, yaw) * (ahead + cmath.rect(range_m, mount_yaw))
-            self.echoes.add(spot.real, spot.imag)
+            self.echoes.add(place + cmath.rect(1, yaw) * (ahead + cmath.rect(range_m, mount_yaw)))

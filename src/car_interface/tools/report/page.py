@@ -6,8 +6,8 @@ import math
 from car_interface.common.sources import PLANNER, TELEOP
 from car_interface.tools.report.downsample import Trace
 from car_interface.tools.report.faults import ERROR, WARN
-from car_interface.tools.report.plots import DRIVER_COLOURS, DRIVER_NAMES
 from car_interface.tools.report.html import counted, moment_text, ratio_text, render, span_text, times_text
+from car_interface.tools.report.plots import DRIVER_COLOURS, DRIVER_NAMES
 from car_interface.tools.report.summary import RANGES, Summary
 
 # What the page shows, as far as it was recorded; the sonars' topics are one here.
@@ -97,7 +97,8 @@ def _motion_lines(drive):
     ratios = [f"{side} {_ratio_text(ratio)}" for side, ratio in _known_ratios(motion.by_tables)]
     if ratios and not drive.calibration:
         yield "Slow turns against the tables", "; ".join(ratios)
-    by_imu = None if drive.imu.gravity.note("") else drive.imu.ratios.median()  # mounted on its side it measures no turn
+    # Mounted on its side an IMU measures no turn.
+    by_imu = None if drive.imu.gravity.note("") else drive.imu.ratios.median()
     if by_imu is not None:
         yield "Turned by odometry", ratio_text(by_imu, "the IMU says", "more", "less")
     if math.isfinite(sonars.nearest_m):

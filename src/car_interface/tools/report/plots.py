@@ -1,5 +1,6 @@
-"""Draws the plots of a drive, each as the text of an SVG that can be part of a page, and what all plots have in common:
-colours, style, axes over time, and the text of an SVG.
+"""Draws the plots of a drive, each as the text of an SVG that can be part of a page, and tables, as files.
+
+At the end stands what all plots have in common: axes over time, panels, curves, and the text of an SVG.
 """
 from __future__ import annotations
 
@@ -7,11 +8,13 @@ import io
 import re
 from functools import lru_cache
 from itertools import groupby
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import matplotlib
 import numpy as np
-from matplotlib import font_manager
+from matplotlib import cm, font_manager
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -19,6 +22,8 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from car_interface.common.sources import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
+from car_interface.steering.calibration import SteeringCalibration
+from car_interface.throttle.value_map import ValueMap
 from car_interface.tools.report.faults import ERROR
 from car_interface.tools.report.states import UNKNOWN_DRIVER
 
@@ -49,6 +54,9 @@ DASHED = (0, (4, 2))
 ASKED, DONE = {"linestyle": DASHED}, {"linewidth": 0.9}
 DOTTED = {"gap_s": 5, "marker": ".", "markersize": 4}
 PATH_WIDTH, WIDER = 1.6, 1.6  # of the path of who was the last to begin, and by how much those before are wider
+DPI = 120  # of a picture of a table
+CURVES = 9  # of a map's velocities
+MAX_LABELS = 12  # below an axis of radii
 ESC_COLOURS = {"ARMING": "#b8bfc7", "BRAKING": "#d9822b", "HOLD": "#e8c468", "REVERSE": "#8e5ea2"}
 
 
@@ -157,29 +165,30 @@ def _esc_states(axes, drive):
 
 
 def _path(drive):
-    path, (echo_x, echo_y) = drive.motion.path, drive.sonars.echoes.places()
-    if len(path.x_m) < 2 and not len(echo_x):
+    path, echoes = np.array(drive.motion.path.places, complex), drive.sonars.echoes.places()
+    if len(path) < 2 and not len(echoes):
         return None
-    width_m, height_m = (np.nanmax(both) - np.nanmin(both) + 0.5 for both in (
-        np.concatenate([path.x_m, echo_x]), np.concatenate([path.y_m, echo_y])))
+    every = np.concatenate([path, echoes])
+    width_m, height_m = (np.nanmax(part) - np.nanmin(part) + 0.5 for part in (every.real, every.imag))
     figure = Figure(figsize=(WIDTH_IN, min(max(0.75 * WIDTH_IN * height_m / width_m + 0.7, 2.8), 6.8)))
     axes = figure.add_subplot()
-    if len(echo_x):
-        axes.plot(echo_x, echo_y, linestyle="none", marker="o", markersize=2.6, markeredgewidth=0, color=REQUESTED,
-                  alpha=0.55, label="seen by a sonar")
-    sources = list(dict.fromkeys(path.kinds))  # as they first drove: a path under a later one stays visible
+    if len(echoes):
+        axes.plot(echoes.real, echoes.imag, linestyle="none", marker="o", markersize=2.6, markeredgewidth=0,
+                  color=REQUESTED, alpha=0.55, label="seen by a sonar")
+    # In the order in which they first drove: a path under a later one stays visible.
+    sources = list(dict.fromkeys(drive.motion.path.kinds))
     end, unseen = 0, set(sources)
-    for source, points in groupby(path.kinds):
+    for source, points in groupby(drive.motion.path.kinds):
         begin, end = max(end - 1, 0), end + len(list(points))
         width = PATH_WIDTH + WIDER * (len(sources) - 1 - sources.index(source))
-        axes.plot(path.x_m[begin:end], path.y_m[begin:end], linewidth=width, color=DRIVER_COLOURS[source],
+        axes.plot(path[begin:end].real, path[begin:end].imag, linewidth=width, color=DRIVER_COLOURS[source],
                   label=DRIVER_NAMES[source] if source in unseen else None, solid_capstyle="round",
                   zorder=3 - width / 10)
         unseen.discard(source)
-    if len(path.x_m):
-        axes.plot(path.x_m[0], path.y_m[0], marker="o", markersize=8, color="white", markeredgecolor=INK,
+    if len(path):
+        axes.plot(path[0].real, path[0].imag, marker="o", markersize=8, color="white", markeredgecolor=INK,
                   markeredgewidth=1.5, linestyle="none", label="start")
-        axes.plot(path.x_m[-1], path.y_m[-1], marker="s", markersize=7, color=INK, linestyle="none", label="end")
+        axes.plot(path[-1].real, path[-1].imag, marker="s", markersize=7, color=INK, linestyle="none", label="end")
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.06)
     axes.set(xlabel="x of odometry in m", ylabel="y of odometry in m")
@@ -237,6 +246,78 @@ def _most(skew):
     margin = max(high - low, 10, 1e-3 * max(abs(low), abs(high)))  # garbage is drawn, too
     return low - margin, high + margin
 
+
+# --- tables ---
+
+
+def draw(table: SteeringCalibration | ValueMap, kind: str, name: str) -> bytes:
+    """Return a picture of a table, as the bytes of a file of that kind: svg, png or pdf."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH_IN, 4.2), constrained_layout=True)
+        FigureCanvasAgg(figure)
+        figure.suptitle(label_text(Path(name).name), x=0.01, ha="left", fontsize=11, fontweight="bold")
+        (_draw_calibration if isinstance(table, SteeringCalibration) else _draw_map)(figure, table)
+        file = io.BytesIO()
+        figure.savefig(file, format=kind, dpi=DPI, metadata={"Date": None} if kind == "svg" else None)
+        return file.getvalue()
+
+
+def _draw_calibration(figure, config):
+    by_radius, by_duty = figure.subplots(1, 2)
+    axis = list(config.radius_axis_m)
+    title(by_radius, "Duty for a turn radius")
+    by_radius.axhline(config.servo_center, color=FAINT, linewidth=0.9)
+    for duties, colour, side in ((config.left_duties, SENT, "left"), (config.right_duties, REQUESTED, "right")):
+        by_radius.plot(axis, duties, color=colour, marker="o", markersize=3.5, label=side)
+    by_radius.set(xscale="log", xlabel="turn radius in m")
+    shown = _labelled(axis)
+    by_radius.set_xticks(shown)
+    by_radius.set_xticklabels([f"{radius:g}" for radius in shown])
+    by_radius.minorticks_off()
+    by_radius.legend()
+    low, high = sorted((config.servo_left, config.servo_right))
+    duties = np.linspace(low, high, 600)
+    title(by_duty, "What a duty is taken to turn: 1/radius in 1/m, left up")
+    by_duty.plot(duties, [1 / config.turn_radius_m(duty) for duty in duties], color=SENT)
+    by_duty.axhline(0, color=FAINT, linewidth=0.9)
+    by_duty.axvline(config.servo_center, color=FAINT, linewidth=0.9)
+    by_duty.set_xlabel("duty")
+
+
+def _labelled(axis):
+    """Return radii that are far enough apart for a label each, on a logarithmic axis."""
+    min_ratio = (axis[-1] / axis[0]) ** (1 / MAX_LABELS)
+    shown = [axis[-1]]
+    for radius in reversed(axis):
+        if radius * min_ratio <= shown[-1]:
+            shown.append(radius)
+    return shown[::-1]
+
+
+def _draw_map(figure, table):
+    surface, curves = figure.subplots(1, 2)
+    values, velocities = np.linspace(table.values[0], table.values[-1], 161), np.linspace(
+        table.velocities[0], table.velocities[-1], 121)
+    cells = np.array([[table.acceleration_at(value, velocity) for velocity in velocities] for value in values])
+    largest = np.abs(cells).max() or 1.0
+    image = surface.pcolormesh(velocities, values, cells, cmap="RdBu", vmin=-largest, vmax=largest, shading="gouraud",
+                               rasterized=True)
+    figure.colorbar(image, ax=surface, label="m/s²")
+    if cells.min() < 0 < cells.max():
+        surface.contour(velocities, values, cells, levels=[0], colors=[FAINT], linewidths=1)
+    title(surface, "Acceleration; the line is 0 m/s²")
+    surface.set(xlabel="velocity in m/s", ylabel="value")
+    surface.grid(False)
+    title(curves, "Acceleration in m/s² by value, at some velocities")
+    shown = table.velocities if len(table.velocities) <= CURVES else [
+        table.velocities[int(index)] for index in np.linspace(0, len(table.velocities) - 1, CURVES)]
+    for index, velocity in enumerate(shown):
+        curves.plot(table.values, [table.acceleration_at(value, velocity) for value in table.values],
+                    color=cm.viridis(0.9 * index / max(len(shown) - 1, 1)), marker="o", markersize=2.5,
+                    label=f"{velocity:g} m/s")
+    curves.axhline(0, color=FAINT, linewidth=0.9)
+    curves.set_xlabel("value")
+    curves.legend(fontsize=7.5)
 
 # --- what plots have in common ---
 

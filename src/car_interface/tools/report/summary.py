@@ -47,8 +47,8 @@ ROLES = {
     roles.MOTOR: "on_motor",
 }
 TOPICS = {  # without a role: their types, and the same
-    "turn_arb/state": ("car_interface/SteeringState", "on_steering"),
-    "throttle_arb/state": (roles.THROTTLE_STATE["throttle_arb/state"], "on_throttle"),
+    "turn_arb/state": ("car_interface/SteeringState", "steering.on_state"),
+    "throttle_arb/state": (roles.THROTTLE_STATE["throttle_arb/state"], "throttle.on_state"),
     "planner_interface/state": ("car_interface/PlannerState", "planner.on_state"),
     "teleop_logi/state": ("car_interface/TeleopState", "gamepad.on_state"),
     "/tf_static": ("tf2_msgs/TFMessage", "sonars.on_static_tf"),
@@ -99,9 +99,13 @@ class Summary:
         self.reports = NodeReports(self.faults, present)
 
     def handlers(self) -> dict:
-        """Return a function of time in s and message for each of READS."""
-        return {**{topic: attrgetter(name)(self) for topic, (_, name) in READS.items()},
-                **{topic: partial(self.sonars.on_range, topic=topic) for topic in RANGES}}
+        """Return functions of time in s and message for each of READS."""
+        found = {topic: [attrgetter(name)(self)] for topic, (_, name) in READS.items()}
+        for topic in RANGES:
+            found[topic] = [partial(self.sonars.on_range, topic=topic)]
+        for node in (self.steering.node, self.throttle.node):
+            found[f"{node}/state"].append(partial(self.limits.on_state, node=node))
+        return found
 
     def finish(self) -> None:
         """End what lasts, and drop what is no fault of this drive."""
@@ -115,16 +119,6 @@ class Summary:
         if self.calibration is not None:  # its table is to be replaced, and it keeps room to coast in
             self.faults.entries[:] = [fault for fault in self.faults.entries if not (
                 UNCALIBRATED in fault.what or fault.what.startswith(NO_BRAKE))]
-
-    def on_steering(self, time_s: float, message: Any) -> None:
-        """Take a car_interface/SteeringState."""
-        self.steering.on_state(time_s, message)
-        self.limits.on_state(time_s, message, self.steering.node)
-
-    def on_throttle(self, time_s: float, message: Any) -> None:
-        """Take a car_interface/ThrottleState."""
-        self.throttle.on_state(time_s, message)
-        self.limits.on_state(time_s, message, self.throttle.node)
 
     def on_number(self, trace: str, time_s: float, message: Any) -> None:
         """Take a message with a number."""
@@ -203,11 +197,13 @@ def summarize(path: str, namespace: str = "/", wheelbase_m: float | None = None,
         before_ns = recorded.time_ns
         try:
             summary.coverage.update(time_s, key, recorded.message)
-            handlers[key](time_s, recorded.message)
+            for handler in handlers[key]:
+                handler(time_s, recorded.message)
         except AttributeError as error:
             raise other_version(path, recorded) from error
     summary.finish()
-    summary.notes += filter(None, [summary.motion.note(found[roles.ODOM].topic), summary.imu.gravity.note(found[roles.IMU].topic)])
+    summary.notes += filter(None, [summary.motion.note(found[roles.ODOM].topic),
+                                   summary.imu.gravity.note(found[roles.IMU].topic)])
     return summary
 
 
