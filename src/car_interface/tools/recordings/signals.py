@@ -135,16 +135,15 @@ def _columns(path, wanted, optional, topics, namespace):
 
 def _output_column(path, recorded, is_wanted, topics, namespace):
     """Return the board's outputs; without them its commands, which lack channels that were set before the recording."""
-    given = [(kind, [topics[role.name]]) for role, kind in BOARD if topics.get(role.name)]
-    usual = [(kind, role.topics) for role, kind in BOARD]
-    for kind, names in given or usual:
-        for topic in names:  # one with messages goes before one that was only advertised
-            if any(recorded[name].count for name in recording.absolute_names(recorded, [topic], namespace)):
-                return {roles.OUTPUT.name: kind(topic)}
-    if is_wanted or given:
-        topic = (given or usual)[0][1][0]
+    named = [(kind, topics[role.name]) for role, kind in BOARD if topics.get(role.name)]
+    offered = named or [(kind, topic) for role, kind in BOARD for topic in role.topics]
+    for kind, topic in offered:  # one with messages goes before one that was only advertised
+        if any(recorded[name].count for name in recording.absolute_names(recorded, [topic], namespace)):
+            return {roles.OUTPUT.name: kind(topic)}
+    if is_wanted or named:
+        topic = offered[0][1]
         recording.require(path, {topic: roles.DUTY_TYPES}, namespace, *(
-            () if given else (roles.OUTPUT.what, _hint(roles.OUTPUT.name))))
+            () if named else (roles.OUTPUT.what, _hint(roles.OUTPUT.name))))
         raise NoRecording(f"{path} has no messages of {topic}")
     return {}
 

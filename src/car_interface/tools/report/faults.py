@@ -37,10 +37,10 @@ class Fault(NamedTuple):
     """Something that went wrong."""
 
     start_s: float
-    end_s: float  # NaN: it is a moment, or lasted until the recording's end
     level: int  # WARN or ERROR
     where: str
     what: str
+    end_s: float = math.nan  # NaN: it is a moment, or lasted until the recording's end
     times: int = 1
 
 
@@ -62,10 +62,6 @@ class FaultLog:
         else:
             self.dropped += 1
 
-    def add_moment(self, time_s: float, level: int, where: str, what: str) -> None:
-        """Add a fault without a duration."""
-        self.add(Fault(time_s, math.nan, level, where, what))
-
     def add_repeated(self, time_s: float, level: int, where: str, what: str) -> None:
         """Add a moment once, and count its repetitions, in which numbers may differ."""
         key = (where, without_numbers(what))
@@ -75,7 +71,7 @@ class FaultLog:
             return
         if len(self.entries) < MAX_ENTRIES:
             self._repeated[key] = len(self.entries)
-        self.add_moment(time_s, level, where, what)
+        self.add(Fault(time_s, level, where, what))
 
     def update_condition(self, time_s: float, key: str, level: int, where: str, what: str) -> None:
         """Begin, continue or end (level OK) the condition of a key. A text that differs in more than its numbers begins
@@ -93,8 +89,8 @@ class FaultLog:
         if level == OK:
             self._starting_s[key] = -math.inf
         else:
-            self._open[key] = Fault(time_s, math.nan, level, where, what) if fault is None else \
-                fault._replace(level=max(level, fault.level))
+            self._open[key] = fault._replace(level=max(level, fault.level)) if fault else \
+                Fault(time_s, level, where, what)
 
     def finish(self, driven_from_s: float = math.inf) -> None:
         """Add the conditions that lasted until the recording's end, and sort all faults by their starts. What a node

@@ -264,9 +264,9 @@ class MotionWatch:
         before_s, (_, before, yaw_before) = self._newest_s, self._poses[-1]
         step_m = abs(place - before)
         if time_s - before_s > MAX_GAP_S:
-            self._faults.add(Fault(before_s, time_s, WARN, "odom", f"silent for {time_s - before_s:.2f} s"))
+            self._faults.add(Fault(before_s, WARN, "odom", f"silent for {time_s - before_s:.2f} s", time_s))
         if step_m > JUMP_M:
-            self._faults.add_moment(time_s, WARN, "odom", f"began anew: {step_m:.1f} m from where it was")
+            self._faults.add(Fault(time_s, WARN, "odom", f"began anew: {step_m:.1f} m from where it was"))
             self._window.clear()
             self.path.interrupt()
         else:

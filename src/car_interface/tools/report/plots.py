@@ -429,10 +429,8 @@ def bands(drive):
 
 
 def curve(axes, trace, colour, label, gap_s=1.0, **style):
-    """Draw a trace, unless it is empty."""
-    if trace.count:
-        times, values = trace.curve(gap_s)
-        axes.plot(times, values, color=colour, label=label or "_", **style)
+    """Draw a trace that has samples."""
+    axes.plot(*trace.curve(gap_s), color=colour, label=label or "_", **style)
 
 
 def usual_magnitude(trace):

@@ -61,7 +61,7 @@ class Episode(NamedTuple):
 
     def fault(self, level: int) -> Fault:
         """Return it as a fault."""
-        return Fault(self.start_s, self.end_s, level, self.node, self.reason)
+        return Fault(self.start_s, level, self.node, self.reason, self.end_s)
 
 
 class Episodes:
@@ -97,11 +97,9 @@ class Episodes:
             self._current = begun
 
     def _end(self, time_s):
-        if self._current is not None:
-            self._keep(self._judge(self._current._replace(end_s=time_s)))
-        self._current = None
-
-    def _keep(self, ended):
+        if self._current is None:
+            return
+        ended, self._current = self._judge(self._current._replace(end_s=time_s)), None
         if len(self.episodes) < MAX_ENTRIES:
             self.episodes.append(ended)
         else:
@@ -340,7 +338,7 @@ class TeensyWatch:
                 self._traces["bad frames"].add(time_s, (message.bad_frames - before.bad_frames) / span_s)
             for name, what in (("reconnects", "the port was opened again"), ("reboots", "the Teensy started anew")):
                 if getattr(message, name) > getattr(before, name):
-                    self._faults.add_moment(time_s, WARN, "Teensy", what)
+                    self._faults.add(Fault(time_s, WARN, "Teensy", what))
         if before is None or span_s > MIN_SPAN_S:
             self.link, self._link_s = message, time_s
         what = ". ".join(filter(None, (message.words, message.next_step)))
@@ -359,7 +357,7 @@ class TeensyWatch:
         offset_ns, before_ns = stamp_ns(message.stamp) - message.received, self._monotonic_offset_ns
         step_s = 0.0 if before_ns is None else (offset_ns - before_ns) / NS_PER_S
         if abs(step_s) > CLOCK_SET_S:
-            self._faults.add_moment(time_s, WARN, "computer", f"its clock was set by {step_s:+.3f} s")
+            self._faults.add(Fault(time_s, WARN, "computer", f"its clock was set by {step_s:+.3f} s"))
         self._monotonic_offset_ns = offset_ns
 
     def on_error(self, time_s: float, message: Any) -> None:

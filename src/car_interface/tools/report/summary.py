@@ -24,7 +24,7 @@ from car_interface.tools.recordings.recording import (
 )
 from car_interface.tools.recordings.roles import find, other_cars
 from car_interface.tools.report.downsample import Traces
-from car_interface.tools.report.faults import WARN, Coverage, FaultLog, NodeReports
+from car_interface.tools.report.faults import WARN, Coverage, Fault, FaultLog, NodeReports
 from car_interface.tools.report.motion import AskedWatch, ImuWatch, MotionWatch, SonarWatch
 from car_interface.tools.report.states import (
     Drivers,
@@ -111,7 +111,7 @@ class Summary:
         """End what lasts, and drop what is no fault of this drive."""
         if self.steps_back:
             times = "once" if self.steps_back == 1 else f"{self.steps_back} times"
-            self.faults.add_moment(0.0, WARN, "recording", f"its time went back {times}: the clock was set")
+            self.faults.add(Fault(0.0, WARN, "recording", f"its time went back {times}: the clock was set"))
         for watch in (self.steering, self.throttle, self.planner, self.limits, self.gamepad):
             watch.finish()
         self.faults.dropped += self.steering.dropped + self.throttle.dropped
