@@ -188,16 +188,11 @@ def check_no_overlap(trails: Sequence[Trail]) -> None:
     Times alone don't show it: a computer without a battery-backed clock may start at the same time again.
     """
     for other, one in combinations(trails, 2):
-        same = _count_same(one, other)
+        if not one.t_s.size or not other.t_s.size:
+            continue
+        nearest = np.clip(np.searchsorted(other.t_s, one.t_s - SAME_TIME_S), 0, other.t_s.size - 1)
+        same = ((np.abs(other.t_s[nearest] - one.t_s) <= SAME_TIME_S) & (other.x_m[nearest] == one.x_m)
+                & (other.y_m[nearest] == one.y_m)).sum()
         if same >= MIN_SAME:
             raise NoRecording(f"{other.path} and {one.path} have the same driving in them, at {same} moments of "
                               "odometry: it would count twice")
-
-
-def _count_same(one, other):
-    if not (one.t_s.size and other.t_s.size):
-        return 0
-    nearest = np.clip(np.searchsorted(other.t_s, one.t_s - SAME_TIME_S), 0, other.t_s.size - 1)
-    same = ((np.abs(other.t_s[nearest] - one.t_s) <= SAME_TIME_S) & (other.x_m[nearest] == one.x_m)
-            & (other.y_m[nearest] == one.y_m))
-    return int(same.sum())

@@ -82,7 +82,7 @@ class Timeline:
         self.start_ns: int | None = None  # ROS time of the first message; None = there is none
         self.last_s = 0.0  # of the newest message
         self._shift_s = 0.0
-        self._steps = []  # (time in s, step back in s)
+        self.notes: list[str] = []  # a line for each time that the clock was set back
 
     def recorded_s(self, time_ns: int) -> float:
         """Return the time at which a message was recorded; called once for each message, in order."""
@@ -90,8 +90,10 @@ class Timeline:
             self.start_ns = time_ns
         now_s = (time_ns - self.start_ns) / NS_PER_S + self._shift_s
         if now_s < self.last_s - STEP_BACK_S:
-            self._steps.append((self.last_s, self.last_s - now_s))
-            self._shift_s += self.last_s - now_s + BREAK_S
+            back_s = self.last_s - now_s
+            self.notes.append(f"the computer's clock was set back by {back_s:.1f} s, {self.last_s:.1f} s after the "
+                              "start: what follows counts as another drive")
+            self._shift_s += back_s + BREAK_S
             now_s = self.last_s + BREAK_S
         self.last_s = max(self.last_s, now_s)
         return now_s
@@ -99,11 +101,6 @@ class Timeline:
     def stamped_s(self, time_ns: int) -> float:
         """Return the time of a stamp in the newest message."""
         return (time_ns - self.start_ns) / NS_PER_S + self._shift_s
-
-    def notes(self) -> tuple[str, ...]:
-        """Return a line for each time that the clock was set back."""
-        return tuple(f"the computer's clock was set back by {back_s:.1f} s, {at_s:.1f} s after the start: what follows "
-                     "counts as another drive" for at_s, back_s in self._steps)
 
 
 class Gravity:

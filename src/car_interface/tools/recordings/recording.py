@@ -213,7 +213,8 @@ def _opened(path):
     if problem:
         raise NoRecording(f"{file} can't be read as a recording: {problem}")
     try:
-        with _reader(file) as reader:
+        is_part = not file.is_dir() and (file.parent / METADATA).exists()
+        with ChunkReader(file) if _is_ros1(file) else Ros2Reader(file.parent if is_part else file) as reader:
             yield reader
     except CarInterfaceError:
         raise
@@ -222,46 +223,36 @@ def _opened(path):
 
 
 def _problem(file):
-    """Return what a file lacks to be a recording, as a sentence, or an empty text."""
+    """Return what a file, or one in a ROS 2 bag's folder, lacks to be a recording, as a sentence, or an empty text."""
     if not file.exists():
         return "there is no such file"
     if not os.access(str(file), os.R_OK):
         return "no permission"
-    if file.is_dir():
-        return _folder_problem(file)
-    try:
-        check_kind(file.stat())
-    except OSError as error:
-        return error.strerror
-    return _beginning_problem(file, "it")
-
-
-def _folder_problem(folder):
-    """Return the same of a folder, or what in a ROS 2 bag's folder is not what its name says."""
-    if not (folder / METADATA).exists():
-        bags = sorted(str(inside) for inside in folder.iterdir() if inside.suffix == ".bag")
+    if not file.is_dir():
+        try:
+            check_kind(file.stat())
+        except OSError as error:
+            return error.strerror
+        inside = [file]
+    elif not (file / METADATA).exists():
+        bags = sorted(str(inside) for inside in file.iterdir() if inside.suffix == ".bag")
         return (f"a ROS 2 bag's folder has a {METADATA}, this one "
                 + (f"doesn't; {bags[0]} may be what you mean" if bags else "doesn't (ros2 bag reindex)"))
-    if METADATA_KEY not in (folder / METADATA).read_bytes():
+    elif METADATA_KEY not in (file / METADATA).read_bytes():
         return f"its {METADATA} isn't a ROS 2 bag's (ros2 bag reindex makes one)"
-    inside = sorted(file for file in folder.iterdir() if file.suffix in ROS2_SUFFIXES and file.is_file())
-    return next(filter(None, (_beginning_problem(file, file.name) for file in inside)), "")
+    else:
+        inside = sorted(one for one in file.iterdir() if one.suffix in ROS2_SUFFIXES and one.is_file())
+    for one in inside:
+        begin, kind = BEGINS.get(one.suffix, BEGINS[".bag"])
+        with one.open("rb") as opened:
+            found = opened.read(len(begin))
+        if found != begin:
+            return f"{'it' if one is file else one.name} is {f'no {kind}' if found else 'empty'}"
+    return ""
 
 
-def _beginning_problem(file, name):
-    """Return what a file is not, as a sentence, or an empty text."""
-    begin, kind = BEGINS.get(file.suffix, BEGINS[".bag"])
-    with file.open("rb") as opened:
-        found = opened.read(len(begin))
-    return "" if found == begin else f"{name} is {f'no {kind}' if found else 'empty'}"
-
-
-def _reader(file):
-    if file.is_dir():
-        return Ros2Reader(file)
-    if file.suffix in ROS2_SUFFIXES:
-        return Ros2Reader(file.parent if (file.parent / METADATA).exists() else file)
-    return ChunkReader(file)
+def _is_ros1(file):
+    return not file.is_dir() and file.suffix not in ROS2_SUFFIXES
 
 
 def _types(topics, requested):
@@ -280,20 +271,19 @@ def _short(name):
 
 
 def _error_text(file, error):
-    text = " ".join(str(error).split()) or type(error).__name__
-    text = NESTED.sub(r"\2", text).rstrip(".")
-    reindex = f"rosbag reindex {shlex.quote(str(file))}"
-    is_ros1 = not file.is_dir() and file.suffix not in ROS2_SUFFIXES
-    if is_ros1 and "not indexed" in text:
-        return f"{file} was never closed: if its recorder still runs, end it by Ctrl-C; if it was killed: {reindex}"
-    if is_ros1 and "supported" not in text:
+    text = NESTED.sub(r"\2", " ".join(str(error).split()) or type(error).__name__).rstrip(".")
+    if _is_ros1(file) and "supported" not in text:
+        reindex = f"rosbag reindex {shlex.quote(str(file))}"
+        if "not indexed" in text:
+            return f"{file} was never closed: if its recorder still runs, end it by Ctrl-C; if it was killed: {reindex}"
         why = f" ({text})" if isinstance(error, ReaderError1) else ""  # another error's text is about Python
         return f"{file} is cut off or damaged{why}: {reindex} saves what is left"
-    if not is_ros1 and not file.is_dir() and METADATA in text:
+    if file.suffix in ROS2_SUFFIXES and METADATA in text and not file.is_dir():
         text = f"this version of rosbags reads it only in its folder with a {METADATA} (ros2 bag reindex makes one)"
     elif not isinstance(error, (ReaderError1, ReaderError2, OSError)):
         text = "it's cut off or damaged; ros2 bag reindex saves what is left"
     return f"{file} can't be read as a recording: {text}"
+
 
 # --- ROS 1 bags ---
 
@@ -373,7 +363,11 @@ def decoder(connection, is_ros2: bool) -> Callable[[bytes], Any]:
     Raises:
         UnknownType: neither the recording nor this package has its definition.
     """
-    name, (text, is_idl) = connection.msgtype, _definition(connection)
+    name, definition = connection.msgtype, connection.msgdef
+    if isinstance(definition, str):  # rosbags before 0.10
+        text, is_idl = definition, definition.startswith(IDL_RULE + "IDL: ")
+    else:
+        text, is_idl = definition.data, definition.format.name == "IDL"
     store = _store(name, text, is_idl) if text else known_types()
     try:
         store.get_msgdef(name)
@@ -414,11 +408,3 @@ def _store(name, text, is_idl):
     except Exception as error:  # a parser may stumble over anything in a damaged text
         raise UnknownType(f"the recording's definition of its type {name} makes no sense") from error
     return store
-
-
-def _definition(connection):
-    """Return the text of a definition, empty when the recording has none, and whether it's in IDL."""
-    definition = connection.msgdef
-    if isinstance(definition, str):  # rosbags before 0.10
-        return definition, definition.startswith(IDL_RULE + "IDL: ")
-    return definition.data, definition.format.name == "IDL"

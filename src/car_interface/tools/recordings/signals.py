@@ -35,6 +35,7 @@ PARTS = (*(role.name for role in (
 KINDS = {role.name: (role, kind) for role, kind in (
     (roles.ODOM, OdomColumn), (roles.IMU, ImuColumn), (roles.VALUE, ValueColumn), (roles.ACKERMANN, AckermannColumn),
     (roles.SERVO, ValueColumn))}
+HINT = "; name another by --map TOPIC="
 BOARD = ((roles.OUTPUT, OutputColumn), (roles.COMMAND, CommandColumn))
 TYPES = {roles.OUTPUT.name: roles.DUTY_TYPES, PULSES: "car_interface/Wheel",
          **{part: role.types for part, (role, _) in KINDS.items()}}
@@ -94,7 +95,7 @@ def load(path: str, wanted: Collection[str], *, optional: Collection[str] = (), 
     for part, (series, _) in built.items():
         if series is None and (part in wanted or topics.get(part)):
             raise NoRecording(f"{path}: nothing that can be used was recorded of {columns[part].topic}")
-    notes = (*guesses, *(note for _, notes in built.values() for note in notes), *timeline.notes())
+    notes = (*guesses, *(note for _, notes in built.values() for note in notes), *timeline.notes)
     return Signals(str(path), (timeline.start_ns or 0) / NS_PER_S, timeline.last_s, *(
         built.get(part, (None,))[0] for part in PARTS),
         {part: columns[part].topic for part, (series, _) in built.items() if series is not None}, notes)
@@ -122,8 +123,9 @@ def _columns(path, wanted, optional, topics, namespace):
         elif is_needed and note:
             raise NoRecording(f"{path}: {note}")
         elif is_needed:
-            hint = _hint(part) if topics.get(part) in (None, *role.topics) else ""
-            recording.require(path, {topic: role.types}, namespace, f"the {part}: {role.what}", hint)
+            is_usual = topics.get(part) in (None, *role.topics)
+            recording.require(path, {topic: role.types}, namespace, f"the {part}: {role.what}",
+                              HINT + part if is_usual else "")
     if roles.OUTPUT.name in wanted | optional:
         columns.update(_output_column(path, recorded, roles.OUTPUT.name in wanted, topics, namespace))
     if PULSES in wanted:
@@ -143,10 +145,6 @@ def _output_column(path, recorded, is_wanted, topics, namespace):
     if is_wanted or named:
         topic = offered[0][1]
         recording.require(path, {topic: roles.DUTY_TYPES}, namespace, *(
-            () if named else (roles.OUTPUT.what, _hint(roles.OUTPUT.name))))
+            () if named else (roles.OUTPUT.what, HINT + roles.OUTPUT.name)))
         raise NoRecording(f"{path} has no messages of {topic}")
     return {}
-
-
-def _hint(part):
-    return f"; name another by --map TOPIC={part}"

@@ -92,7 +92,8 @@ def row(drive: Summary, path: str) -> Row:
     turns, accelerating = drive.motion.by_tables, drive.motion.accelerating
     left, right, straight = map(_median, (turns.left, turns.right, turns.straight_per_m))
     lost, battery = [*drive.steering.losses(), *drive.throttle.losses()], drive.traces["battery voltage"]
-    notes = list(drive.notes)
+    faults, notes = drive.faults, list(drive.notes)
+    can_tell = faults.entries or not drive.coverage.is_blind  # whether anything was recorded that reports a fault
     if drive.calibration is not None:  # it drove by the table before
         left = right = straight = None
         notes.append("a calibration drive")
@@ -105,19 +106,11 @@ def row(drive: Summary, path: str) -> Row:
         drive_mps2=_median(accelerating.driving), hold_mps2=_median(accelerating.holding),
         brake_mps2=_median(accelerating.braking),
         battery_v=round(battery.minimum, 3) if battery.count else None, **_link_counts(drive.teensy),
-        **_faults(drive),
+        faults=sum(fault.times for fault in faults.entries) + faults.dropped if can_tell else None,
+        errors=sum(fault.times for fault in faults.entries if fault.level == ERROR) if can_tell else None,
         lacks=[gap.lacks if math.isnan(gap.start_s) else f"{gap.lacks} for {gap.end_s - gap.start_s:.0f} s"
                for gap in drive.coverage.gaps()],
         notes=notes)
-
-
-def _faults(drive):
-    """Return how many faults there were; unknown where nothing was recorded that reports any."""
-    found = drive.faults.entries
-    if not found and drive.coverage.is_blind:
-        return {}
-    return {"faults": sum(fault.times for fault in found) + drive.faults.dropped,
-            "errors": sum(fault.times for fault in found if fault.level == ERROR)}
 
 
 def _link_counts(teensy):
@@ -261,7 +254,10 @@ def trends(rows: Sequence[Row]) -> str:
         all_axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
         for draw, axes in zip(panels, all_axes):
             draw(axes=axes, rows=rows)
-        _label(all_axes[-1], rows)
+        step = -(-len(rows) // MAX_LABELS)
+        shown = np.arange(len(rows) - 1, -1, -step)[::-1]  # evenly: none covers its neighbour; the newest has a date
+        all_axes[-1].set(xlim=(-0.6, len(rows) - 0.4), xticks=shown)
+        all_axes[-1].set_xticklabels([_date(rows[index], "\n") for index in shown])
         return svg_text(figure, "trends", "distance, losses, steering, value map and link errors from drive to drive")
 
 
@@ -322,15 +318,6 @@ def _frames(axes, rows):
     again = [index for index, row in enumerate(rows) if (row.reopened or 0) + (row.reboots or 0) > 0]
     axes.plot(again, ratios[again], color=BAD, marker="x", linestyle="none", markersize=7)
     axes.set_ylim(0, max(0.1, 1.2 * float(np.nanmax(ratios))))
-
-
-def _label(axes, rows):
-    """Put dates below some of the drives."""
-    axes.set_xlim(-0.6, len(rows) - 0.4)
-    step = -(-len(rows) // MAX_LABELS)
-    shown = np.arange(len(rows) - 1, -1, -step)[::-1]  # evenly, so that none covers its neighbour; the newest has one
-    axes.set_xticks(shown)
-    axes.set_xticklabels([_date(rows[index], "\n") for index in shown])
 
 
 def _column(numbers):

@@ -362,7 +362,9 @@ def stack(drive, panels):
                                gridspec_kw={"height_ratios": heights})[:, 0]
     for axes in all_axes:
         time_axis(axes, drive, labelled=axes is all_axes[-1])
-        _strip(axes, drive)
+        for start_s, width_s, source in bands(drive):  # who steered, along the lower edge
+            axes.broken_barh([(start_s, width_s)], (0, 0.025), color=DRIVER_COLOURS[source], linewidth=0,
+                             transform=axes.get_xaxis_transform(), zorder=1)
     for axes, draw in zip(all_axes, draws):
         draw(axes)
     return figure
@@ -407,13 +409,6 @@ def time_axis(axes, drive, labelled=True):
         axes.xaxis.set_major_formatter(FuncFormatter(lambda time_s, _: f"{int(time_s) // 60}:{int(time_s) % 60:02}"))
     if labelled:
         axes.set_xlabel("minutes:seconds" if drive.duration_s > 180 else "seconds")
-
-
-def _strip(axes, drive):
-    """Draw who steered along the lower edge."""
-    for start_s, width_s, source in bands(drive):
-        axes.broken_barh([(start_s, width_s)], (0, 0.025), color=DRIVER_COLOURS[source], linewidth=0,
-                         transform=axes.get_xaxis_transform(), zorder=1)
 
 
 def bands(drive):

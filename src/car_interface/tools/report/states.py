@@ -170,16 +170,14 @@ class SteeringWatch(Episodes):
         self.steering_channel = STEERING_CHANNEL  # that carries turn_arb's duty
         self.curvature_per_m: float | None = None  # sent by turn_arb now, left positive; None = unknown
         self.unchanged_since_s = 0.0  # when turn_arb's duty last changed by a step of the board
-        self._steady_duty = None  # since then
-        self.driven_from_s = math.inf  # when somebody first drove
+        self._steady_duty = math.nan  # since then
 
     def on_state(self, time_s: float, message: Any) -> None:
         """Take a car_interface/SteeringState."""
         self.curvature_per_m = 1 / message.turn_radius if message.turn_radius else math.nan
         self._traces["sent curvature"].add(time_s, self.curvature_per_m)
         # Understeer moves the duty a little with the speed.
-        if (self._steady_duty is None or abs(message.duty - self._steady_duty) >= DUTY_PER_COUNT
-                or not is_fresh(self._state_s, time_s)):
+        if not (abs(message.duty - self._steady_duty) < DUTY_PER_COUNT and is_fresh(self._state_s, time_s)):
             self._steady_duty, self.unchanged_since_s = message.duty, time_s
         self.steering_channel = getattr(message, "channel", STEERING_CHANNEL)
         self._update(time_s, message, source=message.source)
@@ -204,11 +202,9 @@ class SteeringWatch(Episodes):
         """Return those of the stops at which something was lost or locked."""
         return [stop for stop in self.stops() if stop.source == LOCKED or stop.cause in causes.LOSSES]
 
-    def finish(self) -> None:
-        """End the last episode, and find out when somebody first drove."""
-        super().finish()
-        self.driven_from_s = min((one.start_s for one in self.episodes if one.source in (TELEOP, PLANNER)),
-                                 default=math.inf)
+    def driven_from_s(self) -> float:
+        """Return when somebody first drove; inf = never."""
+        return min((one.start_s for one in self.episodes if one.source in (TELEOP, PLANNER)), default=math.inf)
 
     def _judge(self, ended):
         loss = self._gamepad.loss_at(ended.start_s) if ended.cause == causes.HUMAN_ABSENT else None

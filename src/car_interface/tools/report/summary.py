@@ -115,7 +115,7 @@ class Summary:
         for watch in (self.steering, self.throttle, self.planner, self.limits, self.gamepad):
             watch.finish()
         self.faults.dropped += self.steering.dropped + self.throttle.dropped
-        self.faults.finish(self.steering.driven_from_s)
+        self.faults.finish(self.steering.driven_from_s())
         if self.calibration is not None:  # its table is to be replaced, and it keeps room to coast in
             self.faults.entries[:] = [fault for fault in self.faults.entries if not (
                 UNCALIBRATED in fault.what or fault.what.startswith(NO_BRAKE))]
