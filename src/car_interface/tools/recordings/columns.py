@@ -137,9 +137,6 @@ class StampedColumn:
 
     optional = 0
 
-    def series(self, *columns):
-        return Value(*columns), []
-
     def __init__(self, topic: str):
         self.topic = topic
         self._rows, self._width = array("d"), 0
@@ -166,6 +163,9 @@ class StampedColumn:
             return None, notes
         series, odd = self.series(at_s[rises], *(column[rises] for column in columns))
         return series, [*notes, *odd]
+
+    def series(self, *columns):
+        return Value(*columns), []
 
 
 class OdomColumn(StampedColumn):

@@ -23,8 +23,7 @@ def page(drive: Summary, plots: dict[str, str]) -> str:
     name = drive.path.rstrip("/").rsplit("/", 1)[-1]
     lines = [*_steering_lines(drive.steering), *_motion_lines(drive), *_asked_lines(drive), *_teensy_lines(drive)]
     has_sonars = not drive.present.isdisjoint(RANGES)
-    by_tables = [] if drive.calibration else _known_ratios(drive.motion.by_tables)  # it drove by the table before
-    wrong_sides = [(side, _ratio_text(ratio)) for side, ratio in by_tables if abs(ratio - 1) > WRONG_RATIO]
+    wrong_sides = [] if drive.calibration else _turns(drive.motion.by_tables, least=WRONG_RATIO)
     return render(
         "drive.html", title=f"Drive: {name}", name=name, drive=drive, plots=plots, figures=_figures(drive), lines=lines,
         who_drove=_who_drove(drive.steering.source_s), wrong_sides=wrong_sides, gaps=drive.coverage.gaps(),
@@ -94,9 +93,9 @@ def _motion_lines(drive):
         yield "Acceleration", range_text(traces["acceleration"], "m/s²")
     if traces["battery voltage"].count:
         yield "Battery", range_text(traces["battery voltage"], "V")
-    ratios = [f"{side} {_ratio_text(ratio)}" for side, ratio in _known_ratios(motion.by_tables)]
-    if ratios and not drive.calibration:
-        yield "Slow turns against the tables", "; ".join(ratios)
+    turns = [] if drive.calibration else _turns(motion.by_tables)  # it drove by the table before
+    if turns:
+        yield "Slow turns against the tables", "; ".join(map(" ".join, turns))
     # Mounted on its side an IMU measures no turn.
     by_imu = None if drive.imu.gravity.note("") else drive.imu.ratios.median()
     if by_imu is not None:
@@ -129,25 +128,20 @@ def _asked_lines(drive):
     ratio = drive.asked.speed_ratios.median()
     if ratio is not None:
         yield "Speed against what was asked", ratio_text(ratio, "asked", "faster", "slower")
+    turns = _turns(drive.motion.by_planner, "asked")
     if drive.asked.wheelbase_m is None:
         yield "Turned against what was asked", "can't tell: which curve an angle asks for needs --wheelbase"
-    else:
-        ratios = [f"{side} {_ratio_text(ratio, 'asked')}" for side, ratio in _known_ratios(drive.motion.by_planner)]
-        if ratios:
-            yield "Turned against what was asked", "; ".join(ratios)
+    elif turns:
+        yield "Turned against what was asked", "; ".join(map(" ".join, turns))
 
 
-def _known_ratios(following):
-    """Return (side, median ratio of the driven to the sent curvature) for sides with enough samples."""
+def _turns(following, wanted="the tables say", least=0.0):
+    """Return sides with enough samples, and their radius against the wanted one in words, if it differs so much."""
     ratios = ("left", following.left.median()), ("right", following.right.median())
-    return [(side, ratio) for side, ratio in ratios if ratio is not None]
+    return [(side, ratio_text(1 / ratio, wanted, "wider", "tighter")) for side, ratio in ratios
+            if ratio is not None and abs(ratio - 1) >= least]
 
 
 def range_text(trace: Trace, unit: str) -> str:
     """Return the range of a trace's samples with its unit."""
     return f"{round(trace.minimum, 2) + 0.0:.2f} to {round(trace.maximum, 2) + 0.0:.2f} {unit}"  # + 0.0: no "-0.00"
-
-
-def _ratio_text(ratio, wanted="the tables say"):
-    """Return a ratio of curvatures in words, for the radius."""
-    return ratio_text(1 / ratio, wanted, "wider", "tighter")
