@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 from setuptools import find_packages, setup
 
-# From the last version for Python 3.8 to the newest that was tested: tools/recordings/rosbag1.py overrides an
+# From the last version for Python 3.8 to the newest that was tested: tools/recordings/recording.py overrides an
 # undocumented part of its reader. package.xml has the same range.
 ROSBAGS = "rosbags>=0.9.23,<=0.11.9"
 HERE = Path(__file__).resolve().parent

@@ -177,7 +177,7 @@ def drive(duration_s: float = 60.0, namespace: str = "") -> list[Written]:
                 (NEUTRAL, causes.PLANNER_STALE, f"av_turnrad_req silent for {time_s - 39.5:.2f} s"))
             messages.append(Written(time_s, f"{below}/turn_arb/state", "car_interface/SteeringState", {
                 "stamp": stamp(time_s), "source": source, "cause": cause, "reason": reason,
-                "duty": 3846 if sent else 5100, "turn_radius": RADIUS_M if sent else math.inf}))
+                "duty": 3846 if sent else 5100, "channel": 3, "turn_radius": RADIUS_M if sent else math.inf}))
             messages.append(Written(time_s, f"{below}/servo/output", "std_msgs/Int32MultiArray", {"data": duties}))
             messages.append(Written(time_s, f"{below}/generic/output/value", "car_interface/Float64Stamped", {
                 "stamp": stamp(time_s), "data": 0.0 if stands else 0.7}))

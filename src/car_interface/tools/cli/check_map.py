@@ -62,7 +62,7 @@ def run(options: argparse.Namespace) -> int:
         name, text = f"{options.file} with {options.brake}", joined_text(options.file, options.brake)
     table = load_steering(name) if is_steering else load_value_map(name, options.allow_plateaus, text)
     if suffix in PICTURE_SUFFIXES:
-        from car_interface.tools.report.table_plots import draw  # matplotlib only for who asks for it
+        from car_interface.tools.report.plots import draw  # matplotlib only for who asks for it
         memory_limit.reserve_blas()
         output.write(options.output, draw(table, suffix[1:], name))
     if is_steering:

@@ -12,6 +12,7 @@ from concurrent.futures import FIRST_COMPLETED, CancelledError, ProcessPoolExecu
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import partial
+from itertools import combinations
 from typing import Any, Callable, Iterator, Sequence
 
 import numpy as np
@@ -176,12 +177,9 @@ def load_all(load: Callable[[str], Any], paths: Sequence[str], jobs: int) -> lis
 
 def check_paths_differ(paths: Sequence[str]) -> None:
     """Raise NoRecording with both names when a file is given twice."""
-    seen: dict = {}
-    for path in paths:
-        real = os.path.realpath(path)
-        if real in seen:
-            raise NoRecording(f"{seen[real]} and {path} are the same recording: it would count twice")
-        seen[real] = path
+    for path, other in combinations(paths, 2):
+        if os.path.realpath(path) == os.path.realpath(other):
+            raise NoRecording(f"{path} and {other} are the same recording: it would count twice")
 
 
 def check_no_overlap(trails: Sequence[Trail]) -> None:
@@ -189,18 +187,12 @@ def check_no_overlap(trails: Sequence[Trail]) -> None:
 
     Times alone don't show it: a computer without a battery-backed clock may start at the same time again.
     """
-    for index, one in enumerate(trails):
-        for other in trails[:index]:
-            same = _count_same(one, other)
-            if same >= MIN_SAME:
-                raise NoRecording(f"{other.path} and {one.path} have the same driving in them, at {same} moments "
-                                  "of odometry: it would count twice")
-
-
-def _count_same(one, other):
-    if not (one.t_s.size and other.t_s.size):
-        return 0
-    nearest = np.clip(np.searchsorted(other.t_s, one.t_s - SAME_TIME_S), 0, other.t_s.size - 1)
-    same = ((np.abs(other.t_s[nearest] - one.t_s) <= SAME_TIME_S) & (other.x_m[nearest] == one.x_m)
-            & (other.y_m[nearest] == one.y_m))
-    return int(same.sum())
+    for other, one in combinations(trails, 2):
+        if not one.t_s.size or not other.t_s.size:
+            continue
+        nearest = np.clip(np.searchsorted(other.t_s, one.t_s - SAME_TIME_S), 0, other.t_s.size - 1)
+        same = ((np.abs(other.t_s[nearest] - one.t_s) <= SAME_TIME_S) & (other.x_m[nearest] == one.x_m)
+                & (other.y_m[nearest] == one.y_m)).sum()
+        if same >= MIN_SAME:
+            raise NoRecording(f"{other.path} and {one.path} have the same driving in them, at {same} moments of "
+                              "odometry: it would count twice")

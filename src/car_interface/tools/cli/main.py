@@ -84,24 +84,13 @@ def version() -> str:
         raise CarInterfaceError(f"{PACKAGE} has neither package.xml nor metadata: install it again") from error
 
 
-class VersionAction(argparse.Action):
-    """Prints the version and ends; it is looked up only on request."""
-
-    def __init__(self, option_strings, dest):
-        super().__init__(option_strings, dest, nargs=0, help="print the version of car_interface and end")
-
-    def __call__(self, parser, namespace, values, option_string=None):
-        print(f"{PACKAGE} {version()}")
-        parser.exit()
-
-
 def _parser(command, arguments):
     """Return the parser for one command; without a name for all of them."""
     if command is not None:
         parser = argparse.ArgumentParser(prog=command)
         return _describe(parser, command)
     parser = argparse.ArgumentParser(prog=PROGRAM, description="Tables and reports from recordings of a car's drives.")
-    parser.add_argument("--version", action=VersionAction)
+    _add_version(parser)
     commands = parser.add_subparsers(metavar="COMMAND", dest="command")
     commands.required = True
     named = next((argument for argument in arguments if argument in MODULES), None)
@@ -115,9 +104,14 @@ def _describe(parser, name):
     parser.description = module.__doc__
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     module.add_arguments(parser)
-    parser.add_argument("--version", action=VersionAction)
+    _add_version(parser)
     parser.set_defaults(run=module.run)
     return parser
+
+
+def _add_version(parser):
+    parser.add_argument("--version", action="version", version=f"{PACKAGE} {version()}",
+                        help="print the version of car_interface and end")
 
 
 def _plain(error):

@@ -50,25 +50,18 @@ def parsed(text: str) -> CalibrationResult:
         refusal, lines, steps, radii_m, left, right, centers, driven, curve, old_curve = json.loads(text)
         sides = [[SideRow(*map(float, row[:5]), int(row[5]), float(row[6]), str(row[7])) for row in side]
                  for side in (left, right)]
-        result = CalibrationResult(str(refusal), list(map(str, lines)), list(map(str, steps)), _numbers(radii_m),
-                                   *sides, _numbers(centers), *(_points(points, width) for points, width in (
-                                       (driven, 2), (curve, 3), (old_curve, 2))))
+        (radii_m,), (centers,) = _numbers([radii_m], len(radii_m)), _numbers([centers], 2)
+        result = CalibrationResult(str(refusal), list(map(str, lines)), list(map(str, steps)), radii_m, *sides, centers,
+                                   _numbers(driven, 2), _numbers(curve, 3), _numbers(old_curve, 2))
     except (TypeError, ValueError, IndexError, OverflowError, RecursionError) as error:
         raise ValueError("the calibration drive's result can't be read") from error
-    if not len(result.radii_m) == len(result.left) == len(result.right) or len(result.centers) != 2:
+    if not len(result.radii_m) == len(result.left) == len(result.right):
         raise ValueError("the calibration drive's result has no table")
     return result
 
 
-def _numbers(values: Any) -> list[float]:
-    found = [float(value) for value in values]
-    if not all(abs(value) <= MAX_NUMBER for value in found):  # nor of NaN
-        raise ValueError("a number is none of a car's")
-    return found
-
-
-def _points(points: Any, width: int) -> list[list[float]]:
-    found = [_numbers(point) for point in points]
-    if any(len(point) != width for point in found):
-        raise ValueError("a point has too few numbers")
+def _numbers(rows: Any, width: int) -> list[list[float]]:
+    found = [[float(value) for value in row] for row in rows]
+    if not all(len(row) == width and all(abs(value) <= MAX_NUMBER for value in row) for row in found):  # nor of NaN
+        raise ValueError("these are no numbers of a car's")
     return found

@@ -59,18 +59,10 @@ class Imu(NamedTuple):
 
 
 class Value(NamedTuple):
-    """A commanded number, each row until the next one; both columns have the shape (N,)."""
+    """A commanded number, or a planner's angle, each row until the next one; both columns have the shape (N,)."""
 
     t_s: np.ndarray
     value: np.ndarray
-
-
-class Ackermann(NamedTuple):
-    """What a planner asks for, each row until the next one; all columns have the shape (N,)."""
-
-    t_s: np.ndarray
-    angle_rad: np.ndarray  # of a wheel in the middle of the front axle, left positive
-    speed_mps: np.ndarray  # of the middle of the rear axle, forward positive
 
 
 class Pulses(NamedTuple):
@@ -87,20 +79,21 @@ class Timeline:
     """
 
     def __init__(self):
-        self.start_ns = 0  # ROS time of the first message
+        self.start_ns: int | None = None  # ROS time of the first message; None = there is none
         self.last_s = 0.0  # of the newest message
         self._shift_s = 0.0
-        self._steps = []  # (time in s, step back in s)
-        self._has_started = False
+        self.notes: list[str] = []  # a line for each time that the clock was set back
 
     def recorded_s(self, time_ns: int) -> float:
         """Return the time at which a message was recorded; called once for each message, in order."""
-        if not self._has_started:
-            self.start_ns, self._has_started = time_ns, True
+        if self.start_ns is None:
+            self.start_ns = time_ns
         now_s = (time_ns - self.start_ns) / NS_PER_S + self._shift_s
         if now_s < self.last_s - STEP_BACK_S:
-            self._steps.append((self.last_s, self.last_s - now_s))
-            self._shift_s += self.last_s - now_s + BREAK_S
+            back_s = self.last_s - now_s
+            self.notes.append(f"the computer's clock was set back by {back_s:.1f} s, {self.last_s:.1f} s after the "
+                              "start: what follows counts as another drive")
+            self._shift_s += back_s + BREAK_S
             now_s = self.last_s + BREAK_S
         self.last_s = max(self.last_s, now_s)
         return now_s
@@ -108,11 +101,6 @@ class Timeline:
     def stamped_s(self, time_ns: int) -> float:
         """Return the time of a stamp in the newest message."""
         return (time_ns - self.start_ns) / NS_PER_S + self._shift_s
-
-    def notes(self) -> tuple[str, ...]:
-        """Return a line for each time that the clock was set back."""
-        return tuple(f"the computer's clock was set back by {back_s:.1f} s, {at_s:.1f} s after the start: what follows "
-                     "counts as another drive" for at_s, back_s in self._steps)
 
 
 class Gravity:
@@ -176,6 +164,9 @@ class StampedColumn:
         series, odd = self.series(at_s[rises], *(column[rises] for column in columns))
         return series, [*notes, *odd]
 
+    def series(self, *columns):
+        return Value(*columns), []
+
 
 class OdomColumn(StampedColumn):
     """nav_msgs/Odometry."""
@@ -209,14 +200,12 @@ class ImuColumn(StampedColumn):
 
 
 class AckermannColumn(StampedColumn):
-    """ackermann_msgs/AckermannDriveStamped, or AckermannDrive, which counts by when it was recorded."""
+    """The steering angle in ackermann_msgs/AckermannDriveStamped, or AckermannDrive, which counts by when it was
+    recorded: in rad, of a wheel in the middle of the front axle, left positive.
+    """
 
     def row(self, message):
-        drive = ackermann_drive(message)
-        return drive.steering_angle, drive.speed
-
-    def series(self, *columns):
-        return Ackermann(*columns), []
+        return (ackermann_drive(message).steering_angle,)
 
 
 class ValueColumn(StampedColumn):

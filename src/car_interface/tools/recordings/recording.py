@@ -1,27 +1,36 @@
 """Reads messages from a recording: ROS 1 bags, and ROS 2 bags in SQLite or MCAP.
 
 A recording is read once, from the beginning to the end; memory doesn't grow with the file. Only the requested topics
-are deserialized, so that others may have unknown types.
+are deserialized, so that others may have unknown types: by the recording's own definitions or by those that are known
+here. ROS 1 bags always contain their definitions, ROS 2 bags since Iron. For older ones there are the standard types of
+ROS 2 Humble, those in this package's ``msg`` folder, Autoware's equivalents of these, ackermann_msgs, and a VESC's
+telemetry.
 """
 from __future__ import annotations
 
+import heapq
 import os
 import re
 import shlex
 import sys
-import time
+from collections import Counter
 from contextlib import contextmanager
+from functools import lru_cache
+from io import BytesIO
 from pathlib import Path
-from typing import Any, Iterable, Iterator, Mapping, NamedTuple, Sequence
+from typing import Any, Callable, Iterable, Iterator, Mapping, NamedTuple, Sequence
 
+import numpy as np
 from rosbags.rosbag1 import ReaderError as ReaderError1
+from rosbags.rosbag1.reader import Header, Reader, RecordType, read_bytes, read_uint32
 from rosbags.rosbag2 import Reader as Ros2Reader
 from rosbags.rosbag2 import ReaderError as ReaderError2
+from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.input_file import check_kind
-from car_interface.tools.recordings.definitions import UnknownType, decoder
-from car_interface.tools.recordings.rosbag1 import ChunkReader
+from car_interface.common.package_files import package_file
+from car_interface.common.units import NS_PER_S
 
 ROS2_SUFFIXES = (".db3", ".mcap")
 METADATA = "metadata.yaml"
@@ -29,9 +38,28 @@ METADATA_KEY = b"rosbag2_bagfile_information"  # under which it has everything
 # What a file begins with, and is not without it, by its suffix; one of another suffix is taken for a ROS 1 bag.
 BEGINS = {".bag": (b"#ROSBAG V", "bag"), ".db3": (b"SQLite format 3\0", "SQLite database"),
           ".mcap": (b"\x89MCAP", "MCAP file")}
-BAR_AFTER_S = 1.0
-MESSAGES_PER_CLOCK_CHECK = 256
 NESTED = re.compile(r"""\((["'])(.*?)\1,\)""")  # the arguments of another error, within rosbags' text of one
+PACKAGE = "car_interface"
+# Autoware's packages with messages that have the fields of ours.
+EQUIVALENTS = {
+    "autoware_control_msgs": ("Control", "Lateral", "Longitudinal"),
+    "autoware_internal_debug_msgs": ("Float64Stamped",),
+    "tier4_debug_msgs": ("Float64Stamped",),
+}
+# Common types that ROS 2 itself doesn't have.
+OTHERS = {
+    "ackermann_msgs/msg/AckermannDrive": "\n".join(f"float32 {name}" for name in (
+        "steering_angle", "steering_angle_velocity", "speed", "acceleration", "jerk")),
+    "ackermann_msgs/msg/AckermannDriveStamped": "std_msgs/Header header\nackermann_msgs/AckermannDrive drive",
+    # As F1TENTH's ROS 2 driver has it; cars with a Humble or an older ROS 2 record it without its definition.
+    "vesc_msgs/msg/VescState": "\n".join(f"{kind} {name}" for kind, names in (
+        ("float64", "temp_fet temp_motor current_motor current_input avg_id avg_iq duty_cycle speed"),
+        ("float64", "voltage_input charge_drawn charge_regen energy_drawn energy_regen"),
+        ("int32", "displacement distance_traveled fault_code"), ("float64", "pid_pos_now"), ("int32", "controller_id"),
+        ("float64", "ntc_temp_mos1 ntc_temp_mos2 ntc_temp_mos3 avg_vd avg_vq")) for name in names.split()),
+    "vesc_msgs/msg/VescStateStamped": "std_msgs/Header header\nvesc_msgs/VescState state",
+}
+IDL_RULE = "=" * 80 + "\n"
 
 
 class Recorded(NamedTuple):
@@ -55,11 +83,14 @@ class Contents(NamedTuple):
     start_ns: int  # ROS time of the first message; 0 when there is none
     end_ns: int
     topics: dict  # Topic by absolute name
-    steps_back: int  # how often the recording time went back by more than a second; known of ROS 1 bags only
 
 
 class NoRecording(CarInterfaceError):
     """A file that can't be read as a recording, or one that lacks what is requested."""
+
+
+class UnknownType(CarInterfaceError):
+    """A message type without a definition in the recording or here."""
 
 
 def contents(path: str) -> Contents:
@@ -74,7 +105,7 @@ def contents(path: str) -> Contents:
             count = connection.msgcount + (found[connection.topic].count if connection.topic in found else 0)
             found[connection.topic] = Topic(connection.msgtype, count)
         begin, end = (reader.start_time, reader.end_time) if any(topic.count for topic in found.values()) else (0, 0)
-        return Contents(begin, end, dict(sorted(found.items())), getattr(reader, "clock_steps_back", 0))
+        return Contents(begin, end, dict(sorted(found.items())))
 
 
 def read(path: str, topics: Sequence[str] | Mapping[str, str | Sequence[str]], namespace: str = "/",
@@ -86,7 +117,7 @@ def read(path: str, topics: Sequence[str] | Mapping[str, str | Sequence[str]], n
         topics: their names below ``namespace``; those that weren't recorded yield nothing. A name that begins with a
             slash and isn't found below the namespace is looked up as it is. In a dict each name has the accepted type,
             such as ``nav_msgs/Odometry``, or several of them.
-        progress: show a bar on a terminal's standard error when it takes more than a second.
+        progress: show a bar on a terminal's standard error.
 
     Raises:
         NoRecording: it can't be read, or the type of a topic isn't accepted or isn't known.
@@ -98,15 +129,19 @@ def read(path: str, topics: Sequence[str] | Mapping[str, str | Sequence[str]], n
             return  # for rosbags no connections mean all of them
         decoders = {}
         for connection in connections:
-            if isinstance(topics, Mapping):
-                _check_type(path, connection.topic, connection.msgtype, topics[names[connection.topic]])
+            accepted = _types(topics, names[connection.topic])
+            if accepted and not is_of_type(connection.msgtype, accepted):
+                raise NoRecording(f"{path}: {connection.topic} is of type {_short(connection.msgtype)}; accepted: "
+                                  + _either(accepted))
             try:
                 decoders[connection.id] = decoder(connection, isinstance(reader, Ros2Reader))
             except UnknownType as error:
                 raise NoRecording(f"{path}: {connection.topic} can't be read: {error}") from error
         messages = reader.messages(connections=connections)
         if progress and sys.stderr.isatty():
-            messages = with_bar(messages, sum(connection.msgcount for connection in connections), Path(path).name)
+            from tqdm import tqdm  # slow to import
+            messages = tqdm(messages, Path(path).name, sum(connection.msgcount for connection in connections),
+                            leave=False, unit=" messages", unit_scale=True)
         for connection, time_ns, data in messages:
             try:
                 message = decoders[connection.id](data)
@@ -149,26 +184,14 @@ def require(path: str, topics: Sequence[str] | Mapping[str, str | Sequence[str]]
     found = set(absolute_names(recorded, topics, namespace).values())
     for topic in topics:
         if topic not in found:
-            accepted = topics[topic] if isinstance(topics, Mapping) else ()
-            accepted = (accepted,) if isinstance(accepted, str) else accepted
+            accepted = _types(topics, topic)
             offered = [name for name, one in recorded.items() if not accepted or is_of_type(one.type, accepted)]
             last = topic.rstrip("/").rsplit("/", 1)[-1]
             similar = [name for name in offered if last in name][:5] or offered[:8]
             below = "" if namespace.strip("/") == "" else f" below {namespace}"
-            none = f"none of type {' or '.join(map(_short, accepted))}" if recorded and accepted else "none at all"
+            none = f"none of type {_either(accepted)}" if recorded and accepted else "none at all"
             raise NoRecording(f"{path} has no topic {topic}{below}{', ' + why if why else ''}"
                               + (f"{hint}; it has {', '.join(similar)}" if similar else f"; it has {none}"))
-
-
-def check_types(path: str, topics: Mapping[str, str | Sequence[str]], namespace: str = "/") -> None:
-    """Check that topics, as for ``read``, have an accepted type where they were recorded.
-
-    Raises:
-        NoRecording: names the first that hasn't.
-    """
-    recorded = contents(path).topics
-    for name, topic in absolute_names(recorded, topics, namespace).items():
-        _check_type(path, name, recorded[name].type, topics[topic])
 
 
 def is_of_type(kind: str, accepted: Iterable[str]) -> bool:
@@ -182,22 +205,6 @@ def other_version(path: str, recorded: Recorded) -> NoRecording:
                        f"{_short(recorded.message.__msgtype__)}")
 
 
-def with_bar(items: Iterable[Any], total: int, text: str) -> Iterator[Any]:
-    """Yield the items; after a second with a progress bar on standard error."""
-    begin_s, bar = time.monotonic(), None
-    try:
-        for number, item in enumerate(items, 1):
-            yield item
-            if bar is not None:
-                bar.update()
-            elif number % MESSAGES_PER_CLOCK_CHECK == 0 and time.monotonic() - begin_s > BAR_AFTER_S:
-                from tqdm import tqdm  # slow to import
-                bar = tqdm(total=total, initial=number, desc=text, unit=" messages", unit_scale=True, leave=False)
-    finally:
-        if bar is not None:
-            bar.close()
-
-
 @contextmanager
 def _opened(path):
     """Yield a reader of a recording; every error of the file becomes NoRecording."""
@@ -206,67 +213,56 @@ def _opened(path):
     if problem:
         raise NoRecording(f"{file} can't be read as a recording: {problem}")
     try:
-        reader = _reader(file)
-        reader.open()
-    except Exception as error:  # a damaged file makes rosbags raise almost anything
-        raise NoRecording(_error_text(file, error)) from error
-    try:
-        yield reader
+        is_part = not file.is_dir() and (file.parent / METADATA).exists()
+        with ChunkReader(file) if _is_ros1(file) else Ros2Reader(file.parent if is_part else file) as reader:
+            yield reader
     except CarInterfaceError:
         raise
-    except Exception as error:
+    except Exception as error:  # a damaged file makes rosbags raise almost anything
         raise NoRecording(_error_text(file, error)) from error
-    finally:
-        reader.close()
 
 
 def _problem(file):
-    """Return what a file lacks to be a recording, as a sentence, or an empty text."""
+    """Return what a file, or one in a ROS 2 bag's folder, lacks to be a recording, as a sentence, or an empty text."""
     if not file.exists():
         return "there is no such file"
     if not os.access(str(file), os.R_OK):
         return "no permission"
-    if file.is_dir():
-        return _folder_problem(file)
-    try:
-        check_kind(file.stat())
-    except OSError as error:
-        return error.strerror
-    return _beginning_problem(file, "it")
-
-
-def _folder_problem(folder):
-    """Return the same of a folder, or what in a ROS 2 bag's folder is not what its name says."""
-    if not (folder / METADATA).exists():
-        bags = sorted(str(inside) for inside in folder.iterdir() if inside.suffix == ".bag")
+    if not file.is_dir():
+        try:
+            check_kind(file.stat())
+        except OSError as error:
+            return error.strerror
+        inside = [file]
+    elif not (file / METADATA).exists():
+        bags = sorted(str(inside) for inside in file.iterdir() if inside.suffix == ".bag")
         return (f"a ROS 2 bag's folder has a {METADATA}, this one "
                 + (f"doesn't; {bags[0]} may be what you mean" if bags else "doesn't (ros2 bag reindex)"))
-    if METADATA_KEY not in (folder / METADATA).read_bytes():
+    elif METADATA_KEY not in (file / METADATA).read_bytes():
         return f"its {METADATA} isn't a ROS 2 bag's (ros2 bag reindex makes one)"
-    inside = sorted(file for file in folder.iterdir() if file.suffix in ROS2_SUFFIXES and file.is_file())
-    return next(filter(None, (_beginning_problem(file, file.name) for file in inside)), "")
+    else:
+        inside = sorted(one for one in file.iterdir() if one.suffix in ROS2_SUFFIXES and one.is_file())
+    for one in inside:
+        begin, kind = BEGINS.get(one.suffix, BEGINS[".bag"])
+        with one.open("rb") as opened:
+            found = opened.read(len(begin))
+        if found != begin:
+            return f"{'it' if one is file else one.name} is {f'no {kind}' if found else 'empty'}"
+    return ""
 
 
-def _beginning_problem(file, name):
-    """Return what a file is not, as a sentence, or an empty text."""
-    begin, kind = BEGINS.get(file.suffix, BEGINS[".bag"])
-    with file.open("rb") as opened:
-        found = opened.read(len(begin))
-    return "" if found == begin else f"{name} is {f'no {kind}' if found else 'empty'}"
+def _is_ros1(file):
+    return not file.is_dir() and file.suffix not in ROS2_SUFFIXES
 
 
-def _reader(file):
-    if file.is_dir():
-        return Ros2Reader(file)
-    if file.suffix in ROS2_SUFFIXES:
-        return Ros2Reader(file.parent if (file.parent / METADATA).exists() else file)
-    return ChunkReader(file)
+def _types(topics, requested):
+    """Return the accepted types of a topic that was requested; empty: all are."""
+    types = topics[requested] if isinstance(topics, Mapping) else ()
+    return (types,) if isinstance(types, str) else types
 
 
-def _check_type(path, name, kind, accepted):
-    accepted = (accepted,) if isinstance(accepted, str) else accepted
-    if not is_of_type(kind, accepted):
-        raise NoRecording(f"{path}: {name} is of type {_short(kind)}; accepted: " + " or ".join(map(_short, accepted)))
+def _either(types):
+    return " or ".join(map(_short, types))
 
 
 def _short(name):
@@ -275,17 +271,140 @@ def _short(name):
 
 
 def _error_text(file, error):
-    text = " ".join(str(error).split()) or type(error).__name__
-    text = NESTED.sub(r"\2", text).rstrip(".")
-    reindex = f"rosbag reindex {shlex.quote(str(file))}"
-    is_ros1 = not file.is_dir() and file.suffix not in ROS2_SUFFIXES
-    if is_ros1 and "not indexed" in text:
-        return f"{file} was never closed: if its recorder still runs, end it by Ctrl-C; if it was killed: {reindex}"
-    if is_ros1 and "supported" not in text:
+    text = NESTED.sub(r"\2", " ".join(str(error).split()) or type(error).__name__).rstrip(".")
+    if _is_ros1(file) and "supported" not in text:
+        reindex = f"rosbag reindex {shlex.quote(str(file))}"
+        if "not indexed" in text:
+            return f"{file} was never closed: if its recorder still runs, end it by Ctrl-C; if it was killed: {reindex}"
         why = f" ({text})" if isinstance(error, ReaderError1) else ""  # another error's text is about Python
         return f"{file} is cut off or damaged{why}: {reindex} saves what is left"
-    if not is_ros1 and not file.is_dir() and METADATA in text:
+    if file.suffix in ROS2_SUFFIXES and METADATA in text and not file.is_dir():
         text = f"this version of rosbags reads it only in its folder with a {METADATA} (ros2 bag reindex makes one)"
     elif not isinstance(error, (ReaderError1, ReaderError2, OSError)):
         text = "it's cut off or damaged; ros2 bag reindex saves what is left"
     return f"{file} can't be read as a recording: {text}"
+
+
+# --- ROS 1 bags ---
+
+
+class ChunkReader(Reader):
+    """Reads a ROS 1 bag in the order in which it was recorded, with the memory of a few of its chunks.
+
+    rosbags' own reader keeps the position of each message, which takes 170 MB for a million of them, some 20 minutes of
+    a car's topics (measured with 0.9.23 and 0.11.9), and sorts them by time: after the clock was set back it alternates
+    between two chunks, and mixes what was driven before and after. This reader goes from chunk to chunk, in 4 MB.
+
+    It overrides ``read_index_data``, and uses the reader's attributes and its module's functions, which rosbags doesn't
+    document: setup.py limits rosbags to the versions that this was tested with.
+    """
+
+    def __init__(self, path):
+        super().__init__(path)
+        self.steps_back = 0  # how often a topic's recording time went back
+        self._newest: dict = {}  # time of the newest message, by connection
+
+    def open(self) -> None:
+        """Open it and read its index. rosbags would count messages by the positions that this reader leaves out."""
+        super().open()
+        counts: Counter = Counter()
+        for info in self.chunk_infos:
+            counts.update(info.connection_counts)
+        self.connections = [connection._replace(msgcount=counts[connection.id]) for connection in self.connections]
+
+    def read_index_data(self, pos, indexes):
+        """Read only the times from a chunk's index; rosbags calls this once for each connection of each chunk."""
+        connection = Header.read(self.bio).get_uint32("conn")
+        entries = np.frombuffer(read_bytes(self.bio, read_uint32(self.bio)), "<u4").reshape(-1, 3)
+        times = entries[:, 0].astype(np.int64) * NS_PER_S + entries[:, 1]
+        if len(times):
+            self.steps_back += int((np.diff(times, prepend=self._newest.get(connection, times[0])) < 0).sum())
+            self._newest[connection] = times[-1]
+
+    def messages(self, connections=(), start=None, stop=None) -> Iterator[tuple]:
+        """Yield connection, time in ns and bytes: by time, or, if the clock was ever set back, as they were written.
+
+        ``start`` and ``stop`` are parameters of rosbags; they are ignored.
+        """
+        wanted = {connection.id: connection for connection in connections or self.connections}
+        chunks = [info for info in self.chunk_infos if not wanted.keys().isdisjoint(info.connection_counts)]
+        number, pending = 0, []  # chunks may overlap: pending messages go out before a chunk that begins later
+        chunks.sort(key=lambda info: (0 if self.steps_back else info.start_time, info.pos))
+        for info in [*chunks, None]:
+            while pending and (info is None or pending[0][0] < info.start_time):
+                *_, connection, time_ns, data = heapq.heappop(pending)
+                yield wanted[connection], time_ns, data
+            for connection, time_ns, data in self._chunk(info.pos, wanted) if info is not None else ():
+                order = -1 if self.steps_back else time_ns  # -1: before the next chunk, as they were written
+                heapq.heappush(pending, (order, number, connection, time_ns, data))
+                number += 1
+
+    def _chunk(self, position, wanted) -> Iterator[tuple[int, int, bytes]]:
+        chunk = self.chunks[position]
+        self.bio.seek(chunk.datapos)
+        data = chunk.decompressor(read_bytes(self.bio, chunk.datasize))
+        records = BytesIO(data)
+        while records.tell() < len(data):
+            header = Header.read(records)
+            content = read_bytes(records, read_uint32(records))
+            if header.get_uint8("op") == RecordType.MSGDATA and header.get_uint32("conn") in wanted:
+                yield header.get_uint32("conn"), header.get_time("time"), content
+
+
+# --- definitions of messages ---
+
+
+def decoder(connection, is_ros2: bool) -> Callable[[bytes], Any]:
+    """Return a function from the bytes of one connection's messages to messages.
+
+    Args:
+        is_ros2: whether the bytes are CDR, as ROS 2 has them.
+
+    Raises:
+        UnknownType: neither the recording nor this package has its definition.
+    """
+    name, definition = connection.msgtype, connection.msgdef
+    if isinstance(definition, str):  # rosbags before 0.10
+        text, is_idl = definition, definition.startswith(IDL_RULE + "IDL: ")
+    else:
+        text, is_idl = definition.data, definition.format.name == "IDL"
+    store = _store(name, text, is_idl) if text else known_types()
+    try:
+        store.get_msgdef(name)
+    except (KeyError, TypesysError) as error:
+        raise UnknownType(f"neither the recording nor this package knows all of its type {name}") from error
+    deserialize = store.deserialize_cdr if is_ros2 else store.deserialize_ros1
+    return lambda data: deserialize(data, name)
+
+
+@lru_cache(maxsize=1)
+def known_types() -> Any:
+    """Return the types of ROS 2 Humble, of this package, Autoware's equivalents, and OTHERS, as rosbags' typestore."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types: dict = {}
+    for path in sorted(package_file("msg").glob("*.msg")):
+        text = path.read_text(encoding="utf-8")
+        types.update(get_types_from_msg(text, f"{PACKAGE}/msg/{path.stem}"))
+        for package, names in EQUIVALENTS.items():
+            if path.stem in names:
+                types.update(get_types_from_msg(text, f"{package}/msg/{path.stem}"))
+    for name, text in OTHERS.items():
+        types.update(get_types_from_msg(text, name))
+    store.register(types)
+    return store
+
+
+@lru_cache(maxsize=200)  # parsing takes longer than reading a small recording, and all of a car have the same ones
+def _store(name, text, is_idl):
+    store = get_typestore(Stores.EMPTY)
+    try:
+        if not is_idl:
+            store.register(get_types_from_msg(text, name))
+        elif text.startswith(IDL_RULE):
+            for part in text.split(IDL_RULE)[1:]:
+                store.register(get_types_from_idl(part.split("\n", 1)[1]))
+        else:
+            store.register(get_types_from_idl(text))
+    except Exception as error:  # a parser may stumble over anything in a damaged text
+        raise UnknownType(f"the recording's definition of its type {name} makes no sense") from error
+    return store

@@ -42,23 +42,18 @@ class PulseColumns:
         self.topic = topic
         self._gates, self._clock = Gates(), Clock()
         self._to_monotonic_ns = None  # from ROS time; known with the first pong
-        self._pending = []  # reports before that: arguments of _add_wheels
-        self._has_tick = False
+        self._pending = []  # messages before that, as they were added
         self._wheel_times, self._counts = (array("d"), array("d")), (array("q"), array("q"))
         self._without_direction = [0, 0]
         self._refused = 0
 
     def add(self, recorded: Any, now_s: float, timeline: Timeline) -> None:
         """Add a ``recording.Recorded`` that was recorded at ``now_s``."""
-        message = recorded.message
+        self._pending.append((recorded, now_s, timeline))
         if recorded.topic == CLOCK_TOPIC:
-            self._to_monotonic_ns = message.received - message_stamp_ns(message)
+            self._to_monotonic_ns = recorded.message.received - message_stamp_ns(recorded.message)
+        if self._to_monotonic_ns is not None:
             self._add_pending()
-            self._add_pong(message)
-        elif self._to_monotonic_ns is None:
-            self._pending.append((recorded, now_s, timeline))
-        else:
-            self._add_wheels(recorded, now_s, timeline)
 
     def build(self) -> tuple[tuple[Pulses, Pulses] | None, list[str]]:
         """Return both wheels' pulses, ``None`` = there is none, and a line on reports that were left out.
@@ -74,16 +69,18 @@ class PulseColumns:
         return (left, right) if left.t_s.size or right.t_s.size else None, notes
 
     def _add_pending(self):
-        for pending in self._pending:
-            self._add_wheels(*pending)
+        for recorded, *when in self._pending:
+            if recorded.topic == CLOCK_TOPIC:
+                self._add_pong(recorded.message)
+            else:
+                self._add_wheels(recorded, *when)
         self._pending.clear()
 
     def _add_pong(self, message):
         verdict = self._gates.pong(Pong(0, message.tick), True)
+        if verdict.restarted:
+            self._clock.restart()
         if verdict.accepted:
-            if verdict.restarted and self._has_tick:
-                self._clock.restart()
-            self._has_tick = True
             self._clock.pong(message.tick, message.sent, message.sent_bytes, message.received, PONG_BYTES)
 
     def _add_wheels(self, recorded, now_s, timeline):
@@ -103,15 +100,12 @@ class PulseColumns:
             undirected, self._without_direction[side] = self._without_direction[side], 0
             time_ns = self._clock.translate(one.when, received_ns, WHEEL_BYTES).time_ns
             at_s = timeline.stamped_s(time_ns - self._to_monotonic_ns)
-            self._append(side, at_s if abs(at_s - now_s) <= MAX_STAMP_OFFSET_S else now_s,
-                         pulses + (undirected if pulses > 0 else -undirected))
-
-    def _append(self, side, at_s, pulses):
-        times, counts = self._wheel_times[side], self._counts[side]
-        if times and at_s <= times[-1]:
-            at_s = times[-1] + MIN_STEP_S
-        times.append(at_s)
-        counts.append((counts[-1] if counts else 0) + pulses)
+            at_s = at_s if abs(at_s - now_s) <= MAX_STAMP_OFFSET_S else now_s
+            times, counts = self._wheel_times[side], self._counts[side]
+            if times and at_s <= times[-1]:
+                at_s = times[-1] + MIN_STEP_S
+            times.append(at_s)
+            counts.append((counts[-1] if counts else 0) + pulses + (undirected if pulses > 0 else -undirected))
 
 
 def _wheels(message):
@@ -135,21 +129,14 @@ def replay(recorded: Iterable[Recorded],
     pending = []  # records before that
     missing = set(TOPICS)
     for one in recorded:
-        topic, message = one.topic, one.message
-        missing.discard(topic)
-        if topic == CLOCK_TOPIC:
-            to_monotonic_ns = message.received - message_stamp_ns(message)
-            for earlier in pending:
-                yield from _measure(measurements, earlier, to_monotonic_ns)
+        missing.discard(one.topic)
+        pending.append(one)
+        if one.topic == CLOCK_TOPIC:
+            to_monotonic_ns = one.message.received - message_stamp_ns(one.message)
+        if to_monotonic_ns is not None:
+            yield from _measured(measurements, pending, to_monotonic_ns)
             pending.clear()
-            answer = Answer(message.sent, message.received - message.sent, message.sent_bytes)
-            measurements.pong(Pong(0, message.tick), answer, message.received)
-        elif to_monotonic_ns is None:
-            pending.append(one)
-        else:
-            yield from _measure(measurements, one, to_monotonic_ns)
-    for earlier in pending:  # the recording has no pong
-        yield from _measure(measurements, earlier, 0)
+    yield from _measured(measurements, pending, 0)  # the recording has no pong
     if missing:
         text = f"the recording has no message of {', '.join(sorted(missing))}"
         if missing >= MEASURED:
@@ -157,11 +144,15 @@ def replay(recorded: Iterable[Recorded],
         warnings.warn(text, stacklevel=2)
 
 
-def _measure(measurements, recorded, to_monotonic_ns):
-    received_ns, message = recorded.time_ns + to_monotonic_ns, recorded.message
-    if recorded.topic == WHEEL_TOPIC:
-        measured = measurements.wheels(_wheels(message), received_ns)
-    else:
-        measured = measurements.sonar(SonarStatus(message.sensor, message.distance, message.when), received_ns)
-    if measured is not None:
-        yield measured
+def _measured(measurements, records, to_monotonic_ns):
+    for topic, received_ns, message in ((one.topic, one.time_ns + to_monotonic_ns, one.message) for one in records):
+        measured = None
+        if topic == CLOCK_TOPIC:
+            answer = Answer(message.sent, message.received - message.sent, message.sent_bytes)
+            measurements.pong(Pong(0, message.tick), answer, message.received)
+        elif topic == WHEEL_TOPIC:
+            measured = measurements.wheels(_wheels(message), received_ns)
+        else:
+            measured = measurements.sonar(SonarStatus(message.sensor, message.distance, message.when), received_ns)
+        if measured is not None:
+            yield measured

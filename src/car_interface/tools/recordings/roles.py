@@ -89,7 +89,12 @@ def _usual_or_guessed(free, role, namespace, usual_names):
     """Return the topic for a role among those that are free, and a note."""
     with_messages = {name: topic for name, topic in free.items() if topic.count}
     usual = next((topic for topic in usual_names if _fits(with_messages, topic, role, namespace)), None)
-    candidates = _candidates(free, role, namespace) if role.is_guessed and usual is None else []
+    candidates = []
+    if role.is_guessed and usual is None:
+        below = prefix(namespace)
+        others = tuple(space + "/" for space in other_cars(free, namespace) if not below.startswith(space + "/"))
+        candidates = [name for name, topic in with_messages.items() if is_of_type(topic.type, role.types)
+                      and name.startswith(below) and not name.startswith(others)]
     if not candidates:
         there = (topic for topic in role.topics if absolute_names(free, [topic], namespace))
         return usual or next(there, role.topics[0]), ""
@@ -109,11 +114,3 @@ def other_cars(recorded: Mapping[str, Topic], namespace: str) -> set[str]:
     """Return the namespaces with cars of their own, such as ``/car1``, other than ``namespace``."""
     spaces = {name[:-len(ending)] for name in recorded for ending in CAR_ENDINGS if name.endswith(ending)}
     return spaces - {"", "/" + namespace.strip("/")}
-
-
-def _candidates(recorded, role, namespace):
-    """Return the topics with messages of a role's type, below the namespace and not another car's."""
-    below = prefix(namespace)
-    others = tuple(space + "/" for space in other_cars(recorded, namespace) if not below.startswith(space + "/"))
-    return [name for name, topic in recorded.items() if topic.count and is_of_type(topic.type, role.types)
-            and name.startswith(below) and not (others and name.startswith(others))]

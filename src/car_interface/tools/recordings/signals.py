@@ -13,7 +13,6 @@ import numpy as np
 from car_interface.common.units import NS_PER_S
 from car_interface.tools.recordings import recording, roles
 from car_interface.tools.recordings.columns import (
-    Ackermann,
     AckermannColumn,
     CommandColumn,
     Imu,
@@ -33,13 +32,13 @@ from car_interface.tools.recordings.replay import CLOCK_TOPIC, WHEEL_TOPIC, Puls
 PULSES = "pulses"  # the only part that plays no role: only this package records it
 PARTS = (*(role.name for role in (
     roles.ODOM, roles.OUTPUT, roles.IMU, roles.VALUE, roles.ACKERMANN, roles.SERVO)), PULSES)
-# The parts with a topic of their own.
 KINDS = {role.name: (role, kind) for role, kind in (
     (roles.ODOM, OdomColumn), (roles.IMU, ImuColumn), (roles.VALUE, ValueColumn), (roles.ACKERMANN, AckermannColumn),
     (roles.SERVO, ValueColumn))}
+HINT = "; name another by --map TOPIC="
 BOARD = ((roles.OUTPUT, OutputColumn), (roles.COMMAND, CommandColumn))
-ROLES = tuple(role for role, _ in (*KINDS.values(), *BOARD))
-PULSE_TYPES = {WHEEL_TOPIC: "car_interface/Wheel", CLOCK_TOPIC: "car_interface/TeensyClock"}
+TYPES = {roles.OUTPUT.name: roles.DUTY_TYPES, PULSES: "car_interface/Wheel",
+         **{part: role.types for part, (role, _) in KINDS.items()}}
 
 
 class Signals(NamedTuple):
@@ -52,7 +51,7 @@ class Signals(NamedTuple):
     output: Output | None
     imu: Imu | None
     value: Value | None
-    ackermann: Ackermann | None
+    ackermann: Value | None  # steering angles in rad that a planner asks for
     servo: Value | None  # positions of a VESC's, 0 to 1
     pulses: tuple[Pulses, Pulses] | None  # of the left and the right wheel
     topics: dict[str, str]  # of each part that is there, by the part
@@ -82,11 +81,10 @@ def load(path: str, wanted: Collection[str], *, optional: Collection[str] = (), 
     Raises:
         NoRecording: it can't be read, lacks a topic, or has no usable message of one.
     """
-    columns, types, guesses = _columns(path, set(wanted), set(optional), topics, namespace)
-    by_topic = {column.topic: column for column in columns.values()}
+    columns, guesses = _columns(path, set(wanted), set(optional), topics, namespace)
+    by_topic, types = ({column.topic: what[part] for part, column in columns.items()} for what in (columns, TYPES))
     if PULSES in columns:
-        by_topic[CLOCK_TOPIC] = columns[PULSES]
-        types.update(PULSE_TYPES)
+        by_topic[CLOCK_TOPIC], types[CLOCK_TOPIC] = columns[PULSES], "car_interface/TeensyClock"
     timeline = Timeline()
     for recorded in recording.read(path, types, namespace, progress):
         try:
@@ -97,8 +95,8 @@ def load(path: str, wanted: Collection[str], *, optional: Collection[str] = (), 
     for part, (series, _) in built.items():
         if series is None and (part in wanted or topics.get(part)):
             raise NoRecording(f"{path}: nothing that can be used was recorded of {columns[part].topic}")
-    notes = (*guesses, *(note for _, notes in built.values() for note in notes), *timeline.notes())
-    return Signals(str(path), timeline.start_ns / NS_PER_S, timeline.last_s, *(
+    notes = (*guesses, *(note for _, notes in built.values() for note in notes), *timeline.notes)
+    return Signals(str(path), (timeline.start_ns or 0) / NS_PER_S, timeline.last_s, *(
         built.get(part, (None,))[0] for part in PARTS),
         {part: columns[part].topic for part, (series, _) in built.items() if series is not None}, notes)
 
@@ -111,48 +109,42 @@ def trail(signals: Signals) -> Trail:
 
 
 def _columns(path, wanted, optional, topics, namespace):
-    """Return an empty column for each part that will be read, the accepted types by topic, and what was guessed."""
+    """Return an empty column for each part that will be read, and what was guessed."""
     recorded = recording.contents(path).topics
-    recording.check_types(path, {topics[role.name]: role.types for role in ROLES if topics.get(role.name)}, namespace)
-    columns, types, guesses = {}, {}, []
+    columns, guesses = {}, []
     for part, (role, kind) in KINDS.items():
-        if part not in wanted | optional and (part != roles.IMU.name or not topics.get(roles.IMU.name)):
+        if part not in wanted | optional and (part != roles.IMU.name or not topics.get(part)):
             continue
         topic, note, is_there, fits = roles.find(recorded, role, namespace, topics)
         guesses += [note] if note else []
         is_needed = part in wanted or topics.get(part) is not None
         if fits or is_needed and is_there:
-            columns[part], types[topic] = kind(topic), role.types
+            columns[part] = kind(topic)
         elif is_needed and note:
             raise NoRecording(f"{path}: {note}")
         elif is_needed:
-            hint = _hint(part) if topics.get(part) in (None, *role.topics) else ""
-            recording.require(path, {topic: role.types}, namespace, f"the {part}: {role.what}", hint)
+            is_usual = topics.get(part) in (None, *role.topics)
+            recording.require(path, {topic: role.types}, namespace, f"the {part}: {role.what}",
+                              HINT + part if is_usual else "")
     if roles.OUTPUT.name in wanted | optional:
         columns.update(_output_column(path, recorded, roles.OUTPUT.name in wanted, topics, namespace))
-        types.update((column.topic, roles.DUTY_TYPES) for part, column in columns.items() if part == roles.OUTPUT.name)
     if PULSES in wanted:
         recording.require(path, [WHEEL_TOPIC], namespace)
     if PULSES in wanted or PULSES in optional and recording.absolute_names(recorded, [WHEEL_TOPIC], namespace):
         columns[PULSES] = PulseColumns(WHEEL_TOPIC)
-    return columns, types, guesses
+    return columns, guesses
 
 
 def _output_column(path, recorded, is_wanted, topics, namespace):
     """Return the board's outputs; without them its commands, which lack channels that were set before the recording."""
-    given = [(kind, [topics[role.name]]) for role, kind in BOARD if topics.get(role.name)]
-    usual = [(kind, role.topics) for role, kind in BOARD]
-    for kind, names in given or usual:
-        for topic in names:  # one with messages goes before one that was only advertised
-            if any(recorded[name].count for name in recording.absolute_names(recorded, [topic], namespace)):
-                return {roles.OUTPUT.name: kind(topic)}
-    if is_wanted or given:
-        topic = (given or usual)[0][1][0]
+    named = [(kind, topics[role.name]) for role, kind in BOARD if topics.get(role.name)]
+    offered = named or [(kind, topic) for role, kind in BOARD for topic in role.topics]
+    for kind, topic in offered:  # one with messages goes before one that was only advertised
+        if any(recorded[name].count for name in recording.absolute_names(recorded, [topic], namespace)):
+            return {roles.OUTPUT.name: kind(topic)}
+    if is_wanted or named:
+        topic = offered[0][1]
         recording.require(path, {topic: roles.DUTY_TYPES}, namespace, *(
-            () if given else (roles.OUTPUT.what, _hint(roles.OUTPUT.name))))
+            () if named else (roles.OUTPUT.what, HINT + roles.OUTPUT.name)))
         raise NoRecording(f"{path} has no messages of {topic}")
     return {}
-
-
-def _hint(part):
-    return f"; name another by --map TOPIC={part}"

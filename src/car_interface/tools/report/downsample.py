@@ -1,6 +1,7 @@
 """Downsamples curves, paths and places of a drive to bounded memory, whatever its length."""
 from __future__ import annotations
 
+import cmath
 import math
 from array import array
 
@@ -64,30 +65,26 @@ class Path:
 
     def __init__(self, step_m: float = 0.02, max_points: int = 8000):
         self._step_m, self._max_points = step_m, max_points
-        self.x_m, self.y_m = array("d"), array("d")  # NaN where the path is interrupted
-        self.kinds = array("b")  # who steered the car to each point
+        self.places: list[complex] = []  # x + yi in m; NaN where the path is interrupted
+        self.kinds: list[int] = []  # who steered the car to each of them
 
-    def add(self, x_m: float, y_m: float, kind: int) -> None:
+    def add(self, place: complex, kind: int) -> None:
         """Add a point, if it is far enough from the one before or somebody else steers."""
-        if self.kinds and kind == self.kinds[-1] and \
-                math.hypot(x_m - self.x_m[-1], y_m - self.y_m[-1]) < self._step_m:
+        if self.kinds and kind == self.kinds[-1] and abs(place - self.places[-1]) < self._step_m:
             return
-        self.x_m.append(x_m)
-        self.y_m.append(y_m)
+        self.places.append(place)
         self.kinds.append(kind)
         if len(self.kinds) > self._max_points:
             self._step_m *= 2
-            kept = [index for index, x_m in enumerate(self.x_m) if index % 2 == 0 or math.isnan(x_m)]
+            kept = [index for index, place in enumerate(self.places) if index % 2 == 0 or cmath.isnan(place)]
             if len(kept) > 0.75 * self._max_points:  # mostly interruptions
-                kept = range(0, len(self.x_m), 2)
-            self.x_m, self.y_m, self.kinds = (array(column.typecode, [column[index] for index in kept])
-                                              for column in (self.x_m, self.y_m, self.kinds))
+                kept = range(0, len(self.kinds), 2)
+            self.places, self.kinds = ([column[index] for index in kept] for column in (self.places, self.kinds))
 
     def interrupt(self) -> None:
         """Leave a gap before the next point."""
         if self.kinds:
-            self.x_m.append(math.nan)
-            self.y_m.append(math.nan)
+            self.places.append(complex(math.nan, math.nan))
             self.kinds.append(self.kinds[-1])
 
 
@@ -99,15 +96,15 @@ class Spots:
         self._cells: dict = {}  # whose keys are a set in order
         self.count = 0
 
-    def add(self, x_m: float, y_m: float) -> None:
-        """Add a place."""
+    def add(self, place: complex) -> None:
+        """Add a place, x + yi in m."""
         self.count += 1
-        self._cells[round(x_m / self.cell_m), round(y_m / self.cell_m)] = None
+        self._cells[round(place.real / self.cell_m), round(place.imag / self.cell_m)] = None
         if len(self._cells) > self._max_cells:
             self.cell_m *= 2
             self._cells = dict.fromkeys((round(x / 2), round(y / 2)) for x, y in self._cells)
 
-    def places(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the middles of the cells: (x_m (N,), y_m (N,))."""
+    def places(self) -> np.ndarray:
+        """Return the middles of the cells (N,), x + yi in m."""
         cells = np.array(list(self._cells), dtype=float).reshape(-1, 2) * self.cell_m
-        return cells[:, 0], cells[:, 1]
+        return cells[:, 0] + 1j * cells[:, 1]

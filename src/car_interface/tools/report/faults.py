@@ -8,7 +8,8 @@ from typing import Any, Collection, NamedTuple
 from car_interface.throttle.battery import REPORT as BATTERY_REPORT
 
 OK, WARN, ERROR = range(3)  # as in diagnostic_msgs/DiagnosticStatus
-LOG_LEVELS = {"rosgraph_msgs": (4, 8), "rcl_interfaces": (30, 40)}  # warning and error, by the package of Log
+# By the level in a rosgraph_msgs/Log or rcl_interfaces/Log, which have none in common; below these it is no fault.
+LOG_LEVELS = {4: WARN, 8: ERROR, 16: ERROR, 30: WARN, 40: ERROR, 50: ERROR}
 # A node's first report that is a warning, and becomes OK within so long, before anybody drives, is its start: the hub
 # wants five pings, one a second, and the servo board's guard a second. So is a car that is started with its recording.
 STARTS_WITHIN_S = 8.0
@@ -36,10 +37,10 @@ class Fault(NamedTuple):
     """Something that went wrong."""
 
     start_s: float
-    end_s: float  # NaN: it is a moment, or lasted until the recording's end
     level: int  # WARN or ERROR
     where: str
     what: str
+    end_s: float = math.nan  # NaN: it is a moment, or lasted until the recording's end
     times: int = 1
 
 
@@ -61,10 +62,6 @@ class FaultLog:
         else:
             self.dropped += 1
 
-    def add_moment(self, time_s: float, level: int, where: str, what: str) -> None:
-        """Add a fault without a duration."""
-        self.add(Fault(time_s, math.nan, level, where, what))
-
     def add_repeated(self, time_s: float, level: int, where: str, what: str) -> None:
         """Add a moment once, and count its repetitions, in which numbers may differ."""
         key = (where, without_numbers(what))
@@ -74,7 +71,7 @@ class FaultLog:
             return
         if len(self.entries) < MAX_ENTRIES:
             self._repeated[key] = len(self.entries)
-        self.add_moment(time_s, level, where, what)
+        self.add(Fault(time_s, level, where, what))
 
     def update_condition(self, time_s: float, key: str, level: int, where: str, what: str) -> None:
         """Begin, continue or end (level OK) the condition of a key. A text that differs in more than its numbers begins
@@ -92,8 +89,8 @@ class FaultLog:
         if level == OK:
             self._starting_s[key] = -math.inf
         else:
-            self._open[key] = Fault(time_s, math.nan, level, where, what) if fault is None else \
-                fault._replace(level=max(level, fault.level))
+            self._open[key] = fault._replace(level=max(level, fault.level)) if fault else \
+                Fault(time_s, level, where, what)
 
     def finish(self, driven_from_s: float = math.inf) -> None:
         """Add the conditions that lasted until the recording's end, and sort all faults by their starts. What a node
@@ -110,12 +107,10 @@ class NodeReports:
     Args:
         present: the recorded topics; what turn_arb, the hub and teleop_logi report in topics of their own isn't added
             twice, nor is the battery, which throttle_arb reports on /diagnostics and logs.
-        log_type: the type of /rosout, such as rosgraph_msgs/msg/Log.
     """
 
-    def __init__(self, faults: FaultLog, present: Collection[str], log_type: str):
+    def __init__(self, faults: FaultLog, present: Collection[str]):
         self._faults, self._present = faults, present
-        self._warning, self._error = LOG_LEVELS.get(log_type.split("/")[0], LOG_LEVELS["rosgraph_msgs"])
 
     def on_diagnostics(self, time_s: float, message: Any) -> None:
         """Take a diagnostic_msgs/DiagnosticArray."""
@@ -129,12 +124,12 @@ class NodeReports:
 
     def on_log(self, time_s: float, message: Any) -> None:
         """Take a rosgraph_msgs/Log or rcl_interfaces/Log."""
-        node, text = message.name.strip("/"), message.msg
+        node, text, level = message.name.strip("/"), message.msg, LOG_LEVELS.get(message.level, OK)
         is_known = node.endswith("turn_arb") and OWN_TOPICS["steering"] in self._present or \
             text.startswith("human in loop: ") and OWN_TOPICS["gamepad"] in self._present or \
             text.startswith(f"{BATTERY_REPORT}: ") and DIAGNOSTICS in self._present
-        if message.level >= self._warning and not is_known:
-            self._faults.add_repeated(time_s, ERROR if message.level >= self._error else WARN, node, text)
+        if level != OK and not is_known:
+            self._faults.add_repeated(time_s, level, node, text)
 
 
 class Gap(NamedTuple):
@@ -151,31 +146,28 @@ class Coverage:
 
     def __init__(self, below: str, duration_s: float):
         self._below, self._duration_s = below, duration_s
-        self._start_s = 0.0  # when the first source was recorded; before it the car's nodes weren't running
-        self._last_s: dict[str, float] = {}
-        self._longest_pause: dict[str, tuple[float, float]] = {}
+        self._start_s: float | None = None  # when the first source was; before it the car's nodes weren't running
+        self._seen: dict[str, tuple] = {}  # by source: its longest pause, from and to, and when it was last recorded
 
     def update(self, time_s: float, topic: str, message: Any) -> None:
         """Note what a recorded message answers."""
         names = [status.name.partition(": ")[2] for status in message.status] if topic == DIAGNOSTICS else [topic]
         for source in filter(None, map(SOURCES.get, names)):
-            if source != LOG:
-                if not self._longest_pause:
-                    self._start_s = time_s
-                self._longest_pause[source] = self._pause_until(source, time_s)
-            self._last_s[source] = time_s
+            if self._start_s is None and source != LOG:
+                self._start_s = time_s
+            self._seen[source] = self._longest_pause(source, time_s), time_s
 
     @property
     def is_blind(self) -> bool:
         """Return whether nothing was recorded that answers any question."""
-        return not self._last_s
+        return not self._seen
 
     def gaps(self) -> list[Gap]:
         """Return the questions that the recording can't answer, for all of it or for a time."""
         found = []
         for asks, sources in QUESTIONS.items():
-            pauses = [(self._pause_until(source, self._duration_s), source)
-                      for source in sources if source in self._last_s]
+            pauses = [(self._longest_pause(source, self._duration_s), source)
+                      for source in sources if source in self._seen]
             if not pauses:
                 found.append(Gap(asks, self._name(sources[0])))
                 continue
@@ -184,12 +176,12 @@ class Coverage:
                 found.append(Gap(asks, self._name(source), start_s, end_s))
         return found
 
-    def _pause_until(self, source, time_s):
-        """Return the longest time without a message of a source that was recorded, as its start and end."""
+    def _longest_pause(self, source, time_s):
+        """Return the longest time without a message of a source, up to a time, as its start and end."""
         if source == LOG:  # it is published only when there is something to report
             return 0.0, 0.0
-        newest, longest = (self._last_s.get(source, self._start_s), time_s), self._longest_pause.get(source, (0.0, 0.0))
-        return max(longest, newest, key=lambda pause: pause[1] - pause[0])
+        longest, last_s = self._seen.get(source, ((0.0, 0.0), self._start_s))
+        return max(longest, (last_s, time_s), key=lambda pause: pause[1] - pause[0])
 
     def _name(self, source):
         node, _, report = source.partition(": ")

@@ -1,13 +1,16 @@
-"""Follows how the car moved, by odometry and IMU: against what was sent and what was asked for, past what it saw."""
+"""Follows how the car moved, by odometry and IMU: against what was sent and what was asked for, past what it saw.
+
+A place in the plane is a complex number, x + yi in m: turned by an angle it is multiplied by a number of length 1.
+"""
 from __future__ import annotations
 
+import cmath
 import math
-from bisect import bisect_left
-from collections import deque
-from itertools import accumulate
+from collections import Counter, deque
+from statistics import median_low
 from typing import Any
 
-from car_interface.common.sources import DRIVE
+from car_interface.common.sources import DRIVE, PLANNER
 from car_interface.common.units import NS_PER_S, stamp_ns, yaw_rad
 from car_interface.tools.recordings.columns import (
     MAX_NUMBER,
@@ -46,24 +49,23 @@ class Bins:
     """Numbers counted in bins, for a median as exact as they are wide; the first and the last take what lies beyond."""
 
     def __init__(self, low: float, high: float, width: float):
-        self._low, self._width = low, width
-        self._counts = [0] * round((high - low) / width)
+        self._low, self._width, self._last = low, width, round((high - low) / width) - 1
+        self._counts: Counter = Counter()  # by the bin's index
 
     def add(self, number: float) -> None:
         """Add a finite number."""
-        self._counts[min(max(int((number - self._low) / self._width), 0), len(self._counts) - 1)] += 1
+        self._counts[min(max(int((number - self._low) / self._width), 0), self._last)] += 1
 
     @property
     def samples(self) -> int:
         """Return how many numbers there are."""
-        return sum(self._counts)
+        return sum(self._counts.values())
 
     def median(self) -> float | None:
         """Return the median, the middle of its bin; ``None`` with fewer than MIN_COMPARED."""
-        seen = list(accumulate(self._counts))
-        if seen[-1] < MIN_COMPARED:
+        if self.samples < MIN_COMPARED:
             return None
-        return self._low + (bisect_left(seen, seen[-1] / 2) + 0.5) * self._width
+        return self._low + (median_low(self._counts.elements()) + 0.5) * self._width
 
 
 class Following:
@@ -158,11 +160,11 @@ class AskedWatch:
 
     def expire(self, time_s: float) -> None:
         """Drop the request if it is stale, or its part that somebody else decides."""
-        holds = is_fresh(self._received_s, time_s) and \
-            self._drivers.planner_interface_obeys(DRIVE, time_s) is not False
-        if not holds or self._drivers.planner_steers(time_s) is False:
+        steering, throttle, planner = self._drivers
+        holds = is_fresh(self._received_s, time_s) and (planner is None or planner.obeyed_at(time_s) == DRIVE)
+        if not holds or steering is not None and steering.driver_at(time_s) != PLANNER:
             self._angle_rad, self.curvature_per_m = math.nan, None
-        if not holds or self._drivers.planner_drives(time_s) is False:
+        if not holds or throttle is not None and throttle.driver_at(time_s) != PLANNER:
             self._speed_mps = math.nan
 
     def compare_speed(self, time_s: float, speed_mps: float) -> None:
@@ -175,9 +177,9 @@ class PoseSpeed:
     """The speed of an odometry that sends poses alone."""
 
     def __init__(self):
-        self._poses: deque = deque()  # time, x, y, yaw of the last POSE_WINDOW_S, two at least
+        self._poses: deque = deque()  # time, place, yaw of the last POSE_WINDOW_S, two at least
 
-    def update(self, time_s: float, x_m: float, y_m: float, yaw: float) -> tuple[float, float]:
+    def update(self, time_s: float, place: complex, yaw: float) -> tuple[float, float]:
         """Take a pose.
 
         Returns:
@@ -185,18 +187,18 @@ class PoseSpeed:
             of that is, in s. NaN while the poses span less: noise would be too large a part of it.
         """
         poses = self._poses
-        if poses and (time_s < poses[-1][0] or math.hypot(x_m - poses[-1][1], y_m - poses[-1][2]) > JUMP_M):
+        if poses and (time_s < poses[-1][0] or abs(place - poses[-1][1]) > JUMP_M):
             poses.clear()
-        poses.append((time_s, x_m, y_m, yaw))
+        poses.append((time_s, place, yaw))
         while len(poses) > 1 and time_s - poses[1][0] >= POSE_WINDOW_S:
             poses.popleft()
-        begin_s, begin_x, begin_y, begin_yaw = poses[0]
-        span_s, dx, dy = time_s - begin_s, x_m - begin_x, y_m - begin_y
+        begin_s, begin, begin_yaw = poses[0]
+        span_s, step = time_s - begin_s, place - begin
         if span_s < POSE_WINDOW_S:
             return math.nan, 0.0
         heading = begin_yaw + math.remainder(yaw - begin_yaw, 2 * math.pi) / 2
         # By the length, not by its part along the heading: a body of motion capture may be turned against the car.
-        return math.copysign(math.hypot(dx, dy), dx * math.cos(heading) + dy * math.sin(heading)) / span_s, span_s / 2
+        return math.copysign(abs(step), (step * cmath.rect(1, -heading)).real) / span_s, span_s / 2
 
 
 class MotionWatch:
@@ -205,7 +207,7 @@ class MotionWatch:
     def __init__(self, traces: Traces, faults: FaultLog, steering: SteeringWatch, asked: AskedWatch,
                  drivers: Drivers, start_ns: int):
         self._traces, self._faults, self._steering, self._start_ns = traces, faults, steering, start_ns
-        self._asked, self._drivers = asked, drivers
+        self._asked, self._throttle = asked, drivers.throttle
         self._others_s = -math.inf  # when the throttle was last not the planner's
         self.path = Path()  # where the car was, by who steered
         self.distance_m = self.moving_s = 0.0  # how far, and how long it drove
@@ -217,52 +219,54 @@ class MotionWatch:
         self._turn_rate_radps: float | None = None  # in the last WINDOW_S, left positive; None = unknown
         self._has_twist = False  # until one isn't 0 the speed is the pose's: motion capture sends poses alone
         self._by_pose = PoseSpeed()
-        self._poses: deque = deque(maxlen=MAX_POSES)  # stamp in s, x, y, yaw
-        self._newest = None  # time, x, y, yaw
+        self._poses: deque = deque(maxlen=MAX_POSES)  # stamp in s, place, yaw
+        self._newest_s: float | None = None  # when the newest of them was recorded
 
     def on_odom(self, time_s: float, message: Any) -> None:
         """Take a nav_msgs/Odometry."""
-        position, yaw = message.pose.pose.position, yaw_rad(message.pose.pose.orientation)
-        speed, lag_s = message.twist.twist.linear.x, 0.0
-        if not all(abs(number) <= MAX_NUMBER for number in (position.x, position.y, yaw, speed)):  # nor of NaN
+        pose, speed, lag_s = message.pose.pose, message.twist.twist.linear.x, 0.0
+        place, yaw = complex(pose.position.x, pose.position.y), yaw_rad(pose.orientation)
+        if not all(abs(number) <= MAX_NUMBER for number in (place, yaw, speed)):  # nor of NaN
             return
         stamp = stamp_ns(message.header.stamp)
         stamp_s = (stamp - self._start_ns) / NS_PER_S if stamp else time_s
         self._has_twist = self._has_twist or has_twist(message)
         if not self._has_twist:
-            speed, lag_s = self._by_pose.update(stamp_s, position.x, position.y, yaw)
+            speed, lag_s = self._by_pose.update(stamp_s, place, yaw)
         for sender in (self._steering, self._asked):
             sender.expire(time_s)
-        if self._newest is not None:
-            self._move(time_s, position, yaw, speed)
-        self._newest = (time_s, position.x, position.y, yaw)
-        self._poses.append((stamp_s, position.x, position.y, yaw))
-        self.path.add(position.x, position.y, self._steering.driver)
+        if self._newest_s is not None:
+            self._move(time_s, place, yaw, speed)
+        self._newest_s = time_s
+        self._poses.append((stamp_s, place, yaw))
+        self.path.add(place, self._steering.driver)
         if math.isfinite(speed):
             self._traces["speed"].add(time_s - lag_s, speed)
             self._asked.compare_speed(time_s, speed)
             self._update_window(time_s, stamp_s, speed)
 
-    def pose_at(self, stamp_s: float) -> tuple[float, float, float] | None:
-        """Return (x, y, yaw) of the recent odometry that is nearest in time; ``None`` without any."""
+    def pose_at(self, stamp: Any) -> tuple[complex, float] | None:
+        """Return (place, yaw) of the recent odometry that is nearest to a stamp; ``None`` without any."""
+        stamp_s = (stamp_ns(stamp) - self._start_ns) / NS_PER_S
         nearest = min(self._poses, key=lambda pose: abs(pose[0] - stamp_s), default=None)
         return nearest and nearest[1:]
 
     def turn_rate_at(self, time_s: float) -> float | None:
         """Return the turn rate in rad/s, left positive; ``None`` = unknown, or odometry is silent."""
-        return self._turn_rate_radps if self._newest and 0 <= time_s - self._newest[0] <= MAX_GAP_S else None
+        is_silent = self._newest_s is None or not 0 <= time_s - self._newest_s <= MAX_GAP_S
+        return None if is_silent else self._turn_rate_radps
 
     def note(self, topic: str) -> str:
         """Return what the speed is by if not by the twist of odometry on a topic; empty: by that."""
         return "" if self._has_twist or not self.distance_m else f"{topic}: {POSE_ONLY}"
 
-    def _move(self, time_s, position, yaw, speed):
-        before_s, x, y, yaw_before = self._newest
-        step_m = math.hypot(position.x - x, position.y - y)
+    def _move(self, time_s, place, yaw, speed):
+        before_s, (_, before, yaw_before) = self._newest_s, self._poses[-1]
+        step_m = abs(place - before)
         if time_s - before_s > MAX_GAP_S:
-            self._faults.add(Fault(before_s, time_s, WARN, "odom", f"silent for {time_s - before_s:.2f} s"))
+            self._faults.add(Fault(before_s, WARN, "odom", f"silent for {time_s - before_s:.2f} s", time_s))
         if step_m > JUMP_M:
-            self._faults.add_moment(time_s, WARN, "odom", f"began anew: {step_m:.1f} m from where it was")
+            self._faults.add(Fault(time_s, WARN, "odom", f"began anew: {step_m:.1f} m from where it was"))
             self._window.clear()
             self.path.interrupt()
         else:
@@ -288,7 +292,7 @@ class MotionWatch:
         middle_s = time_s - span_s / 2
         acceleration_mps2 = _slope(window)
         self._traces["acceleration"].add(middle_s, acceleration_mps2)
-        if not self._drivers.planner_drives(time_s):
+        if self._throttle is None or self._throttle.driver_at(time_s) != PLANNER:
             self._others_s = time_s
         elif self._others_s < time_s - span_s:
             self.accelerating.add(time_s - span_s, time_s, acceleration_mps2, speed)
@@ -317,7 +321,8 @@ class ImuWatch:
     """Follows sensor_msgs/Imu: how fast the car turned, beside its odometry."""
 
     def __init__(self, traces: Traces, motion: MotionWatch):
-        self._traces, self._motion, self._gravity = traces, motion, Gravity()
+        self._traces, self._motion = traces, motion
+        self.gravity = Gravity()  # shows how it is mounted
         self.ratios = Bins(*RATIOS)  # odometry's turn rate to the IMU's
         self._rate_radps, self._last_s = 0.0, math.nan
 
@@ -326,7 +331,7 @@ class ImuWatch:
         rate_radps, acceleration = message.angular_velocity.z, message.linear_acceleration
         if not math.isfinite(rate_radps):
             return
-        self._gravity.add(acceleration.x, acceleration.y, acceleration.z)
+        self.gravity.add(acceleration.x, acceleration.y, acceleration.z)
         self._traces["imu turn rate"].add(time_s, rate_radps)
         step_s = time_s - self._last_s
         weight = 1 - math.exp(-step_s / LAG_S) if 0 <= step_s < 1 else 1.0
@@ -335,26 +340,22 @@ class ImuWatch:
         if by_odometry_radps is not None and abs(self._rate_radps) > MIN_RATE_RADPS:
             self.ratios.add(by_odometry_radps / self._rate_radps)
 
-    def note(self, topic: str) -> str:
-        """Return what is wrong with its mounting; empty: nothing."""
-        return self._gravity.note(topic)
-
 
 class SonarWatch:
     """Follows the sonars' ranges and /tf_static: where they saw something, in odometry's frame."""
 
-    def __init__(self, motion: MotionWatch, start_ns: int):
-        self._motion, self._start_ns = motion, start_ns
+    def __init__(self, motion: MotionWatch):
+        self._motion = motion
         self.echoes = Spots()
         self.nearest_m, self.nearest_s, self.nearest_sonar = math.inf, math.nan, ""  # the shortest range; inf = none
         self.frames_without_mount: set = set()  # of sonars whose place on the car wasn't recorded
-        self._mounts: dict = {}  # (x, y, yaw) on the car by frame
+        self._mounts: dict = {}  # (place, yaw) on the car by frame
 
     def on_static_tf(self, time_s: float, message: Any) -> None:
         """Take a tf2_msgs/TFMessage."""
         for transform in message.transforms:
             place, rotation = transform.transform.translation, transform.transform.rotation
-            self._mounts[transform.child_frame_id] = (place.x, place.y, yaw_rad(rotation))
+            self._mounts[transform.child_frame_id] = complex(place.x, place.y), yaw_rad(rotation)
 
     def on_range(self, time_s: float, message: Any, topic: str) -> None:
         """Take a sensor_msgs/Range."""
@@ -363,15 +364,9 @@ class SonarWatch:
             return
         if range_m < self.nearest_m:
             self.nearest_m, self.nearest_s, self.nearest_sonar = range_m, time_s, topic.rsplit("/", 1)[-1]
-        mount = self._mounts.get(message.header.frame_id)
+        mount, pose = self._mounts.get(message.header.frame_id), self._motion.pose_at(message.header.stamp)
         if mount is None:
             self.frames_without_mount.add(message.header.frame_id)
-            return
-        pose = self._motion.pose_at((stamp_ns(message.header.stamp) - self._start_ns) / NS_PER_S)
-        if pose is None:
-            return
-        x, y, yaw = pose
-        ahead_m = mount[0] + range_m * math.cos(mount[2])
-        left_m = mount[1] + range_m * math.sin(mount[2])
-        self.echoes.add(x + ahead_m * math.cos(yaw) - left_m * math.sin(yaw),
-                        y + ahead_m * math.sin(yaw) + left_m * math.cos(yaw))
+        elif pose is not None:
+            (place, yaw), (ahead, mount_yaw) = pose, mount
+            self.echoes.add(place + cmath.rect(1, yaw) * (ahead + cmath.rect(range_m, mount_yaw)))

@@ -6,9 +6,8 @@ import math
 from car_interface.common.sources import PLANNER, TELEOP
 from car_interface.tools.report.downsample import Trace
 from car_interface.tools.report.faults import ERROR, WARN
-from car_interface.tools.report.figures import DRIVER_COLOURS, DRIVER_NAMES
 from car_interface.tools.report.html import counted, moment_text, ratio_text, render, span_text, times_text
-from car_interface.tools.report.states import UNKNOWN_DRIVER
+from car_interface.tools.report.plots import DRIVER_COLOURS, DRIVER_NAMES
 from car_interface.tools.report.summary import RANGES, Summary
 
 # What the page shows, as far as it was recorded; the sonars' topics are one here.
@@ -24,15 +23,14 @@ def page(drive: Summary, plots: dict[str, str]) -> str:
     name = drive.path.rstrip("/").rsplit("/", 1)[-1]
     lines = [*_steering_lines(drive.steering), *_motion_lines(drive), *_asked_lines(drive), *_teensy_lines(drive)]
     has_sonars = not drive.present.isdisjoint(RANGES)
-    by_tables = [] if drive.calibration else _known_ratios(drive.motion.by_tables)  # it drove by the table before
-    wrong_sides = [(side, _ratio_text(ratio)) for side, ratio in by_tables if abs(ratio - 1) > WRONG_RATIO]
+    wrong_sides = [] if drive.calibration else _turns(drive.motion.by_tables, least=WRONG_RATIO)
     return render(
         "drive.html", title=f"Drive: {name}", name=name, drive=drive, plots=plots, figures=_figures(drive), lines=lines,
         who_drove=_who_drove(drive.steering.source_s), wrong_sides=wrong_sides, gaps=drive.coverage.gaps(),
-        errors=sum(fault.level == ERROR for fault in drive.faults.entries), warn=WARN, reasons=_reasons,
+        errors=sum(fault.level == ERROR for fault in drive.faults.entries), warn=WARN,
         absent=[topic for topic in TOPICS if topic not in drive.present] + ["sonar/*"] * (not has_sonars),
         has_sonars=has_sonars, left_out=_left_out(drive, plots),
-        driver_names=DRIVER_NAMES, driver_colours=DRIVER_COLOURS, unknown_driver=UNKNOWN_DRIVER, old=OLD,
+        driver_names=DRIVER_NAMES, driver_colours=DRIVER_COLOURS, old=OLD,
         moment=lambda time_s: moment_text(time_s, drive.duration_s))
 
 
@@ -73,20 +71,16 @@ def _who_drove(source_s):
     return text[0].upper() + text[1:]
 
 
-def _reasons(stops):
-    return [stop.cause or stop.reason for stop in stops]
-
-
 def _steering_lines(steering):
     """Yield lines of the table at the top: name, and text."""
     episodes = steering.episodes
     if not episodes:
         return
     total = sum(steering.source_s.values()) or 1
-    yield "Who drove", ", ".join(f"{DRIVER_NAMES.get(source, source)} {seconds / total:.0%}"
+    yield "Who drove", ", ".join(f"{DRIVER_NAMES[source]} {seconds / total:.0%}"
                                  for source, seconds in steering.source_s.most_common())
     stops = steering.stops()
-    yield "Went neutral", times_text(len(stops)) + (f": {counted(_reasons(stops))}" if stops else "")
+    yield "Went neutral", times_text(len(stops)) + (f": {counted(stop.why for stop in stops)}" if stops else "")
 
 
 def _motion_lines(drive):
@@ -99,10 +93,11 @@ def _motion_lines(drive):
         yield "Acceleration", range_text(traces["acceleration"], "m/s²")
     if traces["battery voltage"].count:
         yield "Battery", range_text(traces["battery voltage"], "V")
-    ratios = [f"{side} {_ratio_text(ratio)}" for side, ratio in _known_ratios(motion.by_tables)]
-    if ratios and not drive.calibration:
-        yield "Slow turns against the tables", "; ".join(ratios)
-    by_imu = None if drive.imu.note("") else drive.imu.ratios.median()  # mounted on its side it measures no turn
+    turns = [] if drive.calibration else _turns(motion.by_tables)  # it drove by the table before
+    if turns:
+        yield "Slow turns against the tables", "; ".join(map(" ".join, turns))
+    # Mounted on its side an IMU measures no turn.
+    by_imu = None if drive.imu.gravity.note("") else drive.imu.ratios.median()
     if by_imu is not None:
         yield "Turned by odometry", ratio_text(by_imu, "the IMU says", "more", "less")
     if math.isfinite(sonars.nearest_m):
@@ -133,25 +128,20 @@ def _asked_lines(drive):
     ratio = drive.asked.speed_ratios.median()
     if ratio is not None:
         yield "Speed against what was asked", ratio_text(ratio, "asked", "faster", "slower")
+    turns = _turns(drive.motion.by_planner, "asked")
     if drive.asked.wheelbase_m is None:
         yield "Turned against what was asked", "can't tell: which curve an angle asks for needs --wheelbase"
-    else:
-        ratios = [f"{side} {_ratio_text(ratio, 'asked')}" for side, ratio in _known_ratios(drive.motion.by_planner)]
-        if ratios:
-            yield "Turned against what was asked", "; ".join(ratios)
+    elif turns:
+        yield "Turned against what was asked", "; ".join(map(" ".join, turns))
 
 
-def _known_ratios(following):
-    """Return (side, median ratio of the driven to the sent curvature) for sides with enough samples."""
+def _turns(following, wanted="the tables say", least=0.0):
+    """Return sides with enough samples, and their radius against the wanted one in words, if it differs so much."""
     ratios = ("left", following.left.median()), ("right", following.right.median())
-    return [(side, ratio) for side, ratio in ratios if ratio is not None]
+    return [(side, ratio_text(1 / ratio, wanted, "wider", "tighter")) for side, ratio in ratios
+            if ratio is not None and abs(ratio - 1) >= least]
 
 
 def range_text(trace: Trace, unit: str) -> str:
     """Return the range of a trace's samples with its unit."""
     return f"{round(trace.minimum, 2) + 0.0:.2f} to {round(trace.maximum, 2) + 0.0:.2f} {unit}"  # + 0.0: no "-0.00"
-
-
-def _ratio_text(ratio, wanted="the tables say"):
-    """Return a ratio of curvatures in words, for the radius."""
-    return ratio_text(1 / ratio, wanted, "wider", "tighter")

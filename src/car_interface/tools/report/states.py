@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import Any, Collection, NamedTuple
+from typing import Any, NamedTuple
 
 from car_interface.common import causes
 from car_interface.common.sources import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, TELEOP
@@ -16,8 +16,9 @@ from car_interface.steering.arbiter import SteeringArbiterConfig
 from car_interface.tools.report.downsample import Traces
 from car_interface.tools.report.faults import ERROR, MAX_ENTRIES, WARN, Fault, FaultLog
 
+DRIVERS = (LOCKED, NO_HUMAN, NEUTRAL, TELEOP, PLANNER)
 UNKNOWN_DRIVER = -1
-STEERING_CHANNEL = 0  # as config/turn_arb.yaml has it
+STEERING_CHANNEL = 0  # as config/turn_arb.yaml has it: where turn_arb's state says none, or was not recorded
 NEVER_AFTER_S = 5.0  # a gamepad that sends nothing for so long from the start on is missing
 APART_S = 1.0  # a release may be recorded so long before or after turn_arb's state that follows it, on a busy computer
 USUAL = ("NEUTRAL", "FORWARD")  # states of the ESC that come and go with the stick: they end no episode
@@ -45,9 +46,14 @@ class Episode(NamedTuple):
     node: str  # whose state it is
     cause: str  # a constant of common.causes
     reason: str  # in words, at its start
-    source: int = UNKNOWN_DRIVER  # who drives, a value of SteeringState.source or ThrottleState.source
+    source: int = UNKNOWN_DRIVER  # who drives, else one of DRIVERS
     esc: str = ""  # the ESC's state; empty = one of USUAL
     esc_cause: str = ""
+
+    @property
+    def why(self) -> str:
+        """Return its cause, the reason where a state gives none."""
+        return self.cause or self.reason
 
     def goes_on(self, later: Episode) -> bool:
         """Return whether the state that begins a later episode is this one's, whatever its reason."""
@@ -55,7 +61,7 @@ class Episode(NamedTuple):
 
     def fault(self, level: int) -> Fault:
         """Return it as a fault."""
-        return Fault(self.start_s, self.end_s, level, self.node, self.reason)
+        return Fault(self.start_s, level, self.node, self.reason, self.end_s)
 
 
 class Episodes:
@@ -84,18 +90,16 @@ class Episodes:
 
     def _update(self, time_s: float, message: Any, reason: str = "", source: int = UNKNOWN_DRIVER, *esc: str) -> None:
         """Take a state: the episode goes on, or another one begins."""
-        self.driver, self._state_s = source, time_s
-        begun = Episode(time_s, math.inf, self.node, message.cause, reason or message.reason, source, *esc)
+        self.driver, self._state_s = source if source in DRIVERS else UNKNOWN_DRIVER, time_s
+        begun = Episode(time_s, math.inf, self.node, message.cause, reason or message.reason, self.driver, *esc)
         if self._current is None or not self._current.goes_on(begun):
             self._end(time_s)
             self._current = begun
 
     def _end(self, time_s):
-        if self._current is not None:
-            self._keep(self._judge(self._current._replace(end_s=time_s)))
-        self._current = None
-
-    def _keep(self, ended):
+        if self._current is None:
+            return
+        ended, self._current = self._judge(self._current._replace(end_s=time_s)), None
         if len(self.episodes) < MAX_ENTRIES:
             self.episodes.append(ended)
         else:
@@ -163,23 +167,19 @@ class SteeringWatch(Episodes):
         self._gamepad = gamepad
         self.source_s: Counter = Counter()  # seconds by source
         self.duties = Traces(traces.duration_s)  # by channel, of those that were ever driven
-        self.steering_channel: int | None = None  # that follows turn_arb's duty; None = unknown
+        self.steering_channel = STEERING_CHANNEL  # that carries turn_arb's duty
         self.curvature_per_m: float | None = None  # sent by turn_arb now, left positive; None = unknown
         self.unchanged_since_s = 0.0  # when turn_arb's duty last changed by a step of the board
-        self._steady_duty = None  # since then
-        self._duty = None  # of the newest state
-        self.driven_from_s = math.inf  # when somebody first drove
-        self._matches: Counter = Counter()  # by channel: how often its output was turn_arb's duty
+        self._steady_duty = math.nan  # since then
 
     def on_state(self, time_s: float, message: Any) -> None:
         """Take a car_interface/SteeringState."""
         self.curvature_per_m = 1 / message.turn_radius if message.turn_radius else math.nan
         self._traces["sent curvature"].add(time_s, self.curvature_per_m)
         # Understeer moves the duty a little with the speed.
-        if (self._steady_duty is None or abs(message.duty - self._steady_duty) >= DUTY_PER_COUNT
-                or not is_fresh(self._state_s, time_s)):
+        if not (abs(message.duty - self._steady_duty) < DUTY_PER_COUNT and is_fresh(self._state_s, time_s)):
             self._steady_duty, self.unchanged_since_s = message.duty, time_s
-        self._duty = message.duty
+        self.steering_channel = getattr(message, "channel", STEERING_CHANNEL)
         self._update(time_s, message, source=message.source)
 
     def expire(self, time_s: float) -> None:
@@ -190,8 +190,6 @@ class SteeringWatch(Episodes):
     def on_output(self, time_s: float, message: Any) -> None:
         """Take the std_msgs/Int32MultiArray of /servo/output."""
         for channel, duty in enumerate(message.data):
-            if self._duty is not None and abs(duty - self._duty) <= DUTY_PER_COUNT:
-                self._matches[channel] += 1
             if duty > 0 or channel in self.duties:
                 self.duties[channel].add(time_s, duty)
 
@@ -204,15 +202,9 @@ class SteeringWatch(Episodes):
         """Return those of the stops at which something was lost or locked."""
         return [stop for stop in self.stops() if stop.source == LOCKED or stop.cause in causes.LOSSES]
 
-    def finish(self) -> None:
-        """End the last episode, and find the steering channel."""
-        super().finish()
-        self.driven_from_s = min((one.start_s for one in self.episodes if one.source in (TELEOP, PLANNER)),
-                                 default=math.inf)
-        if self._matches:
-            self.steering_channel = self._matches.most_common(1)[0][0]
-        elif STEERING_CHANNEL in self.duties:  # turn_arb's state was not recorded
-            self.steering_channel = STEERING_CHANNEL
+    def driven_from_s(self) -> float:
+        """Return when somebody first drove; inf = never."""
+        return min((one.start_s for one in self.episodes if one.source in (TELEOP, PLANNER)), default=math.inf)
 
     def _judge(self, ended):
         loss = self._gamepad.loss_at(ended.start_s) if ended.cause == causes.HUMAN_ABSENT else None
@@ -284,27 +276,12 @@ class PlannerWatch(Episodes):
         return ended
 
 
-class Drivers:
-    """Who has the car, as far as the states among the recorded topics show."""
+class Drivers(NamedTuple):
+    """The watches that show who has the car; ``None``: no state was recorded that shows it."""
 
-    def __init__(self, steering: SteeringWatch, throttle: ThrottleWatch, planner: PlannerWatch,
-                 present: Collection[str]):
-        self._planner = planner if "planner_interface/state" in present else None
-        # Where one of them wasn't recorded, the other's stands for both: before throttle_arb who steered drove, too.
-        known = [watch for watch in (steering, throttle) if f"{watch.node}/state" in present] or [None]
-        self._steering, self._throttle = known[0], known[-1]
-
-    def planner_steers(self, time_s: float) -> bool | None:
-        """Return whether the planner steers; ``None``: no state was recorded that shows it."""
-        return None if self._steering is None else self._steering.driver_at(time_s) == PLANNER
-
-    def planner_drives(self, time_s: float) -> bool | None:
-        """Return whether the throttle is the planner's; ``None``: no state was recorded that shows it."""
-        return None if self._throttle is None else self._throttle.driver_at(time_s) == PLANNER
-
-    def planner_interface_obeys(self, source: str, time_s: float) -> bool | None:
-        """Return whether planner_interface obeys a source, such as ``drive``; ``None``: its state wasn't recorded."""
-        return None if self._planner is None else self._planner.obeyed_at(time_s) == source
+    steering: Episodes | None
+    throttle: Episodes | None
+    planner: PlannerWatch | None  # which source is obeyed
 
 
 class LimitsWatch:
@@ -357,7 +334,7 @@ class TeensyWatch:
                 self._traces["bad frames"].add(time_s, (message.bad_frames - before.bad_frames) / span_s)
             for name, what in (("reconnects", "the port was opened again"), ("reboots", "the Teensy started anew")):
                 if getattr(message, name) > getattr(before, name):
-                    self._faults.add_moment(time_s, WARN, "Teensy", what)
+                    self._faults.add(Fault(time_s, WARN, "Teensy", what))
         if before is None or span_s > MIN_SPAN_S:
             self.link, self._link_s = message, time_s
         what = ". ".join(filter(None, (message.words, message.next_step)))
@@ -376,7 +353,7 @@ class TeensyWatch:
         offset_ns, before_ns = stamp_ns(message.stamp) - message.received, self._monotonic_offset_ns
         step_s = 0.0 if before_ns is None else (offset_ns - before_ns) / NS_PER_S
         if abs(step_s) > CLOCK_SET_S:
-            self._faults.add_moment(time_s, WARN, "computer", f"its clock was set by {step_s:+.3f} s")
+            self._faults.add(Fault(time_s, WARN, "computer", f"its clock was set by {step_s:+.3f} s"))
         self._monotonic_offset_ns = offset_ns
 
     def on_error(self, time_s: float, message: Any) -> None:

@@ -16,7 +16,6 @@ from car_interface.tools.recordings.recording import (
     Contents,
     NoRecording,
     absolute_names,
-    check_types,
     contents,
     other_version,
     prefix,
@@ -25,7 +24,7 @@ from car_interface.tools.recordings.recording import (
 )
 from car_interface.tools.recordings.roles import find, other_cars
 from car_interface.tools.report.downsample import Traces
-from car_interface.tools.report.faults import WARN, Coverage, FaultLog, NodeReports
+from car_interface.tools.report.faults import WARN, Coverage, Fault, FaultLog, NodeReports
 from car_interface.tools.report.motion import AskedWatch, ImuWatch, MotionWatch, SonarWatch
 from car_interface.tools.report.states import (
     Drivers,
@@ -48,8 +47,8 @@ ROLES = {
     roles.MOTOR: "on_motor",
 }
 TOPICS = {  # without a role: their types, and the same
-    "turn_arb/state": ("car_interface/SteeringState", "on_steering"),
-    "throttle_arb/state": (roles.THROTTLE_STATE["throttle_arb/state"], "on_throttle"),
+    "turn_arb/state": ("car_interface/SteeringState", "steering.on_state"),
+    "throttle_arb/state": (roles.THROTTLE_STATE["throttle_arb/state"], "throttle.on_state"),
     "planner_interface/state": ("car_interface/PlannerState", "planner.on_state"),
     "teleop_logi/state": ("car_interface/TeleopState", "gamepad.on_state"),
     "/tf_static": ("tf2_msgs/TFMessage", "sonars.on_static_tf"),
@@ -60,11 +59,10 @@ TOPICS = {  # without a role: their types, and the same
     "/diagnostics": ("diagnostic_msgs/DiagnosticArray", "reports.on_diagnostics"),
     "/rosout": (("rosgraph_msgs/Log", "rcl_interfaces/Log"), "reports.on_log"),
 }
-ROLE_OF = {role.topics[0]: role for role in ROLES}
 # A topic with the name of one of these may be something else: it is not read then.
 MAY_BE_OTHERS = (roles.IMU, roles.ACKERMANN, roles.BATTERY, roles.VESC, roles.SERVO, roles.MOTOR)
-TYPES = {**{role.topics[0]: role.types for role in ROLES}, **{topic: types for topic, (types, _) in TOPICS.items()},
-         **dict.fromkeys(RANGES, "sensor_msgs/Range")}
+READS = {**{role.topics[0]: (role.types, name) for role, name in ROLES.items()}, **TOPICS,
+         **dict.fromkeys(RANGES, ("sensor_msgs/Range", "sonars.on_range"))}
 NEEDED = ("odom", "turn_arb/state", "/servo/output")  # at least one of them
 
 
@@ -73,7 +71,7 @@ class Summary:
 
     Args:
         recorded: the recording's contents.
-        present: those of TYPES that were recorded.
+        present: those of READS that were recorded.
         wheelbase_m: by which an asked steering angle is a curvature; ``None`` = unknown.
     """
 
@@ -82,6 +80,7 @@ class Summary:
         self.start_ns = recorded.start_ns  # ROS time of the first message
         self.duration_s = (recorded.end_ns - recorded.start_ns) / NS_PER_S
         self.topics, self.present = recorded.topics, present
+        self.steps_back = 0  # how often its clock was set back
         self.notes: list = []  # a line for each topic that was named, guessed or not found, or is odd
         self.calibration: CalibrationResult | None = None  # of a calibration drive, which drove by the table before
         self.traces, self.faults = Traces(self.duration_s), FaultLog()
@@ -89,43 +88,37 @@ class Summary:
         found = self.traces, self.faults
         self.gamepad, self.throttle, self.planner = GamepadWatch(*found), ThrottleWatch(*found), PlannerWatch(*found)
         self.steering, self.limits = SteeringWatch(*found, self.gamepad), LimitsWatch()
-        drivers = Drivers(self.steering, self.throttle, self.planner, present)
+        # Where one state wasn't recorded, the other's stands for both: before throttle_arb who steered drove, too.
+        steering, throttle, planner = (watch if f"{watch.node}/state" in present else None
+                                       for watch in (self.steering, self.throttle, self.planner))
+        drivers = Drivers(steering or throttle, throttle or steering, planner)
         self.asked = AskedWatch(self.traces, wheelbase_m, drivers)
         self.motion = MotionWatch(*found, self.steering, self.asked, drivers, self.start_ns)
-        self.imu, self.sonars = ImuWatch(self.traces, self.motion), SonarWatch(self.motion, self.start_ns)
+        self.imu, self.sonars = ImuWatch(self.traces, self.motion), SonarWatch(self.motion)
         self.teensy = TeensyWatch(*found)
-        log_type = next((topic.type for name, topic in self.topics.items() if name.lstrip("/") == "rosout"), "")
-        self.reports = NodeReports(self.faults, present, log_type)
+        self.reports = NodeReports(self.faults, present)
 
     def handlers(self) -> dict:
-        """Return a function of time in s and message for each of TYPES."""
-        names = {**{role.topics[0]: name for role, name in ROLES.items()},
-                 **{topic: name for topic, (_, name) in TOPICS.items()}}
-        return {**{topic: attrgetter(name)(self) for topic, name in names.items()},
-                **{topic: partial(self.sonars.on_range, topic=topic) for topic in RANGES}}
+        """Return functions of time in s and message for each of READS."""
+        found = {topic: [attrgetter(name)(self)] for topic, (_, name) in READS.items()}
+        for topic in RANGES:
+            found[topic] = [partial(self.sonars.on_range, topic=topic)]
+        for node in (self.steering.node, self.throttle.node):
+            found[f"{node}/state"].append(partial(self.limits.on_state, node=node))
+        return found
 
-    def finish(self, steps_back: int) -> None:
-        """End what lasts, and drop what is no fault of this drive; ``steps_back``: how often its clock was set back."""
-        if steps_back:
-            times = "once" if steps_back == 1 else f"{steps_back} times"
-            self.faults.add_moment(0.0, WARN, "recording", f"its time went back {times}: the clock was set")
+    def finish(self) -> None:
+        """End what lasts, and drop what is no fault of this drive."""
+        if self.steps_back:
+            times = "once" if self.steps_back == 1 else f"{self.steps_back} times"
+            self.faults.add(Fault(0.0, WARN, "recording", f"its time went back {times}: the clock was set"))
         for watch in (self.steering, self.throttle, self.planner, self.limits, self.gamepad):
             watch.finish()
         self.faults.dropped += self.steering.dropped + self.throttle.dropped
-        self.faults.finish(self.steering.driven_from_s)
+        self.faults.finish(self.steering.driven_from_s())
         if self.calibration is not None:  # its table is to be replaced, and it keeps room to coast in
             self.faults.entries[:] = [fault for fault in self.faults.entries if not (
                 UNCALIBRATED in fault.what or fault.what.startswith(NO_BRAKE))]
-
-    def on_steering(self, time_s: float, message: Any) -> None:
-        """Take a car_interface/SteeringState."""
-        self.steering.on_state(time_s, message)
-        self.limits.on_state(time_s, message, self.steering.node)
-
-    def on_throttle(self, time_s: float, message: Any) -> None:
-        """Take a car_interface/ThrottleState."""
-        self.throttle.on_state(time_s, message)
-        self.limits.on_state(time_s, message, self.throttle.node)
 
     def on_number(self, trace: str, time_s: float, message: Any) -> None:
         """Take a message with a number."""
@@ -150,13 +143,11 @@ class Summary:
         if "generic/output/value" not in self.present:
             self.on_number("value", time_s, message)
         if "battery_state" not in self.present:
-            self._add_voltage(time_s, vesc_number(message, VOLTAGE))
+            self.on_battery(time_s, message)
 
     def on_battery(self, time_s: float, message: Any) -> None:
-        """Take a sensor_msgs/BatteryState."""
-        self._add_voltage(time_s, message.voltage)
-
-    def _add_voltage(self, time_s, voltage_v):
+        """Take a sensor_msgs/BatteryState, or a VESC's telemetry."""
+        voltage_v = vesc_number(message, VOLTAGE) if hasattr(message, "state") else message.voltage
         if voltage_v > 0:  # 0 and NaN: it isn't measured
             self.traces["battery voltage"].add(time_s, voltage_v)
 
@@ -183,34 +174,36 @@ def summarize(path: str, namespace: str = "/", wheelbase_m: float | None = None,
     has = contents(path)
     given = {name: topic for name, topic in topics.items() if topic is not None}
     if given:
-        named = {given[role.name]: role.types for role in ROLES if role.name in given}
-        require(path, named, namespace)
-        check_types(path, named, namespace)
-    found = {role.topics[0]: find(has.topics, role, namespace, given) for role in ROLES}
-    keys = {found[name].topic if name in found else name: name for name in TYPES
-            if name not in found or ROLE_OF[name].name in given
-            or (found[name].fits if ROLE_OF[name] in MAY_BE_OTHERS else found[name].is_there)}
-    types = {topic: TYPES[name] for topic, name in keys.items()}
+        require(path, {given[role.name]: role.types for role in ROLES if role.name in given}, namespace)
+    found = {role: find(has.topics, role, namespace, given) for role in ROLES}
+    keys = {**{one.topic: role.topics[0] for role, one in found.items()
+               if role.name in given or (one.fits if role in MAY_BE_OTHERS else one.is_there)},
+            **{topic: topic for topic in (*TOPICS, *RANGES)}}
+    types = {topic: READS[name][0] for topic, name in keys.items()}
     with_messages = {name: topic for name, topic in has.topics.items() if topic.count}
     names = absolute_names(with_messages, types, namespace)
     below = prefix(namespace)  # an absolute name may be another car's
     if not any(keys[requested] in NEEDED and name.startswith(below) for name, requested in names.items()):
-        odom = found["odom"]
+        odom = found[roles.ODOM]
         raise NoRecording(f"{path} has no message of {odom.topic}, turn_arb/state or /servo/output"
                           + _elsewhere(with_messages, namespace, odom.note))
     summary = Summary(path, namespace, has, {keys[name] for name in names.values()}, wheelbase_m)
     summary.notes += [f"{name}: {topic} (as you say)" for name, topic in given.items()]
     summary.notes += [one.note for one in found.values() if one.note]
-    handlers = summary.handlers()
+    handlers, before_ns = summary.handlers(), 0
     for recorded in read(path, types, namespace, progress):
         key, time_s = keys[recorded.topic], (recorded.time_ns - summary.start_ns) / NS_PER_S
+        summary.steps_back += before_ns - recorded.time_ns > NS_PER_S
+        before_ns = recorded.time_ns
         try:
             summary.coverage.update(time_s, key, recorded.message)
-            handlers[key](time_s, recorded.message)
+            for handler in handlers[key]:
+                handler(time_s, recorded.message)
         except AttributeError as error:
             raise other_version(path, recorded) from error
-    summary.finish(has.steps_back)
-    summary.notes += filter(None, [summary.motion.note(found["odom"].topic), summary.imu.note(found["imu/data"].topic)])
+    summary.finish()
+    summary.notes += filter(None, [summary.motion.note(found[roles.ODOM].topic),
+                                   summary.imu.gravity.note(found[roles.IMU].topic)])
     return summary
 
 

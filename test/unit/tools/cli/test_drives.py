@@ -11,7 +11,6 @@ from browser import Browser, find_browser
 from car_interface.common import causes
 from car_interface.common.black_box_folder import store
 from car_interface.tools.cli import drives
-from car_interface.tools.cli.drives_cache import NAME
 from car_interface.tools.cli.main import main
 from written_recordings import drive, odometry, write_ros1, write_ros2
 
@@ -106,7 +105,7 @@ def test_second_run_reads_only_what_is_new_or_has_changed(folder, read, capsys):
         assert run(folder, *options) == 0 and len(read) == 3
     shutil.rmtree(os.path.join(folder, "day"))
     assert run(folder) == 0
-    kept = json.loads(Path(folder, NAME).read_text(encoding="ascii").split("\n")[1])["rows"]
+    kept = json.loads(Path(folder, drives.CACHE).read_text(encoding="ascii").split("\n")[1])["rows"]
     assert sorted(kept) == ["drive.bag", "new.bag"]
 
 

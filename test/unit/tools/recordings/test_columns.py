@@ -188,7 +188,7 @@ def test_times_count_from_the_first_message_and_a_small_step_back_is_no_set_cloc
     timeline = Timeline()
     times_s = [0.0, 0.5, 2.0, 1.5]
     assert [timeline.recorded_s(START_NS + round(t * NS_PER_S)) for t in times_s] == times_s
-    assert (timeline.start_ns, timeline.last_s, timeline.notes()) == (START_NS, 2.0, ())
+    assert (timeline.start_ns, timeline.last_s, timeline.notes) == (START_NS, 2.0, [])
     assert timeline.stamped_s(START_NS + NS_PER_S) == 1.0
 
 

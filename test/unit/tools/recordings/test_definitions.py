@@ -5,8 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from car_interface.tools.recordings.definitions import EQUIVALENTS, IDL_RULE, UnknownType, decoder, known_types
-from car_interface.tools.recordings.recording import read
+from car_interface.tools.recordings.recording import EQUIVALENTS, IDL_RULE, UnknownType, decoder, known_types, read
 from written_recordings import Written, write_ros2
 
 ROOT = Path(__file__).resolve().parents[4]

@@ -4,7 +4,7 @@ import math
 import pytest
 
 from car_interface.tools.recordings.calibration_result import CalibrationResult, SideRow, parsed
-from car_interface.tools.report.drives_row import row
+from car_interface.tools.report.drives import row
 from car_interface.tools.report.faults import OK, WARN
 from car_interface.tools.report.page import page
 from car_interface.tools.report.plots import plots

@@ -1,4 +1,5 @@
 """Curves, paths and places of any length are kept in bounded memory."""
+import cmath
 import math
 
 import numpy as np
@@ -32,30 +33,31 @@ def test_trace_breaks_where_nothing_came():
 def test_path_of_any_length_keeps_few_points_and_its_shape():
     path = Path(step_m=0.01, max_points=500)
     for step in range(100_000):
-        path.add(math.cos(step / 1000) * (1 + step / 1e5), math.sin(step / 1000), 3)
-    assert 200 < len(path.x_m) <= 500 and max(path.x_m) > 1.9
+        path.add(complex(math.cos(step / 1000) * (1 + step / 1e5), math.sin(step / 1000)), 3)
+    assert 200 < len(path.places) <= 500 and max(place.real for place in path.places) > 1.9
 
 
 def test_path_that_is_interrupted_stays_so_however_often_it_is_thinned():
     path = Path(step_m=0.01, max_points=100)
     for step in range(1000):
-        path.add(step / 50, 0.0, 3)
+        path.add(step / 50 + 0j, 3)
         if step == 33:
             path.interrupt()
-    assert [math.isnan(x_m) for x_m in path.x_m].count(True) == 1 and len(path.x_m) <= 100
+    gaps = [place for place in path.places if cmath.isnan(place)]
+    assert len(gaps) == 1 and math.isnan(gaps[0].real) and math.isnan(gaps[0].imag) and len(path.places) <= 100
 
 
 def test_path_keeps_each_change_of_driver():
     path = Path()
     for step, kind in enumerate((1, 1, 3, 3, 4)):
-        path.add(step / 1e4, 0.0, kind)
-    assert list(path.kinds) == [1, 3, 4]
+        path.add(step / 1e4 + 0j, kind)
+    assert path.kinds == [1, 3, 4]
 
 
 def test_spots_without_end_keep_few_cells_within_half_of_their_width():
     spots = Spots(cell_m=0.01, max_cells=300)
     random = np.random.default_rng(1)
     for x_m, y_m in random.uniform(-3, 3, size=(5000, 2)):
-        spots.add(x_m, y_m)
-    x_m, y_m = spots.places()
-    assert len(x_m) <= 300 and spots.count == 5000 and np.abs(x_m).max() <= 3 + spots.cell_m
+        spots.add(complex(x_m, y_m))
+    places = spots.places()
+    assert len(places) <= 300 and spots.count == 5000 and np.abs(places.real).max() <= 3 + spots.cell_m

@@ -6,8 +6,7 @@ import re
 
 import pytest
 
-from car_interface.tools.report.drives_page import CSV_COLUMNS, csv_text, in_order, page
-from car_interface.tools.report.drives_row import Row
+from car_interface.tools.report.drives import CSV_COLUMNS, Row, csv_text, in_order, page
 from written_recordings import START_NS
 
 DAY_NS = 86_400_000_000_000
@@ -22,7 +21,7 @@ BAD = Row("<c>.bag", error="c.bag can't be read as a recording: it is no bag")
 
 def shown(*rows):
     """The rows of the page's table, as their reader sees them."""
-    text = page("drives", rows, "")
+    text = page("drives", rows, "", {})
     text = text[text.index('<section id="drives">'):].replace("<br>", " / ")
     return [[html.unescape(re.sub("<[^>]*>", "", cell)).strip(" /") for cell in re.findall("<td[^>]*>(.*?)</td>", line)]
             for line in text.split("\n") if line.startswith("<tr><td")]
@@ -55,17 +54,18 @@ def test_row_says_none_where_it_could_tell_and_none_seen_where_it_could_not():
 
 
 def test_recording_that_can_not_be_read_says_why_below_the_table_and_its_name_is_escaped():
-    text = page("drives", [FULL, BAD], "")
+    text = page("drives", [FULL, BAD], "", {})
     assert text.index('id="unreadable"') > text.index('id="drives"') and '<a href="#unreadable">' in text
     assert ("<td>&lt;c&gt;.bag</td><td><span class=\"bad\">c.bag can&#39;t be read as a recording: it is no bag"
             "</span></td>") in text
-    assert 'id="drives"' not in page("drives", [BAD], "") and 'id="unreadable"' not in page("drives", [FULL], "")
+    assert 'id="drives"' not in page("drives", [BAD], "", {})
+    assert 'id="unreadable"' not in page("drives", [FULL], "", {})
 
 
 def test_no_text_from_outside_is_anything_but_text():
     hostile = "</td><script>alert('\"')</script>&amp;{{ 7 * 7 }}"
     row = FULL._replace(path=hostile, losses={hostile: 2}, lacks=[hostile], notes=[hostile, hostile])
-    text = page(hostile, [row, BAD._replace(path=hostile, error=hostile)], "")
+    text = page(hostile, [row, BAD._replace(path=hostile, error=hostile)], "", {})
     assert "<script" not in text and html.unescape(text).count(hostile) == 9  # twice as the folder: title and heading
 
 
@@ -73,7 +73,7 @@ def test_newest_comes_first_and_the_head_has_the_sums():
     rows = in_order([BAD, FULL._replace(path="later.bag", start_ns=START_NS + DAY_NS), BLIND, FULL])
     assert [row.path for row in rows] == ["b.bag", "a.bag", "later.bag", "<c>.bag"]
     assert [line[0].split(" ")[0] for line in shown(*rows)] == ["later.bag", "a.bag", "b.bag", "<c>.bag"]
-    text = page("drives", rows, "<svg/>")
+    text = page("drives", rows, "<svg/>", {})
     figures = re.findall("<div><b>(.*?)</b><span>(.*?)</span></div>", text)
     assert figures == [("3", "drives"), ("1", '<a href="#unreadable">can\'t be read</a>'), ("2.55 km", "driven"),
                        ("5 min 11 s", "recorded"), ("6", "times lost or locked")]

@@ -49,8 +49,8 @@ def test_condition_lasts_until_it_is_ok_another_one_or_the_end_and_a_repeated_mo
                                 (4.0, OK, "on time"), (5.0, WARN, "late by -1.5e-3 s"), (6.0, WARN, "gone")):
         log.update_condition(time_s, "key", level, "node", what)
     log.finish()
-    assert log.entries[:2] == [Fault(1.0, 4.0, ERROR, "node", "late by 1 s"),
-                               Fault(5.0, 6.0, WARN, "node", "late by -1.5e-3 s")]
+    assert log.entries[:2] == [Fault(1.0, ERROR, "node", "late by 1 s", 4.0),
+                               Fault(5.0, WARN, "node", "late by -1.5e-3 s", 6.0)]
     assert log.entries[2].what == "gone" and math.isnan(log.entries[2].end_s)
     log = FaultLog()
     for index in range(3):
@@ -68,7 +68,7 @@ LOW = "the battery has 6.90 V after it fell below warn_below, 7 V: low until it 
     pytest.param(["/rosout"], [f"battery: {LOW}"], id="from_the_log_alone")])
 def test_low_battery_that_is_reported_and_logged_is_listed_once(present, listed):
     faults = FaultLog()
-    nodes = NodeReports(faults, present, "rosgraph_msgs/Log")
+    nodes = NodeReports(faults, present)
     if "/diagnostics" in present:
         nodes.on_diagnostics(1.0, SimpleNamespace(
             status=[SimpleNamespace(name="throttle_arb: battery", level=WARN, message=LOW)]))

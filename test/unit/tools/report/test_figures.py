@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 
 from car_interface.common.sources import LOCKED, NEUTRAL, PLANNER, TELEOP
 from car_interface.tools.report.downsample import Trace
-from car_interface.tools.report.figures import bands, curve, label_text, stack, usual_magnitude
-from car_interface.tools.report.states import UNKNOWN_DRIVER, Episode
+from car_interface.tools.report.plots import bands, curve, label_text, stack, usual_magnitude
+from car_interface.tools.report.states import Episode
 
 
 def drive(duration_s, *episodes):
@@ -36,7 +36,6 @@ def axes():
     pytest.param([], [], id="none"),
     pytest.param([(0, 10, TELEOP), (10, 30, PLANNER)], [(0, 10, TELEOP), (10, 20, PLANNER)], id="each_source"),
     pytest.param([(0, 10, TELEOP), (10, 30, TELEOP)], [(0, 30, TELEOP)], id="same_source_is_one"),
-    pytest.param([(0, 10, TELEOP), (10, 30, 99)], [(0, 10, TELEOP), (10, 20, UNKNOWN_DRIVER)], id="unknown_source"),
     # Of 1000 s, 0.7 s can just be seen.
     pytest.param([(0, 0.1, NEUTRAL), (50, 60, TELEOP)], [(0, 0.7, NEUTRAL), (50, 10, TELEOP)], id="short_is_drawn"),
     pytest.param([(0, 0.1, NEUTRAL), (0.1, 0.2, LOCKED), (0.2, 50, TELEOP)], [(0, 0.7, NEUTRAL), (0.2, 49.8, TELEOP)],
@@ -53,14 +52,13 @@ def test_bands_are_start_width_and_source(episodes, expected):
 def test_stack_draws_the_wanted_panels_and_labels_the_last_one():
     drawn = []
     figure = stack(drive(60, (0, 30, TELEOP), (30, 60, PLANNER)), [
-        (is_wanted, height, lambda axes, drive: drawn.append(axes))
-        for is_wanted, height in ((True, 2.0), (False, 9.0), (True, 1.0))])
+        (2.0, drawn.append), None, (1.0, drawn.append)])
     panels = figure.axes
     assert len(panels) == 2 and drawn == panels
     assert [panel.get_xlabel() for panel in panels] == ["", "seconds"]
     assert figure.get_size_inches()[1] == pytest.approx(2.0 + 1.0 + 2 * 0.45 + 0.25)
     assert [len(panel.collections) for panel in panels] == [2, 2]  # who steered
-    assert stack(drive(60), [(False, 1.0, None)]) is None
+    assert stack(drive(60), [None]) is None
 
 
 # --- curves ---

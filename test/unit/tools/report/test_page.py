@@ -86,7 +86,7 @@ def test_no_text_from_outside_is_anything_but_text(seen):
     drive.throttle.episodes = [Episode(0.0, 1.0, HOSTILE, HOSTILE, HOSTILE, 1, HOSTILE)]
     drive.limits.episodes = [Episode(0.0, 1.0, HOSTILE, HOSTILE, HOSTILE)]
     drive.limits.counts = {HOSTILE: 1}
-    drive.faults.entries = [Fault(0.0, 1.0, level, HOSTILE, HOSTILE, 2) for level in (WARN, ERROR, 99)]
+    drive.faults.entries = [Fault(0.0, level, HOSTILE, HOSTILE, 1.0, 2) for level in (WARN, ERROR, 99)]
     drive.throttle.profile = drive.planner.source = drive.planner.others = drive.sonars.nearest_sonar = HOSTILE
     drive.sonars.frames_without_mount = {HOSTILE}
     drive.teensy.counters = {HOSTILE: (1, 2)}

@@ -5,7 +5,7 @@ import re
 
 from car_interface.tools.report import plots as report_plots
 from car_interface.tools.report.downsample import Traces
-from car_interface.tools.report.figures import DRIVER_COLOURS
+from car_interface.tools.report.plots import DRIVER_COLOURS
 from tools.report.summaries import summarized
 from written_recordings import odometry, output
 

@@ -57,6 +57,11 @@ def test_episode_ends_with_source_cause_or_an_unusual_state_of_the_esc():
     assert watch.episodes[1].reason == "tele_throt_req is 1.000, scaled by 0.3; BRAKING: it rolls forward"
 
 
+def test_driver_that_no_version_has_is_not_known():
+    watch, _, _ = watched(states.ThrottleWatch, BY_HAND, (0.0, {"source": 99}))
+    assert [episode.source for episode in watch.episodes] == [states.UNKNOWN_DRIVER]
+
+
 @pytest.mark.parametrize("changes, level", [
     pytest.param({"source": NEUTRAL, "cause": "command silent", "reason": "the planner's value silent for 0.52 s"},
                  WARN, id="a_planner_that_falls_silent"),
@@ -108,8 +113,7 @@ OBEYED = {"source": "drive", "others": "", "cause": "planner", "reason": "drive 
 def test_what_stopped_the_planner_is_a_fault_with_its_duration(cause, is_told):
     _, faults, _ = watched(states.PlannerWatch, OBEYED, (0.0, {}), (5.0, {"cause": cause, "reason": "why"}),
                            (5.5, {"cause": cause}), (6.0, {}))
-    assert [tuple(fault)[:5] for fault in faults] == (
-        [(5.0, 6.0, WARN, "planner_interface", "why")] if is_told else [])
+    assert faults == ([Fault(5.0, WARN, "planner_interface", "why", 6.0)] if is_told else [])
 
 
 def test_planner_s_speeds_are_those_of_the_times_in_which_it_was_obeyed():
@@ -232,7 +236,7 @@ def test_axis_that_is_never_seen_at_its_rest_is_a_fault_to_the_end():
     state = {"cause": causes.NO_DEADMAN, "reason": "why", "human_in_loop": False, "steering_stick": causes.NOT_AT_REST,
              "throttle_stick": ""}
     _, faults, _ = watched(states.GamepadWatch, state, (1.0, {}), (2.0, {}))
-    assert faults == [Fault(1.0, END_S, WARN, "teleop_logi", "why")]
+    assert faults == [Fault(1.0, WARN, "teleop_logi", "why", END_S)]
 
 
 def test_deadman_that_is_let_go_is_no_loss(tmp_path):
@@ -265,7 +269,7 @@ def gamepad(*steps):
 
 def test_gamepad_that_is_missing_from_the_start_on_is_a_warning_unless_it_comes_a_moment_after_its_node():
     never = (0.0, causes.JOY_NEVER_RECEIVED)
-    for steps, expected in (([never], [Fault(0.0, 60.0, WARN, "teleop_logi", f"why {never[1]}")]),
+    for steps, expected in (([never], [Fault(0.0, WARN, "teleop_logi", f"why {never[1]}", 60.0)]),
                             ([never, (1.0, causes.NO_DEADMAN)], [])):
         watch, faults = gamepad(*steps)
         watch.finish()

@@ -32,10 +32,10 @@ def test_who_drove_when_and_why_is_listed_once_for_each_cause_and_the_servo_is_f
 
 
 def test_sonar_hits_are_where_the_car_was(seen):
-    x_m, y_m = seen.sonars.echoes.places()
-    assert seen.sonars.echoes.count == 3 and np.abs(y_m).max() < 0.02
+    places = seen.sonars.echoes.places()
+    assert seen.sonars.echoes.count == 3 and np.abs(places.imag).max() < 0.02
     # At 10.2 s it has driven for 5.2 s.
-    assert x_m.min() == pytest.approx(5.2 * SPEED_MPS + 0.42 + 0.8, abs=0.1)
+    assert places.real.min() == pytest.approx(5.2 * SPEED_MPS + 0.42 + 0.8, abs=0.1)
     assert (seen.sonars.nearest_m, seen.sonars.nearest_sonar) == (pytest.approx(0.8), "front_middle")
 
 

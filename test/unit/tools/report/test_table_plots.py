@@ -5,8 +5,8 @@ import pytest
 
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.throttle.value_map import ValueMap
-from car_interface.tools.report import table_plots
-from car_interface.tools.report.table_plots import draw
+from car_interface.tools.report import plots
+from car_interface.tools.report.plots import draw
 
 RADII_M = (1.0, 2.0, 5.0, 100.0)
 STEERING = SteeringCalibration(3800, 5100, 6700, 0, RADII_M, (3800, 4400, 4800, 5080), (6700, 5900, 5400, 5120))
@@ -26,7 +26,7 @@ def test_picture_is_of_the_kind_asked_for_and_has_the_files_name_without_its_fol
 @pytest.mark.parametrize("axis", [RADII_M, [float(index) for index in range(1, 101)], [3.0, 3.01, 3.02, 300.0]],
                          ids=["few", "many", "crowded"])
 def test_labels_below_radii_are_a_twelfth_of_the_axis_apart(axis):
-    shown = table_plots._labelled(list(axis))
+    shown = plots._labelled(list(axis))
     assert set(shown) <= set(axis) and shown[-1] == axis[-1]
     min_ratio = (axis[-1] / axis[0]) ** (1 / 12)
     assert all(later / earlier >= min_ratio * (1 - 1e-9) for earlier, later in zip(shown, shown[1:]))

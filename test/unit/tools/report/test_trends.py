@@ -1,9 +1,8 @@
 """Trends over drives."""
 import pytest
 
-from car_interface.tools.report import drives_page
-from car_interface.tools.report.drives_page import page, trends
-from car_interface.tools.report.drives_row import Row
+from car_interface.tools.report import drives
+from car_interface.tools.report.drives import Row, page, trends
 from written_recordings import START_NS
 
 ROWS = [Row(f"{index}.bag", start_ns=START_NS + index * 86_400_000_000_000, duration_s=60.0, distance_m=10.0 * index,
@@ -17,7 +16,7 @@ BLIND = Row("x.bag", start_ns=0, duration_s=60.0, distance_m=5.0)
 def figure(monkeypatch):
     """The figure of the last call, in place of its SVG."""
     made = []
-    monkeypatch.setattr(drives_page, "svg_text", lambda figure, *_: made.append(figure) or "<svg/>")
+    monkeypatch.setattr(drives, "svg_text", lambda figure, *_: made.append(figure) or "<svg/>")
     return made
 
 
@@ -47,7 +46,7 @@ def test_plot_and_table_have_the_same_percentage_and_a_car_that_does_not_turn_hi
     trends(rows)
     sides = figure[0].axes[3]
     assert sides.lines[1].get_ydata().tolist() == pytest.approx([-100, 20]) and sides.get_ylim()[1] < 120
-    assert "left: 20% tighter<" in page("drives", rows, "")
+    assert "left: 20% tighter<" in page("drives", rows, "", {})
 
 
 def test_what_no_drive_tells_has_no_panel_and_what_one_lacks_is_a_gap(figure):
@@ -62,7 +61,7 @@ def test_what_no_drive_tells_has_no_panel_and_what_one_lacks_is_a_gap(figure):
 def test_labels_stand_evenly_so_that_none_covers_its_neighbour(figure, count):
     trends(ROWS[:1] * count)
     at = figure[0].axes[-1].get_xticks()
-    assert len(at) <= drives_page.MAX_LABELS and at[-1] == count - 1
+    assert len(at) <= drives.MAX_LABELS and at[-1] == count - 1
     assert len({after - before for before, after in zip(at, at[1:])}) <= 1 and at[0] < max(2, at[-1] / 3)
 
 

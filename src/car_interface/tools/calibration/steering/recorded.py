@@ -92,7 +92,7 @@ def _asked_duties(found, base, wheelbase_m, notes):
                  f"them with a wheelbase of {wheelbase_m:g} m. What this recording can't tell: whether "
                  "--base was the table on this drive, and whether anything else steered (a gamepad, a trim, a limit)")
     return found.ackermann.t_s, np.array([duty_of_angle(base, wheelbase_m, angle_rad)
-                                          for angle_rad in found.ackermann.angle_rad.tolist()], float)
+                                          for angle_rad in found.ackermann.value.tolist()], float)
 
 
 def duty_of_angle(base: SteeringCalibration, wheelbase_m: float, angle_rad: float) -> int:

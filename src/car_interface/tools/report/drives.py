@@ -1,20 +1,21 @@
-"""Shows the table of all drives: as a page of HTML, as CSV, and as trends from drive to drive."""
+"""Compares drives: a row of numbers for each recording, shown as a page of HTML, as CSV, and as trends."""
 from __future__ import annotations
 
 import math
 import time
 from collections import Counter
 from functools import partial
-from types import MappingProxyType
-from typing import Mapping, Sequence
+from typing import Mapping, NamedTuple, Sequence
 
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
+from car_interface.common.sources import PLANNER, TELEOP
 from car_interface.common.units import NS_PER_S
-from car_interface.tools.report.drives_row import Row
-from car_interface.tools.report.figures import (
+from car_interface.tools.report.faults import ERROR
+from car_interface.tools.report.html import MIN_DATE_NS, date_text, ratio_text, render, span_text
+from car_interface.tools.report.plots import (
     BAD,
     FAINT,
     REQUESTED,
@@ -26,8 +27,9 @@ from car_interface.tools.report.figures import (
     svg_text,
     title,
 )
-from car_interface.tools.report.html import MIN_DATE_NS, date_text, ratio_text, render, span_text
+from car_interface.tools.report.summary import Summary
 
+VERSION = 4  # of a row's content: rows of another version are computed again
 CSV_COLUMNS = ("recording", "start_utc", "duration_s", "distance_km", "gamepad_s", "planner_s", "losses",
                "losses_by_cause", "straight_per_m", "left_ratio", "right_ratio", "map_drive_mps2", "map_hold_mps2",
                "map_brake_mps2", "battery_min_v", "frames", "corrupt_frames", "port_reopened", "teensy_reboots",
@@ -49,22 +51,105 @@ LINES = (
         "drive_mps2": ("driving", SENT), "hold_mps2": ("holding the speed", FAINT), "brake_mps2": ("braking", BAD)}))
 
 
+class Row(NamedTuple):
+    """A recording. ``None``: the recording can't tell; all types are JSON's."""
+
+    path: str  # relative to the folder
+    error: str = ""  # why it can't be read; empty: it was read
+    start_ns: int | None = None
+    duration_s: float | None = None
+    distance_m: float | None = None  # by odometry
+    gamepad_s: float | None = None  # how long the gamepad steered
+    planner_s: float | None = None
+    losses: dict | None = None  # how often something was lost or locked while somebody drove, by cause
+    straight_per_m: float | None = None  # the curvature driven when sent straight on, left positive: the center is off
+    left_ratio: float | None = None  # the driven curvature to the sent one
+    right_ratio: float | None = None
+    # By how much the car accelerated more than the planner requested, where that was to drive, to hold the speed, to
+    # brake: the value map is off.
+    drive_mps2: float | None = None
+    hold_mps2: float | None = None
+    brake_mps2: float | None = None
+    battery_v: float | None = None  # the least voltage
+    frames: int | None = None  # good ones of the Teensy's link
+    corrupt: int | None = None
+    reopened: int | None = None  # how often the port was opened again
+    reboots: int | None = None  # how often the Teensy started again
+    unanswered: int | None = None  # pings
+    faults: int | None = None
+    errors: int | None = None  # among the faults
+    lacks: Sequence[str] = ()  # what was not recorded, or not all of the time
+    notes: Sequence[str] = ()  # which topics were guessed
+
+
+# --- a recording's row ---
+
+
+def row(drive: Summary, path: str) -> Row:
+    """Return the row of a summarized recording, which is shown as ``path``."""
+    has_state, has_odom = bool(drive.steering.episodes), "odom" in drive.present
+    source_s = drive.steering.source_s
+    turns, accelerating = drive.motion.by_tables, drive.motion.accelerating
+    left, right, straight = map(_median, (turns.left, turns.right, turns.straight_per_m))
+    lost, battery = [*drive.steering.losses(), *drive.throttle.losses()], drive.traces["battery voltage"]
+    faults, notes = drive.faults, list(drive.notes)
+    can_tell = faults.entries or not drive.coverage.is_blind  # whether anything was recorded that reports a fault
+    if drive.calibration is not None:  # it drove by the table before
+        left = right = straight = None
+        notes.append("a calibration drive")
+    return Row(
+        path=path, start_ns=drive.start_ns, duration_s=drive.duration_s,
+        distance_m=drive.motion.distance_m if has_odom else None,
+        gamepad_s=source_s[TELEOP] if has_state else None, planner_s=source_s[PLANNER] if has_state else None,
+        losses=dict(Counter(one.why for one in lost)) if has_state or drive.throttle.episodes else None,
+        straight_per_m=straight, left_ratio=left, right_ratio=right,
+        drive_mps2=_median(accelerating.driving), hold_mps2=_median(accelerating.holding),
+        brake_mps2=_median(accelerating.braking),
+        battery_v=round(battery.minimum, 3) if battery.count else None, **_link_counts(drive.teensy),
+        faults=sum(fault.times for fault in faults.entries) + faults.dropped if can_tell else None,
+        errors=sum(fault.times for fault in faults.entries if fault.level == ERROR) if can_tell else None,
+        lacks=[gap.lacks if math.isnan(gap.start_s) else f"{gap.lacks} for {gap.end_s - gap.start_s:.0f} s"
+               for gap in drive.coverage.gaps()],
+        notes=notes)
+
+
+def _link_counts(teensy):
+    """Return the columns of the Teensy's link."""
+    first, last = teensy.first_link, teensy.link
+    if last is None:
+        return {}
+
+    def change(name):
+        return int(getattr(last, name) - getattr(first, name))
+    return {"frames": change("frames"), "corrupt": change("bad_frames"), "reopened": change("reconnects"),
+            "reboots": change("reboots"),
+            "unanswered": max(0, change("pings") - change("pongs") - 1)}  # the newest may still be on its way
+
+
+def _median(bins):
+    """Return a median in five decimals, no -0.0, if it is known."""
+    median = bins.median()
+    return None if median is None else round(median, 5) + 0.0
+
+
+# --- page and CSV ---
+
+
 def in_order(rows: Sequence[Row]) -> list[Row]:
     """Return the rows by date; those that couldn't be read come last."""
     return sorted(rows, key=lambda row: (row.start_ns is None, row.start_ns or 0, row.path))
 
 
-def page(folder: str, rows: Sequence[Row], trends: str,
-         reports: Mapping[str, str] = MappingProxyType({})) -> str:
+def page(folder: str, rows: Sequence[Row], trends: str, reports: Mapping[str, str]) -> str:
     """Return the page on a folder, by rows in order, trends as SVG (empty = none), and the URLs of the pages about
-    recordings, by their paths.
+    recordings that could be read, by their paths.
     """
     drives = [row for row in rows if not row.error]
     bad = [row for row in rows if row.error]
     dates = [date_text(row.start_ns) for row in drives if row.start_ns >= MIN_DATE_NS]
     return render("drives.html", title=f"Drives in {folder}", dates=dict.fromkeys(dates[:1] + dates[-1:]),
                   figures=_figures(drives), drives=[(row, _cells(row)) for row in reversed(drives)], bad=bad,
-                  trends=trends, reports={row.path: reports[row.path] for row in drives if row.path in reports})
+                  trends=trends, reports=reports)
 
 
 def _figures(drives):
@@ -169,7 +254,10 @@ def trends(rows: Sequence[Row]) -> str:
         all_axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
         for draw, axes in zip(panels, all_axes):
             draw(axes=axes, rows=rows)
-        _label(all_axes[-1], rows)
+        step = -(-len(rows) // MAX_LABELS)
+        shown = np.arange(len(rows) - 1, -1, -step)[::-1]  # evenly: none covers its neighbour; the newest has a date
+        all_axes[-1].set(xlim=(-0.6, len(rows) - 0.4), xticks=shown)
+        all_axes[-1].set_xticklabels([_date(rows[index], "\n") for index in shown])
         return svg_text(figure, "trends", "distance, losses, steering, value map and link errors from drive to drive")
 
 
@@ -230,15 +318,6 @@ def _frames(axes, rows):
     again = [index for index, row in enumerate(rows) if (row.reopened or 0) + (row.reboots or 0) > 0]
     axes.plot(again, ratios[again], color=BAD, marker="x", linestyle="none", markersize=7)
     axes.set_ylim(0, max(0.1, 1.2 * float(np.nanmax(ratios))))
-
-
-def _label(axes, rows):
-    """Put dates below some of the drives."""
-    axes.set_xlim(-0.6, len(rows) - 0.4)
-    step = -(-len(rows) // MAX_LABELS)
-    shown = np.arange(len(rows) - 1, -1, -step)[::-1]  # evenly, so that none covers its neighbour; the newest has one
-    axes.set_xticks(shown)
-    axes.set_xticklabels([_date(rows[index], "\n") for index in shown])
 
 
 def _column(numbers):
