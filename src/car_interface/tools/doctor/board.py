@@ -4,10 +4,11 @@ from __future__ import annotations
 import errno
 import glob
 import os
+from contextlib import closing
 from typing import Any, Callable, NamedTuple, Sequence
 
 from car_interface.common.device_access import explain_denial
-from car_interface.common.header import UNKNOWN, Header, read_header
+from car_interface.common.header import Header, read_header
 from car_interface.pca9685.bus import NOT_ACKNOWLEDGED, PROBE, BoardNotFound, choose_bus, explain, is_pca9685
 from car_interface.pca9685.config import AUTO
 from car_interface.pca9685.registers import AUTO_INCREMENT, EXTCLK, MODE1, PRE_SCALE, SLEEP, frequency_for
@@ -39,42 +40,36 @@ def probe_board(device: str, settings: BoardSettings, asks_all: bool) -> list[Fi
         device: the bus; AUTO = the header's, as the pca9685 node finds it.
         asks_all: look for boards on all other buses, too.
     """
-    header, there = read_header(), _buses()
+    header, there, found = read_header(), _buses(), []
     import smbus2  # it may be what is missing
-    device, found = _choose(device, header, settings.address, smbus2.SMBus)
+    if device == AUTO:
+        device = header.bus_paths[0]
+        try:
+            device = choose_bus(header, settings.address, smbus2.SMBus)
+        except BoardNotFound as error:
+            if error.is_ambiguous:
+                found = [Finding(BAD, "bus", error.cause, error.remedy)]
     if not found:
-        found = [_check_path(device, header, there)]
+        found = [check_bus(device, header, there)]
         if found[0].level == OK:
             found += _probe_chip(device, header, settings, smbus2.SMBus())
     others = [path for path in there if os.path.realpath(path) != os.path.realpath(device)]
     return found + (ask_buses(others, smbus2.SMBus) if asks_all else [])
 
 
-def _choose(device, header, address, make_bus):
-    """Return the bus to examine, and a finding when there are boards on several."""
-    if device != AUTO:
-        return device, []
-    try:
-        return choose_bus(header, address, make_bus), []
-    except BoardNotFound as error:
-        ambiguous = [Finding(BAD, "bus", error.cause, error.remedy)] if error.is_ambiguous else []
-        return header.bus_paths[0], ambiguous
-
-
 def _probe_chip(device, header, settings, bus):
-    name = f"0x{settings.address:02x} on {device}"
-    try:
-        bus.open(device)
+    address, name = settings.address, f"0x{settings.address:02x} on {device}"
+    with closing(bus):
         try:
-            registers = Registers(*(bus.read_byte_data(settings.address, register) for register in (MODE1, PRE_SCALE)),
-                                  is_pca9685(bus, settings.address))
-            return check_chip(name, registers, settings)
+            bus.open(device)
         except OSError as error:
-            return check_no_answer(name, error, device, header, find_others(bus, settings.address))
-    except OSError as error:
-        return [Finding(BAD, "bus", f"{device} can't be opened ({error.strerror})", "See what it is: ls -l /dev/i2c-*")]
-    finally:
-        bus.close()
+            return [Finding(BAD, "bus", f"{device} can't be opened ({error.strerror})",
+                            "See what it is: ls -l /dev/i2c-*")]
+        try:
+            mode1, prescale = (bus.read_byte_data(address, register) for register in (MODE1, PRE_SCALE))
+            return check_chip(name, mode1, prescale, is_pca9685(bus, address), settings)
+        except OSError as error:
+            return check_no_answer(name, error, device, header, find_others(bus, address))
 
 
 def _buses():
@@ -83,40 +78,22 @@ def _buses():
     return sorted(paths.values())
 
 
-def _check_path(device, header, there):
-    denial = None if os.access(device, os.R_OK | os.W_OK, effective_ids=True) else explain_denial(device)
-    return check_bus(device, os.path.exists(device), _is_i2c(device), denial, header, there)
-
-
 def _is_i2c(path):
     return is_character_device(path) and os.major(os.stat(path).st_rdev) == I2C_MAJOR
 
 
-def check_bus(path: str, exists: bool, is_i2c: bool, denial: tuple[str, str] | None = None, header: Header = UNKNOWN,
-              there: Sequence[str] = ()) -> Finding:
-    """Check whether a bus is there, an I²C bus, and open to this user.
-
-    Args:
-        denial: cause and remedy where it isn't open to this user.
-    """
-    if not (exists and is_i2c):
+def check_bus(path: str, header: Header, there: Sequence[str]) -> Finding:
+    """Check whether a bus is there, an I²C bus, and open to this user; ``there`` are those that are."""
+    exists, denial = os.path.exists(path), None
+    if not (exists and _is_i2c(path)):
         cause, remedy = explain(OSError(errno.ENOTTY if exists else errno.ENOENT, ""), path, exists, header)
         denial = cause + (f"; there are {', '.join(there)}" if there else ""), remedy
+    elif not os.access(path, os.R_OK | os.W_OK, effective_ids=True):
+        denial = explain_denial(path)
     if denial:
         return Finding(BAD, "bus", f"{path}: {denial[0]}", denial[1])
     pins = f", pins 3 and 5 of this {header.computer}" if header.computer and path == header.bus_paths[0] else ""
     return Finding(OK, "bus", f"{path}{pins}")
-
-
-class Registers(NamedTuple):
-    """Two of a PCA9685's registers, and whether the chip is marked as one."""
-
-    mode1: int
-    prescale: int
-    is_pca9685: bool = True
-
-    def __str__(self):
-        return f"MODE1 0x{self.mode1:02x}, PRE_SCALE {self.prescale}"
 
 
 def find_others(bus: Any, address: int | None) -> list[int]:
@@ -138,15 +115,13 @@ def ask_buses(paths: Sequence[str], make_bus: Callable[[], Any]) -> list[Finding
     """Return one finding for each bus with PCA9685s, and one for those that have none or can't be asked."""
     found, empty = [], []
     for path in paths:
-        bus = make_bus()
-        try:
-            bus.open(path)
+        with closing(make_bus()) as bus:
+            try:
+                bus.open(path)
+            except OSError as error:
+                empty.append(f"{path} ({error.strerror})")
+                continue
             boards = find_others(bus, None)
-        except OSError as error:
-            empty.append(f"{path} ({error.strerror})")
-            continue
-        finally:
-            bus.close()
         found += [Finding(WARN, "bus", f"a PCA9685 answers at 0x{address:02x} on {path}",
                           f"If that is the car's: i2c:={path} address:=0x{address:02x}") for address in boards]
         if not boards:
@@ -154,14 +129,15 @@ def ask_buses(paths: Sequence[str], make_bus: Callable[[], Any]) -> list[Finding
     return found + ([Finding(OK, "bus", f"no PCA9685 on {', '.join(empty)}")] if empty else [])
 
 
-def check_chip(name: str, registers: Registers, settings: BoardSettings) -> list[Finding]:
-    """Judge what a chip's registers say."""
-    mode1, frequency_hz = registers.mode1, frequency_for(registers.prescale, settings.oscillator_hz)
-    is_reset = (mode1, registers.prescale) == (RESET_MODE1, RESET_PRESCALE)
-    is_as_set = mode1 & AUTO_INCREMENT and not mode1 & SLEEP and settings.prescale in (None, registers.prescale)
+def check_chip(name: str, mode1: int, prescale: int, is_marked: bool, settings: BoardSettings) -> list[Finding]:
+    """Judge what a chip's registers say; ``is_marked``: see ``is_pca9685``."""
+    registers = f"MODE1 0x{mode1:02x}, PRE_SCALE {prescale}"
+    frequency_hz = frequency_for(prescale, settings.oscillator_hz)
+    is_reset = (mode1, prescale) == (RESET_MODE1, RESET_PRESCALE)
+    is_as_set = mode1 & AUTO_INCREMENT and not mode1 & SLEEP and settings.prescale in (None, prescale)
     return first(
         "chip",
-        (not registers.is_pca9685, BAD, f"{name} answers, but not as a PCA9685 does: {registers}",
+        (not is_marked, BAD, f"{name} answers, but not as a PCA9685 does: {registers}",
          "See which chip that is: an INA sensor also likes 0x40; move one of them by its solder pads"),
         (mode1 & EXTCLK, BAD, f"{name} waits for a clock at its EXTCLK pin: {registers}",
          "Cut its power for a moment: this bit can't be cleared"),

@@ -40,6 +40,10 @@ class Node(NamedTuple):
         """Return whether it's there and answers."""
         return self.state == RUNNING
 
+    def report(self, about: str) -> str:
+        """Return the name of one of its reports on /diagnostics."""
+        return f"{self.path.strip('/')}: {about}"
+
 
 def restart_remedy(process: str) -> str:
     """Return how to start a node again that hangs."""
@@ -66,13 +70,20 @@ def check_nodes(nodes: Sequence[Node], namespace: str, others: Sequence[str] = (
     if all(node.state == ABSENT for node in nodes):
         elsewhere = f"; there is one in {' and '.join(others)}" if others else ""
         return [Finding(OK, "nodes", f"none of this package's runs in {namespace}{elsewhere}")]
-    found = _check_running([node for node in nodes if node.runs], namespace)
+    running = [node for node in nodes if node.runs]
+    shared = [node for node in running if node.process != node.path]
+    together = f"; {', '.join(node.name for node in shared)} in one process, {shared[0].process}" if shared else ""
+    verb = "runs" if len(running) == 1 else "run"
+    found = [Finding(OK, "nodes", f"{', '.join(node.name for node in running)} {verb} in {namespace}{together}")
+             ] if running else []
     found += [Finding(BAD, "nodes", f"{process} is registered, but doesn't answer: it hangs, or its ROS_IP can't be "
                                     "reached from here",
                       "If it hangs: end its process, or start the launch file again. If it's on another computer: "
                       "set ROS_IP there to an address that can be reached from here", by_silence=True)
               for process in _processes(nodes, SILENT)]
-    launch = _launch_command(nodes, namespace)
+    is_virtual = any(node.name == SIMULATOR and node.state != ABSENT for node in nodes)
+    launch = (f"roslaunch car_interface {'demo' if is_virtual else 'car'}.launch"
+              + ("" if namespace == "/" else f" ns:={namespace}"))
     killed = _processes(nodes, KILLED)
     if killed:
         found.append(Finding(BAD, "nodes", f"{', '.join(killed)}: killed or crashed; the master still lists "
@@ -86,25 +97,9 @@ def check_nodes(nodes: Sequence[Node], namespace: str, others: Sequence[str] = (
     return found
 
 
-def _check_running(running, namespace):
-    if not running:
-        return []
-    shared = next((node.process for node in running if node.process != node.path), "")
-    parts = [node.name for node in running if node.process != node.path]
-    together = f"; {', '.join(parts)} in one process, {shared}" if shared else ""
-    verb = "runs" if len(running) == 1 else "run"
-    return [Finding(OK, "nodes", f"{', '.join(node.name for node in running)} {verb} in {namespace}{together}")]
-
-
 def _processes(nodes, state):
     """Return the processes of the nodes in a state, each once."""
     return list(dict.fromkeys(node.process for node in nodes if node.state == state))
-
-
-def _launch_command(nodes, namespace):
-    is_virtual = any(node.name == SIMULATOR and node.state != ABSENT for node in nodes)
-    in_space = "" if namespace == "/" else f" ns:={namespace}"
-    return f"roslaunch car_interface {'demo' if is_virtual else 'car'}.launch{in_space}"
 
 
 def check_steering(states: Sequence[Any], node: Node) -> list[Finding]:
@@ -119,10 +114,20 @@ def check_steering(states: Sequence[Any], node: Node) -> list[Finding]:
 class Report(NamedTuple):
     """One entry of /diagnostics."""
 
-    name: str
+    name: str  # the node's, and what it is about: ``car1/turn_arb: steering``
     level: int
     message: str
     remedy: str = ""  # its value of this name
+
+    @property
+    def node(self) -> str:
+        """Return the name of the node, without the first slash."""
+        return self.name.partition(": ")[0]
+
+    @property
+    def about(self) -> str:
+        """Return what of the node it is about."""
+        return self.name.partition(": ")[2]
 
 
 def check_diagnostics(reports: Sequence[Report], reporting: Sequence[str],
@@ -135,30 +140,30 @@ def check_diagnostics(reports: Sequence[Report], reporting: Sequence[str],
         reporting: the paths of the running nodes, which should each report.
         reported: the names of reports that another finding covers.
     """
-    ours = [report for report in reports if not (_is_about_topics(report) or _is_battery(report))]
+    ours = [report for report in reports if report.about not in (COMMAND_TOPICS, BATTERY)]
     good = [report.name for report in ours if report.level == OK]
     found = [Finding(OK, "reports", ", ".join(good))] if good else []
     found += [Finding(min(report.level, BAD), "reports", f"{report.name}: {report.message}", report.remedy or MORE)
               for report in ours if report.level != OK and report.name not in reported]
-    names = [report.name for report in reports]
+    nodes = {report.node for report in reports}
     return found + [Finding(BAD, "reports", f"{path} runs, but doesn't report on /diagnostics",
                             f"See whether it hangs: rosnode ping {path}", by_silence=True)
-                    for path in reporting if not any(name.startswith(f"{path.strip('/')}: ") for name in names)]
+                    for path in reporting if path.strip("/") not in nodes]
 
 
 def check_battery(reports: Sequence[Report]) -> list[Finding]:
     """Return the battery's voltage, or what is wrong with it, as throttle_arb reports it."""
     return [Finding(min(report.level, BAD), "battery", report.message, report.remedy)
-            for report in reports if _is_battery(report)]
+            for report in reports if report.about == BATTERY]
 
 
 def check_command_topics(reports: Sequence[Report]) -> list[Finding]:
     """Return what is wrong with the publishers of the topics that the nodes obey, each fault once."""
-    ours = [report for report in reports if _is_about_topics(report)]
+    ours = [report for report in reports if report.about == COMMAND_TOPICS]
     nodes: dict[tuple, list[str]] = {}
     for report in ours:
         if report.level != OK:
-            nodes.setdefault((report.message, report.remedy), []).append(report.name.partition(":")[0])
+            nodes.setdefault((report.message, report.remedy), []).append(report.node)
     if ours and not nodes:
         return [Finding(OK, "topics", "each that is obeyed has the publishers that it should have")]
     return [Finding(BAD, "topics", f"{message} (reported by {', '.join(names)})", remedy or MORE)
@@ -167,17 +172,7 @@ def check_command_topics(reports: Sequence[Report]) -> list[Finding]:
 
 def reports_of(reports: Sequence[Report], namespace: str) -> list[Report]:
     """Return the reports of one car's nodes, without those of other cars."""
-    prefix = namespace.strip("/") + "/" if namespace.strip("/") else ""
-    return [report for report in reports if report.name.startswith(prefix)
-            and "/" not in report.name.partition(":")[0][len(prefix):]]
-
-
-def _is_battery(report):
-    return report.name.endswith(f": {BATTERY}")
-
-
-def _is_about_topics(report):
-    return report.name.endswith(f": {COMMAND_TOPICS}")
+    return [report for report in reports if report.node.rpartition("/")[0] == namespace.strip("/")]
 
 
 class Reading(NamedTuple):

@@ -26,18 +26,8 @@ LAUNCH_IT = ("Launch the car with gamepad:=true, which starts its driver, or wit
 LET_GO = "Let go of both deadman buttons once, then hold one"
 
 
-class JoySample(NamedTuple):
-    """What came on the gamepad's topic while the doctor listened."""
-
-    messages: int
-    period_s: float  # the mean time between them; after a single one, the time since then; inf: none came
-    axes: int  # of the newest one
-    buttons: int
-    values: dict  # the newest that isn't finite, by index of the axis
-
-
 class GamepadFacts(NamedTuple):
-    """What is known of the gamepad."""
+    """What is known of the gamepad, and of the messages that came on its topic while the doctor listened."""
 
     node: str  # teleop_logi's path
     topic: str  # that it subscribes to
@@ -45,17 +35,21 @@ class GamepadFacts(NamedTuple):
     # What teleop_logi takes its axes and buttons for; ``None`` = its parameters are bad, as another finding says, or
     # the gamepad is in no gamepads.yaml.
     config: GamepadConfig | None
-    sample: JoySample
-    cause: str = ""  # teleop_logi's own, as is the reason; empty = it published nothing
-    reason: str = ""
-    stick_cause: str = ""  # NOT_AT_REST where teleop_logi ignores an axis
-    driver: Report | None = None  # what gamepad_joy reports, where it has no gamepad
+    messages: int
+    period_s: float  # the mean time between them; after a single one, the time since then; inf: none came
+    axes: int  # of the newest one
+    buttons: int
+    odd: dict  # the newest values that aren't finite, by index of the axis
+    cause: str  # teleop_logi's own, as is the reason; empty = it published nothing
+    reason: str
+    stick_cause: str  # NOT_AT_REST where teleop_logi ignores an axis
+    driver: Report | None  # what gamepad_joy reports, where it has no gamepad
 
 
 def check_gamepad(gamepad: GamepadFacts) -> list[Finding]:
     """Return one finding: the first thing that keeps a deadman from being held, or that all is well."""
-    sample, topic, cause, reason, driver = gamepad.sample, gamepad.topic, gamepad.cause, gamepad.reason, gamepad.driver
-    is_silent, is_lost = not sample.messages, cause in causes.LOSSES
+    topic, cause, reason, driver = gamepad.topic, gamepad.cause, gamepad.reason, gamepad.driver
+    is_silent, is_lost = not gamepad.messages, cause in causes.LOSSES
     by_phone = is_silent and reason.startswith(PHONE_PREFIX)
     return first(
         SUBJECT,
@@ -70,31 +64,37 @@ def check_gamepad(gamepad: GamepadFacts) -> list[Finding]:
         (cause == causes.JOY_NEVER_RECEIVED, BAD, f"{topic} comes here, but {gamepad.node} says: {reason}",
          f"See whether they reach each other: rosnode info {gamepad.node}; ROS_IP; then start it again"),
         (cause == causes.JOY_UNMAPPED, BAD, reason, remedy(cause, topic)),
-        *(_faults(sample, gamepad.config, topic) if gamepad.config else ()),
+        *(_faults(gamepad) if gamepad.config else ()),
         (is_lost, WARN, reason, remedy(cause, topic) or LET_GO),
         (gamepad.stick_cause, WARN, reason, remedy(gamepad.stick_cause, topic)),
-        (True, OK, f"{topic}: {sample.axes} axes, {sample.buttons} buttons, {_rate_text(sample)}"
+        (True, OK, f"{topic}: {gamepad.axes} axes, {gamepad.buttons} buttons, {_rate_text(gamepad)}"
          + (f"; {reason}" if reason else "")))
 
 
-def _faults(sample, config, topic):
+def _faults(gamepad):
     """Return the cases of what can be wrong with the messages."""
-    missing, timeout_s = missing_index(config, sample.axes, sample.buttons), config.joy_timeout_s or math.inf
+    config, topic, shape = gamepad.config, gamepad.topic, (gamepad.axes, gamepad.buttons)
+    missing, timeout_s = missing_index(config, *shape), config.joy_timeout_s or math.inf
     sticks = {name: getattr(config, name) for name in ("steer_axis", "throttle_axis")}
-    is_d_mode = any(is_d_mode_cross(index, sample.axes, sample.buttons) for index in sticks.values())
-    comes, autorepeat = f"{topic} comes {_rate_text(sample)}", AUTOREPEAT.format(joy=topic)
+    is_d_mode = any(is_d_mode_cross(index, *shape) for index in sticks.values())
+    comes, autorepeat = f"{topic} comes {_rate_text(gamepad)}", AUTOREPEAT.format(joy=topic)
     return [
         (missing, BAD, missing and missing[1], remedy(causes.JOY_INCOMPLETE, topic)),
-        *((index in sample.values, BAD,
-           f"the gamepad's {name} {index} is {sample.values.get(index)}, no number to act on",
+        *((index in gamepad.odd, BAD, f"the gamepad's {name} {index} is {gamepad.odd.get(index)}, no number to act on",
            remedy(causes.JOY_NOT_FINITE, topic)) for name, index in sticks.items()),
-        (sample.period_s > timeout_s, BAD,
+        (gamepad.period_s > timeout_s, BAD,
          f"{comes}, too seldom for a joy_timeout of {timeout_s:g} s: the deadman is released again and again",
          autorepeat),
-        (sample.period_s * MISSED > timeout_s, WARN,
+        (gamepad.period_s * MISSED > timeout_s, WARN,
          f"{comes}: with a joy_timeout of {timeout_s:g} s one message that is late releases the deadman", autorepeat),
-        (is_d_mode, WARN, f"{sample.axes} axes and {sample.buttons} buttons{D_MODE}",
+        (is_d_mode, WARN, f"{gamepad.axes} axes and {gamepad.buttons} buttons{D_MODE}",
          remedy(causes.JOY_INCOMPLETE, topic))]
+
+
+def _rate_text(gamepad):
+    if gamepad.messages < 2:
+        return f"once in {gamepad.period_s:.1f} s"
+    return f"{1 / gamepad.period_s:.1f} times a second"
 
 
 def probe_driver(folder: str = "/sys/bus/usb/devices") -> list[Finding]:
@@ -122,9 +122,3 @@ def _read_word(folder, name):
             return file.read().strip()
     except OSError:
         return ""
-
-
-def _rate_text(sample):
-    if sample.messages < 2:
-        return f"once in {sample.period_s:.1f} s"
-    return f"{1 / sample.period_s:.1f} times a second"

@@ -1,25 +1,46 @@
-"""Asks the ROS master and the nodes for the doctor, each question with a time limit; it works without rospy."""
+"""Asks the ROS master and the nodes for the doctor, each question with a time limit; it works without rospy.
+
+``Master`` asks; ``Car`` is what became known of the car, and ``Reading`` what of a node's parameters.
+"""
 from __future__ import annotations
 
 import os
+import time
 import xmlrpc.client
-from functools import partial
+from argparse import Namespace
 from typing import Any, NamedTuple, Sequence
 from urllib.parse import urlsplit
 
 from car_interface.common.declared import read_all
+from car_interface.common.device_access import STABLE_PORT
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.fixed_parameters import fixed_parameters
 from car_interface.common.package_files import package_file
 from car_interface.common.params import CONFIG_FOLDER, Params
 from car_interface.common.processes import script_arguments
 from car_interface.common.yaml_file import compose_yaml, read_yaml
+from car_interface.pca9685.config import AUTO
+from car_interface.pca9685.registers import prescale_for
 from car_interface.ros.start import config_class
 from car_interface.ros.xmlrpc_calls import call
-from car_interface.tools.doctor.car import ABSENT, KILLED, ONE_PROCESS, RUNNING, SILENT, SIMULATOR, Node, Reading
-from car_interface.tools.doctor.network import leads_here
+from car_interface.tools.doctor.board import BoardSettings
+from car_interface.tools.doctor.car import (
+    ABSENT,
+    KILLED,
+    ONE_PROCESS,
+    RUNNING,
+    SILENT,
+    SIMULATOR,
+    Node,
+    Reading,
+    find_cars,
+)
+from car_interface.tools.doctor.computer import leads_here
+from car_interface.tools.doctor.findings import Task
 
 CALLER = "/doctor"
+USUAL_PORT, USUAL_BAUD, USUAL_ADDRESS = "/dev/ttyAMA0", 115200, 0x40
+SURVEY_S = 2.0  # for the nodes
 # These may be parts of ONE_PROCESS.
 PARTS = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "throttle_arb", "planner_interface")
 REPORTING = (*PARTS, "teleop_logi")  # on /diagnostics
@@ -124,6 +145,97 @@ class Master:
             return None
 
 
+class Car:
+    """What the master knows of the car, and the devices that it goes by: those of the parameters, else the usual ones.
+
+    Args:
+        master: ``None`` = none answers.
+
+    Attributes:
+        was_chosen: False = there are several cars, and no namespace was given.
+        port_is_the_nodes: the port is the one that the hub uses.
+        port_is_virtual: it's the one that car_sim makes.
+    """
+
+    def __init__(self, master: Master | None, options: Namespace):
+        self.master = master
+        graph = master.graph() if master else Graph({}, frozenset())
+        cars = find_cars(graph.nodes)
+        self.namespace = options.namespace or (cars[0] if len(cars) == 1 else "/")
+        self.others = [car for car in cars if car != self.namespace]  # the namespaces of other cars
+        self.was_chosen = options.namespace is not None or self.namespace in cars or not cars
+        tasks = [Task("nodes", master.node, name, self.namespace, graph) for name in NODES] if master else []
+        nodes = [task.wait(time.monotonic() + SURVEY_S)[0] for task in tasks]
+        self.nodes: dict[str, Node] = {node.name: node for node in nodes if node is not None}
+        self.uses_sim_time = bool(master and master.parameter("/use_sim_time"))
+        hub, board = self.parameters("teensy_sensor_hub"), self.parameters("pca9685")
+        of_hub = _known(hub.text, "port")
+        self.port = options.port or of_hub or (STABLE_PORT if os.path.exists(STABLE_PORT) else USUAL_PORT)
+        self.baud = _known(hub.integer, "baud", USUAL_BAUD)
+        self.port_is_the_nodes = bool(of_hub) and os.path.realpath(self.port) == os.path.realpath(of_hub)
+        self.port_is_virtual = self.port == self.known_text(SIMULATOR, "port")
+        self.bus = _bus(options.bus) if options.bus else _bus_of(board)
+        prescale, oscillator_hz = _prescale(board)
+        self.board = BoardSettings(options.address or _known(board.integer, "address", USUAL_ADDRESS), prescale,
+                                   self.runs("pca9685") is not None, oscillator_hz)
+
+    def parameters(self, name: str) -> Params:
+        """Return a node's; what its launch file gave to its process goes before what the server holds by now."""
+        values = self.master.parameter(f"{self.namespace.rstrip('/')}/{name}") if self.master else None
+        fixed = self.master.fixed_parameters(self.nodes[name]) if name in self.nodes else {}
+        given = {key: value for key, value in fixed.items() if value is not None}
+        return Params({**(values if isinstance(values, dict) else {}), **given})
+
+    def known_text(self, name: str, parameter: str) -> str | None:
+        """Return a node's parameter; ``None`` where there is none or nonsense, which ``check_parameters`` reports."""
+        return _known(self.parameters(name).text, parameter)
+
+    def runs(self, name: str) -> Node | None:
+        """Return a node that is there and answers."""
+        node = self.nodes.get(name)
+        return node if node and node.runs else None
+
+    def state(self, name: str) -> str:
+        """Return what a node does."""
+        return self.nodes[name].state if name in self.nodes else ABSENT
+
+    @property
+    def lacks_simulator(self) -> bool:
+        """Return whether the port is a virtual Teensy's, but car_sim makes none."""
+        return (self.port_is_virtual and self.runs(SIMULATOR) is None
+                and (self.state(SIMULATOR) == SILENT or not os.path.exists(self.port)))
+
+
+def _known(read, name, default=None):
+    """Return a parameter, or the default where there is none or nonsense, which ``check_parameters`` reports."""
+    try:
+        return read(name, None) or default
+    except ConfigError:
+        return default
+
+
+def _bus_of(board):
+    """Return the bus of the pca9685 node's parameters: what they name, or AUTO has found."""
+    device = _known(board.text, "device") or _known(board.integer, "device", AUTO)
+    return _known(board.text, "auto_device", AUTO) if device == AUTO else _bus(device)
+
+
+def _bus(device):
+    return f"/dev/i2c-{device}" if str(device).isdigit() else device
+
+
+def _prescale(board):
+    """Return the PRE_SCALE and the oscillator that the pca9685 node's parameters ask for; ``None`` = nobody asks."""
+    try:
+        oscillator_hz = board.number("oscillator_hz", 25e6, low=1e6, high=50e6)
+        prescale = board.integer("prescale", None)
+        if prescale is None:
+            prescale = prescale_for(board.number("frequency", 50.0, above=0.0), oscillator_hz)
+        return prescale, oscillator_hz
+    except ConfigError:
+        return None, 25e6
+
+
 def read_files(master: Master, nodes: Sequence[Node]) -> list[str]:
     """Return what is wrong with the YAML files of the car, of which the server names those that ~save writes.
 
@@ -149,12 +261,10 @@ def read_parameters(master: Master, node: Node) -> Reading | None:
         if node.state == ABSENT:
             return None
         private = {}
-    folder = private.get(CONFIG_FOLDER)
-    read = partial(Reading, node.path, runs=node.state != ABSENT,
-                   folder=os.path.realpath(folder) if isinstance(folder, str) else "")
+    folder, fault = private.get(CONFIG_FOLDER), ""
     try:
         read_all(Params(private, lambda name: master.search_parents(node.path, name), master.fixed_parameters(node)),
                  config_class(node.name))
     except CarInterfaceError as error:
-        return read(fault=str(error))
-    return read(fault="")
+        fault = str(error)
+    return Reading(node.path, fault, node.state != ABSENT, os.path.realpath(folder) if isinstance(folder, str) else "")

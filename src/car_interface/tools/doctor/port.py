@@ -66,14 +66,11 @@ def probe_port(port: str, baud: int):
 
 def _may_be_terminal(path):
     """Return whether a path may be opened for a look: to open another kind of device may do anything."""
-    if not is_character_device(path):
+    if not is_character_device(path) or is_pseudo_terminal(path):
         return True  # opening it says more
     number = os.stat(path).st_rdev
-    try:
-        with open("/proc/tty/drivers", encoding="ascii", errors="replace") as file:
-            return is_terminal(os.major(number), os.minor(number), file.read())
-    except OSError:
-        return os.major(number) != MEMORY_MAJOR
+    kind = os.path.realpath(f"/sys/dev/char/{os.major(number)}:{os.minor(number)}/subsystem")
+    return os.path.basename(kind) == "tty" or not os.path.exists(kind) and os.major(number) != MEMORY_MAJOR
 
 
 def _probe(link, baud):
@@ -88,7 +85,7 @@ def _probe(link, baud):
         if select.select([link.fileno()], [], [], left_ns / NS_PER_S)[0]:
             probe.update(link.read(), time.monotonic_ns())
         now_ns = time.monotonic_ns()
-    return probe.findings()[0]
+    return probe.finding()
 
 
 def check_holders(path: str, holders: Sequence[tuple[int, str]]) -> list[Finding]:
@@ -97,10 +94,10 @@ def check_holders(path: str, holders: Sequence[tuple[int, str]]) -> list[Finding
         return []
     names = [f"{name} (process {pid})" for pid, name in holders]
     programs = [name for _, name in holders]
-    hub = next((name for name, program in zip(names, programs) if program in HUBS), None)
-    if hub is not None:
-        return [Finding(WARN, "port", f"{path}: {hub} has it open, but doesn't answer under "
-                                      "this master and namespace",
+    hubs = [name for name, program in zip(names, programs) if program in HUBS]
+    if hubs:
+        return [Finding(WARN, "port", f"{path}: {hubs[0]} has it open, but doesn't answer under this master and "
+                                      "namespace",
                         "See the nodes above; or run the doctor with that node's ROS_MASTER_URI, and --ns")]
     if "ModemManager" in programs:
         remedy = f"It tries every new port. Keep it off: {SETUP_COMMAND}, then plug the Teensy in anew"
@@ -108,24 +105,8 @@ def check_holders(path: str, holders: Sequence[tuple[int, str]]) -> list[Finding
         remedy = f"That is a log-in console: {removal_remedy(path)}"
     else:
         remedy = f"End it; more about it: fuser -v {path}"
-    others = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
-    open_in = f"{', '.join(names[:MAX_NAMES])}{others}"
+    open_in = ", ".join(names[:MAX_NAMES]) + (f" and {len(names) - MAX_NAMES} more" if names[MAX_NAMES:] else "")
     return [Finding(BAD, "port", f"{path}: another program has it open: {open_in}", remedy)]
-
-
-def is_terminal(major: int, minor: int, drivers: str) -> bool:
-    """Return whether a device of this number is a serial port or another terminal.
-
-    Args:
-        drivers: /proc/tty/drivers, a driver in each line: ``serial /dev/ttyS 4 64-95 serial``.
-    """
-    for line in drivers.splitlines():
-        fields = line.split()
-        if len(fields) >= 4 and fields[2] == str(major):
-            first, _, last = fields[3].partition("-")
-            if int(first) <= minor <= int(last or first):
-                return True
-    return False
 
 
 def check_link(link: Any, port: str, node: Node) -> list[Finding]:
@@ -190,7 +171,7 @@ class TeensyProbe:
         is_fine = self._session.health.verdict.state == FINE and self._session.pinger.answered > 1 and has_sonar_reports
         return now_ns >= self._end_ns or is_fine and not self._session.tally.bad_frames
 
-    def findings(self) -> list[Finding]:
+    def finding(self) -> Finding:
         """Return the finding about the Teensy."""
         verdict, pinger = self._session.health.verdict, self._session.pinger
         missing = [name for sensor, name in enumerate(SONARS) if sensor not in self._sonars]
@@ -204,7 +185,7 @@ class TeensyProbe:
             (verdict.level != OK, verdict.level, verdict.description, verdict.next_step),
             (missing, WARN, f"{verdict.description}, but nothing came from {_describe_sonars(missing)} in {within}",
              SONARS_REMEDY),
-            (True, OK, f"{verdict.description}; {pong}"))
+            (True, OK, f"{verdict.description}; {pong}"))[0]
 
 
 def _describe_sonars(names):

@@ -6,7 +6,7 @@ import math
 import threading
 import time
 import traceback
-from typing import NamedTuple
+from typing import Iterable, NamedTuple, Sequence
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -22,8 +22,8 @@ from car_interface.teleop.gamepad import DRIVER_REPORT, GamepadConfig
 from car_interface.teleop.handover import PHONE_TOPIC
 from car_interface.teleop.mappings import config_for, load_entries, model_of
 from car_interface.tools.doctor.car import Node, Report
-from car_interface.tools.doctor.gamepad import GamepadFacts, JoySample
-from car_interface.tools.doctor.master import Master
+from car_interface.tools.doctor.gamepad import GamepadFacts
+from car_interface.tools.doctor.master import Car, Master
 
 JOY_TYPE = "sensor_msgs/Joy"
 SAMPLE_S = 1.0  # for the rate: 20 messages of a joy_node that repeats
@@ -51,22 +51,21 @@ class GamepadListener:
         is_sampled = len(self._joys) > 1 and self._joys[-1][0] - self._joys[0][0] >= SAMPLE_S
         return bool(self._states) and (is_sampled or not self._publishers)
 
-    def result(self) -> GamepadFacts:
+    def result(self, reports: Iterable[Report]) -> GamepadFacts:
         """Return what came so far."""
-        joys, state = list(self._joys), next(reversed(self._states), None)
+        joys, state = list(self._joys), self._states[-1] if self._states else TeleopState()
         end_s = joys[-1][0] if len(joys) > 1 else time.monotonic()
-        period_s = (end_s - joys[0][0]) / max(1, len(joys) - 1) if joys else math.inf
         newest = joys[-1][1] if joys else Joy()
-        odd = {index: value for _, message in joys for index, value in enumerate(message.axes)
-               if not math.isfinite(value)}
-        facts = GamepadFacts(self._node, self._topic, self._publishers,
-                             self._mapped(newest) if joys and self._config else self._config,
-                             JoySample(len(joys), period_s, len(newest.axes), len(newest.buttons), odd))
-        if state is None:
-            return facts
         is_at_rest = causes.NOT_AT_REST not in (state.steering_stick, state.throttle_stick)
-        return facts._replace(cause=state.cause, reason=state.reason,
-                              stick_cause="" if is_at_rest else causes.NOT_AT_REST)
+        return GamepadFacts(
+            self._node, self._topic, self._publishers, self._mapped(newest) if joys and self._config else self._config,
+            messages=len(joys), period_s=(end_s - joys[0][0]) / max(1, len(joys) - 1) if joys else math.inf,
+            axes=len(newest.axes), buttons=len(newest.buttons),
+            odd={index: value for _, message in joys for index, value in enumerate(message.axes)
+                 if not math.isfinite(value)},
+            cause=state.cause, reason=state.reason, stick_cause="" if is_at_rest else causes.NOT_AT_REST,
+            driver=next((report for report in reports if report.about == DRIVER_REPORT and report.remedy
+                         and f"/{report.node}" in self._publishers), None))
 
     def _mapped(self, newest):
         """Return what a message's axes and buttons do; ``None`` = that isn't known."""
@@ -118,25 +117,26 @@ def _level(level):
     return level[0] if isinstance(level, bytes) else level
 
 
-def listen(hub: str | None, turn_arb: str | None, reporting, gamepad: GamepadListener | None = None) -> TopicReports:
+def listen(car: Car, hub: Node | None, reporting: Sequence[str]) -> TopicReports:
     """Listen until everything that is expected has come, at most for ``LISTEN_S``.
 
     Args:
-        hub, turn_arb: paths of these nodes; ``None`` when they don't run.
+        hub: ``None`` when its link is not to be listened to.
         reporting: the paths of the nodes that report on /diagnostics.
-        gamepad: ``None`` when teleop_logi doesn't run.
     """
     logging.disable(logging.CRITICAL)  # what goes wrong between rospy and the nodes becomes a finding
     # rospy prints tracebacks of a peer that leaves in a handshake, and of a server that ends before its thread waits.
     traceback.print_exc = threading.excepthook = lambda *_, **__: None
     rospy.core.configure_logging = lambda *_: None  # it would leave a log file behind, an empty one
     limit_connections()  # a publisher that never answers must not keep the doctor from ending
+    teleop_logi, turn_arb = car.runs("teleop_logi"), car.runs("turn_arb")
+    gamepad = GamepadListener(car.master, teleop_logi) if teleop_logi else None
     rospy.init_node("doctor", anonymous=True, disable_signals=True, disable_rosout=True)
     links, states, reports = [], [], {}
     if hub:
-        rospy.Subscriber(f"{hub}/link", LinkStatus, links.append)
+        rospy.Subscriber(f"{hub.path}/link", LinkStatus, links.append)
     if turn_arb:
-        rospy.Subscriber(f"{turn_arb}/state", SteeringState, states.append)
+        rospy.Subscriber(f"{turn_arb.path}/state", SteeringState, states.append)
     rospy.Subscriber("/diagnostics", DiagnosticArray, lambda array: reports.update(_reports_in(array)))
     if gamepad:
         gamepad.start()
@@ -145,15 +145,11 @@ def listen(hub: str | None, turn_arb: str | None, reporting, gamepad: GamepadLis
     while time.monotonic() < deadline_s:
         has_link, has_state = links or not hub, len(states) > 1 or not turn_arb
         has_gamepad = not gamepad or gamepad.is_done()
-        if has_link and has_state and has_gamepad and wanted <= {name.partition(":")[0] for name in list(reports)}:
+        if has_link and has_state and has_gamepad and wanted <= {report.node for report in list(reports.values())}:
             break
         time.sleep(POLL_S)
-    facts = gamepad and gamepad.result()
-    if facts:
-        names = [f"{node.strip('/')}: {DRIVER_REPORT}" for node in facts.publishers]
-        bad = [reports[name] for name in names if name in reports and reports[name].remedy]
-        facts = facts._replace(driver=next(iter(bad), None))
-    return TopicReports(next(reversed(links), None), states, list(reports.values()), facts)
+    found = list(reports.values())
+    return TopicReports(links[-1] if links else None, states, found, gamepad and gamepad.result(found))
 
 
 def leave() -> None:
