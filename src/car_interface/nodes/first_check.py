@@ -35,6 +35,7 @@ from car_interface.common.causes import AUTONOMOUS, MANUAL
 from car_interface.common.declared import read
 from car_interface.common.errors import CarInterfaceError, ConfigError, EndedEarly
 from car_interface.common.params import Params
+from car_interface.common.processes import command_line
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import CHANNELS, NS_PER_S
 from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, SONARS
@@ -86,7 +87,7 @@ class FirstCheckNode:
         self._text, self._keys = text or LiveText(), keys or Keys()
         now_ns = inbox.clocks.now_ns()
         self._timer, self._begun_ns, self._stage = RateTimer(RATE_HZ, now_ns), now_ns, self._wait
-        self._kind, self._edits, self._keeps_neutral = "", [], False
+        self._printed, self._edits = "", []  # the question that was printed last; the changes of the files
         self._steering = advertise("av_steer_req", Float32, inbox)
         self._asked = False  # whether it steered with the last tick
         self._is_tuning = False  # until throttle_arb has answered
@@ -146,35 +147,39 @@ class FirstCheckNode:
         self._keys.restore()
         self._text.keep()
         self._inbox.clocks.wait_for(lambda: not self._is_tuning, TUNED_WITHIN_S, POLL_S)
-        if not self._keeps_neutral and self._neutral != self._start_neutral:
+        if self._neutral != self._start_neutral:
             self._have_tuned(self._start_neutral)
 
     def _wait(self, now_ns, typed):
         car = self._check.car
-        if not (car.steering.is_stale(now_ns) or car.output.is_stale(now_ns)):
+        lacks = [timed.stale_reason(now_ns) for timed in (car.steering, car.output) if timed.is_stale(now_ns)]
+        if not lacks:
             self._stage = self._ask
         elif now_ns - self._begun_ns > READY_WITHIN_NS:
-            lacks = [timed.stale_reason(now_ns) for timed in (car.steering, car.output) if timed.is_stale(now_ns)]
             raise CarInterfaceError(f"it can't begin: {'; '.join(lacks)}. Is the car launched, and in this namespace "
                                     "(ROS_NAMESPACE)? rosrun car_interface doctor")
 
     def _ask(self, now_ns, typed):
-        view = self._check.step(now_ns, typed, self._text.width)
-        if self._check.refusal:
-            raise EndedEarly(f"{self._check.refusal}. Nothing is written")
-        self._steer(view.steering if self._check.car.held_mode(now_ns) == AUTONOMOUS else None)
-        self._tune(view.neutral)
-        if view.kills_board:
-            reason = self._kill(self._check.car.sender)
-            if reason:
-                self._check.question.kill_failed(reason)
-        if view.is_over:
+        check, car = self._check, self._check.car
+        check.step(now_ns, typed)
+        if check.refusal:
+            raise EndedEarly(f"{check.refusal}. Nothing is written")
+        question, is_held = check.question, car.held_mode(now_ns) == AUTONOMOUS
+        self._steer(question.steering if question and is_held else None)
+        self._tune()
+        if question is None:
             self._summarize()
-        elif self._text.is_live:
-            self._text.show(view.lines)
-        elif view.kind != self._kind:
-            self._text.say("\n".join(view.lines))
-        self._kind = view.kind
+            return
+        if question.kills_board:
+            question.kills_board, reason = False, self._kill(car.sender)
+            if reason:
+                question.kill_failed(reason)
+        lines = check.lines(now_ns, self._text.width)
+        if self._text.is_live:
+            self._text.show(lines)
+        elif question.text != self._printed:
+            self._text.say("\n".join(lines))
+        self._printed = question.text
 
     def _quit(self):
         raise EndedEarly("ended before it was over: nothing is written")
@@ -185,9 +190,9 @@ class FirstCheckNode:
             self._steering.publish(Float32(request or 0.0))
         self._asked = request is not None
 
-    def _tune(self, neutral):
+    def _tune(self):
         """Have throttle_arb take another neutral, or its own again; one after the other, the newest last."""
-        wanted = self._start_neutral if neutral is None else neutral
+        wanted = self._check.car.neutral
         if wanted != self._neutral and not self._is_tuning:
             self._neutral, self._is_tuning = wanted, True
             self._graph.start_thread(partial(self._have_tuned, wanted), "tuning")
@@ -228,15 +233,15 @@ class FirstCheckNode:
         if answer == "q":
             self._quit()
         if answer == "p":
-            self._check.step(now_ns, "p", self._text.width)
+            self._check.step(now_ns, "p")
             self._stage = self._ask
         elif answer:
             self._finish(writes=answer == "y")
 
     def _finish(self, writes):
         written = write(self._edits) if writes else []
-        self._keeps_neutral = bool(written) and any("servo/neutral" in edit.values and not edit.problem
-                                                    for edit in self._edits)
+        if written and any("servo/neutral" in edit.values and not edit.problem for edit in self._edits):
+            self._start_neutral = self._neutral  # which stays
         for line in written:
             self._text.say(line)
         page = os.path.join(self._folder, SYSTEM.local_time(PAGE))
@@ -308,9 +313,8 @@ def kill_node(name: str) -> str:
         if not uri:
             return reason
         _, _, pid = call(uri, "getPid", rospy.get_name())
-        with open(f"/proc/{pid}/cmdline", "rb") as file:  # the process of another computer has another one here
-            if name.rpartition("/")[2].encode() not in file.read():
-                return f"{name} runs on another computer"
+        if not any(name.rpartition("/")[2] in word for word in command_line(pid)):  # the number is of another process here
+            return f"{name} runs on another computer"
         os.kill(pid, signal.SIGKILL)
     except Exception as error:  # whatever it answers
         return f"{name} can't be reached: {error}"

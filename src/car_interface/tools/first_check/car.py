@@ -19,6 +19,7 @@ from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.esc import ARMING
 
 SLOWER = "slower"
+SIDES = ("left", "right")  # of the rear wheels
 COUNTS = 1 << 32  # OneWheel.dist_abs wraps here
 # A Slash reaches 20 m/s; 0.3 of the throttle, the shipped human_scale, is several m/s without a load.
 MAX_WHEEL_SPEED_MPS = 3.0
@@ -71,7 +72,7 @@ class Car:
         self.speed = TimedInput("odom", 0.5)
         self.link = TimedInput("the Teensy's link", 2.5)
         self.ranges = {name: TimedInput(f"sonar/{name}", 2.0) for name in SONARS}
-        self.range_reports = dict.fromkeys(SONARS, 0)  # how often each reported
+        self.reports: dict[str, list[float]] = {name: [] for name in SONARS}  # all of a sonar's ranges, in m
         self.pulses = [0, 0]  # of the left and the right rear wheel since the start, forward ones less backward ones
         self.neutral = setup.throttle and setup.throttle.neutral  # as tuned by now; ``None`` = no throttle_arb
         # What was learned by now: the request at which the wheels point straight ahead, whether servo_left turns right,
@@ -86,7 +87,7 @@ class Car:
         """Take the counts of both wheels."""
         before = self.wheels.value
         self.wheels.update(message, now_ns)
-        for side, name in enumerate(("left", "right")):
+        for side, name in enumerate(SIDES):
             wheel = getattr(message, name)
             more = (wheel.dist_abs - getattr(before, name).dist_abs) % COUNTS if before else 0
             if more < COUNTS // 2:  # else the Teensy has started anew
@@ -114,7 +115,7 @@ class Car:
     def update_range(self, name: str, range_m: float, now_ns: int) -> None:
         """Take a sonar's range."""
         self.ranges[name].update(range_m, now_ns)
-        self.range_reports[name] += 1
+        self.reports[name].append(range_m)
         if not math.isfinite(range_m) or self.stands(now_ns):
             self._follows[name] = 0
             return

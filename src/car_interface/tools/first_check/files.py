@@ -19,7 +19,7 @@ from car_interface.steering.config import load_steering
 from car_interface.teleop.gamepad import GamepadConfig
 from car_interface.teleop.mappings import FILE as MAPPINGS
 from car_interface.throttle.config import load_throttle
-from car_interface.tools.first_check.question import CLASSES, GAMEPAD, STEERING, THROTTLE, Result
+from car_interface.tools.first_check.questions import CLASSES, GAMEPAD, STEERING, THROTTLE, Result
 
 MAX_SHOWN = 3  # numbers of a list: a table moves along with what was learned
 LOADS = {STEERING: load_steering, THROTTLE: load_throttle,

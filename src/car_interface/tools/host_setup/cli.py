@@ -148,20 +148,12 @@ def as_root(command) -> list[str]:
     return list(command) if os.geteuid() == 0 else ["sudo", *command]
 
 
-class Launch(NamedTuple):
-    """What the unit starts."""
-
-    user: str
-    script: str  # ENVIRONMENT_SCRIPT, by its whole path
-    arguments: Sequence[str]  # of car.launch
-    network: Mapping[str, str]  # those of NETWORK that are set
-
-
-def read_launch(user: str, arguments: Sequence[str], environment: Mapping[str, str], launch_file: str) -> Launch:
-    """Read what to start.
+def unit_text(user: str, arguments: Sequence[str], environment: Mapping[str, str], launch_file: str) -> str:
+    """Return the unit that starts the car. It waits for no device, as the nodes do that themselves.
 
     Args:
-        arguments: NAME:=VALUE; the folder becomes absolute.
+        user: who drives.
+        arguments: NAME:=VALUE for car.launch; the folder becomes absolute.
         environment: of a terminal in which the workspace was sourced.
         launch_file: the path of car.launch.
 
@@ -185,15 +177,10 @@ def read_launch(user: str, arguments: Sequence[str], environment: Mapping[str, s
     script = next((path for path in scripts if os.access(path, os.X_OK)), None)
     if script is None:
         raise CarInterfaceError("no catkin workspace was sourced in this terminal: source devel/setup.bash of yours")
-    return Launch(user, script, [f"{name}:={value}" for name, value in values.items()],
-                  {name: environment[name] for name in NETWORK if environment.get(name)})
-
-
-def unit_text(launch: Launch) -> str:
-    """Return the unit. It waits for no device, as the nodes do that themselves."""
-    command = " ".join(map(_quoted, (launch.script, "roslaunch", "car_interface", "car.launch", *launch.arguments)))
-    network = "".join(f"Environment={_quoted(f'{name}={value}', is_command=False)}\n"
-                      for name, value in launch.network.items())
+    command = " ".join(map(_quoted, (script, "roslaunch", "car_interface", "car.launch",
+                                     *(f"{name}:={value}" for name, value in values.items()))))
+    network = "".join(f"Environment={_quoted(f'{name}={environment[name]}', is_command=False)}\n"
+                      for name in NETWORK if environment.get(name))
     return f"""\
 # Written by `rosrun car_interface setup_hardware --autostart`; `--remove` takes it away.
 [Unit]
@@ -202,7 +189,7 @@ After=network.target
 StartLimitIntervalSec=0
 
 [Service]
-User={launch.user}
+User={user}
 WorkingDirectory=~
 Environment=PYTHONUNBUFFERED=1
 {network}ExecStart={command}
@@ -225,14 +212,7 @@ def _quoted(text, is_command=True):
     return f'"{text}"'
 
 
-def plan_autostart(unit: str) -> list[SetupStep]:
-    """Return the steps that install a unit, which was written to a file."""
-    return [SetupStep(f"install {UNIT_PATH}", ("install", "--mode=644", unit, UNIT_PATH)),
-            SetupStep("have systemd read it", ("systemctl", "daemon-reload")),
-            SetupStep("have it start at each boot", ("systemctl", "enable", UNIT))]
-
-
-# What undoes plan_autostart, and stops what it started.
+# What undoes --autostart, and stops what it started.
 REMOVAL = (SetupStep("stop it, and start it no more", ("systemctl", "disable", "--now", UNIT)),
            SetupStep(f"remove {UNIT_PATH}", ("rm", UNIT_PATH)),
            SetupStep("have systemd forget it", ("systemctl", "daemon-reload")))
@@ -287,12 +267,15 @@ def _set_autostart(options):
         else:
             print(f"Nothing to do: there is no {UNIT_PATH}.")
         return
-    text = unit_text(read_launch(options.user, options.launch, os.environ, str(package_file("launch/car.launch"))))
+    text = unit_text(options.user, options.launch, os.environ, str(package_file("launch/car.launch")))
     print(text)
     with tempfile.NamedTemporaryFile("w", prefix=UNIT, encoding="utf-8") as file:
         file.write(text)
         file.flush()
-        _run(plan_autostart(file.name), options.dry_run, lambda done: [AUTOSTART_REMARK])
+        _run([SetupStep(f"install {UNIT_PATH}", ("install", "--mode=644", file.name, UNIT_PATH)),
+              SetupStep("have systemd read it", ("systemctl", "daemon-reload")),
+              SetupStep("have it start at each boot", ("systemctl", "enable", UNIT))],
+             options.dry_run, lambda done: [AUTOSTART_REMARK])
 
 
 def _run(steps, is_dry, describe):

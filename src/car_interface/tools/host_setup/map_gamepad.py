@@ -67,14 +67,11 @@ class GamepadMap:
         """Return what is to be shown."""
         return self._steps[0] if self._steps else None
 
-    def skip(self) -> bool:
-        """Note that the gamepad lacks the control, and return whether it may."""
-        step = self.step
-        if step is None or not step.may_lack:
-            return False
-        self.entry[step.parameter] = NONE
-        del self._steps[0]
-        return True
+    def skip(self) -> None:
+        """Note that the gamepad lacks the control, if it may."""
+        if self.step.may_lack:
+            self.entry[self.step.parameter] = NONE
+            del self._steps[0]
 
     def take(self, axes: Sequence[float], buttons: Sequence[int]) -> str:
         """Take the gamepad's state, and return why a control that is shown won't do; empty: it does, or none is."""
@@ -149,43 +146,29 @@ def ask(device: GamepadDevice, joystick: Joystick, keyboard, report=print) -> di
     return found.entry
 
 
-def save(folder: str, model: str, entry: dict[str, float]) -> str:
-    """Write an entry into a folder's gamepads.yaml, and return the file's path.
-
-    Raises:
-        CarInterfaceError: it can't be written.
-    """
-    path = os.path.join(folder, FILE)
-    text = with_entry(read_yaml(path) if os.path.exists(path) else "", path, model, entry)
-    output.write(path, text, keeps_old=True)
-    return path
-
-
-def check_folder(folder: str) -> None:
-    """Refuse a folder that isn't the car's.
-
-    Raises:
-        CarInterfaceError: with the remedy.
-    """
-    if not os.path.isdir(folder):
-        raise CarInterfaceError(f"there is no folder {folder}: give your car's, which config:= names")
-    if is_package_file(os.path.join(folder, FILE)):
-        raise CarInterfaceError(f"{folder} is the package's own: give a folder of your car's, a copy of it, and launch "
-                                "with config:=")
-
-
 def main():
-    """Ask for each control, and write the entry."""
+    """Ask for each control, and write the entry.
+
+    Raises:
+        CarInterfaceError: the folder isn't the car's, or the entry can't be written.
+    """
     parser = argparse.ArgumentParser(prog="map_gamepad", description="Asks for each control of a gamepad, and writes "
                                      f"what it does into {FILE} of your car's folder.")
     parser.add_argument("folder", help="your car's folder, which config:= names")
     parser.add_argument("--device", default=ANY, help="the gamepad's device, if there are several")
     options = parser.parse_args([argument for argument in sys.argv[1:] if ":=" not in argument])
-    check_folder(options.folder)
+    folder, path = options.folder, os.path.join(options.folder, FILE)
+    if not os.path.isdir(folder):
+        raise CarInterfaceError(f"there is no folder {folder}: give your car's, which config:= names")
+    if is_package_file(path):
+        raise CarInterfaceError(f"{folder} is the package's own: give a folder of your car's, a copy of it, and launch "
+                                "with config:=")
     device = GamepadDevice(choose_pad(find_pads(), options.device, "--device "))
     joystick = Joystick(device.keys, device.ranges)
     model = model_of(frame_of(device.pad.name), len(joystick.axes), len(joystick.buttons))
     print(f"{model}\nLet go of everything.", flush=True)
     entry = ask(device, joystick, sys.stdin)
-    print(f"written: {save(options.folder, model, entry)}. It counts from the next launch with config:="
-          f"{os.path.abspath(options.folder)}; see teleop_logi's state while you try it, wheels in the air.")
+    text = with_entry(read_yaml(path) if os.path.exists(path) else "", path, model, entry)
+    output.write(path, text, keeps_old=True)
+    print(f"written: {path}. It counts from the next launch with config:={os.path.abspath(folder)}; see teleop_logi's "
+          "state while you try it, wheels in the air.")

@@ -11,7 +11,7 @@ from car_interface.common.yaml_file import read_yaml
 from car_interface.steering.config import load_steering
 from car_interface.throttle.config import load_throttle
 from car_interface.tools.first_check.files import find_folder, plan, write, write_page
-from car_interface.tools.first_check.question import BROKEN, FINE, LEARNED, SKIPPED, Result
+from car_interface.tools.first_check.questions import BROKEN, FINE, LEARNED, SKIPPED, Result
 
 CONFIG = Path(__file__).resolve().parents[4] / "config"
 CHANGES = {"turn_arb": {"servo_left": 3800, "servo_center": 5060}, "teleop_logi": {"steer_scale": -1.0},
