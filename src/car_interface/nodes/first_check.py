@@ -136,8 +136,8 @@ class FirstCheckNode:
             typed = self._keys.read()
             if typed is None and self._keys.is_closed():
                 raise EndedEarly("its terminal was closed: nothing is written")
-            if "q" in (typed or "").lower() and self._stage != self._confirm:
-                self._quit()
+            if "q" in (typed or "").lower():
+                raise EndedEarly("ended before it was over: nothing is written")
             self._stage(now_ns, typed or "")
         return self._timer.due_ns
 
@@ -181,9 +181,6 @@ class FirstCheckNode:
             self._text.say("\n".join(lines))
         self._printed = question.text
 
-    def _quit(self):
-        raise EndedEarly("ended before it was over: nothing is written")
-
     def _steer(self, request):
         """Ask for a steering; for the center once where nothing is asked any more."""
         if request is not None or self._asked:
@@ -212,8 +209,7 @@ class FirstCheckNode:
             if result.repair:
                 self._say_beside("", f"-> {result.repair}")
         try:
-            mapped = self._entries.get(self._model) or ()
-            self._edits = plan(self._folder, self._check.changes(), mapped)
+            self._edits = plan(self._folder, self._check.changes(), self._entries.get(self._model) or ())
         except ConfigError as error:
             self._edits = []
             self._text.say(f"what was learned doesn't go together: {error}")
@@ -229,23 +225,19 @@ class FirstCheckNode:
                                      subsequent_indent=" " * 16, break_on_hyphens=False))
 
     def _confirm(self, now_ns, typed):
-        answer = next((key for key in typed.lower() if key in "ynpq"), "")
-        if answer == "q":
-            self._quit()
+        answer = next((key for key in typed.lower() if key in "ynp"), "")
         if answer == "p":
             self._check.step(now_ns, "p")
             self._stage = self._ask
-        elif answer:
-            self._finish(writes=answer == "y")
-
-    def _finish(self, writes):
-        written = write(self._edits) if writes else []
+        if answer not in ("y", "n"):
+            return
+        written = write(self._edits) if answer == "y" else []
         if written and any("servo/neutral" in edit.values and not edit.problem for edit in self._edits):
             self._start_neutral = self._neutral  # which stays
         for line in written:
             self._text.say(line)
         page = os.path.join(self._folder, SYSTEM.local_time(PAGE))
-        changed = [line for edit in self._edits for line in edit.lines()] if writes else []
+        changed = [line for edit in self._edits for line in edit.lines()] if answer == "y" else []
         self._text.say(write_page(page, SYSTEM.local_time("%Y-%m-%d %H:%M"), self._check.results, changed + written))
         if written:
             self._text.say(f"to load it, launch again with config:={self._folder}, without calibration_drive")

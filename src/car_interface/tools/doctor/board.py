@@ -5,15 +5,16 @@ import errno
 import glob
 import os
 from contextlib import closing
-from typing import Any, Callable, NamedTuple, Sequence
+from typing import Any, Callable, Sequence
 
 from car_interface.common.device_access import explain_denial
 from car_interface.common.header import Header, read_header
 from car_interface.pca9685.bus import NOT_ACKNOWLEDGED, PROBE, BoardNotFound, choose_bus, explain, is_pca9685
 from car_interface.pca9685.config import AUTO
 from car_interface.pca9685.registers import AUTO_INCREMENT, EXTCLK, MODE1, PRE_SCALE, SLEEP, frequency_for
-from car_interface.tools.doctor.computer import is_character_device
+from car_interface.tools.doctor.computer import device_number
 from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, first
+from car_interface.tools.doctor.master import Car
 
 ADDRESSES = range(0x40, 0x80)  # that the six pins can choose (data sheet 7.1)
 # Where others are looked for: what three pins choose. Who reads a register writes its number first, and chips of other
@@ -24,41 +25,32 @@ SERVO_HZ = (40.0, 400.0)  # what servos and ESCs understand, digital ones includ
 I2C_MAJOR = 89  # Documentation/admin-guide/devices.txt of the kernel
 
 
-class BoardSettings(NamedTuple):
-    """How the car uses its servo board."""
-
-    address: int
-    prescale: int | None  # what the pca9685 node's parameters ask for; ``None`` when there are none
-    driven: bool  # whether that node runs
-    oscillator_hz: float  # the chip's clock
-
-
-def probe_board(device: str, settings: BoardSettings, asks_all: bool) -> list[Finding]:
+def probe_board(car: Car, asks_all: bool) -> list[Finding]:
     """Read registers of the chip; look for others where it doesn't answer.
 
     Args:
-        device: the bus; AUTO = the header's, as the pca9685 node finds it.
         asks_all: look for boards on all other buses, too.
     """
     header, there, found = read_header(), _buses(), []
     import smbus2  # it may be what is missing
-    if device == AUTO:
+    device = car.bus
+    if device == AUTO:  # the header's, as the pca9685 node finds it
         device = header.bus_paths[0]
         try:
-            device = choose_bus(header, settings.address, smbus2.SMBus)
+            device = choose_bus(header, car.address, smbus2.SMBus)
         except BoardNotFound as error:
             if error.is_ambiguous:
                 found = [Finding(BAD, "bus", error.cause, error.remedy)]
     if not found:
         found = [check_bus(device, header, there)]
         if found[0].level == OK:
-            found += _probe_chip(device, header, settings, smbus2.SMBus())
+            found += _probe_chip(device, header, car, smbus2.SMBus())
     others = [path for path in there if os.path.realpath(path) != os.path.realpath(device)]
     return found + (ask_buses(others, smbus2.SMBus) if asks_all else [])
 
 
-def _probe_chip(device, header, settings, bus):
-    address, name = settings.address, f"0x{settings.address:02x} on {device}"
+def _probe_chip(device, header, car, bus):
+    address, name = car.address, f"0x{car.address:02x} on {device}"
     with closing(bus):
         try:
             bus.open(device)
@@ -67,7 +59,7 @@ def _probe_chip(device, header, settings, bus):
                             "See what it is: ls -l /dev/i2c-*")]
         try:
             mode1, prescale = (bus.read_byte_data(address, register) for register in (MODE1, PRE_SCALE))
-            return check_chip(name, mode1, prescale, is_pca9685(bus, address), settings)
+            return check_chip(name, mode1, prescale, is_pca9685(bus, address), car)
         except OSError as error:
             return check_no_answer(name, error, device, header, find_others(bus, address))
 
@@ -79,7 +71,7 @@ def _buses():
 
 
 def _is_i2c(path):
-    return is_character_device(path) and os.major(os.stat(path).st_rdev) == I2C_MAJOR
+    return (device_number(path) or (None,))[0] == I2C_MAJOR
 
 
 def check_bus(path: str, header: Header, there: Sequence[str]) -> Finding:
@@ -100,10 +92,8 @@ def find_others(bus: Any, address: int | None) -> list[int]:
     """Return where PCA9685s answer at the other ``NEIGHBOURS``; stops where the bus itself fails."""
     found = []
     for other in NEIGHBOURS:
-        if other == address:
-            continue
         try:
-            if is_pca9685(bus, other):
+            if other != address and is_pca9685(bus, other):
                 found.append(other)
         except OSError as error:
             if error.errno not in (*NOT_ACKNOWLEDGED, errno.EBUSY):
@@ -129,21 +119,21 @@ def ask_buses(paths: Sequence[str], make_bus: Callable[[], Any]) -> list[Finding
     return found + ([Finding(OK, "bus", f"no PCA9685 on {', '.join(empty)}")] if empty else [])
 
 
-def check_chip(name: str, mode1: int, prescale: int, is_marked: bool, settings: BoardSettings) -> list[Finding]:
+def check_chip(name: str, mode1: int, prescale: int, is_marked: bool, car: Car) -> list[Finding]:
     """Judge what a chip's registers say; ``is_marked``: see ``is_pca9685``."""
     registers = f"MODE1 0x{mode1:02x}, PRE_SCALE {prescale}"
-    frequency_hz = frequency_for(prescale, settings.oscillator_hz)
+    frequency_hz, driven = frequency_for(prescale, car.oscillator_hz), car.runs("pca9685")
     is_reset = (mode1, prescale) == (RESET_MODE1, RESET_PRESCALE)
-    is_as_set = mode1 & AUTO_INCREMENT and not mode1 & SLEEP and settings.prescale in (None, prescale)
+    is_as_set = mode1 & AUTO_INCREMENT and not mode1 & SLEEP and car.prescale in (None, prescale)
     return first(
         "chip",
         (not is_marked, BAD, f"{name} answers, but not as a PCA9685 does: {registers}",
          "See which chip that is: an INA sensor also likes 0x40; move one of them by its solder pads"),
         (mode1 & EXTCLK, BAD, f"{name} waits for a clock at its EXTCLK pin: {registers}",
          "Cut its power for a moment: this bit can't be cleared"),
-        (settings.driven and not is_as_set, BAD, f"{name} doesn't run as the pca9685 node set it: {registers}",
+        (driven and not is_as_set, BAD, f"{name} doesn't run as the pca9685 node set it: {registers}",
          "See who else writes to it, and whether its power holds"),
-        (settings.driven, OK, f"{name} is driven at {frequency_hz:.1f} Hz: {registers}"),
+        (driven, OK, f"{name} is driven at {frequency_hz:.1f} Hz: {registers}"),
         (is_reset, OK, f"{name} is fresh from power-up: {registers}"),
         (mode1 & SLEEP, OK, f"{name} sleeps: {registers}"),
         (not SERVO_HZ[0] <= frequency_hz <= SERVO_HZ[1], WARN,

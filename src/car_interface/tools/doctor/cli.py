@@ -106,7 +106,7 @@ def _examine(options):
     black_box = Task("black box", _check_newest_recording, car)
     hub = car.runs("teensy_sensor_hub") if car.port_is_the_nodes else None
     port = None if hub or car.lacks_simulator else Task("port", probe_port, car.port, car.baud)
-    board = None if virtual_bus else Task("bus", probe_board, car.bus, car.board, options.probe)
+    board = None if virtual_bus else Task("bus", probe_board, car, options.probe)
     reporting = [node.path for node in map(car.runs, REPORTING) if node]
     topics = Task("topics", _listen_to_topics, car, hub, reporting) if reporting else None
 

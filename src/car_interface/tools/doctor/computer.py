@@ -98,12 +98,13 @@ def group_of(path: str, usual: str) -> str:
         return usual
 
 
-def is_character_device(path: str) -> bool:
-    """Return whether there is a character device at a path, as each port and bus is one."""
-    try:
-        return stat.S_ISCHR(os.stat(path).st_mode)
-    except OSError:
-        return False
+def device_number(path: str) -> tuple[int, int] | None:
+    """Return the major and minor number of a device of characters, as each port and bus is one; ``None`` = it's none."""
+    with suppress(OSError):
+        status = os.stat(path)
+        if stat.S_ISCHR(status.st_mode):
+            return os.major(status.st_rdev), os.minor(status.st_rdev)
+    return None
 
 
 def probe_clock(uses_sim_time: bool) -> list[Finding]:
@@ -136,17 +137,12 @@ def _is_synchronised():
 
 def probe_versions() -> list[Finding]:
     """Return one finding for Python and all libraries that can be imported, and one for each that can't."""
-    found, good = [], ["Python " + ".".join(map(str, sys.version_info[:3]))]
-    for name, distribution, remedy in LIBRARIES:
-        version = _version(name, distribution)
-        if version is None:
-            found.append(Finding(BAD, "versions", f"{name} can't be imported", remedy))
-        else:
-            good.append(f"{name} {version}".strip())
-    for name in MESSAGES:
-        if not _is_installed(name):
-            found.append(Finding(BAD, "versions", f"{name} can't be imported", install(name)))
-    return [Finding(OK, "versions", ", ".join(good)), *found]
+    versions = {name: _version(name, distribution) for name, distribution, _ in LIBRARIES}
+    good = [f"{name} {version}".strip() for name, version in versions.items() if version is not None]
+    bad = [(name, remedy) for name, _, remedy in LIBRARIES if versions[name] is None]
+    bad += [(name, install(name)) for name in MESSAGES if not _is_installed(name)]
+    return [Finding(OK, "versions", ", ".join(["Python " + ".".join(map(str, sys.version_info[:3])), *good])),
+            *(Finding(BAD, "versions", f"{name} can't be imported", remedy) for name, remedy in bad)]
 
 
 def _version(name, distribution):
@@ -259,23 +255,19 @@ def leads_here(host: str) -> bool | None:
 
 def _is_local(address):
     family = socket.AF_INET6 if ":" in address else socket.AF_INET
-    with socket.socket(family, socket.SOCK_STREAM) as probe:
-        try:
-            probe.bind((address, 0))
-        except OSError:
-            return False
-    return True
+    with suppress(OSError), socket.socket(family, socket.SOCK_STREAM) as probe:
+        probe.bind((address, 0))
+        return True
+    return False
 
 
 def host_and_port(uri: str) -> tuple[str, int] | None:
     """Return host and port of a master's URI; ``None`` when it's none."""
-    try:
+    with suppress(ValueError):
         parts = urlsplit(uri)
-        if parts.scheme != "http" or not parts.hostname:
-            return None
-        return parts.hostname, parts.port or DEFAULT_PORT
-    except ValueError:
-        return None
+        if parts.scheme == "http" and parts.hostname:
+            return parts.hostname, parts.port or DEFAULT_PORT
+    return None
 
 
 def listeners(port: int) -> list[Any]:

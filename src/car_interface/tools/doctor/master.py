@@ -23,7 +23,6 @@ from car_interface.pca9685.config import AUTO
 from car_interface.pca9685.registers import prescale_for
 from car_interface.ros.start import config_class
 from car_interface.ros.xmlrpc_calls import call
-from car_interface.tools.doctor.board import BoardSettings
 from car_interface.tools.doctor.car import (
     ABSENT,
     KILLED,
@@ -175,9 +174,8 @@ class Car:
         self.port_is_the_nodes = bool(of_hub) and os.path.realpath(self.port) == os.path.realpath(of_hub)
         self.port_is_virtual = self.port == self.known_text(SIMULATOR, "port")
         self.bus = _bus(options.bus) if options.bus else _bus_of(board)
-        prescale, oscillator_hz = _prescale(board)
-        self.board = BoardSettings(options.address or _known(board.integer, "address", USUAL_ADDRESS), prescale,
-                                   self.runs("pca9685") is not None, oscillator_hz)
+        self.address = options.address or _known(board.integer, "address", USUAL_ADDRESS)
+        self.prescale, self.oscillator_hz = _prescale(board)
 
     def parameters(self, name: str) -> Params:
         """Return a node's; what its launch file gave to its process goes before what the server holds by now."""

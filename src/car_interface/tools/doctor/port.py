@@ -18,7 +18,7 @@ from car_interface.teensy.link.health import BUSY, FINE, PORT_FAULTS, WAITING
 from car_interface.teensy.link.pinging import AUTO
 from car_interface.teensy.link.session import Session
 from car_interface.tools.doctor.car import ABSENT, Node, restart_remedy
-from car_interface.tools.doctor.computer import is_character_device
+from car_interface.tools.doctor.computer import device_number
 from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, first
 
 HUBS = ("teensy_sensor_hub", "car_nodes")  # the processes that the hub may be
@@ -42,7 +42,7 @@ def probe_port(port: str, baud: int):
     if not _may_be_terminal(port):
         return [Finding(BAD, "port", f"{port}: this is not a serial port", LIST_PORTS)]
     # The program behind a pseudo-terminal may hold this end, too.
-    is_real = is_character_device(port) and not is_pseudo_terminal(port)
+    is_real = device_number(port) and not is_pseudo_terminal(port)
     holders = openers(port) or consoles(port) if is_real else []
     if holders:
         return check_holders(port, holders)
@@ -66,11 +66,11 @@ def probe_port(port: str, baud: int):
 
 def _may_be_terminal(path):
     """Return whether a path may be opened for a look: to open another kind of device may do anything."""
-    if not is_character_device(path) or is_pseudo_terminal(path):
+    number = device_number(path)
+    if number is None or is_pseudo_terminal(path):
         return True  # opening it says more
-    number = os.stat(path).st_rdev
-    kind = os.path.realpath(f"/sys/dev/char/{os.major(number)}:{os.minor(number)}/subsystem")
-    return os.path.basename(kind) == "tty" or not os.path.exists(kind) and os.major(number) != MEMORY_MAJOR
+    kind = os.path.realpath("/sys/dev/char/{}:{}/subsystem".format(*number))
+    return os.path.basename(kind) == "tty" or not os.path.exists(kind) and number[0] != MEMORY_MAJOR
 
 
 def _probe(link, baud):

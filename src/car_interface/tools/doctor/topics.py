@@ -32,17 +32,13 @@ POLL_S = 0.02
 
 
 class GamepadListener:
-    """Listens to a gamepad and to its teleop_logi. ``start`` needs a node."""
+    """Listens to a gamepad and to its teleop_logi."""
 
     def __init__(self, master: Master, node: Node):
-        self._node = node.path
+        self._node, self._params = node.path, Params(master.parameter(node.path) or {})
         self._topic, self._publishers = _find_topic(master, node.path)
-        self._config, self._entries = _read_config(master, node.path)
         self._joys: list[tuple[float, Joy]] = []  # with their arrivals in s
         self._states: list[TeleopState] = []
-
-    def start(self) -> None:
-        """Subscribe."""
         rospy.Subscriber(self._topic, Joy, lambda message: self._joys.append((time.monotonic(), message)))
         rospy.Subscriber(f"{self._node}/state", TeleopState, self._states.append)
 
@@ -58,7 +54,7 @@ class GamepadListener:
         newest = joys[-1][1] if joys else Joy()
         is_at_rest = causes.NOT_AT_REST not in (state.steering_stick, state.throttle_stick)
         return GamepadFacts(
-            self._node, self._topic, self._publishers, self._mapped(newest) if joys and self._config else self._config,
+            self._node, self._topic, self._publishers, self._config(newest),
             messages=len(joys), period_s=(end_s - joys[0][0]) / max(1, len(joys) - 1) if joys else math.inf,
             axes=len(newest.axes), buttons=len(newest.buttons),
             odd={index: value for _, message in joys for index, value in enumerate(message.axes)
@@ -67,11 +63,12 @@ class GamepadListener:
             driver=next((report for report in reports if report.about == DRIVER_REPORT and report.remedy
                          and f"/{report.node}" in self._publishers), None))
 
-    def _mapped(self, newest):
-        """Return what a message's axes and buttons do; ``None`` = that isn't known."""
+    def _config(self, newest):
+        """Return what teleop_logi takes a message's axes and buttons for; ``None`` = that isn't known."""
         model = model_of(newest.header.frame_id, len(newest.axes), len(newest.buttons))
         try:
-            return config_for(model, self._config, self._entries)
+            return config_for(model, read(self._params, GamepadConfig),
+                              load_entries(self._params.path(CONFIG_FOLDER, None)))
         except CarInterfaceError:
             return None
 
@@ -85,15 +82,6 @@ def _find_topic(master, path):
                   and not topic.endswith(f"/{PHONE_TOPIC}")]
     topic = usual if usual in subscribed or not subscribed else subscribed[0]
     return topic, next((sorted(nodes) for name, nodes in publishers if name == topic), [])
-
-
-def _read_config(master, path):
-    """Return how teleop_logi is set, ``None`` when it would refuse its parameters, and its entries of gamepads."""
-    params = Params(master.parameter(path) or {})
-    try:
-        return read(params, GamepadConfig), load_entries(params.path(CONFIG_FOLDER, None))
-    except CarInterfaceError:
-        return None, {}
 
 
 class TopicReports(NamedTuple):
@@ -130,16 +118,14 @@ def listen(car: Car, hub: Node | None, reporting: Sequence[str]) -> TopicReports
     rospy.core.configure_logging = lambda *_: None  # it would leave a log file behind, an empty one
     limit_connections()  # a publisher that never answers must not keep the doctor from ending
     teleop_logi, turn_arb = car.runs("teleop_logi"), car.runs("turn_arb")
-    gamepad = GamepadListener(car.master, teleop_logi) if teleop_logi else None
     rospy.init_node("doctor", anonymous=True, disable_signals=True, disable_rosout=True)
+    gamepad = GamepadListener(car.master, teleop_logi) if teleop_logi else None
     links, states, reports = [], [], {}
     if hub:
         rospy.Subscriber(f"{hub.path}/link", LinkStatus, links.append)
     if turn_arb:
         rospy.Subscriber(f"{turn_arb.path}/state", SteeringState, states.append)
     rospy.Subscriber("/diagnostics", DiagnosticArray, lambda array: reports.update(_reports_in(array)))
-    if gamepad:
-        gamepad.start()
     wanted = {path.strip("/") for path in reporting}
     deadline_s = time.monotonic() + LISTEN_S
     while time.monotonic() < deadline_s:

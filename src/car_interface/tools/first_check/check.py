@@ -99,24 +99,28 @@ class FirstCheck:
         elif key == AGAIN:
             self._go(self._index)
         elif key == SKIP and self._index:  # whether it stands on a box isn't skipped
-            self._answer(skipped("skipped"))
+            self._answer(skipped("skipped"), now_ns)
         elif key == TO_END and self._index:
-            self._ask(len(self._makers), False)
+            self._ask(len(self._makers))
         else:
             self.question.type(key, now_ns)
 
     def _go(self, index):
         """Ask a question anew."""
         self._results[index] = None
-        self._ask(index, True)
+        self._ask(index)
 
-    def _answer(self, result):
+    def _answer(self, result, now_ns):
+        """Take an answer, and ask the next question that can be asked."""
         self._results[self._index] = result
-        self._ask(self._index + 1, False)
+        self._ask(self._index + 1)
+        missing = self.question and self.question.missing(now_ns)
+        if missing:
+            self._answer(skipped(missing), now_ns)
 
-    def _ask(self, index, has_begun):
+    def _ask(self, index):
         """Ask a question by what is known of the car by now; behind the last one, none."""
-        self._index, self._has_begun, self._warning = index, has_begun, ""
+        self._index, self._warning = index, ""
         steering, throttle = self.learned()[STEERING], self.learned()[THROTTLE]
         direction = self._results[self._titles.index(ThrottleDirection.title)]
         self.car.is_exchanged, self.car.center = "exchanged" in steering, steering.get("center_request", 0.0)
@@ -125,19 +129,12 @@ class FirstCheck:
         self.question = self._makers[index](self.car) if index < len(self._makers) else None
 
     def _advance(self, now_ns):
-        """Let the question look, and ask the next one that can be asked."""
-        while self.question is not None:
-            missing = "" if self._has_begun else self.question.missing(now_ns)
-            if missing:
-                self._answer(skipped(missing))
-                continue
-            self._has_begun = True
-            if self._is_warned(now_ns):
-                return
+        """Let the question look, and the next one if that answers it."""
+        while self.question is not None and not self._is_warned(now_ns):
             result = self.question.step(now_ns) or self.question.result
             if result is None:
                 return
-            self._answer(result)
+            self._answer(result, now_ns)
 
     def _is_warned(self, now_ns):
         """Begin the question again where the wheels turn too fast or for too long, once they are let go."""

@@ -91,7 +91,7 @@ class _Steers(Question):
 
 
 class _Finds(_Steers):
-    """A person turns the wheels by two keys to a place that is asked for."""
+    """A person turns the wheels by two keys to a place; ``_conclude`` judges a duty that is said to be it."""
 
     keys = f",.{ENTER}yn"
     step_size = END_STEP  # of the request, with each key
@@ -108,10 +108,6 @@ class _Finds(_Steers):
         wanted = round(self.steering + (1 if key == "," else -1) * self._left * self.step_size, 3)
         self.steering = max(self.low, min(self.high, wanted))
         return None
-
-    def _conclude(self, duty):
-        """Return the answer that a duty is the place, or why it can't be."""
-        raise NotImplementedError
 
 
 class Center(_Finds):

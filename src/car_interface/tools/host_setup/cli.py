@@ -63,6 +63,7 @@ class SetupStep(NamedTuple):
     command: tuple  # what does it, as root
     may_fail: bool = False  # whether what it does comes about without it, too
     otherwise: str = ""  # what to print when it failed
+    remark: str = ""  # what the user has to know at the end, once it is done
 
 
 def plan(computer: Computer, rules: str) -> list[SetupStep]:
@@ -74,12 +75,15 @@ def plan(computer: Computer, rules: str) -> list[SetupStep]:
         steps.append(SetupStep(f"add {computer.user} to {', '.join(missing)}",
                                ("usermod", "--append", "--groups", ",".join(missing), computer.user),
                                otherwise="a user who isn't in /etc/passwd joins each group by: sudo gpasswd --add "
-                                         f"{computer.user} GROUP"))
+                                         f"{computer.user} GROUP",
+                               remark=f"Groups count from the next log-in: {computer.user} must log out and in again, "
+                                      "everywhere."))
     if computer.has_udev and not computer.rules_are_new:
         # After the groups: udev looks their names up when it reads the rules.
         steps += [
             SetupStep(f"install {RULES_FOLDER}/{RULES_NAME}",
-                      ("install", "-D", "--mode=644", rules, f"{RULES_FOLDER}/{RULES_NAME}")),
+                      ("install", "-D", "--mode=644", rules, f"{RULES_FOLDER}/{RULES_NAME}"),
+                      remark=f"The Teensy is now also {STABLE_PORT}. If ModemManager had it open, plug it in anew."),
             SetupStep("have udev read it", ("udevadm", "control", "--reload-rules"), True,
                       "udev reads it at the next boot"),
             SetupStep("have udev apply it to what is plugged in",
@@ -89,32 +93,21 @@ def plan(computer: Computer, rules: str) -> list[SetupStep]:
     return steps
 
 
-def remarks(computer: Computer, steps: Sequence[SetupStep]) -> list[str]:
-    """Return what the user has to know at the end of these steps, which changed ``computer``."""
-    done = [step.command[0] for step in steps]
-    lines = []
+def remarks(computer: Computer) -> list[str]:
+    """Return what the user has to know of the computer: also what the pins of its header are, and what they need."""
+    lines, header = [], computer.header
     if computer.user == ROOT:
         lines.append("root needs no groups. For the user who will drive: setup_hardware --user NAME")
-    if "usermod" in done:
-        lines.append(f"Groups count from the next log-in: {computer.user} must log out and in again, everywhere.")
     if not computer.has_udev:
         lines.append("There is no udevadm here, as in a container: the udev rule was left out. Run this on the "
                      "computer itself, too; it makes the devices that a container is given.")
-    elif "install" in done:
-        lines.append(f"The Teensy is now also {STABLE_PORT}. If ModemManager had it open, plug it in anew.")
-    return lines + describe_header(computer)
-
-
-def describe_header(computer: Computer) -> list[str]:
-    """Return what the pins of a known computer's header are, and what they need."""
-    header = computer.header
-    if not header.computer:
-        return []
-    missing = "" if computer.has_bus else f", which is missing. {header.bus_remedy}"
-    note = header.ports.get(header.port, "")
-    return [f"This is a {header.computer}: pins 3 and 5 are {header.bus_paths[0]}{missing}",
-            f"A Teensy on pins 8 and 10 is on {header.port}" + (f": {note}" if note else "")
-            + f". If a log-in console has that: {header.console_remedy}"]
+    if header.computer:
+        missing = "" if computer.has_bus else f", which is missing. {header.bus_remedy}"
+        note = header.ports.get(header.port, "")
+        lines += [f"This is a {header.computer}: pins 3 and 5 are {header.bus_paths[0]}{missing}",
+                  f"A Teensy on pins 8 and 10 is on {header.port}" + (f": {note}" if note else "")
+                  + f". If a log-in console has that: {header.console_remedy}"]
+    return lines
 
 
 def read_computer(user: str, rules: str) -> Computer:
@@ -255,7 +248,7 @@ def _set_up(options):
     steps = plan(computer, rules)
     if not steps:
         print("Nothing to do: it's all there.")
-    _run(steps, options.dry_run, lambda done: remarks(computer, done))
+    _run(steps, options.dry_run, remarks(computer))
 
 
 def _set_autostart(options):
@@ -263,7 +256,7 @@ def _set_autostart(options):
         raise CarInterfaceError("there is no systemctl here, as in a container: nothing could start the car at boot")
     if options.remove:
         if os.path.exists(UNIT_PATH):
-            _run(REMOVAL, options.dry_run, lambda done: [])
+            _run(REMOVAL, options.dry_run)
         else:
             print(f"Nothing to do: there is no {UNIT_PATH}.")
         return
@@ -274,15 +267,15 @@ def _set_autostart(options):
         file.flush()
         _run([SetupStep(f"install {UNIT_PATH}", ("install", "--mode=644", file.name, UNIT_PATH)),
               SetupStep("have systemd read it", ("systemctl", "daemon-reload")),
-              SetupStep("have it start at each boot", ("systemctl", "enable", UNIT))],
-             options.dry_run, lambda done: [AUTOSTART_REMARK])
+              SetupStep("have it start at each boot", ("systemctl", "enable", UNIT),
+                        remark=AUTOSTART_REMARK)], options.dry_run)
 
 
-def _run(steps, is_dry, describe):
-    """Run the steps, and print what ``describe`` returns for those that were done; exit with what failed."""
+def _run(steps, is_dry, remarks=()):
+    """Run the steps, and print what is to be known of those that were done, and the remarks; exit with what failed."""
     done = [step for step in steps if run_step(step, is_dry)]
     failed = [step.what for step in steps if step not in done and not step.may_fail]
-    for remark in describe(done):
+    for remark in (*(step.remark for step in done if step.remark), *remarks):
         print(remark)
     if failed:
         sys.exit(f"Not done: {'; '.join(failed)}. Running this again does what is left.")

@@ -9,7 +9,7 @@ import math
 import os
 import select
 import sys
-from typing import Iterable, NamedTuple, Sequence
+from typing import NamedTuple
 
 from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError
@@ -44,73 +44,6 @@ STEPS = (
 )
 
 
-class GamepadMap:
-    """Finds which control a person shows.
-
-    Args:
-        rest: the axes while nobody touches the gamepad.
-        crosses: the numbers of the axes that are crosses.
-
-    Attributes:
-        step: what is to be shown; ``None`` = all was.
-    """
-
-    def __init__(self, rest: Sequence[float], crosses: Iterable[int]):
-        # A third deadman of the folder's teleop_logi.yaml would be just any button of this gamepad.
-        self.entry: dict[str, float] = {"third_button": NONE}  # what was found, as gamepads.yaml has it
-        self._rest, self._crosses = tuple(rest), frozenset(crosses)
-        self._steps = list(STEPS)
-        self._is_at_rest = False  # since the step began
-
-    @property
-    def step(self) -> Step | None:
-        """Return what is to be shown."""
-        return self._steps[0] if self._steps else None
-
-    def skip(self) -> None:
-        """Note that the gamepad lacks the control, if it may."""
-        if self.step.may_lack:
-            self.entry[self.step.parameter] = NONE
-            del self._steps[0]
-
-    def take(self, axes: Sequence[float], buttons: Sequence[int]) -> str:
-        """Take the gamepad's state, and return why a control that is shown won't do; empty: it does, or none is."""
-        step = self.step
-        if step is None:
-            return ""
-        offsets = [abs(value - rest) for value, rest in zip(axes, self._rest)]
-        if not self._is_at_rest:
-            self._is_at_rest = not any(buttons) and max(offsets, default=0.0) < AT_REST
-            return ""
-        number, why = self._axis(offsets) if step.scale else self._button(buttons)
-        if number is None:
-            return ""
-        self._is_at_rest = False
-        if not why:
-            self.entry[step.parameter] = number
-            if step.scale:
-                self.entry[step.scale] = math.copysign(1.0, axes[number])
-            del self._steps[0]
-        return why
-
-    def _axis(self, offsets):
-        """Return the number of the axis that is pushed, ``None`` = none is, and why it won't do."""
-        number = max(range(len(offsets)), key=offsets.__getitem__, default=None)
-        if number is None or offsets[number] < PUSHED:
-            return None, ""
-        if number in self._crosses:
-            return number, "that is the cross: use a stick"
-        if abs(self._rest[number]) > AT_REST:
-            return number, "that axis rests at its end, as a trigger does: use a stick"
-        return number, "that axis steers already" if self.entry.get("steer_axis") == number else ""
-
-    def _button(self, buttons):
-        """Return the number of the button that is pressed, likewise."""
-        number = next((number for number, is_pressed in enumerate(buttons) if is_pressed), None)
-        taken = [name for name, value in self.entry.items() if name.endswith("_button") and value == number]
-        return number, f"that is {taken[0]} already: press another one" if taken else ""
-
-
 def ask(device: GamepadDevice, joystick: Joystick, keyboard, report=print) -> dict[str, float]:
     """Ask for each control, and return the entry of gamepads.yaml.
 
@@ -122,28 +55,68 @@ def ask(device: GamepadDevice, joystick: Joystick, keyboard, report=print) -> di
         DeviceError: the gamepad is gone.
     """
     joystick.read_axes(device.positions())
-    codes = sorted(device.ranges)
-    found = GamepadMap(joystick.axes, [codes.index(code) for code in codes if ABS_HAT0X <= code <= ABS_HAT3Y])
-    asked, files = None, [device, keyboard]
-    found.take(joystick.axes, joystick.buttons)
-    while found.step is not None:
-        if found.step != asked:
-            asked = found.step
-            report(f"{asked.text}{', or type Enter if there is none' if asked.may_lack else ''}; then let go.")
+    rest = tuple(joystick.axes)  # while nobody touches it
+    # A third deadman of the folder's teleop_logi.yaml would be just any button of this gamepad.
+    entry: dict[str, float] = {"third_button": NONE}
+    inputs, is_at_rest = _inputs(device, joystick, keyboard), False  # since a control was shown
+    for step in STEPS:
+        report(f"{step.text}{', or type Enter if there is none' if step.may_lack else ''}; then let go.")
+        for axes, buttons in inputs:
+            if axes is None and step.may_lack:
+                entry[step.parameter] = NONE
+                break
+            if axes is None:
+                continue
+            offsets = [abs(value - at_rest) for value, at_rest in zip(axes, rest)]
+            number, why = _axis(offsets, rest, device, entry) if step.scale else _button(buttons, entry)
+            if not is_at_rest:
+                is_at_rest = not any(buttons) and max(offsets, default=0.0) < AT_REST
+            elif why:
+                report(why)
+                is_at_rest = False
+            elif number is not None:
+                entry[step.parameter], is_at_rest = number, False
+                if step.scale:
+                    entry[step.scale] = math.copysign(1.0, axes[number])
+                break
+    return entry
+
+
+def _inputs(device, joystick, keyboard):
+    """Yield the axes and buttons now and after each change; and ``None`` for both when Enter is typed."""
+    files = [device, keyboard]
+    yield joystick.axes, joystick.buttons
+    while True:
         ready, _, _ = select.select(files, [], [])
         if keyboard in ready and not keyboard.readline():
             files.remove(keyboard)  # it was closed
         elif keyboard in ready:
-            found.skip()
+            yield None, None
         if device in ready:
             changes = joystick.receive(device.read())
             if joystick.is_lost:
                 changes.append(joystick.read_axes(device.positions()))
             for change in changes:
-                why = found.take(change.axes, change.buttons)
-                if why:
-                    report(why)
-    return found.entry
+                yield change.axes, change.buttons
+
+
+def _axis(offsets, rest, device, entry):
+    """Return the number of the axis that is pushed, ``None`` = none is, and why it won't do; empty: it does."""
+    number = max(range(len(offsets)), key=offsets.__getitem__, default=None)
+    if number is None or offsets[number] < PUSHED:
+        return None, ""
+    if ABS_HAT0X <= sorted(device.ranges)[number] <= ABS_HAT3Y:
+        return number, "that is the cross: use a stick"
+    if abs(rest[number]) > AT_REST:
+        return number, "that axis rests at its end, as a trigger does: use a stick"
+    return number, "that axis steers already" if entry.get("steer_axis") == number else ""
+
+
+def _button(buttons, entry):
+    """Return the number of the button that is pressed, likewise."""
+    number = next((number for number, is_pressed in enumerate(buttons) if is_pressed), None)
+    taken = [name for name, value in entry.items() if name.endswith("_button") and value == number]
+    return number, f"that is {taken[0]} already: press another one" if taken else ""
 
 
 def main():

@@ -11,15 +11,15 @@ from car_interface.common.header import UNKNOWN, header_of
 from car_interface.pca9685.config import AUTO
 from car_interface.sim.pca9685_chip import VirtualPca9685
 from car_interface.tools.doctor import board
-from car_interface.tools.doctor.board import BoardSettings
 from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
 
 ORIN = header_of("NVIDIA Jetson Orin Nano Developer Kit")
 MAIN, OTHER = "/dev/i2c-7", "/dev/i2c-1"
 
 
-def settings(address=0x40, prescale=121, driven=False):
-    return BoardSettings(address, prescale, driven, 25e6)
+def car(bus=OTHER, address=0x40, prescale=121, driven=False):
+    return types.SimpleNamespace(bus=bus, address=address, prescale=prescale, oscillator_hz=25e6,
+                                 runs=lambda name: driven and name == "pca9685")
 
 
 # --- the bus ---
@@ -73,7 +73,7 @@ FRESH, DRIVEN = (0x11, 0x1E, True), (0x20, 121, True)  # MODE1, PRE_SCALE, and w
 ], ids=["fresh", "driven", "lost_power", "other_prescale", "no_auto_increment", "left_running", "asleep", "too_fast",
          "external_clock", "another_kind"])
 def test_chip_is_judged_by_its_registers(registers, prescale, driven, level, words):
-    found, = board.check_chip("0x40 on /dev/i2c-1", *registers, settings(prescale=prescale, driven=driven))
+    found, = board.check_chip("0x40 on /dev/i2c-1", *registers, car(prescale=prescale, driven=driven))
     assert found.level == level and words in found.what and bool(found.remedy) == (level != OK)
 
 
@@ -140,7 +140,7 @@ def jetson(computer, monkeypatch):
 
 
 def examine(device=OTHER, asks_all=False, **how):
-    found = board.probe_board(device, settings(**how), asks_all)
+    found = board.probe_board(car(device, **how), asks_all)
     return [(finding.subject, finding.level) for finding in found], found[-1].what
 
 
@@ -148,7 +148,7 @@ def test_bus_and_chip_are_ok_unless_the_chip_lost_its_power_under_the_node_or_th
     assert examine() == ([("bus", OK), ("chip", OK)],
                          "0x40 on /dev/i2c-1 is fresh from power-up: MODE1 0x11, PRE_SCALE 30")
     computer.buses[OTHER][0x42] = Ina3221()  # which is none
-    found = board.probe_board(OTHER, settings(address=0x60), False)[-1]
+    found = board.probe_board(car(address=0x60), False)[-1]
     assert (found.level, found.what) == (BAD, "nothing answers at 0x60 on /dev/i2c-1, but a PCA9685 at 0x40")
     assert "address:=0x40" in found.remedy
     assert examine(driven=True)[0] == [("bus", OK), ("chip", BAD)]
@@ -171,7 +171,7 @@ def test_other_buses_are_asked_only_when_a_person_wants_that(jetson):
     jetson.buses.update({"/dev/i2c-0": errno.EACCES, "/dev/i2c-9": {0x43: VirtualPca9685()}})
     examine(AUTO)
     assert {path for path, *_ in jetson.asked} == {MAIN, OTHER}
-    found = board.probe_board(AUTO, settings(), asks_all=True)[2:]
+    found = board.probe_board(car(AUTO), asks_all=True)[2:]
     assert [(one.level, one.what) for one in found] == [
         (WARN, "a PCA9685 answers at 0x43 on /dev/i2c-9"),
         (OK, "no PCA9685 on /dev/i2c-0 (Permission denied), /dev/i2c-1")]

@@ -154,7 +154,7 @@ def test_port_of_a_virtual_teensy_is_not_to_be_plugged_in(simulator, hub_runs, l
 # --- the port on this computer ---
 
 def test_console_that_only_root_sees_at_the_port_is_told_by_its_name(monkeypatch):
-    monkeypatch.setattr(port, "is_character_device", lambda path: True)
+    monkeypatch.setattr(port, "device_number", lambda path: (204, 64))
     monkeypatch.setattr(port, "_may_be_terminal", lambda path: True)
     monkeypatch.setattr(port, "consoles", lambda path: [(612, "agetty")])
     found, = port.probe_port("/dev/ttyAMA7", 115200)
@@ -186,8 +186,7 @@ def test_device_that_is_no_terminal_is_no_port_whoever_has_it_open(monkeypatch, 
 def test_terminals_are_those_of_the_kernel_s_list_and_without_one_all_but_memory(monkeypatch, listed, device, kind,
                                                                                  may_be):
     listed[f"/sys/dev/char/{device[0]}:{device[1]}/subsystem"] = kind
-    monkeypatch.setattr(port, "is_character_device", lambda path: True)
-    monkeypatch.setattr(port.os, "stat", lambda path: SimpleNamespace(st_rdev=os.makedev(*device)))
+    monkeypatch.setattr(port, "device_number", lambda path: device)
     monkeypatch.setattr(port.os.path, "exists", lambda path: path.startswith("/sys/class"))
     assert port._may_be_terminal("/dev/some") is may_be
 
