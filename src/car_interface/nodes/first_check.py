@@ -305,7 +305,7 @@ def kill_node(name: str) -> str:
         if not uri:
             return reason
         _, _, pid = call(uri, "getPid", rospy.get_name())
-        if not any(name.rpartition("/")[2] in word for word in command_line(pid)):  # the number is of another process here
+        if not any(name.rpartition("/")[2] in word for word in command_line(pid)):  # it is another process here
             return f"{name} runs on another computer"
         os.kill(pid, signal.SIGKILL)
     except Exception as error:  # whatever it answers

@@ -1,9 +1,10 @@
 """Examines the running car: its nodes, their parameters, who drives, what comes to them, and their reports."""
 from __future__ import annotations
 
+import time
 from typing import Any, Iterable, NamedTuple, Sequence
 
-from car_interface.common.black_box_folder import Recording
+from car_interface.common.black_box_folder import newest
 from car_interface.common.publishers import REPORT as COMMAND_TOPICS
 from car_interface.common.sources import source_name
 from car_interface.throttle.battery import REPORT as BATTERY
@@ -184,18 +185,11 @@ class Reading(NamedTuple):
     folder: str = ""  # whose files its launch file has read; empty = it wasn't launched
 
 
-def check_files(faults: Sequence[str]) -> list[Finding]:
-    """Return one finding for each fault of the files that nodes are launched with."""
-    return [Finding(WARN, "files", fault, "Correct the file, and start again: roslaunch takes the last of two values "
-                                          "without a word, and ~save refuses the file") for fault in faults]
-
-
-def check_black_box(recording: Recording | None, now_s: float) -> list[Finding]:
-    """Return what the newest recording of the black box is of, if there is one."""
-    if recording is None:
-        return []
-    return [Finding(OK, "black box", f"the last stop that nobody asked for: {recording.describe(now_s)}: "
-                                     f"{recording.command}")]
+def check_black_box(folder: str) -> list[Finding]:
+    """Return what the newest recording in the black box's folder is of, if there is one."""
+    recording = newest(folder)
+    return [Finding(OK, "black box", "the last stop that nobody asked for: "
+                                     f"{recording.describe(time.time())}: {recording.command}")] if recording else []
 
 
 def check_folders(readings: Sequence[Reading], package_folder: str, is_virtual: bool) -> list[Finding]:

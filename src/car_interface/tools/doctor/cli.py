@@ -20,7 +20,7 @@ import sys
 import time
 from typing import Iterator
 
-from car_interface.common.black_box_folder import default_folder, newest
+from car_interface.common.black_box_folder import default_folder
 from car_interface.common.package_files import package_file
 from car_interface.pca9685.config import AUTO, VIRTUAL
 from car_interface.teensy.link.health import CLOCK_REPORT, LINK_REPORT
@@ -48,7 +48,7 @@ from car_interface.tools.doctor.findings import (
     worst,
 )
 from car_interface.tools.doctor.gamepad import check_gamepad, probe_driver
-from car_interface.tools.doctor.master import REPORTING, SURVEY_S, Car, Master, read_files, read_parameters
+from car_interface.tools.doctor.master import REPORTING, SURVEY_S, Car, Master, check_files, read_parameters
 from car_interface.tools.doctor.port import check_link, check_virtual_port, is_pseudo_terminal, probe_port
 
 TOPICS = "car_interface.tools.doctor.topics"  # imported only when there is a master: it imports rospy
@@ -103,7 +103,7 @@ def _examine(options):
             Task("groups", probe_groups, car.port, car.bus, virtual_port, virtual_bus),
             Task("gamepad", probe_driver), Task("clock", probe_clock, car.uses_sim_time)]
     parameters = Task("parameters", _check_all_parameters, car) if car.master else None
-    black_box = Task("black box", _check_newest_recording, car)
+    black_box = Task("black box", checks.check_black_box, car.known_text("black_box", "folder") or default_folder())
     hub = car.runs("teensy_sensor_hub") if car.port_is_the_nodes else None
     port = None if hub or car.lacks_simulator else Task("port", probe_port, car.port, car.baud)
     board = None if virtual_bus else Task("bus", probe_board, car, options.probe)
@@ -154,11 +154,7 @@ def _check_all_parameters(car):
     readings = [reading for reading in readings if reading is not None]
     is_virtual, usual = car.known_text("pca9685", "device") == VIRTUAL, package_file("config")
     return (checks.check_parameters(readings) + checks.check_folders(readings, os.path.realpath(usual), is_virtual)
-            + checks.check_files(read_files(car.master, [*car.nodes.values()])))
-
-
-def _check_newest_recording(car):
-    return checks.check_black_box(newest(car.known_text("black_box", "folder") or default_folder()), time.time())
+            + check_files(car.master, [*car.nodes.values()]))
 
 
 def _listen_to_topics(car, hub, reporting):

@@ -99,7 +99,7 @@ def group_of(path: str, usual: str) -> str:
 
 
 def device_number(path: str) -> tuple[int, int] | None:
-    """Return the major and minor number of a device of characters, as each port and bus is one; ``None`` = it's none."""
+    """Return the major and minor number of a character device, as each port and bus is one; ``None`` = it isn't one."""
     with suppress(OSError):
         status = os.stat(path)
         if stat.S_ISCHR(status.st_mode):

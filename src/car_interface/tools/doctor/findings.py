@@ -51,15 +51,16 @@ def worst(findings: Sequence[Finding]) -> int:
 def render(finding: Finding, width: int | None = None, colour: bool = False) -> str:
     """Return a finding as text, wrapped for a terminal's ``width`` in columns; ``None`` = one long line, for a pipe."""
     name = f"{_NAMES[finding.level]:4}"
-    what, remedy = _one_line(finding.what), f"remedy: {_one_line(finding.remedy)}" if finding.remedy else ""
     head = f"{name}  {finding.subject:{SUBJECT_WIDTH}}  "
+    parts = [" ".join(part.split()) for part in (finding.what, finding.remedy and f"remedy: {finding.remedy}") if part]
     if width is None:
-        text = head + " | ".join(filter(None, (what, remedy)))
+        text = head + " | ".join(parts)
     else:
         blank = " " * INDENT
-        text = _wrap(what, head, blank, width)
-        if remedy:
-            text += "\n" + _wrap(remedy, blank, blank + " " * len("remedy: "), width)
+        indents = ((head, blank), (blank, blank + " " * len("remedy: ")))
+        text = "\n".join(textwrap.fill(part, max(NARROWEST, width), initial_indent=first, subsequent_indent=later,
+                                       break_long_words=False, break_on_hyphens=False)
+                         for part, (first, later) in zip(parts, indents))
     return _COLOURS[finding.level] + name + _PLAIN + text[len(name):] if colour else text
 
 
@@ -69,15 +70,6 @@ def summarise(findings: Sequence[Finding], colour: bool = False) -> str:
     counts = ", ".join(f"{levels.count(level)} {_NAMES[level]}" for level in (BAD, WARN, OK) if level in levels)
     text = f"{counts}: {_MEANINGS[worst(findings)]}"
     return f"{_COLOURS[worst(findings)]}{text}{_PLAIN}" if colour else text
-
-
-def _one_line(text):
-    return " ".join(text.split())
-
-
-def _wrap(text, first, later, width):
-    return textwrap.fill(text, max(NARROWEST, width), initial_indent=first, subsequent_indent=later,
-                         break_long_words=False, break_on_hyphens=False)
 
 
 class Task:

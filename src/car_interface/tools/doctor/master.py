@@ -35,7 +35,7 @@ from car_interface.tools.doctor.car import (
     find_cars,
 )
 from car_interface.tools.doctor.computer import leads_here
-from car_interface.tools.doctor.findings import Task
+from car_interface.tools.doctor.findings import WARN, Finding, Task
 
 CALLER = "/doctor"
 USUAL_PORT, USUAL_BAUD, USUAL_ADDRESS = "/dev/ttyAMA0", 115200, 0x40
@@ -234,7 +234,7 @@ def _prescale(board):
         return None, 25e6
 
 
-def read_files(master: Master, nodes: Sequence[Node]) -> list[str]:
+def check_files(master: Master, nodes: Sequence[Node]) -> list[Finding]:
     """Return what is wrong with the YAML files of the car, of which the server names those that ~save writes.
 
     Files in the same folders that are named like the package's own are read, too; what isn't on this computer is not.
@@ -243,13 +243,14 @@ def read_files(master: Master, nodes: Sequence[Node]) -> list[str]:
     saved = [path for path in named if isinstance(path, str) and os.path.isabs(path)]
     usual = sorted(path.name for path in package_file("config").glob("*.yaml"))
     paths = dict.fromkeys([*saved, *(os.path.join(os.path.dirname(path), name) for path in saved for name in usual)])
-    faults = []
+    found = []
     for path in filter(os.path.lexists, paths):
         try:
             compose_yaml(read_yaml(path), path)  # not built: tags such as !degrees are ROS's
         except ConfigError as error:
-            faults.append(str(error))
-    return faults
+            found.append(Finding(WARN, "files", str(error), "Correct the file, and start again: roslaunch takes the last "
+                                                            "of two values without a word, and ~save refuses the file"))
+    return found
 
 
 def read_parameters(master: Master, node: Node) -> Reading | None:

@@ -10,7 +10,7 @@ from typing import Any, Sequence
 from car_interface.common.device_access import SETUP_COMMAND
 from car_interface.common.header import port_note, read_header
 from car_interface.common.processes import openers
-from car_interface.common.units import NS_PER_MS, NS_PER_S
+from car_interface.common.units import NS_PER_MS
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.teensy.link import protocol
 from car_interface.teensy.link.console import PROGRAMS, PSEUDO_TERMINALS, consoles, removal_remedy
@@ -25,6 +25,7 @@ HUBS = ("teensy_sensor_hub", "car_nodes")  # the processes that the hub may be
 MEMORY_MAJOR = 1  # Documentation/admin-guide/devices.txt of the kernel
 LIST_PORTS = "See which there are: ls /dev/serial/by-id /dev/ttyA*"
 MAX_NAMES = 3
+POLL_S = 0.02
 PING_PERIOD_NS = 300 * NS_PER_MS
 SONARS_WITHIN_NS = 2500 * NS_PER_MS  # a round of all six takes 0.6 s at most, unless their wait was set longer
 SONARS_REMEDY = ("Check their plugs, wires and supply; were they stopped, or left out of the sequence? The hub starts "
@@ -75,16 +76,14 @@ def _may_be_terminal(path):
 
 def _probe(link, baud):
     """Return the finding about the Teensy behind an open port."""
-    now_ns = time.monotonic_ns()
+    now_ns, data = time.monotonic_ns(), b""
     probe = TeensyProbe(baud, now_ns)
     while not probe.is_done(now_ns):
-        to_send = probe.step(now_ns)
+        to_send = probe.step(data, now_ns)
         if to_send:
             link.write(to_send)
-        left_ns = max(0, min(probe.next_event_ns() - time.monotonic_ns(), NS_PER_S // 10))
-        if select.select([link.fileno()], [], [], left_ns / NS_PER_S)[0]:
-            probe.update(link.read(), time.monotonic_ns())
-        now_ns = time.monotonic_ns()
+        has_data, _, _ = select.select([link.fileno()], [], [], POLL_S)
+        data, now_ns = link.read() if has_data else b"", time.monotonic_ns()
     return probe.finding()
 
 
@@ -148,22 +147,15 @@ class TeensyProbe:
         self._sonars: set = set()  # that have reported
         self._sonars_ns = now_ns + SONARS_WITHIN_NS
 
-    def update(self, data: bytes, now_ns: int) -> None:
-        """Take what came from the port."""
+    def step(self, data: bytes, now_ns: int) -> bytes:
+        """Take what came from the port, judge, and return what to send now; often nothing."""
         self._sonars.update(event.sensor for event in self._session.receive(data, now_ns)
                             if isinstance(event, protocol.SonarStatus))
-
-    def step(self, now_ns: int) -> bytes:
-        """Judge, and return what to send now; often nothing."""
         self._session.expire(now_ns)
         self._session.judge(now_ns)
         if now_ns < self._session.pinger.due_ns:
             return b""
         return self._session.ping(now_ns // NS_PER_MS % protocol.UINT32, now_ns)
-
-    def next_event_ns(self) -> int:
-        """Return when ``step`` has something to do."""
-        return min(self._session.pinger.next_event_ns(), self._end_ns)
 
     def is_done(self, now_ns: int) -> bool:
         """Return whether the state is known, or it took too long."""

@@ -94,15 +94,11 @@ class TopicReports(NamedTuple):
 
 
 def _reports_in(array):
-    """Return the entries of a DiagnosticArray by their names."""
-    return {status.name: Report(status.name, _level(status.level), status.message,
+    """Return the entries of a DiagnosticArray by their names. genpy gives a byte as a number, or as one of bytes."""
+    return {status.name: Report(status.name, ord(status.level) if isinstance(status.level, bytes) else status.level,
+                                status.message,
                                 next((value.value for value in status.values if value.key == "remedy"), ""))
             for status in array.status}
-
-
-def _level(level):
-    """Return a byte, which genpy gives as a number or, for ROS 2's sake, as bytes."""
-    return level[0] if isinstance(level, bytes) else level
 
 
 def listen(car: Car, hub: Node | None, reporting: Sequence[str]) -> TopicReports:

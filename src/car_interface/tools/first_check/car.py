@@ -78,7 +78,7 @@ class Car:
         # What was learned by now: the request at which the wheels point straight ahead, whether servo_left turns right,
         # and whether a push drives forward.
         self.center, self.is_exchanged, self.drives_forward = 0.0, False, True
-        self._drives_since_ns: int | None = None
+        self.drives_since_ns: int | None = None  # since when the ESC gets something else than neutral
         self._distance_m, self._speed_ns = 0.0, 0
         self._starts: dict[str, tuple[float, float]] = {}  # range and distance when the wheels began to turn
         self._follows = dict.fromkeys(SONARS, 0)  # reports in a row that changed as on the ground
@@ -110,7 +110,7 @@ class Car:
     def update_throttle(self, throttle: Any, now_ns: int) -> None:
         """Take throttle_arb's state."""
         self.throttle.update(throttle, now_ns)
-        self._drives_since_ns = (self._drives_since_ns or now_ns) if throttle.granted else None
+        self.drives_since_ns = (self.drives_since_ns or now_ns) if throttle.granted else None
 
     def update_range(self, name: str, range_m: float, now_ns: int) -> None:
         """Take a sonar's range."""
@@ -130,11 +130,6 @@ class Car:
         return self.speed.is_stale(now_ns) or abs(self.speed.value) < STANDS_MPS
 
     @property
-    def is_driven(self) -> bool:
-        """Return whether the ESC gets something else than neutral."""
-        return self._drives_since_ns is not None
-
-    @property
     def ground_reason(self) -> str:
         """Return why the car seems to move on the ground; empty: it doesn't."""
         name = next((name for name, reports in self._follows.items() if reports >= GROUND_REPORTS), "")
@@ -145,7 +140,7 @@ class Car:
         """Return why the throttle is too much for this check; empty: it isn't."""
         if not self.speed.is_stale(now_ns) and abs(self.speed.value) > MAX_WHEEL_SPEED_MPS:
             return f"too fast: the wheels turn at {abs(self.speed.value):.1f} m/s. Let go, and push less"
-        if self._drives_since_ns is not None and now_ns - self._drives_since_ns > MAX_DRIVE_NS:
+        if self.drives_since_ns is not None and now_ns - self.drives_since_ns > MAX_DRIVE_NS:
             return "that was long enough: let go of the stick"
         return ""
 

@@ -142,7 +142,7 @@ class FirstCheck:
         if trouble:
             self._go(self._index)
             self._warning = trouble
-        elif self._warning and self.car.stands(now_ns) and not self.car.is_driven:
+        elif self._warning and self.car.stands(now_ns) and self.car.drives_since_ns is None:
             self._warning = ""
         return bool(self._warning)
 

@@ -10,7 +10,8 @@ from processes import free_port
 from car_interface.common.package_files import package_file
 from car_interface.tools.doctor import master as probe
 from car_interface.tools.doctor.car import ABSENT, KILLED, RUNNING, SILENT, Node
-from car_interface.tools.doctor.master import Graph, Master, read_files
+from car_interface.tools.doctor.findings import WARN
+from car_interface.tools.doctor.master import Graph, Master, check_files
 from loopback import serving
 
 
@@ -116,7 +117,7 @@ def car(tmp_path, served):
     def faults(save_to):
         def parameter(caller, name):
             return [1, "", str(save_to)] if name == "/turn_arb/save_to" else [-1, "not set", ""]
-        return read_files(Master(served(getParam=parameter)), [Node(name, f"/{name}", RUNNING, f"/{name}")
+        return check_files(Master(served(getParam=parameter)), [Node(name, f"/{name}", RUNNING, f"/{name}")
                                                                for name in ("pca9685", "turn_arb")])
     return folder, faults
 
@@ -129,6 +130,9 @@ def test_files_of_the_folder_that_a_node_saves_to_are_read(car):
     (folder / "notes.yaml").write_text("a: 1\na: 2\n")  # of the owner's own
     os.unlink(str(folder / "pca9685.yaml"))
     os.mkfifo(str(folder / "pca9685.yaml"))
-    pipe, twice = sorted(faults(folder / "turn_arb.yaml"))
+    found = faults(folder / "turn_arb.yaml")
+    assert {(one.level, one.subject) for one in found} == {(WARN, "files")}
+    assert all("takes the last of two values without a word" in one.remedy for one in found)
+    pipe, twice = sorted(one.what for one in found)
     assert pipe.startswith(f"{folder}/pca9685.yaml can't be read (it is a pipe)")
     assert twice.startswith(f"{folder}/sonars.yaml, lines ") and "both give sonar_left" in twice

@@ -32,12 +32,12 @@ def test_port_that_another_program_has_is_told(holders, level, words, remedy):
 
 def probed(firmware=None, change=lambda data: data, baud=115200, begin_ns=50_000 * MS):
     """The finding about a Teensy behind a line that ``change`` spoils, and how long it took."""
-    now_ns = begin_ns
+    now_ns, data = begin_ns, b""
     firmware = firmware or TeensyFirmware(FirmwareConfig(seed=1), lambda sensor, at_ns: 0, now_ns)
     probe = TeensyProbe(baud, now_ns)
     while not probe.is_done(now_ns):
-        firmware.receive(probe.step(now_ns), now_ns)
-        probe.update(change(firmware.transmit(now_ns)), now_ns)
+        firmware.receive(probe.step(data, now_ns), now_ns)
+        data = change(firmware.transmit(now_ns))
         now_ns += 2 * MS
     return probe.finding(), (now_ns - begin_ns) // MS
 
