@@ -26,14 +26,22 @@ from car_interface.pca9685.config import AUTO, VIRTUAL
 from car_interface.teensy.link.health import CLOCK_REPORT, LINK_REPORT
 from car_interface.teleop.gamepad import REPORT as GAMEPAD_REPORT
 from car_interface.tools.doctor import car as checks
-from car_interface.tools.doctor.board import ADDRESSES, probe_board
 from car_interface.tools.doctor.car import ABSENT, SIMULATOR
 from car_interface.tools.doctor.computer import (
     probe_clock,
+    probe_driver,
     probe_groups,
     probe_network,
     probe_packages,
     probe_versions,
+)
+from car_interface.tools.doctor.devices import (
+    ADDRESSES,
+    check_link,
+    check_virtual_port,
+    is_pseudo_terminal,
+    probe_board,
+    probe_port,
 )
 from car_interface.tools.doctor.findings import (
     BAD,
@@ -47,9 +55,7 @@ from car_interface.tools.doctor.findings import (
     summarise,
     worst,
 )
-from car_interface.tools.doctor.gamepad import check_gamepad, probe_driver
 from car_interface.tools.doctor.master import REPORTING, SURVEY_S, Car, Master, check_files, read_parameters
-from car_interface.tools.doctor.port import check_link, check_virtual_port, is_pseudo_terminal, probe_port
 
 TOPICS = "car_interface.tools.doctor.topics"  # imported only when there is a master: it imports rospy
 # Names and addresses, then the nodes (SURVEY_S), then all the rest at the same time: 9 s at most.
@@ -143,7 +149,7 @@ def _check_heard(car, hub, heard, reporting, board_is_bad):
     if board and board_is_bad:
         told.append(board.report(BOARD_REPORT))
     if heard.gamepad:
-        yield from check_gamepad(heard.gamepad)
+        yield from checks.check_gamepad(heard.gamepad)
         told.append(car.nodes["teleop_logi"].report(GAMEPAD_REPORT))
         told += [heard.gamepad.driver.name] if heard.gamepad.driver else []
     yield from checks.check_diagnostics(reports, reporting, told)

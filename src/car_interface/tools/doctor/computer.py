@@ -5,6 +5,7 @@ Of the network: where the master is, who can reach it, and whether others can re
 from __future__ import annotations
 
 import ctypes
+import glob
 import grp
 import importlib
 import importlib.metadata
@@ -40,6 +41,11 @@ def install(name: str) -> str:
     return f"sudo apt install {prefix}-{name.replace('_', '-')}"
 
 
+# Class, subclass and protocol of an Xbox gamepad's first interface, and of a Logitech's in X mode: Linux,
+# drivers/input/joystick/xpad.c. An Xbox One's gamepad has others that look alike and need no driver.
+XBOX_INTERFACES = (("ff", "5d", "01"), ("ff", "5d", "81"), ("ff", "47", "d0"))
+NO_XPAD_REMEDY = ("sudo modprobe xpad. If there is no such module, as on a Jetson: set the switch of a Logitech at D, "
+                  "connect an Xbox gamepad by Bluetooth, or build xpad")
 # What nodes import: how it's distributed, and what installs it.
 LIBRARIES = (
     ("rospy", "rospy", f"Source the workspace; or {install('rospy')}"),
@@ -175,6 +181,33 @@ def probe_packages() -> list[Finding]:
         (True, WARN,
          f"{', '.join(missing)} {verb} missing for bag_report, check_map and the calibration; driving needs none of it",
          f"rosdep install, or on Debian a virtual environment: {INSTALL_TOOLS}"))
+
+
+def probe_driver(folder: str = "/sys/bus/usb/devices") -> list[Finding]:
+    """Look for Xbox gamepads on USB, and others that are like them, for which this computer has no driver.
+
+    Args:
+        folder: where the kernel lists USB devices: Linux, Documentation/ABI/testing/sysfs-bus-usb.
+    """
+    found = []
+    for interface in sorted(glob.glob(f"{folder}/*:1.0")):
+        kind = tuple(_read_word(interface, f"bInterface{name}") for name in ("Class", "SubClass", "Protocol"))
+        if kind in XBOX_INTERFACES and not os.path.exists(f"{interface}/driver"):
+            device = interface.partition(":")[0]
+            numbers = f"{_read_word(device, 'idVendor')}:{_read_word(device, 'idProduct')}"
+            name = _read_word(device, "product") or "a gamepad"
+            what = f"{name} ({numbers}) is plugged in, but no driver has it: no xpad"
+            found.append(Finding(WARN, "gamepad", what, NO_XPAD_REMEDY))
+    return found
+
+
+def _read_word(folder, name):
+    """Return what a file of sysfs has; empty: there is none."""
+    try:
+        with open(os.path.join(folder, name), encoding="utf-8", errors="replace") as file:
+            return file.read().strip()
+    except OSError:
+        return ""
 
 
 # --- the network ---

@@ -21,8 +21,7 @@ from car_interface.ros.tcpros_limits import limit_connections
 from car_interface.teleop.gamepad import DRIVER_REPORT, GamepadConfig
 from car_interface.teleop.handover import PHONE_TOPIC
 from car_interface.teleop.mappings import config_for, load_entries, model_of
-from car_interface.tools.doctor.car import Node, Report
-from car_interface.tools.doctor.gamepad import GamepadFacts
+from car_interface.tools.doctor.car import GamepadFacts, Node, Report
 from car_interface.tools.doctor.master import Car, Master
 
 JOY_TYPE = "sensor_msgs/Joy"

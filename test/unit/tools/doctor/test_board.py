@@ -10,7 +10,7 @@ from i2c_computer import Computer, Ina3221
 from car_interface.common.header import UNKNOWN, header_of
 from car_interface.pca9685.config import AUTO
 from car_interface.sim.pca9685_chip import VirtualPca9685
-from car_interface.tools.doctor import board
+from car_interface.tools.doctor import devices as board
 from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
 
 ORIN = header_of("NVIDIA Jetson Orin Nano Developer Kit")

@@ -5,9 +5,9 @@ import pytest
 
 from car_interface.common import causes
 from car_interface.teleop.gamepad import GamepadConfig
-from car_interface.tools.doctor.car import Report
+from car_interface.tools.doctor.car import GamepadFacts, Report, check_gamepad
+from car_interface.tools.doctor.computer import probe_driver
 from car_interface.tools.doctor.findings import BAD, OK, WARN
-from car_interface.tools.doctor.gamepad import GamepadFacts, check_gamepad, probe_driver
 
 SHIPPED = GamepadConfig(steer_axis=0, throttle_axis=4, manual_button=4, autonomous_button=5)
 NOTHING = {"messages": 0, "period_s": math.inf, "axes": 0, "buttons": 0}
