@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Any, Iterable, NamedTuple, Sequence
+from typing import Any, Collection, Iterable, NamedTuple, Sequence
 
 from car_interface.common import causes
 from car_interface.common.black_box_folder import newest
@@ -73,7 +73,7 @@ def check_several(namespaces: Sequence[str]) -> list[Finding]:
                                    "at", f"Look at each: rosrun car_interface doctor --ns {namespaces[0]}")]
 
 
-def check_nodes(nodes: Sequence[Node], namespace: str, others: Sequence[str] = ()) -> list[Finding]:
+def check_nodes(nodes: Collection[Node], namespace: str, others: Sequence[str] = ()) -> list[Finding]:
     """Return one finding for those that run, one for each process that doesn't, and one for those that are missing.
 
     The nodes are those of the car in ``namespace``; ``others`` are the namespaces of other cars.
@@ -186,56 +186,11 @@ def reports_of(reports: Sequence[Report], namespace: str) -> list[Report]:
     return [report for report in reports if report.node.rpartition("/")[0] == namespace.strip("/")]
 
 
-class Reading(NamedTuple):
-    """How a node took the parameters that are on the server for it."""
-
-    path: str  # the node's name, with its namespace
-    fault: str  # why it refused them; empty when it took them
-    runs: bool  # whether the node runs, with the parameters that it found when it started
-    folder: str = ""  # whose files its launch file has read; empty = it wasn't launched
-
-
 def check_black_box(folder: str) -> list[Finding]:
     """Return what the newest recording in the black box's folder is of, if there is one."""
     recording = newest(folder)
     return [Finding(OK, "black box", "the last stop that nobody asked for: "
                                      f"{recording.describe(time.time())}: {recording.command}")] if recording else []
-
-
-def check_folders(readings: Sequence[Reading], package_folder: str, is_virtual: bool) -> list[Finding]:
-    """Return whether the nodes were launched with one folder of files, and a car's own.
-
-    Args:
-        package_folder: the package's own files.
-        is_virtual: the servo board is a virtual one.
-    """
-    folders: dict[str, list[str]] = {}
-    for reading in readings:
-        if reading.folder:
-            folders.setdefault(reading.folder, []).append(reading.path)
-    if len(folders) > 1:
-        taken = "; ".join(f"{', '.join(paths)}: {folder}" for folder, paths in folders.items())
-        return [Finding(WARN, "files", f"the nodes were launched with different folders: {taken}",
-                        "Launch them with one config:=FOLDER; roslaunch ignores an argument that is misspelt")]
-    if package_folder in folders and not is_virtual:
-        return [Finding(WARN, "files", f"the nodes were launched with the package's own files, {package_folder}",
-                        f"Copy them for your car (cp -r {package_folder} ~/my_car) and launch with "
-                        "config:=$HOME/my_car; roslaunch ignores an argument that is misspelt")]
-    return [Finding(OK, "files", f"all nodes were launched with {folder}") for folder in folders]
-
-
-def check_parameters(readings: Sequence[Reading]) -> list[Finding]:
-    """Return one finding for all nodes that take their parameters, and one for each that doesn't."""
-    if not readings:
-        return [Finding(OK, "parameters", "none on the server; launch files bring them")]
-    good = [reading.path for reading in readings if not reading.fault]
-    found = [Finding(OK, "parameters", f"those of {', '.join(good)} are good")] if good else []
-    for reading in readings:
-        if reading.fault:
-            later = ": it will not start again with these" if reading.runs else ": it can't start with these"
-            found.append(Finding(BAD, "parameters", f"{reading.path}{later}: {reading.fault}",
-                                 "Correct the YAML file or the launch file, and start again"))
-    return found
 
 
 # --- the gamepad ---

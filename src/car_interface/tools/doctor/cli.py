@@ -21,28 +21,12 @@ import time
 from typing import Iterator
 
 from car_interface.common.black_box_folder import default_folder
-from car_interface.common.package_files import package_file
 from car_interface.pca9685.config import AUTO, VIRTUAL
 from car_interface.teensy.link.health import CLOCK_REPORT, LINK_REPORT
 from car_interface.teleop.gamepad import REPORT as GAMEPAD_REPORT
 from car_interface.tools.doctor import car as checks
+from car_interface.tools.doctor import computer, devices
 from car_interface.tools.doctor.car import ABSENT, SIMULATOR
-from car_interface.tools.doctor.computer import (
-    probe_clock,
-    probe_driver,
-    probe_groups,
-    probe_network,
-    probe_packages,
-    probe_versions,
-)
-from car_interface.tools.doctor.devices import (
-    ADDRESSES,
-    check_link,
-    check_virtual_port,
-    is_pseudo_terminal,
-    probe_board,
-    probe_port,
-)
 from car_interface.tools.doctor.findings import (
     BAD,
     OK,
@@ -55,7 +39,7 @@ from car_interface.tools.doctor.findings import (
     summarise,
     worst,
 )
-from car_interface.tools.doctor.master import REPORTING, SURVEY_S, Car, Master, check_files, read_parameters
+from car_interface.tools.doctor.master import REPORTING, SURVEY_S, Car, Master, check_files, check_parameters
 
 TOPICS = "car_interface.tools.doctor.topics"  # imported only when there is a master: it imports rospy
 # Names and addresses, then the nodes (SURVEY_S), then all the rest at the same time: 9 s at most.
@@ -76,8 +60,9 @@ def read_options(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("--probe", action="store_true",
                         help="look for a servo board on all I2C buses; chips of the computer's own are asked, too")
     options = parser.parse_args([argument for argument in arguments if ":=" not in argument])
-    if options.address is not None and options.address not in ADDRESSES:
-        parser.error(f"--address is 0x{options.address:02x}; accepted: 0x{ADDRESSES[0]:02x} to 0x{ADDRESSES[-1]:02x}")
+    if options.address is not None and options.address not in devices.ADDRESSES:
+        low, high = devices.ADDRESSES[0], devices.ADDRESSES[-1]
+        parser.error(f"--address is 0x{options.address:02x}; accepted: 0x{low:02x} to 0x{high:02x}")
     if options.namespace is not None:
         options.namespace = "/" + options.namespace.strip("/")
     return options
@@ -93,8 +78,8 @@ def examine(options: argparse.Namespace) -> Iterator[Finding]:
 def _examine(options):
     uri = os.environ.get("ROS_MASTER_URI", "")
     master = Master(uri)
-    own = [Task("versions", probe_versions)]  # about this computer itself
-    result, of_network = Task("master", probe_network, uri, master.trouble).wait(time.monotonic() + NETWORK_S)
+    own = [Task("versions", computer.probe_versions)]  # about this computer itself
+    result, of_network = Task("master", computer.probe_network, uri, master.trouble).wait(time.monotonic() + NETWORK_S)
     found, is_there = result or ([], False)
     car, survey_trouble = Task("nodes", Car, master if is_there else None, options).wait(time.monotonic() + SURVEY_S)
     car = car or Car(None, options)
@@ -104,15 +89,16 @@ def _examine(options):
         yield from own[0].findings(deadline_s)
         yield from of_network + checks.check_several(car.others)
         return
-    virtual_port, virtual_bus = car.port_is_virtual or is_pseudo_terminal(car.port), car.bus == VIRTUAL
-    own += [Task("packages", probe_packages),
-            Task("groups", probe_groups, car.port, car.bus, virtual_port, virtual_bus),
-            Task("gamepad", probe_driver), Task("clock", probe_clock, car.uses_sim_time)]
-    parameters = Task("parameters", _check_all_parameters, car) if car.master else None
-    black_box = Task("black box", checks.check_black_box, car.known_text("black_box", "folder") or default_folder())
+    virtual_port, virtual_bus = car.port_is_virtual or devices.is_pseudo_terminal(car.port), car.bus == VIRTUAL
+    own += [Task("packages", computer.probe_packages),
+            Task("groups", computer.probe_groups, car.port, car.bus, virtual_port, virtual_bus),
+            Task("gamepad", computer.probe_driver), Task("clock", computer.probe_clock, car.uses_sim_time)]
+    parameters = Task("parameters", lambda: check_parameters(car) + check_files(car)) if car.master else None
+    black_box = Task("black box", lambda: checks.check_black_box(car.known_text("black_box", "folder")
+                                                                 or default_folder()))
     hub = car.runs("teensy_sensor_hub") if car.port_is_the_nodes else None
-    port = None if hub or car.lacks_simulator else Task("port", probe_port, car.port, car.baud)
-    board = None if virtual_bus else Task("bus", probe_board, car, options.probe)
+    port = None if hub or car.lacks_simulator else Task("port", devices.probe_port, car.port, car.baud)
+    board = None if virtual_bus else Task("bus", devices.probe_board, car, options.probe)
     reporting = [node.path for node in map(car.runs, REPORTING) if node]
     topics = Task("topics", _listen_to_topics, car, hub, reporting) if reporting else None
 
@@ -120,15 +106,15 @@ def _examine(options):
         yield from task.findings(deadline_s)
     yield from of_network
     if parameters:
-        yield from checks.check_nodes([*car.nodes.values()], car.namespace, car.others)
+        yield from checks.check_nodes(car.nodes.values(), car.namespace, car.others)
         yield from parameters.findings(deadline_s)
     heard, topics_trouble = topics.wait(deadline_s) if topics else (None, [])
     if car.lacks_simulator:
-        yield from check_virtual_port(car.port, car.state(SIMULATOR), hub is not None)
+        yield from devices.check_virtual_port(car.port, car.state(SIMULATOR), hub is not None)
     elif port:
         yield from port.findings(deadline_s)
     elif heard:
-        yield from check_link(heard.link, car.port, hub)
+        yield from devices.check_link(heard.link, car.port, hub)
     of_board = board.findings(deadline_s) if board else _virtual_board(car)
     yield from of_board + topics_trouble
     if heard:
@@ -153,14 +139,6 @@ def _check_heard(car, hub, heard, reporting, board_is_bad):
         told.append(car.nodes["teleop_logi"].report(GAMEPAD_REPORT))
         told += [heard.gamepad.driver.name] if heard.gamepad.driver else []
     yield from checks.check_diagnostics(reports, reporting, told)
-
-
-def _check_all_parameters(car):
-    readings = [read_parameters(car.master, node) for node in car.nodes.values()]
-    readings = [reading for reading in readings if reading is not None]
-    is_virtual, usual = car.known_text("pca9685", "device") == VIRTUAL, package_file("config")
-    return (checks.check_parameters(readings) + checks.check_folders(readings, os.path.realpath(usual), is_virtual)
-            + check_files(car.master, [*car.nodes.values()]))
 
 
 def _listen_to_topics(car, hub, reporting):

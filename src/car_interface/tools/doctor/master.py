@@ -1,6 +1,6 @@
 """Asks the ROS master and the nodes for the doctor, each question with a time limit; it works without rospy.
 
-``Master`` asks; ``Car`` is what became known of the car, and ``Reading`` what of a node's parameters.
+``Master`` asks; ``Car`` is what became known of the car. Its nodes' parameters and files are judged here, too.
 """
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import os
 import time
 import xmlrpc.client
 from argparse import Namespace
-from typing import Any, NamedTuple, Sequence
+from functools import partial
+from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
 from car_interface.common.declared import read_all
@@ -19,7 +20,7 @@ from car_interface.common.package_files import package_file
 from car_interface.common.params import CONFIG_FOLDER, Params
 from car_interface.common.processes import script_arguments
 from car_interface.common.yaml_file import compose_yaml, read_yaml
-from car_interface.pca9685.config import AUTO
+from car_interface.pca9685.config import AUTO, VIRTUAL
 from car_interface.pca9685.registers import prescale_for
 from car_interface.ros.start import config_class
 from car_interface.ros.xmlrpc_calls import call
@@ -31,11 +32,10 @@ from car_interface.tools.doctor.car import (
     SILENT,
     SIMULATOR,
     Node,
-    Reading,
     find_cars,
 )
 from car_interface.tools.doctor.computer import leads_here
-from car_interface.tools.doctor.findings import WARN, Finding, Task
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, Task, first
 
 CALLER = "/doctor"
 USUAL_PORT, USUAL_BAUD, USUAL_ADDRESS = "/dev/ttyAMA0", 115200, 0x40
@@ -234,12 +234,12 @@ def _prescale(board):
         return None, 25e6
 
 
-def check_files(master: Master, nodes: Sequence[Node]) -> list[Finding]:
+def check_files(car: Car) -> list[Finding]:
     """Return what is wrong with the YAML files of the car, of which the server names those that ~save writes.
 
     Files in the same folders that are named like the package's own are read, too; what isn't on this computer is not.
     """
-    named = (master.parameter(f"{node.path}/save_to") for node in nodes)
+    named = (car.master.parameter(f"{node.path}/save_to") for node in car.nodes.values())
     saved = [path for path in named if isinstance(path, str) and os.path.isabs(path)]
     usual = sorted(path.name for path in package_file("config").glob("*.yaml"))
     paths = dict.fromkeys([*saved, *(os.path.join(os.path.dirname(path), name) for path in saved for name in usual)])
@@ -253,17 +253,41 @@ def check_files(master: Master, nodes: Sequence[Node]) -> list[Finding]:
     return found
 
 
-def read_parameters(master: Master, node: Node) -> Reading | None:
-    """Read what the server holds for a node as the node does; ``None`` when that is nothing and it doesn't run."""
-    private = master.parameter(node.path)
-    if not isinstance(private, dict):
-        if node.state == ABSENT:
-            return None
-        private = {}
-    folder, fault = private.get(CONFIG_FOLDER), ""
-    try:
-        read_all(Params(private, lambda name: master.search_parents(node.path, name), master.fixed_parameters(node)),
-                 config_class(node.name))
-    except CarInterfaceError as error:
-        fault = str(error)
-    return Reading(node.path, fault, node.state != ABSENT, os.path.realpath(folder) if isinstance(folder, str) else "")
+def check_parameters(car: Car) -> list[Finding]:
+    """Return a finding for all nodes that take what the server holds for them, one for each that doesn't, and one about
+    the folders of files that they were launched with.
+    """
+    good, bad, folders = [], [], {}
+    for node in car.nodes.values():
+        private = car.master.parameter(node.path)
+        if not isinstance(private, dict) and node.state == ABSENT:
+            continue
+        private = private if isinstance(private, dict) else {}
+        if isinstance(private.get(CONFIG_FOLDER), str):
+            folders.setdefault(os.path.realpath(private[CONFIG_FOLDER]), []).append(node.path)
+        params = Params(private, partial(car.master.search_parents, node.path), car.master.fixed_parameters(node))
+        try:
+            read_all(params, config_class(node.name))
+            good.append(node.path)
+        except CarInterfaceError as error:
+            later = "it can't start with these" if node.state == ABSENT else "it will not start again with these"
+            bad.append(Finding(BAD, "parameters", f"{node.path}: {later}: {error}",
+                               "Correct the YAML file or the launch file, and start again"))
+    if not good and not bad:
+        return [Finding(OK, "parameters", "none on the server; launch files bring them")]
+    found = [Finding(OK, "parameters", f"those of {', '.join(good)} are good")] if good else []
+    return found + bad + _check_folders(folders, car.known_text("pca9685", "device") == VIRTUAL)
+
+
+def _check_folders(folders, is_virtual):
+    """Return whether the nodes were launched with one folder of files, and a car's own; by folder, they are."""
+    usual = os.path.realpath(package_file("config"))
+    taken = "; ".join(f"{', '.join(paths)}: {folder}" for folder, paths in folders.items())
+    return [] if not folders else first(
+        "files",
+        (len(folders) > 1, WARN, f"the nodes were launched with different folders: {taken}",
+         "Launch them with one config:=FOLDER; roslaunch ignores an argument that is misspelt"),
+        (usual in folders and not is_virtual, WARN, f"the nodes were launched with the package's own files, {usual}",
+         f"Copy them for your car (cp -r {usual} ~/my_car) and launch with config:=$HOME/my_car; roslaunch ignores an "
+         "argument that is misspelt"),
+        (True, OK, f"all nodes were launched with {next(iter(folders))}"))

@@ -14,33 +14,10 @@ from typing import Callable
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.steering.calibration import trimmed
 from car_interface.throttle.calibration import trimmed as trimmed_throttle
+from car_interface.tools.first_check import driving_questions as driving
+from car_interface.tools.first_check import questions
 from car_interface.tools.first_check.car import Car, Setup
-from car_interface.tools.first_check.driving_questions import (
-    BoardKilled,
-    Center,
-    End,
-    EscKind,
-    LettingGo,
-    NeutralDuty,
-    SteeringDirection,
-    ThrottleDirection,
-)
-from car_interface.tools.first_check.questions import (
-    FINE,
-    GAMEPAD,
-    HUB,
-    SKIPPED,
-    STEERING,
-    THROTTLE,
-    Deadman,
-    OnBox,
-    Question,
-    Result,
-    Sonar,
-    TeensyUnplugged,
-    WheelSensor,
-    skipped,
-)
+from car_interface.tools.first_check.questions import FINE, GAMEPAD, HUB, SKIPPED, STEERING, THROTTLE, Result, skipped
 
 SKIP, AGAIN, PREVIOUS, TO_END = "sape"  # Q is the caller's
 KEYS, FIRST_KEYS = "S skip   A again   P previous   E to the end   Q quit", "Q quit"
@@ -58,10 +35,12 @@ class FirstCheck:
 
     def __init__(self, setup: Setup):
         self.car, self._setup = Car(setup), setup
-        self._makers: list[Callable[[Car], Question]] = [
-            OnBox, Deadman, SteeringDirection, Center, partial(End, side=1), partial(End, side=-1), NeutralDuty,
-            ThrottleDirection, EscKind, partial(WheelSensor, side=0), partial(WheelSensor, side=1),
-            *(partial(Sonar, name=name) for name in setup.sonars), LettingGo, TeensyUnplugged, BoardKilled]
+        self._makers: list[Callable[[Car], questions.Question]] = [
+            questions.OnBox, questions.Deadman, driving.SteeringDirection, driving.Center,
+            *(partial(driving.End, side=side) for side in (1, -1)), driving.NeutralDuty, driving.ThrottleDirection,
+            driving.EscKind, *(partial(questions.WheelSensor, side=side) for side in (0, 1)),
+            *(partial(questions.Sonar, name=name) for name in setup.sonars), driving.LettingGo,
+            questions.TeensyUnplugged, driving.BoardKilled]
         self._results: list[Result | None] = [None] * len(self._makers)
         self._titles = [make(self.car).title for make in self._makers]
         self._go(0)
@@ -122,7 +101,7 @@ class FirstCheck:
         """Ask a question by what is known of the car by now; behind the last one, none."""
         self._index, self._warning = index, ""
         steering, throttle = self.learned()[STEERING], self.learned()[THROTTLE]
-        direction = self._results[self._titles.index(ThrottleDirection.title)]
+        direction = self._results[self._titles.index(driving.ThrottleDirection.title)]
         self.car.is_exchanged, self.car.center = "exchanged" in steering, steering.get("center_request", 0.0)
         self.car.neutral = throttle.get("neutral", self._setup.throttle and self._setup.throttle.neutral)
         self.car.drives_forward = direction is None or direction.verdict in (FINE, SKIPPED)

@@ -74,9 +74,9 @@ class Question:
     def answer(self, key: str, now_ns: int) -> Result | str | None:
         """Return the answer that one of ``keys`` gives, or why it isn't taken; ``None``: it goes on."""
 
-    def go_on(self, ask: str, help: str, keys: str) -> None:
+    def go_on(self, ask: str, keys_text: str, keys: str) -> None:
         """Ask what comes next."""
-        self.ask, self.help, self.keys = ask, help, keys
+        self.ask, self.help, self.keys = ask, keys_text, keys
 
     def type(self, key: str, now_ns: int) -> None:
         """Take a key."""
