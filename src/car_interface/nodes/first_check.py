@@ -67,6 +67,21 @@ KEYS = {MANUAL: "key M", AUTONOMOUS: "key P", SLOWER: "key -"}  # of keyboard_dr
 PAGE = "first_check_%Y-%m-%d_%H-%M-%S.html"
 
 
+def kill_node(name: str) -> str:
+    """Kill a node's process, as a crash would; return why it can't be, or nothing."""
+    try:
+        _, reason, uri = rospy.get_master().lookupNode(name)
+        if not uri:
+            return reason
+        _, _, pid = call(uri, "getPid", rospy.get_name())
+        if not any(name.rpartition("/")[2] in word for word in command_line(pid)):  # it is another process here
+            return f"{name} runs on another computer"
+        os.kill(pid, signal.SIGKILL)
+    except Exception as error:  # whatever it answers
+        return f"{name} can't be reached: {error}"
+    return ""
+
+
 class FirstCheckNode:
     """Carry messages and keys to the check, and its requests to the car.
 
@@ -76,13 +91,13 @@ class FirstCheckNode:
         request: called with a namespace and values by name, for the node's own live tuning.
     """
 
-    def __init__(self, params, inbox, text=None, keys=None, kill=None, request=request_values):
+    def __init__(self, params, inbox, text=None, keys=None, kill=kill_node, request=request_values):
         params.finish()
         graph = self._graph = inbox.graph
-        self._inbox, self._kill, self._request = inbox, kill or kill_node, request
+        self._inbox, self._request = inbox, request
         self._folder = find_folder(graph.parameter("turn_arb/config_folder", None))
         setup = read_setup(graph.parameter, self._folder)
-        self._check, self._start_neutral = FirstCheck(setup), setup.throttle and setup.throttle.neutral
+        self._check, self._start_neutral = FirstCheck(setup, kill), setup.throttle and setup.throttle.neutral
         self._neutral = self._start_neutral  # that throttle_arb was asked for
         self._text, self._keys = text or LiveText(), keys or Keys()
         now_ns = inbox.clocks.now_ns()
@@ -170,10 +185,6 @@ class FirstCheckNode:
         if question is None:
             self._summarize()
             return
-        if question.kills_board:
-            question.kills_board, reason = False, self._kill(car.sender)
-            if reason:
-                question.kill_failed(reason)
         lines = check.lines(now_ns, self._text.width)
         if self._text.is_live:
             self._text.show(lines)
@@ -296,21 +307,6 @@ def find_controls(frame: str, model: str, parameters: Mapping[str, Any], entries
         return Controls(buttons, KEYS)
     names = {mode: button_label(model, number) for mode, number in {**buttons, SLOWER: config.slower_button}.items()}
     return Controls(buttons, names)
-
-
-def kill_node(name: str) -> str:
-    """Kill a node's process, as a crash would; return why it can't be, or nothing."""
-    try:
-        _, reason, uri = rospy.get_master().lookupNode(name)
-        if not uri:
-            return reason
-        _, _, pid = call(uri, "getPid", rospy.get_name())
-        if not any(name.rpartition("/")[2] in word for word in command_line(pid)):  # it is another process here
-            return f"{name} runs on another computer"
-        os.kill(pid, signal.SIGKILL)
-    except Exception as error:  # whatever it answers
-        return f"{name} can't be reached: {error}"
-    return ""
 
 
 def main():

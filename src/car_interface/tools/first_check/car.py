@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Mapping, NamedTuple, Sequence
+from typing import Any, Callable, Mapping, NamedTuple, Sequence
 
 from car_interface.common.causes import AUTONOMOUS, MANUAL
 from car_interface.common.sources import PLANNER, TELEOP
@@ -53,10 +53,14 @@ class Controls(NamedTuple):
 
 
 class Car:
-    """The newest of each input, and whether the wheels do what they do in the air."""
+    """The newest of each input, and whether the wheels do what they do in the air.
 
-    def __init__(self, setup: Setup):
-        self.setup = setup
+    Args:
+        kill: ends a node's process by its name, and returns why it can't; empty: it did.
+    """
+
+    def __init__(self, setup: Setup, kill: Callable[[str], str]):
+        self.setup, self.kill = setup, kill
         self.human = TimedInput("human_in_loop", 0.5)
         self.mode = TimedInput("mode", 0.5)
         self.gamepad = TimedInput("teleop_logi's state", 1.0)  # its reason

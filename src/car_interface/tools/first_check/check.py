@@ -28,13 +28,16 @@ Changes = "dict[str, dict[str, Any]]"  # new values of parameters by file, witho
 class FirstCheck:
     """The questions, in their order.
 
+    Args:
+        kill: see ``Car``.
+
     Attributes:
         car: takes what arrives.
         question: that is asked now; ``None``: all were asked.
     """
 
-    def __init__(self, setup: Setup):
-        self.car, self._setup = Car(setup), setup
+    def __init__(self, setup: Setup, kill: Callable[[str], str]):
+        self.car, self._setup = Car(setup, kill), setup
         self._makers: list[Callable[[Car], questions.Question]] = [
             questions.OnBox, questions.Deadman, driving.SteeringDirection, driving.Center,
             *(partial(driving.End, side=side) for side in (1, -1)), driving.NeutralDuty, driving.ThrottleDirection,

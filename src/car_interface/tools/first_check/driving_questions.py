@@ -18,6 +18,7 @@ from car_interface.tools.first_check.questions import (
     Question,
     broken,
     fine,
+    first,
     learned,
     skipped,
 )
@@ -123,9 +124,10 @@ class Center(_Finds):
 
     def _conclude(self, duty):
         center = self.setup.steering.servo_center
-        if abs(duty - center) <= SAME_DUTY:
-            return fine(f"straight at duty {center}")
-        return learned(f"straight at duty {duty}", {STEERING: {"servo_center": duty, "center_request": self.steering}})
+        return first(
+            (abs(duty - center) <= SAME_DUTY, fine(f"straight at duty {center}")),
+            (True, learned(f"straight at duty {duty}",
+                           {STEERING: {"servo_center": duty, "center_request": self.steering}})))
 
 
 class End(_Finds):
@@ -144,11 +146,10 @@ class End(_Finds):
                         "look for what blocks the steering, and at the servo's horn")
 
     def _conclude(self, duty):
-        if abs(self.steering - self.car.center) < MIN_END:
-            return "that is hardly a turn: go further, or type N"
-        if abs(self.steering) >= 1.0:
-            return fine(f"free up to the end of the file, duty {duty}")
-        return learned(f"the end is at duty {duty}", {STEERING: {f"servo_{self._name}": duty}})
+        return first(
+            (abs(self.steering - self.car.center) < MIN_END, "that is hardly a turn: go further, or type N"),
+            (abs(self.steering) >= 1.0, fine(f"free up to the end of the file, duty {duty}")),
+            (True, learned(f"the end is at duty {duty}", {STEERING: {f"servo_{self._name}": duty}})))
 
 
 class BoardKilled(_Steers):
@@ -170,10 +171,6 @@ class BoardKilled(_Steers):
         if self._killed_ns is None:
             return super().seen(now_ns)
         return f"channel {self._channel} has duty {self.car.held_duty(self._channel, now_ns)}"
-
-    def kill_failed(self, reason: str) -> None:
-        """Take note that it couldn't be killed."""
-        self.result = skipped(f"it couldn't be killed: {reason}")
 
     def step(self, now_ns):
         if self.keys:  # it is the person's turn
@@ -205,8 +202,10 @@ class BoardKilled(_Steers):
             return NOT_HELD
         if self._is_centered(now_ns):
             return "the wheels must be turned first"
-        self._killed_ns, self._node = now_ns, self.car.sender
-        self.steering, self.kills_board = None, True
+        self._killed_ns, self._node, self.steering = now_ns, self.car.sender, None
+        trouble = self.car.kill(self._node)
+        if trouble:
+            return skipped(f"it couldn't be killed: {trouble}")
         self.go_on("It was killed: wait.", "", "")
         return None
 
@@ -290,29 +289,27 @@ class ThrottleDirection(_ByStick):
     def answer(self, key, now_ns):
         if self.keys == YES_NO:
             return self._pulled(key == "y")
-        if abs(self._stick) < PUSHED:
-            return "push the stick first, with the deadman held"
-        pushed = self._stick > 0
-        if key == "f":
-            return fine("pushed, the wheels turn forward") if pushed else self._inverted(
-                "stick and ESC both went the other way",
-                "launch again, and check the direction again, now with the right stick")
-        if key == "n":
-            if not pushed and not self._was_given:
-                return self._inverted("the stick went the other way, and was taken for a brake")
-            given = "the ESC got throttle" if self._was_given else "the ESC got neutral: push further"
-            return broken(f"the wheels don't turn; {given}",
-                          f"look at the ESC: switched on? plug in channel {self.setup.throttle.channel}? its own "
-                          "neutral learned, armed? then the motor's wires")
-        if not pushed:
-            return self._inverted("the stick went the other way")
-        if not self.setup.calibrates_esc:
-            return broken("pushed, the wheels turn backward",
-                          "exchange two wires between ESC and motor; or launch with calibration_drive:=true and check "
-                          "again: that shows whether duty_table in throttle.yaml is to fall instead")
-        self.go_on("Let go of the stick. Now PULL it back gently, and hold it. Do the wheels turn FORWARD, at once?",
-                   "Y yes   N no, they stop or stand", YES_NO)
-        return None
+        pushed, given = self._stick > 0, self._was_given
+        outcome = first(
+            (abs(self._stick) < PUSHED, "push the stick first, with the deadman held"),
+            (key == "f" and pushed, fine("pushed, the wheels turn forward")),
+            (key == "f", self._inverted("stick and ESC both went the other way",
+                                        "launch again, and check the direction again, now with the right stick")),
+            (key == "n" and not pushed and not given,
+             self._inverted("the stick went the other way, and was taken for a brake")),
+            (key == "n", broken(
+                f"the wheels don't turn; {'the ESC got throttle' if given else 'the ESC got neutral: push further'}",
+                f"look at the ESC: switched on? plug in channel {self.setup.throttle.channel}? its own neutral "
+                "learned, armed? then the motor's wires")),
+            (not pushed, self._inverted("the stick went the other way")),
+            (not self.setup.calibrates_esc, broken(
+                "pushed, the wheels turn backward",
+                "exchange two wires between ESC and motor; or launch with calibration_drive:=true and check again: "
+                "that shows whether duty_table in throttle.yaml is to fall instead")))
+        if outcome is None:
+            self.go_on("Let go of the stick. Now PULL it back gently, and hold it. Do the wheels turn FORWARD, at "
+                       "once?", "Y yes   N no, they stop or stand", YES_NO)
+        return outcome
 
     def _pulled(self, turns_forward):
         if not self._was_pulled:

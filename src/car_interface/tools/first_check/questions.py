@@ -42,6 +42,11 @@ def broken(answer: str, repair: str) -> Result:
     return Result(BROKEN, answer, repair=repair)
 
 
+def first(*cases: tuple[Any, Result | str]) -> Result | str | None:
+    """Return the outcome of the first case that holds, if one does; a case is whether it does, and its outcome."""
+    return next((outcome for holds, outcome in cases if holds), None)
+
+
 class Question:
     """One question. ``ask`` may have {manual} and {autonomous}: they stand for the order to hold that deadman."""
 
@@ -50,7 +55,6 @@ class Question:
     note = ""  # why the last key was not taken
     result: Result | None = None  # until it is answered
     steering: float | None = None  # the request to turn_arb, −1 right .. +1 left; ``None`` = none
-    kills_board = False  # whether the servo board's node is to be killed now
 
     def __init__(self, car: Car):
         self.car, self.setup = car, car.setup
@@ -170,21 +174,20 @@ class WheelSensor(Question):
     def answer(self, key, now_ns):
         ours, other = self._counts()[self._side], self._counts()[1 - self._side]
         expected, seen = self.setup.pulses_per_revolution, self.seen(now_ns)
-        if self.car.held_mode(now_ns) is not None:
-            return "let go of the deadman first, and begin again with A"
-        faults = (
+        return first(
+            (self.car.held_mode(now_ns) is not None, "let go of the deadman first, and begin again with A"),
             (max(abs(ours), abs(other)) < MIN_PULSES,
-             "it counts nothing", "look at the sensor's plug, and at its distance from the magnets"),
+             broken("it counts nothing", "look at the sensor's plug, and at its distance from the magnets")),
             (other >= MIN_PULSES > ours,
-             f"the other sensor counts it ({seen})", "exchange the plugs of the two sensors"),
+             broken(f"the other sensor counts it ({seen})", "exchange the plugs of the two sensors")),
             (ours <= -MIN_PULSES,
-             f"it counts backward ({ours} pulses)", "exchange the two signal wires of this sensor"),
-            (ours < MIN_PULSES, f"it counts too little ({seen})", "look at the sensor's plug and magnets"),
+             broken(f"it counts backward ({ours} pulses)", "exchange the two signal wires of this sensor")),
+            (ours < MIN_PULSES,
+             broken(f"it counts too little ({seen})", "look at the sensor's plug and magnets")),
             (abs(ours - expected) > TURN_TOLERANCE * expected,
-             f"{ours} pulses in one turn",
-             f"count a turn once more: pulses_per_revolution in teensy_sensor_hub.yaml is {expected}"))
-        return next((broken(*texts) for holds, *texts in faults if holds),
-                    fine(f"it counts forward, {ours} pulses in one turn"))
+             broken(f"{ours} pulses in one turn",
+                    f"count a turn once more: pulses_per_revolution in teensy_sensor_hub.yaml is {expected}")),
+            (True, fine(f"it counts forward, {ours} pulses in one turn")))
 
 
 class Sonar(Question):
