@@ -224,7 +224,7 @@ class FirstCheckNode:
         except ConfigError as error:
             self._edits = []
             self._text.say(f"what was learned doesn't go together: {error}")
-        lines = [line for edit in self._edits for line in edit.lines()]
+        lines = [line for edit in self._edits for line in edit.lines]
         self._text.say("\n".join(["", *lines] if lines else ["", "Nothing in the files is to be changed."]))
         question = f"Write this to {self._folder}? The old files are kept beside it." if lines else "Write the page?"
         self._text.say(f"{question}\nY yes, and a page{'   N only the page' if lines else ''}   P previous   Q nothing")
@@ -243,12 +243,12 @@ class FirstCheckNode:
         if answer not in ("y", "n"):
             return
         written = write(self._edits) if answer == "y" else []
-        if written and any("servo/neutral" in edit.values and not edit.problem for edit in self._edits):
+        if written and any("servo/neutral" in edit.values for edit in self._edits):
             self._start_neutral = self._neutral  # which stays
         for line in written:
             self._text.say(line)
         page = os.path.join(self._folder, SYSTEM.local_time(PAGE))
-        changed = [line for edit in self._edits for line in edit.lines()] if answer == "y" else []
+        changed = [line for edit in self._edits for line in edit.lines] if answer == "y" else []
         self._text.say(write_page(page, SYSTEM.local_time("%Y-%m-%d %H:%M"), self._check.results, changed + written))
         if written:
             self._text.say(f"to load it, launch again with config:={self._folder}, without calibration_drive")

@@ -18,6 +18,7 @@ import os
 import shutil
 import sys
 import time
+from importlib import import_module
 from typing import Iterator
 
 from car_interface.common.black_box_folder import default_folder
@@ -27,21 +28,10 @@ from car_interface.teleop.gamepad import REPORT as GAMEPAD_REPORT
 from car_interface.tools.doctor import car as checks
 from car_interface.tools.doctor import computer, devices
 from car_interface.tools.doctor.car import ABSENT, SIMULATOR
-from car_interface.tools.doctor.findings import (
-    BAD,
-    OK,
-    WARN,
-    Finding,
-    PaceWatch,
-    Task,
-    first,
-    render,
-    summarise,
-    worst,
-)
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, PaceWatch, Task, first, render, summarise, worst
 from car_interface.tools.doctor.master import REPORTING, SURVEY_S, Car, Master, check_files, check_parameters
 
-TOPICS = "car_interface.tools.doctor.topics"  # imported only when there is a master: it imports rospy
+TOPICS = "car_interface.tools.doctor.topics"  # imported only when there is a master: it needs rospy
 # Names and addresses, then the nodes (SURVEY_S), then all the rest at the same time: 9 s at most.
 NETWORK_S, PROBES_S = 2.0, 4.5
 LEAVE_S = 0.5
@@ -100,7 +90,7 @@ def _examine(options):
     port = None if hub or car.lacks_simulator else Task("port", devices.probe_port, car.port, car.baud)
     board = None if virtual_bus else Task("bus", devices.probe_board, car, options.probe)
     reporting = [node.path for node in map(car.runs, REPORTING) if node]
-    topics = Task("topics", _listen_to_topics, car, hub, reporting) if reporting else None
+    topics = Task("topics", lambda: import_module(TOPICS).listen(car, hub, reporting)) if reporting else None
 
     for task in own:
         yield from task.findings(deadline_s)
@@ -139,11 +129,6 @@ def _check_heard(car, hub, heard, reporting, board_is_bad):
         told.append(car.nodes["teleop_logi"].report(GAMEPAD_REPORT))
         told += [heard.gamepad.driver.name] if heard.gamepad.driver else []
     yield from checks.check_diagnostics(reports, reporting, told)
-
-
-def _listen_to_topics(car, hub, reporting):
-    from car_interface.tools.doctor.topics import listen  # it needs rospy, which may be missing
-    return listen(car, hub, reporting)
 
 
 def _virtual_board(car):

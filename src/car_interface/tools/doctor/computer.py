@@ -9,7 +9,6 @@ import glob
 import grp
 import importlib
 import importlib.metadata
-import importlib.util
 import ipaddress
 import os
 import socket
@@ -17,6 +16,7 @@ import stat
 import sys
 import time
 from contextlib import suppress
+from importlib.util import find_spec
 from typing import Any, Callable
 from urllib.parse import urlsplit
 
@@ -146,7 +146,7 @@ def probe_versions() -> list[Finding]:
     versions = {name: _version(name, distribution) for name, distribution, _ in LIBRARIES}
     good = [f"{name} {version}".strip() for name, version in versions.items() if version is not None]
     bad = [(name, remedy) for name, _, remedy in LIBRARIES if versions[name] is None]
-    bad += [(name, install(name)) for name in MESSAGES if not _is_installed(name)]
+    bad += [(name, install(name)) for name in MESSAGES if not find_spec(name)]
     return [Finding(OK, "versions", ", ".join(["Python " + ".".join(map(str, sys.version_info[:3])), *good])),
             *(Finding(BAD, "versions", f"{name} can't be imported", remedy) for name, remedy in bad)]
 
@@ -162,16 +162,9 @@ def _version(name, distribution):
         return str(getattr(module, "__version__", ""))
 
 
-def _is_installed(name):
-    try:
-        return importlib.util.find_spec(name) is not None
-    except (ImportError, ValueError):
-        return False
-
-
 def probe_packages() -> list[Finding]:
     """Look for what not every car needs: the libraries of the tools for recordings."""
-    missing = [distribution for name, distribution in TOOLS.items() if not _is_installed(name)]
+    missing = [distribution for name, distribution in TOOLS.items() if not find_spec(name)]
     verb = "is" if len(missing) == 1 else "are"
     return first(
         "packages",

@@ -24,16 +24,7 @@ from car_interface.pca9685.config import AUTO, VIRTUAL
 from car_interface.pca9685.registers import prescale_for
 from car_interface.ros.start import config_class
 from car_interface.ros.xmlrpc_calls import call
-from car_interface.tools.doctor.car import (
-    ABSENT,
-    KILLED,
-    ONE_PROCESS,
-    RUNNING,
-    SILENT,
-    SIMULATOR,
-    Node,
-    find_cars,
-)
+from car_interface.tools.doctor.car import ABSENT, KILLED, ONE_PROCESS, RUNNING, SILENT, SIMULATOR, Node, find_cars
 from car_interface.tools.doctor.computer import leads_here
 from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, Task, first
 

@@ -18,6 +18,7 @@ from car_interface.teensy.link.protocol import BACKWARD, FORWARD
 from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.esc import ARMING
 
+STEERING, THROTTLE, GAMEPAD, HUB = "turn_arb", "throttle", "teleop_logi", "teensy_sensor_hub"  # files
 SLOWER = "slower"
 SIDES = ("left", "right")  # of the rear wheels
 COUNTS = 1 << 32  # OneWheel.dist_abs wraps here
@@ -148,10 +149,6 @@ class Car:
             return "that was long enough: let go of the stick"
         return ""
 
-    def deadman(self, mode: str) -> str:
-        """Return the name of a mode's deadman, with its button or key as far as that is known."""
-        return f"{mode} deadman{self._in_brackets(self.controls.names.get(mode))}"
-
     def held_mode(self, now_ns: int) -> str | None:
         """Return the mode of the deadman that is held; ``None``: none is held."""
         if self.human.is_stale(now_ns) or not self.human.value:
@@ -169,7 +166,7 @@ class Car:
             return throttle.esc_reason
         if throttle.human_scale > MAX_SCALE + 1e-6:
             return (f"a full stick gives {throttle.human_scale:.1f} of the throttle, too much for this: press the "
-                    f"button for less{self._in_brackets(self.controls.names.get(SLOWER))} until it gives {MAX_SCALE:g}")
+                    f"button for less{in_brackets(self.controls.names.get(SLOWER))} until it gives {MAX_SCALE:g}")
         return "" if throttle.source == TELEOP else throttle.reason
 
     def by_program(self, now_ns: int) -> str:
@@ -185,8 +182,9 @@ class Car:
         return None if self.output.is_stale(now_ns) else self.output.value[channel]
 
     def _reason(self, now_ns):
-        return "" if self.gamepad.is_stale(now_ns) else self._in_brackets(self.gamepad.value)
+        return "" if self.gamepad.is_stale(now_ns) else in_brackets(self.gamepad.value)
 
-    @staticmethod
-    def _in_brackets(text):
-        return f" ({text})" if text else ""
+
+def in_brackets(text: str | None) -> str:
+    """Return a text as a remark behind another one; empty: there is none."""
+    return f" ({text})" if text else ""

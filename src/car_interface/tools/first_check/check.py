@@ -16,8 +16,8 @@ from car_interface.steering.calibration import trimmed
 from car_interface.throttle.calibration import trimmed as trimmed_throttle
 from car_interface.tools.first_check import driving_questions as driving
 from car_interface.tools.first_check import questions
-from car_interface.tools.first_check.car import Car, Setup
-from car_interface.tools.first_check.questions import FINE, GAMEPAD, HUB, SKIPPED, STEERING, THROTTLE, Result, skipped
+from car_interface.tools.first_check.car import GAMEPAD, HUB, STEERING, THROTTLE, Car, Setup
+from car_interface.tools.first_check.questions import FINE, SKIPPED, Result, skipped
 
 SKIP, AGAIN, PREVIOUS, TO_END = "sape"  # Q is the caller's
 KEYS, FIRST_KEYS = "S skip   A again   P previous   E to the end   Q quit", "Q quit"
@@ -52,9 +52,7 @@ class FirstCheck:
     def refusal(self) -> str:
         """Return why it can't go on; empty: it can."""
         box = self._results[0]
-        if box is not None and box.repair:
-            return f"{box.answer}: {box.repair}"
-        return self.car.ground_reason
+        return f"{box.answer}: {box.repair}" if box is not None and box.repair else self.car.ground_reason
 
     @property
     def results(self) -> list[tuple[str, Result]]:

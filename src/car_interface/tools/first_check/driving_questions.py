@@ -9,19 +9,8 @@ from car_interface.common.causes import MANUAL
 from car_interface.common.units import NS_PER_S
 from car_interface.throttle.esc import BRAKING, HOLD
 from car_interface.throttle.esc_config import BRAKE_BECOMES_REVERSE, BRAKE_THEN_REVERSE, DIRECT_REVERSE, FORWARD_ONLY
-from car_interface.tools.first_check.car import SAME_DUTY
-from car_interface.tools.first_check.questions import (
-    ENTER,
-    GAMEPAD,
-    STEERING,
-    THROTTLE,
-    Question,
-    broken,
-    fine,
-    first,
-    learned,
-    skipped,
-)
+from car_interface.tools.first_check.car import GAMEPAD, SAME_DUTY, STEERING, THROTTLE
+from car_interface.tools.first_check.questions import ENTER, Question, broken, fine, first, learned, skipped
 
 FULL_STICK = 0.8  # held at its end
 CENTER_STEP, END_STEP = 0.01, 0.05  # of a side's travel

@@ -11,13 +11,12 @@ from itertools import takewhile
 from typing import Any, Mapping
 
 from car_interface.common.causes import AUTONOMOUS, MANUAL
-from car_interface.tools.first_check.car import SIDES, Car
+from car_interface.tools.first_check.car import GAMEPAD, HUB, SIDES, Car, in_brackets
 
 FINE, LEARNED, BROKEN, SKIPPED = "fine", "learned", "to be repaired", "not asked"
 CLASSES = {FINE: "good", LEARNED: "warn", BROKEN: "bad", SKIPPED: "faint"}  # as which a page shows them
 ENTER = "\n"
 SAME_KEYS = {"<": ",", ">": ".", "=": "+", "\r": ENTER}  # typed as they are, or as the keys that they share
-STEERING, THROTTLE, GAMEPAD, HUB = "turn_arb", "throttle", "teleop_logi", "teensy_sensor_hub"  # files
 MIN_PULSES = 5  # less is a wheel that was touched
 TURN_TOLERANCE = 0.25  # of the pulses of one turn by hand
 NEAR_M, NEAR_REPORTS = 0.4, 3  # a hand
@@ -62,7 +61,8 @@ class Question:
     @property
     def text(self) -> str:
         """Return what to do, and what is asked."""
-        return self.ask.format(**{mode: f"Hold the {self.car.deadman(mode)}" for mode in (MANUAL, AUTONOMOUS)})
+        return self.ask.format(**{mode: f"Hold the {mode} deadman{in_brackets(self.car.controls.names.get(mode))}"
+                                  for mode in (MANUAL, AUTONOMOUS)})
 
     def missing(self, now_ns: int) -> str:
         """Return why it can't be asked; empty: it can."""
@@ -122,7 +122,7 @@ class Deadman(Question):
     def seen(self, now_ns):
         held, reason = self.car.held_mode(now_ns), self.car.gamepad.value
         if self.car.human.is_stale(now_ns):
-            return self.car.human.stale_reason(now_ns) + (f" ({reason})" if reason else "")
+            return self.car.human.stale_reason(now_ns) + in_brackets(reason)
         return reason or "no deadman is held" if held is None else f"the {held or 'driving'} deadman is held"
 
     def step(self, now_ns):

@@ -131,7 +131,7 @@ def test_each_trouble_of_the_clock_is_told(monkeypatch):
     (["matplotlib", "rosbags"], "", WARN, "matplotlib, rosbags are missing for bag_report"),
 ], ids=["none", "in_a_virtual_environment", "one", "two"])
 def test_libraries_that_the_tools_lack_are_a_warning_that_names_them(missing, environment, level, words, monkeypatch):
-    monkeypatch.setattr(computer, "_is_installed", lambda name: name not in missing)
+    monkeypatch.setattr(computer, "find_spec", lambda name: name not in missing)
     monkeypatch.setattr(computer.os.path, "exists", lambda path: bool(environment))
     found, = computer.probe_packages()
     assert found.level == level and found.what.startswith(words)
