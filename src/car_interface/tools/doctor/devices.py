@@ -240,18 +240,16 @@ def check_holders(path: str, holders: Sequence[tuple[int, str]]) -> list[Finding
     names = [f"{name} (process {pid})" for pid, name in holders]
     programs = [name for _, name in holders]
     hubs = [name for name, program in zip(names, programs) if program in HUBS]
-    if hubs:
-        return [Finding(WARN, "port", f"{path}: {hubs[0]} has it open, but doesn't answer under this master and "
-                                      "namespace",
-                        "See the nodes above; or run the doctor with that node's ROS_MASTER_URI, and --ns")]
-    if "ModemManager" in programs:
-        remedy = f"It tries every new port. Keep it off: {SETUP_COMMAND}, then plug the Teensy in anew"
-    elif set(programs) & set(PROGRAMS):
-        remedy = f"That is a log-in console: {removal_remedy(path)}"
-    else:
-        remedy = f"End it; more about it: fuser -v {path}"
     open_in = ", ".join(names[:MAX_NAMES]) + (f" and {len(names) - MAX_NAMES} more" if names[MAX_NAMES:] else "")
-    return [Finding(BAD, "port", f"{path}: another program has it open: {open_in}", remedy)]
+    what = f"{path}: another program has it open: {open_in}"
+    return first(
+        "port",
+        (hubs, WARN, f"{path}: {hubs and hubs[0]} has it open, but doesn't answer under this master and namespace",
+         "See the nodes above; or run the doctor with that node's ROS_MASTER_URI, and --ns"),
+        ("ModemManager" in programs, BAD, what,
+         f"It tries every new port. Keep it off: {SETUP_COMMAND}, then plug the Teensy in anew"),
+        (set(programs) & set(PROGRAMS), BAD, what, f"That is a log-in console: {removal_remedy(path)}"),
+        (True, BAD, what, f"End it; more about it: fuser -v {path}"))
 
 
 def check_link(link: Any, port: str, node: Node) -> list[Finding]:
@@ -269,12 +267,12 @@ def check_link(link: Any, port: str, node: Node) -> list[Finding]:
 
 def check_virtual_port(port: str, simulator: str, hub_runs: bool) -> list[Finding]:
     """Judge a virtual Teensy's port while car_sim, which makes it, doesn't run; ``simulator`` is its state."""
-    if simulator != ABSENT:
-        return [Finding(BAD, "port", f"{port}: nothing comes from the virtual Teensy: car_sim, which is behind this "
-                                     "port, doesn't answer", "See the nodes above")]
-    return [Finding(BAD if hub_runs else WARN, "port", f"{port}: there is no virtual Teensy: car_sim, which makes this "
-                                                       "port, doesn't run",
-                    "roslaunch car_interface demo.launch; or give the real port by --port")]
+    return first(
+        "port",
+        (simulator != ABSENT, BAD, f"{port}: nothing comes from the virtual Teensy: car_sim, which is behind this port, "
+                                   "doesn't answer", "See the nodes above"),
+        (True, BAD if hub_runs else WARN, f"{port}: there is no virtual Teensy: car_sim, which makes this port, doesn't "
+                                          "run", "roslaunch car_interface demo.launch; or give the real port by --port"))
 
 
 def _describe_pong(round_trip_s, checksum):

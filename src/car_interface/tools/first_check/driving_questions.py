@@ -248,20 +248,20 @@ class NeutralDuty(_ByStick):
 
     def answer(self, key, now_ns):
         trouble, usual, neutral = self.car.by_hand(now_ns), self.setup.throttle.neutral, self.car.neutral
-        if key == "n":
-            return broken(f"the wheels don't stop, at duty {neutral} either",
-                          "teach the ESC its neutral, by its own manual, while throttle_arb runs and nobody drives")
         if key in "+-":
             if not trouble:
                 more = NEUTRAL_STEP if key == "+" else -NEUTRAL_STEP
                 self.car.neutral = max(usual - MAX_NEUTRAL, min(usual + MAX_NEUTRAL, neutral + more))
             return None
-        if trouble:
-            return "hold the deadman while you answer"
-        if self.car.throttle.value.granted:
-            return "let go of the stick"
         text = f"the wheels stand at duty {neutral}"
-        return fine(text) if neutral == usual else learned(text, {THROTTLE: {"neutral": neutral}})
+        return first(
+            (key == "n", broken(
+                f"the wheels don't stop, at duty {neutral} either",
+                "teach the ESC its neutral, by its own manual, while throttle_arb runs and nobody drives")),
+            (trouble, "hold the deadman while you answer"),
+            (self.car.throttle.value.granted, "let go of the stick"),
+            (neutral == usual, fine(text)),
+            (True, learned(text, {THROTTLE: {"neutral": neutral}})))
 
 
 class ThrottleDirection(_ByStick):
@@ -277,7 +277,11 @@ class ThrottleDirection(_ByStick):
 
     def answer(self, key, now_ns):
         if self.keys == YES_NO:
-            return self._pulled(key == "y")
+            return first(
+                (not self._was_pulled, "pull the stick first, with the deadman held"),
+                (key == "y", learned("this ESC drives forward on the pulses behind neutral",
+                                     {THROTTLE: {"exchanged": True}})),
+                (True, broken("the motor turns the other way round", "exchange two wires between ESC and motor")))
         pushed, given = self._stick > 0, self._was_given
         outcome = first(
             (abs(self._stick) < PUSHED, "push the stick first, with the deadman held"),
@@ -299,13 +303,6 @@ class ThrottleDirection(_ByStick):
             self.go_on("Let go of the stick. Now PULL it back gently, and hold it. Do the wheels turn FORWARD, at "
                        "once?", "Y yes   N no, they stop or stand", YES_NO)
         return outcome
-
-    def _pulled(self, turns_forward):
-        if not self._was_pulled:
-            return "pull the stick first, with the deadman held"
-        if turns_forward:
-            return learned("this ESC drives forward on the pulses behind neutral", {THROTTLE: {"exchanged": True}})
-        return broken("the motor turns the other way round", "exchange two wires between ESC and motor")
 
     def _inverted(self, answer, repair=""):
         return learned(answer, {GAMEPAD: {"throttle_scale": -self.setup.throttle_scale}}, repair)
@@ -349,10 +346,10 @@ class EscKind(_ByStick):
                        "BACKWARD?", "Y yes   N no", YES_NO)
             return None
         kind = {"2": BRAKE_BECOMES_REVERSE, "3": DIRECT_REVERSE, "y": BRAKE_THEN_REVERSE, "n": FORWARD_ONLY}[key]
-        if kind == self.setup.profile:
-            return fine(f"{kind}, as the file has it")
-        return learned(kind, {THROTTLE: {"esc/profile": kind}}, "have calibrate_esc measure it: until then a stop "
-                       "brakes only once the ESC has proved its kind")
+        return first(
+            (kind == self.setup.profile, fine(f"{kind}, as the file has it")),
+            (True, learned(kind, {THROTTLE: {"esc/profile": kind}}, "have calibrate_esc measure it: until then a stop "
+                           "brakes only once the ESC has proved its kind")))
 
 
 class LettingGo(_ByStick):

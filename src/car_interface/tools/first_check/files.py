@@ -103,15 +103,14 @@ def write_page(path: str, date: str, results: Sequence[tuple[str, Result]], writ
         results: by the question's title.
         written: lines on what was written.
     """
-    try:
-        from car_interface.tools.report.html import render
-    except ImportError:
-        return "no page: sudo apt install python3-jinja2"
     repairs = [(title, result.repair) for title, result in results if result.repair]
     verdicts = [result.verdict for _, result in results]
     try:
+        from car_interface.tools.report.html import render
         output.write(path, render("first_check.html", title="First check", date=date, results=results, written=written,
                                   repairs=repairs, classes=CLASSES, count=verdicts.count))
+    except ImportError:
+        return "no page: sudo apt install python3-jinja2"
     except (CarInterfaceError, OSError) as error:
         return f"no page: {error}"
     return f"page: {path}"
