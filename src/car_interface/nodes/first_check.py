@@ -142,7 +142,8 @@ class FirstCheckNode:
 
     def _on_output(self, message, now_ns):
         if len(message.data) == CHANNELS:
-            self._check.car.update_output(message.data, sender_of(message), now_ns)
+            self._check.car.output.update(message.data, now_ns)
+            self._check.car.sender = sender_of(message)
 
     def step(self, now_ns):
         """Handle what arrived; then the stage."""

@@ -98,11 +98,6 @@ class Car:
             if more < COUNTS // 2:  # else the Teensy has started anew
                 self.pulses[side] += {FORWARD: more, BACKWARD: -more}.get(wheel.direction, 0)
 
-    def update_output(self, duties: Sequence[int], sender: str, now_ns: int) -> None:
-        """Take what the servo board holds, and which node reports it."""
-        self.output.update(duties, now_ns)
-        self.sender = sender
-
     def update_speed(self, speed_mps: float, now_ns: int) -> None:
         """Take the speed by odometry, forward positive."""
         if self.speed.was_received:

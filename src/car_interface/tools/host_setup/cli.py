@@ -122,7 +122,7 @@ def read_computer(user: str, rules: str) -> Computer:
 
 def run_step(step: SetupStep, is_dry: bool) -> bool:
     """Print a step, run its command as root unless ``is_dry``, and return whether that worked."""
-    command = as_root(step.command)
+    command = [*(["sudo"] if os.geteuid() else []), *step.command]
     print(f"{'would ' if is_dry else ''}{step.what}:\n    {shlex.join(command)}", flush=True)
     if is_dry:
         return True
@@ -134,11 +134,6 @@ def run_step(step: SetupStep, is_dry: bool) -> bool:
     if code:
         print("    that didn't work" + (f"; {step.otherwise}" if step.otherwise else ""))
     return code == 0
-
-
-def as_root(command) -> list[str]:
-    """Return the command, by sudo unless this is root."""
-    return list(command) if os.geteuid() == 0 else ["sudo", *command]
 
 
 def unit_text(user: str, arguments: Sequence[str], environment: Mapping[str, str], launch_file: str) -> str:
@@ -215,8 +210,8 @@ What it says: journalctl --follow --unit {UNIT}
 It doesn't drive by itself: a deadman counts once it was seen released, and then while it is held."""
 
 
-def read_options(arguments: Sequence[str]) -> argparse.Namespace:
-    """Return the command line; ``launch`` has what is for car.launch, or remappings that roslaunch adds."""
+def main():
+    """Run the set-up."""
     parser = argparse.ArgumentParser(prog="setup_hardware",
                                      description="Gives a user access to the car's serial port, I2C bus and gamepad.")
     parser.add_argument("--dry-run", action="store_true", help="only show what would be done")
@@ -224,27 +219,19 @@ def read_options(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--autostart", action="store_true",
                         help="have systemd start car.launch at each boot, with the NAME:=VALUE given here")
     parser.add_argument("--remove", action="store_true", help="undo --autostart")
-    options = parser.parse_args([argument for argument in arguments if ":=" not in argument])
-    options.launch = [argument for argument in arguments if ":=" in argument and not argument.startswith("__")]
+    options = parser.parse_args([argument for argument in sys.argv[1:] if ":=" not in argument])
     options.user = options.user or os.environ.get("SUDO_USER") or pwd.getpwuid(os.getuid()).pw_name
-    return options
-
-
-def main():
-    """Run the set-up."""
-    options = read_options(sys.argv[1:])
     try:
         pwd.getpwnam(options.user)
-        (_set_autostart if options.autostart or options.remove else _set_up)(options)
+        if options.autostart or options.remove:
+            _set_autostart(options)
+            return
+        rules = str(package_file(f"udev/{RULES_NAME}"))
+        computer = read_computer(options.user, rules)
     except CarInterfaceError as error:
         sys.exit(str(error))
     except KeyError:
         sys.exit(f"there is no user {options.user}")
-
-
-def _set_up(options):
-    rules = str(package_file(f"udev/{RULES_NAME}"))
-    computer = read_computer(options.user, rules)
     steps = plan(computer, rules)
     if not steps:
         print("Nothing to do: it's all there.")
@@ -260,7 +247,9 @@ def _set_autostart(options):
         else:
             print(f"Nothing to do: there is no {UNIT_PATH}.")
         return
-    text = unit_text(options.user, options.launch, os.environ, str(package_file("launch/car.launch")))
+    # What roslaunch adds to the arguments begins with __.
+    arguments = [argument for argument in sys.argv[1:] if ":=" in argument and not argument.startswith("__")]
+    text = unit_text(options.user, arguments, os.environ, str(package_file("launch/car.launch")))
     print(text)
     with tempfile.NamedTemporaryFile("w", prefix=UNIT, encoding="utf-8") as file:
         file.write(text)

@@ -1,7 +1,6 @@
 """A first check's questions: each answered right, and each answered wrong once; and the way through them."""
 import math
 from dataclasses import replace
-from functools import partial
 from types import SimpleNamespace as Message
 
 import pytest
@@ -100,7 +99,7 @@ class Bench:
                 ("throttle_arb", car.update_throttle, Message(
                     source=TELEOP if self.held == MANUAL else NEUTRAL, reason="nobody drives", granted=self.granted,
                     esc=self.esc, esc_reason="it needs neutral", human_scale=self.scale)),
-                ("board", partial(car.update_output, self.board or duties), self.sender),
+                ("board", self._on_board, self.board or duties),
                 ("link", car.link.update, self.link), ("odom", car.update_speed, self.speed_mps),
                 ("wheels", car.update_wheels, Message(**{
                     side: Message(direction=direction, dist_abs=count)
@@ -109,6 +108,10 @@ class Bench:
                 update(value, now_ns)
         for name in SONARS if "sonars" not in self.silent else ():
             car.update_range(name, 0.2 if name in self.near else self.range_m, now_ns)
+
+    def _on_board(self, duties, now_ns):
+        self.check.car.output.update(duties, now_ns)
+        self.check.car.sender = self.sender
 
     def result(self, title):
         return next(result for each, result in self.check.results if title in each)

@@ -105,7 +105,7 @@ def run(monkeypatch, capsys, workspace):
             ran.append(" ".join(command))
             return subprocess.CompletedProcess(command, 0)
         monkeypatch.setattr(subprocess, "run", execute)
-        monkeypatch.setattr(cli, "as_root", list)
+        monkeypatch.setattr(cli.os, "geteuid", lambda: 0)
         monkeypatch.setattr(cli.shutil, "which", lambda name, path: "/bin/systemctl" if has_systemd else None)
         monkeypatch.setattr(cli.os.path, "exists", lambda path: is_installed)
         monkeypatch.setattr(cli, "package_file", lambda name: CAR_LAUNCH)

@@ -28,7 +28,7 @@ def run(monkeypatch, capsys):
             return subprocess.CompletedProcess(command, int(command[0] in failing))
         monkeypatch.setattr(subprocess, "run", execute)
         monkeypatch.setattr(cli, "read_computer", lambda user, rules: computer())
-        monkeypatch.setattr(cli, "as_root", list)
+        monkeypatch.setattr(cli.os, "geteuid", lambda: 0)
         monkeypatch.setattr(cli, "package_file", lambda name: f"/share/{name}")
         monkeypatch.setattr(cli.pwd, "getpwnam", lambda name: None)
         monkeypatch.setattr(sys, "argv", ["setup_hardware", "--user", "ann", *options])
