@@ -55,7 +55,6 @@ from car_interface.tools.first_check.car import SLOWER, Controls, Setup
 from car_interface.tools.first_check.check import FirstCheck
 from car_interface.tools.first_check.files import find_folder, plan, write, write_page
 
-NAME = "first_check"
 RATE_HZ = 20
 READY_WITHIN_NS = 8 * NS_PER_S
 TUNED_WITHIN_S, POLL_S = 1.0, 0.02
@@ -312,4 +311,4 @@ def find_controls(frame: str, model: str, parameters: Mapping[str, Any], entries
 
 def main():
     """Run the program."""
-    run(NAME, FirstCheckNode)
+    run("first_check", FirstCheckNode)

@@ -51,8 +51,8 @@ def read_options(arguments: list[str]) -> argparse.Namespace:
                         help="look for a servo board on all I2C buses; chips of the computer's own are asked, too")
     options = parser.parse_args([argument for argument in arguments if ":=" not in argument])
     if options.address is not None and options.address not in devices.ADDRESSES:
-        low, high = devices.ADDRESSES[0], devices.ADDRESSES[-1]
-        parser.error(f"--address is 0x{options.address:02x}; accepted: 0x{low:02x} to 0x{high:02x}")
+        parser.error(f"--address is 0x{options.address:02x}; accepted: 0x{devices.ADDRESSES[0]:02x} to "
+                     f"0x{devices.ADDRESSES[-1]:02x}")
     if options.namespace is not None:
         options.namespace = "/" + options.namespace.strip("/")
     return options

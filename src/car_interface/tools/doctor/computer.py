@@ -32,6 +32,7 @@ TIME_ERROR = 5  # what adjtimex returns while the clock is not synchronised: adj
 TIMEX_SIZE = 512  # more than struct timex on any computer
 DEFAULT_PORT = 11311  # the master's
 LISTENING = "0A"  # as /proc/net/tcp has it
+LOCAL_ONLY = "export ROS_IP=127.0.0.1 ROS_MASTER_URI=http://127.0.0.1:{port}"
 
 
 def install(name: str) -> str:
@@ -237,8 +238,7 @@ def probe_network(uri: str, ask_master: Callable[[], str]) -> tuple[list[Finding
         (not is_here, WARN, f"{uri} is on another host: whoever reaches it drives the car",
          "Keep both in a VPN, as the README says under 'Who can drive the car'"),
         (exposed, WARN, f"{uri} listens on {where}: whoever reaches it drives the car",
-         f"Before roslaunch: export ROS_IP=127.0.0.1 ROS_MASTER_URI=http://127.0.0.1:{port}; or a firewall or VPN, see "
-         "the README"),
+         f"Before roslaunch: {LOCAL_ONLY.format(port=port)}; or a firewall or VPN, see the README"),
         (listens_on, OK, f"{uri} answers, on the loopback only"),
         (True, OK, f"{uri} answers"))
     return found + _check_address(is_here is not False), is_here is not None and not trouble

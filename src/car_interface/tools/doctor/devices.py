@@ -269,10 +269,12 @@ def check_virtual_port(port: str, simulator: str, hub_runs: bool) -> list[Findin
     """Judge a virtual Teensy's port while car_sim, which makes it, doesn't run; ``simulator`` is its state."""
     return first(
         "port",
-        (simulator != ABSENT, BAD, f"{port}: nothing comes from the virtual Teensy: car_sim, which is behind this port, "
-                                   "doesn't answer", "See the nodes above"),
-        (True, BAD if hub_runs else WARN, f"{port}: there is no virtual Teensy: car_sim, which makes this port, doesn't "
-                                          "run", "roslaunch car_interface demo.launch; or give the real port by --port"))
+        (simulator != ABSENT, BAD,
+         f"{port}: nothing comes from the virtual Teensy: car_sim, which is behind this port, doesn't answer",
+         "See the nodes above"),
+        (True, BAD if hub_runs else WARN,
+         f"{port}: there is no virtual Teensy: car_sim, which makes this port, doesn't run",
+         "roslaunch car_interface demo.launch; or give the real port by --port"))
 
 
 def _describe_pong(round_trip_s, checksum):

@@ -9,7 +9,7 @@ import time
 import xmlrpc.client
 from argparse import Namespace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 from urllib.parse import urlsplit
 
 from car_interface.common.declared import read_all
@@ -30,19 +30,13 @@ from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, Task, fi
 
 CALLER = "/doctor"
 USUAL_PORT, USUAL_BAUD, USUAL_ADDRESS = "/dev/ttyAMA0", 115200, 0x40
+MISSPELT = "roslaunch ignores an argument that is misspelt"
 SURVEY_S = 2.0  # for the nodes
 # These may be parts of ONE_PROCESS.
 PARTS = ("turn_arb", "pca9685", "teensy_sensor_hub", "generic_value_converter", "throttle_arb", "planner_interface")
 REPORTING = (*PARTS, "teleop_logi")  # on /diagnostics
 NODES = (*REPORTING, SIMULATOR)
 ON_REQUEST = ("throttle_arb", "planner_interface")  # those of them that ONE_PROCESS may be without
-
-
-class Graph(NamedTuple):
-    """The ROS graph."""
-
-    publishers: dict  # the names of the nodes that publish, by topic
-    nodes: frozenset  # the names of all nodes that publish, subscribe or serve
 
 
 class Master:
@@ -79,29 +73,29 @@ class Master:
         except LookupError:
             return None
 
-    def graph(self) -> Graph:
-        """Return who publishes, subscribes and serves."""
+    def graph(self) -> tuple[dict[str, tuple], frozenset]:
+        """Return the names of the nodes that publish, by topic, and of all that publish, subscribe or serve."""
         publishers, *others = ([(name, tuple(nodes)) for name, nodes in kind] for kind in self.ask("getSystemState"))
         everybody = (nodes for kind in (publishers, *others) for _, nodes in kind)
-        return Graph(dict(publishers), frozenset(node for nodes in everybody for node in nodes))
+        return dict(publishers), frozenset(node for nodes in everybody for node in nodes)
 
-    def node(self, name: str, namespace: str, graph: Graph) -> Node:
+    def node(self, name: str, namespace: str, publishers: dict[str, tuple], known: frozenset) -> Node:
         """Return what a node does. Where it isn't itself, ONE_PROCESS may be it."""
         path = f"{namespace.rstrip('/')}/{name}"
-        own = Node(name, path, self._state(path, graph), path)
-        if own.runs or name not in PARTS or name in ON_REQUEST and f"{path}/state" not in graph.publishers:
+        own = Node(name, path, self._state(path, known), path)
+        if own.runs or name not in PARTS or name in ON_REQUEST and f"{path}/state" not in publishers:
             return own
         process = f"{namespace.rstrip('/')}/{ONE_PROCESS}"
-        state = self._state(process, graph)
+        state = self._state(process, known)
         return own if state == ABSENT else Node(name, path, state, process)
 
-    def _state(self, path, graph):
+    def _state(self, path, known):
         """Return the state of a process.
 
         The master also remembers nodes that have ended, by a subscription to a parameter that they made when they
         logged their last line: what counts is the graph.
         """
-        if path not in graph.nodes:
+        if path not in known:
             return ABSENT
         try:
             call(self.ask("lookupNode", path), "getPid", CALLER)
@@ -149,12 +143,12 @@ class Car:
 
     def __init__(self, master: Master | None, options: Namespace):
         self.master = master
-        graph = master.graph() if master else Graph({}, frozenset())
-        cars = find_cars(graph.nodes)
+        publishers, known = master.graph() if master else ({}, frozenset())
+        cars = find_cars(known)
         self.namespace = options.namespace or (cars[0] if len(cars) == 1 else "/")
         self.others = [car for car in cars if car != self.namespace]  # the namespaces of other cars
         self.was_chosen = options.namespace is not None or self.namespace in cars or not cars
-        tasks = [Task("nodes", master.node, name, self.namespace, graph) for name in NODES] if master else []
+        tasks = [Task("nodes", master.node, name, self.namespace, publishers, known) for name in NODES if master]
         nodes = [task.wait(time.monotonic() + SURVEY_S)[0] for task in tasks]
         self.nodes: dict[str, Node] = {node.name: node for node in nodes if node is not None}
         self.uses_sim_time = bool(master and master.parameter("/use_sim_time"))
@@ -239,8 +233,9 @@ def check_files(car: Car) -> list[Finding]:
         try:
             compose_yaml(read_yaml(path), path)  # not built: tags such as !degrees are ROS's
         except ConfigError as error:
-            found.append(Finding(WARN, "files", str(error), "Correct the file, and start again: roslaunch takes the last "
-                                                            "of two values without a word, and ~save refuses the file"))
+            found.append(Finding(WARN, "files", str(error),
+                                 "Correct the file, and start again: roslaunch takes the last of two values without a "
+                                 "word, and ~save refuses the file"))
     return found
 
 
@@ -277,8 +272,7 @@ def _check_folders(folders, is_virtual):
     return [] if not folders else first(
         "files",
         (len(folders) > 1, WARN, f"the nodes were launched with different folders: {taken}",
-         "Launch them with one config:=FOLDER; roslaunch ignores an argument that is misspelt"),
+         f"Launch them with one config:=FOLDER; {MISSPELT}"),
         (usual in folders and not is_virtual, WARN, f"the nodes were launched with the package's own files, {usual}",
-         f"Copy them for your car (cp -r {usual} ~/my_car) and launch with config:=$HOME/my_car; roslaunch ignores an "
-         "argument that is misspelt"),
+         f"Copy them for your car (cp -r {usual} ~/my_car) and launch with config:=$HOME/my_car; {MISSPELT}"),
         (True, OK, f"all nodes were launched with {next(iter(folders))}"))

@@ -89,7 +89,7 @@ class TopicReports(NamedTuple):
     link: LinkStatus | None  # the newest
     steering: list  # each SteeringState
     reports: list
-    gamepad: GamepadFacts | None = None
+    gamepad: GamepadFacts | None
 
 
 def _reports_in(array):

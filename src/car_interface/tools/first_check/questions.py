@@ -100,9 +100,9 @@ class OnBox(Question):
     help, keys = "Y yes   N no", "yn"
 
     def answer(self, key, now_ns):
-        if key == "n":
-            return broken("it is on the ground", "put it on a box first")
-        return fine("all wheels hang free") if self.car.stands(now_ns) else "the wheels turn: wait until they stand"
+        return first((key == "n", broken("it is on the ground", "put it on a box first")),
+                     (self.car.stands(now_ns), fine("all wheels hang free")),
+                     (True, "the wheels turn: wait until they stand"))
 
 
 class Deadman(Question):

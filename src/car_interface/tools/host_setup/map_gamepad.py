@@ -141,7 +141,7 @@ def main():
     model = model_of(frame_of(device.pad.name), len(joystick.axes), len(joystick.buttons))
     print(f"{model}\nLet go of everything.", flush=True)
     entry = ask(device, joystick, sys.stdin)
-    text = with_entry(read_yaml(path) if os.path.exists(path) else "", path, model, entry)
-    output.write(path, text, keeps_old=True)
+    before = read_yaml(path) if os.path.exists(path) else ""
+    output.write(path, with_entry(before, path, model, entry), keeps_old=True)
     print(f"written: {path}. It counts from the next launch with config:={os.path.abspath(folder)}; see teleop_logi's "
           "state while you try it, wheels in the air.")

@@ -13,7 +13,7 @@ from car_interface.common.package_files import package_file
 from car_interface.tools.doctor import master as probe
 from car_interface.tools.doctor.car import ABSENT, KILLED, RUNNING, SILENT, Node
 from car_interface.tools.doctor.findings import BAD, OK, WARN
-from car_interface.tools.doctor.master import Graph, Master, check_files
+from car_interface.tools.doctor.master import Master, check_files
 from loopback import serving
 
 
@@ -52,13 +52,13 @@ def master(served):
 
 
 def look(master, name="turn_arb", namespace="/"):
-    return master.node(name, namespace, master.graph())
+    return master.node(name, namespace, *master.graph())
 
 
 def test_graph_is_who_publishes_subscribes_and_serves(served):
     state = [[["/joy", ["/pad", "/other"]]], [["/joy", ["/teleop_logi"]]], [["/turn_arb/save", ["/turn_arb"]]]]
     graph = Master(served(getSystemState=lambda caller: [1, "", state])).graph()
-    assert graph == Graph({"/joy": ("/pad", "/other")}, frozenset({"/pad", "/other", "/teleop_logi", "/turn_arb"}))
+    assert graph == ({"/joy": ("/pad", "/other")}, frozenset({"/pad", "/other", "/teleop_logi", "/turn_arb"}))
 
 
 def test_node_that_ended_is_absent_without_an_answer_silent_and_where_nobody_listens_killed(master, refused, silent):

@@ -10,8 +10,8 @@ from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
 from car_interface.teensy.link.health import FINE, PORT_FAULTS
 from car_interface.tools.doctor import devices as port
 from car_interface.tools.doctor.car import ABSENT, RUNNING, SILENT, Node
-from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
 from car_interface.tools.doctor.devices import TeensyProbe, check_holders, check_link, check_virtual_port
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
 
 MS = 1_000_000
 

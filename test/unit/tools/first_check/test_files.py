@@ -46,8 +46,8 @@ def test_values_are_written_where_they_differ_comments_stay_and_the_old_files_ar
 
 def test_what_gamepads_yaml_has_for_the_gamepad_is_not_written_where_it_does_not_count(folder):
     edit, = plan(folder, {"teleop_logi": {"steer_scale": -1.0, "manual_button": 2}}, {"steer_scale": 1.0})
-    assert edit.lines == ["teleop_logi.yaml can't be changed: for this gamepad gamepads.yaml has steer_scale: run "
-                          "map_gamepad again"]
+    assert edit.lines == [
+        "teleop_logi.yaml can't be changed: for this gamepad gamepads.yaml has steer_scale: run map_gamepad again"]
     assert write([edit]) == []
     assert plan(folder, {"turn_arb": {"servo_center": 5060}}, {"servo_center": 1})[0].lines == [
         "turn_arb.yaml: servo_center 5100 → 5060"]
