@@ -136,8 +136,8 @@ class FirstCheckNode:
         if (frame, axes, buttons) != self._sender:
             self._sender, self._model = (frame, axes, buttons), model_of(frame, axes, buttons)
             self._check.car.controls = find_controls(frame, self._model, self._gamepad, self._entries)
-        self._check.car.buttons.update(
-            tuple(index for index, is_held in enumerate(message.buttons) if is_held), now_ns)
+        pressed = tuple(index for index, is_held in enumerate(message.buttons) if is_held)
+        self._check.car.buttons.update(pressed, now_ns)
 
     def _on_output(self, message, now_ns):
         if len(message.data) == CHANNELS:
@@ -303,10 +303,9 @@ def find_controls(frame: str, model: str, parameters: Mapping[str, Any], entries
     except ConfigError:
         return Controls()  # it drives nothing, and teleop_logi says so
     buttons = {MANUAL: config.manual_button, AUTONOMOUS: config.autonomous_button}
-    if frame == KEYBOARD_FRAME:
-        return Controls(buttons, KEYS)
-    names = {mode: button_label(model, number) for mode, number in {**buttons, SLOWER: config.slower_button}.items()}
-    return Controls(buttons, names)
+    named = {**buttons, SLOWER: config.slower_button}
+    return Controls(buttons, KEYS if frame == KEYBOARD_FRAME else {
+        mode: button_label(model, number) for mode, number in named.items()})
 
 
 def main():

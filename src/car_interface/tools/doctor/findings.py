@@ -83,10 +83,9 @@ class Task:
 
     def wait(self, deadline_s: float) -> tuple[Any, list[Finding]]:
         """Return the result, or ``None`` and what went wrong, by a deadline of the monotonic clock."""
-        while not self._outcome.done():
-            if time.monotonic() < deadline_s:
-                time.sleep(TICK_S)
-                continue
+        while not self._outcome.done() and time.monotonic() < deadline_s:
+            time.sleep(TICK_S)
+        if not self._outcome.done():
             return None, [Finding(BAD, self._subject, "no answer in time: given up",
                                   "See whether a device hangs: dmesg", by_silence=True)]
         error = self._outcome.exception()  # no fault of one probe may end the others

@@ -62,10 +62,10 @@ def ask(device: GamepadDevice, joystick: Joystick, keyboard, report=print) -> di
     for step in STEPS:
         report(f"{step.text}{', or type Enter if there is none' if step.may_lack else ''}; then let go.")
         for axes, buttons in inputs:
-            if axes is None and step.may_lack:
-                entry[step.parameter] = NONE
-                break
-            if axes is None:
+            if axes is None:  # Enter
+                if step.may_lack:
+                    entry[step.parameter] = NONE
+                    break
                 continue
             offsets = [abs(value - at_rest) for value, at_rest in zip(axes, rest)]
             number, why = _axis(offsets, rest, device, entry) if step.scale else _button(buttons, entry)
