@@ -55,7 +55,7 @@ ONLY_IN = {
     "serial": ("teensy/link/port.py",),
     "dynamic_reconfigure": ("ros/reconfigure.py",),
     "tornado": ("nodes/phone_drive/server.py",),
-    "smbus2": ("nodes/pca9685/node.py", "tools/doctor/board.py"),
+    "smbus2": ("nodes/pca9685/node.py", "tools/doctor/devices.py"),
 }
 # Imported alone, a module outside of these pulls in none of the heavy ones.
 NOT_PURE = (*ROS, "teensy/link/port.py", "teleop/gamepad_device.py", "tools/doctor/cli.py", "tools/host_setup/",

@@ -35,6 +35,7 @@ from car_interface.common.causes import AUTONOMOUS, MANUAL
 from car_interface.common.declared import read
 from car_interface.common.errors import CarInterfaceError, ConfigError, EndedEarly
 from car_interface.common.params import Params
+from car_interface.common.processes import command_line
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import CHANNELS, NS_PER_S
 from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, SONARS
@@ -54,7 +55,6 @@ from car_interface.tools.first_check.car import SLOWER, Controls, Setup
 from car_interface.tools.first_check.check import FirstCheck
 from car_interface.tools.first_check.files import find_folder, plan, write, write_page
 
-NAME = "first_check"
 RATE_HZ = 20
 READY_WITHIN_NS = 8 * NS_PER_S
 TUNED_WITHIN_S, POLL_S = 1.0, 0.02
@@ -66,6 +66,21 @@ KEYS = {MANUAL: "key M", AUTONOMOUS: "key P", SLOWER: "key -"}  # of keyboard_dr
 PAGE = "first_check_%Y-%m-%d_%H-%M-%S.html"
 
 
+def kill_node(name: str) -> str:
+    """Kill a node's process, as a crash would; return why it can't be, or nothing."""
+    try:
+        _, reason, uri = rospy.get_master().lookupNode(name)
+        if not uri:
+            return reason
+        _, _, pid = call(uri, "getPid", rospy.get_name())
+        if not any(name.rpartition("/")[2] in word for word in command_line(pid)):  # it is another process here
+            return f"{name} runs on another computer"
+        os.kill(pid, signal.SIGKILL)
+    except Exception as error:  # whatever it answers
+        return f"{name} can't be reached: {error}"
+    return ""
+
+
 class FirstCheckNode:
     """Carry messages and keys to the check, and its requests to the car.
 
@@ -75,18 +90,18 @@ class FirstCheckNode:
         request: called with a namespace and values by name, for the node's own live tuning.
     """
 
-    def __init__(self, params, inbox, text=None, keys=None, kill=None, request=request_values):
+    def __init__(self, params, inbox, text=None, keys=None, kill=kill_node, request=request_values):
         params.finish()
         graph = self._graph = inbox.graph
-        self._inbox, self._kill, self._request = inbox, kill or kill_node, request
+        self._inbox, self._request = inbox, request
         self._folder = find_folder(graph.parameter("turn_arb/config_folder", None))
         setup = read_setup(graph.parameter, self._folder)
-        self._check, self._start_neutral = FirstCheck(setup), setup.throttle and setup.throttle.neutral
+        self._check, self._start_neutral = FirstCheck(setup, kill), setup.throttle and setup.throttle.neutral
         self._neutral = self._start_neutral  # that throttle_arb was asked for
         self._text, self._keys = text or LiveText(), keys or Keys()
         now_ns = inbox.clocks.now_ns()
         self._timer, self._begun_ns, self._stage = RateTimer(RATE_HZ, now_ns), now_ns, self._wait
-        self._kind, self._edits, self._keeps_neutral = "", [], False
+        self._printed, self._edits = "", []  # the question that was printed last; the changes of the files
         self._steering = advertise("av_steer_req", Float32, inbox)
         self._asked = False  # whether it steered with the last tick
         self._is_tuning = False  # until throttle_arb has answered
@@ -121,12 +136,13 @@ class FirstCheckNode:
         if (frame, axes, buttons) != self._sender:
             self._sender, self._model = (frame, axes, buttons), model_of(frame, axes, buttons)
             self._check.car.controls = find_controls(frame, self._model, self._gamepad, self._entries)
-        self._check.car.buttons.update(
-            tuple(index for index, is_held in enumerate(message.buttons) if is_held), now_ns)
+        pressed = tuple(index for index, is_held in enumerate(message.buttons) if is_held)
+        self._check.car.buttons.update(pressed, now_ns)
 
     def _on_output(self, message, now_ns):
         if len(message.data) == CHANNELS:
-            self._check.car.update_output(message.data, sender_of(message), now_ns)
+            self._check.car.output.update(message.data, now_ns)
+            self._check.car.sender = sender_of(message)
 
     def step(self, now_ns):
         """Handle what arrived; then the stage."""
@@ -135,8 +151,8 @@ class FirstCheckNode:
             typed = self._keys.read()
             if typed is None and self._keys.is_closed():
                 raise EndedEarly("its terminal was closed: nothing is written")
-            if "q" in (typed or "").lower() and self._stage != self._confirm:
-                self._quit()
+            if "q" in (typed or "").lower():
+                raise EndedEarly("ended before it was over: nothing is written")
             self._stage(now_ns, typed or "")
         return self._timer.due_ns
 
@@ -146,38 +162,35 @@ class FirstCheckNode:
         self._keys.restore()
         self._text.keep()
         self._inbox.clocks.wait_for(lambda: not self._is_tuning, TUNED_WITHIN_S, POLL_S)
-        if not self._keeps_neutral and self._neutral != self._start_neutral:
+        if self._neutral != self._start_neutral:
             self._have_tuned(self._start_neutral)
 
     def _wait(self, now_ns, typed):
         car = self._check.car
-        if not (car.steering.is_stale(now_ns) or car.output.is_stale(now_ns)):
+        lacks = [timed.stale_reason(now_ns) for timed in (car.steering, car.output) if timed.is_stale(now_ns)]
+        if not lacks:
             self._stage = self._ask
         elif now_ns - self._begun_ns > READY_WITHIN_NS:
-            lacks = [timed.stale_reason(now_ns) for timed in (car.steering, car.output) if timed.is_stale(now_ns)]
             raise CarInterfaceError(f"it can't begin: {'; '.join(lacks)}. Is the car launched, and in this namespace "
                                     "(ROS_NAMESPACE)? rosrun car_interface doctor")
 
     def _ask(self, now_ns, typed):
-        view = self._check.step(now_ns, typed, self._text.width)
-        if self._check.refusal:
-            raise EndedEarly(f"{self._check.refusal}. Nothing is written")
-        self._steer(view.steering if self._check.car.held_mode(now_ns) == AUTONOMOUS else None)
-        self._tune(view.neutral)
-        if view.kills_board:
-            reason = self._kill(self._check.car.sender)
-            if reason:
-                self._check.question.kill_failed(reason)
-        if view.is_over:
+        check, car = self._check, self._check.car
+        check.step(now_ns, typed)
+        if check.refusal:
+            raise EndedEarly(f"{check.refusal}. Nothing is written")
+        question, is_held = check.question, car.held_mode(now_ns) == AUTONOMOUS
+        self._steer(question.steering if question and is_held else None)
+        self._tune()
+        if question is None:
             self._summarize()
-        elif self._text.is_live:
-            self._text.show(view.lines)
-        elif view.kind != self._kind:
-            self._text.say("\n".join(view.lines))
-        self._kind = view.kind
-
-    def _quit(self):
-        raise EndedEarly("ended before it was over: nothing is written")
+            return
+        lines = check.lines(now_ns, self._text.width)
+        if self._text.is_live:
+            self._text.show(lines)
+        elif question.text != self._printed:
+            self._text.say("\n".join(lines))
+        self._printed = question.text
 
     def _steer(self, request):
         """Ask for a steering; for the center once where nothing is asked any more."""
@@ -185,9 +198,9 @@ class FirstCheckNode:
             self._steering.publish(Float32(request or 0.0))
         self._asked = request is not None
 
-    def _tune(self, neutral):
+    def _tune(self):
         """Have throttle_arb take another neutral, or its own again; one after the other, the newest last."""
-        wanted = self._start_neutral if neutral is None else neutral
+        wanted = self._check.car.neutral
         if wanted != self._neutral and not self._is_tuning:
             self._neutral, self._is_tuning = wanted, True
             self._graph.start_thread(partial(self._have_tuned, wanted), "tuning")
@@ -207,12 +220,11 @@ class FirstCheckNode:
             if result.repair:
                 self._say_beside("", f"-> {result.repair}")
         try:
-            mapped = self._entries.get(self._model) or ()
-            self._edits = plan(self._folder, self._check.changes(), mapped)
+            self._edits = plan(self._folder, self._check.changes(), self._entries.get(self._model) or ())
         except ConfigError as error:
             self._edits = []
             self._text.say(f"what was learned doesn't go together: {error}")
-        lines = [line for edit in self._edits for line in edit.lines()]
+        lines = [line for edit in self._edits for line in edit.lines]
         self._text.say("\n".join(["", *lines] if lines else ["", "Nothing in the files is to be changed."]))
         question = f"Write this to {self._folder}? The old files are kept beside it." if lines else "Write the page?"
         self._text.say(f"{question}\nY yes, and a page{'   N only the page' if lines else ''}   P previous   Q nothing")
@@ -224,23 +236,19 @@ class FirstCheckNode:
                                      subsequent_indent=" " * 16, break_on_hyphens=False))
 
     def _confirm(self, now_ns, typed):
-        answer = next((key for key in typed.lower() if key in "ynpq"), "")
-        if answer == "q":
-            self._quit()
+        answer = next((key for key in typed.lower() if key in "ynp"), "")
         if answer == "p":
-            self._check.step(now_ns, "p", self._text.width)
+            self._check.step(now_ns, "p")
             self._stage = self._ask
-        elif answer:
-            self._finish(writes=answer == "y")
-
-    def _finish(self, writes):
-        written = write(self._edits) if writes else []
-        self._keeps_neutral = bool(written) and any("servo/neutral" in edit.values and not edit.problem
-                                                    for edit in self._edits)
+        if answer not in ("y", "n"):
+            return
+        written = write(self._edits) if answer == "y" else []
+        if written and any("servo/neutral" in edit.values for edit in self._edits):
+            self._start_neutral = self._neutral  # which stays
         for line in written:
             self._text.say(line)
         page = os.path.join(self._folder, SYSTEM.local_time(PAGE))
-        changed = [line for edit in self._edits for line in edit.lines()] if writes else []
+        changed = [line for edit in self._edits for line in edit.lines] if answer == "y" else []
         self._text.say(write_page(page, SYSTEM.local_time("%Y-%m-%d %H:%M"), self._check.results, changed + written))
         if written:
             self._text.say(f"to load it, launch again with config:={self._folder}, without calibration_drive")
@@ -295,28 +303,11 @@ def find_controls(frame: str, model: str, parameters: Mapping[str, Any], entries
     except ConfigError:
         return Controls()  # it drives nothing, and teleop_logi says so
     buttons = {MANUAL: config.manual_button, AUTONOMOUS: config.autonomous_button}
-    if frame == KEYBOARD_FRAME:
-        return Controls(buttons, KEYS)
-    names = {mode: button_label(model, number) for mode, number in {**buttons, SLOWER: config.slower_button}.items()}
-    return Controls(buttons, names)
-
-
-def kill_node(name: str) -> str:
-    """Kill a node's process, as a crash would; return why it can't be, or nothing."""
-    try:
-        _, reason, uri = rospy.get_master().lookupNode(name)
-        if not uri:
-            return reason
-        _, _, pid = call(uri, "getPid", rospy.get_name())
-        with open(f"/proc/{pid}/cmdline", "rb") as file:  # the process of another computer has another one here
-            if name.rpartition("/")[2].encode() not in file.read():
-                return f"{name} runs on another computer"
-        os.kill(pid, signal.SIGKILL)
-    except Exception as error:  # whatever it answers
-        return f"{name} can't be reached: {error}"
-    return ""
+    named = {**buttons, SLOWER: config.slower_button}
+    return Controls(buttons, KEYS if frame == KEYBOARD_FRAME else {
+        mode: button_label(model, number) for mode, number in named.items()})
 
 
 def main():
     """Run the program."""
-    run(NAME, FirstCheckNode)
+    run("first_check", FirstCheckNode)

@@ -1,13 +1,18 @@
-"""Examines the running car: its nodes, their parameters, who drives, what comes to them, and their reports."""
+"""Examines the running car: its nodes, their parameters, who drives, the gamepad, and their reports."""
 from __future__ import annotations
 
-from typing import Any, Iterable, NamedTuple, Sequence
+import math
+import time
+from typing import Any, Collection, Iterable, NamedTuple, Sequence
 
-from car_interface.common.black_box_folder import Recording
+from car_interface.common import causes
+from car_interface.common.black_box_folder import newest
 from car_interface.common.publishers import REPORT as COMMAND_TOPICS
 from car_interface.common.sources import source_name
+from car_interface.teleop.gamepad import GamepadConfig, is_d_mode_cross, missing_index, remedy
+from car_interface.teleop.handover import PHONE_PREFIX
 from car_interface.throttle.battery import REPORT as BATTERY
-from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, first
 
 # The nodes of every car, and what is missing without each.
 NODE_ROLES = {
@@ -21,6 +26,12 @@ MORE = "More about it: rostopic echo /diagnostics"
 # The process that some of them may share, which the master then knows by this name alone.
 ONE_PROCESS = "car_nodes"
 SIMULATOR = "car_sim"
+MISSED = 2  # messages in a row that may be lost before the deadman is released, at least
+AUTOREPEAT = "Set its driver's autorepeat_rate to 20, as launching with gamepad:=true does: {joy} must come at 20 Hz"
+D_MODE = ", as a Logitech gamepad has in D mode: axes 4 and 5 are its cross then, not a stick"
+LAUNCH_IT = ("Launch the car with gamepad:=true, which starts its driver, or with phone:=true. With the virtual car: "
+             "rosrun car_interface keyboard_drive")
+LET_GO = "Let go of both deadman buttons once, then hold one"
 
 # What a node does, by the ROS graph and by its own answer. A node that ended in order is absent, whatever else the
 # master remembers of it; one that was killed stays in the graph, but nothing listens at its address.
@@ -40,6 +51,10 @@ class Node(NamedTuple):
         """Return whether it's there and answers."""
         return self.state == RUNNING
 
+    def report(self, about: str) -> str:
+        """Return the name of one of its reports on /diagnostics."""
+        return f"{self.path.strip('/')}: {about}"
+
 
 def restart_remedy(process: str) -> str:
     """Return how to start a node again that hangs."""
@@ -58,7 +73,7 @@ def check_several(namespaces: Sequence[str]) -> list[Finding]:
                                    "at", f"Look at each: rosrun car_interface doctor --ns {namespaces[0]}")]
 
 
-def check_nodes(nodes: Sequence[Node], namespace: str, others: Sequence[str] = ()) -> list[Finding]:
+def check_nodes(nodes: Collection[Node], namespace: str, others: Sequence[str] = ()) -> list[Finding]:
     """Return one finding for those that run, one for each process that doesn't, and one for those that are missing.
 
     The nodes are those of the car in ``namespace``; ``others`` are the namespaces of other cars.
@@ -66,13 +81,20 @@ def check_nodes(nodes: Sequence[Node], namespace: str, others: Sequence[str] = (
     if all(node.state == ABSENT for node in nodes):
         elsewhere = f"; there is one in {' and '.join(others)}" if others else ""
         return [Finding(OK, "nodes", f"none of this package's runs in {namespace}{elsewhere}")]
-    found = _check_running([node for node in nodes if node.runs], namespace)
+    running = [node for node in nodes if node.runs]
+    shared = [node for node in running if node.process != node.path]
+    together = f"; {', '.join(node.name for node in shared)} in one process, {shared[0].process}" if shared else ""
+    verb = "runs" if len(running) == 1 else "run"
+    found = [Finding(OK, "nodes", f"{', '.join(node.name for node in running)} {verb} in {namespace}{together}")
+             ] if running else []
     found += [Finding(BAD, "nodes", f"{process} is registered, but doesn't answer: it hangs, or its ROS_IP can't be "
                                     "reached from here",
                       "If it hangs: end its process, or start the launch file again. If it's on another computer: "
                       "set ROS_IP there to an address that can be reached from here", by_silence=True)
               for process in _processes(nodes, SILENT)]
-    launch = _launch_command(nodes, namespace)
+    is_virtual = any(node.name == SIMULATOR and node.state != ABSENT for node in nodes)
+    launch = (f"roslaunch car_interface {'demo' if is_virtual else 'car'}.launch"
+              + ("" if namespace == "/" else f" ns:={namespace}"))
     killed = _processes(nodes, KILLED)
     if killed:
         found.append(Finding(BAD, "nodes", f"{', '.join(killed)}: killed or crashed; the master still lists "
@@ -86,25 +108,9 @@ def check_nodes(nodes: Sequence[Node], namespace: str, others: Sequence[str] = (
     return found
 
 
-def _check_running(running, namespace):
-    if not running:
-        return []
-    shared = next((node.process for node in running if node.process != node.path), "")
-    parts = [node.name for node in running if node.process != node.path]
-    together = f"; {', '.join(parts)} in one process, {shared}" if shared else ""
-    verb = "runs" if len(running) == 1 else "run"
-    return [Finding(OK, "nodes", f"{', '.join(node.name for node in running)} {verb} in {namespace}{together}")]
-
-
 def _processes(nodes, state):
     """Return the processes of the nodes in a state, each once."""
     return list(dict.fromkeys(node.process for node in nodes if node.state == state))
-
-
-def _launch_command(nodes, namespace):
-    is_virtual = any(node.name == SIMULATOR and node.state != ABSENT for node in nodes)
-    in_space = "" if namespace == "/" else f" ns:={namespace}"
-    return f"roslaunch car_interface {'demo' if is_virtual else 'car'}.launch{in_space}"
 
 
 def check_steering(states: Sequence[Any], node: Node) -> list[Finding]:
@@ -119,10 +125,20 @@ def check_steering(states: Sequence[Any], node: Node) -> list[Finding]:
 class Report(NamedTuple):
     """One entry of /diagnostics."""
 
-    name: str
+    name: str  # the node's, and what it is about: ``car1/turn_arb: steering``
     level: int
     message: str
     remedy: str = ""  # its value of this name
+
+    @property
+    def node(self) -> str:
+        """Return the name of the node, without the first slash."""
+        return self.name.partition(": ")[0]
+
+    @property
+    def about(self) -> str:
+        """Return what of the node it is about."""
+        return self.name.partition(": ")[2]
 
 
 def check_diagnostics(reports: Sequence[Report], reporting: Sequence[str],
@@ -135,30 +151,30 @@ def check_diagnostics(reports: Sequence[Report], reporting: Sequence[str],
         reporting: the paths of the running nodes, which should each report.
         reported: the names of reports that another finding covers.
     """
-    ours = [report for report in reports if not (_is_about_topics(report) or _is_battery(report))]
+    ours = [report for report in reports if report.about not in (COMMAND_TOPICS, BATTERY)]
     good = [report.name for report in ours if report.level == OK]
     found = [Finding(OK, "reports", ", ".join(good))] if good else []
     found += [Finding(min(report.level, BAD), "reports", f"{report.name}: {report.message}", report.remedy or MORE)
               for report in ours if report.level != OK and report.name not in reported]
-    names = [report.name for report in reports]
+    nodes = {report.node for report in reports}
     return found + [Finding(BAD, "reports", f"{path} runs, but doesn't report on /diagnostics",
                             f"See whether it hangs: rosnode ping {path}", by_silence=True)
-                    for path in reporting if not any(name.startswith(f"{path.strip('/')}: ") for name in names)]
+                    for path in reporting if path.strip("/") not in nodes]
 
 
 def check_battery(reports: Sequence[Report]) -> list[Finding]:
     """Return the battery's voltage, or what is wrong with it, as throttle_arb reports it."""
     return [Finding(min(report.level, BAD), "battery", report.message, report.remedy)
-            for report in reports if _is_battery(report)]
+            for report in reports if report.about == BATTERY]
 
 
 def check_command_topics(reports: Sequence[Report]) -> list[Finding]:
     """Return what is wrong with the publishers of the topics that the nodes obey, each fault once."""
-    ours = [report for report in reports if _is_about_topics(report)]
+    ours = [report for report in reports if report.about == COMMAND_TOPICS]
     nodes: dict[tuple, list[str]] = {}
     for report in ours:
         if report.level != OK:
-            nodes.setdefault((report.message, report.remedy), []).append(report.name.partition(":")[0])
+            nodes.setdefault((report.message, report.remedy), []).append(report.node)
     if ours and not nodes:
         return [Finding(OK, "topics", "each that is obeyed has the publishers that it should have")]
     return [Finding(BAD, "topics", f"{message} (reported by {', '.join(names)})", remedy or MORE)
@@ -167,73 +183,84 @@ def check_command_topics(reports: Sequence[Report]) -> list[Finding]:
 
 def reports_of(reports: Sequence[Report], namespace: str) -> list[Report]:
     """Return the reports of one car's nodes, without those of other cars."""
-    prefix = namespace.strip("/") + "/" if namespace.strip("/") else ""
-    return [report for report in reports if report.name.startswith(prefix)
-            and "/" not in report.name.partition(":")[0][len(prefix):]]
+    return [report for report in reports if report.node.rpartition("/")[0] == namespace.strip("/")]
 
 
-def _is_battery(report):
-    return report.name.endswith(f": {BATTERY}")
+def check_black_box(folder: str) -> list[Finding]:
+    """Return what the newest recording in the black box's folder is of, if there is one."""
+    recording = newest(folder)
+    return [Finding(OK, "black box", "the last stop that nobody asked for: "
+                                     f"{recording.describe(time.time())}: {recording.command}")] if recording else []
 
 
-def _is_about_topics(report):
-    return report.name.endswith(f": {COMMAND_TOPICS}")
+# --- the gamepad ---
+
+class GamepadFacts(NamedTuple):
+    """What is known of the gamepad, and of the messages that came on its topic while the doctor listened."""
+
+    node: str  # teleop_logi's path
+    topic: str  # that it subscribes to
+    publishers: Sequence[str]  # the nodes that publish on it
+    # What teleop_logi takes its axes and buttons for; ``None`` = its parameters are bad, as another finding says, or
+    # the gamepad is in no gamepads.yaml.
+    config: GamepadConfig | None
+    messages: int
+    period_s: float  # the mean time between them; after a single one, the time since then; inf: none came
+    axes: int  # of the newest one
+    buttons: int
+    odd: dict  # the newest values that aren't finite, by index of the axis
+    cause: str  # teleop_logi's own, as is the reason; empty = it published nothing
+    reason: str
+    stick_cause: str  # NOT_AT_REST where teleop_logi ignores an axis
+    driver: Report | None  # what gamepad_joy reports, where it has no gamepad
 
 
-class Reading(NamedTuple):
-    """How a node took the parameters that are on the server for it."""
-
-    path: str  # the node's name, with its namespace
-    fault: str  # why it refused them; empty when it took them
-    runs: bool  # whether the node runs, with the parameters that it found when it started
-    folder: str = ""  # whose files its launch file has read; empty = it wasn't launched
-
-
-def check_files(faults: Sequence[str]) -> list[Finding]:
-    """Return one finding for each fault of the files that nodes are launched with."""
-    return [Finding(WARN, "files", fault, "Correct the file, and start again: roslaunch takes the last of two values "
-                                          "without a word, and ~save refuses the file") for fault in faults]
-
-
-def check_black_box(recording: Recording | None, now_s: float) -> list[Finding]:
-    """Return what the newest recording of the black box is of, if there is one."""
-    if recording is None:
-        return []
-    return [Finding(OK, "black box", f"the last stop that nobody asked for: {recording.describe(now_s)}: "
-                                     f"{recording.command}")]
-
-
-def check_folders(readings: Sequence[Reading], package_folder: str, is_virtual: bool) -> list[Finding]:
-    """Return whether the nodes were launched with one folder of files, and a car's own.
-
-    Args:
-        package_folder: the package's own files.
-        is_virtual: the servo board is a virtual one.
-    """
-    folders: dict[str, list[str]] = {}
-    for reading in readings:
-        if reading.folder:
-            folders.setdefault(reading.folder, []).append(reading.path)
-    if len(folders) > 1:
-        taken = "; ".join(f"{', '.join(paths)}: {folder}" for folder, paths in folders.items())
-        return [Finding(WARN, "files", f"the nodes were launched with different folders: {taken}",
-                        "Launch them with one config:=FOLDER; roslaunch ignores an argument that is misspelt")]
-    if package_folder in folders and not is_virtual:
-        return [Finding(WARN, "files", f"the nodes were launched with the package's own files, {package_folder}",
-                        f"Copy them for your car (cp -r {package_folder} ~/my_car) and launch with "
-                        "config:=$HOME/my_car; roslaunch ignores an argument that is misspelt")]
-    return [Finding(OK, "files", f"all nodes were launched with {folder}") for folder in folders]
+def check_gamepad(gamepad: GamepadFacts) -> list[Finding]:
+    """Return one finding: the first thing that keeps a deadman from being held, or that all is well."""
+    topic, cause, reason, driver = gamepad.topic, gamepad.cause, gamepad.reason, gamepad.driver
+    is_silent, is_lost = not gamepad.messages, cause in causes.LOSSES
+    by_phone = is_silent and reason.startswith(PHONE_PREFIX)
+    return first(
+        "gamepad",
+        (by_phone and is_lost, WARN, f"there is none; {reason}",
+         "Lift the thumbs from the phone's page, then touch it again"),
+        (by_phone, OK, f"there is none; {reason}"),
+        (is_silent and not gamepad.publishers, WARN,
+         f"no node publishes {topic}, so that no deadman can be held" + (f" ({reason})" if reason else ""), LAUNCH_IT),
+        (is_silent and driver, WARN, driver and driver.message, driver and driver.remedy),
+        (is_silent, WARN, f"{', '.join(gamepad.publishers)} publishes {topic}, but nothing came",
+         f"{remedy(causes.JOY_NEVER_RECEIVED, topic)}. {AUTOREPEAT.format(joy=topic)}, also while nothing moves"),
+        (cause == causes.JOY_NEVER_RECEIVED, BAD, f"{topic} comes here, but {gamepad.node} says: {reason}",
+         f"See whether they reach each other: rosnode info {gamepad.node}; ROS_IP; then start it again"),
+        (cause == causes.JOY_UNMAPPED, BAD, reason, remedy(cause, topic)),
+        *(_faults(gamepad) if gamepad.config else ()),
+        (is_lost, WARN, reason, remedy(cause, topic) or LET_GO),
+        (gamepad.stick_cause, WARN, reason, remedy(gamepad.stick_cause, topic)),
+        (True, OK, f"{topic}: {gamepad.axes} axes, {gamepad.buttons} buttons, {_rate_text(gamepad)}"
+         + (f"; {reason}" if reason else "")))
 
 
-def check_parameters(readings: Sequence[Reading]) -> list[Finding]:
-    """Return one finding for all nodes that take their parameters, and one for each that doesn't."""
-    if not readings:
-        return [Finding(OK, "parameters", "none on the server; launch files bring them")]
-    good = [reading.path for reading in readings if not reading.fault]
-    found = [Finding(OK, "parameters", f"those of {', '.join(good)} are good")] if good else []
-    for reading in readings:
-        if reading.fault:
-            later = ": it will not start again with these" if reading.runs else ": it can't start with these"
-            found.append(Finding(BAD, "parameters", f"{reading.path}{later}: {reading.fault}",
-                                 "Correct the YAML file or the launch file, and start again"))
-    return found
+def _faults(gamepad):
+    """Return the cases of what can be wrong with the messages."""
+    config, topic, shape = gamepad.config, gamepad.topic, (gamepad.axes, gamepad.buttons)
+    missing, timeout_s = missing_index(config, *shape), config.joy_timeout_s or math.inf
+    sticks = {name: getattr(config, name) for name in ("steer_axis", "throttle_axis")}
+    is_d_mode = any(is_d_mode_cross(index, *shape) for index in sticks.values())
+    comes, autorepeat = f"{topic} comes {_rate_text(gamepad)}", AUTOREPEAT.format(joy=topic)
+    return [
+        (missing, BAD, missing and missing[1], remedy(causes.JOY_INCOMPLETE, topic)),
+        *((index in gamepad.odd, BAD, f"the gamepad's {name} {index} is {gamepad.odd.get(index)}, no number to act on",
+           remedy(causes.JOY_NOT_FINITE, topic)) for name, index in sticks.items()),
+        (gamepad.period_s > timeout_s, BAD,
+         f"{comes}, too seldom for a joy_timeout of {timeout_s:g} s: the deadman is released again and again",
+         autorepeat),
+        (gamepad.period_s * MISSED > timeout_s, WARN,
+         f"{comes}: with a joy_timeout of {timeout_s:g} s one message that is late releases the deadman", autorepeat),
+        (is_d_mode, WARN, f"{gamepad.axes} axes and {gamepad.buttons} buttons{D_MODE}",
+         remedy(causes.JOY_INCOMPLETE, topic))]
+
+
+def _rate_text(gamepad):
+    if gamepad.messages < 2:
+        return f"once in {gamepad.period_s:.1f} s"
+    return f"{1 / gamepad.period_s:.1f} times a second"

@@ -2,7 +2,8 @@
 
 It looks at this computer, the devices, the master and the nodes; each line is ok, warn or bad, with the remedy, and the
 exit code is the worst of them: 0, 1 or 2. It changes nothing, needs neither a master nor hardware, and leaves devices
-alone that a node or another program uses.
+alone that a node or another program uses. All looks run at the same time, each in a ``Task``; their findings come in
+the order in which they're best remedied.
 
 Options:
     --port, --i2c, --address: the devices; by default those that the nodes' parameters name, else those of car.launch.
@@ -17,15 +18,24 @@ import os
 import shutil
 import sys
 import time
+from importlib import import_module
 from typing import Iterator
 
+from car_interface.common.black_box_folder import default_folder
 from car_interface.pca9685.config import AUTO, VIRTUAL
-from car_interface.tools.doctor.board import ADDRESSES
-from car_interface.tools.doctor.examination import Task, examine
-from car_interface.tools.doctor.findings import BAD, Finding, render, summarise, worst
+from car_interface.teensy.link.health import CLOCK_REPORT, LINK_REPORT
+from car_interface.teleop.gamepad import REPORT as GAMEPAD_REPORT
+from car_interface.tools.doctor import car as checks
+from car_interface.tools.doctor import computer, devices
+from car_interface.tools.doctor.car import ABSENT, SIMULATOR
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, PaceWatch, Task, first, render, summarise, worst
+from car_interface.tools.doctor.master import REPORTING, SURVEY_S, Car, Master, check_files, check_parameters
 
-TOPICS = "car_interface.tools.doctor.topics"  # imported only when there is a master: it imports rospy
+TOPICS = "car_interface.tools.doctor.topics"  # imported only when there is a master: it needs rospy
+# Names and addresses, then the nodes (SURVEY_S), then all the rest at the same time: 9 s at most.
+NETWORK_S, PROBES_S = 2.0, 4.5
 LEAVE_S = 0.5
+BOARD_REPORT = "servo board"  # the pca9685 node's on /diagnostics
 
 
 def read_options(arguments: list[str]) -> argparse.Namespace:
@@ -40,11 +50,96 @@ def read_options(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("--probe", action="store_true",
                         help="look for a servo board on all I2C buses; chips of the computer's own are asked, too")
     options = parser.parse_args([argument for argument in arguments if ":=" not in argument])
-    if options.address is not None and options.address not in ADDRESSES:
-        parser.error(f"--address is 0x{options.address:02x}; accepted: 0x{ADDRESSES[0]:02x} to 0x{ADDRESSES[-1]:02x}")
+    if options.address is not None and options.address not in devices.ADDRESSES:
+        parser.error(f"--address is 0x{options.address:02x}; accepted: 0x{devices.ADDRESSES[0]:02x} to "
+                     f"0x{devices.ADDRESSES[-1]:02x}")
     if options.namespace is not None:
         options.namespace = "/" + options.namespace.strip("/")
     return options
+
+
+def examine(options: argparse.Namespace) -> Iterator[Finding]:
+    """Yield all findings, in the order in which they're best remedied."""
+    pace = PaceWatch()
+    for finding in _examine(options):
+        yield finding.on_busy_computer() if pace.is_busy() else finding
+
+
+def _examine(options):
+    uri = os.environ.get("ROS_MASTER_URI", "")
+    master = Master(uri)
+    own = [Task("versions", computer.probe_versions)]  # about this computer itself
+    result, of_network = Task("master", computer.probe_network, uri, master.trouble).wait(time.monotonic() + NETWORK_S)
+    found, is_there = result or ([], False)
+    car, survey_trouble = Task("nodes", Car, master if is_there else None, options).wait(time.monotonic() + SURVEY_S)
+    car = car or Car(None, options)
+    of_network += found + survey_trouble
+    deadline_s = time.monotonic() + PROBES_S
+    if not car.was_chosen:
+        yield from own[0].findings(deadline_s)
+        yield from of_network + checks.check_several(car.others)
+        return
+    virtual_port, virtual_bus = car.port_is_virtual or devices.is_pseudo_terminal(car.port), car.bus == VIRTUAL
+    own += [Task("packages", computer.probe_packages),
+            Task("groups", computer.probe_groups, car.port, car.bus, virtual_port, virtual_bus),
+            Task("gamepad", computer.probe_driver), Task("clock", computer.probe_clock, car.uses_sim_time)]
+    parameters = Task("parameters", lambda: check_parameters(car) + check_files(car)) if car.master else None
+    black_box = Task("black box", lambda: checks.check_black_box(car.known_text("black_box", "folder")
+                                                                 or default_folder()))
+    hub = car.runs("teensy_sensor_hub") if car.port_is_the_nodes else None
+    port = None if hub or car.lacks_simulator else Task("port", devices.probe_port, car.port, car.baud)
+    board = None if virtual_bus else Task("bus", devices.probe_board, car, options.probe)
+    reporting = [node.path for node in map(car.runs, REPORTING) if node]
+    topics = Task("topics", lambda: import_module(TOPICS).listen(car, hub, reporting)) if reporting else None
+
+    for task in own:
+        yield from task.findings(deadline_s)
+    yield from of_network
+    if parameters:
+        yield from checks.check_nodes(car.nodes.values(), car.namespace, car.others)
+        yield from parameters.findings(deadline_s)
+    heard, topics_trouble = topics.wait(deadline_s) if topics else (None, [])
+    if car.lacks_simulator:
+        yield from devices.check_virtual_port(car.port, car.state(SIMULATOR), hub is not None)
+    elif port:
+        yield from port.findings(deadline_s)
+    elif heard:
+        yield from devices.check_link(heard.link, car.port, hub)
+    of_board = board.findings(deadline_s) if board else _virtual_board(car)
+    yield from of_board + topics_trouble
+    if heard:
+        yield from _check_heard(car, hub, heard, reporting, worst(of_board) == BAD)
+    yield from black_box.findings(deadline_s)
+
+
+def _check_heard(car, hub, heard, reporting, board_is_bad):
+    """Yield the findings about who drives, gamepad and reports; a fault that another finding tells is left out."""
+    told, turn_arb, board = [], car.runs("turn_arb"), car.runs("pca9685")
+    if turn_arb:
+        yield from checks.check_steering(heard.steering, turn_arb)
+    reports = checks.reports_of(heard.reports, car.namespace)
+    yield from checks.check_command_topics(reports)
+    yield from checks.check_battery(reports)
+    if hub and heard.link:
+        told += [hub.report(LINK_REPORT)] + [hub.report(CLOCK_REPORT)] * (heard.link.level != OK)
+    if board and board_is_bad:
+        told.append(board.report(BOARD_REPORT))
+    if heard.gamepad:
+        yield from checks.check_gamepad(heard.gamepad)
+        told.append(car.nodes["teleop_logi"].report(GAMEPAD_REPORT))
+        told += [heard.gamepad.driver.name] if heard.gamepad.driver else []
+    yield from checks.check_diagnostics(reports, reporting, told)
+
+
+def _virtual_board(car):
+    node, chip = car.runs("pca9685"), "virtual: the chip is a piece of software"
+    return first(
+        "bus",
+        (not car.master, OK, f"{chip}; whether it runs only a master can tell"),
+        (node, OK, f"{chip} that {node and node.path} writes to"),
+        (car.state("pca9685") != ABSENT, WARN, f"{chip}, and the pca9685 node doesn't answer", "See the nodes above"),
+        (True, WARN, f"{chip}, and the pca9685 node that starts it doesn't run",
+         "roslaunch car_interface demo.launch; or give the real bus by --i2c"))
 
 
 def show(findings: Iterator[Finding]) -> int:

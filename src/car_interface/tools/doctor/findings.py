@@ -1,8 +1,13 @@
-"""Findings: how bad, about what, what it is, and what to do about it; and how they look in a terminal."""
+"""Findings: how bad, about what, what it is, and what to do about it; how they look in a terminal; and how a look at
+something becomes one that hangs, fails, or is made on a busy computer.
+"""
 from __future__ import annotations
 
 import textwrap
-from typing import NamedTuple, Sequence
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Callable, NamedTuple, Sequence
 
 OK, WARN, BAD = range(3)  # also the exit codes, and the levels of diagnostic_msgs/DiagnosticStatus
 
@@ -13,6 +18,7 @@ _PLAIN = "\033[0m"
 SUBJECT_WIDTH = 10
 INDENT = len("warn  ") + SUBJECT_WIDTH + 2
 NARROWEST = 60  # below it a line would be all indentation
+TICK_S = 0.02
 
 
 class Finding(NamedTuple):
@@ -39,38 +45,74 @@ def first(subject: str, *cases: tuple) -> list[Finding]:
 
 def worst(findings: Sequence[Finding]) -> int:
     """Return the highest level: the exit code."""
-    return max((finding.level for finding in findings), default=OK)
+    return max(finding.level for finding in findings)
 
 
 def render(finding: Finding, width: int | None = None, colour: bool = False) -> str:
     """Return a finding as text, wrapped for a terminal's ``width`` in columns; ``None`` = one long line, for a pipe."""
     name = f"{_NAMES[finding.level]:4}"
-    what, remedy = _one_line(finding.what), f"remedy: {_one_line(finding.remedy)}" if finding.remedy else ""
     head = f"{name}  {finding.subject:{SUBJECT_WIDTH}}  "
+    parts = [" ".join(part.split()) for part in (finding.what, finding.remedy and f"remedy: {finding.remedy}") if part]
     if width is None:
-        text = head + " | ".join(filter(None, (what, remedy)))
+        text = head + " | ".join(parts)
     else:
         blank = " " * INDENT
-        text = _wrap(what, head, blank, width)
-        if remedy:
-            text += "\n" + _wrap(remedy, blank, blank + " " * len("remedy: "), width)
+        indents = ((head, blank), (blank, blank + " " * len("remedy: ")))
+        text = "\n".join(textwrap.fill(part, max(NARROWEST, width), initial_indent=first, subsequent_indent=later,
+                                       break_long_words=False, break_on_hyphens=False)
+                         for part, (first, later) in zip(parts, indents))
     return _COLOURS[finding.level] + name + _PLAIN + text[len(name):] if colour else text
 
 
 def summarise(findings: Sequence[Finding], colour: bool = False) -> str:
     """Return the last line: how many of each kind, and what that means."""
-    if not findings:
-        return "nothing was looked at"
     levels = [finding.level for finding in findings]
     counts = ", ".join(f"{levels.count(level)} {_NAMES[level]}" for level in (BAD, WARN, OK) if level in levels)
     text = f"{counts}: {_MEANINGS[worst(findings)]}"
     return f"{_COLOURS[worst(findings)]}{text}{_PLAIN}" if colour else text
 
 
-def _one_line(text):
-    return " ".join(text.split())
+class Task:
+    """Runs ``probe(*arguments)`` in a thread, so that it may hang; a finding about ``subject`` says that it does."""
+
+    _threads = ThreadPoolExecutor(max_workers=99)
+
+    def __init__(self, subject: str, probe: Callable[..., Any], *arguments: Any):
+        self._subject = subject
+        self._outcome = self._threads.submit(probe, *arguments)
+
+    def wait(self, deadline_s: float) -> tuple[Any, list[Finding]]:
+        """Return the result, or ``None`` and what went wrong, by a deadline of the monotonic clock."""
+        while not self._outcome.done() and time.monotonic() < deadline_s:
+            time.sleep(TICK_S)
+        if not self._outcome.done():
+            return None, [Finding(BAD, self._subject, "no answer in time: given up",
+                                  "See whether a device hangs: dmesg", by_silence=True)]
+        error = self._outcome.exception()  # no fault of one probe may end the others
+        if error is not None:
+            what = f"the doctor couldn't look at it: {type(error).__name__}: {error}"
+            return None, [Finding(BAD, self._subject, what, "See the line of the versions first")]
+        return self._outcome.result(), []
+
+    def findings(self, deadline_s: float) -> list[Finding]:
+        """Return the result of a probe that returns findings, or what went wrong."""
+        result, trouble = self.wait(deadline_s)
+        return trouble or result
 
 
-def _wrap(text, first, later, width):
-    return textwrap.fill(text, max(NARROWEST, width), initial_indent=first, subsequent_indent=later,
-                         break_long_words=False, break_on_hyphens=False)
+class PaceWatch:
+    """Notices whether this computer is too busy for the doctor's time limits to mean anything."""
+
+    def __init__(self):
+        self._start_s = time.monotonic()
+        self._ticks = 0
+        threading.Thread(target=self._count, name="pace", daemon=True).start()
+
+    def _count(self):
+        while True:
+            time.sleep(TICK_S)
+            self._ticks += 1
+
+    def is_busy(self) -> bool:
+        """Return whether a thread that sleeps got less than half of its turns."""
+        return 2 * TICK_S * self._ticks < time.monotonic() - self._start_s - TICK_S

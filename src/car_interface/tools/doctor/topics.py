@@ -6,7 +6,7 @@ import math
 import threading
 import time
 import traceback
-from typing import NamedTuple
+from typing import Iterable, NamedTuple, Sequence
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -21,9 +21,8 @@ from car_interface.ros.tcpros_limits import limit_connections
 from car_interface.teleop.gamepad import DRIVER_REPORT, GamepadConfig
 from car_interface.teleop.handover import PHONE_TOPIC
 from car_interface.teleop.mappings import config_for, load_entries, model_of
-from car_interface.tools.doctor.car import Node, Report
-from car_interface.tools.doctor.gamepad import GamepadFacts, JoySample
-from car_interface.tools.doctor.master import Master
+from car_interface.tools.doctor.car import GamepadFacts, Node, Report
+from car_interface.tools.doctor.master import Car, Master
 
 JOY_TYPE = "sensor_msgs/Joy"
 SAMPLE_S = 1.0  # for the rate: 20 messages of a joy_node that repeats
@@ -32,17 +31,13 @@ POLL_S = 0.02
 
 
 class GamepadListener:
-    """Listens to a gamepad and to its teleop_logi. ``start`` needs a node."""
+    """Listens to a gamepad and to its teleop_logi."""
 
     def __init__(self, master: Master, node: Node):
-        self._node = node.path
+        self._node, self._params = node.path, Params(master.parameter(node.path) or {})
         self._topic, self._publishers = _find_topic(master, node.path)
-        self._config, self._entries = _read_config(master, node.path)
         self._joys: list[tuple[float, Joy]] = []  # with their arrivals in s
         self._states: list[TeleopState] = []
-
-    def start(self) -> None:
-        """Subscribe."""
         rospy.Subscriber(self._topic, Joy, lambda message: self._joys.append((time.monotonic(), message)))
         rospy.Subscriber(f"{self._node}/state", TeleopState, self._states.append)
 
@@ -51,28 +46,28 @@ class GamepadListener:
         is_sampled = len(self._joys) > 1 and self._joys[-1][0] - self._joys[0][0] >= SAMPLE_S
         return bool(self._states) and (is_sampled or not self._publishers)
 
-    def result(self) -> GamepadFacts:
+    def result(self, reports: Iterable[Report]) -> GamepadFacts:
         """Return what came so far."""
-        joys, state = list(self._joys), next(reversed(self._states), None)
+        joys, state = list(self._joys), self._states[-1] if self._states else TeleopState()
         end_s = joys[-1][0] if len(joys) > 1 else time.monotonic()
-        period_s = (end_s - joys[0][0]) / max(1, len(joys) - 1) if joys else math.inf
         newest = joys[-1][1] if joys else Joy()
-        odd = {index: value for _, message in joys for index, value in enumerate(message.axes)
-               if not math.isfinite(value)}
-        facts = GamepadFacts(self._node, self._topic, self._publishers,
-                             self._mapped(newest) if joys and self._config else self._config,
-                             JoySample(len(joys), period_s, len(newest.axes), len(newest.buttons), odd))
-        if state is None:
-            return facts
         is_at_rest = causes.NOT_AT_REST not in (state.steering_stick, state.throttle_stick)
-        return facts._replace(cause=state.cause, reason=state.reason,
-                              stick_cause="" if is_at_rest else causes.NOT_AT_REST)
+        return GamepadFacts(
+            self._node, self._topic, self._publishers, self._config(newest),
+            messages=len(joys), period_s=(end_s - joys[0][0]) / max(1, len(joys) - 1) if joys else math.inf,
+            axes=len(newest.axes), buttons=len(newest.buttons),
+            odd={index: value for _, message in joys for index, value in enumerate(message.axes)
+                 if not math.isfinite(value)},
+            cause=state.cause, reason=state.reason, stick_cause="" if is_at_rest else causes.NOT_AT_REST,
+            driver=next((report for report in reports if report.about == DRIVER_REPORT and report.remedy
+                         and f"/{report.node}" in self._publishers), None))
 
-    def _mapped(self, newest):
-        """Return what a message's axes and buttons do; ``None`` = that isn't known."""
+    def _config(self, newest):
+        """Return what teleop_logi takes a message's axes and buttons for; ``None`` = that isn't known."""
         model = model_of(newest.header.frame_id, len(newest.axes), len(newest.buttons))
         try:
-            return config_for(model, self._config, self._entries)
+            return config_for(model, read(self._params, GamepadConfig),
+                              load_entries(self._params.path(CONFIG_FOLDER, None)))
         except CarInterfaceError:
             return None
 
@@ -88,72 +83,54 @@ def _find_topic(master, path):
     return topic, next((sorted(nodes) for name, nodes in publishers if name == topic), [])
 
 
-def _read_config(master, path):
-    """Return how teleop_logi is set, ``None`` when it would refuse its parameters, and its entries of gamepads."""
-    params = Params(master.parameter(path) or {})
-    try:
-        return read(params, GamepadConfig), load_entries(params.path(CONFIG_FOLDER, None))
-    except CarInterfaceError:
-        return None, {}
-
-
 class TopicReports(NamedTuple):
     """What came."""
 
     link: LinkStatus | None  # the newest
     steering: list  # each SteeringState
     reports: list
-    gamepad: GamepadFacts | None = None
+    gamepad: GamepadFacts | None
 
 
 def _reports_in(array):
-    """Return the entries of a DiagnosticArray by their names."""
-    return {status.name: Report(status.name, _level(status.level), status.message,
+    """Return the entries of a DiagnosticArray by their names. genpy gives a byte as a number, or as one of bytes."""
+    return {status.name: Report(status.name, ord(status.level) if isinstance(status.level, bytes) else status.level,
+                                status.message,
                                 next((value.value for value in status.values if value.key == "remedy"), ""))
             for status in array.status}
 
 
-def _level(level):
-    """Return a byte, which genpy gives as a number or, for ROS 2's sake, as bytes."""
-    return level[0] if isinstance(level, bytes) else level
-
-
-def listen(hub: str | None, turn_arb: str | None, reporting, gamepad: GamepadListener | None = None) -> TopicReports:
+def listen(car: Car, hub: Node | None, reporting: Sequence[str]) -> TopicReports:
     """Listen until everything that is expected has come, at most for ``LISTEN_S``.
 
     Args:
-        hub, turn_arb: paths of these nodes; ``None`` when they don't run.
+        hub: ``None`` when its link is not to be listened to.
         reporting: the paths of the nodes that report on /diagnostics.
-        gamepad: ``None`` when teleop_logi doesn't run.
     """
     logging.disable(logging.CRITICAL)  # what goes wrong between rospy and the nodes becomes a finding
     # rospy prints tracebacks of a peer that leaves in a handshake, and of a server that ends before its thread waits.
     traceback.print_exc = threading.excepthook = lambda *_, **__: None
     rospy.core.configure_logging = lambda *_: None  # it would leave a log file behind, an empty one
     limit_connections()  # a publisher that never answers must not keep the doctor from ending
+    teleop_logi, turn_arb = car.runs("teleop_logi"), car.runs("turn_arb")
     rospy.init_node("doctor", anonymous=True, disable_signals=True, disable_rosout=True)
+    gamepad = GamepadListener(car.master, teleop_logi) if teleop_logi else None
     links, states, reports = [], [], {}
     if hub:
-        rospy.Subscriber(f"{hub}/link", LinkStatus, links.append)
+        rospy.Subscriber(f"{hub.path}/link", LinkStatus, links.append)
     if turn_arb:
-        rospy.Subscriber(f"{turn_arb}/state", SteeringState, states.append)
+        rospy.Subscriber(f"{turn_arb.path}/state", SteeringState, states.append)
     rospy.Subscriber("/diagnostics", DiagnosticArray, lambda array: reports.update(_reports_in(array)))
-    if gamepad:
-        gamepad.start()
     wanted = {path.strip("/") for path in reporting}
     deadline_s = time.monotonic() + LISTEN_S
     while time.monotonic() < deadline_s:
         has_link, has_state = links or not hub, len(states) > 1 or not turn_arb
         has_gamepad = not gamepad or gamepad.is_done()
-        if has_link and has_state and has_gamepad and wanted <= {name.partition(":")[0] for name in list(reports)}:
+        if has_link and has_state and has_gamepad and wanted <= {report.node for report in list(reports.values())}:
             break
         time.sleep(POLL_S)
-    facts = gamepad and gamepad.result()
-    if facts:
-        names = [f"{node.strip('/')}: {DRIVER_REPORT}" for node in facts.publishers]
-        bad = [reports[name] for name in names if name in reports and reports[name].remedy]
-        facts = facts._replace(driver=next(iter(bad), None))
-    return TopicReports(next(reversed(links), None), states, list(reports.values()), facts)
+    found = list(reports.values())
+    return TopicReports(links[-1] if links else None, states, found, gamepad and gamepad.result(found))
 
 
 def leave() -> None:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Mapping, NamedTuple, Sequence
+from typing import Any, Callable, Mapping, NamedTuple, Sequence
 
 from car_interface.common.causes import AUTONOMOUS, MANUAL
 from car_interface.common.sources import PLANNER, TELEOP
@@ -18,7 +18,9 @@ from car_interface.teensy.link.protocol import BACKWARD, FORWARD
 from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.throttle.esc import ARMING
 
+STEERING, THROTTLE, GAMEPAD, HUB = "turn_arb", "throttle", "teleop_logi", "teensy_sensor_hub"  # files
 SLOWER = "slower"
+SIDES = ("left", "right")  # of the rear wheels
 COUNTS = 1 << 32  # OneWheel.dist_abs wraps here
 # A Slash reaches 20 m/s; 0.3 of the throttle, the shipped human_scale, is several m/s without a load.
 MAX_WHEEL_SPEED_MPS = 3.0
@@ -52,10 +54,14 @@ class Controls(NamedTuple):
 
 
 class Car:
-    """The newest of each input, and whether the wheels do what they do in the air."""
+    """The newest of each input, and whether the wheels do what they do in the air.
 
-    def __init__(self, setup: Setup):
-        self.setup = setup
+    Args:
+        kill: ends a node's process by its name, and returns why it can't; empty: it did.
+    """
+
+    def __init__(self, setup: Setup, kill: Callable[[str], str]):
+        self.setup, self.kill = setup, kill
         self.human = TimedInput("human_in_loop", 0.5)
         self.mode = TimedInput("mode", 0.5)
         self.gamepad = TimedInput("teleop_logi's state", 1.0)  # its reason
@@ -71,13 +77,13 @@ class Car:
         self.speed = TimedInput("odom", 0.5)
         self.link = TimedInput("the Teensy's link", 2.5)
         self.ranges = {name: TimedInput(f"sonar/{name}", 2.0) for name in SONARS}
-        self.range_reports = dict.fromkeys(SONARS, 0)  # how often each reported
+        self.reports: dict[str, list[float]] = {name: [] for name in SONARS}  # all of a sonar's ranges, in m
         self.pulses = [0, 0]  # of the left and the right rear wheel since the start, forward ones less backward ones
         self.neutral = setup.throttle and setup.throttle.neutral  # as tuned by now; ``None`` = no throttle_arb
         # What was learned by now: the request at which the wheels point straight ahead, whether servo_left turns right,
         # and whether a push drives forward.
         self.center, self.is_exchanged, self.drives_forward = 0.0, False, True
-        self._drives_since_ns: int | None = None
+        self.drives_since_ns: int | None = None  # since when the ESC gets something else than neutral
         self._distance_m, self._speed_ns = 0.0, 0
         self._starts: dict[str, tuple[float, float]] = {}  # range and distance when the wheels began to turn
         self._follows = dict.fromkeys(SONARS, 0)  # reports in a row that changed as on the ground
@@ -86,16 +92,11 @@ class Car:
         """Take the counts of both wheels."""
         before = self.wheels.value
         self.wheels.update(message, now_ns)
-        for side, name in enumerate(("left", "right")):
+        for side, name in enumerate(SIDES):
             wheel = getattr(message, name)
             more = (wheel.dist_abs - getattr(before, name).dist_abs) % COUNTS if before else 0
             if more < COUNTS // 2:  # else the Teensy has started anew
                 self.pulses[side] += {FORWARD: more, BACKWARD: -more}.get(wheel.direction, 0)
-
-    def update_output(self, duties: Sequence[int], sender: str, now_ns: int) -> None:
-        """Take what the servo board holds, and which node reports it."""
-        self.output.update(duties, now_ns)
-        self.sender = sender
 
     def update_speed(self, speed_mps: float, now_ns: int) -> None:
         """Take the speed by odometry, forward positive."""
@@ -109,12 +110,12 @@ class Car:
     def update_throttle(self, throttle: Any, now_ns: int) -> None:
         """Take throttle_arb's state."""
         self.throttle.update(throttle, now_ns)
-        self._drives_since_ns = (self._drives_since_ns or now_ns) if throttle.granted else None
+        self.drives_since_ns = (self.drives_since_ns or now_ns) if throttle.granted else None
 
     def update_range(self, name: str, range_m: float, now_ns: int) -> None:
         """Take a sonar's range."""
         self.ranges[name].update(range_m, now_ns)
-        self.range_reports[name] += 1
+        self.reports[name].append(range_m)
         if not math.isfinite(range_m) or self.stands(now_ns):
             self._follows[name] = 0
             return
@@ -129,11 +130,6 @@ class Car:
         return self.speed.is_stale(now_ns) or abs(self.speed.value) < STANDS_MPS
 
     @property
-    def is_driven(self) -> bool:
-        """Return whether the ESC gets something else than neutral."""
-        return self._drives_since_ns is not None
-
-    @property
     def ground_reason(self) -> str:
         """Return why the car seems to move on the ground; empty: it doesn't."""
         name = next((name for name, reports in self._follows.items() if reports >= GROUND_REPORTS), "")
@@ -144,13 +140,9 @@ class Car:
         """Return why the throttle is too much for this check; empty: it isn't."""
         if not self.speed.is_stale(now_ns) and abs(self.speed.value) > MAX_WHEEL_SPEED_MPS:
             return f"too fast: the wheels turn at {abs(self.speed.value):.1f} m/s. Let go, and push less"
-        if self._drives_since_ns is not None and now_ns - self._drives_since_ns > MAX_DRIVE_NS:
+        if self.drives_since_ns is not None and now_ns - self.drives_since_ns > MAX_DRIVE_NS:
             return "that was long enough: let go of the stick"
         return ""
-
-    def deadman(self, mode: str) -> str:
-        """Return the name of a mode's deadman, with its button or key as far as that is known."""
-        return f"{mode} deadman{self._in_brackets(self.controls.names.get(mode))}"
 
     def held_mode(self, now_ns: int) -> str | None:
         """Return the mode of the deadman that is held; ``None``: none is held."""
@@ -169,7 +161,7 @@ class Car:
             return throttle.esc_reason
         if throttle.human_scale > MAX_SCALE + 1e-6:
             return (f"a full stick gives {throttle.human_scale:.1f} of the throttle, too much for this: press the "
-                    f"button for less{self._in_brackets(self.controls.names.get(SLOWER))} until it gives {MAX_SCALE:g}")
+                    f"button for less{in_brackets(self.controls.names.get(SLOWER))} until it gives {MAX_SCALE:g}")
         return "" if throttle.source == TELEOP else throttle.reason
 
     def by_program(self, now_ns: int) -> str:
@@ -185,8 +177,9 @@ class Car:
         return None if self.output.is_stale(now_ns) else self.output.value[channel]
 
     def _reason(self, now_ns):
-        return "" if self.gamepad.is_stale(now_ns) else self._in_brackets(self.gamepad.value)
+        return "" if self.gamepad.is_stale(now_ns) else in_brackets(self.gamepad.value)
 
-    @staticmethod
-    def _in_brackets(text):
-        return f" ({text})" if text else ""
+
+def in_brackets(text: str | None) -> str:
+    """Return a text as a remark behind another one; empty: there is none."""
+    return f" ({text})" if text else ""

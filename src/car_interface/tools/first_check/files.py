@@ -19,7 +19,8 @@ from car_interface.steering.config import load_steering
 from car_interface.teleop.gamepad import GamepadConfig
 from car_interface.teleop.mappings import FILE as MAPPINGS
 from car_interface.throttle.config import load_throttle
-from car_interface.tools.first_check.question import CLASSES, GAMEPAD, STEERING, THROTTLE, Result
+from car_interface.tools.first_check.car import GAMEPAD, STEERING, THROTTLE
+from car_interface.tools.first_check.questions import CLASSES, Result
 
 MAX_SHOWN = 3  # numbers of a list: a table moves along with what was learned
 LOADS = {STEERING: load_steering, THROTTLE: load_throttle,
@@ -30,17 +31,8 @@ class Edit(NamedTuple):
     """The change of one file."""
 
     path: str  # of the file
-    values: Mapping[str, Any]  # new ones, by the parameters' names
-    before: Mapping[str, Any]  # the old ones
-    problem: str = ""  # why it can't be written; empty: it can
-
-    def lines(self) -> list[str]:
-        """Return a line for each parameter."""
-        name = os.path.basename(self.path)
-        if self.problem:
-            return [f"{name} can't be changed: {self.problem}"]
-        return [f"{name}: {parameter} {_text(self.before.get(parameter))} → {_text(value)}"
-                for parameter, value in self.values.items()]
+    values: Mapping[str, Any]  # new ones, by the parameters' names; empty where it can't be written
+    lines: Sequence[str]  # what is to be said: one for each parameter, or why it can't be written
 
 
 def find_folder(folder: str | None) -> str:
@@ -71,10 +63,10 @@ def plan(folder: str, changes: Mapping[str, Mapping[str, Any]], mapped: Containe
 
 
 def _plan(path, file, values, mapped):
-    useless = [name for name in values if name in mapped]
-    if useless:
-        return Edit(path, values, {}, f"for this gamepad {MAPPINGS} has {', '.join(useless)}: run map_gamepad again")
+    name, useless = os.path.basename(path), [name for name in values if name in mapped]
     try:
+        if useless:
+            raise CarInterfaceError(f"for this gamepad {MAPPINGS} has {', '.join(useless)}: run map_gamepad again")
         text = decode_yaml(read_file(path, MAX_BYTES), path)
         content = load_yaml(path, text)
         esc = content.get("esc")
@@ -83,9 +75,11 @@ def _plan(path, file, values, mapped):
         LOADS.get(file, load_yaml)(path, edited(text, values, path))
         output.check(path)
     except (CarInterfaceError, OSError) as error:
-        return Edit(path, values, {}, str(error))
-    before = {name: _look_up(content, name) for name in values}
-    return Edit(path, {name: value for name, value in values.items() if value != before[name]}, before)
+        return Edit(path, {}, [f"{name} can't be changed: {error}"])
+    before = {parameter: _look_up(content, parameter) for parameter in values}
+    changed = {parameter: value for parameter, value in values.items() if value != before[parameter]}
+    return Edit(path, changed, [f"{name}: {parameter} {_text(before[parameter])} → {_text(value)}"
+                                for parameter, value in changed.items()])
 
 
 def write(edits: Sequence[Edit]) -> list[str]:
@@ -96,7 +90,7 @@ def write(edits: Sequence[Edit]) -> list[str]:
     """
     lines = []
     for edit in edits:
-        if edit.values and not edit.problem:
+        if edit.values:
             backup = save(edit.path, edit.values)
             lines.append(f"written: {edit.path}; the old one is {backup}" if backup else f"{edit.path} is as it was")
     return lines
@@ -109,15 +103,14 @@ def write_page(path: str, date: str, results: Sequence[tuple[str, Result]], writ
         results: by the question's title.
         written: lines on what was written.
     """
-    try:
-        from car_interface.tools.report.html import render
-    except ImportError:
-        return "no page: sudo apt install python3-jinja2"
     repairs = [(title, result.repair) for title, result in results if result.repair]
     verdicts = [result.verdict for _, result in results]
     try:
+        from car_interface.tools.report.html import render
         output.write(path, render("first_check.html", title="First check", date=date, results=results, written=written,
                                   repairs=repairs, classes=CLASSES, count=verdicts.count))
+    except ImportError:
+        return "no page: sudo apt install python3-jinja2"
     except (CarInterfaceError, OSError) as error:
         return f"no page: {error}"
     return f"page: {path}"

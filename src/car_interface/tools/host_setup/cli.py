@@ -63,6 +63,7 @@ class SetupStep(NamedTuple):
     command: tuple  # what does it, as root
     may_fail: bool = False  # whether what it does comes about without it, too
     otherwise: str = ""  # what to print when it failed
+    remark: str = ""  # what the user has to know at the end, once it is done
 
 
 def plan(computer: Computer, rules: str) -> list[SetupStep]:
@@ -74,12 +75,15 @@ def plan(computer: Computer, rules: str) -> list[SetupStep]:
         steps.append(SetupStep(f"add {computer.user} to {', '.join(missing)}",
                                ("usermod", "--append", "--groups", ",".join(missing), computer.user),
                                otherwise="a user who isn't in /etc/passwd joins each group by: sudo gpasswd --add "
-                                         f"{computer.user} GROUP"))
+                                         f"{computer.user} GROUP",
+                               remark=f"Groups count from the next log-in: {computer.user} must log out and in again, "
+                                      "everywhere."))
     if computer.has_udev and not computer.rules_are_new:
         # After the groups: udev looks their names up when it reads the rules.
         steps += [
             SetupStep(f"install {RULES_FOLDER}/{RULES_NAME}",
-                      ("install", "-D", "--mode=644", rules, f"{RULES_FOLDER}/{RULES_NAME}")),
+                      ("install", "-D", "--mode=644", rules, f"{RULES_FOLDER}/{RULES_NAME}"),
+                      remark=f"The Teensy is now also {STABLE_PORT}. If ModemManager had it open, plug it in anew."),
             SetupStep("have udev read it", ("udevadm", "control", "--reload-rules"), True,
                       "udev reads it at the next boot"),
             SetupStep("have udev apply it to what is plugged in",
@@ -89,32 +93,21 @@ def plan(computer: Computer, rules: str) -> list[SetupStep]:
     return steps
 
 
-def remarks(computer: Computer, steps: Sequence[SetupStep]) -> list[str]:
-    """Return what the user has to know at the end of these steps, which changed ``computer``."""
-    done = [step.command[0] for step in steps]
-    lines = []
+def remarks(computer: Computer) -> list[str]:
+    """Return what the user has to know of the computer: also what the pins of its header are, and what they need."""
+    lines, header = [], computer.header
     if computer.user == ROOT:
         lines.append("root needs no groups. For the user who will drive: setup_hardware --user NAME")
-    if "usermod" in done:
-        lines.append(f"Groups count from the next log-in: {computer.user} must log out and in again, everywhere.")
     if not computer.has_udev:
         lines.append("There is no udevadm here, as in a container: the udev rule was left out. Run this on the "
                      "computer itself, too; it makes the devices that a container is given.")
-    elif "install" in done:
-        lines.append(f"The Teensy is now also {STABLE_PORT}. If ModemManager had it open, plug it in anew.")
-    return lines + describe_header(computer)
-
-
-def describe_header(computer: Computer) -> list[str]:
-    """Return what the pins of a known computer's header are, and what they need."""
-    header = computer.header
-    if not header.computer:
-        return []
-    missing = "" if computer.has_bus else f", which is missing. {header.bus_remedy}"
-    note = header.ports.get(header.port, "")
-    return [f"This is a {header.computer}: pins 3 and 5 are {header.bus_paths[0]}{missing}",
-            f"A Teensy on pins 8 and 10 is on {header.port}" + (f": {note}" if note else "")
-            + f". If a log-in console has that: {header.console_remedy}"]
+    if header.computer:
+        missing = "" if computer.has_bus else f", which is missing. {header.bus_remedy}"
+        note = header.ports.get(header.port, "")
+        lines += [f"This is a {header.computer}: pins 3 and 5 are {header.bus_paths[0]}{missing}",
+                  f"A Teensy on pins 8 and 10 is on {header.port}" + (f": {note}" if note else "")
+                  + f". If a log-in console has that: {header.console_remedy}"]
+    return lines
 
 
 def read_computer(user: str, rules: str) -> Computer:
@@ -129,7 +122,7 @@ def read_computer(user: str, rules: str) -> Computer:
 
 def run_step(step: SetupStep, is_dry: bool) -> bool:
     """Print a step, run its command as root unless ``is_dry``, and return whether that worked."""
-    command = as_root(step.command)
+    command = [*(["sudo"] if os.geteuid() else []), *step.command]
     print(f"{'would ' if is_dry else ''}{step.what}:\n    {shlex.join(command)}", flush=True)
     if is_dry:
         return True
@@ -143,25 +136,12 @@ def run_step(step: SetupStep, is_dry: bool) -> bool:
     return code == 0
 
 
-def as_root(command) -> list[str]:
-    """Return the command, by sudo unless this is root."""
-    return list(command) if os.geteuid() == 0 else ["sudo", *command]
-
-
-class Launch(NamedTuple):
-    """What the unit starts."""
-
-    user: str
-    script: str  # ENVIRONMENT_SCRIPT, by its whole path
-    arguments: Sequence[str]  # of car.launch
-    network: Mapping[str, str]  # those of NETWORK that are set
-
-
-def read_launch(user: str, arguments: Sequence[str], environment: Mapping[str, str], launch_file: str) -> Launch:
-    """Read what to start.
+def unit_text(user: str, arguments: Sequence[str], environment: Mapping[str, str], launch_file: str) -> str:
+    """Return the unit that starts the car. It waits for no device, as the nodes do that themselves.
 
     Args:
-        arguments: NAME:=VALUE; the folder becomes absolute.
+        user: who drives.
+        arguments: NAME:=VALUE for car.launch; the folder becomes absolute.
         environment: of a terminal in which the workspace was sourced.
         launch_file: the path of car.launch.
 
@@ -185,15 +165,10 @@ def read_launch(user: str, arguments: Sequence[str], environment: Mapping[str, s
     script = next((path for path in scripts if os.access(path, os.X_OK)), None)
     if script is None:
         raise CarInterfaceError("no catkin workspace was sourced in this terminal: source devel/setup.bash of yours")
-    return Launch(user, script, [f"{name}:={value}" for name, value in values.items()],
-                  {name: environment[name] for name in NETWORK if environment.get(name)})
-
-
-def unit_text(launch: Launch) -> str:
-    """Return the unit. It waits for no device, as the nodes do that themselves."""
-    command = " ".join(map(_quoted, (launch.script, "roslaunch", "car_interface", "car.launch", *launch.arguments)))
-    network = "".join(f"Environment={_quoted(f'{name}={value}', is_command=False)}\n"
-                      for name, value in launch.network.items())
+    command = " ".join(map(_quoted, (script, "roslaunch", "car_interface", "car.launch",
+                                     *(f"{name}:={value}" for name, value in values.items()))))
+    network = "".join(f"Environment={_quoted(f'{name}={environment[name]}', is_command=False)}\n"
+                      for name in NETWORK if environment.get(name))
     return f"""\
 # Written by `rosrun car_interface setup_hardware --autostart`; `--remove` takes it away.
 [Unit]
@@ -202,7 +177,7 @@ After=network.target
 StartLimitIntervalSec=0
 
 [Service]
-User={launch.user}
+User={user}
 WorkingDirectory=~
 Environment=PYTHONUNBUFFERED=1
 {network}ExecStart={command}
@@ -225,14 +200,7 @@ def _quoted(text, is_command=True):
     return f'"{text}"'
 
 
-def plan_autostart(unit: str) -> list[SetupStep]:
-    """Return the steps that install a unit, which was written to a file."""
-    return [SetupStep(f"install {UNIT_PATH}", ("install", "--mode=644", unit, UNIT_PATH)),
-            SetupStep("have systemd read it", ("systemctl", "daemon-reload")),
-            SetupStep("have it start at each boot", ("systemctl", "enable", UNIT))]
-
-
-# What undoes plan_autostart, and stops what it started.
+# What undoes --autostart, and stops what it started.
 REMOVAL = (SetupStep("stop it, and start it no more", ("systemctl", "disable", "--now", UNIT)),
            SetupStep(f"remove {UNIT_PATH}", ("rm", UNIT_PATH)),
            SetupStep("have systemd forget it", ("systemctl", "daemon-reload")))
@@ -242,8 +210,8 @@ What it says: journalctl --follow --unit {UNIT}
 It doesn't drive by itself: a deadman counts once it was seen released, and then while it is held."""
 
 
-def read_options(arguments: Sequence[str]) -> argparse.Namespace:
-    """Return the command line; ``launch`` has what is for car.launch, or remappings that roslaunch adds."""
+def main():
+    """Run the set-up."""
     parser = argparse.ArgumentParser(prog="setup_hardware",
                                      description="Gives a user access to the car's serial port, I2C bus and gamepad.")
     parser.add_argument("--dry-run", action="store_true", help="only show what would be done")
@@ -251,31 +219,23 @@ def read_options(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--autostart", action="store_true",
                         help="have systemd start car.launch at each boot, with the NAME:=VALUE given here")
     parser.add_argument("--remove", action="store_true", help="undo --autostart")
-    options = parser.parse_args([argument for argument in arguments if ":=" not in argument])
-    options.launch = [argument for argument in arguments if ":=" in argument and not argument.startswith("__")]
+    options = parser.parse_args([argument for argument in sys.argv[1:] if ":=" not in argument])
     options.user = options.user or os.environ.get("SUDO_USER") or pwd.getpwuid(os.getuid()).pw_name
-    return options
-
-
-def main():
-    """Run the set-up."""
-    options = read_options(sys.argv[1:])
     try:
         pwd.getpwnam(options.user)
-        (_set_autostart if options.autostart or options.remove else _set_up)(options)
+        if options.autostart or options.remove:
+            _set_autostart(options)
+            return
+        rules = str(package_file(f"udev/{RULES_NAME}"))
+        computer = read_computer(options.user, rules)
     except CarInterfaceError as error:
         sys.exit(str(error))
     except KeyError:
         sys.exit(f"there is no user {options.user}")
-
-
-def _set_up(options):
-    rules = str(package_file(f"udev/{RULES_NAME}"))
-    computer = read_computer(options.user, rules)
     steps = plan(computer, rules)
     if not steps:
         print("Nothing to do: it's all there.")
-    _run(steps, options.dry_run, lambda done: remarks(computer, done))
+    _run(steps, options.dry_run, remarks(computer))
 
 
 def _set_autostart(options):
@@ -283,23 +243,28 @@ def _set_autostart(options):
         raise CarInterfaceError("there is no systemctl here, as in a container: nothing could start the car at boot")
     if options.remove:
         if os.path.exists(UNIT_PATH):
-            _run(REMOVAL, options.dry_run, lambda done: [])
+            _run(REMOVAL, options.dry_run)
         else:
             print(f"Nothing to do: there is no {UNIT_PATH}.")
         return
-    text = unit_text(read_launch(options.user, options.launch, os.environ, str(package_file("launch/car.launch"))))
+    # What roslaunch adds to the arguments begins with __.
+    arguments = [argument for argument in sys.argv[1:] if ":=" in argument and not argument.startswith("__")]
+    text = unit_text(options.user, arguments, os.environ, str(package_file("launch/car.launch")))
     print(text)
     with tempfile.NamedTemporaryFile("w", prefix=UNIT, encoding="utf-8") as file:
         file.write(text)
         file.flush()
-        _run(plan_autostart(file.name), options.dry_run, lambda done: [AUTOSTART_REMARK])
+        _run([SetupStep(f"install {UNIT_PATH}", ("install", "--mode=644", file.name, UNIT_PATH)),
+              SetupStep("have systemd read it", ("systemctl", "daemon-reload")),
+              SetupStep("have it start at each boot", ("systemctl", "enable", UNIT),
+                        remark=AUTOSTART_REMARK)], options.dry_run)
 
 
-def _run(steps, is_dry, describe):
-    """Run the steps, and print what ``describe`` returns for those that were done; exit with what failed."""
+def _run(steps, is_dry, remarks=()):
+    """Run the steps, and print what is to be known of those that were done, and the remarks; exit with what failed."""
     done = [step for step in steps if run_step(step, is_dry)]
     failed = [step.what for step in steps if step not in done and not step.may_fail]
-    for remark in describe(done):
+    for remark in (*(step.remark for step in done if step.remark), *remarks):
         print(remark)
     if failed:
         sys.exit(f"Not done: {'; '.join(failed)}. Running this again does what is left.")

@@ -9,7 +9,7 @@ import math
 import os
 import select
 import sys
-from typing import Iterable, NamedTuple, Sequence
+from typing import NamedTuple
 
 from car_interface.common import output
 from car_interface.common.errors import CarInterfaceError
@@ -44,76 +44,6 @@ STEPS = (
 )
 
 
-class GamepadMap:
-    """Finds which control a person shows.
-
-    Args:
-        rest: the axes while nobody touches the gamepad.
-        crosses: the numbers of the axes that are crosses.
-
-    Attributes:
-        step: what is to be shown; ``None`` = all was.
-    """
-
-    def __init__(self, rest: Sequence[float], crosses: Iterable[int]):
-        # A third deadman of the folder's teleop_logi.yaml would be just any button of this gamepad.
-        self.entry: dict[str, float] = {"third_button": NONE}  # what was found, as gamepads.yaml has it
-        self._rest, self._crosses = tuple(rest), frozenset(crosses)
-        self._steps = list(STEPS)
-        self._is_at_rest = False  # since the step began
-
-    @property
-    def step(self) -> Step | None:
-        """Return what is to be shown."""
-        return self._steps[0] if self._steps else None
-
-    def skip(self) -> bool:
-        """Note that the gamepad lacks the control, and return whether it may."""
-        step = self.step
-        if step is None or not step.may_lack:
-            return False
-        self.entry[step.parameter] = NONE
-        del self._steps[0]
-        return True
-
-    def take(self, axes: Sequence[float], buttons: Sequence[int]) -> str:
-        """Take the gamepad's state, and return why a control that is shown won't do; empty: it does, or none is."""
-        step = self.step
-        if step is None:
-            return ""
-        offsets = [abs(value - rest) for value, rest in zip(axes, self._rest)]
-        if not self._is_at_rest:
-            self._is_at_rest = not any(buttons) and max(offsets, default=0.0) < AT_REST
-            return ""
-        number, why = self._axis(offsets) if step.scale else self._button(buttons)
-        if number is None:
-            return ""
-        self._is_at_rest = False
-        if not why:
-            self.entry[step.parameter] = number
-            if step.scale:
-                self.entry[step.scale] = math.copysign(1.0, axes[number])
-            del self._steps[0]
-        return why
-
-    def _axis(self, offsets):
-        """Return the number of the axis that is pushed, ``None`` = none is, and why it won't do."""
-        number = max(range(len(offsets)), key=offsets.__getitem__, default=None)
-        if number is None or offsets[number] < PUSHED:
-            return None, ""
-        if number in self._crosses:
-            return number, "that is the cross: use a stick"
-        if abs(self._rest[number]) > AT_REST:
-            return number, "that axis rests at its end, as a trigger does: use a stick"
-        return number, "that axis steers already" if self.entry.get("steer_axis") == number else ""
-
-    def _button(self, buttons):
-        """Return the number of the button that is pressed, likewise."""
-        number = next((number for number, is_pressed in enumerate(buttons) if is_pressed), None)
-        taken = [name for name, value in self.entry.items() if name.endswith("_button") and value == number]
-        return number, f"that is {taken[0]} already: press another one" if taken else ""
-
-
 def ask(device: GamepadDevice, joystick: Joystick, keyboard, report=print) -> dict[str, float]:
     """Ask for each control, and return the entry of gamepads.yaml.
 
@@ -125,67 +55,93 @@ def ask(device: GamepadDevice, joystick: Joystick, keyboard, report=print) -> di
         DeviceError: the gamepad is gone.
     """
     joystick.read_axes(device.positions())
-    codes = sorted(device.ranges)
-    found = GamepadMap(joystick.axes, [codes.index(code) for code in codes if ABS_HAT0X <= code <= ABS_HAT3Y])
-    asked, files = None, [device, keyboard]
-    found.take(joystick.axes, joystick.buttons)
-    while found.step is not None:
-        if found.step != asked:
-            asked = found.step
-            report(f"{asked.text}{', or type Enter if there is none' if asked.may_lack else ''}; then let go.")
+    rest = tuple(joystick.axes)  # while nobody touches it
+    # A third deadman of the folder's teleop_logi.yaml would be just any button of this gamepad.
+    entry: dict[str, float] = {"third_button": NONE}
+    inputs, is_at_rest = _inputs(device, joystick, keyboard), False  # since a control was shown
+    for step in STEPS:
+        report(f"{step.text}{', or type Enter if there is none' if step.may_lack else ''}; then let go.")
+        for axes, buttons in inputs:
+            if axes is None:  # Enter
+                if step.may_lack:
+                    entry[step.parameter] = NONE
+                    break
+                continue
+            offsets = [abs(value - at_rest) for value, at_rest in zip(axes, rest)]
+            number, why = _axis(offsets, rest, device, entry) if step.scale else _button(buttons, entry)
+            if not is_at_rest:
+                is_at_rest = not any(buttons) and max(offsets, default=0.0) < AT_REST
+            elif why:
+                report(why)
+                is_at_rest = False
+            elif number is not None:
+                entry[step.parameter], is_at_rest = number, False
+                if step.scale:
+                    entry[step.scale] = math.copysign(1.0, axes[number])
+                break
+    return entry
+
+
+def _inputs(device, joystick, keyboard):
+    """Yield the axes and buttons now and after each change; and ``None`` for both when Enter is typed."""
+    files = [device, keyboard]
+    yield joystick.axes, joystick.buttons
+    while True:
         ready, _, _ = select.select(files, [], [])
         if keyboard in ready and not keyboard.readline():
             files.remove(keyboard)  # it was closed
         elif keyboard in ready:
-            found.skip()
+            yield None, None
         if device in ready:
             changes = joystick.receive(device.read())
             if joystick.is_lost:
                 changes.append(joystick.read_axes(device.positions()))
             for change in changes:
-                why = found.take(change.axes, change.buttons)
-                if why:
-                    report(why)
-    return found.entry
+                yield change.axes, change.buttons
 
 
-def save(folder: str, model: str, entry: dict[str, float]) -> str:
-    """Write an entry into a folder's gamepads.yaml, and return the file's path.
+def _axis(offsets, rest, device, entry):
+    """Return the number of the axis that is pushed, ``None`` = none is, and why it won't do; empty: it does."""
+    number = max(range(len(offsets)), key=offsets.__getitem__, default=None)
+    if number is None or offsets[number] < PUSHED:
+        return None, ""
+    if ABS_HAT0X <= sorted(device.ranges)[number] <= ABS_HAT3Y:
+        return number, "that is the cross: use a stick"
+    if abs(rest[number]) > AT_REST:
+        return number, "that axis rests at its end, as a trigger does: use a stick"
+    return number, "that axis steers already" if entry.get("steer_axis") == number else ""
 
-    Raises:
-        CarInterfaceError: it can't be written.
-    """
-    path = os.path.join(folder, FILE)
-    text = with_entry(read_yaml(path) if os.path.exists(path) else "", path, model, entry)
-    output.write(path, text, keeps_old=True)
-    return path
 
-
-def check_folder(folder: str) -> None:
-    """Refuse a folder that isn't the car's.
-
-    Raises:
-        CarInterfaceError: with the remedy.
-    """
-    if not os.path.isdir(folder):
-        raise CarInterfaceError(f"there is no folder {folder}: give your car's, which config:= names")
-    if is_package_file(os.path.join(folder, FILE)):
-        raise CarInterfaceError(f"{folder} is the package's own: give a folder of your car's, a copy of it, and launch "
-                                "with config:=")
+def _button(buttons, entry):
+    """Return the number of the button that is pressed, likewise."""
+    number = next((number for number, is_pressed in enumerate(buttons) if is_pressed), None)
+    taken = [name for name, value in entry.items() if name.endswith("_button") and value == number]
+    return number, f"that is {taken[0]} already: press another one" if taken else ""
 
 
 def main():
-    """Ask for each control, and write the entry."""
+    """Ask for each control, and write the entry.
+
+    Raises:
+        CarInterfaceError: the folder isn't the car's, or the entry can't be written.
+    """
     parser = argparse.ArgumentParser(prog="map_gamepad", description="Asks for each control of a gamepad, and writes "
                                      f"what it does into {FILE} of your car's folder.")
     parser.add_argument("folder", help="your car's folder, which config:= names")
     parser.add_argument("--device", default=ANY, help="the gamepad's device, if there are several")
     options = parser.parse_args([argument for argument in sys.argv[1:] if ":=" not in argument])
-    check_folder(options.folder)
+    folder, path = options.folder, os.path.join(options.folder, FILE)
+    if not os.path.isdir(folder):
+        raise CarInterfaceError(f"there is no folder {folder}: give your car's, which config:= names")
+    if is_package_file(path):
+        raise CarInterfaceError(f"{folder} is the package's own: give a folder of your car's, a copy of it, and launch "
+                                "with config:=")
     device = GamepadDevice(choose_pad(find_pads(), options.device, "--device "))
     joystick = Joystick(device.keys, device.ranges)
     model = model_of(frame_of(device.pad.name), len(joystick.axes), len(joystick.buttons))
     print(f"{model}\nLet go of everything.", flush=True)
     entry = ask(device, joystick, sys.stdin)
-    print(f"written: {save(options.folder, model, entry)}. It counts from the next launch with config:="
-          f"{os.path.abspath(options.folder)}; see teleop_logi's state while you try it, wheels in the air.")
+    before = read_yaml(path) if os.path.exists(path) else ""
+    output.write(path, with_entry(before, path, model, entry), keeps_old=True)
+    print(f"written: {path}. It counts from the next launch with config:={os.path.abspath(folder)}; see teleop_logi's "
+          "state while you try it, wheels in the air.")

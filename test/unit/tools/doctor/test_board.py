@@ -10,36 +10,39 @@ from i2c_computer import Computer, Ina3221
 from car_interface.common.header import UNKNOWN, header_of
 from car_interface.pca9685.config import AUTO
 from car_interface.sim.pca9685_chip import VirtualPca9685
-from car_interface.tools.doctor import board
-from car_interface.tools.doctor.board import BoardSettings, Registers
+from car_interface.tools.doctor import devices as board
 from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
 
 ORIN = header_of("NVIDIA Jetson Orin Nano Developer Kit")
 MAIN, OTHER = "/dev/i2c-7", "/dev/i2c-1"
 
 
-def settings(address=0x40, prescale=121, driven=False):
-    return BoardSettings(address, prescale, driven, 25e6)
+def car(bus=OTHER, address=0x40, prescale=121, driven=False):
+    return types.SimpleNamespace(bus=bus, address=address, prescale=prescale, oscillator_hz=25e6,
+                                 runs=lambda name: driven and name == "pca9685")
 
 
 # --- the bus ---
 
-def bus(exists=True, is_i2c=True, denial=None, header=UNKNOWN, there=()):
-    return board.check_bus("/dev/i2c-1", exists, is_i2c, denial, header, there)
-
-
-@pytest.mark.parametrize("found, level, words, remedy", [
-    (bus(), OK, "/dev/i2c-1", ""),
-    (bus(header=header_of("Raspberry Pi 5 Model B")), OK, "/dev/i2c-1, pins 3 and 5 of this Raspberry Pi 5", ""),
-    (bus(exists=False, is_i2c=False), BAD, "there is no such bus", "modprobe i2c-dev"),
-    (bus(exists=False, header=header_of("Raspberry Pi 4 Model B")), BAD, "there is no such bus", "raspi-config"),
-    (bus(exists=False, header=ORIN), BAD, "there is no such bus", "Pins 3 and 5 of a Jetson Orin are bus 7"),
-    (bus(exists=False, there=("/dev/i2c-7", "/dev/i2c-8")), BAD, "there are /dev/i2c-7, /dev/i2c-8", "ls /dev/i2c-*"),
-    (bus(is_i2c=False), BAD, "not an I2C bus", "ls /dev/i2c-*"),
-    (bus(denial=("no permission", "setup_hardware")), BAD, "/dev/i2c-1: no permission", "setup_hardware"),
+@pytest.mark.parametrize("exists, is_i2c, denial, header, there, level, words, remedy", [
+    (True, True, None, UNKNOWN, (), OK, "/dev/i2c-1", ""),
+    (True, True, None, header_of("Raspberry Pi 5 Model B"), (), OK,
+     "/dev/i2c-1, pins 3 and 5 of this Raspberry Pi 5", ""),
+    (False, False, None, UNKNOWN, (), BAD, "there is no such bus", "modprobe i2c-dev"),
+    (False, False, None, header_of("Raspberry Pi 4 Model B"), (), BAD, "there is no such bus", "raspi-config"),
+    (False, False, None, ORIN, (), BAD, "there is no such bus", "Pins 3 and 5 of a Jetson Orin are bus 7"),
+    (False, False, None, UNKNOWN, ("/dev/i2c-7", "/dev/i2c-8"), BAD, "there are /dev/i2c-7, /dev/i2c-8",
+     "ls /dev/i2c-*"),
+    (True, False, None, UNKNOWN, (), BAD, "not an I2C bus", "ls /dev/i2c-*"),
+    (True, True, ("no permission", "setup_hardware"), UNKNOWN, (), BAD, "/dev/i2c-1: no permission", "setup_hardware"),
 ], ids=["fine", "header_s", "absent", "switched_off", "another_number", "absent_among_others", "no_bus",
          "no_permission"])
-def test_bus(found, level, words, remedy):
+def test_bus(exists, is_i2c, denial, header, there, level, words, remedy, monkeypatch):
+    monkeypatch.setattr(board.os.path, "exists", lambda path: exists)
+    monkeypatch.setattr(board, "_is_i2c", lambda path: is_i2c)
+    monkeypatch.setattr(board.os, "access", lambda path, mode, effective_ids: denial is None)
+    monkeypatch.setattr(board, "explain_denial", lambda path: denial)
+    found = board.check_bus("/dev/i2c-1", header, there)
     assert (found.subject, found.level) == ("bus", level) and words in found.what and remedy in found.remedy
 
 
@@ -53,24 +56,24 @@ def test_buses_are_listed_once_each_whatever_links_lead_to_them(monkeypatch):
 
 # --- the chip ---
 
-FRESH, DRIVEN = Registers(0x11, 0x1E), Registers(0x20, 121)
+FRESH, DRIVEN = (0x11, 0x1E, True), (0x20, 121, True)  # MODE1, PRE_SCALE, and whether it is marked as a PCA9685
 
 
 @pytest.mark.parametrize("registers, prescale, driven, level, words", [
     (FRESH, 121, False, OK, "fresh from power-up"),
     (DRIVEN, 121, True, OK, "driven at 50.0 Hz"),
     (FRESH, 121, True, BAD, "doesn't run as"),
-    (Registers(0x20, 122), 121, True, BAD, "doesn't run as"),
-    (Registers(0x01, 121), 121, True, BAD, "doesn't run as"),
-    (Registers(0x21, 121), None, False, OK, "left so by another program"),
-    (Registers(0x31, 121), None, False, OK, "sleeps"),
-    (Registers(0x21, 5), None, False, WARN, "which no servo takes"),
-    (Registers(0x60, 121), None, False, BAD, "EXTCLK"),
-    (Registers(0x71, 0x54, is_pca9685=False), None, False, BAD, "not as a PCA9685"),
+    ((0x20, 122, True), 121, True, BAD, "doesn't run as"),
+    ((0x01, 121, True), 121, True, BAD, "doesn't run as"),
+    ((0x21, 121, True), None, False, OK, "left so by another program"),
+    ((0x31, 121, True), None, False, OK, "sleeps"),
+    ((0x21, 5, True), None, False, WARN, "which no servo takes"),
+    ((0x60, 121, True), None, False, BAD, "EXTCLK"),
+    ((0x71, 0x54, False), None, False, BAD, "not as a PCA9685"),
 ], ids=["fresh", "driven", "lost_power", "other_prescale", "no_auto_increment", "left_running", "asleep", "too_fast",
          "external_clock", "another_kind"])
 def test_chip_is_judged_by_its_registers(registers, prescale, driven, level, words):
-    found, = board.check_chip("0x40 on /dev/i2c-1", registers, settings(prescale=prescale, driven=driven))
+    found, = board.check_chip("0x40 on /dev/i2c-1", *registers, car(prescale=prescale, driven=driven))
     assert found.level == level and words in found.what and bool(found.remedy) == (level != OK)
 
 
@@ -121,7 +124,7 @@ def computer(monkeypatch):
     """A computer whose buses are all usable, of no known kind; smbus2 opens them."""
     computer = Computer({OTHER: {0x40: VirtualPca9685()}})
     monkeypatch.setitem(sys.modules, "smbus2", types.SimpleNamespace(SMBus=computer.make_bus))
-    monkeypatch.setattr(board, "_check_path", lambda device, header, there: Finding(OK, "bus", device))
+    monkeypatch.setattr(board, "check_bus", lambda device, header, there: Finding(OK, "bus", device))
     monkeypatch.setattr(board, "_buses", lambda: sorted(computer.buses))
     yield computer
     assert computer.written == [] and computer.open == set()
@@ -137,7 +140,7 @@ def jetson(computer, monkeypatch):
 
 
 def examine(device=OTHER, asks_all=False, **how):
-    found = board.probe_board(device, settings(**how), asks_all)
+    found = board.probe_board(car(device, **how), asks_all)
     return [(finding.subject, finding.level) for finding in found], found[-1].what
 
 
@@ -145,7 +148,7 @@ def test_bus_and_chip_are_ok_unless_the_chip_lost_its_power_under_the_node_or_th
     assert examine() == ([("bus", OK), ("chip", OK)],
                          "0x40 on /dev/i2c-1 is fresh from power-up: MODE1 0x11, PRE_SCALE 30")
     computer.buses[OTHER][0x42] = Ina3221()  # which is none
-    found = board.probe_board(OTHER, settings(address=0x60), False)[-1]
+    found = board.probe_board(car(address=0x60), False)[-1]
     assert (found.level, found.what) == (BAD, "nothing answers at 0x60 on /dev/i2c-1, but a PCA9685 at 0x40")
     assert "address:=0x40" in found.remedy
     assert examine(driven=True)[0] == [("bus", OK), ("chip", BAD)]
@@ -168,7 +171,7 @@ def test_other_buses_are_asked_only_when_a_person_wants_that(jetson):
     jetson.buses.update({"/dev/i2c-0": errno.EACCES, "/dev/i2c-9": {0x43: VirtualPca9685()}})
     examine(AUTO)
     assert {path for path, *_ in jetson.asked} == {MAIN, OTHER}
-    found = board.probe_board(AUTO, settings(), asks_all=True)[2:]
+    found = board.probe_board(car(AUTO), asks_all=True)[2:]
     assert [(one.level, one.what) for one in found] == [
         (WARN, "a PCA9685 answers at 0x43 on /dev/i2c-9"),
         (OK, "no PCA9685 on /dev/i2c-0 (Permission denied), /dev/i2c-1")]

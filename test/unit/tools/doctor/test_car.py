@@ -1,9 +1,10 @@
 """The running car: nodes, parameters, steering and reports, as the doctor judges them."""
+import os
+import time
 from types import SimpleNamespace
 
 import pytest
 
-from car_interface.common.black_box_folder import Recording
 from car_interface.common.sources import PLANNER
 from car_interface.tools.doctor.car import (
     ABSENT,
@@ -12,16 +13,12 @@ from car_interface.tools.doctor.car import (
     RUNNING,
     SILENT,
     Node,
-    Reading,
     Report,
     check_battery,
     check_black_box,
     check_command_topics,
     check_diagnostics,
-    check_files,
-    check_folders,
     check_nodes,
-    check_parameters,
     check_several,
     check_steering,
     find_cars,
@@ -173,58 +170,14 @@ def test_faults_of_command_topics_are_bad_each_told_once_and_not_with_the_other_
     assert [one.level for one in check_diagnostics(reports_of([STEERING, *reports], "/"), ["/turn_arb"])] == [OK]
 
 
-# --- parameters ---
+# --- black box ---
 
-def test_good_parameters_are_one_line_and_none_is_how_it_is_before_the_launch():
-    found, = check_parameters([Reading("/turn_arb", "", True), Reading("/pca9685", "", False)])
-    assert (found.level, found.what) == (OK, "those of /turn_arb, /pca9685 are good")
-    assert [one.level for one in check_parameters([])] == [OK]
-
-
-def test_file_with_a_fault_is_a_warning_that_says_what_becomes_of_it():
-    assert check_files([]) == []
-    found, = check_files(["/car/turn_arb.yaml, lines 3 and 7 both give servo_left; accepted: each name once"])
-    assert found.level == WARN
-    assert found.what == "/car/turn_arb.yaml, lines 3 and 7 both give servo_left; accepted: each name once"
-    assert "takes the last of two values without a word" in found.remedy
-
-
-@pytest.mark.parametrize(("runs", "words"), [(True, "it will not start again"), (False, "it can't start")])
-def test_bad_parameter_is_told_in_the_nodes_own_words(runs, words):
-    good, found = check_parameters([Reading("/pca9685", "", True), Reading("/turn_arb", "servo_left is 99999", runs)])
-    assert (good.level, found.level) == (OK, BAD)
-    assert words in found.what and "servo_left is 99999" in found.what
-
-
-MINE, PACKAGE = "/home/me/my_car", "/opt/config"
-
-
-def launched(**folders):
-    return [Reading(f"/{node}", "", True, folder) for node, folder in folders.items()]
-
-
-@pytest.mark.parametrize(("readings", "is_virtual", "level", "text"), [
-    (launched(turn_arb=MINE, pca9685=MINE), False, OK, f"all nodes were launched with {MINE}"),
-    (launched(turn_arb=MINE, pca9685=PACKAGE), False, WARN,
-     f"the nodes were launched with different folders: /turn_arb: {MINE}; /pca9685: {PACKAGE}"),
-    (launched(turn_arb=PACKAGE, pca9685=PACKAGE), False, WARN,
-     f"the nodes were launched with the package's own files, {PACKAGE}"),
-    (launched(turn_arb=PACKAGE), True, OK, f"all nodes were launched with {PACKAGE}"),
-], ids=["one_folder", "two_folders", "the_package_s_on_a_car", "the_package_s_on_a_virtual_car"])
-def test_folder_of_the_nodes_files_is_compared(readings, is_virtual, level, text):
-    found, = check_folders(readings, PACKAGE, is_virtual)
-    assert (found.level, found.what) == (level, text)
-    assert level == OK or "roslaunch ignores an argument that is misspelt" in found.remedy
-
-
-def test_nodes_that_were_not_launched_name_no_folder():
-    assert check_folders(launched(turn_arb=""), PACKAGE, False) == []
-
-
-def test_newest_recording_of_the_black_box_is_named_with_its_cause_its_age_and_the_command():
-    path = "/home/me/my car/2026-11-25_22-17-24_odometry_silent.bag"
-    recording = Recording(path, "odometry silent", 1000.0, 1)
-    assert check_black_box(recording, 1000.0 + 12 * 60) == [
+def test_newest_recording_of_the_black_box_is_named_with_its_cause_its_age_and_the_command(tmp_path):
+    path = tmp_path / "my car" / "2026-11-25_22-17-24_odometry_silent.bag"
+    path.parent.mkdir()
+    assert check_black_box(str(path.parent)) == []
+    path.write_bytes(b"#ROSBAG")
+    os.utime(path, (time.time() - 12.5 * 60,) * 2)
+    assert check_black_box(str(path.parent)) == [
         Finding(OK, "black box", "the last stop that nobody asked for: odometry silent, 12 minutes ago: "
                                  f"rosrun car_interface bag_report '{path}'")]
-    assert check_black_box(None, 1000.0) == []

@@ -30,10 +30,10 @@ def test_option_that_cannot_be_ends_with_one_line_about_it(arguments, words, cap
 
 
 @pytest.mark.parametrize("levels, worst, words", [
-    ([], 0, "nothing was looked at"), ([OK, OK], 0, "2 ok: nothing to do"),
+    ([OK, OK], 0, "2 ok: nothing to do"),
     ([OK, WARN], 1, "1 warn, 1 ok: nothing that is bad; read the warnings"),
     ([WARN, BAD, OK, BAD], 2, "2 bad, 1 warn, 1 ok: begin with the first that is bad"),
-], ids=["nothing", "all_ok", "a_warning", "something_bad"])
+], ids=["all_ok", "a_warning", "something_bad"])
 def test_findings_are_shown_a_line_each_with_their_sum_and_the_worst_is_the_code(levels, worst, words, monkeypatch):
     monkeypatch.setattr(sys, "stdout", io.StringIO())
     assert show(iter([Finding(level, "bus", "what", "do") for level in levels])) == worst

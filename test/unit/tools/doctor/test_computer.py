@@ -13,29 +13,33 @@ from car_interface.teleop.input_devices import parse_pads
 from car_interface.tools.doctor import computer
 from car_interface.tools.doctor.findings import BAD, OK, WARN
 
-NOBODY = Membership("ann", False, frozenset(), frozenset(), frozenset({"dialout", "i2c", "input"}))
-
 # --- groups ---
 
-PORT, BUS = ("dialout", "the port", BAD), ("i2c", "the bus", BAD)
-PAD = ("input", "the gamepad", WARN)
+@pytest.fixture
+def member(monkeypatch):
+    """A user in no group, on a computer without a gamepad; another user, if a test says so."""
+    def be(process=(), user=(), existing=("dialout", "i2c", "input"), is_root=False):
+        who = Membership("ann", is_root, frozenset(process), frozenset(user), frozenset(existing))
+        monkeypatch.setattr(computer, "read_membership", lambda: who)
+    be()
+    monkeypatch.setattr(computer, "group_of", lambda path, usual: usual)
+    monkeypatch.setattr(computer, "find_pads", list)
+    monkeypatch.setattr(computer.os.path, "exists", lambda path: path in ("/dev/ttyACM0", "/dev/i2c-1"))
+    return be
 
 
-def member(process=(), user=(), existing=("dialout", "i2c", "input"), is_root=False):
-    return Membership("ann", is_root, frozenset(process), frozenset(user), frozenset(existing))
-
-
-@pytest.mark.parametrize("one, needs, level, what, remedy", [
-    (member(["dialout", "i2c"], ["dialout", "i2c"]), [PORT, BUS], OK, "ann is in dialout, i2c", ""),
-    (member(is_root=True), [PORT, BUS], OK, "", ""),
-    (member(), [], OK, "", ""),
-    (member([], ["i2c"]), [BUS], BAD, "after this log-in", "Log in anew"),
-    (member(), [PORT], BAD, "ann is not in dialout (the port)", "setup_hardware"),
-    (member(existing=["dialout"]), [BUS], BAD, "there is no group i2c", "setup_hardware"),
-    (member(), [PAD], WARN, "ann is not in input", ""),
-], ids=["in_all", "root", "virtual_devices", "from_the_next_log_in", "outside", "no_such_group", "as_bad_as_it_says"])
-def test_user_is_in_the_groups_that_are_needed_or_told_why_not(one, needs, level, what, remedy):
-    found, = computer.check_groups(one, needs)
+@pytest.mark.parametrize("who, virtual_port, virtual_bus, level, what, remedy", [
+    ({"process": ["dialout", "i2c"], "user": ["dialout", "i2c"]}, False, False, OK, "ann is in dialout, i2c", ""),
+    ({"is_root": True}, False, False, OK, "this is root", ""),
+    ({}, True, True, OK, "none needed", ""),
+    ({"user": ["i2c"]}, True, False, BAD, "after this log-in", "Log in anew"),
+    ({}, False, True, BAD, "ann is not in dialout (the Teensy's port)", "setup_hardware"),
+    ({"existing": ["dialout"]}, True, False, BAD, "there is no group i2c", "setup_hardware"),
+], ids=["in_all", "root", "virtual_devices", "from_the_next_log_in", "outside", "no_such_group"])
+def test_user_is_in_the_groups_that_are_needed_or_told_why_not(member, who, virtual_port, virtual_bus, level, what,
+                                                               remedy):
+    member(**who)
+    found, = computer.probe_groups("/dev/ttyACM0", "/dev/i2c-1", virtual_port, virtual_bus)
     assert found.level == level and what in found.what and remedy in found.remedy
 
 
@@ -57,15 +61,6 @@ def test_group_of_a_device_is_its_own_where_that_is_one_to_join_and_else_the_usu
     monkeypatch.setattr(os, "stat", stat)
     monkeypatch.setattr(grp, "getgrgid", group_by_number)
     assert computer.group_of("/dev/ttyAMA0", usual) == group
-
-
-@pytest.fixture
-def member(monkeypatch):
-    """A user in no group, on a computer without a gamepad."""
-    monkeypatch.setattr(computer, "read_membership", lambda: NOBODY)
-    monkeypatch.setattr(computer, "group_of", lambda path, usual: usual)
-    monkeypatch.setattr(computer, "find_pads", list)
-    monkeypatch.setattr(computer.os.path, "exists", lambda path: path in ("/dev/ttyACM0", "/dev/i2c-1"))
 
 
 def missing_groups(virtual_port=False, virtual_bus=False, bus="/dev/i2c-1"):
@@ -135,8 +130,10 @@ def test_each_trouble_of_the_clock_is_told(monkeypatch):
     (["rosbags"], "", WARN, "rosbags is missing for bag_report, check_map and the calibration; driving needs none"),
     (["matplotlib", "rosbags"], "", WARN, "matplotlib, rosbags are missing for bag_report"),
 ], ids=["none", "in_a_virtual_environment", "one", "two"])
-def test_libraries_that_the_tools_lack_are_a_warning_that_names_them(missing, environment, level, words):
-    found, = computer.check_tools(missing, environment)
+def test_libraries_that_the_tools_lack_are_a_warning_that_names_them(missing, environment, level, words, monkeypatch):
+    monkeypatch.setattr(computer, "find_spec", lambda name: name not in missing)
+    monkeypatch.setattr(computer.os.path, "exists", lambda path: bool(environment))
+    found, = computer.probe_packages()
     assert found.level == level and found.what.startswith(words)
     assert found.remedy == ("" if level == OK else "rosdep install, or on Debian a virtual environment: "
                             "docs/recordings.md, Install the tools")

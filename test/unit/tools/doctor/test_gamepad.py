@@ -5,19 +5,20 @@ import pytest
 
 from car_interface.common import causes
 from car_interface.teleop.gamepad import GamepadConfig
-from car_interface.tools.doctor.car import Report
+from car_interface.tools.doctor.car import GamepadFacts, Report, check_gamepad
+from car_interface.tools.doctor.computer import probe_driver
 from car_interface.tools.doctor.findings import BAD, OK, WARN
-from car_interface.tools.doctor.gamepad import GamepadFacts, JoySample, check_gamepad, probe_driver
 
 SHIPPED = GamepadConfig(steer_axis=0, throttle_axis=4, manual_button=4, autonomous_button=5)
-AT_20_HZ = JoySample(messages=21, period_s=0.05, axes=8, buttons=11, values={})
-NOTHING = JoySample(messages=0, period_s=math.inf, axes=0, buttons=0, values={})
+NOTHING = {"messages": 0, "period_s": math.inf, "axes": 0, "buttons": 0}
 
 
-def check(sample=AT_20_HZ, publishers=("/joy_node",), config=SHIPPED, topic="/joy", cause=causes.NO_DEADMAN,
-          reason="no deadman is held", stick_cause="", driver=None):
-    found, = check_gamepad(GamepadFacts("/teleop_logi", topic, publishers, config, sample, cause, reason, stick_cause,
-                                        driver))
+def check(**changes):
+    """The finding about a gamepad that sends at 20 Hz, but for these facts."""
+    found, = check_gamepad(GamepadFacts("/teleop_logi", **{
+        "topic": "/joy", "publishers": ["/joy_node"], "config": SHIPPED, "messages": 21, "period_s": 0.05, "axes": 8,
+        "buttons": 11, "odd": {}, "cause": causes.NO_DEADMAN, "reason": "no deadman is held", "stick_cause": "",
+        "driver": None, **changes}))
     return found
 
 
@@ -25,36 +26,36 @@ def test_gamepad_that_works_is_ok_and_so_is_none_where_phones_drive():
     found = check()
     assert (found.level, found.subject) == (OK, "gamepad")
     assert found.what == "/joy: 8 axes, 11 buttons, 20.0 times a second; no deadman is held"
-    found = check(NOTHING, publishers=(), reason="phone: no deadman is held")
+    found = check(**NOTHING, publishers=(), reason="phone: no deadman is held")
     assert (found.level, found.what) == (OK, "there is none; phone: no deadman is held")
-    found = check(NOTHING, publishers=(), cause=causes.JOY_STALE, reason="phone: phone/joy silent for 0.30 s")
+    found = check(**NOTHING, publishers=(), cause=causes.JOY_STALE, reason="phone: phone/joy silent for 0.30 s")
     assert (found.level, found.what) == (WARN, "there is none; phone: phone/joy silent for 0.30 s")
 
 
 @pytest.mark.parametrize("changes, level, what, remedy", [
-    pytest.param({"sample": NOTHING, "publishers": (), "reason": "joy was never heard"}, WARN,
+    pytest.param({**NOTHING, "publishers": (), "reason": "joy was never heard"}, WARN,
                  "no node publishes /joy, so that no deadman can be held (joy was never heard)",
                  "Launch the car with gamepad:=true, which starts its driver", id="nobody_publishes"),
-    pytest.param({"sample": NOTHING}, WARN, "/joy_node publishes /joy, but nothing came",
+    pytest.param(NOTHING, WARN, "/joy_node publishes /joy, but nothing came",
                  "Set its driver's autorepeat_rate to 20", id="joy_node_without_a_message"),
-    pytest.param({"sample": NOTHING, "driver": Report("joy_node: gamepad device", BAD, "gamepad: there are several",
+    pytest.param({**NOTHING, "driver": Report("joy_node: gamepad device", BAD, "gamepad: there are several",
                                                       "Leave one")}, WARN, "gamepad: there are several", "Leave one",
                  id="driver_without_a_gamepad"),
-    pytest.param({"sample": AT_20_HZ._replace(axes=4)}, BAD,
+    pytest.param({"axes": 4}, BAD,
                  "the gamepad has 4 axes (0 to 3), but throttle_axis is 4", "needs its switch at X", id="wrong_mode"),
-    pytest.param({"sample": AT_20_HZ._replace(axes=4), "topic": "/car1/joy"}, BAD, "the gamepad has 4 axes",
+    pytest.param({"axes": 4, "topic": "/car1/joy"}, BAD, "the gamepad has 4 axes",
                  "rostopic echo /car1/joy", id="below_a_namespace"),
-    pytest.param({"sample": AT_20_HZ._replace(values={4: math.nan})}, BAD,
+    pytest.param({"odd": {4: math.nan}}, BAD,
                  "the gamepad's throttle_axis 4 is nan, no number to act on", "See what sends it", id="nan"),
-    pytest.param({"sample": JoySample(4, 0.3, 8, 11, {})}, BAD,
+    pytest.param({"messages": 4, "period_s": 0.3}, BAD,
                  "/joy comes 3.3 times a second, too seldom for a joy_timeout of 0.25 s: the deadman is released again "
                  "and again", "autorepeat_rate to 20", id="rate_below_the_timeout"),
-    pytest.param({"sample": JoySample(1, 2.0, 8, 11, {})}, BAD, "/joy comes once in 2.0 s, too seldom",
+    pytest.param({"messages": 1, "period_s": 2.0}, BAD, "/joy comes once in 2.0 s, too seldom",
                  "/joy must come at 20 Hz", id="a_single_message"),
-    pytest.param({"sample": JoySample(6, 0.2, 8, 11, {})}, WARN,
+    pytest.param({"messages": 6, "period_s": 0.2}, WARN,
                  "with a joy_timeout of 0.25 s one message that is late releases the deadman", "autorepeat_rate to 20",
                  id="rate_near_the_timeout"),
-    pytest.param({"sample": AT_20_HZ._replace(axes=6, buttons=12)}, WARN,
+    pytest.param({"axes": 6, "buttons": 12}, WARN,
                  "6 axes and 12 buttons, as a Logitech gamepad has in D mode", "needs its switch at X", id="d_mode"),
     pytest.param({"stick_cause": causes.NOT_AT_REST, "reason": "no deadman is held; the gamepad's throttle_axis 4 is "
                   "1.00 and was not seen at its rest: it doesn't count"}, WARN, "throttle_axis 4 is 1.00 and was not",
@@ -74,12 +75,12 @@ def test_what_is_wrong_is_named_with_its_remedy(changes, level, what, remedy):
 
 
 @pytest.mark.parametrize("changes", [
-    pytest.param({"sample": AT_20_HZ._replace(values={7: math.nan})}, id="nan_on_an_axis_that_nobody_uses"),
-    pytest.param({"sample": JoySample(2, 2.9, 8, 11, {}),
+    pytest.param({"odd": {7: math.nan}}, id="nan_on_an_axis_that_nobody_uses"),
+    pytest.param({"messages": 2, "period_s": 2.9,
                   "config": GamepadConfig(0, 4, 4, 5, joy_timeout_s=0.0)}, id="slow_but_without_a_timeout"),
-    pytest.param({"sample": AT_20_HZ._replace(axes=6, buttons=12), "config": GamepadConfig(0, 3, 4, 5)},
+    pytest.param({"axes": 6, "buttons": 12, "config": GamepadConfig(0, 3, 4, 5)},
                  id="d_mode_with_indices_for_it"),
-    pytest.param({"config": None, "sample": AT_20_HZ._replace(axes=1)}, id="bad_parameters_are_another_finding"),
+    pytest.param({"config": None, "axes": 1}, id="bad_parameters_are_another_finding"),
     pytest.param({"cause": "", "reason": ""}, id="old_teleop_without_a_state"),
 ])
 def test_what_is_not_wrong_is_ok(changes):

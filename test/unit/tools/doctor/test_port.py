@@ -8,10 +8,10 @@ import pytest
 
 from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
 from car_interface.teensy.link.health import FINE, PORT_FAULTS
-from car_interface.tools.doctor import port
+from car_interface.tools.doctor import devices as port
 from car_interface.tools.doctor.car import ABSENT, RUNNING, SILENT, Node
+from car_interface.tools.doctor.devices import TeensyProbe, check_holders, check_link, check_virtual_port
 from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
-from car_interface.tools.doctor.port import TeensyProbe, check_holders, check_link, check_virtual_port, is_terminal
 
 MS = 1_000_000
 
@@ -28,35 +28,18 @@ def test_port_that_another_program_has_is_told(holders, level, words, remedy):
     assert found.level == level and words in found.what and remedy in found.remedy
 
 
-TTY_DRIVERS = """\
-/dev/tty             /dev/tty        5       0 system:/dev/tty
-usbserial            /dev/ttyUSB   188 0-511 serial
-serial               /dev/ttyS       4 64-95 serial
-pty_slave            /dev/pts      136 0-1048575 pty:slave
-unknown              /dev/tty        4 1-63 console
-"""
-
-
-@pytest.mark.parametrize(("number", "expected"), [
-    ((4, 64), True), ((4, 95), True), ((4, 96), False), ((188, 511), True), ((136, 70_000), True), ((5, 0), True),
-    ((5, 1), False), ((1, 3), False), ((64, 0), False)])
-def test_terminals_are_those_of_the_kernel_s_drivers(number, expected):
-    assert is_terminal(*number, TTY_DRIVERS) is expected
-    assert not is_terminal(*number, "")
-
-
 # --- the Teensy ---
 
 def probed(firmware=None, change=lambda data: data, baud=115200, begin_ns=50_000 * MS):
     """The finding about a Teensy behind a line that ``change`` spoils, and how long it took."""
-    now_ns = begin_ns
+    now_ns, data = begin_ns, b""
     firmware = firmware or TeensyFirmware(FirmwareConfig(seed=1), lambda sensor, at_ns: 0, now_ns)
     probe = TeensyProbe(baud, now_ns)
     while not probe.is_done(now_ns):
-        firmware.receive(probe.step(now_ns), now_ns)
-        probe.update(change(firmware.transmit(now_ns)), now_ns)
+        firmware.receive(probe.step(data, now_ns), now_ns)
+        data = change(firmware.transmit(now_ns))
         now_ns += 2 * MS
-    return probe.findings()[0], (now_ns - begin_ns) // MS
+    return probe.finding(), (now_ns - begin_ns) // MS
 
 
 def corrupting(share):
@@ -171,7 +154,7 @@ def test_port_of_a_virtual_teensy_is_not_to_be_plugged_in(simulator, hub_runs, l
 # --- the port on this computer ---
 
 def test_console_that_only_root_sees_at_the_port_is_told_by_its_name(monkeypatch):
-    monkeypatch.setattr(port, "is_character_device", lambda path: True)
+    monkeypatch.setattr(port, "device_number", lambda path: (204, 64))
     monkeypatch.setattr(port, "_may_be_terminal", lambda path: True)
     monkeypatch.setattr(port, "consoles", lambda path: [(612, "agetty")])
     found, = port.probe_port("/dev/ttyAMA7", 115200)
@@ -179,16 +162,33 @@ def test_console_that_only_root_sees_at_the_port_is_told_by_its_name(monkeypatch
     assert "log-in console" in found.remedy and "serial-getty@ttyAMA7" in found.remedy
 
 
+@pytest.fixture
+def listed(monkeypatch):
+    """What the kernel lists of each device of characters; empty: nothing, as where there is no /sys."""
+    kinds, realpath = {}, os.path.realpath
+    monkeypatch.setattr(os.path, "realpath", lambda path: kinds.get(path, path) if "/sys/" in path else realpath(path))
+    return kinds
+
+
 @pytest.mark.parametrize("has_lists", [True, False], ids=["by_the_kernels_list", "without_it"])
-def test_device_that_is_no_terminal_is_no_port_whoever_has_it_open(monkeypatch, has_lists):
+def test_device_that_is_no_terminal_is_no_port_whoever_has_it_open(monkeypatch, listed, has_lists):
     """Any process may have /dev/null open: as its standard input."""
-    def unreadable(*arguments, **keywords):
-        raise FileNotFoundError(arguments[0])
-    if not has_lists:
-        monkeypatch.setattr(port, "open", unreadable, raising=False)
+    if has_lists:
+        listed["/sys/dev/char/1:3/subsystem"] = "/sys/class/mem"
     monkeypatch.setattr(port, "openers", lambda path: [(7, "teensy_sensor_hub")])
     found, = port.probe_port("/dev/null", 115200)
     assert (found.level, found.what) == (BAD, "/dev/null: this is not a serial port")
+
+
+@pytest.mark.parametrize("device, kind, may_be", [
+    ((4, 64), "/sys/class/tty", True), ((188, 511), "/sys/class/tty", True), ((10, 130), "/sys/class/misc", False),
+    ((1, 3), "/nowhere", False), ((188, 0), "/nowhere", True)])
+def test_terminals_are_those_of_the_kernel_s_list_and_without_one_all_but_memory(monkeypatch, listed, device, kind,
+                                                                                 may_be):
+    listed[f"/sys/dev/char/{device[0]}:{device[1]}/subsystem"] = kind
+    monkeypatch.setattr(port, "device_number", lambda path: device)
+    monkeypatch.setattr(port.os.path, "exists", lambda path: path.startswith("/sys/class"))
+    assert port._may_be_terminal("/dev/some") is may_be
 
 
 def test_folder_in_which_a_hub_works_is_no_port_that_it_has_open(monkeypatch, tmp_path):

@@ -1,7 +1,6 @@
 """A first check's questions: each answered right, and each answered wrong once; and the way through them."""
 import math
 from dataclasses import replace
-from functools import partial
 from types import SimpleNamespace as Message
 
 import pytest
@@ -14,7 +13,7 @@ from car_interface.common.vehicle_geometry import SONARS
 from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.tools.first_check.car import SLOWER, Controls, Setup
 from car_interface.tools.first_check.check import FirstCheck
-from car_interface.tools.first_check.question import BROKEN, FINE, LEARNED, SKIPPED
+from car_interface.tools.first_check.questions import BROKEN, FINE, LEARNED, SKIPPED
 from slash import SLASH
 
 TICK_NS = NS_PER_S // 20
@@ -40,7 +39,8 @@ class Bench:
     """
 
     def __init__(self, setup=SETUP, **state):
-        self.check, self.setup, self.now_ns, self.view = FirstCheck(setup), setup, 1000 * NS_PER_S, None
+        self.killed = []
+        self.check, self.setup, self.now_ns = FirstCheck(setup, self.kill), setup, 1000 * NS_PER_S
         self.check.car.controls = PAD
         self.held = None
         self.stick = self.side = self.speed_mps = 0.0
@@ -52,6 +52,10 @@ class Bench:
         self.__dict__.update(state)
         self.run(0.1)
 
+    def kill(self, name):
+        self.killed.append(name)
+        return ""
+
     @property
     def granted(self):
         passes = self.held == MANUAL and (self.stick > 0 or self.pulls_pass)
@@ -61,7 +65,7 @@ class Bench:
         for _ in range(max(1, round(duration_s * NS_PER_S / TICK_NS))):
             self.now_ns += TICK_NS
             self._arrive()
-            self.view = self.check.step(self.now_ns, keys)
+            self.check.step(self.now_ns, keys)
             keys = ""
         return self
 
@@ -79,7 +83,7 @@ class Bench:
 
     def _arrive(self):
         car, now_ns, setup = self.check.car, self.now_ns, self.setup
-        asked = self.view and self.view.steering
+        asked = self.steering
         steers = {None: NO_HUMAN, MANUAL: TELEOP, AUTONOMOUS: NEUTRAL if asked is None else PLANNER}[self.held]
         steers = steers if self.steers is None else self.steers
         duty = {TELEOP: self.side, PLANNER: asked}.get(steers, 0.0)
@@ -95,7 +99,7 @@ class Bench:
                 ("throttle_arb", car.update_throttle, Message(
                     source=TELEOP if self.held == MANUAL else NEUTRAL, reason="nobody drives", granted=self.granted,
                     esc=self.esc, esc_reason="it needs neutral", human_scale=self.scale)),
-                ("board", partial(car.update_output, self.board or duties), self.sender),
+                ("board", self._on_board, self.board or duties),
                 ("link", car.link.update, self.link), ("odom", car.update_speed, self.speed_mps),
                 ("wheels", car.update_wheels, Message(**{
                     side: Message(direction=direction, dist_abs=count)
@@ -105,12 +109,24 @@ class Bench:
         for name in SONARS if "sonars" not in self.silent else ():
             car.update_range(name, 0.2 if name in self.near else self.range_m, now_ns)
 
+    def _on_board(self, duties, now_ns):
+        self.check.car.output.update(duties, now_ns)
+        self.check.car.sender = self.sender
+
     def result(self, title):
         return next(result for each, result in self.check.results if title in each)
 
     @property
+    def steering(self):
+        return self.check.question and self.check.question.steering
+
+    @property
+    def lines(self):
+        return self.check.lines(self.now_ns)
+
+    @property
     def text(self):
-        return " ".join(" ".join(self.view.lines).split())
+        return " ".join(" ".join(self.lines).split())
 
 
 # --- each question, answered right ---
@@ -183,7 +199,7 @@ def kill(guarded=True, back=True):
         steer(bench)
         bench.type("k")
         bench.silent = {"board"}
-        assert bench.view.kills_board and not bench.run(0.05).view.kills_board
+        assert bench.type("k").killed == ["/pca9685"]
         bench.run(0.5)
         if guarded:
             bench.board, bench.sender, bench.silent = [SLASH.servo_center, *[0] * 15], "/pca9685_guard", set()
@@ -375,7 +391,7 @@ def test_center_and_ends_of_a_servo_that_is_built_in_the_other_way_round():
     steer(bench)
     bench.type("<<" + ENTER)
     assert bench.result("center").answer == "straight at duty 5132"  # left is the larger duty now
-    assert bench.view.steering == pytest.approx(-0.02)
+    assert bench.steering == pytest.approx(-0.02)
     bench.type("<" * 10 + ENTER)
     bench.type(">" * 12 + ENTER)
     changes = bench.check.changes()["turn_arb"]
@@ -404,21 +420,21 @@ def test_it_steers_only_in_the_questions_on_the_steering_and_within_the_ends():
         bench.held = AUTONOMOUS
         bench.run(0.1)
         bench.type("<" * 60)
-        asked[title] = bench.view.steering
+        asked[title] = bench.steering
         bench.type("s")
     assert {title for title, steering in asked.items() if steering is not None} == {
         "the steering's center", "the steering's left end", "the steering's right end",
         "killing the servo board's node"}
     assert max(abs(steering) for steering in asked.values() if steering is not None) == 1.0
     assert asked["the steering's center"] == 0.4
-    assert bench.view.steering is None and bench.view.is_over
+    assert bench.steering is None and bench.check.question is None
 
 
 def test_keys_that_steer_or_answer_wait_for_the_deadman():
     bench = Bench().go_to("center")
     for key in ("<", ENTER):
         bench.type(key)
-        assert bench.check.question.title == "the steering's center" and bench.view.steering == 0.0
+        assert bench.check.question.title == "the steering's center" and bench.steering == 0.0
         assert "hold it, and type then" in bench.text
     assert "the autonomous deadman isn't held (no deadman)" in bench.text
     bench.type("sss")
@@ -444,7 +460,7 @@ def test_steering_waits_while_something_else_than_the_program_steers():
     bench.steers = NEUTRAL
     bench.run(0.1)
     assert "Now: no deadman is held" in bench.text  # turn_arb's reason
-    assert bench.type("<" + ENTER).view.steering == 0.0 and bench.check.question.title == "the steering's center"
+    assert bench.type("<" + ENTER).steering == 0.0 and bench.check.question.title == "the steering's center"
 
 
 def test_end_that_is_hardly_a_turn_is_not_taken():
@@ -522,8 +538,8 @@ def test_question_can_be_skipped_repeated_gone_back_to_and_quit():
     bench = Bench().go_to("center")
     steer(bench)
     bench.type("<<")
-    assert bench.view.steering == 0.02
-    assert bench.type("a").view.steering == 0.0
+    assert bench.steering == 0.02
+    assert bench.type("a").steering == 0.0
     bench.type("<" + ENTER)
     assert bench.result("center").verdict == LEARNED and bench.check.question.title == "the steering's left end"
     bench.type("p")
@@ -541,7 +557,7 @@ def test_going_back_passes_over_what_cannot_be_asked_and_a_moment_of_silence_end
 
 def test_end_keeps_the_answers_and_names_the_rest_as_not_asked_and_goes_back():
     bench = Bench().type("ye")
-    assert bench.view.is_over
+    assert bench.check.question is None
     verdicts = [result.verdict for _, result in bench.check.results]
     assert verdicts == [FINE] + [SKIPPED] * (len(verdicts) - 1)
     assert bench.result("deadman").answer == "the check ended before"
@@ -592,7 +608,7 @@ def test_direction_may_be_answered_after_letting_go_by_the_newest_full_stick():
 
 def test_first_question_can_only_be_answered_or_left_and_a_car_on_the_ground_is_asked_no_other():
     bench = Bench().type("sae")
-    assert bench.check.question.title == "the car on a box" and bench.view.lines[-1] == "Q quit"
+    assert bench.check.question.title == "the car on a box" and bench.lines[-1] == "Q quit"
     assert Bench().type("n").check.refusal == "it is on the ground: put it on a box first"
     moving = Bench(speed_mps=0.5).type("y")
     assert "the wheels turn: wait until they stand" in moving.text and not moving.check.refusal
@@ -601,7 +617,7 @@ def test_first_question_can_only_be_answered_or_left_and_a_car_on_the_ground_is_
 def test_every_question_fits_a_terminal_of_80_columns_and_24_rows():
     bench = Bench().type("y")
     while bench.check.question is not None:
-        assert len(bench.view.lines) < 12 and max(map(len, bench.view.lines)) < 80
+        assert len(bench.lines) < 12 and max(map(len, bench.lines)) < 80
         assert "S skip A again P previous E to the end Q quit" in bench.text
         bench.type("s")
 
@@ -609,11 +625,11 @@ def test_every_question_fits_a_terminal_of_80_columns_and_24_rows():
 def test_neutral_is_tuned_while_it_is_looked_for_kept_once_found_and_given_back_when_not():
     bench = Bench().go_to("neutral")
     drive(bench, 0.0)
-    assert bench.type("+").view.neutral == 4920
-    assert bench.type("-" * 30).view.neutral == 4815  # live_range
+    assert bench.type("+").check.car.neutral == 4920
+    assert bench.type("-" * 30).check.car.neutral == 4815  # live_range
     bench.type("a")
-    assert bench.view.neutral is None
+    assert bench.check.car.neutral == 4915
     bench.type("-y")
-    assert bench.check.question.title == "the throttle's direction" and bench.view.neutral == 4910
+    assert bench.check.question.title == "the throttle's direction" and bench.check.car.neutral == 4910
     bench.type("p")
-    assert bench.view.neutral is None
+    assert bench.check.car.neutral == 4915

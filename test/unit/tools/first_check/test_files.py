@@ -11,7 +11,7 @@ from car_interface.common.yaml_file import read_yaml
 from car_interface.steering.config import load_steering
 from car_interface.throttle.config import load_throttle
 from car_interface.tools.first_check.files import find_folder, plan, write, write_page
-from car_interface.tools.first_check.question import BROKEN, FINE, LEARNED, SKIPPED, Result
+from car_interface.tools.first_check.questions import BROKEN, FINE, LEARNED, SKIPPED, Result
 
 CONFIG = Path(__file__).resolve().parents[4] / "config"
 CHANGES = {"turn_arb": {"servo_left": 3800, "servo_center": 5060}, "teleop_logi": {"steer_scale": -1.0},
@@ -28,7 +28,7 @@ def folder(tmp_path):
 
 def test_values_are_written_where_they_differ_comments_stay_and_the_old_files_are_kept(folder):
     edits = plan(folder, CHANGES)
-    assert [line for edit in edits for line in edit.lines()] == [
+    assert [line for edit in edits for line in edit.lines] == [
         "turn_arb.yaml: servo_center 5100 → 5060", "teleop_logi.yaml: steer_scale 1.0 → -1.0",
         "throttle.yaml: esc/profile unverified → forward_only", "throttle.yaml: servo/neutral 4915 → 4925",
         "throttle.yaml: servo/duty_table [3277, 4915, 6554] → [3287, 4925, 6564]",
@@ -46,9 +46,11 @@ def test_values_are_written_where_they_differ_comments_stay_and_the_old_files_ar
 
 def test_what_gamepads_yaml_has_for_the_gamepad_is_not_written_where_it_does_not_count(folder):
     edit, = plan(folder, {"teleop_logi": {"steer_scale": -1.0, "manual_button": 2}}, {"steer_scale": 1.0})
-    assert edit.problem == "for this gamepad gamepads.yaml has steer_scale: run map_gamepad again"
+    assert edit.lines == [
+        "teleop_logi.yaml can't be changed: for this gamepad gamepads.yaml has steer_scale: run map_gamepad again"]
     assert write([edit]) == []
-    assert plan(folder, {"turn_arb": {"servo_center": 5060}}, {"servo_center": 1})[0].problem == ""
+    assert plan(folder, {"turn_arb": {"servo_center": 5060}}, {"servo_center": 1})[0].lines == [
+        "turn_arb.yaml: servo_center 5100 → 5060"]
 
 
 def test_kind_of_esc_that_was_measured_before_is_unmeasured_when_a_person_saw_another_one(folder):
@@ -67,18 +69,18 @@ def test_kind_of_esc_that_was_measured_before_is_unmeasured_when_a_person_saw_an
 def test_file_that_its_node_would_refuse_is_left_alone_and_named_and_the_others_are_written(folder, spoil, problem):
     spoil(Path(folder, "turn_arb.yaml"))
     edits = plan(folder, CHANGES)
-    assert edits[0].lines()[0].startswith("turn_arb.yaml can't be changed: ") and problem in edits[0].lines()[0]
+    assert edits[0].lines[0].startswith("turn_arb.yaml can't be changed: ") and problem in edits[0].lines[0]
     assert len(write(edits)) == 3 and not list(Path(folder).glob("turn_arb.yaml.bak*"))
 
 
 def test_button_of_another_deadman_is_refused_by_name(folder):
     edit, = plan(folder, {"teleop_logi": {"manual_button": 5}})
-    assert "autonomous_button is 5; accepted: a button other than manual_button's" in edit.problem
+    assert "autonomous_button is 5; accepted: a button other than manual_button's" in edit.lines[0]
 
 
 def test_long_tables_are_shown_by_their_ends(folder):
     edit, = plan(folder, {"turn_arb": {"k_pwmcmd_left_table_servo": [3900.0] * 15}})
-    assert edit.lines() == ["turn_arb.yaml: k_pwmcmd_left_table_servo [3800, … 5100] → [3900, … 3900]"]
+    assert edit.lines == ["turn_arb.yaml: k_pwmcmd_left_table_servo [3800, … 5100] → [3900, … 3900]"]
 
 
 @pytest.mark.parametrize("folder, text", [(None, "turn_arb isn't launched"), (str(CONFIG), "the package's own files")])

@@ -11,7 +11,7 @@ import pytest
 
 from car_interface.common.errors import CarInterfaceError
 from car_interface.tools.host_setup import cli
-from car_interface.tools.host_setup.cli import UNIT, UNIT_PATH, Launch, read_launch, unit_text
+from car_interface.tools.host_setup.cli import UNIT, UNIT_PATH, unit_text
 
 CAR_LAUNCH = str(Path(__file__).resolve().parents[4] / "launch/car.launch")
 # What catkin generates, as far as it matters here: it sources the workspace, and becomes the command.
@@ -35,9 +35,9 @@ def workspace(tmp_path):
     return tmp_path
 
 
-def launch_of(folder, *arguments, **environment):
-    return read_launch(USER, arguments, {"CMAKE_PREFIX_PATH": f"{folder}/my devel:/opt/ros/noetic", **environment},
-                       CAR_LAUNCH)
+def unit_of(folder, *arguments, **environment):
+    return unit_text(USER, arguments, {"CMAKE_PREFIX_PATH": f"{folder}/my devel:/opt/ros/noetic", **environment},
+                     CAR_LAUNCH)
 
 
 def lines_of(text, name):
@@ -51,7 +51,7 @@ def words_of(line):
 
 def test_unit_launches_the_car_in_its_workspace_with_the_user_s_folder_and_devices(workspace, monkeypatch):
     monkeypatch.chdir(workspace)
-    text = unit_text(launch_of(workspace, "config:=my 50% $car", "port:=/dev/teensy_sensor_hub", "throttle:=true"))
+    text = unit_of(workspace, "config:=my 50% $car", "port:=/dev/teensy_sensor_hub", "throttle:=true")
     (command,) = lines_of(text, "ExecStart")
     assert words_of(command)[0] == f"{workspace}/my devel/env.sh"
     shown = subprocess.run(words_of(command), capture_output=True, text=True, check=True).stdout
@@ -61,23 +61,22 @@ def test_unit_launches_the_car_in_its_workspace_with_the_user_s_folder_and_devic
 
 
 def test_unit_starts_at_boot_again_and_again_with_the_network_of_the_terminal_and_ends_as_by_ctrl_c(workspace):
-    text = unit_text(Launch("ann", "/ws/devel/env.sh", ["config:=/home/ann/my_car"], {}))
+    text = unit_of(workspace, f"config:={workspace}/bin", ROS_IP="127.0.0.1", ROS_HOSTNAME="", SECRET="x")
     for line in ("WantedBy=multi-user.target", "Restart=always", "StartLimitIntervalSec=0", "KillSignal=SIGINT",
-                 "KillMode=mixed", "User=ann"):
+                 "KillMode=mixed", f"User={USER}"):
         assert line in text.splitlines()
-    launch = launch_of(workspace, f"config:={workspace}/bin", ROS_IP="127.0.0.1", ROS_HOSTNAME="", SECRET="x")
-    assert lines_of(unit_text(launch), "Environment") == ["PYTHONUNBUFFERED=1", '"ROS_IP=127.0.0.1"']
+    assert lines_of(text, "Environment") == ["PYTHONUNBUFFERED=1", '"ROS_IP=127.0.0.1"']
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd here")
 def test_systemd_takes_the_unit_also_with_spaces_and_its_own_signs_in_the_paths(workspace):
     unit = workspace / UNIT
-    launch = launch_of(workspace, f"config:={workspace}/my 50% $car", ROS_MASTER_URI="http://car:11311")
-    unit.write_text(unit_text(launch), encoding="utf-8")
+    text = unit_of(workspace, f"config:={workspace}/my 50% $car", ROS_MASTER_URI="http://car:11311")
+    unit.write_text(text, encoding="utf-8")
     verify = ["systemd-analyze", "verify", "--man=no", str(unit)]
     done = subprocess.run(verify, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
-    unit.write_text(unit_text(launch._replace(script="/nowhere/env.sh")), encoding="utf-8")
+    unit.write_text(text.replace(f"{workspace}/my devel/env.sh", "/nowhere/env.sh"), encoding="utf-8")
     done = subprocess.run(verify, capture_output=True, text=True, check=False)
     assert done.returncode != 0 and "/nowhere/env.sh" in done.stderr, "it does look at the command"
 
@@ -91,7 +90,7 @@ def test_systemd_takes_the_unit_also_with_spaces_and_its_own_signs_in_the_paths(
 ], ids=["no_folder", "absent_folder", "misspelt", "calibration_drive", "not_sourced"])
 def test_what_could_not_start_is_refused_at_once(workspace, arguments, environment, message):
     with pytest.raises(CarInterfaceError, match=f"^{message}"):
-        launch_of(workspace, *arguments, **environment)
+        unit_of(workspace, *arguments, **environment)
 
 
 # --- the command ---
@@ -106,7 +105,7 @@ def run(monkeypatch, capsys, workspace):
             ran.append(" ".join(command))
             return subprocess.CompletedProcess(command, 0)
         monkeypatch.setattr(subprocess, "run", execute)
-        monkeypatch.setattr(cli, "as_root", list)
+        monkeypatch.setattr(cli.os, "geteuid", lambda: 0)
         monkeypatch.setattr(cli.shutil, "which", lambda name, path: "/bin/systemctl" if has_systemd else None)
         monkeypatch.setattr(cli.os.path, "exists", lambda path: is_installed)
         monkeypatch.setattr(cli, "package_file", lambda name: CAR_LAUNCH)

@@ -28,7 +28,7 @@ def run(monkeypatch, capsys):
             return subprocess.CompletedProcess(command, int(command[0] in failing))
         monkeypatch.setattr(subprocess, "run", execute)
         monkeypatch.setattr(cli, "read_computer", lambda user, rules: computer())
-        monkeypatch.setattr(cli, "as_root", list)
+        monkeypatch.setattr(cli.os, "geteuid", lambda: 0)
         monkeypatch.setattr(cli, "package_file", lambda name: f"/share/{name}")
         monkeypatch.setattr(cli.pwd, "getpwnam", lambda name: None)
         monkeypatch.setattr(sys, "argv", ["setup_hardware", "--user", "ann", *options])
@@ -90,18 +90,19 @@ def test_fresh_computer_gets_groups_rules_and_a_reload_in_this_order():
 ], ids=["nothing", "a_group", "rules"])
 def test_only_what_is_missing_is_done_and_told(joined, rules_are_new, expected):
     done = computer(groups=GROUPS, joined=joined, rules_are_new=rules_are_new)
-    assert commands(done) == expected and remarks(done, []) == []
-    assert ("log out and in again" in " ".join(remarks(done, plan(done, "/share/rules")))) == (joined != GROUPS)
+    assert commands(done) == expected and remarks(done) == []
+    told = " ".join(step.remark for step in plan(done, "/share/rules"))
+    assert ("log out and in again" in told) == (joined != GROUPS)
 
 
 def test_without_udev_the_groups_are_made_and_root_is_added_to_none_and_the_rest_is_told():
     container = computer(has_udev=False)
     steps = plan(container, "/share/rules")
     assert [step.command[0] for step in steps] == ["groupadd", "usermod"]
-    assert "There is no udevadm here" in " ".join(remarks(container, steps))
+    assert "There is no udevadm here" in " ".join(remarks(container))
     root = computer(user="root")
     assert "usermod" not in " ".join(commands(root))
-    assert "--user NAME" in " ".join(remarks(root, plan(root, "/share/rules")))
+    assert "--user NAME" in " ".join(remarks(root))
 
 
 @pytest.mark.parametrize("model, has_bus, told", [
@@ -114,7 +115,7 @@ def test_without_udev_the_groups_are_made_and_root_is_added_to_none_and_the_rest
 ], ids=["pi_5", "pi_4_without_i2c", "jetson", "unknown"])
 def test_pins_of_a_known_computer_are_told_with_what_they_need(model, has_bus, told):
     lines = remarks(computer(groups=GROUPS, joined=GROUPS, rules_are_new=True)._replace(
-        header=header_of(model), has_bus=has_bus), [])
+        header=header_of(model), has_bus=has_bus))
     assert [words for words in told if words not in " ".join(lines)] == [] and bool(lines) == bool(told)
 
 

@@ -119,7 +119,7 @@ def test_closed_keyboard_is_no_answer(person):
 
 def test_button_counts_once_everything_was_let_go_of(person):
     held = [[(ABS, RY, FORWARD)], [(KEY, TL, DOWN)], [(ABS, RY, 0)], [(KEY, TL, UP)], *press(TR)]
-    entry = person.follow(push(X, LEFT), held, press(SOUTH), "\n", "\n")
+    entry = person.follow(push(X, LEFT), held, [], press(SOUTH), "\n", "\n")
     assert (entry["manual_button"], entry["autonomous_button"]) == (5, 0)
 
 

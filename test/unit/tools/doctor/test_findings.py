@@ -4,9 +4,8 @@ import time
 
 import pytest
 
-from car_interface.tools.doctor import examination
-from car_interface.tools.doctor.examination import PaceWatch, Task, examine
-from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding
+from car_interface.tools.doctor import cli, findings
+from car_interface.tools.doctor.findings import BAD, OK, WARN, Finding, PaceWatch, Task
 
 FINE = [Finding(OK, "bus", "/dev/i2c-1")]
 
@@ -37,7 +36,7 @@ def test_computer_is_busy_where_a_thread_that_sleeps_gets_less_than_half_of_its_
                                                                                       is_busy):
     monkeypatch.setattr(PaceWatch, "_count", lambda self: None)
     now_s = [100.0]
-    monkeypatch.setattr(examination.time, "monotonic", lambda: now_s[0])
+    monkeypatch.setattr(findings.time, "monotonic", lambda: now_s[0])
     pace = PaceWatch()
     pace._ticks = ticks
     now_s[0] += elapsed_s
@@ -48,9 +47,9 @@ def test_computer_is_busy_where_a_thread_that_sleeps_gets_less_than_half_of_its_
 def test_answer_that_did_not_come_is_bad_unless_the_computer_is_busy(monkeypatch, is_busy):
     silent = Finding(BAD, "nodes", "/turn_arb is registered, but doesn't answer", "End it", by_silence=True)
     absent = Finding(BAD, "bus", "there is no such bus", "Switch it on")
-    monkeypatch.setattr(examination, "_examine", lambda options: iter([silent, absent]))
+    monkeypatch.setattr(cli, "_examine", lambda options: iter([silent, absent]))
     monkeypatch.setattr(PaceWatch, "is_busy", lambda self: is_busy)
-    first, second = examine(None)
+    first, second = cli.examine(None)
     assert second == absent and (first == silent) == (not is_busy)
     if is_busy:
         assert first.level == WARN and first.remedy == "See what keeps it busy (top), and run the doctor again"
