@@ -22,11 +22,10 @@ import time
 from car_interface.common.file_lock import lock_byte
 from car_interface.common.own_files import OTHERS_BITS, UnsafeFile, check_socket, open_own
 from car_interface.sim import chip_link as wire
-from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
+from car_interface.sim.pca9685_chip import LED0, MODE1, SLEEP, VirtualPca9685
 
 LINGER_S = 3.0  # after the last client: time for roslaunch to restart a node; a guard is a client, too
 SERVER_LOCK = 0x100  # a byte of the lock file that is no address
-MODE1, SLEEP, LED0, BLOCK = 0x00, 0x10, 0x06, 32  # data sheet, table 4
 HELD_S = 1.0  # the kernel's timeout, after which a transfer on a bus that is held fails
 MAX_CLIENTS = 32  # nodes, guards and observers of one chip are fewer than ten
 MAX_WAITING = 16  # transfers of one client on a bus that is held: it gives each up after ANSWER_S
@@ -41,7 +40,9 @@ class ChipServer:
         self._listener = listener
         self._address = address
         self._chip = VirtualPca9685()
-        self._bus = VirtualBus({address: self._chip}, on_write=self._log_write)
+        self._has_power = True
+        self._is_held = False  # somebody holds the bus down
+        self._nacks_left = 0  # how many of the next transfers are not acknowledged
         self._log_fd = -1
         self._clients = {}  # sockets by descriptor
         self._observers = set()  # descriptors
@@ -94,7 +95,7 @@ class ChipServer:
             packet = b""
         if not packet:
             return False
-        if self._bus.held and packet[0] in (wire.READ, wire.WRITE):
+        if self._is_held and packet[0] in (wire.READ, wire.WRITE):
             if not self._waiting:
                 self._fails_s = now_s + HELD_S
             self._waiting.append((fd, packet))
@@ -107,7 +108,7 @@ class ChipServer:
         while self._waiting and now_s >= self._fails_s:
             fd, _ = self._waiting.pop(0)
             self._send(fd, wire.ANSWER.pack(errno.ETIMEDOUT))
-            if not self._bus.held:  # it was released since: waiting transfers go through
+            if not self._is_held:  # it was released since: waiting transfers go through
                 for waiting_fd, packet in self._waiting:
                     self._answer(waiting_fd, packet)
                 self._waiting.clear()
@@ -144,11 +145,12 @@ class ChipServer:
         if operation == wire.READ:
             if len(data) != 1 or not 1 <= data[0] <= wire.MAX_BLOCK:
                 raise _error(errno.EINVAL)
-            return bytes(self._bus.read_i2c_block_data(address, register, data[0]))
+            return bytes(self._addressed(address).read(register, data[0]))
         if operation == wire.WRITE:
             if not 1 <= len(data) <= wire.MAX_BLOCK:
                 raise _error(errno.EINVAL)
-            self._bus.write_i2c_block_data(address, register, list(data))
+            self._addressed(address).write(register, data)
+            self._log_write(address, register, data)
         elif operation == wire.FAULT and register < len(wire.FAULTS):
             self._inject(wire.FAULTS[register], value)
         elif operation == wire.LOG:
@@ -159,29 +161,29 @@ class ChipServer:
             raise _error(errno.EOPNOTSUPP)
         return b""
 
+    def _addressed(self, address):
+        """Return the chip, unless nothing acknowledges a transfer to the address."""
+        nack, self._nacks_left = self._nacks_left > 0, max(0, self._nacks_left - 1)
+        if nack or not self._has_power or address != self._address:
+            raise _error(errno.EREMOTEIO)
+        return self._chip
+
     def _inject(self, fault, value):
         if not math.isfinite(value) or fault == "nack" and not 0 <= value <= MAX_NACKS or \
                 fault == "address" and not 0 <= value <= MAX_ADDRESS:
             raise _error(errno.EINVAL)
         if fault == "nack":
-            self._bus.nacks_left = int(value)
+            self._nacks_left = int(value)
         elif fault == "hold":
-            self._bus.held = bool(value)
-        elif fault == "brownout":
-            self._chip.power_up()
-        elif fault == "power" and value:
-            self._chip.power_up()
-            self._bus.chips[self._address] = self._chip
-        elif fault == "power":
-            self._bus.chips.pop(self._address, None)
+            self._is_held = bool(value)
         elif fault == "address":
-            chip, self._address = self._bus.chips.pop(self._address, None), int(value)
-            if chip is not None:  # it has power
-                self._bus.chips[self._address] = chip
+            self._address = int(value)
+        else:  # power or brownout
+            self._chip.power_up()
+            self._has_power = self._has_power if fault == "brownout" else bool(value)
 
     def _pins(self):
-        has_power = self._address in self._bus.chips
-        return tuple(self._chip.high_counts(channel) if has_power else 0 for channel in range(16))
+        return tuple(self._chip.high_counts(channel) if self._has_power else 0 for channel in range(16))
 
     def _open_log(self, path):
         """Append each write to the file at a path, in bytes; if it can't be opened, the one before stays in use."""
@@ -192,9 +194,9 @@ class ChipServer:
             os.close(self._log_fd)
         self._log_fd = log_fd
         if not self._chip.read(MODE1, 1)[0] & SLEEP:  # its present counts, as if they were written now
-            for first in (LED0, LED0 + BLOCK):
+            for first in (LED0, LED0 + wire.MAX_BLOCK):
                 self._log_write(self._address, first, b"".join(
-                    bytes(self._chip.read(register, 1)) for register in range(first, first + BLOCK)))
+                    bytes(self._chip.read(register, 1)) for register in range(first, first + wire.MAX_BLOCK)))
 
     def _log_write(self, address, register, data):
         if self._log_fd >= 0:
