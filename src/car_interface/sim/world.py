@@ -12,6 +12,8 @@ from typing import Sequence
 
 from car_interface.common.vehicle_geometry import FRONT_M, REAR_M, WIDTH_M
 
+CONE_RAD = math.radians(30)  # the whole angle in which a sonar hears
+MAX_RANGE_M = 4.0  # an echo from farther is none: 4 m with an HC-SR04. The Teensy sets no limit of its own.
 APART_M = 0.01  # a car that has driven this far since it was stopped no longer touches the obstacle
 # The outline's middle moves farther than the rear axle's on a turn: for c = 0.14 m before it by √(1 + c²/r²), which is
 # 1.38 on the tightest turn that VehicleConfig accepts (r = 0.148 m).
@@ -64,9 +66,7 @@ class WorldConfig:
         Mount(0.40, -0.10, math.radians(-30)), Mount(0.42, 0.0, 0.0), Mount(0.40, 0.10, math.radians(30)),
         Mount(-0.12, -0.10, math.radians(-150)), Mount(-0.14, 0.0, math.pi), Mount(-0.12, 0.10, math.radians(150)),
     )  # fmt: skip
-    cone_rad: float = math.radians(30)  # the whole angle in which a sonar hears
-    rays: int = 7  # how many lines, 2 or more, the cone is sampled by, both edges included
-    max_range_m: float = 4.0  # an echo from farther is none: 4 m with an HC-SR04. The Teensy sets no limit of its own.
+    rays: int = 7  # how many lines, 2 or more, a sonar's cone is sampled by, both edges included
     temperature_c: float = 20.0  # of the air; sound travels 331.3 + 0.606 T m/s
 
 
@@ -160,20 +160,18 @@ class Obstacles:
         return True
 
 
-class World:
-    def __init__(self, config: WorldConfig = WorldConfig()):
-        self.config = config
-        x_from_m, x_to_m, y_from_m, y_to_m = config.walls
-        self._segments = _ring([(x_from_m, y_from_m), (x_to_m, y_from_m), (x_to_m, y_to_m), (x_from_m, y_to_m)])
-        for box in config.boxes:
-            self._segments += _outline(box)
-        self._posts = [(post.x_m, post.y_m, post.radius_m) for post in config.posts]
-        self._us_per_m = 2e6 / speed_of_sound_mps(config.temperature_c)
-        self._angles_rad = [config.cone_rad * (ray / (config.rays - 1) - 0.5) for ray in range(config.rays)]
+class World(Obstacles):
+    """A room in which a car, which has run into nothing yet, hears by its sonars."""
 
-    def obstacles(self) -> Obstacles:
-        """Return what stops a car, which has run into nothing yet."""
-        return Obstacles(self._segments, self._posts)
+    def __init__(self, config: WorldConfig = WorldConfig()):
+        x_from_m, x_to_m, y_from_m, y_to_m = config.walls
+        segments = _ring([(x_from_m, y_from_m), (x_to_m, y_from_m), (x_to_m, y_to_m), (x_from_m, y_to_m)])
+        for box in config.boxes:
+            segments += _outline(box)
+        super().__init__(segments, [(post.x_m, post.y_m, post.radius_m) for post in config.posts])
+        self._mounts = config.mounts
+        self._us_per_m = 2e6 / speed_of_sound_mps(config.temperature_c)
+        self._angles_rad = [CONE_RAD * (ray / (config.rays - 1) - 0.5) for ray in range(config.rays)]
 
     def echo_us(self, pose: Sequence[float], sensor: int) -> int:
         """Return the microseconds from a sonar's ping to its echo, as a standing car would measure them.
@@ -189,15 +187,15 @@ class World:
         return 0 if distance_m is None else max(1, round(distance_m * self._us_per_m))
 
     def distance_m(self, pose: Sequence[float], sensor: int) -> float | None:
-        """Return the metres from a sonar to the nearest thing in its cone; None beyond ``max_range_m``."""
+        """Return the metres from a sonar to the nearest thing in its cone; None beyond ``MAX_RANGE_M``."""
         x_m, y_m, yaw_rad = pose
-        mount = self.config.mounts[sensor]
+        mount = self._mounts[sensor]
         cos_yaw, sin_yaw = math.cos(yaw_rad), math.sin(yaw_rad)
         from_x_m = x_m + mount.x_m * cos_yaw - mount.y_m * sin_yaw
         from_y_m = y_m + mount.x_m * sin_yaw + mount.y_m * cos_yaw
         axis_rad = yaw_rad + mount.yaw_rad
         nearest_m = min(self._ray_m(from_x_m, from_y_m, axis_rad + angle_rad) for angle_rad in self._angles_rad)
-        return nearest_m if nearest_m <= self.config.max_range_m else None
+        return nearest_m if nearest_m <= MAX_RANGE_M else None
 
     def _ray_m(self, x_m: float, y_m: float, direction_rad: float) -> float:
         """Return the metres along one ray to the first thing that it meets; infinity if it meets none."""

@@ -56,7 +56,7 @@ def test_outline_meets_a_post_where_it_reaches(post, free):
 @given(st.floats(-5.5, 5.5), st.floats(-4.5, 4.5), st.floats(-math.pi, math.pi), st.floats(-math.pi, math.pi),
        st.floats(0.0, 0.999))
 def test_car_that_moves_less_than_its_clearance_touches_nothing(x_m, y_m, yaw_rad, direction_rad, ratio):
-    obstacles = World().obstacles()
+    obstacles = World()
     clear_m = obstacles.clearance_m((x_m, y_m, yaw_rad))
     if clear_m > 0:
         moved_m = ratio * clear_m

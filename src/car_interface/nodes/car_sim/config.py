@@ -3,17 +3,16 @@ from __future__ import annotations
 
 import math
 import random
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Sequence
 
 from car_interface.common import declared
 from car_interface.common.errors import ConfigError, require
 from car_interface.common.units import CHANNELS, MAX_DUTY
 from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, TRACK_M, WHEEL_DIAMETER_M
-from car_interface.sim.dynamics import TyreConfig
-from car_interface.sim.esc import KINDS, VirtualEscConfig
+from car_interface.sim.drive_train import KINDS, DriveTrainConfig, Pulses, VirtualEscConfig
 from car_interface.sim.teensy_firmware import BOOT_MS, FirmwareConfig
-from car_interface.sim.vehicle import DriveTrainConfig, Pose, SteeringConfig, VehicleConfig
+from car_interface.sim.vehicle import Pose, SteeringConfig, TyreConfig, VehicleConfig
 from car_interface.sim.world import World, WorldConfig
 
 NO_ESC = "none"
@@ -111,7 +110,7 @@ class CarSimConfig:
         if not self.has_obstacles:
             world = replace(world, boxes=(), posts=())
         firmware = self._firmware(rng, seed, vehicle.pulse_phase)
-        if self.collides and not World(world).obstacles().is_free(vehicle.start):
+        if self.collides and not World(world).is_free(vehicle.start):
             raise ConfigError("start", list(vehicle.start), "a place where the car touches no wall, box or post, or "
                                                             "collisions: false")
         return replace(self, vehicle=vehicle, world=world, firmware=firmware)
@@ -150,10 +149,7 @@ class CarSimConfig:
         """Return the ESC, which is calibrated to the drive train's duties; ``None`` = one without a memory."""
         if self.esc_kind == NO_ESC:
             return None
-        return VirtualEscConfig(
-            kind=self.esc_kind, neutral_duty=drive.neutral_duty, full_forward_duty=drive.full_forward_duty,
-            full_reverse_duty=drive.full_reverse_duty, forward_band_duty=drive.neutral_band_duty,
-            reverse_band_duty=drive.neutral_band_duty)
+        return VirtualEscConfig(kind=self.esc_kind, **{each.name: getattr(drive, each.name) for each in fields(Pulses)})
 
     def _firmware(self, rng, seed, wheel_pulses):
         uptime_ms, drift_ppm = rng.randrange(BOOT_MS, MAX_UPTIME_MS), rng.uniform(-MAX_DRIFT_PPM, MAX_DRIFT_PPM)

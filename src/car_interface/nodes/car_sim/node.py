@@ -100,9 +100,8 @@ class CarSim:
         config = read_all(params, CarSimConfig)
         now_ns = inbox.clocks.now_ns()
         self._steering_channel, self._throttle_channel = config.steering_channel, config.throttle_channel
-        world = World(config.world)
-        self._obstacles = world.obstacles()
-        self._vehicle = Vehicle(config.vehicle, now_ns, self._obstacles if config.collides else None)
+        self._world = world = World(config.world)
+        self._vehicle = Vehicle(config.vehicle, now_ns, world if config.collides else None)
         self._firmware = TeensyFirmware(
             config.firmware, lambda sensor, at_ns: world.echo_us(self._vehicle.pose, sensor), now_ns)
         self._outputs = [UNCHANGED] * CHANNELS  # by the topic
@@ -134,9 +133,9 @@ class CarSim:
         if self._chip.problem:
             self._warnings.warn("chip", f"the virtual servo board isn't followed: {self._chip.problem}")
         self._line.step(now_ns)
-        obstacles, rollovers = self._obstacles, self._vehicle.rollovers
-        self._report("~collisions", obstacles.count, "the car ran into something at %.2f m/s and stands, its wheels "
-                     "stalled (collision %d): drive it out the way it came", abs(obstacles.speed_mps))
+        world, rollovers = self._world, self._vehicle.rollovers
+        self._report("~collisions", world.count, "the car ran into something at %.2f m/s and stands, its wheels "
+                     "stalled (collision %d): drive it out the way it came", abs(world.speed_mps))
         self._report("~rollovers", rollovers.count, "the car would have tipped over: %.1f m/s² sideways at %.1f m/s "
                      "(rollover %d)", abs(rollovers.lateral_mps2), abs(self._vehicle.speed_mps))
         if self._timer.is_due(now_ns):
