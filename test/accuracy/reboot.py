@@ -92,8 +92,9 @@ class Drive:
         whole = tuple(math.floor(position) for position in self.positions)
         self.teensy = TeensyFirmware(FirmwareConfig(
             clock_start_ms=rng.randrange(300, max_start_ms), clock_drift_ppm=rng.uniform(-50, 50),
-            wheel_positions=whole, seed=rng.randrange(1000), sonars_missing=sonars_missing),
-            lambda sensor, at_ns: 4000 + 900 * sensor)
+            wheel_positions=whole, seed=rng.randrange(1000)), lambda sensor, at_ns: 4000 + 900 * sensor)
+        for sensor in sonars_missing:
+            self.teensy.set_sonar(sensor, "missing", -1)  # before it works
 
     def step(self):
         wanted, curvature = self.plan.at(self.now_ns / S)

@@ -89,7 +89,7 @@ def ping(timestamp1):
 def received(wire, corrected=False):
     """What a receiver alone makes of ``wire``: the packets that it accepts, and its counters."""
     counters = dict.fromkeys(COUNTER_NAMES, 0)
-    pool = PacketPool(4, None)
+    pool = PacketPool(None)
     receiver = Receiver(pool.acquire, counters, corrected)
     accepted = []
     for byte in wire:

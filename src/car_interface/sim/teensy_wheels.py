@@ -30,11 +30,6 @@ class Wheel:
         self._direction = NO_DIRECTION
         self._window: deque[tuple[int, int]] = deque(maxlen=SPEED_INTERVALS + 1)  # (tick, pulses at that time)
 
-    def preset(self, count: int):
-        """Make it a wheel that turned forward by ``count`` pulses long ago."""
-        self._dist_abs = self._dist = count
-        self._direction = FORWARD
-
     def interrupt(self, pin: int, levels: int, tick: int):
         """Handle a change of one pin: only its own bit is read, the other one keeps the value of its last interrupt.
 
@@ -81,8 +76,9 @@ class Axle:
     then both wheels' newest entries are repeated. So the first repeat comes 201 to 402 ms after the last report.
     """
 
-    def __init__(self, counters: dict[str, int]):
+    def __init__(self, clock: Clock, counters: dict[str, int]):
         self.wheels = (Wheel(), Wheel())
+        self._clock = clock
         self._counters = counters
         self._reported_tick = 0  # of the pulse or repeat that the last report was for
         self._has_news = True
@@ -106,16 +102,16 @@ class Axle:
         else:
             self._announce(tick)
 
-    def begin(self, clock: Clock, now_ns: int):
-        self._check = Deadline(clock, STANDING_CHECK_MS, now_ns)
+    def begin(self, now_ns: int):
+        self._check = Deadline(self._clock, STANDING_CHECK_MS, now_ns)
 
-    def report_when_due(self, clock: Clock, now_ns: int) -> bytes | None:
-        tick = clock.tick(now_ns)
+    def report_when_due(self, now_ns: int) -> bytes | None:
+        tick = self._clock.tick(now_ns)
         if self._is_first:
             self._is_first = False
             self._announce(tick)
         if self._check.has_passed(now_ns):
-            self.begin(clock, now_ns)
+            self.begin(now_ns)
             if tick - self._reported_tick > STANDING_CHECK_MS:
                 for wheel in self.wheels:
                     wheel.repeat(tick)

@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass
 from typing import Sequence
 
+from car_interface.common import declared
 from car_interface.common.vehicle_geometry import FRONT_M, REAR_M, WIDTH_M
 
 CONE_RAD = math.radians(30)  # the whole angle in which a sonar hears
@@ -67,7 +68,7 @@ class WorldConfig:
         Mount(-0.12, -0.10, math.radians(-150)), Mount(-0.14, 0.0, math.pi), Mount(-0.12, 0.10, math.radians(150)),
     )  # fmt: skip
     rays: int = 7  # how many lines, 2 or more, a sonar's cone is sampled by, both edges included
-    temperature_c: float = 20.0  # of the air; sound travels 331.3 + 0.606 T m/s
+    temperature_c: float = declared.number("temperature", 20.0, "of the air", "°C", low=-50, high=60)
 
 
 class Obstacles:

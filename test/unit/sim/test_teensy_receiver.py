@@ -20,7 +20,7 @@ def states_and_how_to_reach_them():
 
 
 def receiver_after(wire):
-    receiver = Receiver(PacketPool(9, None).acquire, dict.fromkeys(COUNTER_NAMES, 0))
+    receiver = Receiver(PacketPool(None).acquire, dict.fromkeys(COUNTER_NAMES, 0))
     for byte in wire:
         receiver.byte(byte)
     return receiver

@@ -72,26 +72,11 @@ class CarSimConfig:
         "esc_kind", NO_ESC, "what its ESC makes of a pulse behind neutral; `none` = it has no memory and needs no "
                             "arming: at standstill it drives backward",
         choices=(NO_ESC, *KINDS))
-    temperature_c: float = declared.number("temperature", 20.0, "of the air", "°C", low=-50, high=60)
+    world: WorldConfig = declared.group(WorldConfig())
     wheel_pulses: Sequence[float] | None = declared.numbers(
         "wheel_pulses", None, "where the rear wheels (left, right) stand at the start", "pulses", default_text="random")
-    clock_start_ms: float | None = declared.number(
-        "clock_start_ms", None, "the Teensy's clock at its power-up", "ms", low=0, high=2 ** 32 - 1,
-        default_text="random, up to an hour")
-    clock_drift_ppm: float | None = declared.number(
-        "clock_drift_ppm", None, "how much it is too fast", "ppm", low=-10_000, high=10_000,
-        default_text="random, up to ±50")
-    corrected_checksum: bool = declared.flag(
-        "corrected_checksum", False, "true = its receiver's checksum is repaired")
-    sonar_pulse_end_us: int = declared.integer(
-        "sonar_pulse_end", FirmwareConfig.sonar_pulse_end_us, "how long a sonar without an echo holds its pin", "µs",
-        low=12_000, high=1_000_000)
-    seed: int | None = declared.integer(
-        "seed", None, "of everything that is random, and of noise", low=0,
-        default_text="random, logged")
+    firmware: FirmwareConfig = declared.group(FirmwareConfig(clock_start_ms=None, clock_drift_ppm=None))
     vehicle: VehicleConfig = field(default_factory=VehicleConfig)
-    world: WorldConfig = field(default_factory=WorldConfig)
-    firmware: FirmwareConfig = field(default_factory=FirmwareConfig)
 
     SHARED = ("steering", "esc", "wheels")  # the rest of these files is not read
 
@@ -103,13 +88,17 @@ class CarSimConfig:
 
     def completed(self, params) -> CarSimConfig:
         """Return the same with vehicle, world and firmware, by chance where the parameters leave them open."""
-        seed = random.randrange(SEEDS) if self.seed is None else self.seed
+        firmware, world = self.firmware, self.world
+        seed = random.randrange(SEEDS) if firmware.seed is None else firmware.seed
         rng = random.Random(seed)
         vehicle = self._vehicle(params, rng)
-        world = WorldConfig(temperature_c=self.temperature_c)
+        uptime_ms, drift_ppm = rng.randrange(BOOT_MS, MAX_UPTIME_MS), rng.uniform(-MAX_DRIFT_PPM, MAX_DRIFT_PPM)
+        firmware = replace(
+            firmware, seed=seed, wheel_positions=tuple(math.floor(pulses) for pulses in vehicle.pulse_phase),
+            clock_start_ms=uptime_ms if firmware.clock_start_ms is None else firmware.clock_start_ms,
+            clock_drift_ppm=drift_ppm if firmware.clock_drift_ppm is None else firmware.clock_drift_ppm)
         if not self.has_obstacles:
             world = replace(world, boxes=(), posts=())
-        firmware = self._firmware(rng, seed, vehicle.pulse_phase)
         if self.collides and not World(world).is_free(vehicle.start):
             raise ConfigError("start", list(vehicle.start), "a place where the car touches no wall, box or post, or "
                                                             "collisions: false")
@@ -126,7 +115,8 @@ class CarSimConfig:
         drive = replace(self.drive, full_reverse_duty=self.drive.full_reverse_duty + shift,
                         neutral_duty=self.neutral_duty, full_forward_duty=self.drive.full_forward_duty + shift)
         return VehicleConfig(
-            steering=self._steering(params), drive=drive, esc=self._esc(drive),
+            steering=self._steering(params), drive=drive, esc=None if self.esc_kind == NO_ESC else VirtualEscConfig(
+                kind=self.esc_kind, **{each.name: getattr(drive, each.name) for each in fields(Pulses)}),
             tyres=None if self.is_kinematic else self.tyres, track_m=self.track_m,
             wheel_diameter_m=self.wheel_diameter_m, pulses_per_revolution=self.pulses_per_revolution,
             pulse_phase=tuple(wheel_pulses), start=Pose(*self.pose), on_box=self.on_box)
@@ -145,20 +135,6 @@ class CarSimConfig:
                               f"{len(duties)} numbers, one for each of steering_duties")
         return replace(steering, curve=tuple(zip(duties, curvatures)))
 
-    def _esc(self, drive):
-        """Return the ESC, which is calibrated to the drive train's duties; ``None`` = one without a memory."""
-        if self.esc_kind == NO_ESC:
-            return None
-        return VirtualEscConfig(kind=self.esc_kind, **{each.name: getattr(drive, each.name) for each in fields(Pulses)})
-
-    def _firmware(self, rng, seed, wheel_pulses):
-        uptime_ms, drift_ppm = rng.randrange(BOOT_MS, MAX_UPTIME_MS), rng.uniform(-MAX_DRIFT_PPM, MAX_DRIFT_PPM)
-        return FirmwareConfig(
-            clock_start_ms=uptime_ms if self.clock_start_ms is None else int(self.clock_start_ms),
-            clock_drift_ppm=drift_ppm if self.clock_drift_ppm is None else self.clock_drift_ppm,
-            sonar_pulse_end_us=self.sonar_pulse_end_us,
-            wheel_positions=tuple(math.floor(pulses) for pulses in wheel_pulses),
-            corrected_checksum=self.corrected_checksum, seed=seed)
 
 
 def steering_curve(center: float, radii_m: Sequence[float], left: Sequence[float], right: Sequence[float],
