@@ -22,7 +22,7 @@ from many_drives import MS, S
 
 from accuracy.virtual_drive import Link
 from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
-from car_interface.sim.teensy_wheels import BACKWARD, FORWARD
+from car_interface.sim.teensy_sensors import BACKWARD, FORWARD
 from car_interface.teensy.sensing.measurements import MotionMeasurement
 
 PULSE_M, TRACK_M = math.pi * 0.095 / 20, 0.296

@@ -19,7 +19,7 @@ from many_drives import COUNT, THROTTLE, count_duty
 from unit.written_recordings import Written, stamp, write_ros1
 
 from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
-from car_interface.sim.teensy_wheels import BACKWARD
+from car_interface.sim.teensy_sensors import BACKWARD
 from car_interface.sim.vehicle import DriveTrainConfig, SteeringConfig, Vehicle, VehicleConfig
 from car_interface.teensy.link.framing import SHIPPED, FrameDecoder
 from car_interface.teensy.link.pinging import Pinger

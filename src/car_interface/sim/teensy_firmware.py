@@ -24,8 +24,7 @@ from car_interface.common import declared
 from car_interface.common.errors import require
 from car_interface.sim import teensy_uart as uart
 from car_interface.sim.teensy_clock import NEVER_NS, NS_PER_US, UINT32, Clock
-from car_interface.sim.teensy_sonars import SEQUENCE_MAX, Held, SonarArray, SonarSensor
-from car_interface.sim.teensy_wheels import FORWARD, HALL_PINS, Axle
+from car_interface.sim.teensy_sensors import FORWARD, HALL_PINS, SEQUENCE_MAX, Axle, Held, SonarArray, SonarSensor
 
 U32 = struct.Struct("<I")
 SONAR_ECHO = struct.Struct("<HI")  # echo µs, when: after the sensor and the filler byte

@@ -63,7 +63,7 @@ class Receiver:
         corrected_checksum: True to sum with carry, over the unescaped bytes.
     """
 
-    IDLE, WAITING, DATA, ESCAPED = "idle", "waiting", "data", "escaped"
+    WAITING, DATA, ESCAPED = "waiting", "data", "escaped"  # for an opening flag; in a frame; for an escaped byte
 
     def __init__(self, acquire: Callable[[], bytearray | None], counters: dict[str, int],
                  corrected_checksum: bool = False):
@@ -71,14 +71,7 @@ class Receiver:
         self._counters = counters
         self._corrected = corrected_checksum
         self._packet: bytearray | None = None
-        self._phase = self.IDLE
-        self._filled = 0
-        self._sum = 0
-
-    @property
-    def state(self) -> tuple[str, int]:
-        """(phase, bytes in the packet). IDLE holds no packet yet, WAITING does and waits for an opening flag."""
-        return self._phase, self._filled
+        self._restart()
 
     def byte(self, byte: int) -> bytearray | None:
         """Take one byte; return the packet that it completed, checksum included, or None."""
@@ -87,7 +80,6 @@ class Receiver:
             if self._packet is None:
                 self._counters["rxErrorBuffer"] += 1
                 return None
-            self._restart()
         self._counters["rxBytes"] += 1
         if self._phase == self.WAITING and byte == FLAG:
             self._phase = self.DATA
@@ -106,8 +98,7 @@ class Receiver:
 
     def _restart(self):
         self._phase = self.WAITING
-        self._filled = 0
-        self._sum = 0
+        self._filled = self._sum = 0
 
     def _undo_escape(self, byte: int):
         """Store the unescaped byte, and add the escaped one to the sum.
@@ -144,7 +135,6 @@ class Receiver:
             return None
         self._counters["rxPackets"] += 1
         self._packet = None
-        self._phase = self.IDLE
         return packet
 
 

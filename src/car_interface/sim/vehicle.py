@@ -35,7 +35,7 @@ from car_interface.common.units import NS_PER_S
 from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, TRACK_M, WHEEL_DIAMETER_M
 from car_interface.sim import drive_train
 from car_interface.sim.drive_train import COASTS, DriveTrainConfig, VirtualEsc, VirtualEscConfig
-from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
+from car_interface.sim.teensy_sensors import BACKWARD, FORWARD, LEFT, RIGHT
 from car_interface.sim.world import Obstacles
 
 GRAVITY_MPS2 = 9.81
@@ -151,7 +151,6 @@ class Vehicle:
         self._obstacles = obstacles
         self.time_ns = start_ns  # true time now
         self.speed_mps = 0.0  # of the rear axle, backward negative
-        self.acceleration_mps2 = 0.0  # during the last step, the mean
         self.travel_m = 0.0  # signed distance so far
         self.servo_duty = config.steering.center_duty  # the place of the servo, as the duty that holds it there
         self._start_ns = start_ns
@@ -210,7 +209,6 @@ class Vehicle:
             pose = self.pose if self.config.on_box else self._pose_after(distance_m, curvature_per_m)
             if self._obstacles is not None and self._obstacles.blocks(pose, distance_m, self.speed_mps):
                 speed_mps = 0.0
-                self.acceleration_mps2 = -self.speed_mps / dt_s
             else:
                 self.pose = pose
                 pulses = self._roll(distance_m, moving_s, speed_mps, curvature_per_m)
@@ -272,7 +270,6 @@ class Vehicle:
             # It stops within the step. Whether it goes on backward is decided at standstill, by the next step.
             moving_s = -before_mps / acceleration_mps2
             after_mps = 0.0
-        self.acceleration_mps2 = (after_mps - before_mps) / dt_s
         return after_mps, (before_mps + after_mps) / 2 * moving_s, moving_s
 
     def _pose_after(self, distance_m: float, curvature_per_m: float) -> Pose:

@@ -22,8 +22,7 @@ import pytest
 import teensy_bench
 from captures import load
 from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
-from car_interface.sim.teensy_sonars import SONAR_MISSING, SONAR_STUCK
-from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
+from car_interface.sim.teensy_sensors import BACKWARD, FORWARD, LEFT, RIGHT, SONAR_MISSING, SONAR_STUCK
 from teensy_bench import framed_for_the_receiver, ones_complement_sum, parse_counter, parse_sonar, parse_wheels
 
 pytestmark = pytest.mark.once

@@ -24,7 +24,7 @@ from car_interface.nodes.pca9685.virtual_board import serve_faults
 from car_interface.ros.clocks import SYSTEM
 from car_interface.sim.chip_link import peer
 from car_interface.sim.line import LASTING, MAX_S, NS_PER_S, BadLine
-from car_interface.sim.teensy_sonars import SONAR_CONDITIONS
+from car_interface.sim.teensy_sensors import SONAR_CONDITIONS
 
 READ_SIZE = 4096
 ODD_FLAG = b"\x7e"
