@@ -176,10 +176,8 @@ class VirtualEsc:
     def _reverses(self, now_ns, wheel_mps):
         """Return whether a pull drives backward; False = it brakes."""
         kind = self.config.kind
-        if kind == FORWARD_ONLY:
-            return False
-        if kind == DIRECT_REVERSE:
-            return True
+        if kind in (FORWARD_ONLY, DIRECT_REVERSE):
+            return kind == DIRECT_REVERSE
         stands = self._stood_since_ns is not None
         if kind == BRAKE_BECOMES_REVERSE:
             turned = stands and now_ns - self._stood_since_ns >= self.config.turn_s * NS_PER_S
@@ -187,17 +185,14 @@ class VirtualEsc:
         return self._double_click(now_ns, stands or wheel_mps < 0)
 
     def _double_click(self, now_ns, stands):
-        if self._memory == self._REVERSED:
-            return True
         if self._memory == self._READY:
-            if stands and not self._held or self.config.second_pull == REVERSES:
+            second_pull = self.config.second_pull
+            if second_pull == REVERSES or stands and (second_pull == BRAKES_AND_TURNS or not self._held):
                 self._memory = self._REVERSED
-                return True
-            self._held = True  # it brakes first
-            if stands and self.config.second_pull == BRAKES_AND_TURNS:
-                self._memory = self._REVERSED
-                return True
-            return False
+            else:
+                self._held = True  # it brakes first
+        if self._memory in (self._READY, self._REVERSED):
+            return self._memory == self._REVERSED
         self._brake_since_ns = _since(self._brake_since_ns, True, now_ns)
         if now_ns - self._brake_since_ns >= self.config.brake_seen_s * NS_PER_S:
             self._memory = self._BRAKED

@@ -82,9 +82,9 @@ class TeensyFirmware:
             for number in range(uart.SONARS)]
         self._positions = list(config.wheel_positions)
         self._now_ns = power_up_ns
-        self._switch_on(int(config.clock_start_ms), power_up_ns, power_up_ns)
+        self._switch_on(int(config.clock_start_ms), power_up_ns)
 
-    def _switch_on(self, clock_start_ms: int, clock_start_ns: int, boot_end_ns: int):
+    def _switch_on(self, clock_start_ms: int, clock_start_ns: int):
         config = self._config
         self.clock = Clock(clock_start_ms, config.clock_drift_ppm, config.clock_ramp_ppm_per_h, clock_start_ns)
         self.counters: dict[str, int] = dict.fromkeys(uart.COUNTER_NAMES, 0)
@@ -96,7 +96,7 @@ class TeensyFirmware:
                                   self.counters)
         self._runs = False  # it boots; later, it hangs and only a reboot helps
         self._is_between_passes = False
-        self._resume_ns = boot_end_ns
+        self._resume_ns = clock_start_ns
         self._loop = self._run()
         next(self._loop)
 
@@ -155,7 +155,7 @@ class TeensyFirmware:
         self.advance(now_ns)
         self._outgoing.cut(self._now_ns)
         clock_start_ns = self._now_ns + off_ns
-        self._switch_on(0, clock_start_ns, clock_start_ns)
+        self._switch_on(0, clock_start_ns)
         self._resume_ns = self.clock.reaches_ns(BOOT_MS, clock_start_ns)
 
     def set_sonar(self, sensor: int, condition: str, now_ns: int):

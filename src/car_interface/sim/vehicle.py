@@ -36,19 +36,11 @@ from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, TRACK_M
 from car_interface.sim import drive_train
 from car_interface.sim.drive_train import COASTS, DriveTrainConfig, VirtualEsc, VirtualEscConfig
 from car_interface.sim.teensy_sensors import BACKWARD, FORWARD, LEFT, RIGHT
-from car_interface.sim.world import Obstacles
+from car_interface.sim.world import Pose, World
 
 GRAVITY_MPS2 = 9.81
 ARRIVED_DUTY = 0.01  # a servo this near its target has arrived: its creep would never end
 UPRIGHT_RATIO = 0.9  # below this part of the acceleration at which it tips, the car stands on its wheels again
-
-
-class Pose(NamedTuple):
-    """The place of the rear axle's middle (metres) and the car's heading (radians, 0 along x, not wrapped)."""
-
-    x_m: float
-    y_m: float
-    yaw_rad: float
 
 
 ORIGIN = Pose(0.0, 0.0, 0.0)
@@ -143,12 +135,12 @@ class Vehicle:
 
     Args:
         start_ns: the true time at the start; pulses are stamped on this scale.
-        obstacles: ``None`` = there are none.
+        world: what stops it; ``None`` = nothing does.
     """
 
-    def __init__(self, config: VehicleConfig = VehicleConfig(), start_ns: int = 0, obstacles: Obstacles | None = None):
+    def __init__(self, config: VehicleConfig = VehicleConfig(), start_ns: int = 0, world: World | None = None):
         self.config, self.pose = config, config.start
-        self._obstacles = obstacles
+        self._world = world
         self.time_ns = start_ns  # true time now
         self.speed_mps = 0.0  # of the rear axle, backward negative
         self.travel_m = 0.0  # signed distance so far
@@ -207,7 +199,7 @@ class Vehicle:
         pulses = []
         if distance_m:
             pose = self.pose if self.config.on_box else self._pose_after(distance_m, curvature_per_m)
-            if self._obstacles is not None and self._obstacles.blocks(pose, distance_m, self.speed_mps):
+            if self._world is not None and self._world.blocks(pose, distance_m, self.speed_mps):
                 speed_mps = 0.0
             else:
                 self.pose = pose

@@ -4,11 +4,11 @@ import math
 
 import pytest
 
-from car_interface.sim.world import Box, Mount, Post, World, WorldConfig, speed_of_sound_mps
+from car_interface.sim.world import Box, Pose, Post, World, WorldConfig, speed_of_sound_mps
 
 FRONT_RIGHT, FRONT, FRONT_LEFT, REAR_RIGHT, REAR, REAR_LEFT = range(6)
 # All six sonars in the middle of the rear axle: distances are the pose's own.
-CENTERED = tuple(Mount(0.0, 0.0, math.radians(yaw)) for yaw in (-30, 0, 30, -150, 180, 150))
+CENTERED = tuple(Pose(0.0, 0.0, math.radians(yaw)) for yaw in (-30, 0, 30, -150, 180, 150))
 
 
 def hall(boxes=(), posts=(), **config):
