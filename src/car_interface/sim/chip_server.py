@@ -29,8 +29,7 @@ SERVER_LOCK = 0x100  # a byte of the lock file that is no address
 HELD_S = 1.0  # the kernel's timeout, after which a transfer on a bus that is held fails
 MAX_CLIENTS = 32  # nodes, guards and observers of one chip are fewer than ten
 MAX_WAITING = 16  # transfers of one client on a bus that is held: it gives each up after ANSWER_S
-MAX_NACKS = 10**9
-MAX_ADDRESS = 0x7F
+HIGHEST = {"nack": 10**9, "address": 0x7F}  # values of faults; the lowest is 0
 
 
 class ChipServer:
@@ -136,42 +135,35 @@ class ChipServer:
 
     def _handle(self, fd, packet):
         """Do what a packet asks for and return the data of the answer; OSError where that fails or is impossible."""
-        if len(packet) < wire.REQUEST.size:
-            raise _error(errno.EPROTO)
-        if len(packet) > wire.MAX_PACKET:
-            raise _error(errno.EMSGSIZE)
+        _check(len(packet) >= wire.REQUEST.size, errno.EPROTO)
+        _check(len(packet) <= wire.MAX_PACKET, errno.EMSGSIZE)
         operation, address, register, value = wire.REQUEST.unpack_from(packet)
         data = packet[wire.REQUEST.size:]
+        _check(operation in wire.OPERATIONS and (operation != wire.FAULT or register < len(wire.FAULTS)),
+               errno.EOPNOTSUPP)
         if operation == wire.READ:
-            if len(data) != 1 or not 1 <= data[0] <= wire.MAX_BLOCK:
-                raise _error(errno.EINVAL)
+            _check(len(data) == 1 and 1 <= data[0] <= wire.MAX_BLOCK, errno.EINVAL)
             return bytes(self._addressed(address).read(register, data[0]))
         if operation == wire.WRITE:
-            if not 1 <= len(data) <= wire.MAX_BLOCK:
-                raise _error(errno.EINVAL)
+            _check(1 <= len(data) <= wire.MAX_BLOCK, errno.EINVAL)
             self._addressed(address).write(register, data)
             self._log_write(address, register, data)
-        elif operation == wire.FAULT and register < len(wire.FAULTS):
+        elif operation == wire.FAULT:
             self._inject(wire.FAULTS[register], value)
         elif operation == wire.LOG:
             self._open_log(data)
-        elif operation == wire.OBSERVE:
-            self._observers.add(fd)
         else:
-            raise _error(errno.EOPNOTSUPP)
+            self._observers.add(fd)
         return b""
 
     def _addressed(self, address):
         """Return the chip, unless nothing acknowledges a transfer to the address."""
         nack, self._nacks_left = self._nacks_left > 0, max(0, self._nacks_left - 1)
-        if nack or not self._has_power or address != self._address:
-            raise _error(errno.EREMOTEIO)
+        _check(not nack and self._has_power and address == self._address, errno.EREMOTEIO)
         return self._chip
 
     def _inject(self, fault, value):
-        if not math.isfinite(value) or fault == "nack" and not 0 <= value <= MAX_NACKS or \
-                fault == "address" and not 0 <= value <= MAX_ADDRESS:
-            raise _error(errno.EINVAL)
+        _check(math.isfinite(value) and (fault not in HIGHEST or 0 <= value <= HIGHEST[fault]), errno.EINVAL)
         if fault == "nack":
             self._nacks_left = int(value)
         elif fault == "hold":
@@ -187,8 +179,7 @@ class ChipServer:
 
     def _open_log(self, path):
         """Append each write to the file at a path, in bytes; if it can't be opened, the one before stays in use."""
-        if not path.startswith(b"/") or b"\0" in path:
-            raise _error(errno.EINVAL)
+        _check(path.startswith(b"/") and b"\0" not in path, errno.EINVAL)
         log_fd = open_own(os.fsdecode(path), os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
         if self._log_fd >= 0:
             os.close(self._log_fd)
@@ -204,8 +195,9 @@ class ChipServer:
             os.write(self._log_fd, line.encode("ascii"))
 
 
-def _error(number):
-    return OSError(number, os.strerror(number))
+def _check(is_ok, number):
+    if not is_ok:
+        raise OSError(number, os.strerror(number))
 
 
 def main() -> None:

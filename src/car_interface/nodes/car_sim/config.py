@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Sequence
 
 from car_interface.common import declared
-from car_interface.common.errors import ConfigError, require
+from car_interface.common.errors import require
 from car_interface.common.units import CHANNELS, MAX_DUTY
 from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, TRACK_M, WHEEL_DIAMETER_M
 from car_interface.sim.drive_train import KINDS, DriveTrainConfig, Pulses, VirtualEscConfig
@@ -99,18 +99,15 @@ class CarSimConfig:
             clock_drift_ppm=drift_ppm if firmware.clock_drift_ppm is None else firmware.clock_drift_ppm)
         if not self.has_obstacles:
             world = replace(world, boxes=(), posts=())
-        if self.collides and not World(world).is_free(vehicle.start):
-            raise ConfigError("start", list(vehicle.start), "a place where the car touches no wall, box or post, or "
-                                                            "collisions: false")
+        require(not self.collides or World(world).is_free(vehicle.start), "start", list(vehicle.start),
+                "a place where the car touches no wall, box or post, or collisions: false")
         return replace(self, vehicle=vehicle, world=world, firmware=firmware)
 
     def _vehicle(self, params, rng):
-        if len(self.pose) != len(Pose._fields):
-            raise ConfigError("start", self.pose, "three numbers: x, y in m, and yaw in rad")
+        require(len(self.pose) == len(Pose._fields), "start", self.pose, "three numbers: x, y in m, and yaw in rad")
         by_chance = [HALL_STATES * rng.random() for _ in range(2)]
         wheel_pulses = by_chance if self.wheel_pulses is None else self.wheel_pulses
-        if len(wheel_pulses) != 2:
-            raise ConfigError("wheel_pulses", wheel_pulses, "two numbers: left, right")
+        require(len(wheel_pulses) == 2, "wheel_pulses", wheel_pulses, "two numbers: left, right")
         shift = self.neutral_duty - self.drive.neutral_duty  # a car's own ESC differs in its neutral
         drive = replace(self.drive, full_reverse_duty=self.drive.full_reverse_duty + shift,
                         neutral_duty=self.neutral_duty, full_forward_duty=self.drive.full_forward_duty + shift)
@@ -130,9 +127,8 @@ class CarSimConfig:
         duties, curvatures = map(list, zip(*steering.curve))
         duties = duties if self.steering_duties is None else self.steering_duties
         curvatures = curvatures if self.steering_curvatures is None else self.steering_curvatures
-        if len(duties) != len(curvatures):
-            raise ConfigError("steering_curvatures", curvatures,
-                              f"{len(duties)} numbers, one for each of steering_duties")
+        require(len(duties) == len(curvatures), "steering_curvatures", curvatures,
+                f"{len(duties)} numbers, one for each of steering_duties")
         return replace(steering, curve=tuple(zip(duties, curvatures)))
 
 

@@ -19,7 +19,7 @@ import tty
 from contextlib import suppress
 from typing import Any, Callable
 
-from car_interface.common.errors import ConfigError
+from car_interface.common.errors import ConfigError, require
 from car_interface.nodes.pca9685.virtual_board import serve_faults
 from car_interface.ros.clocks import SYSTEM
 from car_interface.sim.chip_link import peer
@@ -79,8 +79,8 @@ class PseudoTerminal:
         try:
             # A killed virtual Teensy leaves its link; a real port's name or somebody's file stays.
             is_left = os.path.islink(self._path) and os.readlink(self._path).startswith("/dev/pts/")
-            if os.path.lexists(self._path) and not is_left:
-                raise ConfigError("port", self._path, "a path with nothing at it, or a virtual Teensy's old link")
+            require(is_left or not os.path.lexists(self._path), "port", self._path,
+                    "a path with nothing at it, or a virtual Teensy's old link")
             os.symlink(self.name, new)
             os.replace(new, self._path)
         except OSError as error:
@@ -203,8 +203,7 @@ class VirtualLine:
             self._watched_fd = None
 
     def _unplug(self, duration_s, now_ns):
-        if not 0 <= duration_s <= MAX_S:
-            raise ConfigError("unplug", duration_s, f"0 (until plug) to {MAX_S} s")
+        require(0 <= duration_s <= MAX_S, "unplug", duration_s, f"0 (until plug) to {MAX_S} s")
         self._plug_ns = now_ns + round(duration_s * NS_PER_S) if duration_s else NEVER_NS
         if self._terminal is not None:
             self._unplugged_from = self._terminal.name
