@@ -59,7 +59,7 @@ def random_car(seed: int) -> VehicleConfig:
         neutral_duty=neutral, forward_band_duty=band, reverse_band_duty=band,
         forward_mps2=rng.uniform(4.5, 7.0), reverse_mps2=rng.uniform(2.8, 4.5), brake_mps2=rng.uniform(5.5, 8.5),
         thrust_halves_mps=rng.uniform(7.0, 13.0), drag_mps2=rng.uniform(0.25, 0.5), drag_per_s=rng.uniform(0.05, 0.12),
-        drag_per_m=rng.uniform(0.002, 0.007), sag=0.10, sag_over_s=300.0)
+        drag_per_m=rng.uniform(0.002, 0.007), sag=0.10)
     return VehicleConfig(steering=steering, drive=drive, pulse_phase=(rng.random(), rng.random()), slope=0.02,
                          uphill_rad=rng.uniform(-math.pi, math.pi), tyres=None)
 

@@ -44,6 +44,7 @@ PULSE_PERIOD_NS = 20 * NS_PER_MS  # it looks at one pulse each 20 ms
 # 0.5 and 2.5 ms of a period of 20 ms that is 65536 long: servos and ESCs ignore other lengths.
 SHORTEST_PULSE, LONGEST_PULSE = 1638, 8192
 STANDS_MPS = 0.05  # slower wheels stand, to the ESC
+SAG_S = 300.0  # how long a battery takes to empty
 TRUE = "of the full duty, before drag; forward and backward at standstill"  # the meaning of three parameters
 
 
@@ -99,7 +100,6 @@ class VirtualEscConfig(Pulses):
     drag_brake: float = 0.0  # the brake in neutral, 0..1
     arming_s: float = 0.5  # neutral of this length after power-up, or after a loss of pulses, before the motor runs
     cutoff_s: float = 0.1  # the motor stops after this long without a pulse
-    rearms: bool = True  # a loss of pulses must be followed by neutral for ``arming_s``, as power-up
 
 
 class VirtualEsc:
@@ -141,7 +141,7 @@ class VirtualEsc:
         elif now_ns - self._last_pulse_ns >= self.config.cutoff_s * NS_PER_S:
             self._motor = COASTS
             self._neutral_since_ns = self._brake_since_ns = None
-            self._armed = self._armed and not self.config.rearms
+            self._armed = False
         return self._motor
 
     def _answer(self, command, now_ns, wheel_mps):
@@ -219,15 +219,14 @@ class DriveTrainConfig(Pulses):
     drag_mps2: float = 0.35
     drag_per_s: float = 0.08
     drag_per_m: float = 0.004
-    # Ratio of the thrust that is lost while the battery empties, from half of it above the stated thrust to half of it
-    # below. Brakes don't need the battery.
+    # Ratio of the thrust that is lost while the battery empties in SAG_S, from half of it above the stated thrust to half
+    # of it below; it stays as it is after that. Brakes don't need the battery.
     sag: float = 0.0
-    sag_over_s: float = 300.0  # how long that takes; the thrust stays as it is after that
     lag_s: float = 0.0  # time constant with which the motor's thrust and brake follow the ESC
 
     def thrust(self, elapsed_s: float) -> float:
         """Return the ratio of the stated thrust that the battery gives at a time after the start."""
-        return 1.0 + self.sag * (0.5 - min(1.0, elapsed_s / self.sag_over_s))
+        return 1.0 + self.sag * (0.5 - min(1.0, elapsed_s / SAG_S))
 
 
 def following(motor: MotorState, wanted: MotorState, dt_s: float, lag_s: float) -> MotorState:

@@ -158,12 +158,12 @@ def steering_curve(center: float, radii_m: Sequence[float], left: Sequence[float
 
 def _side(center, radii_m, duties):
     """Return the points of one side, from its end to the center."""
-    points = []
+    points, last = [], math.inf
     for radius_m, duty in _divided(list(zip(radii_m, duties))):
-        last = points[-1][0] if points else None
-        if abs(duty - center) >= MIN_STEP_DUTY and (last is None
-                                                    or abs(last - center) - abs(duty - center) >= MIN_STEP_DUTY):
+        apart = abs(duty - center)
+        if MIN_STEP_DUTY <= apart <= last - MIN_STEP_DUTY:
             points.append((float(duty), 1.0 / radius_m))
+            last = apart
     return points
 
 
