@@ -39,7 +39,7 @@ from car_interface.common.vehicle_geometry import SONARS
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.planner.request import PlannerRequest
 from car_interface.sim.vehicle import Pose, TyreConfig, Vehicle, VehicleConfig
-from car_interface.sim.world import World, WorldConfig
+from car_interface.sim.world import Box, World, WorldConfig
 from car_interface.steering.arbiter import SteeringArbiter, SteeringArbiterConfig
 from car_interface.steering.calibration import SteeringCalibration, trimmed
 from car_interface.steering.config import load_steering
@@ -143,7 +143,7 @@ def driving_car(seed: int) -> Car:
     steering = replace(car.steering, lag_s=rng.uniform(0.04, 0.18))
     vehicle = replace(car, esc=virtual_esc, tyres=tyres, steering=steering, start=Pose(
         rng.uniform(-0.1, 0.1) - 0.14, rng.uniform(-0.1, 0.1), rng.uniform(-0.3, 0.3)))
-    walls = (-HALF_M, HALF_M, -HALF_M, HALF_M)
+    walls = Box(0.0, 0.0, 2 * HALF_M, 2 * HALF_M)
     world = WorldConfig(walls=walls, boxes=(), posts=(), rays=13) if seed % 2 else None
     return Car(vehicle, base, esc, world)
 

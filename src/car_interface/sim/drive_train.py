@@ -219,8 +219,8 @@ class DriveTrainConfig(Pulses):
     drag_mps2: float = 0.35
     drag_per_s: float = 0.08
     drag_per_m: float = 0.004
-    # Ratio of the thrust that is lost while the battery empties in SAG_S, from half of it above the stated thrust to half
-    # of it below; it stays as it is after that. Brakes don't need the battery.
+    # Ratio of the thrust that is lost while the battery empties in SAG_S, from half of it above the stated thrust to
+    # half of it below; it stays as it is after that. Brakes don't need the battery.
     sag: float = 0.0
     lag_s: float = 0.0  # time constant with which the motor's thrust and brake follow the ESC
 

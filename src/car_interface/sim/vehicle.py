@@ -41,8 +41,6 @@ from car_interface.sim.world import Pose, World
 GRAVITY_MPS2 = 9.81
 ARRIVED_DUTY = 0.01  # a servo this near its target has arrived: its creep would never end
 UPRIGHT_RATIO = 0.9  # below this part of the acceleration at which it tips, the car stands on its wheels again
-
-
 ORIGIN = Pose(0.0, 0.0, 0.0)
 
 

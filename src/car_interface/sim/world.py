@@ -25,7 +25,7 @@ RADIUS_M = math.hypot(FRONT_M - CENTER_M, HALF_WIDTH_M)
 
 
 class Pose(NamedTuple):
-    """The place of the rear axle's middle (metres) and the car's heading (radians, 0 along x, not wrapped)."""
+    """A place (metres) and a heading (radians, 0 along x, not wrapped): of the rear axle's middle, or of a sonar."""
 
     x_m: float
     y_m: float
@@ -58,7 +58,7 @@ class WorldConfig:
     along x: a post in the middle of each circle, boxes and posts around both, the walls beyond.
     """
 
-    walls: tuple[float, float, float, float] = (-6.0, 6.0, -5.0, 5.0)  # x from, x to, y from, y to, in metres
+    walls: Box = Box(0.0, 0.0, 12.0, 10.0)
     boxes: tuple[Box, ...] = (Box(3.1, -1.5, 0.6, 0.4, 0.3), Box(-3.1, 2.6, 1.0, 0.5, -0.2))
     posts: tuple[Post, ...] = (
         Post(0.0, 1.8, 0.12), Post(0.0, -1.8, 0.12), Post(3.0, 1.4, 0.15), Post(3.1, 2.8, 0.15),
@@ -77,16 +77,11 @@ class World:
     """A room with a car in it: it blocks the car's steps into it, counts these collisions, and echoes its sonars."""
 
     def __init__(self, config: WorldConfig = WorldConfig()):
-        x_from_m, x_to_m, y_from_m, y_to_m = config.walls
-        # Sides of walls and boxes: x and y of one end, and from there to the other, in metres.
-        self._segments = _ring([(x_from_m, y_from_m), (x_to_m, y_from_m), (x_to_m, y_to_m), (x_from_m, y_to_m)])
-        for box in config.boxes:
-            half_x_m, half_y_m = box.length_m / 2, box.width_m / 2
-            corners = (-half_x_m, -half_y_m), (half_x_m, -half_y_m), (half_x_m, half_y_m), (-half_x_m, half_y_m)
-            self._segments += _ring([_place(box.x_m, box.y_m, box.yaw_rad, *corner) for corner in corners])
+        self._segments = [side for box in (config.walls, *config.boxes) for side in _sides(box)]
         self._posts = [(post.x_m, post.y_m, post.radius_m) for post in config.posts]
         self._mounts = config.mounts
-        self._us_per_m = 2e6 / speed_of_sound_mps(config.temperature_c)
+        # There and back at the speed of sound, which is linear in the temperature; good between −20 and 40 °C.
+        self._us_per_m = 2e6 / (331.3 + 0.606 * config.temperature_c)
         self._angles_rad = [CONE_RAD * (ray / (config.rays - 1) - 0.5) for ray in range(config.rays)]
         self._clear_m = 0.0  # how far the car can go before the next check
         self._since_m = math.inf  # driven since it was blocked
@@ -121,8 +116,7 @@ class World:
         def seen_from_car(to_x_m, to_y_m):
             return to_x_m * cos_yaw + to_y_m * sin_yaw, to_y_m * cos_yaw - to_x_m * sin_yaw
         for start_x_m, start_y_m, along_x_m, along_y_m in self._segments:
-            if _meets_segment(*seen_from_car(start_x_m - x_m, start_y_m - y_m),
-                                   *seen_from_car(along_x_m, along_y_m)):
+            if _meets_segment(*seen_from_car(start_x_m - x_m, start_y_m - y_m), *seen_from_car(along_x_m, along_y_m)):
                 return False
         for post_x_m, post_y_m, radius_m in self._posts:
             ahead_m, left_m = seen_from_car(post_x_m - x_m, post_y_m - y_m)
@@ -191,11 +185,6 @@ class World:
         return nearest_m
 
 
-def speed_of_sound_mps(temperature_c: float) -> float:
-    """Return the speed of sound in air, linear in the temperature about 0 °C; good between -20 and 40 °C."""
-    return 331.3 + 0.606 * temperature_c
-
-
 def _meets_segment(ahead_m, left_m, along_m, across_m):
     """Return whether a segment, seen from the car, has a part inside the outline (Liang and Barsky's clipping)."""
     first, last = 0.0, 1.0
@@ -218,7 +207,9 @@ def _place(x_m, y_m, yaw_rad, ahead_m, left_m):
     return x_m + ahead_m * cos_yaw - left_m * sin_yaw, y_m + ahead_m * sin_yaw + left_m * cos_yaw
 
 
-def _ring(corners: Sequence[tuple[float, float]]) -> list[tuple[float, float, float, float]]:
-    """Return a closed polygon's sides as (x, y, length along x, length along y)."""
-    ends = [*list(corners[1:]), corners[0]]
-    return [(x, y, end_x - x, end_y - y) for (x, y), (end_x, end_y) in zip(corners, ends)]
+def _sides(box):
+    """Return a box's sides: x and y of one end, and from there to the other, in metres."""
+    half_x_m, half_y_m = box.length_m / 2, box.width_m / 2
+    corners = [_place(box.x_m, box.y_m, box.yaw_rad, *corner) for corner in (
+        (-half_x_m, -half_y_m), (half_x_m, -half_y_m), (half_x_m, half_y_m), (-half_x_m, half_y_m))]
+    return [(x, y, end_x - x, end_y - y) for (x, y), (end_x, end_y) in zip(corners, corners[1:] + corners[:1])]

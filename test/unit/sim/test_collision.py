@@ -8,17 +8,17 @@ from hypothesis import strategies as st
 
 from car_interface.common.vehicle_geometry import FRONT_M, REAR_M, WIDTH_M
 from car_interface.sim.vehicle import ORIGIN, Pose, Vehicle, VehicleConfig
-from car_interface.sim.world import Post, World, WorldConfig
+from car_interface.sim.world import Box, Post, World, WorldConfig
 
 MS, S = 1_000_000, 1_000_000_000
 STRAIGHT, FORWARD, REVERSE = 5070, 5400, 4400
 SIDE_M = WIDTH_M / 2
 WALL_M = 2.0  # an endless one across x
-FAR = (-50.0, 50.0, -50.0, 50.0)
+FAR = Box(0.0, 0.0, 100.0, 100.0)
 
 
 def wall_ahead():
-    return World(WorldConfig(walls=(-50.0, WALL_M, -50.0, 50.0), boxes=(), posts=()))
+    return World(WorldConfig(walls=Box(WALL_M - 50.0, 0.0, 100.0, 100.0), boxes=(), posts=()))
 
 
 def car_before(world, start=ORIGIN):

@@ -183,12 +183,10 @@ class CarSim:
 
 def room_markers(world: WorldConfig, frame: str) -> MarkerArray:
     """Return the room as markers in a frame in which the car has begun at x = y = yaw = 0."""
-    x_from_m, x_to_m, y_from_m, y_to_m = world.walls
-    middle_x_m, middle_y_m = (x_from_m + x_to_m) / 2, (y_from_m + y_to_m) / 2
-    length_m, width_m = x_to_m - x_from_m, y_to_m - y_from_m
-    things = [(Marker.CUBE, x_m, y_m, 0.0, size, WALL) for x_m, y_m, size in (
-        (middle_x_m, y_from_m, (length_m, WALL_M)), (middle_x_m, y_to_m, (length_m, WALL_M)),
-        (x_from_m, middle_y_m, (WALL_M, width_m)), (x_to_m, middle_y_m, (WALL_M, width_m)))]
+    walls, length_m, width_m = world.walls, world.walls.length_m, world.walls.width_m
+    things = [(Marker.CUBE, walls.x_m + x_m, walls.y_m + y_m, 0.0, size, WALL) for x_m, y_m, size in (
+        (0.0, -width_m / 2, (length_m, WALL_M)), (0.0, width_m / 2, (length_m, WALL_M)),
+        (-length_m / 2, 0.0, (WALL_M, width_m)), (length_m / 2, 0.0, (WALL_M, width_m)))]
     things += [(Marker.CUBE, box.x_m, box.y_m, box.yaw_rad, (box.length_m, box.width_m), THING) for box in world.boxes]
     things += [(Marker.CYLINDER, post.x_m, post.y_m, 0.0, (2 * post.radius_m, 2 * post.radius_m), THING)
                for post in world.posts]

@@ -148,17 +148,13 @@ class VirtualLine:
         self._make_terminal = make_terminal
         self._claim = make_claim(path)  # also while it's unplugged
         self._path, self._firmware, self._inbox = path, firmware, inbox
-        self._bad = BadLine(seed)
+        self._bad = bad = BadLine(seed)
         self._watched_fd = None
         self._terminal = self._make_terminal(path)
         self._unplugged_from = ""
         self._plug_ns = NEVER_NS
-        self._serve(inbox.clocks.now_ns)
-
-    def _serve(self, clock_ns):
-        """Offer the faults; ``clock_ns()`` is when one begins."""
-        bad, firmware = self._bad, self._firmware
-        serve_faults(self._inbox, {
+        clock_ns = inbox.clocks.now_ns  # when a fault begins
+        serve_faults(inbox, {
             "unplug": lambda duration_s: self._unplug(duration_s, clock_ns()),
             "plug": lambda value: self._plug(),
             **{fault: lambda duration_s, fault=fault: bad.begin(fault, duration_s, clock_ns()) for fault in LASTING},
