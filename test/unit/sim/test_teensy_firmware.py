@@ -7,8 +7,8 @@ import pytest
 
 import teensy_bench
 from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
-from car_interface.sim.teensy_uart import OutgoingLine, frame_body, line_ns
 from car_interface.sim.teensy_sensors import BACKWARD, FORWARD, LEFT, RIGHT
+from car_interface.sim.teensy_uart import OutgoingLine, frame_body, line_ns
 from teensy_bench import MS, Bench, S, framed_for_the_receiver, message, ping, wheel_reports
 
 
