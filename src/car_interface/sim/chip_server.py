@@ -43,30 +43,28 @@ class ChipServer:
         self._is_held = False  # somebody holds the bus down
         self._nacks_left = 0  # how many of the next transfers are not acknowledged
         self._log_fd = -1
-        self._clients = {}  # sockets by descriptor
-        self._observers = set()  # descriptors
-        self._waiting = []  # transfers while the bus is held: (descriptor, packet)
+        self._clients = []  # their sockets
+        self._observers = set()  # those of them that are sent what the pins do
+        self._waiting = []  # transfers while the bus is held: (client, packet)
         self._fails_s = 0.0  # when the first of them fails
         self._outputs = self._pins()
 
-    def run(self, clock=time.monotonic) -> None:
+    def run(self) -> None:
         """Serve until all clients have been gone for a while."""
-        poll = select.poll()
-        poll.register(self._listener, select.POLLIN)
-        alone_since_s = clock()
-        while self._clients or clock() - alone_since_s < LINGER_S:
-            left_s = max(0.0, self._fails_s - clock()) if self._waiting else LINGER_S
-            for fd, _ in poll.poll(1000 * left_s + 1):
-                if fd == self._listener.fileno():
-                    self._accept(poll)
-                elif fd in self._clients and not self._serve(fd, clock()):
-                    poll.unregister(fd)
-                    self._drop(fd)
-            self._fail_waiting(clock())
+        now_s = alone_since_s = time.monotonic()
+        while self._clients or now_s - alone_since_s < LINGER_S:
+            left_s = max(0.0, self._fails_s - now_s) if self._waiting else LINGER_S
+            for ready in select.select([self._listener, *self._clients], [], [], left_s + 0.001)[0]:
+                if ready is self._listener:
+                    self._accept()
+                elif not self._serve(ready, time.monotonic()):
+                    self._drop(ready)
+            now_s = time.monotonic()
+            self._fail_waiting(now_s)
             if self._clients:
-                alone_since_s = clock()
+                alone_since_s = now_s
 
-    def _accept(self, poll):
+    def _accept(self):
         """Take a client of this user's, if there is room for one."""
         try:
             client, _ = self._listener.accept()
@@ -76,18 +74,18 @@ class ChipServer:
             client.close()
             return
         client.setblocking(False)
-        self._clients[client.fileno()] = client
-        poll.register(client, select.POLLIN)
+        self._clients.append(client)
 
-    def _drop(self, fd):
-        self._clients.pop(fd).close()
-        self._observers.discard(fd)
-        self._waiting = [each for each in self._waiting if each[0] != fd]
+    def _drop(self, client):
+        client.close()
+        self._clients.remove(client)
+        self._observers.discard(client)
+        self._waiting = [each for each in self._waiting if each[0] is not client]
 
-    def _serve(self, fd, now_s):
+    def _serve(self, client, now_s):
         """Answer one request; return whether the client is still there."""
         try:
-            packet = self._clients[fd].recv(wire.MAX_PACKET + 1)  # of a longer one the rest is lost
+            packet = client.recv(wire.MAX_PACKET + 1)  # of a longer one the rest is lost
         except BlockingIOError:
             return True
         except OSError:
@@ -97,43 +95,42 @@ class ChipServer:
         if self._is_held and packet[0] in (wire.READ, wire.WRITE):
             if not self._waiting:
                 self._fails_s = now_s + HELD_S
-            self._waiting.append((fd, packet))
-            return sum(each[0] == fd for each in self._waiting) <= MAX_WAITING
-        self._answer(fd, packet)
+            self._waiting.append((client, packet))
+            return sum(each[0] is client for each in self._waiting) <= MAX_WAITING
+        self._answer(client, packet)
         return True
 
     def _fail_waiting(self, now_s):
         """Fail transfers on a bus that is held, one after the other, each after a second."""
         while self._waiting and now_s >= self._fails_s:
-            fd, _ = self._waiting.pop(0)
-            self._send(fd, wire.ANSWER.pack(errno.ETIMEDOUT))
+            self._send(self._waiting.pop(0)[0], wire.ANSWER.pack(errno.ETIMEDOUT))
             if not self._is_held:  # it was released since: waiting transfers go through
-                for waiting_fd, packet in self._waiting:
-                    self._answer(waiting_fd, packet)
+                for client, packet in self._waiting:
+                    self._answer(client, packet)
                 self._waiting.clear()
             self._fails_s += HELD_S
 
-    def _answer(self, fd, packet):
+    def _answer(self, client, packet):
         try:
-            data, number = self._handle(fd, packet), 0
+            data, number = self._handle(client, packet), 0
         except OSError as error:
             data, number = b"", error.errno or errno.EIO
         except Exception:  # no request may end the chip's pulses, as with a real one
             data, number = b"", errno.EIO
-        self._send(fd, wire.ANSWER.pack(number) + data)
+        self._send(client, wire.ANSWER.pack(number) + data)
         if packet[0] == wire.OBSERVE and not number:
             self._outputs = self._pins()
-            self._send(fd, wire.OUTPUTS.pack(*self._outputs))
+            self._send(client, wire.OUTPUTS.pack(*self._outputs))
         elif self._observers and self._outputs != self._pins():
             self._outputs = self._pins()
             for observer in tuple(self._observers):
                 self._send(observer, wire.OUTPUTS.pack(*self._outputs))
 
-    def _send(self, fd, packet):
+    def _send(self, client, packet):
         with contextlib.suppress(OSError):  # it is dropped when its end is seen
-            self._clients[fd].send(packet)
+            client.send(packet)
 
-    def _handle(self, fd, packet):
+    def _handle(self, client, packet):
         """Do what a packet asks for and return the data of the answer; OSError where that fails or is impossible."""
         _check(len(packet) >= wire.REQUEST.size, errno.EPROTO)
         _check(len(packet) <= wire.MAX_PACKET, errno.EMSGSIZE)
@@ -153,7 +150,7 @@ class ChipServer:
         elif operation == wire.LOG:
             self._open_log(data)
         else:
-            self._observers.add(fd)
+            self._observers.add(client)
         return b""
 
     def _addressed(self, address):
