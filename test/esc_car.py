@@ -6,8 +6,7 @@ the wheels: these stand, and the car slides on. Backward is negative. Pure.
 import math
 from dataclasses import dataclass
 
-from car_interface.sim.dynamics import DriveTrainConfig, Motor, motor_acceleration_mps2
-from car_interface.sim.esc import MotorState
+from car_interface.sim.drive_train import COASTS, DriveTrainConfig, MotorState, following, motor_acceleration_mps2
 
 GRAVITY_MPS2 = 9.81
 
@@ -31,17 +30,17 @@ class EscCar:
     """The car at one moment: its speed, its wheels' speed and its place in metres."""
 
     def __init__(self, config: EscCarConfig = EscCarConfig()):
-        self.config, self._motor = config, Motor(config.lag_s)
+        self.config, self._motor = config, COASTS
         self.speed_mps = self.wheel_mps = self.place_m = 0.0
 
     def step(self, dt_s: float, motor: MotorState) -> None:
         config, before_mps = self.config, self.speed_mps
-        push, brake = self._motor.step(motor, dt_s)
+        self._motor = following(self._motor, motor, dt_s, config.lag_s)
         downhill_mps2 = -GRAVITY_MPS2 * math.sin(math.atan(config.slope))
-        locks = before_mps != 0 and brake * config.brake_mps2 > config.lock_mps2
+        locks = before_mps != 0 and self._motor.brake * config.brake_mps2 > config.lock_mps2
         after_mps = before_mps + dt_s * (
             downhill_mps2 - math.copysign(config.slide_mps2, before_mps) if locks else
-            motor_acceleration_mps2(push, brake, before_mps, config, 1.0, downhill_mps2))
+            motor_acceleration_mps2(self._motor, before_mps, config, 1.0, downhill_mps2))
         if before_mps * after_mps < 0:
             after_mps = 0.0  # whether it goes on the other way is decided at standstill
         self.place_m += (before_mps + after_mps) / 2 * dt_s

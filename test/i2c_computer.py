@@ -2,7 +2,7 @@
 import errno
 import os
 
-from car_interface.sim.pca9685_chip import VirtualBus
+from virtual_bus import VirtualBus
 
 
 class Computer:

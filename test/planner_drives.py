@@ -20,9 +20,8 @@ from typing import NamedTuple
 from many_drives import MS, NEUTRAL, THROTTLE, Chip, S, count_duty
 
 from car_interface.interlock.motion_interlock import InterlockConfig
-from car_interface.sim.dynamics import DriveTrainConfig, TyreConfig
-from car_interface.sim.esc import VirtualEscConfig
-from car_interface.sim.vehicle import SteeringConfig, Vehicle, VehicleConfig
+from car_interface.sim.drive_train import DriveTrainConfig, VirtualEscConfig
+from car_interface.sim.vehicle import SteeringConfig, TyreConfig, Vehicle, VehicleConfig
 from car_interface.steering import arbiter as steering
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.steering.limits import SourceLimits, SteeringLimits
@@ -142,7 +141,7 @@ def run(seed: int, number: int, limited: bool = True) -> Result:
     chip, reports = Chip(rng, 5000), deque()
     delay_ns = car.odometry_delay_ns + LATE_NS * ((seed + seed // CARS) % 4) // 3
     lost = sorted(rng.uniform(2, DRIVE_S * 1.5) * S for _ in range(2))  # odometry is away between them
-    duties, fastest = [round(car.calibration.servo_center), NEUTRAL], 0.0
+    duties, fastest, max_lateral_mps2 = [round(car.calibration.servo_center), NEUTRAL], 0.0, 0.0
     for now_ns in range(STEP_NS, DRIVE_S * S, STEP_NS):
         if now_ns % ODOMETRY_NS == 0:
             measured = 0.0 if vehicle.slides else vehicle.speed_mps * (1 + rng.gauss(0, car.odometry_noise))
@@ -176,8 +175,8 @@ def run(seed: int, number: int, limited: bool = True) -> Result:
             chip.command(*map(count_duty, duties), now_ns)
         vehicle.step(STEP_NS, *chip.duties(now_ns))
         fastest = max(fastest, abs(vehicle.speed_mps))
-    rollovers = vehicle.rollovers
-    return Result(seed, number, rollovers.count, rollovers.max_lateral_mps2, car.vehicle.tyres.rollover_mps2, fastest,
+        max_lateral_mps2 = max(max_lateral_mps2, abs(vehicle.lateral_mps2))
+    return Result(seed, number, vehicle.rollovers.count, max_lateral_mps2, car.vehicle.tyres.rollover_mps2, fastest,
                   steer.limiter.cuts, throttle.limiter.cuts)
 
 

@@ -1,7 +1,7 @@
-"""ESCs as they are sold, for the virtual car: one configuration of ``sim.esc`` is one device."""
+"""ESCs as they are sold, for the virtual car: one configuration of ``sim.drive_train`` is one device."""
 from __future__ import annotations
 
-from car_interface.sim.esc import (
+from car_interface.sim.drive_train import (
     BRAKE_BECOMES_REVERSE,
     BRAKE_THEN_REVERSE,
     BRAKES,

@@ -38,9 +38,8 @@ from car_interface.common.causes import AUTONOMOUS
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.interlock.motion_interlock import InterlockConfig
 from car_interface.planner.request import PlannerRequest
-from car_interface.sim.dynamics import TyreConfig
-from car_interface.sim.vehicle import Pose, Vehicle, VehicleConfig
-from car_interface.sim.world import World, WorldConfig
+from car_interface.sim.vehicle import Pose, TyreConfig, Vehicle, VehicleConfig
+from car_interface.sim.world import Box, World, WorldConfig
 from car_interface.steering.arbiter import SteeringArbiter, SteeringArbiterConfig
 from car_interface.steering.calibration import SteeringCalibration, trimmed
 from car_interface.steering.config import load_steering
@@ -144,8 +143,8 @@ def driving_car(seed: int) -> Car:
     steering = replace(car.steering, lag_s=rng.uniform(0.04, 0.18))
     vehicle = replace(car, esc=virtual_esc, tyres=tyres, steering=steering, start=Pose(
         rng.uniform(-0.1, 0.1) - 0.14, rng.uniform(-0.1, 0.1), rng.uniform(-0.3, 0.3)))
-    walls = (-HALF_M, HALF_M, -HALF_M, HALF_M)
-    world = WorldConfig(walls=walls, boxes=(), posts=(), cone_rad=math.radians(30), rays=13) if seed % 2 else None
+    walls = Box(0.0, 0.0, 2 * HALF_M, 2 * HALF_M)
+    world = WorldConfig(walls=walls, boxes=(), posts=(), rays=13) if seed % 2 else None
     return Car(vehicle, base, esc, world)
 
 
@@ -208,8 +207,7 @@ class Bench:
         self._rng = rng = random.Random(f"drive {seed}")
         self._trace = trace
         self._world = None if car.world is None else World(car.world)
-        self._collisions = None if self._world is None else self._world.obstacles()
-        self.vehicle = Vehicle(car.vehicle, START_NS, self._collisions)
+        self.vehicle = Vehicle(car.vehicle, START_NS, self._world)
         self._sonars = None if self._world is None else Sonars(rng, self._world)
         mounts = {name: Mount(mount.x_m, mount.y_m, mount.yaw_rad) for name, mount in zip(SONARS, WorldConfig().mounts)}
         config = CalibrationDriveConfig(
@@ -242,7 +240,7 @@ class Bench:
         base_text = STOCK.read_text(encoding="utf-8")
         conclusion = conclude(self.drive.samples.drive(), self.car.base, base_text, "calibration drive")
         return Result(self._seed, conclusion, self.drive.driven_s, self._max_m, self._extent_m,
-                      self._collisions.count if self._collisions else 0)
+                      self._world.count if self._world else 0)
 
     def _advance(self):
         now_ns = self.vehicle.time_ns
@@ -270,7 +268,7 @@ class Bench:
         self.drive = Mock(**{"step.return_value": Step(None, 0.0, PAUSED, ""), "take_fit_task.return_value": None})
         self.person, self._trace = Mock(holds=False, pushes=False), None
         self._max_m = self._extent_m = 0.0
-        vehicle, collisions = self.vehicle, self._collisions
+        vehicle, collisions = self.vehicle, self._world
         begin_ns, travel_m = vehicle.time_ns, vehicle.travel_m
         hits = collisions.count if collisions else 0
         while vehicle.time_ns < begin_ns + ROLLS_S * NS_PER_S and abs(vehicle.speed_mps) > STANDS_MPS:
@@ -286,7 +284,7 @@ class Bench:
         vehicle.speed_mps, curvature = self.person.push(vehicle)
         pose = vehicle._pose_after(vehicle.speed_mps * dt_s, curvature)
         vehicle.time_ns += STEP_NS
-        if self._world is not None and not self._world.obstacles().is_free(pose):
+        if self._world is not None and not self._world.is_free(pose):
             vehicle.speed_mps, curvature = -PUSHED_MPS, 0.0  # first straight back
             pose = vehicle._pose_after(vehicle.speed_mps * dt_s, curvature)
         vehicle.pose = pose

@@ -22,8 +22,7 @@ from dataclasses import dataclass, field
 
 from car_interface.sim.line import BitErrors
 from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
-from car_interface.sim.teensy_sonars import ECHO_RISE_US
-from car_interface.sim.teensy_wheels import BACKWARD, FORWARD
+from car_interface.sim.teensy_sensors import BACKWARD, ECHO_RISE_US, FORWARD
 from car_interface.teensy.link import protocol
 from car_interface.teensy.link.framing import RESYNC_FILLER, SHIPPED, FrameDecoder, encode
 from car_interface.teensy.link.pinging import Pinger

@@ -23,8 +23,8 @@ from many_drives import THROTTLE
 from accuracy.virtual_drive import NS_PER_S, START_NS, Command, View, record
 from car_interface.common.sources import TELEOP
 from car_interface.interlock.motion_interlock import InterlockConfig
-from car_interface.sim import esc as virtual
-from car_interface.sim.dynamics import DriveTrainConfig
+from car_interface.sim import drive_train as virtual
+from car_interface.sim.drive_train import DriveTrainConfig
 from car_interface.sim.vehicle import VehicleConfig
 from car_interface.throttle.arbiter import ThrottleArbiterConfig
 from car_interface.throttle.control import ThrottleControl

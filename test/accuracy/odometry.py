@@ -21,7 +21,7 @@ from typing import Callable, NamedTuple
 import numpy as np
 
 from accuracy.clock import percentile
-from car_interface.sim.dynamics import true_acceleration_mps2
+from car_interface.sim.drive_train import true_acceleration_mps2
 from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
 from car_interface.sim.vehicle import Vehicle, VehicleConfig
 from car_interface.teensy.link.framing import FrameDecoder

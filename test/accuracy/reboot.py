@@ -22,7 +22,7 @@ from many_drives import MS, S
 
 from accuracy.virtual_drive import Link
 from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
-from car_interface.sim.teensy_wheels import BACKWARD, FORWARD
+from car_interface.sim.teensy_sensors import BACKWARD, FORWARD
 from car_interface.teensy.sensing.measurements import MotionMeasurement
 
 PULSE_M, TRACK_M = math.pi * 0.095 / 20, 0.296
@@ -92,8 +92,9 @@ class Drive:
         whole = tuple(math.floor(position) for position in self.positions)
         self.teensy = TeensyFirmware(FirmwareConfig(
             clock_start_ms=rng.randrange(300, max_start_ms), clock_drift_ppm=rng.uniform(-50, 50),
-            wheel_positions=whole, seed=rng.randrange(1000), sonars_missing=sonars_missing),
-            lambda sensor, at_ns: 4000 + 900 * sensor)
+            wheel_positions=whole, seed=rng.randrange(1000)), lambda sensor, at_ns: 4000 + 900 * sensor)
+        for sensor in sonars_missing:
+            self.teensy.set_sonar(sensor, "missing", -1)  # before it works
 
     def step(self):
         wanted, curvature = self.plan.at(self.now_ns / S)

@@ -21,7 +21,7 @@ import numpy as np
 
 from accuracy import virtual_drive
 from car_interface.common.errors import CarInterfaceError
-from car_interface.sim.dynamics import true_acceleration_mps2
+from car_interface.sim.drive_train import true_acceleration_mps2
 from car_interface.throttle.value_map import load_value_map
 from car_interface.tools.calibration.value_map import calibrate as tables
 from car_interface.tools.cli import calibrate_value_map as command

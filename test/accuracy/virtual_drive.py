@@ -19,7 +19,7 @@ from many_drives import COUNT, THROTTLE, count_duty
 from unit.written_recordings import Written, stamp, write_ros1
 
 from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
-from car_interface.sim.teensy_wheels import BACKWARD
+from car_interface.sim.teensy_sensors import BACKWARD
 from car_interface.sim.vehicle import DriveTrainConfig, SteeringConfig, Vehicle, VehicleConfig
 from car_interface.teensy.link.framing import SHIPPED, FrameDecoder
 from car_interface.teensy.link.pinging import Pinger
@@ -54,11 +54,12 @@ def random_car(seed: int) -> VehicleConfig:
     steering = SteeringConfig(curve=curve, center_duty=center + rng.uniform(-60, 60), lag_s=0.15,
                               backlash_duty=rng.uniform(2, 6) if like_slash else rng.uniform(8, 32))
     neutral = 4915 + rng.uniform(-15, 15)
+    band = rng.uniform(20, 45)
     drive = DriveTrainConfig(
-        neutral_duty=neutral, neutral_band_duty=rng.uniform(20, 45),
+        neutral_duty=neutral, forward_band_duty=band, reverse_band_duty=band,
         forward_mps2=rng.uniform(4.5, 7.0), reverse_mps2=rng.uniform(2.8, 4.5), brake_mps2=rng.uniform(5.5, 8.5),
         thrust_halves_mps=rng.uniform(7.0, 13.0), drag_mps2=rng.uniform(0.25, 0.5), drag_per_s=rng.uniform(0.05, 0.12),
-        drag_per_m=rng.uniform(0.002, 0.007), sag=0.10, sag_over_s=300.0)
+        drag_per_m=rng.uniform(0.002, 0.007), sag=0.10)
     return VehicleConfig(steering=steering, drive=drive, pulse_phase=(rng.random(), rng.random()), slope=0.02,
                          uphill_rad=rng.uniform(-math.pi, math.pi), tyres=None)
 

@@ -17,6 +17,7 @@ import yaml
 from car_interface.srv import InjectFaultRequest
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool
+from virtual_bus import VirtualBus
 
 from car_interface.nodes.car_sim.node import CarSim
 from car_interface.nodes.car_sim.virtual_line import VirtualLine
@@ -28,7 +29,7 @@ from car_interface.nodes.teleop_logi import TeleopLogi
 from car_interface.nodes.throttle_arb import ThrottleArb
 from car_interface.nodes.turn_arb import TurnArb
 from car_interface.pca9685.registers import duty_of_counts
-from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
+from car_interface.sim.pca9685_chip import VirtualPca9685
 from car_interface.teensy.link.health import ABSENT, BUSY, FAILING
 from car_interface.teensy.link.port import PortError
 from graph import NS_PER_S, Graph, Node, NodeClocks

@@ -13,7 +13,7 @@ from car import Pins
 from car_interface.common.vehicle_geometry import SONARS as SONAR_NAMES
 from car_interface.nodes.car_sim.node import RETRY_NS, CarSim, ChipFollower, room_markers
 from car_interface.nodes.pca9685.virtual_board import chip_path
-from car_interface.sim.world import Post, WorldConfig
+from car_interface.sim.world import Box, Post, WorldConfig
 
 LINK, PONGS, SONARS = "/teensy_sensor_hub/link", "/teensy_pong", "/teensy_distance"
 CENTER, LEFT, GENTLE, FAST, NEUTRAL = 5100, 3835, 5700, 6500, 4915
@@ -84,7 +84,7 @@ def test_servo_board_is_the_one_of_this_namespace_unless_a_parameter_says_anothe
 
 
 def test_walls_are_drawn_low_from_corner_to_corner_and_things_high_where_they_stand():
-    room = WorldConfig(walls=(-1.0, 3.0, -2.0, 6.0), boxes=(), posts=(Post(0.5, 0.7, 0.1),))
+    room = WorldConfig(walls=Box(1.0, 2.0, 4.0, 8.0), boxes=(), posts=(Post(0.5, 0.7, 0.1),))
     drawn = [(each.pose.position, each.scale) for each in room_markers(room, "odom").markers]
     assert [(at.x, at.y, at.z, size.x, size.y, size.z) for at, size in drawn] == [pytest.approx(each) for each in (
         (1.0, -2.0, 0.06, 4.0, 0.04, 0.12), (1.0, 6.0, 0.06, 4.0, 0.04, 0.12), (-1.0, 2.0, 0.06, 0.04, 8.0, 0.12),

@@ -8,8 +8,8 @@ from collections import namedtuple
 from pathlib import Path
 
 from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
+from car_interface.sim.teensy_sensors import LEFT
 from car_interface.sim.teensy_uart import COUNTER_NAMES, PacketPool, Receiver
-from car_interface.sim.teensy_wheels import LEFT
 
 MS, S = 1_000_000, 1_000_000_000
 PING, PONG, SET_SEQ, START, SONAR, WHEELS, GET_COUNTERS, WAIT = 1, 2, 3, 5, 6, 7, 10, 12
@@ -89,7 +89,7 @@ def ping(timestamp1):
 def received(wire, corrected=False):
     """What a receiver alone makes of ``wire``: the packets that it accepts, and its counters."""
     counters = dict.fromkeys(COUNTER_NAMES, 0)
-    pool = PacketPool(4, None)
+    pool = PacketPool(None)
     receiver = Receiver(pool.acquire, counters, corrected)
     accepted = []
     for byte in wire:

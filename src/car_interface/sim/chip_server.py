@@ -22,16 +22,14 @@ import time
 from car_interface.common.file_lock import lock_byte
 from car_interface.common.own_files import OTHERS_BITS, UnsafeFile, check_socket, open_own
 from car_interface.sim import chip_link as wire
-from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
+from car_interface.sim.pca9685_chip import LED0, MODE1, SLEEP, VirtualPca9685
 
 LINGER_S = 3.0  # after the last client: time for roslaunch to restart a node; a guard is a client, too
 SERVER_LOCK = 0x100  # a byte of the lock file that is no address
-MODE1, SLEEP, LED0, BLOCK = 0x00, 0x10, 0x06, 32  # data sheet, table 4
 HELD_S = 1.0  # the kernel's timeout, after which a transfer on a bus that is held fails
 MAX_CLIENTS = 32  # nodes, guards and observers of one chip are fewer than ten
 MAX_WAITING = 16  # transfers of one client on a bus that is held: it gives each up after ANSWER_S
-MAX_NACKS = 10**9
-MAX_ADDRESS = 0x7F
+HIGHEST = {"nack": 10**9, "address": 0x7F}  # values of faults; the lowest is 0
 
 
 class ChipServer:
@@ -41,32 +39,32 @@ class ChipServer:
         self._listener = listener
         self._address = address
         self._chip = VirtualPca9685()
-        self._bus = VirtualBus({address: self._chip}, on_write=self._log_write)
+        self._has_power = True
+        self._is_held = False  # somebody holds the bus down
+        self._nacks_left = 0  # how many of the next transfers are not acknowledged
         self._log_fd = -1
-        self._clients = {}  # sockets by descriptor
-        self._observers = set()  # descriptors
-        self._waiting = []  # transfers while the bus is held: (descriptor, packet)
+        self._clients = []  # their sockets
+        self._observers = set()  # those of them that are sent what the pins do
+        self._waiting = []  # transfers while the bus is held: (client, packet)
         self._fails_s = 0.0  # when the first of them fails
         self._outputs = self._pins()
 
-    def run(self, clock=time.monotonic) -> None:
+    def run(self) -> None:
         """Serve until all clients have been gone for a while."""
-        poll = select.poll()
-        poll.register(self._listener, select.POLLIN)
-        alone_since_s = clock()
-        while self._clients or clock() - alone_since_s < LINGER_S:
-            left_s = max(0.0, self._fails_s - clock()) if self._waiting else LINGER_S
-            for fd, _ in poll.poll(1000 * left_s + 1):
-                if fd == self._listener.fileno():
-                    self._accept(poll)
-                elif fd in self._clients and not self._serve(fd, clock()):
-                    poll.unregister(fd)
-                    self._drop(fd)
-            self._fail_waiting(clock())
+        now_s = alone_since_s = time.monotonic()
+        while self._clients or now_s - alone_since_s < LINGER_S:
+            left_s = max(0.0, self._fails_s - now_s) if self._waiting else LINGER_S
+            for ready in select.select([self._listener, *self._clients], [], [], left_s + 0.001)[0]:
+                if ready is self._listener:
+                    self._accept()
+                elif not self._serve(ready, time.monotonic()):
+                    self._drop(ready)
+            now_s = time.monotonic()
+            self._fail_waiting(now_s)
             if self._clients:
-                alone_since_s = clock()
+                alone_since_s = now_s
 
-    def _accept(self, poll):
+    def _accept(self):
         """Take a client of this user's, if there is room for one."""
         try:
             client, _ = self._listener.accept()
@@ -76,125 +74,117 @@ class ChipServer:
             client.close()
             return
         client.setblocking(False)
-        self._clients[client.fileno()] = client
-        poll.register(client, select.POLLIN)
+        self._clients.append(client)
 
-    def _drop(self, fd):
-        self._clients.pop(fd).close()
-        self._observers.discard(fd)
-        self._waiting = [each for each in self._waiting if each[0] != fd]
+    def _drop(self, client):
+        client.close()
+        self._clients.remove(client)
+        self._observers.discard(client)
+        self._waiting = [each for each in self._waiting if each[0] is not client]
 
-    def _serve(self, fd, now_s):
+    def _serve(self, client, now_s):
         """Answer one request; return whether the client is still there."""
         try:
-            packet = self._clients[fd].recv(wire.MAX_PACKET + 1)  # of a longer one the rest is lost
+            packet = client.recv(wire.MAX_PACKET + 1)  # of a longer one the rest is lost
         except BlockingIOError:
             return True
         except OSError:
             packet = b""
         if not packet:
             return False
-        if self._bus.held and packet[0] in (wire.READ, wire.WRITE):
+        if self._is_held and packet[0] in (wire.READ, wire.WRITE):
             if not self._waiting:
                 self._fails_s = now_s + HELD_S
-            self._waiting.append((fd, packet))
-            return sum(each[0] == fd for each in self._waiting) <= MAX_WAITING
-        self._answer(fd, packet)
+            self._waiting.append((client, packet))
+            return sum(each[0] is client for each in self._waiting) <= MAX_WAITING
+        self._answer(client, packet)
         return True
 
     def _fail_waiting(self, now_s):
         """Fail transfers on a bus that is held, one after the other, each after a second."""
         while self._waiting and now_s >= self._fails_s:
-            fd, _ = self._waiting.pop(0)
-            self._send(fd, wire.ANSWER.pack(errno.ETIMEDOUT))
-            if not self._bus.held:  # it was released since: waiting transfers go through
-                for waiting_fd, packet in self._waiting:
-                    self._answer(waiting_fd, packet)
+            self._send(self._waiting.pop(0)[0], wire.ANSWER.pack(errno.ETIMEDOUT))
+            if not self._is_held:  # it was released since: waiting transfers go through
+                for client, packet in self._waiting:
+                    self._answer(client, packet)
                 self._waiting.clear()
             self._fails_s += HELD_S
 
-    def _answer(self, fd, packet):
+    def _answer(self, client, packet):
         try:
-            data, number = self._handle(fd, packet), 0
+            data, number = self._handle(client, packet), 0
         except OSError as error:
             data, number = b"", error.errno or errno.EIO
         except Exception:  # no request may end the chip's pulses, as with a real one
             data, number = b"", errno.EIO
-        self._send(fd, wire.ANSWER.pack(number) + data)
+        self._send(client, wire.ANSWER.pack(number) + data)
         if packet[0] == wire.OBSERVE and not number:
             self._outputs = self._pins()
-            self._send(fd, wire.OUTPUTS.pack(*self._outputs))
+            self._send(client, wire.OUTPUTS.pack(*self._outputs))
         elif self._observers and self._outputs != self._pins():
             self._outputs = self._pins()
             for observer in tuple(self._observers):
                 self._send(observer, wire.OUTPUTS.pack(*self._outputs))
 
-    def _send(self, fd, packet):
+    def _send(self, client, packet):
         with contextlib.suppress(OSError):  # it is dropped when its end is seen
-            self._clients[fd].send(packet)
+            client.send(packet)
 
-    def _handle(self, fd, packet):
+    def _handle(self, client, packet):
         """Do what a packet asks for and return the data of the answer; OSError where that fails or is impossible."""
-        if len(packet) < wire.REQUEST.size:
-            raise _error(errno.EPROTO)
-        if len(packet) > wire.MAX_PACKET:
-            raise _error(errno.EMSGSIZE)
+        _check(len(packet) >= wire.REQUEST.size, errno.EPROTO)
+        _check(len(packet) <= wire.MAX_PACKET, errno.EMSGSIZE)
         operation, address, register, value = wire.REQUEST.unpack_from(packet)
         data = packet[wire.REQUEST.size:]
+        _check(operation in wire.OPERATIONS and (operation != wire.FAULT or register < len(wire.FAULTS)),
+               errno.EOPNOTSUPP)
         if operation == wire.READ:
-            if len(data) != 1 or not 1 <= data[0] <= wire.MAX_BLOCK:
-                raise _error(errno.EINVAL)
-            return bytes(self._bus.read_i2c_block_data(address, register, data[0]))
+            _check(len(data) == 1 and 1 <= data[0] <= wire.MAX_BLOCK, errno.EINVAL)
+            return bytes(self._addressed(address).read(register, data[0]))
         if operation == wire.WRITE:
-            if not 1 <= len(data) <= wire.MAX_BLOCK:
-                raise _error(errno.EINVAL)
-            self._bus.write_i2c_block_data(address, register, list(data))
-        elif operation == wire.FAULT and register < len(wire.FAULTS):
+            _check(1 <= len(data) <= wire.MAX_BLOCK, errno.EINVAL)
+            self._addressed(address).write(register, data)
+            self._log_write(address, register, data)
+        elif operation == wire.FAULT:
             self._inject(wire.FAULTS[register], value)
         elif operation == wire.LOG:
             self._open_log(data)
-        elif operation == wire.OBSERVE:
-            self._observers.add(fd)
         else:
-            raise _error(errno.EOPNOTSUPP)
+            self._observers.add(client)
         return b""
 
+    def _addressed(self, address):
+        """Return the chip, unless nothing acknowledges a transfer to the address."""
+        nack, self._nacks_left = self._nacks_left > 0, max(0, self._nacks_left - 1)
+        _check(not nack and self._has_power and address == self._address, errno.EREMOTEIO)
+        return self._chip
+
     def _inject(self, fault, value):
-        if not math.isfinite(value) or fault == "nack" and not 0 <= value <= MAX_NACKS or \
-                fault == "address" and not 0 <= value <= MAX_ADDRESS:
-            raise _error(errno.EINVAL)
+        _check(math.isfinite(value) and (fault not in HIGHEST or 0 <= value <= HIGHEST[fault]), errno.EINVAL)
         if fault == "nack":
-            self._bus.nacks_left = int(value)
+            self._nacks_left = int(value)
         elif fault == "hold":
-            self._bus.held = bool(value)
-        elif fault == "brownout":
-            self._chip.power_up()
-        elif fault == "power" and value:
-            self._chip.power_up()
-            self._bus.chips[self._address] = self._chip
-        elif fault == "power":
-            self._bus.chips.pop(self._address, None)
+            self._is_held = bool(value)
         elif fault == "address":
-            chip, self._address = self._bus.chips.pop(self._address, None), int(value)
-            if chip is not None:  # it has power
-                self._bus.chips[self._address] = chip
+            self._address = int(value)
+        else:  # power or brownout
+            self._chip.power_up()
+            self._has_power = self._has_power if fault == "brownout" else bool(value)
 
     def _pins(self):
-        has_power = self._address in self._bus.chips
-        return tuple(self._chip.high_counts(channel) if has_power else 0 for channel in range(16))
+        return tuple(self._chip.high_counts(channel) if self._has_power else 0 for channel in range(16))
 
     def _open_log(self, path):
         """Append each write to the file at a path, in bytes; if it can't be opened, the one before stays in use."""
-        if not path.startswith(b"/") or b"\0" in path:
-            raise _error(errno.EINVAL)
+        _check(path.startswith(b"/") and b"\0" not in path, errno.EINVAL)
         log_fd = open_own(os.fsdecode(path), os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
         if self._log_fd >= 0:
             os.close(self._log_fd)
         self._log_fd = log_fd
         if not self._chip.read(MODE1, 1)[0] & SLEEP:  # its present counts, as if they were written now
-            for first in (LED0, LED0 + BLOCK):
+            for first in (LED0, LED0 + wire.MAX_BLOCK):
                 self._log_write(self._address, first, b"".join(
-                    bytes(self._chip.read(register, 1)) for register in range(first, first + BLOCK)))
+                    bytes(self._chip.read(register, 1)) for register in range(first, first + wire.MAX_BLOCK)))
 
     def _log_write(self, address, register, data):
         if self._log_fd >= 0:
@@ -202,8 +192,9 @@ class ChipServer:
             os.write(self._log_fd, line.encode("ascii"))
 
 
-def _error(number):
-    return OSError(number, os.strerror(number))
+def _check(is_ok, number):
+    if not is_ok:
+        raise OSError(number, os.strerror(number))
 
 
 def main() -> None:

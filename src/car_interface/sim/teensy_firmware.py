@@ -16,42 +16,45 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from functools import partial
 from random import Random
 from typing import Callable, Generator
 
+from car_interface.common import declared
 from car_interface.common.errors import require
 from car_interface.sim import teensy_uart as uart
 from car_interface.sim.teensy_clock import NEVER_NS, NS_PER_US, UINT32, Clock
-from car_interface.sim.teensy_sonars import SEQUENCE_MAX, SONAR_MISSING, Held, SonarArray, SonarSensor
-from car_interface.sim.teensy_wheels import FORWARD, HALL_PINS, Axle
+from car_interface.sim.teensy_sensors import FORWARD, HALL_PINS, SEQUENCE_MAX, Axle, Held, SonarArray, SonarSensor
 
 U32 = struct.Struct("<I")
 SONAR_ECHO = struct.Struct("<HI")  # echo µs, when: after the sensor and the filler byte
 BOOT_MS = 300  # millis() when a Teensy starts the firmware's own code
-POOL_SIZE = 32  # packets that receiver, queues and transmitter share
-UART_BUFFER = 62  # bytes that wait in front of the line: of its 64 the firmware leaves 2 free
+SONAR_WAIT_MS = 50  # from an echo to the next sonar's ping, until SONAR_WAIT changes it
 
 
 @dataclass(frozen=True)
 class FirmwareConfig:
     """The properties of one simulated Teensy; the defaults are the one in the cars."""
 
-    baud: int = 115200  # bits a second on the line, both ways
     # ``millis()`` at power-up, as the boot has ended; near 2**32 it wraps soon; 300 after ``reboot``.
-    clock_start_ms: int = BOOT_MS
-    clock_drift_ppm: float = 0.0  # how much the Teensy's crystal is too fast (positive) or too slow
-    clock_ramp_ppm_per_h: float = 0.0  # how much that changes in an hour (a car that warms up)
+    clock_start_ms: float = declared.number(
+        "clock_start_ms", BOOT_MS, "the Teensy's clock at its power-up", "ms", low=0, high=2 ** 32 - 1,
+        default_text="random, up to an hour")
+    clock_drift_ppm: float = declared.number(
+        "clock_drift_ppm", 0.0, "how much it is too fast", "ppm", low=-10_000, high=10_000,
+        default_text="random, up to ±50")
+    corrected_checksum: bool = declared.flag(  # sums with carry over unescaped bytes; its other faults stay
+        "corrected_checksum", False, "true = its receiver's checksum is repaired")
+    sonar_pulse_end_us: int = declared.integer(  # 38 ms with an HC-SR04
+        "sonar_pulse_end", 38_000, "how long a sonar without an echo holds its pin", "µs", low=12_000, high=1_000_000)
+    # Also of the garbage that the packets' memory holds at power-up; None for zeros.
+    seed: int | None = declared.integer(
+        "seed", None, "of everything that is random, and of noise", low=0, default_text="random, logged")
+    clock_ramp_ppm_per_h: float = 0.0  # how much the drift changes in an hour (a car that warms up)
     loop_us: int = 50  # true time of one pass of the loop, µs. The original's is not known.
-    sonar_wait_ms: int = 50  # from an echo to the next sonar's ping, until SONAR_WAIT changes it
     sonar_sequence: tuple[int, ...] = (0, 1, 2, 3, 4, 5)  # the sonars' order, until SET_SONAR_SEQ changes it
-    sonar_pulse_end_us: int = 38_000  # how long a sensor holds its echo pin high without an echo: 38 ms with an HC-SR04
-    sonars_missing: tuple[int, ...] = ()  # the sensors that are not connected at power-up; see ``set_sonar``
     # Where the wheels (left, right) stand at power-up, in pulses: sets the levels of the hall pins.
     wheel_positions: tuple[int, int] = (0, 0)
-    # The dist and dist_abs of both wheels, which have turned forward, at power-up. After ``reboot`` 0.
-    odometer_start: int = 0
-    corrected_checksum: bool = False  # the receiver sums with carry over unescaped bytes. Its other faults stay.
-    seed: int | None = None  # of the garbage that the packets' memory holds at power-up; None for zeros
 
 
 class TeensyFirmware:
@@ -59,49 +62,41 @@ class TeensyFirmware:
 
     Args:
         echo_us: ``(sensor, at_ns) -> µs`` from a ping to its echo; 0 when nothing is near enough: then the sensor ends
-            its pulse by itself. An attribute too. Without it no sonar gets an echo.
+            its pulse by itself. Without it no sonar gets an echo.
         power_up_ns: the true time at which its boot ends and it begins to work.
 
     Attributes:
         clock: its own; another one after a reboot.
         counters: every counter that GET_COUNTERS can report, by name.
-        hung: True once only a reboot helps.
     """
 
     def __init__(self, config: FirmwareConfig, echo_us: Callable[[int, int], float] | None = None,
                  power_up_ns: int = 0):
-        self.echo_us = echo_us or (lambda sensor, at_ns: 0)
+        echo_us = echo_us or (lambda sensor, at_ns: 0)
         self._config = config
         self._period_ns = config.loop_us * NS_PER_US
-        self._incoming = uart.IncomingLine(config.baud)
-        self._outgoing = uart.OutgoingLine(config.baud, UART_BUFFER)
-        self._sensors = [self._sensor(number) for number in range(uart.SONARS)]
-        for sensor in config.sonars_missing:
-            self._sensors[sensor].set_condition(SONAR_MISSING, power_up_ns)
+        self._incoming = uart.IncomingLine()
+        self._outgoing = uart.OutgoingLine()
+        self._sensors = [
+            SonarSensor(config.sonar_pulse_end_us, partial(echo_us, number), Random(f"{config.seed} {number}"))
+            for number in range(uart.SONARS)]
         self._positions = list(config.wheel_positions)
         self._now_ns = power_up_ns
-        self._switch_on(config.clock_start_ms, power_up_ns, power_up_ns)
-        for wheel in self._axle.wheels if config.odometer_start else ():
-            wheel.preset(config.odometer_start)
+        self._switch_on(int(config.clock_start_ms), power_up_ns)
 
-    def _sensor(self, number: int) -> SonarSensor:
-        return SonarSensor(self._config.sonar_pulse_end_us, lambda at_ns: self.echo_us(number, at_ns),
-                           Random(f"{self._config.seed} {number}"))
-
-    def _switch_on(self, clock_start_ms: int, clock_start_ns: int, boot_end_ns: int):
+    def _switch_on(self, clock_start_ms: int, clock_start_ns: int):
         config = self._config
         self.clock = Clock(clock_start_ms, config.clock_drift_ppm, config.clock_ramp_ppm_per_h, clock_start_ns)
         self.counters: dict[str, int] = dict.fromkeys(uart.COUNTER_NAMES, 0)
-        self.hung = False
-        self._pool = uart.PacketPool(POOL_SIZE, config.seed)
+        self._pool = uart.PacketPool(config.seed)
         self._receiver = uart.Receiver(self._pool.acquire, self.counters, config.corrected_checksum)
         self._transmitter = uart.Transmitter(self._outgoing, self._pool, self.counters)
-        self._axle = Axle(self.counters)
-        self._sonars = SonarArray(config.sonar_sequence, config.sonar_wait_ms, self._sensors, self.clock, self._pool,
+        self._axle = Axle(self.clock, self.counters)
+        self._sonars = SonarArray(config.sonar_sequence, SONAR_WAIT_MS, self._sensors, self.clock, self._pool,
                                   self.counters)
-        self._is_booting = True
+        self._runs = False  # it boots; later, it hangs and only a reboot helps
         self._is_between_passes = False
-        self._resume_ns = boot_end_ns
+        self._resume_ns = clock_start_ns
         self._loop = self._run()
         next(self._loop)
 
@@ -146,7 +141,7 @@ class TeensyFirmware:
         before = HALL_PINS[self._positions[side] % 4]
         self._positions[side] += 1 if direction == FORWARD else -1
         pins = HALL_PINS[self._positions[side] % 4]
-        if self._is_booting or self.hung:
+        if not self._runs:
             return
         self._axle.interrupt(side, before ^ pins, pins, self.clock.tick(self._now_ns))
         self._wake(self._now_ns)
@@ -160,7 +155,7 @@ class TeensyFirmware:
         self.advance(now_ns)
         self._outgoing.cut(self._now_ns)
         clock_start_ns = self._now_ns + off_ns
-        self._switch_on(0, clock_start_ns, clock_start_ns)
+        self._switch_on(0, clock_start_ns)
         self._resume_ns = self.clock.reaches_ns(BOOT_MS, clock_start_ns)
 
     def set_sonar(self, sensor: int, condition: str, now_ns: int):
@@ -177,23 +172,18 @@ class TeensyFirmware:
         self._sensors[int(sensor)].set_condition(condition, self._now_ns)
         self._sonars.schedule()
 
-    @property
-    def next_event_ns(self) -> int:
-        """Return when something will happen by itself; until then ``advance`` has no effect. Bytes may leave sooner."""
-        return min(self._resume_ns, self._sonars.interrupt_ns)
-
     # The loop
 
     def _run(self) -> Generator[int, int, None]:
         now_ns = yield self._resume_ns
-        self._is_booting = False
+        self._runs = True
         self._incoming.drop(now_ns)
         now_ns = yield from self._sonars.begin(now_ns)
-        self._axle.begin(self.clock, now_ns)
+        self._axle.begin(now_ns)
         while True:
             now_ns = yield from self._read_line(now_ns)
             now_ns = yield from self._sonars.ping_when_due(now_ns)
-            report = self._axle.report_when_due(self.clock, now_ns)
+            report = self._axle.report_when_due(now_ns)
             if report is not None:
                 self._transmitter.queue_wheels(report)
             self._transmitter.poll(now_ns)
@@ -205,7 +195,7 @@ class TeensyFirmware:
         try:
             self._resume_ns = self._loop.send(self._now_ns)
         except uart.PoolEmpty:
-            self.hung = True
+            self._runs = False
             self._resume_ns = NEVER_NS
 
     def _next_pass_ns(self, now_ns: int) -> int:
@@ -242,14 +232,13 @@ class TeensyFirmware:
         echo = self._sonars.take_echo()
         if echo is None:
             return
-        packet = self._pool.acquire()
+        packet = self._transmitter.new_packet(uart.SONAR_STATUS)
         if packet is None:
             # The firmware schedules the next ping when it handles the report. No packet, no report, no next ping:
             # the sonars report nothing until SONAR_START.
-            self.counters["txErrorNoBuf"] += 1
             return
         sensor, echo_us, when = echo
-        packet[:5] = bytes((uart.RPI, uart.TEENSY, uart.SONAR_STATUS, 0, sensor))
+        packet[4] = sensor
         SONAR_ECHO.pack_into(packet, 6, echo_us, when)
         self._transmitter.queue_sonar(sensor, packet)
         self._sonars.wait(now_ns)
@@ -279,11 +268,8 @@ class TeensyFirmware:
 
     def _send_counters(self):
         for name, count in [item for item in self.counters.items() if item[1]]:
-            answer = self._pool.acquire()
-            if answer is None:
-                self.counters["txErrorNoBuf"] += 1
-                continue
-            answer[:4] = bytes((uart.RPI, uart.TEENSY, uart.ERROR_COUNT, 0))
-            U32.pack_into(answer, 4, count & UINT32)
-            answer[8:32] = name.encode("ascii").ljust(24, b"\0")
-            self._transmitter.queue_first(answer)
+            answer = self._transmitter.new_packet(uart.ERROR_COUNT)
+            if answer is not None:
+                U32.pack_into(answer, 4, count & UINT32)
+                answer[8:32] = name.encode("ascii").ljust(24, b"\0")
+                self._transmitter.queue_first(answer)

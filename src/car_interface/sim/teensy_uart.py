@@ -27,7 +27,10 @@ COUNTER_NAMES = (
     "rotBufFull", "rotUpdSkip", "errPing0", "errPing1", "errPing2", "errPing3", "errPing4", "errPing5",
 )
 
+BAUD = 115200  # bits a second on the line, both ways
 BITS_PER_BYTE_S = 10 * 1_000_000_000  # 8N1 sends ten bits a byte; times nanoseconds a second
+BUFFER_SIZE = 62  # bytes that wait in front of the line before a writer has to: of its 64 the firmware leaves 2 free
+POOL_SIZE = 32  # packets that receiver, queues and transmitter share
 BOOT_BYTE = 0xC1  # of the frame that the firmware makes of a packet that isn't there, before its complement
 
 
@@ -38,8 +41,8 @@ class PoolEmpty(Exception):
 class PacketPool:
     """The packets that all parts share. A used one keeps its content, which later shows in the filler byte."""
 
-    def __init__(self, size: int, seed: int | None):
-        memory = bytes(size * PACKET_SIZE)
+    def __init__(self, seed: int | None):
+        memory = bytes(POOL_SIZE * PACKET_SIZE)
         if seed is not None:
             memory = Random(seed).getrandbits(8 * len(memory)).to_bytes(len(memory), "little")
         chunks = (memory[start : start + PACKET_SIZE] for start in range(0, len(memory), PACKET_SIZE))
@@ -60,7 +63,7 @@ class Receiver:
         corrected_checksum: True to sum with carry, over the unescaped bytes.
     """
 
-    IDLE, WAITING, DATA, ESCAPED = "idle", "waiting", "data", "escaped"
+    WAITING, DATA, ESCAPED = "waiting", "data", "escaped"  # for an opening flag; in a frame; for an escaped byte
 
     def __init__(self, acquire: Callable[[], bytearray | None], counters: dict[str, int],
                  corrected_checksum: bool = False):
@@ -68,14 +71,7 @@ class Receiver:
         self._counters = counters
         self._corrected = corrected_checksum
         self._packet: bytearray | None = None
-        self._phase = self.IDLE
-        self._filled = 0
-        self._sum = 0
-
-    @property
-    def state(self) -> tuple[str, int]:
-        """(phase, bytes in the packet). IDLE holds no packet yet, WAITING does and waits for an opening flag."""
-        return self._phase, self._filled
+        self._restart()
 
     def byte(self, byte: int) -> bytearray | None:
         """Take one byte; return the packet that it completed, checksum included, or None."""
@@ -84,7 +80,6 @@ class Receiver:
             if self._packet is None:
                 self._counters["rxErrorBuffer"] += 1
                 return None
-            self._restart()
         self._counters["rxBytes"] += 1
         if self._phase == self.WAITING and byte == FLAG:
             self._phase = self.DATA
@@ -103,8 +98,7 @@ class Receiver:
 
     def _restart(self):
         self._phase = self.WAITING
-        self._filled = 0
-        self._sum = 0
+        self._filled = self._sum = 0
 
     def _undo_escape(self, byte: int):
         """Store the unescaped byte, and add the escaped one to the sum.
@@ -141,15 +135,13 @@ class Receiver:
             return None
         self._counters["rxPackets"] += 1
         self._packet = None
-        self._phase = self.IDLE
         return packet
 
 
 class IncomingLine:
     """The wire from the host: bytes arrive in order, ten bits each, and are taken one at a time."""
 
-    def __init__(self, baud: int):
-        self._baud = baud
+    def __init__(self):
         self._bytes: deque[tuple[int, int]] = deque()  # when each is complete, and which it is
         self._burst_ns = self._count = 0  # since when bytes follow each other without a pause, and how many
 
@@ -167,7 +159,7 @@ class IncomingLine:
             self._burst_ns, self._count = now_ns, 0
         for byte in data:
             self._count += 1
-            self._bytes.append((self._burst_ns + line_ns(self._count, self._baud), byte))
+            self._bytes.append((self._burst_ns + line_ns(self._count), byte))
 
     def pop(self) -> int:
         return self._bytes.popleft()[1]
@@ -203,19 +195,25 @@ class Transmitter:
         self._first.append(packet)
         self._wake()
 
+    def new_packet(self, kind: int) -> bytearray | None:
+        """Return a free packet with its header; None, which is counted, when all are in use."""
+        packet = self._pool.acquire()
+        if packet is None:
+            self._counters["txErrorNoBuf"] += 1
+        else:
+            packet[:HEADER_SIZE] = bytes((RPI, TEENSY, kind, 0))
+        return packet
+
     def queue_wheels(self, report: bytes):
         packet = self._reports[0]
         if packet is not None:
             self._counters["txInfoWheelDrop"] += 1
         else:
-            packet = self._pool.acquire()
-            if packet is None:
-                self._counters["txErrorNoBuf"] += 1
-                return
-        packet[:4] = bytes((RPI, TEENSY, WHEEL_STATUS, 0))
-        packet[4 : 4 + len(report)] = report
-        self._reports[0] = packet
-        self._wake()
+            packet = self.new_packet(WHEEL_STATUS)
+        if packet is not None:
+            packet[HEADER_SIZE : HEADER_SIZE + len(report)] = report
+            self._reports[0] = packet
+            self._wake()
 
     def queue_sonar(self, sensor: int, packet: bytearray):
         waiting = self._reports[1 + sensor]
@@ -267,33 +265,27 @@ class Transmitter:
 
 
 class OutgoingLine:
-    """The UART's buffer and the wire behind it: bytes leave in order, ten bits each, never sooner.
+    """The UART's buffer and the wire behind it: bytes leave in order, ten bits each, never sooner."""
 
-    Args:
-        buffer_size: bytes that wait in front of the wire before a writer has to.
-    """
-
-    def __init__(self, baud: int, buffer_size: int):
-        self._baud = baud
-        self._buffer_size = buffer_size
+    def __init__(self):
         self._bytes: deque[tuple[int, int]] = deque()  # when its last bit is out, and which it is
         self._saved = b""  # from before a cut
         self._free_ns = AT_ONCE_NS
 
     def write(self, data: bytes, now_ns: int):
         start_ns = max(now_ns, self._free_ns)
-        self._bytes.extend((start_ns + line_ns(count, self._baud), byte) for count, byte in enumerate(data, 1))
-        self._free_ns = start_ns + line_ns(len(data), self._baud)
+        self._bytes.extend((start_ns + line_ns(count), byte) for count, byte in enumerate(data, 1))
+        self._free_ns = start_ns + line_ns(len(data))
 
     def free_bytes(self, now_ns: int) -> int:
         """Return how many bytes the buffer takes now."""
-        waiting = -(-(self._free_ns - now_ns) * self._baud // BITS_PER_BYTE_S)
-        return min(self._buffer_size, self._buffer_size + 1 - waiting)
+        waiting = -(-(self._free_ns - now_ns) * BAUD // BITS_PER_BYTE_S)
+        return min(BUFFER_SIZE, BUFFER_SIZE + 1 - waiting)
 
     def free_at_ns(self, count: int, now_ns: int) -> int:
         """Return when the buffer takes ``count`` bytes, at most its size."""
-        spare = self._buffer_size + 1 - min(count, self._buffer_size)
-        return max(now_ns, self._free_ns - spare * BITS_PER_BYTE_S // self._baud)
+        spare = BUFFER_SIZE + 1 - min(count, BUFFER_SIZE)
+        return max(now_ns, self._free_ns - spare * BITS_PER_BYTE_S // BAUD)
 
     def collect(self, now_ns: int) -> bytes:
         """Return the bytes whose last bit is out by ``now_ns`` and that weren't collected yet."""
@@ -309,9 +301,9 @@ class OutgoingLine:
         self._free_ns = now_ns
 
 
-def line_ns(count: int, baud: int) -> int:
+def line_ns(count: int) -> int:
     """Return how long so many bytes take on the line, rounded up: never too fast."""
-    return -(-count * BITS_PER_BYTE_S // baud)
+    return -(-count * BITS_PER_BYTE_S // BAUD)
 
 
 def message_length(packet: bytearray) -> int:

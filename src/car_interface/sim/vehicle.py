@@ -5,8 +5,14 @@ curves are the truth that calibration tables only approximate: they are near the
 them on purpose.
 
 REP-103 throughout: metres, radians, seconds, x forward, y left, left turns positive. The pose is that of the middle of
-the rear axle. Tyres widen its turns with speed, slide, and it can tip over: see ``dynamics``; without them it is a
-kinematic car. Backlash of the steering, a slope and a sagging battery are options: the default car has none of them.
+the rear axle. Backlash of the steering, a slope and a sagging battery are options: the default car has none of them.
+
+Tyres limit how hard it can brake, and make its path differ from its steering; without them it is a kinematic car. The
+front wheels slip sideways by an angle that grows with the square of the lateral acceleration a: the path is less curved
+than the steering points, by ``understeer`` · a². Measured circles of a 3.5 kg F1TENTH car (motion capture, 0.5 to 2.5
+m/s, 3 steering angles; recordings of Tinker-Twins/F1TENTH-Mocap-Data-Recording-Pipeline) follow that within 2.5 % in
+radius, up to 5 m/s² sideways. Beyond, the friction circle holds: √(along² + across²) ≤ grip. Weight doesn't move and
+slip takes no time: no skid, no oversteer, no rocking before it tips.
 
 A brake that is stronger than the tyres' grip locks the wheels: no pulses, and the car slides straight on. A motor that
 is stronger than the grip is limited to it, and the wheels don't spin.
@@ -23,27 +29,18 @@ from bisect import bisect_right
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from car_interface.common import declared
 from car_interface.common.errors import require
 from car_interface.common.units import NS_PER_S
 from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, TRACK_M, WHEEL_DIAMETER_M
-from car_interface.sim import dynamics
-from car_interface.sim.dynamics import DriveTrainConfig, Motor, Rollovers, TyreConfig
-from car_interface.sim.esc import VirtualEsc, VirtualEscConfig, is_pulse
-from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
-from car_interface.sim.world import Obstacles
+from car_interface.sim import drive_train
+from car_interface.sim.drive_train import COASTS, DriveTrainConfig, VirtualEsc, VirtualEscConfig
+from car_interface.sim.teensy_sensors import BACKWARD, FORWARD, LEFT, RIGHT
+from car_interface.sim.world import Pose, World
 
 GRAVITY_MPS2 = 9.81
 ARRIVED_DUTY = 0.01  # a servo this near its target has arrived: its creep would never end
-
-
-class Pose(NamedTuple):
-    """The place of the rear axle's middle (metres) and the car's heading (radians, 0 along x, not wrapped)."""
-
-    x_m: float
-    y_m: float
-    yaw_rad: float
-
-
+UPRIGHT_RATIO = 0.9  # below this part of the acceleration at which it tips, the car stands on its wheels again
 ORIGIN = Pose(0.0, 0.0, 0.0)
 
 
@@ -88,6 +85,19 @@ class SteeringConfig:
 
 
 @dataclass(frozen=True)
+class TyreConfig:
+    """One car's tyres and its balance: those of the measured car, and rubber on a dry floor, 0.8 g."""
+
+    understeer: float = declared.number(
+        "understeer", 0.0078, "curvature that it loses by its lateral acceleration", "1/m for each (m/s²)²", low=0,
+        high=1)
+    grip_mps2: float = declared.number(
+        "grip", 7.8, "the most acceleration, along and across together", "m/s²", above=0.0, high=100)
+    rollover_mps2: float = declared.number(
+        "rollover", 7.0, "the lateral acceleration at which it tips", "m/s²", above=0.0, high=100)
+
+
+@dataclass(frozen=True)
 class VehicleConfig:
     """One car."""
 
@@ -123,32 +133,27 @@ class Vehicle:
 
     Args:
         start_ns: the true time at the start; pulses are stamped on this scale.
-        obstacles: ``None`` = there are none.
+        world: what stops it; ``None`` = nothing does.
     """
 
-    def __init__(self, config: VehicleConfig = VehicleConfig(), start_ns: int = 0, obstacles: Obstacles | None = None):
+    def __init__(self, config: VehicleConfig = VehicleConfig(), start_ns: int = 0, world: World | None = None):
         self.config, self.pose = config, config.start
-        self._obstacles = obstacles
+        self._world = world
         self.time_ns = start_ns  # true time now
         self.speed_mps = 0.0  # of the rear axle, backward negative
-        self.acceleration_mps2 = 0.0  # during the last step, the mean
         self.travel_m = 0.0  # signed distance so far
         self.servo_duty = config.steering.center_duty  # the place of the servo, as the duty that holds it there
         self._start_ns = start_ns
         self._esc = None if config.esc is None else VirtualEsc(config.esc, start_ns)
-        self._motor = Motor(config.drive.lag_s)
+        self._motor = COASTS
         self._linkage_duty = self.servo_duty  # the place of the wheels, as the servo's duty without backlash
-        self._half_backlash_duty = config.steering.backlash_duty / 2
-        self._slope_mps2 = -GRAVITY_MPS2 * math.sin(math.atan(config.slope))  # when it looks uphill
         self._duties, self._curvatures = (tuple(column) for column in zip(*config.steering.curve))
         # The curvature of the steering, which is its path's at a crawl, and that of its path now; left positive.
         self.steered_per_m = self.curvature_per_m = self.true_curvature_per_m(self.servo_duty)
         self.slides = False  # its wheels are locked
         self._along_mps2 = 0.0  # what the tyres transmit along the car
-        self._tyres = config.tyres
         # How often it would have tipped over; a kinematic car's stay 0.
         self.rollovers = Rollovers(config.tyres.rollover_mps2 if config.tyres else math.inf)
-        self._half_track_m = config.track_m / 2
         self._pulse_m = config.pulse_m
         self._wheel_pulses = list(config.pulse_phase)  # each rear wheel's distance, in pulses
 
@@ -192,9 +197,8 @@ class Vehicle:
         pulses = []
         if distance_m:
             pose = self.pose if self.config.on_box else self._pose_after(distance_m, curvature_per_m)
-            if self._obstacles is not None and self._obstacles.blocks(pose, distance_m, self.speed_mps):
+            if self._world is not None and self._world.blocks(pose, distance_m, self.speed_mps):
                 speed_mps = 0.0
-                self.acceleration_mps2 = -self.speed_mps / dt_s
             else:
                 self.pose = pose
                 pulses = self._roll(distance_m, moving_s, speed_mps, curvature_per_m)
@@ -206,28 +210,26 @@ class Vehicle:
 
     def _path_curvature_per_m(self, steered_per_m: float, speed_mps: float) -> float:
         """Return the curvature of the path by the steering's."""
-        if self.config.on_box:
+        if self.config.on_box or self.slides:
             return 0.0
-        if self._tyres is None:
+        if self.config.tyres is None:
             return steered_per_m
-        if self.slides:
-            return 0.0
-        return dynamics.path_curvature_per_m(steered_per_m, speed_mps, self._along_mps2, self._tyres)
+        return path_curvature_per_m(steered_per_m, speed_mps, self._along_mps2, self.config.tyres)
 
     def _turn_servo(self, dt_s: float, duty: int) -> float:
         """Turn the servo and return the mean curvature during that."""
         error = duty - self.servo_duty
-        if error == 0.0 or not is_pulse(duty):
+        if error == 0.0 or not drive_train.is_pulse(duty):
             return self.steered_per_m
+        steering = self.config.steering
         if abs(error) < ARRIVED_DUTY:
             self.servo_duty = float(duty)
         else:
-            steering = self.config.steering
             farthest = steering.rate_duty_per_s * dt_s
             wanted = error * -math.expm1(-dt_s / steering.lag_s)
             self.servo_duty += max(-farthest, min(farthest, wanted))
         before_per_m = self.steered_per_m
-        half_backlash = self._half_backlash_duty
+        half_backlash = steering.backlash_duty / 2
         low, high = self.servo_duty - half_backlash, self.servo_duty + half_backlash
         self._linkage_duty = max(low, min(high, self._linkage_duty))
         self.steered_per_m = self.true_curvature_per_m(self._linkage_duty)
@@ -238,28 +240,27 @@ class Vehicle:
         before_mps = self.speed_mps
         drive = self.config.drive
         thrust = drive.thrust((self.time_ns - self._start_ns) / NS_PER_S)
-        downhill_mps2 = self._slope_mps2 * math.cos(self.pose.yaw_rad - self.config.uphill_rad)
+        downhill_mps2 = -GRAVITY_MPS2 * math.sin(math.atan(self.config.slope)) * math.cos(
+            self.pose.yaw_rad - self.config.uphill_rad)
         if self._esc is None:
-            acceleration_mps2 = dynamics.true_acceleration_mps2(esc_duty, before_mps, drive, thrust, downhill_mps2)
+            acceleration_mps2 = drive_train.true_acceleration_mps2(esc_duty, before_mps, drive, thrust, downhill_mps2)
         else:
-            push, brake = self._motor.step(self._esc.step(esc_duty, self.time_ns, before_mps), dt_s)
-            acceleration_mps2 = dynamics.motor_acceleration_mps2(push, brake, before_mps, drive, thrust, downhill_mps2)
-        if self._tyres is not None:
-            acceleration_mps2 = self._held_by_tyres(acceleration_mps2 - downhill_mps2) + downhill_mps2
+            wanted = self._esc.step(esc_duty, self.time_ns, before_mps)
+            self._motor = drive_train.following(self._motor, wanted, dt_s, drive.lag_s)
+            acceleration_mps2 = drive_train.motor_acceleration_mps2(
+                self._motor, before_mps, drive, thrust, downhill_mps2)
+        if self.config.tyres is not None:
+            grip_mps2, demanded_mps2 = self.config.tyres.grip_mps2, acceleration_mps2 - downhill_mps2
+            self._along_mps2 = max(-grip_mps2, min(grip_mps2, demanded_mps2))
+            self.slides = self._along_mps2 != demanded_mps2 and demanded_mps2 * before_mps < 0.0
+            acceleration_mps2 = self._along_mps2 + downhill_mps2
         after_mps = before_mps + acceleration_mps2 * dt_s
         moving_s = dt_s
         if before_mps * after_mps < 0.0:
             # It stops within the step. Whether it goes on backward is decided at standstill, by the next step.
             moving_s = -before_mps / acceleration_mps2
             after_mps = 0.0
-        self.acceleration_mps2 = (after_mps - before_mps) / dt_s
         return after_mps, (before_mps + after_mps) / 2 * moving_s, moving_s
-
-    def _held_by_tyres(self, demanded_mps2: float) -> float:
-        """Return how much of an acceleration the tyres transmit; a stronger brake locks the wheels."""
-        self._along_mps2 = dynamics.possible_acceleration_mps2(demanded_mps2, self._tyres)
-        self.slides = self._along_mps2 != demanded_mps2 and demanded_mps2 * self.speed_mps < 0.0
-        return self._along_mps2
 
     def _pose_after(self, distance_m: float, curvature_per_m: float) -> Pose:
         x_m, y_m, yaw_rad = self.pose
@@ -276,7 +277,7 @@ class Vehicle:
         self.travel_m += distance_m
         if self.slides:
             return []
-        widening = self._half_track_m * curvature_per_m
+        widening = self.config.track_m / 2 * curvature_per_m
         acceleration_mps2 = (speed_mps - self.speed_mps) / moving_s
         left = self._wheel(LEFT, distance_m, 1.0 - widening, acceleration_mps2)
         right = self._wheel(RIGHT, distance_m, 1.0 + widening, acceleration_mps2)
@@ -304,3 +305,44 @@ class Vehicle:
         speed_mps = self.speed_mps
         root_mps = math.sqrt(max(0.0, speed_mps * speed_mps + 2.0 * acceleration_mps2 * distance_m))
         return int(2.0 * distance_m / (speed_mps + math.copysign(root_mps, distance_m)) * NS_PER_S)
+
+
+def path_curvature_per_m(steered_per_m: float, speed_mps: float, along_mps2: float, tyres: TyreConfig) -> float:
+    """Return the curvature of the path.
+
+    Args:
+        steered_per_m: the curvature of the steering at a crawl.
+        speed_mps: its sign doesn't matter.
+        along_mps2: transmitted by the tyres along the car; the rest of the friction circle is left for the turn.
+    """
+    speed2 = speed_mps * speed_mps
+    loss = tyres.understeer * speed2 * speed2
+    magnitude = abs(steered_per_m)
+    if loss * magnitude > 1e-9:
+        # steered = path + loss · path²: its positive root, in a form that takes a small loss.
+        magnitude = 2 * magnitude / (1 + math.sqrt(1 + 4 * loss * magnitude))
+    if speed2:
+        across_mps2 = math.sqrt(max(0.0, tyres.grip_mps2 ** 2 - along_mps2 ** 2))
+        magnitude = min(magnitude, across_mps2 / speed2)
+    return math.copysign(magnitude, steered_per_m)
+
+
+class Rollovers:
+    """Counts how often a car would have tipped over. The car drives on."""
+
+    def __init__(self, rollover_mps2: float):
+        self._rollover_mps2 = rollover_mps2
+        self._tips = False
+        self.count = 0  # how often; once until it stands on its wheels again
+        self.lateral_mps2 = 0.0  # of the newest, the largest so far; left turns positive
+
+    def update(self, lateral_mps2: float) -> None:
+        magnitude = abs(lateral_mps2)
+        if self._tips:
+            self._tips = magnitude >= UPRIGHT_RATIO * self._rollover_mps2
+            if magnitude > abs(self.lateral_mps2):
+                self.lateral_mps2 = lateral_mps2
+        elif magnitude >= self._rollover_mps2:
+            self._tips = True
+            self.count += 1
+            self.lateral_mps2 = lateral_mps2

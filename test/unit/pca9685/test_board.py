@@ -3,10 +3,11 @@
 import errno
 
 import pytest
+from virtual_bus import VirtualBus
 
 from car_interface.pca9685.board import Board, BoardMismatch, ForeignWrite
 from car_interface.pca9685.channels import differences
-from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
+from car_interface.sim.pca9685_chip import VirtualPca9685
 
 ADDRESS = 0x40
 MODE1, MODE2, LED0_ON_L, PRE_SCALE, ALL_LED_OFF_H = 0x00, 0x01, 0x06, 0xFE, 0xFD

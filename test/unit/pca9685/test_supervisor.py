@@ -1,11 +1,12 @@
 """Keeping a board alive: one repetition, then back-off and a new start, and a chip that forgot is told again."""
 
 import pytest
+from virtual_bus import VirtualBus
 
 from car_interface.pca9685 import supervisor as events
 from car_interface.pca9685.board import Board, BoardMismatch
 from car_interface.pca9685.supervisor import BoardSupervisor
-from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
+from car_interface.sim.pca9685_chip import VirtualPca9685
 
 MS = 1_000_000
 NOW = 1000_000 * MS

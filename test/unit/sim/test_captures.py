@@ -22,8 +22,7 @@ import pytest
 import teensy_bench
 from captures import load
 from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
-from car_interface.sim.teensy_sonars import SONAR_STUCK
-from car_interface.sim.teensy_wheels import BACKWARD, FORWARD, LEFT, RIGHT
+from car_interface.sim.teensy_sensors import BACKWARD, FORWARD, LEFT, RIGHT, SONAR_MISSING, SONAR_STUCK
 from teensy_bench import framed_for_the_receiver, ones_complement_sum, parse_counter, parse_sonar, parse_wheels
 
 pytestmark = pytest.mark.once
@@ -47,6 +46,8 @@ class Capture:
     first_us: float = 0.0
     lead_us: float = 0.0  # and its first sonar hears such an echo, for the next one to ping when the captured one did.
     config: tuple = ()
+    missing: tuple = ()  # the sensors that are not connected
+    odometer_start: int = 0  # what its wheels have counted forward before
 
     @property
     def captured(self):
@@ -64,7 +65,7 @@ class Capture:
 POWERED_UP = [
     Capture("stop_go", 15, undetermined=2),
     Capture("reboot_rolling", 221),
-    Capture("missing_sonars", 145.6, config=(("sonars_missing", (0,)),)),
+    Capture("missing_sonars", 145.6, missing=(0,)),
     Capture("stuck_sonar", 54),
     Capture("sonar_start", 191),
     Capture("drive_reverse", 196.4, undetermined=60),
@@ -76,8 +77,8 @@ STREAMS = [
             config=(("clock_start_ms", 4907), ("sonar_sequence", (3, 4, 5, 0, 1, 2)))),
     Capture("stuck_old", 0, first_us=-199839.099, lead_us=173831.6,
             config=(("clock_start_ms", 184804), ("sonar_sequence", (5, 0, 1, 2, 3, 4)))),
-    Capture("wrap", 0, first_us=-97670.549, lead_us=83833.9, config=(
-        ("clock_start_ms", 4294956502), ("sonar_sequence", (4, 5, 0, 1, 2, 3)), ("odometer_start", 2**32 - 300))),
+    Capture("wrap", 0, first_us=-97670.549, lead_us=83833.9, odometer_start=2**32 - 300,
+            config=(("clock_start_ms", 4294956502), ("sonar_sequence", (4, 5, 0, 1, 2, 3)))),
 ]
 BUSY = Capture("line_busy", 114)
 
@@ -158,7 +159,13 @@ class Replay:
         if capture.lead_us:
             self._echoes.appendleft((config.sonar_sequence[0], capture.lead_us))
         self.wrong_sensors = []  # pings with another one than in the capture
-        self.teensy = TeensyFirmware(config, self._echo_us, capture.at_ns(capture.first_us))
+        begin_ns = capture.at_ns(capture.first_us)
+        self.teensy = TeensyFirmware(config, self._echo_us, begin_ns)
+        for sensor in capture.missing:
+            self.teensy.set_sonar(sensor, SONAR_MISSING, begin_ns - 1)
+        for wheel in self.teensy._axle.wheels if capture.odometer_start else ():
+            wheel._dist = wheel._dist_abs = capture.odometer_start
+            wheel._direction = FORWARD
         self.teensy.transmit(capture.at_ns(0))
         self.sent = b""
         for at_ns, act in self._acts(captured):

@@ -4,8 +4,9 @@ The numbers of registers and bits are written out here, from the data sheet's ta
 """
 
 import pytest
+from virtual_bus import VirtualBus
 
-from car_interface.sim.pca9685_chip import VirtualBus, VirtualPca9685
+from car_interface.sim.pca9685_chip import VirtualPca9685
 
 ADDRESS = 0x40
 AWAKE, ASLEEP, RESTART = 0x20, 0x30, 0x80  # MODE1 with auto-increment; its bit 7

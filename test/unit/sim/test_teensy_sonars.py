@@ -39,7 +39,7 @@ def test_sonar_filler_is_what_the_packet_held_before():
     ([0, 1, 5], [0, 1, 5]), ([5, 5, 1, 0] * 6, [5, 5, 1, 0] * 6), ([5, 6, 4], [5, 1, 4])],
     ids=["three", "24_with_repeats", "a_bad_entry_keeps_the_old_one_there"])
 def test_sonar_sequence_set_is_followed(sequence, followed):
-    bench = Bench(lambda sensor, at_ns: 500, sonar_wait_ms=5).until(120 * MS)
+    bench = Bench(lambda sensor, at_ns: 500).command(WAIT, struct.pack("<I", 5)).until(120 * MS)
     bench.command(SET_SEQ, bytes([len(sequence), *sequence])).after(S)
     sensors = [parse_sonar(frame).sensor for frame in bench.frames(SONAR)][-2 * len(followed):]
     assert sensors in [(2 * (followed[start:] + followed[:start])) for start in range(len(followed))]

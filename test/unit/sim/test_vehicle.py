@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from car_interface.common.errors import ConfigError
-from car_interface.sim.dynamics import DriveTrainConfig, TyreConfig
-from car_interface.sim.teensy_wheels import FORWARD, LEFT, RIGHT
-from car_interface.sim.vehicle import Pose, SteeringConfig, Vehicle, VehicleConfig
+from car_interface.sim.drive_train import DriveTrainConfig
+from car_interface.sim.teensy_sensors import FORWARD, LEFT, RIGHT
+from car_interface.sim.vehicle import Pose, SteeringConfig, TyreConfig, Vehicle, VehicleConfig
 
 MS, S = 1_000_000, 1_000_000_000
 LEFT_DUTY, CENTER, RIGHT_DUTY = 3800, 5100, 6700

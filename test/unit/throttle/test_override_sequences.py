@@ -20,7 +20,7 @@ from many_drives import MS, THROTTLE, S, count_duty
 
 from car_interface.common.causes import HUMAN_DRIVES
 from car_interface.common.sources import TELEOP
-from car_interface.sim import esc as virtual
+from car_interface.sim import drive_train as virtual
 from car_interface.teleop.gamepad import Gamepad, GamepadConfig
 from car_interface.throttle.arbiter import ThrottleArbiterConfig
 from car_interface.throttle.control import ThrottleControl
@@ -171,8 +171,7 @@ class Drive:
         speed_mps, before_mps, self._speed_mps = self.car.speed_mps, self._speed_mps, self.car.speed_mps
         if now_ns - max(self._by_hand_ns, self._planner_ns) <= self._grace_ns:
             return
-        motor = self.virtual._motor
-        if motor.mode == virtual.BACKWARD and motor.level > 0 and speed_mps < 0.05:
+        if self.virtual._motor.push < 0 and speed_mps < 0.05:
             self.backward.append(now_ns / S)
         if speed_mps < before_mps and speed_mps < -0.05:
             self.faster.append(now_ns / S)

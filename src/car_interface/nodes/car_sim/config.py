@@ -3,17 +3,16 @@ from __future__ import annotations
 
 import math
 import random
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Sequence
 
 from car_interface.common import declared
-from car_interface.common.errors import ConfigError, require
+from car_interface.common.errors import require
 from car_interface.common.units import CHANNELS, MAX_DUTY
 from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, TRACK_M, WHEEL_DIAMETER_M
-from car_interface.sim.dynamics import TyreConfig
-from car_interface.sim.esc import KINDS, VirtualEscConfig
+from car_interface.sim.drive_train import KINDS, DriveTrainConfig, Pulses, VirtualEscConfig
 from car_interface.sim.teensy_firmware import BOOT_MS, FirmwareConfig
-from car_interface.sim.vehicle import DriveTrainConfig, Pose, SteeringConfig, VehicleConfig
+from car_interface.sim.vehicle import Pose, SteeringConfig, TyreConfig, VehicleConfig
 from car_interface.sim.world import World, WorldConfig
 
 NO_ESC = "none"
@@ -73,26 +72,11 @@ class CarSimConfig:
         "esc_kind", NO_ESC, "what its ESC makes of a pulse behind neutral; `none` = it has no memory and needs no "
                             "arming: at standstill it drives backward",
         choices=(NO_ESC, *KINDS))
-    temperature_c: float = declared.number("temperature", 20.0, "of the air", "°C", low=-50, high=60)
+    world: WorldConfig = declared.group(WorldConfig())
     wheel_pulses: Sequence[float] | None = declared.numbers(
         "wheel_pulses", None, "where the rear wheels (left, right) stand at the start", "pulses", default_text="random")
-    clock_start_ms: float | None = declared.number(
-        "clock_start_ms", None, "the Teensy's clock at its power-up", "ms", low=0, high=2 ** 32 - 1,
-        default_text="random, up to an hour")
-    clock_drift_ppm: float | None = declared.number(
-        "clock_drift_ppm", None, "how much it is too fast", "ppm", low=-10_000, high=10_000,
-        default_text="random, up to ±50")
-    corrected_checksum: bool = declared.flag(
-        "corrected_checksum", False, "true = its receiver's checksum is repaired")
-    sonar_pulse_end_us: int = declared.integer(
-        "sonar_pulse_end", FirmwareConfig.sonar_pulse_end_us, "how long a sonar without an echo holds its pin", "µs",
-        low=12_000, high=1_000_000)
-    seed: int | None = declared.integer(
-        "seed", None, "of everything that is random, and of noise", low=0,
-        default_text="random, logged")
+    firmware: FirmwareConfig = declared.group(FirmwareConfig(clock_start_ms=None, clock_drift_ppm=None))
     vehicle: VehicleConfig = field(default_factory=VehicleConfig)
-    world: WorldConfig = field(default_factory=WorldConfig)
-    firmware: FirmwareConfig = field(default_factory=FirmwareConfig)
 
     SHARED = ("steering", "esc", "wheels")  # the rest of these files is not read
 
@@ -104,30 +88,32 @@ class CarSimConfig:
 
     def completed(self, params) -> CarSimConfig:
         """Return the same with vehicle, world and firmware, by chance where the parameters leave them open."""
-        seed = random.randrange(SEEDS) if self.seed is None else self.seed
+        firmware, world = self.firmware, self.world
+        seed = random.randrange(SEEDS) if firmware.seed is None else firmware.seed
         rng = random.Random(seed)
         vehicle = self._vehicle(params, rng)
-        world = WorldConfig(temperature_c=self.temperature_c)
+        uptime_ms, drift_ppm = rng.randrange(BOOT_MS, MAX_UPTIME_MS), rng.uniform(-MAX_DRIFT_PPM, MAX_DRIFT_PPM)
+        firmware = replace(
+            firmware, seed=seed, wheel_positions=tuple(math.floor(pulses) for pulses in vehicle.pulse_phase),
+            clock_start_ms=uptime_ms if firmware.clock_start_ms is None else firmware.clock_start_ms,
+            clock_drift_ppm=drift_ppm if firmware.clock_drift_ppm is None else firmware.clock_drift_ppm)
         if not self.has_obstacles:
             world = replace(world, boxes=(), posts=())
-        firmware = self._firmware(rng, seed, vehicle.pulse_phase)
-        if self.collides and not World(world).obstacles().is_free(vehicle.start):
-            raise ConfigError("start", list(vehicle.start), "a place where the car touches no wall, box or post, or "
-                                                            "collisions: false")
+        require(not self.collides or World(world).is_free(vehicle.start), "start", list(vehicle.start),
+                "a place where the car touches no wall, box or post, or collisions: false")
         return replace(self, vehicle=vehicle, world=world, firmware=firmware)
 
     def _vehicle(self, params, rng):
-        if len(self.pose) != len(Pose._fields):
-            raise ConfigError("start", self.pose, "three numbers: x, y in m, and yaw in rad")
+        require(len(self.pose) == len(Pose._fields), "start", self.pose, "three numbers: x, y in m, and yaw in rad")
         by_chance = [HALL_STATES * rng.random() for _ in range(2)]
         wheel_pulses = by_chance if self.wheel_pulses is None else self.wheel_pulses
-        if len(wheel_pulses) != 2:
-            raise ConfigError("wheel_pulses", wheel_pulses, "two numbers: left, right")
+        require(len(wheel_pulses) == 2, "wheel_pulses", wheel_pulses, "two numbers: left, right")
         shift = self.neutral_duty - self.drive.neutral_duty  # a car's own ESC differs in its neutral
         drive = replace(self.drive, full_reverse_duty=self.drive.full_reverse_duty + shift,
                         neutral_duty=self.neutral_duty, full_forward_duty=self.drive.full_forward_duty + shift)
         return VehicleConfig(
-            steering=self._steering(params), drive=drive, esc=self._esc(drive),
+            steering=self._steering(params), drive=drive, esc=None if self.esc_kind == NO_ESC else VirtualEscConfig(
+                kind=self.esc_kind, **{each.name: getattr(drive, each.name) for each in fields(Pulses)}),
             tyres=None if self.is_kinematic else self.tyres, track_m=self.track_m,
             wheel_diameter_m=self.wheel_diameter_m, pulses_per_revolution=self.pulses_per_revolution,
             pulse_phase=tuple(wheel_pulses), start=Pose(*self.pose), on_box=self.on_box)
@@ -141,28 +127,10 @@ class CarSimConfig:
         duties, curvatures = map(list, zip(*steering.curve))
         duties = duties if self.steering_duties is None else self.steering_duties
         curvatures = curvatures if self.steering_curvatures is None else self.steering_curvatures
-        if len(duties) != len(curvatures):
-            raise ConfigError("steering_curvatures", curvatures,
-                              f"{len(duties)} numbers, one for each of steering_duties")
+        require(len(duties) == len(curvatures), "steering_curvatures", curvatures,
+                f"{len(duties)} numbers, one for each of steering_duties")
         return replace(steering, curve=tuple(zip(duties, curvatures)))
 
-    def _esc(self, drive):
-        """Return the ESC, which is calibrated to the drive train's duties; ``None`` = one without a memory."""
-        if self.esc_kind == NO_ESC:
-            return None
-        return VirtualEscConfig(
-            kind=self.esc_kind, neutral_duty=drive.neutral_duty, full_forward_duty=drive.full_forward_duty,
-            full_reverse_duty=drive.full_reverse_duty, forward_band_duty=drive.neutral_band_duty,
-            reverse_band_duty=drive.neutral_band_duty)
-
-    def _firmware(self, rng, seed, wheel_pulses):
-        uptime_ms, drift_ppm = rng.randrange(BOOT_MS, MAX_UPTIME_MS), rng.uniform(-MAX_DRIFT_PPM, MAX_DRIFT_PPM)
-        return FirmwareConfig(
-            clock_start_ms=uptime_ms if self.clock_start_ms is None else int(self.clock_start_ms),
-            clock_drift_ppm=drift_ppm if self.clock_drift_ppm is None else self.clock_drift_ppm,
-            sonar_pulse_end_us=self.sonar_pulse_end_us,
-            wheel_positions=tuple(math.floor(pulses) for pulses in wheel_pulses),
-            corrected_checksum=self.corrected_checksum, seed=seed)
 
 
 def steering_curve(center: float, radii_m: Sequence[float], left: Sequence[float], right: Sequence[float],
@@ -190,12 +158,12 @@ def steering_curve(center: float, radii_m: Sequence[float], left: Sequence[float
 
 def _side(center, radii_m, duties):
     """Return the points of one side, from its end to the center."""
-    points = []
+    points, last = [], math.inf
     for radius_m, duty in _divided(list(zip(radii_m, duties))):
-        last = points[-1][0] if points else None
-        if abs(duty - center) >= MIN_STEP_DUTY and (last is None
-                                                    or abs(last - center) - abs(duty - center) >= MIN_STEP_DUTY):
+        apart = abs(duty - center)
+        if MIN_STEP_DUTY <= apart <= last - MIN_STEP_DUTY:
             points.append((float(duty), 1.0 / radius_m))
+            last = apart
     return points
 
 

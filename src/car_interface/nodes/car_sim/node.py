@@ -100,9 +100,8 @@ class CarSim:
         config = read_all(params, CarSimConfig)
         now_ns = inbox.clocks.now_ns()
         self._steering_channel, self._throttle_channel = config.steering_channel, config.throttle_channel
-        world = World(config.world)
-        self._obstacles = world.obstacles()
-        self._vehicle = Vehicle(config.vehicle, now_ns, self._obstacles if config.collides else None)
+        self._world = world = World(config.world)
+        self._vehicle = Vehicle(config.vehicle, now_ns, world if config.collides else None)
         self._firmware = TeensyFirmware(
             config.firmware, lambda sensor, at_ns: world.echo_us(self._vehicle.pose, sensor), now_ns)
         self._outputs = [UNCHANGED] * CHANNELS  # by the topic
@@ -134,9 +133,9 @@ class CarSim:
         if self._chip.problem:
             self._warnings.warn("chip", f"the virtual servo board isn't followed: {self._chip.problem}")
         self._line.step(now_ns)
-        obstacles, rollovers = self._obstacles, self._vehicle.rollovers
-        self._report("~collisions", obstacles.count, "the car ran into something at %.2f m/s and stands, its wheels "
-                     "stalled (collision %d): drive it out the way it came", abs(obstacles.speed_mps))
+        world, rollovers = self._world, self._vehicle.rollovers
+        self._report("~collisions", world.count, "the car ran into something at %.2f m/s and stands, its wheels "
+                     "stalled (collision %d): drive it out the way it came", abs(world.speed_mps))
         self._report("~rollovers", rollovers.count, "the car would have tipped over: %.1f m/s² sideways at %.1f m/s "
                      "(rollover %d)", abs(rollovers.lateral_mps2), abs(self._vehicle.speed_mps))
         if self._timer.is_due(now_ns):
@@ -184,12 +183,10 @@ class CarSim:
 
 def room_markers(world: WorldConfig, frame: str) -> MarkerArray:
     """Return the room as markers in a frame in which the car has begun at x = y = yaw = 0."""
-    x_from_m, x_to_m, y_from_m, y_to_m = world.walls
-    middle_x_m, middle_y_m = (x_from_m + x_to_m) / 2, (y_from_m + y_to_m) / 2
-    length_m, width_m = x_to_m - x_from_m, y_to_m - y_from_m
-    things = [(Marker.CUBE, x_m, y_m, 0.0, size, WALL) for x_m, y_m, size in (
-        (middle_x_m, y_from_m, (length_m, WALL_M)), (middle_x_m, y_to_m, (length_m, WALL_M)),
-        (x_from_m, middle_y_m, (WALL_M, width_m)), (x_to_m, middle_y_m, (WALL_M, width_m)))]
+    walls, length_m, width_m = world.walls, world.walls.length_m, world.walls.width_m
+    things = [(Marker.CUBE, walls.x_m + x_m, walls.y_m + y_m, 0.0, size, WALL) for x_m, y_m, size in (
+        (0.0, -width_m / 2, (length_m, WALL_M)), (0.0, width_m / 2, (length_m, WALL_M)),
+        (-length_m / 2, 0.0, (WALL_M, width_m)), (length_m / 2, 0.0, (WALL_M, width_m)))]
     things += [(Marker.CUBE, box.x_m, box.y_m, box.yaw_rad, (box.length_m, box.width_m), THING) for box in world.boxes]
     things += [(Marker.CYLINDER, post.x_m, post.y_m, 0.0, (2 * post.radius_m, 2 * post.radius_m), THING)
                for post in world.posts]

@@ -19,12 +19,12 @@ import tty
 from contextlib import suppress
 from typing import Any, Callable
 
-from car_interface.common.errors import ConfigError
+from car_interface.common.errors import ConfigError, require
 from car_interface.nodes.pca9685.virtual_board import serve_faults
 from car_interface.ros.clocks import SYSTEM
 from car_interface.sim.chip_link import peer
 from car_interface.sim.line import LASTING, MAX_S, NS_PER_S, BadLine
-from car_interface.sim.teensy_sonars import SONAR_CONDITIONS
+from car_interface.sim.teensy_sensors import SONAR_CONDITIONS
 
 READ_SIZE = 4096
 ODD_FLAG = b"\x7e"
@@ -79,8 +79,8 @@ class PseudoTerminal:
         try:
             # A killed virtual Teensy leaves its link; a real port's name or somebody's file stays.
             is_left = os.path.islink(self._path) and os.readlink(self._path).startswith("/dev/pts/")
-            if os.path.lexists(self._path) and not is_left:
-                raise ConfigError("port", self._path, "a path with nothing at it, or a virtual Teensy's old link")
+            require(is_left or not os.path.lexists(self._path), "port", self._path,
+                    "a path with nothing at it, or a virtual Teensy's old link")
             os.symlink(self.name, new)
             os.replace(new, self._path)
         except OSError as error:
@@ -148,17 +148,13 @@ class VirtualLine:
         self._make_terminal = make_terminal
         self._claim = make_claim(path)  # also while it's unplugged
         self._path, self._firmware, self._inbox = path, firmware, inbox
-        self._bad = BadLine(seed)
+        self._bad = bad = BadLine(seed)
         self._watched_fd = None
         self._terminal = self._make_terminal(path)
         self._unplugged_from = ""
         self._plug_ns = NEVER_NS
-        self._serve(inbox.clocks.now_ns)
-
-    def _serve(self, clock_ns):
-        """Offer the faults; ``clock_ns()`` is when one begins."""
-        bad, firmware = self._bad, self._firmware
-        serve_faults(self._inbox, {
+        clock_ns = inbox.clocks.now_ns  # when a fault begins
+        serve_faults(inbox, {
             "unplug": lambda duration_s: self._unplug(duration_s, clock_ns()),
             "plug": lambda value: self._plug(),
             **{fault: lambda duration_s, fault=fault: bad.begin(fault, duration_s, clock_ns()) for fault in LASTING},
@@ -203,8 +199,7 @@ class VirtualLine:
             self._watched_fd = None
 
     def _unplug(self, duration_s, now_ns):
-        if not 0 <= duration_s <= MAX_S:
-            raise ConfigError("unplug", duration_s, f"0 (until plug) to {MAX_S} s")
+        require(0 <= duration_s <= MAX_S, "unplug", duration_s, f"0 (until plug) to {MAX_S} s")
         self._plug_ns = now_ns + round(duration_s * NS_PER_S) if duration_s else NEVER_NS
         if self._terminal is not None:
             self._unplugged_from = self._terminal.name

@@ -19,7 +19,7 @@ from typing import Callable
 import rosgraph
 import rospy
 
-from car_interface.common.errors import ConfigError
+from car_interface.common.errors import ConfigError, require
 from car_interface.common.file_lock import lock_byte
 from car_interface.common.own_files import UnsafeFile, folder_name, make_folder, open_own
 from car_interface.nodes.pca9685 import small_process
@@ -54,8 +54,8 @@ class VirtualBoardBus:
     exists = True
 
     def __init__(self, path: str, address: int, log_path: str | None, inbox):
-        if len(os.fsencode(path)) > MAX_SOCKET_PATH:
-            raise ConfigError("virtual_chip", path, f"a path of at most {MAX_SOCKET_PATH} bytes")
+        require(len(os.fsencode(path)) <= MAX_SOCKET_PATH, "virtual_chip", path,
+                f"a path of at most {MAX_SOCKET_PATH} bytes")
         _check_log(log_path)
         self.path = path
         self._address = address
@@ -83,10 +83,8 @@ class VirtualBoardBus:
         return VirtualSmbus(self._link)
 
     def _inject(self, fault, value):
-        if fault == "nack" and value < 0:
-            raise ConfigError("nack", value, "how many transfers shall fail, at least 0")
-        if fault == "address" and not 0 <= value <= 0x7F:
-            raise ConfigError("address", value, "0 to 127")
+        require(fault != "nack" or value >= 0, "nack", value, "how many transfers shall fail, at least 0")
+        require(fault != "address" or 0 <= value <= 0x7F, "address", value, "0 to 127")
         link = ChipLink(self.path, self._address)  # the node's may be closed
         try:
             link.open()

@@ -9,8 +9,7 @@ from car_interface.common.errors import ConfigError
 from car_interface.common.params import Params
 from car_interface.nodes.car_sim.config import steering_curve
 from car_interface.pca9685.registers import counts_of_duty, duty_of_counts
-from car_interface.sim.dynamics import TyreConfig, path_curvature_per_m
-from car_interface.sim.vehicle import SteeringConfig, Vehicle, VehicleConfig
+from car_interface.sim.vehicle import SteeringConfig, TyreConfig, Vehicle, VehicleConfig, path_curvature_per_m
 from car_interface.steering.calibration import SteeringCalibration
 
 DEMO = Path(__file__).parents[4] / "demo" / "turn_arb.yaml"

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
-from car_interface.sim.teensy_wheels import BACKWARD, FORWARD
+from car_interface.sim.teensy_sensors import BACKWARD, FORWARD
 from car_interface.teensy.link.framing import FrameDecoder
 from car_interface.teensy.link.protocol import UINT32, Malformed, Pong, SonarStatus, Wheel, WheelStatus, decode
 from car_interface.teensy.sensing import verdicts as gates

@@ -4,7 +4,7 @@ import pytest
 
 from captures import NS_PER_US, load
 from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
-from car_interface.sim.teensy_sonars import SONAR_FINE, SONAR_STUCK
+from car_interface.sim.teensy_sensors import SONAR_FINE, SONAR_STUCK
 from car_interface.teensy.link.framing import SHIPPED, FrameDecoder, encode
 from car_interface.teensy.link.protocol import START_SONARS, Pong, SonarStatus, decode
 from car_interface.teensy.sensing.sonar_monitor import SEND_SEQUENCE, SEND_START, SonarMonitor, describe

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from accuracy import virtual_drive
 
-from car_interface.sim.dynamics import true_acceleration_mps2
+from car_interface.sim.drive_train import true_acceleration_mps2
 from car_interface.throttle.value_map import load_value_map
 from car_interface.tools.cli.calibrate_value_map import add_arguments, config_of
 from car_interface.tools.cli.main import main

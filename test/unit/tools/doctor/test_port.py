@@ -96,7 +96,9 @@ def test_healthy_teensy_is_never_blamed_for_its_wire_whichever_checksum_its_rece
     ((0,), "nothing came from any of the sonars in 2.5 s"),
 ], ids=("one", "two", "the_first_silences_all"))
 def test_sonars_that_do_not_report_are_named_with_the_remedy(missing, words):
-    firmware = TeensyFirmware(FirmwareConfig(seed=1, sonars_missing=missing), lambda sensor, at_ns: 4000, 50_000 * MS)
+    firmware = TeensyFirmware(FirmwareConfig(seed=1), lambda sensor, at_ns: 4000, 50_000 * MS)
+    for sensor in missing:
+        firmware.set_sonar(sensor, "missing", 0)
     found, took_ms = probed(firmware)
     assert found.level == WARN and words in found.what and "Check their plugs" in found.remedy
     assert took_ms < 4000

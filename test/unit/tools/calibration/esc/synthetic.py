@@ -8,7 +8,7 @@ import numpy as np
 import virtual_escs
 from esc_car import EscCar, EscCarConfig
 
-from car_interface.sim import esc as virtual
+from car_interface.sim import drive_train as virtual
 from car_interface.tools.calibration.esc.drive import EscDrive, sampled
 from car_interface.tools.calibration.shared import Series
 

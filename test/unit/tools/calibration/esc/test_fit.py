@@ -7,7 +7,7 @@ import pytest
 import virtual_escs
 from esc_car import EscCarConfig
 
-from car_interface.sim import esc as virtual
+from car_interface.sim import drive_train as virtual
 from car_interface.throttle.esc_config import EscConfig
 from car_interface.tools.calibration.esc import calibrate
 from tools.calibration.esc.synthetic import FULL_FORWARD, FULL_REVERSE, Person, random_esc

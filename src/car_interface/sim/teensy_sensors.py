@@ -1,11 +1,23 @@
-"""The simulated Teensy's sonars: six sensors, and the array that pings them one after the other."""
+"""What the simulated Teensy senses with: hall pins and odometers of two wheels, and six sonars that ping in turn."""
 from __future__ import annotations
 
+import struct
+from collections import deque
 from random import Random
 from typing import Callable, Generator
 
 from car_interface.sim.teensy_clock import AT_ONCE_NS, NEVER_NS, NS_PER_US, UINT32, Clock, Deadline
 from car_interface.sim.teensy_uart import SONARS, PacketPool, PoolEmpty
+
+LEFT, RIGHT = 0, 1
+FORWARD, BACKWARD, NO_DIRECTION = 0, 1, 2
+
+SPEED_INTERVALS = 10  # the speed is an average over this many intervals between pulses
+# The levels of a wheel's two hall pins (pin one + 2 × pin two) by the pulses modulo 4: a Gray code.
+HALL_PINS = (0b00, 0b01, 0b11, 0b10)
+MIN_REPORT_MS = 5  # no wheel report sooner than this after the one before
+STANDING_CHECK_MS = 200  # a check whether the wheels stand comes when more than this has passed since the last one
+WHEEL = struct.Struct("<HBBIII")  # speed, direction, reserved, when, dist, dist_abs
 
 SEQUENCE_MAX = 4 * SONARS
 
@@ -31,6 +43,115 @@ SONAR_CONDITIONS = SONAR_FINE, SONAR_MISSING, SONAR_STUCK, SONAR_BLINK, SONAR_CL
 Held = Generator[int, int, int]
 
 
+class Wheel:
+    def __init__(self):
+        self._pins = HALL_PINS[0]  # assumed at power-up, without reading them
+        self._when_tick = 0
+        self.reset()
+
+    def reset(self):
+        """Zero the odometer; the tick of the last pulse or repeat stays."""
+        self._dist_abs = 0
+        self._dist = 0
+        self._direction = NO_DIRECTION
+        self._window: deque[tuple[int, int]] = deque(maxlen=SPEED_INTERVALS + 1)  # (tick, pulses at that time)
+
+    def interrupt(self, pin: int, levels: int, tick: int):
+        """Handle a change of one pin: only its own bit is read, the other one keeps the value of its last interrupt.
+
+        If the pins' true levels differ from the ones assumed at power-up, the first interrupts may change nothing: such
+        a pulse counts in the last direction, also when there was none. Or they seem to turn the wheel the wrong way.
+        """
+        pins = self._pins & ~pin | levels & pin
+        step = (HALL_PINS.index(pins) - HALL_PINS.index(self._pins)) % 4
+        self._pins = pins
+        self._dist_abs += 1
+        direction = {1: FORWARD, 3: BACKWARD}.get(step, self._direction)
+        if direction != self._direction:
+            self._window.clear()
+            self._direction = direction
+            self._dist = self._dist_abs
+        self._window.append((tick, self._dist_abs))
+        self._when_tick = tick
+
+    def repeat(self, tick: int):
+        """Repeat the newest entry: the average falls to zero over a few repeats, not at once."""
+        if self._window:
+            self._window.append((tick, self._dist_abs))
+            self._when_tick = tick
+
+    def report(self) -> bytes:
+        return WHEEL.pack(self._speed() & 0xFFFF, self._direction, 0, self._when_tick & UINT32, self._dist & UINT32,
+                          self._dist_abs & UINT32)
+
+    def _speed(self) -> int:
+        """Return pulses a second, truncated, over the window; 0 with one entry, or with all of them in one tick."""
+        if len(self._window) < 2:
+            return 0
+        (first_tick, first_count), (last_tick, last_count) = self._window[0], self._window[-1]
+        if first_tick == last_tick:
+            return 0
+        return 1000 * (last_count - first_count) // (last_tick - first_tick)
+
+
+class Axle:
+    """Both rear wheels, and the times of their reports: with a pulse, but not too often; while standing, now and then.
+
+    A pulse sooner than 5 ms after the last reported one has no report of its own: it waits for the next pulse or a
+    repeat, and is counted as rotUpdSkip. Every 201 ms there is a check whether the last report is more than 200 ms old;
+    then both wheels' newest entries are repeated. So the first repeat comes 201 to 402 ms after the last report.
+    """
+
+    def __init__(self, clock: Clock, counters: dict[str, int]):
+        self.wheels = (Wheel(), Wheel())
+        self._clock = clock
+        self._counters = counters
+        self._reported_tick = 0  # of the pulse or repeat that the last report was for
+        self._has_news = True
+        self._is_first = True
+        self._check: Deadline | None = None
+
+    @property
+    def due_ns(self) -> int:
+        """Return when the loop has something to do here."""
+        return AT_ONCE_NS if self._has_news else self._check.due_ns
+
+    def reset(self):
+        for wheel in self.wheels:
+            wheel.reset()
+
+    def interrupt(self, side: int, pin: int, levels: int, tick: int):
+        """Handle a change of a hall pin of one wheel."""
+        self.wheels[side].interrupt(pin, levels, tick)
+        if tick - self._reported_tick < MIN_REPORT_MS:
+            self._counters["rotUpdSkip"] += 1
+        else:
+            self._announce(tick)
+
+    def begin(self, now_ns: int):
+        self._check = Deadline(self._clock, STANDING_CHECK_MS, now_ns)
+
+    def report_when_due(self, now_ns: int) -> bytes | None:
+        tick = self._clock.tick(now_ns)
+        if self._is_first:
+            self._is_first = False
+            self._announce(tick)
+        if self._check.has_passed(now_ns):
+            self.begin(now_ns)
+            if tick - self._reported_tick > STANDING_CHECK_MS:
+                for wheel in self.wheels:
+                    wheel.repeat(tick)
+                self._announce(tick)
+        if not self._has_news:
+            return None
+        self._has_news = False
+        return self.wheels[LEFT].report() + self.wheels[RIGHT].report()
+
+    def _announce(self, tick: int):
+        self._reported_tick = tick
+        self._has_news = True
+
+
 class SonarSensor:
     """One sensor: raises its echo pin after a trigger and lowers it with the echo, or by itself.
 
@@ -41,7 +162,7 @@ class SonarSensor:
     """
 
     def __init__(self, pulse_end_us: int, echo_us: Callable[[int], float], rng: Random):
-        self._own_pulse_end_us = self._pulse_end_us = pulse_end_us
+        self._pulse_end_us = pulse_end_us
         self._rng = rng
         self._echo_us = echo_us
         self._condition = SONAR_FINE
@@ -49,15 +170,12 @@ class SonarSensor:
 
     def set_condition(self, condition: str, now_ns: int):
         """Set one of SONAR_CONDITIONS; a blink raises the pin at once, and is over by itself."""
+        is_high = now_ns < self.fall_ns  # or will be
+        self._condition = SONAR_FINE if condition == SONAR_BLINK else condition
         if condition == SONAR_BLINK:
-            self.rise_ns = min(self.rise_ns, now_ns) if now_ns < self.fall_ns else now_ns
+            self.rise_ns = min(self.rise_ns, now_ns) if is_high else now_ns
             self.fall_ns = now_ns + self._rng.randint(BLINK_MIN_NS, BLINK_MAX_NS)
-            condition = SONAR_FINE
-        self._pulse_end_us = CLONE_PULSE_US if condition == SONAR_CLONE else self._own_pulse_end_us
-        self._condition = condition = SONAR_FINE if condition == SONAR_CLONE else condition
-        is_unplugged = condition == SONAR_MISSING and now_ns < self.fall_ns
-        is_released = condition == SONAR_FINE and self.fall_ns == NEVER_NS
-        if is_unplugged or is_released:
+        elif condition == SONAR_MISSING and is_high or condition != SONAR_STUCK and self.fall_ns == NEVER_NS:
             self.rise_ns = min(self.rise_ns, now_ns)
             self.fall_ns = now_ns
 
@@ -70,9 +188,9 @@ class SonarSensor:
             return
         self.rise_ns = now_ns + ECHO_RISE_US * NS_PER_US
         self.fall_ns = NEVER_NS
-        if self._condition == SONAR_FINE:
-            echo_us = self._echo_us(now_ns) or self._pulse_end_us
-            pulse_us = min(max(ECHO_MIN_US, echo_us), self._pulse_end_us)
+        if self._condition != SONAR_STUCK:
+            end_us = CLONE_PULSE_US if self._condition == SONAR_CLONE else self._pulse_end_us
+            pulse_us = min(max(ECHO_MIN_US, self._echo_us(now_ns) or end_us), end_us)
             self.fall_ns = self.rise_ns + round(pulse_us * NS_PER_US)
 
 
