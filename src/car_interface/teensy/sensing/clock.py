@@ -61,6 +61,7 @@ class Clock:
         baud: bits per second on the line.
 
     Attributes:
+        newest: tick, unwrapped; ``None`` before the first.
         converged: the pongs are enough for a line; before that, times are estimated by the newest tick.
     """
 
@@ -71,8 +72,8 @@ class Clock:
 
     def restart(self) -> None:
         """Begin anew: the Teensy's clock restarted."""
-        self._last = None  # the newest tick, unwrapped
-        self._last_ns = 0  # when it was, at the latest
+        self.newest: int | None = None
+        self._newest_ns = 0  # when it was, at the latest
         self._buckets: dict = {}  # number of the bucket, counted in host time → its bounds
         self._suspects: list = []  # the last pongs, if they contradict those before them and not each other
         self._lines = None
@@ -96,7 +97,7 @@ class Clock:
         if self.converged:
             offset_ns, skew_ppm = self._lines.offset_ns(), self._lines.skew_ppm()
         else:
-            offset_ns, skew_ppm = self._last_ns - self._last * NS_PER_MS - NS_PER_MS // 2, 0.0
+            offset_ns, skew_ppm = self._newest_ns - self.newest * NS_PER_MS - NS_PER_MS // 2, 0.0
         return Sync(offset_ns, skew_ppm, uncertainty_ns, received_ns - sent_ns, self.converged, used, reason)
 
     def update_tick(self, tick: int, received_ns: int, received_bytes: int) -> None:
@@ -109,68 +110,52 @@ class Clock:
         if self._lines is not None and self._lines.admit(None, bound):  # else it can't have been yet
             self._bucket(latest_ns).tighten(None, bound, self._lines.slope)
 
-    def translate(self, tick: int, received_ns: int | None = None, received_bytes: int = 0) -> Stamp:
+    def translate(self, tick: int, received_ns: float = math.inf, received_bytes: int = 0) -> Stamp:
         """Return when a tick was. With the same bounds and receipt, a later tick never comes out earlier.
 
         Args:
             tick: ms modulo 2**32, less than 24.8 days from the newest tick.
             received_ns: monotonic time, taken after the frame that had it was read; it was no later.
             received_bytes: that frame's smallest number of bytes on the line.
-
-        Raises:
-            ValueError: without ``received_ns`` before any tick was received.
         """
-        latest_ns = None if received_ns is None else received_ns - self._wire_ns(received_bytes)
-        return self._stamp(self.unwrap(tick), latest_ns)
+        return self._stamp(self.unwrap(tick), received_ns - self._wire_ns(received_bytes))
 
     def unwrap(self, tick: int) -> int:
         """Return the tick without its wraps: of all that it may stand for, the one nearest to the newest tick."""
-        return tick if self._last is None else self._last + ahead(tick, self._last)
+        return tick if self.newest is None else self.newest + ahead(tick, self.newest)
 
     def tick_at(self, host_ns: int) -> float:
-        """Return the Teensy's clock at a monotonic time: ms, unwrapped, with their fraction.
-
-        Raises:
-            ValueError: no tick was received yet.
-        """
+        """Return the Teensy's clock at a monotonic time: ms, unwrapped, with their fraction; after the first tick."""
         if self.converged:
             return self._lines.tick_at(host_ns)
-        self._require_tick()
-        return self._last + 0.5 + (host_ns - self._last_ns) / NS_PER_MS
+        return self.newest + 0.5 + (host_ns - self._newest_ns) / NS_PER_MS
 
     def _wire_ns(self, byte_count):
         return round(byte_count * self._byte_ns)
 
     def _update_last(self, tick, latest_ns):
-        self._last, self._last_ns = self.unwrap(tick), latest_ns
-        return self._last
-
-    def _require_tick(self):
-        if self._last is None:
-            raise ValueError("no tick of the Teensy's clock was received yet")
+        self.newest, self._newest_ns = self.unwrap(tick), latest_ns
+        return self.newest
 
     def _stamp(self, tick, latest_ns):
         if not self.converged:
             return self._one_way_stamp(tick, latest_ns)
         time_ns, earliest_ns, end_ns = self._lines.translate(tick)
-        if latest_ns is not None and latest_ns < end_ns:
-            if latest_ns < earliest_ns:
-                # A clock has jumped or stood still, and three pongs haven't confirmed it yet.
-                return Stamp(latest_ns, self._one_way_stamp(tick, latest_ns).uncertainty_ns)
-            end_ns = latest_ns
-            time_ns = min(time_ns, end_ns)
+        if latest_ns < earliest_ns:
+            # A clock has jumped or stood still, and three pongs haven't confirmed it yet.
+            return Stamp(latest_ns, self._one_way_stamp(tick, latest_ns).uncertainty_ns)
+        end_ns = min(end_ns, latest_ns)
+        time_ns = min(time_ns, end_ns)
         return Stamp(time_ns, max(time_ns - earliest_ns, end_ns - time_ns))
 
     def _one_way_stamp(self, tick, latest_ns):
-        if self._last is None and latest_ns is not None:
+        if self.newest is None:
             return Stamp(latest_ns, UNKNOWN_NS)
-        self._require_tick()
-        apart_ms = tick - self._last
-        time_ns = self._last_ns + apart_ms * NS_PER_MS
+        apart_ms = tick - self.newest
+        time_ns = self._newest_ns + apart_ms * NS_PER_MS
         uncertainty_ns = ONE_WAY_UNCERTAINTY_NS + NS_PER_MS + math.ceil(abs(apart_ms) * MAX_SKEW_PPM)
-        if latest_ns is None or time_ns <= latest_ns:
-            return Stamp(time_ns, uncertainty_ns)
-        return Stamp(latest_ns, uncertainty_ns + time_ns - latest_ns)
+        late_ns = max(0, time_ns - latest_ns)
+        return Stamp(time_ns - late_ns, uncertainty_ns + late_ns)
 
     def _take(self, pong):
         """Return whether a pong was used, and why not or what is notable."""
@@ -183,7 +168,11 @@ class Clock:
         self._too_soon = 0
         if self._lines is None or self._lines.admit(*pong):
             self._suspects.clear()
-            self._add(pong)
+            bucket = self._bucket(pong.latest.ns)
+            bucket.count(pong, self._lines.slope if self._lines else NS_PER_MS)
+            if bucket.pongs == 1:
+                self._rebuild(pong)
+            self._settle(pong)
             return True, ""
         lines = ClockLines(pong)
         if not all(lines.admit(*suspect) for suspect in self._suspects):
@@ -192,13 +181,6 @@ class Clock:
         if len(self._suspects) < min(AGREEING, 1 + self._pongs()):
             return False, CONTRADICTION
         return True, self._overrule()
-
-    def _add(self, pong):
-        bucket = self._bucket(pong.latest.ns)
-        bucket.count(pong, self._lines.slope if self._lines else NS_PER_MS)
-        if bucket.pongs == 1:
-            self._rebuild(pong)
-        self._settle(pong)
 
     def _overrule(self):
         suspects, self._suspects = self._suspects, []

@@ -35,11 +35,6 @@ class HeadingFilter:
         """The square of the largest curvature on the last metres, 1/m²; without its noise."""
         return max(0.0, self._largest_square - CURVATURE_NOISE ** 2)
 
-    def begin(self, yaw_rad: float, variance: float) -> None:
-        """Set a heading that the wheels have measured; the curvature is unknown."""
-        self.yaw_rad = yaw_rad
-        self._variances = (variance, 0.0, CURVATURE_VARIANCE)
-
     def predict(self, distance_m: float, elapsed_s: float) -> None:
         """Predict: the car has rolled this distance within this time."""
         self.yaw_rad += self.curvature_per_m * distance_m
@@ -55,9 +50,9 @@ class HeadingFilter:
             cc = min(cc + CURVATURE_WANDER * elapsed_s, 2 * CURVATURE_VARIANCE)
         self._variances = (yy, yc, cc)
 
-    def resume(self, yaw_rad: float, variance: float, curvature_per_m: float, curvature_variance: float) -> None:
-        """Set heading and curvature after pulses that weren't counted."""
-        self.yaw_rad, self.curvature_per_m = yaw_rad, curvature_per_m
+    def begin(self, yaw_rad: float, variance: float, curvature_variance: float = CURVATURE_VARIANCE) -> None:
+        """Set a heading that the wheels have measured; by default the curvature is unknown."""
+        self.yaw_rad = yaw_rad
         self._variances = (variance, 0.0, curvature_variance)
 
     def update(self, yaw_rad: float, variance: float) -> None:

@@ -6,7 +6,7 @@ gates accept go through clock, ranging or odometry. The live node and the replay
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Callable, NamedTuple
 
 from car_interface.common.units import NS_PER_MS, NS_PER_S
@@ -15,11 +15,10 @@ from car_interface.teensy.link.pinging import Answer
 from car_interface.teensy.link.protocol import UINT32, Pong, SonarStatus, WheelStatus, ahead
 from car_interface.teensy.link.reboot import reached_tick
 from car_interface.teensy.sensing.clock import Clock, Stamp, Sync
-from car_interface.teensy.sensing.echo_pulses import BOOT_MS, FIRMWARE_WAIT_MS, EchoPulses
 from car_interface.teensy.sensing.odometry import Motion, Odometry, OdometryConfig
-from car_interface.teensy.sensing.plausibility import GateConfig, Gates
+from car_interface.teensy.sensing.plausibility import MAX_GAP_MS, Gates
 from car_interface.teensy.sensing.pulse_counts import has_pulsed
-from car_interface.teensy.sensing.ranging import Ranging, RangingConfig
+from car_interface.teensy.sensing.ranging import BOOT_MS, FIRMWARE_WAIT_MS, EchoPulses, Ranging, RangingConfig
 
 # The smallest frames on the line: with checksum and closing flag, without escapes, with a shared opening flag. The time
 # that is subtracted from the receipt for them must not be more than the line took.
@@ -35,10 +34,10 @@ MAX_QUEUED = 10  # reports of the wheels: raw messages must not wait long behind
 class MeasurementConfig:
     """One car's sensors."""
 
-    gates: GateConfig = field(default_factory=GateConfig)
+    odometry: OdometryConfig = OdometryConfig()
+    ranging: RangingConfig = RangingConfig()
     baud: int = 115200  # of the serial line
-    odometry: OdometryConfig = field(default_factory=OdometryConfig)
-    ranging: RangingConfig = field(default_factory=RangingConfig)
+    max_gap_ms: int = MAX_GAP_MS
 
 
 class RangeMeasurement(NamedTuple):
@@ -61,7 +60,7 @@ class Measurements:
 
     def __init__(self, config: MeasurementConfig = MeasurementConfig(),
                  on_motion: Callable[[MotionMeasurement, int], None] = lambda measured, received_ns: None):
-        self.gates = Gates(config.gates)
+        self.gates = Gates(config.odometry.pulse_m, config.odometry.top_speed_mps, config.max_gap_ms)
         self.clock = Clock(config.baud)
         self.ranging = Ranging(config.ranging)
         self._pulses = EchoPulses()
@@ -69,7 +68,6 @@ class Measurements:
         self._on_motion = on_motion
         self._queue: list[tuple] = []  # reports of the wheels, and when they were received
         self._received_ns = 0  # when the newest record was received
-        self._has_tick = False
         self._answered: tuple | None = None  # the newest pong's tick, and when it was received
         self._shift_ms = 0.0  # from the Teensy's clock to the odometry's, which never restarts
         self._newest_ms = -math.inf  # of the wheels' pulses and repeats, on the odometry's clock
@@ -147,7 +145,7 @@ class Measurements:
         if not verdict.accepted:
             return None
         newest = _newest_when(record)
-        if not self._has_tick:
+        if self.clock.newest is None:
             if newest is None:
                 return None
             self._update_tick(verdict, newest, received_ns)
@@ -185,9 +183,8 @@ class Measurements:
 
     def _update_tick(self, verdict, tick, received_ns):
         """Continue the odometry's time when the Teensy's clock restarts; the first tick starts both."""
-        if verdict.restarted and self._has_tick:
+        if verdict.restarted and self.clock.newest is not None:
             self._restart_clock(tick, received_ns)
-        self._has_tick = True
 
     def _restart_clock(self, tick, received_ns):
         """Begin with a tick of the new clock: the Teensy rebooted."""

@@ -4,7 +4,7 @@ Consumes the reports of the wheels with the verdicts of the plausibility gates, 
 metres, radians, x forward, y left; the pose of the middle of the rear axle, which begins at 0.
 
 One pulse is 1.5 cm, and 2.9° of heading when only one wheel has made it, so that counting pulses isn't enough:
-``wheel_filter`` estimates each wheel between its pulses, ``alignment`` finds where the magnets stood at the start,
+``wheel_filter`` estimates each wheel between its pulses and finds where the magnets stood at the start,
 ``heading`` filters the difference of the wheels, ``restart`` bridges pulses that a rebooting Teensy didn't count, and
 ``pose`` integrates. Position comes from pulses, never from the reports' ``speed``. Pure.
 """
@@ -18,14 +18,19 @@ from typing import NamedTuple, Sequence
 from car_interface.common import declared
 from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, TRACK_M, WHEEL_DIAMETER_M, WHEELBASE_M
 from car_interface.teensy.link.protocol import BACKWARD, FORWARD, NO_DIRECTION, WheelStatus
-from car_interface.teensy.sensing.alignment import ALIGNED_PULSES, ALIGNING_PULSES, UNALIGNED_PULSES, Alignment
 from car_interface.teensy.sensing.heading import CURVATURE_VARIANCE, HEADING_VARIANCE, HeadingFilter
-from car_interface.teensy.sensing.pose import Pose
+from car_interface.teensy.sensing.plausibility import TOP_SPEED_MPS, Verdict
+from car_interface.teensy.sensing.pose import Pose, curved_path, reversed_path
 from car_interface.teensy.sensing.pulse_counts import LEARNING_PULSES
 from car_interface.teensy.sensing.restart import REPEAT_MS, CarState, RestartBridge, WheelState
-from car_interface.teensy.sensing.unseen_path import curved_path, reversed_path
-from car_interface.teensy.sensing.verdicts import Verdict
-from car_interface.teensy.sensing.wheel_filter import TICK_MIDDLE_MS, WheelFilter
+from car_interface.teensy.sensing.wheel_filter import (
+    ALIGNED_PULSES,
+    ALIGNING_PULSES,
+    TICK_MIDDLE_MS,
+    UNALIGNED_PULSES,
+    Alignment,
+    WheelFilter,
+)
 
 MIN_LENGTH_M = 0.001  # of a car's dimensions: a division by far less would overflow floats
 
@@ -48,6 +53,9 @@ class OdometryConfig:
         "m", low=0.0, high=1)
     heading_sigma: float = declared.number(
         "heading_sigma", 0.01, "the same of the heading", "rad", low=0.0, high=1)
+    top_speed_mps: float = declared.number(
+        "top_speed", TOP_SPEED_MPS, "of a wheel; anything faster is rejected as line noise", "m/s",
+        above=0.0, high=1000)
 
     def __post_init__(self):
         declared.check(self)
@@ -131,8 +139,6 @@ class Odometry:
             return self._move(record, False, now_ms)
         if verdict.restarted:
             self._begin_bridge(self._car.time_ms, counted_ms)
-            if counted_ms is not None:
-                self._bridge.count_from(counted_ms)
         elif self._bridge is None and any(unproven):
             self._begin_bridge(now_ms)
         if self._bridge is not None and self._bridge.is_reset(pulses, unproven, now_ms):
@@ -166,7 +172,8 @@ class Odometry:
         heading = self._car.heading
         self._bridge = RestartBridge(
             CarState(at_ms, tuple(WheelState(wheel.count, wheel.position, wheel.speed) for wheel in self._wheels),
-                     heading.curvature_per_m, heading.curvature_variance, heading.usual_square), self._config.track_m)
+                     heading.curvature_per_m, heading.curvature_variance, heading.usual_square),
+            self._config.track_m, counted_ms)
         self._before_bridge = self._car
         self._return_before_bridge()
         for wheel in self._wheels:
@@ -307,7 +314,8 @@ class Odometry:
             if outcome is None:
                 heading.update(self._measured_yaw_rad(), variance)
             else:
-                heading.resume(self._measured_yaw_rad(), variance, outcome.curvature_per_m, outcome.curvature_variance)
+                heading.curvature_per_m = outcome.curvature_per_m
+                heading.begin(self._measured_yaw_rad(), variance, outcome.curvature_variance)
 
     def _motion(self, record, now_ms):
         left, right = self._wheels

@@ -20,7 +20,7 @@ from collections import deque
 from itertools import product
 from typing import NamedTuple, Sequence
 
-from car_interface.teensy.sensing.unseen_path import UnseenPath
+from car_interface.teensy.sensing.pose import UnseenPath
 
 LEFT, RIGHT = 0, 1
 ROLLING_PER_MS = 0.01  # 0.15 m/s: a wheel that rolls faster is expected to go on
@@ -92,13 +92,13 @@ class Outcome(NamedTuple):
 class RestartBridge:
     """From the last report before a restart, with the car's state then, to the pulses that show how the car goes on."""
 
-    def __init__(self, state: CarState, track_m: float):
+    def __init__(self, state: CarState, track_m: float, boot_ms: float | None = None):
         self._state = state
         self._track_m = track_m
         self._stood_ms: deque = deque(maxlen=STANDING_REPORTS)  # of the reports without a pulse since they are counted
         self.reversed_paths: list[UnseenPath] = []  # those after the restart, by the counts
         self._stop_variance = self._stop_within_ms = 0.0  # of a car that has stopped while pulses weren't counted
-        self.restart()
+        self.restart(boot_ms)
 
     def place_variance(self, now_ms: float) -> float:
         """Return the variance of the place that a change of speed on the way or a long time adds, pulses²."""
@@ -129,14 +129,15 @@ class RestartBridge:
     def restart(self, boot_ms: float | None = None) -> None:
         """Begin again after another restart: earlier pulses are dropped.
 
-        A car that stood until then has stood until the last report before the boot, where that is known.
+        A car that stood until then has stood until the last report before the boot, where that is known. From such a
+        boot on every pulse is counted, though the first report comes later.
         """
         if self._stood_ms and not any(wheel.speed for wheel in self._state.wheels):
             before = [at_ms for at_ms in self._stood_ms if boot_ms is None or at_ms < boot_ms - BLIND_MS]
             self._state = self._state._replace(at_ms=(before or self._stood_ms)[-1] - self._blind_ms())
             self._stood_ms.clear()
-        self._seen_ms: float | None = None  # from when on pulses were counted again
-        self._boot_ms: float | None = None  # from when on each pulse is in the reports
+        self._boot_ms = None if boot_ms is None else max(boot_ms, self._state.at_ms)  # each pulse after it is reported
+        self._seen_ms = self._boot_ms  # from when on pulses were counted again
         self._pulses: tuple[list, list] = ([], [])
         self._signs = [0, 0]
 
@@ -149,10 +150,6 @@ class RestartBridge:
         seen_ms = now_ms if self._seen_ms is None else self._seen_ms
         return (any(pulses) and not any(unproven) and not any(self._pulses)
                 and seen_ms - self._state.at_ms <= REPEAT_MS)
-
-    def count_from(self, boot_ms: float) -> None:
-        """Take note that every pulse since a boot is counted, though the first report comes later."""
-        self._seen_ms = self._boot_ms = max(boot_ms, self._state.at_ms)
 
     def report(self, now_ms: float) -> list[float] | None:
         """Take note that pulses are counted; return once where the wheels are if they stopped while none were."""

@@ -21,8 +21,7 @@ from typing import Mapping, NamedTuple, Sequence
 
 from car_interface.common.units import NS_PER_MS, NS_PER_S
 from car_interface.common.vehicle_geometry import SONARS
-from car_interface.teensy.sensing.echo_pulses import FIRMWARE_WAIT_MS
-from car_interface.teensy.sensing.ranging import is_near_micros_wrap
+from car_interface.teensy.sensing.ranging import FIRMWARE_WAIT_MS, is_near_micros_wrap
 
 MISSING_ROUNDS = 2  # rounds of the others without a report
 STUCK_ZEROS, DROPPED_ZEROS = 2, 3  # echoes of 0 in a row

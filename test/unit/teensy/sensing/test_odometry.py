@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from car_interface.common.errors import ConfigError
 from car_interface.teensy.link.protocol import BACKWARD, FORWARD, NO_DIRECTION, Wheel, WheelStatus
 from car_interface.teensy.sensing.odometry import Odometry, OdometryConfig
-from car_interface.teensy.sensing.unseen_path import reversed_path
-from car_interface.teensy.sensing.verdicts import Verdict
+from car_interface.teensy.sensing.plausibility import Verdict
+from car_interface.teensy.sensing.pose import reversed_path
 
 PULSE_M = math.pi * 0.095 / 20
 TRACK_M = 0.296

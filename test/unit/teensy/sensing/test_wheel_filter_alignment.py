@@ -4,8 +4,7 @@ import math
 
 import pytest
 
-from car_interface.teensy.sensing.alignment import ALIGNED_PULSES, ALIGNING_PULSES, Alignment
-from car_interface.teensy.sensing.wheel_filter import WheelFilter
+from car_interface.teensy.sensing.wheel_filter import ALIGNED_PULSES, ALIGNING_PULSES, Alignment, WheelFilter
 
 
 def rolled(phase, speed, duration_ms):

@@ -7,7 +7,7 @@ import pytest
 
 from car_interface.teensy.sensing.heading import CURVATURE_NOISE, CURVATURE_VARIANCE
 from car_interface.teensy.sensing.pose import Pose
-from car_interface.teensy.sensing.unseen_path import curved_path, reversed_path
+from car_interface.teensy.sensing.pose import curved_path, reversed_path
 
 
 def drive(legs):
