@@ -22,7 +22,7 @@ from car_interface.teensy.sensing.heading import CURVATURE_VARIANCE, HEADING_VAR
 from car_interface.teensy.sensing.plausibility import TOP_SPEED_MPS, Verdict
 from car_interface.teensy.sensing.pose import Pose, curved_path, reversed_path
 from car_interface.teensy.sensing.pulse_counts import LEARNING_PULSES
-from car_interface.teensy.sensing.restart import REPEAT_MS, CarState, RestartBridge, WheelState
+from car_interface.teensy.sensing.restart import REPEAT_MS, RestartBridge
 from car_interface.teensy.sensing.wheel_filter import (
     ALIGNED_PULSES,
     ALIGNING_PULSES,
@@ -169,12 +169,8 @@ class Odometry:
         if self._bridge is not None:
             self._bridge.restart(counted_ms)
             return
-        heading = self._car.heading
-        self._bridge = RestartBridge(
-            CarState(at_ms, tuple(WheelState(wheel.count, wheel.position, wheel.speed) for wheel in self._wheels),
-                     heading.curvature_per_m, heading.curvature_variance, heading.usual_square),
-            self._config.track_m, counted_ms)
         self._before_bridge = self._car
+        self._bridge = RestartBridge(at_ms, self._wheels, self._car.heading, self._config.track_m, counted_ms)
         self._return_before_bridge()
         for wheel in self._wheels:
             wheel.is_uncounted = True

@@ -12,8 +12,7 @@ Pure: pulses and milliseconds of the Teensy's clock in, the same out.
 from __future__ import annotations
 
 import math
-
-from car_interface.teensy.sensing.restart import MAX_BLIND_MS, PENDING_SPEED_SIGMA, WheelStart
+from typing import NamedTuple
 
 TICK_MIDDLE_MS = 0.5
 TICK_VARIANCE = 1 / 12  # of a moment within its tick, ms²
@@ -40,10 +39,21 @@ PASSED_BY, PASSED_VARIANCE = 0.02, 0.003  # pulses: how far before the next magn
 STANDING_SPEED_VARIANCE = 1e-10
 SPEED_RATIO = 0.15  # one sigma of a slow wheel's speed
 UNKNOWN_TIME_VARIANCE = 100.0  # of a pulse whose time can't be, ms²
+MAX_BLIND_MS = 2_000.0  # after a longer time without counts the speed in between is unknown
+PENDING_SPEED_SIGMA = 0.03  # pulses/ms, 0.45 m/s: of a car that has started when its pulses can be placed
 ALIGNING_PULSES, LAST_ALIGNING_PULSES = 6, 24
 ALIGNED_PULSES = 0.12  # of the difference after that, one sigma
 UNALIGNED_PULSES = 0.41  # the same before: 1 / √6, the difference of two positions anywhere within a pulse
 MAX_RATIO = 2.0  # of the wheels' speeds in a turn: 1.35 on a radius of 1 m with a track of 0.3 m
+
+
+class WheelStart(NamedTuple):
+    """The state in which a wheel goes on after pulses that weren't counted."""
+
+    place: float  # of its first pulse's magnet; without pulses the wheel's own, anywhere between two
+    speed: float  # at that time, pulses per ms
+    forward: bool  # its direction
+    pulses: list  # (number, at ms), the first of which was at ``place``
 
 
 class WheelFilter:

@@ -4,8 +4,7 @@ import math
 
 import pytest
 
-from car_interface.teensy.sensing.restart import WheelStart
-from car_interface.teensy.sensing.wheel_filter import STANDS_AFTER_MS, WheelFilter
+from car_interface.teensy.sensing.wheel_filter import STANDS_AFTER_MS, WheelFilter, WheelStart
 
 NOW = 1000.0
 
