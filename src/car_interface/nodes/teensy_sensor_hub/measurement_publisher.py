@@ -125,12 +125,10 @@ class MeasurementPublisher:
             self._publish_pending()
 
     def _publish_pending(self):
-        if self._pending is not None:
-            self._publish_motion(self._pending)
-            self._pending = None
-
-    def _publish_motion(self, measured):
-        """Publish odometry, its transform, and the wheels' joints."""
+        """Publish the newest motion, if it waits: odometry, its transform, and the wheels' joints."""
+        measured, self._pending = self._pending, None
+        if measured is None:
+            return
         motion = measured.motion
         stamp = self._ros_clock.stamp("motion", measured.stamp.time_ns)  # one for all: they are looked up by it
         if has_subscribers(self._odometry):

@@ -29,9 +29,8 @@ from car_interface.common.declared import read_all
 from car_interface.common.errors import DeviceError
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import NS_PER_S
-from car_interface.msg import Distance, Error, OneWheel, Pong, Wheel
+from car_interface.msg import Distance, Error, LinkStatus, OneWheel, Pong, Wheel
 from car_interface.nodes.teensy_sensor_hub.config import HubConfig
-from car_interface.nodes.teensy_sensor_hub.link_status import LinkStatusPublisher
 from car_interface.nodes.teensy_sensor_hub.measurement_publisher import MeasurementPublisher
 from car_interface.nodes.teensy_sensor_hub.teensy_commands import TeensyCommands
 from car_interface.ros.diagnostics import Diagnostics
@@ -39,7 +38,7 @@ from car_interface.ros.logs import ThrottledWarnings
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, has_subscribers
 from car_interface.teensy.link import protocol
-from car_interface.teensy.link.health import FINE, LINK_REPORT, OK, REBOOTED, WAITING
+from car_interface.teensy.link.health import FINE, LINK_REPORT, OK, REBOOTED, WAITING, with_sonars
 from car_interface.teensy.link.port import SerialLink
 from car_interface.teensy.link.session import PongReceived, Rebooted, Session
 from car_interface.teensy.sensing.sonar_monitor import SEND_SEQUENCE, SonarMonitor, describe
@@ -48,6 +47,8 @@ QUEUE_SIZE = 100  # a quarter of a second of a saturated line
 FIRST_RETRY_NS, LAST_RETRY_NS = NS_PER_S // 5, 2 * NS_PER_S
 LONG_READ = 1024  # bytes: 90 ms of a saturated line at 115200 baud. So much at once that is no frames is a flood
 SHORTEST_REST_NS = NS_PER_S // 250
+COUNTS = ("frames", "bad_frames", "malformed_frames", "unknown_commands", "noise_bytes", "resyncs", "reconnects",
+          "reboots", "pings", "pongs", "firmware_checksum", "sonar_starts")
 
 
 class TeensySensorHub:
@@ -73,9 +74,9 @@ class TeensySensorHub:
         self._rest_until_ns = 0
         self._corrupt = 0
         self._link_timer = RateTimer(1, now_ns)
-        self._link_status = LinkStatusPublisher(config.port, self._link, self._session, self._sonars, inbox)
+        self._status_topic = advertise("~link", LinkStatus, inbox, latch=True)
         self._diagnostics = Diagnostics(inbox, f"Teensy on {config.port}", {
-            LINK_REPORT: self._link_status.report, **(self._measurements.reports if self._measurements else {})},
+            LINK_REPORT: self._report_link, **(self._measurements.reports if self._measurements else {})},
             now_ns)
         self._commands = TeensyCommands(self._link, self._session, self._sonars, self._write, self._ping, inbox)
         self._handlers = self._event_handlers()
@@ -123,7 +124,9 @@ class TeensySensorHub:
 
         return {PongReceived: on_pong, protocol.WheelStatus: on_wheels, protocol.SonarStatus: on_sonar,
                 protocol.ErrorCount: lambda record, received_ns: error(*record),
-                protocol.Malformed: self._on_malformed, Rebooted: self._on_reboot}
+                protocol.Malformed: lambda record, received_ns: self._warnings.warn(
+                    "malformed", f"a frame from the Teensy makes no sense: {record.reason}"),
+                Rebooted: self._on_reboot}
 
     def step(self, now_ns):
         """Handle requests, read the port, ping, judge, publish; returns when to be called next."""
@@ -135,7 +138,7 @@ class TeensySensorHub:
         if self._link_timer.is_due(now_ns):
             self._judge()
             self._judge_sonars()
-            self._link_status.publish()
+            self._publish_status()
         self._diagnostics.step(now_ns)
         return min(self._link_timer.due_ns, self._diagnostics.due_ns, port_ns,
                    self._measurements.due_ns if self._measurements else math.inf)
@@ -146,7 +149,11 @@ class TeensySensorHub:
             if now_ns >= self._rest_until_ns:
                 self._read(now_ns)
         elif now_ns >= self._next_try_ns:
-            self._try_open()
+            try:
+                self._open()
+            except DeviceError as error:
+                self._warnings.warn(error.state, f"{error}. Trying again")
+                self._retry_after(error)
         if self._link.is_open and now_ns >= self._session.pinger.next_event_ns():
             self._ping_when_due(now_ns)
         if not self._link.is_open:
@@ -160,13 +167,6 @@ class TeensySensorHub:
         self._inbox.ending = True
         self._inbox.dispatch()
 
-    def _try_open(self):
-        try:
-            self._open()
-        except DeviceError as error:
-            self._warnings.warn(error.state, f"{error}. Trying again")
-            self._retry_after(error)
-
     def _open(self):
         """Open the port, bring the Teensy's receiver in step, and ping it."""
         self._link.open()
@@ -176,7 +176,7 @@ class TeensySensorHub:
         now_ns = self._clocks.now_ns()
         self._session.opened(now_ns)
         self._sonars.opened(now_ns)
-        self._link_status.publish()
+        self._publish_status()
         self._ping()
 
     def _watch_port(self, wanted):
@@ -201,8 +201,7 @@ class TeensySensorHub:
             self._lose(error)
             return
         received_ns = self._clocks.now_ns()
-        if self._watched_fd is None:
-            self._watch_port(True)
+        self._watch_port(True)
         if not data:
             return
         self._retry_ns = FIRST_RETRY_NS
@@ -239,7 +238,7 @@ class TeensySensorHub:
         before = self._session.health.verdict.state
         self._session.health.port_failed(error.state, error.cause, error.remedy)
         if error.state != before:
-            self._link_status.publish()
+            self._publish_status()
         self._next_try_ns = self._clocks.now_ns() + self._retry_ns
         self._retry_ns = min(2 * self._retry_ns, LAST_RETRY_NS)
 
@@ -273,9 +272,6 @@ class TeensySensorHub:
         self._sonars.rebooted(received_ns)
         self._warnings.warn("rebooted", f"the Teensy rebooted: {event.description}")
 
-    def _on_malformed(self, record, received_ns):
-        self._warnings.warn("malformed", f"a frame from the Teensy makes no sense: {record.reason}")
-
     def _judge(self):
         """Judge the link; log what is new, or still bad. A port that fails is logged by itself."""
         if not self._link.is_open:
@@ -304,6 +300,37 @@ class TeensySensorHub:
         if faults:
             kind = f"sonars {sorted(str(fault.sensor) for fault in faults)}"
             self._warnings.warn(kind, "{}. {}".format(*describe(faults)))
+
+    def _publish_status(self):
+        self._status_topic.publish(self._status())
+
+    def _report_link(self, report):
+        status = self._status()
+        report.summary(status.level, f"{status.words}. {status.next_step}" if status.next_step else status.words)
+        report.add("state", status.state)
+        report.add("port", self._port)
+        report.add("round trip", "never measured" if math.isnan(status.round_trip) else
+                   f"{status.round_trip * 1e3:.1f} ms")
+        for name in COUNTS:
+            report.add(name.replace("_", " "), getattr(status, name))
+        for counter in status.counters:
+            report.add(f"Teensy's {counter.name}", counter.count)
+
+    def _status(self):
+        session = self._session
+        tally, pinger, verdict = session.tally, session.pinger, session.health.verdict
+        faults = self._sonars.faults(self._clocks.now_ns()) if self._link.is_open else ()
+        if faults:
+            verdict = with_sonars(verdict, *describe(faults))
+        return LinkStatus(
+            stamp=self._clocks.ros_now(), open=self._link.is_open, level=verdict.level, state=verdict.state,
+            words=verdict.description, next_step=verdict.next_step, frames=tally.frames, bad_frames=tally.bad_frames,
+            malformed_frames=session.malformed, unknown_commands=session.unknown_commands,
+            noise_bytes=tally.noise_bytes, resyncs=session.resyncs, reconnects=max(0, session.openings - 1),
+            reboots=session.reboots, pings=pinger.sent, pongs=pinger.answered,
+            round_trip=session.round_trip_ns / NS_PER_S, firmware_checksum=pinger.checksum,
+            sonar_starts=self._sonars.starts, dropped_sonars=list(self._sonars.dropped),
+            counters=[Error(count, name) for name, count in sorted(session.counters.items())])
 
 
 def _indices(sequence):
