@@ -52,7 +52,13 @@ class MeasurementPublisher:
         self._pending = None  # the newest motion, while it isn't published
         self.speed_mps = 0.0
         self._motion_timer = RateTimer(config.odom_rate_hz or math.inf, 0)
-        self._prepare_messages()
+        # The frequent messages are reused: rospy serialises them as it publishes them.
+        self._odom_msg = OdometryMessage(child_frame_id=self._base_frame)
+        self._odom_msg.header.frame_id = self._odom_frame
+        self._tf_msg = _transform(self._clocks.ros_now(), self._odom_frame, self._base_frame, 0.0, 0.0, 0.0)
+        self._joint_msg = JointState(name=[config.frame(name) for name in WHEEL_JOINTS])
+        self._range_msg = Range(radiation_type=Range.ULTRASOUND, field_of_view=config.field_of_view_rad,
+                                min_range=config.ranging.min_range_m, max_range=config.ranging.max_range_m)
         self._odometry = advertise("odom", OdometryMessage, inbox, QUEUE_SIZE)
         self._joints = advertise("joint_states", JointState, inbox, QUEUE_SIZE)
         self._ranges = [advertise(f"sonar/{name}", Range, inbox, QUEUE_SIZE) for name in SONARS]
@@ -65,16 +71,6 @@ class MeasurementPublisher:
         if config.odometry.use_steering:
             inbox.on_overflow(lambda now_ns: self._measurements.steer(math.nan))
             subscribe("turn_arb/state", SteeringState, inbox, self._on_steering)
-
-    def _prepare_messages(self):
-        """Make the frequent messages, which are reused: rospy serialises them as it publishes them."""
-        self._odom_msg = OdometryMessage(child_frame_id=self._base_frame)
-        self._odom_msg.header.frame_id = self._odom_frame
-        self._tf_msg = _transform(self._clocks.ros_now(), self._odom_frame, self._base_frame, 0.0, 0.0, 0.0)
-        self._joint_msg = JointState(name=[self._config.frame(name) for name in WHEEL_JOINTS])
-        self._range_msg = Range(radiation_type=Range.ULTRASOUND, field_of_view=self._config.field_of_view_rad,
-                                min_range=self._config.ranging.min_range_m,
-                                max_range=self._config.ranging.max_range_m)
 
     def pong(self, record, answer, received_ns: int) -> None:
         """Take a pong, with the ping that it answers or ``None``; publish how the clocks relate."""
@@ -105,7 +101,7 @@ class MeasurementPublisher:
         if received_ns >= self._motion_timer.due_ns:
             self._measurements.process_queue()
 
-    def _on_motion(self, measured, received_ns):
+    def _on_motion(self, measured):
         """Publish a motion that is due by its own time: one read may bring reports of a second."""
         self.speed_mps = measured.motion.speed_mps
         self._pending = measured

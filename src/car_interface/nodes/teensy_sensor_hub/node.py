@@ -62,8 +62,8 @@ class TeensySensorHub:
         self._port = config.port
         self._link = make_link(config.port, config.baud)
         self._session = Session(config.baud, round(config.ping_period_s * NS_PER_S), config.firmware_checksum, now_ns)
-        self._sonars = SonarMonitor(config.sonar_restart_s, _indices(config.sonar_sequence),
-                                    _indices(config.sonar_sequence_ahead))
+        self._sonars = SonarMonitor(config.sonar_restart_s, map(int, config.sonar_sequence),
+                                    map(int, config.sonar_sequence_ahead))
         if self._measurements:
             self._sonars.clones = self._measurements.ranging.clones
         self._inbox = inbox
@@ -78,7 +78,7 @@ class TeensySensorHub:
         self._diagnostics = Diagnostics(inbox, f"Teensy on {config.port}", {
             LINK_REPORT: self._report_link, **(self._measurements.reports if self._measurements else {})},
             now_ns)
-        self._commands = TeensyCommands(self._link, self._session, self._sonars, self._write, self._ping, inbox)
+        self._commands = TeensyCommands(self._sonars, self._send, self._ping, inbox)
         self._handlers = self._event_handlers()
         if config.required:
             self._open()
@@ -242,8 +242,14 @@ class TeensySensorHub:
         self._next_try_ns = self._clocks.now_ns() + self._retry_ns
         self._retry_ns = min(2 * self._retry_ns, LAST_RETRY_NS)
 
+    def _send(self, body):
+        """Send a command; return whether that worked."""
+        return self._write(self._session.encode(body))
+
     def _write(self, data):
-        """Send, and return whether that worked."""
+        """Write to the port if it is open; return whether that worked."""
+        if not self._link.is_open:
+            return False
         try:
             self._link.write(data)
         except DeviceError as error:
@@ -263,10 +269,13 @@ class TeensySensorHub:
             self._ping()
 
     def _ping(self):
-        """Send a ping stamped with ROS time in ms, which is all that fits; the session keeps its monotonic time."""
+        """Send a ping stamped with ROS time in ms, which is all that fits; return that, or ``None`` = it wasn't sent.
+
+        The session keeps its monotonic time.
+        """
         timestamp1 = self._clocks.ros_now().to_nsec() // 1_000_000 % protocol.UINT32
-        self._write(self._session.ping(timestamp1, self._clocks.now_ns()))
-        return timestamp1
+        is_sent = self._link.is_open and self._write(self._session.ping(timestamp1, self._clocks.now_ns()))
+        return timestamp1 if is_sent else None
 
     def _on_reboot(self, event, received_ns):
         self._sonars.rebooted(received_ns)
@@ -292,10 +301,10 @@ class TeensySensorHub:
             self._sonars.update_speed(self._measurements.speed_mps, now_ns)
         command = self._sonars.next_command(now_ns) if self._link.is_open else None
         if command == SEND_SEQUENCE:
-            self._write(self._session.encode(protocol.set_sonar_sequence(self._sonars.sequence)))
+            self._send(protocol.set_sonar_sequence(self._sonars.sequence))
         elif command:
             self._warnings.warn("sonar start", "no sonar has reported for a while: SONAR_START was sent")
-            self._write(self._session.encode(protocol.START_SONARS))
+            self._send(protocol.START_SONARS)
         faults = self._sonars.faults(now_ns)
         if faults:
             kind = f"sonars {sorted(str(fault.sensor) for fault in faults)}"
@@ -331,11 +340,6 @@ class TeensySensorHub:
             round_trip=session.round_trip_ns / NS_PER_S, firmware_checksum=pinger.checksum,
             sonar_starts=self._sonars.starts, dropped_sonars=list(self._sonars.dropped),
             counters=[Error(count, name) for name, count in sorted(session.counters.items())])
-
-
-def _indices(sequence):
-    """Return the order of the sonars, or None where the firmware's own is wanted."""
-    return [int(sensor) for sensor in sequence] or None
 
 
 def main():

@@ -14,8 +14,6 @@ from car_interface.nodes.terminal import Keys
 from car_interface.ros.topics import serve
 from car_interface.srv import SetSonarSequence, SetSonarSequenceRequest, SetSonarWait
 from car_interface.teensy.link import protocol
-from car_interface.teensy.link.port import SerialLink
-from car_interface.teensy.link.session import Session
 from car_interface.teensy.sensing.sonar_monitor import SonarMonitor
 
 COUNTERS_PERIOD_NS = NS_PER_S  # asked more often, the answers starve the Teensy's buffers
@@ -32,17 +30,15 @@ class TeensyCommands:
 
     Args:
         sonars: follow what is commanded.
-        write: sends bytes and returns whether that worked.
-        ping: sends a ping and returns its timestamp1.
+        send: sends a command and returns whether that worked.
+        ping: sends a ping and returns its timestamp1, or ``None`` if that didn't work.
 
     Attributes:
         keys: of the node's terminal.
     """
 
-    def __init__(self, link: SerialLink, session: Session, sonars: SonarMonitor, write: Callable[[bytes], bool],
-                 ping: Callable[[], int], inbox):
-        self._link, self._session, self._inbox = link, session, inbox
-        self._write, self._ping = write, ping
+    def __init__(self, sonars: SonarMonitor, send: Callable[[bytes], bool], ping: Callable[[], int | None], inbox):
+        self._send_body, self._ping, self._inbox = send, ping, inbox
         self._next_counters_ns = 0
         self._waiting_pings = {}  # timestamp1 → the answers of the ~ping calls that wait for it
         now_ns = inbox.clocks.now_ns
@@ -91,16 +87,15 @@ class TeensyCommands:
             self.answer_ping(timestamp1, success, message)
 
     def _ping_and_wait(self, answer, request):
-        if not self._link.is_open:
+        timestamp1 = self._ping()
+        if timestamp1 is None:
             answer(*NOT_OPEN)
-            return
-        self._waiting_pings.setdefault(self._ping(), []).append(answer)
-        if not self._link.is_open:
-            self.answer_pings(*NOT_OPEN)
+        else:
+            self._waiting_pings.setdefault(timestamp1, []).append(answer)
 
     def _send(self, answer, body, note_sent=lambda: None, text="sent"):
         """Send a command, and have the fact noted."""
-        is_sent = self._link.is_open and self._write(self._session.encode(body))
+        is_sent = self._send_body(body)
         if is_sent:
             note_sent()
         answer(*((True, text) if is_sent else NOT_OPEN))

@@ -16,8 +16,7 @@ from car_interface.teensy.link.protocol import UINT32, Pong, SonarStatus, WheelS
 from car_interface.teensy.link.reboot import reached_tick
 from car_interface.teensy.sensing.clock import Clock, Stamp, Sync
 from car_interface.teensy.sensing.odometry import Motion, Odometry, OdometryConfig
-from car_interface.teensy.sensing.plausibility import MAX_GAP_MS, Gates
-from car_interface.teensy.sensing.pulse_counts import has_pulsed
+from car_interface.teensy.sensing.plausibility import MAX_GAP_MS, Gates, has_pulsed
 from car_interface.teensy.sensing.ranging import BOOT_MS, FIRMWARE_WAIT_MS, EchoPulses, Ranging, RangingConfig
 
 # The smallest frames on the line: with checksum and closing flag, without escapes, with a shared opening flag. The time
@@ -55,11 +54,11 @@ class Measurements:
     """Everything that one Teensy measures.
 
     Args:
-        on_motion: called with the measurement of each queued report of the wheels, and when that was received.
+        on_motion: called with the measurement of each queued report of the wheels.
     """
 
     def __init__(self, config: MeasurementConfig = MeasurementConfig(),
-                 on_motion: Callable[[MotionMeasurement, int], None] = lambda measured, received_ns: None):
+                 on_motion: Callable[[MotionMeasurement], None] = lambda measured: None):
         self.gates = Gates(config.odometry.pulse_m, config.odometry.top_speed_mps, config.max_gap_ms)
         self.clock = Clock(config.baud)
         self.ranging = Ranging(config.ranging)
@@ -125,13 +124,11 @@ class Measurements:
 
     def process_queue(self) -> None:
         """Process the queued reports of the wheels, and call ``on_motion`` with their measurements."""
-        if not self._queue:
-            return
-        for record, received_ns in self._queue:
+        queue, self._queue = self._queue, []
+        for record, received_ns in queue:
             measured = self._measure_motion(record, received_ns)
             if measured is not None:
-                self._on_motion(measured, received_ns)
-        self._queue.clear()
+                self._on_motion(measured)
 
     def _note_receipt(self, received_ns):
         """Forget the sonars' rhythm while nothing came: the time to a later report is no echo."""

@@ -5,8 +5,8 @@ metres, radians, x forward, y left; the pose of the middle of the rear axle, whi
 
 One pulse is 1.5 cm, and 2.9° of heading when only one wheel has made it, so that counting pulses isn't enough:
 ``wheel_filter`` estimates each wheel between its pulses and finds where the magnets stood at the start,
-``heading`` filters the difference of the wheels, ``restart`` bridges pulses that a rebooting Teensy didn't count, and
-``pose`` integrates. Position comes from pulses, never from the reports' ``speed``. Pure.
+``restart`` bridges pulses that a rebooting Teensy didn't count, and ``pose`` filters the difference of the wheels and
+integrates. Position comes from pulses, never from the reports' ``speed``. Pure.
 """
 from __future__ import annotations
 
@@ -18,10 +18,15 @@ from typing import NamedTuple, Sequence
 from car_interface.common import declared
 from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, TRACK_M, WHEEL_DIAMETER_M, WHEELBASE_M
 from car_interface.teensy.link.protocol import BACKWARD, FORWARD, NO_DIRECTION, WheelStatus
-from car_interface.teensy.sensing.heading import CURVATURE_VARIANCE, HEADING_VARIANCE, HeadingFilter
-from car_interface.teensy.sensing.plausibility import TOP_SPEED_MPS, Verdict
-from car_interface.teensy.sensing.pose import Pose, curved_path, reversed_path
-from car_interface.teensy.sensing.pulse_counts import LEARNING_PULSES
+from car_interface.teensy.sensing.plausibility import LEARNING_PULSES, TOP_SPEED_MPS, Verdict
+from car_interface.teensy.sensing.pose import (
+    CURVATURE_VARIANCE,
+    HEADING_VARIANCE,
+    HeadingFilter,
+    Pose,
+    curved_path,
+    reversed_path,
+)
 from car_interface.teensy.sensing.restart import REPEAT_MS, RestartBridge
 from car_interface.teensy.sensing.wheel_filter import (
     ALIGNED_PULSES,
@@ -169,15 +174,10 @@ class Odometry:
         if self._bridge is not None:
             self._bridge.restart(counted_ms)
             return
-        self._before_bridge = self._car
         self._bridge = RestartBridge(at_ms, self._wheels, self._car.heading, self._config.track_m, counted_ms)
-        self._return_before_bridge()
+        self._before_bridge, self._car = self._car, copy.deepcopy(self._car)
         for wheel in self._wheels:
             wheel.is_uncounted = True
-
-    def _return_before_bridge(self):
-        """Forget the path that was only predicted since the bridge began."""
-        self._car = copy.deepcopy(self._before_bridge)
 
     def _cross_bridge(self, record, pulses, unproven, times_ms, now_ms):
         """Collect pulses until they show how the car goes on."""
@@ -192,13 +192,12 @@ class Odometry:
         if positions:
             for wheel, position in zip(self._wheels, positions):
                 wheel.stop_at(position)
-            self._return_before_bridge()
+            self._car = copy.deepcopy(self._before_bridge)  # the path since then was only predicted
             for path in bridge.reversed_paths:
                 self._car.pose.add_path(path)
         if not bridge.is_ready(now_ms):
             return self._move(record, False, now_ms)
-        self._bridge = None
-        self._return_before_bridge()
+        self._bridge, self._car = None, self._before_bridge
         outcome = bridge.solve(now_ms)
         for wheel, start in zip(self._wheels, outcome.wheels):
             wheel.pending = 0

@@ -25,6 +25,7 @@ from typing import NamedTuple
 
 from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, WHEEL_DIAMETER_M
 from car_interface.teensy.link.protocol import (
+    BACKWARD,
     DIRECTION_ERROR,
     FORWARD,
     NO_DIRECTION,
@@ -35,18 +36,14 @@ from car_interface.teensy.link.protocol import (
     ahead,
 )
 from car_interface.teensy.link.reboot import MAX_LAG_MS
-from car_interface.teensy.sensing.pulse_counts import (
-    LEARNING_PULSES,
-    has_pulsed,
-    learning_pulses,
-    signed_pulses,
-    unsplit_pulses,
-)
 
 CONSISTENT = 3  # ticks in a row that agree with each other end a contradiction
 # Answers overtake sonar reports in the Teensy's buffers, which hold 0.2 s of the line.
 OVERTAKEN_MS = 250
 YOUNG_MS = 2_000  # a Teensy with a shorter uptime may have just rebooted
+# At power-up the firmware takes both pins of a hall sensor for low and then learns one of them with each pulse. So the
+# direction of a wheel's first two pulses means nothing: it may be wrong, or still missing while ``dist_abs`` grows.
+LEARNING_PULSES = 2
 SURPRISE_PULSES = 3  # of 1.5 cm: an error of 4.5 cm at most; two reports in a row may be lost at a crawl
 TRUSTED_MS = 100  # after a wheel's last pulse; later its speed no longer explains pulses
 QUANTUM_MS = 1  # of the ticks
@@ -218,8 +215,8 @@ class WheelGate:
     - A wheel's ``when`` is the tick of its last pulse *or repeat*: a standing car repeats its report with a new
       ``when`` for both wheels. Only a change of ``dist_abs`` is a pulse.
     - ``when`` is 0 until the first pulse after power-up: this is no reading of the clock. WHEEL_RESET keeps ``when``.
-    - The first two pulses of a wheel after power-up are ``unproven`` (see ``pulse_counts``): their direction must be
-      found elsewhere. WHEEL_RESET keeps the pins' states, so that no pulse is unproven after it.
+    - The first two pulses of a wheel after power-up are ``unproven``: their direction must be found elsewhere.
+      WHEEL_RESET keeps the pins' states, so that no pulse is unproven after it.
     """
 
     def __init__(self, ticks: TickGate, pulse_m: float, top_speed_mps: float):
@@ -227,15 +224,11 @@ class WheelGate:
         self._pulse_m = pulse_m
         self._top_per_ms = top_speed_mps / pulse_m / 1000
         self._top_speed = 2000 * self._top_per_ms + SPEED_OF_ONE_TICK  # as a report may give it
-        self._last = None
-        self._before = None  # accepted before the last one
         self._candidates: list = []
         self._jumped = False  # the candidates can't follow the last one
-        self._per_ms = (0.0, 0.0)  # each wheel's speed when it made its last pulse
-        self._pulse_ticks: tuple = (None, None)  # of the last pulses; ``when`` may be that of a repeat
         self._learns = True  # the first pulses are unproven
         self._clock_restarts = 0  # of the clock, by the last accepted report
-        self._zero = None  # (newest tick, restarts of the clock) when both odometers went back to zero
+        self._restart(None, FIRST)
 
     @property
     def is_zero_again(self):
@@ -313,10 +306,10 @@ class WheelGate:
         return Verdict(True, reason, pulses[:2], False, pulses[2:4], pulses[4:]) if reason or any(pulses) else FINE
 
     def _restart(self, record, reason):
-        self._before, self._last = None, record
-        self._per_ms = (0.0, 0.0)
-        self._pulse_ticks = (None, None)
-        self._zero = None
+        self._before, self._last = None, record  # the last two accepted ones
+        self._per_ms = (0.0, 0.0)  # each wheel's speed when it made its last pulse
+        self._pulse_ticks = (None, None)  # of the last pulses; ``when`` may be that of a repeat
+        self._zero = None  # (newest tick, restarts of the clock) when both odometers went back to zero
         self._candidates.clear()
         return Verdict(True, reason, restarted=True)
 
@@ -352,16 +345,14 @@ class WheelGate:
 
     def _pulses_between(self, before, now):
         """Return signed proven pulses of left and right, unproven ones of both, and unsplit ones of both."""
-        if not self._learns or min(before.left.dist_abs, before.right.dist_abs) >= LEARNING_PULSES:
-            pulses = [signed_pulses(old, new) for old, new in zip(before, now)]
-            unsplit = [unsplit_pulses(old, new) for old, new in zip(before, now)]
-            pulses, unsplit = _settled(pulses, unsplit, before, before, now)
-            return (*pulses, 0, 0, *unsplit)
-        learnt = [learning_pulses(old, new) for old, new in zip(before, now)]
-        unsplit = [unsplit_pulses(old._replace(dist_abs=max(old.dist_abs, LEARNING_PULSES)), new)
+        learns = self._learns and min(before.left.dist_abs, before.right.dist_abs) < LEARNING_PULSES
+        proven, unproven = zip(*(learning_pulses(old, new) if learns else (signed_pulses(old, new), 0)
+                                 for old, new in zip(before, now)))
+        unsplit = [unsplit_pulses(old._replace(dist_abs=max(old.dist_abs, LEARNING_PULSES)) if learns else old, new)
                    for old, new in zip(before, now)]
-        pulses, unsplit = _settled([proven for proven, _ in learnt], unsplit, before, self._last or before, now)
-        return (*pulses, learnt[0][1], learnt[1][1], *unsplit)
+        rolled = self._last if learns and self._last else before
+        pulses, unsplit = _settled(proven, unsplit, before, rolled, now)
+        return (*pulses, *unproven, *unsplit)
 
     def _impossible(self, wheel):
         """Return what is wrong with a wheel's report by itself."""
@@ -420,6 +411,47 @@ class WheelGate:
             return per_ms, pulse_tick
         elapsed_ms = -1 if pulse_tick is None else ahead(now.when, pulse_tick)
         return min(self._top_per_ms, pulses / (elapsed_ms + QUANTUM_MS)) if elapsed_ms >= 0 else 0.0, now.when
+
+
+def has_pulsed(wheel: Wheel) -> bool:
+    """Return whether ``when`` is a reading of the clock; it is 0 until the first pulse, but also at a wrap."""
+    return bool(wheel.when or wheel.speed)
+
+
+def signed_pulses(before: Wheel, now: Wheel) -> int:
+    """Return the pulses from one report of a wheel to a later one, backward negative.
+
+    The pulse before ``now.dist`` was made in the other direction. If a wheel reversed twice in between, it is unknown
+    how many of the earlier pulses went in which direction: all but that one are taken to cancel out.
+    """
+    sign = 1 if now.direction == FORWARD else -1
+    pulses = ahead(now.dist_abs, before.dist_abs)
+    earlier = unsplit_pulses(before, now)
+    return sign * (pulses - earlier) - sign * (earlier if now.direction != before.direction else min(earlier, 1))
+
+
+def unsplit_pulses(before: Wheel, now: Wheel) -> int:
+    """Return the pulses before a wheel's last reversal: with an earlier reversal too, their directions are unknown."""
+    if now.dist == before.dist and now.direction == before.direction or now.direction == NO_DIRECTION:
+        return 0
+    return max(0, ahead(now.dist, before.dist_abs) - 1)
+
+
+def learning_pulses(before: Wheel, now: Wheel) -> tuple[int, int]:
+    """Return (signed proven, unproven) pulses of a wheel whose Teensy may not have known its hall sensor's pins yet.
+
+    A direction that begins with the second pulse, after a first one without any, is right: both pins are known then.
+    """
+    learning = 1 if now.direction != NO_DIRECTION and now.dist == 2 else LEARNING_PULSES
+    unproven = max(0, min(now.dist_abs, learning) - before.dist_abs)
+    if not unproven:
+        return signed_pulses(before, now), 0
+    if now.dist_abs <= learning:
+        return 0, unproven
+    if now.dist <= learning:
+        return signed_pulses(now._replace(dist_abs=learning), now), unproven
+    other = BACKWARD if now.direction == FORWARD else FORWARD
+    return signed_pulses(Wheel(0, other, 0, 0, learning), now), unproven
 
 
 def _settled(pulses, unsplit, before, rolled, now):

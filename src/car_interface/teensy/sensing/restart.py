@@ -21,8 +21,7 @@ from collections import deque
 from itertools import product
 from typing import NamedTuple, Sequence
 
-from car_interface.teensy.sensing.heading import HeadingFilter
-from car_interface.teensy.sensing.pose import UnseenPath
+from car_interface.teensy.sensing.pose import HeadingFilter, UnseenPath
 from car_interface.teensy.sensing.wheel_filter import MAX_BLIND_MS, PENDING_SPEED_SIGMA, WheelFilter, WheelStart
 
 LEFT, RIGHT = 0, 1
@@ -203,7 +202,7 @@ class RestartBridge:
         sign = self._find_sign()
         signs = [proven or sign for proven in self._signs]
         speeds = self._speeds(signs, now_ms)
-        curvature, curvature_variance = self._curvature(speeds, was_rolling)
+        curvature, curvature_variance = self._curvature(was_rolling)
         guesses = [self._guess(side, speeds, curvature, was_rolling, signs) for side in (LEFT, RIGHT)]
         blind_ms, started = self._blind_ms(), 0.0
         mean_speed = sum(speeds) / 2
@@ -290,7 +289,7 @@ class RestartBridge:
         return [sign * rate if rate else known[0] if known else speed
                 for sign, rate, speed in zip(signs, rates, slowed)]
 
-    def _curvature(self, speeds, was_rolling):
+    def _curvature(self, was_rolling):
         """Return the curvature over the time without counts, and its variance, by the ones before and after."""
         before, usual_square = self._heading.curvature_per_m, self._heading.usual_square
         after, after_variance = self._curvature_after()

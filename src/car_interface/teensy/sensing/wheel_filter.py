@@ -1,4 +1,4 @@
-"""Estimates one wheel's position, speed and acceleration from its pulses, and how two wheels' magnets stood at the start.
+"""Estimates a wheel's position, speed and acceleration from its pulses, and where the magnets stood at the start.
 
 - A wheel's magnets are fixed: with c the sum of its signed pulses, a wheel is within [c, c + 1) pulses, at c when it
   makes a pulse forward and at c + 1 when it makes one backward, since rolling back over a magnet also makes one. Errors
@@ -61,7 +61,6 @@ class WheelFilter:
 
     def __init__(self):
         self.count = 0  # signed pulses so far: the wheel is within [count, count + 1)
-        self.updates = 0  # how many times a report had a new pulse of it
         self.first_pulses: list | None = []  # as (ms, position), for the alignment; ``None`` once it is done
         self.is_uncounted = False  # it has made pulses that the Teensy didn't count; the next one shows where it is
         self.pending = 0  # pulses that were counted but whose positions aren't known yet
@@ -103,7 +102,6 @@ class WheelFilter:
         is_known = self._pulse_ms < at_ms <= now_ms + TICK_MIDDLE_MS
         at_ms = min(max(at_ms, self._time_ms), now_ms) if is_known else now_ms
         self.count += pulses
-        self.updates += 1
         self._since_stop += 1
         place = self.count if forward else self.count + 1
         self._predict(at_ms)
@@ -293,9 +291,9 @@ class Alignment:
         While the ratio of the wheels' distances stays the same, their positions lie on a line, and the start is where
         that line meets the possible positions: each between two magnets.
         """
-        few = min(left.updates, right.updates) < ALIGNING_PULSES
-        pairs = [] if few else _pairs(left.first_pulses, right.first_pulses)
-        if len(pairs) < ALIGNING_PULSES and max(left.updates, right.updates) < LAST_ALIGNING_PULSES:
+        counts = len(left.first_pulses), len(right.first_pulses)
+        pairs = [] if min(counts) < ALIGNING_PULSES else _pairs(left.first_pulses, right.first_pulses)
+        if len(pairs) < ALIGNING_PULSES and max(counts) < LAST_ALIGNING_PULSES:
             return False
         self.skip(left, right)
         slope, at_0 = _line(pairs)

@@ -14,8 +14,7 @@ import pytest
 from captures import NAMES, NS_PER_US, load, replay
 from car_interface.teensy.link.protocol import SonarStatus
 from car_interface.teensy.sensing import plausibility
-from car_interface.teensy.sensing.clock import Sync
-from car_interface.teensy.sensing.clock_lines import ClockLines
+from car_interface.teensy.sensing.clock import ClockLines, Sync
 from car_interface.teensy.sensing.measurements import MotionMeasurement
 from car_interface.teensy.sensing.ranging import DISTRUSTED, HELD, MICROS_WRAP, STUCK, UNKNOWN
 

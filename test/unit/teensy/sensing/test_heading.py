@@ -2,7 +2,7 @@
 
 import pytest
 
-from car_interface.teensy.sensing.heading import CURVATURE_VARIANCE, HEADING_VARIANCE, HeadingFilter
+from car_interface.teensy.sensing.pose import CURVATURE_VARIANCE, HEADING_VARIANCE, HeadingFilter
 
 STEP_M, STEP_S = 0.015, 0.015
 

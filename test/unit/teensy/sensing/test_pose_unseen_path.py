@@ -5,9 +5,7 @@ import random
 
 import pytest
 
-from car_interface.teensy.sensing.heading import CURVATURE_NOISE, CURVATURE_VARIANCE
-from car_interface.teensy.sensing.pose import Pose
-from car_interface.teensy.sensing.pose import curved_path, reversed_path
+from car_interface.teensy.sensing.pose import CURVATURE_NOISE, CURVATURE_VARIANCE, Pose, curved_path, reversed_path
 
 
 def drive(legs):

@@ -9,7 +9,7 @@ import os
 import pytest
 from accuracy import reboot as reboot_accuracy
 
-from car_interface.teensy.sensing.heading import HEADING_VARIANCE, HeadingFilter
+from car_interface.teensy.sensing.pose import HEADING_VARIANCE, HeadingFilter
 from car_interface.teensy.sensing.restart import LEFT, RIGHT, RestartBridge
 from car_interface.teensy.sensing.wheel_filter import WheelFilter
 

@@ -304,7 +304,7 @@ def test_last_sonar_of_the_sequence_is_never_dropped():
     assert sonars.command is None and "front_left seems stuck high" in sonars.words
 
 
-def aimed(ahead=AHEAD, sequence=None):
+def aimed(ahead=AHEAD, sequence=()):
     """A monitor of a car that drives forward since 0.1 s, and what it sent for that."""
     monitor = SonarMonitor(3.0, sequence, ahead)
     monitor.opened(0)
