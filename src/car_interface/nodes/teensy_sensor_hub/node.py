@@ -69,9 +69,8 @@ class TeensySensorHub:
         self._inbox = inbox
         self._warnings = ThrottledWarnings(inbox.clocks)
         self._retry_ns = FIRST_RETRY_NS
-        self._next_try_ns = now_ns
         self._watched_fd = None
-        self._rest_until_ns = 0
+        self._rest_until_ns = 0  # the port is left alone: it couldn't be opened, was lost, or there was a flood
         self._corrupt = 0
         self._link_timer = RateTimer(1, now_ns)
         self._status_topic = advertise("~link", LinkStatus, inbox, latch=True)
@@ -145,10 +144,9 @@ class TeensySensorHub:
 
     def _attend_port(self, now_ns):
         """Read it and ping through it, or try to open it; returns when that is due again though nothing comes."""
-        if self._link.is_open:
-            if now_ns >= self._rest_until_ns:
-                self._read(now_ns)
-        elif now_ns >= self._next_try_ns:
+        if now_ns >= self._rest_until_ns and self._link.is_open:
+            self._read(now_ns)
+        elif now_ns >= self._rest_until_ns:
             try:
                 self._open()
             except DeviceError as error:
@@ -156,9 +154,7 @@ class TeensySensorHub:
                 self._retry_after(error)
         if self._link.is_open and now_ns >= self._session.pinger.next_event_ns():
             self._ping_when_due(now_ns)
-        if not self._link.is_open:
-            return self._next_try_ns
-        ping_ns = self._session.pinger.next_event_ns()
+        ping_ns = self._session.pinger.next_event_ns() if self._link.is_open else math.inf
         return ping_ns if self._watched_fd is not None else min(ping_ns, self._rest_until_ns)
 
     def shut_down(self):
@@ -239,7 +235,7 @@ class TeensySensorHub:
         self._session.health.port_failed(error.state, error.cause, error.remedy)
         if error.state != before:
             self._publish_status()
-        self._next_try_ns = self._clocks.now_ns() + self._retry_ns
+        self._rest_until_ns = self._clocks.now_ns() + self._retry_ns
         self._retry_ns = min(2 * self._retry_ns, LAST_RETRY_NS)
 
     def _send(self, body):

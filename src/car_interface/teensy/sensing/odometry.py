@@ -151,8 +151,6 @@ class Odometry:
         path = self._reversed_path(record, last, verdict.unsplit)
         if self._bridge is None:
             has_pulse = self._update_wheels(record, last, pulses, times_ms, now_ms)
-            for wheel in self._wheels:
-                wheel.advance(now_ms)
             return self._move(record, has_pulse, now_ms, path=path)
         if path is not None:
             self._bridge.reversed_paths.append(path)
@@ -163,11 +161,11 @@ class Odometry:
         """Pass the wheels their pulses; return whether there was a new one."""
         has_pulse = False
         for wheel, now, before, count, at_ms in zip(self._wheels, record, last, pulses, times_ms):
-            if not count and now.dist_abs in (0, before.dist_abs):
-                continue
-            has_pulse = True
-            take = wheel.resume if wheel.is_uncounted else wheel.update
-            take(count, now.direction != BACKWARD, at_ms + TICK_MIDDLE_MS, now_ms)
+            if count or now.dist_abs not in (0, before.dist_abs):
+                has_pulse = True
+                take = wheel.resume if wheel.is_uncounted else wheel.update
+                take(count, now.direction != BACKWARD, at_ms + TICK_MIDDLE_MS, now_ms)
+            wheel.advance(now_ms)
         return has_pulse
 
     def _begin_bridge(self, at_ms, counted_ms=None):

@@ -235,8 +235,7 @@ class RestartBridge:
         # After a rest a car may have turned round, and the direction of its first pulses isn't known.
         unknown = UNPROVEN_VARIANCE if not was_rolling and now_ms - self._first_ms() > REST_MS else 0.0
         return Outcome(
-            wheels=tuple(WheelStart(places[side], speeds[side], signs[side] > 0, self._pulses[side])
-                         for side in (LEFT, RIGHT)),
+            wheels=tuple(map(WheelStart, places, speeds, [sign > 0 for sign in signs], self._pulses)),
             was_rolling=was_rolling, curvature_per_m=curvature, curvature_variance=curvature_variance,
             mean_variance=mean_variance + unknown, difference_variance=doubt + unknown)
 
@@ -258,13 +257,10 @@ class RestartBridge:
 
     def _find_sign(self):
         """Return the car's direction, proven by a wheel or as it rolled before; 0 = unknown."""
-        proven = next((sign for sign in self._signs if sign), 0)
-        if proven:
-            return proven
-        before = self._mean_before()
+        before, sign = self._mean_before(), 0
         if abs(before) > ROLLING_PER_MS and self._blind_ms() < MAX_BLIND_MS:
-            return 1 if before > 0 else -1
-        return 0
+            sign = 1 if before > 0 else -1
+        return self._signs[LEFT] or self._signs[RIGHT] or sign
 
     def _was_rolling(self):
         """Return whether the car rolled when pulses were counted again; else it started later."""
