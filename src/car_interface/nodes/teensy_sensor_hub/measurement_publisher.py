@@ -112,7 +112,7 @@ class MeasurementPublisher:
     def due_ns(self) -> float:
         """Return when the next step is due: reports that came too soon wait for another one, but not for long."""
         timer = self._motion_timer
-        return timer.due_ns + timer.period_ns if self._pending or self._measurements.has_queued else math.inf
+        return timer.due_ns + timer.period_ns if self._pending or self._measurements.queue else math.inf
 
     def step(self, now_ns: int) -> None:
         """Publish the motion that came too soon, if none came after it."""

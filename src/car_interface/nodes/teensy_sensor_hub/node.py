@@ -119,7 +119,7 @@ class TeensySensorHub:
             if measurements:
                 measurements.sonar(record, received_ns, is_trusted, self._sonars.wait_ms)
                 while measurements.ranging.blinks:
-                    self._sonars.blinked(measurements.ranging.blinks.pop(), received_ns)
+                    self._sonars.blinked[measurements.ranging.blinks.pop()] = received_ns
 
         return {PongReceived: on_pong, protocol.WheelStatus: on_wheels, protocol.SonarStatus: on_sonar,
                 protocol.ErrorCount: lambda record, received_ns: error(*record),

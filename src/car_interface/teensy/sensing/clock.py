@@ -201,17 +201,14 @@ class Clock:
         self._suspects.append(pong)
         if len(self._suspects) < min(AGREEING, 1 + self._pongs()):
             return False, CONTRADICTION
-        return True, self._overrule()
-
-    def _overrule(self):
         suspects, self._suspects = self._suspects, []
         for suspect in suspects:
             self._buckets.pop(suspect.latest.ns // BUCKET_NS, None)
         for suspect in suspects:
             self._bucket(suspect.latest.ns).count(suspect, NS_PER_MS)
-        goes_on = self._rebuild(suspects[-1])
-        self._settle(suspects[-1])
-        return ONE_WAS_WRONG if goes_on else BEGUN_ANEW
+        goes_on = self._rebuild(pong)
+        self._settle(pong)
+        return True, ONE_WAS_WRONG if goes_on else BEGUN_ANEW
 
     def _rebuild(self, pong):
         """Find the lines again, from the newest bounds back; return whether the older ones agree with them.

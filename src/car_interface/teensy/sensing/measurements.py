@@ -6,7 +6,7 @@ gates accept go through clock, ranging or odometry. The live node and the replay
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Callable, NamedTuple
 
 from car_interface.common.units import NS_PER_MS, NS_PER_S
@@ -33,8 +33,8 @@ MAX_QUEUED = 10  # reports of the wheels: raw messages must not wait long behind
 class MeasurementConfig:
     """One car's sensors."""
 
-    odometry: OdometryConfig = OdometryConfig()
-    ranging: RangingConfig = RangingConfig()
+    odometry: OdometryConfig = field(default_factory=OdometryConfig)
+    ranging: RangingConfig = field(default_factory=RangingConfig)
     baud: int = 115200  # of the serial line
     max_gap_ms: int = MAX_GAP_MS
 
@@ -55,6 +55,9 @@ class Measurements:
 
     Args:
         on_motion: called with the measurement of each queued report of the wheels.
+
+    Attributes:
+        queue: reports of the wheels that wait, and when they were received.
     """
 
     def __init__(self, config: MeasurementConfig = MeasurementConfig(),
@@ -65,7 +68,7 @@ class Measurements:
         self._pulses = EchoPulses()
         self._odometry = Odometry(config.odometry)
         self._on_motion = on_motion
-        self._queue: list[tuple] = []  # reports of the wheels, and when they were received
+        self.queue: list[tuple] = []
         self._received_ns = 0  # when the newest record was received
         self._answered: tuple | None = None  # the newest pong's tick, and when it was received
         self._shift_ms = 0.0  # from the Teensy's clock to the odometry's, which never restarts
@@ -114,17 +117,13 @@ class Measurements:
 
         It is processed before any later record, so that order and results are the same as with ``wheels``.
         """
-        self._queue.append((record, received_ns))
-        if len(self._queue) == MAX_QUEUED:
+        self.queue.append((record, received_ns))
+        if len(self.queue) == MAX_QUEUED:
             self.process_queue()
-
-    @property
-    def has_queued(self) -> bool:
-        return bool(self._queue)
 
     def process_queue(self) -> None:
         """Process the queued reports of the wheels, and call ``on_motion`` with their measurements."""
-        queue, self._queue = self._queue, []
+        queue, self.queue = self.queue, []
         for record, received_ns in queue:
             measured = self._measure_motion(record, received_ns)
             if measured is not None:
@@ -141,7 +140,8 @@ class Measurements:
         verdict = self.gates.wheels(record)
         if not verdict.accepted:
             return None
-        newest = _newest_when(record)
+        ticks = [wheel.when for wheel in record if has_pulsed(wheel)]  # of the newest pulses or repeats
+        newest = max(ticks, key=lambda tick: ahead(tick, ticks[0])) if ticks else None
         if self.clock.newest is None:
             if newest is None:
                 return None
@@ -190,9 +190,3 @@ class Measurements:
         self.clock.restart()
         self._pulses.restart()
         self.clock.update_tick(tick, received_ns, 0)
-
-
-def _newest_when(record):
-    """Return the tick of the newest pulse or repeat; ``None`` before the first."""
-    ticks = [wheel.when for wheel in record if has_pulsed(wheel)]
-    return max(ticks, key=lambda tick: ahead(tick, ticks[0])) if ticks else None

@@ -64,7 +64,8 @@ class SonarMonitor:
         # By sensor the ms after which it ends its pulse without an echo, though nobody configured that; the owner sets
         # it to what ``Ranging`` finds.
         self.clones: Mapping[int, float] = {}
-        self._blinked: dict[int, int] = {}  # sensor: when its pin was last released
+        # The same: when the pin of a sensor was last released that had been high for over a second.
+        self.blinked: dict[int, int] = {}
         self._zeros = [0] * len(SONARS)  # in a row
         self._stalls = [0] * len(SONARS)  # in a row, at this sensor
         self._missing: set[int] = set()  # until they report
@@ -244,10 +245,6 @@ class SonarMonitor:
             return None
         return self.sequence[(self.sequence.index(self._last) + 1) % len(self.sequence)]
 
-    def blinked(self, sensor: int, now_ns: int) -> None:
-        """Take note of a sensor whose echo pin was high for over a second and is released."""
-        self._blinked[sensor] = now_ns
-
     def faults(self, now_ns: int) -> list[SonarFault]:
         """Return the faults; empty when all sonars in use report, or were stopped."""
         found = [SonarFault(sensor, f"{SONARS[sensor]} is stuck high and was taken out of the sequence",
@@ -259,7 +256,7 @@ class SonarMonitor:
                   for sensor, timeout_ms in sorted(self.clones.items())]
         found += [SonarFault(sensor, f"{SONARS[sensor]}'s echo pin was high for over a second, and no sonar fired",
                              "Check its echo wire and supply")
-                  for sensor, at_ns in sorted(self._blinked.items()) if now_ns - at_ns < BLINK_SHOWN_NS]
+                  for sensor, at_ns in sorted(self.blinked.items()) if now_ns - at_ns < BLINK_SHOWN_NS]
         if self._stopped or not self._is_alive(now_ns):
             return found
         for sensor in sorted({*self._usual, *self._ahead}.difference(self.dropped)):

@@ -105,8 +105,10 @@ class WheelFilter:
         self._since_stop += 1
         place = self.count if forward else self.count + 1
         self._predict(at_ms)
-        if self._since_stop == 1:
-            self._start_rolling(1 if forward else -1, abs(pulses))
+        if self._since_stop == 1:  # the first pulse after a stand: v² grows with the pulses that come in one report
+            self.speed = (1 if forward else -1) * FIRST_SPEED * math.sqrt(abs(pulses))
+            self._variances = (self._variances[0], 0.0, 0.0, FIRST_SPEED_SIGMA ** 2 * abs(pulses), 0.0,
+                               STARTING_ACCELERATION ** 2)
         speed_square = self.speed * self.speed + self._variances[3]
         variance = speed_square * (TICK_VARIANCE if is_known else UNKNOWN_TIME_VARIANCE) + MAGNET_VARIANCE
         interval_ms = at_ms - self._pulse_ms
@@ -201,12 +203,6 @@ class WheelFilter:
         self.speed = self.acceleration = 0.0
         self._since_stop = 0
         self._variances = (1 / 12, 0.0, 0.0, STANDING_SPEED_VARIANCE, 0.0, STARTING_ACCELERATION ** 2)
-
-    def _start_rolling(self, sign, pulses):
-        """Let the wheel roll at its first pulse after a stand; v² grows with the pulses that come in one report."""
-        self.speed = sign * FIRST_SPEED * math.sqrt(pulses)
-        self._variances = (self._variances[0], 0.0, 0.0, FIRST_SPEED_SIGMA ** 2 * pulses, 0.0,
-                           STARTING_ACCELERATION ** 2)
 
     def _set_by_interval(self, place, speed, interval_ms, variance):
         """Set a slow wheel's speed to the mean over its last interval; estimating its acceleration would ring."""

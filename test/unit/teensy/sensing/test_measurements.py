@@ -62,9 +62,9 @@ def test_queued_reports_are_processed_before_what_comes_after_them(end):
     measured = Measurements(on_motion=lambda result: results.append(result.stamp.time_ns))
     for count in range(3):
         measured.queue_wheels(report_of(count), START_NS + 100 * count * MS)
-    assert measured.has_queued and results == []
+    assert measured.queue and results == []
     end(measured)
-    assert not measured.has_queued
+    assert not measured.queue
     assert [stamp_ns - results[0] for stamp_ns in results] == [100 * count * MS for count in range(3)]
 
 
@@ -74,7 +74,7 @@ def test_queue_is_bounded_and_a_refused_report_in_it_makes_nothing():
     for count in range(MAX_QUEUED):
         assert results == []
         measured.queue_wheels(report_of(count), START_NS + 100 * count * MS)
-    assert len(results) == MAX_QUEUED and not measured.has_queued
+    assert len(results) == MAX_QUEUED and not measured.queue
     measured.queue_wheels(WheelStatus(*2 * (Wheel(65535, FORWARD, 1000, 1, 1),)), START_NS + S)
     measured.process_queue()
-    assert len(results) == MAX_QUEUED and not measured.has_queued and measured.gates.refused == 1
+    assert len(results) == MAX_QUEUED and not measured.queue and measured.gates.refused == 1
