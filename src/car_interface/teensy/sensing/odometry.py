@@ -33,8 +33,8 @@ from car_interface.teensy.sensing.wheel_filter import (
     ALIGNING_PULSES,
     TICK_MIDDLE_MS,
     UNALIGNED_PULSES,
-    Alignment,
     WheelFilter,
+    starting_difference,
 )
 
 MIN_LENGTH_M = 0.001  # of a car's dimensions: a division by far less would overflow floats
@@ -107,7 +107,7 @@ class Odometry:
         self._pulse_m = config.pulse_m
         self._rad_per_pulse = config.pulse_m / config.track_m  # of heading
         self._wheels = (WheelFilter(), WheelFilter())
-        self._alignment = Alignment()
+        self._difference: float | None = None  # of the wheels' magnets at the start, pulses, right minus left
         self._car = _Car(Pose(config.distance_sigma, config.heading_sigma), HeadingFilter(), self._wheels[0].position)
         self._last: WheelStatus | None = None
         self._steering_per_m: float | None = None
@@ -231,21 +231,20 @@ class Odometry:
         car.time_ms, car.mean = now_ms, mean
         is_blind = elapsed_s > REPEAT_MS / 1000 and has_pulse
         curvature_per_m = heading.recent_curvature if car.was_rolling else None
-        if self._alignment.is_done:
+        if self._difference is not None:
             heading.predict(distance_m, elapsed_s)
             if self._steering_per_m is not None:
                 heading.update_curvature(self._steering_per_m, elapsed_s)
             self._update_heading(record, has_pulse, outcome, path is not None)
-        elif self._bridge is not None:
-            pass  # the wheels' places are only predicted
-        elif abs(distance_m) > 2 * ALIGNING_PULSES * self._pulse_m:
-            self._alignment.skip(left, right)
-            heading.begin(self._measured_yaw_rad(), (UNALIGNED_PULSES * self._rad_per_pulse) ** 2)
-            pose.set_yaw(0.0, (UNALIGNED_PULSES * self._rad_per_pulse) ** 2)
-        elif self._alignment.solve(left, right):
-            before_rad, variance = self._measured_yaw_rad(), (ALIGNED_PULSES * self._rad_per_pulse) ** 2
-            heading.begin(before_rad, variance)
-            pose.set_yaw(before_rad, variance)
+        elif self._bridge is None:  # else the wheels' places are only predicted
+            has_jumped = abs(distance_m) > 2 * ALIGNING_PULSES * self._pulse_m  # which tells nothing of the difference
+            self._difference = 0.0 if has_jumped else starting_difference(left.first_pulses, right.first_pulses)
+            if self._difference is not None:
+                left.first_pulses = right.first_pulses = None
+                variance = ((UNALIGNED_PULSES if has_jumped else ALIGNED_PULSES) * self._rad_per_pulse) ** 2
+                heading.begin(self._measured_yaw_rad(), variance)
+                before_rad = 0.0 if has_jumped else heading.yaw_rad
+                pose.set_yaw(before_rad, variance)
         turned_rad = heading.yaw_rad - before_rad
         if path is not None:
             distance_m, turned_rad = self._move_unseen(path, distance_m, turned_rad)
@@ -288,7 +287,7 @@ class Odometry:
 
     def _measured_yaw_rad(self):
         left, right = self._wheels
-        return (right.position - left.position - self._alignment.difference) * self._rad_per_pulse
+        return (right.position - left.position - self._difference) * self._rad_per_pulse
 
     def _turns_on_the_spot(self, record):
         """Return whether the wheels turn in opposite directions; while a bridge is open these aren't known."""
@@ -315,7 +314,7 @@ class Odometry:
         scale = self._rad_per_pulse
         speed_mps = (left.speed + right.speed) / 2 * self._pulse_m * 1000
         variance = left.speed_variance + right.speed_variance
-        differs = not self._alignment.is_done or self._turns_on_the_spot(record)
+        differs = self._difference is None or self._turns_on_the_spot(record)
         yaw_rate_radps = ((right.speed - left.speed) * scale * 1000 if differs else
                           self._car.heading.curvature_per_m * speed_mps)
         to_rad = 2 * self._pulse_m / self._config.wheel_diameter_m
@@ -324,7 +323,7 @@ class Odometry:
         if self._bridge is not None:
             place, heading = self._bridge_variances(place, now_ms)
             variance += 4 * self._bridge.speed_variance(now_ms)
-        if not self._alignment.is_done:
+        if self._difference is None:
             heading += (UNALIGNED_PULSES * scale) ** 2
         pose = self._car.pose
         return Motion(

@@ -270,40 +270,27 @@ class WheelFilter:
                            vv - pv * pv / total, va - pv * pa / total, aa - pa * pa / total)
 
 
-class Alignment:
-    """Estimates by how much the two wheels' magnets differ at the start: each is anywhere between two of its own.
+def starting_difference(left: list, right: list) -> float | None:
+    """Return by how much two wheels' magnets differ at the start, right minus left, in pulses; ``None``: not known yet.
 
-    The first few pulses show it if the curvature stayed the same over these centimetres; until then the heading is 0.
+    There each wheel is anywhere between two of its magnets. The first few pulses show by how much they differ if the
+    curvature stayed the same over these centimetres. While the ratio of the wheels' distances stays the same, their
+    positions lie on a line, and the start is where that line meets the possible positions. After many pulses without an
+    answer it is 0, the mean of all possible values.
+
+    Args:
+        left, right: each wheel's ``first_pulses``.
     """
-
-    def __init__(self):
-        self.is_done = False  # the difference is settled
-        # Of the starting positions, right minus left, in pulses; 0 is the mean of all possible values.
-        self.difference = 0.0
-
-    def solve(self, left: WheelFilter, right: WheelFilter) -> bool:
-        """Return whether the difference is settled now; after many pulses without an answer it is 0.
-
-        While the ratio of the wheels' distances stays the same, their positions lie on a line, and the start is where
-        that line meets the possible positions: each between two magnets.
-        """
-        counts = len(left.first_pulses), len(right.first_pulses)
-        pairs = [] if min(counts) < ALIGNING_PULSES else _pairs(left.first_pulses, right.first_pulses)
-        if len(pairs) < ALIGNING_PULSES and max(counts) < LAST_ALIGNING_PULSES:
-            return False
-        self.skip(left, right)
-        slope, at_0 = _line(pairs)
-        if not 1 / MAX_RATIO < slope < MAX_RATIO:
-            return True
-        low, high = max(0.0, -at_0 / slope), min(1.0, (1 - at_0) / slope)
-        start = (low + high) / 2
-        self.difference = max(-1.0, min(1.0, at_0 + slope * start - start))
-        return True
-
-    def skip(self, left: WheelFilter, right: WheelFilter) -> None:
-        """Settle for the mean of all possible values."""
-        self.is_done = True
-        left.first_pulses = right.first_pulses = None
+    counts = len(left), len(right)
+    pairs = [] if min(counts) < ALIGNING_PULSES else _pairs(left, right)
+    if len(pairs) < ALIGNING_PULSES and max(counts) < LAST_ALIGNING_PULSES:
+        return None
+    slope, at_0 = _line(pairs)
+    if not 1 / MAX_RATIO < slope < MAX_RATIO:
+        return 0.0
+    low, high = max(0.0, -at_0 / slope), min(1.0, (1 - at_0) / slope)
+    start = (low + high) / 2
+    return max(-1.0, min(1.0, at_0 + slope * start - start))
 
 
 def _pairs(left, right):

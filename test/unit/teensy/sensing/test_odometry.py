@@ -88,6 +88,7 @@ def test_straight_way_is_straight_wherever_the_magnets_stood(phases):
     assert motion.y_m == pytest.approx(0.0, abs=0.05)
     assert motion.yaw_rad == pytest.approx(0.0, abs=math.radians(0.5))
     assert motion.speed_mps == pytest.approx(1.0, rel=0.02)
+    assert all(wheel.first_pulses is None for wheel in axle.odometry._wheels), "none is kept that nobody needs"
 
 
 @pytest.mark.once
