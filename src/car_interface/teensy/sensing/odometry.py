@@ -204,7 +204,7 @@ class Odometry:
                 wheel.advance(now_ms)
             else:
                 wheel.stop_at(start.place)  # its next pulse shows the magnet
-        return self._move(record, True, now_ms, outcome, reversed_paths=bridge.reversed_paths)
+        return self._move(record, True, now_ms, outcome)
 
     def _reversed_path(self, record, last, unsplit):
         """Return the path before the last reversal, or ``None`` if the direction of each pulse is known."""
@@ -215,12 +215,11 @@ class Odometry:
         return reversed_path(sign * (left + right) / 2 * self._pulse_m, sign * (right - left) * self._rad_per_pulse,
                              last.left.direction != record.left.direction)
 
-    def _move(self, record, has_pulse, now_ms, outcome=None, reversed_paths=(), path=None):
+    def _move(self, record, has_pulse, now_ms, outcome=None, path=None):
         """Move the pose by the distances of the wheels.
 
         Args:
             outcome: of a bridge that was just crossed.
-            reversed_paths: driven since the boot that began it, until the last reversal.
             path: driven before the last reversal, since the report before.
         """
         (left, right), car = self._wheels, self._car
@@ -250,7 +249,7 @@ class Odometry:
             distance_m, turned_rad = self._move_unseen(path, distance_m, turned_rad)
             curvature_per_m = None  # of the last leg it is unknown
         if outcome is not None:
-            distance_m, turned_rad = self._move_uncounted(outcome, reversed_paths, before, distance_m, turned_rad)
+            distance_m, turned_rad = self._move_uncounted(outcome, before, distance_m, turned_rad)
         if path is not None or is_blind:
             path = curved_path(distance_m, turned_rad, curvature_per_m, heading.usual_square)
             distance_m, turned_rad = self._move_unseen(path, distance_m, turned_rad)
@@ -258,7 +257,7 @@ class Odometry:
         car.was_rolling = any(wheel.speed for wheel in self._wheels)
         return self._motion(record, now_ms)
 
-    def _move_uncounted(self, outcome, reversed_paths, before, distance_m, turned_rad):
+    def _move_uncounted(self, outcome, before, distance_m, turned_rad):
         """Move along the part of a path without counts, whose variance has grown on it; return what is left."""
         uncounted_m = (sum(start.place for start in outcome.wheels) / 2 - before) * self._pulse_m
         part = max(0.0, min(1.0, uncounted_m / distance_m)) / 2 if distance_m else 0.0
@@ -270,20 +269,18 @@ class Odometry:
         # It is unknown where on the way the car turned: evenly, with a variance of 1/12.
         pose.add_variance(along_variance, turn_variance, turn_variance * (uncounted_m ** 2 + along_variance) / 12)
         left_m, left_rad = distance_m - half[0], turned_rad - half[1]
-        if reversed_paths:
+        if outcome.reversed_paths:
             pose.move(*half)
             left_m, left_rad = left_m - half[0], left_rad - half[1]
-        for path in reversed_paths:
+        for path in outcome.reversed_paths:
             pose.add_path(path)
         return left_m, left_rad
 
     def _move_unseen(self, path, distance_m, turned_rad):
         """Move along a path that wasn't reported; return distance and turn of its last leg."""
         self._car.pose.add_path(path)
-        for leg_m, leg_rad in path.legs:
-            self._car.pose.move(leg_m, leg_rad)
-            distance_m, turned_rad = distance_m - leg_m, turned_rad - leg_rad
-        return distance_m, turned_rad
+        self._car.pose.move(*path.leg)
+        return distance_m - path.leg[0], turned_rad - path.leg[1]
 
     def _measured_yaw_rad(self):
         left, right = self._wheels

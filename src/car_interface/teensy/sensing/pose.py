@@ -51,7 +51,7 @@ SEVERAL = 1 / 3
 class UnseenPath(NamedTuple):
     """What a car may have driven while nothing was reported."""
 
-    legs: tuple = ()  # (distance_m, turned_rad) of one after the other, without the last one
+    leg: tuple[float, float] = (0.0, 0.0)  # distance (m) and turn (rad) of all but the last one
     along_variance: float = 0.0  # m², along the heading at its start
     across_variance: float = 0.0  # m², across it
     heading_variance: float = 0.0  # rad²
@@ -205,11 +205,11 @@ def curved_path(distance_m: float, turned_rad: float, curvature_per_m: float | N
     if not distance_m:
         return UnseenPath()
     change = 0.0 if curvature_per_m is None else turned_rad / distance_m - curvature_per_m
-    legs, parts, middle = (), [0.0], 0.0
+    leg, parts, middle = (0.0, 0.0), [0.0], 0.0
     if abs(change) > CURVATURE_NOISE:
         latest = 1 - min(1.0, abs(change) / MAX_CURVATURE_CHANGE)
         parts, middle = [latest * (index + 0.5) / PARTS for index in range(PARTS)], latest / 2
-        legs = ((distance_m * middle, curvature_per_m * distance_m * middle),)
+        leg = (distance_m * middle, curvature_per_m * distance_m * middle)
     elif not usual_square:
         return UnseenPath()
     guess = _end(distance_m, turned_rad, middle, curvature_per_m, 0.0)
@@ -219,7 +219,7 @@ def curved_path(distance_m: float, turned_rad: float, curvature_per_m: float | N
         along += weight * off.real ** 2
         across += weight * off.imag ** 2
         both += weight * off.real * off.imag
-    return UnseenPath(legs, along / len(parts), across / len(parts), both_covariance=both / len(parts))
+    return UnseenPath(leg, along / len(parts), across / len(parts), both_covariance=both / len(parts))
 
 
 def _end(distance_m, turned_rad, part, curvature_per_m, swing_per_m):
@@ -247,7 +247,7 @@ def reversed_path(unsplit_m: float, difference_rad: float, is_odd: bool) -> Unse
     square = unsplit_m ** 2
     part = SEVERAL if is_odd else 1.0
     return UnseenPath(
-        ((unsplit_m, difference_rad),) if is_odd else (),
+        (unsplit_m, difference_rad) if is_odd else (0.0, 0.0),
         along_variance=part * (ALONG + is_odd) * square,
         across_variance=part * ACROSS * square ** 2 * CURVATURE_VARIANCE,
         heading_variance=part * ((HEADING_BY_KNOWN + is_odd) * difference_rad ** 2

@@ -60,6 +60,7 @@ class Outcome(NamedTuple):
     curvature_variance: float
     mean_variance: float  # pulses², of the mean distance of both wheels
     difference_variance: float  # pulses², of the right wheel's distance minus the left one's
+    reversed_paths: list[UnseenPath]  # driven since the boot, until the last reversal
 
 
 class RestartBridge:
@@ -237,7 +238,8 @@ class RestartBridge:
         return Outcome(
             wheels=tuple(map(WheelStart, places, speeds, [sign > 0 for sign in signs], self._pulses)),
             was_rolling=was_rolling, curvature_per_m=curvature, curvature_variance=curvature_variance,
-            mean_variance=mean_variance + unknown, difference_variance=doubt + unknown)
+            mean_variance=mean_variance + unknown, difference_variance=doubt + unknown,
+            reversed_paths=self.reversed_paths)
 
     @property
     def _is_late(self):
