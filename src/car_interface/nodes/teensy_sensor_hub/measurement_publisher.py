@@ -39,12 +39,11 @@ class MeasurementPublisher:
     """
 
     def __init__(self, config: HubConfig, inbox):
-        self._config = config
-        self._odom_frame, self._base_frame = config.frame(config.odom_frame), config.frame(config.base_frame)
+        self._baud = config.baud
+        odom_frame, base_frame = config.frame(config.odom_frame), config.frame(config.base_frame)
         self._sonar_frames = [config.frame(f"sonar_{name}") for name in SONARS]
         self._measurements = Measurements(config.measurement, self._on_motion)
         self.ranging = self._measurements.ranging
-        self._clocks = inbox.clocks
         self._ros_clock = RosClock(inbox.clocks)
         self._warnings = ThrottledWarnings(inbox.clocks)
         self._sync = None
@@ -53,9 +52,9 @@ class MeasurementPublisher:
         self.speed_mps = 0.0
         self._motion_timer = RateTimer(config.odom_rate_hz or math.inf, 0)
         # The frequent messages are reused: rospy serialises them as it publishes them.
-        self._odom_msg = OdometryMessage(child_frame_id=self._base_frame)
-        self._odom_msg.header.frame_id = self._odom_frame
-        self._tf_msg = _transform(self._clocks.ros_now(), self._odom_frame, self._base_frame, 0.0, 0.0, 0.0)
+        self._odom_msg = OdometryMessage(child_frame_id=base_frame)
+        self._odom_msg.header.frame_id = odom_frame
+        self._tf_msg = _transform(inbox.clocks.ros_now(), odom_frame, base_frame, 0.0, 0.0, 0.0)
         self._joint_msg = JointState(name=[config.frame(name) for name in WHEEL_JOINTS])
         self._range_msg = Range(radiation_type=Range.ULTRASOUND, field_of_view=config.field_of_view_rad,
                                 min_range=config.ranging.min_range_m, max_range=config.ranging.max_range_m)
@@ -64,9 +63,9 @@ class MeasurementPublisher:
         self._ranges = [advertise(f"sonar/{name}", Range, inbox, QUEUE_SIZE) for name in SONARS]
         self._clock = advertise("teensy_clock", TeensyClock, inbox, QUEUE_SIZE)
         self._tf = advertise("/tf", TFMessage, inbox, QUEUE_SIZE) if config.publish_tf else None
-        self._static_tf = advertise("/tf_static", TFMessage, inbox, queue_size=1, latch=True)
-        self._static_tf.publish([_transform(self._clocks.ros_now(), self._base_frame, frame, *mount)
-                                 for frame, mount in zip(self._sonar_frames, config.mounts)])
+        advertise("/tf_static", TFMessage, inbox, queue_size=1, latch=True).publish(
+            [_transform(inbox.clocks.ros_now(), base_frame, frame, *mount)
+             for frame, mount in zip(self._sonar_frames, config.mounts)])
         subscribe("temperature", Temperature, inbox, self._on_temperature)
         if config.odometry.use_steering:
             inbox.on_overflow(lambda now_ns: self._measurements.steer(math.nan))
@@ -80,7 +79,7 @@ class MeasurementPublisher:
         self._sync = sync
         self._clock.publish(TeensyClock(
             stamp=self._ros_clock.stamp("clock", received_ns), sent=answer.sent_ns, received=received_ns,
-            sent_bytes=answer.sent_bytes, baud=self._config.baud, tick=record.timestamp2, used=sync.used,
+            sent_bytes=answer.sent_bytes, baud=self._baud, tick=record.timestamp2, used=sync.used,
             reason=sync.reason, converged=sync.converged, offset=sync.offset_ns / NS_PER_S, skew=sync.skew_ppm,
             uncertainty=sync.uncertainty_ns / NS_PER_S, round_trip=sync.round_trip_ns / NS_PER_S))
 

@@ -71,7 +71,6 @@ class TeensySensorHub:
         self._retry_ns = FIRST_RETRY_NS
         self._watched_fd = None
         self._rest_until_ns = 0  # the port is left alone: it couldn't be opened, was lost, or there was a flood
-        self._corrupt = 0
         self._link_timer = RateTimer(1, now_ns)
         self._status_topic = advertise("~link", LinkStatus, inbox, latch=True)
         self._diagnostics = Diagnostics(inbox, f"Teensy on {config.port}", {
@@ -202,22 +201,18 @@ class TeensySensorHub:
             return
         self._retry_ns = FIRST_RETRY_NS
         tally = self._session.tally
-        noise_bytes = tally.noise_bytes
+        noise_bytes, bad_frames = tally.noise_bytes, tally.bad_frames
         for event in self._session.receive(data, received_ns):
             self._sonars.frame(received_ns)
             self._handlers[type(event)](event, received_ns)
-        noise_bytes = tally.noise_bytes - noise_bytes
-        if noise_bytes:
-            self._note_noise(noise_bytes, len(data), began_ns)
+        self._note_noise(tally.noise_bytes - noise_bytes, tally.bad_frames - bad_frames, len(data), began_ns)
 
-    def _note_noise(self, noise_bytes, read_bytes, began_ns):
+    def _note_noise(self, noise_bytes, corrupt, read_bytes, began_ns):
         """Warn of corrupt frames. After a long read that is mostly noise leave the port alone for as long as it took.
 
         A flood must not take the whole CPU.
         """
-        corrupt = self._session.tally.bad_frames - self._corrupt
         if corrupt:
-            self._corrupt += corrupt
             self._warnings.warn("corrupt", "corrupt frames came from the Teensy", corrupt)
         if read_bytes >= LONG_READ and 2 * noise_bytes > read_bytes:
             now_ns = self._clocks.now_ns()
