@@ -45,7 +45,7 @@ POLL_S = 0.2
 PYTEST_RAN_NOTHING = 5  # its exit code
 # What drives the car is measured by its own tests: in test/unit, and in test/graph. See coverage.ini.
 MEASURED_UNIT = ("interlock", "common", "steering", "throttle", "planner", "teleop", "pca9685", "teensy/link",
-                 *(f"teensy/sensing/test_{name}.py" for name in ("plausibility", "tick_gate", "wheel_gate")))
+                 *(f"teensy/sensing/test_plausibility{part}.py" for part in ("", "_pulse_counts", "_ticks", "_wheels")))
 MEASURED_GRAPH = ("brakes", "config", "gamepad_joy", "generic_value_converter", "human_first", "inbox", "live_tuning",
                   "phone_drive", "planner_interface", "teleop_logi", "throttle_arb", "turn_arb")
 # On another Python only those that could differ there, without --all a sample. test/conftest.py explains the marks.

@@ -26,7 +26,6 @@ from car_interface.teensy.link.pinging import Pinger
 from car_interface.teensy.link.protocol import Pong, SonarStatus, WheelStatus, decode
 from car_interface.teensy.sensing.measurements import MeasurementConfig, Measurements
 from car_interface.teensy.sensing.odometry import OdometryConfig
-from car_interface.teensy.sensing.plausibility import GateConfig
 
 NS_PER_S, NS_PER_MS = 1_000_000_000, 1_000_000
 STEP_NS = 4 * NS_PER_MS
@@ -337,8 +336,7 @@ class Hub(Link):
             TeensyFirmware(FirmwareConfig(clock_start_ms=300 + rng.randrange(3_600_000),
                                           clock_drift_ppm=rng.uniform(-50, 50)), power_up_ns=START_NS),
             START_NS, MeasurementConfig(
-                gates=GateConfig(pulse_m=car.pulse_m),
-                odometry=OdometryConfig(car.pulses_per_revolution, car.wheel_diameter_m, car.track_m)))
+                OdometryConfig(car.pulses_per_revolution, car.wheel_diameter_m, car.track_m)))
         self._magnets = _Magnets(car, noise)
 
     def roll(self, pulses, speed_mps: float, now_ns: int) -> None:

@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Sequence
 
 from car_interface.common import declared
@@ -13,7 +13,7 @@ from car_interface.teensy.link.pinging import AUTO
 from car_interface.teensy.link.protocol import MAX_SEQUENCE, SONARS
 from car_interface.teensy.sensing.measurements import MeasurementConfig
 from car_interface.teensy.sensing.odometry import OdometryConfig
-from car_interface.teensy.sensing.plausibility import GateConfig
+from car_interface.teensy.sensing.plausibility import MAX_GAP_MS
 from car_interface.teensy.sensing.ranging import RangingConfig
 
 # Of the virtual car: x and y from the middle of the rear axle, in m, and its yaw, in rad.
@@ -47,7 +47,6 @@ class HubConfig:
     raw_only: bool = declared.flag(
         "raw_only", False, "true = the four raw topics and the link only, for half of the CPU")
     odometry: OdometryConfig = declared.group(OdometryConfig())
-    gates: GateConfig = declared.group(GateConfig())
     odom_rate_hz: float = declared.number(
         "odom_rate", 50.0, "maximum rate of `odom`, its transform and `joint_states`; 0 = with each report of the "
                            f"wheels, up to 200; else at least {SLOWEST_ODOM_HZ}", "Hz", low=0.0, high=1000)
@@ -80,10 +79,8 @@ class HubConfig:
     def measurement(self) -> MeasurementConfig:
         """Return the configuration of what is measured."""
         # Whatever the sonars do, pongs come with the pings, of which one may be lost.
-        max_gap_ms = max(GateConfig.max_gap_ms, math.ceil(2000 * self.ping_period_s))
-        return MeasurementConfig(
-            gates=replace(self.gates, pulse_m=self.odometry.pulse_m, max_gap_ms=max_gap_ms),
-            baud=self.baud, odometry=self.odometry, ranging=self.ranging)
+        max_gap_ms = max(MAX_GAP_MS, math.ceil(2000 * self.ping_period_s))
+        return MeasurementConfig(self.odometry, self.ranging, self.baud, max_gap_ms)
 
 
 @dataclass(frozen=True)

@@ -39,12 +39,11 @@ class MeasurementPublisher:
     """
 
     def __init__(self, config: HubConfig, inbox):
-        self._config = config
-        self._odom_frame, self._base_frame = config.frame(config.odom_frame), config.frame(config.base_frame)
+        self._baud = config.baud
+        odom_frame, base_frame = config.frame(config.odom_frame), config.frame(config.base_frame)
         self._sonar_frames = [config.frame(f"sonar_{name}") for name in SONARS]
         self._measurements = Measurements(config.measurement, self._on_motion)
         self.ranging = self._measurements.ranging
-        self._clocks = inbox.clocks
         self._ros_clock = RosClock(inbox.clocks)
         self._warnings = ThrottledWarnings(inbox.clocks)
         self._sync = None
@@ -52,29 +51,25 @@ class MeasurementPublisher:
         self._pending = None  # the newest motion, while it isn't published
         self.speed_mps = 0.0
         self._motion_timer = RateTimer(config.odom_rate_hz or math.inf, 0)
-        self._prepare_messages()
+        # The frequent messages are reused: rospy serialises them as it publishes them.
+        self._odom_msg = OdometryMessage(child_frame_id=base_frame)
+        self._odom_msg.header.frame_id = odom_frame
+        self._tf_msg = _transform(inbox.clocks.ros_now(), odom_frame, base_frame, 0.0, 0.0, 0.0)
+        self._joint_msg = JointState(name=[config.frame(name) for name in WHEEL_JOINTS])
+        self._range_msg = Range(radiation_type=Range.ULTRASOUND, field_of_view=config.field_of_view_rad,
+                                min_range=config.ranging.min_range_m, max_range=config.ranging.max_range_m)
         self._odometry = advertise("odom", OdometryMessage, inbox, QUEUE_SIZE)
         self._joints = advertise("joint_states", JointState, inbox, QUEUE_SIZE)
         self._ranges = [advertise(f"sonar/{name}", Range, inbox, QUEUE_SIZE) for name in SONARS]
         self._clock = advertise("teensy_clock", TeensyClock, inbox, QUEUE_SIZE)
         self._tf = advertise("/tf", TFMessage, inbox, QUEUE_SIZE) if config.publish_tf else None
-        self._static_tf = advertise("/tf_static", TFMessage, inbox, queue_size=1, latch=True)
-        self._static_tf.publish([_transform(self._clocks.ros_now(), self._base_frame, frame, *mount)
-                                 for frame, mount in zip(self._sonar_frames, config.mounts)])
+        advertise("/tf_static", TFMessage, inbox, queue_size=1, latch=True).publish(
+            [_transform(inbox.clocks.ros_now(), base_frame, frame, *mount)
+             for frame, mount in zip(self._sonar_frames, config.mounts)])
         subscribe("temperature", Temperature, inbox, self._on_temperature)
         if config.odometry.use_steering:
             inbox.on_overflow(lambda now_ns: self._measurements.steer(math.nan))
             subscribe("turn_arb/state", SteeringState, inbox, self._on_steering)
-
-    def _prepare_messages(self):
-        """Make the frequent messages, which are reused: rospy serialises them as it publishes them."""
-        self._odom_msg = OdometryMessage(child_frame_id=self._base_frame)
-        self._odom_msg.header.frame_id = self._odom_frame
-        self._tf_msg = _transform(self._clocks.ros_now(), self._odom_frame, self._base_frame, 0.0, 0.0, 0.0)
-        self._joint_msg = JointState(name=[self._config.frame(name) for name in WHEEL_JOINTS])
-        self._range_msg = Range(radiation_type=Range.ULTRASOUND, field_of_view=self._config.field_of_view_rad,
-                                min_range=self._config.ranging.min_range_m,
-                                max_range=self._config.ranging.max_range_m)
 
     def pong(self, record, answer, received_ns: int) -> None:
         """Take a pong, with the ping that it answers or ``None``; publish how the clocks relate."""
@@ -84,7 +79,7 @@ class MeasurementPublisher:
         self._sync = sync
         self._clock.publish(TeensyClock(
             stamp=self._ros_clock.stamp("clock", received_ns), sent=answer.sent_ns, received=received_ns,
-            sent_bytes=answer.sent_bytes, baud=self._config.baud, tick=record.timestamp2, used=sync.used,
+            sent_bytes=answer.sent_bytes, baud=self._baud, tick=record.timestamp2, used=sync.used,
             reason=sync.reason, converged=sync.converged, offset=sync.offset_ns / NS_PER_S, skew=sync.skew_ppm,
             uncertainty=sync.uncertainty_ns / NS_PER_S, round_trip=sync.round_trip_ns / NS_PER_S))
 
@@ -105,7 +100,7 @@ class MeasurementPublisher:
         if received_ns >= self._motion_timer.due_ns:
             self._measurements.process_queue()
 
-    def _on_motion(self, measured, received_ns):
+    def _on_motion(self, measured):
         """Publish a motion that is due by its own time: one read may bring reports of a second."""
         self.speed_mps = measured.motion.speed_mps
         self._pending = measured
@@ -116,7 +111,7 @@ class MeasurementPublisher:
     def due_ns(self) -> float:
         """Return when the next step is due: reports that came too soon wait for another one, but not for long."""
         timer = self._motion_timer
-        return timer.due_ns + timer.period_ns if self._pending or self._measurements.has_queued else math.inf
+        return timer.due_ns + timer.period_ns if self._pending or self._measurements.queue else math.inf
 
     def step(self, now_ns: int) -> None:
         """Publish the motion that came too soon, if none came after it."""
@@ -125,12 +120,10 @@ class MeasurementPublisher:
             self._publish_pending()
 
     def _publish_pending(self):
-        if self._pending is not None:
-            self._publish_motion(self._pending)
-            self._pending = None
-
-    def _publish_motion(self, measured):
-        """Publish odometry, its transform, and the wheels' joints."""
+        """Publish the newest motion, if it waits: odometry, its transform, and the wheels' joints."""
+        measured, self._pending = self._pending, None
+        if measured is None:
+            return
         motion = measured.motion
         stamp = self._ros_clock.stamp("motion", measured.stamp.time_ns)  # one for all: they are looked up by it
         if has_subscribers(self._odometry):

@@ -29,9 +29,8 @@ from car_interface.common.declared import read_all
 from car_interface.common.errors import DeviceError
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import NS_PER_S
-from car_interface.msg import Distance, Error, OneWheel, Pong, Wheel
+from car_interface.msg import Distance, Error, LinkStatus, OneWheel, Pong, Wheel
 from car_interface.nodes.teensy_sensor_hub.config import HubConfig
-from car_interface.nodes.teensy_sensor_hub.link_status import LinkStatusPublisher
 from car_interface.nodes.teensy_sensor_hub.measurement_publisher import MeasurementPublisher
 from car_interface.nodes.teensy_sensor_hub.teensy_commands import TeensyCommands
 from car_interface.ros.diagnostics import Diagnostics
@@ -39,7 +38,7 @@ from car_interface.ros.logs import ThrottledWarnings
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, has_subscribers
 from car_interface.teensy.link import protocol
-from car_interface.teensy.link.health import FINE, LINK_REPORT, OK, REBOOTED, WAITING
+from car_interface.teensy.link.health import FINE, LINK_REPORT, OK, REBOOTED, WAITING, with_sonars
 from car_interface.teensy.link.port import SerialLink
 from car_interface.teensy.link.session import PongReceived, Rebooted, Session
 from car_interface.teensy.sensing.sonar_monitor import SEND_SEQUENCE, SonarMonitor, describe
@@ -48,6 +47,8 @@ QUEUE_SIZE = 100  # a quarter of a second of a saturated line
 FIRST_RETRY_NS, LAST_RETRY_NS = NS_PER_S // 5, 2 * NS_PER_S
 LONG_READ = 1024  # bytes: 90 ms of a saturated line at 115200 baud. So much at once that is no frames is a flood
 SHORTEST_REST_NS = NS_PER_S // 250
+COUNTS = ("frames", "bad_frames", "malformed_frames", "unknown_commands", "noise_bytes", "resyncs", "reconnects",
+          "reboots", "pings", "pongs", "firmware_checksum", "sonar_starts")
 
 
 class TeensySensorHub:
@@ -61,23 +62,21 @@ class TeensySensorHub:
         self._port = config.port
         self._link = make_link(config.port, config.baud)
         self._session = Session(config.baud, round(config.ping_period_s * NS_PER_S), config.firmware_checksum, now_ns)
-        self._sonars = SonarMonitor(config.sonar_restart_s, _indices(config.sonar_sequence),
-                                    _indices(config.sonar_sequence_ahead))
+        self._sonars = SonarMonitor(config.sonar_restart_s, map(int, config.sonar_sequence),
+                                    map(int, config.sonar_sequence_ahead))
         if self._measurements:
             self._sonars.clones = self._measurements.ranging.clones
         self._inbox = inbox
         self._warnings = ThrottledWarnings(inbox.clocks)
         self._retry_ns = FIRST_RETRY_NS
-        self._next_try_ns = now_ns
         self._watched_fd = None
-        self._rest_until_ns = 0
-        self._corrupt = 0
+        self._rest_until_ns = 0  # the port is left alone: it couldn't be opened, was lost, or there was a flood
         self._link_timer = RateTimer(1, now_ns)
-        self._link_status = LinkStatusPublisher(config.port, self._link, self._session, self._sonars, inbox)
+        self._status_topic = advertise("~link", LinkStatus, inbox, latch=True)
         self._diagnostics = Diagnostics(inbox, f"Teensy on {config.port}", {
-            LINK_REPORT: self._link_status.report, **(self._measurements.reports if self._measurements else {})},
+            LINK_REPORT: self._report_link, **(self._measurements.reports if self._measurements else {})},
             now_ns)
-        self._commands = TeensyCommands(self._link, self._session, self._sonars, self._write, self._ping, inbox)
+        self._commands = TeensyCommands(self._sonars, self._send, self._ping, inbox)
         self._handlers = self._event_handlers()
         if config.required:
             self._open()
@@ -119,11 +118,13 @@ class TeensySensorHub:
             if measurements:
                 measurements.sonar(record, received_ns, is_trusted, self._sonars.wait_ms)
                 while measurements.ranging.blinks:
-                    self._sonars.blinked(measurements.ranging.blinks.pop(), received_ns)
+                    self._sonars.blinked[measurements.ranging.blinks.pop()] = received_ns
 
         return {PongReceived: on_pong, protocol.WheelStatus: on_wheels, protocol.SonarStatus: on_sonar,
                 protocol.ErrorCount: lambda record, received_ns: error(*record),
-                protocol.Malformed: self._on_malformed, Rebooted: self._on_reboot}
+                protocol.Malformed: lambda record, received_ns: self._warnings.warn(
+                    "malformed", f"a frame from the Teensy makes no sense: {record.reason}"),
+                Rebooted: self._on_reboot}
 
     def step(self, now_ns):
         """Handle requests, read the port, ping, judge, publish; returns when to be called next."""
@@ -135,23 +136,24 @@ class TeensySensorHub:
         if self._link_timer.is_due(now_ns):
             self._judge()
             self._judge_sonars()
-            self._link_status.publish()
+            self._publish_status()
         self._diagnostics.step(now_ns)
         return min(self._link_timer.due_ns, self._diagnostics.due_ns, port_ns,
                    self._measurements.due_ns if self._measurements else math.inf)
 
     def _attend_port(self, now_ns):
         """Read it and ping through it, or try to open it; returns when that is due again though nothing comes."""
-        if self._link.is_open:
-            if now_ns >= self._rest_until_ns:
-                self._read(now_ns)
-        elif now_ns >= self._next_try_ns:
-            self._try_open()
+        if now_ns >= self._rest_until_ns and self._link.is_open:
+            self._read(now_ns)
+        elif now_ns >= self._rest_until_ns:
+            try:
+                self._open()
+            except DeviceError as error:
+                self._warnings.warn(error.state, f"{error}. Trying again")
+                self._retry_after(error)
         if self._link.is_open and now_ns >= self._session.pinger.next_event_ns():
             self._ping_when_due(now_ns)
-        if not self._link.is_open:
-            return self._next_try_ns
-        ping_ns = self._session.pinger.next_event_ns()
+        ping_ns = self._session.pinger.next_event_ns() if self._link.is_open else math.inf
         return ping_ns if self._watched_fd is not None else min(ping_ns, self._rest_until_ns)
 
     def shut_down(self):
@@ -159,13 +161,6 @@ class TeensySensorHub:
         self._close("the node ends")
         self._inbox.ending = True
         self._inbox.dispatch()
-
-    def _try_open(self):
-        try:
-            self._open()
-        except DeviceError as error:
-            self._warnings.warn(error.state, f"{error}. Trying again")
-            self._retry_after(error)
 
     def _open(self):
         """Open the port, bring the Teensy's receiver in step, and ping it."""
@@ -176,7 +171,7 @@ class TeensySensorHub:
         now_ns = self._clocks.now_ns()
         self._session.opened(now_ns)
         self._sonars.opened(now_ns)
-        self._link_status.publish()
+        self._publish_status()
         self._ping()
 
     def _watch_port(self, wanted):
@@ -201,28 +196,23 @@ class TeensySensorHub:
             self._lose(error)
             return
         received_ns = self._clocks.now_ns()
-        if self._watched_fd is None:
-            self._watch_port(True)
+        self._watch_port(True)
         if not data:
             return
         self._retry_ns = FIRST_RETRY_NS
         tally = self._session.tally
-        noise_bytes = tally.noise_bytes
+        noise_bytes, bad_frames = tally.noise_bytes, tally.bad_frames
         for event in self._session.receive(data, received_ns):
             self._sonars.frame(received_ns)
             self._handlers[type(event)](event, received_ns)
-        noise_bytes = tally.noise_bytes - noise_bytes
-        if noise_bytes:
-            self._note_noise(noise_bytes, len(data), began_ns)
+        self._note_noise(tally.noise_bytes - noise_bytes, tally.bad_frames - bad_frames, len(data), began_ns)
 
-    def _note_noise(self, noise_bytes, read_bytes, began_ns):
+    def _note_noise(self, noise_bytes, corrupt, read_bytes, began_ns):
         """Warn of corrupt frames. After a long read that is mostly noise leave the port alone for as long as it took.
 
         A flood must not take the whole CPU.
         """
-        corrupt = self._session.tally.bad_frames - self._corrupt
         if corrupt:
-            self._corrupt += corrupt
             self._warnings.warn("corrupt", "corrupt frames came from the Teensy", corrupt)
         if read_bytes >= LONG_READ and 2 * noise_bytes > read_bytes:
             now_ns = self._clocks.now_ns()
@@ -239,12 +229,18 @@ class TeensySensorHub:
         before = self._session.health.verdict.state
         self._session.health.port_failed(error.state, error.cause, error.remedy)
         if error.state != before:
-            self._link_status.publish()
-        self._next_try_ns = self._clocks.now_ns() + self._retry_ns
+            self._publish_status()
+        self._rest_until_ns = self._clocks.now_ns() + self._retry_ns
         self._retry_ns = min(2 * self._retry_ns, LAST_RETRY_NS)
 
+    def _send(self, body):
+        """Send a command; return whether that worked."""
+        return self._write(self._session.encode(body))
+
     def _write(self, data):
-        """Send, and return whether that worked."""
+        """Write to the port if it is open; return whether that worked."""
+        if not self._link.is_open:
+            return False
         try:
             self._link.write(data)
         except DeviceError as error:
@@ -264,17 +260,17 @@ class TeensySensorHub:
             self._ping()
 
     def _ping(self):
-        """Send a ping stamped with ROS time in ms, which is all that fits; the session keeps its monotonic time."""
+        """Send a ping stamped with ROS time in ms, which is all that fits; return that, or ``None`` = it wasn't sent.
+
+        The session keeps its monotonic time.
+        """
         timestamp1 = self._clocks.ros_now().to_nsec() // 1_000_000 % protocol.UINT32
-        self._write(self._session.ping(timestamp1, self._clocks.now_ns()))
-        return timestamp1
+        is_sent = self._link.is_open and self._write(self._session.ping(timestamp1, self._clocks.now_ns()))
+        return timestamp1 if is_sent else None
 
     def _on_reboot(self, event, received_ns):
         self._sonars.rebooted(received_ns)
         self._warnings.warn("rebooted", f"the Teensy rebooted: {event.description}")
-
-    def _on_malformed(self, record, received_ns):
-        self._warnings.warn("malformed", f"a frame from the Teensy makes no sense: {record.reason}")
 
     def _judge(self):
         """Judge the link; log what is new, or still bad. A port that fails is logged by itself."""
@@ -296,19 +292,45 @@ class TeensySensorHub:
             self._sonars.update_speed(self._measurements.speed_mps, now_ns)
         command = self._sonars.next_command(now_ns) if self._link.is_open else None
         if command == SEND_SEQUENCE:
-            self._write(self._session.encode(protocol.set_sonar_sequence(self._sonars.sequence)))
+            self._send(protocol.set_sonar_sequence(self._sonars.sequence))
         elif command:
             self._warnings.warn("sonar start", "no sonar has reported for a while: SONAR_START was sent")
-            self._write(self._session.encode(protocol.START_SONARS))
+            self._send(protocol.START_SONARS)
         faults = self._sonars.faults(now_ns)
         if faults:
             kind = f"sonars {sorted(str(fault.sensor) for fault in faults)}"
             self._warnings.warn(kind, "{}. {}".format(*describe(faults)))
 
+    def _publish_status(self):
+        self._status_topic.publish(self._status())
 
-def _indices(sequence):
-    """Return the order of the sonars, or None where the firmware's own is wanted."""
-    return [int(sensor) for sensor in sequence] or None
+    def _report_link(self, report):
+        status = self._status()
+        report.summary(status.level, f"{status.words}. {status.next_step}" if status.next_step else status.words)
+        report.add("state", status.state)
+        report.add("port", self._port)
+        report.add("round trip", "never measured" if math.isnan(status.round_trip) else
+                   f"{status.round_trip * 1e3:.1f} ms")
+        for name in COUNTS:
+            report.add(name.replace("_", " "), getattr(status, name))
+        for counter in status.counters:
+            report.add(f"Teensy's {counter.name}", counter.count)
+
+    def _status(self):
+        session = self._session
+        tally, pinger, verdict = session.tally, session.pinger, session.health.verdict
+        faults = self._sonars.faults(self._clocks.now_ns()) if self._link.is_open else ()
+        if faults:
+            verdict = with_sonars(verdict, *describe(faults))
+        return LinkStatus(
+            stamp=self._clocks.ros_now(), open=self._link.is_open, level=verdict.level, state=verdict.state,
+            words=verdict.description, next_step=verdict.next_step, frames=tally.frames, bad_frames=tally.bad_frames,
+            malformed_frames=session.malformed, unknown_commands=session.unknown_commands,
+            noise_bytes=tally.noise_bytes, resyncs=session.resyncs, reconnects=max(0, session.openings - 1),
+            reboots=session.reboots, pings=pinger.sent, pongs=pinger.answered,
+            round_trip=session.round_trip_ns / NS_PER_S, firmware_checksum=pinger.checksum,
+            sonar_starts=self._sonars.starts, dropped_sonars=list(self._sonars.dropped),
+            counters=[Error(count, name) for name, count in sorted(session.counters.items())])
 
 
 def main():

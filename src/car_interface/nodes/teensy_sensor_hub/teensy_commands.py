@@ -12,14 +12,16 @@ from car_interface.common.errors import ProtocolError
 from car_interface.common.units import NS_PER_S
 from car_interface.nodes.terminal import Keys
 from car_interface.ros.topics import serve
-from car_interface.srv import SetSonarSequence, SetSonarWait
+from car_interface.srv import SetSonarSequence, SetSonarSequenceRequest, SetSonarWait
 from car_interface.teensy.link import protocol
-from car_interface.teensy.link.port import SerialLink
-from car_interface.teensy.link.session import Session
 from car_interface.teensy.sensing.sonar_monitor import SonarMonitor
 
 COUNTERS_PERIOD_NS = NS_PER_S  # asked more often, the answers starve the Teensy's buffers
 NOT_OPEN = (False, "the Teensy's port is not open")
+KEYS = {  # the service that each calls, and its request
+    "P": ("ping", None), "S": ("sonar_start", None), "N": ("sonar_stop", None), "R": ("wheel_reset", None),
+    "C": ("get_counters", None), "X": ("set_sonar_sequence", SetSonarSequenceRequest((0, 1, 5))),
+    "Y": ("set_sonar_sequence", SetSonarSequenceRequest(range(len(protocol.SONARS))))}
 KEY_HELP = "keys: P ping, S sonar start, N sonar stop, R wheel reset, C counters, X sonars 0 1 5, Y all sonars, Q quit"
 
 
@@ -28,39 +30,37 @@ class TeensyCommands:
 
     Args:
         sonars: follow what is commanded.
-        write: sends bytes and returns whether that worked.
-        ping: sends a ping and returns its timestamp1.
+        send: sends a command and returns whether that worked.
+        ping: sends a ping and returns its timestamp1, or ``None`` if that didn't work.
 
     Attributes:
         keys: of the node's terminal.
     """
 
-    def __init__(self, link: SerialLink, session: Session, sonars: SonarMonitor, write: Callable[[bytes], bool],
-                 ping: Callable[[], int], inbox):
-        self._link = link
-        self._session = session
-        self._sonars = sonars
-        self._write = write
-        self._ping = ping
-        self._inbox = inbox
+    def __init__(self, sonars: SonarMonitor, send: Callable[[bytes], bool], ping: Callable[[], int | None], inbox):
+        self._send_body, self._ping, self._inbox = send, ping, inbox
         self._next_counters_ns = 0
         self._waiting_pings = {}  # timestamp1 → the answers of the ~ping calls that wait for it
-        self._key_actions = {
-            "P": self._ping_and_wait, "S": self._start_sonars, "N": self._stop_sonars, "R": self._reset_wheels,
-            "C": self._get_counters, "X": lambda answer: self._set_sonar_sequence(answer, (0, 1, 5)),
-            "Y": lambda answer: self._set_sonar_sequence(answer, range(len(protocol.SONARS)))}
+        now_ns = inbox.clocks.now_ns
+        self._services = {
+            "ping": (Trigger, self._ping_and_wait),
+            "sonar_start": (Trigger, lambda answer, request: self._send(
+                answer, protocol.START_SONARS, lambda: sonars.started(now_ns()))),
+            "sonar_stop": (Trigger, lambda answer, request: self._send(
+                answer, protocol.STOP_SONARS, sonars.stopped)),
+            "wheel_reset": (Trigger, lambda answer, request: self._send(answer, protocol.RESET_WHEELS)),
+            "get_counters": (Trigger, self._get_counters),
+            "set_sonar_sequence": (SetSonarSequence, lambda answer, request: self._send(
+                answer, protocol.set_sonar_sequence(request.sequence),
+                lambda: sonars.sequence_set(request.sequence, now_ns()))),
+            "set_sonar_wait": (SetSonarWait, lambda answer, request: self._send(
+                answer, protocol.sonar_wait(request.wait_ms), lambda: sonars.wait_set(request.wait_ms)))}
         self.keys = Keys()
         self._has_keys = self._watches_keys = False
 
     def start(self) -> None:
-        for name, action in (("ping", self._ping_and_wait), ("sonar_start", self._start_sonars),
-                             ("sonar_stop", self._stop_sonars), ("wheel_reset", self._reset_wheels),
-                             ("get_counters", self._get_counters)):
-            self._serve(name, Trigger, lambda answer, request, action=action: action(answer))
-        self._serve("set_sonar_sequence", SetSonarSequence,
-                    lambda answer, request: self._set_sonar_sequence(answer, request.sequence))
-        self._serve("set_sonar_wait", SetSonarWait,
-                    lambda answer, request: self._set_sonar_wait(answer, request.wait_ms))
+        for name, (service_type, action) in self._services.items():
+            self._serve(name, service_type, action)
         self._has_keys = self.keys.start()
         if self._has_keys:
             rospy.loginfo(KEY_HELP)
@@ -86,38 +86,21 @@ class TeensyCommands:
         for timestamp1 in list(self._waiting_pings):
             self.answer_ping(timestamp1, success, message)
 
-    def _ping_and_wait(self, answer):
-        if not self._link.is_open:
+    def _ping_and_wait(self, answer, request):
+        timestamp1 = self._ping()
+        if timestamp1 is None:
             answer(*NOT_OPEN)
-            return
-        self._waiting_pings.setdefault(self._ping(), []).append(answer)
-        if not self._link.is_open:
-            self.answer_pings(*NOT_OPEN)
+        else:
+            self._waiting_pings.setdefault(timestamp1, []).append(answer)
 
     def _send(self, answer, body, note_sent=lambda: None, text="sent"):
         """Send a command, and have the fact noted."""
-        is_sent = self._link.is_open and self._write(self._session.encode(body))
+        is_sent = self._send_body(body)
         if is_sent:
             note_sent()
         answer(*((True, text) if is_sent else NOT_OPEN))
 
-    def _start_sonars(self, answer):
-        self._send(answer, protocol.START_SONARS, lambda: self._sonars.started(self._inbox.clocks.now_ns()))
-
-    def _stop_sonars(self, answer):
-        self._send(answer, protocol.STOP_SONARS, self._sonars.stopped)
-
-    def _set_sonar_sequence(self, answer, sequence):
-        self._send(answer, protocol.set_sonar_sequence(sequence),
-                   lambda: self._sonars.sequence_set(sequence, self._inbox.clocks.now_ns()))
-
-    def _set_sonar_wait(self, answer, wait_ms):
-        self._send(answer, protocol.sonar_wait(wait_ms), lambda: self._sonars.wait_set(wait_ms))
-
-    def _reset_wheels(self, answer):
-        self._send(answer, protocol.RESET_WHEELS)
-
-    def _get_counters(self, answer):
+    def _get_counters(self, answer, request):
         now_ns = self._inbox.clocks.now_ns()
         if now_ns < self._next_counters_ns:
             answer(False, "asked less than a second ago: the Teensy's buffers can't take more")
@@ -140,8 +123,9 @@ class TeensyCommands:
         for key in (typed or "").upper():
             if key == "Q":
                 self._inbox.end()
-            elif key in self._key_actions:
-                self._key_actions[key](lambda success, message, key=key: (
-                    rospy.loginfo if success else rospy.logwarn)("%s: %s", key, message))
+            elif key in KEYS:
+                name, request = KEYS[key]
+                self._services[name][1](lambda success, message, key=key: (
+                    rospy.loginfo if success else rospy.logwarn)("%s: %s", key, message), request)
             elif key.strip():
                 rospy.loginfo(KEY_HELP)

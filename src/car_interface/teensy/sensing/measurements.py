@@ -15,11 +15,9 @@ from car_interface.teensy.link.pinging import Answer
 from car_interface.teensy.link.protocol import UINT32, Pong, SonarStatus, WheelStatus, ahead
 from car_interface.teensy.link.reboot import reached_tick
 from car_interface.teensy.sensing.clock import Clock, Stamp, Sync
-from car_interface.teensy.sensing.echo_pulses import BOOT_MS, FIRMWARE_WAIT_MS, EchoPulses
 from car_interface.teensy.sensing.odometry import Motion, Odometry, OdometryConfig
-from car_interface.teensy.sensing.plausibility import GateConfig, Gates
-from car_interface.teensy.sensing.pulse_counts import has_pulsed
-from car_interface.teensy.sensing.ranging import Ranging, RangingConfig
+from car_interface.teensy.sensing.plausibility import MAX_GAP_MS, Gates, has_pulsed
+from car_interface.teensy.sensing.ranging import BOOT_MS, FIRMWARE_WAIT_MS, EchoPulses, Ranging, RangingConfig
 
 # The smallest frames on the line: with checksum and closing flag, without escapes, with a shared opening flag. The time
 # that is subtracted from the receipt for them must not be more than the line took.
@@ -35,10 +33,10 @@ MAX_QUEUED = 10  # reports of the wheels: raw messages must not wait long behind
 class MeasurementConfig:
     """One car's sensors."""
 
-    gates: GateConfig = field(default_factory=GateConfig)
-    baud: int = 115200  # of the serial line
     odometry: OdometryConfig = field(default_factory=OdometryConfig)
     ranging: RangingConfig = field(default_factory=RangingConfig)
+    baud: int = 115200  # of the serial line
+    max_gap_ms: int = MAX_GAP_MS
 
 
 class RangeMeasurement(NamedTuple):
@@ -56,20 +54,22 @@ class Measurements:
     """Everything that one Teensy measures.
 
     Args:
-        on_motion: called with the measurement of each queued report of the wheels, and when that was received.
+        on_motion: called with the measurement of each queued report of the wheels.
+
+    Attributes:
+        queue: reports of the wheels that wait, and when they were received.
     """
 
     def __init__(self, config: MeasurementConfig = MeasurementConfig(),
-                 on_motion: Callable[[MotionMeasurement, int], None] = lambda measured, received_ns: None):
-        self.gates = Gates(config.gates)
+                 on_motion: Callable[[MotionMeasurement], None] = lambda measured: None):
+        self.gates = Gates(config.odometry.pulse_m, config.odometry.top_speed_mps, config.max_gap_ms)
         self.clock = Clock(config.baud)
         self.ranging = Ranging(config.ranging)
         self._pulses = EchoPulses()
         self._odometry = Odometry(config.odometry)
         self._on_motion = on_motion
-        self._queue: list[tuple] = []  # reports of the wheels, and when they were received
+        self.queue: list[tuple] = []
         self._received_ns = 0  # when the newest record was received
-        self._has_tick = False
         self._answered: tuple | None = None  # the newest pong's tick, and when it was received
         self._shift_ms = 0.0  # from the Teensy's clock to the odometry's, which never restarts
         self._newest_ms = -math.inf  # of the wheels' pulses and repeats, on the odometry's clock
@@ -117,23 +117,17 @@ class Measurements:
 
         It is processed before any later record, so that order and results are the same as with ``wheels``.
         """
-        self._queue.append((record, received_ns))
-        if len(self._queue) == MAX_QUEUED:
+        self.queue.append((record, received_ns))
+        if len(self.queue) == MAX_QUEUED:
             self.process_queue()
-
-    @property
-    def has_queued(self) -> bool:
-        return bool(self._queue)
 
     def process_queue(self) -> None:
         """Process the queued reports of the wheels, and call ``on_motion`` with their measurements."""
-        if not self._queue:
-            return
-        for record, received_ns in self._queue:
+        queue, self.queue = self.queue, []
+        for record, received_ns in queue:
             measured = self._measure_motion(record, received_ns)
             if measured is not None:
-                self._on_motion(measured, received_ns)
-        self._queue.clear()
+                self._on_motion(measured)
 
     def _note_receipt(self, received_ns):
         """Forget the sonars' rhythm while nothing came: the time to a later report is no echo."""
@@ -146,8 +140,9 @@ class Measurements:
         verdict = self.gates.wheels(record)
         if not verdict.accepted:
             return None
-        newest = _newest_when(record)
-        if not self._has_tick:
+        ticks = [wheel.when for wheel in record if has_pulsed(wheel)]  # of the newest pulses or repeats
+        newest = max(ticks, key=lambda tick: ahead(tick, ticks[0])) if ticks else None
+        if self.clock.newest is None:
             if newest is None:
                 return None
             self._update_tick(verdict, newest, received_ns)
@@ -185,9 +180,8 @@ class Measurements:
 
     def _update_tick(self, verdict, tick, received_ns):
         """Continue the odometry's time when the Teensy's clock restarts; the first tick starts both."""
-        if verdict.restarted and self._has_tick:
+        if verdict.restarted and self.clock.newest is not None:
             self._restart_clock(tick, received_ns)
-        self._has_tick = True
 
     def _restart_clock(self, tick, received_ns):
         """Begin with a tick of the new clock: the Teensy rebooted."""
@@ -196,9 +190,3 @@ class Measurements:
         self.clock.restart()
         self._pulses.restart()
         self.clock.update_tick(tick, received_ns, 0)
-
-
-def _newest_when(record):
-    """Return the tick of the newest pulse or repeat; ``None`` before the first."""
-    ticks = [wheel.when for wheel in record if has_pulsed(wheel)]
-    return max(ticks, key=lambda tick: ahead(tick, ticks[0])) if ticks else None

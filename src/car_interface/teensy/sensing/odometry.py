@@ -4,9 +4,9 @@ Consumes the reports of the wheels with the verdicts of the plausibility gates, 
 metres, radians, x forward, y left; the pose of the middle of the rear axle, which begins at 0.
 
 One pulse is 1.5 cm, and 2.9° of heading when only one wheel has made it, so that counting pulses isn't enough:
-``wheel_filter`` estimates each wheel between its pulses, ``alignment`` finds where the magnets stood at the start,
-``heading`` filters the difference of the wheels, ``restart`` bridges pulses that a rebooting Teensy didn't count, and
-``pose`` integrates. Position comes from pulses, never from the reports' ``speed``. Pure.
+``wheel_filter`` estimates each wheel between its pulses and finds where the magnets stood at the start,
+``restart`` bridges pulses that a rebooting Teensy didn't count, and ``pose`` filters the difference of the wheels and
+integrates. Position comes from pulses, never from the reports' ``speed``. Pure.
 """
 from __future__ import annotations
 
@@ -18,14 +18,24 @@ from typing import NamedTuple, Sequence
 from car_interface.common import declared
 from car_interface.common.vehicle_geometry import PULSES_PER_REVOLUTION, TRACK_M, WHEEL_DIAMETER_M, WHEELBASE_M
 from car_interface.teensy.link.protocol import BACKWARD, FORWARD, NO_DIRECTION, WheelStatus
-from car_interface.teensy.sensing.alignment import ALIGNED_PULSES, ALIGNING_PULSES, UNALIGNED_PULSES, Alignment
-from car_interface.teensy.sensing.heading import CURVATURE_VARIANCE, HEADING_VARIANCE, HeadingFilter
-from car_interface.teensy.sensing.pose import Pose
-from car_interface.teensy.sensing.pulse_counts import LEARNING_PULSES
-from car_interface.teensy.sensing.restart import REPEAT_MS, CarState, RestartBridge, WheelState
-from car_interface.teensy.sensing.unseen_path import curved_path, reversed_path
-from car_interface.teensy.sensing.verdicts import Verdict
-from car_interface.teensy.sensing.wheel_filter import TICK_MIDDLE_MS, WheelFilter
+from car_interface.teensy.sensing.plausibility import LEARNING_PULSES, TOP_SPEED_MPS, Verdict
+from car_interface.teensy.sensing.pose import (
+    CURVATURE_VARIANCE,
+    HEADING_VARIANCE,
+    HeadingFilter,
+    Pose,
+    curved_path,
+    reversed_path,
+)
+from car_interface.teensy.sensing.restart import REPEAT_MS, RestartBridge
+from car_interface.teensy.sensing.wheel_filter import (
+    ALIGNED_PULSES,
+    ALIGNING_PULSES,
+    TICK_MIDDLE_MS,
+    UNALIGNED_PULSES,
+    WheelFilter,
+    starting_difference,
+)
 
 MIN_LENGTH_M = 0.001  # of a car's dimensions: a division by far less would overflow floats
 
@@ -48,6 +58,9 @@ class OdometryConfig:
         "m", low=0.0, high=1)
     heading_sigma: float = declared.number(
         "heading_sigma", 0.01, "the same of the heading", "rad", low=0.0, high=1)
+    top_speed_mps: float = declared.number(
+        "top_speed", TOP_SPEED_MPS, "of a wheel; anything faster is rejected as line noise", "m/s",
+        above=0.0, high=1000)
 
     def __post_init__(self):
         declared.check(self)
@@ -94,7 +107,7 @@ class Odometry:
         self._pulse_m = config.pulse_m
         self._rad_per_pulse = config.pulse_m / config.track_m  # of heading
         self._wheels = (WheelFilter(), WheelFilter())
-        self._alignment = Alignment()
+        self._difference: float | None = None  # of the wheels' magnets at the start, pulses, right minus left
         self._car = _Car(Pose(config.distance_sigma, config.heading_sigma), HeadingFilter(), self._wheels[0].position)
         self._last: WheelStatus | None = None
         self._steering_per_m: float | None = None
@@ -131,8 +144,6 @@ class Odometry:
             return self._move(record, False, now_ms)
         if verdict.restarted:
             self._begin_bridge(self._car.time_ms, counted_ms)
-            if counted_ms is not None:
-                self._bridge.count_from(counted_ms)
         elif self._bridge is None and any(unproven):
             self._begin_bridge(now_ms)
         if self._bridge is not None and self._bridge.is_reset(pulses, unproven, now_ms):
@@ -140,8 +151,6 @@ class Odometry:
         path = self._reversed_path(record, last, verdict.unsplit)
         if self._bridge is None:
             has_pulse = self._update_wheels(record, last, pulses, times_ms, now_ms)
-            for wheel in self._wheels:
-                wheel.advance(now_ms)
             return self._move(record, has_pulse, now_ms, path=path)
         if path is not None:
             self._bridge.reversed_paths.append(path)
@@ -152,29 +161,21 @@ class Odometry:
         """Pass the wheels their pulses; return whether there was a new one."""
         has_pulse = False
         for wheel, now, before, count, at_ms in zip(self._wheels, record, last, pulses, times_ms):
-            if not count and now.dist_abs in (0, before.dist_abs):
-                continue
-            has_pulse = True
-            take = wheel.resume if wheel.is_uncounted else wheel.update
-            take(count, now.direction != BACKWARD, at_ms + TICK_MIDDLE_MS, now_ms)
+            if count or now.dist_abs not in (0, before.dist_abs):
+                has_pulse = True
+                take = wheel.resume if wheel.is_uncounted else wheel.update
+                take(count, now.direction != BACKWARD, at_ms + TICK_MIDDLE_MS, now_ms)
+            wheel.advance(now_ms)
         return has_pulse
 
     def _begin_bridge(self, at_ms, counted_ms=None):
         if self._bridge is not None:
             self._bridge.restart(counted_ms)
             return
-        heading = self._car.heading
-        self._bridge = RestartBridge(
-            CarState(at_ms, tuple(WheelState(wheel.count, wheel.position, wheel.speed) for wheel in self._wheels),
-                     heading.curvature_per_m, heading.curvature_variance, heading.usual_square), self._config.track_m)
-        self._before_bridge = self._car
-        self._return_before_bridge()
+        self._bridge = RestartBridge(at_ms, self._wheels, self._car.heading, self._config.track_m, counted_ms)
+        self._before_bridge, self._car = self._car, copy.deepcopy(self._car)
         for wheel in self._wheels:
             wheel.is_uncounted = True
-
-    def _return_before_bridge(self):
-        """Forget the path that was only predicted since the bridge began."""
-        self._car = copy.deepcopy(self._before_bridge)
 
     def _cross_bridge(self, record, pulses, unproven, times_ms, now_ms):
         """Collect pulses until they show how the car goes on."""
@@ -189,13 +190,12 @@ class Odometry:
         if positions:
             for wheel, position in zip(self._wheels, positions):
                 wheel.stop_at(position)
-            self._return_before_bridge()
+            self._car = copy.deepcopy(self._before_bridge)  # the path since then was only predicted
             for path in bridge.reversed_paths:
                 self._car.pose.add_path(path)
         if not bridge.is_ready(now_ms):
             return self._move(record, False, now_ms)
-        self._bridge = None
-        self._return_before_bridge()
+        self._bridge, self._car = None, self._before_bridge
         outcome = bridge.solve(now_ms)
         for wheel, start in zip(self._wheels, outcome.wheels):
             wheel.pending = 0
@@ -204,7 +204,7 @@ class Odometry:
                 wheel.advance(now_ms)
             else:
                 wheel.stop_at(start.place)  # its next pulse shows the magnet
-        return self._move(record, True, now_ms, outcome, reversed_paths=bridge.reversed_paths)
+        return self._move(record, True, now_ms, outcome)
 
     def _reversed_path(self, record, last, unsplit):
         """Return the path before the last reversal, or ``None`` if the direction of each pulse is known."""
@@ -215,12 +215,11 @@ class Odometry:
         return reversed_path(sign * (left + right) / 2 * self._pulse_m, sign * (right - left) * self._rad_per_pulse,
                              last.left.direction != record.left.direction)
 
-    def _move(self, record, has_pulse, now_ms, outcome=None, reversed_paths=(), path=None):
+    def _move(self, record, has_pulse, now_ms, outcome=None, path=None):
         """Move the pose by the distances of the wheels.
 
         Args:
             outcome: of a bridge that was just crossed.
-            reversed_paths: driven since the boot that began it, until the last reversal.
             path: driven before the last reversal, since the report before.
         """
         (left, right), car = self._wheels, self._car
@@ -231,27 +230,26 @@ class Odometry:
         car.time_ms, car.mean = now_ms, mean
         is_blind = elapsed_s > REPEAT_MS / 1000 and has_pulse
         curvature_per_m = heading.recent_curvature if car.was_rolling else None
-        if self._alignment.is_done:
+        if self._difference is not None:
             heading.predict(distance_m, elapsed_s)
             if self._steering_per_m is not None:
                 heading.update_curvature(self._steering_per_m, elapsed_s)
             self._update_heading(record, has_pulse, outcome, path is not None)
-        elif self._bridge is not None:
-            pass  # the wheels' places are only predicted
-        elif abs(distance_m) > 2 * ALIGNING_PULSES * self._pulse_m:
-            self._alignment.skip(left, right)
-            heading.begin(self._measured_yaw_rad(), (UNALIGNED_PULSES * self._rad_per_pulse) ** 2)
-            pose.set_yaw(0.0, (UNALIGNED_PULSES * self._rad_per_pulse) ** 2)
-        elif self._alignment.solve(left, right):
-            before_rad, variance = self._measured_yaw_rad(), (ALIGNED_PULSES * self._rad_per_pulse) ** 2
-            heading.begin(before_rad, variance)
-            pose.set_yaw(before_rad, variance)
+        elif self._bridge is None:  # else the wheels' places are only predicted
+            has_jumped = abs(distance_m) > 2 * ALIGNING_PULSES * self._pulse_m  # which tells nothing of the difference
+            self._difference = 0.0 if has_jumped else starting_difference(left.first_pulses, right.first_pulses)
+            if self._difference is not None:
+                left.first_pulses = right.first_pulses = None
+                variance = ((UNALIGNED_PULSES if has_jumped else ALIGNED_PULSES) * self._rad_per_pulse) ** 2
+                heading.begin(self._measured_yaw_rad(), variance)
+                before_rad = 0.0 if has_jumped else heading.yaw_rad
+                pose.set_yaw(before_rad, variance)
         turned_rad = heading.yaw_rad - before_rad
         if path is not None:
             distance_m, turned_rad = self._move_unseen(path, distance_m, turned_rad)
             curvature_per_m = None  # of the last leg it is unknown
         if outcome is not None:
-            distance_m, turned_rad = self._move_uncounted(outcome, reversed_paths, before, distance_m, turned_rad)
+            distance_m, turned_rad = self._move_uncounted(outcome, before, distance_m, turned_rad)
         if path is not None or is_blind:
             path = curved_path(distance_m, turned_rad, curvature_per_m, heading.usual_square)
             distance_m, turned_rad = self._move_unseen(path, distance_m, turned_rad)
@@ -259,7 +257,7 @@ class Odometry:
         car.was_rolling = any(wheel.speed for wheel in self._wheels)
         return self._motion(record, now_ms)
 
-    def _move_uncounted(self, outcome, reversed_paths, before, distance_m, turned_rad):
+    def _move_uncounted(self, outcome, before, distance_m, turned_rad):
         """Move along the part of a path without counts, whose variance has grown on it; return what is left."""
         uncounted_m = (sum(start.place for start in outcome.wheels) / 2 - before) * self._pulse_m
         part = max(0.0, min(1.0, uncounted_m / distance_m)) / 2 if distance_m else 0.0
@@ -271,24 +269,22 @@ class Odometry:
         # It is unknown where on the way the car turned: evenly, with a variance of 1/12.
         pose.add_variance(along_variance, turn_variance, turn_variance * (uncounted_m ** 2 + along_variance) / 12)
         left_m, left_rad = distance_m - half[0], turned_rad - half[1]
-        if reversed_paths:
+        if outcome.reversed_paths:
             pose.move(*half)
             left_m, left_rad = left_m - half[0], left_rad - half[1]
-        for path in reversed_paths:
+        for path in outcome.reversed_paths:
             pose.add_path(path)
         return left_m, left_rad
 
     def _move_unseen(self, path, distance_m, turned_rad):
         """Move along a path that wasn't reported; return distance and turn of its last leg."""
         self._car.pose.add_path(path)
-        for leg_m, leg_rad in path.legs:
-            self._car.pose.move(leg_m, leg_rad)
-            distance_m, turned_rad = distance_m - leg_m, turned_rad - leg_rad
-        return distance_m, turned_rad
+        self._car.pose.move(*path.leg)
+        return distance_m - path.leg[0], turned_rad - path.leg[1]
 
     def _measured_yaw_rad(self):
         left, right = self._wheels
-        return (right.position - left.position - self._alignment.difference) * self._rad_per_pulse
+        return (right.position - left.position - self._difference) * self._rad_per_pulse
 
     def _turns_on_the_spot(self, record):
         """Return whether the wheels turn in opposite directions; while a bridge is open these aren't known."""
@@ -307,14 +303,15 @@ class Odometry:
             if outcome is None:
                 heading.update(self._measured_yaw_rad(), variance)
             else:
-                heading.resume(self._measured_yaw_rad(), variance, outcome.curvature_per_m, outcome.curvature_variance)
+                heading.curvature_per_m = outcome.curvature_per_m
+                heading.begin(self._measured_yaw_rad(), variance, outcome.curvature_variance)
 
     def _motion(self, record, now_ms):
         left, right = self._wheels
         scale = self._rad_per_pulse
         speed_mps = (left.speed + right.speed) / 2 * self._pulse_m * 1000
         variance = left.speed_variance + right.speed_variance
-        differs = not self._alignment.is_done or self._turns_on_the_spot(record)
+        differs = self._difference is None or self._turns_on_the_spot(record)
         yaw_rate_radps = ((right.speed - left.speed) * scale * 1000 if differs else
                           self._car.heading.curvature_per_m * speed_mps)
         to_rad = 2 * self._pulse_m / self._config.wheel_diameter_m
@@ -323,7 +320,7 @@ class Odometry:
         if self._bridge is not None:
             place, heading = self._bridge_variances(place, now_ms)
             variance += 4 * self._bridge.speed_variance(now_ms)
-        if not self._alignment.is_done:
+        if self._difference is None:
             heading += (UNALIGNED_PULSES * scale) ** 2
         pose = self._car.pose
         return Motion(

@@ -1,6 +1,6 @@
-"""Converts echo times to ranges.
+"""Finds how long the sonars' echoes took, and converts that to ranges.
 
-Consumes microseconds from a sonar's ping to its echo as the firmware reports them; produces metres, as
+Consumes the firmware's reports: microseconds from a sonar's ping to its echo, modulo 2**16; produces metres, as
 sensor_msgs/Range wants them. By REP-117 nothing in range is +inf, and too near to be measured −inf. ROS 1's costmap
 layer drops infinite ranges and clears only at ``max_range``, so an option gives finite numbers only. Never NaN.
 
@@ -8,11 +8,11 @@ The firmware's reports (observed on the original one, see test/data/firmware):
 
 - 13 µs less than the echo took: they are added.
 - The length of the sensor's own pulse. Without an echo an HC-SR04 ends its pulse after 38 ms. There are clones that
-  hold it for 200 ms; a loose echo wire makes one of seconds. ``echo_pulses`` tells them from echoes.
+  hold it for 200 ms; a loose echo wire makes one of seconds. ``EchoPulses`` tells them from echoes.
 - 0 for a pin that never fell, and around a wrap of micros(): this is no measurement. Around the wrap, every
   71.6 minutes of the Teensy's uptime, several pings fail or fire together: none of these reports is used.
 
-Pure: the temperature of the air is set from outside, whenever it is known.
+Pure: a report's own tick is all the time it needs; the temperature of the air is set from outside.
 """
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from typing import Sequence
 from car_interface.common import declared
 from car_interface.common.errors import require
 from car_interface.common.vehicle_geometry import SONARS
+from car_interface.teensy.link.protocol import UINT32
 
 INF, MAX_RANGE = "inf", "max_range"
 US_PER_S = 1e6
@@ -31,7 +32,6 @@ COLDEST_C, HOTTEST_C = -50.0, 60.0
 MEDIAN_OF = 5
 FIRMWARE_OFFSET_US = 13  # by the firmware, of each echo
 LONGEST_ECHO_US = 65_000  # 11 m: no sonar's echo takes longer
-UINT32 = 2 ** 32
 USUAL_TIMEOUT_MS, MAX_TIMEOUT_MS = 38.0, 1000.0
 TIMEOUT_RATIO = 0.95  # an echo of at least this part of the time-out is none
 # A clone is found by so many long pulses in a row that differ by no more than this: those of a loose wire differ. After
@@ -40,6 +40,17 @@ CLONE_PULSES, CLONE_RATIO, SHORTEST_CLONE_US = 3, 1.02, 110_000
 # Around a wrap of micros(): a ping that begins in the last 29 ms before it fails, and the sonars that fire then report
 # a little later. The first report after power-up comes at 300 ms.
 BEFORE_WRAP_US, AFTER_WRAP_US = 50_000, 250_000
+UINT16 = 2 ** 16
+FIRMWARE_WAIT_MS = 50  # between an echo and the next ping, at power-up
+BOOT_MS = 300  # the tick at which a boot ends: counts and pings begin
+OVERHEAD_MS = 1.0
+FAILED_PING_MS = 29.443  # 18,000 + 11,428 + 15 µs
+WRAP_MS = UINT16 / 1000
+TOLERANCE_MS = 3.0  # ticks are whole ms; two grids of 29.4 and 65.5 ms come no nearer than 6.6 ms
+# No wrap is as short. Two failed pings are shorter, and so is most times a lost report of a wall within 2 m.
+SHORTEST_WRAP_MS = WRAP_MS - 2.5
+USUAL_OF = 8  # reports, more than a round
+MAX_OVERTAKEN_MS = 1000  # on a busy line a report may leave after the next one
 
 # Why an echo makes no range.
 STUCK = "an echo of 0: the pin was high all the time"
@@ -164,6 +175,64 @@ class Ranging:
         if (len(held_us) == CLONE_PULSES and shortest_us >= SHORTEST_CLONE_US
                 and longest_us <= min(CLONE_RATIO * shortest_us, 1000 * MAX_TIMEOUT_MS)):
             self.clones[sensor] = pulse_us / 1000
+
+
+class EchoPulses:
+    """Finds how long echo pulses really lasted, by the reports of one Teensy's sonars in order.
+
+    The firmware pings the next sonar a fixed wait after an echo, so the time since the report before shows what the 16
+    bits lack. Observed on the original firmware (test/data/firmware): a report comes its echo, the wait (50 ms) and 0.5
+    to 2.5 ms after the one before; 29.4 ms more for each sonar in between that does not answer, and as much for a pin
+    that was high already when its sonar was pinged.
+    """
+
+    def __init__(self):
+        self._rests_ms: deque = deque(maxlen=USUAL_OF)
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin with a Teensy that boots."""
+        self._newest: int | None = None
+        self._rests_ms.clear()
+
+    def unwrap_us(self, echo_us: int, tick: int, wait_ms: int) -> int | None:
+        """Return the echo's full length.
+
+        Args:
+            echo_us: as the firmware reports it; 0 stays 0.
+            tick: the report's, in ms.
+            wait_ms: SONAR_WAIT as last commanded. Another one, by which the Teensy goes, is noticed after a round.
+
+        Returns:
+            ``None``: unknown, as the report before it was lost, or is the first of a Teensy that runs already.
+        """
+        if self._newest is None:
+            self._newest = tick
+            return echo_us if tick < BOOT_MS + WRAP_MS else None
+        gap_ms = (tick - self._newest) % UINT32
+        if gap_ms >= UINT32 - MAX_OVERTAKEN_MS:
+            return echo_us
+        self._newest = tick
+        rest_ms = gap_ms - echo_us / 1000
+        self._rests_ms.append(rest_ms)
+        excess_ms = rest_ms - self._usual_rest_ms(wait_ms)
+        if not echo_us or excess_ms < SHORTEST_WRAP_MS:
+            return echo_us
+        for failed in range(len(SONARS)):
+            wraps, off_ms = divmod(excess_ms - failed * FAILED_PING_MS + TOLERANCE_MS, WRAP_MS)
+            if wraps >= 0 and off_ms <= 2 * TOLERANCE_MS:
+                return echo_us + int(wraps) * UINT16
+        return None
+
+    def _usual_rest_ms(self, wait_ms):
+        """Return the time between a report and the next one's ping."""
+        usual_ms = wait_ms + OVERHEAD_MS
+        if len(self._rests_ms) < USUAL_OF:
+            return usual_ms
+        shortest_ms = sorted(self._rests_ms)[1]  # one may be from before a SONAR_WAIT
+        wraps, off_ms = divmod(shortest_ms - usual_ms + TOLERANCE_MS, WRAP_MS)
+        all_wrap = wraps > 0 and off_ms <= 2 * TOLERANCE_MS
+        return usual_ms if all_wrap else shortest_ms
 
 
 def is_near_micros_wrap(tick: int) -> bool:

@@ -15,12 +15,14 @@ than a pulse in three sigma. Pure; units are pulses and milliseconds.
 """
 from __future__ import annotations
 
+import copy
 import math
 from collections import deque
 from itertools import product
 from typing import NamedTuple, Sequence
 
-from car_interface.teensy.sensing.unseen_path import UnseenPath
+from car_interface.teensy.sensing.pose import HeadingFilter, UnseenPath
+from car_interface.teensy.sensing.wheel_filter import MAX_BLIND_MS, PENDING_SPEED_SIGMA, WheelFilter, WheelStart
 
 LEFT, RIGHT = 0, 1
 ROLLING_PER_MS = 0.01  # 0.15 m/s: a wheel that rolls faster is expected to go on
@@ -33,7 +35,6 @@ STANDING_REPORTS = 16  # 3 s: a reboot is found by the first pong, and one ping 
 # by the same angular acceleration, is smaller by the square of the time.
 MANOEUVRE_MS = 1_500.0
 MAX_CURVATURE = 1.0  # 1/m: a car's tightest turns
-MAX_BLIND_MS = 2_000.0  # after a longer time the speed in between is unknown
 # After the restart each wheel's speed is taken over this many pulses and this time, at most until the last of these.
 ENOUGH_PULSES, ENOUGH_SPAN_MS, ENOUGH_MS = 6, 100.0, 250.0
 LATE_INTERVALS = 1.6  # a first pulse later than this many intervals means that the car started only then
@@ -41,7 +42,6 @@ STOPPED_INTERVALS = 3.0  # without a pulse for this many of the earlier interval
 SEARCHED = 6  # magnets to either side of the likeliest
 UNEVEN_PER_MS2 = 1.34e-4  # the most that the acceleration differs from its mean: 2 m/s²
 CLOCK_MS = 4.0  # one sigma of the duration of a reboot
-PENDING_SPEED_SIGMA = 0.03  # pulses/ms, 0.45 m/s: of a car that has started when its pulses can be placed
 REST_MS, UNPROVEN_VARIANCE = 1000.0, 4.0  # ms; pulses²: two of them in the other direction in less than three sigma
 TICK_MS = 0.45  # of the interval between two ticks, one sigma
 CURVATURE_SIGMA = 0.05  # 1/m: the smallest that is claimed for the curvature in between
@@ -49,33 +49,6 @@ UNEVEN_START_RATIO = 0.3  # one sigma, of the distance of a car that started whi
 PLACE_SIGMA, DIFFERENCE_SIGMA = 0.3, 0.2  # pulses: of where the wheels were before
 STANDING_DIFFERENCE_VARIANCE = 0.4  # pulses²: of wheels that stood, each anywhere between two magnets
 MIN_DIFFERENCE_VARIANCE = 1 / 9  # pulses²: a whole one within three sigma
-
-
-class WheelState(NamedTuple):
-    """A wheel when its pulses were last counted."""
-
-    count: int  # the wheel is between this magnet and the next
-    position: float
-    speed: float  # pulses per ms
-
-
-class CarState(NamedTuple):
-    """The car when its pulses were last counted."""
-
-    at_ms: float
-    wheels: tuple[WheelState, WheelState]
-    curvature_per_m: float
-    curvature_variance: float
-    usual_square: float = 0.0  # of the largest curvature on the metres before, 1/m²
-
-
-class WheelStart(NamedTuple):
-    """The state in which a wheel goes on."""
-
-    place: float  # of its first pulse's magnet; without pulses the wheel's own, anywhere between two
-    speed: float  # at that time
-    forward: bool  # its direction
-    pulses: list  # (number, at ms), the first of which was at ``place``
 
 
 class Outcome(NamedTuple):
@@ -87,24 +60,32 @@ class Outcome(NamedTuple):
     curvature_variance: float
     mean_variance: float  # pulses², of the mean distance of both wheels
     difference_variance: float  # pulses², of the right wheel's distance minus the left one's
+    reversed_paths: list[UnseenPath]  # driven since the boot, until the last reversal
 
 
 class RestartBridge:
-    """From the last report before a restart, with the car's state then, to the pulses that show how the car goes on."""
+    """From the last report before a restart to the pulses that show how the car goes on.
 
-    def __init__(self, state: CarState, track_m: float):
-        self._state = state
+    Args:
+        at_ms: when pulses were last counted; ``wheels`` (left, right) and ``heading``: as they were then.
+    """
+
+    def __init__(self, at_ms: float, wheels: Sequence[WheelFilter], heading: HeadingFilter, track_m: float,
+                 boot_ms: float | None = None):
+        self._at_ms = at_ms
+        self._wheels = [copy.copy(wheel) for wheel in wheels]
+        self._heading = heading
         self._track_m = track_m
         self._stood_ms: deque = deque(maxlen=STANDING_REPORTS)  # of the reports without a pulse since they are counted
         self.reversed_paths: list[UnseenPath] = []  # those after the restart, by the counts
         self._stop_variance = self._stop_within_ms = 0.0  # of a car that has stopped while pulses weren't counted
-        self.restart()
+        self.restart(boot_ms)
 
     def place_variance(self, now_ms: float) -> float:
         """Return the variance of the place that a change of speed on the way or a long time adds, pulses²."""
         if self._seen_ms is None:
             return 0.0
-        elapsed_ms, variance = now_ms - self._state.at_ms, self._stop_variance
+        elapsed_ms, variance = now_ms - self._at_ms, self._stop_variance
         if self._stop_within_ms:
             variance += self._uneven_variance()
         if self._may_have_changed(now_ms):
@@ -117,7 +98,7 @@ class RestartBridge:
         """Return the variance of the speed that its change on the way adds, of both wheels alike, (pulses/ms)²."""
         if not self._may_have_changed(now_ms):
             return 0.0
-        return max(PENDING_SPEED_SIGMA, UNEVEN_PER_MS2 * (now_ms - self._state.at_ms) / 3) ** 2
+        return max(PENDING_SPEED_SIGMA, UNEVEN_PER_MS2 * (now_ms - self._at_ms) / 3) ** 2
 
     def _may_have_changed(self, now_ms):
         if self._seen_ms is None or self._blind_ms() <= BLIND_MS:
@@ -129,14 +110,15 @@ class RestartBridge:
     def restart(self, boot_ms: float | None = None) -> None:
         """Begin again after another restart: earlier pulses are dropped.
 
-        A car that stood until then has stood until the last report before the boot, where that is known.
+        A car that stood until then has stood until the last report before the boot, where that is known. From such a
+        boot on every pulse is counted, though the first report comes later.
         """
-        if self._stood_ms and not any(wheel.speed for wheel in self._state.wheels):
+        if self._stood_ms and not any(wheel.speed for wheel in self._wheels):
             before = [at_ms for at_ms in self._stood_ms if boot_ms is None or at_ms < boot_ms - BLIND_MS]
-            self._state = self._state._replace(at_ms=(before or self._stood_ms)[-1] - self._blind_ms())
+            self._at_ms = (before or self._stood_ms)[-1] - self._blind_ms()
             self._stood_ms.clear()
-        self._seen_ms: float | None = None  # from when on pulses were counted again
-        self._boot_ms: float | None = None  # from when on each pulse is in the reports
+        self._boot_ms = None if boot_ms is None else max(boot_ms, self._at_ms)  # each pulse after it is reported
+        self._seen_ms = self._boot_ms  # from when on pulses were counted again
         self._pulses: tuple[list, list] = ([], [])
         self._signs = [0, 0]
 
@@ -148,11 +130,7 @@ class RestartBridge:
         """Return whether the first pulses show a WHEEL_RESET: each direction is known, hardly a pulse is missing."""
         seen_ms = now_ms if self._seen_ms is None else self._seen_ms
         return (any(pulses) and not any(unproven) and not any(self._pulses)
-                and seen_ms - self._state.at_ms <= REPEAT_MS)
-
-    def count_from(self, boot_ms: float) -> None:
-        """Take note that every pulse since a boot is counted, though the first report comes later."""
-        self._seen_ms = self._boot_ms = max(boot_ms, self._state.at_ms)
+                and seen_ms - self._at_ms <= REPEAT_MS)
 
     def report(self, now_ms: float) -> list[float] | None:
         """Take note that pulses are counted; return once where the wheels are if they stopped while none were."""
@@ -160,16 +138,15 @@ class RestartBridge:
             self._seen_ms = now_ms
         if not any(self._pulses):
             self._stood_ms.append(now_ms)
-        state = self._state
-        fastest = max(abs(wheel.speed) for wheel in state.wheels)
+        fastest = max(abs(wheel.speed) for wheel in self._wheels)
         if fastest == 0.0 or any(self._pulses) or now_ms - self._seen_ms < max(BLIND_MS, STOPPED_INTERVALS / fastest):
             return None
-        blind_ms = min(self._seen_ms - state.at_ms, MAX_BLIND_MS)
+        blind_ms = min(self._seen_ms - self._at_ms, MAX_BLIND_MS)
         self._note_stop(blind_ms)
-        positions = [wheel.position + wheel.speed * blind_ms / 2 for wheel in state.wheels]
-        self._state = state._replace(at_ms=now_ms, wheels=tuple(
-            wheel._replace(position=position, speed=0.0) for wheel, position in zip(state.wheels, positions)))
-        return positions
+        for wheel in self._wheels:
+            wheel.stop_at(wheel.position + wheel.speed * blind_ms / 2)
+        self._at_ms = now_ms
+        return [wheel.position for wheel in self._wheels]
 
     def _uneven_variance(self):
         """Return the variance of the distance if the speed didn't change evenly while pulses weren't counted, pulses².
@@ -178,7 +155,7 @@ class RestartBridge:
         """
         within_ms = self._blind_ms()
         if self._was_rolling():
-            within_ms = max(within_ms, self._first_ms() - self._state.at_ms)
+            within_ms = max(within_ms, self._first_ms() - self._at_ms)
         elif abs(self._mean_before()) <= ROLLING_PER_MS:
             within_ms = min(within_ms, MAX_BLIND_MS)  # a parked car
         within_ms = max(within_ms, self._stop_within_ms)
@@ -186,7 +163,7 @@ class RestartBridge:
 
     def _note_stop(self, blind_ms):
         """Take note that the car has stopped within this time, after a quarter to all of it, as one sigma."""
-        fastest = max(abs(wheel.speed) for wheel in self._state.wheels)
+        fastest = max(abs(wheel.speed) for wheel in self._wheels)
         self._stop_variance, self._stop_within_ms = (fastest * blind_ms / 4) ** 2, blind_ms
 
     def add(self, side: int, unproven: int, proven: int, at_ms: float) -> None:
@@ -223,14 +200,14 @@ class RestartBridge:
             self._note_stop(min(self._blind_ms(), MAX_BLIND_MS))
         for pulses in self._pulses if self._boot_ms is not None else ():
             _date_first(pulses)
-        state, sign = self._state, self._find_sign()
+        sign = self._find_sign()
         signs = [proven or sign for proven in self._signs]
         speeds = self._speeds(signs, now_ms)
-        curvature, curvature_variance = self._curvature(speeds, was_rolling)
+        curvature, curvature_variance = self._curvature(was_rolling)
         guesses = [self._guess(side, speeds, curvature, was_rolling, signs) for side in (LEFT, RIGHT)]
         blind_ms, started = self._blind_ms(), 0.0
         mean_speed = sum(speeds) / 2
-        rolled = sum(guess - wheel.position for guess, wheel in zip(guesses, state.wheels)) / 2
+        rolled = sum(guess - wheel.position for guess, wheel in zip(guesses, self._wheels)) / 2
         length = self._length(rolled, mean_speed) if was_rolling else self._mean_before() * blind_ms / 2
         mean_variance = self._stop_variance + PLACE_SIGMA ** 2 + self._uneven_variance()
         if was_rolling and blind_ms > BLIND_MS:
@@ -259,10 +236,10 @@ class RestartBridge:
         # After a rest a car may have turned round, and the direction of its first pulses isn't known.
         unknown = UNPROVEN_VARIANCE if not was_rolling and now_ms - self._first_ms() > REST_MS else 0.0
         return Outcome(
-            wheels=tuple(WheelStart(places[side], speeds[side], signs[side] > 0, self._pulses[side])
-                         for side in (LEFT, RIGHT)),
+            wheels=tuple(map(WheelStart, places, speeds, [sign > 0 for sign in signs], self._pulses)),
             was_rolling=was_rolling, curvature_per_m=curvature, curvature_variance=curvature_variance,
-            mean_variance=mean_variance + unknown, difference_variance=doubt + unknown)
+            mean_variance=mean_variance + unknown, difference_variance=doubt + unknown,
+            reversed_paths=self.reversed_paths)
 
     @property
     def _is_late(self):
@@ -275,20 +252,17 @@ class RestartBridge:
 
     def _blind_ms(self):
         seen_ms = self._first_ms() if self._seen_ms is None else self._seen_ms
-        return max(0.0, seen_ms - self._state.at_ms)
+        return max(0.0, seen_ms - self._at_ms)
 
     def _mean_before(self):
-        return sum(wheel.speed for wheel in self._state.wheels) / 2
+        return sum(wheel.speed for wheel in self._wheels) / 2
 
     def _find_sign(self):
         """Return the car's direction, proven by a wheel or as it rolled before; 0 = unknown."""
-        proven = next((sign for sign in self._signs if sign), 0)
-        if proven:
-            return proven
-        before = self._mean_before()
+        before, sign = self._mean_before(), 0
         if abs(before) > ROLLING_PER_MS and self._blind_ms() < MAX_BLIND_MS:
-            return 1 if before > 0 else -1
-        return 0
+            sign = 1 if before > 0 else -1
+        return self._signs[LEFT] or self._signs[RIGHT] or sign
 
     def _was_rolling(self):
         """Return whether the car rolled when pulses were counted again; else it started later."""
@@ -309,22 +283,22 @@ class RestartBridge:
         # A wheel of which no second pulse has come for a while has become slow.
         fastest = 1 / max(now_ms - self._first_ms(), 1.0)
         slowed = [wheel.speed if abs(wheel.speed) < 2 * fastest else math.copysign(fastest, wheel.speed)
-                  for wheel in self._state.wheels]
+                  for wheel in self._wheels]
         return [sign * rate if rate else known[0] if known else speed
                 for sign, rate, speed in zip(signs, rates, slowed)]
 
-    def _curvature(self, speeds, was_rolling):
+    def _curvature(self, was_rolling):
         """Return the curvature over the time without counts, and its variance, by the ones before and after."""
-        before, before_variance = self._state.curvature_per_m, self._state.curvature_variance
+        before, usual_square = self._heading.curvature_per_m, self._heading.usual_square
         after, after_variance = self._curvature_after()
         if not was_rolling or after is None or self._blind_ms() <= BLIND_MS:
             within_ms = self._stop_within_ms or self._blind_ms()
-            return before, before_variance + _steered_variance(before, self._state.usual_square, within_ms)
+            return before, self._heading.curvature_variance + _steered_variance(before, usual_square, within_ms)
         if abs(self._mean_before()) <= ROLLING_PER_MS:
             return after, after_variance + CURVATURE_SIGMA ** 2 + _steered_variance(after, 0.0, self._blind_ms())
         # Exact where it changes evenly; a step at an unknown time in between has this spread. Within seconds it may
         # have been another one, and likewise if the one after is a mean over a long time.
-        usual_square = max(self._state.usual_square, after ** 2)
+        usual_square = max(usual_square, after ** 2)
         within_ms = MANOEUVRE_MS if self._is_late else self._blind_ms()
         return (before + after) / 2, ((after - before) ** 2 / 12 + CURVATURE_SIGMA ** 2
                                       + _steered_variance((before + after) / 2, usual_square, within_ms))
@@ -343,8 +317,7 @@ class RestartBridge:
 
     def _guess(self, side, speeds, curvature, was_rolling, signs):
         """Return where a wheel was at its first pulse, or the other's, in pulses, regardless of magnets."""
-        state = self._state
-        wheel = state.wheels[side]
+        wheel = self._wheels[side]
         pulses = self._pulses[side]
         before = self._mean_before()
         if not was_rolling:
@@ -357,8 +330,8 @@ class RestartBridge:
             middle_ms = sum(each[0][1] + each[-1][1] for each in counted) / (2 * len(counted))
             # Both from the same time on: a slow wheel's first pulse may come long after the other's.
             first_ms = self._first_ms()
-            elapsed_ms = max(0.0, first_ms - state.at_ms)
-            until_middle_ms = max(elapsed_ms, middle_ms - state.at_ms, 1.0)
+            elapsed_ms = max(0.0, first_ms - self._at_ms)
+            until_middle_ms = max(elapsed_ms, middle_ms - self._at_ms, 1.0)
             then = before + (mean - before) * elapsed_ms / until_middle_ms
             rolled = (before + then) / 2 * elapsed_ms
             first = min(counted, key=lambda each: each[0][1])
@@ -384,7 +357,7 @@ class RestartBridge:
         before = self._mean_before()
         if abs(before) <= ROLLING_PER_MS or self._blind_ms() <= BLIND_MS:
             return 0.0
-        curvature_change = 2 * (curvature - self._state.curvature_per_m)
+        curvature_change = 2 * (curvature - self._heading.curvature_per_m)
         return curvature_change * (sum(speeds) / 2 - before) * self._blind_ms() / 12
 
     def _distance_from_rest(self, at_ms):
@@ -416,7 +389,7 @@ class RestartBridge:
 
     def _possible(self, side, places, sign):
         """Return the places that a wheel can have reached: a wheel that rolled on can't be where it was."""
-        wheel = self._state.wheels[side]
+        wheel = self._wheels[side]
         first = self._pulses[side][0][0] if self._pulses[side] else 0
         if not first or wheel.speed * sign < 0 or self._stop_variance:
             return places

@@ -17,12 +17,11 @@ Pure: ``now_ns`` in, and its memory doesn't grow.
 """
 from __future__ import annotations
 
-from typing import Mapping, NamedTuple, Sequence
+from typing import Iterable, Mapping, NamedTuple, Sequence
 
 from car_interface.common.units import NS_PER_MS, NS_PER_S
 from car_interface.common.vehicle_geometry import SONARS
-from car_interface.teensy.sensing.echo_pulses import FIRMWARE_WAIT_MS
-from car_interface.teensy.sensing.ranging import is_near_micros_wrap
+from car_interface.teensy.sensing.ranging import FIRMWARE_WAIT_MS, is_near_micros_wrap
 
 MISSING_ROUNDS = 2  # rounds of the others without a report
 STUCK_ZEROS, DROPPED_ZEROS = 2, 3  # echoes of 0 in a row
@@ -54,25 +53,23 @@ class SonarMonitor:
 
     Args:
         restart_s: SONAR_START is wanted after this long without a report, while there should be some; 0 = never.
-        sequence: the sonars in use, to be sent to each Teensy that boots; ``None`` = the firmware's own order.
-        ahead: the sequence while the car drives forward; ``None`` = the same one.
+        sequence: the sonars in use, to be sent to each Teensy that boots; empty = the firmware's own order.
+        ahead: the sequence while the car drives forward; empty = the same one.
     """
 
-    def __init__(self, restart_s: float = 3.0, sequence: Sequence[int] | None = None,
-                 ahead: Sequence[int] | None = None):
-        self._ahead = None if ahead is None else tuple(ahead)
+    def __init__(self, restart_s: float = 3.0, sequence: Iterable[int] = (), ahead: Iterable[int] = ()):
         self._restart_ns = round(restart_s * NS_PER_S)
-        self._configured = None if sequence is None else tuple(sequence)
+        self._configured, self._ahead = tuple(sequence), tuple(ahead)
         self.starts = 0  # how many SONAR_STARTs it asked for
         # By sensor the ms after which it ends its pulse without an echo, though nobody configured that; the owner sets
         # it to what ``Ranging`` finds.
         self.clones: Mapping[int, float] = {}
-        self._blinked: dict[int, int] = {}  # sensor: when its pin was last released
+        # The same: when the pin of a sensor was last released that had been high for over a second.
+        self.blinked: dict[int, int] = {}
         self._zeros = [0] * len(SONARS)  # in a row
         self._stalls = [0] * len(SONARS)  # in a row, at this sensor
         self._missing: set[int] = set()  # until they report
         self._silent_ns: int | None = None  # the first SONAR_START since the last report
-        self._newest: tuple | None = None  # (tick, when it was received)
         self._stopped = False
         self._echoes: dict[int, tuple[int, int]] = {}  # the newest: (µs, when it was received)
         self._speed_mps = 0.0
@@ -86,10 +83,11 @@ class SonarMonitor:
         self._is_ahead = False  # whether the sequence is the one for driving forward
         self.dropped: tuple = ()  # stuck sensors that were taken out of the sequence
         self.wait_ms = FIRMWARE_WAIT_MS  # as last commanded
-        self._must_send = self._configured is not None
+        self._must_send = bool(self._configured)
 
     def _forget_reports(self, now_ns):
         self._since_ns = now_ns  # since when reports are expected
+        self._newest: tuple | None = None  # (tick, when it was received)
         self._weaken_suspicions()
         self._last: int | None = None  # the sensor that reported last, since SONAR_START
         self._held: int | None = None  # the sensor whose pin may be high while others listen, since SONAR_START
@@ -105,14 +103,13 @@ class SonarMonitor:
     def opened(self, now_ns: int) -> None:
         """Begin with a port that was opened: the sonars' state is unknown, their order stays as commanded."""
         self._forget_reports(now_ns)
-        self._newest = self._frame_ns = None
-        self._must_send = self._configured is not None or bool(self.dropped) or self._is_ahead
+        self._frame_ns = None
+        self._must_send = bool(self._configured or self.dropped) or self._is_ahead
 
     def rebooted(self, now_ns: int) -> None:
         """Take note that the Teensy rebooted: its sonars run, in its own order."""
         self._forget_commands()
         self._forget_reports(now_ns)
-        self._newest = None
         self._stopped = False
 
     def frame(self, now_ns: int) -> None:
@@ -214,10 +211,9 @@ class SonarMonitor:
         if self._ahead and self._wants_ahead != self._is_ahead:
             self._is_ahead = self._wants_ahead
             wanted = self._ahead if self._is_ahead else self._usual
-            dropped, in_use = self.dropped, [sensor for sensor in wanted if sensor not in self.dropped]
+            in_use = [sensor for sensor in wanted if sensor not in self.dropped]
             if in_use:
                 self._use(in_use, now_ns)
-                self.dropped = dropped
                 return SEND_SEQUENCE
         if self._stopped:
             return None
@@ -249,26 +245,21 @@ class SonarMonitor:
             return None
         return self.sequence[(self.sequence.index(self._last) + 1) % len(self.sequence)]
 
-    def blinked(self, sensor: int, now_ns: int) -> None:
-        """Take note of a sensor whose echo pin was high for over a second and is released."""
-        self._blinked[sensor] = now_ns
-
     def faults(self, now_ns: int) -> list[SonarFault]:
         """Return the faults; empty when all sonars in use report, or were stopped."""
         found = [SonarFault(sensor, f"{SONARS[sensor]} is stuck high and was taken out of the sequence",
                             "Check its echo wire and supply; when it is mended: ~set_sonar_sequence, or power the "
                             "Teensy off and on") for sensor in self.dropped]
-        for sensor, timeout_ms in sorted(self.clones.items()):
-            found.append(SonarFault(sensor, f"{SONARS[sensor]} is a clone that holds its pulse for {timeout_ms:.0f} ms "
-                                    "without an echo: its ranges are right", f"Set ~no_echo_timeouts/{SONARS[sensor]} "
-                                    f"to {timeout_ms:.0f}, by which it is known from the start"))
-        for sensor, at_ns in sorted(self._blinked.items()):
-            if now_ns - at_ns < BLINK_SHOWN_NS:
-                found.append(SonarFault(sensor, f"{SONARS[sensor]}'s echo pin was high for over a second, and no sonar "
-                                        "fired", "Check its echo wire and supply"))
+        found += [SonarFault(sensor, f"{SONARS[sensor]} is a clone that holds its pulse for {timeout_ms:.0f} ms "
+                             "without an echo: its ranges are right", f"Set ~no_echo_timeouts/{SONARS[sensor]} to "
+                             f"{timeout_ms:.0f}, by which it is known from the start")
+                  for sensor, timeout_ms in sorted(self.clones.items())]
+        found += [SonarFault(sensor, f"{SONARS[sensor]}'s echo pin was high for over a second, and no sonar fired",
+                             "Check its echo wire and supply")
+                  for sensor, at_ns in sorted(self.blinked.items()) if now_ns - at_ns < BLINK_SHOWN_NS]
         if self._stopped or not self._is_alive(now_ns):
             return found
-        for sensor in sorted({*self._usual, *(self._ahead or ())}.difference(self.dropped)):
+        for sensor in sorted({*self._usual, *self._ahead}.difference(self.dropped)):
             if self._zeros[sensor] >= STUCK_ZEROS or self._stalls[sensor]:
                 found.append(SonarFault(sensor, f"{SONARS[sensor]} seems stuck high: it holds the other sonars up",
                                         "Check its echo wire and supply"))

@@ -1,4 +1,4 @@
-"""Estimates one wheel's position, speed and acceleration from its pulses.
+"""Estimates a wheel's position, speed and acceleration from its pulses, and where the magnets stood at the start.
 
 - A wheel's magnets are fixed: with c the sum of its signed pulses, a wheel is within [c, c + 1) pulses, at c when it
   makes a pulse forward and at c + 1 when it makes one backward, since rolling back over a magnet also makes one. Errors
@@ -12,8 +12,7 @@ Pure: pulses and milliseconds of the Teensy's clock in, the same out.
 from __future__ import annotations
 
 import math
-
-from car_interface.teensy.sensing.restart import MAX_BLIND_MS, PENDING_SPEED_SIGMA, WheelStart
+from typing import NamedTuple
 
 TICK_MIDDLE_MS = 0.5
 TICK_VARIANCE = 1 / 12  # of a moment within its tick, ms²
@@ -40,6 +39,21 @@ PASSED_BY, PASSED_VARIANCE = 0.02, 0.003  # pulses: how far before the next magn
 STANDING_SPEED_VARIANCE = 1e-10
 SPEED_RATIO = 0.15  # one sigma of a slow wheel's speed
 UNKNOWN_TIME_VARIANCE = 100.0  # of a pulse whose time can't be, ms²
+MAX_BLIND_MS = 2_000.0  # after a longer time without counts the speed in between is unknown
+PENDING_SPEED_SIGMA = 0.03  # pulses/ms, 0.45 m/s: of a car that has started when its pulses can be placed
+ALIGNING_PULSES, LAST_ALIGNING_PULSES = 6, 24
+ALIGNED_PULSES = 0.12  # of the difference after that, one sigma
+UNALIGNED_PULSES = 0.41  # the same before: 1 / √6, the difference of two positions anywhere within a pulse
+MAX_RATIO = 2.0  # of the wheels' speeds in a turn: 1.35 on a radius of 1 m with a track of 0.3 m
+
+
+class WheelStart(NamedTuple):
+    """The state in which a wheel goes on after pulses that weren't counted."""
+
+    place: float  # of its first pulse's magnet; without pulses the wheel's own, anywhere between two
+    speed: float  # at that time, pulses per ms
+    forward: bool  # its direction
+    pulses: list  # (number, at ms), the first of which was at ``place``
 
 
 class WheelFilter:
@@ -47,7 +61,6 @@ class WheelFilter:
 
     def __init__(self):
         self.count = 0  # signed pulses so far: the wheel is within [count, count + 1)
-        self.updates = 0  # how many times a report had a new pulse of it
         self.first_pulses: list | None = []  # as (ms, position), for the alignment; ``None`` once it is done
         self.is_uncounted = False  # it has made pulses that the Teensy didn't count; the next one shows where it is
         self.pending = 0  # pulses that were counted but whose positions aren't known yet
@@ -89,12 +102,13 @@ class WheelFilter:
         is_known = self._pulse_ms < at_ms <= now_ms + TICK_MIDDLE_MS
         at_ms = min(max(at_ms, self._time_ms), now_ms) if is_known else now_ms
         self.count += pulses
-        self.updates += 1
         self._since_stop += 1
         place = self.count if forward else self.count + 1
         self._predict(at_ms)
-        if self._since_stop == 1:
-            self._start_rolling(1 if forward else -1, abs(pulses))
+        if self._since_stop == 1:  # the first pulse after a stand: v² grows with the pulses that come in one report
+            self.speed = (1 if forward else -1) * FIRST_SPEED * math.sqrt(abs(pulses))
+            self._variances = (self._variances[0], 0.0, 0.0, FIRST_SPEED_SIGMA ** 2 * abs(pulses), 0.0,
+                               STARTING_ACCELERATION ** 2)
         speed_square = self.speed * self.speed + self._variances[3]
         variance = speed_square * (TICK_VARIANCE if is_known else UNKNOWN_TIME_VARIANCE) + MAGNET_VARIANCE
         interval_ms = at_ms - self._pulse_ms
@@ -190,12 +204,6 @@ class WheelFilter:
         self._since_stop = 0
         self._variances = (1 / 12, 0.0, 0.0, STANDING_SPEED_VARIANCE, 0.0, STARTING_ACCELERATION ** 2)
 
-    def _start_rolling(self, sign, pulses):
-        """Let the wheel roll at its first pulse after a stand; v² grows with the pulses that come in one report."""
-        self.speed = sign * FIRST_SPEED * math.sqrt(pulses)
-        self._variances = (self._variances[0], 0.0, 0.0, FIRST_SPEED_SIGMA ** 2 * pulses, 0.0,
-                           STARTING_ACCELERATION ** 2)
-
     def _set_by_interval(self, place, speed, interval_ms, variance):
         """Set a slow wheel's speed to the mean over its last interval; estimating its acceleration would ring."""
         self.position, self.speed, self.acceleration = float(place), speed, 0.0
@@ -260,3 +268,49 @@ class WheelFilter:
         self.acceleration += pa * innovation
         self._variances = (pp - pp * pp / total, pv - pp * pv / total, pa - pp * pa / total,
                            vv - pv * pv / total, va - pv * pa / total, aa - pa * pa / total)
+
+
+def starting_difference(left: list, right: list) -> float | None:
+    """Return by how much two wheels' magnets differ at the start, right minus left, in pulses; ``None``: not known yet.
+
+    There each wheel is anywhere between two of its magnets. The first few pulses show by how much they differ if the
+    curvature stayed the same over these centimetres. While the ratio of the wheels' distances stays the same, their
+    positions lie on a line, and the start is where that line meets the possible positions. After many pulses without an
+    answer it is 0, the mean of all possible values.
+
+    Args:
+        left, right: each wheel's ``first_pulses``.
+    """
+    counts = len(left), len(right)
+    pairs = [] if min(counts) < ALIGNING_PULSES else _pairs(left, right)
+    if len(pairs) < ALIGNING_PULSES and max(counts) < LAST_ALIGNING_PULSES:
+        return None
+    slope, at_0 = _line(pairs)
+    if not 1 / MAX_RATIO < slope < MAX_RATIO:
+        return 0.0
+    low, high = max(0.0, -at_0 / slope), min(1.0, (1 - at_0) / slope)
+    start = (low + high) / 2
+    return max(-1.0, min(1.0, at_0 + slope * start - start))
+
+
+def _pairs(left, right):
+    """Return positions (left, right) of both wheels at the same time: at each pulse of one between two of the other."""
+    pairs = []
+    for pulses, others, is_left in ((left, right, True), (right, left, False)):
+        for at_ms, place in pulses:
+            for (before_ms, before), (after_ms, after) in zip(others, others[1:]):
+                if before_ms <= at_ms <= after_ms and before_ms < after_ms:
+                    other = before + (after - before) * (at_ms - before_ms) / (after_ms - before_ms)
+                    pairs.append((place, other) if is_left else (other, place))
+                    break
+    return pairs
+
+
+def _line(pairs):
+    """Return slope and value at 0 by least squares; slope 0 when the points are too few or give none."""
+    if len(pairs) < ALIGNING_PULSES:
+        return 0.0, 0.0
+    mean_x, mean_y = (sum(values) / len(pairs) for values in zip(*pairs))
+    spread = sum((x - mean_x) ** 2 for x, _ in pairs)
+    slope = sum((x - mean_x) * y for x, y in pairs) / spread if spread > 0 else 0.0
+    return slope, mean_y - slope * mean_x

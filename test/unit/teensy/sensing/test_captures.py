@@ -13,9 +13,8 @@ import pytest
 
 from captures import NAMES, NS_PER_US, load, replay
 from car_interface.teensy.link.protocol import SonarStatus
-from car_interface.teensy.sensing import verdicts
-from car_interface.teensy.sensing.clock import Sync
-from car_interface.teensy.sensing.clock_lines import ClockLines
+from car_interface.teensy.sensing import plausibility
+from car_interface.teensy.sensing.clock import ClockLines, Sync
 from car_interface.teensy.sensing.measurements import MotionMeasurement
 from car_interface.teensy.sensing.ranging import DISTRUSTED, HELD, MICROS_WRAP, STUCK, UNKNOWN
 
@@ -29,7 +28,7 @@ WAITING = ("dark_turnround", "dark_curve", "dark_reboot_unplug", "reboot_missing
            "reboot_missing_started")
 DARK = ("dark_turnround", "dark_curve", "dark_reboot", "dark_reboot_unplug")
 REBOOTS = ("reboot_rolling", "reboot_slalom", "reboot_missing", "reboot_no_sonars", "reboot_missing_started")
-WORTH_A_WORD = {verdicts.FIRST, verdicts.ODOMETERS_RESET, verdicts.CLOCK_RESTARTED}
+WORTH_A_WORD = {plausibility.FIRST, plausibility.ODOMETERS_RESET, plausibility.CLOCK_RESTARTED}
 
 
 class Error(NamedTuple):
@@ -116,7 +115,7 @@ def test_truth_lies_within_three_sigma_from_the_first_message_on(replayed, name)
 @pytest.mark.parametrize("name", REBOOTS)
 def test_reboots_in_mid_drive_leave_heading_and_place_with_sonars_or_without(replayed, name):
     capture, _, measurements, found = replayed(name)
-    assert measurements.gates.counts[verdicts.CLOCK_RESTARTED] == sum(event["event"] == "reboot"
+    assert measurements.gates.counts[plausibility.CLOCK_RESTARTED] == sum(event["event"] == "reboot"
                                                                       for event in capture.events)
     assert abs(found[-1].yaw_deg) <= 3.0 and found[-1].position_m <= 0.2
     boots_us = [event["t_us"] for event in capture.events if event["event"] == "power up"]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from car_interface.teensy.sensing.clock_lines import NS_PER_MS, Bound, ClockLines, PongBounds
+from car_interface.teensy.sensing.clock import NS_PER_MS, Bound, ClockLines, PongBounds
 
 HOST_NS = 7_000_000_000_000  # at tick 0 of a Teensy without skew
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from car_interface.teensy.sensing.heading import CURVATURE_VARIANCE, HEADING_VARIANCE, HeadingFilter
+from car_interface.teensy.sensing.pose import CURVATURE_VARIANCE, HEADING_VARIANCE, HeadingFilter
 
 STEP_M, STEP_S = 0.015, 0.015
 
@@ -39,14 +39,14 @@ def test_curvature_gets_uncertain_with_time_up_to_a_bound_while_rolling_and_not_
     assert heading.curvature_variance == 2 * CURVATURE_VARIANCE
 
 
-def test_begin_forgets_the_variances_and_keeps_the_curvature_and_resume_sets_everything():
+def test_begin_sets_the_heading_forgets_the_variances_and_keeps_the_curvature():
     heading = HeadingFilter()
     drive(heading, 0.5, 60)
     heading.begin(1.0, HEADING_VARIANCE)
     assert heading.yaw_rad == 1.0 and heading.curvature_variance == CURVATURE_VARIANCE
     assert heading.curvature_per_m == pytest.approx(0.5, abs=0.02)
-    heading.resume(2.0, 0.01, 0.3, 0.04)
-    assert (heading.yaw_rad, heading.curvature_per_m, heading.curvature_variance) == (2.0, 0.3, 0.04)
+    heading.begin(2.0, 0.01, 0.04)
+    assert (heading.yaw_rad, heading.curvature_variance) == (2.0, 0.04)
 
 
 def test_commanded_curvature_counts_the_more_the_longer_it_lasts_and_nothing_for_no_time():

@@ -5,9 +5,8 @@ import pytest
 from captures import load, replay
 from car_interface.teensy.link.pinging import Answer
 from car_interface.teensy.link.protocol import FORWARD, Pong, SonarStatus, Wheel, WheelStatus
-from car_interface.teensy.sensing import verdicts
+from car_interface.teensy.sensing import plausibility
 from car_interface.teensy.sensing.measurements import MAX_QUEUED, MeasurementConfig, Measurements
-from car_interface.teensy.sensing.plausibility import GateConfig
 
 MS, S = 1_000_000, 1_000_000_000
 START_NS = 5_000 * S
@@ -16,10 +15,10 @@ ECHO_US = 5824  # there and back over a metre at 20 °C
 
 @pytest.mark.once
 @pytest.mark.parametrize("record, reason", (
-    (SonarStatus(0, ECHO_US, 2_000), verdicts.TICK_BACK),
-    (SonarStatus(0, ECHO_US, 90_000), verdicts.TICK_AHEAD),
-    (Pong(1234, 9_000), verdicts.NOT_OUR_PING),
-    (WheelStatus(Wheel(0, 3, 9_000, 0, 0), Wheel(0, 0, 9_000, 1, 1)), verdicts.SENSOR_ERROR),
+    (SonarStatus(0, ECHO_US, 2_000), plausibility.TICK_BACK),
+    (SonarStatus(0, ECHO_US, 90_000), plausibility.TICK_AHEAD),
+    (Pong(1234, 9_000), plausibility.NOT_OUR_PING),
+    (WheelStatus(Wheel(0, 3, 9_000, 0, 0), Wheel(0, 0, 9_000, 1, 1)), plausibility.SENSOR_ERROR),
 ))
 def test_bad_record_is_named_and_changes_nothing(record, reason):
     _, measured = replay(load("stop_go"), until_us=10_000_000)
@@ -33,7 +32,7 @@ def test_bad_record_is_named_and_changes_nothing(record, reason):
 
 
 def test_pongs_alone_are_heard_however_far_apart_the_gates_let_them_be():
-    measured = Measurements(MeasurementConfig(gates=GateConfig(max_gap_ms=20_000)))
+    measured = Measurements(MeasurementConfig(max_gap_ms=20_000))
     for index in range(9):
         at_ns = START_NS + 10 * S * index
         assert measured.pong(Pong(index, 10_000 * index), Answer(at_ns, 4 * MS, 15), at_ns + 4 * MS).used
@@ -60,21 +59,22 @@ def report_of(count):
 ], ids=["process_queue", "steer", "sonar", "pong", "wheels"])
 def test_queued_reports_are_processed_before_what_comes_after_them(end):
     results = []
-    measured = Measurements(on_motion=lambda result, received_ns: results.append(received_ns))
+    measured = Measurements(on_motion=lambda result: results.append(result.stamp.time_ns))
     for count in range(3):
         measured.queue_wheels(report_of(count), START_NS + 100 * count * MS)
-    assert measured.has_queued and results == []
+    assert measured.queue and results == []
     end(measured)
-    assert not measured.has_queued and results == [START_NS + 100 * count * MS for count in range(3)]
+    assert not measured.queue
+    assert [stamp_ns - results[0] for stamp_ns in results] == [100 * count * MS for count in range(3)]
 
 
 def test_queue_is_bounded_and_a_refused_report_in_it_makes_nothing():
     results = []
-    measured = Measurements(on_motion=lambda result, received_ns: results.append(received_ns))
+    measured = Measurements(on_motion=lambda result: results.append(result.stamp.time_ns))
     for count in range(MAX_QUEUED):
         assert results == []
         measured.queue_wheels(report_of(count), START_NS + 100 * count * MS)
-    assert len(results) == MAX_QUEUED and not measured.has_queued
+    assert len(results) == MAX_QUEUED and not measured.queue
     measured.queue_wheels(WheelStatus(*2 * (Wheel(65535, FORWARD, 1000, 1, 1),)), START_NS + S)
     measured.process_queue()
-    assert len(results) == MAX_QUEUED and not measured.has_queued and measured.gates.refused == 1
+    assert len(results) == MAX_QUEUED and not measured.queue and measured.gates.refused == 1

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from car_interface.common.errors import ConfigError
 from car_interface.teensy.link.protocol import BACKWARD, FORWARD, NO_DIRECTION, Wheel, WheelStatus
 from car_interface.teensy.sensing.odometry import Odometry, OdometryConfig
-from car_interface.teensy.sensing.unseen_path import reversed_path
-from car_interface.teensy.sensing.verdicts import Verdict
+from car_interface.teensy.sensing.plausibility import Verdict
+from car_interface.teensy.sensing.pose import reversed_path
 
 PULSE_M = math.pi * 0.095 / 20
 TRACK_M = 0.296
@@ -88,6 +88,7 @@ def test_straight_way_is_straight_wherever_the_magnets_stood(phases):
     assert motion.y_m == pytest.approx(0.0, abs=0.05)
     assert motion.yaw_rad == pytest.approx(0.0, abs=math.radians(0.5))
     assert motion.speed_mps == pytest.approx(1.0, rel=0.02)
+    assert all(wheel.first_pulses is None for wheel in axle.odometry._wheels), "none is kept that nobody needs"
 
 
 @pytest.mark.once

@@ -10,9 +10,8 @@ from car_interface.sim.teensy_firmware import FirmwareConfig, TeensyFirmware
 from car_interface.sim.teensy_sensors import BACKWARD, FORWARD
 from car_interface.teensy.link.framing import FrameDecoder
 from car_interface.teensy.link.protocol import UINT32, Malformed, Pong, SonarStatus, Wheel, WheelStatus, decode
-from car_interface.teensy.sensing import verdicts as gates
-from car_interface.teensy.sensing.plausibility import Gates
-from car_interface.teensy.sensing.pulse_counts import signed_pulses
+from car_interface.teensy.sensing import plausibility as gates
+from car_interface.teensy.sensing.plausibility import Gates, signed_pulses
 from teensy_bench import CAPTURE
 from wheel_reports import HARM_M, PULSE_M, counted, crawl, judged, proven
 

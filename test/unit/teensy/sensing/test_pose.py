@@ -5,8 +5,7 @@ import random
 
 import pytest
 
-from car_interface.teensy.sensing.pose import Pose
-from car_interface.teensy.sensing.unseen_path import UnseenPath
+from car_interface.teensy.sensing.pose import Pose, UnseenPath
 
 
 def test_there_and_back_is_twice_the_distance():

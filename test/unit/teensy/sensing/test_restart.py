@@ -9,7 +9,9 @@ import os
 import pytest
 from accuracy import reboot as reboot_accuracy
 
-from car_interface.teensy.sensing.restart import LEFT, RIGHT, CarState, RestartBridge, WheelState
+from car_interface.teensy.sensing.pose import HEADING_VARIANCE, HeadingFilter
+from car_interface.teensy.sensing.restart import LEFT, RIGHT, RestartBridge
+from car_interface.teensy.sensing.wheel_filter import WheelFilter
 
 TRACK_M, PULSE_M = reboot_accuracy.TRACK_M, reboot_accuracy.PULSE_M
 BEFORE_MS = 10_000.0
@@ -56,8 +58,12 @@ class Bridge(RestartBridge):
 
     def __init__(self, speed=0.066, curvature=0.0, blind_ms=310):
         self.speeds = [speed * (1 + sign * curvature * TRACK_M / 2) for sign in (-1, 1)]
-        wheels = tuple(WheelState(100, 100.5, one) for one in self.speeds)
-        super().__init__(CarState(BEFORE_MS, wheels, curvature, 0.01), TRACK_M)
+        wheels, heading = (WheelFilter(), WheelFilter()), HeadingFilter()
+        for wheel, one in zip(wheels, self.speeds):
+            wheel.count, wheel.position, wheel.speed = 100, 100.5, one
+        heading.begin(0.0, HEADING_VARIANCE, 0.01)
+        heading.curvature_per_m = curvature
+        super().__init__(BEFORE_MS, wheels, heading, TRACK_M)
         self.begin_ms, self.places = BEFORE_MS + blind_ms, [100.5 + one * blind_ms for one in self.speeds]
         self.report(self.begin_ms)
 

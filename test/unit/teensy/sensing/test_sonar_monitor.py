@@ -289,7 +289,7 @@ def test_pin_that_stays_stuck_costs_no_range_of_a_wall_that_a_moving_car_comes_n
 def test_clone_is_told_with_the_parameter_that_it_needs_and_beside_it_for_ten_seconds_a_pin_that_blinked():
     sonars = Sonars().run(1)
     sonars.monitor.clones = {2: 200.004}
-    sonars.monitor.blinked(1, sonars.now_ns)
+    sonars.monitor.blinked[1] = sonars.now_ns
     words, next_step = describe(sonars.monitor.faults(sonars.now_ns))
     assert "front_middle's echo pin was high for over a second" in words
     assert "Check its echo wire and supply" in next_step and "~no_echo_timeouts/front_left to 200" in next_step
@@ -304,7 +304,7 @@ def test_last_sonar_of_the_sequence_is_never_dropped():
     assert sonars.command is None and "front_left seems stuck high" in sonars.words
 
 
-def aimed(ahead=AHEAD, sequence=None):
+def aimed(ahead=AHEAD, sequence=()):
     """A monitor of a car that drives forward since 0.1 s, and what it sent for that."""
     monitor = SonarMonitor(3.0, sequence, ahead)
     monitor.opened(0)

@@ -4,8 +4,7 @@ import math
 
 import pytest
 
-from car_interface.teensy.sensing.restart import WheelStart
-from car_interface.teensy.sensing.wheel_filter import STANDS_AFTER_MS, WheelFilter
+from car_interface.teensy.sensing.wheel_filter import STANDS_AFTER_MS, WheelFilter, WheelStart
 
 NOW = 1000.0
 
@@ -102,4 +101,4 @@ def test_first_pulses_are_kept_for_the_alignment_until_nobody_needs_them(wheel):
     assert wheel.first_pulses == [(NOW + 20, 1), (NOW + 40, 2), (NOW + 60, 3)]
     wheel.first_pulses = None
     roll(wheel, 3, 20, begin_ms=NOW + 60)
-    assert wheel.first_pulses is None and wheel.updates == 6
+    assert wheel.first_pulses is None and wheel.count == 6

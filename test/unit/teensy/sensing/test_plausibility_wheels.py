@@ -3,8 +3,8 @@
 import pytest
 
 from car_interface.teensy.link.protocol import BACKWARD, FORWARD, NO_DIRECTION, Pong, Wheel, WheelStatus
-from car_interface.teensy.sensing import verdicts as gates
-from car_interface.teensy.sensing.plausibility import GateConfig, Gates
+from car_interface.teensy.sensing import plausibility as gates
+from car_interface.teensy.sensing.plausibility import Gates
 from wheel_reports import (
     LAST,
     NEW,
@@ -60,7 +60,7 @@ def test_report_that_can_not_be_is_refused_by_name_and_does_no_harm(wheel, reaso
 @pytest.mark.parametrize("speed, is_possible", [(2000, True), (2001, False)])
 def test_a_reported_speed_may_be_twice_the_top_speed_and_that_of_a_tick_more(speed, is_possible):
     """Magnets may be near to each other; 500 pulses/s are 10 m/s with a pulse every 2 cm."""
-    some = Gates(GateConfig(top_speed_mps=10.0, pulse_m=0.02))
+    some = Gates(top_speed_mps=10.0, pulse_m=0.02)
     assert some.wheels(report(NEXT._replace(speed=speed))).accepted == is_possible
 
 

@@ -3,9 +3,8 @@
 import pytest
 
 from car_interface.teensy.link.protocol import Pong
-from car_interface.teensy.sensing import verdicts as gates
-from car_interface.teensy.sensing.plausibility import Gates
-from car_interface.teensy.sensing.tick_gate import TickGate
+from car_interface.teensy.sensing import plausibility as gates
+from car_interface.teensy.sensing.plausibility import Gates, TickGate
 from wheel_reports import judged, sonar
 
 

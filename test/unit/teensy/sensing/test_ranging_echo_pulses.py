@@ -2,7 +2,7 @@
 
 import pytest
 
-from car_interface.teensy.sensing.echo_pulses import EchoPulses
+from car_interface.teensy.sensing.ranging import EchoPulses
 
 WALL_US, NONE_US, CLONE_US = 5_810, 37_987, 199_987
 FAILED_MS = 29.443  # of a sonar that does not answer

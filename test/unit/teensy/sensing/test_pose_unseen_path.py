@@ -5,9 +5,7 @@ import random
 
 import pytest
 
-from car_interface.teensy.sensing.heading import CURVATURE_NOISE, CURVATURE_VARIANCE
-from car_interface.teensy.sensing.pose import Pose
-from car_interface.teensy.sensing.unseen_path import curved_path, reversed_path
+from car_interface.teensy.sensing.pose import CURVATURE_NOISE, CURVATURE_VARIANCE, Pose, curved_path, reversed_path
 
 
 def drive(legs):
@@ -33,7 +31,7 @@ def test_curve_that_changed_on_the_way_is_within_what_is_claimed(distance_m):
         if abs(turned / distance_m - before) <= CURVATURE_NOISE:
             continue  # it is not seen to have changed
         path = curved_path(distance_m, turned, before, 0.0)
-        (leg_m, leg_rad), = path.legs
+        leg_m, leg_rad = path.leg
         there = drive([(first_m, before * first_m), (last_m, after * last_m)])
         guess = drive([(leg_m, leg_rad), (distance_m - leg_m, turned - leg_rad)])
         offs.append(math.hypot(there.x_m - guess.x_m, there.y_m - guess.y_m) / math.sqrt(path.across_variance))
@@ -43,7 +41,7 @@ def test_curve_that_changed_on_the_way_is_within_what_is_claimed(distance_m):
 def test_long_slalom_is_as_uncertain_along_its_way_as_the_average_over_all_that_can_have_been():
     rng, length_m, usual, before, turned = random.Random(3), 8.0, 0.4, 0.3, -0.4
     path, squares = curved_path(length_m, turned, before, usual ** 2), []
-    guess = drive([*path.legs, (length_m - path.legs[0][0], turned - path.legs[0][1])])
+    guess = drive([path.leg, (length_m - path.leg[0], turned - path.leg[1])])
     latest = 1 - abs(turned / length_m - before) / 2
     for _ in range(4000):
         part, swing = rng.uniform(0, latest), rng.uniform(-usual, usual)
@@ -76,7 +74,7 @@ def test_reversals_are_as_uncertain_as_the_average_over_all_that_can_have_been()
         known.append((forward * part + back * (1 - part)) * length_m)
     mean_square = sum(difference ** 2 for difference in known) / len(known)
     path = reversed_path(length_m, math.sqrt(mean_square), False)
-    assert path.legs == ()
+    assert path.leg == (0.0, 0.0)
     assert path.along_variance == pytest.approx(sum(along ** 2 for along, _ in ends) / len(ends), rel=0.05)
     assert path.heading_variance == pytest.approx(sum(turn ** 2 for _, turn in ends) / len(ends), rel=0.15)
     together = sum(along * turn * difference for (along, turn), difference in zip(ends, known)) / len(ends)
@@ -85,7 +83,7 @@ def test_reversals_are_as_uncertain_as_the_average_over_all_that_can_have_been()
 
 def test_one_reversal_is_the_likeliest_and_three_are_within_three_sigma():
     path = reversed_path(-1.5, 0.3, True)
-    assert path.legs == ((-1.5, 0.3),)
+    assert path.leg == (-1.5, 0.3)
     assert 3 * math.sqrt(path.along_variance) == pytest.approx(2 * 1.5), "all of it may have been the other way"
     tight = reversed_path(-0.5, 0.6, True)
     assert 0.9 < tight.heading_covariance ** 2 / (tight.along_variance * tight.heading_variance) < 1.0

@@ -3,7 +3,7 @@
 import pytest
 
 from car_interface.teensy.link.protocol import BACKWARD, FORWARD, UINT32, Wheel
-from car_interface.teensy.sensing.pulse_counts import learning_pulses, signed_pulses
+from car_interface.teensy.sensing.plausibility import learning_pulses, signed_pulses
 from wheel_reports import NEW, forward
 
 
