@@ -23,9 +23,8 @@ from dynamic_reconfigure.msg import Config, ConfigDescription, IntParameter
 from dynamic_reconfigure.srv import ReconfigureResponse
 
 from car_interface.common.publishers import ANY, Publisher
-from car_interface.ros.backlog import MAX_WAIT_NS
 from car_interface.ros.clocks import Clocks
-from car_interface.ros.inbox import Inbox
+from car_interface.ros.inbox import MAX_WAIT_NS, Inbox
 from car_interface.ros.runtime import Steps, describe_error, read_params
 
 NS_PER_S = 1_000_000_000

@@ -1,4 +1,4 @@
-"""Notices that a node stood still, and drops what was sent to it meanwhile.
+"""Drops what was sent to a node while it stood still.
 
 A node that was frozen finds the messages of that time in the sockets of its connections, and in the buffers of those
 who sent them; when it goes on they arrive all at once and look new. So every connection is replaced by a new one, which
@@ -14,39 +14,12 @@ from typing import Any, Callable
 
 import rospy
 
-from car_interface.common.units import NS_PER_MS, NS_PER_S
+from car_interface.common.units import NS_PER_S
 from car_interface.ros.graph import RosGraph
 
-# The timeout of the arbiters' inputs (``human_timeout`` and the others): after so long each input is stale anyway, so
-# that a computer which is only busy stops no car that its timeouts wouldn't stop. Less makes an input look younger by
-# less than its timeout.
-STANDSTILL_NS = 500 * NS_PER_MS
-MAX_WAIT_NS = NS_PER_S  # a node's thread wakes at least so often
-FALLBACK_NS = 1000 * NS_PER_MS  # where connections can't be replaced nothing is obeyed for so long
+FALLBACK_NS = NS_PER_S  # where connections can't be replaced nothing is obeyed for so long
 
 Handler = Callable[[Any, int], None]
-
-
-class StandstillWatch:
-    """Compares when a thread was to wake with when it did, and how long its steps take.
-
-    Args:
-        now_ns: its first step is due now.
-    """
-
-    def __init__(self, now_ns: int):
-        self._expected_ns = now_ns
-
-    def begin_step(self, now_ns: int) -> int:
-        """Begin a step; return for how long the thread has stood still before it, ns; 0 = it hasn't."""
-        late_ns = now_ns - self._expected_ns
-        self._expected_ns = now_ns
-        return late_ns if late_ns >= STANDSTILL_NS else 0
-
-    def end_step(self, now_ns: int, due_ns: float) -> None:
-        """End a step, after which the next one is due at ``due_ns``, unless the step itself lasted too long."""
-        if now_ns - self._expected_ns < STANDSTILL_NS:
-            self._expected_ns = int(max(now_ns, min(due_ns, now_ns + MAX_WAIT_NS)))
 
 
 class Backlog:

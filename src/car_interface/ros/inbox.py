@@ -17,11 +17,12 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from car_interface.common.causes import NODE_STOOD_STILL
 from car_interface.common.staleness import DROPPED
 from car_interface.common.units import NS_PER_S
-from car_interface.ros.backlog import MAX_WAIT_NS, Backlog
+from car_interface.ros.backlog import Backlog
 from car_interface.ros.graph import ROS, RosGraph
 from car_interface.ros.logs import ThrottledWarnings
 
 INBOX_LIMIT = 10_000  # more than any node receives while its thread waits for a device
+MAX_WAIT_NS = NS_PER_S  # a node's thread wakes at least so often
 SHOWN_NS = 10 * NS_PER_S  # how long /diagnostics reports an overflow or a standstill
 # Errors for the caller of a service.
 ENDED, TOO_BUSY = "the node has ended", f"the node was held up for too long: {DROPPED}, and this request with them"
