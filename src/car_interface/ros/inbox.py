@@ -1,10 +1,9 @@
 """The queue between the callbacks of ROS and a node's one thread."""
 from __future__ import annotations
 
-import io
 import logging
-import os
 import select
+import socket
 import threading
 import traceback
 from concurrent.futures import Future, InvalidStateError
@@ -31,7 +30,7 @@ ENDED, TOO_BUSY = "the node has ended", f"the node was held up for too long: {DR
 class Inbox:
     """Passes what callbacks receive to the node's thread, in order, and wakes it.
 
-    It waits with select on a pipe: before Python 3.11 a timed ``Condition.wait`` follows the settable clock, and poll
+    It waits with select on a socket: before Python 3.11 a timed ``Condition.wait`` follows the settable clock, and poll
     rounds up to whole milliseconds.
 
     It is bounded. When it is full, because the node's thread was held up, all items in it are dropped: among them may
@@ -62,12 +61,10 @@ class Inbox:
         self._limit = limit
         self._items: list[tuple] = []  # ((handler, item, arrival_ns), on_drop)
         self._lock = threading.Lock()  # of the items
-        self._wake_read, self._wake_write = os.pipe()
         # Closed by the garbage collector after the last use: a closed fd's number may be a serial port's by then.
-        self._pipe = [io.FileIO(fd) for fd in (self._wake_read, self._wake_write)]
-        os.set_blocking(self._wake_read, False)
-        os.set_blocking(self._wake_write, False)
-        self._watched = [self._wake_read]
+        self._woken, self._waker = socket.socketpair()
+        self._waker.setblocking(False)
+        self._watched: list = [self._woken]
 
     @property
     def node_name(self) -> str:
@@ -200,10 +197,8 @@ class Inbox:
 
     def wake(self) -> None:
         """End the node's wait, now or the next one. For signal handlers too."""
-        try:
-            os.write(self._wake_write, b"\0")
-        except BlockingIOError:
-            pass  # the pipe is full of wake-ups already
+        with suppress(BlockingIOError):  # there are enough wake-ups already
+            self._waker.send(b"\0")
 
     def end(self) -> None:
         """Have the node's thread leave its loop."""
@@ -222,8 +217,8 @@ class Inbox:
         """Sleep until an item arrives, a watched fd is readable, or the monotonic clock reaches the deadline."""
         left_ns = max(0, min(deadline_ns - self.clocks.now_ns(), MAX_WAIT_NS))
         ready, _, _ = select.select(self._watched, [], [], left_ns / NS_PER_S)
-        if self._wake_read in ready:
-            os.read(self._wake_read, 4096)
+        if self._woken in ready:
+            self._woken.recv(4096)
 
     def drain(self) -> list[tuple]:
         """Remove and return all items, oldest first, as (handler, item, arrival_ns)."""
