@@ -259,7 +259,7 @@ def _limited(read_messages, offset=0):
             if not messages:
                 _check_length(buffer, offset, connection)
         except MessageTooLong as error:
-            if self.direction == INBOUND:  # of a subscription; what fails a service is logged by who handles or calls it
+            if self.direction == INBOUND:  # of a subscription; of a service who handles or calls it logs that
                 _warnings.warn(f"length {self.resolved_name}", f"{self.resolved_name}: {error}")
             raise
     return read
