@@ -93,7 +93,7 @@ class CommandTopics:
         if self._on_fault is not None and (fault or self._master_fault):
             self.inbox.put(self._on_fault, fault)
         self._master_fault = fault
-        subscriptions = [backlog.subscriber.impl for backlog in self.inbox.backlogs]
+        subscriptions = [each.subscriber.impl for each in self.inbox.subscriptions]
         topics = [self._look_up(each, listed, lookup) for each in subscriptions if each is not None]  # None: closed
         found = topics, self._find_unheard(listed, self.inbox.resolve_name)
         if found != self._found:

@@ -16,7 +16,6 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from car_interface.common.causes import NODE_STOOD_STILL
 from car_interface.common.staleness import DROPPED
 from car_interface.common.units import NS_PER_S
-from car_interface.ros.backlog import Backlog
 from car_interface.ros.graph import ROS, RosGraph
 from car_interface.ros.logs import ThrottledWarnings
 
@@ -47,7 +46,7 @@ class Inbox:
         self.graph = graph
         self.clocks = graph.clocks
         self.ending = False
-        self.backlogs: list[Backlog] = []  # one for each topic that the node subscribes to
+        self.subscriptions: list[Any] = []  # of ``topics``: one for each topic that the node subscribes to
         self._node_name = node_name
         self._close_actions: list[Callable[[], None]] = []
         self._open_requests: set[Future] = set()  # service calls that wait for an answer
@@ -163,15 +162,15 @@ class Inbox:
         lasted = f" for {still_ns / NS_PER_S:.2f} s" if still_ns else ""
         self.standstill_text = f"{NODE_STOOD_STILL}{lasted}: what was sent meanwhile is dropped"
         self._stood_still_ns = now_ns
-        for backlog in self.backlogs:
-            backlog.renew()
+        for subscription in self.subscriptions:
+            subscription.renew()
         for handler in self._overflow_handlers:
             handler(now_ns)
 
     @property
     def old_messages(self) -> int:
         """Return how many messages were dropped because the node stood still when they were sent."""
-        return sum(backlog.dropped for backlog in self.backlogs)
+        return sum(subscription.dropped for subscription in self.subscriptions)
 
     def report(self, status) -> None:
         """Add to a report whether the node stood still or messages were dropped in the last 10 s, and how many ever."""

@@ -33,8 +33,8 @@ from rospy.impl.paramserver import get_param_server_cache
 from car_interface.common import causes
 from car_interface.common.errors import CarInterfaceError, ConfigError, EndedEarly
 from car_interface.common.fixed_parameters import fixed_parameters
-from car_interface.common.memory_limit import describe_shortage
 from car_interface.common.params import Params
+from car_interface.common.process_setup import describe_shortage
 from car_interface.common.units import NS_PER_MS, NS_PER_S
 from car_interface.ros.diagnostics import ERROR, OK, Diagnostics
 from car_interface.ros.inbox import MAX_WAIT_NS, Inbox
@@ -184,7 +184,7 @@ class Steps:
         """Step the node once; return when the next step is due if nothing arrives before, ns."""
         inbox, began_ns = self._inbox, self._inbox.clocks.now_ns()
         late_ns = began_ns - self._due_ns
-        if late_ns >= STANDSTILL_NS and inbox.backlogs and not self._notices_standstill:
+        if late_ns >= STANDSTILL_NS and inbox.subscriptions and not self._notices_standstill:
             inbox.begin_anew(began_ns, late_ns)
             rospy.logwarn("%s; what is sent from now on counts", inbox.standstill_text)
         due_ns = self._node.step(began_ns)

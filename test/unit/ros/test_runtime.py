@@ -27,7 +27,7 @@ class Inbox:
     """A node's inbox and clock, which goes on as the node waits."""
 
     def __init__(self, **parameters):
-        self.now_ns, self.ending, self.backlogs, self.begun_anew, self.waits = 0, False, [], [], []
+        self.now_ns, self.ending, self.subscriptions, self.begun_anew, self.waits = 0, False, [], [], []
         self.node_name, self.standstill_text = "/cars/red/turn_arb", "it stood still"
         self.clocks = SimpleNamespace(now_ns=lambda: self.now_ns, sleep=lambda seconds: self.waits.append("sleep"))
         self.graph = SimpleNamespace(parameter=parameters.get)
@@ -69,13 +69,13 @@ def test_a_node_is_stepped_when_it_is_due_until_it_ends_and_is_shut_down_before_
     assert inbox.waits == [NS_PER_S, 2 * NS_PER_S, 3 * NS_PER_S, "sleep"]
 
 
-@pytest.mark.parametrize("still_s, backlogs, attributes, begins", [
+@pytest.mark.parametrize("still_s, subscriptions, attributes, begins", [
     (3, ["one"], {}, True), (3, ["one"], {"notices_standstill": False}, True), (0, ["one"], {}, False),
     (3, [], {}, False), (3, ["one"], {"notices_standstill": True}, False)],
     ids=["it_does", "it_says_so", "on_time", "without_subscriptions", "it_sees_to_that_itself"])
-def test_a_node_that_stood_still_begins_anew(still_s, backlogs, attributes, begins):
+def test_a_node_that_stood_still_begins_anew(still_s, subscriptions, attributes, begins):
     inbox = Inbox()
-    inbox.backlogs = backlogs
+    inbox.subscriptions = subscriptions
     steps = Steps(SimpleNamespace(step=lambda now_ns: now_ns, **attributes), inbox)
     inbox.now_ns += still_s * NS_PER_S
     assert steps.step() == inbox.now_ns
@@ -90,7 +90,7 @@ def standstills(*steps):
             from its end to when the next one is due.
     """
     inbox = Inbox()
-    inbox.backlogs, inbox.now_ns = ["one"], START
+    inbox.subscriptions, inbox.now_ns = ["one"], START
 
     def step(now_ns):
         inbox.now_ns += round(lasts * MS)

@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("rospy")
 
-from car_interface.ros.backlog import Backlog
+from car_interface.ros.topics import Subscription
 
 MS = 1_000_000
 START = 1000 * 1000 * MS
@@ -17,9 +17,10 @@ class Node:
     def __init__(self, takes_latched=None):
         self.now_ns, self.fails, self.retired, self.replaced, self.obeyed = 0, False, [], [], []
         graph = SimpleNamespace(clocks=SimpleNamespace(now_ns=lambda: self.now_ns), replace_connections=self.replace)
-        self.backlog = Backlog(graph) if takes_latched is None else Backlog(graph, takes_latched)
-        self.backlog.subscriber = "subscriber"
-        self._handle = self.backlog.without_old(lambda message, arrival_ns: self.obeyed.append(arrival_ns))
+        inbox = SimpleNamespace(graph=graph)
+        self.subscription = Subscription(inbox) if takes_latched is None else Subscription(inbox, takes_latched)
+        self.subscription.subscriber = "subscriber"
+        self._handle = self.subscription.without_old(lambda message, arrival_ns: self.obeyed.append(arrival_ns))
 
     def replace(self, subscriber):
         if self.fails:
@@ -29,9 +30,9 @@ class Node:
 
     def obeys(self, arrival_ns, header=None):
         """Whether a message is obeyed; those that aren't are counted."""
-        before = len(self.obeyed), self.backlog.dropped
+        before = len(self.obeyed), self.subscription.dropped
         self._handle(SimpleNamespace(_connection_header=header), arrival_ns)
-        after = len(self.obeyed), self.backlog.dropped
+        after = len(self.obeyed), self.subscription.dropped
         assert sum(after) == sum(before) + 1
         return after[0] > before[0]
 
@@ -49,7 +50,7 @@ def test_before_connections_are_renewed_each_message_is_obeyed():
 def test_what_arrived_until_connections_were_renewed_is_old_and_what_still_comes_over_the_old_ones():
     node, old, new = Node(), {"latching": "0"}, {"latching": "0"}
     node.retired = [old]
-    node.backlog.renew()
+    node.subscription.renew()
     assert node.replaced == ["subscriber"]
     assert not node.obeys(0) and node.obeys(1) and node.obeys(1, new) and node.obeys(1, {})
     assert not node.obeys(5 * START, old)
@@ -58,23 +59,23 @@ def test_what_arrived_until_connections_were_renewed_is_old_and_what_still_comes
 @pytest.mark.parametrize("takes_latched", [None, False, True])
 def test_the_first_message_of_a_latching_publisher_s_new_connection_is_its_last_word(takes_latched):
     node, first, second = Node(takes_latched), latching(), latching()
-    node.backlog.renew()
+    node.subscription.renew()
     assert node.obeys(0, first) == node.obeys(1, second) == bool(takes_latched)
     assert node.obeys(2, first) and node.obeys(2, second) and not node.obeys(0, first)
     node.retired = [first]
-    node.backlog.renew()
+    node.subscription.renew()
     assert not node.obeys(3, first)
     assert node.obeys(3, second) == bool(takes_latched)
 
 
 def test_where_connections_can_not_be_replaced_nothing_is_obeyed_for_a_second(caplog):
     node = Node(takes_latched=True)
-    node.backlog.renew()
+    node.subscription.renew()
     node.fails, node.now_ns = True, START
-    node.backlog.renew()
+    node.subscription.renew()
     assert "RuntimeError: another rospy" in caplog.text
     assert not node.obeys(START + 1000 * MS) and not node.obeys(START + 1000 * MS, latching())
     assert node.obeys(START + 1000 * MS + 1)
     node.fails = False
-    node.backlog.renew()
+    node.subscription.renew()
     assert node.obeys(START, latching())
