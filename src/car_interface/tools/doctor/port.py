@@ -7,9 +7,8 @@ import select
 import time
 from typing import Any, Sequence
 
-from car_interface.common.device_access import SETUP_COMMAND
+from car_interface.common.device_access import SETUP_COMMAND, openers
 from car_interface.common.header import port_note, read_header
-from car_interface.common.processes import openers
 from car_interface.common.units import NS_PER_MS, NS_PER_S
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.teensy.link import protocol
