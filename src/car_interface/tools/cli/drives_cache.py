@@ -12,8 +12,8 @@ import json
 import os
 from typing import Any, Mapping, NamedTuple
 
-from car_interface.common.atomic_file import replace
 from car_interface.common.input_file import read_file
+from car_interface.common.output import replace
 from car_interface.tools.recordings.recording import METADATA, ROS2_SUFFIXES
 from car_interface.tools.report.drives_row import Row, stored_row
 
