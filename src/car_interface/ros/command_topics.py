@@ -65,8 +65,8 @@ class CommandTopics:
         self._more_faults = more_faults or (lambda now_ns, topics: [])
         self._find_unheard = find_unheard or (lambda listed, resolve: [])
         self._log = FaultLog()
-        self._master_fault = ""  # these two: of the watch's thread
-        self._found: tuple[list[CommandTopic], list[Fault]] = [], []
+        # The watch's thread sets these three.
+        self._master_fault = ""
         self.topics: list[CommandTopic] = []  # as they were found last; none = not yet
         self.unheard: list[Fault] = []  # what ``find_unheard`` found last
         self.reports = {REPORT: self._report}  # for ``Diagnostics``
@@ -80,10 +80,11 @@ class CommandTopics:
                 and with an empty line when it is over.
         """
         self._report_now, self._on_fault = report_now, on_fault
+        self.inbox.on_overflow(lambda now_ns: report_now())  # what was dropped may have asked for that
         self.inbox.graph.watch(PROCESS_WATCH, self)
 
     def update(self, fault: str, listed: Mapping[str, list[str]], lookup: PublisherLookup) -> None:
-        """Pass what is new to the node's thread. Called in the watch's thread.
+        """Take what was found, and have what is new reported. Called in the watch's thread.
 
         Args:
             fault: the master's.
@@ -95,23 +96,15 @@ class CommandTopics:
         self._master_fault = fault
         subscriptions = [each.subscriber.impl for each in self.inbox.subscriptions]
         topics = [self._look_up(each, listed, lookup) for each in subscriptions if each is not None]  # None: closed
-        found = topics, self._find_unheard(listed, self.inbox.resolve_name)
-        if found != self._found:
-            self._found = found
-            self.inbox.put(self._on_topics, found, on_drop=self._forget)
-
-    def _forget(self):
-        """Have what was found passed on again."""
-        self._found = [], []
+        unheard = self._find_unheard(listed, self.inbox.resolve_name)
+        if (topics, unheard) != (self.topics, self.unheard):
+            self.topics, self.unheard = topics, unheard
+            self.inbox.put(lambda _, now_ns: self._report_now(), None)
 
     def _look_up(self, subscription, listed, lookup):
         name = subscription.resolved_name
         publishers = lookup.publishers(subscription, listed.get(name, []))
         return CommandTopic(name, self._types.get(name, subscription.type), publishers, name in self._shared)
-
-    def _on_topics(self, found, now_ns):
-        self.topics, self.unheard = found
-        self._report_now()
 
     def _report(self, status):
         """For /diagnostics: each fault with its remedy, and all publishers."""
