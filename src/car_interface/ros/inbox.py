@@ -52,9 +52,7 @@ class Inbox:
         self._open_requests: set[Future] = set()  # service calls that wait for an answer
         self._closed = False
         self.dropped = 0
-        self._dropped_ns = -SHOWN_NS  # when the node handled the last overflow
-        self._stood_still_ns = -SHOWN_NS  # when the node last noticed that
-        self.standstill_text = ""  # and a line about it
+        self._faults: dict[int, tuple[int, str]] = {}  # when the node last noticed one, and a line about it; by level
         self._overflow_handlers: list[Callable[[int], None]] = []
         self._overflow_warnings = ThrottledWarnings(self.clocks, rospy.logerr)
         self._limit = limit
@@ -153,19 +151,21 @@ class Inbox:
         """Have the node's thread call ``handler(now_ns)`` after messages were dropped, before it handles newer ones."""
         self._overflow_handlers.append(handler)
 
-    def begin_anew(self, now_ns: int, still_ns: int) -> None:
+    def begin_anew(self, now_ns: int, still_ns: int) -> str:
         """Drop all messages that were sent so far. To be called in the node's thread, after it stood still.
 
         Args:
             still_ns: for how long; 0 = unknown.
+
+        Returns:
+            A line about it.
         """
-        lasted = f" for {still_ns / NS_PER_S:.2f} s" if still_ns else ""
-        self.standstill_text = f"{NODE_STOOD_STILL}{lasted}: what was sent meanwhile is dropped"
-        self._stood_still_ns = now_ns
         for subscription in self.subscriptions:
             subscription.renew()
-        for handler in self._overflow_handlers:
-            handler(now_ns)
+        lasted = f" for {still_ns / NS_PER_S:.2f} s" if still_ns else ""
+        text = f"{NODE_STOOD_STILL}{lasted}: what was sent meanwhile is dropped"
+        self._lose_all(DiagnosticStatus.WARN, text, now_ns)
+        return text
 
     @property
     def old_messages(self) -> int:
@@ -175,24 +175,23 @@ class Inbox:
     def report(self, status) -> None:
         """Add to a report whether the node stood still or messages were dropped in the last 10 s, and how many ever."""
         now_ns = self.clocks.now_ns()
-        if now_ns - self._stood_still_ns < SHOWN_NS:
-            status.mergeSummary(DiagnosticStatus.WARN, self.standstill_text)
-        if now_ns - self._dropped_ns < SHOWN_NS:
-            status.mergeSummary(DiagnosticStatus.ERROR, self._overflow_text)
+        for level, (noticed_ns, text) in self._faults.items():
+            if now_ns - noticed_ns < SHOWN_NS:
+                status.mergeSummary(level, text)
         if self.dropped:
             status.add("messages dropped by its inbox", self.dropped)
         if self.old_messages:
             status.add("messages dropped after it stood still", self.old_messages)
 
     def _on_overflow(self, _, now_ns):
-        self._dropped_ns = now_ns
-        self._overflow_warnings.warn("overflow", f"{self._overflow_text}; all that was heard before counts as lost")
+        text = f"the inbox of this node overflowed: {DROPPED}, {self.dropped} in all"
+        self._overflow_warnings.warn("overflow", f"{text}; all that was heard before counts as lost")
+        self._lose_all(DiagnosticStatus.ERROR, text, now_ns)
+
+    def _lose_all(self, level, text, now_ns):
+        self._faults[level] = now_ns, text
         for handler in self._overflow_handlers:
             handler(now_ns)
-
-    @property
-    def _overflow_text(self):
-        return f"the inbox of this node overflowed: {DROPPED}, {self.dropped} in all"
 
     def wake(self) -> None:
         """End the node's wait, now or the next one. For signal handlers too."""

@@ -185,8 +185,7 @@ class Steps:
         inbox, began_ns = self._inbox, self._inbox.clocks.now_ns()
         late_ns = began_ns - self._due_ns
         if late_ns >= STANDSTILL_NS and inbox.subscriptions and not self._notices_standstill:
-            inbox.begin_anew(began_ns, late_ns)
-            rospy.logwarn("%s; what is sent from now on counts", inbox.standstill_text)
+            rospy.logwarn("%s; what is sent from now on counts", inbox.begin_anew(began_ns, late_ns))
         due_ns = self._node.step(began_ns)
         ended_ns = inbox.clocks.now_ns()
         lasted_too_long = ended_ns - began_ns >= STANDSTILL_NS

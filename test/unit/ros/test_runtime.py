@@ -28,7 +28,7 @@ class Inbox:
 
     def __init__(self, **parameters):
         self.now_ns, self.ending, self.subscriptions, self.begun_anew, self.waits = 0, False, [], [], []
-        self.node_name, self.standstill_text = "/cars/red/turn_arb", "it stood still"
+        self.node_name = "/cars/red/turn_arb"
         self.clocks = SimpleNamespace(now_ns=lambda: self.now_ns, sleep=lambda seconds: self.waits.append("sleep"))
         self.graph = SimpleNamespace(parameter=parameters.get)
 
