@@ -23,7 +23,7 @@ from typing import Iterable
 from car_interface.common.errors import CarInterfaceError
 
 WRITE_BITS = 0o222
-NEW = re.compile(r"\.new-(\d{1,9})-[0-9a-f]{8}$")  # ends the name of a file that isn't in place yet
+NEW = re.compile(r"\.new-(\d+)-[0-9a-f]{8}$")  # ends the name of a file that isn't in place yet
 RECORDING_BEGINS = (b"#ROSBAG", b"SQLite format 3", b"\x89MCAP")
 STREAMS = {"/dev/stdout": 1, "/dev/stderr": 2}  # opened by name they would truncate a file that they are redirected to
 
@@ -166,19 +166,9 @@ def _remove_leftovers(path):
     folder, name = map(glob.escape, os.path.split(path))
     for left_path in glob.iglob(os.path.join(folder, f".{name}.new-*")):
         writer = NEW.search(left_path)
-        if writer and not _is_alive(int(writer[1])):
+        if writer and not os.path.exists(f"/proc/{writer[1]}"):
             with suppress(OSError):  # it is gone, no file, or somebody else's
                 os.unlink(left_path)
-
-
-def _is_alive(process):
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        pass  # it is another user's
-    return True
 
 
 def _back_up(path, old):
