@@ -89,14 +89,15 @@ def standstills(*steps):
         steps: (waits, lasts, due): ms from the end of the step before to this one's begin, ms that it lasts, and ms
             from its end to when the next one is due.
     """
-    inbox = Inbox()
+    inbox, found = Inbox(), []
     inbox.subscriptions, inbox.now_ns = ["one"], START
 
     def step(now_ns):
+        _, lasts, due = steps[len(found)]
         inbox.now_ns += round(lasts * MS)
         return inbox.now_ns + due * MS
-    stepped, found = Steps(SimpleNamespace(step=step), inbox), []
-    for waits, lasts, due in steps:
+    stepped = Steps(SimpleNamespace(step=step), inbox)
+    for waits, _, _ in steps:
         inbox.now_ns += round(waits * MS)
         inbox.begun_anew.clear()
         stepped.step()
