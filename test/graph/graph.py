@@ -19,13 +19,12 @@ from types import SimpleNamespace
 from typing import Any, Callable, NamedTuple
 
 import rospy
-from dynamic_reconfigure.msg import Config, ConfigDescription, IntParameter
-from dynamic_reconfigure.srv import ReconfigureResponse
+from dynamic_reconfigure.encoding import encode_config
+from dynamic_reconfigure.srv import ReconfigureRequest
 
 from car_interface.common.publishers import ANY, Publisher
-from car_interface.ros.backlog import MAX_WAIT_NS
 from car_interface.ros.clocks import Clocks
-from car_interface.ros.inbox import Inbox
+from car_interface.ros.inbox import MAX_WAIT_NS, Inbox
 from car_interface.ros.runtime import Steps, describe_error, read_params
 
 NS_PER_S = 1_000_000_000
@@ -230,38 +229,6 @@ class Subscription:
             publisher.disconnect(self)
 
 
-class _ReconfigureServer:
-    """dynamic_reconfigure's server of integers. ``Graph.reconfigure`` asks it by a dict, a node by the message."""
-
-    def __init__(self, graph: Graph, node: str, config_type, callback, namespace: str):
-        self._graph, self._namespace, self._callback = graph, namespace, callback
-        description, self._updates = (
-            TopicPublisher(graph, node, f"{namespace}/{topic}", message_type, True, NodeClocks(graph))
-            for topic, message_type in (("parameter_descriptions", ConfigDescription), ("parameter_updates", Config)))
-        description.publish(max=_config(config_type.max), min=_config(config_type.min))
-        self._config = {**config_type.defaults, "groups": {}}
-        self._change({}, ~0)
-        graph.services[f"{namespace}/set_parameters"] = self._set
-
-    def _change(self, changes, level):
-        self._config = dict(self._callback({**self._config, **changes}, level))
-        self._updates.publish(_config(self._config))
-        return {name: value for name, value in self._config.items() if name != "groups"}
-
-    def _set(self, changes):
-        if isinstance(changes, dict):
-            return self._change(changes, 0)
-        self._change({each.name: each.value for each in changes.config.ints}, 0)
-        return ReconfigureResponse(_config(self._config))
-
-    def close_actions(self):
-        return (lambda: self._graph.services.pop(f"{self._namespace}/set_parameters", None),)
-
-
-def _config(values):
-    return Config(ints=[IntParameter(name, value) for name, value in values.items() if name != "groups"])
-
-
 class NodeGraph:
     """The graph as one node sees it: what ``ros.graph.RosGraph`` is to a real one."""
 
@@ -298,9 +265,6 @@ class NodeGraph:
 
     def set_parameter(self, name: str, value: Any) -> None:
         self._graph.set_parameter(self.resolve_name(name), value)
-
-    def reconfigure_server(self, server_class, config_type, callback, namespace: str) -> _ReconfigureServer:
-        return _ReconfigureServer(self._graph, self._node.name, config_type, callback, namespace)
 
     def call(self, service: str, service_type, request: Any, on_done: Callable[[Any, str], None]) -> None:
         """The callee answers while time goes on."""
@@ -746,7 +710,8 @@ class Graph:
 
     def reconfigure(self, namespace: str, **changes: Any) -> dict:
         """Change values by dynamic_reconfigure; return those that count now."""
-        return self.call(f"{namespace}/set_parameters", changes)
+        answer = self.call(f"{namespace}/set_parameters", ReconfigureRequest(encode_config(changes)))
+        return {each.name: each.value for each in answer.config.ints}
 
     def readable(self, fd: Any) -> None:
         for node in self.nodes.values():
@@ -803,7 +768,7 @@ class _LogHandler(logging.Handler):
 
 
 def _on_wire(value):
-    """A request or answer as it arrives; dynamic_reconfigure's are dicts here."""
+    """A request or answer as it arrives."""
     if not hasattr(value, "serialize"):
         return value
     buffer = io.BytesIO()

@@ -4,6 +4,8 @@ import shutil
 from functools import partial
 
 import pytest
+from dynamic_reconfigure.encoding import encode_config
+from dynamic_reconfigure.srv import ReconfigureRequest
 from sensor_msgs.msg import Range
 
 from car import CENTER, CONFIG, ESC, ESC_NEUTRAL, STEERING, Car
@@ -52,7 +54,7 @@ class Box(Car):
         return ""
 
     def tune(self, namespace, values):
-        self.graph.begin_call(f"{namespace}/set_parameters", values)
+        self.graph.begin_call(f"{namespace}/set_parameters", ReconfigureRequest(encode_config(values)))
 
     @property
     def asks(self):

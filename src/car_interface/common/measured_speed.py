@@ -23,7 +23,7 @@ MAX_DECELERATION_MPS2, SLIDE_MPS2 = 10.0, 3.0
 NOISE_MPS, NOISE_RATIO = 0.1, 0.06
 
 
-class MeasuredSpeed:
+class MeasuredSpeed(TimedInput):
     """The speed by odometry, forward positive. A value that isn't finite or is beyond MAX_SPEED_MPS is no measurement.
 
     Args:
@@ -31,35 +31,31 @@ class MeasuredSpeed:
     """
 
     def __init__(self, timeout_s: float):
-        self._speed = TimedInput("odom", timeout_s)
+        super().__init__("odom", timeout_s)
         self._anchor_ns, self._anchor_mps = None, 0.0  # where the acceleration is measured from
         self._gain_mps2 = 0.0  # by which its magnitude rises
         self._period_s, self._periods = MAX_PERIOD_S, 0  # of the reports: the mean of about eight, and how many
         self._updated_ns: int | None = None  # when the newest was measured
-        self._magnitude_mps = 0.0  # of the car, also while its wheels slide
-
-    @property
-    def was_received(self) -> bool:
-        """Return whether a speed was ever received."""
-        return self._speed.was_received
+        # The car's newest speed without its sign, also while its wheels are locked; 0: none was ever received.
+        self.magnitude_mps = 0.0
 
     def update(self, speed_mps: float, now_ns: int, age_ns: int = 0) -> None:
         """Take a speed that has arrived, and how old it was then."""
         if not abs(speed_mps) <= MAX_SPEED_MPS:  # also for NaN
-            self._speed.mark_stale(f"it was {speed_mps}")
+            self.mark_stale(f"it was {speed_mps}")
             return
         measured_ns = now_ns - max(0, age_ns)
         if self._updated_ns is not None:
             measured_ns = max(measured_ns, self._updated_ns)
-        if self._anchor_ns is None or self._speed.is_stale(now_ns):
+        if self._anchor_ns is None or self.is_stale(now_ns):
             self._anchor_ns, self._anchor_mps, self._gain_mps2 = measured_ns, speed_mps, 0.0
         elif measured_ns - self._anchor_ns >= WINDOW_NS:
             gain_mps2 = (abs(speed_mps) - abs(self._anchor_mps)) * NS_PER_S / (measured_ns - self._anchor_ns)
             self._gain_mps2 = max(0.0, min(MAX_ACCELERATION_MPS2, gain_mps2))
             self._anchor_ns, self._anchor_mps = measured_ns, speed_mps
-        self._speed.update(speed_mps, now_ns, age_ns)
+        super().update(speed_mps, now_ns, age_ns)
         elapsed_s = MAX_PERIOD_S if self._updated_ns is None else (measured_ns - self._updated_ns) / NS_PER_S
-        self._magnitude_mps = self._believed_mps(abs(speed_mps), elapsed_s)
+        self.magnitude_mps = self._believed_mps(abs(speed_mps), elapsed_s)
         if self._updated_ns is not None:
             self._periods = min(8, self._periods + 1)
             self._period_s += (min(elapsed_s, MAX_PERIOD_S) - self._period_s) / self._periods
@@ -67,19 +63,11 @@ class MeasuredSpeed:
 
     def _believed_mps(self, measured_mps, elapsed_s):
         """Return the car's speed, judged by the speed of its wheels."""
-        before_mps = self._magnitude_mps
+        before_mps = self.magnitude_mps
         fallen_mps = before_mps - measured_mps - NOISE_MPS - NOISE_RATIO * before_mps
         if fallen_mps <= MAX_DECELERATION_MPS2 * elapsed_s:
             return measured_mps
         return max(measured_mps, before_mps - SLIDE_MPS2 * elapsed_s)
-
-    def mark_stale(self) -> None:
-        """Take note that messages were dropped before they got here."""
-        self._speed.mark_stale()
-
-    def is_lost(self, now_ns: int) -> bool:
-        """Return whether the newest speed is stale, or none was ever received."""
-        return self._speed.is_stale(now_ns)
 
     @property
     def _late_s(self):
@@ -87,25 +75,12 @@ class MeasuredSpeed:
 
     def is_late(self, now_ns: int) -> bool:
         """Return whether reports are missing that should have come; this is before the speed is lost."""
-        return self._speed.silence_s(now_ns) > self._late_s
-
-    def lost_reason(self, now_ns: int) -> str:
-        """Return why the speed is lost, in words."""
-        return self._speed.stale_reason(now_ns)
-
-    def age_s(self, now_ns: int) -> float:
-        """Return the age of the newest speed in seconds; inf = never received."""
-        return self._speed.age_s(now_ns)
+        return self.silence_s(now_ns) > self._late_s
 
     @property
     def last_mps(self) -> float:
         """The newest speed; NaN: none was ever received."""
-        return self._speed.value if self._speed.was_received else math.nan
-
-    @property
-    def magnitude_mps(self) -> float:
-        """The car's newest speed without its sign, also while its wheels are locked; 0: none was ever received."""
-        return self._magnitude_mps
+        return self.value if self.was_received else math.nan
 
     def highest_mps(self, now_ns: int) -> float:
         """Return the magnitude that the speed may have when a command given now takes effect.
@@ -114,7 +89,6 @@ class MeasuredSpeed:
         reports are missing, and by as much as their stamps are late. A lost speed keeps its bound. Call it only once a
         speed was received.
         """
-        speed = self._speed
-        unseen_s = min(speed.silence_s(now_ns), self._late_s) + speed.was_late_s - self._period_s - UNSEEN_AFTER_S
-        return (self._magnitude_mps + self._gain_mps2 * min(MAX_AHEAD_S, speed.age_s(now_ns) + ACTUATION_S)
+        unseen_s = min(self.silence_s(now_ns), self._late_s) + self.was_late_s - self._period_s - UNSEEN_AFTER_S
+        return (self.magnitude_mps + self._gain_mps2 * min(MAX_AHEAD_S, self.age_s(now_ns) + ACTUATION_S)
                 + UNSEEN_MPS2 * max(0.0, unseen_s))

@@ -38,7 +38,7 @@ class Params:
 
     def __init__(self, private: dict[str, Any] | None, search_parents: Callable[[str], Any] = lambda name: None,
                  fixed: Mapping[str, str | None] = MappingProxyType({})):
-        self._values = _flatten(private or {})
+        self._values = dict(_flatten(private or {}))
         self._search_parents = search_parents
         self._fixed = fixed
         self._known: set = set()
@@ -63,7 +63,7 @@ class Params:
             return None
         if not isinstance(value, (list, tuple)):
             raise ConfigError(name, value, accepted)
-        return [self._checked(f"{name}[{index}]", x, lambda x: _number(x, low, high, None), element)
+        return [self._checked(f"{name}[{index}]", x, lambda x: _number(x, low, high), element)
                 for index, x in enumerate(value)]
 
     def integers(self, name: str, default, length: int, low: int, high: int) -> tuple[int, ...]:
@@ -174,30 +174,25 @@ class Params:
 
 
 def _flatten(tree, prefix=""):
-    flat = {}
+    """Yield each name, with its namespaces, and its value."""
     for key, value in tree.items():
         if isinstance(value, dict):
-            flat.update(_flatten(value, f"{prefix}{key}/"))
+            yield from _flatten(value, f"{prefix}{key}/")
         else:
-            flat[f"{prefix}{key}"] = value
-    return flat
+            yield f"{prefix}{key}", value
 
 
-def _number(value, low, high, above):
+def _number(value, low, high, above=None):
+    """Return a number in a range, also if it is written as 1e-3 or 0x40; else ``None``."""
     if isinstance(value, str):
-        value = _parsed(value)
+        number = finite_number(value)
+        value = integer(value) if number is None else number
     try:
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
             return None
     except OverflowError:  # an integer beyond all floats
         return None
     return float(value) if low <= value <= high and (above is None or value > above) else None
-
-
-def _parsed(text):
-    """Return the number that a text such as 1e-3 or 0x40 stands for, or None."""
-    number = finite_number(text)
-    return integer(text) if number is None else number
 
 
 def _integer(value, low, high):

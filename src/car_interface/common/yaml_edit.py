@@ -10,9 +10,9 @@ import os
 import re
 from typing import Mapping, Sequence, Union
 
-from car_interface.common.atomic_file import is_write_protected, replace
 from car_interface.common.errors import ConfigError
 from car_interface.common.input_file import read_file
+from car_interface.common.output import is_write_protected, replace
 from car_interface.common.yaml_file import MAX_BYTES, compose_yaml, decode_yaml, load_yaml, scalar_number
 
 Value = Union[int, float, str, Sequence[Union[int, float]]]  # bool is an int
@@ -59,9 +59,9 @@ def edited(text: str, values: Values, path: str = "the file", keeps_comments: bo
     for name in added:
         if "/" in name:
             raise ConfigError(path, None, f"a file with {name}", "lacks it")
-    changed = {name: value for name, value in values.items()
-               if name not in added and not _has_value(nodes[name], value)}
-    edits = [edit for name, value in changed.items() for edit in _edits(nodes[name], value)]
+    edits_of = {name: _edits(nodes[name], value) for name, value in values.items() if name not in added}
+    changed = [name for name, found in edits_of.items() if found]
+    edits = [edit for found in edits_of.values() for edit in found]
     if not keeps_comments:
         edits += _comments_behind(text, edits, [nodes[name] for name in changed])
     result = text
@@ -71,7 +71,8 @@ def edited(text: str, values: Values, path: str = "the file", keeps_comments: bo
         result += "\n"
     result += "".join(f"{name}: {_format(value)}\n" for name, value in added.items())
     try:
-        is_right = _shape(compose_yaml(result, path)) == _shape(root, {**changed, **added})
+        wanted = {name: _plain(values[name]) for name in (*changed, *added)}
+        is_right = _content(compose_yaml(result, path)) == _merged(_content(root), wanted)
     except ConfigError:
         is_right = False
     if not is_right:
@@ -144,23 +145,19 @@ def _find(node, names):
     return node
 
 
-def _has_value(node, value):
-    """Return whether a node has this value already; one number stands for a list of equal ones."""
-    if _elements(node) is not None or isinstance(value, (str, bool)):
-        return not _edits(node, value)
-    numbers = value if isinstance(value, (list, tuple)) else [value]
-    return all(number == _number(node) for number in numbers)
-
-
 def _edits(node, value):
-    """Return the ranges of text to replace, as (begin, end, text), for the elements that differ."""
+    """Return the ranges of text to replace, as (begin, end, text), for the elements that differ.
+
+    One number stands for a list of equal ones.
+    """
     elements = _elements(node)
     if elements is not None and isinstance(value, (list, tuple)) and len(elements) == len(value):
         return [edit for element, number in zip(elements, value) for edit in _edits(element, number)]
-    if elements is None and (node.value == _format(value) if isinstance(value, (str, bool))
-                             else _number(node) == value):
-        return []
-    return [(node.start_mark.index, node.end_mark.index, _format(value))]
+    if isinstance(value, (str, bool)):
+        is_same = node.value == _format(value)
+    else:
+        is_same = all(number == _number(node) for number in (value if isinstance(value, (list, tuple)) else [value]))
+    return [] if is_same else [(node.start_mark.index, node.end_mark.index, _format(value))]
 
 
 def _comments_behind(text, edits, nodes):
@@ -190,21 +187,17 @@ def _format(value):
     return str(int(value)) if value == int(value) else repr(float(value))
 
 
-def _shape(node, changes=None):
-    """Return the content of a document as Python values, with ``changes`` applied: what an edit should lead to."""
-    changes = dict(changes or {})
+def _content(node):
+    """Return the content of a document as Python values: what is a number to a node as a number, the rest as texts."""
     elements = _elements(node)
     if elements is not None:
-        return [_shape(element) for element in elements]
-    if not isinstance(node.value, list):
-        number = _number(node)
-        return node.value if number is None else number
-    inside = {}
-    for key, value in node.value:
-        name = str(key.value)
-        inside[name] = _shape(value, {path[len(name) + 1:]: change for path, change in changes.items()
-                                      if path.startswith(f"{name}/")})
-    inside.update({name: list(change) if isinstance(change, (list, tuple))
-                   else _format(change) if isinstance(change, bool) else change
-                   for name, change in changes.items() if "/" not in name})
-    return inside
+        return [_content(element) for element in elements]
+    if isinstance(node.value, list):
+        return {str(key.value): _content(value) for key, value in node.value}
+    number = _number(node)
+    return node.value if number is None else number
+
+
+def _plain(value):
+    """Return a new value as ``_content`` has it."""
+    return list(value) if isinstance(value, (list, tuple)) else _format(value) if isinstance(value, bool) else value

@@ -77,18 +77,10 @@ def scalar_number(text: str) -> float | None:
             number = loader.construct_object(loader.checked(yaml.ScalarNode(tag, text, loader.get_mark())))
             return None if number != number else number  # nan is equal to nothing
         return finite_number(text) if tag == _tag("str") else None
-    except (_Refused, yaml.YAMLError):
+    except (ConfigError, yaml.YAMLError):
         return None
     finally:
         loader.dispose()
-
-
-class _Refused(Exception):
-    """A fault of the text, what is accepted there, and its place: the lines, in words."""
-
-    def __init__(self, lines, found, accepted):
-        super().__init__(found)
-        self.lines, self.found, self.accepted = lines, found, accepted
 
 
 def _read(text, path, result):
@@ -98,11 +90,10 @@ def _read(text, path, result):
     try:
         loader = _loader_class()(text)
         root = loader.get_single_node()
-        if not isinstance(root, yaml.MappingNode):
-            raise ConfigError(path, None, ACCEPTED, "has no such lines")
-        return result(loader, root)
-    except _Refused as error:
-        raise ConfigError(f"{path}, {error.lines}", None, error.accepted, error.found) from error
+        if isinstance(root, yaml.MappingNode):
+            return result(loader, root)
+    except ConfigError as error:  # it names the lines alone
+        raise error.within(path) from error
     except yaml.reader.ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
         raise ConfigError(f"{path}, line {line}", None, "parameters in YAML",
@@ -115,6 +106,7 @@ def _read(text, path, result):
     finally:
         if loader is not None:
             loader.dispose()
+    raise ConfigError(path, None, ACCEPTED, "has no such lines")
 
 
 @functools.lru_cache(maxsize=None)
@@ -150,39 +142,40 @@ def _loader_class():
 
         def _check_alias(self, event):
             if event.anchor in self._open_anchors:
-                raise _Refused(_line(event), f"has *{_short(event.anchor)} inside of what it stands for",
-                               "aliases of values that are complete before them")
+                raise ConfigError(_line(event), None, "aliases of values that are complete before them",
+                                  f"has *{_short(event.anchor)} inside of what it stands for")
             deepest_level = self._deepest_level
             self._count(event, *self._extents.get(event.anchor, (1, 0)))
             self._deepest_level = max(deepest_level, self._deepest_level)
             if self._values > MAX_VALUES:
-                raise _Refused(_line(event), f"makes more than {MAX_VALUES:,} values by its aliases",
-                               f"aliases for at most {MAX_VALUES:,} values in all")
+                raise ConfigError(_line(event), None, f"aliases for at most {MAX_VALUES:,} values in all",
+                                  f"makes more than {MAX_VALUES:,} values by its aliases")
 
         def _count(self, event, values, levels):
             self._values += values
             self._deepest_level = self._level + levels
             if self._deepest_level > MAX_LEVELS:
-                raise _Refused(_line(event), f"is nested more than {MAX_LEVELS} levels deep",
-                               f"at most {MAX_LEVELS} levels")
+                raise ConfigError(_line(event), None, f"at most {MAX_LEVELS} levels",
+                                  f"is nested more than {MAX_LEVELS} levels deep")
 
         def checked(self, node):
             """Return the node, if it has no name twice and no endless number."""
             if isinstance(node, yaml.MappingNode):
                 _check_names(key for key, _ in node.value if isinstance(key, yaml.ScalarNode))
             elif node.tag in (_tag("int"), _tag("float")) and len(node.value) > MAX_DIGITS:
-                raise _Refused(_line(node), f"has a number of {len(node.value)} digits", f"at most {MAX_DIGITS} digits")
+                raise ConfigError(_line(node), None, f"at most {MAX_DIGITS} digits",
+                                  f"has a number of {len(node.value)} digits")
             return node
 
         def construct_object(self, node, deep=False):
             try:
                 return super().construct_object(node, deep)
-            except (_Refused, yaml.YAMLError):
+            except (ConfigError, yaml.YAMLError):
                 raise
             except Exception as error:  # of a value that isn't what its tag says PyYAML raises almost anything
                 value = _short(node.value) if isinstance(node, yaml.ScalarNode) else "its value"
-                raise _Refused(_line(node), f"is no YAML: {value} is no {node.tag.rpartition(':')[2]}",
-                               "parameters in YAML") from error
+                raise ConfigError(_line(node), None, "parameters in YAML",
+                                  f"is no YAML: {value} is no {node.tag.rpartition(':')[2]}") from error
 
     return Loader
 
@@ -194,9 +187,9 @@ def _check_names(keys):
         line, name = key.start_mark.line + 1, _short(key.value)
         first = lines.get(key.value)
         if first == line:
-            raise _Refused(f"line {line}", f"gives {name} twice", "each name once")
+            raise ConfigError(f"line {line}", None, "each name once", f"gives {name} twice")
         if first is not None:
-            raise _Refused(f"lines {first} and {line}", f"both give {name}", "each name once")
+            raise ConfigError(f"lines {first} and {line}", None, "each name once", f"both give {name}")
         lines[key.value] = line
 
 

@@ -14,7 +14,7 @@ import socket
 import threading
 import xmlrpc.client
 from types import MappingProxyType
-from typing import Any, Callable, Iterable, Mapping, NamedTuple
+from typing import Any, Callable, Iterable, Mapping
 from urllib.parse import urlsplit
 
 import rosgraph
@@ -65,8 +65,8 @@ class CommandTopics:
         self._more_faults = more_faults or (lambda now_ns, topics: [])
         self._find_unheard = find_unheard or (lambda listed, resolve: [])
         self._log = FaultLog()
-        self._master_fault = ""  # these two: of the watch's thread
-        self._found: tuple[list[CommandTopic], list[Fault]] = [], []
+        # The watch's thread sets these three.
+        self._master_fault = ""
         self.topics: list[CommandTopic] = []  # as they were found last; none = not yet
         self.unheard: list[Fault] = []  # what ``find_unheard`` found last
         self.reports = {REPORT: self._report}  # for ``Diagnostics``
@@ -80,10 +80,11 @@ class CommandTopics:
                 and with an empty line when it is over.
         """
         self._report_now, self._on_fault = report_now, on_fault
+        self.inbox.on_overflow(lambda now_ns: report_now())  # what was dropped may have asked for that
         self.inbox.graph.watch(PROCESS_WATCH, self)
 
     def update(self, fault: str, listed: Mapping[str, list[str]], lookup: PublisherLookup) -> None:
-        """Pass what is new to the node's thread. Called in the watch's thread.
+        """Take what was found, and have what is new reported. Called in the watch's thread.
 
         Args:
             fault: the master's.
@@ -93,25 +94,17 @@ class CommandTopics:
         if self._on_fault is not None and (fault or self._master_fault):
             self.inbox.put(self._on_fault, fault)
         self._master_fault = fault
-        subscriptions = [backlog.subscriber.impl for backlog in self.inbox.backlogs]
+        subscriptions = [each.subscriber.impl for each in self.inbox.subscriptions]
         topics = [self._look_up(each, listed, lookup) for each in subscriptions if each is not None]  # None: closed
-        found = topics, self._find_unheard(listed, self.inbox.resolve_name)
-        if found != self._found:
-            self._found = found
-            self.inbox.put(self._on_topics, found, on_drop=self._forget)
-
-    def _forget(self):
-        """Have what was found passed on again."""
-        self._found = [], []
+        unheard = self._find_unheard(listed, self.inbox.resolve_name)
+        if (topics, unheard) != (self.topics, self.unheard):
+            self.topics, self.unheard = topics, unheard
+            self.inbox.put(lambda _, now_ns: self._report_now(), None)
 
     def _look_up(self, subscription, listed, lookup):
         name = subscription.resolved_name
         publishers = lookup.publishers(subscription, listed.get(name, []))
         return CommandTopic(name, self._types.get(name, subscription.type), publishers, name in self._shared)
-
-    def _on_topics(self, found, now_ns):
-        self.topics, self.unheard = found
-        self._report_now()
 
     def _report(self, status):
         """For /diagnostics: each fault with its remedy, and all publishers."""
@@ -130,11 +123,12 @@ class CommandTopics:
 
 
 class _ProcessWatch:
-    """The thread, which starts with the first node that wants to know."""
+    """The thread, which starts with the first node that wants to know, and asks always the same master."""
 
     def __init__(self):
         self._watches: list[CommandTopics] = []
         self._lock = threading.Lock()
+        self._master_pid = None
 
     def add(self, watch: CommandTopics) -> None:
         with self._lock:
@@ -143,51 +137,34 @@ class _ProcessWatch:
             self._watches = [other for other in self._watches if not other.inbox.ending] + [watch]
 
     def _run(self):
-        master = _Master()
-        lookup = PublisherLookup(master.node_uri)
+        self._master = xmlrpc.client.ServerProxy(rosgraph.get_master_uri(), transport=TimeoutTransport())
+        lookup = PublisherLookup(self._node_uri)
         while not rospy.is_shutdown():
-            fault, listed = master.ask()
+            fault, listed = self._ask_master()
             lookup.begin()
             for watch in self._watches:
                 if not watch.inbox.ending:
                     watch.update(fault, listed, lookup)
             SYSTEM.sleep(CONNECTING_NS / NS_PER_S if lookup.is_waiting else POLL_S)
 
-
-PROCESS_WATCH = _ProcessWatch()
-
-
-class _Master:
-    """Asks the master, always the same one."""
-
-    def __init__(self):
-        self._proxy = xmlrpc.client.ServerProxy(rosgraph.get_master_uri(), transport=TimeoutTransport())
-        self._pid = None
-
-    def ask(self) -> tuple[str, dict[str, list[str]]]:
+    def _ask_master(self):
         """Return what is wrong with the master, and who publishes on each topic."""
         try:
-            name = rospy.get_name()
-            calls = xmlrpc.client.MultiCall(self._proxy)
+            calls, name = xmlrpc.client.MultiCall(self._master), rospy.get_name()
             calls.getPid(name)
             calls.getSystemState(name)
             (_, _, pid), (_, _, (publishers, _, _)) = calls()
         except Exception:  # no usable answer, for whatever reason
             return GONE, {}
-        self._pid = self._pid or pid
-        return "" if pid == self._pid else ANOTHER, dict(publishers)
+        self._master_pid = self._master_pid or pid
+        return "" if pid == self._master_pid else ANOTHER, dict(publishers)
 
-    def node_uri(self, node: str) -> str:
-        """Return where a node answers; empty when the master doesn't know it."""
-        code, _, uri = self._proxy.lookupNode(rospy.get_name(), node)
+    def _node_uri(self, node):
+        code, _, uri = self._master.lookupNode(rospy.get_name(), node)
         return uri if code == 1 else ""
 
 
-class _Answer(NamedTuple):
-    """What a publisher said: itself, or ``None`` if it's gone or silent; and until when that counts."""
-
-    publisher: Publisher | None
-    until_ns: int
+PROCESS_WATCH = _ProcessWatch()
 
 
 class PublisherLookup:
@@ -199,7 +176,9 @@ class PublisherLookup:
 
     def __init__(self, node_uri: Callable[[str], str]):
         self._node_uri = node_uri
-        self._answers: dict[tuple[str, str], _Answer] = {}  # by topic and node
+        # What publishers said, by topic and node: themselves, or None for those that are gone or silent; and until
+        # when that counts, ns.
+        self._answers: dict[tuple[str, str], tuple[Publisher | None, int]] = {}
         self._before = self._answers  # those of the round before
         self.is_waiting = False  # for connections: look again after CONNECTING_NS
         self._was_slow = False  # somebody let a question time out: the others are asked the next time
@@ -227,33 +206,36 @@ class PublisherLookup:
         key, now_ns = (subscription.resolved_name, node), SYSTEM.now_ns()
         answer = self._answers.get(key) or self._before.get(key)
         if answer is None:
-            answer = _Answer(None, now_ns + CONNECTING_NS)
+            answer = None, now_ns + CONNECTING_NS
             self.is_waiting = True
-        elif now_ns >= answer.until_ns and not self._was_slow:
-            answer = self._ask_now(subscription, node, now_ns)
+        elif now_ns >= answer[1] and not self._was_slow:
+            publisher, lasts_ns = self._ask_now(subscription, node)
+            answer = publisher, now_ns + lasts_ns
             self._was_slow = SYSTEM.now_ns() - now_ns >= SLOW_NS
         self._answers[key] = answer
-        return answer.publisher
+        return answer[0]
 
-    def _ask_now(self, subscription, node, now_ns):
-        uri = ""
+    def _ask_now(self, subscription, node):
+        """Return what a publisher says, and for how long that counts, ns."""
+        uri, topic = "", subscription.resolved_name
         try:
             uri = self._node_uri(node)
-            header = ask_type(uri, subscription.resolved_name)
-            # Another name for the same fields is received.
-            is_same = header["md5sum"] == subscription.data_class._md5sum
-            if is_same:
-                connect(uri, subscription.resolved_name)
-            publisher = Publisher(node, _machine(uri), subscription.type if is_same else header["type"])
-            return _Answer(publisher, now_ns + ASK_AGAIN_NS)
+            header = ask_type(uri, topic)
+            if header["md5sum"] != subscription.data_class._md5sum:
+                return Publisher(node, _machine(uri), header["type"]), ASK_AGAIN_NS
+            # It is received, also by another name for the same fields. Have rospy connect to what it has missed, as the
+            # master does when a publisher registers: of the lists of publishers that wait for its thread rospy takes
+            # the newest, and the master's answer to this node, which has none yet, may come after the list that has it.
+            call(rospy.get_node_uri(), "publisherUpdate", "/master", topic, [uri])
+            return Publisher(node, _machine(uri), subscription.type), ASK_AGAIN_NS
         except ConnectionRefusedError:
-            return _Answer(None, now_ns)  # it was killed, and may be back soon
+            return None, 0  # it was killed, and may be back soon
         except socket.gaierror:
-            return _Answer(Publisher(node, _machine(uri), ""), now_ns + ASK_SILENT_AGAIN_NS)
+            return Publisher(node, _machine(uri), ""), ASK_SILENT_AGAIN_NS
         except (socket.timeout, HandshakeTimeout):
-            return _Answer(None, now_ns + ASK_SILENT_AGAIN_NS)
+            return None, ASK_SILENT_AGAIN_NS
         except Exception:  # whatever it answers
-            return _Answer(None, now_ns + ASK_AGAIN_NS)
+            return None, ASK_AGAIN_NS
 
 
 def ask_type(uri: str, topic: str) -> dict[str, str]:
@@ -275,18 +257,6 @@ def ask_type(uri: str, topic: str) -> dict[str, str]:
     if "error" in header:
         raise LookupError(header["error"])
     return header
-
-
-def connect(uri: str, topic: str) -> None:
-    """Have rospy connect to a publisher that it has missed, as the master does when one registers.
-
-    rospy takes the newest of the lists of publishers that wait for its thread. When a publisher registers while this
-    node does, the master's answer to this node, which has none yet, may come to wait after the list that has it.
-
-    Raises:
-        OSError: this node itself can't be reached.
-    """
-    call(rospy.get_node_uri(), "publisherUpdate", "/master", topic, [uri])
 
 
 def _is_connected(connection):

@@ -72,10 +72,6 @@ class RosGraph:
             on_done(answer, problem)
         self.start_thread(run, "call")
 
-    def reconfigure_server(self, server_class, config_type, callback, namespace: str):
-        """Offer dynamic_reconfigure's interface below a namespace."""
-        return server_class(config_type, callback, namespace)
-
     def watch(self, process_watch, watch) -> None:
         """Have the process's watch of the master update a node's ``CommandTopics`` once a second."""
         process_watch.add(watch)

@@ -1,10 +1,9 @@
 """The queue between the callbacks of ROS and a node's one thread."""
 from __future__ import annotations
 
-import io
 import logging
-import os
 import select
+import socket
 import threading
 import traceback
 from concurrent.futures import Future, InvalidStateError
@@ -17,11 +16,11 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from car_interface.common.causes import NODE_STOOD_STILL
 from car_interface.common.staleness import DROPPED
 from car_interface.common.units import NS_PER_S
-from car_interface.ros.backlog import MAX_WAIT_NS, Backlog
 from car_interface.ros.graph import ROS, RosGraph
 from car_interface.ros.logs import ThrottledWarnings
 
 INBOX_LIMIT = 10_000  # more than any node receives while its thread waits for a device
+MAX_WAIT_NS = NS_PER_S  # a node's thread wakes at least so often
 SHOWN_NS = 10 * NS_PER_S  # how long /diagnostics reports an overflow or a standstill
 # Errors for the caller of a service.
 ENDED, TOO_BUSY = "the node has ended", f"the node was held up for too long: {DROPPED}, and this request with them"
@@ -30,7 +29,7 @@ ENDED, TOO_BUSY = "the node has ended", f"the node was held up for too long: {DR
 class Inbox:
     """Passes what callbacks receive to the node's thread, in order, and wakes it.
 
-    It waits with select on a pipe: before Python 3.11 a timed ``Condition.wait`` follows the settable clock, and poll
+    It waits with select on a socket: before Python 3.11 a timed ``Condition.wait`` follows the settable clock, and poll
     rounds up to whole milliseconds.
 
     It is bounded. When it is full, because the node's thread was held up, all items in it are dropped: among them may
@@ -47,26 +46,22 @@ class Inbox:
         self.graph = graph
         self.clocks = graph.clocks
         self.ending = False
-        self.backlogs: list[Backlog] = []  # one for each topic that the node subscribes to
+        self.subscriptions: list[Any] = []  # of ``topics``: one for each topic that the node subscribes to
         self._node_name = node_name
         self._close_actions: list[Callable[[], None]] = []
         self._open_requests: set[Future] = set()  # service calls that wait for an answer
         self._closed = False
         self.dropped = 0
-        self._dropped_ns = -SHOWN_NS  # when the node handled the last overflow
-        self._stood_still_ns = -SHOWN_NS  # when the node last noticed that
-        self.standstill_text = ""  # and a line about it
+        self._faults: dict[int, tuple[int, str]] = {}  # when the node last noticed one, and a line about it; by level
         self._overflow_handlers: list[Callable[[int], None]] = []
         self._overflow_warnings = ThrottledWarnings(self.clocks, rospy.logerr)
         self._limit = limit
         self._items: list[tuple] = []  # ((handler, item, arrival_ns), on_drop)
         self._lock = threading.Lock()  # of the items
-        self._wake_read, self._wake_write = os.pipe()
         # Closed by the garbage collector after the last use: a closed fd's number may be a serial port's by then.
-        self._pipe = [io.FileIO(fd) for fd in (self._wake_read, self._wake_write)]
-        os.set_blocking(self._wake_read, False)
-        os.set_blocking(self._wake_write, False)
-        self._watched = [self._wake_read]
+        self._woken, self._waker = socket.socketpair()
+        self._waker.setblocking(False)
+        self._watched: list = [self._woken]
 
     @property
     def node_name(self) -> str:
@@ -156,53 +151,52 @@ class Inbox:
         """Have the node's thread call ``handler(now_ns)`` after messages were dropped, before it handles newer ones."""
         self._overflow_handlers.append(handler)
 
-    def begin_anew(self, now_ns: int, still_ns: int) -> None:
+    def begin_anew(self, now_ns: int, still_ns: int) -> str:
         """Drop all messages that were sent so far. To be called in the node's thread, after it stood still.
 
         Args:
             still_ns: for how long; 0 = unknown.
+
+        Returns:
+            A line about it.
         """
+        for subscription in self.subscriptions:
+            subscription.renew()
         lasted = f" for {still_ns / NS_PER_S:.2f} s" if still_ns else ""
-        self.standstill_text = f"{NODE_STOOD_STILL}{lasted}: what was sent meanwhile is dropped"
-        self._stood_still_ns = now_ns
-        for backlog in self.backlogs:
-            backlog.renew()
-        for handler in self._overflow_handlers:
-            handler(now_ns)
+        text = f"{NODE_STOOD_STILL}{lasted}: what was sent meanwhile is dropped"
+        self._lose_all(DiagnosticStatus.WARN, text, now_ns)
+        return text
 
     @property
     def old_messages(self) -> int:
         """Return how many messages were dropped because the node stood still when they were sent."""
-        return sum(backlog.dropped for backlog in self.backlogs)
+        return sum(subscription.dropped for subscription in self.subscriptions)
 
     def report(self, status) -> None:
         """Add to a report whether the node stood still or messages were dropped in the last 10 s, and how many ever."""
         now_ns = self.clocks.now_ns()
-        if now_ns - self._stood_still_ns < SHOWN_NS:
-            status.mergeSummary(DiagnosticStatus.WARN, self.standstill_text)
-        if now_ns - self._dropped_ns < SHOWN_NS:
-            status.mergeSummary(DiagnosticStatus.ERROR, self._overflow_text)
+        for level, (noticed_ns, text) in self._faults.items():
+            if now_ns - noticed_ns < SHOWN_NS:
+                status.mergeSummary(level, text)
         if self.dropped:
             status.add("messages dropped by its inbox", self.dropped)
         if self.old_messages:
             status.add("messages dropped after it stood still", self.old_messages)
 
     def _on_overflow(self, _, now_ns):
-        self._dropped_ns = now_ns
-        self._overflow_warnings.warn("overflow", f"{self._overflow_text}; all that was heard before counts as lost")
+        text = f"the inbox of this node overflowed: {DROPPED}, {self.dropped} in all"
+        self._overflow_warnings.warn("overflow", f"{text}; all that was heard before counts as lost")
+        self._lose_all(DiagnosticStatus.ERROR, text, now_ns)
+
+    def _lose_all(self, level, text, now_ns):
+        self._faults[level] = now_ns, text
         for handler in self._overflow_handlers:
             handler(now_ns)
 
-    @property
-    def _overflow_text(self):
-        return f"the inbox of this node overflowed: {DROPPED}, {self.dropped} in all"
-
     def wake(self) -> None:
         """End the node's wait, now or the next one. For signal handlers too."""
-        try:
-            os.write(self._wake_write, b"\0")
-        except BlockingIOError:
-            pass  # the pipe is full of wake-ups already
+        with suppress(BlockingIOError):  # there are enough wake-ups already
+            self._waker.send(b"\0")
 
     def end(self) -> None:
         """Have the node's thread leave its loop."""
@@ -221,8 +215,8 @@ class Inbox:
         """Sleep until an item arrives, a watched fd is readable, or the monotonic clock reaches the deadline."""
         left_ns = max(0, min(deadline_ns - self.clocks.now_ns(), MAX_WAIT_NS))
         ready, _, _ = select.select(self._watched, [], [], left_ns / NS_PER_S)
-        if self._wake_read in ready:
-            os.read(self._wake_read, 4096)
+        if self._woken in ready:
+            self._woken.recv(4096)
 
     def drain(self) -> list[tuple]:
         """Remove and return all items, oldest first, as (handler, item, arrival_ns)."""

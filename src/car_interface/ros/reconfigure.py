@@ -19,9 +19,9 @@ from types import SimpleNamespace
 from typing import Callable, Mapping
 
 import rospy
-from dynamic_reconfigure import server
-from dynamic_reconfigure.msg import Config, ConfigDescription, IntParameter
-from dynamic_reconfigure.srv import Reconfigure, ReconfigureRequest
+from dynamic_reconfigure.encoding import encode_config, encode_description
+from dynamic_reconfigure.msg import Config, ConfigDescription, GroupState
+from dynamic_reconfigure.srv import Reconfigure, ReconfigureRequest, ReconfigureResponse
 from std_srvs.srv import Trigger, TriggerResponse
 
 from car_interface.common.errors import ConfigError
@@ -30,28 +30,10 @@ from car_interface.common.package_files import is_package_file
 from car_interface.common.yaml_edit import Values, save
 from car_interface.ros.inbox import Inbox
 from car_interface.ros.logs import ThrottledWarnings
-from car_interface.ros.topics import subscribe
+from car_interface.ros.topics import advertise, subscribe
 
 ANSWER_WITHIN_S = 2.0
 SETTLE_WITHIN_S = 5.0
-
-
-class Server(server.Server):
-    """The library's server without its own clamping and parameter writing."""
-
-    def _clamp(self, config):
-        """Do nothing: the callback clamps values, and reports that."""
-
-    def _copy_to_parameter_server(self):
-        """Do nothing: untuned parameters stay where they are: turn_arb's may be in a parent namespace."""
-
-    def close_actions(self):
-        """Return what removes the server from the ROS graph, as functions."""
-        return self.set_service.shutdown, self.descr_topic.unregister, self.update_topic.unregister
-
-    def _set_callback(self, req):
-        req.config.groups = []  # the library fails on unknown groups; there is only one
-        return super()._set_callback(req)
 
 
 class ReconfigureServer:
@@ -77,17 +59,18 @@ class ReconfigureServer:
         self._apply = apply
         self._parameters = parameters
         self._settings = settings
-        self._one_at_a_time = threading.Lock()  # that save
-        self._serving = False
+        self._one_request, self._one_save = threading.Lock(), threading.Lock()
         self._has_set_parameters = False  # whether the parameter server has tuned values
         apply(tuning.active)
-        full_namespace = f"{inbox.node_name}/{namespace}" if namespace else inbox.node_name
-        self._server = inbox.graph.reconfigure_server(
-            Server, _limited(config_class, tuning), self._on_reconfigure, full_namespace)
-        save_service = inbox.graph.service(inbox.own_name("~save"), Trigger, self._on_save)
-        for remove in (*self._server.close_actions(), save_service.shutdown):
-            inbox.on_close(remove)
-        self._serving = True
+        prefix = f"~{namespace}/" if namespace else "~"
+        advertise(f"{prefix}parameter_descriptions", ConfigDescription, inbox, latch=True).publish(
+            encode_description(SimpleNamespace(min=tuning.low, max=tuning.high, defaults=tuning.accepted,
+                                               config_description=config_class.config_description)))
+        self._updates = advertise(f"{prefix}parameter_updates", Config, inbox, latch=True)
+        self._updates.publish(self._config())
+        for name, service_type, handler in ((f"{prefix}set_parameters", Reconfigure, self._on_reconfigure),
+                                            ("~save", Trigger, self._on_save)):
+            inbox.on_close(inbox.graph.service(inbox.own_name(name), service_type, handler).shutdown)
 
     def step(self, now_ns: int) -> None:
         """Step towards the accepted values. To be called at each timer tick, in the node's thread."""
@@ -101,16 +84,23 @@ class ReconfigureServer:
         """Return the tuned values, for a report."""
         return self._tuning.changes or "nothing"
 
-    def _on_reconfigure(self, config, level):
+    def _config(self):
+        """Return the accepted values as a message."""
+        config = encode_config(self._tuning.accepted)
+        config.groups = [GroupState("Default", True, 0, 0)]  # in which all parameters are
+        return config
+
+    def _on_reconfigure(self, request):
         """Pass a request to the node's thread and return the accepted values. Called in a thread of ROS."""
-        if self._serving:
+        config = request.config
+        wanted = {each.name: each.value for each in (*config.bools, *config.ints, *config.strs, *config.doubles)}
+        with self._one_request:
             with suppress(NoAnswer):
-                self._inbox.ask(self._on_request, {name: config.get(name) for name in self._tuning.accepted},
-                                ANSWER_WITHIN_S)
+                self._inbox.ask(self._on_request, wanted, ANSWER_WITHIN_S)
                 self._set_parameters()
-        else:
-            self._groups = config["groups"]  # as the .cfg file has them
-        return type(config)({**self._tuning.accepted, "groups": self._groups})
+            accepted = self._config()
+            self._updates.publish(accepted)
+            return ReconfigureResponse(accepted)
 
     def _set_parameters(self):
         """Set the tuned values on the parameter server, for a restart of the node."""
@@ -128,7 +118,7 @@ class ReconfigureServer:
 
     def _on_save(self, _request):
         """Save the accepted values, once they are active. Called in a thread of ROS."""
-        with self._one_at_a_time:
+        with self._one_save:
             self._inbox.clocks.wait_for(lambda: not self._tuning.is_changing, SETTLE_WITHIN_S, 0.01)
             success, message = _save(self._settings, self._parameters(self._tuning.accepted))
         (rospy.loginfo if success else rospy.logwarn)("save: %s", message)
@@ -168,7 +158,7 @@ def _integers(config):
 
 
 def _request(values):
-    return ReconfigureRequest(Config(ints=[IntParameter(name, value) for name, value in values.items()]))
+    return ReconfigureRequest(encode_config(values))
 
 
 def request_values(namespace: str, values: Mapping[str, int]) -> None:
@@ -195,13 +185,3 @@ def _save(settings, values):
     if backup_path is None:
         return True, f"{path} says so already"
     return True, f"saved to {path}, the old one is {backup_path}"
-
-
-def _limited(config_class, tuning):
-    """Return a .cfg file's class with this car's limits and values."""
-    parameters = [{**parameter, "min": tuning.low[parameter["name"]], "max": tuning.high[parameter["name"]],
-                   "default": tuning.accepted[parameter["name"]]}
-                  for parameter in config_class.config_description["parameters"]]
-    return SimpleNamespace(min=dict(tuning.low), max=dict(tuning.high), defaults=dict(tuning.accepted),
-                           level=config_class.level,
-                           config_description={**config_class.config_description, "parameters": parameters})

@@ -33,12 +33,11 @@ from rospy.impl.paramserver import get_param_server_cache
 from car_interface.common import causes
 from car_interface.common.errors import CarInterfaceError, ConfigError, EndedEarly
 from car_interface.common.fixed_parameters import fixed_parameters
-from car_interface.common.memory_limit import describe_shortage
 from car_interface.common.params import Params
-from car_interface.common.units import NS_PER_S
-from car_interface.ros.backlog import StandstillWatch
+from car_interface.common.process_setup import describe_shortage
+from car_interface.common.units import NS_PER_MS, NS_PER_S
 from car_interface.ros.diagnostics import ERROR, OK, Diagnostics
-from car_interface.ros.inbox import Inbox
+from car_interface.ros.inbox import MAX_WAIT_NS, Inbox
 from car_interface.ros.logs import LogStream, LogThreads, keep_tracebacks_from_terminal
 from car_interface.ros.tcpros_limits import limit_connections
 from car_interface.ros.topics import send_directly
@@ -52,6 +51,10 @@ FLUSH_S = 0.5  # for the log lines of the shutdown
 RESPAWN_VARIABLE = "CAR_INTERFACE_RESPAWN"
 FIRST_PAUSE_S, MAX_PAUSE_S = 1, 30  # before refused parameters are read again
 REFUSAL_LOG_PERIOD_NS = 300 * NS_PER_S
+# The timeout of the arbiters' inputs (``human_timeout`` and the others): after so long each input is stale anyway, so
+# that a computer which is only busy stops no car that its timeouts wouldn't stop. Less makes an input look younger by
+# less than its timeout.
+STANDSTILL_NS = 500 * NS_PER_MS
 SWITCH_INTERVAL_S = 0.0005  # how long one thread may delay the others; Python's default of 5 ms adds to the latency
 
 
@@ -169,23 +172,24 @@ def read_params(inbox: Inbox, fixed: Mapping[str, str | None]) -> Params:
 
 
 class Steps:
-    """Steps a node, and has it begin anew after it stood still."""
+    """Steps a node, and has it begin anew after it stood still: its next step began much later than it was due."""
 
     def __init__(self, node, inbox: Inbox):
         self._node = node
         self._inbox = inbox
-        self._standstill = StandstillWatch(inbox.clocks.now_ns())
+        self._due_ns = inbox.clocks.now_ns()
         self._notices_standstill = getattr(node, "notices_standstill", False)
 
     def step(self) -> float:
         """Step the node once; return when the next step is due if nothing arrives before, ns."""
-        inbox, now_ns = self._inbox, self._inbox.clocks.now_ns()
-        still_ns = self._standstill.begin_step(now_ns)
-        if still_ns and inbox.backlogs and not self._notices_standstill:
-            inbox.begin_anew(now_ns, still_ns)
-            rospy.logwarn("%s; what is sent from now on counts", inbox.standstill_text)
-        due_ns = self._node.step(now_ns)
-        self._standstill.end_step(inbox.clocks.now_ns(), due_ns)
+        inbox, began_ns = self._inbox, self._inbox.clocks.now_ns()
+        late_ns = began_ns - self._due_ns
+        if late_ns >= STANDSTILL_NS and inbox.subscriptions and not self._notices_standstill:
+            rospy.logwarn("%s; what is sent from now on counts", inbox.begin_anew(began_ns, late_ns))
+        due_ns = self._node.step(began_ns)
+        ended_ns = inbox.clocks.now_ns()
+        lasted_too_long = ended_ns - began_ns >= STANDSTILL_NS
+        self._due_ns = began_ns if lasted_too_long else max(ended_ns, min(due_ns, ended_ns + MAX_WAIT_NS))
         return due_ns
 
 
@@ -241,51 +245,33 @@ def is_respawned() -> bool:
     return os.environ.get(RESPAWN_VARIABLE, "").lower() in ("1", "true")
 
 
-class RefusedParameters:
+class _RefusedStart:
     """The refusals of one start: pauses that double from 1 s to 30 s, and a line when the reason changes.
 
     The line comes again every five minutes, for those who look at a terminal on which other lines followed.
     """
 
-    def __init__(self):
-        self._text = ""
-        self._log_ns = 0
-        self._pause_s = FIRST_PAUSE_S
-        self.due_ns = 0  # when to read the parameters again
-
-    def update(self, text: str, now_ns: int) -> str:
-        """Note that the parameters were refused at ``now_ns`` for this reason; the line to log, or an empty one.
-
-        A new reason means that somebody is repairing them: the pauses begin anew.
-        """
-        is_new = text != self._text
-        if is_new:
-            self._text, self._pause_s = text, FIRST_PAUSE_S
-        pause_s = self._pause_s
-        self.due_ns = now_ns + pause_s * NS_PER_S
-        self._pause_s = min(2 * pause_s, MAX_PAUSE_S)
-        if not is_new and now_ns < self._log_ns:
-            return ""
-        self._log_ns = now_ns + REFUSAL_LOG_PERIOD_NS
-        later = f", later every {MAX_PAUSE_S} s" if pause_s < MAX_PAUSE_S else ""
-        return f"{text}. This node waits, and reads its parameters again in {pause_s} s{later}"
-
-
-class _RefusedStart:
     def __init__(self, inbox):
         self._inbox = inbox
-        self._refused = RefusedParameters()
         self.error = None  # None: the parameters were accepted
+        self._pause_s, self._log_ns = FIRST_PAUSE_S, 0
         self._diagnostics = Diagnostics(inbox, "none", {"parameters": self._report}, inbox.clocks.now_ns())
 
     def wait(self, error):
-        """Log and report an error until the parameters are to be read again, or the node is ended."""
+        """Log and report an error until the parameters are to be read again, or the node is ended.
+
+        A new reason means that somebody is repairing them: the pauses begin anew.
+        """
+        now_ns, is_new = self._inbox.clocks.now_ns(), str(error) != str(self.error)
         self.error = error
-        line = self._refused.update(str(error), self._inbox.clocks.now_ns())
-        if line:
-            rospy.logfatal("%s", line)
-        while not self._inbox.ending and self._inbox.clocks.now_ns() < self._refused.due_ns:
-            self._inbox.wait_until(min(self._refused.due_ns, self._diagnostics.due_ns))
+        self._pause_s = FIRST_PAUSE_S if is_new else min(2 * self._pause_s, MAX_PAUSE_S)
+        if is_new or now_ns >= self._log_ns:
+            self._log_ns = now_ns + REFUSAL_LOG_PERIOD_NS
+            later = f", later every {MAX_PAUSE_S} s" if self._pause_s < MAX_PAUSE_S else ""
+            rospy.logfatal("%s. This node waits, and reads its parameters again in %s s%s", error, self._pause_s, later)
+        due_ns = now_ns + self._pause_s * NS_PER_S
+        while not self._inbox.ending and self._inbox.clocks.now_ns() < due_ns:
+            self._inbox.wait_until(min(due_ns, self._diagnostics.due_ns))
             self._diagnostics.step(self._inbox.clocks.now_ns())
 
     def report_acceptance(self):

@@ -18,12 +18,11 @@ import signal
 import sys
 from pathlib import Path
 
-from car_interface.common import memory_limit
+from car_interface.common import process_setup
 from car_interface.common.errors import CarInterfaceError
-from car_interface.common.library_warnings import hide_warnings
 
 NODES = "nodes."
-# Of address space, with memory_limit.adapt. In the demo car_nodes took 348 MiB (VmPeak; 55 threads), each other node
+# Of address space, with process_setup.prepare. In the demo car_nodes took 348 MiB (VmPeak; 55 threads), each other node
 # 282 at most.
 NEEDED_MIB = 380
 WITH_ROSPY = (NODES, "tools.doctor.")
@@ -61,15 +60,14 @@ def start(module: str) -> None:
         print(usage(module))
         return
     try:
-        hide_warnings()
         if module.startswith(NODES) and module not in WITH_NUMPY:
             sys.modules["numpy"] = None
-        memory_limit.adapt(NEEDED_MIB if module.startswith(WITH_ROSPY) else 0)
+        process_setup.prepare(NEEDED_MIB if module.startswith(WITH_ROSPY) else 0)
         main = importlib.import_module(full_name(module)).main
-        memory_limit.reserve_blas()
+        process_setup.reserve_blas()
         main()
     except Exception as error:
-        line = memory_limit.describe_shortage(error) or (str(error) if isinstance(error, CarInterfaceError) else None)
+        line = process_setup.describe_shortage(error) or (str(error) if isinstance(error, CarInterfaceError) else None)
         if line is None:
             raise
         with contextlib.suppress(OSError, ValueError):

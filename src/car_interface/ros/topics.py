@@ -1,7 +1,16 @@
-"""Publishers, subscribers and services of one node, under the node's name and handled in the node's thread."""
+"""Publishers, subscribers and services of one node, under the node's name and handled in the node's thread.
+
+A node that was frozen finds the messages of that time in the sockets of its connections, and in the buffers of those
+who sent them; when it goes on they arrive all at once and look new. So every connection is replaced by a new one, which
+carries only what is sent from then on. The publishers' addresses are known: no master is needed.
+
+The nodes of one process that subscribe to a topic share its connections. Each of them drops by itself what is old.
+"""
 from __future__ import annotations
 
+import logging
 import socket
+import traceback
 from concurrent.futures import Future
 from functools import lru_cache
 from operator import attrgetter
@@ -11,11 +20,14 @@ import rospy
 from rospy.impl.tcpros_pubsub import QueuedConnection
 from std_msgs.msg import Bool, Int32MultiArray, MultiArrayDimension, MultiArrayLayout
 
-from car_interface.common.units import CHANNELS, one_channel
-from car_interface.ros.backlog import Backlog
+from car_interface.common.units import CHANNELS, NS_PER_S, one_channel
 from car_interface.ros.inbox import Inbox
 
+FALLBACK_NS = NS_PER_S  # where connections can't be replaced nothing is obeyed for so long
 _LAYOUT = MultiArrayLayout(dim=[MultiArrayDimension(label="pwm_channel", size=CHANNELS, stride=1)], data_offset=0)
+
+
+Handler = Callable[[Any, int], None]
 
 
 def advertise(topic: str, message_type, inbox: Inbox, queue_size=10, latch=False) -> rospy.Publisher:
@@ -32,20 +44,77 @@ def serve(name: str, service_type, inbox: Inbox, handler: Callable[[Any, Future]
     inbox.on_close(inbox.graph.service(inbox.own_name(name), service_type, handle).shutdown)
 
 
-def subscribe(topic: str, message_type, inbox: Inbox, handler: Callable[[Any, int], None], queue_size=10,
-              wakes=True) -> None:
+class Subscription:
+    """Knows which messages of one node's subscription are old.
+
+    Args:
+        takes_latched: obey the message with which a latching publisher's new connection begins. It is the publisher's
+            last word, however old.
+    """
+
+    def __init__(self, inbox: Inbox, takes_latched: bool = False):
+        self.dropped = 0  # how many messages were old
+        self._inbox = inbox
+        self._takes_latched = takes_latched
+        self.subscriber: rospy.Subscriber | None = None  # until it is opened
+        self._is_retired: Callable[[Any], bool] = lambda header: False
+        self._old_until_ns = -1  # what arrived until then is old
+        self._is_renewed = False  # every connection was replaced
+        self._latched_headers: list[dict] = []  # of new connections that have delivered their latched message
+
+    def open(self, topic: str, message_type, receive: Callable[[Any], None], queue_size=10) -> None:
+        """Have ``receive(message)`` called in a thread of ROS."""
+        self.subscriber = self._inbox.graph.subscriber(self._inbox.own_name(topic), message_type, receive, queue_size)
+        self._inbox.subscriptions.append(self)
+        self._inbox.on_close(self.subscriber.unregister)
+
+    def without_old(self, handler: Handler) -> Handler:
+        """Return a handler that gets what isn't old."""
+        def handle(message, arrival_ns):
+            if self._old_until_ns >= 0 and self._is_old(getattr(message, "_connection_header", None), arrival_ns):
+                self.dropped += 1
+            else:
+                handler(message, arrival_ns)
+        return handle
+
+    def renew(self) -> None:
+        """Replace every connection. What arrived before, and what still arrives over the old ones, is old."""
+        graph, self._latched_headers = self._inbox.graph, []
+        try:
+            self._is_retired = graph.replace_connections(self.subscriber)
+            self._old_until_ns, self._is_renewed = graph.clocks.now_ns(), True
+        except Exception:  # of another rospy
+            logging.getLogger("car_interface").error("%s", traceback.format_exc())
+            self._old_until_ns, self._is_renewed = graph.clocks.now_ns() + FALLBACK_NS, False
+
+    def _is_old(self, header, arrival_ns):
+        if self._is_retired(header):
+            return True
+        if self._is_renewed and self._is_latched(header):
+            return not self._takes_latched  # also if it arrived while other connections were still being replaced
+        return arrival_ns <= self._old_until_ns
+
+    def _is_latched(self, header):
+        """Return whether it is the first message of a new connection to a publisher that latches."""
+        if not header or header.get("latching") != "1" or any(header is known for known in self._latched_headers):
+            return False
+        self._latched_headers.append(header)
+        return True
+
+
+def subscribe(topic: str, message_type, inbox: Inbox, handler: Handler, queue_size=10, wakes=True) -> None:
     """Subscribe so that ``handler(message, arrival_ns)`` runs in the node's thread, for each message, in order.
 
     Args:
         message_type: ``rospy.AnyMsg`` for messages of any type.
         wakes: False = the handler runs when the node next wakes for another reason.
     """
-    backlog = Backlog(inbox.graph)
-    handler = backlog.without_old(handler)
-    _subscribe(topic, message_type, inbox, backlog, lambda message: inbox.put(handler, message, wakes), queue_size)
+    subscription = Subscription(inbox)
+    handler = subscription.without_old(handler)
+    subscription.open(topic, message_type, lambda message: inbox.put(handler, message, wakes), queue_size)
 
 
-def subscribe_changes(topic: str, message_type, inbox: Inbox, handler: Callable[[Any, int], None],
+def subscribe_changes(topic: str, message_type, inbox: Inbox, handler: Handler,
                       on_change: Callable[[int], Any] | None = None, takes_latched: bool = False,
                       value_of: Callable[[Any], Any] = attrgetter("data")) -> None:
     """Do the same for a topic whose messages mostly repeat the last value, in a node with a fast timer.
@@ -54,16 +123,16 @@ def subscribe_changes(topic: str, message_type, inbox: Inbox, handler: Callable[
     reduces the CPU time of an input at 50 Hz to a third. After a new value ``on_change(arrival_ns)`` is called as well.
 
     Args:
-        takes_latched: as of ``backlog.Backlog``.
+        takes_latched: as of ``Subscription``.
         value_of: the value in a message. It is called in rospy's thread.
     """
     last = None
-    backlog = Backlog(inbox.graph, takes_latched)
+    subscription = Subscription(inbox, takes_latched)
 
     def call_both(message, arrival_ns):
         handler(message, arrival_ns)
         on_change(arrival_ns)
-    handle, handle_change = backlog.without_old(handler), backlog.without_old(call_both)
+    handle, handle_change = subscription.without_old(handler), subscription.without_old(call_both)
 
     def receive(message):
         nonlocal last
@@ -71,7 +140,7 @@ def subscribe_changes(topic: str, message_type, inbox: Inbox, handler: Callable[
         has_changed = value != last  # as NaN always has
         last = value
         inbox.put(handle_change if on_change and has_changed else handle, message, wakes=has_changed)
-    _subscribe(topic, message_type, inbox, backlog, receive)
+    subscription.open(topic, message_type, receive)
 
 
 def subscribe_interlock(inbox: Inbox, arbiter: Any, on_change: Callable[[int], Any]) -> None:
@@ -121,12 +190,6 @@ def _header(message):
 def has_subscribers(publisher: rospy.Publisher) -> bool:
     """Return whether anybody subscribes: rospy serialises a message before it finds that nobody does."""
     return publisher.get_num_connections() > 0
-
-
-def _subscribe(topic, message_type, inbox, backlog, receive, queue_size=10):
-    backlog.subscriber = inbox.graph.subscriber(inbox.own_name(topic), message_type, receive, queue_size)
-    inbox.backlogs.append(backlog)
-    inbox.on_close(backlog.subscriber.unregister)
 
 
 class DirectConnection(QueuedConnection):

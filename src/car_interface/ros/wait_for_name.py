@@ -20,6 +20,7 @@ import signal
 import socket
 import sys
 import xmlrpc.client
+from contextlib import suppress
 from typing import NamedTuple, Sequence
 from urllib.parse import urlsplit
 
@@ -133,13 +134,17 @@ class NameWait:
 
     def update(self, holder: Holder, now_ns: int) -> str:
         """Decide whether the node may register now; a line for the log, or an empty one."""
-        if holder.state in (FREE, NO_MASTER):
-            self._silent_since_ns = None
-            return self._on_absence(holder.state, now_ns)
-        if holder.state != STARTING:
-            self._began_ns = now_ns if self._found is None else self._began_ns
-            self._found = self._known(holder)
-        if holder.state == RUNNING:
+        state, found = holder.state, self._found
+        if state == FREE or state == NO_MASTER and found is None:
+            self.may_register = True
+            return "" if found is None else f"{self._name} {found} has ended: taking over"
+        if state in (RUNNING, SILENT):
+            if found is None:
+                self._began_ns = now_ns
+            elif state == SILENT and found.machine == holder.machine:
+                holder = holder._replace(pid=found.pid)  # of an earlier answer
+            self._found = holder
+        if state in (RUNNING, NO_MASTER):
             self._silent_since_ns = None
         elif self._silent_since_ns is None:
             self._silent_since_ns = now_ns
@@ -147,37 +152,22 @@ class NameWait:
             self.may_register = True
             return (f"{self._name} {self._found or holder} hasn't answered for {MAX_SILENCE_S} s: taking over. If it "
                     "is only frozen, the ROS master ends it when it wakes")
-        return "" if holder.state == STARTING else self._waiting_text(holder.state, now_ns)
-
-    def _known(self, holder):
-        """Return the same with the process of an earlier answer, which a silent one doesn't give."""
-        if holder.state == SILENT and self._found is not None and self._found.machine == holder.machine:
-            return holder._replace(pid=self._found.pid)
-        return holder
-
-    def _on_absence(self, state, now_ns):
-        if self._found is None or state == FREE:
-            self.may_register = True
-            return "" if self._found is None else f"{self._name} {self._found} has ended: taking over"
-        return self._throttled(state, now_ns, f"{self._name} {self._found} has ended, and so has the ROS master. This "
-                               "node waits for a master; end its launch file and start it again")
-
-    def _waiting_text(self, state, now_ns):
-        waited_s = (now_ns - self._began_ns) // NS_PER_S
-        if state == SILENT:
-            return self._throttled(state, now_ns, f"{self._name} is registered {self._found}, and doesn't answer. This "
-                                   f"node takes over if it doesn't for {MAX_SILENCE_S} s")
-        since = f"; waiting for {waited_s} s so far" if waited_s else ""
-        return self._throttled(state, now_ns, f"{self._name} is already running {self._found}. This node waits, and "
-                               "sends nothing, until that one ends; then it takes over. If a launch file was started "
-                               f"twice, end one of the two{since}")
-
-    def _throttled(self, state, now_ns, text):
-        """Return the text when the state is new, and then every 10 s."""
-        if state == self._reported_state and now_ns < self._log_ns:
+        if state == STARTING or state == self._reported_state and now_ns < self._log_ns:
             return ""
         self._reported_state, self._log_ns = state, now_ns + LOG_PERIOD_S * NS_PER_S
-        return text
+        return f"{self._name} {self._waiting_text(state, now_ns)}"
+
+    def _waiting_text(self, state, now_ns):
+        if state == NO_MASTER:
+            return (f"{self._found} has ended, and so has the ROS master. This node waits for a master; end its launch "
+                    "file and start it again")
+        if state == SILENT:
+            return (f"is registered {self._found}, and doesn't answer. This node takes over if it doesn't for "
+                    f"{MAX_SILENCE_S} s")
+        waited_s = (now_ns - self._began_ns) // NS_PER_S
+        since = f"; waiting for {waited_s} s so far" if waited_s else ""
+        return (f"is already running {self._found}. This node waits, and sends nothing, until that one ends; then it "
+                f"takes over. If a launch file was started twice, end one of the two{since}")
 
 
 class NameLookup:
@@ -190,32 +180,26 @@ class NameLookup:
 
     def holder(self) -> Holder:
         """Return what has the name now."""
+        absent = FREE
         try:
             code, _, uri = call(self._master_uri, "lookupNode", self._name, self._name)
+            self._node_uri = uri if code == 1 else ""
         except Exception:  # no usable answer, for whatever reason
-            holder = self._ask(self._node_uri) if self._node_uri else Holder(FREE)
-            return Holder(NO_MASTER) if holder.state == FREE else holder
-        self._node_uri = uri if code == 1 else ""
-        return self._ask(uri) if code == 1 else Holder(FREE)
+            absent = NO_MASTER
+        holder = self._ask(self._node_uri) if self._node_uri else None
+        return holder or Holder(absent)
 
     def _ask(self, uri):
-        """Return what is at an address."""
+        """Return what is at an address; ``None`` = nothing that has the name."""
         try:
-            if self._is_another(uri):
-                return Holder(FREE)
-            pid = call(uri, "getPid", self._name)[2]
+            with suppress(xmlrpc.client.Fault):  # only rospy's nodes tell their names
+                if call(uri, "getName", self._name)[2] != self._name:
+                    return None  # another node has got the port of one that was killed
+            return Holder(RUNNING, _machine(uri), call(uri, "getPid", self._name)[2])
         except ConnectionRefusedError:  # its process has ended without a word to the master
-            return Holder(FREE)
+            return None
         except Exception:
             return Holder(SILENT, _machine(uri))
-        return Holder(RUNNING, _machine(uri), pid)
-
-    def _is_another(self, uri):
-        """Return whether another node has got the port of one that was killed. Only rospy's nodes tell."""
-        try:
-            return call(uri, "getName", self._name)[2] != self._name
-        except xmlrpc.client.Fault:
-            return False
 
 
 def _machine(uri):

@@ -175,4 +175,4 @@ class SteeringLimiter:
                              reason=turn.reason or reason + self._lost(now_ns))
 
     def _lost(self, now_ns):
-        return f"; by the last speed, {self.speed.lost_reason(now_ns)}" if self.speed.is_lost(now_ns) else ""
+        return f"; by the last speed, {self.speed.stale_reason(now_ns)}" if self.speed.is_stale(now_ns) else ""

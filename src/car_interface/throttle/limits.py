@@ -172,7 +172,7 @@ class ThrottleLimiter:
         """Return the same without a push, since reports of the speed are missing."""
         if limited.arbitration.drive <= 0:
             return limited
-        reason = f"{self.speed.lost_reason(now_ns)}: no throttle until its next report"
+        reason = f"{self.speed.stale_reason(now_ns)}: no throttle until its next report"
         return limited.cut(causes.SPEED_LATE, reason, drive=0.0)
 
     def _words(self, bound):

@@ -17,8 +17,8 @@ def fed(speeds, step_ns=20 * MS, timeout_s=0.5):
 
 def test_before_the_first_it_is_unknown_and_lost():
     measured = MeasuredSpeed(0.5)
-    assert not measured.was_received and measured.is_lost(0) and math.isnan(measured.last_mps)
-    assert measured.lost_reason(0) == "odom was never heard" and measured.age_s(0) == math.inf
+    assert not measured.was_received and measured.is_stale(0) and math.isnan(measured.last_mps)
+    assert measured.stale_reason(0) == "odom was never heard" and measured.age_s(0) == math.inf
     assert measured.magnitude_mps == 0.0
 
 
@@ -70,7 +70,7 @@ def test_their_period_is_the_mean_of_about_eight():
 
 def test_a_lost_speed_stays_and_stops_rising():
     measured, now_ns = fed([0.0] * 60 + [0.1 * index for index in range(31)])
-    assert measured.is_lost(now_ns + S) and measured.lost_reason(now_ns + S) == "odom silent for 1.00 s"
+    assert measured.is_stale(now_ns + S) and measured.stale_reason(now_ns + S) == "odom silent for 1.00 s"
     assert measured.highest_mps(now_ns + S) == measured.highest_mps(now_ns + 60 * S) == pytest.approx(
         3.0 + 5.0 * 0.2 + 6.0 * 0.1, abs=0.001)
 
@@ -78,11 +78,11 @@ def test_a_lost_speed_stays_and_stops_rising():
 @pytest.mark.parametrize("speed_mps, is_lost", [(math.nan, True), (-math.inf, True), (100.1, True), (-100.0, False)])
 def test_what_is_no_speed_makes_it_lost_and_leaves_the_last(speed_mps, is_lost):
     measured, now_ns = fed([2.0, speed_mps])
-    assert measured.is_lost(now_ns) == is_lost and measured.last_mps == (2.0 if is_lost else speed_mps)
+    assert measured.is_stale(now_ns) == is_lost and measured.last_mps == (2.0 if is_lost else speed_mps)
     measured.update(2.1, now_ns + MS)
-    assert not measured.is_lost(now_ns + MS)
+    assert not measured.is_stale(now_ns + MS)
     measured.mark_stale()
-    assert measured.is_lost(now_ns + MS) and "messages were dropped" in measured.lost_reason(now_ns)
+    assert measured.is_stale(now_ns + MS) and "messages were dropped" in measured.stale_reason(now_ns)
 
 
 def test_after_a_silence_a_jump_is_no_acceleration_and_a_car_that_was_stopped_meanwhile_stands():

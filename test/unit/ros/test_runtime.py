@@ -17,42 +17,18 @@ from car_interface.common.errors import ConfigError, EndedEarly
 from car_interface.common.units import NS_PER_S
 from car_interface.ros import runtime
 from car_interface.ros.diagnostics import ERROR, OK
-from car_interface.ros.runtime import RefusedParameters, Steps, describe_error, read_params
+from car_interface.ros.runtime import STANDSTILL_NS, Steps, describe_error, read_params
 
-BAD = "servo_left is 'x'; accepted: an integer from 0 to 65535"
-
-
-def pauses_and_lines(refused, text, count, now_ns=0):
-    found = []
-    for _ in range(count):
-        line = refused.update(text, now_ns)
-        found.append(((refused.due_ns - now_ns) / NS_PER_S, line))
-        now_ns = refused.due_ns
-    return found, now_ns
-
-
-def test_pauses_grow_from_one_second_to_thirty_and_the_line_that_says_so_comes_at_once_and_after_five_minutes():
-    found, _ = pauses_and_lines(RefusedParameters(), BAD, 16)
-    assert [pause for pause, _ in found[:8]] == [1, 2, 4, 8, 16, 30, 30, 30]
-    assert [line for _, line in found] == [
-        f"{BAD}. This node waits, and reads its parameters again in 1 s, later every 30 s", *[""] * 13,
-        f"{BAD}. This node waits, and reads its parameters again in 30 s", ""]
-
-
-def test_new_reason_is_logged_at_once_and_the_pauses_begin_again():
-    refused = RefusedParameters()
-    _, now_ns = pauses_and_lines(refused, BAD, 5)
-    found, _ = pauses_and_lines(refused, "servo_right is missing; accepted: an integer", 2, now_ns)
-    assert [pause for pause, _ in found] == [1, 2]
-    assert found[0][1].startswith("servo_right is missing") and found[1][1] == ""
+MS = 1_000_000
+START = 1000 * 1000 * MS
 
 
 class Inbox:
     """A node's inbox and clock, which goes on as the node waits."""
 
     def __init__(self, **parameters):
-        self.now_ns, self.ending, self.backlogs, self.begun_anew, self.waits = 0, False, [], [], []
-        self.node_name, self.standstill_text = "/cars/red/turn_arb", "it stood still"
+        self.now_ns, self.ending, self.subscriptions, self.begun_anew, self.waits = 0, False, [], [], []
+        self.node_name = "/cars/red/turn_arb"
         self.clocks = SimpleNamespace(now_ns=lambda: self.now_ns, sleep=lambda seconds: self.waits.append("sleep"))
         self.graph = SimpleNamespace(parameter=parameters.get)
 
@@ -93,17 +69,63 @@ def test_a_node_is_stepped_when_it_is_due_until_it_ends_and_is_shut_down_before_
     assert inbox.waits == [NS_PER_S, 2 * NS_PER_S, 3 * NS_PER_S, "sleep"]
 
 
-@pytest.mark.parametrize("still_s, backlogs, attributes, begins", [
+@pytest.mark.parametrize("still_s, subscriptions, attributes, begins", [
     (3, ["one"], {}, True), (3, ["one"], {"notices_standstill": False}, True), (0, ["one"], {}, False),
     (3, [], {}, False), (3, ["one"], {"notices_standstill": True}, False)],
     ids=["it_does", "it_says_so", "on_time", "without_subscriptions", "it_sees_to_that_itself"])
-def test_a_node_that_stood_still_begins_anew(still_s, backlogs, attributes, begins):
+def test_a_node_that_stood_still_begins_anew(still_s, subscriptions, attributes, begins):
     inbox = Inbox()
-    inbox.backlogs = backlogs
+    inbox.subscriptions = subscriptions
     steps = Steps(SimpleNamespace(step=lambda now_ns: now_ns, **attributes), inbox)
     inbox.now_ns += still_s * NS_PER_S
     assert steps.step() == inbox.now_ns
     assert inbox.begun_anew == ([3 * NS_PER_S] if begins else [])
+
+
+def standstills(*steps):
+    """For how long, ms, the thread has stood still before each of its steps; 0 = it hasn't.
+
+    Args:
+        steps: (waits, lasts, due): ms from the end of the step before to this one's begin, ms that it lasts, and ms
+            from its end to when the next one is due.
+    """
+    inbox, found = Inbox(), []
+    inbox.subscriptions, inbox.now_ns = ["one"], START
+
+    def step(now_ns):
+        _, lasts, due = steps[len(found)]
+        inbox.now_ns += round(lasts * MS)
+        return inbox.now_ns + due * MS
+    stepped = Steps(SimpleNamespace(step=step), inbox)
+    for waits, _, _ in steps:
+        inbox.now_ns += round(waits * MS)
+        inbox.begun_anew.clear()
+        stepped.step()
+        found.append(sum(inbox.begun_anew) // MS)
+    return found
+
+
+@pytest.mark.parametrize("steps, expected", [
+    ([(0, 0.1, 10)] + [(10, 0.1, 10)] * 99, [0] * 100),
+    ([(0, 0.1, 10), (0.2, 0.1, 10), (0, 0.1, 10)], [0, 0, 0]),
+    ([(0, 0.1, 10), (3010, 0.1, 10), (10, 0.1, 10)], [0, 3000, 0]),
+    ([(0, 0.1, 10), (10, 3000, 10), (0, 0.1, 10), (10, 0.1, 10)], [0, 0, 3000, 0]),
+    ([(0, 0.1, 10), (10, 500, 10), (0, 0.1, 10), (10, 0.1, 10)], [0, 0, 500, 0]),
+    ([(0, 0.1, 10), (310, 0.1, 10), (10, 300, 10), (310, 0.1, 10)], [0, 0, 0, 0]),
+    ([(0, 0.1, 10), (509, 0.1, 10), (510, 0.1, 10)], [0, 0, 500]),
+    ([(0, 0.1, 10), (10, 400, 10), (400, 400, 10), (400, 0.1, 10)], [0] * 4),
+    ([(0, 0.1, float("inf")), (1000, 0.1, 60_000), (1000, 0.1, 10)], [0, 0, 0]),
+    ([(0, 0.1, 60_000), (4000, 0.1, 10)], [0, 3000]),
+    ([(0, 0.1, -700), (1, 0.1, -700), (1, 0.1, 10)], [0, 0, 0]),
+    ([(700, 0.1, 10)], [700]),
+])
+def test_a_thread_that_stood_still_is_told_from_a_busy_computer_s_delays(steps, expected):
+    assert standstills(*steps) == expected
+
+
+def test_limit_of_a_standstill_is_the_timeout_of_the_arbiters_inputs():
+    from car_interface.interlock.motion_interlock import InterlockConfig
+    assert round(InterlockConfig.human_timeout_s * 1e9) == STANDSTILL_NS
 
 
 def test_parameters_are_the_node_s_and_those_of_the_nearest_namespace_around_it():
@@ -270,8 +292,34 @@ def test_a_node_that_is_started_again_reads_its_parameters_until_they_are_accept
     assert (first.level, first.values) == (second.level, second.values) == (
         ERROR, {"cause": "parameter refused", "parameter": "servo_left"})
     assert (last.level, last.message, last.values) == (OK, "accepted", {})
-    said = [record.getMessage() for record in caplog.records if record.name == "rosout"]
-    assert [line[:25] for line in said] == ["servo_left is 'x'; accept", "the parameters are accept"]
+    assert [line[:25] for line in said(caplog)] == ["servo_left is 'x'; accept", "the parameters are accept"]
+
+
+def said(caplog):
+    return [record.getMessage() for record in caplog.records if record.name == "rosout"]
+
+
+def pauses_of(inbox):
+    return [(until - since) // NS_PER_S for since, until in zip([0, *inbox.waits], inbox.waits)]
+
+
+def test_pauses_grow_from_one_second_to_thirty_and_the_line_that_says_so_comes_at_once_and_after_five_minutes(
+        monkeypatch, reports, caplog):
+    monkeypatch.setenv("CAR_INTERFACE_RESPAWN", "1")
+    inbox = Inbox()
+    runtime.build_node(building(*[REFUSED] * 14, "node"), inbox)
+    assert pauses_of(inbox) == [1, 2, 4, 8, 16, *[30] * 9]
+    assert said(caplog) == [f"{REFUSED}. This node waits, and reads its parameters again in 1 s, later every 30 s"]
+    runtime.build_node(building(*[REFUSED] * 16, "node"), Inbox())
+    assert said(caplog)[2:] == [f"{REFUSED}. This node waits, and reads its parameters again in 30 s"]
+
+
+def test_new_reason_is_logged_at_once_and_the_pauses_begin_again(monkeypatch, reports, caplog):
+    monkeypatch.setenv("CAR_INTERFACE_RESPAWN", "1")
+    inbox, missing = Inbox(), ConfigError("servo_right", None, "an integer")
+    runtime.build_node(building(*[REFUSED] * 5, missing, missing, "node"), inbox)
+    assert pauses_of(inbox) == [1, 2, 4, 8, 16, 1, 2]
+    assert [line.split(";")[0] for line in said(caplog)] == ["servo_left is 'x'", "servo_right is missing"]
 
 
 def test_a_node_that_is_ended_while_it_waits_for_better_parameters_is_not_built(monkeypatch, reports):

@@ -9,9 +9,8 @@ import glob
 import os
 import stat
 
-from car_interface.common.device_access import group_name
+from car_interface.common.device_access import command_line, group_name
 from car_interface.common.header import read_header
-from car_interface.common.processes import command_line
 
 CONSOLES_GROUP = "tty"
 PROGRAMS = ("agetty", "getty")

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import Iterator, Sequence
 
-from car_interface.common import memory_limit, output
+from car_interface.common import output, process_setup
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.lookup_table import LookupTable
 from car_interface.pca9685.registers import DUTY_PER_COUNT
@@ -63,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
     table = load_steering(name) if is_steering else load_value_map(name, options.allow_plateaus, text)
     if suffix in PICTURE_SUFFIXES:
         from car_interface.tools.report.plots import draw  # matplotlib only for who asks for it
-        memory_limit.reserve_blas()
+        process_setup.reserve_blas()
         output.write(options.output, draw(table, suffix[1:], name))
     if is_steering:
         lines, notes = steering_picture(table), list(steering_notes(table))

@@ -17,9 +17,8 @@ from typing import Any, Callable, Iterator, Sequence
 
 import numpy as np
 
-from car_interface.common import memory_limit
+from car_interface.common import process_setup
 from car_interface.common.errors import CarInterfaceError
-from car_interface.common.library_warnings import hide_warnings
 from car_interface.tools.cli.main import version
 from car_interface.tools.recordings.recording import NoRecording
 from car_interface.tools.recordings.signals import Trail
@@ -82,7 +81,7 @@ def _tried(function, refusal, path, killed=False):
     except OSError as error:
         return None, f"{error.filename or path}: {error.strerror}"
     except Exception as error:
-        why = memory_limit.describe_shortage(error) or f"{type(error).__name__}: {' '.join(str(error).split())}"
+        why = process_setup.describe_shortage(error) or f"{type(error).__name__}: {' '.join(str(error).split())}"
         return None, f"{path}: {refusal} ({why})"
 
 
@@ -125,8 +124,7 @@ def _prepare_process():
     """Do in a new process what ``main`` has done in this one, and let Ctrl-C end it."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    hide_warnings()
-    memory_limit.adapt()
+    process_setup.prepare()
 
 
 @contextmanager

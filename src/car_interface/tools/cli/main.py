@@ -16,9 +16,8 @@ from importlib import metadata
 from typing import Sequence
 from xml.etree import ElementTree
 
-from car_interface.common import memory_limit
+from car_interface.common import process_setup
 from car_interface.common.errors import CarInterfaceError
-from car_interface.common.library_warnings import hide_warnings
 from car_interface.common.package_files import package_file
 
 PACKAGE, PROGRAM = "car_interface", "car-interface"
@@ -39,11 +38,10 @@ def main(command: str | None = None, arguments: Sequence[str] | None = None) -> 
     if hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="car_interface.plain")
     try:
-        hide_warnings()
-        memory_limit.adapt()
+        process_setup.prepare()
         parser = _parser(command, arguments)
         options = parser.parse_args(arguments)
-        memory_limit.reserve_blas()
+        process_setup.reserve_blas()
         code = options.run(options)
         sys.stdout.flush()  # while a broken pipe can still be caught
         return code
@@ -60,7 +58,7 @@ def main(command: str | None = None, arguments: Sequence[str] | None = None) -> 
     except KeyboardInterrupt:
         return INTERRUPTED
     except Exception as error:
-        why = memory_limit.describe_shortage(error)
+        why = process_setup.describe_shortage(error)
         if why is None and isinstance(error, OSError) and error.filename is not None:
             why = f"{error.filename}: {error.strerror}"
         if why is None:

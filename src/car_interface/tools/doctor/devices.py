@@ -13,9 +13,8 @@ import time
 from contextlib import closing
 from typing import Any, Callable, Sequence
 
-from car_interface.common.device_access import SETUP_COMMAND, explain_denial
+from car_interface.common.device_access import SETUP_COMMAND, explain_denial, openers
 from car_interface.common.header import Header, port_note, read_header
-from car_interface.common.processes import openers
 from car_interface.common.units import NS_PER_MS
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.pca9685.bus import NOT_ACKNOWLEDGED, PROBE, BoardNotFound, choose_bus, explain, is_pca9685

@@ -13,12 +13,11 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from car_interface.common.declared import read_all
-from car_interface.common.device_access import STABLE_PORT
+from car_interface.common.device_access import STABLE_PORT, script_arguments
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.fixed_parameters import fixed_parameters
 from car_interface.common.package_files import package_file
 from car_interface.common.params import CONFIG_FOLDER, Params
-from car_interface.common.processes import script_arguments
 from car_interface.common.yaml_file import compose_yaml, read_yaml
 from car_interface.pca9685.config import AUTO, VIRTUAL
 from car_interface.pca9685.registers import prescale_for

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from car_interface.common import memory_limit
+from car_interface.common import process_setup
 from car_interface.common.errors import CarInterfaceError
-from car_interface.common.memory_limit import MIB, adapt, describe_shortage
+from car_interface.common.process_setup import MIB, describe_shortage, prepare
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -29,7 +29,7 @@ def chained(outer, inner):
 ], ids=repr)
 @pytest.mark.parametrize("limit", [None, 400 * MIB])
 def test_want_of_memory_is_one_line_with_a_remedy(error, words, limit, monkeypatch):
-    monkeypatch.setattr(memory_limit, "limit_bytes", lambda: limit)
+    monkeypatch.setattr(process_setup, "limit_bytes", lambda: limit)
     line = describe_shortage(error)
     assert line.startswith(f"{words}: ") and "\n" not in line
     assert ("400 MB" in line and "ulimit -v unlimited" in line) == (limit is not None)
@@ -49,19 +49,20 @@ def test_other_errors_are_none_even_one_that_is_its_own_context(error):
     SystemError("error return without exception set"),
 ], ids=repr)
 def test_error_in_whose_place_python_lost_its_memory_error_is_one_where_memory_is_limited(error, monkeypatch):
-    monkeypatch.setattr(memory_limit, "limit_bytes", lambda: 130 * MIB)
+    monkeypatch.setattr(process_setup, "limit_bytes", lambda: 130 * MIB)
     assert describe_shortage(error).startswith("out of memory: its limit of address space is 130 MB")
-    monkeypatch.setattr(memory_limit, "limit_bytes", lambda: None)
+    monkeypatch.setattr(process_setup, "limit_bytes", lambda: None)
     assert describe_shortage(error) is None
 
 
 def test_limit_below_what_is_needed_is_refused_and_no_limit_is_not(monkeypatch):
-    monkeypatch.setattr(memory_limit, "limit_bytes", lambda: 100 * MIB)
+    monkeypatch.setattr(process_setup, "limit_bytes", lambda: 100 * MIB)
     with pytest.raises(CarInterfaceError, match="needs 380 MB of address space, and its limit is 100 MB: raise"):
-        adapt(380)
-    monkeypatch.setattr(memory_limit, "limit_bytes", lambda: None)
+        prepare(380)
+    monkeypatch.setattr(process_setup, "limit_bytes", lambda: None)
+    monkeypatch.setenv("MPLBACKEND", "Agg")  # which is set in any case
     before = dict(os.environ)
-    adapt(380)
+    prepare(380)
     assert dict(os.environ) == before  # nothing is changed where nothing is limited
 
 
@@ -84,8 +85,8 @@ def test_threads_take_little_address_space():
     """With glibc's 64 MiB and Python's 8 MiB for each, 20 of them would need 1.4 GiB."""
     done = limited(200, "-c", """
 import threading
-from car_interface.common.memory_limit import adapt
-adapt()
+from car_interface.common.process_setup import prepare
+prepare()
 barrier = threading.Barrier(21)
 threads = [threading.Thread(target=lambda: (bytearray(300_000), barrier.wait())) for _ in range(20)]
 [thread.start() for thread in threads]

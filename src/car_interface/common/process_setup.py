@@ -1,14 +1,21 @@
-"""Makes a process whose memory is limited (ulimit -v) or used up take less, or end with one line."""
+"""Prepares a process: one whose memory is limited (ulimit -v) or used up takes less, or ends with one line.
+
+It also hides the warnings of numpy, scipy and matplotlib, which are meant for programmers. They name no cause that a
+user could mend. The tests turn each one that they can provoke into an error, so that its cause is mended; this is for
+those of other versions. ``python3 -W default`` shows them.
+"""
 from __future__ import annotations
 
 import ctypes
 import errno
+import logging
 import mmap
 import os
 import re
 import resource
 import sys
 import threading
+import warnings
 from contextlib import suppress
 
 from car_interface.common.errors import CarInterfaceError
@@ -20,11 +27,8 @@ STACK_BYTES = 2 * MIB  # of a thread; 8 MiB by default
 BLAS_BYTES = 136 * MIB
 # The dynamic linker's texts in an ImportError.
 LINKER_TEXTS = ("failed to map segment", "cannot allocate memory", "cannot apply additional memory protection")
-# From an extension module that has no memory left for its own error.
-LOST_ERRORS = ("without setting an exception", "without exception set")
-# From a compiler that goes on after its MemoryError: 3.8's ("field target is …") to 3.11's, and of 3.8's parser.
+# In a ValueError from a compiler that goes on after its MemoryError: 3.8's ("field target is …") to 3.11's.
 LOST_NODE = re.compile(r"^field '?\w+'? is required for \w+$")
-LOST_END = "unexpected EOF while parsing"
 NO_THREAD = "can't start new thread"
 
 
@@ -34,10 +38,11 @@ def limit_bytes() -> int | None:
     return None if limit == resource.RLIM_INFINITY else limit
 
 
-def adapt(needed_mib: int = 0) -> None:
-    """Take less address space where it is limited. Call it before threads are started and numpy is imported.
+def prepare(needed_mib: int = 0) -> None:
+    """Hide warnings, and take less address space where it is limited.
 
-    glibc would reserve 64 MiB for most threads, and OpenBLAS start one for each processor.
+    To be called before threads are started and these libraries are imported. glibc would reserve 64 MiB for most
+    threads, and OpenBLAS start one for each processor.
 
     Args:
         needed_mib: with a lower limit parts of the process would fail.
@@ -45,6 +50,11 @@ def adapt(needed_mib: int = 0) -> None:
     Raises:
         CarInterfaceError: the limit is lower.
     """
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore")
+    # Matplotlib also logs that it builds its cache of fonts, a folder that can't be written, a typo in a matplotlibrc.
+    logging.getLogger("matplotlib").setLevel(logging.CRITICAL)
+    os.environ["MPLBACKEND"] = "Agg"  # a backend that isn't installed, such as a notebook's, would end the import
     limit = limit_bytes()
     if limit is None:
         return
@@ -105,11 +115,6 @@ def _kind(error):
         return NO_THREAD
     is_want = (isinstance(error, MemoryError) or isinstance(error, OSError) and error.errno == errno.ENOMEM
                or isinstance(error, ImportError) and any(words in text.lower() for words in LINKER_TEXTS))
-    return "out of memory" if is_want or limit_bytes() is not None and _is_lost(error, text) else None
-
-
-def _is_lost(error, text):
-    """Return whether an error may stand for one of memory that was lost; nothing but imports compiles here."""
-    return (isinstance(error, SystemError) and any(words in text for words in LOST_ERRORS)
-            or isinstance(error, SyntaxError) and error.msg == LOST_END
-            or isinstance(error, ValueError) and LOST_NODE.match(text) is not None)
+    # A MemoryError that was lost: in an extension module, or in the compiler, as nothing but imports compiles here.
+    is_lost = isinstance(error, (SystemError, SyntaxError)) or isinstance(error, ValueError) and LOST_NODE.match(text)
+    return "out of memory" if is_want or is_lost and limit_bytes() is not None else None
