@@ -231,7 +231,7 @@ def test_full_disk_is_told_and_the_next_recording_is_written(graph, folder, monk
     def fail(*arguments, **keywords):
         raise OSError(errno.ENOSPC, "No space left on device")
     with monkeypatch.context() as patch:
-        patch.setattr("car_interface.common.output.replace", fail)
+        patch.setattr("car_interface.common.atomic_file.replace", fail)
         drive(graph)
         graph.hold("/throttle_arb/state", throttle(ThrottleState.NEUTRAL, causes.ODOMETRY_STALE), 10)
         graph.run(6.0)

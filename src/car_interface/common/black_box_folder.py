@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from car_interface.common import causes, declared, output
+from car_interface.common import atomic_file, causes, declared
 from car_interface.common.own_files import make_folder
 
 MAX_FILES, MAX_BYTES = 10, 50_000_000
@@ -87,7 +87,7 @@ def store(folder: str, time_text: str, cause: str, data: bytes) -> str:
     """
     make_folder(folder)
     new_path, path = os.path.join(folder, NEW), _free_path(folder, f"{time_text}_{_slug(cause)}")
-    output.replace(new_path, data, keeps_old=False)
+    atomic_file.replace(new_path, data, keeps_old=False)
     os.replace(new_path, path)
     # The new one stays even if the others have later times: the clock may have been set back.
     others = [one for one in recordings(folder) if one.path != path]

@@ -10,9 +10,9 @@ import os
 import re
 from typing import Mapping, Sequence, Union
 
+from car_interface.common.atomic_file import is_write_protected, replace
 from car_interface.common.errors import ConfigError
 from car_interface.common.input_file import read_file
-from car_interface.common.output import is_write_protected, replace
 from car_interface.common.yaml_file import MAX_BYTES, compose_yaml, decode_yaml, load_yaml, scalar_number
 
 Value = Union[int, float, str, Sequence[Union[int, float]]]  # bool is an int

@@ -15,6 +15,7 @@ from typing import Mapping
 from urllib.parse import quote
 
 from car_interface.common import output
+from car_interface.common.atomic_file import replace
 from car_interface.common.black_box_folder import default_folder, newest
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.input_file import read_file
@@ -205,7 +206,7 @@ def save_rows(folder: str, version: str, rows: Mapping[str, tuple[list[int] | No
     for path in _cache_paths(folder):
         try:
             os.makedirs(os.path.dirname(path), exist_ok=True)
-            output.replace(path, f"{_checksum(body)}\n{body}\n".encode("ascii"), keeps_old=False)
+            replace(path, f"{_checksum(body)}\n{body}\n".encode("ascii"), keeps_old=False)
             return ""
         except OSError as error:
             problem = problem or f"{path}: {error.strerror}"
