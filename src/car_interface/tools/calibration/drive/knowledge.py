@@ -84,8 +84,8 @@ def assess(drive: SteeringDrive, config: CurveFitConfig) -> Knowledge:
     rows = tuple(RadiusRow(side, point.radius_m, point.duty,
                            BAND * point.radius_sigma_m / point.radius_m, point.source != UNKNOWN)
                  for side in (LEFT, RIGHT) for point in points[side])
-    # Errors by the rule of breakpoints(); needs are greater where one count changes much and between places that are far
-    # apart.
+    # Errors by the rule of breakpoints(); needs are greater where one count changes much and between places that are
+    # far apart.
     allowed_per_m = np.maximum(KNOWN_RATIO * np.abs(curve.curvature(duties)), KNOWN_PER_M)
     half_count = np.abs(curve.curvature(duties + COUNT) - curve.curvature(duties - COUNT)) / 4
     sigmas = np.interp(duties, curve.duties, curve.sigmas)

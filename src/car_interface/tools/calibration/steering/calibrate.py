@@ -194,12 +194,11 @@ def completed(points: Sequence[Breakpoint], center: float, old: Sequence[float])
     towards = math.copysign(1.0, np.mean(driven or old) - center)
     made, upper = [], math.inf
     for index, (point, duty) in enumerate(zip(points, old)):
-        fitting_duties = [point.duty]
-        if point.source == UNKNOWN:
-            fitting_duties = [duty, *(later.duty for later in points[index:] if later.source != UNKNOWN)]
-            point = point._replace(source=OLD)
-        upper = min(upper, max(0.0, *(towards * (one - center) for one in fitting_duties)))
-        made.append(point._replace(duty=center + towards * upper))
+        wanted, source = [point.duty], point.source
+        if source == UNKNOWN:
+            wanted, source = [duty, *(later.duty for later in points[index:] if later.source != UNKNOWN)], OLD
+        upper = min(upper, max(0.0, *(towards * (one - center) for one in wanted)))
+        made.append(point._replace(duty=center + towards * upper, source=source))
     return made
 
 
@@ -258,8 +257,8 @@ def report(calibrated: SteeringResult, recorded: Sequence[RecordedDrive],
         f"  left out (intervals): {left_out or 'none'}", _servo_line(curve), _understeer_line(curve.understeer),
         f"  segments lie off the curve by {np.median(off):.4f} 1/m (median), {np.percentile(off, 95):.4f} (95 %)",
         *_center_and_end_lines(curve),
-        *([f"  --axis ends at {axis_m[-1]:g} m: {added[0]:g} to {added[-1]:g} m are added, or turn_arb would turn as "
-           "tight as there when asked for straight on"] if added else []),
+        *([(f"  --axis ends at {axis_m[-1]:g} m: {added[0]:g} to {added[-1]:g} m are added, or turn_arb would turn as "
+            "tight as there when asked for straight on")] if added else []),
         f"{TABLE_HEAD}         left  ±duty   ±radius segments    m        right  ±duty   ±radius segments    m",
         *(f"  {left.radius_m:6g} m  {_cells(left)}   {_cells(right)}"
           for left, right in zip(points[LEFT], points[RIGHT])),
@@ -278,8 +277,8 @@ def short_report(calibrated: SteeringResult, recorded: Sequence[RecordedDrive]) 
         _first_line(curve, recorded), _servo_line(curve), *_center_and_end_lines(curve),
         f"{TABLE_HEAD}         left  ±duty   ±radius        right  ±duty   ±radius",
         *(f"  {left.radius_m:6g} m  {_few_cells(left)}   {_few_cells(right)}" for left, right in few),
-        f"  ({shown} of {len(rows)} radii; ±: two standard errors; e: the end, the tightest turn"
-        f"{'; *: nothing was driven' if has_old else ''})"]
+        (f"  ({shown} of {len(rows)} radii; ±: two standard errors; e: the end, the tightest turn"
+         f"{'; *: nothing was driven' if has_old else ''})")]
 
 
 def _first_line(curve, recorded):

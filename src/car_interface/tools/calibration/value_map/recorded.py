@@ -183,5 +183,6 @@ def _value_by_duty(output: Output, throttle: ThrottleTable):
     duty = output.duties[:, throttle.channel]
     value = Series(output.t_s, np.where(is_pulse(duty), throttle.value_of(duty), np.nan))
     beyond = int((is_pulse(duty) & np.isnan(value.y)).sum())
-    return value, (f"{beyond} of {value.y.size} duties lie beyond {throttle.duties[0]:g} to {throttle.duties[-1]:g}, "
-                   f"where {throttle.path} has no value: left out",) if beyond else ()
+    note = (f"{beyond} of {value.y.size} duties lie beyond {throttle.duties[0]:g} to {throttle.duties[-1]:g}, where "
+            f"{throttle.path} has no value: left out")
+    return value, (note,) if beyond else ()

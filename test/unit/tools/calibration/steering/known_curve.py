@@ -4,10 +4,8 @@ from types import SimpleNamespace
 import numpy as np
 
 from car_interface.tools.calibration.steering.drive import KNOT, Delay
-from car_interface.tools.calibration.steering.fit import Side
-from car_interface.tools.calibration.steering.fit import Curve
+from car_interface.tools.calibration.steering.fit import UNKNOWN_UNDERSTEER, Curve, Side
 from car_interface.tools.calibration.steering.segments import Observations
-from car_interface.tools.calibration.steering.fit import UNKNOWN_UNDERSTEER
 
 CENTER, LEFT_DUTY, RIGHT_DUTY = 5200.0, 4000.0, 6400.0
 

@@ -12,10 +12,8 @@ from car_interface.common.errors import CarInterfaceError
 from car_interface.steering.calibration import SteeringCalibration
 from car_interface.tools.calibration.shared import NothingToFit
 from car_interface.tools.calibration.steering import calibrate as module
-from car_interface.tools.calibration.steering.calibrate import calibrate, yaml_text
-from car_interface.tools.calibration.steering.fit import Side
-from car_interface.tools.calibration.steering.calibrate import DRIVEN, END, LEFT, OLD, RIGHT
-from car_interface.tools.calibration.steering.fit import Understeer
+from car_interface.tools.calibration.steering.calibrate import DRIVEN, END, LEFT, OLD, RIGHT, calibrate, yaml_text
+from car_interface.tools.calibration.steering.fit import Side, Understeer
 from tools.calibration.steering.known_curve import line_curve, recorded
 
 BASE = SteeringCalibration(servo_left=3600, servo_center=5100, servo_right=6600, servo_channel=0,

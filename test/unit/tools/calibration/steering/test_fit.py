@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from car_interface.tools.calibration.shared import NothingToFit
 from car_interface.tools.calibration.steering import fit
-from car_interface.tools.calibration.steering.drive import UNKNOWN_DELAY, CurveFitConfig, Delay
 from car_interface.tools.calibration.steering.calibrate import LEFT, RIGHT, breakpoints, completed
+from car_interface.tools.calibration.steering.drive import UNKNOWN_DELAY, CurveFitConfig, Delay
 from tools.calibration.steering.synthetic import (
     CENTER,
     KNOWN,

@@ -8,9 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from car_interface.tools.calibration.steering.calibrate import SteeringResult, report, short_report
-from car_interface.tools.calibration.steering.fit import Side
-from car_interface.tools.calibration.steering.fit import UNKNOWN_BACKLASH
 from car_interface.tools.calibration.steering.calibrate import (
     DRIVEN,
     END,
@@ -19,10 +16,13 @@ from car_interface.tools.calibration.steering.calibrate import (
     RIGHT,
     UNKNOWN,
     Breakpoint,
+    SteeringResult,
     breakpoints,
     find_problems,
+    report,
+    short_report,
 )
-from car_interface.tools.calibration.steering.fit import Understeer
+from car_interface.tools.calibration.steering.fit import UNKNOWN_BACKLASH, Side, Understeer
 from tools.calibration.steering.known_curve import line_curve, recorded
 
 

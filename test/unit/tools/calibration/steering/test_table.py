@@ -8,8 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from car_interface.tools.calibration.steering import fit
-from car_interface.tools.calibration.steering.fit import Side
-from car_interface.tools.calibration.steering.smooth import BAND
 from car_interface.tools.calibration.steering.calibrate import (
     DRIVEN,
     END,
@@ -23,6 +21,8 @@ from car_interface.tools.calibration.steering.calibrate import (
     completed,
     find_problems,
 )
+from car_interface.tools.calibration.steering.fit import Side
+from car_interface.tools.calibration.steering.smooth import BAND
 from tools.calibration.steering.synthetic import (
     CENTER,
     KNOWN,
