@@ -115,7 +115,7 @@ class Driver:
         return self._core.phones.controls(time.monotonic_ns()).manual
 
     async def _until(self, condition, press=None):
-        """Wait; press each second again, as a person would: what a machine that stood still sent is too old to count."""
+        """Wait; press again each second, as a person would: what a machine that stood still sent is too old."""
         for poll in range(1000):
             if condition():
                 return
