@@ -159,7 +159,7 @@ def test_after_dropped_messages_nothing_brakes_and_a_board_that_is_checked_must_
     rig.speed = 4.0
     assert rig.pull((1.0, 1.0)).duty == BY_HAND
     rig.control.mark_stale(rig.now_ns)
-    assert rig.control.limiter.speed.is_lost(rig.now_ns)
+    assert rig.control.limiter.speed.is_stale(rig.now_ns)
     decision = rig.control.decide(rig.now_ns)
     assert (decision.duty, decision.arbitration.is_stop) == (NEUTRAL_DUTY, True)
     rig.human = False
