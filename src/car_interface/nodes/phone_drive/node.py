@@ -23,15 +23,15 @@ from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger, TriggerRequest
 
+from car_interface.common.black_box_folder import default_folder
 from car_interface.common.declared import read_all
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import NS_PER_S
 from car_interface.nodes.phone_drive.announcement import announce, own_addresses
-from car_interface.nodes.phone_drive.calibration_program import CalibrationProgram
 from car_interface.nodes.phone_drive.car_state import CarState
 from car_interface.nodes.phone_drive.config import AUTO, PhoneDriveConfig
-from car_interface.nodes.phone_drive.recordings import Recordings, default_folder
+from car_interface.nodes.phone_drive.programs import CalibrationProgram, Recordings
 from car_interface.ros.diagnostics import OK, Diagnostics
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise
@@ -80,7 +80,7 @@ class PhoneDrive:
         self._diagnostics = Diagnostics(inbox, "none", {"phones": self._report}, now_ns)
         inbox.on_overflow(lambda now_ns: self._phones.mark_stale())
         self._car = CarState(inbox)
-        self._recordings = make_recordings(config.folder or default_folder(), inbox)
+        self._recordings = make_recordings(config.folder or default_folder("recordings"), inbox)
         self._calibration = make_calibration(inbox)
         self._server = make_server(config, inbox, self)
         # Not to the log, which any node of the network receives.
