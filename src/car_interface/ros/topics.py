@@ -11,6 +11,7 @@ import rospy
 from rospy.impl.tcpros_pubsub import QueuedConnection
 from std_msgs.msg import Bool, Int32MultiArray, MultiArrayDimension, MultiArrayLayout
 
+from car_interface.common.staleness import TimedInput
 from car_interface.common.units import CHANNELS, one_channel
 from car_interface.ros.backlog import Backlog
 from car_interface.ros.inbox import Inbox
@@ -43,6 +44,13 @@ def subscribe(topic: str, message_type, inbox: Inbox, handler: Callable[[Any, in
     backlog = Backlog(inbox.graph)
     handler = backlog.without_old(handler)
     _subscribe(topic, message_type, inbox, backlog, lambda message: inbox.put(handler, message, wakes), queue_size)
+
+
+def listen(topic: str, message_type, inbox: Inbox, timeout_s: float, queue_size=10, wakes=True) -> TimedInput:
+    """Subscribe; return what has the newest message, and its age."""
+    newest = TimedInput(topic, timeout_s)
+    subscribe(topic, message_type, inbox, newest.update, queue_size, wakes)
+    return newest
 
 
 def subscribe_changes(topic: str, message_type, inbox: Inbox, handler: Callable[[Any, int], None],
