@@ -262,7 +262,7 @@ def test_malformed_frames_are_refused(core):
     under_attack(core, attack)
     assert core.phones.counts["malformed"] > FRAMES / 10
     assert len(core.phones._pages) <= MAX_PAGES + MAX_WAITING and not core.phones.e_stop
-    assert sum(core.server._unhandled.values()) < 200 and len(core.server.sockets) < MAX_SOCKETS
+    assert sum(each.unhandled for each in core.server.sockets.values()) < 200 and len(core.server.sockets) < MAX_SOCKETS
 
 
 def test_bytes_that_are_no_http_or_no_frame_are_refused(core):

@@ -315,7 +315,7 @@ def test_stop_ends_what_waits_for_a_request(node, port):
     with socket.create_connection(("127.0.0.1", port)):
         asyncio.run(connect(port))  # so the other one was taken
         server.stop()
-    assert not asyncio.all_tasks(server._loop)  # asyncio would print each of them
+    assert not asyncio.all_tasks(server.loop)  # asyncio would print each of them
 
 
 def test_address_that_is_taken_is_an_error_that_names_it(server, node, port):
