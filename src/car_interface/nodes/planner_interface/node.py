@@ -260,16 +260,14 @@ class PlannerInterface:
         """Return why it isn't obeyed, or what is asked for and what differs from that."""
         if self._decision.request is None:
             return self._decision.reason
-        too_tight = "" if self._steering.is_stale(self._clocks.now_ns()) else self._steering.value
+        too_tight = self._steering.fresh(self._clocks.now_ns())
         return "; ".join(filter(None, (self._decision.reason, too_tight, self._command.note)))
 
     def _report(self, status):
         """Report on /diagnostics what is asked for, and why it isn't obeyed."""
-        if self._command is None:
-            return
         cause, gear, _ = self._kind
         now_ns = self._clocks.now_ns()
-        reason, too_tight = self._reason(), "" if self._too_tight.is_stale(now_ns) else self._too_tight.value
+        reason, too_tight = self._reason(), self._too_tight.fresh(now_ns) or ""
         status.summary(WARN if too_tight or _is_alarming(cause) else OK,
                        reason if too_tight in reason else f"{reason}; {too_tight}")
         status.add("cause", cause)
