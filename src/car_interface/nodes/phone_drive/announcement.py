@@ -2,16 +2,16 @@
 from __future__ import annotations
 
 import fcntl
+import io
 import ipaddress
 import socket
 import struct
-from typing import Mapping, Sequence
+from typing import Mapping
 
 from car_interface.nodes.phone_drive.config import PhoneDriveConfig
 
 SIOCGIFADDR = 0x8915  # of Linux, netdevice(7): the IPv4 address of an interface
 REQUEST, ADDRESS_AT = struct.Struct("256s"), 20  # struct ifreq: the name, 16; family and port, 4; the address
-HALF_BLOCKS = {(False, False): " ", (True, False): "▀", (False, True): "▄", (True, True): "█"}
 BLACK_ON_WHITE, PLAIN = "\x1b[30;107m", "\x1b[0m"  # ECMA-48: whatever the terminal's colours are
 
 
@@ -47,16 +47,10 @@ def qr_code(text: str) -> list[str]:
         import qrcode
     except ImportError:
         return []
-    code = qrcode.QRCode(border=2)
+    code, drawn = qrcode.QRCode(border=2), io.StringIO()
     code.add_data(text)
-    return blocks(code.get_matrix())
-
-
-def blocks(matrix: Sequence[Sequence[bool]]) -> list[str]:
-    """Return lines of half blocks, two rows in each; true = dark."""
-    rows = [*matrix, [False] * len(matrix[0])]
-    return [BLACK_ON_WHITE + "".join(HALF_BLOCKS[pair] for pair in zip(*rows[at:at + 2])) + PLAIN
-            for at in range(0, len(matrix), 2)]
+    code.print_ascii(drawn)  # two rows in a line, what is dark in the colour of the text
+    return [f"{BLACK_ON_WHITE}{line}{PLAIN}" for line in drawn.getvalue().splitlines()]
 
 
 def own_addresses() -> dict[str, str]:

@@ -27,7 +27,7 @@ from tornado.websocket import WebSocketClosedError, WebSocketHandler
 from car_interface.common.errors import ConfigError, DeviceError
 from car_interface.common.input_file import check_kind
 from car_interface.nodes.phone_drive.config import PhoneDriveConfig
-from car_interface.teleop.phone import Outgoing
+from car_interface.teleop.phone import Outgoing, Phones
 from car_interface.teleop.phone_messages import MAX_SIZE
 
 LOOPBACK = ("127.0.0.1", "localhost")
@@ -73,20 +73,20 @@ class Server:
     Args:
         config: where.
         inbox: the node's; ``put`` is called in the server's thread.
-        node: has the handlers ``on_connect``, ``on_message`` and ``on_disconnect``.
+        phones: learns in the node's thread what happens on the connections.
 
     Raises:
         DeviceError: the address can't be used.
         ConfigError: the certificate or its key can't be, or the address is all of this computer's.
     """
 
-    def __init__(self, config: PhoneDriveConfig, inbox: Any, node: Any):
+    def __init__(self, config: PhoneDriveConfig, inbox: Any, phones: Phones):
         self.hosts = {config.host, *(f"{name}:{config.port}" for name in LOOPBACK)}
         self._tls = _tls(config)
         self.scheme = "https" if self._tls else "http"
         self._tickets: OrderedDict[str, tuple[str, float]] = OrderedDict()  # path and end, the oldest first
         self.downloads = 0
-        self.inbox, self.node = inbox, node
+        self.inbox, self.phones = inbox, phones
         self.sockets: dict[int, _Socket] = {}  # by number; of the server's thread
         self.numbers = itertools.count(1)
         self._closing: deque[_Socket] = deque()  # the oldest first
@@ -295,7 +295,8 @@ class _Socket(_Guarded, WebSocketHandler):
         self.set_nodelay(True)
         self._number = next(server.numbers)
         server.sockets[self._number] = self
-        server.inbox.put(server.node.on_connect, (self._number, self.request.remote_ip))
+        server.inbox.put(lambda item, now_ns: server.phones.connect(*item, now_ns),
+                         (self._number, self.request.remote_ip))
 
     def on_message(self, message):
         """Pass a message on; end a connection that sends faster than the node handles."""
@@ -307,7 +308,7 @@ class _Socket(_Guarded, WebSocketHandler):
 
     def _handle(self, item, now_ns):
         self._count_handled()
-        self._server.node.on_message(item, now_ns)
+        self._server.phones.receive(*item, now_ns)
 
     def _count_handled(self):
         """Count a message that the node has handled, or that was dropped; called in any thread."""
@@ -326,7 +327,7 @@ class _Socket(_Guarded, WebSocketHandler):
     def on_close(self):
         if self._number is not None:
             self._server.sockets.pop(self._number, None)
-            self._server.inbox.put(self._server.node.on_disconnect, self._number)
+            self._server.inbox.put(lambda number, now_ns: self._server.phones.disconnect(number), self._number)
 
     def send(self, text, closes):
         if self._unsent >= MAX_UNSENT:

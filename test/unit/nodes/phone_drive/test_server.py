@@ -37,7 +37,7 @@ WITHIN_S = 30
 
 
 class Node:
-    """Its inbox and its handlers, which keep what arrives."""
+    """Its inbox and its rules, which keep what arrives."""
 
     def __init__(self):
         self.events = queue.Queue()
@@ -50,13 +50,13 @@ class Node:
         else:
             self.items.append((handler, item))
 
-    def on_connect(self, item, now_ns):
-        self.events.put(("connect", *item))
+    def connect(self, number, address, now_ns):
+        self.events.put(("connect", number, address))
 
-    def on_message(self, item, now_ns):
-        self.events.put(("message", *item))
+    def receive(self, number, data, now_ns):
+        self.events.put(("message", number, data))
 
-    def on_disconnect(self, number, now_ns):
+    def disconnect(self, number):
         self.events.put(("disconnect", number))
 
     def next(self):
