@@ -28,9 +28,8 @@ from car_interface.common.declared import read_all
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import NS_PER_S
-from car_interface.nodes.phone_drive.announcement import announce, own_addresses
 from car_interface.nodes.phone_drive.car_state import CarState
-from car_interface.nodes.phone_drive.config import AUTO, PhoneDriveConfig
+from car_interface.nodes.phone_drive.config import AUTO, PhoneDriveConfig, announce, own_addresses
 from car_interface.nodes.phone_drive.programs import CalibrationProgram, Recordings
 from car_interface.ros.diagnostics import OK, Diagnostics
 from car_interface.ros.runtime import run

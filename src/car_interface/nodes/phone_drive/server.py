@@ -84,7 +84,8 @@ class Server:
         self.hosts = {config.host, *(f"{name}:{config.port}" for name in LOOPBACK)}
         self._tls = _tls(config)
         self.scheme = "https" if self._tls else "http"
-        self._tickets: OrderedDict[str, tuple[str, float]] = OrderedDict()  # path and end, the oldest first
+        # Path and end, the oldest first. Both threads use it: each of its methods is whole before another thread runs.
+        self.tickets: OrderedDict[str, tuple[str, float]] = OrderedDict()
         self.downloads = 0
         self.inbox, self.phones = inbox, phones
         self.sockets: dict[int, _Socket] = {}  # by number; of the server's thread
@@ -105,7 +106,9 @@ class Server:
     def offer(self, path: str) -> str:
         """Return where the next request, and no other, gets a file."""
         ticket = secrets.token_urlsafe(16)
-        self.loop.call_soon_threadsafe(self._offer, ticket, path)
+        self.tickets[ticket] = path, self.loop.time() + TICKET_S
+        if len(self.tickets) > MAX_TICKETS:
+            self.tickets.popitem(last=False)
         return f"/files/{ticket}/{Path(path).name}"
 
     def stop(self) -> None:
@@ -135,25 +138,15 @@ class Server:
         for socket in list(self.sockets.values()):
             socket.abort()
 
-    def take_ticket(self, ticket: str) -> str | None:
-        """Return the path that a ticket is good for, once; None: there is none."""
-        path, end_s = self._tickets.pop(ticket, (None, 0.0))
-        return path if self.loop.time() < end_s else None
-
-    def _offer(self, ticket, path):
-        self._tickets[ticket] = path, self.loop.time() + TICKET_S
-        if len(self._tickets) > MAX_TICKETS:
-            self._tickets.popitem(last=False)
-
     def _send(self, outgoing):
-        socket = self.sockets.get(outgoing.connection)
-        if socket is None:
-            return
-        socket.send(outgoing.text, outgoing.closes)
-        if outgoing.closes:
-            self._closing.append(socket)
-            if len(self._closing) > MAX_CLOSING:
-                self._closing.popleft().abort()
+        if outgoing.connection in self.sockets:
+            socket = self.sockets[outgoing.connection]
+            socket.send(outgoing.text)
+            if outgoing.closes:
+                socket.close()
+                self._closing.append(socket)
+                if len(self._closing) > MAX_CLOSING:
+                    self._closing.popleft().abort()
 
 
 def _bind(config):
@@ -230,9 +223,10 @@ class _File(_Guarded):
     """A report, shown in a sandbox, or a recording, to be saved."""
 
     async def get(self, ticket):
-        path = self._server.take_ticket(ticket)
-        if path is None or self._server.downloads >= MAX_DOWNLOADS:
-            self.send_error(404 if path is None else 503)
+        path, end_s = self._server.tickets.pop(ticket, ("", 0.0))
+        is_good = self._server.loop.time() < end_s
+        if not is_good or self._server.downloads >= MAX_DOWNLOADS:
+            self.send_error(503 if is_good else 404)
             return
         self._server.downloads += 1
         self._stream.is_served = True
@@ -329,7 +323,7 @@ class _Socket(_Guarded, WebSocketHandler):
             self._server.sockets.pop(self._number, None)
             self._server.inbox.put(lambda number, now_ns: self._server.phones.disconnect(number), self._number)
 
-    def send(self, text, closes):
+    def send(self, text):
         if self._unsent >= MAX_UNSENT:
             self.abort()
             return
@@ -337,8 +331,6 @@ class _Socket(_Guarded, WebSocketHandler):
             written = self.write_message(text)
             self._unsent += 1
             written.add_done_callback(self._count_sent)
-        if closes:
-            self.close()
 
     def abort(self):
         """Close it without waiting for what the page has not taken."""

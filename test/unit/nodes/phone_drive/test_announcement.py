@@ -2,8 +2,7 @@
 import pytest
 
 from car_interface.common.errors import ConfigError
-from car_interface.nodes.phone_drive.announcement import announce, own_addresses, qr_code
-from car_interface.nodes.phone_drive.config import PhoneDriveConfig
+from car_interface.nodes.phone_drive.config import PhoneDriveConfig, announce, own_addresses, qr_code
 
 ADDRESSES = {"wlan0": "192.168.4.1", "eth0": "10.0.0.5"}
 
