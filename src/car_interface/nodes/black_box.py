@@ -87,9 +87,9 @@ class Ring:
         dropped: how many messages were too large, or more than their topic may send.
     """
 
-    def __init__(self, span_ns: int = SPAN_NS, max_bytes: int = MAX_BYTES):
+    def __init__(self, max_bytes: int = MAX_BYTES):
         self.size_bytes = self.dropped = 0
-        self._span_ns, self._max_bytes = span_ns, max_bytes
+        self._max_bytes = max_bytes
         self._messages: deque[Message] = deque()
         self._latched: dict[tuple[str, str], Message] = {}  # the newest, by topic and sender
         self._second, self._counts = 0, Counter()  # of the messages by topic in the second of the monotonic clock
@@ -107,7 +107,7 @@ class Ring:
         self.size_bytes += len(message.data) + OVERHEAD_BYTES
         if message.header.get("latching") == "1":
             self._latched[message.topic, message.header.get("callerid", "")] = message
-        while self.size_bytes > self._max_bytes or self._messages[0].at_ns < message.at_ns - self._span_ns:
+        while self.size_bytes > self._max_bytes or self._messages[0].at_ns < message.at_ns - SPAN_NS:
             self.size_bytes -= len(self._messages.popleft().data) + OVERHEAD_BYTES
 
     def messages(self) -> list[Message]:

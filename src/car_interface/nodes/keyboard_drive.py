@@ -20,6 +20,7 @@ import glob
 import math
 import re
 import textwrap
+from contextlib import suppress
 from typing import Any, Callable, Mapping
 
 import rospy
@@ -71,7 +72,14 @@ class Keyboards:
     """
 
     def __init__(self, pattern: str, open_device: Callable = InputDevice):
-        self._devices = [device for path in sorted(glob.glob(pattern)) for device in _opened(path, open_device)]
+        self._devices = []
+        for path in sorted(glob.glob(pattern)):
+            with suppress(OSError):  # it may not be read
+                device = open_device(path)
+                if LETTERS_AND_SPACE.issubset(device.capabilities().get(ecodes.EV_KEY, ())):
+                    self._devices.append(device)
+                else:
+                    device.close()
 
     def __len__(self) -> int:
         return len(self._devices)
@@ -101,18 +109,6 @@ class Keyboards:
         for device in self._devices:
             device.close()
         self._devices.clear()
-
-
-def _opened(path, open_device):
-    """Return a device, in a list; none if it is no keyboard or may not be read."""
-    try:
-        device = open_device(path)
-    except OSError:
-        return []
-    if LETTERS_AND_SPACE.issubset(device.capabilities().get(ecodes.EV_KEY, ())):
-        return [device]
-    device.close()
-    return []
 
 
 class KeyboardDrive:

@@ -48,7 +48,7 @@ REPORT_POLICY = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src
 END_S = 2
 PAGE = Path(__file__).with_name("page")  # index.html, and what it names
 KINDS = {".html": "text/html; charset=utf-8", ".css": "text/css; charset=utf-8", ".svg": "image/svg+xml",
-         ".js": "text/javascript; charset=utf-8", ".png": "image/png", ".webmanifest": "application/manifest+json"}
+         ".js": "text/javascript; charset=utf-8"}
 # Of a tab that shows a file, or nothing else.
 ERRORS = {403: "Open this page by the address that the terminal shows.",
           404: "There is no such page; a file's link is good once, for a minute.",
