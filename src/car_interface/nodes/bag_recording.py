@@ -16,16 +16,20 @@ from car_interface.common.errors import ConfigError
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.ros.clocks import SYSTEM
 
+# Why a car drives, or has stopped.
+DECISIONS = (
+    "turn_arb/state", "throttle_arb/state", "planner_interface/state", "generic_value_converter/state",
+    "teleop_logi/state", "teleop_logi/mode", "joy", "e_stop", "phone/joy", "phone/e_stop", "av_steer_req",
+    "av_speed_req", "servo/output", "odom", "imu/data", "teensy_sensor_hub/link", "teensy_clock", "teensy_pong",
+    "teensy_error", *(f"sonar/{name}" for name in SONARS), "/tf_static", "/diagnostics", "/rosout")
+# What planners ask for, and the battery.
+PLANNERS = ("drive", "cmd_vel", "av_turnrad_req", "control/command/control_cmd", "control/command/gear_cmd",
+            "battery_state")
 # Of a calibration drive: all that the calibrations and bag_report read, and no cameras.
 TOPICS = (
-    "odom", "joint_states", "imu/data", "car_sim/truth", "servo/output", "servo/cmdVector", "e_stop", "joy",
-    "phone/joy", "phone/e_stop",
-    "turn_arb/state", "throttle_arb/state", "planner_interface/state", "generic_value_converter/state",
-    "av_steer_req", "av_speed_req", "planner_interface/output/control_cmd", "generic/output/value",
-    "teleop_logi/state", "teleop_logi/human_in_loop", "teleop_logi/mode", "teleop_logi/tele_steer_req",
-    "teleop_logi/tele_throt_req", "teensy_sensor_hub/link", "teensy_clock", "teensy_pong", "teensy_wheel",
-    "teensy_distance", "teensy_error", *(f"sonar/{name}" for name in SONARS), "/tf", "/tf_static", "/diagnostics",
-    "/rosout")
+    *DECISIONS, "joint_states", "car_sim/truth", "servo/cmdVector", "planner_interface/output/control_cmd",
+    "generic/output/value", "teleop_logi/human_in_loop", "teleop_logi/tele_steer_req", "teleop_logi/tele_throt_req",
+    "teensy_wheel", "teensy_distance", "/tf")
 # Where rosbags isn't among the system's libraries, as on Debian 12: docs/recordings.md, Install the tools.
 TOOLS = "~/car_tools/bin/car-interface"
 RECORDER = "record_"  # rosbag's node, before what makes its name unique

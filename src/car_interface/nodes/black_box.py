@@ -29,23 +29,17 @@ from car_interface.common.declared import read_all
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.sources import PLANNER, TELEOP
 from car_interface.common.units import NS_PER_S
-from car_interface.common.vehicle_geometry import SONARS
 from car_interface.msg import SteeringState, TeleopState, ThrottleState
+from car_interface.nodes.bag_recording import DECISIONS, PLANNERS
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics
 from car_interface.ros.runtime import describe_error, run
 from car_interface.ros.topics import subscribe
 
-# What shows why the car stopped. Each message costs its sender's time, too, so what others repeat is left out: the
-# servo board's commands and the requests of teleop_logi are in the states of the arbiters and in joy, the Teensy's raw
-# counts in odom and the ranges. With those the demo's car sends 660 messages a second instead of 330, and this node
-# took 4.1 % of a core instead of 1.9 (AMD EPYC, Python 3.11).
-TOPICS = (
-    "turn_arb/state", "throttle_arb/state", "planner_interface/state", "generic_value_converter/state",
-    "teleop_logi/state", "teleop_logi/mode", "joy", "e_stop", "phone/joy", "phone/e_stop",
-    "drive", "cmd_vel", "control/command/control_cmd", "control/command/gear_cmd",
-    "av_turnrad_req", "av_steer_req", "av_speed_req", "servo/output", "odom", "imu/data", "battery_state",
-    "teensy_sensor_hub/link", "teensy_clock", "teensy_pong", "teensy_error", *(f"sonar/{name}" for name in SONARS),
-    "/tf_static", "/diagnostics", "/rosout")
+# Each message costs its sender's time, too, so what others repeat is left out: the servo board's commands and the
+# requests of teleop_logi are in the states of the arbiters and in joy, the Teensy's raw counts in odom and the ranges.
+# With those the demo's car sends 660 messages a second instead of 330, and this node took 4.1 % of a core instead of
+# 1.9 (AMD EPYC, Python 3.11).
+TOPICS = (*DECISIONS, *PLANNERS)
 QUEUE = 1000  # messages of a topic that wait while this process doesn't get a CPU: some seconds of the fastest
 AFTER_NS = 5 * NS_PER_S  # how it ended: a car that slides, or is stopped by hand
 PAUSE_NS = 30 * NS_PER_S  # between two bags: they would have most in common

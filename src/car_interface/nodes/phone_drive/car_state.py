@@ -17,7 +17,7 @@ from car_interface.common.params import Params
 from car_interface.common.sources import SOURCE_NAMES, TELEOP
 from car_interface.common.staleness import TimedInput
 from car_interface.common.vehicle_geometry import SONARS
-from car_interface.msg import CalibrationState, LinkStatus, PlannerState, SteeringState, TeleopState, ThrottleState
+from car_interface.msg import LinkStatus, PlannerState, SteeringState, TeleopState, ThrottleState
 from car_interface.ros.diagnostics import ERROR, OK
 from car_interface.ros.inbox import Inbox
 from car_interface.ros.reconfigure import TunedNode
@@ -46,7 +46,6 @@ class CarState:
         self._throttle = newest("throttle_arb/state", ThrottleState)
         self._planner = newest("planner_interface/state", PlannerState)
         self._link = newest("teensy_sensor_hub/link", LinkStatus, REPORT_SILENT_S)
-        self._calibration = newest("calibration_drive/state", CalibrationState)
         self._sonars = {name: newest(f"sonar/{name}", Range) for name in SONARS}
         self._reports: dict[str, TimedInput] = {}  # of this car's nodes, by name
         self._namespace = inbox.graph.namespace().strip("/")
@@ -56,7 +55,7 @@ class CarState:
         subscribe("/diagnostics", DiagnosticArray, inbox, self._on_reports, queue_size=50, wakes=False)
 
     def groups(self, now_ns: int) -> dict[str, Any]:
-        """Return all groups but those of recordings, as JSON has them."""
+        """Return all groups but those of recordings and calibration, as JSON has them."""
         return {
             "who": _state(self._teleop, now_ns, _cause),
             "steering": _state(self._steering, now_ns, self._steering_group),
@@ -79,10 +78,6 @@ class CarState:
             "worst": self._worst(now_ns),
             "trims": {name: _trim(*tuned) for name, tuned in self.tuned.items()},
         }
-
-    def calibration(self, now_ns: int) -> CalibrationState | None:
-        """Return calibration_drive's newest state, unless it is silent."""
-        return self._calibration.fresh(now_ns)
 
     def _on_reports(self, array, now_ns):
         for status in array.status:

@@ -115,7 +115,7 @@ class PhoneDrive:
         if self._ticks % TICKS_PER_STATE == 0:
             self._store_e_stop()
             self._recordings.step()
-            calibration = self._calibration.step(self._car.calibration(now_ns))
+            calibration = self._calibration.step(now_ns)
             if self._phones.pages:
                 self._show({**self._car.groups(now_ns), "recording": self._recordings.state(now_ns),
                             "calibration": calibration})

@@ -15,14 +15,11 @@ from std_msgs.msg import Empty
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.units import NS_PER_S
 from car_interface.msg import CalibrationState
-from car_interface.nodes.bag_recording import TOPICS, BagPage, BagRecording, Program
+from car_interface.nodes.bag_recording import PLANNERS, TOPICS, BagPage, BagRecording, Program
 from car_interface.ros.inbox import Inbox
-from car_interface.ros.topics import advertise
+from car_interface.ros.topics import advertise, listen
 from car_interface.teleop.phone_messages import FILE_NAME, number
 
-# Beside what a calibration's recording has: who asks for what.
-ALL_TOPICS = (*TOPICS, "drive", "cmd_vel", "av_turnrad_req", "control/command/control_cmd", "control/command/gear_cmd",
-              "battery_state")
 # A full disk ends more than the recording: 0.1 MB a second, so that an hour is left.
 MIN_FREE_BYTES = 500_000_000
 MAX_SHOWN = 12
@@ -31,6 +28,7 @@ OFF, STARTING, ON, CLOSING, REPORT, OVER = "off", "starting", "on", "closing", "
 # The driver has confirmed on the page that the table is replaced; the old one is kept beside it.
 CALIBRATION_DRIVE = ("rosrun", "car_interface", "calibration_drive", "--yes")
 TAIL_LINES = 8
+SILENT_S = 1.0  # of calibration_drive, which repeats its state 5 times a second
 
 
 class Recordings:
@@ -57,7 +55,7 @@ class Recordings:
         try:
             os.makedirs(self._folder, exist_ok=True)
             self._check_disk()
-            topics = [self._inbox.resolve_name(topic) for topic in dict.fromkeys(ALL_TOPICS)]
+            topics = list(map(self._inbox.resolve_name, (*TOPICS, *PLANNERS)))
             self._recording = self._make_recording(self._folder, topics)
         except OSError as error:
             raise CarInterfaceError(f"no recording: {error}") from error
@@ -151,6 +149,7 @@ class CalibrationProgram:
         self._inbox, self._make_program = inbox, make_program
         self._program: Any = None
         self._text = ""  # how the last one ended
+        self._state = listen("calibration_drive/state", CalibrationState, inbox, SILENT_S, wakes=False)
         self._is_seen = self._awaits_silence = False  # its state; of one that has ended
         self._has_written = False  # a table that turn_arb doesn't have yet
         self._finish = advertise("calibration_drive/finish", Empty, inbox)
@@ -189,8 +188,9 @@ class CalibrationProgram:
         self._program.interrupt()
         return "calibration_drive ends; nothing is written"
 
-    def step(self, state: CalibrationState | None) -> dict[str, Any]:
-        """Return how far it is, as JSON has it, by its own newest state; None: it is silent."""
+    def step(self, now_ns: int) -> dict[str, Any]:
+        """Return how far it is, as JSON has it, by its own newest state."""
+        state = self._state.fresh(now_ns)
         self._is_seen = state is not None
         if self._program is not None and self._program.exit_code is not None:
             self._has_written = self._has_written or self._program.exit_code == 0

@@ -110,8 +110,8 @@ class PlannerInterface:
         self._inbox.dispatch()
         if self._timer.is_due(now_ns):
             self._tick(now_ns)
-        elif self._decision.request is not None and self._sources.decide(now_ns).request is None:
-            self._decide(now_ns)  # the source has fallen silent
+        elif self._decision.request is not None:
+            self._decide(now_ns)  # it may have fallen silent
         self._diagnostics.step(now_ns)
         return min(self._timer.due_ns, self._sources.silent_at_ns(now_ns))
 
