@@ -82,18 +82,16 @@ class Part:
             self.fault = "it hangs and can't be shut down"
 
     def _run(self):
-        fault = "it ended"
         try:
             spin(self._build, self._inbox,
                  read_fixed=lambda: fixed_parameters(self.name, sys.argv[1:], process=PROCESS))
-            fault = "" if self._is_final else fault
+            self.fault = "" if self._is_final else "it ended"
         except Exception as error:
-            fault = describe_error(error)
+            self.fault = describe_error(error)
             self.was_refused = isinstance(error, CarInterfaceError) and not self._has_started
         finally:
             if not self._is_final:  # at the process's end rospy does that
                 self._inbox.close()
-            self.fault = fault
             self._on_end(self)
 
     def _build(self, params, inbox):

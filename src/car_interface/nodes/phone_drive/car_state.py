@@ -50,8 +50,9 @@ class CarState:
         self._reports: dict[str, TimedInput] = {}  # of this car's nodes, by name
         self._namespace = inbox.graph.namespace().strip("/")
         self._layout = _layout(inbox)
-        self.tuned = {CENTER: (TunedNode(inbox, "turn_arb"), "servo_center"),
-                      NEUTRAL: (TunedNode(inbox, "throttle_arb/servo"), "neutral")}
+        # The node that saves it, its tunable values, and the name among them.
+        self.tuned = {CENTER: ("turn_arb", TunedNode(inbox, "turn_arb"), "servo_center"),
+                      NEUTRAL: ("throttle_arb", TunedNode(inbox, "throttle_arb/servo"), "neutral")}
         subscribe("/diagnostics", DiagnosticArray, inbox, self._on_reports, queue_size=50, wakes=False)
 
     def groups(self, now_ns: int) -> dict[str, Any]:
@@ -76,7 +77,7 @@ class CarState:
                 "level": state.level, "text": _short(state.words or state.state), "remedy": _short(state.next_step),
                 "delay": number(state.round_trip, 4)}),
             "worst": self._worst(now_ns),
-            "trims": {name: _trim(*tuned) for name, tuned in self.tuned.items()},
+            "trims": {trim: _trim(tuned, name) for trim, (_, tuned, name) in self.tuned.items()},
         }
 
     def _on_reports(self, array, now_ns):
@@ -95,7 +96,7 @@ class CarState:
                 "asked_radius": number(state.asked_radius, 2), "radius": number(state.turn_radius, 2)}
 
     def _granted(self, duty):
-        values = self.tuned[CENTER][0].values
+        values = self.tuned[CENTER][1].values
         if not {"servo_left", "servo_center", "servo_right"} <= set(values):
             return None
         left, right = (values[side] - values["servo_center"] for side in ("servo_left", "servo_right"))

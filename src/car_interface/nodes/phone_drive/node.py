@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import secrets
 import sys
+from contextlib import suppress
 from functools import partial
 
 from sensor_msgs.msg import Joy
@@ -37,14 +38,13 @@ from car_interface.ros.topics import advertise
 from car_interface.teleop.handover import PHONE_TOPIC
 from car_interface.teleop.keyboard import Controls
 from car_interface.teleop.phone import Phones
-from car_interface.teleop.phone_messages import BEGIN, CENTER, FINISH, GIVE_UP, NEUTRAL
+from car_interface.teleop.phone_messages import BEGIN, FINISH, GIVE_UP
 
 RATE_HZ = 20
 TICKS_PER_E_STOP = 2
 TICKS_PER_STATE = 4
 TICKS_PER_LISTING = 40  # of the recordings' folder
 CALL_NS = 10 * NS_PER_S  # a change or a save that isn't answered by then isn't waited for
-SAVED_BY = {CENTER: "turn_arb", NEUTRAL: "throttle_arb"}
 
 
 class PhoneDrive:
@@ -145,11 +145,10 @@ class PhoneDrive:
         self._stored_e_stop = None
 
         def store():
-            try:
+            with suppress(OSError):  # the master doesn't answer: it is tried again
                 self._inbox.graph.set_parameter(self._inbox.own_name("~e_stop"), wanted)
-            except OSError:
-                return not wanted  # the master doesn't answer: it is tried again
-            return wanted
+                return wanted
+            return not wanted
         self._inbox.work(store, self._on_stored)
 
     def _on_stored(self, stored, now_ns):
@@ -186,7 +185,7 @@ class PhoneDrive:
 
     def _do_trim(self, connection, message, now_ns):
         self._calibration.check_tuning()
-        tuned, name = self._car.tuned[message["name"]]
+        _, tuned, name = self._car.tuned[message["name"]]
         self._begin_call(1, now_ns)
 
         def on_done(accepted, problem):
@@ -196,7 +195,7 @@ class PhoneDrive:
 
     def _do_save(self, connection, message, now_ns):
         self._calibration.check_saving()
-        nodes = [SAVED_BY[name] for name, (tuned, _) in self._car.tuned.items() if tuned.values]
+        nodes = [node for node, tuned, _ in self._car.tuned.values() if tuned.values]
         if not nodes:
             raise CarInterfaceError("no node has anything to save")
         self._begin_call(len(nodes), now_ns)
