@@ -86,7 +86,7 @@ class Server:
         self.scheme = "https" if self._tls else "http"
         # Path and end, the oldest first. Both threads use it: each of its methods is whole before another thread runs.
         self.tickets: OrderedDict[str, tuple[str, float]] = OrderedDict()
-        self.downloads = 0
+        self.downloads: set[_File] = set()
         self.inbox, self.phones = inbox, phones
         self.sockets: dict[int, _Socket] = {}  # by number; of the server's thread
         self.numbers = itertools.count(1)
@@ -135,8 +135,10 @@ class Server:
         self._has_started.set()
         await self._end.wait()
         http.stop()
-        for socket in list(self.sockets.values()):
-            socket.abort()
+        # asyncio.run waits for what it cancels. Before Python 3.12 wait_for may take no notice of that, so a download
+        # would go on to its end.
+        for each in [*self.sockets.values(), *self.downloads]:
+            each.abort()
 
     def _send(self, outgoing):
         if outgoing.connection in self.sockets:
@@ -218,6 +220,10 @@ class _Guarded(RequestHandler):
         # Nothing of the request, which might be a script.
         self.finish(f"{status_code}. {ERRORS.get(status_code, '')}\n")
 
+    def abort(self):
+        """Close its connection without waiting for what the page has not taken."""
+        self._stream.close()
+
 
 class _File(_Guarded):
     """A report, shown in a sandbox, or a recording, to be saved."""
@@ -225,20 +231,20 @@ class _File(_Guarded):
     async def get(self, ticket):
         path, end_s = self._server.tickets.pop(ticket, ("", 0.0))
         is_good = self._server.loop.time() < end_s
-        if not is_good or self._server.downloads >= MAX_DOWNLOADS:
+        if not is_good or len(self._server.downloads) >= MAX_DOWNLOADS:
             self.send_error(503 if is_good else 404)
             return
-        self._server.downloads += 1
+        self._server.downloads.add(self)
         self._stream.is_served = True
         try:
             with open(path, "rb") as file:
                 await self._send_file(path, file)
-        except (StreamClosedError, asyncio.TimeoutError):
-            self._stream.close()
+        except (StreamClosedError, asyncio.TimeoutError, asyncio.CancelledError):  # cancelled: the node ends
+            self.abort()
         except OSError:
             self.send_error(404)
         finally:
-            self._server.downloads -= 1
+            self._server.downloads.discard(self)
 
     async def _send_file(self, path, file):
         if path.endswith(".html"):
@@ -331,10 +337,6 @@ class _Socket(_Guarded, WebSocketHandler):
             written = self.write_message(text)
             self._unsent += 1
             written.add_done_callback(self._count_sent)
-
-    def abort(self):
-        """Close it without waiting for what the page has not taken."""
-        self._stream.close()
 
     def _count_sent(self, written):
         written.exception()  # it was closed meanwhile, which on_close says
