@@ -5,9 +5,11 @@ from functools import partial
 from types import SimpleNamespace
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from car import CONFIG, ESC, STEERING, Car, config
 from car_interface.nodes.calibration_drive.node import CalibrationDriveNode
+from car_interface.nodes.phone_drive.car_state import MAX_REPORTS
 from car_interface.nodes.phone_drive.programs import MIN_FREE_BYTES, CalibrationProgram, Recordings
 from car_interface.tools.calibration.drive.config import parse
 from phones import Network, Phone
@@ -158,6 +160,19 @@ def test_node_that_falls_silent_and_the_limit_that_cuts_are_shown_in_words(bench
     assert phone.car["steering"]["source"] is not None and phone.car["who"]["cause"] == "no deadman"
     bench.run(6.0)
     assert (phone.car["worst"]["level"], phone.car["battery"]["text"]) == (2, "throttle_arb has stopped reporting")
+
+
+def test_reports_are_kept_of_so_many_devices_and_no_more_while_no_page_is_open(graph):
+    node = Network(graph).add_node()
+    for at in range(5):
+        graph.publish("/diagnostics", DiagnosticArray(status=[
+            DiagnosticStatus(name=f"turn_arb: {at * 100 + device}", level=at) for device in range(100)]))
+        graph.run(0.2)
+    reports = node.node._car._reports
+    assert len(reports) == MAX_REPORTS and reports["turn_arb: 0"].value["level"] == 0
+    graph.publish("/diagnostics", DiagnosticArray(status=[DiagnosticStatus(name="turn_arb: 0", level=2)]))
+    graph.run(0.2)
+    assert reports["turn_arb: 0"].value["level"] == 2  # one that is known goes on
 
 
 # --- guests ---

@@ -29,6 +29,7 @@ from car_interface.throttle.obstacle_stop import ObstacleConfig
 SILENT_S = 1.0  # of a node that repeats its state 10 times a second
 REPORT_SILENT_S = 5.0  # of one that reports once a second
 FORGOTTEN_S = 60.0  # its node was ended on purpose by then
+MAX_REPORTS = 200  # of a message, and that are kept: only an open page has old ones forgotten
 MAX_TEXT = 300  # characters
 SOURCES = {source: name.lower().replace("_", " ") for source, name in enumerate(SOURCE_NAMES)}
 BOARD = "servo board"  # pca9685's on /diagnostics
@@ -81,9 +82,10 @@ class CarState:
         }
 
     def _on_reports(self, array, now_ns):
-        for status in array.status:
+        for status in array.status[:MAX_REPORTS]:
             namespace, _, node = status.name.partition(":")[0].rpartition("/")
-            if namespace == self._namespace and node:
+            if namespace == self._namespace and node and (
+                    status.name in self._reports or len(self._reports) < MAX_REPORTS):
                 remedy = next((pair.value for pair in status.values if pair.key == "remedy"), "")
                 self._reports.setdefault(status.name, TimedInput(status.name, REPORT_SILENT_S)).update(
                     _fault(min(status.level, ERROR), _short(status.message), _short(remedy)), now_ns)
