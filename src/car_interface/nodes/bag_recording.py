@@ -48,11 +48,11 @@ class Program:
     """
 
     def __init__(self, command: Sequence[str], shows_errors: bool = False, **variables: str):
-        self._output = tempfile.TemporaryFile()  # noqa: SIM115 - it is read once the program has ended
+        self._output = None if shows_errors else tempfile.TemporaryFile()  # noqa: SIM115 - read once it has ended
         with_parent = ("setpriv", "--pdeathsig", "INT") if shutil.which("setpriv") else ()
         self._process = subprocess.Popen(
             [*with_parent, *command], stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL if shows_errors else self._output,
+            stdout=self._output or subprocess.DEVNULL,
             stderr=None if shows_errors else subprocess.STDOUT, start_new_session=True,
             env={**os.environ, **variables})
 

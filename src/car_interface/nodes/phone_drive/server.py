@@ -314,7 +314,8 @@ class _Socket(_Guarded, WebSocketHandler):
         """Count a message that the node has handled, or that was dropped; called in any thread."""
         def count():
             self.unhandled -= 1
-        self._server.loop.call_soon_threadsafe(count)
+        with suppress(RuntimeError):  # the server has ended, and the inbox drops what it had sent
+            self._server.loop.call_soon_threadsafe(count)
 
     def on_ping(self, data):
         """Limit what is answered: a page that doesn't take the answers would have them pile up."""
