@@ -32,9 +32,9 @@ class Network:
         return self.graph.add(partial(PhoneDrive, make_server=self._start, make_pin=lambda: PIN, **(make or {})), name,
                               parameters)
 
-    def _start(self, config, inbox, node):
+    def _start(self, config, inbox, rules):
         self.phones = {}
-        self._inbox, self._node = inbox, node
+        self._inbox, self._rules = inbox, rules
         return self
 
     def send(self, outgoing) -> None:
@@ -49,20 +49,23 @@ class Network:
         self.phones = {}
 
     def connect(self, phone: Phone) -> int:
-        number, inbox, node = next(self._numbers), self._inbox, self._node
+        number = next(self._numbers)
         self.phones[number] = phone
-        self.carry((number, "in"), lambda: inbox.put(node.on_connect, (number, phone.address)))
+        self._put(number, lambda rules, now_ns: rules.connect(number, phone.address, now_ns))
         return number
 
     def to_node(self, number: int, text: str) -> None:
-        inbox, node = self._inbox, self._node
-        self.carry((number, "in"), lambda: number in self.phones and inbox.put(node.on_message, (number, text)))
+        self._put(number, lambda rules, now_ns: rules.receive(number, text, now_ns), lambda: number in self.phones)
 
     def disconnect(self, number: int) -> None:
         """End a connection so that the node learns of it."""
-        inbox, node = self._inbox, self._node
         self.phones.pop(number, None)
-        self.carry((number, "in"), lambda: inbox.put(node.on_disconnect, number))
+        self._put(number, lambda rules, now_ns: rules.disconnect(number))
+
+    def _put(self, number, tell, arrives=lambda: True) -> None:
+        """Have this start of the node told what happens on a connection."""
+        inbox, rules = self._inbox, self._rules
+        self.carry((number, "in"), lambda: arrives() and inbox.put(tell, rules))
 
     def carry(self, way, arrive) -> None:
         at_ns = max(self.graph.now_ns + round(self.delay_s() * 1e9), self._arrivals_ns.get(way, 0))

@@ -93,6 +93,14 @@ def test_request_that_is_dropped_is_answered_with_an_error(queue):
     assert queue.take() == ["overflow", 4]
 
 
+def test_result_of_work_is_handled_after_an_overflow_too(queue):
+    queue.inbox.work(lambda: "result", lambda item, now_ns: queue.taken.append(item))
+    while not queue.inbox._items:
+        time.sleep(0.001)
+    queue.put(*range(5))
+    assert queue.take() == ["overflow", 4, "result"]
+
+
 def test_items_of_several_threads_are_taken_or_counted(queue):
     threads = [threading.Thread(target=lambda: queue.put(*range(2000))) for _ in range(3)]
     for thread in threads:

@@ -5,11 +5,12 @@ from functools import partial
 from types import SimpleNamespace
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from car import CONFIG, ESC, STEERING, Car, config
 from car_interface.nodes.calibration_drive.node import CalibrationDriveNode
-from car_interface.nodes.phone_drive.calibration_program import CalibrationProgram
-from car_interface.nodes.phone_drive.recordings import MIN_FREE_BYTES, Recordings
+from car_interface.nodes.phone_drive.car_state import MAX_REPORTS
+from car_interface.nodes.phone_drive.programs import MIN_FREE_BYTES, CalibrationProgram, Recordings
 from car_interface.tools.calibration.drive.config import parse
 from phones import Network, Phone
 from test_calibration_drive import CURVATURES, Page, Recording, Terminal
@@ -81,13 +82,13 @@ class Bench:
         self.bag = BagFile(folder, topics)
         return self.bag
 
-    def _start(self, command, namespace):
+    def _start(self, command, **variables):
         """Run calibration_drive in the graph."""
         terminal = Terminal(is_live=False)
         wanted = parse(["-o", str(self.folder / "new.yaml"), "--no-sonars"])
         program = self.graph.add(partial(CalibrationDriveNode, wanted, text=terminal, keys=terminal, make_page=Page,
                                          make_recording=partial(Recording, self.car)), "calibration_drive")
-        self.programs.append((command, namespace))
+        self.programs.append((command, variables["ROS_NAMESPACE"]))
         return _Child(program, terminal)
 
     def seat(self):
@@ -115,7 +116,7 @@ class _Child:
     def interrupt(self):
         self._program.inbox.end()
 
-    def tail(self):
+    def tail(self, count):
         return self._program.fault or self._terminal.lines[-1]
 
 
@@ -159,6 +160,19 @@ def test_node_that_falls_silent_and_the_limit_that_cuts_are_shown_in_words(bench
     assert phone.car["steering"]["source"] is not None and phone.car["who"]["cause"] == "no deadman"
     bench.run(6.0)
     assert (phone.car["worst"]["level"], phone.car["battery"]["text"]) == (2, "throttle_arb has stopped reporting")
+
+
+def test_reports_are_kept_of_so_many_devices_and_no_more_while_no_page_is_open(graph):
+    node = Network(graph).add_node()
+    for at in range(5):
+        graph.publish("/diagnostics", DiagnosticArray(status=[
+            DiagnosticStatus(name=f"turn_arb: {at * 100 + device}", level=at) for device in range(100)]))
+        graph.run(0.2)
+    reports = node.node._car._reports
+    assert len(reports) == MAX_REPORTS and reports["turn_arb: 0"].value["level"] == 0
+    graph.publish("/diagnostics", DiagnosticArray(status=[DiagnosticStatus(name="turn_arb: 0", level=2)]))
+    graph.run(0.2)
+    assert reports["turn_arb: 0"].value["level"] == 2  # one that is known goes on
 
 
 # --- guests ---
@@ -320,8 +334,8 @@ def test_person_with_a_phone_and_no_gamepad_calibrates_the_steering(bench):
 
 
 def test_table_that_a_calibration_has_written_is_not_replaced_by_a_save_of_the_one_in_use(tmp_path, monkeypatch):
-    written = SimpleNamespace(exit_code=0, tail=lambda: "turn_arb.yaml written")
-    monkeypatch.setattr(Bench, "_start", lambda self, command, namespace: written)
+    written = SimpleNamespace(exit_code=0, tail=lambda count: "turn_arb.yaml written")
+    monkeypatch.setattr(Bench, "_start", lambda self, command, **variables: written)
     bench = Bench(tmp_path)
     bench.seat()
     bench.ask("calibrate", what="begin")

@@ -45,10 +45,10 @@ class Recording(NamedTuple):
         return f"{self.cause}, {'just now' if age_s >= 0 else 'by a clock that was set back since'}"
 
 
-def default_folder() -> str:
-    """Return the folder of this user: below ROS_HOME, or ~/.ros."""
+def default_folder(name: str = "black_box") -> str:
+    """Return the folder of this user for recordings of some kind: below ROS_HOME, or ~/.ros."""
     home = os.environ.get("ROS_HOME") or os.path.join(os.path.expanduser("~"), ".ros")
-    return os.path.join(home, "car_interface", "black_box")
+    return os.path.join(home, "car_interface", name)
 
 
 def recordings(folder: str) -> list[Recording]:

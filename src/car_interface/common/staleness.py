@@ -51,6 +51,10 @@ class TimedInput:
         return (self._arrival_ns is None or self.is_marked_stale
                 or now_ns - self._arrival_ns + self._age_ns > self._timeout_ns)
 
+    def fresh(self, now_ns: int):
+        """Return the newest value; None when it is stale."""
+        return None if self.is_stale(now_ns) else self.value
+
     def age_s(self, now_ns: int) -> float:
         """Return the age of the last message in seconds; inf = never received."""
         return self.silence_s(now_ns) + self.was_late_s

@@ -1,7 +1,8 @@
-"""Record topics into a bag by rosbag, and have bag_report make its page, as processes beside a node."""
+"""Programs beside a node: rosbag, which records topics, bag_report, which makes the page, and any other one."""
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -15,23 +16,66 @@ from car_interface.common.errors import ConfigError
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.ros.clocks import SYSTEM
 
+# Why a car drives, or has stopped.
+DECISIONS = (
+    "turn_arb/state", "throttle_arb/state", "planner_interface/state", "generic_value_converter/state",
+    "teleop_logi/state", "teleop_logi/mode", "joy", "e_stop", "phone/joy", "phone/e_stop", "av_steer_req",
+    "av_speed_req", "servo/output", "odom", "imu/data", "teensy_sensor_hub/link", "teensy_clock", "teensy_pong",
+    "teensy_error", *(f"sonar/{name}" for name in SONARS), "/tf_static", "/diagnostics", "/rosout")
+# What planners ask for, and the battery.
+PLANNERS = ("drive", "cmd_vel", "av_turnrad_req", "control/command/control_cmd", "control/command/gear_cmd",
+            "battery_state")
 # Of a calibration drive: all that the calibrations and bag_report read, and no cameras.
 TOPICS = (
-    "odom", "joint_states", "imu/data", "car_sim/truth", "servo/output", "servo/cmdVector", "e_stop", "joy",
-    "phone/joy", "phone/e_stop",
-    "turn_arb/state", "throttle_arb/state", "planner_interface/state", "generic_value_converter/state",
-    "av_steer_req", "av_speed_req", "planner_interface/output/control_cmd", "generic/output/value",
-    "teleop_logi/state", "teleop_logi/human_in_loop", "teleop_logi/mode", "teleop_logi/tele_steer_req",
-    "teleop_logi/tele_throt_req", "teensy_sensor_hub/link", "teensy_clock", "teensy_pong", "teensy_wheel",
-    "teensy_distance", "teensy_error", *(f"sonar/{name}" for name in SONARS), "/tf", "/tf_static", "/diagnostics",
-    "/rosout")
+    *DECISIONS, "joint_states", "car_sim/truth", "servo/cmdVector", "planner_interface/output/control_cmd",
+    "generic/output/value", "teleop_logi/human_in_loop", "teleop_logi/tele_steer_req", "teleop_logi/tele_throt_req",
+    "teensy_wheel", "teensy_distance", "/tf")
 # Where rosbags isn't among the system's libraries, as on Debian 12: docs/recordings.md, Install the tools.
 TOOLS = "~/car_tools/bin/car-interface"
 RECORDER = "record_"  # rosbag's node, before what makes its name unique
+LOG_PREFIX = re.compile(r"^(\x1b\[\d+m)?\[[A-Z]+\] \[[\d.]+\]: ", re.M)  # of rospy, in a terminal's colours
+TAIL_BYTES = 4000
 
 
-class BagRecording:
-    """A ``rosbag record``, in a file of its own under ``folder``. It ends with this process, however that ends.
+class Program:
+    """A program in a session of its own: a terminal's Ctrl-C and hang-up are for the node, which ends it then.
+
+    It ends with this process, however that ends; else rosbag would record for ever.
+
+    Args:
+        shows_errors: they go where the node's go, and nothing of the rest is kept for ``tail``.
+        variables: of its environment, beside the node's.
+    """
+
+    def __init__(self, command: Sequence[str], shows_errors: bool = False, **variables: str):
+        self._output = None if shows_errors else tempfile.TemporaryFile()  # noqa: SIM115 - read once it has ended
+        with_parent = ("setpriv", "--pdeathsig", "INT") if shutil.which("setpriv") else ()
+        self._process = subprocess.Popen(
+            [*with_parent, *command], stdin=subprocess.DEVNULL,
+            stdout=self._output or subprocess.DEVNULL,
+            stderr=None if shows_errors else subprocess.STDOUT, start_new_session=True,
+            env={**os.environ, **variables})
+
+    @property
+    def exit_code(self) -> int | None:
+        """Return it; None while it runs."""
+        return self._process.poll()
+
+    def interrupt(self) -> None:
+        """End it as Ctrl-C does; it closes its recording."""
+        if self.exit_code is None:
+            self._process.send_signal(signal.SIGINT)
+
+    def tail(self, count: int) -> str:
+        """Return the last lines of its output, so many at most."""
+        size = self._output.seek(0, os.SEEK_END)
+        self._output.seek(max(0, size - TAIL_BYTES))
+        lines = LOG_PREFIX.sub("", self._output.read().decode(errors="replace")).strip().splitlines()
+        return "\n".join(lines[-count:])
+
+
+class BagRecording(Program):
+    """A ``rosbag record``, in a file of its own under ``folder``.
 
     Args:
         folder: made where it isn't there.
@@ -45,11 +89,8 @@ class BagRecording:
         except OSError as error:
             raise ConfigError("bag_dir", folder, f"a folder that can be written to ({error.strerror})") from error
         self.path = os.path.join(folder, SYSTEM.local_time(f"{stem}_%Y-%m-%d_%H-%M-%S.bag"))
-        command = [*ending_with_parent(), "rosrun", "rosbag", "record", *(topics or ("--all",)), "--quiet", "-O",
-                   self.path]
-        # In a session of its own, a terminal's Ctrl-C and hang-up are for the node, which closes the bag then.
-        self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-                                         start_new_session=True)
+        super().__init__(["rosrun", "rosbag", "record", *(topics or ("--all",)), "--quiet", "-O", self.path],
+                         shows_errors=True)
 
     def has_subscribed(self, topic: str) -> bool:
         """Return whether a recorder has subscribed to a topic: rosbag takes a second to start, or some."""
@@ -63,23 +104,13 @@ class BagRecording:
     @property
     def has_ended(self) -> bool:
         """Return whether the recorder has closed the bag, or has failed."""
-        return self._process.poll() is not None
-
-    def begin_stop(self) -> None:
-        """Have the bag closed; ``has_ended`` says when it is."""
-        if self._process.poll() is None:
-            self._process.send_signal(signal.SIGINT)
+        return self.exit_code is not None
 
     def stop(self) -> str:
         """Close the bag, and return its path."""
-        self.begin_stop()
+        self.interrupt()
         self._process.wait()
         return self.path
-
-
-def ending_with_parent():
-    """Return what has a command closed by SIGINT when the node is killed, and can't: rosbag would record for ever."""
-    return ("setpriv", "--pdeathsig", "INT") if shutil.which("setpriv") else ()
 
 
 class BagPage:
@@ -87,37 +118,30 @@ class BagPage:
 
     def __init__(self, recording: BagRecording):
         self._recording = recording
-        self._process: subprocess.Popen | None = None
-        self._output = None
-        recording.begin_stop()
+        self._program: Program | None = None
+        recording.interrupt()
 
     def step(self) -> list[str] | None:
         """Go on; return where bag and page are, once both are there; ``None`` = not yet."""
+        path = self._recording.path
         if not self._recording.has_ended:
             return None
-        if not os.path.exists(self._recording.path):
+        if not os.path.exists(path):
             return ["no recording: rosbag wrote none (rosrun rosbag record says why)"]
-        if self._process is None:
-            self._output = tempfile.TemporaryFile()  # noqa: SIM115 - it is read once the process has ended
-            self._process = subprocess.Popen(["nice", *_command(), self._recording.path], stdin=subprocess.DEVNULL,
-                                             stdout=self._output, stderr=subprocess.STDOUT)
-        if self._process.poll() is None:
+        if self._program is None:
+            self._program = Program(["nice", *_command(), path])
+        if self._program.exit_code is None:
             return None
-        return [f"recording: {self._recording.path}", self._page_line()]
+        page = Path(path).with_suffix(".html")
+        if self._program.exit_code == 0 and page.exists():
+            return [f"recording: {path}", f"report: {page}"]
+        return [f"recording: {path}", f"no report: {self._program.tail(1) or 'bag_report failed'}"]
 
     def close(self) -> None:
         """Close the bag, and give up a page that isn't there yet."""
-        if self._process is not None and self._process.poll() is None:
-            self._process.terminate()
+        if self._program is not None:
+            self._program.interrupt()
         self._recording.stop()
-
-    def _page_line(self):
-        page = Path(self._recording.path).with_suffix(".html")
-        if self._process.returncode == 0 and page.exists():
-            return f"report: {page}"
-        self._output.seek(0)
-        lines = self._output.read().decode(errors="replace").strip().splitlines()
-        return f"no report: {lines[-1] if lines else 'bag_report failed'}"
 
 
 def _command():

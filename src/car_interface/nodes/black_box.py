@@ -16,6 +16,7 @@ import math
 import os
 from collections import Counter, deque
 from contextlib import suppress
+from functools import partial
 from types import SimpleNamespace
 from typing import Any, Mapping, NamedTuple
 
@@ -28,23 +29,17 @@ from car_interface.common.declared import read_all
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.sources import PLANNER, TELEOP
 from car_interface.common.units import NS_PER_S
-from car_interface.common.vehicle_geometry import SONARS
 from car_interface.msg import SteeringState, TeleopState, ThrottleState
+from car_interface.nodes.bag_recording import DECISIONS, PLANNERS
 from car_interface.ros.diagnostics import OK, WARN, Diagnostics
 from car_interface.ros.runtime import describe_error, run
 from car_interface.ros.topics import subscribe
 
-# What shows why the car stopped. Each message costs its sender's time, too, so what others repeat is left out: the
-# servo board's commands and the requests of teleop_logi are in the states of the arbiters and in joy, the Teensy's raw
-# counts in odom and the ranges. With those the demo's car sends 660 messages a second instead of 330, and this node
-# took 4.1 % of a core instead of 1.9 (AMD EPYC, Python 3.11).
-TOPICS = (
-    "turn_arb/state", "throttle_arb/state", "planner_interface/state", "generic_value_converter/state",
-    "teleop_logi/state", "teleop_logi/mode", "joy", "e_stop", "phone/joy", "phone/e_stop",
-    "drive", "cmd_vel", "control/command/control_cmd", "control/command/gear_cmd",
-    "av_turnrad_req", "av_steer_req", "av_speed_req", "servo/output", "odom", "imu/data", "battery_state",
-    "teensy_sensor_hub/link", "teensy_clock", "teensy_pong", "teensy_error", *(f"sonar/{name}" for name in SONARS),
-    "/tf_static", "/diagnostics", "/rosout")
+# Each message costs its sender's time, too, so what others repeat is left out: the servo board's commands and the
+# requests of teleop_logi are in the states of the arbiters and in joy, the Teensy's raw counts in odom and the ranges.
+# With those the demo's car sends 660 messages a second instead of 330, and this node took 4.1 % of a core instead of
+# 1.9 (AMD EPYC, Python 3.11).
+TOPICS = (*DECISIONS, *PLANNERS)
 QUEUE = 1000  # messages of a topic that wait while this process doesn't get a CPU: some seconds of the fastest
 AFTER_NS = 5 * NS_PER_S  # how it ended: a car that slides, or is stopped by hand
 PAUSE_NS = 30 * NS_PER_S  # between two bags: they would have most in common
@@ -86,11 +81,11 @@ class Ring:
         dropped: how many messages were too large, or more than their topic may send.
     """
 
-    def __init__(self, span_ns: int = SPAN_NS, max_bytes: int = MAX_BYTES):
+    def __init__(self, max_bytes: int = MAX_BYTES):
         self.size_bytes = self.dropped = 0
-        self._span_ns, self._max_bytes = span_ns, max_bytes
+        self._max_bytes = max_bytes
         self._messages: deque[Message] = deque()
-        self._latched: dict[tuple[str, str], Message] = {}  # by topic and sender, of those that left the ring
+        self._latched: dict[tuple[str, str], Message] = {}  # the newest, by topic and sender
         self._second, self._counts = 0, Counter()  # of the messages by topic in the second of the monotonic clock
 
     def add(self, message: Message) -> None:
@@ -104,21 +99,16 @@ class Ring:
             return
         self._messages.append(message)
         self.size_bytes += len(message.data) + OVERHEAD_BYTES
-        while self.size_bytes > self._max_bytes or self._messages[0].at_ns < message.at_ns - self._span_ns:
-            self._drop_oldest()
-
-    def _drop_oldest(self):
-        oldest = self._messages.popleft()
-        self.size_bytes -= len(oldest.data) + OVERHEAD_BYTES
-        if oldest.header.get("latching") == "1":
-            self._latched[oldest.topic, oldest.header.get("callerid", "")] = oldest
+        if message.header.get("latching") == "1":
+            self._latched[message.topic, message.header.get("callerid", "")] = message
+        while self.size_bytes > self._max_bytes or self._messages[0].at_ns < message.at_ns - SPAN_NS:
+            self.size_bytes -= len(self._messages.popleft().data) + OVERHEAD_BYTES
 
     def messages(self) -> list[Message]:
         """Return all of it, oldest first; a latched message that is older than the rest has the time of the oldest."""
-        kept = list(self._messages)
-        senders = {(message.topic, message.header.get("callerid", "")) for message in kept}
-        return [message._replace(at_ns=kept[0].at_ns) for key, message in self._latched.items()
-                if kept and key not in senders] + kept
+        first_ns = self._messages[0].at_ns if self._messages else 0
+        return [message._replace(at_ns=first_ns) for message in self._latched.values()
+                if message.at_ns < first_ns] + list(self._messages)
 
 
 class Stop(NamedTuple):
@@ -190,10 +180,9 @@ class BlackBox:
         self._folder = read_all(params, BlackBoxConfig).folder or default_folder()
         self._inbox = inbox
         self._ring, self._watch = Ring(), StopWatch()
-        self._stop: Stop | None = None  # whose bag isn't written yet
-        self._stop_time, self._write_ns = "", 0
+        self._due: tuple[int, Stop, str] | None = None  # when to write, and the stop with the time of day
         self._next_ns = 0  # no stop before it makes a bag
-        self._writing = False
+        self._is_writing = False
         self._problem = ""  # why the newest bag couldn't be written
         self._offset_ns, self._clock_set_ns = inbox.clocks.ros_offset_ns()[0], -SPAN_NS
         now_ns = inbox.clocks.now_ns()
@@ -212,17 +201,20 @@ class BlackBox:
         if self._timer.is_due(now_ns):
             self._on_stop(self._watch.tick(), now_ns)
             self._watch_clock(now_ns)
-        if self._stop is not None and now_ns >= self._write_ns and not self._writing:
+        if self._due is not None and now_ns >= self._due[0] and not self._is_writing:
             self._write(now_ns)
         self._diagnostics.step(now_ns)
         return min(self._timer.due_ns, self._diagnostics.due_ns)
 
     def shut_down(self):
         """Write what is still to be written."""
-        if self._stop is not None and not self._writing:
+        if self._due is not None and not self._is_writing:
             self._write(self._inbox.clocks.now_ns())
-        self._inbox.clocks.wait_for(lambda: not self._writing, WRITTEN_WITHIN_S, POLL_S)
+        self._inbox.clocks.wait_for(self._has_written, WRITTEN_WITHIN_S, POLL_S)
+
+    def _has_written(self):
         self._inbox.dispatch()
+        return not self._is_writing
 
     def _recorder(self, topic, state_type=None, on_state=None):
         """Return the handler of a topic's messages; one of a state also looks for a stop."""
@@ -235,10 +227,9 @@ class BlackBox:
         return record
 
     def _on_stop(self, stop, now_ns):
-        if stop is None or now_ns < self._next_ns:
-            return
-        self._stop, self._stop_time = stop, self._inbox.clocks.local_time(TIME_FORMAT)
-        self._write_ns, self._next_ns = now_ns + AFTER_NS, now_ns + PAUSE_NS
+        if stop is not None and now_ns >= self._next_ns:
+            self._due = now_ns + AFTER_NS, stop, self._inbox.clocks.local_time(TIME_FORMAT)
+            self._next_ns = now_ns + PAUSE_NS
 
     def _watch_clock(self, now_ns):
         offset_ns, error_ns = self._inbox.clocks.ros_offset_ns()
@@ -247,7 +238,7 @@ class BlackBox:
         self._offset_ns = offset_ns
 
     def _write(self, now_ns):
-        stop, self._stop, self._writing = self._stop, None, True
+        (_, stop, time_text), self._due, self._is_writing = self._due, None, True
         messages, offset_ns = self._ring.messages(), self._offset_ns
         if now_ns - self._clock_set_ns < SPAN_NS:
             rospy.logwarn("the clock of this computer was set within the recording: its times go by the clock as it is "
@@ -255,18 +246,17 @@ class BlackBox:
 
         def write():
             try:
-                path, problem = store(self._folder, self._stop_time, stop.cause, bag_of(messages, offset_ns)), ""
+                return store(self._folder, time_text, stop.cause, bag_of(messages, offset_ns)), ""
             except Exception as error:  # a full disk, or a fault: the car drives on
-                path, problem = "", getattr(error, "strerror", None) or describe_error(error)
-            self._inbox.put(lambda item, _: self._on_written(stop, *item), (path, problem))
-            self._writing = False
-        self._inbox.graph.start_thread(write, "black_box writer")
+                return "", getattr(error, "strerror", None) or describe_error(error)
+        self._inbox.work(write, partial(self._on_written, stop))
 
-    def _on_written(self, stop, path, problem):
-        self._problem = problem
-        if problem:
+    def _on_written(self, stop, written, now_ns):
+        self._is_writing = False
+        path, self._problem = written
+        if self._problem:
             rospy.logerr("the car was stopped by %s (%s), and no recording of it could be written to %s: %s",
-                         stop.cause, stop.reason, self._folder, problem)
+                         stop.cause, stop.reason, self._folder, self._problem)
         else:
             rospy.logwarn("the car was stopped by %s (%s): rosrun car_interface bag_report %s", stop.cause,
                           stop.reason, path)

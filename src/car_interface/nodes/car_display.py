@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from collections import deque
 
-import rospy
 from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Range
@@ -26,12 +25,11 @@ from visualization_msgs.msg import Marker, MarkerArray
 from car_interface.common.declared import read_all
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.sources import source_name
-from car_interface.common.staleness import TimedInput
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.msg import SteeringState, ThrottleState
 from car_interface.nodes.teensy_sensor_hub.config import CarDisplayConfig
 from car_interface.ros.runtime import run
-from car_interface.ros.topics import advertise, subscribe
+from car_interface.ros.topics import advertise, listen, subscribe
 
 RATE_HZ = 10
 TICKS_PER_TRAIL = 10  # an unchanged trail is sent once a second, for an rviz that starts late
@@ -57,27 +55,6 @@ ECHO, NO_ECHO = ColorRGBA(0.95, 0.45, 0.1, 0.45), ColorRGBA(0.3, 0.5, 0.9, 0.12)
 NO_ROTATION = Quaternion(0.0, 0.0, 0.0, 1.0)
 
 
-class Trail:
-    """The positions of the car, at least 5 cm apart."""
-
-    def __init__(self):
-        self.points: deque = deque(maxlen=TRAIL_POINTS)
-        self.has_grown = False  # reset by the user of the points
-
-    def add(self, x_m: float, y_m: float) -> None:
-        """Add the car's position, unless it isn't finite or near to the last one."""
-        if not math.isfinite(x_m + y_m):
-            return
-        if self.points:
-            step_m = math.hypot(x_m - self.points[-1].x, y_m - self.points[-1].y)
-            if step_m < SPACING_M:
-                return
-            if step_m > JUMP_M:
-                self.points.clear()
-        self.points.append(Point(x_m, y_m, LINE_M))
-        self.has_grown = True
-
-
 class CarDisplay:
     """Draw the car, its steering command, its sonars and its trail."""
 
@@ -87,17 +64,14 @@ class CarDisplay:
         self._odom_frame = config.frame_prefix + config.odom_frame
         self._base_frame = config.frame_prefix + config.base_frame
         self._inbox = inbox
-        self._steering = TimedInput("turn_arb/state", STATE_TIMEOUT_S)
-        self._throttle = TimedInput("throttle_arb/state", STATE_TIMEOUT_S)
-        self._ranges = [TimedInput(f"sonar/{name}", RANGE_TIMEOUT_S) for name in SONARS]
-        self._trail = Trail()
+        self._steering = listen("turn_arb/state", SteeringState, inbox, STATE_TIMEOUT_S)
+        self._throttle = listen("throttle_arb/state", ThrottleState, inbox, STATE_TIMEOUT_S)
+        self._ranges = [listen(f"sonar/{name}", Range, inbox, RANGE_TIMEOUT_S) for name in SONARS]
+        self._trail: deque[Point] = deque(maxlen=TRAIL_POINTS)  # where it was, at least 5 cm apart
+        self._trail_has_grown = False  # since it was last sent
         self._ticks = 0
         self._timer = RateTimer(RATE_HZ, inbox.clocks.now_ns())
         self._markers = advertise("~markers", MarkerArray, inbox, queue_size=1, latch=True)
-        subscribe("turn_arb/state", SteeringState, inbox, self._steering.update)
-        subscribe("throttle_arb/state", ThrottleState, inbox, self._throttle.update)
-        for measured in self._ranges:
-            subscribe(measured.name, Range, inbox, measured.update)
         subscribe("odom", Odometry, inbox, self._on_odometry, queue_size=100)
 
     def step(self, now_ns):
@@ -111,19 +85,26 @@ class CarDisplay:
         """Nothing to do."""
 
     def _on_odometry(self, message, now_ns):
-        position = message.pose.pose.position
-        self._trail.add(position.x, position.y)
+        """Add where the car is to the trail, unless that isn't finite or is near to the newest point."""
+        x_m, y_m = message.pose.pose.position.x, message.pose.pose.position.y
+        step_m = math.hypot(x_m - self._trail[-1].x, y_m - self._trail[-1].y) if self._trail else SPACING_M
+        if not math.isfinite(x_m + y_m) or step_m < SPACING_M:
+            return
+        if step_m > JUMP_M:
+            self._trail.clear()
+        self._trail.append(Point(x_m, y_m, LINE_M))
+        self._trail_has_grown = True
 
     def _draw(self, now_ns):
-        steering, throttle = _fresh(self._steering, now_ns), _fresh(self._throttle, now_ns)
+        steering, throttle = self._steering.fresh(now_ns), self._throttle.fresh(now_ns)
         known = steering is not None and abs(steering.turn_radius) > 0  # nor is it NaN
         curvature_per_m = 1 / steering.turn_radius if known else 0.0
         markers = [*self._body(), *self._wheels(curvature_per_m), self._words(steering, throttle)]
         markers += self._arrow(curvature_per_m) if known else [self._nothing("steering", index) for index in range(2)]
-        markers += [self._fan(index, _fresh(measured, now_ns)) for index, measured in enumerate(self._ranges)]
-        if self._trail.has_grown or self._ticks % TICKS_PER_TRAIL == 0:
+        markers += [self._fan(index, measured.fresh(now_ns)) for index, measured in enumerate(self._ranges)]
+        if self._trail_has_grown or self._ticks % TICKS_PER_TRAIL == 0:
             markers.append(self._trail_marker())
-            self._trail.has_grown = False
+            self._trail_has_grown = False
         self._ticks += 1
         self._markers.publish(MarkerArray(markers))
 
@@ -186,28 +167,20 @@ class CarDisplay:
         return marker
 
     def _nothing(self, ns, index):
-        return Marker(header=self._header(self._base_frame), ns=ns, id=index, action=Marker.DELETE)
+        return Marker(header=Header(frame_id=self._base_frame), ns=ns, id=index, action=Marker.DELETE)
 
     def _trail_marker(self):
-        points = list(self._trail.points)
         marker = self._marker("trail", 0, Marker.LINE_STRIP, TRAIL, Vector3(1.5 * LINE_M, 0.0, 0.0),
                               frame=self._odom_frame)
-        marker.points = points
-        if len(points) < 2:  # rviz reports that as an error
+        marker.points = list(self._trail)
+        if len(marker.points) < 2:  # rviz reports that as an error
             marker.action = Marker.DELETE
         return marker
 
     def _marker(self, ns, index, kind, color, scale, pose=None, frame=None):
-        return Marker(header=self._header(frame or self._base_frame), ns=ns, id=index, type=kind, action=Marker.ADD,
-                      pose=pose or _at(0.0, 0.0, 0.0), scale=scale, color=color, frame_locked=True)
-
-    @staticmethod
-    def _header(frame):
-        return Header(stamp=rospy.Time(), frame_id=frame)  # 0: where the frame is now
-
-
-def _fresh(timed, now_ns):
-    return None if timed.is_stale(now_ns) else timed.value
+        header = Header(frame_id=frame or self._base_frame)  # with no time: where the frame is now
+        return Marker(header=header, ns=ns, id=index, type=kind, action=Marker.ADD, pose=pose or _at(0.0, 0.0, 0.0),
+                      scale=scale, color=color, frame_locked=True)
 
 
 def _at(x_m, y_m, z_m, orientation=NO_ROTATION):

@@ -57,20 +57,16 @@ class Part:
 
     def __init__(self, name: str, node_class: Callable, on_end: Callable[[Part], None]):
         self.name = name
-        self.fault = ""  # what ended the last run
         self.was_refused = False  # its first start failed, by a parameter or a device
         self._node_class = node_class
         self._on_end = on_end
         self._has_started = self._is_final = False
-        self._start()
+        self.start()
 
-    def restart(self) -> None:
-        """Start it again."""
+    def start(self) -> None:
+        """Start it, at first or again."""
         gc.collect()  # closes the files of rospy's old connections
-        self.fault = ""
-        self._start()
-
-    def _start(self):
+        self.fault = ""  # what ended the run
         self._inbox = Inbox(f"{ROS.namespace()}{self.name}")
         self._thread = threading.Thread(target=self._run, name=self.name, daemon=True)
         self._thread.start()
@@ -86,18 +82,16 @@ class Part:
             self.fault = "it hangs and can't be shut down"
 
     def _run(self):
-        fault = "it ended"
         try:
             spin(self._build, self._inbox,
                  read_fixed=lambda: fixed_parameters(self.name, sys.argv[1:], process=PROCESS))
-            fault = "" if self._is_final else fault
+            self.fault = "" if self._is_final else "it ended"
         except Exception as error:
-            fault = describe_error(error)
+            self.fault = describe_error(error)
             self.was_refused = isinstance(error, CarInterfaceError) and not self._has_started
         finally:
             if not self._is_final:  # at the process's end rospy does that
                 self._inbox.close()
-            self.fault = fault
             self._on_end(self)
 
     def _build(self, params, inbox):
@@ -124,7 +118,7 @@ class CarNodes:
         self._inbox.dispatch()
         for part in [part for part, due_ns in self._due_ns.items() if now_ns >= due_ns]:
             del self._due_ns[part]
-            part.restart()
+            part.start()
         return min(self._due_ns.values(), default=math.inf)
 
     def shut_down(self):

@@ -50,7 +50,7 @@ class GamepadJoy:
         self._repeat_ns = NS_PER_S / self._config.autorepeat_hz if self._config.autorepeat_hz else math.inf
         self._due_ns = math.inf  # of the next message; inf = there is nothing to publish
         self._warnings = ThrottledWarnings(inbox.clocks)
-        self._fault: DeviceError | None = None
+        self._fault: DeviceError | None = None  # while there is no device; the first step tries to open one
         now_ns = self._clocks.now_ns()
         self._retry_ns = now_ns
         self._diagnostics = Diagnostics(inbox, self._config.dev, {DRIVER_REPORT: self._report}, now_ns)
@@ -123,11 +123,9 @@ class GamepadJoy:
         """Report whether the gamepad is there."""
         if self._device is not None:
             status.summary(OK, self._model())
-        elif self._fault is not None:
+        else:
             status.summary(ERROR, f"{self._fault.what}: {self._fault.cause}")
             status.add("remedy", self._fault.remedy)
-        else:
-            status.summary(ERROR, "it was not opened yet")
         status.add("times that events were lost", self._joystick.losses)
 
 

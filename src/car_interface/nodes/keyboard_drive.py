@@ -20,6 +20,7 @@ import glob
 import math
 import re
 import textwrap
+from contextlib import suppress
 from typing import Any, Callable, Mapping
 
 import rospy
@@ -33,13 +34,12 @@ from car_interface.common.errors import CarInterfaceError
 from car_interface.common.params import Params
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.sources import source_name
-from car_interface.common.staleness import TimedInput
 from car_interface.common.units import NS_PER_S
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.msg import SteeringState, ThrottleState
 from car_interface.nodes.terminal import Keys, LiveText
 from car_interface.ros.runtime import run
-from car_interface.ros.topics import advertise, subscribe
+from car_interface.ros.topics import advertise, listen
 from car_interface.teleop.gamepad import NONE
 from car_interface.teleop.keyboard import QUIT, Controls, Keyboard, KeyboardConfig, KeyReader, help_text
 from car_interface.teleop.mappings import KEYBOARD_FRAME
@@ -62,7 +62,6 @@ REVERSE = "it stands. To reverse: hold M alone for a second, then S again"
 ADVICE = {**dict.fromkeys(causes.LOCKS, UNLOCK), causes.HUMAN_ABSENT: "hold M to drive, P to let the planner drive",
           causes.NOT_REARMED: "let go of all keys, then hold M or P again"}
 NO_REVERSE = frozenset({causes.AT_STANDSTILL, causes.HOLDING})
-START_VIRTUAL = "Start the virtual car first: roslaunch car_interface demo.launch drive:=false"
 
 
 class Keyboards:
@@ -73,7 +72,14 @@ class Keyboards:
     """
 
     def __init__(self, pattern: str, open_device: Callable = InputDevice):
-        self._devices = [device for path in sorted(glob.glob(pattern)) for device in _opened(path, open_device)]
+        self._devices = []
+        for path in sorted(glob.glob(pattern)):
+            with suppress(OSError):  # it may not be read
+                device = open_device(path)
+                if LETTERS_AND_SPACE.issubset(device.capabilities().get(ecodes.EV_KEY, ())):
+                    self._devices.append(device)
+                else:
+                    device.close()
 
     def __len__(self) -> int:
         return len(self._devices)
@@ -105,18 +111,6 @@ class Keyboards:
         self._devices.clear()
 
 
-def _opened(path, open_device):
-    """Return a device, in a list; none if it is no keyboard or may not be read."""
-    try:
-        device = open_device(path)
-    except OSError:
-        return []
-    if LETTERS_AND_SPACE.issubset(device.capabilities().get(ecodes.EV_KEY, ())):
-        return [device]
-    device.close()
-    return []
-
-
 class KeyboardDrive:
     """Reads the keys and publishes joy.
 
@@ -129,43 +123,32 @@ class KeyboardDrive:
     def __init__(self, params, inbox, keys=None, make_keyboards=Keyboards, text=None):
         teleop_logi = Params(inbox.graph.parameter("teleop_logi", {}))
         self._config = read_all(params, KeyboardConfig, default=read(teleop_logi, KeyboardConfig))
-        self._inbox = inbox
+        self._inbox, self._clocks = inbox, inbox.clocks
         self._fault = ""
-        self._device = self._inbox.graph.parameter("pca9685/device", None)
-        self._shown = self._seen = ""
-        self._check_no_other_publisher(inbox.resolve_name("joy"))
-        devices = "" if self._config.input_devices == NO_DEVICES else self._config.input_devices
-        self._keyboards = make_keyboards(devices)
-        if not len(self._keyboards):
-            self._check_virtual()
-        self._clocks = inbox.clocks
+        self._device = inbox.graph.parameter("pca9685/device", None)
+        devices = self._config.input_devices
+        self._keyboards = make_keyboards("" if devices == NO_DEVICES else devices)
+        _check_can_drive(inbox, devices, self._device, len(self._keyboards) > 0)
         now_ns = self._clocks.now_ns()
         self._timer = RateTimer(RATE_HZ, now_ns)
         self._stepped_ns = now_ns
         self._reader = KeyReader()
-        self._keyboard = Keyboard(counts_without_release=self._is_virtual)
+        self._keyboard = Keyboard(counts_without_release=self._device == VIRTUAL)
         self._was_warned = False
         self._joy = advertise("joy", Joy, inbox)
         self._text, self._ticks = text or LiveText(), 0
-        self._steering = TimedInput("turn_arb/state", STATE_TIMEOUT_S)
-        self._throttle = TimedInput("throttle_arb/state", STATE_TIMEOUT_S)
-        self._ranges = {name: TimedInput(f"sonar/{name}", RANGE_TIMEOUT_S) for name in SONARS}
-        self._collisions, self._is_blocked, self._has_stood = 0, False, False
-        subscribe("turn_arb/state", SteeringState, inbox, self._on_state)
-        subscribe("throttle_arb/state", ThrottleState, inbox, self._on_throttle)
-        for measured in self._ranges.values():
-            subscribe(measured.name, Range, inbox, measured.update)
-        subscribe("car_sim/collisions", Int32, inbox, self._on_collisions)
+        self._shown = self._seen = ""  # who steers, and why: as it was printed, and as it was at the last look
+        self._steering = listen("turn_arb/state", SteeringState, inbox, STATE_TIMEOUT_S)
+        self._throttle = listen("throttle_arb/state", ThrottleState, inbox, STATE_TIMEOUT_S)
+        self._ranges = {name: listen(f"sonar/{name}", Range, inbox, RANGE_TIMEOUT_S) for name in SONARS}
+        self._collisions = listen("car_sim/collisions", Int32, inbox, 0)
+        self._hits, self._is_blocked, self._has_stood = 0, False, False
         self._keys = keys or Keys()
         if not self._keys.start():
             raise CarInterfaceError("no terminal to read keys from: start it by rosrun in a terminal of its own, not "
                                     "by roslaunch and not in the background")
         self._text.say(help_text(len(self._keyboards) > 0))
         self._watch_ns = now_ns + WATCH_NS  # when the device is looked at; inf: it is just being looked at
-
-    @property
-    def _is_virtual(self):
-        return self._device == VIRTUAL
 
     def step(self, now_ns):
         """Read the keys; publish when it is time."""
@@ -179,8 +162,8 @@ class KeyboardDrive:
             self._read_keys(now_ns)
             self._publish(self._keyboard.controls(now_ns))
             self._ticks += 1
-            if self._ticks % TICKS_PER_SCREEN == 0 and self._text.is_live:
-                self._draw(now_ns)
+            if self._ticks % TICKS_PER_SCREEN == 0:
+                self._show(now_ns)
         return self._timer.due_ns
 
     def shut_down(self):
@@ -224,34 +207,30 @@ class KeyboardDrive:
                 message.buttons[button] |= int(controls.scale == pressed)
         self._joy.publish(message)
 
-    def _draw(self, now_ns):
-        steering, throttle = (None if state.is_stale(now_ns) else state.value
-                              for state in (self._steering, self._throttle))
-        ranges_m = {name: each.value.range for name, each in self._ranges.items() if not each.is_stale(now_ns)}
-        self._text.show(screen_lines(steering, throttle, ranges_m, self._is_blocked, self._text.width))
+    def _show(self, now_ns):
+        """Draw the screen; without one print who steers, once it stays so: the reason comes a moment after it."""
+        steering, throttle = self._steering.fresh(now_ns), self._throttle.fresh(now_ns)
+        if self._text.is_live:
+            self._notice_wall(throttle)
+            ranges_m = {name: each.value.range for name, each in self._ranges.items() if not each.is_stale(now_ns)}
+            self._text.show(screen_lines(steering, throttle, ranges_m, self._is_blocked, self._text.width))
+        elif steering is not None:
+            text = f"{source_name(steering.source)}: {steering.reason}"
+            kind = NUMBER.sub("", text)
+            if kind == self._seen != self._shown:
+                self._shown = kind
+                print(text, flush=True)
+            self._seen = kind
 
-    def _on_throttle(self, message, now_ns):
-        self._throttle.update(message, now_ns)
-        moves = abs(message.speed) > FREE_MPS  # for a while also after it hit something: the wheels' speed falls late
+    def _notice_wall(self, throttle):
+        """Notice that the virtual car ran into something, and that it has left it."""
+        before, self._hits = self._hits, self._collisions.value.data if self._collisions.was_received else 0
+        if self._hits > before:
+            self._is_blocked, self._has_stood = True, False
+        # For a while after it hit something, too: the wheels' speed falls late.
+        moves = throttle is not None and abs(throttle.speed) > FREE_MPS
         self._is_blocked = self._is_blocked and not (moves and self._has_stood)
         self._has_stood = self._has_stood or not moves
-
-    def _on_collisions(self, message, now_ns):
-        if message.data > self._collisions:
-            self._is_blocked, self._has_stood = True, False
-        self._collisions = message.data
-
-    def _on_state(self, message, now_ns):
-        """Take who steers. Without a screen print it, once it stays so: the reason comes a moment after the change."""
-        self._steering.update(message, now_ns)
-        if self._text.is_live:
-            return
-        text = f"{source_name(message.source)}: {message.reason}"
-        kind = NUMBER.sub("", text)
-        if kind == self._seen != self._shown:
-            self._shown = kind
-            print(text, flush=True)
-        self._seen = kind
 
     def _look_at_device(self):
         try:
@@ -266,33 +245,26 @@ class KeyboardDrive:
             self._fault = (f"pca9685's device was {self._device} when this node started and is {device} now: start it "
                            "again")
 
-    def _check_no_other_publisher(self, name):
-        """Refuse to be a second one: each would undo what the other holds.
 
-        Raises:
-            CarInterfaceError: naming it.
-        """
-        graph = self._inbox.graph
-        others = [node for node in graph.publishers(name) if node != graph.process_name()]
-        if others:
-            raise CarInterfaceError(f"{others[0]} publishes {name} already. End it first: rosnode kill {others[0]}; or "
-                                    "rosnode cleanup, if it is dead. A demo has no drive of its own by drive:=false")
+def _check_can_drive(inbox, devices, device, has_keyboard):
+    """Refuse to be a second one, each of which would undo what the other holds, and a car whose keys end unseen.
 
-    def _check_virtual(self):
-        """Refuse a car that isn't virtual.
-
-        Raises:
-            CarInterfaceError: with the remedy.
-        """
-        name = self._inbox.resolve_name("pca9685/device")
-        if self._device is None:
-            raise CarInterfaceError(f"there is no {name}: no car, or it is in another namespace (ROS_NAMESPACE). "
-                                    f"{START_VIRTUAL}")
-        if not self._is_virtual:
-            raise CarInterfaceError(f"{name} is {self._device}, a real servo board, and no keyboard can be read "
-                                    f"({self._config.input_devices}): a terminal doesn't say when a key is released. "
-                                    "Drive by gamepad; or, with a keyboard on this computer: rosrun car_interface "
-                                    "setup_hardware")
+    Raises:
+        CarInterfaceError: with the remedy.
+    """
+    graph, joy, name = inbox.graph, inbox.resolve_name("joy"), inbox.resolve_name("pca9685/device")
+    others = [node for node in graph.publishers(joy) if node != graph.process_name()]
+    if others:
+        raise CarInterfaceError(f"{others[0]} publishes {joy} already. End it first: rosnode kill {others[0]}; or "
+                                "rosnode cleanup, if it is dead. A demo has no drive of its own by drive:=false")
+    if has_keyboard or device == VIRTUAL:
+        return
+    if device is None:
+        raise CarInterfaceError(f"there is no {name}: no car, or it is in another namespace (ROS_NAMESPACE). Start the "
+                                "virtual car first: roslaunch car_interface demo.launch drive:=false")
+    raise CarInterfaceError(f"{name} is {device}, a real servo board, and no keyboard can be read ({devices}): a "
+                            "terminal doesn't say when a key is released. Drive by gamepad; or, with a keyboard on "
+                            "this computer: rosrun car_interface setup_hardware")
 
 
 def screen_lines(steering: Any, throttle: Any, ranges_m: Mapping[str, float], is_blocked: bool,

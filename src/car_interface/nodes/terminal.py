@@ -73,10 +73,8 @@ class Keys:
     Under roslaunch it isn't, although its standard input is a terminal: then nothing is read or changed.
     """
 
-    def __init__(self, fd: int | None = None):
-        if fd is None:
-            fd = sys.stdin.fileno() if sys.stdin is not None else NO_FD
-        self._fd = fd
+    def __init__(self):
+        self._fd = NO_FD if sys.stdin is None else sys.stdin.fileno()
         self._saved = None
         self._continued = False  # after Ctrl-Z and fg the shell has reset the terminal's mode
 

@@ -137,14 +137,20 @@ class Inbox:
             self.wake()
 
     def work(self, work: Callable[[], Any], handler: Callable[[Any, int], None]) -> None:
-        """Have ``handler(work(), now_ns)`` called in the node's thread. What ``work`` raises is raised there, too."""
+        """Have ``handler(work(), now_ns)`` called in the node's thread. What ``work`` raises is raised there, too.
+
+        An overflow doesn't drop it: nobody says it again, and the node waits for it.
+        """
+        def put(handler, result):
+            self.put(handler, result, on_drop=lambda: put(handler, result))
+
         def run():
             try:
                 result = work()
             except Exception as error:
-                self.put(_fail, error)
+                put(_fail, error)
             else:
-                self.put(handler, result)
+                put(handler, result)
         self.graph.start_thread(run, "work")
 
     def on_overflow(self, handler: Callable[[int], None]) -> None:

@@ -20,6 +20,7 @@ import rospy
 from rospy.impl.tcpros_pubsub import QueuedConnection
 from std_msgs.msg import Bool, Int32MultiArray, MultiArrayDimension, MultiArrayLayout
 
+from car_interface.common.staleness import TimedInput
 from car_interface.common.units import CHANNELS, NS_PER_S, one_channel
 from car_interface.ros.inbox import Inbox
 
@@ -112,6 +113,13 @@ def subscribe(topic: str, message_type, inbox: Inbox, handler: Handler, queue_si
     subscription = Subscription(inbox)
     handler = subscription.without_old(handler)
     subscription.open(topic, message_type, lambda message: inbox.put(handler, message, wakes), queue_size)
+
+
+def listen(topic: str, message_type, inbox: Inbox, timeout_s: float, queue_size=10, wakes=True) -> TimedInput:
+    """Subscribe; return what has the newest message, and its age."""
+    newest = TimedInput(topic, timeout_s)
+    subscribe(topic, message_type, inbox, newest.update, queue_size, wakes)
+    return newest
 
 
 def subscribe_changes(topic: str, message_type, inbox: Inbox, handler: Handler,

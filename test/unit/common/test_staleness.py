@@ -23,7 +23,9 @@ def received_once(timeout_s, value="something"):
     (1e-10, 1, True),
 ])
 def test_input_is_stale_when_it_is_older_than_its_timeout(timeout_s, age_ns, stale):
-    assert received_once(timeout_s).is_stale(AT + age_ns) is stale
+    timed = received_once(timeout_s)
+    assert timed.is_stale(AT + age_ns) is stale
+    assert timed.fresh(AT + age_ns) == (None if stale else "something")
 
 
 @pytest.mark.parametrize("timeout_s", [0.0, 0.5])

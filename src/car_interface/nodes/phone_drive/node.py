@@ -17,43 +17,41 @@ from __future__ import annotations
 
 import secrets
 import sys
+from contextlib import suppress
 from functools import partial
 
 from sensor_msgs.msg import Joy
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger, TriggerRequest
 
+from car_interface.common.black_box_folder import default_folder
 from car_interface.common.declared import read_all
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import NS_PER_S
-from car_interface.nodes.phone_drive.announcement import announce, own_addresses
-from car_interface.nodes.phone_drive.calibration_program import CalibrationProgram
 from car_interface.nodes.phone_drive.car_state import CarState
-from car_interface.nodes.phone_drive.config import AUTO, PhoneDriveConfig
-from car_interface.nodes.phone_drive.recordings import Recordings, default_folder
+from car_interface.nodes.phone_drive.config import AUTO, PhoneDriveConfig, announce, own_addresses
+from car_interface.nodes.phone_drive.programs import CalibrationProgram, Recordings
 from car_interface.ros.diagnostics import OK, Diagnostics
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise
 from car_interface.teleop.handover import PHONE_TOPIC
 from car_interface.teleop.keyboard import Controls
 from car_interface.teleop.phone import Phones
-from car_interface.teleop.phone_messages import BEGIN, CENTER, FINISH, GIVE_UP, NEUTRAL
+from car_interface.teleop.phone_messages import BEGIN, FINISH, GIVE_UP
 
 RATE_HZ = 20
 TICKS_PER_E_STOP = 2
 TICKS_PER_STATE = 4
 TICKS_PER_LISTING = 40  # of the recordings' folder
-CALL_NS = 10 * NS_PER_S  # a save that isn't answered by then isn't waited for
-SAVED_BY = {CENTER: "turn_arb", NEUTRAL: "throttle_arb"}
+CALL_NS = 10 * NS_PER_S  # a change or a save that isn't answered by then isn't waited for
 
 
 class PhoneDrive:
     """Passes what phones send to the rules, publishes what these grant, and does what the driver asks for.
 
     Args:
-        make_server: called with configuration and inbox; see ``server.Server``. Of each connection it puts into the
-            inbox, for ``on_connect``, ``on_message`` and ``on_disconnect``, what happens.
+        make_server: as ``server.Server``.
         make_pin: returns six digits.
         make_recordings, make_calibration: as ``Recordings`` and ``CalibrationProgram``.
     """
@@ -68,8 +66,7 @@ class PhoneDrive:
         now_ns = inbox.clocks.now_ns()
         pin = make_pin() if config.pin == AUTO else str(config.pin)
         self._phones = Phones(pin, now_ns, config.watch_without_pin, config.e_stop)
-        self._stored_e_stop = config.e_stop
-        self._is_storing = False
+        self._stored_e_stop: bool | None = config.e_stop  # None: it is just being stored
         self._calls = 0  # that were begun and not answered
         self._called_ns = now_ns
         self._timer = RateTimer(RATE_HZ, now_ns)
@@ -80,9 +77,9 @@ class PhoneDrive:
         self._diagnostics = Diagnostics(inbox, "none", {"phones": self._report}, now_ns)
         inbox.on_overflow(lambda now_ns: self._phones.mark_stale())
         self._car = CarState(inbox)
-        self._recordings = make_recordings(config.folder or default_folder(), inbox)
+        self._recordings = make_recordings(config.folder or default_folder("recordings"), inbox)
         self._calibration = make_calibration(inbox)
-        self._server = make_server(config, inbox, self)
+        self._server = make_server(config, inbox, self._phones)
         # Not to the log, which any node of the network receives.
         print(*announce(config, pin, own_addresses(), sys.stdout.isatty()), sep="\n", flush=True)
 
@@ -110,18 +107,6 @@ class PhoneDrive:
         self._calibration.close()
         self._recordings.close()
 
-    def on_connect(self, connection, now_ns):
-        """Take (number, address) of a connection."""
-        self._phones.connect(*connection, now_ns)
-
-    def on_message(self, message, now_ns):
-        """Take (number, data) of a message."""
-        self._phones.receive(*message, now_ns)
-
-    def on_disconnect(self, number, now_ns):
-        """Take note that a connection is gone."""
-        self._phones.disconnect(number)
-
     def _tick(self, now_ns):
         self._ticks += 1
         self._publish_joy(self._published[0])
@@ -130,7 +115,7 @@ class PhoneDrive:
         if self._ticks % TICKS_PER_STATE == 0:
             self._store_e_stop()
             self._recordings.step()
-            calibration = self._calibration.step(self._car.calibration(now_ns))
+            calibration = self._calibration.step(now_ns)
             if self._phones.pages:
                 self._show({**self._car.groups(now_ns), "recording": self._recordings.state(now_ns),
                             "calibration": calibration})
@@ -155,20 +140,19 @@ class PhoneDrive:
     def _store_e_stop(self):
         """Keep the e-stop on the parameter server: this node's successor begins with it."""
         wanted = self._phones.e_stop
-        if wanted == self._stored_e_stop or self._is_storing:
+        if self._stored_e_stop in (wanted, None):
             return
-        self._is_storing = True
+        self._stored_e_stop = None
 
         def store():
-            try:
+            with suppress(OSError):  # the master doesn't answer: it is tried again
                 self._inbox.graph.set_parameter(self._inbox.own_name("~e_stop"), wanted)
-            except OSError:
-                return not wanted  # the master doesn't answer: it is tried again
-            return wanted
+                return wanted
+            return not wanted
         self._inbox.work(store, self._on_stored)
 
     def _on_stored(self, stored, now_ns):
-        self._stored_e_stop, self._is_storing = stored, False
+        self._stored_e_stop = stored
 
     def _publish_joy(self, controls):
         message = Joy(axes=[controls.steering, controls.throttle],
@@ -201,35 +185,31 @@ class PhoneDrive:
 
     def _do_trim(self, connection, message, now_ns):
         self._calibration.check_tuning()
-        tuned, name = self._car.tuned[message["name"]]
+        _, tuned, name = self._car.tuned[message["name"]]
         self._begin_call(1, now_ns)
 
         def on_done(accepted, problem):
-            answer = {"refused": problem} if accepted is None else {
-                "done": f"{message['name']} is {accepted.get(name)} now"}
-            self._inbox.put(self._on_answer, (connection, answer), on_drop=self._forget_calls)
+            self._inbox.put(self._on_answer, (connection, {"refused": problem} if accepted is None else {
+                "done": f"{message['name']} is {accepted.get(name)} now"}))
         tuned.request({name: message["value"]}, on_done)
 
     def _do_save(self, connection, message, now_ns):
         self._calibration.check_saving()
-        nodes = [SAVED_BY[name] for name, (tuned, _) in self._car.tuned.items() if tuned.values]
+        nodes = [node for node, tuned, _ in self._car.tuned.values() if tuned.values]
         if not nodes:
             raise CarInterfaceError("no node has anything to save")
         self._begin_call(len(nodes), now_ns)
         for node in nodes:
             def on_done(answer, problem, node=node):
                 text = problem if answer is None else answer.message
-                result = {"done" if answer is not None and answer.success else "refused": f"{node}: {text}"}
-                self._inbox.put(self._on_answer, (connection, result), on_drop=self._forget_calls)
+                self._inbox.put(self._on_answer, (connection, {
+                    "done" if answer is not None and answer.success else "refused": f"{node}: {text}"}))
             self._inbox.graph.call(self._inbox.resolve_name(f"{node}/save"), Trigger, TriggerRequest(), on_done)
 
     def _begin_call(self, count, now_ns):
         if self._calls and now_ns - self._called_ns < CALL_NS:
             raise CarInterfaceError("the last change has no answer yet")
         self._calls, self._called_ns = count, now_ns
-
-    def _forget_calls(self):
-        self._calls = 0
 
     def _on_answer(self, answer, now_ns):
         connection, fields = answer

@@ -13,7 +13,7 @@ import os
 import secrets
 import ssl
 import threading
-from collections import Counter, OrderedDict, deque
+from collections import OrderedDict, deque
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ from tornado.websocket import WebSocketClosedError, WebSocketHandler
 from car_interface.common.errors import ConfigError, DeviceError
 from car_interface.common.input_file import check_kind
 from car_interface.nodes.phone_drive.config import PhoneDriveConfig
-from car_interface.teleop.phone import Outgoing
+from car_interface.teleop.phone import Outgoing, Phones
 from car_interface.teleop.phone_messages import MAX_SIZE
 
 LOOPBACK = ("127.0.0.1", "localhost")
@@ -48,7 +48,7 @@ REPORT_POLICY = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src
 END_S = 2
 PAGE = Path(__file__).with_name("page")  # index.html, and what it names
 KINDS = {".html": "text/html; charset=utf-8", ".css": "text/css; charset=utf-8", ".svg": "image/svg+xml",
-         ".js": "text/javascript; charset=utf-8", ".png": "image/png", ".webmanifest": "application/manifest+json"}
+         ".js": "text/javascript; charset=utf-8"}
 # Of a tab that shows a file, or nothing else.
 ERRORS = {403: "Open this page by the address that the terminal shows.",
           404: "There is no such page; a file's link is good once, for a minute.",
@@ -73,27 +73,27 @@ class Server:
     Args:
         config: where.
         inbox: the node's; ``put`` is called in the server's thread.
-        node: has the handlers ``on_connect``, ``on_message`` and ``on_disconnect``.
+        phones: learns in the node's thread what happens on the connections.
 
     Raises:
         DeviceError: the address can't be used.
         ConfigError: the certificate or its key can't be, or the address is all of this computer's.
     """
 
-    def __init__(self, config: PhoneDriveConfig, inbox: Any, node: Any):
+    def __init__(self, config: PhoneDriveConfig, inbox: Any, phones: Phones):
         self.hosts = {config.host, *(f"{name}:{config.port}" for name in LOOPBACK)}
         self._tls = _tls(config)
         self.scheme = "https" if self._tls else "http"
-        self._tickets: OrderedDict[str, tuple[str, float]] = OrderedDict()  # path and end, the oldest first
-        self.downloads = 0
-        self._inbox, self._node = inbox, node
+        # Path and end, the oldest first. Both threads use it: each of its methods is whole before another thread runs.
+        self.tickets: OrderedDict[str, tuple[str, float]] = OrderedDict()
+        self.downloads: set[_File] = set()
+        self.inbox, self.phones = inbox, phones
         self.sockets: dict[int, _Socket] = {}  # by number; of the server's thread
+        self.numbers = itertools.count(1)
         self._closing: deque[_Socket] = deque()  # the oldest first
-        self._unhandled: Counter[int] = Counter()
-        self._numbers = itertools.count(1)
         self._bound = _bind(config)
         self._has_started = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="phone server", daemon=True)
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._serve()), name="phone server", daemon=True)
         self._thread.start()
         self._has_started.wait()
 
@@ -101,97 +101,54 @@ class Server:
 
     def send(self, outgoing: Outgoing) -> None:
         """Send a text to a page, and close its connection after that where it says so."""
-        self._loop.call_soon_threadsafe(self._send, outgoing)
+        self.loop.call_soon_threadsafe(self._send, outgoing)
 
     def offer(self, path: str) -> str:
         """Return where the next request, and no other, gets a file."""
         ticket = secrets.token_urlsafe(16)
-        self._loop.call_soon_threadsafe(self._offer, ticket, path)
+        self.tickets[ticket] = path, self.loop.time() + TICKET_S
+        if len(self.tickets) > MAX_TICKETS:
+            self.tickets.popitem(last=False)
         return f"/files/{ticket}/{Path(path).name}"
 
     def stop(self) -> None:
         """Close everything."""
-        self._loop.call_soon_threadsafe(self._loop.stop)
+        self.loop.call_soon_threadsafe(self._end.set)
         self._thread.join(END_S)
 
     # --- the server's thread ---
 
-    def _run(self):
+    async def _serve(self):
         for name in ("tornado.general", "tornado.access"):
             logging.getLogger(name).setLevel(logging.CRITICAL)  # whoever sends nonsense must not fill the log
-        self._loop = asyncio.new_event_loop()
-        asyncio.set_event_loop(self._loop)
+        self.loop, self._end = asyncio.get_running_loop(), asyncio.Event()
+        # A request opens none of the page's files. What is no path of it gets a page without files.
+        files = {path.name: path.read_bytes() for path in PAGE.glob("*") if path.suffix in KINDS}
         application = Application([("/ws", _Socket, {"server": self}),
                                    (r"/files/([A-Za-z0-9_-]+)/[A-Za-z0-9._-]+", _File, {"server": self}),
-                                   (r"/([a-z0-9_.]*)", _Page, {"server": self, "files": read_page()})],
-                                  default_handler_class=_NotFound,
-                                  default_handler_args={"server": self}, websocket_max_message_size=MAX_BYTES,
-                                  log_function=lambda handler: None)
+                                   (r"/([a-z0-9_.]*)", _Page, {"server": self, "files": files})],
+                                  default_handler_class=_Page, default_handler_args={"server": self, "files": {}},
+                                  websocket_max_message_size=MAX_BYTES, log_function=lambda handler: None)
         http = _HttpServer(application, max_header_size=MAX_HEADER, max_body_size=MAX_BYTES,
                            idle_connection_timeout=HEADER_S, body_timeout=HEADER_S, ssl_options=self._tls)
         http.add_sockets(self._bound)
-        self._loop.call_soon(self._has_started.set)
-        self._loop.run_forever()
+        self._has_started.set()
+        await self._end.wait()
         http.stop()
-        for socket in list(self.sockets.values()):
-            socket.abort()
-        waiting = asyncio.all_tasks(self._loop)
-        for task in waiting:
-            task.cancel()
-        if waiting:  # or asyncio complains of them on the terminal
-            self._loop.run_until_complete(asyncio.wait(waiting, timeout=END_S / 2))
-        self._loop.close()
-
-    def open(self, socket: _Socket) -> int:
-        """Take a new WebSocket; return its number."""
-        number = next(self._numbers)
-        self.sockets[number] = socket
-        self._inbox.put(self._node.on_connect, (number, socket.request.remote_ip))
-        return number
-
-    def receive(self, number: int, data: Any) -> None:
-        """Pass a message on; end a connection that sends faster than the node handles."""
-        if self._unhandled[number] >= MAX_UNHANDLED:
-            self.sockets[number].abort()
-            return
-        self._unhandled[number] += 1
-
-        def handle(message, now_ns):
-            self._loop.call_soon_threadsafe(self._count_handled, number)
-            self._node.on_message(message, now_ns)
-        self._inbox.put(handle, (number, data), on_drop=lambda: self._unhandled.pop(number, None))
-
-    def close(self, number: int) -> None:
-        """Take note that a WebSocket is closed."""
-        self.sockets.pop(number, None)
-        self._unhandled.pop(number, None)
-        self._inbox.put(self._node.on_disconnect, number)
-
-    def take_ticket(self, ticket: str) -> str | None:
-        """Return the path that a ticket is good for, once; None: there is none."""
-        path, end_s = self._tickets.pop(ticket, (None, 0.0))
-        return path if self._loop.time() < end_s else None
-
-    def _offer(self, ticket, path):
-        self._tickets[ticket] = path, self._loop.time() + TICKET_S
-        if len(self._tickets) > MAX_TICKETS:
-            self._tickets.popitem(last=False)
-
-    def _count_handled(self, number):
-        if self._unhandled[number] > 0:
-            self._unhandled[number] -= 1
-        if number not in self.sockets:
-            del self._unhandled[number]
+        # asyncio.run waits for what it cancels. Before Python 3.12 wait_for may take no notice of that, so a download
+        # would go on to its end.
+        for each in [*self.sockets.values(), *self.downloads]:
+            each.abort()
 
     def _send(self, outgoing):
-        socket = self.sockets.get(outgoing.connection)
-        if socket is None:
-            return
-        socket.send(outgoing.text, outgoing.closes)
-        if outgoing.closes:
-            self._closing.append(socket)
-            if len(self._closing) > MAX_CLOSING:
-                self._closing.popleft().abort()
+        if outgoing.connection in self.sockets:
+            socket = self.sockets[outgoing.connection]
+            socket.send(outgoing.text)
+            if outgoing.closes:
+                socket.close()
+                self._closing.append(socket)
+                if len(self._closing) > MAX_CLOSING:
+                    self._closing.popleft().abort()
 
 
 def _bind(config):
@@ -263,47 +220,42 @@ class _Guarded(RequestHandler):
         # Nothing of the request, which might be a script.
         self.finish(f"{status_code}. {ERRORS.get(status_code, '')}\n")
 
-
-class _NotFound(_Guarded):
-    def prepare(self):
-        super().prepare()
-        if not self._finished:
-            self.send_error(404)
+    def abort(self):
+        """Close its connection without waiting for what the page has not taken."""
+        self._stream.close()
 
 
 class _File(_Guarded):
     """A report, shown in a sandbox, or a recording, to be saved."""
 
     async def get(self, ticket):
-        path = self._server.take_ticket(ticket)
-        if path is None or self._server.downloads >= MAX_DOWNLOADS:
-            self.send_error(404 if path is None else 503)
+        path, end_s = self._server.tickets.pop(ticket, ("", 0.0))
+        is_good = self._server.loop.time() < end_s
+        if not is_good or len(self._server.downloads) >= MAX_DOWNLOADS:
+            self.send_error(503 if is_good else 404)
             return
-        self._server.downloads += 1
+        self._server.downloads.add(self)
         self._stream.is_served = True
         try:
-            await self._send_file(path)
-        except (StreamClosedError, asyncio.TimeoutError):
-            self._stream.close()
-        finally:
-            self._server.downloads -= 1
-
-    async def _send_file(self, path):
-        try:
-            file = open(path, "rb")  # noqa: SIM115 - closed below; an error of the file is one of this line
+            with open(path, "rb") as file:
+                await self._send_file(path, file)
+        except (StreamClosedError, asyncio.TimeoutError, asyncio.CancelledError):  # cancelled: the node ends
+            self.abort()
         except OSError:
             self.send_error(404)
-            return
-        with file:
-            is_report = path.endswith(".html")
-            self.set_header("Content-Type", KINDS[".html"] if is_report else "application/octet-stream")
-            if is_report:
-                self.set_header("Content-Security-Policy", REPORT_POLICY)
-            else:
-                self.set_header("Content-Disposition", f'attachment; filename="{Path(path).name}"')
-            while chunk := file.read(CHUNK):
-                self.write(chunk)
-                await asyncio.wait_for(self.flush(), CHUNK_S)
+        finally:
+            self._server.downloads.discard(self)
+
+    async def _send_file(self, path, file):
+        if path.endswith(".html"):
+            self.set_header("Content-Type", KINDS[".html"])
+            self.set_header("Content-Security-Policy", REPORT_POLICY)
+        else:
+            self.set_header("Content-Type", "application/octet-stream")
+            self.set_header("Content-Disposition", f'attachment; filename="{Path(path).name}"')
+        while chunk := file.read(CHUNK):
+            self.write(chunk)
+            await asyncio.wait_for(self.flush(), CHUNK_S)
 
 
 class _Page(_Guarded):
@@ -311,7 +263,7 @@ class _Page(_Guarded):
         super().initialize(server)
         self._files = files
 
-    def get(self, name):
+    def get(self, name=""):
         name = name or "index.html"
         content = self._files.get(name)
         if content is None:
@@ -322,17 +274,13 @@ class _Page(_Guarded):
         self.finish(content)
 
 
-def read_page() -> dict[str, bytes]:
-    """Return the files of the page by name: a request opens none."""
-    return {path.name: path.read_bytes() for path in PAGE.glob("*") if path.suffix in KINDS}
-
-
 class _Socket(_Guarded, WebSocketHandler):
     needs_origin = True
 
     def initialize(self, server):
         super().initialize(server)
-        self._unsent, self._pings, self._number = 0, 0, None
+        self.unhandled = self._unsent = self._pings = 0
+        self._number = None
 
     def prepare(self):
         super().prepare()
@@ -343,12 +291,31 @@ class _Socket(_Guarded, WebSocketHandler):
         return True  # prepare has checked it
 
     def open(self, *_):
-        self._stream.is_served = True
+        server, self._stream.is_served = self._server, True
         self.set_nodelay(True)
-        self._number = self._server.open(self)
+        self._number = next(server.numbers)
+        server.sockets[self._number] = self
+        server.inbox.put(lambda item, now_ns: server.phones.connect(*item, now_ns),
+                         (self._number, self.request.remote_ip))
 
     def on_message(self, message):
-        self._server.receive(self._number, message)
+        """Pass a message on; end a connection that sends faster than the node handles."""
+        if self.unhandled >= MAX_UNHANDLED:
+            self.abort()
+            return
+        self.unhandled += 1
+        self._server.inbox.put(self._handle, (self._number, message), on_drop=self._count_handled)
+
+    def _handle(self, item, now_ns):
+        self._count_handled()
+        self._server.phones.receive(*item, now_ns)
+
+    def _count_handled(self):
+        """Count a message that the node has handled, or that was dropped; called in any thread."""
+        def count():
+            self.unhandled -= 1
+        with suppress(RuntimeError):  # the server has ended, and the inbox drops what it had sent
+            self._server.loop.call_soon_threadsafe(count)
 
     def on_ping(self, data):
         """Limit what is answered: a page that doesn't take the answers would have them pile up."""
@@ -360,9 +327,10 @@ class _Socket(_Guarded, WebSocketHandler):
 
     def on_close(self):
         if self._number is not None:
-            self._server.close(self._number)
+            self._server.sockets.pop(self._number, None)
+            self._server.inbox.put(lambda number, now_ns: self._server.phones.disconnect(number), self._number)
 
-    def send(self, text, closes):
+    def send(self, text):
         if self._unsent >= MAX_UNSENT:
             self.abort()
             return
@@ -370,12 +338,6 @@ class _Socket(_Guarded, WebSocketHandler):
             written = self.write_message(text)
             self._unsent += 1
             written.add_done_callback(self._count_sent)
-        if closes:
-            self.close()
-
-    def abort(self):
-        """Close it without waiting for what the page has not taken."""
-        self._stream.close()
 
     def _count_sent(self, written):
         written.exception()  # it was closed meanwhile, which on_close says

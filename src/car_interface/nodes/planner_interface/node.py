@@ -92,11 +92,10 @@ class PlannerInterface:
         inbox = self._inbox
         if obeyed == AUTOWARE:
             subscribe("~input/gear_cmd", UInt8, inbox, self._on_gear)
-        message_type, handler = {DRIVE: (ackermann_drive_class, self._on_drive),
-                                 CMD_VEL: (lambda: rospy.AnyMsg, self._on_twist),
-                                 AUTOWARE: (lambda: Control, self._on_control),
-                                 SPEED: (lambda: Float32, self._on_speed)}[obeyed]
-        subscribe(TOPICS[obeyed], message_type(), inbox, handler)
+        message_type = {CMD_VEL: rospy.AnyMsg, AUTOWARE: Control, SPEED: Float32}.get(obeyed)
+        subscribe(TOPICS[obeyed], message_type or ackermann_drive_class(), inbox,
+                  {DRIVE: self._on_drive, CMD_VEL: self._on_twist, AUTOWARE: self._on_control,
+                   SPEED: self._on_speed}[obeyed])
         for source, topic in TOPICS.items():
             if source != obeyed:
                 subscribe(topic, rospy.AnyMsg, inbox, lambda message, now_ns, source=source:
@@ -111,8 +110,8 @@ class PlannerInterface:
         self._inbox.dispatch()
         if self._timer.is_due(now_ns):
             self._tick(now_ns)
-        elif self._decision.request is not None and self._sources.decide(now_ns).request is None:
-            self._decide(now_ns)  # the source has fallen silent
+        elif self._decision.request is not None:
+            self._decide(now_ns)  # it may have fallen silent
         self._diagnostics.step(now_ns)
         return min(self._timer.due_ns, self._sources.silent_at_ns(now_ns))
 
@@ -260,16 +259,14 @@ class PlannerInterface:
         """Return why it isn't obeyed, or what is asked for and what differs from that."""
         if self._decision.request is None:
             return self._decision.reason
-        too_tight = "" if self._steering.is_stale(self._clocks.now_ns()) else self._steering.value
+        too_tight = self._steering.fresh(self._clocks.now_ns())
         return "; ".join(filter(None, (self._decision.reason, too_tight, self._command.note)))
 
     def _report(self, status):
         """Report on /diagnostics what is asked for, and why it isn't obeyed."""
-        if self._command is None:
-            return
         cause, gear, _ = self._kind
         now_ns = self._clocks.now_ns()
-        reason, too_tight = self._reason(), "" if self._too_tight.is_stale(now_ns) else self._too_tight.value
+        reason, too_tight = self._reason(), self._too_tight.fresh(now_ns) or ""
         status.summary(WARN if too_tight or _is_alarming(cause) else OK,
                        reason if too_tight in reason else f"{reason}; {too_tight}")
         status.add("cause", cause)

@@ -2,8 +2,7 @@
 import pytest
 
 from car_interface.common.errors import ConfigError
-from car_interface.nodes.phone_drive.announcement import announce, blocks, own_addresses
-from car_interface.nodes.phone_drive.config import PhoneDriveConfig
+from car_interface.nodes.phone_drive.config import PhoneDriveConfig, announce, own_addresses, qr_code
 
 ADDRESSES = {"wlan0": "192.168.4.1", "eth0": "10.0.0.5"}
 
@@ -46,8 +45,14 @@ def test_parameters_that_no_page_could_use_are_refused(changes, name):
 
 
 def test_two_rows_of_a_code_become_one_line_black_on_white():
-    assert blocks([[True, False, True], [True, True, False], [False, True, False]]) == [
-        "\x1b[30;107m█▄▀\x1b[0m", "\x1b[30;107m ▀ \x1b[0m"]
+    qrcode = pytest.importorskip("qrcode")
+    code = qrcode.QRCode(border=2)
+    code.add_data("a text")
+    rows = [*code.get_matrix(), [False] * 100]
+    blocks = {(False, False): "\xa0", (True, False): "▀", (False, True): "▄", (True, True): "█"}
+    assert qr_code("a text") == [
+        "\x1b[30;107m" + "".join(blocks[pair] for pair in zip(upper, lower)) + "\x1b[0m"
+        for upper, lower in zip(rows[0:-1:2], rows[1::2])]
 
 
 def test_own_addresses_are_ipv4_without_the_loopback():

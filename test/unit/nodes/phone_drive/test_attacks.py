@@ -38,21 +38,12 @@ class Core:
         self.port, self.items = port, queue.Queue()
         self.phones = Phones(PIN, time.monotonic_ns())
         self.latest_s, self.is_over = 0.0, False
-        self.server = Server(PhoneDriveConfig(port=port), self, self)
+        self.server = Server(PhoneDriveConfig(port=port), self, self.phones)
         self.thread = threading.Thread(target=self._run, daemon=True)
         self.thread.start()
 
     def put(self, handler, item, wakes=True, on_drop=None):
         self.items.put((handler, item))
-
-    def on_connect(self, connection, now_ns):
-        self.phones.connect(*connection, now_ns)
-
-    def on_message(self, message, now_ns):
-        self.phones.receive(*message, now_ns)
-
-    def on_disconnect(self, number, now_ns):
-        self.phones.disconnect(number)
 
     def _run(self):
         while not self.is_over:
@@ -271,7 +262,7 @@ def test_malformed_frames_are_refused(core):
     under_attack(core, attack)
     assert core.phones.counts["malformed"] > FRAMES / 10
     assert len(core.phones._pages) <= MAX_PAGES + MAX_WAITING and not core.phones.e_stop
-    assert sum(core.server._unhandled.values()) < 200 and len(core.server.sockets) < MAX_SOCKETS
+    assert sum(each.unhandled for each in core.server.sockets.values()) < 200 and len(core.server.sockets) < MAX_SOCKETS
 
 
 def test_bytes_that_are_no_http_or_no_frame_are_refused(core):

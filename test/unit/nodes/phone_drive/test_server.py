@@ -9,6 +9,7 @@ import shutil
 import socket
 import ssl
 import subprocess
+import threading
 import time
 from contextlib import suppress
 
@@ -37,7 +38,7 @@ WITHIN_S = 30
 
 
 class Node:
-    """Its inbox and its handlers, which keep what arrives."""
+    """Its inbox and its rules, which keep what arrives."""
 
     def __init__(self):
         self.events = queue.Queue()
@@ -50,13 +51,13 @@ class Node:
         else:
             self.items.append((handler, item))
 
-    def on_connect(self, item, now_ns):
-        self.events.put(("connect", *item))
+    def connect(self, number, address, now_ns):
+        self.events.put(("connect", number, address))
 
-    def on_message(self, item, now_ns):
-        self.events.put(("message", *item))
+    def receive(self, number, data, now_ns):
+        self.events.put(("message", number, data))
 
-    def on_disconnect(self, number, now_ns):
+    def disconnect(self, number):
         self.events.put(("disconnect", number))
 
     def next(self):
@@ -196,7 +197,7 @@ def test_downloads_that_nobody_takes_end_and_make_room(server, port, tmp_path, m
         slow.append(socket.create_connection(("127.0.0.1", port)))
         slow[-1].sendall(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode())
     deadline_s = time.monotonic() + WITHIN_S
-    while server.downloads < MAX_DOWNLOADS and time.monotonic() < deadline_s:
+    while len(server.downloads) < MAX_DOWNLOADS and time.monotonic() < deadline_s:
         time.sleep(0.01)
     while server.downloads and time.monotonic() < deadline_s:
         time.sleep(0.01)
@@ -315,7 +316,34 @@ def test_stop_ends_what_waits_for_a_request(node, port):
     with socket.create_connection(("127.0.0.1", port)):
         asyncio.run(connect(port))  # so the other one was taken
         server.stop()
-    assert not asyncio.all_tasks(server._loop)  # asyncio would print each of them
+    assert not asyncio.all_tasks(server.loop)  # asyncio would print each of them
+
+
+@pytest.mark.parametrize("goes_on", [True, False])
+def test_stop_ends_a_download(node, port, tmp_path, caplog, goes_on):
+    with open(tmp_path / "a.bag", "wb") as file:
+        file.truncate(10 ** 10)  # a hole
+    server = Server(PhoneDriveConfig(port=port), node, node)
+    with socket.create_connection(("127.0.0.1", port)) as page:
+        path = server.offer(str(tmp_path / "a.bag"))
+        page.sendall(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode())
+        assert page.recv(65536)
+        reader = threading.Thread(target=lambda: [None for _ in iter(lambda: _received(page), b"")], daemon=True)
+        if goes_on:
+            reader.start()
+        time.sleep(0.1)  # so that it is under way, or its buffers are full
+        server.stop()
+        assert not server._thread.is_alive() and not server.downloads
+    if goes_on:
+        reader.join(WITHIN_S)
+    assert not caplog.records  # asyncio would print what was cancelled
+
+
+def _received(page):
+    try:
+        return page.recv(65536)
+    except OSError:
+        return b""
 
 
 def test_address_that_is_taken_is_an_error_that_names_it(server, node, port):
