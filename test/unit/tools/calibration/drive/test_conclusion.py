@@ -96,7 +96,7 @@ def test_folder_that_is_not_there_and_a_file_of_another_channel_are_refused_befo
 
 def test_table_that_turn_arb_would_refuse_is_not_written(car):
     old = car.read_text()
-    with pytest.raises(CarInterfaceError, match=r"no calibration is written, turn_arb would refuse it: .*servo_left"):
+    with pytest.raises(CarInterfaceError, match=r"nothing is written, turn_arb would refuse it: .*servo_left"):
         find_table_file(str(car), None, None, RUNNING).write(STOCK_TEXT.replace("servo_left: 3800", "servo_left: x"),
                                                              replaces=True)
     assert (car.read_text(), os.listdir(car.parent)) == (old, ["turn_arb.yaml"])
