@@ -27,8 +27,11 @@ STACK_BYTES = 2 * MIB  # of a thread; 8 MiB by default
 BLAS_BYTES = 136 * MIB
 # The dynamic linker's texts in an ImportError.
 LINKER_TEXTS = ("failed to map segment", "cannot allocate memory", "cannot apply additional memory protection")
-# In a ValueError from a compiler that goes on after its MemoryError: 3.8's ("field target is …") to 3.11's.
+# From an extension module that has no memory left for its own error.
+LOST_ERRORS = ("without setting an exception", "without exception set")
+# From a compiler that goes on after its MemoryError: 3.8's ("field target is …") to 3.11's, and of 3.8's parser.
 LOST_NODE = re.compile(r"^field '?\w+'? is required for \w+$")
+LOST_END = "unexpected EOF while parsing"
 NO_THREAD = "can't start new thread"
 
 
@@ -115,6 +118,11 @@ def _kind(error):
         return NO_THREAD
     is_want = (isinstance(error, MemoryError) or isinstance(error, OSError) and error.errno == errno.ENOMEM
                or isinstance(error, ImportError) and any(words in text.lower() for words in LINKER_TEXTS))
-    # A MemoryError that was lost: in an extension module, or in the compiler, as nothing but imports compiles here.
-    is_lost = isinstance(error, (SystemError, SyntaxError)) or isinstance(error, ValueError) and LOST_NODE.match(text)
-    return "out of memory" if is_want or is_lost and limit_bytes() is not None else None
+    return "out of memory" if is_want or limit_bytes() is not None and _is_lost(error, text) else None
+
+
+def _is_lost(error, text):
+    """Return whether an error may stand for one of memory that was lost; nothing but imports compiles here."""
+    return (isinstance(error, SystemError) and any(words in text for words in LOST_ERRORS)
+            or isinstance(error, SyntaxError) and error.msg == LOST_END
+            or isinstance(error, ValueError) and LOST_NODE.match(text) is not None)
