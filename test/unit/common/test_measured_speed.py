@@ -125,3 +125,10 @@ def test_late_reports_leave_room_for_full_throttle_since_they_were_measured_and_
         measured.update(2.0, now_ns, late_ms * MS)
     assert not measured.is_late(now_ns) and measured.age_s(now_ns) == pytest.approx(late_ms / 1000)
     assert measured.highest_mps(now_ns + 20 * MS) == pytest.approx(2.0 + gained_mps)
+
+
+def test_time_that_a_report_took_is_none_in_which_a_car_slowed_down():
+    measured = MeasuredSpeed(1.0)
+    measured.update(4.0, 0)
+    measured.update(0.0, 500 * MS, age_ns=400 * MS)  # the wheels stood 0.1 s after the first
+    assert measured.magnitude_mps == pytest.approx(4.0 - 3.0 * 0.1)
