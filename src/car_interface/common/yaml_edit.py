@@ -156,7 +156,8 @@ def _edits(node, value):
     if isinstance(value, (str, bool)):
         is_same = node.value == _format(value)
     else:
-        is_same = all(number == _number(node) for number in (value if isinstance(value, (list, tuple)) else [value]))
+        numbers = value if isinstance(value, (list, tuple)) else [value]
+        is_same = elements is None and all(number == _number(node) for number in numbers)
     return [] if is_same else [(node.start_mark.index, node.end_mark.index, _format(value))]
 
 

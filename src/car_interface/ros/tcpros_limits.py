@@ -47,6 +47,9 @@ ACCEPT_QUEUE = 1024  # rospy's 5 would overflow, and the kernel tries again a se
 ACCEPT_PAUSE_S = 0.1  # after an error, such as too many open files
 MAX_MESSAGE_SIZE = 16_000_000  # bytes; this package's longest message has some 10 kB, a camera's image 6 MB
 MAX_HEADER_SIZE = 256_000  # bytes; MAX_HANDSHAKES of them are one message. The longest definitions have some 100 kB
+# Characters that tell a peer why it is refused, among them what it sent. A send buffer takes so much at once: a peer
+# that doesn't read must not hold up the others.
+MAX_REFUSAL = 2000
 MAX_REPORT = 300  # characters of an error that a peer may have written
 LENGTH = struct.Struct("<I")  # before a header and before a message
 OK_SIZE = 1  # of the byte before a service's response
@@ -222,7 +225,7 @@ def _hand_on(self, connection, header):
         refusal = "no topic or service name detected"
     if not refusal:
         return
-    is_ending, peer = rospy.core.is_shutdown_requested(), _address(connection)
+    is_ending, peer, refusal = rospy.core.is_shutdown_requested(), _address(connection), refusal[:MAX_REFUSAL]
     _write_header(connection, {"error": "node shutting down" if is_ending else refusal})
     connection.close()
     if not is_ending:

@@ -31,6 +31,7 @@ CONFIG = Path(__file__).resolve().parents[3] / "config"
     # one number stands for a list of equal ones
     ("t: 5\n", {"t": [5, 5]}, "t: 5\n"),
     ("t: 5  # all\n", {"t": [6, 5]}, "t: [6, 5]  # all\n"),
+    ("t: [1, 2]\n", {"t": []}, "t: []\n"),
     ("a: 1", {"a": 1, "b": [2, 3]}, "a: 1\nb: [2, 3]\n"),
     # what only rosparam understands stays
     ("b: !degrees 3\nc: deg(90)\nd: .nan\ne: 2026-01-01\nf: ~\na: 1\n", {"a": 2},

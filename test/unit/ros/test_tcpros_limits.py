@@ -192,6 +192,14 @@ def test_refusal_reaches_the_peer_and_the_log(server, caplog, header, error):
     assert line.startswith("Could not process inbound connection of /tool at 127.0.0.1:") and error in line
 
 
+def test_a_peer_that_does_not_read_a_long_refusal_holds_up_nobody(server):
+    server.server.topic_connection_handler = lambda *_: "x" * 20_000_000  # more than the buffers of a connection
+    deaf = server.connect(header_of())
+    server.connect(encode_ros_handshake_header({"service": "/save", "md5sum": "*", "callerid": "/tool"}))
+    eventually(server.names)
+    assert read_header(deaf) == {"error": "x" * tcpros_limits.MAX_REFUSAL}
+
+
 def test_error_of_a_handler_or_of_accepting_costs_one_connection_at_most(server, caplog):
     tcp = server.server.tcp_ros_server
     listening, errors = tcp.server_sock, [OSError(errno.EMFILE, "Too many open files")]
@@ -205,8 +213,9 @@ def test_error_of_a_handler_or_of_accepting_costs_one_connection_at_most(server,
         server.server.topic_connection_handler = server.take
         raise ValueError("a fault")
     server.server.topic_connection_handler = fail
-    tcp.server_sock = SimpleNamespace(accept=accept, fileno=listening.fileno, close=listening.close)
-    first = server.connect(header_of("/first"))  # the accept that waits already takes this
+    tcp.server_sock = SimpleNamespace(accept=accept, fileno=listening.fileno, close=listening.close,
+                                      listen=listening.listen, setblocking=listening.setblocking)
+    first = server.connect(header_of("/first"))
     eventually(lambda: is_closed(first))
     server.connect(header_of("/second"))
     eventually(lambda: server.names() == ["/second"])

@@ -132,7 +132,6 @@ class CarSimConfig:
         return replace(steering, curve=tuple(zip(duties, curvatures)))
 
 
-
 def steering_curve(center: float, radii_m: Sequence[float], left: Sequence[float], right: Sequence[float],
                    ) -> tuple[tuple[float, float], ...]:
     """Return the true steering of a car that turns as these tables say: (duty, curvature in 1/m, left positive).
