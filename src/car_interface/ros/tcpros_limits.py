@@ -163,8 +163,9 @@ def _read_header_into(connection, buffer, _):
 
 def _serve(self):
     """Take the place of ``TCPServer.run``."""
-    self.server_sock.listen(ACCEPT_QUEUE)
-    self.server_sock.setblocking(False)
+    with suppress(OSError):  # it was closed already
+        self.server_sock.listen(ACCEPT_QUEUE)
+        self.server_sock.setblocking(False)
     waiting: list[_Handshake] = []  # for their header, oldest first
     while not self.is_shutdown:
         try:
