@@ -355,5 +355,12 @@ def test_board_that_is_not_heard_ends_it_with_a_line(tmp_path):
 def test_where_nothing_can_be_drawn_over_each_question_is_printed_once(tmp_path):
     car = Box(tmp_path, live=False).begin(1.0)
     car.type("y", 1.0)
-    assert [line for line in car.terminal.lines if " of 20: " in line] == [
-        "1 of 20: the car on a box", "2 of 20: the deadman"]
+
+    def asked():
+        return [line for line in car.terminal.lines if " of 20: " in line]
+    assert asked() == ["1 of 20: the car on a box", "2 of 20: the deadman"]
+    for _ in range(20):
+        if "Write the page?" not in car.terminal.text:
+            car.type("s")
+    car.type("p", 0.2)
+    assert asked()[-2:] == ["20 of 20: killing the servo board's node"] * 2

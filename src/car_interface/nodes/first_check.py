@@ -184,6 +184,7 @@ class FirstCheckNode:
         self._tune()
         if question is None:
             self._summarize()
+            self._printed = ""  # P asks the last one again
             return
         lines = check.lines(now_ns, self._text.width)
         if self._text.is_live:

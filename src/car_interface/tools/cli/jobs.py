@@ -175,8 +175,9 @@ def load_all(load: Callable[[str], Any], paths: Sequence[str], jobs: int) -> lis
 
 def check_paths_differ(paths: Sequence[str]) -> None:
     """Raise NoRecording with both names when a file is given twice."""
-    for path, other in combinations(paths, 2):
-        if os.path.realpath(path) == os.path.realpath(other):
+    files = [(path, os.path.realpath(path)) for path in paths]
+    for (path, file), (other, other_file) in combinations(files, 2):
+        if file == other_file:
             raise NoRecording(f"{path} and {other} are the same recording: it would count twice")
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import textwrap
 import threading
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future
 from typing import Any, Callable, NamedTuple, Sequence
 
 OK, WARN, BAD = range(3)  # also the exit codes, and the levels of diagnostic_msgs/DiagnosticStatus
@@ -75,11 +75,17 @@ def summarise(findings: Sequence[Finding], colour: bool = False) -> str:
 class Task:
     """Runs ``probe(*arguments)`` in a thread, so that it may hang; a finding about ``subject`` says that it does."""
 
-    _threads = ThreadPoolExecutor(max_workers=99)
-
     def __init__(self, subject: str, probe: Callable[..., Any], *arguments: Any):
         self._subject = subject
-        self._outcome = self._threads.submit(probe, *arguments)
+        self._outcome: Future = Future()
+        # Not one of an executor's: Python waits for those when it ends, also after Ctrl-C.
+        threading.Thread(target=self._run, args=(probe, arguments), name=subject, daemon=True).start()
+
+    def _run(self, probe, arguments):
+        try:
+            self._outcome.set_result(probe(*arguments))
+        except Exception as error:  # no fault of one probe may end the others
+            self._outcome.set_exception(error)
 
     def wait(self, deadline_s: float) -> tuple[Any, list[Finding]]:
         """Return the result, or ``None`` and what went wrong, by a deadline of the monotonic clock."""
@@ -88,7 +94,7 @@ class Task:
         if not self._outcome.done():
             return None, [Finding(BAD, self._subject, "no answer in time: given up",
                                   "See whether a device hangs: dmesg", by_silence=True)]
-        error = self._outcome.exception()  # no fault of one probe may end the others
+        error = self._outcome.exception()
         if error is not None:
             what = f"the doctor couldn't look at it: {type(error).__name__}: {error}"
             return None, [Finding(BAD, self._subject, what, "See the line of the versions first")]

@@ -225,9 +225,10 @@ class MotionWatch:
     def on_odom(self, time_s: float, message: Any) -> None:
         """Take a nav_msgs/Odometry."""
         pose, speed, lag_s = message.pose.pose, message.twist.twist.linear.x, 0.0
-        place, yaw = complex(pose.position.x, pose.position.y), yaw_rad(pose.orientation)
-        if not all(abs(number) <= MAX_NUMBER for number in (place, yaw, speed)):  # nor of NaN
+        x_m, y_m, yaw = pose.position.x, pose.position.y, yaw_rad(pose.orientation)
+        if not all(abs(number) <= MAX_NUMBER for number in (x_m, y_m, yaw, speed)):  # nor of NaN
             return
+        place = complex(x_m, y_m)
         stamp = stamp_ns(message.header.stamp)
         stamp_s = (stamp - self._start_ns) / NS_PER_S if stamp else time_s
         self._has_twist = self._has_twist or has_twist(message)

@@ -11,7 +11,7 @@ from car_interface.steering.monitor import UNCALIBRATED
 from car_interface.throttle.esc import NO_BRAKE
 from car_interface.tools.recordings import calibration_result, roles
 from car_interface.tools.recordings.calibration_result import CalibrationResult
-from car_interface.tools.recordings.columns import VOLTAGE, value_of, vesc_number
+from car_interface.tools.recordings.columns import MAX_NUMBER, VOLTAGE, value_of, vesc_number
 from car_interface.tools.recordings.recording import (
     Contents,
     NoRecording,
@@ -148,7 +148,7 @@ class Summary:
     def on_battery(self, time_s: float, message: Any) -> None:
         """Take a sensor_msgs/BatteryState, or a VESC's telemetry."""
         voltage_v = vesc_number(message, VOLTAGE) if hasattr(message, "state") else message.voltage
-        if voltage_v > 0:  # 0 and NaN: it isn't measured
+        if 0 < voltage_v <= MAX_NUMBER:  # 0 and NaN: it isn't measured; more than that: garbage
             self.traces["battery voltage"].add(time_s, voltage_v)
 
     def on_calibration(self, time_s: float, message: Any) -> None:

@@ -1,4 +1,6 @@
 """A look in a thread of its own: its result, its fault, or that it hangs."""
+import subprocess
+import sys
 import threading
 import time
 
@@ -29,6 +31,13 @@ def test_look_that_hangs_is_a_finding_at_its_deadline():
     found, = task.findings(time.monotonic() + 0.1)
     assert (found.level, found.what) == (BAD, "no answer in time: given up")
     released.set()
+
+
+def test_look_that_hangs_does_not_keep_a_program_from_ending_that_is_interrupted():
+    program = ("import threading; from car_interface.tools.doctor.findings import Task; "
+               "Task('bus', threading.Event().wait); raise KeyboardInterrupt")
+    ended = subprocess.run([sys.executable, "-c", program], stderr=subprocess.PIPE, timeout=60, check=False)
+    assert ended.stderr.endswith(b"KeyboardInterrupt\n")
 
 
 @pytest.mark.parametrize("ticks, elapsed_s, is_busy", [(0, 0.01, False), (49, 1.0, False), (20, 1.0, True)])

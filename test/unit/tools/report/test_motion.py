@@ -40,6 +40,14 @@ def test_clock_set_back_is_a_fault_and_leaves_accelerations_sane(tmp_path, back_
     assert any("went back once" in fault.what for fault in seen.faults.entries) is is_fault
 
 
+@pytest.mark.parametrize("garbage", [1e308, math.inf, math.nan])
+def test_place_that_no_car_can_have_is_left_out(tmp_path, garbage):
+    messages = [odometry(0.02 * step, *([garbage] * 2 if step == 5 else [0.02 * step, 0.0]), speed_mps=1.0)
+                for step in range(50)]
+    seen = summarized(tmp_path, messages)
+    assert seen.traces["speed"].count == 49 and seen.motion.distance_m == pytest.approx(0.98)
+
+
 def test_numbers_that_are_none_are_left_out(tmp_path, bag):
     messages = [odometry(0.02 * step, speed_mps=math.nan if step == 5 else 1.0) for step in range(50)]
     messages.append(Written(0.5, "/av_turnrad_req", "std_msgs/Float32", {"data": math.nan}))

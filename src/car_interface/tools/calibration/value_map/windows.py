@@ -200,8 +200,8 @@ def _states(found, yaw, apart, speed, window_s, config):
 
 
 def _at(series, t_s):
-    """Linear between samples, the end values beyond them; NaN without a series."""
-    return np.full(np.shape(t_s), np.nan) if series is None else np.interp(t_s, series.t_s, series.y)
+    """Linear between samples, the end values beyond them; NaN without a series, or where it has none."""
+    return np.interp(t_s, series.t_s, series.y) if series and series.t_s.size else np.full(np.shape(t_s), np.nan)
 
 
 # --- all drives together ---

@@ -66,3 +66,10 @@ def test_wheels_that_spin_are_slipping():
     speed = np.interp(t_s, [0, 5, 5.5, 6, 10], [2, 2, 9, 2, 2])
     state = windows(MapDrive(Series(t_s, t_s), Series(t_s, speed), Series(t_s, 0 * t_s))).state
     assert windowing.SLIPPING in state
+
+
+def test_wheels_that_were_never_heard_at_the_same_time_measure_nothing():
+    t_s = np.arange(0.0, 20.0, 0.02)
+    left, right = (Series(np.arange(begin_s, begin_s + 8.0, 0.02), np.arange(400) * 0.02) for begin_s in (0.0, 12.0))
+    state = windows(MapDrive(Series(t_s, t_s), Series(t_s, 0 * t_s + 1.0), Series(t_s, 0 * t_s), (left, right))).state
+    assert set(state) == {windowing.NOT_MEASURED}
