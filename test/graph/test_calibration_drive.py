@@ -261,6 +261,7 @@ def test_program_that_ends_or_is_killed_leaves_a_car_that_stops(tmp_path, end):
     assert car.speed_mps == 0.0 and car.board.since(rest_ns, STEERING) == []
     if end == "end":
         assert car.program.fault == "ended before it was over: nothing is written"
+        assert car.graph.newest(SPEEDS).data == 0.0
         assert car.terminal.lines[-1] == f"recording: {car.recording.path}" and car.recording.has_ended
         assert [marker.action for marker in car.graph.newest(MARKERS).markers] == [Marker.DELETEALL]
 

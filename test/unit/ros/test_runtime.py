@@ -69,6 +69,16 @@ def test_a_node_is_stepped_when_it_is_due_until_it_ends_and_is_shut_down_before_
     assert inbox.waits == [NS_PER_S, 2 * NS_PER_S, 3 * NS_PER_S, "sleep"]
 
 
+def test_what_a_node_was_launched_with_is_logged_once_while_its_parameters_are_refused(monkeypatch, reports, caplog):
+    monkeypatch.setenv("CAR_INTERFACE_RESPAWN", "1")
+    monkeypatch.setattr(runtime, "read_params", lambda *_: SimpleNamespace(launched_with=lambda: "i2c auto"))
+    caplog.set_level(logging.INFO)
+    inbox = Inbox()
+    build = building(REFUSED, REFUSED, Node(None, inbox))
+    runtime.spin(lambda params, inbox: build(), inbox, dict)
+    assert said(caplog).count("launched with i2c auto") == 1
+
+
 @pytest.mark.parametrize("still_s, subscriptions, attributes, begins", [
     (3, ["one"], {}, True), (3, ["one"], {"notices_standstill": False}, True), (0, ["one"], {}, False),
     (3, [], {}, False), (3, ["one"], {"notices_standstill": True}, False)],
@@ -172,6 +182,13 @@ def test_a_node_registers_its_name_without_rospy_s_signals_and_fails_if_it_is_en
             act()
         codes.append(ended.value.code)
     assert codes == [None, 1]
+
+    def replaced(*_, **__):
+        raise rospy.ROSInitException
+    monkeypatch.setattr(rospy, "init_node", replaced)
+    with pytest.raises(SystemExit) as ended:
+        runtime._register("turn_arb")
+    assert ended.value.code == 0
 
 
 class Exited(Exception):

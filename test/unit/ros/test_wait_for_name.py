@@ -51,6 +51,7 @@ ENDED = (f"{NAMED} has ended, and so has the ROS master. This node waits for a m
     ([HANGS] * 11, {0: f"/turn_arb is registered on {HERE}, {MUTE}",
                     10: f"/turn_arb on {HERE} hasn't answered for 10 s{FROZEN}"}, True),
     ([RUNS, HANGS], {0: WAITS, 1: f"/turn_arb is registered on {HERE}, process 4711, {MUTE}"}, False),
+    ([RUNS, Holder(SILENT, "10.0.0.7")], {0: WAITS, 1: f"/turn_arb is registered on 10.0.0.7, {MUTE}"}, False),
     # one that is about to register, or that gives up before it does, is not mentioned
     ([ABOUT_TO] * 10, {}, False),
     ([*[ABOUT_TO] * 10, RUNS], {10: WAITS}, False),
