@@ -49,12 +49,11 @@ from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, sender_of, subscribe
 from car_interface.steering.config import calibration_of
 from car_interface.tools.calibration.drive import terminal
-from car_interface.tools.calibration.drive.calibration_drive import CalibrationDrive
+from car_interface.tools.calibration.drive.calibration_drive import CalibrationDrive, StickGuide
 from car_interface.tools.calibration.drive.conclusion import board_center, conclude, find_table_file, next_steps
 from car_interface.tools.calibration.drive.config import drive_config, parse
 from car_interface.tools.calibration.drive.grant import STATES, Grant
 from car_interface.tools.calibration.drive.knowledge import assess
-from car_interface.tools.calibration.drive.stick_guide import StickGuide
 from car_interface.tools.calibration.drive.survey import BLOCKED, DONE, PAUSED, WAITING, Progress
 
 NAME = "calibration_drive"
