@@ -115,8 +115,9 @@ class CalibrationDrive(Survey):
 class StickGuide(Survey):
     """The same drive by hand: it tells a person who steers with the stick where to hold it, and for how long still.
 
-    The person keeps the car away from walls, and slow; nothing is published. A stick is never held exactly where it is asked: what counts is a position that is held still near it. One that is
-    held still somewhere else is evidence, too: the fit takes all of it.
+    The person keeps the car away from walls, and slow; nothing is published. A stick is never held exactly where it is
+    asked: what counts is a position that is held still near it. One that is held still somewhere else is evidence, too:
+    the fit takes all of it.
     """
 
     OF_DRIVING = " of driving"
