@@ -42,7 +42,7 @@ LIMIT_S = float(os.environ.get("CAR_INTERFACE_UNIT_LIMIT_S", "600"))
 @pytest.fixture(autouse=True)
 def unknown_computer(monkeypatch):
     """The tests run on a computer of no known kind, also where that is a Raspberry Pi or a Jetson."""
-    monkeypatch.setattr("car_interface.common.header.MODEL_FILE", os.devnull)
+    monkeypatch.setattr("car_interface.common.devices.MODEL_FILE", os.devnull)
 
 
 def pytest_configure(config):

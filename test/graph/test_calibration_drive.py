@@ -14,9 +14,9 @@ from visualization_msgs.msg import Marker
 
 from car import CENTER, CONFIG, ESC, ESC_NEUTRAL, STEERING, Car, config
 from car_interface.common.errors import CarInterfaceError
+from car_interface.nodes import calibration_drive
 from car_interface.nodes.bag_recording import TOPICS
-from car_interface.nodes.calibration_drive import node as calibration_drive
-from car_interface.nodes.calibration_drive.node import CalibrationDriveNode
+from car_interface.nodes.calibration_drive import CalibrationDriveNode
 from car_interface.tools.calibration.drive.conclusion import Conclusion
 from car_interface.tools.calibration.drive.config import parse
 from car_interface.tools.recordings.calibration_result import CalibrationResult
@@ -64,7 +64,8 @@ class Terminal:
 
 class Recording:
 
-    has_ended = False
+    has_ended = is_ending = False
+    _left = 3
 
     def __init__(self, car, folder, topics, stem):
         self.graph, self.topics, self.path = car.graph, topics, os.path.join(folder, f"{stem}_recorded.bag")
@@ -74,23 +75,16 @@ class Recording:
     def has_subscribed(self, topic):
         return topic in self.topics and self.graph.now_ns - self.begun_ns > NS_PER_S
 
+    def end(self):
+        self.is_ending, self.closed_ns = True, self.graph.now_ns
+
+    def report(self):
+        self._left -= self.is_ending
+        return None if self._left else [f"recording: {self.path}", "report: page"]
+
     def stop(self):
         self.has_ended = True
         return self.path
-
-
-class Page:
-
-    def __init__(self, recording):
-        self._recording, self._left = recording, 3
-        recording.closed_ns = recording.graph.now_ns
-
-    def step(self):
-        self._left -= 1
-        return None if self._left else [f"recording: {self._recording.path}", "report: page"]
-
-    def close(self):
-        self._recording.stop()
 
 
 class Practice(Car):
@@ -110,7 +104,7 @@ class Practice(Car):
     def begin(self, run_s=4.0):
         wanted = parse(["-o", str(self.table), *self.arguments])
         self.program = self.graph.add(
-            partial(CalibrationDriveNode, wanted, text=self.terminal, keys=self.terminal, make_page=Page,
+            partial(CalibrationDriveNode, wanted, text=self.terminal, keys=self.terminal,
                     make_recording=partial(Recording, self)), "calibration_drive")
         self.graph.run(run_s)
         return self

@@ -12,8 +12,8 @@ from i2c_computer import Computer, Ina3221
 from std_msgs.msg import Int32MultiArray
 
 from car import CENTER, ESC, ESC_NEUTRAL, STEERING, Board, config
+from car_interface.common.devices import header_of
 from car_interface.common.errors import DeviceError
-from car_interface.common.header import header_of
 from car_interface.nodes.pca9685 import node as pca9685_node
 from car_interface.nodes.pca9685 import virtual_board
 from car_interface.nodes.pca9685.node import Pca9685

@@ -8,12 +8,12 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from car import CONFIG, ESC, STEERING, Car, config
-from car_interface.nodes.calibration_drive.node import CalibrationDriveNode
+from car_interface.nodes.calibration_drive import CalibrationDriveNode
 from car_interface.nodes.phone_drive.car_state import MAX_REPORTS
 from car_interface.nodes.phone_drive.programs import MIN_FREE_BYTES, CalibrationProgram, Recordings
 from car_interface.tools.calibration.drive.config import parse
 from phones import Network, Phone
-from test_calibration_drive import CURVATURES, Page, Recording, Terminal
+from test_calibration_drive import CURVATURES, Recording, Terminal
 
 FILES = "turn_arb.yaml", "throttle.yaml"
 
@@ -21,36 +21,31 @@ FILES = "turn_arb.yaml", "throttle.yaml"
 class BagFile:
     """A recording that is a file, as rosbag's is."""
 
-    has_ended = False
+    has_ended = is_ending = False
+    _left = 3
 
     def __init__(self, folder, topics):
         self.path, self.topics = os.path.join(folder, "car_2026-11-26_12-00-00.bag"), topics
         with open(f"{self.path}.active", "wb") as file:
             file.write(bytes(2_000_000))
 
-    def stop(self):
-        os.replace(f"{self.path}.active", self.path)
-        self.has_ended = True
+    def end(self):
+        self.is_ending = True
+        self.stop()
 
-
-class Report:
-    """bag_report, which takes a while."""
-
-    def __init__(self, recording):
-        self._recording, self._left = recording, 3
-        recording.stop()
-
-    def step(self):
-        self._left -= 1
+    def report(self):
+        self._left -= 1  # bag_report takes a while
         if self._left:
             return None
-        page = self._recording.path.replace(".bag", ".html")
+        page = self.path.replace(".bag", ".html")
         with open(page, "w", encoding="utf-8") as file:
             file.write("<h1>report</h1>")
-        return [f"recording: {self._recording.path}", f"report: {page}"]
+        return [f"recording: {self.path}", f"report: {page}"]
 
-    def close(self):
-        pass
+    def stop(self):
+        if not self.has_ended:
+            os.replace(f"{self.path}.active", self.path)
+        self.has_ended = True
 
 
 class Bench:
@@ -70,7 +65,7 @@ class Bench:
         self.graph.set_parameter("/throttle_arb/sonar_hub", config("sonars.yaml"))
         self.free_bytes, self.programs = 10 ** 12, []
         self.node = self.network.add_node(
-            make={"make_recordings": partial(Recordings, make_recording=self._record, make_page=Report,
+            make={"make_recordings": partial(Recordings, make_recording=self._record,
                                              free_bytes=lambda folder: self.free_bytes),
                   "make_calibration": partial(CalibrationProgram, make_program=self._start)},
             folder=str(folder / "bags"), **parameters)
@@ -86,7 +81,7 @@ class Bench:
         """Run calibration_drive in the graph."""
         terminal = Terminal(is_live=False)
         wanted = parse(["-o", str(self.folder / "new.yaml"), "--no-sonars"])
-        program = self.graph.add(partial(CalibrationDriveNode, wanted, text=terminal, keys=terminal, make_page=Page,
+        program = self.graph.add(partial(CalibrationDriveNode, wanted, text=terminal, keys=terminal,
                                          make_recording=partial(Recording, self.car)), "calibration_drive")
         self.programs.append((command, variables["ROS_NAMESPACE"]))
         return _Child(program, terminal)

@@ -1,6 +1,9 @@
 """The errors of this package. Each message is one line that names the problem and the remedy."""
 from __future__ import annotations
 
+from contextlib import contextmanager
+from typing import Iterator
+
 
 class CarInterfaceError(Exception):
     """The base of all errors that this package raises."""
@@ -27,11 +30,16 @@ class ConfigError(CarInterfaceError, ValueError):
         if found is None:
             found = "is missing" if value is None else f"is {_shorten(value)}"
         super().__init__(f"{name} {found}; accepted: {accepted}")
-        self._found = found
+        self.found = found
 
-    def within(self, place: str) -> ConfigError:
-        """Return the same error, with the place where it was found, e.g. a file, before its name."""
-        return ConfigError(f"{place}, {self.name}", self.value, self.accepted, self._found)
+
+@contextmanager
+def within(place: str) -> Iterator[None]:
+    """Have each ConfigError that is raised inside name the place, e.g. a file, before its name."""
+    try:
+        yield
+    except ConfigError as error:
+        raise ConfigError(f"{place}, {error.name}", error.value, error.accepted, error.found) from error
 
 
 def require(fine: bool, name: str, value: object, accepted: str) -> None:

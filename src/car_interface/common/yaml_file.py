@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 from typing import Any
 
-from car_interface.common.errors import ConfigError
+from car_interface.common.errors import ConfigError, within
 from car_interface.common.input_file import finite_number, read_file
 
 MAX_BYTES = 1_000_000  # the package's own files have at most 2 kB; this much takes 2 s to read
@@ -88,12 +88,11 @@ def _read(text, path, result):
     import yaml
     loader = None
     try:
-        loader = _loader_class()(text)
-        root = loader.get_single_node()
-        if isinstance(root, yaml.MappingNode):
-            return result(loader, root)
-    except ConfigError as error:  # it names the lines alone
-        raise error.within(path) from error
+        with within(path):  # the loader's names the lines alone
+            loader = _loader_class()(text)
+            root = loader.get_single_node()
+            if isinstance(root, yaml.MappingNode):
+                return result(loader, root)
     except yaml.reader.ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
         raise ConfigError(f"{path}, line {line}", None, "parameters in YAML",

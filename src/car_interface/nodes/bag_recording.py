@@ -75,13 +75,16 @@ class Program:
 
 
 class BagRecording(Program):
-    """A ``rosbag record``, in a file of its own under ``folder``.
+    """A ``rosbag record``, in a file of its own under ``folder``; and the bag's page, once it is closed.
 
     Args:
         folder: made where it isn't there.
         topics: by their resolved names, also those that nobody publishes yet; none = all.
         stem: what the file's name begins with.
     """
+
+    is_ending = False  # ``end`` was called
+    _page: Program | None = None  # which makes it
 
     def __init__(self, folder: str, topics: Sequence[str] = (), stem: str = "car"):
         try:
@@ -106,42 +109,33 @@ class BagRecording(Program):
         """Return whether the recorder has closed the bag, or has failed."""
         return self.exit_code is not None
 
+    def end(self) -> None:
+        """Begin to close the bag; ``report`` then makes its page."""
+        self.is_ending = True
+        self.interrupt()
+
+    def report(self) -> list[str] | None:
+        """Go on; return where bag and page are, once both are there; ``None`` = not yet, or it wasn't ended."""
+        if not (self.is_ending and self.has_ended):
+            return None
+        if not os.path.exists(self.path):
+            return ["no recording: rosbag wrote none (rosrun rosbag record says why)"]
+        if self._page is None:
+            self._page = Program(["nice", *_command(), self.path])
+        if self._page.exit_code is None:
+            return None
+        page = Path(self.path).with_suffix(".html")
+        if self._page.exit_code == 0 and page.exists():
+            return [f"recording: {self.path}", f"report: {page}"]
+        return [f"recording: {self.path}", f"no report: {self._page.tail(1) or 'bag_report failed'}"]
+
     def stop(self) -> str:
-        """Close the bag, and return its path."""
+        """Close the bag, give up a page that isn't there yet, and return the bag's path."""
+        if self._page is not None:
+            self._page.interrupt()
         self.interrupt()
         self._process.wait()
         return self.path
-
-
-class BagPage:
-    """End a recording and make its page: call ``step`` until it returns lines."""
-
-    def __init__(self, recording: BagRecording):
-        self._recording = recording
-        self._program: Program | None = None
-        recording.interrupt()
-
-    def step(self) -> list[str] | None:
-        """Go on; return where bag and page are, once both are there; ``None`` = not yet."""
-        path = self._recording.path
-        if not self._recording.has_ended:
-            return None
-        if not os.path.exists(path):
-            return ["no recording: rosbag wrote none (rosrun rosbag record says why)"]
-        if self._program is None:
-            self._program = Program(["nice", *_command(), path])
-        if self._program.exit_code is None:
-            return None
-        page = Path(path).with_suffix(".html")
-        if self._program.exit_code == 0 and page.exists():
-            return [f"recording: {path}", f"report: {page}"]
-        return [f"recording: {path}", f"no report: {self._program.tail(1) or 'bag_report failed'}"]
-
-    def close(self) -> None:
-        """Close the bag, and give up a page that isn't there yet."""
-        if self._program is not None:
-            self._program.interrupt()
-        self._recording.stop()
 
 
 def _command():

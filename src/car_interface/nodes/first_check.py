@@ -33,7 +33,7 @@ from std_msgs.msg import Bool, Float32, Int32MultiArray, String
 
 from car_interface.common.causes import AUTONOMOUS, MANUAL
 from car_interface.common.declared import read
-from car_interface.common.device_access import command_line
+from car_interface.common.devices import command_line
 from car_interface.common.errors import CarInterfaceError, ConfigError, EndedEarly
 from car_interface.common.params import Params
 from car_interface.common.rate_timer import RateTimer

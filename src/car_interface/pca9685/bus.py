@@ -8,8 +8,7 @@ from __future__ import annotations
 import errno
 from typing import Any, Callable
 
-from car_interface.common.device_access import explain_denial
-from car_interface.common.header import Header
+from car_interface.common.devices import Header, explain_denial
 from car_interface.common.own_files import UnsafeFile
 from car_interface.pca9685.board import BoardMismatch
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from car_interface.common import declared
-from car_interface.common.errors import CarInterfaceError, ConfigError
+from car_interface.common.errors import CarInterfaceError, ConfigError, within
 from car_interface.common.live_parameters import TuningSettings
 from car_interface.common.params import Params
 from car_interface.common.yaml_file import load_yaml
@@ -33,10 +33,8 @@ def load_steering(path: str, text: str | None = None) -> SteeringCalibration:
         ConfigError: naming the file, the parameter and what is wrong with it.
     """
     params = Params(load_yaml(path, text))
-    try:
+    with within(path):
         return declared.read_all(params, TurnArbConfig).calibration
-    except ConfigError as error:
-        raise error.within(path) from error
 
 
 def calibration_of(turn_arb: dict[str, Any]) -> SteeringCalibration:

@@ -7,7 +7,7 @@ from typing import Callable
 
 from evdev import InputDevice, InputEvent, ecodes
 
-from car_interface.common.device_access import explain_denial
+from car_interface.common.devices import explain_denial
 from car_interface.common.errors import DeviceError
 from car_interface.teleop.input_devices import MISSING_REMEDY, Pad
 

@@ -11,7 +11,7 @@ import os
 from typing import Any, Mapping
 
 from car_interface.common.declared import read_all
-from car_interface.common.errors import ConfigError
+from car_interface.common.errors import ConfigError, require, within
 from car_interface.common.package_files import package_file
 from car_interface.common.params import Params
 from car_interface.common.yaml_file import load_yaml
@@ -81,12 +81,9 @@ def config_for(model: str, config: GamepadConfig, entries: Entries) -> GamepadCo
     if model not in entries:
         raise ConfigError(FILE, None, "an entry of that name", f"has no entry for this gamepad, {model!r}")
     entry = entries[model]
-    try:
-        if not isinstance(entry, dict):
-            raise ConfigError("the entry", entry, "names of parameters and their values, or {}")
+    with within(f"{FILE}, {model}"):
+        require(isinstance(entry, dict), "the entry", entry, "names of parameters and their values, or {}")
         return read_all(Params(entry), GamepadConfig, default=config)
-    except ConfigError as error:
-        raise error.within(f"{FILE}, {model}") from error
 
 
 def with_entry(text: str, path: str, model: str, entry: Mapping[str, float]) -> str:

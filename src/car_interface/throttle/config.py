@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 from car_interface.common import declared
 from car_interface.common.declared import read_all
-from car_interface.common.errors import ConfigError
+from car_interface.common.errors import within
 from car_interface.common.live_parameters import TuningSettings
 from car_interface.common.params import Params
 from car_interface.common.yaml_file import load_yaml
@@ -41,7 +41,5 @@ def load_throttle(path: str, text: str | None = None) -> ThrottleConfig:
         ConfigError: naming the file, the parameter and what is wrong with it.
     """
     params = Params(load_yaml(path, text))
-    try:
+    with within(path):
         return replace(read_all(params, ThrottleConfig, is_complete=False), obstacles=None)
-    except ConfigError as error:
-        raise error.within(path) from error

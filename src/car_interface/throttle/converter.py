@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from car_interface.common import causes, declared
-from car_interface.common.errors import ConfigError
+from car_interface.common.errors import ConfigError, within
 from car_interface.common.staleness import TimedInput
 from car_interface.throttle.value_map import ALLOW_PLATEAUS, ValueMap, load_value_map
 
@@ -57,10 +57,8 @@ class ConverterConfig:
             return self
         path = self.map_path or params.path("csv_path_value_map")
         value_map = load_value_map(path, self.allow_plateaus)
-        try:
+        with within(path):
             Converter(self.conversion, value_map)  # checks the map against the limits
-        except ConfigError as error:
-            raise error.within(path) from error
         return replace(self, value_map=value_map)
 
 

@@ -1,7 +1,7 @@
 """The errors: each message is one line."""
 import pytest
 
-from car_interface.common.errors import ConfigError
+from car_interface.common.errors import ConfigError, within
 
 
 @pytest.mark.parametrize("value, message", [
@@ -18,5 +18,7 @@ def test_config_error_is_one_short_line_and_keeps_what_it_was_made_of(value, mes
 
 
 def test_config_error_within_a_file_names_both():
-    error = ConfigError("x", 20, "less", "has too many").within("a.yaml")
+    with pytest.raises(ConfigError) as caught, within("a.yaml"):
+        raise ConfigError("x", 20, "less", "has too many")
+    error = caught.value
     assert str(error) == "a.yaml, x has too many; accepted: less"

@@ -3,8 +3,8 @@ import os
 
 import pytest
 
-from car_interface.common import header
-from car_interface.common.header import UNKNOWN, header_of, port_note, read_header
+from car_interface.common import devices
+from car_interface.common.devices import UNKNOWN, header_of, port_note, read_header
 
 
 @pytest.mark.parametrize("model, computer, buses", [
@@ -29,7 +29,7 @@ def test_header_is_known_by_the_model_and_of_another_computer_it_is_bus_1(model,
 
 
 def test_model_is_read_as_the_kernel_gives_it_with_a_zero_at_its_end(tmp_path, monkeypatch):
-    monkeypatch.setattr(header, "MODEL_FILE", str(tmp_path / "model"))
+    monkeypatch.setattr(devices, "MODEL_FILE", str(tmp_path / "model"))
     assert read_header() == UNKNOWN
     (tmp_path / "model").write_bytes(b"Raspberry Pi 5 Model B Rev 1.0\0")
     assert read_header().computer == "Raspberry Pi 5"

@@ -6,7 +6,7 @@ import os
 import pytest
 from i2c_computer import Computer, Ina3221
 
-from car_interface.common.header import UNKNOWN, header_of
+from car_interface.common.devices import UNKNOWN, header_of
 from car_interface.pca9685.board import BoardMismatch
 from car_interface.pca9685.bus import BoardNotFound, choose_bus, explain, is_pca9685
 from car_interface.sim.pca9685_chip import VirtualPca9685

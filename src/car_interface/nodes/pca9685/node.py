@@ -25,9 +25,9 @@ from std_msgs.msg import Int32MultiArray
 
 from car_interface.common.causes import FOREIGN_WRITE, NODE_STOOD_STILL
 from car_interface.common.declared import read_all
+from car_interface.common.devices import read_header
 from car_interface.common.errors import DeviceError
 from car_interface.common.file_lock import lock_byte
-from car_interface.common.header import read_header
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import CHANNELS, MAX_DUTY, NS_PER_S, UNCHANGED
 from car_interface.nodes.pca9685.guard_link import GuardChild, GuardLink

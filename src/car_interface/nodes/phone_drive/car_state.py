@@ -131,9 +131,7 @@ def _state(newest: TimedInput, now_ns: int, build: Callable[[Any], dict]):
 
 
 def _aged(report, now_ns):
-    if report.is_stale(now_ns):
-        return _fault(ERROR, f"{report.name.partition(':')[0]} has stopped reporting")
-    return report.value
+    return report.fresh(now_ns) or _fault(ERROR, f"{report.name.partition(':')[0]} has stopped reporting")
 
 
 def _fault(level, text, remedy=""):

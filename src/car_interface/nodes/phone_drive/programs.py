@@ -15,7 +15,7 @@ from std_msgs.msg import Empty
 from car_interface.common.errors import CarInterfaceError
 from car_interface.common.units import NS_PER_S
 from car_interface.msg import CalibrationState
-from car_interface.nodes.bag_recording import PLANNERS, TOPICS, BagPage, BagRecording, Program
+from car_interface.nodes.bag_recording import PLANNERS, TOPICS, BagRecording, Program
 from car_interface.ros.inbox import Inbox
 from car_interface.ros.topics import advertise, listen
 from car_interface.teleop.phone_messages import FILE_NAME, number
@@ -34,12 +34,11 @@ SILENT_S = 1.0  # of calibration_drive, which repeats its state 5 times a second
 class Recordings:
     """The folder, and what is being recorded; ``free_bytes`` are those of the disk with a folder."""
 
-    def __init__(self, folder: str, inbox: Inbox, make_recording=BagRecording, make_page=BagPage,
+    def __init__(self, folder: str, inbox: Inbox, make_recording=BagRecording,
                  free_bytes: Callable[[str], int] = lambda folder: shutil.disk_usage(folder).free):
         self._folder, self._inbox = folder, inbox
-        self._make_recording, self._make_page, self._free_bytes = make_recording, make_page, free_bytes
+        self._make_recording, self._free_bytes = make_recording, free_bytes
         self._recording: Any = None
-        self._page: Any = None
         self._begun_ns = 0
         self._text = ""
 
@@ -50,8 +49,8 @@ class Recordings:
             CarInterfaceError: it can't begin.
         """
         if self._recording is not None:
-            raise CarInterfaceError("a recording is running already" if self._page is None else
-                                    "the last one is being closed")
+            raise CarInterfaceError("the last one is being closed" if self._recording.is_ending else
+                                    "a recording is running already")
         try:
             os.makedirs(self._folder, exist_ok=True)
             self._check_disk()
@@ -68,22 +67,25 @@ class Recordings:
         Raises:
             CarInterfaceError: there is none.
         """
-        if self._recording is None or self._page is not None:
+        if self._recording is None or self._recording.is_ending:
             raise CarInterfaceError("no recording is running")
-        self._page = self._make_page(self._recording)
+        self._recording.end()
         return f"{self._name} is being closed; its report follows"
 
     def step(self) -> None:
         """Look how far it is; to be called some times a second."""
-        if self._page is not None:
-            lines = self._page.step()
+        recording = self._recording
+        if recording is None:
+            return
+        if recording.is_ending:
+            lines = recording.report()
             if lines is not None:
                 self._text = "; ".join(filter(None, (self._text, lines[-1])))
-                self._recording = self._page = None
-        elif self._recording is not None and self._recording.has_ended:
+                self._recording = None
+        elif recording.has_ended:
             self._text = "the recording has ended by itself: rosrun rosbag record says why"
             self._recording = None
-        elif self._recording is not None:
+        else:
             try:
                 self._check_disk()
             except (CarInterfaceError, OSError) as error:
@@ -92,9 +94,7 @@ class Recordings:
 
     def close(self) -> None:
         """End the recording, without a report that isn't there yet. To be called at the node's end."""
-        if self._page is not None:
-            self._page.close()
-        elif self._recording is not None:
+        if self._recording is not None:
             self._recording.stop()
 
     def state(self, now_ns: int) -> dict[str, Any]:
@@ -102,7 +102,7 @@ class Recordings:
         if self._recording is None:
             return {"state": OFF, "name": "", "age": None, "size": None, "text": self._text}
         size = _size(self._recording.path + ".active") or _size(self._recording.path)
-        if self._page is None:
+        if not self._recording.is_ending:
             state, text = (STARTING, "rosbag starts") if size is None else (ON, "recording")
         else:
             state, text = ((REPORT, "the report is being made") if self._recording.has_ended else

@@ -9,8 +9,7 @@ import glob
 import os
 import stat
 
-from car_interface.common.device_access import command_line, group_name
-from car_interface.common.header import read_header
+from car_interface.common.devices import command_line, group_name, read_header
 
 CONSOLES_GROUP = "tty"
 PROGRAMS = ("agetty", "getty")

@@ -13,9 +13,16 @@ from contextlib import suppress
 
 import serial
 
-from car_interface.common.device_access import SETUP_COMMAND, STABLE_PORT, explain_denial, openers, process_name
+from car_interface.common.devices import (
+    SETUP_COMMAND,
+    STABLE_PORT,
+    explain_denial,
+    openers,
+    port_note,
+    process_name,
+    read_header,
+)
 from car_interface.common.errors import DeviceError
-from car_interface.common.header import port_note, read_header
 from car_interface.teensy.link.console import is_consoles, removal_remedy
 from car_interface.teensy.link.health import ABSENT, BUSY, FAILING, NO_PERMISSION, NO_PORT
 

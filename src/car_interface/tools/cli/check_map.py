@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Iterator, Sequence
 
 from car_interface.common import output, process_setup
-from car_interface.common.errors import CarInterfaceError, ConfigError
+from car_interface.common.errors import CarInterfaceError, ConfigError, within
 from car_interface.common.lookup_table import LookupTable
 from car_interface.pca9685.registers import DUTY_PER_COUNT
 from car_interface.steering.calibration import WIDE_M, SteeringCalibration
@@ -68,10 +68,8 @@ def run(options: argparse.Namespace) -> int:
     if is_steering:
         lines, notes = steering_picture(table), list(steering_notes(table))
     else:
-        try:
+        with within(name):
             Converter(limits, table)
-        except ConfigError as error:
-            raise error.within(name) from error
         lines = map_picture(table, sys.stdout.isatty() and "NO_COLOR" not in os.environ)
         notes = list(map_notes(table, limits))
     node = "turn_arb" if is_steering else "generic_value_converter"

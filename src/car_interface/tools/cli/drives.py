@@ -17,7 +17,7 @@ from urllib.parse import quote
 from car_interface.common import output
 from car_interface.common.atomic_file import replace
 from car_interface.common.black_box_folder import default_folder, newest
-from car_interface.common.errors import CarInterfaceError, ConfigError
+from car_interface.common.errors import CarInterfaceError, require
 from car_interface.common.input_file import read_file
 from car_interface.tools.cli.bag_report import page_path as report_path
 from car_interface.tools.cli.jobs import try_each
@@ -51,8 +51,7 @@ def run(options: argparse.Namespace) -> int:
     topics, folder = topics_of(options), options.folder
     page_path = options.output or os.path.join(folder, "drives.html")
     csv_path = os.path.splitext(page_path)[0] + ".csv"
-    if page_path == csv_path:
-        raise ConfigError("--output", page_path, "the page's name, as in drives.html: the CSV lies beside it")
+    require(page_path != csv_path, "--output", page_path, "the page's name, as in drives.html: the CSV lies beside it")
     if not os.path.isdir(folder):
         raise CarInterfaceError(f"{folder} is no folder: name the one with the recordings")
     paths = find_recordings(folder)

@@ -6,7 +6,7 @@ import os
 import re
 from typing import Sequence
 
-from car_interface.common.errors import ConfigError
+from car_interface.common.errors import ConfigError, require
 from car_interface.common.input_file import finite_number
 from car_interface.common.units import CHANNELS
 from car_interface.tools.recordings.roles import ODOM, Role
@@ -83,8 +83,7 @@ def topics_of(options: argparse.Namespace, **named: str | None) -> dict[str, str
 
 def check_channel(name: str, channel: int | None, accepted: str = "a channel of the servo board, 0 to 15") -> None:
     """Raise ConfigError, naming the option, when there is no such channel; ``None`` = not given."""
-    if channel is not None and not 0 <= channel < CHANNELS:
-        raise ConfigError(name, channel, accepted)
+    require(channel is None or 0 <= channel < CHANNELS, name, channel, accepted)
 
 
 def _address(text):

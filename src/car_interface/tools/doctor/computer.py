@@ -20,8 +20,7 @@ from importlib.util import find_spec
 from typing import Any, Callable
 from urllib.parse import urlsplit
 
-from car_interface.common.device_access import SETUP_REMEDY, read_membership
-from car_interface.common.header import read_header
+from car_interface.common.devices import SETUP_REMEDY, read_header, read_membership
 from car_interface.pca9685.config import AUTO
 from car_interface.teensy.link.console import is_consoles
 from car_interface.teleop.input_devices import find_pads

@@ -13,8 +13,7 @@ import time
 from contextlib import closing
 from typing import Any, Callable, Sequence
 
-from car_interface.common.device_access import SETUP_COMMAND, explain_denial, openers
-from car_interface.common.header import Header, port_note, read_header
+from car_interface.common.devices import SETUP_COMMAND, Header, explain_denial, openers, port_note, read_header
 from car_interface.common.units import NS_PER_MS
 from car_interface.common.vehicle_geometry import SONARS
 from car_interface.pca9685.bus import NOT_ACKNOWLEDGED, PROBE, BoardNotFound, choose_bus, explain, is_pca9685

@@ -13,7 +13,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from car_interface.common.declared import read_all
-from car_interface.common.device_access import STABLE_PORT, script_arguments
+from car_interface.common.devices import STABLE_PORT, script_arguments
 from car_interface.common.errors import CarInterfaceError, ConfigError
 from car_interface.common.fixed_parameters import fixed_parameters
 from car_interface.common.package_files import package_file

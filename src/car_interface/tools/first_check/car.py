@@ -127,7 +127,7 @@ class Car:
 
     def stands(self, now_ns: int) -> bool:
         """Return whether the wheels stand, as far as that is known."""
-        return self.speed.is_stale(now_ns) or abs(self.speed.value) < STANDS_MPS
+        return abs(self.speed.fresh(now_ns) or 0.0) < STANDS_MPS
 
     @property
     def ground_reason(self) -> str:
@@ -138,22 +138,21 @@ class Car:
 
     def trouble(self, now_ns: int) -> str:
         """Return why the throttle is too much for this check; empty: it isn't."""
-        if not self.speed.is_stale(now_ns) and abs(self.speed.value) > MAX_WHEEL_SPEED_MPS:
-            return f"too fast: the wheels turn at {abs(self.speed.value):.1f} m/s. Let go, and push less"
+        speed_mps = abs(self.speed.fresh(now_ns) or 0.0)
+        if speed_mps > MAX_WHEEL_SPEED_MPS:
+            return f"too fast: the wheels turn at {speed_mps:.1f} m/s. Let go, and push less"
         if self.drives_since_ns is not None and now_ns - self.drives_since_ns > MAX_DRIVE_NS:
             return "that was long enough: let go of the stick"
         return ""
 
     def held_mode(self, now_ns: int) -> str | None:
         """Return the mode of the deadman that is held; ``None``: none is held."""
-        if self.human.is_stale(now_ns) or not self.human.value:
-            return None
-        return self.mode.value or ""
+        return (self.mode.value or "") if self.human.fresh(now_ns) else None
 
     def by_hand(self, now_ns: int) -> str:
         """Return why the person's stick doesn't reach the ESC; empty: it does."""
         if self.held_mode(now_ns) != MANUAL:
-            return f"the manual deadman isn't held{self._reason(now_ns)}"
+            return f"the manual deadman isn't held{in_brackets(self.gamepad.fresh(now_ns))}"
         if self.throttle.is_stale(now_ns):
             return self.throttle.stale_reason(now_ns)
         throttle = self.throttle.value
@@ -167,7 +166,7 @@ class Car:
     def by_program(self, now_ns: int) -> str:
         """Return why turn_arb doesn't steer as this program asks; empty: it does."""
         if self.held_mode(now_ns) != AUTONOMOUS:
-            return f"the autonomous deadman isn't held{self._reason(now_ns)}"
+            return f"the autonomous deadman isn't held{in_brackets(self.gamepad.fresh(now_ns))}"
         if self.steering.is_stale(now_ns):
             return self.steering.stale_reason(now_ns)
         return "" if self.steering.value.source == PLANNER else self.steering.value.reason
@@ -175,9 +174,6 @@ class Car:
     def held_duty(self, channel: int, now_ns: int) -> int | None:
         """Return the duty that the servo board holds on a channel; ``None``: it isn't known."""
         return None if self.output.is_stale(now_ns) else self.output.value[channel]
-
-    def _reason(self, now_ns):
-        return "" if self.gamepad.is_stale(now_ns) else in_brackets(self.gamepad.value)
 
 
 def in_brackets(text: str | None) -> str:

@@ -47,8 +47,7 @@ class SteeringDirection(Question):
             self._duty = self.car.held_duty(self.setup.steering.servo_channel, now_ns)
 
     def _stick(self, now_ns):
-        is_held = self.car.held_mode(now_ns) == MANUAL and not self.car.steering_stick.is_stale(now_ns)
-        return self.car.steering_stick.value if is_held else 0.0
+        return self.car.held_mode(now_ns) == MANUAL and self.car.steering_stick.fresh(now_ns) or 0.0
 
     def answer(self, key, now_ns):
         channel, stick_is_left = self.setup.steering.servo_channel, self._full > 0
@@ -219,7 +218,7 @@ class _ByStick(Question):
     def step(self, now_ns):
         if self.car.by_hand(now_ns):
             return
-        stick = 0.0 if self.car.throttle_stick.is_stale(now_ns) else self.car.throttle_stick.value
+        stick = self.car.throttle_stick.fresh(now_ns) or 0.0
         if abs(stick) > abs(self._stick):
             self._stick = stick
         self._was_given = self._was_given or self.car.throttle.value.granted != 0.0

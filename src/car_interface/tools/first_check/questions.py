@@ -135,8 +135,7 @@ class Deadman(Question):
         return None
 
     def answer(self, key, now_ns):
-        wanted, buttons = self._wanted, self.car.buttons
-        pressed = () if buttons.is_stale(now_ns) else buttons.value
+        wanted, pressed = self._wanted, self.car.buttons.fresh(now_ns) or ()
         others = [number for mode, number in self.car.controls.buttons.items() if mode != wanted]
         if wanted is None:
             return broken(f"it is held though nobody holds it: {self.seen(now_ns)}",
@@ -273,7 +272,7 @@ class TeensyUnplugged(Question):
         return link.stale_reason(now_ns) if link.is_stale(now_ns) else f"the port is {'' if link.value else 'not '}open"
 
     def step(self, now_ns):
-        is_there = not self.car.link.is_stale(now_ns) and self.car.link.value
+        is_there = self.car.link.fresh(now_ns)
         if not self._was_lost and not is_there:
             self._was_lost = True
             self.go_on("It was noticed. Plug it in again; it goes on by itself.", "N it is back, and nothing happens",

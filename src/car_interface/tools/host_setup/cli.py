@@ -24,9 +24,8 @@ import tempfile
 from typing import Mapping, NamedTuple, Sequence
 from xml.etree import ElementTree
 
-from car_interface.common.device_access import GROUPS, STABLE_PORT, existing_groups, groups_of
+from car_interface.common.devices import GROUPS, STABLE_PORT, UNKNOWN, Header, existing_groups, groups_of, read_header
 from car_interface.common.errors import CarInterfaceError
-from car_interface.common.header import UNKNOWN, Header, read_header
 from car_interface.common.package_files import package_file
 
 RULES_NAME = "70-car-interface.rules"

@@ -15,8 +15,8 @@ import pytest
 
 serial = pytest.importorskip("serial")
 
+from car_interface.common.devices import header_of  # noqa: E402
 from car_interface.common.errors import DeviceError  # noqa: E402
-from car_interface.common.header import header_of  # noqa: E402
 from car_interface.teensy.link import port  # noqa: E402
 from car_interface.teensy.link.health import ABSENT, BUSY, FAILING, NO_PERMISSION, NO_PORT  # noqa: E402
 from car_interface.teensy.link.port import SerialLink  # noqa: E402

@@ -7,7 +7,7 @@ import types
 import pytest
 from i2c_computer import Computer, Ina3221
 
-from car_interface.common.header import UNKNOWN, header_of
+from car_interface.common.devices import UNKNOWN, header_of
 from car_interface.pca9685.config import AUTO
 from car_interface.sim.pca9685_chip import VirtualPca9685
 from car_interface.tools.doctor import devices as board

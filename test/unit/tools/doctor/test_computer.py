@@ -8,7 +8,7 @@ import types
 import pytest
 from pads import F710_X, listed
 
-from car_interface.common.device_access import Membership
+from car_interface.common.devices import Membership
 from car_interface.teleop.input_devices import parse_pads
 from car_interface.tools.doctor import computer
 from car_interface.tools.doctor.findings import BAD, OK, WARN

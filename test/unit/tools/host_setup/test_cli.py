@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from car_interface.common.device_access import GROUPS
-from car_interface.common.header import header_of
+from car_interface.common.devices import GROUPS, header_of
 from car_interface.tools.host_setup import cli
 from car_interface.tools.host_setup.cli import RULES_NAME, Computer, plan, remarks
 

@@ -7,7 +7,7 @@ from typing import Mapping, NamedTuple, Sequence
 
 import numpy as np
 
-from car_interface.common.errors import ConfigError
+from car_interface.common.errors import require, within
 from car_interface.common.params import Params
 from car_interface.common.units import CHANNELS, MAX_DUTY
 from car_interface.common.yaml_file import load_yaml
@@ -48,16 +48,13 @@ def load_throttle_table(path: str) -> ThrottleTable:
         ConfigError: naming the file, and what in it is no table, or none that can be inverted.
     """
     params = Params(load_yaml(path))
-    try:
+    with within(path):
         table = ThrottleCalibration(
             params.integer("servo/channel", ESC_CHANNEL, low=0, high=CHANNELS - 1), params.numbers("servo/value_axis"),
             params.numbers("servo/duty_table", low=0, high=MAX_DUTY),
             params.integer("servo/neutral", low=0, high=MAX_DUTY))
-        if 0 in np.diff(table.duty_table):
-            raise ConfigError("servo/duty_table", table.duty_table,
-                              "duties that only rise, or only fall: each is a value's")
-    except ConfigError as error:
-        raise error.within(path) from error
+        require(0 not in np.diff(table.duty_table), "servo/duty_table", table.duty_table,
+                "duties that only rise, or only fall: each is a value's")
     duties, values = zip(*sorted(zip(table.duty_table, table.value_axis)))
     return ThrottleTable(duties, values, float(np.interp(table.neutral, duties, values)), path, table.channel)
 

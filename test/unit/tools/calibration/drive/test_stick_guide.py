@@ -1,8 +1,8 @@
 """Where to hold the stick, and for how long still."""
 import pytest
 
+from car_interface.tools.calibration.drive.calibration_drive import StickGuide
 from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
-from car_interface.tools.calibration.drive.stick_guide import StickGuide
 from car_interface.tools.calibration.drive.survey import DONE, MEASURING, PAUSED, SETTLING
 from tools.calibration.drive.light_car import LightCar, base
 

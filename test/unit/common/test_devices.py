@@ -5,7 +5,7 @@ import pwd
 
 import pytest
 
-from car_interface.common.device_access import (
+from car_interface.common.devices import (
     SETUP_COMMAND,
     explain_denial,
     openers,

@@ -42,19 +42,18 @@ from car_interface.common.errors import CarInterfaceError, EndedEarly
 from car_interface.common.rate_timer import RateTimer
 from car_interface.common.units import CHANNELS, NS_PER_S, yaw_rad
 from car_interface.msg import CalibrationState, PlannerState, SteeringState, TeleopState, ThrottleState
-from car_interface.nodes.bag_recording import TOPICS, BagPage, BagRecording
+from car_interface.nodes.bag_recording import TOPICS, BagRecording
 from car_interface.nodes.terminal import Keys, LiveText
 from car_interface.ros.clocks import RosClock
 from car_interface.ros.runtime import run
 from car_interface.ros.topics import advertise, sender_of, subscribe
 from car_interface.steering.config import calibration_of
 from car_interface.tools.calibration.drive import terminal
-from car_interface.tools.calibration.drive.calibration_drive import CalibrationDrive
+from car_interface.tools.calibration.drive.calibration_drive import CalibrationDrive, StickGuide
 from car_interface.tools.calibration.drive.conclusion import board_center, conclude, find_table_file, next_steps
 from car_interface.tools.calibration.drive.config import drive_config, parse
 from car_interface.tools.calibration.drive.grant import STATES, Grant
 from car_interface.tools.calibration.drive.knowledge import assess
-from car_interface.tools.calibration.drive.stick_guide import StickGuide
 from car_interface.tools.calibration.drive.survey import BLOCKED, DONE, PAUSED, WAITING, Progress
 
 NAME = "calibration_drive"
@@ -85,10 +84,10 @@ class CalibrationDriveNode:
 
     Args:
         text, keys: the terminal; ``None`` = the one that the program runs in.
-        make_recording, make_page: as ``BagRecording`` and ``BagPage``.
+        make_recording: as ``BagRecording``.
     """
 
-    def __init__(self, wanted, params, inbox, text=None, keys=None, make_recording=BagRecording, make_page=BagPage):
+    def __init__(self, wanted, params, inbox, text=None, keys=None, make_recording=BagRecording):
         params.finish()  # it has options instead, which don't stay on the server
         graph, self._clocks = inbox.graph, inbox.clocks
         self._wanted, self._inbox = wanted, inbox
@@ -99,11 +98,11 @@ class CalibrationDriveNode:
         self._grant = Grant(wanted.stick, bool(graph.parameter("throttle_arb/esc/calibration_drive", False)),
                             config.obstacles.mounts)
         self._clock, self._text, self._keys = RosClock(inbox.clocks), text or LiveText(), keys or Keys()
-        self._make_recording, self._make_page = make_recording, make_page
+        self._make_recording = make_recording
         now_ns = self._clocks.now_ns()
         self._timer, self._ticks = RateTimer(RATE_HZ, now_ns), 0
         self._enter(self._check, now_ns)
-        self._step = self._recording = self._page = self._refusal = None
+        self._step = self._recording = self._refusal = None
         self._shown_kind, self._shown_ns = "", 0
         self._frames = "odom", "base_link"
         self._requests = ()  # to steer and to drive, while it asks for something
@@ -144,8 +143,6 @@ class CalibrationDriveNode:
         self._markers.publish(no_markers(self._frames[0]))
         self._keys.restore()
         self._text.keep()
-        if self._page is not None:
-            self._page.close()
         if self._recording is not None and not self._is_over:
             self._text.say(f"recording: {self._recording.stop()}")
         if not (self._is_over or self._is_written) and sys.exc_info()[0] is None:
@@ -329,13 +326,13 @@ class CalibrationDriveNode:
 
     def _close_recording(self, now_ns):
         self._ask_for()
-        if self._page is None and now_ns - self._begun_ns >= RESULT_ARRIVES_NS:
-            self._page = self._make_page(self._recording)
+        if not self._recording.is_ending and now_ns - self._begun_ns >= RESULT_ARRIVES_NS:
+            self._recording.end()
             self._stop_asking()
 
     def _await_page(self, now_ns, typed):
         self._close_recording(now_ns)
-        lines = None if self._page is None else self._page.step()
+        lines = self._recording.report()
         if lines is None:
             self._announce("page", [f"makes the recording's page: {(now_ns - self._begun_ns) // NS_PER_S} s"], now_ns)
             if self._ticks % TICKS_PER_SHOW == 0:

@@ -1,1 +1,0 @@
-"""The calibration_drive node, and what only it needs."""
