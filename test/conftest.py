@@ -46,6 +46,7 @@ def unknown_computer(monkeypatch):
 
 
 def pytest_configure(config):
+    gc.disable()  # while modules and tests are collected, which all stay: a quarter of that time
     for mark in MARKS:
         config.addinivalue_line("markers", mark)
     if hasattr(config, "workerinput"):  # of pytest-xdist: who runs pytest alone may be debugging
@@ -65,6 +66,7 @@ def pytest_collection_modifyitems(items):
 
 
 def pytest_collection_finish():
+    gc.enable()
     gc.freeze()  # so that each collection of garbage doesn't go through all modules and tests
     gc.set_threshold(7_000)  # ten times the default: a virtual drive leaves little garbage, and takes 5 % less so
 
