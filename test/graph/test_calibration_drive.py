@@ -6,6 +6,7 @@ import os
 import re
 import shutil
 from functools import partial
+from types import SimpleNamespace
 
 import pytest
 from car_interface.msg import PlannerState, SteeringState
@@ -16,7 +17,7 @@ from car import CENTER, CONFIG, ESC, ESC_NEUTRAL, STEERING, Car, config
 from car_interface.common.errors import CarInterfaceError
 from car_interface.nodes import calibration_drive
 from car_interface.nodes.bag_recording import TOPICS
-from car_interface.nodes.calibration_drive import CalibrationDriveNode
+from car_interface.nodes.calibration_drive import CalibrationDriveNode, drive_markers
 from car_interface.tools.calibration.drive.conclusion import Conclusion
 from car_interface.tools.calibration.drive.config import parse
 from car_interface.tools.recordings.calibration_result import CalibrationResult
@@ -341,6 +342,16 @@ def test_table_that_is_there_is_replaced_after_a_question_or_the_new_one_is_writ
 
 
 @pytest.mark.once
+def test_picture_has_an_arc_for_each_radius_that_can_be_told_from_straight_on():
+    rows = [SimpleNamespace(radius_m=radius_m, side="left", is_known=True, is_measured=True)
+            for radius_m in (1.0, 40.0, 41.0)]
+    arcs = [marker for marker in drive_markers("odom", "base_link", None, [], 2.0, rows, "").markers
+            if marker.ns == "known"]
+    assert [marker.id for marker in arcs] == [0, 1]
+    assert [len(marker.points) for marker in arcs] == [17, 17]
+    assert [(marker.scale.x, marker.scale.y, marker.scale.z) for marker in arcs] == [(0.02, 0.0, 0.0)] * 2
+
+
 def test_without_a_recorder_it_drives_all_the_same(tmp_path, monkeypatch):
     monkeypatch.setattr(Recording, "has_subscribed", lambda *_: False)
     car = Practice(tmp_path, "--no-sonars").begin()

@@ -1,6 +1,7 @@
 """Every fault of the Teensy's serial line: the hub says which one it is and what to do, survives it, and goes on."""
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import pytest
@@ -8,6 +9,7 @@ from car_interface.msg import LinkStatus
 from car_interface.srv import InjectFaultRequest
 from std_srvs.srv import TriggerRequest
 
+from car_interface.nodes.teensy_sensor_hub.node import TeensySensorHub
 from graph import NS_PER_S
 
 OK, WARN, ERROR = LinkStatus.OK, LinkStatus.WARN, LinkStatus.ERROR
@@ -122,6 +124,15 @@ def test_reboot_while_unplugged_is_found_though_the_teensy_has_been_on_for_as_lo
     line.inject("plug")
     line.graph.run(8.0)
     assert (line.link.reboots, line.link.state) == (1, "fine")
+
+
+@pytest.mark.parametrize("noise, read, rests", [(513, 1024, True), (512, 1024, False), (1023, 1023, False)])
+def test_hub_leaves_a_port_alone_that_brought_more_noise_than_frames_at_once(noise, read, rests):
+    watches = []
+    hub = SimpleNamespace(_clocks=SimpleNamespace(now_ns=lambda: 20_000_000), _watch_port=watches.append,
+                          _rest_until_ns=0)
+    TeensySensorHub._note_noise(hub, noise, 0, read, 9_000_000)
+    assert (watches, hub._rest_until_ns) == (([False], 31_000_000) if rests else ([], 0))
 
 
 def test_fault_and_recovery_are_logged_once_each(line):

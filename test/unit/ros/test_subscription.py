@@ -45,6 +45,7 @@ def latching():
 def test_before_connections_are_renewed_each_message_is_obeyed():
     node = Node()
     assert node.obeys(0) and node.obeys(5, latching()) and node.obeyed == [0, 5]
+    assert node.subscription.dropped == 0
 
 
 def test_what_arrived_until_connections_were_renewed_is_old_and_what_still_comes_over_the_old_ones():
@@ -54,6 +55,7 @@ def test_what_arrived_until_connections_were_renewed_is_old_and_what_still_comes
     assert node.replaced == ["subscriber"]
     assert not node.obeys(0) and node.obeys(1) and node.obeys(1, new) and node.obeys(1, {})
     assert not node.obeys(5 * START, old)
+    assert node.subscription.dropped == 2
 
 
 @pytest.mark.parametrize("takes_latched", [None, False, True])
@@ -68,6 +70,13 @@ def test_the_first_message_of_a_latching_publisher_s_new_connection_is_its_last_
     assert node.obeys(3, second) == bool(takes_latched)
 
 
+def test_where_connections_can_never_be_replaced_each_message_is_obeyed_again_after_a_second():
+    node = Node()
+    node.fails = True
+    node.subscription.renew()
+    assert not node.obeys(1000 * MS) and node.obeys(1000 * MS + 1)
+
+
 def test_where_connections_can_not_be_replaced_nothing_is_obeyed_for_a_second(caplog):
     node = Node(takes_latched=True)
     node.subscription.renew()
@@ -79,3 +88,19 @@ def test_where_connections_can_not_be_replaced_nothing_is_obeyed_for_a_second(ca
     node.fails = False
     node.subscription.renew()
     assert node.obeys(START, latching())
+
+
+def test_topic_is_opened_under_the_node_s_own_name_renewed_with_the_others_and_ended_with_the_node():
+    made, closing = [], []
+    subscriber = SimpleNamespace(unregister=lambda: None)
+
+    def subscribe(*arguments):
+        made.append(arguments)
+        return subscriber
+    inbox = SimpleNamespace(graph=SimpleNamespace(subscriber=subscribe), own_name="/car/{}".format, subscriptions=[],
+                            on_close=closing.append)
+    subscription = Subscription(inbox)
+    subscription.open("e_stop", "a type", print)
+    assert made == [("/car/e_stop", "a type", print, 10)]
+    assert subscription.subscriber is subscriber
+    assert inbox.subscriptions == [subscription] and closing == [subscriber.unregister]

@@ -353,6 +353,13 @@ def test_pings_a_hundred_times_a_second_cost_no_more_memory():
     assert len(vars(clock)["_buckets"]) <= 121
 
 
+def test_after_a_long_pause_the_newest_five_half_seconds_with_pongs_are_left_of_all_before():
+    teensy = Teensy()
+    clock = converged(teensy, seconds=9)
+    teensy.answer(clock, at(600))
+    assert len(vars(clock)["_buckets"]) == 5 + 1
+
+
 @pytest.mark.once
 @pytest.mark.parametrize("disturbance", [{"clock_start_ms": UINT32 - 12_000, "bit_errors": 1e-4}, {"reboot_s": 2}])
 def test_stamps_of_a_saturated_virtual_teensy_are_within_a_millisecond_and_honest(disturbance):

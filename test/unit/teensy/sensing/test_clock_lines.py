@@ -25,6 +25,17 @@ def test_one_pong_bounds_its_tick_by_the_delay_and_a_tick_to_either_side():
     assert latest_ns - earliest_ns == pytest.approx(5 * NS_PER_MS, abs=10_000)
 
 
+def test_bound_that_is_far_away_is_loosened_by_the_largest_bend_of_the_truth():
+    """At an hour's 100 ppm: by 50 µs at 60 s, and by 200 µs at 120 s. The first pong leaves its tick, 1 ms, open.
+
+    So a line may rise to 1.05 ms over it until 60 s, by as much again until 120 s, and the bound there is loosened.
+    """
+    lines, ns = ClockLines(pong(0, 0)), pong(0, 0).latest.ns
+    assert lines.admit(None, Bound(60_000, ns + 60_000 * NS_PER_MS))
+    assert not lines.admit(Bound(120_000, ns + 120_000 * NS_PER_MS + 1_320_000), None)
+    assert lines.admit(Bound(120_000, ns + 120_000 * NS_PER_MS + 1_280_000), None)
+
+
 def test_chosen_line_goes_through_the_lowest_times_and_with_a_gap_towards_the_centre():
     lines = lines_of(pong(0, NS_PER_MS), pong(60_000, NS_PER_MS))
     lines.choose(30_000, 0.0)

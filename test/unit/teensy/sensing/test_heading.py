@@ -57,6 +57,15 @@ def test_commanded_curvature_counts_the_more_the_longer_it_lasts_and_nothing_for
     assert once.curvature_variance > long.curvature_variance
 
 
+def test_commanded_curvature_is_learned_in_the_end_and_one_of_0_is_known_to_0_05_per_m_after_half_a_second():
+    heading = HeadingFilter()
+    heading.update_curvature(0.0, 0.5)
+    assert heading.curvature_variance == pytest.approx(1 / (1 / CURVATURE_VARIANCE + 1 / 0.05 ** 2))
+    for _ in range(1000):
+        heading.update_curvature(1.0, 0.5)
+    assert heading.curvature_per_m == pytest.approx(1.0, abs=0.1)
+
+
 def test_usual_curvature_is_the_largest_of_the_last_metres():
     heading = HeadingFilter()
     drive(heading, 0.8, 60)

@@ -6,7 +6,7 @@ from captures import load, replay
 from car_interface.teensy.link.pinging import Answer
 from car_interface.teensy.link.protocol import FORWARD, Pong, SonarStatus, Wheel, WheelStatus
 from car_interface.teensy.sensing import plausibility
-from car_interface.teensy.sensing.measurements import MAX_QUEUED, MeasurementConfig, Measurements
+from car_interface.teensy.sensing.measurements import MeasurementConfig, Measurements
 
 MS, S = 1_000_000, 1_000_000_000
 START_NS = 5_000 * S
@@ -71,10 +71,17 @@ def test_queued_reports_are_processed_before_what_comes_after_them(end):
 def test_queue_is_bounded_and_a_refused_report_in_it_makes_nothing():
     results = []
     measured = Measurements(on_motion=lambda result: results.append(result.stamp.time_ns))
-    for count in range(MAX_QUEUED):
+    for count in range(10):
         assert results == []
         measured.queue_wheels(report_of(count), START_NS + 100 * count * MS)
-    assert len(results) == MAX_QUEUED and not measured.queue
+    assert len(results) == 10 and not measured.queue
     measured.queue_wheels(WheelStatus(*2 * (Wheel(65535, FORWARD, 1000, 1, 1),)), START_NS + S)
     measured.process_queue()
-    assert len(results) == MAX_QUEUED and not measured.queue and measured.gates.refused == 1
+    assert len(results) == 10 and not measured.queue and measured.gates.refused == 1
+
+
+def test_report_without_a_newer_pulse_is_as_new_as_its_receipt_and_one_with_it_as_that_pulse():
+    measured = Measurements()
+    first, again, next_ = (measured.wheels(report_of(count), START_NS + at_ms * MS).stamp.time_ns
+                           for count, at_ms in ((0, 0), (0, 100), (1, 200)))
+    assert (again - first, next_ - first) == pytest.approx((100 * MS, 100 * MS), abs=5 * MS)

@@ -11,7 +11,7 @@ from car_interface.common.errors import ConfigError
 from car_interface.teensy.link.protocol import BACKWARD, FORWARD, NO_DIRECTION, Wheel, WheelStatus
 from car_interface.teensy.sensing.odometry import Odometry, OdometryConfig
 from car_interface.teensy.sensing.plausibility import Verdict
-from car_interface.teensy.sensing.pose import reversed_path
+from car_interface.teensy.sensing.pose import Pose, reversed_path
 
 PULSE_M = math.pi * 0.095 / 20
 TRACK_M = 0.296
@@ -151,6 +151,38 @@ def test_reversals_after_a_boot_are_uncertain_behind_the_part_without_counts():
     across = ends[1].pose_covariance[1][1] - ends[0].pose_covariance[1][1]
     rest_m = 10 * PULSE_M
     assert path.across_variance < across < path.across_variance + path.heading_variance * rest_m ** 2 * 1.1
+
+
+@pytest.mark.parametrize("unsplit, is_open", [((2, 2), True), ((1, 2), False), ((2, 1), False)])
+def test_from_two_pulses_of_each_wheel_on_it_is_open_how_they_were_made(unsplit, is_open):
+    axle = Axle()
+    axle.roll((1.0, 1.0), 2.0)
+    axle.ms += 100.0
+    axle.wheels = [Wheel(0, FORWARD, round(axle.ms), wheel.dist_abs + 4, wheel.dist_abs + 5) for wheel in axle.wheels]
+    before = axle.motion.pose_covariance[0][0]
+    axle.motion = axle.odometry.report(WheelStatus(*axle.wheels), Verdict(True, "", (1, 1), unsplit=unsplit),
+                                       (axle.ms,) * 2, axle.ms + 0.5)
+    assert (axle.motion.pose_covariance[0][0] - before > (2 * PULSE_M) ** 2 / 4) == is_open
+
+
+def test_car_that_drove_backward_in_a_curve_unseen_and_then_forward_is_where_both_led():
+    axle, pose = Axle(), Pose(0.0, 0.0)
+    axle.roll((-1.0, -1.0), 2.0)
+    pose.x_m, pose.y_m, pose.yaw_rad = axle.motion[1:4]
+    pose.move(-72 * PULSE_M, -24 * PULSE_M / TRACK_M)  # the right wheel went farther back
+    pose.move(20 * PULSE_M, 0.0)
+    axle.ms += 3000.0
+    axle.wheels = [Wheel(0, FORWARD, round(axle.ms), wheel.dist_abs + back + 1, wheel.dist_abs + back + 20)
+                   for wheel, back in zip(axle.wheels, (60, 84))]
+    axle.motion = axle.odometry.report(WheelStatus(*axle.wheels), Verdict(True, "", (-40, -64), unsplit=(60, 84)),
+                                       (axle.ms,) * 2, axle.ms + 0.5)
+    assert axle.motion[1:4] == pytest.approx((pose.x_m, pose.y_m, pose.yaw_rad), abs=0.05)
+
+
+def test_variances_of_speed_and_yaw_rate_are_those_of_the_wheels_sum_and_difference():
+    """Each wheel's speed v has the same variance: (v + v) / 2 a quarter of their sum's, (v − v) / track all of it."""
+    motion = Axle().roll((1.0, 1.0), 2.0)
+    assert motion.yaw_rate_variance * TRACK_M ** 2 == pytest.approx(4 * motion.speed_variance, rel=0.05)
 
 
 def test_wheels_in_opposite_directions_turn_the_car_where_it_stands():

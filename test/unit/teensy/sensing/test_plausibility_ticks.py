@@ -79,6 +79,8 @@ REBOOT, GAP = gates.CLOCK_RESTARTED, gates.AFTER_GAP
     ((10_000, 99_000, 99_050, 10_050, 99_100, 99_150), (FIRST, AHEAD, AHEAD, FINE, AHEAD, AHEAD), 10_050, 0),
     ((10_000, 11_500, 99_000, 99_050, 10_050, 99_100, 99_150),
      (FIRST, FINE, AHEAD, AHEAD, WRONG, AHEAD, AHEAD), 10_050, 0),
+    # the same tick again, as of two sonars, is not the one before it
+    ((10_000, 11_500, 11_500, 10_100), (FIRST, FINE, FINE, WRONG), 10_100, 0),
 ])
 def test_ticks_are_judged_by_the_newest_one(ticks, reasons, newest, restarts):
     gate = TickGate(2000)

@@ -203,6 +203,22 @@ def test_odometers_that_were_reset_are_taken_up_at_once(fresh, pulses):
     assert (after.accepted, after.pulses) == (True, (1, 1))
 
 
+def test_first_pulses_of_odometers_at_zero_are_unproven_one_of_each_wheel():
+    verdict = crawling().wheels(WheelStatus(Wheel(0, BACKWARD, 302, 1, 1), Wheel(0, NO_DIRECTION, 311, 0, 1)))
+    assert (verdict.reason, verdict.pulses) == (gates.ODOMETERS_RESET, (0, 0))
+    assert (verdict.unproven, verdict.unsplit) == ((1, 1), (0, 0))
+
+
+def test_first_pulse_of_a_wheel_after_a_reset_is_proven_though_the_first_reports_were_lost():
+    """The reset keeps the time of its last pulse, and what the firmware knows of its pins."""
+    some, stood = crawling(), NEW._replace(when=LAST.when)
+    verdicts = judged([WheelStatus(forward(5 + index, NEXT.when + 50 * index), stood) for index in range(3)],
+                      some.wheels)
+    assert verdicts[-1].reason == gates.ODOMETERS_RESTARTED
+    verdict = some.wheels(WheelStatus(forward(8, NEXT.when + 150), forward(1, NEXT.when + 150)))
+    assert (verdict.accepted, verdict.pulses, verdict.unproven) == (True, (1, 1), (0, 0))
+
+
 REST = 201
 
 

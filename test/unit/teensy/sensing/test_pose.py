@@ -86,6 +86,17 @@ def test_way_and_heading_that_are_off_together_stay_so_on_a_circle():
     assert (xx, xy, xa, yy, ya) == pytest.approx(moments, rel=0.1, abs=0.02)
 
 
+def test_way_that_is_off_by_as_much_as_the_heading_shows_leads_aside_on_what_follows():
+    """The way is off by k e along x, then d (exp(i e) − 1) is added: E of x y is k d E e sin(e) = k d v exp(−v / 2)."""
+    k_m, v, d_m = 0.5, 0.3, 2.0
+    pose = Pose(0.0, 0.0)
+    pose.add_path(UnseenPath(along_variance=k_m ** 2 * v, heading_variance=v, heading_covariance=k_m * v))
+    pose.move(d_m, 0.0)
+    (xx, xy, _), (_, yy, _), _ = pose.covariance(0.0, 0.0)
+    assert xy == pytest.approx(k_m * d_m * v * math.exp(-v / 2))
+    assert xx + yy == pytest.approx(k_m ** 2 * v + d_m ** 2 * (2 - 2 * math.exp(-v / 2)))
+
+
 def test_variance_along_the_heading_turns_with_it():
     pose = Pose(0.0, 0.0)
     pose.set_yaw(math.pi / 2, 0.0)

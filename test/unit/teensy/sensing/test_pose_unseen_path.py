@@ -81,6 +81,15 @@ def test_reversals_are_as_uncertain_as_the_average_over_all_that_can_have_been()
     assert path.heading_covariance * math.sqrt(mean_square) == pytest.approx(together, rel=0.15)
 
 
+def test_short_way_with_a_reversal_is_as_uncertain_across_as_the_average_over_all_that_can_have_been():
+    rng, length_m, sigma, square = random.Random(2), 0.2, math.sqrt(CURVATURE_VARIANCE), 0.0
+    for _ in range(20_000):
+        part, forward, back = rng.random(), rng.gauss(0.0, sigma), rng.gauss(0.0, sigma)
+        square += drive([(part * length_m, forward * part * length_m),
+                         ((part - 1) * length_m, back * (part - 1) * length_m)]).y_m ** 2
+    assert reversed_path(length_m, 0.0, False).across_variance == pytest.approx(square / 20_000, rel=0.1)
+
+
 def test_one_reversal_is_the_likeliest_and_three_are_within_three_sigma():
     path = reversed_path(-1.5, 0.3, True)
     assert path.leg == (-1.5, 0.3)

@@ -113,6 +113,26 @@ def test_car_that_stood_goes_on_from_where_it_stood_once_a_direction_is_proven()
     assert not outcome.was_rolling
 
 
+@pytest.mark.parametrize("behind", [0.1, 0.5, 0.9])
+def test_first_pulse_of_a_car_that_stood_is_that_of_the_next_magnet(behind):
+    some = Bridge(speed=0.0)
+    for side in (LEFT, RIGHT):
+        some._wheels[side].position = 100 + behind
+        some.add(side, 1, 0, BEFORE_MS + 5000)
+        some.add(side, 1, 1, BEFORE_MS + 5100)
+    assert [wheel.place for wheel in some.solve(BEFORE_MS + 5100).wheels] == [101, 101]
+
+
+def test_curvature_after_a_reboot_is_as_uncertain_as_the_ticks_of_both_wheels_over_the_same_time():
+    some = Bridge(speed=0.0)
+    for side in (LEFT, RIGHT):
+        for count in range(9):
+            some.add(side, 0, 1, BEFORE_MS + 500 + 15 * count)
+    curvature, variance = some._curvature_after()
+    assert curvature == 0.0
+    assert math.sqrt(variance) == pytest.approx(math.sqrt(2) * 0.45 / 120 / TRACK_M), "0.45 ms of 120 for each wheel"
+
+
 def test_direction_that_one_wheel_proves_holds_for_both():
     some = Bridge(speed=0.0)
     some.add(RIGHT, 2, 0, BEFORE_MS + 5000)

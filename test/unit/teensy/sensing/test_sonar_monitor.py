@@ -97,6 +97,38 @@ def test_sonar_that_silences_all_others_is_named_and_then_left_out():
     assert SEND_SEQUENCE in [command for _, command in listener.commands]
 
 
+def test_port_that_was_opened_anew_is_told_the_sequence_once_something_comes():
+    monitor = SonarMonitor(sequence=(0, 1))
+    monitor.opened(0)
+    monitor.frame(0)
+    assert monitor.next_command(0) == SEND_SEQUENCE and monitor.next_command(MS) is None
+    monitor.opened(S // 10)
+    assert monitor.next_command(S // 10) is None
+    monitor.frame(S // 5)
+    assert monitor.next_command(S // 5) == SEND_SEQUENCE
+
+
+def test_no_report_within_70_ms_of_a_start_is_trusted_however_many_have_come():
+    monitor = SonarMonitor()
+    monitor.opened(0)
+    monitor.tick(1000, S)
+    monitor.started(S + 30 * MS)
+    assert [monitor.report(0, 5000, 1030 + later_ms, S + 30 * MS + later_ms * MS)
+            for later_ms in (20, 40, 60, 70, 71)] == [False] * 4 + [True]
+
+
+@pytest.mark.parametrize("echo_us, is_trusted", [(9317, True), (9316, False)])
+def test_echo_may_be_shorter_by_2_cm_and_the_way_while_another_pin_may_be_high(echo_us, is_trusted):
+    monitor = SonarMonitor()
+    monitor.opened(0)
+    monitor.report(0, 5000, 1000, S)
+    monitor.started(S)  # they stopped at the next sonar, 1
+    for tick in (1080, 1160, 1240):
+        monitor.report(2, 10_000, tick, tick * MS)
+    monitor.update_speed(-1.0, 1240 * MS)
+    assert monitor.report(2, echo_us, 1340, 1340 * MS) == is_trusted  # 5830 µs are a metre
+
+
 class Sonars:
     """Reports in a steady rhythm, of the sensors that are alive."""
 

@@ -90,6 +90,43 @@ def test_slow_wheel_that_stopped_between_two_pulses_and_went_on_is_not_sure_of_i
     assert math.sqrt(wheel.speed_variance) > (1 / 50 - 1 / 400) / 2
 
 
+def test_first_pulses_after_a_stand_are_those_of_a_car_that_has_just_set_off(wheel):
+    """v² grows with the way: with four pulses in a report it is twice as fast as with one."""
+    assert wheel.speed_variance == pytest.approx(1.6 ** 2 * 1e-10), "it stands"
+    for pulses in (1, 4, -4):
+        wheel = WheelFilter()
+        wheel.begin(NOW)
+        wheel.update(pulses, pulses > 0, NOW + 100, NOW + 100)
+        assert wheel.speed == pytest.approx(math.copysign(0.01 * math.sqrt(abs(pulses)), pulses))
+
+
+def test_wheel_whose_pulse_is_overdue_is_right_before_its_magnet(wheel):
+    wheel.update(9, True, NOW + 100, NOW + 100)  # at 0.03 pulses per ms, as one can think
+    wheel.advance(NOW + 150)
+    assert wheel.count + 0.95 < wheel.position < wheel.count + 1
+
+
+def test_first_pulse_after_uncounted_ones_may_be_as_old_as_the_last_look_at_the_wheel(wheel):
+    at_ms = roll(wheel, 5, 20)
+    wheel.is_uncounted = True
+    wheel.advance(at_ms + 20)
+    wheel.resume(1, True, at_ms + 20, at_ms + 50)
+    assert wheel.first_pulses[-1][0] == at_ms + 20
+
+
+@pytest.mark.parametrize("apart_ms, is_known", [(60, True), (60.5, False)])
+def test_speed_after_a_restart_is_not_known_from_pulses_that_are_more_than_60_ms_apart(wheel, apart_ms, is_known):
+    start = WheelStart(60, 1 / apart_ms, True, [(1, NOW + 400), (1, NOW + 400 + apart_ms)])
+    wheel.start(start, True, NOW + 400 + apart_ms)
+    assert (wheel.speed_variance < 0.008 ** 2) == is_known
+
+
+def test_noise_of_a_short_time_is_the_limit_of_singer_s(wheel):
+    roll(wheel, 10, 20)
+    short, longer = (wheel._noise(ms, ms / 500, math.exp(-ms / 500)) for ms in (24.999, 25.001))
+    assert short == pytest.approx(longer, rel=0.08)
+
+
 def test_pending_pulses_are_in_the_variance(wheel):
     before = wheel.position_variance
     wheel.pending = 3
