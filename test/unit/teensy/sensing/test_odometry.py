@@ -162,7 +162,7 @@ def test_from_two_pulses_of_each_wheel_on_it_is_open_how_they_were_made(unsplit,
     before = axle.motion.pose_covariance[0][0]
     axle.motion = axle.odometry.report(WheelStatus(*axle.wheels), Verdict(True, "", (1, 1), unsplit=unsplit),
                                        (axle.ms,) * 2, axle.ms + 0.5)
-    assert (axle.motion.pose_covariance[0][0] - before > (2 * PULSE_M) ** 2 / 4) == is_open
+    assert (axle.motion.pose_covariance[0][0] - before > (2 * PULSE_M) ** 2 / 8) == is_open
 
 
 def test_car_that_drove_backward_in_a_curve_unseen_and_then_forward_is_where_both_led():

@@ -113,14 +113,15 @@ def test_car_that_stood_goes_on_from_where_it_stood_once_a_direction_is_proven()
     assert not outcome.was_rolling
 
 
-@pytest.mark.parametrize("behind", [0.1, 0.5, 0.9])
-def test_first_pulse_of_a_car_that_stood_is_that_of_the_next_magnet(behind):
-    some = Bridge(speed=0.0)
+@pytest.mark.parametrize("blind_ms, place", [(318, 111), (324, 112)])
+def test_car_that_stopped_unseen_half_way_goes_on_half_a_pulse_before_the_next_magnet(blind_ms, place):
+    """From 100.5 it rolled 0.066 / 2 pulses a ms, and then half a pulse on average: to 111.49 or 111.69."""
+    some = Bridge(blind_ms=blind_ms)
     for side in (LEFT, RIGHT):
-        some._wheels[side].position = 100 + behind
-        some.add(side, 1, 0, BEFORE_MS + 5000)
-        some.add(side, 1, 1, BEFORE_MS + 5100)
-    assert [wheel.place for wheel in some.solve(BEFORE_MS + 5100).wheels] == [101, 101]
+        for later_ms, unproven in ((0, 1), (50, 1), (100, 0)):
+            some.add(side, unproven, 1 - unproven, BEFORE_MS + 5000 + later_ms)
+    outcome = some.solve(BEFORE_MS + 5100)
+    assert not outcome.was_rolling and [wheel.place for wheel in outcome.wheels] == [place] * 2
 
 
 def test_curvature_after_a_reboot_is_as_uncertain_as_the_ticks_of_both_wheels_over_the_same_time():
