@@ -25,7 +25,8 @@ from PIL import Image
 
 from accuracy.calibration_drive import HALF_M, Bench, Person
 from accuracy.virtual_drive import NS_PER_S
-from car_interface.tools.calibration.drive.knowledge import RadiusRow
+from car_interface.tools.calibration.drive.terminal import UNKNOWN, mark
+from car_interface.tools.calibration.steering.calibrate import SIGNS, Breakpoint
 
 SEED = 0  # a car without walls around it
 FRAMES_PER_S, MOVING_S, END_S = 10, 9.0, 2.0
@@ -44,7 +45,7 @@ class Moment(NamedTuple):
 
     held_s: float
     pose: tuple[float, float, float]
-    rows: tuple[RadiusRow, ...]
+    points: tuple[tuple[float, Breakpoint], ...]  # of the tables, each with the sign of its side
 
 
 class PatientPerson(Person):
@@ -63,8 +64,9 @@ class Recorder:
     def __call__(self, now_ns, bench, step):
         if now_ns >= self._next_ns and bench.person.holds:
             self._next_ns = now_ns + NS_PER_S // 10
-            self.moments.append(Moment(bench.drive.driven_s, tuple(bench.vehicle.pose),
-                                       tuple(bench.drive.progress().known.rows)))
+            tables = bench.drive.progress().known.points
+            points = tuple((SIGNS[side], point) for side, table in tables.items() for point in table)
+            self.moments.append(Moment(bench.drive.driven_s, tuple(bench.vehicle.pose), points))
 
 
 def frame_indices(count: int) -> list[int]:
@@ -122,12 +124,12 @@ class Picture:
         self._body.set_xy([(x_m + ahead * cos_yaw - left * sin_yaw, y_m + ahead * sin_yaw + left * cos_yaw)
                            for ahead, left in OUTLINE])
         self._time.set_text(f"{int(now.held_s) // 60}:{int(now.held_s) % 60:02d}")
-        measured = [row for row in now.rows if row.is_measured and math.isfinite(row.duty)]
-        points = [(row.duty, (1 if row.side == "left" else -1) / row.radius_m) for row in measured]
-        self._points.set_offsets(np.array(points).reshape(-1, 2))
-        self._points.set_color([KNOWN if row.is_known else PARTLY for row in measured])
-        known = sum(row.is_known for row in now.rows)
-        self._count.set_text(f"{known} of {len(now.rows)} radii known" if now.rows else "")
+        measured = [(sign, point) for sign, point in now.points if mark(point) != UNKNOWN]
+        places = [(point.duty, sign / point.radius_m) for sign, point in measured]
+        self._points.set_offsets(np.array(places).reshape(-1, 2))
+        self._points.set_color([KNOWN if point.is_known else PARTLY for _, point in measured])
+        known = sum(point.is_known for _, point in now.points)
+        self._count.set_text(f"{known} of {len(now.points)} radii known" if now.points else "")
 
 
 def path(moments: list[Moment]) -> list[tuple[float, float]]:

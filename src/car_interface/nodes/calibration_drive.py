@@ -55,6 +55,7 @@ from car_interface.tools.calibration.drive.config import drive_config, parse
 from car_interface.tools.calibration.drive.grant import STATES, Grant
 from car_interface.tools.calibration.drive.knowledge import assess
 from car_interface.tools.calibration.drive.survey import BLOCKED, DONE, PAUSED, WAITING, Progress
+from car_interface.tools.calibration.steering.calibrate import SIGNS
 
 NAME = "calibration_drive"
 RATE_HZ, TICKS_PER_SHOW = 50, 10
@@ -74,9 +75,9 @@ TEXT_M, TEXT_COLUMNS = 0.14, 28
 BEHIND_M, ABOVE_M = 0.8, 0.7  # where no arc lies, and seen from above still over car_display's two lines
 AREA, PATH = ColorRGBA(0.35, 0.35, 0.4, 1.0), ColorRGBA(0.75, 0.0, 0.75, 1.0)
 TEXT = ColorRGBA(0.1, 0.1, 0.1, 1.0)
-# No arc is blue as the trail, which car_display draws, or as orange as its arrow.
-KNOWN, PARTLY = ColorRGBA(0.0, 0.6, 0.2, 0.9), ColorRGBA(0.95, 0.75, 0.0, 0.9)
-UNKNOWN = ColorRGBA(0.85, 0.1, 0.1, 0.9)
+# Of the arcs, by their marks. None is blue as the trail, which car_display draws, or as orange as its arrow.
+COLORS = {terminal.KNOWN: ColorRGBA(0.0, 0.6, 0.2, 0.9), terminal.PARTLY: ColorRGBA(0.95, 0.75, 0.0, 0.9),
+          terminal.UNKNOWN: ColorRGBA(0.85, 0.1, 0.1, 0.9)}
 
 
 class CalibrationDriveNode:
@@ -237,7 +238,7 @@ class CalibrationDriveNode:
                        [terminal.plain_line(step.phase, step.text, progress)], now_ns)
         text = step.text if self._wanted.stick else terminal.HEADLINES[step.phase]
         self._markers.publish(drive_markers(
-            *self._frames, *self._drive.picture(), self._config.radius_m, progress.known.rows,
+            *self._frames, *self._drive.picture(), self._config.radius_m, progress.known.points,
             f"{terminal.percent(progress.fraction).strip()}, {text}"))
         self._publish_state(step.phase, step.text, progress)
 
@@ -349,7 +350,7 @@ class CalibrationDriveNode:
 # --- what rviz shows ---
 
 
-def drive_markers(odom_frame, base_frame, start, path, radius_m, rows, text) -> MarkerArray:
+def drive_markers(odom_frame, base_frame, start, path, radius_m, points, text) -> MarkerArray:
     """Return the whole picture, which takes the place of the one before.
 
     Args:
@@ -357,7 +358,7 @@ def drive_markers(odom_frame, base_frame, start, path, radius_m, rows, text) -> 
         start: the area's center in odometry's frame; ``None`` = it hasn't begun.
         path: where the car is about to go, (x, y) in odometry's frame.
         radius_m: the area's.
-        rows: how well each radius is known: an arc each, from the car.
+        points: of the tables by side: an arc each, from the car.
     """
     markers = no_markers(odom_frame).markers
     if start is not None:
@@ -365,13 +366,12 @@ def drive_markers(odom_frame, base_frame, start, path, radius_m, rows, text) -> 
         angles = [2 * math.pi * index / CIRCLE_POINTS for index in range(CIRCLE_POINTS + 1)]
         circle = [(x_m + radius_m * math.cos(angle), y_m + radius_m * math.sin(angle)) for angle in angles]
         cross = [(x_m - CROSS_M, y_m), (x_m + CROSS_M, y_m), start, (x_m, y_m + CROSS_M), (x_m, y_m - CROSS_M)]
-        markers += [_line("area", index, odom_frame, AREA, points) for index, points in enumerate((circle, cross))]
+        markers += [_line("area", index, odom_frame, AREA, line) for index, line in enumerate((circle, cross))]
     if path:  # rviz reports a line of fewer points than two as an error
         markers.append(_line("path", 0, odom_frame, PATH, path, 2 * LINE_M))
-    for index, row in enumerate(rows):
-        if row.radius_m <= WIDEST_M:
-            color = KNOWN if row.is_known else PARTLY if row.is_measured else UNKNOWN
-            markers.append(_line("known", index, base_frame, color, _arc(row)))
+    arcs = [(point, SIGNS[side] * point.radius_m) for side, table in points.items() for point in table]
+    markers += [_line("known", index, base_frame, COLORS[terminal.mark(point)], _arc(turn_m))
+                for index, (point, turn_m) in enumerate(arcs) if point.radius_m <= WIDEST_M]
     label = _marker("text", 0, base_frame, Marker.TEXT_VIEW_FACING, TEXT, Vector3(0.0, 0.0, TEXT_M))
     label.pose.position = Point(-BEHIND_M, 0.0, ABOVE_M)
     label.text = textwrap.fill(text, TEXT_COLUMNS)
@@ -383,9 +383,9 @@ def no_markers(frame) -> MarkerArray:
     return MarkerArray([Marker(header=Header(frame_id=frame), action=Marker.DELETEALL)])
 
 
-def _arc(row):
-    """Return points of an arc that the middle of the rear axle would drive."""
-    radius_m, angle_rad = row.radius_m if row.side == "left" else -row.radius_m, min(MAX_ARC_RAD, ARC_M / row.radius_m)
+def _arc(radius_m):
+    """Return points of an arc that the middle of the rear axle would drive, to the left for a radius above 0."""
+    angle_rad = min(MAX_ARC_RAD, ARC_M / abs(radius_m))
     steps = [angle_rad * index / ARC_STEPS for index in range(ARC_STEPS + 1)]
     return [(abs(radius_m) * math.sin(step), radius_m * (1 - math.cos(step))) for step in steps]
 

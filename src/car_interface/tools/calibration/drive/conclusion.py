@@ -52,7 +52,7 @@ def conclude(drive: SteeringDrive, base: SteeringCalibration, base_text: str, na
     """
     duration_s = float(np.ptp(drive.t_s)) if len(drive.t_s) else 0.0
     recorded = [RecordedDrive(name, drive, (), duration_s)]
-    text, lines, missing, result = "", (), (), None
+    lines, missing, result = (), (), None
     try:
         calibrated = calibrate(recorded, base)
         lines, missing = tuple(short_report(calibrated, recorded)), tuple(calibrated.problems)
@@ -62,9 +62,7 @@ def conclude(drive: SteeringDrive, base: SteeringCalibration, base_text: str, na
         result = _result(calibrated, base, refusal, whole)
     except CarInterfaceError as error:
         refusal = str(error)
-    if refusal:
-        return Conclusion("", lines, refusal, missing, result)
-    return Conclusion(text, lines, "", (), result)
+    return Conclusion("" if refusal else text, lines, refusal, missing, result)
 
 
 def _result(calibrated: SteeringResult, base: SteeringCalibration, refusal: str, lines: Iterable[str]):
@@ -75,7 +73,7 @@ def _result(calibrated: SteeringResult, base: SteeringCalibration, refusal: str,
         for point in calibrated.points[side]:
             old_duty = base.planner_duty(sign * point.radius_m)
             yield SideRow(old_duty, sign * float(curve.curvature(old_duty)), point.duty, BAND * point.duty_sigma,
-                          BAND * point.radius_sigma_m / point.radius_m, point.segments, point.distance_m, point.source)
+                          point.radius_error, point.segments, point.distance_m, point.source)
     duties = curve.duties.tolist()
     held = curve.observations.duty, curve.observations.curvature_per_m
     before_table = itertools.takewhile(lambda line: not line.startswith(TABLE_HEAD), lines)

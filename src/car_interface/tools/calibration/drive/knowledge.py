@@ -7,7 +7,8 @@ Nano some five times of that.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from types import MappingProxyType
+from typing import Mapping, NamedTuple, Sequence
 
 import numpy as np
 
@@ -15,9 +16,8 @@ from car_interface.tools.calibration.shared import NothingToFit
 from car_interface.tools.calibration.steering.calibrate import (
     KNOWN_PER_M,
     KNOWN_RATIO,
-    LEFT,
-    RIGHT,
-    UNKNOWN,
+    SIGNS,
+    Breakpoint,
     axis,
     breakpoints,
     find_problems,
@@ -32,21 +32,6 @@ NEEDED_RATIO = 0.25
 UNSEEN_NEED = 2.0  # so much more a bend is to be found than the tool takes it to be likely
 
 
-class RadiusRow(NamedTuple):
-    """How well one radius is known, as a row of the tool's own report."""
-
-    side: str  # ``left`` or ``right``
-    radius_m: float  # of the turn
-    duty: float  # for it; NaN = unknown
-    radius_error: float  # two standard errors of the radius, as a ratio of it; inf = unknown
-    is_known: bool  # the tool would write this one
-
-    @property
-    def is_measured(self) -> bool:
-        """Whether anything is known; with an error as large as the radius it may be any."""
-        return self.radius_error < 1.0
-
-
 class Knowledge(NamedTuple):
     """What a fit found; the columns are of the board's counts between the curve's ends, (K,), duties rising."""
 
@@ -55,7 +40,7 @@ class Knowledge(NamedTuple):
     curvatures: np.ndarray = np.zeros(0)  # in 1/m, left positive
     errors: np.ndarray = np.zeros(0)  # what isn't known of them, as ratios of what the tool allows: above 1 it refuses
     needs: np.ndarray = np.zeros(0)  # how much it is worth to measure each; as errors, but stricter
-    rows: tuple[RadiusRow, ...] = ()  # per side and radius, tight first
+    points: Mapping[str, Sequence[Breakpoint]] = MappingProxyType({})  # of the tool's own tables, by side, tight first
     missing: tuple[str, ...] = ()  # what the tool would refuse the drive for, sentences; empty: it would write
     center_duty: float = math.nan  # where it goes straight; NaN: unknown
     center_error: float = math.nan  # two standard errors of that
@@ -79,11 +64,8 @@ def assess(drive: SteeringDrive, config: CurveFitConfig) -> Knowledge:
         return Knowledge(str(error))
     if curve.curvatures.min() >= 0 or curve.curvatures.max() <= 0:
         return Knowledge("the car turned to one side only so far")
-    points = {side: breakpoints(curve, axis(curve), side) for side in (LEFT, RIGHT)}
+    points = {side: breakpoints(curve, axis(curve), side) for side in SIGNS}
     duties = np.arange(math.ceil(curve.duties[0] / COUNT), math.floor(curve.duties[-1] / COUNT) + 1) * COUNT
-    rows = tuple(RadiusRow(side, point.radius_m, point.duty,
-                           BAND * point.radius_sigma_m / point.radius_m, point.source != UNKNOWN)
-                 for side in (LEFT, RIGHT) for point in points[side])
     # Errors by the rule of breakpoints(); needs are greater where one count changes much and between places that are
     # far apart.
     allowed_per_m = np.maximum(KNOWN_RATIO * np.abs(curve.curvature(duties)), KNOWN_PER_M)
@@ -93,5 +75,5 @@ def assess(drive: SteeringDrive, config: CurveFitConfig) -> Knowledge:
     given = config._replace(delay=curve.delay, backlash_duty=curve.backlash_duty, backlash_sigma=curve.backlash_sigma)
     return Knowledge(
         "", duties, curve.curvature(duties), BAND * sigmas / (allowed_per_m + half_count),
-        BAND * greater / (allowed_per_m + NEEDED_RATIO * half_count), rows, tuple(find_problems(curve, points)),
+        BAND * greater / (allowed_per_m + NEEDED_RATIO * half_count), points, tuple(find_problems(curve, points)),
         curve.center, BAND * curve.center_sigma, given, curve.understeer.is_known)

@@ -8,7 +8,7 @@ import math
 import textwrap
 from typing import Iterable, Sequence
 
-from car_interface.tools.calibration.drive.knowledge import Knowledge, RadiusRow
+from car_interface.tools.calibration.drive.knowledge import Knowledge
 from car_interface.tools.calibration.drive.survey import (
     AVOIDING,
     BLOCKED,
@@ -22,6 +22,7 @@ from car_interface.tools.calibration.drive.survey import (
     Step,
     steering_text,
 )
+from car_interface.tools.calibration.steering.calibrate import SIGNS, Breakpoint
 
 BAR = 24
 STICK_BAR = 37  # odd: it has a middle
@@ -51,16 +52,16 @@ def drive_lines(step: Step, progress: Progress) -> list[str]:
     """Return all of a drive's picture, for a terminal that is drawn anew; by hand with a bar of where to hold the
     stick.
     """
-    is_over, rows, missing = step.phase == DONE, progress.known.rows, missing_lines(progress.known.missing)
+    is_over, points, missing = step.phase == DONE, progress.known.points, missing_lines(progress.known.missing)
     headline = [BEFORE.get(step.phase, "") + step.text] if step.held is None else [step.text, *stick_bar(step)]
     if len(missing) > MAX_MISSING:
         missing[MAX_MISSING:] = [f"missing: … and {len(missing) - MAX_MISSING} more"]
-    elif rows and not missing:
+    elif points and not missing:
         missing = [ENOUGH if is_over else ENOUGH + GOES_ON]
     bar, positions = progress_bar(progress.fraction), f"{progress.positions} position{'s' * (progress.positions != 1)}"
     return [*([] if is_over else headline),  # what comes then is printed below
             f"{bar} {percent(progress.fraction)}   {_times(progress)}, {positions}",
-            *known_lines(progress.known), *missing, *([LEGEND] if rows else [])]
+            *known_lines(progress.known), *missing, *([LEGEND] if points else [])]
 
 
 def plain_line(phase: str, text: str, progress: Progress) -> str:
@@ -75,7 +76,7 @@ def missing_lines(missing: Iterable[str]) -> list[str]:
 
 def known_lines(known: Knowledge) -> list[str]:
     """Return what is known of each side, and of straight on."""
-    lines = [f"{side:<6} {radius_marks(known.rows, side)}" for side in ("left", "right")]
+    lines = [f"{side:<6} {radius_marks(known.points.get(side, ()))}" for side in SIGNS]
     if math.isfinite(known.center_duty):
         lines.append(f"straight on: duty {known.center_duty:.0f} ± {known.center_error:.0f}")
     return lines
@@ -109,17 +110,21 @@ def stick_bar(step: Step, length: int = STICK_BAR) -> list[str]:
             f"     hold at {steering_text(step.steering)}; it is at {steering_text(step.held)}"]
 
 
-def radius_marks(rows: Iterable[RadiusRow], side: str) -> str:
+def mark(point: Breakpoint) -> str:
+    """Return how well a radius is known; with an error as large as the radius it may be any."""
+    return KNOWN if point.is_known else PARTLY if point.radius_error < 1.0 else UNKNOWN
+
+
+def radius_marks(points: Sequence[Breakpoint]) -> str:
     """Return a mark for each radius of a side, tight first: ``0.9 m ##+... 300 m: 2 of 6, 1.4 m to ±12%``."""
-    ours = [row for row in rows if row.side == side]
-    if not ours:
+    if not points:
         return "nothing known yet"
-    marks = "".join(KNOWN if row.is_known else PARTLY if row.is_measured else UNKNOWN for row in ours)
-    text = f"{ours[0].radius_m:g} m {marks} {ours[-1].radius_m:g} m: {marks.count(KNOWN)} of {len(ours)}"
-    worst = max((row for row in ours if not row.is_known), key=lambda row: row.radius_error, default=None)
+    marks = "".join(map(mark, points))
+    text = f"{points[0].radius_m:g} m {marks} {points[-1].radius_m:g} m: {marks.count(KNOWN)} of {len(points)}"
+    worst = max((point for point in points if not point.is_known), key=lambda point: point.radius_error, default=None)
     if worst is None:
         return text
-    error = f"to ±{worst.radius_error:.0%}" if worst.is_measured else "isn't known"
+    error = f"to ±{worst.radius_error:.0%}" if mark(worst) == PARTLY else "isn't known"
     return f"{text}, {worst.radius_m:g} m {error}"
 
 

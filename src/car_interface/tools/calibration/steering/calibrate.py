@@ -46,6 +46,16 @@ class Breakpoint(NamedTuple):
     distance_m: float  # in these
     source: str  # DRIVEN, END: no tighter turn can be had, OLD or UNKNOWN
 
+    @property
+    def radius_error(self) -> float:
+        """Two standard errors of the radius, as a ratio of it."""
+        return BAND * self.radius_sigma_m / self.radius_m
+
+    @property
+    def is_known(self) -> bool:
+        """Whether it may be written."""
+        return self.source != UNKNOWN
+
 
 class SteeringResult(NamedTuple):
     """A steering calibration."""
@@ -190,13 +200,13 @@ def completed(points: Sequence[Breakpoint], center: float, old: Sequence[float])
     An old duty that doesn't fit between driven ones is replaced by the nearest that does, so that duties approach the
     center monotonically as radii rise.
     """
-    driven = [point.duty for point in points if point.source != UNKNOWN]
+    driven = [point.duty for point in points if point.is_known]
     towards = math.copysign(1.0, np.mean(driven or old) - center)
     made, upper = [], math.inf
     for index, (point, duty) in enumerate(zip(points, old)):
         wanted, source = [point.duty], point.source
-        if source == UNKNOWN:
-            wanted, source = [duty, *(later.duty for later in points[index:] if later.source != UNKNOWN)], OLD
+        if not point.is_known:
+            wanted, source = [duty, *(later.duty for later in points[index:] if later.is_known)], OLD
         upper = min(upper, max(0.0, *(towards * (one - center) for one in wanted)))
         made.append(point._replace(duty=center + towards * upper, source=source))
     return made
@@ -211,9 +221,9 @@ def find_problems(curve: Curve, points: Mapping[str, Sequence[Breakpoint]]) -> I
                "straight on for some seconds, three times")
     for side in SIGNS:
         table, index = points[side], 0
-        for is_unknown, run in groupby(table, key=lambda point: point.source == UNKNOWN):
+        for is_known, run in groupby(table, key=lambda point: point.is_known):
             first, index = index, index + len(list(run))
-            if is_unknown:
+            if not is_known:
                 yield _gap(curve, side, table, first, index - 1)
 
 
@@ -329,5 +339,4 @@ def _few_cells(point: Breakpoint):
     if point.source == OLD:
         return f"{point.duty:8.0f} *{'old':>14}"
     mark = " " if point.source == DRIVEN else "e"
-    ratio = min(9.99, BAND * point.radius_sigma_m / point.radius_m)
-    return f"{point.duty:8.0f}{mark} {min(9999, BAND * point.duty_sigma):5.0f} {ratio:8.1%}"
+    return f"{point.duty:8.0f}{mark} {min(9999, BAND * point.duty_sigma):5.0f} {min(9.99, point.radius_error):8.1%}"

@@ -87,7 +87,7 @@ def test_a_whole_drive_of_a_car_that_only_coasts_stays_inside_and_ends_after_its
     progress, known = one.drive.progress(), one.drive.progress().known
     assert one.steps[-1].phase == DONE and 100 <= one.seconds <= 101 and progress.left_s == 0.0
     assert progress.positions > 20 and known.center_duty == pytest.approx(5200, abs=10) and known.missing == ()
-    assert all(row.is_known for row in known.rows) and known.rows
+    assert known.points and all(one.is_known for side in known.points.values() for one in side)
     held = [step.target_duty for step in one.steps if step.phase in (MEASURING, TURNING)]
     assert {3900, 6400, 5184} <= set(held), "both ends and the center"
     assert all(-1.0 <= step.steering <= 1.0 and 0.0 <= step.speed_mps <= 1.6 for step in one.steps[:-1])

@@ -25,7 +25,7 @@ def test_a_drive_all_over_is_known_within_what_the_tool_allows(full):
     assert max(full.errors) < 1 and full.center_duty == pytest.approx(5200, abs=10)
     assert np.allclose(full.curvatures, true_curvature(full.duties), atol=0.02)
     assert not (full.duties % COUNT).any()
-    assert {row.side for row in full.rows} == {"left", "right"} and all(row.is_known for row in full.rows)
+    assert [*full.points] == ["left", "right"] and all(one.is_known for side in full.points.values() for one in side)
     assert len(full.needs) == len(full.duties)
     assert (full.needs >= full.errors).all(), "more than the tool asks for"
 

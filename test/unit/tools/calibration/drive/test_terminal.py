@@ -4,7 +4,7 @@ import math
 import pytest
 
 from car_interface.tools.calibration.drive import terminal
-from car_interface.tools.calibration.drive.knowledge import Knowledge, RadiusRow
+from car_interface.tools.calibration.drive.knowledge import Knowledge
 from car_interface.tools.calibration.drive.survey import (
     BLOCKED,
     DONE,
@@ -15,24 +15,26 @@ from car_interface.tools.calibration.drive.survey import (
     Step,
     steering_text,
 )
+from car_interface.tools.calibration.steering.calibrate import DRIVEN, UNKNOWN, Breakpoint
+from car_interface.tools.calibration.steering.smooth import BAND
 
 NAN, INF = math.nan, math.inf
 
 
-def row(side="left", radius_m=1.0, error=0.01):
-    return RadiusRow(side, radius_m, 4000.0, error, error < 0.08)
+def point(radius_m=1.0, error=0.01):
+    return Breakpoint(radius_m, 4000.0, 2.0, error * radius_m / BAND, 7, 14.0, DRIVEN if error < 0.08 else UNKNOWN)
 
 
-def progress(fraction=0.24, rows=(), missing=(), center=NAN, left_s=130.0):
-    known = Knowledge(rows=tuple(rows), missing=tuple(missing), center_duty=center, center_error=12.0)
+def progress(fraction=0.24, points=None, missing=(), center=NAN, left_s=130.0):
+    known = Knowledge(points=points or {}, missing=tuple(missing), center_duty=center, center_error=12.0)
     return Progress(fraction, known, 42.0, left_s, 9)
 
 
 def test_picture_of_a_drive():
-    rows = [row("left", 0.9), row("left", 1.5, 0.12), row("left", 300.0, INF), row("right", 1.1)]
+    points = {"left": [point(0.9), point(1.5, 0.12), point(300.0, INF)], "right": [point(1.1)]}
     made = terminal.drive_lines(
         Step(0.4, 1.0, MEASURING, "it measures 40% left, duty 4020: 0.8 of 1.3 m", 4020),
-        progress(rows=rows, missing=["no data for right turns tighter than 1 m: drive three slow right circles"],
+        progress(points=points, missing=["no data for right turns tighter than 1 m: drive three slow right circles"],
                  center=4900.4))
     assert made == [
         "it measures 40% left, duty 4020: 0.8 of 1.3 m",
@@ -51,11 +53,12 @@ def test_picture_says_how_much_is_missing_and_when_it_can_be_ended_and_is_over()
     assert made[0] == "it steers to 40% left, duty 4020" and made[1].endswith(" left, 1 position")
     assert made[-4:] == ["missing: a", "missing: b", "missing: c", "missing: … and 2 more"]
     assert terminal.missing_lines(["a: drive three", "b", "c", "d"]) == [f"missing: {name}" for name in "abcd"]
-    made = terminal.drive_lines(step, progress(rows=[row()]))
+    known = progress(points={"left": [point()]})
+    made = terminal.drive_lines(step, known)
     assert made[-2:] == ["nothing is missing; it goes on to know it better: F finishes now",
                          "# known   + not well enough   . not yet"]
-    for made in (terminal.drive_lines(Step(None, 0.0, DONE, over), progress(rows=[row()])),
-                 terminal.drive_lines(Step(0.0, 0.0, DONE, over, held=0.1), progress(rows=[row()]))):
+    for made in (terminal.drive_lines(Step(None, 0.0, DONE, over), known),
+                 terminal.drive_lines(Step(0.0, 0.0, DONE, over, held=0.1), known)):
         assert made[0].startswith("[#####") and made[-2] == "nothing is missing"
     assert terminal.plain_line(PAUSED, "hold the button", progress()) == (
         " 24%, 0:42 driven, about 2:10 left; paused: hold the button")
@@ -100,10 +103,10 @@ def test_bar_of_the_stick(target, held, expected):
 
 
 def test_radii_of_a_side_name_the_one_that_is_known_least():
-    rows = [row(radius_m=0.9), row(radius_m=1.4, error=0.11), row(radius_m=2.0, error=0.99),
-            *(row("right", radius_m, error) for radius_m, error in ((5.0, INF), (10.0, 1.0)))]
-    assert terminal.radius_marks(rows, "left") == "0.9 m #++ 2 m: 1 of 3, 2 m to ±99%"
-    assert terminal.radius_marks(rows, "right") == "5 m .. 10 m: 0 of 2, 5 m isn't known"
-    assert terminal.radius_marks([], "left") == "nothing known yet"
-    whole_table = [row("right", 0.96, INF), *29 * [row("right", 300.0, INF)]]  # fits a terminal of 80 columns
-    assert terminal.radius_marks(whole_table, "right") == f"0.96 m {'.' * 30} 300 m: 0 of 30, 0.96 m isn't known"
+    left, right = ([point(*one) for one in table] for table in (
+        ((0.9,), (1.4, 0.11), (2.0, 0.99)), ((5.0, INF), (10.0, 1.0))))
+    assert terminal.radius_marks(left) == "0.9 m #++ 2 m: 1 of 3, 2 m to ±99%"
+    assert terminal.radius_marks(right) == "5 m .. 10 m: 0 of 2, 5 m isn't known"
+    assert terminal.radius_marks([]) == "nothing known yet"
+    whole_table = [point(0.96, INF), *29 * [point(300.0, INF)]]  # fits a terminal of 80 columns
+    assert terminal.radius_marks(whole_table) == f"0.96 m {'.' * 30} 300 m: 0 of 30, 0.96 m isn't known"
