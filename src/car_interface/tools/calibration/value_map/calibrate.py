@@ -159,10 +159,10 @@ def _largest_part(stated, values, velocities, neutral):
 
 def csv_text(written: Table) -> str:
     """Return the map's CSV, as generic_value_converter loads it."""
-    lines = ["default," + ",".join(number_text(velocity) for velocity in written.velocities)]
-    for value, row in zip(written.values, written.accelerations):
-        lines.append(number_text(value) + "," + ",".join(f"{cell:.{DECIMALS}f}" for cell in row))
-    return "\n".join(lines) + "\n"
+    rows = [["default", *map(number_text, written.velocities)],
+            *([number_text(value), *(f"{cell:.{DECIMALS}f}" for cell in row)]
+              for value, row in zip(written.values, written.accelerations))]
+    return "".join(",".join(row) + "\n" for row in rows)
 
 
 def number_text(x: float) -> str:
@@ -179,7 +179,7 @@ def report(recorded: Sequence[RecordedDrive], config: MapConfig, found: MapResul
     table, fit, problems = found
     sections = (
         _source_lines(recorded, config, prior_path), _delay_and_ground_lines(recorded, config, fit),
-        _window_lines(fit), _error_lines(fit), [coverage_text(fit, table)], _map_lines(fit, table),
+        _window_lines(fit), [coverage_text(fit, table)], _map_lines(fit, table),
         ["standard error in m/s²", *_grid(fit.values, fit.velocities, fit.sigma_mps2, "{:.3f}")],
         ["seconds of driving", *_grid(fit.values, fit.velocities, fit.seconds, "{:.1f}")],
         [f"not good enough: {problem}" for problem in problems])
@@ -207,18 +207,25 @@ def _delay_and_ground_lines(recorded, config, fit):
     how = "given" if config.delay_s is not None else "estimated" if has_sigma else "the drives don't tell it"
     yield f"from value to acceleration: {1000 * fit.delay_s:.0f}{sigma} ms ({how})"
     for one, ground in zip(recorded, fit.grounds):
-        text = _ground_text(ground, one.drive.pitch is not None, config.measured_by == BY_IMU)
-        yield f"{Path(one.path).name}: {text}"
+        if config.measured_by == BY_IMU:
+            slope = "gravity is in what an accelerometer feels"
+        elif one.drive.pitch is not None:
+            slope = f"gravity taken off by pitch, less {np.degrees(ground.pitch_offset_rad):.2f}° of its mounting"
+        elif np.isfinite(ground.uphill[0]):
+            slope = (f"ground rises by {100 * np.hypot(*ground.uphill):.2f} % towards yaw "
+                     f"{np.degrees(np.arctan2(ground.uphill[1], ground.uphill[0])):.0f}°, taken off")
+        else:
+            slope = "headings don't spread: a slope, if there is one, is in the map"
+        yield (f"{Path(one.path).name}: {slope}; drive fell by {100 * ground.sag_above:.1f} ± "
+               f"{100 * ground.sag_sigma[0]:.1f} %, brake by {100 * ground.sag_below:.1f} ± "
+               f"{100 * ground.sag_sigma[1]:.1f} %: the map is that of the middle")
 
 
 def _window_lines(fit):
     windows = sum(fit.rejected.values())
     yield f"windows of {WINDOW_S:g} s: {windows}, of which count {fit.rejected['counted']}; the others:"
     yield from (f"  {number:6d}  {text}" for text, number in fit.rejected.items() if number and text != "counted")
-
-
-def _error_lines(fit):
-    yield f"error of single windows: {fit.residual_mps2:.3f} m/s² RMS"
+    yield f"\nerror of single windows: {fit.residual_mps2:.3f} m/s² RMS"
     if fit.held_out_windows:
         yield (f"held out (every {fitting.HELD_OUT}th manoeuvre, from the others): {fit.held_out_mps2:.3f} m/s² RMS "
                f"over {fit.held_out_windows} windows")
@@ -233,14 +240,20 @@ def _map_lines(fit, table):
         number = int((table.origin == origin).sum())
         if number:
             yield f"  {SYMBOLS[origin]}  {number} of {count} {text}"
-    yield from (f"missing: {text}" for text in _missing(fit))
+    for value, row in zip(fit.values[::-1], fit.supported[::-1]):
+        gaps = [fit.velocities[begin:end] for begin, end in runs(~row)]
+        texts = [_range_text(gap) if gap.size > 1 else number_text(gap[0]) for gap in gaps]
+        if texts:
+            where = f"{', '.join(texts)} m/s" if row.any() else "any speed"
+            yield f"missing: value {number_text(value)}: at {where}"
     if table.velocities[0] <= 0:
         yield ("at 0 m/s the map says what holds as the car just rolls forward; from standstill an ESC holds or "
                "reverses where it says brake")
-    level = _level_values(table)
-    if level:
-        yield (f"from value {_range_text(level)} acceleration hardly changes: the ESC's neutral band, in which the map "
-               "rises only as its CSV needs it")
+    steps = np.median(np.diff(table.accelerations, axis=0), axis=1)
+    level = np.flatnonzero(steps <= 2 * MIN_STEP_MPS2)
+    if level.size:
+        yield (f"from value {_range_text(table.values[level[0]:level[-1] + 2])} acceleration hardly changes: the ESC's "
+               "neutral band, in which the map rises only as its CSV needs it")
 
 
 def narrower_text(table: Table, old: ValueMap, old_path: str) -> str | None:
@@ -259,20 +272,6 @@ def _range_text(axis):
     return f"{number_text(axis[0])} to {number_text(axis[-1])}"
 
 
-def _ground_text(ground, has_pitch, from_imu):
-    if from_imu:
-        slope = "gravity is in what an accelerometer feels"
-    elif has_pitch:
-        slope = f"gravity taken off by pitch, less {np.degrees(ground.pitch_offset_rad):.2f}° of its mounting"
-    elif np.isfinite(ground.uphill[0]):
-        slope = (f"ground rises by {100 * np.hypot(*ground.uphill):.2f} % towards yaw "
-                 f"{np.degrees(np.arctan2(ground.uphill[1], ground.uphill[0])):.0f}°, taken off")
-    else:
-        slope = "headings don't spread: a slope, if there is one, is in the map"
-    return (f"{slope}; drive fell by {100 * ground.sag_above:.1f} ± {100 * ground.sag_sigma[0]:.1f} %, brake by "
-            f"{100 * ground.sag_below:.1f} ± {100 * ground.sag_sigma[1]:.1f} %: the map is that of the middle")
-
-
 def coverage_text(fit: fitting.Fit, table: Table | None) -> str:
     """Return a grid of symbols: which accelerations the drives state, and those in the table by their origin."""
     cells = np.where(fit.supported, "#" if table is None else "(#)", ".").astype(object)
@@ -288,21 +287,3 @@ def _grid(values, velocities, cells, form):
     yield f"{'value':>9} |" + "".join(f"{number_text(velocity):>7}" for velocity in velocities) + " m/s"
     for value, row in zip(values[::-1], cells[::-1]):
         yield f"{number_text(value):>9} |" + "".join(f"{form.format(cell):>7}" for cell in row)
-
-
-def _missing(fit):
-    """Yield what to drive, a line for each value."""
-    for value, row in zip(fit.values[::-1], fit.supported[::-1]):
-        gaps = [fit.velocities[begin:end] for begin, end in runs(~row)]
-        if not row.any():
-            yield f"value {number_text(value)}: at any speed"
-        elif gaps:
-            texts = [_range_text(gap) if gap.size > 1 else number_text(gap[0]) for gap in gaps]
-            yield f"value {number_text(value)}: at {', '.join(texts)} m/s"
-
-
-def _level_values(table):
-    """Return the values around neutral between which acceleration rises no more than it must."""
-    steps = np.median(np.diff(table.accelerations, axis=0), axis=1)
-    level = np.flatnonzero(steps <= 2 * MIN_STEP_MPS2)
-    return (table.values[level[0]], table.values[level[-1] + 1]) if level.size else None

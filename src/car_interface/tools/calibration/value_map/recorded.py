@@ -16,7 +16,6 @@ from car_interface.throttle.arbiter import PLANNER, TELEOP
 from car_interface.throttle.calibration import ThrottleCalibration
 from car_interface.tools.calibration.shared import RecordedDrive, Series, held, is_pulse, wheel_distances
 from car_interface.tools.recordings import recording, roles, signals
-from car_interface.tools.recordings.columns import Output
 from car_interface.tools.recordings.recording import NoRecording
 from car_interface.tools.recordings.replay import WHEEL_TOPIC
 
@@ -124,8 +123,13 @@ def load_map_drive(path: str, config: MapConfig) -> RecordedDrive:
         raise NoRecording(f"{path} has too few pulses of the wheels on {WHEEL_TOPIC}: "
                           f"try --acceleration {BY_ODOM}")
     if by_duty:
-        value, beyond = _value_by_duty(found.output, config.throttle)
-        notes += beyond
+        throttle = config.throttle
+        duty = found.output.duties[:, throttle.channel]
+        value = Series(found.output.t_s, np.where(is_pulse(duty), throttle.value_of(duty), np.nan))
+        beyond = int((is_pulse(duty) & np.isnan(value.y)).sum())
+        if beyond:
+            notes += (f"{beyond} of {value.y.size} duties lie beyond {throttle.duties[0]:g} to "
+                      f"{throttle.duties[-1]:g}, where {throttle.path} has no value: left out",)
     else:
         value = Series(found.value.t_s, found.value.value)
         if found.output is not None and config.esc_channel is not None:
@@ -173,13 +177,3 @@ def reached_esc(value: Series, duty: Series, neutral: float, neutral_duty: float
     is_driving = np.abs(value.y - neutral) > 0.05 * max(np.ptp(value.y), 1e-9)
     is_lost = (np.abs(duty.y - neutral_duty) <= DUTY_PER_COUNT) & held(value.t_s, is_driving, duty.t_s)
     return Series(duty.t_s, np.where(is_lost & held(value.t_s, is_driving, duty.t_s - SETTLED_S), 0.0, 1.0))
-
-
-def _value_by_duty(output: Output, throttle: ThrottleTable):
-    """Return (the value by a channel's duty, a note of duties that no value makes)."""
-    duty = output.duties[:, throttle.channel]
-    value = Series(output.t_s, np.where(is_pulse(duty), throttle.value_of(duty), np.nan))
-    beyond = int((is_pulse(duty) & np.isnan(value.y)).sum())
-    note = (f"{beyond} of {value.y.size} duties lie beyond {throttle.duties[0]:g} to {throttle.duties[-1]:g}, where "
-            f"{throttle.path} has no value: left out")
-    return value, (note,) if beyond else ()

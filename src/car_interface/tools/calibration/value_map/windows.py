@@ -102,13 +102,13 @@ def windows(drive: MapDrive, config: MapConfig = DEFAULTS) -> Windows:
         found = [_regress(source, middle, window_s, order, t_s[index], min_samples) for source in sources]
         if any(one is None for one in found):
             continue
-        values = [one.value for one in found]
+        values, kernels, gains_squared, scatters = zip(*found)
         measured[index] = sum(values) / len(found)
         apart[index] = max(values) - min(values)
-        weight[index] = sum(one.kernel for one in found) / len(found)
+        weight[index] = sum(kernels) / len(found)
         # By the pulses' ticks, or by the one source's scatter.
-        noise = TICK_SIGMA_S * np.abs(speeds[index]).mean() if order == 2 else found[0].scatter
-        sigma[index] = noise * sum(one.gain_squared for one in found) ** 0.5 / len(found)
+        noise = TICK_SIGMA_S * np.abs(speeds[index]).mean() if order == 2 else scatters[0]
+        sigma[index] = noise * sum(gains_squared) ** 0.5 / len(found)
 
     def mean(y):
         return (y * weight).sum(axis=1)
@@ -128,15 +128,10 @@ def speed_of_wheels(wheels: Sequence[Series]) -> Series:
     return Series(t_s, sum(speeds) / len(speeds))
 
 
-class _Regressed(NamedTuple):
-    value: float
-    kernel: np.ndarray  # sums up to 1
-    gain_squared: float  # what the variance of one sample becomes
-    scatter: float  # of the samples around the regression
-
-
 def _regress(series, middle_s, window_s, order, t_s, min_samples):
-    """Return the derivative of ``order`` by a polynomial of that order; ``None`` where samples are too few."""
+    """Return (the derivative of ``order`` by a polynomial of that order, its kernel at ``t_s`` with a sum of 1, what the
+    variance of one sample becomes, the samples' scatter around the polynomial); ``None`` where samples are too few.
+    """
     first, last = np.searchsorted(series.t_s, (middle_s - window_s / 2, middle_s + window_s / 2))
     if last - first < min_samples:
         return None
@@ -158,7 +153,7 @@ def _regress(series, middle_s, window_s, order, t_s, min_samples):
     later = np.append(np.cumsum(gains[::-1])[::-1], 0.0)[above]
     if order == 2:
         later = np.append(np.cumsum((gains * x)[::-1])[::-1], 0.0)[above] - (t_s - middle_s) * later
-    return _Regressed(gains @ y, later / later.sum(), gains @ gains, scatter)
+    return gains @ y, later / later.sum(), gains @ gains, scatter
 
 
 def _forces(imu, t_s, weight):
@@ -350,9 +345,7 @@ def manoeuvres(data: Data, value: np.ndarray, state: np.ndarray, grid: Grid) -> 
 def by_rule(state: np.ndarray) -> dict[str, int]:
     """Return how many windows count, and how many don't for each reason."""
     state = np.where(state == TURNING, STEERING, state)
-    counts = {"counted": int((state == MEASURED).sum())}
-    counts.update({text: int((state == rule).sum()) for rule, text in RULES.items()})
-    return counts
+    return {text: int((state == rule).sum()) for rule, text in ((MEASURED, "counted"), *RULES.items())}
 
 
 def why_nothing(state: np.ndarray) -> str:
