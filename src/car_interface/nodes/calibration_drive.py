@@ -187,8 +187,8 @@ class CalibrationDriveNode:
 
     def _check(self, now_ns, typed):
         """Wait until all is there; what only another launch would bring isn't waited for long."""
-        lacks = self._grant.missing(now_ns)
-        missing, waited_ns = lacks + self._grant.missing_gamepad(), now_ns - self._begun_ns
+        lacks = list(self._grant.missing(now_ns))
+        missing, waited_ns = [*lacks, *self._grant.missing_gamepad()], now_ns - self._begun_ns
         if not missing:
             topics = list(map(self._inbox.resolve_name, (*TOPICS, "~result")))
             self._recording = self._make_recording(str(self._table.path.parent), topics, self._table.path.stem)

@@ -5,7 +5,7 @@ arrival.
 """
 from __future__ import annotations
 
-from typing import Any, Sequence
+from typing import Any, Iterator, Sequence
 
 from car_interface.common import causes
 from car_interface.common.causes import AUTONOMOUS
@@ -82,20 +82,18 @@ class Grant:
         return (_steering_trouble(steering) or _throttle_trouble(self._throttle.value)
                 or (f"planner_interface obeys {source}" if source != SPEED else "; ".join(self.others(now_ns))))
 
-    def missing(self, now_ns: int) -> list[str]:
-        """Return what is missing before it begins, most basic first; empty: it can begin."""
-        found = [text for is_so, text in (
-            (not self._steering.was_received,
-             f"turn_arb isn't heard: is the car launched, and in this namespace? {LAUNCH}"),
-            (self.duty is None, "/servo/output isn't heard: is pca9685 running?"),
-            (self.duty in NO_PULSE,
-             "the servo board gives no pulse on the steering's channel: rosrun car_interface doctor"),
-            (not self.has_odom,
-             "there is no odometry on odom: is teensy_sensor_hub running, and the Teensy plugged in?"),
-        ) if is_so]
-        return found if self._by_stick else [*found, *self._missing_of_a_program(), *self.others(now_ns)]
-
-    def _missing_of_a_program(self):
+    def missing(self, now_ns: int) -> Iterator[str]:
+        """Yield what is missing before it begins, most basic first; nothing: it can begin."""
+        if not self._steering.was_received:
+            yield f"turn_arb isn't heard: is the car launched, and in this namespace? {LAUNCH}"
+        if self.duty is None:
+            yield "/servo/output isn't heard: is pca9685 running?"
+        elif self.duty in NO_PULSE:
+            yield "the servo board gives no pulse on the steering's channel: rosrun car_interface doctor"
+        if not self.has_odom:
+            yield "there is no odometry on odom: is teensy_sensor_hub running, and the Teensy plugged in?"
+        if self._by_stick:
+            return
         if not self._throttle.was_received:
             yield f"throttle_arb isn't heard, which drives the ESC: launch with throttle:=true ({LAUNCH})"
         elif self._calibrates_esc:
@@ -110,15 +108,15 @@ class Grant:
             yield (f"no range of the sonar{'s' * (len(self.sonars) > 1)} {', '.join(self.sonars)} is heard: a sonar "
                    "that the car doesn't have is `absent` in throttle.yaml (obstacle/sonars); --no-sonars drives "
                    "without any, and then only you keep it from running into something")
+        yield from self.others(now_ns)
 
-    def missing_gamepad(self) -> list[str]:
-        """Return what is missing of the gamepad, which is waited for; empty: nothing."""
+    def missing_gamepad(self) -> Iterator[str]:
+        """Yield what is missing of the gamepad, which is waited for; nothing: it is there."""
         if not self._teleop.was_received:
-            return ["teleop_logi isn't heard, which reads the gamepad with the deadman: is it running?"]
-        state = self._teleop.value
-        return [] if state.cause not in UNHEARD else [
-            (f"the gamepad isn't there ({state.reason}): switch it on, or on the virtual car start keyboard_drive in "
-             "another terminal")]
+            yield "teleop_logi isn't heard, which reads the gamepad with the deadman: is it running?"
+        elif self._teleop.value.cause in UNHEARD:
+            yield (f"the gamepad isn't there ({self._teleop.value.reason}): switch it on, or on the virtual car start "
+                   "keyboard_drive in another terminal")
 
 
 def _steering_trouble(steering):

@@ -129,7 +129,7 @@ def speed_of_wheels(wheels: Sequence[Series]) -> Series:
 
 
 def _regress(series, middle_s, window_s, order, t_s, min_samples):
-    """Return (the derivative of ``order`` by a polynomial of that order, its kernel at ``t_s`` with a sum of 1, what the
+    """Return (the derivative of an order by a polynomial of that order, its kernel at ``t_s`` with a sum of 1, what the
     variance of one sample becomes, the samples' scatter around the polynomial); ``None`` where samples are too few.
     """
     first, last = np.searchsorted(series.t_s, (middle_s - window_s / 2, middle_s + window_s / 2))
