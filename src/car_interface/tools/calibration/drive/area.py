@@ -35,8 +35,8 @@ class WayOut(NamedTuple):
     """What comes of a tight turn that is begun now."""
 
     extent_m: float  # how far the car's corners get from the center
-    circle_m: float  # the same on its whole circle
     excess_m: float  # by how much it leaves the area, also where it stops when it is let go on it: straight on
+    circle_excess_m: float  # the same on its whole circle
 
 
 def moved(pose: Pose, distance_m: float, curvature_per_m: float) -> Pose:
@@ -124,8 +124,9 @@ class Area:
             after = moved(pose, speed_mps * turn.reaction_s, curvature_per_m)
             extent_m = max(self.extent_m(pose), self.extent_m(after), self.turn_extent_m(after, turn.curvature_per_m))
             stops_m = self.turn_extent_m(after, turn.curvature_per_m, stop_m)
-            ways.append(WayOut(extent_m, self.circle_extent_m(after, turn.curvature_per_m),
-                               max(extent_m - self.radius_m, stops_m - self.stop_radius_m)))
+            excess_m = max(extent_m - self.radius_m, stops_m - self.stop_radius_m)
+            circle_m = self.circle_extent_m(after, turn.curvature_per_m)
+            ways.append(WayOut(extent_m, excess_m, max(excess_m, circle_m - self.radius_m)))
         return ways
 
     def rooms_m(self, pose: Pose, curvature_per_m: float, turns: Sequence[Turn], max_m: float, stop_m: float,

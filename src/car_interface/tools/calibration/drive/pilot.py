@@ -317,7 +317,7 @@ class Pilot:
         if not look.area.has_circle(turn_per_m):
             return False
         sought = self._lost.seek(lost)
-        is_free = (self._circle_excesses_m(look.ways_out(self._hold, now_ns))[lost] <= -ACROSS_M * (1 - sought)
+        is_free = (look.ways_out(self._hold, now_ns)[lost].circle_excess_m <= -ACROSS_M * (1 - sought)
                    and look.sonar_mps(turn_per_m, now_ns) >= FREE_MPS)
         if sought < 1:
             self._turn(now_ns, lost if is_free else 1 - lost, tightest=not is_free)
@@ -402,15 +402,11 @@ class Pilot:
             return seen.index(max(seen))
         # A car that looks inward gets out again on the other turn: what counts here is the whole circle of each.
         is_inward, ways = look.area.inward_rad(self._motion.pose) < INWARD_RAD, look.ways_out(self._hold, now_ns)
-        excesses = self._circle_excesses_m(ways) if is_inward else [way.excess_m for way in ways]
+        excesses = [way.circle_excess_m if is_inward else way.excess_m for way in ways]
         if max(excesses) > 0:
             return excesses.index(min(excesses))
         needs = self._choices.turns_needs()
         return needs.index(max(needs))
-
-    def _circle_excesses_m(self, ways):
-        """Return by how much the whole circle of each tight turn leaves the area."""
-        return [max(way.excess_m, way.circle_m - self.outlook.area.radius_m) for way in ways]
 
     def _begin(self, choice, now_ns):
         self._note_hold()

@@ -142,13 +142,9 @@ def fit(drives: Sequence[SteeringDrive], config: CurveFitConfig = NOTHING_GIVEN)
         raise NothingToFit("there is no odometry while the servo had a duty")
     delay = config.delay or estimate_servo_delay(drives)
     segments = Segments(drives, delay)
-    backlash = ((config.backlash_duty, config.backlash_sigma) if config.backlash_duty is not None else
-                UNKNOWN_BACKLASH if segments.is_steady else estimate_backlash(segments))
-    return _curve(segments, delay, *backlash, config)
-
-
-def _curve(segments, delay, backlash_duty, backlash_sigma, config):
-    """Return the curve for one backlash, with its errors and ends."""
+    backlash_duty, backlash_sigma = (
+        (config.backlash_duty, config.backlash_sigma) if config.backlash_duty is not None else
+        UNKNOWN_BACKLASH if segments.is_steady else estimate_backlash(segments))
     all_knots, found = segments.knots, segments.observations(backlash_duty)
     smooth = Smooth(found)
     slope_per_m = found.weights @ np.gradient(smooth.curvatures, KNOT)
@@ -172,11 +168,10 @@ def _curve(segments, delay, backlash_duty, backlash_sigma, config):
     ends = [find_side(knots, curvatures, sigmas, towards, low, high, config.limits, backlash_duty)
             for towards in (-1, 1)]
     left, right = ends[::-1] if curvatures[-1] > curvatures[0] else ends
-    center, center_sigma = find_center(knots, curvatures, sigmas)
     counts = {**segments.counts, "apart from all others": int(np.sum(~used))}
     return Curve(knots, curvatures, sigmas, delay, backlash_duty, backlash_sigma,
-                 found._replace(weights=found.weights[:, inside]), understeer, counts, center, center_sigma, left,
-                 right)
+                 found._replace(weights=found.weights[:, inside]), understeer, counts,
+                 *find_center(knots, curvatures, sigmas), left, right)
 
 
 def disagreement(one: Curve, other: Curve) -> tuple[float, float] | None:

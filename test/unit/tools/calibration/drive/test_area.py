@@ -74,8 +74,8 @@ def test_a_turn_leaves_the_area_by_what_the_car_does_or_by_where_it_stops():
     after = moved(pose, 0.3, 0.0)
     for stop_m, stop_radius_m in ((0.0, 9.0), (0.6, 9.0), (0.6, 3.1), (0.6, None)):
         one = Area((0.0, 0.0), 3.0, OUTLINE, stop_radius_m)
-        (extent_m, circle_m, excess_m), = one.ways_out(pose, 0.0, (turn,), 1.0, stop_m)
-        assert circle_m == one.circle_extent_m(after, -1.0)
+        (extent_m, excess_m, circle_excess_m), = one.ways_out(pose, 0.0, (turn,), 1.0, stop_m)
+        assert circle_excess_m == max(excess_m, one.circle_extent_m(after, -1.0) - 3.0)
         stops_m = one.turn_extent_m(after, -1.0, stop_m)
         assert extent_m == max(one.extent_m(pose), one.extent_m(after), one.turn_extent_m(after, -1.0))
         assert excess_m == pytest.approx(max(extent_m - 3.0, stops_m - (stop_radius_m or 3.0)))
