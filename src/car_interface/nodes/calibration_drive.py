@@ -135,7 +135,10 @@ class CalibrationDriveNode:
         self._inbox.dispatch()
         if self._timer.is_due(now_ns):
             self._ticks += 1
-            self._stage(now_ns, self._typed())
+            typed = ((self._keys.read() or "") if self._has_keys else "").lower()
+            if "q" in typed:
+                self._inbox.end()
+            self._stage(now_ns, typed)
         return self._timer.due_ns
 
     def shut_down(self):
@@ -148,13 +151,6 @@ class CalibrationDriveNode:
             self._text.say(f"recording: {self._recording.stop()}")
         if not (self._is_over or self._is_written) and sys.exc_info()[0] is None:
             raise EndedEarly("ended before it was over: nothing is written")
-
-    def _typed(self):
-        """Return the keys that were typed, in lower case; Q ends it."""
-        typed = ((self._keys.read() or "") if self._has_keys else "").lower()
-        if "q" in typed:
-            self._inbox.end()
-        return typed
 
     # --- what arrives ---
 
@@ -284,9 +280,8 @@ class CalibrationDriveNode:
         text = f"{self._step.text}. You can let go. Calibrating …"
         self._text.say(text)
         self._publish_state(DONE, text, self._drive.progress())
-        name = os.path.basename(self._recording.path)
-        samples, base, base_text = self._drive.samples.drive(), self._base, self._table.base_text
-        self._inbox.work(lambda: conclude(samples, base, base_text, name), self._on_conclusion)
+        self._inbox.work(partial(conclude, self._drive.samples.drive(), self._base, self._table.base_text,
+                                 os.path.basename(self._recording.path)), self._on_conclusion)
         # It asks to stand until the recording is closed: silence would be a fault of the drive on its page.
         self._stage = lambda now_ns, typed: self._ask_for()
 

@@ -317,18 +317,17 @@ def _dead_band(found, drives):
     neutral = drives[0].neutral if is_forward_only else (forward.edge + backward.edge) / 2
     spans = drives[0].full_forward - drives[0].neutral, drives[0].full_reverse - drives[0].neutral
     bands = {name: (side.duty - neutral) / span for (side, name, _), span in zip(wanted, spans)}
-    is_possible = all(0 < band <= ACCEPTED[name]["high"] for name, band in bands.items())
-    shown = sets_off = f"the car set off at {forward.duty:.0f} ({forward.times} times)"
-    if is_forward_only and not is_possible:
-        found.missing.append(f"{FORWARD_BAND}: the car set off at {forward.duty:.0f}; that fits no neutral of "
-                             f"{neutral:.0f}: on a level floor, again, or set {NEUTRAL}")
+    fits = all(0 < band <= ACCEPTED[name]["high"] for name, band in bands.items())
+    if not (fits and (is_forward_only or forward.edge > backward.edge)):
+        found.missing.append(
+            (f"{FORWARD_BAND}: the car set off at {forward.duty:.0f}; that fits no neutral of {neutral:.0f}: on a "
+             f"level floor, again, or set {NEUTRAL}") if is_forward_only else
+            (f"{NEUTRAL}: the car set off at {backward.duty:.0f} and {forward.duty:.0f}; that fits no neutral: on a "
+             "level floor, again"))
         return
+    shown = f"the car set off at {forward.duty:.0f} ({forward.times} times)"
     if not is_forward_only:
-        if not is_possible or forward.edge <= backward.edge:
-            found.missing.append(f"{NEUTRAL}: the car set off at {backward.duty:.0f} and {forward.duty:.0f}; that fits "
-                                 "no neutral: on a level floor, again")
-            return
-        found.show(NEUTRAL, round(neutral, 1), f"{sets_off} and {backward.duty:.0f} ({backward.times} times)")
+        found.show(NEUTRAL, round(neutral, 1), f"{shown} and {backward.duty:.0f} ({backward.times} times)")
         shown = "from there to where the car sets off"
     for name, band in bands.items():
         found.show(name, _in_range(name, band, 3), shown)
