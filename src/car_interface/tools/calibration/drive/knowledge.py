@@ -12,7 +12,6 @@ from typing import Mapping, NamedTuple, Sequence
 
 import numpy as np
 
-from car_interface.tools.calibration.shared import NothingToFit
 from car_interface.tools.calibration.steering.calibrate import (
     KNOWN_PER_M,
     KNOWN_RATIO,
@@ -60,7 +59,7 @@ def assess(drive: SteeringDrive, config: CurveFitConfig) -> Knowledge:
     """
     try:
         curve = fit([drive], config)
-    except (NothingToFit, ValueError, IndexError) as error:  # the last two: a handful of samples
+    except (ValueError, IndexError) as error:  # NothingToFit, or a handful of samples
         return Knowledge(str(error))
     if curve.curvatures.min() >= 0 or curve.curvatures.max() <= 0:
         return Knowledge("the car turned to one side only so far")

@@ -29,7 +29,6 @@ WIDE_RADII_M = (5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 15.0, 20.0, 30.0, 50.0, 100.0, 3
 KNOWN_RATIO, KNOWN_PER_M = 0.08, 0.01
 NEAR_RATIO = 0.25  # segments count for a radius when their curvature differs from its by at most this
 STRAIGHT_PER_M = 0.02  # a curvature that is called straight on
-AXIS, LEFT_TABLE, RIGHT_TABLE = "m_turnrad_axis_servo", "k_pwmcmd_left_table_servo", "k_pwmcmd_right_table_servo"
 SHORT_ROWS = 8
 TABLE_HEAD = "  radius"
 HEAD = ("Written by calibrate_steering; turn_arb loads it. Duties are 0..65535 of the PWM period.", "")
@@ -112,9 +111,9 @@ def yaml_text(calibrated: SteeringResult, base_text: str, report: Sequence[str])
     values = {
         "servo_left": round(calibrated.ends[LEFT]), "servo_center": round(calibrated.center),
         "servo_right": round(calibrated.ends[RIGHT]),
-        AXIS: [point.radius_m for point in calibrated.points[LEFT]],
-        **{table: [round(point.duty) for point in calibrated.points[side]]
-           for side, table in ((LEFT, LEFT_TABLE), (RIGHT, RIGHT_TABLE))}}
+        "m_turnrad_axis_servo": [point.radius_m for point in calibrated.points[LEFT]],
+        "k_pwmcmd_left_table_servo": [round(point.duty) for point in calibrated.points[LEFT]],
+        "k_pwmcmd_right_table_servo": [round(point.duty) for point in calibrated.points[RIGHT]]}
     if calibrated.curve.understeer.is_known:
         values["understeer"] = round(calibrated.curve.understeer.value, 5)
     return rewritten(base_text, values, [*HEAD, *report])

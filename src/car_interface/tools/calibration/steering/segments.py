@@ -94,10 +94,7 @@ class Segments:
             self._drives.append((segments, wheels))
             self.counts += counts
         self.rows: list[Segment] = [segment for segments, _ in self._drives for segment in segments]
-        self.knots = self._knots()
         self.is_steady = all(wheels[0].is_steady for _, wheels in self._drives)
-
-    def _knots(self):
         servo = [wheels[0].servo[segment.samples] for segments, wheels in self._drives for segment in segments]
         if not servo:
             left_out = ", ".join(f"{count} {reason}" for reason, count in self.counts.items())
@@ -107,7 +104,7 @@ class Segments:
         if len(servo) < MIN_SEGMENTS or high - low < MIN_COUNTS * COUNT:
             raise NothingToFit("the steering was held in fewer than four places")
         first, last = math.floor((low - MAX_BACKLASH_DUTY) / KNOT), math.ceil((high + MAX_BACKLASH_DUTY) / KNOT)
-        return np.arange(first, last + 1) * KNOT
+        self.knots = np.arange(first, last + 1) * KNOT
 
     def column(self, name: str) -> np.ndarray:
         """Return a number of each segment, (S,)."""
