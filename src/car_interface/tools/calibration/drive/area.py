@@ -1,4 +1,4 @@
-"""The area in which the car stays: where an arc leads, and how far the car can go until no turn keeps it inside.
+"""The area in which the car stays: where an arc leads, and by how much a turn leaves it.
 
 A pose is that of the middle of the rear axle, in odometry's frame; curvatures are in 1/m, left positive.
 """
@@ -7,12 +7,11 @@ from __future__ import annotations
 import cmath
 import itertools
 import math
-from typing import Callable, NamedTuple, Sequence
+from typing import NamedTuple, Sequence
 
 from car_interface.throttle.obstacle_stop import Outline
 
 SLASH = Outline()
-STEP_M = 0.2  # from one pose that is looked at to the next
 INWARD_RAD = math.radians(60)  # a car that looks to the center within this angle is on its way back
 
 
@@ -128,30 +127,6 @@ class Area:
             circle_m = self.circle_extent_m(after, turn.curvature_per_m)
             ways.append(WayOut(extent_m, excess_m, max(excess_m, circle_m - self.radius_m)))
         return ways
-
-    def rooms_m(self, pose: Pose, curvature_per_m: float, turns: Sequence[Turn], max_m: float, stop_m: float,
-                speed_mps_at: Callable[[Pose], float], min_ahead_m: Callable[[float], float]) -> list[float]:
-        """Return how far the car can go on an arc from a pose to end with each of the tight turns: (T,), at most
-        ``max_m``.
-
-        From everywhere on its way one of them, whichever, keeps it inside; so does that one at its end.
-
-        Args:
-            stop_m: what it takes to stop on those turns.
-            speed_mps_at: with which they would be begun at a pose.
-            min_ahead_m: so far it must be able to go straight on after a distance, as it does when it is let go.
-        """
-        if curvature_per_m and self.circle_extent_m(pose, curvature_per_m) <= self.radius_m:
-            return [max_m for _ in turns]
-        rooms_m, gone_m = [0.0 for _ in turns], 0.0
-        while self.ahead_m(pose, self.radius_m) >= min_ahead_m(gone_m):
-            ways = self.ways_out(pose, curvature_per_m, turns, speed_mps_at(pose), stop_m)
-            rooms_m = [gone_m if way.excess_m <= 0 else room_m for way, room_m in zip(ways, rooms_m)]
-            if min(way.excess_m for way in ways) > 0 or gone_m >= max_m:
-                break
-            step_m = min(STEP_M, max_m - gone_m)
-            pose, gone_m = moved(pose, step_m, curvature_per_m), gone_m + step_m
-        return rooms_m
 
 
 def _inward_after_rad(ratio, middle_rad):

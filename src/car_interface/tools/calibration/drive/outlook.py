@@ -18,6 +18,7 @@ MAX_LAGS = 4.0
 RELEASE_S = 0.25  # from the button until it coasts
 COASTS_MPS2 = 0.2  # as long as it wasn't seen to stop: a car's drag, less a gentle slope
 LATE_M = 0.35  # by so much sooner it slows: without a brake its speed is behind what is asked for
+STEP_M = 0.2  # from one pose that is looked at to the next
 SPARE_M = 0.15  # a way isn't begun from where it could stop only just inside
 SLOW_MPS, MAX_SLOW_MPS, SLOW_STOP_M = 0.33, 0.6, 0.42  # at the edge: as fast as it stops within that
 EARLY_MPS = 0.8  # as long as there is no curve
@@ -87,22 +88,29 @@ class Outlook:
                                   self.now_mps, self._stop_m())
 
     def rooms_m(self, duty: float, curvature_per_m: float, speed_mps: float, max_m: float) -> list[float]:
-        """Return how far the car can go from here, to end with the tight turn to the left and with that to the right,
-        if it steers that duty now and that gives that curvature.
+        """Return how far the car can go from here, at most ``max_m``, to end with the tight turn to the left and with
+        that to the right, if it steers that duty now and that gives that curvature.
+
+        From everywhere on its way one of them, whichever, keeps it inside; so does that one at its end.
         """
+        area, turns, stop_m, slow_mps = self.area, self.turns(duty), self._stop_m(), self.slow_mps
         lead_m = min(speed_mps, self.now_mps) * sum(self._survey.servo_delay)
-        after = moved(self._motion.pose, lead_m, (self.live_per_m() + curvature_per_m) / 2)
-        coasts_mps2, slow_mps = self._coasts_mps2(), self.slow_mps
-
-        def ahead_m(gone_m):  # nothing brakes a car that begins it faster than it may be there
-            square = self.now_mps ** 2 - 2 * coasts_mps2 * (lead_m + gone_m)
-            return SPARE_M + self._stop_m(math.sqrt(max(slow_mps ** 2, square)))
-
-        def speed_mps_at(pose):
-            return min(speed_mps, self._slowed_mps(self.area.ahead_m(pose, self._config.radius_m)))
-
-        return [lead_m + room_m for room_m in self.area.rooms_m(
-            after, curvature_per_m, self.turns(duty), max_m - lead_m, self._stop_m(), speed_mps_at, ahead_m)]
+        pose = moved(self._motion.pose, lead_m, (self.live_per_m() + curvature_per_m) / 2)
+        if curvature_per_m and area.circle_extent_m(pose, curvature_per_m) <= area.radius_m:
+            return [max_m, max_m]
+        rooms_m, gone_m = [lead_m, lead_m], lead_m
+        while True:
+            # Let go, it has to stop inside; nothing brakes a car that begins this faster than it may be there.
+            square = self.now_mps ** 2 - 2 * self._coasts_mps2() * gone_m
+            if area.ahead_m(pose, area.radius_m) < SPARE_M + self._stop_m(math.sqrt(max(slow_mps ** 2, square))):
+                return rooms_m
+            turn_mps = min(speed_mps, self._slowed_mps(area.ahead_m(pose, self._config.radius_m)))
+            ways = area.ways_out(pose, curvature_per_m, turns, turn_mps, stop_m)
+            rooms_m = [gone_m if way.excess_m <= 0 else room_m for way, room_m in zip(ways, rooms_m)]
+            if min(way.excess_m for way in ways) > 0 or gone_m >= max_m:
+                return rooms_m
+            step_m = min(STEP_M, max_m - gone_m)
+            pose, gone_m = moved(pose, step_m, curvature_per_m), gone_m + step_m
 
     def is_outside_soon(self, hold: Hold, now_ns: int) -> bool:
         """Return whether it has to turn now to stay inside, or to stop inside when it is let go."""

@@ -1,4 +1,4 @@
-"""The area: where arcs lead, and how far a car can go until no turn keeps it inside."""
+"""The area: where arcs lead, and by how much turns leave it."""
 import math
 import random
 from dataclasses import replace
@@ -10,7 +10,6 @@ from car_interface.tools.calibration.drive.area import INWARD_RAD, Area, Pose, T
 
 OUTLINE = Outline(front_m=0.4, rear_m=0.1, width_m=0.3)
 START = Pose(0.0, 0.0, 0.0)
-TURNS = (Turn(1.0, 0.3), Turn(-1.0, 0.3))
 
 
 def area(radius_m=3.0):
@@ -79,60 +78,6 @@ def test_a_turn_leaves_the_area_by_what_the_car_does_or_by_where_it_stops():
         stops_m = one.turn_extent_m(after, -1.0, stop_m)
         assert extent_m == max(one.extent_m(pose), one.extent_m(after), one.turn_extent_m(after, -1.0))
         assert excess_m == pytest.approx(max(extent_m - 3.0, stops_m - (stop_radius_m or 3.0)))
-
-
-def rooms_m(pose, curvature_per_m=0.0, max_m=10.0, stop_m=0.0, min_ahead_m=lambda gone_m: 0.0, one=None,
-            speed_mps_at=lambda at: 1.0):
-    return (one or area()).rooms_m(pose, curvature_per_m, TURNS, max_m, stop_m, speed_mps_at, min_ahead_m)
-
-
-def extents_m(pose, curvature_per_m=0.0):
-    return [way.extent_m for way in area().ways_out(pose, curvature_per_m, TURNS, 1.0, 0.0)]
-
-
-def test_room_ends_where_the_last_turn_would_leave_the_area():
-    free_m = max(rooms_m(START))
-    assert 0.8 < free_m < 1.8
-    beyond = moved(START, free_m + 0.2, 0.0)
-    assert min(extents_m(beyond)) > 3.0
-    assert rooms_m(START, max_m=0.4) == [0.4, 0.4]
-    assert rooms_m(START, 1.0, 50.0) == [50.0, 50.0], "a circle that stays inside"
-    pose = Pose(-1.0, 1.0, 0.0)
-    rooms = [max(rooms_m(pose, stop_m=stop_m)) for stop_m in (0.0, 0.3, 0.9)]
-    assert rooms[0] > rooms[1] > rooms[2] > 0.0, "less for a car that takes longer to stop"
-    assert max(rooms_m(pose, stop_m=0.3, one=Area((0.0, 0.0), 3.0, OUTLINE, 3.5))) == rooms[0]
-
-
-def test_the_turn_towards_the_center_can_begin_later_than_the_other_one():
-    pose = Pose(-1.5, 0.5, 0.0)  # the center is to the right
-    left_m, right_m = rooms_m(pose)
-    assert left_m < right_m - 0.3
-    for turn, room_m in zip((0, 1), (left_m, right_m)):
-        extents = [extents_m(moved(pose, at_m, 0.0))[turn] for at_m in (room_m, room_m + 0.2)]
-        assert extents[0] <= 3.0 < extents[1]
-
-
-def test_a_turn_that_fits_only_later_on_the_way_counts_from_there():
-    pose, curvature = Pose(-0.8, 0.7, 0.2), -0.4
-    stays = [extents_m(moved(pose, at_m, curvature), curvature)[0] <= 3.0 for at_m in (0.0, 0.6, 1.4)]
-    assert stays == [False, True, False]
-    assert rooms_m(pose, curvature)[0] == pytest.approx(1.0)
-
-
-def test_a_turn_is_as_late_as_it_is_from_where_it_begins():
-    late_m, slowed_m, early_m = (max(rooms_m(Pose(-2.0, 0.0, 0.0), speed_mps_at=speed_mps_at)) for speed_mps_at in (
-        lambda at: 1.0, lambda at: 1.0 if at.x_m > 0.0 else 4.0, lambda at: 4.0))
-    assert late_m == slowed_m > early_m + 0.5
-
-
-def test_room_ends_earlier_where_it_must_be_able_to_go_straight_on():
-    pose = Pose(-2.0, 1.0, 0.3)
-    far_m, near_m = max(rooms_m(pose)), max(rooms_m(pose, min_ahead_m=lambda gone_m: 2.0))
-    assert 0.0 < near_m < far_m
-    assert area().ahead_m(moved(pose, near_m, 0.0), 3.0) == pytest.approx(2.0, abs=0.2)
-    room_m, slower_m = (max(rooms_m(Pose(-2.0, 0.0, 0.0), min_ahead_m=min_ahead_m)) for min_ahead_m in (
-        lambda gone_m: 3.0, lambda gone_m: 3.0 - gone_m))
-    assert room_m == pytest.approx(1.6) and slower_m > room_m + 0.3, "by the distance that it has gone"
 
 
 @pytest.mark.parametrize("radius_m, has_circle", [(2.3, True), (2.5, False)])

@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from car_interface.throttle.obstacle_stop import ObstacleConfig, ObstacleStop
-from car_interface.tools.calibration.drive.area import Area, Pose, moved
+from car_interface.throttle.obstacle_stop import ObstacleConfig, ObstacleStop, Outline
+from car_interface.tools.calibration.drive.area import Area, Pose, Turn, moved
 from car_interface.tools.calibration.drive.config import CalibrationDriveConfig
 from car_interface.tools.calibration.drive.knowledge import Knowledge
-from car_interface.tools.calibration.drive.outlook import Outlook
+from car_interface.tools.calibration.drive.outlook import SPARE_M, Outlook
 from car_interface.tools.calibration.drive.positions import Candidate, Hold, Measured
 from car_interface.tools.calibration.drive.survey import Survey
 from car_interface.tools.calibration.steering.drive import CurveFitConfig, Delay
@@ -125,3 +125,99 @@ def test_a_linkage_that_turns_the_wheels_within_the_last_counts_turns_later(half
     reaction_s = one.turns(CENTER)[0].reaction_s
     # A servo's lag of 0.15 s: after so many of them the wheels turn half as tightly as at the end.
     assert reaction_s == pytest.approx(0.17 + 0.15 * lags, abs=0.05)
+
+
+# --- room, of a car without delay ---
+
+OUTLINE = Outline(front_m=0.4, rear_m=0.1, width_m=0.3)
+START, BEYOND_MPS = Pose(0.0, 0.0, 0.0), 99.0
+TURNS = (Turn(1.0, 0.3), Turn(-1.0, 0.3))
+
+
+class Way(Outlook):
+    """Its turns are those, begun with 1 m/s; it stops on them within ``stop_m``, and let go within ``let_go_m``, less
+    by ``slower`` for each metre that it has gone.
+    """
+
+    slow_mps = 0.0
+    now_mps = property(lambda self: math.sqrt(self.let_go_m))
+
+    def __init__(self, pose, stop_m=0.0, let_go_m=0.0, slower=0.0, stop_radius_m=None):
+        motion = SimpleNamespace(pose=pose, curvature_per_m=lambda: 0.0)
+        super().__init__(SimpleNamespace(
+            base=base(), config=CalibrationDriveConfig(), motion=motion, positions=None, ends=(LEFT, RIGHT),
+            servo_delay=(0.0, 0.0)), Area((0.0, 0.0), 3.0, OUTLINE, stop_radius_m), None, None)
+        self.stop_m, self.let_go_m, self.slower = stop_m, let_go_m, slower
+
+    def turns(self, from_duty):
+        return TURNS
+
+    def _coasts_mps2(self):
+        return self.slower / 2
+
+    def _stop_m(self, speed_mps=None):
+        return self.stop_m if speed_mps is None else speed_mps ** 2 - SPARE_M
+
+    def _slowed_mps(self, ahead_m):
+        return 1.0
+
+
+def rooms_m(pose, curvature_per_m=0.0, max_m=10.0, way=Way, **stops):
+    return way(pose, **stops).rooms_m(CENTER, curvature_per_m, BEYOND_MPS, max_m)
+
+
+def extents_m(pose, curvature_per_m=0.0):
+    ways = Area((0.0, 0.0), 3.0, OUTLINE).ways_out(pose, curvature_per_m, TURNS, 1.0, 0.0)
+    return [way.extent_m for way in ways]
+
+
+def test_room_ends_where_the_last_turn_would_leave_the_area():
+    free_m = max(rooms_m(START))
+    assert 0.8 < free_m < 1.8
+    beyond = moved(START, free_m + 0.2, 0.0)
+    assert min(extents_m(beyond)) > 3.0
+    assert rooms_m(START, max_m=0.4) == [0.4, 0.4]
+    assert rooms_m(START, 1.0, 50.0) == [50.0, 50.0], "a circle that stays inside"
+    pose = Pose(-1.0, 1.0, 0.0)
+    rooms = [max(rooms_m(pose, stop_m=stop_m)) for stop_m in (0.0, 0.3, 0.9)]
+    assert rooms[0] > rooms[1] > rooms[2] > 0.0, "less for a car that takes longer to stop"
+    assert max(rooms_m(pose, stop_m=0.3, stop_radius_m=3.5)) == rooms[0]
+
+
+def test_the_turn_towards_the_center_can_begin_later_than_the_other_one():
+    pose = Pose(-1.5, 0.5, 0.0)  # the center is to the right
+    left_m, right_m = rooms_m(pose)
+    assert left_m < right_m - 0.3
+    for turn, room_m in zip((0, 1), (left_m, right_m)):
+        extents = [extents_m(moved(pose, at_m, 0.0))[turn] for at_m in (room_m, room_m + 0.2)]
+        assert extents[0] <= 3.0 < extents[1]
+
+
+def test_a_turn_that_fits_only_later_on_the_way_counts_from_there():
+    pose, curvature = Pose(-0.8, 0.7, 0.2), -0.4
+    stays = [extents_m(moved(pose, at_m, curvature), curvature)[0] <= 3.0 for at_m in (0.0, 0.6, 1.4)]
+    assert stays == [False, True, False]
+    assert rooms_m(pose, curvature)[0] == pytest.approx(1.0)
+
+
+def test_a_turn_is_as_late_as_it_is_from_where_it_begins():
+    class Fast(Way):
+
+        def _slowed_mps(self, ahead_m):
+            return 4.0
+
+    class Slowed(Way):
+
+        def _slowed_mps(self, ahead_m):
+            return 1.0 if ahead_m < 2.6 else 4.0  # behind the middle
+    late_m, slowed_m, early_m = (max(rooms_m(ACROSS, way=way)) for way in (Way, Slowed, Fast))
+    assert late_m == slowed_m > early_m + 0.5
+
+
+def test_room_ends_earlier_where_it_must_be_able_to_go_straight_on():
+    pose = Pose(-2.0, 1.0, 0.3)
+    far_m, near_m = max(rooms_m(pose)), max(rooms_m(pose, let_go_m=2.0))
+    assert 0.0 < near_m < far_m
+    assert Area((0.0, 0.0), 3.0, OUTLINE).ahead_m(moved(pose, near_m, 0.0), 3.0) == pytest.approx(2.0, abs=0.2)
+    room_m, slower_m = (max(rooms_m(ACROSS, let_go_m=3.0, slower=slower)) for slower in (0.0, 1.0))
+    assert room_m == pytest.approx(1.6) and slower_m > room_m + 0.3, "by the distance that it has gone"
