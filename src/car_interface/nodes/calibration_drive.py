@@ -103,7 +103,7 @@ class CalibrationDriveNode:
         now_ns = self._clocks.now_ns()
         self._timer, self._ticks = RateTimer(RATE_HZ, now_ns), 0
         self._enter(self._check, now_ns)
-        self._step = self._recording = self._refusal = None
+        self._recording = self._refusal = None
         self._shown_kind, self._shown_ns = "", 0
         self._frames = "odom", "base_link"
         self._requests = ()  # to steer and to drive, while it asks for something
@@ -219,16 +219,16 @@ class CalibrationDriveNode:
         if task is not None:
             self._inbox.work(partial(assess, *task), drive.update_knowledge)
         drive.is_slowed = self._grant.is_slowed
-        self._step = step = drive.step(now_ns, self._grant.trouble(now_ns))
+        step = drive.step(now_ns, self._grant.trouble(now_ns))
         if step.steering is not None:
             self._ask_for(step.steering, step.speed_mps)
         if self._ticks % TICKS_PER_SHOW == 0 or step.phase == DONE:
-            self._show(now_ns)
+            self._show(step, now_ns)
         if step.phase == DONE:
-            self._begin_end()
+            self._begin_end(f"{step.text}. You can let go. Calibrating …")
 
-    def _show(self, now_ns):
-        step, progress = self._step, self._drive.progress()
+    def _show(self, step, now_ns):
+        progress = self._drive.progress()
         self._announce(step.phase if step.phase in STANDS else "drives",
                        terminal.drive_lines(step, progress) if self._text.is_live else
                        [terminal.plain_line(step.phase, step.text, progress)], now_ns)
@@ -274,10 +274,9 @@ class CalibrationDriveNode:
 
     # --- its end ---
 
-    def _begin_end(self):
+    def _begin_end(self, text):
         self._ask_for()
         self._text.keep()
-        text = f"{self._step.text}. You can let go. Calibrating …"
         self._text.say(text)
         self._publish_state(DONE, text, self._drive.progress())
         self._inbox.work(partial(conclude, self._drive.samples.drive(), self._base, self._table.base_text,
@@ -287,7 +286,6 @@ class CalibrationDriveNode:
 
     def _on_conclusion(self, conclusion, now_ns):
         self._say(*conclusion.report)
-        self._conclusion = conclusion
         # None: a person is asked.
         replaces = not self._table.path.exists() or self._wanted.yes or (None if self._has_keys else False)
         if conclusion.result is not None:
@@ -301,23 +299,23 @@ class CalibrationDriveNode:
         elif replaces is None:
             question = f"Replace {self._table.path}? The old one is kept beside it."
             self._announce("question", [question, "Y: yes, N: no"], now_ns)
-            self._stage = self._ask
+            self._stage = partial(self._ask, conclusion)
         else:
-            self._write(replaces)
+            self._write(conclusion, replaces)
 
-    def _ask(self, now_ns, typed):
+    def _ask(self, conclusion, now_ns, typed):
         self._close_recording(now_ns)
         answer = next((key for key in typed if key in "yn"), "")
         if answer:
             self._text.keep()
-            self._write(replaces=answer == "y")
+            self._write(conclusion, replaces=answer == "y")
             self._enter(self._await_page, now_ns)
 
-    def _write(self, replaces):
-        lines = self._table.write(self._conclusion.yaml_text, replaces)
+    def _write(self, conclusion, replaces):
+        lines = self._table.write(conclusion.yaml_text, replaces)
         self._is_written = True
         self._text.say("\n".join(lines))
-        self._say(board_center(self._conclusion.result.centers,
+        self._say(board_center(conclusion.result.centers,
                                self._inbox.graph.parameter("pca9685/steering/servo_center", None)))
 
     def _close_recording(self, now_ns):

@@ -18,6 +18,7 @@ from car_interface.tools.calibration.shared import RecordedDrive, write_table
 from car_interface.tools.calibration.steering.calibrate import (
     LEFT,
     RIGHT,
+    SIGNS,
     TABLE_HEAD,
     SteeringResult,
     calibrate,
@@ -74,15 +75,12 @@ def _result(calibrated: SteeringResult, base: SteeringCalibration, refusal: str,
             old_duty = base.planner_duty(sign * point.radius_m)
             yield SideRow(old_duty, sign * float(curve.curvature(old_duty)), point.duty, BAND * point.duty_sigma,
                           point.radius_error, point.segments, point.distance_m, point.source)
-    duties = curve.duties.tolist()
-    held = curve.observations.duty, curve.observations.curvature_per_m
-    before_table = itertools.takewhile(lambda line: not line.startswith(TABLE_HEAD), lines)
+    held, before_table = curve.observations, itertools.takewhile(lambda line: not line.startswith(TABLE_HEAD), lines)
     return CalibrationResult(
-        refusal, tuple(line.strip() for line in before_table), (), radii_m, tuple(rows(LEFT, 1.0)),
-        tuple(rows(RIGHT, -1.0)), (base.servo_center, float(calibrated.center)),
-        tuple(zip(*(column.tolist() for column in held))),
-        tuple(zip(duties, curve.curvatures.tolist(), (BAND * curve.sigmas).tolist())),
-        tuple((duty, 1 / base.turn_radius_m(duty)) for duty in duties))
+        refusal, [line.strip() for line in before_table], (), radii_m, *(list(rows(*each)) for each in SIGNS.items()),
+        (base.servo_center, float(calibrated.center)), np.column_stack((held.duty, held.curvature_per_m)).tolist(),
+        np.column_stack((curve.duties, curve.curvatures, BAND * curve.sigmas)).tolist(),
+        [(duty, 1 / base.turn_radius_m(duty)) for duty in curve.duties.tolist()])
 
 
 def _swapped(calibrated: SteeringResult, base: SteeringCalibration) -> str:

@@ -113,14 +113,11 @@ def _second_differences(axis, expected):
     """Return the slope's change at each inner node as a ratio of the one expected between nodes at that distance: (N−2,
     N).
     """
-    before, after = np.diff(axis)[:-1], np.diff(axis)[1:]
-    span = (before + after) / 2
+    steps = np.diff(axis)
+    span = (steps[:-1] + steps[1:]) / 2
     # The second derivative is a random walk: the variance of its mean goes with 1 / span.
     factor = 1.0 / (expected * span * (np.ptp(axis) / INTERVALS / span) ** 0.5)
-    inner, nodes = np.arange(1, axis.size - 1), np.arange(axis.size)
-    return ((factor / before)[:, None] * (nodes == inner[:, None] - 1)
-            - (factor / before + factor / after)[:, None] * (nodes == inner[:, None])
-            + (factor / after)[:, None] * (nodes == inner[:, None] + 1))
+    return factor[:, None] * np.diff(np.diff(np.eye(axis.size), axis=0) / steps[:, None], axis=0)
 
 
 def value_axis(value: np.ndarray, neutral: float) -> np.ndarray:
