@@ -70,14 +70,14 @@ def _result(calibrated: SteeringResult, base: SteeringCalibration, refusal: str,
     """Return the result for the recording, without what to do next."""
     curve, radii_m = calibrated.curve, [point.radius_m for point in calibrated.points[LEFT]]
 
-    def rows(side, sign):
-        for point in calibrated.points[side]:
-            old_duty = base.planner_duty(sign * point.radius_m)
-            yield SideRow(old_duty, sign * float(curve.curvature(old_duty)), point.duty, BAND * point.duty_sigma,
-                          point.radius_error, point.segments, point.distance_m, point.source)
+    def row(sign, point):
+        old_duty = base.planner_duty(sign * point.radius_m)
+        return SideRow(old_duty, sign * float(curve.curvature(old_duty)), point.duty, BAND * point.duty_sigma,
+                       point.radius_error, point.segments, point.distance_m, point.source)
+    left, right = ([row(sign, point) for point in calibrated.points[side]] for side, sign in SIGNS.items())
     held, before_table = curve.observations, itertools.takewhile(lambda line: not line.startswith(TABLE_HEAD), lines)
     return CalibrationResult(
-        refusal, [line.strip() for line in before_table], (), radii_m, *(list(rows(*each)) for each in SIGNS.items()),
+        refusal, [line.strip() for line in before_table], (), radii_m, left, right,
         (base.servo_center, float(calibrated.center)), np.column_stack((held.duty, held.curvature_per_m)).tolist(),
         np.column_stack((curve.duties, curve.curvatures, BAND * curve.sigmas)).tolist(),
         [(duty, 1 / base.turn_radius_m(duty)) for duty in curve.duties.tolist()])

@@ -13,8 +13,7 @@ from car_interface.common.sources import LOCKED, NEUTRAL, NO_HUMAN, PLANNER, SPE
 from car_interface.common.staleness import TimedInput
 from car_interface.throttle.esc import ARMING, BRAKING, HOLD, REVERSE
 
-TURN_ARB, THROTTLE_ARB = "turn_arb", "throttle_arb"
-STATES = (TURN_ARB, THROTTLE_ARB, "planner_interface", "teleop_logi")  # of these nodes
+STATES = ("turn_arb", "throttle_arb", "planner_interface", "teleop_logi")  # of these nodes
 STATE_TIMEOUT_S = 0.5  # they come 10 times a second and more
 OTHER_TIMEOUT_S = 1.0
 SLOWS = frozenset({BRAKING, HOLD, REVERSE})  # of ThrottleState.esc

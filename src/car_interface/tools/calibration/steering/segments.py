@@ -39,7 +39,7 @@ INDEPENDENT_M = 0.15  # headings this far apart have independent errors
 DUTY_SIGMA = 1.0  # of the wheels' position, in duty, when the linkage lies at one side of its backlash
 LAG_SIGMA_S = 0.015  # of the servo's lag, by which the position is known when the linkage floats in its backlash
 MIN_SEGMENTS, MIN_COUNTS = 4, 4
-MOST_PERCENT = 90  # of the segments, by which a drive's heading is judged
+MOST_PERCENT = 90  # of the segments: as far as the heading is off their slopes in so many, so uncertain is it
 
 
 class Segment(NamedTuple):
@@ -75,7 +75,6 @@ class Segments:
     """The segments of all drives, one drive after the other: the rows of all arrays (S,).
 
     Attributes:
-        rows: the segments.
         knots: the curve's, in duty, the same for each backlash, (K,).
         counts: how many intervals were left out, by reason; none without one.
         is_steady: no drive shows where the linkage is in its backlash.
@@ -93,7 +92,6 @@ class Segments:
             segments, counts = _segments(wheels[0])
             self._drives.append((segments, wheels))
             self.counts += counts
-        self.rows: list[Segment] = [segment for segments, _ in self._drives for segment in segments]
         self.is_steady = all(wheels[0].is_steady for _, wheels in self._drives)
         servo = [wheels[0].servo[segment.samples] for segments, wheels in self._drives for segment in segments]
         if not servo:
@@ -108,7 +106,7 @@ class Segments:
 
     def column(self, name: str) -> np.ndarray:
         """Return a number of each segment, (S,)."""
-        return np.array([getattr(segment, name) for segment in self.rows])
+        return np.array([getattr(segment, name) for segments, _ in self._drives for segment in segments])
 
     def observations(self, backlash_duty: float) -> Observations:
         """Return all of them, the wheels being where a linkage with this backlash has them."""
@@ -150,17 +148,11 @@ def _segments(wheels):
     segments = [_segment(wheels, first, end) for begin, stop in runs(usable)
                 for first, end in _split(wheels, begin, stop)]
     counts["shorter than a segment must be"] = sum(segment is None for segment in segments)
-    found = [segment for segment in segments if segment is not None]
-    heading_sigma_rad = _heading_sigma_rad(found)
+    found, heading_sigma_rad = [segment for segment in segments if segment is not None], HEADING_SIGMA_RAD
+    if len(found) >= MIN_SEGMENTS:
+        seen_rad = np.percentile([segment.wander_rad for segment in found], MOST_PERCENT)
+        heading_sigma_rad = float(np.clip(seen_rad, MIN_HEADING_SIGMA_RAD, HEADING_SIGMA_RAD))
     return [one._replace(sigma_per_m=_slope_sigma_per_m(one.length_m, heading_sigma_rad)) for one in found], counts
-
-
-def _heading_sigma_rad(segments):
-    """Return the standard error of this drive's heading: as far as it is off the segments' slopes in nine of ten."""
-    if len(segments) < MIN_SEGMENTS:
-        return HEADING_SIGMA_RAD
-    seen_rad = np.percentile([segment.wander_rad for segment in segments], MOST_PERCENT)
-    return float(np.clip(seen_rad, MIN_HEADING_SIGMA_RAD, HEADING_SIGMA_RAD))
 
 
 def _slope_sigma_per_m(length_m, heading_sigma_rad):
