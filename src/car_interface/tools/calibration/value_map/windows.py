@@ -292,17 +292,17 @@ def _constant_part(y, one, counted):
 def sample(drives: Sequence[MapDrive], data: Data, delay_s: float,
            config: MapConfig) -> tuple[np.ndarray, np.ndarray]:
     """Return (the values ``delay_s`` earlier along each window (W, P), the windows' states by them, too (W,))."""
-    values, timed_out, idle = [], [], []
+    values, state = np.zeros(data.windows.t_s.shape), data.windows.state.copy()
     for index, drive in enumerate(drives):
-        t_s = data.windows.t_s[data.drive == index] - delay_s
+        own = data.drive == index
+        t_s = data.windows.t_s[own] - delay_s
         value, age_s = _held(drive.value, t_s)
-        values.append(value)
-        timed_out.append(~np.isfinite(value).all(axis=1) | (age_s > config.value_timeout_s).any(axis=1))
-        idle.append(np.zeros(len(t_s), bool) if drive.driven is None else
-                    ~(_held(drive.driven, t_s)[0] >= 0.5).all(axis=1))
-    value = np.concatenate(values)
-    state = _left_out(data.windows.state, np.concatenate(timed_out), NO_VALUE)
-    return np.where(np.isfinite(value), value, 0.0), _left_out(state, np.concatenate(idle), NOT_DRIVEN)
+        is_known = np.isfinite(value)
+        values[own] = np.where(is_known, value, 0.0)
+        state[own] = _left_out(state[own], (~is_known | (age_s > config.value_timeout_s)).any(axis=1), NO_VALUE)
+        if drive.driven is not None:
+            state[own] = _left_out(state[own], ~(_held(drive.driven, t_s)[0] >= 0.5).all(axis=1), NOT_DRIVEN)
+    return values, state
 
 
 def _left_out(state, which, reason):
