@@ -79,16 +79,13 @@ class Windows(NamedTuple):
 
 
 @np.errstate(invalid="ignore")  # NaN, for what wasn't measured, compares as false
-def windows(drive: MapDrive, config: MapConfig = DEFAULTS) -> Windows:
-    """Divide a drive into windows and measure each."""
+def windows(drive: MapDrive, config: MapConfig = DEFAULTS, window_s: float = WINDOW_S) -> Windows:
+    """Divide a drive into windows of that length and measure each."""
     begin_s, end_s = drive.speed.t_s[[0, -1]]
     if drive.wheels:
         speed, order, sources, min_samples = speed_of_wheels(drive.wheels), 2, drive.wheels, MIN_PULSES
     else:
         speed, order, sources, min_samples = drive.speed, 1, (drive.speed,), MIN_SPEEDS
-    window_s = WINDOW_S
-    if not drive.wheels and speed.t_s.size > 1:
-        window_s = max(window_s, SPEEDS * float(np.median(np.diff(speed.t_s))))
     hop_s = max(HOP_S, (end_s - begin_s) / MAX_WINDOWS)
     middles = np.arange(begin_s + window_s / 2, end_s - window_s / 2, hop_s)
     # Windows in step with the grid of φ, or with commands in step with that, would show a delay in whole steps only.
@@ -215,7 +212,10 @@ class Data:
 
 def gather(drives: Sequence[MapDrive], config: MapConfig) -> Data:
     """Divide drives into windows, and find which count by everything but the value."""
-    found, sees_slope, offset = zip(*(_gather(drive, config) for drive in drives))
+    periods_s = [float(np.median(np.diff(drive.speed.t_s))) for drive in drives
+                 if not drive.wheels and drive.speed.t_s.size > 1]
+    window_s = max([WINDOW_S, *(SPEEDS * period_s for period_s in periods_s)])  # of all: each has as many points
+    found, sees_slope, offset = zip(*(_gather(drive, config, window_s) for drive in drives))
     number = np.repeat(np.arange(len(drives)), [one.middle_s.size for one in found])
     together = Windows(*map(np.concatenate, zip(*found)))
     slope, at = np.zeros((number.size, 2 * len(drives))), np.arange(number.size)
@@ -224,9 +224,9 @@ def gather(drives: Sequence[MapDrive], config: MapConfig) -> Data:
     return Data(together, number, slope, np.array(sees_slope), offset)
 
 
-def _gather(drive, config):
+def _gather(drive, config, window_s):
     """Return (one drive's windows, whether it shows its slope, its pitch's offset)."""
-    one = windows(drive, config)
+    one = windows(drive, config, window_s)
     state = one.state.copy()
     counted = state == MEASURED
     turning = ((state == STEERING) & np.isfinite(one.acceleration_mps2 + one.sigma_mps2)

@@ -60,6 +60,7 @@ def test_imu_and_odometry_s_speed_measure_too_and_a_slow_one_gets_longer_windows
     assert error(fit([one], None, None, KNOWN_DELAY)) < 0.05
     slow = MapDrive(one.value, Series(one.speed.t_s[::5], one.speed.y[::5]), one.yaw)  # 10 a second
     assert error(fit([slow], None, None, KNOWN_DELAY)) < 0.08
+    assert error(fit([drive(seconds=120.0), slow], None, None, KNOWN_DELAY)) < 0.08, "beside another one"
 
 
 def test_two_drives_with_slopes_of_their_own_make_one_map():
