@@ -45,10 +45,6 @@ from car_interface.tools.calibration.value_map.windows import (
     TURNING,
     Data,
     by_rule,
-    gather,
-    manoeuvres,
-    on_grid,
-    sample,
     why_nothing,
     within_turns,
 )
@@ -115,19 +111,18 @@ def fit(drives: Sequence[MapDrive], values: np.ndarray | None, velocities: np.nd
     Raises:
         NothingToFit: no window counts.
     """
-    data = gather(drives, config)
+    data = Data(drives, config)
     _counting(data.windows.state)
     is_given = config.delay_s is not None
-    value, state = sample(drives, data, config.delay_s if is_given else FIRST_DELAY_S, config)
+    value, state = data.sample(config.delay_s if is_given else FIRST_DELAY_S)
     inside = _counting(state)
     grid = Grid(value_axis(value[inside], config.neutral) if values is None else np.asarray(values, float),
                 round_axis(data.windows.speed_mps[inside], 0.0, VELOCITIES) if velocities is None else
                 np.asarray(velocities, float))
-    delay_s, delay_sigma_s = (config.delay_s, math.nan) if is_given else estimate_delay(drives, data, grid, config)
-    value, state = sample(drives, data, delay_s, config)
-    state = on_grid(data, value, state, grid)
+    delay_s, delay_sigma_s = (config.delay_s, math.nan) if is_given else estimate_delay(data, grid)
+    value, state = data.sample(delay_s, grid)
     counts = _counting(state)
-    model, manoeuvre = Model(grid, data, value, config), manoeuvres(data, value, state, grid)
+    model, manoeuvre = Model(grid, data, value), data.manoeuvres(value, state, grid)
     solved = solve(model, state)
     state = np.where(counts & solved.outlying, OUTLYING, state)
     seconds, count = coverage(model, state, manoeuvre)
@@ -159,19 +154,18 @@ def _ground(index, data, solved):
 # --- the delay ---
 
 
-def estimate_delay(drives: Sequence[MapDrive], data: Data, grid: Grid, config: MapConfig) -> tuple[float, float]:
+def estimate_delay(data: Data, grid: Grid) -> tuple[float, float]:
     """Return (the delay in s, its standard error); the latter is NaN where the drives don't show one."""
     coarse = Grid(_thin(grid.rows, COARSE_ROWS), _thin(grid.columns, COARSE_COLUMNS))
     # Only windows that count under every delay are compared, or their number would decide.
-    states = [on_grid(data, *sample(drives, data, delay_s, config), grid) for delay_s in (0.0, MAX_DELAY_S)]
+    states = [data.sample(delay_s, grid)[1] for delay_s in (0.0, MAX_DELAY_S)]
     state = np.where(states[0] == MEASURED, states[1], states[0])
     used = state == MEASURED
     if used.sum() < 2 * coarse.size:
         return 0.0, math.nan
 
     def ratios(delay_s, grid):
-        value, _ = sample(drives, data, delay_s, config)
-        solved = solve(Model(grid, data, value, config, sags=False), state, rising=False, passes=2)
+        solved = solve(Model(grid, data, data.sample(delay_s)[0], sags=False), state, rising=False, passes=2)
         return np.abs(solved.residual[used] / data.windows.sigma_mps2[used])
 
     best, max_offset, step = 0.0, MAX_DELAY_S, COARSE_STEP_S
@@ -208,15 +202,14 @@ class Model:
         penalty: of the map's roughness, (G, G).
     """
 
-    def __init__(self, grid: Grid, data: Data, value: np.ndarray, config: MapConfig, sags: bool = True):
+    def __init__(self, grid: Grid, data: Data, value: np.ndarray, sags: bool = True):
         self.grid, self.data = grid, data
-        weight, speed = data.windows.weight, np.nan_to_num(data.windows.speed_mps)
+        weight, speed, neutral = data.windows.weight, np.nan_to_num(data.windows.speed_mps), data.config.neutral
         self.map = grid.averages(value, speed, weight)
-        above = value > config.neutral
-        coasting = np.full(value.shape, config.neutral)
+        above, coasting = value > neutral, np.full(value.shape, neutral)
         self.push = [grid.averages(value, speed, weight * side) - grid.averages(coasting, speed, weight * side)
                      for side in (above, ~above)] if sags else []
-        kinks = np.abs(grid.rows - config.neutral) <= BENDS * np.ptp(grid.rows)
+        kinks = np.abs(grid.rows - neutral) <= BENDS * np.ptp(grid.rows)
         rough = penalties(grid, kinks)
         self.penalty = (rough.T @ rough).toarray()
 

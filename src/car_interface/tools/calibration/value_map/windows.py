@@ -11,7 +11,6 @@ is sampled along each window. Pure numpy and scipy; seconds, metres, radians; x 
 """
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple, Sequence
 
 import numpy as np
@@ -199,29 +198,65 @@ def _at(series, t_s):
 # --- all drives together ---
 
 
-@dataclass
 class Data:
-    """All windows of all drives."""
+    """All windows of all drives; which of them count by everything but the value, or by that, too.
 
-    windows: Windows  # their acceleration that on level ground; their state also TURNING, STEEP
-    drive: np.ndarray  # each window's drive, (W,)
-    slope: np.ndarray  # gravity per slope of each drive's ground along x and y, (W, 2·D)
-    sees_slope: np.ndarray  # whether a drive shows its slope, (D,)
-    pitch_offset: Sequence[float]  # of each drive's sensor in rad; NaN without
+    Attributes:
+        windows: their acceleration that on level ground; their state also TURNING, STEEP.
+        drive: each window's drive, (W,).
+        slope: gravity per slope of each drive's ground along x and y, (W, 2·D).
+        sees_slope: whether a drive shows its slope, (D,).
+        pitch_offset: of each drive's sensor in rad; NaN without.
+    """
 
+    def __init__(self, drives: Sequence[MapDrive], config: MapConfig):
+        self.config, self._drives = config, drives
+        periods_s = [float(np.median(np.diff(drive.speed.t_s))) for drive in drives
+                     if not drive.wheels and drive.speed.t_s.size > 1]
+        window_s = max([WINDOW_S, *(SPEEDS * period_s for period_s in periods_s)])  # of all: each has as many points
+        found, sees_slope, self.pitch_offset = zip(*(_gather(drive, config, window_s) for drive in drives))
+        self.windows, self.sees_slope = Windows(*map(np.concatenate, zip(*found))), np.array(sees_slope)
+        self.drive = number = np.repeat(np.arange(len(drives)), [one.middle_s.size for one in found])
+        self.slope, at = np.zeros((number.size, 2 * len(drives))), np.arange(number.size)
+        self.slope[at, 2 * number] = -GRAVITY_MPS2 * self.windows.cos_yaw
+        self.slope[at, 2 * number + 1] = -GRAVITY_MPS2 * self.windows.sin_yaw
 
-def gather(drives: Sequence[MapDrive], config: MapConfig) -> Data:
-    """Divide drives into windows, and find which count by everything but the value."""
-    periods_s = [float(np.median(np.diff(drive.speed.t_s))) for drive in drives
-                 if not drive.wheels and drive.speed.t_s.size > 1]
-    window_s = max([WINDOW_S, *(SPEEDS * period_s for period_s in periods_s)])  # of all: each has as many points
-    found, sees_slope, offset = zip(*(_gather(drive, config, window_s) for drive in drives))
-    number = np.repeat(np.arange(len(drives)), [one.middle_s.size for one in found])
-    together = Windows(*map(np.concatenate, zip(*found)))
-    slope, at = np.zeros((number.size, 2 * len(drives))), np.arange(number.size)
-    slope[at, 2 * number] = -GRAVITY_MPS2 * together.cos_yaw
-    slope[at, 2 * number + 1] = -GRAVITY_MPS2 * together.sin_yaw
-    return Data(together, number, slope, np.array(sees_slope), offset)
+    def sample(self, delay_s: float, grid: Grid | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Return (the values ``delay_s`` earlier along each window (W, P), the windows' states by them, too (W,)); with
+        a grid those windows are left out that lie beyond it.
+        """
+        values, state = np.zeros(self.windows.t_s.shape), self.windows.state.copy()
+        for index, drive in enumerate(self._drives):
+            own = self.drive == index
+            t_s = self.windows.t_s[own] - delay_s
+            value, age_s = _held(drive.value, t_s)
+            is_known = np.isfinite(value)
+            values[own] = np.where(is_known, value, 0.0)
+            lacks = (~is_known | (age_s > self.config.value_timeout_s)).any(axis=1)
+            state[own] = _left_out(state[own], lacks, NO_VALUE)
+            if drive.driven is not None:
+                state[own] = _left_out(state[own], ~(_held(drive.driven, t_s)[0] >= 0.5).all(axis=1), NOT_DRIVEN)
+        if grid is not None:
+            state = _left_out(state, ~grid.has(values, np.nan_to_num(self.windows.speed_mps)).all(axis=1), BEYOND)
+        return values, state
+
+    def manoeuvres(self, value: np.ndarray, state: np.ndarray, grid: Grid) -> np.ndarray:
+        """Return the number of each window's manoeuvre (W,), −1 for windows that don't count.
+
+        A new one begins where the value jumps, after windows that don't count, and after MANOEUVRE_S.
+        """
+        mean = value.mean(axis=1)
+        jump = VALUE_JUMP * np.ptp(grid.rows)
+        number, numbers = -1, np.full(state.size, -1)
+        begun, before, middle = 0.0, None, self.windows.middle_s
+        for index in np.flatnonzero(state == MEASURED):
+            goes_on = (before == index - 1 and self.drive[index] == self.drive[before]
+                       and abs(mean[index] - mean[before]) <= jump and middle[index] - begun <= MANOEUVRE_S)
+            if not goes_on:
+                number, begun = number + 1, middle[index]
+            numbers[index] = number
+            before = index
+        return numbers
 
 
 def _gather(drive, config, window_s):
@@ -289,22 +324,6 @@ def _constant_part(y, one, counted):
     return float(np.linalg.lstsq(columns, y[counted], rcond=None)[0][0])
 
 
-def sample(drives: Sequence[MapDrive], data: Data, delay_s: float,
-           config: MapConfig) -> tuple[np.ndarray, np.ndarray]:
-    """Return (the values ``delay_s`` earlier along each window (W, P), the windows' states by them, too (W,))."""
-    values, state = np.zeros(data.windows.t_s.shape), data.windows.state.copy()
-    for index, drive in enumerate(drives):
-        own = data.drive == index
-        t_s = data.windows.t_s[own] - delay_s
-        value, age_s = _held(drive.value, t_s)
-        is_known = np.isfinite(value)
-        values[own] = np.where(is_known, value, 0.0)
-        state[own] = _left_out(state[own], (~is_known | (age_s > config.value_timeout_s)).any(axis=1), NO_VALUE)
-        if drive.driven is not None:
-            state[own] = _left_out(state[own], ~(_held(drive.driven, t_s)[0] >= 0.5).all(axis=1), NOT_DRIVEN)
-    return values, state
-
-
 def _left_out(state, which, reason):
     """Return the states (W,) without those windows: they don't count for a reason, nor do they show the slope."""
     state = np.where(which & (state == MEASURED), reason, state)
@@ -316,30 +335,6 @@ def _held(series, t_s):
     last = np.searchsorted(series.t_s, t_s, side="right") - 1
     known = np.maximum(last, 0)
     return np.where(last >= 0, series.y[known], np.nan), np.where(last >= 0, t_s - series.t_s[known], np.inf)
-
-
-def on_grid(data: Data, value: np.ndarray, state: np.ndarray, grid: Grid) -> np.ndarray:
-    """Return the states (W,) with windows left out that lie beyond a grid; the value is (W, P)."""
-    return _left_out(state, ~grid.has(value, np.nan_to_num(data.windows.speed_mps)).all(axis=1), BEYOND)
-
-
-def manoeuvres(data: Data, value: np.ndarray, state: np.ndarray, grid: Grid) -> np.ndarray:
-    """Return the number of each window's manoeuvre (W,), −1 for windows that don't count.
-
-    A new one begins where the value jumps, after windows that don't count, and after MANOEUVRE_S.
-    """
-    mean = value.mean(axis=1)
-    jump = VALUE_JUMP * np.ptp(grid.rows)
-    number, numbers = -1, np.full(state.size, -1)
-    begun, before, middle = 0.0, None, data.windows.middle_s
-    for index in np.flatnonzero(state == MEASURED):
-        goes_on = (before == index - 1 and data.drive[index] == data.drive[before]
-                   and abs(mean[index] - mean[before]) <= jump and middle[index] - begun <= MANOEUVRE_S)
-        if not goes_on:
-            number, begun = number + 1, middle[index]
-        numbers[index] = number
-        before = index
-    return numbers
 
 
 def by_rule(state: np.ndarray) -> dict[str, int]:
