@@ -82,7 +82,7 @@ def integral(t_s: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def held(t_s: np.ndarray, value: np.ndarray, at_s: np.ndarray) -> np.ndarray:
-    """Return the values at the times ``at_s`` (M,) of a signal (N,) that holds each sample until the next: (M,).
+    """Return the values at the times ``at_s``, of any shape, of a signal (N,) that holds each sample until the next.
 
     Before the first sample its value counts.
     """

@@ -16,7 +16,7 @@ from typing import NamedTuple, Sequence
 import numpy as np
 from scipy import sparse
 
-from car_interface.tools.calibration.shared import Series
+from car_interface.tools.calibration.shared import Series, held
 from car_interface.tools.calibration.value_map.recorded import BY_IMU, DEFAULTS, MapConfig, MapDrive
 from car_interface.tools.calibration.value_map.surface import Grid
 
@@ -229,13 +229,14 @@ class Data:
         for index, drive in enumerate(self._drives):
             own = self.drive == index
             t_s = self.windows.t_s[own] - delay_s
-            value, age_s = _held(drive.value, t_s)
-            is_known = np.isfinite(value)
+            value, age_s = held(*drive.value, t_s), t_s - held(drive.value.t_s, drive.value.t_s, t_s)
+            is_known = np.isfinite(value) & (age_s >= 0)
             values[own] = np.where(is_known, value, 0.0)
             lacks = (~is_known | (age_s > self.config.value_timeout_s)).any(axis=1)
             state[own] = _left_out(state[own], lacks, NO_VALUE)
             if drive.driven is not None:
-                state[own] = _left_out(state[own], ~(_held(drive.driven, t_s)[0] >= 0.5).all(axis=1), NOT_DRIVEN)
+                drives = (held(*drive.driven, t_s) >= 0.5) & (t_s >= drive.driven.t_s[0])
+                state[own] = _left_out(state[own], ~drives.all(axis=1), NOT_DRIVEN)
         if grid is not None:
             state = _left_out(state, ~grid.has(values, np.nan_to_num(self.windows.speed_mps)).all(axis=1), BEYOND)
         return values, state
@@ -328,13 +329,6 @@ def _left_out(state, which, reason):
     """Return the states (W,) without those windows: they don't count for a reason, nor do they show the slope."""
     state = np.where(which & (state == MEASURED), reason, state)
     return np.where(which & (state == TURNING), STEERING, state)
-
-
-def _held(series, t_s):
-    """Return (the newest sample at each time, its age in s), of the shape of ``t_s``; NaN and inf before the first."""
-    last = np.searchsorted(series.t_s, t_s, side="right") - 1
-    known = np.maximum(last, 0)
-    return np.where(last >= 0, series.y[known], np.nan), np.where(last >= 0, t_s - series.t_s[known], np.inf)
 
 
 def by_rule(state: np.ndarray) -> dict[str, int]:
