@@ -133,9 +133,8 @@ def _times(progress):
 
 
 def _cell(steering, length):
-    """Return which cell a steering falls into: left is at the left."""
-    half = length // 2
-    return max(0, min(length - 1, half - round(max(-1.0, min(1.0, steering)) * half)))
+    """Return which of an odd number of cells a steering falls into: left is at the left."""
+    return length // 2 - round(max(-1.0, min(1.0, steering)) * (length // 2))
 
 
 def wrapped(lines: Sequence[str], width: int) -> list[str]:
