@@ -128,8 +128,8 @@ def load_map_drive(path: str, config: MapConfig) -> RecordedDrive:
         value = Series(found.output.t_s, np.where(is_pulse(duty), throttle.value_of(duty), np.nan))
         beyond = int((is_pulse(duty) & np.isnan(value.y)).sum())
         if beyond:
-            notes += (f"{beyond} of {value.y.size} duties lie beyond {throttle.duties[0]:g} to "
-                      f"{throttle.duties[-1]:g}, where {throttle.path} has no value: left out",)
+            notes = (*notes, (f"{beyond} of {value.y.size} duties lie beyond {throttle.duties[0]:g} to "
+                              f"{throttle.duties[-1]:g}, where {throttle.path} has no value: left out"))
     else:
         value = Series(found.value.t_s, found.value.value)
         if found.output is not None and config.esc_channel is not None:
