@@ -343,9 +343,8 @@ def test_table_that_is_there_is_replaced_after_a_question_or_the_new_one_is_writ
 
 @pytest.mark.once
 def test_picture_has_an_arc_for_each_radius_that_can_be_told_from_straight_on():
-    rows = [SimpleNamespace(radius_m=radius_m, side="left", is_known=True, is_measured=True)
-            for radius_m in (1.0, 40.0, 41.0)]
-    arcs = [marker for marker in drive_markers("odom", "base_link", None, [], 2.0, rows, "").markers
+    points = [SimpleNamespace(radius_m=radius_m, is_known=True) for radius_m in (1.0, 40.0, 41.0)]
+    arcs = [marker for marker in drive_markers("odom", "base_link", None, [], 2.0, {"left": points}, "").markers
             if marker.ns == "known"]
     assert [marker.id for marker in arcs] == [0, 1]
     assert [len(marker.points) for marker in arcs] == [17, 17]
