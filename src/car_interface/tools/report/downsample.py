@@ -3,11 +3,12 @@ from __future__ import annotations
 
 import cmath
 import math
-from array import array
+from collections import defaultdict
+from functools import partial
+from itertools import chain
+from operator import itemgetter
 
 import numpy as np
-
-EMPTY = math.nan
 
 
 class Trace:
@@ -18,9 +19,8 @@ class Trace:
     """
 
     def __init__(self, duration_s: float, bins: int = 1500):
-        self._bins_per_s = bins / max(duration_s, 1e-9)
-        self._last = bins - 1
-        self._minima, self._maxima = ((array("d", [EMPTY]) * bins, array("d", [EMPTY]) * bins) for _ in range(2))
+        self._bins_per_s, self._last = bins / max(duration_s, 1e-9), bins - 1
+        self._extremes: dict = {}  # by bin: its lowest and its highest sample, (time in s, value) each
         self.count = 0  # of all samples, as are the next two
         self.minimum, self.maximum = math.inf, -math.inf
 
@@ -29,35 +29,25 @@ class Trace:
         if not math.isfinite(value):
             return
         self.count += 1
-        slot = min(max(int(time_s * self._bins_per_s), 0), self._last)
-        times, values = self._minima
-        if not values[slot] <= value:  # also when it is empty
-            times[slot], values[slot] = time_s, value
-        times, values = self._maxima
-        if not values[slot] >= value:
-            times[slot], values[slot] = time_s, value
         self.minimum, self.maximum = min(self.minimum, value), max(self.maximum, value)
+        slot, sample = min(max(int(time_s * self._bins_per_s), 0), self._last), (time_s, value)
+        lowest, highest = self._extremes.get(slot, (sample, sample))
+        self._extremes[slot] = (sample if value < lowest[1] else lowest, sample if value > highest[1] else highest)
 
     def curve(self, gap_s: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
         """Return (times (N,), values (N,)) in order, with a NaN in each gap of more than ``gap_s``."""
-        times, values = (np.concatenate([np.frombuffer(low), np.frombuffer(high)])
-                         for low, high in zip(self._minima, self._maxima))
-        order = np.argsort(times[~np.isnan(values)], kind="stable")
-        times, values = (column[~np.isnan(values)][order] for column in (times, values))
+        samples = sorted(chain(*self._extremes.values()), key=itemgetter(0))
+        times, values = np.array(samples, float).reshape(-1, 2).T
         gaps = np.flatnonzero(np.diff(times) > max(gap_s, 3 / self._bins_per_s)) + 1
-        return np.insert(times, gaps, times[gaps]) if len(gaps) else times, np.insert(values, gaps, EMPTY)
+        return np.insert(times, gaps, times[gaps]), np.insert(values, gaps, math.nan)
 
 
-class Traces(dict):
+class Traces(defaultdict):
     """The traces of a drive by their names; one that nobody has written to yet is empty."""
 
     def __init__(self, duration_s: float):
-        super().__init__()
+        super().__init__(partial(Trace, duration_s))
         self.duration_s = duration_s
-
-    def __missing__(self, name: str) -> Trace:
-        self[name] = Trace(self.duration_s)
-        return self[name]
 
 
 class Path:
